@@ -1,0 +1,33 @@
+"""Acquisitions from image files, and results to files."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from roemetry.hookspecs import StageEntry, hookimpl
+
+
+@hookimpl
+def roemetry_stages() -> Iterable[StageEntry]:
+    """Name the file source and the file sinks."""
+    yield StageEntry(
+        kind="source",
+        name="image-files",
+        target="roemetry_files.image_files:ImageFiles",
+        summary="Image files from a folder or a pattern, with plain-light and dark partners by name",
+        reference="our own",
+    )
+    yield StageEntry(
+        kind="sink",
+        name="csv",
+        target="roemetry_files.csv_table:CsvTable",
+        summary="results.csv: a line a product, units in the headings",
+        reference="our own",
+    )
+    yield StageEntry(
+        kind="sink",
+        name="points",
+        target="roemetry_files.points:Points",
+        summary="points/<acquisition>.csv: every coded point, in pixels and, where calibrated, millimetres",
+        reference="our own",
+    )

@@ -1,0 +1,90 @@
+"""results.csv: a line a product, for spreadsheets."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from roemetry.files import write_whole
+from roemetry.records import Estimate, Measurement
+from roemetry.stages import Run, Sink, StageOptions
+from roemetry.units import NOT_STATED, mm3_to_cm3
+
+Cell = str | float | int
+
+
+class CsvTable(Sink[StageOptions]):
+    """Writes ``results.csv``; units stand in the headings.
+
+    An empty cell means there is no such number, and the column of reasons says why; an uncertainty that is
+    not modelled is ``not stated``.
+    """
+
+    def write(self, run: Run) -> Sequence[Path]:
+        """Write the table from the run's measurements."""
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(_COLUMNS)
+        for measurement in run.measurements():
+            writer.writerow([_cell(column(measurement)) for column in _COLUMNS.values()])
+        path = run.folder / "results.csv"
+        write_whole(path, text.getvalue())
+        return [path]
+
+
+def _cell(value: Cell | None) -> Cell:
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return ""
+    return round(value, 4) if isinstance(value, float) else value
+
+
+def _value(estimate: Estimate | None, scale: float = 1.0) -> float | None:
+    return None if estimate is None else estimate.value * scale
+
+
+def _std(estimate: Estimate | None, scale: float = 1.0) -> Cell | None:
+    if estimate is None:
+        return None
+    return NOT_STATED if math.isnan(estimate.std) else estimate.std * scale
+
+
+def _mass(row: Measurement) -> Estimate | None:
+    return None if row.weight is None else row.weight.mass_g
+
+
+def _visible(row: Measurement) -> Estimate | None:
+    return None if row.volume is None else row.volume.visible_mm3
+
+
+_CM3 = mm3_to_cm3(1.0)
+
+_COLUMNS: dict[str, Callable[[Measurement], Cell | None]] = {
+    "id": lambda row: row.id,
+    "acquisition": lambda row: row.acquisition,
+    "product": lambda row: row.product,
+    "status": lambda row: row.status,
+    "grade": lambda row: None if row.grade is None else row.grade.label,
+    "weight (g)": lambda row: _value(_mass(row)),
+    "weight standard uncertainty (g)": lambda row: _std(_mass(row)),
+    "visible volume (cm³)": lambda row: _value(_visible(row), _CM3),
+    "visible volume standard uncertainty (cm³)": lambda row: _std(_visible(row), _CM3),
+    "largest height (mm)": lambda row: row.height_max_mm,
+    "volume seen (share)": lambda row: None if row.volume is None else row.volume.shares.seen,
+    "volume interpolated (share)": lambda row: None if row.volume is None else row.volume.shares.interpolated,
+    "volume assumed (share)": lambda row: None if row.volume is None else row.volume.shares.assumed,
+    "stripes expected": lambda row: None if row.coding is None else row.coding.stripes,
+    "stripes seen": lambda row: None if row.coding is None else row.coding.stripes_seen,
+    "peaks": lambda row: None if row.coding is None else row.coding.peaks,
+    "peaks coded": lambda row: None if row.coding is None else row.coding.coded,
+    "peaks ambiguous": lambda row: None if row.coding is None else row.coding.ambiguous,
+    "product rows seen": lambda row: None if row.coding is None else row.coding.rows_seen,
+    "product rows interpolated": lambda row: None if row.coding is None else row.coding.rows_interpolated,
+    "largest displacement (px)": lambda row: None if row.coding is None else row.coding.displacement_max_px,
+    "saturated (share)": lambda row: None if row.coding is None else row.coding.saturated_share,
+    "reasons": lambda row: "; ".join(reason.text.replace("\n", " ") for reason in row.all_reasons),
+    "recipe sha256": lambda row: row.provenance.get("recipe_sha256"),
+    "calibration sha256": lambda row: row.provenance.get("calibration_sha256"),
+}

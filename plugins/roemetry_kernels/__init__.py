@@ -1,0 +1,1 @@
+"""Compiled kernels that several plugins share: a library that registers nothing."""

@@ -1,0 +1,65 @@
+"""Triangulation by one coefficient a stripe (section 3.4, equations 3 and 4)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from roemetry.arrays import Floats
+from roemetry.calibration import Calibration
+from roemetry.errors import StageError
+from roemetry.records import Profiles, StripeMap
+from roemetry.stages import StageOptions, Triangulator
+
+
+class BlockLinear(Triangulator[StageOptions]):
+    """H = Ω_i · D2: height is proportional to the displacement from the stripe's rest line.
+
+    One scale (mm/px, at belt level) serves for X and Y everywhere: perspective, which makes higher things
+    look larger, and lens distortion are left out. The origin is the belt point at the image's centre.
+    """
+
+    def triangulate(self, stripes: StripeMap, calibration: Calibration) -> Profiles:
+        """Give a slice for each stripe, with a point for each image row.
+
+        Raises
+        ------
+        StageError
+            The map has another number of stripes than the calibration.
+        """
+        if stripes.stripe_count != calibration.stripe_count:
+            raise StageError(
+                f"{stripes.stripe_count} stripes were coded, the calibration has {calibration.stripe_count}"
+            )
+        omega = calibration.parameters["omega_mm_per_px"]
+        scale = float(calibration.parameters["mm_per_px"][0])
+        rows, columns = calibration.image_size
+        count = stripes.stripe_count
+        row_px = np.broadcast_to(np.arange(rows, dtype=np.float64), (count, rows))
+        xyz_mm = np.empty((count, rows, 3))
+        xyz_mm[:, :, 0] = (stripes.x_px - (columns - 1) / 2.0) * scale
+        xyz_mm[:, :, 1] = ((rows - 1) / 2.0 - row_px) * scale
+        xyz_mm[:, :, 2] = omega[:, None] * (stripes.x_px - stripes.rest_px)
+        xyz_mm[np.isnan(stripes.x_px)] = np.nan
+        return Profiles(
+            xyz_mm=xyz_mm,
+            product=stripes.product,
+            seen=stripes.seen,
+            x_px=stripes.x_px,
+            row_px=row_px,
+            height_std_mm=np.abs(omega)[:, None] * stripes.x_std_px,
+            stripe=np.arange(count),
+            frame=np.zeros(count, np.int64),
+            plane=_planes(calibration, omega, scale),
+        )
+
+
+def _planes(calibration: Calibration, omega: Floats, scale: float) -> Floats:
+    """Plane of each stripe in the belt frame: through its rest line, and leaning by 1/Ω."""
+    columns = calibration.image_size[1]
+    rest = calibration.rest_px
+    slope = rest[:, 1] if rest.shape[1] > 1 else np.zeros(rest.shape[0])
+    # On the plane lie (slope, −1, 0), along the rest line, and (scale/Ω, 0, 1), up the light.
+    normal = np.stack([np.ones_like(slope), slope, -scale / omega], axis=1)
+    normal /= np.sqrt((normal**2).sum(axis=1))[:, None]
+    x_mm = (rest[:, 0] - (columns - 1) / 2.0) * scale
+    return np.column_stack([normal, normal[:, 0] * x_mm])

@@ -1,0 +1,190 @@
+"""What the images of the empty belt and of the block show."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from roemetry.arrays import Floats
+from roemetry.errors import CalibrationError, StageError
+from roemetry.records import CalibrationSet, Observation, Peaks
+from roemetry_kernels.tracing import trace_fragments
+from roemetry_paper.rest_lines import belt_tolerance_px, rest_lines_of_frame
+
+_FULL_ROWS_MIN = 0.5
+_DISPLACED_MIN_PX = 4.0
+_BLOCK_ROWS_MIN = 20
+_TRIM = 0.1
+_BATCH_ROWS = 10
+_BODY_STEP_PX = 7.0
+_END_ROWS = 12
+_REST_RMS_MAX_PX = 1.5
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class BlockView:
+    """A block in one image.
+
+    Attributes
+    ----------
+    offset_px, offset_std_px
+        (stripe,) displacement on the block's top and its standard uncertainty, px; NaN where not seen.
+    scatter_px
+        Scatter of single rows about the offsets, px.
+    width_px, width_std_px
+        Extent of the top along the stripes, square to its edges, and its standard uncertainty, px.
+    edge_rms_px
+        Scatter of the edges about straight lines, px.
+    yaw_rad
+        Turn of the block about the vertical.
+    """
+
+    offset_px: Floats
+    offset_std_px: Floats
+    scatter_px: float
+    width_px: float
+    width_std_px: float
+    edge_rms_px: float
+    yaw_rad: float
+
+
+def rest_polynomials(observed: CalibrationSet) -> tuple[Floats, float]:
+    """Fit each stripe's rest line: (stripe, 2) in the row from the middle, and the rms residual, px.
+
+    From the images of the empty belt; without one, from the belt above and below the block.
+
+    Raises
+    ------
+    CalibrationError
+        Not the expected number of stripes.
+    """
+    belts = observed.showing("belt")
+    if not belts:
+        view = observed.showing("block")[0]
+        return _from_block_image(view, observed.stripe_count)
+    x_px = np.full((observed.stripe_count, 0), np.nan)
+    row_px = np.empty(0)
+    for view in belts:
+        full = _full_rows(view.peaks, observed.stripe_count)
+        lit = int((np.diff(view.peaks.row_start) > 0).sum())
+        if full.size < _FULL_ROWS_MIN * view.peaks.image_size[0]:
+            found = np.bincount(np.diff(view.peaks.row_start)).argmax() if lit else 0
+            raise CalibrationError(
+                f"{view.frame.name}: {observed.stripe_count} stripes are expected, "
+                f"but most rows show {found} (only {full.size} rows show all)",
+                hint="check `stripes` in the rig file, the extractor's threshold, turn_deg, "
+                "and that every stripe crosses the whole image",
+            )
+        x_px = np.concatenate([x_px, _in_rows(view.peaks, full, observed.stripe_count)], axis=1)
+        row_px = np.concatenate([row_px, full])
+    middle = (belts[0].frame.size[0] - 1) / 2.0
+    return _fitted(row_px - middle, x_px, belts[0].frame.name)
+
+
+def view_of_block(view: Observation, rest_px: Floats) -> BlockView:
+    """Measure displacements and edges of the block in one image."""
+    stripes = rest_px.shape[0]
+    peaks = view.peaks
+    rows = _full_rows(peaks, stripes)
+    middle = (peaks.image_size[0] - 1) / 2.0
+    x_px = _in_rows(peaks, rows, stripes)
+    offset = x_px - (rest_px[:, :1] + rest_px[:, 1:] * (rows - middle))
+    mean, std, first, last, place, scatter = (np.full(stripes, np.nan) for _ in range(6))
+    for stripe in range(stripes):
+        run = _longest_run(rows, np.abs(offset[stripe]) > _DISPLACED_MIN_PX)
+        if run.size < _BLOCK_ROWS_MIN:
+            continue
+        trim = int(_TRIM * run.size)
+        inner = offset[stripe, run[trim : run.size - trim]]
+        typical = np.median(inner)
+        inner = inner[np.abs(inner - typical) < _DISPLACED_MIN_PX]
+        mean[stripe], std[stripe] = inner.mean(), _std_of_mean(inner)
+        scatter[stripe] = inner.std()
+        on_top = run[np.abs(offset[stripe, run] - typical) < _DISPLACED_MIN_PX]
+        first[stripe], last[stripe] = rows[on_top[0]] - 0.5, rows[on_top[-1]] + 0.5
+        place[stripe] = x_px[stripe, on_top].mean()
+    width, width_std, edge_rms, yaw = _width(place, first, last)
+    scatter_px = float(np.nanmean(scatter)) if np.isfinite(scatter).any() else np.nan
+    return BlockView(mean, std, scatter_px, width, width_std, edge_rms, yaw)
+
+
+def _full_rows(peaks: Peaks, stripes: int) -> Floats:
+    """Rows that show exactly as many peaks as there are stripes: there, order is certain."""
+    return np.flatnonzero(np.diff(peaks.row_start) == stripes).astype(np.float64)
+
+
+def _in_rows(peaks: Peaks, rows: Floats, stripes: int) -> Floats:
+    """(stripe, row) x of the peaks of full rows, px."""
+    first = peaks.row_start[rows.astype(np.int64)]
+    return np.asarray(peaks.x_px[first[None, :] + np.arange(stripes)[:, None]])
+
+
+def _fitted(from_middle: Floats, x_px: Floats, name: str) -> tuple[Floats, float]:
+    rest = np.empty((x_px.shape[0], 2))
+    residual = np.empty_like(x_px)
+    for stripe, x in enumerate(x_px):
+        keep = np.ones(x.size, np.bool_)
+        for _ in range(3):
+            slope, start = np.polyfit(from_middle[keep], x[keep], 1)
+            off = x - (start + slope * from_middle)
+            keep = np.abs(off) <= max(3.0 * float(np.std(off[keep])), 0.5)
+        rest[stripe] = start, slope
+        residual[stripe] = np.where(keep, off, np.nan)
+    rms = float(np.sqrt(np.nanmean(residual**2)))
+    if rms > _REST_RMS_MAX_PX:
+        raise CalibrationError(
+            f"{name}: the stripes on the belt are not straight (rms {rms:.2f} px)",
+            hint="is the belt flat and empty? a strongly distorting lens needs a full camera calibration",
+        )
+    return rest, rms
+
+
+def _from_block_image(view: Observation, stripes: int) -> tuple[Floats, float]:
+    peaks = view.peaks
+    fragment, fragments = trace_fragments(peaks.row_start, peaks.x_px, _BODY_STEP_PX)
+    try:
+        lines = rest_lines_of_frame(peaks, fragment, fragments, stripes, _END_ROWS)
+    except StageError as error:
+        raise CalibrationError(
+            f"{view.frame.name}: {error.message}", hint="add an image of the empty belt (images.belt)"
+        ) from error
+    rows = np.arange(peaks.image_size[0]) - (peaks.image_size[0] - 1) / 2.0
+    rest = np.array([np.polyfit(rows, line, 1)[::-1] for line in lines.x_px])
+    return rest, belt_tolerance_px(peaks, lines.x_px) / 4.0
+
+
+def _longest_run(rows: Floats, displaced: np.ndarray) -> np.ndarray:
+    """Positions in `rows` of the longest displaced run; gaps of a few rows do not end it."""
+    at = np.flatnonzero(displaced)
+    if not at.size:
+        return at
+    pieces = np.split(at, np.flatnonzero(np.diff(rows[at]) > _END_ROWS) + 1)
+    return max(pieces, key=len)
+
+
+def _std_of_mean(values: Floats) -> float:
+    """Standard uncertainty of a mean of rows that are correlated over a few rows: from batch means."""
+    batches = values.size // _BATCH_ROWS
+    if batches < 3:
+        return float(values.std())
+    means = values[: batches * _BATCH_ROWS].reshape(batches, _BATCH_ROWS).mean(axis=1)
+    return float(means.std(ddof=1) / np.sqrt(batches))
+
+
+def _width(place: Floats, first: Floats, last: Floats) -> tuple[float, float, float, float]:
+    """Extent square to the edges, its standard uncertainty, the edges' scatter, and the yaw."""
+    known = np.isfinite(place)
+    if known.sum() < 2:
+        return np.nan, np.nan, np.nan, 0.0
+    slopes, residuals = [], []
+    for edge in (first, last):
+        slope, start = np.polyfit(place[known], edge[known], 1)
+        slopes.append(slope)
+        residuals.append(edge[known] - (start + slope * place[known]))
+    yaw = -float(np.arctan(np.mean(slopes)))
+    edge_rms = float(np.sqrt(np.mean(np.square(residuals))))
+    width = float(np.mean(last[known] - first[known]) * np.cos(yaw))
+    # each edge is known to a row (rectangular), better by averaging over the stripes' different phases
+    std = np.sqrt(2.0 * max(edge_rms**2, 1.0 / 12.0) / known.sum())
+    return width, float(std), edge_rms, yaw

@@ -1,0 +1,143 @@
+"""From coded peaks to a dense stripe map: belt or product, short gaps bridged, products numbered."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+
+from roemetry.arrays import Flags, Floats, Integers, Labels
+from roemetry.records import AMBIGUOUS, BELT, NOTHING, UNCODED, Peaks, Reason, StripeMap
+from roemetry_paper.rest_lines import RestLines
+
+_FLICKER_ROWS = 3
+
+
+def bridged(
+    peaks: Peaks,
+    stripe: Integers,
+    margin: Floats,
+    rest: RestLines,
+    *,
+    longest_gap_rows: int,
+    smallest_product_points: int,
+    reasons: list[Reason],
+) -> StripeMap:
+    """Lay coded peaks out over (stripe, row) and bridge short gaps by straight lines (section 3.3).
+
+    Parameters
+    ----------
+    peaks
+        The frame's peaks.
+    stripe
+        (peak,) stripe, `UNCODED` or `AMBIGUOUS`.
+    margin
+        (peak,) margin of the stripe over the second best.
+    rest
+        Rest lines; a point within the tolerance of its own stripe's is belt.
+    longest_gap_rows
+        Longer gaps stay empty: not seen.
+    smallest_product_points
+        Connected points off the belt that are fewer are dirt: taken out, with a reason.
+    reasons
+        What the coding has to say so far.
+    """
+    shape = rest.x_px.shape
+    coded = stripe >= 0
+    cells = stripe[coded], peaks.row[coded]
+    x_px, x_std_px, margins = (np.full(shape, np.nan) for _ in range(3))
+    x_px[cells] = peaks.x_px[coded]
+    x_std_px[cells] = peaks.x_std_px[coded]
+    margins[cells] = margin[coded]
+    seen = np.isfinite(x_px)
+    off_belt = seen & (np.abs(x_px - rest.x_px) > rest.tolerance_px)
+    for s in range(shape[0]):
+        _drop_flicker(off_belt[s], seen[s])
+        _bridge(x_px[s], seen[s], off_belt[s], longest_gap_rows)
+    known = np.isfinite(x_px)
+    product, dirt = _numbered(off_belt, known, smallest_product_points)
+    said = list(reasons)
+    peak_stripe = stripe.copy()
+    if dirt.any():
+        said.append(
+            Reason("dirt", f"{int((dirt & seen).sum())} points off the belt are too few for a product")
+        )
+        for values in (x_px, x_std_px, margins):
+            values[dirt] = np.nan
+        peak_stripe[coded] = np.where(dirt[cells], UNCODED, stripe[coded])
+        seen &= ~dirt
+    ambiguous = _ambiguous_cells(peaks, stripe, rest)
+    count = int((stripe == AMBIGUOUS).sum())
+    if count:
+        said.append(
+            Reason("ambiguous", f"{count} peaks could belong to more than one stripe and are left out")
+        )
+    return StripeMap(
+        x_px=x_px,
+        x_std_px=x_std_px,
+        product=product,
+        seen=seen,
+        margin=margins,
+        ambiguous=ambiguous,
+        rest_px=rest.x_px,
+        peak_stripe=peak_stripe.astype(np.int16),
+        reasons=tuple(said),
+    )
+
+
+def _drop_flicker(off_belt: Flags, seen: Flags) -> None:
+    """Take runs off the belt of less than three points among belt points back to the belt (in place)."""
+    rows = np.flatnonzero(seen)
+    values = off_belt[rows]
+    edges = np.flatnonzero(np.diff(values.astype(np.int8))) + 1
+    for begin, end in pairwise(edges):
+        if values[begin] and end - begin < _FLICKER_ROWS:
+            off_belt[rows[begin:end]] = False
+
+
+def _bridge(x_px: Floats, seen: Flags, off_belt: Flags, longest_gap_rows: int) -> None:
+    """Fill gaps between seen points of one stripe (in place); a gap beside a product belongs to it."""
+    rows = np.flatnonzero(seen)
+    gaps = np.flatnonzero(np.diff(rows) > 1)
+    for k in gaps:
+        before, after = rows[k], rows[k + 1]
+        if after - before - 1 > longest_gap_rows:
+            continue
+        between = np.arange(before + 1, after)
+        x_px[between] = np.interp(between, (before, after), (x_px[before], x_px[after]))
+        off_belt[between] = off_belt[before] or off_belt[after]
+
+
+def _numbered(off_belt: Flags, known: Flags, smallest: int) -> tuple[Labels, Flags]:
+    """Number connected points off the belt 1…n from left to right; give (stripe, row) numbers and dirt.
+
+    Neighbours are the same stripe's next row and the next stripe's same row. Where a stripe is not seen,
+    its neighbours on both sides, if off the belt, are joined across it.
+    """
+    import cv2
+
+    filled = off_belt.copy()
+    if off_belt.shape[0] > 2:
+        filled[1:-1] |= ~known[1:-1] & off_belt[:-2] & off_belt[2:]
+    _, labels = cv2.connectedComponents(filled.astype(np.uint8), connectivity=4, ltype=cv2.CV_16U)
+    sizes = np.bincount(labels[off_belt], minlength=int(labels.max()) + 1)
+    sizes[0] = 0
+    big = np.flatnonzero(sizes >= smallest)
+    by_place = sorted(big, key=lambda label: float(np.argwhere(labels == label)[:, 0].mean()))
+    product = np.where(known, BELT, NOTHING).astype(np.int16)
+    product[off_belt] = NOTHING
+    for number, label in enumerate(by_place, start=1):
+        product[(labels == label) & off_belt] = number
+    return product, off_belt & (product == NOTHING)
+
+
+def _ambiguous_cells(peaks: Peaks, stripe: Integers, rest: RestLines) -> Flags:
+    """Mark the cells a refused peak may belong to: the stripes whose rest lines are its nearest two."""
+    cells = np.zeros(rest.x_px.shape, np.bool_)
+    refused = np.flatnonzero(stripe == AMBIGUOUS)
+    if refused.size:
+        right = (rest.x_px[:, peaks.row[refused]] < peaks.x_px[refused]).sum(axis=0)
+        for near in (right - 1, right):
+            inside = (near >= 0) & (near < rest.x_px.shape[0])
+            cells[near[inside], peaks.row[refused][inside]] = True
+    return cells

@@ -1,0 +1,42 @@
+"""Every local maximum: the simple peak search that the paper sets out from."""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar
+
+from pydantic import Field
+
+from roemetry.records import Frame, Peaks
+from roemetry.stages import Extractor, StageOptions
+from roemetry_paper.dominant_peak import as_peaks, grey, scaled_level
+
+
+class LocalMaximumOptions(StageOptions):
+    """Options of `LocalMaximum`."""
+
+    floor: float = Field(
+        default=0.0,
+        ge=0.0,
+        le=255.0,
+        description="grey level (of 0…255, scaled for deeper images) which a maximum must reach to count",
+    )
+
+
+class LocalMaximum(Extractor[LocalMaximumOptions]):
+    """Takes every maximum of a row (Lee et al. 2000, section 3.2, step 1).
+
+    A maximum is a pixel not lower than the one before it and higher than the one after it. One stripe gives
+    several, and so does the dark between stripes: noise alone makes about one pixel in three a maximum.
+    That is what the paper shows it for; as an extractor its place is the comparison. Positions are whole
+    pixels, `x_std_px` is not stated. A step halfway down a slope is a maximum too, with amplitude 0.
+    """
+
+    Options: ClassVar[type[StageOptions]] = LocalMaximumOptions
+
+    def extract(self, frame: Frame) -> Peaks:
+        """Find the maxima of all rows but the first and the last."""
+        from roemetry_kernels.peak_scans import local_maxima  # numba: loaded only when something runs
+
+        floor = math.ceil(scaled_level(self.options.floor, frame))
+        return as_peaks(frame, local_maxima(grey(frame), floor, white=frame.white))

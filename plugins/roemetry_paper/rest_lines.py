@@ -1,0 +1,130 @@
+"""Where the stripes lie on the bare belt: from the calibration, or from the frame's own top and bottom."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from roemetry.arrays import Floats, Integers
+from roemetry.calibration import Calibration
+from roemetry.errors import StageError
+from roemetry.records import Peaks
+from roemetry_kernels.tracing import nearest_rest
+
+_SIGMAS = 4.0
+_TOLERANCE_MIN_PX = 1.0
+_SEARCH_PX = 3.0
+_MAD_TO_STD = 1.4826
+
+
+class RestLines(NamedTuple):
+    """Rest lines of a frame.
+
+    Attributes
+    ----------
+    x_px
+        (stripe, row) x on the bare belt, px, increasing with the stripe in each row.
+    tolerance_px
+        How far a peak may be from a rest line and still lie on the belt, px.
+    """
+
+    x_px: Floats
+    tolerance_px: float
+
+
+def calibrated_rest_lines(peaks: Peaks, calibration: Calibration) -> RestLines:
+    """Take the rest lines from the calibration, the tolerance from this frame's scatter about them.
+
+    Raises
+    ------
+    StageError
+        Rest lines cross within the image, so that order says nothing.
+    """
+    x_px = calibration.rest_line_px(np.arange(peaks.image_size[0], dtype=np.float64))
+    if calibration.stripe_count > 1 and not (np.diff(x_px, axis=0) > 0).all():
+        raise StageError(
+            "the calibration's rest lines cross, or are not numbered from left to right",
+            hint="calibrate again; `roemetry lint` checks the file",
+        )
+    return RestLines(x_px, belt_tolerance_px(peaks, x_px))
+
+
+def rest_lines_of_frame(
+    peaks: Peaks, fragment: Integers, fragments: int, stripe_count: int | None, end_rows: int
+) -> RestLines:
+    """Fit a straight rest line to the top and bottom segments of each stripe.
+
+    A stripe's top segment is a fragment that begins within the first `end_rows` rows; its bottom segment
+    ends within the last. They are paired in order.
+
+    Raises
+    ------
+    StageError
+        Not as many stripes end at the bottom as begin at the top, or not as many as there should be.
+    """
+    rows = peaks.image_size[0]
+    first = np.full(fragments, rows, np.int64)
+    last = np.full(fragments, -1, np.int64)
+    np.minimum.at(first, fragment, peaks.row)
+    np.maximum.at(last, fragment, peaks.row)
+    long_enough = last - first >= end_rows
+    top = _ends(peaks, fragment, np.flatnonzero(long_enough & (first < end_rows)), end_rows, at_top=True)
+    bottom = _ends(
+        peaks, fragment, np.flatnonzero(long_enough & (last >= rows - end_rows)), end_rows, at_top=False
+    )
+    expected = stripe_count if stripe_count is not None else len(top)
+    if not expected or len(top) != expected or len(bottom) != expected:
+        wanted = f"{stripe_count} are expected" if stripe_count is not None else "as many must do both"
+        raise StageError(
+            f"{len(top)} stripes begin at the image's top and {len(bottom)} end at its bottom; {wanted}",
+            hint="stripes must run from top to bottom (source.turn_deg) with bare belt at both ends; "
+            "or give a calibration, which knows the rest lines",
+        )
+    x_px = np.array([_line(a, b, rows) for a, b in zip(top, bottom, strict=True)])
+    for _ in range(3):
+        x_px = _refined(peaks, x_px)
+    return RestLines(x_px, belt_tolerance_px(peaks, x_px))
+
+
+def belt_tolerance_px(peaks: Peaks, rest_px: Floats) -> float:
+    """Four standard deviations (robust) of the peaks about the rest lines, at least 1 px."""
+    line, distance = nearest_rest(peaks.row, peaks.x_px, rest_px, _SEARCH_PX)
+    near = distance[line >= 0]
+    if near.size < 10:
+        return _TOLERANCE_MIN_PX
+    scatter = _MAD_TO_STD * float(np.median(np.abs(near - np.median(near))))
+    return max(_TOLERANCE_MIN_PX, _SIGMAS * scatter)
+
+
+def _ends(
+    peaks: Peaks, fragment: Integers, candidates: Integers, end_rows: int, *, at_top: bool
+) -> list[tuple[float, float]]:
+    """Give (row, x) in the middle of each candidate's outermost `end_rows` rows, from left to right."""
+    ends = []
+    for number in candidates:
+        mine = np.flatnonzero(fragment == number)
+        outermost = mine[:end_rows] if at_top else mine[-end_rows:]
+        ends.append((float(np.median(peaks.row[outermost])), float(np.median(peaks.x_px[outermost]))))
+    return sorted(ends, key=lambda end: end[1])
+
+
+def _line(top: tuple[float, float], bottom: tuple[float, float], rows: int) -> Floats:
+    slope = (bottom[1] - top[1]) / (bottom[0] - top[0])
+    return np.asarray(top[1] + slope * (np.arange(rows) - top[0]), np.float64)
+
+
+def _refined(peaks: Peaks, rest_px: Floats) -> Floats:
+    """Fit each line again to the peaks near it, by least absolute deviations in two steps."""
+    rows = np.arange(rest_px.shape[1])
+    line, distance = nearest_rest(peaks.row, peaks.x_px, rest_px, _SEARCH_PX)
+    refined = rest_px.copy()
+    for stripe in range(rest_px.shape[0]):
+        mine = line == stripe
+        if mine.sum() < 20:
+            continue
+        off = distance[mine]
+        weight = 1.0 / np.maximum(np.abs(off - np.median(off)), 0.25)
+        slope, shift = np.polyfit(peaks.row[mine], off, 1, w=np.sqrt(weight))
+        refined[stripe] += shift + slope * rows
+    return refined

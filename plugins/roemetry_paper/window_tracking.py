@@ -1,0 +1,217 @@
+"""Stripe coding by window tracking (section 3.3), made safe.
+
+The paper follows each stripe with a small window from the belt to where it is interrupted, numbers belt
+segments from left to right, and gives what is left, in order, to the interrupted stripes. Two of its steps
+are unsafe: a follower walks from belt to product wherever the surface rises gently, and a stripe whose body
+is hidden shifts the number of every body to its right. So here, by default,
+
+* fragments are cut where they join or leave a *rest line*, and a point is belt only if it lies on its own;
+* what the paper does once for the whole image, by order, is done for every image row: where a row shows as
+  many bodies as there is room for between two known stripes, each is certain. A segment takes the stripe
+  that its rows agree on. Where they leave a choice, its peaks are refused as ambiguous.
+
+``belt: interruption`` does it the paper's way, to show what that gives.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from roemetry.arrays import Floats, Integers
+from roemetry.calibration import Calibration
+from roemetry.errors import StageError
+from roemetry.records import AMBIGUOUS, UNCODED, Peaks, Reason, StripeMap
+from roemetry.stages import Coder, StageOptions
+from roemetry_kernels.ordering import vote_by_order
+from roemetry_kernels.tracing import cut_at_rest_lines, nearest_rest, trace_fragments
+from roemetry_paper.bridging import bridged
+from roemetry_paper.literal_tracking import literal_codes
+from roemetry_paper.rest_lines import RestLines, calibrated_rest_lines, rest_lines_of_frame
+from roemetry_paper.segments import SegmentTable, drop_doubles, keep_order
+
+
+class WindowTrackingOptions(StageOptions):
+    """Windows, gaps and areas of the tracking."""
+
+    belt: Literal["rest-line", "interruption"] = Field(
+        default="rest-line",
+        description="what makes a point belt: lying on its stripe's rest line, or (the paper, literally) "
+        "being traced before the first interruption",
+    )
+    stripe_count: int | None = Field(
+        default=None, ge=1, description="stripes to expect; default: as the calibration says, else as seen"
+    )
+    belt_window_px: int = Field(default=3, ge=1, le=99, description="width of the window on the belt, px")
+    body_window_px: int = Field(default=14, ge=1, le=99, description="width of the window on the body, px")
+    smallest_area_px: int = Field(default=10, ge=1, description="fragments with fewer peaks are noise")
+    longest_gap_rows: int = Field(
+        default=20, ge=0, description="longest gap along a stripe that is bridged by a straight line, rows"
+    )
+    smallest_product_points: int = Field(
+        default=40, ge=1, description="bodies with fewer points, taken together, are dirt on the belt"
+    )
+    margin_min: float = Field(
+        default=0.1,
+        ge=0,
+        le=1,
+        description="share of rows by which the best stripe must beat the second best",
+    )
+
+
+_END_ROWS = 12
+"""Rows at the image's ends within which a belt segment must begin: a skein never reaches so far."""
+_BELT_ROWS_MIN = 6
+_FLICKER_ROWS = 3
+_AGREEMENT_MIN = 0.9
+_VOTERS_MIN = 3
+_PASSES_MAX = 12
+_UNBOUNDED_PX = 1e6
+
+
+class WindowTracking(Coder[WindowTrackingOptions]):
+    """Follows, cuts, numbers by order, refuses doubt, bridges short gaps."""
+
+    Options = WindowTrackingOptions
+
+    def code(self, peaks: Peaks, calibration: Calibration | None) -> StripeMap:
+        """Code the peaks of one frame.
+
+        Parameters
+        ----------
+        peaks
+            From any extractor.
+        calibration
+            Gives the rest lines, the number of stripes and the side of displacement; None for pixels only.
+
+        Raises
+        ------
+        StageError
+            No peak at all; not the expected number of stripes; no stripe where the calibration has one.
+        """
+        options = self.options
+        if not len(peaks):
+            raise StageError(
+                "no stripe was found in the image",
+                hint="is the laser on? lower the extractor's threshold, or look at the image",
+            )
+        if (
+            calibration is not None
+            and options.stripe_count is not None
+            and options.stripe_count != calibration.stripe_count
+        ):
+            raise StageError(
+                f"the recipe expects {options.stripe_count} stripes, "
+                f"the calibration has {calibration.stripe_count}",
+                hint="leave stripe_count out, or calibrate with all stripes",
+            )
+        fragment, fragments = trace_fragments(peaks.row_start, peaks.x_px, options.body_window_px / 2)
+        if calibration is not None:
+            rest = calibrated_rest_lines(peaks, calibration)
+        else:
+            rest = rest_lines_of_frame(peaks, fragment, fragments, options.stripe_count, _END_ROWS)
+        if options.belt == "interruption":
+            stripe, margin = literal_codes(
+                peaks, rest.x_px, options.belt_window_px, options.body_window_px, options.smallest_area_px
+            )
+            reasons: list[Reason] = [_LITERAL]
+        else:
+            stripe, margin, reasons = self._codes(peaks, rest, fragment, fragments, calibration)
+        return bridged(
+            peaks,
+            stripe,
+            margin,
+            rest,
+            longest_gap_rows=options.longest_gap_rows,
+            smallest_product_points=options.smallest_product_points,
+            reasons=reasons,
+        )
+
+    def _codes(
+        self,
+        peaks: Peaks,
+        rest: RestLines,
+        fragment: Integers,
+        fragments: int,
+        calibration: Calibration | None,
+    ) -> tuple[Integers, Floats, list[Reason]]:
+        """Give (peak,) stripe or UNCODED or AMBIGUOUS, (peak,) margin, and what to say."""
+        line, _ = nearest_rest(peaks.row, peaks.x_px, rest.x_px, rest.tolerance_px)
+        segment, segment_line = cut_at_rest_lines(fragment, line, fragments, _BELT_ROWS_MIN, _FLICKER_ROWS)
+        table = SegmentTable.of(peaks, segment, segment_line)
+        anchored = table.anchored(_END_ROWS, self.options.longest_gap_rows)
+        live = np.unique(segment_line[anchored])
+        if live.size == 0:
+            raise StageError(
+                f"no stripe lies where the {rest.x_px.shape[0]} rest lines are",
+                hint="camera or laser may have been moved: calibrate again, or remove what covers the belt",
+            )
+        reasons = _dead_stripes(live, rest.x_px.shape[0])
+        noise = (table.rows < self.options.smallest_area_px) & ~anchored
+        label = np.where(anchored, np.searchsorted(live, segment_line), -1)
+        label[noise] = -1
+        used = np.where(noise[segment], -1, segment)
+        low, high = _displacements(rest, live, calibration)
+        margin = np.where(anchored, 1.0, np.nan)
+        rest_live = np.ascontiguousarray(rest.x_px[live])
+        for _ in range(_PASSES_MAX):
+            votes, voters = vote_by_order(peaks.row_start, peaks.x_px, used, label, rest_live, low, high)
+            settled, gained = _decided(votes, voters, label, self.options.margin_min)
+            if not settled.any():
+                break
+            label = np.where(settled, votes.argmax(axis=1), label)
+            margin = np.where(settled, gained, margin)
+        stripe = np.where(label >= 0, live[np.maximum(label, 0)], AMBIGUOUS)
+        stripe[noise] = UNCODED
+        of_peak = stripe[segment]
+        of_peak = drop_doubles(peaks, of_peak, table.rows[segment])
+        of_peak = keep_order(peaks, of_peak)
+        return of_peak, margin[segment], reasons
+
+
+_LITERAL = Reason(
+    "literal-coding",
+    "coded the paper's way, by interruption and order: a hidden body shifts codes without notice",
+)
+
+
+def _decided(
+    votes: Integers, voters: Integers, label: Integers, margin_min: float
+) -> tuple[np.ndarray, Floats]:
+    """Say which unknown segments their rows agree on, and by which margin."""
+    if votes.shape[1] > 1:
+        ranked = np.partition(votes, -2, axis=1)
+        best, second = ranked[:, -1], ranked[:, -2]
+    else:
+        best, second = votes[:, 0], np.zeros_like(voters)
+    share = np.maximum(voters, 1)
+    margin = (best - second) / share
+    settled = (
+        (label < 0) & (voters >= _VOTERS_MIN) & (best >= _AGREEMENT_MIN * voters) & (margin >= margin_min)
+    )
+    return settled, margin
+
+
+def _displacements(rest: RestLines, live: Integers, calibration: Calibration | None) -> tuple[Floats, Floats]:
+    """Range of displacements each live stripe may have, px; without a calibration any."""
+    if calibration is None:
+        return np.full(live.size, -_UNBOUNDED_PX), np.full(live.size, _UNBOUNDED_PX)
+    per_mm = calibration.displacement_px_per_mm[live]
+    ends = np.stack([per_mm * height for height in calibration.height_range_mm])
+    return ends.min(axis=0) - rest.tolerance_px, ends.max(axis=0) + rest.tolerance_px
+
+
+def _dead_stripes(live: Integers, stripes: int) -> list[Reason]:
+    dead = np.setdiff1d(np.arange(stripes), live)
+    if not dead.size:
+        return []
+    names = ", ".join(str(stripe + 1) for stripe in dead)
+    return [
+        Reason(
+            "stripe-missing",
+            f"{stripes} stripes are expected and {live.size} are seen: nothing lies on the rest "
+            f"line{'s' if dead.size > 1 else ''} of stripe {names}",
+        )
+    ]

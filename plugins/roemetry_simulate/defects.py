@@ -1,0 +1,111 @@
+"""What each defect does to the dome of a skein."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roemetry_simulate.parameters import SkeinRecord
+
+Floats = NDArray[np.float64]
+
+_LEAST_SHARE = 0.12
+
+
+def deform(
+    record: SkeinRecord, height_mm: Floats, inside: Floats, a: Floats, v_mm: Floats
+) -> tuple[Floats, Floats | None]:
+    """Apply a skein's defect.
+
+    Parameters
+    ----------
+    record : SkeinRecord
+        Says which defect, where and how deep.
+    height_mm : ndarray, shape (rows, columns)
+        Dome over the rim without the defect.
+    inside : ndarray, shape (rows, columns)
+        q clipped to 0…1: 1 on the ridge, 0 at the rim and beyond.
+    a, v_mm : ndarray, shape (rows, columns)
+        Mid-line coordinates (see `roemetry_simulate.skein`).
+
+    Returns
+    -------
+    height_mm : ndarray, shape (rows, columns)
+        Dome with the defect.
+    wall : ndarray or None
+        For a broken skein the square (mm²) that ends it, positive on the side that is left.
+    """
+    changes = {"dented": _dent, "bent": _crease, "twisted": _twist, "folded": _fold}
+    if record.kind in changes:
+        change = changes[record.kind](record, height_mm, a, v_mm)
+        # the change dies out at the rim, where the outline is
+        changed = height_mm + change * np.clip(inside / 0.25, 0.0, 1.0) ** 0.5
+        return np.maximum(changed, _LEAST_SHARE * height_mm), None
+    if record.kind == "broken":
+        return height_mm, _break(record, a, v_mm)
+    return height_mm, None
+
+
+def _place(record: SkeinRecord, a: Floats, v_mm: Floats) -> tuple[Floats, Floats]:
+    """Distances (mm) along and across the mid-line from the defect's middle."""
+    along = 0.5 * record.length_mm * (a - record.defect_along)
+    return along, v_mm - 0.5 * record.width_mm * record.defect_across
+
+
+def _dent(record: SkeinRecord, height_mm: Floats, a: Floats, v_mm: Floats) -> Floats:
+    """Return a smooth hollow of limited extent."""
+    along, across = _place(record, a, v_mm)
+    r2 = (2.0 * along / record.defect_length_mm) ** 2 + (2.0 * across / record.defect_width_mm) ** 2
+    hollow: Floats = -record.defect_depth_mm * np.clip(1.0 - r2, 0.0, 1.0) ** 2
+    return hollow
+
+
+def _crease(record: SkeinRecord, height_mm: Floats, a: Floats, v_mm: Floats) -> Floats:
+    """Return the wrinkle on the inner side of a bend, deepest at the edge, gone on the outer side."""
+    along, _ = _place(record, a, v_mm)
+    slant = np.tan(np.deg2rad(0.5 * record.defect_angle_deg))
+    inner = np.sign(record.bend_deg) * v_mm / (0.5 * record.width_mm)
+    share = np.clip(0.5 + 0.8 * inner, 0.0, 1.0)
+    sigma = 0.2 * record.defect_length_mm + 0.6
+    wrinkle: Floats = -record.defect_depth_mm * share * np.exp(-0.5 * ((along - slant * v_mm) / sigma) ** 2)
+    return wrinkle
+
+
+def _twist(record: SkeinRecord, height_mm: Floats, a: Floats, v_mm: Floats) -> Floats:
+    """Return a lean of the ridge to one side, then the other, with a furrow that winds along."""
+    phase = np.deg2rad(record.defect_angle_deg) + 2.2 * a
+    half = 0.5 * record.width_mm
+    furrow = v_mm - 0.45 * half * np.sin(phase)
+    sigma = 0.12 * record.defect_width_mm + 1.2
+    lean = 0.35 * record.defect_depth_mm * -np.sin(phase) * np.clip(v_mm / half, -1.0, 1.0)
+    wound: Floats = lean - 0.8 * record.defect_depth_mm * np.exp(-0.5 * (furrow / sigma) ** 2)
+    return wound
+
+
+def _fold(record: SkeinRecord, height_mm: Floats, a: Floats, v_mm: Floats) -> Floats:
+    """Return a flap that lies over the rest with a rounded steep edge and a groove before it."""
+    along, across = _place(record, a, v_mm)
+    side = 1.0 if record.defect_along >= 0.0 else -1.0
+    angle = np.deg2rad(40.0 + 0.6 * record.defect_angle_deg)
+    d = side * along * np.cos(angle) + across * np.sin(angle)
+    lip = 0.5 * record.defect_depth_mm * (1.0 + np.tanh(d / 1.2))
+    back = np.exp(-np.maximum(d, 0.0) / 14.0)
+    groove = 0.7 * record.defect_depth_mm * np.exp(-0.5 * ((d + 2.4) / 1.8) ** 2)
+    flap: Floats = np.minimum(lip * back, 0.6 * height_mm) - groove
+    return flap
+
+
+def _break(record: SkeinRecord, a: Floats, v_mm: Floats) -> Floats:
+    """Square (mm²) of a ragged steep end across the skein, beyond which nothing is left."""
+    side = 1.0 if record.defect_along >= 0.0 else -1.0
+    rng = np.random.default_rng([record.seed, 13])
+    phases, sizes = rng.uniform(0.0, 2.0 * np.pi, 4), rng.uniform(0.3, 0.9, 4)
+    ragged = sum(
+        size * np.sin(2.0 * np.pi * v_mm / period + phase)
+        for size, phase, period in zip(sizes, phases, (23.0, 13.0, 7.5, 4.5), strict=True)
+    )
+    at_mm = 0.5 * record.length_mm * (0.35 + 0.8 * abs(record.defect_along))
+    slant = 0.4 * np.tan(np.deg2rad(record.defect_angle_deg))
+    left_mm = at_mm - side * 0.5 * record.length_mm * a + slant * v_mm + ragged
+    wall: Floats = np.maximum(18.0 * left_mm, -40.0)
+    return wall

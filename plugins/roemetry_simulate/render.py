@@ -1,0 +1,252 @@
+"""Images of a scene: 4 × 4 samples a pixel, exact occlusion for camera and light."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from roemetry_simulate.camera import Camera
+from roemetry_simulate.laser import LaserFan
+from roemetry_simulate.raycast import first_hit, normal_at, sees
+from roemetry_simulate.sensor import Sensor, expose
+from roemetry_simulate.solid import Body, Solid
+from roemetry_simulate.surface import Surface
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Rig:
+    """What is bolted to the line: camera, sensor, laser and lamps.
+
+    Attributes
+    ----------
+    camera, sensor, laser
+        See their classes.
+    ambient_grey : float
+        Grey level of a white, level surface with the laser on (stray light, straight from above).
+    plain_grey : float
+        Grey level of a white, level surface under the plain light with the laser off.
+    lamp_height_mm, lamp_radius_mm : float
+        The plain light is a ring of lamps about the optical axis.
+    """
+
+    camera: Camera
+    sensor: Sensor
+    laser: LaserFan
+    ambient_grey: float = 14.0
+    plain_grey: float = 210.0
+    lamp_height_mm: float = 260.0
+    lamp_radius_mm: float = 130.0
+
+
+def laser_light(rig: Rig, solid: Solid, surface: Surface, samples: int = 4) -> tuple[Floats, Floats]:
+    """Light that reaches the sensor with the laser on, without noise, blur, black level or clipping.
+
+    Parameters
+    ----------
+    rig, solid, surface
+        The scene.
+    samples : int
+        Samples along each side of a pixel.
+
+    Returns
+    -------
+    laser, ambient : ndarray, shape (height, width)
+        Grey levels.
+    """
+    camera, laser = rig.camera, rig.laser
+    planes = np.column_stack([laser.normals, laser.offsets_mm, laser.peak_grey])
+    fan = np.array([laser.sigma_mm, np.deg2rad(laser.line_sigma_deg)])
+    image = _render_laser(
+        solid.body(), _pinhole(camera), camera.rotation, laser.projector_mm, laser.line_axis, planes, fan,
+        _maps(surface), surface.texture, _albedo(surface, surface.laser_albedo),
+        (camera.height_px, camera.width_px), samples,
+    )  # fmt: skip
+    return image[..., 0], rig.ambient_grey * image[..., 1]
+
+
+def plain_light(rig: Rig, solid: Solid, surface: Surface, samples: int = 4) -> Floats:
+    """Light that reaches the sensor under the plain light, without noise, blur, black level or clipping.
+
+    Parameters
+    ----------
+    rig, solid, surface
+        The scene.
+    samples : int
+        Samples along each side of a pixel; each sample of a pixel sees another lamp of the ring.
+
+    Returns
+    -------
+    ndarray, shape (height, width)
+        Grey levels.
+    """
+    camera = rig.camera
+    angle = 2.0 * np.pi * np.arange(samples * samples) / (samples * samples)
+    lamps = np.column_stack(
+        [rig.lamp_radius_mm * np.cos(angle), rig.lamp_radius_mm * np.sin(angle), 0 * angle + rig.lamp_height_mm]
+    )
+    # neighbouring samples see lamps far apart, so that a pixel's sub-areas are lit alike
+    lamps = np.ascontiguousarray(lamps[(np.arange(len(lamps)) * 7) % len(lamps)])
+    image: Floats = _render_plain(
+        solid.body(), _pinhole(camera), camera.rotation, lamps, _maps(surface), surface.texture,
+        _albedo(surface, surface.plain_albedo), (camera.height_px, camera.width_px), samples,
+    )  # fmt: skip
+    return rig.plain_grey * image
+
+
+def render(
+    rig: Rig, solid: Solid, surface: Surface, *, seed: int, plain: bool = False, samples: int = 4
+) -> NDArray[np.uint8]:
+    """Take one image of a scene.
+
+    Parameters
+    ----------
+    rig, solid, surface
+        The scene.
+    seed : int
+        Of speckle and noise.
+    plain : bool
+        Laser off and plain light on.
+    samples : int
+        Samples along each side of a pixel.
+
+    Returns
+    -------
+    ndarray of uint8, shape (height, width)
+        The image; the same arguments give the same bytes.
+    """
+    if plain:
+        steady = plain_light(rig, solid, surface, samples)
+        return expose(np.zeros_like(steady), steady, rig.sensor, seed)
+    laser, ambient = laser_light(rig, solid, surface, samples)
+    return expose(laser, ambient, rig.sensor, seed)
+
+
+def _pinhole(camera: Camera) -> Floats:
+    return np.array([*camera.centre_mm, *camera.principal_px, camera.focal_length_px])
+
+
+def _maps(surface: Surface) -> Floats:
+    return np.array([surface.x0_mm, surface.y0_mm, surface.step_mm])
+
+
+def _albedo(surface: Surface, mean: tuple[float, float]) -> Floats:
+    return np.array([*mean, *surface.gloss, surface.gloss_exponent])
+
+
+@njit(cache=True, nogil=True)
+def _texture(maps: Floats, texture: Floats, point: Floats, on: int) -> float:
+    """Bilinear lookup of the belt's or the product's texture."""
+    rows, columns = texture.shape[0], texture.shape[1]
+    u = min(max((point[0] - maps[0]) / maps[2], 0.0), columns - 1.0)
+    v = min(max((point[1] - maps[1]) / maps[2], 0.0), rows - 1.0)
+    i, j = min(int(u), columns - 2), min(int(v), rows - 2)
+    a, b = u - i, v - j
+    low = texture[j, i, on] * (1 - a) + texture[j, i + 1, on] * a
+    high = texture[j + 1, i, on] * (1 - a) + texture[j + 1, i + 1, on] * a
+    return low * (1 - b) + high * b
+
+
+@njit(cache=True, nogil=True)
+def camera_ray(pinhole: Floats, rotation: Floats, x_px: float, y_px: float, d: Floats) -> None:
+    """Write the unit direction, belt frame, of the ray through an image point."""
+    cx = (x_px - pinhole[3]) / pinhole[5]
+    cy = (y_px - pinhole[4]) / pinhole[5]
+    length = math.sqrt(cx * cx + cy * cy + 1.0)
+    for k in range(3):
+        d[k] = (rotation[k, 0] * cx + rotation[k, 1] * cy + rotation[k, 2]) / length
+
+
+@njit(cache=True, nogil=True)
+def _render_laser(
+    body: Body, pinhole: Floats, rotation: Floats, projector: Floats, axis: Floats, planes: Floats, fan: Floats,
+    maps: Floats, texture: Floats, albedo: Floats, shape: tuple[int, int], samples: int,
+) -> Floats:  # fmt: skip
+    image = np.zeros((shape[0], shape[1], 2))
+    point, normal, view = np.zeros(3), np.zeros(3), np.zeros(3)
+    beam, scratch = np.zeros(3), np.zeros(3)
+    origin = pinhole[:3].copy()
+    share = 1.0 / (samples * samples)
+    for row in range(shape[0]):
+        for column in range(shape[1]):
+            for k in range(samples * samples):
+                x_px = column + (k % samples + 0.5) / samples - 0.5
+                y_px = row + (k // samples + 0.5) / samples - 0.5
+                camera_ray(pinhole, rotation, x_px, y_px, view)
+                on = first_hit(body, origin, view, 1e-4, point)
+                if on < 0:
+                    continue
+                normal_at(body, on, point, normal)
+                grey = albedo[on] * _texture(maps, texture, point, on)
+                image[row, column, 1] += share * grey * (0.5 + 0.5 * normal[2])
+                light = 0.0
+                for i in range(planes.shape[0]):
+                    away = -planes[i, 3]
+                    for m in range(3):
+                        away += planes[i, m] * point[m]
+                    away /= fan[0]
+                    if abs(away) < 5.0:
+                        light += planes[i, 4] * math.exp(-0.5 * away * away)
+                if light == 0.0:
+                    continue
+                cosine = sees(body, point, normal, projector, beam, scratch)
+                if cosine == 0.0:
+                    continue
+                run = 0.0
+                for m in range(3):
+                    run -= beam[m] * axis[m]
+                angle = math.asin(run) / fan[1]
+                light *= math.exp(-0.5 * angle * angle)
+                image[row, column, 0] += share * light * (
+                    grey * cosine + _shine(albedo[2 + on], albedo[4], normal, beam, view)
+                )
+    return image
+
+
+@njit(cache=True, nogil=True)
+def _shine(gloss: float, exponent: float, normal: Floats, beam: Floats, view: Floats) -> float:
+    """Mirror-like part: a power of the cosine between the normal and the half-way direction."""
+    if gloss == 0.0:
+        return 0.0
+    length, dot = 0.0, 0.0
+    for m in range(3):
+        half = beam[m] - view[m]
+        length += half * half
+        dot += half * normal[m]
+    return gloss * max(dot / math.sqrt(length), 0.0) ** exponent
+
+
+@njit(cache=True, nogil=True)
+def _render_plain(
+    body: Body, pinhole: Floats, rotation: Floats, lamps: Floats, maps: Floats, texture: Floats, albedo: Floats,
+    shape: tuple[int, int], samples: int,
+) -> Floats:  # fmt: skip
+    image = np.zeros(shape)
+    point, normal, view = np.zeros(3), np.zeros(3), np.zeros(3)
+    beam, scratch = np.zeros(3), np.zeros(3)
+    origin = pinhole[:3].copy()
+    share = 1.0 / (samples * samples)
+    level = lamps[0, 2] / math.sqrt(lamps[0, 0] ** 2 + lamps[0, 1] ** 2 + lamps[0, 2] ** 2)
+    for row in range(shape[0]):
+        for column in range(shape[1]):
+            for k in range(samples * samples):
+                x_px = column + (k % samples + 0.5) / samples - 0.5
+                y_px = row + (k // samples + 0.5) / samples - 0.5
+                camera_ray(pinhole, rotation, x_px, y_px, view)
+                on = first_hit(body, origin, view, 1e-4, point)
+                if on < 0:
+                    continue
+                normal_at(body, on, point, normal)
+                cosine = sees(body, point, normal, lamps[k], beam, scratch)
+                grey = albedo[on] * _texture(maps, texture, point, on)
+                light = 0.25 * (0.5 + 0.5 * normal[2]) * grey
+                if cosine > 0.0:
+                    shine = _shine(0.5 * albedo[2 + on], albedo[4], normal, beam, view)
+                    light += 0.75 * (grey * cosine / level + shine)
+                image[row, column] += share * light
+    return image

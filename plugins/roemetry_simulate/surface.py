@@ -1,0 +1,102 @@
+"""How bright belt and product are: slowly varying albedo maps over the belt."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """Reflectance of everything in view.
+
+    Attributes
+    ----------
+    x0_mm, y0_mm, step_mm : float
+        Belt position of node (0, 0) of the maps and their pitch; places outside take the border's value.
+    texture : ndarray, shape (rows along Y, columns along X, 2)
+        Relative brightness, about 1: layer 0 belt, layer 1 product.
+    laser_albedo, plain_albedo : tuple of float
+        Mean albedo (belt, product) in the laser's colour and in plain light.
+    gloss : tuple of float
+        Share of mirror-like light (belt, product), spread about the mirror direction with `gloss_exponent`.
+    """
+
+    x0_mm: float
+    y0_mm: float
+    step_mm: float
+    texture: Floats
+    laser_albedo: tuple[float, float]
+    plain_albedo: tuple[float, float]
+    gloss: tuple[float, float] = (0.0, 0.0)
+    gloss_exponent: float = 25.0
+
+
+def even(albedo: float = 1.0) -> Surface:
+    """Return one matt albedo for all, without texture."""
+    return Surface(0.0, 0.0, 1.0, np.ones((2, 2, 2)), (albedo, albedo), (albedo, albedo))
+
+
+def textured(
+    seed: int,
+    *,
+    laser_albedo: tuple[float, float],
+    plain_albedo: tuple[float, float],
+    belt_std: float = 0.04,
+    product_std: float = 0.09,
+    gloss: tuple[float, float] = (0.0, 0.0),
+) -> Surface:
+    """Return maps with blotches of a few millimetres and finer grain.
+
+    Parameters
+    ----------
+    seed : int
+        The same seed gives the same maps.
+    laser_albedo, plain_albedo, gloss : tuple of float
+        See `Surface`.
+    belt_std, product_std : float
+        Relative standard deviation of the texture.
+
+    Returns
+    -------
+    Surface
+        Covering X within ±90 mm and Y within ±70 mm.
+    """
+    step_mm = 0.5
+    shape = (281, 361)
+    rng = np.random.default_rng([seed, 11])
+    belt = 0.6 * smooth_noise(rng, shape, 9.0 / step_mm) + 0.8 * smooth_noise(rng, shape, 0.8 / step_mm)
+    product = 0.9 * smooth_noise(rng, shape, 3.5 / step_mm) + 0.45 * smooth_noise(rng, shape, 0.9 / step_mm)
+    layers = np.stack([1.0 + belt_std * belt, 1.0 + product_std * product], axis=-1)
+    texture = np.clip(layers, 0.5, 1.5)
+    return Surface(-90.0, -70.0, step_mm, texture, laser_albedo, plain_albedo, gloss)
+
+
+def smooth_noise(rng: np.random.Generator, shape: tuple[int, int], sigma_nodes: float) -> Floats:
+    """Return Gaussian-filtered white noise of mean 0 and standard deviation 1.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Where the noise comes from.
+    shape : tuple of int
+        Rows, columns.
+    sigma_nodes : float
+        Standard deviation of the filter, in nodes.
+
+    Returns
+    -------
+    ndarray, shape `shape`
+        The noise field.
+    """
+    from scipy.ndimage import gaussian_filter
+
+    pad = int(np.ceil(3 * sigma_nodes))
+    white = rng.standard_normal((shape[0] + 2 * pad, shape[1] + 2 * pad))
+    smooth = gaussian_filter(white, sigma_nodes, mode="wrap")[pad : pad + shape[0], pad : pad + shape[1]]
+    noise: Floats = (smooth - smooth.mean()) / max(float(smooth.std()), 1e-12)
+    return noise

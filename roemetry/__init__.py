@@ -1,0 +1,34 @@
+"""roemetry: calibration and metrology for laser-stripe inspection of curved products.
+
+The public names are imported when they are used, so that ``import roemetry`` costs next to nothing.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from roemetry.calibration import Calibration
+    from roemetry.errors import RoemetryError
+    from roemetry.pipeline import Pipeline
+    from roemetry.recipe import Recipe
+    from roemetry.records import Measurement
+    from roemetry.runner import run_recipe
+
+__all__ = ["Calibration", "Measurement", "Pipeline", "Recipe", "RoemetryError", "run_recipe"]
+
+_HOMES = {
+    "Calibration": "roemetry.calibration",
+    "Measurement": "roemetry.records",
+    "Pipeline": "roemetry.pipeline",
+    "Recipe": "roemetry.recipe",
+    "RoemetryError": "roemetry.errors",
+    "run_recipe": "roemetry.runner",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'roemetry' has no attribute {name!r}")
+    return getattr(import_module(_HOMES[name]), name)

@@ -1,0 +1,5 @@
+"""``python -m roemetry``."""
+
+from roemetry.cli.main import main
+
+main()

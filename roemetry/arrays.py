@@ -1,0 +1,47 @@
+"""Shape, type and read-only checks that the records share."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roemetry.errors import DataError
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Labels = NDArray[np.int16]
+Flags = NDArray[np.bool_]
+
+
+class Checker:
+    """Collects every fault of one record, so that all are reported at once."""
+
+    def __init__(self, record: object) -> None:
+        self._record = record
+        self._faults: list[str] = []
+
+    def array(self, field: str, dtype: type[np.generic], shape: tuple[int | None, ...]) -> NDArray[Any]:
+        """Replace a field by a read-only view of the wanted type; ``None`` in `shape` means any length."""
+        value = np.asarray(getattr(self._record, field), dtype=dtype)
+        fits = value.ndim == len(shape) and all(
+            want is None or have == want for have, want in zip(value.shape, shape, strict=True)
+        )
+        if not fits:
+            wanted = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
+            self._faults.append(f"{field} has shape {value.shape}, expected {wanted}")
+        view = value.view()
+        view.flags.writeable = False
+        object.__setattr__(self._record, field, view)
+        return view
+
+    def require(self, condition: bool, fault: str) -> None:
+        """Note a fault unless the condition holds."""
+        if not condition:
+            self._faults.append(fault)
+
+    def finish(self) -> None:
+        """Raise one error that names every fault, if there is one."""
+        if self._faults:
+            raise DataError(f"{type(self._record).__name__}: " + "; ".join(self._faults))

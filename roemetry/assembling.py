@@ -1,0 +1,47 @@
+"""From calibrated slices to products."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from roemetry.calibration import Calibration
+from roemetry.records import NOTHING, Outline, Product, Profiles, Reason
+
+
+def assemble(
+    profiles: Profiles,
+    outlines: tuple[Outline, ...],
+    calibration: Calibration,
+    acquisition_id: str,
+    reasons: tuple[Reason, ...] = (),
+) -> tuple[Product, ...]:
+    """Split the slices of one frame into its products, by the number the coder gave each point."""
+    numbers = np.unique(profiles.product)
+    by_number = {outline.product: outline for outline in outlines}
+    return tuple(
+        Product(
+            number=int(number),
+            profiles=_only(profiles, int(number)),
+            calibration=calibration,
+            acquisition_ids=(acquisition_id,),
+            outline=by_number.get(int(number)),
+            reasons=reasons + profiles.reasons,
+        )
+        for number in numbers
+        if number > 0
+    )
+
+
+def _only(profiles: Profiles, number: int) -> Profiles:
+    mine = profiles.product == number
+    return replace(
+        profiles,
+        xyz_mm=np.where(mine[:, :, None], profiles.xyz_mm, np.nan),
+        product=np.where(mine, profiles.product, NOTHING),
+        seen=profiles.seen & mine,
+        x_px=np.where(mine, profiles.x_px, np.nan),
+        row_px=np.where(mine, profiles.row_px, np.nan),
+        height_std_mm=np.where(mine, profiles.height_std_mm, np.nan),
+    )

@@ -1,0 +1,76 @@
+"""Stages chosen by a file: names first, against the registry, then the chosen stages' options."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from roemetry.errors import RoemetryError
+from roemetry.registry import Registered, Registry
+from roemetry.stages import INTERFACES, Stage, StageOptions
+from roemetry.validation import Place, checked
+from roemetry.yaml_source import Step
+
+
+class Choice(Protocol):
+    """What a file says of a stage."""
+
+    use: str
+    options: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """A stage that was chosen: who provides it, its class, its checked options."""
+
+    registered: Registered
+    stage: type[Stage[Any]]
+    options: StageOptions
+
+    def make(self) -> Any:
+        """Make the stage."""
+        return self.stage(self.options)
+
+    def described(self) -> dict[str, Any]:
+        """Name, provider with version, and every option with its value."""
+        return {
+            "use": self.registered.entry.name,
+            "provider": str(self.registered.provider),
+            "options": self.options.model_dump(mode="json"),
+        }
+
+
+class Chooser:
+    """Resolves a file's choices and collects every fault.
+
+    Parameters
+    ----------
+    registry
+        What is installed.
+    place
+        Gives ``file:line:column`` of a path in the file.
+    """
+
+    def __init__(self, registry: Registry, place: Place) -> None:
+        self.faults: list[str] = []
+        self._registry = registry
+        self._place = place
+
+    def choose(self, kind: str, choice: Choice, *at: Step) -> Chosen | None:
+        """Find, import and configure a stage that stands at a path of the file; None where that fails."""
+        try:
+            registered = self._registry.find(kind, choice.use)
+            stage = self._registry.load(registered)
+        except RoemetryError as error:
+            self.fault(str(error), *at, "use")
+            return None
+        if not issubclass(stage, INTERFACES[kind]):
+            self.fault(f"{choice.use} of {registered.provider} is not a {kind}", *at)
+            return None
+        options, wrong = checked(stage.Options, choice.options, self._place, (*at, "options"))
+        self.faults += wrong
+        return None if options is None else Chosen(registered, stage, options)
+
+    def fault(self, sentence: str, *at: Step) -> None:
+        """Note a fault at a path of the file."""
+        self.faults.append(f"{self._place(at)}: {'.'.join(map(str, at))}: {sentence}")

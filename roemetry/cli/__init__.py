@@ -1,0 +1,1 @@
+"""The command line: a module a verb; heavy imports stand inside the verbs, so that --help is fast."""

@@ -1,0 +1,58 @@
+"""The command line's entry: gathers the verbs, and turns errors into messages and exit codes."""
+
+from __future__ import annotations
+
+import sys
+from importlib.metadata import version
+from typing import Annotated
+
+import typer
+
+from roemetry.cli import calibrate, lint, plugins, report, run
+from roemetry.errors import RoemetryError
+
+app = typer.Typer(
+    name="roemetry",
+    help="Calibration and metrology for laser-stripe inspection of curved products.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def main() -> None:
+    """Run the command line; a fault the user can mend is told without a traceback."""
+    try:
+        app()
+    except RoemetryError as error:
+        if "--debug" in sys.argv:
+            raise
+        sys.stderr.write(f"roemetry: {error}\n")
+        sys.exit(error.exit_code)
+    except KeyboardInterrupt:
+        sys.stderr.write("roemetry: stopped; what was measured is whole, go on with --resume\n")
+        sys.exit(130)
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"roemetry {version('roemetry')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    show: Annotated[
+        bool,
+        typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and stop."),
+    ] = False,
+) -> None:
+    """Calibration and metrology for laser-stripe inspection of curved products."""
+
+
+app.command()(run.run)
+app.command()(calibrate.calibrate)
+app.command()(lint.lint)
+app.command()(plugins.plugins)
+app.command()(report.report)

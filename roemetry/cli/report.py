@@ -1,0 +1,39 @@
+"""``roemetry report``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def report(
+    folder: Annotated[Path, typer.Argument(help="Folder of a run.")],
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+) -> None:
+    """Derive the tables and the report of a run again from its record."""
+    from roemetry.errors import OutputError
+    from roemetry.recipe import Recipe
+    from roemetry.runner import PROVENANCE, derive
+
+    path = folder / PROVENANCE
+    try:
+        provenance = json.loads(path.read_text(encoding="utf-8"))
+        recipe_path, sets = provenance["recipe"], provenance["sets"]
+    except (OSError, ValueError, KeyError) as error:
+        raise OutputError(
+            f"{path}: not the provenance of a run ({error})", hint="name a run's folder"
+        ) from error
+    recipe = Recipe.load(recipe_path, sets=sets)
+    if recipe.sha256 != provenance["recipe_sha256"]:
+        raise OutputError(
+            f"{folder}: the recipe, calibration or a plugin has changed since the run",
+            hint="the pictures would show something else than was measured; run again",
+        )
+    files, faults = derive(recipe, folder, provenance)
+    for file in files:
+        typer.echo(str(file))
+    if faults:
+        raise OutputError("; ".join(faults))

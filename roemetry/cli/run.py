@@ -1,0 +1,92 @@
+"""``roemetry run``."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from roemetry.recipe import Recipe
+    from roemetry.runner import Outcome
+
+
+def run(
+    recipe: Annotated[Path, typer.Argument(help="A recipe file, or a folder with a recipe.yaml in it.")],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", help="Folder for the results. [default: results/NAME-1, -2, …]"),
+    ] = None,
+    jobs: Annotated[int, typer.Option("--jobs", "-j", min=1, help="Worker processes.")] = 1,
+    sets: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="Change the recipe, e.g. source.path=images."),
+    ] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with a stopped run in --out.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+) -> None:
+    """Measure everything a recipe's source has; write the record, the tables and the report.
+
+    Exit code: 0 all measured; 1 some products failed (their rows say why); 2 the recipe, the calibration or
+    the command line is wrong.
+    """
+    from roemetry.cli.progress import progress
+    from roemetry.errors import ConfigurationError
+    from roemetry.recipe import Recipe
+    from roemetry.runner import run_recipe
+
+    if resume and out is None:
+        raise ConfigurationError("--resume needs --out", hint="name the folder of the run that was stopped")
+    loaded = Recipe.load(recipe, sets=sets or ())
+    folder = out or _next_folder(loaded)
+    with progress("measuring", quiet=as_json) as on_progress:
+        outcome = run_recipe(loaded, folder, jobs=jobs, resume=resume, debug=debug, on_progress=on_progress)
+    if as_json:
+        typer.echo(json.dumps(_described(outcome), indent=2))
+    else:
+        _show(loaded, outcome)
+    for fault in outcome.sink_faults:
+        sys.stderr.write(f"roemetry: {fault}\n")
+    if outcome.counts["failed"] or outcome.sink_faults:
+        raise typer.Exit(1)
+
+
+def _next_folder(recipe: Recipe) -> Path:
+    """Give the first results folder of this recipe's name that is not there yet."""
+    path = recipe.path.resolve()
+    name = path.parent.name if path.stem == "recipe" else path.stem
+    number = 1
+    while (folder := Path("results") / f"{name}-{number}").exists():
+        number += 1
+    return folder
+
+
+def _described(outcome: Outcome) -> dict[str, object]:
+    from roemetry.runner import RECORD, read_record
+
+    return {
+        "folder": str(outcome.folder),
+        "record": str(outcome.folder / RECORD),
+        "counts": dict(outcome.counts),
+        "files": [str(file) for file in outcome.files],
+        "faults": list(outcome.sink_faults),
+        "measurements": [json.loads(row.to_json()) for row in read_record(outcome.folder)],
+    }
+
+
+def _show(recipe: Recipe, outcome: Outcome) -> None:
+    from rich.console import Console
+
+    from roemetry.cli.table import table_of
+    from roemetry.runner import RECORD, read_record
+
+    console = Console()
+    console.print(table_of(recipe.product, read_record(outcome.folder), sum(outcome.counts.values())))
+    counts = ", ".join(f"{number} {status}" for status, number in outcome.counts.items() if number)
+    console.print(f"{counts or 'nothing measured'}", highlight=False)
+    for file in (outcome.folder / RECORD, *outcome.files[:10]):
+        console.print(f"  {file}", highlight=False, soft_wrap=True)

@@ -1,0 +1,44 @@
+"""The table of a run, for the terminal."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from itertools import islice
+
+from rich.table import Table
+from rich.text import Text
+
+from roemetry.records import Measurement
+from roemetry.units import mm3_to_cm3, stated
+
+_ROWS_MAX = 40
+_COLOURS = {"measured": "green", "empty": "yellow", "failed": "red"}
+
+
+def table_of(title: str, measurements: Iterable[Measurement], rows: int) -> Table:
+    """Make the table; of a long run it shows the first rows and says how many there are."""
+    caption = f"the first {_ROWS_MAX} of {rows} rows" if rows > _ROWS_MAX else None
+    table = Table(title=Text(title), caption=caption, title_justify="left")
+    for heading in ("product", "status", "grade"):
+        table.add_column(heading)
+    for heading in ("weight g", "visible cm³", "height mm", "stripes", "ambiguous"):
+        table.add_column(heading, justify="right")
+    table.add_column("why", overflow="fold")
+    for row in islice(measurements, _ROWS_MAX):
+        coding = row.coding
+        why = row.reasons[0].text if row.status != "measured" and row.reasons else ""
+        if row.status == "measured" and row.grade is not None and row.grade.reasons:
+            why = row.grade.reasons[0].text
+        table.add_row(
+            Text(row.id),
+            Text(row.status, style=_COLOURS[row.status]),
+            "" if row.grade is None else Text(row.grade.label),
+            "" if row.weight is None else stated(row.weight.mass_g.value, 1),
+            "" if row.volume is None else stated(mm3_to_cm3(row.volume.visible_mm3.value)),
+            "" if math.isnan(row.height_max_mm) else stated(row.height_max_mm, 1),
+            "" if coding is None else f"{coding.stripes_seen}/{coding.stripes}",
+            "" if coding is None else str(coding.ambiguous),
+            Text(why),
+        )
+    return table

@@ -1,0 +1,76 @@
+"""The one error class that reaches users, and its children.
+
+Whatever a user can mend is a :class:`RoemetryError`: a sentence that says what, where, found and
+expected, and a hint that says what to do. Anything else is our fault and keeps its traceback.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+
+class RoemetryError(Exception):
+    """A fault the user can mend.
+
+    Parameters
+    ----------
+    message
+        What is wrong, where, what was found and what was expected.
+    hint
+        What to do about it.
+    """
+
+    exit_code = 1
+
+    def __init__(self, message: str, *, hint: str | None = None) -> None:
+        super().__init__(message)
+        self.message = message
+        self.hint = hint
+
+    def __str__(self) -> str:
+        return self.message if self.hint is None else f"{self.message}\n  → {self.hint}"
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return (_rebuild, (type(self), self.args, self.__dict__.copy()))
+
+
+class ConfigurationError(RoemetryError):
+    """A recipe, rig or calibration file, or a command line, is wrong; carries every fault found at once."""
+
+    exit_code = 2
+
+    def __init__(self, faults: Sequence[str] | str, *, hint: str | None = None) -> None:
+        self.faults = (faults,) if isinstance(faults, str) else tuple(faults)
+        super().__init__("\n".join(self.faults), hint=hint)
+
+
+class PluginError(RoemetryError):
+    """A plugin is unknown, broken, claimed twice, or lacks something it needs."""
+
+    exit_code = 2
+
+
+class CalibrationError(RoemetryError):
+    """A calibration cannot be made, read, or used with this data."""
+
+    exit_code = 2
+
+
+class DataError(RoemetryError):
+    """An image or a record is not what it must be."""
+
+
+class StageError(RoemetryError):
+    """A stage could not do its work on this acquisition."""
+
+
+class OutputError(RoemetryError):
+    """Results cannot be written."""
+
+
+def _rebuild(kind: type[RoemetryError], args: tuple[object, ...], state: dict[str, object]) -> RoemetryError:
+    """Make an error again in another process (a worker's error crosses to the parent)."""
+    error = kind.__new__(kind)
+    Exception.__init__(error, *args)
+    error.__dict__.update(state)
+    return error

@@ -1,0 +1,110 @@
+"""Writing that survives: whole files or the old ones, whole lines or none."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import tempfile
+from pathlib import Path
+from types import TracebackType
+
+from roemetry.errors import OutputError
+
+
+def sha256_of(path: Path) -> str:
+    """Hash of a file's bytes, as hexadecimal."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a file so that a reader sees the old one or the whole new one, never a part.
+
+    Raises
+    ------
+    OutputError
+        The folder cannot be written or the disk is full; an old file of this name is left as it was.
+    """
+    temporary: str | None = None
+    try:
+        descriptor, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+        with os.fdopen(descriptor, "w", encoding="utf-8") as file:
+            file.write(text)
+        Path(temporary).chmod(0o644)
+        Path(temporary).replace(path)
+    except OSError as error:
+        if temporary is not None:
+            with contextlib.suppress(OSError):
+                Path(temporary).unlink()
+        raise _cannot_write(path, error) from error
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder and its parents; raise OutputError where that cannot be done."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise _cannot_write(path, error) from error
+    if not os.access(path, os.W_OK):
+        raise OutputError(f"{path}: the folder cannot be written", hint="choose another with --out")
+
+
+class LineFile:
+    """A file that grows line by line; each line is on its way to the disk, whole, before `append` returns.
+
+    Opening repairs a file whose last line was cut off: the half line is removed.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        try:
+            self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
+            self._size = self._whole_lines()
+            os.ftruncate(self._descriptor, self._size)
+        except OSError as error:
+            raise _cannot_write(path, error) from error
+
+    def append(self, line: str) -> None:
+        """Add one line; on failure nothing of it stays and OutputError is raised."""
+        data = line.encode() + b"\n"
+        try:
+            written = os.write(self._descriptor, data)
+            if written < len(data):
+                written += os.write(self._descriptor, data[written:])
+            if written < len(data):
+                raise OSError("the line was written only in part")
+        except OSError as error:
+            with contextlib.suppress(OSError):
+                os.ftruncate(self._descriptor, self._size)
+            raise _cannot_write(self._path, error) from error
+        self._size += len(data)
+
+    def __enter__(self) -> LineFile:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        os.close(self._descriptor)
+
+    def _whole_lines(self) -> int:
+        """Give the length of the file up to and including its last line feed."""
+        end = os.fstat(self._descriptor).st_size
+        block = 65536
+        while end > 0:
+            start = max(0, end - block)
+            found = os.pread(self._descriptor, end - start, start).rfind(b"\n")
+            if found >= 0:
+                return start + found + 1
+            end = start
+        return 0
+
+
+def _cannot_write(path: Path, error: OSError) -> OutputError:
+    why = error.strerror or str(error)
+    return OutputError(
+        f"{path}: cannot be written: {why}",
+        hint="free some space or choose another folder with --out; what was written before is whole, "
+        "and `--resume` goes on from there",
+    )

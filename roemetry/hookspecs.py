@@ -1,0 +1,91 @@
+"""The one hook a plugin implements, and the record it yields.
+
+A plugin package looks like this, whole::
+
+    # my_plugin/__init__.py
+    from roemetry.hookspecs import StageEntry, hookimpl
+
+    @hookimpl
+    def roemetry_stages():
+        yield StageEntry(
+            kind="extractor",
+            name="my-peaks",
+            target="my_plugin.peaks:MyPeaks",
+            summary="Centre of the brightest third",
+            reference="our own",
+        )
+
+and in its pyproject.toml::
+
+    [project.entry-points.roemetry]
+    my-plugin = "my_plugin"
+
+The hook registers and does nothing else: `target` is a word, and the class behind it is imported only when
+a recipe uses it, so listing plugins stays cheap.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import pluggy
+
+PROJECT = "roemetry"
+API = 1
+
+KINDS = (
+    "source",
+    "extractor",
+    "coder",
+    "calibrator",
+    "triangulator",
+    "outliner",
+    "volume",
+    "weigher",
+    "classifier",
+    "sink",
+)
+
+hookspec = pluggy.HookspecMarker(PROJECT)
+hookimpl = pluggy.HookimplMarker(PROJECT)
+
+
+@dataclass(frozen=True, slots=True)
+class StageEntry:
+    """One stage that a plugin offers.
+
+    Attributes
+    ----------
+    kind
+        One of `KINDS`.
+    name
+        Kebab-case name that recipes use.
+    target
+        ``package.module:Class``.
+    summary
+        What it does, in one line.
+    reference
+        Where the method comes from: a paper, an equation, "our own".
+    requires
+        Modules it needs beyond the core's, each with the line that installs it.
+    api
+        The version of this interface it was written for.
+    """
+
+    kind: str
+    name: str
+    target: str
+    summary: str
+    reference: str
+    requires: tuple[tuple[str, str], ...] = ()
+    api: int = API
+
+
+class Hooks:
+    """The hooks a plugin may implement."""
+
+    @hookspec
+    def roemetry_stages(self) -> Iterable[StageEntry]:
+        """Yield an entry for each stage the plugin offers."""
+        raise NotImplementedError  # pragma: no cover - a specification is never called

@@ -1,0 +1,226 @@
+"""From a trace to rows of the record."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from roemetry.pipeline import UNCALIBRATED
+from roemetry.recipe import Recipe
+from roemetry.records import (
+    AMBIGUOUS,
+    BELT,
+    NOTHING,
+    SATURATED,
+    UNCODED,
+    Coding,
+    Measurement,
+    Peaks,
+    ProductTrace,
+    Reason,
+    Status,
+    StripeMap,
+    Trace,
+)
+
+_STAGES_BEFORE_PRODUCTS = ("source", "extractor", "coder", "triangulator")
+
+
+def measurements_of(trace: Trace, recipe: Recipe, provenance: Mapping[str, str]) -> tuple[Measurement, ...]:
+    """Write the rows of one acquisition: one for each product, or one that says why there is none.
+
+    Parameters
+    ----------
+    trace
+        What happened.
+    recipe
+        What was asked for.
+    provenance
+        Hashes that stand on every row.
+    """
+    given = dict(provenance)
+    if trace.stripes is None:
+        return (_without_product(trace, recipe, given),)
+    warnings = _warnings(recipe)
+    if trace.profiles is None:
+        return _in_pixels(trace, warnings, given)
+    if not trace.products:
+        return (_without_product(trace, recipe, given),)
+    return tuple(
+        _calibrated(trace, product, number_of=len(trace.products), warnings=warnings, provenance=given)
+        for product in trace.products
+    )
+
+
+def failed(acquisition_id: str, kind: str, why: Reason, provenance: Mapping[str, str]) -> Measurement:
+    """Write the row of an acquisition that could not even be read."""
+    return Measurement(
+        id=f"{acquisition_id}#0",
+        acquisition=acquisition_id,
+        product=0,
+        status="failed",
+        absent={kind: why},
+        reasons=(why,),
+        provenance=dict(provenance),
+    )
+
+
+def _calibrated(
+    trace: Trace,
+    product: ProductTrace,
+    *,
+    number_of: int,
+    warnings: tuple[Reason, ...],
+    provenance: Mapping[str, str],
+) -> Measurement:
+    profiles = product.product.profiles
+    heights = profiles.xyz_mm[:, :, 2]
+    height_max = float(np.nanmax(heights)) if np.isfinite(heights).any() else math.nan
+    low, high = product.product.calibration.height_range_mm
+    reasons = list(warnings + product.product.reasons)
+    if height_max > high or np.nanmin(heights, initial=0.0) < low:
+        reasons.append(
+            Reason(
+                "out-of-calibrated-range",
+                f"heights reach {height_max:.1f} mm; the calibration is meant for {low:.1f} to {high:.1f} mm",
+            )
+        )
+    absent = {**trace.absent, **product.absent}
+    return Measurement(
+        id=f"{trace.acquisition_id}#{product.product.number}",
+        acquisition=trace.acquisition_id,
+        product=product.product.number,
+        products=number_of,
+        status="failed" if product.absent else "measured",
+        coding=_coding(trace, product.product.number),
+        height_max_mm=height_max,
+        volume=product.volume,
+        weight=product.weight,
+        grade=product.grade,
+        absent=absent,
+        reasons=_once([*reasons, *_saturation(trace), *product.absent.values()]),
+        provenance=provenance,
+    )
+
+
+def _in_pixels(
+    trace: Trace, warnings: tuple[Reason, ...], provenance: Mapping[str, str]
+) -> tuple[Measurement, ...]:
+    """Rows of a trace that was coded and not triangulated."""
+    stripes = _stripes(trace)
+    numbers = [int(number) for number in np.unique(stripes.product) if number > 0] or [0]
+    fault = trace.absent.get("triangulator")
+    wanted = fault is not None and fault != UNCALIBRATED
+    status: Status = "failed" if wanted else "measured" if numbers != [0] else "empty"
+    return tuple(
+        Measurement(
+            id=f"{trace.acquisition_id}#{number}",
+            acquisition=trace.acquisition_id,
+            product=number,
+            products=len(numbers),
+            status=status,
+            coding=_coding(trace, number),
+            absent=dict(trace.absent),
+            reasons=_once(
+                [*warnings, *stripes.reasons, *_saturation(trace), *([fault] if fault and wanted else [])]
+            ),
+            provenance=provenance,
+        )
+        for number in numbers
+    )
+
+
+def _without_product(trace: Trace, recipe: Recipe, provenance: Mapping[str, str]) -> Measurement:
+    faults = [trace.absent[kind] for kind in _STAGES_BEFORE_PRODUCTS if kind in trace.absent]
+    reasons = list(trace.stripes.reasons) if trace.stripes is not None else []
+    only_peaks_wanted = "coder" not in recipe.stages and trace.peaks is not None
+    if not faults and not only_peaks_wanted:
+        reasons.insert(0, Reason("no-product", "every stripe lies on the belt: there is no product"))
+    status: Status = "failed" if faults else "measured" if only_peaks_wanted else "empty"
+    return Measurement(
+        id=f"{trace.acquisition_id}#0",
+        acquisition=trace.acquisition_id,
+        product=0,
+        status=status,
+        coding=_coding(trace, 0),
+        absent=dict(trace.absent),
+        reasons=_once([*faults, *reasons, *_warnings(recipe)]),
+        provenance=provenance,
+    )
+
+
+def _coding(trace: Trace, number: int) -> Coding | None:
+    peaks, stripes = trace.peaks, trace.stripes
+    if peaks is None:
+        return None
+    if stripes is None:
+        return Coding(0, 0, len(peaks), 0, 0, len(peaks), 0, 0)
+    coded = stripes.peak_stripe >= 0
+    mine = stripes.product == number if number else (stripes.product != BELT) & (stripes.product != NOTHING)
+    return Coding(
+        stripes=stripes.stripe_count,
+        stripes_seen=int(np.unique(stripes.peak_stripe[coded]).size),
+        peaks=len(peaks),
+        coded=int(coded.sum()),
+        ambiguous=int((stripes.peak_stripe == AMBIGUOUS).sum()),
+        uncoded=int((stripes.peak_stripe == UNCODED).sum()),
+        rows_seen=int((mine & stripes.seen).sum()),
+        rows_interpolated=int((mine & ~stripes.seen).sum()),
+        saturated_share=_saturated_share(peaks, stripes),
+        displacement_max_px=_displacement_max(stripes, mine),
+    )
+
+
+def _displacement_max(stripes: StripeMap, mine: np.ndarray) -> float:
+    displacement = np.where(mine, stripes.x_px - stripes.rest_px, np.nan)
+    if not np.isfinite(displacement).any():
+        return math.nan
+    return float(displacement.flat[np.nanargmax(np.abs(displacement))])
+
+
+def _saturated_share(peaks: Peaks, stripes: StripeMap) -> float:
+    coded = stripes.peak_stripe >= 0
+    return float((peaks.flags[coded] & SATURATED > 0).mean()) if coded.any() else math.nan
+
+
+def _saturation(trace: Trace) -> list[Reason]:
+    if trace.peaks is None or trace.stripes is None:
+        return []
+    share = _saturated_share(trace.peaks, trace.stripes)
+    if not share > _SATURATED_SHARE_MAX:
+        return []
+    return [Reason("saturated", f"{share:.0%} of the stripe points are saturated: lower the exposure")]
+
+
+_SATURATED_SHARE_MAX = 0.2
+"""Above this share of saturated points the reader is told: their centres depend on how the plateau is cut."""
+
+
+def _warnings(recipe: Recipe) -> tuple[Reason, ...]:
+    """What must be said of every number of this recipe."""
+    calibration = recipe.calibration
+    if calibration is None:
+        return (UNCALIBRATED,)
+    made_with = calibration.extractor.get("use")
+    now = recipe.stages["extractor"].described()
+    if made_with is not None and made_with != now["use"]:
+        return (
+            Reason(
+                "other-extractor",
+                f"calibrated with the extractor `{made_with}`, measured with `{now['use']}`: "
+                "their peaks may differ by a part of a pixel",
+            ),
+        )
+    return ()
+
+
+def _stripes(trace: Trace) -> StripeMap:
+    if trace.stripes is None:
+        raise AssertionError("a trace without stripes has no rows in pixels")
+    return trace.stripes
+
+
+def _once(reasons: list[Reason]) -> tuple[Reason, ...]:
+    return tuple(dict.fromkeys(reasons))

@@ -1,0 +1,169 @@
+"""One acquisition through the stages of a recipe, one way and without state."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+from roemetry.assembling import assemble
+from roemetry.calibration import Calibration
+from roemetry.errors import RoemetryError
+from roemetry.preparing import prepare
+from roemetry.recipe import Recipe
+from roemetry.records import (
+    Acquisition,
+    Frame,
+    Grade,
+    Outline,
+    Peaks,
+    Product,
+    ProductTrace,
+    Profiles,
+    Reason,
+    StripeMap,
+    Trace,
+    Volume,
+    Weight,
+)
+
+T = TypeVar("T")
+
+UNCALIBRATED = Reason("uncalibrated", "no calibration: results are in pixels")
+
+
+class Pipeline:
+    """The stages of a recipe, made once and used for every acquisition; safe to call from several threads.
+
+    Parameters
+    ----------
+    recipe
+        What to do.
+    debug
+        Let every exception through instead of noting it on the trace.
+    """
+
+    def __init__(self, recipe: Recipe, *, debug: bool = False) -> None:
+        self.recipe = recipe
+        self._stages: dict[str, Any] = {kind: chosen.make() for kind, chosen in recipe.stages.items()}
+        self._debug = debug
+
+    def trace(self, acquisition: Acquisition) -> Trace:
+        """Take one acquisition through the chain; whatever goes wrong stands in `Trace.absent`."""
+        steps = _Steps(self._debug)
+        source = self.recipe.source_choice
+        frame = steps.do(
+            "source",
+            lambda: prepare(
+                acquisition, channel=source.channel, turn_deg=source.turn_deg, subtract=source.subtract
+            ),
+        )
+        peaks: Peaks | None = None
+        stripes: StripeMap | None = None
+        outlines: tuple[Outline, ...] = ()
+        profiles: Profiles | None = None
+        products: tuple[ProductTrace, ...] = ()
+        calibration = self.recipe.calibration
+        if frame is not None:
+            peaks = steps.do("extractor", lambda: self._stages["extractor"].extract(frame))
+        if peaks is not None and "coder" in self._stages and steps.allow("coder", _unfit(frame, calibration)):
+            stripes = steps.do("coder", lambda: self._stages["coder"].code(peaks, calibration))
+        if stripes is not None and "outliner" in self._stages:
+            outlines = (
+                steps.do("outliner", lambda: self._stages["outliner"].outline(acquisition, stripes)) or ()
+            )
+        if (
+            stripes is not None
+            and "triangulator" in self._stages
+            and steps.allow("triangulator", UNCALIBRATED if calibration is None else None)
+        ):
+            profiles = steps.do(
+                "triangulator", lambda: self._stages["triangulator"].triangulate(stripes, calibration)
+            )
+        if profiles is not None and stripes is not None and calibration is not None:
+            assembled = assemble(profiles, outlines, calibration, acquisition.id, stripes.reasons)
+            products = tuple(self._outcome(product, steps.seconds) for product in assembled)
+        return Trace(
+            acquisition_id=acquisition.id,
+            acquisition=acquisition,
+            frame=frame,
+            peaks=peaks,
+            stripes=stripes,
+            outlines=outlines,
+            profiles=profiles,
+            products=products,
+            absent=steps.absent,
+            seconds=steps.seconds,
+        )
+
+    def _outcome(self, product: Product, seconds: dict[str, float]) -> ProductTrace:
+        steps = _Steps(self._debug, seconds)
+        volume: Volume | None = None
+        weight: Weight | None = None
+        grade: Grade | None = None
+        if "volume" in self._stages:
+            volume = steps.do("volume", lambda: self._stages["volume"].estimate(product))
+        if "weigher" in self._stages and steps.allow(
+            "weigher", Reason("no-volume", "there is no volume to weigh") if volume is None else None
+        ):
+            weight = steps.do("weigher", lambda: self._stages["weigher"].weigh(product, volume))
+        if "classifier" in self._stages:
+            grade = steps.do("classifier", lambda: self._stages["classifier"].classify(product))
+        return ProductTrace(product, volume, weight, grade, steps.absent)
+
+
+class _Steps:
+    """Runs steps, takes their time, and notes why a result is missing."""
+
+    def __init__(self, debug: bool, seconds: dict[str, float] | None = None) -> None:
+        self.absent: dict[str, Reason] = {}
+        self.seconds: dict[str, float] = {} if seconds is None else seconds
+        self._debug = debug
+
+    def do(self, kind: str, step: Callable[[], T]) -> T | None:
+        """Run a step; None if it could not be done."""
+        begin = time.perf_counter()
+        try:
+            return step()
+        except RoemetryError as error:
+            if self._debug:
+                raise
+            self.absent[kind] = Reason(f"{kind}-refused", str(error))
+        # A fault in one plugin must not end a batch; the row says whose fault it is.
+        except Exception as error:
+            if self._debug:
+                raise
+            self.absent[kind] = Reason(
+                f"{kind}-fault",
+                f"the {kind} failed with {type(error).__name__}: {error} (a plugin's fault; see --debug)",
+            )
+        finally:
+            self.seconds[kind] = self.seconds.get(kind, 0.0) + time.perf_counter() - begin
+        return None
+
+    def allow(self, kind: str, why_not: Reason | None) -> bool:
+        """Say whether a step may be tried; if not, note why."""
+        if why_not is not None:
+            self.absent[kind] = why_not
+        return why_not is None
+
+
+def _unfit(frame: Frame | None, calibration: Calibration | None) -> Reason | None:
+    """Say why an image cannot be used with the calibration."""
+    if calibration is None or frame is None:
+        return None
+    if frame.size != calibration.image_size:
+        rows, columns = frame.size
+        made_rows, made_columns = calibration.image_size
+        return Reason(
+            "other-camera",
+            f"the image is {columns} × {rows} pixels, the calibration was made with "
+            f"{made_columns} × {made_rows}: another camera or region of interest; calibrate this one",
+        )
+    if frame.turn_deg != calibration.turn_deg:
+        return Reason(
+            "other-turn",
+            f"the image is turned by {frame.turn_deg}°, the calibration was made at {calibration.turn_deg}°; "
+            "set source.turn_deg as in the rig file",
+        )
+    return None

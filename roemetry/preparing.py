@@ -1,0 +1,68 @@
+"""From an acquisition to the frame the extractor sees: one channel, dark light off, turned."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roemetry.errors import DataError
+from roemetry.records import Acquisition, Frame
+
+_BLUE_GREEN_RED = {"blue": 0, "green": 1, "red": 2}
+_LUMA = np.array([0.114, 0.587, 0.299])  # ITU-R BT.601, in the order blue, green, red
+
+
+def prepare(acquisition: Acquisition, *, channel: str, turn_deg: int, subtract: str) -> Frame:
+    """Make the laser frame ready.
+
+    Parameters
+    ----------
+    acquisition
+        As the source read it.
+    channel
+        ``grey``, ``red``, ``green``, ``blue`` or ``max``: what to make of a colour image.
+    turn_deg
+        Counter-clockwise turn: a rotation, never a transpose, which would mirror the scene.
+    subtract
+        ``dark`` takes the laser-off partner away, grey level by grey level, cut off at 0; or ``none``.
+
+    Raises
+    ------
+    DataError
+        There is no laser frame, or no dark one where it is to be subtracted, or their sizes differ.
+    """
+    laser = acquisition.frame("laser")
+    if laser is None:
+        raise DataError(f"{acquisition.id}: there is no laser image")
+    pixels = _one_channel(laser.pixels, channel)
+    if subtract == "dark":
+        dark = acquisition.frame("dark")
+        if dark is None:
+            raise DataError(
+                f"{acquisition.id}: there is no dark image to subtract",
+                hint="name the dark images in source.options.dark, or set source.subtract to none",
+            )
+        off = _one_channel(dark.pixels, channel)
+        if off.shape != pixels.shape or off.dtype != pixels.dtype:
+            raise DataError(
+                f"{acquisition.id}: the dark image is {off.shape} {off.dtype}, "
+                f"the laser image {pixels.shape} {pixels.dtype}"
+            )
+        pixels = np.where(pixels > off, pixels - off, 0).astype(pixels.dtype)
+    if turn_deg:
+        pixels = np.rot90(pixels, turn_deg // 90)
+    turn = (laser.turn_deg + turn_deg) % 360
+    return replace(laser, pixels=np.ascontiguousarray(pixels), turn_deg=turn)
+
+
+def _one_channel(pixels: NDArray[Any], channel: str) -> NDArray[Any]:
+    if pixels.ndim == 2:
+        return pixels
+    if channel == "max":
+        return np.asarray(pixels.max(axis=2))
+    if channel == "grey":
+        return np.asarray(np.rint(pixels @ _LUMA).astype(pixels.dtype))
+    return pixels[:, :, _BLUE_GREEN_RED[channel]]

@@ -1,0 +1,156 @@
+"""A recipe: which stages, with which options, on what; read in two phases.
+
+First the names, against the registry; then only the chosen stages' options. So one recipe imports only what
+it uses, and every fault of the file is told at once, each with its place.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from roemetry.calibration import Calibration
+from roemetry.choosing import Chooser, Chosen
+from roemetry.errors import ConfigurationError, RoemetryError
+from roemetry.overrides import Overridden
+from roemetry.recipe_file import NEEDS, RecipeFile, SourceChoice
+from roemetry.registry import Registry, discover
+from roemetry.validation import checked
+from roemetry.yaml_source import read
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """A checked recipe, with its calibration read and its classes imported.
+
+    Attributes
+    ----------
+    path, sets
+        The recipe file, and the changes made to it.
+    product
+        What is measured, in words.
+    source_choice, source
+        Where images come from and how they are made ready; the source stage.
+    source_path
+        What the source reads.
+    calibration_path, calibration
+        None where the recipe has none: results are then in pixels.
+    stages
+        By kind, in the order of the chain.
+    sinks
+        What is derived from the record at the end.
+    """
+
+    path: Path
+    sets: tuple[str, ...]
+    product: str
+    source_choice: SourceChoice
+    source: Chosen
+    source_path: Path
+    calibration_path: Path | None
+    calibration: Calibration | None
+    stages: Mapping[str, Chosen]
+    sinks: tuple[Chosen, ...]
+
+    @classmethod
+    def load(cls, path: Path | str, *, sets: Sequence[str] = (), registry: Registry | None = None) -> Recipe:
+        """Read and check a recipe.
+
+        Parameters
+        ----------
+        path
+            The recipe file, or a folder with a ``recipe.yaml`` in it.
+        sets
+            Changes of the form ``stages.extractor.options.threshold=80``.
+        registry
+            Stages to choose from; default: all that are installed.
+
+        Raises
+        ------
+        ConfigurationError
+            With every fault of the file, each with its place.
+        """
+        path = Path(path)
+        path = path / "recipe.yaml" if path.is_dir() else path
+        document = Overridden(read(path), sets)
+        file, faults = checked(RecipeFile, document.data, document.place)
+        if file is None:
+            raise ConfigurationError(faults)
+        return _resolve(path, document, file, registry or discover())
+
+    def resolved(self) -> dict[str, Any]:
+        """Everything that decides a result, with defaults filled in, as plain values."""
+        source = self.source_choice.model_dump(mode="json")
+        source["options"] = self.source.options.model_dump(mode="json")
+        return {
+            "roemetry": 1,
+            "product": self.product,
+            "source": source,
+            "calibration": None if self.calibration is None else self.calibration.sha256,
+            "stages": {kind: chosen.described() for kind, chosen in self.stages.items()},
+            "sinks": [sink.described() for sink in self.sinks],
+        }
+
+    @cached_property
+    def sha256(self) -> str:
+        """Hash of all that decides a number: not the path of the images, not the sinks."""
+        deciding = self.resolved()
+        del deciding["sinks"], deciding["source"]["path"]
+        return hashlib.sha256(json.dumps(deciding, sort_keys=True).encode()).hexdigest()
+
+
+def _resolve(path: Path, document: Overridden, file: RecipeFile, registry: Registry) -> Recipe:
+    chooser = Chooser(registry, document.place)
+    source = chooser.choose("source", file.source, "source")
+    stages: dict[str, Chosen] = {}
+    for kind in type(file.stages).model_fields:
+        choice = getattr(file.stages, kind)
+        if choice is None:
+            continue
+        needed = NEEDS.get(kind)
+        if needed is not None and getattr(file.stages, needed) is None:
+            chooser.fault(f"it works on the result of the {needed}; add one", "stages", kind)
+        chosen = chooser.choose(kind, choice, "stages", kind)
+        if chosen is not None:
+            stages[kind] = chosen
+    sinks = [chooser.choose("sink", choice, "sinks", index) for index, choice in enumerate(file.sinks)]
+    calibration_path = None if file.calibration is None else path.parent / file.calibration
+    calibration = None
+    if calibration_path is not None:
+        try:
+            calibration = Calibration.load(calibration_path)
+        except RoemetryError as error:
+            chooser.fault(str(error), "calibration")
+        else:
+            _check_method(calibration, stages.get("triangulator"), chooser)
+    if chooser.faults or source is None:
+        raise ConfigurationError(chooser.faults)
+    return Recipe(
+        path=path,
+        sets=tuple(document.sets),
+        product=file.product,
+        source_choice=file.source,
+        source=source,
+        source_path=path.parent / file.source.path,
+        calibration_path=calibration_path,
+        calibration=calibration,
+        stages=stages,
+        sinks=tuple(sink for sink in sinks if sink is not None),
+    )
+
+
+def _check_method(calibration: Calibration, triangulator: Chosen | None, chooser: Chooser) -> None:
+    """Note a fault where the triangulator does not understand the calibration."""
+    if triangulator is None or triangulator.registered.entry.name == calibration.method:
+        return
+    name = triangulator.registered.entry.name
+    chooser.fault(
+        f"made by `{calibration.method}`, but the triangulator is `{name}`; "
+        f"use `{calibration.method}`, or calibrate with `{name}`",
+        "calibration",
+    )

@@ -1,0 +1,87 @@
+"""The shape of a recipe file: which keys there are, before any plugin is asked."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+
+Channel = Literal["grey", "red", "green", "blue", "max"]
+Turn = Literal[0, 90, 180, 270]
+
+
+class Section(BaseModel):
+    """A part of a file: unknown keys are faults."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+def _short_form(value: Any) -> Any:
+    """``extractor: dominant-peak`` means ``extractor: {use: dominant-peak}``."""
+    return {"use": value} if isinstance(value, str) else value
+
+
+class StageChoice(Section):
+    """A stage by name, with its options."""
+
+    use: str = Field(description="name of the plugin's stage, or provider/name where two claim the name")
+    options: dict[str, Any] = Field(default_factory=dict, description="the stage's own options")
+
+
+Choice = Annotated[StageChoice, BeforeValidator(_short_form)]
+
+
+class SourceChoice(Section):
+    """Where images come from and how they are made ready."""
+
+    use: str = Field(default="image-files", description="name of the source")
+    path: str = Field(description="what to read; relative to the recipe")
+    channel: Channel = Field(default="grey", description="what to make of a colour image")
+    turn_deg: Turn = Field(
+        default=0,
+        description="counter-clockwise turn, degrees, that makes the stripes run from top to bottom",
+    )
+    bit_depth: int | None = Field(
+        default=None, ge=1, le=16, description="bits in use; default: all that the file's pixels have"
+    )
+    subtract: Literal["none", "dark"] = Field(
+        default="none", description="`dark`: subtract the laser-off partner of each image"
+    )
+    options: dict[str, Any] = Field(default_factory=dict, description="the source's own options")
+
+
+class StageChoices(Section):
+    """The chain; a recipe may end after any stage."""
+
+    extractor: Choice
+    coder: Choice | None = None
+    triangulator: Choice | None = None
+    outliner: Choice | None = None
+    volume: Choice | None = None
+    weigher: Choice | None = None
+    classifier: Choice | None = None
+
+
+class RecipeFile(Section):
+    """One recipe."""
+
+    roemetry: Literal[1] = Field(description="version of the recipe format")
+    product: str = Field(min_length=1, description="what is measured, in words")
+    source: SourceChoice
+    calibration: str | None = Field(
+        default=None,
+        description="calibration file; relative to the recipe. Without one, results are in pixels",
+    )
+    stages: StageChoices
+    sinks: list[Choice] = Field(default_factory=lambda: [StageChoice(use="csv"), StageChoice(use="report")])
+
+
+NEEDS: dict[str, str] = {
+    "coder": "extractor",
+    "triangulator": "coder",
+    "outliner": "coder",
+    "volume": "triangulator",
+    "weigher": "volume",
+    "classifier": "triangulator",
+}
+"""By kind, the kind whose result it works on."""

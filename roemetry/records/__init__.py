@@ -1,0 +1,46 @@
+"""The records that go from stage to stage: frozen, checked when made, arrays read-only, invalid is NaN."""
+
+from roemetry.records.acquisition import Acquisition, AcquisitionReference, Frame, Role
+from roemetry.records.measurement import Coding, Measurement, Status
+from roemetry.records.observations import Block, CalibrationSet, Observation
+from roemetry.records.outcome import Estimate, Grade, Marks, Shares, Volume, Weight
+from roemetry.records.peaks import EDGE, SATURATED, WIDE, Peaks
+from roemetry.records.product import Outline, Product
+from roemetry.records.profiles import Profiles
+from roemetry.records.reasons import Reason
+from roemetry.records.stripes import AMBIGUOUS, BELT, NOTHING, UNCODED, StripeMap
+from roemetry.records.trace import ProductTrace, Trace
+
+__all__ = [
+    "AMBIGUOUS",
+    "BELT",
+    "EDGE",
+    "NOTHING",
+    "SATURATED",
+    "UNCODED",
+    "WIDE",
+    "Acquisition",
+    "AcquisitionReference",
+    "Block",
+    "CalibrationSet",
+    "Coding",
+    "Estimate",
+    "Frame",
+    "Grade",
+    "Marks",
+    "Measurement",
+    "Observation",
+    "Outline",
+    "Peaks",
+    "Product",
+    "ProductTrace",
+    "Profiles",
+    "Reason",
+    "Role",
+    "Shares",
+    "Status",
+    "StripeMap",
+    "Trace",
+    "Volume",
+    "Weight",
+]

@@ -1,0 +1,96 @@
+"""What the source yields: acquisitions of one or more frames."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roemetry.errors import DataError
+
+Role = Literal["laser", "plain", "dark"]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Frame:
+    """One image.
+
+    Attributes
+    ----------
+    pixels
+        (row, column) or, at the source only, (row, column, colour in the order blue, green, red);
+        8 or 16 bit unsigned, grey levels. Pixel centres are whole numbers; (0, 0) is the centre of
+        the top-left pixel, x to the right, y down.
+    role
+        What lit the scene: ``laser``, ``plain`` light, or ``dark`` (laser off, as for the laser frame).
+    name
+        Where it came from, for messages.
+    bit_depth
+        Bits in use; the white level is ``2**bit_depth - 1``.
+    turn_deg
+        Counter-clockwise turn that has been applied to the image as acquired: 0, 90, 180 or 270.
+    time_s, encoder_count
+        When and where on the belt it was taken; NaN where not known.
+    """
+
+    pixels: NDArray[Any]
+    role: Role = "laser"
+    name: str = ""
+    bit_depth: int = 8
+    turn_deg: int = 0
+    time_s: float = math.nan
+    encoder_count: float = math.nan
+
+    def __post_init__(self) -> None:
+        pixels = np.asarray(self.pixels)
+        faults = []
+        if pixels.dtype not in (np.uint8, np.uint16):
+            faults.append(f"pixels are {pixels.dtype}, expected uint8 or uint16")
+        if not (pixels.ndim == 2 or (pixels.ndim == 3 and pixels.shape[2] == 3)):
+            faults.append(f"pixels have shape {pixels.shape}, expected (rows, columns) or (rows, columns, 3)")
+        elif 0 in pixels.shape:
+            faults.append(f"pixels have shape {pixels.shape}: the image is empty")
+        if not 1 <= self.bit_depth <= 8 * pixels.dtype.itemsize:
+            faults.append(f"bit_depth is {self.bit_depth}, which {pixels.dtype} cannot hold")
+        if self.turn_deg not in (0, 90, 180, 270):
+            faults.append(f"turn_deg is {self.turn_deg}, expected 0, 90, 180 or 270")
+        if faults:
+            raise DataError(f"Frame {self.name!r}: " + "; ".join(faults))
+        view = pixels.view()
+        view.flags.writeable = False
+        object.__setattr__(self, "pixels", view)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return int(self.pixels.shape[0]), int(self.pixels.shape[1])
+
+    @property
+    def white(self) -> int:
+        """Highest grey level the sensor can give."""
+        return int(2**self.bit_depth - 1)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Acquisition:
+    """The frames that were taken of one scene, with an id that is unique in the run."""
+
+    id: str
+    frames: tuple[Frame, ...]
+
+    def frame(self, role: Role) -> Frame | None:
+        """Give the first frame with this role, or None."""
+        return next((frame for frame in self.frames if frame.role == role), None)
+
+
+@dataclass(frozen=True, slots=True)
+class AcquisitionReference:
+    """Where an acquisition can be read from, light enough to hand to a worker process."""
+
+    id: str
+    files: Mapping[Role, Path]

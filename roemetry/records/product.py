@@ -1,0 +1,61 @@
+"""One product, as volume, weigher and classifier receive it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from roemetry.arrays import Checker, Floats
+from roemetry.calibration import Calibration
+from roemetry.records.profiles import Profiles
+from roemetry.records.reasons import Reason
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Outline:
+    """A product's contour in the image.
+
+    Attributes
+    ----------
+    product
+        Number of the product, 1…n.
+    xy_px
+        (point, 2) closed contour in the turned image, px, the last point is not the first again.
+    """
+
+    product: int
+    xy_px: Floats
+
+    def __post_init__(self) -> None:
+        check = Checker(self)
+        check.array("xy_px", np.float64, (None, 2))
+        check.finish()
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Product:
+    """The slices of one product.
+
+    Attributes
+    ----------
+    number
+        1…n within its acquisition.
+    profiles
+        All slices of the acquisition; points that are not this product's are NaN, with product −1.
+    calibration
+        The calibration the slices were made with.
+    acquisition_ids
+        Where the slices came from.
+    outline
+        The contour in the image, where an outliner was asked for and found one.
+    reasons
+        What the stages before had to say.
+    """
+
+    number: int
+    profiles: Profiles
+    calibration: Calibration
+    acquisition_ids: tuple[str, ...]
+    outline: Outline | None = None
+    reasons: tuple[Reason, ...] = ()

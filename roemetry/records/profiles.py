@@ -1,0 +1,69 @@
+"""Calibrated slices through the scene."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from roemetry.arrays import Checker, Flags, Floats, Integers, Labels
+from roemetry.records.reasons import Reason
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Profiles:
+    """Slices in the belt frame. Not assumed: that slices are in order, parallel, or share their points' Y.
+
+    Attributes
+    ----------
+    xyz_mm
+        (slice, point, 3) position in the belt frame, mm: X along image x, Y towards the image's top, Z up.
+        NaN where nothing is known.
+    product
+        (slice, point) 0 belt, 1…n product, −1 nothing.
+    seen
+        (slice, point) False where the point was bridged or is NaN.
+    x_px, row_px
+        (slice, point) where in the (turned) image the point was seen, px.
+    height_std_mm
+        (slice, point) random part of the standard uncertainty of Z, mm; NaN where it is not modelled. What
+        the calibration contributes is common to all points and is not in here.
+    stripe, frame
+        (slice,) stripe index and index of the frame in the acquisition that the slice came from.
+    plane
+        (slice, 4) the slice's plane in the belt frame: nx, ny, nz, d with n·X = d (mm), n of length 1.
+    reasons
+        What a reader of the numbers must know about these points.
+    """
+
+    xyz_mm: Floats
+    product: Labels
+    seen: Flags
+    x_px: Floats
+    row_px: Floats
+    height_std_mm: Floats
+    stripe: Integers
+    frame: Integers
+    plane: Floats
+    reasons: tuple[Reason, ...] = ()
+
+    def __post_init__(self) -> None:
+        check = Checker(self)
+        xyz = check.array("xyz_mm", np.float64, (None, None, 3))
+        slices, points = xyz.shape[:2] if xyz.ndim == 3 else (0, 0)
+        check.array("product", np.int16, (slices, points))
+        check.array("seen", np.bool_, (slices, points))
+        for name in ("x_px", "row_px", "height_std_mm"):
+            check.array(name, np.float64, (slices, points))
+        for name in ("stripe", "frame"):
+            check.array(name, np.int64, (slices,))
+        plane = check.array("plane", np.float64, (slices, 4))
+        if plane.shape == (slices, 4) and slices:
+            length = np.sqrt((plane[:, :3] ** 2).sum(axis=1))
+            check.require(bool(np.abs(length - 1.0).max() < 1e-6), "plane normals are not of length 1")
+        check.finish()
+
+    @property
+    def slice_count(self) -> int:
+        """Number of slices."""
+        return int(self.xyz_mm.shape[0])

@@ -1,0 +1,55 @@
+"""Everything that happened to one acquisition, from the frame to the outcomes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from roemetry.records.acquisition import Acquisition, Frame
+from roemetry.records.outcome import Grade, Volume, Weight
+from roemetry.records.peaks import Peaks
+from roemetry.records.product import Outline, Product
+from roemetry.records.profiles import Profiles
+from roemetry.records.reasons import Reason
+from roemetry.records.stripes import StripeMap
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class ProductTrace:
+    """One product and what was found of it; None where a stage was not asked for or not possible."""
+
+    product: Product
+    volume: Volume | None
+    weight: Weight | None
+    grade: Grade | None
+    absent: Mapping[str, Reason] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Trace:
+    """One acquisition's way through the stages.
+
+    Attributes
+    ----------
+    acquisition
+        As it was read; None where reading failed.
+    frame
+        The laser frame as the extractor saw it: one channel, turned, subtracted.
+    peaks, stripes, outlines, profiles, products
+        What each stage gave; None (or empty) where it was not asked for or not possible.
+    absent
+        By stage kind, why its result is missing.
+    seconds
+        By stage kind, the time it took, s.
+    """
+
+    acquisition_id: str
+    acquisition: Acquisition | None = None
+    frame: Frame | None = None
+    peaks: Peaks | None = None
+    stripes: StripeMap | None = None
+    outlines: tuple[Outline, ...] = ()
+    profiles: Profiles | None = None
+    products: tuple[ProductTrace, ...] = ()
+    absent: Mapping[str, Reason] = field(default_factory=dict)
+    seconds: Mapping[str, float] = field(default_factory=dict)

@@ -1,0 +1,276 @@
+"""Run a recipe over its source: the record grows line by line, everything else is derived from it."""
+
+from __future__ import annotations
+
+import json
+import platform
+import statistics
+import sys
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from itertools import islice
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+from roemetry.errors import OutputError, RoemetryError
+from roemetry.files import LineFile, make_folder, sha256_of, write_whole
+from roemetry.measuring import failed, measurements_of
+from roemetry.pipeline import Pipeline
+from roemetry.recipe import Recipe
+from roemetry.records import AcquisitionReference, Measurement, Reason, Trace
+from roemetry.stages import Run
+
+RECORD = "measurements.jsonl"
+PROVENANCE = "provenance.json"
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What a run came to.
+
+    Attributes
+    ----------
+    folder
+        Where everything is.
+    counts
+        Rows by status: measured, empty, failed.
+    files
+        What the sinks wrote.
+    sink_faults
+        What sinks could not write, in words.
+    """
+
+    folder: Path
+    counts: Mapping[str, int]
+    files: tuple[Path, ...]
+    sink_faults: tuple[str, ...]
+
+
+def run_recipe(
+    recipe: Recipe,
+    folder: Path,
+    *,
+    jobs: int = 1,
+    resume: bool = False,
+    debug: bool = False,
+    on_progress: Callable[[int, int], None] = lambda done, of: None,
+) -> Outcome:
+    """Measure everything a recipe's source has.
+
+    Parameters
+    ----------
+    recipe
+        What to do.
+    folder
+        Where to write; made if need be.
+    jobs
+        Worker processes; results are the same, and in the same order, for any number.
+    resume
+        Go on with a run of the same recipe that was stopped; what is measured stays as it is.
+    debug
+        Let every exception through.
+    on_progress
+        Called with (acquisitions done, of how many).
+
+    Raises
+    ------
+    OutputError
+        The folder cannot be written, or already holds a run; what was written before stays whole.
+    DataError
+        The source has nothing.
+    """
+    references = recipe.source.make().references(recipe.source_path)
+    make_folder(folder)
+    done = _rows_to_keep(recipe, folder, resume=resume)
+    provenance = _provenance(recipe, references)
+    write_whole(folder / PROVENANCE, json.dumps(provenance, indent=2) + "\n")
+    to_do = [reference for reference in references if reference.id not in done]
+    seconds: dict[str, list[float]] = {}
+    finished = len(references) - len(to_do)
+    on_progress(finished, len(references))
+    with LineFile(folder / RECORD) as record:
+        for lines, took in _measured(recipe, to_do, jobs, debug):
+            record.append("\n".join(lines))
+            finished += 1
+            for stage, value in took.items():
+                seconds.setdefault(stage, []).append(value)
+            on_progress(finished, len(references))
+    counts = _counts(folder)
+    provenance |= {
+        "finished": _now(),
+        "counts": counts,
+        "seconds_median": {stage: statistics.median(values) for stage, values in seconds.items()},
+    }
+    write_whole(folder / PROVENANCE, json.dumps(provenance, indent=2) + "\n")
+    files, faults = derive(recipe, folder, provenance)
+    return Outcome(folder, counts, files, faults)
+
+
+def derive(
+    recipe: Recipe, folder: Path, provenance: Mapping[str, Any]
+) -> tuple[tuple[Path, ...], tuple[str, ...]]:
+    """Let each sink derive its files from the record; a sink that fails does not stop the others."""
+    references = {
+        reference.id: reference for reference in recipe.source.make().references(recipe.source_path)
+    }
+    source, pipeline = recipe.source.make(), Pipeline(recipe)
+
+    def replay(acquisition_id: str) -> Trace:
+        if acquisition_id not in references:
+            raise OutputError(f"{acquisition_id}: the images are no longer there")
+        return pipeline.trace(source.read(references[acquisition_id]))
+
+    run = Run(folder, recipe.product, lambda: read_record(folder), replay, provenance)
+    files: list[Path] = []
+    faults: list[str] = []
+    for chosen in recipe.sinks:
+        try:
+            files += chosen.make().write(run)
+        except RoemetryError as error:
+            faults.append(f"sink {chosen.registered.entry.name}: {error}")
+    return tuple(files), tuple(faults)
+
+
+def read_record(folder: Path) -> Iterator[Measurement]:
+    """Give the measurements of a run, one at a time."""
+    path = folder / RECORD
+    try:
+        with path.open(encoding="utf-8") as file:
+            for line in file:
+                yield Measurement.from_json(line)
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be read: {error.strerror or error}") from error
+
+
+def _measured(
+    recipe: Recipe, references: Sequence[AcquisitionReference], jobs: int, debug: bool
+) -> Iterator[tuple[list[str], Mapping[str, float]]]:
+    """Give each acquisition's lines, in the order of the source, with the seconds its stages took."""
+    if jobs == 1 or len(references) < 2:
+        worker = _Worker(recipe, debug)
+        for reference in references:
+            yield worker(reference)
+        return
+    # Spawned, not forked: a forked copy of numba's or OpenCV's threads can hang.
+    with ProcessPoolExecutor(
+        min(jobs, len(references)), get_context("spawn"), _start_worker, (recipe, debug)
+    ) as pool:
+        waiting: deque[Future[tuple[list[str], Mapping[str, float]]]] = deque()
+        coming = iter(references)
+        try:
+            while True:
+                for reference in islice(coming, 4 * jobs - len(waiting)):
+                    waiting.append(pool.submit(_work, reference))
+                if not waiting:
+                    return
+                yield waiting.popleft().result()
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+
+
+class _Worker:
+    """Reads, traces and writes down one acquisition at a time."""
+
+    def __init__(self, recipe: Recipe, debug: bool) -> None:
+        self._recipe = recipe
+        self._source = recipe.source.make()
+        self._pipeline = Pipeline(recipe, debug=debug)
+        self._debug = debug
+        self._hashes = {"recipe_sha256": recipe.sha256}
+        if recipe.calibration is not None:
+            self._hashes["calibration_sha256"] = recipe.calibration.sha256
+
+    def __call__(self, reference: AcquisitionReference) -> tuple[list[str], Mapping[str, float]]:
+        try:
+            hashes = {f"{role}_sha256": sha256_of(path) for role, path in reference.files.items()}
+            acquisition = self._source.read(reference)
+        except (RoemetryError, OSError) as error:
+            if self._debug:
+                raise
+            why = Reason("unreadable", str(error))
+            return [failed(reference.id, "source", why, self._hashes).to_json()], {}
+        trace = self._pipeline.trace(acquisition)
+        rows = measurements_of(trace, self._recipe, self._hashes | hashes)
+        return [row.to_json() for row in rows], trace.seconds
+
+
+_worker: _Worker | None = None
+
+
+def _start_worker(recipe: Recipe, debug: bool) -> None:
+    global _worker
+    _worker = _Worker(recipe, debug)
+
+
+def _work(reference: AcquisitionReference) -> tuple[list[str], Mapping[str, float]]:
+    if _worker is None:
+        raise AssertionError("a worker process was not started by _start_worker")
+    return _worker(reference)
+
+
+def _rows_to_keep(recipe: Recipe, folder: Path, *, resume: bool) -> set[str]:
+    """Ids of the acquisitions whose rows are all there; a run that may not be gone on with is refused."""
+    path = folder / RECORD
+    if not path.exists() or path.stat().st_size == 0:
+        return set()
+    if not resume:
+        raise OutputError(
+            f"{folder}: there is a run in this folder already",
+            hint="go on with it by --resume, or choose another folder with --out",
+        )
+    with LineFile(path):
+        pass  # opening it takes a half line away
+    rows: dict[str, list[Measurement]] = {}
+    for row in read_record(folder):
+        if row.provenance.get("recipe_sha256") != recipe.sha256:
+            raise OutputError(
+                f"{folder}: the run in this folder was made with another recipe, calibration or plugin",
+                hint="choose another folder with --out",
+            )
+        rows.setdefault(row.acquisition, []).append(row)
+    whole = {name for name, found in rows.items() if len(found) == found[0].products}
+    if len(whole) < len(rows):
+        kept = [row.to_json() + "\n" for name in rows if name in whole for row in rows[name]]
+        write_whole(path, "".join(kept))
+    return whole
+
+
+def _provenance(recipe: Recipe, references: Sequence[AcquisitionReference]) -> dict[str, Any]:
+    from importlib.metadata import version
+
+    stages = {"source": recipe.source, **recipe.stages}
+    return {
+        "roemetry_version": version("roemetry"),
+        "started": _now(),
+        "finished": None,
+        "command": sys.argv[1:],
+        "recipe": str(recipe.path.absolute()),
+        "sets": list(recipe.sets),
+        "recipe_sha256": recipe.sha256,
+        "calibration": None if recipe.calibration_path is None else str(recipe.calibration_path),
+        "calibration_sha256": None if recipe.calibration is None else recipe.calibration.sha256,
+        "plugins": {
+            f"{kind} {chosen.registered.entry.name}": str(chosen.registered.provider)
+            for kind, chosen in stages.items()
+        },
+        "libraries": {name: version(name) for name in ("numpy", "numba", "opencv-contrib-python-headless")},
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "acquisitions": len(references),
+        "resolved_recipe": recipe.resolved(),
+    }
+
+
+def _counts(folder: Path) -> dict[str, int]:
+    counts = {"measured": 0, "empty": 0, "failed": 0}
+    for row in read_record(folder):
+        counts[row.status] += 1
+    return counts
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")

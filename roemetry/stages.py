@@ -1,0 +1,178 @@
+"""The kinds of stage: a small abstract class each, with one verb.
+
+A stage is a pure function of its input, its options and (from the coder on) the calibration. It keeps no
+state between calls, changes no input, and may be called from several threads.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Generic, TypeVar
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict
+
+from roemetry.calibration import Calibration
+from roemetry.records import (
+    Acquisition,
+    AcquisitionReference,
+    CalibrationSet,
+    Frame,
+    Grade,
+    Measurement,
+    Outline,
+    Peaks,
+    Product,
+    Profiles,
+    StripeMap,
+    Trace,
+    Volume,
+    Weight,
+)
+
+
+class StageOptions(BaseModel):
+    """Options of a stage: a frozen model per implementation; each field with description, unit, bound."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+OptionsT = TypeVar("OptionsT", bound=StageOptions)
+
+
+class Stage(ABC, Generic[OptionsT]):
+    """What all stages have: options.
+
+    A subclass names its option model in `Options`; ``MyStage()`` has the defaults.
+    """
+
+    Options: ClassVar[type[StageOptions]] = StageOptions
+
+    def __init__(self, options: OptionsT | None = None) -> None:
+        self.options: OptionsT = self.Options() if options is None else options  # type: ignore[assignment]
+
+
+class Source(Stage[OptionsT]):
+    """Knows where acquisitions are, and reads them."""
+
+    @abstractmethod
+    def references(self, path: Path) -> Sequence[AcquisitionReference]:
+        """List what there is, in order, without reading images; raise DataError where there is nothing."""
+
+    @abstractmethod
+    def read(self, reference: AcquisitionReference) -> Acquisition:
+        """Read one acquisition; raise DataError, with the file's name, where that cannot be done."""
+
+
+class Extractor(Stage[OptionsT]):
+    """Finds where stripes cross image rows."""
+
+    @abstractmethod
+    def extract(self, frame: Frame) -> Peaks:
+        """Find the peaks of a frame of one channel."""
+
+
+class Coder(Stage[OptionsT]):
+    """Says which stripe each peak belongs to, and whether it lies on the belt or on a product."""
+
+    @abstractmethod
+    def code(self, peaks: Peaks, calibration: Calibration | None) -> StripeMap:
+        """Code the peaks; refuse single peaks as ambiguous, or everything by a StageError with the reason."""
+
+
+class Calibrator(Stage[OptionsT]):
+    """Makes a calibration from images of known things."""
+
+    @abstractmethod
+    def calibrate(self, observed: CalibrationSet) -> Calibration:
+        """Calibrate, or refuse by a CalibrationError that says why and what to do."""
+
+
+class Triangulator(Stage[OptionsT]):
+    """Turns coded stripes into points in millimetres."""
+
+    @abstractmethod
+    def triangulate(self, stripes: StripeMap, calibration: Calibration) -> Profiles:
+        """Give calibrated slices in the belt frame."""
+
+
+class Outliner(Stage[OptionsT]):
+    """Finds the products' contours in the image."""
+
+    @abstractmethod
+    def outline(self, acquisition: Acquisition, stripes: StripeMap | None) -> tuple[Outline, ...]:
+        """Give one outline for each product that was found."""
+
+
+class VolumeEstimator(Stage[OptionsT]):
+    """Estimates a product's volume."""
+
+    @abstractmethod
+    def estimate(self, product: Product, *, rng: np.random.Generator | None = None) -> Volume:
+        """Estimate the volume; given `rng`, draw the estimator's own model error as well."""
+
+
+class Weigher(Stage[OptionsT]):
+    """Turns volume (and what else is known) into mass."""
+
+    @abstractmethod
+    def weigh(self, product: Product, volume: Volume, *, rng: np.random.Generator | None = None) -> Weight:
+        """Estimate the mass; given `rng`, draw the weigher's own model error as well."""
+
+
+class Classifier(Stage[OptionsT]):
+    """Judges a product's shape."""
+
+    @abstractmethod
+    def classify(self, product: Product, *, rng: np.random.Generator | None = None) -> Grade:
+        """Give the class with reasons; ``unknown`` is a legal answer."""
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """A finished (or stopped) run, as sinks receive it.
+
+    Attributes
+    ----------
+    folder
+        Where to write.
+    title
+        What was measured.
+    measurements
+        Gives all measurements anew at each call, one at a time.
+    replay
+        Makes an acquisition's whole trace again from its id; raises DataError where the image is gone.
+    provenance
+        Contents of ``provenance.json``.
+    """
+
+    folder: Path
+    title: str
+    measurements: Callable[[], Iterator[Measurement]]
+    replay: Callable[[str], Trace]
+    provenance: Mapping[str, Any]
+
+
+class Sink(Stage[OptionsT]):
+    """Derives something for people or other programs from a run's record."""
+
+    @abstractmethod
+    def write(self, run: Run) -> Sequence[Path]:
+        """Write, and give the files written."""
+
+
+INTERFACES: Mapping[str, type[Stage[Any]]] = {
+    "source": Source,
+    "extractor": Extractor,
+    "coder": Coder,
+    "calibrator": Calibrator,
+    "triangulator": Triangulator,
+    "outliner": Outliner,
+    "volume": VolumeEstimator,
+    "weigher": Weigher,
+    "classifier": Classifier,
+    "sink": Sink,
+}

@@ -1,0 +1,98 @@
+"""From pydantic's errors to sentences with ``file:line:column``."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, get_args
+
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
+
+from roemetry.yaml_source import Step
+
+Place = Callable[[Sequence[Step]], str]
+
+
+def checked(
+    model: type[BaseModel], data: object, place: Place, at: tuple[Step, ...] = ()
+) -> tuple[Any, list[str]]:
+    """Check data against a model.
+
+    Parameters
+    ----------
+    model
+        What the data must be.
+    data
+        Plain values from a file.
+    place
+        Gives ``file:line:column`` of a path in the file.
+    at
+        Path of `data` in the file.
+
+    Returns
+    -------
+    tuple
+        The model's instance (None if there are faults), and every fault as a sentence with its place.
+    """
+    try:
+        return model.model_validate(data), []
+    except ValidationError as error:
+        return None, [_fault(model, detail, place, at) for detail in error.errors()]
+
+
+def unknown_key(key: object, known: Sequence[str]) -> str:
+    """Write what to say of a key nobody knows."""
+    close = difflib.get_close_matches(str(key), known, n=1)
+    said = f"unknown key `{key}`"
+    return said + (f"; did you mean `{close[0]}`?" if close else f"; known here: {', '.join(known)}")
+
+
+def _fault(model: type[BaseModel], detail: ErrorDetails, place: Place, at: tuple[Step, ...]) -> str:
+    path = (*at, *(step for step in detail["loc"] if _is_in_file(step)))
+    dotted = ".".join(str(step) for step in path) or "the file"
+    return f"{place(path)}: {dotted}: {_sentence(model, detail)}"
+
+
+def _is_in_file(step: Step) -> bool:
+    """Tell keys and indices from the tags pydantic adds for unions and function validators."""
+    return isinstance(step, int) or not any(mark in step for mark in "([-")
+
+
+def _sentence(model: type[BaseModel], detail: ErrorDetails) -> str:
+    kind, found = detail["type"], detail["input"]
+    if kind == "extra_forbidden":
+        owner = _model_at(model, detail["loc"][:-1])
+        return unknown_key(detail["loc"][-1], list(owner.model_fields) if owner else [])
+    if kind == "missing":
+        return "this is missing"
+    if kind == "model_type":
+        return f"found {_shown(found)}, expected a map of keys and values"
+    said = detail["msg"][0].lower() + detail["msg"][1:]
+    said = said.removeprefix("value error, ").replace("input should be", "expected")
+    return f"{said}, found {_shown(found)}"
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, Mapping):
+        return "a map" if value else "an empty map"
+    if isinstance(value, list | tuple):
+        return "a list"
+    if value is None:
+        return "nothing"
+    return repr(value)[:60]
+
+
+def _model_at(model: type[BaseModel], path: Sequence[Step]) -> type[BaseModel] | None:
+    """Give the model that a path into another model leads to."""
+    for step in path:
+        field = model.model_fields.get(str(step))
+        if field is None:
+            continue
+        for candidate in (field.annotation, *get_args(field.annotation)):
+            if isinstance(candidate, type) and issubclass(candidate, BaseModel):
+                model = candidate
+                break
+        else:
+            return None
+    return model
