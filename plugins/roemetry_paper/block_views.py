@@ -149,6 +149,8 @@ def _from_block_image(view: Observation, stripes: int) -> tuple[Floats, float]:
         raise CalibrationError(
             f"{view.frame.name}: {error.message}", hint="add an image of the empty belt (images.belt)"
         ) from error
+    if lines is None:
+        raise AssertionError("rest lines of a known number of stripes are found or refused")
     rows = np.arange(peaks.image_size[0]) - (peaks.image_size[0] - 1) / 2.0
     rest = np.array([np.polyfit(rows, line, 1)[::-1] for line in lines.x_px])
     return rest, belt_tolerance_px(peaks, lines.x_px) / 4.0

@@ -34,7 +34,8 @@ def bridged(
     margin
         (peak,) margin of the stripe over the second best.
     rest
-        Rest lines; a point within the tolerance of its own stripe's is belt.
+        Rest lines; a point within the tolerance of its own stripe's is belt. Where none is known, all is
+        taken for one product.
     longest_gap_rows
         Longer gaps stay empty: not seen.
     smallest_product_points
@@ -50,12 +51,15 @@ def bridged(
     x_std_px[cells] = peaks.x_std_px[coded]
     margins[cells] = margin[coded]
     seen = np.isfinite(x_px)
-    off_belt = seen & (np.abs(x_px - rest.x_px) > rest.tolerance_px)
+    off_belt = seen & ~(np.abs(x_px - rest.x_px) <= rest.tolerance_px)
     for s in range(shape[0]):
         _drop_flicker(off_belt[s], seen[s])
         _bridge(x_px[s], seen[s], off_belt[s], longest_gap_rows)
     known = np.isfinite(x_px)
-    product, dirt = _numbered(off_belt, known, smallest_product_points)
+    if np.isfinite(rest.x_px).any():
+        product, dirt = _numbered(off_belt, known, smallest_product_points)
+    else:
+        product, dirt = np.where(known, 1, NOTHING).astype(np.int16), np.zeros_like(known)
     said = list(reasons)
     peak_stripe = stripe.copy()
     if dirt.any():
@@ -111,14 +115,19 @@ def _bridge(x_px: Floats, seen: Flags, off_belt: Flags, longest_gap_rows: int) -
 def _numbered(off_belt: Flags, known: Flags, smallest: int) -> tuple[Labels, Flags]:
     """Number connected points off the belt 1…n from left to right; give (stripe, row) numbers and dirt.
 
-    Neighbours are the same stripe's next row and the next stripe's same row. Where a stripe is not seen,
-    its neighbours on both sides, if off the belt, are joined across it.
+    Neighbours are the same stripe's next row and the next stripe's same row. What is not seen joins what
+    lies off the belt on both sides of it, along the stripe or across.
     """
     import cv2
 
     filled = off_belt.copy()
     if off_belt.shape[0] > 2:
         filled[1:-1] |= ~known[1:-1] & off_belt[:-2] & off_belt[2:]
+    for s in range(off_belt.shape[0]):
+        rows = np.flatnonzero(known[s])
+        for k in np.flatnonzero(np.diff(rows) > 1):
+            before, after = rows[k], rows[k + 1]
+            filled[s, before:after] |= off_belt[s, before] and off_belt[s, after]
     _, labels = cv2.connectedComponents(filled.astype(np.uint8), connectivity=4, ltype=cv2.CV_16U)
     sizes = np.bincount(labels[off_belt], minlength=int(labels.max()) + 1)
     sizes[0] = 0
@@ -134,6 +143,8 @@ def _numbered(off_belt: Flags, known: Flags, smallest: int) -> tuple[Labels, Fla
 def _ambiguous_cells(peaks: Peaks, stripe: Integers, rest: RestLines) -> Flags:
     """Mark the cells a refused peak may belong to: the stripes whose rest lines are its nearest two."""
     cells = np.zeros(rest.x_px.shape, np.bool_)
+    if np.isnan(rest.x_px).all():
+        return cells
     refused = np.flatnonzero(stripe == AMBIGUOUS)
     if refused.size:
         right = (rest.x_px[:, peaks.row[refused]] < peaks.x_px[refused]).sum(axis=0)

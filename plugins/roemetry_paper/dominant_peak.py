@@ -26,8 +26,8 @@ class DominantPeakOptions(StageOptions):
         default=100.0,
         ge=0.0,
         le=255.0,
-        description="grey levels (of 0…255, scaled for deeper images) by which a peak must exceed the valleys "
-        "before and after it; a peak that exceeds them by just as much does not count",
+        description="grey levels (of 0…255, scaled for deeper images) by which a peak must exceed the "
+        "valleys before and after it; one that exceeds them by just as much does not count",
     )
     start: Literal["fixed", "lowest"] = Field(
         default="fixed",
@@ -81,7 +81,7 @@ def grey(frame: Frame) -> NDArray[Any]:
     pixels = frame.pixels
     if pixels.ndim != 2:
         raise DataError(
-            f"Frame {frame.name!r} has colours ({pixels.shape[2]} values a pixel); peaks are found in one channel",
+            f"Frame {frame.name!r} has colours ({pixels.shape[2]} values a pixel), expected one channel",
             hint="choose one by source.channel in the recipe (red, max, grey)",
         )
     if frame.white < np.iinfo(pixels.dtype).max and (brightest := int(pixels.max())) > frame.white:

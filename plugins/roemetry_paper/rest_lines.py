@@ -24,7 +24,8 @@ class RestLines(NamedTuple):
     Attributes
     ----------
     x_px
-        (stripe, row) x on the bare belt, px, increasing with the stripe in each row.
+        (stripe, row) x on the bare belt, px, increasing with the stripe in each row; NaN where the frame
+        shows no belt to know them from.
     tolerance_px
         How far a peak may be from a rest line and still lie on the belt, px.
     """
@@ -52,16 +53,30 @@ def calibrated_rest_lines(peaks: Peaks, calibration: Calibration) -> RestLines:
 
 def rest_lines_of_frame(
     peaks: Peaks, fragment: Integers, fragments: int, stripe_count: int | None, end_rows: int
-) -> RestLines:
+) -> RestLines | None:
     """Fit a straight rest line to the top and bottom segments of each stripe.
 
     A stripe's top segment is a fragment that begins within the first `end_rows` rows; its bottom segment
     ends within the last. They are paired in order.
 
+    Parameters
+    ----------
+    peaks, fragment, fragments
+        The frame's peaks, the fragment of each, and their number.
+    stripe_count
+        Number of stripes there must be; None if it is not known.
+    end_rows
+        See above, rows.
+
+    Returns
+    -------
+    RestLines or None
+        None where the number of stripes is not known and not as many end at the bottom as begin at the top.
+
     Raises
     ------
     StageError
-        Not as many stripes end at the bottom as begin at the top, or not as many as there should be.
+        Fewer or more stripes begin at the top or end at the bottom than there must be.
     """
     rows = peaks.image_size[0]
     first = np.full(fragments, rows, np.int64)
@@ -73,11 +88,12 @@ def rest_lines_of_frame(
     bottom = _ends(
         peaks, fragment, np.flatnonzero(long_enough & (last >= rows - end_rows)), end_rows, at_top=False
     )
-    expected = stripe_count if stripe_count is not None else len(top)
-    if not expected or len(top) != expected or len(bottom) != expected:
-        wanted = f"{stripe_count} are expected" if stripe_count is not None else "as many must do both"
+    if stripe_count is None and (not top or len(top) != len(bottom)):
+        return None
+    if stripe_count is not None and not len(top) == len(bottom) == stripe_count:
         raise StageError(
-            f"{len(top)} stripes begin at the image's top and {len(bottom)} end at its bottom; {wanted}",
+            f"{stripe_count} stripes are expected; {len(top)} begin at the image's top "
+            f"and {len(bottom)} end at its bottom",
             hint="stripes must run from top to bottom (source.turn_deg) with bare belt at both ends; "
             "or give a calibration, which knows the rest lines",
         )

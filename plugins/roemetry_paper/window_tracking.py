@@ -108,17 +108,23 @@ class WindowTracking(Coder[WindowTrackingOptions]):
                 hint="leave stripe_count out, or calibrate with all stripes",
             )
         fragment, fragments = trace_fragments(peaks.row_start, peaks.x_px, options.body_window_px / 2)
-        if calibration is not None:
-            rest = calibrated_rest_lines(peaks, calibration)
-        else:
-            rest = rest_lines_of_frame(peaks, fragment, fragments, options.stripe_count, _END_ROWS)
-        if options.belt == "interruption":
+        rest = (
+            calibrated_rest_lines(peaks, calibration)
+            if calibration is not None
+            else rest_lines_of_frame(peaks, fragment, fragments, options.stripe_count, _END_ROWS)
+        )
+        reasons: list[Reason] = []
+        if rest is None:
+            rest, stripe, margin = self._pieces(peaks, fragment, fragments)
+            reasons.append(_NO_BELT)
+        elif options.belt == "interruption":
             stripe, margin = literal_codes(
                 peaks, rest.x_px, options.belt_window_px, options.body_window_px, options.smallest_area_px
             )
-            reasons: list[Reason] = [_LITERAL]
+            reasons.append(_LITERAL)
         else:
-            stripe, margin, reasons = self._codes(peaks, rest, fragment, fragments, calibration)
+            stripe, margin, dead = self._from_belt(peaks, rest, fragment, fragments, calibration)
+            reasons += dead
         return bridged(
             peaks,
             stripe,
@@ -129,7 +135,7 @@ class WindowTracking(Coder[WindowTrackingOptions]):
             reasons=reasons,
         )
 
-    def _codes(
+    def _from_belt(
         self,
         peaks: Peaks,
         rest: RestLines,
@@ -137,7 +143,7 @@ class WindowTracking(Coder[WindowTrackingOptions]):
         fragments: int,
         calibration: Calibration | None,
     ) -> tuple[Integers, Floats, list[Reason]]:
-        """Give (peak,) stripe or UNCODED or AMBIGUOUS, (peak,) margin, and what to say."""
+        """Give (peak,) stripe or UNCODED or AMBIGUOUS, (peak,) margin, and what to say of dead stripes."""
         line, _ = nearest_rest(peaks.row, peaks.x_px, rest.x_px, rest.tolerance_px)
         segment, segment_line = cut_at_rest_lines(fragment, line, fragments, _BELT_ROWS_MIN, _FLICKER_ROWS)
         table = SegmentTable.of(peaks, segment, segment_line)
@@ -148,33 +154,67 @@ class WindowTracking(Coder[WindowTrackingOptions]):
                 f"no stripe lies where the {rest.x_px.shape[0]} rest lines are",
                 hint="camera or laser may have been moved: calibrate again, or remove what covers the belt",
             )
-        reasons = _dead_stripes(live, rest.x_px.shape[0])
-        noise = (table.rows < self.options.smallest_area_px) & ~anchored
-        label = np.where(anchored, np.searchsorted(live, segment_line), -1)
-        label[noise] = -1
-        used = np.where(noise[segment], -1, segment)
+        known = np.where(anchored, np.searchsorted(live, segment_line), -1)
         low, high = _displacements(rest, live, calibration)
-        margin = np.where(anchored, 1.0, np.nan)
         rest_live = np.ascontiguousarray(rest.x_px[live])
+        label, margin = self._settle(peaks, segment, table, known, rest_live, low, high)
+        stripe = np.where(label >= 0, live[np.maximum(label, 0)], label)
+        return _consistent(peaks, stripe, segment, table), margin[segment], _dead(live, rest.x_px.shape[0])
+
+    def _pieces(self, peaks: Peaks, fragment: Integers, fragments: int) -> tuple[RestLines, Integers, Floats]:
+        """Give each traced piece a number of its own, left to right: nothing says which are one stripe."""
+        rows = np.bincount(fragment, minlength=fragments)
+        place = np.bincount(fragment, weights=peaks.x_px, minlength=fragments) / rows
+        big = np.flatnonzero(rows >= self.options.smallest_area_px)
+        if not big.size:
+            raise StageError("what was found in the image is too small to be stripes")
+        number = np.full(fragments, UNCODED, np.int64)
+        number[big[np.argsort(place[big])]] = np.arange(big.size)
+        rest = RestLines(np.full((big.size, peaks.image_size[0]), np.nan), np.inf)
+        return rest, number[fragment], np.full(len(peaks), np.nan)
+
+    def _settle(
+        self,
+        peaks: Peaks,
+        segment: Integers,
+        table: SegmentTable,
+        known: Integers,
+        rest_px: Floats,
+        low_px: Floats,
+        high_px: Floats,
+    ) -> tuple[Integers, Floats]:
+        """From known segments to all that order decides: (segment,) label, UNCODED or AMBIGUOUS; margin."""
+        noise = (table.rows < self.options.smallest_area_px) & (known < 0)
+        used = np.where(noise[segment], -1, segment)
+        label = known
+        margin = np.where(known >= 0, 1.0, np.nan)
         for _ in range(_PASSES_MAX):
-            votes, voters = vote_by_order(peaks.row_start, peaks.x_px, used, label, rest_live, low, high)
+            votes, voters = vote_by_order(peaks.row_start, peaks.x_px, used, label, rest_px, low_px, high_px)
             settled, gained = _decided(votes, voters, label, self.options.margin_min)
             if not settled.any():
                 break
             label = np.where(settled, votes.argmax(axis=1), label)
             margin = np.where(settled, gained, margin)
-        stripe = np.where(label >= 0, live[np.maximum(label, 0)], AMBIGUOUS)
-        stripe[noise] = UNCODED
-        of_peak = stripe[segment]
-        of_peak = drop_doubles(peaks, of_peak, table.rows[segment])
-        of_peak = keep_order(peaks, of_peak)
-        return of_peak, margin[segment], reasons
+        return np.where(noise, UNCODED, np.where(label >= 0, label, AMBIGUOUS)), margin
 
 
 _LITERAL = Reason(
     "literal-coding",
     "coded the paper's way, by interruption and order: a hidden body shifts codes without notice",
 )
+
+
+_NO_BELT = Reason(
+    "no-belt",
+    "there is no calibration, and no belt at the image's top and bottom to number the stripes by: each "
+    "traced piece has a number of its own; which pieces are one stripe is not known, nor what is belt",
+)
+
+
+def _consistent(peaks: Peaks, stripe: Integers, segment: Integers, table: SegmentTable) -> Integers:
+    """From (segment,) to (peak,) stripes; refuse what contradicts itself in a row."""
+    of_peak = drop_doubles(peaks, stripe[segment], table.rows[segment])
+    return keep_order(peaks, of_peak)
 
 
 def _decided(
@@ -203,7 +243,7 @@ def _displacements(rest: RestLines, live: Integers, calibration: Calibration | N
     return ends.min(axis=0) - rest.tolerance_px, ends.max(axis=0) + rest.tolerance_px
 
 
-def _dead_stripes(live: Integers, stripes: int) -> list[Reason]:
+def _dead(live: Integers, stripes: int) -> list[Reason]:
     dead = np.setdiff1d(np.arange(stripes), live)
     if not dead.size:
         return []

@@ -39,8 +39,11 @@ def deform(
     if record.kind in changes:
         change = changes[record.kind](record, height_mm, a, v_mm)
         # the change dies out at the rim, where the outline is
-        changed = height_mm + change * np.clip(inside / 0.25, 0.0, 1.0) ** 0.5
-        return np.maximum(changed, _LEAST_SHARE * height_mm), None
+        change = change * np.clip(inside / 0.25, 0.0, 1.0) ** 0.5
+        share = 1.0 + change / np.maximum(height_mm, 1e-9) - _LEAST_SHARE
+        # no deeper than a small share of the dome, approached smoothly
+        share = _LEAST_SHARE + 0.5 * (share + np.hypot(share, 0.15))
+        return np.where(change == 0.0, height_mm, share * height_mm), None
     if record.kind == "broken":
         return height_mm, _break(record, a, v_mm)
     return height_mm, None
@@ -77,7 +80,8 @@ def _twist(record: SkeinRecord, height_mm: Floats, a: Floats, v_mm: Floats) -> F
     half = 0.5 * record.width_mm
     furrow = v_mm - 0.45 * half * np.sin(phase)
     sigma = 0.12 * record.defect_width_mm + 1.2
-    lean = 0.35 * record.defect_depth_mm * -np.sin(phase) * np.clip(v_mm / half, -1.0, 1.0)
+    side = np.clip(v_mm / half, -1.0, 1.0)
+    lean = -0.9 * record.defect_depth_mm * np.sin(phase) * side * (1.0 - side**2)
     wound: Floats = lean - 0.8 * record.defect_depth_mm * np.exp(-0.5 * (furrow / sigma) ** 2)
     return wound
 
@@ -99,7 +103,7 @@ def _break(record: SkeinRecord, a: Floats, v_mm: Floats) -> Floats:
     """Square (mm²) of a ragged steep end across the skein, beyond which nothing is left."""
     side = 1.0 if record.defect_along >= 0.0 else -1.0
     rng = np.random.default_rng([record.seed, 13])
-    phases, sizes = rng.uniform(0.0, 2.0 * np.pi, 4), rng.uniform(0.3, 0.9, 4)
+    phases, sizes = rng.uniform(0.0, 2.0 * np.pi, 4), np.array([1.0, 0.7, 0.4, 0.2]) * rng.uniform(0.5, 1.2, 4)
     ragged = sum(
         size * np.sin(2.0 * np.pi * v_mm / period + phase)
         for size, phase, period in zip(sizes, phases, (23.0, 13.0, 7.5, 4.5), strict=True)

@@ -74,7 +74,7 @@ def default_rig() -> Rig:
     feet += -3.0 - feet.mean()
     power = np.array([0.93, 1.02, 0.97, 1.05, 1.00, 1.06, 0.98, 1.03, 0.94, 1.01, 0.90])
     laser = fan_through(
-        (160.0, -4.0, 300.0), feet, yaw_deg=0.6, pitch_deg=0.3, sigma_mm=0.31, peak_grey=330.0 * power
+        (160.0, -4.0, 300.0), feet, yaw_deg=0.6, pitch_deg=0.3, sigma_mm=0.31, peak_grey=370.0 * power
     )
     return Rig(camera, Sensor(), laser)
 
@@ -139,7 +139,7 @@ def stripe_truth(scene: Scene) -> StripeTruth:
 
 def _surface(seed: int) -> Surface:
     """Return belt and roe: roe is darker than the belt in the laser's red and brighter in plain light."""
-    return textured(seed, laser_albedo=(0.66, 0.50), plain_albedo=(0.34, 0.62), gloss=(0.0, 0.10))
+    return textured(seed, laser_albedo=(0.66, 0.53), plain_albedo=(0.34, 0.62), gloss=(0.0, 0.10))
 
 
 def _in_reach(record: SkeinRecord, rig: Rig) -> SkeinRecord:

@@ -27,11 +27,13 @@ class SkeinRecord:
     thickness_mm : float
         Nominal height over the belt in the middle, 10–20, at most 0.68 of the width.
     rim_height_mm : float
-        Height of the widest line over its lowest point, 0.22–0.42 of the thickness.
+        Height of the widest line over its lowest point, 0.25–0.42 of the thickness.
     underside_power : float
-        Roundness of the underside, 1 (half an ellipse) to 2.5 (flat with rounded edges).
+        Roundness of the underside, 1 (half an ellipse) to 2.2 (flatter); at least 1.5 over a gap.
     air_gap_mm : float
-        Largest air gap under the middle, which arches: 0, but 0–3 for bent and twisted ones.
+        Largest air gap under the middle, which arches: 0,
+        but 0–3 and at most 0.13 of the thickness for bent
+        and twisted ones.
     thick_end : float
         Growth of width and height from the middle to the thick end, 0.06–0.2 of either sign;
         positive is thick at the right.
@@ -114,8 +116,8 @@ def draw(seed: int, kind: str | None = None) -> SkeinRecord:
         length_mm=float(length),
         width_mm=float(width),
         thickness_mm=float(thickness),
-        rim_height_mm=float(between(0.22, 0.42) * thickness),
-        underside_power=float(between(1.0, 2.5)),
+        rim_height_mm=float(between(0.25, 0.42) * thickness),
+        underside_power=float(between(1.0, 2.2)),
         air_gap_mm=0.0,
         thick_end=float(between(0.06, 0.20) * rng.choice([-1.0, 1.0])),
         taper=float(between(0.25, 0.55)),
@@ -139,7 +141,11 @@ def draw(seed: int, kind: str | None = None) -> SkeinRecord:
     record = replace(record, defect_depth_mm=float(min(between(2, 6), max(deepest, 2.0))))
     if kind in ("bent", "twisted"):
         gap = between(0, 3)
-        record = replace(record, air_gap_mm=float(min(gap, 0.2 * record.thickness_mm)))
+        record = replace(
+            record,
+            air_gap_mm=float(min(gap, 0.13 * record.thickness_mm)),
+            underside_power=max(record.underside_power, 1.5),
+        )
     if kind == "bent":
         record = replace(record, bend_deg=float(between(30, 60) * rng.choice([-1.0, 1.0])))
     if kind == "twisted":

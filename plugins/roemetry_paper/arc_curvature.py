@@ -1,0 +1,255 @@
+"""Shape by the curvature of the stripes (section 3.5): a dent turns the bow of a stripe around."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from roemetry.arrays import Flags, Floats, Integers
+from roemetry.records import Grade, Marks, Product, Reason
+from roemetry.stages import Classifier, StageOptions
+from roemetry_kernels.arcs import BodyCurves, arc_middles, body_curves, smoothed, to_centres
+
+GOOD, HENKEI, UNKNOWN = "good", "henkei", "unknown"
+
+
+class ArcCurvatureOptions(StageOptions):
+    """Options of `ArcCurvature`."""
+
+    delta_samples: int = Field(
+        default=14, ge=1, le=1000, description="samples (rows) between the points a circle is put through"
+    )
+    radius_min_px: float = Field(
+        default=4.0, ge=0.0, description="px; a concave arc counts if its radius is larger than this"
+    )
+    radius_max_px: float = Field(
+        default=80.0, gt=0.0, description="px; a concave arc counts if its radius is smaller than this"
+    )
+    space: Literal["px", "mm"] = Field(
+        default="px",
+        description="px: circles in the image, as in the paper. mm: circles in the true cross-section, the "
+        "same for every rig",
+    )
+    radius_min_mm: float | None = Field(
+        default=None, ge=0.0, description="mm, for space mm; not given: radius_min_px converted for the rig"
+    )
+    radius_max_mm: float | None = Field(
+        default=None, gt=0.0, description="mm, for space mm; not given: radius_max_px converted for the rig"
+    )
+    smoothing_rows: int = Field(
+        default=0,
+        ge=0,
+        le=201,
+        description="rows (odd) over which a local quadratic smooths a curve first; 0: none, as in the paper",
+    )
+    henkei_arcs_min: int = Field(
+        default=1, ge=1, description="number of concave, sharp arcs that makes a product henkei; 1: the paper"
+    )
+
+    @model_validator(mode="after")
+    def _consistent(self) -> ArcCurvatureOptions:
+        if self.smoothing_rows and (self.smoothing_rows < 3 or self.smoothing_rows % 2 == 0):
+            raise ValueError(
+                f"smoothing_rows is {self.smoothing_rows}, expected 0 or an odd number from 3 on"
+            )
+        if self.radius_min_px >= self.radius_max_px:
+            raise ValueError(
+                f"radius_min_px ({self.radius_min_px:g}) is not below radius_max_px ({self.radius_max_px:g})"
+            )
+        low, high = self.radius_min_mm, self.radius_max_mm
+        if low is not None and high is not None and low >= high:
+            raise ValueError(f"radius_min_mm ({low:g}) is not below radius_max_mm ({high:g})")
+        return self
+
+
+class ArcCurvature(Classifier[ArcCurvatureOptions]):
+    """Calls a product henkei if an arc along a stripe is concave and sharp (Lee et al. 2000, section 3.5).
+
+    Circles are put through points `delta_samples` apart along each stripe's curve on the product, and κ is
+    the vector from the middle one of three points to the circle's centre. A healthy product is convex: all
+    its centres lie on one side. The product is henkei if any centre lies on the other side at a distance
+    above `radius_min_px` and below `radius_max_px` (both exclusive). Long |κ| is flat, short is sharp.
+
+    The side: a stripe's peak moves by ``displacement_px_per_mm`` times the height. If that is negative, as
+    on the paper's rig, a convex product pushes the middle of the stripe to the left and its centres of arc
+    lie to the right, κx > 0. If it is positive (the laser on the other side) all is mirrored. So κx times
+    −sign(displacement) is positive for convex arcs on either rig. In the cross-section (Y, Z) a convex arc
+    has its centre below, κz < 0, whatever the rig.
+
+    A curve is a run of rows without a gap, bridged points included. N points of it give
+    floor((N − 1) / delta) − 1 circles. Three points on a line are infinitely flat.
+
+    Limits in mm, where none are given: with s mm per px along the stripe and h mm of height per px of
+    displacement, row = −Y/s and x = ∓Z/h. At small slopes 1/R is the second derivative's size, so
+    1/R_px = s²/(h R_mm) and R_mm = R_px s²/h, stripe by stripe. Where slopes are not small the two spaces
+    do not agree: circles in the image are ellipses in the cross-section.
+
+    What to know before trusting it: the rule is sharp. At 14 samples, a radius below 80 px is a bow of
+    1.2 px, so with whole-pixel peaks noise alone turns a flat healthy product into henkei. Take sub-pixel
+    peaks, or `smoothing_rows`, or ask for more than one arc. With samples one row apart no circle is
+    smaller than `delta_samples`, so the paper's lower limit of 4 px never acts. ``unknown`` is the answer
+    where no curve is long enough for one circle.
+    """
+
+    Options: ClassVar[type[StageOptions]] = ArcCurvatureOptions
+
+    def classify(self, product: Product, *, rng: np.random.Generator | None = None) -> Grade:
+        """Grade one product; `rng` is not used, since no error of the rule itself is modelled."""
+        options = self.options
+        curves = body_curves(product.profiles, product.number)
+        if not arc_middles(curves, options.delta_samples).size:
+            return _unknown(curves, options.delta_samples)
+        arcs = _arcs(product, curves, options)
+        count, flagged = arcs.flagged.size, int(arcs.flagged.sum())
+        label = HENKEI if flagged >= options.henkei_arcs_min else GOOD
+        smallest = float(np.min(arcs.radius, where=arcs.concave, initial=np.inf))
+        unit = options.space
+        return Grade(
+            label=label,
+            features={
+                "arcs": float(count),
+                "arcs_concave": float(arcs.concave.sum()),
+                "arcs_flagged": float(flagged),
+                f"smallest_concave_radius_{unit}": smallest if math.isfinite(smallest) else math.nan,
+            },
+            reasons=(_reason(arcs, options),),
+            marks=_marks(arcs, unit),
+        )
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Arcs:
+    """All circles of a product, one element each; `radius` in the space's unit, inf where flat."""
+
+    stripe: Integers
+    middle_px: Floats
+    centre_px: Floats
+    radius: Floats
+    bow: Floats
+    concave: Flags
+    flagged: Flags
+    radius_min: Floats
+    radius_max: Floats
+
+
+def _arcs(product: Product, curves: BodyCurves, options: ArcCurvatureOptions) -> _Arcs:
+    profiles, delta = product.profiles, options.delta_samples
+    here = (curves.slice, curves.point)
+    xyz_mm = profiles.xyz_mm[here]
+    x_row = np.stack([profiles.x_px[here], profiles.row_px[here]], axis=1)
+    along_above = xyz_mm[:, 1:]
+    if options.smoothing_rows:
+        both = smoothed(curves, np.concatenate([x_row, along_above], axis=1), options.smoothing_rows)
+        x_row, along_above = both[:, :2], both[:, 2:]
+    middle = arc_middles(curves, delta)
+    stripe = profiles.stripe[curves.slice[middle]]
+    displacement = product.calibration.displacement_px_per_mm[stripe]
+    to_centre_px = to_centres(x_row[middle - delta], x_row[middle], x_row[middle + delta])
+    if options.space == "px":
+        places, to_centre = x_row, to_centre_px
+        convexity = np.where(displacement > 0.0, -to_centre[:, 0], to_centre[:, 0])
+        radius_min: Floats = np.full(middle.size, options.radius_min_px)
+        radius_max: Floats = np.full(middle.size, options.radius_max_px)
+    else:
+        places = along_above
+        to_centre = to_centres(places[middle - delta], places[middle], places[middle + delta])
+        convexity = -to_centre[:, 1]
+        mm_per_px = _mm_per_px_at_small_slope(curves, xyz_mm[:, 1], x_row[:, 1]) * np.abs(displacement)
+        low, high = options.radius_min_mm, options.radius_max_mm
+        radius_min = options.radius_min_px * mm_per_px if low is None else np.full(middle.size, low)
+        radius_max = options.radius_max_px * mm_per_px if high is None else np.full(middle.size, high)
+    radius = np.hypot(to_centre[:, 0], to_centre[:, 1])
+    concave = np.isfinite(radius) & (convexity < 0.0)
+    return _Arcs(
+        stripe=stripe,
+        middle_px=x_row[middle],
+        centre_px=x_row[middle] + to_centre_px,
+        radius=radius,
+        bow=_bow(places[middle - delta], places[middle], places[middle + delta]),
+        concave=concave,
+        flagged=concave & (radius > radius_min) & (radius < radius_max),
+        radius_min=radius_min,
+        radius_max=radius_max,
+    )
+
+
+def _mm_per_px_at_small_slope(curves: BodyCurves, y_mm: Floats, row_px: Floats) -> float:
+    """Square of the mm per px along the stripes: the s² of the class's derivation, one for the product."""
+    same_curve = np.ones(y_mm.size, np.bool_)
+    same_curve[curves.first] = False
+    step_mm, step_px = np.diff(y_mm, prepend=np.nan), np.diff(row_px, prepend=np.nan)
+    return float(np.median(np.abs(step_mm[same_curve] / step_px[same_curve]))) ** 2
+
+
+def _bow(before: Floats, middle: Floats, after: Floats) -> Floats:
+    """Distance of the middle point from the chord."""
+    a, chord = middle - before, after - before
+    cross = a[:, 0] * chord[:, 1] - a[:, 1] * chord[:, 0]
+    bow: Floats = np.abs(cross) / np.hypot(chord[:, 0], chord[:, 1])
+    return bow
+
+
+def _unknown(curves: BodyCurves, delta: int) -> Grade:
+    longest = int(curves.size.max(initial=0))
+    return Grade(
+        label=UNKNOWN,
+        features={"arcs": 0.0, "arcs_concave": 0.0, "arcs_flagged": 0.0},
+        reasons=(
+            Reason(
+                "too-few-points",
+                f"no stripe has {2 * delta + 1} points in a row on the product, which one arc needs; "
+                f"the longest has {longest}",
+            ),
+        ),
+    )
+
+
+def _reason(arcs: _Arcs, options: ArcCurvatureOptions) -> Reason:
+    count, concave, flagged = arcs.flagged.size, int(arcs.concave.sum()), int(arcs.flagged.sum())
+    unit = options.space
+    if not concave:
+        return Reason("no-concave-arc", f"none of {count} arcs is concave")
+    sharpest = int(np.argmin(np.where(arcs.flagged if flagged else arcs.concave, arcs.radius, np.inf)))
+    limits = f"between {arcs.radius_min[sharpest]:.4g} and {arcs.radius_max[sharpest]:.4g} {unit}"
+    x_px, row_px = arcs.middle_px[sharpest]
+    where = (
+        f"the sharpest of them, of radius {arcs.radius[sharpest]:.4g} {unit} (a bow of "
+        f"{arcs.bow[sharpest]:.2g} {unit}), is on stripe {arcs.stripe[sharpest] + 1} "
+        f"at x {x_px:.0f} px, row {row_px:.0f}"
+    )
+    if flagged >= options.henkei_arcs_min:
+        return Reason(
+            "concave-arcs",
+            f"{flagged} of {count} arcs {_are(flagged)} concave with a radius {limits}; {where}",
+        )
+    if flagged:
+        return Reason(
+            "few-concave-arcs",
+            f"{flagged} of {count} arcs {_are(flagged)} concave with a radius {limits}, fewer than the "
+            f"{options.henkei_arcs_min} that make henkei; {where}",
+        )
+    return Reason(
+        "no-sharp-concave-arc",
+        f"{concave} of {count} arcs {_are(concave)} concave, none with a radius {limits}; {where}",
+    )
+
+
+def _are(count: int) -> str:
+    return "is" if count == 1 else "are"
+
+
+def _marks(arcs: _Arcs, unit: str) -> Marks:
+    drawn = np.isfinite(arcs.radius) & np.isfinite(arcs.centre_px).all(axis=1)
+    return Marks(
+        kind="centre of arc",
+        unit=unit,
+        stripe=arcs.stripe[drawn],
+        from_px=arcs.middle_px[drawn],
+        to_px=arcs.centre_px[drawn],
+        value=np.where(arcs.concave, -arcs.radius, arcs.radius)[drawn],
+        flagged=arcs.flagged[drawn],
+    )

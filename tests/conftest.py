@@ -1,0 +1,126 @@
+"""Fixtures that all tests share: one seed, drawn stripes, a small rig whose truth is known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from roemetry.calibration import Calibration
+
+SEED = 20260711
+ROOT = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    """The one source of randomness: same numbers in every run."""
+    return np.random.default_rng(SEED)
+
+
+@pytest.fixture(scope="session")
+def root() -> Path:
+    """The repository."""
+    return ROOT
+
+
+@dataclass(frozen=True)
+class DrawnRig:
+    """A linear rig: stripe i rests at `rest_px[i]` (constant over rows) and moves by `px_per_mm` per mm."""
+
+    rows: int = 240
+    columns: int = 320
+    stripes: int = 7
+    px_per_mm: float = 2.0
+    mm_per_px: float = 0.25
+    sigma_px: float = 1.6
+    amplitude: float = 180.0
+    background: float = 12.0
+
+    @property
+    def rest_px(self) -> np.ndarray:
+        return 40.0 + 40.0 * np.arange(self.stripes)
+
+    def x_px(self, height_mm: np.ndarray) -> np.ndarray:
+        """(stripe, row) stripe centres over (stripe, row) heights."""
+        return self.rest_px[:, None] + self.px_per_mm * height_mm
+
+    def image(self, x_px: np.ndarray, rng: np.random.Generator | None = None) -> np.ndarray:
+        """Draw stripes; NaN draws nothing."""
+        columns = np.arange(self.columns)
+        light = np.full((self.rows, self.columns), self.background)
+        for line in x_px:
+            off = columns[None, :] - line[:, None]
+            light += np.nan_to_num(self.amplitude * np.exp(-0.5 * (off / self.sigma_px) ** 2))
+        if rng is not None:
+            light += rng.normal(0.0, 2.0, light.shape)
+        return np.clip(np.rint(light), 0, 255).astype(np.uint8)
+
+    def dome(self, height_mm: float = 10.0, first: int = 70, last: int = 170) -> np.ndarray:
+        """(stripe, row) heights of a dome over the inner stripes with a smooth rise from the belt."""
+        row = np.arange(self.rows)
+        along = np.clip((row - first) / (last - first), 0.0, 1.0)
+        across = np.sin(np.pi * np.arange(self.stripes) / (self.stripes - 1))
+        return height_mm * across[:, None] * np.sin(np.pi * along)[None, :] ** 2
+
+    def calibration(self) -> Calibration:
+        """The true calibration."""
+        return Calibration(
+            method="block-linear",
+            image_size=(self.rows, self.columns),
+            turn_deg=0,
+            rest_px=np.column_stack([self.rest_px, np.zeros(self.stripes)]),
+            displacement_px_per_mm=np.full(self.stripes, self.px_per_mm),
+            height_range_mm=(0.0, 25.0),
+            parameters={
+                "omega_mm_per_px": np.full(self.stripes, 1.0 / self.px_per_mm),
+                "mm_per_px": np.array([self.mm_per_px]),
+            },
+            covariance=np.zeros((self.stripes + 1, self.stripes + 1)),
+            extractor={"use": "dominant-peak"},
+        )
+
+
+@pytest.fixture
+def rig() -> DrawnRig:
+    """A small linear rig."""
+    return DrawnRig()
+
+
+@pytest.fixture
+def line(tmp_path: Path, rig: DrawnRig) -> Callable[..., Path]:
+    """Make a folder with a recipe, a calibration and images; gives the recipe's path."""
+
+    def make(count: int = 3, text: str = "", calibrated: bool = True) -> Path:
+        folder = tmp_path / "line"
+        (folder / "images").mkdir(parents=True)
+        for number in range(1, count + 1):
+            image = rig.image(rig.x_px(rig.dome(height_mm=8.0 + number % 6)))
+            cv2.imwrite(str(folder / "images" / f"p{number:02d}.png"), image)
+        rig.calibration().save(folder / "calibration.yaml")
+        recipe = text or (RECIPE if calibrated else RECIPE.replace("calibration: calibration.yaml\n", ""))
+        (folder / "recipe.yaml").write_text(recipe, encoding="utf-8")
+        return folder / "recipe.yaml"
+
+    return make
+
+
+RECIPE = """\
+roemetry: 1
+product: test dome
+source:
+  path: images
+calibration: calibration.yaml
+stages:
+  extractor: {use: dominant-peak, options: {threshold: 60}}
+  coder: window-tracking
+  triangulator: block-linear
+  volume: zero-order-hold
+  weigher: density
+  classifier: arc-curvature
+sinks: [csv]
+"""

@@ -1,0 +1,144 @@
+"""Recipes: every mistake is named with its place; a right one resolves to the same thing twice."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from roemetry.errors import ConfigurationError
+from roemetry.recipe import Recipe
+
+GOOD = """\
+roemetry: 1
+product: dome
+source:
+  path: images
+stages:
+  extractor:
+    use: dominant-peak
+    options:
+      threshold: 60
+  coder: window-tracking
+sinks: [csv]
+"""
+
+MISTAKES = [
+    ("empty file", "", ":1:1:", "the file is empty"),
+    ("only a comment", "# nothing\n", ":1:1:", "the file is empty"),
+    ("a list", "- a\n- b\n", ":1:1:", "expected a map"),
+    ("not YAML", "roemetry: [1\nproduct: x\n", ":2:", "not YAML"),
+    ("a tab", GOOD.replace("  path", "\tpath"), ":4:1:", "tab"),
+    ("a key twice", GOOD + "product: again\n", ":12:1:", "`product` stands here a second time"),
+    (
+        "a stage twice",
+        GOOD.replace("sinks:", "  extractor: dominant-peak\nsinks:"),
+        ":11:3:",
+        "`extractor` stands here a second time",
+    ),
+    ("unknown key", GOOD + "calibratoin: x.yaml\n", ":12:1:", "did you mean `calibration`?"),
+    ("unknown key in source", GOOD.replace("path:", "paht:"), ":4:3:", "did you mean `path`?"),
+    ("missing key", GOOD.replace("product: dome\n", ""), ":1:1:", "product: this is missing"),
+    (
+        "misspelt plugin",
+        GOOD.replace("dominant-peak", "dominant-paek"),
+        ":7:5:",
+        "did you mean `dominant-peak`?",
+    ),
+    ("misspelt short form", GOOD.replace("window-tracking", "window-traking"), ":10:3:", "window-tracking"),
+    (
+        "unknown option",
+        GOOD.replace("threshold: 60", "treshold: 60"),
+        ":9:7:",
+        "did you mean `threshold`?",
+    ),
+    ("out of bounds", GOOD.replace("threshold: 60", "threshold: -4"), ":9:7:", "found -4"),
+    ("a word for a number", GOOD.replace("threshold: 60", "threshold: high"), ":9:7:", "found 'high'"),
+    ("a list for a map", GOOD.replace("  path: images", "  - images"), ":3:1:", "found a list"),
+    ("wrong version", GOOD.replace("roemetry: 1", "roemetry: 7"), ":1:1:", "found 7"),
+    ("wrong turn", GOOD.replace("path: images", "path: images\n  turn_deg: 45"), ":5:3:", "found 45"),
+    (
+        "a stage without its input",
+        GOOD.replace("sinks:", "  volume: zero-order-hold\nsinks:"),
+        ":11:3:",
+        "it works on the result of the triangulator",
+    ),
+    ("a calibration that is not there", GOOD + "calibration: no.yaml\n", ":12:1:", "cannot be read"),
+    ("stages left out", "roemetry: 1\nproduct: x\nsource: {path: y}\n", ":1:1:", "stages: this is missing"),
+]
+
+
+@pytest.mark.parametrize(("text", "place", "says"), [m[1:] for m in MISTAKES], ids=[m[0] for m in MISTAKES])
+def test_a_mistake_is_named_with_its_place(tmp_path: Path, text: str, place: str, says: str) -> None:
+    path = tmp_path / "recipe.yaml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(ConfigurationError) as caught:
+        Recipe.load(path)
+    assert f"recipe.yaml{place}" in str(caught.value)
+    assert says in str(caught.value)
+
+
+def test_all_mistakes_are_told_at_once(tmp_path: Path) -> None:
+    path = tmp_path / "recipe.yaml"
+    path.write_text(
+        GOOD.replace("threshold: 60", "threshold: -4").replace("window-tracking", "nothing-such"),
+        encoding="utf-8",
+    )
+    with pytest.raises(ConfigurationError) as caught:
+        Recipe.load(path)
+    assert len(caught.value.faults) == 2
+
+
+def test_no_such_file() -> None:
+    with pytest.raises(ConfigurationError, match="cannot be read"):
+        Recipe.load("nowhere/recipe.yaml")
+
+
+def test_set_changes_and_is_named_in_faults(tmp_path: Path) -> None:
+    path = tmp_path / "recipe.yaml"
+    path.write_text(GOOD, encoding="utf-8")
+    changed = Recipe.load(path, sets=["stages.extractor.options.threshold=80"])
+    assert changed.stages["extractor"].options.model_dump()["threshold"] == 80
+    reached = Recipe.load(path, sets=["stages.coder.options.smallest_area_px=5"])
+    assert reached.stages["coder"].options.model_dump()["smallest_area_px"] == 5
+    with pytest.raises(ConfigurationError, match="--set stages.extractor.options.threshold=x"):
+        Recipe.load(path, sets=["stages.extractor.options.threshold=x"])
+    with pytest.raises(ConfigurationError, match="expected key.key=value"):
+        Recipe.load(path, sets=["threshold"])
+
+
+def test_a_path_set_on_the_command_line_is_relative_to_the_working_directory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "here").mkdir()
+    path = tmp_path / "recipe.yaml"
+    path.write_text(GOOD, encoding="utf-8")
+    monkeypatch.chdir(tmp_path / "here")
+    assert Recipe.load(path, sets=["source.path=pictures"]).source_path == tmp_path / "here" / "pictures"
+    assert Recipe.load(path).source_path == tmp_path / "images"
+
+
+def test_the_hash_tells_what_decides_a_number(line: Callable[..., Path]) -> None:
+    path = line()
+    plain = Recipe.load(path)
+    assert plain.sha256 == Recipe.load(path).sha256
+    assert plain.sha256 == Recipe.load(path, sets=["source.path=elsewhere"]).sha256
+    assert plain.sha256 != Recipe.load(path, sets=["stages.extractor.options.threshold=61"]).sha256
+
+
+def test_a_recipe_can_be_sent_to_a_worker(line: Callable[..., Path]) -> None:
+    recipe = Recipe.load(line())
+    assert pickle.loads(pickle.dumps(recipe)).sha256 == recipe.sha256
+
+
+def test_a_calibration_of_another_method_is_refused(line: Callable[..., Path]) -> None:
+    path = line()
+    calibration = path.with_name("calibration.yaml")
+    calibration.write_text(
+        calibration.read_text(encoding="utf-8").replace("method: block-linear", "method: pinhole-plane"),
+        encoding="utf-8",
+    )
+    with pytest.raises(ConfigurationError, match="made by `pinhole-plane`"):
+        Recipe.load(path)

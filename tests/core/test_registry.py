@@ -1,0 +1,135 @@
+"""Plugins: a broken one costs one name; a clash is refused; everything says what to do."""
+
+from __future__ import annotations
+
+import textwrap
+from importlib.metadata import DistributionFinder, EntryPoint, MetadataPathFinder
+from pathlib import Path
+
+import pytest
+
+from roemetry.errors import PluginError
+from roemetry.registry import Registry, discover
+
+ENTRY = """
+from roemetry.hookspecs import StageEntry, hookimpl
+
+@hookimpl
+def roemetry_stages():
+    yield StageEntry(
+        kind={kind!r}, name={name!r}, target={target!r}, summary="s", reference="r",
+        requires={requires!r}, api={api},
+    )
+"""
+
+
+def entry(
+    kind: str = "extractor",
+    name: str = "mine",
+    target: str = "nowhere:Nothing",
+    requires: tuple[tuple[str, str], ...] = (),
+    api: int = 1,
+) -> str:
+    return ENTRY.format(kind=kind, name=name, target=target, requires=requires, api=api)
+
+
+@pytest.fixture
+def plugins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Install fake distributions, each one module, and discover them alone."""
+
+    def install(**modules: str) -> Registry:
+        for name, text in modules.items():
+            (tmp_path / f"{name}.py").write_text(textwrap.dedent(text), encoding="utf-8")
+            info = tmp_path / f"{name}-1.0.dist-info"
+            info.mkdir()
+            (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n", "utf-8")
+            (info / "entry_points.txt").write_text(f"[roemetry]\n{name} = {name}\n", encoding="utf-8")
+        monkeypatch.syspath_prepend(str(tmp_path))
+        context = DistributionFinder.Context(path=[str(tmp_path)])
+        points: list[EntryPoint] = [
+            point for found in MetadataPathFinder.find_distributions(context) for point in found.entry_points
+        ]
+        return discover(points)
+
+    return install
+
+
+def test_a_plugin_that_cannot_be_imported_costs_only_itself(plugins) -> None:
+    registry = plugins(plugin_bad="raise RuntimeError('half installed')", plugin_good=entry())
+    assert [stage.entry.name for stage in registry.stages] == ["mine"]
+    assert "plugin_bad 1.0" in str(registry.broken[0])
+    assert "half installed" in str(registry.broken[0])
+
+
+def test_the_reason_is_repeated_where_its_stage_is_missed(plugins) -> None:
+    registry = plugins(plugin_bad2="import not_there_at_all")
+    with pytest.raises(PluginError, match="not_there_at_all"):
+        registry.find("extractor", "mine")
+
+
+def test_a_hook_that_raises(plugins) -> None:
+    text = """
+    from roemetry.hookspecs import hookimpl
+    @hookimpl
+    def roemetry_stages():
+        raise ValueError("no licence")
+    """
+    assert "no licence" in str(plugins(plugin_raises=text).broken[0])
+
+
+def test_a_misspelt_hook(plugins) -> None:
+    text = entry().replace("def roemetry_stages", "def roemetry_stage")
+    registry = plugins(plugin_typo=text)
+    assert "misspelt" in str(registry.broken[0])
+
+
+def test_no_hook_at_all(plugins) -> None:
+    assert "no `roemetry_stages` hook" in str(plugins(plugin_none="x = 1").broken[0])
+
+
+def test_an_unknown_kind(plugins) -> None:
+    registry = plugins(plugin_kind=entry(kind="extracter"))
+    assert "did you mean `extractor`" in str(registry.broken[0])
+
+
+def test_a_newer_interface(plugins) -> None:
+    assert "update roemetry" in str(plugins(plugin_new=entry(api=99)).broken[0])
+
+
+def test_two_plugins_claim_a_name(plugins) -> None:
+    registry = plugins(plugin_one=entry(), plugin_two=entry())
+    with pytest.raises(PluginError) as caught:
+        registry.find("extractor", "mine")
+    assert "plugin_one 1.0" in str(caught.value)
+    assert "`use: plugin_two/mine`" in str(caught.value)
+    assert registry.find("extractor", "plugin_two/mine").provider.distribution == "plugin_two"
+
+
+def test_a_missing_extra_says_what_to_install(plugins) -> None:
+    needs = (("not_there_at_all", 'pip install "roemetry[open3d]"'),)
+    registry = plugins(plugin_extra=entry(requires=needs))
+    with pytest.raises(PluginError, match=r"roemetry\[open3d\]"):
+        registry.find("extractor", "mine")
+
+
+def test_a_class_that_is_not_there(plugins) -> None:
+    registry = plugins(plugin_class=entry(target="plugin_class:Nothing"))
+    with pytest.raises(PluginError, match="cannot be imported"):
+        registry.load(registry.find("extractor", "mine"))
+
+
+def test_unknown_name_gets_a_close_match() -> None:
+    with pytest.raises(PluginError, match="did you mean `dominant-peak`"):
+        discover().find("extractor", "dominantpeak")
+
+
+def test_strict_mode_makes_a_broken_plugin_fatal(plugins, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROEMETRY_STRICT", "1")
+    with pytest.raises(PluginError, match="ROEMETRY_STRICT"):
+        plugins(plugin_bad3="raise RuntimeError('x')")
+
+
+def test_only_built_in_plugins(plugins, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROEMETRY_PLUGINS", "")
+    assert plugins(plugin_other=entry()).stages == ()
+    assert discover().stages

@@ -1,0 +1,196 @@
+"""Runs: the batch goes on, the record is whole at every moment, any number of jobs gives the same."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from roemetry.errors import OutputError
+from roemetry.recipe import Recipe
+from roemetry.runner import RECORD, read_record, run_recipe
+
+
+def rows_of(folder: Path) -> dict[str, object]:
+    return {row.acquisition: row for row in read_record(folder)}
+
+
+def test_everything_is_measured_and_derived(line: Callable[..., Path], tmp_path: Path) -> None:
+    outcome = run_recipe(Recipe.load(line(3)), tmp_path / "out")
+    assert outcome.counts == {"measured": 3, "empty": 0, "failed": 0}
+    assert outcome.sink_faults == ()
+    provenance = json.loads((tmp_path / "out" / "provenance.json").read_text(encoding="utf-8"))
+    assert provenance["finished"] is not None
+    assert provenance["resolved_recipe"]["stages"]["extractor"]["options"]["threshold"] == 60
+    headings = (tmp_path / "out" / "results.csv").read_text(encoding="utf-8").splitlines()[0]
+    assert "weight (g)" in headings
+    volumes = [row.volume.visible_mm3.value for row in read_record(tmp_path / "out") if row.volume]
+    assert volumes == sorted(volumes), "higher domes have larger volumes"
+
+
+def test_more_jobs_give_the_same_bytes(line: Callable[..., Path], tmp_path: Path) -> None:
+    recipe = Recipe.load(line(5))
+    run_recipe(recipe, tmp_path / "one")
+    run_recipe(recipe, tmp_path / "two", jobs=2)
+    assert (tmp_path / "one" / RECORD).read_bytes() == (tmp_path / "two" / RECORD).read_bytes()
+
+
+def test_bad_images_are_rows_and_the_batch_goes_on(line: Callable[..., Path], tmp_path: Path, rig) -> None:
+    path = line(2)
+    images = path.parent / "images"
+    whole = (images / "p01.png").read_bytes()
+    (images / "a_truncated.png").write_bytes(whole[: len(whole) // 2])
+    (images / "b_empty.png").write_bytes(b"")
+    (images / "c_text.png").write_text("not an image", encoding="utf-8")
+    cv2.imwrite(str(images / "d_black.png"), np.zeros((rig.rows, rig.columns), np.uint8))
+    cv2.imwrite(str(images / "e_white.png"), np.full((rig.rows, rig.columns), 255, np.uint8))
+    cv2.imwrite(str(images / "f_belt.png"), rig.image(rig.x_px(np.zeros((rig.stripes, rig.rows)))))
+    cv2.imwrite(str(images / "g_small.png"), np.zeros((100, 100), np.uint8))
+    deep = rig.image(rig.x_px(rig.dome())).astype(np.uint16) * 257
+    cv2.imwrite(str(images / "h_16bit.png"), deep)
+    cv2.imwrite(str(images / "i_colour.png"), cv2.merge([rig.image(rig.x_px(rig.dome()))] * 3))
+    outcome = run_recipe(Recipe.load(path), tmp_path / "out")
+    rows = rows_of(tmp_path / "out")
+    assert outcome.counts == {"measured": 4, "empty": 1, "failed": 6}
+    says = {
+        "a_truncated": "cut off",
+        "b_empty": "empty",
+        "c_text": "not an image",
+        "d_black": "no stripe was found",
+        "e_white": "no stripe was found",
+        "f_belt": "there is no product",
+        "g_small": "another camera",
+    }
+    for name, words in says.items():
+        assert words in rows[name].reasons[0].text, name
+    assert rows["f_belt"].status == "empty"
+    assert rows["h_16bit"].volume.visible_mm3.value == pytest.approx(
+        rows["i_colour"].volume.visible_mm3.value, rel=0.02
+    )
+
+
+def test_missing_stripes_are_named(line: Callable[..., Path], tmp_path: Path, rig) -> None:
+    path = line(1)
+    x_px = rig.x_px(rig.dome())
+    x_px[[2, 5]] = np.nan
+    cv2.imwrite(str(path.parent / "images" / "p01.png"), rig.image(x_px))
+    run_recipe(Recipe.load(path), tmp_path / "out")
+    row = rows_of(tmp_path / "out")["p01"]
+    reason = next(reason for reason in row.reasons if reason.code == "stripe-missing")
+    assert "7 stripes are expected and 5 are seen" in reason.text
+    assert "3, 6" in reason.text
+    assert row.coding.stripes_seen == 5
+
+
+def test_uncalibrated_is_legal_and_said_on_every_row(line: Callable[..., Path], tmp_path: Path) -> None:
+    outcome = run_recipe(Recipe.load(line(2, calibrated=False)), tmp_path / "out")
+    assert outcome.counts["measured"] == 2
+    for row in read_record(tmp_path / "out"):
+        assert row.volume is None
+        assert any(reason.code == "uncalibrated" for reason in row.reasons)
+        assert row.coding is not None
+        assert row.coding.displacement_max_px == pytest.approx(2.0 * 9.0, abs=3.0)
+
+
+def test_a_fault_in_a_plugin_is_a_row(
+    line: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from roemetry_paper.zero_order_hold import ZeroOrderHold
+
+    def broken(self: object, product: object, *, rng: object = None) -> None:
+        raise ZeroDivisionError("oh")
+
+    monkeypatch.setattr(ZeroOrderHold, "estimate", broken)
+    outcome = run_recipe(Recipe.load(line(2)), tmp_path / "out")
+    assert outcome.counts["failed"] == 2
+    row = rows_of(tmp_path / "out")["p01"]
+    assert "ZeroDivisionError" in row.absent["volume"].text
+    assert row.grade is not None, "what does not need the volume is still there"
+    with pytest.raises(ZeroDivisionError):
+        run_recipe(Recipe.load(tmp_path / "line"), tmp_path / "debug", debug=True)
+
+
+def test_a_run_is_not_written_over(line: Callable[..., Path], tmp_path: Path) -> None:
+    recipe = Recipe.load(line(1))
+    run_recipe(recipe, tmp_path / "out")
+    with pytest.raises(OutputError, match="--resume"):
+        run_recipe(recipe, tmp_path / "out")
+    other = Recipe.load(recipe.path, sets=["stages.extractor.options.threshold=61"])
+    with pytest.raises(OutputError, match="another recipe"):
+        run_recipe(other, tmp_path / "out", resume=True)
+
+
+def test_resume_measures_what_is_missing_and_mends_half_a_line(
+    line: Callable[..., Path], tmp_path: Path
+) -> None:
+    recipe = Recipe.load(line(4))
+    run_recipe(recipe, tmp_path / "whole")
+    whole = (tmp_path / "whole" / RECORD).read_bytes()
+    out = tmp_path / "out"
+    out.mkdir()
+    lines = whole.splitlines(keepends=True)
+    (out / RECORD).write_bytes(lines[0] + lines[1][:40])
+    run_recipe(recipe, out, resume=True)
+    assert (out / RECORD).read_bytes() == whole
+
+
+def test_resume_measures_an_acquisition_again_of_which_a_row_is_missing(
+    line: Callable[..., Path], tmp_path: Path
+) -> None:
+    recipe = Recipe.load(line(2))
+    run_recipe(recipe, tmp_path / "out")
+    path = tmp_path / "out" / RECORD
+    first, second = path.read_text(encoding="utf-8").splitlines(keepends=True)
+    path.write_text(first + second.replace('"products": 1', '"products": 2'), encoding="utf-8")
+    run_recipe(recipe, tmp_path / "out", resume=True)
+    assert path.read_text(encoding="utf-8") == first + second
+
+
+def test_killed_at_any_moment_the_record_is_whole(line: Callable[..., Path], tmp_path: Path) -> None:
+    path = line(60)
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "roemetry", "run", str(path), "--out", str(out), "--json"]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    record = out / RECORD
+    deadline = time.monotonic() + 60
+    while time.monotonic() < deadline and not (record.exists() and record.stat().st_size > 3000):
+        time.sleep(0.002)
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    written = record.read_text(encoding="utf-8")
+    assert written.endswith("\n")
+    assert all(json.loads(row)["status"] == "measured" for row in written.splitlines())
+    recipe = Recipe.load(path)
+    run_recipe(recipe, out, resume=True)
+    assert [row.acquisition for row in read_record(out)] == [f"p{n:02d}" for n in range(1, 61)]
+
+
+def test_disk_full_in_the_middle_keeps_what_was_measured(
+    line: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recipe = Recipe.load(line(3))
+    real, calls = os.write, []
+
+    def full_at_the_second(descriptor: int, data: bytes) -> int:
+        if data.startswith(b'{"id"'):
+            calls.append(data)
+            if len(calls) == 2:
+                raise OSError(28, "No space left on device")
+        return real(descriptor, data)
+
+    monkeypatch.setattr(os, "write", full_at_the_second)
+    with pytest.raises(OutputError, match="No space left"):
+        run_recipe(recipe, tmp_path / "out")
+    monkeypatch.setattr(os, "write", real)
+    assert [row.acquisition for row in read_record(tmp_path / "out")] == ["p01"]
+    run_recipe(recipe, tmp_path / "out", resume=True)
+    assert [row.acquisition for row in read_record(tmp_path / "out")] == ["p01", "p02", "p03"]
