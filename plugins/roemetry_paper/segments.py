@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from roemetry.arrays import Flags, Integers
-from roemetry.records import AMBIGUOUS, Peaks
+from roemetry.records import AMBIGUOUS, UNCODED, Peaks
 
 _CLEARLY_LONGER = 3
 
@@ -32,11 +32,12 @@ class SegmentTable:
         np.maximum.at(last, segment, peaks.row)
         return cls(first, last, np.bincount(segment, minlength=count), segment_line, peaks.image_size[0])
 
-    def anchored(self, end_rows: int, longest_gap_rows: int) -> Flags:
+    def anchored(self, end_rows: int, flicker_rows: int) -> Flags:
         """Say which segments are belt beyond doubt.
 
         They lie on a rest line and reach the image's top or bottom, or follow such a one on the same line
-        after a short gap. A run on a rest line amid the image may be a body that happens to lie there.
+        after a flicker. A run on a rest line amid the image may be a body that happens to lie there: at a
+        displacement of one stripe spacing a body crosses its neighbour's rest line twice.
         """
         anchored = np.zeros(self.line.size, np.bool_)
         for line in np.unique(self.line[self.line >= 0]):
@@ -47,29 +48,45 @@ class SegmentTable:
                 if self.first_row[segment] > reached:
                     break
                 anchored[segment] = True
-                reached = self.last_row[segment] + longest_gap_rows + 1
+                reached = self.last_row[segment] + flicker_rows + 1
             reached = self.image_rows - 1 - end_rows
             for segment in downwards[::-1]:
                 if self.last_row[segment] < reached:
                     break
                 anchored[segment] = True
-                reached = self.first_row[segment] - longest_gap_rows - 1
+                reached = self.first_row[segment] - flicker_rows - 1
         return anchored
 
 
-def drop_doubles(peaks: Peaks, stripe: Integers, segment_rows: Integers) -> Integers:
+def drop_doubles(peaks: Peaks, stripe: Integers, line: Integers, segment_rows: Integers) -> Integers:
     """Leave each stripe at most one peak a row.
 
-    Of two, the one of the clearly longer segment stays and the other is refused; else both are.
+    Where a row shows a stripe on the belt and on the product, the product's edge runs through that row and
+    both are right: the brighter one stays. Of two others the one of the clearly longer segment stays and
+    the other is refused; where neither is clearly longer, both are.
+
+    Parameters
+    ----------
+    peaks
+        The frame's peaks.
+    stripe
+        (peak,) stripe, `UNCODED` or `AMBIGUOUS`.
+    line
+        (peak,) rest line each peak lies on, −1 for none.
+    segment_rows
+        (peak,) length of the segment each peak is of, rows.
     """
     coded = np.flatnonzero(stripe >= 0)
     cell = peaks.row[coded] * (int(stripe.max(initial=0)) + 1) + stripe[coded]
     order = np.lexsort((-segment_rows[coded], cell))
     sorted_cell, sorted_peak = cell[order], coded[order]
-    again = np.flatnonzero(sorted_cell[1:] == sorted_cell[:-1])
     result = stripe.copy()
-    for k in again:
+    for k in np.flatnonzero(sorted_cell[1:] == sorted_cell[:-1]):
         longer, shorter = sorted_peak[k], sorted_peak[k + 1]
+        if (line[longer] == stripe[longer]) != (line[shorter] == stripe[shorter]):
+            darker = shorter if peaks.amplitude[shorter] <= peaks.amplitude[longer] else longer
+            result[darker] = UNCODED
+            continue
         result[shorter] = AMBIGUOUS
         if segment_rows[longer] < _CLEARLY_LONGER * segment_rows[shorter]:
             result[longer] = AMBIGUOUS

@@ -20,7 +20,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from roemetry.arrays import Floats, Integers
+from roemetry.arrays import Flags, Floats, Integers
 from roemetry.calibration import Calibration
 from roemetry.errors import StageError
 from roemetry.records import AMBIGUOUS, UNCODED, Peaks, Reason, StripeMap
@@ -147,7 +147,7 @@ class WindowTracking(Coder[WindowTrackingOptions]):
         line, _ = nearest_rest(peaks.row, peaks.x_px, rest.x_px, rest.tolerance_px)
         segment, segment_line = cut_at_rest_lines(fragment, line, fragments, _BELT_ROWS_MIN, _FLICKER_ROWS)
         table = SegmentTable.of(peaks, segment, segment_line)
-        anchored = table.anchored(_END_ROWS, self.options.longest_gap_rows)
+        anchored = table.anchored(_END_ROWS, _FLICKER_ROWS)
         live = np.unique(segment_line[anchored])
         if live.size == 0:
             raise StageError(
@@ -157,9 +157,13 @@ class WindowTracking(Coder[WindowTrackingOptions]):
         known = np.where(anchored, np.searchsorted(live, segment_line), -1)
         low, high = _displacements(rest, live, calibration)
         rest_live = np.ascontiguousarray(rest.x_px[live])
-        label, margin = self._settle(peaks, segment, table, known, rest_live, low, high)
+        small = np.bincount(fragment, minlength=fragments) < self.options.smallest_area_px
+        noise = np.zeros(segment_line.size, np.bool_)
+        noise[segment] = small[fragment]
+        label, margin = self._settle(peaks, segment, known, noise & ~anchored, rest_live, low, high)
         stripe = np.where(label >= 0, live[np.maximum(label, 0)], label)
-        return _consistent(peaks, stripe, segment, table), margin[segment], _dead(live, rest.x_px.shape[0])
+        of_peak = drop_doubles(peaks, stripe[segment], line, table.rows[segment])
+        return keep_order(peaks, of_peak), margin[segment], _dead(live, rest.x_px.shape[0])
 
     def _pieces(self, peaks: Peaks, fragment: Integers, fragments: int) -> tuple[RestLines, Integers, Floats]:
         """Give each traced piece a number of its own, left to right: nothing says which are one stripe."""
@@ -177,14 +181,13 @@ class WindowTracking(Coder[WindowTrackingOptions]):
         self,
         peaks: Peaks,
         segment: Integers,
-        table: SegmentTable,
         known: Integers,
+        noise: Flags,
         rest_px: Floats,
         low_px: Floats,
         high_px: Floats,
     ) -> tuple[Integers, Floats]:
         """From known segments to all that order decides: (segment,) label, UNCODED or AMBIGUOUS; margin."""
-        noise = (table.rows < self.options.smallest_area_px) & (known < 0)
         used = np.where(noise[segment], -1, segment)
         label = known
         margin = np.where(known >= 0, 1.0, np.nan)
@@ -209,12 +212,6 @@ _NO_BELT = Reason(
     "there is no calibration, and no belt at the image's top and bottom to number the stripes by: each "
     "traced piece has a number of its own; which pieces are one stripe is not known, nor what is belt",
 )
-
-
-def _consistent(peaks: Peaks, stripe: Integers, segment: Integers, table: SegmentTable) -> Integers:
-    """From (segment,) to (peak,) stripes; refuse what contradicts itself in a row."""
-    of_peak = drop_doubles(peaks, stripe[segment], table.rows[segment])
-    return keep_order(peaks, of_peak)
 
 
 def _decided(

@@ -84,13 +84,10 @@ def _inside(points: Floats, box: tuple[float, float, float, float]) -> Flags:
 
 
 def _arrows(marks: Marks, which: Flags, *, flagged: bool) -> Markup:
-    data = "".join(
-        svg.line(np.array([a[0], b[0]]), np.array([a[1], b[1]]))
-        for a, b in zip(marks.from_px[which], marks.to_px[which], strict=True)
-    )
-    if not data:
+    if not which.any():
         return Markup("")
     kind, colour = ("flagged", palette.AMBIGUOUS) if flagged else ("mark", palette.MARK)
-    # A marker stands at the last vertex of a path only, so each arrow is a path of its own.
-    paths = "".join(f'<path d="M{part}"/>' for part in data.split("M")[1:])
-    return Markup('<g class="{}" stroke="{}">{}</g>').format(kind, colour, Markup(paths))
+    ends = np.stack([marks.from_px[which], marks.to_px[which]], axis=1)
+    # An arrow head stands at the last point of a path only, so each arrow is a path of its own.
+    paths = (Markup('<path d="{}"/>').format(svg.line(end[:, 0], end[:, 1])) for end in ends)
+    return Markup('<g class="{}" stroke="{}">{}</g>').format(kind, colour, Markup("").join(paths))

@@ -53,16 +53,16 @@ def slice_chart(volume: Volume) -> Markup | None:
         if width >= 17:
             middle = x + width / 2
             parts += [
-                _text(middle, floor - height - 4, plain(float(a), 0), "value"),
-                _text(middle, floor + 14, str(stripe + 1), "tick strong"),
-                _text(middle, floor + 27, plain(float(s), 1), "tick"),
+                svg.text(middle, floor - height - 4, plain(float(a), 0), "value"),
+                svg.text(middle, floor + 14, str(stripe + 1), "tick strong"),
+                svg.text(middle, floor + 27, plain(float(s), 1), "tick"),
             ]
         x += width
     parts += [
-        _text(_LEFT - 6, floor + 14, "stripe", "tick end"),
-        _text(_LEFT - 6, floor + 27, "mm", "tick end"),
-        _text(_LEFT, 9, "area, mm²", "tick start"),
-        _text((_LEFT + _WIDTH - _RIGHT) / 2, _HEIGHT - 5, "spacing (width of the bar), mm", "tick"),
+        svg.text(_LEFT - 6, floor + 14, "stripe", "tick end"),
+        svg.text(_LEFT - 6, floor + 27, "mm", "tick end"),
+        svg.text(_LEFT, 9, "area, mm²", "tick start"),
+        svg.text((_LEFT + _WIDTH - _RIGHT) / 2, _HEIGHT - 5, "spacing (width of the bar), mm", "tick"),
     ]
     label = f"Bar chart of the areas of {len(area)} slices over their spacing; the figures are in the table"
     return svg.picture(parts, box=(0, 0, _WIDTH, _HEIGHT), label=label, kind="chart")
@@ -104,8 +104,4 @@ def _places(ticks: list[float]) -> int:
 def _rule(left: float, right: float, y: float, text: str) -> Markup:
     return Markup('<path class="rule" d="M{} {}H{}"/>').format(
         svg.number(left), svg.number(y), svg.number(right)
-    ) + _text(left - 6, y + 3.5, text, "tick end")
-
-
-def _text(x: float, y: float, text: str, kind: str) -> Markup:
-    return Markup('<text class="{}" x="{}" y="{}">{}</text>').format(kind, svg.number(x), svg.number(y), text)
+    ) + svg.text(left - 6, y + 3.5, text, "tick end")

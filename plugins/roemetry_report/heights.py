@@ -102,10 +102,10 @@ def _drawing(given: _Slice, known: Flags, frame: _Frame, step: int, what: str) -
             )
         )
         text = plain(level, 0 if level == int(level) else 1)
-        parts.append(_text(_LEFT - 4, y + 3.5, text, "tick end"))
+        parts.append(svg.text(_LEFT - 4, y + 3.5, text, "tick end"))
     for value, where in ((frame.left, "start"), (frame.right, "end")):
         x = _LEFT if where == "start" else _WIDTH - _RIGHT
-        parts.append(_text(x, _HEIGHT - 4, plain(value, 0), f"tick {where}"))
+        parts.append(svg.text(x, _HEIGHT - 4, plain(value, 0), f"tick {where}"))
     colour = palette.stripe_colour_on_paper(given.stripe)
     x, y = frame.x(given.along), frame.y(given.up)
     for mask, kind, join in ((known & given.seen, "seen", False), (known & ~given.seen, "bridged", True)):
@@ -125,7 +125,3 @@ def _line(x: Floats, y: Floats, known: Flags, begin: int, end: int, step: int, j
         points = np.append(points, last)
     # A tenth of a unit is a hundredth of a millimetre of paper: enough for a chart.
     return svg.line(np.round(x[points], 1), np.round(y[points], 1))
-
-
-def _text(x: float, y: float, text: str, kind: str) -> Markup:
-    return Markup('<text class="{}" x="{}" y="{}">{}</text>').format(kind, svg.number(x), svg.number(y), text)

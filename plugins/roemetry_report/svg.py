@@ -32,6 +32,11 @@ def picture(body: Iterable[Markup], *, box: tuple[float, float, float, float], l
     )
 
 
+def text(x: float, y: float, words: str, kind: str) -> Markup:
+    """Make a text element of a CSS class; `words` are escaped."""
+    return Markup('<text class="{}" x="{}" y="{}">{}</text>').format(kind, number(x), number(y), words)
+
+
 def line(x: Floats, y: Floats) -> str:
     """Path data of an open line through points, rounded to 0.01; a single point becomes a dot."""
     if len(x) == 1:

@@ -39,7 +39,7 @@ def deform(
     if record.kind in changes:
         change = changes[record.kind](record, height_mm, a, v_mm)
         # the change dies out at the rim, where the outline is
-        change = change * np.clip(inside / 0.25, 0.0, 1.0) ** 0.5
+        change = change * (1.0 - (1.0 - np.clip(inside / 0.35, 0.0, 1.0)) ** 2)
         share = 1.0 + change / np.maximum(height_mm, 1e-9) - _LEAST_SHARE
         # no deeper than a small share of the dome, approached smoothly
         share = _LEAST_SHARE + 0.5 * (share + np.hypot(share, 0.15))
@@ -68,7 +68,7 @@ def _crease(record: SkeinRecord, height_mm: Floats, a: Floats, v_mm: Floats) -> 
     along, _ = _place(record, a, v_mm)
     slant = np.tan(np.deg2rad(0.5 * record.defect_angle_deg))
     inner = np.sign(record.bend_deg) * v_mm / (0.5 * record.width_mm)
-    share = np.clip(0.5 + 0.8 * inner, 0.0, 1.0)
+    share = 0.5 + 0.5 * np.tanh(2.0 * inner)
     sigma = 0.2 * record.defect_length_mm + 0.6
     wrinkle: Floats = -record.defect_depth_mm * share * np.exp(-0.5 * ((along - slant * v_mm) / sigma) ** 2)
     return wrinkle
@@ -103,7 +103,8 @@ def _break(record: SkeinRecord, a: Floats, v_mm: Floats) -> Floats:
     """Square (mm²) of a ragged steep end across the skein, beyond which nothing is left."""
     side = 1.0 if record.defect_along >= 0.0 else -1.0
     rng = np.random.default_rng([record.seed, 13])
-    phases, sizes = rng.uniform(0.0, 2.0 * np.pi, 4), np.array([1.0, 0.7, 0.4, 0.2]) * rng.uniform(0.5, 1.2, 4)
+    phases = rng.uniform(0.0, 2.0 * np.pi, 4)
+    sizes = np.array([1.0, 0.7, 0.4, 0.2]) * rng.uniform(0.5, 1.2, 4)
     ragged = sum(
         size * np.sin(2.0 * np.pi * v_mm / period + phase)
         for size, phase, period in zip(sizes, phases, (23.0, 13.0, 7.5, 4.5), strict=True)

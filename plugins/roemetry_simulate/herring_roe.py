@@ -26,7 +26,7 @@ SPACING_MM = 8.75
 """Mean spacing of the stripes on the belt."""
 
 _VIEW_MM = 61.0
-_MOST_OVERHANG = 1.45
+_MOST_OVERHANG = 1.2
 
 CALIBRATION_BLOCK = Block(105.0, 40.0, 16.5, centre_x_mm=1.5, centre_y_mm=-1.0, yaw_deg=0.9)
 
@@ -93,7 +93,7 @@ def scene(seed: int, kind: str | None = None) -> Scene:
     -------
     Scene
         The skein is moved along X where needed so that it stays in view and its ends lie no more than
-        1.45 spacings beyond the outer stripes.
+        about 1.5 spacings beyond the outermost lit points.
     """
     rig = default_rig()
     skein = build(_in_reach(draw(seed, kind), rig))

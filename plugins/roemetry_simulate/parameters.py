@@ -25,7 +25,8 @@ class SkeinRecord:
     width_mm : float
         20–34 in the middle of its length.
     thickness_mm : float
-        Nominal height over the belt in the middle, 10–20, at most 0.68 of the width.
+        Nominal height over the belt in the middle, 10–20, at most 0.68 of the width
+        (folded: at most 16, before the flap).
     rim_height_mm : float
         Height of the widest line over its lowest point, 0.25–0.42 of the thickness.
     underside_power : float
@@ -148,6 +149,12 @@ def draw(seed: int, kind: str | None = None) -> SkeinRecord:
         )
     if kind == "bent":
         record = replace(record, bend_deg=float(between(30, 60) * rng.choice([-1.0, 1.0])))
+    if kind == "folded":
+        # a fold doubles what is there, and comes of the thinner ones
+        share = min(1.0, 16.0 / record.thickness_mm)
+        record = replace(
+            record, thickness_mm=share * record.thickness_mm, rim_height_mm=share * record.rim_height_mm
+        )
     if kind == "twisted":
         record = replace(record, defect_angle_deg=float(between(0, 360)))
     return record

@@ -67,7 +67,9 @@ def _hit_box(box: Floats, o: Floats, d: Floats, t_max: float) -> float:
 
 
 @njit(cache=True, nogil=True)
-def _refine(body: Body, o: Floats, d: Floats, t: float, f: float, t2: float, f2: float, tol_mm: float) -> float:
+def _refine(
+    body: Body, o: Floats, d: Floats, t: float, f: float, t2: float, f2: float, tol_mm: float
+) -> float:
     """Shrink a bracket (f > 0 at t, f2 <= 0 at t2) by false position that cannot stall, then bisection."""
     for k in range(200):
         if t2 - t <= tol_mm:

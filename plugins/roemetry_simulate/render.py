@@ -78,7 +78,8 @@ def plain_light(rig: Rig, solid: Solid, surface: Surface, samples: int = 4) -> F
     rig, solid, surface
         The scene.
     samples : int
-        Samples along each side of a pixel; each sample of a pixel sees another lamp of the ring.
+        Samples along each side of a pixel; each sample of a pixel sees another lamp of the ring, and the
+        four pixels of a square see the lamps between.
 
     Returns
     -------
@@ -86,12 +87,18 @@ def plain_light(rig: Rig, solid: Solid, surface: Surface, samples: int = 4) -> F
         Grey levels.
     """
     camera = rig.camera
-    angle = 2.0 * np.pi * np.arange(samples * samples) / (samples * samples)
+    count = 4 * samples * samples
+    angle = 2.0 * np.pi * np.arange(count) / count
     lamps = np.column_stack(
-        [rig.lamp_radius_mm * np.cos(angle), rig.lamp_radius_mm * np.sin(angle), 0 * angle + rig.lamp_height_mm]
+        [
+            rig.lamp_radius_mm * np.cos(angle),
+            rig.lamp_radius_mm * np.sin(angle),
+            0 * angle + rig.lamp_height_mm,
+        ]
     )
     # neighbouring samples see lamps far apart, so that a pixel's sub-areas are lit alike
-    lamps = np.ascontiguousarray(lamps[(np.arange(len(lamps)) * 7) % len(lamps)])
+    order = (np.arange(samples * samples) * 7) % (samples * samples)
+    lamps = np.ascontiguousarray(lamps.reshape(samples * samples, 4, 3)[order])
     image: Floats = _render_plain(
         solid.body(), _pinhole(camera), camera.rotation, lamps, _maps(surface), surface.texture,
         _albedo(surface, surface.plain_albedo), (camera.height_px, camera.width_px), samples,
@@ -164,8 +171,8 @@ def camera_ray(pinhole: Floats, rotation: Floats, x_px: float, y_px: float, d: F
 
 @njit(cache=True, nogil=True)
 def _render_laser(
-    body: Body, pinhole: Floats, rotation: Floats, projector: Floats, axis: Floats, planes: Floats, fan: Floats,
-    maps: Floats, texture: Floats, albedo: Floats, shape: tuple[int, int], samples: int,
+    body: Body, pinhole: Floats, rotation: Floats, projector: Floats, axis: Floats, planes: Floats,
+    fan: Floats, maps: Floats, texture: Floats, albedo: Floats, shape: tuple[int, int], samples: int,
 ) -> Floats:  # fmt: skip
     image = np.zeros((shape[0], shape[1], 2))
     point, normal, view = np.zeros(3), np.zeros(3), np.zeros(3)
@@ -202,8 +209,8 @@ def _render_laser(
                     run -= beam[m] * axis[m]
                 angle = math.asin(run) / fan[1]
                 light *= math.exp(-0.5 * angle * angle)
-                image[row, column, 0] += share * light * (
-                    grey * cosine + _shine(albedo[2 + on], albedo[4], normal, beam, view)
+                image[row, column, 0] += (
+                    share * light * (grey * cosine + _shine(albedo[2 + on], albedo[4], normal, beam, view))
                 )
     return image
 
@@ -223,15 +230,16 @@ def _shine(gloss: float, exponent: float, normal: Floats, beam: Floats, view: Fl
 
 @njit(cache=True, nogil=True)
 def _render_plain(
-    body: Body, pinhole: Floats, rotation: Floats, lamps: Floats, maps: Floats, texture: Floats, albedo: Floats,
-    shape: tuple[int, int], samples: int,
+    body: Body, pinhole: Floats, rotation: Floats, lamps: Floats, maps: Floats, texture: Floats,
+    albedo: Floats, shape: tuple[int, int], samples: int,
 ) -> Floats:  # fmt: skip
     image = np.zeros(shape)
     point, normal, view = np.zeros(3), np.zeros(3), np.zeros(3)
     beam, scratch = np.zeros(3), np.zeros(3)
     origin = pinhole[:3].copy()
     share = 1.0 / (samples * samples)
-    level = lamps[0, 2] / math.sqrt(lamps[0, 0] ** 2 + lamps[0, 1] ** 2 + lamps[0, 2] ** 2)
+    first = lamps[0, 0]
+    level = first[2] / math.sqrt(first[0] ** 2 + first[1] ** 2 + first[2] ** 2)
     for row in range(shape[0]):
         for column in range(shape[1]):
             for k in range(samples * samples):
@@ -242,7 +250,8 @@ def _render_plain(
                 if on < 0:
                     continue
                 normal_at(body, on, point, normal)
-                cosine = sees(body, point, normal, lamps[k], beam, scratch)
+                lamp = lamps[k, 2 * (row % 2) + column % 2]
+                cosine = sees(body, point, normal, lamp, beam, scratch)
                 grey = albedo[on] * _texture(maps, texture, point, on)
                 light = 0.25 * (0.5 + 0.5 * normal[2]) * grey
                 if cosine > 0.0:

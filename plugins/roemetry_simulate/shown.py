@@ -33,7 +33,7 @@ class Shown:
         The same at the lit and seen points alone.
     hollow_seen_mm : float
         Largest depth of a lit stripe's height, as a function of Y, below its own upper convex hull: what
-        a stripe shows without knowledge of the healthy shape. Fine relief alone gives 0.1–0.3.
+        a stripe shows without knowledge of the healthy shape. Fine relief alone gives less than 0.1.
     """
 
     length_mm: float
@@ -65,7 +65,8 @@ def shown(skein: Skein, truth: StripeTruth) -> Shown:
     """
     solid = skein.solid
     rows, columns = np.nonzero(solid.grid[..., 1] > 0.0)
-    x, y = solid.x0_mm + solid.step_mm * columns, solid.y0_mm + solid.step_mm * rows
+    x: Floats = solid.x0_mm + solid.step_mm * columns.astype(np.float64)
+    y: Floats = solid.y0_mm + solid.step_mm * rows.astype(np.float64)
     top, _ = solid.heights_mm(x, y)
     whole, _ = skein.reference.heights_mm(x, y)
     a, v = mid_line_coordinates(skein.record, x, y)

@@ -218,7 +218,11 @@ Surface = Callable[[Floats, Floats], ArrayLike]
 
 
 def on_grid(
-    extent_mm: tuple[float, float, float, float], step_mm: float, mid: Surface, u_top: Surface, u_bottom: Surface
+    extent_mm: tuple[float, float, float, float],
+    step_mm: float,
+    mid: Surface,
+    u_top: Surface,
+    u_bottom: Surface,
 ) -> GriddedSolid:
     """Sample three functions of (x, y) onto a grid.
 
@@ -240,7 +244,9 @@ def on_grid(
     x = x_min + step_mm * np.arange(int(np.ceil((x_max - x_min) / step_mm)) + 1)
     y = y_min + step_mm * np.arange(int(np.ceil((y_max - y_min) / step_mm)) + 1)
     xx, yy = np.meshgrid(x, y)
-    layers = [np.broadcast_to(np.asarray(f(xx, yy), dtype=np.float64), xx.shape) for f in (mid, u_top, u_bottom)]
+    layers = [
+        np.broadcast_to(np.asarray(f(xx, yy), dtype=np.float64), xx.shape) for f in (mid, u_top, u_bottom)
+    ]
     return GriddedSolid(x_min, y_min, step_mm, np.stack(layers, axis=-1))
 
 

@@ -61,7 +61,14 @@ def stripe_centres(camera: Camera, laser: LaserFan, solid: Solid, *, step_px: fl
     pinhole = np.array([*camera.centre_mm, *camera.principal_px, camera.focal_length_px])
     planes = np.column_stack([laser.normals, laser.offsets_mm])
     found = _search(
-        solid.body(), pinhole, camera.rotation, laser.projector_mm, planes, camera.height_px, camera.width_px, step_px
+        solid.body(),
+        pinhole,
+        camera.rotation,
+        laser.projector_mm,
+        planes,
+        camera.height_px,
+        camera.width_px,
+        step_px,
     )
     for array in found:
         array.flags.writeable = False
@@ -70,7 +77,14 @@ def stripe_centres(camera: Camera, laser: LaserFan, solid: Solid, *, step_px: fl
 
 @njit(cache=True, nogil=True)
 def _side(
-    body: Body, pinhole: Floats, rotation: Floats, plane: Floats, x_px: float, y_px: float, view: Floats, point: Floats
+    body: Body,
+    pinhole: Floats,
+    rotation: Floats,
+    plane: Floats,
+    x_px: float,
+    y_px: float,
+    view: Floats,
+    point: Floats,
 ) -> tuple[float, int]:
     """Signed distance to the plane of what the camera sees at an image point; also on what it lies."""
     camera_ray(pinhole, rotation, x_px, y_px, view)
@@ -106,7 +120,7 @@ def _search(
                         sides[k, i] += planes[i, m] * point[m]
         for i in range(count):
             for k in range(steps):
-                if not ((sides[k, i] <= 0.0) != (sides[k + 1, i] <= 0.0)):
+                if (sides[k, i] <= 0.0) == (sides[k + 1, i] <= 0.0):
                     continue
                 low, high = -0.5 + k * step_px, -0.5 + (k + 1) * step_px
                 low_negative = sides[k, i] <= 0.0

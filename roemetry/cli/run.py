@@ -81,11 +81,13 @@ def _described(outcome: Outcome) -> dict[str, object]:
 def _show(recipe: Recipe, outcome: Outcome) -> None:
     from rich.console import Console
 
-    from roemetry.cli.table import table_of
+    from roemetry.cli.table import problems_of, table_of
     from roemetry.runner import RECORD, read_record
 
     console = Console()
     console.print(table_of(recipe.product, read_record(outcome.folder), sum(outcome.counts.values())))
+    for problem in problems_of(read_record(outcome.folder)):
+        console.print(problem, highlight=False, markup=False, soft_wrap=True)
     counts = ", ".join(f"{number} {status}" for status, number in outcome.counts.items() if number)
     console.print(f"{counts or 'nothing measured'}", highlight=False)
     for file in (outcome.folder / RECORD, *outcome.files[:10]):

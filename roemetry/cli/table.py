@@ -12,6 +12,14 @@ from rich.text import Text
 from roemetry.records import Measurement
 from roemetry.units import mm3_to_cm3, stated
 
+def problems_of(measurements: Iterable[Measurement]) -> list[str]:
+    """Write a line for each row that was not measured, with the reason."""
+    return [
+        f"{row.id}: {row.reasons[0].text if row.reasons else row.status}"
+        for row in islice((row for row in measurements if row.status != "measured"), _ROWS_MAX)
+    ]
+
+
 _ROWS_MAX = 40
 _COLOURS = {"measured": "green", "empty": "yellow", "failed": "red"}
 
@@ -24,12 +32,8 @@ def table_of(title: str, measurements: Iterable[Measurement], rows: int) -> Tabl
         table.add_column(heading)
     for heading in ("weight g", "visible cm³", "height mm", "stripes", "ambiguous"):
         table.add_column(heading, justify="right")
-    table.add_column("why", overflow="fold")
     for row in islice(measurements, _ROWS_MAX):
         coding = row.coding
-        why = row.reasons[0].text if row.status != "measured" and row.reasons else ""
-        if row.status == "measured" and row.grade is not None and row.grade.reasons:
-            why = row.grade.reasons[0].text
         table.add_row(
             Text(row.id),
             Text(row.status, style=_COLOURS[row.status]),
@@ -39,6 +43,5 @@ def table_of(title: str, measurements: Iterable[Measurement], rows: int) -> Tabl
             "" if math.isnan(row.height_max_mm) else stated(row.height_max_mm, 1),
             "" if coding is None else f"{coding.stripes_seen}/{coding.stripes}",
             "" if coding is None else str(coding.ambiguous),
-            Text(why),
         )
     return table

@@ -73,7 +73,9 @@ def test_a_file_size_limit_of_the_system(tmp_path: Path) -> None:
     assert path.read_text(encoding="utf-8") == ("x" * 99 + "\n") * 10
 
 
-def test_write_whole_keeps_the_old_file_when_it_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_write_whole_keeps_the_old_file_when_it_fails(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / "report.html"
     write_whole(path, "old")
 

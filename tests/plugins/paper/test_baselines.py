@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from roemetry_paper.binary_threshold import BinaryThreshold, BinaryThresholdOptions
-from roemetry_paper.dominant_peak import DominantPeak, DominantPeakOptions
-from roemetry_paper.local_maximum import LocalMaximum, LocalMaximumOptions
 
 from roemetry.errors import DataError
 from roemetry.records import EDGE, SATURATED, Frame
+from roemetry_paper.binary_threshold import BinaryThreshold, BinaryThresholdOptions
+from roemetry_paper.dominant_peak import DominantPeak, DominantPeakOptions
+from roemetry_paper.local_maximum import LocalMaximum, LocalMaximumOptions
 
 
 def frame_of(row, dtype=np.uint8):
@@ -155,3 +155,25 @@ class TestEveryExtractor:
         extractor.extract(Frame(pixels))
         np.testing.assert_array_equal(pixels, before)
         assert pixels.flags.writeable
+
+
+def test_the_papers_figures_7_and_9_can_be_made_again(tmp_path, capsys):
+    figures = pytest.importorskip("benchmarks.paper_figures", reason="only in a checkout")
+    import xml.etree.ElementTree as ElementTree
+
+    import cv2
+
+    x = np.arange(120)
+    row = sum(peak * np.exp(-0.5 * ((x - at) / 2.0) ** 2) for peak, at in ((240, 20), (150, 60), (110, 100)))
+    cv2.imwrite(str(tmp_path / "a & b.png"), np.tile(row.round().astype(np.uint8), (50, 1)))
+    figures.main([str(tmp_path / "a & b.png"), "--row", "20", "--out", str(tmp_path / "out")])
+    printed = capsys.readouterr().out
+    assert "threshold A (200)          1: 20" in printed
+    assert "threshold C (40)           3: 20, 60, 100" in printed
+    assert "dominant peak (by 100)     3: 20, 60, 100" in printed
+    svg = ElementTree.parse(tmp_path / "out" / "figure_7.svg").getroot()
+    assert len(svg.findall("{http://www.w3.org/2000/svg}g")) == 5
+    # Four pictures of 120 × 50 px with 8 px beside them and a caption below.
+    assert cv2.imread(str(tmp_path / "out" / "figure_9.png")).shape == (50 + 8 + 34, 4 * (120 + 16), 3)
+    with pytest.raises(SystemExit):
+        figures.main([str(tmp_path / "a & b.png"), "--row", "0", "--out", str(tmp_path / "out")])

@@ -1,0 +1,1 @@
+"""Speed and trueness, measured by one command each; and the paper's figures made again."""

@@ -1,0 +1,162 @@
+"""A measurement as people read it: what the summary table and a product's card say."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+from dataclasses import dataclass
+
+from markupsafe import Markup
+
+from roemetry.records import Measurement, Reason, Shares
+from roemetry.units import MM3_PER_CM3, NOT_STATED
+from roemetry_report.charts import share_bar
+from roemetry_report.words import percent, plain, uncertainty, value
+
+_MAIN_REASONS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """A number with its uncertainty in words; `sort` is the number itself, for sorting."""
+
+    text: str
+    std: str
+    sort: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Pill:
+    """A verdict: words, a sign and a tone, so that colour is never alone."""
+
+    words: str
+    sign: str
+    tone: str
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One measurement in words.
+
+    Attributes
+    ----------
+    shares_of
+        What the shares are shares of: the volume, or (without one) the points.
+    main
+        The few reasons that matter most for this row.
+    more
+        How many further reasons there are.
+    """
+
+    id: str
+    status: Pill
+    grade: Pill | None
+    weight: Figure
+    volume: Figure
+    true_volume: Figure | None
+    height: Figure
+    displacement: Figure
+    share_bar: Markup | None
+    share_words: tuple[str, str, str] | None
+    share_sort: float | None
+    shares_of: str
+    stripes: str
+    stripes_sort: int | None
+    ambiguous: str
+    ambiguous_sort: int | None
+    main: tuple[Reason, ...]
+    more: int
+
+
+def row_of(measurement: Measurement, common: Collection[Reason] = ()) -> Row:
+    """Write a measurement for people; reasons in `common` are said elsewhere."""
+    coding, volume = measurement.coding, measurement.volume
+    shares, shares_of = _shares(measurement)
+    reasons = [reason for reason in _by_weight(measurement) if reason not in common]
+    known = shares is not None and math.isfinite(shares.seen + shares.interpolated + shares.assumed)
+    return Row(
+        id=measurement.id,
+        status=status_pill(measurement.status),
+        grade=None if measurement.grade is None else grade_pill(measurement.grade.label),
+        weight=_NONE
+        if measurement.weight is None
+        else Figure(
+            value(measurement.weight.mass_g, digits=1),
+            uncertainty(measurement.weight.mass_g, digits=1),
+            _sortable(measurement.weight.mass_g.value),
+        ),
+        volume=_NONE
+        if volume is None
+        else Figure(
+            value(volume.visible_mm3, MM3_PER_CM3),
+            uncertainty(volume.visible_mm3, MM3_PER_CM3),
+            _sortable(volume.visible_mm3.value),
+        ),
+        true_volume=None
+        if volume is None or volume.true_mm3 is None
+        else Figure(
+            value(volume.true_mm3, MM3_PER_CM3),
+            uncertainty(volume.true_mm3, MM3_PER_CM3),
+            _sortable(volume.true_mm3.value),
+        ),
+        height=Figure(plain(measurement.height_max_mm, 1), NOT_STATED, _sortable(measurement.height_max_mm)),
+        displacement=_NONE
+        if coding is None
+        else Figure(
+            plain(coding.displacement_max_px, 1), NOT_STATED, _sortable(abs(coding.displacement_max_px))
+        ),
+        share_bar=None if shares is None else share_bar(shares),
+        share_words=(percent(shares.seen), percent(shares.interpolated), percent(shares.assumed))
+        if shares is not None and known
+        else None,
+        share_sort=_sortable(shares.seen) if shares is not None else None,
+        shares_of=shares_of,
+        stripes="–" if coding is None else f"{coding.stripes_seen} of {coding.stripes}",
+        stripes_sort=None if coding is None else coding.stripes_seen,
+        ambiguous="–" if coding is None else str(coding.ambiguous),
+        ambiguous_sort=None if coding is None else coding.ambiguous,
+        main=tuple(reasons[:_MAIN_REASONS]),
+        more=max(0, len(reasons) - _MAIN_REASONS),
+    )
+
+
+def status_pill(status: str) -> Pill:
+    """Give the sign and tone of a status."""
+    sign, tone = {"measured": ("●", "plain"), "empty": ("○", "quiet"), "failed": ("✕", "bad")}.get(
+        status, ("?", "quiet")
+    )
+    return Pill(status, sign, tone)
+
+
+def grade_pill(label: str) -> Pill:
+    """Give the sign and tone of a grade; a label that is not known to be good is one to look at."""
+    if label == "unknown":
+        return Pill(label, "?", "quiet")
+    return Pill(label, "✓", "good") if label.lower() in _GOOD else Pill(label, "!", "warn")
+
+
+_GOOD = frozenset({"good", "ok", "pass", "accept", "accepted", "normal"})
+_NONE = Figure("–", "", None)
+
+
+def _by_weight(measurement: Measurement) -> tuple[Reason, ...]:
+    """Give the reasons with what is missing first, then the grade's, then the rest; each once."""
+    grade = () if measurement.grade is None else measurement.grade.reasons
+    failed = tuple(r for r in measurement.reasons if r in measurement.absent.values())
+    if measurement.status == "failed" and not failed:
+        failed = tuple(measurement.absent.values())
+    return tuple(dict.fromkeys((*failed, *grade, *measurement.all_reasons)))
+
+
+def _shares(measurement: Measurement) -> tuple[Shares | None, str]:
+    if measurement.volume is not None:
+        return measurement.volume.shares, "of the visible volume"
+    coding = measurement.coding
+    if coding is None or not coding.rows_seen + coding.rows_interpolated or measurement.product == 0:
+        return None, ""
+    seen = coding.rows_seen / (coding.rows_seen + coding.rows_interpolated)
+    return Shares(seen, 1 - seen, 0.0), "of the points"
+
+
+def _sortable(number: float) -> float | None:
+    return number if math.isfinite(number) else None

@@ -1,0 +1,148 @@
+"""Records refuse what they must not hold, cannot be changed, and come back from the record of a run."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from roemetry.errors import DataError
+from roemetry.records import (
+    Coding,
+    Estimate,
+    Frame,
+    Grade,
+    Measurement,
+    Peaks,
+    Reason,
+    Shares,
+    StripeMap,
+    Volume,
+    Weight,
+)
+
+
+def peaks(row: list[int], x_px: list[float], size: tuple[int, int] = (4, 20)) -> Peaks:
+    n = len(row)
+    nothing = np.full(n, np.nan)
+    return Peaks(size, np.array(row), np.array(x_px), nothing, nothing, nothing, nothing, np.zeros(n))
+
+
+def test_peaks_are_found_by_row() -> None:
+    found = peaks([0, 0, 2, 2, 2], [1.0, 5.0, 2.0, 3.0, 9.0])
+    assert found.row_start.tolist() == [0, 2, 2, 5, 5]
+    assert len(peaks([], [])) == 0
+
+
+@pytest.mark.parametrize(
+    ("row", "x_px", "fault"),
+    [
+        ([1, 0], [1.0, 1.0], "not sorted"),
+        ([0, 0], [5.0, 1.0], "not sorted"),
+        ([0, 9], [1.0, 1.0], "row is outside"),
+        ([0], [25.0], "x_px is outside"),
+    ],
+)
+def test_peaks_refuse(row: list[int], x_px: list[float], fault: str) -> None:
+    with pytest.raises(DataError, match=fault):
+        peaks(row, x_px)
+
+
+def test_all_faults_of_a_record_are_told_at_once() -> None:
+    with pytest.raises(DataError) as caught:
+        Peaks(
+            (4, 20), np.zeros(3), np.zeros(2), np.zeros(3), np.zeros(1), np.zeros(3), np.zeros(3), np.zeros(3)
+        )
+    assert "x_px has shape (2,)" in str(caught.value)
+    assert "amplitude has shape (1,)" in str(caught.value)
+
+
+def test_records_are_read_only_and_leave_the_array_they_came_from_alone() -> None:
+    x_px = np.array([1.0, 5.0])
+    made = peaks([0, 0], [1.0, 5.0])
+    made = Peaks((4, 20), np.array([0, 0]), x_px, x_px, x_px, x_px, x_px, np.zeros(2))
+    with pytest.raises(ValueError, match="read-only"):
+        made.x_px[0] = 3.0
+    x_px[0] = 0.5
+
+
+def test_a_stripe_map_without_x_has_no_product() -> None:
+    nothing = np.full((1, 2), np.nan)
+    with pytest.raises(DataError, match="product is −1 exactly where"):
+        StripeMap(
+            nothing,
+            nothing,
+            np.zeros((1, 2)),
+            np.zeros((1, 2)),
+            nothing,
+            np.zeros((1, 2)),
+            nothing,
+            np.zeros(0),
+        )
+
+
+@pytest.mark.parametrize(
+    ("pixels", "fault"),
+    [
+        (np.zeros((4, 4)), "float64"),
+        (np.zeros((0, 4), np.uint8), "empty"),
+        (np.zeros((4, 4, 2), np.uint8), "shape"),
+    ],
+)
+def test_frames_refuse(pixels: np.ndarray, fault: str) -> None:
+    with pytest.raises(DataError, match=fault):
+        Frame(pixels)
+
+
+def test_bit_depth_must_fit() -> None:
+    assert Frame(np.zeros((2, 2), np.uint16), bit_depth=12).white == 4095
+    with pytest.raises(DataError, match="cannot hold"):
+        Frame(np.zeros((2, 2), np.uint8), bit_depth=12)
+
+
+numbers = st.floats(allow_nan=True, allow_infinity=False, width=64)
+texts = st.text(max_size=20)
+reasons = st.lists(st.builds(Reason, texts, texts), max_size=3).map(tuple)
+estimates = st.builds(Estimate, numbers, numbers, st.dictionaries(texts, numbers, max_size=3))
+
+
+@given(st.data())
+def test_a_measurement_comes_back_from_its_line(data: st.DataObject) -> None:
+    slices = data.draw(st.integers(0, 4))
+    measurement = Measurement(
+        id=data.draw(texts),
+        acquisition=data.draw(texts),
+        product=data.draw(st.integers(0, 9)),
+        status=data.draw(st.sampled_from(["measured", "empty", "failed"])),
+        products=data.draw(st.integers(1, 9)),
+        coding=data.draw(st.none() | st.just(Coding(11, 9, 100, 90, 6, 4, 50, 3, math.nan, -3.5))),
+        height_max_mm=data.draw(numbers),
+        volume=Volume(
+            data.draw(estimates),
+            data.draw(st.none() | estimates),
+            Shares(0.5, 0.25, 0.25),
+            np.arange(slices),
+            np.linspace(0, 1, slices),
+            np.ones(slices),
+            data.draw(reasons),
+        ),
+        weight=Weight(data.draw(estimates), data.draw(reasons)),
+        grade=Grade(data.draw(texts), data.draw(numbers), {"arcs": 3.0}, data.draw(reasons)),
+        absent=data.draw(st.dictionaries(texts, st.builds(Reason, texts, texts), max_size=2)),
+        reasons=data.draw(reasons),
+        provenance=data.draw(st.dictionaries(texts, texts, max_size=2)),
+    )
+    line = measurement.to_json()
+    assert "\n" not in line
+    assert "NaN" not in json.dumps(json.loads(line))
+    assert Measurement.from_json(line).to_json() == line
+
+
+@pytest.mark.parametrize("line", ["", "{}", "[1]", '{"id": 3}', "nonsense"])
+def test_a_line_that_is_no_measurement(line: str) -> None:
+    with pytest.raises(DataError, match="not a measurement"):
+        Measurement.from_json(line)

@@ -1,0 +1,331 @@
+"""Henkei by arcs along the stripes, against circles whose centres are known."""
+
+import math
+import time
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from roemetry.calibration import Calibration
+from roemetry.records import Product, Profiles
+from roemetry_kernels.arcs import body_curves, smoothed, to_centres
+from roemetry_paper.arc_curvature import ArcCurvature, ArcCurvatureOptions
+
+ROWS = 480
+REST_PX = 300.0
+
+
+def product_of(curves, displacement=-1.0, mm_per_row=1.0, number=1):
+    """A product from (stripe, rows, x_px) curves on a rig whose stripes rest at x = 300 px.
+
+    Heights are (x − 300) / displacement mm; Y falls by `mm_per_row` with each row.
+    """
+    stripes = max(stripe for stripe, _, _ in curves) + 1
+    xyz_mm = np.full((stripes, ROWS, 3), np.nan)
+    label = np.full((stripes, ROWS), -1, np.int16)
+    x_px, row_px = np.full((stripes, ROWS), np.nan), np.full((stripes, ROWS), np.nan)
+    for stripe, rows, x in curves:
+        rows = np.asarray(rows)
+        x_px[stripe, rows], row_px[stripe, rows], label[stripe, rows] = x, rows, number
+        xyz_mm[stripe, rows, 0] = 0.0
+        xyz_mm[stripe, rows, 1] = -mm_per_row * rows
+        xyz_mm[stripe, rows, 2] = (x_px[stripe, rows] - REST_PX) / displacement
+    calibration = Calibration(
+        method="test",
+        image_size=(ROWS, 640),
+        turn_deg=0,
+        rest_px=np.full((stripes, 1), REST_PX),
+        displacement_px_per_mm=np.full(stripes, displacement),
+        height_range_mm=(0.0, 100.0),
+        parameters={},
+        covariance=np.zeros((0, 0)),
+    )
+    profiles = Profiles(
+        xyz_mm=xyz_mm,
+        product=label,
+        seen=label > 0,
+        x_px=x_px,
+        row_px=row_px,
+        height_std_mm=np.full((stripes, ROWS), np.nan),
+        stripe=np.arange(stripes),
+        frame=np.zeros(stripes, np.int64),
+        plane=np.tile([1.0, 0.0, 0.0, 0.0], (stripes, 1)),
+    )
+    return Product(number, profiles, calibration, ("a",))
+
+
+def circle(radius, bows, rows=None, middle_row=200.0, x=300.0):
+    """Rows and x of an arc of a circle that bows to the left or right; `x` is where it bows farthest."""
+    rows = np.arange(160, 241) if rows is None else rows
+    across = radius - np.sqrt(radius**2 - (rows - middle_row) ** 2)
+    return rows, x + (across if bows == "left" else -across)
+
+
+def grade_of(product, **options):
+    return ArcCurvature(ArcCurvatureOptions(**options)).classify(product)
+
+
+def codes(grade):
+    return [reason.code for reason in grade.reasons]
+
+
+@pytest.mark.parametrize("radius", [45.0, 60.0, 79.0, 500.0])
+def test_circle_bowing_left_is_convex_with_its_known_centre(radius):
+    grade = grade_of(product_of([(0, *circle(radius, "left"))]))
+    assert grade.label == "good"
+    np.testing.assert_allclose(grade.marks.value, radius, atol=1e-6)  # px
+    np.testing.assert_allclose(grade.marks.to_px, [[300.0 + radius, 200.0]] * 4, atol=1e-6)  # px
+    assert grade.features["arcs"] == 4
+    assert grade.features["arcs_concave"] == 0
+    assert math.isnan(grade.features["smallest_concave_radius_px"])
+    assert not grade.marks.flagged.any()
+    assert codes(grade) == ["no-concave-arc"]
+
+
+@pytest.mark.parametrize(("radius", "label"), [(45.0, "henkei"), (79.9, "henkei"), (80.1, "good")])
+def test_circle_bowing_right_is_concave(radius, label):
+    grade = grade_of(product_of([(0, *circle(radius, "right"))]))
+    assert grade.label == label
+    np.testing.assert_allclose(grade.marks.value, -radius, atol=1e-6)  # px
+    np.testing.assert_allclose(grade.marks.to_px, [[300.0 - radius, 200.0]] * 4, atol=1e-6)  # px
+    assert grade.features["smallest_concave_radius_px"] == pytest.approx(radius, abs=1e-6)  # px
+    assert grade.features["arcs_flagged"] == (4 if label == "henkei" else 0)
+
+
+@pytest.mark.parametrize("bows", ["left", "right"])
+def test_a_mirrored_rig_grades_the_same(bows):
+    rows, x = circle(60.0, bows)
+    straight = grade_of(product_of([(0, rows, x)], displacement=-2.0))
+    mirrored = grade_of(product_of([(0, rows, 2 * REST_PX - x)], displacement=2.0))
+    assert straight.label == mirrored.label == ("good" if bows == "left" else "henkei")
+    np.testing.assert_allclose(straight.marks.value, mirrored.marks.value, atol=1e-9)  # px
+    np.testing.assert_allclose(
+        mirrored.marks.to_px[:, 0], 600.0 - straight.marks.to_px[:, 0], atol=1e-6
+    )  # px
+    assert straight.features == pytest.approx(mirrored.features, nan_ok=True)
+
+
+def test_only_the_stripe_with_the_dent_is_named_counted_from_one():
+    curves = [(stripe, *circle(60.0, "left")) for stripe in range(5)]
+    curves[3] = (3, *circle(50.0, "right"))
+    grade = grade_of(product_of(curves))
+    assert grade.label == "henkei"
+    text = grade.reasons[0].text
+    assert text.startswith("4 of 20 arcs are concave with a radius between 4 and 80 px; ")
+    assert "radius 50 px (a bow of 2.3 px), is on stripe 4 at x 297 px, row 216" in text
+    assert set(grade.marks.stripe[grade.marks.flagged]) == {3}
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.5, -0.37])
+def test_a_straight_line_is_infinitely_flat_and_not_drawn(slope):
+    rows = np.arange(100, 200)
+    grade = grade_of(product_of([(0, rows, 300.0 + slope * (rows - 100))]))
+    assert grade.label == "good"
+    assert grade.features["arcs"] == 6
+    assert grade.features["arcs_concave"] == 0
+    assert grade.marks.value.size == 0
+
+
+@pytest.mark.parametrize("count", [1, 2, 14, 15, 28, 29, 42, 43, 57, 100])
+@pytest.mark.parametrize("delta", [14, 3])
+def test_n_points_give_as_many_centres_as_the_formula_says(count, delta):
+    rows = np.arange(100, 100 + count)
+    x = circle(400.0, "left", rows, middle_row=150.0)[1]
+    grade = grade_of(product_of([(0, rows, x)]), delta_samples=delta)
+    expected = max(0, (count - 1) // delta - 1)
+    assert grade.features["arcs"] == expected
+    assert grade.label == ("good" if expected else "unknown")
+    if expected:
+        assert grade.marks.from_px[:, 1].tolist() == [100.0 + delta * i for i in range(1, expected + 1)]
+
+
+def test_too_few_points_are_unknown_with_the_numbers():
+    grade = grade_of(product_of([(0, np.arange(100, 128), 300.0)]))
+    assert grade.label == "unknown"
+    assert codes(grade) == ["too-few-points"]
+    assert "29 points" in grade.reasons[0].text
+    assert "longest has 28" in grade.reasons[0].text
+
+
+def test_no_points_at_all_are_unknown():
+    empty = product_of([(0, np.arange(100, 150), 300.0)])
+    assert ArcCurvature().classify(Product(2, empty.profiles, empty.calibration, ("a",))).label == "unknown"
+
+
+def test_curves_are_cut_where_rows_are_missing():
+    rows, x = circle(60.0, "right", np.arange(150, 251))
+    kept = rows != 180
+    grade = grade_of(product_of([(0, rows[kept], x[kept])]))
+    # 30 points above the gap give one centre, 70 below it three.
+    assert grade.features["arcs"] == 4
+    np.testing.assert_allclose(grade.marks.value, -60.0, atol=1e-6)  # px
+
+
+def test_points_may_stand_in_any_order():
+    product = product_of([(0, *circle(60.0, "right")), (1, *circle(70.0, "left"))])
+    profiles = product.profiles
+    turned = Profiles(
+        **{
+            name: getattr(profiles, name)[:, ::-1]
+            for name in ("xyz_mm", "product", "seen", "x_px", "row_px", "height_std_mm")
+        },
+        stripe=profiles.stripe,
+        frame=profiles.frame,
+        plane=profiles.plane,
+    )
+    straight = grade_of(product)
+    other = grade_of(Product(1, turned, product.calibration, ("a",)))
+    np.testing.assert_array_equal(straight.marks.to_px, other.marks.to_px)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "label"),
+    [(4.0, 50.0, "good"), (4.0, 50.001, "henkei"), (50.0, 80.0, "good"), (49.999, 80.0, "henkei")],
+)
+def test_limits_are_exclusive(low, high, label):
+    # Chord 28 px, bow 2 px: (14² + 2²) / (2 · 2) = 50 px, exactly.
+    rows = np.arange(100, 129)
+    x = np.where(rows == 114, 302.0, 300.0)
+    grade = grade_of(product_of([(0, rows, x)]), radius_min_px=low, radius_max_px=high)
+    assert grade.marks.value.tolist() == [-50.0]
+    assert grade.label == label
+
+
+def test_the_papers_lower_limit_acts_only_below_delta():
+    rows = np.arange(100, 103)
+    product = product_of([(0, rows, [300.0, 301.0, 300.0])])  # radius 1 px
+    assert grade_of(product, delta_samples=1).label == "good"
+    assert grade_of(product, delta_samples=1, radius_min_px=0.5).label == "henkei"
+
+
+def test_more_than_one_arc_can_be_asked_for():
+    product = product_of([(0, *circle(60.0, "right"))])
+    assert grade_of(product, henkei_arcs_min=4).label == "henkei"
+    few = grade_of(product, henkei_arcs_min=5)
+    assert few.label == "good"
+    assert codes(few) == ["few-concave-arcs"]
+    assert "fewer than the 5" in few.reasons[0].text
+
+
+def test_millimetres_equal_pixels_on_a_rig_of_unit_scales():
+    curves = [(0, *circle(60.0, "right")), (1, *circle(70.0, "left"))]
+    pixels = grade_of(product_of(curves, displacement=-1.0), space="px")
+    millimetres = grade_of(product_of(curves, displacement=-1.0), space="mm")
+    assert pixels.label == millimetres.label == "henkei"
+    np.testing.assert_allclose(pixels.marks.value, millimetres.marks.value, atol=1e-9)
+    np.testing.assert_array_equal(pixels.marks.flagged, millimetres.marks.flagged)
+    np.testing.assert_allclose(pixels.marks.to_px, millimetres.marks.to_px, atol=1e-9)  # px
+    assert millimetres.marks.unit == "mm"
+    assert pixels.marks.unit == "px"
+    assert millimetres.features["smallest_concave_radius_mm"] == pytest.approx(60.0, abs=1e-9)  # mm
+
+
+@pytest.mark.parametrize("displacement", [-2.5, 2.5])
+def test_millimetres_are_those_of_the_cross_section(displacement):
+    # A circular dent of radius 20 mm in the cross-section, on a rig of 0.2 mm a row and ±2.5 px/mm.
+    mm_per_row, radius_mm = 0.2, 20.0
+    rows = np.arange(160, 241)
+    z_mm = 20.0 - np.sqrt(radius_mm**2 - (mm_per_row * (rows - 200)) ** 2)
+    product = product_of([(0, rows, REST_PX + displacement * z_mm)], displacement, mm_per_row)
+    grade = grade_of(product, space="mm", radius_min_mm=1.0, radius_max_mm=21.0)
+    np.testing.assert_allclose(grade.marks.value, -radius_mm, atol=1e-6)  # mm
+    assert grade.label == "henkei"
+    assert grade_of(product, space="mm", radius_min_mm=1.0, radius_max_mm=19.9).label == "good"
+
+
+def test_converted_limits_agree_with_pixels_at_small_slope():
+    # 80 px at 0.5 mm a row and 8 px/mm: 80 · 0.5² · 8 = 160 mm.
+    mm_per_row, displacement = 0.5, -8.0
+    rows = np.arange(186, 215)
+    for radius_mm, label in ((155.0, "henkei"), (165.0, "good")):
+        z_mm = (mm_per_row * (rows - 200)) ** 2 / (2 * radius_mm)
+        product = product_of([(0, rows, REST_PX + displacement * z_mm)], displacement, mm_per_row)
+        millimetres = grade_of(product, space="mm")
+        assert millimetres.label == grade_of(product, space="px").label == label
+        assert "and 160 mm" in millimetres.reasons[0].text
+
+
+def test_whole_pixels_turn_a_flat_product_into_henkei_and_smoothing_mends_it():
+    # What the rule does on whole-pixel peaks: gently convex stripes (radius 400 px), half a pixel of noise.
+    rows = np.arange(120, 321)
+    rng = np.random.default_rng(3)
+    x = circle(400.0, "left", rows, 220.0)[1]
+    product = product_of([(s, rows, np.rint(x + rng.normal(0, 0.5, rows.size))) for s in range(11)])
+    assert grade_of(product).label == "henkei"
+    assert grade_of(product, smoothing_rows=41).label == "good"
+
+
+def test_smoothing_leaves_a_parabola_alone_up_to_its_ends():
+    rows = np.arange(100, 171)
+    product = product_of(
+        [(0, rows, 300.0 + 0.01 * (rows - 130.0) ** 2), (1, rows[:4], 300.0), (2, [7], 300.0)]
+    )
+    curves = body_curves(product.profiles, 1)
+    values = np.stack([product.profiles.x_px[curves.slice, curves.point], rows_of(product, curves)], axis=1)
+    assert curves.size.tolist() == [71, 4, 1]
+    np.testing.assert_allclose(smoothed(curves, values, 21), values, atol=1e-9)  # px
+
+
+def rows_of(product, curves):
+    return product.profiles.row_px[curves.slice, curves.point]
+
+
+def test_smoothing_is_the_local_quadratic():
+    rows = np.arange(100, 140)
+    x = 300.0 + np.random.default_rng(4).normal(0, 1, rows.size)
+    product = product_of([(0, rows, x)])
+    curves = body_curves(product.profiles, 1)
+    smooth = smoothed(curves, x[:, None], 9)[:, 0]
+    for i in range(rows.size):
+        begin = min(max(i - 4, 0), rows.size - 9)
+        window = slice(begin, begin + 9)
+        quadratic = np.polyfit(rows[window] - 120.0, x[window], 2)
+        assert smooth[i] == pytest.approx(np.polyval(quadratic, rows[i] - 120.0), abs=1e-8)  # px
+
+
+def test_centres_are_equally_far_from_all_three_points():
+    rng = np.random.default_rng(5)
+    before, middle, after = rng.uniform(0, 100, (3, 1000, 2))
+    to_centre = to_centres(before, middle, after)
+    radius = np.hypot(*to_centre.T)
+    kept = radius < 1e4
+    for point in (before, after):
+        distance = np.hypot(*(middle + to_centre - point).T)
+        np.testing.assert_allclose(distance[kept], radius[kept], atol=1e-5)
+    assert kept.mean() > 0.9
+
+
+def test_coinciding_points_are_no_error():
+    point = np.array([[1.0, 2.0]])
+    assert np.isinf(to_centres(point, point, point)).all()
+    assert np.isinf(to_centres(point, point, point + 1.0)).all()
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"smoothing_rows": 4},
+        {"smoothing_rows": 1},
+        {"radius_min_px": 80.0},
+        {"radius_min_mm": 5.0, "radius_max_mm": 5.0},
+        {"delta_samples": 0},
+        {"henkei_arcs_min": 0},
+    ],
+)
+def test_options_that_make_no_sense_are_refused(options):
+    with pytest.raises(ValidationError):
+        ArcCurvatureOptions(**options)
+
+
+def test_eleven_stripes_take_less_than_a_millisecond():
+    rows = np.arange(150, 300)
+    product = product_of([(s, rows, circle(100.0, "left", rows, 225.0)[1]) for s in range(11)])
+    classifier = ArcCurvature()
+    seconds = []
+    for _ in range(50):
+        begin = time.perf_counter()
+        classifier.classify(product)
+        seconds.append(time.perf_counter() - begin)
+    # 0.3 ms are measured; the test allows for a busy machine.
+    assert min(seconds) < 1e-3

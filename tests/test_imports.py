@@ -1,0 +1,50 @@
+"""House rules on imports: cheap where it counts, one way, no plugin in the core."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+HEAVY = ("numba", "cv2", "scipy", "open3d", "matplotlib", "jinja2")
+
+
+@pytest.mark.parametrize("words", [["--help"], ["run", "--help"], ["plugins"], ["--version"]], ids=" ".join)
+def test_what_a_user_waits_for_imports_nothing_heavy(words: list[str]) -> None:
+    program = (
+        "import sys\n"
+        f"sys.argv = ['roemetry', *{words!r}]\n"
+        "from roemetry.cli.main import main\n"
+        "try: main()\n"
+        "except SystemExit: pass\n"
+        f"found = [name for name in {HEAVY!r} if name in sys.modules]\n"
+        "assert not found, found\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_importing_roemetry_imports_nothing_but_itself() -> None:
+    program = (
+        "import sys; import roemetry; print([m for m in ('numpy', 'typer', 'pydantic') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_every_public_name_is_there() -> None:
+    import roemetry
+
+    for name in roemetry.__all__:
+        assert getattr(roemetry, name).__name__ == name
+    with pytest.raises(AttributeError):
+        _ = roemetry.nothing  # type: ignore[attr-defined]
+
+
+def test_no_file_holds_two_ideas(root: Path) -> None:
+    """A file past 350 lines usually holds two."""
+    files = [*root.glob("roemetry/**/*.py"), *root.glob("plugins/**/*.py")]
+    assert len(files) > 40
+    assert {file.name: n for file in files if (n := len(file.read_text("utf-8").splitlines())) > 350} == {}

@@ -1,0 +1,47 @@
+"""House rules on packaging: what is declared is there, and what is there is declared."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from importlib.metadata import entry_points
+from pathlib import Path
+
+from roemetry.registry import discover
+from roemetry.stages import INTERFACES
+
+LIBRARIES = {"roemetry_kernels", "roemetry_simulate"}
+
+
+def test_entry_points_equal_folders_equal_what_is_installed(root: Path) -> None:
+    project = tomllib.loads((root / "pyproject.toml").read_text("utf-8"))["project"]
+    declared = set(project["entry-points"]["roemetry"].values())
+    folders = {folder.name for folder in (root / "plugins").iterdir() if (folder / "__init__.py").exists()}
+    installed = {point.value for point in entry_points(group="roemetry") if point.dist.name == "roemetry"}
+    assert declared == folders - LIBRARIES
+    assert installed == declared, "reinstall: pip install -e ."
+
+
+def test_every_registered_stage_can_be_imported_and_is_of_its_kind() -> None:
+    registry = discover()
+    assert registry.broken == ()
+    for stage in registry.stages:
+        found = registry.load(stage)
+        assert issubclass(found, INTERFACES[stage.entry.kind])
+        for name, field in found.Options.model_fields.items():
+            assert field.description, f"{stage.entry.name}.{name} has no description"
+
+
+def test_names_are_kebab_case() -> None:
+    for stage in discover().stages:
+        assert re.fullmatch(r"[a-z0-9]+(-[a-z0-9]+)*", stage.entry.name)
+
+
+def test_every_package_is_typed(root: Path) -> None:
+    packages = [root / "roemetry", *(f for f in (root / "plugins").iterdir() if (f / "__init__.py").exists())]
+    assert [package.name for package in packages if not (package / "py.typed").exists()] == []
+
+
+def test_calibration_targets_lie_in_the_package(root: Path) -> None:
+    build = tomllib.loads((root / "pyproject.toml").read_text("utf-8"))["tool"]["hatch"]["build"]
+    assert build["targets"]["wheel"]["force-include"]["calib_targets"] == "roemetry/calib_targets"
