@@ -73,8 +73,8 @@ class BlockCalibrator(Calibrator[BlockCalibratorOptions]):
             covariance=_covariance(omega, offset_px, offset_std_px, block, scale),
             residuals={
                 "rest_line_rms_px": rest_rms_px,
-                "block_top_rms_px": float(np.sqrt(np.mean([view.scatter_px**2 for view in seen]))),
-                "block_edge_rms_px": float(np.sqrt(np.mean([view.edge_rms_px**2 for view in seen]))),
+                "block_top_rms_px": float(np.sqrt(np.nanmean([view.scatter_px**2 for view in seen]))),
+                "block_edge_rms_px": float(np.sqrt(np.nanmean([view.edge_rms_px**2 for view in seen]))),
                 "fan_largest_relative": fan,
                 "scale_relative_std": scale.relative_std,
             },
@@ -146,8 +146,15 @@ def _check_fan(omega: Floats) -> float:
 
 def _scale(seen: list[BlockView], block: Block, working_distance_mm: float | None) -> _Scale:
     """Millimetres per pixel at belt level, from the block's width at its top."""
-    width_px = float(np.mean([view.width_px for view in seen]))
-    edge_std_px = float(np.mean([view.width_std_px for view in seen])) / np.sqrt(len(seen))
+    widths_px = [view.width_px for view in seen if np.isfinite(view.width_px)]
+    if not widths_px:
+        raise CalibrationError(
+            "the block's edges along the stripes cannot be told from the neighbours' belt lines",
+            hint="turn the block, or use one of another height, so that a displaced stripe does not lie on "
+            "its neighbour's belt line",
+        )
+    width_px = float(np.mean(widths_px))
+    edge_std_px = float(np.nanmean([view.width_std_px for view in seen])) / np.sqrt(len(widths_px))
     at_top = block.width_mm / width_px
     own = np.hypot(block.tolerance_mm / np.sqrt(3.0) / block.width_mm, edge_std_px / width_px)
     notes = ["square pixels assumed: the scale along the stripes is used across them as well"]

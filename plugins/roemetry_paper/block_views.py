@@ -20,6 +20,9 @@ _BATCH_ROWS = 10
 _BODY_STEP_PX = 7.0
 _END_ROWS = 12
 _REST_RMS_MAX_PX = 1.5
+_EDGE_ROOM_MIN_PX = 0.75
+_EDGE_GAP_ROWS = 1
+_MAD_TO_STD = 1.4826
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -101,9 +104,12 @@ def view_of_block(view: Observation, rest_px: Floats) -> BlockView:
         inner = inner[np.abs(inner - typical) < _DISPLACED_MIN_PX]
         mean[stripe], std[stripe] = inner.mean(), _std_of_mean(inner)
         scatter[stripe] = inner.std()
-        on_top = run[np.abs(offset[stripe, run] - typical) < _DISPLACED_MIN_PX]
-        first[stripe], last[stripe] = rows[on_top[0]] - 0.5, rows[on_top[-1]] + 0.5
-        place[stripe] = x_px[stripe, on_top].mean()
+        from_middle = np.arange(peaks.image_size[0]) - middle
+        lines = rest_px[:, :1] + rest_px[:, 1:] * from_middle
+        edges = _edges(peaks, lines, stripe, mean[stripe], int(rows[run[run.size // 2]]))
+        if edges is not None:
+            first[stripe], last[stripe] = edges
+            place[stripe] = x_px[stripe, run].mean()
     width, width_std, edge_rms, yaw = _width(place, first, last)
     scatter_px = float(np.nanmean(scatter)) if np.isfinite(scatter).any() else np.nan
     return BlockView(mean, std, scatter_px, width, width_std, edge_rms, yaw)
@@ -165,6 +171,33 @@ def _longest_run(rows: Floats, displaced: np.ndarray) -> np.ndarray:
     return max(pieces, key=len)
 
 
+def _edges(
+    peaks: Peaks, lines: Floats, stripe: int, offset_px: float, inside: int
+) -> tuple[float, float] | None:
+    """First and last edge of the block's top along one stripe, rows; None where they cannot be told.
+
+    From a row inside, go up and down while the row has a peak where the stripe is expected on the top. At a
+    displacement of about a spacing the neighbour's belt line is near that place: then a peak must be
+    nearer to the top's place than to any belt line, and if that leaves less than a pixel, nothing is said.
+    """
+    top = lines[stripe] + offset_px
+    room = min(_DISPLACED_MIN_PX, float(np.abs(lines - top).min()) / 2.0)
+    if room < _EDGE_ROOM_MIN_PX:
+        return None
+    ends = []
+    for step in (-1, 1):
+        row, end, missed = inside, inside, 0
+        while 0 <= row < lines.shape[1] and missed <= _EDGE_GAP_ROWS:
+            in_row = peaks.x_px[peaks.row_start[row] : peaks.row_start[row + 1]]
+            if in_row.size and np.abs(in_row - top[row]).min() <= room:
+                end, missed = row, 0
+            else:
+                missed += 1
+            row += step
+        ends.append(end + 0.5 * step)
+    return ends[0], ends[1]
+
+
 def _std_of_mean(values: Floats) -> float:
     """Standard uncertainty of a mean of rows that are correlated over a few rows: from batch means."""
     batches = values.size // _BATCH_ROWS
@@ -177,16 +210,25 @@ def _std_of_mean(values: Floats) -> float:
 def _width(place: Floats, first: Floats, last: Floats) -> tuple[float, float, float, float]:
     """Extent square to the edges, its standard uncertainty, the edges' scatter, and the yaw."""
     known = np.isfinite(place)
-    if known.sum() < 2:
+    if known.sum() < 3:
         return np.nan, np.nan, np.nan, 0.0
-    slopes, residuals = [], []
-    for edge in (first, last):
-        slope, start = np.polyfit(place[known], edge[known], 1)
+    slopes, residuals, starts = [], [], []
+    for edge in (first[known], last[known]):
+        slope, start = _robust_line(place[known], edge)
         slopes.append(slope)
-        residuals.append(edge[known] - (start + slope * place[known]))
-    yaw = -float(np.arctan(np.mean(slopes)))
-    edge_rms = float(np.sqrt(np.mean(np.square(residuals))))
-    width = float(np.mean(last[known] - first[known]) * np.cos(yaw))
+        starts.append(start)
+        residuals.append(edge - (start + slope * place[known]))
+    slope = float(np.mean(slopes))
+    middle = float(place[known].mean())
+    along = starts[1] - starts[0] + (slopes[1] - slopes[0]) * middle
+    scatter = _MAD_TO_STD * float(np.median(np.abs(residuals)))
     # each edge is known to a row (rectangular), better by averaging over the stripes' different phases
-    std = np.sqrt(2.0 * max(edge_rms**2, 1.0 / 12.0) / known.sum())
-    return width, float(std), edge_rms, yaw
+    std = np.sqrt(2.0 * max(scatter**2, 1.0 / 12.0) / known.sum())
+    return along * float(np.cos(np.arctan(slope))), float(std), scatter, -float(np.arctan(slope))
+
+
+def _robust_line(x: Floats, y: Floats) -> tuple[float, float]:
+    """Slope and intercept by medians (Theil, Sen): a few edges that ran on along a belt line do not count."""
+    one, other = np.triu_indices(x.size, 1)
+    slope = float(np.median((y[other] - y[one]) / (x[other] - x[one])))
+    return slope, float(np.median(y - slope * x))

@@ -224,6 +224,18 @@ def test_a_point_alone_stands_for_one_row():
     assert estimate(alone).visible_mm3.value == pytest.approx(kept, abs=1e-6)  # mm³
 
 
+def test_each_point_owns_half_the_way_to_its_neighbours():
+    # Four rows at Y = 0, 1, 3 and 7 mm stand for 1, 1.5, 3 and 4 mm: at the ends as much outwards as inwards.
+    product = product_of(lambda x, y: np.where((np.arange(ROWS) < 204) & (np.arange(ROWS) >= 200), x, np.nan))
+    xyz_mm = product.profiles.xyz_mm.copy()
+    xyz_mm[:, 200:204, 1] = [7.0, 3.0, 1.0, 0.0]
+    xyz_mm[:, 200:204, 2] = [2.0, 3.0, 5.0, 7.0]
+    volume = estimate(replace(product, profiles=replace(product.profiles, xyz_mm=xyz_mm)))
+    np.testing.assert_allclose(
+        volume.slice_area_mm2, 4 * 2.0 + 3 * 3.0 + 1.5 * 5.0 + 1 * 7.0, atol=1e-9
+    )  # mm²
+
+
 def test_points_that_are_all_alone_take_the_scale_between_them():
     def height(x, _):
         return np.where((np.arange(ROWS) % 4 == 0) & (25.0 < x < 75.0), 5.0, np.nan)

@@ -1,0 +1,170 @@
+"""The block calibration gives back the rig it was drawn with, or says why it cannot."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from roemetry.errors import CalibrationError, StageError
+from roemetry.records import BELT, NOTHING, Block, CalibrationSet, Frame, Observation, StripeMap
+from roemetry_paper.block_calibrator import BlockCalibrator, BlockCalibratorOptions
+from roemetry_paper.block_linear import BlockLinear
+from roemetry_paper.dominant_peak import DominantPeak, DominantPeakOptions
+
+BLOCK = Block("test", length_mm=100.0, width_mm=20.0, height_mm=10.0, tolerance_mm=0.02)
+FIRST, LAST = 80, 160  # rows of the block's top: 20 mm at 0.25 mm/px
+
+
+def block_heights(rig, first: int = FIRST, last: int = LAST) -> np.ndarray:
+    heights = np.zeros((rig.stripes, rig.rows))
+    heights[:, first:last] = BLOCK.height_mm
+    return heights
+
+
+def observed(rig, rng, *, belt: bool = True, heights: np.ndarray | None = None, **changes) -> CalibrationSet:
+    extractor = DominantPeak(DominantPeakOptions(threshold=60, start="lowest"))
+
+    def observation(shows: str, over: np.ndarray) -> Observation:
+        frame = Frame(rig.image(rig.x_px(over), rng), name=f"{shows}.png")
+        return Observation(shows, frame, extractor.extract(frame))
+
+    seen = [observation("block", block_heights(rig) if heights is None else heights)]
+    if belt:
+        seen.append(observation("belt", np.zeros((rig.stripes, rig.rows))))
+    given = {
+        "observations": tuple(seen),
+        "stripe_count": rig.stripes,
+        "block": BLOCK,
+        "working_distance_mm": None,
+        "extractor": {"use": "dominant-peak"},
+    }
+    return CalibrationSet(**(given | changes))
+
+
+@pytest.mark.parametrize("belt", [True, False], ids=["with belt image", "without"])
+@pytest.mark.parametrize("side", [1, -1], ids=["laser one side", "other side"])
+def test_the_rig_comes_back(rig, rng, belt: bool, side: int) -> None:
+    rig = replace(rig, px_per_mm=side * rig.px_per_mm)
+    made = BlockCalibrator().calibrate(observed(rig, rng, belt=belt))
+    np.testing.assert_allclose(made.parameters["omega_mm_per_px"], side * 0.5, rtol=0, atol=0.01)
+    np.testing.assert_allclose(made.displacement_px_per_mm, side * 2.0, rtol=0, atol=0.05)
+    np.testing.assert_allclose(made.rest_px[:, 0], rig.rest_px, rtol=0, atol=0.3)
+    np.testing.assert_allclose(made.parameters["mm_per_px"], rig.mm_per_px, rtol=0, atol=0.004)
+    assert made.height_range_mm == (0.0, 15.0)
+
+
+def test_a_displacement_of_more_than_a_spacing_is_told_by_order(rig, rng) -> None:
+    rig = replace(rig, px_per_mm=4.6)  # 46 px at a spacing of 40
+    x_px = rig.x_px(block_heights(rig))
+    assert x_px[-1].max() > rig.columns, "the last stripe leaves the image; so use one less"
+    rig = replace(rig, stripes=6)
+    made = BlockCalibrator().calibrate(observed(rig, rng))
+    np.testing.assert_allclose(made.displacement_px_per_mm, 4.6, rtol=0, atol=0.05)
+
+
+def test_the_scale_is_taken_down_to_the_belt_by_the_working_distance(rig, rng) -> None:
+    near = BlockCalibrator().calibrate(observed(rig, rng, working_distance_mm=200.0))
+    unknown = BlockCalibrator().calibrate(observed(rig, rng))
+    ratio = near.parameters["mm_per_px"][0] / unknown.parameters["mm_per_px"][0]
+    assert ratio == pytest.approx(200.0 / 190.0, abs=2e-3)
+    assert near.residuals["scale_relative_std"] < 0.01
+    assert unknown.residuals["scale_relative_std"] > 0.05, "what is not known stands in the budget"
+    assert any("working distance is not known" in note for note in unknown.notes)
+
+
+def test_the_stated_uncertainty_covers_the_scatter(rig, rng) -> None:
+    """Ω over repeated calibrations scatters by no more than the covariance says, and not far less."""
+    made = [BlockCalibrator().calibrate(observed(rig, rng)) for _ in range(20)]
+    scatter = np.std([m.parameters["omega_mm_per_px"] for m in made], axis=0, ddof=1)
+    stated = np.sqrt(np.diag(made[0].covariance)[: rig.stripes])
+    assert (scatter < 2.0 * stated).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"block": None}, "its three sides are unknown"),
+        ({"stripe_count": 9}, "9 stripes are expected, but most rows show 7"),
+        ({"working_distance_mm": 12.0}, "working_distance_mm is 12"),
+        ({"observations": ()}, "no image of the block"),
+    ],
+)
+def test_refusals(rig, rng, change: dict[str, object], says: str) -> None:
+    with pytest.raises(CalibrationError, match=says):
+        BlockCalibrator().calibrate(observed(rig, rng, **change))
+
+
+def test_no_block_in_the_image(rig, rng) -> None:
+    empty = np.zeros((rig.stripes, rig.rows))
+    with pytest.raises(CalibrationError, match="block was not found in block.png"):
+        BlockCalibrator().calibrate(observed(rig, rng, heights=empty))
+
+
+def test_a_stripe_that_misses_the_block_is_named(rig, rng) -> None:
+    heights = block_heights(rig)
+    heights[-1] = 0.0
+    with pytest.raises(CalibrationError, match="stripe 7 is not seen on the block"):
+        BlockCalibrator().calibrate(observed(rig, rng, heights=heights))
+
+
+def test_a_stripe_that_does_not_fit_the_fan_is_named(rig, rng) -> None:
+    heights = block_heights(rig)
+    heights[3] *= 1.2
+    with pytest.raises(CalibrationError, match="stripe 4 does not fit the fan"):
+        BlockCalibrator().calibrate(observed(rig, rng, heights=heights))
+
+
+def test_without_a_belt_image_the_number_of_stripes_is_checked_on_the_block(rig, rng) -> None:
+    with pytest.raises(CalibrationError, match=r"block.png: 9 stripes are expected; 7 begin"):
+        BlockCalibrator().calibrate(observed(rig, rng, belt=False, stripe_count=9))
+
+
+def test_the_height_range_is_an_option(rig, rng) -> None:
+    options = BlockCalibratorOptions(height_max_factor=2.5)
+    assert BlockCalibrator(options).calibrate(observed(rig, rng)).height_range_mm == (0.0, 25.0)
+
+
+def stripe_map(rig, heights: np.ndarray) -> StripeMap:
+    x_px = rig.x_px(heights)
+    nothing = np.full(x_px.shape, np.nan)
+    product = np.where(np.isnan(x_px), NOTHING, np.where(heights > 0, 1, BELT))
+    rest = np.broadcast_to(rig.rest_px[:, None], x_px.shape)
+    return StripeMap(
+        x_px, nothing, product, np.isfinite(x_px), nothing, np.zeros(x_px.shape), rest, np.zeros(0)
+    )
+
+
+def test_heights_and_places_come_back(rig) -> None:
+    heights = rig.dome(12.0)
+    heights[2, 100] = np.nan
+    profiles = BlockLinear().triangulate(stripe_map(rig, heights), rig.calibration())
+    np.testing.assert_allclose(profiles.xyz_mm[:, :, 2], heights, rtol=0, atol=1e-9)
+    middle_row, middle_column = (rig.rows - 1) / 2, (rig.columns - 1) / 2
+    x_px = rig.x_px(heights)
+    np.testing.assert_allclose(profiles.xyz_mm[3, 0, 1], middle_row * rig.mm_per_px, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(
+        profiles.xyz_mm[:, :, 0], (x_px - middle_column) * rig.mm_per_px, rtol=0, atol=1e-9
+    )
+    assert np.isnan(profiles.xyz_mm[2, 100]).all()
+
+
+def test_every_point_lies_on_its_slices_plane(rig) -> None:
+    calibration = replace(
+        rig.calibration(), rest_px=np.column_stack([rig.rest_px, np.linspace(-0.02, 0.03, rig.stripes)])
+    )
+    rows = np.arange(rig.rows, dtype=float)
+    rest = calibration.rest_line_px(rows)
+    given = stripe_map(rig, rig.dome(12.0))
+    x_px = rest + rig.px_per_mm * rig.dome(12.0)
+    given = replace(given, x_px=x_px, rest_px=rest)
+    profiles = BlockLinear().triangulate(given, calibration)
+    off = np.einsum("spk,sk->sp", profiles.xyz_mm, profiles.plane[:, :3]) - profiles.plane[:, 3:]
+    assert np.abs(off).max() < 1e-9
+
+
+def test_another_number_of_stripes_is_refused(rig) -> None:
+    fewer = replace(rig, stripes=5)
+    with pytest.raises(StageError, match="5 stripes were coded, the calibration has 7"):
+        BlockLinear().triangulate(stripe_map(fewer, fewer.dome()), rig.calibration())
