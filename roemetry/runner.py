@@ -21,11 +21,9 @@ from roemetry.files import LineFile, make_folder, sha256_of, write_whole
 from roemetry.measuring import failed, measurements_of
 from roemetry.pipeline import Pipeline
 from roemetry.recipe import Recipe
-from roemetry.records import AcquisitionReference, Measurement, Reason, Trace
+from roemetry.record import PROVENANCE, RECORD, acquisitions_to_keep, count_rows, read_record
+from roemetry.records import AcquisitionReference, Reason, Trace
 from roemetry.stages import Run
-
-RECORD = "measurements.jsonl"
-PROVENANCE = "provenance.json"
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +83,7 @@ def run_recipe(
     """
     references = recipe.source.make().references(recipe.source_path)
     make_folder(folder)
-    done = _rows_to_keep(recipe, folder, resume=resume)
+    done = acquisitions_to_keep(recipe, folder, resume=resume)
     provenance = _provenance(recipe, references)
     write_whole(folder / PROVENANCE, json.dumps(provenance, indent=2) + "\n")
     to_do = [reference for reference in references if reference.id not in done]
@@ -99,7 +97,7 @@ def run_recipe(
             for stage, value in took.items():
                 seconds.setdefault(stage, []).append(value)
             on_progress(finished, len(references))
-    counts = _counts(folder)
+    counts = count_rows(folder)
     provenance |= {
         "finished": _now(),
         "counts": counts,
@@ -133,17 +131,6 @@ def derive(
         except RoemetryError as error:
             faults.append(f"sink {chosen.registered.entry.name}: {error}")
     return tuple(files), tuple(faults)
-
-
-def read_record(folder: Path) -> Iterator[Measurement]:
-    """Give the measurements of a run, one at a time."""
-    path = folder / RECORD
-    try:
-        with path.open(encoding="utf-8") as file:
-            for line in file:
-                yield Measurement.from_json(line)
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be read: {error.strerror or error}") from error
 
 
 def _measured(
@@ -212,33 +199,6 @@ def _work(reference: AcquisitionReference) -> tuple[list[str], Mapping[str, floa
     return _worker(reference)
 
 
-def _rows_to_keep(recipe: Recipe, folder: Path, *, resume: bool) -> set[str]:
-    """Ids of the acquisitions whose rows are all there; a run that may not be gone on with is refused."""
-    path = folder / RECORD
-    if not path.exists() or path.stat().st_size == 0:
-        return set()
-    if not resume:
-        raise OutputError(
-            f"{folder}: there is a run in this folder already",
-            hint="go on with it by --resume, or choose another folder with --out",
-        )
-    with LineFile(path):
-        pass  # opening it takes a half line away
-    rows: dict[str, list[Measurement]] = {}
-    for row in read_record(folder):
-        if row.provenance.get("recipe_sha256") != recipe.sha256:
-            raise OutputError(
-                f"{folder}: the run in this folder was made with another recipe, calibration or plugin",
-                hint="choose another folder with --out",
-            )
-        rows.setdefault(row.acquisition, []).append(row)
-    whole = {name for name, found in rows.items() if len(found) == found[0].products}
-    if len(whole) < len(rows):
-        kept = [row.to_json() + "\n" for name in rows if name in whole for row in rows[name]]
-        write_whole(path, "".join(kept))
-    return whole
-
-
 def _provenance(recipe: Recipe, references: Sequence[AcquisitionReference]) -> dict[str, Any]:
     from importlib.metadata import version
 
@@ -263,13 +223,6 @@ def _provenance(recipe: Recipe, references: Sequence[AcquisitionReference]) -> d
         "acquisitions": len(references),
         "resolved_recipe": recipe.resolved(),
     }
-
-
-def _counts(folder: Path) -> dict[str, int]:
-    counts = {"measured": 0, "empty": 0, "failed": 0}
-    for row in read_record(folder):
-        counts[row.status] += 1
-    return counts
 
 
 def _now() -> str:

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 
 from roemetry.arrays import Flags, Floats, Integers, Labels
 from roemetry.records import AMBIGUOUS, BELT, NOTHING, UNCODED, Peaks, Reason, StripeMap
 from roemetry_paper.rest_lines import RestLines
 
-_FLICKER_ROWS = 3
+_PRODUCT_ROWS_MIN = 3
+_REACH_TOLERANCES = 3.0
+"""A run off the belt is product only if it gets this many tolerances away from its rest line."""
 
 
 def bridged(
@@ -51,9 +51,10 @@ def bridged(
     x_std_px[cells] = peaks.x_std_px[coded]
     margins[cells] = margin[coded]
     seen = np.isfinite(x_px)
-    off_belt = seen & ~(np.abs(x_px - rest.x_px) <= rest.tolerance_px)
+    distance_px = np.where(np.isnan(rest.x_px), np.inf, np.abs(x_px - rest.x_px))
+    off_belt = seen & (distance_px > rest.tolerance_px)
     for s in range(shape[0]):
-        _drop_flicker(off_belt[s], seen[s])
+        _drop_shallow(off_belt[s], seen[s], distance_px[s], _REACH_TOLERANCES * rest.tolerance_px)
         _bridge(x_px[s], seen[s], off_belt[s], longest_gap_rows)
     known = np.isfinite(x_px)
     if np.isfinite(rest.x_px).any():
@@ -89,14 +90,18 @@ def bridged(
     )
 
 
-def _drop_flicker(off_belt: Flags, seen: Flags) -> None:
-    """Take runs off the belt of less than three points among belt points back to the belt (in place)."""
+def _drop_shallow(off_belt: Flags, seen: Flags, distance_px: Floats, reach_px: float) -> None:
+    """Take runs off the belt back to it that are too short or nowhere far from it (in place).
+
+    Where a product's shadow cuts a belt stripe lengthwise, its peak shifts by a pixel or two.
+    """
     rows = np.flatnonzero(seen)
-    values = off_belt[rows]
-    edges = np.flatnonzero(np.diff(values.astype(np.int8))) + 1
-    for begin, end in pairwise(edges):
-        if values[begin] and end - begin < _FLICKER_ROWS:
-            off_belt[rows[begin:end]] = False
+    values = np.concatenate([[False], off_belt[rows], [False]])
+    edges = np.flatnonzero(np.diff(values.astype(np.int8)))
+    for begin, end in zip(edges[::2], edges[1::2], strict=True):
+        run = rows[begin:end]
+        if run.size < _PRODUCT_ROWS_MIN or distance_px[run].max() < reach_px:
+            off_belt[run] = False
 
 
 def _bridge(x_px: Floats, seen: Flags, off_belt: Flags, longest_gap_rows: int) -> None:

@@ -10,13 +10,16 @@ from roemetry.records import Marks, StripeMap
 from roemetry_report import palette, svg
 from roemetry_report.curves import curves
 from roemetry_report.panels import Panel
+from roemetry_report.svg import Box
 from roemetry_report.words import counted
 
 _FAR_HEIGHTS = 1.5
 """An arrow longer than so many image heights is not drawn: the curve is as good as straight there."""
 
 
-def arc_panel(marks: Marks, stripes: StripeMap, product: int, size: tuple[int, int], key: str) -> Panel | None:
+def arc_panel(
+    marks: Marks, stripes: StripeMap, product: int, size: tuple[int, int], key: str
+) -> Panel | None:
     """Draw a product's evidence over its curves, zoomed to the product; None where there is nothing to draw.
 
     Parameters
@@ -49,19 +52,19 @@ def arc_panel(marks: Marks, stripes: StripeMap, product: int, size: tuple[int, i
     notes = [f"{counted(len(length), 'arrow')}, {flagged or 'none'} flagged"]
     if drawn.sum() < known.sum():
         far = int(known.sum() - drawn.sum())
-        notes.append(f"{far} not drawn: farther away than {_FAR_HEIGHTS} image heights (almost straight there)")
+        notes.append(
+            f"{far} not drawn: farther away than {_FAR_HEIGHTS} image heights (almost straight there)"
+        )
     if (~known).any():
         notes.append(f"{int((~known).sum())} without a place: straight there")
     if leaving.any():
         notes.append(f"{int(leaving.sum())} lead out of the picture")
-    title = marks.kind[:1].upper() + marks.kind[1:]
+    title = f"Body curves, an arrow to each {marks.kind}"
     label = f"Body curves of product {product} with arrows ({marks.kind}); {'; '.join(notes)}"
     return Panel("e", title, svg.picture(body, box=box, label=label, kind="screen zoomed"), tuple(notes))
 
 
-def _zoom(
-    marks: Marks, stripes: StripeMap, product: int, size: tuple[int, int]
-) -> tuple[float, float, float, float] | None:
+def _zoom(marks: Marks, stripes: StripeMap, product: int, size: tuple[int, int]) -> Box | None:
     """Give the view: the product, and the flagged centres as far as they lie in the image, with a margin."""
     stripe, row = np.nonzero(stripes.product == product)
     if not row.size:
@@ -77,7 +80,7 @@ def _zoom(
     return (float(low[0]), float(low[1]), width, height)
 
 
-def _inside(points: Floats, box: tuple[float, float, float, float]) -> Flags:
+def _inside(points: Floats, box: Box) -> Flags:
     x, y, width, height = box
     inside: Flags = (points >= (x, y)).all(axis=1) & (points <= (x + width, y + height)).all(axis=1)
     return inside
@@ -89,5 +92,5 @@ def _arrows(marks: Marks, which: Flags, *, flagged: bool) -> Markup:
     kind, colour = ("flagged", palette.AMBIGUOUS) if flagged else ("mark", palette.MARK)
     ends = np.stack([marks.from_px[which], marks.to_px[which]], axis=1)
     # An arrow head stands at the last point of a path only, so each arrow is a path of its own.
-    paths = (Markup('<path d="{}"/>').format(svg.line(end[:, 0], end[:, 1])) for end in ends)
+    paths = (Markup('<path class="c" d="{}"/>').format(svg.line(end[:, 0], end[:, 1])) for end in ends)
     return Markup('<g class="{}" stroke="{}">{}</g>').format(kind, colour, Markup("").join(paths))

@@ -84,7 +84,7 @@ def share_bar(shares: Shares) -> Markup | None:
             )
         x += width
     label = f"seen {percent(parts[0])}, interpolated {percent(parts[1])}, assumed {percent(parts[2])}"
-    return svg.picture(body, box=(0, 0, 100, 10), label=label, kind="shares")
+    return svg.picture(body, box=(0, 0, 100, 10), label=label, kind="shares", stretch=True)
 
 
 def ticks_to(top: float, count: int = 4) -> list[float]:

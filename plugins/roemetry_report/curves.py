@@ -32,10 +32,10 @@ def curves(stripes: StripeMap, *, product: int | None = None) -> Markup:
         colour = palette.stripe_colour(index)
         body = label > BELT if product is None else label == product
         if product is None:
-            parts += _path(x, seen & (label == BELT), step, "belt", palette.BELT)
-            parts += _path(x, ~seen & (label == BELT), step, "belt bridged", palette.BELT, join=True)
-        parts += _path(x, seen & body, step, "body", colour)
-        parts += _path(x, ~seen & body, step, "body bridged", colour, join=True)
+            parts += _path(x, seen & (label == BELT), step, "c-belt", palette.BELT)
+            parts += _path(x, ~seen & (label == BELT), step, "c-belt c-bridged", palette.BELT, join=True)
+        parts += _path(x, seen & body, step, "c-body", colour)
+        parts += _path(x, ~seen & body, step, "c-body c-bridged", colour, join=True)
     return Markup("").join(parts)
 
 
@@ -47,13 +47,10 @@ def row_step(stripes: StripeMap) -> int:
 def runs(mask: Flags) -> Iterator[tuple[int, int]]:
     """Give first and one-past-last of each run of True."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
-    for begin, end in edges.reshape(-1, 2).tolist():
-        yield begin, end
+    yield from edges.reshape(-1, 2).tolist()
 
 
-def _path(
-    x: Floats, mask: Flags, step: int, kind: str, colour: str, *, join: bool = False
-) -> list[Markup]:
+def _path(x: Floats, mask: Flags, step: int, kind: str, colour: str, *, join: bool = False) -> list[Markup]:
     """Give one path for all runs; `join` draws from the known point before to the one after each run."""
     data = []
     for begin, end in runs(mask):
@@ -65,4 +62,4 @@ def _path(
         data.append(svg.line(x[rows], rows.astype(np.float64)))
     if not data:
         return []
-    return [Markup('<path class="{}" stroke="{}" d="{}"/>').format(kind, colour, "".join(data))]
+    return [Markup('<path class="c {}" stroke="{}" d="{}"/>').format(kind, colour, "".join(data))]

@@ -98,7 +98,10 @@ def _drawing(given: _Slice, known: Flags, frame: _Frame, step: int, what: str) -
         y = float(frame.y(np.array([level]))[0])
         parts.append(
             Markup('<path class="{}" d="M{} {}H{}"/>').format(
-                "rule zero" if level == 0 else "rule", svg.number(_LEFT), svg.number(y), svg.number(_WIDTH - _RIGHT)
+                "rule zero" if level == 0 else "rule",
+                svg.number(_LEFT),
+                svg.number(y),
+                svg.number(_WIDTH - _RIGHT),
             )
         )
         text = plain(level, 0 if level == int(level) else 1)
@@ -107,13 +110,14 @@ def _drawing(given: _Slice, known: Flags, frame: _Frame, step: int, what: str) -
         x = _LEFT if where == "start" else _WIDTH - _RIGHT
         parts.append(svg.text(x, _HEIGHT - 4, plain(value, 0), f"tick {where}"))
     colour = palette.stripe_colour_on_paper(given.stripe)
-    x, y = frame.x(given.along), frame.y(given.up)
+    across, upward = frame.x(given.along), frame.y(given.up)
     for mask, kind, join in ((known & given.seen, "seen", False), (known & ~given.seen, "bridged", True)):
-        data = "".join(_line(x, y, known, begin, end, step, join) for begin, end in runs(mask))
+        data = "".join(_line(across, upward, known, begin, end, step, join) for begin, end in runs(mask))
         if data:
             parts.append(Markup('<path class="{}" stroke="{}" d="{}"/>').format(kind, colour, data))
     top = float(given.up[known][np.abs(given.up[known]).argmax()])
-    label = f"Stripe {given.stripe + 1}: {what}; from {plain(frame.left, 0)} to {plain(frame.right, 0)}, largest {plain(top, 1)}"
+    span = f"from {plain(frame.left, 0)} to {plain(frame.right, 0)}, largest {plain(top, 1)}"
+    label = f"Stripe {given.stripe + 1}: {what}; {span}"
     return svg.picture(parts, box=(0, 0, _WIDTH, _HEIGHT), label=label, kind="chart small")
 
 

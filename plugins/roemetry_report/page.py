@@ -12,7 +12,7 @@ from roemetry.yaml_source import dump
 from roemetry_report.rows import grade_pill, row_of
 from roemetry_report.section import section
 from roemetry_report.selection import ROWS_MAX, overview
-from roemetry_report.words import counted, milliseconds, when
+from roemetry_report.words import breakable, counted, milliseconds, when
 
 
 def page(run: Run, products_max: int, worst_max: int) -> str:
@@ -38,6 +38,7 @@ def page(run: Run, products_max: int, worst_max: int) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.filters["breakable"] = breakable
     return environment.get_template("report.html.j2").render(
         title=run.title,
         overview=seen,
@@ -50,7 +51,9 @@ def page(run: Run, products_max: int, worst_max: int) -> str:
         date=when(run.provenance.get("finished") or run.provenance.get("started")),
         recipe=_recipe(run.provenance),
         plugins=_mapping(run.provenance, "plugins"),
-        median_ms=[(stage, milliseconds(s)) for stage, s in _mapping(run.provenance, "seconds_median").items()],
+        median_ms=[
+            (stage, milliseconds(s)) for stage, s in _mapping(run.provenance, "seconds_median").items()
+        ],
         counted=counted,
     )
 
@@ -58,7 +61,9 @@ def page(run: Run, products_max: int, worst_max: int) -> str:
 def _facts(provenance: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     """Where the numbers come from: what, name, hash."""
     facts = [("roemetry", str(provenance.get("roemetry_version") or "version not recorded"), "")]
-    facts.append(("recipe", str(provenance.get("recipe") or "not recorded"), _hash(provenance, "recipe_sha256")))
+    facts.append(
+        ("recipe", str(provenance.get("recipe") or "not recorded"), _hash(provenance, "recipe_sha256"))
+    )
     calibration = provenance.get("calibration")
     if calibration or provenance.get("calibration_sha256"):
         facts.append(("calibration", str(calibration or ""), _hash(provenance, "calibration_sha256")))

@@ -51,7 +51,7 @@ def panels(trace: Trace, key: str) -> tuple[Panel, ...]:
     return tuple(given)
 
 
-def view(rows: int, columns: int) -> tuple[float, float, float, float]:
+def view(rows: int, columns: int) -> svg.Box:
     """View of a whole image: its pixels' centres are whole numbers."""
     return (-0.5, -0.5, float(columns), float(rows))
 
@@ -69,7 +69,7 @@ def _dominant(base: BaseImage, peaks: Peaks, key: str) -> Panel:
     drawn = peaks.row % step == 0
     order = np.lexsort((peaks.row[drawn], _column_of(peaks)[drawn]))
     x, y = peaks.x_px[drawn][order], peaks.row[drawn][order].astype(np.float64)
-    body = Markup('<path id="{}-peaks" class="dot" stroke="{}" d="{}"/>').format(
+    body = Markup('<path id="{}-peaks" class="c c-dot" stroke="{}" d="{}"/>').format(
         key, palette.PEAK, svg.dots(x, y)
     )
     label = f"{len(peaks)} peaks as dots on black"
@@ -120,12 +120,12 @@ def _marks(peaks: Peaks, which: Flags, kind: str, shape: object, arm: float) -> 
     chosen = chosen[:: -(-chosen.size // _MARKS_MAX)]
     data = shape(peaks.x_px[chosen], peaks.row[chosen].astype(np.float64), arm)
     colour = palette.AMBIGUOUS if kind == "ambiguous" else palette.UNCODED
-    return [Markup('<path class="{}" stroke="{}" d="{}"/>').format(kind, colour, data)]
+    return [Markup('<path class="c c-{}" stroke="{}" d="{}"/>').format(kind, colour, data)]
 
 
 def _outlines(outlines: Iterable[Outline]) -> list[Markup]:
     return [
-        Markup('<path class="outline" stroke="{}" d="{}z"/>').format(
+        Markup('<path class="c c-outline" stroke="{}" d="{}z"/>').format(
             palette.OUTLINE, svg.line(outline.xy_px[:, 0], outline.xy_px[:, 1])
         )
         for outline in outlines

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from markupsafe import Markup
 
 from roemetry.errors import RoemetryError
-from roemetry.records import Measurement, ProductTrace, Reason, Trace, Volume
+from roemetry.records import Frame, Measurement, ProductTrace, Reason, Trace, Volume
 from roemetry.units import MM3_PER_CM3
 from roemetry_report.arcs import arc_panel
 from roemetry_report.charts import slice_chart
@@ -72,7 +72,9 @@ class SectionView:
     no_pictures
         Why there are none; empty where there are.
     thumbnail
-        View box of the picture's part that the table shows, or empty.
+        View box of the picture as the table shows it, or empty.
+    has_curves
+        Whether there are curves to lay over the thumbnail.
     """
 
     key: str
@@ -85,6 +87,7 @@ class SectionView:
     seconds: tuple[tuple[str, str], ...]
     seconds_total: str
     thumbnail: str
+    has_curves: bool
 
 
 def section(shown: Shown, replay: Callable[[str], Trace], key: str) -> SectionView:
@@ -120,14 +123,17 @@ def section(shown: Shown, replay: Callable[[str], Trace], key: str) -> SectionVi
         coding=_coding(shown.rows[0]) if shown.rows else (),
         seconds=tuple((stage, milliseconds(value)) for stage, value in seconds.items()),
         seconds_total=milliseconds(sum(seconds.values())) if seconds else "",
-        thumbnail="" if trace is None or trace.frame is None else _thumbnail(trace),
+        thumbnail="" if trace is None or trace.frame is None else _thumbnail(trace.frame),
+        has_curves=any(panel.letter == "d" for panel in drawn),
     )
 
 
 def _product(row: Measurement, trace: Trace | None, key: str, section_key: str) -> ProductView:
     traced = _traced(row, trace)
     grade = row.grade
-    arcs, profiles, words = None, (), ""
+    arcs: Panel | None = None
+    profiles: tuple[SmallChart, ...] = ()
+    words = ""
     if trace is not None and trace.stripes is not None and trace.frame is not None:
         if traced is not None and traced.grade is not None and traced.grade.marks is not None:
             arcs = arc_panel(traced.grade.marks, trace.stripes, row.product, trace.frame.size, section_key)
@@ -137,6 +143,7 @@ def _product(row: Measurement, trace: Trace | None, key: str, section_key: str) 
         elif row.product > 0:
             profiles = displacement_charts(trace.stripes, row.product)
             words = "Displacement from the rest line over the image row, px, for each stripe on the product"
+    said = {*row.absent.values(), *(() if grade is None else grade.reasons)}
     return ProductView(
         key=key,
         number=row.product,
@@ -144,7 +151,7 @@ def _product(row: Measurement, trace: Trace | None, key: str, section_key: str) 
         grade_reasons=() if grade is None else grade.reasons,
         probability="" if grade is None or math.isnan(grade.probability) else percent(grade.probability),
         features=() if grade is None else tuple(feature(*item) for item in grade.features.items()),
-        reasons=tuple(r for r in row.all_reasons if grade is None or r not in grade.reasons),
+        reasons=tuple(r for r in row.all_reasons if r not in said),
         absent=row.absent,
         slices=() if row.volume is None else _slices(row.volume),
         slice_chart=None if row.volume is None else slice_chart(row.volume),
@@ -199,8 +206,6 @@ def _of(part: int, whole: int) -> str:
     return f"{part} ({percent(part / whole)})" if whole else str(part)
 
 
-def _thumbnail(trace: Trace) -> str:
-    if trace.frame is None:
-        raise AssertionError("no frame, no thumbnail")
-    rows, columns = trace.frame.size
+def _thumbnail(frame: Frame) -> str:
+    rows, columns = frame.size
     return f"-.5 -.5 {columns} {rows}"

@@ -39,7 +39,7 @@ class Overview:
     rows
         The first rows, for the table.
     common
-        Reasons that stand on every row: said once.
+        Reasons that stand on every measured row: said once.
     shown
         Acquisitions that get a section.
     calibrated
@@ -87,7 +87,8 @@ def overview(run: Run, products_max: int, worst_max: int) -> Overview:
             if len(suspects) > _SUSPECTS_PER_PLACE * worst_max:
                 suspects = sorted(suspects)[: len(suspects) // 2]
         finite |= row.volume is not None or math.isfinite(row.height_max_mm)
-        common = row.all_reasons if common is None else tuple(r for r in common if r in row.all_reasons)
+        if row.status == "measured":
+            common = row.all_reasons if common is None else tuple(r for r in common if r in row.all_reasons)
     worst = list(dict.fromkeys(name for _, _, name in sorted(suspects)))[:worst_max]
     total = sum(statuses.values())
     return Overview(
@@ -95,7 +96,7 @@ def overview(run: Run, products_max: int, worst_max: int) -> Overview:
         statuses=statuses,
         grades=grades,
         rows=tuple(rows),
-        common=common if common and total > 1 else (),
+        common=common if common and statuses["measured"] > 1 else (),
         shown=_with_rows(run, list(first), worst),
         calibrated=_calibrated(run.provenance, finite),
     )

@@ -10,8 +10,11 @@ from markupsafe import Markup
 
 from roemetry.arrays import Floats
 
+Box = tuple[float, float, float, float]
+"""x, y, width and height of a view."""
 
-def picture(body: Iterable[Markup], *, box: tuple[float, float, float, float], label: str, kind: str) -> Markup:
+
+def picture(body: Iterable[Markup], *, box: Box, label: str, kind: str, stretch: bool = False) -> Markup:
     """Make an inline SVG element.
 
     Parameters
@@ -25,10 +28,13 @@ def picture(body: Iterable[Markup], *, box: tuple[float, float, float, float], l
         What the picture shows, for those who cannot see it.
     kind
         CSS class.
+    stretch
+        Fill whatever room there is, whatever its shape.
     """
     view = " ".join(number(value) for value in box)
-    return Markup('<svg class="{}" viewBox="{}" role="img" aria-label="{}">{}</svg>').format(
-        kind, view, label, Markup("").join(body)
+    ratio = Markup(' preserveAspectRatio="none"') if stretch else ""
+    return Markup('<svg class="{}" viewBox="{}"{} role="img" aria-label="{}">{}</svg>').format(
+        kind, view, ratio, label, Markup("").join(body)
     )
 
 
@@ -51,7 +57,7 @@ def dots(x: Floats, y: Floats) -> str:
 
 def crosses(x: Floats, y: Floats, arm: float) -> str:
     """Path data of an upright cross about each point."""
-    a, two, mid = number(arm), number(2 * arm), number(-arm)
+    two, mid = number(2 * arm), number(-arm)
     return _shapes(x, y, f"m{mid} 0h{two}m{mid} {mid}v{two}")
 
 

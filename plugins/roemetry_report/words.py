@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
+import re
 from datetime import datetime
+
+from markupsafe import Markup
 
 from roemetry.records import Estimate
 from roemetry.units import NOT_STATED
@@ -34,7 +37,13 @@ def percent(share: float) -> str:
         return "–"
     if 0 < share < 0.001:
         return "<0.1 %"
-    return f"{100 * share:.1f} %" if 0 < share < 0.1 or 0.9 < share < 1 else f"{100 * share:.0f} %"
+    fine = 0 < share < 0.1 or 0.9 < share < 0.9995
+    return plain(100 * share, 1 if fine else 0) + " %"
+
+
+def breakable(name: str) -> Markup:
+    """Let a long name break where its parts meet, and before its product's number."""
+    return Markup("<wbr>").join(part for part in _JOINTS.split(name) if part)
 
 
 def when(text: object) -> str:
@@ -68,6 +77,7 @@ def feature(name: str, figure: float) -> tuple[str, str]:
     return name.replace("_", " "), _short(figure)
 
 
+_JOINTS = re.compile(r"(?<=\w[_/.-])(?=\w)|(?=#)")
 _UNITS = {"_px": "px", "_mm3": "mm³", "_mm2": "mm²", "_mm": "mm", "_g": "g", "_deg": "°", "_per_mm": "1/mm"}
 
 

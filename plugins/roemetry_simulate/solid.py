@@ -110,7 +110,7 @@ class Block:
         """Return the kernels' form."""
         half = (self.length_mm / 2.0, self.width_mm / 2.0, self.height_mm)
         box = np.array([self.centre_x_mm, self.centre_y_mm, np.deg2rad(self.yaw_deg), *half])
-        return Body(BOX, box, _NO_GRID, 0.0, 0.0, 1.0, self.height_mm, 0.0, 0.0)
+        return Body(BOX, box, _NO_GRID, 0.0, 0.0, 1.0, float(self.height_mm), 0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +143,7 @@ class GriddedSolid:
             raise ValueError("the body reaches the border of its grid")
         grid.flags.writeable = False
         object.__setattr__(self, "grid", grid)
-        object.__setattr__(self, "_volumes", tuple(_integrals(grid, self.step_mm)))
+        object.__setattr__(self, "_volumes", tuple(_integrals(grid, float(self.step_mm))))
 
     @property
     def visible_volume_mm3(self) -> float:
@@ -169,9 +169,9 @@ class GriddedSolid:
             FIELD,
             np.zeros(6),
             self.grid,
-            self.x0_mm,
-            self.y0_mm,
-            self.step_mm,
+            float(self.x0_mm),
+            float(self.y0_mm),
+            float(self.step_mm),
             top + 0.01,
             _steepest(mid[..., None], self.step_mm),
             _steepest(u, self.step_mm),

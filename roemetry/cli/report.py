@@ -16,7 +16,8 @@ def report(
     """Derive the tables and the report of a run again from its record."""
     from roemetry.errors import OutputError
     from roemetry.recipe import Recipe
-    from roemetry.runner import PROVENANCE, derive
+    from roemetry.record import PROVENANCE
+    from roemetry.runner import derive
 
     path = folder / PROVENANCE
     try:

@@ -66,7 +66,7 @@ def _next_folder(recipe: Recipe) -> Path:
 
 
 def _described(outcome: Outcome) -> dict[str, object]:
-    from roemetry.runner import RECORD, read_record
+    from roemetry.record import RECORD, read_record
 
     return {
         "folder": str(outcome.folder),
@@ -82,7 +82,7 @@ def _show(recipe: Recipe, outcome: Outcome) -> None:
     from rich.console import Console
 
     from roemetry.cli.table import problems_of, table_of
-    from roemetry.runner import RECORD, read_record
+    from roemetry.record import RECORD, read_record
 
     console = Console()
     console.print(table_of(recipe.product, read_record(outcome.folder), sum(outcome.counts.values())))

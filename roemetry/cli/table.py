@@ -12,6 +12,7 @@ from rich.text import Text
 from roemetry.records import Measurement
 from roemetry.units import mm3_to_cm3, stated
 
+
 def problems_of(measurements: Iterable[Measurement]) -> list[str]:
     """Write a line for each row that was not measured, with the reason."""
     return [

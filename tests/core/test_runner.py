@@ -17,7 +17,8 @@ import pytest
 
 from roemetry.errors import OutputError
 from roemetry.recipe import Recipe
-from roemetry.runner import RECORD, read_record, run_recipe
+from roemetry.record import RECORD, read_record
+from roemetry.runner import run_recipe
 
 
 def rows_of(folder: Path) -> dict[str, object]:

@@ -111,7 +111,8 @@ def test_what_is_shown_of_a_healthy_skein_has_no_defect():
     one = herring_roe.scene(11, "healthy")
     seen = shown(one.skein, herring_roe.stripe_truth(one))
     assert (seen.left_stripe, seen.right_stripe) == (1, 11)
-    assert seen.defect_depth_mm == seen.defect_seen_mm == 0.0
+    assert seen.defect_depth_mm == 0.0
+    assert seen.defect_seen_mm == pytest.approx(0.0, abs=1e-9)
     assert seen.hollow_seen_mm < 0.1
     assert 0.0 < seen.overhang_left_mm < 1.5 * herring_roe.SPACING_MM
     assert 0.0 < seen.overhang_right_mm < 1.5 * herring_roe.SPACING_MM

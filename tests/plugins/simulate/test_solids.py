@@ -57,7 +57,7 @@ def test_a_flat_slab_with_straight_sides_is_exact():
         return np.minimum(np.minimum(5.0 - np.abs(x), 4.0 - np.abs(y)), 0.5)
 
     slab = on_grid((-6, 6, -5, 5), 0.5, level(3.0), ramp, lambda x, y: ramp(x, y))
-    assert slab.footprint_mm2 == pytest.approx(80.0, rel=1e-3)
+    assert slab.footprint_mm2 == pytest.approx(80.0, rel=1e-9)
 
 
 def test_heights_between_nodes_and_outside():

@@ -1,0 +1,30 @@
+"""``python -m benchmarks NAME``: what the documentation states, measured again."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+
+BENCHMARKS = {
+    "frame": "time from an array to a measurement, by stage",
+    "startup": "time of `roemetry --help` over that of a two-command Typer program",
+    "herring_roe": "coding, grading and volume on unseen simulated skeins",
+    "paper_figures": "Figures 7 and 9 of the paper, from any image",
+}
+
+
+def main() -> int:
+    """Run the benchmark that the command line names."""
+    if len(sys.argv) < 2 or sys.argv[1] not in BENCHMARKS:
+        print("python -m benchmarks NAME [options]")
+        for name, what in BENCHMARKS.items():
+            print(f"  {name:14} {what}")
+        return 2
+    name = sys.argv.pop(1)
+    sys.argv[0] = f"python -m benchmarks {name}"
+    importlib.import_module(f"benchmarks.{name}").main()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,90 @@
+"""`roemetry calibrate`: from a rig file to a calibration, or a refusal that says what to do."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from roemetry.calibrating import calibrate
+from roemetry.calibration import Calibration
+from roemetry.errors import CalibrationError, ConfigurationError
+from roemetry.rig import Rig
+
+RIG = """\
+roemetry_rig: 1
+name: test
+stripes: 7
+target: block.yaml
+images:
+  block: [block.png]
+  belt: [belt.png]
+extractor: {use: dominant-peak, options: {threshold: 60, start: lowest}}
+"""
+BLOCK = "kind: block\nname: b\nlength_mm: 100\nwidth_mm: 20\nheight_mm: 10\n"
+
+
+@pytest.fixture
+def rig_file(rig, tmp_path: Path) -> Path:
+    heights = np.zeros((rig.stripes, rig.rows))
+    cv2.imwrite(str(tmp_path / "belt.png"), rig.image(rig.x_px(heights)))
+    heights[:, 80:160] = 10.0
+    cv2.imwrite(str(tmp_path / "block.png"), rig.image(rig.x_px(heights)))
+    (tmp_path / "block.yaml").write_text(BLOCK, encoding="utf-8")
+    (tmp_path / "rig.yaml").write_text(RIG, encoding="utf-8")
+    return tmp_path / "rig.yaml"
+
+
+def test_a_calibration_is_made_and_knows_where_it_comes_from(rig, rig_file: Path) -> None:
+    made = calibrate(Rig.load(rig_file))
+    assert made.image_size == (rig.rows, rig.columns)
+    assert set(made.image_sha256) == {"block.png", "belt.png"}
+    assert made.extractor["use"] == "dominant-peak"
+    assert made.target["height_mm"] == 10.0
+    made.save(rig_file.with_name("c.yaml"))
+    assert Calibration.load(rig_file.with_name("c.yaml")).sha256 == made.sha256
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (("block.png", "no.png"), "rig.yaml:6:11: images.block.0: there is no file"),
+        (("target: block.yaml", "target: no.yaml"), "cannot be read"),
+        (("stripes: 7", "stripes: 0"), "greater than or equal to 1, found 0"),
+        (("dominant-peak", "dominant-pike"), "did you mean `dominant-peak`?"),
+        (("name: test", "nome: test"), "did you mean `name`?"),
+    ],
+)
+def test_a_wrong_rig_file(rig_file: Path, change: tuple[str, str], says: str) -> None:
+    rig_file.write_text(RIG.replace(*change), encoding="utf-8")
+    with pytest.raises(ConfigurationError) as caught:
+        Rig.load(rig_file)
+    assert says in str(caught.value)
+
+
+def test_a_block_whose_sides_are_unknown(rig_file: Path) -> None:
+    text = BLOCK.replace("width_mm: 20\nheight_mm: 10\n", "")
+    rig_file.with_name("block.yaml").write_text(text, encoding="utf-8")
+    with pytest.raises(ConfigurationError, match="has no width_mm and no height_mm") as caught:
+        Rig.load(rig_file)
+    assert "calliper" in str(caught.value)
+
+
+def test_images_of_two_sizes(rig_file: Path) -> None:
+    cv2.imwrite(str(rig_file.with_name("belt.png")), np.zeros((100, 100), np.uint8))
+    with pytest.raises(CalibrationError, match=r"belt.png is 100 × 100 pixels, block.png is 320 × 240"):
+        calibrate(Rig.load(rig_file))
+
+
+def test_no_target(rig_file: Path) -> None:
+    rig_file.write_text(RIG.replace("target: block.yaml\n", ""), encoding="utf-8")
+    with pytest.raises(CalibrationError, match="its three sides are unknown"):
+        calibrate(Rig.load(rig_file))
+
+
+def test_no_images(rig_file: Path) -> None:
+    rig_file.write_text(RIG.replace("[block.png]", "[]").replace("[belt.png]", "[]"), encoding="utf-8")
+    with pytest.raises(CalibrationError, match="no images to calibrate from"):
+        calibrate(Rig.load(rig_file))
