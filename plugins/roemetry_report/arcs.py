@@ -82,8 +82,8 @@ def _zoom(marks: Marks, stripes: StripeMap, product: int, size: tuple[int, int])
 
 def _inside(points: Floats, box: Box) -> Flags:
     x, y, width, height = box
-    inside: Flags = (points >= (x, y)).all(axis=1) & (points <= (x + width, y + height)).all(axis=1)
-    return inside
+    within: Flags = (points >= (x, y)) & (points <= (x + width, y + height))
+    return within[:, 0] & within[:, 1]
 
 
 def _arrows(marks: Marks, which: Flags, *, flagged: bool) -> Markup:

@@ -47,7 +47,7 @@ def row_step(stripes: StripeMap) -> int:
 def runs(mask: Flags) -> Iterator[tuple[int, int]]:
     """Give first and one-past-last of each run of True."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
-    yield from edges.reshape(-1, 2).tolist()
+    yield from zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
 
 
 def _path(x: Floats, mask: Flags, step: int, kind: str, colour: str, *, join: bool = False) -> list[Markup]:

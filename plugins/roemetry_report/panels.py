@@ -14,7 +14,7 @@ from roemetry_report import palette, svg
 from roemetry_report.base_image import BaseImage, base_image
 from roemetry_report.curves import curves, row_step
 
-_DOTS_MAX = 6000
+_DOTS_MAX = 7500
 _MARKS_MAX = 1500
 
 

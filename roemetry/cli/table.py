@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable
 from itertools import islice
 
+from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
@@ -22,23 +23,22 @@ def problems_of(measurements: Iterable[Measurement]) -> list[str]:
 
 
 _ROWS_MAX = 40
-_COLOURS = {"measured": "green", "empty": "yellow", "failed": "red"}
+_COLOURS = {"measured": "default", "empty": "yellow", "failed": "red"}
 
 
 def table_of(title: str, measurements: Iterable[Measurement], rows: int) -> Table:
     """Make the table; of a long run it shows the first rows and says how many there are."""
     caption = f"the first {_ROWS_MAX} of {rows} rows" if rows > _ROWS_MAX else None
-    table = Table(title=Text(title), caption=caption, title_justify="left")
-    for heading in ("product", "status", "grade"):
-        table.add_column(heading)
-    for heading in ("weight g", "visible cm³", "height mm", "stripes", "ambiguous"):
-        table.add_column(heading, justify="right")
+    table = Table(title=Text(title), caption=caption, title_justify="left", box=SIMPLE_HEAD)
+    table.add_column("product", no_wrap=True)
+    table.add_column("grade")
+    for heading in ("g", "cm³", "mm high", "stripes", "ambiguous"):
+        table.add_column(heading, justify="right", no_wrap=True)
     for row in islice(measurements, _ROWS_MAX):
         coding = row.coding
         table.add_row(
             Text(row.id),
-            Text(row.status, style=_COLOURS[row.status]),
-            "" if row.grade is None else Text(row.grade.label),
+            Text(row.grade.label if row.grade is not None else row.status, style=_COLOURS[row.status]),
             "" if row.weight is None else stated(row.weight.mass_g.value, 1),
             "" if row.volume is None else stated(mm3_to_cm3(row.volume.visible_mm3.value)),
             "" if math.isnan(row.height_max_mm) else stated(row.height_max_mm, 1),
