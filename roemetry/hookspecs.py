@@ -45,6 +45,7 @@ KINDS = (
     "weigher",
     "classifier",
     "sink",
+    "simulator",
 )
 
 hookspec = pluggy.HookspecMarker(PROJECT)

@@ -27,6 +27,7 @@ from roemetry.records import (
     Peaks,
     Product,
     Profiles,
+    Simulated,
     StripeMap,
     Trace,
     Volume,
@@ -164,6 +165,18 @@ class Sink(Stage[OptionsT]):
         """Write, and give the files written."""
 
 
+class Simulator(Stage[OptionsT]):
+    """Makes images whose answer is known. Its options are the scene file: rig, belt, light, products."""
+
+    @abstractmethod
+    def simulate(self, number: int, seed: int) -> Simulated:
+        """Make the acquisition with this number of the population; a pure function of options, number, seed."""
+
+    @abstractmethod
+    def calibration_frames(self, seed: int) -> Mapping[str, Mapping[str, Frame]]:
+        """Make calibration images of the rig: by kind (``block``, ``belt``, …), by file name without suffix."""
+
+
 INTERFACES: Mapping[str, type[Stage[Any]]] = {
     "source": Source,
     "extractor": Extractor,
@@ -175,4 +188,5 @@ INTERFACES: Mapping[str, type[Stage[Any]]] = {
     "weigher": Weigher,
     "classifier": Classifier,
     "sink": Sink,
+    "simulator": Simulator,
 }

@@ -10,6 +10,7 @@ from roemetry.records.profiles import Profiles
 from roemetry.records.reasons import Reason
 from roemetry.records.stripes import AMBIGUOUS, BELT, NOTHING, UNCODED, StripeMap
 from roemetry.records.trace import ProductTrace, Trace
+from roemetry.records.truth import ProductTruth, Simulated, StripeTruth, Truth
 
 __all__ = [
     "AMBIGUOUS",
@@ -34,13 +35,17 @@ __all__ = [
     "Peaks",
     "Product",
     "ProductTrace",
+    "ProductTruth",
     "Profiles",
     "Reason",
     "Role",
     "Shares",
+    "Simulated",
     "Status",
     "StripeMap",
+    "StripeTruth",
     "Trace",
+    "Truth",
     "Volume",
     "Weight",
 ]
