@@ -199,7 +199,7 @@ def _item(line: str, place: str) -> Item:
 
 
 def _product(row: dict[str, Any]) -> ProductTruth:
-    numbers = {name: math.nan if value is None else value for name, value in row.items()}
+    numbers: dict[str, Any] = {name: math.nan if value is None else value for name, value in row.items()}
     numbers["figures"] = {name: math.nan if v is None else v for name, v in row["figures"].items()}
     return ProductTruth(**numbers)
 

@@ -170,11 +170,11 @@ class Simulator(Stage[OptionsT]):
 
     @abstractmethod
     def simulate(self, number: int, seed: int) -> Simulated:
-        """Make the acquisition with this number of the population; a pure function of options, number, seed."""
+        """Make the population's acquisition of this number: a pure function of options, number, seed."""
 
     @abstractmethod
     def calibration_frames(self, seed: int) -> Mapping[str, Mapping[str, Frame]]:
-        """Make calibration images of the rig: by kind (``block``, ``belt``, …), by file name without suffix."""
+        """Make calibration images: by kind (``block``, ``belt``, …), by file name without suffix."""
 
 
 INTERFACES: Mapping[str, type[Stage[Any]]] = {
