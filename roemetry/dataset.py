@@ -3,6 +3,7 @@
 A data set is a folder with
 
 * ``dataset.yaml``: name, licence, the command that made it, folders of calibration data;
+* ``calibration.sha256``: hashes of the calibration data, as ``sha256sum`` writes them;
 * ``items.jsonl``: a line an item: its id, its files by role with their hashes, the truth of its products, and
   the file that holds the truth of its stripes;
 * the files themselves, wherever the lines say (by habit ``images/``, ``truth/``).
@@ -13,11 +14,15 @@ interrupted holds no half item, and can be gone on with.
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 import math
-from collections.abc import Iterator, Mapping
+import os
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from types import TracebackType
 from typing import Any, Literal
 
 import numpy as np
@@ -31,6 +36,10 @@ from roemetry.yaml_source import dump, read
 
 DESCRIPTION = "dataset.yaml"
 ITEMS = "items.jsonl"
+HASHES = "calibration.sha256"
+STRIPES = "stripes"
+
+_LASTING = ("roemetry_dataset", "name", "licence", "made_from", "turn_deg")
 
 
 class Description(BaseModel):
@@ -42,6 +51,9 @@ class Description(BaseModel):
     name: str = Field(min_length=1, description="what to call it")
     licence: str = Field(description="under which licence it may be used (SPDX identifier)")
     made_with: str = Field(default="", description="the command that makes it again")
+    made_from: dict[str, str | int] = Field(
+        default_factory=dict, description="what decides its bytes: seed, hash of the scene, versions"
+    )
     turn_deg: Literal[0, 90, 180, 270] = Field(default=0, description="turn that recipes apply, degrees")
     calibration: dict[str, str] = Field(
         default_factory=dict, description="calibration data by kind: folder or file, relative to this file"
@@ -65,6 +77,10 @@ class Item:
         Truth of its products.
     stripes
         File (.npz) with the truth of its stripes, relative to the set; None where there is none.
+    time_s, encoder_count
+        When and where on the belt it was taken; NaN where not known.
+    bit_depth
+        Bits in use of its images; None is all that the files' pixels have.
     """
 
     id: str
@@ -72,6 +88,9 @@ class Item:
     sha256: Mapping[str, str] = field(default_factory=dict)
     products: tuple[ProductTruth, ...] = ()
     stripes: str | None = None
+    time_s: float = math.nan
+    encoder_count: float = math.nan
+    bit_depth: int | None = None
 
 
 class Dataset:
@@ -118,29 +137,44 @@ class Dataset:
             raise DataError(f"{path}: not the truth of stripes: {error}") from error
         return Truth(item.products, stripes)
 
-    def faults(self) -> list[str]:
-        """Check every file against its hash; give a sentence for each fault."""
-        found: list[str] = []
-        seen: set[str] = set()
-        for item in self.items():
-            if item.id in seen:
-                found.append(f"{self.folder / ITEMS}: the id `{item.id}` stands twice")
-            seen.add(item.id)
-            for role, name in item.files.items():
-                path = self.folder / name
-                if not path.is_file():
-                    found.append(f"{path}: is missing ({item.id}, {role})")
-                elif role in item.sha256 and sha256_of(path) != item.sha256[role]:
-                    found.append(f"{path}: has changed since the set was made ({item.id}, {role})")
-            if item.stripes is not None:
-                try:
-                    self.truth(item)
-                except DataError as error:
-                    found.append(str(error))
+    def faults(self) -> Iterator[str]:
+        """Check every file against its hash; give a sentence for each fault, one at a time."""
+        seen: set[int] = set()
+        try:
+            for item in self.items():
+                # of a long set the hashes of the ids take less memory than the ids
+                mark = hash(item.id)
+                if mark in seen:
+                    yield f"{self.folder / ITEMS}: the id `{item.id}` stands twice"
+                seen.add(mark)
+                yield from self._item_faults(item)
+        except DataError as error:
+            yield str(error)
         for kind, name in self.description.calibration.items():
             if not (self.folder / name).exists():
-                found.append(f"{self.folder / name}: is missing (calibration, {kind})")
-        return found
+                yield f"{self.folder / name}: is missing (calibration, {kind})"
+        for name, stored in _calibration_hashes(self.folder):
+            yield from self._file_faults(name, stored, "calibration")
+
+    def _item_faults(self, item: Item) -> Iterator[str]:
+        for role, name in item.files.items():
+            yield from self._file_faults(name, item.sha256.get(role), f"{item.id}, {role}")
+        if item.stripes is None:
+            return
+        faults = list(self._file_faults(item.stripes, item.sha256.get(STRIPES), f"{item.id}, truth"))
+        yield from faults
+        if not faults:
+            try:
+                self.truth(item)
+            except DataError as error:
+                yield str(error)
+
+    def _file_faults(self, name: str, stored: str | None, what: str) -> Iterator[str]:
+        path = self.folder / name
+        if not path.is_file():
+            yield f"{path}: is missing ({what})"
+        elif stored is not None and sha256_of(path) != stored:
+            yield f"{path}: has changed since the set was made ({what})"
 
 
 class DatasetWriter:
@@ -151,26 +185,34 @@ class DatasetWriter:
     folder
         Where; made if need be.
     description
-        What ``dataset.yaml`` will say. A set that is gone on with must have the same.
+        What ``dataset.yaml`` will say. A set that is gone on with must be of the same name, licence, turn and
+        origin; the command that makes it and its calibration data may change as it grows.
+
+    Attributes
+    ----------
+    done
+        Ids of the items that are there.
     """
 
     def __init__(self, folder: Path, description: Description) -> None:
         make_folder(folder)
         self.folder = folder
         path = folder / DESCRIPTION
-        if path.exists():
-            if Dataset(folder).description != description:
-                raise OutputError(
-                    f"{folder}: holds another data set", hint="choose another folder, or empty this one"
-                )
-        else:
+        old = Dataset(folder).description if path.exists() else description
+        if any(getattr(old, name) != getattr(description, name) for name in _LASTING):
+            raise OutputError(
+                f"{folder}: holds another data set", hint="choose another folder, or empty this one"
+            )
+        if old != description or not path.exists():
             write_whole(path, dump(description.model_dump(mode="json")))
         self._items = LineFile(folder / ITEMS)
         self.done = frozenset(item.id for item in Dataset(folder).items())
 
     def add(self, item: Item) -> None:
         """Write an item's line; its files must be there, and their hashes are taken from them."""
-        hashes = {role: sha256_of(self.folder / name) for role, name in item.files.items()}
+        hashes: dict[str, str] = {role: sha256_of(self.folder / name) for role, name in item.files.items()}
+        if item.stripes is not None:
+            hashes[STRIPES] = sha256_of(self.folder / item.stripes)
         row = asdict(item) | {"sha256": hashes}
         self._items.append(json.dumps(_null(row), ensure_ascii=False))
 
@@ -178,22 +220,69 @@ class DatasetWriter:
         """Close the list of items."""
         self._items.__exit__(None, None, None)
 
+    def __enter__(self) -> DatasetWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
 
 def save_stripes(path: Path, stripes: StripeTruth) -> None:
     """Write the truth of stripes, compressed, in float32 (a ten-thousandth of a pixel at 1,000 px)."""
+    buffer = io.BytesIO()
     np.savez_compressed(
-        path,
+        buffer,
         x_px=stripes.x_px.astype(np.float32),
         on_product=stripes.on_product,
         xyz_mm=stripes.xyz_mm.astype(np.float32),
     )
+    save_bytes(path, buffer.getvalue())
+
+
+def save_bytes(path: Path, data: bytes) -> None:
+    """Write a file whole or not at all, and its folder if need be; raise OutputError where that fails."""
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    make_folder(path.parent)
+    try:
+        part.write_bytes(data)
+        part.replace(path)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            part.unlink()
+        raise OutputError(
+            f"{path}: cannot be written: {error.strerror or error}",
+            hint="free some space; what was written before is whole, and `--resume` goes on from there",
+        ) from error
+
+
+def save_calibration_hashes(folder: Path, names: Sequence[str]) -> None:
+    """Write the hashes of a set's calibration files, given relative to it."""
+    if names:
+        lines = [f"{sha256_of(folder / name)}  {name}\n" for name in names]
+        write_whole(folder / HASHES, "".join(lines))
+
+
+def _calibration_hashes(folder: Path) -> Iterator[tuple[str, str]]:
+    path = folder / HASHES
+    if path.exists():
+        for line in path.read_text(encoding="utf-8").splitlines():
+            stored, _, name = line.partition("  ")
+            yield name, stored
 
 
 def _item(line: str, place: str) -> Item:
     try:
         row: dict[str, Any] = json.loads(line)
         products = tuple(_product(product) for product in row["products"])
-        return Item(row["id"], row["files"], row["sha256"], products, row["stripes"])
+        time_s, encoder_count = (
+            math.nan if row.get(name) is None else float(row[name]) for name in ("time_s", "encoder_count")
+        )
+        return Item(
+            str(row["id"]), row["files"], row["sha256"], products, row["stripes"],
+            time_s, encoder_count, row.get("bit_depth"),
+        )  # fmt: skip
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise DataError(f"{place}: not an item of a data set ({type(error).__name__}: {error})") from error
 

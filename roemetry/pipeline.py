@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
 from roemetry.assembling import assemble
@@ -41,11 +41,17 @@ class Pipeline:
         What to do.
     debug
         Let every exception through instead of noting it on the trace.
+    stages
+        By kind, stages to use instead of those the recipe would make: objects with the kind's verb.
     """
 
-    def __init__(self, recipe: Recipe, *, debug: bool = False) -> None:
+    def __init__(
+        self, recipe: Recipe, *, debug: bool = False, stages: Mapping[str, Any] | None = None
+    ) -> None:
         self.recipe = recipe
-        self._stages: dict[str, Any] = {kind: chosen.make() for kind, chosen in recipe.stages.items()}
+        self._stages: Mapping[str, Any] = (
+            {kind: chosen.make() for kind, chosen in recipe.stages.items()} if stages is None else stages
+        )
         self._debug = debug
 
     def trace(self, acquisition: Acquisition) -> Trace:

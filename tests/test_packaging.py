@@ -10,7 +10,7 @@ from pathlib import Path
 from roemetry.registry import discover
 from roemetry.stages import INTERFACES
 
-LIBRARIES = {"roemetry_kernels", "roemetry_simulate"}
+LIBRARIES = {"roemetry_kernels"}
 
 
 def test_entry_points_equal_folders_equal_what_is_installed(root: Path) -> None:

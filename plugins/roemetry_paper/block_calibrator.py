@@ -15,7 +15,7 @@ from roemetry.arrays import Floats
 from roemetry.calibration import Calibration
 from roemetry.errors import CalibrationError
 from roemetry.records import Block, CalibrationSet, Observation
-from roemetry.stages import Calibrator, StageOptions
+from roemetry.stages import Calibrator, Capabilities, StageOptions
 from roemetry_paper.block_views import BlockView, rest_polynomials, view_of_block
 
 
@@ -36,6 +36,7 @@ class BlockCalibrator(Calibrator[BlockCalibratorOptions]):
     """Ω of each stripe and one scale, from images of a block and of the empty belt."""
 
     Options = BlockCalibratorOptions
+    capabilities = Capabilities(tolerance_px=0.01, relative_tolerance=0.001)
 
     def calibrate(self, observed: CalibrationSet) -> Calibration:
         """Calibrate.

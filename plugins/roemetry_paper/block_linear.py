@@ -8,7 +8,7 @@ from roemetry.arrays import Floats
 from roemetry.calibration import Calibration
 from roemetry.errors import StageError
 from roemetry.records import Profiles, StripeMap
-from roemetry.stages import StageOptions, Triangulator
+from roemetry.stages import Capabilities, StageOptions, Triangulator
 
 
 class BlockLinear(Triangulator[StageOptions]):
@@ -18,17 +18,23 @@ class BlockLinear(Triangulator[StageOptions]):
     look larger, and lens distortion are left out. The origin is the belt point at the image's centre.
     """
 
+    capabilities = Capabilities(height_tolerance_mm=1e-9)
+
     def triangulate(self, stripes: StripeMap, calibration: Calibration) -> Profiles:
         """Give a slice for each stripe, with a point for each image row.
 
         Raises
         ------
         StageError
-            The map has another number of stripes than the calibration.
+            The map has another number of stripes or of rows than the calibration.
         """
         if stripes.stripe_count != calibration.stripe_count:
             raise StageError(
                 f"{stripes.stripe_count} stripes were coded, the calibration has {calibration.stripe_count}"
+            )
+        if stripes.rows != calibration.image_size[0]:
+            raise StageError(
+                f"the stripes have {stripes.rows} rows, the calibration's images {calibration.image_size[0]}"
             )
         omega = calibration.parameters["omega_mm_per_px"]
         scale = float(calibration.parameters["mm_per_px"][0])

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import ClassVar
 
 from pydantic import Field
 
 from roemetry.records import Frame, Peaks
-from roemetry.stages import Extractor, StageOptions
+from roemetry.stages import Capabilities, Extractor, StageOptions
 from roemetry_paper.dominant_peak import as_peaks, grey, scaled_level
 
 
@@ -33,6 +35,13 @@ class LocalMaximum(Extractor[LocalMaximumOptions]):
     """
 
     Options: ClassVar[type[StageOptions]] = LocalMaximumOptions
+    capabilities = Capabilities(tolerance_px=0.55, saturated_tolerance_px=3.0)
+    expected_failures: ClassVar[Mapping[str, str]] = MappingProxyType(
+        {
+            "check_dark_rows_give_nothing": "every maximum counts, those of the noise in the dark too: about "
+            "one pixel in three is one",
+        }
+    )
 
     def extract(self, frame: Frame) -> Peaks:
         """Find the maxima of all rows but the first and the last."""

@@ -89,13 +89,20 @@ class WindowTracking(Coder[WindowTrackingOptions]):
         Raises
         ------
         StageError
-            No peak at all; not the expected number of stripes; no stripe where the calibration has one.
+            No peak at all; not the expected number of stripes; no stripe where the calibration has one; peaks
+            of another image size than the calibration's.
         """
         options = self.options
         if not len(peaks):
             raise StageError(
                 "no stripe was found in the image",
                 hint="is the laser on? lower the extractor's threshold, or look at the image",
+            )
+        if calibration is not None and peaks.image_size != calibration.image_size:
+            raise StageError(
+                f"the peaks are of an image of {peaks.image_size[0]} rows and {peaks.image_size[1]} columns, "
+                f"the calibration of {calibration.image_size[0]} and {calibration.image_size[1]}",
+                hint="calibrate this camera, or use the region of interest it was calibrated with",
             )
         if (
             calibration is not None
@@ -148,8 +155,9 @@ class WindowTracking(Coder[WindowTrackingOptions]):
         segment, segment_line = cut_at_rest_lines(fragment, line, fragments, _BELT_ROWS_MIN, _FLICKER_ROWS)
         table = SegmentTable.of(peaks, segment, segment_line)
         anchored = table.anchored(_END_ROWS, _FLICKER_ROWS)
-        live = np.unique(segment_line[anchored])
-        if live.size == 0:
+        # A stripe hidden at both ends of the image shows its belt in between, and may have a body.
+        live = np.unique(segment_line[segment_line >= 0])
+        if not anchored.any():
             raise StageError(
                 f"no stripe lies where the {rest.x_px.shape[0]} rest lines are",
                 hint="camera or laser may have been moved: calibrate again, or remove what covers the belt",

@@ -9,7 +9,7 @@ import numpy as np
 from roemetry.arrays import Flags, Floats, Integers
 from roemetry.errors import StageError
 from roemetry.records import Estimate, Product, Profiles, Reason, Shares, Volume
-from roemetry.stages import StageOptions, VolumeEstimator
+from roemetry.stages import Capabilities, StageOptions, VolumeEstimator
 from roemetry_kernels.arcs import BodyCurves, body_curves
 
 _UNSEARCHED_ROWS = 1  # at the image's top and bottom: the paper's extractors leave them out
@@ -39,6 +39,8 @@ class ZeroOrderHold(VolumeEstimator[StageOptions]):
     of the product lie between lit stripes the two errors nearly cancel; where it reaches beyond the outer
     stripes that part is missing, and the last stripe's slice is never counted.
     """
+
+    capabilities = Capabilities(relative_tolerance=0.01)
 
     def estimate(self, product: Product, *, rng: np.random.Generator | None = None) -> Volume:
         """Estimate the visible volume; `rng` is not used, since the estimator's own error is not modelled.

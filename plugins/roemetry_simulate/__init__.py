@@ -1,5 +1,23 @@
-"""A small ray caster that draws laser-stripe images whose answer is known.
+"""A ray caster that makes laser-stripe images whose answer is known.
 
 Everything lives in the belt frame: X along image x, Y towards the image's top, Z up from the belt, in
 millimetres. The camera frame is OpenCV's (z forward), and the centre of the top-left pixel is (0, 0).
 """
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from roemetry.hookspecs import StageEntry, hookimpl
+
+
+@hookimpl
+def roemetry_stages() -> Iterable[StageEntry]:
+    """Name the simulator."""
+    yield StageEntry(
+        kind="simulator",
+        name="ray-caster",
+        target="roemetry_simulate.ray_caster:RayCaster",
+        summary="Stripe images of a rig, with exact truth: float64 rays, 16 samples a pixel, exact shadows",
+        reference="our own",
+    )

@@ -13,7 +13,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A pinhole camera without distortion.
+    """A pinhole camera whose lens may distort.
 
     Attributes
     ----------
@@ -27,6 +27,8 @@ class Camera:
         Pose "to belt from camera", millimetres. Camera axes: x right, y down, z forward.
     principal_point_px : tuple of float or None
         Where the optical axis meets the image; None is the image centre ((w - 1)/2, (h - 1)/2).
+    distortion : tuple of float
+        k1, k2, p1, p2, k3 of OpenCV's model; all zero is a perfect lens.
     """
 
     width_px: int
@@ -35,6 +37,7 @@ class Camera:
     focal_length_mm: float
     T_belt_camera: Floats
     principal_point_px: tuple[float, float] | None = None
+    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
         if min(self.width_px, self.height_px) < 1 or min(self.pixel_size_mm, self.focal_length_mm) <= 0:
@@ -70,6 +73,19 @@ class Camera:
         """Principal point, shape (2,), pixels."""
         return np.asarray(self.principal_point_px, dtype=np.float64)
 
+    @property
+    def distorts(self) -> bool:
+        """Whether the lens distorts at all."""
+        return any(value != 0.0 for value in self.distortion)
+
+    def packed(self) -> Floats:
+        """Return what the kernels take: pinhole, principal point, focal length (px), 1 or 0, distortion."""
+        flag = 1.0 if self.distorts else 0.0
+        return np.array(
+            [*self.centre_mm, *self.principal_px, self.focal_length_px, flag, *self.distortion],
+            dtype=np.float64,
+        )
+
     def ray(self, x_px: ArrayLike, y_px: ArrayLike) -> Floats:
         """Directions of the rays through pixels.
 
@@ -85,9 +101,12 @@ class Camera:
         """
         x, y = np.broadcast_arrays(np.asarray(x_px, dtype=np.float64), np.asarray(y_px, dtype=np.float64))
         cx, cy = self.principal_px
-        direction = np.stack(
-            [(x - cx) / self.focal_length_px, (y - cy) / self.focal_length_px, np.ones_like(x)], axis=-1
-        )
+        x, y = (x - cx) / self.focal_length_px, (y - cy) / self.focal_length_px
+        if self.distorts:
+            from roemetry_simulate.lens import undistorted
+
+            x, y = undistorted(np.array(self.distortion, dtype=np.float64), x, y)
+        direction = np.stack([x, y, np.ones_like(x)], axis=-1)
         direction = direction @ self.rotation.T
         unit: Floats = direction / np.linalg.norm(direction, axis=-1, keepdims=True)
         return unit
@@ -107,8 +126,26 @@ class Camera:
         """
         points = (np.asarray(points_mm, dtype=np.float64) - self.centre_mm) @ self.rotation
         depth = np.where(points[..., 2:] > 0.0, points[..., 2:], np.nan)
-        pixels: Floats = points[..., :2] / depth * self.focal_length_px + self.principal_px
+        plane = points[..., :2] / depth
+        if self.distorts:
+            plane = self._bent(plane)
+        pixels: Floats = plane * self.focal_length_px + self.principal_px
         return pixels
+
+    def _bent(self, plane: Floats) -> Floats:
+        """Distort normalised image points, shape (..., 2)."""
+        k1, k2, p1, p2, k3 = self.distortion
+        x, y = plane[..., 0], plane[..., 1]
+        r2 = x * x + y * y
+        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        bent: Floats = np.stack(
+            [
+                x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
+                y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
+            ],
+            axis=-1,
+        )
+        return bent
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers for a YAML file."""
@@ -119,6 +156,7 @@ class Camera:
             "focal_length_mm": self.focal_length_mm,
             "principal_point_px": [float(v) for v in self.principal_px],
             "T_belt_camera": [[float(v) for v in row] for row in self.T_belt_camera],
+            **({"distortion_k1_k2_p1_p2_k3": list(self.distortion)} if self.distorts else {}),
         }
 
 

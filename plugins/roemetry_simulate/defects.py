@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -35,18 +37,42 @@ def deform(
     wall : ndarray or None
         For a broken skein the square (mm²) that ends it, positive on the side that is left.
     """
-    changes = {"dented": _dent, "bent": _crease, "twisted": _twist, "folded": _fold}
+    changes = {
+        "dented": _dent,
+        "several-dents": _dents,
+        "bent": _crease,
+        "s-bent": _creases,
+        "twisted": _twist,
+        "folded": _fold,
+    }
     if record.kind in changes:
-        change = changes[record.kind](record, height_mm, a, v_mm)
-        # the change dies out at the rim, where the outline is
-        change = change * (1.0 - (1.0 - np.clip(inside / 0.35, 0.0, 1.0)) ** 2)
-        share = 1.0 + change / np.maximum(height_mm, 1e-9) - _LEAST_SHARE
-        # no deeper than a small share of the dome, approached smoothly
-        share = _LEAST_SHARE + 0.5 * (share + np.hypot(share, 0.15))
-        return np.where(change == 0.0, height_mm, share * height_mm), None
+        return changed(height_mm, inside, changes[record.kind](record, height_mm, a, v_mm)), None
     if record.kind == "broken":
         return height_mm, _break(record, a, v_mm)
     return height_mm, None
+
+
+def changed(height_mm: Floats, inside: Floats, change_mm: Floats) -> Floats:
+    """Add a change to a dome, within what a body with a rim can take.
+
+    Parameters
+    ----------
+    height_mm, inside : ndarray, shape (rows, columns)
+        See `deform`.
+    change_mm : ndarray, shape (rows, columns)
+        What to add, negative in a hollow.
+
+    Returns
+    -------
+    ndarray, shape (rows, columns)
+        Dome over the rim, millimetres.
+    """
+    # the change dies out at the rim, where the outline is
+    change = change_mm * (1.0 - (1.0 - np.clip(inside / 0.35, 0.0, 1.0)) ** 2)
+    share = 1.0 + change / np.maximum(height_mm, 1e-9) - _LEAST_SHARE
+    # no deeper than a small share of the dome, approached smoothly
+    share = _LEAST_SHARE + 0.5 * (share + np.hypot(share, 0.15))
+    return np.where(change == 0.0, height_mm, share * height_mm)
 
 
 def _place(record: SkeinRecord, a: Floats, v_mm: Floats) -> tuple[Floats, Floats]:
@@ -61,6 +87,40 @@ def _dent(record: SkeinRecord, height_mm: Floats, a: Floats, v_mm: Floats) -> Fl
     r2 = (2.0 * along / record.defect_length_mm) ** 2 + (2.0 * across / record.defect_width_mm) ** 2
     hollow: Floats = -record.defect_depth_mm * np.clip(1.0 - r2, 0.0, 1.0) ** 2
     return hollow
+
+
+def dents(record: SkeinRecord) -> list[SkeinRecord]:
+    """Return a record for each of several dents: the skein's own, then 1–3 more, drawn from its seed."""
+    rng = np.random.default_rng([record.seed, 17])
+    found = [record]
+    for _ in range(int(rng.integers(1, 4))):
+        along, across, depth = rng.uniform(-0.55, 0.55), rng.uniform(-0.35, 0.35), rng.uniform(2.0, 6.0)
+        length, width = rng.uniform(5.0, 20.0, 2)
+        deepest = max(0.5 * (record.thickness_mm - record.rim_height_mm), 2.0)
+        found.append(
+            replace(
+                record,
+                defect_along=float(along),
+                defect_across=float(across),
+                defect_depth_mm=float(min(depth, deepest)),
+                defect_length_mm=float(length),
+                defect_width_mm=float(width),
+            )
+        )
+    return found
+
+
+def _dents(record: SkeinRecord, height_mm: Floats, a: Floats, v_mm: Floats) -> Floats:
+    """Return the hollows of several dents; where they meet, the deepest counts."""
+    return np.minimum.reduce([_dent(one, height_mm, a, v_mm) for one in dents(record)])
+
+
+def _creases(record: SkeinRecord, height_mm: Floats, a: Floats, v_mm: Floats) -> Floats:
+    """Return two wrinkles, one on the inner side of each half of an S."""
+    place = max(abs(record.defect_along), 0.25)
+    right = replace(record, defect_along=place)
+    left = replace(record, defect_along=-place, bend_deg=-record.bend_deg)
+    return np.minimum(_crease(right, height_mm, a, v_mm), _crease(left, height_mm, a, v_mm))
 
 
 def _crease(record: SkeinRecord, height_mm: Floats, a: Floats, v_mm: Floats) -> Floats:

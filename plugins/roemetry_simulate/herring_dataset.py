@@ -156,7 +156,11 @@ def rig_as_dict(rig: Rig) -> dict[str, Any]:
     return {
         "frame": "belt: X along image x, Y towards the image's top, Z up, millimetres; planes are n·X = d",
         "camera": rig.camera.as_dict(),
-        "sensor": asdict(rig.sensor),
+        "sensor": {
+            name: value
+            for name, value in asdict(rig.sensor).items()
+            if name not in ("full_well_e", "bit_depth")
+        },
         "laser": rig.laser.as_dict(),
         "light": {
             "ambient_grey": rig.ambient_grey,

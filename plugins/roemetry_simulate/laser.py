@@ -26,11 +26,14 @@ class LaserFan:
     line_axis : ndarray, shape (3,)
         Unit direction which all planes share (the lines' run), belt frame.
     sigma_mm : float
-        Standard deviation of the light's Gaussian profile across a plane, the same at all distances.
+        Standard deviation of the light's Gaussian profile across a plane, where it is thinnest.
     peak_grey : ndarray, shape (N,)
         Grey levels in a plane's middle on a white (albedo 1) surface that faces the projector.
     line_sigma_deg : float
         Gaussian fall of the power with the angle along the line.
+    waist_distance_mm, divergence_mrad : float
+        Where the planes are thinnest, from the projector, and how the standard deviation grows away from
+        there: sqrt(sigma² + (divergence · (distance − waist))²). A plane that is wider is less bright.
     """
 
     projector_mm: Floats
@@ -40,6 +43,8 @@ class LaserFan:
     sigma_mm: float
     peak_grey: Floats
     line_sigma_deg: float = 25.0
+    waist_distance_mm: float = 0.0
+    divergence_mrad: float = 0.0
 
     def __post_init__(self) -> None:
         if self.sigma_mm <= 0.0 or self.line_sigma_deg <= 0.0:
@@ -51,6 +56,17 @@ class LaserFan:
         count = len(self.normals)
         if self.normals.shape != (count, 3) or {self.offsets_mm.shape, self.peak_grey.shape} != {(count,)}:
             raise ValueError("normals must be (N, 3), offsets_mm and peak_grey (N,)")
+
+    def packed(self) -> Floats:
+        """Return what the kernels take: waist (mm), fall (rad), its distance (mm), divergence (rad)."""
+        return np.array(
+            [
+                self.sigma_mm,
+                np.deg2rad(self.line_sigma_deg),
+                self.waist_distance_mm,
+                1e-3 * self.divergence_mrad,
+            ]
+        )
 
     @property
     def count(self) -> int:

@@ -9,6 +9,9 @@ import numpy as np
 KINDS = ("healthy", "dented", "bent", "twisted", "folded", "broken")
 KIND_SHARES = (0.35, 0.18, 0.15, 0.13, 0.12, 0.07)
 
+FURTHER_KINDS = ("s-bent", "several-dents")
+"""Kinds that are made when asked for, and never drawn without: what a seed alone gives stays as it is."""
+
 
 @dataclass(frozen=True)
 class SkeinRecord:
@@ -19,7 +22,7 @@ class SkeinRecord:
     seed : int
         What everything was drawn from.
     kind : str
-        One of `KINDS`.
+        One of `KINDS` or `FURTHER_KINDS`.
     length_mm : float
         Along the mid-line, 70–105 (broken: of the whole skein, 90–105).
     width_mm : float
@@ -33,8 +36,7 @@ class SkeinRecord:
         Roundness of the underside, 1 (half an ellipse) to 2.2 (flatter); at least 1.5 over a gap.
     air_gap_mm : float
         Largest air gap under the middle, which arches: 0,
-        but 0–3 and at most 0.13 of the thickness for bent
-        and twisted ones.
+        but 0–3 and at most 0.13 of the thickness for bent, s-bent and twisted ones.
     thick_end : float
         Growth of width and height from the middle to the thick end, 0.06–0.2 of either sign;
         positive is thick at the right.
@@ -47,13 +49,15 @@ class SkeinRecord:
     relief_mm : float
         Standard deviation of the fine relief, 0.04–0.10, over about 3 mm.
     bend_deg : float
-        Turn of the mid-line from end to end, within ±12; bent ones 30–60 of either sign.
+        Turn of the mid-line from end to end, within ±12; bent ones 30–60 of either sign; for s-bent ones
+        the turn of the right half, 25–45 of either sign, and the left half turns back by as much.
     yaw_deg : float
         Turn from belt X, within ±15.
     centre_x_mm, centre_y_mm : float
         Where the middle lies, within ±5 and ±6, but see `roemetry_simulate.herring_roe`.
     defect_along, defect_across : float
-        Where the defect is: a (−0.55…0.55), and v as a share of the half width (−0.35…0.35).
+        Where the defect is: a (−0.55…0.55), and v as a share of the half width (−0.35…0.35). Of several
+        dents (2–4) this is the first; the others are drawn from the seed, over the same ranges.
     defect_depth_mm : float
         2–6, at most half of the dome; 0 for healthy ones.
     defect_length_mm, defect_width_mm : float
@@ -95,15 +99,16 @@ def draw(seed: int, kind: str | None = None) -> SkeinRecord:
     seed : int
         The same seed (and kind) gives the same skein.
     kind : str or None
-        One of `KINDS`; None draws that, too, in the shares `KIND_SHARES`.
+        One of `KINDS` or `FURTHER_KINDS`; None draws one of `KINDS`, too, in the shares `KIND_SHARES`.
 
     Returns
     -------
     SkeinRecord
         Its parameters.
     """
-    if kind is not None and kind not in KINDS:
-        raise ValueError(f"no kind of skein is called {kind!r}; there are {', '.join(KINDS)}")
+    if kind is not None and kind not in KINDS + FURTHER_KINDS:
+        known = ", ".join(KINDS + FURTHER_KINDS)
+        raise ValueError(f"no kind of skein is called {kind!r}; there are {known}")
     rng = np.random.default_rng([seed, 3])
     drawn = str(rng.choice(KINDS, p=KIND_SHARES))
     kind = drawn if kind is None else kind
@@ -140,7 +145,7 @@ def draw(seed: int, kind: str | None = None) -> SkeinRecord:
         return record
     deepest = 0.5 * (record.thickness_mm - record.rim_height_mm)
     record = replace(record, defect_depth_mm=float(min(between(2, 6), max(deepest, 2.0))))
-    if kind in ("bent", "twisted"):
+    if kind in ("bent", "s-bent", "twisted"):
         gap = between(0, 3)
         record = replace(
             record,
@@ -149,6 +154,8 @@ def draw(seed: int, kind: str | None = None) -> SkeinRecord:
         )
     if kind == "bent":
         record = replace(record, bend_deg=float(between(30, 60) * rng.choice([-1.0, 1.0])))
+    if kind == "s-bent":
+        record = replace(record, bend_deg=float(between(25, 45) * rng.choice([-1.0, 1.0])))
     if kind == "folded":
         # a fold doubles what is there, and comes of the thinner ones
         share = min(1.0, 16.0 / record.thickness_mm)

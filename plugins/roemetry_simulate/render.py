@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from roemetry_simulate.camera import Camera
+from roemetry_simulate.defocus import Focus, defocused, depths_mm
 from roemetry_simulate.laser import LaserFan
+from roemetry_simulate.lens import camera_ray
 from roemetry_simulate.raycast import first_hit, normal_at, sees
 from roemetry_simulate.sensor import Sensor, expose
 from roemetry_simulate.solid import Body, Solid
@@ -33,6 +37,8 @@ class Rig:
         Grey level of a white, level surface under the plain light with the laser off.
     lamp_height_mm, lamp_radius_mm : float
         The plain light is a ring of lamps about the optical axis.
+    focus : Focus or None
+        Where the lens is focused; None is sharp everywhere, up to the sensor's own blur.
     """
 
     camera: Camera
@@ -42,6 +48,7 @@ class Rig:
     plain_grey: float = 210.0
     lamp_height_mm: float = 260.0
     lamp_radius_mm: float = 130.0
+    focus: Focus | None = None
 
 
 def laser_light(rig: Rig, solid: Solid, surface: Surface, samples: int = 4) -> tuple[Floats, Floats]:
@@ -61,10 +68,10 @@ def laser_light(rig: Rig, solid: Solid, surface: Surface, samples: int = 4) -> t
     """
     camera, laser = rig.camera, rig.laser
     planes = np.column_stack([laser.normals, laser.offsets_mm, laser.peak_grey])
-    fan = np.array([laser.sigma_mm, np.deg2rad(laser.line_sigma_deg)])
     image = _render_laser(
-        solid.body(), _pinhole(camera), camera.rotation, laser.projector_mm, laser.line_axis, planes, fan,
-        _maps(surface), surface.texture, _albedo(surface, surface.laser_albedo),
+        solid.body(), camera.packed(), camera.rotation, laser.projector_mm, laser.line_axis, planes,
+        laser.packed(), _maps(surface), surface.texture, _albedo(surface, surface.laser_albedo),
+        np.array(surface.below, dtype=np.float64), *surface.decal_or_none(),
         (camera.height_px, camera.width_px), samples,
     )  # fmt: skip
     return image[..., 0], rig.ambient_grey * image[..., 1]
@@ -100,15 +107,16 @@ def plain_light(rig: Rig, solid: Solid, surface: Surface, samples: int = 4) -> F
     order = (np.arange(samples * samples) * 7) % (samples * samples)
     lamps = np.ascontiguousarray(lamps.reshape(samples * samples, 4, 3)[order])
     image: Floats = _render_plain(
-        solid.body(), _pinhole(camera), camera.rotation, lamps, _maps(surface), surface.texture,
-        _albedo(surface, surface.plain_albedo), (camera.height_px, camera.width_px), samples,
+        solid.body(), camera.packed(), camera.rotation, lamps, _maps(surface), surface.texture,
+        _albedo(surface, surface.plain_albedo), *surface.decal_or_none(),
+        (camera.height_px, camera.width_px), samples,
     )  # fmt: skip
     return rig.plain_grey * image
 
 
 def render(
     rig: Rig, solid: Solid, surface: Surface, *, seed: int, plain: bool = False, samples: int = 4
-) -> NDArray[np.uint8]:
+) -> NDArray[Any]:
     """Take one image of a scene.
 
     Parameters
@@ -124,18 +132,24 @@ def render(
 
     Returns
     -------
-    ndarray of uint8, shape (height, width)
+    ndarray of uint8 (uint16 over 8 bits), shape (height, width)
         The image; the same arguments give the same bytes.
     """
+    lens = _lens(rig, solid)
     if plain:
         steady = plain_light(rig, solid, surface, samples)
-        return expose(np.zeros_like(steady), steady, rig.sensor, seed)
+        return expose(np.zeros_like(steady), steady, rig.sensor, seed, lens)
     laser, ambient = laser_light(rig, solid, surface, samples)
-    return expose(laser, ambient, rig.sensor, seed)
+    return expose(laser, ambient, rig.sensor, seed, lens)
 
 
-def _pinhole(camera: Camera) -> Floats:
-    return np.array([*camera.centre_mm, *camera.principal_px, camera.focal_length_px])
+def _lens(rig: Rig, solid: Solid) -> Callable[[Floats], Floats] | None:
+    """Give the blur of a lens that is not sharp everywhere."""
+    focus = rig.focus
+    if focus is None:
+        return None
+    depth_mm = depths_mm(rig.camera, solid)
+    return lambda light: defocused(light, rig.camera, focus, depth_mm)
 
 
 def _maps(surface: Surface) -> Floats:
@@ -160,19 +174,10 @@ def _texture(maps: Floats, texture: Floats, point: Floats, on: int) -> float:
 
 
 @njit(cache=True, nogil=True)
-def camera_ray(pinhole: Floats, rotation: Floats, x_px: float, y_px: float, d: Floats) -> None:
-    """Write the unit direction, belt frame, of the ray through an image point."""
-    cx = (x_px - pinhole[3]) / pinhole[5]
-    cy = (y_px - pinhole[4]) / pinhole[5]
-    length = math.sqrt(cx * cx + cy * cy + 1.0)
-    for k in range(3):
-        d[k] = (rotation[k, 0] * cx + rotation[k, 1] * cy + rotation[k, 2]) / length
-
-
-@njit(cache=True, nogil=True)
 def _render_laser(
     body: Body, pinhole: Floats, rotation: Floats, projector: Floats, axis: Floats, planes: Floats,
-    fan: Floats, maps: Floats, texture: Floats, albedo: Floats, shape: tuple[int, int], samples: int,
+    fan: Floats, maps: Floats, texture: Floats, albedo: Floats, below: Floats, decal: Floats,
+    decal_from: Floats, shape: tuple[int, int], samples: int,
 ) -> Floats:  # fmt: skip
     image = np.zeros((shape[0], shape[1], 2))
     point, normal, view = np.zeros(3), np.zeros(3), np.zeros(3)
@@ -190,16 +195,16 @@ def _render_laser(
                     continue
                 normal_at(body, on, point, normal)
                 grey = albedo[on] * _texture(maps, texture, point, on)
+                if on == 1 and decal.size > 1:
+                    grey *= _decal(decal, decal_from, point)
                 image[row, column, 1] += share * grey * (0.5 + 0.5 * normal[2])
-                light = 0.0
-                for i in range(planes.shape[0]):
-                    away = -planes[i, 3]
-                    for m in range(3):
-                        away += planes[i, m] * point[m]
-                    away /= fan[0]
-                    if abs(away) < 5.0:
-                        light += planes[i, 4] * math.exp(-0.5 * away * away)
-                if light == 0.0:
+                wide = _width(fan, projector, point)
+                light = _planes(planes, point, normal, 0.0, wide) * (fan[0] / wide)
+                soft = 0.0
+                if on == 1 and below[0] > 0.0:
+                    spread = math.sqrt(wide * wide + below[2] * below[2])
+                    soft = below[0] * _planes(planes, point, normal, below[1], spread) * (fan[0] / spread)
+                if light == 0.0 and soft == 0.0:
                     continue
                 cosine = sees(body, point, normal, projector, beam, scratch)
                 if cosine == 0.0:
@@ -208,11 +213,64 @@ def _render_laser(
                 for m in range(3):
                     run -= beam[m] * axis[m]
                 angle = math.asin(run) / fan[1]
-                light *= math.exp(-0.5 * angle * angle)
+                fall = math.exp(-0.5 * angle * angle)
+                light *= fall
+                if on == 1 and below[0] > 0.0:
+                    shine = _shine(albedo[2 + on], albedo[4], normal, beam, view)
+                    scattered = grey * cosine * ((1.0 - below[0]) * light + fall * soft)
+                    image[row, column, 0] += share * (scattered + light * shine)
+                    continue
                 image[row, column, 0] += (
                     share * light * (grey * cosine + _shine(albedo[2 + on], albedo[4], normal, beam, view))
                 )
     return image
+
+
+@njit(cache=True, nogil=True)
+def _width(fan: Floats, projector: Floats, point: Floats) -> float:
+    """Return the planes' standard deviation (mm) at a point's distance from the projector."""
+    if fan[3] == 0.0:
+        return fan[0]
+    away = 0.0
+    for m in range(3):
+        away += (point[m] - projector[m]) ** 2
+    grown = fan[3] * (math.sqrt(away) - fan[2])
+    return math.sqrt(fan[0] * fan[0] + grown * grown)
+
+
+@njit(cache=True, nogil=True)
+def _planes(planes: Floats, point: Floats, normal: Floats, depth_mm: float, sigma_mm: float) -> float:
+    """Light of all planes at a depth below a point of the surface, before the angles are counted."""
+    light = 0.0
+    for i in range(planes.shape[0]):
+        away = -planes[i, 3]
+        for m in range(3):
+            away += planes[i, m] * point[m]
+        if depth_mm != 0.0:
+            for m in range(3):
+                away -= depth_mm * planes[i, m] * normal[m]
+        away /= sigma_mm
+        if abs(away) < 5.0:
+            light += planes[i, 4] * math.exp(-0.5 * away * away)
+    return light
+
+
+@njit(cache=True, nogil=True)
+def _decal(decal: Floats, decal_from: Floats, point: Floats) -> float:
+    """Bilinear lookup in a picture that is stuck on the product; 1 beside it."""
+    u = decal_from[0, 3]
+    v = decal_from[1, 3]
+    for m in range(3):
+        u += decal_from[0, m] * point[m]
+        v += decal_from[1, m] * point[m]
+    rows, columns = decal.shape[0], decal.shape[1]
+    if u < 0.0 or v < 0.0 or u > columns - 1.0 or v > rows - 1.0:
+        return 1.0
+    i, j = min(int(u), columns - 2), min(int(v), rows - 2)
+    a, b = u - i, v - j
+    low = decal[j, i] * (1.0 - a) + decal[j, i + 1] * a
+    high = decal[j + 1, i] * (1.0 - a) + decal[j + 1, i + 1] * a
+    return low * (1.0 - b) + high * b
 
 
 @njit(cache=True, nogil=True)
@@ -231,7 +289,7 @@ def _shine(gloss: float, exponent: float, normal: Floats, beam: Floats, view: Fl
 @njit(cache=True, nogil=True)
 def _render_plain(
     body: Body, pinhole: Floats, rotation: Floats, lamps: Floats, maps: Floats, texture: Floats,
-    albedo: Floats, shape: tuple[int, int], samples: int,
+    albedo: Floats, decal: Floats, decal_from: Floats, shape: tuple[int, int], samples: int,
 ) -> Floats:  # fmt: skip
     image = np.zeros(shape)
     point, normal, view = np.zeros(3), np.zeros(3), np.zeros(3)
@@ -253,6 +311,8 @@ def _render_plain(
                 lamp = lamps[k, 2 * (row % 2) + column % 2]
                 cosine = sees(body, point, normal, lamp, beam, scratch)
                 grey = albedo[on] * _texture(maps, texture, point, on)
+                if on == 1 and decal.size > 1:
+                    grey *= _decal(decal, decal_from, point)
                 light = 0.25 * (0.5 + 0.5 * normal[2]) * grey
                 if cosine > 0.0:
                     shine = _shine(0.5 * albedo[2 + on], albedo[4], normal, beam, view)

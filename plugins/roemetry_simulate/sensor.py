@@ -1,8 +1,11 @@
-"""From light to grey levels: optics blur, speckle, shot noise, read noise, clipping, 8 bit."""
+"""From light to grey levels: optics blur, speckle, shot noise, full well, read noise, clipping, 8–16 bit."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +31,10 @@ class Sensor:
         Standard deviation over mean of the laser light's speckle as the camera sees it.
     speckle_sigma_px : float
         Gaussian filter that sets the grain of the speckle.
+    full_well_e : float
+        Electrons a pixel holds; what comes beyond is lost.
+    bit_depth : int
+        8 to 16: the highest grey level is 2**bit_depth − 1.
     """
 
     grey_per_electron: float = 0.0255
@@ -36,9 +43,13 @@ class Sensor:
     psf_sigma_px: float = 0.5
     speckle_contrast: float = 0.10
     speckle_sigma_px: float = 0.7
+    full_well_e: float = math.inf
+    bit_depth: int = 8
 
 
-def expose(laser: Floats, steady: Floats, sensor: Sensor, seed: int) -> NDArray[np.uint8]:
+def expose(
+    laser: Floats, steady: Floats, sensor: Sensor, seed: int, lens: Callable[[Floats], Floats] | None = None
+) -> NDArray[Any]:
     """Take a picture.
 
     Parameters
@@ -49,19 +60,25 @@ def expose(laser: Floats, steady: Floats, sensor: Sensor, seed: int) -> NDArray[
         The camera's sensor.
     seed : int
         The same seed gives the same bytes.
+    lens : callable or None
+        Blurs the image before the sensor's own blur.
 
     Returns
     -------
     ndarray of uint8, shape (height, width)
-        The image.
+        The image; of uint16 where the sensor gives more than 8 bits.
     """
     rng = np.random.default_rng([seed, 29])
     grain = _speckle(rng, laser.shape, sensor) if sensor.speckle_contrast > 0.0 else np.ones(laser.shape)
-    light = blurred(laser * grain + steady, sensor.psf_sigma_px)
+    light = laser * grain + steady
+    light = blurred(light if lens is None else lens(light), sensor.psf_sigma_px)
     electrons = rng.poisson(np.maximum(light, 0.0) / sensor.grey_per_electron)
+    if math.isfinite(sensor.full_well_e):
+        electrons = np.minimum(electrons, int(sensor.full_well_e))
     grey = electrons * sensor.grey_per_electron + sensor.black_level_grey
     grey += sensor.read_noise_grey * rng.standard_normal(laser.shape)
-    return np.clip(np.floor(grey + 0.5), 0, 255).astype(np.uint8)
+    white = 2**sensor.bit_depth - 1
+    return np.clip(np.floor(grey + 0.5), 0, white).astype(np.uint8 if sensor.bit_depth <= 8 else np.uint16)
 
 
 def blurred(light: Floats, sigma_px: float) -> Floats:

@@ -38,7 +38,7 @@ class Skein:
     solid : GriddedSolid
         The skein.
     reference : GriddedSolid
-        The same skein without its defect (for a bent one: bent, but without the crease).
+        The same skein without its defect (for a bent or s-bent one: bent, but without the creases).
     """
 
     record: SkeinRecord
@@ -114,6 +114,8 @@ def mid_line_coordinates(record: SkeinRecord, x_mm: Floats, y_mm: Floats) -> tup
     across = c * (y_mm - record.centre_y_mm) - s * (x_mm - record.centre_x_mm)
     if record.bend_deg == 0.0:
         return 2.0 * along / record.length_mm, across
+    if record.kind == "s-bent":
+        return _along_s(record, along, across)
     # an arc of the given length that turns by bend_deg, its middle shifted so that it stays centred
     radius = record.length_mm / np.deg2rad(record.bend_deg)
     sagitta = radius * (1.0 - np.cos(np.deg2rad(record.bend_deg) / 2.0))
@@ -122,6 +124,21 @@ def mid_line_coordinates(record: SkeinRecord, x_mm: Floats, y_mm: Floats) -> tup
     sign = np.sign(radius)
     angle = np.arctan2(along, sign * down)
     return 2.0 * angle * abs(radius) / record.length_mm, sign * (abs(radius) - distance)
+
+
+def _along_s(record: SkeinRecord, along: Floats, across: Floats) -> tuple[Floats, Floats]:
+    """Place along and across two arcs that meet smoothly in the middle; their far ends lie on own x."""
+    turn = np.deg2rad(record.bend_deg)
+    radius = 0.5 * record.length_mm / turn
+    # the tangent in the middle lies half the turn off the line from end to end
+    c, s = np.cos(0.5 * turn), np.sin(0.5 * turn)
+    x, y = c * along - s * across, s * along + c * across
+    half = np.where(x < 0.0, -1.0, 1.0)
+    x, y = half * x, half * y
+    sign = np.sign(radius)
+    down = radius - y
+    a = 2.0 * np.arctan2(x, sign * down) * abs(radius) / record.length_mm
+    return half * a, half * sign * (abs(radius) - np.hypot(x, down))
 
 
 def _grid(record: SkeinRecord, step_mm: float) -> tuple[Floats, Floats]:

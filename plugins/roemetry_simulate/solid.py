@@ -7,13 +7,16 @@ A gridded body is what lies between an upper and a lower surface that meet in a 
 with `mid` (mm), `u_top` and `u_bottom` (mm²) bilinear on the grid, and the footprint where u_top > 0.
 Squares are stored since they stay smooth where the surface turns vertical at the rim: an ellipsoid is a
 quadratic, and bilinear interpolation meets it within a micrometre or so.
+
+Two further forms are made in `roemetry_simulate.products`: unions of convex parts with exact surfaces (PARTS,
+see its `parts`) and closed triangle meshes (MESH, see its `mesh`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numba import njit
@@ -21,21 +24,38 @@ from numpy.typing import ArrayLike, NDArray
 
 Floats = NDArray[np.float64]
 
-NOTHING, BOX, FIELD = 0, 1, 2
+NOTHING, BOX, FIELD, PARTS, MESH = 0, 1, 2, 3, 4
+
+
+def _none(*shape: int, dtype: type[np.generic] = np.float64) -> NDArray[Any]:
+    """Stand in for a member of a body that does not count."""
+    nothing = np.zeros(shape, dtype=dtype)
+    nothing.flags.writeable = False
+    return nothing
 
 
 class Body(NamedTuple):
-    """A solid in the form the kernels take; `kind` says which of the members count."""
+    """A solid in the form the kernels take; `kind` says which of the members count.
+
+    BOX takes `box`; FIELD takes `grid` to `u_slope_mm`; PARTS takes `surfaces` (see
+    `roemetry_simulate.products.parts`); MESH takes `triangles`, `boxes` and `links` (see
+    `roemetry_simulate.products.triangles`). `top_mm` is at or over the highest point for all. All arrays are
+    read-only, so that the kernels are compiled once for all kinds.
+    """
 
     kind: int
-    box: Floats
-    grid: Floats
-    x0_mm: float
-    y0_mm: float
-    step_mm: float
-    top_mm: float
-    mid_slope: float
-    u_slope_mm: float
+    box: Floats = _none(6)
+    grid: Floats = _none(2, 2, 3)
+    x0_mm: float = 0.0
+    y0_mm: float = 0.0
+    step_mm: float = 1.0
+    top_mm: float = 0.0
+    mid_slope: float = 0.0
+    u_slope_mm: float = 0.0
+    surfaces: Floats = _none(1, 11)
+    triangles: Floats = _none(1, 9)
+    boxes: Floats = _none(1, 6)
+    links: NDArray[np.int64] = _none(1, 3, dtype=np.int64)
 
 
 class Solid(Protocol):
@@ -55,8 +75,22 @@ class Solid(Protocol):
         """Volume of the closed body."""
         ...
 
+    @property
+    def footprint_mm2(self) -> float:
+        """Area of the vertical footprint on the belt."""
+        ...
 
-_NO_GRID = np.zeros((2, 2, 3))
+    def heights_mm(self, x_mm: ArrayLike, y_mm: ArrayLike) -> tuple[Floats, Floats]:
+        """Highest and lowest Z of the body over belt positions of one shape; NaN outside the footprint.
+
+        What lies between them need not all be body: air under an overhang, or below a ball bar's rod,
+        counts as filled in the visible volume and not in the true one.
+        """
+        ...
+
+    def footprint_extent_mm(self) -> tuple[float, float, float, float]:
+        """Smallest and largest X, smallest and largest Y of the footprint, millimetres."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -65,10 +99,20 @@ class EmptyBelt:
 
     visible_volume_mm3: float = 0.0
     true_volume_mm3: float = 0.0
+    footprint_mm2: float = 0.0
+
+    def heights_mm(self, x_mm: ArrayLike, y_mm: ArrayLike) -> tuple[Floats, Floats]:
+        """Return NaN everywhere."""
+        x, _ = np.broadcast_arrays(np.asarray(x_mm, dtype=np.float64), np.asarray(y_mm, dtype=np.float64))
+        return np.full(x.shape, np.nan), np.full(x.shape, np.nan)
+
+    def footprint_extent_mm(self) -> tuple[float, float, float, float]:
+        """Return NaN four times: there is no footprint."""
+        return np.nan, np.nan, np.nan, np.nan
 
     def body(self) -> Body:
         """Return the kernels' form."""
-        return Body(NOTHING, np.zeros(6), _NO_GRID, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+        return Body(NOTHING)
 
 
 @dataclass(frozen=True)
@@ -106,11 +150,34 @@ class Block:
         """Volume of the closed body."""
         return self.visible_volume_mm3
 
+    @property
+    def footprint_mm2(self) -> float:
+        """Area of the vertical footprint on the belt."""
+        return self.length_mm * self.width_mm
+
+    def heights_mm(self, x_mm: ArrayLike, y_mm: ArrayLike) -> tuple[Floats, Floats]:
+        """Highest and lowest Z over belt positions of one shape; NaN outside the footprint."""
+        c, s = np.cos(np.deg2rad(self.yaw_deg)), np.sin(np.deg2rad(self.yaw_deg))
+        x = np.asarray(x_mm, dtype=np.float64) - self.centre_x_mm
+        y = np.asarray(y_mm, dtype=np.float64) - self.centre_y_mm
+        along, across = np.abs(c * x + s * y), np.abs(c * y - s * x)
+        inside = (along <= 0.5 * self.length_mm) & (across <= 0.5 * self.width_mm)
+        return np.where(inside, self.height_mm, np.nan), np.where(inside, 0.0, np.nan)
+
+    def footprint_extent_mm(self) -> tuple[float, float, float, float]:
+        """Smallest and largest X, smallest and largest Y of the footprint, millimetres."""
+        c, s = abs(np.cos(np.deg2rad(self.yaw_deg))), abs(np.sin(np.deg2rad(self.yaw_deg)))
+        half_x = 0.5 * (c * self.length_mm + s * self.width_mm)
+        half_y = 0.5 * (s * self.length_mm + c * self.width_mm)
+        x, y = self.centre_x_mm, self.centre_y_mm
+        return float(x - half_x), float(x + half_x), float(y - half_y), float(y + half_y)
+
     def body(self) -> Body:
         """Return the kernels' form."""
         half = (self.length_mm / 2.0, self.width_mm / 2.0, self.height_mm)
         box = np.array([self.centre_x_mm, self.centre_y_mm, np.deg2rad(self.yaw_deg), *half])
-        return Body(BOX, box, _NO_GRID, 0.0, 0.0, 1.0, float(self.height_mm), 0.0, 0.0)
+        box.flags.writeable = False
+        return Body(BOX, box, top_mm=float(self.height_mm))
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,31 +232,12 @@ class GriddedSolid:
         mid, u = self.grid[..., 0], self.grid[..., 1:]
         inside = self.grid[..., 1] > 0.0
         top = float((mid + np.sqrt(np.maximum(u[..., 0], 0.0)))[inside].max()) if inside.any() else 0.0
-        return Body(
-            FIELD,
-            np.zeros(6),
-            self.grid,
-            float(self.x0_mm),
-            float(self.y0_mm),
-            float(self.step_mm),
-            top + 0.01,
-            _steepest(mid[..., None], self.step_mm),
-            _steepest(u, self.step_mm),
-        )
+        place = float(self.x0_mm), float(self.y0_mm), float(self.step_mm)
+        slopes = _steepest(mid[..., None], self.step_mm), _steepest(u, self.step_mm)
+        return Body(FIELD, _none(6), self.grid, *place, top + 0.01, *slopes)
 
     def heights_mm(self, x_mm: ArrayLike, y_mm: ArrayLike) -> tuple[Floats, Floats]:
-        """Top and bottom heights at belt positions.
-
-        Parameters
-        ----------
-        x_mm, y_mm : array_like
-            Belt frame, millimetres; one shape S.
-
-        Returns
-        -------
-        z_top_mm, z_bottom_mm : ndarray, shape S
-            NaN outside the footprint.
-        """
+        """Highest and lowest Z over belt positions of one shape; NaN outside the footprint."""
         x, y = np.broadcast_arrays(np.asarray(x_mm, dtype=np.float64), np.asarray(y_mm, dtype=np.float64))
         rows, columns = self.grid.shape[:2]
         at_x, at_y = (x - self.x0_mm) / self.step_mm, (y - self.y0_mm) / self.step_mm

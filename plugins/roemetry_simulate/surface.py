@@ -24,6 +24,13 @@ class Surface:
         Mean albedo (belt, product) in the laser's colour and in plain light.
     gloss : tuple of float
         Share of mirror-like light (belt, product), spread about the mirror direction with `gloss_exponent`.
+    below : tuple of float
+        Light that goes on below the product's surface: its share (0–1), the mean depth it comes back from
+        (mm, along the normal: it appears shifted away from the laser), and the standard deviation it is
+        spread by (mm).
+    decal : tuple of ndarray or None
+        A picture stuck on the product, (rows, columns) of factors of its albedo, and the (2, 4) matrix that
+        takes a point (x, y, z, 1), mm, to the picture's (column, row).
     """
 
     x0_mm: float
@@ -34,6 +41,12 @@ class Surface:
     plain_albedo: tuple[float, float]
     gloss: tuple[float, float] = (0.0, 0.0)
     gloss_exponent: float = 25.0
+    below: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    decal: tuple[Floats, Floats] | None = None
+
+    def decal_or_none(self) -> tuple[Floats, Floats]:
+        """Return the picture and its matrix; a picture of one node where there is none."""
+        return (np.ones((1, 1)), np.zeros((2, 4))) if self.decal is None else self.decal
 
 
 def even(albedo: float = 1.0) -> Surface:

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from roemetry_simulate.camera import Camera
 from roemetry_simulate.laser import LaserFan
+from roemetry_simulate.lens import camera_ray
 from roemetry_simulate.raycast import first_hit, normal_at, sees
-from roemetry_simulate.render import camera_ray
 from roemetry_simulate.solid import Body, Solid
 
 Floats = NDArray[np.float64]
@@ -58,11 +58,10 @@ def stripe_centres(camera: Camera, laser: LaserFan, solid: Solid, *, step_px: fl
     StripeTruth
         Centres refined to better than 1e-6 px.
     """
-    pinhole = np.array([*camera.centre_mm, *camera.principal_px, camera.focal_length_px])
     planes = np.column_stack([laser.normals, laser.offsets_mm])
     found = _search(
         solid.body(),
-        pinhole,
+        camera.packed(),
         camera.rotation,
         laser.projector_mm,
         planes,

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from roemetry.cli import calibrate, lint, plugins, report, run
+from roemetry.cli import calibrate, check_plugin, compare, lint, plugins, report, run, simulate
 from roemetry.errors import RoemetryError
 
 app = typer.Typer(
@@ -56,3 +56,6 @@ app.command()(calibrate.calibrate)
 app.command()(lint.lint)
 app.command()(plugins.plugins)
 app.command()(report.report)
+app.command()(check_plugin.check_plugin)
+app.command()(compare.compare)
+app.command()(simulate.simulate)

@@ -1,0 +1,97 @@
+"""``roemetry compare``."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from roemetry.compare.comparing import Compared
+    from roemetry.recipe import Recipe
+
+
+def compare(
+    recipe: Annotated[Path, typer.Argument(help="A recipe file, or a folder with a recipe.yaml in it.")],
+    vary: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--vary",
+            metavar="KEY=VALUE,VALUE",
+            help="A kind of stage with names, or a value of the recipe with values; several make every "
+            "combination.",
+        ),
+    ] = None,
+    data: Annotated[
+        Path | None, typer.Option("--data", help="A data set with truth. [default: where the images are]")
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", help="Folder for the results. [default: results/NAME-compare-1, …]"),
+    ] = None,
+    jobs: Annotated[int, typer.Option("--jobs", "-j", min=1, help="Worker processes.")] = 1,
+    sets: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="Change the recipe for all variants."),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print comparison.json.")] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+) -> None:
+    """Compare variants of a recipe on the same data: trueness against what is known, and time.
+
+    Exit code: 0 all compared; 1 a variant could not be made or measured nothing (its row says why); 2 the
+    recipe, the data set or the command line is wrong.
+    """
+    from datetime import UTC, datetime
+
+    from roemetry.cli.progress import progress
+    from roemetry.compare.comparing import compare as compared_on
+    from roemetry.compare.data import Data
+    from roemetry.compare.variants import make_variants
+    from roemetry.compare.writing import SUMMARY, ItemsFile, write_comparison
+    from roemetry.registry import discover
+
+    began = datetime.now(UTC)
+    variants = make_variants(recipe, vary or (), sets=sets or (), registry=discover())
+    base = variants[0].recipe
+    assert base is not None
+    found = Data(base, data)
+    folder = out or _next_folder(base)
+    with ItemsFile(folder) as items, progress("comparing", quiet=as_json) as on_progress:
+        compared = compared_on(variants, found, jobs=jobs, on_judged=items.add, on_progress=on_progress)
+    files = write_comparison(folder, compared, found, command=sys.argv[1:], began=began)
+    if as_json:
+        typer.echo(json.dumps(json.loads((folder / SUMMARY).read_text("utf-8")), indent=2))
+    else:
+        _show(base, compared, found.without_truth, files)
+    if any(one.failure for one in compared):
+        raise typer.Exit(1)
+
+
+def _next_folder(recipe: Recipe) -> Path:
+    """Give the first folder of this recipe's name that is not there yet."""
+    path = recipe.path.resolve()
+    name = path.parent.name if path.stem == "recipe" else path.stem
+    number = 1
+    while (folder := Path("results") / f"{name}-compare-{number}").exists():
+        number += 1
+    return folder
+
+
+def _show(recipe: Recipe, compared: Sequence[Compared], without_truth: str, files: Sequence[Path]) -> None:
+    from rich.console import Console
+
+    from roemetry.cli.compare_table import problems_of, tables_of
+
+    console = Console()
+    for table in tables_of(recipe.product, compared):
+        console.print(table)
+    for said in [*problems_of(compared), *([without_truth] if without_truth else [])]:
+        console.print(said, highlight=False, markup=False, soft_wrap=True)
+    for file in files:
+        console.print(f"  {file}", highlight=False, soft_wrap=True)

@@ -1,0 +1,132 @@
+"""What variants share is computed once: each step of an acquisition is remembered by all that decides it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from roemetry.recipe import Recipe
+from roemetry.records import Product
+
+_VERBS = {
+    "extractor": "extract",
+    "coder": "code",
+    "outliner": "outline",
+    "triangulator": "triangulate",
+    "volume": "estimate",
+    "weigher": "weigh",
+    "classifier": "classify",
+}
+_BEFORE: Mapping[str, tuple[str, ...]] = {
+    "extractor": (),
+    "coder": ("extractor",),
+    "outliner": ("coder",),
+    "triangulator": ("coder",),
+    "volume": ("triangulator", "outliner"),
+    "weigher": ("volume",),
+    "classifier": ("triangulator", "outliner"),
+}
+
+
+class StepMemory:
+    """Results of the steps of one acquisition, with the time each took; cleared between acquisitions."""
+
+    def __init__(self) -> None:
+        self._kept: dict[object, tuple[Any, Exception | None, float]] = {}
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self._kept.clear()
+
+    def recall(self, key: object, step: Callable[[], Any]) -> tuple[Any, float]:
+        """Give a step's result and the seconds it took when it was done; what it raised is raised again."""
+        if key not in self._kept:
+            result, fault = None, None
+            begin = time.perf_counter()
+            try:
+                result = step()
+            # Kept, not swallowed: it is raised below, here and for every variant that shares the step.
+            except Exception as error:
+                fault = error
+            self._kept[key] = (result, fault, time.perf_counter() - begin)
+        result, fault, seconds = self._kept[key]
+        if fault is not None:
+            raise fault.with_traceback(None)
+        return result, seconds
+
+
+class RememberedStages:
+    """A recipe's stages, for a pipeline, sharing a memory with other recipes' stages.
+
+    Parameters
+    ----------
+    recipe
+        What to do.
+    memory
+        Where results are kept; the same one for all recipes compared.
+
+    Attributes
+    ----------
+    stages
+        By kind, an object with the kind's verb.
+    keys
+        By kind, the hash of all that decides the stage's result on an acquisition.
+    seconds
+        By kind, the time its steps took where they were done, s; add up until `start`.
+    """
+
+    def __init__(self, recipe: Recipe, memory: StepMemory) -> None:
+        self.keys = step_keys(recipe)
+        self.seconds: dict[str, float] = {}
+        self.stages: dict[str, Any] = {
+            kind: _RememberedStage(kind, chosen.make(), self.keys[kind], memory, self.seconds)
+            for kind, chosen in recipe.stages.items()
+        }
+
+    def start(self) -> None:
+        """Begin to count the time of another acquisition."""
+        self.seconds.clear()
+
+
+def step_keys(recipe: Recipe) -> dict[str, str]:
+    """Hash, by kind of stage, all that decides its result: its options, and every step before it."""
+    source = recipe.source_choice
+    keys: dict[str, str] = {}
+
+    def key_of(kind: str) -> str:
+        if kind not in keys:
+            chosen = recipe.stages[kind]
+            calibrated = recipe.calibration is not None and kind != "extractor"
+            decided_by = [
+                chosen.described(),
+                [key_of(before) for before in _BEFORE[kind] if before in recipe.stages],
+                recipe.calibration.sha256 if calibrated and recipe.calibration is not None else None,
+                [source.channel, source.turn_deg, source.subtract],
+            ]
+            keys[kind] = hashlib.sha256(json.dumps(decided_by, sort_keys=True).encode()).hexdigest()
+        return keys[kind]
+
+    for kind in recipe.stages:
+        key_of(kind)
+    return keys
+
+
+class _RememberedStage:
+    """One stage with its kind's verb, which does the work only if nobody has done it."""
+
+    def __init__(
+        self, kind: str, stage: Any, key: str, memory: StepMemory, seconds: dict[str, float]
+    ) -> None:
+        verb = _VERBS[kind]
+        work = getattr(stage, verb)
+
+        def remembered(*inputs: Any) -> Any:
+            number = next((given.number for given in inputs if isinstance(given, Product)), 0)
+            result, took = memory.recall((kind, key, number), lambda: work(*inputs))
+            seconds[kind] = seconds.get(kind, 0.0) + took
+            return result
+
+        setattr(self, verb, remembered)

@@ -1,0 +1,183 @@
+"""Run every variant over the same acquisitions, each shared step once."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from dataclasses import dataclass
+from itertools import islice
+from multiprocessing import get_context
+
+from roemetry.compare.cache import RememberedStages, StepMemory
+from roemetry.compare.data import Data, Unit, as_taken, changed_file
+from roemetry.compare.judging import Judged, judge, unreadable
+from roemetry.compare.tally import Figures, Tally
+from roemetry.compare.variants import Variant
+from roemetry.dataset import Dataset
+from roemetry.errors import RoemetryError
+from roemetry.pipeline import Pipeline
+from roemetry.recipe import Recipe
+from roemetry.records import Acquisition, Reason, Truth
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Compared:
+    """A variant and what it came to.
+
+    Attributes
+    ----------
+    variant
+        What it is.
+    figures
+        None where it could not even be made: `Variant.fault` says why.
+    """
+
+    variant: Variant
+    figures: Figures | None
+
+    @property
+    def failure(self) -> str:
+        """Why it has nothing to show; "" where it has."""
+        if self.figures is None:
+            return self.variant.fault
+        if not self.figures.failed:
+            return ""
+        return f"no acquisition was measured: {self.figures.causes[0].text}"
+
+
+def compare(
+    variants: Sequence[Variant],
+    data: Data,
+    *,
+    jobs: int = 1,
+    on_judged: Callable[[Variant, Judged], None] = lambda variant, judged: None,
+    on_progress: Callable[[int, int], None] = lambda done, of: None,
+) -> tuple[Compared, ...]:
+    """Compare variants of a recipe.
+
+    Parameters
+    ----------
+    variants
+        What to compare; the first is the recipe as it is.
+    data
+        What to compare them on.
+    jobs
+        Worker processes; the figures are the same for any number, times aside.
+    on_judged
+        Called with each variant and what it made of an acquisition: acquisitions in order, and for each
+        the variants in order.
+    on_progress
+        Called with (acquisitions done, of how many).
+    """
+    tallies = {
+        variant.number: Tally(variant.recipe, data.without_truth)
+        for variant in variants
+        if variant.recipe is not None
+    }
+    by_number = {variant.number: variant for variant in variants}
+    recipes = [(variant.number, variant.recipe) for variant in variants if variant.recipe is not None]
+    on_progress(0, data.count)
+    for done, (cold, found) in enumerate(_judged(recipes, data, jobs), start=1):
+        for judged in found:
+            tallies[judged.variant].add(judged, cold=cold)
+            on_judged(by_number[judged.variant], judged)
+        on_progress(done, data.count)
+    return tuple(
+        Compared(variant, tallies[variant.number].figures() if variant.number in tallies else None)
+        for variant in variants
+    )
+
+
+Found = tuple[bool, list[Judged]]
+
+
+def _judged(recipes: Sequence[tuple[int, Recipe]], data: Data, jobs: int) -> Iterator[Found]:
+    """Give what each acquisition came to, in order."""
+    if jobs == 1 or data.count < 2:
+        worker = _Worker(recipes, data.dataset)
+        for unit in data.units():
+            yield worker(unit)
+        return
+    # Spawned, not forked: a forked copy of numba's or OpenCV's threads can hang.
+    with ProcessPoolExecutor(
+        min(jobs, data.count), get_context("spawn"), _start_worker, (recipes, data.dataset)
+    ) as pool:
+        waiting: deque[Future[Found]] = deque()
+        coming = data.units()
+        try:
+            while True:
+                for unit in islice(coming, 4 * jobs - len(waiting)):
+                    waiting.append(pool.submit(_work, unit))
+                if not waiting:
+                    return
+                yield waiting.popleft().result()
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+
+
+class _Worker:
+    """Takes one acquisition at a time through all variants."""
+
+    def __init__(self, recipes: Sequence[tuple[int, Recipe]], dataset: Dataset | None) -> None:
+        self._source = recipes[0][1].source.make()
+        self._dataset = dataset
+        self._memory = StepMemory()
+        self._ways = []
+        for number, recipe in recipes:
+            stages = RememberedStages(recipe, self._memory)
+            self._ways.append((number, recipe, stages, Pipeline(recipe, stages=stages.stages)))
+        self._cold = True
+
+    def __call__(self, unit: Unit) -> Found:
+        cold, self._cold = self._cold, False
+        truth: Truth | None = None
+        try:
+            if unit.item is not None and self._dataset is not None:
+                truth = Truth(unit.item.products)
+                changed = changed_file(unit.item, unit.reference.files, self._dataset.folder)
+                if changed is not None:
+                    why = Reason("changed", f"{changed}: has changed since its truth was written")
+                    return cold, self._refuse(unit, why, truth)
+                truth = self._dataset.truth(unit.item)
+            acquisition = as_taken(self._source.read(unit.reference), unit.item)
+        except (RoemetryError, OSError) as error:
+            return cold, self._refuse(unit, Reason("unreadable", str(error)), truth)
+        return cold, self._judge(acquisition, truth)
+
+    def _refuse(self, unit: Unit, why: Reason, truth: Truth | None) -> list[Judged]:
+        return [unreadable(number, unit.reference.id, why, truth) for number, *_ in self._ways]
+
+    def _judge(self, acquisition: Acquisition, truth: Truth | None) -> list[Judged]:
+        self._memory.clear()
+        found = []
+        for number, recipe, stages, pipeline in self._ways:
+            stages.start()
+            trace = pipeline.trace(acquisition)
+            seconds = {"source": trace.seconds.get("source", 0.0), **stages.seconds}
+            found.append(
+                judge(
+                    number,
+                    trace,
+                    recipe,
+                    truth,
+                    keys=stages.keys,
+                    memory=self._memory,
+                    seconds=seconds,
+                )
+            )
+        return found
+
+
+_worker: _Worker | None = None
+
+
+def _start_worker(recipes: Sequence[tuple[int, Recipe]], dataset: Dataset | None) -> None:
+    global _worker
+    _worker = _Worker(recipes, dataset)
+
+
+def _work(unit: Unit) -> Found:
+    if _worker is None:
+        raise AssertionError("a worker process was not started by _start_worker")
+    return _worker(unit)

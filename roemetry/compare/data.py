@@ -1,0 +1,165 @@
+"""What variants are compared on: acquisitions, with their truth where a data set has it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from roemetry.dataset import DESCRIPTION, ITEMS, STRIPES, Dataset, Item
+from roemetry.errors import DataError
+from roemetry.files import sha256_of
+from roemetry.recipe import Recipe
+from roemetry.records import Acquisition, AcquisitionReference
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """One acquisition and its item in the data set; None where it has none."""
+
+    reference: AcquisitionReference
+    item: Item | None
+
+
+class Data:
+    """What to compare on.
+
+    Parameters
+    ----------
+    recipe
+        Its source says where the images are.
+    folder
+        A data set to use instead: all of its items, whatever the source's path.
+
+    Attributes
+    ----------
+    dataset
+        The data set; None where there is none.
+    count
+        Number of acquisitions.
+    without_truth
+        Why nothing is known of the acquisitions; "" where there is a data set.
+
+    Raises
+    ------
+    ConfigurationError
+        `folder` is no data set, or its ``dataset.yaml`` is wrong.
+    DataError
+        There is nothing to compare on.
+    """
+
+    def __init__(self, recipe: Recipe, folder: Path | None = None) -> None:
+        self.without_truth = ""
+        self._references: Sequence[AcquisitionReference] | None = None
+        if folder is not None:
+            self.dataset: Dataset | None = Dataset(folder)
+            self.count = sum(1 for _ in self.dataset.items())
+            if self.count == 0:
+                raise DataError(
+                    f"{folder / ITEMS}: there is no item", hint="make the data set, or name another"
+                )
+            return
+        self._references = recipe.source.make().references(recipe.source_path)
+        self.count = len(self._references)
+        found = _folder_of(recipe.source_path)
+        self.dataset = None if found is None else Dataset(found)
+        if self.dataset is None:
+            self.without_truth = (
+                f"nothing is known of the images: there is no {DESCRIPTION} beside or above them; "
+                "name a data set with --data"
+            )
+
+    def units(self) -> Iterator[Unit]:
+        """Give the acquisitions in order, one at a time."""
+        if self._references is None:
+            assert self.dataset is not None
+            for item in self.dataset.items():
+                files = {role: self.dataset.folder / name for role, name in item.files.items()}
+                yield Unit(AcquisitionReference(item.id, files), item)
+            return
+        items: dict[Path, Item] = {}
+        if self.dataset is not None:
+            for item in self.dataset.items():
+                if "laser" in item.files:
+                    items[(self.dataset.folder / item.files["laser"]).resolve()] = item
+        for reference in self._references:
+            laser = reference.files.get("laser")
+            yield Unit(reference, None if laser is None else items.get(laser.resolve()))
+
+    def described(self) -> dict[str, Any]:
+        """Everything a reader must know of the data."""
+        told: dict[str, Any] = {"acquisitions": self.count, "without_truth": self.without_truth}
+        if self.dataset is None:
+            nothing = (
+                "name",
+                "folder",
+                "licence",
+                "made_with",
+                "made_from",
+                "notes",
+                "turn_deg",
+                "seeds",
+                "sha256",
+            )
+            return told | dict.fromkeys(nothing)
+        description, folder = self.dataset.description, self.dataset.folder
+        return told | {
+            "name": description.name,
+            "folder": str(folder),
+            "licence": description.licence,
+            "made_with": description.made_with,
+            "made_from": dict(description.made_from),
+            "notes": description.notes,
+            "turn_deg": description.turn_deg,
+            "seeds": self._seeds(),
+            "sha256": {name: sha256_of(folder / name) for name in (DESCRIPTION, ITEMS)},
+        }
+
+    def _seeds(self) -> list[int] | None:
+        """Give the lowest and the highest seed of the products, where the truth knows them."""
+        assert self.dataset is not None
+        seeds = [
+            int(seed)
+            for item in self.dataset.items()
+            for product in item.products
+            if math.isfinite(seed := product.figures.get("seed", math.nan))
+        ]
+        return [min(seeds), max(seeds)] if seeds else None
+
+
+_UNKNOWN = ("name", "folder", "licence", "made_with", "made_from", "notes", "turn_deg", "seeds", "sha256")
+
+
+def changed_file(item: Item, files: Mapping[Any, Path], folder: Path) -> str | None:
+    """Name the first file that is not the one the item was written for: an image, or the stripes' truth."""
+    every: dict[str, Path] = dict(files)
+    if item.stripes is not None:
+        every[STRIPES] = folder / item.stripes
+    for role, path in every.items():
+        if role in item.sha256 and sha256_of(path) != item.sha256[role]:
+            return str(path)
+    return None
+
+
+def as_taken(acquisition: Acquisition, item: Item | None) -> Acquisition:
+    """Add what the data set knows and the image files do not say: bits in use, time, place."""
+    if item is None:
+        return acquisition
+    frames = tuple(
+        replace(
+            frame,
+            bit_depth=frame.bit_depth if item.bit_depth is None else item.bit_depth,
+            time_s=frame.time_s if math.isnan(item.time_s) else item.time_s,
+            encoder_count=frame.encoder_count if math.isnan(item.encoder_count) else item.encoder_count,
+        )
+        for frame in acquisition.frames
+    )
+    return replace(acquisition, frames=frames)
+
+
+def _folder_of(path: Path) -> Path | None:
+    """Give the nearest folder at or above the images that holds a data set."""
+    near = (path, path.parent, path.parent.parent)
+    return next((folder for folder in near if (folder / DESCRIPTION).is_file()), None)

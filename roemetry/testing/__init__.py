@@ -1,0 +1,23 @@
+"""The conformance kit: analytic scenes, and checks that say whether a stage keeps its kind's contract."""
+
+from roemetry.testing.checks import checks_of
+from roemetry.testing.judging import NotKeptError, refused, require
+from roemetry.testing.kit import Result, conformance, stages_named
+from roemetry.testing.marks import parametrize_stages
+from roemetry.testing.scenes import LinearRig, frame_of
+from roemetry.testing.solids import Solid, product_of
+
+__all__ = [
+    "LinearRig",
+    "NotKeptError",
+    "Result",
+    "Solid",
+    "checks_of",
+    "conformance",
+    "frame_of",
+    "parametrize_stages",
+    "product_of",
+    "refused",
+    "require",
+    "stages_named",
+]

@@ -1,0 +1,226 @@
+"""One ordinary call, another one, and an empty one for each kind of stage."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from roemetry.errors import PluginError
+from roemetry.records import Acquisition
+from roemetry.stages import (
+    Calibrator,
+    Classifier,
+    Coder,
+    Extractor,
+    Outliner,
+    Simulator,
+    Sink,
+    Source,
+    Stage,
+    Triangulator,
+    VolumeEstimator,
+    Weigher,
+)
+from roemetry.testing.fixtures import calibration_for, calibration_set_for, readable_path
+from roemetry.testing.runs import failed, measured, run_of, volume_of
+from roemetry.testing.scenes import LinearRig, frame_of
+from roemetry.testing.solids import BOX, HALF_ELLIPSOID, product_from, product_of
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """A call of a stage's verb.
+
+    Attributes
+    ----------
+    inputs
+        What goes in.
+    call
+        Calls the stage's verb with these inputs.
+    is_empty
+        Says whether a result of it holds nothing.
+    """
+
+    inputs: tuple[Any, ...]
+    call: Callable[[Any], Any]
+    is_empty: Callable[[Any], bool] = lambda _: True
+
+
+@dataclass(frozen=True, slots=True)
+class Cases:
+    """An ordinary call, another one with other input, and one with nothing in it (None: there is no such)."""
+
+    ordinary: Case
+    other: Case
+    empty: Case | None
+
+
+def cases_for(stage: Stage[Any]) -> Cases:
+    """Make the cases for a stage of any kind, anew at each call."""
+    for kind, make in _MAKERS.items():
+        if isinstance(stage, kind):
+            return make(stage)
+    raise PluginError(f"{type(stage).__name__} is of no kind that has checks")
+
+
+def _source(stage: Source[Any]) -> Cases:
+    def read_all(source: Source[Any], *, first: int) -> Any:
+        with tempfile.TemporaryDirectory() as folder:
+            path = readable_path(source, Path(folder))
+            return [source.read(reference) for reference in source.references(path)][first:]
+
+    def find_nothing(source: Source[Any]) -> Any:
+        with tempfile.TemporaryDirectory() as folder:
+            return source.references(Path(folder))
+
+    return Cases(
+        Case((), lambda source: read_all(source, first=0)),
+        Case((), lambda source: read_all(source, first=1)),
+        Case((), find_nothing, lambda found: len(found) == 0),
+    )
+
+
+def _extractor(stage: Extractor[Any]) -> Cases:
+    rig = LinearRig()
+    frame = frame_of(rig.light(rig.x_px(rig.dome())), noise=2.0)
+    other = frame_of(rig.light(rig.x_px(rig.belt())))
+    dark = frame_of(np.full((rig.rows, rig.columns), rig.background))
+    return Cases(
+        Case((frame,), lambda extractor: extractor.extract(frame)),
+        Case((other,), lambda extractor: extractor.extract(other)),
+        Case((dark,), lambda extractor: extractor.extract(dark), lambda peaks: len(peaks) == 0),
+    )
+
+
+def _coder(stage: Coder[Any]) -> Cases:
+    def case(rig: LinearRig, x_px: Any) -> Case:
+        inputs = rig.peaks(x_px, scatter_px=0.1).peaks, rig.calibration()
+        return Case(
+            inputs, lambda coder: coder.code(*inputs), lambda stripes: not np.isfinite(stripes.x_px).any()
+        )
+
+    rig = LinearRig()
+    mirrored = rig.mirrored()
+    return Cases(
+        case(rig, rig.x_px(rig.dome())),
+        case(mirrored, mirrored.x_px(mirrored.dome(6.0))),
+        case(rig, np.full((rig.stripes, rig.rows), np.nan)),
+    )
+
+
+def _calibrator(stage: Calibrator[Any]) -> Cases:
+    def case(rig: LinearRig) -> Case:
+        observed = calibration_set_for(stage, rig)
+        return Case((observed,), lambda calibrator: calibrator.calibrate(observed))
+
+    nothing = replace(calibration_set_for(stage, LinearRig()), observations=())
+    return Cases(
+        case(LinearRig()),
+        case(LinearRig().mirrored()),
+        Case((nothing,), lambda calibrator: calibrator.calibrate(nothing), lambda _: False),
+    )
+
+
+def _triangulator(stage: Triangulator[Any]) -> Cases:
+    rig = LinearRig()
+    calibration = calibration_for(stage, rig)
+
+    def case(height_mm: Any) -> Case:
+        inputs = rig.stripe_map(height_mm), calibration
+        return Case(
+            inputs,
+            lambda triangulator: triangulator.triangulate(*inputs),
+            lambda profiles: not np.isfinite(profiles.xyz_mm).any(),
+        )
+
+    return Cases(case(rig.dome()), case(rig.dome(4.0)), case(np.full((rig.stripes, rig.rows), np.nan)))
+
+
+def _outliner(stage: Outliner[Any]) -> Cases:
+    rig = LinearRig()
+
+    def case(height_mm: Any, *, lit: bool = True) -> Case:
+        row, column = np.mgrid[: rig.rows, : rig.columns]
+        inside = np.hypot((row - rig.middle_row) / 45.0, (column - rig.middle_column) / 100.0) < 1.0
+        plain = frame_of(np.where(inside, 180.0, 40.0) if lit else np.full(inside.shape, 40.0))
+        laser = frame_of(rig.light(rig.x_px(height_mm)))
+        inputs = Acquisition("scene", (laser, replace(plain, role="plain"))), rig.stripe_map(height_mm)
+        return Case(inputs, lambda outliner: outliner.outline(*inputs), lambda found: len(found) == 0)
+
+    return Cases(case(rig.dome()), case(rig.dome(5.0)), case(rig.belt(), lit=False))
+
+
+def _volume(stage: VolumeEstimator[Any]) -> Cases:
+    def case(product: Any) -> Case:
+        return Case(
+            (product,),
+            lambda estimator: estimator.estimate(product),
+            lambda volume: not volume.visible_mm3.value > 0.0,
+        )
+
+    return Cases(case(product_of(HALF_ELLIPSOID)), case(product_of(BOX)), case(_NOTHING))
+
+
+def _weigher(stage: Weigher[Any]) -> Cases:
+    product = product_of(HALF_ELLIPSOID)
+
+    def case(volume_mm3: float) -> Case:
+        inputs = product, volume_of(volume_mm3)
+        return Case(
+            inputs, lambda weigher: weigher.weigh(*inputs), lambda weight: not weight.mass_g.value > 0.0
+        )
+
+    return Cases(case(9000.0), case(20000.0), case(0.0))
+
+
+def _classifier(stage: Classifier[Any]) -> Cases:
+    def case(product: Any) -> Case:
+        return Case(
+            (product,),
+            lambda classifier: classifier.classify(product),
+            lambda grade: grade.label == "unknown",
+        )
+
+    return Cases(case(product_of(HALF_ELLIPSOID)), case(product_of(BOX)), case(_NOTHING))
+
+
+def _sink(stage: Sink[Any]) -> Cases:
+    def case(*rows: Any) -> Case:
+        def call(sink: Sink[Any]) -> dict[str, bytes]:
+            with tempfile.TemporaryDirectory() as folder:
+                paths = sink.write(run_of(Path(folder), rows))
+                return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
+
+        return Case(rows, call)
+
+    return Cases(case(measured(), failed()), case(measured("p3")), case())
+
+
+def _simulator(stage: Simulator[Any]) -> Cases:
+    return Cases(
+        Case((), lambda simulator: simulator.simulate(0, 1)),
+        Case((), lambda simulator: simulator.simulate(1, 1)),
+        None,
+    )
+
+
+_NOTHING = product_from(np.full((61, 240), np.nan))
+
+_MAKERS: dict[type[Any], Callable[[Any], Cases]] = {
+    Source: _source,
+    Extractor: _extractor,
+    Coder: _coder,
+    Calibrator: _calibrator,
+    Triangulator: _triangulator,
+    Outliner: _outliner,
+    VolumeEstimator: _volume,
+    Weigher: _weigher,
+    Classifier: _classifier,
+    Sink: _sink,
+    Simulator: _simulator,
+}

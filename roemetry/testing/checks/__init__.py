@@ -1,0 +1,53 @@
+"""The checks: small functions, a module a kind; each function's docstring is what a stage must keep."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from roemetry.testing.checks import (
+    any_stage,
+    calibrator,
+    classifier,
+    coder,
+    extractor,
+    outliner,
+    simulator,
+    sink,
+    source,
+    triangulator,
+    volume,
+    weigher,
+)
+
+Check = Callable[[Any], None]
+
+ANY: tuple[Check, ...] = any_stage.CHECKS
+OF_KIND: Mapping[str, tuple[Check, ...]] = {
+    "source": source.CHECKS,
+    "extractor": extractor.CHECKS,
+    "coder": coder.CHECKS,
+    "calibrator": calibrator.CHECKS,
+    "triangulator": triangulator.CHECKS,
+    "outliner": outliner.CHECKS,
+    "volume": volume.CHECKS,
+    "weigher": weigher.CHECKS,
+    "classifier": classifier.CHECKS,
+    "sink": sink.CHECKS,
+    "simulator": simulator.CHECKS,
+}
+
+
+def checks_of(kind: str) -> tuple[Check, ...]:
+    """Give the checks that a stage of this kind must pass: every stage's, then its kind's."""
+    return ANY + OF_KIND[kind]
+
+
+def name_of(check: Check) -> str:
+    """Name of a check, as results and expected failures use it."""
+    return str(check.__name__)
+
+
+def sentence_of(check: Check) -> str:
+    """What a stage must keep, in one sentence."""
+    return " ".join((check.__doc__ or "").split())

@@ -1,0 +1,94 @@
+"""What every classifier keeps."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from roemetry.records import Product
+from roemetry.stages import Classifier
+from roemetry.testing.comparing import difference
+from roemetry.testing.judging import require
+from roemetry.testing.scenes import SEED
+from roemetry.testing.solids import DENSE, DENTED, HALF_ELLIPSOID, product_from, product_of, reordered
+
+_UNKNOWN = "unknown"
+
+
+def check_order_of_slices_does_not_matter(classifier: Classifier[Any]) -> None:
+    """Slices in another order get the same class, of a smooth body and of a dented one."""
+    for name, product in _both():
+        one, other = classifier.classify(product), classifier.classify(reordered(product))
+        require(one.label == other.label, f"the {name} body is {one.label}, in another order {other.label}")
+
+
+def check_mirroring_does_not_matter(classifier: Classifier[Any]) -> None:
+    """A body and rig with left and right exchanged get the same class."""
+    for name, solid in (("smooth", HALF_ELLIPSOID), ("dented", DENTED)):
+        one = classifier.classify(product_of(solid))
+        other = classifier.classify(product_of(solid.mirrored(), DENSE.mirrored()))
+        require(one.label == other.label, f"the {name} body is {one.label}, mirrored {other.label}")
+
+
+def check_almost_nothing_is_unknown(classifier: Classifier[Any]) -> None:
+    """A product of a few points is ``unknown``, not an exception and not a guess."""
+    heights = np.full((DENSE.stripes, DENSE.rows), np.nan)
+    heights[30, 100:103] = 5.0
+    label = classifier.classify(product_from(heights)).label
+    require(label == _UNKNOWN, f"a product of three points is `{label}`, expected `{_UNKNOWN}`")
+
+
+def check_every_class_has_reasons(classifier: Classifier[Any]) -> None:
+    """Every answer has a reason in words, ``unknown`` too."""
+    nothing = product_from(np.full((DENSE.stripes, DENSE.rows), np.nan))
+    for name, product in (*_both(), ("empty", nothing)):
+        grade = classifier.classify(product)
+        require(grade.label.strip(), f"the {name} body's class has no name")
+        require(
+            grade.reasons and all(reason.code and reason.text.strip() for reason in grade.reasons),
+            f"the {name} body is {grade.label} without a reason",
+        )
+
+
+def check_probability_is_one_or_not_stated(classifier: Classifier[Any]) -> None:
+    """The probability lies between 0 and 1, or is NaN where it is not modelled."""
+    for _, product in _both():
+        probability = classifier.classify(product).probability
+        require(math.isnan(probability) or 0.0 <= probability <= 1.0, f"the probability is {probability:.4g}")
+
+
+def check_marks_lie_on_the_product(classifier: Classifier[Any]) -> None:
+    """Evidence to draw starts on the product, within a pixel of its extent in the image."""
+    for name, product in _both():
+        marks = classifier.classify(product).marks
+        if marks is None or not marks.stripe.size:
+            continue
+        extent = np.stack([product.profiles.x_px.ravel(), product.profiles.row_px.ravel()], axis=1)
+        low, high = np.nanmin(extent, axis=0) - 1.0, np.nanmax(extent, axis=0) + 1.0
+        inside = ((marks.from_px >= low) & (marks.from_px <= high)).all(axis=1)
+        require(bool(inside.all()), f"{int((~inside).sum())} marks on the {name} body start beside it")
+
+
+def check_one_seed_gives_one_draw(classifier: Classifier[Any]) -> None:
+    """Given generators of the same seed, two grades are the same."""
+    product = product_of(DENTED)
+    one, other = (classifier.classify(product, rng=np.random.default_rng(SEED)) for _ in range(2))
+    found = difference(one, other)
+    require(found is None, f"with the same seed {found}")
+
+
+CHECKS = (
+    check_order_of_slices_does_not_matter,
+    check_mirroring_does_not_matter,
+    check_almost_nothing_is_unknown,
+    check_every_class_has_reasons,
+    check_probability_is_one_or_not_stated,
+    check_marks_lie_on_the_product,
+    check_one_seed_gives_one_draw,
+)
+
+
+def _both() -> tuple[tuple[str, Product], ...]:
+    return ("smooth", product_of(HALF_ELLIPSOID)), ("dented", product_of(DENTED))

@@ -1,0 +1,252 @@
+"""What every coder keeps: right, or refused; never silently wrong."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from roemetry.arrays import Flags, Floats, Integers
+from roemetry.errors import RoemetryError, StageError
+from roemetry.records import AMBIGUOUS, BELT, NOTHING, StripeMap
+from roemetry.stages import Coder
+from roemetry.testing.judging import refused, require
+from roemetry.testing.scenes import LinearRig, wrong_labels
+
+_SCATTER_PX = 0.1
+_END_ROWS = 2
+_CODED_MIN = 0.99
+"""Share of the points that must be coded where nothing makes it hard."""
+_CLEAR_MM = 1.0
+"""From this height on a point is off the belt beyond doubt: 2 px on this rig."""
+
+
+def check_a_dome_is_coded_whole(coder: Coder[Any]) -> None:
+    """On a plain dome every point is coded right: at least 99 % of them, and none wrong."""
+    rig = LinearRig()
+    coded = _coded(coder, rig, rig.dome())
+    _none_wrong(coded)
+    _nearly_all(coded, np.isfinite(coded.x_px), "points of a dome")
+
+
+def check_a_mirrored_rig_is_coded_alike(coder: Coder[Any]) -> None:
+    """With the laser on the other side the dome is coded just as well."""
+    rig = LinearRig().mirrored()
+    coded = _coded(coder, rig, rig.dome())
+    _none_wrong(coded)
+    _nearly_all(coded, np.isfinite(coded.x_px), "points of a dome")
+
+
+def check_a_missing_stripe_shifts_nothing(coder: Coder[Any]) -> None:
+    """A stripe that is missing altogether does not shift its neighbours' numbers."""
+    rig = LinearRig()
+    coded = _coded(coder, rig, rig.dome(), hidden=(3, slice(None)))
+    _none_wrong(coded)
+    _nearly_all(coded, np.isfinite(coded.x_px), "points of the stripes that are left")
+    require(not coded.map.seen[3].any(), "the missing stripe is given points")
+
+
+def check_a_hidden_body_shifts_nothing(coder: Coder[Any]) -> None:
+    """A stripe whose light on the product cannot be seen does not shift the bodies beside it."""
+    rig = LinearRig()
+    heights = rig.belt()
+    heights[1:6, 60:140] = 12.0
+    coded = _coded(coder, rig, heights, hidden=(1, slice(58, 142)))
+    _none_wrong(coded)
+
+
+def check_a_stripe_hidden_at_both_ends_shifts_nothing(coder: Coder[Any]) -> None:
+    """A stripe of which the image shows only the middle does not shift the bodies beside it."""
+    rig = LinearRig()
+    for height_mm in (3.0, 10.0):
+        x_px = rig.x_px(rig.dome(height_mm))
+        x_px[4, :30] = x_px[4, 170:] = np.nan
+        x_px[0, 100:160] = np.nan
+        _none_wrong(_coded_x(coder, rig, x_px))
+
+
+def check_gaps_shift_nothing(coder: Coder[Any]) -> None:
+    """Breaks of many lengths along the stripes cost the points that are missing, no label."""
+    rig = LinearRig()
+    rng = np.random.default_rng(7)
+    x_px = rig.x_px(rig.dome())
+    for _ in range(14):
+        start = int(rng.integers(20, 170))
+        x_px[int(rng.integers(rig.stripes)), start : start + int(rng.integers(2, 30))] = np.nan
+    _none_wrong(_coded_x(coder, rig, x_px))
+
+
+def check_a_body_past_its_neighbours_rest_line_is_not_mistaken(coder: Coder[Any]) -> None:
+    """A body displaced by more than a stripe spacing is coded right, or refused, or its frame is."""
+    rig = LinearRig()
+    x_px = rig.x_px(rig.dome(24.0))
+    try:
+        coded = _coded_x(coder, rig, x_px)
+    except RoemetryError:
+        return
+    _none_wrong(coded)
+
+
+def check_an_untouched_stripe_is_belt(coder: Coder[Any]) -> None:
+    """A stripe that nothing lies under is belt on all its rows."""
+    rig = LinearRig()
+    coded = _coded(coder, rig, rig.dome())
+    for stripe in (0, rig.stripes - 1):
+        here = coded.map.product[stripe, _END_ROWS:-_END_ROWS]
+        require(
+            bool((here == BELT).all()),
+            f"{int((here != BELT).sum())} of {here.size} rows of stripe {stripe + 1} are not belt",
+        )
+
+
+def check_a_bare_belt_has_no_product(coder: Coder[Any]) -> None:
+    """An empty belt is belt: no point of it is a product."""
+    rig = LinearRig()
+    coded = _coded(coder, rig, rig.belt())
+    found = int((coded.map.product > 0).sum())
+    require(found == 0, f"{found} points of the bare belt are taken for a product")
+    _nearly_all(coded, np.isfinite(coded.x_px), "points of the belt")
+
+
+def check_a_smooth_wedge_is_product(coder: Coder[Any]) -> None:
+    """A wedge that rises from the belt with slope 0.5, without step or break, is product, not belt."""
+    rig = LinearRig()
+    row = np.arange(rig.rows)
+    rise = np.clip(0.5 * rig.mm_per_px * np.minimum(row - 40, 160 - row), 0.0, None)
+    heights = np.where(np.isin(np.arange(rig.stripes), (2, 3, 4))[:, None], rise, 0.0)
+    coded = _coded(coder, rig, heights)
+    _is_product(coded, heights >= _CLEAR_MM, "the wedge")
+    there = heights[:, _END_ROWS:-_END_ROWS] == 0.0
+    off = coded.map.product[:, _END_ROWS:-_END_ROWS][there] > 0
+    require(off.mean() <= 0.03, f"{off.mean():.1%} of the belt around the wedge is taken for product")
+
+
+def check_a_grazed_tail_is_product(coder: Coder[Any]) -> None:
+    """Where a stripe just grazes a product's thin tail, 3 mm high, those points are product, not belt."""
+    rig = LinearRig()
+    heights = rig.dome(12.0)
+    heights[[0, 1, 5, 6]] = 0.0
+    heights[5] = 3.0 * rig.bump(0.3, 0.7)
+    coded = _coded(coder, rig, heights)
+    tail = np.zeros(heights.shape, np.bool_)
+    tail[5] = heights[5] >= _CLEAR_MM
+    _is_product(coded, tail, "the tail")
+
+
+def check_every_peak_gets_a_verdict(coder: Coder[Any]) -> None:
+    """Every peak gets a stripe, or `UNCODED`, or `AMBIGUOUS`, and no stripe gets two peaks of one row."""
+    rig = LinearRig()
+    coded = _coded(coder, rig, rig.dome())
+    verdict = coded.map.peak_stripe
+    require(verdict.size == coded.truth.size, f"{verdict.size} verdicts on {coded.truth.size} peaks")
+    require(
+        bool(((verdict >= AMBIGUOUS) & (verdict < coded.map.stripe_count)).all()),
+        f"verdicts from {verdict.min()} to {verdict.max()} for {coded.map.stripe_count} stripes",
+    )
+    given = verdict >= 0
+    cells = np.unique(np.stack([verdict[given], coded.row[given]]), axis=1)
+    require(cells.shape[1] == given.sum(), "a stripe is given two peaks of one row")
+
+
+def check_coded_points_are_peaks(coder: Coder[Any]) -> None:
+    """The `x_px` of every seen point is the x of a peak of its row which was given to its stripe."""
+    rig = LinearRig()
+    coded = _coded(coder, rig, rig.dome())
+    seen = coded.map.seen
+    given = np.full(seen.shape, np.nan)
+    mine = coded.map.peak_stripe >= 0
+    given[coded.map.peak_stripe[mine], coded.row[mine]] = coded.found_px[mine]
+    other = seen & (given != coded.map.x_px)
+    require(not other.any(), f"{int(other.sum())} of {int(seen.sum())} seen points are not where a peak is")
+    require(seen.sum() == mine.sum(), f"{int(mine.sum())} peaks are coded, {int(seen.sum())} points are seen")
+
+
+def check_what_is_not_seen_is_marked(coder: Coder[Any]) -> None:
+    """A bridged point is never marked as seen."""
+    rig = LinearRig()
+    coded = _coded(coder, rig, rig.dome(), hidden=(3, slice(90, 100)))
+    false = int(coded.map.seen[3, 90:100].sum())
+    require(false == 0, f"{false} of 10 rows without a peak are marked as seen")
+
+
+def check_rest_lines_are_the_calibrations(coder: Coder[Any]) -> None:
+    """With a calibration, `rest_px` is its rest line on every row."""
+    rig = LinearRig()
+    off = np.abs(_coded(coder, rig, rig.dome()).map.rest_px - rig.rest_px())
+    require(bool((off <= 1e-9).all()), f"rest lines are off by up to {np.nanmax(off):.3g} px, or not known")
+
+
+def check_another_image_size_is_refused(coder: Coder[Any]) -> None:
+    """Peaks of another image size than the calibration's are refused by a `StageError`."""
+    rig = LinearRig()
+    other = LinearRig(rows=rig.rows // 2)
+    with refused("peaks of 100 rows with a calibration of 200", StageError):
+        coder.code(other.peaks(other.x_px(other.belt())).peaks, rig.calibration())
+
+
+CHECKS = (
+    check_a_dome_is_coded_whole,
+    check_a_mirrored_rig_is_coded_alike,
+    check_a_missing_stripe_shifts_nothing,
+    check_a_hidden_body_shifts_nothing,
+    check_a_stripe_hidden_at_both_ends_shifts_nothing,
+    check_gaps_shift_nothing,
+    check_a_body_past_its_neighbours_rest_line_is_not_mistaken,
+    check_an_untouched_stripe_is_belt,
+    check_a_bare_belt_has_no_product,
+    check_a_smooth_wedge_is_product,
+    check_a_grazed_tail_is_product,
+    check_every_peak_gets_a_verdict,
+    check_coded_points_are_peaks,
+    check_what_is_not_seen_is_marked,
+    check_rest_lines_are_the_calibrations,
+    check_another_image_size_is_refused,
+)
+
+
+class _Coded(NamedTuple):
+    """A coded scene: the map, each peak's true stripe, row and x, and the true (stripe, row) centres."""
+
+    map: StripeMap
+    truth: Integers
+    row: Integers
+    found_px: Floats
+    x_px: Floats
+
+
+def _coded(
+    coder: Coder[Any], rig: LinearRig, heights: Floats, hidden: tuple[int, slice] | None = None
+) -> _Coded:
+    x_px = rig.x_px(heights)
+    if hidden is not None:
+        x_px[hidden] = np.nan
+    return _coded_x(coder, rig, x_px)
+
+
+def _coded_x(coder: Coder[Any], rig: LinearRig, x_px: Floats) -> _Coded:
+    found = rig.peaks(x_px, _SCATTER_PX)
+    stripes = coder.code(found.peaks, rig.calibration())
+    return _Coded(stripes, found.stripe, found.peaks.row, found.peaks.x_px, x_px)
+
+
+def _none_wrong(coded: _Coded) -> None:
+    verdict = coded.map.peak_stripe
+    require(verdict.size == coded.truth.size, f"{verdict.size} verdicts on {coded.truth.size} peaks")
+    wrong = int(wrong_labels(verdict, coded.truth).sum())
+    require(wrong == 0, f"{wrong} of {verdict.size} peaks carry another stripe's number")
+
+
+def _nearly_all(coded: _Coded, wanted: Flags, what: str) -> None:
+    inner = slice(_END_ROWS, -_END_ROWS)
+    share = coded.map.seen[:, inner][wanted[:, inner]].mean()
+    require(share >= _CODED_MIN, f"only {share:.1%} of the {what} are coded")
+
+
+def _is_product(coded: _Coded, wanted: Flags, what: str) -> None:
+    there = coded.map.product[wanted]
+    share = (there > 0).mean()
+    belt, nothing = (there == BELT).mean(), (there == NOTHING).mean()
+    require(
+        share >= _CODED_MIN,
+        f"only {share:.1%} of {what} is product; belt {belt:.1%}, not coded {nothing:.1%}",
+    )

@@ -1,0 +1,95 @@
+"""What every sink keeps."""
+
+from __future__ import annotations
+
+import contextlib
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from roemetry.errors import RoemetryError
+from roemetry.records import Measurement
+from roemetry.stages import Sink
+from roemetry.testing.judging import refused, require
+from roemetry.testing.runs import failed, measured, run_of
+
+
+def check_it_writes_what_it_says(sink: Sink[Any]) -> None:
+    """The files it names are there after it has written, and hold something."""
+    with tempfile.TemporaryDirectory() as folder:
+        paths = _written(sink, Path(folder) / "run", measured(), failed())
+        require(paths, "it names no file")
+        for path in paths:
+            require(path.is_file(), f"{path.name} is named and not there")
+            require(path.stat().st_size > 0, f"{path.name} is empty")
+
+
+def check_it_writes_only_inside_its_folder(sink: Sink[Any]) -> None:
+    """It writes inside the run's folder and nowhere else, and names all files it leaves there."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        named = {path.resolve() for path in _written(sink, folder / "run", measured(), failed())}
+        found = {path.resolve() for path in folder.rglob("*") if path.is_file()}
+        inside = (folder / "run").resolve()
+        outside = [path.name for path in found | named if not path.is_relative_to(inside)]
+        require(not outside, f"written outside the folder: {', '.join(outside)}")
+        unnamed = sorted(path.name for path in found - named)
+        require(not unnamed, f"written and not named: {', '.join(unnamed)}")
+
+
+def check_an_id_does_not_lead_outside(sink: Sink[Any]) -> None:
+    """An acquisition's id with ``../`` in it does not lead outside the folder; it is written or refused."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        with contextlib.suppress(RoemetryError):
+            _written(sink, folder / "deep" / "run", measured("../../away"))
+        inside = (folder / "deep" / "run").resolve()
+        found = [path for path in folder.rglob("*") if path.is_file()]
+        outside = [path.name for path in found if not path.resolve().is_relative_to(inside)]
+        require(not outside, f"written outside the folder: {', '.join(outside)}")
+
+
+def check_an_empty_run_works(sink: Sink[Any]) -> None:
+    """A run without any measurement is written without an exception."""
+    with tempfile.TemporaryDirectory() as folder:
+        _written(sink, Path(folder) / "run")
+
+
+def check_failed_rows_and_lost_images_work(sink: Sink[Any]) -> None:
+    """Rows that failed, and acquisitions whose image is gone, do not stop it."""
+    with tempfile.TemporaryDirectory() as folder:
+        _written(sink, Path(folder) / "run", failed("p1"), failed("p2"))
+
+
+def check_it_can_write_again(sink: Sink[Any]) -> None:
+    """Writing a second time into the same folder replaces what it wrote."""
+    with tempfile.TemporaryDirectory() as folder:
+        run = Path(folder) / "run"
+        first = {path: path.read_bytes() for path in _written(sink, run, measured())}
+        second = {path: path.read_bytes() for path in _written(sink, run, measured())}
+    require(first == second, "the second time it writes something else")
+
+
+def check_a_folder_that_cannot_be_is_refused(sink: Sink[Any]) -> None:
+    """A folder that is not there, and cannot be made, is a `RoemetryError`."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "file"
+        path.write_text("in the way", encoding="utf-8")
+        with refused("a folder below a file"):
+            sink.write(run_of(path / "run", (measured(),)))
+
+
+CHECKS = (
+    check_it_writes_what_it_says,
+    check_it_writes_only_inside_its_folder,
+    check_an_id_does_not_lead_outside,
+    check_an_empty_run_works,
+    check_failed_rows_and_lost_images_work,
+    check_it_can_write_again,
+    check_a_folder_that_cannot_be_is_refused,
+)
+
+
+def _written(sink: Sink[Any], folder: Path, *rows: Measurement) -> list[Path]:
+    folder.mkdir(parents=True, exist_ok=True)
+    return list(sink.write(run_of(folder, rows)))

@@ -1,0 +1,140 @@
+"""What every triangulator keeps: points where the scene is."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from roemetry.arrays import Floats
+from roemetry.errors import StageError
+from roemetry.records import Profiles
+from roemetry.stages import Triangulator
+from roemetry.testing.fixtures import calibration_for
+from roemetry.testing.judging import refused, require
+from roemetry.testing.scenes import LinearRig
+
+
+def check_points_are_where_the_scene_is(triangulator: Triangulator[Any]) -> None:
+    """Exact stripes under an exact calibration give every point within the declared `height_tolerance_mm`."""
+    _near(triangulator, LinearRig(), LinearRig().dome())
+
+
+def check_a_mirrored_rig_measures_alike(triangulator: Triangulator[Any]) -> None:
+    """With the laser on the other side, points are where the scene is; heights stay positive."""
+    rig = LinearRig().mirrored()
+    _near(triangulator, rig, rig.dome())
+
+
+def check_a_plane_stays_plane(triangulator: Triangulator[Any]) -> None:
+    """The points of a tilted plane lie on one plane within the declared `height_tolerance_mm`."""
+    rig = LinearRig()
+    foot = rig.xyz_mm(rig.belt())
+    lean = rig.mm_per_px * rig.px_per_mm
+    heights = (6.0 + 0.05 * foot[..., 0] + 0.08 * foot[..., 1]) / (1.0 - 0.05 * lean)
+    points = _profiles(triangulator, rig, heights).xyz_mm.reshape(-1, 3)
+    points = points[np.isfinite(points).all(axis=1)]
+    require(points.shape[0] == heights.size, f"{points.shape[0]} points of {heights.size} stripe points")
+    middle = points - points.mean(axis=0)
+    normal = np.linalg.svd(middle, full_matrices=False)[2][2]
+    off_mm = float(np.abs(middle @ normal).max())
+    limit = triangulator.capabilities.height_tolerance_mm
+    require(off_mm <= limit, f"points are up to {off_mm:.3g} mm off the plane, {limit:g} mm are declared")
+
+
+def check_the_belt_is_at_zero(triangulator: Triangulator[Any]) -> None:
+    """A stripe on the bare belt has the height 0 within the declared `height_tolerance_mm`."""
+    rig = LinearRig()
+    z_mm = _profiles(triangulator, rig, rig.belt()).xyz_mm[..., 2]
+    limit = triangulator.capabilities.height_tolerance_mm
+    require(bool((np.abs(z_mm) <= limit).all()), f"the belt's heights reach {np.abs(z_mm).max():.3g} mm")
+
+
+def check_points_lie_on_their_slices_plane(triangulator: Triangulator[Any]) -> None:
+    """Every point lies on the plane its slice names, within the declared `height_tolerance_mm`."""
+    rig = LinearRig()
+    profiles = _profiles(triangulator, rig, rig.dome())
+    off_mm = np.abs(np.einsum("spk,sk->sp", profiles.xyz_mm, profiles.plane[:, :3]) - profiles.plane[:, 3:])
+    limit = triangulator.capabilities.height_tolerance_mm
+    require(
+        np.nanmax(off_mm) <= limit, f"points are up to {np.nanmax(off_mm):.3g} mm off their slice's plane"
+    )
+
+
+def check_nothing_seen_gives_no_point(triangulator: Triangulator[Any]) -> None:
+    """Where the map is NaN the point is NaN, in all three coordinates, and only there."""
+    rig = LinearRig()
+    heights = rig.dome()
+    heights[3, 90:110] = np.nan
+    heights[5] = np.nan
+    profiles = _profiles(triangulator, rig, heights)
+    finite = np.isfinite(profiles.xyz_mm)
+    require(
+        bool((finite.all(axis=2) == finite.any(axis=2)).all()), "points with some coordinates NaN, some not"
+    )
+    found, wanted = int(finite.all(axis=2).sum()), int(np.isfinite(heights).sum())
+    require(found == wanted, f"{found} points from {wanted} stripe points")
+    require(not (profiles.seen & ~finite.all(axis=2)).any(), "points that are NaN are marked as seen")
+
+
+def check_labels_are_carried_over(triangulator: Triangulator[Any]) -> None:
+    """Belt, product and seen stay with their points."""
+    rig = LinearRig()
+    heights = rig.dome()
+    profiles = _profiles(triangulator, rig, heights)
+    for what, found, wanted in (
+        ("product", int((profiles.product > 0).sum()), int((heights > 0.0).sum())),
+        ("belt", int((profiles.product == 0).sum()), int((heights == 0.0).sum())),
+        ("seen", int(profiles.seen.sum()), heights.size),
+    ):
+        require(found == wanted, f"{found} points are {what}, {wanted} were")
+
+
+def check_uncertainty_is_positive_or_not_stated(triangulator: Triangulator[Any]) -> None:
+    """Each `height_std_mm` is positive or 0, or NaN where not modelled, wherever the laser stands."""
+    for rig in (LinearRig(), LinearRig().mirrored()):
+        std = _profiles(triangulator, rig, rig.dome()).height_std_mm
+        require(not (std < 0.0).any(), "height_std_mm is negative")
+
+
+def check_another_number_of_stripes_is_refused(triangulator: Triangulator[Any]) -> None:
+    """A map with another number of stripes than the calibration is refused by a `StageError`."""
+    rig, other = LinearRig(), LinearRig(stripes=5)
+    with refused("a map of 5 stripes with a calibration of 7", StageError):
+        triangulator.triangulate(other.stripe_map(other.dome()), calibration_for(triangulator, rig))
+
+
+def check_another_image_size_is_refused(triangulator: Triangulator[Any]) -> None:
+    """A map with another number of rows than the calibration's images is refused by a `StageError`."""
+    rig, other = LinearRig(), LinearRig(rows=100)
+    with refused("a map of 100 rows with a calibration of 200", StageError):
+        triangulator.triangulate(other.stripe_map(other.dome()), calibration_for(triangulator, rig))
+
+
+CHECKS = (
+    check_points_are_where_the_scene_is,
+    check_a_mirrored_rig_measures_alike,
+    check_a_plane_stays_plane,
+    check_the_belt_is_at_zero,
+    check_points_lie_on_their_slices_plane,
+    check_nothing_seen_gives_no_point,
+    check_labels_are_carried_over,
+    check_uncertainty_is_positive_or_not_stated,
+    check_another_number_of_stripes_is_refused,
+    check_another_image_size_is_refused,
+)
+
+
+def _profiles(triangulator: Triangulator[Any], rig: LinearRig, heights: Floats) -> Profiles:
+    return triangulator.triangulate(rig.stripe_map(heights), calibration_for(triangulator, rig))
+
+
+def _near(triangulator: Triangulator[Any], rig: LinearRig, heights: Floats) -> None:
+    profiles = _profiles(triangulator, rig, heights)
+    truth = rig.xyz_mm(heights)[profiles.stripe]
+    # Points of a slice may stand in any order: each is found by its row.
+    at = np.rint(profiles.row_px).astype(np.int64)
+    off_mm = np.linalg.norm(profiles.xyz_mm - np.take_along_axis(truth, at[:, :, None], axis=1), axis=2)
+    limit = triangulator.capabilities.height_tolerance_mm
+    worst = float(off_mm.max())
+    require(worst <= limit, f"points are off by up to {worst:.3g} mm, {limit:g} mm are declared")

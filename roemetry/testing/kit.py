@@ -1,0 +1,159 @@
+"""The kit: every check of a stage's kind against the stage, with what it is expected to fail."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from roemetry.errors import PluginError
+from roemetry.registry import Registered, Registry, discover
+from roemetry.stages import INTERFACES, Stage
+from roemetry.testing.checks import Check, checks_of, name_of
+from roemetry.testing.fixtures import made
+
+Outcome = Literal["passed", "failed", "expected failure", "unexpectedly passed"]
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """What a check found.
+
+    Attributes
+    ----------
+    outcome
+        ``unexpectedly passed``: the stage declares that it fails, and it does not.
+    message
+        What was found; of an expected failure the declared reason.
+    """
+
+    outcome: Outcome
+    message: str = ""
+
+    @property
+    def as_declared(self) -> bool:
+        """Whether the stage does what it says it does."""
+        return self.outcome in ("passed", "expected failure")
+
+
+def conformance(
+    registered: Registered,
+    expected_failures: Mapping[str, str] | None = None,
+    options: Mapping[str, Any] | None = None,
+) -> Iterator[tuple[Check, Result]]:
+    """Hold a stage to every check of its kind.
+
+    Parameters
+    ----------
+    registered
+        The stage.
+    expected_failures
+        Checks that it fails by its method, with the reason, besides those its class declares.
+    options
+        The options to make it with; not given: those its fixture gives, else its default ones.
+
+    Yields
+    ------
+    tuple
+        The check, and what it found.
+
+    Raises
+    ------
+    PluginError
+        The stage cannot be imported or made, or a failure of a check is declared that its kind has not.
+    """
+    stage, expected = prepared(registered, expected_failures, options)
+    for check in checks_of(registered.entry.kind):
+        yield check, judged(stage, check, expected.get(name_of(check)))
+
+
+def judged(stage: Stage[Any], check: Check, reason: str | None = None) -> Result:
+    """Run one check; `reason` says why it is expected to fail."""
+    try:
+        check(stage)
+    # Whatever a plugin's stage raises is a result, not the end of the kit.
+    except Exception as error:
+        if reason is not None:
+            return Result("expected failure", reason)
+        found = str(error) if isinstance(error, AssertionError) else f"{type(error).__name__}: {error}"
+        return Result("failed", found)
+    if reason is not None:
+        return Result("unexpectedly passed", f"declared to fail ({reason}), but it passes")
+    return Result("passed")
+
+
+def prepared(
+    registered: Registered,
+    expected_failures: Mapping[str, str] | None = None,
+    options: Mapping[str, Any] | None = None,
+) -> tuple[Stage[Any], Mapping[str, str]]:
+    """Make a stage, and gather what it is expected to fail: check name → reason. Raises as `conformance`."""
+    entry = registered.entry
+    if registered.missing is not None:
+        raise PluginError(f"{entry.kind} `{entry.name}` {registered.missing}")
+    cls = Registry((registered,), ()).load(registered)
+    if not issubclass(cls, INTERFACES[entry.kind]):
+        raise PluginError(f"{entry.target} of {registered.provider} is not a {entry.kind}")
+    try:
+        stage = made(cls, options)
+    except PluginError:
+        raise
+    except Exception as error:
+        raise PluginError(
+            f"{entry.kind} `{entry.name}` cannot be made: {type(error).__name__}: {error}",
+            hint="give every option a default, or name a fixture in its capabilities",
+        ) from error
+    expected = {**cls.expected_failures, **(expected_failures or {})}
+    known = [name_of(check) for check in checks_of(entry.kind)]
+    for name in expected:
+        if name not in known:
+            close = difflib.get_close_matches(name, known, n=1)
+            raise PluginError(
+                f"{entry.kind} `{entry.name}` declares to fail `{name}`, which is no check of its kind",
+                hint=f"did you mean `{close[0]}`?" if close else "docs/reference/conformance.md lists them",
+            )
+    return stage, expected
+
+
+def stages_named(name: str, registry: Registry | None = None) -> tuple[Registered, ...]:
+    """Give the installed stages of a name.
+
+    Parameters
+    ----------
+    name
+        A stage (``dominant-peak``, ``extractor/dominant-peak``, ``paper/dominant-peak``), or whose stages:
+        an entry point or a distribution.
+    registry
+        What is installed.
+
+    Raises
+    ------
+    PluginError
+        There is no such stage or plugin (with a close match), or the plugin is broken.
+    """
+    registry = discover() if registry is None else registry
+    found = tuple(stage for stage in registry.stages if name in _names(stage))
+    if found:
+        return found
+    for broken in registry.broken:
+        if name in (broken.provider.name, broken.provider.distribution, broken.provider.entry_point):
+            raise PluginError(str(broken))
+    known = sorted({each for stage in registry.stages for each in _names(stage)})
+    close = difflib.get_close_matches(name, known, n=1)
+    raise PluginError(
+        f"there is no stage or plugin `{name}`",
+        hint=f"did you mean `{close[0]}`?" if close else "`roemetry plugins` lists what is installed",
+    )
+
+
+def _names(stage: Registered) -> tuple[str, ...]:
+    entry, provider = stage.entry, stage.provider
+    return (
+        entry.name,
+        f"{entry.kind}/{entry.name}",
+        f"{provider.name}/{entry.name}",
+        provider.name,
+        provider.entry_point,
+        provider.distribution,
+    )

@@ -1,0 +1,82 @@
+"""The kit in pytest: one test a stage and check."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from roemetry.registry import Registered
+from roemetry.testing.checks import checks_of, name_of
+from roemetry.testing.kit import prepared, stages_named
+
+if TYPE_CHECKING:
+    import pytest
+
+
+def parametrize_stages(
+    name: str,
+    expected_failures: Mapping[str, str] | None = None,
+    options: Mapping[str, Mapping[str, Any]] | None = None,
+) -> pytest.MarkDecorator:
+    """Parametrize a test over a plugin's stages and every check of their kinds.
+
+    A plugin author's whole test file::
+
+        from roemetry.testing import parametrize_stages
+
+        @parametrize_stages("my-plugin", expected_failures={"check_dark_rows_give_nothing": "why"})
+        def test_contract(stage, check):
+            check(stage)
+
+    Parameters
+    ----------
+    name
+        A distribution, an entry point, or a stage, as for `roemetry check-plugin`.
+    expected_failures
+        Check name → reason, for every stage of the plugin that has the check; ``stage/check`` for one of
+        them. They are added to what the stages declare themselves. A check that passes in spite of it fails.
+    options
+        Stage name → options to make the stage with; the others are made as `conformance` says.
+
+    Raises
+    ------
+    PluginError
+        There is no such plugin, or a stage of it cannot be made.
+    """
+    return parametrized(stages_named(name), expected_failures, options)
+
+
+def parametrized(
+    stages: tuple[Registered, ...],
+    expected_failures: Mapping[str, str] | None = None,
+    options: Mapping[str, Mapping[str, Any]] | None = None,
+) -> pytest.MarkDecorator:
+    """Parametrize a test over these stages; one whose requirements are missing is skipped with the reason."""
+    import pytest
+
+    cases = []
+    for registered in stages:
+        entry = registered.entry
+        of_stage = f"{entry.kind}/{entry.name}"
+        if registered.missing is not None:
+            skip = pytest.mark.skip(reason=f"{of_stage} {registered.missing}")
+            cases.append(pytest.param(None, None, id=of_stage, marks=skip))
+            continue
+        names = {name_of(check) for check in checks_of(entry.kind)}
+        mine = _of(expected_failures or {}, entry.name, names, len(stages))
+        stage, expected = prepared(registered, mine, (options or {}).get(entry.name))
+        for check in checks_of(entry.kind):
+            reason = expected.get(name_of(check))
+            marks = () if reason is None else pytest.mark.xfail(strict=True, reason=reason)
+            cases.append(pytest.param(stage, check, id=f"{of_stage}-{name_of(check)}", marks=marks))
+    return pytest.mark.parametrize(("stage", "check"), cases)
+
+
+def _of(expected: Mapping[str, str], stage: str, checks: set[str], stages: int) -> dict[str, str]:
+    """Give those of the expected failures that are meant for one stage of so many."""
+    mine = {}
+    for key, reason in expected.items():
+        whose, _, check = key.rpartition("/")
+        if whose in ("", stage) and (check in checks or whose == stage or stages == 1):
+            mine[check] = reason
+    return mine

@@ -1,0 +1,238 @@
+"""Stripes drawn on a linear rig: every centre, label and height is known exactly."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roemetry.arrays import Flags, Floats, Integers
+from roemetry.calibration import Calibration
+from roemetry.records import BELT, NOTHING, Frame, Peaks, StripeMap
+
+SEED = 20260711
+_WHITE_8_BIT = 255
+
+
+class ScenePeaks(NamedTuple):
+    """Peaks and, for each, the stripe (from 0) that made it."""
+
+    peaks: Peaks
+    stripe: Integers
+
+
+@dataclass(frozen=True, slots=True)
+class LinearRig:
+    """A rig without perspective: a stripe moves by `px_per_mm` for each millimetre of height.
+
+    The belt frame has its origin at the image's middle: X = (x − middle) · `mm_per_px`, Y towards the image's
+    top at the same scale. Stripe i rests at ``first_px + i · spacing_px`` in the middle row and leans by
+    ``fan · (i − middle stripe)`` px per row. So each stripe is a plane of light, and a body's volume, a
+    point's place and a stripe's centre have closed forms.
+
+    Attributes
+    ----------
+    rows, columns
+        Image size, px.
+    stripes
+        Number of stripes.
+    first_px, spacing_px
+        Rest x of the first stripe, and from each stripe to the next, in the middle row, px.
+    fan
+        Lean of a rest line against its neighbour's, px per row.
+    px_per_mm
+        Displacement along +x per height, px/mm; negative for a laser on the other side.
+    mm_per_px
+        Scale, mm/px.
+    sigma_px
+        Standard deviation of a stripe's Gaussian profile, px.
+    background
+        Grey level (of 0…255) beside the stripes.
+    """
+
+    rows: int = 200
+    columns: int = 320
+    stripes: int = 7
+    first_px: float = 38.0
+    spacing_px: float = 40.0
+    fan: float = 0.01
+    px_per_mm: float = 2.0
+    mm_per_px: float = 0.25
+    sigma_px: float = 1.6
+    background: float = 10.0
+
+    @property
+    def middle_row(self) -> float:
+        """Row of the image's middle, px."""
+        return (self.rows - 1) / 2.0
+
+    @property
+    def middle_column(self) -> float:
+        """Column of the image's middle, px."""
+        return (self.columns - 1) / 2.0
+
+    def mirrored(self) -> LinearRig:
+        """Give the rig with left and right exchanged: the laser on the other side."""
+        last_px = self.first_px + (self.stripes - 1) * self.spacing_px
+        return replace(self, first_px=self.columns - 1 - last_px, px_per_mm=-self.px_per_mm)
+
+    def scaled(self, factor: float) -> LinearRig:
+        """Give the rig that shows a scene `factor` times as large in the same image."""
+        return replace(self, mm_per_px=self.mm_per_px * factor, px_per_mm=self.px_per_mm / factor)
+
+    def rest_px(self) -> Floats:
+        """(stripe, row) x of the stripes on the bare belt, px."""
+        return self.calibration().rest_line_px(np.arange(self.rows, dtype=np.float64))
+
+    def x_px(self, height_mm: Floats) -> Floats:
+        """(stripe, row) stripe centres, px, over (stripe, row) heights, mm."""
+        return self.rest_px() + self.px_per_mm * height_mm
+
+    def belt(self) -> Floats:
+        """(stripe, row) heights of the bare belt: 0 mm."""
+        return np.zeros((self.stripes, self.rows))
+
+    def dome(self, height_mm: float = 10.0) -> Floats:
+        """(stripe, row) heights, mm, of a dome over all stripes but the outer two, on the middle rows."""
+        across = np.sin(np.pi * np.arange(self.stripes) / max(self.stripes - 1, 1))
+        return height_mm * across[:, None] * self.bump()[None, :]
+
+    def bump(self, first: float = 0.25, last: float = 0.75) -> Floats:
+        """(row,) smooth rise from 0 to 1 and back between two shares of the image's rows."""
+        along = np.clip((np.arange(self.rows) / (self.rows - 1) - first) / (last - first), 0.0, 1.0)
+        bump: Floats = np.sin(np.pi * along) ** 2
+        return bump
+
+    def light(self, x_px: Floats, amplitude: float | Floats = 160.0) -> Floats:
+        """Give (row, column) grey levels of 0…255, not rounded and not clipped; NaN in `x_px` draws nothing.
+
+        Parameters
+        ----------
+        x_px
+            (stripe, row) centres, px.
+        amplitude
+            Height of the stripes above the background, grey levels: one, or one a stripe.
+        """
+        columns = np.arange(self.columns)
+        light = np.full((self.rows, self.columns), self.background)
+        for line, height in zip(x_px, np.broadcast_to(amplitude, x_px.shape[:1]), strict=True):
+            off = (columns[None, :] - line[:, None]) / self.sigma_px
+            light += np.nan_to_num(height * np.exp(-0.5 * off**2))
+        return light
+
+    def peaks(self, x_px: Floats, scatter_px: float = 0.0) -> ScenePeaks:
+        """Give the peaks of a perfect extractor, with the stripe of each, sorted by row, then x.
+
+        Parameters
+        ----------
+        x_px
+            (stripe, row) centres, px; NaN gives no peak.
+        scatter_px
+            Standard deviation of the noise that is added to the centres, px.
+        """
+        noise = np.random.default_rng(SEED).normal(0.0, scatter_px, x_px.shape) if scatter_px else 0.0
+        noisy = x_px + noise
+        inside = np.isfinite(noisy) & (noisy >= 0.0) & (noisy <= self.columns - 1)
+        stripe, row = np.nonzero(inside)
+        x = noisy[inside]
+        order = np.lexsort((x, row))
+        stripe, row, x = stripe[order], row[order], x[order]
+        peaks = Peaks(
+            image_size=(self.rows, self.columns),
+            row=row,
+            x_px=x,
+            x_std_px=np.full(x.size, scatter_px or np.nan),
+            amplitude=np.full(x.size, 160.0),
+            background=np.full(x.size, self.background),
+            width_px=np.full(x.size, 2.355 * self.sigma_px),
+            flags=np.zeros(x.size, np.uint8),
+        )
+        return ScenePeaks(peaks, stripe)
+
+    def stripe_map(self, height_mm: Floats) -> StripeMap:
+        """Give the true map of (stripe, row) heights, mm; NaN is not seen, 0 is belt, else product 1."""
+        x_px = self.x_px(height_mm)
+        seen = np.isfinite(x_px)
+        product = np.where(height_mm > 0.0, 1, BELT)
+        return StripeMap(
+            x_px=x_px,
+            x_std_px=np.where(seen, 0.1, np.nan),
+            product=np.where(seen, product, NOTHING),
+            seen=seen,
+            margin=np.where(seen, 1.0, np.nan),
+            ambiguous=np.zeros(x_px.shape, np.bool_),
+            rest_px=self.rest_px(),
+            peak_stripe=self.peaks(x_px).stripe.astype(np.int16),
+        )
+
+    def xyz_mm(self, height_mm: Floats) -> Floats:
+        """(stripe, row, 3) points in the belt frame, mm, of (stripe, row) heights."""
+        x = (self.x_px(height_mm) - self.middle_column) * self.mm_per_px
+        y = np.broadcast_to((self.middle_row - np.arange(self.rows)) * self.mm_per_px, x.shape)
+        return np.stack([x, np.where(np.isnan(height_mm), np.nan, y), height_mm], axis=2)
+
+    def planes(self) -> Floats:
+        """(stripe, 4) planes of light in the belt frame: nx, ny, nz, d with n·X = d (mm), |n| = 1."""
+        slope = self._rest()[:, 1]
+        normal = np.stack(
+            [np.ones_like(slope), slope, np.full_like(slope, -self.mm_per_px * self.px_per_mm)], axis=1
+        )
+        normal /= np.linalg.norm(normal, axis=1)[:, None]
+        return np.column_stack(
+            [normal, normal[:, 0] * (self._rest()[:, 0] - self.middle_column) * self.mm_per_px]
+        )
+
+    def calibration(self) -> Calibration:
+        """Give the true calibration, without uncertainty, with the parameters of the method block-linear."""
+        return Calibration(
+            method="block-linear",
+            image_size=(self.rows, self.columns),
+            turn_deg=0,
+            rest_px=self._rest(),
+            displacement_px_per_mm=np.full(self.stripes, self.px_per_mm),
+            height_range_mm=(0.0, 60.0 / abs(self.px_per_mm)),
+            parameters={
+                "omega_mm_per_px": np.full(self.stripes, 1.0 / self.px_per_mm),
+                "mm_per_px": np.array([self.mm_per_px]),
+            },
+            covariance=np.zeros((self.stripes + 1, self.stripes + 1)),
+            extractor={"use": "exact"},
+        )
+
+    def _rest(self) -> Floats:
+        number = np.arange(self.stripes)
+        lean = self.fan * (number - (self.stripes - 1) / 2.0)
+        return np.column_stack([self.first_px + self.spacing_px * number, lean])
+
+
+def frame_of(light: Floats, *, bit_depth: int = 8, noise: float = 0.0) -> Frame:
+    """Make a frame of grey levels 0…255: noise added, scaled to the bit depth, rounded, clipped.
+
+    Parameters
+    ----------
+    light
+        (row, column) grey levels of the 8-bit scale.
+    bit_depth
+        8, or up to 16.
+    noise
+        Standard deviation of the sensor's noise, grey levels of the 8-bit scale.
+    """
+    white = 2**bit_depth - 1
+    if noise:
+        light = light + np.random.default_rng(SEED).normal(0.0, noise, light.shape)
+    pixels = np.clip(np.rint(light * (white / _WHITE_8_BIT)), 0, white)
+    return Frame(pixels.astype(np.uint8 if bit_depth <= 8 else np.uint16), name="scene", bit_depth=bit_depth)
+
+
+def in_steps(light: Floats, step: int) -> Floats:
+    """Round grey levels to multiples of `step`, so that a scaled image keeps whole grey levels."""
+    stepped: Floats = step * np.rint(light / step)
+    return stepped
+
+
+def wrong_labels(stripe: NDArray[np.integer], truth: Integers) -> Flags:
+    """Say which coded peaks carry another stripe than the one that made them; refused ones do not."""
+    wrong: Flags = (stripe >= 0) & (stripe != truth)
+    return wrong

@@ -1,0 +1,188 @@
+"""Foods: within their documented ranges, repeatable, and parted from their references by the defect alone."""
+
+import math
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from roemetry_simulate import herring_roe
+from roemetry_simulate.defects import dents
+from roemetry_simulate.parameters import FURTHER_KINDS, KINDS, draw
+from roemetry_simulate.products import PRODUCTS
+from roemetry_simulate.products.family import Drawn
+from roemetry_simulate.shown import shown, stripes_show
+from roemetry_simulate.skein import build
+
+SEEDS = range(50)
+
+RANGES = {
+    # length, width, thickness as measured on the body, underside's share of the visible volume
+    "herring-roe": ((70.0, 105.0), (20.0, 34.0), (10.0, 20.0), (0.05, 0.25)),
+    "potato": ((50.0, 113.5), (31.0, 75.6), (19.0, 56.0), (0.10, 0.22)),
+    "fillet": ((74.5, 110.0), (20.0, 60.0), (4.0, 22.5), (0.01, 0.08)),
+    "bread-roll": ((59.5, 95.0), (49.5, 75.0), (25.0, 51.0), (0.02, 0.09)),
+    "egg": ((49.5, 64.0), (37.5, 47.0), (34.0, 47.0), (0.19, 0.21)),
+}
+KNOWN = {
+    "herring-roe": {"none", *KINDS, *FURTHER_KINDS} - {"healthy"},
+    "potato": {"none", "dented"},
+    "fillet": {"none", "gaping"},
+    "bread-roll": {"none", "sunken", "split"},
+    "egg": {"none", "dented"},
+}
+STEPS = {"herring-roe": 0.5, "potato": 0.5, "fillet": 0.5, "bread-roll": 0.5, "egg": 0.5}
+
+
+def draws(name, **options) -> list[Drawn]:
+    family = PRODUCTS[name]
+    chosen = family.Options(grid_step_mm=STEPS[name], **options)
+    return [family.draw(seed, chosen) for seed in SEEDS]
+
+
+@pytest.fixture(scope="module", params=list(RANGES))
+def population(request):
+    return request.param, draws(request.param)
+
+
+def test_sizes_lie_within_the_documented_ranges(population):
+    name, products = population
+    keys = ("length_mm", "width_mm", "thickness_mm", "underside_share")
+    for key, (low, high) in zip(keys, RANGES[name], strict=True):
+        sizes = np.array([drawn.truth.figures[key] for drawn in products])
+        assert (low <= sizes.min(), sizes.max() <= high) == (True, True), (key, sizes.min(), sizes.max())
+        if key != "underside_share":
+            assert np.ptp(sizes) > 0.4 * (high - low), f"{key} is drawn from a part of its range only"
+
+
+def test_products_are_turned_and_off_centre_within_the_documented_ranges(population):
+    _, products = population
+    yaw = np.array([drawn.truth.figures["yaw_deg"] for drawn in products])
+    assert np.abs(yaw).max() <= 15.0
+    assert yaw.min() < -5.0
+    assert yaw.max() > 5.0
+    middles = [np.reshape(drawn.solid.footprint_extent_mm(), (2, 2)).mean(axis=1) for drawn in products]
+    assert np.ptp(middles, axis=0).min() > 5.0
+
+
+def test_every_kind_is_drawn_and_labelled(population):
+    name, products = population
+    assert {drawn.truth.defect for drawn in products} == KNOWN[name]
+    for drawn in products:
+        assert drawn.truth.label == ("good" if drawn.truth.defect == "none" else "henkei")
+        assert drawn.truth.mass_g == pytest.approx(
+            drawn.truth.true_mm3 * 1e-3 * PRODUCTS[name].Options().density_g_per_cm3
+        )
+
+
+def test_the_bottom_is_never_over_the_top_nor_under_the_belt(population):
+    _, products = population
+    for drawn in products[::5]:
+        x_min, x_max, y_min, y_max = drawn.solid.footprint_extent_mm()
+        x, y = np.meshgrid(np.linspace(x_min, x_max, 120), np.linspace(y_min, y_max, 120))
+        top, bottom = drawn.solid.heights_mm(x, y)
+        known = np.isfinite(top)
+        assert (bottom[known] <= top[known]).all()
+        assert bottom[known].min() >= -1e-9
+        cell = (x_max - x_min) * (y_max - y_min) / 119**2
+        assert top[known].sum() * cell == pytest.approx(drawn.truth.visible_mm3, rel=0.03)
+
+
+def test_only_a_defect_parts_a_product_from_its_reference(population):
+    _, products = population
+    for drawn in products:
+        same = drawn.solid.visible_volume_mm3 == drawn.reference.visible_volume_mm3
+        assert same == (drawn.truth.defect == "none")
+
+
+@pytest.mark.parametrize("name", list(RANGES))
+def test_a_seed_is_a_product(name):
+    family = PRODUCTS[name]
+    options = family.Options(grid_step_mm=0.5)
+    one, again, other = (family.draw(seed, options) for seed in (3, 3, 4))
+    assert one.truth == again.truth
+    np.testing.assert_array_equal(one.solid.grid, again.solid.grid)
+    assert one.truth != other.truth
+
+
+@pytest.mark.parametrize("name", list(RANGES))
+def test_volumes_do_not_depend_on_the_place(name):
+    family = PRODUCTS[name]
+    straight = family.Options(turn_range_deg=0.0, offset_range_x_mm=0.0, offset_range_y_mm=0.0)
+    one, moved = family.draw(6, straight).truth, family.draw(6).truth
+    # a skein's relief is drawn on the belt's grid and not on its own
+    rel = 3e-3 if name == "herring-roe" else 3e-4
+    assert moved.visible_mm3 == pytest.approx(one.visible_mm3, rel=rel)
+    assert moved.true_mm3 == pytest.approx(one.true_mm3, rel=rel)
+
+
+def test_shares_say_what_is_drawn():
+    some = draws("herring-roe", kinds={"s-bent": 1, "several-dents": 3})
+    counts = Counter(drawn.truth.defect for drawn in some)
+    assert set(counts) == {"s-bent", "several-dents"}
+    assert counts["several-dents"] > counts["s-bent"]
+    assert all(2 <= d.truth.figures["dent_count"] <= 4 for d in some if d.truth.defect == "several-dents")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"kinds": {"wavy": 1.0}}, r"'wavy'; there are healthy"),
+        ({"kinds": {"dented": -1.0}}, "0 or more"),
+        ({"kinds": {"dented": 0.0}}, "above 0"),
+        ({"length_range_mm": (60.0, 50.0)}, "not smaller"),
+        ({"grid_step_mm": 0.0}, "grid_step_mm"),
+    ],
+)
+def test_bad_options_are_refused(options, message):
+    with pytest.raises(ValidationError, match=message):
+        PRODUCTS["potato"].Options(**options)
+
+
+def test_a_healthy_egg_is_the_formula_of_its_revolution():
+    family = PRODUCTS["egg"]
+    for seed in range(4):
+        truth = family.draw(seed, family.Options(kinds={"healthy": 1.0})).truth
+        radius, length = truth.figures["shape_radius_mm"], truth.figures["nominal_length_mm"]
+        assert truth.true_mm3 == pytest.approx(2 / 3 * math.pi * radius**2 * length, rel=1e-4)
+
+
+@pytest.mark.parametrize("kind", FURTHER_KINDS)
+def test_further_kinds_of_skein_keep_the_documented_ranges(kind):
+    for seed in range(12):
+        record = draw(seed, kind)
+        assert record == draw(seed, kind)
+        assert 2.0 <= record.defect_depth_mm <= 6.0
+        assert (25.0 <= abs(record.bend_deg) <= 45.0) == (kind == "s-bent")
+        if kind == "several-dents":
+            found = dents(record)
+            assert 2 <= len(found) <= 4
+            assert all(2.0 <= one.defect_depth_mm <= 6.0 for one in found)
+            assert all(5.0 <= one.defect_width_mm <= 20.0 for one in found)
+
+
+def test_an_s_is_its_own_image_turned_by_half_a_turn_but_for_its_thick_end():
+    record = replace(
+        draw(5, "s-bent"), thick_end=0.0, relief_mm=0.0, centre_x_mm=0.0, centre_y_mm=0.0, yaw_deg=0.0
+    )
+    solid = build(record, 0.5).reference
+    x, y = np.meshgrid(np.linspace(-50, 50, 101), np.linspace(-25, 25, 51))
+    top, turned = solid.heights_mm(x, y)[0], solid.heights_mm(-x, -y)[0]
+    np.testing.assert_allclose(top, turned, atol=1e-6)
+    x_min, x_max, _, _ = solid.footprint_extent_mm()
+    assert 0.8 * record.length_mm < x_max - x_min < record.length_mm + record.width_mm
+    ends = [np.nanmax(np.where(np.isfinite(top[:, k]), y[:, k], np.nan)) for k in (20, 80)]
+    assert abs(ends[0] - ends[1]) > 3.0
+
+
+def test_what_stripes_show_of_any_product_is_what_they_show_of_a_skein():
+    one = herring_roe.scene(14, "dented")
+    truth = herring_roe.stripe_truth(one)
+    skein, found = shown(one.skein, truth), stripes_show(one.skein.solid, one.skein.reference, truth)
+    for name in ("left_stripe", "right_stripe", "overhang_left_mm", "defect_seen_mm", "hollow_seen_mm"):
+        assert getattr(found, name) == pytest.approx(getattr(skein, name), abs=1e-12)
+    assert found.defect_depth_mm == pytest.approx(skein.defect_depth_mm, abs=0.02)
+    healthy = stripes_show(one.skein.solid, None, truth)
+    assert (healthy.defect_depth_mm, healthy.defect_seen_mm) == (0.0, pytest.approx(0.0, abs=1e-9))
