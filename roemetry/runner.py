@@ -101,7 +101,9 @@ def run_recipe(
     provenance |= {
         "finished": _now(),
         "counts": counts,
-        "seconds_median": {stage: statistics.median(values) for stage, values in seconds.items()},
+        "seconds_median": {
+            stage: statistics.median(values[1:]) for stage, values in seconds.items() if values[1:]
+        },
     }
     write_whole(folder / PROVENANCE, json.dumps(provenance, indent=2) + "\n")
     files, faults = derive(recipe, folder, provenance)
@@ -211,7 +213,7 @@ def _provenance(recipe: Recipe, references: Sequence[AcquisitionReference]) -> d
         "recipe": str(recipe.path.absolute()),
         "sets": list(recipe.sets),
         "recipe_sha256": recipe.sha256,
-        "calibration": None if recipe.calibration_path is None else str(recipe.calibration_path),
+        "calibration": None if recipe.calibration_path is None else str(recipe.calibration_path.absolute()),
         "calibration_sha256": None if recipe.calibration is None else recipe.calibration.sha256,
         "plugins": {
             f"{kind} {chosen.registered.entry.name}": str(chosen.registered.provider)
@@ -223,6 +225,11 @@ def _provenance(recipe: Recipe, references: Sequence[AcquisitionReference]) -> d
         "acquisitions": len(references),
         "resolved_recipe": recipe.resolved(),
     }
+
+
+def _medians(seconds: Mapping[str, list[float]]) -> dict[str, float]:
+    """Median time of each stage; the first acquisition, in which kernels are loaded, is left out."""
+    return {stage: statistics.median(values[1:]) for stage, values in seconds.items() if len(values) > 1}
 
 
 def _now() -> str:
