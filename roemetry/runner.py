@@ -101,9 +101,7 @@ def run_recipe(
     provenance |= {
         "finished": _now(),
         "counts": counts,
-        "seconds_median": {
-            stage: statistics.median(values[1:]) for stage, values in seconds.items() if values[1:]
-        },
+        "seconds_median": _medians(seconds),
     }
     write_whole(folder / PROVENANCE, json.dumps(provenance, indent=2) + "\n")
     files, faults = derive(recipe, folder, provenance)

@@ -75,7 +75,9 @@ def bridged(
     count = int((stripe == AMBIGUOUS).sum())
     if count:
         said.append(
-            Reason("ambiguous", f"{count} peaks could not be given to one stripe with certainty and are left out")
+            Reason(
+                "ambiguous", f"{count} peaks could not be given to one stripe with certainty and are left out"
+            )
         )
     return StripeMap(
         x_px=x_px,
