@@ -9,10 +9,12 @@ import re
 import runpy
 import shlex
 import sys
+from collections.abc import Iterator
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
+import numpy as np
 import pytest
 import typer
 from pydantic import BaseModel
@@ -21,6 +23,7 @@ from roemetry import records
 from roemetry.calibration import Calibration
 from roemetry.cli.main import app
 from roemetry.hookspecs import KINDS
+from roemetry.pipeline import Pipeline
 from roemetry.recipe import Recipe
 from roemetry.recipe_file import RecipeFile, StageChoice
 from roemetry.record import PROVENANCE, RECORD
@@ -256,6 +259,15 @@ def test_choices_of_a_source_are_told() -> None:
                 assert str(legal) in rows[before + key], (key, legal)
 
 
+def test_the_page_says_whether_the_bit_depth_is_applied() -> None:
+    recipe = Recipe.load(ROOT / "recipes" / "herring_roe", sets=["source.bit_depth=12"])
+    frame = records.Frame(np.zeros((480, 640), np.uint16), bit_depth=16)
+    seen = Pipeline(recipe).trace(records.Acquisition("dark", (frame,))).frame
+    assert seen is not None
+    (row,) = [row for row in table(page("recipe.md")) if coded(row[0]) == ["source.bit_depth"]]
+    assert (seen.bit_depth == 16) == ("not applied yet" in row[-1])
+
+
 def complete(first: str) -> list[Any]:
     return [
         pytest.param(content, id=f"{path.stem}-{index}")
@@ -400,18 +412,78 @@ def test_every_reason_code_is_told_and_no_other() -> None:
     assert stages <= both
 
 
-# Records and links
+# Records
 
 
-def test_the_records_are_told_with_their_fields() -> None:
+def test_every_record_is_told_with_its_fields() -> None:
     text = FENCE.sub("", page("records.md"))
     words = {word for found in coded(text) for word in re.findall(r"\w+", found)}
+    headings = {"Frame": "## Acquisition and Frame"}
+    with_table = 0
     for name in records.__all__:
         record = getattr(records, name)
         if not dataclasses.is_dataclass(record) or name in ("Measurement", "Coding"):
-            continue
-        missing = {field.name for field in dataclasses.fields(record)} - words
-        assert not missing, name
+            continue  # these two are told on the page of results
+        fields = {field.name for field in dataclasses.fields(record)}
+        assert fields <= words, name
+        if headings.get(name, f"## {name}") in text.splitlines() and name != "Trace":
+            assert set(firsts(section(text, headings.get(name, f"## {name}")))) == fields, name
+            with_table += 1
+    assert with_table >= 8
+
+
+# Messages and surroundings
+
+
+def sources(*places: str) -> Iterator[ast.AST]:
+    for place in places:
+        home = ROOT / place
+        for path in sorted(home.rglob("*.py")) if home.is_dir() else [home]:
+            yield from ast.walk(ast.parse(path.read_text("utf-8")))
+
+
+def words_of(node: ast.AST | None) -> list[str]:
+    """Give the fixed parts of a text."""
+    parts = node.values if isinstance(node, ast.JoinedStr) else [node]
+    return [p.value for p in parts if isinstance(p, ast.Constant) and isinstance(p.value, str)]
+
+
+def test_every_refusal_of_calibrating_and_of_the_papers_stages_is_told() -> None:
+    text = page("rig.md") + page("reasons.md")
+    refusals = []
+    for node in sources("plugins/roemetry_paper", "roemetry/calibrating.py"):
+        name = getattr(getattr(node, "func", None), "id", "")
+        if isinstance(node, ast.Call) and name in ("CalibrationError", "StageError"):
+            refusals.append(max(words_of(node.args[0]), key=len, default=""))
+    assert len(refusals) > 15
+    for refusal in filter(None, refusals):
+        assert refusal.strip(" :(`")[:18] in text, refusal
+
+
+def test_messages_that_the_pages_quote_are_in_the_sources() -> None:
+    said = " ".join(word for node in sources("roemetry", "plugins") for word in words_of(node))
+    tables = [
+        section(page("rig.md"), "## Refusals"),
+        section(page("recipe.md"), "## What messages look like"),
+        section(page("calibration-file.md"), "## Faults"),
+        section(page("command-line.md"), "## `roemetry plugins`").split("| option |")[0],
+    ]
+    quoted = [
+        row[0].strip("` ") for text in tables for row in re.findall(r"^\| (`[^|]+) \|", text, flags=re.M)
+    ]
+    assert len(quoted) > 25
+    for message in quoted:
+        for piece in re.split("…|PROVIDER|: 1|1$", message):
+            assert piece.strip(" `()") in said, message
+
+
+def test_every_variable_of_the_environment_is_told() -> None:
+    read = {w for node in sources("roemetry") for w in words_of(node) if re.fullmatch("ROEMETRY_[A-Z]+", w)}
+    told = {word.split("=")[0] for word in firsts(section(page("command-line.md"), "## Environment"))}
+    assert told == read
+
+
+# Links
 
 
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: path.stem)
