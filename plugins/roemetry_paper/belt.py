@@ -16,6 +16,7 @@ _END_ROWS = 12
 _BELT_ROWS_MIN = 6
 _FLICKER_ROWS = 3
 _DOUBTFUL_ROWS_MIN = 3
+_LIVE_ROWS_MIN = 15
 _PASSES_MAX = 4
 
 
@@ -34,7 +35,7 @@ class Belt:
     on_line
         (segment,) True for a piece that lies on some rest line.
     live
-        (live,) stripes that have belt; the others are dead.
+        (live,) stripes that have belt, or may have; the others are dead.
     known
         (segment,) index into `live` of an anchored segment's stripe, −1 for the others.
     """
@@ -105,7 +106,7 @@ def belt_of(peaks: Peaks, fragment: Integers, fragments: int, line: Integers, st
         )
         rows = np.bincount(segment, minlength=segment_line.size)
         anchored = _anchored(peaks, segment, np.where(segment_line < stripes, segment_line, -1))
-        live = np.unique(segment_line[anchored])
+        live = _live(segment_line, anchored, rows, stripes)
         known = np.where(anchored, np.searchsorted(live, segment_line), -1)
         doubtful = doubtful_by_order(peaks.row_start, segment, known, live.size) & ~doubted
         often = np.bincount(segment[doubtful], minlength=rows.size) >= _DOUBTFUL_ROWS_MIN
@@ -116,6 +117,18 @@ def belt_of(peaks: Peaks, fragment: Integers, fragments: int, line: Integers, st
     of = np.empty(rows.size, np.int64)
     of[segment] = fragment
     return Belt(segment, of, rows, anchored, segment_line >= 0, live, known)
+
+
+def _live(segment_line: Integers, anchored: Flags, rows: Integers, stripes: int) -> Integers:
+    """Give the stripes that may be lit: with belt, or with a longer run on their rest line amid the image.
+
+    Such a run may be another's body; but a stripe whose ends are missing must not be given to another.
+    """
+    if not anchored.any():
+        return np.empty(0, np.int64)
+    line = segment_line % stripes
+    mine = (segment_line >= 0) & (anchored | (rows >= _LIVE_ROWS_MIN))
+    return np.unique(line[mine])
 
 
 def _anchored(peaks: Peaks, segment: Integers, line: Integers) -> Flags:

@@ -29,7 +29,7 @@ from roemetry_kernels.ordering import vote_by_order
 from roemetry_kernels.tracing import nearest_rest, trace_fragments
 from roemetry_paper.belt import Belt, belt_of
 from roemetry_paper.bridging import bridged
-from roemetry_paper.consistency import drop_doubles, keep_order
+from roemetry_paper.consistency import drop_doubles, keep_order, refuse_unexplained_gaps
 from roemetry_paper.literal_tracking import literal_codes
 from roemetry_paper.rest_lines import RestLines, calibrated_rest_lines, rest_lines_of_frame
 
@@ -123,8 +123,8 @@ class WindowTracking(Coder[WindowTrackingOptions]):
             )
             reasons.append(_LITERAL)
         else:
-            stripe, margin, dead = self._from_belt(peaks, rest, fragment, fragments, calibration)
-            reasons += dead
+            stripe, margin, said = self._from_belt(peaks, rest, fragment, fragments, calibration)
+            reasons += said
         return bridged(
             peaks,
             stripe,
@@ -143,7 +143,7 @@ class WindowTracking(Coder[WindowTrackingOptions]):
         fragments: int,
         calibration: Calibration | None,
     ) -> tuple[Integers, Floats, list[Reason]]:
-        """Give (peak,) stripe or UNCODED or AMBIGUOUS, (peak,) margin, and what to say of dead stripes."""
+        """Give (peak,) stripe or UNCODED or AMBIGUOUS, (peak,) margin, and what to say of it."""
         line, _ = nearest_rest(peaks.row, peaks.x_px, rest.x_px, rest.tolerance_px)
         belt = belt_of(peaks, fragment, fragments, line, rest.x_px.shape[0])
         if belt.live.size == 0:
@@ -158,7 +158,14 @@ class WindowTracking(Coder[WindowTrackingOptions]):
         label, margin = self._settle(peaks, belt, noise, rest_live, low, high)
         stripe = np.where(label >= 0, belt.live[np.maximum(label, 0)], label)
         of_peak = drop_doubles(peaks, stripe[belt.segment], line, belt.rows[belt.segment])
-        return keep_order(peaks, of_peak), margin[belt.segment], _dead(belt.live, rest.x_px.shape[0])
+        of_peak = keep_order(peaks, of_peak)
+        displacement = (
+            np.full(rest.x_px.shape[0], np.nan) if calibration is None else calibration.displacement_px_per_mm
+        )
+        of_peak, gaps = refuse_unexplained_gaps(
+            peaks, of_peak, line, rest.x_px, displacement, self.options.longest_gap_rows
+        )
+        return of_peak, margin[belt.segment], _dead(belt.live, rest.x_px.shape[0]) + gaps
 
     def _pieces(self, peaks: Peaks, fragment: Integers, fragments: int) -> tuple[RestLines, Integers, Floats]:
         """Give each traced piece a number of its own, left to right: nothing says which are one stripe."""

@@ -227,10 +227,11 @@ def test_a_body_on_its_neighbours_rest_line_where_that_belt_ends(rig, rng) -> No
     heights = np.zeros((rig.stripes, rig.rows))
     heights[1:5, 80:160] = 20.0
     x_px = rig.x_px(heights)
+    x_px[5, 80:160] = np.nan  # its light falls on the product's side, which the camera cannot see
     found = peaks_of(rig, x_px, rng)
     stripes = WindowTracking().code(found, rig.calibration())
     assert wrong_points(stripes, x_px) == 0
-    assert coded_share(stripes, x_px) > 0.95
+    assert "unexplained-gap" in {reason.code for reason in stripes.reasons}
 
 
 def test_a_body_that_crosses_its_neighbours_rest_line_slowly(rig, rng) -> None:
@@ -238,12 +239,13 @@ def test_a_body_that_crosses_its_neighbours_rest_line_slowly(rig, rng) -> None:
     heights = np.zeros((rig.stripes, rig.rows))
     heights[1:5, 80:160] = np.interp(row[80:160], [80, 160], [19.0, 21.5])
     x_px = rig.x_px(heights)
+    x_px[5, 80:160] = np.nan  # its light falls on the product's side, which the camera cannot see
     stripes = WindowTracking().code(peaks_of(rig, x_px, rng), rig.calibration())
     assert wrong_points(stripes, x_px) == 0
 
 
 def test_a_stripe_seen_twice_while_another_is_hidden_is_not_believed(rig, rng) -> None:
-    """A fold shows one plane at two places of a row; with another body hidden the count is right by chance."""
+    """A fold shows one plane twice in a row; with another body hidden the count is right by chance."""
     x_px = rig.x_px(rig.dome(12.0))
     twice = np.full(rig.rows, np.nan)
     twice[90:150] = x_px[2, 90:150] + 14.0
