@@ -14,7 +14,6 @@ from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
-import numpy as np
 import pytest
 import typer
 from pydantic import BaseModel
@@ -23,7 +22,6 @@ from roemetry import records
 from roemetry.calibration import Calibration
 from roemetry.cli.main import app
 from roemetry.hookspecs import KINDS
-from roemetry.pipeline import Pipeline
 from roemetry.recipe import Recipe
 from roemetry.recipe_file import RecipeFile, StageChoice
 from roemetry.record import PROVENANCE, RECORD
@@ -257,15 +255,6 @@ def test_choices_of_a_source_are_told() -> None:
         for key in ("channel", "turn_deg"):
             for legal in get_args(fields[before + key].annotation):
                 assert str(legal) in rows[before + key], (key, legal)
-
-
-def test_the_page_says_whether_the_bit_depth_is_applied() -> None:
-    recipe = Recipe.load(ROOT / "recipes" / "herring_roe", sets=["source.bit_depth=12"])
-    frame = records.Frame(np.zeros((480, 640), np.uint16), bit_depth=16)
-    seen = Pipeline(recipe).trace(records.Acquisition("dark", (frame,))).frame
-    assert seen is not None
-    (row,) = [row for row in table(page("recipe.md")) if coded(row[0]) == ["source.bit_depth"]]
-    assert (seen.bit_depth == 16) == ("not applied yet" in row[-1])
 
 
 def complete(first: str) -> list[Any]:

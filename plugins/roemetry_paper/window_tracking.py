@@ -45,7 +45,12 @@ class WindowTrackingOptions(StageOptions):
     stripe_count: int | None = Field(
         default=None, ge=1, description="stripes to expect; default: as the calibration says, else as seen"
     )
-    belt_window_px: int = Field(default=3, ge=1, le=99, description="width of the window on the belt, px")
+    belt_window_px: int = Field(
+        default=3,
+        ge=1,
+        le=99,
+        description="width of the window on the belt, px; used by `belt: interruption` alone",
+    )
     body_window_px: int = Field(default=14, ge=1, le=99, description="width of the window on the body, px")
     smallest_area_px: int = Field(default=10, ge=1, description="fragments with fewer peaks are noise")
     longest_gap_rows: int = Field(
