@@ -9,6 +9,7 @@ BENCHMARKS = {
     "frame": "time from an array to a measurement, by stage",
     "startup": "time of `roemetry --help` over that of a two-command Typer program",
     "herring_roe": "coding, grading and volume on unseen simulated skeins",
+    "shipped_skeins": "the same on the shipped skeins, one by one",
     "paper_figures": "Figures 7 and 9 of the paper, from any image",
 }
 

@@ -40,7 +40,8 @@ def main() -> None:
         print(f"  {stage:14} {1e3 * statistics.median(seconds):7.2f} ms")
     low, _, high = statistics.quantiles(whole, n=4)
     print(
-        f"  {'array to rows':14} {1e3 * statistics.median(whole):7.2f} ms  (quartiles {1e3 * low:.2f} – {1e3 * high:.2f})"
+        f"  {'array to rows':14} {1e3 * statistics.median(whole):7.2f} ms  "
+        f"(quartiles {1e3 * low:.2f} – {1e3 * high:.2f})"
     )
 
 

@@ -74,11 +74,13 @@ def main() -> None:
             value = volume.visible_mm3.value
             errors.append((value / sample.visible_mm3 - 1.0, value / sample.true_mm3 - 1.0))
     print(
-        f"{given.count} skeins, seeds {given.first}…{given.first + given.count - 1}; refused: {refused or 'none'}"
+        f"{given.count} skeins, seeds {given.first}…{given.first + given.count - 1}; "
+        f"refused: {refused or 'none'}"
     )
     total = [sum(column) for column in zip(*scores, strict=True)]
     print(
-        f"coding: {total[1] / total[0]:.2%} of {total[0]} visible product points right, {total[2]} points wrong,"
+        f"coding: {total[1] / total[0]:.2%} of {total[0]} visible product points right, "
+        f"{total[2]} points wrong,"
     )
     print(f"  longest wrong run {max(s.longest_wrong_run for s in scores)} rows; ", end="")
     print(f"worst skein {min(s.right / s.visible for s in scores):.2%} right")

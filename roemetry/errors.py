@@ -68,6 +68,12 @@ class OutputError(RoemetryError):
     """Results cannot be written."""
 
 
+class InterruptedRunError(RoemetryError):
+    """The user, or the system, stopped a run; what was measured is whole."""
+
+    exit_code = 130
+
+
 def _rebuild(kind: type[RoemetryError], args: tuple[object, ...], state: dict[str, object]) -> RoemetryError:
     """Make an error again in another process (a worker's error crosses to the parent)."""
     error = kind.__new__(kind)

@@ -79,14 +79,16 @@ def _calibrated(
     heights = profiles.xyz_mm[:, :, 2]
     height_max = float(np.nanmax(heights)) if np.isfinite(heights).any() else math.nan
     low, high = product.product.calibration.height_range_mm
-    reasons = list(warnings + product.product.reasons)
-    if height_max > high or np.nanmin(heights, initial=0.0) < low:
-        reasons.append(
-            Reason(
-                "out-of-calibrated-range",
-                f"heights reach {height_max:.1f} mm; the calibration is meant for {low:.1f} to {high:.1f} mm",
+    reasons = [*product.absent.values(), *warnings, *product.product.reasons]
+    height_min = float(np.nanmin(heights)) if np.isfinite(heights).any() else math.nan
+    for reached in (height_max, height_min):
+        if reached > high + _HEIGHT_SLACK_MM or reached < low - _HEIGHT_SLACK_MM:
+            reasons.append(
+                Reason(
+                    "out-of-calibrated-range",
+                    f"heights reach {reached:.1f} mm; the calibration is meant for {low:.1f} to {high:.1f}",
+                )
             )
-        )
     absent = {**trace.absent, **product.absent}
     return Measurement(
         id=f"{trace.acquisition_id}#{product.product.number}",
@@ -100,7 +102,7 @@ def _calibrated(
         weight=product.weight,
         grade=product.grade,
         absent=absent,
-        reasons=_once([*reasons, *_saturation(trace), *product.absent.values()]),
+        reasons=_once([*reasons, *_saturation(trace)]),
         provenance=provenance,
     )
 
@@ -136,15 +138,21 @@ def _without_product(trace: Trace, recipe: Recipe, provenance: Mapping[str, str]
     faults = [trace.absent[kind] for kind in _STAGES_BEFORE_PRODUCTS if kind in trace.absent]
     reasons = list(trace.stripes.reasons) if trace.stripes is not None else []
     only_peaks_wanted = "coder" not in recipe.stages and trace.peaks is not None
+    coding = _coding(trace, 0)
     if not faults and not only_peaks_wanted:
-        reasons.insert(0, Reason("no-product", "every stripe lies on the belt: there is no product"))
+        if coding is not None and coding.ambiguous > _REFUSED_SHARE_MAX * coding.peaks:
+            faults.append(
+                Reason("undecided", f"{coding.ambiguous} peaks were refused, and the others show no product")
+            )
+        else:
+            reasons.insert(0, Reason("no-product", "every stripe lies on the belt: there is no product"))
     status: Status = "failed" if faults else "measured" if only_peaks_wanted else "empty"
     return Measurement(
         id=f"{trace.acquisition_id}#0",
         acquisition=trace.acquisition_id,
         product=0,
         status=status,
-        coding=_coding(trace, 0),
+        coding=coding,
         absent=dict(trace.absent),
         reasons=_once([*faults, *reasons, *_warnings(recipe)]),
         provenance=provenance,
@@ -194,6 +202,10 @@ def _saturation(trace: Trace) -> list[Reason]:
     return [Reason("saturated", f"{share:.0%} of the stripe points are saturated: lower the exposure")]
 
 
+_HEIGHT_SLACK_MM = 1.0
+"""So much beyond the calibrated range is noise about the belt, not a product."""
+_REFUSED_SHARE_MAX = 0.01
+"""An image with more refused peaks than this is not believed to be empty."""
 _SATURATED_SHARE_MAX = 0.2
 """Above this share of saturated points the reader is told: their centres depend on how the plateau is cut."""
 
@@ -203,17 +215,16 @@ def _warnings(recipe: Recipe) -> tuple[Reason, ...]:
     calibration = recipe.calibration
     if calibration is None:
         return (UNCALIBRATED,)
-    made_with = calibration.extractor.get("use")
-    now = recipe.stages["extractor"].described()
-    if made_with is not None and made_with != now["use"]:
-        return (
-            Reason(
-                "other-extractor",
-                f"calibrated with the extractor `{made_with}`, measured with `{now['use']}`: "
-                "their peaks may differ by a part of a pixel",
-            ),
-        )
-    return ()
+    made_with, now = calibration.extractor, recipe.stages["extractor"].described()
+    if not made_with or all(made_with.get(key) == now[key] for key in ("use", "options")):
+        return ()
+    return (
+        Reason(
+            "other-extractor",
+            f"calibrated with the extractor `{made_with.get('use')}` {made_with.get('options', {})}, "
+            f"measured with `{now['use']}` {now['options']}: their peaks may differ by a part of a pixel",
+        ),
+    )
 
 
 def _stripes(trace: Trace) -> StripeMap:

@@ -61,7 +61,11 @@ class Pipeline:
         frame = steps.do(
             "source",
             lambda: prepare(
-                acquisition, channel=source.channel, turn_deg=source.turn_deg, subtract=source.subtract
+                acquisition,
+                channel=source.channel,
+                turn_deg=source.turn_deg,
+                subtract=source.subtract,
+                bit_depth=source.bit_depth,
             ),
         )
         peaks: Peaks | None = None

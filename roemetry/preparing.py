@@ -15,7 +15,9 @@ _BLUE_GREEN_RED = {"blue": 0, "green": 1, "red": 2}
 _LUMA = np.array([0.114, 0.587, 0.299])  # ITU-R BT.601, in the order blue, green, red
 
 
-def prepare(acquisition: Acquisition, *, channel: str, turn_deg: int, subtract: str) -> Frame:
+def prepare(
+    acquisition: Acquisition, *, channel: str, turn_deg: int, subtract: str, bit_depth: int | None = None
+) -> Frame:
     """Make the laser frame ready.
 
     Parameters
@@ -28,6 +30,8 @@ def prepare(acquisition: Acquisition, *, channel: str, turn_deg: int, subtract: 
         Counter-clockwise turn: a rotation, never a transpose, which would mirror the scene.
     subtract
         ``dark`` takes the laser-off partner away, grey level by grey level, cut off at 0; or ``none``.
+    bit_depth
+        Bits in use; None leaves what the source said.
 
     Raises
     ------
@@ -55,7 +59,12 @@ def prepare(acquisition: Acquisition, *, channel: str, turn_deg: int, subtract: 
     if turn_deg:
         pixels = np.rot90(pixels, turn_deg // 90)
     turn = (laser.turn_deg + turn_deg) % 360
-    return replace(laser, pixels=np.ascontiguousarray(pixels), turn_deg=turn)
+    return replace(
+        laser,
+        pixels=np.ascontiguousarray(pixels),
+        turn_deg=turn,
+        bit_depth=laser.bit_depth if bit_depth is None else bit_depth,
+    )
 
 
 def _one_channel(pixels: NDArray[Any], channel: str) -> NDArray[Any]:

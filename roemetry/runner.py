@@ -9,6 +9,7 @@ import sys
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import islice
@@ -16,7 +17,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from roemetry.errors import OutputError, RoemetryError
+from roemetry.errors import DataError, InterruptedRunError, RoemetryError
 from roemetry.files import LineFile, make_folder, sha256_of, write_whole
 from roemetry.measuring import failed, measurements_of
 from roemetry.pipeline import Pipeline
@@ -101,25 +102,25 @@ def run_recipe(
     provenance |= {
         "finished": _now(),
         "counts": counts,
-        "seconds_median": {stage: statistics.median(values) for stage, values in seconds.items()},
+        "seconds_median": _medians(seconds),
     }
     write_whole(folder / PROVENANCE, json.dumps(provenance, indent=2) + "\n")
-    files, faults = derive(recipe, folder, provenance)
+    files, faults = derive(recipe, folder, provenance, debug=debug)
     return Outcome(folder, counts, files, faults)
 
 
 def derive(
-    recipe: Recipe, folder: Path, provenance: Mapping[str, Any]
+    recipe: Recipe, folder: Path, provenance: Mapping[str, Any], *, debug: bool = False
 ) -> tuple[tuple[Path, ...], tuple[str, ...]]:
     """Let each sink derive its files from the record; a sink that fails does not stop the others."""
-    references = {
-        reference.id: reference for reference in recipe.source.make().references(recipe.source_path)
-    }
     source, pipeline = recipe.source.make(), Pipeline(recipe)
+    references: dict[str, AcquisitionReference] = {}
 
     def replay(acquisition_id: str) -> Trace:
+        if not references:
+            references.update({found.id: found for found in source.references(recipe.source_path)})
         if acquisition_id not in references:
-            raise OutputError(f"{acquisition_id}: the images are no longer there")
+            raise DataError(f"{acquisition_id}: the images are no longer there")
         return pipeline.trace(source.read(references[acquisition_id]))
 
     run = Run(folder, recipe.product, lambda: read_record(folder), replay, provenance)
@@ -130,6 +131,14 @@ def derive(
             files += chosen.make().write(run)
         except RoemetryError as error:
             faults.append(f"sink {chosen.registered.entry.name}: {error}")
+        # A fault in one sink must not take the others' files away.
+        except Exception as error:
+            if debug:
+                raise
+            faults.append(
+                f"sink {chosen.registered.entry.name}: failed with {type(error).__name__}: {error} "
+                "(a plugin's fault; see --debug)"
+            )
     return tuple(files), tuple(faults)
 
 
@@ -155,6 +164,11 @@ def _measured(
                 if not waiting:
                     return
                 yield waiting.popleft().result()
+        except BrokenProcessPool as error:
+            raise InterruptedRunError(
+                "a worker process died (killed by the system, perhaps for want of memory)",
+                hint="what was measured is whole; go on with --resume and fewer --jobs",
+            ) from error
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
 
@@ -173,8 +187,8 @@ class _Worker:
 
     def __call__(self, reference: AcquisitionReference) -> tuple[list[str], Mapping[str, float]]:
         try:
-            hashes = {f"{role}_sha256": sha256_of(path) for role, path in reference.files.items()}
             acquisition = self._source.read(reference)
+            hashes = {f"{role}_sha256": sha256_of(path) for role, path in reference.files.items()}
         except (RoemetryError, OSError) as error:
             if self._debug:
                 raise
@@ -211,7 +225,7 @@ def _provenance(recipe: Recipe, references: Sequence[AcquisitionReference]) -> d
         "recipe": str(recipe.path.absolute()),
         "sets": list(recipe.sets),
         "recipe_sha256": recipe.sha256,
-        "calibration": None if recipe.calibration_path is None else str(recipe.calibration_path),
+        "calibration": None if recipe.calibration_path is None else str(recipe.calibration_path.absolute()),
         "calibration_sha256": None if recipe.calibration is None else recipe.calibration.sha256,
         "plugins": {
             f"{kind} {chosen.registered.entry.name}": str(chosen.registered.provider)
@@ -223,6 +237,11 @@ def _provenance(recipe: Recipe, references: Sequence[AcquisitionReference]) -> d
         "acquisitions": len(references),
         "resolved_recipe": recipe.resolved(),
     }
+
+
+def _medians(seconds: Mapping[str, list[float]]) -> dict[str, float]:
+    """Median time of each stage; the first acquisition, in which kernels are loaded, is left out."""
+    return {stage: statistics.median(values[1:]) for stage, values in seconds.items() if len(values) > 1}
 
 
 def _now() -> str:

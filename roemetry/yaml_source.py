@@ -94,6 +94,15 @@ def dump(data: Any) -> str:
     """Write plain values as YAML; lists of numbers stay on one line."""
     from ruamel.yaml import YAML
     from ruamel.yaml.comments import CommentedSeq
+    from ruamel.yaml.representer import RoundTripRepresenter
+
+    class Representer(RoundTripRepresenter):
+        """Writes "null" for nothing, where ruamel.yaml leaves the place empty."""
+
+    def null(representer: RoundTripRepresenter, _: None) -> Any:
+        return representer.represent_scalar("tag:yaml.org,2002:null", "null")
+
+    Representer.add_representer(type(None), null)
 
     def flowed(value: Any) -> Any:
         if isinstance(value, dict):
@@ -106,6 +115,7 @@ def dump(data: Any) -> str:
         return value
 
     yaml = YAML(typ="rt")
+    yaml.Representer = Representer
     yaml.width = 4096
     stream = io.StringIO()
     yaml.dump(flowed(data), stream)

@@ -74,7 +74,10 @@ def read_image(path: Path, role: Role = "laser") -> Frame:
     try:
         data = np.fromfile(path, np.uint8)
     except OSError as error:
-        raise DataError(f"{path}: cannot be read: {error.strerror or error}") from error
+        raise DataError(
+            f"{path}: the {role} image cannot be read: {error.strerror or error}",
+            hint="partner images are named in source.options" if role != "laser" else "check the file",
+        ) from error
     if data.size == 0:
         raise DataError(f"{path}: the file is empty")
     if _cut_off(data):

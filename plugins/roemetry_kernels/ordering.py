@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from roemetry.arrays import Floats, Integers
 
@@ -77,3 +78,65 @@ def vote_by_order(
             left = right
             p = q + 1
     return votes, voters
+
+
+@njit(cache=True, nogil=True)
+def doubtful_by_order(
+    row_start: Integers, segment: Integers, label: Integers, stripes: int
+) -> NDArray[np.bool_]:
+    """Mark known peaks whose rows show too many peaks on one side and too few on the other.
+
+    If a body lies on its right neighbour's rest line and is taken for it, then to its left one stripe is
+    missing and to its right there is one peak too many. In such a row every known peak between the place
+    with too many and the nearest place with too few may be off by one.
+
+    Parameters
+    ----------
+    row_start
+        (row + 1,) where each row's peaks begin.
+    segment
+        (peak,) segment of each peak; −1 leaves the peak out.
+    label
+        (segment,) known stripe of a segment, −1 unknown.
+    stripes
+        Number of stripes that may be chosen.
+
+    Returns
+    -------
+    ndarray
+        (peak,) True for a known peak that may be another stripe.
+    """
+    doubtful = np.zeros(segment.shape[0], np.bool_)
+    most = 0
+    for row in range(row_start.shape[0] - 1):
+        most = max(most, row_start[row + 1] - row_start[row])
+    peak = np.empty(most + 1, np.int64)  # the known peaks of a row
+    spare = np.empty(most + 1, np.int64)  # room left in the block before each known peak, and after the last
+    for row in range(row_start.shape[0] - 1):
+        count, unknown, left = 0, 0, -1
+        for p in range(row_start[row], row_start[row + 1]):
+            s = segment[p]
+            if s < 0:
+                continue
+            if label[s] < 0:
+                unknown += 1
+                continue
+            spare[count] = label[s] - left - 1 - unknown
+            peak[count] = p
+            count += 1
+            left, unknown = label[s], 0
+        spare[count] = stripes - left - 1 - unknown
+        for block in range(count + 1):
+            if spare[block] >= 0:
+                continue
+            other = block - 1
+            while other >= 0 and spare[other] <= 0:
+                other -= 1
+            if other >= 0:
+                doubtful[peak[other:block]] = True
+            other = block + 1
+            while other <= count and spare[other] <= 0:
+                other += 1
+            if other <= count:
+                doubtful[peak[block:other]] = True
+    return doubtful

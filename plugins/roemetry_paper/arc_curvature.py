@@ -112,6 +112,7 @@ class ArcCurvature(Classifier[ArcCurvatureOptions]):
             label=label,
             features={
                 "arcs": float(count),
+                "arcs_straight": float(np.isinf(arcs.radius).sum()),
                 "arcs_concave": float(arcs.concave.sum()),
                 "arcs_flagged": float(flagged),
                 f"smallest_concave_radius_{unit}": smallest if math.isfinite(smallest) else math.nan,
@@ -197,7 +198,7 @@ def _unknown(curves: BodyCurves, delta: int) -> Grade:
     longest = int(curves.size.max(initial=0))
     return Grade(
         label=UNKNOWN,
-        features={"arcs": 0.0, "arcs_concave": 0.0, "arcs_flagged": 0.0},
+        features={"arcs": 0.0, "arcs_straight": 0.0, "arcs_concave": 0.0, "arcs_flagged": 0.0},
         reasons=(
             Reason(
                 "too-few-points",

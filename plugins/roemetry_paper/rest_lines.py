@@ -15,6 +15,7 @@ from roemetry_kernels.tracing import nearest_rest
 _SIGMAS = 4.0
 _TOLERANCE_MIN_PX = 1.0
 _SEARCH_PX = 3.0
+_OUTER_SHARE = 0.1
 _MAD_TO_STD = 1.4826
 
 
@@ -104,8 +105,13 @@ def rest_lines_of_frame(
 
 
 def belt_tolerance_px(peaks: Peaks, rest_px: Floats) -> float:
-    """Four standard deviations (robust) of the peaks about the rest lines, at least 1 px."""
-    line, distance = nearest_rest(peaks.row, peaks.x_px, rest_px, _SEARCH_PX)
+    """Four standard deviations (robust) of the peaks about the rest lines, at least 1 px.
+
+    Only the image's top and bottom tenth are asked: amid the image a product may lie near the lines.
+    """
+    rows = rest_px.shape[1]
+    outer = (peaks.row < _OUTER_SHARE * rows) | (peaks.row >= (1.0 - _OUTER_SHARE) * rows)
+    line, distance = nearest_rest(peaks.row[outer], peaks.x_px[outer], rest_px, _SEARCH_PX)
     near = distance[line >= 0]
     if near.size < 10:
         return _TOLERANCE_MIN_PX

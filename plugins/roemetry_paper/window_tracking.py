@@ -26,11 +26,12 @@ from roemetry.errors import StageError
 from roemetry.records import AMBIGUOUS, UNCODED, Peaks, Reason, StripeMap
 from roemetry.stages import Coder, StageOptions
 from roemetry_kernels.ordering import vote_by_order
-from roemetry_kernels.tracing import cut_at_rest_lines, nearest_rest, trace_fragments
+from roemetry_kernels.tracing import nearest_rest, trace_fragments
+from roemetry_paper.belt import Belt, belt_of
 from roemetry_paper.bridging import bridged
+from roemetry_paper.consistency import drop_doubles, keep_order, refuse_unexplained_gaps
 from roemetry_paper.literal_tracking import literal_codes
 from roemetry_paper.rest_lines import RestLines, calibrated_rest_lines, rest_lines_of_frame
-from roemetry_paper.segments import SegmentTable, drop_doubles, keep_order
 
 
 class WindowTrackingOptions(StageOptions):
@@ -44,7 +45,12 @@ class WindowTrackingOptions(StageOptions):
     stripe_count: int | None = Field(
         default=None, ge=1, description="stripes to expect; default: as the calibration says, else as seen"
     )
-    belt_window_px: int = Field(default=3, ge=1, le=99, description="width of the window on the belt, px")
+    belt_window_px: int = Field(
+        default=3,
+        ge=1,
+        le=99,
+        description="width of the window on the belt, px; used by `belt: interruption` alone",
+    )
     body_window_px: int = Field(default=14, ge=1, le=99, description="width of the window on the body, px")
     smallest_area_px: int = Field(default=10, ge=1, description="fragments with fewer peaks are noise")
     longest_gap_rows: int = Field(
@@ -63,10 +69,9 @@ class WindowTrackingOptions(StageOptions):
 
 _END_ROWS = 12
 """Rows at the image's ends within which a belt segment must begin: a skein never reaches so far."""
-_BELT_ROWS_MIN = 6
-_FLICKER_ROWS = 3
 _AGREEMENT_MIN = 0.9
 _VOTERS_MIN = 3
+_VOTING_SHARE_MIN = 0.5
 _PASSES_MAX = 12
 _UNBOUNDED_PX = 1e6
 
@@ -130,8 +135,8 @@ class WindowTracking(Coder[WindowTrackingOptions]):
             )
             reasons.append(_LITERAL)
         else:
-            stripe, margin, dead = self._from_belt(peaks, rest, fragment, fragments, calibration)
-            reasons += dead
+            stripe, margin, said = self._from_belt(peaks, rest, fragment, fragments, calibration)
+            reasons += said
         return bridged(
             peaks,
             stripe,
@@ -150,28 +155,29 @@ class WindowTracking(Coder[WindowTrackingOptions]):
         fragments: int,
         calibration: Calibration | None,
     ) -> tuple[Integers, Floats, list[Reason]]:
-        """Give (peak,) stripe or UNCODED or AMBIGUOUS, (peak,) margin, and what to say of dead stripes."""
+        """Give (peak,) stripe or UNCODED or AMBIGUOUS, (peak,) margin, and what to say of it."""
         line, _ = nearest_rest(peaks.row, peaks.x_px, rest.x_px, rest.tolerance_px)
-        segment, segment_line = cut_at_rest_lines(fragment, line, fragments, _BELT_ROWS_MIN, _FLICKER_ROWS)
-        table = SegmentTable.of(peaks, segment, segment_line)
-        anchored = table.anchored(_END_ROWS, _FLICKER_ROWS)
-        # A stripe hidden at both ends of the image shows its belt in between, and may have a body.
-        live = np.unique(segment_line[segment_line >= 0])
-        if not anchored.any():
+        belt = belt_of(peaks, fragment, fragments, line, rest.x_px.shape[0])
+        if belt.live.size == 0:
             raise StageError(
                 f"no stripe lies where the {rest.x_px.shape[0]} rest lines are",
                 hint="camera or laser may have been moved: calibrate again, or remove what covers the belt",
             )
-        known = np.where(anchored, np.searchsorted(live, segment_line), -1)
-        low, high = _displacements(rest, live, calibration)
-        rest_live = np.ascontiguousarray(rest.x_px[live])
         small = np.bincount(fragment, minlength=fragments) < self.options.smallest_area_px
-        noise = np.zeros(segment_line.size, np.bool_)
-        noise[segment] = small[fragment]
-        label, margin = self._settle(peaks, segment, known, noise & ~anchored, rest_live, low, high)
-        stripe = np.where(label >= 0, live[np.maximum(label, 0)], label)
-        of_peak = drop_doubles(peaks, stripe[segment], line, table.rows[segment])
-        return keep_order(peaks, of_peak), margin[segment], _dead(live, rest.x_px.shape[0])
+        noise = small[belt.fragment] & ~belt.anchored
+        low, high = _displacements(rest, belt.live, calibration)
+        rest_live = np.ascontiguousarray(rest.x_px[belt.live])
+        label, margin = self._settle(peaks, belt, noise, rest_live, low, high)
+        stripe = np.where(label >= 0, belt.live[np.maximum(label, 0)], label)
+        of_peak = drop_doubles(peaks, stripe[belt.segment], line, belt.rows[belt.segment])
+        of_peak = keep_order(peaks, of_peak)
+        displacement = (
+            np.full(rest.x_px.shape[0], np.nan) if calibration is None else calibration.displacement_px_per_mm
+        )
+        of_peak, gaps = refuse_unexplained_gaps(
+            peaks, of_peak, line, rest.x_px, displacement, self.options.longest_gap_rows
+        )
+        return of_peak, margin[belt.segment], _dead(belt.live, rest.x_px.shape[0]) + gaps
 
     def _pieces(self, peaks: Peaks, fragment: Integers, fragments: int) -> tuple[RestLines, Integers, Floats]:
         """Give each traced piece a number of its own, left to right: nothing says which are one stripe."""
@@ -186,26 +192,21 @@ class WindowTracking(Coder[WindowTrackingOptions]):
         return rest, number[fragment], np.full(len(peaks), np.nan)
 
     def _settle(
-        self,
-        peaks: Peaks,
-        segment: Integers,
-        known: Integers,
-        noise: Flags,
-        rest_px: Floats,
-        low_px: Floats,
-        high_px: Floats,
+        self, peaks: Peaks, belt: Belt, noise: Flags, rest_px: Floats, low_px: Floats, high_px: Floats
     ) -> tuple[Integers, Floats]:
-        """From known segments to all that order decides: (segment,) label, UNCODED or AMBIGUOUS; margin."""
-        used = np.where(noise[segment], -1, segment)
-        label = known
-        margin = np.where(known >= 0, 1.0, np.nan)
+        """From the belt to all that order decides: (segment,) live stripe, UNCODED or AMBIGUOUS; margin."""
+        used = np.where(noise[belt.segment], -1, belt.segment)
+        label = belt.known
+        margin = np.where(belt.anchored, 1.0, np.nan)
         for _ in range(_PASSES_MAX):
             votes, voters = vote_by_order(peaks.row_start, peaks.x_px, used, label, rest_px, low_px, high_px)
-            settled, gained = _decided(votes, voters, label, self.options.margin_min)
-            if not settled.any():
-                break
-            label = np.where(settled, votes.argmax(axis=1), label)
+            settled, gained = _decided(votes, voters, belt.rows, label, self.options.margin_min)
             margin = np.where(settled, gained, margin)
+            found = belt.continued(np.where(settled, votes.argmax(axis=1), label))
+            if (found == label).all():
+                break
+            label = found
+        margin[label < 0] = np.nan
         return np.where(noise, UNCODED, np.where(label >= 0, label, AMBIGUOUS)), margin
 
 
@@ -223,9 +224,13 @@ _NO_BELT = Reason(
 
 
 def _decided(
-    votes: Integers, voters: Integers, label: Integers, margin_min: float
-) -> tuple[np.ndarray, Floats]:
-    """Say which unknown segments their rows agree on, and by which margin."""
+    votes: Integers, voters: Integers, rows: Integers, label: Integers, margin_min: float
+) -> tuple[Flags, Floats]:
+    """Say which unknown segments their rows agree on, and by which margin.
+
+    A row with more peaks than stripes does not vote. Where most rows of a segment are such, the few that
+    vote are not believed: something is seen twice, and something else is hidden.
+    """
     if votes.shape[1] > 1:
         ranked = np.partition(votes, -2, axis=1)
         best, second = ranked[:, -1], ranked[:, -2]
@@ -234,7 +239,10 @@ def _decided(
     share = np.maximum(voters, 1)
     margin = (best - second) / share
     settled = (
-        (label < 0) & (voters >= _VOTERS_MIN) & (best >= _AGREEMENT_MIN * voters) & (margin >= margin_min)
+        (label < 0)
+        & (voters >= np.maximum(_VOTERS_MIN, _VOTING_SHARE_MIN * rows))
+        & (best >= _AGREEMENT_MIN * voters)
+        & (margin >= margin_min)
     )
     return settled, margin
 

@@ -58,7 +58,7 @@ def arc_panel(
     if (~known).any():
         notes.append(f"{int((~known).sum())} without a place: straight there")
     if leaving.any():
-        notes.append(f"{int(leaving.sum())} lead out of the picture")
+        notes.append(f"{int(leaving.sum())} {'lead' if leaving.sum() > 1 else 'leads'} out of the picture")
     title = f"Body curves, an arrow to each {marks.kind}"
     label = f"Body curves of product {product} with arrows ({marks.kind}); {'; '.join(notes)}"
     return Panel("e", title, svg.picture(body, box=box, label=label, kind="screen zoomed"), tuple(notes))

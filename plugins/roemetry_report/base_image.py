@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from roemetry.records import Frame, Trace
 
-_BYTES_MAX = 60_000
+_BYTES_MAX = 72_000
 _TRIES = ((1280, 85), (1280, 70), (960, 70), (720, 65), (640, 50), (480, 40))
 """Longest side (px) and JPEG quality, from best to least."""
 

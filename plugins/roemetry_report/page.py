@@ -12,7 +12,7 @@ from roemetry.yaml_source import dump
 from roemetry_report.rows import grade_pill, row_of
 from roemetry_report.section import section
 from roemetry_report.selection import ROWS_MAX, overview
-from roemetry_report.words import breakable, counted, milliseconds, when
+from roemetry_report.words import breakable, clause, counted, milliseconds, when
 
 
 def page(run: Run, products_max: int, worst_max: int) -> str:
@@ -39,6 +39,7 @@ def page(run: Run, products_max: int, worst_max: int) -> str:
         lstrip_blocks=True,
     )
     environment.filters["breakable"] = breakable
+    environment.filters["clause"] = clause
     return environment.get_template("report.html.j2").render(
         title=run.title,
         overview=seen,

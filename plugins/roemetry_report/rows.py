@@ -13,7 +13,7 @@ from roemetry.units import MM3_PER_CM3, NOT_STATED
 from roemetry_report.charts import share_bar
 from roemetry_report.words import percent, plain, uncertainty, value
 
-_MAIN_REASONS = 3
+_FULL_REASONS = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,9 +43,9 @@ class Row:
     shares_of
         What the shares are shares of: the volume, or (without one) the points.
     main
-        The few reasons that matter most for this row.
-    more
-        How many further reasons there are.
+        What matters most for this row: why it failed, or the first reason of its grade.
+    further
+        The other reasons, for which a code is enough.
     """
 
     id: str
@@ -65,7 +65,7 @@ class Row:
     ambiguous: str
     ambiguous_sort: int | None
     main: tuple[Reason, ...]
-    more: int
+    further: tuple[Reason, ...]
 
 
 def row_of(measurement: Measurement, common: Collection[Reason] = ()) -> Row:
@@ -115,8 +115,8 @@ def row_of(measurement: Measurement, common: Collection[Reason] = ()) -> Row:
         stripes_sort=None if coding is None else coding.stripes_seen,
         ambiguous="–" if coding is None else str(coding.ambiguous),
         ambiguous_sort=None if coding is None else coding.ambiguous,
-        main=tuple(reasons[:_MAIN_REASONS]),
-        more=max(0, len(reasons) - _MAIN_REASONS),
+        main=tuple(reasons[:1] if measurement.status != "failed" else reasons[:_FULL_REASONS]),
+        further=tuple(reasons[1 if measurement.status != "failed" else _FULL_REASONS :]),
     )
 
 

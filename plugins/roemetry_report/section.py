@@ -6,10 +6,11 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+import numpy as np
 from markupsafe import Markup
 
 from roemetry.errors import RoemetryError
-from roemetry.records import Frame, Measurement, ProductTrace, Reason, Trace, Volume
+from roemetry.records import BELT, Frame, Measurement, ProductTrace, Reason, StripeMap, Trace, Volume
 from roemetry.units import MM3_PER_CM3
 from roemetry_report.arcs import arc_panel
 from roemetry_report.charts import slice_chart
@@ -17,6 +18,7 @@ from roemetry_report.heights import SmallChart, displacement_charts, height_char
 from roemetry_report.panels import Panel, panels
 from roemetry_report.rows import Row, row_of
 from roemetry_report.selection import Shown
+from roemetry_report.svg import number
 from roemetry_report.words import feature, milliseconds, percent, plain
 
 _DIFFERS = 1e-6
@@ -123,7 +125,7 @@ def section(shown: Shown, replay: Callable[[str], Trace], key: str) -> SectionVi
         coding=_coding(shown.rows[0]) if shown.rows else (),
         seconds=tuple((stage, milliseconds(value)) for stage, value in seconds.items()),
         seconds_total=milliseconds(sum(seconds.values())) if seconds else "",
-        thumbnail="" if trace is None or trace.frame is None else _thumbnail(trace.frame),
+        thumbnail="" if trace is None or trace.frame is None else _thumbnail(trace.frame, trace.stripes),
         has_curves=any(panel.letter == "d" for panel in drawn),
     )
 
@@ -206,6 +208,14 @@ def _of(part: int, whole: int) -> str:
     return f"{part} ({percent(part / whole)})" if whole else str(part)
 
 
-def _thumbnail(frame: Frame) -> str:
+def _thumbnail(frame: Frame, stripes: StripeMap | None) -> str:
+    """View box of 4 : 3 about the products; of the whole image where there are none."""
     rows, columns = frame.size
-    return f"-.5 -.5 {columns} {rows}"
+    if stripes is None or not (stripes.product > BELT).any():
+        return f"-.5 -.5 {columns} {rows}"
+    stripe, row = np.nonzero(stripes.product > BELT)
+    x = stripes.x_px[stripe, row]
+    height = max(float(np.ptp(row)), 0.75 * float(np.ptp(x)), 0.1 * rows) * 1.15
+    left = (float(x.min() + x.max()) - height * 4 / 3) / 2
+    top = (float(row.min() + row.max()) - height) / 2
+    return " ".join(number(value) for value in (left, top, height * 4 / 3, height))

@@ -58,6 +58,14 @@ def when(text: object) -> str:
     return f"{moment.day} {moment:%B %Y, %H:%M}{zone}"
 
 
+def clause(text: str) -> str:
+    """Give a sentence's first clause where the whole is long; an ellipsis says that there is more."""
+    if len(text) <= _LONG:
+        return text
+    end = next((m.start() for m in re.finditer(r"[;:.,]?\s", text) if m.group()[0] in ";:."), _LONG)
+    return text[: min(end, _LONG)].rstrip() + " …"
+
+
 def milliseconds(seconds: float) -> str:
     """Write a duration in ms with three significant digits or so."""
     ms = 1e3 * seconds
@@ -77,6 +85,7 @@ def feature(name: str, figure: float) -> tuple[str, str]:
     return name.replace("_", " "), _short(figure)
 
 
+_LONG = 100
 _JOINTS = re.compile(r"(?<=\w[_/.-])(?=\w)|(?=#)")
 _UNITS = {"_px": "px", "_mm3": "mm³", "_mm2": "mm²", "_mm": "mm", "_g": "g", "_deg": "°", "_per_mm": "1/mm"}
 

@@ -12,7 +12,7 @@ def calibrate(
     rig: Annotated[Path, typer.Argument(help="A rig file: which images, which target, how many stripes.")],
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", help="The calibration file. [default: calibration.yaml beside the rig]"),
+        typer.Option("--out", "-o", help="The calibration file; left out: calibration.yaml beside the rig."),
     ] = None,
     sets: Annotated[
         list[str] | None,

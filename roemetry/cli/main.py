@@ -30,9 +30,6 @@ def main() -> None:
             raise
         sys.stderr.write(f"roemetry: {error}\n")
         sys.exit(error.exit_code)
-    except KeyboardInterrupt:
-        sys.stderr.write("roemetry: stopped; what was measured is whole, go on with --resume\n")
-        sys.exit(130)
 
 
 def _show_version(wanted: bool) -> None:

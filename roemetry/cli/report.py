@@ -23,17 +23,19 @@ def report(
     try:
         provenance = json.loads(path.read_text(encoding="utf-8"))
         recipe_path, sets = provenance["recipe"], provenance["sets"]
-    except (OSError, ValueError, KeyError) as error:
+    except OSError as error:
         raise OutputError(
-            f"{path}: not the provenance of a run ({error})", hint="name a run's folder"
+            f"{path}: cannot be read: {error.strerror or error}", hint="name the folder of a run"
         ) from error
+    except (ValueError, KeyError) as error:
+        raise OutputError(f"{path}: damaged ({error})", hint="name the folder of a run") from error
     recipe = Recipe.load(recipe_path, sets=sets)
     if recipe.sha256 != provenance["recipe_sha256"]:
         raise OutputError(
             f"{folder}: the recipe, calibration or a plugin has changed since the run",
             hint="the pictures would show something else than was measured; run again",
         )
-    files, faults = derive(recipe, folder, provenance)
+    files, faults = derive(recipe, folder, provenance, debug=debug)
     for file in files:
         typer.echo(str(file))
     if faults:

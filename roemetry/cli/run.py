@@ -18,7 +18,7 @@ def run(
     recipe: Annotated[Path, typer.Argument(help="A recipe file, or a folder with a recipe.yaml in it.")],
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", help="Folder for the results. [default: results/NAME-1, -2, …]"),
+        typer.Option("--out", "-o", help="Folder for the results; left out: results/NAME-1, then -2, …"),
     ] = None,
     jobs: Annotated[int, typer.Option("--jobs", "-j", min=1, help="Worker processes.")] = 1,
     sets: Annotated[
@@ -35,7 +35,7 @@ def run(
     the command line is wrong.
     """
     from roemetry.cli.progress import progress
-    from roemetry.errors import ConfigurationError
+    from roemetry.errors import ConfigurationError, InterruptedRunError
     from roemetry.recipe import Recipe
     from roemetry.runner import run_recipe
 
@@ -43,8 +43,15 @@ def run(
         raise ConfigurationError("--resume needs --out", hint="name the folder of the run that was stopped")
     loaded = Recipe.load(recipe, sets=sets or ())
     folder = out or _next_folder(loaded)
-    with progress("measuring", quiet=as_json) as on_progress:
-        outcome = run_recipe(loaded, folder, jobs=jobs, resume=resume, debug=debug, on_progress=on_progress)
+    try:
+        with progress("measuring", quiet=as_json) as on_progress:
+            outcome = run_recipe(
+                loaded, folder, jobs=jobs, resume=resume, debug=debug, on_progress=on_progress
+            )
+    except KeyboardInterrupt as stop:
+        raise InterruptedRunError(
+            f"stopped; what was measured is whole in {folder}", hint=f"go on with --out {folder} --resume"
+        ) from stop
     if as_json:
         typer.echo(json.dumps(_described(outcome), indent=2))
     else:

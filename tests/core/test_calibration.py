@@ -62,3 +62,10 @@ def test_redraws_have_the_stated_covariance(rig, rng: np.random.Generator) -> No
     )
     scale = np.sqrt(np.outer(np.diag(covariance), np.diag(covariance)))
     assert np.abs((np.cov(draws.T) - covariance) / scale).max() < 0.08
+
+
+def test_nothing_is_written_as_null(rig, tmp_path: Path) -> None:
+    made = replace(rig.calibration(), target={"kind": "block", "serial": None})
+    made.save(tmp_path / "c.yaml")
+    assert "serial: null" in (tmp_path / "c.yaml").read_text(encoding="utf-8")
+    assert Calibration.load(tmp_path / "c.yaml").target == {"kind": "block", "serial": None}

@@ -36,6 +36,8 @@ def entry(
 @pytest.fixture
 def plugins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Install fake distributions, each one module, and discover them alone."""
+    for variable in ("ROEMETRY_STRICT", "ROEMETRY_PLUGINS"):
+        monkeypatch.delenv(variable, raising=False)
 
     def install(**modules: str) -> Registry:
         for name, text in modules.items():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -18,7 +19,7 @@ import pytest
 from roemetry.errors import OutputError
 from roemetry.recipe import Recipe
 from roemetry.record import RECORD, read_record
-from roemetry.runner import run_recipe
+from roemetry.runner import derive, run_recipe
 
 
 def rows_of(folder: Path) -> dict[str, object]:
@@ -195,3 +196,65 @@ def test_disk_full_in_the_middle_keeps_what_was_measured(
     assert [row.acquisition for row in read_record(tmp_path / "out")] == ["p01"]
     run_recipe(recipe, tmp_path / "out", resume=True)
     assert [row.acquisition for row in read_record(tmp_path / "out")] == ["p01", "p02", "p03"]
+
+
+def test_a_sink_that_fails_does_not_take_the_others_away(
+    line: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from roemetry_files.csv_table import CsvTable
+
+    def broken(self: object, run: object) -> None:
+        raise TypeError("oh")
+
+    path = line(1)
+    path.write_text(path.read_text("utf-8").replace("sinks: [csv]", "sinks: [csv, points]"), "utf-8")
+    monkeypatch.setattr(CsvTable, "write", broken)
+    outcome = run_recipe(Recipe.load(path), tmp_path / "out")
+    assert [file.name for file in outcome.files] == ["p01.csv"]
+    assert "csv: failed with TypeError: oh" in outcome.sink_faults[0]
+
+
+def test_tables_can_be_derived_when_the_images_are_gone(line: Callable[..., Path], tmp_path: Path) -> None:
+    recipe = Recipe.load(line(2))
+    run_recipe(recipe, tmp_path / "out")
+    before = (tmp_path / "out" / "results.csv").read_bytes()
+    shutil.rmtree(recipe.source_path)
+    (tmp_path / "out" / "results.csv").unlink()
+    files, faults = derive(recipe, tmp_path / "out", {})
+    assert faults == ()
+    assert files[0].read_bytes() == before
+
+
+def test_a_flat_top_of_one_spacing_is_measured_or_refused_but_never_empty(
+    line: Callable[..., Path], tmp_path: Path, rig
+) -> None:
+    path = line(1)
+    heights = np.zeros((rig.stripes, rig.rows))
+    heights[1:5, 80:160] = 20.0
+    x_px = rig.x_px(heights)
+    x_px[5, 80:160] = np.nan
+    cv2.imwrite(str(path.parent / "images" / "p01.png"), rig.image(x_px))
+    run_recipe(Recipe.load(path), tmp_path / "out")
+    row = rows_of(tmp_path / "out")["p01"]
+    assert row.status == "failed"
+    assert row.reasons[0].code == "undecided"
+
+
+def test_bits_in_use(line: Callable[..., Path], tmp_path: Path, rig) -> None:
+    """A 12-bit image in a 16-bit file is measured as the 8-bit one, once its bit depth is told."""
+    path = line(1)
+    run_recipe(Recipe.load(path), tmp_path / "eight")
+    deep = cv2.imread(str(path.parent / "images" / "p01.png"), cv2.IMREAD_UNCHANGED).astype(np.uint16) * 16
+    cv2.imwrite(str(path.parent / "images" / "p01.png"), deep)
+    run_recipe(Recipe.load(path, sets=["source.bit_depth=12"]), tmp_path / "twelve")
+    eight, twelve = rows_of(tmp_path / "eight")["p01"], rows_of(tmp_path / "twelve")["p01"]
+    assert twelve.volume.visible_mm3.value == pytest.approx(eight.volume.visible_mm3.value, rel=1e-3)
+
+
+def test_another_extractor_than_the_calibrations_is_said(line: Callable[..., Path], tmp_path: Path) -> None:
+    run_recipe(
+        Recipe.load(line(1), sets=["stages.extractor.use=local-maximum", "stages.extractor.options={}"]),
+        tmp_path / "out",
+    )
+    row = rows_of(tmp_path / "out")["p01"]
+    assert "other-extractor" in [reason.code for reason in row.reasons]

@@ -220,3 +220,42 @@ def test_never_wrong_on_random_domes_with_holes(rig, seed: int, height: float, h
         return
     assert wrong_points(stripes, x_px) == 0
     assert stripes.peak_stripe.min() >= AMBIGUOUS
+
+
+def test_a_body_on_its_neighbours_rest_line_where_that_belt_ends(rig, rng) -> None:
+    """At a displacement of one spacing (20 mm here) a body runs straight on from its neighbour's belt."""
+    heights = np.zeros((rig.stripes, rig.rows))
+    heights[1:5, 80:160] = 20.0
+    x_px = rig.x_px(heights)
+    x_px[5, 80:160] = np.nan  # its light falls on the product's side, which the camera cannot see
+    found = peaks_of(rig, x_px, rng)
+    stripes = WindowTracking().code(found, rig.calibration())
+    assert wrong_points(stripes, x_px) == 0
+    assert "unexplained-gap" in {reason.code for reason in stripes.reasons}
+
+
+def test_a_body_that_crosses_its_neighbours_rest_line_slowly(rig, rng) -> None:
+    row = np.arange(rig.rows)
+    heights = np.zeros((rig.stripes, rig.rows))
+    heights[1:5, 80:160] = np.interp(row[80:160], [80, 160], [19.0, 21.5])
+    x_px = rig.x_px(heights)
+    x_px[5, 80:160] = np.nan  # its light falls on the product's side, which the camera cannot see
+    stripes = WindowTracking().code(peaks_of(rig, x_px, rng), rig.calibration())
+    assert wrong_points(stripes, x_px) == 0
+
+
+def test_a_stripe_seen_twice_while_another_is_hidden_is_not_believed(rig, rng) -> None:
+    """A fold shows one plane twice in a row; with another body hidden the count is right by chance."""
+    x_px = rig.x_px(rig.dome(12.0))
+    twice = np.full(rig.rows, np.nan)
+    twice[90:150] = x_px[2, 90:150] + 14.0
+    shown = x_px.copy()
+    shown[4, 90:100] = np.nan
+    stripes = WindowTracking().code(peaks_of(rig, np.vstack([shown, twice]), rng), rig.calibration())
+    known = np.vstack([shown, twice])
+    off = np.abs(known[:, None, :] - np.where(stripes.seen, stripes.x_px, np.nan)[None, :, :])
+    off = np.where(np.isnan(off), np.inf, off)
+    true = off.argmin(axis=0)
+    true[true == rig.stripes] = 2
+    wrong = np.isfinite(off.min(axis=0)) & (true != np.arange(rig.stripes)[:, None])
+    assert wrong.sum() == 0

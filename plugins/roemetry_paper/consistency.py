@@ -1,0 +1,135 @@
+"""Making codes consistent: one peak a row and stripe, stripes in order, gaps explained."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from roemetry.arrays import Floats, Integers
+from roemetry.records import AMBIGUOUS, UNCODED, Peaks, Reason
+
+_CLEARLY_LONGER = 3
+_REACH_STRIPES = 2
+"""A product hides a stripe only if it is seen within this many stripes of it."""
+
+
+def drop_doubles(peaks: Peaks, stripe: Integers, line: Integers, segment_rows: Integers) -> Integers:
+    """Leave each stripe at most one peak a row.
+
+    Where a row shows a stripe on the belt and on the product, the product's edge runs through that row and
+    both are right: the brighter one stays. Of two others the one of the clearly longer segment stays and
+    the other is refused; where neither is clearly longer, both are.
+
+    Parameters
+    ----------
+    peaks
+        The frame's peaks.
+    stripe
+        (peak,) stripe, `UNCODED` or `AMBIGUOUS`.
+    line
+        (peak,) rest line each peak lies on, −1 for none.
+    segment_rows
+        (peak,) length of the segment each peak is of, rows.
+    """
+    coded = np.flatnonzero(stripe >= 0)
+    cell = peaks.row[coded] * (int(stripe.max(initial=0)) + 1) + stripe[coded]
+    order = np.lexsort((-segment_rows[coded], cell))
+    sorted_cell, sorted_peak = cell[order], coded[order]
+    result = stripe.copy()
+    for k in np.flatnonzero(sorted_cell[1:] == sorted_cell[:-1]):
+        longer, shorter = sorted_peak[k], sorted_peak[k + 1]
+        if (line[longer] == stripe[longer]) != (line[shorter] == stripe[shorter]):
+            darker = shorter if peaks.amplitude[shorter] <= peaks.amplitude[longer] else longer
+            result[darker] = UNCODED
+            continue
+        result[shorter] = AMBIGUOUS
+        if segment_rows[longer] < _CLEARLY_LONGER * segment_rows[shorter]:
+            result[longer] = AMBIGUOUS
+    return result
+
+
+def keep_order(peaks: Peaks, stripe: Integers) -> Integers:
+    """Refuse peaks of a row whose stripes do not increase from left to right."""
+    coded = np.flatnonzero(stripe >= 0)
+    same_row = peaks.row[coded[1:]] == peaks.row[coded[:-1]]
+    wrong = np.flatnonzero(same_row & (stripe[coded[1:]] <= stripe[coded[:-1]]))
+    result = stripe.copy()
+    result[coded[wrong]] = AMBIGUOUS
+    result[coded[wrong + 1]] = AMBIGUOUS
+    return result
+
+
+def refuse_unexplained_gaps(
+    peaks: Peaks,
+    stripe: Integers,
+    line: Integers,
+    rest_px: Floats,
+    displacement_px: Floats,
+    longest_gap_rows: int,
+) -> tuple[Integers, list[Reason]]:
+    """Refuse belt beside a stripe that is interrupted where no product is in sight to hide it.
+
+    A flat product whose height displaces stripes by just one spacing lies, stripe by stripe, on the
+    neighbours' rest lines: it looks like bare belt with one stripe missing.
+
+    Parameters
+    ----------
+    peaks
+        The frame's peaks.
+    stripe
+        (peak,) stripe, `UNCODED` or `AMBIGUOUS`.
+    line
+        (peak,) rest line each peak lies on, −1 for none.
+    rest_px
+        (stripe, row) rest lines, px.
+    displacement_px
+        (stripe,) displacements, px, whose signs tell which way higher points move; NaN where unknown.
+    longest_gap_rows
+        Shorter gaps need no explanation.
+
+    Returns
+    -------
+    tuple
+        (peak,) stripes, with those peaks refused, and what to say of it.
+    """
+    stripes, rows = rest_px.shape
+    belt = np.zeros((stripes, rows), np.bool_)
+    body = np.zeros((stripes, rows), np.bool_)
+    on_own = (stripe >= 0) & (line == stripe)
+    belt[stripe[on_own], peaks.row[on_own]] = True
+    off_own = (stripe >= 0) & ~on_own
+    body[stripe[off_own], peaks.row[off_own]] = True
+    refused = stripe == AMBIGUOUS
+    nearest = np.abs(rest_px[:, peaks.row[refused]] - peaks.x_px[refused]).argmin(axis=0)
+    body[nearest, peaks.row[refused]] = True
+    doubt = np.zeros((stripes, rows), np.bool_)
+    interrupted = []
+    for s in range(stripes):
+        own = np.flatnonzero(belt[s])
+        hidden = np.any(body[max(0, s - _REACH_STRIPES) : s + _REACH_STRIPES + 1], axis=0).reshape(rows)
+        for k in np.flatnonzero(np.diff(own) > longest_gap_rows + 1):
+            unexplained = np.zeros(rows, np.bool_)
+            unexplained[own[k] + 1 : own[k + 1]] = ~hidden[own[k] + 1 : own[k + 1]]
+            if unexplained.sum() <= longest_gap_rows:
+                continue
+            interrupted.append(s + 1)
+            for step in _directions(displacement_px[s]):
+                active, other = unexplained.copy(), s + step
+                while 0 <= other < stripes:
+                    active &= ~body[other]
+                    doubt[other] |= active & belt[other]
+                    other += step
+    if not doubt.any():
+        return stripe, []
+    result = stripe.copy()
+    result[on_own] = np.where(doubt[stripe[on_own], peaks.row[on_own]], AMBIGUOUS, stripe[on_own])
+    names = ", ".join(str(number) for number in dict.fromkeys(interrupted))
+    said = Reason(
+        "unexplained-gap",
+        f"stripe {names} is interrupted where nothing is seen that could hide it; a flat product one stripe "
+        "spacing of displacement high looks like that, so what lies beside it is left out",
+    )
+    return result, [said]
+
+
+def _directions(displacement_px: float) -> tuple[int, ...]:
+    return (1, -1) if np.isnan(displacement_px) else (int(np.sign(displacement_px)),)

@@ -1,0 +1,299 @@
+from __future__ import annotations
+
+import math
+import re
+import xml.etree.ElementTree as ElementTree
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import pytest
+
+from roemetry.errors import OutputError
+from roemetry.records import Estimate, Grade, Shares, Trace, Volume, Weight
+from roemetry_report.sink import Report, ReportOptions
+
+NASTY = "run & <script>alert(\"1\")</script> 'x'"
+
+
+class Page(HTMLParser):
+    """What a browser would make of the page, as far as the tests ask."""
+
+    VOID = frozenset({"meta", "link", "img", "br", "input", "wbr", "hr"})
+
+    def __init__(self, text: str) -> None:
+        super().__init__(convert_charrefs=True)
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.stack: list[str] = []
+        self.ids: list[str] = []
+        self.rows: dict[str, list[str]] = {}
+        self.words = ""
+        self.sections = 0
+        self._row: list[str] | None = None
+        self._cell = False
+        self.feed(text)
+        assert self.stack == []
+
+    def handle_starttag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
+        given = dict(attributes)
+        self.tags.append((tag, given))
+        if given.get("id"):
+            self.ids.append(given["id"])
+        if tag not in self.VOID:
+            self.stack.append(tag)
+        self.sections += tag == "section" and given.get("class") == "acquisition"
+        if tag == "tr" and self._in_summary(given):
+            self._row = []
+        if tag in ("td", "th") and self._row is not None:
+            self._row.append("")
+            self._cell = True
+
+    def handle_startendtag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
+        self.handle_starttag(tag, attributes)
+        if tag not in self.VOID:
+            self.stack.pop()
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.stack, f"</{tag}> without a beginning"
+        assert self.stack[-1] == tag, f"</{tag}> closes <{self.stack[-1]}>"
+        self.stack.pop()
+        if tag in ("td", "th"):
+            self._cell = False
+        if tag == "tr" and self._row is not None:
+            self.rows[self._row[0].strip()] = [cell.strip() for cell in self._row]
+            self._row = None
+
+    def handle_data(self, data: str) -> None:
+        if self.stack and self.stack[-1] in ("script", "style"):
+            return
+        self.words += data
+        if self._row and self._cell:
+            self._row[-1] += data
+
+    def _in_summary(self, given: dict[str, str | None]) -> bool:
+        return given.get("role") == "row" and "class" in given
+
+
+def written(run, **options) -> str:
+    (path,) = Report(ReportOptions(**options)).write(run)
+    assert path == run.folder / "report.html"
+    return path.read_text(encoding="utf-8")
+
+
+def svgs(text: str) -> list[ElementTree.Element]:
+    return [ElementTree.fromstring(part) for part in re.findall(r"<svg.*?</svg>", text, re.S)]
+
+
+@pytest.fixture(scope="module")
+def mixed(synthetic, tmp_path_factory):
+    """One of each kind: good, deformed, two products with a nasty id, failed, empty."""
+    s = synthetic
+    scenes = [
+        s.Scene("skein_01"),
+        s.Scene("skein_02", (s.Dome(dent_mm=6.0),), label="henkei", ambiguous=((5, 180, 210),), seed=2),
+        s.Scene(NASTY, (s.Dome(165, 200, 120, 90), s.Dome(480, 290, 125, 100, 12)), gaps=(), seed=3),
+    ]
+    rows = [row for scene in scenes for row in s.measurements_of(scene)]
+    rows[1:1] = [s.failed("cut<off>.png"), s.empty("belt")]
+    run = s.run_of(tmp_path_factory.mktemp("mixed"), rows, {scene.id: s.trace_of(scene) for scene in scenes})
+    return rows, written(run)
+
+
+def test_page_is_whole_html_and_needs_no_network(mixed):
+    _, text = mixed
+    page = Page(text)
+    assert text.startswith("<!DOCTYPE html>")
+    assert "http://" not in text
+    assert "https://" not in text
+    for tag, given in page.tags:
+        for name in ("src", "href"):
+            address = given.get(name)
+            assert address is None or address.startswith(("#", "data:")), (tag, address)
+    assert not re.search(r"@import|url\((?!#)", text)
+
+
+def test_ids_are_unique_and_every_link_leads_somewhere(mixed):
+    page = Page(mixed[1])
+    assert len(page.ids) == len(set(page.ids))
+    links = {given["href"][1:] for _, given in page.tags if (given.get("href") or "").startswith("#")}
+    assert links <= set(page.ids)
+    used = re.findall(r"url\(#([^)]+)\)", mixed[1])
+    assert set(used) <= set(page.ids)
+
+
+def test_nasty_names_are_text_and_never_markup(mixed):
+    text = mixed[1]
+    assert "<script>alert" not in text
+    assert NASTY in Page(text).words
+    assert sum(tag == "script" for tag, _ in Page(text).tags) == 1
+    assert "&lt;wbr" not in text
+
+
+def test_every_svg_is_well_formed_and_says_what_it_shows(mixed):
+    found = svgs(mixed[1])
+    assert len(found) > 30
+    for element in found:
+        assert element.get("aria-hidden") == "true" or element.get("aria-label")
+
+
+def test_every_measurement_has_a_row_with_its_reason(mixed):
+    rows, text = mixed
+    page = Page(text)
+    assert {row.id for row in rows} == set(page.rows)
+    assert "failed" in page.rows["cut<off>.png#0"][3]
+    assert "truncated at byte 1024" in page.rows["cut<off>.png#0"][-1]
+    assert "empty" in page.rows["belt#0"][3]
+    assert "every stripe lies on the belt" in page.rows["belt#0"][-1]
+    assert "henkei" in page.rows["skein_02#1"][2]
+
+
+def test_uncertainty_that_is_not_modelled_is_not_stated(mixed):
+    rows, text = mixed
+    cells = Page(text).rows["skein_01#1"]
+    weight, volume = rows[0].weight.mass_g.value, rows[0].volume.visible_mm3.value
+    assert cells[4:8] == [f"{weight:.1f}", "not stated", f"{volume / 1000:.2f}", "not stated"]
+
+
+def test_stated_uncertainty_is_printed_and_sets_the_places(synthetic, tmp_path):
+    scene = synthetic.Scene("a")
+    (row,) = synthetic.measurements_of(scene)
+    row = replace(
+        row,
+        volume=replace(row.volume, visible_mm3=Estimate(20123.4, 456.7)),
+        weight=Weight(Estimate(22.136, 0.512)),
+    )
+    cells = Page(written(synthetic.run_of(tmp_path, [row], {}))).rows["a#1"]
+    assert cells[4:8] == ["22.14", "0.51", "20.12", "0.46"]
+
+
+def test_what_holds_for_every_product_is_said_once_above_the_table(mixed):
+    text = mixed[1]
+    above = text[: text.index("<table")]
+    assert "Holds for every measured product" in above
+    assert "model-error-not-stated" in above
+    table = text[text.index("<table") : text.index("</table>")]
+    assert "model-error-not-stated" not in table
+
+
+def test_two_products_share_their_pictures(mixed):
+    text = mixed[1]
+    section = next(part for part in text.split('<section class="acquisition"') if "2 products" in part)
+    assert section.count("data:image/jpeg") == 1
+    assert re.findall(r"<b>\((\w)\)</b>", section) == list("abcdefgefg")
+
+
+def test_a_section_keeps_below_a_quarter_of_a_megabyte(mixed):
+    parts = mixed[1].split('<section class="acquisition"')[1:]
+    assert len(parts) == 5
+    assert max(len(part.encode()) for part in parts) < 250_000
+
+
+def test_an_image_that_is_gone_is_said_and_costs_only_the_pictures(synthetic, tmp_path):
+    rows = synthetic.measurements_of(synthetic.Scene("a"))
+    page = Page(written(synthetic.run_of(tmp_path, rows, {})))
+    assert "a: the image is gone" in page.words
+    assert "a#1" in page.rows
+
+
+def test_a_trace_without_a_frame_gives_the_reason(synthetic, tmp_path):
+    why = synthetic.failed("a").reasons[0]
+    run = synthetic.run_of(tmp_path, [synthetic.failed("a")], {"a": Trace("a", absent={"source": why})})
+    assert "No pictures. the file is truncated" in Page(written(run)).words
+
+
+def test_a_trace_that_ends_after_the_peaks_shows_them(synthetic, tmp_path):
+    scene = synthetic.Scene("a")
+    trace = replace(synthetic.trace_of(scene), stripes=None, profiles=None, products=())
+    run = synthetic.run_of(tmp_path, [synthetic.failed("a")], {"a": trace})
+    text = written(run)
+    assert re.findall(r"<b>\((\w)\)</b>", text) == ["a", "b", "c"]
+    assert 'href="#a1-peaks"' in text
+
+
+def test_uncalibrated_is_said_on_top_and_pixels_are_what_is_given(synthetic, tmp_path):
+    scene = synthetic.Scene("weld", calibrated=False, turn_deg=90, colour=True)
+    rows = synthetic.measurements_of(scene)
+    run = synthetic.run_of(
+        tmp_path, rows, {"weld": synthetic.trace_of(scene)}, provenance=synthetic.UNCALIBRATED
+    )
+    text = written(run)
+    page = Page(text)
+    assert "Uncalibrated: results are in pixels" in page.words
+    assert "turned by 90°" in page.words
+    assert re.findall(r"<b>\((\w)\)</b>", text) == ["a", "b", "c", "d", "g"]
+    assert f"{rows[0].coding.displacement_max_px:.1f}" in page.rows["weld#1"]
+    assert "Weight" not in page.words
+
+
+@pytest.mark.parametrize("provenance", [{}, {"plugins": None, "resolved_recipe": None, "started": "noon"}])
+def test_provenance_may_lack_anything(synthetic, tmp_path, provenance):
+    rows = synthetic.measurements_of(synthetic.Scene("a"))
+    page = Page(written(synthetic.run_of(tmp_path, rows, {}, provenance=provenance)))
+    assert "Uncalibrated" not in page.words, "there are millimetres in the record"
+
+
+def test_nothing_but_nan_is_a_page_too(synthetic, tmp_path):
+    nan = math.nan
+    (row,) = synthetic.measurements_of(synthetic.Scene("a"))
+    row = replace(
+        row,
+        height_max_mm=nan,
+        volume=Volume(Estimate(nan), Estimate(nan), Shares(nan, nan, nan), [0, 1], [nan, nan], [nan, nan]),
+        weight=Weight(Estimate(nan)),
+        grade=Grade("unknown", features={"radius_px": nan}),
+        coding=replace(row.coding, saturated_share=nan, displacement_max_px=nan, peaks=0, coded=0),
+    )
+    trace = synthetic.trace_of(synthetic.Scene("a"))
+    cells = Page(written(synthetic.run_of(tmp_path, [row], {"a": trace}))).rows["a#1"]
+    assert cells[2:10] == ["? unknown", "● measured", "–", "not stated", "–", "not stated", "–", "–"]
+
+
+def test_an_empty_record_is_a_page_too(synthetic, tmp_path):
+    assert "holds no measurement" in Page(written(synthetic.run_of(tmp_path, [], {}))).words
+
+
+def test_pictures_are_capped_and_the_worst_are_shown_besides(synthetic, tmp_path):
+    (good,) = synthetic.measurements_of(synthetic.Scene("x"))
+    rows = [replace(good, id=f"p{i}#1", acquisition=f"p{i}") for i in range(30)]
+    rows[20] = synthetic.failed("p20")
+    rows[25] = replace(rows[25], coding=replace(good.coding, ambiguous=3000))
+    replayed = []
+
+    def replay(name):
+        replayed.append(name)
+        return synthetic.trace_of(synthetic.Scene(name))
+
+    page = Page(written(synthetic.run_of(tmp_path, rows, replay), products_max=3, worst_max=2))
+    assert replayed == ["p0", "p1", "p2", "p20", "p25"]
+    assert page.sections == 5
+    assert len(page.rows) == 30
+    assert "5 products of 30 shown with pictures" in page.words
+
+
+def test_no_pictures_at_all_when_none_are_wanted(synthetic, tmp_path):
+    rows = [synthetic.failed(f"p{i}") for i in range(5)]
+    page = Page(written(synthetic.run_of(tmp_path, rows, {}), products_max=0, worst_max=0))
+    assert page.sections == 0
+    assert len(page.rows) == 5
+
+
+def test_long_runs_get_a_table_that_opens(synthetic, tmp_path):
+    rows = [synthetic.failed(f"p{i}") for i in range(2100)]
+    page = Page(written(synthetic.run_of(tmp_path, rows, {}), products_max=1, worst_max=1))
+    assert len(page.rows) == 2000
+    assert "first 2000 of 2100 rows" in page.words
+
+
+def test_a_replay_that_gives_another_volume_is_told(synthetic, tmp_path):
+    scene = synthetic.Scene("a")
+    (row,) = synthetic.measurements_of(scene)
+    other = replace(row, volume=replace(row.volume, visible_mm3=Estimate(1.0)))
+    trace = {"a": synthetic.trace_of(scene)}
+    said = "gives another volume now"
+    assert said in written(synthetic.run_of(tmp_path, [other], trace))
+    assert said not in written(synthetic.run_of(tmp_path, [row], trace))
+
+
+def test_a_folder_that_is_gone_is_one_clear_error(synthetic, tmp_path):
+    run = synthetic.run_of(tmp_path / "gone", [], {})
+    with pytest.raises(OutputError, match=r"report\.html"):
+        Report().write(run)
