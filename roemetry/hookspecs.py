@@ -46,6 +46,7 @@ KINDS = (
     "classifier",
     "sink",
     "simulator",
+    "planner",
 )
 
 hookspec = pluggy.HookspecMarker(PROJECT)

@@ -14,10 +14,11 @@ from typing import Any, Literal
 from pydantic import Field, field_validator
 
 from roemetry.choosing import Chooser, Chosen
-from roemetry.errors import ConfigurationError
+from roemetry.errors import ConfigurationError, RoemetryError
 from roemetry.overrides import Overridden
 from roemetry.recipe_file import Choice, Section
 from roemetry.registry import Registry, discover
+from roemetry.stages import Simulator
 from roemetry.validation import checked
 from roemetry.yaml_source import read
 
@@ -58,12 +59,15 @@ class Scene:
         What it says.
     simulator
         The chosen simulator and its options.
+    place
+        ``file:line:column`` of the simulator's options.
     """
 
     path: Path
     sets: tuple[str, ...]
     file: SceneFile
     simulator: Chosen
+    place: str
 
     @classmethod
     def load(cls, path: Path | str, *, sets: Sequence[str] = (), registry: Registry | None = None) -> Scene:
@@ -79,7 +83,17 @@ class Scene:
         simulator = chooser.choose("simulator", file.simulator, "simulator")
         if chooser.faults or simulator is None:
             raise ConfigurationError(chooser.faults)
-        return cls(path, tuple(document.sets), file, simulator)
+        return cls(path, tuple(document.sets), file, simulator, document.place(("simulator", "options")))
+
+    def make(self) -> Simulator[Any]:
+        """Make the simulator; raise ConfigurationError, with the place, for a scene that cannot be."""
+        try:
+            made: Simulator[Any] = self.simulator.make()
+        except RoemetryError as error:
+            raise ConfigurationError(
+                f"{self.place}: simulator.options: {error.message}", hint=error.hint
+            ) from error
+        return made
 
     def resolved(self) -> dict[str, Any]:
         """Everything that decides an image, with defaults filled in, as a scene file again."""

@@ -31,7 +31,6 @@ from roemetry.errors import OutputError
 from roemetry.files import make_folder, write_whole
 from roemetry.records import Frame, Role
 from roemetry.scene import Scene
-from roemetry.stages import Simulator
 from roemetry.yaml_source import dump
 
 Calibration = Literal["none", "basic", "all"]
@@ -142,9 +141,8 @@ def _views(scene: Scene, seed: int, calibration: Calibration) -> list[_View]:
     """List the calibration images; of a kind with one image the file lies beside the others' folders."""
     if calibration == "none":
         return []
-    simulator: Simulator[object] = scene.simulator.make()  # type: ignore[type-var]
     found = []
-    for kind, frames in simulator.calibration_frames(seed).items():
+    for kind, frames in scene.make().calibration_frames(seed).items():
         if calibration == "basic" and kind not in BASIC:
             continue
         names = list(frames)
@@ -218,7 +216,7 @@ class _Worker:
 
     def __init__(self, scene: Scene, folder: Path, seed: int) -> None:
         self._scene, self._folder, self._seed = scene, folder, seed
-        self._simulator = scene.simulator.make()
+        self._simulator = scene.make()
 
     def __call__(self, task: _Task) -> Item | None:
         if isinstance(task, int):

@@ -26,6 +26,7 @@ from roemetry.records import (
     Measurement,
     Outline,
     Peaks,
+    Plan,
     Product,
     Profiles,
     Simulated,
@@ -211,6 +212,14 @@ class Simulator(Stage[OptionsT]):
         """Make calibration images: by kind (``block``, ``belt``, …), by file name without suffix."""
 
 
+class Planner(Stage[OptionsT]):
+    """Says what a rig will give before it is built. Its options are a simulator's: the scene file."""
+
+    @abstractmethod
+    def plan(self, *, simulate: bool) -> Plan:
+        """Work the rig out, with short simulations beside it if wanted; raise StageError where that fails."""
+
+
 INTERFACES: Mapping[str, type[Stage[Any]]] = {
     "source": Source,
     "extractor": Extractor,
@@ -223,4 +232,5 @@ INTERFACES: Mapping[str, type[Stage[Any]]] = {
     "classifier": Classifier,
     "sink": Sink,
     "simulator": Simulator,
+    "planner": Planner,
 }

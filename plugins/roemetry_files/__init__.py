@@ -18,6 +18,13 @@ def roemetry_stages() -> Iterable[StageEntry]:
         reference="our own",
     )
     yield StageEntry(
+        kind="source",
+        name="dataset",
+        target="roemetry_files.dataset_source:DatasetSource",
+        summary="The items of a data set (a folder with dataset.yaml), with bit depth, time and encoder count",
+        reference="our own",
+    )
+    yield StageEntry(
         kind="sink",
         name="csv",
         target="roemetry_files.csv_table:CsvTable",

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
+from typing import NamedTuple
 
-from roemetry.dataset import DESCRIPTION, ITEMS, Dataset, Item
+from roemetry.dataset import DESCRIPTION, ITEMS, Dataset
 from roemetry.errors import DataError
-from roemetry.records import Acquisition, AcquisitionReference, Frame
+from roemetry.records import Acquisition, AcquisitionReference
 from roemetry.stages import Source, StageOptions
 from roemetry_files.image_files import read_image
 
@@ -21,10 +23,6 @@ class DatasetSource(Source[StageOptions]):
     """
 
     Options = StageOptions
-
-    def __init__(self, options: StageOptions | None = None) -> None:
-        super().__init__(options)
-        self._items: dict[Path, dict[str, Item]] = {}
 
     def references(self, path: Path) -> Sequence[AcquisitionReference]:
         """List the items; raise DataError where there is none, or where an id stands twice."""
@@ -40,3 +38,45 @@ class DatasetSource(Source[StageOptions]):
         if not found:
             raise DataError(f"{data.folder / ITEMS}: the data set has no item")
         return list(found.values())
+
+    def read(self, reference: AcquisitionReference) -> Acquisition:
+        """Read the images of one item; raise DataError for one that is missing or damaged."""
+        folder = _folder_of(next(iter(reference.files.values())))
+        taken = _taken(folder, (folder / ITEMS).stat().st_mtime_ns)[reference.id]
+        frames = []
+        for role, path in reference.files.items():
+            frame = read_image(path, role)
+            bits = frame.bit_depth if taken.bit_depth is None else taken.bit_depth
+            frames.append(
+                replace(frame, bit_depth=bits, time_s=taken.time_s, encoder_count=taken.encoder_count)
+            )
+        return Acquisition(reference.id, tuple(frames))
+
+
+class _Taken(NamedTuple):
+    """What an item's line says of how its images were taken."""
+
+    bit_depth: int | None
+    time_s: float
+    encoder_count: float
+
+
+def _open(path: Path) -> Dataset:
+    folder = path.parent if path.name == DESCRIPTION else path
+    if not (folder / DESCRIPTION).is_file():
+        raise DataError(f"{folder}: there is no {DESCRIPTION} here", hint="source.path is a data set's folder")
+    return Dataset(folder)
+
+
+def _folder_of(path: Path) -> Path:
+    for folder in path.parents:
+        if (folder / ITEMS).is_file() and (folder / DESCRIPTION).is_file():
+            return folder
+    raise DataError(f"{path}: does not lie in a data set")
+
+
+@lru_cache(maxsize=2)
+def _taken(folder: Path, changed_ns: int) -> Mapping[str, _Taken]:
+    """Read how the items of a set were taken; `changed_ns` makes a set that has grown be read again."""
+    items = Dataset(folder).items()
+    return {item.id: _Taken(item.bit_depth, item.time_s, item.encoder_count) for item in items}

@@ -13,11 +13,18 @@ from roemetry.hookspecs import StageEntry, hookimpl
 
 @hookimpl
 def roemetry_stages() -> Iterable[StageEntry]:
-    """Name the simulator."""
+    """Name the simulator and the planner."""
     yield StageEntry(
         kind="simulator",
         name="ray-caster",
         target="roemetry_simulate.ray_caster:RayCaster",
         summary="Stripe images of a rig, with exact truth: float64 rays, 16 samples a pixel, exact shadows",
         reference="our own",
+    )
+    yield StageEntry(
+        kind="planner",
+        name="ray-caster",
+        target="roemetry_simulate.planner:RigPlanner",
+        summary="What a rig will give: view, height range, uncertainty, slopes, stripes, from its geometry",
+        reference="triangulation; Cramér-Rao bound; speckle limit of Dorsch, Häusler, Herrmann (1994)",
     )

@@ -76,11 +76,16 @@ def check_in_view(drawn: Drawn, rig: Rig, name: str) -> None:
     inside = found[0] >= view[0] and found[1] <= view[1] and found[2] >= view[2] and found[3] <= view[3]
     if not inside:
         raise StageError(
-            f"{name}: the product reaches out of the view: it lies on X = {found[0]:.1f} to {found[1]:.1f} mm, "
+            f"{name}: the product {_why(found, view)}: it lies on X = {found[0]:.1f} to {found[1]:.1f} mm, "
             f"Y = {found[2]:.1f} to {found[3]:.1f} mm; the camera sees X = {view[0]:.1f} to {view[1]:.1f} mm, "
             f"Y = {view[2]:.1f} to {view[3]:.1f} mm of the belt",
             hint="make the product smaller, or let the camera see more",
         )
+
+
+def _why(found: tuple[float, ...], view: tuple[float, ...]) -> str:
+    larger = any(found[k + 1] - found[k] > view[k + 1] - view[k] for k in (0, 2))
+    return "is larger than the view" if larger else "reaches out of the view"
 
 
 def moved(solid: Solid, x_mm: float) -> Solid:

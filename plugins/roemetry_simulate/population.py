@@ -8,6 +8,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from roemetry.validation import unknown_key
 from roemetry_simulate.placing import check_in_view, in_reach
 from roemetry_simulate.products import PRODUCTS, Drawn, ProductFamily, ProductOptions
 from roemetry_simulate.render import Rig
@@ -55,7 +56,13 @@ def options_of(name: str, options: Mapping[str, Any]) -> ProductOptions | None:
     try:
         return family.Options.model_validate(dict(options))
     except ValidationError as error:
-        said = [f"options.{'.'.join(map(str, d['loc']))}: {_said(d, family)}" for d in error.errors()]
+        said = []
+        for detail in error.errors():
+            at = ".".join(map(str, ("options", *detail["loc"])))
+            if detail["type"] == "extra_forbidden":
+                said.append(f"{at}: {unknown_key(detail['loc'][-1], list(family.Options.model_fields))}")
+            else:
+                said.append(f"{at}: {detail['msg'][0].lower()}{detail['msg'][1:]}, found {detail['input']!r}")
         raise ValueError("; ".join(said)) from None
 
 

@@ -34,6 +34,11 @@ class RayCaster(Simulator[RayCasterOptions]):
 
     Options = RayCasterOptions
 
+    def __init__(self, options: RayCasterOptions | None = None) -> None:
+        super().__init__(options)
+        # a product that cannot be, or does not fit, is told before anything is rendered
+        product_of(self.options.product, self._rig, 0, 0)
+
     def simulate(self, number: int, seed: int) -> Simulated:
         """Make the item of this number; raise StageError where its product does not fit into the view."""
         lying = product_of(self.options.product, self._rig, number, seed)

@@ -3,17 +3,33 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numba import njit
+from numba.extending import overload
 from numpy.typing import NDArray
 
-from roemetry_simulate.solid import BOX, FIELD, Body
+from roemetry_simulate.products.parts import hit_parts, parts_normal
+from roemetry_simulate.products.triangles import hit_triangles, triangles_normal
+from roemetry_simulate.solid import BOX, FIELD, PARTS, Body, ExactBody
 
 Floats = NDArray[np.float64]
+Place = tuple[float, float, float]
 
 MISS = -1.0
 _LEAST_STEP_MM = 0.02
+
+
+def _hit(body: Body | ExactBody, o: Floats, d: Floats, t_max: float, tol_mm: float) -> float:
+    """Stand for the hit of the body's own type, which the compiler chooses."""
+    raise NotImplementedError
+
+
+def _normal(body: Body | ExactBody, point: Floats, normal: Floats) -> None:
+    """Stand for the normal of the body's own type, which the compiler chooses."""
+    raise NotImplementedError
 
 
 @njit(cache=True, nogil=True, inline="never")
@@ -31,11 +47,9 @@ def sample(grid: Floats, at_x: float, at_y: float) -> tuple[float, float, float,
 
 
 @njit(cache=True, nogil=True)
-def field_value(body: Body, x: float, y: float, z: float) -> tuple[float, float]:
+def field_value(grid: Floats, place: Place, x: float, y: float, z: float) -> tuple[float, float]:
     """Return the implicit function of a gridded body (negative inside, mm²) and z - mid (mm)."""
-    mid, top, low, _, _, _, _ = sample(
-        body.grid, (x - body.x0_mm) / body.step_mm, (y - body.y0_mm) / body.step_mm
-    )
+    mid, top, low, _, _, _, _ = sample(grid, (x - place[0]) / place[2], (y - place[1]) / place[2])
     w = z - mid
     if w >= 0.0:
         return w * w - top, w
@@ -68,7 +82,7 @@ def _hit_box(box: Floats, o: Floats, d: Floats, t_max: float) -> float:
 
 @njit(cache=True, nogil=True)
 def _refine(
-    body: Body, o: Floats, d: Floats, t: float, f: float, t2: float, f2: float, tol_mm: float
+    grid: Floats, place: Place, o: Floats, d: Floats, t: float, f: float, t2: float, f2: float, tol_mm: float
 ) -> float:
     """Shrink a bracket (f > 0 at t, f2 <= 0 at t2) by false position that cannot stall, then bisection."""
     for k in range(200):
@@ -79,7 +93,7 @@ def _refine(
         middle = t + share * (t2 - t)
         if middle <= t or middle >= t2:
             break
-        g, _ = field_value(body, o[0] + middle * d[0], o[1] + middle * d[1], o[2] + middle * d[2])
+        g, _ = field_value(grid, place, o[0] + middle * d[0], o[1] + middle * d[1], o[2] + middle * d[2])
         if g > 0.0:
             t, f = middle, g
         else:
@@ -88,14 +102,12 @@ def _refine(
 
 
 @njit(cache=True, nogil=True)
-def _hit_field(body: Body, o: Floats, d: Floats, t_max: float, tol_mm: float) -> float:
+def _hit_field(
+    grid: Floats, place: Place, bounds: Place, o: Floats, d: Floats, t_max: float, tol_mm: float
+) -> float:
     """March along a unit direction by steps that cannot overshoot the surface, then refine."""
-    size = (
-        (body.grid.shape[1] - 1) * body.step_mm,
-        (body.grid.shape[0] - 1) * body.step_mm,
-        body.top_mm,
-    )
-    corner = (body.x0_mm, body.y0_mm, 0.0)
+    size = ((grid.shape[1] - 1) * place[2], (grid.shape[0] - 1) * place[2], bounds[0])
+    corner = (place[0], place[1], 0.0)
     near, far = 0.0, t_max
     for k in range(3):
         if d[k] == 0.0:
@@ -109,35 +121,54 @@ def _hit_field(body: Body, o: Floats, d: Floats, t_max: float, tol_mm: float) ->
     if near >= far:
         return MISS
     flat = math.sqrt(d[0] * d[0] + d[1] * d[1])
-    fall = abs(d[2]) + body.mid_slope * flat
-    side = body.u_slope_mm * flat
+    fall = abs(d[2]) + bounds[1] * flat
+    side = bounds[2] * flat
     t = near
-    f, w = field_value(body, o[0] + t * d[0], o[1] + t * d[1], o[2] + t * d[2])
+    f, w = field_value(grid, place, o[0] + t * d[0], o[1] + t * d[1], o[2] + t * d[2])
     if f <= 0.0:
         return t
     while t < far:
         b = 2.0 * abs(w) * fall + side
         step = (math.sqrt(b * b + 8.0 * fall * fall * f) - b) / (4.0 * fall * fall)
         t2 = min(t + max(step, _LEAST_STEP_MM), far)
-        f2, w = field_value(body, o[0] + t2 * d[0], o[1] + t2 * d[1], o[2] + t2 * d[2])
+        f2, w = field_value(grid, place, o[0] + t2 * d[0], o[1] + t2 * d[1], o[2] + t2 * d[2])
         if f2 <= 0.0:
-            return _refine(body, o, d, t, f, t2, f2, tol_mm)
+            return _refine(grid, place, o, d, t, f, t2, f2, tol_mm)
         t, f = t2, f2
     return MISS
 
 
 @njit(cache=True, nogil=True)
-def hit_body(body: Body, o: Floats, d: Floats, t_max: float, tol_mm: float) -> float:
+def hit_body(body: Body | ExactBody, o: Floats, d: Floats, t_max: float, tol_mm: float) -> float:
     """Distance (mm) from o along the unit direction d to the body, or MISS."""
+    return _hit(body, o, d, t_max, tol_mm)
+
+
+def _hit_exact(body: ExactBody, o: Floats, d: Floats, t_max: float, tol_mm: float) -> float:
+    if body.kind == PARTS:
+        return hit_parts(body.surfaces, body.boxes[0], o, d, t_max)
+    return hit_triangles(body.triangles, body.boxes, body.links, o, d, t_max)
+
+
+def _hit_simple(body: Body, o: Floats, d: Floats, t_max: float, tol_mm: float) -> float:
     if body.kind == BOX:
         return _hit_box(body.box, o, d, t_max)
     if body.kind == FIELD:
-        return _hit_field(body, o, d, t_max, tol_mm)
+        # the parts it takes, not the whole: numba counts references of every array that is handed on
+        place = (body.x0_mm, body.y0_mm, body.step_mm)
+        bounds = (body.top_mm, body.mid_slope, body.u_slope_mm)
+        return _hit_field(body.grid, place, bounds, o, d, t_max, tol_mm)
     return MISS
 
 
+@overload(_hit, strict=False)
+def _choose_hit(body: Any, o: Any, d: Any, t_max: Any, tol_mm: Any) -> Callable[..., float]:
+    exact: Callable[..., float] = _hit_exact
+    return exact if "surfaces" in body.fields else _hit_simple
+
+
 @njit(cache=True, nogil=True)
-def first_hit(body: Body, o: Floats, d: Floats, tol_mm: float, point: Floats) -> int:
+def first_hit(body: Body | ExactBody, o: Floats, d: Floats, tol_mm: float, point: Floats) -> int:
     """Write the first point a ray from above meets; 1 the body, 0 the belt, -1 neither."""
     t_belt = -o[2] / d[2] if d[2] < 0.0 else 1e300
     t = hit_body(body, o, d, t_belt, tol_mm)
@@ -154,11 +185,21 @@ def first_hit(body: Body, o: Floats, d: Floats, tol_mm: float, point: Floats) ->
 
 
 @njit(cache=True, nogil=True)
-def normal_at(body: Body, on: int, point: Floats, normal: Floats) -> None:
+def normal_at(body: Body | ExactBody, on: int, point: Floats, normal: Floats) -> None:
     """Write the outward unit normal at a hit."""
     normal[0], normal[1], normal[2] = 0.0, 0.0, 1.0
-    if on != 1:
-        return
+    if on == 1:
+        _normal(body, point, normal)
+
+
+def _normal_exact(body: ExactBody, point: Floats, normal: Floats) -> None:
+    if body.kind == PARTS:
+        parts_normal(body.surfaces, point, normal)
+    else:
+        triangles_normal(body.triangles, body.boxes, body.links, point, normal)
+
+
+def _normal_simple(body: Body, point: Floats, normal: Floats) -> None:
     if body.kind == BOX:
         _box_normal(body.box, point, normal)
         return
@@ -183,6 +224,12 @@ def normal_at(body: Body, on: int, point: Floats, normal: Floats) -> None:
         return
     for k in range(3):
         normal[k] /= length
+
+
+@overload(_normal, strict=False)
+def _choose_normal(body: Any, point: Any, normal: Any) -> Callable[..., None]:
+    exact: Callable[..., None] = _normal_exact
+    return exact if "surfaces" in body.fields else _normal_simple
 
 
 @njit(cache=True, nogil=True)

@@ -35,12 +35,10 @@ def _none(*shape: int, dtype: type[np.generic] = np.float64) -> NDArray[Any]:
 
 
 class Body(NamedTuple):
-    """A solid in the form the kernels take; `kind` says which of the members count.
+    """Nothing, a block or a gridded body in the form the kernels take; `kind` says which members count.
 
-    BOX takes `box`; FIELD takes `grid` to `u_slope_mm`; PARTS takes `surfaces` (see
-    `roemetry_simulate.products.parts`); MESH takes `triangles`, `boxes` and `links` (see
-    `roemetry_simulate.products.triangles`). `top_mm` is at or over the highest point for all. All arrays are
-    read-only, so that the kernels are compiled once for all kinds.
+    BOX takes `box`; FIELD takes `grid` to `u_slope_mm`. `top_mm` is at or over the highest point. All arrays
+    are read-only, so that the kernels are compiled once.
     """
 
     kind: int
@@ -52,6 +50,18 @@ class Body(NamedTuple):
     top_mm: float = 0.0
     mid_slope: float = 0.0
     u_slope_mm: float = 0.0
+
+
+class ExactBody(NamedTuple):
+    """A body of exact surfaces in the form the kernels take.
+
+    PARTS takes `surfaces` (see `roemetry_simulate.products.parts`); MESH takes `triangles`, `boxes` and
+    `links` (see `roemetry_simulate.products.triangles`). It is a type of its own since every array that a
+    kernel hands on costs time; the kernels are compiled for both.
+    """
+
+    kind: int
+    top_mm: float
     surfaces: Floats = _none(1, 11)
     triangles: Floats = _none(1, 9)
     boxes: Floats = _none(1, 6)
@@ -61,7 +71,7 @@ class Body(NamedTuple):
 class Solid(Protocol):
     """Anything that can lie on the belt."""
 
-    def body(self) -> Body:
+    def body(self) -> Body | ExactBody:
         """Return the kernels' form."""
         ...
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -9,20 +10,20 @@ import typer
 
 
 def lint(
-    file: Annotated[Path, typer.Argument(help="A recipe, a rig file or a calibration.")],
+    file: Annotated[Path, typer.Argument(help="A recipe, a rig, calibration or scene file, or a data set.")],
     sets: Annotated[
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Check it with this change.")
     ] = None,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
-    """Check a recipe, a rig file or a calibration; run nothing."""
+    """Check a recipe, a rig, calibration or scene file, or a data set; run nothing."""
     from roemetry.calibration import Calibration
     from roemetry.errors import ConfigurationError
     from roemetry.recipe import Recipe
     from roemetry.rig import Rig
     from roemetry.yaml_source import read
 
-    path = file / "recipe.yaml" if file.is_dir() else file
+    path = _within(file) if file.is_dir() else file
     data = read(path).data
     keys = data if isinstance(data, dict) else {}
     if "roemetry_calibration" in keys:
@@ -39,9 +40,43 @@ def lint(
         found = len(recipe.source.make().references(recipe.source_path))
         stages = ", ".join(f"{kind} {chosen.registered.entry.name}" for kind, chosen in recipe.stages.items())
         typer.echo(f"{path}: a recipe for {recipe.product}: sound\n  {found} acquisitions; {stages}")
+    elif "roemetry_scene" in keys:
+        _scene(path, sets or ())
+    elif "roemetry_dataset" in keys:
+        _dataset(path)
     else:
         raise ConfigurationError(
-            f"{path}:1:1: neither a recipe (`roemetry: 1`), nor a rig (`roemetry_rig: 1`), "
-            "nor a calibration (`roemetry_calibration: 1`)",
+            f"{path}:1:1: neither a recipe (`roemetry: 1`), nor a rig (`roemetry_rig: 1`), nor a calibration "
+            "(`roemetry_calibration: 1`), nor a scene (`roemetry_scene: 1`), nor a data set "
+            "(`roemetry_dataset: 1`)",
             hint="the first key of the file says what it is",
         )
+
+
+def _within(folder: Path) -> Path:
+    """Give the file that a folder is checked by: its recipe, else its data set, else its scene."""
+    names = ("recipe.yaml", "dataset.yaml", "scene.yaml")
+    return next((folder / name for name in names if (folder / name).exists()), folder / names[0])
+
+
+def _scene(path: Path, sets: Sequence[str]) -> None:
+    from roemetry.scene import Scene
+
+    scene = Scene.load(path, sets=sets)
+    scene.make()
+    typer.echo(f"{path}: a scene for {scene.simulator.registered.entry.name}: sound")
+
+
+def _dataset(path: Path) -> None:
+    from roemetry.dataset import Dataset
+    from roemetry.errors import DataError
+
+    data = Dataset(path.parent)
+    faults = 0
+    for fault in data.faults():
+        typer.echo(fault, err=True)
+        faults += 1
+    if faults:
+        raise DataError(f"{path}: {faults} faults", hint="make the data set again, or restore its files")
+    items = sum(1 for _ in data.items())
+    typer.echo(f"{path}: a data set of {items} items, {data.description.licence}: sound")

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from roemetry.cli import calibrate, check_plugin, compare, lint, plugins, report, run, simulate
+from roemetry.cli import calibrate, check_plugin, compare, lint, plan, plugins, report, run, simulate
 from roemetry.errors import RoemetryError
 
 app = typer.Typer(
@@ -56,3 +56,4 @@ app.command()(report.report)
 app.command()(check_plugin.check_plugin)
 app.command()(compare.compare)
 app.command()(simulate.simulate)
+app.command()(plan.plan)

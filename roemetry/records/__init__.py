@@ -5,6 +5,15 @@ from roemetry.records.measurement import Coding, Measurement, Status
 from roemetry.records.observations import Block, CalibrationSet, Observation
 from roemetry.records.outcome import Estimate, Grade, Marks, Shares, Volume, Weight
 from roemetry.records.peaks import EDGE, SATURATED, WIDE, Peaks
+from roemetry.records.plan import (
+    Plan,
+    PlanColumn,
+    PlanCurves,
+    PlanFigure,
+    PlanMap,
+    PlanShape,
+    PlanTable,
+)
 from roemetry.records.product import Outline, Product
 from roemetry.records.profiles import Profiles
 from roemetry.records.reasons import Reason
@@ -33,6 +42,13 @@ __all__ = [
     "Observation",
     "Outline",
     "Peaks",
+    "Plan",
+    "PlanColumn",
+    "PlanCurves",
+    "PlanFigure",
+    "PlanMap",
+    "PlanShape",
+    "PlanTable",
     "Product",
     "ProductTrace",
     "ProductTruth",

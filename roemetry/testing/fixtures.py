@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from roemetry.calibration import Calibration
+from roemetry.dataset import DatasetWriter, Description, Item
 from roemetry.errors import PluginError
 from roemetry.records import Block, CalibrationSet, Observation
 from roemetry.stages import Calibrator, Source, Stage, Triangulator
@@ -76,13 +77,19 @@ def block_set(rig: LinearRig) -> CalibrationSet:
 
 
 def readable_path(source: Source[Any], folder: Path) -> Path:
-    """Put two acquisitions into a folder and give the path at which the source finds them."""
+    """Put two acquisitions into a folder and give the path at which the source finds them.
+
+    By default the folder is a data set whose images lie in it, so that it is a folder of images, too.
+    """
     given = fixture_of(type(source))
     if given is not None:
         path: Path = given(folder)
         return path
-    for number in (1, 2):
-        write_image(folder / f"p{number}.png", number)
+    description = Description(roemetry_dataset=1, name="kit", licence="CC0-1.0")
+    with DatasetWriter(folder, description) as kept:
+        for number in (1, 2):
+            write_image(folder / f"p{number}.png", number)
+            kept.add(Item(f"p{number}", {"laser": f"p{number}.png"}))
     return folder
 
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+from roemetry.errors import PluginError
 from roemetry.registry import Registered
 from roemetry.testing.checks import checks_of, name_of
 from roemetry.testing.kit import prepared, stages_named
@@ -41,7 +43,7 @@ def parametrize_stages(
     Raises
     ------
     PluginError
-        There is no such plugin, or a stage of it cannot be made.
+        There is no such plugin, a stage of it cannot be made, or a declared check is not there.
     """
     return parametrized(stages_named(name), expected_failures, options)
 
@@ -54,6 +56,7 @@ def parametrized(
     """Parametrize a test over these stages; one whose requirements are missing is skipped with the reason."""
     import pytest
 
+    _refuse_unknown(expected_failures or {}, stages)
     cases = []
     for registered in stages:
         entry = registered.entry
@@ -62,8 +65,11 @@ def parametrized(
             skip = pytest.mark.skip(reason=f"{of_stage} {registered.missing}")
             cases.append(pytest.param(None, None, id=of_stage, marks=skip))
             continue
-        names = {name_of(check) for check in checks_of(entry.kind)}
-        mine = _of(expected_failures or {}, entry.name, names, len(stages))
+        mine = {
+            key.rpartition("/")[2]: reason
+            for key, reason in (expected_failures or {}).items()
+            if key in _keys(registered)
+        }
         stage, expected = prepared(registered, mine, (options or {}).get(entry.name))
         for check in checks_of(entry.kind):
             reason = expected.get(name_of(check))
@@ -72,11 +78,18 @@ def parametrized(
     return pytest.mark.parametrize(("stage", "check"), cases)
 
 
-def _of(expected: Mapping[str, str], stage: str, checks: set[str], stages: int) -> dict[str, str]:
-    """Give those of the expected failures that are meant for one stage of so many."""
-    mine = {}
-    for key, reason in expected.items():
-        whose, _, check = key.rpartition("/")
-        if whose in ("", stage) and (check in checks or whose == stage or stages == 1):
-            mine[check] = reason
-    return mine
+def _keys(registered: Registered) -> set[str]:
+    """Give the names by which a failure of a check of this stage may be declared."""
+    names = {name_of(check) for check in checks_of(registered.entry.kind)}
+    return names | {f"{registered.entry.name}/{name}" for name in names}
+
+
+def _refuse_unknown(expected_failures: Mapping[str, str], stages: tuple[Registered, ...]) -> None:
+    known = set().union(*(_keys(registered) for registered in stages))
+    for key in expected_failures:
+        if key not in known:
+            close = difflib.get_close_matches(key, known, n=1)
+            raise PluginError(
+                f"`{key}` is no check of any of these stages",
+                hint=f"did you mean `{close[0]}`?" if close else "docs/reference/conformance.md lists them",
+            )

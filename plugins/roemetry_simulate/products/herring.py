@@ -71,9 +71,9 @@ def _make(seed: int, options: HerringRoeOptions) -> Drawn:
     record = draw(seed, pick(random_of(seed, "herring-roe"), options.kinds))
     record = replace(
         record,
-        yaw_deg=record.yaw_deg * options.turn_range_deg / _DRAWN_TURN_DEG,
-        centre_x_mm=record.centre_x_mm * options.offset_range_x_mm / _DRAWN_X_MM,
-        centre_y_mm=record.centre_y_mm * options.offset_range_y_mm / _DRAWN_Y_MM,
+        yaw_deg=record.yaw_deg * (options.turn_range_deg / _DRAWN_TURN_DEG),
+        centre_x_mm=record.centre_x_mm * (options.offset_range_x_mm / _DRAWN_X_MM),
+        centre_y_mm=record.centre_y_mm * (options.offset_range_y_mm / _DRAWN_Y_MM),
     )
     skein = build(_underside_in_range(record), options.grid_step_mm)
     lost = 1.0 - skein.solid.true_volume_mm3 / skein.solid.visible_volume_mm3

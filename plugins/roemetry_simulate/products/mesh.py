@@ -34,7 +34,7 @@ from roemetry_simulate.products.family import (
 )
 from roemetry_simulate.products.mesh_file import Triangles, read_mesh
 from roemetry_simulate.products.triangles import Tree, build_tree, vertical_heights
-from roemetry_simulate.solid import MESH, Body
+from roemetry_simulate.solid import MESH, ExactBody
 
 Floats = NDArray[np.float64]
 
@@ -99,10 +99,10 @@ class MeshSolid:
     def __post_init__(self) -> None:
         object.__setattr__(self, "_tree", build_tree(self.corners_mm))
 
-    def body(self) -> Body:
+    def body(self) -> ExactBody:
         """Return the kernels' form."""
         top_mm = float(self.corners_mm[..., 2].max())
-        return Body(MESH, top_mm=top_mm, **self._tree._asdict())
+        return ExactBody(MESH, top_mm=top_mm, **self._tree._asdict())
 
     def heights_mm(self, x_mm: ArrayLike, y_mm: ArrayLike) -> tuple[Floats, Floats]:
         """Highest and lowest Z over belt positions of one shape; NaN outside the footprint."""

@@ -21,7 +21,7 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from roemetry_simulate.products.family import Pose
-from roemetry_simulate.solid import PARTS, Body
+from roemetry_simulate.solid import PARTS, ExactBody
 
 Floats = NDArray[np.float64]
 Surface = tuple[float, float, float, float, float, float, float, float, float, float]
@@ -89,13 +89,13 @@ class PartsSolid:
         surfaces.flags.writeable = False
         object.__setattr__(self, "surfaces", surfaces)
 
-    def body(self) -> Body:
+    def body(self) -> ExactBody:
         """Return the kernels' form."""
         x_min, x_max, y_min, y_max = self.extent_mm
         bounds = np.array([[x_min, y_min, 0.0, x_max, y_max, self.top_mm]])
         bounds += np.array([-1e-6, -1e-6, -1e-6, 1e-6, 1e-6, 1e-6])
         bounds.flags.writeable = False
-        return Body(PARTS, top_mm=float(self.top_mm), surfaces=self.surfaces, boxes=bounds)
+        return ExactBody(PARTS, top_mm=float(self.top_mm), surfaces=self.surfaces, boxes=bounds)
 
     def heights_mm(self, x_mm: ArrayLike, y_mm: ArrayLike) -> tuple[Floats, Floats]:
         """Highest and lowest Z over belt positions of one shape; NaN outside the footprint."""
@@ -205,9 +205,9 @@ def hit_parts(surfaces: Floats, bounds: Floats, o: Floats, d: Floats, t_max: flo
     Parameters
     ----------
     surfaces : ndarray, shape (F, 11)
-        `Body.surfaces`.
+        `ExactBody.surfaces`.
     bounds : ndarray, shape (6,)
-        `Body.boxes[0]`: smallest x, y, z, largest x, y, z.
+        `ExactBody.boxes[0]`: smallest x, y, z, largest x, y, z.
     o, d : ndarray, shape (3,)
         Start and direction.
     t_max : float

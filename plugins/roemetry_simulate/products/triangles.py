@@ -65,7 +65,7 @@ def hit_triangles(
     Parameters
     ----------
     triangles, boxes, links : ndarray
-        `Body.triangles`, `Body.boxes`, `Body.links`.
+        `ExactBody.triangles`, `ExactBody.boxes`, `ExactBody.links`.
     o, d : ndarray, shape (3,)
         Start and direction.
     t_max : float

@@ -39,8 +39,11 @@ OF_KIND: Mapping[str, tuple[Check, ...]] = {
 
 
 def checks_of(kind: str) -> tuple[Check, ...]:
-    """Give the checks that a stage of this kind must pass: every stage's, then its kind's."""
-    return ANY + OF_KIND[kind]
+    """Give the checks that a stage of this kind must pass: every stage's, then its kind's.
+
+    Of a kind that the kit has no scenes for, the options alone are checked.
+    """
+    return ANY + OF_KIND[kind] if kind in OF_KIND else any_stage.OF_OPTIONS
 
 
 def name_of(check: Check) -> str:

@@ -10,6 +10,7 @@ from pydantic import ValidationError
 
 from roemetry_simulate import herring_roe
 from roemetry_simulate.defects import dents
+from roemetry_simulate.herring_dataset import SHIPPED
 from roemetry_simulate.parameters import FURTHER_KINDS, KINDS, draw
 from roemetry_simulate.products import PRODUCTS
 from roemetry_simulate.products.family import Drawn
@@ -33,13 +34,12 @@ KNOWN = {
     "bread-roll": {"none", "sunken", "split"},
     "egg": {"none", "dented"},
 }
-STEPS = {"herring-roe": 0.5, "potato": 0.5, "fillet": 0.5, "bread-roll": 0.5, "egg": 0.5}
 
 
-def draws(name, **options) -> list[Drawn]:
+def draws(name, seeds=SEEDS, **options) -> list[Drawn]:
     family = PRODUCTS[name]
-    chosen = family.Options(grid_step_mm=STEPS[name], **options)
-    return [family.draw(seed, chosen) for seed in SEEDS]
+    chosen = family.Options(grid_step_mm=0.5, **options)
+    return [family.draw(seed, chosen) for seed in seeds]
 
 
 @pytest.fixture(scope="module", params=list(RANGES))
@@ -119,7 +119,7 @@ def test_volumes_do_not_depend_on_the_place(name):
 
 
 def test_shares_say_what_is_drawn():
-    some = draws("herring-roe", kinds={"s-bent": 1, "several-dents": 3})
+    some = draws("herring-roe", range(20), kinds={"s-bent": 1, "several-dents": 3})
     counts = Counter(drawn.truth.defect for drawn in some)
     assert set(counts) == {"s-bent", "several-dents"}
     assert counts["several-dents"] > counts["s-bent"]
@@ -147,6 +147,13 @@ def test_a_healthy_egg_is_the_formula_of_its_revolution():
         truth = family.draw(seed, family.Options(kinds={"healthy": 1.0})).truth
         radius, length = truth.figures["shape_radius_mm"], truth.figures["nominal_length_mm"]
         assert truth.true_mm3 == pytest.approx(2 / 3 * math.pi * radius**2 * length, rel=1e-4)
+
+
+def test_one_kind_alone_gives_the_skeins_of_the_shipped_data():
+    family = PRODUCTS["herring-roe"]
+    for seed, kind in SHIPPED:
+        drawn = family.draw(seed, family.Options(kinds={kind: 1.0}, grid_step_mm=0.5))
+        np.testing.assert_array_equal(drawn.solid.grid, build(draw(seed, kind), 0.5).solid.grid)
 
 
 @pytest.mark.parametrize("kind", FURTHER_KINDS)

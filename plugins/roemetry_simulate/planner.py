@@ -1,0 +1,76 @@
+"""The planner stage: a scene file's rig in, what it will give out."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from roemetry.errors import StageError
+from roemetry.records.plan import Plan
+from roemetry.stages import Planner
+from roemetry_simulate import plan_tables
+from roemetry_simulate.plan_check import check_table
+from roemetry_simulate.plan_figures import figures, reasons, sketch
+from roemetry_simulate.plan_geometry import plane_points, scale_at
+from roemetry_simulate.plan_volume import Space
+from roemetry_simulate.scene_file import RayCasterOptions
+from roemetry_simulate.scene_rig import rig_of
+
+_LEAST_PX_PER_MM = 1e-3
+
+
+class RigPlanner(Planner[RayCasterOptions]):
+    """Works a rig out from its geometry, its light and its sensor; short simulations can stand beside it.
+
+    Of the scene the camera, the laser, the stray light and the product's albedo count; what lies on the belt
+    does not. The plan is made along the image's middle row.
+    """
+
+    Options = RayCasterOptions
+
+    def plan(self, *, simulate: bool) -> Plan:
+        """Plan the rig; raise StageError where heights do not show in its image."""
+        space = Space(rig_of(self.options), self.options.surface.albedo_laser)
+        _refuse(space)
+        tables = [
+            plan_tables.stripe_geometry(space),
+            plan_tables.stripe_light(space),
+            plan_tables.stripe_slopes(space),
+        ]
+        curves = []
+        if space.rig.laser.count > 1:
+            more, error, price = plan_tables.numbers(space)
+            tables += [plan_tables.products(space), more]
+            curves += [error, price, plan_tables.over_x(space)]
+        focus = plan_tables.focus_over_height(space)
+        if focus is not None:
+            curves.append(focus)
+        if simulate:
+            tables.append(check_table(space))
+        return Plan(
+            figures(self.options, space),
+            space.maps(),
+            tuple(tables),
+            tuple(curves),
+            sketch(space),
+            reasons(self.options, space),
+        )
+
+
+def _refuse(space: Space) -> None:
+    """Raise StageError for a rig that cannot measure a height."""
+    rig = space.rig
+    if np.isnan(space.in_view_mm).all():
+        x = rig.laser.x_mm(space.y_mm, 0.0)
+        raise StageError(
+            f"simulator.options.laser: no stripe lies in the image's middle row, at Y = {space.y_mm:.1f} mm, where "
+            f"the stripes are at X = {x.min():.1f} to {x.max():.1f} mm",
+            hint="move the fan by belt_x_mm or centre_x_mm, or turn it by yaw_deg",
+        )
+    points = plane_points(rig.laser, space.y_mm, np.zeros(1))[0]
+    shown = np.abs(scale_at(rig.camera, rig.laser, points).height_px_per_mm)
+    if not shown.max() > _LEAST_PX_PER_MM:
+        raise StageError(
+            f"simulator.options.laser.projector_mm: a height of 1 mm moves no stripe by more than {shown.max():.1g} "
+            "px: the light planes hold the camera",
+            hint="move the projector aside, across the stripes",
+        )

@@ -1,0 +1,148 @@
+"""Data sets: written in order, whole or not at all; read item by item; every fault found."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import tracemalloc
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from roemetry.dataset import ITEMS, Dataset, DatasetWriter, Description, Item, save_bytes, save_stripes
+from roemetry.errors import DataError, OutputError
+from roemetry.records import ProductTruth, StripeTruth
+
+DESCRIPTION = Description(roemetry_dataset=1, name="trial", licence="CC0-1.0", made_from={"seed": 1})
+
+
+def write(folder: Path, names: list[str], description: Description = DESCRIPTION) -> None:
+    with DatasetWriter(folder, description) as writer:
+        for name in names:
+            if name in writer.done:
+                continue
+            good, data = cv2.imencode(".png", np.full((6, 8), 7, np.uint8))
+            assert good
+            save_bytes(folder / "images" / f"{name}.png", data.tobytes())
+            x_px = np.array([[1.5, np.nan]])
+            stripes = StripeTruth(x_px, np.array([[True, False]]), np.full((1, 2, 3), 0.25))
+            save_stripes(folder / "truth" / f"{name}.npz", stripes)
+            product = ProductTruth(label="good", visible_mm3=12.5, figures={"length_mm": 3.0, "gap_mm": np.nan})
+            files = {"laser": f"images/{name}.png"}
+            writer.add(Item(name, files, products=(product,), stripes=f"truth/{name}.npz", time_s=0.5))
+
+
+def test_what_is_written_is_read(tmp_path: Path) -> None:
+    write(tmp_path, ["a", "b"])
+    data = Dataset(tmp_path)
+    items = list(data.items())
+    assert [item.id for item in items] == ["a", "b"]
+    assert items[0].time_s == 0.5
+    assert np.isnan(items[0].encoder_count)
+    truth = data.truth(items[1])
+    assert truth.products[0].visible_mm3 == 12.5
+    assert np.isnan(truth.products[0].figures["gap_mm"])
+    np.testing.assert_array_equal(truth.stripes.x_px, [[1.5, np.nan]])
+    assert list(data.faults()) == []
+
+
+def test_a_half_line_is_taken_away_and_the_set_goes_on(tmp_path: Path) -> None:
+    write(tmp_path, ["a", "b"])
+    before = (tmp_path / ITEMS).read_bytes()
+    (tmp_path / ITEMS).write_bytes(before[:-25])
+    write(tmp_path, ["a", "b", "c"])
+    lines = (tmp_path / ITEMS).read_text("utf-8").splitlines()
+    assert [json.loads(line)["id"] for line in lines] == ["a", "b", "c"]
+    assert (tmp_path / ITEMS).read_bytes().startswith(before)
+
+
+def test_another_set_s_folder_is_refused_and_a_longer_one_is_not(tmp_path: Path) -> None:
+    write(tmp_path, ["a"])
+    longer = DESCRIPTION.model_copy(update={"made_with": "again, but longer"})
+    write(tmp_path, ["b"], longer)
+    assert Dataset(tmp_path).description.made_with == "again, but longer"
+    with pytest.raises(OutputError, match="another data set"):
+        write(tmp_path, ["c"], DESCRIPTION.model_copy(update={"made_from": {"seed": 2}}))
+
+
+def test_faults_are_told_with_file_and_item(tmp_path: Path) -> None:
+    write(tmp_path, ["a", "b", "c", "d"])
+    (tmp_path / "images" / "a.png").unlink()
+    (tmp_path / "images" / "b.png").write_bytes(b"other")
+    (tmp_path / "truth" / "c.npz").write_bytes(b"other")
+    lines = (tmp_path / ITEMS).read_text("utf-8").splitlines()
+    (tmp_path / ITEMS).write_text("\n".join([*lines, lines[3], '{"id": 1}']) + "\n", "utf-8")
+    faults = list(Dataset(tmp_path).faults())
+    assert len(faults) == 5
+    for said, words in zip(
+        faults,
+        (
+            ("a.png", "missing", "a, laser"),
+            ("b.png", "changed", "b, laser"),
+            ("c.npz", "changed", "c, truth"),
+            ("`d` stands twice",),
+            ("items.jsonl:6", "not an item"),
+        ),
+        strict=True,
+    ):
+        assert all(word in said for word in words), said
+
+
+def test_a_full_disk_leaves_nothing_half(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write(tmp_path, ["a"])
+
+    def full(path: Path, data: bytes) -> int:
+        with path.open("wb") as file:
+            file.write(data[:5])
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "write_bytes", full)
+        with pytest.raises(OutputError, match="No space left"):
+            write(tmp_path, ["a", "b"])
+    assert sorted(file.name for file in (tmp_path / "images").iterdir()) == ["a.png"]
+    write(tmp_path, ["a", "b"])
+    assert list(Dataset(tmp_path).faults()) == []
+
+
+def test_a_line_that_cannot_be_written_leaves_no_item(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write(tmp_path, ["a"])
+    whole = os.write
+
+    def full(descriptor: int, data: bytes) -> int:
+        if data.startswith(b'{"id"'):
+            whole(descriptor, data[:10])
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return whole(descriptor, data)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "write", full)
+        with pytest.raises(OutputError):
+            write(tmp_path, ["b"])
+    assert [item.id for item in Dataset(tmp_path).items()] == ["a"]
+
+
+def test_a_hundred_thousand_items_need_no_memory(tmp_path: Path) -> None:
+    write(tmp_path, ["a"])
+    line = json.loads((tmp_path / ITEMS).read_text("utf-8"))
+    with (tmp_path / ITEMS).open("w", encoding="utf-8") as file:
+        for number in range(100_000):
+            file.write(json.dumps(line | {"id": f"i{number}", "stripes": None}) + "\n")
+    tracemalloc.start()
+    count = sum(1 for _ in Dataset(tmp_path).items())
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert count == 100_000
+    assert peak < 1_000_000
+
+
+@pytest.mark.parametrize("line", ["{}", "[]", "not json", '{"id": "a", "files": 3}'])
+def test_a_line_that_is_no_item_is_refused_with_its_place(tmp_path: Path, line: str) -> None:
+    write(tmp_path, ["a"])
+    with (tmp_path / ITEMS).open("a", encoding="utf-8") as file:
+        file.write(line + "\n")
+    with pytest.raises(DataError, match=r"items\.jsonl:2: not an item"):
+        list(Dataset(tmp_path).items())

@@ -1,0 +1,191 @@
+"""`roemetry simulate`: the same bytes however it runs, and nothing half when it stops."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from roemetry.cli.main import app
+from roemetry.dataset import ITEMS, Dataset
+from roemetry.errors import ConfigurationError, OutputError, RoemetryError
+from roemetry.records import BELT
+from roemetry.scene import Scene
+from roemetry.simulating import simulate
+from roemetry_files.dataset_source import DatasetSource
+
+SCENE = """\
+roemetry_scene: 1
+name: small
+licence: CC0-1.0
+item: roe_{number:03d}
+simulator:
+  use: ray-caster
+  options:
+    camera: {width_px: 64, height_px: 48, pixel_size_um: 100, bit_depth: 12, gain_dn_per_e: 0.4}
+    light: {images: [laser, dark]}
+    belt: {speed_mm_per_s: 300, encoder_step_mm: 0.5, pitch_mm: 150}
+    product: {family: herring-roe, options: {grid_step_mm: 0.5}}
+    targets: {board: {poses: 2}}
+"""
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    path = tmp_path / "scene.yaml"
+    path.write_text(SCENE, encoding="utf-8")
+    return path
+
+
+def bytes_of(folder: Path) -> dict[str, bytes]:
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file() and path.name != "dataset.yaml"
+    }
+
+
+def test_two_processes_make_the_bytes_of_one(scene: Path, tmp_path: Path) -> None:
+    loaded = Scene.load(scene)
+    seen: list[tuple[int, int]] = []
+    one = simulate(loaded, tmp_path / "one", count=3, seed=5, on_progress=lambda *at: seen.append(at))
+    simulate(loaded, tmp_path / "two", count=3, seed=5, jobs=2)
+    assert (one.items, one.kept, one.views) == (3, 0, 2)
+    assert seen == [(k, 5) for k in range(6)]
+    assert bytes_of(tmp_path / "one") == bytes_of(tmp_path / "two")
+    assert list(Dataset(tmp_path / "one").faults()) == []
+
+
+def test_a_set_can_be_made_longer_and_the_kept_scene_makes_it_again(scene: Path, tmp_path: Path) -> None:
+    loaded = Scene.load(scene)
+    simulate(loaded, tmp_path / "grown", count=1, seed=5, calibration="none")
+    with pytest.raises(OutputError, match="already"):
+        simulate(loaded, tmp_path / "grown", count=2, seed=5, calibration="none")
+    with pytest.raises(OutputError, match="another data set"):
+        simulate(loaded, tmp_path / "grown", count=2, seed=6, calibration="none", resume=True)
+    made = simulate(loaded, tmp_path / "grown", count=2, seed=5, calibration="none", resume=True)
+    assert made.kept == 1
+    again = Scene.load(tmp_path / "grown" / "scene.yaml")
+    assert again.sha256 == loaded.sha256
+    simulate(again, tmp_path / "again", count=2, seed=5, calibration="none")
+    assert bytes_of(tmp_path / "grown") == bytes_of(tmp_path / "again")
+
+
+def test_a_killed_run_holds_whole_items_and_goes_on(scene: Path, tmp_path: Path) -> None:
+    out = tmp_path / "killed"
+    words = ["simulate", str(scene), "--out", str(out), "--count", "400", "--seed", "5", "--jobs", "1"]
+    process = subprocess.Popen([sys.executable, "-m", "roemetry", *words], stderr=subprocess.DEVNULL)
+    end = time.monotonic() + 60
+    while not ((out / ITEMS).exists() and (out / ITEMS).read_bytes().count(b"\n") >= 2):
+        assert time.monotonic() < end
+        time.sleep(0.02)
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    # what may be left in the middle of a file: it does not count
+    (out / "images" / "roe_004.png").write_bytes(b"half")
+    (out / ITEMS).write_bytes((out / ITEMS).read_bytes() + b'{"id": "roe_0')
+    loaded = Scene.load(scene)
+    count = sum(1 for line in (out / ITEMS).read_bytes().splitlines()) + 1
+    simulate(loaded, out, count=count, seed=5, resume=True)
+    simulate(loaded, tmp_path / "whole", count=count, seed=5)
+    kept = {name: data for name, data in bytes_of(out).items() if ".part" not in name}
+    whole = bytes_of(tmp_path / "whole")
+    assert {name: kept[name] for name in whole} == whole
+    assert list(Dataset(out).faults()) == []
+
+
+def test_a_recipe_reads_a_data_set_with_its_bits_and_times(scene: Path, tmp_path: Path) -> None:
+    simulate(Scene.load(scene), tmp_path / "data", count=2, seed=5, calibration="none")
+    source = DatasetSource()
+    references = source.references(tmp_path / "data")
+    assert [reference.id for reference in references] == ["roe_001", "roe_002"]
+    acquisition = source.read(references[1])
+    laser, dark = acquisition.frame("laser"), acquisition.frame("dark")
+    assert laser.bit_depth == dark.bit_depth == 12
+    assert laser.pixels.dtype == np.uint16
+    assert 255 < laser.pixels.max() <= 4095
+    assert dark.pixels.max() < laser.pixels.max() / 2
+    assert (laser.time_s, laser.encoder_count) == (0.5, 300.0)
+
+
+def test_boards_are_found_where_their_pose_says(tmp_path: Path) -> None:
+    from roemetry_simulate.boards import poses
+
+    path = tmp_path / "scene.yaml"
+    path.write_text(
+        SCENE.replace("width_px: 64, height_px: 48, pixel_size_um: 100", "width_px: 480, height_px: 360, pixel_size_um: 13.33")
+        .replace("bit_depth: 12, gain_dn_per_e: 0.4", "distortion: {k1: -0.1, k2: 0.05, p1: 0.001}"),
+        encoding="utf-8",
+    )
+    loaded = Scene.load(path)
+    stage = loaded.make()
+    part, rig = stage.options.targets.board, stage._rig
+    frames = stage.calibration_frames(7)
+    assert list(frames) == ["block", "belt", "staircase", "charuco", "chessboard"]
+    assert list(frames["chessboard"])[:2] == ["pose_01_plain", "pose_01_laser"]
+    image = frames["chessboard"]["pose_02_plain"].pixels
+    found, corners = cv2.findChessboardCornersSB(image, (part.columns - 1, part.rows - 1))
+    assert found
+    columns, rows = np.meshgrid(np.arange(1, part.columns), np.arange(1, part.rows))
+    points = np.stack([columns.ravel(), rows.ravel(), 0 * rows.ravel()], axis=-1) * part.square_mm
+    pose = poses(part, 7)[1].T_belt_board
+    expected = rig.camera.project(points @ pose[:3, :3].T + pose[:3, 3])
+    off = np.linalg.norm(corners.reshape(-1, 1, 2) - expected[None], axis=-1).min(axis=1)
+    assert np.median(off) < 0.1
+    assert off.max() < 0.4
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("width_px: 64", "widht_px: 64", ("scene.yaml:8:", "unknown key `widht_px`", "width_px")),
+        ("targets:", "laser: {line_width_mm: 0}\n    targets:", ("laser.line_width_mm", "greater than 0")),
+        ("targets:", "laser: {centre_x_mm: 500}\n    targets:", ("laser", "misses the view", "scene.yaml:")),
+        ("herring-roe", "hering-roe", ("no product family `hering-roe`", "herring-roe")),
+        ("grid_step_mm: 0.5", "grid_step: 0.5", ("options.grid_step", "product")),
+        ("pixel_size_um: 100", "pixel_size_um: 20", ("larger than the view", "scene.yaml:7")),
+        ("bit_depth: 12", "distortion: {k1: -4}", ("distortion", "folds")),
+        ("bit_depth: 12", "tilt_y_deg: 79", ("camera", "does not see the belt")),
+        ("roe_{number:03d}", "roe", ("item", "{number}")),
+    ],
+)
+def test_a_scene_that_cannot_be_is_refused_with_place_and_reason(
+    scene: Path, old: str, new: str, words: tuple[str, ...]
+) -> None:
+    assert SCENE.count(old) == 1
+    scene.write_text(SCENE.replace(old, new), encoding="utf-8")
+    with pytest.raises(ConfigurationError) as caught:
+        Scene.load(scene).make()
+    for word in words:
+        assert word in str(caught.value), str(caught.value)
+
+
+def test_an_open_mesh_is_refused(scene: Path, tmp_path: Path) -> None:
+    (tmp_path / "open.obj").write_text("v 0 0 0\nv 10 0 0\nv 0 10 0\nv 0 0 10\nf 1 2 3\nf 1 2 4\n", "utf-8")
+    text = SCENE.replace("herring-roe, options: {grid_step_mm: 0.5}", "mesh, options: {file: open.obj}")
+    scene.write_text(text, encoding="utf-8")
+    with pytest.raises(RoemetryError, match=r"open\.obj"):
+        Scene.load(scene).make()
+
+
+def test_the_command_line_makes_lints_and_says(scene: Path, tmp_path: Path) -> None:
+    from typer.testing import CliRunner
+
+    run = CliRunner().invoke
+    out = str(tmp_path / "set")
+    made = run(app, ["simulate", str(scene), "--out", out, "-n", "1", "-j", "1", "--product", "none"])
+    assert made.exit_code == 0, made.output
+    assert "1 items, 2 calibration images" in made.output
+    assert "a data set of 1 items" in run(app, ["lint", out]).output
+    assert "sound" in run(app, ["lint", str(scene)]).output
+    truth = Dataset(Path(out)).truth(next(iter(Dataset(Path(out)).items())))
+    assert truth.products == ()
+    assert not truth.stripes.on_product.any()
+    assert BELT == 0
