@@ -1,7 +1,7 @@
 """Make a data set from a scene: images, calibration images and their truth, on as many processes as wanted.
 
 An item is a pure function of scene, seed and number, so any number of processes makes the same bytes. Its
-files are written whole, each under another name first; its line, which makes it count, comes last and in order.
+files are written whole, each under another name first; its line, which makes it count, comes last, in order.
 """
 
 from __future__ import annotations
@@ -185,9 +185,7 @@ def _keep_scene(scene: Scene, folder: Path) -> None:
     write_whole(path, dump(scene.resolved()))
 
 
-def _made(
-    scene: Scene, folder: Path, seed: int, tasks: Sequence[_Task], jobs: int
-) -> Iterator[Item | None]:
+def _made(scene: Scene, folder: Path, seed: int, tasks: Sequence[_Task], jobs: int) -> Iterator[Item | None]:
     """Make images and give the items in order; None stands for a calibration image."""
     if jobs == 1 or len(tasks) < 2:
         worker = _Worker(scene, folder, seed)

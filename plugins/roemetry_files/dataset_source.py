@@ -64,7 +64,9 @@ class _Taken(NamedTuple):
 def _open(path: Path) -> Dataset:
     folder = path.parent if path.name == DESCRIPTION else path
     if not (folder / DESCRIPTION).is_file():
-        raise DataError(f"{folder}: there is no {DESCRIPTION} here", hint="source.path is a data set's folder")
+        raise DataError(
+            f"{folder}: there is no {DESCRIPTION} here", hint="source.path is a data set's folder"
+        )
     return Dataset(folder)
 
 

@@ -13,7 +13,7 @@ from roemetry_simulate.scene_file import BoardPart
 Floats = NDArray[np.float64]
 
 _PX_PER_SQUARE = 80
-_BLACK = 0.08
+_BLACK = 0.12
 _THICKNESS_MM = 2.0
 
 
@@ -80,9 +80,7 @@ def board_picture(part: BoardPart, kind: str) -> Floats:
 
     if kind == "charuco":
         dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, part.dictionary))
-        board = cv2.aruco.CharucoBoard(
-            (part.columns, part.rows), part.square_mm, part.marker_mm, dictionary
-        )
+        board = cv2.aruco.CharucoBoard((part.columns, part.rows), part.square_mm, part.marker_mm, dictionary)
         size = ((part.columns + 1) * _PX_PER_SQUARE, (part.rows + 1) * _PX_PER_SQUARE)
         grey = board.generateImage(size, marginSize=_PX_PER_SQUARE // 2) / 255.0
     else:
@@ -98,9 +96,9 @@ def board_picture(part: BoardPart, kind: str) -> Floats:
 
 def picture_from(part: BoardPart, pose: BoardPose) -> Floats:
     """Return the (2, 4) matrix that takes a belt point (x, y, z, 1) to the picture's (column, row)."""
-    T_board_belt = np.linalg.inv(pose.T_belt_board)
+    to_board = np.linalg.inv(pose.T_belt_board)
     scale = _PX_PER_SQUARE / part.square_mm
-    matrix: Floats = scale * T_board_belt[:2]
+    matrix: Floats = np.array(scale * to_board[:2], dtype=np.float64)
     matrix[:, 3] += 0.5 * _PX_PER_SQUARE - 0.5
     return np.ascontiguousarray(matrix)
 
@@ -116,7 +114,8 @@ def board_solid(part: BoardPart, pose: BoardPose) -> PartsSolid:
     ]  # fmt: skip
     origin = at[:3, 3]
     surfaces = [
-        [0.0, *plane((float(n[0]), float(n[1]), float(n[2])), float(n @ origin + limit))] for n, limit in limits
+        [0.0, *plane((float(n[0]), float(n[1]), float(n[2])), float(n @ origin + limit))]
+        for n, limit in limits
     ]
     ends = [
         origin + u * x + v * y + w * down

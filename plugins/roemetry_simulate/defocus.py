@@ -8,11 +8,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from roemetry_simulate.bodies import Body
 from roemetry_simulate.camera import Camera
 from roemetry_simulate.lens import camera_ray
 from roemetry_simulate.raycast import first_hit
 from roemetry_simulate.sensor import blurred
-from roemetry_simulate.solid import Body, Solid
+from roemetry_simulate.solid import Solid
 
 Floats = NDArray[np.float64]
 
@@ -94,9 +95,7 @@ def defocused(light: Floats, camera: Camera, focus: Focus, depth_mm: Floats) -> 
 
 def depths_mm(camera: Camera, solid: Solid) -> Floats:
     """Return how far along the optical axis each pixel's middle sees; the belt's where it sees nothing."""
-    found: Floats = _depths(
-        solid.body(), camera.packed(), camera.rotation, camera.height_px, camera.width_px
-    )
+    found: Floats = _depths(solid.body(), camera.packed(), camera.rotation, camera.height_px, camera.width_px)
     return np.where(np.isfinite(found), found, np.nanmax(found))
 
 

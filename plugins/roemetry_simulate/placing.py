@@ -69,7 +69,7 @@ def check_in_view(drawn: Drawn, rig: Rig, name: str) -> None:
     lowest_mm = min(float(rig.camera.centre_mm[2]), float(rig.laser.projector_mm[2]))
     if top_mm >= lowest_mm:
         raise StageError(
-            f"{name}: the product is {top_mm:.1f} mm high, and camera or projector hang at {lowest_mm:.1f} mm",
+            f"{name}: the product is {top_mm:.1f} mm high, and camera or laser hang at {lowest_mm:.1f} mm",
             hint="make the product smaller, or hang them higher",
         )
     found, view = drawn.solid.footprint_extent_mm(), view_mm(rig.camera, 0.0)
@@ -77,7 +77,7 @@ def check_in_view(drawn: Drawn, rig: Rig, name: str) -> None:
     if not inside:
         raise StageError(
             f"{name}: the product {_why(found, view)}: it lies on X = {found[0]:.1f} to {found[1]:.1f} mm, "
-            f"Y = {found[2]:.1f} to {found[3]:.1f} mm; the camera sees X = {view[0]:.1f} to {view[1]:.1f} mm, "
+            f"Y = {found[2]:.1f} to {found[3]:.1f} mm; the view is X = {view[0]:.1f} to {view[1]:.1f} mm, "
             f"Y = {view[2]:.1f} to {view[3]:.1f} mm of the belt",
             hint="make the product smaller, or let the camera see more",
         )

@@ -1,4 +1,4 @@
-"""A short simulation beside the prediction: flat plates at three heights, the centre of gravity of each stripe."""
+"""A short simulation beside the prediction: flat plates, the centre of gravity of each stripe."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from roemetry.records.plan import PlanColumn, PlanTable
+from roemetry.records import PlanColumn, PlanTable
 from roemetry_simulate.camera import Camera
 from roemetry_simulate.plan_geometry import scale_at
 from roemetry_simulate.plan_uncertainty import WINDOW_SIGMAS, PeakStd, Stripe, peak_std, stripes_at
@@ -54,7 +54,7 @@ class Scatter:
 
 
 def check_table(space: Space) -> PlanTable:
-    """Simulate plates at the belt, in the middle and at the top, and put their scatter beside the prediction."""
+    """Simulate plates at belt, middle and top, and put their scatter beside the prediction."""
     found = [simulated_scatter(space, z) for z in (0.0, 0.5 * space.top_mm, space.top_mm)]
 
     def column(name: str, title: str, unit: str, digits: int) -> PlanColumn:
@@ -76,8 +76,8 @@ def check_table(space: Space) -> PlanTable:
             column("bound_px", "best possible", "px", 4),
             column("offset_px", "mean offset", "px", 4),
         ),
-        f"Images of {ROWS} rows of matt, even plates of the product's albedo, rendered with noise and speckle; "
-        "standard deviation of the centre of gravity about the true place, the mean of each stripe taken out.",
+        f"Images of {ROWS} rows of matt, even plates of the product's albedo, with noise and speckle; "
+        "standard deviation of the centre of gravity from the true place, each stripe's mean taken out.",
     )
 
 

@@ -1,15 +1,14 @@
-"""The plan's single numbers, what cannot be said, and the rig from the side."""
+"""The plan's single numbers."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from roemetry.records import Reason
-from roemetry.records.plan import PlanFigure, PlanShape
+from roemetry.records import PlanFigure
 from roemetry_simulate.plan_geometry import in_view, plane_points, scale_at, steepest_slopes_deg
 from roemetry_simulate.plan_tables import mean_spacing_mm
-from roemetry_simulate.plan_uncertainty import peak_std, speckle_limit_px, stripes_at
+from roemetry_simulate.plan_uncertainty import peak_std, stripes_at
 from roemetry_simulate.plan_volume import Space
 from roemetry_simulate.scene_file import RayCasterOptions
 from roemetry_simulate.scene_rig import view_mm
@@ -28,7 +27,7 @@ def figures(scene: RayCasterOptions, space: Space) -> tuple[PlanFigure, ...]:
     stripes = stripes_at(rig, middle, space.albedo, peak)
     stds = [peak_std(stripe, rig.sensor) for stripe in stripes]
     per_px = 1.0 / np.abs(scale.height_px_per_mm)
-    floor = limit_px(scene)
+    floor = space.speckle_limit_px
     to_camera = rig.camera.centre_mm - middle[0]
     to_light = rig.laser.projector_mm - middle[0]
     cosine = to_camera @ to_light / np.linalg.norm(to_camera) / np.linalg.norm(to_light)
@@ -75,7 +74,7 @@ def figures(scene: RayCasterOptions, space: Space) -> tuple[PlanFigure, ...]:
         PlanFigure(
             "std-bound-belt",
             "Standard uncertainty of a height, best possible",
-            1e3 * stds[0].bound_px * per_px[0],
+            1e3 * space.best_px(stds[0]) * per_px[0],
             "µm",
             "Cramér-Rao bound of one row at the middle stripe on the belt, product's albedo.",
             True,
@@ -124,118 +123,6 @@ def figures(scene: RayCasterOptions, space: Space) -> tuple[PlanFigure, ...]:
         ),
     ]
     return (*_views(space, scale.x_mm_per_px, scale.y_mm_per_px), *made, *_focus(scene, space, middle))
-
-
-def limit_px(scene: RayCasterOptions) -> float:
-    """Return the speckle limit in pixels; NaN where the scene gives no aperture."""
-    from roemetry_simulate.scene_rig import rig_of
-
-    focus, camera = rig_of(scene).focus, scene.camera
-    if focus is None:
-        return np.nan
-    return speckle_limit_px(
-        focus,
-        focal_length_mm=camera.focal_length_mm,
-        pixel_size_mm=1e-3 * camera.pixel_size_um,
-        wavelength_nm=scene.laser.wavelength_nm,
-        contrast=scene.laser.speckle_contrast,
-    )
-
-
-def reasons(scene: RayCasterOptions, space: Space) -> tuple[Reason, ...]:
-    """Return what the plan cannot say, and what it warns of."""
-    found = []
-    rig = space.rig
-    out = np.flatnonzero(np.isnan(space.in_view_mm))
-    if out.size:
-        words = ", ".join(str(i) for i in out)
-        found.append(
-            Reason(
-                "stripe-out-of-view",
-                f"stripe {words}: not in the image on the belt at Y = {space.y_mm:.1f} mm",
-            )
-        )
-    if rig.focus is None:
-        found.append(
-            Reason(
-                "depth-of-field",
-                "depth of field and speckle limit: the scene gives no aperture; set "
-                "simulator.options.camera.focus.distance_mm and .f_number",
-            )
-        )
-    if rig.laser.count == 1:
-        found.append(
-            Reason(
-                "spacing-height",
-                "one plane: there is no neighbour to take it for, and the slices come from the belt's travel",
-            )
-        )
-    stripes = stripes_at(
-        rig, plane_points(rig.laser, space.y_mm, np.zeros(1))[0], space.albedo, rig.laser.peak_grey
-    )
-    stds = [peak_std(stripe, rig.sensor) for stripe in stripes]
-    cut = [str(i) for i, one in enumerate(stds) if one.is_saturated]
-    if cut:
-        found.append(
-            Reason(
-                "saturated",
-                f"stripe {', '.join(cut)}: saturated on a level surface of the product's "
-                f"albedo ({space.albedo:g}) at belt height",
-            )
-        )
-    narrow = min(stripe.width_px(rig.sensor) for stripe in stripes)
-    if narrow < 0.7:
-        found.append(
-            Reason(
-                "narrow",
-                f"the thinnest stripe has a standard deviation of {narrow:.2f} px: below "
-                "0.7 px the place within the pixel shows as a systematic error that is not counted",
-            )
-        )
-    if scene.surface.gloss > 0.0 or scene.surface.below.share > 0.0:
-        found.append(
-            Reason(
-                "matt",
-                "uncertainties are those of a matt surface: gloss and light from below the "
-                "surface, which the scene has, are not counted",
-            )
-        )
-    return tuple(found)
-
-
-def sketch(space: Space) -> tuple[PlanShape, ...]:
-    """Return the rig seen along the belt's Y: X and Z, mm."""
-    rig, top = space.rig, space.top_mm
-    camera, fan = rig.camera, rig.laser
-    eye, light = camera.centre_mm[[0, 2]], fan.projector_mm[[0, 2]]
-    low, high = view_mm(camera), view_mm(camera, top)
-    feet = fan.x_mm(space.y_mm, 0.0)
-    reach = 1.15 * max(
-        abs(low[0]), abs(low[1]), abs(float(light[0])), abs(float(feet[0])), abs(float(feet[-1]))
-    )
-    row = 0.5 * (camera.height_px - 1)
-    middle = np.array([0.5 * (camera.width_px - 1), row])
-    axis = camera.ray(middle[0], middle[1])
-    foot = camera.centre_mm - camera.centre_mm[2] / axis[2] * axis
-    shapes = [
-        PlanShape("view", np.array([[low[0], 0.0], [low[1], 0.0], eye])),
-        PlanShape(
-            "range",
-            np.array([[low[0], 0.0], [low[1], 0.0], [high[1], top], [high[0], top]]),
-            f"0 to {top:.0f} mm",
-        ),
-        PlanShape("belt", np.array([[-reach, 0.0], [reach, 0.0]]), "belt"),
-        PlanShape("axis", np.array([eye, foot[[0, 2]]])),
-        *(PlanShape("plane", np.array([light, [x, 0.0]])) for x in feet),
-    ]
-    if np.isfinite(space.spacing_height_mm):
-        z = space.spacing_height_mm
-        shapes.append(PlanShape("level", np.array([[low[0], z], [low[1], z]]), f"one spacing: {z:.1f} mm"))
-    return (
-        *shapes,
-        PlanShape("camera", eye[None], "camera"),
-        PlanShape("projector", light[None], "projector"),
-    )
 
 
 def _views(space: Space, x_mm_per_px: Floats, y_mm_per_px: Floats) -> list[PlanFigure]:
@@ -310,8 +197,8 @@ def _focus(scene: RayCasterOptions, space: Space, middle: Floats) -> list[PlanFi
         down = -camera.rotation[2, 2]
         low, high = (depth - far) * down, (depth - part.distance_mm / (1.0 + share)) * down
     basis = (
-        f"Blur of at most {SHARP_SIGMA_PX} px (standard deviation; a circle of confusion of 2 px) by the thin "
-        "lens, above the middle stripe."
+        f"Blur of at most {SHARP_SIGMA_PX} px (standard deviation; a circle of confusion of 2 px) by the "
+        "thin lens, above the middle stripe."
     )
     return [
         PlanFigure("sharp-from", "In focus from", float(low), "mm", basis),

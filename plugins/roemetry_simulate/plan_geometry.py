@@ -1,7 +1,7 @@
 """What camera and fan do to a height: scale, displacement, range, spacing heights, slopes. No noise here.
 
-Every function takes belt-frame points (mm) and works on the fan's own plane through each of them: the one that
-holds the projector and the lines' common axis. So a map over the volume needs no stripe to be there.
+Every function takes belt-frame points (mm) and works on the fan's own plane through each of them: the one
+that holds the projector and the lines' common axis. So a map over the volume needs no stripe to be there.
 """
 
 from __future__ import annotations
@@ -121,8 +121,8 @@ def in_view(camera: Camera, points_mm: Floats) -> NDArray[np.bool_]:
     pixels = camera.project(points_mm)
     size = np.array([camera.width_px, camera.height_px])
     with np.errstate(invalid="ignore"):
-        inside: NDArray[np.bool_] = ((pixels > -0.5) & (pixels < size - 0.5)).all(axis=-1)
-    return inside
+        inside = (pixels > -0.5) & (pixels < size - 0.5)
+    return inside[..., 0] & inside[..., 1]
 
 
 def highest_in_view_mm(camera: Camera, fan: LaserFan, y_mm: float) -> Floats:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from roemetry.records.plan import PlanColumn, PlanCurves, PlanTable
+from roemetry.records import PlanColumn, PlanCurves, PlanTable
 from roemetry_simulate.plan_geometry import meeting_height_mm, plane_points, scale_at, steepest_slopes_deg
 from roemetry_simulate.plan_slices import ellipsoid, skein, slice_error_pct
 from roemetry_simulate.plan_uncertainty import PeakStd, defocus_px, peak_std, stripes_at
@@ -40,8 +40,8 @@ def stripe_geometry(space: Space) -> PlanTable:
             PlanColumn("spacing-height", "height of one spacing", "mm", space.spacing_heights_mm, 2),
             PlanColumn("highest-in-view", "in view up to", "mm", space.in_view_mm, 1),
         ),
-        "At the plan's Y. Height of one spacing: where the stripe appears at its neighbour's place on the belt; "
-        "the last stripe on that side has no neighbour.",
+        "At the plan's Y. Height of one spacing: where the stripe appears at its neighbour's place on the "
+        "belt; the last stripe on that side has no neighbour.",
     )
 
 
@@ -63,7 +63,7 @@ def stripe_light(space: Space) -> PlanTable:
     )
     for name, title in (("bound", "best"), ("gravity", "c. of g.")):
         for k, word in enumerate(words):
-            px = [one.bound_px if name == "bound" else one.centre_of_gravity_px for one in stds[k]]
+            px = [space.best_px(one) if name == "bound" else one.centre_of_gravity_px for one in stds[k]]
             std_um = 1e3 * np.array(px) * per_px[k]
             columns.append(PlanColumn(f"{name}-{word}", f"{title}, {word}", "µm", std_um, 0))
     return PlanTable(
@@ -71,8 +71,8 @@ def stripe_light(space: Space) -> PlanTable:
         "Width, brightness and standard uncertainty of a height",
         tuple(columns),
         f"Level, matt surface of albedo {space.albedo:g}; belt, middle and top are 0, {heights[1]:.1f} and "
-        f"{heights[2]:.1f} mm. Best: Cramér-Rao bound; c. of g.: centre of gravity; both of one image row, "
-        "speckle counted.",
+        f"{heights[2]:.1f} mm. Best: Cramér-Rao bound, at least the speckle limit; c. of g.: centre of "
+        "gravity; both of one image row, speckle counted.",
     )
 
 
@@ -111,9 +111,9 @@ def products(space: Space) -> PlanTable:
             PlanColumn("ellipsoid", "volume error, ellipsoid", "% RMS", _errors(ellipsoid, covered), 2),
             PlanColumn("skein", "volume error, skein", "% RMS", _errors(skein, covered), 2),
         ),
-        f"Stripes {spacing:.2f} mm apart on the mean; a length over the spacing, rounded down and up. The errors "
-        "are those of the sum of exact slices, RMS over the product's place; a product longer than the fan "
-        f"({spacing * count:.1f} mm) has ends that no stripe meets, and then the error is the missing ends'.",
+        f"Stripes {spacing:.2f} mm apart on the mean; a length over the spacing, rounded down and up. The "
+        "errors are those of the sum of exact slices, RMS over the product's place; a product longer than "
+        f"the fan ({spacing * count:.1f} mm) has ends that no stripe meets: what they hold is missing.",
     )
 
 
@@ -134,8 +134,9 @@ def numbers(space: Space) -> tuple[PlanTable, PlanCurves, PlanCurves]:
     first = PlanColumn("ellipsoid", "ellipsoid", "% RMS", _errors(ellipsoid, NUMBERS), 3)
     second = PlanColumn("skein", "skein", "% RMS", _errors(skein, NUMBERS), 3)
     basis = (
-        f"A body as long as the fan ({length:.1f} mm) under N stripes, its place even over one spacing, slices "
-        "exact: the error of sampling alone, RMS. Ellipsoid: 1 / (√5 N²). Skein: blunt ends, a thick end, a rim."
+        f"A body as long as the fan ({length:.1f} mm) under N stripes, its place even over one spacing, "
+        "slices exact: the error of sampling alone, RMS. Ellipsoid: 1 / (√5 N²). Skein: blunt ends, a thick "
+        "end, a rim."
     )
     costs = (
         "The height at which a stripe in the middle of the fan appears at its neighbour's place on the belt: "

@@ -147,7 +147,7 @@ def peak_std(stripe: Stripe, sensor: Sensor, phase_px: float = 0.2) -> PeakStd:
     """
     width = stripe.width_px(sensor)
     reach = max(math.ceil(_REACH_SIGMAS * width), 6)
-    at: Floats = np.arange(-reach, reach + 1) - phase_px
+    at = np.arange(-reach, reach + 1, dtype=np.float64) - np.float64(phase_px)
     blur = _filter(at.size, stripe.defocus_sigma_px) @ _filter(at.size, sensor.psf_sigma_px)
     sharp, by_centre, by_width = _profile(at, max(stripe.line_sigma_px, 1e-3))
     jacobian = np.column_stack(

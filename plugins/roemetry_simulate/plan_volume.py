@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from roemetry.records.plan import PlanMap
+from roemetry.records import PlanMap
 from roemetry_simulate.plan_geometry import (
     highest_in_view_mm,
     in_view,
@@ -16,7 +17,7 @@ from roemetry_simulate.plan_geometry import (
     scale_at,
     spacing_heights_mm,
 )
-from roemetry_simulate.plan_uncertainty import peak_std, stripes_at
+from roemetry_simulate.plan_uncertainty import PeakStd, peak_std, stripes_at
 from roemetry_simulate.render import Rig
 from roemetry_simulate.scene_rig import view_mm
 
@@ -36,10 +37,13 @@ class Space:
         The rig.
     albedo : float
         Of the product, in the laser's light.
+    speckle_limit_px : float
+        Below which speckle lets no stripe's place be known; NaN where the scene gives no aperture.
     """
 
     rig: Rig
     albedo: float
+    speckle_limit_px: float = math.nan
 
     @cached_property
     def y_mm(self) -> float:
@@ -72,6 +76,10 @@ class Space:
         """Height up to which the plan is made: 2½ spacing heights, or as far as the stripes stay in view."""
         return float(np.fmin(self.highest_mm, _SPACINGS * self.spacing_height_mm))
 
+    def best_px(self, std: PeakStd) -> float:
+        """Return the least standard uncertainty of a stripe's place: the bound, or the speckle limit."""
+        return float(np.fmax(std.bound_px, self.speckle_limit_px))
+
     def maps(self) -> tuple[PlanMap, ...]:
         """Return millimetres of height per pixel and standard uncertainties of a height over X and Z."""
         rig = self.rig
@@ -85,7 +93,7 @@ class Space:
         bound, gravity = np.full(seen.shape, np.nan), np.full(seen.shape, np.nan)
         peak = np.full(int(seen.sum()), float(rig.laser.peak_grey.mean()))
         stds = [peak_std(s, rig.sensor) for s in stripes_at(rig, points[seen], self.albedo, peak)]
-        bound[seen] = [1e3 * one.bound_px for one in stds]
+        bound[seen] = [1e3 * self.best_px(one) for one in stds]
         gravity[seen] = [1e3 * one.centre_of_gravity_px for one in stds]
         flat = (
             "On a level, matt surface of the product's albedo; for a plane of mean power through each place."
@@ -110,7 +118,8 @@ class Space:
                 z,
                 bound * per_px,
                 "Cramér-Rao bound of the stripe's place in one row (shot noise, read noise, rounding, "
-                f"speckle), times height per pixel. {flat}",
+                "speckle), at least the speckle limit of the lens where the aperture is known, times height "
+                f"per pixel. {flat}",
                 0,
             ),
             PlanMap(
@@ -120,8 +129,8 @@ class Space:
                 x,
                 z,
                 gravity * per_px,
-                "The same noise through a centre of gravity over ± 3 standard deviations of the stripe, in whole pixels: hence the steps. "
-                f"{flat}",
+                "The same noise through a centre of gravity over ± 3 standard deviations of the stripe, in "
+                f"whole pixels: hence the steps. {flat}",
                 0,
             ),
         )

@@ -5,12 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from roemetry.errors import StageError
-from roemetry.records.plan import Plan
+from roemetry.records import Plan
 from roemetry.stages import Planner
 from roemetry_simulate import plan_tables
 from roemetry_simulate.plan_check import check_table
-from roemetry_simulate.plan_figures import figures, reasons, sketch
+from roemetry_simulate.plan_figures import figures
 from roemetry_simulate.plan_geometry import plane_points, scale_at
+from roemetry_simulate.plan_reasons import reasons
+from roemetry_simulate.plan_sketch import sketch
+from roemetry_simulate.plan_uncertainty import speckle_limit_px
 from roemetry_simulate.plan_volume import Space
 from roemetry_simulate.scene_file import RayCasterOptions
 from roemetry_simulate.scene_rig import rig_of
@@ -29,7 +32,7 @@ class RigPlanner(Planner[RayCasterOptions]):
 
     def plan(self, *, simulate: bool) -> Plan:
         """Plan the rig; raise StageError where heights do not show in its image."""
-        space = Space(rig_of(self.options), self.options.surface.albedo_laser)
+        space = space_of(self.options)
         _refuse(space)
         tables = [
             plan_tables.stripe_geometry(space),
@@ -56,21 +59,36 @@ class RigPlanner(Planner[RayCasterOptions]):
         )
 
 
+def space_of(scene: RayCasterOptions) -> Space:
+    """Return what a scene's plan is made over."""
+    rig = rig_of(scene)
+    limit = np.nan
+    if rig.focus is not None:
+        limit = speckle_limit_px(
+            rig.focus,
+            focal_length_mm=scene.camera.focal_length_mm,
+            pixel_size_mm=1e-3 * scene.camera.pixel_size_um,
+            wavelength_nm=scene.laser.wavelength_nm,
+            contrast=scene.laser.speckle_contrast,
+        )
+    return Space(rig, scene.surface.albedo_laser, limit)
+
+
 def _refuse(space: Space) -> None:
     """Raise StageError for a rig that cannot measure a height."""
     rig = space.rig
     if np.isnan(space.in_view_mm).all():
         x = rig.laser.x_mm(space.y_mm, 0.0)
         raise StageError(
-            f"simulator.options.laser: no stripe lies in the image's middle row, at Y = {space.y_mm:.1f} mm, where "
-            f"the stripes are at X = {x.min():.1f} to {x.max():.1f} mm",
+            f"simulator.options.laser: no stripe lies in the image's middle row, at Y = {space.y_mm:.1f} mm, "
+            f"where the stripes are at X = {x.min():.1f} to {x.max():.1f} mm",
             hint="move the fan by belt_x_mm or centre_x_mm, or turn it by yaw_deg",
         )
     points = plane_points(rig.laser, space.y_mm, np.zeros(1))[0]
     shown = np.abs(scale_at(rig.camera, rig.laser, points).height_px_per_mm)
     if not shown.max() > _LEAST_PX_PER_MM:
         raise StageError(
-            f"simulator.options.laser.projector_mm: a height of 1 mm moves no stripe by more than {shown.max():.1g} "
-            "px: the light planes hold the camera",
+            f"simulator.options.laser.projector_mm: a height of 1 mm moves no stripe by more than "
+            f"{shown.max():.1g} px: the light planes hold the camera",
             hint="move the projector aside, across the stripes",
         )

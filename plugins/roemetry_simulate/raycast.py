@@ -11,9 +11,9 @@ from numba import njit
 from numba.extending import overload
 from numpy.typing import NDArray
 
+from roemetry_simulate.bodies import BOX, FIELD, PARTS, Body, ExactBody
 from roemetry_simulate.products.parts import hit_parts, parts_normal
 from roemetry_simulate.products.triangles import hit_triangles, triangles_normal
-from roemetry_simulate.solid import BOX, FIELD, PARTS, Body, ExactBody
 
 Floats = NDArray[np.float64]
 Place = tuple[float, float, float]

@@ -11,13 +11,14 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from roemetry_simulate.bodies import Body
 from roemetry_simulate.camera import Camera
 from roemetry_simulate.defocus import Focus, defocused, depths_mm
 from roemetry_simulate.laser import LaserFan
 from roemetry_simulate.lens import camera_ray
 from roemetry_simulate.raycast import first_hit, normal_at, sees
 from roemetry_simulate.sensor import Sensor, expose
-from roemetry_simulate.solid import Body, Solid
+from roemetry_simulate.solid import Solid
 from roemetry_simulate.surface import Surface
 
 Floats = NDArray[np.float64]

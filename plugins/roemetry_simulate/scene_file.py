@@ -27,11 +27,11 @@ class Part(BaseModel):
 class DistortionPart(Part):
     """Lens distortion in OpenCV's model, on (x, y) = (pixel − principal point) / focal length."""
 
-    k1: float = Field(0.0, ge=-5, le=5, description="radial, second order")
-    k2: float = Field(0.0, ge=-50, le=50, description="radial, fourth order")
-    p1: float = Field(0.0, ge=-1, le=1, description="tangential")
-    p2: float = Field(0.0, ge=-1, le=1, description="tangential")
-    k3: float = Field(0.0, ge=-500, le=500, description="radial, sixth order")
+    k1: float = Field(default=0.0, ge=-5, le=5, description="radial, second order")
+    k2: float = Field(default=0.0, ge=-50, le=50, description="radial, fourth order")
+    p1: float = Field(default=0.0, ge=-1, le=1, description="tangential")
+    p2: float = Field(default=0.0, ge=-1, le=1, description="tangential")
+    k3: float = Field(default=0.0, ge=-500, le=500, description="radial, sixth order")
 
 
 class FocusPart(Part):
@@ -44,28 +44,40 @@ class FocusPart(Part):
 class CameraPart(Part):
     """The camera: sensor, lens, pose, exposure."""
 
-    width_px: int = Field(640, ge=8, le=8192, description="image width, px")
-    height_px: int = Field(480, ge=8, le=8192, description="image height, px")
-    pixel_size_um: float = Field(10.0, gt=0.3, le=100, description="pitch of the square pixels, µm")
-    focal_length_mm: float = Field(16.0, gt=0.5, le=1000, description="pinhole to sensor, mm")
+    width_px: int = Field(default=640, ge=8, le=8192, description="image width, px")
+    height_px: int = Field(default=480, ge=8, le=8192, description="image height, px")
+    pixel_size_um: float = Field(default=10.0, gt=0.3, le=100, description="pitch of the square pixels, µm")
+    focal_length_mm: float = Field(default=16.0, gt=0.5, le=1000, description="pinhole to sensor, mm")
     principal_point_px: tuple[float, float] | None = Field(
-        None, description="where the optical axis meets the image, px; default: the image's centre"
+        default=None, description="where the optical axis meets the image, px; default: the image's centre"
     )
-    distance_mm: float = Field(320.0, gt=1, le=1e5, description="pinhole to belt along the optical axis, mm")
-    tilt_x_deg: float = Field(1.0, gt=-80, lt=80, description="turn about the camera's x axis, degrees")
-    tilt_y_deg: float = Field(-0.4, gt=-80, lt=80, description="turn about the camera's y axis, degrees")
+    distance_mm: float = Field(
+        default=320.0, gt=1, le=1e5, description="pinhole to belt along the optical axis, mm"
+    )
+    tilt_x_deg: float = Field(
+        default=1.0, gt=-80, lt=80, description="turn about the camera's x axis, degrees"
+    )
+    tilt_y_deg: float = Field(
+        default=-0.4, gt=-80, lt=80, description="turn about the camera's y axis, degrees"
+    )
     T_belt_camera: tuple[Row, Row, Row, Row] | None = Field(
-        None, description="full pose, to belt from camera, mm; takes the place of distance and tilts"
+        default=None, description="full pose, to belt from camera, mm; takes the place of distance and tilts"
     )
     distortion: DistortionPart = Field(default_factory=DistortionPart, description="of the lens")
-    focus: FocusPart | None = Field(None, description="where the lens is sharp; default: everywhere")
-    blur_sigma_px: float = Field(0.5, ge=0, le=20, description="blur of the lens in focus, px (deviation)")
-    exposure_ms: float = Field(10.0, gt=0, le=1e4, description="exposure time, ms")
-    gain_dn_per_e: float = Field(0.0255, gt=0, le=100, description="grey levels an electron makes")
-    full_well_e: float | None = Field(None, gt=0, le=1e7, description="electrons a pixel holds; default: no end")
-    read_noise_e: float = Field(39.2156862745098, ge=0, le=1e4, description="noise without light, electrons")
-    black_level_dn: float = Field(4.0, ge=0, le=10000, description="grey level without light")
-    bit_depth: int = Field(8, ge=8, le=16, description="bits of a grey level")
+    focus: FocusPart | None = Field(default=None, description="where the lens is sharp; default: everywhere")
+    blur_sigma_px: float = Field(
+        default=0.5, ge=0, le=20, description="blur of the lens in focus, px (deviation)"
+    )
+    exposure_ms: float = Field(default=10.0, gt=0, le=1e4, description="exposure time, ms")
+    gain_dn_per_e: float = Field(default=0.0255, gt=0, le=100, description="grey levels an electron makes")
+    full_well_e: float | None = Field(
+        default=None, gt=0, le=1e7, description="electrons a pixel holds; default: no end"
+    )
+    read_noise_e: float = Field(
+        default=39.2156862745098, ge=0, le=1e4, description="noise without light, electrons"
+    )
+    black_level_dn: float = Field(default=4.0, ge=0, le=10000, description="grey level without light")
+    bit_depth: int = Field(default=8, ge=8, le=16, description="bits of a grey level")
 
     @field_validator("T_belt_camera")
     @classmethod
@@ -84,37 +96,44 @@ class CameraPart(Part):
 class LaserPart(Part):
     """The projector: a fan of planes of light from one point."""
 
-    projector_mm: Point = Field((160.0, -4.0, 300.0), description="where the light comes from, mm")
-    planes: int = Field(11, ge=1, le=200, description="number of planes")
-    spacing_mm: float = Field(8.75, gt=0, le=1000, description="between the planes on the belt, mm")
-    centre_x_mm: float = Field(-3.0, description="X of the middle of the fan on the belt, mm")
+    projector_mm: Point = Field(default=(160.0, -4.0, 300.0), description="where the light comes from, mm")
+    planes: int = Field(default=11, ge=1, le=200, description="number of planes")
+    spacing_mm: float = Field(default=8.75, gt=0, le=1000, description="between the planes on the belt, mm")
+    centre_x_mm: float = Field(default=-3.0, description="X of the middle of the fan on the belt, mm")
     belt_x_mm: list[float] | None = Field(
-        None, min_length=1, max_length=200,
+        default=None, min_length=1, max_length=200,
         description="X of each plane at Y = 0, Z = 0, mm; takes the place of planes, spacing and centre",
     )  # fmt: skip
-    yaw_deg: float = Field(0.6, gt=-80, lt=80, description="turn of the lines from belt Y, degrees")
-    pitch_deg: float = Field(0.3, gt=-45, lt=45, description="rise of the lines' direction, degrees")
-    line_width_mm: float = Field(1.24, gt=0, le=100, description="1/e² width of a line at its waist, mm")
+    yaw_deg: float = Field(default=0.6, gt=-80, lt=80, description="turn of the lines from belt Y, degrees")
+    pitch_deg: float = Field(default=0.3, gt=-45, lt=45, description="rise of the lines' direction, degrees")
+    line_width_mm: float = Field(
+        default=1.24, gt=0, le=100, description="1/e² width of a line at its waist, mm"
+    )
     waist_distance_mm: float = Field(
-        336.0, ge=0, le=1e5, description="where a line is thinnest, from the projector, mm"
+        default=336.0, ge=0, le=1e5, description="where a line is thinnest, from the projector, mm"
     )
     divergence_mrad: float = Field(
-        0.0, ge=0, le=500, description="growth of half the 1/e² width away from the waist, mrad"
+        default=0.0, ge=0, le=500, description="growth of half the 1/e² width away from the waist, mrad"
     )
     peak_e_per_ms: float = Field(
-        1450.980392156863, gt=0, le=1e9,
+        default=1450.980392156863, gt=0, le=1e9,
         description="light in a line's middle on white that faces the projector, electrons a pixel a ms",
     )  # fmt: skip
     power: list[Annotated[float, Field(gt=0, le=10)]] | None = Field(
-        None, description="of each plane, relative to peak_e_per_ms; default: all 1"
+        default=None, description="of each plane, relative to peak_e_per_ms; default: all 1"
     )
     fall_deg: float = Field(
-        25.0, gt=0, le=1000, description="deviation of the power along the line over the angle, degrees"
+        default=25.0,
+        gt=0,
+        le=1000,
+        description="deviation of the power along the line over the angle, degrees",
     )
-    wavelength_nm: float = Field(660.0, ge=200, le=2000, description="colour of the light, nm")
-    speckle_contrast: float = Field(0.10, ge=0, le=1, description="deviation over mean of the speckle")
+    wavelength_nm: float = Field(default=660.0, ge=200, le=2000, description="colour of the light, nm")
+    speckle_contrast: float = Field(
+        default=0.10, ge=0, le=1, description="deviation over mean of the speckle"
+    )
     speckle_sigma_px: float | None = Field(
-        0.7, ge=0, le=50,
+        default=0.7, ge=0, le=50,
         description="grain of the speckle, px (deviation); null: from wavelength, f-number and distance",
     )  # fmt: skip
 
@@ -138,50 +157,62 @@ class LaserPart(Part):
 class BeltPart(Part):
     """The belt and how it runs."""
 
-    albedo_laser: Share = Field(0.66, description="share of the laser's light that comes back")
-    albedo_plain: Share = Field(0.34, description="share of the plain light that comes back")
-    texture: Share = Field(0.04, description="relative deviation of the albedo")
-    gloss: Share = Field(0.0, description="share of mirror-like light")
-    speed_mm_per_s: float = Field(200.0, ge=0, le=1e5, description="speed, mm/s")
-    encoder_step_mm: float = Field(0.1, gt=0, le=1000, description="belt travel of an encoder count, mm")
-    pitch_mm: float = Field(150.0, gt=0, le=1e5, description="belt travel from one item to the next, mm")
+    albedo_laser: Share = Field(default=0.66, description="share of the laser's light that comes back")
+    albedo_plain: Share = Field(default=0.34, description="share of the plain light that comes back")
+    texture: Share = Field(default=0.04, description="relative deviation of the albedo")
+    gloss: Share = Field(default=0.0, description="share of mirror-like light")
+    speed_mm_per_s: float = Field(default=200.0, ge=0, le=1e5, description="speed, mm/s")
+    encoder_step_mm: float = Field(
+        default=0.1, gt=0, le=1000, description="belt travel of an encoder count, mm"
+    )
+    pitch_mm: float = Field(
+        default=150.0, gt=0, le=1e5, description="belt travel from one item to the next, mm"
+    )
 
 
 class LightPart(Part):
     """The light that is not the laser's, and which images are taken."""
 
     ambient_e_per_ms: float = Field(
-        54.90196078431373, ge=0, le=1e7, description="stray light on level white, electrons a pixel a ms"
+        default=54.90196078431373,
+        ge=0,
+        le=1e7,
+        description="stray light on level white, electrons a pixel a ms",
     )
     plain_e_per_ms: float = Field(
-        823.5294117647059, ge=0, le=1e7,
+        default=823.5294117647059, ge=0, le=1e7,
         description="plain light on level white, laser off, electrons a pixel a ms",
     )  # fmt: skip
-    lamp_height_mm: float = Field(260.0, gt=0, le=1e5, description="ring of lamps over the belt, mm")
-    lamp_radius_mm: float = Field(130.0, ge=0, le=1e5, description="radius of the ring of lamps, mm")
+    lamp_height_mm: float = Field(default=260.0, gt=0, le=1e5, description="ring of lamps over the belt, mm")
+    lamp_radius_mm: float = Field(default=130.0, ge=0, le=1e5, description="radius of the ring of lamps, mm")
     images: tuple[Literal["laser", "plain", "dark"], ...] = Field(
-        ("laser",), min_length=1, description="images of each item: laser, plain, dark (both off)"
+        default=("laser",), min_length=1, description="images of each item: laser, plain, dark (both off)"
     )
 
 
 class BelowPart(Part):
     """Light that goes on below the surface of translucent food and comes back somewhere else."""
 
-    share: Share = Field(0.0, description="share of the light that goes below")
+    share: Share = Field(default=0.0, description="share of the light that goes below")
     depth_mm: float = Field(
-        0.0, ge=0, le=50, description="mean depth it comes back from: it is shifted from the laser, mm"
+        default=0.0,
+        ge=0,
+        le=50,
+        description="mean depth it comes back from: it is shifted from the laser, mm",
     )
-    blur_mm: float = Field(0.0, ge=0, le=100, description="spread of what comes back (deviation), mm")
+    blur_mm: float = Field(default=0.0, ge=0, le=100, description="spread of what comes back (deviation), mm")
 
 
 class SurfacePart(Part):
     """What the product looks like."""
 
-    albedo_laser: Share = Field(0.53, description="share of the laser's light that comes back")
-    albedo_plain: Share = Field(0.62, description="share of the plain light that comes back")
-    texture: Share = Field(0.09, description="relative deviation of the albedo (blotches and grain)")
-    gloss: Share = Field(0.10, description="share of mirror-like light")
-    gloss_exponent: float = Field(25.0, ge=1, le=10000, description="sharpness of the mirror-like light")
+    albedo_laser: Share = Field(default=0.53, description="share of the laser's light that comes back")
+    albedo_plain: Share = Field(default=0.62, description="share of the plain light that comes back")
+    texture: Share = Field(default=0.09, description="relative deviation of the albedo (blotches and grain)")
+    gloss: Share = Field(default=0.10, description="share of mirror-like light")
+    gloss_exponent: float = Field(
+        default=25.0, ge=1, le=10000, description="sharpness of the mirror-like light"
+    )
     below: BelowPart = Field(default_factory=BelowPart, description="light below the surface")
 
 
@@ -195,16 +226,19 @@ class ItemPart(Part):
 class ProductPart(Part):
     """What lies on the belt: a family of products and its options."""
 
-    family: str = Field("herring-roe", description="name of a family of products, or `none`")
+    family: str = Field(default="herring-roe", description="name of a family of products, or `none`")
     options: dict[str, Any] = Field(default_factory=dict, description="the family's own options")
     items: list[ItemPart] = Field(
         default_factory=list, description="the first products, by their seeds; then seeds are counted up"
     )
     keep_in_reach: bool = Field(
-        True, description="move a product along X so that the stripes and the view cover it"
+        default=True, description="move a product along X so that the stripes and the view cover it"
     )
     most_overhang_spacings: float = Field(
-        1.2, ge=0, le=100, description="how far it may reach beyond the outer stripes, in their spacings"
+        default=1.2,
+        ge=0,
+        le=100,
+        description="how far it may reach beyond the outer stripes, in their spacings",
     )
 
     @model_validator(mode="after")
@@ -220,36 +254,36 @@ class ProductPart(Part):
 class BlockPart(Part):
     """The calibration block as it lies on the belt."""
 
-    length_mm: float = Field(105.0, gt=0, le=5000, description="side across the stripes, mm")
-    width_mm: float = Field(40.0, gt=0, le=5000, description="side along the stripes, mm")
-    height_mm: float = Field(16.5, gt=0, le=2000, description="height, mm")
-    centre_x_mm: float = Field(1.5, description="X of its middle, mm")
-    centre_y_mm: float = Field(-1.0, description="Y of its middle, mm")
-    yaw_deg: float = Field(0.9, ge=-180, le=180, description="turned from belt X, degrees")
+    length_mm: float = Field(default=105.0, gt=0, le=5000, description="side across the stripes, mm")
+    width_mm: float = Field(default=40.0, gt=0, le=5000, description="side along the stripes, mm")
+    height_mm: float = Field(default=16.5, gt=0, le=2000, description="height, mm")
+    centre_x_mm: float = Field(default=1.5, description="X of its middle, mm")
+    centre_y_mm: float = Field(default=-1.0, description="Y of its middle, mm")
+    yaw_deg: float = Field(default=0.9, ge=-180, le=180, description="turned from belt X, degrees")
 
 
 class StaircasePart(Part):
     """The staircase, at the block's place: level steps that rise along the stripes."""
 
-    steps: int = Field(4, ge=1, le=20, description="number of steps")
-    tread_mm: float = Field(15.0, gt=0, le=1000, description="extent of a step along the stripes, mm")
-    riser_mm: float = Field(4.0, gt=0, le=500, description="height from one step to the next, mm")
-    width_mm: float = Field(105.0, gt=0, le=5000, description="side across the stripes, mm")
+    steps: int = Field(default=4, ge=1, le=20, description="number of steps")
+    tread_mm: float = Field(default=15.0, gt=0, le=1000, description="extent of a step along the stripes, mm")
+    riser_mm: float = Field(default=4.0, gt=0, le=500, description="height from one step to the next, mm")
+    width_mm: float = Field(default=105.0, gt=0, le=5000, description="side across the stripes, mm")
 
 
 class BoardPart(Part):
     """The flat boards: a ChArUco board and a chessboard in several poses."""
 
-    columns: int = Field(11, ge=3, le=50, description="squares along x")
-    rows: int = Field(8, ge=3, le=50, description="squares along y")
-    square_mm: float = Field(8.0, gt=0.1, le=500, description="side of a square, mm")
-    marker_mm: float = Field(6.0, gt=0.05, le=500, description="side of a ChArUco marker, mm")
+    columns: int = Field(default=11, ge=3, le=50, description="squares along x")
+    rows: int = Field(default=8, ge=3, le=50, description="squares along y")
+    square_mm: float = Field(default=8.0, gt=0.1, le=500, description="side of a square, mm")
+    marker_mm: float = Field(default=6.0, gt=0.05, le=500, description="side of a ChArUco marker, mm")
     dictionary: Literal["DICT_4X4_250", "DICT_5X5_250", "DICT_6X6_250"] = Field(
-        "DICT_4X4_250", description="OpenCV's name of the markers"
+        default="DICT_4X4_250", description="OpenCV's name of the markers"
     )
-    poses: int = Field(10, ge=1, le=100, description="poses of each board")
-    tilt_max_deg: float = Field(18.0, ge=0, lt=60, description="largest tilt, degrees")
-    height_mm: tuple[float, float] = Field((0.0, 20.0), description="lowest and highest middle, mm")
+    poses: int = Field(default=10, ge=1, le=100, description="poses of each board")
+    tilt_max_deg: float = Field(default=18.0, ge=0, lt=60, description="largest tilt, degrees")
+    height_mm: tuple[float, float] = Field(default=(0.0, 20.0), description="lowest and highest middle, mm")
 
     @model_validator(mode="after")
     def _fits(self) -> BoardPart:
@@ -276,7 +310,7 @@ class RayCasterOptions(StageOptions):
     product: ProductPart = Field(default_factory=ProductPart, description="what lies on the belt")
     surface: SurfacePart = Field(default_factory=SurfacePart, description="what the product looks like")
     targets: TargetsPart = Field(default_factory=TargetsPart, description="what is seen for calibration")
-    samples: int = Field(4, ge=4, le=16, description="samples along each side of a pixel")
+    samples: int = Field(default=4, ge=4, le=16, description="samples along each side of a pixel")
 
     @field_validator("camera")
     @classmethod

@@ -101,8 +101,7 @@ def belt_x_mm(part: LaserPart) -> Floats:
     if part.belt_x_mm is not None:
         return np.array(part.belt_x_mm, dtype=np.float64)
     order = np.arange(part.planes) - 0.5 * (part.planes - 1)
-    feet: Floats = part.centre_x_mm + part.spacing_mm * order
-    return feet
+    return np.array(part.centre_x_mm + part.spacing_mm * order, dtype=np.float64)
 
 
 def surface_of(scene: RayCasterOptions, seed: int) -> Surface:
@@ -156,8 +155,8 @@ def check_laser(camera_part: CameraPart, part: LaserPart) -> None:
         x_min, x_max, _, _ = view_mm(camera)
         feet = fan.x_mm(0.0, 0.0)
         raise ValueError(
-            f"the laser misses the view: its planes meet the belt at X = {feet.min():.1f} to {feet.max():.1f} "
-            f"mm, the camera sees X = {x_min:.1f} to {x_max:.1f} mm"
+            f"the laser misses the view: its planes meet the belt at X = {feet.min():.1f} to "
+            f"{feet.max():.1f} mm, the camera sees X = {x_min:.1f} to {x_max:.1f} mm"
         )
 
 
@@ -202,4 +201,6 @@ def _check_distortion(camera: Camera, x: Floats, y: Floats) -> None:
     back = camera.project(camera.centre_mm + 100.0 * camera.ray(x, y))
     off = np.hypot(back[:, 0] - x, back[:, 1] - y)
     if not np.isfinite(r).all() or (np.diff(image_r, axis=0) <= 0.0).any() or not off.max() < 1e-6:
-        raise ValueError("the distortion folds the image over within the view; its coefficients are too large")
+        raise ValueError(
+            "the distortion folds the image over within the view; its coefficients are too large"
+        )

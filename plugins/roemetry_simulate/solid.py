@@ -16,56 +16,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, Protocol
+from typing import Protocol
 
 import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from roemetry_simulate.bodies import BOX, FIELD, NOTHING, Body, ExactBody, no_array
+
 Floats = NDArray[np.float64]
-
-NOTHING, BOX, FIELD, PARTS, MESH = 0, 1, 2, 3, 4
-
-
-def _none(*shape: int, dtype: type[np.generic] = np.float64) -> NDArray[Any]:
-    """Stand in for a member of a body that does not count."""
-    nothing = np.zeros(shape, dtype=dtype)
-    nothing.flags.writeable = False
-    return nothing
-
-
-class Body(NamedTuple):
-    """Nothing, a block or a gridded body in the form the kernels take; `kind` says which members count.
-
-    BOX takes `box`; FIELD takes `grid` to `u_slope_mm`. `top_mm` is at or over the highest point. All arrays
-    are read-only, so that the kernels are compiled once.
-    """
-
-    kind: int
-    box: Floats = _none(6)
-    grid: Floats = _none(2, 2, 3)
-    x0_mm: float = 0.0
-    y0_mm: float = 0.0
-    step_mm: float = 1.0
-    top_mm: float = 0.0
-    mid_slope: float = 0.0
-    u_slope_mm: float = 0.0
-
-
-class ExactBody(NamedTuple):
-    """A body of exact surfaces in the form the kernels take.
-
-    PARTS takes `surfaces` (see `roemetry_simulate.products.parts`); MESH takes `triangles`, `boxes` and
-    `links` (see `roemetry_simulate.products.triangles`). It is a type of its own since every array that a
-    kernel hands on costs time; the kernels are compiled for both.
-    """
-
-    kind: int
-    top_mm: float
-    surfaces: Floats = _none(1, 11)
-    triangles: Floats = _none(1, 9)
-    boxes: Floats = _none(1, 6)
-    links: NDArray[np.int64] = _none(1, 3, dtype=np.int64)
 
 
 class Solid(Protocol):
@@ -244,7 +203,7 @@ class GriddedSolid:
         top = float((mid + np.sqrt(np.maximum(u[..., 0], 0.0)))[inside].max()) if inside.any() else 0.0
         place = float(self.x0_mm), float(self.y0_mm), float(self.step_mm)
         slopes = _steepest(mid[..., None], self.step_mm), _steepest(u, self.step_mm)
-        return Body(FIELD, _none(6), self.grid, *place, top + 0.01, *slopes)
+        return Body(FIELD, no_array(6), self.grid, *place, top + 0.01, *slopes)
 
     def heights_mm(self, x_mm: ArrayLike, y_mm: ArrayLike) -> tuple[Floats, Floats]:
         """Highest and lowest Z over belt positions of one shape; NaN outside the footprint."""

@@ -1,4 +1,4 @@
-"""Images for calibration: the empty belt, the block, the staircase, and flat boards with the laser on and off."""
+"""Images for calibration: empty belt, block, staircase, and flat boards with the laser on and off."""
 
 from __future__ import annotations
 
@@ -43,7 +43,9 @@ class TargetViews(Mapping[str, Mapping[str, Frame]]):
         }
         for kind in BOARDS:
             self._names[kind] = tuple(
-                f"pose_{number:02d}_{light}" for number in range(1, boards + 1) for light in ("plain", "laser")
+                f"pose_{number:02d}_{light}"
+                for number in range(1, boards + 1)
+                for light in ("plain", "laser")
             )
 
     def __getitem__(self, kind: str) -> Mapping[str, Frame]:
@@ -66,9 +68,7 @@ class TargetViews(Mapping[str, Mapping[str, Frame]]):
             solid, surface = self._lying(kind), self._matt(seed)
             if kind == "belt":
                 surface = surface_of(self._scene, seed)
-        pixels = render(
-            self._rig, solid, surface, seed=seed, plain=plain, samples=self._scene.samples
-        )
+        pixels = render(self._rig, solid, surface, seed=seed, plain=plain, samples=self._scene.samples)
         return Frame(
             pixels, role="plain" if plain else "laser", name=name, bit_depth=self._scene.camera.bit_depth
         )

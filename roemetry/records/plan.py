@@ -21,7 +21,7 @@ class PlanFigure:
     title
         For people.
     value
-        NaN where it cannot be said; then a reason of the plan has the same name as code.
+        NaN where it cannot be said; then a reason of the plan says why.
     unit
         ``mm``, ``px``, ``degrees``, ``1`` for a count, …
     basis

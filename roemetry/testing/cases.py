@@ -18,6 +18,7 @@ from roemetry.stages import (
     Coder,
     Extractor,
     Outliner,
+    Planner,
     Simulator,
     Sink,
     Source,
@@ -209,6 +210,11 @@ def _simulator(stage: Simulator[Any]) -> Cases:
     )
 
 
+def _planner(stage: Planner[Any]) -> Cases:
+    case = Case((), lambda planner: planner.plan(simulate=False))
+    return Cases(case, case, None)
+
+
 _NOTHING = product_from(np.full((61, 240), np.nan))
 
 _MAKERS: dict[type[Any], Callable[[Any], Cases]] = {
@@ -223,4 +229,5 @@ _MAKERS: dict[type[Any], Callable[[Any], Cases]] = {
     Classifier: _classifier,
     Sink: _sink,
     Simulator: _simulator,
+    Planner: _planner,
 }

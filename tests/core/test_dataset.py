@@ -30,7 +30,9 @@ def write(folder: Path, names: list[str], description: Description = DESCRIPTION
             x_px = np.array([[1.5, np.nan]])
             stripes = StripeTruth(x_px, np.array([[True, False]]), np.full((1, 2, 3), 0.25))
             save_stripes(folder / "truth" / f"{name}.npz", stripes)
-            product = ProductTruth(label="good", visible_mm3=12.5, figures={"length_mm": 3.0, "gap_mm": np.nan})
+            product = ProductTruth(
+                label="good", visible_mm3=12.5, figures={"length_mm": 3.0, "gap_mm": np.nan}
+            )
             files = {"laser": f"images/{name}.png"}
             writer.add(Item(name, files, products=(product,), stripes=f"truth/{name}.npz", time_s=0.5))
 
@@ -108,7 +110,9 @@ def test_a_full_disk_leaves_nothing_half(tmp_path: Path, monkeypatch: pytest.Mon
     assert list(Dataset(tmp_path).faults()) == []
 
 
-def test_a_line_that_cannot_be_written_leaves_no_item(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_line_that_cannot_be_written_leaves_no_item(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     write(tmp_path, ["a"])
     whole = os.write
 

@@ -23,6 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from roemetry.errors import DataError
+from roemetry_simulate.bodies import MESH, ExactBody
 from roemetry_simulate.products.family import (
     Drawn,
     Pose,
@@ -34,7 +35,6 @@ from roemetry_simulate.products.family import (
 )
 from roemetry_simulate.products.mesh_file import Triangles, read_mesh
 from roemetry_simulate.products.triangles import Tree, build_tree, vertical_heights
-from roemetry_simulate.solid import MESH, ExactBody
 
 Floats = NDArray[np.float64]
 

@@ -12,6 +12,7 @@ from roemetry.testing.checks import (
     coder,
     extractor,
     outliner,
+    planner,
     simulator,
     sink,
     source,
@@ -35,6 +36,7 @@ OF_KIND: Mapping[str, tuple[Check, ...]] = {
     "classifier": classifier.CHECKS,
     "sink": sink.CHECKS,
     "simulator": simulator.CHECKS,
+    "planner": planner.CHECKS,
 }
 
 

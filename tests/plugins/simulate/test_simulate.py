@@ -120,8 +120,10 @@ def test_boards_are_found_where_their_pose_says(tmp_path: Path) -> None:
 
     path = tmp_path / "scene.yaml"
     path.write_text(
-        SCENE.replace("width_px: 64, height_px: 48, pixel_size_um: 100", "width_px: 480, height_px: 360, pixel_size_um: 13.33")
-        .replace("bit_depth: 12, gain_dn_per_e: 0.4", "distortion: {k1: -0.1, k2: 0.05, p1: 0.001}"),
+        SCENE.replace(
+            "width_px: 64, height_px: 48, pixel_size_um: 100",
+            "width_px: 480, height_px: 360, pixel_size_um: 13.33",
+        ).replace("bit_depth: 12, gain_dn_per_e: 0.4", "distortion: {k1: -0.1, k2: 0.05, p1: 0.001}"),
         encoding="utf-8",
     )
     loaded = Scene.load(path)

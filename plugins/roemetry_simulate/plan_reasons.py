@@ -1,0 +1,72 @@
+"""What a plan cannot say, and what it warns of."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from roemetry.records import Reason
+from roemetry_simulate.plan_geometry import plane_points
+from roemetry_simulate.plan_uncertainty import peak_std, stripes_at
+from roemetry_simulate.plan_volume import Space
+from roemetry_simulate.scene_file import RayCasterOptions
+
+
+def reasons(scene: RayCasterOptions, space: Space) -> tuple[Reason, ...]:
+    """Return what the plan cannot say, and what it warns of."""
+    found = []
+    rig = space.rig
+    out = np.flatnonzero(np.isnan(space.in_view_mm))
+    if out.size:
+        words = ", ".join(str(i) for i in out)
+        found.append(
+            Reason(
+                "stripe-out-of-view",
+                f"stripe {words}: not in the image on the belt at Y = {space.y_mm:.1f} mm",
+            )
+        )
+    if rig.focus is None:
+        found.append(
+            Reason(
+                "depth-of-field",
+                "depth of field and speckle limit: the scene gives no aperture; set "
+                "simulator.options.camera.focus.distance_mm and .f_number",
+            )
+        )
+    if rig.laser.count == 1:
+        found.append(
+            Reason(
+                "spacing-height",
+                "one plane: there is no neighbour to take it for, and the slices come from the belt's travel",
+            )
+        )
+    stripes = stripes_at(
+        rig, plane_points(rig.laser, space.y_mm, np.zeros(1))[0], space.albedo, rig.laser.peak_grey
+    )
+    stds = [peak_std(stripe, rig.sensor) for stripe in stripes]
+    cut = [str(i) for i, one in enumerate(stds) if one.is_saturated]
+    if cut:
+        found.append(
+            Reason(
+                "saturated",
+                f"stripe {', '.join(cut)}: saturated on a level surface of the product's "
+                f"albedo ({space.albedo:g}) at belt height",
+            )
+        )
+    narrow = min(stripe.width_px(rig.sensor) for stripe in stripes)
+    if narrow < 0.7:
+        found.append(
+            Reason(
+                "narrow",
+                f"the thinnest stripe has a standard deviation of {narrow:.2f} px: below "
+                "0.7 px the place within the pixel shows as a systematic error that is not counted",
+            )
+        )
+    if scene.surface.gloss > 0.0 or scene.surface.below.share > 0.0:
+        found.append(
+            Reason(
+                "matt",
+                "uncertainties are those of a matt surface: gloss and light from below the "
+                "surface, which the scene has, are not counted",
+            )
+        )
+    return tuple(found)

@@ -1,0 +1,270 @@
+"""The plan of a rig: closed forms where there are any, the ray caster's images where there are none."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from roemetry.cli.main import app
+from roemetry.errors import ConfigurationError, PluginError, StageError
+from roemetry.planning.making import plan_of
+from roemetry.registry import Registry, discover
+from roemetry.scene import Scene
+from roemetry_simulate.camera import looking_down
+from roemetry_simulate.laser import fan_through
+from roemetry_simulate.plan_check import simulated_scatter
+from roemetry_simulate.plan_geometry import (
+    highest_in_view_mm,
+    meeting_height_mm,
+    plane_points,
+    scale_at,
+    spacing_heights_mm,
+    steepest_slopes_deg,
+)
+from roemetry_simulate.plan_slices import ellipsoid, skein, slice_error_pct
+from roemetry_simulate.plan_uncertainty import Stripe, peak_std
+from roemetry_simulate.planner import RigPlanner, space_of
+from roemetry_simulate.scene_file import RayCasterOptions
+from roemetry_simulate.scene_rig import rig_of
+from roemetry_simulate.sensor import Sensor
+
+H_MM, BESIDE_MM, FOCAL_PX, SPACING_MM = 300.0, 150.0, 1500.0, 10.0
+CAMERA = looking_down(640, 480, pixel_size_mm=0.01, focal_length_mm=15.0, distance_mm=H_MM)
+FEET_MM = SPACING_MM * np.arange(-3.0, 4.0)
+FAN = fan_through([BESIDE_MM, 0.0, H_MM], FEET_MM, sigma_mm=0.3, peak_grey=200.0)
+"""A camera straight above, a projector at the same height: everything has a closed form."""
+
+SHORT = {"camera": {"height_px": 96}}
+
+
+@pytest.mark.parametrize("z_mm", [0.0, 12.5, 60.0])
+def test_scales_are_those_of_the_closed_form(z_mm):
+    scale = scale_at(CAMERA, FAN, plane_points(FAN, 0.0, np.array([z_mm]))[0])
+    np.testing.assert_allclose(scale.height_px_per_mm, FOCAL_PX * BESIDE_MM / (H_MM - z_mm) ** 2, rtol=1e-7)
+    np.testing.assert_allclose(scale.x_mm_per_px, (H_MM - z_mm) / FOCAL_PX, rtol=1e-7)
+    np.testing.assert_allclose(scale.y_mm_per_px, (H_MM - z_mm) / FOCAL_PX, rtol=1e-7)
+    lean = np.hypot(H_MM, BESIDE_MM - FEET_MM)
+    np.testing.assert_allclose(scale.across_mm_per_px, (H_MM - z_mm) / FOCAL_PX * H_MM / lean, rtol=1e-7)
+
+
+def test_a_turned_rig_moves_its_stripes_as_its_images_do():
+    """The displacement within a row, where neither rows nor lines nor camera are straight."""
+    rig = rig_of(
+        RayCasterOptions.model_validate(
+            {
+                "camera": {"distortion": {"k1": -0.2}, "tilt_x_deg": 9.0},
+                "laser": {"yaw_deg": 12.0, "pitch_deg": 3.0},
+            }
+        )
+    )
+    points = plane_points(rig.laser, 4.0, np.array([10.0]))[0]
+    scale = scale_at(rig.camera, rig.laser, points)
+    before = rig.camera.project(points)
+    for i, (u, v) in enumerate(before):
+        y = np.linspace(-20.0, 20.0, 40001)
+        x = rig.laser.x_mm(y, 10.5)[:, i]
+        there = rig.camera.project(np.stack([x, y, np.full_like(x, 10.5)], axis=-1))
+        same_row = np.argmin(np.abs(there[:, 1] - v))
+        assert (there[same_row, 0] - u) / 0.5 == pytest.approx(scale.height_px_per_mm[i], rel=0.01)
+
+
+def test_one_spacing_height_is_that_of_the_closed_form():
+    found = spacing_heights_mm(CAMERA, FAN, 0.0)
+    np.testing.assert_allclose(found[:-1], SPACING_MM * H_MM / (BESIDE_MM + SPACING_MM), rtol=1e-12)
+    assert np.isnan(found[-1])
+    none = meeting_height_mm(CAMERA, FAN, FEET_MM[1:], FEET_MM[:-1], 0.0)
+    assert np.isnan(none).all()
+
+
+def test_a_stripe_leaves_the_view_where_the_closed_form_says():
+    half_px = 320.0
+    at_rest = FOCAL_PX * FEET_MM / H_MM
+    room = half_px - at_rest  # = f B z / (H (H − z))
+    expected = room * H_MM**2 / (FOCAL_PX * BESIDE_MM + room * H_MM)
+    np.testing.assert_allclose(highest_in_view_mm(CAMERA, FAN, 0.0), expected, atol=0.08)
+
+
+def test_slopes_are_those_of_the_closed_form():
+    slopes = steepest_slopes_deg(CAMERA, FAN, plane_points(FAN, 0.0, np.zeros(1))[0])
+    np.testing.assert_allclose(slopes[:, 0], np.rad2deg(np.arctan2(H_MM, BESIDE_MM - FEET_MM)))
+    away = np.rad2deg(np.arctan2(H_MM, np.maximum(FEET_MM, 0.0)))
+    np.testing.assert_allclose(slopes[:, 1], away)
+    np.testing.assert_allclose(slopes[:, 2:], 90.0)
+
+
+@pytest.mark.parametrize("stripes", [3, 5, 11, 41])
+def test_the_sum_of_slices_of_an_ellipsoid_errs_as_its_closed_form(stripes):
+    assert slice_error_pct(ellipsoid, stripes) == pytest.approx(100.0 / np.sqrt(5.0) / stripes**2, rel=1e-3)
+
+
+def test_blunter_bodies_need_more_stripes():
+    errors = [slice_error_pct(skein, n) for n in range(5, 42, 2)]
+    assert np.all(np.diff(errors) < 0.0)
+    assert errors[-1] > slice_error_pct(ellipsoid, 41)
+
+
+def test_the_bound_of_a_wide_bright_stripe_is_the_textbook_one():
+    """Constant noise n, a Gaussian of height A and deviation s: n / A · sqrt(2 s / √π) (no background)."""
+    sensor = Sensor(
+        grey_per_electron=1e-9, read_noise_grey=2.0, psf_sigma_px=0.0, speckle_contrast=0.0, bit_depth=16
+    )
+    found = peak_std(Stripe(500.0, 6.0, 0.0, 0.0), sensor)
+    noise = np.sqrt(4.0 + 1.0 / 12.0)
+    assert found.bound_px == pytest.approx(noise / 500.0 * np.sqrt(2.0 * 6.0 / np.sqrt(np.pi)), rel=0.01)
+    assert found.bound_px == pytest.approx(found.noise_bound_px)
+    assert found.centre_of_gravity_px > found.bound_px
+    assert not found.is_saturated
+
+
+def test_more_light_helps_until_it_saturates():
+    dim, bright, cut = (peak_std(Stripe(grey, 2.0, 0.0, 5.0), Sensor()) for grey in (40.0, 180.0, 900.0))
+    assert bright.noise_bound_px < 0.5 * dim.noise_bound_px
+    assert cut.is_saturated
+    assert not bright.is_saturated
+
+
+@pytest.mark.parametrize(
+    ("changes", "height_mm"),
+    [
+        ({}, 0.0),
+        ({}, 25.0),
+        ({"laser": {"speckle_contrast": 0.0}}, 10.0),
+        ({"laser": {"speckle_contrast": 0.3, "speckle_sigma_px": 1.5}}, 10.0),
+        ({"camera": {"focus": {"distance_mm": 350.0, "f_number": 4.0}}}, 12.0),
+    ],
+    ids=["belt", "high", "no-speckle", "coarse-speckle", "out-of-focus"],
+)
+def test_simulated_peaks_scatter_as_predicted(changes, height_mm):
+    scene = {**SHORT, **changes, "camera": {**SHORT["camera"], **changes.get("camera", {})}}
+    found = simulated_scatter(space_of(RayCasterOptions.model_validate(scene)), height_mm, seed=3)
+    assert found.centres >= 500
+    assert found.measured_px == pytest.approx(found.predicted_px, rel=0.2)
+    assert found.bound_px < found.predicted_px
+    assert abs(found.offset_px) < 0.03
+
+
+def test_the_plan_of_the_herring_roe_rig():
+    plan = RigPlanner().plan(simulate=False)
+    assert plan.value("stripes") == 11
+    assert plan.value("spacing") == pytest.approx(8.75, abs=0.01)
+    assert 15.0 < plan.value("spacing-height") < 16.5
+    assert 0.3 < plan.value("height-per-px-belt") < 0.45
+    assert 0.0 < plan.value("std-noise-belt") < plan.value("std-bound-belt") < plan.value("std-gravity-belt")
+    for one in plan.maps:
+        assert np.isfinite(one.values).mean() > 0.8
+    belt = plan.column("stripes", "height-per-px-belt")
+    middle = plan.maps[0].values[0, len(plan.maps[0].x_mm) // 2]
+    assert belt.min() < middle < belt.max()
+    assert {reason.code for reason in plan.reasons} == {"depth-of-field", "matt"}
+    assert np.isnan(plan.value("sharp-from"))
+    with pytest.raises(KeyError):
+        plan.value("nothing")
+    with pytest.raises(KeyError):
+        plan.column("stripes", "nothing")
+
+
+def test_an_aperture_gives_depth_of_field_and_speckle_limit():
+    focus = {"distance_mm": 310.0, "f_number": 4.0}
+    plan = RigPlanner(RayCasterOptions.model_validate({"camera": {"focus": focus}})).plan(simulate=False)
+    assert plan.value("sharp-from") < 10.0 < plan.value("sharp-to")
+    from roemetry_simulate.plan_uncertainty import defocus_px
+
+    rig = rig_of(RayCasterOptions.model_validate({"camera": {"focus": focus}}))
+    ends = np.array([plan.value("sharp-from"), plan.value("sharp-to")])
+    middle = plane_points(rig.laser, 0.0, ends)[:, 5]
+    np.testing.assert_allclose(defocus_px(rig, middle), 0.5, rtol=0.02)
+    assert plan.value("speckle-limit") > 0.0
+    assert "defocus" in {one.name for one in plan.curves}
+    assert "depth-of-field" not in {reason.code for reason in plan.reasons}
+
+
+def test_one_plane_has_no_neighbour():
+    plan = RigPlanner(RayCasterOptions.model_validate({"laser": {"planes": 1}})).plan(simulate=False)
+    assert np.isnan(plan.value("spacing-height"))
+    assert "numbers" not in {table.name for table in plan.tables}
+    assert "spacing-height" in {reason.code for reason in plan.reasons}
+
+
+def test_a_saturated_stripe_is_told():
+    laser = {"peak_e_per_ms": 5000.0}
+    plan = RigPlanner(RayCasterOptions.model_validate({"laser": laser})).plan(simulate=False)
+    assert "saturated" in {reason.code for reason in plan.reasons}
+
+
+def test_a_projector_in_the_line_of_sight_is_refused():
+    options = RayCasterOptions.model_validate(
+        {
+            "camera": {"tilt_x_deg": 0.0, "tilt_y_deg": 0.0},
+            "laser": {"projector_mm": [0.0, 0.0, 320.0], "yaw_deg": 0.0, "pitch_deg": 0.0},
+        }
+    )
+    with pytest.raises(StageError, match=r"projector_mm: a height of 1 mm moves no stripe"):
+        RigPlanner(options).plan(simulate=False)
+
+
+SCENE = """roemetry_scene: 1
+name: a rig
+licence: CC0-1.0
+simulator:
+  use: ray-caster
+  options:
+    laser:
+      centre_x_mm: {centre}
+"""
+
+
+@pytest.fixture
+def scene(tmp_path):
+    path = tmp_path / "scene.yaml"
+    path.write_text(SCENE.format(centre=0.0), "utf-8")
+    return path
+
+
+def test_a_laser_that_misses_the_view_is_refused_with_its_place(tmp_path):
+    path = tmp_path / "scene.yaml"
+    path.write_text(SCENE.format(centre=500.0), "utf-8")
+    with pytest.raises(ConfigurationError, match=r"scene\.yaml:7:\d+: .*the laser misses the view"):
+        Scene.load(path)
+    done = CliRunner().invoke(app, ["plan", str(path), "--out", str(tmp_path / "plan.html")])
+    assert done.exit_code != 0
+    assert not (tmp_path / "plan.html").exists()
+
+
+def test_a_simulator_without_a_planner_is_refused(scene):
+    registry = discover()
+    without = Registry(tuple(one for one in registry.stages if one.entry.kind != "planner"), ())
+    with pytest.raises(PluginError, match="there is no planner"):
+        plan_of(Scene.load(scene), simulate=False, registry=without)
+
+
+def test_the_command_writes_one_page_that_needs_nothing(scene, tmp_path):
+    out = tmp_path / "new" / "plan.html"
+    done = CliRunner().invoke(app, ["plan", str(scene), "--out", str(out), "--simulate"])
+    assert done.exit_code == 0, done.output
+    assert "Height for one pixel, belt" in done.output
+    assert "Predicted and simulated" in done.output
+    page = out.read_text("utf-8")
+    assert "How many stripes are enough?" in page
+    assert "Predicted and simulated" in page
+    assert page.count("<svg") == page.count("</svg>") == 7
+    assert not re.search(r"(src|href)=\"(?!data:|#)", page)
+    assert "nan" not in re.sub(r"<pre>.*?</pre>", "", page, flags=re.S).replace("finance", "")
+
+
+def test_json_has_units_and_no_nan(scene, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    args = ["plan", str(scene), "--json", "--set", "simulator.options.laser.planes=15"]
+    done = CliRunner().invoke(app, args)
+    told = json.loads(done.output, parse_constant=lambda word: pytest.fail(word))
+    assert told["figures"]["spacing-height"]["unit"] == "mm"
+    assert told["figures"]["sharp-from"]["value"] is None
+    assert len(told["tables"]["stripes"]["columns"][0]["values"]) == 15
+    assert len(told["maps"]["height-per-px"]["values"]) == len(told["maps"]["height-per-px"]["z_mm"])
+    assert not (tmp_path / "plan.html").exists()
+
+
+def test_a_simulation_is_the_same_twice():
+    space = space_of(RayCasterOptions.model_validate({**SHORT, "laser": {"planes": 2}}))
+    assert simulated_scatter(space, 5.0) == simulated_scatter(space, 5.0)
