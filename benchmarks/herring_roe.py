@@ -67,10 +67,12 @@ def main() -> None:
             refused.append(seed)
             continue
         scores.append(score(trace.stripes, sample))
-        grades["recipe"][sample.kind, label(trace)] += 1
-        grades["best options"][sample.kind, best.classify(trace.products[0].product).label] += 1
         volume = trace.products[0].volume
-        if volume is not None:
+        if volume is None:
+            refused.append(seed)
+        else:
+            grades["recipe"][sample.kind, label(trace)] += 1
+            grades["best options"][sample.kind, best.classify(trace.products[0].product).label] += 1
             value = volume.visible_mm3.value
             errors.append((value / sample.visible_mm3 - 1.0, value / sample.true_mm3 - 1.0))
     print(

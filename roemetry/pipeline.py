@@ -12,6 +12,7 @@ from roemetry.errors import RoemetryError
 from roemetry.preparing import prepare
 from roemetry.recipe import Recipe
 from roemetry.records import (
+    AMBIGUOUS,
     Acquisition,
     Frame,
     Grade,
@@ -28,6 +29,11 @@ from roemetry.records import (
 )
 
 T = TypeVar("T")
+
+_REFUSED_SHARE_MAX = 0.1
+"""With more than this share of a product's peaks refused, neither volume nor grade is stated."""
+
+_NO_VOLUME = Reason("no-volume", "there is no volume to weigh")
 
 UNCALIBRATED = Reason("uncalibrated", "no calibration: results are in pixels")
 
@@ -92,7 +98,8 @@ class Pipeline:
             )
         if profiles is not None and stripes is not None and calibration is not None:
             assembled = assemble(profiles, outlines, calibration, acquisition.id, stripes.reasons)
-            products = tuple(self._outcome(product, steps.seconds) for product in assembled)
+            doubt = _undecided(stripes)
+            products = tuple(self._outcome(product, doubt, steps.seconds) for product in assembled)
         return Trace(
             acquisition_id=acquisition.id,
             acquisition=acquisition,
@@ -106,18 +113,19 @@ class Pipeline:
             seconds=steps.seconds,
         )
 
-    def _outcome(self, product: Product, seconds: dict[str, float]) -> ProductTrace:
+    def _outcome(self, product: Product, doubt: Reason | None, seconds: dict[str, float]) -> ProductTrace:
         steps = _Steps(self._debug, seconds)
         volume: Volume | None = None
         weight: Weight | None = None
         grade: Grade | None = None
-        if "volume" in self._stages:
+        if "volume" in self._stages and steps.allow("volume", doubt):
             volume = steps.do("volume", lambda: self._stages["volume"].estimate(product))
         if "weigher" in self._stages and steps.allow(
-            "weigher", Reason("no-volume", "there is no volume to weigh") if volume is None else None
+            "weigher",
+            doubt or (Reason("no-volume", "there is no volume to weigh") if volume is None else None),
         ):
             weight = steps.do("weigher", lambda: self._stages["weigher"].weigh(product, volume))
-        if "classifier" in self._stages:
+        if "classifier" in self._stages and steps.allow("classifier", doubt):
             grade = steps.do("classifier", lambda: self._stages["classifier"].classify(product))
         return ProductTrace(product, volume, weight, grade, steps.absent)
 
@@ -156,6 +164,19 @@ class _Steps:
         if why_not is not None:
             self.absent[kind] = why_not
         return why_not is None
+
+
+def _undecided(stripes: StripeMap) -> Reason | None:
+    """Say why nothing can be stated of the products: too much of what may be theirs was refused."""
+    refused = int((stripes.peak_stripe == AMBIGUOUS).sum())
+    seen = int(((stripes.product > 0) & stripes.seen).sum())
+    if refused <= _REFUSED_SHARE_MAX * (refused + seen):
+        return None
+    return Reason(
+        "undecided",
+        f"{refused} peaks could not be given to a stripe with certainty, only {seen} on the product could: "
+        "no number would be honest",
+    )
 
 
 def _unfit(frame: Frame | None, calibration: Calibration | None) -> Reason | None:

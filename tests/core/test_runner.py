@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -258,3 +259,29 @@ def test_another_extractor_than_the_calibrations_is_said(line: Callable[..., Pat
     )
     row = rows_of(tmp_path / "out")["p01"]
     assert "other-extractor" in [reason.code for reason in row.reasons]
+
+
+def test_no_number_is_stated_where_too_much_was_refused(
+    line: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from roemetry.records import AMBIGUOUS
+    from roemetry_paper.window_tracking import WindowTracking
+
+    real = WindowTracking.code
+
+    def refusing(self: WindowTracking, peaks: object, calibration: object) -> object:
+        """Refuse the product's peaks in the upper half of the image."""
+        stripes = real(self, peaks, calibration)
+        verdict = np.array(stripes.peak_stripe)
+        own = stripes.rest_px[np.maximum(verdict, 0), peaks.row]
+        verdict[(np.abs(peaks.x_px - own) > 5.0) & (peaks.row < 120)] = AMBIGUOUS
+        return replace(stripes, peak_stripe=verdict)
+
+    monkeypatch.setattr(WindowTracking, "code", refusing)
+    outcome = run_recipe(Recipe.load(line(1)), tmp_path / "out")
+    assert outcome.counts["failed"] == 1
+    row = rows_of(tmp_path / "out")["p01"]
+    assert row.volume is None
+    assert row.grade is None
+    assert row.weight is None
+    assert row.reasons[0].code == "undecided"
