@@ -10,6 +10,8 @@ BENCHMARKS = {
     "startup": "time of `roemetry --help` over that of a two-command Typer program",
     "herring_roe": "coding, grading and volume on unseen simulated skeins",
     "shipped_skeins": "the same on the shipped skeins, one by one",
+    "simulate": "time of a simulated image on one core",
+    "image_looks": "stripe width, saturation and grey levels of simulated and of real images",
     "paper_figures": "Figures 7 and 9 of the paper, from any image",
 }
 

@@ -36,10 +36,15 @@ class Points(Sink[StageOptions]):
                 continue  # its row in the record says why it could not be read
             if trace.stripes is None:
                 continue
-            path = folder / f"{name}.csv"
+            path = folder / f"{_file_name(name)}.csv"
             write_whole(path, _table(trace))
             written.append(path)
         return written
+
+
+def _file_name(acquisition_id: str) -> str:
+    """Give a name that stays in its folder, whatever a source calls its acquisitions."""
+    return acquisition_id.replace("/", "_").replace("\\", "_")
 
 
 def _table(trace: Trace) -> str:

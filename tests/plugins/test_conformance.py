@@ -31,7 +31,6 @@ from roemetry_paper.density import Density
 from roemetry_paper.dominant_peak import DominantPeak
 
 FAULTS = {
-    "points/check_an_id_does_not_lead_outside": "a fault of the sink: it takes any id for a file name",
     "ray-caster/check_every_number_is_bounded": "a fault of its options: places on the belt have no bound",
 }
 

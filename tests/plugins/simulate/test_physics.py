@@ -45,7 +45,7 @@ def test_rays_and_stripe_truth_see_through_the_distortion():
     laser = fan_through(PROJECTOR, [-40.0, 1.0, 43.0], yaw_deg=0.6, sigma_mm=0.5, peak_grey=200.0)
     truth = stripe_centres(BENT, laser, Block(200.0, 4.0, 9.0))
     straight = stripe_centres(CAMERA, laser, Block(200.0, 4.0, 9.0))
-    assert np.nanmax(np.abs(truth.x_px - straight.x_px)) > 0.5
+    assert np.nanmax(np.abs(truth.x_px - straight.x_px)) > 0.25
     seen = truth.on_product >= 0
     stripe, row = np.nonzero(seen)
     points = truth.xyz_mm[seen]
