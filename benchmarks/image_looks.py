@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.signal import find_peaks, peak_widths
 
 REAL = {
-    "weld groove": ("weld_mit/weld2.png", 0),
+    "weld groove": ("weld_mit/weld2.png", 1),
     "wheel set": ("multi_stripe/wheelset.jpg", 1),
     "line on circle grid": ("laser_on_circle_grid/light_picture/*", 1),
 }
@@ -50,9 +50,8 @@ def report(name: str, files: list[Path], turns: int) -> None:
     )
     low, middle, high = np.percentile(widths, [10, 50, 90])
     levels = [" ".join(f"{v:.0f}" for v in np.percentile(grey, [5, 25, 50, 75, 95])) for grey in (on, off)]
-    print(
-        f"| {name} | {middle:.1f} ({low:.1f}–{high:.1f}) | {100 * cut.mean():.1f} % | {levels[0]} | {levels[1]} |"
-    )
+    width = f"{middle:.1f} ({low:.1f}–{high:.1f})"
+    print(f"| {name} | {width} | {100 * cut.mean():.1f} % | {levels[0]} | {levels[1]} |")
 
 
 def look(file: Path, turns: int) -> tuple[NDArray[np.float64], ...]:
@@ -60,7 +59,12 @@ def look(file: Path, turns: int) -> tuple[NDArray[np.float64], ...]:
     image = cv2.imread(str(file), cv2.IMREAD_COLOR)
     if image is None:
         raise SystemExit(f"{file}: cannot be read")
-    grey = np.rot90(image.max(axis=2), turns).astype(np.float64)
+    colours = image.astype(np.float64)
+    # a red line in a lit room stands out by its colour alone
+    lit_room = "light_picture" in str(file)
+    light = np.clip(colours[..., 2] - colours[..., 1], 0.0, None) if lit_room else colours.max(axis=2)
+    grey = np.rot90(light, turns)
+    white = np.rot90(colours.max(axis=2), turns)
     widths, cut = [], []
     on, near = np.zeros(grey.shape, bool), np.zeros(grey.shape, bool)
     columns = np.arange(grey.shape[1])
@@ -69,7 +73,7 @@ def look(file: Path, turns: int) -> tuple[NDArray[np.float64], ...]:
         peaks, _ = find_peaks(row, prominence=_PROMINENCE)
         width = peak_widths(row, peaks, rel_height=0.5)[0]
         widths.append(width)
-        cut.append(row[peaks] >= 255.0)
+        cut.append(white[number, peaks] >= 255.0)
         for x, w in zip(peaks, width, strict=True):
             on[number] |= np.abs(columns - x) <= 0.5 * w
             near[number] |= np.abs(columns - x) <= 5.0 * w

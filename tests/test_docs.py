@@ -17,6 +17,7 @@ from typing import Any, Literal, get_args, get_origin
 import pytest
 import typer
 from pydantic import BaseModel
+from pydantic_core import PydanticUndefined
 
 from roemetry import records
 from roemetry.calibration import Calibration
@@ -120,7 +121,7 @@ def commands() -> list[Any]:
         pytest.param(line, id=f"{path.stem}: {line}")
         for path in PAGES
         for _, content in blocks(path.read_text("utf-8"), "")
-        for line in content.splitlines()
+        for line in content.replace("\\\n", " ").splitlines()
         if re.match(r"roemetry [a-z]+( |$)", line) and not re.search(r" [A-Z\[]{3}", line)
     ]
 
@@ -145,6 +146,8 @@ def test_a_wrong_command_would_be_noticed() -> None:
 def text_of(default: object) -> str:
     if default is None:
         return "none"
+    if default is PydanticUndefined:
+        return "its own"
     return f"`{default:g}`" if isinstance(default, float) else f"`{default}`"
 
 
@@ -188,7 +191,7 @@ def test_the_example_of_a_stage_is_legal_and_uses_it(name: str) -> None:
     for _, content in blocks(page(f"plugins/{name}.md"), "yaml"):
         data = parse(content, name).data
         choices = [*data.get("stages", {}).items(), *(("sink", c) for c in data.get("sinks", []))]
-        choices += [(kind, data[kind]) for kind in ("calibrator",) if kind in data]
+        choices += [(kind, data[kind]) for kind in ("calibrator", "simulator") if kind in data]
         if "source" in data:
             source = {"use": "image-files"} | data["source"]
             choices.append(("source", {"use": source["use"], "options": source.get("options", {})}))
@@ -506,6 +509,7 @@ def test_the_plugin_of_the_page_works(tmp_path: Path, monkeypatch: pytest.Monkey
         "roemetry_centroid/__init__.py",
         "roemetry_centroid/extractor.py",
         "tests/test_run_centroid.py",
+        "tests/test_contract.py",
     }
     for name, content in files.items():
         (tmp_path / name).parent.mkdir(exist_ok=True)

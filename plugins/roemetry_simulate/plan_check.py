@@ -18,7 +18,7 @@ from roemetry_simulate.surface import even
 
 Floats = NDArray[np.float64]
 
-ROWS = 64
+ROWS_MAX = 64
 _PLATE_MM = 4000.0
 _SEED = 5
 
@@ -76,7 +76,7 @@ def check_table(space: Space) -> PlanTable:
             column("bound_px", "best possible", "px", 4),
             column("offset_px", "mean offset", "px", 4),
         ),
-        f"Images of {ROWS} rows of matt, even plates of the product's albedo, with noise and speckle; "
+        f"Images of {min(ROWS_MAX, space.rig.camera.height_px)} rows of matt, even plates of the product's albedo, with noise and speckle; "
         "standard deviation of the centre of gravity from the true place, each stripe's mean taken out.",
     )
 
@@ -102,9 +102,10 @@ def simulated_scatter(space: Space, height_mm: float, seed: int = _SEED) -> Scat
     plate = Block(_PLATE_MM, _PLATE_MM, height_mm, 0.0, space.y_mm) if height_mm > 0.0 else EmptyBelt()
     image = render(rig, plate, even(space.albedo), seed=seed).astype(np.float64)
     points = _points(rig, height_mm, space.y_mm)
-    stripes = stripes_at(rig, points[:, ROWS // 2], space.albedo, rig.laser.peak_grey)
+    middle = points[:, rig.camera.height_px // 2]
+    stripes = stripes_at(rig, middle, space.albedo, rig.laser.peak_grey)
     stds = [peak_std(stripe, rig.sensor) for stripe in stripes]
-    scale = np.abs(scale_at(rig.camera, rig.laser, points[:, ROWS // 2]).height_px_per_mm)
+    scale = np.abs(scale_at(rig.camera, rig.laser, middle).height_px_per_mm)
     true_px = rig.camera.project(points)[..., 0]
     kept: list[tuple[PeakStd, float, Floats]] = []
     for i, stripe in enumerate(stripes):
@@ -130,16 +131,17 @@ def simulated_scatter(space: Space, height_mm: float, seed: int = _SEED) -> Scat
 
 def _strip(camera: Camera) -> Camera:
     """The camera's middle rows alone; the optical axis stays where it is."""
-    first = (camera.height_px - ROWS) // 2
+    rows = min(ROWS_MAX, camera.height_px)
+    first = (camera.height_px - rows) // 2
     x, y = camera.principal_px
-    return replace(camera, height_px=ROWS, principal_point_px=(float(x), float(y) - first))
+    return replace(camera, height_px=rows, principal_point_px=(float(x), float(y) - first))
 
 
 def _points(rig: Rig, height_mm: float, y_mm: float) -> Floats:
     """Where each plane meets a level in the middle of each row, shape (N, rows, 3)."""
     fan, camera = rig.laser, rig.camera
-    y = np.full((fan.count, ROWS), y_mm)
-    rows = np.arange(ROWS, dtype=np.float64)
+    rows = np.arange(camera.height_px, dtype=np.float64)
+    y = np.full((fan.count, rows.size), y_mm)
 
     def at(y: Floats) -> Floats:
         n = fan.normals

@@ -54,7 +54,7 @@ def figures(scene: RayCasterOptions, space: Space) -> tuple[PlanFigure, ...]:
             "The plan is made up to",
             top,
             "mm",
-            "2½ times the height of one spacing, or as far as all stripes stay in view.",
+            "2½ times the height of one spacing, or as far as any stripe stays in view.",
         ),
         PlanFigure(
             "height-per-px-belt",

@@ -135,7 +135,8 @@ def numbers(space: Space) -> tuple[PlanTable, PlanCurves, PlanCurves]:
     second = PlanColumn("skein", "skein", "% RMS", _errors(skein, NUMBERS), 3)
     basis = (
         f"A body as long as the fan ({length:.1f} mm) under N stripes, its place even over one spacing, "
-        "slices exact: the error of sampling alone, RMS. Ellipsoid: 1 / (√5 N²). Skein: blunt ends, a thick "
+        "slices exact: the error of sampling alone, RMS. A length of just N spacings is the worst case: both "
+        "ends err alike. Ellipsoid: 1 / (√5 N²). Skein: blunt ends, a thick "
         "end, a rim."
     )
     costs = (

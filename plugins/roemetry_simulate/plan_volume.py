@@ -73,8 +73,8 @@ class Space:
 
     @cached_property
     def top_mm(self) -> float:
-        """Height up to which the plan is made: 2½ spacing heights, or as far as the stripes stay in view."""
-        return float(np.fmin(self.highest_mm, _SPACINGS * self.spacing_height_mm))
+        """Height up to which the plan is made: 2½ spacing heights, or as far as any stripe stays in view."""
+        return float(np.fmin(np.nanmax(self.in_view_mm), _SPACINGS * self.spacing_height_mm))
 
     def best_px(self, std: PeakStd) -> float:
         """Return the least standard uncertainty of a stripe's place: the bound, or the speckle limit."""

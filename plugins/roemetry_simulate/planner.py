@@ -84,6 +84,11 @@ def _refuse(space: Space) -> None:
             f"where the stripes are at X = {x.min():.1f} to {x.max():.1f} mm",
             hint="move the fan by belt_x_mm or centre_x_mm, or turn it by yaw_deg",
         )
+    if not space.top_mm > 0.0:
+        raise StageError(
+            "simulator.options.laser: every stripe leaves the image with the first fraction of a millimetre of height",
+            hint="move the fan by belt_x_mm or centre_x_mm away from the edge that heights displace to",
+        )
     points = plane_points(rig.laser, space.y_mm, np.zeros(1))[0]
     shown = np.abs(scale_at(rig.camera, rig.laser, points).height_px_per_mm)
     if not shown.max() > _LEAST_PX_PER_MM:

@@ -13,8 +13,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validat
 
 from roemetry.stages import StageOptions
 
-Point = tuple[float, float, float]
-Row = tuple[float, float, float, float]
+Place = Annotated[float, Field(ge=-1e5, le=1e5)]
+Point = tuple[Place, Place, Place]
+Row = tuple[Place, Place, Place, Place]
 Share = Annotated[float, Field(ge=0, le=1)]
 
 
@@ -48,7 +49,7 @@ class CameraPart(Part):
     height_px: int = Field(default=480, ge=8, le=8192, description="image height, px")
     pixel_size_um: float = Field(default=10.0, gt=0.3, le=100, description="pitch of the square pixels, µm")
     focal_length_mm: float = Field(default=16.0, gt=0.5, le=1000, description="pinhole to sensor, mm")
-    principal_point_px: tuple[float, float] | None = Field(
+    principal_point_px: tuple[Place, Place] | None = Field(
         default=None, description="where the optical axis meets the image, px; default: the image's centre"
     )
     distance_mm: float = Field(
@@ -99,8 +100,8 @@ class LaserPart(Part):
     projector_mm: Point = Field(default=(160.0, -4.0, 300.0), description="where the light comes from, mm")
     planes: int = Field(default=11, ge=1, le=200, description="number of planes")
     spacing_mm: float = Field(default=8.75, gt=0, le=1000, description="between the planes on the belt, mm")
-    centre_x_mm: float = Field(default=-3.0, description="X of the middle of the fan on the belt, mm")
-    belt_x_mm: list[float] | None = Field(
+    centre_x_mm: Place = Field(default=-3.0, description="X of the middle of the fan on the belt, mm")
+    belt_x_mm: list[Place] | None = Field(
         default=None, min_length=1, max_length=200,
         description="X of each plane at Y = 0, Z = 0, mm; takes the place of planes, spacing and centre",
     )  # fmt: skip
@@ -257,8 +258,8 @@ class BlockPart(Part):
     length_mm: float = Field(default=105.0, gt=0, le=5000, description="side across the stripes, mm")
     width_mm: float = Field(default=40.0, gt=0, le=5000, description="side along the stripes, mm")
     height_mm: float = Field(default=16.5, gt=0, le=2000, description="height, mm")
-    centre_x_mm: float = Field(default=1.5, description="X of its middle, mm")
-    centre_y_mm: float = Field(default=-1.0, description="Y of its middle, mm")
+    centre_x_mm: Place = Field(default=1.5, description="X of its middle, mm")
+    centre_y_mm: Place = Field(default=-1.0, description="Y of its middle, mm")
     yaw_deg: float = Field(default=0.9, ge=-180, le=180, description="turned from belt X, degrees")
 
 
@@ -283,7 +284,7 @@ class BoardPart(Part):
     )
     poses: int = Field(default=10, ge=1, le=100, description="poses of each board")
     tilt_max_deg: float = Field(default=18.0, ge=0, lt=60, description="largest tilt, degrees")
-    height_mm: tuple[float, float] = Field(default=(0.0, 20.0), description="lowest and highest middle, mm")
+    height_mm: tuple[Place, Place] = Field(default=(0.0, 20.0), description="lowest and highest middle, mm")
 
     @model_validator(mode="after")
     def _fits(self) -> BoardPart:

@@ -16,7 +16,6 @@ from roemetry.measuring import measurements_of
 from roemetry.recipe import Recipe
 from roemetry.records import Measurement, ProductTruth, Reason, StripeTruth, Trace, Truth
 
-PRODUCTS_DIFFER = "products-differ"
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -191,12 +190,12 @@ def _refused(rows: Sequence[Measurement], pairs: Sequence[Pair], truth: Truth | 
             return next((why for why in row.reasons if why in faults), faults[0])
         if row.status == "empty" and truth is not None and truth.products:
             return row.reasons[0]
-    return next((why for pair in pairs for why in pair.reasons if why.code == PRODUCTS_DIFFER), None)
+    return next((why for pair in pairs for why in pair.reasons if why.code == "products-differ"), None)
 
 
 def _differ(found: int, true: int) -> Reason:
     return Reason(
-        PRODUCTS_DIFFER,
+        "products-differ",
         f"{found} products were found, {true} are there: which is which is not known"
         if true
         else f"{found} products were found where there is none",

@@ -56,3 +56,33 @@ def test_the_folder_stays_small():
         sum(path.stat().st_size for path in DATA.rglob("*.png")) + (DATA / "truth_stripes.npz").stat().st_size
     )
     assert size < 4_000_000
+
+
+def test_the_scene_and_the_data_set_belong_together():
+    from roemetry.dataset import Dataset
+    from roemetry.scene import Scene
+
+    data, scene_file = Dataset(DATA), Scene.load(DATA)
+    assert list(data.faults()) == []
+    assert data.description.made_from["scene_sha256"] == scene_file.sha256
+    assert "roemetry simulate scene.yaml" in data.description.made_with
+    with (DATA / "truth.csv").open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    with np.load(DATA / "truth_stripes.npz") as stored:
+        x_px = stored["x_px"]
+    for number, (item, row) in enumerate(zip(data.items(), rows, strict=True)):
+        product = item.products[0]
+        assert item.files["laser"] == row["file"]
+        assert (product.label, product.defect) == (row["class"], row["defect"])
+        assert product.mass_g == pytest.approx(float(row["weight_g"]), abs=1e-3)
+        assert product.visible_mm3 == pytest.approx(float(row["visible_volume_mm3"]), abs=0.1)
+        assert product.figures["defect_seen_mm"] == pytest.approx(float(row["defect_seen_mm"]), abs=0.02)
+        np.testing.assert_allclose(data.truth(item).stripes.x_px, x_px[number], rtol=0, atol=1e-4)
+
+
+def test_the_scene_file_makes_a_shipped_image():
+    from roemetry.scene import Scene
+
+    stage = Scene.load(DATA).make()
+    made = stage.calibration_frames(1)["belt"]["belt"]
+    assert np.mean(made.pixels != read(DATA / "calibration" / "belt.png")) < 1e-3
