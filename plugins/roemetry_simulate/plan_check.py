@@ -76,8 +76,9 @@ def check_table(space: Space) -> PlanTable:
             column("bound_px", "best possible", "px", 4),
             column("offset_px", "mean offset", "px", 4),
         ),
-        f"Images of {min(ROWS_MAX, space.rig.camera.height_px)} rows of matt, even plates of the product's albedo, with noise and speckle; "
-        "standard deviation of the centre of gravity from the true place, each stripe's mean taken out.",
+        f"Images of {min(ROWS_MAX, space.rig.camera.height_px)} rows of matt, even plates of the product's "
+        "albedo, with noise and speckle; standard deviation of the centre of gravity from the true place, "
+        "each stripe's mean taken out.",
     )
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from roemetry.records import Reason
 from roemetry_simulate.plan_geometry import plane_points
-from roemetry_simulate.plan_uncertainty import peak_std, stripes_at
+from roemetry_simulate.plan_uncertainty import WINDOW_SIGMAS, peak_std, stripes_at
 from roemetry_simulate.plan_volume import Space
 from roemetry_simulate.scene_file import RayCasterOptions
 
@@ -59,6 +59,17 @@ def reasons(scene: RayCasterOptions, space: Space) -> tuple[Reason, ...]:
                 "narrow",
                 f"the thinnest stripe has a standard deviation of {narrow:.2f} px: below "
                 "0.7 px the place within the pixel shows as a systematic error that is not counted",
+            )
+        )
+    feet_px = rig.camera.project(plane_points(rig.laser, space.y_mm, np.zeros(1))[0])[:, 0]
+    apart = np.abs(np.diff(feet_px))
+    widest = max(stripe.width_px(rig.sensor) for stripe in stripes)
+    if apart.size and float(apart.min()) < 2.0 * WINDOW_SIGMAS * widest:
+        found.append(
+            Reason(
+                "crowded",
+                f"stripes come as near as {apart.min():.1f} px at a standard deviation of {widest:.1f} px: "
+                "they overlap, and the uncertainties of single stripes do not hold",
             )
         )
     if scene.surface.gloss > 0.0 or scene.surface.below.share > 0.0:

@@ -20,8 +20,8 @@ def slice_error_pct(area: Callable[[Floats], Floats], stripes: float) -> float:
 
     The body's length is `stripes` spacings and its place is even over one spacing; the slices are exact, so
     this is the error of sampling alone. An ellipsoid's areas are a parabola along it, and its error has the
-    closed form 1 / (√5 N²) for a whole N. A whole
-    N is the worst case, for both ends err alike. Bodies with blunter ends do worse: their areas rise steeper there.
+    closed form 1 / (√5 N²) for a whole N, which
+    is the worst case: both ends err alike. Bodies with blunter ends do worse: their areas rise steeper there.
 
     Parameters
     ----------

@@ -20,6 +20,7 @@ WINDOW_SIGMAS = 3.0
 
 _REACH_SIGMAS = 5.0
 _NO_INFORMATION = 1e12
+_WIDEST_PX = 100.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,9 +144,11 @@ def peak_std(stripe: Stripe, sensor: Sensor, phase_px: float = 0.2) -> PeakStd:
     Returns
     -------
     PeakStd
-        NaN for a stripe whose pixels do not tell four unknowns.
+        NaN for a stripe whose pixels do not tell four unknowns, or that is wider than 100 px.
     """
     width = stripe.width_px(sensor)
+    if not width < _WIDEST_PX:
+        return PeakStd(math.nan, math.nan, math.nan, math.nan, False)
     reach = max(math.ceil(_REACH_SIGMAS * width), 6)
     at = np.arange(-reach, reach + 1, dtype=np.float64) - np.float64(phase_px)
     blur = _filter(at.size, stripe.defocus_sigma_px) @ _filter(at.size, sensor.psf_sigma_px)

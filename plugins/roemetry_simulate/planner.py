@@ -19,6 +19,7 @@ from roemetry_simulate.scene_file import RayCasterOptions
 from roemetry_simulate.scene_rig import rig_of
 
 _LEAST_PX_PER_MM = 1e-3
+_LEAN_MOST = 6.0
 
 
 class RigPlanner(Planner[RayCasterOptions]):
@@ -86,8 +87,19 @@ def _refuse(space: Space) -> None:
         )
     if not space.top_mm > 0.0:
         raise StageError(
-            "simulator.options.laser: every stripe leaves the image with the first fraction of a millimetre of height",
+            "simulator.options.laser: every stripe leaves the image with the first fraction of a "
+            "millimetre of height",
             hint="move the fan by belt_x_mm or centre_x_mm away from the edge that heights displace to",
+        )
+    y = space.y_mm + np.array([[0.0], [1.0]])
+    x = np.vstack([rig.laser.x_mm(float(one), 0.0) for one in y[:, 0]])
+    pixels = rig.camera.project(np.stack([x, np.broadcast_to(y, x.shape), np.zeros_like(x)], axis=-1))
+    lean = np.abs(np.diff(pixels, axis=0))[0]
+    if (lean[:, 0] > _LEAN_MOST * lean[:, 1]).any():
+        raise StageError(
+            "simulator.options.camera: the stripes run along the image rows; a plan is made for stripes "
+            "across them",
+            hint="turn the camera by 90° in T_belt_camera, or the lines by laser.yaw_deg",
         )
     points = plane_points(rig.laser, space.y_mm, np.zeros(1))[0]
     shown = np.abs(scale_at(rig.camera, rig.laser, points).height_px_per_mm)

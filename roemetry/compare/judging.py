@@ -17,7 +17,6 @@ from roemetry.recipe import Recipe
 from roemetry.records import Measurement, ProductTruth, Reason, StripeTruth, Trace, Truth
 
 
-
 @dataclass(frozen=True, eq=False, slots=True)
 class Pair:
     """A product as measured and as it is; either may be missing.

@@ -15,10 +15,17 @@ def check_every_figure_has_unit_and_basis(planner: Planner[Any]) -> None:
     require(bool(plan.figures), "the plan has no figures")
     columns = [column for table in plan.tables for column in table.columns]
     columns += [line for curves in plan.curves for line in (curves.over, *curves.lines)]
-    for one in (*plan.figures, *plan.maps, *columns):
-        require(bool(one.unit), f"`{one.name}` has no unit")
-    for told in (*plan.figures, *plan.maps, *plan.tables, *plan.curves):
-        require(bool(told.basis), f"`{told.name}` does not say where it comes from")
+    with_unit = [(figure.name, figure.unit) for figure in plan.figures]
+    with_unit += [(one.name, one.unit) for one in plan.maps]
+    with_unit += [(column.name, column.unit) for column in columns]
+    for name, unit in with_unit:
+        require(bool(unit), f"`{name}` has no unit")
+    told = [(figure.name, figure.basis) for figure in plan.figures]
+    told += [(one.name, one.basis) for one in plan.maps]
+    told += [(table.name, table.basis) for table in plan.tables]
+    told += [(curves.name, curves.basis) for curves in plan.curves]
+    for name, basis in told:
+        require(bool(basis), f"`{name}` does not say where it comes from")
 
 
 def check_what_is_missing_has_a_reason(planner: Planner[Any]) -> None:

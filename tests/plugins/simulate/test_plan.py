@@ -204,6 +204,20 @@ def test_a_projector_in_the_line_of_sight_is_refused():
         RigPlanner(options).plan(simulate=False)
 
 
+def test_crowded_stripes_are_told():
+    laser = {"planes": 20, "spacing_mm": 1.2}
+    plan = RigPlanner(RayCasterOptions.model_validate({"laser": laser})).plan(simulate=False)
+    assert "crowded" in {reason.code for reason in plan.reasons}
+
+
+def test_stripes_along_the_rows_are_refused():
+    turned = [[0, -1, 0, 0], [-1, 0, 0, 0], [0, 0, -1, 320], [0, 0, 0, 1]]
+    with pytest.raises(StageError, match="along the image rows"):
+        RigPlanner(RayCasterOptions.model_validate({"camera": {"T_belt_camera": turned}})).plan(
+            simulate=False
+        )
+
+
 SCENE = """roemetry_scene: 1
 name: a rig
 licence: CC0-1.0
