@@ -21,7 +21,7 @@ def roemetry_stages() -> Iterable[StageEntry]:
         kind="source",
         name="dataset",
         target="roemetry_files.dataset_source:DatasetSource",
-        summary="The items of a data set (a folder with dataset.yaml), with bit depth, time and encoder count",
+        summary="The items of a data set (a folder with dataset.yaml), with bit depth, time, encoder count",
         reference="our own",
     )
     yield StageEntry(
