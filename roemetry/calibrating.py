@@ -29,15 +29,25 @@ def calibrate(rig: Rig, *, registry: Registry | None = None) -> Calibration:
     source = registry.load(registry.find("source", "image-files"))()
     extractor = rig.extractor.make()
     observations = []
-    hashes = {}
+    hashes: dict[str, str] = {}
     for shows, paths in rig.images.items():
         for path in paths:
             acquisition = source.read(AcquisitionReference(path.stem, {"laser": path}))
             frame = prepare(
-                acquisition, channel=rig.file.channel, turn_deg=rig.file.turn_deg, subtract="none"
+                acquisition,
+                channel=rig.file.channel,
+                turn_deg=rig.file.turn_deg,
+                subtract="none",
+                bit_depth=rig.file.bit_depth,
             )
             observations.append(Observation(shows, frame, extractor.extract(frame)))
-            hashes[path.name] = sha256_of(path)
+            found = sha256_of(path)
+            if found in hashes.values():
+                raise CalibrationError(
+                    f"{path} is the same image as another one",
+                    hint="name each image once: twice tells no more",
+                )
+            hashes[f"{shows}/{path.name}"] = found
     if not observations:
         raise CalibrationError(
             f"{rig.path}: there are no images to calibrate from", hint="name them in `images`"

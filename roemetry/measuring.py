@@ -44,7 +44,7 @@ def measurements_of(trace: Trace, recipe: Recipe, provenance: Mapping[str, str])
     if trace.stripes is None:
         return (_without_product(trace, recipe, given),)
     warnings = _warnings(recipe)
-    if trace.profiles is None:
+    if trace.profiles is None and (trace.stripes.product > 0).any():
         return _in_pixels(trace, warnings, given)
     if not trace.products:
         return (_without_product(trace, recipe, given),)
@@ -135,12 +135,16 @@ def _in_pixels(
 
 
 def _without_product(trace: Trace, recipe: Recipe, provenance: Mapping[str, str]) -> Measurement:
-    faults = [trace.absent[kind] for kind in _STAGES_BEFORE_PRODUCTS if kind in trace.absent]
+    faults = [
+        trace.absent[kind]
+        for kind in _STAGES_BEFORE_PRODUCTS
+        if kind in trace.absent and trace.absent[kind] != UNCALIBRATED
+    ]
     reasons = list(trace.stripes.reasons) if trace.stripes is not None else []
     only_peaks_wanted = "coder" not in recipe.stages and trace.peaks is not None
     coding = _coding(trace, 0)
     if not faults and not only_peaks_wanted:
-        if coding is not None and coding.ambiguous > _REFUSED_SHARE_MAX * coding.peaks:
+        if coding is not None and coding.ambiguous > _EMPTY_REFUSED_SHARE_MAX * coding.peaks:
             faults.append(
                 Reason("undecided", f"{coding.ambiguous} peaks were refused, and the others show no product")
             )
@@ -204,7 +208,7 @@ def _saturation(trace: Trace) -> list[Reason]:
 
 _HEIGHT_SLACK_MM = 1.0
 """So much beyond the calibrated range is noise about the belt, not a product."""
-_REFUSED_SHARE_MAX = 0.01
+_EMPTY_REFUSED_SHARE_MAX = 0.01
 """An image with more refused peaks than this is not believed to be empty."""
 _SATURATED_SHARE_MAX = 0.2
 """Above this share of saturated points the reader is told: their centres depend on how the plateau is cut."""

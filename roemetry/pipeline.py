@@ -35,6 +35,9 @@ _REFUSED_SHARE_MAX = 0.1
 
 _NO_VOLUME = Reason("no-volume", "there is no volume to weigh")
 
+_EDGE_ROWS = 2
+"""Rows at the image's ends in which a product counts as cut; extractors may leave the very first out."""
+
 UNCALIBRATED = Reason("uncalibrated", "no calibration: results are in pixels")
 
 
@@ -99,7 +102,10 @@ class Pipeline:
         if profiles is not None and stripes is not None and calibration is not None:
             assembled = assemble(profiles, outlines, calibration, acquisition.id, stripes.reasons)
             doubt = _undecided(stripes)
-            products = tuple(self._outcome(product, doubt, steps.seconds) for product in assembled)
+            products = tuple(
+                self._outcome(product, doubt or _cut_off(stripes, product.number), steps.seconds)
+                for product in assembled
+            )
         return Trace(
             acquisition_id=acquisition.id,
             acquisition=acquisition,
@@ -122,7 +128,7 @@ class Pipeline:
             volume = steps.do("volume", lambda: self._stages["volume"].estimate(product))
         if "weigher" in self._stages and steps.allow(
             "weigher",
-            doubt or (Reason("no-volume", "there is no volume to weigh") if volume is None else None),
+            doubt or (_NO_VOLUME if volume is None else None),
         ):
             weight = steps.do("weigher", lambda: self._stages["weigher"].weigh(product, volume))
         if "classifier" in self._stages and steps.allow("classifier", doubt):
@@ -179,10 +185,24 @@ def _undecided(stripes: StripeMap) -> Reason | None:
     )
 
 
+def _cut_off(stripes: StripeMap, number: int) -> Reason | None:
+    """Say why nothing can be stated of a product that runs out of the image."""
+    mine = (stripes.product == number).any(axis=0)
+    if not (mine[:_EDGE_ROWS].any() or mine[-_EDGE_ROWS:].any()):
+        return None
+    return Reason("cut-by-edge", "the product reaches the image's first or last row: a part is not seen")
+
+
 def _unfit(frame: Frame | None, calibration: Calibration | None) -> Reason | None:
     """Say why an image cannot be used with the calibration."""
     if calibration is None or frame is None:
         return None
+    if frame.turn_deg != calibration.turn_deg:
+        return Reason(
+            "other-turn",
+            f"the image is turned by {frame.turn_deg}°, the calibration was made at {calibration.turn_deg}°; "
+            "set source.turn_deg as in the rig file",
+        )
     if frame.size != calibration.image_size:
         rows, columns = frame.size
         made_rows, made_columns = calibration.image_size
@@ -190,11 +210,5 @@ def _unfit(frame: Frame | None, calibration: Calibration | None) -> Reason | Non
             "other-camera",
             f"the image is {columns} × {rows} pixels, the calibration was made with "
             f"{made_columns} × {made_rows}: another camera or region of interest; calibrate this one",
-        )
-    if frame.turn_deg != calibration.turn_deg:
-        return Reason(
-            "other-turn",
-            f"the image is turned by {frame.turn_deg}°, the calibration was made at {calibration.turn_deg}°; "
-            "set source.turn_deg as in the rig file",
         )
     return None

@@ -128,6 +128,13 @@ def _resolve(path: Path, document: Overridden, file: RecipeFile, registry: Regis
             chooser.fault(str(error), "calibration")
         else:
             _check_method(calibration, stages.get("triangulator"), chooser)
+            if calibration.turn_deg != file.source.turn_deg:
+                chooser.fault(
+                    f"{file.source.turn_deg}°, but the calibration was made at {calibration.turn_deg}°; "
+                    "turn images and rig alike",
+                    "source",
+                    "turn_deg",
+                )
     if chooser.faults or source is None:
         raise ConfigurationError(chooser.faults)
     return Recipe(

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from roemetry.errors import OutputError
-from roemetry.files import LineFile, write_whole
+from roemetry.errors import DataError, OutputError
+from roemetry.files import LineFile, sha256_of, write_whole
 from roemetry.recipe import Recipe
-from roemetry.records import Measurement
+from roemetry.records import AcquisitionReference, Measurement
 
 RECORD = "measurements.jsonl"
 PROVENANCE = "provenance.json"
@@ -19,13 +19,20 @@ def read_record(folder: Path) -> Iterator[Measurement]:
     path = folder / RECORD
     try:
         with path.open(encoding="utf-8") as file:
-            for line in file:
-                yield Measurement.from_json(line)
+            for number, line in enumerate(file, start=1):
+                try:
+                    yield Measurement.from_json(line)
+                except DataError as error:
+                    raise DataError(f"{path}:{number}: {error.message}", hint=error.hint) from error
+    except UnicodeDecodeError as error:
+        raise DataError(f"{path}: damaged: byte {error.start} of a block is not UTF-8") from error
     except OSError as error:
         raise OutputError(f"{path}: cannot be read: {error.strerror or error}") from error
 
 
-def acquisitions_to_keep(recipe: Recipe, folder: Path, *, resume: bool) -> set[str]:
+def acquisitions_to_keep(
+    recipe: Recipe, folder: Path, references: Sequence[AcquisitionReference], *, resume: bool
+) -> set[str]:
     """Give the ids of the acquisitions whose rows are all there, and take the others' rows away.
 
     Raises
@@ -43,6 +50,7 @@ def acquisitions_to_keep(recipe: Recipe, folder: Path, *, resume: bool) -> set[s
         )
     with LineFile(path):
         pass  # opening it takes a half line away
+    by_id = {reference.id: reference for reference in references}
     rows: dict[str, list[Measurement]] = {}
     for row in read_record(folder):
         if row.provenance.get("recipe_sha256") != recipe.sha256:
@@ -50,12 +58,24 @@ def acquisitions_to_keep(recipe: Recipe, folder: Path, *, resume: bool) -> set[s
                 f"{folder}: the run in this folder was made with another recipe, calibration or plugin",
                 hint="choose another folder with --out",
             )
+        _check_images(row, by_id.get(row.acquisition))
         rows.setdefault(row.acquisition, []).append(row)
     whole = {name for name, found in rows.items() if len(found) == found[0].products}
     if len(whole) < len(rows):
         kept = [row.to_json() + "\n" for name in rows if name in whole for row in rows[name]]
         write_whole(path, "".join(kept))
     return whole
+
+
+def _check_images(row: Measurement, reference: AcquisitionReference | None) -> None:
+    """Refuse to go on with rows of other images than those that are there now."""
+    for role, path in ({} if reference is None else reference.files).items():
+        measured = row.provenance.get(f"{role}_sha256")
+        if measured is not None and path.is_file() and sha256_of(path) != measured:
+            raise OutputError(
+                f"{path}: another image than the one that was measured as {row.acquisition}",
+                hint="choose another folder with --out",
+            )
 
 
 def count_rows(folder: Path) -> dict[str, int]:

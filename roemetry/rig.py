@@ -45,6 +45,9 @@ class RigFile(Section):
     stripes: int = Field(ge=1, le=200, description="number of stripes the laser projects")
     channel: Channel = Field(default="grey", description="what to make of a colour image")
     turn_deg: Turn = Field(default=0, description="counter-clockwise turn, degrees, as in the recipe")
+    bit_depth: int | None = Field(
+        default=None, ge=1, le=16, description="bits in use; default: all that the files' pixels have"
+    )
     working_distance_mm: float | None = Field(
         default=None, gt=0, description="camera (its entrance pupil) to belt, mm; leave out if unknown"
     )

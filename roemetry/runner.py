@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 import platform
 import statistics
 import sys
+import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
@@ -13,7 +15,8 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import islice
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
+from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any
 
@@ -84,7 +87,7 @@ def run_recipe(
     """
     references = recipe.source.make().references(recipe.source_path)
     make_folder(folder)
-    done = acquisitions_to_keep(recipe, folder, resume=resume)
+    done = acquisitions_to_keep(recipe, folder, references, resume=resume)
     provenance = _provenance(recipe, references)
     write_whole(folder / PROVENANCE, json.dumps(provenance, indent=2) + "\n")
     to_do = [reference for reference in references if reference.id not in done]
@@ -189,10 +192,13 @@ class _Worker:
         try:
             acquisition = self._source.read(reference)
             hashes = {f"{role}_sha256": sha256_of(path) for role, path in reference.files.items()}
-        except (RoemetryError, OSError) as error:
+        # Whatever a source raises, the batch goes on.
+        except Exception as error:
             if self._debug:
                 raise
-            why = Reason("unreadable", str(error))
+            ours = isinstance(error, RoemetryError | OSError)
+            said = str(error) if ours else f"the source failed with {type(error).__name__}: {error}"
+            why = Reason("unreadable", said)
             return [failed(reference.id, "source", why, self._hashes).to_json()], {}
         trace = self._pipeline.trace(acquisition)
         rows = measurements_of(trace, self._recipe, self._hashes | hashes)
@@ -205,6 +211,15 @@ _worker: _Worker | None = None
 def _start_worker(recipe: Recipe, debug: bool) -> None:
     global _worker
     _worker = _Worker(recipe, debug)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    """End this worker when its parent is gone, however that was ended."""
+    parent = parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        os._exit(1)
 
 
 def _work(reference: AcquisitionReference) -> tuple[list[str], Mapping[str, float]]:

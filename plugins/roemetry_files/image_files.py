@@ -82,6 +82,7 @@ def read_image(path: Path, role: Role = "laser") -> Frame:
         raise DataError(f"{path}: the file is empty")
     if _cut_off(data):
         raise DataError(f"{path}: the file is cut off", hint="copy it again")
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # we say what is wrong, with the file
     try:
         pixels = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
     except cv2.error:
@@ -97,7 +98,8 @@ def read_image(path: Path, role: Role = "laser") -> Frame:
 
 def _cut_off(data: np.ndarray) -> bool:
     """Tell a PNG or JPEG without its end: decoders fill such images with grey and say nothing."""
-    head, tail = bytes(data[:8]), bytes(data[-64:])
+    head = bytes(data[:8])
+    tail = bytes(data[-4096:]).rstrip(b"\0")[-64:]  # some cameras pad their files
     if head.startswith(b"\x89PNG"):
         return b"IEND" not in tail
     if head.startswith(b"\xff\xd8"):

@@ -157,6 +157,13 @@ def _scale(seen: list[BlockView], block: Block, working_distance_mm: float | Non
     width_px = float(np.mean(widths_px))
     edge_std_px = float(np.nanmean([view.width_std_px for view in seen])) / np.sqrt(len(widths_px))
     at_top = block.width_mm / width_px
+    seen_mm = at_top * max(view.span_px for view in seen if np.isfinite(view.span_px))
+    if seen_mm > block.length_mm:
+        raise CalibrationError(
+            f"by its width of {block.width_mm:g} mm the block would be at least {seen_mm:.0f} mm long, "
+            f"but its length is given as {block.length_mm:g} mm",
+            hint="length_mm is the side across the stripes, width_mm the one along them: are they swapped?",
+        )
     own = np.hypot(block.tolerance_mm / np.sqrt(3.0) / block.width_mm, edge_std_px / width_px)
     notes = ["square pixels assumed: the scale along the stripes is used across them as well"]
     if working_distance_mm is not None:

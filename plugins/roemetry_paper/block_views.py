@@ -41,6 +41,8 @@ class BlockView:
         Scatter of the edges about straight lines, px.
     yaw_rad
         Turn of the block about the vertical.
+    span_px
+        Extent of the top across the stripes that is seen, px.
     """
 
     offset_px: Floats
@@ -50,6 +52,7 @@ class BlockView:
     width_std_px: float
     edge_rms_px: float
     yaw_rad: float
+    span_px: float
 
 
 def rest_polynomials(observed: CalibrationSet) -> tuple[Floats, float]:
@@ -112,7 +115,8 @@ def view_of_block(view: Observation, rest_px: Floats) -> BlockView:
             place[stripe] = x_px[stripe, run].mean()
     width, width_std, edge_rms, yaw = _width(place, first, last)
     scatter_px = float(np.nanmean(scatter)) if np.isfinite(scatter).any() else np.nan
-    return BlockView(mean, std, scatter_px, width, width_std, edge_rms, yaw)
+    span_px = float(np.nanmax(place) - np.nanmin(place)) if np.isfinite(place).any() else np.nan
+    return BlockView(mean, std, scatter_px, width, width_std, edge_rms, yaw, span_px)
 
 
 def _full_rows(peaks: Peaks, stripes: int) -> Floats:

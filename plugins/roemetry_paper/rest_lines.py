@@ -15,6 +15,7 @@ from roemetry_kernels.tracing import nearest_rest
 _SIGMAS = 4.0
 _TOLERANCE_MIN_PX = 1.0
 _SEARCH_PX = 3.0
+_MOVED_MAX_PX = 1.0
 _OUTER_SHARE = 0.1
 _MAD_TO_STD = 1.4826
 
@@ -29,10 +30,14 @@ class RestLines(NamedTuple):
         shows no belt to know them from.
     tolerance_px
         How far a peak may be from a rest line and still lie on the belt, px.
+    offset_px
+        Mean distance of the belt's peaks from the lines, px: 0 for lines fitted to this frame, and how far
+        camera, laser or belt have moved for those of a calibration.
     """
 
     x_px: Floats
     tolerance_px: float
+    offset_px: float = 0.0
 
 
 def calibrated_rest_lines(peaks: Peaks, calibration: Calibration) -> RestLines:
@@ -41,7 +46,8 @@ def calibrated_rest_lines(peaks: Peaks, calibration: Calibration) -> RestLines:
     Raises
     ------
     StageError
-        Rest lines cross within the image, so that order says nothing.
+        Rest lines cross within the image, so that order says nothing; or the belt's stripes lie more than a
+        pixel beside them.
     """
     x_px = calibration.rest_line_px(np.arange(peaks.image_size[0], dtype=np.float64))
     if calibration.stripe_count > 1 and not (np.diff(x_px, axis=0) > 0).all():
@@ -49,7 +55,18 @@ def calibrated_rest_lines(peaks: Peaks, calibration: Calibration) -> RestLines:
             "the calibration's rest lines cross, or are not numbered from left to right",
             hint="calibrate again; `roemetry lint` checks the file",
         )
-    return RestLines(x_px, belt_tolerance_px(peaks, x_px))
+    tolerance_px, offset_px = _belt_scatter_px(peaks, x_px)
+    if abs(offset_px) > _MOVED_MAX_PX:
+        raise StageError(moved(offset_px), hint="calibrate again")
+    return RestLines(x_px, tolerance_px, offset_px)
+
+
+def moved(offset_px: float) -> str:
+    """Say that the belt's stripes are not where the calibration has them."""
+    return (
+        f"the belt's stripes lie {offset_px:+.2f} px beside the calibrated rest lines: camera, laser or belt "
+        "has moved, and every height is off by that much"
+    )
 
 
 def rest_lines_of_frame(
@@ -105,7 +122,12 @@ def rest_lines_of_frame(
 
 
 def belt_tolerance_px(peaks: Peaks, rest_px: Floats) -> float:
-    """Four standard deviations (robust) of the peaks about the rest lines, at least 1 px.
+    """Four standard deviations (robust) of the peaks about the rest lines, at least 1 px."""
+    return _belt_scatter_px(peaks, rest_px)[0]
+
+
+def _belt_scatter_px(peaks: Peaks, rest_px: Floats) -> tuple[float, float]:
+    """Give the belt's tolerance and the mean distance of its peaks from the rest lines, px.
 
     Only the image's top and bottom tenth are asked: amid the image a product may lie near the lines.
     """
@@ -114,9 +136,9 @@ def belt_tolerance_px(peaks: Peaks, rest_px: Floats) -> float:
     line, distance = nearest_rest(peaks.row[outer], peaks.x_px[outer], rest_px, _SEARCH_PX)
     near = distance[line >= 0]
     if near.size < 10:
-        return _TOLERANCE_MIN_PX
+        return _TOLERANCE_MIN_PX, 0.0
     scatter = _MAD_TO_STD * float(np.median(np.abs(near - np.median(near))))
-    return max(_TOLERANCE_MIN_PX, _SIGMAS * scatter)
+    return max(_TOLERANCE_MIN_PX, _SIGMAS * scatter), float(near.mean())
 
 
 def _ends(

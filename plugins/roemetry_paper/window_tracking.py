@@ -31,7 +31,7 @@ from roemetry_paper.belt import Belt, belt_of
 from roemetry_paper.bridging import bridged
 from roemetry_paper.consistency import drop_doubles, keep_order, refuse_unexplained_gaps
 from roemetry_paper.literal_tracking import literal_codes
-from roemetry_paper.rest_lines import RestLines, calibrated_rest_lines, rest_lines_of_frame
+from roemetry_paper.rest_lines import RestLines, calibrated_rest_lines, moved, rest_lines_of_frame
 
 
 class WindowTrackingOptions(StageOptions):
@@ -69,6 +69,10 @@ class WindowTrackingOptions(StageOptions):
 
 _END_ROWS = 12
 """Rows at the image's ends within which a belt segment must begin: a skein never reaches so far."""
+_MOVED_PX = 0.25
+"""The mean of some thousand belt points is known far better than this."""
+_PIECES_MAX = 400
+_PIECES_SHARE_MIN = 0.25
 _AGREEMENT_MIN = 0.9
 _VOTERS_MIN = 3
 _VOTING_SHARE_MIN = 0.5
@@ -119,6 +123,8 @@ class WindowTracking(Coder[WindowTrackingOptions]):
                 f"the calibration has {calibration.stripe_count}",
                 hint="leave stripe_count out, or calibrate with all stripes",
             )
+        if calibration is not None:
+            _refuse_dark_rows(peaks, options.longest_gap_rows)
         fragment, fragments = trace_fragments(peaks.row_start, peaks.x_px, options.body_window_px / 2)
         rest = (
             calibrated_rest_lines(peaks, calibration)
@@ -126,6 +132,8 @@ class WindowTracking(Coder[WindowTrackingOptions]):
             else rest_lines_of_frame(peaks, fragment, fragments, options.stripe_count, _END_ROWS)
         )
         reasons: list[Reason] = []
+        if rest is not None and abs(rest.offset_px) > _MOVED_PX:
+            reasons.append(Reason("moved", moved(rest.offset_px)))
         if rest is None:
             rest, stripe, margin = self._pieces(peaks, fragment, fragments)
             reasons.append(_NO_BELT)
@@ -186,6 +194,12 @@ class WindowTracking(Coder[WindowTrackingOptions]):
         big = np.flatnonzero(rows >= self.options.smallest_area_px)
         if not big.size:
             raise StageError("what was found in the image is too small to be stripes")
+        if big.size > _PIECES_MAX or rows[big].sum() < _PIECES_SHARE_MIN * len(peaks):
+            raise StageError(
+                f"{big.size} pieces were traced, of {rows[big].sum() / len(peaks):.0%} of the peaks: "
+                "that is noise, not stripes",
+                hint="raise the extractor's threshold",
+            )
         number = np.full(fragments, UNCODED, np.int64)
         number[big[np.argsort(place[big])]] = np.arange(big.size)
         rest = RestLines(np.full((big.size, peaks.image_size[0]), np.nan), np.inf)
@@ -221,6 +235,19 @@ _NO_BELT = Reason(
     "there is no calibration, and no belt at the image's top and bottom to number the stripes by: each "
     "traced piece has a number of its own; which pieces are one stripe is not known, nor what is belt",
 )
+
+
+def _refuse_dark_rows(peaks: Peaks, longest_gap_rows: int) -> None:
+    """Refuse an image in which a block of rows shows no stripe at all: the belt is lit beside products."""
+    lit = np.flatnonzero(np.diff(peaks.row_start))
+    gaps = np.diff(np.concatenate([[0], lit, [peaks.image_size[0] - 1]]))
+    if gaps.max() > longest_gap_rows + 1:
+        at = int(gaps.argmax())
+        first = int(lit[at - 1]) + 1 if at else 0
+        raise StageError(
+            f"{int(gaps.max()) - 1} rows on end show no stripe at all, from row {first}",
+            hint="the image is damaged, or the laser was off or covered for a part of it",
+        )
 
 
 def _decided(

@@ -23,14 +23,15 @@ def report(
     try:
         provenance = json.loads(path.read_text(encoding="utf-8"))
         recipe_path, sets = provenance["recipe"], provenance["sets"]
+        recipe_sha256 = provenance["recipe_sha256"]
     except OSError as error:
         raise OutputError(
             f"{path}: cannot be read: {error.strerror or error}", hint="name the folder of a run"
         ) from error
-    except (ValueError, KeyError) as error:
+    except (ValueError, KeyError, TypeError) as error:
         raise OutputError(f"{path}: damaged ({error})", hint="name the folder of a run") from error
     recipe = Recipe.load(recipe_path, sets=sets)
-    if recipe.sha256 != provenance["recipe_sha256"]:
+    if recipe.sha256 != recipe_sha256:
         raise OutputError(
             f"{folder}: the recipe, calibration or a plugin has changed since the run",
             hint="the pictures would show something else than was measured; run again",

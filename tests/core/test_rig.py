@@ -40,7 +40,7 @@ def rig_file(rig, tmp_path: Path) -> Path:
 def test_a_calibration_is_made_and_knows_where_it_comes_from(rig, rig_file: Path) -> None:
     made = calibrate(Rig.load(rig_file))
     assert made.image_size == (rig.rows, rig.columns)
-    assert set(made.image_sha256) == {"block.png", "belt.png"}
+    assert set(made.image_sha256) == {"block/block.png", "belt/belt.png"}
     assert made.extractor["use"] == "dominant-peak"
     assert made.target["height_mm"] == 10.0
     made.save(rig_file.with_name("c.yaml"))
@@ -88,3 +88,18 @@ def test_no_images(rig_file: Path) -> None:
     rig_file.write_text(RIG.replace("[block.png]", "[]").replace("[belt.png]", "[]"), encoding="utf-8")
     with pytest.raises(CalibrationError, match="no images to calibrate from"):
         calibrate(Rig.load(rig_file))
+
+
+def test_the_same_image_twice(rig_file: Path) -> None:
+    rig_file.with_name("again.png").write_bytes(rig_file.with_name("block.png").read_bytes())
+    rig_file.write_text(RIG.replace("[block.png]", "[block.png, again.png]"), encoding="utf-8")
+    with pytest.raises(CalibrationError, match="is the same image as another one"):
+        calibrate(Rig.load(rig_file))
+
+
+def test_a_block_described_the_wrong_way_round(rig_file: Path) -> None:
+    text = BLOCK.replace("length_mm: 100", "length_mm: 20").replace("width_mm: 20", "width_mm: 100")
+    rig_file.with_name("block.yaml").write_text(text, encoding="utf-8")
+    with pytest.raises(CalibrationError, match="the block would be at least 300 mm long") as caught:
+        calibrate(Rig.load(rig_file))
+    assert "swapped" in str(caught.value)

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 import pytest
 
-from roemetry.errors import OutputError
+from roemetry.errors import DataError, OutputError
 from roemetry.recipe import Recipe
 from roemetry.record import RECORD, read_record
 from roemetry.runner import derive, run_recipe
@@ -285,3 +285,88 @@ def test_no_number_is_stated_where_too_much_was_refused(
     assert row.grade is None
     assert row.weight is None
     assert row.reasons[0].code == "undecided"
+
+
+def test_a_camera_that_has_moved_is_said_and_then_refused(
+    line: Callable[..., Path], tmp_path: Path, rig
+) -> None:
+    path = line(3)
+    for number, shift in enumerate((0.0, 0.5, 1.4), start=1):
+        image = rig.image(rig.x_px(rig.dome()) + shift + np.linspace(-0.4, 0.4, rig.rows))
+        cv2.imwrite(str(path.parent / "images" / f"p{number:02d}.png"), image)
+    run_recipe(Recipe.load(path), tmp_path / "out")
+    rows = rows_of(tmp_path / "out")
+    codes = {name: [reason.code for reason in row.reasons] for name, row in rows.items()}
+    assert "moved" not in codes["p01"]
+    assert "moved" in codes["p02"]
+    assert rows["p03"].status == "failed"
+    assert "has moved" in rows["p03"].reasons[0].text
+
+
+def test_a_lost_block_of_rows_is_refused(line: Callable[..., Path], tmp_path: Path, rig) -> None:
+    path = line(2)
+    image = rig.image(rig.x_px(rig.dome()))
+    image[150:190] = 0
+    cv2.imwrite(str(path.parent / "images" / "p01.png"), image)
+    image = rig.image(rig.x_px(rig.dome()))
+    image[120:] = 0
+    cv2.imwrite(str(path.parent / "images" / "p02.png"), image)
+    run_recipe(Recipe.load(path), tmp_path / "out")
+    for row in rows_of(tmp_path / "out").values():
+        assert row.status == "failed"
+        assert "rows on end show no stripe" in row.reasons[0].text
+
+
+def test_a_product_that_runs_out_of_the_image_has_no_numbers(
+    line: Callable[..., Path], tmp_path: Path, rig
+) -> None:
+    path = line(1)
+    image = rig.image(rig.x_px(rig.dome(first=-60, last=60)))
+    cv2.imwrite(str(path.parent / "images" / "p01.png"), image)
+    run_recipe(Recipe.load(path), tmp_path / "out")
+    row = rows_of(tmp_path / "out")["p01"]
+    assert row.status == "failed"
+    assert row.volume is None
+    assert row.grade is None
+
+
+def test_resume_does_not_mix_two_sets_of_images(line: Callable[..., Path], tmp_path: Path, rig) -> None:
+    path = line(2)
+    run_recipe(Recipe.load(path), tmp_path / "out")
+    cv2.imwrite(str(path.parent / "images" / "p01.png"), rig.image(rig.x_px(rig.dome(5.0))))
+    with pytest.raises(OutputError, match="another image than the one that was measured as p01"):
+        run_recipe(Recipe.load(path), tmp_path / "out", resume=True)
+
+
+def test_noise_without_a_calibration_is_neither_empty_nor_measured(
+    line: Callable[..., Path], tmp_path: Path, rng: np.random.Generator
+) -> None:
+    path = line(1, calibrated=False)
+    noise = rng.integers(0, 256, (600, 800), np.uint8)
+    cv2.imwrite(str(path.parent / "images" / "p01.png"), noise)
+    outcome = run_recipe(Recipe.load(path), tmp_path / "out")
+    assert outcome.counts["failed"] == 1
+
+
+def test_an_empty_belt_without_a_calibration_is_empty(line: Callable[..., Path], tmp_path: Path, rig) -> None:
+    path = line(1, calibrated=False)
+    belt = rig.image(rig.x_px(np.zeros((rig.stripes, rig.rows))))
+    cv2.imwrite(str(path.parent / "images" / "p01.png"), belt)
+    run_recipe(Recipe.load(path), tmp_path / "out")
+    row = rows_of(tmp_path / "out")["p01"]
+    assert row.status == "empty"
+    assert row.reasons[0].code == "no-product"
+    assert "uncalibrated" in [reason.code for reason in row.reasons]
+
+
+def test_a_damaged_record_is_named_with_its_line(line: Callable[..., Path], tmp_path: Path) -> None:
+    recipe = Recipe.load(line(2))
+    run_recipe(recipe, tmp_path / "out")
+    record = tmp_path / "out" / RECORD
+    first = record.read_bytes().splitlines(keepends=True)[0]
+    record.write_bytes(first + b'{"a": 1}\n')
+    with pytest.raises(DataError, match=r"measurements\.jsonl:2: not a measurement"):
+        run_recipe(recipe, tmp_path / "out", resume=True)
+    record.write_bytes(first + b"\xff\xfe\n")
+    with pytest.raises(DataError, match="not UTF-8"):
+        run_recipe(recipe, tmp_path / "out", resume=True)
