@@ -71,6 +71,7 @@ _END_ROWS = 12
 """Rows at the image's ends within which a belt segment must begin: a skein never reaches so far."""
 _MOVED_PX = 0.25
 """The mean of some thousand belt points is known far better than this."""
+_DARK_ROWS_MAX = 20
 _PIECES_MAX = 400
 _PIECES_SHARE_MIN = 0.25
 _AGREEMENT_MIN = 0.9
@@ -99,7 +100,7 @@ class WindowTracking(Coder[WindowTrackingOptions]):
         ------
         StageError
             No peak at all; not the expected number of stripes; no stripe where the calibration has one; peaks
-            of another image size than the calibration's.
+            of another image size than the calibration's; more than 20 rows on end without any stripe.
         """
         options = self.options
         if not len(peaks):
@@ -124,7 +125,7 @@ class WindowTracking(Coder[WindowTrackingOptions]):
                 hint="leave stripe_count out, or calibrate with all stripes",
             )
         if calibration is not None:
-            _refuse_dark_rows(peaks, options.longest_gap_rows)
+            _refuse_dark_rows(peaks)
         fragment, fragments = trace_fragments(peaks.row_start, peaks.x_px, options.body_window_px / 2)
         rest = (
             calibrated_rest_lines(peaks, calibration)
@@ -237,11 +238,11 @@ _NO_BELT = Reason(
 )
 
 
-def _refuse_dark_rows(peaks: Peaks, longest_gap_rows: int) -> None:
+def _refuse_dark_rows(peaks: Peaks) -> None:
     """Refuse an image in which a block of rows shows no stripe at all: the belt is lit beside products."""
     lit = np.flatnonzero(np.diff(peaks.row_start))
     gaps = np.diff(np.concatenate([[0], lit, [peaks.image_size[0] - 1]]))
-    if gaps.max() > longest_gap_rows + 1:
+    if gaps.max() > _DARK_ROWS_MAX + 1:
         at = int(gaps.argmax())
         first = int(lit[at - 1]) + 1 if at else 0
         raise StageError(

@@ -259,3 +259,12 @@ def test_a_stripe_seen_twice_while_another_is_hidden_is_not_believed(rig, rng) -
     true[true == rig.stripes] = 2
     wrong = np.isfinite(off.min(axis=0)) & (true != np.arange(rig.stripes)[:, None])
     assert wrong.sum() == 0
+
+
+def test_a_few_dark_rows_are_no_reason_to_refuse_even_where_nothing_is_bridged(rig) -> None:
+    x_px = rig.x_px(rig.dome(12.0))
+    x_px[:, 30:33] = np.nan
+    coder = WindowTracking(WindowTrackingOptions(longest_gap_rows=0))
+    stripes = coder.code(peaks_of(rig, x_px), rig.calibration())
+    assert wrong_points(stripes, x_px) == 0
+    assert coded_share(stripes, x_px) > 0.9
