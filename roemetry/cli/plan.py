@@ -92,7 +92,7 @@ def _figures(name: str, plan: Plan) -> Table:
 def _table(given: PlanTable) -> Table:
     from rich.table import Table
 
-    from roemetry.compare.svg import plain
+    from roemetry.pages.svg import plain
 
     table = Table(title=given.title, title_justify="left", box=None)
     shown = given.columns[:_CHECKED]

@@ -6,14 +6,14 @@ from collections.abc import Mapping, Sequence
 from datetime import datetime
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from roemetry.compare import plots
 from roemetry.compare.comparing import Compared
-from roemetry.compare.svg import plain
 from roemetry.compare.tables import STEPS, flat
 from roemetry.compare.tally import QUANTITIES
+from roemetry.pages.svg import plain
+from roemetry.pages.templating import environment_of
 from roemetry.yaml_source import dump
 
 SCATTERS_MAX = 12
@@ -38,15 +38,7 @@ def page(compared: Sequence[Compared], told: Mapping[str, Any]) -> str:
         The contents of ``comparison.json``.
     """
     rows = [flat(one) for one in compared]
-    # Not autoescape=select_autoescape(): the template's name ends in j2, and everything here is HTML.
-    environment = Environment(
-        loader=PackageLoader("roemetry.compare", "templates"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters |= {"plain": plain, "zip": zip}
+    environment = environment_of("roemetry.compare")
     return environment.get_template("comparison.html.j2").render(
         told=told,
         variants=list(zip(compared, rows, strict=True)),

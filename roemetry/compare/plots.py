@@ -10,9 +10,9 @@ import numpy as np
 from markupsafe import Markup
 
 from roemetry.arrays import Floats
-from roemetry.compare import svg
 from roemetry.compare.statistics import Errors, relative_pct
 from roemetry.compare.tally import Pairs, columns_of
+from roemetry.pages import svg
 
 DOTS_MAX = 300
 """So many dots are drawn of a variant; of more, these are taken evenly by rank."""

@@ -9,7 +9,7 @@ import numpy as np
 from markupsafe import Markup
 
 from roemetry.arrays import Floats
-from roemetry.compare.svg import Axis, box, dot, line, number, picture, plain, shape, text
+from roemetry.pages.svg import Axis, box, dot, line, number, picture, plain, shape, text
 from roemetry.records import PlanCurves, PlanMap, PlanShape
 
 COLOURS = ("#0d689c", "#d98a12", "#2c8a5f", "#8a6fd1")

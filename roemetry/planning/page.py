@@ -5,9 +5,8 @@ from __future__ import annotations
 from datetime import datetime
 from importlib.metadata import version
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
-
-from roemetry.compare.svg import plain
+from roemetry.pages.svg import plain
+from roemetry.pages.templating import environment_of
 from roemetry.planning.drawing import COLOURS, curves_plot, map_plot, side_view
 from roemetry.records import Plan, PlanFigure
 from roemetry.scene import Scene
@@ -30,14 +29,8 @@ def page(plan: Plan, scene: Scene, *, command: str, made: datetime) -> str:
     made
         When.
     """
-    environment = Environment(
-        loader=PackageLoader("roemetry.planning", "templates"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters |= {"plain": plain, "zip": zip, "written": written}
+    environment = environment_of("roemetry.planning")
+    environment.filters |= {"written": written}
     planes = [one for one in plan.sketch if one.kind == "plane"]
     tables = {one.name: one for one in plan.tables}
     return environment.get_template("plan.html.j2").render(
