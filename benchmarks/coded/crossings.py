@@ -1,0 +1,138 @@
+"""Every place where a light plane crosses the middle of an image row, lit and seen."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from roemetry_simulate.bodies import Body
+from roemetry_simulate.camera import Camera
+from roemetry_simulate.laser import LaserFan
+from roemetry_simulate.lens import camera_ray
+from roemetry_simulate.raycast import first_hit, normal_at, sees
+from roemetry_simulate.solid import Solid
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+STEP_PX = 0.5
+"""Pitch at which rows are searched; what is thinner between two jumps of depth is missed, as by a camera."""
+
+
+class Crossings(NamedTuple):
+    """All crossings, sorted by row, then by x; a stripe may have several in a row.
+
+    Attributes
+    ----------
+    row, stripe
+        (crossing,) image row, and stripe from 0, left to right.
+    x_px
+        (crossing,) sub-pixel place in the row.
+    xyz_mm
+        (crossing, 3) the point in the belt frame.
+    on_product
+        (crossing,) True on a product, False on the belt.
+    cosine
+        (crossing,) of the angle between the surface's normal and the light.
+    mm_per_px
+        (crossing,) by how much the distance to the light plane changes along the row.
+    """
+
+    row: Integers
+    stripe: Integers
+    x_px: Floats
+    xyz_mm: Floats
+    on_product: NDArray[np.bool_]
+    cosine: Floats
+    mm_per_px: Floats
+
+
+def crossings_of(camera: Camera, laser: LaserFan, solid: Solid) -> Crossings:
+    """Find all crossings of a scene."""
+    planes = np.column_stack([laser.normals, laser.offsets_mm])
+    found, numbers = _search(
+        solid.body(), camera.packed(), camera.rotation, laser.projector_mm, planes,
+        camera.height_px, camera.width_px, STEP_PX,
+    )  # fmt: skip
+    order = np.lexsort((found[:, 0], numbers[:, 0]))
+    found, numbers = found[order], numbers[order]
+    return Crossings(
+        numbers[:, 0].copy(),
+        numbers[:, 1].copy(),
+        found[:, 0].copy(),
+        found[:, 1:4].copy(),
+        numbers[:, 2] == 1,
+        found[:, 4].copy(),
+        found[:, 5].copy(),
+    )
+
+
+@njit(cache=True, nogil=True)
+def _distance(
+    body: Body, pinhole: Floats, rotation: Floats, plane: Floats, x_px: float, y_px: float, view: Floats,
+    point: Floats, tol_mm: float,
+) -> tuple[float, int]:  # fmt: skip
+    """Signed distance from the plane to what the camera sees at an image point; and on what it lies."""
+    camera_ray(pinhole, rotation, x_px, y_px, view)
+    on = first_hit(body, pinhole[:3], view, tol_mm, point)
+    if on < 0:
+        return np.nan, on
+    return plane[0] * point[0] + plane[1] * point[1] + plane[2] * point[2] - plane[3], on
+
+
+@njit(cache=True, nogil=True)
+def _search(
+    body: Body, pinhole: Floats, rotation: Floats, projector: Floats, planes: Floats, rows: int, columns: int,
+    step_px: float,
+) -> tuple[Floats, Integers]:  # fmt: skip
+    count = planes.shape[0]
+    space = 6 * count * rows
+    found, numbers = np.empty((space, 6)), np.empty((space, 3), np.int64)
+    filled = 0
+    point, normal, view = np.zeros(3), np.zeros(3), np.zeros(3)
+    beam, scratch = np.zeros(3), np.zeros(3)
+    before, now = np.empty(count), np.empty(count)
+    steps = int(np.ceil(columns / step_px))
+    for row in range(rows):
+        for k in range(steps + 1):
+            camera_ray(pinhole, rotation, -0.5 + k * step_px, float(row), view)
+            on = first_hit(body, pinhole[:3], view, 1e-3, point)
+            for i in range(count):
+                now[i] = np.nan
+                if on >= 0:
+                    now[i] = -planes[i, 3]
+                    for m in range(3):
+                        now[i] += planes[i, m] * point[m]
+            for i in range(count):
+                if k == 0 or (before[i] <= 0.0) == (now[i] <= 0.0):
+                    continue
+                low, high = -0.5 + (k - 1) * step_px, -0.5 + k * step_px
+                negative = before[i] <= 0.0
+                while high - low > 1e-6:
+                    middle = 0.5 * (low + high)
+                    f, _ = _distance(body, pinhole, rotation, planes[i], middle, row, view, point, 1e-9)
+                    if (f <= 0.0) == negative:
+                        low = middle
+                    else:
+                        high = middle
+                x_px = 0.5 * (low + high)
+                f, on_here = _distance(body, pinhole, rotation, planes[i], x_px, row, view, point, 1e-9)
+                if not abs(f) < 1e-3 or x_px > columns - 0.5 or filled == space:
+                    continue  # a jump from one surface to another, not a crossing
+                normal_at(body, on_here, point, normal)
+                cosine = sees(body, point, normal, projector, beam, scratch)
+                if cosine == 0.0:
+                    continue
+                numbers[filled, 0], numbers[filled, 1], numbers[filled, 2] = row, i, on_here
+                found[filled, 0] = x_px
+                for m in range(3):
+                    found[filled, 1 + m] = point[m]
+                found[filled, 4] = cosine
+                found[filled, 5] = abs(now[i] - before[i]) / step_px
+                filled += 1
+            for i in range(count):
+                before[i] = now[i]
+    return found[:filled], numbers[:filled]

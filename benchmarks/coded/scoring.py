@@ -1,0 +1,139 @@
+"""What a coder said against what is true, peak by peak."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from benchmarks.coded.samples import Sample
+from roemetry.arrays import Integers
+from roemetry.compare.coding import longest_run
+from roemetry.compare.points import nearest
+from roemetry.records import AMBIGUOUS, StripeMap
+
+_TALL_MM = 1.0
+
+
+@dataclass(frozen=True)
+class Score:
+    """Counts, which add up over samples; wrong means the nearest true centre within 3 px is another's.
+
+    Attributes
+    ----------
+    visible
+        True crossings on products, lit and seen, whether or not a peak of them is left.
+    unseen
+        Of these, without a peak within 3 px.
+    right, wrong, refused
+        Of the others: their peak carries their number; another's; none.
+    ambiguous
+        Of the refused, called ambiguous.
+    belt_wrong
+        Peaks of the belt with another stripe's number.
+    labelled
+        All peaks that were given a number and lie within 3 px of a true centre.
+    invented
+        Peaks with a number and no true centre within 3 px.
+    as_belt
+        Product points at least 1 mm high with the right number, taken for belt.
+    as_product
+        Points of the belt with the right number, taken for product.
+    longest_wrong_run
+        Rows that follow each other on one stripe, all wrong; the largest counts.
+    products, products_wrong
+        Samples; samples with a wrong run of more than 3 rows.
+    frames_refused
+        Samples that the coder refused as a whole.
+    """
+
+    visible: int = 0
+    unseen: int = 0
+    right: int = 0
+    wrong: int = 0
+    refused: int = 0
+    ambiguous: int = 0
+    belt_wrong: int = 0
+    labelled: int = 0
+    invented: int = 0
+    as_belt: int = 0
+    as_product: int = 0
+    longest_wrong_run: int = 0
+    products: int = 1
+    products_wrong: int = 0
+    frames_refused: int = 0
+
+    def __add__(self, other: Score) -> Score:
+        sums = {f.name: getattr(self, f.name) + getattr(other, f.name) for f in fields(self)}
+        sums["longest_wrong_run"] = max(self.longest_wrong_run, other.longest_wrong_run)
+        return Score(**sums)
+
+    @property
+    def labelled_share(self) -> float:
+        """Right or wrong, of the product's points that have a peak."""
+        return (self.right + self.wrong) / max(self.visible - self.unseen, 1)
+
+    @property
+    def wrong_share(self) -> float:
+        """Wrong, of all peaks with a number, on product and belt."""
+        return (self.wrong + self.belt_wrong) / max(self.labelled, 1)
+
+
+def score(stripes: StripeMap | None, sample: Sample, least_margin: float = 0.0) -> Score:
+    """Score a coder's answer; None is a frame that was refused.
+
+    Parameters
+    ----------
+    stripes
+        What the coder said.
+    sample
+        What it was given.
+    least_margin
+        Labels with less margin are taken as refused.
+    """
+    true, peaks = sample.crossings, sample.peaks
+    at = nearest(true.row, true.x_px, peaks.row, peaks.x_px)  # peak of each crossing
+    seen = true.on_product & (at >= 0)
+    counts = {"visible": int(true.on_product.sum()), "unseen": int((true.on_product & (at < 0)).sum())}
+    if stripes is None:
+        return Score(**counts, refused=int(seen.sum()), frames_refused=1)
+    given, certain = verdicts(stripes, sample, least_margin)
+    of = nearest(peaks.row, peaks.x_px, true.row, true.x_px)  # crossing of each peak
+    known = of >= 0
+    is_wrong = known & (given >= 0) & (true.stripe[of] != given)
+    is_right = known & (given >= 0) & (true.stripe[of] == given)
+    on_product = known & true.on_product[of]
+    point_right, point_wrong = seen & is_right[at], seen & is_wrong[at]
+    point_refused = seen & ~point_right & ~point_wrong
+    map_wrong = np.zeros(stripes.seen.shape, np.bool_)
+    map_wrong[given[is_wrong], peaks.row[is_wrong]] = True
+    run = max((longest_run(line) for line in map_wrong), default=0)
+    product = np.full(given.size, -1, np.int64)
+    product[given >= 0] = stripes.product[given[given >= 0], peaks.row[given >= 0]]
+    tall = on_product & (true.xyz_mm[of, 2] >= _TALL_MM)
+    return Score(
+        **counts,
+        right=int(point_right.sum()),
+        wrong=int(point_wrong.sum()),
+        refused=int(point_refused.sum()),
+        ambiguous=int((point_refused & (certain[at] == AMBIGUOUS)).sum()),
+        belt_wrong=int((is_wrong & ~on_product).sum()),
+        labelled=int((known & (given >= 0)).sum()),
+        invented=int((~known & (given >= 0)).sum()),
+        as_belt=int((tall & is_right & (product == 0)).sum()),
+        as_product=int((known & ~on_product & is_right & (product > 0)).sum()),
+        longest_wrong_run=run,
+        products_wrong=int(run > 3),
+    )
+
+
+def verdicts(stripes: StripeMap, sample: Sample, least_margin: float = 0.0) -> tuple[Integers, Integers]:
+    """Give each peak's number (−1 for none), and what the coder said of it, `AMBIGUOUS` included."""
+    said = stripes.peak_stripe.astype(np.int64)
+    given = np.maximum(said, -1)
+    if least_margin > 0.0:
+        has = given >= 0
+        margin = np.full(given.size, np.nan)
+        margin[has] = stripes.margin[given[has], sample.peaks.row[has]]
+        given = np.where(margin < least_margin, -1, given)
+    return given, said
