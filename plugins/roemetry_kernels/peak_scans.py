@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from roemetry.arrays import Floats, Integers
 from roemetry.records.peaks import EDGE, SATURATED
+from roemetry_kernels.grey_levels import plain_layout
 
 _BORDER_PX = 2  # a peak this near to the left or right border pixel may be cut off
 _BLOCK = 16  # pixels looked at together where nothing happens: one vector of 16-bit pixels
@@ -90,9 +91,7 @@ def runs_above(image: Pixels, threshold: int, *, white: int) -> Scan:
 
 
 def _scan(kernel: Callable[..., int], image: Pixels, white: int, level: int, lowest: bool) -> Scan:
-    # One memory layout, read-only: every further one would be compiled anew, at half a second or more.
-    pixels = np.ascontiguousarray(image).view()
-    pixels.flags.writeable = False
+    pixels = plain_layout(image)
     room = _PEAKS_A_ROW * pixels.shape[0]
     while True:
         row, at = np.empty(room, np.int64), np.empty(room, np.int64)

@@ -5,20 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
-from roemetry.errors import DataError
 from roemetry.records import Frame, Peaks
 from roemetry.stages import Capabilities, Extractor, StageOptions
+from roemetry_kernels.grey_levels import grey, scaled_level
 
 if TYPE_CHECKING:
     from roemetry_kernels.peak_scans import Scan
-
-_WHITE_8_BIT = 255
 
 
 class DominantPeakOptions(StageOptions):
@@ -77,37 +74,6 @@ class DominantPeak(Extractor[DominantPeakOptions]):
         threshold = math.floor(scaled_level(self.options.threshold, frame))
         lowest = self.options.start == "lowest"
         return as_peaks(frame, dominant_peaks(grey(frame), threshold, lowest=lowest, white=frame.white))
-
-
-def grey(frame: Frame) -> NDArray[Any]:
-    """Give the frame's (row, column) pixels.
-
-    Raises
-    ------
-    DataError
-        The frame has colours, or a pixel brighter than its bit depth allows.
-    """
-    pixels = frame.pixels
-    if pixels.ndim != 2:
-        raise DataError(
-            f"Frame {frame.name!r} has colours ({pixels.shape[2]} values a pixel), expected one channel",
-            hint="choose one by source.channel in the recipe (red, max, grey)",
-        )
-    if frame.white < np.iinfo(pixels.dtype).max and (brightest := int(pixels.max())) > frame.white:
-        raise DataError(
-            f"Frame {frame.name!r} holds grey level {brightest}, "
-            f"but its bit depth of {frame.bit_depth} ends at {frame.white}",
-            hint="set the source's bit depth to what the camera gives",
-        )
-    return pixels
-
-
-def scaled_level(level: float, frame: Frame) -> float:
-    """Scale a grey level of the 8-bit scale to the frame's own.
-
-    To compare whole grey levels: ``> floor(scaled)`` is the same as ``> scaled``, ``>= ceil`` as ``>=``.
-    """
-    return level * frame.white / _WHITE_8_BIT
 
 
 def as_peaks(frame: Frame, scan: Scan) -> Peaks:

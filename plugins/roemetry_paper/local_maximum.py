@@ -11,7 +11,8 @@ from pydantic import Field
 
 from roemetry.records import Frame, Peaks
 from roemetry.stages import Capabilities, Extractor, StageOptions
-from roemetry_paper.dominant_peak import as_peaks, grey, scaled_level
+from roemetry_kernels.grey_levels import grey, scaled_level
+from roemetry_paper.dominant_peak import as_peaks
 
 
 class LocalMaximumOptions(StageOptions):

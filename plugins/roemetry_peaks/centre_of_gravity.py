@@ -1,0 +1,27 @@
+"""The centre of gravity of each stripe's profile, background removed."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from roemetry.records import Frame, Peaks
+from roemetry.stages import Capabilities, Extractor, StageOptions
+from roemetry_peaks.finding import found
+from roemetry_peaks.options import PeakOptions
+
+
+class CentreOfGravityOptions(PeakOptions):
+    """Options of `CentreOfGravity`."""
+
+
+class CentreOfGravity(Extractor[CentreOfGravityOptions]):
+    """Takes the centre of gravity of the grey levels above the background, within 2.4 σ of the middle."""
+
+    Options: ClassVar[type[StageOptions]] = CentreOfGravityOptions
+    capabilities = Capabilities(tolerance_px=0.05, saturated_tolerance_px=0.1)
+
+    def extract(self, frame: Frame) -> Peaks:
+        """Find the stripes of a frame."""
+        from roemetry_kernels.centre_of_gravity import centres_of_gravity  # numba: when something runs
+
+        return found(frame, self.options, centres_of_gravity)

@@ -1,0 +1,33 @@
+"""Options that the extractors share."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from roemetry.stages import StageOptions
+
+
+class PeakOptions(StageOptions):
+    """What counts as a stripe."""
+
+    threshold: Annotated[float, Field(ge=1.0, le=255.0)] | Literal["auto"] = Field(
+        default="auto",
+        description="grey levels (of 0…255, scaled for deeper images) by which a stripe must rise above the "
+        "lowest level before it and fall again; auto: from the image's own noise",
+    )
+    width_min_px: float = Field(
+        default=1.5,
+        ge=0.0,
+        le=100.0,
+        description="smallest full width at half height, px: rejects hot pixels",
+    )
+    width_max_px: float = Field(
+        default=40.0, gt=0.0, le=1000.0, description="largest full width at half height, px: rejects glare"
+    )
+    region: tuple[int, int, int, int] | None = Field(
+        default=None,
+        description="part of the (turned) image to search: first row, row after the last, first column, "
+        "column after the last, px; none: all of it",
+    )
