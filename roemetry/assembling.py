@@ -8,12 +8,14 @@ import numpy as np
 
 from roemetry.calibration import Calibration
 from roemetry.records import NOTHING, Outline, Product, Profiles, Reason
+from roemetry.view import View
 
 
 def assemble(
     profiles: Profiles,
     outlines: tuple[Outline, ...],
     calibration: Calibration,
+    view: View | None,
     acquisition_id: str,
     reasons: tuple[Reason, ...] = (),
 ) -> tuple[Product, ...]:
@@ -28,6 +30,7 @@ def assemble(
             acquisition_ids=(acquisition_id,),
             outline=by_number.get(int(number)),
             reasons=reasons + profiles.reasons,
+            view=view,
         )
         for number in numbers
         if number > 0

@@ -39,6 +39,7 @@ def calibrate(rig: Rig, *, registry: Registry | None = None) -> Calibration:
                 turn_deg=rig.file.turn_deg,
                 subtract="none",
                 bit_depth=rig.file.bit_depth,
+                sensor=rig.sensor,
             )
             observations.append(Observation(shows, frame, extractor.extract(frame)))
             found = sha256_of(path)

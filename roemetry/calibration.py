@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from roemetry.arrays import Checker, Floats
-from roemetry.errors import CalibrationError
+from roemetry.errors import CalibrationError, DataError
 from roemetry.files import write_whole
+from roemetry.view import View
 from roemetry.yaml_source import dump, read
 
 VERSION = 1
@@ -53,6 +54,9 @@ class Calibration:
         Date and time, ISO 8601.
     notes
         What the calibrator has to say in words.
+    view
+        Camera and planes of light in the belt frame, as coders and outlines need them whatever the method;
+        None where the method gives none.
     """
 
     method: str
@@ -69,6 +73,7 @@ class Calibration:
     image_sha256: Mapping[str, str] = field(default_factory=dict)
     made: str = ""
     notes: tuple[str, ...] = ()
+    view: View | None = None
 
     def __post_init__(self) -> None:
         check = Checker(self)
@@ -129,6 +134,7 @@ class Calibration:
             "extractor": dict(self.extractor),
             "image_sha256": dict(self.image_sha256),
             "notes": list(self.notes),
+            "view": None if self.view is None else self.view.to_dict(),
         }
 
     def save(self, path: Path) -> None:
@@ -156,9 +162,10 @@ class Calibration:
                 hint="calibrate again with `roemetry calibrate`",
             )
         try:
+            size = int(data["image_size"]["rows"]), int(data["image_size"]["columns"])
             calibration = cls(
                 method=str(data["method"]),
-                image_size=(int(data["image_size"]["rows"]), int(data["image_size"]["columns"])),
+                image_size=size,
                 turn_deg=int(data["turn_deg"]),
                 rest_px=np.array(data["rest_px"], np.float64),
                 displacement_px_per_mm=np.array(data["displacement_px_per_mm"], np.float64),
@@ -171,8 +178,9 @@ class Calibration:
                 image_sha256=data["image_sha256"],
                 made=str(data["made"]),
                 notes=tuple(data["notes"]),
+                view=None if data.get("view") is None else View.from_dict(data["view"], size),
             )
-        except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+        except (KeyError, TypeError, ValueError, IndexError, AttributeError, DataError) as error:
             what = f"{error} is missing" if isinstance(error, KeyError) else str(error)
             raise CalibrationError(
                 f"{path}: the calibration is damaged: {what}",

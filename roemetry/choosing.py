@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Protocol
 
 from roemetry.errors import RoemetryError
+from roemetry.files import sha256_of
 from roemetry.registry import Registered, Registry
 from roemetry.stages import INTERFACES, Stage, StageOptions
 from roemetry.validation import Place, checked
@@ -32,11 +34,14 @@ class Chosen:
         return self.stage(self.options)
 
     def described(self) -> dict[str, Any]:
-        """Name, provider with version, and every option with its value."""
+        """Name, provider with version, and every option with its value; of a file its name and its hash."""
+        options = self.options.model_dump(mode="json")
+        for name, path in _paths(self.options).items():
+            options[name] = f"{path.name} sha256 {sha256_of(path)}"
         return {
             "use": self.registered.entry.name,
             "provider": str(self.registered.provider),
-            "options": self.options.model_dump(mode="json"),
+            "options": options,
         }
 
 
@@ -49,12 +54,15 @@ class Chooser:
         What is installed.
     place
         Gives ``file:line:column`` of a path in the file.
+    folder
+        Where relative paths in stages' options begin.
     """
 
-    def __init__(self, registry: Registry, place: Place) -> None:
+    def __init__(self, registry: Registry, place: Place, folder: Path) -> None:
         self.faults: list[str] = []
         self._registry = registry
         self._place = place
+        self._folder = folder
 
     def choose(self, kind: str, choice: Choice, *at: Step) -> Chosen | None:
         """Find, import and configure a stage that stands at a path of the file; None where that fails."""
@@ -69,8 +77,20 @@ class Chooser:
             return None
         options, wrong = checked(stage.Options, choice.options, self._place, (*at, "options"))
         self.faults += wrong
-        return None if options is None else Chosen(registered, stage, options)
+        if options is None:
+            return None
+        files = {name: self._folder / path for name, path in _paths(options).items()}
+        for name, path in files.items():
+            if not path.is_file():
+                self.fault(f"there is no file {path}", *at, "options", name)
+        return Chosen(registered, stage, options.model_copy(update=files) if files else options)
 
     def fault(self, sentence: str, *at: Step) -> None:
         """Note a fault at a path of the file."""
         self.faults.append(f"{self._place(at)}: {'.'.join(map(str, at))}: {sentence}")
+
+
+def _paths(options: StageOptions) -> dict[str, Path]:
+    """Options that name files: those whose values are paths."""
+    given = {name: getattr(options, name) for name in type(options).model_fields}
+    return {name: value for name, value in given.items() if isinstance(value, Path)}

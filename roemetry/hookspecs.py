@@ -38,6 +38,7 @@ KINDS = (
     "source",
     "extractor",
     "coder",
+    "smoother",
     "calibrator",
     "triangulator",
     "outliner",

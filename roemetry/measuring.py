@@ -25,7 +25,7 @@ from roemetry.records import (
     Trace,
 )
 
-_STAGES_BEFORE_PRODUCTS = ("source", "extractor", "coder", "triangulator")
+_STAGES_BEFORE_PRODUCTS = ("source", "extractor", "coder", "smoother", "triangulator")
 
 
 def measurements_of(trace: Trace, recipe: Recipe, provenance: Mapping[str, str]) -> tuple[Measurement, ...]:

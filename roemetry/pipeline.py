@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 from roemetry.assembling import assemble
 from roemetry.calibration import Calibration
 from roemetry.errors import RoemetryError
-from roemetry.preparing import prepare
+from roemetry.preparing import prepare, prepare_plain
 from roemetry.recipe import Recipe
 from roemetry.records import (
     AMBIGUOUS,
@@ -75,6 +75,7 @@ class Pipeline:
                 turn_deg=source.turn_deg,
                 subtract=source.subtract,
                 bit_depth=source.bit_depth,
+                sensor=self.recipe.sensor,
             ),
         )
         peaks: Peaks | None = None
@@ -87,9 +88,15 @@ class Pipeline:
             peaks = steps.do("extractor", lambda: self._stages["extractor"].extract(frame))
         if peaks is not None and "coder" in self._stages and steps.allow("coder", _unfit(frame, calibration)):
             stripes = steps.do("coder", lambda: self._stages["coder"].code(peaks, calibration))
+        if stripes is not None and "smoother" in self._stages:
+            stripes = steps.do("smoother", lambda: self._stages["smoother"].smooth(stripes))
         if stripes is not None and "outliner" in self._stages:
+            plain = prepare_plain(acquisition, turn_deg=source.turn_deg)
             outlines = (
-                steps.do("outliner", lambda: self._stages["outliner"].outline(acquisition, stripes)) or ()
+                steps.do(
+                    "outliner", lambda: self._stages["outliner"].outline(frame, plain, stripes, calibration)
+                )
+                or ()
             )
         if (
             stripes is not None
@@ -100,7 +107,8 @@ class Pipeline:
                 "triangulator", lambda: self._stages["triangulator"].triangulate(stripes, calibration)
             )
         if profiles is not None and stripes is not None and calibration is not None:
-            assembled = assemble(profiles, outlines, calibration, acquisition.id, stripes.reasons)
+            view = self._stages["triangulator"].view(calibration)
+            assembled = assemble(profiles, outlines, calibration, view, acquisition.id, stripes.reasons)
             doubt = _undecided(stripes)
             products = tuple(
                 self._outcome(product, doubt or _cut_off(stripes, product.number), steps.seconds)

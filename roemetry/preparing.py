@@ -9,14 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roemetry.errors import DataError
-from roemetry.records import Acquisition, Frame
+from roemetry.records import Acquisition, Frame, Sensor
 
 _BLUE_GREEN_RED = {"blue": 0, "green": 1, "red": 2}
 _LUMA = np.array([0.114, 0.587, 0.299])  # ITU-R BT.601, in the order blue, green, red
 
 
 def prepare(
-    acquisition: Acquisition, *, channel: str, turn_deg: int, subtract: str, bit_depth: int | None = None
+    acquisition: Acquisition,
+    *,
+    channel: str,
+    turn_deg: int,
+    subtract: str,
+    bit_depth: int | None = None,
+    sensor: Sensor | None = None,
 ) -> Frame:
     """Make the laser frame ready.
 
@@ -32,6 +38,8 @@ def prepare(
         ``dark`` takes the laser-off partner away, grey level by grey level, cut off at 0; or ``none``.
     bit_depth
         Bits in use; None leaves what the source said.
+    sensor
+        The camera's noise; None leaves what the source knows of it.
 
     Raises
     ------
@@ -56,15 +64,22 @@ def prepare(
                 f"the laser image {pixels.shape} {pixels.dtype}"
             )
         pixels = np.where(pixels > off, pixels - off, 0).astype(pixels.dtype)
-    if turn_deg:
-        pixels = np.rot90(pixels, turn_deg // 90)
-    turn = (laser.turn_deg + turn_deg) % 360
     return replace(
-        laser,
-        pixels=np.ascontiguousarray(pixels),
-        turn_deg=turn,
+        _turned(replace(laser, pixels=pixels), turn_deg),
         bit_depth=laser.bit_depth if bit_depth is None else bit_depth,
+        sensor=laser.sensor if sensor is None else sensor,
     )
+
+
+def prepare_plain(acquisition: Acquisition, *, turn_deg: int) -> Frame | None:
+    """Turn the plain-light image like the laser frame; its colours stay. None where there is none."""
+    plain = acquisition.frame("plain")
+    return None if plain is None else _turned(plain, turn_deg)
+
+
+def _turned(frame: Frame, turn_deg: int) -> Frame:
+    pixels = np.rot90(frame.pixels, turn_deg // 90) if turn_deg else frame.pixels
+    return replace(frame, pixels=np.ascontiguousarray(pixels), turn_deg=(frame.turn_deg + turn_deg) % 360)
 
 
 def _one_channel(pixels: NDArray[Any], channel: str) -> NDArray[Any]:

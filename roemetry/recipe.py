@@ -19,6 +19,7 @@ from roemetry.choosing import Chooser, Chosen
 from roemetry.errors import ConfigurationError, RoemetryError
 from roemetry.overrides import Overridden
 from roemetry.recipe_file import NEEDS, RecipeFile, SourceChoice
+from roemetry.records import Sensor
 from roemetry.registry import Registry, discover
 from roemetry.validation import checked
 from roemetry.yaml_source import read
@@ -96,6 +97,12 @@ class Recipe:
             "sinks": [sink.described() for sink in self.sinks],
         }
 
+    @property
+    def sensor(self) -> Sensor | None:
+        """The camera's noise, where the recipe states it."""
+        stated = self.source_choice.sensor
+        return None if stated is None else Sensor(**stated.model_dump())
+
     @cached_property
     def sha256(self) -> str:
         """Hash of all that decides a number: not the path of the images, not the sinks."""
@@ -105,7 +112,7 @@ class Recipe:
 
 
 def _resolve(path: Path, document: Overridden, file: RecipeFile, registry: Registry) -> Recipe:
-    chooser = Chooser(registry, document.place)
+    chooser = Chooser(registry, document.place, path.parent)
     source = chooser.choose("source", file.source, "source")
     stages: dict[str, Chosen] = {}
     for kind in type(file.stages).model_fields:

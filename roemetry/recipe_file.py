@@ -31,6 +31,13 @@ class StageChoice(Section):
 Choice = Annotated[StageChoice, BeforeValidator(_short_form)]
 
 
+class SensorFile(Section):
+    """The camera's noise, as EMVA 1288 data sheets state it."""
+
+    gain_grey_per_electron: float = Field(gt=0, description="grey levels for each electron")
+    read_noise_grey: float = Field(ge=0, description="standard deviation of a dark pixel, grey levels")
+
+
 class SourceChoice(Section):
     """Where images come from and how they are made ready."""
 
@@ -47,6 +54,9 @@ class SourceChoice(Section):
     subtract: Literal["none", "dark"] = Field(
         default="none", description="`dark`: subtract the laser-off partner of each image"
     )
+    sensor: SensorFile | None = Field(
+        default=None, description="the camera's noise; default: what the source knows of it"
+    )
     options: dict[str, Any] = Field(default_factory=dict, description="the source's own options")
 
 
@@ -55,6 +65,7 @@ class StageChoices(Section):
 
     extractor: Choice
     coder: Choice | None = None
+    smoother: Choice | None = None
     triangulator: Choice | None = None
     outliner: Choice | None = None
     volume: Choice | None = None
@@ -78,6 +89,7 @@ class RecipeFile(Section):
 
 NEEDS: dict[str, str] = {
     "coder": "extractor",
+    "smoother": "coder",
     "triangulator": "coder",
     "outliner": "coder",
     "volume": "triangulator",

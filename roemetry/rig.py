@@ -12,8 +12,8 @@ from pydantic import Field
 from roemetry.choosing import Chooser, Chosen
 from roemetry.errors import ConfigurationError, RoemetryError
 from roemetry.overrides import Overridden
-from roemetry.recipe_file import Channel, Choice, Section, StageChoice, Turn
-from roemetry.records import Block
+from roemetry.recipe_file import Channel, Choice, Section, SensorFile, StageChoice, Turn
+from roemetry.records import Block, Sensor
 from roemetry.registry import Registry, discover
 from roemetry.validation import checked
 from roemetry.yaml_source import read
@@ -48,6 +48,7 @@ class RigFile(Section):
     bit_depth: int | None = Field(
         default=None, ge=1, le=16, description="bits in use; default: all that the files' pixels have"
     )
+    sensor: SensorFile | None = Field(default=None, description="the camera's noise, as in the recipe")
     working_distance_mm: float | None = Field(
         default=None, gt=0, description="camera (its entrance pupil) to belt, mm; leave out if unknown"
     )
@@ -68,6 +69,11 @@ class Rig:
     extractor: Chosen
     calibrator: Chosen
 
+    @property
+    def sensor(self) -> Sensor | None:
+        """The camera's noise, where the file states it."""
+        return None if self.file.sensor is None else Sensor(**self.file.sensor.model_dump())
+
     @classmethod
     def load(cls, path: Path | str, *, sets: Sequence[str] = (), registry: Registry | None = None) -> Rig:
         """Read and check a rig file; raise ConfigurationError with every fault, each with its place."""
@@ -76,7 +82,7 @@ class Rig:
         file, faults = checked(RigFile, document.data, document.place)
         if file is None:
             raise ConfigurationError(faults)
-        chooser = Chooser(registry or discover(), document.place)
+        chooser = Chooser(registry or discover(), document.place, path.parent)
         extractor = chooser.choose("extractor", file.extractor, "extractor")
         calibrator = chooser.choose("calibrator", file.calibrator, "calibrator")
         images = {

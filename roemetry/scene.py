@@ -79,7 +79,7 @@ class Scene:
         file, faults = checked(SceneFile, data, document.place)
         if file is None:
             raise ConfigurationError(faults)
-        chooser = Chooser(registry or discover(), document.place)
+        chooser = Chooser(registry or discover(), document.place, path.parent)
         simulator = chooser.choose("simulator", file.simulator, "simulator")
         if chooser.faults or simulator is None:
             raise ConfigurationError(chooser.faults)

@@ -35,6 +35,7 @@ from roemetry.records import (
     Volume,
     Weight,
 )
+from roemetry.view import View
 
 
 class StageOptions(BaseModel):
@@ -119,6 +120,14 @@ class Coder(Stage[OptionsT]):
         """Code the peaks; refuse single peaks as ambiguous, or everything by a StageError with the reason."""
 
 
+class Smoother(Stage[OptionsT]):
+    """Filters coded stripes along themselves, and says what resolution that costs."""
+
+    @abstractmethod
+    def smooth(self, stripes: StripeMap) -> StripeMap:
+        """Give the same stripes with less noise: nothing coded anew, breaks kept as breaks."""
+
+
 class Calibrator(Stage[OptionsT]):
     """Makes a calibration from images of known things."""
 
@@ -134,13 +143,31 @@ class Triangulator(Stage[OptionsT]):
     def triangulate(self, stripes: StripeMap, calibration: Calibration) -> Profiles:
         """Give calibrated slices in the belt frame."""
 
+    def view(self, calibration: Calibration) -> View | None:
+        """Give the rig's geometry by the calibration's parameters, which a redraw has moved."""
+        return calibration.view
+
 
 class Outliner(Stage[OptionsT]):
     """Finds the products' contours in the image."""
 
     @abstractmethod
-    def outline(self, acquisition: Acquisition, stripes: StripeMap | None) -> tuple[Outline, ...]:
-        """Give one outline for each product that was found."""
+    def outline(
+        self, frame: Frame, plain: Frame | None, stripes: StripeMap, calibration: Calibration | None
+    ) -> tuple[Outline, ...]:
+        """Give one outline for each product that was found.
+
+        Parameters
+        ----------
+        frame
+            The laser image as the extractor saw it.
+        plain
+            The image in plain light, turned alike, in colour if it was taken so; None where there is none.
+        stripes
+            The coded stripes.
+        calibration
+            None where the recipe has none.
+        """
 
 
 class VolumeEstimator(Stage[OptionsT]):
@@ -224,6 +251,7 @@ INTERFACES: Mapping[str, type[Stage[Any]]] = {
     "source": Source,
     "extractor": Extractor,
     "coder": Coder,
+    "smoother": Smoother,
     "calibrator": Calibrator,
     "triangulator": Triangulator,
     "outliner": Outliner,

@@ -16,6 +16,7 @@ from roemetry.calibration import Calibration
 from roemetry.errors import CalibrationError
 from roemetry.records import Block, CalibrationSet, Observation
 from roemetry.stages import Calibrator, Capabilities, StageOptions
+from roemetry_paper.block_geometry import block_view
 from roemetry_paper.block_views import BlockView, rest_polynomials, view_of_block
 
 
@@ -90,6 +91,7 @@ class BlockCalibrator(Calibrator[BlockCalibratorOptions]):
             },
             extractor=dict(observed.extractor),
             notes=scale.notes,
+            view=block_view(size, rest_px, omega, scale.mm_per_px, observed.working_distance_mm),
         )
 
 

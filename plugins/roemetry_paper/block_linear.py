@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from roemetry.arrays import Floats
 from roemetry.calibration import Calibration
 from roemetry.errors import StageError
 from roemetry.records import Profiles, StripeMap
 from roemetry.stages import Capabilities, StageOptions, Triangulator
+from roemetry.view import View
+from roemetry_paper.block_geometry import block_view, light_planes
 
 
 class BlockLinear(Triangulator[StageOptions]):
@@ -55,17 +56,18 @@ class BlockLinear(Triangulator[StageOptions]):
             height_std_mm=np.abs(omega)[:, None] * stripes.x_std_px,
             stripe=np.arange(count),
             frame=np.zeros(count, np.int64),
-            plane=_planes(calibration, omega, scale),
+            plane=light_planes(calibration.rest_px, omega, scale, (columns - 1) / 2.0),
         )
 
-
-def _planes(calibration: Calibration, omega: Floats, scale: float) -> Floats:
-    """Plane of each stripe in the belt frame: through its rest line, and leaning by 1/Ω."""
-    columns = calibration.image_size[1]
-    rest = calibration.rest_px
-    slope = rest[:, 1] if rest.shape[1] > 1 else np.zeros(rest.shape[0])
-    # On the plane lie (slope, −1, 0), along the rest line, and (scale/Ω, 0, 1), up the light.
-    normal = np.stack([np.ones_like(slope), slope, -scale / omega], axis=1)
-    normal /= np.sqrt((normal**2).sum(axis=1))[:, None]
-    x_mm = (rest[:, 0] - (columns - 1) / 2.0) * scale
-    return np.column_stack([normal, normal[:, 0] * x_mm])
+    def view(self, calibration: Calibration) -> View | None:
+        """Give the view of the calibration's parameters; the camera's distance is the calibration's own."""
+        known = calibration.view
+        if known is None:
+            return None
+        return block_view(
+            calibration.image_size,
+            calibration.rest_px,
+            calibration.parameters["omega_mm_per_px"],
+            float(calibration.parameters["mm_per_px"][0]),
+            None if known.telecentric else float(known.camera_mm[2]),
+        )

@@ -14,6 +14,7 @@ from roemetry.records import Product
 _VERBS = {
     "extractor": "extract",
     "coder": "code",
+    "smoother": "smooth",
     "outliner": "outline",
     "triangulator": "triangulate",
     "volume": "estimate",
@@ -23,8 +24,9 @@ _VERBS = {
 _BEFORE: Mapping[str, tuple[str, ...]] = {
     "extractor": (),
     "coder": ("extractor",),
-    "outliner": ("coder",),
-    "triangulator": ("coder",),
+    "smoother": ("coder",),
+    "outliner": ("smoother", "coder"),
+    "triangulator": ("smoother", "coder"),
     "volume": ("triangulator", "outliner"),
     "weigher": ("volume",),
     "classifier": ("triangulator", "outliner"),
@@ -104,7 +106,7 @@ def step_keys(recipe: Recipe) -> dict[str, str]:
                 chosen.described(),
                 [key_of(before) for before in _BEFORE[kind] if before in recipe.stages],
                 recipe.calibration.sha256 if calibrated and recipe.calibration is not None else None,
-                [source.channel, source.turn_deg, source.subtract],
+                source.model_dump(mode="json", exclude={"path"}),
             ]
             keys[kind] = hashlib.sha256(json.dumps(decided_by, sort_keys=True).encode()).hexdigest()
         return keys[kind]
@@ -130,3 +132,5 @@ class _RememberedStage:
             return result
 
         setattr(self, verb, remembered)
+        if kind == "triangulator":
+            self.view = stage.view

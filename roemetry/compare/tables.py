@@ -23,7 +23,17 @@ GROUPS = (
 )
 """Name in the table, name of the quantity, unit."""
 
-STEPS = ("source", "extractor", "coder", "outliner", "triangulator", "volume", "weigher", "classifier")
+STEPS = (
+    "source",
+    "extractor",
+    "coder",
+    "smoother",
+    "outliner",
+    "triangulator",
+    "volume",
+    "weigher",
+    "classifier",
+)
 
 
 def to_csv(compared: Sequence[Compared]) -> str:

@@ -1,6 +1,6 @@
 """The records that go from stage to stage: frozen, checked when made, arrays read-only, invalid is NaN."""
 
-from roemetry.records.acquisition import Acquisition, AcquisitionReference, Frame, Role
+from roemetry.records.acquisition import Acquisition, AcquisitionReference, Frame, Role, Sensor
 from roemetry.records.measurement import Coding, Measurement, Status
 from roemetry.records.observations import Block, CalibrationSet, Observation
 from roemetry.records.outcome import Estimate, Grade, Marks, Shares, Volume, Weight
@@ -55,6 +55,7 @@ __all__ = [
     "Profiles",
     "Reason",
     "Role",
+    "Sensor",
     "Shares",
     "Simulated",
     "Status",

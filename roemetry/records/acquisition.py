@@ -16,6 +16,31 @@ from roemetry.errors import DataError
 Role = Literal["laser", "plain", "dark"]
 
 
+@dataclass(frozen=True, slots=True)
+class Sensor:
+    """What is known of the camera's noise; NaN where it is not known.
+
+    A pixel that shows g grey levels above black has a variance of ``gain · g + read_noise²``.
+
+    Attributes
+    ----------
+    gain_grey_per_electron
+        Grey levels for each electron.
+    read_noise_grey
+        Standard deviation of a dark pixel, grey levels.
+    """
+
+    gain_grey_per_electron: float = math.nan
+    read_noise_grey: float = math.nan
+
+    def __post_init__(self) -> None:
+        if self.gain_grey_per_electron <= 0 or self.read_noise_grey < 0:
+            raise DataError(
+                f"Sensor: gain_grey_per_electron is {self.gain_grey_per_electron}, read_noise_grey is "
+                f"{self.read_noise_grey}; expected > 0 and ≥ 0"
+            )
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class Frame:
     """One image.
@@ -36,6 +61,8 @@ class Frame:
         Counter-clockwise turn that has been applied to the image as acquired: 0, 90, 180 or 270.
     time_s, encoder_count
         When and where on the belt it was taken; NaN where not known.
+    sensor
+        The camera's noise, or None where nothing is known of it.
     """
 
     pixels: NDArray[Any]
@@ -45,6 +72,7 @@ class Frame:
     turn_deg: int = 0
     time_s: float = math.nan
     encoder_count: float = math.nan
+    sensor: Sensor | None = None
 
     def __post_init__(self) -> None:
         pixels = np.asarray(self.pixels)

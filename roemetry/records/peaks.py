@@ -36,6 +36,10 @@ class Peaks:
         (peak,) full width at half of the amplitude, px.
     flags
         (peak,) sum of `SATURATED`, `EDGE` (too near the image border), `WIDE` (wider than a stripe is).
+    correlation_rows
+        How far the errors of `x_px` reach along a stripe: the standard deviation, rows, of the Gaussian that
+        white noise would have to be smoothed with to have their autocorrelation exp(−Δ²/(4ℓ²)); 0 where
+        rows err independently.
     row_start
         (row + 1,) where each row's peaks begin: those of row r are ``row_start[r]:row_start[r + 1]``.
     """
@@ -48,6 +52,7 @@ class Peaks:
     background: Floats
     width_px: Floats
     flags: NDArray[np.uint8]
+    correlation_rows: float = 0.0
     row_start: Integers = field(init=False)
 
     def __post_init__(self) -> None:
@@ -58,6 +63,7 @@ class Peaks:
         for name in ("x_std_px", "amplitude", "background", "width_px"):
             check.array(name, np.float64, (n,))
         check.array("flags", np.uint8, (n,))
+        check.require(self.correlation_rows >= 0, "correlation_rows is negative")
         rows, columns = self.image_size
         if row.ndim == 1 and x_px.shape == row.shape and n:
             check.require(bool(row[0] >= 0 and row[-1] < rows), f"row is outside 0…{rows - 1}")

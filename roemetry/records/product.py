@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -10,6 +12,7 @@ from roemetry.arrays import Checker, Floats
 from roemetry.calibration import Calibration
 from roemetry.records.profiles import Profiles
 from roemetry.records.reasons import Reason
+from roemetry.view import View
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -22,10 +25,16 @@ class Outline:
         Number of the product, 1…n.
     xy_px
         (point, 2) closed contour in the turned image, px, the last point is not the first again.
+    xy_std_px
+        Standard uncertainty of the contour across itself, px; NaN where it is not modelled.
+    features
+        Further numbers read off the image inside the contour, units in the names.
     """
 
     product: int
     xy_px: Floats
+    xy_std_px: float = math.nan
+    features: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check = Checker(self)
@@ -51,6 +60,8 @@ class Product:
         The contour in the image, where an outliner was asked for and found one.
     reasons
         What the stages before had to say.
+    view
+        The rig's geometry as it was used for these slices; None where the calibration gives none.
     """
 
     number: int
@@ -59,3 +70,4 @@ class Product:
     acquisition_ids: tuple[str, ...]
     outline: Outline | None = None
     reasons: tuple[Reason, ...] = ()
+    view: View | None = None

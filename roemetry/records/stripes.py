@@ -43,6 +43,10 @@ class StripeMap:
         `AMBIGUOUS` (−2) for what may be several.
     reasons
         What a reader of the numbers must know about the coding.
+    correlation_rows
+        How far the errors of `x_px` reach along a stripe: the standard deviation, rows, of the Gaussian that
+        white noise would have to be smoothed with to have their autocorrelation exp(−Δ²/(4ℓ²)); 0 where
+        rows err independently.
     """
 
     x_px: Floats
@@ -54,6 +58,7 @@ class StripeMap:
     rest_px: Floats
     peak_stripe: Labels
     reasons: tuple[Reason, ...] = ()
+    correlation_rows: float = 0.0
 
     def __post_init__(self) -> None:
         check = Checker(self)
@@ -65,6 +70,7 @@ class StripeMap:
         seen = check.array("seen", np.bool_, shape)
         check.array("ambiguous", np.bool_, shape)
         check.array("peak_stripe", np.int16, (None,))
+        check.require(self.correlation_rows >= 0, "correlation_rows is negative")
         if x_px.shape == product.shape == seen.shape:
             empty = np.isnan(x_px)
             check.require(

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from roemetry.errors import PluginError
-from roemetry.records import Acquisition
 from roemetry.stages import (
     Calibrator,
     Classifier,
@@ -21,6 +20,7 @@ from roemetry.stages import (
     Planner,
     Simulator,
     Sink,
+    Smoother,
     Source,
     Stage,
     Triangulator,
@@ -114,6 +114,20 @@ def _coder(stage: Coder[Any]) -> Cases:
     )
 
 
+def _smoother(stage: Smoother[Any]) -> Cases:
+    rig = LinearRig()
+
+    def case(height_mm: Any) -> Case:
+        inputs = rig.stripe_map(height_mm)
+        return Case(
+            (inputs,),
+            lambda smoother: smoother.smooth(inputs),
+            lambda stripes: not np.isfinite(stripes.x_px).any(),
+        )
+
+    return Cases(case(rig.dome()), case(rig.dome(4.0)), case(np.full((rig.stripes, rig.rows), np.nan)))
+
+
 def _calibrator(stage: Calibrator[Any]) -> Cases:
     def case(rig: LinearRig) -> Case:
         observed = calibration_set_for(stage, rig)
@@ -150,7 +164,7 @@ def _outliner(stage: Outliner[Any]) -> Cases:
         inside = np.hypot((row - rig.middle_row) / 45.0, (column - rig.middle_column) / 100.0) < 1.0
         plain = frame_of(np.where(inside, 180.0, 40.0) if lit else np.full(inside.shape, 40.0))
         laser = frame_of(rig.light(rig.x_px(height_mm)))
-        inputs = Acquisition("scene", (laser, replace(plain, role="plain"))), rig.stripe_map(height_mm)
+        inputs = laser, replace(plain, role="plain"), rig.stripe_map(height_mm), None
         return Case(inputs, lambda outliner: outliner.outline(*inputs), lambda found: len(found) == 0)
 
     return Cases(case(rig.dome()), case(rig.dome(5.0)), case(rig.belt(), lit=False))
@@ -221,6 +235,7 @@ _MAKERS: dict[type[Any], Callable[[Any], Cases]] = {
     Source: _source,
     Extractor: _extractor,
     Coder: _coder,
+    Smoother: _smoother,
     Calibrator: _calibrator,
     Triangulator: _triangulator,
     Outliner: _outliner,

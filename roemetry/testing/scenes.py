@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 from roemetry.arrays import Flags, Floats, Integers
 from roemetry.calibration import Calibration
 from roemetry.records import BELT, NOTHING, Frame, Peaks, StripeMap
+from roemetry.view import View
 
 SEED = 20260711
 _WHITE_8_BIT = 255
+_CAMERA_MM = 1000.0
 
 
 class ScenePeaks(NamedTuple):
@@ -199,6 +201,22 @@ class LinearRig:
             },
             covariance=np.zeros((self.stripes + 1, self.stripes + 1)),
             extractor={"use": "exact"},
+            view=self.view(),
+        )
+
+    def view(self) -> View:
+        """Give the true view: a telecentric camera that looks straight down."""
+        scale = 1.0 / self.mm_per_px
+        pose = np.diag([1.0, -1.0, -1.0, 1.0])
+        pose[2, 3] = _CAMERA_MM
+        return View(
+            image_size=(self.rows, self.columns),
+            camera_matrix=np.array(
+                [[scale, 0.0, self.middle_column], [0.0, scale, self.middle_row], [0.0, 0.0, 1.0]]
+            ),
+            T_belt_camera=pose,
+            planes=self.planes(),
+            telecentric=True,
         )
 
     def _rest(self) -> Floats:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from roemetry.errors import DataError
-from roemetry.preparing import prepare
-from roemetry.records import Acquisition, Frame
+from roemetry.preparing import prepare, prepare_plain
+from roemetry.records import Acquisition, Frame, Sensor
 
 PICTURE = np.arange(12, dtype=np.uint8).reshape(3, 4)
 
@@ -56,3 +56,24 @@ def test_dark_is_taken_away_and_never_wraps() -> None:
 def test_refusals(given: Acquisition, says: str) -> None:
     with pytest.raises(DataError, match=says):
         ready(given, subtract="dark")
+
+
+def test_the_plain_image_is_turned_alike_and_keeps_its_colours() -> None:
+    colour = np.zeros((3, 4, 3), np.uint8)
+    colour[0, 3] = (1, 2, 3)
+    given = acquisition(laser=PICTURE, plain=colour)
+    plain = prepare_plain(given, turn_deg=90)
+    assert plain is not None
+    assert plain.pixels[0, 0].tolist() == [1, 2, 3]
+    assert plain.turn_deg == ready(given, turn_deg=90).turn_deg
+    assert prepare_plain(acquisition(laser=PICTURE), turn_deg=90) is None
+
+
+def test_a_stated_sensor_goes_before_the_sources() -> None:
+    stated = Sensor(0.02, 1.5)
+    frame = Frame(PICTURE, sensor=Sensor(0.5, 0.5))
+    given = Acquisition("a", (frame,))
+    assert prepare(given, channel="grey", turn_deg=0, subtract="none", sensor=stated).sensor == stated
+    assert ready(given).sensor == frame.sensor
+    with pytest.raises(DataError, match="gain_grey_per_electron is 0"):
+        Sensor(0.0, 1.0)

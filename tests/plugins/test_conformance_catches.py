@@ -10,7 +10,7 @@ from pydantic import Field
 
 from roemetry.errors import DataError
 from roemetry.records import AMBIGUOUS, Estimate, Frame, Grade, Peaks, Reason, Weight
-from roemetry.stages import INTERFACES, Capabilities, Extractor, StageOptions
+from roemetry.stages import INTERFACES, Capabilities, Extractor, Smoother, StageOptions
 from roemetry.testing import checks_of
 from roemetry.testing.checks import name_of
 from roemetry.testing.kit import judged
@@ -345,6 +345,19 @@ class NeedsRows(CsvTable):
         return super().write(run)
 
 
+class MovingMean(Smoother[StageOptions]):
+    """An honest, simple smoother of three rows that takes no notice of steps or gaps."""
+
+    def smooth(self, stripes):
+        filled = np.stack([np.convolve(np.pad(x, 1, "edge"), np.ones(3) / 3, "valid") for x in stripes.x_px])
+        return replace(stripes, x_px=filled, x_std_px=stripes.x_std_px / np.sqrt(3.0), correlation_rows=1.0)
+
+
+class Idle(Smoother[StageOptions]):
+    def smooth(self, stripes):
+        return stripes
+
+
 @pytest.mark.parametrize(
     ("stage", "check"),
     [
@@ -373,6 +386,8 @@ class NeedsRows(CsvTable):
         (AllProduct, "check_an_untouched_stripe_is_belt"),
         (AllProduct, "check_a_bare_belt_has_no_product"),
         (Boasting, "check_what_is_not_seen_is_marked"),
+        (Idle, "check_scatter_becomes_less"),
+        (MovingMean, "check_labels_and_gaps_stay"),
         (Unsigned, "check_a_mirrored_rig_measures_alike"),
         (Bent, "check_points_are_where_the_scene_is"),
         (Bent, "check_a_plane_stays_plane"),

@@ -14,7 +14,7 @@ from roemetry.testing.judging import require
 def check_contours_lie_in_the_image(outliner: Outliner[Any]) -> None:
     """Contours have at least three points, lie within the image, and are numbered from 1, each once."""
     case = cases_for(outliner).ordinary
-    rows, columns = case.inputs[0].frames[0].size
+    rows, columns = case.inputs[0].size
     outlines = case.call(outliner)
     require(outlines, "a bright product on a dark belt is not found")
     numbers = [outline.product for outline in outlines]

@@ -1,0 +1,71 @@
+"""What a block calibration says of camera and planes: enough for coding and outlines, not exact."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from roemetry.arrays import Floats
+from roemetry.view import View
+
+_ABOVE_MM = 1000.0
+"""Where the camera of a telecentric view is put; nothing depends on it."""
+
+
+def block_view(
+    image_size: tuple[int, int],
+    rest_px: Floats,
+    omega_mm_per_px: Floats,
+    mm_per_px: float,
+    working_distance_mm: float | None,
+) -> View:
+    """Give a camera that looks straight down at the belt, and planes through the rest lines.
+
+    Each plane leans so that its stripe moves by 1/Ω px for the first millimetre of height in the middle row.
+
+    Parameters
+    ----------
+    image_size
+        Rows and columns.
+    rest_px
+        (stripe, coefficient) rest lines, as in `Calibration`.
+    omega_mm_per_px
+        (stripe,) height for each pixel of displacement, mm/px.
+    mm_per_px
+        Scale at belt level, mm/px.
+    working_distance_mm
+        Centre of projection to belt, mm; None makes the view telecentric.
+    """
+    rows, columns = image_size
+    telecentric = working_distance_mm is None
+    height = _ABOVE_MM if working_distance_mm is None else working_distance_mm
+    focal = 1.0 / mm_per_px if telecentric else height / mm_per_px
+    middle_x, middle_y = (columns - 1) / 2.0, (rows - 1) / 2.0
+    pose = np.diag([1.0, -1.0, -1.0, 1.0])
+    pose[2, 3] = height
+    return View(
+        image_size=image_size,
+        camera_matrix=np.array([[focal, 0.0, middle_x], [0.0, focal, middle_y], [0.0, 0.0, 1.0]]),
+        T_belt_camera=pose,
+        planes=light_planes(
+            rest_px, omega_mm_per_px, mm_per_px, middle_x, 0.0 if telecentric else 1.0 / height
+        ),
+        telecentric=telecentric,
+        exact=False,
+    )
+
+
+def light_planes(
+    rest_px: Floats, omega_mm_per_px: Floats, mm_per_px: float, middle_px: float, per_distance: float = 0.0
+) -> Floats:
+    """(stripe, 4) planes n·X = d in the belt frame, mm, through the rest lines.
+
+    `per_distance` is 1/working distance (1/mm), 0 for parallel rays: seen in perspective, a higher point
+    must stand nearer to the optical axis to be seen at the same pixel.
+    """
+    lean = rest_px[:, 1] if rest_px.shape[1] > 1 else np.zeros(rest_px.shape[0])
+    x_mm = (rest_px[:, 0] - middle_px) * mm_per_px
+    # In the plane lie (lean, −1, 0), along the rest line, and (up, 0, 1), up the light.
+    up = mm_per_px / omega_mm_per_px - x_mm * per_distance
+    normal = np.stack([np.ones_like(lean), lean, -up], axis=1)
+    normal /= np.sqrt((normal**2).sum(axis=1))[:, None]
+    return np.column_stack([normal, normal[:, 0] * x_mm])

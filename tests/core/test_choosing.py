@@ -1,0 +1,60 @@
+"""Options that name files: beside the recipe, named where they are missing, hashed in the record."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pydantic import Field
+
+from roemetry.choosing import Chooser
+from roemetry.files import sha256_of
+from roemetry.hookspecs import StageEntry
+from roemetry.recipe_file import StageChoice
+from roemetry.records import Product, Volume, Weight
+from roemetry.registry import Provider, Registered
+from roemetry.stages import StageOptions, Weigher
+
+
+class TableOptions(StageOptions):
+    table: Path = Field(description="weighed samples")
+
+
+class FromTable(Weigher[TableOptions]):
+    Options = TableOptions
+
+    def weigh(self, product: Product, volume: Volume, *, rng: object = None) -> Weight:
+        raise NotImplementedError
+
+
+class OneStage:
+    """A registry with one stage."""
+
+    def find(self, kind: str, name: str) -> Registered:
+        entry = StageEntry(kind, name, "somewhere:FromTable", "by a table", "our own")
+        return Registered(entry, Provider("test", "1", "test"))
+
+    def load(self, registered: Registered) -> type[FromTable]:
+        return FromTable
+
+
+def chooser(folder: Path) -> Chooser:
+    return Chooser(OneStage(), lambda at: "recipe.yaml:3:5", folder)  # type: ignore[arg-type]
+
+
+def test_a_file_is_looked_for_beside_the_recipe(tmp_path: Path) -> None:
+    (tmp_path / "weighed.csv").write_text("a,b\n", encoding="utf-8")
+    choice = StageChoice(use="from-table", options={"table": "weighed.csv"})
+    chosen = chooser(tmp_path).choose("weigher", choice, "stages", "weigher")
+    assert chosen is not None
+    assert chosen.make().options.table == tmp_path / "weighed.csv"
+    told = chosen.described()["options"]["table"]
+    assert told == f"weighed.csv sha256 {sha256_of(tmp_path / 'weighed.csv')}"
+    assert str(tmp_path) not in str(chosen.described())
+
+
+def test_a_missing_file_is_a_fault_with_its_place(tmp_path: Path) -> None:
+    asked = chooser(tmp_path)
+    asked.choose("weigher", StageChoice(use="from-table", options={"table": "no.csv"}), "stages", "weigher")
+    (fault,) = asked.faults
+    assert fault.startswith("recipe.yaml:3:5: stages.weigher.options.table: there is no file")
+    assert fault.endswith("no.csv")

@@ -1,0 +1,128 @@
+"""The view: OpenCV as the oracle of projection, geometry as the oracle of the rest."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from roemetry.errors import DataError
+from roemetry.lens import distorted, undistorted
+from roemetry.testing.scenes import LinearRig
+from roemetry.view import View
+
+LENSES = {
+    "none": [],
+    "gentle": [-0.08, 0.02, 0.0005, -0.0003],
+    "strong": [-0.35, 0.15, 0.001, -0.002, -0.03],
+    "rational": [0.2, -0.1, 0.0, 0.001, 0.01, 0.4, -0.05, 0.01],
+    "tilted": [-0.1, 0.03, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.001, 0.0, -0.001, 0.0, 0.05, -0.03],
+}
+
+
+def camera(lens: list[float]) -> View:
+    turn, _ = cv2.Rodrigues(np.array([3.0, 0.05, -0.08]))
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = turn, (4.0, -7.0, 310.0)
+    return View(
+        image_size=(480, 640),
+        camera_matrix=np.array([[900.0, 0, 330.0], [0, 910.0, 230.0], [0, 0, 1.0]]),
+        T_belt_camera=pose,
+        planes=np.array([[0.8, 0.0, -0.6, 3.0], [0.6, 0.0, -0.8, -10.0]]),
+        distortion=np.array(lens),
+    )
+
+
+@pytest.mark.parametrize("lens", LENSES.values(), ids=LENSES)
+def test_points_appear_where_opencv_says(lens: list[float], rng: np.random.Generator) -> None:
+    view = camera(lens)
+    xyz = rng.uniform([-60, -50, 0], [60, 50, 30], (200, 3))
+    to_camera = np.linalg.inv(view.T_belt_camera)
+    turn, _ = cv2.Rodrigues(to_camera[:3, :3])
+    seen, _ = cv2.projectPoints(
+        xyz, turn, to_camera[:3, 3], view.camera_matrix, np.array(lens) if lens else None
+    )
+    np.testing.assert_allclose(view.project(xyz), seen[:, 0], atol=1e-8)  # px
+
+
+@pytest.mark.parametrize("lens", LENSES.values(), ids=LENSES)
+def test_rays_lead_back_to_the_points(lens: list[float], rng: np.random.Generator) -> None:
+    view = camera(lens)
+    xyz = rng.uniform([-60, -50, 0], [60, 50, 30], (50, 3))
+    xy = view.project(xyz)
+    np.testing.assert_allclose(view.at_height(xy, xyz[:, 2]), xyz, atol=1e-8)  # mm
+    start, way = view.rays(xy)
+    np.testing.assert_allclose(np.linalg.norm(way, axis=1), 1.0, atol=1e-12)
+    off = np.cross(xyz - start, way)
+    np.testing.assert_allclose(off, 0.0, atol=1e-7)  # mm
+
+
+def test_lifted_points_lie_on_their_planes_and_on_their_rays(rng: np.random.Generator) -> None:
+    view = camera(LENSES["strong"])
+    xy = rng.uniform([100, 100], [500, 400], (2, 40, 2))
+    stripe = np.array([[0], [1]])
+    xyz = view.lift(xy, np.broadcast_to(stripe, (2, 40)))
+    planes = view.planes[:, None, :]
+    np.testing.assert_allclose(
+        (xyz * planes[..., :3]).sum(axis=-1), planes[..., 3] + 0 * xyz[..., 0], atol=1e-9
+    )
+    np.testing.assert_allclose(view.project(xyz), xy, atol=1e-8)  # px
+    np.testing.assert_allclose(view.lift(xy[0], 0), xyz[0], atol=1e-12)
+
+
+def test_a_telecentric_view_measures_as_the_linear_rig() -> None:
+    rig = LinearRig()
+    height = rig.dome()
+    x_px = rig.x_px(height)
+    row = np.broadcast_to(np.arange(rig.rows, dtype=float), x_px.shape)
+    stripe = np.broadcast_to(np.arange(rig.stripes)[:, None], x_px.shape)
+    xyz = rig.view().lift(np.stack([x_px, row], axis=-1), stripe)
+    np.testing.assert_allclose(xyz, rig.xyz_mm(height), atol=1e-9)  # mm
+    np.testing.assert_allclose(rig.view().project(xyz), np.stack([x_px, row], axis=-1), atol=1e-9)  # px
+
+
+def test_nothing_stays_nothing() -> None:
+    view = camera(LENSES["gentle"])
+    start, way = view.rays(np.array([[np.nan, 10.0], [5.0, 10.0]]))
+    assert np.isnan(way[0]).all()
+    assert np.isnan(start[0]).all()
+    assert np.isfinite(way[1]).all()
+    behind = view.camera_mm + 10.0 * view.T_belt_camera[:3, 2] * -1
+    assert np.isnan(view.project(behind)).all()
+
+
+@given(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5), st.floats(-0.3, 0.3), st.floats(-0.1, 0.1))
+def test_distortion_comes_out_again(x: float, y: float, k1: float, k2: float) -> None:
+    lens = np.array([k1, k2, 0.001, -0.001])
+    straight = np.array([[x, y]])
+    r2 = x * x + y * y
+    if 1 + 3 * k1 * r2 + 5 * k2 * r2 * r2 < 0.1:
+        return  # near the fold there is no inverse worth the name
+    np.testing.assert_allclose(undistorted(distorted(straight, lens), lens), straight, atol=1e-9)
+
+
+def test_what_no_lens_can_show_is_nan() -> None:
+    assert np.isnan(undistorted(np.array([[2.0, 0.0]]), np.array([-0.4, 0.0, 0.0, 0.0]))).all()
+
+
+def test_a_view_is_stored_and_read(tmp_path) -> None:
+    view = camera(LENSES["strong"])
+    again = View.from_dict(view.to_dict(), view.image_size)
+    for name in ("camera_matrix", "distortion", "T_belt_camera", "planes", "projector_mm"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(view, name))
+    assert (again.telecentric, again.exact) == (False, True)
+
+
+def test_nonsense_is_named() -> None:
+    view = camera([])
+    mirrored = view.T_belt_camera @ np.diag([-1.0, 1, 1, 1])
+    with pytest.raises(DataError, match="not a rotation"):
+        replace(view, T_belt_camera=mirrored)
+    with pytest.raises(DataError, match="distortion has 3 numbers"):
+        replace(view, distortion=np.zeros(3))
+    with pytest.raises(DataError, match="not of length 1"):
+        replace(view, planes=np.ones((2, 4)))
