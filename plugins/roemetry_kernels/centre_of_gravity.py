@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from roemetry.arrays import Floats
 from roemetry.records.peaks import EDGE, SATURATED
+from roemetry_kernels.compiling import kernel
 from roemetry_kernels.stripe_footing import FWHM_OF_SIGMA, between, footing
 from roemetry_kernels.stripe_scan import Pixels, Places
 
 _REACH = 2.4  # standard deviations to both sides that are summed over
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def centres_of_gravity(
     image: Pixels,
     left: int,

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from roemetry.arrays import Floats
+from roemetry_kernels.compiling import kernel
 
 _BLOCK = 16  # pixels whose differences are looked at together
 _BLOCKS_MAX = 4096  # looked at in all: the estimate is then good to a few per cent
@@ -41,7 +41,7 @@ def image_noise(image: NDArray[Any], top: int, bottom: int, left: int, right: in
     return float(max(np.sqrt(low / 2.0) / _QUANTILE_OF_CHI, _QUANTISATION))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _block_squares(image: NDArray[Any], top: int, bottom: int, left: int, right: int, squares: Floats) -> int:
     """Mean squares of first differences in blocks spread evenly over the image; gives their number."""
     across = (right - left) // _BLOCK

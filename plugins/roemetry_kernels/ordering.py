@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from roemetry.arrays import Floats, Integers
+from roemetry_kernels.compiling import kernel
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def vote_by_order(
     row_start: Integers,
     x_px: Floats,
@@ -80,7 +80,7 @@ def vote_by_order(
     return votes, voters
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def doubtful_by_order(
     row_start: Integers, segment: Integers, label: Integers, stripes: int
 ) -> NDArray[np.bool_]:

@@ -11,11 +11,11 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from roemetry.arrays import Floats, Integers
 from roemetry.records.peaks import EDGE, SATURATED
+from roemetry_kernels.compiling import kernel
 from roemetry_kernels.grey_levels import plain_layout
 
 _BORDER_PX = 2  # a peak this near to the left or right border pixel may be cut off
@@ -107,7 +107,7 @@ def _scan(kernel: Callable[..., int], image: Pixels, white: int, level: int, low
     return Scan(row, x_px, amplitude, background, width_px, flags)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _scan_dominant(
     image: Pixels, threshold: int, lowest: bool, row: Integers, at: Integers, x_px: Floats, flags: Bytes
 ) -> int:
@@ -180,7 +180,7 @@ def _scan_dominant(
     return count
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _scan_maxima(
     image: Pixels, floor: int, _: bool, row: Integers, at: Integers, x_px: Floats, flags: Bytes
 ) -> int:
@@ -200,7 +200,7 @@ def _scan_maxima(
     return count
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _scan_runs(
     image: Pixels, threshold: int, _: bool, row: Integers, at: Integers, x_px: Floats, flags: Bytes
 ) -> int:
@@ -232,7 +232,7 @@ def _scan_runs(
     return count
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _measure(
     image: Pixels,
     white: int,
@@ -280,7 +280,7 @@ def _measure(
             flags[i] |= EDGE
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _lowest(levels: Pixels) -> int:
     lowest = levels[0]
     for k in range(levels.shape[0]):

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from numba import njit
-
+from roemetry_kernels.compiling import kernel
 from roemetry_kernels.stripe_scan import Pixels, Places
 
 FWHM_OF_SIGMA = 2.354820045030949
@@ -13,7 +12,7 @@ _FEET_PX = 8  # pixels on each side that the background is taken from
 _FEET_SHARE_MAX = 0.25  # of the amplitude: what is brighter is taken for that much (hot pixels)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def between(row: Places, first: Places, last: Places, i: int, left: int, right: int) -> tuple[int, int]:
     """Give the columns that belong to peak `i`, first and last: up to halfway to its neighbours."""
     lo, hi = left, right - 1
@@ -24,7 +23,7 @@ def between(row: Places, first: Places, last: Places, i: int, left: int, right: 
     return lo, hi
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def crossings(f: Pixels, level: float, first: int, last: int, lo: int, hi: int) -> tuple[float, float]:
     """Columns, px, where the grey levels `f` cross a level on both sides of a top, between pixels.
 
@@ -45,7 +44,7 @@ def crossings(f: Pixels, level: float, first: int, last: int, lo: int, hi: int) 
     return left, right
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def foot(f: Pixels, begin: int, end: int, low: float, high: float) -> tuple[float, float, int]:
     """Mean grey level of the pixels from `begin` up to `end`, their middle, px, and how many there are.
 
@@ -60,7 +59,7 @@ def foot(f: Pixels, begin: int, end: int, low: float, high: float) -> tuple[floa
     return total / count, 0.5 * (begin + end - 1), count
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def footing(
     f: Pixels, first: int, last: int, lo: int, hi: int
 ) -> tuple[float, float, float, float, float, float]:

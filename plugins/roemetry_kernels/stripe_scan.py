@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from roemetry_kernels.compiling import kernel
 
 Pixels = NDArray[Any]
 Places = NDArray[np.int32]
@@ -65,7 +66,7 @@ def stripe_tops(image: Pixels, threshold: int, area: Area) -> Tops:
         room = count
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _scan(
     image: Pixels,
     threshold: int,

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from roemetry.arrays import Floats, Integers
+from roemetry_kernels.compiling import kernel
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def trace_fragments(row_start: Integers, x_px: Floats, step_max_px: float) -> tuple[Integers, int]:
     """Join each peak to the nearest one of the next row, where that is mutual and near enough.
 
@@ -48,7 +48,7 @@ def trace_fragments(row_start: Integers, x_px: Floats, step_max_px: float) -> tu
     return fragment, count
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def nearest_rest(
     row: Integers, x_px: Floats, rest_px: Floats, tolerance_px: float
 ) -> tuple[Integers, Floats]:
@@ -84,7 +84,7 @@ def nearest_rest(
     return line, distance
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def cut_at_rest_lines(
     fragment: Integers, line: Integers, fragments: int, belt_rows_min: int, flicker_rows: int
 ) -> tuple[Integers, Integers]:
@@ -137,7 +137,7 @@ def cut_at_rest_lines(
     return segment, segment_line[:count].copy()
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _nearest(x_px: Floats, begin: int, end: int, x: float) -> int:
     best, nearest = -1, np.inf
     for p in range(begin, end):
@@ -147,7 +147,7 @@ def _nearest(x_px: Floats, begin: int, end: int, x: float) -> int:
     return best
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _close_flicker(state: Integers, flicker_rows: int) -> None:
     last = -1
     for k in range(state.shape[0]):
@@ -159,7 +159,7 @@ def _close_flicker(state: Integers, flicker_rows: int) -> None:
         last = k
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _drop_short(state: Integers, belt_rows_min: int) -> None:
     begin = 0
     for k in range(1, state.shape[0] + 1):

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from roemetry_simulate.bodies import Body
+from roemetry_kernels.compiling import kernel
+from roemetry_simulate.bodies import Body, ExactBody
 from roemetry_simulate.camera import Camera
 from roemetry_simulate.lens import camera_ray
 from roemetry_simulate.raycast import first_hit
@@ -99,8 +99,8 @@ def depths_mm(camera: Camera, solid: Solid) -> Floats:
     return np.where(np.isfinite(found), found, np.nanmax(found))
 
 
-@njit(cache=True, nogil=True)
-def _depths(body: Body, pinhole: Floats, rotation: Floats, rows: int, columns: int) -> Floats:
+@kernel
+def _depths(body: Body | ExactBody, pinhole: Floats, rotation: Floats, rows: int, columns: int) -> Floats:
     depth = np.full((rows, columns), np.nan)
     view, point = np.zeros(3), np.zeros(3)
     for row in range(rows):

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from roemetry_kernels.compiling import kernel
 
 Floats = NDArray[np.float64]
 
@@ -31,7 +32,7 @@ def undistorted(lens: Floats, x: Floats, y: Floats) -> tuple[Floats, Floats]:
     return flat_x.reshape(np.shape(x)), flat_y.reshape(np.shape(y))
 
 
-@njit(cache=True, nogil=True, inline="never")
+@kernel
 def undistort(lens: Floats, first: int, x_bent: float, y_bent: float) -> tuple[float, float]:
     """Undistort one point by Newton's method; the five coefficients stand at `first` of `lens`."""
     k1, k2, p1, p2, k3 = lens[first], lens[first + 1], lens[first + 2], lens[first + 3], lens[first + 4]
@@ -55,7 +56,7 @@ def undistort(lens: Floats, first: int, x_bent: float, y_bent: float) -> tuple[f
     return x, y
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def camera_ray(pinhole: Floats, rotation: Floats, x_px: float, y_px: float, d: Floats) -> None:
     """Write the unit direction, belt frame, of the ray through an image point."""
     cx = (x_px - pinhole[3]) / pinhole[5]
@@ -67,7 +68,7 @@ def camera_ray(pinhole: Floats, rotation: Floats, x_px: float, y_px: float, d: F
         d[k] = (rotation[k, 0] * cx + rotation[k, 1] * cy + rotation[k, 2]) / length
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _undistort_all(lens: Floats, x: Floats, y: Floats) -> None:
     for k in range(x.size):
         x[k], y[k] = undistort(lens, 0, x[k], y[k])

@@ -7,10 +7,10 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numba.extending import overload
 from numpy.typing import NDArray
 
+from roemetry_kernels.compiling import kernel
 from roemetry_simulate.bodies import BOX, FIELD, PARTS, Body, ExactBody
 from roemetry_simulate.products.parts import hit_parts, parts_normal
 from roemetry_simulate.products.triangles import hit_triangles, triangles_normal
@@ -32,7 +32,7 @@ def _normal(body: Body | ExactBody, point: Floats, normal: Floats) -> None:
     raise NotImplementedError
 
 
-@njit(cache=True, nogil=True, inline="never")
+@kernel
 def sample(grid: Floats, at_x: float, at_y: float) -> tuple[float, float, float, int, int, float, float]:
     """Interpolate the three layers at a place in grid units; also its cell and the place within it."""
     i = min(max(int(at_x), 0), grid.shape[1] - 2)
@@ -46,7 +46,7 @@ def sample(grid: Floats, at_x: float, at_y: float) -> tuple[float, float, float,
     return mid, top, low, i, j, a, b
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def field_value(grid: Floats, place: Place, x: float, y: float, z: float) -> tuple[float, float]:
     """Return the implicit function of a gridded body (negative inside, mm²) and z - mid (mm)."""
     mid, top, low, _, _, _, _ = sample(grid, (x - place[0]) / place[2], (y - place[1]) / place[2])
@@ -56,7 +56,7 @@ def field_value(grid: Floats, place: Place, x: float, y: float, z: float) -> tup
     return w * w - low, w
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _hit_box(box: Floats, o: Floats, d: Floats, t_max: float) -> float:
     """Distance along the ray to a block; its far side if the ray starts inside."""
     c, s = math.cos(box[2]), math.sin(box[2])
@@ -80,7 +80,7 @@ def _hit_box(box: Floats, o: Floats, d: Floats, t_max: float) -> float:
     return t if t <= t_max else MISS
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _refine(
     grid: Floats, place: Place, o: Floats, d: Floats, t: float, f: float, t2: float, f2: float, tol_mm: float
 ) -> float:
@@ -101,7 +101,7 @@ def _refine(
     return t + (t2 - t) * f / (f - f2)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _hit_field(
     grid: Floats, place: Place, bounds: Place, o: Floats, d: Floats, t_max: float, tol_mm: float
 ) -> float:
@@ -138,7 +138,7 @@ def _hit_field(
     return MISS
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def hit_body(body: Body | ExactBody, o: Floats, d: Floats, t_max: float, tol_mm: float) -> float:
     """Distance (mm) from o along the unit direction d to the body, or MISS."""
     return _hit(body, o, d, t_max, tol_mm)
@@ -167,7 +167,7 @@ def _choose_hit(body: Any, o: Any, d: Any, t_max: Any, tol_mm: Any) -> Callable[
     return exact if "surfaces" in body.fields else _hit_simple
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def first_hit(body: Body | ExactBody, o: Floats, d: Floats, tol_mm: float, point: Floats) -> int:
     """Write the first point a ray from above meets; 1 the body, 0 the belt, -1 neither."""
     t_belt = -o[2] / d[2] if d[2] < 0.0 else 1e300
@@ -184,7 +184,7 @@ def first_hit(body: Body | ExactBody, o: Floats, d: Floats, tol_mm: float, point
     return on
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def normal_at(body: Body | ExactBody, on: int, point: Floats, normal: Floats) -> None:
     """Write the outward unit normal at a hit."""
     normal[0], normal[1], normal[2] = 0.0, 0.0, 1.0
@@ -232,7 +232,7 @@ def _choose_normal(body: Any, point: Any, normal: Any) -> Callable[..., None]:
     return exact if "surfaces" in body.fields else _normal_simple
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _box_normal(box: Floats, point: Floats, normal: Floats) -> None:
     """Write the normal of the face a point lies on (the nearest)."""
     c, s = math.cos(box[2]), math.sin(box[2])
@@ -251,8 +251,10 @@ def _box_normal(box: Floats, point: Floats, normal: Floats) -> None:
         normal[0], normal[1] = -sign * s, sign * c
 
 
-@njit(cache=True, nogil=True)
-def sees(body: Body, point: Floats, normal: Floats, light: Floats, d: Floats, start: Floats) -> float:
+@kernel
+def sees(
+    body: Body | ExactBody, point: Floats, normal: Floats, light: Floats, d: Floats, start: Floats
+) -> float:
     """Cosine at which a point receives a light at a place, 0 where it is turned away or shadowed.
 
     `d` and `start` are scratch of shape (3,); `d` is left holding the unit direction to the light.

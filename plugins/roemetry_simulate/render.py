@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from roemetry_simulate.bodies import Body
+from roemetry_kernels.compiling import kernel
+from roemetry_simulate.bodies import Body, ExactBody
 from roemetry_simulate.camera import Camera
 from roemetry_simulate.defocus import Focus, defocused, depths_mm
 from roemetry_simulate.laser import LaserFan
@@ -161,7 +161,7 @@ def _albedo(surface: Surface, mean: tuple[float, float]) -> Floats:
     return np.array([*mean, *surface.gloss, surface.gloss_exponent])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _texture(maps: Floats, texture: Floats, point: Floats, on: int) -> float:
     """Bilinear lookup of the belt's or the product's texture."""
     rows, columns = texture.shape[0], texture.shape[1]
@@ -174,10 +174,10 @@ def _texture(maps: Floats, texture: Floats, point: Floats, on: int) -> float:
     return low * (1 - b) + high * b
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _render_laser(
-    body: Body, pinhole: Floats, rotation: Floats, projector: Floats, axis: Floats, planes: Floats,
-    fan: Floats, maps: Floats, texture: Floats, albedo: Floats, below: Floats, decal: Floats,
+    body: Body | ExactBody, pinhole: Floats, rotation: Floats, projector: Floats, axis: Floats,
+    planes: Floats, fan: Floats, maps: Floats, texture: Floats, albedo: Floats, below: Floats, decal: Floats,
     decal_from: Floats, shape: tuple[int, int], samples: int,
 ) -> Floats:  # fmt: skip
     image = np.zeros((shape[0], shape[1], 2))
@@ -227,7 +227,7 @@ def _render_laser(
     return image
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _width(fan: Floats, projector: Floats, point: Floats) -> float:
     """Return the planes' standard deviation (mm) at a point's distance from the projector."""
     if fan[3] == 0.0:
@@ -239,7 +239,7 @@ def _width(fan: Floats, projector: Floats, point: Floats) -> float:
     return math.sqrt(fan[0] * fan[0] + grown * grown)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _planes(planes: Floats, point: Floats, normal: Floats, depth_mm: float, sigma_mm: float) -> float:
     """Light of all planes at a depth below a point of the surface, before the angles are counted."""
     light = 0.0
@@ -256,7 +256,7 @@ def _planes(planes: Floats, point: Floats, normal: Floats, depth_mm: float, sigm
     return light
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _decal(decal: Floats, decal_from: Floats, point: Floats) -> float:
     """Bilinear lookup in a picture that is stuck on the product; 1 beside it."""
     u = decal_from[0, 3]
@@ -274,7 +274,7 @@ def _decal(decal: Floats, decal_from: Floats, point: Floats) -> float:
     return low * (1.0 - b) + high * b
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _shine(gloss: float, exponent: float, normal: Floats, beam: Floats, view: Floats) -> float:
     """Mirror-like part: a power of the cosine between the normal and the half-way direction."""
     if gloss == 0.0:
@@ -287,9 +287,9 @@ def _shine(gloss: float, exponent: float, normal: Floats, beam: Floats, view: Fl
     return gloss * max(dot / math.sqrt(length), 0.0) ** exponent
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _render_plain(
-    body: Body, pinhole: Floats, rotation: Floats, lamps: Floats, maps: Floats, texture: Floats,
+    body: Body | ExactBody, pinhole: Floats, rotation: Floats, lamps: Floats, maps: Floats, texture: Floats,
     albedo: Floats, decal: Floats, decal_from: Floats, shape: tuple[int, int], samples: int,
 ) -> Floats:  # fmt: skip
     image = np.zeros(shape)

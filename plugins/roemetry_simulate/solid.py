@@ -19,9 +19,9 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from roemetry_kernels.compiling import kernel
 from roemetry_simulate.bodies import BOX, FIELD, NOTHING, Body, ExactBody, no_array
 
 Floats = NDArray[np.float64]
@@ -274,7 +274,7 @@ def _steepest(layers: Floats, step_mm: float) -> float:
     return float(np.hypot(along_x, along_y) / step_mm)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _root_integral(u_left: float, u_right: float) -> tuple[float, float, float]:
     """Integrate over a in [0, 1] where u(a), linear, is positive: sqrt(u), 1 and a."""
     if u_left <= 0.0 and u_right <= 0.0:
@@ -290,7 +290,7 @@ def _root_integral(u_left: float, u_right: float) -> tuple[float, float, float]:
     return root * (end - start), end - start, 0.5 * (end * end - start * start)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _integrals(grid: Floats, step_mm: float) -> tuple[float, float, float]:
     """Visible volume, true volume (mm³) and footprint (mm²): closed form along X, Gauss points along Y."""
     nodes = (0.069431844202973712, 0.330009478207571868, 0.669990521792428132, 0.930568155797026287)

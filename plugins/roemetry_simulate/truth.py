@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from roemetry_simulate.bodies import Body
+from roemetry_kernels.compiling import kernel
+from roemetry_simulate.bodies import Body, ExactBody
 from roemetry_simulate.camera import Camera
 from roemetry_simulate.laser import LaserFan
 from roemetry_simulate.lens import camera_ray
@@ -75,9 +75,9 @@ def stripe_centres(camera: Camera, laser: LaserFan, solid: Solid, *, step_px: fl
     return StripeTruth(*found)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _side(
-    body: Body,
+    body: Body | ExactBody,
     pinhole: Floats,
     rotation: Floats,
     plane: Floats,
@@ -94,10 +94,10 @@ def _side(
     return plane[0] * point[0] + plane[1] * point[1] + plane[2] * point[2] - plane[3], on
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _search(
-    body: Body, pinhole: Floats, rotation: Floats, projector: Floats, planes: Floats, rows: int, columns: int,
-    step_px: float,
+    body: Body | ExactBody, pinhole: Floats, rotation: Floats, projector: Floats, planes: Floats,
+    rows: int, columns: int, step_px: float,
 ) -> tuple[Floats, Floats, NDArray[np.int8], NDArray[np.int8]]:  # fmt: skip
     count = planes.shape[0]
     x_out = np.full((count, rows), np.nan)

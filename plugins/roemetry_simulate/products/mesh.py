@@ -18,11 +18,11 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from roemetry.errors import DataError
+from roemetry_kernels.compiling import kernel
 from roemetry_simulate.bodies import MESH, ExactBody
 from roemetry_simulate.products.family import (
     Drawn,
@@ -201,7 +201,7 @@ def _visible(corners_mm: Floats) -> tuple[float, float]:
     return float(top[top > 0.0].sum()) * cell, float((top >= 0.0).sum()) * cell
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _raise(top: Floats, corners: Floats, x0: float, y0: float, step_x: float, step_y: float) -> None:
     """Raise each node of a grid to the highest triangle over its middle."""
     rows, columns = top.shape

@@ -17,9 +17,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from roemetry_kernels.compiling import kernel
 from roemetry_simulate.bodies import PARTS, ExactBody
 from roemetry_simulate.products.family import Pose
 
@@ -141,7 +141,7 @@ def placed(parts: Sequence[Sequence[Surface]], pose: Pose) -> Floats:
     return np.array(rows, dtype=np.float64)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _span(f: Floats, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float) -> tuple[float, float]:
     """Interval of t where a line is inside a surface; (1, -1) where it is nowhere."""
     a = (
@@ -170,7 +170,7 @@ def _span(f: Floats, ox: float, oy: float, oz: float, dx: float, dy: float, dz: 
     return -c / b, 1e300
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _value(f: Floats, x: float, y: float, z: float) -> float:
     """Return g at a point."""
     return (
@@ -179,7 +179,7 @@ def _value(f: Floats, x: float, y: float, z: float) -> float:
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _vertical(surfaces: Floats, x: Floats, y: Floats) -> tuple[Floats, Floats]:
     """Highest and lowest point of the body on vertical lines, shape of x; NaN where there is none."""
     top, bottom = np.full(x.size, np.nan), np.full(x.size, np.nan)
@@ -198,7 +198,7 @@ def _vertical(surfaces: Floats, x: Floats, y: Floats) -> tuple[Floats, Floats]:
     return top, bottom
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def hit_parts(surfaces: Floats, bounds: Floats, o: Floats, d: Floats, t_max: float) -> float:
     """Distance along the ray to a body of parts, or MISS; the far side of a part the ray starts in.
 
@@ -241,7 +241,7 @@ def hit_parts(surfaces: Floats, bounds: Floats, o: Floats, d: Floats, t_max: flo
     return best
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def parts_normal(surfaces: Floats, point: Floats, normal: Floats) -> None:
     """Write the outward unit normal of the surface that a point of the body's skin lies on."""
     x, y, z = point[0], point[1], point[2]

@@ -13,8 +13,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from roemetry_kernels.compiling import kernel
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -56,7 +57,7 @@ def build_tree(corners_mm: Floats) -> Tree:
     return tree
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def hit_triangles(
     triangles: Floats, boxes: Floats, links: Integers, o: Floats, d: Floats, t_max: float
 ) -> float:
@@ -94,7 +95,7 @@ def hit_triangles(
     return found
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def triangles_normal(
     triangles: Floats, boxes: Floats, links: Integers, point: Floats, normal: Floats
 ) -> None:
@@ -126,7 +127,7 @@ def triangles_normal(
         node += 1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def vertical_heights(tree: Tree, x: Floats, y: Floats) -> tuple[Floats, Floats]:
     """Highest and lowest point of the triangles on vertical lines, shape of x; NaN where there is none."""
     top, bottom = np.full(x.size, np.nan), np.full(x.size, np.nan)
@@ -144,13 +145,13 @@ def vertical_heights(tree: Tree, x: Floats, y: Floats) -> tuple[Floats, Floats]:
     return top, bottom
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _across(p: Floats) -> tuple[float, float, float]:
     """Cross product of a triangle's edges."""
     return p[4] * p[8] - p[5] * p[7], p[5] * p[6] - p[3] * p[8], p[3] * p[7] - p[4] * p[6]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _hit(p: Floats, o: Floats, d: Floats) -> float:
     """Distance to a triangle, or MISS."""
     hx, hy, hz = d[1] * p[8] - d[2] * p[7], d[2] * p[6] - d[0] * p[8], d[0] * p[7] - d[1] * p[6]
@@ -168,13 +169,13 @@ def _hit(p: Floats, o: Floats, d: Floats) -> float:
     return (p[6] * qx + p[7] * qy + p[8] * qz) / turn
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _inverse(d: float) -> float:
     """Return 1 / d, or a huge number of its sign that no product with a length makes infinite."""
     return 1.0 / d if abs(d) > 1e-200 else math.copysign(1e200, d)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _sort(corners: Floats) -> tuple[Integers, Floats, Integers]:
     """Order of the triangles, boxes and links of the tree: halves by the median of the longest side."""
     total = corners.shape[0]

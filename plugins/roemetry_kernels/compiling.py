@@ -1,0 +1,78 @@
+"""The decorator of every kernel: compiled once, kept on disk, compiled anew when any source of it changes.
+
+numba keeps what it compiled beside the source and looks at the age of that one file. What a kernel takes from
+other files (kernels that are compiled into it, constants) may have changed since, unnoticed. So here the mark
+of what is kept also holds a hash of every file of ours that the kernel's file imports, at any depth.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+from collections.abc import Callable, Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+_OURS = "roemetry_"
+
+
+def kernel(function: Callable[..., Any]) -> Any:
+    """Compile a function on its first call; it runs without the interpreter's lock.
+
+    Parameters
+    ----------
+    function : callable
+        Of numbers, arrays and plain tuples, as numba takes them.
+
+    Returns
+    -------
+    callable
+        The same function, compiled; what was compiled before is taken from disk as long as no source of it
+        has changed.
+    """
+    from numba import njit
+
+    compiled: Any = njit(cache=True, nogil=True)(function)
+    kept = getattr(compiled._cache, "_cache_file", None)
+    if kept is not None:
+        if not hasattr(kept, "_source_stamp"):
+            # another numba keeps its marks elsewhere: rather compile every time than run what is outdated
+            return njit(nogil=True)(function)
+        kept._source_stamp = (kept._source_stamp, digest(Path(function.__code__.co_filename)))
+    return compiled
+
+
+@cache
+def digest(file: Path) -> str:
+    """Return a hash of a source file and of every file of ours that it imports, directly or not."""
+    found: dict[Path, bytes] = {}
+    waiting = [file]
+    while waiting:
+        path = waiting.pop()
+        if path not in found:
+            found[path] = path.read_bytes()
+            waiting.extend(_imported(path, found[path]))
+    summed = hashlib.sha256()
+    for path in sorted(found):
+        summed.update(path.name.encode() + b"\0" + found[path] + b"\0")
+    return summed.hexdigest()
+
+
+def _imported(path: Path, source: bytes) -> Iterator[Path]:
+    """Give the files of our modules that a file imports, wherever in it."""
+    root = path.parent
+    while (root / "__init__.py").exists():
+        root = root.parent
+    for node in ast.walk(ast.parse(source)):
+        names = []
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
+            names = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+        for name in names:
+            if name.startswith(_OURS):
+                place = root.joinpath(*name.split("."))
+                yield from (
+                    file for file in (place.with_suffix(".py"), place / "__init__.py") if file.exists()
+                )
