@@ -5,14 +5,24 @@ from __future__ import annotations
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from roemetry.calibration import Calibration
 from roemetry.errors import CalibrationError
 from roemetry.files import sha256_of
 from roemetry.preparing import prepare
-from roemetry.records import AcquisitionReference, CalibrationSet, Frame, Observation
+from roemetry.records import (
+    Acquisition,
+    AcquisitionReference,
+    CalibrationSet,
+    Frame,
+    Observation,
+    Peaks,
+)
 from roemetry.registry import Registry, discover
-from roemetry.rig import Rig
+from roemetry.rig import Rig, pose_of
 
 
 def calibrate(rig: Rig, *, registry: Registry | None = None) -> Calibration:
@@ -25,23 +35,37 @@ def calibrate(rig: Rig, *, registry: Registry | None = None) -> Calibration:
     DataError
         An image cannot be read.
     """
-    registry = registry or discover()
+    observed, hashes = observe(rig, registry or discover())
+    calibration: Calibration = rig.calibrator.make().calibrate(observed)
+    return replace(calibration, image_sha256=hashes, made=datetime.now(UTC).isoformat(timespec="seconds"))
+
+
+def observe(rig: Rig, registry: Registry) -> tuple[CalibrationSet, dict[str, str]]:
+    """Read a rig's images and find their peaks; give what the calibrator receives, and the images' hashes.
+
+    A laser image of a board has its peaks from the difference to its laser-off partner, where there is one.
+
+    Raises
+    ------
+    CalibrationError
+        There is no image, an image stands there twice, or sizes differ.
+    DataError
+        An image cannot be read.
+    """
     source = registry.load(registry.find("source", "image-files"))()
     extractor = rig.extractor.make()
-    observations = []
+    observations: list[Observation] = []
     hashes: dict[str, str] = {}
+    plain: dict[tuple[str, str], Frame] = {}
+    first: Frame | None = None
     for shows, paths in rig.images.items():
-        for path in paths:
-            acquisition = source.read(AcquisitionReference(path.stem, {"laser": path}))
-            frame = prepare(
-                acquisition,
-                channel=rig.file.channel,
-                turn_deg=rig.file.turn_deg,
-                subtract="none",
-                bit_depth=rig.file.bit_depth,
-                sensor=rig.sensor,
-            )
-            observations.append(Observation(shows, frame, extractor.extract(frame)))
+        target = shows.removesuffix("_laser")
+        on_board = target in ("board", "board_on_belt")
+        lit = not on_board or target != shows
+        for index, path in enumerate(paths):
+            read: Frame = source.read(AcquisitionReference(path.stem, {"laser": path})).frames[0]
+            first = first or read
+            _same_size(first, read)
             found = sha256_of(path)
             if found in hashes.values():
                 raise CalibrationError(
@@ -49,20 +73,31 @@ def calibrate(rig: Rig, *, registry: Registry | None = None) -> Calibration:
                     hint="name each image once: twice tells no more",
                 )
             hashes[f"{shows}/{path.name}"] = found
+            pose = pose_of(path) if on_board else ""
+            frame = _prepared(read, None, rig)
+            if not lit:
+                if shows == "board_on_belt" and rig.file.encoder_counts:
+                    frame = replace(frame, encoder_count=rig.file.encoder_counts[index])
+                plain[target, pose] = read
+                observations.append(Observation(target, replace(frame, role="plain"), _none(frame), pose))
+                continue
+            partner = plain.get((target, pose))
+            peaks = extractor.extract(frame if partner is None else _prepared(read, partner, rig))
+            observations.append(Observation(target, frame, peaks, pose))
     if not observations:
         raise CalibrationError(
             f"{rig.path}: there are no images to calibrate from", hint="name them in `images`"
         )
-    _same_size([observation.frame for observation in observations])
     observed = CalibrationSet(
         observations=tuple(observations),
         stripe_count=rig.file.stripes,
         block=rig.block,
         working_distance_mm=rig.file.working_distance_mm,
         extractor=rig.extractor.described(),
+        board=rig.board,
+        staircase=rig.staircase,
     )
-    calibration: Calibration = rig.calibrator.make().calibrate(observed)
-    return replace(calibration, image_sha256=hashes, made=datetime.now(UTC).isoformat(timespec="seconds"))
+    return observed, hashes
 
 
 def default_path(rig: Rig) -> Path:
@@ -70,11 +105,37 @@ def default_path(rig: Rig) -> Path:
     return rig.path.with_name("calibration.yaml")
 
 
-def _same_size(frames: list[Frame]) -> None:
-    for frame in frames[1:]:
-        if frame.size != frames[0].size:
-            raise CalibrationError(
-                f"{frame.name} is {frame.size[1]} × {frame.size[0]} pixels, "
-                f"{frames[0].name} is {frames[0].size[1]} × {frames[0].size[0]}",
-                hint="take all images with one camera and one region of interest",
-            )
+def _prepared(laser: Frame, partner: Frame | None, rig: Rig) -> Frame:
+    """One channel, turned; the light of the laser alone where there is a laser-off partner."""
+    frames = (laser,) if partner is None else (laser, replace(partner, role="dark"))
+    options: dict[str, Any] = {
+        "channel": rig.file.channel,
+        "turn_deg": rig.file.turn_deg,
+        "bit_depth": rig.file.bit_depth,
+        "subtract": "none" if partner is None else "dark",
+        "sensor": rig.sensor,
+    }
+    return prepare(Acquisition(laser.name, frames), **options)
+
+
+def _none(frame: Frame) -> Peaks:
+    nothing = np.empty(0)
+    return Peaks(
+        image_size=frame.size,
+        row=np.empty(0, np.int64),
+        x_px=nothing,
+        x_std_px=nothing,
+        amplitude=nothing,
+        background=nothing,
+        width_px=nothing,
+        flags=np.empty(0, np.uint8),
+    )
+
+
+def _same_size(first: Frame, frame: Frame) -> None:
+    if frame.size != first.size:
+        raise CalibrationError(
+            f"{frame.name} is {frame.size[1]} × {frame.size[0]} pixels, "
+            f"{first.name} is {first.size[1]} × {first.size[0]}",
+            hint="take all images with one camera and one region of interest",
+        )

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeVar
 
 from pydantic import Field
 
@@ -13,21 +14,20 @@ from roemetry.choosing import Chooser, Chosen
 from roemetry.errors import ConfigurationError, RoemetryError
 from roemetry.overrides import Overridden
 from roemetry.recipe_file import Channel, Choice, Section, SensorFile, StageChoice, Turn
-from roemetry.records import Block, Sensor
+from roemetry.records import Block, Board, Sensor, Staircase
 from roemetry.registry import Registry, discover
+from roemetry.target_file import (
+    BlockFile,
+    BoardFile,
+    StaircaseFile,
+    read_block,
+    read_board,
+    read_staircase,
+)
 from roemetry.validation import checked
 from roemetry.yaml_source import read
 
-
-class BlockFile(Section):
-    """A square block: its sides as it lies on the belt."""
-
-    kind: Literal["block"]
-    name: str = Field(description="what to call it, e.g. its serial number")
-    length_mm: float | None = Field(default=None, gt=0, description="side across the stripes, mm")
-    width_mm: float | None = Field(default=None, gt=0, description="side along the stripes, mm")
-    height_mm: float | None = Field(default=None, gt=0, description="height, mm")
-    tolerance_mm: float = Field(default=0.05, ge=0, description="half width of each side's tolerance, mm")
+_Target = TypeVar("_Target")
 
 
 class CalibrationImages(Section):
@@ -35,6 +35,15 @@ class CalibrationImages(Section):
 
     block: list[str] = Field(default_factory=list, description="the block under the stripes")
     belt: list[str] = Field(default_factory=list, description="the empty belt")
+    staircase: list[str] = Field(default_factory=list, description="the staircase under the stripes")
+    board: list[str] = Field(default_factory=list, description="the board in many poses, laser off")
+    board_laser: list[str] = Field(default_factory=list, description="the board in these poses, laser on")
+    board_on_belt: list[str] = Field(
+        default_factory=list, description="the board lying on the belt, laser off"
+    )
+    board_on_belt_laser: list[str] = Field(
+        default_factory=list, description="the board lying on the belt, laser on"
+    )
 
 
 class RigFile(Section):
@@ -53,6 +62,16 @@ class RigFile(Section):
         default=None, gt=0, description="camera (its entrance pupil) to belt, mm; leave out if unknown"
     )
     target: str | BlockFile | None = Field(default=None, description="a target's file, or the target itself")
+    board: str | BoardFile | None = Field(
+        default=None, description="the board's description: a file, or the board itself"
+    )
+    staircase: str | StaircaseFile | None = Field(
+        default=None, description="the staircase's description: a file, or the staircase itself"
+    )
+    encoder_counts: list[float] = Field(
+        default_factory=list,
+        description="of the images in board_on_belt, in their order, if the belt carries the board along",
+    )
     images: CalibrationImages
     extractor: Choice
     calibrator: Choice = Field(default_factory=lambda: StageChoice(use="block-linear"))
@@ -65,6 +84,8 @@ class Rig:
     path: Path
     file: RigFile
     block: Block | None
+    board: Board | None
+    staircase: Staircase | None
     images: dict[str, list[Path]]
     extractor: Chosen
     calibrator: Chosen
@@ -93,41 +114,61 @@ class Rig:
             ]
             for shows, patterns in file.images.model_dump().items()
         }
-        block = None
-        try:
-            block = _block(file.target, path.parent)
-        except RoemetryError as error:
-            chooser.fault(str(error), "target")
+        folder = path.parent
+        block = _asked(chooser, "target", lambda: read_block(file.target, folder))
+        board = _asked(chooser, "board", lambda: read_board(file.board, folder))
+        staircase = _asked(chooser, "staircase", lambda: read_staircase(file.staircase, folder))
+        for shows in ("board", "board_laser", "board_on_belt", "board_on_belt_laser"):
+            _poses_differ(images[shows], shows, chooser)
+        counts = file.encoder_counts
+        if counts and len(counts) != len(images["board_on_belt"]):
+            chooser.fault(
+                f"{len(counts)} counts for {len(images['board_on_belt'])} images in images.board_on_belt",
+                "encoder_counts",
+            )
         if chooser.faults or extractor is None or calibrator is None:
             raise ConfigurationError(chooser.faults)
-        return cls(path, file, block, images, extractor, calibrator)
+        return cls(path, file, block, board, staircase, images, extractor, calibrator)
 
 
 def _found(folder: Path, pattern: str, chooser: Chooser, shows: str, index: int) -> list[Path]:
-    found = sorted(folder.glob(pattern)) if not Path(pattern).is_absolute() else [Path(pattern)]
+    found = (
+        sorted(folder.glob(pattern), key=_in_order) if not Path(pattern).is_absolute() else [Path(pattern)]
+    )
     found = [file for file in found if file.is_file()]
     if not found:
         chooser.fault(f"there is no file {folder / pattern}", "images", shows, index)
     return found
 
 
-def _block(target: str | BlockFile | None, folder: Path) -> Block | None:
-    if target is None:
+def pose_of(path: Path) -> str:
+    """Tell a board's pose by the numbers in its file's name: ``calib07.png``, ``light_7.png`` show one."""
+    numbers = re.findall(r"\d+", path.stem)
+    return "-".join(str(int(number)) for number in numbers) or path.stem
+
+
+def _in_order(path: Path) -> tuple[tuple[int, str], ...]:
+    """By name, with numbers in it taken as numbers: 2 before 10."""
+    parts = re.split(r"(\d+)", path.name)
+    return tuple((int(part), "") if part.isdigit() else (-1, part) for part in parts)
+
+
+def _poses_differ(paths: list[Path], shows: str, chooser: Chooser) -> None:
+    seen: dict[str, Path] = {}
+    for path in paths:
+        other = seen.setdefault(pose_of(path), path)
+        if other != path:
+            chooser.fault(
+                f"{other.name} and {path.name} hold the same numbers: the number in a file's name tells "
+                "the pose, which pairs images with the laser on and off",
+                "images",
+                shows,
+            )
+
+
+def _asked(chooser: Chooser, key: str, read_it: Callable[[], _Target]) -> _Target | None:
+    try:
+        return read_it()
+    except RoemetryError as error:
+        chooser.fault(str(error), key)
         return None
-    described = target
-    if isinstance(described, str):
-        document = read(folder / described)
-        described, faults = checked(BlockFile, document.data, document.place)
-        if described is None:
-            raise ConfigurationError(faults)
-    sides = (described.length_mm, described.width_mm, described.height_mm)
-    unknown = [
-        name for name, side in zip(("length_mm", "width_mm", "height_mm"), sides, strict=True) if side is None
-    ]
-    if unknown:
-        raise ConfigurationError(
-            f"the block `{described.name}` has no {' and no '.join(unknown)}",
-            hint="measure it with a calliper: the height gives heights, the other two the scale",
-        )
-    length_mm, width_mm, height_mm = (float(side) for side in sides if side is not None)
-    return Block(described.name, length_mm, width_mm, height_mm, described.tolerance_mm)

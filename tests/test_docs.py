@@ -28,9 +28,10 @@ from roemetry.recipe_file import RecipeFile, StageChoice
 from roemetry.record import PROVENANCE, RECORD
 from roemetry.records import Status
 from roemetry.registry import discover
-from roemetry.rig import BlockFile, Rig, RigFile
+from roemetry.rig import Rig, RigFile
 from roemetry.runner import run_recipe
 from roemetry.stages import StageOptions
+from roemetry.target_file import BlockFile, BoardFile, StaircaseFile
 from roemetry.validation import checked
 from roemetry.yaml_source import parse
 
@@ -235,7 +236,8 @@ def test_the_keys_of_a_recipe_are_those_of_its_model() -> None:
 def test_the_keys_of_a_rig_and_a_target_are_those_of_their_models() -> None:
     rows = {coded(row[0])[0]: row for row in table(page("rig.md")) if re.fullmatch("`[a-z_.]+`", row[0])}
     fields = keys_of(RigFile)
-    assert {f"target.{name}" for name in BlockFile.model_fields} <= set(fields)
+    for before, model in (("target", BlockFile), ("board", BoardFile), ("staircase", StaircaseFile)):
+        assert {f"{before}.{name}" for name in model.model_fields} <= set(fields)
     assert set(rows) == set(fields)
     for key, field in fields.items():
         check_default(key, field, rows[key][1])

@@ -2,7 +2,7 @@
 
 from roemetry.records.acquisition import Acquisition, AcquisitionReference, Frame, Role, Sensor
 from roemetry.records.measurement import Coding, Measurement, Status
-from roemetry.records.observations import Block, CalibrationSet, Observation
+from roemetry.records.observations import Block, Board, CalibrationSet, Observation, Staircase
 from roemetry.records.outcome import Estimate, Grade, Marks, Shares, Volume, Weight
 from roemetry.records.peaks import EDGE, SATURATED, WIDE, Peaks
 from roemetry.records.plan import (
@@ -32,6 +32,7 @@ __all__ = [
     "Acquisition",
     "AcquisitionReference",
     "Block",
+    "Board",
     "CalibrationSet",
     "Coding",
     "Estimate",
@@ -58,6 +59,7 @@ __all__ = [
     "Sensor",
     "Shares",
     "Simulated",
+    "Staircase",
     "Status",
     "StripeMap",
     "StripeTruth",

@@ -23,6 +23,53 @@ class Block:
     tolerance_mm: float
 
 
+@dataclass(frozen=True, slots=True)
+class Board:
+    """A flat board with a printed pattern.
+
+    Attributes
+    ----------
+    kind
+        ``charuco``, ``chessboard`` or ``circle-grid``.
+    columns, rows
+        Squares along the board's x and y; of a grid, circles.
+    pitch_mm
+        Side of a square, or from circle to circle, mm.
+    marker_mm, dictionary, layout
+        Of a ChArUco board: its markers' side and OpenCV's name of them, and the layout: ``new`` (OpenCV from
+        4.6 on), ``old``, or ``auto`` where it is to be found out.
+    tolerance_mm
+        Half width of the longer side's tolerance, mm.
+    flatness_mm
+        Largest distance of the print from a plane, mm.
+    thickness_mm
+        From the print to what the board lies on, mm.
+    """
+
+    name: str
+    kind: str
+    columns: int
+    rows: int
+    pitch_mm: float
+    marker_mm: float | None = None
+    dictionary: str | None = None
+    layout: str = "auto"
+    tolerance_mm: float = 0.1
+    flatness_mm: float = 0.1
+    thickness_mm: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Staircase:
+    """Level steps, one behind the other along the stripes: heights over the belt and their tolerance, mm."""
+
+    name: str
+    heights_mm: tuple[float, ...]
+    tread_mm: float
+    width_mm: float
+    tolerance_mm: float
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class Observation:
     """One image of a target, and the peaks the recipe's extractor found in it.
@@ -30,12 +77,21 @@ class Observation:
     Attributes
     ----------
     shows
-        What lies on the belt: ``belt`` (nothing) or ``block``.
+        What is seen: ``belt`` (the empty one), ``block``, ``staircase``, ``board`` (held in any pose) or
+        ``board_on_belt`` (the same board lying on the belt).
+    frame
+        The image; its role says whether the laser was on (``laser``) or off (``plain``).
+    peaks
+        Of a laser image. Where the same pose was also seen with the laser off, they come from the
+        difference of the two. A plain image has none.
+    pose
+        Of a board: observations with the same `shows` and `pose` show it in the same place.
     """
 
     shows: str
     frame: Frame
     peaks: Peaks
+    pose: str = ""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -54,6 +110,8 @@ class CalibrationSet:
         Camera (its centre of projection) to belt, mm; None where it is not known.
     extractor
         Name and version of the extractor the peaks come from, with its options.
+    board, staircase
+        What the images of a board and of a staircase show; None where it was not described.
     """
 
     observations: tuple[Observation, ...]
@@ -61,6 +119,8 @@ class CalibrationSet:
     block: Block | None
     working_distance_mm: float | None
     extractor: Mapping[str, object]
+    board: Board | None = None
+    staircase: Staircase | None = None
 
     def showing(self, what: str) -> tuple[Observation, ...]:
         """Give the observations of one kind of target."""

@@ -8,10 +8,14 @@ import cv2
 import numpy as np
 import pytest
 
-from roemetry.calibrating import calibrate
+from roemetry.calibrating import calibrate, observe
 from roemetry.calibration import Calibration
 from roemetry.errors import CalibrationError, ConfigurationError
-from roemetry.rig import Rig
+from roemetry.registry import discover
+from roemetry.rig import Rig, pose_of
+from roemetry.target_file import TARGET_FILES
+from roemetry.validation import checked
+from roemetry.yaml_source import read
 
 RIG = """\
 roemetry_rig: 1
@@ -103,3 +107,75 @@ def test_a_block_described_the_wrong_way_round(rig_file: Path) -> None:
     with pytest.raises(CalibrationError, match="the block would be at least 300 mm long") as caught:
         calibrate(Rig.load(rig_file))
     assert "swapped" in str(caught.value)
+
+
+BOARD = """
+board: {kind: charuco, name: c, columns: 5, rows: 4, pitch_mm: 8, marker_mm: 6, dictionary: DICT_4X4_50}
+"""
+
+
+@pytest.fixture
+def board_rig(rig, rig_file: Path) -> Path:
+    """Three poses whose laser-on images carry a bright square that the laser-off partner has too."""
+    x_px = rig.x_px(np.zeros((rig.stripes, rig.rows)))
+    square = np.zeros((rig.rows, rig.columns), np.uint8)
+    square[100:140, 150:190] = 90
+    for number in (2, 10, 9):
+        plain = square + np.uint8(number)
+        cv2.imwrite(str(rig_file.with_name(f"off{number}.png")), plain)
+        cv2.imwrite(str(rig_file.with_name(f"on_{number:02d}.png")), cv2.add(plain, rig.image(x_px)))
+    text = RIG.replace("  belt: [belt.png]", "  board: [off*.png]\n  board_laser: [on_*.png]")
+    rig_file.write_text(text + BOARD, encoding="utf-8")
+    return rig_file
+
+
+def test_poses_are_paired_by_the_numbers_in_their_names(rig, board_rig: Path) -> None:
+    observed, hashes = observe(Rig.load(board_rig), discover())
+    assert observed.board is not None
+    assert observed.board.marker_mm == 6.0
+    boards = observed.showing("board")
+    assert [(view.pose, view.frame.role) for view in boards] == [
+        (pose, role) for role in ("plain", "laser") for pose in ("2", "9", "10")
+    ]
+    assert {"board/off2.png", "board_laser/on_10.png"} <= set(hashes)
+    for view in boards:
+        if view.frame.role == "plain":
+            assert len(view.peaks) == 0
+        else:
+            rows, count = np.unique(view.peaks.row, return_counts=True)
+            assert rows.size >= rig.rows - 2, "the partner's square is gone from the difference"
+            assert (count == rig.stripes).all()
+
+
+def test_the_numbers_of_a_name_tell_the_pose() -> None:
+    names = ("calib07.png", "light_7.png", "set2_pose_010_on.png", "level.png")
+    assert [pose_of(Path(name)) for name in names] == ["7", "7", "2-10", "level"]
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ((", marker_mm: 6", ""), "needs marker_mm and dictionary"),
+        (("marker_mm: 6", "marker_mm: 8"), "marker_mm must be less than pitch_mm"),
+        (("kind: charuco", "kind: charukko"), "charuco"),
+        (("off*.png", "off*.png, on_02.png"), "off2.png and on_02.png hold the same numbers"),
+        (
+            ("name: test", "name: test\nencoder_counts: [1, 2]"),
+            "2 counts for 0 images in images.board_on_belt",
+        ),
+    ],
+)
+def test_a_wrong_board(board_rig: Path, change: tuple[str, str], says: str) -> None:
+    text = board_rig.read_text(encoding="utf-8")
+    assert change[0] in text
+    board_rig.write_text(text.replace(*change), encoding="utf-8")
+    with pytest.raises(ConfigurationError) as caught:
+        Rig.load(board_rig)
+    assert says in str(caught.value)
+
+
+@pytest.mark.parametrize("path", sorted((Path(__file__).parents[2] / "calib_targets").glob("*.yaml")))
+def test_shipped_targets_are_legal(path: Path) -> None:
+    document = read(path)
+    legal = [checked(model, document.data, document.place)[0] for model in TARGET_FILES]
+    assert sum(target is not None for target in legal) == 1
