@@ -9,7 +9,7 @@ import numpy as np
 from benchmarks.coded.samples import Sample
 from roemetry.arrays import Integers
 from roemetry.compare.coding import longest_run
-from roemetry.compare.points import nearest
+from roemetry.compare.points import REACH_PX, nearest
 from roemetry.records import AMBIGUOUS, StripeMap
 
 _TALL_MM = 1.0
@@ -25,14 +25,16 @@ class Score:
         True crossings on products, lit and seen, whether or not a peak of them is left.
     unseen
         Of these, without a peak within 3 px.
-    right, wrong, refused
+    right, mistaken, refused
         Of the others: their peak carries their number; another's; none.
     ambiguous
         Of the refused, called ambiguous.
-    belt_wrong
-        Peaks of the belt with another stripe's number.
     labelled
-        All peaks that were given a number and lie within 3 px of a true centre.
+        All peaks, of product and belt, that were given a number and lie within 3 px of a true centre.
+    wrong
+        Of these, wrong.
+    shared
+        Of the wrong, with light of the stripe whose number they carry within 6 px: two stripes, one peak.
     invented
         Peaks with a number and no true centre within 3 px.
     as_belt
@@ -50,11 +52,12 @@ class Score:
     visible: int = 0
     unseen: int = 0
     right: int = 0
-    wrong: int = 0
+    mistaken: int = 0
     refused: int = 0
     ambiguous: int = 0
-    belt_wrong: int = 0
     labelled: int = 0
+    wrong: int = 0
+    shared: int = 0
     invented: int = 0
     as_belt: int = 0
     as_product: int = 0
@@ -70,13 +73,13 @@ class Score:
 
     @property
     def labelled_share(self) -> float:
-        """Right or wrong, of the product's points that have a peak."""
-        return (self.right + self.wrong) / max(self.visible - self.unseen, 1)
+        """Share with a number, of the product's points that have a peak."""
+        return (self.right + self.mistaken) / max(self.visible - self.unseen, 1)
 
     @property
     def wrong_share(self) -> float:
         """Wrong, of all peaks with a number, on product and belt."""
-        return (self.wrong + self.belt_wrong) / max(self.labelled, 1)
+        return self.wrong / max(self.labelled, 1)
 
 
 def score(stripes: StripeMap | None, sample: Sample, least_margin: float = 0.0) -> Score:
@@ -97,14 +100,14 @@ def score(stripes: StripeMap | None, sample: Sample, least_margin: float = 0.0) 
     counts = {"visible": int(true.on_product.sum()), "unseen": int((true.on_product & (at < 0)).sum())}
     if stripes is None:
         return Score(**counts, refused=int(seen.sum()), frames_refused=1)
-    given, certain = verdicts(stripes, sample, least_margin)
+    given, said = verdicts(stripes, sample, least_margin)
     of = nearest(peaks.row, peaks.x_px, true.row, true.x_px)  # crossing of each peak
     known = of >= 0
     is_wrong = known & (given >= 0) & (true.stripe[of] != given)
     is_right = known & (given >= 0) & (true.stripe[of] == given)
     on_product = known & true.on_product[of]
-    point_right, point_wrong = seen & is_right[at], seen & is_wrong[at]
-    point_refused = seen & ~point_right & ~point_wrong
+    refused = seen & (given[at] < 0)
+    point_right = seen & (given[at] == true.stripe)
     map_wrong = np.zeros(stripes.seen.shape, np.bool_)
     map_wrong[given[is_wrong], peaks.row[is_wrong]] = True
     run = max((longest_run(line) for line in map_wrong), default=0)
@@ -114,17 +117,27 @@ def score(stripes: StripeMap | None, sample: Sample, least_margin: float = 0.0) 
     return Score(
         **counts,
         right=int(point_right.sum()),
-        wrong=int(point_wrong.sum()),
-        refused=int(point_refused.sum()),
-        ambiguous=int((point_refused & (certain[at] == AMBIGUOUS)).sum()),
-        belt_wrong=int((is_wrong & ~on_product).sum()),
+        mistaken=int((seen & ~refused & ~point_right).sum()),
+        refused=int(refused.sum()),
+        ambiguous=int((refused & (said[at] == AMBIGUOUS)).sum()),
         labelled=int((known & (given >= 0)).sum()),
+        wrong=int(is_wrong.sum()),
+        shared=_shared(given, np.flatnonzero(is_wrong), sample),
         invented=int((~known & (given >= 0)).sum()),
         as_belt=int((tall & is_right & (product == 0)).sum()),
         as_product=int((known & ~on_product & is_right & (product > 0)).sum()),
         longest_wrong_run=run,
         products_wrong=int(run > 3),
     )
+
+
+def _shared(given: Integers, wrong: Integers, sample: Sample) -> int:
+    """Count the wrong peaks near which the stripe of their number is, too."""
+    true, peaks, count = sample.crossings, sample.peaks, 0
+    for k in wrong:
+        own = (true.row == peaks.row[k]) & (true.stripe == given[k])
+        count += bool((np.abs(true.x_px[own] - peaks.x_px[k]) <= 2.0 * REACH_PX).any())
+    return count
 
 
 def verdicts(stripes: StripeMap, sample: Sample, least_margin: float = 0.0) -> tuple[Integers, Integers]:

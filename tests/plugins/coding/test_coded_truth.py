@@ -64,7 +64,7 @@ def test_a_right_answer_is_right_and_a_shifted_one_wrong(rig, block) -> None:
     right = _answer(sample, shift=0)
     whole = coded.score(right, sample)
     assert whole.right == whole.visible - whole.unseen > 0
-    assert (whole.wrong, whole.belt_wrong, whole.invented, whole.as_belt, whole.as_product) == (0, 0, 0, 0, 0)
+    assert (whole.mistaken, whole.wrong, whole.invented, whole.as_belt, whole.as_product) == (0, 0, 0, 0, 0)
     shifted = coded.score(_answer(sample, shift=1), sample)
     assert shifted.right == 0
     assert shifted.wrong_share == 1.0
