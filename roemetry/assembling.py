@@ -15,9 +15,9 @@ def assemble(
     profiles: Profiles,
     outlines: tuple[Outline, ...],
     calibration: Calibration,
-    view: View | None,
     acquisition_id: str,
     reasons: tuple[Reason, ...] = (),
+    view: View | None = None,
 ) -> tuple[Product, ...]:
     """Split the slices of one frame into its products, by the number the coder gave each point."""
     numbers = np.unique(profiles.product)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -107,13 +107,20 @@ class Calibration:
 
     def redraw(self, rng: np.random.Generator) -> Calibration:
         """Give a calibration whose parameters are drawn from their joint distribution (JCGM 101, 6.4.8)."""
+        return next(self.redraws(rng))
+
+    def redraws(self, rng: np.random.Generator) -> Iterator[Calibration]:
+        """Give drawn calibrations without end; the covariance is taken apart once for all of them."""
         mean = np.concatenate([array.ravel() for array in self.parameters.values()])
-        drawn = rng.multivariate_normal(mean, self.covariance, method="eigh")
-        parameters, start = {}, 0
-        for name, array in self.parameters.items():
-            parameters[name] = drawn[start : start + array.size].reshape(array.shape)
-            start += array.size
-        return replace(self, parameters=parameters)
+        size, turned = np.linalg.eigh(self.covariance)
+        factor = turned * np.sqrt(np.maximum(size, 0.0))
+        while True:
+            drawn = mean + factor @ rng.standard_normal(mean.size)
+            parameters, start = {}, 0
+            for name, array in self.parameters.items():
+                parameters[name] = drawn[start : start + array.size].reshape(array.shape)
+                start += array.size
+            yield replace(self, parameters=parameters)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers, lists and words, as they stand in the file."""

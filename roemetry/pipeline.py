@@ -10,6 +10,7 @@ from roemetry.assembling import assemble
 from roemetry.calibration import Calibration
 from roemetry.errors import RoemetryError
 from roemetry.preparing import prepare, prepare_plain
+from roemetry.propagation import Chain, Scene, propagate
 from roemetry.recipe import Recipe
 from roemetry.records import (
     AMBIGUOUS,
@@ -52,16 +53,31 @@ class Pipeline:
         Let every exception through instead of noting it on the trace.
     stages
         By kind, stages to use instead of those the recipe would make: objects with the kind's verb.
+    draws
+        Monte Carlo draws; None: as many as the recipe says.
     """
 
     def __init__(
-        self, recipe: Recipe, *, debug: bool = False, stages: Mapping[str, Any] | None = None
+        self,
+        recipe: Recipe,
+        *,
+        debug: bool = False,
+        stages: Mapping[str, Any] | None = None,
+        draws: int | None = None,
     ) -> None:
         self.recipe = recipe
         self._stages: Mapping[str, Any] = (
             {kind: chosen.make() for kind, chosen in recipe.stages.items()} if stages is None else stages
         )
         self._debug = debug
+        self._draws = recipe.draws if draws is None else draws
+        # Draws must not meet a stage that remembers: each is another scene.
+        self._chain = Chain(
+            *(
+                recipe.stages[kind].make() if kind in recipe.stages and self._draws else None
+                for kind in ("triangulator", "volume", "weigher", "classifier")
+            )
+        )
 
     def trace(self, acquisition: Acquisition) -> Trace:
         """Take one acquisition through the chain; whatever goes wrong stands in `Trace.absent`."""
@@ -108,12 +124,13 @@ class Pipeline:
             )
         if profiles is not None and stripes is not None and calibration is not None:
             view = self._stages["triangulator"].view(calibration)
-            assembled = assemble(profiles, outlines, calibration, view, acquisition.id, stripes.reasons)
+            assembled = assemble(profiles, outlines, calibration, acquisition.id, stripes.reasons, view)
             doubt = _undecided(stripes)
             products = tuple(
                 self._outcome(product, doubt or _cut_off(stripes, product.number), steps.seconds)
                 for product in assembled
             )
+            products = self._drawn(products, Scene(acquisition.id, stripes, outlines, calibration), steps)
         return Trace(
             acquisition_id=acquisition.id,
             acquisition=acquisition,
@@ -125,6 +142,16 @@ class Pipeline:
             products=products,
             absent=steps.absent,
             seconds=steps.seconds,
+        )
+
+    def _drawn(
+        self, products: tuple[ProductTrace, ...], scene: Scene, steps: _Steps
+    ) -> tuple[ProductTrace, ...]:
+        """Give the products with their uncertainties, if draws are wanted."""
+        if not self._draws:
+            return products
+        return (
+            steps.do("draws", lambda: propagate(products, scene, self._chain, draws=self._draws)) or products
         )
 
     def _outcome(self, product: Product, doubt: Reason | None, seconds: dict[str, float]) -> ProductTrace:

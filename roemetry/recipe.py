@@ -43,6 +43,8 @@ class Recipe:
         None where the recipe has none: results are then in pixels.
     stages
         By kind, in the order of the chain.
+    draws
+        Monte Carlo draws for the uncertainty of the results; 0: none.
     sinks
         What is derived from the record at the end.
     """
@@ -56,6 +58,7 @@ class Recipe:
     calibration_path: Path | None
     calibration: Calibration | None
     stages: Mapping[str, Chosen]
+    draws: int
     sinks: tuple[Chosen, ...]
 
     @classmethod
@@ -94,6 +97,7 @@ class Recipe:
             "source": source,
             "calibration": None if self.calibration is None else self.calibration.sha256,
             "stages": {kind: chosen.described() for kind, chosen in self.stages.items()},
+            "draws": self.draws,
             "sinks": [sink.described() for sink in self.sinks],
         }
 
@@ -154,6 +158,7 @@ def _resolve(path: Path, document: Overridden, file: RecipeFile, registry: Regis
         calibration_path=calibration_path,
         calibration=calibration,
         stages=stages,
+        draws=file.draws,
         sinks=tuple(sink for sink in sinks if sink is not None),
     )
 

@@ -84,6 +84,12 @@ class RecipeFile(Section):
         description="calibration file; relative to the recipe. Without one, results are in pixels",
     )
     stages: StageChoices
+    draws: int = Field(
+        default=0,
+        ge=0,
+        le=100_000,
+        description="Monte Carlo draws for the uncertainty of volume, weight and grade; 0: none is stated",
+    )
     sinks: list[Choice] = Field(default_factory=lambda: [StageChoice(use="csv"), StageChoice(use="report")])
 
 

@@ -116,7 +116,8 @@ def derive(
     recipe: Recipe, folder: Path, provenance: Mapping[str, Any], *, debug: bool = False
 ) -> tuple[tuple[Path, ...], tuple[str, ...]]:
     """Let each sink derive its files from the record; a sink that fails does not stop the others."""
-    source, pipeline = recipe.source.make(), Pipeline(recipe)
+    # The record has the uncertainties; the replay is for pictures.
+    source, pipeline = recipe.source.make(), Pipeline(recipe, draws=0)
     references: dict[str, AcquisitionReference] = {}
 
     def replay(acquisition_id: str) -> Trace:

@@ -173,6 +173,11 @@ class Outliner(Stage[OptionsT]):
 class VolumeEstimator(Stage[OptionsT]):
     """Estimates a product's volume."""
 
+    @property
+    def states_model_error(self) -> bool:
+        """True if, given `rng`, all of the stage's own model's error is drawn; else no interval is given."""
+        return False
+
     @abstractmethod
     def estimate(self, product: Product, *, rng: np.random.Generator | None = None) -> Volume:
         """Estimate the volume; given `rng`, draw the estimator's own model error as well."""
@@ -180,6 +185,11 @@ class VolumeEstimator(Stage[OptionsT]):
 
 class Weigher(Stage[OptionsT]):
     """Turns volume (and what else is known) into mass."""
+
+    @property
+    def states_model_error(self) -> bool:
+        """True if, given `rng`, all of the stage's own model's error is drawn; else no interval is given."""
+        return False
 
     @abstractmethod
     def weigh(self, product: Product, volume: Volume, *, rng: np.random.Generator | None = None) -> Weight:

@@ -51,6 +51,10 @@ def _std(estimate: Estimate | None, scale: float = 1.0) -> Cell | None:
     return NOT_STATED if math.isnan(estimate.std) else estimate.std * scale
 
 
+def _end(estimate: Estimate | None, which: int, scale: float = 1.0) -> float | None:
+    return None if estimate is None else estimate.interval[which] * scale
+
+
 def _mass(row: Measurement) -> Estimate | None:
     return None if row.weight is None else row.weight.mass_g
 
@@ -69,8 +73,12 @@ _COLUMNS: dict[str, Callable[[Measurement], Cell | None]] = {
     "grade": lambda row: None if row.grade is None else row.grade.label,
     "weight (g)": lambda row: _value(_mass(row)),
     "weight standard uncertainty (g)": lambda row: _std(_mass(row)),
+    "weight 95 % low (g)": lambda row: _end(_mass(row), 0),
+    "weight 95 % high (g)": lambda row: _end(_mass(row), 1),
     "visible volume (cm³)": lambda row: _value(_visible(row), _CM3),
     "visible volume standard uncertainty (cm³)": lambda row: _std(_visible(row), _CM3),
+    "visible volume 95 % low (cm³)": lambda row: _end(_visible(row), 0, _CM3),
+    "visible volume 95 % high (cm³)": lambda row: _end(_visible(row), 1, _CM3),
     "largest height (mm)": lambda row: row.height_max_mm,
     "volume seen (share)": lambda row: None if row.volume is None else row.volume.shares.seen,
     "volume interpolated (share)": lambda row: None if row.volume is None else row.volume.shares.interpolated,

@@ -40,6 +40,11 @@ class Density(Weigher[DensityOptions]):
 
     Options: ClassVar[type[StageOptions]] = DensityOptions
 
+    @property
+    def states_model_error(self) -> bool:
+        """Whether the density's standard uncertainty is given."""
+        return self.options.density_std_g_per_cm3 is not None
+
     def weigh(self, product: Product, volume: Volume, *, rng: np.random.Generator | None = None) -> Weight:
         """Reckon the mass; given `rng`, draw the density from a normal distribution if its std is given."""
         chosen = volume.visible_mm3 if volume.true_mm3 is None else volume.true_mm3

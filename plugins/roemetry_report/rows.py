@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 from markupsafe import Markup
 
-from roemetry.records import Measurement, Reason, Shares
+from roemetry.records import Estimate, Measurement, Reason, Shares
 from roemetry.units import MM3_PER_CM3, NOT_STATED
 from roemetry_report.charts import share_bar
-from roemetry_report.words import percent, plain, uncertainty, value
+from roemetry_report.words import budget, interval, percent, plain, uncertainty, value
 
 _FULL_REASONS = 3
 
@@ -23,6 +23,8 @@ class Figure:
     text: str
     std: str
     sort: float | None
+    interval: str = ""
+    budget: tuple[tuple[str, str], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,27 +80,11 @@ def row_of(measurement: Measurement, common: Collection[Reason] = ()) -> Row:
         id=measurement.id,
         status=status_pill(measurement.status),
         grade=None if measurement.grade is None else grade_pill(measurement.grade.label),
-        weight=_NONE
-        if measurement.weight is None
-        else Figure(
-            value(measurement.weight.mass_g, digits=1),
-            uncertainty(measurement.weight.mass_g, digits=1),
-            _sortable(measurement.weight.mass_g.value),
-        ),
-        volume=_NONE
-        if volume is None
-        else Figure(
-            value(volume.visible_mm3, MM3_PER_CM3),
-            uncertainty(volume.visible_mm3, MM3_PER_CM3),
-            _sortable(volume.visible_mm3.value),
-        ),
+        weight=_NONE if measurement.weight is None else _figure(measurement.weight.mass_g, digits=1),
+        volume=_NONE if volume is None else _figure(volume.visible_mm3, MM3_PER_CM3),
         true_volume=None
         if volume is None or volume.true_mm3 is None
-        else Figure(
-            value(volume.true_mm3, MM3_PER_CM3),
-            uncertainty(volume.true_mm3, MM3_PER_CM3),
-            _sortable(volume.true_mm3.value),
-        ),
+        else _figure(volume.true_mm3, MM3_PER_CM3),
         height=Figure(plain(measurement.height_max_mm, 1), NOT_STATED, _sortable(measurement.height_max_mm)),
         displacement=_NONE
         if coding is None
@@ -117,6 +103,16 @@ def row_of(measurement: Measurement, common: Collection[Reason] = ()) -> Row:
         ambiguous_sort=None if coding is None else coding.ambiguous,
         main=tuple(reasons[:1] if measurement.status != "failed" else reasons[:_FULL_REASONS]),
         further=tuple(reasons[1 if measurement.status != "failed" else _FULL_REASONS :]),
+    )
+
+
+def _figure(estimate: Estimate, per: float = 1.0, digits: int = 2) -> Figure:
+    return Figure(
+        value(estimate, per, digits),
+        uncertainty(estimate, per, digits),
+        _sortable(estimate.value),
+        interval(estimate, per),
+        budget(estimate, per),
     )
 
 

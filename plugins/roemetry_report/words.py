@@ -31,6 +31,22 @@ def uncertainty(estimate: Estimate, per: float = 1.0, digits: int = 2) -> str:
     return plain(std, _decimals(std, digits)) if math.isfinite(std) else NOT_STATED
 
 
+def interval(estimate: Estimate, per: float = 1.0) -> str:
+    """Write the 95 % interval to the place its uncertainty supports; nothing where it is not stated."""
+    low, high = estimate.interval
+    if not (math.isfinite(low) and math.isfinite(high)):
+        return ""
+    decimals = _decimals(estimate.std / per, 2)
+    return f"{plain(low / per, decimals)} to {plain(high / per, decimals)}"
+
+
+def budget(estimate: Estimate, per: float = 1.0) -> tuple[tuple[str, str], ...]:
+    """Give the causes of the uncertainty, each with its part, the largest first."""
+    parts = sorted(estimate.budget.items(), key=lambda part: -part[1])
+    decimals = _decimals(max(estimate.budget.values(), default=math.nan) / per, 2)
+    return tuple((cause, plain(part / per, decimals)) for cause, part in parts)
+
+
 def percent(share: float) -> str:
     """Write a share in per cent; a small one is never written as nothing."""
     if not math.isfinite(share):

@@ -25,6 +25,10 @@ def run(
         list[str] | None,
         typer.Option("--set", metavar="KEY=VALUE", help="Change the recipe, e.g. source.path=images."),
     ] = None,
+    draws: Annotated[
+        int | None,
+        typer.Option("--draws", min=0, help="Monte Carlo draws for the uncertainty; default: the recipe's."),
+    ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with a stopped run in --out.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")] = False,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
@@ -41,7 +45,8 @@ def run(
 
     if resume and out is None:
         raise ConfigurationError("--resume needs --out", hint="name the folder of the run that was stopped")
-    loaded = Recipe.load(recipe, sets=sets or ())
+    changes = [*(sets or ()), *([] if draws is None else [f"draws={draws}"])]
+    loaded = Recipe.load(recipe, sets=changes)
     folder = out or _next_folder(loaded)
     try:
         with progress("measuring", quiet=as_json) as on_progress:

@@ -167,7 +167,12 @@ def _number(value: Any) -> Any:
 
 
 def _estimate_row(estimate: Estimate) -> dict[str, Any]:
-    return {"value": estimate.value, "std": estimate.std, "budget": dict(estimate.budget)}
+    return {
+        "value": estimate.value,
+        "std": estimate.std,
+        "budget": dict(estimate.budget),
+        "interval": list(estimate.interval),
+    }
 
 
 def _weight_row(weight: Weight) -> dict[str, Any]:
@@ -200,7 +205,8 @@ def _read_reasons(row: Mapping[str, Any]) -> tuple[Reason, ...]:
 
 def _read_estimate(row: Mapping[str, Any]) -> Estimate:
     budget = {cause: _number(part) for cause, part in row["budget"].items()}
-    return Estimate(_number(row["value"]), _number(row["std"]), budget)
+    low, high = map(_number, row["interval"])
+    return Estimate(_number(row["value"]), _number(row["std"]), budget, (low, high))
 
 
 def _read_volume(row: Mapping[str, Any]) -> Volume:

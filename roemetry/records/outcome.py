@@ -17,11 +17,13 @@ class Estimate:
     """A value with its standard uncertainty (VIM 2.30) and the uncertainty's parts by cause.
 
     The unit stands in the name of the field that holds the estimate. NaN in `std` means "not stated".
+    `interval` holds the true value in 95 % of cases; NaN where the uncertainty is not stated.
     """
 
     value: float
     std: float = math.nan
     budget: Mapping[str, float] = field(default_factory=dict)
+    interval: tuple[float, float] = (math.nan, math.nan)
 
 
 @dataclass(frozen=True, slots=True)

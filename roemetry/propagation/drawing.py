@@ -1,0 +1,105 @@
+"""Drawn scenes: stripes and outlines with noise, a calibration from its distribution."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from roemetry.arrays import Floats
+from roemetry.assembling import assemble
+from roemetry.calibration import Calibration
+from roemetry.errors import RoemetryError
+from roemetry.propagation.scene import Chain, Scene
+from roemetry.records import Outline, Product, StripeMap
+
+PEAKS, CALIBRATION, OUTLINE = "peak noise", "calibration", "outline"
+
+
+class Drawn:
+    """Draws scenes: stripes and outlines with noise, a calibration from its distribution.
+
+    Attributes
+    ----------
+    causes
+        What can be drawn: causes whose size is stated.
+    peaks_stated
+        Whether each seen point of a product has an uncertainty.
+    """
+
+    def __init__(self, scene: Scene, chain: Chain, rng: np.random.Generator) -> None:
+        self._scene, self._chain, self._rng = scene, chain, rng
+        self._calibrations = scene.calibration.redraws(rng)
+        stripes = scene.stripes
+        self._std_px = np.where(stripes.seen, stripes.x_std_px, 0.0)
+        self.peaks_stated = bool(np.isfinite(self._std_px[stripes.seen & (stripes.product > 0)]).all())
+        self._std_px = np.nan_to_num(self._std_px)
+        contours = any(math.isfinite(outline.xy_std_px) for outline in scene.outlines)
+        known = {PEAKS: self.peaks_stated, CALIBRATION: True, OUTLINE: contours}
+        self.causes = tuple(cause for cause, stated in known.items() if stated)
+        self._bridged = (~stripes.seen) & np.isfinite(stripes.x_px)
+
+    def scenes(self, count: int, causes: tuple[str, ...]) -> Iterator[Mapping[int, Product]]:
+        """Give drawn products by number, `count` times; what is no cause stays as it was found."""
+        for _ in range(count):
+            scene = self._scene
+            stripes, calibration, outlines = scene.stripes, scene.calibration, scene.outlines
+            if PEAKS in causes:
+                stripes = replace(stripes, x_px=stripes.x_px + self._noise_px())
+            if CALIBRATION in causes:
+                calibration = next(self._calibrations)
+            if OUTLINE in causes:
+                outlines = tuple(
+                    moved(found, float(self._rng.normal(0.0, np.nan_to_num(found.xy_std_px))))
+                    for found in outlines
+                )
+            yield self.products(stripes, calibration, outlines)
+
+    def products(
+        self, stripes: StripeMap, calibration: Calibration, outlines: tuple[Outline, ...]
+    ) -> Mapping[int, Product]:
+        """Triangulate and assemble; empty where the drawn calibration makes that impossible."""
+        triangulator = self._chain.triangulator
+        try:
+            profiles = triangulator.triangulate(stripes, calibration)
+        except RoemetryError:
+            return {}
+        view = triangulator.view(calibration)
+        found = assemble(profiles, outlines, calibration, self._scene.acquisition_id, view=view)
+        return {product.number: product for product in found}
+
+    def _noise_px(self) -> Floats:
+        """(stripe, row) errors, px: correlated along the stripe; bridged points move with their ends."""
+        noise = self._rng.standard_normal(self._std_px.shape)
+        reach = self._scene.stripes.correlation_rows
+        if reach > 0:
+            noise = _smoothed(noise, reach)
+        noise *= self._std_px
+        for stripe in np.flatnonzero(self._bridged.any(axis=1)):
+            seen = np.flatnonzero(self._scene.stripes.seen[stripe])
+            gap = np.flatnonzero(self._bridged[stripe])
+            if seen.size:
+                noise[stripe, gap] = np.interp(gap, seen, noise[stripe, seen])
+        return noise
+
+
+def _smoothed(noise: Floats, reach_rows: float) -> Floats:
+    """White noise of variance 1 with the autocorrelation exp(−Δ²/(4ℓ²)) along axis 1, variance 1."""
+    half = max(1, math.ceil(4 * reach_rows))
+    kernel = np.exp(-0.5 * (np.arange(-half, half + 1) / reach_rows) ** 2)
+    kernel /= np.sqrt((kernel**2).sum())
+    padded = np.pad(noise, ((0, 0), (half, half)), mode="wrap")
+    return np.stack([np.convolve(line, kernel, mode="valid") for line in padded])
+
+
+def moved(outline: Outline, by_px: float) -> Outline:
+    """Move a contour outwards along its normals."""
+    ahead = np.roll(outline.xy_px, -1, axis=0) - np.roll(outline.xy_px, 1, axis=0)
+    length = np.sqrt((ahead**2).sum(axis=1))
+    normal = np.column_stack([ahead[:, 1], -ahead[:, 0]]) / np.where(length > 0, length, 1.0)[:, None]
+    x, y = outline.xy_px.T
+    turns_left = float((x * np.roll(y, -1) - np.roll(x, -1) * y).sum())
+    outwards = 1.0 if turns_left > 0 else -1.0
+    return replace(outline, xy_px=outline.xy_px + by_px * outwards * normal)

@@ -1,0 +1,113 @@
+"""From drawn results to standard uncertainties, budgets, intervals and probabilities."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from roemetry.propagation.repeating import VOLUME_MODEL, Result
+from roemetry.records import Estimate, ProductTrace, Reason
+
+COVERAGE = 0.95
+"""Share of cases in which an interval is to hold the true value."""
+COVERAGE_FACTOR = 1.959964
+ENOUGH_FOR_QUANTILES = 1000
+"""From so many draws on the interval's ends are quantiles: 25 draws lie beyond each."""
+FAILED_SHARE_MAX = 0.05
+"""With more draws than this refused, what is left is no fair sample."""
+
+
+class Unstated(NamedTuple):
+    """What keeps the uncertainty of volume and of weight from being stated."""
+
+    volume: tuple[Reason, ...]
+    weight: tuple[Reason, ...]
+
+
+def with_uncertainty(
+    trace: ProductTrace,
+    together: list[Result],
+    alone: Mapping[str, list[Result]],
+    models: Mapping[str, list[Result]],
+    unstated: Unstated,
+) -> ProductTrace:
+    """Put what was drawn on a product's results.
+
+    Parameters
+    ----------
+    trace
+        As it was found, without draws.
+    together
+        Results with all causes drawn at once.
+    alone
+        By cause, results with that one drawn; of what goes before the volume.
+    models
+        The same of the volume's and the weigher's own models.
+    unstated
+        What keeps an uncertainty from being stated.
+    """
+    volume, weight, grade = trace.volume, trace.weight, trace.grade
+    if volume is not None:
+        causes = {**alone, **{cause: found for cause, found in models.items() if cause == VOLUME_MODEL}}
+        visible, true = volume.visible_mm3, volume.true_mm3
+        visible, lost = _estimate(visible, "visible_mm3", together, causes, stated=not unstated.volume)
+        if true is not None:
+            true, _ = _estimate(true, "true_mm3", together, causes, stated=not unstated.volume)
+        said = volume.reasons + unstated.volume + lost
+        volume = replace(volume, visible_mm3=visible, true_mm3=true, reasons=said)
+    if weight is not None:
+        stated = not (unstated.volume or unstated.weight)
+        mass, lost = _estimate(weight.mass_g, "mass_g", together, {**alone, **models}, stated=stated)
+        weight = replace(weight, mass_g=mass, reasons=weight.reasons + unstated.weight + lost)
+    if grade is not None and together:
+        held = [
+            (1.0 if math.isnan(result.probability) else result.probability)
+            if result.label == grade.label
+            else 0.0
+            for result in together
+        ]
+        grade = replace(grade, probability=float(np.mean(held)))
+    return replace(trace, volume=volume, weight=weight, grade=grade)
+
+
+def _estimate(
+    found: Estimate,
+    field: str,
+    together: list[Result],
+    causes: Mapping[str, list[Result]],
+    *,
+    stated: bool,
+) -> tuple[Estimate, tuple[Reason, ...]]:
+    """Give the estimate with std, budget and interval, and what is to be said of the draws."""
+    parts = {cause: _spread(results, field) for cause, results in causes.items()}
+    budget = {cause: part for cause, part in parts.items() if math.isfinite(part)}
+    if VOLUME_MODEL in budget and field != "mass_g" and found.budget:
+        # The estimator knows its model's parts better than one number for all of them.
+        del budget[VOLUME_MODEL]
+        budget |= found.budget
+    values = np.array([getattr(result, field) for result in together])
+    good = values[np.isfinite(values)]
+    if good.size < (1.0 - FAILED_SHARE_MAX) * values.size or good.size < 2:
+        why = f"{values.size - good.size} of {values.size} draws could not be measured"
+        lost = (Reason("draws-refused", f"{why}: the uncertainty is not stated"),)
+        return replace(found, std=math.nan, budget=budget), lost
+    if not stated:
+        return replace(found, std=math.nan, budget=budget), ()
+    std = float(good.std(ddof=1))
+    if good.size >= ENOUGH_FOR_QUANTILES:
+        tail = (1.0 - COVERAGE) / 2.0
+        low, high = (float(q) for q in np.quantile(good, [tail, 1.0 - tail]))
+        interval = (min(low, found.value), max(high, found.value))
+    else:
+        interval = (found.value - COVERAGE_FACTOR * std, found.value + COVERAGE_FACTOR * std)
+    return replace(found, std=std, budget=budget, interval=interval), ()
+
+
+def _spread(results: list[Result], field: str) -> float:
+    values = np.array([getattr(result, field) for result in results])
+    good = values[np.isfinite(values)]
+    return float(good.std(ddof=1)) if good.size >= 2 else math.nan
