@@ -9,8 +9,8 @@ import numpy as np
 from roemetry.arrays import Floats
 from roemetry.errors import CalibrationError, StageError
 from roemetry.records import CalibrationSet, Observation, Peaks
+from roemetry_kernels.rest_lines import belt_tolerance_px, rest_lines_of_frame
 from roemetry_kernels.tracing import trace_fragments
-from roemetry_paper.rest_lines import belt_tolerance_px, rest_lines_of_frame
 
 _FULL_ROWS_MIN = 0.5
 _DISPLACED_MIN_PX = 4.0

@@ -25,13 +25,20 @@ from roemetry.calibration import Calibration
 from roemetry.errors import StageError
 from roemetry.records import AMBIGUOUS, UNCODED, Peaks, Reason, StripeMap
 from roemetry.stages import Coder, StageOptions
+from roemetry_kernels.bridging import bridged
 from roemetry_kernels.ordering import vote_by_order
+from roemetry_kernels.refusing import refuse_uncodable
+from roemetry_kernels.rest_lines import (
+    RestLines,
+    calibrated_rest_lines,
+    missing_stripes,
+    reasons_of,
+    rest_lines_of_frame,
+)
 from roemetry_kernels.tracing import nearest_rest, trace_fragments
 from roemetry_paper.belt import Belt, belt_of
-from roemetry_paper.bridging import bridged
 from roemetry_paper.consistency import drop_doubles, keep_order, refuse_unexplained_gaps
 from roemetry_paper.literal_tracking import literal_codes
-from roemetry_paper.rest_lines import RestLines, calibrated_rest_lines, moved, rest_lines_of_frame
 
 
 class WindowTrackingOptions(StageOptions):
@@ -69,8 +76,6 @@ class WindowTrackingOptions(StageOptions):
 
 _END_ROWS = 12
 """Rows at the image's ends within which a belt segment must begin: a skein never reaches so far."""
-_MOVED_PX = 0.25
-"""The mean of some thousand belt points is known far better than this."""
 _DARK_ROWS_MAX = 20
 _PIECES_MAX = 400
 _PIECES_SHARE_MIN = 0.25
@@ -103,17 +108,7 @@ class WindowTracking(Coder[WindowTrackingOptions]):
             of another image size than the calibration's; more than 20 rows on end without any stripe.
         """
         options = self.options
-        if not len(peaks):
-            raise StageError(
-                "no stripe was found in the image",
-                hint="is the laser on? lower the extractor's threshold, or look at the image",
-            )
-        if calibration is not None and peaks.image_size != calibration.image_size:
-            raise StageError(
-                f"the peaks are of an image of {peaks.image_size[0]} rows and {peaks.image_size[1]} columns, "
-                f"the calibration of {calibration.image_size[0]} and {calibration.image_size[1]}",
-                hint="calibrate this camera, or use the region of interest it was calibrated with",
-            )
+        refuse_uncodable(peaks, calibration)
         if (
             calibration is not None
             and options.stripe_count is not None
@@ -133,8 +128,8 @@ class WindowTracking(Coder[WindowTrackingOptions]):
             else rest_lines_of_frame(peaks, fragment, fragments, options.stripe_count, _END_ROWS)
         )
         reasons: list[Reason] = []
-        if rest is not None and abs(rest.offset_px) > _MOVED_PX:
-            reasons.append(Reason("moved", moved(rest.offset_px)))
+        if rest is not None:
+            reasons += reasons_of(rest)
         if rest is None:
             rest, stripe, margin = self._pieces(peaks, fragment, fragments)
             reasons.append(_NO_BELT)
@@ -186,7 +181,7 @@ class WindowTracking(Coder[WindowTrackingOptions]):
         of_peak, gaps = refuse_unexplained_gaps(
             peaks, of_peak, line, rest.x_px, displacement, self.options.longest_gap_rows
         )
-        return of_peak, margin[belt.segment], _dead(belt.live, rest.x_px.shape[0]) + gaps
+        return of_peak, margin[belt.segment], missing_stripes(belt.live, rest.x_px.shape[0]) + gaps
 
     def _pieces(self, peaks: Peaks, fragment: Integers, fragments: int) -> tuple[RestLines, Integers, Floats]:
         """Give each traced piece a number of its own, left to right: nothing says which are one stripe."""
@@ -282,17 +277,3 @@ def _displacements(rest: RestLines, live: Integers, calibration: Calibration | N
     per_mm = calibration.displacement_px_per_mm[live]
     ends = np.stack([per_mm * height for height in calibration.height_range_mm])
     return ends.min(axis=0) - rest.tolerance_px, ends.max(axis=0) + rest.tolerance_px
-
-
-def _dead(live: Integers, stripes: int) -> list[Reason]:
-    dead = np.setdiff1d(np.arange(stripes), live)
-    if not dead.size:
-        return []
-    names = ", ".join(str(stripe + 1) for stripe in dead)
-    return [
-        Reason(
-            "stripe-missing",
-            f"{stripes} stripes are expected and {live.size} are seen: nothing lies on the rest "
-            f"line{'s' if dead.size > 1 else ''} of stripe {names}",
-        )
-    ]

@@ -9,13 +9,15 @@ import numpy as np
 from roemetry.arrays import Floats, Integers
 from roemetry.calibration import Calibration
 from roemetry.errors import StageError
-from roemetry.records import Peaks
+from roemetry.records import Peaks, Reason
 from roemetry_kernels.tracing import nearest_rest
 
 _SIGMAS = 4.0
 _TOLERANCE_MIN_PX = 1.0
 _SEARCH_PX = 3.0
 _MOVED_MAX_PX = 1.0
+_MOVED_PX = 0.25
+"""The mean of some thousand belt points is known far better than this."""
 _OUTER_SHARE = 0.1
 _MAD_TO_STD = 1.4826
 
@@ -57,11 +59,31 @@ def calibrated_rest_lines(peaks: Peaks, calibration: Calibration) -> RestLines:
         )
     tolerance_px, offset_px = _belt_scatter_px(peaks, x_px)
     if abs(offset_px) > _MOVED_MAX_PX:
-        raise StageError(moved(offset_px), hint="calibrate again")
+        raise StageError(_moved(offset_px), hint="calibrate again")
     return RestLines(x_px, tolerance_px, offset_px)
 
 
-def moved(offset_px: float) -> str:
+def reasons_of(rest: RestLines) -> list[Reason]:
+    """Say that the belt's stripes lie beside the lines, if they do by more than a quarter of a pixel."""
+    return [Reason("moved", _moved(rest.offset_px))] if abs(rest.offset_px) > _MOVED_PX else []
+
+
+def missing_stripes(live: Integers, stripes: int) -> list[Reason]:
+    """Name the stripes that are not among `live`, of `stripes` that are expected."""
+    dead = np.setdiff1d(np.arange(stripes), live)
+    if not dead.size:
+        return []
+    names = ", ".join(str(stripe + 1) for stripe in dead)
+    return [
+        Reason(
+            "stripe-missing",
+            f"{stripes} stripes are expected and {live.size} are seen: nothing lies on the rest "
+            f"line{'s' if dead.size > 1 else ''} of stripe {names}",
+        )
+    ]
+
+
+def _moved(offset_px: float) -> str:
     """Say that the belt's stripes are not where the calibration has them."""
     return (
         f"the belt's stripes lie {offset_px:+.2f} px beside the calibrated rest lines: camera, laser or belt "

@@ -1,0 +1,19 @@
+"""Coders that say how sure they are: by order, by tracing, by the planes of light themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from roemetry.hookspecs import StageEntry, hookimpl
+
+
+@hookimpl
+def roemetry_stages() -> Iterable[StageEntry]:
+    """Name the coders, from the fastest to the most careful."""
+    yield StageEntry(
+        kind="coder",
+        name="ordered",
+        target="roemetry_coding.ordered:Ordered",
+        summary="Each row's peaks in order, with stripes missing and peaks too many allowed for",
+        reference="our own",
+    )

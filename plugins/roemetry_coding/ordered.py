@@ -1,0 +1,98 @@
+"""Stripe coding by order alone, row by row: the fastest, and as right as order is.
+
+On an opaque surface lit and seen from above stripes keep their order along a row. Where a row shows every
+stripe, order decides. Where some are missing or some peaks are false, the cheapest alignment is taken: small
+steps of the surface from stripe to stripe, few stripes left out, belt on its own rest line.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import Field
+
+from roemetry.arrays import Floats
+from roemetry.calibration import Calibration
+from roemetry.errors import StageError
+from roemetry.records import AMBIGUOUS, Peaks, StripeMap
+from roemetry.stages import Coder, StageOptions
+from roemetry_kernels.bridging import bridged
+from roemetry_kernels.refusing import refuse_uncodable
+from roemetry_kernels.rest_lines import calibrated_rest_lines, missing_stripes, reasons_of
+from roemetry_kernels.row_order import DEAREST, continued, order_rows, stripes_on_belt
+
+
+class OrderedOptions(StageOptions):
+    """Gaps, sizes and doubt."""
+
+    margin_min: float = Field(
+        default=0.2, ge=0, le=1, description="peaks with a smaller margin are refused as ambiguous"
+    )
+    longest_gap_rows: int = Field(
+        default=20, ge=0, description="longest gap along a stripe that is bridged by a straight line, rows"
+    )
+    smallest_product_points: int = Field(
+        default=40, ge=1, description="bodies with fewer points, taken together, are dirt on the belt"
+    )
+
+
+_LIVE_ROWS_MIN = 15
+_STEP_MAX_PX = 7.0
+
+
+class Ordered(Coder[OrderedOptions]):
+    """Aligns each row's peaks with the stripes, without looking at other rows."""
+
+    Options = OrderedOptions
+
+    def code(self, peaks: Peaks, calibration: Calibration | None) -> StripeMap:
+        """Code the peaks of one frame.
+
+        Parameters
+        ----------
+        peaks
+            From any extractor.
+        calibration
+            Gives rest lines, displacements and the range of heights; without it order has no beginning.
+
+        Raises
+        ------
+        StageError
+            No calibration; no peak at all; peaks of another image size than the calibration's; rest lines
+            that cross, or with nothing on any of them; the belt's stripes more than a pixel beside them.
+        """
+        refuse_uncodable(peaks, calibration)
+        if calibration is None:
+            raise StageError(
+                "the coder `ordered` needs a calibration: it tells which stripe a row begins with",
+                hint="calibrate, or use the coder `window-tracking`",
+            )
+        rest = calibrated_rest_lines(peaks, calibration)
+        live = stripes_on_belt(peaks.row, peaks.x_px, rest.x_px, rest.tolerance_px, _LIVE_ROWS_MIN)
+        if not live.any():
+            raise StageError(
+                f"no stripe lies where the {live.size} rest lines are",
+                hint="camera or laser may have been moved: calibrate again, or remove what covers the belt",
+            )
+        low_mm, high_mm = calibration.height_range_mm
+        stripe, dearer = order_rows(
+            peaks.row_start,
+            peaks.x_px,
+            rest.x_px,
+            live,
+            calibration.displacement_px_per_mm,
+            low_mm,
+            high_mm,
+            rest.tolerance_px,
+        )
+        margin: Floats = dearer / DEAREST
+        firm = continued(peaks.row, peaks.x_px, stripe, live.size, _STEP_MAX_PX)
+        stripe[(stripe >= 0) & ~(firm & (margin >= self.options.margin_min))] = AMBIGUOUS
+        return bridged(
+            peaks,
+            stripe,
+            margin,
+            rest,
+            longest_gap_rows=self.options.longest_gap_rows,
+            smallest_product_points=self.options.smallest_product_points,
+            reasons=reasons_of(rest) + missing_stripes(np.flatnonzero(live), live.size),
+        )

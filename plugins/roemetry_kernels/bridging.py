@@ -1,0 +1,90 @@
+"""From coded peaks to a dense stripe map: belt or product, short gaps bridged, products numbered."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from roemetry.arrays import Floats, Integers
+from roemetry.records import AMBIGUOUS, UNCODED, Peaks, Reason, StripeMap
+from roemetry_kernels.layout import cells_between, numbered, off_belt_and_bridged
+from roemetry_kernels.rest_lines import RestLines
+
+_REACH_TOLERANCES = 3.0
+"""A run off the belt is product only if it gets this many tolerances away from its rest line."""
+
+
+def bridged(
+    peaks: Peaks,
+    stripe: Integers,
+    margin: Floats,
+    rest: RestLines,
+    *,
+    longest_gap_rows: int,
+    smallest_product_points: int,
+    reasons: list[Reason],
+) -> StripeMap:
+    """Lay coded peaks out over (stripe, row) and bridge short gaps by straight lines (section 3.3).
+
+    Parameters
+    ----------
+    peaks
+        The frame's peaks.
+    stripe
+        (peak,) stripe, `UNCODED` or `AMBIGUOUS`.
+    margin
+        (peak,) margin of the stripe over the second best.
+    rest
+        Rest lines; a point within the tolerance of its own stripe's is belt. Where none is known, all is
+        taken for one product.
+    longest_gap_rows
+        Longer gaps stay empty: not seen.
+    smallest_product_points
+        Connected points off the belt that are fewer are dirt: taken out, with a reason.
+    reasons
+        What the coding has to say so far.
+    """
+    shape = rest.x_px.shape
+    coded = np.flatnonzero(stripe >= 0)
+    cells = stripe[coded], peaks.row[coded]
+    x_px, x_std_px, margins = (np.full(shape, np.nan) for _ in range(3))
+    x_px[cells] = peaks.x_px[coded]
+    x_std_px[cells] = peaks.x_std_px[coded]
+    margins[cells] = margin[coded]
+    seen = np.isfinite(x_px)
+    reach_px = _REACH_TOLERANCES * rest.tolerance_px
+    off_belt = off_belt_and_bridged(x_px, rest.x_px, rest.tolerance_px, reach_px, longest_gap_rows)
+    # without any rest line every point is off the belt: one product, and nothing is dirt
+    unknown = not np.isfinite(rest.tolerance_px)
+    product, dirt = numbered(x_px, off_belt, smallest_product_points)
+    if unknown:
+        product, dirt = np.where(np.isfinite(x_px), 1, -1).astype(np.int16), np.zeros_like(seen)
+    said = list(reasons)
+    peak_stripe = stripe.astype(np.int16)
+    if dirt.any():
+        said.append(
+            Reason("dirt", f"{int((dirt & seen).sum())} points off the belt are too few for a product")
+        )
+        for values in (x_px, x_std_px, margins):
+            values[dirt] = np.nan
+        peak_stripe[coded] = np.where(dirt[cells], UNCODED, stripe[coded])
+        seen &= ~dirt
+    ambiguous, count = cells_between(peaks.row, peaks.x_px, stripe, AMBIGUOUS, rest.x_px)
+    if unknown:
+        ambiguous[:] = False
+    if count:
+        said.append(
+            Reason(
+                "ambiguous", f"{count} peaks could not be given to one stripe with certainty and are left out"
+            )
+        )
+    return StripeMap(
+        x_px=x_px,
+        x_std_px=x_std_px,
+        product=product,
+        seen=seen,
+        margin=margins,
+        ambiguous=ambiguous,
+        rest_px=rest.x_px,
+        peak_stripe=peak_stripe,
+        reasons=tuple(said),
+    )

@@ -1,0 +1,22 @@
+"""What no coder can work with."""
+
+from __future__ import annotations
+
+from roemetry.calibration import Calibration
+from roemetry.errors import StageError
+from roemetry.records import Peaks
+
+
+def refuse_uncodable(peaks: Peaks, calibration: Calibration | None) -> None:
+    """Raise StageError where there is no peak, or the peaks are of another image size than the calibration."""
+    if not len(peaks):
+        raise StageError(
+            "no stripe was found in the image",
+            hint="is the laser on? lower the extractor's threshold, or look at the image",
+        )
+    if calibration is not None and peaks.image_size != calibration.image_size:
+        raise StageError(
+            f"the peaks are of an image of {peaks.image_size[0]} rows and {peaks.image_size[1]} columns, "
+            f"the calibration of {calibration.image_size[0]} and {calibration.image_size[1]}",
+            hint="calibrate this camera, or use the region of interest it was calibrated with",
+        )
