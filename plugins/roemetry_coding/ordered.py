@@ -37,6 +37,7 @@ class OrderedOptions(StageOptions):
 
 _LIVE_ROWS_MIN = 15
 _STEP_MAX_PX = 7.0
+_CODED_SHARE_MIN = 0.4
 
 
 class Ordered(Coder[OrderedOptions]):
@@ -58,7 +59,8 @@ class Ordered(Coder[OrderedOptions]):
         ------
         StageError
             No calibration; no peak at all; peaks of another image size than the calibration's; rest lines
-            that cross, or with nothing on any of them; the belt's stripes more than a pixel beside them.
+            that cross, or with nothing on any of them; the belt's stripes more than a pixel beside them; fewer
+            than two peaks in five in an order that stripes can have.
         """
         refuse_uncodable(peaks, calibration)
         if calibration is None:
@@ -87,6 +89,12 @@ class Ordered(Coder[OrderedOptions]):
         margin: Floats = dearer / DEAREST
         firm = continued(peaks.row, peaks.x_px, stripe, live.size, _STEP_MAX_PX)
         stripe[(stripe >= 0) & ~(firm & (margin >= self.options.margin_min))] = AMBIGUOUS
+        coded = (stripe >= 0).mean()
+        if coded < _CODED_SHARE_MIN:
+            raise StageError(
+                f"only {coded:.0%} of the peaks are in an order that stripes can have: that is noise, not stripes",
+                hint="raise the extractor's threshold, or look at the image",
+            )
         return bridged(
             peaks,
             stripe,

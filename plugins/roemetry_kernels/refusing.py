@@ -8,7 +8,7 @@ from roemetry.records import Peaks
 
 
 def refuse_uncodable(peaks: Peaks, calibration: Calibration | None) -> None:
-    """Raise StageError where there is no peak, or the peaks are of another image size than the calibration."""
+    """Raise StageError where there is no peak, or the peaks are of another image size than calibrated."""
     if not len(peaks):
         raise StageError(
             "no stripe was found in the image",

@@ -14,6 +14,18 @@ cases = pytest.importorskip("benchmarks.coded.cases", reason="only in a checkout
 from benchmarks.coded import Sample, score  # noqa: E402
 
 FAILURES = {
+    **{
+        ("ordered", case): "order in each row alone does not see what is hidden"
+        for case in (
+            "smooth_tail",
+            "leaving_the_image",
+            "past_the_neighbour",
+            "on_the_neighbour",
+            "crossing_twice",
+            "dense_and_displaced",
+            "a_step_of_one_spacing",
+        )
+    },
     ("window-tracking", "on_the_neighbour"): "it takes a body on the next rest line for that stripe's belt",
     ("window-tracking", "dense_and_displaced"): "order in rows has no height: 2 spacings are too much for it",
     ("window-tracking", "a_step_of_one_spacing"): "where a body lies on the next rest line it cuts too late",
