@@ -59,8 +59,8 @@ class Ordered(Coder[OrderedOptions]):
         ------
         StageError
             No calibration; no peak at all; peaks of another image size than the calibration's; rest lines
-            that cross, or with nothing on any of them; the belt's stripes more than a pixel beside them; fewer
-            than two peaks in five in an order that stripes can have.
+            that cross, or with nothing on any of them; the belt's stripes more than a pixel beside them;
+            fewer than two peaks in five in an order that stripes can have.
         """
         refuse_uncodable(peaks, calibration)
         if calibration is None:
@@ -92,7 +92,8 @@ class Ordered(Coder[OrderedOptions]):
         coded = (stripe >= 0).mean()
         if coded < _CODED_SHARE_MIN:
             raise StageError(
-                f"only {coded:.0%} of the peaks are in an order that stripes can have: that is noise, not stripes",
+                f"only {coded:.0%} of the peaks are in an order that stripes can have: "
+                "that is noise, not stripes",
                 hint="raise the extractor's threshold, or look at the image",
             )
         return bridged(
