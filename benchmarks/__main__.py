@@ -6,6 +6,7 @@ import importlib
 import sys
 
 BENCHMARKS = {
+    "coding": "share labelled, wrong and refused of every coder, where it breaks, its time",
     "frame": "time from an array to a measurement, by stage",
     "startup": "time of `roemetry --help` over that of a two-command Typer program",
     "herring_roe": "coding, grading and volume on unseen simulated skeins",

@@ -20,6 +20,8 @@ Integers = NDArray[np.int64]
 
 STEP_PX = 0.5
 """Pitch at which rows are searched; what is thinner between two jumps of depth is missed, as by a camera."""
+_COARSE_PX = 8.0
+"""The same where the belt is bare: there each plane is met once."""
 
 
 class Crossings(NamedTuple):
@@ -55,7 +57,7 @@ def crossings_of(camera: Camera, laser: LaserFan, solid: Solid) -> Crossings:
     planes = np.column_stack([laser.normals, laser.offsets_mm])
     found, numbers = _search(
         solid.body(), camera.packed(), camera.rotation, laser.projector_mm, planes,
-        camera.height_px, camera.width_px, STEP_PX,
+        camera.height_px, camera.width_px, _where(camera, solid),
     )  # fmt: skip
     order = np.lexsort((found[:, 0], numbers[:, 0]))
     found, numbers = found[order], numbers[order]
@@ -68,6 +70,18 @@ def crossings_of(camera: Camera, laser: LaserFan, solid: Solid) -> Crossings:
         found[:, 4].copy(),
         found[:, 5].copy(),
     )
+
+
+def _where(camera: Camera, solid: Solid) -> Floats:
+    """First and last row, first and last column in which the body may be seen; beside it the belt is bare."""
+    extent = np.array(solid.footprint_extent_mm())
+    if np.isnan(extent).any():
+        return np.array([1.0, 0.0, 1.0, 0.0])
+    x_mm, y_mm = [extent[0] - 1.0, extent[1] + 1.0], [extent[2] - 1.0, extent[3] + 1.0]
+    x, y, z = np.meshgrid(x_mm, y_mm, [0.0, solid.body().top_mm])
+    seen = camera.project(np.column_stack([x.ravel(), y.ravel(), z.ravel()]))
+    low, high = seen.min(axis=0) - 3.0, seen.max(axis=0) + 3.0
+    return np.array([low[1], high[1], low[0], high[0]])
 
 
 @njit(cache=True, nogil=True)
@@ -84,9 +98,22 @@ def _distance(
 
 
 @njit(cache=True, nogil=True)
+def _places(places: Floats, columns: int, where: Floats, dense: bool) -> int:
+    """Fill in where a row is looked at: finely where the body may be, coarsely where the belt is bare."""
+    filled, x_px = 0, -0.5
+    while x_px < columns - 0.5:
+        places[filled] = x_px
+        filled += 1
+        fine = dense and where[2] - _COARSE_PX <= x_px <= where[3]
+        x_px += STEP_PX if fine else _COARSE_PX
+    places[filled] = columns - 0.5
+    return filled + 1
+
+
+@njit(cache=True, nogil=True)
 def _search(
     body: Body, pinhole: Floats, rotation: Floats, projector: Floats, planes: Floats, rows: int, columns: int,
-    step_px: float,
+    where: Floats,
 ) -> tuple[Floats, Integers]:  # fmt: skip
     count = planes.shape[0]
     space = 6 * count * rows
@@ -95,10 +122,11 @@ def _search(
     point, normal, view = np.zeros(3), np.zeros(3), np.zeros(3)
     beam, scratch = np.zeros(3), np.zeros(3)
     before, now = np.empty(count), np.empty(count)
-    steps = int(np.ceil(columns / step_px))
+    places = np.empty(int(columns / STEP_PX) + columns + 2)
     for row in range(rows):
-        for k in range(steps + 1):
-            camera_ray(pinhole, rotation, -0.5 + k * step_px, float(row), view)
+        steps = _places(places, columns, where, where[0] <= row <= where[1])
+        for k in range(steps):
+            camera_ray(pinhole, rotation, places[k], float(row), view)
             on = first_hit(body, pinhole[:3], view, 1e-3, point)
             for i in range(count):
                 now[i] = np.nan
@@ -109,17 +137,20 @@ def _search(
             for i in range(count):
                 if k == 0 or (before[i] <= 0.0) == (now[i] <= 0.0):
                     continue
-                low, high = -0.5 + (k - 1) * step_px, -0.5 + k * step_px
-                negative = before[i] <= 0.0
-                while high - low > 1e-6:
-                    middle = 0.5 * (low + high)
-                    f, _ = _distance(body, pinhole, rotation, planes[i], middle, row, view, point, 1e-9)
-                    if (f <= 0.0) == negative:
-                        low = middle
+                low, high, f_low, f_high = places[k - 1], places[k], before[i], now[i]
+                x_px, f, on_here = low, np.inf, -1
+                for turn in range(60):
+                    share = f_low / (f_low - f_high) if turn % 3 < 2 else 0.5
+                    if not 0.01 < share < 0.99:  # NaN, too
+                        share = 0.5
+                    x_px = low + share * (high - low)
+                    f, on_here = _distance(body, pinhole, rotation, planes[i], x_px, row, view, point, 1e-9)
+                    if abs(f) < 1e-9 or high - low < 1e-6:
+                        break
+                    if (f <= 0.0) == (before[i] <= 0.0):
+                        low, f_low = x_px, f
                     else:
-                        high = middle
-                x_px = 0.5 * (low + high)
-                f, on_here = _distance(body, pinhole, rotation, planes[i], x_px, row, view, point, 1e-9)
+                        high, f_high = x_px, f
                 if not abs(f) < 1e-3 or x_px > columns - 0.5 or filled == space:
                     continue  # a jump from one surface to another, not a crossing
                 normal_at(body, on_here, point, normal)
@@ -131,7 +162,7 @@ def _search(
                 for m in range(3):
                     found[filled, 1 + m] = point[m]
                 found[filled, 4] = cosine
-                found[filled, 5] = abs(now[i] - before[i]) / step_px
+                found[filled, 5] = abs(now[i] - before[i]) / (places[k] - places[k - 1])
                 filled += 1
             for i in range(count):
                 before[i] = now[i]

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roemetry.calibration import Calibration
+from roemetry.view import View
 from roemetry_simulate.camera import Camera, looking_down
 from roemetry_simulate.laser import LaserFan, fan_through
 
@@ -64,6 +65,19 @@ class CodingRig:
         rest, lifted = self.line_px(0.0)[:, middle], self.line_px(height_mm)[:, middle]
         return float(np.abs(lifted - rest).mean() / np.diff(rest).mean())
 
+    def view(self) -> View:
+        """Give the exact geometry."""
+        camera = self.camera
+        matrix = np.diag([camera.focal_length_px, camera.focal_length_px, 1.0])
+        matrix[:2, 2] = camera.principal_px
+        return View(
+            image_size=(camera.height_px, camera.width_px),
+            camera_matrix=matrix,
+            T_belt_camera=camera.T_belt_camera,
+            planes=np.column_stack([self.laser.normals, self.laser.offsets_mm]),
+            projector_mm=self.laser.projector_mm,
+        )
+
     def calibration(self) -> Calibration:
         """Give the exact calibration, with what the paper's triangulation needs of it."""
         rest = self.line_px(0.0)
@@ -81,6 +95,7 @@ class CodingRig:
             parameters={"omega_mm_per_px": 1.0 / per_mm, "mm_per_px": np.array([scale])},
             covariance=np.zeros((per_mm.size + 1, per_mm.size + 1)),
             extractor={"use": "exact"},
+            view=self.view(),
         )
 
 

@@ -1,0 +1,87 @@
+"""The benchmark's curves, as SVG files that stand alone."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from markupsafe import Markup
+
+from roemetry.pages import svg
+
+Points = Sequence[tuple[float, float]]
+
+_COLOURS = ("#0d689c", "#a65a00", "#187059", "#b71d7c", "#5a4fcf", "#726317", "#7a3b1d", "#44525f")
+_STYLE = Markup(
+    "<style>text{font:12px system-ui,sans-serif;fill:#3c434c;text-anchor:middle}"
+    ".start{text-anchor:start}.end{text-anchor:end}.grid{stroke:#d9dee4;fill:none}"
+    ".axis{stroke:#8a93a0;fill:none}.line{fill:none;stroke-width:2}.ground{fill:#fff}"
+    ".goal{stroke:#8a93a0;stroke-dasharray:4 3;fill:none}</style>"
+)
+_WIDTH, _LEFT, _TOP, _FLOOR = 660.0, 62.0, 14.0, 250.0
+
+
+def curves(
+    path: Path, lines: Mapping[str, Points], across: str, up: str, *, low: float | None = None
+) -> None:
+    """Draw a line for each name.
+
+    Parameters
+    ----------
+    path
+        File to write.
+    lines
+        Points (x, y) by name; with `low`, y is drawn on a scale of powers of ten from there on, and what is
+        0 or below it stands on the floor.
+    across, up
+        What the axes are.
+    """
+    xs = [x for points in lines.values() for x, _ in points]
+    ys = [y for points in lines.values() for _, y in points]
+    right = _WIDTH - 12.0
+    x_axis = svg.Axis.over(min(xs), max(xs), _LEFT, right)
+    parts = [_STYLE, svg.box(0.0, 0.0, _WIDTH, _height(lines), "ground")]
+    if low is None:
+        y_axis = svg.Axis.over(min(0.0, *ys), max(ys), _FLOOR, _TOP)
+        marks = y_axis.ticks(5)
+        place = {y: y_axis(y) for y in ys}
+    else:
+        first, last = math.log10(low), math.ceil(math.log10(max(*ys, low * 10.0)))
+        y_axis = svg.Axis(first, float(last), _FLOOR, _TOP)
+        marks = [(float(k), _power(k)) for k in range(round(first), last + 1)]
+        place = {y: y_axis(math.log10(max(y, low))) for y in ys}
+    for value, words in marks:
+        parts += [
+            svg.line(_LEFT, y_axis(value), right, y_axis(value), "grid"),
+            svg.text(_LEFT - 6.0, y_axis(value) + 4.0, words, "end"),
+        ]
+    for value, words in x_axis.ticks(8):
+        parts.append(svg.text(x_axis(value), _FLOOR + 17.0, words))
+    parts.append(svg.line(_LEFT, _FLOOR, right, _FLOOR, "axis"))
+    for number, (name, points) in enumerate(lines.items()):
+        colour = _COLOURS[number % len(_COLOURS)]
+        drawn = "M" + "L".join(f"{svg.number(x_axis(x))} {svg.number(place[y])}" for x, y in points)
+        parts.append(Markup('<path class="line" stroke="{}" d="{}"/>').format(colour, drawn))
+        parts += [svg.dot(x_axis(x), place[y], "", f"{name}: {x:g}, {y:.3g}", colour, 3.0) for x, y in points]
+        y_key = _FLOOR + 54.0 + 18.0 * number
+        parts += [svg.dot(_LEFT + 6.0, y_key - 4.0, "", name, colour, 4.0)]
+        parts += [svg.text(_LEFT + 16.0, y_key, name, "start")]
+    parts += [
+        svg.text(0.5 * (_LEFT + right), _FLOOR + 34.0, across),
+        svg.text(_LEFT + 6.0, _TOP + 12.0, up, "start"),
+    ]
+    drawn_whole = svg.picture(parts, _height(lines), f"{up} over {across}", width=_WIDTH)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(
+        str(drawn_whole).replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1) + "\n",
+        encoding="utf-8",
+    )
+
+
+def _height(lines: Mapping[str, Points]) -> float:
+    return _FLOOR + 50.0 + 18.0 * len(lines)
+
+
+def _power(k: int) -> str:
+    return f"{100.0 * 10.0**k:g} %"
