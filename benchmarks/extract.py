@@ -1,0 +1,115 @@
+"""Extractors against the bound that physics sets, and against what else can be installed.
+
+``python -m benchmarks extract [--only precision speed bias along startup] [--methods WORD …] [--page]``
+
+Draws images of stripes whose centres are known (`benchmarks.extraction.drawing` has the model), computes the
+Cramér-Rao bound of a single row, and gives for every registered extractor and every peer: RMS error over the
+bound, bias, missed and false peaks, how true the stated uncertainties are, speed in one run, the time from
+the shell to the first extraction. ``--page`` puts the tables and a plot into the documentation.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable
+
+import cv2
+
+from benchmarks.extraction.along import along
+from benchmarks.extraction.bias import bias
+from benchmarks.extraction.drawing import SIZES
+from benchmarks.extraction.first import startup
+from benchmarks.extraction.methods import TOLD, Method, methods
+from benchmarks.extraction.page import PLOT, machine, plot, points, put_into_page
+from benchmarks.extraction.precision import close_together, precision, two_materials
+from benchmarks.extraction.speed import speed
+from benchmarks.extraction.tables import Table
+
+SEED = 40_000
+"""Used while the extractors were built; the figures of the documentation are from another one."""
+_MIDDLE = "3 Mpix"
+
+
+def main() -> None:
+    """Print the tables, and put them into the documentation if wanted."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parts = ("precision", "materials", "pitch", "bias", "along", "speed", "startup")
+    parser.add_argument("--only", nargs="*", choices=parts, default=parts, help="parts to run")
+    parser.add_argument("--methods", nargs="*", default=[], help="only methods whose name holds a word")
+    parser.add_argument("--images", type=int, default=16, help="VGA images a set")
+    parser.add_argument("--rows", type=int, default=10_000, help="rows behind each mean of the bias (clean)")
+    parser.add_argument("--repeats", type=int, default=15, help="rounds of timing")
+    parser.add_argument("--sizes", nargs="*", choices=SIZES, default=list(SIZES), help="image sizes timed")
+    parser.add_argument("--seed", type=int, default=SEED)
+    parser.add_argument(
+        "--page", action="store_true", help="put all tables and the plot into the documentation"
+    )
+    given = parser.parse_args()
+    cv2.setNumThreads(1)
+    judged, left_out = methods(tuple(given.methods))
+    ours = [method for method in judged if method.ours]
+    finding = [method for method in ours if method.name not in TOLD]
+    runs: dict[str, Callable[[], list[Table]]] = {
+        "precision": lambda: [
+            precision(judged, given.images, given.seed, known=True),
+            *unknown(finding, given.images, given.seed),
+        ],
+        "materials": lambda: [two_materials(judged, given.images, given.seed)],
+        "pitch": lambda: [close_together(fast(judged), max(given.images // 4, 1), given.seed)],
+        "bias": lambda: [bias(fast(judged), given.rows, given.seed)],
+        "along": lambda: along(max(given.images // 2, 1), given.seed),
+        "speed": lambda: [speed(judged, given.sizes, given.repeats, given.seed)],
+        "startup": lambda: [startup([method.name for method in ours], given.repeats)],
+    }
+    made: dict[str, list[Table]] = {}
+    for part in parts:
+        if part in given.only:
+            made[part] = runs[part]()
+            for table in made[part]:
+                print(table, flush=True)
+    for name, why in left_out.items():
+        print(f"left out: {name}: {why}", file=sys.stderr)
+    if given.page:
+        write_page(made, judged, left_out, given)
+
+
+def unknown(finding: list[Method], count: int, seed: int) -> list[Table]:
+    """Judge those that model noise again, with nothing known of the sensor."""
+    if not finding:
+        return []
+    table = precision(finding, count, seed, known=False)
+    return [
+        Table(
+            f"The same with nothing told about the sensor's noise. {table.title}", table.columns, table.rows
+        )
+    ]
+
+
+def fast(judged: list[Method]) -> list[Method]:
+    """Leave out those that take a second an image."""
+    return [method for method in judged if not method.slow]
+
+
+def write_page(
+    made: dict[str, list[Table]], judged: list[Method], left_out: dict[str, str], given: argparse.Namespace
+) -> None:
+    """Put all tables into the page, and draw the plot where speed and precision were both measured."""
+    command = "python -m benchmarks extract " + " ".join(sys.argv[1:])
+    how = f"Measured by `{command.strip()}` on {machine()}."
+    how += "".join(f" Left out: {name} ({why})." for name, why in left_out.items())
+    put_into_page([table for tables in made.values() for table in tables], how)
+    if "speed" in made and "precision" in made and _MIDDLE in given.sizes:
+        ours = {method.name: method.ours for method in judged}
+        panels = {
+            title: points(made["speed"][0], made["precision"][0], ours, size=_MIDDLE, kind=kind)
+            for kind, title in (("clean", "no speckle"), ("speckle", "speckle of contrast 0.15"))
+        }
+        PLOT.write_text(plot(panels, "2048 × 1536"), encoding="utf-8")
+        print(f"{PLOT} drawn")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,181 @@
+"""Images of stripes whose centres are known.
+
+A stripe's profile across a row is a Gaussian, integrated over each pixel; speckle multiplies it by a
+log-normal field of mean 1 that is smooth over `SPECKLE_PX`; then comes ambient light, shot noise, read noise,
+the cut at white and the rounding to 8 bit. Single pixels may be hot.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+from scipy.special import erf
+
+from roemetry.arrays import Floats
+
+GREY_PER_ELECTRON = 255.0 / 10_000.0
+READ_NOISE_GREY = 1.0
+SPECKLE_PX = 0.8
+STRIPES = 11
+HALF_WINDOW = 18
+SIZES = {"VGA": (480, 640), "3 Mpix": (1536, 2048), "12 Mpix": (3000, 4096)}
+CONTRAST = {"clean": 0.0, "speckle": 0.15, "hard": 0.25}
+_SATURATED_ABOVE = 250.0
+_AMPLITUDES = (60.0, 300.0)
+_SIGMAS_PX = (1.5, 3.0)
+Flags = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Light:
+    """What lies over the stripes, grey levels and px; a contrast may be an image of its own."""
+
+    contrast: float | Floats = 0.0
+    ambient: tuple[float, float, float] = (8.0, 12.0, 8.0)  # at the corner, more to the right, more below
+    hot_share: float = 0.0
+    grey_per_electron: float = GREY_PER_ELECTRON
+    read_noise: float = READ_NOISE_GREY
+
+    def background(self, row: Floats, x_px: Floats, size: tuple[int, int]) -> Floats:
+        """Give the ambient light at places."""
+        corner, across, down = self.ambient
+        return corner + across * x_px / size[1] + down * row / size[0]
+
+
+@dataclass(frozen=True)
+class Stripes:
+    """Truth: (stripe, row) centre, width (σ), peak height, and whether there is light at all."""
+
+    x_px: Floats
+    sigma_px: Floats
+    amplitude: Floats
+    lit: Flags
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """An image with its truth; `background` and `contrast` are (stripe, row), as the truth is."""
+
+    pixels: NDArray[np.uint8]
+    stripes: Stripes
+    light: Light
+    background: Floats
+    contrast: Floats
+
+    @property
+    def saturated(self) -> Flags:
+        """(stripe, row) whether the top is cut off at white."""
+        return self.stripes.amplitude + self.background > _SATURATED_ABOVE
+
+
+def standard_stripes(size: tuple[int, int]) -> Stripes:
+    """Give eleven stripes that a body pushes aside: the fixed scene of the tables of speed."""
+    height, width = size
+    row = np.arange(height, dtype=np.float64)
+    number = np.arange(STRIPES)[:, None]
+    along = (row - height / 2) / (0.4 * height)
+    body = np.where(np.abs(along) < 1.0, np.cos(0.5 * np.pi * along) ** 2, 0.0)
+    push = 0.25 * width / 12.0 * body * np.cos(np.pi * (number - 5) / 12.0)
+    x_px = width * (number + 1) / 12.0 + 0.02 * (row - height / 2) + push + 0.37 * number
+    sigma = np.linspace(*_SIGMAS_PX, STRIPES)[[3, 8, 0, 5, 10, 1, 6, 9, 2, 7, 4]]
+    top = np.linspace(*_AMPLITUDES, STRIPES)[[6, 2, 9, 0, 4, 10, 1, 7, 5, 3, 8]]
+    wave = 0.9 + 0.1 * np.sin(2.0 * np.pi * (row / (0.3 * height) + 0.17 * number))
+    return Stripes(
+        x_px, sigma[:, None] * np.ones_like(x_px), top[:, None] * wave, np.ones_like(x_px, dtype=bool)
+    )
+
+
+def unseen_stripes(size: tuple[int, int], rng: np.random.Generator) -> Stripes:
+    """Draw eleven stripes of random tilt, displacement, widths and heights, none within 10 σ of another."""
+    height, width = size
+    row = np.arange(height, dtype=np.float64)
+    number = np.arange(STRIPES)[:, None]
+    pitch = width / 12.0
+    middle, half = rng.uniform(0.3, 0.7) * height, rng.uniform(0.2, 0.45) * height
+    along = (row - middle) / half
+    body = np.where(np.abs(along) < 1.0, np.cos(0.5 * np.pi * along) ** 2, 0.0)
+    bow = np.cos(np.pi * (number - rng.uniform(3.0, 7.0)) / 12.0)
+    tilt = rng.uniform(-0.06, 0.06) * (row - height / 2)
+    push = rng.uniform(-0.4, 0.4) * pitch * body * bow
+    x_px = pitch * (number + 1) + rng.uniform(-3.0, 3.0, (STRIPES, 1)) + tilt + push
+    sigma = rng.uniform(*_SIGMAS_PX, (STRIPES, 1))
+    top = rng.uniform(*_AMPLITUDES, (STRIPES, 1))
+    wave = 0.9 + 0.1 * np.sin(
+        2.0 * np.pi * (row / (rng.uniform(0.2, 0.6) * height) + rng.uniform(0.0, 1.0, (STRIPES, 1)))
+    )
+    return Stripes(x_px, sigma * np.ones_like(x_px), top * wave, np.ones_like(x_px, dtype=bool))
+
+
+def drawn_set(
+    kind: str, size: tuple[int, int], rng: np.random.Generator, stripes: Stripes | None = None
+) -> Drawn:
+    """Draw an image of a set: ``clean``, ``speckle``, or ``hard`` (strong speckle, hot pixels, gaps)."""
+    stripes = standard_stripes(size) if stripes is None else stripes
+    if kind == "hard":
+        stripes = with_gaps(stripes, rng)
+    hot = 100e-6 if kind == "hard" else 0.0
+    return draw(stripes, size, rng, Light(contrast=CONTRAST[kind], hot_share=hot))
+
+
+def with_gaps(stripes: Stripes, rng: np.random.Generator) -> Stripes:
+    """Take a twelfth of the rows away from every second stripe."""
+    lit = stripes.lit.copy()
+    rows = lit.shape[1]
+    for number in range(0, lit.shape[0], 2):
+        first = int(rng.integers(0, rows - rows // 12))
+        lit[number, first : first + rows // 12] = False
+    return replace(stripes, lit=lit)
+
+
+def draw(stripes: Stripes, size: tuple[int, int], rng: np.random.Generator, light: Light) -> Drawn:
+    """Draw an image."""
+    height, width = size
+    laser = laser_light(stripes, size)
+    contrast = np.broadcast_to(np.asarray(light.contrast, np.float32), size)
+    if contrast.any():
+        field = gaussian_filter(rng.standard_normal(size, dtype=np.float32), SPECKLE_PX)
+        field /= field.std()
+        laser *= np.exp(contrast * field - 0.5 * contrast**2)
+    row, column = np.arange(height, dtype=np.float32)[:, None], np.arange(width, dtype=np.float32)[None]
+    mean = laser + np.asarray(light.background(row, column, size), np.float32)
+    noise = np.sqrt(light.grey_per_electron * mean + light.read_noise**2)
+    level = mean + noise * rng.standard_normal(size, dtype=np.float32)
+    hot = int(light.hot_share * height * width)
+    if hot:
+        level[rng.integers(0, height, hot), rng.integers(0, width, hot)] += rng.uniform(80.0, 200.0, hot)
+    at_row = np.broadcast_to(np.arange(height, dtype=np.float64), stripes.x_px.shape)
+    at_column = np.clip(np.rint(stripes.x_px), 0, width - 1).astype(int)
+    return Drawn(
+        pixels=np.clip(np.rint(level), 0, 255).astype(np.uint8),
+        stripes=stripes,
+        light=light,
+        background=light.background(at_row, stripes.x_px, size),
+        contrast=contrast[at_row.astype(int), at_column].astype(np.float64),
+    )
+
+
+def laser_light(stripes: Stripes, size: tuple[int, int]) -> NDArray[np.float32]:
+    """Give the laser's light without speckle and noise, grey levels."""
+    height, width = size
+    light = np.zeros(size, np.float32)
+    reach = np.arange(-HALF_WINDOW, HALF_WINDOW + 1)
+    for x_px, sigma, top, lit in zip(
+        stripes.x_px, stripes.sigma_px, stripes.amplitude * stripes.lit, stripes.lit, strict=True
+    ):
+        column = np.rint(x_px).astype(int)[:, None] + reach
+        profile = top[:, None] * pixel_profile(column - x_px[:, None], sigma[:, None])
+        row = np.broadcast_to(np.arange(height)[:, None], column.shape)
+        inside = (column >= 0) & (column < width) & lit[:, None]
+        # A stripe's own pixels of one row are all different, so plain addition is safe.
+        light[row[inside], column[inside]] += profile[inside].astype(np.float32)
+    return light
+
+
+def pixel_profile(offset: Floats, sigma: Floats) -> Floats:
+    """Integrate a Gaussian of height 1 over pixels whose centres lie `offset` px from its own."""
+    scale = np.sqrt(2.0) * sigma
+    area = erf((offset + 0.5) / scale) - erf((offset - 0.5) / scale)
+    return np.asarray(np.sqrt(0.5 * np.pi) * sigma * area)

@@ -1,0 +1,130 @@
+"""What is compared: every registered extractor, and the peers that are installed."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.extraction import packages, peers
+from benchmarks.extraction.drawing import Light
+from benchmarks.extraction.scoring import Found
+from roemetry.records import WIDE, Frame, Peaks
+from roemetry.registry import discover
+from roemetry.stages import Extractor
+
+TOLD = MappingProxyType(
+    {
+        "dominant-peak": {"threshold": 30.0, "start": "lowest"},
+        "binary-threshold": {"threshold": peers.LEVEL},
+        "local-maximum": {"floor": peers.LEVEL},
+    }
+)
+"""The paper's stages have fixed thresholds: they are told the one that suits these images."""
+
+
+@dataclass(frozen=True)
+class Method:
+    """A way to find peaks: `find` for pixels with what is known of the sensor (None: nothing).
+
+    Attributes
+    ----------
+    ours
+        Whether it is a registered extractor.
+    slow
+        Takes so long that it is tried on few images only.
+    """
+
+    name: str
+    ours: bool
+    find: Callable[[NDArray[Any], Light | None], Found]
+    slow: bool = False
+
+
+def methods(wanted: tuple[str, ...] = ()) -> tuple[list[Method], dict[str, str]]:
+    """Give the methods (all, or those whose name holds one of the words), and why others are left out."""
+    found, left_out = [], {}
+    for make in (_ours, _peers, _packages):
+        for name, each in make():
+            if wanted and not any(word in name for word in wanted):
+                continue
+            if isinstance(each, str):
+                left_out[name] = each
+            else:
+                found.append(each)
+    return found, left_out
+
+
+def frame_of(pixels: NDArray[Any], light: Light | None) -> Frame:
+    """Make the frame, with the sensor where it is known."""
+    if light is None:
+        return Frame(pixels)
+    return Frame(pixels)
+
+
+def found_in(peaks: Peaks) -> Found:
+    """Take what a record holds; what it flags as wider than a stripe is not one."""
+    stripe = peaks.flags & WIDE == 0
+    return Found(peaks.row[stripe].astype(np.float64), peaks.x_px[stripe], peaks.x_std_px[stripe])
+
+
+def extractors(options: Mapping[str, Mapping[str, Any]] = TOLD) -> Iterator[tuple[str, Extractor[Any] | str]]:
+    """Make every registered extractor, or say what it lacks."""
+    registry = discover()
+    for registered in registry.of_kind("extractor"):
+        name = registered.entry.name
+        if registered.missing is not None:
+            yield name, registered.missing
+            continue
+        cls = registry.load(registered)
+        yield name, cls(cls.Options(**options.get(name, {})))
+
+
+def _ours() -> Iterator[tuple[str, Method | str]]:
+    for name, stage in extractors():
+        if isinstance(stage, str):
+            yield name, stage
+        else:
+            yield name, Method(name, True, _run(stage))
+
+
+def _run(stage: Extractor[Any]) -> Callable[[NDArray[Any], Light | None], Found]:
+    return lambda pixels, light: found_in(stage.extract(frame_of(pixels, light)))
+
+
+def _peers() -> Iterator[tuple[str, Method | str]]:
+    for name, find in {
+        "OpenCV blur + dilate + log-parabola": peers.opencv_log_parabola,
+        "OpenCV blur + dilate + centre of gravity": peers.opencv_centre_of_gravity,
+        "OpenCV Steger, vectorised": peers.opencv_steger,
+        "numpy runs + centre of gravity": peers.numpy_run_centre_of_gravity,
+        "scipy find_peaks + log-parabola": peers.scipy_log_parabola,
+        "scipy find_peaks + centre of gravity": peers.scipy_centre_of_gravity,
+    }.items():
+        yield name, Method(name, False, _plain(find))
+
+
+def _packages() -> Iterator[tuple[str, Method | str]]:
+    for name, module, find, remedy in (
+        ("scikit-image Hessian", "skimage", packages.skimage_hessian, "pip install roemetry[benchmarks]"),
+        ("scikit-image sato", "skimage", packages.skimage_sato, "pip install roemetry[benchmarks]"),
+        (
+            "ridge-detector",
+            "ridge_detector",
+            packages.ridge_detector,
+            "pip install --no-deps ridge-detector imageio matplotlib",
+        ),
+    ):
+        if importlib.util.find_spec(module) is None:
+            yield name, f"{module} is not installed: {remedy}"
+        else:
+            yield name, Method(name, False, _plain(find), slow=name == "ridge-detector")
+
+
+def _plain(find: Callable[[NDArray[Any]], Found]) -> Callable[[NDArray[Any], Light | None], Found]:
+    return lambda pixels, _: find(pixels)
