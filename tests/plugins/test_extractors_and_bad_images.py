@@ -1,0 +1,324 @@
+"""Every registered extractor on images no one hopes for: right, or refused with a reason, never a crash."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from roemetry.errors import DataError, RoemetryError
+from roemetry.records import EDGE, SATURATED, WIDE, Frame, Peaks
+from roemetry.registry import discover
+
+REGISTRY = discover()
+NAMES = [each.entry.name for each in REGISTRY.of_kind("extractor") if each.missing is None]
+TOLD = {
+    "dominant-peak": {"threshold": 30.0, "start": "lowest"},
+    "binary-threshold": {"threshold": 60.0},
+    "local-maximum": {"floor": 60.0},
+}
+"""The paper's stages have fixed thresholds: they take no noise for a stripe only if told a fitting one."""
+
+BY_METHOD = {
+    "binary-threshold": "one grey level for the whole image: the paper shows it for what goes wrong",
+    "local-maximum": "every maximum counts, those of noise and of flat tops, too: the paper sets out from it",
+}
+"""Reports what is no stripe, by its method."""
+
+WHOLE_PIXEL = {"dominant-peak": "the last pixel of a flat top counts"}
+
+ROWS, COLUMNS = 96, 320
+REST_PX = np.array([60.0, 130.0, 200.0, 270.0])
+
+every_extractor = pytest.mark.parametrize("name", NAMES)
+
+
+def made(name: str):
+    cls = REGISTRY.load(REGISTRY.find("extractor", name))
+    return cls(cls.Options(**TOLD.get(name, {})))
+
+
+def centres(tilt: float = 0.05, rows: int = ROWS) -> np.ndarray:
+    """(stripe, row) true centres, px."""
+    return REST_PX[:, None] + tilt * (np.arange(rows) - rows / 2) + 0.3
+
+
+def light(
+    x_px: np.ndarray, sigma: float = 1.8, amplitude: float = 160.0, background: float = 14.0
+) -> np.ndarray:
+    """Give the mean grey levels of stripes."""
+    off = np.arange(COLUMNS)[None, None, :] - x_px[:, :, None]
+    return 14.0 + (amplitude * np.exp(-0.5 * (off / sigma) ** 2)).sum(axis=0)
+
+
+def camera(level: np.ndarray, rng: np.random.Generator | None = None) -> np.ndarray:
+    """Round to 8 bit, with noise of 1.5 grey levels where a generator is given."""
+    noisy = level if rng is None else level + rng.normal(0.0, 1.5, level.shape)
+    return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+
+
+def stripes_of(peaks: Peaks) -> np.ndarray:
+    """Tell which peaks are given as sound ones: neither too wide nor cut off by the border."""
+    return peaks.flags & (WIDE | EDGE) == 0
+
+
+def sane(peaks: Peaks, frame: Frame) -> None:
+    """Hold what must be true of any result."""
+    assert peaks.image_size == frame.size
+    assert np.isfinite(peaks.x_px).all()
+    for values in (peaks.amplitude, peaks.background):
+        assert np.isfinite(values).all()
+    assert (peaks.amplitude >= 0.0).all()
+    assert (peaks.amplitude <= 4.0 * frame.white).all(), "a fitted top may lie above white, not anywhere"
+    assert ((peaks.background >= -0.1 * frame.white) & (peaks.background <= frame.white)).all()
+    assert not (peaks.width_px <= 0.0).any()
+    assert not (peaks.x_std_px <= 0.0).any()
+
+
+def extracted(name: str, pixels: np.ndarray, bit_depth: int = 8) -> Peaks | None:
+    """Extract; None where the image was refused by a named error."""
+    frame = Frame(pixels, bit_depth=bit_depth)
+    try:
+        peaks = made(name).extract(frame)
+    except RoemetryError as refusal:
+        assert str(refusal)
+        return None
+    sane(peaks, frame)
+    return peaks
+
+
+def farthest(peaks: Peaks, x_px: np.ndarray) -> float:
+    """Give the largest distance of a sound peak from the nearest true centre of its row, px."""
+    sound = stripes_of(peaks)
+    if not sound.any():
+        return 0.0
+    return float(np.abs(x_px[:, peaks.row[sound]] - peaks.x_px[sound]).min(axis=0).max())
+
+
+def found_share(peaks: Peaks, x_px: np.ndarray, within_px: float) -> float:
+    """Give the share of true centres, first and last rows aside, that have a peak near them."""
+    hit = 0
+    for row in range(2, x_px.shape[1] - 2):
+        there = peaks.x_px[peaks.row_start[row] : peaks.row_start[row + 1]]
+        if there.size:
+            hit += int((np.abs(x_px[:, row, None] - there).min(axis=1) <= within_px).sum())
+    return hit / (x_px.shape[0] * (x_px.shape[1] - 4))
+
+
+def only_right(name: str, peaks: Peaks | None, x_px: np.ndarray, within_px: float) -> None:
+    """Hold that no sound peak is far from every stripe."""
+    if peaks is not None and name not in BY_METHOD:
+        assert farthest(peaks, x_px) <= within_px
+
+
+@every_extractor
+def test_stripes_one_pixel_wide(name: str, rng: np.random.Generator) -> None:
+    x_px = np.rint(centres())
+    level = np.full((ROWS, COLUMNS), 14.0)
+    for line in x_px.astype(int):
+        level[np.arange(ROWS), line] = 180.0
+    only_right(name, extracted(name, camera(level, rng)), x_px, 0.6)
+
+
+@every_extractor
+def test_stripes_forty_pixels_wide(name: str, rng: np.random.Generator) -> None:
+    x_px = centres()[[0, 2]]
+    peaks = extracted(name, camera(light(x_px, sigma=17.0), rng))
+    only_right(name, peaks, x_px, 8.0 if name in WHOLE_PIXEL else 2.0)
+
+
+@every_extractor
+def test_touching_stripes_are_two_or_one_between(name: str, rng: np.random.Generator) -> None:
+    apart = 1.8 * 5.0
+    x_px = np.sort(np.concatenate([centres(), centres() + apart]), axis=0)
+    peaks = extracted(name, camera(light(x_px), rng))
+    only_right(name, peaks, x_px, 1.5)
+    blended = centres() + 1.8
+    only_right(
+        name, extracted(name, camera(light(np.concatenate([centres(), blended + 1.8])), rng)), blended, 3.0
+    )
+
+
+@every_extractor
+@pytest.mark.parametrize("bits", [8, 12, 16])
+def test_an_image_that_is_white_all_over(name: str, bits: int) -> None:
+    pixels = np.full((ROWS, COLUMNS), 2**bits - 1, np.uint8 if bits == 8 else np.uint16)
+    peaks = extracted(name, pixels, bits)
+    assert peaks is None or not len(peaks)
+
+
+@every_extractor
+def test_stripes_cut_off_at_white(name: str, rng: np.random.Generator) -> None:
+    x_px = centres()
+    peaks = extracted(name, camera(light(x_px, sigma=3.0, amplitude=20_000.0), rng))
+    assert peaks is not None
+    near = np.abs(x_px[:, peaks.row] - peaks.x_px).min(axis=0) < 12.0
+    assert (peaks.flags[near] & SATURATED).all(), "a top at white is told"
+    if name not in WHOLE_PIXEL:
+        only_right(name, peaks, x_px, 1.0)
+
+
+@every_extractor
+def test_dark_lines_on_bright_ground_are_no_stripes(name: str, rng: np.random.Generator) -> None:
+    x_px = centres()
+    peaks = extracted(name, camera(214.0 - light(x_px), rng))
+    if peaks is None or name in BY_METHOD:
+        return
+    sound = stripes_of(peaks)
+    distance = np.abs(x_px[:, peaks.row[sound]] - peaks.x_px[sound]).min(axis=0)
+    assert not (distance < 2.0).any()
+
+
+@every_extractor
+def test_interlaced_rows(name: str, rng: np.random.Generator) -> None:
+    """Every other row was taken while the belt was 6 px further on."""
+    x_px = centres() + 6.0 * (np.arange(ROWS) % 2)
+    peaks = extracted(name, camera(light(x_px), rng))
+    only_right(name, peaks, x_px, 1.0)
+
+
+@every_extractor
+@pytest.mark.parametrize("quality", [40, 80])
+def test_jpeg_blocks(name: str, quality: int, rng: np.random.Generator) -> None:
+    x_px = centres()
+    _, packed = cv2.imencode(".jpg", camera(light(x_px), rng), [cv2.IMWRITE_JPEG_QUALITY, quality])
+    peaks = extracted(name, cv2.imdecode(packed, cv2.IMREAD_GRAYSCALE))
+    assert peaks is not None
+    assert found_share(peaks, x_px, 1.5) >= 0.99
+    if name not in BY_METHOD:
+        # the ringing beside a stripe is light in the image: a few of its ripples may pass, no more
+        distance = np.abs(x_px[:, peaks.row] - peaks.x_px).min(axis=0)
+        assert (distance[stripes_of(peaks)] > 1.5).mean() <= 0.01
+
+
+@every_extractor
+def test_hot_columns_cost_no_stripe(name: str, rng: np.random.Generator) -> None:
+    x_px, hot = centres(), np.array([20, 95, 165, 235, 300])
+    level = light(x_px)
+    level[:, hot] += 150.0
+    peaks = extracted(name, camera(level, rng))
+    assert peaks is not None
+    assert found_share(peaks, x_px, 1.5) >= 0.99
+    if "width_min_px" in type(made(name)).Options.model_fields:
+        only_right(name, peaks, x_px, 1.5)
+
+
+@every_extractor
+def test_hot_pixels_are_no_stripes(name: str, rng: np.random.Generator) -> None:
+    x_px = centres()
+    level = light(x_px)
+    level[rng.integers(0, ROWS, 60), rng.integers(0, COLUMNS, 60)] += 150.0
+    peaks = extracted(name, camera(level, rng))
+    assert peaks is not None
+    assert found_share(peaks, x_px, 2.0) >= 0.98
+    if "width_min_px" in type(made(name)).Options.model_fields:
+        only_right(name, peaks, x_px, 3.0)
+
+
+@every_extractor
+def test_sixteen_bit_pixels_of_which_twelve_are_used(name: str, rng: np.random.Generator) -> None:
+    x_px = centres()
+    pixels = np.clip(np.rint(16.0 * (light(x_px) + rng.normal(0.0, 1.5, (ROWS, COLUMNS)))), 0, 4095)
+    told = extracted(name, pixels.astype(np.uint16), 12)
+    assert told is not None
+    assert found_share(told, x_px, 1.5) >= 0.99
+    only_right(name, told, x_px, 1.5)
+    # left at 16 bit, white is far away: all is dim, but nothing is wrong
+    untold = extracted(name, pixels.astype(np.uint16), 16)
+    only_right(name, untold, x_px, 1.5)
+    if untold is not None and name not in TOLD:
+        assert found_share(untold, x_px, 1.5) >= 0.99
+
+
+@every_extractor
+def test_pixels_above_the_bit_depth_are_refused(name: str) -> None:
+    pixels = np.full((ROWS, COLUMNS), 100, np.uint16)
+    pixels[40, 150] = 5000
+    with pytest.raises(DataError, match="bit depth"):
+        made(name).extract(Frame(pixels, bit_depth=12))
+
+
+LAYOUTS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "column by column": np.asfortranarray,
+    "every second column of a wider array": lambda pixels: np.repeat(pixels, 2, axis=1)[:, ::2],
+    "part of a larger array": lambda pixels: np.pad(pixels, 5)[5:-5, 5:-5],
+    "turned twice": lambda pixels: np.ascontiguousarray(pixels[::-1, ::-1])[::-1, ::-1],
+    "from bytes": lambda pixels: np.frombuffer(pixels.tobytes(), pixels.dtype).reshape(pixels.shape),
+}
+
+
+@every_extractor
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_memory_layouts(name: str, layout: str, rng: np.random.Generator) -> None:
+    pixels = camera(light(centres()), rng)
+    plain, other = extracted(name, pixels), extracted(name, LAYOUTS[layout](pixels))
+    assert plain is not None
+    assert other is not None
+    np.testing.assert_array_equal(plain.x_px, other.x_px)
+    np.testing.assert_array_equal(plain.row, other.row)
+
+
+@every_extractor
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_byte_order(name: str, order: str, rng: np.random.Generator) -> None:
+    """Pixels as a big-endian file holds them: taken as what they mean, or refused."""
+    pixels = camera(light(centres()), rng).astype(np.uint16) * 16
+    try:
+        peaks = made(name).extract(Frame(pixels.astype(f"{order}u2"), bit_depth=12))
+    except RoemetryError:
+        return
+    only_right(name, peaks, centres(), 1.5)
+    assert found_share(peaks, centres(), 1.5) >= 0.99
+
+
+@every_extractor
+@pytest.mark.parametrize(
+    "shape", [(1, COLUMNS), (2, COLUMNS), (3, COLUMNS), (ROWS, 1), (ROWS, 2), (ROWS, 3), (1, 1)]
+)
+def test_slivers(name: str, shape: tuple[int, int], rng: np.random.Generator) -> None:
+    x_px = centres(rows=shape[0])
+    pixels = camera(light(x_px), rng)[:, : shape[1]]
+    peaks = extracted(name, np.ascontiguousarray(pixels[: shape[0]]))
+    only_right(name, peaks, x_px, 1.5)
+
+
+@every_extractor
+def test_a_ramp_has_no_stripe(name: str, rng: np.random.Generator) -> None:
+    level = np.broadcast_to(np.linspace(5.0, 240.0, COLUMNS), (ROWS, COLUMNS))
+    peaks = extracted(name, camera(level, rng))
+    assert peaks is None or name in BY_METHOD or not stripes_of(peaks).any()
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.data())
+@every_extractor
+def test_any_shape_and_any_content(name: str, data: st.DataObject) -> None:
+    """Whatever is in the image: a sane result or a named refusal, the same twice."""
+    rows = data.draw(st.integers(1, 24), "rows")
+    columns = data.draw(st.integers(1, 48), "columns")
+    bits = data.draw(st.sampled_from([1, 8, 10, 12, 16]), "bits")
+    white = 2**bits - 1
+    rng = np.random.default_rng(data.draw(st.integers(0, 2**32 - 1), "seed"))
+    content = data.draw(
+        st.sampled_from(["noise", "black and white", "plateaus", "one lit", "bright noise"]), "content"
+    )
+    if content == "noise":
+        level = rng.integers(0, white + 1, (rows, columns))
+    elif content == "black and white":
+        level = white * rng.integers(0, 2, (rows, columns))
+    elif content == "plateaus":
+        level = np.repeat(rng.integers(0, white + 1, (rows, columns // 4 + 1)), 4, axis=1)[:, :columns]
+    elif content == "one lit":
+        level = np.zeros((rows, columns), int)
+        level[rng.integers(0, rows), rng.integers(0, columns)] = white
+    else:
+        level = np.clip(white - rng.integers(0, 3, (rows, columns)), 0, white)
+    pixels = level.astype(np.uint8 if bits <= 8 else np.uint16)
+    first, second = extracted(name, pixels, bits), extracted(name, pixels, bits)
+    assert (first is None) == (second is None)
+    if first is not None and second is not None:
+        np.testing.assert_array_equal(first.x_px, second.x_px)
