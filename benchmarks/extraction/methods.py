@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from benchmarks.extraction import packages, peers
 from benchmarks.extraction.drawing import Light
 from benchmarks.extraction.scoring import Found
-from roemetry.records import WIDE, Frame, Peaks
+from roemetry.records import WIDE, Frame, Peaks, Sensor
 from roemetry.registry import discover
 from roemetry.stages import Extractor
 
@@ -64,7 +64,7 @@ def frame_of(pixels: NDArray[Any], light: Light | None) -> Frame:
     """Make the frame, with the sensor where it is known."""
     if light is None:
         return Frame(pixels)
-    return Frame(pixels)
+    return Frame(pixels, sensor=Sensor(light.grey_per_electron, light.read_noise))
 
 
 def found_in(peaks: Peaks) -> Found:

@@ -1,0 +1,149 @@
+"""The judge of extractors, judged: the bound against a closed form, drawing and scoring against truth."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+drawing = pytest.importorskip("benchmarks.extraction.drawing", reason="only in a checkout")
+
+from benchmarks.extraction import bias, methods, page, peers, scoring  # noqa: E402
+from benchmarks.extraction.bounds import bound_px  # noqa: E402
+from benchmarks.extraction.tables import Table, number, percent  # noqa: E402
+
+SIZE = (60, 400)
+
+
+def straight(x_px: float = 200.0, sigma: float = 2.5, amplitude: float = 120.0):
+    ones = np.ones((1, SIZE[0]))
+    return drawing.Stripes(x_px * ones, sigma * ones, amplitude * ones, ones.astype(bool))
+
+
+def test_the_bound_is_the_closed_form_where_there_is_one(rng) -> None:
+    """White noise on a Gaussian: variance 2 σ v / (√π A²), whatever else is unknown."""
+    light = drawing.Light(ambient=(10.0, 0.0, 0.0), grey_per_electron=1e-9, read_noise=3.0)
+    drawn = drawing.draw(straight(), SIZE, rng, light)
+    variance = 3.0**2 + 1.0 / 12.0
+    expected = math.sqrt(2.0 * 2.5 * variance / (math.sqrt(math.pi) * 120.0**2))
+    # pixels average over their width: 2 % of the slope of a stripe of σ 2.5 px
+    np.testing.assert_allclose(bound_px(drawn), expected, rtol=0.03)
+
+
+def test_speckle_saturation_and_darkness_raise_the_bound(rng) -> None:
+    def bound(contrast: float = 0.0, **stripe: float) -> float:
+        return float(
+            bound_px(drawing.draw(straight(**stripe), SIZE, rng, drawing.Light(contrast=contrast))).mean()
+        )
+
+    assert bound() < bound(contrast=0.05) < bound(contrast=0.2)
+    assert bound(amplitude=230.0) < bound(amplitude=120.0) < bound(amplitude=40.0)
+    photons = 2000.0 * 2.5 * math.sqrt(2.0 * math.pi) / drawing.GREY_PER_ELECTRON
+    assert bound(amplitude=2000.0) > 2.0 * 2.5 / math.sqrt(photons), "white pixels carry nothing"
+    # at high light speckle alone is left, and scales with its contrast
+    assert bound(contrast=0.2) == pytest.approx(2.0 * bound(contrast=0.1), rel=0.15)
+
+
+def test_a_fit_to_many_rows_scatters_by_the_bound(rng) -> None:
+    """Least squares is efficient for white noise: the drawing and the bound speak of the same noise."""
+    from scipy.optimize import least_squares
+
+    light = drawing.Light(ambient=(10.0, 0.0, 0.0), grey_per_electron=1e-9, read_noise=3.0)
+    drawn = drawing.draw(straight(200.3), SIZE, rng, light)
+    off = np.arange(180, 221)
+
+    def fitted(row: np.ndarray) -> float:
+        def model(p: np.ndarray) -> np.ndarray:
+            return p[1] * drawing.pixel_profile(off - p[0], p[2]) + p[3] - row[off]
+
+        return float(least_squares(model, [200.0, 100.0, 2.0, 10.0]).x[0])
+
+    error = np.array([fitted(row.astype(float)) for row in drawn.pixels]) - 200.3
+    assert error.std() == pytest.approx(float(bound_px(drawn).mean()), rel=0.25)  # 60 rows: ± 9 %
+    assert abs(error.mean()) < 4.0 * error.std() / math.sqrt(error.size)
+
+
+def test_drawn_light_is_what_was_asked_for(rng) -> None:
+    stripes = straight(200.4)
+    light = drawing.laser_light(stripes, SIZE)
+    columns = np.arange(SIZE[1])
+    np.testing.assert_allclose((light * columns).sum(axis=1) / light.sum(axis=1), 200.4, atol=1e-3)  # px
+    np.testing.assert_allclose(light.sum(axis=1), 120.0 * 2.5 * math.sqrt(2.0 * math.pi), rtol=1e-5)
+    many = drawing.draw(straight(amplitude=100.0), SIZE, rng, drawing.Light(contrast=0.2))
+    assert many.contrast == pytest.approx(0.2)
+    tops = many.pixels[:, 200].astype(float) - many.background[0]
+    assert tops.std() / tops.mean() == pytest.approx(0.2, abs=0.06)
+
+
+def test_hard_images_have_gaps_and_hot_pixels(rng) -> None:
+    drawn = drawing.drawn_set("hard", (240, 640), rng)
+    assert (~drawn.stripes.lit).sum() == 6 * 20
+    dark = drawing.laser_light(drawn.stripes, (240, 640)) < 1e-3
+    assert (drawn.pixels[dark] > 80).sum() >= 5
+
+
+def test_peaks_are_matched_as_described() -> None:
+    truth = straight(100.0)
+    truth.lit[0, 10:20] = False
+    row = np.array([0, 0, 1, 2, 12, 30.5])
+    x_px = np.array([100.5, 101.5, 103.0, 98.5, 100.0, 100.1])
+    found = scoring.hits(truth, scoring.Found(row, x_px, np.full(6, 0.1)))
+    assert found.error_px[0, 0] == pytest.approx(0.5), "the nearer of two"
+    assert np.isnan(found.error_px[0, 1]), "3 px away is another thing"
+    assert found.error_px[0, 2] == pytest.approx(-1.5)
+    assert np.isnan(found.error_px[0, 12]), "a peak in a gap"
+    assert found.false == 3
+    assert found.missed == found.lit - 3 == 47
+    empty = scoring.hits(truth, scoring.Found(*(np.empty(0),) * 3))
+    assert (empty.missed, empty.false) == (50, 0)
+
+
+@pytest.mark.parametrize("recipe", ["opencv_log_parabola", "scipy_log_parabola", "opencv_centre_of_gravity"])
+def test_recipes_of_others_are_given_their_best(recipe: str, rng) -> None:
+    """The peers find everything on clean images: a weak rival would flatter ours."""
+    drawn = drawing.drawn_set("clean", drawing.SIZES["VGA"], rng)
+    found = scoring.hits(drawn.stripes, getattr(peers, recipe)(drawn.pixels))
+    assert found.missed == 0
+    assert found.false <= 2
+    judged = ~drawn.saturated
+    limit = 5.0 if recipe.startswith("scipy") else 2.0
+    assert scoring.rms(found.error_px[judged]) < limit * scoring.rms(bound_px(drawn)[judged])
+
+
+def test_bias_is_the_largest_mean_with_its_sign() -> None:
+    by_image = np.zeros((4, 3, 3, bias.PHASES))
+    by_image[:, 1, 2, 3] = -0.02
+    by_image[:, 0, 0, 0] = [0.01, 0.02, 0.01, 0.02]
+    largest, error = bias.summary(by_image)
+    assert largest == "−0.0200"
+    assert float(error) > 0.0
+
+
+def test_every_extractor_is_compared_and_the_absent_is_told(monkeypatch) -> None:
+    monkeypatch.setattr(methods.importlib.util, "find_spec", lambda name: None)
+    found, left_out = methods.methods()
+    names = {method.name for method in found if method.ours}
+    assert {each for each, stage in methods.extractors() if not isinstance(stage, str)} == names
+    assert "pip install" in left_out["ridge-detector"]
+
+
+def test_figures_replace_those_before(tmp_path, monkeypatch) -> None:
+    written = tmp_path / "page.md"
+    written.write_text(f"before\n{page.BEGIN}\nold\n{page.END}\nafter\n", "utf-8")
+    monkeypatch.setattr(page, "PAGE", written)
+    table = Table("New", ["method", "value"], [["a", number(-1.25, 1)], ["b", percent(1, 8)]])
+    page.put_into_page([table], "Measured now.")
+    text = written.read_text("utf-8")
+    assert "old" not in text
+    assert text.startswith("before\n")
+    assert text.endswith("after\n")
+    assert "| a | −1.2 |" in text
+    assert "Measured now." in text
+
+
+def test_the_plot_shows_each_method_once() -> None:
+    points = [page.Point("a & b", True, 300.0, 1.04), page.Point("peer", False, 20.0, 4.0)]
+    drawn = page.plot({"no speckle": points, "speckle": points}, "2048 × 1536")
+    assert drawn.count("<circle") == 4
+    assert "a &amp; b" in drawn
