@@ -24,8 +24,10 @@ _STYLE = """
 text { font: 12px sans-serif; fill: #333; } .title { font-weight: bold; } .end { text-anchor: end; }
 .middle { text-anchor: middle; } .grid { stroke: #ddd; } .frame { fill: none; stroke: #888; }
 .bound { stroke: #2a7; stroke-dasharray: 5 4; } .ours { stroke: #fff; } .name { font-size: 11px; }
+.own { fill: #9a3412; font-weight: bold; }
 """
 _PANEL, _HEIGHT, _LEFT, _TOP = 420.0, 400.0, 50.0, 34.0
+_LINE = 11.0
 _OURS, _PEERS = "#c2410c", "#64748b"
 
 
@@ -131,25 +133,37 @@ def panel(
             body.append(line(left, y(value), left + width, y(value), "bound" if value == 1.0 else "grid"))
             body.append(text(left - 5, y(value) + 4, f"{value:g}", "end"))
     body.append(box(left, _TOP, width, _HEIGHT, "frame"))
-    taken: list[tuple[float, float]] = []
-    for point in sorted(shown, key=lambda each: each.over_bound):
-        at = x(point.megapixels_per_s), y(point.over_bound)
-        label = place_of(at, taken, left + width, point.name)
+    places = [(x(point.megapixels_per_s), y(point.over_bound)) for point in shown]
+    taken = [Room(px - 5.0, py - 5.0, 10.0) for px, py in places]
+    for point, at in sorted(zip(shown, places, strict=True), key=lambda each: each[1]):
+        label = room_for(point.name, at, taken, (left, left + width))
         taken.append(label)
-        colour = _OURS if point.ours else _PEERS
         title_ = f"{point.name}: {point.megapixels_per_s:.0f} Mpixel/s, {point.over_bound:.2f} × the bound"
-        body.append(dot(*at, "ours", title_, colour, 4.5))
-        body.append(text(*label, point.name, "name"))
+        body.append(dot(*at, "ours", title_, _OURS if point.ours else _PEERS, 4.5))
+        body.append(text(label.x, label.y + 9.0, point.name, "name own" if point.ours else "name"))
     return body
 
 
-def place_of(
-    at: tuple[float, float], taken: Sequence[tuple[float, float]], right: float, name: str
-) -> tuple[float, float]:
-    """Find room for a name beside its dot, further down while another name is near."""
-    long = 5.6 * len(name)
-    x = at[0] + 7.0 if at[0] + 7.0 + long < right else at[0] - 7.0 - long
-    y = at[1] + 4.0
-    while any(abs(x - tx) < 150.0 and abs(y - ty) < 11.0 for tx, ty in taken):
-        y -= 5.5
-    return x, y
+@dataclass(frozen=True)
+class Room:
+    """A rectangle one line high that a name or a dot takes."""
+
+    x: float
+    y: float
+    width: float
+
+    def meets(self, other: Room) -> bool:
+        """Tell whether two rectangles overlap."""
+        across = self.x < other.x + other.width and other.x < self.x + self.width
+        return across and abs(self.y - other.y) < _LINE
+
+
+def room_for(name: str, at: tuple[float, float], taken: Sequence[Room], ends: tuple[float, float]) -> Room:
+    """Find the nearest free place for a name beside its dot; the last one tried if all is taken."""
+    long = 5.7 * len(name)
+    for off in (0.0, -11.0, 11.0, -22.0, 22.0, -33.0, 33.0):
+        for begin in (at[0] + 7.0, at[0] - 7.0 - long):
+            place = Room(begin, at[1] - 5.0 + off, long)
+            if ends[0] < begin and begin + long < ends[1] and not any(place.meets(each) for each in taken):
+                return place
+    return place

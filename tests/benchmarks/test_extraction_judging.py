@@ -41,8 +41,8 @@ def test_speckle_saturation_and_darkness_raise_the_bound(rng) -> None:
     assert bound(amplitude=230.0) < bound(amplitude=120.0) < bound(amplitude=40.0)
     photons = 2000.0 * 2.5 * math.sqrt(2.0 * math.pi) / drawing.GREY_PER_ELECTRON
     assert bound(amplitude=2000.0) > 2.0 * 2.5 / math.sqrt(photons), "white pixels carry nothing"
-    # at high light speckle alone is left, and scales with its contrast
-    assert bound(contrast=0.2) == pytest.approx(2.0 * bound(contrast=0.1), rel=0.15)
+    # speckle's part goes with its contrast, the sensor's part stays
+    assert 1.5 < bound(contrast=0.2) / bound(contrast=0.1) < 2.0
 
 
 def test_a_fit_to_many_rows_scatters_by_the_bound(rng) -> None:
