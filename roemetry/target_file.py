@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal, TypeVar
+from typing import Literal, TypeVar, cast, get_args
 
 from pydantic import Field, PositiveFloat, model_validator
 
@@ -99,7 +99,27 @@ TARGET_FILES: tuple[type[Section], ...] = (
 )
 """Every kind of target that can be described."""
 
+TargetFile = BlockFile | BoardFile | StaircaseFile | PyramidFile | SpherePlateFile
+
 _File = TypeVar("_File", bound=Section)
+
+
+def read_target(path: Path) -> TargetFile:
+    """Read a target of any kind; raise ConfigurationError, with the place, where its file is at fault."""
+    document = read(path)
+    kind = document.data.get("kind") if isinstance(document.data, dict) else None
+    by_kind = {
+        name: model for model in TARGET_FILES for name in get_args(model.model_fields["kind"].annotation)
+    }
+    if kind not in by_kind:
+        raise ConfigurationError(
+            f"{document.place(('kind',))}: kind: found {kind!r}, expected one of {', '.join(by_kind)}",
+            hint="the shipped descriptions are in calib_targets/",
+        )
+    target, faults = checked(by_kind[kind], document.data, document.place)
+    if target is None:
+        raise ConfigurationError(faults)
+    return cast(TargetFile, target)
 
 
 def read_block(given: str | BlockFile | None, folder: Path) -> Block | None:

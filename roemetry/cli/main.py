@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from roemetry.cli import calibrate, check_plugin, compare, lint, plan, plugins, report, run, simulate
+from roemetry.cli import calibrate, check_plugin, compare, lint, plan, plugins, report, run, simulate, target
 from roemetry.errors import RoemetryError
 
 app = typer.Typer(
@@ -57,3 +57,4 @@ app.command()(simulate.simulate)
 app.command()(compare.compare)
 app.command()(check_plugin.check_plugin)
 app.command()(plan.plan)
+app.command()(target.target)

@@ -1,0 +1,5 @@
+"""Targets to print and to make: sheets at true scale, solids as triangle meshes."""
+
+from roemetry.targets.making import Made, make_target
+
+__all__ = ["Made", "make_target"]
