@@ -75,14 +75,22 @@ def _charuco(board: BoardFile) -> Iterator[Shape]:
     module_mm = float(board.marker_mm or 0.0) / bits
     for corner, marker in zip(corners, np.asarray(made.getIds()).ravel(), strict=True):
         image = dictionary.generateImageMarker(int(marker), bits, borderBits=1)
-        for row, line in enumerate(np.asarray(image) == 0):
-            for begin, end in _runs(line):
-                yield Rectangle(
-                    float(corner[0]) + begin * module_mm,
-                    float(corner[1]) + row * module_mm,
-                    (end - begin) * module_mm,
-                    module_mm,
-                )
+        dark = np.asarray(image) == 0
+        yield from _bars(dark, corner, module_mm, upright=False)
+        # Bars across the others: without them a hair of white shows where two rows of modules meet.
+        yield from _bars(dark.T, corner, module_mm, upright=True)
+
+
+def _bars(dark: np.ndarray, corner: np.ndarray, module_mm: float, *, upright: bool) -> Iterator[Shape]:
+    """A bar for each run of dark modules in a marker's rows, or (transposed) in its columns."""
+    x, y = float(corner[0]), float(corner[1])
+    for index, line in enumerate(dark):
+        for begin, end in _runs(line):
+            along, across, long = begin * module_mm, index * module_mm, (end - begin) * module_mm
+            if upright:
+                yield Rectangle(x + across, y + along, module_mm, long)
+            else:
+                yield Rectangle(x + along, y + across, long, module_mm)
 
 
 def _runs(dark: np.ndarray) -> Iterator[tuple[int, int]]:
