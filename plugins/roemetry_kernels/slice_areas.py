@@ -1,0 +1,182 @@
+"""Areas of a product's slices, in tilted planes of light that need not be parallel."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from roemetry.arrays import Flags, Floats, Integers, Labels
+from roemetry_kernels.compiling import kernel
+
+AT, AREA, SEEN, BRIDGED, FILLED, WIDTH, HOLE, TOP, LOW, COUNT, FIRST_ROW, LAST_ROW = range(12)
+"""Columns of the table: rest X (mm); area (mm²) and its parts by kind of point; width (mm); length left out
+as a hole (mm); highest and lowest Z (mm); number of points; first and last row (px)."""
+
+_STEP_MAX = 1.5  # rows; a larger step between neighbours means that rows are missing
+_HOLE_SHARE = 0.3
+_GAP_SHARE = 0.4
+
+
+@kernel
+def slice_areas(
+    xyz_mm: Floats,
+    product: Labels,
+    seen: Flags,
+    row_px: Floats,
+    plane: Floats,
+    frame: Integers,
+    number: int,
+) -> tuple[Floats, bool]:
+    """Give each slice's area per millimetre of rest X, so that area times spacing is a visible volume.
+
+    A plane of light is X = t + q·(y − y₀) + r·z with t where it cuts the belt at the product's middle Y;
+    q′ and r′ are the slopes of straight lines through all planes' q and r over t. A point of height z counts
+    with z·(1 + q′(y − y₀)) + r′(z² + w²)/2, where w is the height of the wall below the slice's ends (root
+    mean square of the two): light that leans passes over a wall on its far side, and Green's theorem turns
+    what it passes over, on both sides together, into that term.
+
+    Each point stands for half the way to each of its neighbours; at a curve's end as much outwards as
+    inwards. Between two curves of a slice the area is bridged by a straight line, unless both ends are low
+    (below 0.3 of the slice's top) or the gap is wide (over 0.4 of the slice): then it is a hole, and nothing
+    is counted there.
+
+    Parameters
+    ----------
+    xyz_mm, product, seen, row_px, plane, frame : ndarray
+        As in `Profiles`.
+    number
+        Number of the product.
+
+    Returns
+    -------
+    table : ndarray, shape (slice, 12)
+        Columns as named above; in the order of `Profiles`.
+    ordered : bool
+        False where a slice's points are not in the order of rows: then the table is not valid.
+    """
+    slices, points = product.shape
+    table = np.zeros((slices, 12))
+    low_y, high_y = np.inf, -np.inf
+    length, rows = 0.0, 0.0
+    ordered = True
+    for i in range(slices):
+        last = -1
+        for k in range(points):
+            if product[i, k] != number or not np.isfinite(xyz_mm[i, k, 2]):
+                continue
+            y = xyz_mm[i, k, 1]
+            low_y, high_y = min(low_y, y), max(high_y, y)
+            if last >= 0:
+                step = row_px[i, k] - row_px[i, last]
+                if step <= 0.0:
+                    ordered = False
+                elif step <= _STEP_MAX:
+                    length += abs(y - xyz_mm[i, last, 1])
+                    rows += step
+            last = k
+    per_row = length / rows if rows > 0.0 else np.nan
+    y0 = 0.5 * (low_y + high_y)
+    slope_y, slope_z = _fan(plane, y0, table)
+    for i in range(slices):
+        _area(table[i], xyz_mm[i], product[i], seen[i], row_px[i], number, y0, slope_y, slope_z, per_row)
+    return table, ordered
+
+
+@kernel
+def _fan(plane: Floats, y0: float, table: Floats) -> tuple[float, float]:
+    """Write t of each slice; give how fast the planes' slopes dX/dy and dX/dz change with t, per mm."""
+    slices = plane.shape[0]
+    mean_t, mean_y, mean_z = 0.0, 0.0, 0.0
+    for i in range(slices):
+        nx = plane[i, 0]
+        table[i, AT] = (plane[i, 3] - plane[i, 1] * y0) / nx if abs(nx) > 1e-9 else np.nan
+        mean_t += table[i, AT] / slices
+        mean_y -= plane[i, 1] / nx / slices if abs(nx) > 1e-9 else 0.0
+        mean_z -= plane[i, 2] / nx / slices if abs(nx) > 1e-9 else 0.0
+    tt, ty, tz = 0.0, 0.0, 0.0
+    for i in range(slices):
+        off = table[i, AT] - mean_t
+        tt += off * off
+        ty += off * (-plane[i, 1] / plane[i, 0] - mean_y) if abs(plane[i, 0]) > 1e-9 else 0.0
+        tz += off * (-plane[i, 2] / plane[i, 0] - mean_z) if abs(plane[i, 0]) > 1e-9 else 0.0
+    if not tt > 0.0:
+        return 0.0, 0.0
+    return ty / tt, tz / tt
+
+
+@kernel
+def _area(
+    out: Floats,
+    xyz_mm: Floats,
+    product: Labels,
+    seen: Flags,
+    row_px: Floats,
+    number: int,
+    y0: float,
+    slope_y: float,
+    slope_z: float,
+    per_row: float,
+) -> None:
+    """Write one slice's row of the table."""
+    points = product.shape[0]
+    on = np.empty(points, np.int64)
+    count = 0
+    top, low = -np.inf, np.inf
+    for k in range(points):
+        z = xyz_mm[k, 2]
+        if product[k] == number and np.isfinite(z):
+            on[count] = k
+            count += 1
+            top, low = max(top, z), min(low, z)
+    out[COUNT] = count
+    if count == 0:
+        return
+    out[TOP], out[LOW] = top, low
+    out[FIRST_ROW], out[LAST_ROW] = row_px[on[0]], row_px[on[count - 1]]
+    wall = 0.5 * (xyz_mm[on[0], 2] ** 2 + xyz_mm[on[count - 1], 2] ** 2)
+    widest = _GAP_SHARE * abs(xyz_mm[on[count - 1], 1] - xyz_mm[on[0], 1])
+    fan = y0, slope_y, slope_z, wall
+    for m in range(count):
+        k = on[m]
+        y, z = xyz_mm[k, 1], xyz_mm[k, 2]
+        before = abs(y - xyz_mm[on[m - 1], 1]) if m > 0 else np.nan
+        after = abs(y - xyz_mm[on[m + 1], 1]) if m < count - 1 else np.nan
+        if m > 0 and row_px[k] - row_px[on[m - 1]] > _STEP_MAX:
+            _gap(out, xyz_mm[on[m - 1]], xyz_mm[k], fan, top, per_row, widest)
+            before = np.nan
+        if m < count - 1 and row_px[on[m + 1]] - row_px[k] > _STEP_MAX:
+            after = np.nan
+        inwards = after if np.isnan(before) else before
+        outwards = before if np.isnan(after) else after
+        span = per_row if np.isnan(inwards) else 0.5 * (inwards + outwards)
+        part = span * _weighed(y, z, fan)
+        out[WIDTH] += span
+        out[AREA] += part
+        out[SEEN if seen[k] else BRIDGED] += abs(part)
+
+
+@kernel
+def _gap(
+    out: Floats,
+    one: Floats,
+    other: Floats,
+    fan: tuple[float, float, float, float],
+    top: float,
+    row: float,
+    widest: float,
+) -> None:
+    """Bridge the rows between two curves of a slice, or count them as a hole."""
+    span = max(abs(other[1] - one[1]) - row, 0.0)
+    if span > widest or (one[2] < _HOLE_SHARE * top and other[2] < _HOLE_SHARE * top):
+        out[HOLE] += span
+        return
+    mean = 0.5 * (_weighed(one[1], one[2], fan) + _weighed(other[1], other[2], fan))
+    out[WIDTH] += span
+    out[AREA] += span * mean
+    out[FILLED] += abs(span * mean)
+
+
+@kernel
+def _weighed(y: float, z: float, fan: tuple[float, float, float, float]) -> float:
+    """Height times the local spacing over that on the belt, mm."""
+    y0, slope_y, slope_z, wall = fan
+    return z * (1.0 + slope_y * (y - y0)) + 0.5 * slope_z * (z * z + wall)

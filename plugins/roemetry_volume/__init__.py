@@ -1,0 +1,32 @@
+"""Volume from slices and from the outline, outlines, and models of what cannot be seen from above."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from roemetry.hookspecs import StageEntry, hookimpl
+
+_SLICES = "Davis and Rabinowitz (1984), Methods of Numerical Integration; caps and tilted planes are ours"
+
+
+@hookimpl
+def roemetry_stages() -> Iterable[StageEntry]:
+    """Name the stages: slice estimators, from the plainest on."""
+    for name, target, summary in (
+        (
+            "slice-sum",
+            "SliceSum",
+            "Spacing times area over tilted slices, each held half the way to the next",
+        ),
+        ("slice-trapezoid", "SliceTrapezoid", "Trapezoids between tilted slices, ends by their taper"),
+        ("slice-simpson", "SliceSimpson", "Simpson's rule over tilted slices, ends by their taper"),
+        ("slice-pchip", "SlicePchip", "Monotone cubics between tilted slices, ends by their taper"),
+        ("slice-spline", "SliceSpline", "A cubic spline through tilted slices, ends by their taper"),
+    ):
+        yield StageEntry(
+            kind="volume",
+            name=name,
+            target=f"roemetry_volume.slice_estimators:{target}",
+            summary=summary,
+            reference=_SLICES,
+        )

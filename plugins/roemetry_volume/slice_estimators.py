@@ -1,0 +1,157 @@
+"""Visible volume from slices alone: areas in tilted planes, a rule between them, caps at both ends."""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar
+
+import numpy as np
+
+from roemetry.errors import StageError
+from roemetry.records import Estimate, Product, Shares, Volume
+from roemetry.stages import Capabilities, VolumeEstimator
+from roemetry_volume.slice_doubts import reasons_of
+from roemetry_volume.slice_options import SliceOptions, SliceSumOptions
+from roemetry_volume.slice_table import Slices, slices_of
+from roemetry_volume.underside import estimate_of, true_volume
+
+_TAPER_STD = 0.25  # of a tapered cap's volume; see docs/reference/plugins/slice-spline.md
+_BETWEEN = 0.5  # of what leaving a slice out changes
+_OPEN_SPACINGS = 2.0
+
+
+class _SliceEstimator(VolumeEstimator[SliceOptions]):
+    """V = rule(Aᵢ over tᵢ) + caps.
+
+    tᵢ is where plane i cuts the belt, Aᵢ the area below the slice weighed so that Aᵢ·dt is a volume however
+    the planes lean and fan out. What the rule is, the classes below say.
+    """
+
+    Options = SliceOptions
+    capabilities = Capabilities(relative_tolerance=0.026)
+    rule: ClassVar[int]
+
+    def estimate(self, product: Product, *, rng: np.random.Generator | None = None) -> Volume:
+        """Estimate the visible volume; with `rng` the error between slices and at the ends is drawn, too.
+
+        Raises
+        ------
+        StageError
+            Fewer than three stripes lie on the product, or a plane runs along X, or the sum is not positive.
+        """
+        from roemetry_kernels import slice_rules
+
+        slices = slices_of(product)
+        nan = math.nan
+        caps = [self._cap(slices, end) for end in (0, 1)]
+        slope = np.array([one[2] if one[3] == slice_rules.TAPERED else nan for one in caps])
+        between = slice_rules.between_slices(slices.t_mm, slices.area_mm2, slope, self.rule)
+        volume = between + caps[0][0] + caps[1][0]
+        if not volume > 0.0:
+            raise StageError(
+                f"the slices sum up to {volume:.4g} mm³: the points lie on or below the belt",
+                hint="look at the coding and the belt's zero",
+            )
+        budget = {
+            "between slices": _between_std(slices, slope, between),
+            "ends": math.hypot(*(_cap_std(one) for one in caps)),
+        }
+        if rng is not None:
+            volume += sum(std * rng.standard_normal() for std in budget.values())
+        visible = estimate_of(volume, budget)
+        return Volume(
+            visible_mm3=visible,
+            true_mm3=self._true(visible, slices, caps, rng),
+            shares=_shares(slices, caps),
+            slice_stripe=slices.stripe,
+            slice_area_mm2=slices.area_mm2,
+            slice_spacing_mm=slices.held_mm,
+            reasons=reasons_of(product, slices, [one[3] for one in caps]),
+        )
+
+    def _cap(self, slices: Slices, end: int) -> tuple[float, float, float, float]:
+        """Volume, length, slope and kind of what lies beyond an outer slice."""
+        from roemetry_kernels.slice_rules import BLUNT, NO_CAP, cap
+
+        reach, limited = slices.reach_mm[end], slices.limited[end]
+        if self.options.ends == "none":
+            return 0.0, 0.0, math.nan, NO_CAP
+        if self.options.ends == "hold":
+            length = 0.5 * reach
+            return length * float(slices.area_mm2[-end]), length, math.nan, BLUNT
+        within = reach if limited else _OPEN_SPACINGS * reach
+        found: tuple[float, float, float, float] = cap(slices.t_mm, slices.area_mm2, end, within, limited)
+        return found
+
+    def _true(
+        self,
+        visible: Estimate,
+        slices: Slices,
+        caps: list[tuple[float, float, float, float]],
+        rng: np.random.Generator | None,
+    ) -> Estimate | None:
+        if self.options.underside == "unknown":
+            return None
+        # two thirds of the rectangle: the width falls at an end as a parabola does
+        at_ends = sum(2.0 / 3.0 * one[1] * slices.width_mm[-end] for end, one in enumerate(caps))
+        footprint = float((slices.width_mm * slices.held_mm).sum()) + float(at_ends)
+        return true_volume(self.options, visible, footprint, rng)
+
+
+class SliceSum(_SliceEstimator):
+    """V = Σ Aᵢ·wᵢ: each area held half the way to both neighbours, outwards half a spacing.
+
+    The zero-order hold with central widths. The plainest rule, and blind to what happens between slices.
+    """
+
+    Options = SliceSumOptions
+    rule = 0
+
+
+class SliceTrapezoid(_SliceEstimator):
+    """Straight lines between the areas; short of convex bodies by what lies above the lines."""
+
+    rule = 1
+
+
+class SliceSimpson(_SliceEstimator):
+    """Parabolas over pairs of intervals of any lengths; exact where the areas are a parabola."""
+
+    rule = 2
+
+
+class SlicePchip(_SliceEstimator):
+    """Cubics with slopes after Fritsch and Butland (1984): they never overshoot the areas."""
+
+    rule = 3
+
+
+class SliceSpline(_SliceEstimator):
+    """A cubic spline; its slopes at the ends are the caps' where there are any, else not-a-knot."""
+
+    rule = 4
+
+
+def _between_std(slices: Slices, slope: np.ndarray, between: float) -> float:
+    """Say how far the areas between slices may be off: by what leaving single slices out changes.
+
+    The rule's distance from the spline, which smooth bodies follow more closely, is added.
+    """
+    from roemetry_kernels.slice_rules import SPLINE, between_slices, unevenness
+
+    smooth: float = between_slices(slices.t_mm, slices.area_mm2, slope, SPLINE)
+    return math.hypot(_BETWEEN * unevenness(slices.t_mm, slices.area_mm2), smooth - between)
+
+
+def _cap_std(one: tuple[float, float, float, float]) -> float:
+    """Say how far a cap may be off, mm³; of a blunt end anything up to the next stripe is possible."""
+    from roemetry_kernels.slice_rules import BLUNT
+
+    return abs(one[0]) * (2.0 / math.sqrt(12.0) if one[3] == BLUNT else _TAPER_STD)
+
+
+def _shares(slices: Slices, caps: list[tuple[float, float, float, float]]) -> Shares:
+    beyond = abs(caps[0][0]) + abs(caps[1][0])
+    seen, joined, assumed = slices.seen_mm3, slices.joined_mm3, slices.assumed_mm3 + beyond
+    total = seen + joined + assumed
+    return Shares(seen / total, joined / total, assumed / total)
