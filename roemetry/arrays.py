@@ -24,13 +24,13 @@ class Checker:
 
     def array(self, field: str, dtype: type[np.generic], shape: tuple[int | None, ...]) -> NDArray[Any]:
         """Replace a field by a read-only view of the wanted type; ``None`` in `shape` means any length."""
-        value = np.asarray(getattr(self._record, field), dtype=dtype)
-        fits = value.ndim == len(shape) and all(
-            want is None or have == want for have, want in zip(value.shape, shape, strict=True)
-        )
-        if not fits:
+        given: object = getattr(self._record, field)
+        value: NDArray[Any] = np.asarray(given, dtype=dtype)
+        if value.ndim != len(shape) or any(map(_differ, value.shape, shape)):
             wanted = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
             self._faults.append(f"{field} has shape {value.shape}, expected {wanted}")
+        if given is value and not value.flags.writeable:
+            return value
         view = value.view()
         view.flags.writeable = False
         object.__setattr__(self._record, field, view)
@@ -45,3 +45,7 @@ class Checker:
         """Raise one error that names every fault, if there is one."""
         if self._faults:
             raise DataError(f"{type(self._record).__name__}: " + "; ".join(self._faults))
+
+
+def _differ(have: int, want: int | None) -> bool:
+    return want is not None and have != want

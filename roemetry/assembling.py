@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from roemetry.calibration import Calibration
 from roemetry.records import NOTHING, Outline, Product, Profiles, Reason
 from roemetry.view import View
+
+_NOTHING = np.int16(NOTHING)
 
 
 def assemble(
@@ -20,7 +20,8 @@ def assemble(
     view: View | None = None,
 ) -> tuple[Product, ...]:
     """Split the slices of one frame into its products, by the number the coder gave each point."""
-    numbers = np.unique(profiles.product)
+    highest = int(profiles.product.max(initial=0))
+    numbers = range(1, 2) if highest == 1 else np.unique(profiles.product)
     by_number = {outline.product: outline for outline in outlines}
     return tuple(
         Product(
@@ -33,18 +34,21 @@ def assemble(
             view=view,
         )
         for number in numbers
-        if number > 0
+        if 0 < number <= highest
     )
 
 
 def _only(profiles: Profiles, number: int) -> Profiles:
     mine = profiles.product == number
-    return replace(
-        profiles,
+    return Profiles(
         xyz_mm=np.where(mine[:, :, None], profiles.xyz_mm, np.nan),
-        product=np.where(mine, profiles.product, NOTHING),
+        product=np.where(mine, profiles.product, _NOTHING),
         seen=profiles.seen & mine,
         x_px=np.where(mine, profiles.x_px, np.nan),
         row_px=np.where(mine, profiles.row_px, np.nan),
         height_std_mm=np.where(mine, profiles.height_std_mm, np.nan),
+        stripe=profiles.stripe,
+        frame=profiles.frame,
+        plane=profiles.plane,
+        reasons=profiles.reasons,
     )

@@ -77,10 +77,10 @@ def _calibrated(
 ) -> Measurement:
     profiles = product.product.profiles
     heights = profiles.xyz_mm[:, :, 2]
-    height_max = float(np.nanmax(heights)) if np.isfinite(heights).any() else math.nan
+    height_max = float(np.fmax.reduce(heights, axis=None, initial=math.nan))
     low, high = product.product.calibration.height_range_mm
     reasons = [*product.absent.values(), *warnings, *product.product.reasons]
-    height_min = float(np.nanmin(heights)) if np.isfinite(heights).any() else math.nan
+    height_min = float(np.fmin.reduce(heights, axis=None, initial=math.nan))
     for reached in (height_max, height_min):
         if reached > high + _HEIGHT_SLACK_MM or reached < low - _HEIGHT_SLACK_MM:
             reasons.append(
@@ -169,32 +169,34 @@ def _coding(trace: Trace, number: int) -> Coding | None:
         return None
     if stripes is None:
         return Coding(0, 0, len(peaks), 0, 0, len(peaks), 0, 0)
-    coded = stripes.peak_stripe >= 0
+    verdicts = np.bincount(stripes.peak_stripe - AMBIGUOUS, minlength=-AMBIGUOUS)
+    of_stripe = verdicts[-AMBIGUOUS:]
     mine = stripes.product == number if number else (stripes.product != BELT) & (stripes.product != NOTHING)
+    rows, seen = np.count_nonzero(mine), np.count_nonzero(mine & stripes.seen)
     return Coding(
         stripes=stripes.stripe_count,
-        stripes_seen=int(np.unique(stripes.peak_stripe[coded]).size),
+        stripes_seen=int(np.count_nonzero(of_stripe)),
         peaks=len(peaks),
-        coded=int(coded.sum()),
-        ambiguous=int((stripes.peak_stripe == AMBIGUOUS).sum()),
-        uncoded=int((stripes.peak_stripe == UNCODED).sum()),
-        rows_seen=int((mine & stripes.seen).sum()),
-        rows_interpolated=int((mine & ~stripes.seen).sum()),
+        coded=int(of_stripe.sum()),
+        ambiguous=int(verdicts[0]),
+        uncoded=int(verdicts[UNCODED - AMBIGUOUS]),
+        rows_seen=int(seen),
+        rows_interpolated=int(rows - seen),
         saturated_share=_saturated_share(peaks, stripes),
         displacement_max_px=_displacement_max(stripes, mine),
     )
 
 
 def _displacement_max(stripes: StripeMap, mine: np.ndarray) -> float:
-    displacement = np.where(mine, stripes.x_px - stripes.rest_px, np.nan)
-    if not np.isfinite(displacement).any():
-        return math.nan
-    return float(displacement.flat[np.nanargmax(np.abs(displacement))])
+    displacement = stripes.x_px[mine] - stripes.rest_px[mine]
+    known = displacement[np.isfinite(displacement)]
+    return float(known[np.abs(known).argmax()]) if known.size else math.nan
 
 
 def _saturated_share(peaks: Peaks, stripes: StripeMap) -> float:
     coded = stripes.peak_stripe >= 0
-    return float((peaks.flags[coded] & SATURATED > 0).mean()) if coded.any() else math.nan
+    many = np.count_nonzero(coded)
+    return np.count_nonzero((peaks.flags & SATURATED > 0) & coded) / many if many else math.nan
 
 
 def _saturation(trace: Trace) -> list[Reason]:

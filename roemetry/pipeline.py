@@ -6,6 +6,8 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
+import numpy as np
+
 from roemetry.assembling import assemble
 from roemetry.calibration import Calibration
 from roemetry.errors import RoemetryError
@@ -28,6 +30,7 @@ from roemetry.records import (
     Volume,
     Weight,
 )
+from roemetry.view import View
 
 T = TypeVar("T")
 
@@ -70,6 +73,7 @@ class Pipeline:
             {kind: chosen.make() for kind, chosen in recipe.stages.items()} if stages is None else stages
         )
         self._debug = debug
+        self._view: View | None = None
         self._draws = recipe.draws if draws is None else draws
         # Draws must not meet a stage that remembers: each is another scene.
         self._chain = Chain(
@@ -123,8 +127,9 @@ class Pipeline:
                 "triangulator", lambda: self._stages["triangulator"].triangulate(stripes, calibration)
             )
         if profiles is not None and stripes is not None and calibration is not None:
-            view = self._stages["triangulator"].view(calibration)
-            assembled = assemble(profiles, outlines, calibration, acquisition.id, stripes.reasons, view)
+            if self._view is None:  # the calibration never changes: neither does this
+                self._view = self._stages["triangulator"].view(calibration)
+            assembled = assemble(profiles, outlines, calibration, acquisition.id, stripes.reasons, self._view)
             doubt = _undecided(stripes)
             products = tuple(
                 self._outcome(product, doubt or _cut_off(stripes, product.number), steps.seconds)
@@ -209,8 +214,8 @@ class _Steps:
 
 def _undecided(stripes: StripeMap) -> Reason | None:
     """Say why nothing can be stated of the products: too much of what may be theirs was refused."""
-    refused = int((stripes.peak_stripe == AMBIGUOUS).sum())
-    seen = int(((stripes.product > 0) & stripes.seen).sum())
+    refused = int(np.count_nonzero(stripes.peak_stripe == AMBIGUOUS))
+    seen = int(np.count_nonzero((stripes.product > 0) & stripes.seen))
     if refused <= _REFUSED_SHARE_MAX * (refused + seen):
         return None
     return Reason(
@@ -222,8 +227,8 @@ def _undecided(stripes: StripeMap) -> Reason | None:
 
 def _cut_off(stripes: StripeMap, number: int) -> Reason | None:
     """Say why nothing can be stated of a product that runs out of the image."""
-    mine = (stripes.product == number).any(axis=0)
-    if not (mine[:_EDGE_ROWS].any() or mine[-_EDGE_ROWS:].any()):
+    product = stripes.product
+    if not any((rows == number).any() for rows in (product[:, :_EDGE_ROWS], product[:, -_EDGE_ROWS:])):
         return None
     return Reason("cut-by-edge", "the product reaches the image's first or last row: a part is not seen")
 

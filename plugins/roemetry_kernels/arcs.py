@@ -1,4 +1,4 @@
-"""Body curves of a product (what each stripe draws on it), and circles through points along them."""
+"""Body curves of a product: what each stripe draws on it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from roemetry.arrays import Floats, Integers
 from roemetry.records import Profiles
 
 _STEP_MAX = 1.5  # rows; a larger step between neighbours means that rows are missing
-_STRAIGHT = 1e-9  # sine of the bend below which three points lie on one line as far as float64 can tell
 
 
 class BodyCurves(NamedTuple):
@@ -35,18 +34,22 @@ class BodyCurves(NamedTuple):
 
 def body_curves(profiles: Profiles, number: int) -> BodyCurves:
     """Give the curves of one product, seen and bridged points alike; those without a height are left out."""
-    on_product = (profiles.product == number) & np.isfinite(profiles.xyz_mm[:, :, 2])
-    slices, points = np.nonzero(on_product)
-    row_px = profiles.row_px[slices, points]
-    step = np.diff(row_px)
-    turn = np.diff(slices) != 0
-    if bool(((step <= 0) & ~turn).any()):
+    from roemetry_kernels.body_points import points_in_line
+
+    slices, points, first, in_order = points_in_line(
+        profiles.product, number, profiles.xyz_mm, profiles.row_px, _STEP_MAX
+    )
+    if not in_order:
         # Points of a slice may stand in any order; a curve is followed down the rows.
+        row_px = profiles.row_px[slices, points]
         order = np.lexsort((row_px, slices))
         slices, points, row_px = slices[order], points[order], row_px[order]
-        step = np.diff(row_px)
-    first = np.flatnonzero(np.concatenate([[slices.size > 0], turn | (step > _STEP_MAX)]))
-    return BodyCurves(slices, points, first, np.diff(first, append=slices.size))
+        begins = (np.diff(slices) != 0) | (np.diff(row_px) > _STEP_MAX)
+        first = np.flatnonzero(np.concatenate([[slices.size > 0], begins]))
+    size = np.empty_like(first)
+    size[:-1] = first[1:] - first[:-1]
+    size[-1:] = slices.size - first[-1:]
+    return BodyCurves(slices, points, first, size)
 
 
 def smoothed(curves: BodyCurves, values: Floats, window: int) -> Floats:
@@ -92,21 +95,7 @@ def arc_middles(curves: BodyCurves, delta: int) -> Integers:
 
     N points give floor((N − 1) / delta) − 1 of them.
     """
-    position = np.arange(curves.slice.size) - np.repeat(curves.first, curves.size)
-    last = np.repeat(curves.size, curves.size) - 1
-    return np.flatnonzero((position > 0) & (position % delta == 0) & (position + delta <= last))
-
-
-def to_centres(before: Floats, middle: Floats, after: Floats) -> Floats:
-    """Vectors from the middle point to the centre of the circle through three points, (n, 2).
-
-    Its length is the circle's radius. Points on one line have none: both components are infinite then.
-    """
-    a, b = before - middle, after - middle
-    aa, bb = (a * a).sum(axis=1), (b * b).sum(axis=1)
-    cross = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
-    bent = np.abs(cross) > _STRAIGHT * np.sqrt(aa * bb)
-    across = np.stack([b[:, 1] * aa - a[:, 1] * bb, a[:, 0] * bb - b[:, 0] * aa], axis=1)
-    centre: Floats = np.full_like(across, np.inf)
-    np.divide(across, 2.0 * cross[:, None], out=centre, where=bent[:, None])
-    return centre
+    many = np.maximum((curves.size - 1) // delta - 1, 0)
+    of = np.repeat(np.arange(many.size), many)
+    before = np.cumsum(many) - many
+    return np.asarray(curves.first[of] + delta * (np.arange(of.size) - before[of] + 1))

@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 from roemetry.arrays import Flags, Floats, Integers
 from roemetry.records import Grade, Marks, Product, Reason
 from roemetry.stages import Classifier, StageOptions
-from roemetry_kernels.arcs import BodyCurves, arc_middles, body_curves, smoothed, to_centres
+from roemetry_kernels.arcs import BodyCurves, arc_middles, body_curves, smoothed
 
 GOOD, HENKEI, UNKNOWN = "good", "henkei", "unknown"
 
@@ -101,9 +101,10 @@ class ArcCurvature(Classifier[ArcCurvatureOptions]):
         """Grade one product; `rng` is not used, since no error of the rule itself is modelled."""
         options = self.options
         curves = body_curves(product.profiles, product.number)
-        if not arc_middles(curves, options.delta_samples).size:
+        middle = arc_middles(curves, options.delta_samples)
+        if not middle.size:
             return _unknown(curves, options.delta_samples)
-        arcs = _arcs(product, curves, options)
+        arcs = _arcs(product, curves, middle, options)
         count, flagged = arcs.flagged.size, int(arcs.flagged.sum())
         label = HENKEI if flagged >= options.henkei_arcs_min else GOOD
         smallest = float(np.min(arcs.radius, where=arcs.concave, initial=np.inf))
@@ -137,40 +138,40 @@ class _Arcs:
     radius_max: Floats
 
 
-def _arcs(product: Product, curves: BodyCurves, options: ArcCurvatureOptions) -> _Arcs:
+def _arcs(product: Product, curves: BodyCurves, middle: Integers, options: ArcCurvatureOptions) -> _Arcs:
+    from roemetry_kernels.body_points import circles
+
     profiles, delta = product.profiles, options.delta_samples
     here = (curves.slice, curves.point)
-    xyz_mm = profiles.xyz_mm[here]
-    x_row = np.stack([profiles.x_px[here], profiles.row_px[here]], axis=1)
-    along_above = xyz_mm[:, 1:]
+    x_row = np.empty((curves.slice.size, 2))
+    x_row[:, 0], x_row[:, 1] = profiles.x_px[here], profiles.row_px[here]
+    along_above = profiles.xyz_mm[curves.slice, curves.point, 1:]
+    y_mm = along_above[:, 0]
     if options.smoothing_rows:
         both = smoothed(curves, np.concatenate([x_row, along_above], axis=1), options.smoothing_rows)
-        x_row, along_above = both[:, :2], both[:, 2:]
-    middle = arc_middles(curves, delta)
+        x_row, along_above = np.ascontiguousarray(both[:, :2]), np.ascontiguousarray(both[:, 2:])
     stripe = profiles.stripe[curves.slice[middle]]
     displacement = product.calibration.displacement_px_per_mm[stripe]
-    to_centre_px = to_centres(x_row[middle - delta], x_row[middle], x_row[middle + delta])
+    to_centre_px, radius, bow = circles(x_row, middle, delta)
     if options.space == "px":
-        places, to_centre = x_row, to_centre_px
-        convexity = np.where(displacement > 0.0, -to_centre[:, 0], to_centre[:, 0])
+        convexity = np.where(displacement > 0.0, -to_centre_px[:, 0], to_centre_px[:, 0])
         radius_min: Floats = np.full(middle.size, options.radius_min_px)
         radius_max: Floats = np.full(middle.size, options.radius_max_px)
     else:
-        places = along_above
-        to_centre = to_centres(places[middle - delta], places[middle], places[middle + delta])
+        mm_per_px = _mm_per_px_at_small_slope(curves, y_mm, x_row[:, 1]) * np.abs(displacement)
+        to_centre, radius, bow = circles(along_above, middle, delta)
         convexity = -to_centre[:, 1]
-        mm_per_px = _mm_per_px_at_small_slope(curves, xyz_mm[:, 1], x_row[:, 1]) * np.abs(displacement)
         low, high = options.radius_min_mm, options.radius_max_mm
         radius_min = options.radius_min_px * mm_per_px if low is None else np.full(middle.size, low)
         radius_max = options.radius_max_px * mm_per_px if high is None else np.full(middle.size, high)
-    radius = np.hypot(to_centre[:, 0], to_centre[:, 1])
     concave = np.isfinite(radius) & (convexity < 0.0)
+    middle_px = x_row[middle]
     return _Arcs(
         stripe=stripe,
-        middle_px=x_row[middle],
-        centre_px=x_row[middle] + to_centre_px,
+        middle_px=middle_px,
+        centre_px=middle_px + to_centre_px,
         radius=radius,
-        bow=_bow(places[middle - delta], places[middle], places[middle + delta]),
+        bow=bow,
         concave=concave,
         flagged=concave & (radius > radius_min) & (radius < radius_max),
         radius_min=radius_min,
@@ -184,14 +185,6 @@ def _mm_per_px_at_small_slope(curves: BodyCurves, y_mm: Floats, row_px: Floats) 
     same_curve[curves.first] = False
     step_mm, step_px = np.diff(y_mm, prepend=np.nan), np.diff(row_px, prepend=np.nan)
     return float(np.median(np.abs(step_mm[same_curve] / step_px[same_curve]))) ** 2
-
-
-def _bow(before: Floats, middle: Floats, after: Floats) -> Floats:
-    """Distance of the middle point from the chord."""
-    a, chord = middle - before, after - before
-    cross = a[:, 0] * chord[:, 1] - a[:, 1] * chord[:, 0]
-    bow: Floats = np.abs(cross) / np.hypot(chord[:, 0], chord[:, 1])
-    return bow
 
 
 def _unknown(curves: BodyCurves, delta: int) -> Grade:

@@ -87,24 +87,22 @@ class _Slices(NamedTuple):
 
 
 def _slices(profiles: Profiles, curves: BodyCurves) -> _Slices:
-    count = profiles.slice_count
-    here = (curves.slice, curves.point)
-    y_mm, z_mm = profiles.xyz_mm[here][:, 1], profiles.xyz_mm[here][:, 2]
-    part_mm2 = z_mm * _lengths_mm(profiles, curves)
-    seen = profiles.seen[here]
-    area, seen_mm2, bridged_mm2 = np.zeros(count), np.zeros(count), np.zeros(count)
-    np.add.at(area, curves.slice, part_mm2)
-    np.add.at(seen_mm2, curves.slice, np.where(seen, np.abs(part_mm2), 0.0))
-    np.add.at(bridged_mm2, curves.slice, np.where(seen, 0.0, np.abs(part_mm2)))
+    from roemetry_kernels.body_points import slice_sums
 
-    rest_mm = _rest_mm(profiles, 0.5 * float(y_mm.min() + y_mm.max()))
+    count = profiles.slice_count
+    alone = bool((curves.size == 1).any())
+    row_mm = _mm_per_row(profiles, curves) if alone else np.nan
+    sums, y_mm = slice_sums(*curves, profiles.xyz_mm, profiles.seen, row_mm)
+    area, seen_mm2, bridged_mm2 = sums.T
+    rest_mm = _rest_mm(profiles, 0.5 * float(y_mm[0] + y_mm[1]))
     order = np.argsort(rest_mm, kind="stable")
     rest_mm, stripe, frame = rest_mm[order], profiles.stripe[order], profiles.frame[order]
     lit = (np.bincount(curves.slice, minlength=count) > 0)[order]
-    without_points = np.isnan(profiles.xyz_mm[order, :, 2]).all(axis=1)
     on_product = np.flatnonzero(lit)
-    place = np.arange(count)
-    dead = without_points & (place > on_product[0]) & (place < on_product[-1])
+    dead = ~lit
+    dead[: on_product[0]] = dead[on_product[-1] :] = False
+    for place in np.flatnonzero(dead):  # amid the product: without any point, or live and of the area 0
+        dead[place] = np.isnan(profiles.xyz_mm[order[place], :, 2]).all()
 
     # From each live slice to the next live one; the last has none.
     spacing, own, missing = np.zeros(count), np.zeros(count), np.zeros(count, np.int64)
@@ -129,28 +127,15 @@ def _slices(profiles: Profiles, curves: BodyCurves) -> _Slices:
     )
 
 
-def _lengths_mm(profiles: Profiles, curves: BodyCurves) -> Floats:
-    """Length along Y that each point stands for, mm."""
-    here = (curves.slice, curves.point)
-    y_mm, row_px = profiles.xyz_mm[here][:, 1], profiles.row_px[here]
-    step = np.abs(np.diff(y_mm))
+def _mm_per_row(profiles: Profiles, curves: BodyCurves) -> float:
+    """Length along Y of a row: the median over neighbours; else from the outermost points."""
+    y_mm = profiles.xyz_mm[curves.slice, curves.point, 1]
+    row_px = profiles.row_px[curves.slice, curves.point]
     joined = np.ones(y_mm.size, np.bool_)
     joined[curves.first] = False
-    before = np.where(joined, np.concatenate([[np.nan], step]), np.nan)
-    after = np.append(before[1:], np.nan)
-    # A point alone has no neighbour; it stands for one row of the product's usual length.
     if joined.any():
-        a_row = float(np.nanmedian(before / np.diff(row_px, prepend=np.nan)))
-    else:
-        a_row = _mm_per_row(y_mm, row_px)
-    inwards = np.where(np.isnan(before), after, before)
-    outwards = np.where(np.isnan(after), before, after)
-    lengths: Floats = np.where(np.isnan(inwards), a_row, 0.5 * (inwards + outwards))
-    return lengths
-
-
-def _mm_per_row(y_mm: Floats, row_px: Floats) -> float:
-    """Scale along the stripes where no two points are neighbours: from the outermost ones."""
+        step_mm, step_px = np.abs(np.diff(y_mm, prepend=np.nan)), np.diff(row_px, prepend=np.nan)
+        return float(np.median(step_mm[joined] / step_px[joined]))
     rows = float(np.ptp(row_px))
     if rows == 0.0:
         raise StageError("the product is a single row of points; its extent along the stripes is not known")
@@ -214,8 +199,8 @@ def _reasons(product: Product, curves: BodyCurves, slices: _Slices) -> tuple[Rea
         reasons.append(
             Reason("cut-by-edge", "the product reaches the image's first or last row; it may go on beyond"),
         )
-    outer = slices.stripe[[0, -1]][slices.lit[[0, -1]]]
-    if np.isin(outer, [0, calibration.stripe_count - 1]).any():
+    outermost = (0, calibration.stripe_count - 1)
+    if any(slices.lit[end] and slices.stripe[end] in outermost for end in (0, -1)):
         reasons.append(
             Reason(
                 "beyond-outer-stripes",

@@ -9,7 +9,8 @@ from pydantic import ValidationError
 
 from roemetry.calibration import Calibration
 from roemetry.records import Product, Profiles
-from roemetry_kernels.arcs import body_curves, smoothed, to_centres
+from roemetry_kernels.arcs import body_curves, smoothed
+from roemetry_kernels.body_points import circles
 from roemetry_paper.arc_curvature import ArcCurvature, ArcCurvatureOptions
 
 ROWS = 480
@@ -287,8 +288,8 @@ def test_smoothing_is_the_local_quadratic():
 def test_centres_are_equally_far_from_all_three_points():
     rng = np.random.default_rng(5)
     before, middle, after = rng.uniform(0, 100, (3, 1000, 2))
-    to_centre = to_centres(before, middle, after)
-    radius = np.hypot(*to_centre.T)
+    to_centre, radius = through(before, middle, after)
+    np.testing.assert_allclose(radius, np.hypot(*to_centre.T), rtol=1e-14)
     kept = radius < 1e4
     for point in (before, after):
         distance = np.hypot(*(middle + to_centre - point).T)
@@ -298,8 +299,15 @@ def test_centres_are_equally_far_from_all_three_points():
 
 def test_coinciding_points_are_no_error():
     point = np.array([[1.0, 2.0]])
-    assert np.isinf(to_centres(point, point, point)).all()
-    assert np.isinf(to_centres(point, point, point + 1.0)).all()
+    assert np.isinf(through(point, point, point)[0]).all()
+    assert np.isinf(through(point, point, point + 1.0)[0]).all()
+
+
+def through(before, middle, after):
+    """Centres, from the middle points, and radii of circles through three points each."""
+    line = np.stack([before, middle, after], axis=1).reshape(-1, 2)
+    to_centre, radius, _ = circles(line, 3 * np.arange(len(middle)) + 1, 1)
+    return to_centre, radius
 
 
 @pytest.mark.parametrize(

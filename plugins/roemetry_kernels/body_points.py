@@ -1,0 +1,116 @@
+"""A product's points in a line, the length each stands for, and circles through them: one pass each."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roemetry.arrays import Flags, Floats, Integers
+from roemetry_kernels.compiling import kernel
+
+_STRAIGHT = 1e-9  # sine of the bend below which three points lie on one line as far as float64 can tell
+
+
+@kernel
+def points_in_line(
+    product: NDArray[np.int16], number: int, xyz_mm: Floats, row_px: Floats, step_max: float
+) -> tuple[Integers, Integers, Integers, bool]:
+    """Collect (slice, point) of one product's points with a height, and where a new curve begins.
+
+    The last answer is False where a slice's rows do not increase: then the points want sorting first.
+    """
+    slices, points = product.shape
+    slice_of, point_of = np.empty(product.size, np.int64), np.empty(product.size, np.int64)
+    first = np.empty(product.size, np.int64)
+    n, curves, in_order = 0, 0, True
+    for s in range(slices):
+        before = -math.inf
+        for p in range(points):
+            if product[s, p] != number or not math.isfinite(xyz_mm[s, p, 2]):
+                continue
+            step = row_px[s, p] - before
+            if step <= 0.0:
+                in_order = False
+            if step > step_max:
+                first[curves] = n
+                curves += 1
+            slice_of[n], point_of[n] = s, p
+            before = row_px[s, p]
+            n += 1
+    return slice_of[:n].copy(), point_of[:n].copy(), first[:curves].copy(), in_order
+
+
+@kernel
+def slice_sums(
+    slice_of: Integers,
+    point_of: Integers,
+    first: Integers,
+    size: Integers,
+    xyz_mm: Floats,
+    seen: Flags,
+    row_mm: float,
+) -> tuple[Floats, Floats]:
+    """Area (mm²) of each slice between belt and product, and of the heights' sizes its seen and bridged part.
+
+    Each point's height counts times the length it stands for along Y: half the way to each neighbour in its
+    curve, at an end as much outwards as inwards, and `row_mm` where a curve is one point.
+
+    Returns
+    -------
+    sums
+        (slice, 3) area, its seen part and its bridged part, of the heights' sizes, mm².
+    y_mm
+        (2,) smallest and largest Y of the points.
+    """
+    sums = np.zeros((xyz_mm.shape[0], 3))
+    y_mm = np.array([math.inf, -math.inf])
+    for c in range(first.size):
+        last = first[c] + size[c] - 1
+        for k in range(first[c], last + 1):
+            s, p = slice_of[k], point_of[k]
+            y, z = xyz_mm[s, p, 1], xyz_mm[s, p, 2]
+            y_mm[0], y_mm[1] = min(y_mm[0], y), max(y_mm[1], y)
+            before = abs(y - xyz_mm[slice_of[k - 1], point_of[k - 1], 1]) if k > first[c] else math.nan
+            after = abs(xyz_mm[slice_of[k + 1], point_of[k + 1], 1] - y) if k < last else math.nan
+            if k == first[c]:
+                before = after
+            if k == last:
+                after = before
+            length = row_mm if math.isnan(before) else 0.5 * (before + after)
+            part = z * length
+            sums[s, 0] += part
+            sums[s, 1 if seen[s, p] else 2] += abs(part)
+    return sums, y_mm
+
+
+@kernel
+def circles(xy: Floats, middle: Integers, delta: int) -> tuple[Floats, Floats, Floats]:
+    """Circles through points `delta` before, at and `delta` after each middle one, of (point, 2) places.
+
+    Returns
+    -------
+    to_centre
+        (middle, 2) vector from the middle point to the circle's centre; infinite where the three lie on one
+        line.
+    radius
+        (middle,) its length.
+    bow
+        (middle,) distance of the middle point from the chord.
+    """
+    count = middle.size
+    to_centre, radius, bow = np.full((count, 2), np.inf), np.empty(count), np.empty(count)
+    for k in range(count):
+        m = middle[k]
+        ax, ay = xy[m - delta, 0] - xy[m, 0], xy[m - delta, 1] - xy[m, 1]
+        bx, by = xy[m + delta, 0] - xy[m, 0], xy[m + delta, 1] - xy[m, 1]
+        aa, bb = ax * ax + ay * ay, bx * bx + by * by
+        cross = ax * by - ay * bx
+        if abs(cross) > _STRAIGHT * math.sqrt(aa * bb):
+            to_centre[k, 0] = (by * aa - ay * bb) / (2.0 * cross)
+            to_centre[k, 1] = (ax * bb - bx * aa) / (2.0 * cross)
+        radius[k] = math.hypot(to_centre[k, 0], to_centre[k, 1])
+        chord = math.hypot(bx - ax, by - ay)
+        bow[k] = abs(cross) / chord if chord > 0.0 else math.nan
+    return to_centre, radius, bow
