@@ -8,6 +8,7 @@ import sys
 BENCHMARKS = {
     "coding": "share labelled, wrong and refused of every coder, where it breaks, its time",
     "extract": "precision, speed and bias of extractors against the physical bound and against peers",
+    "extract_real": "the same on real camera images: matches, reflections, a line across a printed board",
     "frame": "time from an array to a measurement, by stage",
     "startup": "time of `roemetry --help` over that of a two-command Typer program",
     "herring_roe": "coding, grading and volume on unseen simulated skeins",

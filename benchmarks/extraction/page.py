@@ -18,7 +18,7 @@ from roemetry.pages.svg import box, dot, line, number, text
 
 PAGE = Path("docs/explanation/extraction.md")
 PLOT = Path("docs/images/extraction.svg")
-BEGIN = "<!-- figures: python -m benchmarks extract --page -->"
+BEGIN = "<!-- figures: python -m benchmarks {} --page -->"
 END = "<!-- end of figures -->"
 _STYLE = """
 text { font: 12px sans-serif; fill: #333; } .title { font-weight: bold; } .end { text-anchor: end; }
@@ -41,10 +41,12 @@ class Point:
     over_bound: float
 
 
-def put_into_page(tables: Sequence[Table], how: str) -> None:
+def put_into_page(tables: Sequence[Table], how: str, benchmark: str = "extract") -> None:
     """Replace the figures of the page by these, with date and machine."""
     written = PAGE.read_text(encoding="utf-8")
-    begin, end = written.index(BEGIN) + len(BEGIN), written.index(END)
+    mark = BEGIN.format(benchmark)
+    begin = written.index(mark) + len(mark)
+    end = written.index(END, begin)
     body = "\n".join(str(table) for table in tables)
     PAGE.write_text(f"{written[:begin]}\n\n{how}\n\n{body}\n{written[end:]}", encoding="utf-8")
 

@@ -130,7 +130,7 @@ def test_every_extractor_is_compared_and_the_absent_is_told(monkeypatch) -> None
 
 def test_figures_replace_those_before(tmp_path, monkeypatch) -> None:
     written = tmp_path / "page.md"
-    written.write_text(f"before\n{page.BEGIN}\nold\n{page.END}\nafter\n", "utf-8")
+    written.write_text(f"before\n{page.BEGIN.format('extract')}\nold\n{page.END}\nafter\n", "utf-8")
     monkeypatch.setattr(page, "PAGE", written)
     table = Table("New", ["method", "value"], [["a", number(-1.25, 1)], ["b", percent(1, 8)]])
     page.put_into_page([table], "Measured now.")

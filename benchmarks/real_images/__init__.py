@@ -1,0 +1,36 @@
+"""Extractors on real camera images: not part of the project, ROEMETRY_REAL_DATA names their folder."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roemetry.preparing import prepare
+from roemetry.records import EDGE, WIDE, Acquisition, Frame, Peaks
+
+
+def folder_of(name: str) -> Path | None:
+    """Give a folder of real images; None where it is absent."""
+    home = Path(os.environ.get("ROEMETRY_REAL_DATA", "../shared/real")) / name
+    return home if home.is_dir() else None
+
+
+def prepared(
+    pixels: NDArray[Any], *, turn_deg: int, channel: str = "grey", dark: NDArray[Any] | None = None
+) -> Frame:
+    """Make a frame as a recipe would."""
+    frames = [Frame(pixels, "laser")]
+    if dark is not None:
+        frames.append(Frame(dark, "dark"))
+    subtract = "none" if dark is None else "dark"
+    return prepare(Acquisition("real", tuple(frames)), channel=channel, turn_deg=turn_deg, subtract=subtract)
+
+
+def sound(peaks: Peaks) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Give rows and positions of the peaks that are neither flagged too wide nor cut off by the border."""
+    kept = peaks.flags & (WIDE | EDGE) == 0
+    return peaks.row[kept], peaks.x_px[kept]

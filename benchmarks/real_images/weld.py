@@ -1,0 +1,79 @@
+"""One line in a V groove, with reflections beside it: what is found of the line, and what of the rest.
+
+The line was marked by hand on the image at full size: six points, straight between them; the bottom of the
+groove has no light of its own. The image is turned by 90°, so that the line crosses the rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from benchmarks.extraction.tables import Table, number, percent
+from benchmarks.real_images import folder_of, prepared, sound
+from benchmarks.real_images.overlay import overlay
+from roemetry.stages import Extractor
+
+LINE = ((2.0, 390.0), (518.0, 385.5), (735.0, 585.0)), ((818.0, 588.0), (1042.0, 394.5), (1278.0, 400.0))
+"""(x, y) of the line's corners in the image as it is, px: left flank, right flank."""
+NEAR_PX = 10.0
+WIDTH_MAX_PX = 20.0
+
+
+def weld(stages: Mapping[str, Extractor[Any]], out: Path | None) -> Table | str:
+    """Judge extractors on the weld; or say why not."""
+    home = folder_of("weld_mit")
+    if home is None:
+        return "weld_mit is not there: set ROEMETRY_REAL_DATA"
+    image = cv2.imread(str(home / "weld2.png"))
+    frame = prepared(image, turn_deg=90, channel="max")
+    columns = image.shape[1]
+    wanted = np.full(columns, np.nan)
+    for part in LINE:
+        x, y = np.array(part).T
+        inside = np.arange(int(x[0]), int(x[-1]) + 1)
+        wanted[inside] = np.interp(inside, x, y)
+    line = wanted[::-1]  # turned by 90°, the last column is the first row
+    rows = []
+    for name, stage in stages.items():
+        for limit in (None, WIDTH_MAX_PX):
+            used, label = stage, name
+            if limit is not None:
+                if "width_max_px" not in type(stage.options).model_fields:
+                    continue
+                used = type(stage)(stage.options.model_copy(update={"width_max_px": limit}))
+                label = f"{name}, widths to {limit:.0f} px"
+            row, x_px = sound(used.extract(frame))
+            near = np.abs(x_px - line[row]) <= NEAR_PX
+            seen = np.zeros(columns, bool)
+            seen[row[near]] = True
+            lit = np.isfinite(line)
+            off = np.abs(x_px - line[row])[near]
+            rows.append(
+                [
+                    label,
+                    f"{percent(int((seen & lit).sum()), int(lit.sum()))} of {int(lit.sum())}",
+                    number(float(np.median(off)) if off.size else float("nan"), 2),
+                    str(int((~near).sum())),
+                    str(int(np.unique(row[~near]).size)),
+                    str(int(near.sum() - seen.sum())),
+                ]
+            )
+            if out is not None:
+                overlay(out / f"weld_{label.replace(' ', '_')}.png", frame.pixels, row, x_px, near, 1)
+    return Table(
+        f"Weld groove: the line as marked by hand, ± {NEAR_PX:.0f} px",
+        [
+            "extractor",
+            "columns of the line found, %",
+            "median distance from the marks, px",
+            "peaks off the line",
+            "columns with such",
+            "second peaks on the line",
+        ],
+        rows,
+    )

@@ -1,0 +1,164 @@
+"""Twenty stripes on a curved part: against another program's centre lines, and against marks made by hand.
+
+The other program's lines run on through the black band of the image, which must have been painted over
+later, so only those of its points count that have light. Where a stripe runs along the rows it has no
+centre in them: each point is looked for in the image as it is or in the image turned by 90°, wherever the
+line is steep.
+
+The marks (`wheelset_marks.csv`): in 100 rows and 100 columns, evenly spaced, each run of at least 3 pixels
+above grey level 30 was proposed by a program, drawn over the image at three times its size, and judged by
+eye:
+
+- ``stripe``: the line; the middle of the run was seen to be its middle
+- ``glare``: light that is no line: the streak that joins three stripes, and bulges beside stripes
+- ``merged``: line and glare in one run, or an overexposed blob: not judged
+- ``grazing``: the line runs along the row (the column): not judged
+
+A peak in a stripe's run is right, but a second one in the same run is false; so is one in glare or on no
+run.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.extraction.tables import Table, number, percent
+from benchmarks.real_images import folder_of, prepared, sound
+from benchmarks.real_images.overlay import overlay
+from roemetry.records import Frame
+from roemetry.stages import Extractor
+
+MARKS = Path(__file__).with_name("wheelset_marks.csv")
+MATCH_PX = 3.0
+_LIT = 60
+_STEEP_PX = 3
+_SLACK_PX = 2.0
+
+
+@dataclass(frozen=True)
+class Marked:
+    """A run that was looked at: in row (column) `index`, from pixel `first` to `last`."""
+
+    index: int
+    first: float
+    last: float
+    verdict: str
+
+
+def wheelset(stages: Mapping[str, Extractor[Any]], out: Path | None) -> Table | str:
+    """Judge extractors on the wheel set; or say why not."""
+    home = folder_of("multi_stripe")
+    if home is None:
+        return "multi_stripe is not there: set ROEMETRY_REAL_DATA"
+    image = cv2.imread(str(home / "wheelset.jpg"))
+    centres = cv2.imread(str(home / "wheelset_author_centres.png"))
+    rows = []
+    for name, stage in stages.items():
+        off: list[float] = []
+        counts = np.zeros(6, int)
+        for turn_deg in (0, 90):
+            frame = prepared(image, turn_deg=turn_deg, channel="max")
+            row, x_px = sound(stage.extract(frame))
+            off += distances(frame, lit_centres(centres, frame, turn_deg), row, x_px)
+            right, tally = judged(marks(turn_deg, frame.size[0]), row, x_px)
+            counts += tally
+            if out is not None:
+                overlay(out / f"wheelset_{turn_deg}_{name}.png", frame.pixels, row, x_px, right)
+        away = np.array(off)
+        matched = away <= MATCH_PX
+        stripes, hit, extra, twice, glare, unlit = counts
+        rows.append(
+            [
+                name,
+                f"{100.0 * matched.mean():.1f} of {matched.size}",
+                number(float(np.median(away[np.isfinite(away)])), 2),
+                f"{percent(hit, stripes)} of {stripes}",
+                percent(extra, hit + extra),
+                f"{twice} / {glare} / {unlit}",
+            ]
+        )
+    return Table(
+        "Wheel set: another program's lit centres, and 200 rows and columns marked by hand",
+        [
+            "extractor",
+            f"its points within {MATCH_PX:.0f} px, %",
+            "median distance, px",
+            "marked crossings found, %",
+            "false among the peaks judged, %",
+            "twice on one stripe / on glare / on no light",
+        ],
+        rows,
+    )
+
+
+def lit_centres(centres: NDArray[Any], frame: Frame, turn_deg: int) -> Iterable[tuple[int, float]]:
+    """Give (row, x) of the other program's line where it is steep and the image has light."""
+    drawn = np.rot90(centres[..., 2] > 0, turn_deg // 90)
+    light = cv2.dilate(np.ascontiguousarray(frame.pixels), np.ones((3, 3), np.uint8))
+    for row, line in enumerate(drawn):
+        edge = np.flatnonzero(np.diff(line.astype(np.int8), prepend=0, append=0))
+        for first, end in zip(edge[::2], edge[1::2], strict=True):
+            x_px = 0.5 * (first + end - 1)
+            if end - first <= _STEEP_PX and light[row, int(x_px)] > _LIT:
+                yield row, x_px
+
+
+def distances(
+    frame: Frame, wanted: Iterable[tuple[int, float]], row: NDArray[np.int64], x_px: NDArray[np.float64]
+) -> list[float]:
+    """Give each point's distance to the nearest peak of its row, px; infinite where there is none."""
+    begin = np.searchsorted(row, np.arange(frame.size[0] + 1))
+    return [float(np.abs(x_px[begin[y] : begin[y + 1]] - x).min(initial=np.inf)) for y, x in wanted]
+
+
+def marks(turn_deg: int, rows: int) -> list[Marked]:
+    """Read the marks of the rows (0°) or of the columns, turned as the image is (90°)."""
+    axis = "row" if turn_deg == 0 else "column"
+    with MARKS.open(encoding="utf-8", newline="") as lines:
+        found = [each for each in csv.DictReader(lines) if each["axis"] == axis]
+    return [
+        Marked(
+            int(each["index"]) if turn_deg == 0 else rows - 1 - int(each["index"]),
+            float(each["first"]),
+            float(each["last"]),
+            each["verdict"],
+        )
+        for each in found
+    ]
+
+
+def judged(
+    marked: list[Marked], row: NDArray[np.int64], x_px: NDArray[np.float64]
+) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+    """Tell which peaks are not wrong (those of unmarked rows pass), and count.
+
+    The counts: marked stripes, those found, false peaks, of them second ones, on glare, on no light.
+    """
+    right = np.ones(len(row), bool)
+    stripes = hit = twice = glare = unlit = 0
+    for index in sorted({each.index for each in marked}):
+        here = np.flatnonzero(row == index)
+        free = set(here.tolist())
+        for run in (each for each in marked if each.index == index):
+            inside = here[(x_px[here] >= run.first - _SLACK_PX) & (x_px[here] <= run.last + _SLACK_PX)]
+            free -= set(inside.tolist())
+            if run.verdict == "stripe":
+                stripes += 1
+                hit += bool(inside.size)
+                twice += max(inside.size - 1, 0)
+                middle = 0.5 * (run.first + run.last)
+                right[inside[np.argsort(np.abs(x_px[inside] - middle))[1:]]] = False
+            elif run.verdict == "glare":
+                glare += inside.size
+                right[inside] = False
+        unlit += len(free)
+        right[list(free)] = False
+    return right, np.array([stripes, hit, twice + glare + unlit, twice, glare, unlit])

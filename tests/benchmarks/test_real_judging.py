@@ -1,0 +1,68 @@
+"""How peaks on real images are judged."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+wheelset = pytest.importorskip("benchmarks.real_images.wheelset", reason="only in a checkout")
+
+from benchmarks.real_images import boards, folder_of, prepared, weld  # noqa: E402
+
+
+def test_absent_images_are_told(monkeypatch, tmp_path) -> None:
+    monkeypatch.setenv("ROEMETRY_REAL_DATA", str(tmp_path))
+    for judge in (wheelset.wheelset, weld.weld, boards.boards):
+        assert "ROEMETRY_REAL_DATA" in judge({}, None)
+    assert folder_of("weld_mit") is None
+
+
+def test_the_marks_cover_200_rows_with_every_verdict() -> None:
+    across, down = wheelset.marks(0, 672), wheelset.marks(90, 800)
+    assert len({each.index for each in across}) + len({each.index for each in down}) == 200
+    assert {each.verdict for each in across + down} == {"stripe", "glare", "merged", "grazing"}
+    assert all(0 <= each.first <= each.last < 800 for each in across + down)
+
+
+def test_peaks_are_judged_by_the_marks() -> None:
+    marked = [
+        wheelset.Marked(5, 10.0, 20.0, "stripe"),
+        wheelset.Marked(5, 40.0, 50.0, "glare"),
+        wheelset.Marked(5, 60.0, 70.0, "merged"),
+        wheelset.Marked(7, 10.0, 20.0, "stripe"),
+    ]
+    row = np.array([5, 5, 5, 5, 5, 6])
+    x_px = np.array([14.8, 18.0, 45.0, 65.0, 90.0, 3.0])
+    right, counts = wheelset.judged(marked, row, x_px)
+    assert right.tolist() == [True, False, False, True, False, True]
+    assert counts.tolist() == [2, 1, 3, 1, 1, 1]
+
+
+def test_another_programs_points_count_where_steep_and_lit() -> None:
+    pixels = np.zeros((40, 60), np.uint8)
+    pixels[:, 28:33] = 200
+    pixels[20:30] = 0
+    drawn = np.zeros((40, 60, 3), np.uint8)
+    drawn[:, 30, 2] = 128
+    drawn[35, 10:50, 2] = 128  # runs along the row
+    frame = prepared(pixels, turn_deg=0)
+    wanted = list(wheelset.lit_centres(drawn, frame, 0))
+    assert {y for y, _ in wanted} == {*range(21), *range(29, 40)} - {35}  # light reaches one pixel further
+    assert {x for _, x in wanted} == {30.0}
+    off = wheelset.distances(frame, wanted[:2], np.array([0]), np.array([31.5]))
+    assert off == [1.5, np.inf]
+
+
+def test_turned_marks_lie_where_the_turned_image_has_them() -> None:
+    """Turned by 90° counter-clockwise, the last column is the first row, and y stays the place in it."""
+    mark = next(each for each in wheelset.marks(90, 800) if each.verdict == "stripe")
+    pixels = np.zeros((672, 800), np.uint8)
+    pixels[int(mark.first) : int(mark.last) + 1, 799 - mark.index] = 255
+    turned = prepared(pixels, turn_deg=90).pixels
+    assert (turned[mark.index, int(mark.first) : int(mark.last) + 1] == 255).all()
+
+
+def test_roughness_is_the_scatter_of_a_row(rng) -> None:
+    row = np.arange(4000)
+    x_px = 100.0 + 0.3 * row + rng.normal(0.0, 0.2, row.size)
+    assert boards.roughness(row, x_px) == pytest.approx(0.2, rel=0.1)
