@@ -28,7 +28,9 @@ from roemetry.records import (
 _STAGES_BEFORE_PRODUCTS = ("source", "extractor", "coder", "smoother", "triangulator")
 
 
-def measurements_of(trace: Trace, recipe: Recipe, provenance: Mapping[str, str]) -> tuple[Measurement, ...]:
+def measurements_of(
+    trace: Trace, recipe: Recipe, provenance: Mapping[str, str], doubts: tuple[Reason, ...] = ()
+) -> tuple[Measurement, ...]:
     """Write the rows of one acquisition: one for each product, or one that says why there is none.
 
     Parameters
@@ -39,15 +41,17 @@ def measurements_of(trace: Trace, recipe: Recipe, provenance: Mapping[str, str])
         What was asked for.
     provenance
         Hashes that stand on every row.
+    doubts
+        Doubts about the calibration, which stand on every row.
     """
     given = dict(provenance)
+    warnings = (*_warnings(recipe), *doubts)
     if trace.stripes is None:
-        return (_without_product(trace, recipe, given),)
-    warnings = _warnings(recipe)
+        return (_without_product(trace, recipe, warnings, given),)
     if trace.profiles is None and (trace.stripes.product > 0).any():
         return _in_pixels(trace, warnings, given)
     if not trace.products:
-        return (_without_product(trace, recipe, given),)
+        return (_without_product(trace, recipe, warnings, given),)
     return tuple(
         _calibrated(trace, product, number_of=len(trace.products), warnings=warnings, provenance=given)
         for product in trace.products
@@ -134,7 +138,9 @@ def _in_pixels(
     )
 
 
-def _without_product(trace: Trace, recipe: Recipe, provenance: Mapping[str, str]) -> Measurement:
+def _without_product(
+    trace: Trace, recipe: Recipe, warnings: tuple[Reason, ...], provenance: Mapping[str, str]
+) -> Measurement:
     faults = [
         trace.absent[kind]
         for kind in _STAGES_BEFORE_PRODUCTS
@@ -158,7 +164,7 @@ def _without_product(trace: Trace, recipe: Recipe, provenance: Mapping[str, str]
         status=status,
         coding=coding,
         absent=dict(trace.absent),
-        reasons=_once([*faults, *reasons, *_warnings(recipe)]),
+        reasons=_once([*faults, *reasons, *warnings]),
         provenance=provenance,
     )
 

@@ -18,7 +18,7 @@ from roemetry.calibration import Calibration
 from roemetry.choosing import Chooser, Chosen
 from roemetry.errors import ConfigurationError, RoemetryError
 from roemetry.overrides import Overridden
-from roemetry.recipe_file import NEEDS, RecipeFile, SourceChoice
+from roemetry.recipe_file import NEEDS, CalibrationCheck, RecipeFile, SourceChoice
 from roemetry.records import Sensor
 from roemetry.registry import Registry, discover
 from roemetry.validation import checked
@@ -41,6 +41,8 @@ class Recipe:
         What the source reads.
     calibration_path, calibration
         None where the recipe has none: results are then in pixels.
+    calibration_check
+        What is asked of the calibration; None: nothing.
     stages
         By kind, in the order of the chain.
     draws
@@ -57,6 +59,7 @@ class Recipe:
     source_path: Path
     calibration_path: Path | None
     calibration: Calibration | None
+    calibration_check: CalibrationCheck | None
     stages: Mapping[str, Chosen]
     draws: int
     sinks: tuple[Chosen, ...]
@@ -157,6 +160,7 @@ def _resolve(path: Path, document: Overridden, file: RecipeFile, registry: Regis
         source_path=path.parent / file.source.path,
         calibration_path=calibration_path,
         calibration=calibration,
+        calibration_check=file.calibration_check,
         stages=stages,
         draws=file.draws,
         sinks=tuple(sink for sink in sinks if sink is not None),

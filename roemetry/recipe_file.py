@@ -73,6 +73,21 @@ class StageChoices(Section):
     classifier: Choice | None = None
 
 
+class CalibrationCheck(Section):
+    """What is asked of a calibration before its numbers are believed."""
+
+    chart: str | None = Field(
+        default=None,
+        description="control chart that `roemetry check-calibration` keeps; relative to the recipe",
+    )
+    max_age_days: float | None = Field(
+        default=None, gt=0, description="days the last check may lie back; default: any number"
+    )
+    valid_days: float | None = Field(
+        default=None, gt=0, description="days the calibration itself may be old; default: any number"
+    )
+
+
 class RecipeFile(Section):
     """One recipe."""
 
@@ -82,6 +97,9 @@ class RecipeFile(Section):
     calibration: str | None = Field(
         default=None,
         description="calibration file; relative to the recipe. Without one, results are in pixels",
+    )
+    calibration_check: CalibrationCheck | None = Field(
+        default=None, description="when a doubt about the calibration stands on every measurement"
     )
     stages: StageChoices
     draws: int = Field(

@@ -20,6 +20,7 @@ from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any
 
+from roemetry.checking import calibration_doubts
 from roemetry.errors import DataError, InterruptedRunError, RoemetryError
 from roemetry.files import LineFile, make_folder, sha256_of, write_whole
 from roemetry.measuring import failed, measurements_of
@@ -188,6 +189,7 @@ class _Worker:
         self._hashes = {"recipe_sha256": recipe.sha256}
         if recipe.calibration is not None:
             self._hashes["calibration_sha256"] = recipe.calibration.sha256
+        self._doubts = calibration_doubts(recipe)
 
     def __call__(self, reference: AcquisitionReference) -> tuple[list[str], Mapping[str, float]]:
         try:
@@ -202,7 +204,7 @@ class _Worker:
             why = Reason("unreadable", said)
             return [failed(reference.id, "source", why, self._hashes).to_json()], {}
         trace = self._pipeline.trace(acquisition)
-        rows = measurements_of(trace, self._recipe, self._hashes | hashes)
+        rows = measurements_of(trace, self._recipe, self._hashes | hashes, self._doubts)
         return [row.to_json() for row in rows], trace.seconds
 
 

@@ -8,7 +8,19 @@ from typing import Annotated
 
 import typer
 
-from roemetry.cli import calibrate, check_plugin, compare, lint, plan, plugins, report, run, simulate, target
+from roemetry.cli import (
+    calibrate,
+    check_calibration,
+    check_plugin,
+    compare,
+    lint,
+    plan,
+    plugins,
+    report,
+    run,
+    simulate,
+    target,
+)
 from roemetry.errors import RoemetryError
 
 app = typer.Typer(
@@ -56,5 +68,6 @@ app.command()(report.report)
 app.command()(simulate.simulate)
 app.command()(compare.compare)
 app.command()(check_plugin.check_plugin)
+app.command()(check_calibration.check_calibration)
 app.command()(plan.plan)
 app.command()(target.target)

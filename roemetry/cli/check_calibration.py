@@ -1,0 +1,102 @@
+"""``roemetry check-calibration``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from roemetry.checking import Check
+    from roemetry.recipe import Recipe
+    from roemetry.records import Block
+
+
+def check_calibration(
+    recipe: Annotated[Path, typer.Argument(help="The line's recipe file, or its folder.")],
+    image: Annotated[Path, typer.Argument(help="The block on the belt under the stripes.")],
+    target: Annotated[
+        Path | None,
+        typer.Option("--target", help="The block's description; left out: the calibration's own block."),
+    ] = None,
+    chart: Annotated[
+        Path | None,
+        typer.Option("--chart", help="Control chart to keep; left out: the recipe's, if it names one."),
+    ] = None,
+    report: Annotated[
+        Path | None, typer.Option("--report", help="Write the chart as a page (HTML) to this file.")
+    ] = None,
+    sets: Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change the recipe.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the check as JSON.")] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+) -> None:
+    """Measure a known block again and say whether the line's calibration still holds.
+
+    Exit code: 0 in order, or drifting within its limits; 1 out; 2 the recipe or the command line is wrong.
+    """
+    from dataclasses import asdict
+
+    from roemetry.checking import Chart, check_calibration
+    from roemetry.checking.page import page
+    from roemetry.errors import ConfigurationError
+    from roemetry.files import write_whole
+    from roemetry.recipe import Recipe
+
+    loaded = Recipe.load(recipe, sets=sets or ())
+    asked = loaded.calibration_check
+    kept = chart or (loaded.path.parent / asked.chart if asked is not None and asked.chart else None)
+    if report is not None and kept is None:
+        raise ConfigurationError(
+            "there is no chart to write a page of", hint="name one with --chart, or calibration_check.chart"
+        )
+    check = check_calibration(loaded, image, _block(loaded, target), kept)
+    if as_json:
+        typer.echo(json.dumps(asdict(check), indent=2))
+    else:
+        _show(check)
+    if report is not None and kept is not None:
+        write_whole(report, page(Chart(kept).checks(check.calibration_sha256), loaded.product))
+        typer.echo(f"{report}", err=as_json)
+    if check.verdict == "out":
+        raise typer.Exit(1)
+
+
+def _block(recipe: Recipe, target: Path | None) -> Block:
+    from roemetry.errors import ConfigurationError
+    from roemetry.records import Block
+    from roemetry.target_file import read_block
+
+    if target is not None:
+        given = read_block(target.name, target.parent)
+        if given is not None:
+            return given
+    known = dict(recipe.calibration.target) if recipe.calibration is not None else {}
+    if known.get("kind") != "block":
+        raise ConfigurationError(
+            "no block is described: the calibration was made from something else",
+            hint="name the block's description with --target",
+        )
+    sides = ("length_mm", "width_mm", "height_mm", "tolerance_mm")
+    return Block(str(known["name"]), *(float(known[side]) for side in sides))
+
+
+def _show(check: Check) -> None:
+    from roemetry.checking.judging import QUANTITIES
+
+    typer.echo(f"{check.target}: {check.verdict}")
+    for name in QUANTITIES:
+        found = check.quantity(name)
+        difference = found.value - found.expected
+        typer.echo(
+            f"  {name:10} {found.value:9.3f}  expected {found.expected:9.3f}  "
+            f"difference {difference:+.3f}  limit {2 * found.std:.3f}"
+        )
+    typer.echo(
+        f"  {check.stripes} stripes on the block, their heights spread by {check.stripe_spread_mm:.3f} mm"
+    )
+    for reason in check.reasons:
+        typer.echo(f"  {reason.text}")

@@ -1,0 +1,224 @@
+"""Checks of a calibration: a drawn block has a known answer; the chart is whole or an error is named."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from collections.abc import Callable
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from roemetry.checking import Chart, Check, Quantity, calibration_doubts
+from roemetry.checking.block_reading import find_block, read_block
+from roemetry.checking.judging import judged
+from roemetry.checking.page import page
+from roemetry.cli.main import app
+from roemetry.errors import DataError, OutputError
+from roemetry.recipe import Recipe
+from roemetry.records import Block, Reason
+from roemetry.runner import run_recipe
+from roemetry.testing.scenes import LinearRig
+from roemetry_paper.block_linear import BlockLinear
+
+RIG = LinearRig()
+BLOCK = Block("block", 40.0, 25.0, 12.0, 0.02)
+NOW = datetime(2026, 5, 1, tzinfo=UTC)
+
+
+def heights(height_mm: float = 12.0, rows: slice = slice(50, 150)) -> np.ndarray:
+    found = RIG.belt()
+    found[1:5, rows] = height_mm
+    return found
+
+
+def test_a_drawn_block_is_measured_exactly() -> None:
+    """100 rows of 0.25 mm are 25 mm: from the middle of one gap to the middle of the other."""
+    profiles = BlockLinear().triangulate(RIG.stripe_map(heights()), RIG.calibration())
+    places = find_block(profiles, BLOCK)
+    reading = read_block(profiles, places, RIG.view())
+    assert reading.height_mm == pytest.approx(12.0, abs=1e-9)  # mm
+    assert reading.belt_mm == pytest.approx(0.0, abs=1e-9)  # mm
+    assert reading.width_mm == pytest.approx(25.0, abs=0.02)  # mm
+    assert reading.stripes == 4
+    assert not places.top[:, :53].any(), "the rows beside an edge do not count"
+
+
+def test_a_turned_block_has_its_own_width() -> None:
+    found = RIG.belt()
+    x_mm = RIG.xyz_mm(heights())[:, :, 0]
+    y_mm = RIG.xyz_mm(heights())[:, :, 1]
+    yaw = np.radians(4.0)
+    across = -np.sin(yaw) * x_mm + np.cos(yaw) * y_mm
+    found[1:6] = np.where(np.abs(across[1:6]) < 10.0, 12.0, 0.0)
+    profiles = BlockLinear().triangulate(RIG.stripe_map(found), RIG.calibration())
+    reading = read_block(profiles, find_block(profiles, BLOCK), RIG.view())
+    assert reading.width_mm == pytest.approx(20.0, abs=0.15)  # mm
+
+
+@pytest.mark.parametrize(
+    ("scene", "says"),
+    [
+        (RIG.belt(), "is not seen: fewer than 3 stripes"),
+        (heights(6.0), "is not seen"),
+        (np.where(heights() > 0, 12.0, np.nan), "no bare belt"),
+    ],
+)
+def test_what_is_no_block_is_named(scene: np.ndarray, says: str) -> None:
+    profiles = BlockLinear().triangulate(RIG.stripe_map(scene), RIG.calibration())
+    with pytest.raises(DataError, match=says):
+        find_block(profiles, BLOCK)
+
+
+def check(height_mm: float = 12.0, *, made: datetime = NOW, sha: str = "c" * 64) -> Check:
+    return Check(
+        made=made.isoformat(timespec="seconds"),
+        calibration_sha256=sha,
+        target="block",
+        image="block.png",
+        image_sha256="0" * 64,
+        height=Quantity(height_mm, 12.0, 0.05),
+        belt=Quantity(0.0, 0.0, 0.05),
+        width=Quantity(float("nan"), 25.0, 0.1),
+        stripes=4,
+        stripe_spread_mm=0.01,
+    )
+
+
+def test_out_means_twice_the_standard_uncertainty() -> None:
+    assert judged(check(12.099), ()) == ("in order", ())
+    verdict, reasons = judged(check(12.101), ())
+    assert verdict == "out"
+    assert "12.101 mm, expected 12.000 mm" in reasons[0].text
+
+
+def test_drift_is_seen_before_a_limit_is_passed() -> None:
+    rng = np.random.default_rng(4)
+    history = [check(12.0 + e) for e in rng.normal(0.0, 0.004, 8)]
+    assert judged(check(12.005), history)[0] == "in order"
+    jumped, reasons = judged(check(12.04), history)
+    assert (jumped, reasons[0].code) == ("drifting", "calibration-drift")
+    assert judged(check(12.04), history[:7])[0] == "in order", "seven checks say nothing of their scatter"
+    crept = [*history, *(check(12.006 + e) for e in rng.normal(0.0, 0.001, 7))]
+    assert "the last 8 checks all lie above" in judged(check(12.006), crept)[1][0].text
+
+
+def test_chance_alone_seldom_looks_like_drift() -> None:
+    rng = np.random.default_rng(8)
+    alarms = 0
+    for _ in range(200):
+        history = [check(12.0 + e) for e in rng.normal(0.0, 0.01, 12)]
+        alarms += judged(check(12.0 + rng.normal(0.0, 0.01)), history)[0] == "drifting"
+    assert alarms < 20
+
+
+def test_the_chart_gives_back_what_was_written(tmp_path: Path) -> None:
+    chart = Chart(tmp_path / "chart.sqlite")
+    assert chart.checks() == ()
+    first = replace(check(12.3), verdict="out", reasons=(Reason("calibration-out", "too high"),))
+    other = check(sha="d" * 64)
+    for one in (first, check(made=NOW + timedelta(days=1)), other):
+        chart.add(one)
+    found = chart.checks("c" * 64)
+    assert [c.made for c in found] == [first.made, (NOW + timedelta(days=1)).isoformat(timespec="seconds")]
+    assert found[0].reasons == first.reasons
+    assert found[0].height == first.height
+    assert len(chart.checks()) == 3
+
+
+def test_what_is_no_chart_is_named_and_left_as_it_is(tmp_path: Path) -> None:
+    path = tmp_path / "chart.sqlite"
+    path.write_bytes(b"this is a diary, not a chart " * 50)
+    for act in (lambda: Chart(path).checks(), lambda: Chart(path).add(check())):
+        with pytest.raises(DataError, match=r"chart.sqlite: this is no control chart"):
+            act()
+    assert path.read_bytes().startswith(b"this is a diary")
+    with pytest.raises(OutputError, match="cannot be written"):
+        Chart(tmp_path / "no" / "such" / "chart.sqlite").add(check())
+
+
+def test_a_check_that_is_cut_off_is_not_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    chart = Chart(tmp_path / "chart.sqlite")
+    chart.add(check())
+
+    class Full(sqlite3.Connection):
+        def commit(self) -> None:
+            raise sqlite3.OperationalError("database or disk is full")
+
+    real = sqlite3.connect
+    with monkeypatch.context() as patched:
+        patched.setattr(sqlite3, "connect", lambda *a, **k: real(*a, **k, factory=Full))
+        with pytest.raises(OutputError, match="disk is full"):
+            chart.add(check(13.0))
+    assert [c.height.value for c in chart.checks()] == [12.0]
+
+
+@pytest.fixture
+def line(tmp_path: Path, rig) -> Callable[..., Path]:
+    """A recipe with a calibration, one image of a block of 12 mm, and demands on the calibration."""
+
+    def make(demands: str = "") -> Path:
+        found = np.zeros((rig.stripes, rig.rows))
+        found[1:6, 70:170] = 12.0
+        (tmp_path / "images").mkdir(exist_ok=True)
+        cv2.imwrite(str(tmp_path / "images" / "block.png"), rig.image(rig.x_px(found)))
+        replace(rig.calibration(), made=NOW.isoformat()).save(tmp_path / "calibration.yaml")
+        (tmp_path / "block.yaml").write_text(
+            "kind: block\nname: b\nlength_mm: 50\nwidth_mm: 25\nheight_mm: 12\ntolerance_mm: 0.02\n", "utf-8"
+        )
+        text = (
+            "roemetry: 1\nproduct: block\nsource: {path: images}\ncalibration: calibration.yaml\n"
+            f"{demands}stages:\n  extractor: {{use: dominant-peak, options: {{threshold: 30}}}}\n"
+            "  coder: window-tracking\n  triangulator: block-linear\nsinks: []\n"
+        )
+        (tmp_path / "recipe.yaml").write_text(text, "utf-8")
+        return tmp_path / "recipe.yaml"
+
+    return make
+
+
+def test_the_verb_checks_and_keeps_a_chart(line: Callable[..., Path], tmp_path: Path) -> None:
+    recipe = line("calibration_check: {chart: chart.sqlite}\n")
+    words = ["check-calibration", str(recipe), str(tmp_path / "images" / "block.png")]
+    words += ["--target", str(tmp_path / "block.yaml")]
+    done = CliRunner().invoke(app, [*words, "--json", "--report", str(tmp_path / "chart.html")])
+    assert done.exit_code == 0, done.output
+    told = json.loads(done.stdout)
+    assert told["height"]["value"] == pytest.approx(12.0, abs=0.05)  # mm
+    assert len(Chart(tmp_path / "chart.sqlite").checks()) == 1
+    assert "in order" in (tmp_path / "chart.html").read_text("utf-8")
+    text = (tmp_path / "block.yaml").read_text("utf-8").replace("height_mm: 12", "height_mm: 12.6")
+    (tmp_path / "block.yaml").write_text(text, "utf-8")
+    out = CliRunner().invoke(app, words)
+    assert out.exit_code == 1
+    assert "height of the block: 12.0" in out.stdout
+
+
+def test_a_run_carries_the_doubts(line: Callable[..., Path], tmp_path: Path) -> None:
+    recipe = Recipe.load(line("calibration_check: {chart: chart.sqlite, max_age_days: 2, valid_days: 30}\n"))
+    sha = recipe.calibration.sha256
+    codes = lambda now: [reason.code for reason in calibration_doubts(recipe, now)]  # noqa: E731
+    assert codes(NOW) == ["calibration-unchecked"]
+    assert codes(NOW + timedelta(days=31)) == ["calibration-expired", "calibration-unchecked"]
+    chart = Chart(tmp_path / "chart.sqlite")
+    chart.add(check(sha=sha))
+    assert codes(NOW + timedelta(days=1)) == []
+    assert codes(NOW + timedelta(days=3)) == ["calibration-overdue"]
+    out = replace(check(12.3, sha=sha, made=NOW + timedelta(days=1)), verdict="out")
+    chart.add(replace(out, reasons=(Reason("calibration-out", "too high"),)))
+    assert codes(NOW + timedelta(days=1)) == ["calibration-out"]
+    run_recipe(recipe, tmp_path / "results")
+    (row,) = (tmp_path / "results" / "measurements.jsonl").read_text("utf-8").splitlines()
+    assert "calibration-out" in {reason["code"] for reason in json.loads(row)["reasons"]}
+
+
+def test_a_page_of_many_checks_draws_them_all() -> None:
+    checks = [check(12.0 + 0.01 * n) for n in range(-5, 6)]
+    text = page(checks, "line <3>")
+    assert text.count('class="point"') == 2 * len(checks), "height and belt; the width was not measured"
+    assert "line &lt;3&gt;" in text
