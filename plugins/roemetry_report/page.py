@@ -12,6 +12,7 @@ from roemetry.yaml_source import dump
 from roemetry_report.rows import grade_pill, row_of
 from roemetry_report.section import section
 from roemetry_report.selection import ROWS_MAX, overview
+from roemetry_report.trust import CLASSES
 from roemetry_report.words import breakable, clause, counted, milliseconds, when
 
 
@@ -56,6 +57,7 @@ def page(run: Run, products_max: int, worst_max: int) -> str:
             (stage, milliseconds(s)) for stage, s in _mapping(run.provenance, "seconds_median").items()
         ],
         counted=counted,
+        trust_classes=CLASSES,
     )
 
 

@@ -19,6 +19,7 @@ from roemetry_report.panels import Panel, panels
 from roemetry_report.rows import Row, row_of
 from roemetry_report.selection import Shown
 from roemetry_report.svg import number
+from roemetry_report.trust import Trust, trust
 from roemetry_report.words import feature, milliseconds, percent, plain
 
 _DIFFERS = 1e-6
@@ -77,6 +78,8 @@ class SectionView:
         View box of the picture as the table shows it, or empty.
     has_curves
         Whether there are curves to lay over the thumbnail.
+    trust
+        How sure the labels are; None where nothing is coded, or the coder does not say.
     """
 
     key: str
@@ -90,6 +93,7 @@ class SectionView:
     seconds_total: str
     thumbnail: str
     has_curves: bool
+    trust: Trust | None
 
 
 def section(shown: Shown, replay: Callable[[str], Trace], key: str) -> SectionView:
@@ -127,6 +131,7 @@ def section(shown: Shown, replay: Callable[[str], Trace], key: str) -> SectionVi
         seconds_total=milliseconds(sum(seconds.values())) if seconds else "",
         thumbnail="" if trace is None or trace.frame is None else _thumbnail(trace.frame, trace.stripes),
         has_curves=any(panel.letter == "d" for panel in drawn),
+        trust=None if trace is None or trace.stripes is None else trust(trace.stripes),
     )
 
 
