@@ -2,8 +2,8 @@
 
 The other program's lines run on through the black band of the image, which must have been painted over
 later, so only those of its points count that have light. Where a stripe runs along the rows it has no
-centre in them: each point is looked for in the image as it is or in the image turned by 90°, wherever the
-line is steep.
+centre in them: each point is looked for either in the image as it is or in the image turned by 90°, in
+whichever the line is steeper.
 
 The marks (`wheelset_marks.csv`): in 100 rows and 100 columns, evenly spaced, each run of at least 3 pixels
 above grey level 30 was proposed by a program, drawn over the image at three times its size, and judged by
@@ -39,7 +39,10 @@ from roemetry.stages import Extractor
 MARKS = Path(__file__).with_name("wheelset_marks.csv")
 MATCH_PX = 3.0
 _LIT = 60
-_STEEP_PX = 3
+_NEAR_PX = 13
+_BORDER_PX = 10.0
+_BULGES = ((60, 340, 205, 515), (200, 522, 228, 552), (540, 632, 615, 672))
+"""Boxes (x, y, x, y) around light that is no line, seen by eye: the streak, a bulge, the overexposed blob."""
 _SLACK_PX = 2.0
 
 
@@ -63,11 +66,14 @@ def wheelset(stages: Mapping[str, Extractor[Any]], out: Path | None) -> Table | 
     rows = []
     for name, stage in stages.items():
         off: list[float] = []
+        clear: list[bool] = []
         counts = np.zeros(6, int)
         for turn_deg in (0, 90):
             frame = prepared(image, turn_deg=turn_deg, channel="max")
             row, x_px = sound(stage.extract(frame))
-            off += distances(frame, lit_centres(centres, frame, turn_deg), row, x_px)
+            wanted = list(lit_centres(centres, frame, turn_deg))
+            off += distances(frame, wanted, row, x_px)
+            clear += [is_clear(y, x, frame, turn_deg) for y, x in wanted]
             right, tally = judged(marks(turn_deg, frame.size[0]), row, x_px)
             counts += tally
             if out is not None:
@@ -79,6 +85,7 @@ def wheelset(stages: Mapping[str, Extractor[Any]], out: Path | None) -> Table | 
             [
                 name,
                 f"{100.0 * matched.mean():.1f} of {matched.size}",
+                f"{100.0 * matched[clear].mean():.1f} of {sum(clear)}",
                 number(float(np.median(away[np.isfinite(away)])), 2),
                 f"{percent(hit, stripes)} of {stripes}",
                 percent(extra, hit + extra),
@@ -90,6 +97,7 @@ def wheelset(stages: Mapping[str, Extractor[Any]], out: Path | None) -> Table | 
         [
             "extractor",
             f"its points within {MATCH_PX:.0f} px, %",
+            "the same away from glare and border, %",
             "median distance, px",
             "marked crossings found, %",
             "false among the peaks judged, %",
@@ -102,13 +110,35 @@ def wheelset(stages: Mapping[str, Extractor[Any]], out: Path | None) -> Table | 
 def lit_centres(centres: NDArray[Any], frame: Frame, turn_deg: int) -> Iterable[tuple[int, float]]:
     """Give (row, x) of the other program's line where it is steep and the image has light."""
     drawn = np.rot90(centres[..., 2] > 0, turn_deg // 90)
+    steep = is_steep(drawn)
     light = cv2.dilate(np.ascontiguousarray(frame.pixels), np.ones((3, 3), np.uint8))
     for row, line in enumerate(drawn):
         edge = np.flatnonzero(np.diff(line.astype(np.int8), prepend=0, append=0))
         for first, end in zip(edge[::2], edge[1::2], strict=True):
             x_px = 0.5 * (first + end - 1)
-            if end - first <= _STEEP_PX and light[row, int(x_px)] > _LIT:
+            if steep[row, int(x_px)] and light[row, int(x_px)] > _LIT:
                 yield row, x_px
+
+
+def is_clear(row: int, x_px: float, frame: Frame, turn_deg: int) -> bool:
+    """Tell whether a point lies away from the image's left and right border and from the marked glare."""
+    rows, columns = frame.size
+    x, y = (x_px, float(row)) if turn_deg == 0 else (rows - 1.0 - row, x_px)
+    glare = any(left <= x <= right and top <= y <= bottom for left, top, right, bottom in _BULGES)
+    return _BORDER_PX < x_px < columns - 1 - _BORDER_PX and not glare
+
+
+def is_steep(drawn: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Tell where a drawn line runs more along the columns than along the rows, from its pixels near by."""
+    there = np.ascontiguousarray(drawn, np.float64)
+    y, x = np.mgrid[: there.shape[0], : there.shape[1]].astype(np.float64)
+
+    def near(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(cv2.boxFilter(there * values, -1, (_NEAR_PX, _NEAR_PX), normalize=False))
+
+    count = np.maximum(near(np.ones_like(there)), 1.0)
+    spread = [near(at**2) - near(at) ** 2 / count for at in (x, y)]
+    return np.asarray(drawn & (spread[1] > spread[0]))
 
 
 def distances(

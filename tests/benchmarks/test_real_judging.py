@@ -39,18 +39,27 @@ def test_peaks_are_judged_by_the_marks() -> None:
 
 
 def test_another_programs_points_count_where_steep_and_lit() -> None:
-    pixels = np.zeros((40, 60), np.uint8)
-    pixels[:, 28:33] = 200
+    pixels = np.zeros((100, 60), np.uint8)
+    pixels[:, 20:50] = 200
     pixels[20:30] = 0
-    drawn = np.zeros((40, 60, 3), np.uint8)
-    drawn[:, 30, 2] = 128
-    drawn[35, 10:50, 2] = 128  # runs along the row
+    drawn = np.zeros((100, 60, 3), np.uint8)
+    drawn[:60, 30, 2] = 128
+    drawn[80, 22:48, 2] = 128  # runs along the row
     frame = prepared(pixels, turn_deg=0)
     wanted = list(wheelset.lit_centres(drawn, frame, 0))
-    assert {y for y, _ in wanted} == {*range(21), *range(29, 40)} - {35}  # light reaches one pixel further
-    assert {x for _, x in wanted} == {30.0}
+    assert wanted == [(row, 30.0) for row in [*range(21), *range(29, 60)]]  # light reaches one pixel further
     off = wheelset.distances(frame, wanted[:2], np.array([0]), np.array([31.5]))
     assert off == [1.5, np.inf]
+
+
+def test_points_near_glare_or_border_are_set_apart() -> None:
+    frame = prepared(np.zeros((672, 800), np.uint8), turn_deg=0)
+    turned = prepared(np.zeros((672, 800), np.uint8), turn_deg=90)
+    assert wheelset.is_clear(100, 400.0, frame, 0)
+    assert not wheelset.is_clear(100, 5.0, frame, 0)
+    assert not wheelset.is_clear(450, 150.0, frame, 0), "the streak"
+    # x 150, y 450 of the image is row 649, x 450 of the turned one
+    assert not wheelset.is_clear(649, 450.0, turned, 90)
 
 
 def test_turned_marks_lie_where_the_turned_image_has_them() -> None:
