@@ -1,0 +1,208 @@
+"""Centre, height and width of Gaussian stripes by Fisher scoring, compiled.
+
+A peak's pixels are y = b + a exp(−(x − x0)² / 2σ²) + noise, b the straight line of the light beside it. The
+noise has the variance R + g μ + C² m² (read noise and rounding, shot noise, speckle; m the stripe's light, μ
+all light), and the speckle of neighbouring pixels has the correlation ρ. The inverse of the covariance is
+taken to be tridiagonal, as of a Markov chain: each pixel is predicted from the one before. Without speckle
+that is the diagonal.
+
+Peaks whose windows are as long as each other go through the arithmetic in lanes, so that the compiler can use
+vector instructions.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from roemetry.arrays import Floats, Integers
+from roemetry_kernels import fisher_lanes as at
+from roemetry_kernels.fisher_lanes import LANES, centre_variance, normal_sums
+
+WINDOW = 3.2
+"""Half of a fitted window, standard deviations of the stripe."""
+ROOM = 128
+"""Largest number of pixels of a window."""
+FAILED, FITTED, CLIPPED = 0, 1, 2
+"""State of a peak: no fit; a fit; a fit without its saturated pixels."""
+
+_FIRST_STEPS = 3  # on the window of the start values
+_STEPS_MAX = 12
+_ENOUGH = 0.03  # of its standard uncertainty: a centre that moves by less gets one last step
+_OUTLIER = 5.0  # standard deviations; pixels beyond are left out of the last step
+_SHIFT_MAX = 2.5  # standard deviations of the stripe from the start
+_SIGMA_MIN_PX, _SIGMA_MAX_PX = 0.3, 0.5 * ROOM / WINDOW
+
+Pixels = NDArray[Any]
+Bytes = NDArray[np.uint8]
+
+@njit(cache=True, nogil=True)
+def fit_peaks(
+    image: Pixels,
+    white: float,
+    row: Integers,
+    x_px: Floats,
+    amplitude: Floats,
+    sigma_px: Floats,
+    height: Floats,
+    slope: Floats,
+    variance: float,
+    gain: float,
+    contrast2: Floats,
+    rho: float,
+    x_std_px: Floats,
+    state: Bytes,
+) -> None:
+    """Fit all peaks, in place.
+
+    Parameters
+    ----------
+    image
+        (row, column) grey levels.
+    white
+        Grey level from which on a pixel is saturated and does not count.
+    row
+        (peak,) image row.
+    x_px, amplitude, sigma_px
+        (peak,) start values, replaced by the fit: centre, px; height above the light beside it, grey
+        levels; standard deviation, px.
+    height, slope
+        (peak,) light beside the stripe: grey levels at the start's `x_px`, grey levels per px.
+    variance, gain
+        R, grey levels²; g, grey levels.
+    contrast2
+        (peak,) C².
+    rho
+        Correlation of the speckle of neighbouring pixels.
+    x_std_px
+        (peak,) becomes the standard uncertainty of the centre, px.
+    state
+        (peak,) becomes `FAILED`, `FITTED` or `CLIPPED`.
+    """
+    peaks = row.shape[0]
+    order = np.empty(peaks, np.int64)
+    lanes = np.zeros(at.TABLE)
+    grey = np.zeros((ROOM + 1) * LANES)
+    keep = np.zeros((ROOM + 1) * LANES)
+    start_x, start_s = x_px.copy(), sigma_px.copy()
+    state[:] = FITTED
+    for phase in range(2):
+        lengths = _by_length(x_px, sigma_px, state, image.shape[1], order)
+        begin = 0
+        for n in range(ROOM + 1):
+            end = begin + lengths[n]
+            while begin < end:
+                count = min(LANES, end - begin)
+                members = order[begin : begin + count]
+                begin += count
+                if n < 4:
+                    state[members] = FAILED
+                    continue
+                for lane in range(LANES):
+                    p = members[min(lane, count - 1)]
+                    first = _first(x_px[p], sigma_px[p])
+                    lanes[at.X + lane], lanes[at.A + lane], lanes[at.S + lane] = x_px[p], amplitude[p], sigma_px[p]
+                    lanes[at.B + lane], lanes[at.SLOPE + lane] = height[p], slope[p]
+                    lanes[at.C2 + lane] = contrast2[p]
+                    lanes[at.START_X + lane], lanes[at.START_S + lane] = start_x[p], start_s[p]
+                    lanes[at.FIRST + lane] = first
+                    clipped = False
+                    for i in range(n):
+                        grey[LANES * i + lane] = image[row[p], first + i]
+                        keep[LANES * i + lane] = 1.0
+                        if grey[LANES * i + lane] >= white:
+                            keep[LANES * i + lane] = 0.0
+                            clipped = True
+                    keep[LANES * n + lane] = 0.0
+                    if clipped and phase == 1 and lane < count:
+                        state[p] = CLIPPED
+                good = _fit_lanes(lanes, grey, keep, n, variance, gain, rho, phase == 1)
+                if phase == 1:
+                    centre_variance(lanes, keep, n, variance, gain, rho)
+                for lane in range(count):
+                    p = members[lane]
+                    x_std_px[p] = math.sqrt(max(lanes[at.SPREAD + lane], 0.0))
+                    x_px[p], amplitude[p], sigma_px[p] = lanes[at.X + lane], lanes[at.A + lane], lanes[at.S + lane]
+                    if not good >> lane & 1:
+                        state[p] = FAILED
+
+
+@njit(cache=True, nogil=True)
+def _first(x: float, sigma: float) -> int:
+    return max(int(math.ceil(x - min(WINDOW * sigma, 0.5 * (ROOM - 2)))), 0)  # type: ignore[return-value]
+
+
+@njit(cache=True, nogil=True)
+def _by_length(x_px: Floats, sigma_px: Floats, state: Bytes, columns: int, order: Integers) -> Integers:
+    """Sort the peaks that are left by the length of their windows; gives how many have each length."""
+    length = np.zeros(x_px.shape[0], np.int64)
+    lengths = np.zeros(ROOM + 2, np.int64)
+    for p in range(x_px.shape[0]):
+        if state[p] == FAILED:
+            length[p] = ROOM + 1
+        else:
+            last = int(math.floor(x_px[p] + min(WINDOW * sigma_px[p], 0.5 * (ROOM - 2))))
+            length[p] = max(min(last, columns - 1) - _first(x_px[p], sigma_px[p]) + 1, 0)
+        lengths[length[p]] += 1
+    at = np.cumsum(lengths) - lengths
+    for p in range(x_px.shape[0]):
+        order[at[length[p]]] = p
+        at[length[p]] += 1
+    return lengths
+
+
+@njit(cache=True, nogil=True)
+def _fit_lanes(
+    lanes: Floats,
+    grey: Floats,
+    keep: Floats,
+    n: int,
+    variance: float,
+    gain: float,
+    rho: float,
+    to_the_end: bool,
+) -> int:
+    """Take steps until all lanes rest, then one without outliers; gives a bit for each lane that is good."""
+    good = (1 << LANES) - 1
+    lanes[at.LIMIT : at.LIMIT + LANES] = np.inf
+    for step in range(_STEPS_MAX if to_the_end else _FIRST_STEPS):
+        last = lanes[at.LIMIT] < np.inf
+        normal_sums(lanes, grey, keep, n, variance, gain, rho)
+        rests = True
+        for lane in range(LANES):
+            if not good >> lane & 1:
+                continue
+            n00, n01, n02 = lanes[at.N00 + lane], lanes[at.N01 + lane], lanes[at.N02 + lane]
+            n11, n12, n22 = lanes[at.N11 + lane], lanes[at.N12 + lane], lanes[at.N22 + lane]
+            g0, g1, g2 = lanes[at.G0 + lane], lanes[at.G1 + lane], lanes[at.G2 + lane]
+            c00, c01, c02 = n11 * n22 - n12 * n12, n02 * n12 - n01 * n22, n01 * n12 - n02 * n11
+            c11, c12, c22 = n00 * n22 - n02 * n02, n01 * n02 - n00 * n12, n00 * n11 - n01 * n01
+            det = n00 * c00 + n01 * c01 + n02 * c02
+            if not det > 1e-9 * n00 * n11 * n22:
+                good &= ~(1 << lane)
+                continue
+            a, s = lanes[at.A + lane], lanes[at.S + lane]
+            dx = (c00 * g0 + c01 * g1 + c02 * g2) / det
+            da = (c01 * g0 + c11 * g1 + c12 * g2) / det
+            ds = (c02 * g0 + c12 * g1 + c22 * g2) / det
+            if abs(dx) + 0.3 * s * abs(ds) > _ENOUGH * math.sqrt(c00 / det):
+                rests = False
+            lanes[at.H0 + lane], lanes[at.H1 + lane], lanes[at.H2 + lane] = c00 / det, c01 / det, c02 / det
+            x = lanes[at.X + lane] + min(max(dx, -0.7 * s), 0.7 * s)
+            s *= math.exp(min(max(ds, -0.4), 0.4))
+            far = _SHIFT_MAX * max(lanes[at.START_S + lane], 1.0)
+            lanes[at.X + lane], lanes[at.S + lane] = x, s
+            lanes[at.A + lane] = min(max(a + da, 0.4 * a), 2.5 * a)
+            if not (abs(x - lanes[at.START_X + lane]) <= far and _SIGMA_MIN_PX <= s <= _SIGMA_MAX_PX):
+                good &= ~(1 << lane)
+        if last:
+            break
+        if to_the_end and (rests or step == _STEPS_MAX - 2):
+            lanes[at.LIMIT : at.LIMIT + LANES] = _OUTLIER * _OUTLIER
+    return good
+
+
