@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -108,6 +109,8 @@ class Pipeline:
             peaks = steps.do("extractor", lambda: self._stages["extractor"].extract(frame))
         if peaks is not None and "coder" in self._stages and steps.allow("coder", _unfit(frame, calibration)):
             stripes = steps.do("coder", lambda: self._stages["coder"].code(peaks, calibration))
+        if stripes is not None and peaks is not None and peaks.reasons:
+            stripes = replace(stripes, reasons=peaks.reasons + stripes.reasons)
         if stripes is not None and "smoother" in self._stages:
             stripes = steps.do("smoother", lambda: self._stages["smoother"].smooth(stripes))
         if stripes is not None and "outliner" in self._stages:

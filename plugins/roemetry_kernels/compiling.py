@@ -10,20 +10,22 @@ from __future__ import annotations
 import ast
 import hashlib
 from collections.abc import Callable, Iterator
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
 _OURS = "roemetry_"
 
 
-def kernel(function: Callable[..., Any]) -> Any:
+def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     """Compile a function on its first call; it runs without the interpreter's lock.
 
     Parameters
     ----------
     function : callable
         Of numbers, arrays and plain tuples, as numba takes them.
+    options
+        What else numba is told: ``@kernel(error_model="numpy")``.
 
     Returns
     -------
@@ -31,14 +33,16 @@ def kernel(function: Callable[..., Any]) -> Any:
         The same function, compiled; what was compiled before is taken from disk as long as no source of it
         has changed.
     """
+    if function is None:
+        return partial(kernel, **options)
     from numba import njit
 
-    compiled: Any = njit(cache=True, nogil=True)(function)
+    compiled: Any = njit(cache=True, nogil=True, **options)(function)
     kept = getattr(compiled._cache, "_cache_file", None)
     if kept is not None:
         if not hasattr(kept, "_source_stamp"):
             # another numba keeps its marks elsewhere: rather compile every time than run what is outdated
-            return njit(nogil=True)(function)
+            return njit(nogil=True, **options)(function)
         kept._source_stamp = (kept._source_stamp, digest(Path(function.__code__.co_filename)))
     return compiled
 

@@ -8,16 +8,15 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
 from roemetry.arrays import Floats
+from roemetry_kernels.compiling import kernel
 
 LANES = 16
 """Peaks side by side; loops over fewer are not turned into vector instructions."""
 SPECKLE_REACH_PX = 4
 """Farthest pixels whose speckle is taken to be correlated."""
 
-# Where each field begins in the table: first what a peak is, then what the steps leave.
+# Where each field begins in the table.
 X = 0 * LANES
 A = 1 * LANES
 S = 2 * LANES
@@ -49,21 +48,29 @@ H1 = 27 * LANES
 H2 = 28 * LANES
 U = 29 * LANES
 E = 30 * LANES
-MU = 32 * LANES
-P1 = 33 * LANES
-P2 = 34 * LANES
-P3 = 35 * LANES
-P4 = 36 * LANES
-SPREAD = 37 * LANES
+MU = 31 * LANES
+P1 = 32 * LANES
+P2 = 33 * LANES
+P3 = 34 * LANES
+P4 = 35 * LANES
+SPREAD = 36 * LANES
+SPECKLE = 37 * LANES
 TABLE = 38 * LANES
 _E3, _E4, _E5, _E6, _E7, _E8 = 1 / 6, 1 / 24, 1 / 120, 1 / 720, 1 / 5040, 1 / 40320
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "nsz"}, error_model="numpy")
+@kernel(fastmath={"contract", "nsz"}, error_model="numpy")
 def normal_sums(
-    lanes: Floats, grey: Floats, keep: Floats, n: int, variance: float, gain: float, rho: float
+    lanes: Floats,
+    grey: Floats,
+    keep: Floats,
+    used: Floats,
+    n: int,
+    variance: float,
+    gain: float,
+    rho: float,
 ) -> None:
-    """Sums of the normal equations of each lane, for x0, a and ln σ."""
+    """Sums of each lane's normal equations, for x0, a and ln σ; `used` are those of `keep` within LIMIT."""
     for lane in range(LANES):
         lanes[HALF_INVERSE + lane] = 0.5 / (lanes[S + lane] * lanes[S + lane])
     for field in (M, IV, W0, W1, W2, W3, N00, N01, N02, N11, N12, N22, G0, G1, G2):
@@ -80,7 +87,7 @@ def normal_sums(
             r = grey[LANES * i + lane] - b - m
             v = variance + gain * max(b + m, 0.0) + lanes[C2 + lane] * m * m
             kept = keep[LANES * i + lane] if r * r <= lanes[LIMIT + lane] * v else 0.0
-            keep[LANES * i + lane] = kept
+            used[LANES * i + lane] = kept
             iv = kept / math.sqrt(v)
             j0 = 2.0 * m * d * inverse
             w0, w1, w2, w3 = j0 * iv, e * iv, j0 * d * iv, r * iv
@@ -103,18 +110,18 @@ def normal_sums(
             lanes[G2 + lane] += q2 * q3
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "nsz"}, error_model="numpy")
-def centre_variance(
-    lanes: Floats, keep: Floats, n: int, variance: float, gain: float, rho: float
-) -> None:
-    """Variance of each lane's centre, given H0, H1, H2: the centre's row of the inverse normal matrix.
+@kernel(fastmath={"contract", "nsz"}, error_model="numpy")
+def centre_variance(lanes: Floats, used: Floats, n: int, variance: float, gain: float, rho: float) -> None:
+    """Variance of each lane's centre, of white noise (SPREAD) and of SPECKLE.
 
-    The centre moves by Σ q y with q = W J h, W the weights' tridiagonal matrix; so its variance is q' V q with
-    the whole covariance V of the noise, which W is not quite the inverse of (the sandwich formula).
+    H0, H1, H2 hold the centre's row of the inverse normal matrix.
+
+    The centre moves by Σ q y with q = W J h, W the weights' tridiagonal matrix; so its variance is q' V q
+    with the whole covariance V of the noise, which W is not quite the inverse of (the sandwich formula).
     """
     for lane in range(LANES):
         lanes[HALF_INVERSE + lane] = 0.5 / (lanes[S + lane] * lanes[S + lane])
-    for field in (M, IV, U, E, MU, P1, P2, P3, P4, SPREAD):
+    for field in (M, IV, U, E, MU, P1, P2, P3, P4, SPREAD, SPECKLE):
         for lane in range(LANES):
             lanes[field + lane] = 0.0
     r2, r3, r4 = rho**4, rho**9, rho**16
@@ -128,17 +135,18 @@ def centre_variance(
             m = lanes[A + lane] * e
             mu = max(lanes[B + lane] + lanes[SLOPE + lane] * (x - lanes[START_X + lane]) + m, 0.0)
             v = variance + gain * mu + lanes[C2 + lane] * m * m
-            iv = keep[LANES * i + lane] / math.sqrt(v)
+            iv = used[LANES * i + lane] / math.sqrt(v)
             j0 = 2.0 * m * d * inverse
             u = iv * (lanes[H0 + lane] * j0 + lanes[H1 + lane] * e + lanes[H2 + lane] * j0 * d)
             t = rho * lanes[C2 + lane] * m * iv * lanes[M + lane] * lanes[IV + lane]
             own = (u - t * lanes[U + lane]) / (1.0 - t * t)
             q = lanes[IV + lane] * (lanes[E + lane] - t * own)
             p = q * lanes[M + lane]
-            near = rho * lanes[P1 + lane] + r2 * lanes[P2 + lane] + r3 * lanes[P3 + lane] + r4 * lanes[P4 + lane]
-            lanes[SPREAD + lane] += (
-                q * q * (variance + gain * lanes[MU + lane]) + lanes[C2 + lane] * p * (p + 2.0 * near)
+            near = (
+                rho * lanes[P1 + lane] + r2 * lanes[P2 + lane] + r3 * lanes[P3 + lane] + r4 * lanes[P4 + lane]
             )
+            lanes[SPREAD + lane] += q * q * (variance + gain * lanes[MU + lane])
+            lanes[SPECKLE + lane] += lanes[C2 + lane] * p * (p + 2.0 * near)
             lanes[P4 + lane] = lanes[P3 + lane]
             lanes[P3 + lane] = lanes[P2 + lane]
             lanes[P2 + lane] = lanes[P1 + lane]
@@ -147,13 +155,11 @@ def centre_variance(
             lanes[U + lane], lanes[E + lane] = u, own
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def gauss(t: float) -> float:
     """exp(−t) for 0 ≤ t ≤ 12 to 1e-7 of 1, without a branch, so that it can run in lanes."""
     t = -0.0625 * min(t, 12.0)
-    e = 1.0 + t * (
-        1.0 + t * (0.5 + t * (_E3 + t * (_E4 + t * (_E5 + t * (_E6 + t * (_E7 + t * _E8))))))
-    )
+    e = 1.0 + t * (1.0 + t * (0.5 + t * (_E3 + t * (_E4 + t * (_E5 + t * (_E6 + t * (_E7 + t * _E8)))))))
     e *= e
     e *= e
     e *= e

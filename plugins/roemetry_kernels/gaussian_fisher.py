@@ -16,11 +16,11 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from roemetry.arrays import Floats, Integers
 from roemetry_kernels import fisher_lanes as at
+from roemetry_kernels.compiling import kernel
 from roemetry_kernels.fisher_lanes import LANES, centre_variance, normal_sums
 
 WINDOW = 3.2
@@ -31,16 +31,18 @@ FAILED, FITTED, CLIPPED = 0, 1, 2
 """State of a peak: no fit; a fit; a fit without its saturated pixels."""
 
 _FIRST_STEPS = 3  # on the window of the start values
-_STEPS_MAX = 12
-_ENOUGH = 0.03  # of its standard uncertainty: a centre that moves by less gets one last step
-_OUTLIER = 5.0  # standard deviations; pixels beyond are left out of the last step
+_STEPS_MAX = 14
+_LAST_STEPS = 5  # at most, without outliers
+_ENOUGH = 0.03  # of its standard uncertainty: a centre that moves by less rests
+_OUTLIER = 5.0  # standard deviations; pixels beyond are left out of the last steps
 _SHIFT_MAX = 2.5  # standard deviations of the stripe from the start
 _SIGMA_MIN_PX, _SIGMA_MAX_PX = 0.3, 0.5 * ROOM / WINDOW
 
 Pixels = NDArray[Any]
 Bytes = NDArray[np.uint8]
 
-@njit(cache=True, nogil=True)
+
+@kernel
 def fit_peaks(
     image: Pixels,
     white: float,
@@ -55,6 +57,7 @@ def fit_peaks(
     contrast2: Floats,
     rho: float,
     x_std_px: Floats,
+    speckled: Floats,
     state: Bytes,
 ) -> None:
     """Fit all peaks, in place.
@@ -80,6 +83,8 @@ def fit_peaks(
         Correlation of the speckle of neighbouring pixels.
     x_std_px
         (peak,) becomes the standard uncertainty of the centre, px.
+    speckled
+        (peak,) becomes the share of speckle in its variance.
     state
         (peak,) becomes `FAILED`, `FITTED` or `CLIPPED`.
     """
@@ -88,6 +93,7 @@ def fit_peaks(
     lanes = np.zeros(at.TABLE)
     grey = np.zeros((ROOM + 1) * LANES)
     keep = np.zeros((ROOM + 1) * LANES)
+    used = np.zeros((ROOM + 1) * LANES)
     start_x, start_s = x_px.copy(), sigma_px.copy()
     state[:] = FITTED
     for phase in range(2):
@@ -105,7 +111,11 @@ def fit_peaks(
                 for lane in range(LANES):
                     p = members[min(lane, count - 1)]
                     first = _first(x_px[p], sigma_px[p])
-                    lanes[at.X + lane], lanes[at.A + lane], lanes[at.S + lane] = x_px[p], amplitude[p], sigma_px[p]
+                    lanes[at.X + lane], lanes[at.A + lane], lanes[at.S + lane] = (
+                        x_px[p],
+                        amplitude[p],
+                        sigma_px[p],
+                    )
                     lanes[at.B + lane], lanes[at.SLOPE + lane] = height[p], slope[p]
                     lanes[at.C2 + lane] = contrast2[p]
                     lanes[at.START_X + lane], lanes[at.START_S + lane] = start_x[p], start_s[p]
@@ -117,26 +127,32 @@ def fit_peaks(
                         if grey[LANES * i + lane] >= white:
                             keep[LANES * i + lane] = 0.0
                             clipped = True
-                    keep[LANES * n + lane] = 0.0
+                    used[LANES * n + lane] = 0.0
                     if clipped and phase == 1 and lane < count:
                         state[p] = CLIPPED
-                good = _fit_lanes(lanes, grey, keep, n, variance, gain, rho, phase == 1)
+                good = _fit_lanes(lanes, grey, keep, used, n, variance, gain, rho, phase == 1)
                 if phase == 1:
-                    centre_variance(lanes, keep, n, variance, gain, rho)
+                    centre_variance(lanes, used, n, variance, gain, rho)
                 for lane in range(count):
                     p = members[lane]
-                    x_std_px[p] = math.sqrt(max(lanes[at.SPREAD + lane], 0.0))
-                    x_px[p], amplitude[p], sigma_px[p] = lanes[at.X + lane], lanes[at.A + lane], lanes[at.S + lane]
+                    speckle = max(lanes[at.SPECKLE + lane], 0.0)
+                    x_std_px[p] = math.sqrt(lanes[at.SPREAD + lane] + speckle)
+                    speckled[p] = speckle / (lanes[at.SPREAD + lane] + speckle + 1e-300)
+                    x_px[p], amplitude[p], sigma_px[p] = (
+                        lanes[at.X + lane],
+                        lanes[at.A + lane],
+                        lanes[at.S + lane],
+                    )
                     if not good >> lane & 1:
                         state[p] = FAILED
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _first(x: float, sigma: float) -> int:
-    return max(int(math.ceil(x - min(WINDOW * sigma, 0.5 * (ROOM - 2)))), 0)  # type: ignore[return-value]
+    return max(math.ceil(x - min(WINDOW * sigma, 0.5 * (ROOM - 2))), 0)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _by_length(x_px: Floats, sigma_px: Floats, state: Bytes, columns: int, order: Integers) -> Integers:
     """Sort the peaks that are left by the length of their windows; gives how many have each length."""
     length = np.zeros(x_px.shape[0], np.int64)
@@ -145,7 +161,7 @@ def _by_length(x_px: Floats, sigma_px: Floats, state: Bytes, columns: int, order
         if state[p] == FAILED:
             length[p] = ROOM + 1
         else:
-            last = int(math.floor(x_px[p] + min(WINDOW * sigma_px[p], 0.5 * (ROOM - 2))))
+            last = math.floor(x_px[p] + min(WINDOW * sigma_px[p], 0.5 * (ROOM - 2)))
             length[p] = max(min(last, columns - 1) - _first(x_px[p], sigma_px[p]) + 1, 0)
         lengths[length[p]] += 1
     at = np.cumsum(lengths) - lengths
@@ -155,23 +171,24 @@ def _by_length(x_px: Floats, sigma_px: Floats, state: Bytes, columns: int, order
     return lengths
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _fit_lanes(
     lanes: Floats,
     grey: Floats,
     keep: Floats,
+    used: Floats,
     n: int,
     variance: float,
     gain: float,
     rho: float,
     to_the_end: bool,
 ) -> int:
-    """Take steps until all lanes rest, then one without outliers; gives a bit for each lane that is good."""
+    """Step until all lanes rest, then on without outliers; gives a bit for each good lane."""
     good = (1 << LANES) - 1
     lanes[at.LIMIT : at.LIMIT + LANES] = np.inf
     for step in range(_STEPS_MAX if to_the_end else _FIRST_STEPS):
         last = lanes[at.LIMIT] < np.inf
-        normal_sums(lanes, grey, keep, n, variance, gain, rho)
+        normal_sums(lanes, grey, keep, used, n, variance, gain, rho)
         rests = True
         for lane in range(LANES):
             if not good >> lane & 1:
@@ -199,10 +216,9 @@ def _fit_lanes(
             lanes[at.A + lane] = min(max(a + da, 0.4 * a), 2.5 * a)
             if not (abs(x - lanes[at.START_X + lane]) <= far and _SIGMA_MIN_PX <= s <= _SIGMA_MAX_PX):
                 good &= ~(1 << lane)
-        if last:
+        if last and rests:
             break
-        if to_the_end and (rests or step == _STEPS_MAX - 2):
+        # Which pixels are outliers is asked at each step anew: one hot pixel makes good ones look bad.
+        if to_the_end and (rests or step == _STEPS_MAX - _LAST_STEPS):
             lanes[at.LIMIT : at.LIMIT + LANES] = _OUTLIER * _OUTLIER
     return good
-
-

@@ -6,19 +6,22 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from roemetry.arrays import Floats, Integers
+from roemetry_kernels.compiling import kernel
 from roemetry_kernels.gaussian_fisher import FAILED, ROOM, WINDOW
 
-_LAGS = 5
-_OUTLIER = 8.0
+CAUSES = 6
+"""Read noise, shot noise, speckle within a pixel, and of pixels 1, 2 and 3 apart."""
+_OUTLIER = 8.0  # standard deviations: a peak with such a residual says nothing of the noise
+_PIXELS_MIN = 6
 
 Pixels = NDArray[Any]
+Bytes = NDArray[np.uint8]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def residual_products(
     image: Pixels,
     white: float,
@@ -31,125 +34,138 @@ def residual_products(
     variance: float,
     gain: float,
     contrast2: Floats,
-    rho: float,
-    state: NDArray[np.uint8],
+    state: Bytes,
 ) -> Floats:
-    """Sum products of residuals of each peak, and their expectation by cause.
+    """Sum products of each peak's residuals, and what each cause of noise is expected to add to them.
 
-    Residuals of a fit are smaller than the noise, by the fitted parameters' leverage. With P what takes the
-    pixels to the residuals, the expectation of a product is an element of P V P', linear in what the noise
-    V is made of: R + g μ on the diagonal, C² m m' ρ^(lag²) everywhere.
+    Residuals are smaller than the noise, by the leverage of the fitted parameters. With P the matrix that
+    takes pixels to residuals, the expected products are the elements of P V P', linear in what the noise's
+    covariance V is made of: a unit of R, of g μ, of C² m², and of C² m m' between pixels 1, 2, 3 apart.
+
+    Parameters
+    ----------
+    image, white, row, x_px, amplitude, sigma_px, variance, gain, contrast2, state
+        As `fit_peaks` takes and gives them; fitted without correlation.
+    height, slope
+        (peak,) light beside the stripe at the fitted centre, grey levels, grey levels per px.
 
     Returns
     -------
     ndarray
-        (peak, 4, 7): for products weighted as for R, for g, for C² (all at lag 0), and at lag 1: the sum, and
-        what one unit of R, of g, of C², and of C² ρ adds to it.
+        (peak, 4, 7): products that tell of R, of g, of C² (a pixel with itself) and of the correlation (with
+        the next pixel): their sum, then what a unit of each cause adds. All 0 where a peak says nothing.
     """
     columns = image.shape[1]
-    out = np.zeros((row.shape[0], 4, 7))
-    m = np.empty(ROOM)
-    mu = np.empty(ROOM)
-    w = np.empty(ROOM)
-    r = np.empty(ROOM)
-    jac = np.empty((3, ROOM))
-    gv = np.empty((3, ROOM))
-    hat = np.empty((3, ROOM))
-    v1 = np.empty(ROOM)
-    k3 = np.empty((3, 3))
+    out = np.zeros((row.shape[0], 4, 1 + CAUSES))
+    m, mu, w, r = np.empty(ROOM), np.empty(ROOM), np.empty(ROOM), np.empty(ROOM)
+    jac, hat, carried = np.empty((ROOM, 3)), np.empty((ROOM, 3)), np.empty((ROOM, 3))
+    weight = np.zeros((ROOM, 4))
     for p in range(row.shape[0]):
         if state[p] == FAILED:
             continue
         f = image[row[p]]
-        s, x0, a, c2 = sigma_px[p], x_px[p], amplitude[p], contrast2[p]
-        half = min(WINDOW * s, 0.5 * (ROOM - 2))
-        first = max(int(math.ceil(x0 - half)), 0)
-        n = min(int(math.floor(x0 + half)), columns - 1) - first + 1
-        normal = np.zeros((3, 3))
-        bad = n < 6
+        half = min(WINDOW * sigma_px[p], 0.5 * (ROOM - 2))
+        first = max(math.ceil(x_px[p] - half), 0)
+        n = min(math.floor(x_px[p] + half), columns - 1) - first + 1
+        good = n >= _PIXELS_MIN
         for i in range(n):
-            d = first + i - x0
-            e = math.exp(-0.5 * d * d / (s * s))
-            m[i] = a * e
+            d = first + i - x_px[p]
+            z = d / (sigma_px[p] * sigma_px[p])
+            e = math.exp(-0.5 * d * z)
+            m[i] = amplitude[p] * e
             mu[i] = max(height[p] + slope[p] * d + m[i], 0.0)
             r[i] = f[first + i] - height[p] - slope[p] * d - m[i]
-            v = variance + gain * mu[i] + c2 * m[i] * m[i]
-            w[i] = 1.0 / v
-            if f[first + i] >= white:
-                w[i] = 0.0
-            elif r[i] * r[i] > _OUTLIER * _OUTLIER * v:
-                bad = True
-                break
-            jac[0, i] = m[i] * d / (s * s)
-            jac[1, i] = e
-            jac[2, i] = jac[0, i] * d
-            for j in range(3):
-                for k in range(3):
-                    normal[j, k] += w[i] * jac[j, i] * jac[k, i]
-        if bad:
+            v = variance + gain * mu[i] + contrast2[p] * m[i] * m[i]
+            w[i] = 0.0 if f[first + i] >= white else 1.0 / v
+            good &= w[i] * r[i] * r[i] <= _OUTLIER * _OUTLIER
+            jac[i, 0], jac[i, 1], jac[i, 2] = m[i] * z, e, m[i] * z * d
+        if not good:
             continue
-        inv = _inverse(normal)
+        _hat(jac, w, n, hat)
         for i in range(n):
-            for j in range(3):
-                hat[j, i] = w[i] * (inv[j, 0] * jac[0, i] + inv[j, 1] * jac[1, i] + inv[j, 2] * jac[2, i])
-        for i in range(n):
-            out[p, 0, 0] += w[i] * w[i] * r[i] * r[i]
-            out[p, 1, 0] += w[i] * w[i] * mu[i] * r[i] * r[i]
-            out[p, 2, 0] += (w[i] * m[i] * r[i]) ** 2
+            weight[i, 0] = w[i] * w[i]
+            weight[i, 1] = weight[i, 0] * mu[i]
+            weight[i, 2] = weight[i, 0] * m[i] * m[i]
+            weight[i, 3] = w[i] * w[i + 1] * m[i] * m[i + 1] if i + 1 < n else 0.0
+            for kind in range(3):
+                out[p, kind, 0] += weight[i, kind] * r[i] * r[i]
             if i + 1 < n:
-                out[p, 3, 0] += w[i] * w[i + 1] * m[i] * m[i + 1] * r[i] * r[i + 1]
-        for cause in range(6):
-            # V is diagonal for the first three causes; off the diagonal for the last.
-            for i in range(n):
-                for j in range(3):
-                    gv[j, i] = 0.0
-            if cause < 3:
-                for i in range(n):
-                    v1[i] = 1.0 if cause == 0 else (mu[i] if cause == 1 else m[i] * m[i])
-                    for j in range(3):
-                        gv[j, i] = hat[j, i] * v1[i]
-            else:
-                lag = cause - 2
-                for i in range(n - lag):
-                    t = m[i] * m[i + lag]
-                    for j in range(3):
-                        gv[j, i] += hat[j, i + lag] * t
-                        gv[j, i + lag] += hat[j, i] * t
-            for j in range(3):
-                for k in range(3):
-                    total = 0.0
-                    for i in range(n):
-                        total += gv[j, i] * hat[k, i]
-                    k3[j, k] = total
-            for i in range(n):
-                own = v1[i] if cause < 3 else 0.0
-                jg, jkj = 0.0, 0.0
-                for j in range(3):
-                    jg += jac[j, i] * gv[j, i]
-                    for k in range(3):
-                        jkj += jac[j, i] * k3[j, k] * jac[k, i]
-                expected = own - 2.0 * jg + jkj
-                out[p, 0, 1 + cause] += w[i] * w[i] * expected
-                out[p, 1, 1 + cause] += w[i] * w[i] * mu[i] * expected
-                out[p, 2, 1 + cause] += w[i] * w[i] * m[i] * m[i] * expected
-                if i + 1 < n:
-                    cross = m[i] * m[i + 1] if cause == 3 else 0.0
-                    for j in range(3):
-                        cross -= jac[j, i] * gv[j, i + 1] + jac[j, i + 1] * gv[j, i]
-                        for k in range(3):
-                            cross += jac[j, i] * k3[j, k] * jac[k, i + 1]
-                    out[p, 3, 1 + cause] += w[i] * w[i + 1] * m[i] * m[i + 1] * cross
+                out[p, 3, 0] += weight[i, 3] * r[i] * r[i + 1]
+        _expected(jac, hat, weight, m, mu, n, carried, out[p])
     return out
 
 
-@njit(cache=True, nogil=True)
-def _inverse(a: Floats) -> Floats:
-    c = np.empty((3, 3))
-    c[0, 0] = a[1, 1] * a[2, 2] - a[1, 2] ** 2
-    c[0, 1] = c[1, 0] = a[0, 2] * a[1, 2] - a[0, 1] * a[2, 2]
-    c[0, 2] = c[2, 0] = a[0, 1] * a[1, 2] - a[0, 2] * a[1, 1]
-    c[1, 1] = a[0, 0] * a[2, 2] - a[0, 2] ** 2
-    c[1, 2] = c[2, 1] = a[0, 1] * a[0, 2] - a[0, 0] * a[1, 2]
-    c[2, 2] = a[0, 0] * a[1, 1] - a[0, 1] ** 2
-    det = a[0, 0] * c[0, 0] + a[0, 1] * c[0, 1] + a[0, 2] * c[0, 2]
-    return c / det
+@kernel
+def _hat(jac: Floats, w: Floats, n: int, hat: Floats) -> None:
+    """(pixel, parameter) what a unit in a pixel adds to the fitted parameters: (J'WJ)⁻¹ J'W."""
+    a = np.zeros((3, 3))
+    for i in range(n):
+        for j in range(3):
+            for k in range(j + 1):
+                a[j, k] += w[i] * jac[i, j] * jac[i, k]
+    a01, a02, a12 = a[1, 0], a[2, 0], a[2, 1]
+    c00, c01, c02 = a[1, 1] * a[2, 2] - a12 * a12, a02 * a12 - a01 * a[2, 2], a01 * a12 - a02 * a[1, 1]
+    c11, c12 = a[0, 0] * a[2, 2] - a02 * a02, a01 * a02 - a[0, 0] * a12
+    c22 = a[0, 0] * a[1, 1] - a01 * a01
+    det = a[0, 0] * c00 + a01 * c01 + a02 * c02
+    for i in range(n):
+        j0, j1, j2, s = jac[i, 0], jac[i, 1], jac[i, 2], w[i] / det
+        hat[i, 0] = s * (c00 * j0 + c01 * j1 + c02 * j2)
+        hat[i, 1] = s * (c01 * j0 + c11 * j1 + c12 * j2)
+        hat[i, 2] = s * (c02 * j0 + c12 * j1 + c22 * j2)
+
+
+@kernel
+def _expected(
+    jac: Floats, hat: Floats, weight: Floats, m: Floats, mu: Floats, n: int, carried: Floats, out: Floats
+) -> None:
+    """Sums of weights times elements of P V P' = V − J G V − (J G V)' + J G V G' J', G the `hat`'s transpose.
+
+    Σ weight · (J K J') is the sum of the elements of K times those of Σ weight · J J', the same for every
+    cause.
+    """
+    outer = np.zeros((4, 3, 3))
+    for i in range(n):
+        for j in range(3):
+            for k in range(3):
+                t = jac[i, j] * jac[i, k]
+                for kind in range(3):
+                    outer[kind, j, k] += weight[i, kind] * t
+                if i + 1 < n:
+                    outer[3, j, k] += weight[i, 3] * jac[i, j] * jac[i + 1, k]
+    inner = np.empty((3, 3))
+    for cause in range(CAUSES):
+        lag = max(cause - 2, 0)
+        for i in range(n):
+            for j in range(3):
+                carried[i, j] = 0.0
+        for i in range(n - lag):
+            if lag:
+                t = m[i] * m[i + lag]
+                for j in range(3):
+                    carried[i, j] += hat[i + lag, j] * t
+                    carried[i + lag, j] += hat[i, j] * t
+            else:
+                t = 1.0 if cause == 0 else mu[i] if cause == 1 else m[i] * m[i]
+                for j in range(3):
+                    carried[i, j] = hat[i, j] * t
+                for kind in range(3):
+                    out[kind, 1 + cause] += weight[i, kind] * t
+        inner[:] = 0.0
+        for i in range(n):
+            both, cross = 0.0, 0.0
+            for j in range(3):
+                both += jac[i, j] * carried[i, j]
+                if i + 1 < n:
+                    cross += jac[i, j] * carried[i + 1, j] + jac[i + 1, j] * carried[i, j]
+                for k in range(3):
+                    inner[j, k] += carried[i, j] * hat[i, k]
+            for kind in range(3):
+                out[kind, 1 + cause] -= 2.0 * weight[i, kind] * both
+            if lag == 1 and i + 1 < n:
+                cross -= m[i] * m[i + 1]
+            out[3, 1 + cause] -= weight[i, 3] * cross
+        for kind in range(4):
+            for j in range(3):
+                for k in range(3):
+                    out[kind, 1 + cause] += inner[j, k] * outer[kind, j, k]

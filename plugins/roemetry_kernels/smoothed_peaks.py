@@ -6,15 +6,16 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from roemetry.arrays import Floats, Integers
+from roemetry_kernels.compiling import kernel
 
 SMOOTHING_VARIANCE_PX2 = 1.5
 """Variance of the smoothing across the stripes, 1 6 15 20 15 6 1, px²."""
 _WEIGHTS = 256.0  # sum of the smoothing's weights, 64 across times 4 along
-_NOISE_LEFT = math.sqrt(924.0 / 4096.0 * 6.0 / 16.0)  # of white noise, after smoothing
+NOISE_LEFT = math.sqrt(924.0 / 4096.0 * 6.0 / 16.0)
+"""Standard deviation of white noise after smoothing, over before."""
 _SEPARATE = 0.45  # two peaks are two where the valley between is deeper than this share of the lower one
 _PEAKS_A_ROW = 32  # room made at first
 _BLOCK_PX = 8
@@ -61,27 +62,21 @@ def background_noise(image: Pixels) -> float:
     return float(math.sqrt(np.quantile(squares, _QUIET_QUANTILE) / (_LAPLACIAN_SQUARES * _QUIET_SHARE)))
 
 
-def smoothed_peaks(image: Pixels, noise: float, gain: float, noises: float, white: int) -> Starts:
-    """Find peaks that rise above both valleys by `noises` times the noise of the smoothed image.
+def smoothed_peaks(image: Pixels, rise: Floats, white: int) -> Starts:
+    """Find peaks that rise above both valleys in the smoothed image.
 
     Parameters
     ----------
     image : ndarray of uint8 or uint16, shape (rows, columns)
-        Grey levels.
-    noise
-        Standard deviation of a dark pixel, grey levels.
-    gain
-        Growth of a pixel's variance with its grey level, grey levels.
-    noises
-        How many standard deviations a peak rises above both valleys.
+        Grey levels, contiguous and read-only.
+    rise : ndarray of float64, shape (256,)
+        By how much a peak must rise, grey levels, from a valley in each 256th of the range.
     white
         Grey level from which on a pixel is saturated.
     """
     rows = image.shape[0]
     room = _PEAKS_A_ROW * rows
-    # What a peak must rise, by the level it rises from: 256 steps of the range.
-    level = (np.arange(256) + 0.5) / 256.0 * white
-    rise = _WEIGHTS * noises * _NOISE_LEFT * np.sqrt(noise**2 + gain * level)
+    rise = _WEIGHTS * rise
     while True:
         row = np.empty(room, np.int64)
         x_px, amplitude, sigma_px, valley = (np.empty(room) for _ in range(4))
@@ -92,7 +87,7 @@ def smoothed_peaks(image: Pixels, noise: float, gain: float, noises: float, whit
     return Starts(*(values[:count].copy() for values in (row, x_px, amplitude, sigma_px, valley)))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _block_squares(image: Pixels, step: int) -> Floats:
     rows, columns = image.shape
     blocks = (columns - 2) // _BLOCK_PX
@@ -111,7 +106,7 @@ def _block_squares(image: Pixels, step: int) -> Floats:
     return squares[:at]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _find(
     image: Pixels,
     rise: Floats,
@@ -133,7 +128,6 @@ def _find(
         found = _tops(smooth, rise, white, tops, valleys)
         for k in range(found):
             if count < row.shape[0]:
-                low, high = smooth[valleys[k]], smooth[valleys[k + 1]]
                 x, width, height, base = _halves(smooth, tops[k], valleys[k], valleys[k + 1], white)
                 row[count] = y
                 x_px[count] = x
@@ -144,7 +138,7 @@ def _find(
     return count
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _smooth(image: Pixels, y: int, padded: NDArray[np.int32], smooth: NDArray[np.int32]) -> None:
     """One row, 1 2 1 along the stripes and 1 6 15 20 15 6 1 across, borders repeated."""
     rows, columns = image.shape
@@ -164,10 +158,8 @@ def _smooth(image: Pixels, y: int, padded: NDArray[np.int32], smooth: NDArray[np
         )
 
 
-@njit(cache=True, nogil=True)
-def _tops(
-    smooth: NDArray[np.int32], rise: Floats, white: float, tops: Integers, valleys: Integers
-) -> int:
+@kernel
+def _tops(smooth: NDArray[np.int32], rise: Floats, white: float, tops: Integers, valleys: Integers) -> int:
     """Tops with the valley before each, and the one after the last."""
     columns = smooth.shape[0]
     scale = 255.9 / (_WEIGHTS * white)
@@ -215,7 +207,7 @@ def _tops(
     return count
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _halves(
     smooth: NDArray[np.int32], top: int, before: int, after: int, white: float
 ) -> tuple[float, float, float, float]:
@@ -239,7 +231,7 @@ def _halves(
     return 0.5 * (left + right), math.sqrt(variance), height, base
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _crossings(
     smooth: NDArray[np.int32], top: int, before: int, after: int, share: float
 ) -> tuple[float, float]:

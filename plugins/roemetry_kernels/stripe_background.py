@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from roemetry.arrays import Floats, Integers
+from roemetry_kernels.compiling import kernel
+from roemetry_kernels.smoothed_peaks import Starts
 
+_REACH = 4  # rows pooled on either side
 _STEP_PX = 3.0  # farthest from row to row along one stripe
 _CLEAR = 3.6  # standard deviations beyond which a stripe's own light does not count
 _SIDE_PX = 8.0  # pixels taken on either side
@@ -19,7 +21,71 @@ _HOT = 6.0  # a pixel so many standard deviations above the others of its side i
 Pixels = NDArray[Any]
 
 
-@njit(cache=True, nogil=True)
+class Beside(NamedTuple):
+    """What the rows around each peak say of its stripe, one element a peak.
+
+    Attributes
+    ----------
+    sigma_px : ndarray of float64, shape (peak,)
+        Standard deviation, px, root mean square over the rows.
+    amplitude : ndarray of float64, shape (peak,)
+        Height at that width, grey levels.
+    height, slope : ndarray of float64, shape (peak,)
+        The light beside the stripe at the peak's x, grey levels, and its growth, grey levels per px.
+    up, down : ndarray of int64, shape (peak,)
+        The same stripe's peak in the row above and in the row below; −1 for none.
+    """
+
+    sigma_px: Floats
+    amplitude: Floats
+    height: Floats
+    slope: Floats
+    up: Integers
+    down: Integers
+
+
+def light_beside(image: Pixels, starts: Starts, noise: float, gain: float) -> Beside:
+    """Give the light beside each peak, pooled over the rows within 4 of it.
+
+    Parameters
+    ----------
+    image : ndarray of uint8 or uint16, shape (rows, columns)
+        Grey levels.
+    starts
+        The peaks.
+    noise, gain
+        Standard deviation of a dark pixel, grey levels; growth of the variance with the grey level.
+    """
+    return Beside(*_beside(image, *starts, noise, gain))
+
+
+@kernel
+def _beside(
+    image: Pixels,
+    row: Integers,
+    x_px: Floats,
+    amplitude: Floats,
+    sigma_px: Floats,
+    level: Floats,
+    noise: float,
+    gain: float,
+) -> tuple[Floats, Floats, Floats, Floats, Integers, Integers]:
+    up, down = neighbours(row, x_px)
+    peaks = row.shape[0]
+    shape = np.empty((peaks, 3))
+    for p in range(peaks):
+        shape[p, 0], shape[p, 1], shape[p, 2] = 1.0, sigma_px[p] ** 2, amplitude[p] * sigma_px[p]
+    shape = _pooled(shape, up, down)
+    for p in range(peaks):
+        shape[p, 1] = math.sqrt(shape[p, 1] / shape[p, 0])
+        shape[p, 2] /= shape[p, 0] * shape[p, 1]
+    sigma, height = shape[:, 1].copy(), shape[:, 2].copy()
+    sums = _pooled(_side_sums(image, row, x_px, sigma, height, noise, gain, level), up, down)
+    line, slope = _lines(sums, level)
+    return sigma, height, line, slope, up, down
+
+
+@kernel
 def neighbours(row: Integers, x_px: Floats) -> tuple[Integers, Integers]:
     """Link each peak with the nearest one of the next row, where that is mutual and within 3 px.
 
@@ -54,15 +120,15 @@ def neighbours(row: Integers, x_px: Floats) -> tuple[Integers, Integers]:
     return up, down
 
 
-@njit(cache=True, nogil=True)
-def pooled(values: Floats, up: Integers, down: Integers, reach: int) -> Floats:
-    """Sum (peak, value) over the peaks of the same stripe at most `reach` rows away."""
+@kernel
+def _pooled(values: Floats, up: Integers, down: Integers) -> Floats:
+    """Sum (peak, value) over the peaks of the same stripe at most 4 rows away."""
     peaks, columns = values.shape
     total = values.copy()
     for p in range(peaks):
         for link in (up, down):
             q = p
-            for _ in range(reach):
+            for _ in range(_REACH):
                 q = link[q]
                 if q < 0:
                     break
@@ -71,28 +137,23 @@ def pooled(values: Floats, up: Integers, down: Integers, reach: int) -> Floats:
     return total
 
 
-@njit(cache=True, nogil=True)
-def beside(
+@kernel
+def _side_sums(
     image: Pixels,
     row: Integers,
     x_px: Floats,
     sigma_px: Floats,
     amplitude: Floats,
-    level: Floats,
     noise: float,
     gain: float,
+    level: Floats,
 ) -> Floats:
-    """Sums of the pixels on both sides of each peak, for a straight line through them.
+    """(peak, 5) sums of the pixels on both sides: their number, and u, u², y, u y.
 
-    Pixels nearer to a neighbour than 3.6 of its standard deviations do not count either. Where stripes are
-    so near that less than three pixels are left, the three in the middle of the valley are taken, and both
-    stripes' light, as far as the start values tell it, is taken off.
-
-    Returns
-    -------
-    ndarray
-        (peak, 5) number of pixels, and the sums of u, u², y, u y with u the distance from the peak, px, and
-        y the grey level above `level`.
+    u is the distance from the peak, px, y the grey level. Pixels nearer to a neighbour than 3.6 of its
+    standard deviations do not count either. Where stripes are so near that fewer than three pixels are left,
+    the three in the middle of the valley are taken, and both stripes' light, as far as the start values tell
+    it, is taken off.
     """
     peaks = row.shape[0]
     columns = image.shape[1]
@@ -114,11 +175,11 @@ def beside(
                 else:
                     outer = min(outer, free)
             if side < 0:
-                first = max(int(math.ceil(x_px[p] - outer)), 0)
-                last = min(int(math.floor(x_px[p] - inner)), columns - 1)
+                first = max(math.ceil(x_px[p] - outer), 0)
+                last = min(math.floor(x_px[p] - inner), columns - 1)
             else:
-                first = max(int(math.ceil(x_px[p] + inner)), 0)
-                last = min(int(math.floor(x_px[p] + outer)), columns - 1)
+                first = max(math.ceil(x_px[p] + inner), 0)
+                last = min(math.floor(x_px[p] + outer), columns - 1)
             n, su, suu, sy, suy = 0, 0.0, 0.0, 0.0, 0.0
             highest, at = -np.inf, 0.0
             for x in range(first, last + 1):
@@ -127,7 +188,6 @@ def beside(
                 if crowded:
                     y -= amplitude[p] * math.exp(-0.5 * (u / sigma_px[p]) ** 2)
                     y -= amplitude[q] * math.exp(-0.5 * ((x - x_px[q]) / sigma_px[q]) ** 2)
-                y -= level[p]
                 n += 1
                 su += u
                 suu += u * u
@@ -137,7 +197,7 @@ def beside(
                     highest, at = y, u
             if n > 3:
                 mean = (sy - highest) / (n - 1)
-                if highest - mean > _HOT * math.sqrt(noise**2 + gain * max(level[p] + mean, 0.0)):
+                if highest - mean > _HOT * math.sqrt(noise**2 + gain * max(mean, 0.0)):
                     n -= 1
                     su -= at
                     suu -= at * at
@@ -151,8 +211,8 @@ def beside(
     return sums
 
 
-@njit(cache=True, nogil=True)
-def lines(sums: Floats, level: Floats) -> tuple[Floats, Floats]:
+@kernel
+def _lines(sums: Floats, level: Floats) -> tuple[Floats, Floats]:
     """Level at the peak and slope per px of the line through each peak's pooled sums."""
     peaks = sums.shape[0]
     height = np.empty(peaks)
@@ -161,10 +221,10 @@ def lines(sums: Floats, level: Floats) -> tuple[Floats, Floats]:
         n, su, suu, sy, suy = sums[p, 0], sums[p, 1], sums[p, 2], sums[p, 3], sums[p, 4]
         height[p], slope[p] = level[p], 0.0
         if n > 0.0:
-            height[p] = level[p] + sy / n
+            height[p] = sy / n
         spread = n * suu - su * su
         # A slope needs pixels on both sides.
         if n > 3.0 and spread > 4.0 * n * suu * 0.02:
             slope[p] = (n * suy - su * sy) / spread
-            height[p] = level[p] + (sy - slope[p] * su) / n
+            height[p] = (sy - slope[p] * su) / n
     return height, slope

@@ -17,3 +17,10 @@ def roemetry_stages() -> Iterable[StageEntry]:
         summary="Centre of gravity of each stripe's profile above its background",
         reference="Fisher, Naidu (1996), A comparison of algorithms for subpixel peak detection",
     )
+    yield StageEntry(
+        kind="extractor",
+        name="maximum-likelihood",
+        target="roemetry_peaks.maximum_likelihood:MaximumLikelihood",
+        summary="Gaussian fit by maximum likelihood; speckle contrast estimated from the image itself",
+        reference="Fisher scoring; speckle in the weights after Dorsch, Häusler, Herrmann (1994); ours",
+    )

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roemetry.arrays import Checker, Floats, Integers
+from roemetry.records.reasons import Reason
 
 SATURATED = 1
 EDGE = 2
@@ -40,6 +41,8 @@ class Peaks:
         How far the errors of `x_px` reach along a stripe: the standard deviation, rows, of the Gaussian that
         white noise would have to be smoothed with to have their autocorrelation exp(−Δ²/(4ℓ²)); 0 where
         rows err independently.
+    reasons
+        What a reader of the numbers must know about the extraction.
     row_start
         (row + 1,) where each row's peaks begin: those of row r are ``row_start[r]:row_start[r + 1]``.
     """
@@ -53,6 +56,7 @@ class Peaks:
     width_px: Floats
     flags: NDArray[np.uint8]
     correlation_rows: float = 0.0
+    reasons: tuple[Reason, ...] = ()
     row_start: Integers = field(init=False)
 
     def __post_init__(self) -> None:

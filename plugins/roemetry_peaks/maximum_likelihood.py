@@ -1,0 +1,308 @@
+"""Maximum likelihood of each stripe's centre under the camera's noise and the laser's speckle."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
+
+import numpy as np
+from pydantic import Field
+
+from roemetry.arrays import Flags, Floats, Integers
+from roemetry.records import EDGE, SATURATED, Frame, Peaks, Reason
+from roemetry.stages import Capabilities, Extractor, StageOptions
+from roemetry_kernels.grey_levels import grey, plain_layout, scaled_level
+from roemetry_peaks.finding import searched
+from roemetry_peaks.noise_file import noise_of_file
+from roemetry_peaks.speckle import ROUNDING, TILES, StripeNoise, noise_from, tile_of
+
+if TYPE_CHECKING:
+    from roemetry_kernels.smoothed_peaks import Starts
+    from roemetry_kernels.stripe_background import Beside
+
+_NOISES = 8.0  # of the smoothed image, that a stripe rises above both valleys
+_LEVELS_MIN = 2.0  # grey levels of 0…255 that it rises at least
+_AMPLITUDE_NOISES = 5.0  # of one pixel beside the stripe, that a fitted stripe is high
+_FWHM = 2.3548200450309493  # full width at half height of a Gaussian, standard deviations
+_SAMPLES = (480, 960)  # peaks that tell of the noise, in the first and the second pass
+_GOLDEN = 0.6180339887498949
+_FIRST_CONTRAST = 0.1
+_GAIN_GUESS = 0.02  # grey levels of 0…255 per electron, before it is estimated
+_CUT = 2.0  # a stripe nearer to the left or right border than so many standard deviations is cut off
+
+
+class MaximumLikelihoodOptions(StageOptions):
+    """Options of `MaximumLikelihood`."""
+
+    threshold: Annotated[float, Field(ge=1.0, le=255.0)] | Literal["auto"] = Field(
+        default="auto",
+        description="grey levels (of 0…255, scaled for deeper images) by which a stripe must rise above both "
+        "valleys, in the lightly smoothed image; auto: 8 times the noise of that image, at least 2",
+    )
+    width_min_px: float = Field(
+        default=2.0,
+        ge=0.0,
+        le=100.0,
+        description="smallest full width at half height, px: rejects hot pixels",
+    )
+    width_max_px: float = Field(
+        default=40.0, gt=0.0, le=90.0, description="largest full width at half height, px: rejects glare"
+    )
+    region: tuple[int, int, int, int] | None = Field(
+        default=None,
+        description="part of the (turned) image to search: first row, row after the last, first column, "
+        "column after the last, px; none: all of it",
+    )
+    speckle_contrast: Annotated[float, Field(ge=0.0, le=1.0)] | Literal["auto"] = Field(
+        default="auto",
+        description="standard deviation of the stripe's light over its mean; auto: estimated from each "
+        "image, for each of 4 × 12 tiles",
+    )
+    speckle_length_px: float = Field(
+        default=0.8,
+        ge=0.1,
+        le=1.5,
+        description="correlation length of the speckle, px, if speckle_contrast is a number: neighbouring "
+        "pixels correlate by exp(−1/(4 length²))",
+    )
+    noise: Path | None = Field(
+        default=None,
+        description="noise measured beforehand by python -m roemetry_peaks.measure_noise: read noise, gain "
+        "and speckle contrast by tile; nothing is then estimated from the image",
+    )
+
+
+class Fitted(NamedTuple):
+    """Fits, one element a peak."""
+
+    x_px: Floats
+    amplitude: Floats
+    sigma_px: Floats
+    x_std_px: Floats
+    speckled: Floats
+    state: Any
+
+
+class MaximumLikelihood(Extractor[MaximumLikelihoodOptions]):
+    """Fits a Gaussian's centre, height and width to each row's stripe, weighted by each pixel's noise."""
+
+    Options: ClassVar[type[StageOptions]] = MaximumLikelihoodOptions
+    capabilities = Capabilities(tolerance_px=0.02, saturated_tolerance_px=0.1)
+
+    def extract(self, frame: Frame) -> Peaks:
+        """Find the stripes of a frame."""
+        from roemetry_kernels.gaussian_fisher import CLIPPED
+
+        image, found = starts(frame, self.options)
+        noise = found.noise if found.noise is not None else estimated_noise(image, frame.white, found)
+        at = found.starts
+        fit = fitted(image, frame.white, found, noise, np.arange(at.row.shape[0]))
+        kept = self._kept(fit, found, noise)
+        order = np.flatnonzero(kept)[np.lexsort((fit.x_px[kept], at.row[kept]))]
+        order = order[_apart(at.row[order], fit.x_px[order], fit.sigma_px[order])]
+        x_px, sigma_px = fit.x_px[order], fit.sigma_px[order]
+        beyond = _CUT * sigma_px
+        flags = np.where(fit.state[order] == CLIPPED, SATURATED, 0)
+        flags |= np.where((x_px < beyond) | (x_px > image.shape[1] - 1 - beyond), EDGE, 0)
+        share = float(np.median(fit.speckled[order])) if order.size else 0.0
+        return Peaks(
+            image_size=frame.size,
+            row=at.row[order] + found.top,
+            x_px=x_px + found.left,
+            x_std_px=fit.x_std_px[order],
+            amplitude=fit.amplitude[order],
+            background=found.beside.height[order],
+            width_px=_FWHM * sigma_px,
+            flags=flags.astype(np.uint8),
+            correlation_rows=_rows_of(share, noise.correlation),
+            reasons=() if found.measured else (_ESTIMATED,),
+        )
+
+    def _kept(self, fit: Fitted, found: Found, noise: StripeNoise) -> Flags:
+        options = self.options
+        width = _FWHM * fit.sigma_px
+        quiet = np.sqrt(noise.variance + noise.gain * np.maximum(found.beside.height, 0.0))
+        kept: Flags = (
+            (fit.state > 0)
+            & (width >= options.width_min_px)
+            & (width <= options.width_max_px)
+            & (fit.amplitude > _AMPLITUDE_NOISES * quiet)
+            & (np.abs(fit.x_px - 0.5 * (found.columns - 1)) <= 0.5 * found.columns)
+        )
+        return kept
+
+
+class Found(NamedTuple):
+    """Stripes of an image before they are fitted, and what is known of the noise.
+
+    Attributes
+    ----------
+    starts, beside
+        Where fits start, and the light beside the stripes.
+    variance, gain
+        R, grey levels², and g, grey levels; None where not known.
+    noise
+        The whole noise, where it is given.
+    measured
+        Whether read noise and gain are known.
+    top, left, columns
+        Place and width of the part that is searched.
+    """
+
+    starts: Starts
+    beside: Beside
+    variance: float | None
+    gain: float | None
+    noise: StripeNoise | None
+    measured: bool
+    top: int
+    left: int
+    columns: int
+
+
+_ESTIMATED = Reason(
+    "noise-estimated", "the camera's gain and read noise are not known; they were estimated from the image"
+)
+
+
+def starts(frame: Frame, options: MaximumLikelihoodOptions) -> tuple[Any, Found]:
+    """Find where to fit; gives the searched part of the image with it."""
+    from roemetry_kernels.smoothed_peaks import NOISE_LEFT, background_noise, smoothed_peaks
+    from roemetry_kernels.stripe_background import light_beside
+
+    area = searched(frame, options.region)
+    image = plain_layout(grey(frame)[area.top : area.bottom, area.left : area.right])
+    given = None
+    variance, gain = _sensor(frame)
+    if options.noise is not None:
+        given = noise_of_file(options.noise, frame, area)
+        variance, gain = given.variance, given.gain
+    elif options.speckle_contrast != "auto" and variance is not None and gain is not None:
+        given = _noise_as_told(options, variance, gain)
+    quiet = max(background_noise(image) ** 2, ROUNDING if variance is None else variance)
+    slope = 0.0 if gain is None else gain
+    level = (np.arange(256) + 0.5) / 256.0 * frame.white
+    if options.threshold == "auto":
+        rise = _NOISES * NOISE_LEFT * np.sqrt(np.maximum(quiet, (variance or 0.0) + slope * level))
+        rise = np.maximum(rise, scaled_level(_LEVELS_MIN, frame))
+    else:
+        rise = np.full(256, scaled_level(options.threshold, frame))
+    where = smoothed_peaks(image, rise, frame.white)
+    beside = light_beside(image, where, math.sqrt(quiet), slope)
+    measured = variance is not None and gain is not None
+    return image, Found(where, beside, variance, gain, given, measured, area.top, area.left, image.shape[1])
+
+
+def _sensor(frame: Frame) -> tuple[float | None, float | None]:
+    """R and g, as far as the frame knows them."""
+    if frame.sensor is None:
+        return None, None
+    read, gain = frame.sensor.read_noise_grey, frame.sensor.gain_grey_per_electron
+    return (None if math.isnan(read) else read**2 + ROUNDING), (None if math.isnan(gain) else gain)
+
+
+def _noise_as_told(options: MaximumLikelihoodOptions, variance: float, gain: float) -> StripeNoise:
+    contrast2 = np.full(TILES, float(options.speckle_contrast) ** 2)
+    return StripeNoise(variance, gain, math.exp(-0.25 / options.speckle_length_px**2), contrast2)
+
+
+def estimated_noise(image: Any, white: int, found: Found) -> StripeNoise:
+    """Estimate the noise from the image in two passes; each fits a sample of the peaks."""
+    guess = (found.variance or ROUNDING, _GAIN_GUESS * white / 255.0 if found.gain is None else found.gain)
+    noise = StripeNoise(*guess, 0.0, np.full(TILES, _FIRST_CONTRAST**2))
+    for size in _SAMPLES:
+        noise = noise_from(
+            *products_of(image, white, found, noise, size), variance=found.variance, gain=found.gain
+        )
+    return noise
+
+
+def products_of(
+    image: Any, white: int, found: Found, noise: StripeNoise, size: int
+) -> tuple[Floats, Integers, Floats]:
+    """Fit a sample of the peaks, and give their residual products, the tiles they lie in, and their C²."""
+    from roemetry_kernels.residual_noise import residual_products
+
+    peaks = found.starts.row.shape[0]
+    pick = _spread(peaks, size)
+    row = found.starts.row[pick]
+    contrast2 = noise.contrast2_at(image.shape, row, found.starts.x_px[pick])
+    alone = StripeNoise(noise.variance, noise.gain, 0.0, noise.contrast2)
+    fit = fitted(image, white, found, alone, pick)
+    slope = found.beside.slope[pick]
+    height = found.beside.height[pick] + slope * (fit.x_px - found.starts.x_px[pick])
+    products = residual_products(
+        image,
+        float(white),
+        row,
+        fit.x_px,
+        fit.amplitude,
+        fit.sigma_px,
+        height,
+        slope,
+        noise.variance,
+        noise.gain,
+        contrast2,
+        fit.state,
+    )
+    return products, tile_of(image.shape, row, fit.x_px), contrast2
+
+
+def _spread(peaks: int, size: int) -> Integers:
+    """Numbers of some of the peaks, spread over all; in equal steps they might be one stripe's."""
+    if peaks <= size:
+        return np.arange(peaks)
+    within = (np.arange(size) * _GOLDEN) % 1.0
+    return ((np.arange(size) + within) * (peaks / size)).astype(np.int64)
+
+
+def fitted(image: Any, white: int, found: Found, noise: StripeNoise, pick: Integers) -> Fitted:
+    """Fit the chosen peaks."""
+    from roemetry_kernels.gaussian_fisher import fit_peaks
+
+    at, beside = found.starts, found.beside
+    row, x_px = at.row[pick], at.x_px[pick]
+    contrast2 = noise.contrast2_at(image.shape, row, x_px)
+    fit = Fitted(
+        x_px,
+        at.amplitude[pick],
+        beside.sigma_px[pick],
+        np.full(pick.size, np.nan),
+        np.zeros(pick.size),
+        np.zeros(pick.size, np.uint8),
+    )
+    fit_peaks(
+        image,
+        float(white),
+        row,
+        *fit[:3],
+        beside.height[pick],
+        beside.slope[pick],
+        noise.variance,
+        noise.gain,
+        contrast2,
+        noise.correlation,
+        *fit[3:],
+    )
+    return fit
+
+
+def _apart(row: Integers, x_px: Floats, sigma_px: Floats) -> Flags:
+    """Say which peaks do not coincide with the one before, of peaks sorted by row, then x."""
+    apart = np.ones(row.shape[0], np.bool_)
+    if row.shape[0]:
+        apart[1:] = (np.diff(row) > 0) | (np.diff(x_px) > 0.5 * np.minimum(sigma_px[1:], sigma_px[:-1]))
+    return apart
+
+
+def _rows_of(share: float, correlation: float) -> float:
+    """Give the correlation along the stripe: speckle is as long along it as across, all else independent."""
+    if share <= 0.0 or correlation <= 0.0:
+        return 0.0
+    length = math.sqrt(-0.25 / math.log(correlation))
+    rows = np.arange(1, 8)
+    target = share * float(np.exp(-(rows**2) / (4.0 * length**2)).sum())
+    lengths = np.linspace(0.1, 2.0, 200)
+    sums = np.exp(-(rows**2) / (4.0 * lengths[:, None] ** 2)).sum(1)
+    return float(np.interp(target, sums, lengths))

@@ -1,0 +1,167 @@
+"""The noise of stripes, from what fits leave: read noise, shot noise, speckle's contrast by tile."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roemetry.arrays import Floats, Integers
+
+TILES = (4, 12)
+"""Rows and columns of tiles that the image is cut into; each has a speckle contrast of its own."""
+ROUNDING = 1.0 / 12.0
+"""Variance of rounding to whole grey levels."""
+_PEAKS_MIN = 6  # a tile with fewer has the image's contrast
+_SECOND_ORDER = 1.3  # a fit follows strong speckle further than its linear leverage tells; found by drawing
+_CORRELATIONS = np.linspace(0.0, 0.9, 181)
+_LAGS = _CORRELATIONS[:, None] ** np.array([0.0, 1.0, 4.0, 9.0])
+_USUAL, _USUAL_STD = 0.5, 0.25  # the correlation of neighbouring pixels, where the image says little
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class StripeNoise:
+    """The noise of a stripe's pixels: variance R + g μ + C² m², μ all light, m the stripe's.
+
+    Attributes
+    ----------
+    variance
+        R: read noise and rounding, grey levels².
+    gain
+        g: grey levels per electron.
+    correlation
+        Of the speckle of neighbouring pixels along a row, 0 to 0.9.
+    contrast2
+        (row, column) C² of the image's `TILES`.
+    """
+
+    variance: float
+    gain: float
+    correlation: float
+    contrast2: Floats
+
+    def contrast2_at(self, image_size: tuple[int, int], row: Integers, x_px: Floats) -> Floats:
+        """(peak,) C² of the tile that each peak lies in."""
+        down, across = self.contrast2.shape
+        tile: Floats = self.contrast2[
+            np.clip(row * down // image_size[0], 0, down - 1),
+            np.clip((x_px * across / image_size[1]).astype(np.int64), 0, across - 1),
+        ]
+        return tile
+
+
+def tile_of(image_size: tuple[int, int], row: Integers, x_px: Floats) -> Integers:
+    """(peak,) number of the tile each peak lies in, row by row."""
+    down, across = TILES
+    column: Integers = np.clip((x_px * across / image_size[1]).astype(np.int64), 0, across - 1)
+    numbers: Integers = np.clip(row * down // image_size[0], 0, down - 1) * across + column
+    return numbers
+
+
+def noise_from(
+    products: Floats, tile: Integers, contrast2: Floats, *, variance: float | None, gain: float | None
+) -> StripeNoise:
+    """Solve for the noise that makes residuals what they are.
+
+    Parameters
+    ----------
+    products
+        (peak, 4, 7) from `roemetry_kernels.residual_noise.residual_products`.
+    tile
+        (peak,) tile each peak lies in.
+    contrast2
+        (peak,) C² that the peaks were fitted with.
+    variance, gain
+        R, grey levels², and g, grey levels, where they are known; None: estimated.
+    """
+    said = products[:, 2, 2] > 0.0
+    products, tile, contrast2 = products[said], tile[said], contrast2[said]
+    if not tile.size:
+        return StripeNoise(variance or ROUNDING, gain or 0.0, _USUAL, np.zeros(TILES))
+    correlation = _USUAL
+    for _ in range(2 if variance is None or gain is None else 1):
+        if variance is None or gain is None:
+            read, shot = _sensor(products.sum(0), _lags(correlation), variance, gain)
+        else:
+            read, shot = variance, gain
+        # What R and g leave: products of a pixel with itself and with the next one, by cause.
+        own = products[:, 2, 0] - products[:, 2, 1] * read - products[:, 2, 2] * shot
+        next_ = products[:, 3, 0] - products[:, 3, 1] * read - products[:, 3, 2] * shot
+        # Products go with 1/C⁴; where there is no speckle they say nothing of its correlation.
+        share = (contrast2 / max(contrast2.max(), 1e-12))[:, None] ** 2
+        correlation = _correlation(
+            np.column_stack([next_, own]) * share, products[:, 2, 3:] * share, products[:, 3, 3:] * share
+        )
+    by_tile = _by_tile(own, products[:, 2, 3:] @ _lags(correlation), tile)
+    by_tile = by_tile * (1.0 + _SECOND_ORDER * by_tile)
+    return StripeNoise(read, shot, correlation, by_tile.reshape(TILES))
+
+
+def _lags(correlation: float) -> NDArray[np.float64]:
+    """Correlation of pixels 0, 1, 2, 3 apart, of white noise smoothed by a Gaussian."""
+    return np.asarray(correlation ** np.array([0.0, 1.0, 4.0, 9.0]))
+
+
+def _sensor(sums: Floats, lags: Floats, variance: float | None, gain: float | None) -> tuple[float, float]:
+    """R and g by moments; what comes out negative is 0, and the others are solved for again."""
+    matrix = np.column_stack([sums[:3, 1:3], sums[:3, 3:] @ lags])
+    target = sums[:3, 0].copy()
+    known = {0: variance, 1: gain}
+    for cause, value in known.items():
+        if value is not None:
+            target -= matrix[:, cause] * value
+    free = [cause for cause in range(3) if known.get(cause) is None]
+    solved = {cause: value for cause, value in known.items() if value is not None}
+    while free:
+        found = np.linalg.lstsq(matrix[np.ix_(free, free)], target[free], rcond=None)[0]
+        lowest = int(np.argmin(found))
+        if found[lowest] >= 0.0:
+            solved |= dict(zip(free, map(float, found), strict=True))
+            break
+        solved[free.pop(lowest)] = 0.0
+    return max(solved[0], ROUNDING), solved[1]
+
+
+def _correlation(left: Floats, by_own: Floats, by_next: Floats) -> float:
+    """Correlation of neighbours' speckle: the one whose C² explains both kinds of product.
+
+    Of each peak `left` are the products with the next pixel and of pixels with themselves; `by_own` and
+    `by_next` are what a unit of C² adds to them, by lag.
+    """
+    unit_own, unit_next = _LAGS @ by_own.sum(0), _LAGS @ by_next.sum(0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        contrast2 = left[:, 1].sum() / unit_own
+        ratio = unit_next / unit_own
+        # What is left of each peak's products, as factors of its ten numbers, and its scatter over peaks.
+        factors = np.column_stack(
+            [np.ones(ratio.size), -ratio, -contrast2[:, None] * _LAGS, (contrast2 * ratio)[:, None] * _LAGS]
+        )
+        numbers = np.column_stack([left, by_next, by_own])
+        scatter = np.einsum("ca,ab,cb->c", factors, numbers.T @ numbers, factors)
+        doubt = (factors @ numbers.sum(0)) ** 2 / scatter + ((_CORRELATIONS - _USUAL) / _USUAL_STD) ** 2
+    doubt = np.where((contrast2 > 0.0) & (unit_own > 0.0) & np.isfinite(doubt), doubt, np.inf)
+    return float(_CORRELATIONS[int(np.argmin(doubt))]) if np.isfinite(doubt).any() else _USUAL
+
+
+def _by_tile(own: Floats, unit: Floats, tile: Integers) -> Floats:
+    """C² of each tile, drawn to the image's as far as the tiles' differences are no more than chance."""
+    tiles = TILES[0] * TILES[1]
+    mean = max(float(own.sum() / unit.sum()), 0.0) if unit.sum() > 0.0 else 0.0
+    count = np.bincount(tile, minlength=tiles)
+    units = np.bincount(tile, unit, tiles)
+    enough = (count >= _PEAKS_MIN) & (units > 0.0)
+    if enough.sum() < 2:
+        return np.full(tiles, mean)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        contrast2 = np.where(enough, np.bincount(tile, own, tiles) / units, mean)
+        left = own - contrast2[tile] * unit
+        scatter = np.bincount(tile, left**2, tiles) / units**2 * count / (count - 1)
+        # No less than squares of normal residuals scatter: few peaks may agree by chance.
+        chance = np.maximum(scatter, 2.0 / units)[enough]
+    found, weight = contrast2[enough], count[enough] / count[enough].sum()
+    mean = float(weight @ found)
+    true = max(float(weight @ (found - mean) ** 2 - weight @ chance), 0.0)
+    shrunk: Floats = np.full(tiles, max(mean, 0.0))
+    shrunk[enough] = np.maximum(mean + true / (true + chance) * (found - mean), 0.0)
+    return shrunk
