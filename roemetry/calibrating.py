@@ -17,6 +17,7 @@ from roemetry.records import (
     Acquisition,
     AcquisitionReference,
     CalibrationSet,
+    Evidence,
     Frame,
     Observation,
     Peaks,
@@ -36,6 +37,17 @@ def calibrate(rig: Rig, *, registry: Registry | None = None) -> Calibration:
         An image cannot be read.
     """
     observed, hashes = observe(rig, registry or discover())
+    return _calibrated(rig, observed, hashes)
+
+
+def calibrate_with_evidence(rig: Rig, *, registry: Registry | None = None) -> tuple[Calibration, Evidence]:
+    """Calibrate, and give what the calibrator can show for it; raises as `calibrate`."""
+    observed, hashes = observe(rig, registry or discover())
+    calibration = _calibrated(rig, observed, hashes)
+    return calibration, rig.calibrator.make().evidence(observed, calibration)
+
+
+def _calibrated(rig: Rig, observed: CalibrationSet, hashes: dict[str, str]) -> Calibration:
     calibration: Calibration = rig.calibrator.make().calibrate(observed)
     return replace(calibration, image_sha256=hashes, made=datetime.now(UTC).isoformat(timespec="seconds"))
 

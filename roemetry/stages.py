@@ -21,6 +21,7 @@ from roemetry.records import (
     Acquisition,
     AcquisitionReference,
     CalibrationSet,
+    Evidence,
     Frame,
     Grade,
     Measurement,
@@ -134,6 +135,10 @@ class Calibrator(Stage[OptionsT]):
     @abstractmethod
     def calibrate(self, observed: CalibrationSet) -> Calibration:
         """Calibrate, or refuse by a CalibrationError that says why and what to do."""
+
+    def evidence(self, observed: CalibrationSet, calibration: Calibration) -> Evidence:
+        """Show what speaks for a calibration that was made from these observations: for its page."""
+        return Evidence()
 
 
 class Triangulator(Stage[OptionsT]):

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from roemetry.calibration import Calibration
+    from roemetry.records import Evidence
 
 
 def calibrate(
@@ -18,15 +22,23 @@ def calibrate(
         list[str] | None,
         typer.Option("--set", metavar="KEY=VALUE", help="Change the rig, e.g. working_distance_mm=320."),
     ] = None,
+    report: Annotated[
+        Path | None, typer.Option("--report", help="Write a page (HTML) about the calibration to this file.")
+    ] = None,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
     """Make a calibration from images of known things, or refuse with the reason."""
     from roemetry.calibrating import calibrate as calibrate_rig
-    from roemetry.calibrating import default_path
+    from roemetry.calibrating import calibrate_with_evidence, default_path
+    from roemetry.records import Evidence
     from roemetry.rig import Rig
 
     loaded = Rig.load(rig, sets=sets or ())
-    calibration = calibrate_rig(loaded)
+    evidence = Evidence()
+    if report is None:
+        calibration = calibrate_rig(loaded)
+    else:
+        calibration, evidence = calibrate_with_evidence(loaded)
     path = out or default_path(loaded)
     calibration.save(path)
     typer.echo(f"{path}: {calibration.method}, {calibration.stripe_count} stripes")
@@ -34,3 +46,18 @@ def calibrate(
         typer.echo(f"  {name}: {value:.4g}")
     for note in calibration.notes:
         typer.echo(f"  {note}")
+    for sentence in evidence.verdict:
+        typer.echo(f"  {sentence}")
+    if report is not None:
+        _write_page(report, calibration, evidence, loaded.file.name)
+        typer.echo(f"{report}")
+
+
+def _write_page(path: Path, calibration: Calibration, evidence: Evidence, name: str) -> None:
+    from roemetry.evidence import page
+    from roemetry.files import write_whole
+    from roemetry.registry import discover
+
+    registry = discover()
+    triangulator = registry.load(registry.find("triangulator", calibration.method))()
+    write_whole(path, page(calibration, evidence, triangulator, name=name))

@@ -1,6 +1,7 @@
 """The records that go from stage to stage: frozen, checked when made, arrays read-only, invalid is NaN."""
 
 from roemetry.records.acquisition import Acquisition, AcquisitionReference, Frame, Role, Sensor
+from roemetry.records.evidence import Evidence, EvidenceFigure, Residuals
 from roemetry.records.measurement import Coding, Measurement, Status
 from roemetry.records.observations import Block, Board, CalibrationSet, Observation, Staircase
 from roemetry.records.outcome import Estimate, Grade, Marks, Shares, Volume, Weight
@@ -36,6 +37,8 @@ __all__ = [
     "CalibrationSet",
     "Coding",
     "Estimate",
+    "Evidence",
+    "EvidenceFigure",
     "Frame",
     "Grade",
     "Marks",
@@ -55,6 +58,7 @@ __all__ = [
     "ProductTruth",
     "Profiles",
     "Reason",
+    "Residuals",
     "Role",
     "Sensor",
     "Shares",
