@@ -40,13 +40,15 @@ def assemble(
 
 def _only(profiles: Profiles, number: int) -> Profiles:
     mine = profiles.product == number
+    # adding NaN takes a third of the time of choosing between a number and NaN
+    others = np.where(mine, 0.0, np.nan)
     return Profiles(
-        xyz_mm=np.where(mine[:, :, None], profiles.xyz_mm, np.nan),
+        xyz_mm=profiles.xyz_mm + others[:, :, None],
         product=np.where(mine, profiles.product, _NOTHING),
         seen=profiles.seen & mine,
-        x_px=np.where(mine, profiles.x_px, np.nan),
-        row_px=np.where(mine, profiles.row_px, np.nan),
-        height_std_mm=np.where(mine, profiles.height_std_mm, np.nan),
+        x_px=profiles.x_px + others,
+        row_px=profiles.row_px + others,
+        height_std_mm=profiles.height_std_mm + others,
         stripe=profiles.stripe,
         frame=profiles.frame,
         plane=profiles.plane,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -35,6 +36,11 @@ class Chosen:
 
     def described(self) -> dict[str, Any]:
         """Name, provider with version, and every option with its value; of a file its name and its hash."""
+        return dict(self._described)
+
+    @cached_property
+    def _described(self) -> dict[str, Any]:
+        """Made once: every row of a run asks, and files are hashed for it."""
         options = self.options.model_dump(mode="json")
         for name, path in _paths(self.options).items():
             options[name] = f"{path.name} sha256 {sha256_of(path)}"

@@ -80,7 +80,7 @@ def _calibrated(
     provenance: Mapping[str, str],
 ) -> Measurement:
     profiles = product.product.profiles
-    heights = profiles.xyz_mm[:, :, 2]
+    heights = np.ascontiguousarray(profiles.xyz_mm[:, :, 2])
     height_max = float(np.fmax.reduce(heights, axis=None, initial=math.nan))
     low, high = product.product.calibration.height_range_mm
     reasons = [*product.absent.values(), *warnings, *product.product.reasons]

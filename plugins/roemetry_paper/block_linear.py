@@ -44,9 +44,8 @@ class BlockLinear(Triangulator[StageOptions]):
         row_px = np.broadcast_to(np.arange(rows, dtype=np.float64), (count, rows))
         xyz_mm = np.empty((count, rows, 3))
         xyz_mm[:, :, 0] = (stripes.x_px - (columns - 1) / 2.0) * scale
-        xyz_mm[:, :, 1] = ((rows - 1) / 2.0 - row_px) * scale
+        xyz_mm[:, :, 1] = np.where(np.isnan(stripes.x_px), np.nan, ((rows - 1) / 2.0 - row_px) * scale)
         xyz_mm[:, :, 2] = omega[:, None] * (stripes.x_px - stripes.rest_px)
-        xyz_mm[np.isnan(stripes.x_px)] = np.nan
         return Profiles(
             xyz_mm=xyz_mm,
             product=stripes.product,
