@@ -2,6 +2,9 @@
 
 The line was marked by hand on the image at full size: six points, straight between them; the bottom of the
 groove has no light of its own. The image is turned by 90°, so that the line crosses the rows.
+
+What looks at one row cannot know that a small bright spot is a reflection. So the peaks also go through the
+coder `window-tracking`, which needs no calibration: what it makes a stripe of is the profile.
 """
 
 from __future__ import annotations
@@ -16,6 +19,10 @@ import numpy as np
 from benchmarks.extraction.tables import Table, number, percent
 from benchmarks.real_images import folder_of, prepared, sound
 from benchmarks.real_images.overlay import overlay
+from roemetry.arrays import Floats
+from roemetry.errors import RoemetryError
+from roemetry.records import Peaks
+from roemetry.registry import discover
 from roemetry.stages import Extractor
 
 LINE = ((2.0, 390.0), (518.0, 385.5), (735.0, 585.0)), ((818.0, 588.0), (1042.0, 394.5), (1278.0, 400.0))
@@ -47,12 +54,14 @@ def weld(stages: Mapping[str, Extractor[Any]], out: Path | None) -> Table | str:
                     continue
                 used = type(stage)(stage.options.model_copy(update={"width_max_px": limit}))
                 label = f"{name}, widths to {limit:.0f} px"
-            row, x_px = sound(used.extract(frame))
+            peaks = used.extract(frame)
+            row, x_px = sound(peaks)
             near = np.abs(x_px - line[row]) <= NEAR_PX
             seen = np.zeros(columns, bool)
             seen[row[near]] = True
             lit = np.isfinite(line)
             off = np.abs(x_px - line[row])[near]
+            profile = profile_of(peaks, line)
             rows.append(
                 [
                     label,
@@ -61,6 +70,7 @@ def weld(stages: Mapping[str, Extractor[Any]], out: Path | None) -> Table | str:
                     str(int((~near).sum())),
                     str(int(np.unique(row[~near]).size)),
                     str(int(near.sum() - seen.sum())),
+                    profile,
                 ]
             )
             if out is not None:
@@ -74,6 +84,23 @@ def weld(stages: Mapping[str, Extractor[Any]], out: Path | None) -> Table | str:
             "peaks off the line",
             "columns with such",
             "second peaks on the line",
+            "profile: stripes; columns of the line, %; points off the line",
         ],
         rows,
     )
+
+
+def profile_of(peaks: Peaks, line: Floats) -> str:
+    """Code the peaks, and say what became of the line and of what lies off it."""
+    registry = discover()
+    coder = registry.load(registry.find("coder", "window-tracking"))()
+    try:
+        stripes = coder.code(peaks, None)
+    except RoemetryError as refusal:
+        return f"refused: {str(refusal).splitlines()[0]}"
+    seen = np.where(stripes.seen, stripes.x_px, np.nan)
+    known = np.isfinite(line)
+    near = np.abs(seen - line) <= NEAR_PX
+    on_line = near.any(axis=0)[known].mean() if len(near) else 0.0
+    off = int((np.isfinite(seen) & ~near & known).sum())
+    return f"{stripes.stripe_count}; {100.0 * on_line:.1f}; {off}"
