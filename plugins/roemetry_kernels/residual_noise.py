@@ -79,9 +79,8 @@ def residual_products(
             w[i] = 0.0 if f[first + i] >= white else 1.0 / v
             good &= w[i] * r[i] * r[i] <= _OUTLIER * _OUTLIER
             jac[i, 0], jac[i, 1], jac[i, 2] = m[i] * z, e, m[i] * z * d
-        if not good:
+        if not good or not _hat(jac, w, n, hat):
             continue
-        _hat(jac, w, n, hat)
         for i in range(n):
             weight[i, 0] = w[i] * w[i]
             weight[i, 1] = weight[i, 0] * mu[i]
@@ -96,8 +95,11 @@ def residual_products(
 
 
 @kernel
-def _hat(jac: Floats, w: Floats, n: int, hat: Floats) -> None:
-    """(pixel, parameter) what a unit in a pixel adds to the fitted parameters: (J'WJ)⁻¹ J'W."""
+def _hat(jac: Floats, w: Floats, n: int, hat: Floats) -> bool:
+    """(pixel, parameter) what a unit in a pixel adds to the fitted parameters: (J'WJ)⁻¹ J'W.
+
+    Gives whether the pixels below white determine the parameters at all.
+    """
     a = np.zeros((3, 3))
     for i in range(n):
         for j in range(3):
@@ -108,11 +110,14 @@ def _hat(jac: Floats, w: Floats, n: int, hat: Floats) -> None:
     c11, c12 = a[0, 0] * a[2, 2] - a02 * a02, a01 * a02 - a[0, 0] * a12
     c22 = a[0, 0] * a[1, 1] - a01 * a01
     det = a[0, 0] * c00 + a01 * c01 + a02 * c02
+    if not det > 0.0:
+        return False
     for i in range(n):
         j0, j1, j2, s = jac[i, 0], jac[i, 1], jac[i, 2], w[i] / det
         hat[i, 0] = s * (c00 * j0 + c01 * j1 + c02 * j2)
         hat[i, 1] = s * (c01 * j0 + c11 * j1 + c12 * j2)
         hat[i, 2] = s * (c02 * j0 + c12 * j1 + c22 * j2)
+    return True
 
 
 @kernel
