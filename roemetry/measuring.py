@@ -7,6 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from roemetry.calibration import Calibration
 from roemetry.pipeline import UNCALIBRATED
 from roemetry.recipe import Recipe
 from roemetry.records import (
@@ -227,6 +228,19 @@ def _warnings(recipe: Recipe) -> tuple[Reason, ...]:
     calibration = recipe.calibration
     if calibration is None:
         return (UNCALIBRATED,)
+    light = recipe.penetration
+    if light is not None and light.calibration_sha256 != calibration.sha256:
+        return (
+            Reason(
+                "penetration-other-calibration",
+                f"the penetration offset of {light.offset_mm:.3f} mm was measured with another calibration",
+            ),
+            *_other_extractor(recipe, calibration),
+        )
+    return _other_extractor(recipe, calibration)
+
+
+def _other_extractor(recipe: Recipe, calibration: Calibration) -> tuple[Reason, ...]:
     made_with, now = calibration.extractor, recipe.stages["extractor"].described()
     if not made_with or all(made_with.get(key) == now[key] for key in ("use", "options")):
         return ()

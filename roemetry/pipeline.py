@@ -12,6 +12,7 @@ import numpy as np
 from roemetry.assembling import assemble
 from roemetry.calibration import Calibration
 from roemetry.errors import RoemetryError
+from roemetry.penetration import raised
 from roemetry.preparing import prepare, prepare_plain
 from roemetry.propagation import Chain, Scene, propagate
 from roemetry.recipe import Recipe
@@ -129,6 +130,9 @@ class Pipeline:
             profiles = steps.do(
                 "triangulator", lambda: self._stages["triangulator"].triangulate(stripes, calibration)
             )
+        penetration = self.recipe.penetration
+        if profiles is not None and penetration is not None:
+            profiles = raised(profiles, penetration.offset_mm)
         if profiles is not None and stripes is not None and calibration is not None:
             if self._view is None:  # the calibration never changes: neither does this
                 self._view = self._stages["triangulator"].view(calibration)
@@ -138,7 +142,8 @@ class Pipeline:
                 self._outcome(product, doubt or _cut_off(stripes, product.number), steps.seconds)
                 for product in assembled
             )
-            products = self._drawn(products, Scene(acquisition.id, stripes, outlines, calibration), steps)
+            scene = Scene(acquisition.id, stripes, outlines, calibration, penetration)
+            products = self._drawn(products, scene, steps)
         return Trace(
             acquisition_id=acquisition.id,
             acquisition=acquisition,

@@ -18,6 +18,7 @@ from roemetry.calibration import Calibration
 from roemetry.choosing import Chooser, Chosen
 from roemetry.errors import ConfigurationError, RoemetryError
 from roemetry.overrides import Overridden
+from roemetry.penetration import Penetration
 from roemetry.recipe_file import NEEDS, CalibrationCheck, RecipeFile, SourceChoice
 from roemetry.records import Sensor
 from roemetry.registry import Registry, discover
@@ -41,6 +42,8 @@ class Recipe:
         What the source reads.
     calibration_path, calibration
         None where the recipe has none: results are then in pixels.
+    penetration
+        What is added to heights because light enters the product; None: nothing.
     calibration_check
         What is asked of the calibration; None: nothing.
     stages
@@ -59,6 +62,7 @@ class Recipe:
     source_path: Path
     calibration_path: Path | None
     calibration: Calibration | None
+    penetration: Penetration | None
     calibration_check: CalibrationCheck | None
     stages: Mapping[str, Chosen]
     draws: int
@@ -100,6 +104,7 @@ class Recipe:
             "source": source,
             "calibration": None if self.calibration is None else self.calibration.sha256,
             "stages": {kind: chosen.described() for kind, chosen in self.stages.items()},
+            "penetration": None if self.penetration is None else self.penetration.sha256,
             "draws": self.draws,
             "sinks": [sink.described() for sink in self.sinks],
         }
@@ -149,6 +154,12 @@ def _resolve(path: Path, document: Overridden, file: RecipeFile, registry: Regis
                     "source",
                     "turn_deg",
                 )
+    penetration = None
+    if file.penetration is not None:
+        try:
+            penetration = Penetration.load(path.parent / file.penetration)
+        except RoemetryError as error:
+            chooser.fault(str(error), "penetration")
     if chooser.faults or source is None:
         raise ConfigurationError(chooser.faults)
     return Recipe(
@@ -160,6 +171,7 @@ def _resolve(path: Path, document: Overridden, file: RecipeFile, registry: Regis
         source_path=path.parent / file.source.path,
         calibration_path=calibration_path,
         calibration=calibration,
+        penetration=penetration,
         calibration_check=file.calibration_check,
         stages=stages,
         draws=file.draws,

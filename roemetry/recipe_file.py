@@ -98,6 +98,10 @@ class RecipeFile(Section):
         default=None,
         description="calibration file; relative to the recipe. Without one, results are in pixels",
     )
+    penetration: str | None = Field(
+        default=None,
+        description="file of `roemetry fit-penetration` (light enters the product); relative to the recipe",
+    )
     calibration_check: CalibrationCheck | None = Field(
         default=None, description="when a doubt about the calibration stands on every measurement"
     )

@@ -3,6 +3,16 @@
 from roemetry.checking.chart import Chart
 from roemetry.checking.checking import check_calibration
 from roemetry.checking.doubting import calibration_doubts
+from roemetry.checking.fitting_penetration import fit_penetration
 from roemetry.checking.judging import Check, Quantity
+from roemetry.checking.known_block import block_of
 
-__all__ = ["Chart", "Check", "Quantity", "calibration_doubts", "check_calibration"]
+__all__ = [
+    "Chart",
+    "Check",
+    "Quantity",
+    "block_of",
+    "calibration_doubts",
+    "check_calibration",
+    "fit_penetration",
+]

@@ -49,7 +49,8 @@ def check_calibration(recipe: Recipe, image: Path, block: Block, chart: Path | N
             f"{recipe.path}: there is no calibration to check",
             hint="name one in `calibration`, and a triangulator in `stages`",
         )
-    trace = Pipeline(recipe, draws=0).trace(_read(recipe, image))
+    # The block is matt: what light does in the product is not to be added to it.
+    trace = _trace(replace(recipe, penetration=None), image)
     profiles = _profiles(trace, image)
     places = find_block(profiles, block)
     view = recipe.stages["triangulator"].make().view(calibration)
@@ -76,7 +77,16 @@ def check_calibration(recipe: Recipe, image: Path, block: Block, chart: Path | N
     return check
 
 
-def _read(recipe: Recipe, image: Path) -> Acquisition:
+def profiles_of(recipe: Recipe, image: Path) -> Profiles:
+    """Take one image through a recipe as far as its profiles; raise DataError where that cannot be done."""
+    return _profiles(_trace(recipe, image), image)
+
+
+def _trace(recipe: Recipe, image: Path) -> Trace:
+    return Pipeline(recipe, draws=0).trace(_read(image))
+
+
+def _read(image: Path) -> Acquisition:
     from roemetry.registry import discover
 
     registry = discover()

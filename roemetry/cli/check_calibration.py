@@ -10,8 +10,6 @@ import typer
 
 if TYPE_CHECKING:
     from roemetry.checking import Check
-    from roemetry.recipe import Recipe
-    from roemetry.records import Block
 
 
 def check_calibration(
@@ -40,7 +38,7 @@ def check_calibration(
     """
     from dataclasses import asdict
 
-    from roemetry.checking import Chart, check_calibration
+    from roemetry.checking import Chart, block_of, check_calibration
     from roemetry.checking.page import page
     from roemetry.errors import ConfigurationError
     from roemetry.files import write_whole
@@ -53,7 +51,7 @@ def check_calibration(
         raise ConfigurationError(
             "there is no chart to write a page of", hint="name one with --chart, or calibration_check.chart"
         )
-    check = check_calibration(loaded, image, _block(loaded, target), kept)
+    check = check_calibration(loaded, image, block_of(loaded, target), kept)
     if as_json:
         typer.echo(json.dumps(asdict(check), indent=2))
     else:
@@ -63,25 +61,6 @@ def check_calibration(
         typer.echo(f"{report}", err=as_json)
     if check.verdict == "out":
         raise typer.Exit(1)
-
-
-def _block(recipe: Recipe, target: Path | None) -> Block:
-    from roemetry.errors import ConfigurationError
-    from roemetry.records import Block
-    from roemetry.target_file import read_block
-
-    if target is not None:
-        given = read_block(target.name, target.parent)
-        if given is not None:
-            return given
-    known = dict(recipe.calibration.target) if recipe.calibration is not None else {}
-    if known.get("kind") != "block":
-        raise ConfigurationError(
-            "no block is described: the calibration was made from something else",
-            hint="name the block's description with --target",
-        )
-    sides = ("length_mm", "width_mm", "height_mm", "tolerance_mm")
-    return Block(str(known["name"]), *(float(known[side]) for side in sides))
 
 
 def _show(check: Check) -> None:

@@ -13,6 +13,7 @@ from roemetry.cli import (
     check_calibration,
     check_plugin,
     compare,
+    fit_penetration,
     lint,
     plan,
     plugins,
@@ -70,4 +71,5 @@ app.command()(compare.compare)
 app.command()(check_plugin.check_plugin)
 app.command()(check_calibration.check_calibration)
 app.command()(plan.plan)
+app.command()(fit_penetration.fit_penetration)
 app.command()(target.target)

@@ -105,6 +105,7 @@ def step_keys(recipe: Recipe) -> dict[str, str]:
             decided_by = [
                 chosen.described(),
                 [key_of(before) for before in _BEFORE[kind] if before in recipe.stages],
+                None if recipe.penetration is None else recipe.penetration.sha256,
                 recipe.calibration.sha256 if calibrated and recipe.calibration is not None else None,
                 source.model_dump(mode="json", exclude={"path"}),
             ]

@@ -12,10 +12,11 @@ from roemetry.arrays import Floats
 from roemetry.assembling import assemble
 from roemetry.calibration import Calibration
 from roemetry.errors import RoemetryError
+from roemetry.penetration import raised
 from roemetry.propagation.scene import Chain, Scene
 from roemetry.records import Outline, Product, StripeMap
 
-PEAKS, CALIBRATION, OUTLINE = "peak noise", "calibration", "outline"
+PEAKS, CALIBRATION, OUTLINE, PENETRATION = "peak noise", "calibration", "outline", "penetration"
 
 
 class Drawn:
@@ -38,6 +39,7 @@ class Drawn:
         self._std_px = np.nan_to_num(self._std_px)
         contours = any(math.isfinite(outline.xy_std_px) for outline in scene.outlines)
         known = {PEAKS: self.peaks_stated, CALIBRATION: True, OUTLINE: contours}
+        known[PENETRATION] = scene.penetration is not None
         self.causes = tuple(cause for cause, stated in known.items() if stated)
         self._bridged = (~stripes.seen) & np.isfinite(stripes.x_px)
 
@@ -55,10 +57,18 @@ class Drawn:
                     moved(found, float(self._rng.normal(0.0, np.nan_to_num(found.xy_std_px))))
                     for found in outlines
                 )
-            yield self.products(stripes, calibration, outlines)
+            light = scene.penetration
+            offset_mm = 0.0 if light is None else light.offset_mm
+            if light is not None and PENETRATION in causes:
+                offset_mm = float(self._rng.normal(offset_mm, light.std_mm))
+            yield self.products(stripes, calibration, outlines, offset_mm)
 
     def products(
-        self, stripes: StripeMap, calibration: Calibration, outlines: tuple[Outline, ...]
+        self,
+        stripes: StripeMap,
+        calibration: Calibration,
+        outlines: tuple[Outline, ...],
+        offset_mm: float = 0.0,
     ) -> Mapping[int, Product]:
         """Triangulate and assemble; empty where the drawn calibration makes that impossible."""
         triangulator = self._chain.triangulator
@@ -66,6 +76,8 @@ class Drawn:
             profiles = triangulator.triangulate(stripes, calibration)
         except RoemetryError:
             return {}
+        if offset_mm:
+            profiles = raised(profiles, offset_mm)
         view = triangulator.view(calibration)
         found = assemble(profiles, outlines, calibration, self._scene.acquisition_id, view=view)
         return {product.number: product for product in found}

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from roemetry.calibration import Calibration
+from roemetry.penetration import Penetration
 from roemetry.records import Outline, StripeMap
 
 
@@ -27,3 +28,4 @@ class Scene:
     stripes: StripeMap
     outlines: tuple[Outline, ...]
     calibration: Calibration
+    penetration: Penetration | None = None

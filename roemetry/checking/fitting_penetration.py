@@ -1,0 +1,70 @@
+"""How deep light goes into a product: a block measured bare, and covered with the product's own material."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+from roemetry.checking.block_reading import Reading, find_block, read_block
+from roemetry.checking.checking import profiles_of
+from roemetry.errors import DataError
+from roemetry.penetration import Penetration
+from roemetry.recipe import Recipe
+from roemetry.records import Block
+
+
+def fit_penetration(
+    recipe: Recipe, bare: Path, covered: Path, block: Block, *, film_mm: float, film_std_mm: float
+) -> Penetration:
+    """Compare a block's height bare and covered.
+
+    What calibration and extractor do to both alike cancels in the difference; so does the block's own
+    tolerance. What remains: the cover's thickness, and the scatter of the stripes' own differences.
+
+    Parameters
+    ----------
+    recipe
+        The line's; its penetration, if it names one, is left aside.
+    bare, covered
+        Images of the block: as it is (matt, opaque), and under the product's material.
+    block
+        As described.
+    film_mm, film_std_mm
+        Thickness of the cover and its standard uncertainty, mm; 0 for paint in the product's colour.
+
+    Raises
+    ------
+    DataError
+        The recipe has no calibration, the block is not found, or a film is thicker than the block is high.
+    """
+    calibration = recipe.calibration
+    if calibration is None:
+        raise DataError(f"{recipe.path}: there is no calibration", hint="name one in `calibration`")
+    if not 0 <= film_mm < block.height_mm:
+        raise DataError(
+            f"the cover is given as {film_mm:g} mm thick, the block as {block.height_mm:g} mm high",
+            hint="use a thin, even film of the product's material, and measure it with a calliper",
+        )
+    plain = replace(recipe, penetration=None)
+    readings = []
+    for image, height_mm in ((bare, block.height_mm), (covered, block.height_mm + film_mm)):
+        profiles = profiles_of(plain, image)
+        seen = replace(block, height_mm=height_mm)
+        readings.append(read_block(profiles, find_block(profiles, seen), None))
+    low, high = readings
+    offset = film_mm - (high.height_mm - low.height_mm)
+    return Penetration(
+        product=recipe.product,
+        offset_mm=offset,
+        std_mm=math.hypot(film_std_mm, _of_mean(low), _of_mean(high)),
+        calibration_sha256=calibration.sha256,
+        target=block.name,
+        made=datetime.now(UTC).isoformat(timespec="seconds"),
+    )
+
+
+def _of_mean(reading: Reading) -> float:
+    """Standard uncertainty of a mean height, by the spread of the stripes' own."""
+    return reading.stripe_spread_mm / math.sqrt(reading.stripes)

@@ -1,0 +1,121 @@
+"""Light below the surface: lifted points stay on their planes, the fit finds what was drawn."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from roemetry.cli.main import app
+from roemetry.errors import CalibrationError, ConfigurationError, DataError
+from roemetry.penetration import Penetration, raised
+from roemetry.recipe import Recipe
+from roemetry.runner import run_recipe
+from roemetry.testing.scenes import LinearRig
+from roemetry_paper.block_linear import BlockLinear
+
+RIG = LinearRig()
+LIGHT = Penetration("roe", 0.4, 0.05, "c" * 64, "block", "2026-05-01T00:00:00+00:00")
+
+
+def test_points_of_products_are_lifted_and_stay_on_their_planes() -> None:
+    before = BlockLinear().triangulate(RIG.stripe_map(RIG.dome()), RIG.calibration())
+    after = raised(before, 0.4)
+    risen = after.xyz_mm[:, :, 2] - before.xyz_mm[:, :, 2]
+    np.testing.assert_allclose(risen[before.product > 0], 0.4, atol=1e-12)  # mm
+    np.testing.assert_array_equal(risen[before.product == 0], 0.0)
+    off = np.einsum("spk,sk->sp", after.xyz_mm, after.plane[:, :3]) - after.plane[:, 3:]
+    np.testing.assert_allclose(off, 0.0, atol=1e-9)  # mm
+
+
+def test_a_file_comes_back(tmp_path: Path) -> None:
+    LIGHT.save(tmp_path / "p.yaml")
+    assert Penetration.load(tmp_path / "p.yaml") == LIGHT
+    text = (tmp_path / "p.yaml").read_text("utf-8")
+    (tmp_path / "p.yaml").write_text(text.replace("0.4", "deep"), "utf-8")
+    with pytest.raises(CalibrationError, match=r"p.yaml: the file is damaged: could not convert"):
+        Penetration.load(tmp_path / "p.yaml")
+    (tmp_path / "p.yaml").write_text("a: 1\n", "utf-8")
+    with pytest.raises(CalibrationError, match="not a penetration file"):
+        Penetration.load(tmp_path / "p.yaml")
+    with pytest.raises(CalibrationError, match="std_mm is -1"):
+        replace(LIGHT, std_mm=-1.0)
+
+
+@pytest.fixture
+def line(tmp_path: Path, rig) -> Path:
+    """A recipe, and images of a block of 12 mm: bare, and under 2 mm of something light enters by 0.6 mm."""
+    for name, height in (("bare", 12.0), ("covered", 12.0 + 2.0 - 0.6)):
+        found = np.zeros((rig.stripes, rig.rows))
+        found[1:6, 70:170] = height
+        (tmp_path / name).mkdir()
+        cv2.imwrite(str(tmp_path / name / "block.png"), rig.image(rig.x_px(found)))
+    rig.calibration().save(tmp_path / "calibration.yaml")
+    (tmp_path / "block.yaml").write_text(
+        "kind: block\nname: b\nlength_mm: 50\nwidth_mm: 25\nheight_mm: 12\ntolerance_mm: 0.02\n", "utf-8"
+    )
+    (tmp_path / "recipe.yaml").write_text(
+        "roemetry: 1\nproduct: roe\nsource: {path: covered}\ncalibration: calibration.yaml\n"
+        "penetration: penetration.yaml\nstages:\n  extractor: centre-of-gravity\n  coder: window-tracking\n"
+        "  triangulator: block-linear\n  volume: zero-order-hold\nsinks: []\n",
+        "utf-8",
+    )
+    return tmp_path
+
+
+def words(line: Path, film: str = "2.0") -> list[str]:
+    images = [str(line / name / "block.png") for name in ("bare", "covered")]
+    target = ["--target", str(line / "block.yaml")]
+    return ["fit-penetration", str(line), *images, "--film", film, "--film-std", "0.03", *target]
+
+
+def test_what_was_drawn_is_found_and_used(line: Path) -> None:
+    done = CliRunner().invoke(app, words(line))
+    assert done.exit_code == 0, done.output
+    light = Penetration.load(line / "penetration.yaml")
+    assert light.offset_mm == pytest.approx(0.6, abs=0.03)  # mm
+    assert 0.03 <= light.std_mm < 0.05
+    assert light.product == "roe"
+    heights = []
+    for name, sets in (("with", []), ("without", ["penetration="])):
+        recipe = Recipe.load(line, sets=sets)
+        run_recipe(recipe, line / name)
+        heights.append(json.loads((line / name / "measurements.jsonl").read_text("utf-8"))["height_max_mm"])
+    assert heights[0] - heights[1] == pytest.approx(light.offset_mm, abs=1e-9)  # mm
+    assert Recipe.load(line).sha256 != Recipe.load(line, sets=["penetration="]).sha256
+
+
+def test_another_calibration_is_said(line: Path) -> None:
+    replace(LIGHT).save(line / "penetration.yaml")
+    run_recipe(Recipe.load(line), line / "run")
+    row = json.loads((line / "run" / "measurements.jsonl").read_text("utf-8"))
+    assert "penetration-other-calibration" in {reason["code"] for reason in row["reasons"]}
+
+
+def test_the_offset_stands_in_the_budget(line: Path) -> None:
+    """An offset known to 5 % of a mm on a flat top: the volume's part is area × 0.05 mm."""
+    recipe = Recipe.load(line, sets=["penetration="])
+    light = replace(LIGHT, calibration_sha256=recipe.calibration.sha256)
+    light.save(line / "penetration.yaml")
+    run_recipe(Recipe.load(line, sets=["draws=400"]), line / "run")
+    volume = json.loads((line / "run" / "measurements.jsonl").read_text("utf-8"))["volume"]
+    run_recipe(recipe, line / "plain")
+    plain = json.loads((line / "plain" / "measurements.jsonl").read_text("utf-8"))["volume"]
+    per_mm = (volume["visible_mm3"]["value"] - plain["visible_mm3"]["value"]) / LIGHT.offset_mm
+    part = volume["visible_mm3"]["budget"]["penetration"]
+    assert part == pytest.approx(LIGHT.std_mm * per_mm, rel=0.3)  # 100 draws: 7 %, four of those
+
+
+def test_wrong_input_is_named(line: Path) -> None:
+    LIGHT.save(line / "penetration.yaml")
+    thick = CliRunner().invoke(app, words(line, film="14"))
+    assert isinstance(thick.exception, DataError)
+    assert "14 mm thick" in str(thick.exception)
+    (line / "penetration.yaml").unlink()
+    with pytest.raises(ConfigurationError, match=r"recipe.yaml:5:1: penetration: .*No such file"):
+        Recipe.load(line)
