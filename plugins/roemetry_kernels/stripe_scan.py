@@ -2,12 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from roemetry_kernels.compiling import kernel
+from roemetry_kernels.lane_steps import (
+    CHUNK,
+    LANES,
+    WORD,
+    Levels,
+    Words,
+    gather,
+    steps_of_bytes,
+    steps_of_pairs,
+    turn_bytes,
+    turn_pairs,
+)
 
 Pixels = NDArray[Any]
 Places = NDArray[np.int32]
@@ -58,53 +71,133 @@ def stripe_tops(image: Pixels, threshold: int, area: Area) -> Tops:
         What is searched.
     """
     room = _PEAKS_A_ROW * (area.bottom - area.top)
+    scan = _scan_bytes if image.dtype == np.uint8 else _scan_pairs
+    threshold = min(threshold, int(np.iinfo(image.dtype).max) - 1)
+    words, top, left = _as_words(image, area)
     while True:
         row, first, last = np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room, np.int32)
-        count = _scan(image, threshold, *area, row, first, last)
+        count = scan(words, top, left, image, threshold, *area, row, first, last)
         if count <= room:
             return Tops(row[:count], first[:count], last[:count])
         room = count
 
 
-@kernel
-def _scan(
-    image: Pixels,
-    threshold: int,
-    top: int,
-    bottom: int,
-    left: int,
-    right: int,
-    row: Places,
-    first: Places,
-    last: Places,
-) -> int:
-    """Walk every row; gives the number of peaks, also of those there is no room for."""
-    count = 0
-    for y in range(top, bottom):
-        f = image[y]
-        low = np.int64(f[left])
-        rising = False
-        high = low
-        begin = end = left
-        for x in range(left + 1, right):
-            level = np.int64(f[x])
-            if not rising:
-                low = min(low, level)
-                if level > low + threshold:
-                    rising = True
-                    high = level
-                    begin = end = x
-            elif level > high:
-                high = level
-                begin = end = x
-            elif level == high and end == x - 1:
-                end = x
-            elif level < high - threshold:
-                if count < row.shape[0]:
-                    row[count] = y
-                    first[count] = begin
-                    last[count] = end
-                count += 1
-                rising = False
-                low = level
-    return count
+def _as_words(image: Pixels, area: Area) -> tuple[Words, int, int]:
+    """View the image in words, and give row and word where the area begins; a copy where that cannot be."""
+    size = image.dtype.itemsize
+    if (image.shape[1] * size) % WORD == 0 and (area.left * size) % WORD == 0:
+        words = image.view(np.uint64)
+        if words.flags.aligned:
+            return words, area.top, area.left * size // WORD
+    part = image[area.top : area.bottom, area.left : area.right]
+    whole = -(-part.shape[1] * size // WORD) * WORD // size
+    padded = np.zeros((part.shape[0], whole), image.dtype)
+    padded[:, : part.shape[1]] = part
+    words = padded.view(np.uint64)
+    words.flags.writeable = False
+    return words, 0, 0
+
+
+def _made(kind: type[np.unsignedinteger[Any]], turn: Callable[..., None], steps: Callable[..., None]) -> Any:
+    """Compile the search for pixels of one type."""
+    tile = WORD // np.dtype(kind).itemsize
+    full = np.iinfo(kind).max
+    bits_a_pixel = np.uint64(8 * WORD // tile)
+
+    @njit(cache=True, nogil=True)
+    def scan(
+        words: Words,
+        first_row: int,
+        first_word: int,
+        image: Pixels,
+        threshold: int,
+        top: int,
+        bottom: int,
+        left: int,
+        right: int,
+        row: Places,
+        first: Places,
+        last: Places,
+    ) -> int:
+        """Search the area; gives the number of peaks, also of those there is no room for."""
+        gathered = np.zeros(LANES * CHUNK // tile, np.uint64)
+        turned = np.empty(LANES * CHUNK // tile, np.uint64)
+        levels = turned.view(kind)
+        ended_words = np.empty(LANES * CHUNK // tile, np.uint64)
+        ended = ended_words.view(kind)
+        extreme, falling = np.empty(LANES, kind), np.empty(LANES, kind)
+        start = np.empty(LANES + 1, np.int64)
+        columns = right - left
+        lane = np.empty(LANES * (columns // 2 + 1) + 1, np.int16)
+        end = np.empty(LANES * (columns // 2 + 1) + 1, np.int32)
+        count = 0
+        for y in range(top, bottom, LANES):
+            rows = min(LANES, bottom - y)
+            # A lane's first pixel is its lowest level; lanes without a row see black.
+            gathered[:] = 0
+            extreme[:] = full
+            falling[:] = 0
+            start[:] = 0
+            found = 0
+            for x in range(0, columns, CHUNK):
+                width = min(CHUNK, columns - x)
+                fetched = (width + tile - 1) // tile
+                gather(words, first_row + y - top, rows, first_word + x // tile, fetched, tile, gathered)
+                turn(gathered, turned)
+                steps(levels, width, threshold, extreme, falling, ended)
+                for c in range(width):
+                    begin = c * (LANES // tile)
+                    some = np.uint64(0)
+                    for w in range(begin, begin + LANES // tile):
+                        some |= ended_words[w]
+                    if some == 0:
+                        continue
+                    for w in range(begin, begin + LANES // tile):
+                        bits = ended_words[w]
+                        if bits == 0:
+                            continue
+                        # Written whether or not it ended: a branch would be guessed wrong half of the time.
+                        for k in range(tile * (w - begin), tile * (w - begin + 1)):
+                            lane[found] = k
+                            end[found] = left + x + c
+                            ends = np.int64(bits & np.uint64(1))
+                            start[k + 1] += ends
+                            found += ends
+                            bits >>= bits_a_pixel
+            for k in range(LANES):
+                start[k + 1] += start[k]
+            for p in range(found):
+                to = count + start[lane[p]]
+                start[lane[p]] += 1
+                if to < row.shape[0]:
+                    row[to] = y + lane[p]
+                    first[to], last[to] = _top_before(image[y + lane[p]], end[p], threshold)
+            count += found
+        return count
+
+    return scan
+
+
+@njit(cache=True, nogil=True)
+def _top_before(f: Pixels, end: int, threshold: int) -> tuple[int, int]:
+    """Give the leftmost run of highest pixels of the peak that ended at a pixel.
+
+    No pixel between the top and the end lies more than the threshold below the top, and one does between
+    the top and whatever came before that peak: so the way back may end there.
+    """
+    first = end - 1
+    high = np.int64(f[first])
+    x = first - 1
+    while x >= 0 and np.int64(f[x]) >= high - threshold:
+        if np.int64(f[x]) >= high:
+            high = np.int64(f[x])
+            first = x
+        x -= 1
+    last = first
+    while np.int64(f[last + 1]) == high:
+        last += 1
+    return first, last
+
+
+_scan_bytes = _made(np.uint8, turn_bytes, steps_of_bytes)
+_scan_pairs = _made(np.uint16, turn_pairs, steps_of_pairs)

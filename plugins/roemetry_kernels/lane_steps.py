@@ -1,0 +1,142 @@
+"""Rows side by side: an image's pixels turned so that one step searches many rows at once, compiled.
+
+A search along a row waits for itself: what a pixel means depends on those before it. Different rows do not wait
+for each other. So a block of rows is turned until the pixels of one column lie side by side in memory; then
+one vector instruction takes the same step in 16 to 64 rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+LANES = 128  # rows side by side
+CHUNK = 64  # columns that are turned at a time: what is worked on stays in the first cache
+WORD = 8  # bytes of the words that pixels are moved in
+
+Words = NDArray[np.uint64]
+Levels = NDArray[Any]
+
+
+@njit(cache=True, nogil=True)
+def gather(
+    words: Words, first_row: int, rows: int, first_word: int, count: int, tile: int, gathered: Words
+) -> None:
+    """Take `count` words of each row and lay those of every `tile`-th row side by side."""
+    groups = LANES // tile
+    room = gathered.shape[0] // LANES
+    for r in range(rows):
+        line = words[first_row + r]
+        to = (r % tile) * room * groups + r // tile
+        for c in range(count):
+            gathered[to + c * groups] = line[first_word + c]
+
+
+@njit(cache=True, nogil=True)
+def turn_bytes(gathered: Words, turned: Words) -> None:
+    """Turn tiles of 8 × 8 bytes, by exchanging blocks of 4, then 2, then 1 byte between words.
+
+    Parameters
+    ----------
+    gathered
+        Word (i, c, g): columns 8c … 8c + 7 of row 8g + i.
+    turned
+        To be filled: word (x, g) holds rows 8g … 8g + 7 of column x.
+    """
+    s4, s2, s1 = np.uint64(32), np.uint64(16), np.uint64(8)
+    m4, m2, m1 = np.uint64(0xFFFFFFFF), np.uint64(0xFFFF0000FFFF), np.uint64(0xFF00FF00FF00FF)
+    groups = LANES // 8
+    step = CHUNK // 8 * groups
+    for c in range(CHUNK // 8):
+        p = c * groups
+        q = 8 * p
+        for g in range(groups):
+            a0, a1 = gathered[p + g], gathered[p + step + g]
+            a2, a3 = gathered[p + 2 * step + g], gathered[p + 3 * step + g]
+            a4, a5 = gathered[p + 4 * step + g], gathered[p + 5 * step + g]
+            a6, a7 = gathered[p + 6 * step + g], gathered[p + 7 * step + g]
+            t0, t1 = ((a0 >> s4) ^ a4) & m4, ((a1 >> s4) ^ a5) & m4
+            t2, t3 = ((a2 >> s4) ^ a6) & m4, ((a3 >> s4) ^ a7) & m4
+            a0, a1, a2, a3 = a0 ^ (t0 << s4), a1 ^ (t1 << s4), a2 ^ (t2 << s4), a3 ^ (t3 << s4)
+            a4, a5, a6, a7 = a4 ^ t0, a5 ^ t1, a6 ^ t2, a7 ^ t3
+            t0, t1 = ((a0 >> s2) ^ a2) & m2, ((a1 >> s2) ^ a3) & m2
+            t2, t3 = ((a4 >> s2) ^ a6) & m2, ((a5 >> s2) ^ a7) & m2
+            a0, a1, a4, a5 = a0 ^ (t0 << s2), a1 ^ (t1 << s2), a4 ^ (t2 << s2), a5 ^ (t3 << s2)
+            a2, a3, a6, a7 = a2 ^ t0, a3 ^ t1, a6 ^ t2, a7 ^ t3
+            t0, t1 = ((a0 >> s1) ^ a1) & m1, ((a2 >> s1) ^ a3) & m1
+            t2, t3 = ((a4 >> s1) ^ a5) & m1, ((a6 >> s1) ^ a7) & m1
+            turned[q + g], turned[q + groups + g] = a0 ^ (t0 << s1), a1 ^ t0
+            turned[q + 2 * groups + g], turned[q + 3 * groups + g] = a2 ^ (t1 << s1), a3 ^ t1
+            turned[q + 4 * groups + g], turned[q + 5 * groups + g] = a4 ^ (t2 << s1), a5 ^ t2
+            turned[q + 6 * groups + g], turned[q + 7 * groups + g] = a6 ^ (t3 << s1), a7 ^ t3
+
+
+@njit(cache=True, nogil=True)
+def turn_pairs(gathered: Words, turned: Words) -> None:
+    """Turn tiles of 4 × 4 pixels of two bytes; as `turn_bytes`, with 4 for 8."""
+    s2, s1 = np.uint64(32), np.uint64(16)
+    m2, m1 = np.uint64(0xFFFFFFFF), np.uint64(0xFFFF0000FFFF)
+    groups = LANES // 4
+    step = CHUNK // 4 * groups
+    for c in range(CHUNK // 4):
+        p = c * groups
+        q = 4 * p
+        for g in range(groups):
+            a0, a1 = gathered[p + g], gathered[p + step + g]
+            a2, a3 = gathered[p + 2 * step + g], gathered[p + 3 * step + g]
+            t0, t1 = ((a0 >> s2) ^ a2) & m2, ((a1 >> s2) ^ a3) & m2
+            a0, a1, a2, a3 = a0 ^ (t0 << s2), a1 ^ (t1 << s2), a2 ^ t0, a3 ^ t1
+            t0, t1 = ((a0 >> s1) ^ a1) & m1, ((a2 >> s1) ^ a3) & m1
+            turned[q + g], turned[q + groups + g] = a0 ^ (t0 << s1), a1 ^ t0
+            turned[q + 2 * groups + g], turned[q + 3 * groups + g] = a2 ^ (t1 << s1), a3 ^ t1
+
+
+def _made(kind: type[np.unsignedinteger[Any]]) -> Callable[..., None]:
+    """Compile the step for pixels of one type: in wider numbers it would take twice to five times as long."""
+    full, none = kind(np.iinfo(kind).max), kind(0)
+
+    @njit(cache=True, nogil=True)
+    def steps(
+        levels: Levels, columns: int, threshold: int, extreme: Levels, falling: Levels, ended: Levels
+    ) -> None:
+        """Search the next columns of all lanes for levels that rise and fall by more than the threshold.
+
+        A lane looks for a rise above its lowest level, then for a fall below its highest. Both are one step: a
+        lane that looks for a fall has all its levels complemented, which makes it a rise above the lowest.
+
+        Parameters
+        ----------
+        levels
+            (columns × lanes) grey levels, turned.
+        columns
+            How many of them to search.
+        threshold
+            Grey levels, below the type's largest.
+        extreme
+            (lane,) lowest level so far, of complemented levels where the lane is falling; changed.
+        falling
+            (lane,) all bits set where a fall is looked for, else none; changed.
+        ended
+            (columns × lanes) to be filled: all bits set where a peak ended, else none.
+        """
+        enough = kind(threshold)
+        for x in range(columns):
+            for k in range(LANES):
+                mode = falling[k]
+                level = kind(levels[x * LANES + k] ^ mode)
+                lowered = kind(max(level, enough) - enough)
+                lowest = extreme[k]
+                turns = full if lowered > lowest else none
+                extreme[k] = kind(level ^ full) if lowered > lowest else min(lowest, level)
+                ended[x * LANES + k] = turns & mode
+                falling[k] = mode ^ turns
+
+    return steps
+
+
+steps_of_bytes = _made(np.uint8)
+steps_of_pairs = _made(np.uint16)
