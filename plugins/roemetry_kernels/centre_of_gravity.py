@@ -2,77 +2,75 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
-from numpy.typing import NDArray
 
 from roemetry.arrays import Floats
-from roemetry.records.peaks import EDGE, SATURATED
 from roemetry_kernels.compiling import kernel
-from roemetry_kernels.stripe_footing import FWHM_OF_SIGMA, between, footing
-from roemetry_kernels.stripe_scan import Pixels, Places
+from roemetry_kernels.influence import PIXELS_MAX, variance_of
+from roemetry_kernels.stripe_footing import FWHM_OF_SIGMA, Stripes
+from roemetry_kernels.stripe_scan import Pixels
 
-_REACH = 2.4  # standard deviations to both sides that are summed over
+_PASSES = 3
 
 
 @kernel
 def centres_of_gravity(
-    image: Pixels,
-    left: int,
-    right: int,
-    white: int,
-    width_min_px: float,
-    width_max_px: float,
-    row: Places,
-    first: Places,
-    last: Places,
-    out_row: NDArray[np.int64],
-    out: Floats,
-    flags: NDArray[np.uint8],
-) -> int:
-    """Measure peaks by their centre of gravity; gives the number of those within the width limits.
+    image: Pixels, s: Stripes, white: int, noise: Floats, x_px: Floats, x_std_px: Floats, sigmas: float
+) -> None:
+    """Measure stripes by their centre of gravity, in a window that is moved until the centre is its middle.
 
     Parameters
     ----------
     image
         (row, column) grey levels, contiguous and read-only.
-    left, right
-        Columns that may be used, from the first to the one after the last.
+    s
+        Stripes, as `roemetry_kernels.stripe_footing.stripes_around` gave them.
     white
         Grey level from which on a pixel is saturated.
-    width_min_px, width_max_px
-        Full width at half height of what may be a stripe, px.
-    row, first, last
-        (peak,) as `roemetry_kernels.stripe_scan.stripe_tops` gave them.
-    out_row, out, flags
-        (peak,), (5, peak), (peak,) to be filled: row; x_px, x_std_px, amplitude, background, width_px; flags.
+    noise
+        As for `roemetry_kernels.influence.variance_of`.
+    x_px, x_std_px
+        (peak,) to be filled; `x_px` is NaN where there is no result, `x_std_px` where the sensor is unknown.
+    sigmas
+        What is summed over, to both sides: standard deviations of the stripe.
     """
-    count = 0
-    for i in range(row.shape[0]):
-        f = image[row[i]]
-        lo, hi = between(row, first, last, i, left, right)
-        middle, width, amplitude, background, slope, _ = footing(f, first[i], last[i], lo, hi)
-        if not width_min_px <= width <= width_max_px:
+    pull, light = np.empty(PIXELS_MAX), np.empty(PIXELS_MAX)
+    # By how much the centre follows a shift of the window, for a Gaussian profile.
+    within = np.sqrt(2.0 * np.pi) * math.erf(sigmas / np.sqrt(2.0))
+    follows = 2.0 * sigmas * np.exp(-0.5 * sigmas**2) / within
+    for i in range(s.row.shape[0]):
+        f = image[s.row[i]]
+        lo, hi = s.lo[i], s.hi[i]
+        middle, background, slope = s.middle[i], s.background[i], s.slope[i]
+        reach = sigmas * s.width[i] / FWHM_OF_SIGMA
+        centre = middle
+        total = 0.0
+        for _ in range(_PASSES):
+            total = moment = 0.0
+            begin, end = centre - reach, centre + reach
+            for x in range(max(lo, int(np.floor(begin + 0.5))), min(hi, int(np.floor(end + 0.5))) + 1):
+                inside = min(1.0, min(x + 0.5 - begin, end - x + 0.5))
+                level = inside * (f[x] - background - slope * (x - middle))
+                total += level
+                moment += level * (x - centre)
+            centre += moment / max(total, 1e-9) / (1.0 - follows)
+        x_px[i] = np.nan
+        if not total > 0.0 or not abs(centre - middle) < 0.5 * s.width[i]:
             continue
-        reach = _REACH * width / FWHM_OF_SIGMA
-        begin, end = middle - reach, middle + reach
-        total = moment = 0.0
-        for x in range(max(lo, int(np.floor(begin + 0.5))), min(hi, int(np.floor(end + 0.5))) + 1):
+        begin, end = centre - reach, centre + reach
+        first = max(lo, int(np.floor(begin + 0.5)))
+        count = min(min(hi, int(np.floor(end + 0.5))) + 1 - first, PIXELS_MAX)
+        unit = 1.0 / (total * (1.0 - follows))
+        second = 0.0
+        for k in range(count):
+            x = first + k
             inside = min(1.0, min(x + 0.5 - begin, end - x + 0.5))
-            level = inside * (f[x] - background - slope * (x - middle))
-            total += level
-            moment += level * (x - middle)
-        if not total > 0.0 or not abs(moment) < 0.5 * width * total:
-            continue
-        out_row[count] = row[i]
-        out[0, count] = middle + moment / total
-        out[1, count] = np.nan
-        out[2, count] = amplitude
-        out[3, count] = background
-        out[4, count] = width
-        flags[count] = 0
-        if f[first[i]] >= white:
-            flags[count] |= SATURATED
-        if begin <= left or end >= right - 1:
-            flags[count] |= EDGE
-        count += 1
-    return count
+            pull[k] = unit * inside * (x - centre)
+            light[k] = f[x] - background - slope * (x - middle)
+            second += pull[k] * (x - centre)
+        x_px[i] = centre
+        x_std_px[i] = np.sqrt(
+            variance_of(f, white, first, count, pull, light, background, second, s.unsure[i], noise)
+        )

@@ -1,8 +1,8 @@
 """Rows side by side: an image's pixels turned so that one step searches many rows at once, compiled.
 
-A search along a row waits for itself: what a pixel means depends on those before it. Different rows do not wait
-for each other. So a block of rows is turned until the pixels of one column lie side by side in memory; then
-one vector instruction takes the same step in 16 to 64 rows.
+A search along a row waits for itself: what a pixel means depends on those before it. Different rows do not
+wait for each other. So a block of rows is turned until the pixels of one column lie side by side in memory;
+then one vector instruction takes the same step in 16 to 64 rows.
 """
 
 from __future__ import annotations
@@ -11,8 +11,9 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from roemetry_kernels.compiling import kernel
 
 LANES = 128  # rows side by side
 CHUNK = 64  # columns that are turned at a time: what is worked on stays in the first cache
@@ -22,7 +23,7 @@ Words = NDArray[np.uint64]
 Levels = NDArray[Any]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def gather(
     words: Words, first_row: int, rows: int, first_word: int, count: int, tile: int, gathered: Words
 ) -> None:
@@ -36,7 +37,7 @@ def gather(
             gathered[to + c * groups] = line[first_word + c]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def turn_bytes(gathered: Words, turned: Words) -> None:
     """Turn tiles of 8 × 8 bytes, by exchanging blocks of 4, then 2, then 1 byte between words.
 
@@ -75,7 +76,7 @@ def turn_bytes(gathered: Words, turned: Words) -> None:
             turned[q + 6 * groups + g], turned[q + 7 * groups + g] = a6 ^ (t3 << s1), a7 ^ t3
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def turn_pairs(gathered: Words, turned: Words) -> None:
     """Turn tiles of 4 × 4 pixels of two bytes; as `turn_bytes`, with 4 for 8."""
     s2, s1 = np.uint64(32), np.uint64(16)
@@ -99,14 +100,14 @@ def _made(kind: type[np.unsignedinteger[Any]]) -> Callable[..., None]:
     """Compile the step for pixels of one type: in wider numbers it would take twice to five times as long."""
     full, none = kind(np.iinfo(kind).max), kind(0)
 
-    @njit(cache=True, nogil=True)
+    @kernel
     def steps(
         levels: Levels, columns: int, threshold: int, extreme: Levels, falling: Levels, ended: Levels
     ) -> None:
         """Search the next columns of all lanes for levels that rise and fall by more than the threshold.
 
-        A lane looks for a rise above its lowest level, then for a fall below its highest. Both are one step: a
-        lane that looks for a fall has all its levels complemented, which makes it a rise above the lowest.
+        A lane looks for a rise above its lowest level, then for a fall below its highest. Both are one step:
+        a lane that looks for a fall has all its levels complemented, which makes it a rise above the lowest.
 
         Parameters
         ----------

@@ -6,14 +6,13 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from roemetry_kernels.compiling import kernel
 from roemetry_kernels.lane_steps import (
     CHUNK,
     LANES,
     WORD,
-    Levels,
     Words,
     gather,
     steps_of_bytes,
@@ -104,7 +103,7 @@ def _made(kind: type[np.unsignedinteger[Any]], turn: Callable[..., None], steps:
     full = np.iinfo(kind).max
     bits_a_pixel = np.uint64(8 * WORD // tile)
 
-    @njit(cache=True, nogil=True)
+    @kernel
     def scan(
         words: Words,
         first_row: int,
@@ -178,7 +177,7 @@ def _made(kind: type[np.unsignedinteger[Any]], turn: Callable[..., None], steps:
     return scan
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _top_before(f: Pixels, end: int, threshold: int) -> tuple[int, int]:
     """Give the leftmost run of highest pixels of the peak that ended at a pixel.
 

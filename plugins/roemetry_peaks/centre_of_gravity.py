@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+from pydantic import Field
+
 from roemetry.records import Frame, Peaks
 from roemetry.stages import Capabilities, Extractor, StageOptions
 from roemetry_peaks.finding import found
@@ -13,9 +15,16 @@ from roemetry_peaks.options import PeakOptions
 class CentreOfGravityOptions(PeakOptions):
     """Options of `CentreOfGravity`."""
 
+    reach_sigmas: float = Field(
+        default=2.5,
+        ge=1.5,
+        le=4.0,
+        description="what is summed over, to both sides of the centre: standard deviations of the stripe",
+    )
+
 
 class CentreOfGravity(Extractor[CentreOfGravityOptions]):
-    """Takes the centre of gravity of the grey levels above the background, within 2.4 σ of the middle."""
+    """Takes the centre of gravity of the grey levels above the background, in a window around it."""
 
     Options: ClassVar[type[StageOptions]] = CentreOfGravityOptions
     capabilities = Capabilities(tolerance_px=0.05, saturated_tolerance_px=0.1)
@@ -24,4 +33,4 @@ class CentreOfGravity(Extractor[CentreOfGravityOptions]):
         """Find the stripes of a frame."""
         from roemetry_kernels.centre_of_gravity import centres_of_gravity  # numba: when something runs
 
-        return found(frame, self.options, centres_of_gravity)
+        return found(frame, self.options, centres_of_gravity, self.options.reach_sigmas)

@@ -18,10 +18,12 @@ if TYPE_CHECKING:
 
 _NOISES = 10.0
 _LEVELS_MIN = 6.0
+_ROUNDING = 1.0 / 12.0
+"""Variance of rounding to whole grey levels."""
 
 
-def found(frame: Frame, options: PeakOptions, measure: Callable[..., int]) -> Peaks:
-    """Find the stripes of a frame and measure each by a kernel.
+def found(frame: Frame, options: PeakOptions, centres: Callable[..., None], *settings: Any) -> Peaks:
+    """Find the stripes of a frame and measure the centre of each by a kernel.
 
     Parameters
     ----------
@@ -29,39 +31,42 @@ def found(frame: Frame, options: PeakOptions, measure: Callable[..., int]) -> Pe
         One channel.
     options
         What counts as a stripe.
-    measure
+    centres
         Kernel with the parameters of `roemetry_kernels.centre_of_gravity.centres_of_gravity`.
+    settings
+        What else the kernel takes.
     """
+    from roemetry_kernels.stripe_footing import stripes_around
     from roemetry_kernels.stripe_scan import stripe_tops
 
     pixels = plain_layout(grey(frame))
     area = searched(frame, options.region)
     tops = stripe_tops(pixels, threshold_of(frame, pixels, area, options), area)
-    room = tops.row.shape[0]
-    row, values, flags = np.empty(room, np.int64), np.empty((5, room)), np.empty(room, np.uint8)
-    count = measure(
-        pixels,
-        area.left,
-        area.right,
-        frame.white,
-        options.width_min_px,
-        options.width_max_px,
-        *tops,
-        row,
-        values,
-        flags,
-    )
-    x_px, x_std_px, amplitude, background, width_px = values[:, :count]
-    return Peaks(
-        image_size=frame.size,
-        row=row[:count],
-        x_px=x_px,
-        x_std_px=x_std_px,
-        amplitude=amplitude,
-        background=background,
-        width_px=width_px,
-        flags=flags[:count],
-    )
+    limits = {"width_min_px": options.width_min_px, "width_max_px": options.width_max_px}
+    stripes = stripes_around(pixels, tops, area, white=frame.white, **limits)
+    x_px, x_std_px = np.empty((2, stripes.row.shape[0]))
+    centres(pixels, stripes, frame.white, noise_of(frame, options), x_px, x_std_px, *settings)
+    fields = {
+        "row": stripes.row,
+        "x_px": x_px,
+        "x_std_px": x_std_px,
+        "amplitude": stripes.amplitude,
+        "background": stripes.background,
+        "width_px": stripes.width,
+        "flags": stripes.flags,
+    }
+    right = x_px > -np.inf
+    if not right.all():
+        fields = {name: values[right] for name, values in fields.items()}
+    return Peaks(image_size=frame.size, **fields)
+
+
+def noise_of(frame: Frame, options: PeakOptions) -> Any:
+    """Give what is known of the noise, as `roemetry_kernels.influence.variance_of` takes it."""
+    if frame.sensor is None:
+        return np.array([np.nan, np.nan, options.speckle_contrast, options.speckle_length_px])
+    read, gain = frame.sensor.read_noise_grey, frame.sensor.gain_grey_per_electron
+    return np.array([read * read + _ROUNDING, gain, options.speckle_contrast, options.speckle_length_px])
 
 
 def searched(frame: Frame, region: tuple[int, int, int, int] | None) -> Area:

@@ -31,3 +31,16 @@ class PeakOptions(StageOptions):
         description="part of the (turned) image to search: first row, row after the last, first column, "
         "column after the last, px; none: all of it",
     )
+    speckle_contrast: float = Field(
+        default=0.0,
+        ge=0.0,
+        le=1.0,
+        description="standard deviation of the light over its mean, from the laser's speckle, for x_std_px",
+    )
+    speckle_length_px: float = Field(
+        default=0.8,
+        gt=0.0,
+        le=4.0,
+        description="correlation length of the speckle, px: the standard deviation of the Gaussian that "
+        "white noise would have to be smoothed with to look like it",
+    )

@@ -1,0 +1,120 @@
+"""The Gaussian sub-pixel peak: weighted least squares on the logarithms of a stripe's profile, compiled."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from roemetry.arrays import Floats
+from roemetry_kernels.compiling import kernel
+from roemetry_kernels.grey_logs import log_above
+from roemetry_kernels.influence import PIXELS_MAX, variance_of
+from roemetry_kernels.stripe_footing import FWHM_OF_SIGMA, Stripes
+from roemetry_kernels.stripe_scan import Pixels
+
+_REACH = 2.6  # standard deviations to both sides that are fitted
+_LOWEST = 0.3  # of the model: a pixel darker than that counts as that dark
+_SIGNAL_TO_NOISE = 60.0  # of a stripe's top, where the sensor is not known
+_SHOT = (
+    0.3  # of the amplitude: where the noise of shot equals that of the dark, where the sensor is not known
+)
+
+
+@kernel
+def gaussian_centres(
+    image: Pixels, s: Stripes, white: int, noise: Floats, x_px: Floats, x_std_px: Floats, logs: Floats
+) -> None:
+    """Fit a Gaussian to each stripe: a parabola to the logarithms of its grey levels above the background.
+
+    The weight of a logarithm is (model)² / variance: what is dark says little, and neither does what is
+    bright but speckled. The model has the stripe's height and half-height width. The variance is that of the
+    sensor or, where it is not known, the one of shot noise and a noise floor. Saturated pixels are left out.
+
+    Parameters
+    ----------
+    image
+        (row, column) grey levels, contiguous and read-only.
+    s
+        Stripes, as `roemetry_kernels.stripe_footing.stripes_around` gave them.
+    white
+        Grey level from which on a pixel is saturated.
+    noise
+        As for `roemetry_kernels.influence.variance_of`.
+    x_px, x_std_px
+        (peak,) to be filled; `x_px` is NaN where there is no result, `x_std_px` where the sensor is unknown.
+    logs
+        As `roemetry_kernels.grey_logs.log_table` gives it.
+    """
+    pull, light = np.empty(PIXELS_MAX), np.empty(PIXELS_MAX)
+    known = noise[0] + noise[1] > 0.0
+    speckle = noise[2] * noise[2]
+    clip = np.log(_LOWEST)
+    for i in range(s.row.shape[0]):
+        f = image[s.row[i]]
+        middle, background, slope, amplitude = s.middle[i], s.background[i], s.slope[i], s.amplitude[i]
+        sigma = s.width[i] / FWHM_OF_SIGMA
+        reach, narrow = _REACH * sigma, 0.5 / (sigma * sigma)
+        first = max(s.lo[i], int(np.floor(middle - reach + 0.5)))
+        last = min(s.hi[i], int(np.floor(middle + reach + 0.5)), first + PIXELS_MAX - 1)
+        gain = noise[1] if known else amplitude / (_SIGNAL_TO_NOISE * _SIGNAL_TO_NOISE * (1.0 + _SHOT))
+        floor = noise[0] + gain * background if known else _SHOT * amplitude * gain
+        whole = int(np.rint(background))
+        highest = np.log(amplitude)
+        s0 = s1 = s2 = s3 = s4 = t0 = t1 = t2 = leaning = 0.0
+        for x in range(first, last + 1):
+            if f[x] >= white:
+                continue
+            u = x - middle
+            far = narrow * u * u
+            model = amplitude * _bell(far)
+            log = log_above(f[x], whole, background + slope * u - whole, logs)
+            log = max(log, highest - far + clip)
+            share = model / (floor + model * (gain + speckle * model))
+            weight = model * share
+            s0 += weight
+            s1 += weight * u
+            s2 += weight * u * u
+            s3 += weight * u * u * u
+            s4 += weight * u * u * u * u
+            t0 += weight * log
+            t1 += weight * u * log
+            t2 += weight * u * u * log
+            leaning += share * u * u
+        # Parabola c0 + c1·u + c2·u²; its top is at −c1 / (2 c2).
+        m11, m12, m22 = s2 * s0 - s1 * s1, s3 * s0 - s1 * s2, s4 * s0 - s2 * s2
+        d1, d2 = t1 * s0 - s1 * t0, t2 * s0 - s2 * t0
+        det = m11 * m22 - m12 * m12
+        c1, c2 = d1 * m22 - d2 * m12, m11 * d2 - m12 * d1
+        x_px[i] = x_std_px[i] = np.nan
+        if not (det > 0.0 and c2 < 0.0 and abs(c1) < -s.width[i] * c2):
+            continue
+        x_px[i] = middle - 0.5 * c1 / c2
+        if not known:
+            continue
+        # Of the pull of each logarithm on the top, the part by the parabola's width is left out: it is small.
+        unit = -0.5 * s0 / c2
+        if speckle > 0.0:
+            for k in range(last + 1 - first):
+                u = first + k - middle
+                model = amplitude * _bell(narrow * u * u)
+                share = model / (floor + model * (gain + speckle * model))
+                pull[k] = unit * share * (m22 * (u - s1 / s0) - m12 * (u * u - s2 / s0))
+                light[k] = model
+            lean = unit * m22 * leaning
+            x_std_px[i] = np.sqrt(
+                variance_of(
+                    f, white, first, last + 1 - first, pull, light, background, lean, s.unsure[i], noise
+                )
+            )
+        else:
+            lean = unit * m22 * leaning
+            variance = unit * unit * m22 * det / s0 + lean * lean * s.unsure[i] * floor
+            x_std_px[i] = np.sqrt(variance)
+
+
+@kernel
+def _bell(far: float) -> float:
+    """Nearly exp(−far), as (1 − far/8)⁸: good enough for weights, and fast."""
+    near = 1.0 - 0.125 * far
+    near *= near
+    near *= near
+    return near * near

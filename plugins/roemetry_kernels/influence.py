@@ -1,0 +1,88 @@
+"""From the pull of each pixel on a stripe's centre to the centre's standard uncertainty, compiled."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from roemetry.arrays import Floats
+from roemetry_kernels.compiling import kernel
+from roemetry_kernels.stripe_scan import Pixels
+
+PIXELS_MAX = 512
+"""Room for the pixels of one stripe."""
+
+_LAGS = 4  # px, within which speckle is taken as correlated
+
+
+@kernel
+def variance_of(
+    f: Pixels,
+    white: int,
+    first: int,
+    count: int,
+    pull: Floats,
+    light: Floats,
+    background: float,
+    slope_pull: float,
+    unsure: float,
+    noise: Floats,
+) -> float:
+    """Variance of a centre from the pixels' noise, the speckle, and the slope of the background, px².
+
+    Parameters
+    ----------
+    f
+        (column,) grey levels of the row.
+    white
+        Grey level from which on a pixel is saturated, and has no noise.
+    first, count
+        The pixels that pull: their first column, and how many there are.
+    pull
+        (count or more,) change of the centre with the grey level of a pixel, px per grey level.
+    light
+        (count or more,) grey levels of the stripe alone, for the speckle.
+    background
+        Grey level of the background.
+    slope_pull
+        Change of the centre with the background's slope, px per (grey level per px).
+    unsure
+        (variance of that slope) / (variance of a background pixel), 1/px².
+    noise
+        (4,) variance of a black pixel, grey levels²; grey levels per electron; speckle contrast; its
+        correlation length, px. NaN where it is not known.
+    """
+    dark, gain, contrast, length = noise[0], noise[1], noise[2], noise[3]
+    total = 0.0
+    for k in range(count):
+        if f[first + k] < white:
+            total += pull[k] * pull[k] * (dark + gain * f[first + k])
+    if contrast > 0.0:
+        for lag in range(_LAGS + 1):
+            together = 0.0
+            for k in range(count - lag):
+                if f[first + k] < white and f[first + k + lag] < white:
+                    together += pull[k] * light[k] * pull[k + lag] * light[k + lag]
+            alike = np.exp(-0.25 * (lag / length) ** 2) if lag > 0 else 0.5
+            total += 2.0 * contrast * contrast * alike * together
+    return total + slope_pull * slope_pull * unsure * (dark + gain * background)
+
+
+@kernel
+def variance_of_middle(width: float, amplitude: float, background: float, noise: Floats) -> float:
+    """Variance of the middle between the half-height crossings of a Gaussian stripe, px².
+
+    Each crossing is interpolated between two pixels of which the noise is (on the mean) two thirds of one's.
+
+    Parameters
+    ----------
+    width
+        Full width at half height, px.
+    amplitude, background
+        Of the stripe, grey levels.
+    noise
+        As for `variance_of`.
+    """
+    steepness = 2.0 * np.log(2.0) * amplitude / width  # of a Gaussian at half height, grey levels per px
+    light = 0.5 * amplitude
+    pixel = (noise[0] + noise[1] * (background + light)) / 1.5 + (noise[2] * light) ** 2
+    return 0.5 * pixel / (steepness * steepness)

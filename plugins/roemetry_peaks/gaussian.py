@@ -1,0 +1,28 @@
+"""The Gaussian sub-pixel peak of each stripe."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from roemetry.records import Frame, Peaks
+from roemetry.stages import Capabilities, Extractor, StageOptions
+from roemetry_peaks.finding import found
+from roemetry_peaks.options import PeakOptions
+
+
+class GaussianOptions(PeakOptions):
+    """Options of `Gaussian`."""
+
+
+class Gaussian(Extractor[GaussianOptions]):
+    """Fits a Gaussian by weighted least squares on the logarithms of the grey levels."""
+
+    Options: ClassVar[type[StageOptions]] = GaussianOptions
+    capabilities = Capabilities(tolerance_px=0.05, saturated_tolerance_px=0.1)
+
+    def extract(self, frame: Frame) -> Peaks:
+        """Find the stripes of a frame."""
+        from roemetry_kernels.gaussian_fit import gaussian_centres  # numba: when something runs
+        from roemetry_kernels.grey_logs import log_table
+
+        return found(frame, self.options, gaussian_centres, log_table(frame.white))
