@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from roemetry.arrays import Floats
-from roemetry_kernels.compiling import kernel
+from roemetry_kernels.compiling import float_kernel
 from roemetry_kernels.influence import PIXELS_MAX, variance_of
 from roemetry_kernels.stripe_footing import FWHM_OF_SIGMA, Stripes
 from roemetry_kernels.stripe_scan import Pixels
@@ -15,16 +15,23 @@ from roemetry_kernels.stripe_scan import Pixels
 _PASSES = 3
 
 
-@kernel
+@float_kernel
 def centres_of_gravity(
-    image: Pixels, s: Stripes, white: int, noise: Floats, x_px: Floats, x_std_px: Floats, sigmas: float
+    levels: Pixels,
+    columns: int,
+    s: Stripes,
+    white: int,
+    noise: Floats,
+    x_px: Floats,
+    x_std_px: Floats,
+    sigmas: float,
 ) -> None:
     """Measure stripes by their centre of gravity, in a window that is moved until the centre is its middle.
 
     Parameters
     ----------
-    image
-        (row, column) grey levels, contiguous and read-only.
+    levels, columns
+        Grey levels, row after row, and the length of a row.
     s
         Stripes, as `roemetry_kernels.stripe_footing.stripes_around` gave them.
     white
@@ -40,11 +47,12 @@ def centres_of_gravity(
     # By how much the centre follows a shift of the window, for a Gaussian profile.
     within = np.sqrt(2.0 * np.pi) * math.erf(sigmas / np.sqrt(2.0))
     follows = 2.0 * sigmas * np.exp(-0.5 * sigmas**2) / within
-    for i in range(s.row.shape[0]):
-        f = image[s.row[i]]
-        lo, hi = s.lo[i], s.hi[i]
-        middle, background, slope = s.middle[i], s.background[i], s.slope[i]
-        reach = sigmas * s.width[i] / FWHM_OF_SIGMA
+    row, los, his, _, middles, widths, _, backgrounds, slopes, unsures = s
+    for i in range(row.shape[0]):
+        begins = row[i] * columns
+        lo, hi = los[i], his[i]
+        middle, background, slope = middles[i], backgrounds[i], slopes[i]
+        reach = sigmas * widths[i] / FWHM_OF_SIGMA
         centre = middle
         total = 0.0
         for _ in range(_PASSES):
@@ -52,12 +60,12 @@ def centres_of_gravity(
             begin, end = centre - reach, centre + reach
             for x in range(max(lo, int(np.floor(begin + 0.5))), min(hi, int(np.floor(end + 0.5))) + 1):
                 inside = min(1.0, min(x + 0.5 - begin, end - x + 0.5))
-                level = inside * (f[x] - background - slope * (x - middle))
+                level = inside * (levels[begins + x] - background - slope * (x - middle))
                 total += level
                 moment += level * (x - centre)
             centre += moment / max(total, 1e-9) / (1.0 - follows)
         x_px[i] = np.nan
-        if not total > 0.0 or not abs(centre - middle) < 0.5 * s.width[i]:
+        if not total > 0.0 or not abs(centre - middle) < 0.5 * widths[i]:
             continue
         begin, end = centre - reach, centre + reach
         first = max(lo, int(np.floor(begin + 0.5)))
@@ -68,9 +76,11 @@ def centres_of_gravity(
             x = first + k
             inside = min(1.0, min(x + 0.5 - begin, end - x + 0.5))
             pull[k] = unit * inside * (x - centre)
-            light[k] = f[x] - background - slope * (x - middle)
+            light[k] = levels[begins + x] - background - slope * (x - middle)
             second += pull[k] * (x - centre)
         x_px[i] = centre
         x_std_px[i] = np.sqrt(
-            variance_of(f, white, first, count, pull, light, background, second, s.unsure[i], noise)
+            variance_of(
+                levels, white, begins + first, count, pull, light, background, second, unsures[i], noise
+            )
         )

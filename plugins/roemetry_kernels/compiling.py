@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 _OURS = "roemetry_"
+_FLOATS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"reassoc", "contract", "nsz", "arcp"}}
 
 
 def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
@@ -45,6 +46,25 @@ def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
             return njit(nogil=True, **options)(function)
         kept._source_stamp = (kept._source_stamp, digest(Path(function.__code__.co_filename)))
     return compiled
+
+
+def float_kernel(function: Callable[..., Any]) -> Any:
+    """Compile as `kernel`, for sums and ratios of floats in a tight loop.
+
+    A division by zero gives infinity or NaN, not an error, and terms may be added in another order: either
+    keeps numba from using vectors. What comes out of a kernel stays the same from call to call.
+    """
+    return kernel(function, **_FLOATS)
+
+
+def inlined(function: Callable[..., Any]) -> Any:
+    """Compile a function into each kernel that calls it, as if its text stood there.
+
+    A call of its own would cost more than most such functions do: every array is handed over in seven pieces.
+    """
+    from numba import njit
+
+    return njit(nogil=True, forceinline=True, **_FLOATS)(function)
 
 
 @cache

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from roemetry.arrays import Floats
-from roemetry_kernels.compiling import kernel
+from roemetry_kernels.compiling import float_kernel
 from roemetry_kernels.grey_logs import log_above
-from roemetry_kernels.influence import PIXELS_MAX, variance_of
+from roemetry_kernels.influence import PIXELS_MAX, bell, variance_of
 from roemetry_kernels.stripe_footing import FWHM_OF_SIGMA, Stripes
 from roemetry_kernels.stripe_scan import Pixels
 
@@ -19,9 +19,16 @@ _SHOT = (
 )
 
 
-@kernel
+@float_kernel
 def gaussian_centres(
-    image: Pixels, s: Stripes, white: int, noise: Floats, x_px: Floats, x_std_px: Floats, logs: Floats
+    levels: Pixels,
+    columns: int,
+    s: Stripes,
+    white: int,
+    noise: Floats,
+    x_px: Floats,
+    x_std_px: Floats,
+    logs: Floats,
 ) -> None:
     """Fit a Gaussian to each stripe: a parabola to the logarithms of its grey levels above the background.
 
@@ -31,8 +38,8 @@ def gaussian_centres(
 
     Parameters
     ----------
-    image
-        (row, column) grey levels, contiguous and read-only.
+    levels, columns
+        Grey levels, row after row, and the length of a row.
     s
         Stripes, as `roemetry_kernels.stripe_footing.stripes_around` gave them.
     white
@@ -48,25 +55,26 @@ def gaussian_centres(
     known = noise[0] + noise[1] > 0.0
     speckle = noise[2] * noise[2]
     clip = np.log(_LOWEST)
-    for i in range(s.row.shape[0]):
-        f = image[s.row[i]]
-        middle, background, slope, amplitude = s.middle[i], s.background[i], s.slope[i], s.amplitude[i]
-        sigma = s.width[i] / FWHM_OF_SIGMA
+    row, los, his, _, middles, widths, amplitudes, backgrounds, slopes, unsures = s
+    for i in range(row.shape[0]):
+        begins = row[i] * columns
+        middle, background, slope, amplitude = middles[i], backgrounds[i], slopes[i], amplitudes[i]
+        sigma = widths[i] / FWHM_OF_SIGMA
         reach, narrow = _REACH * sigma, 0.5 / (sigma * sigma)
-        first = max(s.lo[i], int(np.floor(middle - reach + 0.5)))
-        last = min(s.hi[i], int(np.floor(middle + reach + 0.5)), first + PIXELS_MAX - 1)
+        first = max(los[i], int(np.floor(middle - reach + 0.5)))
+        last = min(his[i], int(np.floor(middle + reach + 0.5)), first + PIXELS_MAX - 1)
         gain = noise[1] if known else amplitude / (_SIGNAL_TO_NOISE * _SIGNAL_TO_NOISE * (1.0 + _SHOT))
         floor = noise[0] + gain * background if known else _SHOT * amplitude * gain
         whole = int(np.rint(background))
         highest = np.log(amplitude)
         s0 = s1 = s2 = s3 = s4 = t0 = t1 = t2 = leaning = 0.0
         for x in range(first, last + 1):
-            if f[x] >= white:
+            if levels[begins + x] >= white:
                 continue
             u = x - middle
             far = narrow * u * u
-            model = amplitude * _bell(far)
-            log = log_above(f[x], whole, background + slope * u - whole, logs)
+            model = amplitude * bell(far)
+            log = log_above(levels[begins + x], whole, background + slope * u - whole, logs)
             log = max(log, highest - far + clip)
             share = model / (floor + model * (gain + speckle * model))
             weight = model * share
@@ -85,7 +93,7 @@ def gaussian_centres(
         det = m11 * m22 - m12 * m12
         c1, c2 = d1 * m22 - d2 * m12, m11 * d2 - m12 * d1
         x_px[i] = x_std_px[i] = np.nan
-        if not (det > 0.0 and c2 < 0.0 and abs(c1) < -s.width[i] * c2):
+        if not (det > 0.0 and c2 < 0.0 and abs(c1) < -widths[i] * c2):
             continue
         x_px[i] = middle - 0.5 * c1 / c2
         if not known:
@@ -95,26 +103,26 @@ def gaussian_centres(
         if speckle > 0.0:
             for k in range(last + 1 - first):
                 u = first + k - middle
-                model = amplitude * _bell(narrow * u * u)
+                model = amplitude * bell(narrow * u * u)
                 share = model / (floor + model * (gain + speckle * model))
                 pull[k] = unit * share * (m22 * (u - s1 / s0) - m12 * (u * u - s2 / s0))
                 light[k] = model
             lean = unit * m22 * leaning
             x_std_px[i] = np.sqrt(
                 variance_of(
-                    f, white, first, last + 1 - first, pull, light, background, lean, s.unsure[i], noise
+                    levels,
+                    white,
+                    begins + first,
+                    last + 1 - first,
+                    pull,
+                    light,
+                    background,
+                    lean,
+                    unsures[i],
+                    noise,
                 )
             )
         else:
             lean = unit * m22 * leaning
-            variance = unit * unit * m22 * det / s0 + lean * lean * s.unsure[i] * floor
+            variance = unit * unit * m22 * det / s0 + lean * lean * unsures[i] * floor
             x_std_px[i] = np.sqrt(variance)
-
-
-@kernel
-def _bell(far: float) -> float:
-    """Nearly exp(−far), as (1 − far/8)⁸: good enough for weights, and fast."""
-    near = 1.0 - 0.125 * far
-    near *= near
-    near *= near
-    return near * near

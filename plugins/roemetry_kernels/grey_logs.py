@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 
 from roemetry.arrays import Floats
-from roemetry_kernels.compiling import kernel
+from roemetry_kernels.compiling import inlined
 
 
 @cache
@@ -19,7 +19,7 @@ def log_table(white: int) -> Floats:
     return table
 
 
-@kernel
+@inlined
 def log_above(level: int, whole: int, rest: float, logs: Floats) -> float:
     """Logarithm of a grey level above a background, of one at least.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from roemetry.arrays import Floats
-from roemetry_kernels.compiling import kernel
+from roemetry_kernels.compiling import inlined
 from roemetry_kernels.stripe_scan import Pixels
 
 PIXELS_MAX = 512
@@ -14,9 +14,9 @@ PIXELS_MAX = 512
 _LAGS = 4  # px, within which speckle is taken as correlated
 
 
-@kernel
+@inlined
 def variance_of(
-    f: Pixels,
+    levels: Pixels,
     white: int,
     first: int,
     count: int,
@@ -31,12 +31,12 @@ def variance_of(
 
     Parameters
     ----------
-    f
-        (column,) grey levels of the row.
+    levels
+        Grey levels, row after row.
     white
         Grey level from which on a pixel is saturated, and has no noise.
     first, count
-        The pixels that pull: their first column, and how many there are.
+        The pixels that pull: the place of the first, and how many there are.
     pull
         (count or more,) change of the centre with the grey level of a pixel, px per grey level.
     light
@@ -54,20 +54,39 @@ def variance_of(
     dark, gain, contrast, length = noise[0], noise[1], noise[2], noise[3]
     total = 0.0
     for k in range(count):
-        if f[first + k] < white:
-            total += pull[k] * pull[k] * (dark + gain * f[first + k])
+        if levels[first + k] < white:
+            total += pull[k] * pull[k] * (dark + gain * levels[first + k])
     if contrast > 0.0:
-        for lag in range(_LAGS + 1):
-            together = 0.0
-            for k in range(count - lag):
-                if f[first + k] < white and f[first + k + lag] < white:
-                    together += pull[k] * light[k] * pull[k + lag] * light[k + lag]
-            alike = np.exp(-0.25 * (lag / length) ** 2) if lag > 0 else 0.5
-            total += 2.0 * contrast * contrast * alike * together
+        total += contrast * contrast * _speckled(levels, white, first, count, pull, light, length)
     return total + slope_pull * slope_pull * unsure * (dark + gain * background)
 
 
-@kernel
+@inlined
+def bell(far: float) -> float:
+    """Nearly exp(−far), as (1 − far/8)⁸: good enough for weights, and fast."""
+    near = 1.0 - 0.125 * far
+    near *= near
+    near *= near
+    return near * near
+
+
+@inlined
+def _speckled(
+    levels: Pixels, white: int, first: int, count: int, pull: Floats, light: Floats, length: float
+) -> float:
+    """Variance by speckle of contrast 1, px²; the parameters are those of `variance_of`."""
+    total = 0.0
+    for lag in range(_LAGS + 1):
+        together = 0.0
+        for k in range(count - lag):
+            if levels[first + k] < white and levels[first + k + lag] < white:
+                together += pull[k] * light[k] * pull[k + lag] * light[k + lag]
+        alike = np.exp(-0.25 * (lag / length) ** 2) if lag > 0 else 0.5
+        total += 2.0 * alike * together
+    return total
+
+
+@inlined
 def variance_of_middle(width: float, amplitude: float, background: float, noise: Floats) -> float:
     """Variance of the middle between the half-height crossings of a Gaussian stripe, px².
 

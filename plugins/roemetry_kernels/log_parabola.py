@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from roemetry.arrays import Floats
-from roemetry_kernels.compiling import kernel
+from roemetry_kernels.compiling import float_kernel
 from roemetry_kernels.grey_logs import log_above
-from roemetry_kernels.influence import variance_of, variance_of_middle
+from roemetry_kernels.influence import bell, variance_of, variance_of_middle
 from roemetry_kernels.stripe_footing import FWHM_OF_SIGMA, Stripes
 from roemetry_kernels.stripe_scan import Pixels
 
@@ -15,9 +15,10 @@ _ASTRAY = 0.5  # of the pixels' reach, and 0.5 px more: a top farther from the m
 _BELIEVED_PX = 1.0  # what a top may be off at most by chance: it is one of few pixels
 
 
-@kernel
+@float_kernel
 def log_parabola_centres(
-    image: Pixels,
+    levels: Pixels,
+    columns: int,
     s: Stripes,
     white: int,
     noise: Floats,
@@ -39,28 +40,29 @@ def log_parabola_centres(
     sum_squares = 2.0 if half == 1 else 10.0
     mean_square = sum_squares / points
     spread = 2.0 / 3.0 if half == 1 else 14.0
-    for i in range(s.row.shape[0]):
-        f = image[s.row[i]]
-        middle, background, slope, width = s.middle[i], s.background[i], s.slope[i], s.width[i]
+    row, los, his, _, middles, widths, amplitudes, backgrounds, slopes, unsures = s
+    for i in range(row.shape[0]):
+        begins = row[i] * columns
+        middle, background, slope, width = middles[i], backgrounds[i], slopes[i], widths[i]
         at = int(np.rint(middle))
-        if half == 1 and s.lo[i] < at < s.hi[i]:
-            before, here, after = f[at - 1], f[at], f[at + 1]
+        if half == 1 and los[i] < at < his[i]:
+            before, here, after = levels[begins + at - 1], levels[begins + at], levels[begins + at + 1]
             if max(before, after) > here:
                 at += 1 if after > before else -1
         whole = int(np.rint(background))
         rest = background + slope * (at - middle) - whole
-        usable = at - half >= s.lo[i] and at + half <= s.hi[i]
+        usable = at - half >= los[i] and at + half <= his[i]
         c1 = c2 = 0.0
         for k in range(points if usable else 0):
             u = k - half
-            usable = usable and f[at + u] < white
-            log[k] = log_above(f[at + u], whole, rest + slope * u, logs)
+            usable = usable and levels[begins + at + u] < white
+            log[k] = log_above(levels[begins + at + u], whole, rest + slope * u, logs)
             c1 += u * log[k]
             c2 += (u * u - mean_square) * log[k]
         c1, c2 = c1 / sum_squares, c2 / spread
         if not (usable and c2 < 0.0 and abs(c1) < -2.0 * c2 * (0.5 + _ASTRAY * half)):
             x_px[i] = middle
-            x_std_px[i] = np.sqrt(variance_of_middle(width, s.amplitude[i], background, noise))
+            x_std_px[i] = np.sqrt(variance_of_middle(width, amplitudes[i], background, noise))
             continue
         x_px[i] = at - 0.5 * c1 / c2
         # How steep the parabola is comes from the width: as fitted it may be flat by chance, which would give
@@ -70,9 +72,11 @@ def log_parabola_centres(
         lean = 0.0
         for k in range(points):
             u = k - half
-            light[k] = s.amplitude[i] * np.exp(-narrow * (at + u - x_px[i]) ** 2)
+            light[k] = amplitudes[i] * bell(narrow * (at + u - x_px[i]) ** 2)
             pull[k] = (by_c1 * u / sum_squares - by_c2 * (u * u - mean_square) / spread) / light[k]
             lean += pull[k] * (at + u - middle)
         first = at - half
-        variance = variance_of(f, white, first, points, pull, light, background, lean, s.unsure[i], noise)
+        variance = variance_of(
+            levels, white, begins + first, points, pull, light, background, lean, unsures[i], noise
+        )
         x_std_px[i] = np.sqrt(variance / (1.0 + variance / (_BELIEVED_PX * _BELIEVED_PX)))

@@ -9,12 +9,15 @@ from numpy.typing import NDArray
 
 from roemetry.arrays import Floats
 from roemetry.records.peaks import EDGE, SATURATED
-from roemetry_kernels.compiling import kernel
+from roemetry_kernels.compiling import float_kernel, inlined
 from roemetry_kernels.stripe_scan import Area, Pixels, Places, Tops
 
 FWHM_OF_SIGMA = 2.354820045030949
 
 _SEEN_PX = 64  # how far from a top its surroundings are looked at
+_NEAR_PX = 4  # where a stripe of usual width has fallen to the background
+_BLOCK = 16  # pixels looked at together: one vector
+_DARKER = 0.125  # of the height: by less it does not get darker
 _SHALLOW = 0.45  # a valley less deep than that share of the lower of two tops is a dent in one stripe
 _FEET_FROM = 3.6  # standard deviations from the middle: what lies farther out is background
 _FEET_PX = 8  # pixels on each side that the background is taken from
@@ -79,18 +82,26 @@ def stripes_around(
     width_min_px, width_max_px
         Full width at half height of what may be a stripe, px.
     """
-    count = _join(image, area.left, area.right, width_min_px, *tops)
+    levels, columns = image.reshape(-1), image.shape[1]
+    count = _join(levels, columns, area.left, area.right, width_min_px, *tops)
     row, places = np.empty(count, np.int64), np.empty((2, count), np.int32)
     flags, values = np.empty(count, np.uint8), np.empty((6, count))
     first = tops.first[:count], tops.last[:count]
     limits = area.left, area.right, white, width_min_px, width_max_px
-    count = _measure(image, *limits, tops.row[:count], *first, row, places, flags, values)
+    count = _measure(levels, columns, *limits, tops.row[:count], *first, row, places, flags, values)
     return Stripes(row[:count], *places[:, :count], flags[:count], *values[:, :count])
 
 
-@kernel
+@float_kernel
 def _join(
-    image: Pixels, left: int, right: int, width_min_px: float, row: Places, first: Places, last: Places
+    levels: Pixels,
+    columns: int,
+    left: int,
+    right: int,
+    width_min_px: float,
+    row: Places,
+    first: Places,
+    last: Places,
 ) -> int:
     """Leave out spikes and join tops of one stripe, in place; gives the number of peaks that are left.
 
@@ -98,12 +109,14 @@ def _join(
     """
     count = 0
     for i in range(row.shape[0]):
-        f = image[row[i]]
-        if _spike_width(f, first[i], last[i], left, right) < width_min_px:
+        at = row[i] * columns
+        if _spike_width(levels, at + first[i], at + last[i], at + left, at + right) < width_min_px:
             continue
         p = count - 1
         near = p >= 0 and row[p] == row[i] and first[i] - last[p] <= _SEEN_PX
-        if near and _is_one(f, first[p], last[p], first[i], last[i], left, right):
+        if near and _is_one(
+            levels, at + first[p], at + last[p], at + first[i], at + last[i], at + left, at + right
+        ):
             last[p] = last[i]
             continue
         row[count], first[count], last[count] = row[i], first[i], last[i]
@@ -111,88 +124,138 @@ def _join(
     return count
 
 
-@kernel
-def _spike_width(f: Pixels, first: int, last: int, left: int, right: int) -> float:
+@inlined
+def _spike_width(levels: Pixels, first: int, last: int, left: int, right: int) -> float:
     """Full width at half height of a top that both neighbours lie below half of; infinite for any other."""
     if first == left or last + 1 == right:
         return np.inf
-    high = float(f[first])
-    before, after = high - float(f[first - 1]), high - float(f[last + 1])
-    half = 0.5 * (high - float(_base(f, first, last, left, right)))
+    high = float(levels[first])
+    before, after = high - float(levels[first - 1]), high - float(levels[last + 1])
+    # Whatever lies a few pixels off is no lower than the base: that settles it for all but narrow tops.
+    near = min(float(levels[max(first - _NEAR_PX, left)]), float(levels[min(last + _NEAR_PX, right - 1)]))
+    if min(before, after) < 0.5 * (high - near):
+        return np.inf
+    half = 0.5 * (high - float(_base(levels, first, last, left, right)))
     if before < half or after < half:
         return np.inf
     return half / before + half / after + (last - first)
 
 
-@kernel
-def _base(f: Pixels, first: int, last: int, left: int, right: int) -> int:
+@inlined
+def _base(levels: Pixels, first: int, last: int, left: int, right: int) -> int:
     """Give the lowest grey level around a top."""
     return min(
-        lowest(f, max(left, first - _SEEN_PX), first),
-        lowest(f, last + 1, min(right, last + 1 + _SEEN_PX)),
+        _lowest_before(levels, max(left, first - _SEEN_PX), first),
+        _lowest_after(levels, last + 1, min(right, last + 1 + _SEEN_PX)),
     )
 
 
-@kernel
-def _is_one(f: Pixels, first: int, last: int, next_first: int, next_last: int, left: int, right: int) -> bool:
+@inlined
+def _is_one(
+    levels: Pixels, first: int, last: int, next_first: int, next_last: int, left: int, right: int
+) -> bool:
     """Whether the valley between two tops is a dent in one stripe."""
-    lower = min(float(f[first]), float(f[last]))
-    lower = min(lower, float(f[next_first]))
-    at = last + 1
+    lower = min(min(float(levels[first]), float(levels[last])), float(levels[next_first]))
+    # Halfway it is usually dark, which settles it: the base is not below black.
+    valley = _mean_of_three(levels, (last + next_first) // 2)
+    if lower - valley >= _SHALLOW * lower:
+        return False
     for x in range(last + 1, next_first):
-        if f[x] < f[at]:
-            at = x
-    valley = (float(f[at - 1]) + float(f[at]) + float(f[at + 1])) / 3.0
-    base = float(_base(f, first, next_last, left, right))
+        valley = min(valley, _mean_of_three(levels, x))
+    base = float(_base(levels, first, next_last, left, right))
     return lower - valley < _SHALLOW * (lower - base)
 
 
-@kernel
-def lowest(f: Pixels, begin: int, end: int) -> int:
-    """Give the lowest grey level from `begin` up to `end`, of the pixel at `begin` if there are none."""
-    low = f[min(begin, f.shape[0] - 1)]
-    for x in range(begin, end):
-        low = min(low, f[x])
+@inlined
+def _mean_of_three(levels: Pixels, x: int) -> float:
+    return (float(levels[x - 1]) + float(levels[x]) + float(levels[x + 1])) / 3.0
+
+
+@inlined
+def _lowest_before(levels: Pixels, begin: int, end: int) -> int:
+    """Lowest grey level from `begin` up to `end`, looked for from `end` on while it gets darker."""
+    low = np.int64(levels[max(end - 1, begin)])
+    x = end
+    while x - _BLOCK >= begin:
+        x -= _BLOCK
+        found = _lowest_of_block(levels, x)
+        if found + _DARKER * (np.int64(levels[end]) - found) >= low and x + _BLOCK < end:
+            return min(low, found)
+        low = min(low, found)
+    for k in range(begin, x):
+        low = min(low, np.int64(levels[k]))
+    return low
+
+
+@inlined
+def _lowest_after(levels: Pixels, begin: int, end: int) -> int:
+    """Lowest grey level from `begin` up to `end`, looked for from `begin` on while it gets darker."""
+    low = np.int64(levels[min(begin, end - 1)])
+    x = begin
+    while x + _BLOCK <= end:
+        found = _lowest_of_block(levels, x)
+        if found + _DARKER * (np.int64(levels[begin - 1]) - found) >= low and x > begin:
+            return min(low, found)
+        low = min(low, found)
+        x += _BLOCK
+    for k in range(x, end):
+        low = min(low, np.int64(levels[k]))
+    return low
+
+
+@inlined
+def _lowest_of_block(levels: Pixels, begin: int) -> int:
+    at = np.uint64(begin)  # unsigned, which no index from the end can be: only so can it be one vector
+    low = levels[at]
+    for k in range(np.uint64(_BLOCK)):
+        low = min(low, levels[at + k])
     return np.int64(low)  # type: ignore[return-value]
 
 
-@kernel
-def crossings(f: Pixels, level: float, first: int, last: int, lo: int, hi: int) -> tuple[float, float]:
+@inlined
+def _crossings(levels: Pixels, level: float, first: int, last: int, lo: int, hi: int) -> tuple[float, float]:
     """Columns, px, where the grey levels `f` cross a level on both sides of a top, between pixels.
 
     Where they do not within `lo` … `hi`, the crossing is put there.
     """
-    while f[first] < level and first < last:
+    whole = np.int64(np.ceil(level))
+    while levels[first] < whole and first < last:
         first += 1
-    while f[last] < level and last > first:
+    while levels[last] < whole and last > first:
         last -= 1
     x = first
-    while x > lo and f[x] >= level:
+    while x > lo and levels[x] >= whole:
         x -= 1
     left = float(x)
-    if f[x] < level:
-        left += (level - f[x]) / (float(f[x + 1]) - float(f[x]))
+    if levels[x] < whole:
+        left += (level - levels[x]) / (float(levels[x + 1]) - float(levels[x]))
     x = last
-    while x < hi and f[x] >= level:
+    while x < hi and levels[x] >= whole:
         x += 1
     right = float(x)
-    if f[x] < level:
-        right -= (level - f[x]) / (float(f[x - 1]) - float(f[x]))
+    if levels[x] < whole:
+        right -= (level - levels[x]) / (float(levels[x - 1]) - float(levels[x]))
     return left, right
 
 
-@kernel
-def _foot(f: Pixels, begin: int, end: int, high: float) -> float:
+@inlined
+def _foot(levels: Pixels, begin: int, end: int, high: float) -> float:
     """Mean grey level of the pixels from `begin` up to `end`; levels above `high` count as `high`."""
-    total = 0.0
+    total, most = np.int64(0), np.int64(high)
+    if end - begin == _FEET_PX:
+        at = np.uint64(begin)
+        for k in range(np.uint64(_FEET_PX)):
+            total += min(np.int64(levels[at + k]), most)
+        return total / _FEET_PX
     for x in range(begin, end):
-        total += min(float(f[x]), high)
+        total += min(np.int64(levels[x]), most)
     return total / max(end - begin, 1)
 
 
-@kernel
+@float_kernel
 def _measure(
-    image: Pixels,
+    levels: Pixels,
+    columns: int,
     left: int,
     right: int,
     white: int,
@@ -209,20 +272,25 @@ def _measure(
     """Fill the fields of `Stripes`; gives the number of those within the width limits."""
     count = 0
     for i in range(row.shape[0]):
-        f = image[row[i]]
-        begin, end = first[i], last[i]
         lo, hi = left, right - 1
         if i > 0 and row[i - 1] == row[i]:
-            lo = (last[i - 1] + begin + 1) // 2
+            lo = (last[i - 1] + first[i] + 1) // 2
         if i + 1 < row.shape[0] and row[i + 1] == row[i]:
-            hi = (end + first[i + 1]) // 2
+            hi = (last[i] + first[i + 1]) // 2
+        # From here on places in `levels`, until they are written down.
+        begins = row[i] * columns
+        begin, end = begins + first[i], begins + last[i]
+        lo, hi = begins + lo, begins + hi
         high = 0.0
         for x in range(begin, end + 1):
-            high = max(high, float(f[x]))
-        low_left = float(lowest(f, max(lo, begin - _SEEN_PX), begin))
-        low_right = float(lowest(f, end + 1, min(hi, end + _SEEN_PX) + 1))
-        base = max(low_left, low_right)
-        from_px, to_px = crossings(f, 0.5 * (high + base), begin, end, lo, hi)
+            high = max(high, float(levels[x]))
+        base = float(
+            max(
+                _lowest_before(levels, max(lo, begin - _SEEN_PX), begin),
+                _lowest_after(levels, end + 1, min(hi, end + _SEEN_PX) + 1),
+            )
+        )
+        from_px, to_px = _crossings(levels, 0.5 * (high + base), begin, end, lo, hi)
         middle, width = 0.5 * (from_px + to_px), to_px - from_px
         if not width_min_px <= width <= width_max_px:
             continue
@@ -232,8 +300,8 @@ def _measure(
         inner_right = max(min(int(middle + reach) + 1, hi + 1), end + 1)
         outer_left, outer_right = max(inner_left - _FEET_PX, lo), min(inner_right + _FEET_PX, hi + 1)
         level_left, level_right = (
-            _foot(f, outer_left, inner_left, cap),
-            _foot(f, inner_right, outer_right, cap),
+            _foot(levels, outer_left, inner_left, cap),
+            _foot(levels, inner_right, outer_right, cap),
         )
         pixels_left, pixels_right = inner_left - outer_left, outer_right - inner_right
         slope = unsure = 0.0
@@ -250,7 +318,8 @@ def _measure(
         else:
             background = base
         out_row[count] = row[i]
-        places[0, count], places[1, count] = lo, hi
+        places[0, count], places[1, count] = lo - begins, hi - begins
+        middle -= begins
         values[0, count], values[1, count], values[2, count] = middle, width, high - background
         values[3, count], values[4, count], values[5, count] = background, slope, unsure
         margin = _EDGE_SIGMAS * width / FWHM_OF_SIGMA

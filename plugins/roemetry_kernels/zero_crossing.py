@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from roemetry.arrays import Floats
-from roemetry_kernels.compiling import kernel
+from roemetry_kernels.compiling import float_kernel, inlined
 from roemetry_kernels.influence import PIXELS_MAX, variance_of
 from roemetry_kernels.stripe_footing import FWHM_OF_SIGMA, Stripes
 from roemetry_kernels.stripe_scan import Pixels
@@ -13,9 +13,16 @@ from roemetry_kernels.stripe_scan import Pixels
 _LENGTH_OF_SIGMA = 1.6
 
 
-@kernel
+@float_kernel
 def zero_crossings(
-    image: Pixels, s: Stripes, white: int, noise: Floats, x_px: Floats, x_std_px: Floats, half_length: int
+    levels: Pixels,
+    columns: int,
+    s: Stripes,
+    white: int,
+    noise: Floats,
+    x_px: Floats,
+    x_std_px: Floats,
+    half_length: int,
 ) -> None:
     """Find where the sum of the pixels to the right equals the sum of those to the left.
 
@@ -24,29 +31,30 @@ def zero_crossings(
     off. The other parameters are those of `roemetry_kernels.gaussian_fit.gaussian_centres`.
     """
     pull, light = np.empty(PIXELS_MAX), np.empty(PIXELS_MAX)
-    for i in range(s.row.shape[0]):
-        f = image[s.row[i]]
+    row, los, his, _, middles, widths, _, backgrounds, slopes, unsures = s
+    for i in range(row.shape[0]):
+        begins = row[i] * columns
         half = half_length
         if half == 0:
-            half = max(1, int(np.rint(_LENGTH_OF_SIGMA * s.width[i] / FWHM_OF_SIGMA)))
-        tilt = s.slope[i] * half * (half + 1)
-        lowest, highest = s.lo[i] + half, s.hi[i] - half
+            half = max(1, int(np.rint(_LENGTH_OF_SIGMA * widths[i] / FWHM_OF_SIGMA)))
+        tilt = slopes[i] * half * (half + 1)
+        lowest, highest = los[i] + half, his[i] - half
         x_px[i] = x_std_px[i] = np.nan
-        before = int(np.floor(s.middle[i]))
+        before = int(np.floor(middles[i]))
         if before < lowest or before + 1 > highest:
             continue
-        left = _difference(f, before, half) - tilt
+        left = _difference(levels, begins + before, half) - tilt
         while left <= 0.0 and before > lowest:
             before -= 1
-            left = _difference(f, before, half) - tilt
+            left = _difference(levels, begins + before, half) - tilt
         after = before + 1
-        right = _difference(f, after, half) - tilt
+        right = _difference(levels, begins + after, half) - tilt
         while right >= 0.0 and after < highest:
             if right > 0.0:
                 before, left = after, right
             after += 1
-            right = _difference(f, after, half) - tilt
-        if not (left > 0.0 > right and abs(0.5 * (before + after) - s.middle[i]) < s.width[i]):
+            right = _difference(levels, begins + after, half) - tilt
+        if not (left > 0.0 > right and abs(0.5 * (before + after) - middles[i]) < widths[i]):
             continue
         part = left / (left - right)
         x_px[i] = before + part * (after - before)
@@ -58,23 +66,25 @@ def zero_crossings(
         for k in range(count):
             x = first + k
             pull[k] = unit * ((1.0 - part) * _side(x - before, half) + part * _side(x - after, half))
-            light[k] = f[x] - s.background[i] - s.slope[i] * (x - s.middle[i])
-            lean += pull[k] * (x - s.middle[i])
+            light[k] = levels[begins + x] - backgrounds[i] - slopes[i] * (x - middles[i])
+            lean += pull[k] * (x - middles[i])
         x_std_px[i] = np.sqrt(
-            variance_of(f, white, first, count, pull, light, s.background[i], lean, s.unsure[i], noise)
+            variance_of(
+                levels, white, begins + first, count, pull, light, backgrounds[i], lean, unsures[i], noise
+            )
         )
 
 
-@kernel
-def _difference(f: Pixels, x: int, half: int) -> float:
+@inlined
+def _difference(levels: Pixels, place: int, half: int) -> float:
     """Sum of the `half` pixels to the right of a pixel less the sum of those to the left."""
     total = np.int64(0)
     for k in range(1, half + 1):
-        total += np.int64(f[x + k]) - np.int64(f[x - k])
+        total += np.int64(levels[place + k]) - np.int64(levels[place - k])
     return float(total)
 
 
-@kernel
+@inlined
 def _side(off: int, half: int) -> float:
     if off == 0 or abs(off) > half:
         return 0.0

@@ -45,7 +45,8 @@ def found(frame: Frame, options: PeakOptions, centres: Callable[..., None], *set
     limits = {"width_min_px": options.width_min_px, "width_max_px": options.width_max_px}
     stripes = stripes_around(pixels, tops, area, white=frame.white, **limits)
     x_px, x_std_px = np.empty((2, stripes.row.shape[0]))
-    centres(pixels, stripes, frame.white, noise_of(frame, options), x_px, x_std_px, *settings)
+    levels, columns = pixels.reshape(-1), pixels.shape[1]
+    centres(levels, columns, stripes, frame.white, noise_of(frame, options), x_px, x_std_px, *settings)
     fields = {
         "row": stripes.row,
         "x_px": x_px,
