@@ -74,8 +74,11 @@ def gaussian_centres(
             u = x - middle
             far = narrow * u * u
             model = amplitude * bell(far)
-            log = log_above(levels[begins + x], whole, background + slope * u - whole, logs)
-            log = max(log, highest - far + clip)
+            rest = background + slope * u - whole
+            if levels[begins + x] - whole - rest > _LOWEST * model:
+                log = log_above(levels[begins + x], whole, rest, logs)
+            else:
+                log = highest - far + clip
             share = model / (floor + model * (gain + speckle * model))
             weight = model * share
             s0 += weight

@@ -9,6 +9,9 @@ import numpy as np
 from roemetry.arrays import Floats
 from roemetry_kernels.compiling import inlined
 
+_FAR_OFF = 0.07  # share of the background's rest in the level, up to which four terms of the series will do
+_DARKEST = 0.001
+
 
 @cache
 def log_table(white: int) -> Floats:
@@ -21,18 +24,19 @@ def log_table(white: int) -> Floats:
 
 @inlined
 def log_above(level: int, whole: int, rest: float, logs: Floats) -> float:
-    """Logarithm of a grey level above a background, of one at least.
+    """Logarithm of a grey level above a background, to 3e-7; of what is darker, that of a thousandth.
 
     Parameters
     ----------
     level
         Grey level.
     whole, rest
-        Background as a whole grey level, and what it exceeds that by: small against `level` − `whole`. To
-        the fourth power of their ratio, which leaves 1e-7 for a tenth.
+        Background as a whole grey level, and what it exceeds that by.
     logs
         As `log_table` gives it.
     """
-    above = max(np.int64(level) - whole, 1)
+    above = max(int(level) - whole, 1)
     off = rest * logs[1, above]
+    if abs(off) > _FAR_OFF:
+        return np.log(max(int(level) - whole - rest, _DARKEST))
     return logs[0, above] - off * (1.0 + off * (0.5 + off * (1.0 / 3.0 + 0.25 * off)))

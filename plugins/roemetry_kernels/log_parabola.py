@@ -44,7 +44,7 @@ def log_parabola_centres(
     for i in range(row.shape[0]):
         begins = row[i] * columns
         middle, background, slope, width = middles[i], backgrounds[i], slopes[i], widths[i]
-        at = int(np.rint(middle))
+        at = int(np.floor(middle + 0.5))
         if half == 1 and los[i] < at < his[i]:
             before, here, after = levels[begins + at - 1], levels[begins + at], levels[begins + at + 1]
             if max(before, after) > here:

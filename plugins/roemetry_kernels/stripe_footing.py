@@ -89,7 +89,9 @@ def stripes_around(
     first = tops.first[:count], tops.last[:count]
     limits = area.left, area.right, white, width_min_px, width_max_px
     count = _measure(levels, columns, *limits, tops.row[:count], *first, row, places, flags, values)
-    return Stripes(row[:count], *places[:, :count], flags[:count], *values[:, :count])
+    lo, hi = places[:, :count]
+    middle, width, amplitude, background, slope, unsure = values[:, :count]
+    return Stripes(row[:count], lo, hi, flags[:count], middle, width, amplitude, background, slope, unsure)
 
 
 @float_kernel
@@ -174,32 +176,32 @@ def _mean_of_three(levels: Pixels, x: int) -> float:
 @inlined
 def _lowest_before(levels: Pixels, begin: int, end: int) -> int:
     """Lowest grey level from `begin` up to `end`, looked for from `end` on while it gets darker."""
-    low = np.int64(levels[max(end - 1, begin)])
+    low = int(levels[max(end - 1, begin)])
     x = end
     while x - _BLOCK >= begin:
         x -= _BLOCK
         found = _lowest_of_block(levels, x)
-        if found + _DARKER * (np.int64(levels[end]) - found) >= low and x + _BLOCK < end:
+        if found + _DARKER * (int(levels[end]) - found) >= low and x + _BLOCK < end:
             return min(low, found)
         low = min(low, found)
     for k in range(begin, x):
-        low = min(low, np.int64(levels[k]))
+        low = min(low, int(levels[k]))
     return low
 
 
 @inlined
 def _lowest_after(levels: Pixels, begin: int, end: int) -> int:
     """Lowest grey level from `begin` up to `end`, looked for from `begin` on while it gets darker."""
-    low = np.int64(levels[min(begin, end - 1)])
+    low = int(levels[min(begin, end - 1)])
     x = begin
     while x + _BLOCK <= end:
         found = _lowest_of_block(levels, x)
-        if found + _DARKER * (np.int64(levels[begin - 1]) - found) >= low and x > begin:
+        if found + _DARKER * (int(levels[begin - 1]) - found) >= low and x > begin:
             return min(low, found)
         low = min(low, found)
         x += _BLOCK
     for k in range(x, end):
-        low = min(low, np.int64(levels[k]))
+        low = min(low, int(levels[k]))
     return low
 
 
@@ -218,7 +220,7 @@ def _crossings(levels: Pixels, level: float, first: int, last: int, lo: int, hi:
 
     Where they do not within `lo` … `hi`, the crossing is put there.
     """
-    whole = np.int64(np.ceil(level))
+    whole = int(np.ceil(level))
     while levels[first] < whole and first < last:
         first += 1
     while levels[last] < whole and last > first:
@@ -241,14 +243,14 @@ def _crossings(levels: Pixels, level: float, first: int, last: int, lo: int, hi:
 @inlined
 def _foot(levels: Pixels, begin: int, end: int, high: float) -> float:
     """Mean grey level of the pixels from `begin` up to `end`; levels above `high` count as `high`."""
-    total, most = np.int64(0), np.int64(high)
+    total, most = np.int64(0), int(high)
     if end - begin == _FEET_PX:
         at = np.uint64(begin)
         for k in range(np.uint64(_FEET_PX)):
-            total += min(np.int64(levels[at + k]), most)
+            total += min(int(levels[at + k]), most)
         return total / _FEET_PX
     for x in range(begin, end):
-        total += min(np.int64(levels[x]), most)
+        total += min(int(levels[x]), most)
     return total / max(end - begin, 1)
 
 

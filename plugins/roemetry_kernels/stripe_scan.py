@@ -185,15 +185,15 @@ def _top_before(f: Pixels, end: int, threshold: int) -> tuple[int, int]:
     the top and whatever came before that peak: so the way back may end there.
     """
     first = end - 1
-    high = np.int64(f[first])
+    high: Any = int(f[first])
     x = first - 1
-    while x >= 0 and np.int64(f[x]) >= high - threshold:
-        if np.int64(f[x]) >= high:
-            high = np.int64(f[x])
+    while x >= 0 and int(f[x]) >= high - threshold:
+        if int(f[x]) >= high:
+            high = int(f[x])
             first = x
         x -= 1
     last = first
-    while np.int64(f[last + 1]) == high:
+    while int(f[last + 1]) == high:
         last += 1
     return first, last
 

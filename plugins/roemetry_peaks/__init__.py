@@ -12,10 +12,32 @@ def roemetry_stages() -> Iterable[StageEntry]:
     """Name the extractors, the simplest first."""
     yield StageEntry(
         kind="extractor",
+        name="log-parabola",
+        target="roemetry_peaks.log_parabola:LogParabola",
+        summary="Top of the parabola through the logarithms of three or five pixels: the fastest",
+        reference="Fisher, Naidu (1996), A comparison of algorithms for subpixel peak detection",
+    )
+    yield StageEntry(
+        kind="extractor",
         name="centre-of-gravity",
         target="roemetry_peaks.centre_of_gravity:CentreOfGravity",
         summary="Centre of gravity of each stripe's profile above its background",
         reference="Fisher, Naidu (1996), A comparison of algorithms for subpixel peak detection",
+    )
+    yield StageEntry(
+        kind="extractor",
+        name="gaussian",
+        target="roemetry_peaks.gaussian:Gaussian",
+        summary="Gaussian fitted to each stripe by weighted least squares on logarithms",
+        reference="Guo (2011), A simple algorithm for fitting a Gaussian function, "
+        "IEEE Signal Processing Magazine 28(5):134–137",
+    )
+    yield StageEntry(
+        kind="extractor",
+        name="fir-zero-crossing",
+        target="roemetry_peaks.zero_crossing:ZeroCrossing",
+        summary="Zero crossing of each stripe's filtered derivative",
+        reference="Blais, Rioux (1986), Real-time numerical peak detector, Signal Processing 11(2):145–155",
     )
     yield StageEntry(
         kind="extractor",

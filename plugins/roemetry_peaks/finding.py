@@ -47,7 +47,7 @@ def found(frame: Frame, options: PeakOptions, centres: Callable[..., None], *set
     x_px, x_std_px = np.empty((2, stripes.row.shape[0]))
     levels, columns = pixels.reshape(-1), pixels.shape[1]
     centres(levels, columns, stripes, frame.white, noise_of(frame, options), x_px, x_std_px, *settings)
-    fields = {
+    fields: dict[str, Any] = {
         "row": stripes.row,
         "x_px": x_px,
         "x_std_px": x_std_px,
@@ -56,9 +56,9 @@ def found(frame: Frame, options: PeakOptions, centres: Callable[..., None], *set
         "width_px": stripes.width,
         "flags": stripes.flags,
     }
-    right = x_px > -np.inf
-    if not right.all():
-        fields = {name: values[right] for name, values in fields.items()}
+    nowhere = np.isnan(x_px)
+    if nowhere.any():
+        fields = {name: values[~nowhere] for name, values in fields.items()}
     return Peaks(image_size=frame.size, **fields)
 
 
