@@ -159,7 +159,7 @@ def _made(kind: type[np.unsignedinteger[Any]], turn: Callable[..., None], steps:
                         for k in range(tile * (w - begin), tile * (w - begin + 1)):
                             lane[found] = k
                             end[found] = left + x + c
-                            ends = np.int64(bits & np.uint64(1))
+                            ends = int(bits & np.uint64(1))
                             start[k + 1] += ends
                             found += ends
                             bits >>= bits_a_pixel
@@ -185,7 +185,7 @@ def _top_before(f: Pixels, end: int, threshold: int) -> tuple[int, int]:
     the top and whatever came before that peak: so the way back may end there.
     """
     first = end - 1
-    high: Any = int(f[first])
+    high = int(f[first])
     x = first - 1
     while x >= 0 and int(f[x]) >= high - threshold:
         if int(f[x]) >= high:
