@@ -11,6 +11,8 @@ beside them as a yardstick.
 from __future__ import annotations
 
 import argparse
+import multiprocessing
+import resource
 import statistics
 import tempfile
 import time
@@ -114,20 +116,47 @@ def _print_jobs(path: str, frames: int, sets: list[str]) -> None:
         for number in range(frames):
             (copies / f"{number:06d}.png").symlink_to(images[number % len(images)].resolve())
         recipe = Recipe.load(path, sets=[*sets, f"source.path={copies}", "sinks=[]"])
-        taken: dict[int, list[float]] = {1: [], 2: []}
-        for turn in range(4):
+        found: dict[int, list[tuple[float, float, float]]] = {1: [], 2: []}
+        for turn in range(3):
             for jobs in (1, 2):
-                out = Path(folder) / f"out-{turn}-{jobs}"
-                seconds = _taken(lambda out=out, jobs=jobs: run_recipe(recipe, out, jobs=jobs))
-                if turn:
-                    taken[jobs].append(seconds)
-        for jobs, all_seconds in taken.items():
-            median = statistics.median(all_seconds)
-            print(f"{jobs} process{'es' if jobs > 1 else ''}: {frames / median:7.0f} frames a second")
-        gain = statistics.median(one / two for one, two in zip(taken[1], taken[2], strict=True))
-        print(
-            f"two processes are {gain:.2f} times as fast as one; {frames} frames, files read, start included"
-        )
+                found[jobs].append(_run(recipe, Path(folder) / f"out-{turn}-{jobs}", jobs))
+    whole_s, steady_s, worked_s = (
+        {jobs: statistics.median(each) for jobs, each in zip((1, 2), column, strict=True)}
+        for column in zip(*(zip(*found[jobs], strict=True) for jobs in (1, 2)), strict=True)
+    )
+    for jobs in (1, 2):
+        name = "one process" if jobs == 1 else "two processes"
+        print(f"{name}: {0.75 * frames / steady_s[jobs]:.0f} frames a second")
+    steady, started = steady_s[1] / steady_s[2], whole_s[1] / whole_s[2]
+    more = worked_s[2] / worked_s[1]
+    print(f"two are {steady:.2f} times as fast as one over the last three quarters of {frames} frames,")
+    print(
+        f"{started:.2f} times with their start; reading is included; they take {more:.2f} times the processor"
+    )
+    print(f"time, so that two free cores give at most {2.0 / more:.2f} times the speed")
+
+
+def _run(recipe: Recipe, out: Path, jobs: int) -> tuple[float, float, float]:
+    """Run; give the time of all frames, of their last three quarters, and processor time, s."""
+    at: dict[int, float] = {}
+    of = 0
+
+    def note(done: int, total: int) -> None:
+        nonlocal of
+        at.setdefault(done, time.perf_counter())
+        of = total
+
+    before = _cpu_s()
+    whole = _taken(lambda: run_recipe(recipe, out, jobs=jobs, on_progress=note))
+    for child in multiprocessing.active_children():
+        child.join()
+    return whole, at[of] - at[of // 4], _cpu_s() - before
+
+
+def _cpu_s() -> float:
+    """Processor time of this process and of its ended children, s."""
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(one.ru_utime + one.ru_stime for one in used)
 
 
 def _blurred(pixels: object) -> None:

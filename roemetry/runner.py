@@ -30,6 +30,13 @@ from roemetry.record import PROVENANCE, RECORD, acquisitions_to_keep, count_rows
 from roemetry.records import AcquisitionReference, Reason, Trace
 from roemetry.stages import Run
 
+Measured = tuple[list[str], Mapping[str, float]]
+"""An acquisition's lines of the record, and the seconds its stages took."""
+
+_CHUNK_S = 0.03
+"""Work that is handed to a worker process at once, s: long beside the handing over, too short to notice."""
+_TOGETHER_MAX = 16
+
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
@@ -149,7 +156,7 @@ def derive(
 
 def _measured(
     recipe: Recipe, references: Sequence[AcquisitionReference], jobs: int, debug: bool
-) -> Iterator[tuple[list[str], Mapping[str, float]]]:
+) -> Iterator[Measured]:
     """Give each acquisition's lines, in the order of the source, with the seconds its stages took."""
     if jobs == 1 or len(references) < 2:
         worker = _Worker(recipe, debug)
@@ -160,15 +167,18 @@ def _measured(
     with ProcessPoolExecutor(
         min(jobs, len(references)), get_context("spawn"), _start_worker, (recipe, debug)
     ) as pool:
-        waiting: deque[Future[tuple[list[str], Mapping[str, float]]]] = deque()
+        waiting: deque[Future[list[Measured]]] = deque()
         coming = iter(references)
+        together = 1
         try:
             while True:
-                for reference in islice(coming, 4 * jobs - len(waiting)):
-                    waiting.append(pool.submit(_work, reference))
+                while len(waiting) < 4 * jobs and (chunk := list(islice(coming, together))):
+                    waiting.append(pool.submit(_work, chunk))
                 if not waiting:
                     return
-                yield waiting.popleft().result()
+                for lines, took in waiting.popleft().result():
+                    together = min(_TOGETHER_MAX, 1 + int(_CHUNK_S / max(sum(took.values()), 1e-6)))
+                    yield lines, took
         except BrokenProcessPool as error:
             raise InterruptedRunError(
                 "a worker process died (killed by the system, perhaps for want of memory)",
@@ -191,7 +201,7 @@ class _Worker:
             self._hashes["calibration_sha256"] = recipe.calibration.sha256
         self._doubts = calibration_doubts(recipe)
 
-    def __call__(self, reference: AcquisitionReference) -> tuple[list[str], Mapping[str, float]]:
+    def __call__(self, reference: AcquisitionReference) -> Measured:
         try:
             acquisition = self._source.read(reference)
             hashes = {f"{role}_sha256": sha256_of(path) for role, path in reference.files.items()}
@@ -225,10 +235,10 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
-def _work(reference: AcquisitionReference) -> tuple[list[str], Mapping[str, float]]:
+def _work(references: Sequence[AcquisitionReference]) -> list[Measured]:
     if _worker is None:
         raise AssertionError("a worker process was not started by _start_worker")
-    return _worker(reference)
+    return [_worker(reference) for reference in references]
 
 
 def _provenance(recipe: Recipe, references: Sequence[AcquisitionReference]) -> dict[str, Any]:
