@@ -145,15 +145,16 @@ def _arcs(product: Product, curves: BodyCurves, middle: Integers, options: ArcCu
     here = (curves.slice, curves.point)
     x_row = np.empty((curves.slice.size, 2))
     x_row[:, 0], x_row[:, 1] = profiles.x_px[here], profiles.row_px[here]
-    along_above = profiles.xyz_mm[curves.slice, curves.point, 1:]
-    y_mm = along_above[:, 0]
+    in_section = options.space == "mm"
+    along_above = profiles.xyz_mm[curves.slice, curves.point, 1:] if in_section else x_row[:, :0]
+    y_mm = along_above[:, :1].ravel()
     if options.smoothing_rows:
         both = smoothed(curves, np.concatenate([x_row, along_above], axis=1), options.smoothing_rows)
         x_row, along_above = np.ascontiguousarray(both[:, :2]), np.ascontiguousarray(both[:, 2:])
     stripe = profiles.stripe[curves.slice[middle]]
     displacement = product.calibration.displacement_px_per_mm[stripe]
     to_centre_px, radius, bow = circles(x_row, middle, delta)
-    if options.space == "px":
+    if not in_section:
         convexity = np.where(displacement > 0.0, -to_centre_px[:, 0], to_centre_px[:, 0])
         radius_min: Floats = np.full(middle.size, options.radius_min_px)
         radius_max: Floats = np.full(middle.size, options.radius_max_px)

@@ -97,7 +97,9 @@ def _slices(profiles: Profiles, curves: BodyCurves) -> _Slices:
     rest_mm = _rest_mm(profiles, 0.5 * float(y_mm[0] + y_mm[1]))
     order = np.argsort(rest_mm, kind="stable")
     rest_mm, stripe, frame = rest_mm[order], profiles.stripe[order], profiles.frame[order]
-    lit = (np.bincount(curves.slice, minlength=count) > 0)[order]
+    lit = np.zeros(count, np.bool_)
+    lit[curves.slice[curves.first]] = True
+    lit = lit[order]
     on_product = np.flatnonzero(lit)
     dead = ~lit
     dead[: on_product[0]] = dead[on_product[-1] :] = False
@@ -154,11 +156,11 @@ def _rest_mm(profiles: Profiles, y_mm: float) -> Floats:
 
 def _shares(slices: _Slices) -> Shares:
     sizes = slices.seen_mm2 + slices.bridged_mm2
-    total = float((sizes * slices.spacing_mm).sum())
+    total = float(sizes @ slices.spacing_mm)
     return Shares(
-        seen=float((slices.seen_mm2 * slices.own_mm).sum()) / total,
-        interpolated=float((slices.bridged_mm2 * slices.own_mm).sum()) / total,
-        assumed=float((sizes * (slices.spacing_mm - slices.own_mm)).sum()) / total,
+        seen=float(slices.seen_mm2 @ slices.own_mm) / total,
+        interpolated=float(slices.bridged_mm2 @ slices.own_mm) / total,
+        assumed=float(sizes @ (slices.spacing_mm - slices.own_mm)) / total,
     )
 
 
@@ -186,7 +188,8 @@ def _reasons(product: Product, curves: BodyCurves, slices: _Slices) -> tuple[Rea
         reasons.append(
             Reason("last-slice-not-counted", "the last lit stripe's slice is not counted (the paper's sum)"),
         )
-    if unseen := _rows_unseen(profiles, curves):
+    row_px = profiles.row_px[curves.slice, curves.point]
+    if unseen := _rows_unseen(row_px, curves):
         reasons.append(
             Reason(
                 "gap-in-slice",
@@ -194,7 +197,6 @@ def _reasons(product: Product, curves: BodyCurves, slices: _Slices) -> tuple[Rea
                 "nothing is counted there",
             )
         )
-    row_px = profiles.row_px[curves.slice, curves.point]
     if row_px.min() <= _UNSEARCHED_ROWS or row_px.max() >= calibration.image_size[0] - 1 - _UNSEARCHED_ROWS:
         reasons.append(
             Reason("cut-by-edge", "the product reaches the image's first or last row; it may go on beyond"),
@@ -210,9 +212,8 @@ def _reasons(product: Product, curves: BodyCurves, slices: _Slices) -> tuple[Rea
     return tuple(reasons)
 
 
-def _rows_unseen(profiles: Profiles, curves: BodyCurves) -> int:
+def _rows_unseen(row_px: Floats, curves: BodyCurves) -> int:
     """Rows between two curves of one slice, all slices together."""
-    row_px = profiles.row_px[curves.slice, curves.point]
     begin = curves.first[1:]
     same_slice = curves.slice[begin] == curves.slice[begin - 1]
     gaps = np.rint(row_px[begin] - row_px[begin - 1]) - 1
