@@ -62,6 +62,11 @@ def background_noise(image: Pixels) -> float:
     return float(math.sqrt(np.quantile(squares, _QUIET_QUANTILE) / (_LAPLACIAN_SQUARES * _QUIET_SHARE)))
 
 
+def rounding_variance(image: Pixels) -> float:
+    """Variance of rounding to the image's own steps, grey levels²: those of 8 bits in 16 are 256 wide."""
+    return _smallest_step(image, max(1, image.shape[0] // 16)) ** 2 / 12.0
+
+
 def smoothed_peaks(image: Pixels, rise: Floats, white: int) -> Starts:
     """Find peaks that rise above both valleys in the smoothed image.
 
@@ -104,6 +109,21 @@ def _block_squares(image: Pixels, step: int) -> Floats:
             squares[at] = total / _BLOCK_PX
             at += 1
     return squares[:at]
+
+
+@kernel
+def _smallest_step(image: Pixels, step: int) -> int:
+    seen = np.zeros(65536, np.bool_)
+    for y in range(0, image.shape[0], step):
+        for level in image[y]:
+            seen[level] = True
+    smallest, last = 65536, -1
+    for level in range(65536):
+        if seen[level]:
+            if last >= 0:
+                smallest = min(smallest, level - last)
+            last = level
+    return 1 if smallest == 65536 else smallest
 
 
 @kernel

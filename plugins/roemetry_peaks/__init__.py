@@ -46,3 +46,10 @@ def roemetry_stages() -> Iterable[StageEntry]:
         summary="Gaussian fit by maximum likelihood; speckle contrast estimated from the image itself",
         reference="Fisher scoring; speckle in the weights after Dorsch, Häusler, Herrmann (1994); ours",
     )
+    yield StageEntry(
+        kind="smoother",
+        name="local-polynomial",
+        target="roemetry_peaks.local_polynomial:LocalPolynomial",
+        summary="A bent line through the rows around each row; breaks and steps are kept",
+        reference="Local polynomial regression (Savitzky, Golay 1964); steps and bend are ours",
+    )

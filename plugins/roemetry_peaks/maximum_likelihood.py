@@ -15,7 +15,7 @@ from roemetry.stages import Capabilities, Extractor, StageOptions
 from roemetry_kernels.grey_levels import grey, plain_layout, scaled_level
 from roemetry_peaks.finding import searched
 from roemetry_peaks.noise_file import noise_of_file
-from roemetry_peaks.speckle import ROUNDING, TILES, StripeNoise, noise_from, tile_of
+from roemetry_peaks.speckle import TILES, StripeNoise, noise_from, tile_of
 
 if TYPE_CHECKING:
     from roemetry_kernels.smoothed_peaks import Starts
@@ -28,7 +28,6 @@ _FWHM = 2.3548200450309493  # full width at half height of a Gaussian, standard 
 _SAMPLES = (480, 960)  # peaks that tell of the noise, in the first and the second pass
 _GOLDEN = 0.6180339887498949
 _FIRST_CONTRAST = 0.1
-_GAIN_GUESS = 0.02  # grey levels of 0…255 per electron, before it is estimated
 _CUT = 2.0  # a stripe nearer to the left or right border than so many standard deviations is cut off
 
 
@@ -96,6 +95,8 @@ class MaximumLikelihood(Extractor[MaximumLikelihoodOptions]):
 
         image, found = starts(frame, self.options)
         noise = found.noise if found.noise is not None else estimated_noise(image, frame.white, found)
+        if found.noise is None and self.options.speckle_contrast != "auto":
+            noise = _noise_as_told(self.options, noise.variance, noise.gain)
         at = found.starts
         fit = fitted(image, frame.white, found, noise, np.arange(at.row.shape[0]))
         kept = self._kept(fit, found, noise)
@@ -142,6 +143,8 @@ class Found(NamedTuple):
         Where fits start, and the light beside the stripes.
     variance, gain
         R, grey levels², and g, grey levels; None where not known.
+    rounding, quiet
+        Variance of rounding, and of a pixel beside the stripes, grey levels².
     noise
         The whole noise, where it is given.
     measured
@@ -154,6 +157,8 @@ class Found(NamedTuple):
     beside: Beside
     variance: float | None
     gain: float | None
+    rounding: float
+    quiet: float
     noise: StripeNoise | None
     measured: bool
     top: int
@@ -168,19 +173,25 @@ _ESTIMATED = Reason(
 
 def starts(frame: Frame, options: MaximumLikelihoodOptions) -> tuple[Any, Found]:
     """Find where to fit; gives the searched part of the image with it."""
-    from roemetry_kernels.smoothed_peaks import NOISE_LEFT, background_noise, smoothed_peaks
+    from roemetry_kernels.smoothed_peaks import (
+        NOISE_LEFT,
+        background_noise,
+        rounding_variance,
+        smoothed_peaks,
+    )
     from roemetry_kernels.stripe_background import light_beside
 
     area = searched(frame, options.region)
     image = plain_layout(grey(frame)[area.top : area.bottom, area.left : area.right])
     given = None
-    variance, gain = _sensor(frame)
+    rounding = rounding_variance(image)
+    variance, gain = _sensor(frame, rounding)
     if options.noise is not None:
-        given = noise_of_file(options.noise, frame, area)
+        given = noise_of_file(options.noise, frame, area, rounding)
         variance, gain = given.variance, given.gain
     elif options.speckle_contrast != "auto" and variance is not None and gain is not None:
         given = _noise_as_told(options, variance, gain)
-    quiet = max(background_noise(image) ** 2, ROUNDING if variance is None else variance)
+    quiet = max(background_noise(image) ** 2, rounding if variance is None else variance)
     slope = 0.0 if gain is None else gain
     level = (np.arange(256) + 0.5) / 256.0 * frame.white
     if options.threshold == "auto":
@@ -191,15 +202,17 @@ def starts(frame: Frame, options: MaximumLikelihoodOptions) -> tuple[Any, Found]
     where = smoothed_peaks(image, rise, frame.white)
     beside = light_beside(image, where, math.sqrt(quiet), slope)
     measured = variance is not None and gain is not None
-    return image, Found(where, beside, variance, gain, given, measured, area.top, area.left, image.shape[1])
+    return image, Found(
+        where, beside, variance, gain, rounding, quiet, given, measured, area.top, area.left, image.shape[1]
+    )
 
 
-def _sensor(frame: Frame) -> tuple[float | None, float | None]:
+def _sensor(frame: Frame, rounding: float) -> tuple[float | None, float | None]:
     """R and g, as far as the frame knows them."""
     if frame.sensor is None:
         return None, None
     read, gain = frame.sensor.read_noise_grey, frame.sensor.gain_grey_per_electron
-    return (None if math.isnan(read) else read**2 + ROUNDING), (None if math.isnan(gain) else gain)
+    return (None if math.isnan(read) else read**2 + rounding), (None if math.isnan(gain) else gain)
 
 
 def _noise_as_told(options: MaximumLikelihoodOptions, variance: float, gain: float) -> StripeNoise:
@@ -209,11 +222,14 @@ def _noise_as_told(options: MaximumLikelihoodOptions, variance: float, gain: flo
 
 def estimated_noise(image: Any, white: int, found: Found) -> StripeNoise:
     """Estimate the noise from the image in two passes; each fits a sample of the peaks."""
-    guess = (found.variance or ROUNDING, _GAIN_GUESS * white / 255.0 if found.gain is None else found.gain)
+    guess = (found.quiet if found.variance is None else found.variance, found.gain or 0.0)
     noise = StripeNoise(*guess, 0.0, np.full(TILES, _FIRST_CONTRAST**2))
     for size in _SAMPLES:
         noise = noise_from(
-            *products_of(image, white, found, noise, size), variance=found.variance, gain=found.gain
+            *products_of(image, white, found, noise, size),
+            variance=found.variance,
+            gain=found.gain,
+            rounding=found.rounding,
         )
     return noise
 

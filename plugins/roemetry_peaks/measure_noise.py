@@ -27,7 +27,7 @@ from roemetry_peaks.maximum_likelihood import (
     products_of,
     starts,
 )
-from roemetry_peaks.speckle import ROUNDING, StripeNoise, noise_from
+from roemetry_peaks.speckle import StripeNoise, noise_from
 
 _PEAKS = 4000  # that are looked at in each frame
 
@@ -80,7 +80,9 @@ def measured(frames: Sequence[Frame], options: MaximumLikelihoodOptions) -> dict
         parts = [products_of(image, white, found, noise, _PEAKS) for image, found, white in seen]
         products, tile, contrast2 = (np.concatenate(part) for part in zip(*parts, strict=True))
         peaks = int((products[:, 2, 2] > 0.0).sum())
-        noise = noise_from(products, tile, contrast2, variance=first.variance, gain=first.gain)
+        noise = noise_from(
+            products, tile, contrast2, variance=first.variance, gain=first.gain, rounding=first.rounding
+        )
     frame = frames[0]
     return {
         "roemetry_noise": 1,
@@ -90,7 +92,7 @@ def measured(frames: Sequence[Frame], options: MaximumLikelihoodOptions) -> dict
         "bit_depth": frame.bit_depth,
         "frames": len(frames),
         "peaks": peaks,
-        "read_noise_grey": float(np.sqrt(max(noise.variance - ROUNDING, 0.0))),
+        "read_noise_grey": float(np.sqrt(max(noise.variance - first.rounding, 0.0))),
         "gain_grey_per_electron": noise.gain,
         "speckle_correlation": noise.correlation,
         "speckle_contrast": np.sqrt(noise.contrast2).round(5).tolist(),

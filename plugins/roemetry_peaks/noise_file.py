@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from roemetry.errors import StageError
 from roemetry.records import Frame
-from roemetry_peaks.speckle import ROUNDING, TILES, StripeNoise
+from roemetry_peaks.speckle import TILES, StripeNoise
 
 if TYPE_CHECKING:
     from roemetry_kernels.stripe_scan import Area
@@ -38,7 +38,7 @@ class NoiseFile(BaseModel):
     speckle_contrast: tuple[tuple[float, ...], ...]
 
 
-def noise_of_file(path: Path, frame: Frame, area: Area) -> StripeNoise:
+def noise_of_file(path: Path, frame: Frame, area: Area, rounding: float) -> StripeNoise:
     """Read the noise of a frame's part from a file; raise StageError where it is none, or another image's."""
     try:
         stamp = path.stat().st_mtime_ns
@@ -60,7 +60,7 @@ def noise_of_file(path: Path, frame: Frame, area: Area) -> StripeNoise:
             )
     contrast = np.array(held.speckle_contrast)
     return StripeNoise(
-        held.read_noise_grey**2 + ROUNDING,
+        held.read_noise_grey**2 + rounding,
         held.gain_grey_per_electron,
         held.speckle_correlation,
         contrast**2,

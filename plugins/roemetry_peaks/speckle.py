@@ -11,8 +11,6 @@ from roemetry.arrays import Floats, Integers
 
 TILES = (4, 12)
 """Rows and columns of tiles that the image is cut into; each has a speckle contrast of its own."""
-ROUNDING = 1.0 / 12.0
-"""Variance of rounding to whole grey levels."""
 _PEAKS_MIN = 6  # a tile with fewer has the image's contrast
 _SECOND_ORDER = 1.3  # a fit follows strong speckle further than its linear leverage tells; found by drawing
 _CORRELATIONS = np.linspace(0.0, 0.9, 181)
@@ -60,7 +58,13 @@ def tile_of(image_size: tuple[int, int], row: Integers, x_px: Floats) -> Integer
 
 
 def noise_from(
-    products: Floats, tile: Integers, contrast2: Floats, *, variance: float | None, gain: float | None
+    products: Floats,
+    tile: Integers,
+    contrast2: Floats,
+    *,
+    variance: float | None,
+    gain: float | None,
+    rounding: float,
 ) -> StripeNoise:
     """Solve for the noise that makes residuals what they are.
 
@@ -74,15 +78,18 @@ def noise_from(
         (peak,) C² that the peaks were fitted with.
     variance, gain
         R, grey levels², and g, grey levels, where they are known; None: estimated.
+    rounding
+        Variance of rounding, grey levels²; R is no less.
     """
     said = products[:, 2, 2] > 0.0
     products, tile, contrast2 = products[said], tile[said], contrast2[said]
     if not tile.size:
-        return StripeNoise(variance or ROUNDING, gain or 0.0, _USUAL, np.zeros(TILES))
+        return StripeNoise(variance or rounding, gain or 0.0, _USUAL, np.zeros(TILES))
     correlation = _USUAL
     for _ in range(2 if variance is None or gain is None else 1):
         if variance is None or gain is None:
             read, shot = _sensor(products.sum(0), _lags(correlation), variance, gain)
+            read = max(read, rounding)
         else:
             read, shot = variance, gain
         # What R and g leave: products of a pixel with itself and with the next one, by cause.
@@ -120,7 +127,7 @@ def _sensor(sums: Floats, lags: Floats, variance: float | None, gain: float | No
             solved |= dict(zip(free, map(float, found), strict=True))
             break
         solved[free.pop(lowest)] = 0.0
-    return max(solved[0], ROUNDING), solved[1]
+    return solved[0], solved[1]
 
 
 def _correlation(left: Floats, by_own: Floats, by_next: Floats) -> float:
