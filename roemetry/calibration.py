@@ -112,8 +112,11 @@ class Calibration:
     def redraws(self, rng: np.random.Generator) -> Iterator[Calibration]:
         """Give drawn calibrations without end; the covariance is taken apart once for all of them."""
         mean = np.concatenate([array.ravel() for array in self.parameters.values()])
-        size, turned = np.linalg.eigh(self.covariance)
-        factor = turned * np.sqrt(np.maximum(size, 0.0))
+        # parameters of different units differ by ten powers of ten: taken apart in their own sizes
+        own = np.sqrt(np.diag(self.covariance))
+        scale = np.where(own > 0.0, own, 1.0)
+        size, turned = np.linalg.eigh(self.covariance / scale[:, None] / scale[None, :])
+        factor = scale[:, None] * turned * np.sqrt(np.maximum(size, 0.0))
         while True:
             drawn = mean + factor @ rng.standard_normal(mean.size)
             parameters, start = {}, 0

@@ -1,0 +1,26 @@
+"""Full calibration of camera, lens, planes of light and belt, and triangulation with it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from roemetry.hookspecs import StageEntry, hookimpl
+
+
+@hookimpl
+def roemetry_stages() -> Iterable[StageEntry]:
+    """Name the stages."""
+    yield StageEntry(
+        kind="calibrator",
+        name="pinhole-plane",
+        target="roemetry_pinhole.calibrator:PinholeCalibrator",
+        summary="Camera, lens, planes of light and belt from a board in many poses, adjusted together",
+        reference="Zhang (2000), IEEE TPAMI 22:1330; Triggs et al. (2000), LNCS 1883:298; refusals are ours",
+    )
+    yield StageEntry(
+        kind="triangulator",
+        name="pinhole-plane",
+        target="roemetry_pinhole.pinhole_plane:PinholePlane",
+        summary="Each peak's straightened ray meets its stripe's plane of light",
+        reference="Hartley and Zisserman (2004), chapters 6 and 7; the lens model is OpenCV's",
+    )

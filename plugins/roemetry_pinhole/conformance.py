@@ -1,0 +1,168 @@
+"""The kit's linear rig as a pinhole camera sees it: what the conformance checks need of these stages."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from roemetry.arrays import Floats
+from roemetry.calibration import Calibration
+from roemetry.records import Board, CalibrationSet, Frame, Observation, Peaks
+from roemetry_pinhole.frames import METHOD, displacements, rest_polynomials, view_of
+from roemetry_pinhole.geometry import turned
+
+if TYPE_CHECKING:
+    from roemetry.testing import LinearRig
+
+_FAR_MM = 1e7
+_NEAR_MM = 300.0
+_BOARD = Board("board", "chessboard", columns=9, rows=6, pitch_mm=5.5, tolerance_mm=0.01, flatness_mm=0.01)
+_POSES = 8
+_SAMPLES = 4
+_SCATTER_PX = 0.03
+
+
+def calibration_of(rig: LinearRig) -> Calibration:
+    """Give the rig's calibration: a pinhole camera so far away that perspective does not show."""
+    planes = rig.planes()
+    normal, distance = planes[:, :3] * [1.0, -1.0, -1.0], planes[:, 3] - planes[:, 2] * _FAR_MM
+    return _calibration(rig, _FAR_MM, normal / distance[:, None])
+
+
+def observed_of(rig: LinearRig) -> CalibrationSet:
+    """Give images of a chessboard in many poses, 300 mm from the camera, with peaks that scatter a little.
+
+    On the belt the stripes are the rig's; each plane leans so that at belt level its stripe moves as the
+    rig's does.
+    """
+    return _observed(rig)
+
+
+@lru_cache(maxsize=4)
+def _observed(rig: LinearRig) -> CalibrationSet:
+    rest = rig.rest_px()
+    foot = (rest[:, [0, -1]] - rig.middle_column) * rig.mm_per_px
+    x_mm, y_mm = foot.mean(axis=1), rig.middle_row * rig.mm_per_px
+    slope = (foot[:, 0] - foot[:, 1]) / (2.0 * y_mm)
+    lean = rig.px_per_mm * rig.mm_per_px - x_mm / _NEAR_MM
+    # X − slope Y − lean Z = x_mm in the belt frame; the camera's is (X, −Y, 300 − Z)
+    planes = np.column_stack([np.ones_like(lean), slope, lean]) / (x_mm + lean * _NEAR_MM)[:, None]
+    belt = Observation("belt", _dark(rig, "belt"), rig.peaks(rest).peaks)
+    observations = [belt]
+    for number in range(_POSES):
+        rotation, shift = _pose(number)
+        name = f"pose {number}"
+        image = _image(rig, rotation, shift)
+        plain = Frame(image, role="plain", name=f"{name} plain")
+        lit = Frame(np.maximum(image, _glow(rig)), name=f"{name} laser")
+        observations.append(Observation("board", plain, _peaks(rig, np.empty((0, 2))), name))
+        peaks = _peaks(rig, _crossings(rig, planes, rotation, shift))
+        observations.append(Observation("board", lit, peaks, name))
+    return CalibrationSet(tuple(observations), rig.stripes, None, _NEAR_MM, {"use": "exact"}, board=_BOARD)
+
+
+def _calibration(rig: LinearRig, away_mm: float, planes: Floats) -> Calibration:
+    size = (rig.rows, rig.columns)
+    parameters = {
+        "focal_px": np.full(2, away_mm / rig.mm_per_px),
+        "principal_px": np.array([rig.middle_column, rig.middle_row]),
+        "distortion": np.zeros(8),
+        "planes_per_mm": planes,
+        "belt_per_mm": np.array([0.0, 0.0, 1.0 / away_mm]),
+    }
+    count = sum(array.size for array in parameters.values())
+    return Calibration(
+        method=METHOD,
+        image_size=size,
+        turn_deg=0,
+        rest_px=rest_polynomials(parameters, size),
+        displacement_px_per_mm=displacements(parameters, size),
+        height_range_mm=(0.0, 60.0 / abs(rig.px_per_mm)),
+        parameters=parameters,
+        covariance=np.zeros((count, count)),
+        extractor={"use": "exact"},
+        view=view_of(parameters, size),
+    )
+
+
+def _pose(number: int) -> tuple[Floats, Floats]:
+    """Rotation and shift to the camera's frame from the board's: the first lies level."""
+    tilt = np.radians(0.0 if number == 0 else 24.0 + 4.0 * (number % 3))
+    way = 2.0 * np.pi * number / 5.0
+    rotation = turned(tilt * np.array([[np.cos(way), np.sin(way), 0.0]]))[0]
+    aside = 14.0 * np.array([(number % 3) - 1.0, 0.4 * ((number % 2) - 0.5)])
+    middle = np.array([*aside, _NEAR_MM - 6.0 - 1.5 * (number % 7)])
+    half = 0.5 * _BOARD.pitch_mm * np.array([_BOARD.columns, _BOARD.rows, 0.0])
+    return rotation, middle - rotation @ half
+
+
+def _rays(rig: LinearRig, x_px: Floats, row_px: Floats) -> Floats:
+    scale = rig.mm_per_px / _NEAR_MM
+    x, y = (x_px - rig.middle_column) * scale, (row_px - rig.middle_row) * scale
+    return np.stack([x, y, np.ones_like(x)], axis=-1)
+
+
+def _places(rays: Floats, rotation: Floats, shift: Floats) -> Floats:
+    """Where rays meet the board, (…, 2) in pitches."""
+    normal = rotation[:, 2]
+    at = rays * ((normal @ shift) / (rays @ normal))[..., None]
+    return np.asarray((at - shift) @ rotation[:, :2] / _BOARD.pitch_mm)
+
+
+def _image(rig: LinearRig, rotation: Floats, shift: Floats) -> np.ndarray:
+    offsets = (np.arange(_SAMPLES) + 0.5) / _SAMPLES - 0.5
+    row = (np.arange(rig.rows)[:, None] + offsets).ravel()
+    column = (np.arange(rig.columns)[:, None] + offsets).ravel()
+    place = _places(_rays(rig, *np.meshgrid(column, row)), rotation, shift)
+    x, y = place[..., 0], place[..., 1]
+    printed = (x >= 0) & (x < _BOARD.columns) & (y >= 0) & (y < _BOARD.rows)
+    paper = (x > -0.6) & (x < _BOARD.columns + 0.6) & (y > -0.6) & (y < _BOARD.rows + 0.6)
+    black = printed & ((np.floor(x) + np.floor(y)) % 2 == 0)
+    light = np.where(black, 30.0, np.where(paper, 200.0, 90.0))
+    light = light.reshape(rig.rows, _SAMPLES, rig.columns, _SAMPLES).mean(axis=(1, 3))
+    return np.asarray(np.rint(light).astype(np.uint8))
+
+
+def _glow(rig: LinearRig) -> np.ndarray:
+    """Any light that an image with the laser off has not."""
+    glow = np.zeros((rig.rows, rig.columns), np.uint8)
+    glow[::5] = 255
+    return glow
+
+
+def _dark(rig: LinearRig, name: str) -> Frame:
+    return Frame(np.zeros((rig.rows, rig.columns), np.uint8), name=name)
+
+
+def _crossings(rig: LinearRig, planes: Floats, rotation: Floats, shift: Floats) -> Floats:
+    """Give (peak, 2) row and x of the stripes on the board, sorted."""
+    normal = rotation[:, 2]
+    row = np.arange(0.3 * rig.rows, 0.7 * rig.rows).round()  # enough, and sooner done
+    found = []
+    for plane in planes:
+        line = (normal @ shift) * plane - normal
+        y = (row - rig.middle_row) * rig.mm_per_px / _NEAR_MM
+        x = rig.middle_column - (line[1] * y + line[2]) / line[0] * _NEAR_MM / rig.mm_per_px
+        place = _places(_rays(rig, x, row), rotation, shift)
+        on = ((place > 0.02) & (place < [_BOARD.columns - 0.02, _BOARD.rows - 0.02])).all(axis=1)
+        on &= (x >= 0) & (x <= rig.columns - 1)
+        found.append(np.column_stack([row[on], x[on]]))
+    stacked = np.concatenate(found)
+    stacked[:, 1] += np.random.default_rng(len(stacked)).normal(0.0, _SCATTER_PX, len(stacked))
+    return np.asarray(stacked[np.lexsort((stacked[:, 1], stacked[:, 0]))])
+
+
+def _peaks(rig: LinearRig, crossings: Floats) -> Peaks:
+    count = len(crossings)
+    return Peaks(
+        image_size=(rig.rows, rig.columns),
+        row=crossings[:, 0].astype(np.int64),
+        x_px=crossings[:, 1],
+        x_std_px=np.full(count, np.nan),
+        amplitude=np.full(count, 160.0),
+        background=np.full(count, rig.background),
+        width_px=np.full(count, 2.355 * rig.sigma_px),
+        flags=np.zeros(count, np.uint8),
+    )

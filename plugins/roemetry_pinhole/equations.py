@@ -1,0 +1,218 @@
+"""Observation equations: what camera, poses, planes and belt say the image shows, and derivatives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from roemetry.arrays import Floats, Integers
+from roemetry_pinhole.geometry import CAMERA, Geometry, Unknowns
+from roemetry_pinhole.lens import Bent, bent, straightened
+
+ON_BELT = -1
+"""Pose of stripe points that lie on the bare belt."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Corners:
+    """Marks of the board seen in images.
+
+    Attributes
+    ----------
+    pose
+        (mark,) which pose of the board.
+    board_mm
+        (mark, 3) place on the board, mm: x along its columns, y along its rows, z away from the camera.
+    xy_px
+        (mark, 2) where it is seen, px.
+    counts
+        (mark,) encoder counts the belt has carried the board on since the pose was defined.
+    """
+
+    pose: Integers
+    board_mm: Floats
+    xy_px: Floats
+    counts: Floats
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class StripePoints:
+    """Peaks of stripes on boards and on the belt.
+
+    Attributes
+    ----------
+    pose
+        (point,) which pose of the board, or `ON_BELT`.
+    stripe
+        (point,) which plane of light.
+    x_px, row_px
+        (point,) where the peak is, px.
+    std_px
+        (point,) standard uncertainty of `x_px`, px, up to a common factor.
+    counts
+        (point,) as for corners.
+    """
+
+    pose: Integers
+    stripe: Integers
+    x_px: Floats
+    row_px: Floats
+    std_px: Floats
+    counts: Floats
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Feet:
+    """Points of boards that touch the belt: (foot,) pose, (foot, 3) place on the board, mm, and counts."""
+
+    pose: Integers
+    board_mm: Floats
+    counts: Floats
+
+
+class Rows(NamedTuple):
+    """Residuals (row,) with a sparse Jacobian: (row, k) columns, −1 for none, and values."""
+
+    residual: Floats
+    columns: Integers
+    values: Floats
+
+
+def corner_rows(geometry: Geometry, unknowns: Unknowns, corners: Corners) -> Rows:
+    """Give predicted − seen, px: for each mark a row for x and one for y, in turn."""
+    arm, at = _placed(geometry, corners.pose, corners.board_mm, corners.counts)
+    depth = at[:, 2]
+    xy = at[:, :2] / depth[:, None]
+    lens = bent(xy, geometry.camera[4:])
+    focal, middle = geometry.camera[:2], geometry.camera[2:4]
+    residual = lens.xy * focal + middle - corners.xy_px
+    by_at = np.zeros((depth.size, 2, 3))
+    by_at[:, :, :2] = lens.by_place / depth[:, None, None]
+    by_at[:, :, 2] = -(lens.by_place @ xy[:, :, None])[:, :, 0] / depth[:, None]
+    by_at *= focal[:, None]
+    values = np.zeros((depth.size, 2, CAMERA + 9))
+    values[:, 0, 0], values[:, 1, 1] = lens.xy[:, 0], lens.xy[:, 1]
+    values[:, 0, 2] = values[:, 1, 3] = 1.0
+    values[:, :, 4:CAMERA] = lens.by_coefficient * focal[:, None]
+    values[:, :, CAMERA : CAMERA + 3] = np.cross(arm[:, None, :], by_at)
+    values[:, :, CAMERA + 3 : CAMERA + 6] = by_at
+    values[:, :, CAMERA + 6 :] = by_at * corners.counts[:, None, None]
+    columns = _columns(unknowns.camera, unknowns.poses[corners.pose], unknowns.travel)
+    return Rows(residual.ravel(), np.repeat(columns, 2, axis=0), values.reshape(-1, CAMERA + 9))
+
+
+def corner_residuals(geometry: Geometry, corners: Corners) -> Floats:
+    """Give predicted − seen, px, x and y in turn, without derivatives."""
+    at = _placed(geometry, corners.pose, corners.board_mm, corners.counts)[1]
+    seen = bent(at[:, :2] / at[:, 2:], geometry.camera[4:]).xy * geometry.camera[:2] + geometry.camera[2:4]
+    return np.ravel(seen - corners.xy_px)
+
+
+def stripe_rows(geometry: Geometry, unknowns: Unknowns, points: StripePoints) -> Rows:
+    """Give seen − predicted along the image row, px.
+
+    Plane of light p·X = 1 and board n·X = δ meet in a line whose rays m keep (δ p − n)·m = 0; on the belt
+    b·X = 1 it is (p − b)·m = 0. The left side over its slope along the row is the way to the predicted
+    place; there, not where the noisy peak is, the derivatives are taken: else they would share its noise.
+    """
+    where = _Lines(geometry, points)
+    way = where.way_px(points.x_px)[0]
+    more, seen, lens, ray, by_seen, slope = where.way_px(points.x_px - way)
+    focal = geometry.camera[:2]
+    values = np.zeros((way.size, CAMERA + 15))
+    values[:, 0:2] = -by_seen * seen / focal
+    values[:, 2:4] = -by_seen / focal
+    values[:, 4:CAMERA] = -(by_seen[:, None, :] @ lens.by_coefficient)[:, 0, :]
+    of_plane = (ray * where.plane).sum(axis=1)[:, None]
+    turn = of_plane * np.cross(where.normal, where.place) - np.cross(where.normal, ray)
+    board = ~where.on_belt[:, None]
+    values[:, CAMERA : CAMERA + 3] = np.where(board, turn, 0.0)
+    values[:, CAMERA + 3 : CAMERA + 6] = np.where(board, of_plane * where.normal, 0.0)
+    values[:, CAMERA + 6 : CAMERA + 9] = values[:, CAMERA + 3 : CAMERA + 6] * points.counts[:, None]
+    values[:, CAMERA + 9 : CAMERA + 12] = ray * np.where(where.on_belt, 1.0, where.distance)[:, None]
+    values[:, CAMERA + 12 :] = np.where(board, 0.0, -ray)
+    values /= slope[:, None]
+    poses = np.full((way.size, 6), -1)
+    if unknowns.poses.size:
+        poses = np.where(board, unknowns.poses[np.maximum(points.pose, 0)], -1)
+    columns = np.column_stack(
+        [
+            _columns(unknowns.camera, poses, unknowns.travel),
+            unknowns.planes[points.stripe],
+            np.where(board, -1, unknowns.belt),
+        ]
+    )
+    return Rows(way + more, columns, values)
+
+
+def stripe_residuals(geometry: Geometry, points: StripePoints) -> Floats:
+    """Give seen − predicted along the image row, px, without derivatives."""
+    where = _Lines(geometry, points)
+    way = where.way_px(points.x_px)[0]
+    return way + where.way_px(points.x_px - way)[0]
+
+
+class _Lines:
+    """For each point the line, on the plane at distance 1, on which its stripe lies."""
+
+    def __init__(self, geometry: Geometry, points: StripePoints) -> None:
+        self._camera, self._row_px = geometry.camera, points.row_px
+        self._straight: Floats | None = None
+        self.plane = geometry.planes[points.stripe]
+        self.on_belt = points.pose == ON_BELT
+        self.normal, self.place = np.zeros_like(self.plane), np.zeros_like(self.plane)
+        if geometry.shift.size:
+            pose = np.maximum(points.pose, 0)
+            self.normal = geometry.rotation[pose][:, :, 2]
+            self.place = geometry.shift[pose] + points.counts[:, None] * geometry.travel
+        self.distance = (self.normal * self.place).sum(axis=1)
+        belt = geometry.belt if self.on_belt.any() else np.zeros(3)
+        self._line = np.where(
+            self.on_belt[:, None], self.plane - belt, self.distance[:, None] * self.plane - self.normal
+        )
+
+    def way_px(self, x_px: Floats) -> tuple[Floats, Floats, Bent, Floats, Floats, Floats]:
+        """Give the way to the line along the row, px; place in the bent image, lens, ray, ∂/∂place, slope."""
+        focal = self._camera[:2]
+        seen = (np.column_stack([x_px, self._row_px]) - self._camera[2:4]) / focal
+        xy, lens = straightened(seen, self._camera[4:], self._straight)
+        self._straight = xy
+        ray = np.column_stack([xy, np.ones(len(xy))])
+        (a, b), (c, d) = np.moveaxis(lens.by_place, 0, -1)
+        u, v = self._line[:, 0] / (a * d - b * c), self._line[:, 1] / (a * d - b * c)
+        by_seen = np.column_stack([u * d - v * c, v * a - u * b])
+        slope = by_seen[:, 0] / focal[0]
+        return (self._line * ray).sum(axis=1) / slope, seen, lens, ray, by_seen, slope
+
+
+def foot_rows(geometry: Geometry, unknowns: Unknowns, feet: Feet) -> Rows:
+    """Give heights of the boards' undersides over the belt, mm; they should be 0."""
+    arm, at = _placed(geometry, feet.pose, feet.board_mm, feet.counts)
+    size = float(np.sqrt((geometry.belt**2).sum()))
+    up = np.broadcast_to(-geometry.belt / size, at.shape)
+    residual = (1.0 - at @ geometry.belt) / size
+    by_belt = -at / size - (residual / size**2)[:, None] * geometry.belt
+    values = np.column_stack([np.cross(arm, up), up, up * feet.counts[:, None], by_belt])
+    columns = np.column_stack(
+        [
+            unknowns.poses[feet.pose],
+            np.broadcast_to(unknowns.travel, (residual.size, 3)),
+            np.broadcast_to(unknowns.belt, (residual.size, 3)),
+        ]
+    )
+    return Rows(residual, columns.astype(np.int64), values)
+
+
+def _placed(geometry: Geometry, pose: Integers, board_mm: Floats, counts: Floats) -> tuple[Floats, Floats]:
+    """Give places on the board turned into the camera's axes, and in the camera's frame, mm."""
+    arm = (geometry.rotation[pose] @ board_mm[:, :, None])[:, :, 0]
+    return arm, arm + geometry.shift[pose] + counts[:, None] * geometry.travel
+
+
+def _columns(camera: Integers, poses: Integers, travel: Integers) -> Integers:
+    rows = poses.shape[0]
+    return np.column_stack(
+        [np.broadcast_to(camera, (rows, camera.size)), poses, np.broadcast_to(travel, (rows, 3))]
+    ).astype(np.int64)

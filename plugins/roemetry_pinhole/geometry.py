@@ -1,0 +1,135 @@
+"""The unknowns of a calibration: camera, poses of the board, planes of light, belt, travel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from roemetry.arrays import Flags, Floats, Integers
+from roemetry_pinhole.lens import COEFFICIENTS
+
+CAMERA = 4 + COEFFICIENTS
+"""fx, fy, cx, cy (px), then the lens's coefficients."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Geometry:
+    """Everything the adjustment finds. Lengths in mm, all in the camera's frame.
+
+    Attributes
+    ----------
+    camera
+        (12,) fx, fy, cx, cy, px; k1, k2, p1, p2, k3, k4, k5, k6.
+    rotation, shift
+        (pose, 3, 3) and (pose, 3): to the camera's frame from the board's.
+    planes
+        (stripe, 3) p with p·X = 1, 1/mm: normal over distance. It cannot hold a plane through the camera's
+        centre, and such a plane measures nothing.
+    belt
+        (3,) the same of the belt; NaN where it is not asked for.
+    travel
+        (3,) way of the belt per encoder count, mm; 0 where it is not asked for.
+    """
+
+    camera: Floats
+    rotation: Floats
+    shift: Floats
+    planes: Floats
+    belt: Floats
+    travel: Floats
+
+    @property
+    def stripe_count(self) -> int:
+        """Number of planes of light."""
+        return int(self.planes.shape[0])
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Unknowns:
+    """Where each unknown stands in the vector of parameters; −1 for what is held fixed.
+
+    Attributes
+    ----------
+    camera
+        (12,)
+    planes
+        (stripe, 3)
+    belt, travel
+        (3,)
+    poses
+        (pose, 6) turn about the camera's axes, rad, then shift, mm.
+    """
+
+    camera: Integers
+    planes: Integers
+    belt: Integers
+    travel: Integers
+    poses: Integers
+
+    @property
+    def count(self) -> int:
+        """Number of unknowns."""
+        parts = (self.camera, self.planes.ravel(), self.belt, self.travel, self.poses.ravel())
+        return int(np.concatenate(parts).max()) + 1
+
+    def moved(self, geometry: Geometry, step: Floats) -> Geometry:
+        """Give the geometry after a step of the unknowns."""
+        turn = _part(step, self.poses[:, :3])
+        return replace(
+            geometry,
+            camera=geometry.camera + _part(step, self.camera),
+            planes=geometry.planes + _part(step, self.planes),
+            belt=geometry.belt + _part(step, self.belt),
+            travel=geometry.travel + _part(step, self.travel),
+            rotation=turned(turn) @ geometry.rotation,
+            shift=geometry.shift + _part(step, self.poses[:, 3:]),
+        )
+
+
+def unknowns_of(
+    geometry: Geometry, *, free_camera: Flags, planes: bool, belt: bool, travel: bool
+) -> Unknowns:
+    """Number the unknowns: the camera's first, poses last.
+
+    Parameters
+    ----------
+    geometry
+        For its sizes.
+    free_camera
+        (12,) which of the camera's numbers are looked for.
+    planes, belt, travel
+        Whether these are looked for.
+    """
+    start = 0
+
+    def numbered(free: Flags) -> Integers:
+        nonlocal start
+        flat = np.ravel(free)
+        numbers = np.where(flat, start + np.cumsum(flat) - 1, -1)
+        start += int(flat.sum())
+        return numbers.reshape(np.shape(free)).astype(np.int64)
+
+    return Unknowns(
+        camera=numbered(free_camera),
+        planes=numbered(np.full(geometry.planes.shape, planes)),
+        belt=numbered(np.full(3, belt)),
+        travel=numbered(np.full(3, travel)),
+        poses=numbered(np.ones((geometry.shift.shape[0], 6), np.bool_)),
+    )
+
+
+def turned(vectors: Floats) -> Floats:
+    """Give (n, 3, 3) rotations by vectors (n, 3), rad (Rodrigues)."""
+    angle = np.sqrt((vectors**2).sum(axis=1))
+    axis = vectors / np.where(angle > 0, angle, 1.0)[:, None]
+    zero = np.zeros(angle.size)
+    x, y, z = axis.T
+    cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
+    sine, cosine = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
+    rotation: Floats = np.eye(3) + sine * cross + (1.0 - cosine) * (cross @ cross)
+    return rotation
+
+
+def _part(step: Floats, at: Integers) -> Floats:
+    return np.where(at >= 0, step[np.maximum(at, 0)], 0.0)

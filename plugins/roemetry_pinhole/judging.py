@@ -1,0 +1,148 @@
+"""What the adjustment's residuals say, in figures and words; and what they forbid."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from roemetry.arrays import Floats
+from roemetry.errors import CalibrationError
+from roemetry.records import Board
+from roemetry_pinhole.adjustment import Adjusted
+from roemetry_pinhole.first_camera import FirstCamera
+from roemetry_pinhole.stripe_points import Gathered
+
+_CELLS = 6
+_CELL_MARKS_MIN = 8
+_SYSTEMATIC_MAX_PX = 0.4
+_SYSTEMATIC_SHARE_MAX = 2.0
+_COVERAGE_MIN = 0.4
+_PLANE_FACTOR_MAX = 5.0
+_PLANE_RMS_MIN_PX = 0.5
+_GRAZING_MIN = 0.02
+_USED_MIN = 0.75
+_BOARD_GROUPS_MIN = 2
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Verdict:
+    """Figures for the calibration file, sentences for its reader, and the height the boards reached, mm."""
+
+    residuals: dict[str, float]
+    notes: tuple[str, ...]
+    height_max_mm: float
+
+
+def judged(
+    adjusted: Adjusted, first: FirstCamera, gathered: Gathered, board: Board, size: tuple[int, int]
+) -> Verdict:
+    """Judge an adjustment.
+
+    Raises
+    ------
+    CalibrationError
+        A plane goes nearly through the camera; stripes do not lie in planes; residuals are no noise.
+    """
+    _check_planes_pass_by(adjusted)
+    rms_px = float(np.sqrt((adjusted.corner_px[adjusted.corner_used] ** 2).sum(axis=1).mean()))
+    _check_used(adjusted)
+    _check_planes(adjusted, gathered)
+    systematic_px, coverage = _systematic(adjusted, first, size)
+    if systematic_px > max(_SYSTEMATIC_MAX_PX, _SYSTEMATIC_SHARE_MAX * adjusted.corner_std_px):
+        raise CalibrationError(
+            f"the residuals are not noise: neighbouring marks are off together, by {systematic_px:.2f} px",
+            hint="take another lens model (calibrator.options.lens), a flat board, and a sharp lens",
+        )
+    notes = [f"scale: from the board's pitch of {board.pitch_mm:g} mm"]
+    if coverage < _COVERAGE_MIN:
+        notes.append(f"marks cover {coverage:.0%} of the image: elsewhere the lens is extrapolated")
+    if adjusted.conflict > 1.0:
+        notes.append(
+            "stripes and marks contradict each other a little: stripes count "
+            f"{adjusted.conflict:.0f} times less than their scatter would allow"
+        )
+    used = adjusted.stripe_used
+    residuals = {
+        "marks_rms_px": rms_px,
+        "marks_std_px": adjusted.corner_std_px,
+        "marks_left_out": float(1.0 - adjusted.corner_used.mean()),
+        "marks_systematic_px": systematic_px,
+        "marks_coverage": coverage,
+        "stripes_rms_px": float(np.sqrt((adjusted.stripe_px[used] ** 2).mean())),
+        "stripes_left_out": float(1.0 - used.mean()),
+        "stripes_correlation": adjusted.correlation,
+        "poses": float(len(first.views)),
+    }
+    return Verdict(residuals, tuple(notes), _height_reached(adjusted, board))
+
+
+def _check_planes_pass_by(adjusted: Adjusted) -> None:
+    """A plane through the camera's centre is seen edge on: no height moves its stripe."""
+    geometry = adjusted.geometry
+    past = 1.0 / np.sqrt((geometry.planes**2).sum(axis=1))
+    away = 1.0 / float(np.sqrt((geometry.belt**2).sum()))
+    worst = int(past.argmin())
+    if past[worst] < _GRAZING_MIN * away:
+        raise CalibrationError(
+            f"the plane of stripe {worst + 1} passes the camera's centre by {past[worst]:.1f} mm only "
+            f"({past[worst] / away:.1%} of the distance to the belt): heights would hardly move the stripe",
+            hint="move the laser away from the camera, sideways",
+        )
+
+
+def _check_used(adjusted: Adjusted) -> None:
+    for what, used in (("marks", adjusted.corner_used), ("stripe peaks", adjusted.stripe_used)):
+        if used.size and used.mean() < _USED_MIN:
+            raise CalibrationError(
+                f"{1.0 - used.mean():.0%} of the {what} do not fit: what was seen is not one rigid rig",
+                hint="did the camera, the laser or the board move or bend between the images?",
+            )
+
+
+def _check_planes(adjusted: Adjusted, gathered: Gathered) -> None:
+    """Each stripe's points on all boards must lie in one plane as well as the others' do."""
+    points = gathered.points
+    rms = np.array(
+        [
+            np.sqrt((adjusted.stripe_px[points.stripe == stripe] ** 2).mean())
+            for stripe in range(adjusted.geometry.stripe_count)
+        ]
+    )
+    worst = int(rms.argmax())
+    usual = float(np.median(rms)) if rms.size > 2 else adjusted.stripe_scale
+    if rms[worst] > max(_PLANE_FACTOR_MAX * usual, _PLANE_RMS_MIN_PX) and rms.size > 2:
+        raise CalibrationError(
+            f"stripe {worst + 1} does not lie in one plane: its points are off by {rms[worst]:.2f} px (rms), "
+            f"those of the others by {usual:.2f} px",
+            hint="look for a reflection, a bent board, or a laser that moved between the images",
+        )
+
+
+def _systematic(adjusted: Adjusted, first: FirstCamera, size: tuple[int, int]) -> tuple[float, float]:
+    """Part of the marks' residuals that neighbours in the image share, px, and the share of cells with marks.
+
+    Squares of the means over cells of the image, less what noise alone gives them.
+    """
+    xy = np.concatenate([view.marks.xy_px for view in first.views])
+    cell = np.clip((xy / np.array([size[1], size[0]]) * _CELLS).astype(int), 0, _CELLS - 1) @ [1, _CELLS]
+    used = adjusted.corner_used
+    excess, weight = 0.0, 0
+    for number in range(_CELLS * _CELLS):
+        inside = adjusted.corner_px[used & (cell == number)]
+        if len(inside) < _CELL_MARKS_MIN:
+            continue
+        share = float((inside.mean(axis=0) ** 2).mean() - inside.var(axis=0).mean() / len(inside))
+        excess += len(inside) * share
+        weight += len(inside)
+    systematic = np.sqrt(max(excess / weight, 0.0)) if weight else 0.0
+    return float(systematic), float(np.unique(cell).size / _CELLS**2)
+
+
+def _height_reached(adjusted: Adjusted, board: Board) -> float:
+    """Greatest height of the boards' middles over the belt, mm."""
+    geometry = adjusted.geometry
+    middle = 0.5 * board.pitch_mm * np.array([board.columns, board.rows, 0.0])
+    at: Floats = geometry.rotation @ middle + geometry.shift
+    height = (1.0 - at @ geometry.belt) / np.sqrt(geometry.belt @ geometry.belt)
+    return float(max(height.max(), 1.0))

@@ -1,0 +1,251 @@
+"""Marks of a board in an image: inner corners of squares, or centres of circles."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roemetry.arrays import Floats
+from roemetry.records import Board, Frame
+from roemetry_pinhole.unseen import UnseenError, why_no_charuco, why_no_chessboard, why_no_circles
+
+_SPACING_MIN_PX = 8.0
+_EDGE_SHARE_MAX = 0.45
+_CHARUCO_MIN = 12
+_CHARUCO_SPAN_MIN = 0.3
+_FIT_SHARE_MAX = 0.12
+_CIRCLE_AREA_MIN_PX = 12.0
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Marks:
+    """Marks of a board found in one image.
+
+    Attributes
+    ----------
+    board_mm
+        (mark, 3) on the board: origin at the outer corner of the first square (of a grid: half a pitch off
+        the first circle), x along the columns, y along the rows, z away from the camera.
+    xy_px
+        (mark, 2) in the image.
+    layout
+        Of a ChArUco board the layout that fits, ``new`` or ``old``; else "".
+    edge_px
+        Width of its edges in the image, px: range of grey levels over the steepest slope.
+    spacing_px
+        Median distance of neighbouring marks, px.
+    radius_mm
+        Of a grid's circles, estimated from their area in the image; 0 for other boards.
+    """
+
+    board_mm: Floats
+    xy_px: Floats
+    layout: str
+    edge_px: float
+    spacing_px: float
+    radius_mm: float = 0.0
+
+
+def find_marks(frame: Frame, board: Board) -> Marks:
+    """Find a board.
+
+    Raises
+    ------
+    UnseenError
+        It cannot be used, with the reason: not there, blurred, tiny, cut off, mirrored, another board.
+    """
+    grey = _eight_bit(frame)
+    layout, radius_mm = "", 0.0
+    if board.kind == "charuco":
+        board_mm, xy_px, layout = _charuco(grey, board)
+    elif board.kind == "chessboard":
+        board_mm, xy_px = _chessboard(grey, board)
+    else:
+        board_mm, xy_px, radius_mm = _circles(grey, board)
+    spacing_px = _spacing(board_mm, xy_px, board.pitch_mm)
+    edge_px = _edge_width(grey, xy_px, spacing_px)
+    if spacing_px < _SPACING_MIN_PX:
+        raise UnseenError(
+            f"the board is tiny: its marks are {spacing_px:.1f} px apart, {_SPACING_MIN_PX:g} px are needed"
+        )
+    if edge_px > _EDGE_SHARE_MAX * spacing_px:
+        raise UnseenError(
+            f"the board is blurred: its edges are {edge_px:.1f} px wide, its marks {spacing_px:.1f} px apart"
+        )
+    _check_fit(board_mm, xy_px, spacing_px, board)
+    return Marks(board_mm, xy_px, layout, edge_px, spacing_px, radius_mm)
+
+
+def _eight_bit(frame: Frame) -> NDArray[np.uint8]:
+    pixels = frame.pixels
+    if pixels.dtype == np.uint8 and frame.bit_depth == 8:
+        return np.ascontiguousarray(pixels)
+    return np.ascontiguousarray(np.rint(pixels * (255.0 / frame.white)).clip(0, 255).astype(np.uint8))
+
+
+def _charuco(grey: NDArray[np.uint8], board: Board) -> tuple[Floats, Floats, str]:
+    import cv2
+
+    best: tuple[int, Any, Any, str] = (0, None, None, "")
+    pattern = charuco_of(board, "new")
+    for layout in ("new", "old") if board.layout == "auto" else (board.layout,):
+        tried = charuco_of(board, layout)
+        corners, ids, _, _ = cv2.aruco.CharucoDetector(tried).detectBoard(grey)
+        if ids is not None and len(ids) > best[0]:
+            best, pattern = (len(ids), corners, ids, layout), tried
+    count, corners, ids, layout = best
+    if count < _CHARUCO_MIN:
+        raise UnseenError(why_no_charuco(grey, board, count))
+    places = np.asarray(pattern.getChessboardCorners(), np.float64)[np.ravel(ids)]
+    places[:, 2] = 0.0
+    spanned = np.ptp(places[:, :2], axis=0) / (board.pitch_mm * np.array([board.columns, board.rows]))
+    if spanned.min() < _CHARUCO_SPAN_MIN:
+        raise UnseenError(
+            f"the board is cut off: {count} of {(board.columns - 1) * (board.rows - 1)} corners are seen"
+        )
+    xy = np.asarray(corners, np.float32).reshape(-1, 1, 2)
+    spacing = _spacing(places, xy[:, 0, :].astype(np.float64), board.pitch_mm)
+    return places, _refined(grey, xy, spacing), layout
+
+
+def charuco_of(board: Board, layout: str) -> Any:
+    """Give OpenCV's ChArUco board of a layout, ``new`` or ``old``."""
+    import cv2
+
+    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, str(board.dictionary)))
+    marker_mm = float(board.marker_mm or 0.0)
+    made = cv2.aruco.CharucoBoard((board.columns, board.rows), board.pitch_mm, marker_mm, dictionary)
+    made.setLegacyPattern(layout == "old")
+    return made
+
+
+def _chessboard(grey: NDArray[np.uint8], board: Board) -> tuple[Floats, Floats]:
+    import cv2
+
+    size = (board.columns - 1, board.rows - 1)
+    flags = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY | cv2.CALIB_CB_NORMALIZE_IMAGE
+    found, corners = cv2.findChessboardCornersSB(grey, size, flags=flags)
+    if not found:
+        found, corners = cv2.findChessboardCorners(
+            grey, size, flags=cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
+        )
+        if not found:
+            raise UnseenError(why_no_chessboard(grey, board))
+    corners = np.asarray(corners, np.float32).reshape(-1, 1, 2)
+    spacing = float(np.median(np.hypot(*np.diff(corners[: size[0], 0, :], axis=0).T)))
+    # over a window that holds more of the edges than the detector's own it scatters less
+    xy = _refined(grey, corners, spacing).reshape(size[1], size[0], 2)
+    return _grid(_right_handed(xy), board.pitch_mm, 1.0)
+
+
+def _circles(grey: NDArray[np.uint8], board: Board) -> tuple[Floats, Floats, float]:
+    import cv2 as typed_cv2
+
+    cv2: Any = typed_cv2  # its type stubs lack the blob detector
+    size = (board.columns, board.rows)
+    options = cv2.SimpleBlobDetector_Params()
+    options.minArea, options.maxArea = _CIRCLE_AREA_MIN_PX, grey.size / (4.0 * board.columns * board.rows)
+    options.filterByInertia, options.minInertiaRatio = True, 0.1
+    options.minConvexity, options.minDistBetweenBlobs = 0.9, 4.0
+    options.minThreshold, options.maxThreshold, options.thresholdStep = 20.0, 230.0, 10.0
+    detector = cv2.SimpleBlobDetector_create(options)
+    found = False
+    for flags in (cv2.CALIB_CB_SYMMETRIC_GRID, cv2.CALIB_CB_SYMMETRIC_GRID | cv2.CALIB_CB_CLUSTERING):
+        if not found:
+            found, centres = cv2.findCirclesGrid(grey, size, flags=flags, blobDetector=detector)
+    if not found:
+        raise UnseenError(why_no_circles(grey, board, len(detector.detect(grey))))
+    xy = np.asarray(centres, np.float64).reshape(size[1], size[0], 2)
+    board_mm, places = _grid(_right_handed(xy), board.pitch_mm, 0.5)
+    spacing_px = _spacing(board_mm, places, board.pitch_mm)
+    centres, area_px = _centred(grey, places, spacing_px)
+    matrix = cv2.findHomography(board_mm[:, :2], centres, 0)[0]
+    homogeneous = np.column_stack([board_mm[:, :2], np.ones(len(board_mm))]) @ matrix.T
+    # area of the image of a unit of the board, at each mark
+    scale = np.abs(np.linalg.det(matrix) / homogeneous[:, 2] ** 3)
+    return board_mm, centres, float(np.sqrt(np.nanmedian(area_px / scale) / np.pi))
+
+
+def _right_handed(xy: Floats) -> Floats:
+    """Order (row, column, 2) so that rows follow columns clockwise in the image, whose y points down."""
+    along, down = xy[0, -1] - xy[0, 0], xy[-1, 0] - xy[0, 0]
+    return xy if along[0] * down[1] - along[1] * down[0] > 0 else xy[:, ::-1]
+
+
+def _grid(xy: Floats, pitch_mm: float, first: float) -> tuple[Floats, Floats]:
+    row, column = np.indices(xy.shape[:2])
+    places = np.stack([column + first, row + first, np.zeros(row.shape)], axis=2) * pitch_mm
+    return places.reshape(-1, 3), xy.reshape(-1, 2)
+
+
+def _refined(grey: NDArray[np.uint8], corners: Any, spacing_px: float) -> Floats:
+    import cv2
+
+    half = int(np.clip(round(0.3 * spacing_px), 2, 15))
+    stop = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-4)
+    start = np.ascontiguousarray(corners, np.float32)
+    refined = cv2.cornerSubPix(grey, start, (half, half), (-1, -1), stop)
+    return np.asarray(refined, np.float64).reshape(-1, 2)
+
+
+def _centred(grey: NDArray[np.uint8], xy: Floats, spacing_px: float) -> tuple[Floats, Floats]:
+    """Centre of gravity and area of each dark circle; pixels count by how dark they are."""
+    half = int(np.clip(round(0.48 * spacing_px), 3, 200))
+    rows, columns = grey.shape
+    found, area = xy.copy(), np.full(len(xy), np.nan)
+    for mark, (x, y) in enumerate(xy):
+        left, top = round(x) - half, round(y) - half
+        if left < 0 or top < 0 or left + 2 * half >= columns or top + 2 * half >= rows:
+            continue
+        patch = grey[top : top + 2 * half + 1, left : left + 2 * half + 1].astype(np.float64)
+        dark, light = np.percentile(patch, [5, 85])
+        weight = np.clip((light - 0.1 * (light - dark) - patch) / (0.8 * (light - dark) + 1e-9), 0.0, 1.0)
+        v, u = np.indices(patch.shape)
+        weight *= np.hypot(u - half, v - half) <= half
+        area[mark] = weight.sum()
+        found[mark] = left + (weight * u).sum() / area[mark], top + (weight * v).sum() / area[mark]
+    near = np.hypot(*(found - xy).T) < 0.1 * spacing_px
+    return np.where(near[:, None], found, xy), np.where(near, area, np.nan)
+
+
+def _spacing(board_mm: Floats, xy_px: Floats, pitch_mm: float) -> float:
+    """Median distance, px, of marks that are one pitch apart."""
+    way = np.abs(board_mm[:, None, :2] - board_mm[None, :, :2]).sum(axis=2)
+    one, other = np.nonzero(np.abs(way - pitch_mm) < 0.01 * pitch_mm)
+    return float(np.median(np.hypot(*(xy_px[one] - xy_px[other]).T))) if one.size else 0.0
+
+
+def _edge_width(grey: NDArray[np.uint8], xy_px: Floats, spacing_px: float) -> float:
+    """Median over the marks of the range of grey levels around them over the steepest slope there, px."""
+    import cv2
+
+    smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), 0.7)
+    slope = np.hypot(
+        cv2.Sobel(smooth, cv2.CV_32F, 1, 0, scale=0.125), cv2.Sobel(smooth, cv2.CV_32F, 0, 1, scale=0.125)
+    )
+    half = max(int(0.5 * spacing_px), 2)
+    widths = []
+    for x, y in np.rint(xy_px).astype(int):
+        window = np.s_[max(y - half, 0) : y + half + 1, max(x - half, 0) : x + half + 1]
+        low, high = np.percentile(smooth[window], [3, 97])
+        widths.append(float(high - low) / max(float(slope[window].max()), 1e-3))
+    return float(np.median(widths))
+
+
+def _check_fit(board_mm: Floats, xy_px: Floats, spacing_px: float, board: Board) -> None:
+    import cv2
+
+    flat = board_mm[:, :2].astype(np.float64)
+    matrix, _ = cv2.findHomography(flat, xy_px, 0)
+    if matrix is None:
+        raise UnseenError("the board is seen edge on: its marks lie on a line")
+    seen = np.column_stack([flat, np.ones(len(flat))]) @ matrix.T
+    off = float(np.median(np.hypot(*(seen[:, :2] / seen[:, 2:] - xy_px).T)))
+    if off > _FIT_SHARE_MAX * spacing_px:
+        raise UnseenError(
+            f"the marks do not lie as on a board of {board.columns} × {board.rows}: "
+            f"they are {off:.1f} px off; is it another board?"
+        )

@@ -1,0 +1,193 @@
+"""Stripe peaks on boards and belt, numbered, and gathered over a few rows each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from roemetry.arrays import Floats, Integers
+from roemetry.errors import CalibrationError
+from roemetry.records import EDGE, WIDE, Board, Observation, Peaks
+from roemetry_pinhole.equations import ON_BELT, StripePoints
+from roemetry_pinhole.first_camera import FirstCamera
+from roemetry_pinhole.lens import straightened
+from roemetry_pinhole.numbering import PoseLines, number_stripes
+from roemetry_pinhole.stripe_lines import StripeLine, find_lines, strongest
+from roemetry_pinhole.views import on_board, on_even_print
+
+_WIDTH_SHARE_MAX = 0.35
+_POINTS_MAX = 20_000
+_PEAKS_MIN = 8
+_OFF_MAX_MADS = 5.0
+_OFF_MAX_LEAST_PX = 0.5
+_MAD_TO_STD = 1.4826
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Gathered:
+    """Stripe points for the adjustment, and a first estimate of the planes.
+
+    Attributes
+    ----------
+    points
+        Means over a few rows each.
+    planes
+        (stripe, 3) p·X = 1, 1/mm.
+    belt
+        (3,) a first estimate of the belt from the empty belt's images; None without any.
+    on_board
+        Peaks on boards, and how many of them lie on no stripe or far off their stripe.
+    off_board
+        See above.
+    left_out
+        By image, why its stripes are not used.
+    """
+
+    points: StripePoints
+    planes: Floats
+    belt: Floats | None
+    on_board: int
+    off_board: int
+    left_out: dict[str, str]
+
+
+def gather(
+    first: FirstCamera, board: Board, belts: tuple[Observation, ...], stripes: int, travelled: Floats
+) -> Gathered:
+    """Find the stripes on all boards and on the empty belt, and number them.
+
+    Parameters
+    ----------
+    first
+        Camera and poses, nearly right.
+    board
+        For its size.
+    belts
+        Images of the empty belt.
+    stripes
+        How many the rig has.
+    travelled
+        (view,) encoder counts since the view's pose was defined.
+
+    Raises
+    ------
+    CalibrationError
+        The stripes cannot be numbered, or one lies on too few boards.
+    """
+    left_out: dict[str, str] = {}
+    found: list[tuple[int, Peaks, list[StripeLine], Floats]] = []
+    poses: list[PoseLines] = []
+    seen_on_board = 0
+    for number, view in enumerate(first.views):
+        if view.laser is None:
+            continue
+        peaks = view.laser.peaks
+        xy = _straight(peaks, first.camera)
+        place = on_board(view, board, xy, first.rotation[number], first.shift[number])
+        size = board.pitch_mm * np.array([board.columns, board.rows])
+        use = ((place > 0.0) & (place < size)).all(axis=1)
+        use &= (peaks.flags & (EDGE | WIDE)) == 0
+        use &= ~(peaks.width_px > _WIDTH_SHARE_MAX * view.marks.spacing_px)
+        lines = strongest(find_lines(peaks, xy, use, float(first.camera[0])), peaks, stripes)
+        if not lines:
+            left_out[view.laser.frame.name] = "no stripe is seen on the board: is the laser on?"
+            continue
+        seen_on_board += int(use.sum())
+        found.append((number, peaks, lines, xy))
+        normal, shift = first.rotation[number][:, 2], first.shift[number]
+        ends = np.array([line.ends(xy) for line in lines])
+        ends *= ((normal @ shift) / (ends @ normal))[:, :, None]
+        poses.append(PoseLines(view.laser.frame.name, ends))
+    numbered = number_stripes(poses, stripes)
+    left_out |= numbered.left_out
+    peaks_used: list[tuple[int, int, Peaks, Integers]] = []
+    for (number, peaks, lines, _), numbers in zip(found, numbered.stripe, strict=True):
+        for line, stripe in zip(lines, numbers, strict=True):
+            if stripe >= 0:
+                plain = first.views[number].plain
+                even = np.ones(line.peak.size, np.bool_)
+                if plain is not None:
+                    even = on_even_print(peaks, plain.frame)[line.peak]
+                if even.sum() >= _PEAKS_MIN:
+                    peaks_used.append((number, int(stripe), peaks, line.peak[even]))
+    on_lines = sum(part.size for _, _, _, part in peaks_used)
+    belt, belt_parts = _belt_lines(belts, first.camera, numbered.planes)
+    step = max(1, -(-(on_lines + sum(part.size for *_, part in belt_parts)) // _POINTS_MAX))
+    parts = [
+        _binned(number, stripe, peaks, part, step, travelled[number] if number != ON_BELT else 0.0)
+        for number, stripe, peaks, part in peaks_used + belt_parts
+    ]
+    kept = sum(int(count.sum()) for (number, *_), (_, count) in zip(peaks_used, parts, strict=False))
+    rows = np.concatenate([part for part, _ in parts])
+    points = StripePoints(
+        rows[:, 0].astype(np.int64), rows[:, 1].astype(np.int64), *np.ascontiguousarray(rows[:, 2:].T)
+    )
+    return Gathered(points, numbered.planes, belt, seen_on_board, seen_on_board - kept, left_out)
+
+
+def _straight(peaks: Peaks, camera: Floats) -> Floats:
+    seen = (np.column_stack([peaks.x_px, peaks.row]) - camera[2:4]) / camera[:2]
+    return straightened(seen, camera[4:])[0]
+
+
+def _belt_lines(
+    belts: tuple[Observation, ...], camera: Floats, planes: Floats
+) -> tuple[Floats | None, list[tuple[int, int, Peaks, Integers]]]:
+    """Find and number the stripes on the empty belt, by the plane that fits them best."""
+    parts: list[tuple[int, int, Peaks, Integers]] = []
+    rays, sides = [], []
+    for view in belts:
+        xy = _straight(view.peaks, camera)
+        usable = (view.peaks.flags & (EDGE | WIDE)) == 0
+        lines = strongest(find_lines(view.peaks, xy, usable, float(camera[0])), view.peaks, len(planes))
+        if not lines or len(lines) > len(planes):
+            raise CalibrationError(
+                f"{view.frame.name}: {len(planes)} stripes are expected on the empty belt, "
+                f"{len(lines)} are seen",
+                hint="check `stripes`, the extractor's threshold, turn_deg, and that the belt is empty",
+            )
+        fits = []
+        for first in range(len(planes) - len(lines) + 1):
+            ray = np.concatenate([line.ends(xy) for line in lines])
+            side = (ray * np.repeat(planes[first : first + len(lines)], 2, axis=0)).sum(axis=1)
+            plane, _, rank, _ = np.linalg.lstsq(ray, side, rcond=1e-9)
+            off = np.abs(ray @ plane - side).max() / np.sqrt((plane**2).sum()) if rank == 3 else np.inf
+            fits.append((float(off), first))
+        first = min(fits)[1]
+        rays += [line.ends(xy) for line in lines]
+        sides += [line.ends(xy) @ planes[first + number] for number, line in enumerate(lines)]
+        parts += [(ON_BELT, first + number, view.peaks, line.peak) for number, line in enumerate(lines)]
+    if not parts:
+        return None, parts
+    belt = np.linalg.lstsq(np.concatenate(rays), np.concatenate(sides), rcond=None)[0]
+    return belt, parts
+
+
+def _binned(
+    number: int, stripe: int, peaks: Peaks, part: Integers, step: int, count: float
+) -> tuple[Floats, Integers]:
+    """Means of peaks over `step` rows: pose, stripe, x, row, standard uncertainty, counts; and how many each.
+
+    What is far off a smooth curve along the stripe is left out first.
+    """
+    row, x, std = peaks.row[part].astype(np.float64), peaks.x_px[part], peaks.x_std_px[part]
+    std = np.where(np.isfinite(std) & (std > 0), std, 1.0)
+    middle, half = row.mean(), max(np.ptp(row) / 2.0, 1.0)
+    keep = np.ones(row.size, np.bool_)
+    for _ in range(3):
+        curve = np.polynomial.polynomial.polyfit((row[keep] - middle) / half, x[keep], 3)
+        off = np.abs(x - np.polynomial.polynomial.polyval((row - middle) / half, curve))
+        spread = _MAD_TO_STD * float(np.median(off[keep]))
+        keep = off <= max(_OFF_MAX_MADS * spread, _OFF_MAX_LEAST_PX)
+    row, x, std = row[keep], x[keep], std[keep]
+    bin_of = np.unique(((row - row[0]) // step).astype(np.int64), return_inverse=True)[1]
+    members = np.bincount(bin_of)
+
+    def mean(of: Floats) -> Floats:
+        return np.bincount(bin_of, of) / members
+
+    many = np.sqrt(mean(std**2) / members)
+    same = np.ones(members.size)
+    rows = np.column_stack([number * same, stripe * same, mean(x), mean(row), many, count * same])
+    return rows, members

@@ -1,0 +1,110 @@
+"""Why a board cannot be used: looked into where none was found, so that the user knows what to do."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roemetry.records import Board
+
+_BLURRED_PX = 8.0
+_DICTIONARIES = ("DICT_4X4_1000", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000", "DICT_ARUCO_ORIGINAL")
+_BORDER_SHARE = 0.02
+
+
+class UnseenError(Exception):
+    """A board cannot be used; says why."""
+
+
+def why_no_charuco(grey: NDArray[np.uint8], board: Board, corners: int) -> str:
+    """Say why a ChArUco board shows too few corners."""
+    expected = (board.columns - 1) * (board.rows - 1)
+    own = _markers(grey, str(board.dictionary))
+    if own == 0:
+        if _markers(np.ascontiguousarray(grey[:, ::-1]), str(board.dictionary)) > 2:
+            return "the image is mirrored: the board's markers are found in its mirror image"
+        for name in _DICTIONARIES:
+            found = _markers(grey, name)
+            if found > 2:
+                return f"it is another board: {found} markers of {name} are seen, none of {board.dictionary}"
+        return _blurred(grey) or "no board is seen"
+    if own > 4 and corners < 4:
+        ids = np.ravel(_ids(grey, str(board.dictionary)))
+        count = len(board_ids(board))
+        if ids.size and ids.max() >= count:
+            return f"it is another board: marker {ids.max()} is seen, the one described has 0 to {count - 1}"
+        return f"the markers do not stand as on a board of {board.columns} × {board.rows}: is it another one?"
+    return f"the board is cut off: {corners} of {expected} corners are seen"
+
+
+def why_no_chessboard(grey: NDArray[np.uint8], board: Board) -> str:
+    """Say why no chessboard of the described size was found."""
+    import cv2
+
+    expected = sorted((board.columns - 1, board.rows - 1))
+    flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_LARGER
+    found, corners, meta = cv2.findChessboardCornersSBWithMeta(grey, (3, 3), flags)
+    if not found or meta is None:
+        return _blurred(grey) or "no board is seen"
+    size = sorted(meta.shape)
+    xy = corners.reshape(-1, 2)
+    pitch = float(np.median(np.hypot(*np.diff(xy[: meta.shape[1]], axis=0).T)))
+    low, high = xy.min(axis=0), xy.max(axis=0)
+    at_border = (low < 1.5 * pitch).any() or (high > np.array(grey.shape[::-1]) - 1.5 * pitch).any()
+    if at_border and size[0] <= expected[0] and size[1] <= expected[1]:
+        return (
+            f"the board is cut off: {size[1]} × {size[0]} of {expected[1]} × {expected[0]} corners are seen"
+        )
+    return (
+        f"it is another board: {size[1]} × {size[0]} inner corners are seen, the one described has "
+        f"{expected[1]} × {expected[0]}"
+    )
+
+
+def why_no_circles(grey: NDArray[np.uint8], board: Board, circles: int) -> str:
+    """Say why no grid of circles was found."""
+    expected = board.columns * board.rows
+    if circles < expected / 4:
+        return _blurred(grey) or f"no board is seen ({circles} dark circles, {expected} are expected)"
+    if circles < expected:
+        return f"the board is cut off: {circles} of {expected} circles are seen"
+    return f"{circles} dark circles are seen, no grid of {board.columns} × {board.rows}: is it another board?"
+
+
+def board_ids(board: Board) -> NDArray[Any]:
+    """Give the ids of a ChArUco board's markers."""
+    import cv2
+
+    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, str(board.dictionary)))
+    marker_mm = float(board.marker_mm or 0.0)
+    made = cv2.aruco.CharucoBoard((board.columns, board.rows), board.pitch_mm, marker_mm, dictionary)
+    return np.ravel(made.getIds())
+
+
+def _markers(grey: NDArray[np.uint8], dictionary: str) -> int:
+    return int(_ids(grey, dictionary).size)
+
+
+def _ids(grey: NDArray[np.uint8], dictionary: str) -> NDArray[Any]:
+    import cv2
+
+    detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary)))
+    ids = detector.detectMarkers(grey)[1]
+    return np.empty(0, np.int64) if ids is None else np.ravel(ids)
+
+
+def _blurred(grey: NDArray[np.uint8]) -> str:
+    """Say that nothing in the image is sharp; "" where something is."""
+    import cv2
+
+    smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), 1.5)
+    slope = np.hypot(
+        cv2.Sobel(smooth, cv2.CV_32F, 1, 0, scale=0.125), cv2.Sobel(smooth, cv2.CV_32F, 0, 1, scale=0.125)
+    )
+    low, high = np.percentile(smooth, [1, 99])
+    width = float(high - low) / max(float(np.percentile(slope, 99.5)), 1e-3)
+    if width > _BLURRED_PX:
+        return f"no board is seen, and nothing is sharp: edges are {width:.0f} px wide; is the image blurred?"
+    return ""
