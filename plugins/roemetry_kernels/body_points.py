@@ -86,6 +86,45 @@ def slice_sums(
 
 
 @kernel
+def held_over(
+    rest_mm: Floats, stripe: Integers, frame: Integers, dead: Flags
+) -> tuple[Floats, Floats, Integers]:
+    """Over what each live slice is held, slices in the order of their rest positions.
+
+    Stripe numbers tell of stripes without a slice, within a frame: a scan's frames overlap as they like.
+
+    Returns
+    -------
+    spacing
+        (slice,) mm to the next live slice; 0 of dead ones and of the last.
+    own
+        (slice,) the part of it that reaches to the next stripe, dead or live, mm.
+    missing
+        (slice,) number of dead stripes in it.
+    """
+    count = rest_mm.size
+    spacing, own, missing = np.zeros(count), np.zeros(count), np.zeros(count, np.int64)
+    live = -1
+    for k in range(count):
+        if not dead[k]:
+            if live >= 0:
+                spacing[live] = rest_mm[k] - rest_mm[live]
+                missing[live] -= 1
+                if spacing[live] <= 0.0:
+                    own[live] = 0.0
+            live = k
+        if k < count - 1:
+            step = max(abs(stripe[k + 1] - stripe[k]), 1) if frame[k + 1] == frame[k] else 1
+            if live >= 0:
+                missing[live] += step
+            if live == k:
+                own[k] = (rest_mm[k + 1] - rest_mm[k]) / step
+    if live >= 0:
+        own[live], missing[live] = 0.0, 0
+    return spacing, own, missing
+
+
+@kernel
 def circles(xy: Floats, middle: Integers, delta: int) -> tuple[Floats, Floats, Floats]:
     """Circles through points `delta` before, at and `delta` after each middle one, of (point, 2) places.
 

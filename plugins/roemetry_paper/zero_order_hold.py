@@ -87,7 +87,7 @@ class _Slices(NamedTuple):
 
 
 def _slices(profiles: Profiles, curves: BodyCurves) -> _Slices:
-    from roemetry_kernels.body_points import slice_sums
+    from roemetry_kernels.body_points import held_over, slice_sums
 
     count = profiles.slice_count
     alone = bool((curves.size == 1).any())
@@ -106,17 +106,7 @@ def _slices(profiles: Profiles, curves: BodyCurves) -> _Slices:
     for place in np.flatnonzero(dead):  # amid the product: without any point, or live and of the area 0
         dead[place] = np.isnan(profiles.xyz_mm[order[place], :, 2]).all()
 
-    # From each live slice to the next live one; the last has none.
-    spacing, own, missing = np.zeros(count), np.zeros(count), np.zeros(count, np.int64)
-    live = np.flatnonzero(~dead)
-    this, following = live[:-1], live[1:]
-    spacing[this] = rest_mm[following] - rest_mm[this]
-    # Stripe numbers tell of stripes without a slice, within a frame: a scan's frames overlap as they like.
-    step = np.where(frame[1:] == frame[:-1], np.maximum(np.abs(np.diff(stripe)), 1), 1)
-    own[:-1] = np.diff(rest_mm) / step
-    own = np.where(spacing > 0.0, own, 0.0)
-    gaps = np.concatenate([[0], np.cumsum(step)])
-    missing[this] = gaps[following] - gaps[this] - 1
+    spacing, own, missing = held_over(rest_mm, stripe, frame, dead)
     return _Slices(
         stripe=stripe,
         lit=lit,
