@@ -1,6 +1,6 @@
 """Coders against known truth: what they label, what they get wrong, where they break, how long they take.
 
-``python -m benchmarks coding [--parts skeins,breaking,…] [--skeins 1000] [--coders a,b] [--page FILE]``
+``python -m benchmarks coding [--parts easy,breaking,…] [--skeins 1000] [--coders a,b] [--page FILE]``
 
 Every part leaves its result as JSON in ``--results``, and every run writes the page anew from all results
 that lie there; so parts can be measured one at a time, and one coder again without the others. Seeds begin at

@@ -31,33 +31,40 @@ DISPLACEMENTS = (1.0, 1.3, 1.6, 2.0, 2.5, 3.0, 3.5, 4.0)
 GROWTHS = (1.0, 1.3, 1.6, 2.0, 2.5, 3.0)
 _EACH = {"easy": ("none", "belt-one-side", "blobs"), "dense": ("none",)}
 """Damages that every skein gets, by rig; of the others each skein gets one."""
+_ONE_SIDE = ("belt-below", "belt-above")
 
 
-def skeins(results: Results, coders: Coders, given: Namespace) -> None:
-    """Skeins of every kind on drawn rigs, whole and damaged."""
-    others = [name for name in DAMAGES if name not in ("none", "blobs", "belt-above", "belt-below")]
-    for name, make in RIGS.items():
-        tallies = {coder: Tally() for coder in coders}
-        for number in range(given.skeins):
-            seed = given.first + number
-            kind = KINDS[number % len(KINDS)]
-            rig = make(seed)
-            traced = results.traced(f"{name}-{seed}", rig, lambda s=seed, k=kind: skein(s, k))
-            # one of the rest for each skein, so that the kinds do not go in step with the damages
-            rest = [d for d in [*others, "blobs", "belt-one-side"] if d not in _EACH[name]]
-            for condition in (*_EACH[name], rest[(number // len(KINDS)) % len(rest)]):
-                side = "belt-above" if number % 2 else "belt-below"
-                damage = DAMAGES[side if condition == "belt-one-side" else condition]
-                sample = sample_from(rig, traced, damage, seed=seed)
-                for coder, stage in coders.items():
-                    tallies[coder].add(condition, name, stage, sample)
-                    if condition == "none":
-                        tallies[coder].add(f"kind {kind}", f"{name} (twice)", stage, sample)
-            if (number + 1) % 50 == 0 or number + 1 == given.skeins:
-                about = {"products": number + 1, "first": given.first}
-                for coder, tally in tallies.items():
-                    results.keep(f"skeins-{name}", coder, tally.as_dict(), about)
-                print(f"  {name}: {number + 1} of {given.skeins}", flush=True)
+def easy(results: Results, coders: Coders, given: Namespace) -> None:
+    """Skeins of every kind on drawn rigs of 11 stripes, whole and damaged."""
+    _skeins(results, coders, given, "easy")
+
+
+def dense(results: Results, coders: Coders, given: Namespace) -> None:
+    """Skeins of every kind on drawn rigs of 21 stripes, whole and damaged."""
+    _skeins(results, coders, given, "dense")
+
+
+def _skeins(results: Results, coders: Coders, given: Namespace, name: str) -> None:
+    tallies = {coder: Tally() for coder in coders}
+    # one of the rest for each skein, so that the kinds do not go in step with the damages
+    others = [one for one in (*DAMAGES, "belt-one-side") if one not in (*_EACH[name], *_ONE_SIDE)]
+    for number in range(given.skeins):
+        seed = given.first + number
+        kind = KINDS[number % len(KINDS)]
+        rig = RIGS[name](seed)
+        traced = results.traced(f"{name}-{seed}", rig, lambda s=seed, k=kind: skein(s, k))
+        for condition in (*_EACH[name], others[(number // len(KINDS)) % len(others)]):
+            damage = DAMAGES[_ONE_SIDE[number % 2] if condition == "belt-one-side" else condition]
+            sample = sample_from(rig, traced, damage, seed=seed)
+            for coder, stage in coders.items():
+                tallies[coder].add(condition, name, stage, sample)
+                if condition == "none":
+                    tallies[coder].again(f"kind {kind}")
+        if (number + 1) % 50 == 0 or number + 1 == given.skeins:
+            about = {"products": number + 1, "first": given.first}
+            for coder, tally in tallies.items():
+                results.keep(f"skeins-{name}", coder, tally.as_dict(), about)
+            print(f"  {name}: {number + 1} of {given.skeins}", flush=True)
 
 
 def breaking(results: Results, coders: Coders, given: Namespace) -> None:
@@ -165,7 +172,8 @@ def speed(results: Results, coders: Coders, given: Namespace) -> None:
 
 
 PARTS: dict[str, Callable[[Results, Coders, Namespace], None]] = {
-    "skeins": skeins,
+    "easy": easy,
+    "dense": dense,
     "breaking": breaking,
     "shapes": shapes,
     "dead": dead,

@@ -26,6 +26,9 @@ from roemetry_simulate.solid import Solid
 LITERAL = "window-tracking (belt: interruption)"
 """The paper to the letter, beside its safer reading."""
 
+VARIANTS = (LITERAL, "planes (margin_min: 0)")
+"""Measured beside the coders with their default options."""
+
 MARGINS = (0.0, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99, 1.0 + 1e-9)
 """Edges of the classes of margin."""
 
@@ -36,18 +39,19 @@ Coders = dict[str, Coder[Any]]
 
 
 def coders_named(names: list[str]) -> Coders:
-    """Make all coders, or those of the names; the paper to the letter among them."""
+    """Make all coders and `VARIANTS`, or those of the names: ``name`` or ``name (option: value)``."""
     registry = discover()
+    there = {stage.entry.name: stage for stage in registry.of_kind("coder")}
+    known = [*there, *(name for name in VARIANTS if name.split(" (")[0] in there)]
     found: Coders = {}
-    for stage in registry.of_kind("coder"):
-        cls = registry.load(stage)
-        found[stage.entry.name] = cls()
-        if stage.entry.name == "window-tracking":
-            found[LITERAL] = cls(cls.Options(belt="interruption"))
-    unknown = set(names) - set(found)
-    if unknown:
-        raise SystemExit(f"no coder is called {', '.join(sorted(unknown))}; there are {', '.join(found)}")
-    return {name: found[name] for name in names or found}
+    for name in names or known:
+        base, _, option = name.removesuffix(")").partition(" (")
+        if base not in there:
+            raise SystemExit(f"no coder is called {base}; there are {', '.join(known)}")
+        cls = registry.load(there[base])
+        key, _, value = option.partition(": ")
+        found[name] = cls(cls.Options.model_validate({key: value} if option else {}))
+    return found
 
 
 class Results:
@@ -87,14 +91,20 @@ class Tally:
     def __init__(self) -> None:
         self.scores: dict[str, Score] = {}
         self.margins: dict[str, NDArray[np.int64]] = {}
+        self._last = Score(products=0)
 
     def add(self, condition: str, group: str, coder: Coder[Any], sample: Sample) -> None:
         """Code a sample and count it under a condition; its margins under a group."""
         stripes = answer(coder, sample)
-        self.scores[condition] = self.scores.get(condition, Score(products=0)) + score(stripes, sample)
+        self._last = score(stripes, sample)
+        self.again(condition)
         if stripes is not None:
             counts = margins_of(stripes, sample)
             self.margins[group] = self.margins.get(group, np.zeros_like(counts)) + counts
+
+    def again(self, condition: str) -> None:
+        """Count the last sample under another condition, too."""
+        self.scores[condition] = self.scores.get(condition, Score(products=0)) + self._last
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers."""
