@@ -19,7 +19,7 @@ _STYLE = Markup(
     ".axis{stroke:#8a93a0;fill:none}.line{fill:none;stroke-width:2}.ground{fill:#fff}"
     ".goal{stroke:#8a93a0;stroke-dasharray:4 3;fill:none}</style>"
 )
-_WIDTH, _LEFT, _TOP, _FLOOR = 660.0, 62.0, 14.0, 250.0
+_WIDTH, _LEFT, _TOP, _FLOOR = 660.0, 72.0, 28.0, 262.0
 
 
 def curves(
@@ -32,8 +32,8 @@ def curves(
     path
         File to write.
     lines
-        Points (x, y) by name; with `low`, y is drawn on a scale of powers of ten from there on, and what is
-        0 or below it stands on the floor.
+        Points (x, share) by name; with `low`, shares are drawn on a scale of powers of ten from there on, and
+        what is 0 or below it stands on the floor.
     across, up
         What the axes are.
     """
@@ -43,7 +43,7 @@ def curves(
     x_axis = svg.Axis.over(min(xs), max(xs), _LEFT, right)
     parts = [_STYLE, svg.box(0.0, 0.0, _WIDTH, _height(lines), "ground")]
     if low is None:
-        y_axis = svg.Axis.over(min(0.0, *ys), max(ys), _FLOOR, _TOP)
+        y_axis = svg.Axis(0.0, 1.0, _FLOOR, _TOP)
         marks = y_axis.ticks(5)
         place = {y: y_axis(y) for y in ys}
     else:
@@ -69,7 +69,7 @@ def curves(
         parts += [svg.text(_LEFT + 16.0, y_key, name, "start")]
     parts += [
         svg.text(0.5 * (_LEFT + right), _FLOOR + 34.0, across),
-        svg.text(_LEFT + 6.0, _TOP + 12.0, up, "start"),
+        svg.text(_LEFT, _TOP - 12.0, up, "start"),
     ]
     drawn_whole = svg.picture(parts, _height(lines), f"{up} over {across}", width=_WIDTH)
     path.parent.mkdir(parents=True, exist_ok=True)
