@@ -6,17 +6,14 @@ import numpy as np
 
 from roemetry.arrays import Floats
 from roemetry_kernels.compiling import float_kernel
-from roemetry_kernels.grey_logs import log_above
 from roemetry_kernels.influence import PIXELS_MAX, bell, variance_of
 from roemetry_kernels.stripe_footing import FWHM_OF_SIGMA, Stripes
 from roemetry_kernels.stripe_scan import Pixels
 
 _REACH = 2.6  # standard deviations to both sides that are fitted
-_LOWEST = 0.3  # of the model: a pixel darker than that counts as that dark
+_LOWEST, _HIGHEST = 0.3, 3.0  # of the model: a pixel beyond counts as that dark or bright
 _SIGNAL_TO_NOISE = 60.0  # of a stripe's top, where the sensor is not known
-_SHOT = (
-    0.3  # of the amplitude: where the noise of shot equals that of the dark, where the sensor is not known
-)
+_SHOT = 0.3  # of the amplitude: where shot noise equals dark noise, where the sensor is not known
 
 
 @float_kernel
@@ -28,7 +25,6 @@ def gaussian_centres(
     noise: Floats,
     x_px: Floats,
     x_std_px: Floats,
-    logs: Floats,
 ) -> None:
     """Fit a Gaussian to each stripe: a parabola to the logarithms of its grey levels above the background.
 
@@ -48,13 +44,10 @@ def gaussian_centres(
         As for `roemetry_kernels.influence.variance_of`.
     x_px, x_std_px
         (peak,) to be filled; `x_px` is NaN where there is no result, `x_std_px` where the sensor is unknown.
-    logs
-        As `roemetry_kernels.grey_logs.log_table` gives it.
     """
     pull, light = np.empty(PIXELS_MAX), np.empty(PIXELS_MAX)
     known = noise[0] + noise[1] > 0.0
     speckle = noise[2] * noise[2]
-    clip = np.log(_LOWEST)
     row, los, his, _, middles, widths, amplitudes, backgrounds, slopes, unsures = s
     for i in range(row.shape[0]):
         begins = row[i] * columns
@@ -65,30 +58,31 @@ def gaussian_centres(
         last = min(his[i], int(np.floor(middle + reach + 0.5)), first + PIXELS_MAX - 1)
         gain = noise[1] if known else amplitude / (_SIGNAL_TO_NOISE * _SIGNAL_TO_NOISE * (1.0 + _SHOT))
         floor = noise[0] + gain * background if known else _SHOT * amplitude * gain
-        whole = int(np.rint(background))
-        highest = np.log(amplitude)
         s0 = s1 = s2 = s3 = s4 = t0 = t1 = t2 = leaning = 0.0
-        for x in range(first, last + 1):
-            if levels[begins + x] >= white:
-                continue
-            u = x - middle
+        # Places are unsigned, so that none can count from the end: only then does the loop run in vectors.
+        place, from_middle = np.uint64(begins + first), first - middle
+        for k in range(np.uint64(max(last + 1 - first, 0))):
+            u = from_middle + np.int64(k)
             far = narrow * u * u
             model = amplitude * bell(far)
-            rest = background + slope * u - whole
-            if levels[begins + x] - whole - rest > _LOWEST * model:
-                log = log_above(levels[begins + x], whole, rest, logs)
-            else:
-                log = highest - far + clip
+            level = float(levels[place + k])
+            above = min(max(level - background - slope * u, _LOWEST * model), _HIGHEST * model)
+            # ln(above / model), by a ratio of polynomials: to 2e-5 where they differ by 40 %.
+            both = above * above + model * model
+            log = 3.0 * (above * above - model * model) / (both + 4.0 * above * model) - far
             share = model / (floor + model * (gain + speckle * model))
+            share = share if level < white else 0.0
             weight = model * share
+            wu = weight * u
+            wuu = wu * u
             s0 += weight
-            s1 += weight * u
-            s2 += weight * u * u
-            s3 += weight * u * u * u
-            s4 += weight * u * u * u * u
+            s1 += wu
+            s2 += wuu
+            s3 += wuu * u
+            s4 += wuu * u * u
             t0 += weight * log
-            t1 += weight * u * log
-            t2 += weight * u * u * log
+            t1 += wu * log
+            t2 += wuu * log
             leaning += share * u * u
         # Parabola c0 + c1·u + c2·u²; its top is at −c1 / (2 c2).
         m11, m12, m22 = s2 * s0 - s1 * s1, s3 * s0 - s1 * s2, s4 * s0 - s2 * s2

@@ -63,11 +63,12 @@ def variance_of(
 
 @inlined
 def bell(far: float) -> float:
-    """Nearly exp(−far), as (1 − far/8)⁸: good enough for weights, and fast."""
-    near = 1.0 - 0.125 * far
-    near *= near
-    near *= near
-    return near * near
+    """Give exp(−far) by the series of its eighth root: to 1e-4 up to 3.4 (2.6 standard deviations)."""
+    x = -0.125 * far
+    root = 1.0 + x * (1.0 + x * (0.5 + x * (1.0 / 6.0 + x * (1.0 / 24.0 + x / 120.0))))
+    root *= root
+    root *= root
+    return root * root
 
 
 @inlined

@@ -207,16 +207,20 @@ def _lowest_after(levels: Pixels, begin: int, end: int) -> int:
 
 @inlined
 def _lowest_of_block(levels: Pixels, begin: int) -> int:
-    at = np.uint64(begin)  # unsigned, which no index from the end can be: only so can it be one vector
-    low = levels[at]
-    for k in range(np.uint64(_BLOCK)):
-        low = min(low, levels[at + k])
-    return np.int64(low)  # type: ignore[return-value]
+    # Unsigned, which no index from the end can be; four minima at a time, which need not wait for each other.
+    at = np.uint64(begin)
+    one, two, four = np.uint64(1), np.uint64(2), np.uint64(4)
+    low_0, low_1 = levels[at], levels[at + one]
+    low_2, low_3 = levels[at + two], levels[at + two + one]
+    for k in range(four, np.uint64(_BLOCK), four):
+        low_0, low_1 = min(low_0, levels[at + k]), min(low_1, levels[at + k + one])
+        low_2, low_3 = min(low_2, levels[at + k + two]), min(low_3, levels[at + k + two + one])
+    return int(min(min(low_0, low_1), min(low_2, low_3)))
 
 
 @inlined
 def _crossings(levels: Pixels, level: float, first: int, last: int, lo: int, hi: int) -> tuple[float, float]:
-    """Columns, px, where the grey levels `f` cross a level on both sides of a top, between pixels.
+    """Places, px, where the grey levels cross a level on both sides of a top, between pixels.
 
     Where they do not within `lo` … `hi`, the crossing is put there.
     """

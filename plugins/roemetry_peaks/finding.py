@@ -59,7 +59,9 @@ def found(frame: Frame, options: PeakOptions, centres: Callable[..., None], *set
     nowhere = np.isnan(x_px)
     if nowhere.any():
         fields = {name: values[~nowhere] for name, values in fields.items()}
-    return Peaks(image_size=frame.size, **fields)
+    # Speckle is as long along the stripe as across it; the sensor's noise is not correlated at all.
+    rows = options.speckle_length_px if options.speckle_contrast > 0.0 else 0.0
+    return Peaks(image_size=frame.size, correlation_rows=rows, **fields)
 
 
 def noise_of(frame: Frame, options: PeakOptions) -> Any:

@@ -23,6 +23,5 @@ class Gaussian(Extractor[GaussianOptions]):
     def extract(self, frame: Frame) -> Peaks:
         """Find the stripes of a frame."""
         from roemetry_kernels.gaussian_fit import gaussian_centres  # numba: when something runs
-        from roemetry_kernels.grey_logs import log_table
 
-        return found(frame, self.options, gaussian_centres, log_table(frame.white))
+        return found(frame, self.options, gaussian_centres)
