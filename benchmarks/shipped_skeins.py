@@ -5,13 +5,11 @@
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 
-import numpy as np
-
-from benchmarks.herring_roe import BEST_OPTIONS, Sample, score
+from benchmarks.herring_roe import BEST_OPTIONS, score
 from roemetry import Pipeline, Recipe
+from roemetry.dataset import Dataset
 from roemetry_paper.arc_curvature import ArcCurvature, ArcCurvatureOptions
 
 FOLDER = Path("recipes/herring_roe")
@@ -22,10 +20,8 @@ def main() -> None:
     recipe = Recipe.load(FOLDER)
     source, pipeline = recipe.source.make(), Pipeline(recipe)
     best = ArcCurvature(ArcCurvatureOptions(**BEST_OPTIONS))
-    with (FOLDER / "truth.csv").open(encoding="utf-8") as file:
-        truth = list(csv.DictReader(file))
-    with np.load(FOLDER / "truth_stripes.npz") as kept:
-        x_px, on_product = kept["x_px"].astype(float), kept["on_product"]
+    data = Dataset(FOLDER)
+    truths = {item.id: data.truth(item) for item in data.items()}
     print(
         "| skein | made | points right | wrong | grade, paper's rule | grade, best options | volume cm³ ",
         end="",
@@ -33,24 +29,22 @@ def main() -> None:
     print("| of visible | of true | weight g | true g |")
     print("|---|---|---|---|---|---|---|---|---|---|---|")
     visible, right = 0, 0
-    for index, reference in enumerate(source.references(recipe.source_path)):
-        row = truth[index]
+    for reference in source.references(recipe.source_path):
         trace = pipeline.trace(source.read(reference))
-        product = trace.products[0]
-        if trace.stripes is None or product.volume is None or product.grade is None or product.weight is None:
-            raise SystemExit(f"{reference.id} was not measured: {trace.absent} {product.absent}")
-        volumes = float(row["visible_volume_mm3"]), float(row["true_volume_mm3"])
-        image = np.empty(0)
-        sample = Sample(index, row["defect"], image, x_px[index], on_product[index], *volumes)
-        found = score(trace.stripes, sample)
+        stripes, (known,) = truths[reference.id].stripes, truths[reference.id].products
+        one = trace.products[0]
+        if trace.stripes is None or one.volume is None or one.grade is None or one.weight is None:
+            raise SystemExit(f"{reference.id} was not measured: {trace.absent} {one.absent}")
+        assert stripes is not None
+        found = score(trace.stripes, stripes)
         visible, right = visible + found.visible, right + found.right
-        value = product.volume.visible_mm3.value
-        made = row["class"] if row["class"] == "good" else row["defect"]
+        value = one.volume.visible_mm3.value
+        kind = known.label if known.label == "good" else known.defect
         print(
-            f"| {reference.id} | {made} | {found.right / found.visible:.1%} | {found.wrong} "
-            f"| {product.grade.label} | {best.classify(product.product).label} | {value / 1000:.2f} "
-            f"| {100 * (value / volumes[0] - 1):+.1f} % | {100 * (value / volumes[1] - 1):+.1f} % "
-            f"| {product.weight.mass_g.value:.1f} | {float(row['weight_g']):.1f} |"
+            f"| {reference.id} | {kind} | {found.right / found.visible:.1%} | {found.wrong} "
+            f"| {one.grade.label} | {best.classify(one.product).label} | {value / 1000:.2f} "
+            f"| {100 * (value / known.visible_mm3 - 1):+.1f} % | {100 * (value / known.true_mm3 - 1):+.1f} % "
+            f"| {one.weight.mass_g.value:.1f} | {known.mass_g:.1f} |"
         )
     print(f"\n{right / visible:.2%} of {visible} visible product points right")
 

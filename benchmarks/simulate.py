@@ -43,8 +43,7 @@ def main() -> None:
         rig = rig_of(options)  # type: ignore[arg-type]
         lying = product_of(options.product, rig, 0, 1)  # type: ignore[attr-defined]
         surface = surface_of(options, lying.seed)  # type: ignore[arg-type]
-        assert lying.drawn is not None
-        solid, samples = lying.drawn.solid, options.samples  # type: ignore[attr-defined]
+        solid, samples = lying.solid, options.samples  # type: ignore[attr-defined]
         steps: dict[str, Callable[[], object]] = {
             "light": lambda: laser_light(rig, solid, surface, samples),  # noqa: B023
             "image": lambda: render(rig, solid, surface, seed=1, samples=samples),  # noqa: B023

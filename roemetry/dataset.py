@@ -4,6 +4,7 @@ A data set is a folder with
 
 * ``dataset.yaml``: name, licence, the command that made it, folders of calibration data;
 * ``calibration.sha256``: hashes of the calibration data, as ``sha256sum`` writes them;
+* ``truth/calibration.yaml``: what is true of the rig and of the calibration targets, where that is known;
 * ``items.jsonl``: a line an item: its id, its files by role with their hashes, the truth of its products, and
   the file that holds the truth of its stripes;
 * the files themselves, wherever the lines say (by habit ``images/``, ``truth/``).
@@ -30,7 +31,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from roemetry.errors import ConfigurationError, DataError, OutputError
 from roemetry.files import LineFile, make_folder, sha256_of, write_whole
-from roemetry.records import ProductTruth, Role, StripeTruth, Truth
+from roemetry.recipe_file import SensorFile
+from roemetry.records import ProductTruth, Role, Sensor, StripeTruth, Truth
 from roemetry.validation import checked
 from roemetry.yaml_source import dump, read
 
@@ -38,6 +40,7 @@ DESCRIPTION = "dataset.yaml"
 ITEMS = "items.jsonl"
 HASHES = "calibration.sha256"
 STRIPES = "stripes"
+CALIBRATION_TRUTH = "truth/calibration.yaml"
 
 _LASTING = ("roemetry_dataset", "name", "licence", "made_from", "turn_deg")
 
@@ -55,6 +58,7 @@ class Description(BaseModel):
         default_factory=dict, description="what decides its bytes: seed, hash of the scene, versions"
     )
     turn_deg: Literal[0, 90, 180, 270] = Field(default=0, description="turn that recipes apply, degrees")
+    sensor: SensorFile | None = Field(default=None, description="the camera's noise, as in the recipe")
     calibration: dict[str, str] = Field(
         default_factory=dict, description="calibration data by kind: folder or file, relative to this file"
     )
@@ -115,6 +119,17 @@ class Dataset:
         self.folder = folder
         self.description: Description = description
 
+    @property
+    def sensor(self) -> Sensor | None:
+        """The camera's noise; None where the set does not say it."""
+        said = self.description.sensor
+        return None if said is None else Sensor(**said.model_dump())
+
+    def calibration_truth(self) -> dict[str, Any]:
+        """Read what is true of the rig and of the calibration targets; empty where the set does not know."""
+        path = self.folder / CALIBRATION_TRUTH
+        return dict(read(path).data) if path.exists() else {}
+
     def items(self) -> Iterator[Item]:
         """Give the items in order."""
         path = self.folder / ITEMS
@@ -132,7 +147,8 @@ class Dataset:
         path = self.folder / item.stripes
         try:
             with np.load(path) as kept:
-                stripes = StripeTruth(kept["x_px"], kept["on_product"], kept["xyz_mm"])
+                fields = ("x_px", "on_product", "xyz_mm", *(("product",) if "product" in kept else ()))
+                stripes = StripeTruth(**{name: kept[name] for name in fields})
         except (OSError, KeyError, ValueError) as error:
             raise DataError(f"{path}: not the truth of stripes: {error}") from error
         return Truth(item.products, stripes)
@@ -236,6 +252,7 @@ def save_stripes(path: Path, stripes: StripeTruth) -> None:
         buffer,
         x_px=stripes.x_px.astype(np.float32),
         on_product=stripes.on_product,
+        product=stripes.product,
         xyz_mm=stripes.xyz_mm.astype(np.float32),
     )
     save_bytes(path, buffer.getvalue())
@@ -255,6 +272,13 @@ def save_bytes(path: Path, data: bytes) -> None:
             f"{path}: cannot be written: {error.strerror or error}",
             hint="free some space; what was written before is whole, and `--resume` goes on from there",
         ) from error
+
+
+def save_calibration_truth(folder: Path, truth: Mapping[str, Any]) -> str:
+    """Write what is true of rig and targets; give the file's name in the set."""
+    make_folder((folder / CALIBRATION_TRUTH).parent)
+    write_whole(folder / CALIBRATION_TRUTH, dump(dict(truth)))
+    return CALIBRATION_TRUTH
 
 
 def save_calibration_hashes(folder: Path, names: Sequence[str]) -> None:

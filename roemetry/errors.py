@@ -18,14 +18,17 @@ class RoemetryError(Exception):
         What is wrong, where, what was found and what was expected.
     hint
         What to do about it.
+    at
+        Keys, below the options of the stage that raises it, of what is at fault.
     """
 
     exit_code = 1
 
-    def __init__(self, message: str, *, hint: str | None = None) -> None:
+    def __init__(self, message: str, *, hint: str | None = None, at: Sequence[str | int] = ()) -> None:
         super().__init__(message)
         self.message = message
         self.hint = hint
+        self.at: tuple[str | int, ...] = tuple(at)
 
     def __str__(self) -> str:
         return self.message if self.hint is None else f"{self.message}\n  → {self.hint}"
@@ -42,6 +45,20 @@ class ConfigurationError(RoemetryError):
     def __init__(self, faults: Sequence[str] | str, *, hint: str | None = None) -> None:
         self.faults = (faults,) if isinstance(faults, str) else tuple(faults)
         super().__init__("\n".join(self.faults), hint=hint)
+
+
+class MisfitError(ValueError):
+    """Values that may each stand alone and do not go together, for the validators of options.
+
+    Parameters
+    ----------
+    faults
+        For each, the keys that lead to it from where the validator stands, and what is wrong.
+    """
+
+    def __init__(self, *faults: tuple[Sequence[str | int], str]) -> None:
+        super().__init__("; ".join(f"{'.'.join(map(str, at))}: {said}" for at, said in faults))
+        self.faults = tuple((tuple(at), said) for at, said in faults)
 
 
 class PluginError(RoemetryError):

@@ -57,7 +57,8 @@ def _split(text: str) -> tuple[tuple[Step, ...], Any]:
             f"--set {text}: expected key.key=value",
             hint="for example --set stages.extractor.options.threshold=80",
         )
-    return keys, parse(value, f"--set {key}").data if value.strip() else None
+    nothing = value.strip() in ("", "null", "~")
+    return keys, None if nothing else parse(value, f"--set {key}").data
 
 
 def _put(data: Any, keys: tuple[Step, ...], value: Any, text: str) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import string
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -15,12 +15,16 @@ from pydantic import Field, field_validator
 
 from roemetry.choosing import Chooser, Chosen
 from roemetry.errors import ConfigurationError, RoemetryError
+from roemetry.files import sha256_of
 from roemetry.overrides import Overridden
 from roemetry.recipe_file import Choice, Section
 from roemetry.registry import Registry, discover
 from roemetry.stages import Simulator
 from roemetry.validation import checked
-from roemetry.yaml_source import read
+from roemetry.yaml_source import Step, read
+
+SCENE_FILES = "scene_files"
+"""Folder of the files that a scene names, beside the scene that a data set keeps."""
 
 
 class SceneFile(Section):
@@ -59,15 +63,12 @@ class Scene:
         What it says.
     simulator
         The chosen simulator and its options.
-    place
-        ``file:line:column`` of the simulator's options.
     """
 
     path: Path
     sets: tuple[str, ...]
     file: SceneFile
     simulator: Chosen
-    place: str
 
     @classmethod
     def load(cls, path: Path | str, *, sets: Sequence[str] = (), registry: Registry | None = None) -> Scene:
@@ -75,7 +76,10 @@ class Scene:
         path = Path(path)
         path = path / "scene.yaml" if path.is_dir() else path
         document = Overridden(read(path), sets)
-        data = _files_beside(document.data, path.parent)
+        data = document.data
+        for at, name in _files_in(data):
+            folder = Path() if document.place(at).startswith("--set ") else path.parent
+            _put(data, at, str((folder / name).absolute()))
         file, faults = checked(SceneFile, data, document.place)
         if file is None:
             raise ConfigurationError(faults)
@@ -83,42 +87,66 @@ class Scene:
         simulator = chooser.choose("simulator", file.simulator, "simulator")
         if chooser.faults or simulator is None:
             raise ConfigurationError(chooser.faults)
-        return cls(path, tuple(document.sets), file, simulator, document.place(("simulator", "options")))
+        return cls(path, tuple(document.sets), file, simulator)
 
     def make(self) -> Simulator[Any]:
         """Make the simulator; raise ConfigurationError, with the place, for a scene that cannot be."""
         try:
             made: Simulator[Any] = self.simulator.make()
         except RoemetryError as error:
-            raise ConfigurationError(
-                f"{self.place}: simulator.options: {error.message}", hint=error.hint
-            ) from error
+            at = ("simulator", "options", *error.at)
+            place = Overridden(read(self.path), self.sets).place(at)
+            said = f"{place}: {'.'.join(map(str, at))}: {error.message}"
+            raise ConfigurationError(said, hint=error.hint) from error
         return made
 
-    def resolved(self) -> dict[str, Any]:
-        """Everything that decides an image, with defaults filled in, as a scene file again."""
-        return {
-            **self.file.model_dump(mode="json", exclude={"simulator"}),
-            "simulator": {
-                "use": self.file.simulator.use,
-                "options": self.simulator.options.model_dump(mode="json"),
-            },
-        }
+    def kept(self) -> tuple[dict[str, Any], dict[str, Path]]:
+        """Give the scene as a file again, defaults filled in, and the files to lay beside it, by name."""
+        return self._told(exclude_defaults=False)
 
     @cached_property
     def sha256(self) -> str:
-        """Hash of all that decides an image, but the seed."""
-        deciding = {"provider": str(self.simulator.registered.provider), **self.resolved()}
+        """Hash of all that decides an image, but seed and version.
+
+        An option at its default is left out, so that the hash outlives options that come later.
+        """
+        deciding, files = self._told(exclude_defaults=True)
+        for at, name in list(_files_in(deciding)):
+            _put(deciding, at, sha256_of(files[name]) if files[name].is_file() else "")
         return hashlib.sha256(json.dumps(deciding, sort_keys=True).encode()).hexdigest()
 
+    def _told(self, *, exclude_defaults: bool) -> tuple[dict[str, Any], dict[str, Path]]:
+        options = self.simulator.options.model_dump(mode="json", exclude_defaults=exclude_defaults)
+        told = {
+            **self.file.model_dump(mode="json", exclude={"simulator"}, exclude_defaults=exclude_defaults),
+            "simulator": {"use": self.file.simulator.use, "options": options},
+        }
+        files: dict[str, Path] = {}
+        for at, path in list(_files_in(told)):
+            name = f"{SCENE_FILES}/{Path(path).name}"
+            if files.get(name, Path(path)) != Path(path):
+                name = f"{SCENE_FILES}/{len(files) + 1}-{Path(path).name}"
+            files[name] = Path(path)
+            _put(told, at, name)
+        return told, files
 
-def _files_beside(data: Any, folder: Path) -> Any:
-    """Make the file of a product, which a scene names relative to itself, a path from here."""
-    try:
-        options = data["simulator"]["options"]["product"]["options"]
-        name = options["file"]
-    except (TypeError, KeyError):
-        return data
-    if isinstance(name, str) and not Path(name).is_absolute():
-        options["file"] = str(folder / name)
-    return data
+
+def _files_in(data: Any, at: tuple[Step, ...] = ("simulator", "options")) -> Iterator[tuple[Any, str]]:
+    """Give every key called ``file`` among a simulator's options, and the path it names."""
+    for step in at:
+        data = data.get(step) if isinstance(data, dict) else None
+    waiting: list[tuple[tuple[Step, ...], Any]] = [(at, data)]
+    while waiting:
+        here, value = waiting.pop(0)
+        if isinstance(value, dict):
+            waiting += [((*here, key), below) for key, below in value.items()]
+        elif isinstance(value, list):
+            waiting += [((*here, index), below) for index, below in enumerate(value)]
+        elif here[-1] == "file" and isinstance(value, str):
+            yield here, value
+
+
+def _put(data: Any, at: Sequence[Step], value: str) -> None:
+    for step in at[:-1]:
+        data = data[step]
+    data[at[-1]] = value

@@ -12,11 +12,11 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import islice
 from multiprocessing import get_context, parent_process
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from roemetry.dataset import (
     ITEMS,
@@ -25,12 +25,15 @@ from roemetry.dataset import (
     Item,
     save_bytes,
     save_calibration_hashes,
+    save_calibration_truth,
     save_stripes,
 )
 from roemetry.errors import OutputError
 from roemetry.files import make_folder, write_whole
-from roemetry.records import Frame, Role
+from roemetry.recipe_file import SensorFile
+from roemetry.records import Frame, Role, Sensor
 from roemetry.scene import Scene
+from roemetry.stages import Simulator
 from roemetry.yaml_source import dump
 
 Calibration = Literal["none", "basic", "all"]
@@ -117,8 +120,10 @@ def simulate(
             f"{folder}: there is a data set in this folder already",
             hint="go on with it by --resume, or choose another folder with --out",
         )
-    views = _views(scene, seed, calibration)
-    writer = DatasetWriter(folder, _description(scene, seed, count, calibration, views))
+    simulator = scene.make()
+    views = _views(simulator, seed, calibration)
+    told = _description(scene, simulator.sensor(), seed, count, calibration, views)
+    writer = DatasetWriter(folder, told)
     with writer:
         _keep_scene(scene, folder)
         names = [scene.file.item.format(number=number + 1) for number in range(count)]
@@ -133,16 +138,19 @@ def simulate(
                 writer.add(item)
             done += 1
             on_progress(done, total)
-    save_calibration_hashes(folder, [view.path for view in views])
+    known = [view.path for view in views]
+    if calibration != "none" and (truth := simulator.calibration_truth(seed)):
+        known.append(save_calibration_truth(folder, truth))
+    save_calibration_hashes(folder, known)
     return Made(folder, count, kept, len(views))
 
 
-def _views(scene: Scene, seed: int, calibration: Calibration) -> list[_View]:
+def _views(simulator: Simulator[Any], seed: int, calibration: Calibration) -> list[_View]:
     """List the calibration images; of a kind with one image the file lies beside the others' folders."""
     if calibration == "none":
         return []
     found = []
-    for kind, frames in scene.make().calibration_frames(seed).items():
+    for kind, frames in simulator.calibration_frames(seed).items():
         if calibration == "basic" and kind not in BASIC:
             continue
         names = list(frames)
@@ -153,7 +161,12 @@ def _views(scene: Scene, seed: int, calibration: Calibration) -> list[_View]:
 
 
 def _description(
-    scene: Scene, seed: int, count: int, calibration: Calibration, views: Sequence[_View]
+    scene: Scene,
+    sensor: Sensor | None,
+    seed: int,
+    count: int,
+    calibration: Calibration,
+    views: Sequence[_View],
 ) -> Description:
     folders: dict[str, str] = {}
     for view in views:
@@ -171,6 +184,7 @@ def _description(
             "seed": seed,
             "scene_sha256": scene.sha256,
         },
+        sensor=None if sensor is None else SensorFile(**asdict(sensor)),
         calibration=folders,
     )
 
@@ -182,7 +196,10 @@ def _keep_scene(scene: Scene, folder: Path) -> None:
         if path.resolve() == scene.path.resolve() or Scene.load(path).sha256 == scene.sha256:
             return
         raise OutputError(f"{path}: there is another scene here", hint="choose another folder with --out")
-    write_whole(path, dump(scene.resolved()))
+    told, files = scene.kept()
+    for name, file in files.items():
+        save_bytes(folder / name, file.read_bytes())
+    write_whole(path, dump(told))
 
 
 def _made(scene: Scene, folder: Path, seed: int, tasks: Sequence[_Task], jobs: int) -> Iterator[Item | None]:

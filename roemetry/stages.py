@@ -30,6 +30,7 @@ from roemetry.records import (
     Plan,
     Product,
     Profiles,
+    Sensor,
     Simulated,
     StripeMap,
     Trace,
@@ -252,6 +253,14 @@ class Simulator(Stage[OptionsT]):
     @abstractmethod
     def calibration_frames(self, seed: int) -> Mapping[str, Mapping[str, Frame]]:
         """Make calibration images: by kind (``block``, ``belt``, …), by file name without suffix."""
+
+    def sensor(self) -> Sensor | None:
+        """Give the noise of the camera it makes images of; None where that is not told."""
+        return None
+
+    def calibration_truth(self, seed: int) -> Mapping[str, Any]:
+        """Give what is true of rig and targets, as plain values for a file; empty where nothing is told."""
+        return {}
 
 
 class Planner(Stage[OptionsT]):

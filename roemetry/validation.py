@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
+from roemetry.errors import MisfitError
 from roemetry.yaml_source import Step
 
 Place = Callable[[Sequence[Step]], str]
@@ -38,7 +39,7 @@ def checked(
     try:
         return model.model_validate(data), []
     except ValidationError as error:
-        return None, [_fault(model, detail, place, at) for detail in error.errors()]
+        return None, [fault for detail in error.errors() for fault in _faults(model, detail, place, at)]
 
 
 def unknown_key(key: object, known: Sequence[str]) -> str:
@@ -48,10 +49,40 @@ def unknown_key(key: object, known: Sequence[str]) -> str:
     return said + (f"; did you mean `{close[0]}`?" if close else f"; known here: {', '.join(known)}")
 
 
-def _fault(model: type[BaseModel], detail: ErrorDetails, place: Place, at: tuple[Step, ...]) -> str:
+def _faults(
+    model: type[BaseModel], detail: ErrorDetails, place: Place, at: tuple[Step, ...]
+) -> Iterator[str]:
     path = (*at, *(step for step in detail["loc"] if _is_in_file(step)))
-    dotted = ".".join(str(step) for step in path) or "the file"
-    return f"{place(path)}: {dotted}: {_sentence(model, detail)}"
+    raised = detail.get("ctx", {}).get("error")
+    if not isinstance(raised, MisfitError):
+        yield _placed(path, place, _sentence(model, detail))
+        return
+    for below, said in raised.faults:
+        found = _below(detail["input"], below)
+        yield _placed(
+            (*path, *below),
+            place,
+            said
+            if found is _NOT_SAID or said.startswith("unknown key")
+            else f"{said}, found {_shown(found)}",
+        )
+
+
+def _placed(path: tuple[Step, ...], place: Place, said: str) -> str:
+    return f"{place(path)}: {'.'.join(str(step) for step in path) or 'the file'}: {said}"
+
+
+_NOT_SAID = object()
+
+
+def _below(value: object, path: Sequence[Step]) -> object:
+    """Give what a path leads to in a file's values; a mark of its own where the file does not say it."""
+    for step in path:
+        try:
+            value = value[step]  # type: ignore[index]
+        except (KeyError, IndexError, TypeError):
+            return _NOT_SAID
+    return value
 
 
 def _is_in_file(step: Step) -> bool:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from roemetry.dataset import DESCRIPTION, ITEMS, Dataset
 from roemetry.errors import DataError
-from roemetry.records import Acquisition, AcquisitionReference
+from roemetry.records import Acquisition, AcquisitionReference, Sensor
 from roemetry.stages import Source, StageOptions
 from roemetry_files.image_files import read_image
 
@@ -19,7 +19,7 @@ class DatasetSource(Source[StageOptions]):
     """Reads the items of a data set: a folder with a ``dataset.yaml``, or that file itself.
 
     The acquisition's id is the item's. Truth, where the set has it, is not read. The set's bit depth holds;
-    time and encoder count come along.
+    time, encoder count and what the set says of the camera's noise come along.
     """
 
     Options = StageOptions
@@ -42,13 +42,20 @@ class DatasetSource(Source[StageOptions]):
     def read(self, reference: AcquisitionReference) -> Acquisition:
         """Read the images of one item; raise DataError for one that is missing or damaged."""
         folder = _folder_of(next(iter(reference.files.values())))
-        taken = _taken(folder, (folder / ITEMS).stat().st_mtime_ns)[reference.id]
+        changed_ns = (folder / ITEMS).stat().st_mtime_ns
+        taken, sensor = _taken(folder, changed_ns)[reference.id], _sensor(folder, changed_ns)
         frames = []
         for role, path in reference.files.items():
             frame = read_image(path, role)
             bits = frame.bit_depth if taken.bit_depth is None else taken.bit_depth
             frames.append(
-                replace(frame, bit_depth=bits, time_s=taken.time_s, encoder_count=taken.encoder_count)
+                replace(
+                    frame,
+                    bit_depth=bits,
+                    time_s=taken.time_s,
+                    encoder_count=taken.encoder_count,
+                    sensor=sensor,
+                )
             )
         return Acquisition(reference.id, tuple(frames))
 
@@ -82,3 +89,9 @@ def _taken(folder: Path, changed_ns: int) -> Mapping[str, _Taken]:
     """Read how the items of a set were taken; `changed_ns` makes a set that has grown be read again."""
     items = Dataset(folder).items()
     return {item.id: _Taken(item.bit_depth, item.time_s, item.encoder_count) for item in items}
+
+
+@lru_cache(maxsize=2)
+def _sensor(folder: Path, changed_ns: int) -> Sensor | None:
+    """Read what a set says of its camera's noise, once."""
+    return Dataset(folder).sensor

@@ -14,7 +14,6 @@ Floats = NDArray[np.float64]
 
 _PX_PER_SQUARE = 80
 _BLACK = 0.12
-_THICKNESS_MM = 2.0
 
 
 class BoardPose(NamedTuple):
@@ -51,7 +50,7 @@ def poses(part: BoardPart, seed: int) -> list[BoardPose]:
         way = 2.0 * np.pi * (number + 0.3 * jitter) / max(part.poses - 1, 1)
         rotation = _turned(tilt_deg, way) @ _about_z(8.0 * turn) @ np.diag([1.0, -1.0, -1.0])
         low, high = part.height_mm
-        lift_mm = float(np.abs(rotation[2, :2]) @ half) + _THICKNESS_MM + 0.5
+        lift_mm = float(np.abs(rotation[2, :2]) @ half) + part.thickness_mm + 0.5
         middle = np.array([4.0 * along_x, 4.0 * along_y, lift_mm + low + 0.5 * (up + 1.0) * (high - low)])
         pose = np.eye(4)
         pose[:3, :3] = rotation
@@ -59,6 +58,14 @@ def poses(part: BoardPart, seed: int) -> list[BoardPose]:
         pose[:3, 3] = middle - rotation[:, :2] @ (0.5 * size)
         found.append(BoardPose(pose))
     return found
+
+
+def on_belt(part: BoardPart) -> BoardPose:
+    """Return the pose of a board that lies on the belt, its middle at the origin, rows across the stripes."""
+    pose = np.diag([1.0, -1.0, -1.0, 1.0])
+    half = 0.5 * part.square_mm * np.array([part.columns, part.rows])
+    pose[:3, 3] = -half[0], half[1], part.thickness_mm
+    return BoardPose(pose)
 
 
 def board_picture(part: BoardPart, kind: str) -> Floats:
@@ -110,7 +117,7 @@ def board_solid(part: BoardPart, pose: BoardPose) -> PartsSolid:
     edge = 0.5 * part.square_mm
     limits = [
         (-x, edge), (x, part.columns * part.square_mm + edge), (-y, edge),
-        (y, part.rows * part.square_mm + edge), (-down, 0.0), (down, _THICKNESS_MM),
+        (y, part.rows * part.square_mm + edge), (-down, 0.0), (down, part.thickness_mm),
     ]  # fmt: skip
     origin = at[:3, 3]
     surfaces = [
@@ -121,10 +128,10 @@ def board_solid(part: BoardPart, pose: BoardPose) -> PartsSolid:
         origin + u * x + v * y + w * down
         for u in (-edge, part.columns * part.square_mm + edge)
         for v in (-edge, part.rows * part.square_mm + edge)
-        for w in (0.0, _THICKNESS_MM)
+        for w in (0.0, part.thickness_mm)
     ]
     low, high = np.min(ends, axis=0), np.max(ends, axis=0)
-    volume = (part.columns + 1) * (part.rows + 1) * part.square_mm**2 * _THICKNESS_MM
+    volume = (part.columns + 1) * (part.rows + 1) * part.square_mm**2 * part.thickness_mm
     extent = (float(low[0]), float(high[0]), float(low[1]), float(high[1]))
     return PartsSolid(np.array(surfaces), np.nan, volume, np.nan, extent, float(high[2]))
 

@@ -9,7 +9,12 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-NOTHING, BOX, FIELD, PARTS, MESH = 0, 1, 2, 3, 4
+Reach = tuple[float, float, float, float, float, float]
+
+NOTHING, BOX, FIELD, PARTS, MESH, FIELDS = 0, 1, 2, 3, 4, 5
+
+NOWHERE: Reach = (0.0, 0.0, -2.0, 0.0, 0.0, -1.0)
+"""A box below the belt, where no ray comes."""
 
 
 def no_array(*shape: int, dtype: type[np.generic] = np.float64) -> NDArray[Any]:
@@ -22,11 +27,13 @@ def no_array(*shape: int, dtype: type[np.generic] = np.float64) -> NDArray[Any]:
 class Body(NamedTuple):
     """Nothing, a block or a gridded body in the form the kernels take; `kind` says which members count.
 
-    BOX takes `box`; FIELD takes `grid` to `u_slope_mm`. `top_mm` is at or over the highest point. All arrays
-    are read-only, so that the kernels are compiled once.
+    BOX takes `box`; FIELD takes `grid` to `u_slope_mm`. `reach` is a box that holds all of it: smallest x, y,
+    z, largest x, y, z. `top_mm` is at or over the highest point. All arrays are read-only, so that the
+    kernels are compiled once.
     """
 
     kind: int
+    reach: Reach = NOWHERE
     box: Floats = no_array(6)
     grid: Floats = no_array(2, 2, 3)
     x0_mm: float = 0.0
@@ -46,8 +53,24 @@ class ExactBody(NamedTuple):
     """
 
     kind: int
+    reach: Reach
     top_mm: float
     surfaces: Floats = no_array(1, 11)
     triangles: Floats = no_array(1, 9)
     boxes: Floats = no_array(1, 6)
     links: NDArray[np.int64] = no_array(1, 3, dtype=np.int64)
+
+
+class Fields(NamedTuple):
+    """Several gridded bodies in the form the kernels take.
+
+    `nodes` (n, 3) holds the nodes of all grids, one grid after the other, row by row; a row of `places` says
+    of one of them: x0, y0, step, highest point, steepest slope of mid and of u (see `Body`), its first node,
+    its rows and its columns.
+    """
+
+    kind: int
+    reach: Reach
+    top_mm: float
+    nodes: Floats
+    places: Floats

@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roemetry_kernels.compiling import kernel
-from roemetry_simulate.bodies import Body, ExactBody
 from roemetry_simulate.camera import Camera
 from roemetry_simulate.lens import camera_ray
-from roemetry_simulate.raycast import first_hit
+from roemetry_simulate.raycast import AnyBody, first_hit_in
 from roemetry_simulate.sensor import blurred
 from roemetry_simulate.solid import Solid
 
@@ -100,13 +99,14 @@ def depths_mm(camera: Camera, solid: Solid) -> Floats:
 
 
 @kernel
-def _depths(body: Body | ExactBody, pinhole: Floats, rotation: Floats, rows: int, columns: int) -> Floats:
+def _depths(body: AnyBody, pinhole: Floats, rotation: Floats, rows: int, columns: int) -> Floats:
     depth = np.full((rows, columns), np.nan)
     view, point = np.zeros(3), np.zeros(3)
+    reach = body.reach
     for row in range(rows):
         for column in range(columns):
             camera_ray(pinhole, rotation, column, row, view)
-            if first_hit(body, pinhole[:3], view, 1e-3, point) < 0:
+            if first_hit_in(body, reach, pinhole[:3], view, 1e-3, point) < 0:
                 continue
             depth[row, column] = 0.0
             for k in range(3):

@@ -54,7 +54,7 @@ class SkeinRecord:
     yaw_deg : float
         Turn from belt X, within ±15.
     centre_x_mm, centre_y_mm : float
-        Where the middle lies, within ±5 and ±6, but see `roemetry_simulate.herring_roe`.
+        Where the middle lies, within ±5 and ±6; a scene may move it along X to where the stripes are.
     defect_along, defect_across : float
         Where the defect is: a (−0.55…0.55), and v as a share of the half width (−0.35…0.35). Of several
         dents (2–4) this is the first; the others are drawn from the seed, over the same ranges.

@@ -48,18 +48,21 @@ def in_reach(drawn: Drawn, rig: Rig, most_overhang_spacings: float) -> Drawn:
         low = max(low, float(fan[0]) - most_overhang_spacings * spacing_mm)
         high = min(high, float(fan[-1]) + most_overhang_spacings * spacing_mm)
     shift_mm = max(low - x_min, 0.0) + min(high - x_max, 0.0)
-    if shift_mm == 0.0:
-        return drawn
-    reference = None if drawn.reference is None else moved(drawn.reference, shift_mm)
-    figures = {
-        name: value + shift_mm if name in ("x_min_mm", "x_max_mm", "centre_x_mm") else value
-        for name, value in drawn.truth.figures.items()
-    }
+    return drawn if shift_mm == 0.0 else moved_to(drawn, shift_mm, 0.0)
+
+
+def moved_to(drawn: Drawn, x_mm: float, y_mm: float) -> Drawn:
+    """Return the same product, moved on the belt, with its reference and its truth."""
+    figures = dict(drawn.truth.figures)
+    for axis, by_mm in (("x", x_mm), ("y", y_mm)):
+        for name in (f"{axis}_min_mm", f"{axis}_max_mm", f"centre_{axis}_mm"):
+            if name in figures:
+                figures[name] += by_mm
     return replace(
         drawn,
-        solid=moved(drawn.solid, shift_mm),
+        solid=moved(drawn.solid, x_mm, y_mm),
         truth=replace(drawn.truth, figures=figures),
-        reference=reference,
+        reference=None if drawn.reference is None else moved(drawn.reference, x_mm, y_mm),
     )
 
 
@@ -71,6 +74,7 @@ def check_in_view(drawn: Drawn, rig: Rig, name: str) -> None:
         raise StageError(
             f"{name}: the product is {top_mm:.1f} mm high, and camera or laser hang at {lowest_mm:.1f} mm",
             hint="make the product smaller, or hang them higher",
+            at=("product",),
         )
     found, view = drawn.solid.footprint_extent_mm(), view_mm(rig.camera, 0.0)
     inside = found[0] >= view[0] and found[1] <= view[1] and found[2] >= view[2] and found[3] <= view[3]
@@ -80,6 +84,7 @@ def check_in_view(drawn: Drawn, rig: Rig, name: str) -> None:
             f"Y = {found[2]:.1f} to {found[3]:.1f} mm; the view is X = {view[0]:.1f} to {view[1]:.1f} mm, "
             f"Y = {view[2]:.1f} to {view[3]:.1f} mm of the belt",
             hint="make the product smaller, or let the camera see more",
+            at=("product",),
         )
 
 
@@ -88,30 +93,33 @@ def _why(found: tuple[float, ...], view: tuple[float, ...]) -> str:
     return "is larger than the view" if larger else "reaches out of the view"
 
 
-def moved(solid: Solid, x_mm: float) -> Solid:
-    """Return the same solid moved along belt X."""
+def moved(solid: Solid, x_mm: float, y_mm: float = 0.0) -> Solid:
+    """Return the same solid moved along belt X and Y."""
     for kind, move in _MOVES.items():
         if isinstance(solid, kind):
-            return move(solid, x_mm)
+            return move(solid, x_mm, y_mm)
     raise TypeError(f"a {type(solid).__name__} cannot be moved")
 
 
-def _move_parts(solid: PartsSolid, x_mm: float) -> PartsSolid:
+def _move_parts(solid: PartsSolid, x_mm: float, y_mm: float) -> PartsSolid:
     s = solid.surfaces.copy()
-    # g(x - t, y, z): columns are part, xx, yy, zz, xy, xz, yz, x, y, z, constant
+    # g(x - t, y - u, z): columns are part, xx, yy, zz, xy, xz, yz, x, y, z, constant
     s[:, 10] += s[:, 1] * x_mm**2 - s[:, 7] * x_mm
-    s[:, 7] -= 2.0 * s[:, 1] * x_mm
-    s[:, 8] -= s[:, 4] * x_mm
-    s[:, 9] -= s[:, 5] * x_mm
+    s[:, 10] += s[:, 2] * y_mm**2 - s[:, 8] * y_mm + s[:, 4] * x_mm * y_mm
+    s[:, 7] -= 2.0 * s[:, 1] * x_mm + s[:, 4] * y_mm
+    s[:, 8] -= 2.0 * s[:, 2] * y_mm + s[:, 4] * x_mm
+    s[:, 9] -= s[:, 5] * x_mm + s[:, 6] * y_mm
     x_min, x_max, y_min, y_max = solid.extent_mm
-    return replace(solid, surfaces=s, extent_mm=(x_min + x_mm, x_max + x_mm, y_min, y_max))
+    return replace(solid, surfaces=s, extent_mm=(x_min + x_mm, x_max + x_mm, y_min + y_mm, y_max + y_mm))
 
 
-_MOVES: dict[type[Any], Callable[[Any, float], Solid]] = {
-    GriddedSolid: lambda solid, x_mm: replace(solid, x0_mm=solid.x0_mm + x_mm),
-    Block: lambda solid, x_mm: replace(solid, centre_x_mm=solid.centre_x_mm + x_mm),
+_MOVES: dict[type[Any], Callable[[Any, float, float], Solid]] = {
+    GriddedSolid: lambda solid, x, y: replace(solid, x0_mm=solid.x0_mm + x, y0_mm=solid.y0_mm + y),
+    Block: lambda solid, x, y: replace(
+        solid, centre_x_mm=solid.centre_x_mm + x, centre_y_mm=solid.centre_y_mm + y
+    ),
     PartsSolid: _move_parts,
-    MeshSolid: lambda solid, x_mm: replace(solid, corners_mm=solid.corners_mm + np.array([x_mm, 0.0, 0.0])),
+    MeshSolid: lambda solid, x, y: replace(solid, corners_mm=solid.corners_mm + np.array([x, y, 0.0])),
 }
 
 

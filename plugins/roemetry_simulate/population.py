@@ -8,29 +8,41 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from roemetry.errors import MisfitError
 from roemetry.validation import unknown_key
+from roemetry_simulate.group import lying_together
 from roemetry_simulate.placing import check_in_view, in_reach
 from roemetry_simulate.products import PRODUCTS, Drawn, ProductFamily, ProductOptions
 from roemetry_simulate.render import Rig
 from roemetry_simulate.scene_file import ProductPart
+from roemetry_simulate.side_by_side import side_by_side
+from roemetry_simulate.solid import EmptyBelt, Solid
 
 NONE = "none"
+
+_NEXT_IN_FRAME = 1_000_000_000
+"""From the seed of a frame's product to that of its next, so that no other item's first has it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Lying:
-    """One item's product.
+    """One item's products.
 
     Attributes
     ----------
     seed : int
-        What it was drawn from.
-    drawn : Drawn or None
-        The product; None for an empty belt.
+        What the first was drawn from.
+    products : tuple of Drawn
+        From left to right; empty for an empty belt.
     """
 
     seed: int
-    drawn: Drawn | None
+    products: tuple[Drawn, ...]
+
+    @property
+    def solid(self) -> Solid:
+        """All of them as one solid."""
+        return lying_together([one.solid for one in self.products]) if self.products else EmptyBelt()
 
 
 def family_of(name: str) -> ProductFamily | None:
@@ -46,28 +58,33 @@ def family_of(name: str) -> ProductFamily | None:
     return PRODUCTS[name]
 
 
-def options_of(name: str, options: Mapping[str, Any]) -> ProductOptions | None:
-    """Check a family's options; raise ValueError with every fault."""
-    family = family_of(name)
+def options_of(
+    name: str, options: Mapping[str, Any], at: tuple[str | int, ...] = ("options",)
+) -> ProductOptions | None:
+    """Check a family's options, which stand at some keys; raise MisfitError with every fault."""
+    try:
+        family = family_of(name)
+    except ValueError as error:
+        raise MisfitError((("family",), str(error))) from None
     if family is None:
         if options:
-            raise ValueError("family `none` has no options")
+            raise MisfitError((at, "family `none` has no options"))
         return None
     try:
         return family.Options.model_validate(dict(options))
     except ValidationError as error:
         said = []
         for detail in error.errors():
-            at = ".".join(map(str, ("options", *detail["loc"])))
             if detail["type"] == "extra_forbidden":
-                said.append(f"{at}: {unknown_key(detail['loc'][-1], list(family.Options.model_fields))}")
+                why = unknown_key(detail["loc"][-1], list(family.Options.model_fields))
             else:
-                said.append(f"{at}: {detail['msg'][0].lower()}{detail['msg'][1:]}, found {detail['input']!r}")
-        raise ValueError("; ".join(said)) from None
+                why = f"{detail['msg'][0].lower()}{detail['msg'][1:]}".removeprefix("value error, ")
+            said.append(((*at, *detail["loc"]), why))
+        raise MisfitError(*said) from None
 
 
 def product_of(part: ProductPart, rig: Rig, number: int, seed: int) -> Lying:
-    """Draw the product of an item.
+    """Draw the products of an item.
 
     Parameters
     ----------
@@ -83,16 +100,28 @@ def product_of(part: ProductPart, rig: Rig, number: int, seed: int) -> Lying:
     Raises
     ------
     StageError
-        The product is larger than the view.
+        A product is larger than the view, or there is no room for so many.
     """
     family = family_of(part.family)
     chosen = part.items[number] if number < len(part.items) else None
     item_seed = seed + number - len(part.items) if chosen is None else chosen.seed
     if family is None:
-        return Lying(item_seed, None)
+        return Lying(item_seed, ())
     options = options_of(part.family, part.options | ({} if chosen is None else chosen.options))
-    drawn = family.draw(item_seed, options)
+    name = f"item {number + 1}, {part.family} of seed {item_seed}"
+    if part.in_frame > 1:
+        drawn = [family.draw(item_seed + _NEXT_IN_FRAME * k, options) for k in range(part.in_frame)]
+        laid = side_by_side(
+            drawn,
+            rig,
+            gap_mm=part.gap_mm,
+            most_overhang_spacings=part.most_overhang_spacings,
+            seed=item_seed,
+            name=name,
+        )
+        return Lying(item_seed, laid)
+    one = family.draw(item_seed, options)
     if part.keep_in_reach:
-        drawn = in_reach(drawn, rig, part.most_overhang_spacings)
-    check_in_view(drawn, rig, f"item {number + 1}, {part.family} of seed {item_seed}")
-    return Lying(item_seed, drawn)
+        one = in_reach(one, rig, part.most_overhang_spacings)
+    check_in_view(one, rig, name)
+    return Lying(item_seed, (one,))

@@ -12,14 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roemetry.records import Frame, ProductTruth, Role, Simulated, StripeTruth, Truth
+from roemetry.records import Sensor as Noise
 from roemetry.stages import Simulator
-from roemetry_simulate.population import Lying, product_of
+from roemetry_simulate.group import Group
+from roemetry_simulate.marks import marked
+from roemetry_simulate.population import product_of
+from roemetry_simulate.products import Drawn
 from roemetry_simulate.render import Rig, render
 from roemetry_simulate.scene_file import RayCasterOptions
 from roemetry_simulate.scene_rig import rig_of, surface_of
 from roemetry_simulate.shown import stripes_show
-from roemetry_simulate.solid import EmptyBelt
-from roemetry_simulate.targets import TargetViews
+from roemetry_simulate.solid import Solid
+from roemetry_simulate.targets import TargetViews, known_beforehand
 from roemetry_simulate.truth import StripeTruth as Crossings
 from roemetry_simulate.truth import stripe_centres
 
@@ -42,9 +46,11 @@ class RayCaster(Simulator[RayCasterOptions]):
     def simulate(self, number: int, seed: int) -> Simulated:
         """Make the item of this number; raise StageError where its product does not fit into the view."""
         lying = product_of(self.options.product, self._rig, number, seed)
-        solid = EmptyBelt() if lying.drawn is None else lying.drawn.solid
+        solid = lying.solid
         surface = surface_of(self.options, lying.seed)
+        surface = marked(surface, self.options, self._rig, lying.products, lying.seed)
         crossings = stripe_centres(self._rig.camera, self._rig.laser, solid)
+        stripes = stripes_of(crossings, solid)
         frames = []
         for role in self.options.light.images:
             rig = self._rig if role != "dark" else replace(self._rig, laser=dimmed(self._rig))
@@ -54,12 +60,23 @@ class RayCaster(Simulator[RayCasterOptions]):
                 rig, solid, surface, seed=noise_seed, plain=role == "plain", samples=self.options.samples
             )
             frames.append(self._frame(pixels, role, number))
-        products = () if lying.drawn is None else (_truth_of(lying, crossings),)
-        return Simulated(tuple(frames), Truth(products, stripes_of(crossings)))
+        products = tuple(
+            _truth_of(one, lying.seed, _only(crossings, stripes.product == place))
+            for place, one in enumerate(lying.products, start=1)
+        )
+        return Simulated(tuple(frames), Truth(products, stripes))
 
     def calibration_frames(self, seed: int) -> Mapping[str, Mapping[str, Frame]]:
         """Give the calibration images, by kind and name; each is made when it is asked for."""
         return TargetViews(self.options, self._rig, seed)
+
+    def sensor(self) -> Noise:
+        """Give the noise of the scene's camera."""
+        return Noise(self._rig.sensor.grey_per_electron, self._rig.sensor.read_noise_grey)
+
+    def calibration_truth(self, seed: int) -> Mapping[str, Any]:
+        """Give the true rig, and where each target lay."""
+        return known_beforehand(self.options, self._rig, seed)
 
     @cached_property
     def _rig(self) -> Rig:
@@ -73,13 +90,18 @@ class RayCaster(Simulator[RayCasterOptions]):
             role=role,
             bit_depth=self.options.camera.bit_depth,
             time_s=travel_mm / belt.speed_mm_per_s if belt.speed_mm_per_s > 0.0 else math.nan,
+            sensor=self.sensor(),
             encoder_count=float(math.floor(travel_mm / belt.encoder_step_mm + 1e-9)),
         )
 
 
-def stripes_of(crossings: Crossings) -> StripeTruth:
-    """Return the record of what the ray caster knows of the stripes."""
-    return StripeTruth(crossings.x_px.copy(), crossings.on_product == 1, crossings.xyz_mm.copy())
+def stripes_of(crossings: Crossings, solid: Solid | None = None) -> StripeTruth:
+    """Return the record of what is known of the stripes; `solid` says which of a group is where."""
+    on_product = crossings.on_product == 1
+    label = np.where(np.isfinite(crossings.x_px), on_product.astype(np.int16), np.int16(-1))
+    if isinstance(solid, Group):
+        label[on_product] = solid.member_at(crossings.xyz_mm[on_product])
+    return StripeTruth(crossings.x_px.copy(), on_product, crossings.xyz_mm.copy(), label)
 
 
 def dimmed(rig: Rig) -> Any:
@@ -87,9 +109,12 @@ def dimmed(rig: Rig) -> Any:
     return replace(rig.laser, peak_grey=np.zeros_like(rig.laser.peak_grey))
 
 
-def _truth_of(lying: Lying, crossings: Crossings) -> ProductTruth:
-    assert lying.drawn is not None
-    truth = lying.drawn.truth
-    seen = asdict(stripes_show(lying.drawn.solid, lying.drawn.reference, crossings))
+def _only(crossings: Crossings, on_it: NDArray[np.bool_]) -> Crossings:
+    """Leave those on one product alone on a product."""
+    return replace(crossings, on_product=on_it.astype(np.int8))
+
+
+def _truth_of(one: Drawn, seed: int, crossings: Crossings) -> ProductTruth:
+    seen = asdict(stripes_show(one.solid, one.reference, crossings))
     figures = {name: float(value) for name, value in seen.items()}
-    return replace(truth, figures={"seed": float(lying.seed), **truth.figures, **figures})
+    return replace(one.truth, figures={"seed": float(seed), **one.truth.figures, **figures})

@@ -11,49 +11,25 @@ from numba.extending import overload
 from numpy.typing import NDArray
 
 from roemetry_kernels.compiling import kernel
-from roemetry_simulate.bodies import BOX, FIELD, PARTS, Body, ExactBody
+from roemetry_simulate.bodies import BOX, FIELD, PARTS, Body, ExactBody, Fields
+from roemetry_simulate.fields import MISS, field_normal, fields_normal, hit_field, hit_fields
 from roemetry_simulate.products.parts import hit_parts, parts_normal
 from roemetry_simulate.products.triangles import hit_triangles, triangles_normal
 
 Floats = NDArray[np.float64]
-Place = tuple[float, float, float]
 
-MISS = -1.0
-_LEAST_STEP_MM = 0.02
+AnyBody = Body | ExactBody | Fields
+Reach = tuple[float, float, float, float, float, float]
 
 
-def _hit(body: Body | ExactBody, o: Floats, d: Floats, t_max: float, tol_mm: float) -> float:
+def _hit(body: AnyBody, o: Floats, d: Floats, t_max: float, tol_mm: float) -> float:
     """Stand for the hit of the body's own type, which the compiler chooses."""
     raise NotImplementedError
 
 
-def _normal(body: Body | ExactBody, point: Floats, normal: Floats) -> None:
+def _normal(body: AnyBody, point: Floats, normal: Floats) -> None:
     """Stand for the normal of the body's own type, which the compiler chooses."""
     raise NotImplementedError
-
-
-@kernel
-def sample(grid: Floats, at_x: float, at_y: float) -> tuple[float, float, float, int, int, float, float]:
-    """Interpolate the three layers at a place in grid units; also its cell and the place within it."""
-    i = min(max(int(at_x), 0), grid.shape[1] - 2)
-    j = min(max(int(at_y), 0), grid.shape[0] - 2)
-    a, b = at_x - i, at_y - j
-    w00, w01, w10, w11 = (1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b
-    p, q, r, s = grid[j, i], grid[j, i + 1], grid[j + 1, i], grid[j + 1, i + 1]
-    mid = w00 * p[0] + w01 * q[0] + w10 * r[0] + w11 * s[0]
-    top = w00 * p[1] + w01 * q[1] + w10 * r[1] + w11 * s[1]
-    low = w00 * p[2] + w01 * q[2] + w10 * r[2] + w11 * s[2]
-    return mid, top, low, i, j, a, b
-
-
-@kernel
-def field_value(grid: Floats, place: Place, x: float, y: float, z: float) -> tuple[float, float]:
-    """Return the implicit function of a gridded body (negative inside, mm²) and z - mid (mm)."""
-    mid, top, low, _, _, _, _ = sample(grid, (x - place[0]) / place[2], (y - place[1]) / place[2])
-    w = z - mid
-    if w >= 0.0:
-        return w * w - top, w
-    return w * w - low, w
 
 
 @kernel
@@ -81,65 +57,7 @@ def _hit_box(box: Floats, o: Floats, d: Floats, t_max: float) -> float:
 
 
 @kernel
-def _refine(
-    grid: Floats, place: Place, o: Floats, d: Floats, t: float, f: float, t2: float, f2: float, tol_mm: float
-) -> float:
-    """Shrink a bracket (f > 0 at t, f2 <= 0 at t2) by false position that cannot stall, then bisection."""
-    for k in range(200):
-        if t2 - t <= tol_mm:
-            break
-        share = f / (f - f2) if k % 3 < 2 else 0.5
-        share = min(max(share, 0.02), 0.98)
-        middle = t + share * (t2 - t)
-        if middle <= t or middle >= t2:
-            break
-        g, _ = field_value(grid, place, o[0] + middle * d[0], o[1] + middle * d[1], o[2] + middle * d[2])
-        if g > 0.0:
-            t, f = middle, g
-        else:
-            t2, f2 = middle, g
-    return t + (t2 - t) * f / (f - f2)
-
-
-@kernel
-def _hit_field(
-    grid: Floats, place: Place, bounds: Place, o: Floats, d: Floats, t_max: float, tol_mm: float
-) -> float:
-    """March along a unit direction by steps that cannot overshoot the surface, then refine."""
-    size = ((grid.shape[1] - 1) * place[2], (grid.shape[0] - 1) * place[2], bounds[0])
-    corner = (place[0], place[1], 0.0)
-    near, far = 0.0, t_max
-    for k in range(3):
-        if d[k] == 0.0:
-            if o[k] < corner[k] or o[k] > corner[k] + size[k]:
-                return MISS
-            continue
-        one = (corner[k] - o[k]) / d[k]
-        two = (corner[k] + size[k] - o[k]) / d[k]
-        near = max(near, min(one, two))
-        far = min(far, max(one, two))
-    if near >= far:
-        return MISS
-    flat = math.sqrt(d[0] * d[0] + d[1] * d[1])
-    fall = abs(d[2]) + bounds[1] * flat
-    side = bounds[2] * flat
-    t = near
-    f, w = field_value(grid, place, o[0] + t * d[0], o[1] + t * d[1], o[2] + t * d[2])
-    if f <= 0.0:
-        return t
-    while t < far:
-        b = 2.0 * abs(w) * fall + side
-        step = (math.sqrt(b * b + 8.0 * fall * fall * f) - b) / (4.0 * fall * fall)
-        t2 = min(t + max(step, _LEAST_STEP_MM), far)
-        f2, w = field_value(grid, place, o[0] + t2 * d[0], o[1] + t2 * d[1], o[2] + t2 * d[2])
-        if f2 <= 0.0:
-            return _refine(grid, place, o, d, t, f, t2, f2, tol_mm)
-        t, f = t2, f2
-    return MISS
-
-
-@kernel
-def hit_body(body: Body | ExactBody, o: Floats, d: Floats, t_max: float, tol_mm: float) -> float:
+def hit_body(body: AnyBody, o: Floats, d: Floats, t_max: float, tol_mm: float) -> float:
     """Distance (mm) from o along the unit direction d to the body, or MISS."""
     return _hit(body, o, d, t_max, tol_mm)
 
@@ -157,21 +75,55 @@ def _hit_simple(body: Body, o: Floats, d: Floats, t_max: float, tol_mm: float) -
         # the parts it takes, not the whole: numba counts references of every array that is handed on
         place = (body.x0_mm, body.y0_mm, body.step_mm)
         bounds = (body.top_mm, body.mid_slope, body.u_slope_mm)
-        return _hit_field(body.grid, place, bounds, o, d, t_max, tol_mm)
+        return hit_field(body.grid, place, bounds, o, d, t_max, tol_mm)
     return MISS
+
+
+def _hit_several(body: Fields, o: Floats, d: Floats, t_max: float, tol_mm: float) -> float:
+    return hit_fields(body, o, d, t_max, tol_mm)
 
 
 @overload(_hit, strict=False)
 def _choose_hit(body: Any, o: Any, d: Any, t_max: Any, tol_mm: Any) -> Callable[..., float]:
-    exact: Callable[..., float] = _hit_exact
-    return exact if "surfaces" in body.fields else _hit_simple
+    chosen: Callable[..., float] = _hit_simple
+    if "surfaces" in body.fields:
+        chosen = _hit_exact
+    elif "places" in body.fields:
+        chosen = _hit_several
+    return chosen
 
 
 @kernel
-def first_hit(body: Body | ExactBody, o: Floats, d: Floats, tol_mm: float, point: Floats) -> int:
+def _may_meet(reach: Reach, o: Floats, d: Floats, t_max: float) -> bool:
+    """Tell whether a ray passes the box that holds the body."""
+    near, far = 0.0, t_max
+    for k in range(3):
+        if d[k] == 0.0:
+            if o[k] < reach[k] or o[k] > reach[k + 3]:
+                return False
+            continue
+        one, two = (reach[k] - o[k]) / d[k], (reach[k + 3] - o[k]) / d[k]
+        near, far = max(near, min(one, two)), min(far, max(one, two))
+    return near <= far
+
+
+@kernel
+def first_hit(body: AnyBody, o: Floats, d: Floats, tol_mm: float, point: Floats) -> int:
     """Write the first point a ray from above meets; 1 the body, 0 the belt, -1 neither."""
+    return first_hit_in(body, body.reach, o, d, tol_mm, point)
+
+
+@kernel
+def first_hit_in(body: AnyBody, reach: Reach, o: Floats, d: Floats, tol_mm: float, point: Floats) -> int:
+    """Do what `first_hit` does, faster: `reach` is the body's own.
+
+    Kernels take it out of the body once: numba counts references of every array that is handed on, and most
+    rays never come near the body.
+    """
     t_belt = -o[2] / d[2] if d[2] < 0.0 else 1e300
-    t = hit_body(body, o, d, t_belt, tol_mm)
+    t = MISS
+    if _may_meet(reach, o, d, t_belt):
+        t = hit_body(body, o, d, t_belt, tol_mm)
     on = 1
     if t < 0.0:
         if d[2] >= 0.0:
@@ -185,7 +137,7 @@ def first_hit(body: Body | ExactBody, o: Floats, d: Floats, tol_mm: float, point
 
 
 @kernel
-def normal_at(body: Body | ExactBody, on: int, point: Floats, normal: Floats) -> None:
+def normal_at(body: AnyBody, on: int, point: Floats, normal: Floats) -> None:
     """Write the outward unit normal at a hit."""
     normal[0], normal[1], normal[2] = 0.0, 0.0, 1.0
     if on == 1:
@@ -203,33 +155,22 @@ def _normal_simple(body: Body, point: Floats, normal: Floats) -> None:
     if body.kind == BOX:
         _box_normal(body.box, point, normal)
         return
-    mid, _, _, i, j, a, b = sample(
-        body.grid, (point[0] - body.x0_mm) / body.step_mm, (point[1] - body.y0_mm) / body.step_mm
-    )
-    w = point[2] - mid
-    layer = 1 if w >= 0.0 else 2
-    g = body.grid
-    slope_x = np.empty(2)
-    slope_y = np.empty(2)
-    for k in range(2):
-        m = 0 if k == 0 else layer
-        slope_x[k] = (1 - b) * (g[j, i + 1, m] - g[j, i, m]) + b * (g[j + 1, i + 1, m] - g[j + 1, i, m])
-        slope_y[k] = (1 - a) * (g[j + 1, i, m] - g[j, i, m]) + a * (g[j + 1, i + 1, m] - g[j, i + 1, m])
-    normal[0] = -(2.0 * w * slope_x[0] + slope_x[1]) / body.step_mm
-    normal[1] = -(2.0 * w * slope_y[0] + slope_y[1]) / body.step_mm
-    normal[2] = 2.0 * w
-    length = math.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2)
-    if length == 0.0:
-        normal[0], normal[1], normal[2] = 0.0, 0.0, 1.0
-        return
-    for k in range(3):
-        normal[k] /= length
+    place = (body.x0_mm, body.y0_mm, body.step_mm)
+    field_normal(body.grid, place, point, normal)
+
+
+def _normal_several(body: Fields, point: Floats, normal: Floats) -> None:
+    fields_normal(body, point, normal)
 
 
 @overload(_normal, strict=False)
 def _choose_normal(body: Any, point: Any, normal: Any) -> Callable[..., None]:
-    exact: Callable[..., None] = _normal_exact
-    return exact if "surfaces" in body.fields else _normal_simple
+    chosen: Callable[..., None] = _normal_simple
+    if "surfaces" in body.fields:
+        chosen = _normal_exact
+    elif "places" in body.fields:
+        chosen = _normal_several
+    return chosen
 
 
 @kernel
@@ -252,13 +193,19 @@ def _box_normal(box: Floats, point: Floats, normal: Floats) -> None:
 
 
 @kernel
-def sees(
-    body: Body | ExactBody, point: Floats, normal: Floats, light: Floats, d: Floats, start: Floats
-) -> float:
+def sees(body: AnyBody, point: Floats, normal: Floats, light: Floats, d: Floats, start: Floats) -> float:
     """Cosine at which a point receives a light at a place, 0 where it is turned away or shadowed.
 
     `d` and `start` are scratch of shape (3,); `d` is left holding the unit direction to the light.
     """
+    return sees_in(body, body.reach, point, normal, light, d, start)
+
+
+@kernel
+def sees_in(
+    body: AnyBody, reach: Reach, point: Floats, normal: Floats, light: Floats, d: Floats, start: Floats
+) -> float:
+    """Do what `sees` does, faster: `reach` is the body's own, taken out of it once."""
     length = 0.0
     for k in range(3):
         d[k] = light[k] - point[k]
@@ -272,4 +219,6 @@ def sees(
         return 0.0
     for k in range(3):
         start[k] = point[k] + 1e-4 * normal[k]
+    if not _may_meet(reach, start, d, length):
+        return cosine
     return cosine if hit_body(body, start, d, length, 1e-3) < 0.0 else 0.0

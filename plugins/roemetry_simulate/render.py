@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from roemetry_kernels.compiling import kernel
-from roemetry_simulate.bodies import Body, ExactBody
 from roemetry_simulate.camera import Camera
 from roemetry_simulate.defocus import Focus, defocused, depths_mm
 from roemetry_simulate.laser import LaserFan
 from roemetry_simulate.lens import camera_ray
-from roemetry_simulate.raycast import first_hit, normal_at, sees
+from roemetry_simulate.raycast import AnyBody, first_hit_in, normal_at, sees_in
 from roemetry_simulate.sensor import Sensor, expose
+from roemetry_simulate.shading import gloss_at, picture_at, planes_light, shine, texture_at, width_at
 from roemetry_simulate.solid import Solid
 from roemetry_simulate.surface import Surface
 
@@ -38,6 +38,10 @@ class Rig:
         Grey level of a white, level surface under the plain light with the laser off.
     lamp_height_mm, lamp_radius_mm : float
         The plain light is a ring of lamps about the optical axis.
+    stray_mm : tuple of float or None
+        Where a lamp is that is always on, which glossy places mirror; None is none.
+    stray_grey : float
+        Grey level of a white surface that faces this lamp.
     focus : Focus or None
         Where the lens is focused; None is sharp everywhere, up to the sensor's own blur.
     """
@@ -49,11 +53,13 @@ class Rig:
     plain_grey: float = 210.0
     lamp_height_mm: float = 260.0
     lamp_radius_mm: float = 130.0
+    stray_mm: tuple[float, float, float] | None = None
+    stray_grey: float = 0.0
     focus: Focus | None = None
 
 
 def laser_light(rig: Rig, solid: Solid, surface: Surface, samples: int = 4) -> tuple[Floats, Floats]:
-    """Light that reaches the sensor with the laser on, without noise, blur, black level or clipping.
+    """Light that reaches the sensor with laser and stray light on, without noise, blur or clipping.
 
     Parameters
     ----------
@@ -64,18 +70,25 @@ def laser_light(rig: Rig, solid: Solid, surface: Surface, samples: int = 4) -> t
 
     Returns
     -------
-    laser, ambient : ndarray, shape (height, width)
-        Grey levels.
+    laser, steady : ndarray, shape (height, width)
+        Grey levels over black of the laser's light and of everything else's.
     """
+    image = _light(rig, solid, surface, samples)
+    return image[..., 0], rig.ambient_grey * image[..., 1] + rig.stray_grey * image[..., 2]
+
+
+def _light(rig: Rig, solid: Solid, surface: Surface, samples: int) -> Floats:
+    """Light of the laser, light from straight above and light of the stray lamp, (height, width, 3)."""
     camera, laser = rig.camera, rig.laser
     planes = np.column_stack([laser.normals, laser.offsets_mm, laser.peak_grey])
-    image = _render_laser(
+    stray = np.zeros(4) if rig.stray_mm is None else np.array([*rig.stray_mm, 1.0])
+    image: Floats = _render_laser(
         solid.body(), camera.packed(), camera.rotation, laser.projector_mm, laser.line_axis, planes,
-        laser.packed(), _maps(surface), surface.texture, _albedo(surface, surface.laser_albedo),
-        np.array(surface.below, dtype=np.float64), *surface.decal_or_none(),
+        laser.packed(), stray, _maps(surface), surface.texture, _albedo(surface, surface.laser_albedo),
+        np.array(surface.below, dtype=np.float64), *surface.picture_in("laser"),
         (camera.height_px, camera.width_px), samples,
     )  # fmt: skip
-    return image[..., 0], rig.ambient_grey * image[..., 1]
+    return image
 
 
 def plain_light(rig: Rig, solid: Solid, surface: Surface, samples: int = 4) -> Floats:
@@ -109,10 +122,13 @@ def plain_light(rig: Rig, solid: Solid, surface: Surface, samples: int = 4) -> F
     lamps = np.ascontiguousarray(lamps.reshape(samples * samples, 4, 3)[order])
     image: Floats = _render_plain(
         solid.body(), camera.packed(), camera.rotation, lamps, _maps(surface), surface.texture,
-        _albedo(surface, surface.plain_albedo), *surface.decal_or_none(),
+        _albedo(surface, surface.plain_albedo), *surface.picture_in("plain"),
         (camera.height_px, camera.width_px), samples,
     )  # fmt: skip
-    return rig.plain_grey * image
+    if rig.stray_mm is None:
+        return rig.plain_grey * image
+    dark = replace(rig, laser=replace(rig.laser, peak_grey=np.zeros(rig.laser.count)))
+    return rig.plain_grey * image + rig.stray_grey * _light(dark, solid, surface, samples)[..., 2]
 
 
 def render(
@@ -162,28 +178,15 @@ def _albedo(surface: Surface, mean: tuple[float, float]) -> Floats:
 
 
 @kernel
-def _texture(maps: Floats, texture: Floats, point: Floats, on: int) -> float:
-    """Bilinear lookup of the belt's or the product's texture."""
-    rows, columns = texture.shape[0], texture.shape[1]
-    u = min(max((point[0] - maps[0]) / maps[2], 0.0), columns - 1.0)
-    v = min(max((point[1] - maps[1]) / maps[2], 0.0), rows - 1.0)
-    i, j = min(int(u), columns - 2), min(int(v), rows - 2)
-    a, b = u - i, v - j
-    low = texture[j, i, on] * (1 - a) + texture[j, i + 1, on] * a
-    high = texture[j + 1, i, on] * (1 - a) + texture[j + 1, i + 1, on] * a
-    return low * (1 - b) + high * b
-
-
-@kernel
 def _render_laser(
-    body: Body | ExactBody, pinhole: Floats, rotation: Floats, projector: Floats, axis: Floats,
-    planes: Floats, fan: Floats, maps: Floats, texture: Floats, albedo: Floats, below: Floats, decal: Floats,
-    decal_from: Floats, shape: tuple[int, int], samples: int,
+    body: AnyBody, pinhole: Floats, rotation: Floats, projector: Floats, axis: Floats, planes: Floats,
+    fan: Floats, stray: Floats, maps: Floats, texture: Floats, albedo: Floats, below: Floats,
+    picture: Floats, picture_from: Floats, shape: tuple[int, int], samples: int,
 ) -> Floats:  # fmt: skip
-    image = np.zeros((shape[0], shape[1], 2))
+    image = np.zeros((shape[0], shape[1], 3))
     point, normal, view = np.zeros(3), np.zeros(3), np.zeros(3)
     beam, scratch = np.zeros(3), np.zeros(3)
-    origin = pinhole[:3].copy()
+    origin, reach = pinhole[:3].copy(), body.reach
     share = 1.0 / (samples * samples)
     for row in range(shape[0]):
         for column in range(shape[1]):
@@ -191,23 +194,33 @@ def _render_laser(
                 x_px = column + (k % samples + 0.5) / samples - 0.5
                 y_px = row + (k // samples + 0.5) / samples - 0.5
                 camera_ray(pinhole, rotation, x_px, y_px, view)
-                on = first_hit(body, origin, view, 1e-4, point)
+                on = first_hit_in(body, reach, origin, view, 1e-4, point)
                 if on < 0:
                     continue
-                normal_at(body, on, point, normal)
-                grey = albedo[on] * _texture(maps, texture, point, on)
-                if on == 1 and decal.size > 1:
-                    grey *= _decal(decal, decal_from, point)
+                normal[0], normal[1], normal[2] = 0.0, 0.0, 1.0
+                grey = albedo[on] * texture_at(maps, texture, point, on)
+                if on == 1:
+                    normal_at(body, on, point, normal)
+                    if picture.size > 1:
+                        grey *= picture_at(picture, picture_from, point)
                 image[row, column, 1] += share * grey * (0.5 + 0.5 * normal[2])
-                wide = _width(fan, projector, point)
-                light = _planes(planes, point, normal, 0.0, wide) * (fan[0] / wide)
+                if stray[3] > 0.0:
+                    cosine = sees_in(body, reach, point, normal, stray[:3], beam, scratch)
+                    if cosine > 0.0:
+                        gloss = gloss_at(albedo, maps, texture, point, on)
+                        mirrored = shine(gloss, albedo[4], normal, beam, view)
+                        image[row, column, 2] += share * (grey * cosine + mirrored)
+                wide = width_at(fan, projector, point)
+                light = planes_light(planes, point, normal, 0.0, wide) * (fan[0] / wide)
                 soft = 0.0
                 if on == 1 and below[0] > 0.0:
                     spread = math.sqrt(wide * wide + below[2] * below[2])
-                    soft = below[0] * _planes(planes, point, normal, below[1], spread) * (fan[0] / spread)
+                    soft = (
+                        below[0] * planes_light(planes, point, normal, below[1], spread) * (fan[0] / spread)
+                    )
                 if light == 0.0 and soft == 0.0:
                     continue
-                cosine = sees(body, point, normal, projector, beam, scratch)
+                cosine = sees_in(body, reach, point, normal, projector, beam, scratch)
                 if cosine == 0.0:
                     continue
                 run = 0.0
@@ -216,86 +229,24 @@ def _render_laser(
                 angle = math.asin(run) / fan[1]
                 fall = math.exp(-0.5 * angle * angle)
                 light *= fall
+                mirrored = shine(gloss_at(albedo, maps, texture, point, on), albedo[4], normal, beam, view)
                 if on == 1 and below[0] > 0.0:
-                    shine = _shine(albedo[2 + on], albedo[4], normal, beam, view)
                     scattered = grey * cosine * ((1.0 - below[0]) * light + fall * soft)
-                    image[row, column, 0] += share * (scattered + light * shine)
-                    continue
-                image[row, column, 0] += (
-                    share * light * (grey * cosine + _shine(albedo[2 + on], albedo[4], normal, beam, view))
-                )
+                    image[row, column, 0] += share * (scattered + light * mirrored)
+                else:
+                    image[row, column, 0] += share * light * (grey * cosine + mirrored)
     return image
 
 
 @kernel
-def _width(fan: Floats, projector: Floats, point: Floats) -> float:
-    """Return the planes' standard deviation (mm) at a point's distance from the projector."""
-    if fan[3] == 0.0:
-        return fan[0]
-    away = 0.0
-    for m in range(3):
-        away += (point[m] - projector[m]) ** 2
-    grown = fan[3] * (math.sqrt(away) - fan[2])
-    return math.sqrt(fan[0] * fan[0] + grown * grown)
-
-
-@kernel
-def _planes(planes: Floats, point: Floats, normal: Floats, depth_mm: float, sigma_mm: float) -> float:
-    """Light of all planes at a depth below a point of the surface, before the angles are counted."""
-    light = 0.0
-    for i in range(planes.shape[0]):
-        away = -planes[i, 3]
-        for m in range(3):
-            away += planes[i, m] * point[m]
-        if depth_mm != 0.0:
-            for m in range(3):
-                away -= depth_mm * planes[i, m] * normal[m]
-        away /= sigma_mm
-        if abs(away) < 5.0:
-            light += planes[i, 4] * math.exp(-0.5 * away * away)
-    return light
-
-
-@kernel
-def _decal(decal: Floats, decal_from: Floats, point: Floats) -> float:
-    """Bilinear lookup in a picture that is stuck on the product; 1 beside it."""
-    u = decal_from[0, 3]
-    v = decal_from[1, 3]
-    for m in range(3):
-        u += decal_from[0, m] * point[m]
-        v += decal_from[1, m] * point[m]
-    rows, columns = decal.shape[0], decal.shape[1]
-    if u < 0.0 or v < 0.0 or u > columns - 1.0 or v > rows - 1.0:
-        return 1.0
-    i, j = min(int(u), columns - 2), min(int(v), rows - 2)
-    a, b = u - i, v - j
-    low = decal[j, i] * (1.0 - a) + decal[j, i + 1] * a
-    high = decal[j + 1, i] * (1.0 - a) + decal[j + 1, i + 1] * a
-    return low * (1.0 - b) + high * b
-
-
-@kernel
-def _shine(gloss: float, exponent: float, normal: Floats, beam: Floats, view: Floats) -> float:
-    """Mirror-like part: a power of the cosine between the normal and the half-way direction."""
-    if gloss == 0.0:
-        return 0.0
-    length, dot = 0.0, 0.0
-    for m in range(3):
-        half = beam[m] - view[m]
-        length += half * half
-        dot += half * normal[m]
-    return gloss * max(dot / math.sqrt(length), 0.0) ** exponent
-
-
-@kernel
 def _render_plain(
-    body: Body | ExactBody, pinhole: Floats, rotation: Floats, lamps: Floats, maps: Floats, texture: Floats,
-    albedo: Floats, decal: Floats, decal_from: Floats, shape: tuple[int, int], samples: int,
+    body: AnyBody, pinhole: Floats, rotation: Floats, lamps: Floats, maps: Floats, texture: Floats,
+    albedo: Floats, picture: Floats, picture_from: Floats, shape: tuple[int, int], samples: int,
 ) -> Floats:  # fmt: skip
     image = np.zeros(shape)
     point, normal, view = np.zeros(3), np.zeros(3), np.zeros(3)
     beam, scratch = np.zeros(3), np.zeros(3)
-    origin = pinhole[:3].copy()
+    origin, reach = pinhole[:3].copy(), body.reach
     share = 1.0 / (samples * samples)
     first = lamps[0, 0]
     level = first[2] / math.sqrt(first[0] ** 2 + first[1] ** 2 + first[2] ** 2)
@@ -305,18 +256,20 @@ def _render_plain(
                 x_px = column + (k % samples + 0.5) / samples - 0.5
                 y_px = row + (k // samples + 0.5) / samples - 0.5
                 camera_ray(pinhole, rotation, x_px, y_px, view)
-                on = first_hit(body, origin, view, 1e-4, point)
+                on = first_hit_in(body, reach, origin, view, 1e-4, point)
                 if on < 0:
                     continue
-                normal_at(body, on, point, normal)
+                normal[0], normal[1], normal[2] = 0.0, 0.0, 1.0
+                grey = albedo[on] * texture_at(maps, texture, point, on)
+                if on == 1:
+                    normal_at(body, on, point, normal)
+                    if picture.size > 1:
+                        grey *= picture_at(picture, picture_from, point)
                 lamp = lamps[k, 2 * (row % 2) + column % 2]
-                cosine = sees(body, point, normal, lamp, beam, scratch)
-                grey = albedo[on] * _texture(maps, texture, point, on)
-                if on == 1 and decal.size > 1:
-                    grey *= _decal(decal, decal_from, point)
+                cosine = sees_in(body, reach, point, normal, lamp, beam, scratch)
                 light = 0.25 * (0.5 + 0.5 * normal[2]) * grey
                 if cosine > 0.0:
-                    shine = _shine(0.5 * albedo[2 + on], albedo[4], normal, beam, view)
-                    light += 0.75 * (grey * cosine / level + shine)
+                    gloss = 0.5 * gloss_at(albedo, maps, texture, point, on)
+                    light += 0.75 * (grey * cosine / level + shine(gloss, albedo[4], normal, beam, view))
                 image[row, column] += share * light
     return image

@@ -6,153 +6,40 @@ the image's top, Z up from the belt.
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
+from roemetry.errors import MisfitError
 from roemetry.stages import StageOptions
+from roemetry_simulate.scene_optics import CameraPart, LaserPart, Part, Place, Point, Share
 
-Place = Annotated[float, Field(ge=-1e5, le=1e5)]
-Point = tuple[Place, Place, Place]
-Row = tuple[Place, Place, Place, Place]
-Share = Annotated[float, Field(ge=0, le=1)]
+Sizes = tuple[Annotated[float, Field(gt=0, le=1e4)], Annotated[float, Field(gt=0, le=1e4)]]
 
 
-class Part(BaseModel):
-    """A part of the scene: unknown keys are faults."""
+class DirtPart(Part):
+    """Dirt on the belt: round spots, anew for each item."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class DistortionPart(Part):
-    """Lens distortion in OpenCV's model, on (x, y) = (pixel − principal point) / focal length."""
-
-    k1: float = Field(default=0.0, ge=-5, le=5, description="radial, second order")
-    k2: float = Field(default=0.0, ge=-50, le=50, description="radial, fourth order")
-    p1: float = Field(default=0.0, ge=-1, le=1, description="tangential")
-    p2: float = Field(default=0.0, ge=-1, le=1, description="tangential")
-    k3: float = Field(default=0.0, ge=-500, le=500, description="radial, sixth order")
+    count: int = Field(default=0, ge=0, le=100000, description="spots in view")
+    diameter_mm: Sizes = Field(default=(2.0, 8.0), description="smallest and largest diameter, mm")
+    albedo: Share = Field(default=0.3, description="share of the clean belt's light that comes back")
 
 
-class FocusPart(Part):
-    """Where the lens is sharp; beside that distance the thin lens's blur grows."""
+class PatchPart(Part):
+    """A rectangle of belt that gives less light back, or none: a hole, a splice, a soaked place."""
 
-    distance_mm: float = Field(gt=0, le=1e5, description="distance in focus, along the optical axis, mm")
-    f_number: float = Field(gt=0.5, le=64, description="focal length over the aperture's diameter")
-
-
-class CameraPart(Part):
-    """The camera: sensor, lens, pose, exposure."""
-
-    width_px: int = Field(default=640, ge=8, le=8192, description="image width, px")
-    height_px: int = Field(default=480, ge=8, le=8192, description="image height, px")
-    pixel_size_um: float = Field(default=10.0, gt=0.3, le=100, description="pitch of the square pixels, µm")
-    focal_length_mm: float = Field(default=16.0, gt=0.5, le=1000, description="pinhole to sensor, mm")
-    principal_point_px: tuple[Place, Place] | None = Field(
-        default=None, description="where the optical axis meets the image, px; default: the image's centre"
-    )
-    distance_mm: float = Field(
-        default=320.0, gt=1, le=1e5, description="pinhole to belt along the optical axis, mm"
-    )
-    tilt_x_deg: float = Field(
-        default=1.0, gt=-80, lt=80, description="turn about the camera's x axis, degrees"
-    )
-    tilt_y_deg: float = Field(
-        default=-0.4, gt=-80, lt=80, description="turn about the camera's y axis, degrees"
-    )
-    T_belt_camera: tuple[Row, Row, Row, Row] | None = Field(
-        default=None, description="full pose, to belt from camera, mm; takes the place of distance and tilts"
-    )
-    distortion: DistortionPart = Field(default_factory=DistortionPart, description="of the lens")
-    focus: FocusPart | None = Field(default=None, description="where the lens is sharp; default: everywhere")
-    blur_sigma_px: float = Field(
-        default=0.5, ge=0, le=20, description="blur of the lens in focus, px (deviation)"
-    )
-    exposure_ms: float = Field(default=10.0, gt=0, le=1e4, description="exposure time, ms")
-    gain_dn_per_e: float = Field(default=0.0255, gt=0, le=100, description="grey levels an electron makes")
-    full_well_e: float | None = Field(
-        default=None, gt=0, le=1e7, description="electrons a pixel holds; default: no end"
-    )
-    read_noise_e: float = Field(
-        default=39.2156862745098, ge=0, le=1e4, description="noise without light, electrons"
-    )
-    black_level_dn: float = Field(default=4.0, ge=0, le=10000, description="grey level without light")
-    bit_depth: int = Field(default=8, ge=8, le=16, description="bits of a grey level")
-
-    @field_validator("T_belt_camera")
-    @classmethod
-    def _is_a_pose(cls, pose: Any) -> Any:
-        if pose is None:
-            return pose
-        matrix = np.array(pose)
-        turned = matrix[:3, :3] @ matrix[:3, :3].T
-        if not np.allclose(turned, np.eye(3), atol=1e-6) or np.linalg.det(matrix[:3, :3]) < 0:
-            raise ValueError("its 3 × 3 part is not a rotation")
-        if matrix[2, 3] <= 0.0:
-            raise ValueError("the camera is not above the belt (its Z is not positive)")
-        return pose
-
-
-class LaserPart(Part):
-    """The projector: a fan of planes of light from one point."""
-
-    projector_mm: Point = Field(default=(160.0, -4.0, 300.0), description="where the light comes from, mm")
-    planes: int = Field(default=11, ge=1, le=200, description="number of planes")
-    spacing_mm: float = Field(default=8.75, gt=0, le=1000, description="between the planes on the belt, mm")
-    centre_x_mm: Place = Field(default=-3.0, description="X of the middle of the fan on the belt, mm")
-    belt_x_mm: list[Place] | None = Field(
-        default=None, min_length=1, max_length=200,
-        description="X of each plane at Y = 0, Z = 0, mm; takes the place of planes, spacing and centre",
-    )  # fmt: skip
-    yaw_deg: float = Field(default=0.6, gt=-80, lt=80, description="turn of the lines from belt Y, degrees")
-    pitch_deg: float = Field(default=0.3, gt=-45, lt=45, description="rise of the lines' direction, degrees")
-    line_width_mm: float = Field(
-        default=1.24, gt=0, le=100, description="1/e² width of a line at its waist, mm"
-    )
-    waist_distance_mm: float = Field(
-        default=336.0, ge=0, le=1e5, description="where a line is thinnest, from the projector, mm"
-    )
-    divergence_mrad: float = Field(
-        default=0.0, ge=0, le=500, description="growth of half the 1/e² width away from the waist, mrad"
-    )
-    peak_e_per_ms: float = Field(
-        default=1450.980392156863, gt=0, le=1e9,
-        description="light in a line's middle on white that faces the projector, electrons a pixel a ms",
-    )  # fmt: skip
-    power: list[Annotated[float, Field(gt=0, le=10)]] | None = Field(
-        default=None, description="of each plane, relative to peak_e_per_ms; default: all 1"
-    )
-    fall_deg: float = Field(
-        default=25.0,
-        gt=0,
-        le=1000,
-        description="deviation of the power along the line over the angle, degrees",
-    )
-    wavelength_nm: float = Field(default=660.0, ge=200, le=2000, description="colour of the light, nm")
-    speckle_contrast: float = Field(
-        default=0.10, ge=0, le=1, description="deviation over mean of the speckle"
-    )
-    speckle_sigma_px: float | None = Field(
-        default=0.7, ge=0, le=50,
-        description="grain of the speckle, px (deviation); null: from wavelength, f-number and distance",
-    )  # fmt: skip
+    x_mm: tuple[Place, Place] = Field(description="from X to X, mm")
+    y_mm: tuple[Place, Place] = Field(description="from Y to Y, mm")
+    albedo: Share = Field(default=0.0, description="share of the clean belt's light that comes back")
 
     @model_validator(mode="after")
-    def _fits(self) -> LaserPart:
-        if self.belt_x_mm is not None and np.any(np.diff(self.belt_x_mm) <= 0):
-            raise ValueError("belt_x_mm must increase")
-        count = self.count
-        if self.power is not None and len(self.power) != count:
-            raise ValueError(f"power has {len(self.power)} entries for {count} planes")
-        if self.projector_mm[2] <= 0.0:
-            raise ValueError("the projector is not above the belt (the Z of projector_mm is not positive)")
+    def _has_a_size(self) -> PatchPart:
+        faults = [((name,), "goes from a smaller to a larger number") for name in ("x_mm", "y_mm")
+                  if not getattr(self, name)[0] < getattr(self, name)[1]]  # fmt: skip
+        if faults:
+            raise MisfitError(*faults)
         return self
-
-    @property
-    def count(self) -> int:
-        """Number of planes."""
-        return self.planes if self.belt_x_mm is None else len(self.belt_x_mm)
 
 
 class BeltPart(Part):
@@ -162,12 +49,23 @@ class BeltPart(Part):
     albedo_plain: Share = Field(default=0.34, description="share of the plain light that comes back")
     texture: Share = Field(default=0.04, description="relative deviation of the albedo")
     gloss: Share = Field(default=0.0, description="share of mirror-like light")
+    dirt: DirtPart = Field(default_factory=DirtPart, description="spots of dirt")
+    patches: list[PatchPart] = Field(default_factory=list, description="dark rectangles, the last one counts")
     speed_mm_per_s: float = Field(default=200.0, ge=0, le=1e5, description="speed, mm/s")
     encoder_step_mm: float = Field(
         default=0.1, gt=0, le=1000, description="belt travel of an encoder count, mm"
     )
     pitch_mm: float = Field(
         default=150.0, gt=0, le=1e5, description="belt travel from one item to the next, mm"
+    )
+
+
+class StrayPart(Part):
+    """A lamp that is on in all images; glossy places mirror it."""
+
+    position_mm: Point = Field(description="where it is, mm")
+    e_per_ms: float = Field(
+        gt=0, le=1e9, description="its light on white that faces it, electrons a pixel a ms"
     )
 
 
@@ -186,6 +84,7 @@ class LightPart(Part):
     )  # fmt: skip
     lamp_height_mm: float = Field(default=260.0, gt=0, le=1e5, description="ring of lamps over the belt, mm")
     lamp_radius_mm: float = Field(default=130.0, ge=0, le=1e5, description="radius of the ring of lamps, mm")
+    stray: StrayPart | None = Field(default=None, description="a lamp that is always on; default: none")
     images: tuple[Literal["laser", "plain", "dark"], ...] = Field(
         default=("laser",), min_length=1, description="images of each item: laser, plain, dark (both off)"
     )
@@ -204,6 +103,30 @@ class BelowPart(Part):
     blur_mm: float = Field(default=0.0, ge=0, le=100, description="spread of what comes back (deviation), mm")
 
 
+class AlbedoMapPart(Part):
+    """A picture that is laid on the product from straight above, over its footprint's extent."""
+
+    file: Path = Field(description="image file of 8 or 16 bit, grey or colour; relative to the scene")
+    black: float = Field(default=0.0, ge=0, le=10, description="factor of the albedo where it is black")
+    white: float = Field(default=1.0, ge=0, le=10, description="factor of the albedo where it is white")
+
+    @field_validator("file")
+    @classmethod
+    def _is_an_image(cls, file: Path) -> Path:
+        from roemetry_simulate.albedo_map import check_picture
+
+        check_picture(file)
+        return file
+
+
+class WetPart(Part):
+    """Wet places on the product: round, and glossy."""
+
+    count: int = Field(default=0, ge=0, le=100000, description="places on a product's extent")
+    diameter_mm: Sizes = Field(default=(2.0, 6.0), description="smallest and largest diameter, mm")
+    gloss: Share = Field(default=0.8, description="share of mirror-like light")
+
+
 class SurfacePart(Part):
     """What the product looks like."""
 
@@ -215,6 +138,10 @@ class SurfacePart(Part):
         default=25.0, ge=1, le=10000, description="sharpness of the mirror-like light"
     )
     below: BelowPart = Field(default_factory=BelowPart, description="light below the surface")
+    albedo_map: AlbedoMapPart | None = Field(
+        default=None, description="a picture on the product; default: none"
+    )
+    wet: WetPart = Field(default_factory=WetPart, description="wet places")
 
 
 class ItemPart(Part):
@@ -232,6 +159,8 @@ class ProductPart(Part):
     items: list[ItemPart] = Field(
         default_factory=list, description="the first products, by their seeds; then seeds are counted up"
     )
+    in_frame: int = Field(default=1, ge=1, le=50, description="products in one frame, side by side")
+    gap_mm: float = Field(default=3.0, ge=0, le=1000, description="least gap between two of a frame, mm")
     keep_in_reach: bool = Field(
         default=True, description="move a product along X so that the stripes and the view cover it"
     )
@@ -246,9 +175,13 @@ class ProductPart(Part):
     def _is_known(self) -> ProductPart:
         from roemetry_simulate.population import options_of
 
-        options_of(self.family, self.options)
-        for item in self.items:
-            options_of(self.family, self.options | item.options)
+        options_of(self.family, self.options, ("options",))
+        for number, item in enumerate(self.items):
+            options_of(self.family, self.options | item.options, ("items", number, "options"))
+        if self.items and self.in_frame > 1:
+            raise MisfitError(
+                (("in_frame",), "items that were chosen by seed lie alone: leave one of both out")
+            )
         return self
 
 
@@ -283,13 +216,14 @@ class BoardPart(Part):
         default="DICT_4X4_250", description="OpenCV's name of the markers"
     )
     poses: int = Field(default=10, ge=1, le=100, description="poses of each board")
+    thickness_mm: float = Field(default=2.0, gt=0, le=100, description="of the plate, mm")
     tilt_max_deg: float = Field(default=18.0, ge=0, lt=60, description="largest tilt, degrees")
     height_mm: tuple[Place, Place] = Field(default=(0.0, 20.0), description="lowest and highest middle, mm")
 
     @model_validator(mode="after")
     def _fits(self) -> BoardPart:
         if self.marker_mm >= self.square_mm:
-            raise ValueError("marker_mm must be less than square_mm")
+            raise MisfitError((("marker_mm",), f"must be less than square_mm, {self.square_mm:g}"))
         return self
 
 

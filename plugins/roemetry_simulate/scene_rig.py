@@ -7,10 +7,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from roemetry.errors import MisfitError
 from roemetry_simulate.camera import Camera, looking_down
 from roemetry_simulate.laser import LaserFan, fan_through
 from roemetry_simulate.render import Rig
-from roemetry_simulate.scene_file import CameraPart, LaserPart, RayCasterOptions
+from roemetry_simulate.scene_file import RayCasterOptions
+from roemetry_simulate.scene_optics import CameraPart, LaserPart
 from roemetry_simulate.sensor import Sensor
 from roemetry_simulate.surface import Surface, textured
 
@@ -54,6 +56,8 @@ def rig_of(scene: RayCasterOptions) -> Rig:
         plain_grey=light.plain_e_per_ms * grey,
         lamp_height_mm=light.lamp_height_mm,
         lamp_radius_mm=light.lamp_radius_mm,
+        stray_mm=None if light.stray is None else light.stray.position_mm,
+        stray_grey=0.0 if light.stray is None else light.stray.e_per_ms * grey,
         focus=None if focus is None else Focus(focus.distance_mm, focus.f_number),
     )
 
@@ -111,6 +115,7 @@ def surface_of(scene: RayCasterOptions, seed: int) -> Surface:
     belt, product = scene.belt, scene.surface
     drawn = textured(
         seed,
+        view_mm(camera_of(scene.camera)),
         laser_albedo=(belt.albedo_laser, product.albedo_laser),
         plain_albedo=(belt.albedo_plain, product.albedo_plain),
         belt_std=belt.texture,
@@ -133,31 +138,39 @@ def view_mm(camera: Camera, height_mm: float = 0.0) -> tuple[float, float, float
 
 
 def check_camera(part: CameraPart) -> None:
-    """Raise ValueError for a camera that does not see the belt, or whose distortion folds the image."""
+    """Raise MisfitError for a camera that does not see the belt, or whose distortion folds the image."""
     camera = camera_of(part)
     if part.focus is not None and part.focus.distance_mm <= part.focal_length_mm:
-        raise ValueError(f"focus.distance_mm is not beyond the focal length of {part.focal_length_mm:g} mm")
+        why = f"is not beyond the focal length of {part.focal_length_mm:g} mm"
+        raise MisfitError((("focus", "distance_mm"), why))
     x, y = _border_px(camera)
     if camera.distorts:
         _check_distortion(camera, x, y)
     rays = camera.ray(x, y)
     if (rays[:, 2] >= -1e-3).any():
-        raise ValueError("a part of the image does not see the belt: the camera is tilted too far")
+        named = "T_belt_camera"
+        if part.T_belt_camera is None:
+            named = "tilt_x_deg" if abs(part.tilt_x_deg) > abs(part.tilt_y_deg) else "tilt_y_deg"
+        why = "a part of the image does not see the belt: the camera is tilted too far"
+        raise MisfitError(((named,), why))
 
 
 def check_laser(camera_part: CameraPart, part: LaserPart) -> None:
-    """Raise ValueError for a laser none of whose planes lights a part of the belt that the camera sees."""
+    """Raise MisfitError for a laser none of whose planes lights a part of the belt that the camera sees."""
     camera = camera_of(camera_part)
     fan = laser_of(part, 1.0)
-    sides = fan.distance_mm(_border_points(camera, 0.0))
+    lit = np.flatnonzero(fan.peak_grey > 0.0)
+    sides = fan.distance_mm(_border_points(camera, 0.0))[:, lit]
     crossed = (sides.min(axis=0) < 0.0) & (sides.max(axis=0) > 0.0)
     if not crossed.any():
         x_min, x_max, _, _ = view_mm(camera)
-        feet = fan.x_mm(0.0, 0.0)
-        raise ValueError(
+        feet = fan.x_mm(0.0, 0.0)[lit]
+        named = "centre_x_mm" if part.belt_x_mm is None else "belt_x_mm"
+        why = (
             f"the laser misses the view: its planes meet the belt at X = {feet.min():.1f} to "
             f"{feet.max():.1f} mm, the camera sees X = {x_min:.1f} to {x_max:.1f} mm"
         )
+        raise MisfitError(((named,), why))
 
 
 def _grain_px(camera: CameraPart, laser: LaserPart) -> float:
@@ -188,7 +201,7 @@ def _border_points(camera: Camera, height_mm: float) -> Floats:
 
 
 def _check_distortion(camera: Camera, x: Floats, y: Floats) -> None:
-    """Raise ValueError where going out from the optical axis does not go out in the image all the way."""
+    """Raise MisfitError where going out from the optical axis does not go out in the image all the way."""
     from roemetry_simulate.lens import undistorted
 
     f, (cx, cy) = camera.focal_length_px, camera.principal_px
@@ -201,6 +214,5 @@ def _check_distortion(camera: Camera, x: Floats, y: Floats) -> None:
     back = camera.project(camera.centre_mm + 100.0 * camera.ray(x, y))
     off = np.hypot(back[:, 0] - x, back[:, 1] - y)
     if not np.isfinite(r).all() or (np.diff(image_r, axis=0) <= 0.0).any() or not off.max() < 1e-6:
-        raise ValueError(
-            "the distortion folds the image over within the view; its coefficients are too large"
-        )
+        why = "it folds the image over within the view; its coefficients are too large"
+        raise MisfitError((("distortion",), why))

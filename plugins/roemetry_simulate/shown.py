@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from roemetry_simulate.skein import Skein, mid_line_coordinates
 from roemetry_simulate.solid import Solid
 from roemetry_simulate.truth import StripeTruth
 
@@ -90,86 +89,6 @@ def _most_mm(missing_mm: Floats) -> float:
     """Largest of what is not NaN, at least 0."""
     known = missing_mm[np.isfinite(missing_mm)]
     return max(float(known.max()), 0.0) if known.size else 0.0
-
-
-@dataclass(frozen=True)
-class Shown:
-    """Sizes of a skein, and what of it is lit.
-
-    Attributes
-    ----------
-    length_mm, width_mm : float
-        Largest extents of the footprint along and across the mid-line.
-    thickness_mm : float
-        Height of the highest point over the belt.
-    left_stripe, right_stripe : int
-        Outermost stripes (1 is leftmost) with lit and seen points on the skein.
-    overhang_left_mm, overhang_right_mm : float
-        Belt X from the outermost lit stripe (median of its points) to the end of the footprint.
-    defect_depth_mm : float
-        Largest height missing from the reference anywhere on the footprint.
-    defect_seen_mm : float
-        The same at the lit and seen points alone.
-    hollow_seen_mm : float
-        Largest depth of a lit stripe's height, as a function of Y, below its own upper convex hull: what
-        a stripe shows without knowledge of the healthy shape. Fine relief alone gives less than 0.1.
-    """
-
-    length_mm: float
-    width_mm: float
-    thickness_mm: float
-    left_stripe: int
-    right_stripe: int
-    overhang_left_mm: float
-    overhang_right_mm: float
-    defect_depth_mm: float
-    defect_seen_mm: float
-    hollow_seen_mm: float
-
-
-def shown(skein: Skein, truth: StripeTruth) -> Shown:
-    """Find what the stripes show.
-
-    Parameters
-    ----------
-    skein : Skein
-        The skein.
-    truth : StripeTruth
-        Its stripes.
-
-    Returns
-    -------
-    Shown
-        Belt frame, millimetres.
-    """
-    solid = skein.solid
-    rows, columns = np.nonzero(solid.grid[..., 1] > 0.0)
-    x: Floats = solid.x0_mm + solid.step_mm * columns.astype(np.float64)
-    y: Floats = solid.y0_mm + solid.step_mm * rows.astype(np.float64)
-    top, _ = solid.heights_mm(x, y)
-    whole, _ = skein.reference.heights_mm(x, y)
-    a, v = mid_line_coordinates(skein.record, x, y)
-
-    lit = truth.on_product == 1
-    stripes = np.flatnonzero(lit.any(axis=1))
-    if not stripes.size:
-        raise ValueError("no stripe lies on the skein")
-    left, right = int(stripes[0]), int(stripes[-1])
-    points = truth.xyz_mm[lit]
-    reference, _ = skein.reference.heights_mm(points[:, 0], points[:, 1])
-    x_min, x_max, _, _ = solid.footprint_extent_mm()
-    return Shown(
-        length_mm=float(np.ptp(a)) * 0.5 * skein.record.length_mm,
-        width_mm=float(np.ptp(v[np.abs(a) < 0.98])),
-        thickness_mm=float(top.max()),
-        left_stripe=left + 1,
-        right_stripe=right + 1,
-        overhang_left_mm=float(np.median(truth.xyz_mm[left, lit[left], 0])) - x_min,
-        overhang_right_mm=x_max - float(np.median(truth.xyz_mm[right, lit[right], 0])),
-        defect_depth_mm=max(float(np.nanmax(whole - top)), 0.0),
-        defect_seen_mm=max(float(np.nanmax(reference - points[:, 2])), 0.0),
-        hollow_seen_mm=max(_hollow_mm(truth.xyz_mm[i, lit[i], 1:]) for i in stripes),
-    )
 
 
 def _hollow_mm(profile_mm: Floats) -> float:

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from roemetry_kernels.compiling import kernel
-from roemetry_simulate.bodies import BOX, FIELD, NOTHING, Body, ExactBody, no_array
+from roemetry_simulate.bodies import BOX, FIELD, NOTHING, Body, ExactBody, Fields, no_array
 
 Floats = NDArray[np.float64]
 
@@ -30,7 +30,7 @@ Floats = NDArray[np.float64]
 class Solid(Protocol):
     """Anything that can lie on the belt."""
 
-    def body(self) -> Body | ExactBody:
+    def body(self) -> Body | ExactBody | Fields:
         """Return the kernels' form."""
         ...
 
@@ -146,7 +146,9 @@ class Block:
         half = (self.length_mm / 2.0, self.width_mm / 2.0, self.height_mm)
         box = np.array([self.centre_x_mm, self.centre_y_mm, np.deg2rad(self.yaw_deg), *half])
         box.flags.writeable = False
-        return Body(BOX, box, top_mm=float(self.height_mm))
+        x_min, x_max, y_min, y_max = self.footprint_extent_mm()
+        reach = (x_min, y_min, 0.0, x_max, y_max, float(self.height_mm))
+        return Body(BOX, reach, box, top_mm=float(self.height_mm))
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,7 +205,10 @@ class GriddedSolid:
         top = float((mid + np.sqrt(np.maximum(u[..., 0], 0.0)))[inside].max()) if inside.any() else 0.0
         place = float(self.x0_mm), float(self.y0_mm), float(self.step_mm)
         slopes = _steepest(mid[..., None], self.step_mm), _steepest(u, self.step_mm)
-        return Body(FIELD, no_array(6), self.grid, *place, top + 0.01, *slopes)
+        x_max = place[0] + (self.grid.shape[1] - 1) * place[2]
+        y_max = place[1] + (self.grid.shape[0] - 1) * place[2]
+        reach = (place[0], place[1], 0.0, x_max, y_max, top + 0.01)
+        return Body(FIELD, reach, no_array(6), self.grid, *place, top + 0.01, *slopes)
 
     def heights_mm(self, x_mm: ArrayLike, y_mm: ArrayLike) -> tuple[Floats, Floats]:
         """Highest and lowest Z over belt positions of one shape; NaN outside the footprint."""

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+Picture = tuple[Floats, Floats, Floats]
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,8 +21,9 @@ class Surface:
     ----------
     x0_mm, y0_mm, step_mm : float
         Belt position of node (0, 0) of the maps and their pitch; places outside take the border's value.
-    texture : ndarray, shape (rows along Y, columns along X, 2)
-        Relative brightness, about 1: layer 0 belt, layer 1 product.
+    texture : ndarray, shape (rows along Y, columns along X, 2 or 4)
+        Relative brightness, about 1: layer 0 belt, layer 1 product. Where there are wet places, layers 2 and
+        3 hold the gloss of belt and product there, where it is more than `gloss`.
     laser_albedo, plain_albedo : tuple of float
         Mean albedo (belt, product) in the laser's colour and in plain light.
     gloss : tuple of float
@@ -28,9 +32,9 @@ class Surface:
         Light that goes on below the product's surface: its share (0–1), the mean depth it comes back from
         (mm, along the normal: it appears shifted away from the laser), and the standard deviation it is
         spread by (mm).
-    decal : tuple of ndarray or None
-        A picture stuck on the product, (rows, columns) of factors of its albedo, and the (2, 4) matrix that
-        takes a point (x, y, z, 1), mm, to the picture's (column, row).
+    picture : Picture or None
+        A picture stuck on the product: (rows, columns) of factors of its albedo under the laser and in plain
+        light, and the (2, 4) matrix that takes a point (x, y, z, 1), mm, to the picture's (column, row).
     """
 
     x0_mm: float
@@ -42,11 +46,14 @@ class Surface:
     gloss: tuple[float, float] = (0.0, 0.0)
     gloss_exponent: float = 25.0
     below: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    decal: tuple[Floats, Floats] | None = None
+    picture: Picture | None = None
 
-    def decal_or_none(self) -> tuple[Floats, Floats]:
-        """Return the picture and its matrix; a picture of one node where there is none."""
-        return (np.ones((1, 1)), np.zeros((2, 4))) if self.decal is None else self.decal
+    def picture_in(self, light: Literal["laser", "plain"]) -> tuple[Floats, Floats]:
+        """Return the picture in a light, and its matrix; a picture of one node where there is none."""
+        if self.picture is None:
+            return np.ones((1, 1)), np.zeros((2, 4))
+        laser, plain, matrix = self.picture
+        return (laser if light == "laser" else plain), matrix
 
 
 def even(albedo: float = 1.0) -> Surface:
@@ -56,6 +63,7 @@ def even(albedo: float = 1.0) -> Surface:
 
 def textured(
     seed: int,
+    view_mm: tuple[float, float, float, float] | None = None,
     *,
     laser_albedo: tuple[float, float],
     plain_albedo: tuple[float, float],
@@ -69,6 +77,8 @@ def textured(
     ----------
     seed : int
         The same seed gives the same maps.
+    view_mm : tuple of float or None
+        Smallest and largest X, smallest and largest Y that must be covered.
     laser_albedo, plain_albedo, gloss : tuple of float
         See `Surface`.
     belt_std, product_std : float
@@ -77,16 +87,23 @@ def textured(
     Returns
     -------
     Surface
-        Covering X within ±90 mm and Y within ±70 mm.
+        Covering X within ±90 mm and Y within ±70 mm, and the view where that is larger.
     """
-    step_mm = 0.5
-    shape = (281, 361)
+    half_x_mm, half_y_mm = 90.0, 70.0
+    if view_mm is not None:
+        half_x_mm = max(half_x_mm, -view_mm[0], view_mm[1])
+        half_y_mm = max(half_y_mm, -view_mm[2], view_mm[3])
+    # of a large view the grain gets coarser, not the map larger without end
+    step_mm = max(0.5, half_x_mm / 1000.0, half_y_mm / 1000.0)
+    half_columns, half_rows = math.ceil(half_x_mm / step_mm), math.ceil(half_y_mm / step_mm)
+    shape = (2 * half_rows + 1, 2 * half_columns + 1)
     rng = np.random.default_rng([seed, 11])
     belt = 0.6 * smooth_noise(rng, shape, 9.0 / step_mm) + 0.8 * smooth_noise(rng, shape, 0.8 / step_mm)
     product = 0.9 * smooth_noise(rng, shape, 3.5 / step_mm) + 0.45 * smooth_noise(rng, shape, 0.9 / step_mm)
     layers = np.stack([1.0 + belt_std * belt, 1.0 + product_std * product], axis=-1)
     texture = np.clip(layers, 0.5, 1.5)
-    return Surface(-90.0, -70.0, step_mm, texture, laser_albedo, plain_albedo, gloss)
+    x0_mm, y0_mm = -step_mm * half_columns, -step_mm * half_rows
+    return Surface(x0_mm, y0_mm, step_mm, texture, laser_albedo, plain_albedo, gloss)
 
 
 def smooth_noise(rng: np.random.Generator, shape: tuple[int, int], sigma_nodes: float) -> Floats:

@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roemetry_kernels.compiling import kernel
-from roemetry_simulate.bodies import Body, ExactBody
 from roemetry_simulate.camera import Camera
 from roemetry_simulate.laser import LaserFan
 from roemetry_simulate.lens import camera_ray
-from roemetry_simulate.raycast import first_hit, normal_at, sees
+from roemetry_simulate.raycast import AnyBody, Reach, first_hit_in, normal_at, sees_in
 from roemetry_simulate.solid import Solid
 
 Floats = NDArray[np.float64]
@@ -59,7 +58,8 @@ def stripe_centres(camera: Camera, laser: LaserFan, solid: Solid, *, step_px: fl
     StripeTruth
         Centres refined to better than 1e-6 px.
     """
-    planes = np.column_stack([laser.normals, laser.offsets_mm])
+    # a dead plane lights nothing
+    planes = np.column_stack([laser.normals, laser.offsets_mm, laser.peak_grey])
     found = _search(
         solid.body(),
         camera.packed(),
@@ -77,7 +77,8 @@ def stripe_centres(camera: Camera, laser: LaserFan, solid: Solid, *, step_px: fl
 
 @kernel
 def _side(
-    body: Body | ExactBody,
+    body: AnyBody,
+    reach: Reach,
     pinhole: Floats,
     rotation: Floats,
     plane: Floats,
@@ -88,7 +89,7 @@ def _side(
 ) -> tuple[float, int]:
     """Signed distance to the plane of what the camera sees at an image point; also on what it lies."""
     camera_ray(pinhole, rotation, x_px, y_px, view)
-    on = first_hit(body, pinhole[:3], view, 1e-12, point)
+    on = first_hit_in(body, reach, pinhole[:3], view, 1e-12, point)
     if on < 0:
         return np.nan, on
     return plane[0] * point[0] + plane[1] * point[1] + plane[2] * point[2] - plane[3], on
@@ -96,7 +97,7 @@ def _side(
 
 @kernel
 def _search(
-    body: Body | ExactBody, pinhole: Floats, rotation: Floats, projector: Floats, planes: Floats,
+    body: AnyBody, pinhole: Floats, rotation: Floats, projector: Floats, planes: Floats,
     rows: int, columns: int, step_px: float,
 ) -> tuple[Floats, Floats, NDArray[np.int8], NDArray[np.int8]]:  # fmt: skip
     count = planes.shape[0]
@@ -106,12 +107,13 @@ def _search(
     hits_out = np.zeros((count, rows), dtype=np.int8)
     point, normal, view = np.zeros(3), np.zeros(3), np.zeros(3)
     beam, scratch = np.zeros(3), np.zeros(3)
+    reach = body.reach
     steps = int(np.ceil(columns / step_px))
     sides = np.empty((steps + 1, count))
     for row in range(rows):
         for k in range(steps + 1):
             camera_ray(pinhole, rotation, -0.5 + k * step_px, row, view)
-            on = first_hit(body, pinhole[:3], view, 1e-4, point)
+            on = first_hit_in(body, reach, pinhole[:3], view, 1e-4, point)
             for i in range(count):
                 sides[k, i] = np.nan
                 if on >= 0:
@@ -119,6 +121,8 @@ def _search(
                     for m in range(3):
                         sides[k, i] += planes[i, m] * point[m]
         for i in range(count):
+            if planes[i, 4] == 0.0:
+                continue
             for k in range(steps):
                 if (sides[k, i] <= 0.0) == (sides[k + 1, i] <= 0.0):
                     continue
@@ -126,17 +130,17 @@ def _search(
                 low_negative = sides[k, i] <= 0.0
                 while high - low > _TOLERANCE_PX:
                     middle = 0.5 * (low + high)
-                    f, on = _side(body, pinhole, rotation, planes[i], middle, row, view, point)
+                    f, on = _side(body, reach, pinhole, rotation, planes[i], middle, row, view, point)
                     if (f <= 0.0) == low_negative:
                         low = middle
                     else:
                         high = middle
                 x_px = 0.5 * (low + high)
-                f, on = _side(body, pinhole, rotation, planes[i], x_px, row, view, point)
+                f, on = _side(body, reach, pinhole, rotation, planes[i], x_px, row, view, point)
                 if not abs(f) < _MAX_RESIDUAL_MM or x_px > columns - 0.5:
                     continue  # a jump from one surface to another, not a crossing
                 normal_at(body, on, point, normal)
-                if sees(body, point, normal, projector, beam, scratch) == 0.0:
+                if sees_in(body, reach, point, normal, projector, beam, scratch) == 0.0:
                     continue
                 hits_out[i, row] += 1
                 if on < on_out[i, row] or (on == on_out[i, row] and point[2] <= xyz_out[i, row, 2]):

@@ -140,7 +140,8 @@ class _Worker:
                     why = Reason("changed", f"{changed}: has changed since its truth was written")
                     return cold, self._refuse(unit, why, truth)
                 truth = self._dataset.truth(unit.item)
-            acquisition = as_taken(self._source.read(unit.reference), unit.item)
+            sensor = None if self._dataset is None else self._dataset.sensor
+            acquisition = as_taken(self._source.read(unit.reference), unit.item, sensor)
         except (RoemetryError, OSError) as error:
             return cold, self._refuse(unit, Reason("unreadable", str(error)), truth)
         return cold, self._judge(acquisition, truth)

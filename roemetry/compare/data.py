@@ -12,7 +12,7 @@ from roemetry.dataset import DESCRIPTION, ITEMS, STRIPES, Dataset, Item
 from roemetry.errors import DataError
 from roemetry.files import sha256_of
 from roemetry.recipe import Recipe
-from roemetry.records import Acquisition, AcquisitionReference
+from roemetry.records import Acquisition, AcquisitionReference, Sensor
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,14 +143,15 @@ def changed_file(item: Item, files: Mapping[Any, Path], folder: Path) -> str | N
     return None
 
 
-def as_taken(acquisition: Acquisition, item: Item | None) -> Acquisition:
-    """Add what the data set knows and the image files do not say: bits in use, time, place."""
+def as_taken(acquisition: Acquisition, item: Item | None, sensor: Sensor | None = None) -> Acquisition:
+    """Add what the data set knows and the image files do not say: bits in use, noise, time, place."""
     if item is None:
         return acquisition
     frames = tuple(
         replace(
             frame,
             bit_depth=frame.bit_depth if item.bit_depth is None else item.bit_depth,
+            sensor=frame.sensor if sensor is None else sensor,
             time_s=frame.time_s if math.isnan(item.time_s) else item.time_s,
             encoder_count=frame.encoder_count if math.isnan(item.encoder_count) else item.encoder_count,
         )

@@ -44,7 +44,7 @@ def page(plan: Plan, scene: Scene, *, command: str, made: datetime) -> str:
         curves={one.name: (one, curves_plot(one)) for one in plan.curves},
         tables=tables,
         colours=COLOURS,
-        options=dump(scene.resolved()),
+        options=dump(scene.kept()[0]),
     )
 
 

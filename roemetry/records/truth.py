@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from roemetry.arrays import Checker, Flags, Floats
+from roemetry.arrays import Checker, Flags, Floats, Labels
 from roemetry.records.acquisition import Frame
 
 
@@ -25,17 +25,28 @@ class StripeTruth:
         (stripe, row) True where that point lies on a product.
     xyz_mm
         (stripe, row, 3) the point in the belt frame, mm; NaN where there is none.
+    product
+        (stripe, row) on which product it lies, 1 the first of the truth's products; 0 belt, -1 nothing.
+        Left out (empty): there is one product at most.
     """
 
     x_px: Floats
     on_product: Flags
     xyz_mm: Floats
+    product: Labels = field(default_factory=lambda: np.empty((0, 0), np.int16))
 
     def __post_init__(self) -> None:
         check = Checker(self)
-        shape = check.array("x_px", np.float64, (None, None)).shape
-        check.array("on_product", np.bool_, shape)
-        check.array("xyz_mm", np.float64, (*shape, 3))
+        x_px = check.array("x_px", np.float64, (None, None))
+        on_product = check.array("on_product", np.bool_, x_px.shape)
+        check.array("xyz_mm", np.float64, (*x_px.shape, 3))
+        if on_product.shape == x_px.shape:
+            if self.product.size == 0:
+                label = np.where(np.isfinite(x_px), on_product.astype(np.int16), -1)
+                object.__setattr__(self, "product", label)
+            product = check.array("product", np.int16, x_px.shape)
+            agree = product.shape == x_px.shape and bool(((product > 0) == on_product).all())
+            check.require(agree, "product is above 0 exactly where on_product holds")
         check.finish()
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +9,10 @@ import pytest
 
 from roemetry.calibrating import calibrate
 from roemetry.calibration import Calibration
+from roemetry.dataset import Dataset
 from roemetry.pipeline import Pipeline
 from roemetry.recipe import Recipe
-from roemetry.records import Trace
+from roemetry.records import Trace, Truth
 from roemetry.rig import Rig
 
 
@@ -32,9 +32,9 @@ def traces(folder: Path) -> dict[str, Trace]:
 
 
 @pytest.fixture(scope="module")
-def truth(folder: Path) -> dict[str, dict[str, str]]:
-    with (folder / "truth.csv").open(encoding="utf-8") as file:
-        return {Path(row["file"]).stem: row for row in csv.DictReader(file)}
+def truth(folder: Path) -> dict[str, Truth]:
+    data = Dataset(folder)
+    return {item.id: data.truth(item) for item in data.items()}
 
 
 def wrong_points(trace: Trace, x_px: np.ndarray) -> np.ndarray:
@@ -48,22 +48,21 @@ def wrong_points(trace: Trace, x_px: np.ndarray) -> np.ndarray:
 
 
 def test_no_point_is_coded_wrong_and_99_of_100_visible_ones_are_coded(
-    folder: Path, traces: dict[str, Trace]
+    traces: dict[str, Trace], truth: dict[str, Truth]
 ) -> None:
-    with np.load(folder / "truth_stripes.npz") as kept:
-        x_px, on_product = kept["x_px"].astype(float), kept["on_product"]
     visible_points, right_points = 0, 0
-    for index, trace in enumerate(traces.values()):
-        assert wrong_points(trace, x_px[index]).sum() == 0, trace.acquisition_id
-        visible = (on_product[index] == 1) & np.isfinite(x_px[index])
-        right = visible & trace.stripes.seen & (np.abs(trace.stripes.x_px - x_px[index]) <= 3.0)
+    for name, trace in traces.items():
+        known = truth[name].stripes
+        assert wrong_points(trace, known.x_px).sum() == 0, name
+        visible = known.on_product
+        right = visible & trace.stripes.seen & (np.abs(trace.stripes.x_px - known.x_px) <= 3.0)
         visible_points += visible.sum()
         right_points += right.sum()
     assert right_points / visible_points >= 0.99
 
 
 def test_every_skein_is_one_product_with_all_results(
-    traces: dict[str, Trace], truth: dict[str, dict]
+    traces: dict[str, Trace], truth: dict[str, Truth]
 ) -> None:
     assert set(traces) == set(truth)
     for name, trace in traces.items():
@@ -72,28 +71,30 @@ def test_every_skein_is_one_product_with_all_results(
         assert trace.products[0].absent == {}, name
 
 
-def test_the_papers_rule_grades_as_stated(traces: dict[str, Trace], truth: dict[str, dict]) -> None:
+def test_the_papers_rule_grades_as_stated(traces: dict[str, Trace], truth: dict[str, Truth]) -> None:
     """It keeps every good skein, and misses what bends in the plane of the belt or lies between stripes."""
     grades = {name: trace.products[0].grade.label for name, trace in traces.items()}
-    assert all(grades[name] == "good" for name, row in truth.items() if row["class"] == "good")
-    seen_dents = [name for name, row in truth.items() if float(row["hollow_seen_mm"]) > 1.5]
+    known = {name: one.products[0] for name, one in truth.items()}
+    assert all(grades[name] == "good" for name, one in known.items() if one.label == "good")
+    seen_dents = [name for name, one in known.items() if one.figures["hollow_seen_mm"] > 1.5]
     assert seen_dents
     assert all(grades[name] == "henkei" for name in seen_dents)
 
 
 def test_visible_volume_is_off_by_what_the_method_leaves_out(
-    traces: dict[str, Trace], truth: dict[str, dict]
+    traces: dict[str, Trace], truth: dict[str, Truth]
 ) -> None:
     """Within 10 % of the visible volume each: ends beyond the outer stripes lose, perspective gains."""
     for name, trace in traces.items():
         value = trace.products[0].volume.visible_mm3.value
-        assert value / float(truth[name]["visible_volume_mm3"]) == pytest.approx(1.0, abs=0.10), name
+        assert value / truth[name].products[0].visible_mm3 == pytest.approx(1.0, abs=0.10), name
 
 
-def test_an_end_beyond_the_outer_stripes_is_said(traces: dict[str, Trace], truth: dict[str, dict]) -> None:
-    for name, row in truth.items():
+def test_an_end_beyond_the_outer_stripes_is_said(traces: dict[str, Trace], truth: dict[str, Truth]) -> None:
+    for name, known in truth.items():
+        figures = known.products[0].figures
         codes = {reason.code for reason in traces[name].products[0].volume.reasons}
-        beyond = row["left_stripe"] == "1" or row["right_stripe"] == "11"
+        beyond = figures["left_stripe"] == 1 or figures["right_stripe"] == 11
         assert ("beyond-outer-stripes" in codes) == beyond, name
 
 

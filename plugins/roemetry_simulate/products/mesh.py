@@ -39,6 +39,7 @@ from roemetry_simulate.products.triangles import Tree, build_tree, vertical_heig
 Floats = NDArray[np.float64]
 
 _RAYS = 2_000_000
+_FILE = ("product", "options", "file")
 
 _UP = {
     "x": [[0, 1, 0], [0, 0, 1], [1, 0, 0]],
@@ -102,7 +103,7 @@ class MeshSolid:
     def body(self) -> ExactBody:
         """Return the kernels' form."""
         top_mm = float(self.corners_mm[..., 2].max())
-        return ExactBody(MESH, top_mm=top_mm, **self._tree._asdict())
+        return ExactBody(MESH, tuple(self._tree.boxes[0].tolist()), top_mm, **self._tree._asdict())
 
     def heights_mm(self, x_mm: ArrayLike, y_mm: ArrayLike) -> tuple[Floats, Floats]:
         """Highest and lowest Z over belt positions of one shape; NaN outside the footprint."""
@@ -235,8 +236,12 @@ def _make(seed: int, options: MeshOptions) -> Drawn:
     try:
         changed_ns = options.file.stat().st_mtime_ns
     except OSError as fault:
-        raise DataError(f"{options.file}: {fault.strerror or fault}") from fault
-    mesh = _closed(options.file, changed_ns, options.mm_per_unit, options.up)
+        raise DataError(f"{options.file}: {fault.strerror or fault}", at=_FILE) from fault
+    try:
+        mesh = _closed(options.file, changed_ns, options.mm_per_unit, options.up)
+    except DataError as fault:
+        fault.at = _FILE
+        raise
     pose = draw_pose(random_of(seed, "mesh"), options)
     solid = lay(mesh, pose)
     figures = {"yaw_deg": pose.yaw_deg, "height_mm": float(mesh.corners_mm[..., 2].max())}

@@ -95,7 +95,9 @@ class PartsSolid:
         bounds = np.array([[x_min, y_min, 0.0, x_max, y_max, self.top_mm]])
         bounds += np.array([-1e-6, -1e-6, -1e-6, 1e-6, 1e-6, 1e-6])
         bounds.flags.writeable = False
-        return ExactBody(PARTS, top_mm=float(self.top_mm), surfaces=self.surfaces, boxes=bounds)
+        return ExactBody(
+            PARTS, tuple(bounds[0].tolist()), top_mm=float(self.top_mm), surfaces=self.surfaces, boxes=bounds
+        )
 
     def heights_mm(self, x_mm: ArrayLike, y_mm: ArrayLike) -> tuple[Floats, Floats]:
         """Highest and lowest Z over belt positions of one shape; NaN outside the footprint."""

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
+from roemetry.scene import Scene
 from roemetry_simulate.bodies import Body
 from roemetry_simulate.camera import looking_down
 from roemetry_simulate.defocus import Focus, blur_sigma_px, defocused, depths_mm
-from roemetry_simulate.herring_roe import default_rig
 from roemetry_simulate.laser import fan_through
 from roemetry_simulate.render import Rig, laser_light
 from roemetry_simulate.scene_file import RayCasterOptions
@@ -21,6 +22,7 @@ from roemetry_simulate.solid import Block, EmptyBelt
 from roemetry_simulate.surface import even
 from roemetry_simulate.truth import stripe_centres
 
+HERRING_ROE = Path(__file__).parents[3] / "recipes" / "herring_roe"
 LENS = (-0.21, 0.08, 0.002, -0.0015, 0.01)
 CAMERA = looking_down(
     160, 30, pixel_size_mm=0.04, focal_length_mm=16.0, distance_mm=320.0, tilt_x_deg=1.0, tilt_y_deg=-0.4
@@ -68,7 +70,7 @@ def test_rays_and_stripe_truth_see_through_the_distortion():
 
 def test_a_gaussian_fit_on_the_noise_free_belt_is_the_truth():
     rig = replace(
-        default_rig(),
+        rig_of(RayCasterOptions()),
         camera=looking_down(640, 6, pixel_size_mm=0.01, focal_length_mm=16.0, distance_mm=320.0),
     )
     light, _ = laser_light(rig, EmptyBelt(), even())
@@ -148,9 +150,9 @@ def test_a_full_well_and_the_bits_end_the_range():
 
 
 def test_the_default_scene_is_the_herring_roe_rig():
-    rig, known = rig_of(RayCasterOptions()), default_rig()
+    rig, known = rig_of(RayCasterOptions()), rig_of(Scene.load(HERRING_ROE).simulator.options)
     np.testing.assert_allclose(rig.camera.T_belt_camera, known.camera.T_belt_camera, rtol=0, atol=0)
-    assert rig.sensor.read_noise_grey == pytest.approx(1.0)
+    assert rig.sensor == known.sensor
     assert rig.laser.peak_grey.mean() == pytest.approx(370.0, rel=0.02)
     assert rig.laser.sigma_mm == known.laser.sigma_mm
     assert (rig.ambient_grey, rig.plain_grey) == pytest.approx((14.0, 210.0))

@@ -239,7 +239,7 @@ def scene(tmp_path):
 def test_a_laser_that_misses_the_view_is_refused_with_its_place(tmp_path):
     path = tmp_path / "scene.yaml"
     path.write_text(SCENE.format(centre=500.0), "utf-8")
-    with pytest.raises(ConfigurationError, match=r"scene\.yaml:7:\d+: .*the laser misses the view"):
+    with pytest.raises(ConfigurationError, match=r"scene\.yaml:8:\d+: .*the laser misses the view"):
         Scene.load(path)
     done = CliRunner().invoke(app, ["plan", str(path), "--out", str(tmp_path / "plan.html")])
     assert done.exit_code != 0

