@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from roemetry.calibration import Calibration
 from roemetry.records import NOTHING, Outline, Product, Profiles
+from roemetry.scene import Scene
 from roemetry.view import View
 from roemetry_kernels.compiling import kernel
+from roemetry_simulate import scene_rig
 from roemetry_simulate.camera import Camera, looking_down
-from roemetry_simulate.herring_roe import default_rig
 from roemetry_simulate.laser import LaserFan, fan_through
 from roemetry_simulate.lens import camera_ray
 from roemetry_simulate.raycast import hit_body
@@ -20,6 +22,8 @@ from roemetry_simulate.render import Rig
 from roemetry_simulate.sensor import Sensor
 from roemetry_simulate.solid import Solid
 from roemetry_simulate.truth import StripeTruth, stripe_centres
+
+HERRING_ROE = Path(__file__).parents[1] / "recipes" / "herring_roe"
 
 Floats = NDArray[np.float64]
 
@@ -54,11 +58,11 @@ def rig_of(seed: int, stripes: int = 11) -> Rig:
     stripes : int
         Number of planes, over the same 87.5 mm.
     """
-    if seed == 0 and stripes == 11:
-        return default_rig()
     rng = np.random.default_rng([seed, 41])
     if seed == 0:
-        return replace(default_rig(), laser=_fan((160.0, -4.0, 300.0), stripes, -3.0, 0.6, 0.3))
+        shipped = scene_rig.rig_of(Scene.load(HERRING_ROE).simulator.options)  # type: ignore[arg-type]
+        fan = _fan((160.0, -4.0, 300.0), stripes, -3.0, 0.6, 0.3)
+        return shipped if stripes == 11 else replace(shipped, laser=fan)
     between = rng.uniform
     distance = between(270.0, 420.0)
     camera = looking_down(

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from roemetry.arrays import Flags, Floats, Integers
+from roemetry_kernels.compiling import kernel
 
 _PRODUCT_ROWS_MIN = 3
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def off_belt_and_bridged(
     x_px: Floats, rest_px: Floats, tolerance_px: float, reach_px: float, longest_gap_rows: int
 ) -> Flags:
@@ -73,7 +73,7 @@ def off_belt_and_bridged(
     return off_belt
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def numbered(x_px: Floats, off_belt: Flags, smallest: int) -> tuple[NDArray[np.int16], Flags]:
     """Number connected points off the belt 1…n from left to right.
 
@@ -135,7 +135,7 @@ def numbered(x_px: Floats, off_belt: Flags, smallest: int) -> tuple[NDArray[np.i
     return product, dirt
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def cells_between(
     row: Integers, x_px: Floats, stripe: Integers, refused: int, rest_px: Floats
 ) -> tuple[Flags, int]:
@@ -160,7 +160,7 @@ def cells_between(
     return cells, count
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _joined(x_px: Floats, off_belt: Flags) -> Flags:
     """Give what lies off the belt, with what is not seen between it."""
     stripes, rows = x_px.shape
@@ -180,7 +180,7 @@ def _joined(x_px: Floats, off_belt: Flags) -> Flags:
     return filled
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _root(parent: Integers, cell: int) -> int:
     while parent[cell] != cell:
         parent[cell] = parent[parent[cell]]
@@ -188,7 +188,7 @@ def _root(parent: Integers, cell: int) -> int:
     return cell
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _join(parent: Integers, one: int, other: int) -> None:
     a, b = _root(parent, one), _root(parent, other)
     if a < b:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from roemetry.arrays import Flags, Floats, Integers
+from roemetry_kernels.compiling import kernel
 
 _FAR = 1e9
 _STEP_MAX = 1.0
@@ -22,7 +22,7 @@ DEAREST = 2.0 * _SKIP
 """A verdict is dearer than another by this at most: one stripe put in another place and one left out."""
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def stripes_on_belt(
     row: Integers, x_px: Floats, rest_px: Floats, tolerance_px: float, rows_min: int
 ) -> NDArray[np.bool_]:
@@ -42,7 +42,7 @@ def stripes_on_belt(
     return seen >= rows_min
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def order_rows(
     row_start: Integers,
     x_px: Floats,
@@ -125,7 +125,7 @@ def order_rows(
     return stripe, margin
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _in_full(height: Floats, own: Floats, first: Integers, last: Integers, labels: int) -> bool:
     """Say whether all stripes are there and the surface goes from each to the next without a large step."""
     for k in range(labels):
@@ -136,7 +136,7 @@ def _in_full(height: Floats, own: Floats, first: Integers, last: Integers, label
     return True
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _least(
     height: Floats, own: Floats, first: Integers, last: Integers, count: int, labels: int,
     forward: Floats, backward: Floats,
@@ -160,7 +160,7 @@ def _least(
             backward[k, i] = best + own[k, i]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _verdicts(
     forward: Floats, backward: Floats, own: Floats, first: Integers, last: Integers, count: int, labels: int,
     of_label: Integers, begin: int, stripe: Integers, margin: Floats,
@@ -183,7 +183,7 @@ def _verdicts(
             margin[begin + k] = min(second - best, DEAREST)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def continued(row: Integers, x_px: Floats, stripe: Integers, stripes: int, step_max_px: float) -> Flags:
     """Say which coded peaks have a peak of their stripe near them within the next three rows up or down.
 
