@@ -25,7 +25,7 @@ def brightest(image):
     return top
 
 image = np.zeros((480, 640), np.uint8)
-image[:, 300:304] = 200
+image[:, 297:306] = 20, 60, 120, 180, 200, 180, 120, 60, 20
 assert brightest(image) == 200
 """
 
@@ -35,7 +35,7 @@ from roemetry.records import Frame
 from roemetry.registry import discover
 
 image = np.zeros((480, 640), np.uint8)
-image[:, 300:304] = 200
+image[:, 297:306] = 20, 60, 120, 180, 200, 180, 120, 60, 20
 registry = discover()
 extractor = registry.load(registry.find("extractor", "{name}"))()
 assert len(extractor.extract(Frame(image))) > 400
@@ -95,7 +95,7 @@ def run_of(home: Path, name: str) -> list[str]:
 
     (home / "images").mkdir(parents=True)
     image = np.zeros((480, 640), np.uint8)
-    image[:, 300:304] = 200
+    image[:, 297:306] = 20, 60, 120, 180, 200, 180, 120, 60, 20
     cv2.imwrite(str(home / "images" / "line.png"), image)
     (home / "recipe.yaml").write_text(RECIPE.format(name=name), encoding="utf-8")
     return [sys.executable, "-m", "roemetry", "run", str(home / "recipe.yaml")]

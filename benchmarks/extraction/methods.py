@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Callable, Iterator, Mapping
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import MappingProxyType
 from typing import Any
 
@@ -124,6 +127,29 @@ def _packages() -> Iterator[tuple[str, Method | str]]:
             yield name, f"{module} is not installed: {remedy}"
         else:
             yield name, Method(name, False, _plain(find), slow=name == "ridge-detector")
+
+
+def measured_beforehand(images: Callable[[tuple[int, int]], Sequence[Frame]]) -> Method:
+    """Give maximum-likelihood as it runs on a line: the noise of that line's images measured once.
+
+    `images` draws other images of an image size, which the noise is measured from at the first call.
+    """
+    from roemetry_peaks.maximum_likelihood import MaximumLikelihood, MaximumLikelihoodOptions
+    from roemetry_peaks.measure_noise import measured
+
+    folder = TemporaryDirectory()
+    stages: dict[tuple[int, int], MaximumLikelihood] = {}
+
+    def find(pixels: NDArray[Any], light: Light | None) -> Found:
+        size = pixels.shape[0], pixels.shape[1]
+        if size not in stages:
+            path = Path(folder.name) / f"{size[0]}.json"
+            held = measured(images(size), MaximumLikelihoodOptions())
+            path.write_text(json.dumps(held), encoding="utf-8")
+            stages[size] = MaximumLikelihood(MaximumLikelihoodOptions(noise=path))
+        return found_in(stages[size].extract(frame_of(pixels, light)))
+
+    return Method("maximum-likelihood, noise measured once", True, find)
 
 
 def _plain(find: Callable[[NDArray[Any]], Found]) -> Callable[[NDArray[Any], Light | None], Found]:
