@@ -58,6 +58,7 @@ def startup(names: Sequence[str], repeats: int) -> Table:
         commands = {"minimal program with numba": script(home / "minimal.py", MINIMAL)}
         for name in names:
             commands[f"{name}: in a script"] = script(home / f"{name}.py", FIRST.format(name=name))
+        for name in names[-1:]:
             commands[f"{name}: `roemetry run`, one image"] = run_of(home / f"run-{name}", name)
         seconds: dict[str, list[float]] = {what: [] for what in commands}
         for repeat in range(repeats + 1):
