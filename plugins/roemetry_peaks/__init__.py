@@ -47,6 +47,13 @@ def roemetry_stages() -> Iterable[StageEntry]:
         reference="Fisher scoring; speckle in the weights after Dorsch, Häusler, Herrmann (1994); ours",
     )
     yield StageEntry(
+        kind="extractor",
+        name="steger",
+        target="roemetry_peaks.steger:Steger",
+        summary="Ridges of the smoothed image in any direction, where they cross rows",
+        reference="Steger (1998), An unbiased detector of curvilinear structures, IEEE PAMI 20:113–125",
+    )
+    yield StageEntry(
         kind="smoother",
         name="local-polynomial",
         target="roemetry_peaks.local_polynomial:LocalPolynomial",

@@ -1,0 +1,131 @@
+"""Ridges of the smoothed image in any direction (Steger 1998), where they cross rows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Annotated, Any, ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+
+from roemetry.records import Frame, Peaks
+from roemetry.stages import Capabilities, Extractor, StageOptions
+from roemetry_kernels.grey_levels import grey, plain_layout, scaled_level
+from roemetry_peaks.finding import searched
+
+_NOISES = 8.0  # of the smoothed image, that a ridge rises above both valleys
+_LEVELS_MIN = 2.0  # grey levels of 0…255 that it rises at least
+_BEND_NOISES = 3.0  # of the second derivative, that a ridge is curved at least
+_REACH = 4.0  # standard deviations that the filters reach
+
+
+class StegerOptions(StageOptions):
+    """Options of `Steger`."""
+
+    threshold: Annotated[float, Field(ge=1.0, le=255.0)] | Literal["auto"] = Field(
+        default="auto",
+        description="grey levels (of 0…255, scaled for deeper images) by which a stripe must rise above both "
+        "valleys, in the smoothed image; auto: 8 times the noise of that image, at least 2",
+    )
+    width_min_px: float = Field(
+        default=1.5,
+        ge=0.0,
+        le=100.0,
+        description="smallest full width at half height across the stripe, px: rejects hot pixels",
+    )
+    width_max_px: float = Field(
+        default=40.0,
+        gt=0.0,
+        le=1000.0,
+        description="largest full width at half height across the stripe, px: rejects glare",
+    )
+    region: tuple[int, int, int, int] | None = Field(
+        default=None,
+        description="part of the (turned) image to search: first row, row after the last, first column, "
+        "column after the last, px; none: all of it",
+    )
+    sigma_px: float = Field(
+        default=2.0,
+        ge=0.7,
+        le=10.0,
+        description="standard deviation of the smoothing in all directions, px: about a stripe's own",
+    )
+
+
+class Steger(Extractor[StegerOptions]):
+    """Finds ridges by the Hessian of the smoothed image and follows each to the row's own height."""
+
+    Options: ClassVar[type[StageOptions]] = StegerOptions
+    capabilities = Capabilities(tolerance_px=0.12, saturated_tolerance_px=0.2)
+    expected_failures: ClassVar[Mapping[str, str]] = MappingProxyType(
+        {
+            "check_dark_rows_give_nothing": "smoothing along the stripe carries its light beyond its end: a "
+            "row next to the end may show a peak in the noise",
+        }
+    )
+
+    def extract(self, frame: Frame) -> Peaks:
+        """Find the stripes of a frame."""
+        import cv2
+
+        from roemetry_kernels.ridges import crossings
+        from roemetry_kernels.smoothed_peaks import background_noise, rounding_variance
+
+        options = self.options
+        area = searched(frame, options.region)
+        image = plain_layout(grey(frame)[area.top : area.bottom, area.left : area.right])
+        sigma = options.sigma_px
+        plain, first, second = _filters(sigma)
+
+        def filtered(across: np.ndarray, along: np.ndarray) -> Any:
+            return cv2.sepFilter2D(image, cv2.CV_64F, across, along, borderType=cv2.BORDER_REPLICATE)
+
+        noise = math.sqrt(max(background_noise(image) ** 2, rounding_variance(image)))
+        if options.threshold == "auto":
+            # White noise that is smoothed in two dimensions.
+            rise = max(_NOISES * noise / (2.0 * math.sqrt(math.pi) * sigma), scaled_level(_LEVELS_MIN, frame))
+        else:
+            rise = scaled_level(options.threshold, frame)
+        found = crossings(
+            image,
+            filtered(plain, plain),
+            (filtered(first, plain), filtered(plain, first)),
+            (filtered(second, plain), filtered(first, first), filtered(plain, second)),
+            sigma_px=sigma,
+            bend_min=_BEND_NOISES * noise * math.sqrt(3.0 / (16.0 * math.pi)) / sigma**3,
+            rise=rise,
+            noise=noise,
+            widths_px=(options.width_min_px, options.width_max_px),
+            white=frame.white,
+        )
+        order = np.lexsort((found.x_px, found.row))
+        row, x_px = found.row[order], found.x_px[order]
+        inside = np.abs(x_px - 0.5 * (image.shape[1] - 1)) <= 0.5 * image.shape[1]
+        inside[1:] &= (np.diff(row) > 0) | (np.diff(x_px) > 0.0)
+        order = order[inside]
+        return Peaks(
+            image_size=frame.size,
+            row=found.row[order] + area.top,
+            x_px=found.x_px[order] + area.left,
+            x_std_px=np.full(order.size, np.nan),
+            amplitude=found.amplitude[order],
+            background=found.background[order],
+            width_px=found.width_px[order],
+            flags=found.flags[order],
+            correlation_rows=sigma,
+        )
+
+
+def _filters(sigma: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Gaussian and its first and second derivative, for correlation; exact on parabolas."""
+    reach = math.ceil(_REACH * sigma)
+    u = np.arange(-reach, reach + 1, dtype=np.float64)
+    plain = np.exp(-0.5 * (u / sigma) ** 2)
+    plain /= plain.sum()
+    first = u * plain
+    first /= first @ u
+    second = (u**2 - (u**2 @ plain)) * plain
+    second /= 0.5 * (second @ u**2)
+    return plain, first, second
