@@ -1,0 +1,160 @@
+"""What can be said of a product's shape in numbers, the same for mirrored, turned and rescaled rigs."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from roemetry.arrays import Floats
+from roemetry.records import Product
+from roemetry_shape.curvature import curvature_features
+from roemetry_shape.hollows import hollows_of
+from roemetry_shape.sections import SAMPLES, Sections, sections_of
+
+SECTIONS_MIN = 3
+"""With fewer sections a product has no shape to speak of."""
+
+_INNER = slice(SAMPLES // 8, SAMPLES - SAMPLES // 8)
+"""Samples away from the edges, where a section is steep by nature."""
+
+
+def shape_features(product: Product, smoothing_rows: int) -> dict[str, float]:
+    """Give the features by name, units in the names; empty with fewer than three sections.
+
+    Lengths count what stripes saw: `length_seen_mm` ends at the outer stripes.
+
+    Parameters
+    ----------
+    product
+        One product.
+    smoothing_rows
+        Window, rows, that smooths each curve first; see `sections_of`.
+    """
+    sections = sections_of(product, smoothing_rows)
+    if len(sections.stripe) < SECTIONS_MIN:
+        return {}
+    return {
+        **_size(sections),
+        **_middle_line(sections),
+        **_lean(sections),
+        **_along(sections),
+        **_hollow_features(sections),
+        **curvature_features(sections),
+    }
+
+
+def _size(sections: Sections) -> dict[str, float]:
+    width, peak, area = 2.0 * sections.half_width_mm, sections.peak_mm, sections.area_mm2
+    length = float(sections.along_mm[-1])
+    return {
+        "length_seen_mm": length,
+        "width_mm": float(width.max()),
+        "thickness_mm": float(peak.max()),
+        "sections": float(len(width)),
+        "length_to_width": length / float(width.max()),
+        "thickness_to_width": float(peak.max() / width.max()),
+        "section_area_max_mm2": float(area.max()),
+        # How much of its own box a section fills: a half-ellipse π/4, a box 1, a hollow one less.
+        "fullness_least": float((area / (width * peak)).min()),
+        "fullness_median": float(np.median(area / (width * peak))),
+    }
+
+
+def _middle_line(sections: Sections) -> dict[str, float]:
+    """Bend of the line through the sections' middles, in the plane of the belt."""
+    x, y = sections.middle_mm.T
+    straight = y - np.polyval(np.polyfit(x, y, 1), x)
+    half = max(0.5 * float(np.ptp(x)), 1e-9)
+    u = (x - 0.5 * (x.min() + x.max())) / half
+    bow = np.polyfit(u, y, 2)[0] if len(x) > 3 else 0.0
+    s_part = np.polyfit(u, y, 3)[0] if len(x) > 4 else 0.0
+    turn = np.degrees(np.diff(np.arctan2(np.diff(y), np.diff(x))))
+    width = 2.0 * sections.half_width_mm
+    return {
+        "bend_mm": float(np.abs(straight).max()),
+        "bow_mm": abs(float(bow)),
+        "s_bend_mm": abs(float(s_part)),
+        "turn_net_deg": abs(float(turn.sum())),
+        "turn_total_deg": float(np.abs(turn).sum()),
+        "width_step_mm": float(np.abs(np.diff(width)).max()),
+        "middle_jump_mm": float(np.abs(np.diff(straight, 2)).max()) if len(x) > 2 else 0.0,
+    }
+
+
+def _lean(sections: Sections) -> dict[str, float]:
+    """Lean of the sections to one side, and how it changes along: twist."""
+    t = np.linspace(-1.0, 1.0, SAMPLES)
+    weight = sections.height_mm - sections.height_mm.min(axis=1, keepdims=True)
+    mass = np.maximum(weight.sum(axis=1), 1e-9)
+    centre = (weight * t).sum(axis=1) / mass
+    top = t[np.argmax(sections.height_mm, axis=1)]
+    inner = sections.height_mm[:, _INNER]
+    slope = np.array([np.polyfit(a[_INNER], h, 1)[0] for a, h in zip(sections.across_mm, inner, strict=True)])
+    lean = np.degrees(np.arctan(slope))
+    body = slice(1, -1) if len(lean) > 4 else slice(None)
+    mirrored = sections.height_mm - sections.height_mm[:, ::-1]
+    return {
+        "lean_most_deg": float(np.abs(lean[body]).max()),
+        "lean_range_deg": float(np.ptp(lean[body])),
+        "lean_step_deg": float(np.abs(np.diff(lean[body])).max(initial=0.0)),
+        "ridge_wander": float(np.ptp(top[body])),
+        "centre_wander": float(np.ptp(centre[body])),
+        "asymmetry": float(
+            np.abs(sections.height_mm - sections.height_mm[:, ::-1]).mean() / _thick(sections)
+        ),
+    }
+
+
+def _along(sections: Sections) -> dict[str, float]:
+    """The run of heights along the product: saddles, steps, ends that are cut off."""
+    from roemetry_kernels.hollows import hollow_depth
+
+    s, peak, area = sections.along_mm, sections.peak_mm, sections.area_mm2
+    thick = _thick(sections)
+    lines = sections.height_mm[:, [SAMPLES // 4, SAMPLES // 2, 3 * SAMPLES // 4]].T
+    saddle = hollow_depth(np.ascontiguousarray(np.tile(s, (3, 1))), np.ascontiguousarray(lines))
+    rise = np.abs(np.diff(lines, axis=1)) / np.diff(s)
+    ends = np.sort(np.array([peak[0], peak[-1]])) / thick
+    wide = np.sort(sections.half_width_mm[[0, -1]]) / sections.half_width_mm.max()
+    halves = np.sort([area[: len(area) // 2].sum(), area[-(len(area) // 2) :].sum()])
+    inner = rise[:, 1:-1] if rise.shape[1] > 3 else rise
+    return {
+        "saddle_mm": float(saddle.max()),
+        "saddle_share": float(saddle.max() / thick),
+        "rise_most": float(inner.max()),
+        "rise_end": float(rise[:, [0, -1]].max()),
+        "end_height_low": float(ends[0]),
+        "end_height_high": float(ends[1]),
+        "end_width_low": float(wide[0]),
+        "end_width_high": float(wide[1]),
+        "halves_share": float(halves[0] / max(halves[1], 1e-9)),
+        "peak_step_mm": float(np.abs(np.diff(peak, 2)).max(initial=0.0)),
+    }
+
+
+def _hollow_features(sections: Sections) -> dict[str, float]:
+    depth, hollows = hollows_of(sections)
+    deepest = depth.max(axis=1)
+    first = hollows[0] if hollows else None
+    t = np.linspace(-1.0, 1.0, SAMPLES)
+    return {
+        "dent_depth_mm": 0.0 if first is None else first.depth_mm,
+        "dent_area_mm2": 0.0 if first is None else first.area_mm2,
+        "dent_stripes": 0.0 if first is None else float(first.stripes),
+        "dents": float(len(hollows)),
+        "dent_second_mm": hollows[1].depth_mm if len(hollows) > 1 else 0.0,
+        "hollow_median_mm": float(np.median(deepest)),
+        "hollow_mean_mm": float(depth.mean()),
+        "hollow_depth_mm": float(deepest.max()),
+        "hollow_off_middle": float(abs(t[np.argmax(depth.max(axis=0))])) if deepest.max() > 0.2 else math.nan,
+    }
+
+
+def _thick(sections: Sections) -> float:
+    return max(float(sections.peak_mm.max()), 1e-9)
+
+
+def depth_below(product: Product, smoothing_rows: int) -> Floats:
+    """(section, sample) depth below the hull of each section, mm: what the dents were found from."""
+    return hollows_of(sections_of(product, smoothing_rows))[0]

@@ -1,0 +1,103 @@
+"""A product's cross-sections on one grid: smoothed, and sampled evenly from edge to edge."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from roemetry.arrays import Floats, Integers
+from roemetry.records import Product
+from roemetry_kernels.arcs import body_curves, smoothed
+
+SAMPLES = 65
+"""Samples across a section; an odd number, so that one is its middle."""
+
+_POINTS_MIN = 12
+_WIDTH_MIN_MM = 2.0
+
+
+class Sections(NamedTuple):
+    """Cross-sections in the order in which they lie along the product's long way.
+
+    Attributes
+    ----------
+    stripe
+        (section,) stripe index.
+    along_mm
+        (section,) place of each section's middle along the way through the middles, mm, from the first.
+    middle_mm
+        (section, 2) X and Y of the middle between its edges, mm.
+    half_width_mm
+        (section,) half the distance between its edges, mm.
+    height_mm
+        (section, SAMPLES) height over the belt at even steps from edge to edge, mm.
+    across_mm
+        (section, SAMPLES) distance from the middle along Y, mm.
+    """
+
+    stripe: Integers
+    along_mm: Floats
+    middle_mm: Floats
+    half_width_mm: Floats
+    height_mm: Floats
+    across_mm: Floats
+
+    @property
+    def peak_mm(self) -> Floats:
+        """(section,) largest height, mm."""
+        return np.asarray(self.height_mm.max(axis=1))
+
+    @property
+    def area_mm2(self) -> Floats:
+        """(section,) area between belt and surface, mm²."""
+        step = 2.0 * self.half_width_mm / (SAMPLES - 1)
+        inner = self.height_mm.sum(axis=1) - 0.5 * (self.height_mm[:, 0] + self.height_mm[:, -1])
+        return np.asarray(inner * step)
+
+
+def sections_of(product: Product, smoothing_rows: int) -> Sections:
+    """Cut a product into its sections; those too short to have a shape are left out.
+
+    Parameters
+    ----------
+    product
+        Its slices must run along Y, as those of stripes that run from top to bottom do.
+    smoothing_rows
+        Window, rows (odd), of the local quadratic that smooths each curve first; 0 smooths nothing.
+    """
+    curves = body_curves(product.profiles, product.number)
+    xyz = product.profiles.xyz_mm[curves.slice, curves.point]
+    if smoothing_rows and len(xyz):
+        xyz = smoothed(curves, xyz, smoothing_rows)
+    found = []
+    for number in np.unique(curves.slice):
+        mine = xyz[curves.slice == number]
+        mine = mine[np.argsort(mine[:, 1], kind="stable")]
+        y, keep = np.unique(mine[:, 1], return_index=True)
+        if len(y) < _POINTS_MIN or y[-1] - y[0] < _WIDTH_MIN_MM:
+            continue
+        grid = np.linspace(y[0], y[-1], SAMPLES)
+        height = np.interp(grid, y, mine[keep, 2])
+        middle = np.array([np.median(mine[:, 0]), 0.5 * (y[0] + y[-1])])
+        found.append((product.profiles.stripe[number], middle, 0.5 * (y[-1] - y[0]), height))
+    return _in_order(found)
+
+
+def _in_order(found: list[tuple[int, Floats, float, Floats]]) -> Sections:
+    if not found:
+        nothing = np.empty((0, SAMPLES))
+        empty = np.empty(0)
+        return Sections(np.empty(0, np.int64), empty, np.empty((0, 2)), empty, nothing, nothing)
+    found.sort(key=lambda section: float(section[1][0]))
+    middle = np.stack([section[1] for section in found])
+    half = np.array([section[2] for section in found])
+    step = np.sqrt((np.diff(middle, axis=0) ** 2).sum(axis=1))
+    return Sections(
+        stripe=np.array([section[0] for section in found], np.int64),
+        along_mm=np.concatenate([[0.0], np.cumsum(step)]),
+        middle_mm=middle,
+        half_width_mm=half,
+        height_mm=np.stack([section[3] for section in found]),
+        across_mm=half[:, None] * np.linspace(-1.0, 1.0, SAMPLES),
+    )
