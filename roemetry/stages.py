@@ -17,11 +17,13 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from roemetry.calibration import Calibration
+from roemetry.errors import StageError
 from roemetry.records import (
     Acquisition,
     AcquisitionReference,
     CalibrationSet,
     Evidence,
+    Fitted,
     Frame,
     Grade,
     Measurement,
@@ -30,6 +32,7 @@ from roemetry.records import (
     Plan,
     Product,
     Profiles,
+    Samples,
     Sensor,
     Simulated,
     StripeMap,
@@ -208,6 +211,28 @@ class Classifier(Stage[OptionsT]):
     @abstractmethod
     def classify(self, product: Product, *, rng: np.random.Generator | None = None) -> Grade:
         """Give the class with reasons; ``unknown`` is a legal answer."""
+
+    @classmethod
+    def fit(cls, samples: Samples, *, good: str = "", smoothing_rows: int = 15) -> Fitted:
+        """Learn from labelled products.
+
+        Parameters
+        ----------
+        samples
+            With labels.
+        good
+            The class of good products; "" where there is none.
+        smoothing_rows
+            Window the features were measured with, rows.
+
+        Raises
+        ------
+        StageError
+            This classifier does not learn.
+        DataError
+            The samples cannot be learned from.
+        """
+        raise StageError(f"{cls.__name__} does not learn", hint="the classifier `learned` does")
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,6 +7,9 @@ import io
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import ClassVar
+
+from pydantic import Field
 
 from roemetry.files import write_whole
 from roemetry.records import Estimate, Measurement
@@ -16,23 +19,50 @@ from roemetry.units import NOT_STATED, mm3_to_cm3
 Cell = str | float | int
 
 
-class CsvTable(Sink[StageOptions]):
+class CsvTableOptions(StageOptions):
+    """Options of `CsvTable`."""
+
+    features: bool = Field(
+        default=False,
+        description="add a column for each feature of the classifier",
+    )
+
+
+class CsvTable(Sink[CsvTableOptions]):
     """Writes ``results.csv``; units stand in the headings.
 
     An empty cell means there is no such number, and the column of reasons says why; an uncertainty that is
     not modelled is ``not stated``.
     """
 
+    Options: ClassVar[type[StageOptions]] = CsvTableOptions
+
     def write(self, run: Run) -> Sequence[Path]:
         """Write the table from the run's measurements."""
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(_COLUMNS)
+        features = _features(run) if self.options.features else []
+        writer.writerow([*_COLUMNS, *features])
         for measurement in run.measurements():
-            writer.writerow([_cell(column(measurement)) for column in _COLUMNS.values()])
+            given = {} if measurement.grade is None else measurement.grade.features
+            writer.writerow(
+                [
+                    *(_cell(column(measurement)) for column in _COLUMNS.values()),
+                    *(_cell(given.get(name)) for name in features),
+                ]
+            )
         path = run.folder / "results.csv"
         write_whole(path, text.getvalue())
         return [path]
+
+
+def _features(run: Run) -> list[str]:
+    """Names of all features in the run, in the order in which they appear."""
+    found: dict[str, None] = {}
+    for measurement in run.measurements():
+        if measurement.grade is not None:
+            found.update(dict.fromkeys(measurement.grade.features))
+    return list(found)
 
 
 def _cell(value: Cell | None) -> Cell:

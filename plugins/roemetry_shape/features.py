@@ -100,9 +100,7 @@ def _lean(sections: Sections) -> dict[str, float]:
         "lean_step_deg": float(np.abs(np.diff(lean[body])).max(initial=0.0)),
         "ridge_wander": float(np.ptp(top[body])),
         "centre_wander": float(np.ptp(centre[body])),
-        "asymmetry": float(
-            np.abs(sections.height_mm - sections.height_mm[:, ::-1]).mean() / _thick(sections)
-        ),
+        "asymmetry": float(np.abs(mirrored).mean() / _thick(sections)),
     }
 
 

@@ -70,4 +70,4 @@ def _stands_for_mm(along_mm: Floats) -> Floats:
     if len(along_mm) < 2:
         return np.zeros(len(along_mm))
     step = np.diff(along_mm)
-    return 0.5 * (np.concatenate([step[:1], step]) + np.concatenate([step, step[-1:]]))
+    return np.asarray(0.5 * (np.concatenate([step[:1], step]) + np.concatenate([step, step[-1:]])))

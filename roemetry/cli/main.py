@@ -13,6 +13,7 @@ from roemetry.cli import (
     check_calibration,
     check_plugin,
     compare,
+    fit_classifier,
     fit_penetration,
     lint,
     plan,
@@ -71,5 +72,6 @@ app.command()(compare.compare)
 app.command()(check_plugin.check_plugin)
 app.command()(check_calibration.check_calibration)
 app.command()(plan.plan)
+app.command()(fit_classifier.fit_classifier)
 app.command()(fit_penetration.fit_penetration)
 app.command()(target.target)

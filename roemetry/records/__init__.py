@@ -2,6 +2,7 @@
 
 from roemetry.records.acquisition import Acquisition, AcquisitionReference, Frame, Role, Sensor
 from roemetry.records.evidence import Evidence, EvidenceFigure, Residuals
+from roemetry.records.fitting import Fitted, Samples
 from roemetry.records.measurement import Coding, Measurement, Status
 from roemetry.records.observations import Block, Board, CalibrationSet, Observation, Staircase
 from roemetry.records.outcome import Estimate, Grade, Marks, Shares, Volume, Weight
@@ -39,6 +40,7 @@ __all__ = [
     "Estimate",
     "Evidence",
     "EvidenceFigure",
+    "Fitted",
     "Frame",
     "Grade",
     "Marks",
@@ -60,6 +62,7 @@ __all__ = [
     "Reason",
     "Residuals",
     "Role",
+    "Samples",
     "Sensor",
     "Shares",
     "Simulated",

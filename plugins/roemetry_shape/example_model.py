@@ -1,0 +1,37 @@
+"""A model of one decision, for the checks of the learned classifier."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from roemetry_shape.learned import LearnedOptions
+from roemetry_shape.learned_model import LearnedModel
+
+
+def learned_options() -> LearnedOptions:
+    """Write a model that calls a product dented if a section is hollow by a millimetre; give its options."""
+    model = LearnedModel(
+        features=("hollow_depth_mm",),
+        fill=np.zeros(1),
+        classes=("dented", "good"),
+        good="good",
+        good_from=0.5,
+        sharpness=1.0,
+        feature=np.array([0, -1, -1]),
+        threshold=np.array([1.0, 0.0, 0.0]),
+        left=np.array([1, -1, -1]),
+        right=np.array([2, -1, -1]),
+        shares=np.array([[0.0, 0.0], [0.1, 0.9], [0.9, 0.1]]),
+        roots=np.array([0]),
+        centres=np.zeros((2, 1)),
+        spread=np.ones(1),
+        precision=np.eye(1),
+        distance_max=20.0,
+        smoothing_rows=15,
+    )
+    path = Path(tempfile.mkdtemp()) / "one_decision.json"
+    path.write_text(model.to_json({"samples": {}}), encoding="utf-8")
+    return LearnedOptions(model=path)

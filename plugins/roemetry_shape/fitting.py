@@ -1,0 +1,194 @@
+"""Fit the learned classifier: folds by product, calibrated probabilities, and a sense for what is strange."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from roemetry.arrays import Floats, Integers
+from roemetry.errors import DataError
+from roemetry.records import Fitted, Samples
+from roemetry_shape.learned_model import LearnedModel, sharpened, squeezed
+
+TREES = 150
+FOLDS = 5
+_PER_CLASS_MIN = 5
+_STRANGE = 1.5
+"""A product this many times farther from all classes than the farthest sample (left out) is strange."""
+_SHRINKAGE = 0.2
+_SEED = 1
+
+
+def fit_forest(samples: Samples, *, good: str, smoothing_rows: int) -> Fitted:
+    """Fit on all samples; judge on folds.
+
+    Parameters
+    ----------
+    samples
+        With labels.
+    good
+        The class of good products; "" where there is none.
+    smoothing_rows
+        How the features were measured; stored with the model.
+
+    Raises
+    ------
+    DataError
+        One class only, a class with fewer than five products, a good class that nobody has, or no feature
+        that varies.
+    """
+    labels = np.array(samples.labels)
+    classes, counts = np.unique(labels, return_counts=True)
+    _check(classes, counts, good)
+    values, fill = _filled(samples.values)
+    groups = np.unique(np.array(samples.groups), return_inverse=True)[1]
+    held_out = _held_out(values, labels, groups, classes)
+    power = _sharpness(held_out, labels, classes)
+    probabilities = sharpened(held_out, power)
+    good_from = _good_from(probabilities, labels, classes, good)
+    forest = _forest().fit(values, labels)
+    arrays = _nodes(forest)
+    centres, spread, precision = _seen(values, labels, classes)
+    model = LearnedModel(
+        features=samples.features,
+        fill=fill,
+        classes=tuple(str(name) for name in classes),
+        good=good,
+        good_from=good_from,
+        sharpness=power,
+        **arrays,
+        centres=centres,
+        spread=spread,
+        precision=precision,
+        distance_max=np.inf,
+        smoothing_rows=smoothing_rows,
+    )
+    distances = np.array([model.distance(row) for row in values])
+    model = LearnedModel(**{**vars(model), "distance_max": float(_STRANGE * np.quantile(distances, 0.995))})
+    figures = _figures(probabilities, labels, classes, good, good_from)
+    about = {"samples": dict(zip(classes.tolist(), counts.tolist(), strict=True)), **figures}
+    words = (
+        f"{len(labels)} products in {len(np.unique(groups))} groups, {len(classes)} classes; "
+        f"judged on {FOLDS} folds that share no group",
+    )
+    return Fitted(model.to_json(about), figures, words)
+
+
+def _check(classes: np.ndarray, counts: Integers, good: str) -> None:
+    if len(classes) < 2:
+        raise DataError(
+            f"there is one class only (`{classes[0]}`)" if len(classes) else "there are no samples",
+            hint="a classifier needs products of at least two classes",
+        )
+    few = [f"`{name}` ({n})" for name, n in zip(classes, counts, strict=True) if n < _PER_CLASS_MIN]
+    if few:
+        raise DataError(
+            f"too few products of {', '.join(few)}; at least {_PER_CLASS_MIN} of each class are needed",
+            hint="is a label misspelt? otherwise collect more, or leave the class out",
+        )
+    if good and good not in classes:
+        raise DataError(
+            f"no product is labelled `{good}`", hint=f"--good is one of {', '.join(map(str, classes))}"
+        )
+
+
+def _filled(values: Floats) -> tuple[Floats, Floats]:
+    with np.errstate(all="ignore"):
+        fill = np.array([np.median(c[np.isfinite(c)]) if np.isfinite(c).any() else 0.0 for c in values.T])
+    if not (np.nanstd(values, axis=0) > 0).any():
+        raise DataError("no feature varies: the samples are all alike", hint="are the features in the table?")
+    return np.where(np.isfinite(values), values, fill), fill
+
+
+def _forest() -> Any:
+    from sklearn.ensemble import ExtraTreesClassifier
+
+    return ExtraTreesClassifier(
+        TREES, min_samples_leaf=2, max_features=0.4, class_weight="balanced", random_state=_SEED
+    )
+
+
+def _held_out(values: Floats, labels: np.ndarray, groups: Integers, classes: np.ndarray) -> Floats:
+    """(sample, class) shares by forests that did not know the sample's group."""
+    from sklearn.model_selection import StratifiedGroupKFold
+
+    shares = np.zeros((len(labels), len(classes)))
+    folds = StratifiedGroupKFold(min(FOLDS, len(np.unique(groups))), shuffle=True, random_state=_SEED)
+    for known, asked in folds.split(values, labels, groups):
+        forest = _forest().fit(values[known], labels[known])
+        shares[np.ix_(asked, np.searchsorted(classes, forest.classes_))] = forest.predict_proba(values[asked])
+    return shares
+
+
+def _sharpness(shares: Floats, labels: np.ndarray, classes: np.ndarray) -> float:
+    """Power with the least log loss on held-out samples: 1 leaves the forest's shares as they are."""
+    true = np.searchsorted(classes, labels)
+    powers = np.geomspace(0.5, 6.0, 60)
+    losses = [-np.log(sharpened(shares, p)[np.arange(len(true)), true]).mean() for p in powers]
+    return float(powers[int(np.argmin(losses))])
+
+
+def _good_from(probabilities: Floats, labels: np.ndarray, classes: np.ndarray, good: str) -> float:
+    """Least probability that is called good: where as few good ones are lost as bad ones kept."""
+    if not good:
+        return 0.5
+    of_good = probabilities[:, int(np.searchsorted(classes, good))]
+    limits = np.linspace(0.02, 0.98, 97)
+    kept = np.array([(of_good[labels == good] >= limit).mean() for limit in limits])
+    caught = np.array([(of_good[labels != good] < limit).mean() for limit in limits])
+    balanced = 0.5 * (kept + caught)
+    best = np.flatnonzero(balanced >= balanced.max() - 1e-12)
+    return float(limits[best[len(best) // 2]])
+
+
+def _nodes(forest: Any) -> dict[str, Any]:
+    feature, threshold, left, right, shares, roots = [], [], [], [], [], []
+    first = 0
+    for tree in (estimator.tree_ for estimator in forest.estimators_):
+        leaf = tree.children_left < 0
+        roots.append(first)
+        feature.append(np.where(leaf, -1, tree.feature))
+        threshold.append(np.where(leaf, 0.0, tree.threshold))
+        left.append(np.where(leaf, -1, tree.children_left + first))
+        right.append(np.where(leaf, -1, tree.children_right + first))
+        value = tree.value[:, 0, :] / tree.value[:, 0, :].sum(axis=1, keepdims=True)
+        shares.append(np.where(leaf[:, None], value, 0.0))
+        first += tree.node_count
+    return {
+        "feature": np.concatenate(feature).astype(np.int64),
+        "threshold": np.concatenate(threshold),
+        "left": np.concatenate(left).astype(np.int64),
+        "right": np.concatenate(right).astype(np.int64),
+        "shares": np.concatenate(shares),
+        "roots": np.array(roots, np.int64),
+    }
+
+
+def _seen(values: Floats, labels: np.ndarray, classes: np.ndarray) -> tuple[Floats, Floats, Floats]:
+    """Class means, scales, and the inverse of the within-class correlation, shrunk towards none."""
+    squeezed_values = squeezed(values)
+    centres = np.stack([squeezed_values[labels == name].mean(axis=0) for name in classes])
+    off = squeezed_values - centres[np.searchsorted(classes, labels)]
+    spread = np.maximum(off.std(axis=0), 1e-3)
+    correlation = (off / spread).T @ (off / spread) / len(off)
+    shrunk = (1.0 - _SHRINKAGE) * correlation + _SHRINKAGE * np.eye(len(spread))
+    return centres, spread, np.linalg.inv(shrunk)
+
+
+def _figures(
+    probabilities: Floats, labels: np.ndarray, classes: np.ndarray, good: str, good_from: float
+) -> dict[str, float]:
+    likeliest = classes[probabilities.argmax(axis=1)]
+    right = likeliest == labels
+    top = probabilities.max(axis=1)
+    figures = {
+        "right_share": float(right.mean()),
+        "balanced_accuracy": float(np.mean([right[labels == name].mean() for name in classes])),
+        "stated_probability_mean": float(top.mean()),
+    }
+    if good:
+        of_good = probabilities[:, int(np.searchsorted(classes, good))]
+        figures["good_kept_share"] = float((of_good[labels == good] >= good_from).mean())
+        figures["others_caught_share"] = float((of_good[labels != good] < good_from).mean())
+    return figures

@@ -1,0 +1,136 @@
+"""A fitted classifier as a file: the forest, how its shares become probabilities, and what it has seen."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from roemetry.arrays import Floats, Integers
+from roemetry.errors import StageError
+
+VERSION = 1
+
+
+@dataclass(frozen=True, eq=False)
+class LearnedModel:
+    """What `roemetry fit-classifier` found.
+
+    Attributes
+    ----------
+    features
+        Names, in the forest's order.
+    fill
+        (feature,) median of the samples: stands for a feature that is missing.
+    classes
+        Names; `good` is one of them, or "".
+    good, good_from
+        The class of good products, and the least probability of it that is called so.
+    sharpness
+        Power that turns the forest's shares into probabilities.
+    feature, threshold, left, right, shares, roots
+        The forest, see `roemetry_kernels.forest`.
+    centres, spread, precision
+        (class, feature) means and (feature,) scales of the samples, and (feature, feature) inverse of the
+        correlation within classes: how far a product is from all that was seen.
+    distance_max
+        Largest such distance that is not yet strange.
+    smoothing_rows
+        How the features were measured.
+    """
+
+    features: tuple[str, ...]
+    fill: Floats
+    classes: tuple[str, ...]
+    good: str
+    good_from: float
+    sharpness: float
+    feature: Integers
+    threshold: Floats
+    left: Integers
+    right: Integers
+    shares: Floats
+    roots: Integers
+    centres: Floats
+    spread: Floats
+    precision: Floats
+    distance_max: float
+    smoothing_rows: int
+
+    def values(self, features: Mapping[str, float]) -> Floats:
+        """Put features in the forest's order; NaN where one is missing."""
+        return np.array([features.get(name, np.nan) for name in self.features])
+
+    def probabilities(self, values: Floats) -> Floats:
+        """(class,) calibrated probabilities of one sample."""
+        from roemetry_kernels.forest import forest_shares
+
+        filled = np.where(np.isfinite(values), values, self.fill)
+        shares = forest_shares(
+            filled, self.feature, self.threshold, self.left, self.right, self.shares, self.roots
+        )
+        return sharpened(shares, self.sharpness)
+
+    def distance(self, values: Floats) -> float:
+        """How far a sample is from the nearest class, in within-class standard deviations."""
+        filled = np.where(np.isfinite(values), values, self.fill)
+        off = (squeezed(filled) - self.centres) / self.spread
+        return float(np.sqrt(np.einsum("cf,fg,cg->c", off, self.precision, off).min() / len(self.features)))
+
+    def to_json(self, about: Mapping[str, Any]) -> str:
+        """Write the model, with whatever is to be said about it."""
+        content = {
+            "roemetry_classifier": VERSION,
+            "about": dict(about),
+            **{name: _plain(value) for name, value in vars(self).items()},
+        }
+        return json.dumps(content, allow_nan=False) + "\n"
+
+    @classmethod
+    def load(cls, path: Path) -> LearnedModel:
+        """Read a file; raise StageError where it is none, or damaged."""
+        try:
+            data = json.loads(path.read_text(encoding="utf-8"))
+            if data["roemetry_classifier"] != VERSION:
+                raise StageError(f"{path.name}: format {data['roemetry_classifier']}, expected {VERSION}")
+            arrays: dict[str, Any] = {
+                name: np.array(data[name], np.int64 if kind == "Integers" else np.float64)
+                for name, kind in cls.__annotations__.items()
+                if kind in ("Floats", "Integers")
+            }
+            return cls(
+                features=tuple(data["features"]),
+                classes=tuple(data["classes"]),
+                good=str(data["good"]),
+                good_from=float(data["good_from"]),
+                sharpness=float(data["sharpness"]),
+                distance_max=float(data["distance_max"]),
+                smoothing_rows=int(data["smoothing_rows"]),
+                **arrays,
+            )
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise StageError(
+                f"{path.name} is no fitted classifier, or it is damaged: {type(error).__name__}: {error}",
+                hint="make it with `roemetry fit-classifier`",
+            ) from error
+
+
+def squeezed(values: Floats) -> Floats:
+    """Bring features of many sizes to one: nearly linear about 0, logarithmic far out."""
+    return np.asarray(np.arcsinh(values))
+
+
+def sharpened(shares: Floats, power: float) -> Floats:
+    """Raise class shares to a power and make them add up to 1 again, along the last axis."""
+    raised = np.maximum(shares, 1e-6) ** power
+    return np.asarray(raised / raised.sum(axis=-1, keepdims=True))
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return value.tolist() if value.dtype.kind == "i" else np.round(value, 5).tolist()
+    return list(value) if isinstance(value, tuple) else value

@@ -1,0 +1,84 @@
+"""Classes by limits on features."""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from roemetry.records import Grade, Product, Reason
+from roemetry.stages import Classifier, StageOptions
+from roemetry_shape.features import shape_features
+
+UNKNOWN = "unknown"
+_FEW = "fewer than three stripes show a cross-section: there is no shape to judge"
+
+
+class Limit(BaseModel):
+    """One limit: a product beyond it is of this class."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    feature: str = Field(description="name of the feature")
+    at_most: float | None = Field(default=None, ge=-1e9, le=1e9, description="beyond this, in its unit")
+    at_least: float | None = Field(default=None, ge=-1e9, le=1e9, description="or below this")
+    label: str = Field(min_length=1, description="class of a product beyond the limit")
+
+    @model_validator(mode="after")
+    def _limits(self) -> Limit:
+        if self.at_most is None and self.at_least is None:
+            raise ValueError(f"the limit on {self.feature} has neither at_most nor at_least")
+        return self
+
+
+class ShapeLimitsOptions(StageOptions):
+    """Options of `ShapeLimits`."""
+
+    smoothing_rows: int = Field(
+        default=15, ge=0, le=201, description="window (odd) that smooths each curve first, rows; 0: none"
+    )
+    limits: tuple[Limit, ...] = Field(
+        default=(),
+        description="the first broken one wins: `feature`, `at_most`, `at_least`, `label`",
+    )
+    good: str = Field(default="good", min_length=1, description="class of a product within all limits")
+
+
+class ShapeLimits(Classifier[ShapeLimitsOptions]):
+    """Calls a product by the first limit that one of its shape features breaks; good if none is broken.
+
+    Without limits it measures the features and answers ``unknown``: the way to see what they are.
+    """
+
+    Options: ClassVar[type[StageOptions]] = ShapeLimitsOptions
+
+    def classify(self, product: Product, *, rng: np.random.Generator | None = None) -> Grade:
+        """Judge by limits; `rng` is not used: limits do not err."""
+        features = shape_features(product, self.options.smoothing_rows)
+        if not features:
+            return Grade(UNKNOWN, reasons=(Reason("too-few-sections", _FEW),))
+        if not self.options.limits:
+            return Grade(UNKNOWN, features=features, reasons=(Reason("no-limits", "no limits are given"),))
+        for limit in self.options.limits:
+            if limit.feature not in features:
+                known = ", ".join(sorted(features))
+                why = f"there is no feature {limit.feature}; there are {known}"
+                return Grade(UNKNOWN, features=features, reasons=(Reason("no-such-feature", why),))
+            value = features[limit.feature]
+            broken = _broken(limit, value)
+            if broken:
+                return Grade(limit.label, features=features, reasons=(Reason("limit-broken", broken),))
+        within = f"within {len(self.options.limits)} limits"
+        return Grade(self.options.good, features=features, reasons=(Reason("within-limits", within),))
+
+
+def _broken(limit: Limit, value: float) -> str:
+    if math.isnan(value):
+        return ""
+    if limit.at_most is not None and value > limit.at_most:
+        return f"{limit.feature} is {value:.3g}, at most {limit.at_most:g} is allowed"
+    if limit.at_least is not None and value < limit.at_least:
+        return f"{limit.feature} is {value:.3g}, at least {limit.at_least:g} is asked"
+    return ""

@@ -1,0 +1,43 @@
+"""``roemetry fit-classifier``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def fit_classifier(
+    data: Annotated[Path, typer.Argument(help="Table (CSV) of features, a line a product.")],
+    labels: Annotated[
+        Path | None,
+        typer.Option("--labels", help="Table of `id` and `label`; left out: DATA has a column `label`."),
+    ] = None,
+    good: Annotated[str, typer.Option("--good", help="The class of good products, if there is one.")] = "",
+    out: Annotated[Path, typer.Option("--out", "-o", help="File to write.")] = Path("classifier.json"),
+    classifier: Annotated[
+        str, typer.Option("--classifier", help="Name of the classifier that learns.")
+    ] = "learned",
+    smoothing_rows: Annotated[
+        int, typer.Option("--smoothing-rows", min=0, help="Window the features were measured with, rows.")
+    ] = 15,
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+) -> None:
+    """Learn classes from labelled products; judge on folds by product.
+
+    Exit code: 0 written; 1 the table cannot be learned from; 2 the command line is wrong.
+    """
+    from roemetry.files import write_whole
+    from roemetry.fitting import read_samples
+    from roemetry.registry import discover
+
+    registry = discover()
+    stage = registry.load(registry.find("classifier", classifier))
+    fitted = stage.fit(read_samples(data, labels), good=good, smoothing_rows=smoothing_rows)
+    write_whole(out, fitted.content)
+    for sentence in fitted.words:
+        typer.echo(sentence)
+    for name, value in fitted.figures.items():
+        typer.echo(f"  {name}: {value:.4g}")
+    typer.echo(f"{out}")

@@ -1,0 +1,196 @@
+"""Limits, fuzzy rules and learning: right on what is known, silent on what is not."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+from typer.testing import CliRunner
+
+from roemetry.cli.main import app
+from roemetry.errors import ConfigurationError, DataError, StageError
+from roemetry.fitting import read_samples
+from roemetry.records import Samples
+from roemetry.testing.solids import BOX, HALF_ELLIPSOID, product_of
+from roemetry_paper.arc_curvature import ArcCurvature
+from roemetry_shape.fitting import fit_forest
+from roemetry_shape.fuzzy_rules import FuzzyRules, FuzzyRulesOptions
+from roemetry_shape.learned import Learned, LearnedOptions
+from roemetry_shape.learned_model import LearnedModel, sharpened
+from roemetry_shape.shape_limits import ShapeLimits, ShapeLimitsOptions
+
+DOME, SLAB = product_of(HALF_ELLIPSOID), product_of(BOX)
+
+
+def test_the_first_broken_limit_names_the_class() -> None:
+    limits = [
+        {"feature": "thickness_mm", "at_most": 1000.0, "label": "giant"},
+        {"feature": "fullness_median", "at_most": 0.9, "label": "box"},
+        {"feature": "width_mm", "at_least": 1.0, "label": "thread"},
+    ]
+    classifier = ShapeLimits(ShapeLimitsOptions.model_validate({"limits": limits, "good": "round"}))
+    assert classifier.classify(SLAB).label == "box"
+    assert "at most 0.9 is allowed" in classifier.classify(SLAB).reasons[0].text
+    assert classifier.classify(DOME).label == "round"
+    assert ShapeLimits().classify(DOME).label == "unknown"
+    wrong = ShapeLimitsOptions.model_validate({"limits": [{"feature": "with", "at_most": 1, "label": "x"}]})
+    assert ShapeLimits(wrong).classify(DOME).reasons[0].code == "no-such-feature"
+    with pytest.raises(ValidationError, match="neither at_most nor at_least"):
+        ShapeLimitsOptions.model_validate({"limits": [{"feature": "width_mm", "label": "x"}]})
+
+
+RULES = {
+    "terms": {"full": {"feature": "fullness_median", "points": [[0.8, 0.0], [0.9, 1.0]]}},
+    "rules": [{"when": ["full"], "label": "box"}, {"when": ["not full"], "label": "round"}],
+}
+
+
+def test_the_truest_rule_names_the_class() -> None:
+    classifier = FuzzyRules(FuzzyRulesOptions.model_validate(RULES))
+    assert classifier.classify(SLAB).label == "box"
+    grade = classifier.classify(DOME)
+    assert grade.label == "round"
+    assert grade.features["truth_round"] == pytest.approx(1.0 - grade.features["truth_box"])
+
+
+def test_rules_that_say_nothing_or_two_things_are_unknown() -> None:
+    half = {**RULES, "terms": {"full": {"feature": "fullness_median", "points": [[-1.0, 0.5], [2.0, 0.5]]}}}
+    assert FuzzyRules(FuzzyRulesOptions.model_validate(half)).classify(DOME).reasons[0].code == "rules-tie"
+    never = {**RULES, "rules": [{"when": ["full", "not full"], "label": "odd"}], "truth_min": 0.6}
+    assert (
+        FuzzyRules(FuzzyRulesOptions.model_validate(never)).classify(DOME).reasons[0].code == "no-rule-holds"
+    )
+    with pytest.raises(ValidationError, match="uses the term 'fat'; there are full"):
+        FuzzyRulesOptions.model_validate({**RULES, "rules": [{"when": ["not fat"], "label": "x"}]})
+    with pytest.raises(ValidationError, match="do not rise"):
+        FuzzyRulesOptions.model_validate(
+            {"terms": {"a": {"feature": "width_mm", "points": [[1.0, 0.0], [1.0, 1.0]]}}}
+        )
+
+
+def samples(rng: np.random.Generator, count: int = 240) -> Samples:
+    """Three classes in a plane, the third overlapping the second."""
+    labels = np.array(["good", "dent", "bend"])[rng.integers(0, 3, count)]
+    centre = {"good": (0.0, 0.0), "dent": (4.0, 0.0), "bend": (4.0, 1.5)}
+    values = np.array([centre[name] for name in labels]) + rng.normal(0.0, 0.7, (count, 2))
+    ids = tuple(f"p{n}" for n in range(count))
+    return Samples(ids, ids, ("a_mm", "b_mm"), values, tuple(labels))
+
+
+def test_what_is_learned_is_right_and_says_how_sure_it_is(rng: np.random.Generator, tmp_path: Path) -> None:
+    fitted = fit_forest(samples(rng), good="good", smoothing_rows=15)
+    assert fitted.figures["good_kept_share"] > 0.97
+    assert fitted.figures["others_caught_share"] > 0.97
+    path = tmp_path / "model.json"
+    path.write_text(fitted.content, encoding="utf-8")
+    model = LearnedModel.load(path)
+    fresh = samples(np.random.default_rng(99), 600)
+    probabilities = np.stack([model.probabilities(row) for row in fresh.values])
+    right = np.array(model.classes)[probabilities.argmax(axis=1)] == np.array(fresh.labels)
+    stated = probabilities.max(axis=1)
+    assert right.mean() == pytest.approx(stated.mean(), abs=0.05)
+    doubtful = stated < 0.8
+    assert doubtful.sum() > 30
+    assert right[doubtful].mean() == pytest.approx(stated[doubtful].mean(), abs=0.12)
+    np.testing.assert_allclose(probabilities.sum(axis=1), 1.0, atol=1e-12)
+    strange = np.array([30.0, -30.0])
+    assert model.distance(strange) > model.distance_max
+    assert np.mean([model.distance(row) > model.distance_max for row in fresh.values]) < 0.02
+
+
+def test_the_stored_forest_is_sklearns_own(rng: np.random.Generator, tmp_path: Path) -> None:
+    from roemetry_shape.fitting import _forest
+
+    given = samples(rng)
+    fitted = fit_forest(given, good="", smoothing_rows=15)
+    (tmp_path / "m.json").write_text(fitted.content, encoding="utf-8")
+    model = LearnedModel.load(tmp_path / "m.json")
+    forest = _forest().fit(given.values, np.array(given.labels))
+    ours = np.stack([model.probabilities(row) for row in given.values])
+    theirs = sharpened(forest.predict_proba(given.values), model.sharpness)
+    # Thresholds are stored to 1e-5: a sample on an edge may fall to the other side.
+    assert np.quantile(np.abs(ours - theirs), 0.99) < 1e-3
+
+
+def test_groups_keep_twins_from_judging_each_other(rng: np.random.Generator) -> None:
+    """Each product ten times over, with labels by chance: folds by product know that nothing is learned."""
+    values = np.repeat(rng.normal(size=(40, 4)), 10, axis=0) + rng.normal(0, 1e-3, (400, 4))
+    labels = tuple(np.repeat(np.array(["good", "dent"])[rng.integers(0, 2, 40)], 10))
+    ids = tuple(str(n) for n in range(400))
+    groups = tuple(str(n // 10) for n in range(400))
+    names = ("a", "b", "c", "d")
+    by_product = fit_forest(Samples(ids, groups, names, values, labels), good="good", smoothing_rows=0)
+    by_line = fit_forest(Samples(ids, ids, names, values, labels), good="good", smoothing_rows=0)
+    assert by_product.figures["right_share"] < 0.75
+    assert by_line.figures["right_share"] > 0.9
+
+
+def test_what_cannot_be_learned_from_is_named(rng: np.random.Generator) -> None:
+    given = samples(rng)
+    with pytest.raises(DataError, match="one class only"):
+        fit_forest(replace(given, labels=("good",) * 240), good="good", smoothing_rows=0)
+    with pytest.raises(DataError, match=r"too few products of `lone` \(1\)"):
+        fit_forest(replace(given, labels=("lone", *given.labels[1:])), good="good", smoothing_rows=0)
+    with pytest.raises(DataError, match="no product is labelled `fine`"):
+        fit_forest(given, good="fine", smoothing_rows=0)
+    with pytest.raises(DataError, match="no feature varies"):
+        fit_forest(replace(given, values=np.ones((240, 2))), good="good", smoothing_rows=0)
+    with pytest.raises(StageError, match="does not learn"):
+        ArcCurvature.fit(given)
+
+
+def test_a_damaged_model_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "m.json"
+    for text in ("", "[]", "{}", json.dumps({"roemetry_classifier": 1, "features": []})):
+        path.write_text(text, encoding="utf-8")
+        with pytest.raises(StageError, match=r"m.json is no fitted classifier"):
+            Learned(LearnedOptions(model=path)).classify(DOME)
+
+
+def table(path: Path, header: list[str], *rows: list[object]) -> Path:
+    with path.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file).writerows([header, *rows])
+    return path
+
+
+@pytest.mark.parametrize(
+    ("header", "rows", "says"),
+    [
+        (["id", "label", "a"], [], "the table is empty"),
+        (["name", "label", "a"], [["p", "good", 1]], "no column `id`"),
+        (["id", "a"], [["p", 1]], "no column `label`"),
+        (["id", "label"], [["p", "good"]], "no column of features"),
+        (["id", "label", "a"], [["p", "good", 1], ["p", "dent", 2]], "p stands there 2 times"),
+        (["id", "label", "a"], [["p", "good", 1], ["q", "Good ", 2]], "differ in spelling only"),
+        (["id", "label", "a"], [["p", "", 1]], "no product has a label"),
+        (["id", "label", "a"], [["p", "good", 1, 7]], "another number of cells"),
+    ],
+)
+def test_a_bad_table_is_named(tmp_path: Path, header: list[str], rows: list[list[object]], says: str) -> None:
+    with pytest.raises(DataError, match=says):
+        read_samples(table(tmp_path / "t.csv", header, *rows))
+
+
+def test_a_cell_that_is_no_number_has_its_line(tmp_path: Path) -> None:
+    rows = [[f"p{n}", "good", n] for n in range(5)] + [["q", "good", "3,5"]]
+    with pytest.raises(ConfigurationError, match=r"t.csv:7: a: found '3,5', expected a number"):
+        read_samples(table(tmp_path / "t.csv", ["id", "label", "a"], *rows))
+
+
+def test_the_verb_learns_from_a_table(rng: np.random.Generator, tmp_path: Path) -> None:
+    given = samples(rng, 90)
+    rows = [[name, *map(float, row)] for name, row in zip(given.ids, given.values, strict=True)]
+    data = table(tmp_path / "features.csv", ["id", "a_mm", "b_mm"], *rows)
+    answers = [[name, label] for name, label in zip(given.ids, given.labels, strict=True)]
+    labels = table(tmp_path / "labels.csv", ["id", "label"], *answers)
+    out = tmp_path / "m.json"
+    words = ["fit-classifier", str(data), "--labels", str(labels), "--good", "good", "--out", str(out)]
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 0, done.output
+    assert "balanced_accuracy" in done.stdout
+    assert LearnedModel.load(out).classes == ("bend", "dent", "good")

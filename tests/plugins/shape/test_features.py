@@ -1,0 +1,112 @@
+"""Shape features against bodies of known shape."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from roemetry.testing.solids import (
+    BOX,
+    HALF_CYLINDER,
+    HALF_ELLIPSOID,
+    SPHERICAL_CAP,
+    product_from,
+    product_of,
+)
+from roemetry_kernels.hollows import hollow_depth
+from roemetry_shape.curvature import surface_shape
+from roemetry_shape.features import shape_features
+from roemetry_shape.hollows import hollows_of
+from roemetry_shape.sections import SAMPLES, sections_of
+
+
+@given(st.lists(st.floats(-5, 5), min_size=3, max_size=30))
+def test_the_hull_lies_over_the_curve_and_is_concave(heights: list[float]) -> None:
+    across = np.arange(len(heights), dtype=float)[None]
+    height = np.array(heights)[None]
+    hull = (height + hollow_depth(across, height))[0]
+    assert (hull >= height[0] - 1e-9).all()
+    assert (np.diff(hull, 2) <= 1e-9).all()
+    assert hull[0] == height[0, 0]
+    assert hull[-1] == height[0, -1]
+
+
+def test_a_half_ellipsoid_is_what_it_is() -> None:
+    features = shape_features(product_of(HALF_ELLIPSOID), 0)
+    assert features["thickness_mm"] == pytest.approx(HALF_ELLIPSOID.height_mm, rel=0.02)
+    assert features["fullness_median"] == pytest.approx(np.pi / 4, abs=0.02)
+    for name in ("dents", "dent_depth_mm", "bend_mm", "hollow_curvature_share", "asymmetry"):
+        assert features[name] == pytest.approx(0.0, abs=0.05), name
+
+
+def test_a_spheres_curvatures_are_its_radius() -> None:
+    sections = sections_of(product_of(SPHERICAL_CAP), 0)
+    found = surface_shape(sections)
+    middle = found.shape_index.shape[0] // 2, found.shape_index.shape[1] // 2
+    foot, height = SPHERICAL_CAP.length_mm / 2, SPHERICAL_CAP.height_mm
+    radius = (foot**2 + height**2) / (2 * height)
+    assert found.curvature_max[middle] == pytest.approx(-1 / radius, rel=0.15)  # 1/mm
+    assert found.curvature_min[middle] == pytest.approx(-1 / radius, rel=0.15)  # 1/mm
+    assert found.shape_index[middle] == pytest.approx(-1.0, abs=0.1)
+
+
+def test_a_cylinder_is_bent_one_way_only() -> None:
+    found = surface_shape(sections_of(product_of(HALF_CYLINDER), 0))
+    middle = found.shape_index.shape[0] // 2, found.shape_index.shape[1] // 2
+    assert abs(found.curvature_max[middle]) < 0.005  # 1/mm
+    assert found.shape_index[middle] == pytest.approx(-0.5, abs=0.1)
+
+
+def dented(depth_mm: float):
+    """A half ellipsoid with a round dent of 8 mm on its ridge, on two slices."""
+    product = product_of(HALF_ELLIPSOID)
+    xyz = product.profiles.xyz_mm.copy()
+    slices = np.flatnonzero(np.isfinite(xyz[:, :, 2]).sum(axis=1) > 40)
+    at = slices[len(slices) // 2 : len(slices) // 2 + 2]
+    y = xyz[at, :, 1]
+    xyz[at, :, 2] -= depth_mm * np.clip(1 - (y / 4.0) ** 2, 0, None) ** 2
+    return replace(product, profiles=replace(product.profiles, xyz_mm=xyz))
+
+
+def test_a_dent_is_found_with_its_depth_and_place() -> None:
+    _, hollows = hollows_of(sections_of(dented(2.0), 0))
+    assert len(hollows) == 1
+    y = np.linspace(-15, 15, 3001)
+    z = 12.0 * np.sqrt(1 - (y / 15.0) ** 2) - 2.0 * np.clip(1 - (y / 4.0) ** 2, 0, None) ** 2
+    chord = max((z[n] + z[-1 - n]) / 2 for n in range(1500))  # by symmetry the hull over y = 0 is level
+    assert hollows[0].depth_mm == pytest.approx(chord - z[1500], abs=0.1)  # mm
+    assert hollows[0].stripes == 2
+    assert abs(hollows[0].y_mm) < 1.0  # mm
+    assert hollows_of(sections_of(dented(0.2), 0))[1] == ()
+
+
+def turned(product, *, mirror: bool, about: bool):
+    xyz = product.profiles.xyz_mm.copy()
+    if mirror:
+        xyz[:, :, 1] *= -1
+    if about:
+        xyz[:, :, :2] *= -1
+    return replace(product, profiles=replace(product.profiles, xyz_mm=xyz))
+
+
+@pytest.mark.parametrize(("mirror", "about"), [(True, False), (False, True), (True, True)])
+def test_features_do_not_know_left_from_right(mirror: bool, about: bool) -> None:
+    plain = shape_features(dented(2.0), 15)
+    other = shape_features(turned(dented(2.0), mirror=mirror, about=about), 15)
+    for name, value in plain.items():
+        assert other[name] == pytest.approx(value, abs=1e-6, nan_ok=True), name
+
+
+def test_too_little_has_no_shape() -> None:
+    assert shape_features(product_from(np.full((61, 240), np.nan)), 15) == {}
+
+
+def test_a_box_is_full() -> None:
+    features = shape_features(product_of(BOX), 0)
+    assert features["fullness_median"] > 0.9
+    assert features["hollow_depth_mm"] < 1e-6
+    assert sections_of(product_of(BOX), 0).height_mm.shape[1] == SAMPLES
