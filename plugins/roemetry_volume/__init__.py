@@ -11,7 +11,14 @@ _SLICES = "Davis and Rabinowitz (1984), Methods of Numerical Integration; caps a
 
 @hookimpl
 def roemetry_stages() -> Iterable[StageEntry]:
-    """Name the stages: slice estimators, from the plainest on."""
+    """Name the stages: outline, slice estimators from the plainest on, surface."""
+    yield StageEntry(
+        kind="outliner",
+        name="edge-contour",
+        target="roemetry_volume.edge_contour:EdgeContour",
+        summary="The kink in brightness around each product, by closed-contour dynamic programming",
+        reference="Geiger et al. (1995), dynamic programming for deformable contours; the edge model is ours",
+    )
     for name, target, summary in (
         (
             "slice-sum",
@@ -30,3 +37,10 @@ def roemetry_stages() -> Iterable[StageEntry]:
             summary=summary,
             reference=_SLICES,
         )
+    yield StageEntry(
+        kind="volume",
+        name="outline-surface",
+        target="roemetry_volume.outline_surface:OutlineSurface",
+        summary="A surface through stripes and outline; the default where there is a plain-light image",
+        reference="Duchon (1977), splines minimizing rotation-invariant semi-norms; the rim is ours",
+    )

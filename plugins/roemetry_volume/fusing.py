@@ -1,0 +1,205 @@
+"""Surface, rim and border of a product, solved together from stripes and outline."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from roemetry.arrays import Floats, Integers
+from roemetry.records import Product
+from roemetry.view import View
+from roemetry_volume.rim import Rim, StripePoints, ends_of, rim_of
+from roemetry_volume.silhouette import Border, border_at, evenly
+from roemetry_volume.surface import Knots, Plate, grouped, plate_through
+
+LONG_AXIS = 0.4
+_POINTS = 400
+_ROUNDS = 3
+_NODES = 40, 14
+_RIM_WEIGHT = 6.0
+_OPEN_RATIO = 0.85
+_OPEN_MISS = 0.15
+_BELOW_RIM_MM = 0.3
+_WALL_MM = 1.5
+_PROBE_MM = 1.0
+_SETTLED_MM = 0.03
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Fused:
+    """What was solved.
+
+    Attributes
+    ----------
+    points
+        The product's points; `place` (n, 2) are theirs along and across the product, mm.
+    rim, border, plate, knots
+        See their classes.
+    contour : ndarray, shape (400, 2)
+        The border along and across the product, mm.
+    open_end : ndarray, shape (400,)
+        True where the outline is a flat end's: no rim is asked for there.
+    height_mm : ndarray, shape (400,)
+        Height of the surface over the border.
+    s, v, weight_mm2
+        Nodes and weights over the footprint.
+    """
+
+    points: StripePoints
+    place: Floats
+    rim: Rim
+    border: Border
+    plate: Plate
+    knots: Knots
+    contour: Floats
+    open_end: Any
+    height_mm: Floats
+    s: Floats
+    v: Floats
+    weight_mm2: Floats
+
+    def heights(self, values: Floats | None = None, rim_shift_mm: float = 0.0) -> Floats:
+        """Height at the nodes, mm; `values` are the plate's there, if they are not its own."""
+        u = self.plate.at(LONG_AXIS * self.s, self.v) if values is None else values
+        heights: Floats = self.rim.at(self.s, self.v) + rim_shift_mm + _height(u, self.rim)
+        return heights
+
+    @property
+    def volume_mm3(self) -> float:
+        """Visible volume."""
+        return float((self.weight_mm2 * self.heights()).sum())
+
+
+def points_of(product: Product) -> StripePoints:
+    """Give the product's points, slice after slice, down the rows."""
+    profiles = product.profiles
+    mine = (profiles.product == product.number) & np.isfinite(profiles.xyz_mm[..., 2])
+    slices, index = np.nonzero(mine)
+    order = np.lexsort((profiles.row_px[slices, index], slices))
+    slices, index = slices[order], index[order]
+    _, number = np.unique(slices, return_inverse=True)
+    first = np.append(np.flatnonzero(np.diff(number, prepend=-1)), number.size)
+    return StripePoints(profiles.xyz_mm[slices, index], number, first)
+
+
+def fuse(product: Product, view: View, contour_px: Floats) -> Fused:
+    """Solve surface, rim and border together."""
+    from roemetry_kernels.footprint import inside_by, nodes_within
+
+    contour_px = evenly(contour_px, _POINTS)
+    points = points_of(product)
+    ends = ends_of(points)
+    xyz = points.xyz_mm
+    height = np.full(_POINTS, 0.8 * float(np.median(xyz[ends[0][ends[1]], 2])))
+    border = border_at(view, contour_px, np.maximum(height, 0.0))
+    centre, turn = _axes(border.xy_mm)
+    place = (xyz[:, :2] - centre) @ turn
+    fall = np.zeros(_POINTS)
+    open_end = np.zeros(_POINTS, np.bool_)
+    for _ in range(_ROUNDS):
+        contour = (border.xy_mm - centre) @ turn
+        inside = inside_by(contour, place)
+        rim = rim_of(points, ends, place, inside[ends[0]])
+        knots = _knots(points, place, rim, inside)
+        open_end = _open_ends(knots, contour)
+        plate = _plate(knots, contour, open_end)
+        height, fall = _at_border(plate, rim, contour, border, (centre, turn), open_end)
+        moved = border_at(view, contour_px, height, fall)
+        step = np.abs(moved.xy_mm - border.xy_mm).max()
+        border = moved
+        if step < _SETTLED_MM:
+            break
+    contour = (border.xy_mm - centre) @ turn
+    s, v, weight = nodes_within(contour, *_gauss(_NODES[0]), *_gauss(_NODES[1]))
+    return Fused(points, place, rim, border, plate, knots, contour, open_end, height, s, v, weight)
+
+
+def _axes(xy: Floats) -> tuple[Floats, Floats]:
+    """Middle of a polygon and the turn whose columns are its long and its short axis."""
+    centre = xy.mean(axis=0)
+    _, axes = np.linalg.eigh(np.cov((xy - centre).T))
+    long = axes[:, 1] if axes[0, 1] >= 0.0 else -axes[:, 1]
+    return centre, np.column_stack([long, [-long[1], long[0]]])
+
+
+def _knots(points: StripePoints, place: Floats, rim: Rim, inside_mm: Floats) -> Knots:
+    over = points.xyz_mm[:, 2] - rim.at(place[:, 0], place[:, 1])
+    # what is seen of the wall below the rim is no part of the dome
+    dome = (over > -_BELOW_RIM_MM) | (inside_mm > _WALL_MM)
+    s, v = LONG_AXIS * place[dome, 0], place[dome, 1]
+    return grouped(s, v, _value(over, rim)[dome], points.slice[dome])
+
+
+def _value(over_mm: Floats, rim: Rim) -> Floats:
+    """What the plate goes through: the square of the height over the rim, with its sign, below a dome."""
+    return over_mm * np.abs(over_mm) if rim.upright else over_mm
+
+
+def _height(value: Floats, rim: Rim) -> Floats:
+    """Height over the rim of the plate's value."""
+    return np.sign(value) * np.sqrt(np.abs(value)) if rim.upright else value
+
+
+def _open_ends(knots: Knots, contour: Floats) -> Any:
+    """Say where the outline belongs to a flat end: one towards which the slices do not fall.
+
+    Where the outer slice is hardly lower than the next one, the plate is fitted without it, once with and
+    once without a rim beyond. A flat end it is if the rim makes the plate miss the slice by far.
+    """
+    is_open = np.zeros(contour.shape[0], np.bool_)
+    slices = np.unique(knots.slice)
+    if slices.size < 4:
+        return is_open
+    along = LONG_AXIS * contour[:, 0]
+    for outer, inner in ((slices[0], slices[1]), (slices[-1], slices[-2])):
+        mine, next_one = knots.slice == outer, knots.slice == inner
+        level, before = (float(np.average(knots.u[m], weights=knots.weight[m])) for m in (mine, next_one))
+        if level <= _OPEN_RATIO * before or level <= 1.0:
+            continue
+        # the outline beyond the outer slice, which may cross the product at a slant
+        v, s = knots.v[mine], knots.s[mine]
+        lean = np.polyfit(v, s, 1) if np.ptp(v) > 1.0 else np.array([0.0, s.mean()])
+        step = s.mean() - knots.s[next_one].mean()
+        beyond = (along - np.polyval(lean, contour[:, 1])) * np.sign(step) > 0.3 * abs(step)
+        others = Knots(*(getattr(knots, name)[~mine] for name in Knots.__slots__))
+        misses = []
+        for opened in (is_open, is_open | beyond):
+            guess = _plate(others, contour, opened).at(s, v)
+            misses.append(float(np.average(guess, weights=knots.weight[mine])) - level)
+        if misses[0] < -_OPEN_MISS * level and abs(misses[1]) < 0.5 * abs(misses[0]):
+            is_open |= beyond
+    return is_open
+
+
+def _plate(knots: Knots, contour: Floats, open_end: Any) -> Plate:
+    rim = contour[~open_end][::2]
+    return plate_through(knots, LONG_AXIS * rim[:, 0], rim[:, 1], np.full(rim.shape[0], _RIM_WEIGHT))
+
+
+def _at_border(
+    plate: Plate, rim: Rim, contour: Floats, border: Border, frame: tuple[Floats, Floats], open_end: Any
+) -> tuple[Floats, Floats]:
+    """Height of the edge that made the outline, and how the dome falls to it (α, mm), along the border."""
+    inner = contour - _PROBE_MM * (border.outward @ frame[1])
+    dome_mm = np.maximum(_height(plate.at(LONG_AXIS * inner[:, 0], inner[:, 1]), rim), 0.0)
+    level = rim.at(contour[:, 0], contour[:, 1])
+    top = level + _height(plate.at(LONG_AXIS * contour[:, 0], contour[:, 1]), rim)
+    # A wall that the camera sees ends at the belt if there is no dome above it: it is upright then.
+    foot = level * np.clip(2.0 * dome_mm / np.maximum(level, 1e-3), 0.0, 1.0)
+    height = np.where(border.tilt < 0.0, foot, np.where(open_end, top, level))
+    fall = dome_mm**2 / _PROBE_MM if rim.upright else np.zeros_like(dome_mm)
+    return height, np.where(open_end | (border.tilt < 0.0), 0.0, fall)
+
+
+@lru_cache(maxsize=8)
+def _gauss(count: int) -> tuple[Floats, Floats]:
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    return nodes, weights
+
+
+def slices_in_order(knots: Knots) -> Integers:
+    """Numbers of the slices that have knots."""
+    return np.unique(knots.slice)

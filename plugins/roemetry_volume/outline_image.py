@@ -1,0 +1,90 @@
+"""The picture an outline is looked for in: how much brighter or darker than the empty belt each place is."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roemetry.arrays import Floats
+
+_SMOOTH_PX = 5.0
+_GRID_PX = 8
+_ROUNDS = 6
+
+
+def over_belt(pixels: NDArray[Any], belt: NDArray[Any] | None, product: NDArray[np.bool_]) -> Floats:
+    """Give log(image / empty belt), (row, column).
+
+    Parameters
+    ----------
+    pixels
+        (row, column) or (row, column, colour) grey levels; of colours the one is taken in which product and
+        belt differ most.
+    belt
+        The empty belt in the same light, of the same shape; None: a polynomial of second order through the
+        image's own belt.
+    product
+        (row, column) True where stripes show product, which is left out of that polynomial.
+    """
+    import cv2
+
+    if pixels.ndim == 3:
+        planes = [
+            over_belt(pixels[..., k], None if belt is None else belt[..., k], product) for k in range(3)
+        ]
+        return max(planes, key=lambda plane: _contrast(plane, product))
+    bright = np.log(pixels.astype(np.float64) + 1.0)
+    if belt is not None:
+        smooth = cv2.GaussianBlur(belt.astype(np.float64), (0, 0), _SMOOTH_PX)
+        level = bright - np.log(smooth + 1.0)
+        return np.asarray(level - np.median(level[~product]))
+    return np.asarray(bright - _own_belt(bright, product))
+
+
+def _own_belt(bright: Floats, product: NDArray[np.bool_]) -> Floats:
+    """Fit the belt's brightness where it is not product, by least squares that drop what is far off."""
+    rows, columns = bright.shape
+    y, x = np.mgrid[0:rows:_GRID_PX, 0:columns:_GRID_PX]
+    a, b = x.ravel() / columns - 0.5, y.ravel() / rows - 0.5
+
+    def design(u: Floats, v: Floats) -> Floats:
+        return np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=-1)
+
+    terms, seen = design(a, b), bright[::_GRID_PX, ::_GRID_PX].ravel()
+    use = ~product[::_GRID_PX, ::_GRID_PX].ravel()
+    if use.sum() < terms.shape[1]:
+        use[:] = True
+    for _ in range(_ROUNDS):
+        found, *_ = np.linalg.lstsq(terms[use], seen[use], rcond=None)
+        off = seen - terms @ found
+        middle = np.median(off[use])
+        limit = max(3.0 * 1.4826 * float(np.median(np.abs(off[use] - middle))), 0.02)
+        again = use & (np.abs(off - middle) < limit)
+        if again.sum() < 4 * terms.shape[1]:
+            break
+        use = again
+    v, u = (np.arange(rows) / rows - 0.5)[:, None], (np.arange(columns) / columns - 0.5)[None, :]
+    c = found
+    return np.asarray(c[0] + v * (c[2] + c[5] * v) + u * (c[1] + c[3] * u) + c[4] * (u * v))
+
+
+def _contrast(plane: Floats, product: NDArray[np.bool_]) -> float:
+    if not product.any() or product.all():
+        return float(plane.std())
+    inside, outside = plane[product], plane[~product]
+    return abs(float(np.median(inside) - np.median(outside))) / (float(outside.std()) + 1e-6)
+
+
+def glow(pixels: NDArray[Any], spacing_px: float) -> NDArray[Any]:
+    """Take the stripes out of a laser image: what is left is ambient light, and shadow.
+
+    Grey opening along the rows by more than a stripe is wide, less than stripes are apart; then smoothing.
+    """
+    import cv2
+
+    width = max(int(0.6 * spacing_px) | 1, 9)
+    opened = cv2.morphologyEx(pixels, cv2.MORPH_OPEN, np.ones((1, width), np.uint8))
+    smooth = cv2.GaussianBlur(opened.astype(np.float32), (0, 0), 2.5)
+    return np.asarray(np.rint(64.0 * smooth).astype(np.uint16))

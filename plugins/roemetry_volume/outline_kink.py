@@ -1,0 +1,80 @@
+"""An outline to a part of a pixel: a model of the brightness across it, fitted on every normal."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from roemetry.arrays import Floats
+from roemetry_volume.outline_ring import along_normals, normals_of, rounded
+from roemetry_volume.silhouette import evenly
+
+_BLUR_PX = 0.65  # of a sharp lens, with the image's resampling
+_REACH_PX = 6.0
+_STEP_PX = 0.5
+_SEARCH_PX = 2.5
+_SEARCH_STEP_PX = 0.25
+_NEIGHBOURS = 1.0
+_ROUND_OFF = 1.5
+_BEND = 0.3
+
+
+def kinked(level: Floats, ring: Floats) -> tuple[Floats, float]:
+    """Move a ring to where the brightness has its kink.
+
+    Inside, brightness is a + b·√d + c·d in the distance d from the edge (a round body turns away from the
+    light as the root of d); outside f + g·d (a shadow that thins out); both blurred. For each place of the
+    edge that is a linear fit; the places are then chosen around the ring together.
+
+    Parameters
+    ----------
+    level
+        (row, column) log(image / belt), falling outwards.
+    ring : ndarray, shape (n, 2)
+        The outline to about two pixels.
+
+    Returns
+    -------
+    ring : ndarray, shape (n, 2)
+        The outline.
+    rough_px : float
+        Root mean square scatter of single normals about their neighbours.
+    """
+    from roemetry_kernels.closed_contour import closed_path
+
+    normal = normals_of(ring)
+    off, places, residual = _model()
+    seen = rounded(along_normals(level, ring, normal, off), _NEIGHBOURS)
+    cost = np.stack([((seen @ left) ** 2).sum(axis=1) for left in residual], axis=1)
+    usual = float(np.median(cost.max(axis=1) - cost.min(axis=1))) or 1.0
+    path = closed_path(cost / usual, _BEND, 2)
+    row = np.arange(ring.shape[0])
+    inner = np.clip(path, 1, places.size - 2)
+    before, here, after = (cost[row, inner + k] for k in (-1, 0, 1))
+    curve = before - 2.0 * here + after
+    with np.errstate(divide="ignore", invalid="ignore"):
+        part = np.where(curve > 0.0, np.clip(0.5 * (before - after) / curve, -0.75, 0.75), 0.0)
+    exact = places[path] + _SEARCH_STEP_PX * np.where(inner == path, part, 0.0)
+    even = rounded(exact[:, None], _ROUND_OFF)
+    rough = float(np.sqrt(np.mean((exact - even[:, 0]) ** 2)))
+    return evenly(ring + even * normal, ring.shape[0]), rough
+
+
+@lru_cache(maxsize=1)
+def _model() -> tuple[Floats, Floats, Floats]:
+    """Distances of samples, places of the edge, and for each the matrix that leaves what does not fit."""
+    off = np.arange(-_REACH_PX, _REACH_PX + 0.5 * _STEP_PX, _STEP_PX)
+    places = np.arange(-_SEARCH_PX, _SEARCH_PX + 0.5 * _SEARCH_STEP_PX, _SEARCH_STEP_PX)
+    fine = np.arange(-_REACH_PX - 4.0, _REACH_PX + 4.0, 0.05)
+    blur = np.exp(-0.5 * ((off[:, None] - fine[None, :]) / _BLUR_PX) ** 2)
+    blur /= blur.sum(axis=1)[:, None]
+    residual = []
+    for place in places:
+        within = np.clip(place - fine, 0.0, None)
+        beyond = np.clip(fine - place, 0.0, None)
+        inside = (fine < place).astype(np.float64)
+        design = blur @ np.column_stack([np.ones_like(fine), inside, np.sqrt(within), within, beyond])
+        q, _ = np.linalg.qr(design)
+        residual.append(np.eye(off.size) - q @ q.T)
+    return off, places, np.array(residual)

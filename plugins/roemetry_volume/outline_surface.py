@@ -1,0 +1,114 @@
+"""Visible volume from stripes and outline together: the default where a plain-light image exists."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from roemetry.errors import StageError
+from roemetry.records import Product, Reason, Shares, Volume
+from roemetry.stages import Capabilities, VolumeEstimator
+from roemetry_volume.fusing import Fused, fuse
+from roemetry_volume.outline_doubts import outline_fault
+from roemetry_volume.slice_doubts import reasons_of
+from roemetry_volume.slice_estimators import SlicePchip
+from roemetry_volume.slice_options import SliceOptions
+from roemetry_volume.slice_table import Slices, slices_of
+from roemetry_volume.surface_budget import budget_of
+from roemetry_volume.underside import UndersideOptions, estimate_of, true_volume
+
+
+class OutlineSurface(VolumeEstimator[UndersideOptions]):
+    """Integrates a surface through stripes and outline over the footprint.
+
+    Where there is no outline, or none that can be believed, it gives what `slice-pchip` gives, and says so.
+    """
+
+    Options = UndersideOptions
+    capabilities = Capabilities(relative_tolerance=0.026)
+
+    def estimate(self, product: Product, *, rng: np.random.Generator | None = None) -> Volume:
+        """Estimate the visible volume; with `rng` every cause of the budget is drawn.
+
+        Raises
+        ------
+        StageError
+            Fewer than three stripes lie on the product, it is cut by the image's edge, or the volume is not
+            positive.
+        """
+        slices = slices_of(product)
+        why = outline_fault(product, slices)
+        if why is not None or product.outline is None or product.view is None:
+            return self._by_slices(product, why, rng)
+        fused = fuse(product, product.view, product.outline.xy_px)
+        late = outline_fault(product, slices, fused)
+        if late is not None:
+            return self._by_slices(product, late, rng)
+        volume = fused.volume_mm3
+        if not volume > 0.0:
+            raise StageError(
+                f"the surface encloses {volume:.4g} mm³: the points lie on or below the belt",
+                hint="look at the coding and the belt's zero",
+            )
+        budget = budget_of(fused, product.view, product.outline.xy_std_px)
+        if rng is not None:
+            volume += sum(std * rng.standard_normal() for std in budget.values())
+        visible = estimate_of(volume, budget)
+        return Volume(
+            visible_mm3=visible,
+            true_mm3=true_volume(self.options, visible, float(fused.weight_mm2.sum()), rng),
+            shares=_shares(fused, slices, product),
+            slice_stripe=slices.stripe,
+            slice_area_mm2=slices.area_mm2,
+            slice_spacing_mm=slices.held_mm,
+            reasons=reasons_of(product, slices) + _reasons(fused),
+        )
+
+    def _by_slices(self, product: Product, why: Reason | None, rng: np.random.Generator | None) -> Volume:
+        options = SliceOptions(**self.options.model_dump())
+        volume = SlicePchip(options).estimate(product, rng=rng)
+        return volume if why is None else replace(volume, reasons=(why, *volume.reasons))
+
+
+def _reasons(fused: Fused) -> tuple[Reason, ...]:
+    if not fused.open_end.any():
+        return ()
+    return (
+        Reason(
+            "flat-end",
+            "the slices do not fall towards an end of the outline: the surface goes on there as it comes, "
+            "up to an upright end",
+        ),
+    )
+
+
+def _shares(fused: Fused, slices: Slices, product: Product) -> Shares:
+    """What lies beyond the outer slices is assumed; between them it is as seen as the slices are."""
+    planes = product.profiles.plane
+    slope = -planes[:, 2] / planes[:, 0]
+    t = slices.table[:, 0]
+    lit = [int(np.flatnonzero(product.profiles.stripe == stripe)[0]) for stripe in slices.stripe[[0, -1]]]
+    heights = fused.heights()
+    xy = _belt_xy(fused)
+    beyond = np.zeros(heights.size, np.bool_)
+    y0 = 0.5 * float(fused.points.xyz_mm[:, 1].min() + fused.points.xyz_mm[:, 1].max())
+    for end, sign in ((0, -1.0), (1, 1.0)):
+        plane = planes[lit[end]]
+        at = xy[:, 0] + plane[1] / plane[0] * (xy[:, 1] - y0) - slope[lit[end]] * heights
+        beyond |= sign * (at - t[-end]) > 0.0
+    part = fused.weight_mm2 * np.abs(heights)
+    assumed = float(part[beyond].sum() / part.sum())
+    between = slices.seen_mm3 + slices.joined_mm3 + slices.assumed_mm3
+    seen = (1.0 - assumed) * slices.seen_mm3 / between
+    joined = (1.0 - assumed) * slices.joined_mm3 / between
+    return Shares(seen, joined, max(1.0 - seen - joined, 0.0) if not math.isnan(seen) else math.nan)
+
+
+def _belt_xy(fused: Fused) -> np.ndarray:
+    """Belt X and Y of the nodes: from three points of the border, whose places are known in both frames."""
+    design = np.column_stack([fused.contour, np.ones(fused.contour.shape[0])])
+    turn, *_ = np.linalg.lstsq(design, fused.border.xy_mm, rcond=None)
+    places: np.ndarray = np.column_stack([fused.s, fused.v, np.ones_like(fused.s)]) @ turn
+    return places

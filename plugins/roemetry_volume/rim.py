@@ -1,0 +1,113 @@
+"""Height of the rim, where the surface turns vertical: from the ends of the stripes, along the product."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from roemetry.arrays import Floats, Integers
+
+_LENGTH_MM = 5.0
+_HEIGHT_STD_MM = 0.1
+_SPREAD_FLOOR_MM = 0.2
+_UPRIGHT_LEAST = 0.35
+_RIDGE = np.array([0.0, 0.05, 0.05, 0.2])
+
+
+class StripePoints(NamedTuple):
+    """A product's points, slice after slice, down the rows.
+
+    `xyz_mm` (n, 3); `slice` (n,) counts up from 0 over the slices with points; `first` (slices + 1,) where
+    each begins, and the end.
+    """
+
+    xyz_mm: Floats
+    slice: Integers
+    first: Integers
+
+
+class Rim(NamedTuple):
+    """Height of the rim as a low-order polynomial: c₀ + c₁s + c₂s² + c₃v over scaled s and v.
+
+    `std_mm` says how sure its level is; `upright` whether the surface meets it upright, as a dome does, or
+    at an angle, as a slope.
+    """
+
+    coefficients: Floats
+    scale_mm: tuple[float, float]
+    std_mm: float
+    upright: bool = True
+
+    def at(self, s: Floats, v: Floats) -> Floats:
+        """Height, mm, at places along and across the product."""
+        a, b = s / self.scale_mm[0], v / self.scale_mm[1]
+        c = self.coefficients
+        height: Floats = np.maximum(c[0] + a * (c[1] + c[2] * a) + c[3] * b, 0.0)
+        return height
+
+
+def ends_of(points: StripePoints) -> tuple[Integers, Integers, Integers]:
+    """Give the points of both ends of each slice, outermost first, within 5 mm along Y.
+
+    Returns
+    -------
+    index, first, size
+        Points of all ends in a row; where each end begins in that, and how many points it has.
+    """
+    parts = []
+    y = points.xyz_mm[:, 1]
+    for begin, stop in zip(points.first[:-1].tolist(), points.first[1:].tolist(), strict=True):
+        near = np.abs(y[begin:stop] - y[begin]) <= _LENGTH_MM
+        far = np.abs(y[begin:stop] - y[stop - 1]) <= _LENGTH_MM
+        parts.append(begin + np.flatnonzero(near))
+        parts.append(begin + np.flatnonzero(far)[::-1])
+    size = np.array([part.size for part in parts])
+    return np.concatenate(parts), np.concatenate([[0], np.cumsum(size)[:-1]]), size
+
+
+def rim_of(
+    points: StripePoints, ends: tuple[Integers, Integers, Integers], place: Floats, inside_mm: Floats
+) -> Rim:
+    """Fit the rim.
+
+    Parameters
+    ----------
+    points
+        The product's points.
+    ends
+        As `ends_of` gave them.
+    place : ndarray, shape (n, 2)
+        Along and across the product, mm.
+    inside_mm : ndarray
+        Distance inside the outline of the points that `ends` lists.
+    """
+    from roemetry_kernels.rim_ends import rim_heights
+
+    index, first, size = ends
+    heights, spread, upright = rim_heights(
+        inside_mm, points.xyz_mm[index, 2], first.astype(np.float64), size.astype(np.float64), _HEIGHT_STD_MM
+    )
+    outermost = index[first]
+    is_dome = not float(np.nanmedian(upright)) < _UPRIGHT_LEAST if np.isfinite(upright).any() else True
+    known = np.isfinite(heights)
+    s, v = place[:, 0], place[:, 1]
+    scale = max(float(np.ptp(s)) / 2.0, 1.0), max(float(np.ptp(v)) / 2.0, 1.0)
+    if known.sum() < 4:
+        # too few ends to say more than: somewhat below the lowest points that were seen
+        level = 0.8 * float(np.median(points.xyz_mm[outermost, 2]))
+        return Rim(np.array([max(level, 0.0), 0.0, 0.0, 0.0]), scale, max(0.3 * level, 0.2), is_dome)
+    at, rim = outermost[known], heights[known]
+    a, b = s[at] / scale[0], v[at] / scale[1]
+    design = np.column_stack([np.ones_like(a), a, a * a, b])
+    base = 1.0 / (spread[known] ** 2 + _SPREAD_FLOOR_MM**2)
+    base /= base.mean()
+    weight = base.copy()
+    for _ in range(8):
+        normal = design.T @ (weight[:, None] * design) + np.diag(_RIDGE)
+        found = np.linalg.solve(normal, design.T @ (weight * rim))
+        off = rim - design @ found
+        limit = max(1.4826 * float(np.median(np.abs(off))), 0.1)
+        weight = base / (1.0 + (off / (2.0 * limit)) ** 2)
+    std = float(np.sqrt((weight * (off**2 + spread[known] ** 2)).sum() / weight.sum() / (known.sum() / 3.0)))
+    return Rim(found, scale, max(std, 0.1), is_dome)
