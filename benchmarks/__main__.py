@@ -16,6 +16,7 @@ BENCHMARKS = {
     "simulate": "time of a simulated image on one core",
     "image_looks": "stripe width, saturation and grey levels of simulated and of real images",
     "paper_figures": "Figures 7 and 9 of the paper, from any image",
+    "volume": "error of every volume estimator on simulated skeins, and the page of it",
 }
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,8 @@ from roemetry_simulate import scene_rig
 from roemetry_simulate.camera import Camera, looking_down
 from roemetry_simulate.laser import LaserFan, fan_through
 from roemetry_simulate.lens import camera_ray
+from roemetry_simulate.placing import in_reach
+from roemetry_simulate.products import PRODUCTS, Drawn
 from roemetry_simulate.raycast import hit_body
 from roemetry_simulate.render import Rig
 from roemetry_simulate.sensor import Sensor
@@ -41,11 +44,73 @@ class Exact:
         With outline and view.
     visible_mm3, true_mm3 : float
         The answer.
+    extent_mm : tuple of float
+        Smallest and largest X of the footprint.
+    figures : mapping
+        What the product's family says of it.
+    defect : str
+        Its defect.
     """
 
     product: Product
     visible_mm3: float
     true_mm3: float
+    extent_mm: tuple[float, float] = (0.0, 0.0)
+    figures: Mapping[str, float] = field(default_factory=dict)
+    defect: str = "none"
+
+
+def skein(seed: int, stripes: int = 11) -> tuple[Rig, Drawn]:
+    """Draw a skein and the rig of the same seed, and keep it within 1.2 spacings of eleven stripes."""
+    rig, family = rig_of(seed, stripes), PRODUCTS["herring-roe"]
+    return rig, in_reach(family.draw(seed, family.Options()), rig_of(seed, 11), 1.2)
+
+
+def exact_skein(seed: int, stripes: int, cache: Path) -> Exact:
+    """Trace a skein, or take it from the cache."""
+    path = cache / f"{seed}_{stripes}.npz"
+    rig, drawn = skein(seed, stripes)
+    calibration = calibration_of(rig)
+    if not path.exists():
+        truth = stripe_centres(rig.camera, rig.laser, drawn.solid, step_px=1.0)
+        cache.mkdir(parents=True, exist_ok=True)
+        # written whole or not at all
+        part = path.with_suffix(".part.npz")
+        np.savez_compressed(
+            part,
+            x_px=truth.x_px,
+            xyz_mm=truth.xyz_mm,
+            on_product=truth.on_product,
+            hits=truth.hits,
+            outline=silhouette(rig.camera, drawn.solid),
+        )
+        part.replace(path)
+    with np.load(path) as kept:
+        truth = StripeTruth(kept["x_px"], kept["xyz_mm"], kept["on_product"], kept["hits"])
+        outline = Outline(1, kept["outline"], 0.0)
+    product = Product(
+        1, profiles_of(truth, calibration.view), calibration, (str(seed),), outline, (), calibration.view
+    )
+    extent = drawn.solid.footprint_extent_mm()
+    solid = drawn.solid
+    return Exact(
+        product,
+        solid.visible_volume_mm3,
+        solid.true_volume_mm3,
+        (extent[0], extent[1]),
+        drawn.truth.figures,
+        drawn.truth.defect,
+    )
+
+
+def thinned(one: Exact, step: int, first: int = 0) -> Exact:
+    """Keep every so many of the stripes."""
+    profiles, keep = one.product.profiles, slice(first, None, step)
+    names = ("xyz_mm", "product", "seen", "x_px", "row_px", "height_std_mm", "frame", "plane")
+    kept = {name: getattr(profiles, name)[keep] for name in names}
+    count = kept["frame"].size
+    product = replace(one.product, profiles=replace(profiles, stripe=np.arange(count), **kept))
+    return replace(one, product=product)
 
 
 def rig_of(seed: int, stripes: int = 11) -> Rig:
@@ -104,7 +169,6 @@ def calibration_of(rig: Rig) -> Calibration:
     """Return a calibration that carries the true view; its linear parameters are of belt level only."""
     view = view_of(rig)
     rows = rig.camera.height_px
-    row = np.linspace(0.0, rows - 1.0, 9)
     y_mm = np.linspace(-60.0, 60.0, 9)
     rest, slope = [], []
     for normal, offset in zip(rig.laser.normals, rig.laser.offsets_mm, strict=True):
@@ -115,7 +179,6 @@ def calibration_of(rig: Rig) -> Calibration:
             at.append(np.polynomial.polynomial.polyfit(seen[:, 1] - (rows - 1) / 2.0, seen[:, 0], 2))
         rest.append(at[0])
         slope.append(at[1][0] - at[0][0])
-    del row
     count = rig.laser.count
     return Calibration(
         method="exact",
@@ -130,7 +193,7 @@ def calibration_of(rig: Rig) -> Calibration:
     )
 
 
-def exact(rig: Rig, solid: Solid, *, outline: bool = True, step_px: float = 0.5) -> Exact:
+def exact(rig: Rig, solid: Solid, *, outline: bool = True, step_px: float = 1.0) -> Exact:
     """Trace the stripes and the silhouette of a product."""
     truth = stripe_centres(rig.camera, rig.laser, solid, step_px=step_px)
     calibration = calibration_of(rig)
@@ -170,9 +233,9 @@ def silhouette(camera: Camera, solid: Solid, points: int = 400) -> Floats:
     import cv2
 
     body = solid.body()
-    mask = _mask(body, camera.packed(), camera.rotation, (camera.height_px, camera.width_px))
+    mask = _mask(body, camera.packed(), camera.rotation, (camera.height_px // 2, camera.width_px // 2))
     found, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    chain = max(found, key=len)[:, 0, :].astype(np.float64)
+    chain = 2.0 * max(found, key=len)[:, 0, :].astype(np.float64)
     return _refined(body, camera.packed(), camera.rotation, *_even(chain, points))
 
 
@@ -180,7 +243,7 @@ def _even(chain: Floats, points: int) -> tuple[Floats, Floats]:
     """Resample a closed chain evenly after light smoothing; also outward normals."""
     from scipy.ndimage import gaussian_filter1d
 
-    smooth = gaussian_filter1d(chain, 3.0, axis=0, mode="wrap")
+    smooth = gaussian_filter1d(chain, 2.0, axis=0, mode="wrap")
     closed = np.vstack([smooth, smooth[:1]])
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(closed, axis=0).T))])
     at = np.linspace(0.0, along[-1], points, endpoint=False)
@@ -204,7 +267,7 @@ def _mask(body, pinhole, rotation, shape):  # type: ignore[no-untyped-def] # noq
     view = np.zeros(3)
     for row in range(shape[0]):
         for column in range(shape[1]):
-            if _is_hit(body, pinhole, rotation, column, row, view, 1e-2):
+            if _is_hit(body, pinhole, rotation, 2 * column, 2 * row, view, 1e-2):
                 mask[row, column] = 1
     return mask
 

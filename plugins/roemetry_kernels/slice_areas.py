@@ -14,6 +14,8 @@ as a hole (mm); highest and lowest Z (mm); number of points; first and last row 
 _STEP_MAX = 1.5  # rows; a larger step between neighbours means that rows are missing
 _HOLE_SHARE = 0.3
 _GAP_SHARE = 0.4
+_END_ROWS = 4
+_JUMP, _JUMP_MM = 2.2, 0.8
 
 
 @kernel
@@ -35,9 +37,9 @@ def slice_areas(
     what it passes over, on both sides together, into that term.
 
     Each point stands for half the way to each of its neighbours; at a curve's end as much outwards as
-    inwards. Between two curves of a slice the area is bridged by a straight line, unless both ends are low
-    (below 0.3 of the slice's top) or the gap is wide (over 0.4 of the slice): then it is a hole, and nothing
-    is counted there.
+    inwards. Up to four rows at either end are left out where the height jumps. Between two curves of a slice
+    the area is bridged by a straight line, unless both ends are low (below 0.3 of the slice's top) or the gap
+    is wide (over 0.4 of the slice): then it is a hole, and nothing is counted there.
 
     Parameters
     ----------
@@ -131,6 +133,8 @@ def _area(
     if count == 0:
         return
     out[TOP], out[LOW] = top, low
+    start, stop = _trimmed(xyz_mm, on, count)
+    on, count = on[start:stop], stop - start
     out[FIRST_ROW], out[LAST_ROW] = row_px[on[0]], row_px[on[count - 1]]
     wall = 0.5 * (xyz_mm[on[0], 2] ** 2 + xyz_mm[on[count - 1], 2] ** 2)
     widest = _GAP_SHARE * abs(xyz_mm[on[count - 1], 1] - xyz_mm[on[0], 1])
@@ -152,6 +156,26 @@ def _area(
         out[WIDTH] += span
         out[AREA] += part
         out[SEEN if seen[k] else BRIDGED] += abs(part)
+
+
+@kernel
+def _trimmed(xyz_mm: Floats, on: Integers, count: int) -> tuple[int, int]:
+    """Leave out rows at a slice's ends that see a part of the belt beside the product.
+
+    Blur makes of the two a peak in between. There the height jumps, and then rises evenly.
+    """
+    start, stop = 0, count
+    if count < 4 * _END_ROWS:
+        return start, stop
+    for k in range(_END_ROWS):
+        here, inner, next_one = xyz_mm[on[k], 2], xyz_mm[on[k + 1], 2], xyz_mm[on[k + 2], 2]
+        if inner - here > max(_JUMP_MM, _JUMP * (next_one - inner)):
+            start = k + 1
+        m = count - 1 - k
+        here, inner, next_one = xyz_mm[on[m], 2], xyz_mm[on[m - 1], 2], xyz_mm[on[m - 2], 2]
+        if inner - here > max(_JUMP_MM, _JUMP * (next_one - inner)):
+            stop = m
+    return start, stop
 
 
 @kernel

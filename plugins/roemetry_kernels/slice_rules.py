@@ -53,8 +53,9 @@ def cap(
 ) -> tuple[float, float, float, float]:
     """Give what lies beyond an outer slice by the slices' taper.
 
-    A parabola through the three outer areas falls to zero at some distance ρ. The areas of an ellipsoid are
-    such a parabola. Where they fall ever less towards the end (a point) a straight line does.
+    A parabola through three outer areas falls to zero at some distance ρ. The areas of an ellipsoid are such
+    a parabola. Where they fall ever less towards the end (a point) a straight line does. The three lie some
+    tenth of the product apart: of slices closer than that, noise would lead the way.
 
     Parameters
     ----------
@@ -73,8 +74,7 @@ def cap(
         mm³; mm; dA/dt at the outer slice (mm, NaN without taper); `TAPERED`, `BLUNT` (no taper, but the next
         stripe shows belt: half the way to it is counted) or `NO_CAP`.
     """
-    n = t.size
-    i, j, k = (0, 1, 2) if at_end == 0 else (n - 1, n - 2, n - 3)
+    i, j, k = _three_outer(t, at_end)
     first = area[i]
     x1, x2 = abs(t[j] - t[i]), abs(t[k] - t[i])
     # area inwards: first + g·x + c·x²
@@ -96,6 +96,22 @@ def cap(
     if limited:
         return 0.5 * reach_mm * first, 0.5 * reach_mm, np.nan, BLUNT
     return 0.0, 0.0, np.nan, NO_CAP
+
+
+@kernel
+def _three_outer(t: Floats, at_end: int) -> tuple[int, int, int]:
+    """Numbers of the outer slice and of the next ones that lie 0.08 and 0.17 of the whole length inwards."""
+    n = t.size
+    step = 1 if at_end == 0 else -1
+    i = 0 if at_end == 0 else n - 1
+    span = t[n - 1] - t[0]
+    j = 1
+    while j < n - 2 and abs(t[i + step * j] - t[i]) < 0.08 * span:
+        j += 1
+    k = j + 1
+    while k < n - 1 and abs(t[i + step * k] - t[i]) < 0.17 * span:
+        k += 1
+    return i, i + step * j, i + step * k
 
 
 @kernel

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from roemetry.arrays import Floats, Integers
+from roemetry.arrays import Floats
 from roemetry.records import Product
 from roemetry.view import View
 from roemetry_volume.rim import Rim, StripePoints, ends_of, rim_of
@@ -101,9 +101,9 @@ def fuse(product: Product, view: View, contour_px: Floats) -> Fused:
     open_end = np.zeros(_POINTS, np.bool_)
     for _ in range(_ROUNDS):
         contour = (border.xy_mm - centre) @ turn
-        inside = inside_by(contour, place)
-        rim = rim_of(points, ends, place, inside[ends[0]])
-        knots = _knots(points, place, rim, inside)
+        coarse = contour[::2]
+        rim = rim_of(points, ends, place, inside_by(coarse, place[ends[0]]))
+        knots = _knots(points, place, rim, coarse)
         open_end = _open_ends(knots, contour)
         plate = _plate(knots, contour, open_end)
         height, fall = _at_border(plate, rim, contour, border, (centre, turn), open_end)
@@ -125,10 +125,13 @@ def _axes(xy: Floats) -> tuple[Floats, Floats]:
     return centre, np.column_stack([long, [-long[1], long[0]]])
 
 
-def _knots(points: StripePoints, place: Floats, rim: Rim, inside_mm: Floats) -> Knots:
+def _knots(points: StripePoints, place: Floats, rim: Rim, contour: Floats) -> Knots:
+    from roemetry_kernels.footprint import inside_by
+
     over = points.xyz_mm[:, 2] - rim.at(place[:, 0], place[:, 1])
     # what is seen of the wall below the rim is no part of the dome
-    dome = (over > -_BELOW_RIM_MM) | (inside_mm > _WALL_MM)
+    dome = over > -_BELOW_RIM_MM
+    dome[~dome] = inside_by(contour, place[~dome]) > _WALL_MM
     s, v = LONG_AXIS * place[dome, 0], place[dome, 1]
     return grouped(s, v, _value(over, rim)[dome], points.slice[dome])
 
@@ -198,8 +201,3 @@ def _at_border(
 def _gauss(count: int) -> tuple[Floats, Floats]:
     nodes, weights = np.polynomial.legendre.leggauss(count)
     return nodes, weights
-
-
-def slices_in_order(knots: Knots) -> Integers:
-    """Numbers of the slices that have knots."""
-    return np.unique(knots.slice)

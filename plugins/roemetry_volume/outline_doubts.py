@@ -62,10 +62,10 @@ def _disagreement(fused: Fused) -> Reason | None:
     """Compare the stripes' points and ends with the border."""
     from roemetry_kernels.footprint import inside_by
 
-    inside = inside_by(fused.contour, fused.place)
+    inside = inside_by(fused.contour[::4], fused.place[::3])
     outside = float((inside < -_OUTSIDE_MM).mean())
     ends = np.concatenate([fused.points.first[:-1], fused.points.first[1:] - 1])
-    short = float(np.median(inside[ends]))
+    short = float(np.median(inside_by(fused.contour[::4], fused.place[ends])))
     if outside <= _OUTSIDE_SHARE and short <= _SHORT_MM:
         return None
     what = (

@@ -78,7 +78,8 @@ def edge_around(level: Floats, region: NDArray[np.bool_], *, shaded: bool = True
         smooth = cv2.GaussianBlur(falling, (0, 0), search.smooth_px)
         ring, rough = _moved(smooth, ring, search, shaded)
     if shaded:
-        ring, rough = kinked(falling, ring)
+        for _ in range(2):
+            ring, rough = kinked(falling, ring)
     rows, columns = level.shape
     ring = np.clip(ring, -0.5, np.array([columns, rows]) - 0.5)
     return Edge(ring, rough)

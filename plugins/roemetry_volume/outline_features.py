@@ -27,9 +27,10 @@ def features_of(xy_px: Floats, pixels: NDArray[Any]) -> dict[str, float]:
     Returns
     -------
     dict
-        ``area_px2``, ``length_px`` (along its long axis), ``width_px`` (largest across its mid-line),
-        ``convexity`` (area over that of its convex hull), ``bending_deg`` (turn of the mid-line from end to
-        end), ``sagitta_share`` (largest distance of the mid-line from the line between its ends, over that
+        ``area_px2``, ``length_px`` (along its long axis), ``width_px`` (largest across that),
+        ``convexity`` (area over that of its convex hull), ``bending_deg`` (turn of a cubic through the
+        middles of cuts, within the inner 88 %; short of the true turn of strongly bent ones),
+        ``sagitta_share`` (largest distance of the mid-line from the line between its ends, over that
         line), ``grey_mean`` and ``grey_std``, and in colour ``blue_mean``, ``green_mean``, ``red_mean``.
     """
     import cv2

@@ -10,8 +10,8 @@ from roemetry.arrays import Floats
 from roemetry_volume.outline_ring import along_normals, normals_of, rounded
 from roemetry_volume.silhouette import evenly
 
-_BLUR_PX = 0.65  # of a sharp lens, with the image's resampling
-_REACH_PX = 6.0
+_BLUR_PX = 0.6  # of a sharp lens, with the resampling of the image
+_REACH_PX = 5.0
 _STEP_PX = 0.5
 _SEARCH_PX = 2.5
 _SEARCH_STEP_PX = 0.25

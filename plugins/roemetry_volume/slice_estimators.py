@@ -18,6 +18,7 @@ from roemetry_volume.underside import estimate_of, true_volume
 _TAPER_STD = 0.25  # of a tapered cap's volume; see docs/reference/plugins/slice-spline.md
 _BETWEEN = 0.5  # of what leaving a slice out changes
 _OPEN_SPACINGS = 2.0
+_OPEN_SHARE = 0.2  # of the product's lit length; beyond either, an open end's taper is not believed
 
 
 class _SliceEstimator(VolumeEstimator[SliceOptions]):
@@ -79,7 +80,8 @@ class _SliceEstimator(VolumeEstimator[SliceOptions]):
         if self.options.ends == "hold":
             length = 0.5 * reach
             return length * float(slices.area_mm2[-end]), length, math.nan, BLUNT
-        within = reach if limited else _OPEN_SPACINGS * reach
+        span = float(slices.t_mm[-1] - slices.t_mm[0])
+        within = reach if limited else max(_OPEN_SPACINGS * reach, _OPEN_SHARE * span)
         found: tuple[float, float, float, float] = cap(slices.t_mm, slices.area_mm2, end, within, limited)
         return found
 

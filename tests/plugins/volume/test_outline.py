@@ -1,0 +1,186 @@
+"""Outlines on drawn images whose contour is known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from roemetry.errors import StageError
+from roemetry.records import Frame, StripeMap
+from roemetry_kernels.closed_contour import closed_path
+from roemetry_volume.edge_contour import EdgeContour, EdgeContourOptions
+from roemetry_volume.outline_features import features_of
+
+ROWS, COLUMNS = 240, 360
+ELLIPSE = (180.3, 118.6, 120.0, 45.0)
+
+
+def distance(xy: np.ndarray, ellipse=ELLIPSE) -> np.ndarray:
+    """Roughly the distance outside an ellipse, px (first order)."""
+    x, y, a, b = ellipse
+    u, v = (xy[..., 0] - x) / a, (xy[..., 1] - y) / b
+    f = u * u + v * v - 1.0
+    return f / (2.0 * np.sqrt((u / a) ** 2 + (v / b) ** 2) + 1e-9)
+
+
+def plain_image(rng: np.random.Generator, ellipses=(ELLIPSE,), *, bright: float = 110.0, shadow: bool = True):
+    """A round body that darkens towards its rim and throws a soft shadow, on an uneven belt."""
+    row, column = np.mgrid[0:ROWS:0.25, 0:COLUMNS:0.25] - 0.375
+    image = 70.0 + 0.03 * column + 0.02 * row
+    for ellipse in ellipses:
+        off = distance(np.stack([column, row], axis=-1), ellipse)
+        depth = np.clip(-off, 0.0, None)
+        body = (0.45 + 0.55 * np.sqrt(np.clip(1.0 - (1.0 - depth / 45.0) ** 2, 0.0, 1.0))) * bright
+        if shadow:
+            image *= np.where(off > 0.0, 1.0 - 0.35 * np.exp(-np.clip(off, 0.0, None) / 12.0), 1.0)
+        image = np.where(off <= 0.0, body, image)
+    image = cv2.resize(image, (COLUMNS, ROWS), interpolation=cv2.INTER_AREA)
+    image = cv2.GaussianBlur(image, (0, 0), 0.5) + rng.normal(0.0, 1.2, (ROWS, COLUMNS))
+    return Frame(np.clip(np.rint(image), 0, 255).astype(np.uint8), role="plain")
+
+
+def stripes_on(ellipses=(ELLIPSE,), spacing: float = 30.0) -> StripeMap:
+    """Upright stripes that show where the ellipses are, three pixels short of their border."""
+    x_px = np.arange(15.0, COLUMNS - 10.0, spacing)
+    grid = np.broadcast_to(x_px[:, None], (x_px.size, ROWS)).copy()
+    at = np.stack([grid, np.broadcast_to(np.arange(float(ROWS)), grid.shape)], axis=-1)
+    product = np.zeros(grid.shape, np.int16)
+    for number, ellipse in enumerate(ellipses, start=1):
+        product[distance(at, ellipse) < -3.0] = number
+    seen = np.ones(grid.shape, np.bool_)
+    return StripeMap(
+        x_px=grid,
+        x_std_px=np.full(grid.shape, 0.1),
+        product=product,
+        seen=seen,
+        margin=np.ones(grid.shape),
+        ambiguous=np.zeros(grid.shape, np.bool_),
+        rest_px=grid,
+        peak_stripe=np.zeros(0, np.int16),
+    )
+
+
+LASER = Frame(np.full((ROWS, COLUMNS), 12, np.uint8))
+
+
+@pytest.mark.parametrize("shadow", [True, False])
+def test_a_shaded_body_is_found_to_a_part_of_a_pixel(rng: np.random.Generator, shadow: bool) -> None:
+    (found,) = EdgeContour().outline(LASER, plain_image(rng, shadow=shadow), stripes_on(), None)
+    off = distance(found.xy_px)
+    assert abs(off.mean()) < 0.5  # px; the limb of this drawing falls as steeply as any can
+    assert np.abs(off).max() < 1.5
+    assert off.std() < found.xy_std_px
+    assert found.features["area_px2"] == pytest.approx(np.pi * 120.0 * 45.0, rel=0.015)
+
+
+def test_a_dark_body_on_a_bright_belt(rng: np.random.Generator) -> None:
+    (found,) = EdgeContour().outline(LASER, plain_image(rng, bright=25.0, shadow=False), stripes_on(), None)
+    assert abs(distance(found.xy_px).mean()) < 0.6  # px
+
+
+def test_two_products_have_an_outline_each(rng: np.random.Generator) -> None:
+    two = ((95.0, 120.0, 60.0, 40.0), (260.0, 115.0, 70.0, 45.0))
+    found = EdgeContour().outline(LASER, plain_image(rng, two), stripes_on(two), None)
+    assert [outline.product for outline in found] == [1, 2]
+    for outline, ellipse in zip(found, two, strict=True):
+        assert abs(distance(outline.xy_px, ellipse).mean()) < 0.6  # px
+
+
+def test_without_stripes_the_cores_are_found(rng: np.random.Generator) -> None:
+    none = replace(stripes_on(), product=np.zeros_like(stripes_on().product))
+    (found,) = EdgeContour().outline(LASER, plain_image(rng), none, None)
+    assert abs(distance(found.xy_px).mean()) < 0.6  # px
+
+
+def test_what_does_not_stand_out_has_no_outline(rng: np.random.Generator) -> None:
+    level = Frame(np.clip(rng.normal(70.0, 2.0, (ROWS, COLUMNS)), 0, 255).astype(np.uint8), role="plain")
+    assert EdgeContour().outline(LASER, level, stripes_on(), None) == ()
+
+
+def test_an_image_of_the_empty_belt_helps(rng: np.random.Generator, tmp_path) -> None:
+    """A dark patch of belt that touches the product is taken for belt."""
+    patch = np.ones((ROWS, COLUMNS))
+    patch[40:110, 200:360] = 0.5
+    belt = np.full((ROWS, COLUMNS), 72.0) * patch
+    cv2.imwrite(str(tmp_path / "belt.png"), belt.astype(np.uint8))
+    plain = plain_image(rng)
+    row, column = np.mgrid[0:ROWS, 0:COLUMNS]
+    outside = distance(np.stack([column, row], axis=-1).astype(float)) > 0.0
+    pixels = np.where(outside, plain.pixels * patch, plain.pixels).astype(np.uint8)
+    options = EdgeContourOptions(belt=tmp_path / "belt.png")
+    (found,) = EdgeContour(options).outline(LASER, replace(plain, pixels=pixels), stripes_on(), None)
+    assert abs(distance(found.xy_px).mean()) < 0.8  # px
+
+
+def test_colours_are_used(rng: np.random.Generator) -> None:
+    """A product as bright as the belt in red and blue, and brighter in green."""
+    green = plain_image(rng)
+    level = np.clip(rng.normal(70.0, 1.2, (ROWS, COLUMNS)), 0, 255).astype(np.uint8)
+    colour = replace(green, pixels=np.stack([level, green.pixels, level], axis=-1))
+    (found,) = EdgeContour().outline(LASER, colour, stripes_on(), None)
+    assert abs(distance(found.xy_px).mean()) < 0.6  # px
+    assert found.features["green_mean"] > found.features["red_mean"]
+
+
+def test_the_laser_image_has_an_outline_in_its_ambient_light(rng: np.random.Generator) -> None:
+    row, column = np.mgrid[0:ROWS, 0:COLUMNS].astype(float)
+    inside = distance(np.stack([column, row], axis=-1)) < 0.0
+    light = np.where(inside, 22.0, 12.0)
+    for x in np.arange(15.0, COLUMNS - 10.0, 30.0):
+        light += 150.0 * np.exp(-0.5 * ((column - x) / 1.6) ** 2)
+    frame = Frame(np.clip(np.rint(light + rng.normal(0.0, 1.0, light.shape)), 0, 255).astype(np.uint8))
+    (found,) = EdgeContour().outline(frame, None, stripes_on(), None)
+    assert abs(distance(found.xy_px).mean()) < 1.2  # px
+    assert found.xy_std_px > 1.0
+    with pytest.raises(StageError, match="there is no plain-light image"):
+        EdgeContour(EdgeContourOptions(light="plain")).outline(frame, None, stripes_on(), None)
+
+
+def test_images_that_do_not_fit_are_refused(rng: np.random.Generator, tmp_path) -> None:
+    plain = plain_image(rng)
+    with pytest.raises(StageError, match="the plain-light image is"):
+        EdgeContour().outline(LASER, replace(plain, pixels=plain.pixels[:100]), stripes_on(), None)
+    cv2.imwrite(str(tmp_path / "small.png"), plain.pixels[:100])
+    (tmp_path / "text.png").write_text("no image")
+    for name, says in (("small.png", "has shape"), ("text.png", "cannot be read")):
+        with pytest.raises(StageError, match=says):
+            EdgeContour(EdgeContourOptions(belt=tmp_path / name)).outline(LASER, plain, stripes_on(), None)
+
+
+def test_features_of_known_outlines() -> None:
+    angle = np.linspace(0.0, 2.0 * np.pi, 400, endpoint=False)
+    ellipse = np.column_stack([180.0 + 100.0 * np.cos(angle), 120.0 + 30.0 * np.sin(angle)])
+    pixels = np.full((ROWS, COLUMNS), 50, np.uint8)
+    found = features_of(ellipse, pixels)
+    assert found["length_px"] == pytest.approx(200.0, abs=0.5)
+    assert found["width_px"] == pytest.approx(60.0, abs=0.5)
+    assert found["area_px2"] == pytest.approx(np.pi * 3000.0, rel=1e-3)
+    assert found["convexity"] == pytest.approx(1.0, abs=2e-3)
+    assert found["bending_deg"] == pytest.approx(0.0, abs=0.5)
+    assert (found["grey_mean"], found["grey_std"]) == (50.0, 0.0)
+    # a band around an arc of 60 degrees
+    radius, turn = 150.0, np.deg2rad(60.0)
+    way = np.linspace(-turn / 2, turn / 2, 200)
+    band = [np.column_stack([r * np.sin(way), -r * np.cos(way)]) for r in (radius + 20.0, radius - 20.0)]
+    bent = features_of(np.vstack([band[0], band[1][::-1]]) + np.array([180.0, 260.0]), pixels)
+    assert 35.0 < bent["bending_deg"] < 60.0
+    assert 0.04 < bent["sagitta_share"] < np.tan(turn / 4) / 2.0
+    assert bent["convexity"] < 0.9
+
+
+def test_the_cheapest_closed_path_is_found(rng: np.random.Generator) -> None:
+    """Against every path of a small strip."""
+    cost = rng.uniform(0.0, 1.0, (6, 4))
+    best = np.inf
+    for code in range(4**6):
+        path = np.array([(code // 4**k) % 4 for k in range(6)])
+        if np.abs(path - np.roll(path, 1)).max() <= 1:
+            best = min(best, price(cost, path))
+    assert price(cost, closed_path(cost, 0.3, 1)) == pytest.approx(best, abs=1e-9)
+
+
+def price(cost: np.ndarray, path: np.ndarray) -> float:
+    return float(cost[np.arange(6), path].sum() + 0.3 * ((path - np.roll(path, 1)) ** 2).sum())

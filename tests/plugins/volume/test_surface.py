@@ -1,0 +1,190 @@
+"""The surface through stripes and outline, on convex bodies with closed volumes and exact silhouettes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from roemetry.errors import StageError
+from roemetry.records import Outline, Product, Profiles
+from roemetry.testing import LinearRig
+from roemetry.view import View
+from roemetry_volume.outline_surface import OutlineSurface
+from roemetry_volume.surface import Knots, plate_through, without_slice
+from roemetry_volume.underside import UndersideOptions
+
+CAMERA_MM, F_PX, ROWS, COLUMNS = 320.0, 1600.0, 480, 640
+STRIPES, SPACING_MM, LEAN = 11, 8.75, 0.5
+
+Top = Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+
+def view() -> View:
+    pose = np.diag([1.0, -1.0, -1.0, 1.0])
+    pose[2, 3] = CAMERA_MM
+    matrix = np.array([[F_PX, 0.0, (COLUMNS - 1) / 2], [0.0, F_PX, (ROWS - 1) / 2], [0.0, 0.0, 1.0]])
+    return View((ROWS, COLUMNS), matrix, pose, planes())
+
+
+def planes() -> np.ndarray:
+    t = SPACING_MM * (np.arange(STRIPES) - (STRIPES - 1) / 2) - 3.0
+    normal = np.array([1.0, 0.0, -LEAN]) / np.hypot(1.0, LEAN)
+    return np.column_stack([np.tile(normal, (STRIPES, 1)), t * normal[0]])
+
+
+def product(top: Top, highest: float, solid_points: np.ndarray, std_px: float = 0.1) -> Product:
+    """Slice the body below `top` (NaN outside); its silhouette is the hull of where its points appear."""
+    y = (np.arange(ROWS) - (ROWS - 1) / 2) * -0.2
+    t = planes()[:, 3] / planes()[:, 0]
+    z = np.full((STRIPES, ROWS), np.nan)
+    for level in np.linspace(highest, 0.0, 400):
+        there = np.isnan(z) & (top(t[:, None] + LEAN * level, y[None, :]) >= level)
+        z[there] = level
+    xyz = np.stack([t[:, None] + LEAN * z, np.where(np.isnan(z), np.nan, y[None, :]), z], axis=-1)
+    # what stands under the rim on the shadow side of an end wall is not lit from its top: exact tops only
+    on = np.isfinite(z) & (np.abs(top(xyz[..., 0], xyz[..., 1]) - z) < 2.0 * highest / 400)
+    xyz = np.where(
+        on[..., None], np.stack([xyz[..., 0], xyz[..., 1], top(xyz[..., 0], xyz[..., 1])], -1), np.nan
+    )
+    hull = cv2.convexHull(view().project(solid_points).astype(np.float32))[:, 0].astype(float)
+    rows = np.broadcast_to(np.arange(float(ROWS)), z.shape)
+    profiles = Profiles(
+        xyz_mm=xyz,
+        product=np.where(on, 1, -1).astype(np.int16),
+        seen=on,
+        x_px=np.where(on, 0.0, np.nan),
+        row_px=np.where(on, rows, np.nan),
+        height_std_mm=np.full(z.shape, np.nan),
+        stripe=np.arange(STRIPES),
+        frame=np.zeros(STRIPES, np.int64),
+        plane=planes(),
+    )
+    calibration = replace(LinearRig(rows=ROWS, columns=COLUMNS).calibration(), image_size=(ROWS, COLUMNS))
+    return Product(1, profiles, calibration, ("drawn",), Outline(1, hull, std_px), (), view())
+
+
+def dome(x0=0.0, y0=0.0, wall=5.0, a=40.0, b=14.0, c=8.0) -> tuple[Product, float]:
+    """Half an ellipsoid on an upright wall."""
+
+    def top(x, y):
+        q = 1.0 - ((x - x0) / a) ** 2 - ((y - y0) / b) ** 2
+        return np.where(q > 0.0, wall + c * np.sqrt(np.maximum(q, 0.0)), np.nan)
+
+    u, v = np.meshgrid(np.linspace(0, 2 * np.pi, 1500), np.linspace(0, np.pi / 2, 160))
+    points = np.stack(
+        [x0 + a * np.cos(u) * np.cos(v), y0 + b * np.sin(u) * np.cos(v), wall + c * np.sin(v)], axis=-1
+    )
+    return product(top, wall + c, points.reshape(-1, 3)), np.pi * a * b * (wall + 2.0 / 3.0 * c)
+
+
+def box(x0=0.0, y0=0.0, a=30.0, b=13.0, height=16.5) -> tuple[Product, float]:
+    def top(x, y):
+        return np.where((np.abs(x - x0) < a) & (np.abs(y - y0) < b), height, np.nan)
+
+    corners = np.array([[x0 + i * a, y0 + j * b, z] for i in (-1, 1) for j in (-1, 1) for z in (0.0, height)])
+    return product(top, height, corners), 4.0 * a * b * height
+
+
+def half_cylinder(a=34.0, r=13.0) -> tuple[Product, float]:
+    def top(x, y):
+        return np.where((np.abs(x) < a) & (np.abs(y) < r), np.sqrt(np.maximum(r * r - y * y, 0.0)), np.nan)
+
+    u = np.linspace(0, np.pi, 2000)
+    ends = [np.column_stack([np.full_like(u, s * a), r * np.cos(u), r * np.sin(u)]) for s in (-1, 1)]
+    return product(top, r, np.vstack(ends)), np.pi * r * r * a
+
+
+def off(made: tuple[Product, float]) -> float:
+    return OutlineSurface().estimate(made[0]).visible_mm3.value / made[1] - 1.0
+
+
+@pytest.mark.parametrize("wall", [0.0, 3.0, 8.0])
+@pytest.mark.parametrize("place", [(0.0, 0.0), (-4.0, 6.0)])
+def test_domes_on_walls(wall: float, place) -> None:
+    """Within 0.3 %, the silhouette 4 to 6 % larger than the footprint."""
+    assert off(dome(*place, wall=wall)) == pytest.approx(0.0, abs=3e-3)
+
+
+@pytest.mark.parametrize("place", [(0.0, 0.0), (-6.0, 8.0), (2.0, 25.0)])
+def test_a_box_off_centre(place) -> None:
+    """16.5 mm high: its top edge makes the far silhouette, its foot the near one."""
+    assert off(box(*place)) == pytest.approx(0.0, abs=5e-3)
+
+
+def test_flat_ends_are_not_rounded_off() -> None:
+    made = half_cylinder()
+    volume = OutlineSurface().estimate(made[0])
+    assert volume.visible_mm3.value / made[1] - 1.0 == pytest.approx(0.0, abs=1e-2)
+    assert "flat-end" in codes(volume)
+
+
+def test_the_interval_holds_the_truth_and_names_its_causes() -> None:
+    made = dome(-4.0, 6.0)
+    volume = OutlineSurface().estimate(made[0])
+    assert set(volume.visible_mm3.budget) == {"between slices", "settings", "outline", "rim"}
+    assert abs(volume.visible_mm3.value - made[1]) < 2.0 * volume.visible_mm3.std
+    assert volume.visible_mm3.std < 0.01 * made[1]
+    assert volume.shares.assumed == pytest.approx(0.05, abs=0.05)
+
+
+def test_an_outline_a_pixel_too_wide_moves_the_volume_as_budgeted() -> None:
+    one, _ = dome(wall=6.0)
+    middle = one.outline.xy_px.mean(axis=0)
+    ray = one.outline.xy_px - middle
+    wide = replace(one, outline=Outline(1, middle + ray * (1.0 + 1.0 / np.hypot(*ray.T))[:, None], 1.0))
+    narrow, wider = (OutlineSurface().estimate(each).visible_mm3 for each in (one, wide))
+    stated = wider.budget["outline"] / 0.35  # of a contour that errs alike all around
+    assert wider.value - narrow.value == pytest.approx(stated, rel=0.35)
+
+
+def test_leaving_a_slice_out_is_a_refit_without_it(rng: np.random.Generator) -> None:
+    number = np.repeat(np.arange(6), 9)
+    s, v = 4.0 * number, np.tile(np.linspace(-10.0, 10.0, 9), 6)
+    knots = Knots(s, v, 50.0 - 0.1 * s * s + rng.normal(0.0, 2.0, s.size), np.full(s.size, 5.0), number)
+    angle = np.linspace(0.0, 2.0 * np.pi, 60)
+    rim = 10.0 + 16.0 * np.cos(angle), 12.0 * np.sin(angle), np.full(60, 6.0)
+    keep = number != 2
+    others = Knots(*(getattr(knots, name)[keep] for name in Knots.__slots__))
+    whole, again = plate_through(knots, *rim), plate_through(others, *rim)
+    np.testing.assert_allclose(without_slice(whole, knots, 2), again.coefficients, atol=1e-6)
+
+
+def test_without_an_outline_it_gives_the_slices_and_says_so() -> None:
+    made, _ = dome()
+    for changed, code in (
+        (replace(made, outline=None), "no-outline"),
+        (replace(made, view=None), "no-view"),
+        (replace(made, outline=Outline(1, made.outline.xy_px + np.array([0.0, 60.0]))), "outline-disagrees"),
+        (replace(made, outline=scaled(made.outline, 1.4)), "outline-disagrees"),
+    ):
+        volume = OutlineSurface().estimate(changed)
+        assert volume.reasons[0].code == code
+        assert "ends" in volume.visible_mm3.budget
+
+
+def test_a_product_cut_by_the_image_is_refused() -> None:
+    made, _ = dome()
+    moved = made.outline.xy_px - [made.outline.xy_px[:, 0].min() + 0.4, 0.0]
+    with pytest.raises(StageError, match="outline reaches the image's edge"):
+        OutlineSurface().estimate(replace(made, outline=Outline(1, moved)))
+
+
+def test_draws_scatter_by_the_stated_uncertainty(rng: np.random.Generator) -> None:
+    made, _ = dome()
+    stated = OutlineSurface(UndersideOptions(underside="flat")).estimate(made)
+    drawn = [OutlineSurface().estimate(made, rng=rng).visible_mm3.value for _ in range(60)]
+    assert np.std(drawn) == pytest.approx(stated.visible_mm3.std, rel=0.35)
+    assert stated.true_mm3.value == stated.visible_mm3.value
+
+
+def scaled(outline: Outline, factor: float) -> Outline:
+    middle = outline.xy_px.mean(axis=0)
+    return Outline(1, middle + factor * (outline.xy_px - middle))
+
+
+def codes(volume) -> set[str]:
+    return {reason.code for reason in volume.reasons}
