@@ -30,10 +30,10 @@ ROOM = 128
 FAILED, FITTED, CLIPPED = 0, 1, 2
 """State of a peak: no fit; a fit; a fit without its saturated pixels."""
 
-_FIRST_STEPS = 3  # on the window of the start values
+_FIRST_STEPS = 1  # on the window of the start values
 _STEPS_MAX = 14
 _LAST_STEPS = 5  # at most, without outliers
-_ENOUGH = 0.03  # of its standard uncertainty: a centre that moves by less rests
+_ENOUGH = 0.1  # of its standard uncertainty: a centre that moves by less rests
 _OUTLIER = 5.0  # standard deviations; pixels beyond are left out of the last steps
 _SHIFT_MAX = 2.5  # standard deviations of the stripe from the start
 _SIGMA_MIN_PX, _SIGMA_MAX_PX = 0.3, 0.5 * ROOM / WINDOW

@@ -124,16 +124,24 @@ def neighbours(row: Integers, x_px: Floats) -> tuple[Integers, Integers]:
 def _pooled(values: Floats, up: Integers, down: Integers) -> Floats:
     """Sum (peak, value) over the peaks of the same stripe at most 4 rows away."""
     peaks, columns = values.shape
-    total = values.copy()
-    for p in range(peaks):
-        for link in (up, down):
-            q = p
-            for _ in range(_REACH):
-                q = link[q]
-                if q < 0:
-                    break
-                for k in range(columns):
-                    total[p, k] += values[q, k]
+    total = np.empty((peaks, columns))
+    chain = np.empty(peaks, np.int64)
+    sums = np.zeros((peaks + 1, columns))
+    for head in range(peaks):
+        if up[head] >= 0:
+            continue
+        # One stripe from its first row on: sums of windows from sums so far.
+        n, p = 0, head
+        while p >= 0:
+            chain[n] = p
+            for k in range(columns):
+                sums[n + 1, k] = sums[n, k] + values[p, k]
+            n += 1
+            p = down[p]
+        for m in range(n):
+            first, last = max(m - _REACH, 0), min(m + _REACH + 1, n)
+            for k in range(columns):
+                total[chain[m], k] = sums[last, k] - sums[first, k]
     return total
 
 

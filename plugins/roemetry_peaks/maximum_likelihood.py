@@ -100,8 +100,11 @@ class MaximumLikelihood(Extractor[MaximumLikelihoodOptions]):
         at = found.starts
         fit = fitted(image, frame.white, found, noise, np.arange(at.row.shape[0]))
         kept = self._kept(fit, found, noise)
-        order = np.flatnonzero(kept)[np.lexsort((fit.x_px[kept], at.row[kept]))]
-        order = order[_apart(at.row[order], fit.x_px[order], fit.sigma_px[order])]
+        order = np.flatnonzero(kept)
+        apart = _apart(at.row[order], fit.x_px[order], fit.sigma_px[order])
+        if not apart.all():
+            order = order[np.lexsort((fit.x_px[order], at.row[order]))]
+            order = order[_apart(at.row[order], fit.x_px[order], fit.sigma_px[order])]
         x_px, sigma_px = fit.x_px[order], fit.sigma_px[order]
         beyond = _CUT * sigma_px
         flags = np.where(fit.state[order] == CLIPPED, SATURATED, 0)

@@ -61,7 +61,7 @@ def test_a_fit_solves_its_equations_and_states_the_variance_they_give(
     contrast: float, rho: float, rng: np.random.Generator
 ) -> None:
     image, truth = profiles(rng, contrast)
-    fitted, std, state = fit(image, truth * [1, 0.8, 1.2] + [0.4, 0, 0], contrast, rho)
+    fitted, std, state = fit(image, truth * [1, 0.8, 1.03] + [0.2, 0, 0], contrast, rho)
     assert (state == FITTED).all()
     steps, ratios = [], []
     for p in range(len(truth)):
