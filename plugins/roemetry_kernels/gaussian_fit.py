@@ -6,7 +6,7 @@ import numpy as np
 
 from roemetry.arrays import Floats
 from roemetry_kernels.compiling import float_kernel
-from roemetry_kernels.influence import PIXELS_MAX, bell, variance_of
+from roemetry_kernels.influence import PIXELS_MAX, bell, fading, variance_of
 from roemetry_kernels.stripe_footing import FWHM_OF_SIGMA, Stripes
 from roemetry_kernels.stripe_scan import Pixels
 
@@ -70,9 +70,11 @@ def gaussian_centres(
             # ln(above / model), by a ratio of polynomials: to 2e-5 where they differ by 40 %.
             both = above * above + model * model
             log = 3.0 * (above * above - model * model) / (both + 4.0 * above * model) - far
-            share = model / (floor + model * (gain + speckle * model))
+            # Far from the middle a logarithm is noisier than its variance says: it counts as darker there.
+            low = amplitude * fading(far)
+            share = low / (floor + low * (gain + speckle * low))
             share = share if level < white else 0.0
-            weight = model * share
+            weight = low * share
             wu = weight * u
             wuu = wu * u
             s0 += weight
@@ -100,8 +102,8 @@ def gaussian_centres(
         if speckle > 0.0:
             for k in range(last + 1 - first):
                 u = first + k - middle
-                model = amplitude * bell(narrow * u * u)
-                share = model / (floor + model * (gain + speckle * model))
+                model, low = amplitude * bell(narrow * u * u), amplitude * fading(narrow * u * u)
+                share = low * low / (floor + low * (gain + speckle * low)) / model
                 pull[k] = unit * share * (m22 * (u - s1 / s0) - m12 * (u * u - s2 / s0))
                 light[k] = model
             lean = unit * m22 * leaning

@@ -72,6 +72,15 @@ def bell(far: float) -> float:
 
 
 @inlined
+def fading(far: float) -> float:
+    """Give a curve like exp(−far), and darker away from 0: (1 − far/8)⁸."""
+    near = 1.0 - 0.125 * far
+    near *= near
+    near *= near
+    return near * near
+
+
+@inlined
 def _speckled(
     levels: Pixels, white: int, first: int, count: int, pull: Floats, light: Floats, length: float
 ) -> float:

@@ -10,15 +10,13 @@ from numpy.typing import NDArray
 from roemetry.arrays import Floats
 from roemetry.records.peaks import EDGE, SATURATED
 from roemetry_kernels.compiling import float_kernel, inlined
+from roemetry_kernels.footing_lanes import measure_lanes
+from roemetry_kernels.lane_steps import CHUNK, WORD
+from roemetry_kernels.stripe_joining import SEEN_PX, join_tops, lowest_after, lowest_before
 from roemetry_kernels.stripe_scan import Area, Pixels, Places, Tops
 
 FWHM_OF_SIGMA = 2.354820045030949
 
-_SEEN_PX = 64  # how far from a top its surroundings are looked at
-_NEAR_PX = 4  # where a stripe of usual width has fallen to the background
-_BLOCK = 16  # pixels looked at together: one vector
-_DARKER = 0.125  # of the height: by less it does not get darker
-_SHALLOW = 0.45  # a valley less deep than that share of the lower of two tops is a dent in one stripe
 _FEET_FROM = 3.6  # standard deviations from the middle: what lies farther out is background
 _FEET_PX = 8  # pixels on each side that the background is taken from
 _FEET_SHARE_MAX = 0.25  # of the amplitude: what is brighter is taken for that much (hot pixels)
@@ -83,139 +81,22 @@ def stripes_around(
         Full width at half height of what may be a stripe, px.
     """
     levels, columns = image.reshape(-1), image.shape[1]
-    count = _join(levels, columns, area.left, area.right, width_min_px, *tops)
+    count = join_tops(levels, columns, area.left, area.right, width_min_px, *tops)
     row, places = np.empty(count, np.int64), np.empty((2, count), np.int32)
-    flags, values = np.empty(count, np.uint8), np.empty((6, count))
-    first = tops.first[:count], tops.last[:count]
-    limits = area.left, area.right, white, width_min_px, width_max_px
-    count = _measure(levels, columns, *limits, tops.row[:count], *first, row, places, flags, values)
+    flags, values, highs = np.empty(count, np.uint8), np.empty((6, count)), np.empty(count)
+    found = tops.row[:count], tops.first[:count], tops.last[:count]
+    done = np.zeros(count, np.uint8)
+    sides = area.left, area.right
+    if image.dtype == np.uint8 and levels.shape[0] % WORD == 0 and levels.shape[0] >= CHUNK:
+        words = levels.view(np.uint64)
+        if words.flags.aligned:
+            feet = _FEET_FROM / FWHM_OF_SIGMA, _FEET_PX, _FEET_SHARE_MAX
+            measure_lanes(levels, words, columns, *sides, *feet, *found, places, highs, values, done)
+    limits = white, width_min_px, width_max_px
+    count = _measure(levels, columns, *sides, *limits, *found, done, highs, row, places, flags, values)
     lo, hi = places[:, :count]
     middle, width, amplitude, background, slope, unsure = values[:, :count]
     return Stripes(row[:count], lo, hi, flags[:count], middle, width, amplitude, background, slope, unsure)
-
-
-@float_kernel
-def _join(
-    levels: Pixels,
-    columns: int,
-    left: int,
-    right: int,
-    width_min_px: float,
-    row: Places,
-    first: Places,
-    last: Places,
-) -> int:
-    """Leave out spikes and join tops of one stripe, in place; gives the number of peaks that are left.
-
-    Of joined tops the first pixel of the first and the last pixel of the last are kept.
-    """
-    count = 0
-    for i in range(row.shape[0]):
-        at = row[i] * columns
-        if _spike_width(levels, at + first[i], at + last[i], at + left, at + right) < width_min_px:
-            continue
-        p = count - 1
-        near = p >= 0 and row[p] == row[i] and first[i] - last[p] <= _SEEN_PX
-        if near and _is_one(
-            levels, at + first[p], at + last[p], at + first[i], at + last[i], at + left, at + right
-        ):
-            last[p] = last[i]
-            continue
-        row[count], first[count], last[count] = row[i], first[i], last[i]
-        count += 1
-    return count
-
-
-@inlined
-def _spike_width(levels: Pixels, first: int, last: int, left: int, right: int) -> float:
-    """Full width at half height of a top that both neighbours lie below half of; infinite for any other."""
-    if first == left or last + 1 == right:
-        return np.inf
-    high = float(levels[first])
-    before, after = high - float(levels[first - 1]), high - float(levels[last + 1])
-    # Whatever lies a few pixels off is no lower than the base: that settles it for all but narrow tops.
-    near = min(float(levels[max(first - _NEAR_PX, left)]), float(levels[min(last + _NEAR_PX, right - 1)]))
-    if min(before, after) < 0.5 * (high - near):
-        return np.inf
-    half = 0.5 * (high - float(_base(levels, first, last, left, right)))
-    if before < half or after < half:
-        return np.inf
-    return half / before + half / after + (last - first)
-
-
-@inlined
-def _base(levels: Pixels, first: int, last: int, left: int, right: int) -> int:
-    """Give the lowest grey level around a top."""
-    return min(
-        _lowest_before(levels, max(left, first - _SEEN_PX), first),
-        _lowest_after(levels, last + 1, min(right, last + 1 + _SEEN_PX)),
-    )
-
-
-@inlined
-def _is_one(
-    levels: Pixels, first: int, last: int, next_first: int, next_last: int, left: int, right: int
-) -> bool:
-    """Whether the valley between two tops is a dent in one stripe."""
-    lower = min(min(float(levels[first]), float(levels[last])), float(levels[next_first]))
-    # Halfway it is usually dark, which settles it: the base is not below black.
-    valley = _mean_of_three(levels, (last + next_first) // 2)
-    if lower - valley >= _SHALLOW * lower:
-        return False
-    for x in range(last + 1, next_first):
-        valley = min(valley, _mean_of_three(levels, x))
-    base = float(_base(levels, first, next_last, left, right))
-    return lower - valley < _SHALLOW * (lower - base)
-
-
-@inlined
-def _mean_of_three(levels: Pixels, x: int) -> float:
-    return (float(levels[x - 1]) + float(levels[x]) + float(levels[x + 1])) / 3.0
-
-
-@inlined
-def _lowest_before(levels: Pixels, begin: int, end: int) -> int:
-    """Lowest grey level from `begin` up to `end`, looked for from `end` on while it gets darker."""
-    low = int(levels[max(end - 1, begin)])
-    x = end
-    while x - _BLOCK >= begin:
-        x -= _BLOCK
-        found = _lowest_of_block(levels, x)
-        if found + _DARKER * (int(levels[end]) - found) >= low and x + _BLOCK < end:
-            return min(low, found)
-        low = min(low, found)
-    for k in range(begin, x):
-        low = min(low, int(levels[k]))
-    return low
-
-
-@inlined
-def _lowest_after(levels: Pixels, begin: int, end: int) -> int:
-    """Lowest grey level from `begin` up to `end`, looked for from `begin` on while it gets darker."""
-    low = int(levels[min(begin, end - 1)])
-    x = begin
-    while x + _BLOCK <= end:
-        found = _lowest_of_block(levels, x)
-        if found + _DARKER * (int(levels[begin - 1]) - found) >= low and x > begin:
-            return min(low, found)
-        low = min(low, found)
-        x += _BLOCK
-    for k in range(x, end):
-        low = min(low, int(levels[k]))
-    return low
-
-
-@inlined
-def _lowest_of_block(levels: Pixels, begin: int) -> int:
-    # Unsigned, which no index from the end can be; four minima at a time, which need not wait for each other.
-    at = np.uint64(begin)
-    one, two, four = np.uint64(1), np.uint64(2), np.uint64(4)
-    low_0, low_1 = levels[at], levels[at + one]
-    low_2, low_3 = levels[at + two], levels[at + two + one]
-    for k in range(four, np.uint64(_BLOCK), four):
-        low_0, low_1 = min(low_0, levels[at + k]), min(low_1, levels[at + k + one])
-        low_2, low_3 = min(low_2, levels[at + k + two]), min(low_3, levels[at + k + two + one])
-    return int(min(min(low_0, low_1), min(low_2, low_3)))
 
 
 @inlined
@@ -270,63 +151,40 @@ def _measure(
     row: Places,
     first: Places,
     last: Places,
+    done: NDArray[np.uint8],
+    highs: Floats,
     out_row: NDArray[np.int64],
     places: NDArray[np.int32],
     flags: NDArray[np.uint8],
     values: Floats,
 ) -> int:
-    """Fill the fields of `Stripes`; gives the number of those within the width limits."""
+    """Fill the fields of `Stripes`; gives the number of those within the width limits.
+
+    What is `done` (see `roemetry_kernels.footing_lanes.measure_lanes`) is only moved to its place.
+    """
     count = 0
     for i in range(row.shape[0]):
-        lo, hi = left, right - 1
-        if i > 0 and row[i - 1] == row[i]:
-            lo = (last[i - 1] + first[i] + 1) // 2
-        if i + 1 < row.shape[0] and row[i + 1] == row[i]:
-            hi = (last[i] + first[i + 1]) // 2
-        # From here on places in `levels`, until they are written down.
-        begins = row[i] * columns
-        begin, end = begins + first[i], begins + last[i]
-        lo, hi = begins + lo, begins + hi
-        high = 0.0
-        for x in range(begin, end + 1):
-            high = max(high, float(levels[x]))
-        base = float(
-            max(
-                _lowest_before(levels, max(lo, begin - _SEEN_PX), begin),
-                _lowest_after(levels, end + 1, min(hi, end + _SEEN_PX) + 1),
+        if done[i]:
+            lo, hi, high = places[0, i], places[1, i], highs[i]
+            middle, width, amplitude = values[0, i], values[1, i], values[2, i]
+            background, slope, unsure = values[3, i], values[4, i], values[5, i]
+        else:
+            lo, hi = left, right - 1
+            if i > 0 and row[i - 1] == row[i]:
+                lo = (last[i - 1] + first[i] + 1) // 2
+            if i + 1 < row.shape[0] and row[i + 1] == row[i]:
+                hi = (last[i] + first[i + 1]) // 2
+            at = row[i] * columns
+            high, middle, width, background, slope, unsure = _measured(
+                levels, at + first[i], at + last[i], at + lo, at + hi
             )
-        )
-        from_px, to_px = _crossings(levels, 0.5 * (high + base), begin, end, lo, hi)
-        middle, width = 0.5 * (from_px + to_px), to_px - from_px
+            middle -= at
+            amplitude = high - background
         if not width_min_px <= width <= width_max_px:
             continue
-        reach = _FEET_FROM * width / FWHM_OF_SIGMA
-        cap = base + _FEET_SHARE_MAX * (high - base)
-        inner_left = min(max(int(middle - reach) + 1, lo), begin)
-        inner_right = max(min(int(middle + reach) + 1, hi + 1), end + 1)
-        outer_left, outer_right = max(inner_left - _FEET_PX, lo), min(inner_right + _FEET_PX, hi + 1)
-        level_left, level_right = (
-            _foot(levels, outer_left, inner_left, cap),
-            _foot(levels, inner_right, outer_right, cap),
-        )
-        pixels_left, pixels_right = inner_left - outer_left, outer_right - inner_right
-        slope = unsure = 0.0
-        if pixels_left > 0 and pixels_right > 0:
-            at_left = 0.5 * (outer_left + inner_left - 1)
-            apart = 0.5 * (inner_right + outer_right - 1) - at_left
-            slope = (level_right - level_left) / apart
-            background = level_left + slope * (middle - at_left)
-            unsure = (1.0 / pixels_left + 1.0 / pixels_right) / (apart * apart)
-        elif pixels_left > 0:
-            background = level_left
-        elif pixels_right > 0:
-            background = level_right
-        else:
-            background = base
         out_row[count] = row[i]
-        places[0, count], places[1, count] = lo - begins, hi - begins
-        middle -= begins
-        values[0, count], values[1, count], values[2, count] = middle, width, high - background
+        places[0, count], places[1, count] = lo, hi
+        values[0, count], values[1, count], values[2, count] = middle, width, amplitude
         values[3, count], values[4, count], values[5, count] = background, slope, unsure
         margin = _EDGE_SIGMAS * width / FWHM_OF_SIGMA
         flags[count] = (SATURATED if high >= white else 0) | (
@@ -334,3 +192,45 @@ def _measure(
         )
         count += 1
     return count
+
+
+@inlined
+def _measured(
+    levels: Pixels, begin: int, end: int, lo: int, hi: int
+) -> tuple[float, float, float, float, float, float]:
+    """Highest level, middle, width, background, slope, unsure of one stripe, from places in `levels`."""
+    high = 0.0
+    for x in range(begin, end + 1):
+        high = max(high, float(levels[x]))
+    base = float(
+        max(
+            lowest_before(levels, max(lo, begin - SEEN_PX), begin),
+            lowest_after(levels, end + 1, min(hi, end + SEEN_PX) + 1),
+        )
+    )
+    from_px, to_px = _crossings(levels, 0.5 * (high + base), begin, end, lo, hi)
+    middle, width = 0.5 * (from_px + to_px), to_px - from_px
+    reach = _FEET_FROM * width / FWHM_OF_SIGMA
+    cap = base + _FEET_SHARE_MAX * (high - base)
+    inner_left = min(max(int(middle - reach) + 1, lo), begin)
+    inner_right = max(min(int(middle + reach) + 1, hi + 1), end + 1)
+    outer_left, outer_right = max(inner_left - _FEET_PX, lo), min(inner_right + _FEET_PX, hi + 1)
+    level_left, level_right = (
+        _foot(levels, outer_left, inner_left, cap),
+        _foot(levels, inner_right, outer_right, cap),
+    )
+    pixels_left, pixels_right = inner_left - outer_left, outer_right - inner_right
+    slope = unsure = 0.0
+    if pixels_left > 0 and pixels_right > 0:
+        at_left = 0.5 * (outer_left + inner_left - 1)
+        apart = 0.5 * (inner_right + outer_right - 1) - at_left
+        slope = (level_right - level_left) / apart
+        background = level_left + slope * (middle - at_left)
+        unsure = (1.0 / pixels_left + 1.0 / pixels_right) / (apart * apart)
+    elif pixels_left > 0:
+        background = level_left
+    elif pixels_right > 0:
+        background = level_right
+    else:
+        background = base
+    return high, middle, width, background, slope, unsure

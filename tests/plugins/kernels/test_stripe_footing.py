@@ -1,0 +1,60 @@
+"""Width and background of 128 stripes at a time against those of one stripe after the other."""
+
+import numpy as np
+import pytest
+
+from roemetry_kernels.grey_levels import plain_layout
+from roemetry_kernels.stripe_footing import stripes_around
+from roemetry_kernels.stripe_scan import Area, stripe_tops
+
+
+def around(image, threshold=25, **limits):
+    rows, columns = image.shape
+    area = Area(0, rows, 0, columns)
+    plain = plain_layout(image)
+    white = int(np.iinfo(image.dtype).max)
+    limits = {"width_min_px": 0.0, "width_max_px": 1000.0} | limits
+    return stripes_around(plain, stripe_tops(plain, threshold, area), area, white=white, **limits)
+
+
+def stripes(rng, rows, columns, pitch, noise):
+    x = np.arange(columns)
+    level = np.full((rows, columns), 20.0)
+    for at in np.arange(pitch / 2, columns, pitch):
+        centre = at + rng.uniform(-2.0, 2.0, (rows, 1))
+        height, sigma = rng.uniform(60.0, 260.0, (rows, 1)), rng.uniform(1.0, 4.0, (rows, 1))
+        level += height * np.exp(-0.5 * ((x - centre) / sigma) ** 2)
+    return np.clip(np.rint(level + rng.normal(0.0, noise, level.shape)), 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize(("pitch", "noise"), [(40.0, 0.0), (57.3, 0.0), (31.0, 1.5)])
+def test_many_at_a_time_measure_what_one_after_the_other_does(pitch, noise, rng):
+    image = stripes(rng, 301, 320, pitch, noise)
+    many = around(image)
+    # 16 bit are not measured side by side
+    one = around(image.astype(np.uint16))
+    for name in ("row", "lo", "hi"):
+        np.testing.assert_array_equal(getattr(many, name), getattr(one, name))
+    # How far the lowest level is looked for differs: half height may differ by half of the noise.
+    for name, most in (("middle", 0.06), ("width", 0.15), ("background", 0.5), ("slope", 0.05)):
+        off = np.abs(getattr(many, name) - getattr(one, name))
+        assert np.mean(off > 1e-9) <= (0.0 if noise == 0.0 else 0.2), name
+        assert off.max() <= (1e-9 if noise == 0.0 else most), name
+
+
+def test_a_stripe_too_wide_to_be_measured_with_others_is_measured_alone(rng):
+    x = np.arange(400)
+    image = np.tile(20.0 + 150.0 * np.exp(-0.5 * ((x - 200.3) / 12.0) ** 2), (6, 1)).round().astype(np.uint8)
+    found = around(image)
+    np.testing.assert_allclose(found.middle, 200.3, atol=0.1)  # px
+    np.testing.assert_allclose(found.width, 28.26, atol=0.6)  # px
+    np.testing.assert_allclose(found.background, 20.0, atol=0.3)
+
+
+def test_an_image_that_is_no_whole_number_of_words(rng):
+    image = stripes(rng, 61, 321, 40.0, 1.0)
+    assert image.size % 8
+    even = np.pad(image, ((0, 0), (0, 7)), mode="edge")
+    one, many = around(image), around(even)
+    inner = many.middle < 300.0
+    np.testing.assert_allclose(one.middle[one.middle < 300.0], many.middle[inner], atol=0.06)  # px
