@@ -54,7 +54,7 @@ def drawn(rng, rows, sigma=(1.5, 3.0), amplitude=(60.0, 220.0)):
 
 
 def bound_px(sigma, amplitude):
-    """Cramér-Rao bound of centres: unknown are centre, height, width, and the background's height and slope."""
+    """Cramér-Rao bound of centres: centre, height, width, background and its slope unknown."""
     off = np.arange(-24, 25)
     parts = []
     for s, a in zip(sigma, amplitude, strict=True):
