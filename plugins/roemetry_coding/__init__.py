@@ -17,3 +17,10 @@ def roemetry_stages() -> Iterable[StageEntry]:
         summary="Each row's peaks in order, with stripes missing and peaks too many allowed for",
         reference="our own",
     )
+    yield StageEntry(
+        kind="coder",
+        name="planes",
+        target="roemetry_coding.planes:Planes",
+        summary="The labels that make a surface this camera would see like this; refuses doubt",
+        reference="our own",
+    )

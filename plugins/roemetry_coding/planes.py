@@ -1,0 +1,126 @@
+"""Stripe coding by the planes of light: which labels make a surface that this camera would see like this.
+
+Each peak, taken for each stripe, is a point in space: the line of sight meets the plane of light. Labels are
+chosen so that heights are possible, the surface goes on from stripe to stripe and along the stripes, and every
+stripe that is not seen is hidden by something. What is in doubt is refused.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import Field
+
+from roemetry.arrays import Floats, Integers
+from roemetry.calibration import Calibration
+from roemetry.errors import StageError
+from roemetry.records import AMBIGUOUS, Peaks, Reason, StripeMap
+from roemetry.stages import Coder, StageOptions
+from roemetry_coding.margins import margin_of
+from roemetry_coding.plane_solver import OTHERS, Solved, solve_planes
+from roemetry_kernels.bridging import bridged
+from roemetry_kernels.label_verdicts import out_of_order
+from roemetry_kernels.refusing import refuse_uncodable
+from roemetry_kernels.rest_lines import calibrated_rest_lines, missing_stripes, reasons_of
+
+
+class PlanesOptions(StageOptions):
+    """How sure a label must be, and gaps and sizes as in other coders."""
+
+    margin_min: float = Field(
+        default=0.99, ge=0, le=1, description="peaks with a smaller margin are refused as ambiguous"
+    )
+    other_weights: int = Field(
+        default=2,
+        ge=0,
+        le=len(OTHERS),
+        description="further weightings that are solved; peaks on which they do not agree are refused",
+    )
+    longest_gap_rows: int = Field(
+        default=20, ge=0, description="longest gap along a stripe that is bridged by a straight line, rows"
+    )
+    smallest_product_points: int = Field(
+        default=40, ge=1, description="bodies with fewer points, taken together, are dirt on the belt"
+    )
+
+
+_CODED_SHARE_MIN = 0.4
+
+
+class Planes(Coder[PlanesOptions]):
+    """Solves for all labels of a frame at once, on the lines where sight and light meet."""
+
+    Options = PlanesOptions
+
+    def code(self, peaks: Peaks, calibration: Calibration | None) -> StripeMap:
+        """Code the peaks of one frame.
+
+        Parameters
+        ----------
+        peaks
+            From any extractor.
+        calibration
+            Its view gives camera and planes; without a view, image rows and displacements are used.
+
+        Raises
+        ------
+        StageError
+            No calibration; no peak at all; peaks of another image size than the calibration's; rest lines
+            that cross, or with nothing on any of them; the belt's stripes more than a pixel beside them;
+            fewer than two peaks in five on any possible surface.
+        """
+        refuse_uncodable(peaks, calibration)
+        if calibration is None:
+            raise StageError(
+                "the coder `planes` needs a calibration: without planes a peak has no height",
+                hint="calibrate, or use the coder `window-tracking`",
+            )
+        rest = calibrated_rest_lines(peaks, calibration)
+        solved = solve_planes(peaks, calibration, rest, OTHERS[: self.options.other_weights])
+        live = np.flatnonzero(solved.there > 0.0)
+        if not live.size:
+            raise StageError(
+                f"no stripe lies where the {rest.x_px.shape[0]} rest lines are",
+                hint="camera or laser may have been moved: calibrate again, or remove what covers the belt",
+            )
+        stripe, margin = self._decided(peaks, solved)
+        coded = (stripe >= 0).mean()
+        if coded < _CODED_SHARE_MIN:
+            raise StageError(
+                f"only {coded:.0%} of the peaks lie on a surface that can be: either they are noise, or "
+                "calibration and image do not belong together",
+                hint="look at the image; was it turned, or the camera moved?",
+            )
+        return bridged(
+            peaks,
+            stripe,
+            margin,
+            rest,
+            longest_gap_rows=self.options.longest_gap_rows,
+            smallest_product_points=self.options.smallest_product_points,
+            reasons=reasons_of(rest) + missing_stripes(live, rest.x_px.shape[0]) + _approximate(calibration),
+        )
+
+    def _decided(self, peaks: Peaks, solved: Solved) -> tuple[Integers, Floats]:
+        """Refuse doubt and disorder; give (peak,) stripe or verdict, and margin."""
+        margin = margin_of(solved.dearer)
+        stripe = solved.stripe.copy()
+        sure = solved.unanimous & (margin >= self.options.margin_min)
+        stripe[(stripe >= 0) & ~sure] = AMBIGUOUS
+        entries = solved.entries
+        wrong = out_of_order(entries.start, entries.peak, peaks.row, stripe, solved.there.size)
+        stripe[wrong] = AMBIGUOUS
+        return stripe, margin
+
+
+def _approximate(calibration: Calibration) -> list[Reason]:
+    """Say that there were no planes, only displacements."""
+    view = calibration.view
+    if view is not None and not view.telecentric:
+        return []
+    return [
+        Reason(
+            "no-planes",
+            "the calibration has no camera and planes, so image rows stood for the lines of sight and light: "
+            "right for a distant camera, more is refused or wrong under perspective",
+        )
+    ]

@@ -1,0 +1,415 @@
+"""Which stripes each peak may be, and what it costs two neighbours on a sight line to be these two."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from roemetry.arrays import Flags, Floats, Integers
+
+_LOOK_BACK = 4
+"""Up to three peaks side by side may be false."""
+_HIDDEN = 0.06
+"""What a stripe left out costs where it would be hidden, of what it costs where it would be seen."""
+_MERGED_PX = 2.0
+_APART_PX = 7.0
+"""A stripe nearer to another than this may merge with it, or is seen beyond doubt."""
+_LEFT_OUT_MAX = 4
+_LEAN_HIDES = -0.05
+_LEAN_SHOWS = 0.15
+
+
+class Entries(NamedTuple):
+    """Peaks as they stand on the sight lines: a trace has one entry on each line it crosses.
+
+    Attributes
+    ----------
+    start
+        (line + 1,) where each line's entries begin; they are sorted by u.
+    peak, u
+        (entry,) the peak, and its place on the line.
+    before, after
+        (entry,) the entry of the same trace on the line before and after, −1 for none.
+    tie
+        (entry,) what it costs to have another stripe than the entry before.
+    """
+
+    start: Integers
+    peak: Integers
+    u: Floats
+    before: Integers
+    after: Integers
+    tie: Floats
+
+
+class Labels(NamedTuple):
+    """Stripes that are possible.
+
+    Attributes
+    ----------
+    low, count
+        (entry,) first stripe and number of stripes that are possible, which follow each other.
+    offset
+        (entry + 1,) where each entry's nodes begin: one for each possible stripe, and a last one for none.
+    height
+        (node,) height, mm; 0 for none.
+    label_mm
+        (node,) change of height from one stripe to the next at this place, mm.
+    """
+
+    low: Integers
+    count: Integers
+    offset: Integers
+    height: Floats
+    label_mm: Floats
+
+
+class Steps(NamedTuple):
+    """Costs of going from one entry to a later one of the same line, and of beginning and ending.
+
+    Attributes
+    ----------
+    pair
+        (pair, 3) left entry, right entry, and where its costs begin, right stripe by right stripe; sorted by
+        right entry.
+    pair_start
+        (line + 1,) where each line's pairs begin.
+    surface, unseen
+        (cost,) squared step of the surface, at most 1; and visible stripes left out between.
+    before, after
+        (node,) visible stripes left out to the left, and to the right, if this is the first or last.
+    """
+
+    pair: Integers
+    pair_start: Integers
+    surface: NDArray[np.float32]
+    unseen: NDArray[np.float32]
+    before: Floats
+    after: Floats
+
+
+@njit(cache=True, nogil=True)
+def entries_of(
+    row: Integers, trace: Integers, piece: Integers, loose: Flags, line: Floats, u: Floats, lines: int,
+    u_per_px: float,
+    tie_whole: float, tie_cut: float, tie_gap: float, gap_lines: int,
+) -> tuple[Integers, Integers, Floats, Integers, Integers, Floats]:  # fmt: skip
+    """Put every trace once on each line that it crosses, and tie it to itself across lines.
+
+    Parameters
+    ----------
+    row, trace, piece
+        (peak,) row; trace; and which piece of the trace between cuts.
+    loose
+        (peak,) True where a piece may change its stripe from row to row.
+    line, u
+        (peak,) see `roemetry_kernels.sight_lines`.
+    lines
+        Number of lines.
+    u_per_px
+        Change of u for a pixel.
+    tie_whole, tie_cut, tie_gap
+        Cost of a change of stripe within a piece, at a cut, and over a gap.
+    gap_lines
+        Longest gap that is tied over, lines.
+
+    Returns
+    -------
+    tuple
+        The fields of `Entries`.
+    """
+    peaks = row.shape[0]
+    before, after = _neighbours(trace)
+    # each peak answers for the lines nearer to it than to its trace's neighbours
+    low = np.empty(peaks, np.int64)
+    high = np.empty(peaks, np.int64)
+    count = np.zeros(lines + 1, np.int64)
+    for p in range(peaks):
+        a = line[p] - 0.5 if before[p] < 0 else 0.5 * (line[p] + line[before[p]])
+        b = line[p] + 0.5 if after[p] < 0 else 0.5 * (line[p] + line[after[p]])
+        if (before[p] >= 0 and line[before[p]] > line[p]) or (after[p] >= 0 and line[after[p]] < line[p]):
+            a = line[p] + 0.5 if before[p] < 0 else a
+            b = line[p] - 0.5 if after[p] < 0 else b
+        if a > b:
+            a, b = b, a
+        low[p] = max(0, int(np.ceil(a)))
+        high[p] = min(lines - 1, int(np.ceil(b)) - 1)
+        for e in range(low[p], high[p] + 1):
+            count[e + 1] += 1
+    start = np.cumsum(count)
+    size = start[-1]
+    peak = np.empty(size, np.int64)
+    place = np.empty(size)
+    fill = start[:-1].copy()
+    for p in range(peaks):
+        for e in range(low[p], high[p] + 1):
+            k = fill[e]
+            while k > start[e] and place[k - 1] > u[p]:
+                place[k], peak[k] = place[k - 1], peak[k - 1]
+                k -= 1
+            place[k], peak[k] = u[p], p
+            fill[e] += 1
+    up, down, tie = _tied(
+        start, peak, place, trace, piece, loose, u_per_px, tie_whole, tie_cut, tie_gap, gap_lines
+    )
+    return start, peak, place, up, down, tie
+
+
+@njit(cache=True, nogil=True)
+def _neighbours(trace: Integers) -> tuple[Integers, Integers]:
+    peaks = trace.shape[0]
+    last = np.full(peaks + 1, -1, np.int64)
+    before = np.full(peaks, -1, np.int64)
+    after = np.full(peaks, -1, np.int64)
+    for p in range(peaks):
+        q = last[trace[p]]
+        before[p] = q
+        if q >= 0:
+            after[q] = p
+        last[trace[p]] = p
+    return before, after
+
+
+@njit(cache=True, nogil=True)
+def _tied(
+    start: Integers, peak: Integers, place: Floats, trace: Integers, piece: Integers, loose: Flags,
+    u_per_px: float, tie_whole: float, tie_cut: float, tie_gap: float, gap_lines: int,
+) -> tuple[Integers, Integers, Floats]:  # fmt: skip
+    size = peak.shape[0]
+    up = np.full(size, -1, np.int64)
+    down = np.full(size, -1, np.int64)
+    tie = np.zeros(size)
+    last = np.full(trace.shape[0] + 1, -1, np.int64)
+    line_of = np.empty(size, np.int64)
+    for e in range(start.shape[0] - 1):
+        for i in range(start[e], start[e + 1]):
+            line_of[i] = e
+            j = last[trace[peak[i]]]
+            if j >= 0 and line_of[j] == e - 1 and down[j] < 0:
+                up[i], down[j] = j, i
+                whole = piece[peak[i]] == piece[peak[j]] and not loose[peak[i]]
+                tie[i] = tie_whole if whole else tie_cut
+            last[trace[peak[i]]] = i
+    # over gaps: from a beginning back to the end that points at it best
+    for e in range(start.shape[0] - 1):
+        for i in range(start[e], start[e + 1]):
+            if up[i] >= 0:
+                continue
+            best, found = 1.0, -1
+            for back in range(1, gap_lines + 1):
+                if e - back < 0:
+                    break
+                for j in range(start[e - back], start[e - back + 1]):
+                    if down[j] >= 0 or trace[peak[j]] == trace[peak[i]]:
+                        continue
+                    slope = 0.5 * (_slope(j, up, place, -1) + _slope(i, down, place, 1))
+                    off = abs(place[j] + slope * back - place[i]) / u_per_px
+                    if off / (1.5 + 0.25 * back) < best:
+                        best, found = off / (1.5 + 0.25 * back), j
+                if found >= 0:
+                    break
+            if found >= 0:
+                up[i], down[found] = found, i
+                tie[i] = tie_gap * (1.0 - 0.7 * best)
+    return up, down, tie
+
+
+@njit(cache=True, nogil=True)
+def _slope(i: int, to: Integers, place: Floats, sign: int) -> float:
+    """Change of u from line to line near an end, over up to six lines."""
+    k, steps = i, 0
+    while steps < 6 and to[k] >= 0:
+        k = to[k]
+        steps += 1
+    return 0.0 if steps == 0 else sign * (place[k] - place[i]) / steps
+
+
+@njit(cache=True, nogil=True)
+def labels_of(
+    start: Integers, u: Floats, plane: Floats, low_mm: Floats, high_mm: Floats
+) -> tuple[Integers, Integers, Integers, Floats, Floats]:
+    """List the stripes whose height at an entry lies within (stripe,) bounds, mm; the fields of `Labels`."""
+    size, stripes = u.shape[0], plane.shape[1]
+    low = np.zeros(size, np.int64)
+    count = np.zeros(size, np.int64)
+    offset = np.zeros(size + 1, np.int64)
+    for e in range(start.shape[0] - 1):
+        for i in range(start[e], start[e + 1]):
+            last = -1
+            for k in range(stripes):
+                z = _height(plane[e, k], u[i])
+                if low_mm[k] <= z <= high_mm[k]:
+                    if count[i] == 0:
+                        low[i] = k
+                        count[i] = 1
+                    last = k
+            if last >= 0:
+                count[i] = last - low[i] + 1
+            offset[i + 1] = offset[i] + count[i] + 1
+    height = np.zeros(offset[-1])
+    label_mm = np.ones(offset[-1])
+    for e in range(start.shape[0] - 1):
+        for i in range(start[e], start[e + 1]):
+            for k in range(low[i], low[i] + count[i]):
+                z = _height(plane[e, k], u[i])
+                other = k + 1 if k + 1 < stripes else k - 1
+                node = offset[i] + k - low[i]
+                height[node] = z
+                if other >= 0:
+                    label_mm[node] = max(1e-6, abs(_height(plane[e, other], u[i]) - z))
+    return low, count, offset, height, label_mm
+
+
+@njit(cache=True, nogil=True)
+def _height(plane: Floats, u: float) -> float:
+    return (plane[0] * u + plane[1]) / (plane[2] * u + plane[3])
+
+
+@njit(cache=True, nogil=True)
+def _place(plane: Floats, z: float) -> float:
+    return (plane[3] * z - plane[1]) / (plane[0] - plane[2] * z)
+
+
+@njit(cache=True, nogil=True)
+def _ramp(value: float, low: float, high: float) -> float:
+    return min(max((value - low) / (high - low), 0.0), 1.0)
+
+
+@njit(cache=True, nogil=True)
+def _at_border(plane: Floats, z: float, left: float, right: float, u_per_px: float) -> float:
+    """How surely a stripe at a height would be seen between two places of a line, 0 to 1."""
+    u = _place(plane, z)
+    return _ramp(min(u - left, right - u) / u_per_px, _MERGED_PX, _APART_PX)
+
+
+@njit(cache=True, nogil=True)
+def _between(
+    plane: Floats, z: float, left: float, right: float, lean_left: float, lean_right: float, rising: bool,
+    room_px: float, u_per_px: float,
+) -> float:  # fmt: skip
+    """How surely a stripe left out between two others would be seen, 0 to 1."""
+    u = _place(plane, z)
+    inside = u - left if not rising else right - u
+    lean = -lean_left if not rising else lean_right
+    behind = (1.0 - _ramp(inside / u_per_px, _MERGED_PX, _APART_PX)) * (
+        1.0 - _ramp(lean, _LEAN_HIDES, _LEAN_SHOWS)
+    )
+    return (1.0 - behind) * _ramp(room_px, _MERGED_PX, _APART_PX)
+
+
+@njit(cache=True, nogil=True)
+def steps_of(
+    start: Integers, u: Floats, low: Integers, count: Integers, offset: Integers, height: Floats,
+    label_mm: Floats, plane: Floats, lean: Floats, u_min: Floats, u_max: Floats, presence: Floats,
+    u_per_px: float,
+) -> tuple[Integers, Integers, NDArray[np.float32], NDArray[np.float32], Floats, Floats]:  # fmt: skip
+    """Work out the fields of `Steps`.
+
+    A stripe left out between two others lies on the surface between them. Of all surfaces between two heights
+    the one that hides most drops beside the higher place and goes on level at the lower. A stripe there is
+    hidden if its light falls behind the higher place as the camera sees it, and if the line of sight leans
+    that way: a surface seen from above cannot hide what lies under it. Else it would be seen, unless the two
+    are so near each other that what lies between them merges with them.
+
+    Parameters
+    ----------
+    start, u, low, count, offset, height, label_mm
+        See `Entries` and `Labels`.
+    plane, u_min, u_max, u_per_px
+        See `roemetry_kernels.sight_lines`.
+    lean
+        (entry,) see `roemetry_kernels.sight_lines`.
+    presence
+        (line, stripe) 0 for a stripe that is not there at all, 1 for one whose belt is seen.
+    """
+    lines = plane.shape[0]
+    pairs, costs = 0, 0
+    for e in range(lines):
+        for p in range(start[e], start[e + 1]):
+            for q in range(max(start[e], p - _LOOK_BACK), p):
+                pairs += 1
+                costs += count[p] * count[q]
+    pair = np.empty((pairs, 3), np.int64)
+    pair_start = np.zeros(lines + 1, np.int64)
+    surface = np.empty(costs, np.float32)
+    unseen = np.empty(costs, np.float32)
+    before, after = _borders(start, u, low, count, offset, height, plane, u_min, u_max, presence, u_per_px)
+    n, c = 0, 0
+    for e in range(lines):
+        for p in range(start[e], start[e + 1]):
+            for q in range(max(start[e], p - _LOOK_BACK), p):
+                pair[n, 0], pair[n, 1], pair[n, 2] = q, p, c
+                n += 1
+                apart_px = (u[p] - u[q]) / u_per_px
+                for i in range(count[p]):
+                    s = low[p] + i
+                    z_s, label = height[offset[p] + i], label_mm[offset[p] + i]
+                    for j in range(count[q]):
+                        t = low[q] + j
+                        if t >= s:
+                            surface[c] = np.inf
+                            unseen[c] = np.inf
+                            c += 1
+                            continue
+                        z_t = height[offset[q] + j]
+                        step = (z_s - z_t) / (label * (s - t))
+                        surface[c] = min(step * step, 1.0)
+                        left_out = 0.0
+                        if s - t > p - q + _LEFT_OUT_MAX:
+                            for k in range(t + 1, s):
+                                left_out += presence[e, k]
+                        elif s - t > 1:
+                            rising = _height(plane[e, s], u[p]) > _height(plane[e, t], u[p])
+                            for k in range(t + 1, s):
+                                seen = _between(
+                                    plane[e, k], min(z_s, z_t), u[q], u[p], lean[q], lean[p], rising,
+                                    apart_px / (s - t), u_per_px,
+                                )  # fmt: skip
+                                left_out += presence[e, k] * (_HIDDEN + (1.0 - _HIDDEN) * seen)
+                        unseen[c] = left_out
+                        c += 1
+        pair_start[e + 1] = n
+    return pair, pair_start, surface, unseen, before, after
+
+
+@njit(cache=True, nogil=True)
+def _borders(
+    start: Integers, u: Floats, low: Integers, count: Integers, offset: Integers, height: Floats, plane: Floats,
+    u_min: Floats, u_max: Floats, presence: Floats, u_per_px: float,
+) -> tuple[Floats, Floats]:  # fmt: skip
+    """Count the stripes that would be seen between each node and the image's borders."""
+    lines, stripes = plane.shape[0], plane.shape[1]
+    before, after = np.zeros(offset[-1]), np.zeros(offset[-1])
+    seen_left, seen_right = np.zeros(stripes + 1), np.zeros(stripes + 1)
+    for e in range(lines):
+        if np.isnan(u_min[e]) or start[e] == start[e + 1]:
+            continue
+        for k in range(stripes):  # on the belt, as far as the image's borders go
+            seen = _at_border(plane[e, k], 0.0, u_min[e], u_max[e], u_per_px)
+            seen_left[k + 1] = seen_left[k] + presence[e, k] * seen
+        for k in range(stripes - 1, -1, -1):
+            seen = seen_left[k + 1] - seen_left[k]
+            seen_right[k] = seen_right[k + 1] + seen
+        for p in range(start[e], start[e + 1]):
+            for i in range(count[p]):
+                s, z = low[p] + i, max(height[offset[p] + i], 0.0)
+                for k in range(s - 1, -1, -1):
+                    apart = _at_border(plane[e, k], 0.0, -np.inf, u[p], u_per_px)
+                    if apart == 1.0 and _at_border(plane[e, k], z, u_min[e], np.inf, u_per_px) == 1.0:
+                        if k < s - _LEFT_OUT_MAX:
+                            before[offset[p] + i] += seen_left[k + 1]
+                            break
+                    weight = min(apart, _at_border(plane[e, k], z, u_min[e], np.inf, u_per_px))
+                    before[offset[p] + i] += min(seen_left[k + 1] - seen_left[k], presence[e, k] * weight)
+                for k in range(s + 1, stripes):
+                    apart = _at_border(plane[e, k], 0.0, u[p], np.inf, u_per_px)
+                    if apart == 1.0 and _at_border(plane[e, k], z, -np.inf, u_max[e], u_per_px) == 1.0:
+                        if k > s + _LEFT_OUT_MAX:
+                            after[offset[p] + i] += seen_right[k]
+                            break
+                    weight = min(apart, _at_border(plane[e, k], z, -np.inf, u_max[e], u_per_px))
+                    after[offset[p] + i] += min(seen_right[k] - seen_right[k + 1], presence[e, k] * weight)
+    return before, after
