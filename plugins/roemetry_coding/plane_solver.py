@@ -10,21 +10,19 @@ import numpy as np
 from roemetry.arrays import Flags, Floats, Integers
 from roemetry.calibration import Calibration
 from roemetry.records import Peaks
-from roemetry_kernels.label_costs import Entries, Labels, Steps, entries_of, labels_of, steps_of
+from roemetry_kernels.label_costs import Labels, Steps, labels_of, steps_of
+from roemetry_kernels.label_pieces import ENDS, end_pieces, own_costs, pieces_agree, presence_of
 from roemetry_kernels.label_sweeps import swept
 from roemetry_kernels.label_verdicts import (
-    ENDS,
     chosen,
-    end_pieces,
     left_out,
     line_costs,
-    own_costs,
-    pieces_agree,
-    presence_of,
+    mixed,
     shifted,
     verdicts_of,
 )
 from roemetry_kernels.rest_lines import RestLines
+from roemetry_kernels.sight_entries import Entries, entries_of
 from roemetry_kernels.sight_lines import SightLines, sight_lines
 from roemetry_kernels.tracing import cut_at_rest_lines, nearest_rest, trace_fragments
 
@@ -42,8 +40,10 @@ class Weights:
     false_peak
         A peak left out.
     on_rest, long_run, anchor
-        Gain of a peak on its own rest line; more if it is one of a long run; more if that begins at the image's
-        border.
+        Gain of a peak on its own rest line; more if it is one of a long run; more if that begins at the
+        image's border.
+    on_end
+        The same at the end of a run, where a body may begin.
     absent
         A stripe whose rest line shows nothing.
     tie_whole, tie_cut, tie_gap
@@ -58,6 +58,7 @@ class Weights:
     on_rest: float = 0.2
     long_run: float = 0.2
     anchor: float = 4.0
+    on_end: float = 1.0
     absent: float = 3.0
     tie_whole: float = 20.0
     tie_cut: float = 1.5
@@ -80,6 +81,8 @@ _GAP_LINES = 20
 _RUN_ROWS = (25, 85)
 _BELOW_TOLERANCES = 1.5
 _KEEP = 1.0
+_ENDS_COUNT = 0.5
+_MAJORITY = 0.9
 _END_LINES = 30
 _LOST = 0.25
 _SHIFT_GAIN = 6.0
@@ -99,7 +102,7 @@ class Solved(NamedTuple):
     dearer
         (peak,) by how much the next best verdict is dearer.
     unanimous
-        (peak,) True where all weightings say the same.
+        (peak,) True where all weightings say the same, and so does the whole piece.
     there
         (stripe,) how surely a stripe is there at all, 0 to 1.
     entries
@@ -149,31 +152,33 @@ def solve_planes(
     """
     problem = _posed(peaks, calibration, rest)
     entries, labels = problem.entries, problem.labels
-    nodes = labels.low, labels.count, labels.offset
+    nodes = labels.low, labels.many, labels.offset
     cost = _solved(problem, BASE)
     for _ in range(ROUNDS):
-        best = chosen(labels.count, labels.offset, cost)
+        best = chosen(labels.many, labels.offset, cost)
         least = _energy(problem, best).sum()
         improved = False
         for shift in _rivals(problem, best):
             rival = _solved(problem, BASE, best, shift)
-            total = _energy(problem, chosen(labels.count, labels.offset, rival)).sum()
+            total = _energy(problem, chosen(labels.many, labels.offset, rival)).sum()
             if total < least:
                 cost, least, improved = rival, total, True
         if not improved:
             break
     stripe, dearer = verdicts_of(entries.start, entries.peak, *nodes, problem.sight.line, cost)
+    dearer[problem.piece_line[problem.piece] == ENDS] *= _ENDS_COUNT
     unanimous = np.ones(stripe.size, np.bool_)
     for weights in others:
         other, _ = verdicts_of(
             entries.start, entries.peak, *nodes, problem.sight.line, _solved(problem, weights)
         )
         unanimous &= other == stripe
+    unanimous &= ~mixed(problem.piece, problem.piece_line, stripe, problem.there.size, _MAJORITY)
     return Solved(stripe, dearer, unanimous, problem.there, problem.entries)
 
 
 def _posed(peaks: Peaks, calibration: Calibration, rest: RestLines) -> _Problem:
-    stripes, rows = rest.x_px.shape
+    _stripes, rows = rest.x_px.shape
     sight = sight_lines(peaks, calibration, rest.x_px)
     trace, traces = trace_fragments(peaks.row_start, peaks.x_px, _STEP_MAX_PX)
     line, _ = nearest_rest(peaks.row, peaks.x_px, rest.x_px, rest.tolerance_px)
@@ -187,8 +192,8 @@ def _posed(peaks: Peaks, calibration: Calibration, rest: RestLines) -> _Problem:
     u_per_px = float(np.nanmedian(sight.u_max - sight.u_min)) / peaks.image_size[1]
     entries = Entries(
         *entries_of(
-            peaks.row, trace, piece, piece_line[piece] == ENDS, sight.line, sight.u, sight.plane.shape[0], u_per_px, BASE.tie_whole,
-            BASE.tie_cut, BASE.tie_gap, _GAP_LINES,
+            peaks.row, trace, piece, piece_line[piece] == ENDS, sight.line, sight.u, sight.plane.shape[0],
+            u_per_px, BASE.tie_whole, BASE.tie_cut, BASE.tie_gap, _GAP_LINES,
         )
     )  # fmt: skip
     slack_mm = rest.tolerance_px / np.abs(calibration.displacement_px_per_mm)
@@ -201,8 +206,8 @@ def _posed(peaks: Peaks, calibration: Calibration, rest: RestLines) -> _Problem:
     )  # fmt: skip
     steps = Steps(
         *steps_of(
-            entries.start, entries.u, *labels, sight.plane, sight.lean[entries.peak], sight.u_min, sight.u_max,
-            presence, u_per_px,
+            entries.start, entries.u, *labels, sight.plane, sight.lean[entries.peak], sight.u_min,
+            sight.u_max, presence, u_per_px,
         )
     )  # fmt: skip
     return _Problem(sight, line, piece, piece_line, anchored, presence.max(axis=0), entries, labels, steps)
@@ -213,7 +218,7 @@ def _solved(
 ) -> Floats:
     """Give (node,) costs; begun from (entry,) nodes with a part of the body shifted."""
     entries, labels, steps = problem.entries, problem.labels, problem.steps
-    nodes = labels.low, labels.count, labels.offset
+    nodes = labels.low, labels.many, labels.offset
     own = _own(problem, weights)
     total = own
     if begun is not None and shift is not None:
@@ -229,14 +234,14 @@ def _solved(
         if turn < weights.agreed:
             stripes = problem.there.size
             total = pieces_agree(entries.peak, *nodes, problem.piece, problem.piece_line, stripes, cost, own)
-    return cost
+    return np.asarray(cost)
 
 
 def _rivals(problem: _Problem, best: Integers) -> list[_Shift]:
     """Name shifts of a part of the body that would bring back a stripe left out without need."""
     entries, labels, steps = problem.entries, problem.labels, problem.steps
     cost = left_out(
-        entries.start, labels.low, labels.count, labels.offset, best, steps.pair, steps.pair_start,
+        entries.start, labels.low, labels.many, labels.offset, best, steps.pair, steps.pair_start,
         steps.unseen, problem.there.size,
     )  # fmt: skip
     lines = cost.sum(axis=0)
@@ -249,17 +254,17 @@ def _rivals(problem: _Problem, best: Integers) -> list[_Shift]:
 
 def _own(problem: _Problem, weights: Weights) -> Floats:
     labels = problem.labels
-    return own_costs(
-        problem.entries.peak, labels.low, labels.count, labels.offset, problem.line, problem.piece,
+    return np.asarray(own_costs(
+        problem.entries.peak, labels.low, labels.many, labels.offset, problem.line, problem.piece,
         problem.piece_line, problem.anchored, problem.there, weights.false_peak, weights.on_rest,
-        weights.long_run, weights.anchor, weights.absent, _RUN_ROWS,
-    )  # fmt: skip
+        weights.long_run, weights.anchor, weights.on_end, weights.absent, _RUN_ROWS,
+    ))  # fmt: skip
 
 
 def _energy(problem: _Problem, best: Integers) -> Floats:
     """Give (line,) what the chosen nodes cost with the base's weights."""
     entries, labels = problem.entries, problem.labels
-    return line_costs(
-        entries.start, entries.before, entries.tie, labels.low, labels.count, labels.offset, best,
+    return np.asarray(line_costs(
+        entries.start, entries.before, entries.tie, labels.low, labels.many, labels.offset, best,
         _own(problem, BASE), *problem.steps, BASE.surface, BASE.unseen,
-    )  # fmt: skip
+    ))  # fmt: skip

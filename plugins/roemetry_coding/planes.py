@@ -1,8 +1,8 @@
 """Stripe coding by the planes of light: which labels make a surface that this camera would see like this.
 
 Each peak, taken for each stripe, is a point in space: the line of sight meets the plane of light. Labels are
-chosen so that heights are possible, the surface goes on from stripe to stripe and along the stripes, and every
-stripe that is not seen is hidden by something. What is in doubt is refused.
+chosen so that heights are possible, the surface goes on from stripe to stripe and along the stripes, and
+every stripe that is not seen is hidden by something. What is in doubt is refused.
 """
 
 from __future__ import annotations
@@ -18,9 +18,11 @@ from roemetry.stages import Coder, StageOptions
 from roemetry_coding.margins import margin_of
 from roemetry_coding.plane_solver import OTHERS, Solved, solve_planes
 from roemetry_kernels.bridging import bridged
+from roemetry_kernels.consistency import refuse_unexplained_gaps
 from roemetry_kernels.label_verdicts import out_of_order
 from roemetry_kernels.refusing import refuse_uncodable
-from roemetry_kernels.rest_lines import calibrated_rest_lines, missing_stripes, reasons_of
+from roemetry_kernels.rest_lines import RestLines, calibrated_rest_lines, missing_stripes, reasons_of
+from roemetry_kernels.tracing import nearest_rest
 
 
 class PlanesOptions(StageOptions):
@@ -44,6 +46,8 @@ class PlanesOptions(StageOptions):
 
 
 _CODED_SHARE_MIN = 0.4
+_OUTER_SHARE = 0.1
+_ON_BELT_MIN = 0.3
 
 
 class Planes(Coder[PlanesOptions]):
@@ -65,7 +69,7 @@ class Planes(Coder[PlanesOptions]):
         ------
         StageError
             No calibration; no peak at all; peaks of another image size than the calibration's; rest lines
-            that cross, or with nothing on any of them; the belt's stripes more than a pixel beside them;
+            that cross, or with (nearly) nothing on them; the belt's stripes more than a pixel beside them;
             fewer than two peaks in five on any possible surface.
         """
         refuse_uncodable(peaks, calibration)
@@ -77,12 +81,12 @@ class Planes(Coder[PlanesOptions]):
         rest = calibrated_rest_lines(peaks, calibration)
         solved = solve_planes(peaks, calibration, rest, OTHERS[: self.options.other_weights])
         live = np.flatnonzero(solved.there > 0.0)
-        if not live.size:
+        if not live.size or not _belt_fits(peaks, rest):
             raise StageError(
                 f"no stripe lies where the {rest.x_px.shape[0]} rest lines are",
                 hint="camera or laser may have been moved: calibrate again, or remove what covers the belt",
             )
-        stripe, margin = self._decided(peaks, solved)
+        stripe, margin, gaps = self._decided(peaks, calibration, rest, solved)
         coded = (stripe >= 0).mean()
         if coded < _CODED_SHARE_MIN:
             raise StageError(
@@ -97,11 +101,16 @@ class Planes(Coder[PlanesOptions]):
             rest,
             longest_gap_rows=self.options.longest_gap_rows,
             smallest_product_points=self.options.smallest_product_points,
-            reasons=reasons_of(rest) + missing_stripes(live, rest.x_px.shape[0]) + _approximate(calibration),
+            reasons=reasons_of(rest)
+            + missing_stripes(live, rest.x_px.shape[0])
+            + gaps
+            + _approximate(calibration),
         )
 
-    def _decided(self, peaks: Peaks, solved: Solved) -> tuple[Integers, Floats]:
-        """Refuse doubt and disorder; give (peak,) stripe or verdict, and margin."""
+    def _decided(
+        self, peaks: Peaks, calibration: Calibration, rest: RestLines, solved: Solved
+    ) -> tuple[Integers, Floats, list[Reason]]:
+        """Refuse doubt and disorder; give (peak,) stripe or verdict, margin, and what to say."""
         margin = margin_of(solved.dearer)
         stripe = solved.stripe.copy()
         sure = solved.unanimous & (margin >= self.options.margin_min)
@@ -109,7 +118,26 @@ class Planes(Coder[PlanesOptions]):
         entries = solved.entries
         wrong = out_of_order(entries.start, entries.peak, peaks.row, stripe, solved.there.size)
         stripe[wrong] = AMBIGUOUS
-        return stripe, margin
+        line, _ = nearest_rest(peaks.row, peaks.x_px, rest.x_px, rest.tolerance_px)
+        stripe, gaps = refuse_unexplained_gaps(
+            peaks,
+            stripe,
+            line,
+            rest.x_px,
+            calibration.displacement_px_per_mm,
+            self.options.longest_gap_rows,
+        )
+        return stripe, margin, gaps
+
+
+def _belt_fits(peaks: Peaks, rest: RestLines) -> bool:
+    """Say whether the peaks at the image's top and bottom lie on rest lines, at least three in ten."""
+    rows = peaks.image_size[0]
+    outer = (peaks.row < _OUTER_SHARE * rows) | (peaks.row >= (1.0 - _OUTER_SHARE) * rows)
+    if not outer.any():
+        return True
+    line, _ = nearest_rest(peaks.row[outer], peaks.x_px[outer], rest.x_px, rest.tolerance_px)
+    return bool((line >= 0).mean() >= _ON_BELT_MIN)
 
 
 def _approximate(calibration: Calibration) -> list[Reason]:

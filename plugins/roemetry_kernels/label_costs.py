@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from roemetry.arrays import Flags, Floats, Integers
+from roemetry.arrays import Floats, Integers
 
 _LOOK_BACK = 4
 """Up to three peaks side by side may be false."""
@@ -22,35 +22,12 @@ _LEAN_HIDES = -0.05
 _LEAN_SHOWS = 0.15
 
 
-class Entries(NamedTuple):
-    """Peaks as they stand on the sight lines: a trace has one entry on each line it crosses.
-
-    Attributes
-    ----------
-    start
-        (line + 1,) where each line's entries begin; they are sorted by u.
-    peak, u
-        (entry,) the peak, and its place on the line.
-    before, after
-        (entry,) the entry of the same trace on the line before and after, −1 for none.
-    tie
-        (entry,) what it costs to have another stripe than the entry before.
-    """
-
-    start: Integers
-    peak: Integers
-    u: Floats
-    before: Integers
-    after: Integers
-    tie: Floats
-
-
 class Labels(NamedTuple):
     """Stripes that are possible.
 
     Attributes
     ----------
-    low, count
+    low, many
         (entry,) first stripe and number of stripes that are possible, which follow each other.
     offset
         (entry + 1,) where each entry's nodes begin: one for each possible stripe, and a last one for none.
@@ -61,7 +38,7 @@ class Labels(NamedTuple):
     """
 
     low: Integers
-    count: Integers
+    many: Integers
     offset: Integers
     height: Floats
     label_mm: Floats
@@ -89,142 +66,6 @@ class Steps(NamedTuple):
     unseen: NDArray[np.float32]
     before: Floats
     after: Floats
-
-
-@njit(cache=True, nogil=True)
-def entries_of(
-    row: Integers, trace: Integers, piece: Integers, loose: Flags, line: Floats, u: Floats, lines: int,
-    u_per_px: float,
-    tie_whole: float, tie_cut: float, tie_gap: float, gap_lines: int,
-) -> tuple[Integers, Integers, Floats, Integers, Integers, Floats]:  # fmt: skip
-    """Put every trace once on each line that it crosses, and tie it to itself across lines.
-
-    Parameters
-    ----------
-    row, trace, piece
-        (peak,) row; trace; and which piece of the trace between cuts.
-    loose
-        (peak,) True where a piece may change its stripe from row to row.
-    line, u
-        (peak,) see `roemetry_kernels.sight_lines`.
-    lines
-        Number of lines.
-    u_per_px
-        Change of u for a pixel.
-    tie_whole, tie_cut, tie_gap
-        Cost of a change of stripe within a piece, at a cut, and over a gap.
-    gap_lines
-        Longest gap that is tied over, lines.
-
-    Returns
-    -------
-    tuple
-        The fields of `Entries`.
-    """
-    peaks = row.shape[0]
-    before, after = _neighbours(trace)
-    # each peak answers for the lines nearer to it than to its trace's neighbours
-    low = np.empty(peaks, np.int64)
-    high = np.empty(peaks, np.int64)
-    count = np.zeros(lines + 1, np.int64)
-    for p in range(peaks):
-        a = line[p] - 0.5 if before[p] < 0 else 0.5 * (line[p] + line[before[p]])
-        b = line[p] + 0.5 if after[p] < 0 else 0.5 * (line[p] + line[after[p]])
-        if (before[p] >= 0 and line[before[p]] > line[p]) or (after[p] >= 0 and line[after[p]] < line[p]):
-            a = line[p] + 0.5 if before[p] < 0 else a
-            b = line[p] - 0.5 if after[p] < 0 else b
-        if a > b:
-            a, b = b, a
-        low[p] = max(0, int(np.ceil(a)))
-        high[p] = min(lines - 1, int(np.ceil(b)) - 1)
-        for e in range(low[p], high[p] + 1):
-            count[e + 1] += 1
-    start = np.cumsum(count)
-    size = start[-1]
-    peak = np.empty(size, np.int64)
-    place = np.empty(size)
-    fill = start[:-1].copy()
-    for p in range(peaks):
-        for e in range(low[p], high[p] + 1):
-            k = fill[e]
-            while k > start[e] and place[k - 1] > u[p]:
-                place[k], peak[k] = place[k - 1], peak[k - 1]
-                k -= 1
-            place[k], peak[k] = u[p], p
-            fill[e] += 1
-    up, down, tie = _tied(
-        start, peak, place, trace, piece, loose, u_per_px, tie_whole, tie_cut, tie_gap, gap_lines
-    )
-    return start, peak, place, up, down, tie
-
-
-@njit(cache=True, nogil=True)
-def _neighbours(trace: Integers) -> tuple[Integers, Integers]:
-    peaks = trace.shape[0]
-    last = np.full(peaks + 1, -1, np.int64)
-    before = np.full(peaks, -1, np.int64)
-    after = np.full(peaks, -1, np.int64)
-    for p in range(peaks):
-        q = last[trace[p]]
-        before[p] = q
-        if q >= 0:
-            after[q] = p
-        last[trace[p]] = p
-    return before, after
-
-
-@njit(cache=True, nogil=True)
-def _tied(
-    start: Integers, peak: Integers, place: Floats, trace: Integers, piece: Integers, loose: Flags,
-    u_per_px: float, tie_whole: float, tie_cut: float, tie_gap: float, gap_lines: int,
-) -> tuple[Integers, Integers, Floats]:  # fmt: skip
-    size = peak.shape[0]
-    up = np.full(size, -1, np.int64)
-    down = np.full(size, -1, np.int64)
-    tie = np.zeros(size)
-    last = np.full(trace.shape[0] + 1, -1, np.int64)
-    line_of = np.empty(size, np.int64)
-    for e in range(start.shape[0] - 1):
-        for i in range(start[e], start[e + 1]):
-            line_of[i] = e
-            j = last[trace[peak[i]]]
-            if j >= 0 and line_of[j] == e - 1 and down[j] < 0:
-                up[i], down[j] = j, i
-                whole = piece[peak[i]] == piece[peak[j]] and not loose[peak[i]]
-                tie[i] = tie_whole if whole else tie_cut
-            last[trace[peak[i]]] = i
-    # over gaps: from a beginning back to the end that points at it best
-    for e in range(start.shape[0] - 1):
-        for i in range(start[e], start[e + 1]):
-            if up[i] >= 0:
-                continue
-            best, found = 1.0, -1
-            for back in range(1, gap_lines + 1):
-                if e - back < 0:
-                    break
-                for j in range(start[e - back], start[e - back + 1]):
-                    if down[j] >= 0 or trace[peak[j]] == trace[peak[i]]:
-                        continue
-                    slope = 0.5 * (_slope(j, up, place, -1) + _slope(i, down, place, 1))
-                    off = abs(place[j] + slope * back - place[i]) / u_per_px
-                    if off / (1.5 + 0.25 * back) < best:
-                        best, found = off / (1.5 + 0.25 * back), j
-                if found >= 0:
-                    break
-            if found >= 0:
-                up[i], down[found] = found, i
-                tie[i] = tie_gap * (1.0 - 0.7 * best)
-    return up, down, tie
-
-
-@njit(cache=True, nogil=True)
-def _slope(i: int, to: Integers, place: Floats, sign: int) -> float:
-    """Change of u from line to line near an end, over up to six lines."""
-    k, steps = i, 0
-    while steps < 6 and to[k] >= 0:
-        k = to[k]
-        steps += 1
-    return 0.0 if steps == 0 else sign * (place[k] - place[i]) / steps
 
 
 @njit(cache=True, nogil=True)
@@ -317,7 +158,7 @@ def steps_of(
     Parameters
     ----------
     start, u, low, count, offset, height, label_mm
-        See `Entries` and `Labels`.
+        See `roemetry_kernels.sight_entries` and `Labels`.
     plane, u_min, u_max, u_per_px
         See `roemetry_kernels.sight_lines`.
     lean
@@ -377,8 +218,8 @@ def steps_of(
 
 @njit(cache=True, nogil=True)
 def _borders(
-    start: Integers, u: Floats, low: Integers, count: Integers, offset: Integers, height: Floats, plane: Floats,
-    u_min: Floats, u_max: Floats, presence: Floats, u_per_px: float,
+    start: Integers, u: Floats, low: Integers, count: Integers, offset: Integers, height: Floats,
+    plane: Floats, u_min: Floats, u_max: Floats, presence: Floats, u_per_px: float,
 ) -> tuple[Floats, Floats]:  # fmt: skip
     """Count the stripes that would be seen between each node and the image's borders."""
     lines, stripes = plane.shape[0], plane.shape[1]
@@ -398,18 +239,24 @@ def _borders(
                 s, z = low[p] + i, max(height[offset[p] + i], 0.0)
                 for k in range(s - 1, -1, -1):
                     apart = _at_border(plane[e, k], 0.0, -np.inf, u[p], u_per_px)
-                    if apart == 1.0 and _at_border(plane[e, k], z, u_min[e], np.inf, u_per_px) == 1.0:
-                        if k < s - _LEFT_OUT_MAX:
-                            before[offset[p] + i] += seen_left[k + 1]
-                            break
+                    if (
+                        k < s - _LEFT_OUT_MAX
+                        and apart == 1.0
+                        and _at_border(plane[e, k], z, u_min[e], np.inf, u_per_px) == 1.0
+                    ):
+                        before[offset[p] + i] += seen_left[k + 1]
+                        break
                     weight = min(apart, _at_border(plane[e, k], z, u_min[e], np.inf, u_per_px))
                     before[offset[p] + i] += min(seen_left[k + 1] - seen_left[k], presence[e, k] * weight)
                 for k in range(s + 1, stripes):
                     apart = _at_border(plane[e, k], 0.0, u[p], np.inf, u_per_px)
-                    if apart == 1.0 and _at_border(plane[e, k], z, -np.inf, u_max[e], u_per_px) == 1.0:
-                        if k > s + _LEFT_OUT_MAX:
-                            after[offset[p] + i] += seen_right[k]
-                            break
+                    if (
+                        k > s + _LEFT_OUT_MAX
+                        and apart == 1.0
+                        and _at_border(plane[e, k], z, -np.inf, u_max[e], u_per_px) == 1.0
+                    ):
+                        after[offset[p] + i] += seen_right[k]
+                        break
                     weight = min(apart, _at_border(plane[e, k], z, -np.inf, u_max[e], u_per_px))
                     after[offset[p] + i] += min(seen_right[k] - seen_right[k + 1], presence[e, k] * weight)
     return before, after

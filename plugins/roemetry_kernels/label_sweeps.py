@@ -30,7 +30,7 @@ def swept(
     Parameters
     ----------
     start, up, down, tie
-        See `roemetry_kernels.label_costs.Entries` (there `before` and `after`).
+        See `roemetry_kernels.sight_entries.Entries` (there `before` and `after`).
     low, count, offset
         See `roemetry_kernels.label_costs.Labels`.
     own
@@ -82,10 +82,11 @@ def swept(
 
 @njit(cache=True, nogil=True)
 def _share_out(
-    a: int, b: int, pair_a: int, pair_b: int, count: Integers, offset: Integers, total: Floats, pair: Integers,
-    step: NDArray[np.float32], first: Floats, last: Floats, forward: Floats, backward: Floats, taken: Floats,
+    a: int, b: int, pair_a: int, pair_b: int, count: Integers, offset: Integers, total: Floats,
+    pair: Integers, step: NDArray[np.float32], first: Floats, last: Floats,
+    forward: Floats, backward: Floats, taken: Floats,
 ) -> None:  # fmt: skip
-    """Take the line's cost apart into costs of its nodes: evenly from the left, what is left from the right."""
+    """Take the line's cost apart into its nodes': evenly from the left, what is left from the right."""
     none = 0.0
     nothing = np.empty(b - a + 1)
     for i in range(a, b):
@@ -126,8 +127,8 @@ def _share_out(
 
 @njit(cache=True, nogil=True)
 def _backwards(
-    a: int, b: int, pair_a: int, pair_b: int, count: Integers, offset: Integers, total: Floats, pair: Integers,
-    step: NDArray[np.float32], last: Floats, nothing: Floats, backward: Floats,
+    a: int, b: int, pair_a: int, pair_b: int, count: Integers, offset: Integers, total: Floats,
+    pair: Integers, step: NDArray[np.float32], last: Floats, nothing: Floats, backward: Floats,
 ) -> None:  # fmt: skip
     """Write the least cost of the line from each node on, its own included."""
     for p in range(a, b):
@@ -197,8 +198,9 @@ def _hand_on(
 
 @njit(cache=True, nogil=True)
 def _solve(
-    a: int, b: int, pair_a: int, pair_b: int, count: Integers, offset: Integers, total: Floats, pair: Integers,
-    step: NDArray[np.float32], first: Floats, last: Floats, empty: float, forward: Floats, backward: Floats,
+    a: int, b: int, pair_a: int, pair_b: int, count: Integers, offset: Integers, total: Floats,
+    pair: Integers, step: NDArray[np.float32], first: Floats, last: Floats,
+    empty: float, forward: Floats, backward: Floats,
     cost: Floats,
 ) -> None:  # fmt: skip
     """Write the least cost of the line for each of its nodes, less the least of the entry."""

@@ -1,4 +1,4 @@
-"""From costs of lines to one verdict for each peak: pieces of a trace agree, order is kept, doubt refused."""
+"""From costs of lines to verdicts on peaks, what a whole solution costs, and which others may be better."""
 
 from __future__ import annotations
 
@@ -7,192 +7,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from roemetry.arrays import Flags, Floats, Integers
-
-ENDS = -2
-"""Rest line of the ends that were cut off: not known."""
-_MEAN_MAX = 6.0
-"""No label of an entry counts for more than this in its piece's mean."""
-
-
-@njit(cache=True, nogil=True)
-def end_pieces(
-    row: Integers, piece: Integers, line: Integers, rows: int, end_rows: int, border_rows: int
-) -> tuple[Integers, Integers, Flags]:
-    """Cut the ends off pieces that lie on a rest line and end amid the image.
-
-    There a body that begins on the rest line, within its tolerance, may have been taken along.
-
-    Parameters
-    ----------
-    row, piece
-        (peak,) row and piece, peaks sorted by row.
-    line
-        (piece,) rest line a piece lies on, −1 for none.
-    rows
-        Image rows.
-    end_rows
-        What is cut off, rows.
-    border_rows
-        A piece that begins or ends this near to the image's border is not cut there.
-
-    Returns
-    -------
-    tuple
-        (peak,) new pieces; (piece,) the rest line of each, `ENDS` for ends; (piece,) True for what is left of
-        a piece that reaches the image's border.
-    """
-    pieces = line.shape[0]
-    first = np.full(pieces, rows, np.int64)
-    last = np.full(pieces, -1, np.int64)
-    for p in range(row.shape[0]):
-        first[piece[p]] = min(first[piece[p]], row[p])
-        last[piece[p]] = max(last[piece[p]], row[p])
-    number = np.full((pieces, 3), -1, np.int64)
-    found = np.empty(row.shape[0], np.int64)
-    on = np.empty(3 * pieces, np.int64)
-    anchored = np.zeros(3 * pieces, np.bool_)
-    count = 0
-    for p in range(row.shape[0]):
-        f, part = piece[p], 0
-        if line[f] >= 0:
-            if first[f] > border_rows and row[p] < first[f] + end_rows:
-                part = 1
-            elif last[f] < rows - 1 - border_rows and row[p] > last[f] - end_rows:
-                part = 2
-        if number[f, part] < 0:
-            number[f, part] = count
-            on[count] = line[f] if part == 0 else ENDS
-            anchored[count] = part == 0 and (first[f] <= border_rows or last[f] >= rows - 1 - border_rows)
-            count += 1
-        found[p] = number[f, part]
-    return found, on[:count].copy(), anchored[:count].copy()
-
-
-@njit(cache=True, nogil=True)
-def presence_of(
-    line: Floats, piece: Integers, piece_line: Integers, enters: Floats, leaves: Floats, lines: int,
-    rows_full: int, rows_min: int, end_lines: int, lost: float,
-) -> Floats:  # fmt: skip
-    """Give (line, stripe) how surely a stripe's belt is there to be seen, 0 to 1.
-
-    Parameters
-    ----------
-    line
-        (peak,) see `roemetry_kernels.sight_lines`.
-    piece, piece_line
-        (peak,) piece; (piece,) rest line that it follows, below 0 for none.
-    enters, leaves
-        (stripe,) lines at which the rest line enters and leaves the image.
-    lines
-        Number of lines.
-    rows_full, rows_min
-        Peaks on the rest line that make a stripe certain; with fewer than the second it is not there.
-    end_lines
-        A stripe's belt may begin or end this far from the image's border.
-    lost
-        Where it does not reach so far: what is left of its presence there.
-    """
-    stripes = enters.shape[0]
-    seen = np.zeros(stripes)
-    first, last = np.full(stripes, np.inf), np.full(stripes, -np.inf)
-    for p in range(line.shape[0]):
-        s = piece_line[piece[p]]
-        if s >= 0:
-            seen[s] += 1.0
-            first[s], last[s] = min(first[s], line[p]), max(last[s], line[p])
-    presence = np.zeros((lines, stripes))
-    for s in range(stripes):
-        if seen[s] < rows_min:
-            continue
-        low, high = min(enters[s], leaves[s]), max(enters[s], leaves[s])
-        for e in range(lines):
-            off = (e < first[s] and first[s] - low > end_lines) or (
-                e > last[s] and high - last[s] > end_lines
-            )
-            presence[e, s] = min(seen[s] / rows_full, 1.0) * (lost if off else 1.0)
-    return presence
-
-
-@njit(cache=True, nogil=True)
-def own_costs(
-    peak: Integers, low: Integers, count: Integers, offset: Integers, peak_line: Integers, piece: Integers,
-    piece_line: Integers, anchored: Flags, there: Floats, false_peak: float, on_rest: float, long_run: float,
-    anchor: float, absent: float, run_rows: tuple[int, int],
-) -> Floats:  # fmt: skip
-    """Give (node,) costs of a node by itself.
-
-    Parameters
-    ----------
-    peak, low, count, offset
-        See `roemetry_kernels.label_costs`.
-    peak_line
-        (peak,) rest line a peak lies on, −1 for none.
-    piece, piece_line
-        (peak,) piece; (piece,) rest line that it follows, −1 for none.
-    anchored
-        (piece,) True where it begins or ends at the image's border.
-    there
-        (stripe,) how surely a stripe is there, 0 to 1.
-    false_peak
-        Cost of no stripe.
-    on_rest, long_run, anchor
-        Gain of lying on the stripe's rest line, of doing so in a long run, and in one from the border on.
-    absent
-        Cost of a stripe that is not there.
-    run_rows
-        Rows from which a run begins to be long, and at which it is as long as it need be.
-    """
-    rows = np.zeros(piece_line.shape[0], np.int64)
-    for p in range(piece.shape[0]):
-        rows[piece[p]] += 1
-    own = np.zeros(offset[-1])
-    for i in range(peak.shape[0]):
-        p = peak[i]
-        long = (rows[piece[p]] - run_rows[0]) / (run_rows[1] - run_rows[0])
-        for k in range(count[i]):
-            s = low[i] + k
-            node = offset[i] + k
-            if peak_line[p] == s:
-                own[node] -= on_rest
-                if piece_line[piece[p]] == s:
-                    own[node] -= long_run * min(max(long, 0.0), 1.0)
-                    if anchored[piece[p]]:
-                        own[node] -= anchor * min(rows[piece[p]] / run_rows[0], 1.0)
-            own[node] += absent * (1.0 - min(1.0, 5.0 * there[s]))
-        own[offset[i + 1] - 1] = false_peak
-    return own
-
-
-@njit(cache=True, nogil=True)
-def pieces_agree(
-    peak: Integers, low: Integers, count: Integers, offset: Integers, piece: Integers, piece_line: Integers,
-    stripes: int, cost: Floats, own: Floats,
-) -> Floats:  # fmt: skip
-    """Add to each node's own cost the mean cost that its stripe has over its piece."""
-    pieces = piece_line.shape[0]
-    mean = np.zeros((pieces, stripes + 1))
-    entries = np.zeros(pieces)
-    for i in range(peak.shape[0]):
-        f = piece[peak[i]]
-        entries[f] += 1.0
-        for k in range(count[i]):
-            mean[f, low[i] + k] += min(cost[offset[i] + k], _MEAN_MAX) - _MEAN_MAX
-        mean[f, stripes] += min(cost[offset[i + 1] - 1], _MEAN_MAX) - _MEAN_MAX
-    for f in range(pieces):
-        least = np.inf
-        if piece_line[f] == ENDS:
-            entries[f] = np.inf
-        for s in range(stripes):
-            least = min(least, mean[f, s])
-        for s in range(stripes + 1):
-            mean[f, s] = max(0.0, (mean[f, s] - least) / max(entries[f], 1.0))
-    added = own.copy()
-    for i in range(peak.shape[0]):
-        f = piece[peak[i]]
-        for k in range(count[i]):
-            added[offset[i] + k] += mean[f, low[i] + k]
-        added[offset[i + 1] - 1] += mean[f, stripes]
-    return added
+from roemetry_kernels.label_pieces import ENDS
 
 
 @njit(cache=True, nogil=True)
@@ -312,9 +127,9 @@ def line_costs(
             k = best[p] - offset[p]
             found[e] += own[best[p]]
             q = before_entry[p]
-            if q >= 0 and k < count[p] and best[q] - offset[q] < count[q]:
-                if low[p] + k != low[q] + best[q] - offset[q]:
-                    found[e] += tie[p]
+            both = q >= 0 and k < count[p] and best[q] - offset[q] < count[q]
+            if both and low[p] + k != low[q] + best[q] - offset[q]:
+                found[e] += tie[p]
             if k == count[p]:
                 continue
             if last < 0:
@@ -361,3 +176,31 @@ def left_out(
 
 _BROKEN = 20.0
 """Cost of two neighbours out of order, or too far apart to be compared."""
+
+
+@njit(cache=True, nogil=True)
+def mixed(piece: Integers, piece_line: Integers, stripe: Integers, stripes: int, share_min: float) -> Flags:
+    """Mark coded peaks whose piece, which is one stripe, was given several: all but a large majority.
+
+    Parameters
+    ----------
+    piece, piece_line
+        (peak,) piece; (piece,) its rest line. `ENDS` may hold two stripes.
+    stripe
+        (peak,) stripe, below 0 for none.
+    stripes
+        Number of stripes.
+    share_min
+        Share of a piece's coded peaks that makes a majority large.
+    """
+    pieces = piece_line.shape[0]
+    votes = np.zeros((pieces, stripes), np.int64)
+    for p in range(piece.shape[0]):
+        if stripe[p] >= 0:
+            votes[piece[p], stripe[p]] += 1
+    found = np.zeros(piece.shape[0], np.bool_)
+    for p in range(piece.shape[0]):
+        f = piece[p]
+        if stripe[p] >= 0 and piece_line[f] != ENDS:
+            found[p] = votes[f, stripe[p]] < share_min * votes[f].sum()
+    return found

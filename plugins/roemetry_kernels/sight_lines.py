@@ -1,8 +1,8 @@
 """The image sorted along the lines in which light and sight meet: epipolar lines.
 
 A plane through the camera's and the projector's centre cuts the image in an epipolar line, and every plane of
-light in a ray. Along that line stripes keep their order exactly, whatever the lens or the angle; along an image
-row they do so nearly. On such a line, with u the place on it, the height a peak would have as stripe k is
+light in a ray. Along that line stripes keep their order exactly, whatever the lens or the angle; along an
+image row they do so nearly. On such a line, with u the place on it, a peak has as stripe k the height
 
     z = (α u + β) / (γ u + δ)
 
@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roemetry.arrays import Floats, Integers
+from roemetry.arrays import Floats
 from roemetry.calibration import Calibration
 from roemetry.records import Peaks
 from roemetry.view import View
@@ -31,8 +31,8 @@ class SightLines(NamedTuple):
     Attributes
     ----------
     line, u
-        (peak,) place across the lines, counted in lines from 0 (not rounded), and along them; u increases with
-        the stripe.
+        (peak,) place across the lines, counted in lines from 0 (not rounded), and along them; u increases
+        with the stripe.
     plane
         (line, stripe, 4) α, β, γ, δ, see above, mm.
     lean
@@ -61,8 +61,8 @@ def sight_lines(peaks: Peaks, calibration: Calibration, rest_px: Floats) -> Sigh
     peaks
         The frame's peaks.
     calibration
-        Its `view` gives camera and planes; without one, or with a telecentric one, rows are taken, and heights
-        from rest lines and displacements.
+        Its `view` gives camera and planes; without one, or with a telecentric one, rows are taken, and
+        heights from rest lines and displacements.
     rest_px
         (stripe, row) rest lines, px.
     """
@@ -94,7 +94,7 @@ def _rows(peaks: Peaks, calibration: Calibration, rest_px: Floats) -> SightLines
 
 
 def _projector(view: View) -> Floats | None:
-    """Give where the light comes from; where only planes are known, the point nearest to all and the camera."""
+    """Give where the light comes from; if only planes are known, their point nearest to the camera."""
     if np.isfinite(view.projector_mm).all():
         return np.asarray(view.projector_mm)
     normal, distance = view.planes[:, :3], view.planes[:, 3]
@@ -114,7 +114,7 @@ def _epipolar(peaks: Peaks, view: View, projector_mm: Floats, rest_px: Floats) -
     forward = middle - (middle @ base) * base
     if np.linalg.norm(forward) < 1e-3:
         return None
-    forward /= np.linalg.norm(forward)
+    forward = np.asarray(forward / np.linalg.norm(forward))
     side = np.cross(base, forward)
 
     def placed(xy_px: Floats) -> tuple[Floats, Floats]:
@@ -137,7 +137,7 @@ def _epipolar(peaks: Peaks, view: View, projector_mm: Floats, rest_px: Floats) -
     angle, u = placed(np.stack([peaks.x_px, peaks.row.astype(np.float64)], axis=1))
     across = placed(np.stack([rest_px[[0, -1], rows // 2], np.full(2, rows / 2.0)], axis=1))[1]
     sign = 1.0 if across[1] >= across[0] else -1.0
-    line_angle = first + step * np.arange(count)
+    line_angle = first + step * np.arange(count, dtype=np.float64)
     plane = _planes(view, base, forward, side, line_angle, sign)
     u_min, u_max = np.full(count, np.inf), np.full(count, -np.inf)
     at = np.clip(np.rint((angle_border - first) / step).astype(np.int64), 0, count - 1)

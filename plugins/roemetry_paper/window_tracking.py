@@ -26,6 +26,7 @@ from roemetry.errors import StageError
 from roemetry.records import AMBIGUOUS, UNCODED, Peaks, Reason, StripeMap
 from roemetry.stages import Coder, StageOptions
 from roemetry_kernels.bridging import bridged
+from roemetry_kernels.consistency import drop_doubles, keep_order, refuse_unexplained_gaps
 from roemetry_kernels.ordering import vote_by_order
 from roemetry_kernels.refusing import refuse_uncodable
 from roemetry_kernels.rest_lines import (
@@ -37,7 +38,6 @@ from roemetry_kernels.rest_lines import (
 )
 from roemetry_kernels.tracing import nearest_rest, trace_fragments
 from roemetry_paper.belt import Belt, belt_of
-from roemetry_paper.consistency import drop_doubles, keep_order, refuse_unexplained_gaps
 from roemetry_paper.literal_tracking import literal_codes
 
 
