@@ -19,6 +19,13 @@ def roemetry_stages() -> Iterable[StageEntry]:
     )
     yield StageEntry(
         kind="coder",
+        name="tracing",
+        target="roemetry_coding.tracing:Tracing",
+        summary="Follows stripes from the belt by direction and curvature, over gaps",
+        reference="our own",
+    )
+    yield StageEntry(
+        kind="coder",
         name="planes",
         target="roemetry_coding.planes:Planes",
         summary="The labels that make a surface this camera would see like this; refuses doubt",

@@ -1,0 +1,120 @@
+"""Stripe coding by tracing: each stripe is followed from the belt, over gaps, by direction and curvature.
+
+Peaks are joined into traces by where the trace is going, not by where it was. Traces that end are joined to
+those that begin where the first would have come. What then hangs together with belt has that belt's stripe;
+what does not is numbered by order between the stripes that are known.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import Field
+
+from roemetry.calibration import Calibration
+from roemetry.errors import StageError
+from roemetry.records import AMBIGUOUS, UNCODED, Peaks, StripeMap
+from roemetry.stages import Coder, StageOptions
+from roemetry_kernels.bridging import bridged
+from roemetry_kernels.consistency import keep_order
+from roemetry_kernels.refusing import refuse_uncodable
+from roemetry_kernels.rest_lines import calibrated_rest_lines, missing_stripes, reasons_of
+from roemetry_kernels.row_order import stripes_on_belt
+from roemetry_kernels.trace_linking import coded_traces, linked_traces
+
+
+class TracingOptions(StageOptions):
+    """Gaps, sizes and doubt."""
+
+    step_max_px: float = Field(
+        default=3.5, gt=0, le=50, description="largest distance of a peak from where its trace was going, px"
+    )
+    longest_gap_rows: int = Field(
+        default=20, ge=0, description="longest gap that a trace is followed over, and that is bridged, rows"
+    )
+    smallest_trace_rows: int = Field(default=6, ge=1, description="traces with fewer peaks are noise, rows")
+    margin_min: float = Field(
+        default=0.6, ge=0, le=1, description="peaks with a smaller margin are refused as ambiguous"
+    )
+    smallest_product_points: int = Field(
+        default=40, ge=1, description="bodies with fewer points, taken together, are dirt on the belt"
+    )
+
+
+_LIVE_ROWS_MIN = 15
+_CODED_SHARE_MIN = 0.4
+
+
+class Tracing(Coder[TracingOptions]):
+    """Follows stripes with sub-pixel prediction, over gaps, and numbers them from the belt."""
+
+    Options = TracingOptions
+
+    def code(self, peaks: Peaks, calibration: Calibration | None) -> StripeMap:
+        """Code the peaks of one frame.
+
+        Parameters
+        ----------
+        peaks
+            From any extractor.
+        calibration
+            Gives rest lines, displacements and the range of heights.
+
+        Raises
+        ------
+        StageError
+            No calibration; no peak at all; peaks of another image size than the calibration's; rest lines
+            that cross, or with nothing on any of them; the belt's stripes more than a pixel beside them;
+            fewer than two peaks in five on traces that could be numbered.
+        """
+        options = self.options
+        refuse_uncodable(peaks, calibration)
+        if calibration is None:
+            raise StageError(
+                "the coder `tracing` needs a calibration: it tells which belt a trace comes from",
+                hint="calibrate, or use the coder `window-tracking`",
+            )
+        rest = calibrated_rest_lines(peaks, calibration)
+        live = stripes_on_belt(peaks.row, peaks.x_px, rest.x_px, rest.tolerance_px, _LIVE_ROWS_MIN)
+        if not live.any():
+            raise StageError(
+                f"no stripe lies where the {live.size} rest lines are",
+                hint="camera or laser may have been moved: calibrate again, or remove what covers the belt",
+            )
+        trace, traces = linked_traces(
+            peaks.row_start, peaks.row, peaks.x_px, options.step_max_px, options.longest_gap_rows
+        )
+        low_mm, high_mm = calibration.height_range_mm
+        stripe, margin = coded_traces(
+            peaks.row_start,
+            peaks.row,
+            peaks.x_px,
+            trace,
+            traces,
+            rest.x_px,
+            live,
+            rest.tolerance_px,
+            calibration.displacement_px_per_mm,
+            low_mm,
+            high_mm,
+            options.smallest_trace_rows,
+        )
+        stripe = np.where(
+            stripe == UNCODED, UNCODED, np.where(margin >= options.margin_min, stripe, AMBIGUOUS)
+        )
+        stripe = keep_order(peaks, stripe)
+        coded = (stripe >= 0).mean()
+        if coded < _CODED_SHARE_MIN:
+            raise StageError(
+                f"only {coded:.0%} of the peaks lie on traces that could be numbered: that is noise, or the "
+                "calibration is another rig's",
+                hint="raise the extractor's threshold, or look at the image",
+            )
+        return bridged(
+            peaks,
+            stripe,
+            margin,
+            rest,
+            longest_gap_rows=options.longest_gap_rows,
+            smallest_product_points=options.smallest_product_points,
+            reasons=reasons_of(rest) + missing_stripes(np.flatnonzero(live), live.size),
+        )
