@@ -29,7 +29,7 @@ class PlanesOptions(StageOptions):
     """How sure a label must be, and gaps and sizes as in other coders."""
 
     margin_min: float = Field(
-        default=0.99, ge=0, le=1, description="peaks with a smaller margin are refused as ambiguous"
+        default=0.985, ge=0, le=1, description="peaks with a smaller margin are refused as ambiguous"
     )
     other_weights: int = Field(
         default=2,

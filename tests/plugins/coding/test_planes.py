@@ -1,0 +1,106 @@
+"""The coder `planes`: hidden stripes counted right, doubt refused, a dead stripe named."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from roemetry.errors import StageError
+from roemetry.testing.scenes import LinearRig, wrong_labels
+from roemetry_coding.margins import margin_of
+from roemetry_coding.planes import Planes
+from roemetry_kernels.rest_lines import calibrated_rest_lines
+from roemetry_kernels.sight_lines import sight_lines
+
+coded = pytest.importorskip("benchmarks.coded", reason="only in a checkout")
+
+
+@pytest.fixture(scope="module")
+def dense():
+    return coded.sample_of(coded.dense_rig(41), coded.skein(41, "healthy"), seed=41)
+
+
+def test_heights_on_sight_lines_are_those_of_the_view(dense) -> None:
+    """The closed form on a line equals meeting the line of sight with the plane of light."""
+    peaks, calibration = dense.peaks, dense.calibration
+    rest = calibrated_rest_lines(peaks, calibration)
+    sight = sight_lines(peaks, calibration, rest.x_px)
+    on_line = np.abs(sight.line - np.rint(sight.line)) < 0.002
+    assert on_line.sum() > 10
+    xy = np.stack([peaks.x_px, peaks.row.astype(np.float64)], axis=1)[on_line]
+    line, u = np.rint(sight.line[on_line]).astype(int), sight.u[on_line]
+    for stripe in (0, 10, 20):
+        alpha, beta, gamma, delta = np.moveaxis(sight.plane[line, stripe], -1, 0)
+        height_mm = (alpha * u + beta) / (gamma * u + delta)
+        there = calibration.view.lift(xy, np.full(len(xy), stripe))[:, 2]
+        near = np.abs(there) < 60.0
+        np.testing.assert_allclose(height_mm[near], there[near], atol=0.02)  # mm
+
+
+def test_stripes_are_in_order_on_sight_lines(dense) -> None:
+    """True stripes increase with u on every line: what the solver takes for granted."""
+    peaks, calibration = dense.peaks, dense.calibration
+    rest = calibrated_rest_lines(peaks, calibration)
+    sight = sight_lines(peaks, calibration, rest.x_px)
+    line = np.rint(sight.line).astype(int)
+    true = _true(dense)
+    known = true >= 0
+    order = np.lexsort((sight.u[known], line[known]))
+    same = np.diff(line[known][order]) == 0
+    backwards = same & (np.diff(true[known][order]) < 0)
+    assert backwards.sum() <= 0.001 * known.sum()
+
+
+def test_a_dense_wide_angle_skein(dense) -> None:
+    """21 stripes displaced by 2.5 spacings: nearly all is coded and hardly anything wrong."""
+    found = coded.score(Planes().code(dense.peaks, dense.calibration), dense)
+    assert found.labelled_share > 0.85
+    assert found.wrong - found.shared <= 2
+
+
+def test_a_dead_stripe_is_named_and_costs_its_own_points_only() -> None:
+    linear = LinearRig()
+    x_px = linear.x_px(linear.dome(8.0))
+    x_px[3] = np.nan
+    found = linear.peaks(x_px, 0.1)
+    said = Planes().code(found.peaks, linear.calibration())
+    assert not wrong_labels(said.peak_stripe, found.stripe).any()
+    assert (said.peak_stripe >= 0).mean() > 0.98
+    (reason,) = [r for r in said.reasons if r.code == "stripe-missing"]
+    assert reason.text.endswith("stripe 4")
+
+
+def test_without_planes_it_says_so_and_works_on_rows() -> None:
+    linear = LinearRig()
+    found = linear.peaks(linear.x_px(linear.dome(8.0)), 0.1)
+    said = Planes().code(found.peaks, replace(linear.calibration(), view=None))
+    assert "no-planes" in [r.code for r in said.reasons]
+    assert not wrong_labels(said.peak_stripe, found.stripe).any()
+
+
+def test_it_needs_a_calibration() -> None:
+    linear = LinearRig()
+    with pytest.raises(StageError, match="needs a calibration"):
+        Planes().code(linear.peaks(linear.x_px(linear.belt())).peaks, None)
+
+
+def test_margins_grow_with_the_difference_and_stay_below_one() -> None:
+    margin = margin_of(np.linspace(0.0, 50.0, 200))
+    assert (np.diff(margin) >= 0).all()
+    assert 0.0 < margin[0] < 0.5
+    assert margin[-1] < 1.0
+
+
+def _true(sample) -> np.ndarray:
+    """(peak,) stripe of the nearest crossing within 1 px of its row, −1 for none."""
+    true, peaks = sample.crossings, sample.peaks
+    found = np.full(len(peaks), -1)
+    for row in np.unique(peaks.row):
+        here, there = np.flatnonzero(peaks.row == row), np.flatnonzero(true.row == row)
+        if there.size:
+            off = np.abs(peaks.x_px[here][:, None] - true.x_px[there][None])
+            nearest = off.argmin(axis=1)
+            found[here] = np.where(off.min(axis=1) < 1.0, true.stripe[there][nearest], -1)
+    return found
