@@ -147,6 +147,7 @@ def _resolve(path: Path, document: Overridden, file: RecipeFile, registry: Regis
             chooser.fault(str(error), "calibration")
         else:
             _check_method(calibration, stages.get("triangulator"), chooser)
+            _check_count(calibration, stages, chooser)
             if calibration.turn_deg != file.source.turn_deg:
                 chooser.fault(
                     f"{file.source.turn_deg}°, but the calibration was made at {calibration.turn_deg}°; "
@@ -177,6 +178,17 @@ def _resolve(path: Path, document: Overridden, file: RecipeFile, registry: Regis
         draws=file.draws,
         sinks=tuple(sink for sink in sinks if sink is not None),
     )
+
+
+def _check_count(calibration: Calibration, stages: Mapping[str, Chosen], chooser: Chooser) -> None:
+    """Note a fault where a stage is told of another number of stripes than was calibrated."""
+    for kind, chosen in stages.items():
+        count = getattr(chosen.options, "stripe_count", None)
+        if count is not None and count != calibration.stripe_count:
+            chooser.fault(
+                f"{count}, but the calibration has {calibration.stripe_count} stripes",
+                "stages", kind, "options", "stripe_count",
+            )  # fmt: skip
 
 
 def _check_method(calibration: Calibration, triangulator: Chosen | None, chooser: Chooser) -> None:

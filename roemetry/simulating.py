@@ -31,7 +31,7 @@ from roemetry.dataset import (
 from roemetry.errors import OutputError
 from roemetry.files import make_folder, write_whole
 from roemetry.recipe_file import SensorFile
-from roemetry.records import Frame, Role, Sensor
+from roemetry.records import Frame, Role
 from roemetry.scene import Scene
 from roemetry.stages import Simulator
 from roemetry.yaml_source import dump
@@ -122,7 +122,7 @@ def simulate(
         )
     simulator = scene.make()
     views = _views(simulator, seed, calibration)
-    told = _description(scene, simulator.sensor(), seed, count, calibration, views)
+    told = _description(scene, simulator, seed, count, calibration, views)
     writer = DatasetWriter(folder, told)
     with writer:
         _keep_scene(scene, folder)
@@ -162,7 +162,7 @@ def _views(simulator: Simulator[Any], seed: int, calibration: Calibration) -> li
 
 def _description(
     scene: Scene,
-    sensor: Sensor | None,
+    simulator: Simulator[Any],
     seed: int,
     count: int,
     calibration: Calibration,
@@ -172,6 +172,7 @@ def _description(
     for view in views:
         alone = view.path == f"calibration/{view.kind}.png"
         folders[view.kind] = view.path if alone else f"calibration/{view.kind}"
+    sensor = simulator.sensor()
     more = "" if calibration == "basic" else f" --calibration {calibration}"
     return Description(
         roemetry_dataset=1,
@@ -184,6 +185,7 @@ def _description(
             "seed": seed,
             "scene_sha256": scene.sha256,
         },
+        turn_deg=simulator.turn_deg(),
         sensor=None if sensor is None else SensorFile(**asdict(sensor)),
         calibration=folders,
     )

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import Any, ClassVar, Generic, Literal, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict
@@ -41,6 +41,8 @@ from roemetry.records import (
     Weight,
 )
 from roemetry.view import View
+
+Turn = Literal[0, 90, 180, 270]
 
 
 class StageOptions(BaseModel):
@@ -278,6 +280,10 @@ class Simulator(Stage[OptionsT]):
     @abstractmethod
     def calibration_frames(self, seed: int) -> Mapping[str, Mapping[str, Frame]]:
         """Make calibration images: by kind (``block``, ``belt``, …), by file name without suffix."""
+
+    def turn_deg(self) -> Turn:
+        """Give the counter-clockwise turn that rights its images; its truth is of the turned image."""
+        return 0
 
     def sensor(self) -> Sensor | None:
         """Give the noise of the camera it makes images of; None where that is not told."""

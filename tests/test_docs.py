@@ -176,7 +176,7 @@ def test_a_stage_has_a_page_with_exactly_its_options(name: str) -> None:
                 found = re.search(rf"(?<![\d.]){bound:g}(?![\d.])", bounds)
                 assert found, f"{option}: {bound} not in {bounds!r}"
         if get_origin(field.annotation) is Literal:
-            assert set(coded(bounds)) == set(get_args(field.annotation)), option
+            assert set(coded(bounds)) == {str(one) for one in get_args(field.annotation)}, option
     does = "## Triangulator" if name == "block-linear" else "## What it does"
     for heading in (does, "## Source", "## Known weaknesses"):
         assert len(section(text, heading)) > len(heading) + 10

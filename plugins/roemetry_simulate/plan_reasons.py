@@ -5,10 +5,29 @@ from __future__ import annotations
 import numpy as np
 
 from roemetry.records import Reason
-from roemetry_simulate.plan_geometry import plane_points
+from roemetry_simulate.plan_geometry import in_view, plane_points
 from roemetry_simulate.plan_uncertainty import WINDOW_SIGMAS, peak_std, stripes_at
 from roemetry_simulate.plan_volume import Space
 from roemetry_simulate.scene_file import RayCasterOptions
+
+_SEEN_SIGMAS = 5.0
+_MOST_CONTRAST = 0.4
+
+
+def _dim(space: Space) -> list[str]:
+    """Number the stripes that are dead, or hardly stand above the noise somewhere along Y."""
+    rig, dim = space.rig, set(np.flatnonzero(space.rig.laser.peak_grey == 0.0).tolist())
+    for y in space.ys_mm:
+        points = plane_points(rig.laser, y, np.zeros(1))[0]
+        seen = in_view(rig.camera, points)
+        for i, one in enumerate(stripes_at(rig, points, space.albedo, rig.laser.peak_grey)):
+            gain, read = rig.sensor.grey_per_electron, rig.sensor.read_noise_grey
+            noise = np.sqrt(gain * one.background_grey + read**2 + 1.0 / 12.0)
+            # what blur leaves of the middle
+            middle = one.peak_grey * one.line_sigma_px / one.width_px(rig.sensor)
+            if seen[i] and middle < _SEEN_SIGMAS * noise:
+                dim.add(i)
+    return [str(i) for i in sorted(dim)]
 
 
 def reasons(scene: RayCasterOptions, space: Space) -> tuple[Reason, ...]:
@@ -50,6 +69,25 @@ def reasons(scene: RayCasterOptions, space: Space) -> tuple[Reason, ...]:
                 "saturated",
                 f"stripe {', '.join(cut)}: saturated on a level surface of the product's "
                 f"albedo ({space.albedo:g}) at belt height",
+            )
+        )
+    dim = _dim(space)
+    if dim:
+        found.append(
+            Reason(
+                "dark-stripe",
+                f"stripe {', '.join(dim)}: dead, or less than {_SEEN_SIGMAS:g} times the noise above its "
+                f"background on a level surface of the product's albedo ({space.albedo:g}) at belt height, "
+                "somewhere in view",
+            )
+        )
+    if scene.laser.speckle_contrast > _MOST_CONTRAST:
+        found.append(
+            Reason(
+                "speckle",
+                f"speckle of contrast {scene.laser.speckle_contrast:g}: the nearer to fully developed (1), "
+                "the less it is noise about a mean; the stated uncertainties hold up to a contrast of "
+                f"{_MOST_CONTRAST:g}",
             )
         )
     narrow = min(stripe.width_px(rig.sensor) for stripe in stripes)

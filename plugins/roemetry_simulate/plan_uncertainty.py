@@ -144,10 +144,10 @@ def peak_std(stripe: Stripe, sensor: Sensor, phase_px: float = 0.2) -> PeakStd:
     Returns
     -------
     PeakStd
-        NaN for a stripe whose pixels do not tell four unknowns, or that is wider than 100 px.
+        NaN for a stripe whose pixels do not tell four unknowns, that is wider than 100 px, or dead.
     """
     width = stripe.width_px(sensor)
-    if not width < _WIDEST_PX:
+    if not (width < _WIDEST_PX and stripe.peak_grey > 0.0):
         return PeakStd(math.nan, math.nan, math.nan, math.nan, False)
     reach = max(math.ceil(_REACH_SIGMAS * width), 6)
     at = np.arange(-reach, reach + 1, dtype=np.float64) - np.float64(phase_px)

@@ -25,6 +25,7 @@ Floats = NDArray[np.float64]
 
 _COLUMNS, _ROWS = 57, 17
 _SPACINGS = 2.5
+_TO_BORDER = 0.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,23 +81,41 @@ class Space:
         """Return the least standard uncertainty of a stripe's place: the bound, or the speckle limit."""
         return float(np.fmax(std.bound_px, self.speckle_limit_px))
 
+    @cached_property
+    def ys_mm(self) -> tuple[float, float, float]:
+        """Belt Y of the maps: the plan's own, and nine tenths of the way to the upper and lower border."""
+        _, _, low, high = view_mm(self.rig.camera)
+        y = self.y_mm
+        return y + _TO_BORDER * (low - y), y, y + _TO_BORDER * (high - y)
+
+    def _over_x_and_z(self, x: Floats, z: Floats, y_mm: float) -> Floats:
+        """Height per pixel (mm), bound and centre of gravity (µm), shape (3, z, x); NaN out of view."""
+        rig = self.rig
+        points = np.stack(np.broadcast_arrays(x[None, :], y_mm, z[:, None]), axis=-1)
+        seen = in_view(rig.camera, points)
+        scale = scale_at(rig.camera, rig.laser, points)
+        found = np.full((3, *seen.shape), np.nan)
+        found[0] = np.where(seen, 1.0 / np.abs(scale.height_px_per_mm), np.nan)
+        lit = rig.laser.peak_grey[rig.laser.peak_grey > 0.0]
+        peak = np.full(int(seen.sum()), float(lit.mean()))
+        stds = [peak_std(s, rig.sensor) for s in stripes_at(rig, points[seen], self.albedo, peak)]
+        found[1][seen] = [1e3 * self.best_px(one) for one in stds]
+        found[2][seen] = [1e3 * one.centre_of_gravity_px for one in stds]
+        found[1:] *= found[0]
+        return found
+
     def maps(self) -> tuple[PlanMap, ...]:
         """Return millimetres of height per pixel and standard uncertainties of a height over X and Z."""
         rig = self.rig
         views = [view_mm(rig.camera, z) for z in (0.0, self.top_mm)]
         x = np.linspace(min(v[0] for v in views), max(v[1] for v in views), _COLUMNS)
         z = np.linspace(0.0, self.top_mm, _ROWS)
-        points = np.stack(np.broadcast_arrays(x[None, :], self.y_mm, z[:, None]), axis=-1)
-        seen = in_view(rig.camera, points)
-        scale = scale_at(rig.camera, rig.laser, points)
-        per_px = np.where(seen, 1.0 / np.abs(scale.height_px_per_mm), np.nan)
-        bound, gravity = np.full(seen.shape, np.nan), np.full(seen.shape, np.nan)
-        peak = np.full(int(seen.sum()), float(rig.laser.peak_grey.mean()))
-        stds = [peak_std(s, rig.sensor) for s in stripes_at(rig, points[seen], self.albedo, peak)]
-        bound[seen] = [1e3 * self.best_px(one) for one in stds]
-        gravity[seen] = [1e3 * one.centre_of_gravity_px for one in stds]
+        per_px, bound, gravity = np.fmax.reduce([self._over_x_and_z(x, z, y) for y in self.ys_mm])
+        ys = ", ".join(f"{y:.1f}" for y in self.ys_mm)
+        worst = f"The worst of Y = {ys} mm, where the place is in view."
         flat = (
-            "On a level, matt surface of the product's albedo; for a plane of mean power through each place."
+            "On a level, matt surface of the product's albedo; for a plane of mean power through each place. "
+            f"{worst}"
         )
         return (
             PlanMap(
@@ -107,7 +126,7 @@ class Space:
                 z,
                 per_px,
                 "Inverse of the displacement of a stripe along its row for a height: central differences "
-                "of the camera's full model within the light plane.",
+                f"of the camera's full model within the light plane. {worst}",
                 3,
             ),
             PlanMap(
@@ -116,7 +135,7 @@ class Space:
                 "µm",
                 x,
                 z,
-                bound * per_px,
+                bound,
                 "Cramér-Rao bound of the stripe's place in one row (shot noise, read noise, rounding, "
                 "speckle), at least the speckle limit of the lens where the aperture is known, times height "
                 f"per pixel. {flat}",
@@ -128,7 +147,7 @@ class Space:
                 "µm",
                 x,
                 z,
-                gravity * per_px,
+                gravity,
                 "The same noise through a centre of gravity over ± 3 standard deviations of the stripe, in "
                 f"whole pixels: hence the steps. {flat}",
                 0,

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from roemetry.records import Frame, ProductTruth, Role, Simulated, StripeTruth, Truth
 from roemetry.records import Sensor as Noise
-from roemetry.stages import Simulator
+from roemetry.stages import Simulator, Turn
 from roemetry_simulate.group import Group
 from roemetry_simulate.marks import marked
 from roemetry_simulate.population import product_of
 from roemetry_simulate.products import Drawn
-from roemetry_simulate.render import Rig, render
+from roemetry_simulate.render import Rig, render, turned_back
 from roemetry_simulate.scene_file import RayCasterOptions
 from roemetry_simulate.scene_rig import rig_of, surface_of
 from roemetry_simulate.shown import stripes_show
@@ -70,6 +70,10 @@ class RayCaster(Simulator[RayCasterOptions]):
         """Give the calibration images, by kind and name; each is made when it is asked for."""
         return TargetViews(self.options, self._rig, seed)
 
+    def turn_deg(self) -> Turn:
+        """Give the turn that rights its images."""
+        return self.options.turn_deg
+
     def sensor(self) -> Noise:
         """Give the noise of the scene's camera."""
         return Noise(self._rig.sensor.grey_per_electron, self._rig.sensor.read_noise_grey)
@@ -86,7 +90,7 @@ class RayCaster(Simulator[RayCasterOptions]):
         belt = self.options.belt
         travel_mm = number * belt.pitch_mm
         return Frame(
-            pixels,
+            turned_back(pixels, self.options.turn_deg),
             role=role,
             bit_depth=self.options.camera.bit_depth,
             time_s=travel_mm / belt.speed_mm_per_s if belt.speed_mm_per_s > 0.0 else math.nan,

@@ -160,6 +160,11 @@ def render(
     return expose(laser, ambient, rig.sensor, seed, lens)
 
 
+def turned_back(pixels: NDArray[Any], turn_deg: int) -> NDArray[Any]:
+    """Return an image as it is stored: a counter-clockwise turn by `turn_deg` rights it."""
+    return np.ascontiguousarray(np.rot90(pixels, -turn_deg // 90))
+
+
 def _lens(rig: Rig, solid: Solid) -> Callable[[Floats], Floats] | None:
     """Give the blur of a lens that is not sharp everywhere."""
     focus = rig.focus

@@ -245,6 +245,9 @@ class RayCasterOptions(StageOptions):
     product: ProductPart = Field(default_factory=ProductPart, description="what lies on the belt")
     surface: SurfacePart = Field(default_factory=SurfacePart, description="what the product looks like")
     targets: TargetsPart = Field(default_factory=TargetsPart, description="what is seen for calibration")
+    turn_deg: Literal[0, 90, 180, 270] = Field(
+        default=0, description="counter-clockwise turn that rights the images, which are stored turned back"
+    )
     samples: int = Field(default=4, ge=4, le=16, description="samples along each side of a pixel")
 
     @field_validator("camera")

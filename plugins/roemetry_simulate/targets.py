@@ -13,7 +13,7 @@ from roemetry.records import Sensor as Noise
 from roemetry_simulate.boards import BoardPose, board_picture, board_solid, on_belt, picture_from, poses
 from roemetry_simulate.products.artefacts import StaircaseOptions, staircase
 from roemetry_simulate.products.family import Pose
-from roemetry_simulate.render import Rig, render
+from roemetry_simulate.render import Rig, render, turned_back
 from roemetry_simulate.scene_file import BoardPart, RayCasterOptions
 from roemetry_simulate.scene_rig import surface_of
 from roemetry_simulate.solid import Block, EmptyBelt, Solid
@@ -73,7 +73,7 @@ class TargetViews(Mapping[str, Mapping[str, Frame]]):
         pixels = render(self._rig, solid, surface, seed=seed, plain=plain, samples=self._scene.samples)
         sensor = self._rig.sensor
         return Frame(
-            pixels,
+            turned_back(pixels, self._scene.turn_deg),
             role="plain" if plain else "laser",
             name=name,
             bit_depth=self._scene.camera.bit_depth,

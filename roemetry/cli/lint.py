@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from roemetry.recipe import Recipe
+    from roemetry.records import AcquisitionReference
 
 
 def lint(
@@ -19,6 +23,7 @@ def lint(
     """Check a recipe, a rig, calibration or scene file, or a data set; run nothing."""
     from roemetry.calibration import Calibration
     from roemetry.errors import ConfigurationError
+    from roemetry.overrides import Overridden
     from roemetry.recipe import Recipe
     from roemetry.rig import Rig
     from roemetry.yaml_source import read
@@ -37,7 +42,9 @@ def lint(
         typer.echo(f"{path}: a rig with {rig.file.stripes} stripes and {images} images: sound")
     elif "roemetry" in keys:
         recipe = Recipe.load(path, sets=sets or ())
-        found = len(recipe.source.make().references(recipe.source_path))
+        references = recipe.source.make().references(recipe.source_path)
+        _has_dark(recipe, references, Overridden(read(path), sets or ()).place(("source", "subtract")))
+        found = len(references)
         stages = ", ".join(f"{kind} {chosen.registered.entry.name}" for kind, chosen in recipe.stages.items())
         typer.echo(f"{path}: a recipe for {recipe.product}: sound\n  {found} acquisitions; {stages}")
     elif "roemetry_scene" in keys:
@@ -50,6 +57,21 @@ def lint(
             "(`roemetry_calibration: 1`), nor a scene (`roemetry_scene: 1`), nor a data set "
             "(`roemetry_dataset: 1`)",
             hint="the first key of the file says what it is",
+        )
+
+
+def _has_dark(recipe: Recipe, references: Sequence[AcquisitionReference], place: str) -> None:
+    """Raise ConfigurationError where dark images are to be subtracted and one is missing."""
+    from roemetry.errors import ConfigurationError
+
+    if recipe.source_choice.subtract == "none":
+        return
+    without = [reference.id for reference in references if "dark" not in reference.files]
+    if without:
+        raise ConfigurationError(
+            f"{place}: source.subtract: `dark`, but {len(without)} of {len(references)} acquisitions have no "
+            f"dark image, the first is {without[0]}",
+            hint="name the dark images in source.options.dark, or set source.subtract to none",
         )
 
 

@@ -165,6 +165,7 @@ class _Worker:
                     keys=stages.keys,
                     memory=self._memory,
                     seconds=seconds,
+                    turn_deg=0 if self._dataset is None else self._dataset.description.turn_deg,
                 )
             )
         return found

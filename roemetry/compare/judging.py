@@ -11,6 +11,7 @@ import numpy as np
 from roemetry.compare.cache import StepMemory
 from roemetry.compare.centres import CentreScore, score_centres
 from roemetry.compare.coding import CodingScore, score_coding
+from roemetry.compare.matching import by_place
 from roemetry.compare.points import truth_in
 from roemetry.measuring import measurements_of
 from roemetry.recipe import Recipe
@@ -79,6 +80,7 @@ def judge(
     keys: Mapping[str, str],
     memory: StepMemory,
     seconds: Mapping[str, float],
+    turn_deg: int = 0,
 ) -> Judged:
     """Judge a trace.
 
@@ -96,14 +98,16 @@ def judge(
         Of the variant's steps: scores are shared like steps.
     seconds
         Time of each step, s.
+    turn_deg
+        Of the image that the truth of its stripes is given for: the data set's.
     """
     rows = measurements_of(trace, recipe, {})
-    pairs = _pairs(rows, trace, truth)
     without: dict[str, Reason] = {}
     centres: CentreScore | None = None
     on_product: CentreScore | None = None
     coding: CodingScore | None = None
-    stripes = _stripes(trace, truth, without)
+    stripes = _stripes(trace, truth, without, turn_deg)
+    pairs = _pairs(rows, trace, truth, stripes, turn_deg)
     if stripes is not None and trace.peaks is not None:
         peaks = trace.peaks
         key = ("centres", keys["extractor"])
@@ -137,43 +141,67 @@ def unreadable(variant: int, item: str, why: Reason, truth: Truth | None) -> Jud
     return Judged(variant, item, pairs or (Pair(0, None, None, (why,)),), why)
 
 
-def _stripes(trace: Trace, truth: Truth | None, without: dict[str, Reason]) -> StripeTruth | None:
+def _stripes(
+    trace: Trace, truth: Truth | None, without: dict[str, Reason], turn_deg: int
+) -> StripeTruth | None:
     if truth is None or trace.frame is None:
         return None
     if truth.stripes is None:
         without["stripes"] = Reason("no-true-stripes", "the data set does not say where the stripes are")
         return None
-    found = truth_in(trace.frame, truth.stripes)
+    found = truth_in(trace.frame, truth.stripes, turn_deg)
     if isinstance(found, Reason):
         without["stripes"] = found
         return None
     return found
 
 
-def _pairs(rows: Sequence[Measurement], trace: Trace, truth: Truth | None) -> tuple[Pair, ...]:
-    """Put measured and true products together, from left to right, where there are as many of both."""
-    found = _left_to_right([row for row in rows if row.product > 0], trace)
+def _pairs(
+    rows: Sequence[Measurement],
+    trace: Trace,
+    truth: Truth | None,
+    stripes: StripeTruth | None,
+    turn_deg: int,
+) -> tuple[Pair, ...]:
+    """Put measured and true products together: by place, else from left to right if there are as many."""
+    found = _left_to_right([row for row in rows if row.product > 0], trace, turn_deg)
     if truth is None:
         return tuple(Pair(row.product, row, None, row.all_reasons) for row in found or rows)
-    if len(found) == len(truth.products) > 0:
-        together = enumerate(zip(found, truth.products, strict=True), start=1)
-        return tuple(Pair(number, row, true, row.all_reasons) for number, (row, true) in together)
+    matched = _matched(found, trace, truth, stripes)
     if not found:
         why = rows[0].all_reasons
-        true = tuple(Pair(n, None, product, why) for n, product in enumerate(truth.products, start=1))
-        return true or (Pair(0, rows[0], None, why),)
-    why = (_differ(len(found), len(truth.products)),)
-    return (
-        *(Pair(n, None, true, why) for n, true in enumerate(truth.products, start=1)),
-        *(Pair(row.product, row, None, (*why, *row.all_reasons)) for row in found),
-    )
+        missed = tuple(Pair(n, None, product, why) for n, product in enumerate(truth.products, start=1))
+        return missed or (Pair(0, rows[0], None, why),)
+    same = len(found) == len(truth.products)
+    why = (_elsewhere() if same else _differ(len(found), len(truth.products)),)
+    measured = {number: row for row in found if (number := matched.get(row.product)) is not None}
+    pairs = []
+    for number, true in enumerate(truth.products, start=1):
+        row = measured.get(number)
+        pairs.append(Pair(number, row, true, why if row is None else row.all_reasons))
+    left = [row for row in found if row.product not in matched]
+    return (*pairs, *(Pair(row.product, row, None, (*why, *row.all_reasons)) for row in left))
 
 
-def _left_to_right(found: list[Measurement], trace: Trace) -> list[Measurement]:
-    """Order by the place in the image as it was taken, as truth is."""
+def _matched(
+    found: Sequence[Measurement], trace: Trace, truth: Truth, stripes: StripeTruth | None
+) -> dict[int, int]:
+    """Give the true product's number for each measured one's, as far as that is known."""
+    several = len(found) > 1 or len(truth.products) > 1
+    if several and stripes is not None and trace.stripes is not None:
+        placed = by_place(trace.stripes, stripes)
+        if placed:
+            return placed
+    if len(found) == len(truth.products):
+        return {row.product: number for number, row in enumerate(found, start=1)}
+    return {}
+
+
+def _left_to_right(found: list[Measurement], trace: Trace, turn_deg: int) -> list[Measurement]:
+    """Order by the place in the image that the truth is given for."""
     if len(found) < 2 or trace.frame is None:
         return found
-    half_turned = trace.frame.turn_deg == 180
+    half_turned = (trace.frame.turn_deg - turn_deg) % 360 == 180
     place = {
         product.product.number: float(np.nanmean(product.product.profiles.x_px))
         for product in trace.products
@@ -195,7 +223,11 @@ def _refused(rows: Sequence[Measurement], pairs: Sequence[Pair], truth: Truth | 
 def _differ(found: int, true: int) -> Reason:
     return Reason(
         "products-differ",
-        f"{found} products were found, {true} are there: which is which is not known"
+        f"{found} products were found, {true} are there"
         if true
         else f"{found} products were found where there is none",
     )
+
+
+def _elsewhere() -> Reason:
+    return Reason("products-differ", "a product was found where there is none, and one was missed")

@@ -11,27 +11,31 @@ REACH_PX = 3.0
 """Farther than this from a stripe's true centre, px, a point is not taken for a point of that stripe."""
 
 
-def truth_in(frame: Frame, truth: StripeTruth) -> StripeTruth | Reason:
-    """Give the truth, which is of the image as it was taken, in the turned image; or why that cannot be.
+def truth_in(frame: Frame, truth: StripeTruth, turn_deg: int = 0) -> StripeTruth | Reason:
+    """Give the truth, which is of the image turned by the data set's `turn_deg`, in the turned image.
 
-    Half a turn maps centres of rows on centres of rows. A quarter makes rows of columns, and where a stripe
-    crosses those is not in the truth.
+    Or why that cannot be: half a turn maps centres of rows on centres of rows. A quarter makes rows of
+    columns, and where a stripe crosses those is not in the truth.
     """
     rows, columns = frame.size
-    if frame.turn_deg in (90, 270):
+    further = (frame.turn_deg - turn_deg) % 360
+    if further in (90, 270):
         return Reason(
             "truth-other-turn",
             f"the image is turned by {frame.turn_deg}°, and the truth of its stripes is given for the rows "
-            "of the image as it was taken",
+            f"of the image turned by {turn_deg}°, as the data set's turn_deg says",
         )
     if truth.x_px.shape[1] != rows:
         return Reason(
             "truth-other-size", f"the image has {rows} rows, the truth of its stripes {truth.x_px.shape[1]}"
         )
-    if frame.turn_deg == 0:
+    if further == 0:
         return truth
     return StripeTruth(
-        columns - 1 - truth.x_px[::-1, ::-1], truth.on_product[::-1, ::-1], truth.xyz_mm[::-1, ::-1]
+        columns - 1 - truth.x_px[::-1, ::-1],
+        truth.on_product[::-1, ::-1],
+        truth.xyz_mm[::-1, ::-1],
+        truth.product[::-1, ::-1],
     )
 
 

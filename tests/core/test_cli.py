@@ -87,6 +87,16 @@ def test_lint_says_what_a_file_is(line: Callable[..., Path]) -> None:
     )
 
 
+def test_lint_notices_what_does_not_go_together(line: Callable[..., Path]) -> None:
+    path = line(2)
+    done = roemetry("lint", path, "--set", "source.subtract=dark")
+    assert done.returncode == 2
+    assert "source.subtract: `dark`, but 2 of 2 acquisitions have no dark image" in done.stderr
+    done = roemetry("lint", path, "--set", "stages.coder={use: window-tracking, options: {stripe_count: 9}}")
+    assert done.returncode == 2
+    assert "stages.coder.options.stripe_count: 9, but the calibration has 7 stripes" in done.stderr
+
+
 def test_plugins_lists_every_stage_with_its_provider() -> None:
     listed = json.loads(roemetry("plugins", "--json").stdout)
     assert listed["broken"] == []

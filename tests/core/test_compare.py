@@ -39,14 +39,20 @@ COUNT = 3
 def dataset(line: Callable[..., Path], rig: Any) -> Callable[..., Path]:
     """Make the line's folder a data set: true volume 1.1 times, mass 0.8 times what is measured."""
 
-    def make(count: int = COUNT, half_turned: bool = False) -> Path:
+    def make(count: int = COUNT, half_turned: bool = False, quarter_turned: bool = False) -> Path:
         path = line(count)
         rig_heights = [8.0 + number % 6 for number in range(1, count + 1)]
         folder, pipeline = path.parent, Pipeline(Recipe.load(path))
         (folder / "truth").mkdir()
         writer = DatasetWriter(
             folder,
-            Description(roemetry_dataset=1, name="drawn domes", licence="CC0-1.0", made_from={"seed": 7}),
+            Description(
+                roemetry_dataset=1,
+                name="drawn domes",
+                licence="CC0-1.0",
+                made_from={"seed": 7},
+                turn_deg=90 if quarter_turned else 0,
+            ),
         )
         for number, height in enumerate(rig_heights, start=1):
             image = cv2.imread(str(folder / "images" / f"p{number:02d}.png"), cv2.IMREAD_UNCHANGED)
@@ -58,6 +64,8 @@ def dataset(line: Callable[..., Path], rig: Any) -> Callable[..., Path]:
             if half_turned:
                 cv2.imwrite(str(folder / "images" / f"p{number:02d}.png"), image[::-1, ::-1])
                 x_px, on_product = rig.columns - 1 - x_px[::-1, ::-1], on_product[::-1, ::-1]
+            if quarter_turned:
+                cv2.imwrite(str(folder / "images" / f"p{number:02d}.png"), np.rot90(image, -1))
             name = f"truth/p{number:02d}.npz"
             save_stripes(folder / name, StripeTruth(x_px, on_product, np.full((*x_px.shape, 3), np.nan)))
             measured = found.volume.visible_mm3.value
@@ -267,6 +275,18 @@ def test_half_turned_images_are_judged_alike(dataset: Callable[..., Path]) -> No
     assert row["coding_right_pct"] == pytest.approx(100.0)
     assert abs(float(row["centre_bias_px"] or 9)) < 0.05
     assert row["volume_visible_bias_pct"] == pytest.approx(-100 / 11, abs=1e-9)
+
+
+def test_truth_of_images_turned_by_a_quarter_is_that_of_the_turned_image(
+    dataset: Callable[..., Path],
+) -> None:
+    path = dataset(quarter_turned=True)
+    (folder := path.parent / "calibration.yaml").write_text(
+        folder.read_text("utf-8").replace("turn_deg: 0", "turn_deg: 90"), encoding="utf-8"
+    )
+    row = flat(compared(path, sets=("source.turn_deg=90",))[0])
+    assert row["coding_right_pct"] == pytest.approx(100.0)
+    assert abs(float(row["centre_bias_px"] or 9)) < 0.05
 
 
 def test_a_changed_image_is_refused(dataset: Callable[..., Path]) -> None:

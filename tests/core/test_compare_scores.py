@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from roemetry.compare.centres import score_centres
 from roemetry.compare.coding import longest_run, score_coding
+from roemetry.compare.matching import by_place
 from roemetry.compare.points import nearest, truth_in
 from roemetry.compare.statistics import NOT_GRADED, classes_of, errors_of
 from roemetry.records import AMBIGUOUS, UNCODED, Frame, Peaks, Reason, StripeMap, StripeTruth
@@ -131,6 +133,26 @@ def test_longest_run() -> None:
     assert longest_run(np.array([1, 0, 1, 1, 1, 0, 1], np.bool_)) == 3
 
 
+def test_products_are_matched_by_the_points_they_share(lines: np.ndarray) -> None:
+    label = np.zeros(lines.shape, np.int16)
+    label[:2, 5:15], label[2:, 5:15], label[:, 25:35] = 1, 2, 3
+    known = StripeTruth(lines, label > 0, np.full((*lines.shape, 3), np.nan), label)
+    # found: the last one as number 1, the first as number 2, nothing of the second; and one on the belt
+    found = np.where(label == 3, 1, np.where(label == 1, 2, 0)).astype(np.int16)
+    found[:, 18:22] = 3
+    made = replace(stripe_map(lines + 0.2, np.arange(lines.size) // ROWS), product=found)
+    assert by_place(made, known) == {1: 3, 2: 1}
+    # a coder that shifts every label by one stripe does not move a product
+    shifted = np.vstack([lines[1:], np.full((1, ROWS), np.nan)])
+    moved = np.vstack([found[1:], np.full((1, ROWS), -1, np.int16)])
+    assert by_place(replace(stripe_map(shifted, np.full(lines.size, -1)), product=moved), known) == {
+        1: 3,
+        2: 1,
+    }
+    nothing = replace(made, product=np.zeros_like(found))
+    assert by_place(nothing, known) == {}
+
+
 def test_half_a_turn_is_undone_and_a_quarter_refused(lines: np.ndarray) -> None:
     def turned(turn_deg: int) -> StripeTruth | Reason:
         return truth_in(Frame(np.zeros((ROWS, COLUMNS), np.uint8), turn_deg=turn_deg), truth(lines))
@@ -139,6 +161,9 @@ def test_half_a_turn_is_undone_and_a_quarter_refused(lines: np.ndarray) -> None:
     assert isinstance(half, StripeTruth)
     assert half.x_px[0, 0] == COLUMNS - 1 - lines[3, ROWS - 1]
     assert (np.diff(half.x_px, axis=0) > 0).all()
+    assert isinstance(
+        truth_in(Frame(np.zeros((ROWS, COLUMNS), np.uint8), turn_deg=90), truth(lines), 90), StripeTruth
+    )
     quarter = turned(90)
     assert isinstance(quarter, Reason)
     assert "turned by 90°" in quarter.text

@@ -198,3 +198,14 @@ def test_a_data_set_keeps_the_files_its_scene_names(tmp_path: Path) -> None:
     assert (tmp_path / "set" / "scene_files" / "cube.obj").read_text("utf-8") == CUBE
     assert again.sha256 == loaded.sha256
     again.make()
+
+
+def test_images_of_stripes_across_are_stored_turned(tmp_path: Path) -> None:
+    upright, turned = scene(tmp_path).make(), scene(tmp_path, turn_deg=90).make()
+    assert (upright.turn_deg(), turned.turn_deg()) == (0, 90)
+    one, other = upright.simulate(0, 3), turned.simulate(0, 3)
+    # a counter-clockwise quarter turn rights it
+    np.testing.assert_array_equal(np.rot90(other.frames[0].pixels), one.frames[0].pixels)
+    np.testing.assert_array_equal(one.truth.stripes.x_px, other.truth.stripes.x_px)
+    block = turned.calibration_frames(1)["block"]["block"].pixels
+    assert block.shape == (160, 120)

@@ -17,6 +17,7 @@ from roemetry_simulate.laser import fan_through
 from roemetry_simulate.plan_check import simulated_scatter
 from roemetry_simulate.plan_geometry import (
     highest_in_view_mm,
+    in_view,
     meeting_height_mm,
     plane_points,
     scale_at,
@@ -282,3 +283,28 @@ def test_json_has_units_and_no_nan(scene, tmp_path, monkeypatch):
 def test_a_simulation_is_the_same_twice():
     space = space_of(RayCasterOptions.model_validate({**SHORT, "laser": {"planes": 2}}))
     assert simulated_scatter(space, 5.0) == simulated_scatter(space, 5.0)
+
+
+def test_dead_and_dim_stripes_and_strong_speckle_are_warned_of():
+    power = [1.0] * 11
+    power[2], power[7] = 0.0, 0.01
+    scene = RayCasterOptions.model_validate({"laser": {"power": power, "speckle_contrast": 1.0}})
+    plan = RigPlanner(scene).plan(simulate=False)
+    said = {reason.code: reason.text for reason in plan.reasons}
+    assert said["dark-stripe"].startswith("stripe 2, 7: dead, or")
+    assert "contrast 1:" in said["speckle"]
+    usual = RigPlanner(RayCasterOptions()).plan(simulate=False)
+    assert not {"dark-stripe", "speckle"} & {reason.code for reason in usual.reasons}
+
+
+def test_maps_hold_the_worst_along_y():
+    wide = RayCasterOptions.model_validate({"camera": {"tilt_x_deg": 20.0}})
+    space = space_of(wide)
+    one = space.maps()[0]
+    assert f"Y = {space.ys_mm[0]:.1f}" in one.basis
+    points = np.stack(np.broadcast_arrays(one.x_mm[None, :], space.y_mm, one.z_mm[:, None]), axis=-1)
+    middle = 1.0 / np.abs(scale_at(space.rig.camera, space.rig.laser, points).height_px_per_mm)
+    seen = in_view(space.rig.camera, points)
+    assert (one.values[seen] >= middle[seen] - 1e-12).all()
+    # on the belt all three are in view, and the farthest is 5 % coarser
+    assert (one.values[0][seen[0]] > 1.02 * middle[0][seen[0]]).all()
