@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from roemetry.arrays import Floats, Integers
+from roemetry_kernels.compiling import kernel
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def forest_shares(
     values: Floats, feature: Integers, threshold: Floats, left: Integers, right: Integers, shares: Floats,
     roots: Integers,

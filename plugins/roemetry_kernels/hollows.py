@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from roemetry.arrays import Floats
+from roemetry_kernels.compiling import kernel
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def hollow_depth(across: Floats, height: Floats) -> Floats:
     """Depth of each curve below its upper convex hull (Andrew's monotone chain).
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from roemetry.arrays import Floats, Integers
+from roemetry_kernels.compiling import kernel
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def add_rows(
     columns: Integers, values: Floats, residual: Floats, weight: Floats, normal: Floats, gradient: Floats
 ) -> None:
@@ -41,7 +41,7 @@ def add_rows(
                     normal[a, b] += scaled * values[row, j]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def row_variances(columns: Integers, values: Floats, covariance: Floats) -> Floats:
     """Give (row,) J C Jᵀ: the variance of what each row predicts, C being the parameters' covariance."""
     found = np.zeros(columns.shape[0])

@@ -5,15 +5,15 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from roemetry.arrays import Floats
+from roemetry_kernels.compiling import kernel
 
 _STEPS_MAX = 20
 _STEP_END = 1e-7  # Newton's next step would be below 1e-13
 
 
-@njit(cache=True, nogil=True, fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def lift_stripes(
     x_px: Floats, x_std_px: Floats, camera: Floats, planes: Floats, rotation: Floats, shift: Floats
 ) -> tuple[Floats, Floats]:
