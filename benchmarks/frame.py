@@ -109,50 +109,46 @@ def _print_parts(name: str, path: str, repeats: int, sets: list[str]) -> None:
 
 
 def _print_jobs(path: str, frames: int, sets: list[str]) -> None:
-    """Run a recipe over many copies of its images by one process and by two, in turns."""
-    whole = Recipe.load(path)
-    images = sorted(path for path in whole.source_path.iterdir() if path.suffix == ".png")
+    """Run a recipe over copies of its images by one process and by two, over few and over many of them.
+
+    What the many take more than the few is the work itself; the start of the processes is in both.
+    """
+    few = frames // 4
+    walls: dict[tuple[int, int], list[float]] = {}
+    cpus: dict[tuple[int, int], list[float]] = {}
     with tempfile.TemporaryDirectory() as folder:
-        copies = Path(folder) / "images"
-        copies.mkdir()
-        for number in range(frames):
-            (copies / f"{number:06d}.png").symlink_to(images[number % len(images)].resolve())
-        recipe = Recipe.load(path, sets=[*sets, f"source.path={copies}", "sinks=[]"])
-        found: dict[int, list[tuple[float, float, float]]] = {1: [], 2: []}
+        recipes = {many: _copied(path, many, Path(folder) / f"{many}", sets) for many in (few, frames)}
         for turn in range(3):
-            for jobs in (1, 2):
-                found[jobs].append(_run(recipe, Path(folder) / f"out-{turn}-{jobs}", jobs))
-    whole_s, steady_s, worked_s = (
-        {jobs: statistics.median(each) for jobs, each in zip((1, 2), column, strict=True)}
-        for column in zip(*(zip(*found[jobs], strict=True) for jobs in (1, 2)), strict=True)
-    )
+            for many, recipe in recipes.items():
+                for jobs in (1, 2):
+                    out = Path(folder) / f"out-{turn}-{many}-{jobs}"
+                    before = _cpu_s()
+                    wall = _taken(lambda r=recipe, o=out, j=jobs: run_recipe(r, o, jobs=j))
+                    for child in multiprocessing.active_children():
+                        child.join()
+                    walls.setdefault((jobs, many), []).append(wall)
+                    cpus.setdefault((jobs, many), []).append(_cpu_s() - before)
+    wall_s = {key: statistics.median(found) for key, found in walls.items()}
+    cpu_s = {key: statistics.median(found) for key, found in cpus.items()}
     for jobs in (1, 2):
-        name = "one process" if jobs == 1 else "two processes"
-        print(f"{name}: {0.75 * frames / steady_s[jobs]:.0f} frames a second")
-    steady, started = steady_s[1] / steady_s[2], whole_s[1] / whole_s[2]
-    more = worked_s[2] / worked_s[1]
-    print(f"two are {steady:.2f} times as fast as one over the last three quarters of {frames} frames,")
-    print(
-        f"{started:.2f} times with their start; reading is included; they take {more:.2f} times the processor"
-    )
-    print(f"time, so that two free cores give at most {2.0 / more:.2f} times the speed")
+        more = wall_s[jobs, frames] - wall_s[jobs, few]
+        cpu = cpu_s[jobs, frames] - cpu_s[jobs, few]
+        start = cpu_s[jobs, few] - cpu * few / (frames - few)
+        print(f"{jobs} process(es): {(frames - few) / more:.0f} frames a second, ", end="")
+        print(f"{1e3 * cpu / (frames - few):.2f} ms of processor a frame, {start:.1f} s for the start")
+    gain = (wall_s[1, frames] - wall_s[1, few]) / (wall_s[2, frames] - wall_s[2, few])
+    paid = (cpu_s[2, frames] - cpu_s[2, few]) / (cpu_s[1, frames] - cpu_s[1, few])
+    print(f"two are {gain:.2f} times as fast as one, beside their start; a frame takes {paid:.2f} times the")
+    print(f"processor time, so that two cores with nothing else to do give {2.0 / paid:.2f} times the speed")
 
 
-def _run(recipe: Recipe, out: Path, jobs: int) -> tuple[float, float, float]:
-    """Run; give the time of all frames, of their last three quarters, and processor time, s."""
-    at: dict[int, float] = {}
-    of = 0
-
-    def note(done: int, total: int) -> None:
-        nonlocal of
-        at.setdefault(done, time.perf_counter())
-        of = total
-
-    before = _cpu_s()
-    whole = _taken(lambda: run_recipe(recipe, out, jobs=jobs, on_progress=note))
-    for child in multiprocessing.active_children():
-        child.join()
-    return whole, at[of] - at[of // 4], _cpu_s() - before
+def _copied(path: str, frames: int, images: Path, sets: list[str]) -> Recipe:
+    """Give the recipe on a folder of so many links to its images."""
+    there = sorted(image for image in Recipe.load(path).source_path.iterdir() if image.suffix == ".png")
+    images.mkdir()
+    for number in range(frames):
+        (images / f"{number:06d}.png").symlink_to(there[number % len(there)].resolve())
+    return Recipe.load(path, sets=[*sets, f"source.path={images}", "sinks=[]"])
 
 
 def _cpu_s() -> float:
