@@ -87,12 +87,12 @@ def judged(
 
 def smooth(drawn: Drawn, smoother: Smoother[Any] | None, extractor: Extractor[Any]) -> StripeMap:
     """Extract, label by the truth, filter."""
-    found = hits(drawn.stripes, found_in(extractor.extract(frame_of(drawn.pixels, drawn.light))))
-    stripes = labelled(drawn.stripes, found)
+    peaks = extractor.extract(frame_of(drawn.pixels, drawn.light))
+    stripes = labelled(drawn.stripes, hits(drawn.stripes, found_in(peaks)), peaks.correlation_rows)
     return stripes if smoother is None else smoother.smooth(stripes)
 
 
-def labelled(truth: Stripes, found: Hits) -> StripeMap:
+def labelled(truth: Stripes, found: Hits, correlation_rows: float) -> StripeMap:
     """Make the map that a coder without fault would give."""
     x_px = truth.x_px + found.error_px
     seen = np.isfinite(x_px)
@@ -105,6 +105,7 @@ def labelled(truth: Stripes, found: Hits) -> StripeMap:
         ambiguous=np.zeros(x_px.shape, bool),
         rest_px=np.full(x_px.shape, np.nan),
         peak_stripe=np.empty(0, np.int16),
+        correlation_rows=correlation_rows,
     )
 
 

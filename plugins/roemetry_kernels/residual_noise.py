@@ -14,7 +14,7 @@ from roemetry_kernels.gaussian_fisher import FAILED, ROOM, WINDOW
 
 CAUSES = 6
 """Read noise, shot noise, speckle within a pixel, and of pixels 1, 2 and 3 apart."""
-_OUTLIER = 8.0  # standard deviations: a peak with such a residual says nothing of the noise
+_OUTLIER = 8.0  # times what a peak's other residuals are: it says nothing of the noise
 _PIXELS_MIN = 6
 
 Pixels = NDArray[Any]
@@ -67,7 +67,7 @@ def residual_products(
         half = min(WINDOW * sigma_px[p], 0.5 * (ROOM - 2))
         first = max(math.ceil(x_px[p] - half), 0)
         n = min(math.floor(x_px[p] + half), columns - 1) - first + 1
-        good = n >= _PIXELS_MIN
+        squares, largest = 0.0, 0.0
         for i in range(n):
             d = first + i - x_px[p]
             z = d / (sigma_px[p] * sigma_px[p])
@@ -77,8 +77,12 @@ def residual_products(
             r[i] = f[first + i] - height[p] - slope[p] * d - m[i]
             v = variance + gain * mu[i] + contrast2[p] * m[i] * m[i]
             w[i] = 0.0 if f[first + i] >= white else 1.0 / v
-            good &= w[i] * r[i] * r[i] <= _OUTLIER * _OUTLIER
+            squares += w[i] * r[i] * r[i]
+            largest = max(largest, w[i] * r[i] * r[i])
             jac[i, 0], jac[i, 1], jac[i, 2] = m[i] * z, e, m[i] * z * d
+        # A hot pixel is unlike the others; where all are large, that is how these stripes are.
+        others = max((squares - largest) / max(n - 3.0, 1.0), 1.0)
+        good = n >= _PIXELS_MIN and largest <= _OUTLIER * _OUTLIER * others
         if not good or not _hat(jac, w, n, hat):
             continue
         for i in range(n):

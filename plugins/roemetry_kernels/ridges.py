@@ -194,6 +194,8 @@ def _ridge(
         return 0.0, 0.0, 1.0, 0.0, 0.0
     nx, ny = nx / size, ny / size
     t = -(gx[y, x] * nx + gy[y, x] * ny) / across
+    if abs(t) > 1.0:
+        return 0.0, 0.0, 1.0, 0.0, 0.0
     # One step of Newton's from the pixel goes too far, on a Gaussian as wide as the smoothing by this much.
     t -= t * t * t / (2.0 * sigma * sigma)
     dx, dy = t * nx, t * ny

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from roemetry_kernels.stripe_background import Beside
 
 _NOISES = 8.0  # of the smoothed image, that a stripe rises above both valleys
-_LEVELS_MIN = 2.0  # grey levels of 0…255 that it rises at least
+_LEVELS_MIN = 5.0  # grey levels of 0…255 that it rises at least
 _AMPLITUDE_NOISES = 5.0  # of one pixel beside the stripe, that a fitted stripe is high
 _FWHM = 2.3548200450309493  # full width at half height of a Gaussian, standard deviations
 _SAMPLES = (480, 960)  # peaks that tell of the noise, in the first and the second pass
@@ -37,7 +37,7 @@ class MaximumLikelihoodOptions(StageOptions):
     threshold: Annotated[float, Field(ge=1.0, le=255.0)] | Literal["auto"] = Field(
         default="auto",
         description="grey levels (of 0…255, scaled for deeper images) by which a stripe must rise above both "
-        "valleys, in the lightly smoothed image; auto: 8 times the noise of that image, at least 2",
+        "valleys, in the lightly smoothed image; auto: 8 times the noise of that image, at least 5",
     )
     width_min_px: float = Field(
         default=2.0,
@@ -132,6 +132,7 @@ class MaximumLikelihood(Extractor[MaximumLikelihoodOptions]):
             & (width >= options.width_min_px)
             & (width <= options.width_max_px)
             & (fit.amplitude > _AMPLITUDE_NOISES * quiet)
+            & (fit.x_std_px < fit.sigma_px)
             & (np.abs(fit.x_px - 0.5 * (found.columns - 1)) <= 0.5 * found.columns)
         )
         return kept

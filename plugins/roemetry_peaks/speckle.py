@@ -101,7 +101,7 @@ def noise_from(
             np.column_stack([next_, own]) * share, products[:, 2, 3:] * share, products[:, 3, 3:] * share
         )
     by_tile = _by_tile(own, products[:, 2, 3:] @ _lags(correlation), tile)
-    by_tile = by_tile * (1.0 + _SECOND_ORDER * by_tile)
+    by_tile = np.minimum(by_tile * (1.0 + _SECOND_ORDER * by_tile), 1.0)
     return StripeNoise(read, shot, correlation, by_tile.reshape(TILES))
 
 

@@ -16,7 +16,7 @@ from roemetry_kernels.grey_levels import grey, plain_layout, scaled_level
 from roemetry_peaks.finding import searched
 
 _NOISES = 8.0  # of the smoothed image, that a ridge rises above both valleys
-_LEVELS_MIN = 2.0  # grey levels of 0…255 that it rises at least
+_LEVELS_MIN = 5.0  # grey levels of 0…255 that it rises at least
 _BEND_NOISES = 3.0  # of the second derivative, that a ridge is curved at least
 _REACH = 4.0  # standard deviations that the filters reach
 
@@ -27,7 +27,7 @@ class StegerOptions(StageOptions):
     threshold: Annotated[float, Field(ge=1.0, le=255.0)] | Literal["auto"] = Field(
         default="auto",
         description="grey levels (of 0…255, scaled for deeper images) by which a stripe must rise above both "
-        "valleys, in the smoothed image; auto: 8 times the noise of that image, at least 2",
+        "valleys, in the smoothed image; auto: 8 times the noise of that image, at least 5",
     )
     width_min_px: float = Field(
         default=1.5,
