@@ -9,7 +9,7 @@ import numpy as np
 from roemetry.arrays import Floats
 from roemetry_kernels.compiling import inlined
 
-_FAR_OFF = 0.07  # share of the background's rest in the level, up to which four terms of the series will do
+FAR_OFF = 0.07  # share of the background's rest in the level, up to which four terms of the series will do
 _DARKEST = 0.001
 
 
@@ -37,6 +37,6 @@ def log_above(level: int, whole: int, rest: float, logs: Floats) -> float:
     """
     above = max(int(level) - whole, 1)
     off = rest * logs[1, above]
-    if abs(off) > _FAR_OFF:
+    if abs(off) > FAR_OFF:
         return np.log(max(int(level) - whole - rest, _DARKEST))
     return logs[0, above] - off * (1.0 + off * (0.5 + off * (1.0 / 3.0 + 0.25 * off)))

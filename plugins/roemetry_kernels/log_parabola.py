@@ -6,8 +6,8 @@ import numpy as np
 
 from roemetry.arrays import Floats
 from roemetry_kernels.compiling import float_kernel
-from roemetry_kernels.grey_logs import log_above
-from roemetry_kernels.influence import bell, variance_of, variance_of_middle
+from roemetry_kernels.grey_logs import FAR_OFF, log_above
+from roemetry_kernels.influence import variance_of, variance_of_middle
 from roemetry_kernels.stripe_footing import FWHM_OF_SIGMA, Stripes
 from roemetry_kernels.stripe_scan import Pixels
 
@@ -34,12 +34,14 @@ def log_parabola_centres(
     and where the parabola has no top near by, that middle is the centre. The other parameters
     are those of `roemetry_kernels.gaussian_fit.gaussian_centres`.
     """
-    pull, light, log = np.empty(5), np.empty(5), np.empty(5)
+    pull, light, inverse = np.zeros(5), np.zeros(5), np.zeros(5)
+    # Least squares on equal steps: c1 = Σ by_1·log, c2 = Σ by_2·log; of five pixels three may count.
+    by_1, by_2 = np.zeros(5), np.zeros(5)
     half = points // 2
-    # Least squares on equal steps: c1 = Σ u·log / sum_squares, c2 = Σ (u² − mean_square)·log / spread.
-    sum_squares = 2.0 if half == 1 else 10.0
-    mean_square = sum_squares / points
-    spread = 2.0 / 3.0 if half == 1 else 14.0
+    for k in range(2 - half, 3 + half):
+        u = k - 2.0
+        by_1[k] = u / (2.0 if half == 1 else 10.0)
+        by_2[k] = (u * u - (2.0 / 3.0 if half == 1 else 2.0)) / (2.0 / 3.0 if half == 1 else 14.0)
     row, los, his, _, middles, widths, amplitudes, backgrounds, slopes, unsures = s
     for i in range(row.shape[0]):
         begins = row[i] * columns
@@ -51,15 +53,22 @@ def log_parabola_centres(
                 at += 1 if after > before else -1
         whole = int(np.rint(background))
         rest = background + slope * (at - middle) - whole
-        usable = at - half >= los[i] and at + half <= his[i]
+        usable = (at - 2 >= los[i]) & (at + 2 <= his[i])
         c1 = c2 = 0.0
-        for k in range(points if usable else 0):
-            u = k - half
-            usable = usable and levels[begins + at + u] < white
-            log[k] = log_above(levels[begins + at + u], whole, rest + slope * u, logs)
-            c1 += u * log[k]
-            c2 += (u * u - mean_square) * log[k]
-        c1, c2 = c1 / sum_squares, c2 / spread
+        place = begins + at - 2 if usable else 0
+        for k in range(5 if usable else 0):
+            level = int(levels[place + k])
+            usable &= (level < white) | (abs(k - 2) > half)
+            above = max(level - whole, 1)
+            off = (rest + slope * (k - 2)) * logs[1, above]
+            if abs(off) > FAR_OFF:
+                log = log_above(level, whole, rest + slope * (k - 2), logs)
+                inverse[k] = 1.0 / max(above * (1.0 - off), 0.1)
+            else:
+                log = logs[0, above] - off * (1.0 + off * (0.5 + off * (1.0 / 3.0 + 0.25 * off)))
+                inverse[k] = logs[1, above] * (1.0 + off * (1.0 + off))
+            c1 += by_1[k] * log
+            c2 += by_2[k] * log
         if not (usable and c2 < 0.0 and abs(c1) < -2.0 * c2 * (0.5 + _ASTRAY * half)):
             x_px[i] = middle
             x_std_px[i] = np.sqrt(variance_of_middle(width, amplitudes[i], background, noise))
@@ -67,16 +76,16 @@ def log_parabola_centres(
         x_px[i] = at - 0.5 * c1 / c2
         # How steep the parabola is comes from the width: as fitted it may be flat by chance, which would give
         # this peak an uncertainty beyond all measure.
-        narrow = 0.5 * FWHM_OF_SIGMA * FWHM_OF_SIGMA / (width * width)
-        by_c1, by_c2 = 0.5 / narrow, (at - x_px[i]) / narrow
-        lean = 0.0
-        for k in range(points):
-            u = k - half
-            light[k] = amplitudes[i] * bell(narrow * (at + u - x_px[i]) ** 2)
-            pull[k] = (by_c1 * u / sum_squares - by_c2 * (u * u - mean_square) / spread) / light[k]
-            lean += pull[k] * (at + u - middle)
-        first = at - half
-        variance = variance_of(
-            levels, white, begins + first, points, pull, light, background, lean, unsures[i], noise
-        )
+        broad = width * width / (FWHM_OF_SIGMA * FWHM_OF_SIGMA)
+        shift = 2.0 * (at - x_px[i])
+        lean = variance = 0.0
+        for k in range(5):
+            pull[k] = broad * (by_1[k] - shift * by_2[k]) * inverse[k]
+            lean += pull[k] * (at + k - 2 - middle)
+            variance += pull[k] * pull[k] * (noise[0] + noise[1] * levels[place + k])
+        variance += lean * lean * unsures[i] * (noise[0] + noise[1] * background)
+        if noise[2] > 0.0:
+            for k in range(5):
+                light[k] = 1.0 / inverse[k]
+            variance = variance_of(levels, white, place, 5, pull, light, background, lean, unsures[i], noise)
         x_std_px[i] = np.sqrt(variance / (1.0 + variance / (_BELIEVED_PX * _BELIEVED_PX)))
