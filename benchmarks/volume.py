@@ -111,15 +111,15 @@ def rows_of(seed: int, cache: Path) -> list[Row]:
 
 
 def timed(estimator: VolumeEstimator[Any], product: Product) -> tuple[Volume | None, float]:
-    """Estimate, three times over; the volume, or None where it was refused, and the median time."""
+    """Estimate, three times over; the volume, or None where it was refused, and the median processor time."""
     seconds, volume = [], None
     for _ in range(3):
-        begin = time.perf_counter()
+        begin = time.process_time()
         try:
             volume = estimator.estimate(product)
         except RoemetryError:
             return None, float("nan")
-        seconds.append(time.perf_counter() - begin)
+        seconds.append(time.process_time() - begin)
     return volume, 1e3 * statistics.median(seconds)
 
 

@@ -243,8 +243,7 @@ def _times(rows: Sequence[Row]) -> str:
         fast = np.nanpercentile([row.milliseconds for row in rows if row.estimator == name], 5)
         lines.append((f"`{name}`", f"{took:.3f} ms", f"{fast:.3f} ms", f"{took / base:.2f}"))
     return _table(("estimator", "median", "5 % point", "over zero-order-hold"), lines) + (
-        "\nOne thread of a machine that was doing other work at the same time: ratios hold, times\n"
-        "are upper bounds.\n"
+        "\nProcessor time of one call, on a machine that was busy with other work.\n"
     )
 
 
