@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.volume_images import image_rows
+from benchmarks.volume_images import image_rows, is_rendered
 from benchmarks.volume_page import page
 from benchmarks.volume_scenes import Exact, exact_skein, thinned
 from roemetry.errors import RoemetryError
@@ -70,13 +70,16 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=30000, help="first seed of skein and rig")
     parser.add_argument("--count", type=int, default=500)
     parser.add_argument("--images", type=int, default=60, help="skeins to render, from seed + 10000")
+    parser.add_argument("--no-render", action="store_true", help="only those images that the cache holds")
     parser.add_argument("--cache", type=Path, default=Path(tempfile.gettempdir()) / "roemetry-volume")
     parser.add_argument("--page", type=Path, default=Path("docs/explanation/volume.md"))
     given = parser.parse_args()
     rows = [
         row for seed in range(given.first, given.first + given.count) for row in rows_of(seed, given.cache)
     ]
-    pictures = image_rows(given.first + 10000, given.images, given.cache, ESTIMATORS)
+    seeds = range(given.first + 10000, given.first + 10000 + given.images)
+    rendered = [seed for seed in seeds if not given.no_render or is_rendered(seed, given.cache)]
+    pictures = image_rows(rendered, given.cache, ESTIMATORS)
     text = page(rows, pictures, given.first, given.count)
     given.page.write_text(text, encoding="utf-8")
     print(text)

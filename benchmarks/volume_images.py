@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -35,11 +35,11 @@ class Pictured(NamedTuple):
 
 
 def image_rows(
-    first: int, count: int, cache: Path, estimators: Mapping[str, VolumeEstimator[Any]]
+    seeds: Sequence[int], cache: Path, estimators: Mapping[str, VolumeEstimator[Any]]
 ) -> list[Pictured]:
     """Measure skeins from their images: once with the plain-light image, once without."""
     rows = []
-    for seed in range(first, first + count):
+    for seed in seeds:
         one = exact_skein(seed, 11, cache)
         laser, plain = images(seed, cache)
         for outline in ("plain", "laser"):
@@ -69,6 +69,11 @@ def image_rows(
                     )
                 )
     return rows
+
+
+def is_rendered(seed: int, cache: Path) -> bool:
+    """Whether the cache holds a skein's images."""
+    return (cache / f"{seed}_images.npz").exists()
 
 
 def images(seed: int, cache: Path) -> tuple[Frame, Frame]:

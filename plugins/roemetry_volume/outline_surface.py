@@ -16,7 +16,7 @@ from roemetry_volume.slice_doubts import reasons_of
 from roemetry_volume.slice_estimators import SlicePchip
 from roemetry_volume.slice_options import SliceOptions
 from roemetry_volume.slice_table import Slices, slices_of
-from roemetry_volume.surface_budget import budget_of
+from roemetry_volume.surface_budget import OUTLINE, budget_of
 from roemetry_volume.underside import UndersideOptions, estimate_of, true_volume
 
 
@@ -29,8 +29,13 @@ class OutlineSurface(VolumeEstimator[UndersideOptions]):
     Options = UndersideOptions
     capabilities = Capabilities(relative_tolerance=0.026)
 
+    @property
+    def states_model_error(self) -> bool:
+        """Whether all of the model's error is drawn."""
+        return True
+
     def estimate(self, product: Product, *, rng: np.random.Generator | None = None) -> Volume:
-        """Estimate the visible volume; with `rng` every cause of the budget is drawn.
+        """Estimate the visible volume; with `rng` all is drawn but the outline's place, which a run moves.
 
         Raises
         ------
@@ -54,7 +59,7 @@ class OutlineSurface(VolumeEstimator[UndersideOptions]):
             )
         budget = budget_of(fused, product.view, product.outline.xy_std_px)
         if rng is not None:
-            volume += sum(std * rng.standard_normal() for std in budget.values())
+            volume += sum(std * rng.standard_normal() for cause, std in budget.items() if cause != OUTLINE)
         visible = estimate_of(volume, budget)
         return Volume(
             visible_mm3=visible,

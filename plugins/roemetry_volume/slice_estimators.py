@@ -32,6 +32,11 @@ class _SliceEstimator(VolumeEstimator[SliceOptions]):
     capabilities = Capabilities(relative_tolerance=0.026)
     rule: ClassVar[int]
 
+    @property
+    def states_model_error(self) -> bool:
+        """Whether all of the model's error is drawn: not where what lies beyond the slices is left out."""
+        return self.options.ends != "none"
+
     def estimate(self, product: Product, *, rng: np.random.Generator | None = None) -> Volume:
         """Estimate the visible volume; with `rng` the error between slices and at the ends is drawn, too.
 

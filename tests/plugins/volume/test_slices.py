@@ -106,6 +106,8 @@ def test_ends_can_be_left_out_or_held() -> None:
         for ends in ("none", "hold", "taper")
     )
     assert none < taper < hold
+    assert SliceTrapezoid().states_model_error
+    assert not SliceTrapezoid(SliceOptions(ends="none")).states_model_error
     assert SliceSum().estimate(product).visible_mm3.value == pytest.approx(hold, rel=1e-12)
     assert SliceSum(SliceSumOptions(ends="taper")).estimate(product).visible_mm3.value == pytest.approx(taper)
 
