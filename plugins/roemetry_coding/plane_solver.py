@@ -86,9 +86,8 @@ _MAJORITY = 0.9
 _END_LINES = 30
 _LOST = 0.25
 _SHIFT_GAIN = 6.0
-_RIVALS = 3
-_LEFT_OUT_LINES = 10.0
-_LEFT_OUT = 0.3
+_RIVALS = 4
+_LEFT_OUT_LINES = 5.0
 ROUNDS = 2
 
 
@@ -165,12 +164,12 @@ def solve_planes(
                 cost, least, improved = rival, total, True
         if not improved:
             break
-    stripe, dearer = verdicts_of(entries.start, entries.peak, *nodes, problem.sight.line, cost)
+    stripe, dearer = verdicts_of(entries.start, entries.peak, *nodes, problem.sight.line, problem.piece, cost)
     dearer[problem.piece_line[problem.piece] == ENDS] *= _ENDS_COUNT
     unanimous = np.ones(stripe.size, np.bool_)
     for weights in others:
         other, _ = verdicts_of(
-            entries.start, entries.peak, *nodes, problem.sight.line, _solved(problem, weights)
+            entries.start, entries.peak, *nodes, problem.sight.line, problem.piece, _solved(problem, weights)
         )
         unanimous &= other == stripe
     unanimous &= ~mixed(problem.piece, problem.piece_line, stripe, problem.there.size, _MAJORITY)

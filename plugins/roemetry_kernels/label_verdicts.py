@@ -13,9 +13,12 @@ from roemetry_kernels.label_pieces import ENDS
 @njit(cache=True, nogil=True)
 def verdicts_of(
     start: Integers, peak: Integers, low: Integers, count: Integers, offset: Integers, line: Floats,
-    cost: Floats,
+    piece: Integers, cost: Floats,
 ) -> tuple[Integers, Floats]:  # fmt: skip
-    """Give (peak,) stripe or −1, and by how much the next best verdict is dearer; of its nearest line."""
+    """Give (peak,) stripe or −1, and by how much the next best verdict is dearer; of its nearest line.
+
+    A peak between two lines takes the verdict on which its neighbours in its piece agree.
+    """
     peaks = line.shape[0]
     stripe = np.full(peaks, -1, np.int64)
     dearer = np.zeros(peaks)
@@ -35,6 +38,21 @@ def verdicts_of(
                     second = min(second, value)
             stripe[p] = found
             dearer[p] = second - best
+    before = np.full(piece.shape[0], -1, np.int64)
+    last = np.full(piece.shape[0], -1, np.int64)
+    for p in range(peaks):
+        if nearest[p] == np.inf:
+            before[p] = last[piece[p]]
+        else:
+            last[piece[p]] = p
+    last[:] = -1
+    for p in range(peaks - 1, -1, -1):
+        if nearest[p] < np.inf:
+            last[piece[p]] = p
+            continue
+        one, other = before[p], last[piece[p]]
+        if one >= 0 and other >= 0 and stripe[one] == stripe[other]:
+            stripe[p], dearer[p] = stripe[one], min(dearer[one], dearer[other])
     return stripe, dearer
 
 
