@@ -55,7 +55,8 @@ def _calibrated(rig: Rig, observed: CalibrationSet, hashes: dict[str, str]) -> C
 def observe(rig: Rig, registry: Registry) -> tuple[CalibrationSet, dict[str, str]]:
     """Read a rig's images and find their peaks; give what the calibrator receives, and the images' hashes.
 
-    A laser image of a board has its peaks from the difference to its laser-off partner, where there is one.
+    A laser image of a board has its peaks from the difference to its laser-off partner, where there is one
+    in the same light.
 
     Raises
     ------
@@ -94,6 +95,10 @@ def observe(rig: Rig, registry: Registry) -> tuple[CalibrationSet, dict[str, str
                 observations.append(Observation(target, replace(frame, role="plain"), _none(frame), pose))
                 continue
             partner = plain.get((target, pose))
+            if partner is not None and _brighter_light(partner, read):
+                partner = (
+                    None  # in other light than the laser image: it shows the board, not what to subtract
+                )
             peaks = extractor.extract(frame if partner is None else _prepared(read, partner, rig))
             observations.append(Observation(target, frame, peaks, pose))
     if not observations:
@@ -128,6 +133,17 @@ def _prepared(laser: Frame, partner: Frame | None, rig: Rig) -> Frame:
         "sensor": rig.sensor,
     }
     return prepare(Acquisition(laser.name, frames), **options)
+
+
+def _brighter_light(plain: Frame, laser: Frame) -> bool:
+    """Say whether much more than stripes is brighter in the laser-off image: it was taken in plain light."""
+    step = _BRIGHTER_GREY * laser.white
+    brighter = plain.pixels.astype(np.float32) - laser.pixels > step
+    return bool(brighter.mean() > _BRIGHTER_SHARE_MAX)
+
+
+_BRIGHTER_GREY = 0.02
+_BRIGHTER_SHARE_MAX = 0.25
 
 
 def _none(frame: Frame) -> Peaks:

@@ -108,7 +108,9 @@ def _charuco(grey: NDArray[np.uint8], board: Board) -> tuple[Floats, Floats, str
         )
     xy = np.asarray(corners, np.float32).reshape(-1, 1, 2)
     spacing = _spacing(places, xy[:, 0, :].astype(np.float64), board.pitch_mm)
-    return places, _refined(grey, xy, spacing), layout
+    # markers stand near the corners: their edges must stay outside the window
+    room = 0.5 * (1.0 - float(board.marker_mm or 0.0) / board.pitch_mm)
+    return places, _refined(grey, xy, spacing, share=0.85 * room), layout
 
 
 def charuco_of(board: Board, layout: str) -> Any:
@@ -181,10 +183,10 @@ def _grid(xy: Floats, pitch_mm: float, first: float) -> tuple[Floats, Floats]:
     return places.reshape(-1, 3), xy.reshape(-1, 2)
 
 
-def _refined(grey: NDArray[np.uint8], corners: Any, spacing_px: float) -> Floats:
+def _refined(grey: NDArray[np.uint8], corners: Any, spacing_px: float, share: float = 0.3) -> Floats:
     import cv2
 
-    half = int(np.clip(round(0.3 * spacing_px), 2, 15))
+    half = int(np.clip(int(share * spacing_px), 2, 15))
     stop = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-4)
     start = np.ascontiguousarray(corners, np.float32)
     refined = cv2.cornerSubPix(grey, start, (half, half), (-1, -1), stop)

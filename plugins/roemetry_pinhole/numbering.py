@@ -58,14 +58,9 @@ def number_stripes(poses: list[PoseLines], stripes: int) -> Numbered:
     Raises
     ------
     CalibrationError
-        There are fewer than two poses with lines, or a stripe lies on fewer than two boards.
+        No numbering fits, or a stripe lies on fewer than two boards.
     """
-    shown = [pose for pose in poses if pose.count]
-    if len(shown) < 2:
-        raise CalibrationError(
-            f"stripes lie on the board in {len(shown)} of {len(poses)} poses; two are the least",
-            hint="hold the board under the stripes, at different heights and tilts",
-        )
+    shown = [pose for pose in poses if 0 < pose.count <= stripes]
     offsets = _offsets(shown, stripes)
     numbers = {
         id(pose): np.arange(pose.count) + offset
@@ -98,12 +93,6 @@ def _check(poses: list[PoseLines], found: list[np.ndarray], stripes: int) -> Non
 
 def _offsets(shown: list[PoseLines], stripes: int) -> list[int | None]:
     """Give the number of each pose's first line; None where it cannot be told yet."""
-    for pose in shown:
-        if pose.count > stripes:
-            raise CalibrationError(
-                f"{pose.name}: {pose.count} stripes lie on the board, the rig has {stripes}",
-                hint="check `stripes`, the extractor's threshold, and reflections",
-            )
     full = [pose.count == stripes for pose in shown]
     if sum(full) >= 2:
         return _extended([0 if one else None for one in full], shown, stripes)

@@ -94,7 +94,35 @@ def _shared_out(lines: list[StripeLine], xy: Floats, chosen: Integers, focal_px:
             else line
             for number, line in enumerate(lines)
         ]
+    lines = _uncrossed(_merged(lines, xy, focal_px), xy[chosen, 1])
     return [replace(line, peak=np.sort(line.peak)) for line in lines]
+
+
+def _uncrossed(lines: list[StripeLine], y: Floats) -> list[StripeLine]:
+    """Of lines that cross on the board leave the shorter out: stripes of one fan do not cross."""
+    ends = np.array([y.min(), y.max()])
+    at = np.array([line.start + line.slope * ends for line in lines])
+    kept: list[int] = []
+    for number in sorted(range(len(lines)), key=lambda number: -lines[number].peak.size):
+        apart = at[kept] - at[number]
+        if not (apart.min(axis=1, initial=np.inf) * apart.max(axis=1, initial=-np.inf) < 0.0).any():
+            kept.append(number)
+    return [lines[number] for number in sorted(kept)]
+
+
+def _merged(lines: list[StripeLine], xy: Floats, focal_px: float) -> list[StripeLine]:
+    """Join neighbours that are one line in two parts, found before either was long enough to point well."""
+    kept: list[StripeLine] = []
+    for line in lines:
+        if kept:
+            y = xy[np.concatenate([kept[-1].peak, line.peak]), 1]
+            at = np.array([y.min(), y.max()])
+            apart = line.start - kept[-1].start + (line.slope - kept[-1].slope) * at
+            if np.abs(apart).min() * focal_px < _JOIN_PX:
+                kept[-1] = _fitted(np.unique(np.concatenate([kept[-1].peak, line.peak])), xy, focal_px)
+                continue
+        kept.append(line)
+    return kept
 
 
 def _off(line: StripeLine, xy: Floats) -> Floats:

@@ -19,6 +19,7 @@ from roemetry_pinhole.views import on_board, on_even_print
 _WIDTH_SHARE_MAX = 0.35
 _POINTS_MAX = 20_000
 _PEAKS_MIN = 8
+_BOARDS_MIN = 2
 _OFF_MAX_MADS = 5.0
 _OFF_MAX_LEAST_PX = 0.5
 _MAD_TO_STD = 1.4826
@@ -93,12 +94,22 @@ def gather(
         if not lines:
             left_out[view.laser.frame.name] = "no stripe is seen on the board: is the laser on?"
             continue
+        if len(lines) > stripes:
+            many = f"{len(lines)} lines are seen on the board, the rig has {stripes} stripes"
+            left_out[view.laser.frame.name] = many
+            continue
         seen_on_board += int(use.sum())
         found.append((number, peaks, lines, xy))
         normal, shift = first.rotation[number][:, 2], first.shift[number]
         ends = np.array([line.ends(xy) for line in lines])
         ends *= ((normal @ shift) / (ends @ normal))[:, :, None]
         poses.append(PoseLines(view.laser.frame.name, ends))
+    if len(poses) < _BOARDS_MIN:
+        raise CalibrationError(
+            f"stripes lie on the board in {len(poses)} of {len(first.views)} poses, not in {_BOARDS_MIN}"
+            + "".join(f"\n  {name}: {why}" for name, why in left_out.items()),
+            hint="hold the board under the stripes, at different heights and tilts; is `stripes` right?",
+        )
     numbered = number_stripes(poses, stripes)
     left_out |= numbered.left_out
     peaks_used: list[tuple[int, int, Peaks, Integers]] = []

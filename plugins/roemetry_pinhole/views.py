@@ -15,6 +15,7 @@ _LIT_GREY = 0.06
 _UNEVEN_MAX = 0.25
 _UNEVEN_NOISE = 0.02
 _LIT_SHARE_MIN = 2e-4
+_OTHER_LIGHT_SHARE = 0.25
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -117,6 +118,8 @@ def _lit(plain: Observation, laser: Observation) -> str:
     difference = laser.frame.pixels.astype(np.float32) - plain.frame.pixels
     brighter = float((difference > step).mean())
     darker = float((difference < -step).mean())
+    if darker > _OTHER_LIGHT_SHARE:
+        return ""  # taken in plain light: the pair cannot be compared
     if darker > 4.0 * brighter and darker > _LIT_SHARE_MIN:
         return f"it is darker than {plain.frame.name}: are the images with the laser on and off exchanged?"
     if brighter < _LIT_SHARE_MIN:

@@ -1,0 +1,146 @@
+"""The joint adjustment on simulated points: derivatives, the truth comes back, and with the stated spread."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from roemetry.errors import CalibrationError
+from roemetry_pinhole.adjustment import adjust
+from roemetry_pinhole.equations import ON_BELT, Feet, corner_rows, foot_rows, stripe_residuals, stripe_rows
+from roemetry_pinhole.geometry import CAMERA, unknowns_of
+from roemetry_pinhole.simulated import SimulatedRig, noisy, shown
+
+LENS = (-0.2, 0.1, 0.001, -0.0005, 0.02)
+RIG = SimulatedRig(1600.0, 350.0, tilt_deg=(6.0, -4.0), lens=LENS, stripes=5, poses=8)
+FREE = np.arange(CAMERA) < 9
+
+
+def unknowns(geometry, **kept):
+    return unknowns_of(
+        geometry, **({"free_camera": FREE, "planes": True, "belt": True, "travel": False} | kept)
+    )
+
+
+def adjusted(seen, start=None, foot_std_mm=0.03):
+    start = start or seen.geometry
+    return adjust(start, unknowns(start), seen.corners, seen.points, seen.feet, foot_std_mm=foot_std_mm)
+
+
+def test_derivatives_are_those_of_the_equations(rng) -> None:
+    exact = shown(RIG, rng)
+    geometry = replace(exact.geometry, travel=np.array([0.1, 0.02, -0.01]))
+    every = unknowns(geometry, free_camera=np.ones(CAMERA, bool), travel=True)
+    counts = rng.uniform(-2.0, 2.0, exact.points.pose.size) * (exact.points.pose >= 0)
+    points = replace(exact.points, counts=counts)
+    points = replace(points, x_px=points.x_px - stripe_residuals(geometry, points))
+    corners = replace(exact.corners, counts=rng.uniform(-2.0, 2.0, exact.corners.pose.size))
+    feet = Feet(np.array([0, 3]), rng.uniform(0.0, 40.0, (2, 3)), np.array([0.0, 1.5]))
+    sizes = {**dict.fromkeys(every.camera[:4], 1e-2), **dict.fromkeys(every.camera[4:], 1e-5)}
+    sizes |= dict.fromkeys([*every.planes.ravel(), *every.belt], 1e-8)
+    for rows, what in ((corner_rows, corners), (stripe_rows, points), (foot_rows, feet)):
+        found = rows(geometry, every, what)
+        given = np.zeros((found.residual.size, every.count))
+        row, place = np.nonzero(found.columns >= 0)
+        np.add.at(given, (row, found.columns[row, place]), found.values[row, place])
+        for number in range(every.count):
+            step = np.zeros(every.count)
+            step[number] = sizes.get(number, 1e-5)
+            up, down = (rows(every.moved(geometry, s * step), every, what).residual for s in (1.0, -1.0))
+            slope = (up - down) / (2.0 * step[number])
+            off = np.abs(slope - given[:, number]).max()
+            assert off <= 1e-4 * max(np.abs(slope).max(), 1e-3), (rows.__name__, number)
+
+
+def test_without_noise_the_truth_comes_back(rng) -> None:
+    exact = shown(RIG, rng)
+    free = unknowns(exact.geometry)
+    step = np.zeros(free.count)
+    step[free.camera[:4]] = 30.0, -20.0, 8.0, -6.0
+    step[free.camera[4]] = 0.02
+    step[free.poses.ravel()] = rng.normal(0.0, 0.005, free.poses.size)
+    found = adjusted(exact, start=free.moved(exact.geometry, step)).geometry
+    assert np.abs(found.camera[:4] - exact.geometry.camera[:4]).max() < 1e-4, "px"
+    assert np.abs(found.planes / exact.geometry.planes - 1.0).max() < 1e-6
+    assert np.abs(found.belt - exact.geometry.belt).max() < 1e-6 * np.abs(exact.geometry.belt).max()
+
+
+def test_the_spread_is_the_stated_one(rng) -> None:
+    """χ² of planes over their three degrees of freedom, and of the camera's focal length."""
+    exact = shown(replace(RIG, rows=12), rng)
+    squares, focal = [], []
+    for _ in range(12):
+        found = adjusted(noisy(exact, rng, 0.08, 0.15, 0.03))
+        at = found.unknowns.planes
+        off = found.geometry.planes - exact.geometry.planes
+        covariance = found.covariance[at[:, :, None], at[:, None, :]]
+        squares.append(np.einsum("si,sij,sj->s", off, np.linalg.inv(covariance), off) / 3.0)
+        std = np.sqrt(found.covariance[0, 0])
+        focal.append((found.geometry.camera[0] - exact.geometry.camera[0]) / std)
+        assert found.corner_std_px == pytest.approx(0.08, rel=0.1)
+        assert found.stripe_scale == pytest.approx(0.15, rel=0.1)
+        assert found.conflict == 1.0
+    assert 0.5 < np.mean(squares) < 1.6, "twelve draws with one camera in common"
+    assert np.sqrt(np.mean(np.square(focal))) < 1.6
+
+
+def test_strays_are_left_out(rng) -> None:
+    seen = noisy(shown(RIG, rng), rng, 0.05, 0.1, 0.03)
+    x, xy = seen.points.x_px.copy(), seen.corners.xy_px.copy()
+    x[::40] += 25.0
+    xy[::50] += 12.0
+    spoilt = replace(seen, points=replace(seen.points, x_px=x), corners=replace(seen.corners, xy_px=xy))
+    found, clean = adjusted(spoilt), adjusted(seen)
+    assert not found.stripe_used[::40].any()
+    assert not found.corner_used[::50].any()
+    std = np.sqrt(np.diag(clean.covariance)[clean.unknowns.planes])
+    assert (np.abs(found.geometry.planes - clean.geometry.planes) < 1.5 * std).all()
+
+
+def test_correlated_peaks_count_less(rng) -> None:
+    exact = shown(replace(RIG, rows=80), rng)
+    order = np.lexsort((exact.points.row_px, exact.points.stripe, exact.points.pose))
+    white = rng.normal(0.0, 0.15, order.size + 8)
+    smooth = np.convolve(white, np.ones(9) / 3.0, "valid")
+    x = exact.points.x_px.copy()
+    x[order] += smooth
+    found = adjusted(replace(exact, points=replace(exact.points, x_px=x)))
+    assert 5.0 < found.correlation < 13.0, "a moving mean over nine has 9"
+
+
+def test_one_stripe_and_an_empty_belt_do_not_tell_the_belt(rng) -> None:
+    exact = shown(replace(RIG, stripes=1), rng)
+    nobody = Feet(np.empty(0, np.int64), np.empty((0, 3)), np.empty(0))
+    with pytest.raises(CalibrationError, match="does not determine"):
+        adjusted(replace(exact, feet=nobody))
+    assert (exact.points.pose != ON_BELT).all()
+    assert np.isfinite(adjusted(noisy(exact, rng, 0.05, 0.1, 0.02)).covariance).all()
+
+
+def test_a_moving_belt_gives_its_travel(rng) -> None:
+    exact = shown(RIG, rng)
+    way = np.array([0.02, 0.1, 0.0])
+    geometry = exact.geometry
+    up = -geometry.belt / np.linalg.norm(geometry.belt)
+    way = way - (way @ up) * up
+    carried = replace(
+        exact.corners,
+        pose=np.zeros(exact.corners.pose.size, np.int64),
+        board_mm=np.tile(exact.corners.board_mm[exact.corners.pose == 0], (40, 1))[: exact.corners.pose.size],
+        counts=np.repeat(np.arange(40.0), (exact.corners.pose == 0).sum())[: exact.corners.pose.size],
+    )
+    moving = replace(geometry, travel=way)
+    every = unknowns(moving, travel=True)
+    xy = corner_rows(moving, every, replace(carried, xy_px=np.zeros_like(carried.xy_px))).residual
+    both = {
+        name: np.concatenate(
+            [getattr(exact.corners, name), getattr(replace(carried, xy_px=xy.reshape(-1, 2)), name)]
+        )
+        for name in ("pose", "board_mm", "xy_px", "counts")
+    }
+    corners = type(exact.corners)(**both)
+    start = replace(moving, travel=np.zeros(3))
+    found = adjust(start, every, corners, exact.points, exact.feet, foot_std_mm=0.03)
+    assert np.abs(found.geometry.travel - way).max() < 1e-5, "mm per count"
