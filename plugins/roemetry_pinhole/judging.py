@@ -70,7 +70,7 @@ def judged(
         "marks_systematic_px": systematic_px,
         "marks_coverage": coverage,
         "stripes_rms_px": float(np.sqrt((adjusted.stripe_px[used] ** 2).mean())),
-        "stripes_left_out": float(1.0 - used.mean()),
+        "stripes_left_out": 1.0 - (1.0 - gathered.left_share) * float(used.mean()),
         "stripes_correlation": adjusted.correlation,
         "poses": float(len(first.views)),
     }

@@ -37,10 +37,8 @@ class Gathered:
         (stripe, 3) p·X = 1, 1/mm.
     belt
         (3,) a first estimate of the belt from the empty belt's images; None without any.
-    on_board
-        Peaks on boards, and how many of them lie on no stripe or far off their stripe.
-    off_board
-        See above.
+    left_share
+        Share of the peaks on stripes that is left out: on uneven print, or far off the others.
     left_out
         By image, why its stripes are not used.
     """
@@ -48,8 +46,7 @@ class Gathered:
     points: StripePoints
     planes: Floats
     belt: Floats | None
-    on_board: int
-    off_board: int
+    left_share: float
     left_out: dict[str, str]
 
 
@@ -79,7 +76,6 @@ def gather(
     left_out: dict[str, str] = {}
     found: list[tuple[int, Peaks, list[StripeLine], Floats]] = []
     poses: list[PoseLines] = []
-    seen_on_board = 0
     for number, view in enumerate(first.views):
         if view.laser is None:
             continue
@@ -98,7 +94,6 @@ def gather(
             many = f"{len(lines)} lines are seen on the board, the rig has {stripes} stripes"
             left_out[view.laser.frame.name] = many
             continue
-        seen_on_board += int(use.sum())
         found.append((number, peaks, lines, xy))
         normal, shift = first.rotation[number][:, 2], first.shift[number]
         ends = np.array([line.ends(xy) for line in lines])
@@ -113,9 +108,11 @@ def gather(
     numbered = number_stripes(poses, stripes)
     left_out |= numbered.left_out
     peaks_used: list[tuple[int, int, Peaks, Integers]] = []
+    on_stripes = 0
     for (number, peaks, lines, _), numbers in zip(found, numbered.stripe, strict=True):
         for line, stripe in zip(lines, numbers, strict=True):
             if stripe >= 0:
+                on_stripes += line.peak.size
                 plain = first.views[number].plain
                 even = np.ones(line.peak.size, np.bool_)
                 if plain is not None:
@@ -129,12 +126,16 @@ def gather(
         _binned(number, stripe, peaks, part, step, travelled[number] if number != ON_BELT else 0.0)
         for number, stripe, peaks, part in peaks_used + belt_parts
     ]
-    kept = sum(int(count.sum()) for (number, *_), (_, count) in zip(peaks_used, parts, strict=False))
+    kept = sum(
+        int(count.sum())
+        for (number, *_), (_, count) in zip(peaks_used + belt_parts, parts, strict=True)
+        if number != ON_BELT
+    )
     rows = np.concatenate([part for part, _ in parts])
     points = StripePoints(
         rows[:, 0].astype(np.int64), rows[:, 1].astype(np.int64), *np.ascontiguousarray(rows[:, 2:].T)
     )
-    return Gathered(points, numbered.planes, belt, seen_on_board, seen_on_board - kept, left_out)
+    return Gathered(points, numbered.planes, belt, 1.0 - kept / max(on_stripes, 1), left_out)
 
 
 def _straight(peaks: Peaks, camera: Floats) -> Floats:

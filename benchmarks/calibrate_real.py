@@ -1,0 +1,198 @@
+"""Calibration from real images: twelve boards with a laser line, thirty-two views of a chessboard.
+
+``python -m benchmarks calibrate_real [--extractor centre-of-gravity]``, with the data where the environment
+variable ROEMETRY_REAL_DATA says. The boards' line is used with the laser-off partner subtracted, green channel
+(red is white on the board).
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from roemetry.arrays import Floats
+from roemetry.calibrating import observe
+from roemetry.records import Board, Frame
+from roemetry.registry import discover
+from roemetry.rig import Rig
+from roemetry.yaml_source import dump
+from roemetry_pinhole.adjustment import Adjusted, adjust
+from roemetry_pinhole.equations import Corners, Feet, StripePoints
+from roemetry_pinhole.first_camera import FirstCamera, first_camera, free_numbers
+from roemetry_pinhole.geometry import Geometry, unknowns_of
+from roemetry_pinhole.lens import straightened
+from roemetry_pinhole.marks import find_marks
+from roemetry_pinhole.stripe_points import Gathered, gather
+from roemetry_pinhole.unseen import UnseenError
+from roemetry_pinhole.views import BoardView, Seen, board_views
+
+AUTHORS_PLANE = np.array([-1.3051671468331907e-01, -6.3959525011364002e00, 1.0])
+NOBODY = np.empty(0, np.int64)
+
+
+def main() -> None:
+    """Print what each set gives, or why it is skipped."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--extractor", default="centre-of-gravity")
+    parser.add_argument("--channel", default="green")
+    given = parser.parse_args()
+    home = Path(os.environ.get("ROEMETRY_REAL_DATA", "../shared/real"))
+    for name, run in (("laser_on_circle_grid", _boards), ("chessboard_mit", _chessboard)):
+        folder = home / name
+        if not folder.is_dir():
+            print(f"{name}: skipped, there is no folder {folder} (ROEMETRY_REAL_DATA)")
+        elif run is _boards:
+            _boards(folder, given.extractor, given.channel)
+        else:
+            _chessboard(folder)
+
+
+def _boards(folder: Path, extractor: str, channel: str) -> None:
+    observed = _observed(folder, extractor, channel)
+    board = observed.board
+    if board is None:
+        raise AssertionError("the rig file describes a board")
+    seen = board_views(observed, board)
+    size = observed.observations[0].frame.size
+    first = first_camera(seen, size, "brown", None, 12)
+    gathered = gather(first, board, (), 1, np.zeros(len(first.views)))
+    found = _adjusted(first, gathered)
+    off = _off_plane(found.geometry, gathered.points, found.geometry.planes[0])
+    used = found.stripe_used
+    print(f"laser_on_circle_grid: {len(first.views)} of 12 boards, left out: {seen.left_out or 'none'}")
+    print(f"  marks: reprojection rms {np.sqrt((found.corner_px**2).sum(axis=1).mean()):.4f} px, all marks")
+    print(
+        f"  fx, fy {found.geometry.camera[1]:.2f} {found.geometry.camera[0]:.2f} px (author 1144.44 1142.49)"
+    )
+    print(
+        f"  plane: rms {np.sqrt((off**2).mean()):.4f} mm over all {off.size} points that lie on even print, "
+        f"{np.sqrt((off[used] ** 2).mean()):.4f} mm over those used"
+    )
+    left = gathered.left_share + (1.0 - gathered.left_share) * float(1.0 - used.mean())
+    print(f"  rejected: {left:.1%} of the peaks on the line (uneven print, far off)")
+    print(f"  plane to the author's: {_to_author_deg(found.geometry.planes[0]):.3f}°")
+    print(f"  leave one pose out: rms {_left_out(first, gathered):.4f} mm")
+
+
+def _observed(folder: Path, extractor: str, channel: str):  # noqa: ANN202
+    data = {
+        "roemetry_rig": 1,
+        "name": "laser on circle grid",
+        "stripes": 1,
+        "channel": channel,
+        "turn_deg": 90,
+        "board": {"kind": "circle-grid", "name": "grid", "columns": 7, "rows": 7, "pitch_mm": 37.5},
+        "images": {
+            "board": [str(path) for path in sorted((folder / "calib_picture").resolve().glob("*.jpg"))],
+            "board_laser": [str(path) for path in sorted((folder / "light_picture").resolve().glob("*.jpg"))],
+        },
+        "extractor": extractor,
+    }
+    with tempfile.TemporaryDirectory() as place:
+        path = Path(place) / "rig.yaml"
+        path.write_text(dump(data), encoding="utf-8")
+        return observe(Rig.load(path), discover())[0]
+
+
+def _adjusted(first: FirstCamera, gathered: Gathered) -> Adjusted:
+    start = Geometry(
+        first.camera, first.rotation, first.shift, gathered.planes, np.full(3, np.nan), np.zeros(3)
+    )
+    free = unknowns_of(start, free_camera=free_numbers("brown"), planes=True, belt=False, travel=False)
+    return adjust(start, free, _corners(first), gathered.points, _no_feet(), foot_std_mm=1.0)
+
+
+def _corners(first: FirstCamera) -> Corners:
+    size = [len(view.marks.xy_px) for view in first.views]
+    return Corners(
+        np.repeat(np.arange(len(size)), size),
+        np.concatenate([view.marks.board_mm for view in first.views]),
+        np.concatenate([view.marks.xy_px for view in first.views]),
+        np.zeros(sum(size)),
+    )
+
+
+def _no_feet() -> Feet:
+    return Feet(NOBODY, np.empty((0, 3)), np.empty(0))
+
+
+def _points_mm(geometry: Geometry, points: StripePoints) -> Floats:
+    seen = np.column_stack([points.x_px, points.row_px])
+    xy = straightened((seen - geometry.camera[2:4]) / geometry.camera[:2], geometry.camera[4:])[0]
+    ray = np.column_stack([xy, np.ones(len(xy))])
+    normal, shift = geometry.rotation[points.pose][:, :, 2], geometry.shift[points.pose]
+    return np.asarray(ray * ((normal * shift).sum(axis=1) / (normal * ray).sum(axis=1))[:, None])
+
+
+def _off_plane(geometry: Geometry, points: StripePoints, plane: Floats) -> Floats:
+    return np.asarray((_points_mm(geometry, points) @ plane - 1.0) / np.sqrt(plane @ plane))
+
+
+def _to_author_deg(plane: Floats) -> float:
+    """The images were turned by 90°: the author's x is our −y, and y our x."""
+    own = np.array([-plane[1], plane[0], plane[2]]) / np.sqrt(plane @ plane)
+    author = AUTHORS_PLANE / np.sqrt(AUTHORS_PLANE @ AUTHORS_PLANE)
+    return float(np.degrees(np.arccos(min(abs(own @ author), 1.0))))
+
+
+def _left_out(first: FirstCamera, gathered: Gathered) -> float:
+    """Distance of each pose's points from the plane that the other poses give, camera and poses alike."""
+    squares, count = 0.0, 0
+    points = gathered.points
+    for pose in range(len(first.views)):
+        keep = points.pose != pose
+        others = StripePoints(
+            points.pose[keep], points.stripe[keep], points.x_px[keep], points.row_px[keep],
+            points.std_px[keep], points.counts[keep],
+        )  # fmt: skip
+        found = _adjusted(first, Gathered(**{**_fields(gathered), "points": others}))
+        alone = ~keep
+        own = StripePoints(
+            points.pose[alone], points.stripe[alone], points.x_px[alone], points.row_px[alone],
+            points.std_px[alone], points.counts[alone],
+        )  # fmt: skip
+        off = _off_plane(found.geometry, own, found.geometry.planes[0])
+        squares += float((off**2).sum())
+        count += off.size
+    return float(np.sqrt(squares / count))
+
+
+def _fields(gathered: Gathered) -> dict[str, object]:
+    return {name: getattr(gathered, name) for name in gathered.__slots__}
+
+
+def _chessboard(folder: Path) -> None:
+    import cv2
+
+    board = Board("chessboard", "chessboard", columns=12, rows=9, pitch_mm=25.0)
+    seen = Seen()
+    size = (0, 0)
+    files = sorted(folder.glob("*.png"))
+    for path in files:
+        frame = Frame(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE), role="plain", name=path.name)
+        size = frame.size
+        try:
+            marks = find_marks(frame, board)
+        except UnseenError as error:
+            seen.left_out[path.name] = str(error)
+            continue
+        seen.views.append(BoardView(path.name, marks, None, None, on_belt=False, count=np.nan))
+    first = first_camera(seen, size, "brown", None, len(files))
+    start = Geometry(
+        first.camera, first.rotation, first.shift, np.empty((0, 3)), np.full(3, np.nan), np.zeros(3)
+    )
+    free = unknowns_of(start, free_camera=free_numbers("brown"), planes=False, belt=False, travel=False)
+    none = np.empty(0)
+    nothing = StripePoints(NOBODY, NOBODY, none, none, none, none)
+    found = adjust(start, free, _corners(first), nothing, _no_feet(), foot_std_mm=1.0)
+    rms = np.sqrt((found.corner_px**2).sum(axis=1).mean())
+    print(f"chessboard_mit: {len(first.views)} of {len(files)} boards, left out: {seen.left_out or 'none'}")
+    print(f"  marks: reprojection rms {rms:.4f} px, all marks; fx {found.geometry.camera[0]:.1f} px")
+
+
+if __name__ == "__main__":
+    main()
