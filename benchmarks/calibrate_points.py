@@ -1,4 +1,4 @@
-"""Calibrations of simulated points, over and over: do spread and stated uncertainty agree?
+"""Calibrations of simulated points, over and over; spread against stated uncertainty.
 
 ``python -m benchmarks calibrate_points [--repeats 100] [--rigs gentle,wide] [--stripes 1,11,21] [--seed 1]``
 """
@@ -75,7 +75,8 @@ def _row(name: str, stripes: int, repeats: int, seed: int) -> str:
     ratio = np.std(heights, axis=0) / np.sqrt(np.mean(stated, axis=0))
     return (
         f"| {name} | {stripes} | {np.mean(squares):.2f} | {np.median(spread):.2f} {spread.max():.2f} | "
-        f"{np.median(ratio):.2f} ({ratio.min():.2f}–{ratio.max():.2f}) | {1e3 * statistics.median(seconds):.0f} |"
+        f"{np.median(ratio):.2f} ({ratio.min():.2f}–{ratio.max():.2f}) | "
+        f"{1e3 * statistics.median(seconds):.0f} |"
     )
 
 

@@ -1,7 +1,7 @@
 """Calibration from real images: twelve boards with a laser line, thirty-two views of a chessboard.
 
-``python -m benchmarks calibrate_real [--extractor centre-of-gravity]``, with the data where the environment
-variable ROEMETRY_REAL_DATA says. The boards' line is used with the laser-off partner subtracted, green channel
+``python -m benchmarks calibrate_real [--extractor centre-of-gravity]``, with the data where the
+environment variable ROEMETRY_REAL_DATA says. The boards' line is used with the laser-off partner subtracted, green channel
 (red is white on the board).
 """
 
