@@ -1,8 +1,8 @@
 """Calibration from real images: twelve boards with a laser line, thirty-two views of a chessboard.
 
-``python -m benchmarks calibrate_real [--extractor centre-of-gravity]``, with the data where the
-environment variable ROEMETRY_REAL_DATA says. The boards' line is used with the laser-off partner subtracted, green channel
-(red is white on the board).
+``python -m benchmarks calibrate_real [--extractor NAME] [--channel grey] [--contrast 0.8]``, with the data
+where the environment variable ROEMETRY_REAL_DATA says. The laser-off partner is subtracted. Extractor,
+channel and the print's contrast up to which peaks count (``print_contrast_max``) were chosen on this set.
 """
 
 from __future__ import annotations
@@ -37,8 +37,9 @@ NOBODY = np.empty(0, np.int64)
 def main() -> None:
     """Print what each set gives, or why it is skipped."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--extractor", default="centre-of-gravity")
-    parser.add_argument("--channel", default="green")
+    parser.add_argument("--extractor", default="fir-zero-crossing")
+    parser.add_argument("--channel", default="grey")
+    parser.add_argument("--contrast", type=float, default=0.8)
     given = parser.parse_args()
     home = Path(os.environ.get("ROEMETRY_REAL_DATA", "../shared/real"))
     for name, run in (("laser_on_circle_grid", _boards), ("chessboard_mit", _chessboard)):
@@ -46,12 +47,12 @@ def main() -> None:
         if not folder.is_dir():
             print(f"{name}: skipped, there is no folder {folder} (ROEMETRY_REAL_DATA)")
         elif run is _boards:
-            _boards(folder, given.extractor, given.channel)
+            _boards(folder, given.extractor, given.channel, given.contrast)
         else:
             _chessboard(folder)
 
 
-def _boards(folder: Path, extractor: str, channel: str) -> None:
+def _boards(folder: Path, extractor: str, channel: str, contrast: float) -> None:
     observed = _observed(folder, extractor, channel)
     board = observed.board
     if board is None:
@@ -59,7 +60,7 @@ def _boards(folder: Path, extractor: str, channel: str) -> None:
     seen = board_views(observed, board)
     size = observed.observations[0].frame.size
     first = first_camera(seen, size, "brown", None, 12)
-    gathered = gather(first, board, (), 1, np.zeros(len(first.views)))
+    gathered = gather(first, board, (), 1, np.zeros(len(first.views)), print_contrast_max=contrast)
     found = _adjusted(first, gathered)
     off = _off_plane(found.geometry, gathered.points, found.geometry.planes[0])
     used = found.stripe_used

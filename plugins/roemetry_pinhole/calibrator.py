@@ -44,6 +44,12 @@ class PinholeCalibratorOptions(StageOptions):
         default=None,
         description="OpenCV file with a camera matrix and distortion that are known and not looked for",
     )
+    print_contrast_max: float = Field(
+        default=0.25,
+        ge=0,
+        le=1,
+        description="largest contrast of the print under a stripe, (light − dark)/(light + dark), to use it",
+    )
     height_max_mm: float | None = Field(
         default=None, gt=0, description="greatest height to be measured, mm; none: what the boards reached"
     )
@@ -81,7 +87,14 @@ class PinholeCalibrator(Calibrator[PinholeCalibratorOptions]):
         known = None if self.options.camera is None else read_camera(self.options.camera)
         first = first_camera(seen, size, self.options.lens, known, tried)
         pose, counts, first = _placed(first)
-        gathered = gather(first, board, observed.showing("belt"), observed.stripe_count, counts)
+        gathered = gather(
+            first,
+            board,
+            observed.showing("belt"),
+            observed.stripe_count,
+            counts,
+            print_contrast_max=self.options.print_contrast_max,
+        )
         seen.left_out |= gathered.left_out
         adjusted = self._adjusted(first, gathered, board, pose, counts, known)
         verdict = judged(adjusted, first, gathered, board, size)

@@ -51,7 +51,13 @@ class Gathered:
 
 
 def gather(
-    first: FirstCamera, board: Board, belts: tuple[Observation, ...], stripes: int, travelled: Floats
+    first: FirstCamera,
+    board: Board,
+    belts: tuple[Observation, ...],
+    stripes: int,
+    travelled: Floats,
+    *,
+    print_contrast_max: float,
 ) -> Gathered:
     """Find the stripes on all boards and on the empty belt, and number them.
 
@@ -67,6 +73,8 @@ def gather(
         How many the rig has.
     travelled
         (view,) encoder counts since the view's pose was defined.
+    print_contrast_max
+        Largest contrast of the print under a stripe at which its peaks count.
 
     Raises
     ------
@@ -116,7 +124,7 @@ def gather(
                 plain = first.views[number].plain
                 even = np.ones(line.peak.size, np.bool_)
                 if plain is not None:
-                    even = on_even_print(peaks, plain.frame)[line.peak]
+                    even = on_even_print(peaks, plain.frame, print_contrast_max)[line.peak]
                 if even.sum() >= _PEAKS_MIN:
                     peaks_used.append((number, int(stripe), peaks, line.peak[even]))
     on_lines = sum(part.size for _, _, _, part in peaks_used)

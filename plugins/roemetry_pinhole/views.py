@@ -12,7 +12,6 @@ from roemetry_pinhole.marks import Marks, find_marks
 from roemetry_pinhole.unseen import UnseenError
 
 _LIT_GREY = 0.06
-_UNEVEN_MAX = 0.25
 _UNEVEN_NOISE = 0.02
 _LIT_SHARE_MIN = 2e-4
 _OTHER_LIGHT_SHARE = 0.25
@@ -90,7 +89,7 @@ def on_board(view: BoardView, board: Board, xy: Floats, rotation: Floats, shift:
     return np.asarray((at - shift) @ rotation[:, :2])
 
 
-def on_even_print(peaks: Peaks, plain: Frame) -> Flags:
+def on_even_print(peaks: Peaks, plain: Frame, contrast_max: float) -> Flags:
     """Say which peaks lie where the print is even over the stripe's width: at its edges stripes seem shifted.
 
     Judged by the image with the laser off, along the row.
@@ -100,7 +99,7 @@ def on_even_print(peaks: Peaks, plain: Frame) -> Flags:
     at = np.clip(np.rint(peaks.x_px).astype(np.int64)[:, None] + np.arange(-half, half + 1), 0, columns - 1)
     around = plain.pixels[peaks.row[:, None], at].astype(np.float64)
     low, high = around.min(axis=1), around.max(axis=1)
-    return np.asarray((high - low) <= _UNEVEN_MAX * (high + low) + _UNEVEN_NOISE * plain.white)
+    return np.asarray((high - low) <= contrast_max * (high + low) + _UNEVEN_NOISE * plain.white)
 
 
 def _marks(images: list[Observation], board: Board, seen: Seen) -> tuple[str, Marks] | None:
