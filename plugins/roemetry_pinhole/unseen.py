@@ -22,13 +22,15 @@ def why_no_charuco(grey: NDArray[np.uint8], board: Board, corners: int) -> str:
     """Say why a ChArUco board shows too few corners."""
     expected = (board.columns - 1) * (board.rows - 1)
     own = _markers(grey, str(board.dictionary))
-    if own == 0:
-        if _markers(np.ascontiguousarray(grey[:, ::-1]), str(board.dictionary)) > 2:
-            return "the image is mirrored: the board's markers are found in its mirror image"
+    mirrored = _markers(np.ascontiguousarray(grey[:, ::-1]), str(board.dictionary))
+    if mirrored > max(2, 2 * own):  # a few false ones are found in any image
+        return "the image is mirrored: the board's markers are found in its mirror image"
+    if own < 3:
         for name in _DICTIONARIES:
             found = _markers(grey, name)
-            if found > 2:
-                return f"it is another board: {found} markers of {name} are seen, none of {board.dictionary}"
+            if found > max(3, 2 * own) and not name.startswith(str(board.dictionary)[:8]):
+                return f"it is another board: {found} markers of {name} are seen, {own} of {board.dictionary}"
+    if own == 0:
         return _blurred(grey) or "no board is seen"
     if own > 4 and corners < 4:
         ids = np.ravel(_ids(grey, str(board.dictionary)))
