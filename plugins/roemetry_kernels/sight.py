@@ -7,13 +7,13 @@ import math
 import numpy as np
 
 from roemetry.arrays import Floats
-from roemetry_kernels.compiling import kernel
+from roemetry_kernels.compiling import float_kernel
 
 _STEPS_MAX = 20
 _STEP_END = 1e-7  # Newton's next step would be below 1e-13
 
 
-@kernel(fastmath={"contract"})
+@float_kernel
 def lift_stripes(
     x_px: Floats, x_std_px: Floats, camera: Floats, planes: Floats, rotation: Floats, shift: Floats
 ) -> tuple[Floats, Floats]:

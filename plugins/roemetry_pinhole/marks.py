@@ -96,6 +96,8 @@ def _charuco(grey: NDArray[np.uint8], board: Board) -> tuple[Floats, Floats, str
         corners, ids, _, _ = cv2.aruco.CharucoDetector(tried).detectBoard(grey)
         if ids is not None and len(ids) > best[0]:
             best, pattern = (len(ids), corners, ids, layout), tried
+        if best[0] > 0.7 * (board.columns - 1) * (board.rows - 1):
+            break  # another layout does not show that many
     count, corners, ids, layout = best
     if count < _CHARUCO_MIN:
         raise UnseenError(why_no_charuco(grey, board, count))
