@@ -10,13 +10,13 @@ from roemetry.arrays import Floats
 from roemetry_kernels.compiling import float_kernel
 
 _STEPS_MAX = 20
-_STEP_END = 1e-7  # Newton's next step would be below 1e-13
+_STEP_END = 3e-6  # Newton's next step would be some 1e-12
 
 
 @float_kernel
 def lift_stripes(
     x_px: Floats, x_std_px: Floats, camera: Floats, planes: Floats, rotation: Floats, shift: Floats
-) -> tuple[Floats, Floats]:
+) -> tuple[Floats, Floats, int]:
     """Give points in the belt frame and what the peaks' noise does to their heights.
 
     Parameters
@@ -34,7 +34,7 @@ def lift_stripes(
     -------
     tuple
         (stripe, row, 3) points, mm, and (stripe, row) standard uncertainty of Z, mm; NaN where there is none
-        or the ray has no place in the straight image.
+        or the ray has no place in the straight image; and how many have none.
     """
     stripes, rows = x_px.shape
     points = np.full((stripes, rows, 3), np.nan)
@@ -42,7 +42,7 @@ def lift_stripes(
     fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
     k1, k2, p1, p2, k3 = camera[4], camera[5], camera[6], camera[7], camera[8]
     k4, k5, k6 = camera[9], camera[10], camera[11]
-    bends = False
+    bends, lost = False, 0
     for k in range(4, 12):
         bends = bends or camera[k] != 0.0
     rational = k4 != 0.0 or k5 != 0.0 or k6 != 0.0
@@ -86,6 +86,7 @@ def lift_stripes(
                         break
                 if not (good and determinant > 0.0 and xx + yy > 0.0):
                     followed = 0
+                    lost += 1
                     continue
                 new_x, new_y = x - bent_x, y - bent_y
                 gain_x, gain_y = new_x - off_x, new_y - off_y
@@ -102,4 +103,4 @@ def lift_stripes(
             move_z = -(p * move_x + q * move_y) * depth
             rise = rotation[2, 0] * (move_x + x * move_z) + rotation[2, 1] * (move_y + y * move_z)
             height_std[s, r] = abs(depth * (rise + rotation[2, 2] * move_z)) * x_std_px[s, r]
-    return points, height_std
+    return points, height_std, lost

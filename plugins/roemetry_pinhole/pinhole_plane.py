@@ -44,12 +44,12 @@ class PinholePlane(Triangulator[StageOptions]):
         parameters = calibration.parameters
         pose = belt_pose(parameters["belt_per_mm"])
         planes = parameters["planes_per_mm"]
-        xyz_mm, height_std_mm = lift_stripes(
+        xyz_mm, height_std_mm, lost = lift_stripes(
             stripes.x_px, stripes.x_std_px, camera_of(parameters), planes, pose[:3, :3], pose[:3, 3]
         )
         count, rows = stripes.x_px.shape
         product, seen = stripes.product, stripes.seen
-        if np.isnan(xyz_mm[..., 0][stripes.seen]).any():
+        if lost:
             known = ~np.isnan(xyz_mm[..., 0])
             product, seen = np.where(known, product, -1).astype(np.int16), seen & known
         return Profiles(
