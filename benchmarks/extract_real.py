@@ -10,7 +10,9 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import cv2
 
@@ -22,6 +24,7 @@ from benchmarks.real_images.weld import weld
 from benchmarks.real_images.wheelset import wheelset
 from roemetry.stages import Extractor
 
+_THRESHOLD = 20.0
 PARTS = {"wheelset": wheelset, "weld": weld, "boards": boards}
 BLOCK = "extract_real"
 
@@ -37,11 +40,7 @@ def main() -> None:
     parser.add_argument("--page", action="store_true", help="put the tables into the documentation")
     given = parser.parse_args()
     cv2.setNumThreads(1)
-    stages = {
-        name: stage
-        for name, stage in extractors()
-        if isinstance(stage, Extractor) and (not given.methods or any(word in name for word in given.methods))
-    }
+    stages = dict(chosen(given.methods))
     tables = []
     for part in given.only:
         table = PARTS[part](stages, given.out)
@@ -52,6 +51,17 @@ def main() -> None:
             print(f"skipped: {part}: {table}", file=sys.stderr)
     if given.page and tables:
         put_into_page(tables, f"Measured by `python -m benchmarks extract_real` on {machine()}.", BLOCK)
+
+
+def chosen(words: Sequence[str]) -> Iterator[tuple[str, Extractor[Any]]]:
+    """Make the extractors; those that find their threshold also with the one a user would set here."""
+    for name, stage in extractors():
+        if isinstance(stage, str) or (words and not any(word in name for word in words)):
+            continue
+        yield name, stage
+        if getattr(stage.options, "threshold", None) == "auto":
+            told = stage.options.model_copy(update={"threshold": _THRESHOLD})
+            yield f"{name}, threshold {_THRESHOLD:.0f}", type(stage)(told)
 
 
 if __name__ == "__main__":
