@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
 
@@ -27,7 +28,9 @@ _AMPLITUDE_NOISES = 5.0  # of one pixel beside the stripe, that a fitted stripe 
 _FWHM = 2.3548200450309493  # full width at half height of a Gaussian, standard deviations
 _SAMPLES = (480, 960)  # peaks that tell of the noise, in the first and the second pass
 _GOLDEN = 0.6180339887498949
-_FIRST_CONTRAST = 0.1
+_FIRST_CONTRASTS = (0.1, 0.3, 0.6)  # the first with which most of a sample can be fitted is the start
+_ROUGH_CONTRAST = 0.5  # for stripes that no Gaussian fits otherwise
+_FLANKS_PX = 1.0  # a clipped stripe's centre lies no farther from the middle of its flanks
 _CUT = 2.0  # a stripe nearer to the left or right border than so many standard deviations is cut off
 
 
@@ -99,6 +102,7 @@ class MaximumLikelihood(Extractor[MaximumLikelihoodOptions]):
             noise = _noise_as_told(self.options, noise.variance, noise.gain)
         at = found.starts
         fit = fitted(image, frame.white, found, noise, np.arange(at.row.shape[0]))
+        fit = self._roughly(image, frame.white, found, noise, fit)
         kept = self._kept(fit, found, noise)
         order = np.flatnonzero(kept)
         apart = _apart(at.row[order], fit.x_px[order], fit.sigma_px[order])
@@ -122,6 +126,21 @@ class MaximumLikelihood(Extractor[MaximumLikelihoodOptions]):
             correlation_rows=_rows_of(share, noise.correlation),
             reasons=() if found.measured else (_ESTIMATED,),
         )
+
+    def _roughly(self, image: Any, white: int, found: Found, noise: StripeNoise, fit: Fitted) -> Fitted:
+        """Fit again, as strong speckle, what is no Gaussian; clipped tops lie between their flanks."""
+        from roemetry_kernels.gaussian_fisher import CLIPPED, FAILED
+
+        failed = np.flatnonzero(fit.state == FAILED)
+        contrast2 = np.maximum(noise.contrast2, _ROUGH_CONTRAST**2)
+        rough = fitted(image, white, found, replace(noise, contrast2=contrast2), failed)
+        for whole, part in zip(fit, rough, strict=True):
+            whole[failed] = part
+        wrong = np.abs(fit.x_px - found.starts.x_px) > _FLANKS_PX
+        wrong[failed] = True
+        wrong &= fit.state == CLIPPED
+        fit.x_px[wrong], fit.x_std_px[wrong] = found.starts.x_px[wrong], np.nan
+        return fit
 
     def _kept(self, fit: Fitted, found: Found, noise: StripeNoise) -> Flags:
         options = self.options
@@ -227,15 +246,22 @@ def _noise_as_told(options: MaximumLikelihoodOptions, variance: float, gain: flo
 def estimated_noise(image: Any, white: int, found: Found) -> StripeNoise:
     """Estimate the noise from the image in two passes; each fits a sample of the peaks."""
     guess = (found.quiet if found.variance is None else found.variance, found.gain or 0.0)
-    noise = StripeNoise(*guess, 0.0, np.full(TILES, _FIRST_CONTRAST**2))
-    for size in _SAMPLES:
-        noise = noise_from(
-            *products_of(image, white, found, noise, size),
-            variance=found.variance,
-            gain=found.gain,
-            rounding=found.rounding,
-        )
-    return noise
+    told = {"variance": found.variance, "gain": found.gain, "rounding": found.rounding}
+    for contrast in _FIRST_CONTRASTS:
+        noise = StripeNoise(*guess, 0.0, np.full(TILES, contrast**2))
+        sample = products_of(image, white, found, noise, _SAMPLES[0])
+        if _telling(sample[0]):
+            break
+    else:
+        return noise
+    noise = noise_from(*sample, **told)
+    sample = products_of(image, white, found, noise, _SAMPLES[1])
+    return noise_from(*sample, **told) if _telling(sample[0]) else noise
+
+
+def _telling(products: Floats) -> bool:
+    """Say whether at least half of a sample could be fitted, and tells of the noise."""
+    return bool((products[:, 2, 2] > 0.0).sum() >= 0.5 * products.shape[0])
 
 
 def products_of(
