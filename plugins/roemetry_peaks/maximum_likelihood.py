@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
 
@@ -246,7 +247,7 @@ def _noise_as_told(options: MaximumLikelihoodOptions, variance: float, gain: flo
 def estimated_noise(image: Any, white: int, found: Found) -> StripeNoise:
     """Estimate the noise from the image in two passes; each fits a sample of the peaks."""
     guess = (found.quiet if found.variance is None else found.variance, found.gain or 0.0)
-    told = {"variance": found.variance, "gain": found.gain, "rounding": found.rounding}
+    estimate = partial(noise_from, variance=found.variance, gain=found.gain, rounding=found.rounding)
     for contrast in _FIRST_CONTRASTS:
         noise = StripeNoise(*guess, 0.0, np.full(TILES, contrast**2))
         sample = products_of(image, white, found, noise, _SAMPLES[0])
@@ -254,9 +255,9 @@ def estimated_noise(image: Any, white: int, found: Found) -> StripeNoise:
             break
     else:
         return noise
-    noise = noise_from(*sample, **told)
+    noise = estimate(*sample)
     sample = products_of(image, white, found, noise, _SAMPLES[1])
-    return noise_from(*sample, **told) if _telling(sample[0]) else noise
+    return estimate(*sample) if _telling(sample[0]) else noise
 
 
 def _telling(products: Floats) -> bool:
