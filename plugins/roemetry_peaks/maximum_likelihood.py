@@ -17,7 +17,7 @@ from roemetry.stages import Capabilities, Extractor, StageOptions
 from roemetry_kernels.grey_levels import grey, plain_layout, scaled_level
 from roemetry_peaks.finding import searched
 from roemetry_peaks.noise_file import noise_of_file
-from roemetry_peaks.speckle import TILES, StripeNoise, noise_from, tile_of
+from roemetry_peaks.speckle import TILES, StripeNoise, noise_from, spread, tile_of
 
 if TYPE_CHECKING:
     from roemetry_kernels.smoothed_peaks import Starts
@@ -28,7 +28,6 @@ _LEVELS_MIN = 5.0  # grey levels of 0…255 that it rises at least
 _AMPLITUDE_NOISES = 5.0  # of one pixel beside the stripe, that a fitted stripe is high
 _FWHM = 2.3548200450309493  # full width at half height of a Gaussian, standard deviations
 _SAMPLES = (480, 960)  # peaks that tell of the noise, in the first and the second pass
-_GOLDEN = 0.6180339887498949
 _FIRST_CONTRASTS = (0.1, 0.3, 0.6)  # the first with which most of a sample can be fitted is the start
 _ROUGH_CONTRAST = 0.5  # for stripes that no Gaussian fits otherwise
 _FLANKS_PX = 1.0  # a clipped stripe's centre lies no farther from the middle of its flanks
@@ -272,7 +271,7 @@ def products_of(
     from roemetry_kernels.residual_noise import residual_products
 
     peaks = found.starts.row.shape[0]
-    pick = _spread(peaks, size)
+    pick = spread(peaks, size)
     row = found.starts.row[pick]
     contrast2 = noise.contrast2_at(image.shape, row, found.starts.x_px[pick])
     alone = StripeNoise(noise.variance, noise.gain, 0.0, noise.contrast2)
@@ -294,14 +293,6 @@ def products_of(
         fit.state,
     )
     return products, tile_of(image.shape, row, fit.x_px), contrast2
-
-
-def _spread(peaks: int, size: int) -> Integers:
-    """Numbers of some of the peaks, spread over all; in equal steps they might be one stripe's."""
-    if peaks <= size:
-        return np.arange(peaks)
-    within = (np.arange(size) * _GOLDEN) % 1.0
-    return ((np.arange(size) + within) * (peaks / size)).astype(np.int64)
 
 
 def fitted(image: Any, white: int, found: Found, noise: StripeNoise, pick: Integers) -> Fitted:
