@@ -31,7 +31,7 @@ from roemetry.records import Frame
 SEED = 40_000
 """Used while the extractors were built; the figures of the documentation are from another one."""
 _MIDDLE = "3 Mpix"
-_ROUNDS = 7  # of whole processes
+_ROUNDS = 3  # of whole processes
 
 
 def main() -> None:

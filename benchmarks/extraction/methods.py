@@ -126,7 +126,7 @@ def _packages() -> Iterator[tuple[str, Method | str]]:
         if importlib.util.find_spec(module) is None:
             yield name, f"{module} is not installed: {remedy}"
         else:
-            yield name, Method(name, False, _plain(find), slow=name == "ridge-detector")
+            yield name, Method(name, False, _plain(find), slow=True)
 
 
 def measured_beforehand(images: Callable[[tuple[int, int]], Sequence[Frame]]) -> Method:

@@ -30,6 +30,7 @@ _FWHM = 2.3548200450309493  # full width at half height of a Gaussian, standard 
 _SAMPLES = (480, 960)  # peaks that tell of the noise, in the first and the second pass
 _FIRST_CONTRASTS = (0.1, 0.3, 0.6)  # the first with which most of a sample can be fitted is the start
 _ROUGH_CONTRAST = 0.5  # for stripes that no Gaussian fits otherwise
+_HIGH = 2.0  # times what is seen at its centre: a Gaussian that is higher is no fit
 _FLANKS_PX = 1.0  # a clipped stripe's centre lies no farther from the middle of its flanks
 _CUT = 2.0  # a stripe nearer to the left or right border than so many standard deviations is cut off
 
@@ -129,17 +130,21 @@ class MaximumLikelihood(Extractor[MaximumLikelihoodOptions]):
 
     def _roughly(self, image: Any, white: int, found: Found, noise: StripeNoise, fit: Fitted) -> Fitted:
         """Fit again, as strong speckle, what is no Gaussian; clipped tops lie between their flanks."""
-        from roemetry_kernels.gaussian_fisher import CLIPPED, FAILED
+        from roemetry_kernels.gaussian_fisher import CLIPPED, FAILED, FITTED
 
         failed = np.flatnonzero(fit.state == FAILED)
         contrast2 = np.maximum(noise.contrast2, _ROUGH_CONTRAST**2)
         rough = fitted(image, white, found, replace(noise, contrast2=contrast2), failed)
         for whole, part in zip(fit, rough, strict=True):
             whole[failed] = part
-        wrong = np.abs(fit.x_px - found.starts.x_px) > _FLANKS_PX
-        wrong[failed] = True
-        wrong &= fit.state == CLIPPED
-        fit.x_px[wrong], fit.x_std_px[wrong] = found.starts.x_px[wrong], np.nan
+        at, last = found.starts, found.columns - 1
+        clipped = image[at.row, np.clip(np.rint(at.x_px).astype(np.int64), 0, last)] >= white
+        seen = image[at.row, np.clip(np.rint(fit.x_px).astype(np.int64), 0, last)] - found.beside.height
+        off = (np.abs(fit.x_px - at.x_px) > _FLANKS_PX) | np.isin(np.arange(clipped.size), failed)
+        wrong = np.where(clipped, off, (fit.state == FITTED) & (fit.amplitude > _HIGH * seen))
+        fit.x_px[wrong], fit.amplitude[wrong] = at.x_px[wrong], at.amplitude[wrong]
+        fit.sigma_px[wrong], fit.x_std_px[wrong] = found.beside.sigma_px[wrong], np.nan
+        fit.state[wrong] = np.where(clipped[wrong], CLIPPED, FITTED)
         return fit
 
     def _kept(self, fit: Fitted, found: Found, noise: StripeNoise) -> Flags:
