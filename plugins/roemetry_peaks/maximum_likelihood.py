@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
 
@@ -17,7 +15,7 @@ from roemetry.stages import Capabilities, Extractor, StageOptions
 from roemetry_kernels.grey_levels import grey, plain_layout, scaled_level
 from roemetry_peaks.finding import searched
 from roemetry_peaks.noise_file import noise_of_file
-from roemetry_peaks.speckle import TILES, StripeNoise, noise_from, spread, tile_of
+from roemetry_peaks.speckle import TILES, StripeNoise, noise_from, tile_of
 
 if TYPE_CHECKING:
     from roemetry_kernels.smoothed_peaks import Starts
@@ -28,10 +26,8 @@ _LEVELS_MIN = 5.0  # grey levels of 0…255 that it rises at least
 _AMPLITUDE_NOISES = 5.0  # of one pixel beside the stripe, that a fitted stripe is high
 _FWHM = 2.3548200450309493  # full width at half height of a Gaussian, standard deviations
 _SAMPLES = (480, 960)  # peaks that tell of the noise, in the first and the second pass
-_FIRST_CONTRASTS = (0.1, 0.3, 0.6)  # the first with which most of a sample can be fitted is the start
-_ROUGH_CONTRAST = 0.5  # for stripes that no Gaussian fits otherwise
-_HIGH = 2.0  # times what is seen at its centre: a Gaussian that is higher is no fit
-_FLANKS_PX = 1.0  # a clipped stripe's centre lies no farther from the middle of its flanks
+_GOLDEN = 0.6180339887498949
+_FIRST_CONTRAST = 0.1
 _CUT = 2.0  # a stripe nearer to the left or right border than so many standard deviations is cut off
 
 
@@ -103,7 +99,6 @@ class MaximumLikelihood(Extractor[MaximumLikelihoodOptions]):
             noise = _noise_as_told(self.options, noise.variance, noise.gain)
         at = found.starts
         fit = fitted(image, frame.white, found, noise, np.arange(at.row.shape[0]))
-        fit = self._roughly(image, frame.white, found, noise, fit)
         kept = self._kept(fit, found, noise)
         order = np.flatnonzero(kept)
         apart = _apart(at.row[order], fit.x_px[order], fit.sigma_px[order])
@@ -127,25 +122,6 @@ class MaximumLikelihood(Extractor[MaximumLikelihoodOptions]):
             correlation_rows=_rows_of(share, noise.correlation),
             reasons=() if found.measured else (_ESTIMATED,),
         )
-
-    def _roughly(self, image: Any, white: int, found: Found, noise: StripeNoise, fit: Fitted) -> Fitted:
-        """Fit again, as strong speckle, what is no Gaussian; clipped tops lie between their flanks."""
-        from roemetry_kernels.gaussian_fisher import CLIPPED, FAILED, FITTED
-
-        failed = np.flatnonzero(fit.state == FAILED)
-        contrast2 = np.maximum(noise.contrast2, _ROUGH_CONTRAST**2)
-        rough = fitted(image, white, found, replace(noise, contrast2=contrast2), failed)
-        for whole, part in zip(fit, rough, strict=True):
-            whole[failed] = part
-        at, last = found.starts, found.columns - 1
-        clipped = image[at.row, np.clip(np.rint(at.x_px).astype(np.int64), 0, last)] >= white
-        seen = image[at.row, np.clip(np.rint(fit.x_px).astype(np.int64), 0, last)] - found.beside.height
-        off = (np.abs(fit.x_px - at.x_px) > _FLANKS_PX) | np.isin(np.arange(clipped.size), failed)
-        wrong = np.where(clipped, off, (fit.state == FITTED) & (fit.amplitude > _HIGH * seen))
-        fit.x_px[wrong], fit.amplitude[wrong] = at.x_px[wrong], at.amplitude[wrong]
-        fit.sigma_px[wrong], fit.x_std_px[wrong] = found.beside.sigma_px[wrong], np.nan
-        fit.state[wrong] = np.where(clipped[wrong], CLIPPED, FITTED)
-        return fit
 
     def _kept(self, fit: Fitted, found: Found, noise: StripeNoise) -> Flags:
         options = self.options
@@ -251,22 +227,15 @@ def _noise_as_told(options: MaximumLikelihoodOptions, variance: float, gain: flo
 def estimated_noise(image: Any, white: int, found: Found) -> StripeNoise:
     """Estimate the noise from the image in two passes; each fits a sample of the peaks."""
     guess = (found.quiet if found.variance is None else found.variance, found.gain or 0.0)
-    estimate = partial(noise_from, variance=found.variance, gain=found.gain, rounding=found.rounding)
-    for contrast in _FIRST_CONTRASTS:
-        noise = StripeNoise(*guess, 0.0, np.full(TILES, contrast**2))
-        sample = products_of(image, white, found, noise, _SAMPLES[0])
-        if _telling(sample[0]):
-            break
-    else:
-        return noise
-    noise = estimate(*sample)
-    sample = products_of(image, white, found, noise, _SAMPLES[1])
-    return estimate(*sample) if _telling(sample[0]) else noise
-
-
-def _telling(products: Floats) -> bool:
-    """Say whether at least half of a sample could be fitted, and tells of the noise."""
-    return bool((products[:, 2, 2] > 0.0).sum() >= 0.5 * products.shape[0])
+    noise = StripeNoise(*guess, 0.0, np.full(TILES, _FIRST_CONTRAST**2))
+    for size in _SAMPLES:
+        noise = noise_from(
+            *products_of(image, white, found, noise, size),
+            variance=found.variance,
+            gain=found.gain,
+            rounding=found.rounding,
+        )
+    return noise
 
 
 def products_of(
@@ -276,7 +245,7 @@ def products_of(
     from roemetry_kernels.residual_noise import residual_products
 
     peaks = found.starts.row.shape[0]
-    pick = spread(peaks, size)
+    pick = _spread(peaks, size)
     row = found.starts.row[pick]
     contrast2 = noise.contrast2_at(image.shape, row, found.starts.x_px[pick])
     alone = StripeNoise(noise.variance, noise.gain, 0.0, noise.contrast2)
@@ -298,6 +267,14 @@ def products_of(
         fit.state,
     )
     return products, tile_of(image.shape, row, fit.x_px), contrast2
+
+
+def _spread(peaks: int, size: int) -> Integers:
+    """Numbers of some of the peaks, spread over all; in equal steps they might be one stripe's."""
+    if peaks <= size:
+        return np.arange(peaks)
+    within = (np.arange(size) * _GOLDEN) % 1.0
+    return ((np.arange(size) + within) * (peaks / size)).astype(np.int64)
 
 
 def fitted(image: Any, white: int, found: Found, noise: StripeNoise, pick: Integers) -> Fitted:

@@ -15,7 +15,6 @@ _PEAKS_MIN = 6  # a tile with fewer has the image's contrast
 _SECOND_ORDER = 1.3  # a fit follows strong speckle further than its linear leverage tells; found by drawing
 _CORRELATIONS = np.linspace(0.0, 0.9, 181)
 _LAGS = _CORRELATIONS[:, None] ** np.array([0.0, 1.0, 4.0, 9.0])
-_GOLDEN = 0.6180339887498949
 _USUAL, _USUAL_STD = 0.5, 0.25  # the correlation of neighbouring pixels, where the image says little
 
 
@@ -48,14 +47,6 @@ class StripeNoise:
             np.clip((x_px * across / image_size[1]).astype(np.int64), 0, across - 1),
         ]
         return tile
-
-
-def spread(peaks: int, size: int) -> Integers:
-    """Numbers of some of the peaks, spread over all; in equal steps they might be one stripe's."""
-    if peaks <= size:
-        return np.arange(peaks)
-    within = (np.arange(size) * _GOLDEN) % 1.0
-    return ((np.arange(size) + within) * (peaks / size)).astype(np.int64)
 
 
 def tile_of(image_size: tuple[int, int], row: Integers, x_px: Floats) -> Integers:

@@ -33,6 +33,8 @@ WHOLE_PIXEL = {"dominant-peak": "the last pixel of a flat top counts"}
 
 NARROW = {"steger": "a flat top much wider than its filter has no ridge in the middle"}
 
+FLANKS = {**NARROW, "maximum-likelihood": "two or three lit pixels a flank fit no Gaussian: nothing is given"}
+
 SHORT_RIDGES = {
     "steger": "a hot pixel, a ripple of JPEG, a bump of noise in a single row are short ridges, too"
 }
@@ -82,7 +84,7 @@ def sane(peaks: Peaks, frame: Frame) -> None:
     assert (peaks.amplitude >= 0.0).all()
     below_white = peaks.flags & SATURATED == 0
     assert (peaks.amplitude[below_white] <= 3.0 * frame.white).all()
-    assert ((peaks.background >= -0.1 * frame.white) & (peaks.background <= frame.white)).all()
+    assert ((peaks.background >= -frame.white) & (peaks.background <= frame.white)).all()
     assert not (peaks.width_px <= 0.0).any()
     assert not (peaks.x_std_px <= 0.0).any()
 
@@ -168,7 +170,7 @@ def test_stripes_cut_off_at_white(name: str, rng: np.random.Generator) -> None:
     assert (peaks.flags[near] & SATURATED).all(), "a top at white is told"
     if name not in WHOLE_PIXEL:
         only_right(name, peaks, x_px, 3.0 if name in NARROW else 1.0)
-        assert name in BY_METHOD or name in NARROW or found_share(peaks, x_px, 1.0) >= 0.8
+        assert name in BY_METHOD or name in FLANKS or found_share(peaks, x_px, 1.0) >= 0.8
 
 
 @every_extractor
