@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from roemetry.arrays import Floats, Integers
+from roemetry_kernels.compiling import kernel
 
 _LOOK_BACK = 4
 """Up to three peaks side by side may be false."""
@@ -68,7 +68,7 @@ class Steps(NamedTuple):
     after: Floats
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def labels_of(
     start: Integers, u: Floats, plane: Floats, low_mm: Floats, high_mm: Floats
 ) -> tuple[Integers, Integers, Integers, Floats, Floats]:
@@ -104,29 +104,29 @@ def labels_of(
     return low, count, offset, height, label_mm
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _height(plane: Floats, u: float) -> float:
     return (plane[0] * u + plane[1]) / (plane[2] * u + plane[3])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _place(plane: Floats, z: float) -> float:
     return (plane[3] * z - plane[1]) / (plane[0] - plane[2] * z)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _ramp(value: float, low: float, high: float) -> float:
     return min(max((value - low) / (high - low), 0.0), 1.0)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _at_border(plane: Floats, z: float, left: float, right: float, u_per_px: float) -> float:
     """How surely a stripe at a height would be seen between two places of a line, 0 to 1."""
     u = _place(plane, z)
     return _ramp(min(u - left, right - u) / u_per_px, _MERGED_PX, _APART_PX)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _between(
     plane: Floats, z: float, left: float, right: float, lean_left: float, lean_right: float, rising: bool,
     room_px: float, u_per_px: float,
@@ -141,7 +141,7 @@ def _between(
     return (1.0 - behind) * _ramp(room_px, _MERGED_PX, _APART_PX)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def steps_of(
     start: Integers, u: Floats, low: Integers, count: Integers, offset: Integers, height: Floats,
     label_mm: Floats, plane: Floats, lean: Floats, u_min: Floats, u_max: Floats, presence: Floats,
@@ -216,7 +216,7 @@ def steps_of(
     return pair, pair_start, surface, unseen, before, after
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _borders(
     start: Integers, u: Floats, low: Integers, count: Integers, offset: Integers, height: Floats,
     plane: Floats, u_min: Floats, u_max: Floats, presence: Floats, u_per_px: float,

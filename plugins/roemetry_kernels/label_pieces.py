@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from roemetry.arrays import Flags, Floats, Integers
+from roemetry_kernels.compiling import kernel
 
 ENDS = -2
 """Rest line of the ends that were cut off: not known."""
@@ -13,7 +13,7 @@ _MEAN_MAX = 6.0
 """No label of an entry counts for more than this in its piece's mean."""
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def end_pieces(
     row: Integers, piece: Integers, line: Integers, rows: int, end_rows: int, border_rows: int
 ) -> tuple[Integers, Integers, Flags]:
@@ -67,7 +67,7 @@ def end_pieces(
     return found, on[:count].copy(), anchored[:count].copy()
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def presence_of(
     line: Floats, piece: Integers, piece_line: Integers, enters: Floats, leaves: Floats, lines: int,
     rows_full: int, rows_min: int, end_lines: int, lost: float,
@@ -112,7 +112,7 @@ def presence_of(
     return presence
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def own_costs(
     peak: Integers, low: Integers, count: Integers, offset: Integers, peak_line: Integers, piece: Integers,
     piece_line: Integers, anchored: Flags, there: Floats, false_peak: float, on_rest: float, long_run: float,
@@ -163,7 +163,7 @@ def own_costs(
     return own
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def pieces_agree(
     peak: Integers, low: Integers, count: Integers, offset: Integers, piece: Integers, piece_line: Integers,
     stripes: int, cost: Floats, own: Floats,

@@ -9,16 +9,16 @@ is known once (all stripes are shifted by one) does not count once for every str
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from roemetry.arrays import Floats, Integers
+from roemetry_kernels.compiling import kernel
 
 _EMPTY = 3.0
 """A line with no stripe at all costs this many visible stripes left out."""
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def swept(
     start: Integers, up: Integers, down: Integers, tie: Floats, low: Integers, count: Integers,
     offset: Integers, own: Floats, pair: Integers, pair_start: Integers, surface: NDArray[np.float32],
@@ -80,7 +80,7 @@ def swept(
     return cost
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _share_out(
     a: int, b: int, pair_a: int, pair_b: int, count: Integers, offset: Integers, total: Floats,
     pair: Integers, step: NDArray[np.float32], first: Floats, last: Floats,
@@ -125,7 +125,7 @@ def _share_out(
         n = _depart(p, n, pair_a, a, count, offset, pair, step, nothing, backward)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _backwards(
     a: int, b: int, pair_a: int, pair_b: int, count: Integers, offset: Integers, total: Floats,
     pair: Integers, step: NDArray[np.float32], last: Floats, nothing: Floats, backward: Floats,
@@ -141,7 +141,7 @@ def _backwards(
         n = _depart(p, n, pair_a, a, count, offset, pair, step, nothing, backward)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _arrive(
     p: int, n: int, end: int, a: int, count: Integers, offset: Integers, pair: Integers,
     step: NDArray[np.float32], nothing: Floats, forward: Floats,
@@ -160,7 +160,7 @@ def _arrive(
     return n
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _depart(
     p: int, n: int, begin: int, a: int, count: Integers, offset: Integers, pair: Integers,
     step: NDArray[np.float32], nothing: Floats, backward: Floats,
@@ -179,7 +179,7 @@ def _depart(
     return n
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _hand_on(
     i: int, j: int, tie: float, keep: float, low: Integers, count: Integers, offset: Integers, taken: Floats,
     message: Floats,
@@ -196,7 +196,7 @@ def _hand_on(
         message[offset[j] + b] = said
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _solve(
     a: int, b: int, pair_a: int, pair_b: int, count: Integers, offset: Integers, total: Floats,
     pair: Integers, step: NDArray[np.float32], first: Floats, last: Floats,

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from roemetry.arrays import Flags, Floats, Integers
+from roemetry_kernels.compiling import kernel
 from roemetry_kernels.label_pieces import ENDS
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def verdicts_of(
     start: Integers, peak: Integers, low: Integers, count: Integers, offset: Integers, line: Floats,
     piece: Integers, cost: Floats,
@@ -56,7 +56,7 @@ def verdicts_of(
     return stripe, dearer
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def out_of_order(start: Integers, peak: Integers, row: Integers, stripe: Integers, stripes: int) -> Flags:
     """Mark coded peaks that stand out of order on a sight line, or share a stripe with another in a row."""
     wrong = np.zeros(stripe.shape[0], np.bool_)
@@ -80,7 +80,7 @@ def out_of_order(start: Integers, peak: Integers, row: Integers, stripe: Integer
     return wrong
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def chosen(count: Integers, offset: Integers, cost: Floats) -> Integers:
     """Give (entry,) the cheapest of its nodes."""
     best = np.empty(count.shape[0], np.int64)
@@ -92,7 +92,7 @@ def chosen(count: Integers, offset: Integers, cost: Floats) -> Integers:
     return best
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def shifted(
     start: Integers, peak: Integers, low: Integers, count: Integers, offset: Integers, best: Integers,
     piece: Integers, piece_line: Integers, own: Floats, where: Flags, stripe: int, by: int, gain: float,
@@ -130,7 +130,7 @@ def shifted(
     return favoured
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def line_costs(
     start: Integers, before_entry: Integers, tie: Floats, low: Integers, count: Integers, offset: Integers,
     best: Integers, own: Floats, pair: Integers, pair_start: Integers, surface: NDArray[np.float32],
@@ -167,7 +167,7 @@ def line_costs(
     return found
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def left_out(
     start: Integers, low: Integers, count: Integers, offset: Integers, best: Integers, pair: Integers,
     pair_start: Integers, unseen: NDArray[np.float32], stripes: int,
@@ -196,7 +196,7 @@ _BROKEN = 20.0
 """Cost of two neighbours out of order, or too far apart to be compared."""
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def mixed(piece: Integers, piece_line: Integers, stripe: Integers, stripes: int, share_min: float) -> Flags:
     """Mark coded peaks whose piece, which is one stripe, was given several: all but a large majority.
 

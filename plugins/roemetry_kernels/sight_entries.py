@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from roemetry.arrays import Flags, Floats, Integers
+from roemetry_kernels.compiling import kernel
 
 
 class Entries(NamedTuple):
@@ -33,7 +33,7 @@ class Entries(NamedTuple):
     tie: Floats
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def entries_of(
     row: Integers, trace: Integers, piece: Integers, loose: Flags, line: Floats, u: Floats, lines: int,
     u_per_px: float,
@@ -100,7 +100,7 @@ def entries_of(
     return start, peak, place, up, down, tie
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _neighbours(trace: Integers) -> tuple[Integers, Integers]:
     peaks = trace.shape[0]
     last = np.full(peaks + 1, -1, np.int64)
@@ -115,7 +115,7 @@ def _neighbours(trace: Integers) -> tuple[Integers, Integers]:
     return before, after
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _tied(
     start: Integers, peak: Integers, place: Floats, trace: Integers, piece: Integers, loose: Flags,
     u_per_px: float, tie_whole: float, tie_cut: float, tie_gap: float, gap_lines: int,
@@ -159,7 +159,7 @@ def _tied(
     return up, down, tie
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _slope(i: int, to: Integers, place: Floats, sign: int) -> float:
     """Change of u from line to line near an end, over up to six lines."""
     k, steps = i, 0

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from roemetry.arrays import Flags, Floats, Integers
+from roemetry_kernels.compiling import kernel
 from roemetry_kernels.ordering import vote_by_order
 from roemetry_kernels.tracing import cut_at_rest_lines, nearest_rest
 
@@ -20,7 +20,7 @@ _AGREEMENT_MIN = 0.9
 _PASSES = 4
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def linked_traces(
     row_start: Integers, row: Integers, x_px: Floats, step_max_px: float, gap_rows: int
 ) -> tuple[Integers, int]:
@@ -93,14 +93,14 @@ def linked_traces(
     return trace, count
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _ahead(place: float, slope: float, curvature: float, gap: int) -> float:
     # over long gaps the curvature is trusted for the first rows only
     rows = min(gap, 5)
     return place + slope * gap + curvature * rows * (gap - 0.5 * rows)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _mine(
     t: int, p: int, r: int, row_start: Integers, x_px: Floats, place: Floats, slope: Floats,
     curvature: Floats, gap: int,
@@ -113,7 +113,7 @@ def _mine(
     return not (p + 1 < row_start[r + 1] and abs(ahead - x_px[p + 1]) < off)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def coded_traces(
     row_start: Integers, row: Integers, x_px: Floats, trace: Integers, traces: int, rest_px: Floats,
     live: Flags, tolerance_px: float, px_per_mm: Floats, height_min_mm: float, height_max_mm: float,
