@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -59,12 +57,6 @@ class Steger(Extractor[StegerOptions]):
 
     Options: ClassVar[type[StageOptions]] = StegerOptions
     capabilities = Capabilities(tolerance_px=0.12, saturated_tolerance_px=0.2)
-    expected_failures: ClassVar[Mapping[str, str]] = MappingProxyType(
-        {
-            "check_dark_rows_give_nothing": "smoothing along the stripe carries its light beyond its end: a "
-            "row next to the end may show a peak in the noise",
-        }
-    )
 
     def extract(self, frame: Frame) -> Peaks:
         """Find the stripes of a frame."""
