@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 _NOISES = 8.0  # of the smoothed image, that a stripe rises above both valleys
 _LEVELS_MIN = 5.0  # grey levels of 0…255 that it rises at least
 _AMPLITUDE_NOISES = 5.0  # of one pixel beside the stripe, that a fitted stripe is high
+_DARK_SHARE = 0.1  # of white: light so far below black beside a stripe means that the fit has no hold
 _FWHM = 2.3548200450309493  # full width at half height of a Gaussian, standard deviations
 _SAMPLES = (480, 960)  # peaks that tell of the noise, in the first and the second pass
 _GOLDEN = 0.6180339887498949
@@ -99,7 +100,7 @@ class MaximumLikelihood(Extractor[MaximumLikelihoodOptions]):
             noise = _noise_as_told(self.options, noise.variance, noise.gain)
         at = found.starts
         fit = fitted(image, frame.white, found, noise, np.arange(at.row.shape[0]))
-        kept = self._kept(fit, found, noise)
+        kept = self._kept(fit, found, noise, frame.white)
         order = np.flatnonzero(kept)
         apart = _apart(at.row[order], fit.x_px[order], fit.sigma_px[order])
         if not apart.all():
@@ -123,7 +124,7 @@ class MaximumLikelihood(Extractor[MaximumLikelihoodOptions]):
             reasons=() if found.measured else (_ESTIMATED,),
         )
 
-    def _kept(self, fit: Fitted, found: Found, noise: StripeNoise) -> Flags:
+    def _kept(self, fit: Fitted, found: Found, noise: StripeNoise, white: int) -> Flags:
         options = self.options
         width = _FWHM * fit.sigma_px
         quiet = np.sqrt(noise.variance + noise.gain * np.maximum(found.beside.height, 0.0))
@@ -132,6 +133,7 @@ class MaximumLikelihood(Extractor[MaximumLikelihoodOptions]):
             & (width >= options.width_min_px)
             & (width <= options.width_max_px)
             & (fit.amplitude > _AMPLITUDE_NOISES * quiet)
+            & (found.beside.height >= -_DARK_SHARE * white)
             & (fit.x_std_px < fit.sigma_px)
             & (np.abs(fit.x_px - 0.5 * (found.columns - 1)) <= 0.5 * found.columns)
         )

@@ -84,7 +84,7 @@ def sane(peaks: Peaks, frame: Frame) -> None:
     assert (peaks.amplitude >= 0.0).all()
     below_white = peaks.flags & SATURATED == 0
     assert (peaks.amplitude[below_white] <= 3.0 * frame.white).all()
-    assert ((peaks.background >= -frame.white) & (peaks.background <= frame.white)).all()
+    assert ((peaks.background >= -0.1 * frame.white) & (peaks.background <= frame.white)).all()
     assert not (peaks.width_px <= 0.0).any()
     assert not (peaks.x_std_px <= 0.0).any()
 
