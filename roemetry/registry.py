@@ -127,9 +127,12 @@ class Registry:
         names = sorted({stage.entry.name for stage in self.of_kind(kind)})
         close = difflib.get_close_matches(use, names, n=1)
         parts = [f"did you mean `{close[0]}`?"] if close else []
+        parts += [
+            f"`{use}` belongs under `{other.entry.kind}`" for other in self.stages if other.entry.name == use
+        ]
         parts.append(f"installed: {', '.join(names) or 'none'}")
         parts += [str(broken) for broken in self.broken]
-        return PluginError(f"there is no {kind} `{use}`", hint="; ".join(parts))
+        return PluginError(f"there is no {kind} `{use}`", hint="; ".join(parts).replace("?; ", "? "))
 
 
 def discover(found: Iterable[EntryPoint] | None = None) -> Registry:

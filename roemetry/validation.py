@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, get_args
 
@@ -94,14 +95,34 @@ def _sentence(model: type[BaseModel], detail: ErrorDetails) -> str:
     kind, found = detail["type"], detail["input"]
     if kind == "extra_forbidden":
         owner = _model_at(model, detail["loc"][:-1])
-        return unknown_key(detail["loc"][-1], list(owner.model_fields) if owner else [])
+        known = list(owner.model_fields) if owner else []
+        below = "; options of a stage stand below `options:`" if "options" in known else ""
+        return unknown_key(detail["loc"][-1], known) + below
     if kind == "missing":
         return "this is missing"
-    if kind == "model_type":
-        return f"found {_shown(found)}, expected a map of keys and values"
-    said = detail["msg"][0].lower() + detail["msg"][1:]
+    if kind in ("model_type", "dict_type"):
+        return f"found {_shown(found)}, expected a map: `key: value`, one to a line"
+    if kind == "list_type":
+        return f"found {_shown(found)}, expected a list: `[one, two]`, or `- one` to a line"
+    if kind == "string_type" and detail["loc"][-1] == "[key]":
+        return (
+            f"a key must be a word, found {_shown(found)}; a comma ends a value: write decimals with a point"
+        )
+    said = _NUMBERS.get(kind) or detail["msg"][0].lower() + detail["msg"][1:]
     said = said.removeprefix("value error, ").replace("input should be", "expected")
-    return f"{said}, found {_shown(found)}"
+    close = difflib.get_close_matches(str(found), _choices(detail), n=1) if kind == "literal_error" else []
+    return f"{said}, found {_shown(found)}" + (f"; did you mean `{close[0]}`?" if close else "")
+
+
+_NUMBERS = {
+    "float_parsing": "expected a number alone (its unit stands in the key, its decimals after a point)",
+    "int_parsing": "expected a whole number",
+    "int_from_float": "expected a whole number",
+}
+
+
+def _choices(detail: ErrorDetails) -> list[str]:
+    return re.findall(r"'([^']*)'", detail.get("ctx", {}).get("expected", ""))
 
 
 def _shown(value: object) -> str:
@@ -117,13 +138,19 @@ def _shown(value: object) -> str:
 def _model_at(model: type[BaseModel], path: Sequence[Step]) -> type[BaseModel] | None:
     """Give the model that a path into another model leads to."""
     for step in path:
-        field = model.model_fields.get(str(step))
-        if field is None:
+        if not _is_in_file(step):
             continue
-        for candidate in (field.annotation, *get_args(field.annotation)):
-            if isinstance(candidate, type) and issubclass(candidate, BaseModel):
-                model = candidate
-                break
-        else:
+        field = model.model_fields.get(str(step))
+        found = None if field is None else next(_models(field.annotation), None)
+        if found is None:
             return None
+        model = found
     return model
+
+
+def _models(annotation: object) -> Iterator[type[BaseModel]]:
+    """Give the models that an annotation may stand for, inside `Annotated` and unions too."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for inner in get_args(annotation):
+        yield from _models(inner)

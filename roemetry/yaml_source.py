@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from roemetry.errors import ConfigurationError
+from roemetry.yaml_faults import syntax_fault
 
 Step = str | int
 
@@ -80,9 +81,8 @@ def parse(text: str, name: str) -> Document:
             f"{name}:{mark.line + 1}:{mark.column + 1}: `{key}` stands here a second time; keep one"
         ) from error
     except MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
-        place = f"{name}:{mark.line + 1}:{mark.column + 1}" if mark else name
-        raise ConfigurationError(f"{place}: not YAML: {_why(text, mark, error)}") from error
+        line, column, why = syntax_fault(text, error)
+        raise ConfigurationError(f"{name}:{line + 1}:{column + 1}: not YAML: {why}") from error
     except (YAMLError, ValueError) as error:
         raise ConfigurationError(f"{name}:1:1: not YAML: {error}") from error
     if tree is None:
@@ -120,15 +120,6 @@ def dump(data: Any) -> str:
     stream = io.StringIO()
     yaml.dump(flowed(data), stream)
     return stream.getvalue()
-
-
-def _why(text: str, mark: Any, error: Any) -> str:
-    if mark is not None:
-        lines = text.splitlines()
-        line = lines[mark.line] if mark.line < len(lines) else ""
-        if "\t" in line[: max(mark.column + 1, 1)]:
-            return "a tab stands in the indent; indent with spaces"
-    return str(error.problem or error.context or error)
 
 
 def _plain(node: Any) -> Any:
