@@ -9,21 +9,34 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from roemetry.calibrating import calibrate
     from roemetry.calibration import Calibration
     from roemetry.errors import RoemetryError
     from roemetry.pipeline import Pipeline
-    from roemetry.recipe import Recipe
     from roemetry.records import Measurement
+    from roemetry.rig import Rig
+    from roemetry.runnable import Recipe
     from roemetry.runner import run_recipe
 
-__all__ = ["Calibration", "Measurement", "Pipeline", "Recipe", "RoemetryError", "run_recipe"]
+__all__ = [
+    "Calibration",
+    "Measurement",
+    "Pipeline",
+    "Recipe",
+    "Rig",
+    "RoemetryError",
+    "calibrate",
+    "run_recipe",
+]
 
 _HOMES = {
     "Calibration": "roemetry.calibration",
     "Measurement": "roemetry.records",
     "Pipeline": "roemetry.pipeline",
-    "Recipe": "roemetry.recipe",
+    "Recipe": "roemetry.runnable",
+    "Rig": "roemetry.rig",
     "RoemetryError": "roemetry.errors",
+    "calibrate": "roemetry.calibrating",
     "run_recipe": "roemetry.runner",
 }
 

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from roemetry.calibration import Calibration
 from roemetry.choosing import Chooser, Chosen
@@ -23,7 +23,7 @@ from roemetry.recipe_file import NEEDS, CalibrationCheck, RecipeFile, SourceChoi
 from roemetry.records import Sensor
 from roemetry.registry import Registry, discover
 from roemetry.validation import checked
-from roemetry.yaml_source import read
+from roemetry.yaml_source import Document, read
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class Recipe:
     sinks: tuple[Chosen, ...]
 
     @classmethod
-    def load(cls, path: Path | str, *, sets: Sequence[str] = (), registry: Registry | None = None) -> Recipe:
+    def load(cls, path: Path | str, *, sets: Sequence[str] = (), registry: Registry | None = None) -> Self:
         """Read and check a recipe.
 
         Parameters
@@ -88,11 +88,30 @@ class Recipe:
         """
         path = Path(path)
         path = path / "recipe.yaml" if path.is_dir() else path
-        document = Overridden(read(path), sets)
-        file, faults = checked(RecipeFile, document.data, document.place)
-        if file is None:
-            raise ConfigurationError(faults)
-        return _resolve(path, document, file, registry or discover())
+        return cls(**_resolved(path, Overridden(read(path), sets), registry or discover()))
+
+    @classmethod
+    def of(
+        cls, data: Mapping[str, Any], *, folder: Path | str = ".", registry: Registry | None = None
+    ) -> Self:
+        """Check a recipe that is in memory.
+
+        Parameters
+        ----------
+        data
+            What a recipe file says, as plain dictionaries, lists, words and numbers.
+        folder
+            Where the relative paths in it begin.
+        registry
+            Stages to choose from; default: all that are installed.
+
+        Raises
+        ------
+        ConfigurationError
+            With every fault, each with its keys.
+        """
+        document = Overridden(Document("the recipe", data), ())
+        return cls(**_resolved(Path(folder) / "recipe.yaml", document, registry or discover()))
 
     def resolved(self) -> dict[str, Any]:
         """Everything that decides a result, with defaults filled in, as plain values."""
@@ -115,6 +134,12 @@ class Recipe:
         stated = self.source_choice.sensor
         return None if stated is None else Sensor(**stated.model_dump())
 
+    @property
+    def hashes(self) -> dict[str, str]:
+        """What stands on every row of the record: which recipe and which calibration made it."""
+        made = {"recipe_sha256": self.sha256}
+        return made if self.calibration is None else made | {"calibration_sha256": self.calibration.sha256}
+
     @cached_property
     def sha256(self) -> str:
         """Hash of all that decides a number: not the path of the images, not the sinks."""
@@ -123,7 +148,11 @@ class Recipe:
         return hashlib.sha256(json.dumps(deciding, sort_keys=True).encode()).hexdigest()
 
 
-def _resolve(path: Path, document: Overridden, file: RecipeFile, registry: Registry) -> Recipe:
+def _resolved(path: Path, document: Overridden, registry: Registry) -> dict[str, Any]:
+    """Check a document and give the attributes of the recipe it describes."""
+    file, faults = checked(RecipeFile, document.data, document.place)
+    if file is None:
+        raise ConfigurationError(faults)
     chooser = Chooser(registry, document.place, path.parent)
     source = chooser.choose("source", file.source, "source")
     stages: dict[str, Chosen] = {}
@@ -163,21 +192,21 @@ def _resolve(path: Path, document: Overridden, file: RecipeFile, registry: Regis
             chooser.fault(str(error), "penetration")
     if chooser.faults or source is None:
         raise ConfigurationError(chooser.faults)
-    return Recipe(
-        path=path,
-        sets=tuple(document.sets),
-        product=file.product,
-        source_choice=file.source,
-        source=source,
-        source_path=path.parent / file.source.path,
-        calibration_path=calibration_path,
-        calibration=calibration,
-        penetration=penetration,
-        calibration_check=file.calibration_check,
-        stages=stages,
-        draws=file.draws,
-        sinks=tuple(sink for sink in sinks if sink is not None),
-    )
+    return {
+        "path": path,
+        "sets": tuple(document.sets),
+        "product": file.product,
+        "source_choice": file.source,
+        "source": source,
+        "source_path": path.parent / file.source.path,
+        "calibration_path": calibration_path,
+        "calibration": calibration,
+        "penetration": penetration,
+        "calibration_check": file.calibration_check,
+        "stages": stages,
+        "draws": file.draws,
+        "sinks": tuple(sink for sink in sinks if sink is not None),
+    }
 
 
 def _check_count(calibration: Calibration, stages: Mapping[str, Chosen], chooser: Chooser) -> None:

@@ -103,7 +103,7 @@ def run_recipe(
     finished = len(references) - len(to_do)
     on_progress(finished, len(references))
     with LineFile(folder / RECORD) as record:
-        for lines, took in _measured(recipe, to_do, jobs, debug):
+        for lines, took in measured(recipe, to_do, jobs, debug):
             record.append("\n".join(lines))
             finished += 1
             for stage, value in took.items():
@@ -154,10 +154,16 @@ def derive(
     return tuple(files), tuple(faults)
 
 
-def _measured(
+def measured(
     recipe: Recipe, references: Sequence[AcquisitionReference], jobs: int, debug: bool
 ) -> Iterator[Measured]:
-    """Give each acquisition's lines, in the order of the source, with the seconds its stages took."""
+    """Give each acquisition's lines, in the order of the source, with the seconds its stages took.
+
+    Raises
+    ------
+    InterruptedRunError
+        A worker process died.
+    """
     if jobs == 1 or len(references) < 2:
         worker = _Worker(recipe, debug)
         for reference in references:
@@ -196,9 +202,7 @@ class _Worker:
         self._source = recipe.source.make()
         self._pipeline = Pipeline(recipe, debug=debug)
         self._debug = debug
-        self._hashes = {"recipe_sha256": recipe.sha256}
-        if recipe.calibration is not None:
-            self._hashes["calibration_sha256"] = recipe.calibration.sha256
+        self._hashes = recipe.hashes
         self._doubts = calibration_doubts(recipe)
 
     def __call__(self, reference: AcquisitionReference) -> Measured:

@@ -32,10 +32,12 @@ class Document:
 
     name: str
     data: Any
-    _tree: Any
+    _tree: Any = None
 
     def place(self, path: Sequence[Step]) -> str:
         """Give ``file:line:column`` of the value at a path, or of its nearest ancestor that has a place."""
+        if self._tree is None:  # never was a file
+            return self.name
         node, line, column = self._tree, 0, 0
         for step in path:
             positions = getattr(node, "lc", None)

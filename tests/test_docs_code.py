@@ -1,0 +1,43 @@
+"""The Python in README and in the pages runs as it stands."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGES = [ROOT / "README.md", ROOT / "docs" / "how-to" / "use-from-python.md"]
+
+
+def programs() -> list[object]:
+    found = []
+    for page in PAGES:
+        blocks = re.findall(r"^```python\n(.*?)^```", page.read_text("utf-8"), flags=re.DOTALL | re.MULTILINE)
+        found += [pytest.param(block, id=f"{page.stem}-{number}") for number, block in enumerate(blocks, 1)]
+    return found
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the shipped recipe, three of its images only, as a reader of README stands in it."""
+    folder = tmp_path_factory.mktemp("clone")
+    shutil.copytree(
+        ROOT / "recipes" / "herring_roe",
+        folder / "recipes" / "herring_roe",
+        ignore=shutil.ignore_patterns("skein_0[4-9].*", "skein_10.*", "truth"),
+    )
+    shutil.copytree(ROOT / "calib_targets", folder / "calib_targets")
+    return folder
+
+
+@pytest.mark.parametrize("program", programs())
+def test_a_program_of_the_pages_runs(
+    program: str, place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(place)
+    exec(compile(program, "a page", "exec"), {"__name__": "page"})
+    printed = capsys.readouterr().out
+    assert "print(" not in program or printed.strip()
