@@ -11,12 +11,10 @@ from pydantic import Field
 
 from roemetry.arrays import Floats
 from roemetry.calibration import Calibration
-from roemetry.errors import CalibrationError
-from roemetry.records import Board, CalibrationSet
+from roemetry.records import Board, CalibrationSet, Evidence
 from roemetry.stages import Calibrator, Capabilities, StageOptions
-from roemetry_pinhole.adjustment import Adjusted, adjust
-from roemetry_pinhole.equations import Corners, Feet
-from roemetry_pinhole.first_camera import FirstCamera, first_camera, free_numbers
+from roemetry_pinhole.evidence import evidence_of
+from roemetry_pinhole.first_camera import FirstCamera
 from roemetry_pinhole.frames import (
     METHOD,
     covariance_of,
@@ -25,12 +23,9 @@ from roemetry_pinhole.frames import (
     rest_polynomials,
     view_of,
 )
-from roemetry_pinhole.geometry import CAMERA, Geometry, unknowns_of
+from roemetry_pinhole.joining import Joint, joint
 from roemetry_pinhole.judging import judged
-from roemetry_pinhole.opencv_file import read_camera
 from roemetry_pinhole.second_targets import check_scale
-from roemetry_pinhole.stripe_points import Gathered, gather
-from roemetry_pinhole.views import BoardView, board_views
 
 
 class PinholeCalibratorOptions(StageOptions):
@@ -73,33 +68,12 @@ class PinholeCalibrator(Calibrator[PinholeCalibratorOptions]):
             boards, no belt, a scale that two targets contradict, planes that do not agree, or residuals that
             are no noise; with what was left out and why.
         """
-        board = observed.board
-        if board is None:
-            raise CalibrationError(
-                "no board is described",
-                hint="add `board:` to the rig file: its kind, columns, rows and pitch_mm",
-            )
-        seen = board_views(observed, board)
-        tried = len({(one.shows, one.pose) for one in observed.observations if one.shows in _BOARDS})
-        if not tried:
-            raise CalibrationError("there is no image of the board", hint="name them in images.board")
-        size = observed.observations[0].frame.size
-        known = None if self.options.camera is None else read_camera(self.options.camera)
-        first = first_camera(seen, size, self.options.lens, known, tried)
-        pose, counts, first = _placed(first)
-        gathered = gather(
-            first,
-            board,
-            observed.showing("belt"),
-            observed.stripe_count,
-            counts,
-            print_contrast_max=self.options.print_contrast_max,
-        )
-        seen.left_out |= gathered.left_out
-        adjusted = self._adjusted(first, gathered, board, pose, counts, known)
-        verdict = judged(adjusted, first, gathered, board, size)
-        parameters = parameters_of(adjusted.geometry, travel=_moves(counts))
-        covariance = covariance_of(adjusted.covariance, adjusted.unknowns, travel=_moves(counts))
+        joined = self._joint(observed)
+        board, adjusted, size = joined.board, joined.adjusted, joined.size
+        first, seen = joined.first, joined.seen
+        verdict = judged(adjusted, first, joined.gathered, board, size)
+        parameters = parameters_of(adjusted.geometry, travel=joined.moves)
+        covariance = covariance_of(adjusted.covariance, adjusted.unknowns, travel=joined.moves)
         covariance = covariance + _of_scale(parameters, board)
         top_mm = self.options.height_max_mm or verdict.height_max_mm
         calibration = Calibration(
@@ -119,107 +93,17 @@ class PinholeCalibrator(Calibrator[PinholeCalibratorOptions]):
         )
         return replace(calibration, **check_scale(calibration, observed))
 
-    def _adjusted(
-        self,
-        first: FirstCamera,
-        gathered: Gathered,
-        board: Board,
-        pose: np.ndarray,
-        counts: Floats,
-        known: Floats | None,
-    ) -> Adjusted:
-        marks = [view.marks for view in first.views]
-        size = [len(one.xy_px) for one in marks]
-        corners = Corners(
-            np.repeat(pose, size),
-            np.concatenate([one.board_mm for one in marks]),
-            np.concatenate([one.xy_px for one in marks]),
-            np.repeat(counts, size),
+    def evidence(self, observed: CalibrationSet, calibration: Calibration) -> Evidence:
+        """Show residuals, views left out in turn, stripes against each other, coverage, and a verdict."""
+        return evidence_of(self._joint(observed), calibration)
+
+    def _joint(self, observed: CalibrationSet) -> Joint:
+        return joint(
+            observed,
+            lens=self.options.lens,
+            camera_file=self.options.camera,
+            print_contrast_max=self.options.print_contrast_max,
         )
-        feet = _feet(first.views, board, pose, counts)
-        lies = [number for number, view in enumerate(first.views) if view.on_belt]
-        belt = gathered.belt
-        if lies:
-            # the first board on the belt says where the belt is, to start with
-            normal = first.rotation[lies[0]][:, 2]
-            belt = normal / (normal @ first.shift[lies[0]] + board.thickness_mm)
-        if belt is None or not np.isfinite(belt).all():
-            raise CalibrationError(
-                "nothing shows where the belt is",
-                hint="name images of the empty belt in images.belt, or of the board lying on it in "
-                "images.board_on_belt",
-            )
-        if not lies and observed_lines(gathered) < 2:
-            raise CalibrationError(
-                "one stripe on the empty belt does not tell how the belt is tilted",
-                hint="lay the board on the belt and name the image in images.board_on_belt",
-            )
-        keep = np.unique(pose)
-        start = Geometry(
-            camera=first.camera,
-            rotation=first.rotation[keep],
-            shift=first.shift[keep],
-            planes=gathered.planes,
-            belt=belt,
-            travel=np.zeros(3),
-        )
-        unknowns = unknowns_of(
-            start,
-            free_camera=np.zeros(CAMERA, np.bool_) if known is not None else free_numbers(self.options.lens),
-            planes=True,
-            belt=True,
-            travel=_moves(counts),
-        )
-        renumbered = np.searchsorted(keep, pose)
-        points = replace(
-            gathered.points,
-            pose=np.where(gathered.points.pose < 0, gathered.points.pose, renumbered[gathered.points.pose]),
-        )
-        return adjust(
-            start,
-            unknowns,
-            replace(corners, pose=np.searchsorted(keep, corners.pose)),
-            points,
-            replace(feet, pose=np.searchsorted(keep, feet.pose)),
-            foot_std_mm=max(board.flatness_mm, 0.005) / np.sqrt(3.0),
-        )
-
-
-_BOARDS = ("board", "board_on_belt")
-
-
-def observed_lines(gathered: Gathered) -> int:
-    """Give the number of stripes seen on the empty belt."""
-    return int(np.unique(gathered.points.stripe[gathered.points.pose < 0]).size)
-
-
-def _placed(first: FirstCamera) -> tuple[np.ndarray, Floats, FirstCamera]:
-    """Give each view the pose it belongs to and the encoder counts it was carried on since.
-
-    Boards that lie on the belt with known encoder counts were laid there once and are carried along.
-    """
-    pose = np.arange(len(first.views))
-    counts = np.zeros(len(first.views))
-    carried = [n for n, view in enumerate(first.views) if view.on_belt and np.isfinite(view.count)]
-    for number in carried:
-        pose[number] = carried[0]
-        counts[number] = first.views[number].count - first.views[carried[0]].count
-    return pose, counts, first
-
-
-def _moves(counts: Floats) -> bool:
-    return bool(np.ptp(counts) > 0) if counts.size else False
-
-
-def _feet(views: list[BoardView], board: Board, pose: np.ndarray, counts: Floats) -> Feet:
-    """Three corners of the underside of each board that lies on the belt."""
-    width, height = board.columns * board.pitch_mm, board.rows * board.pitch_mm
-    places = np.array([[0.0, 0.0], [width, 0.0], [0.5 * width, height]])
-    places = np.column_stack([places, np.full(3, board.thickness_mm)])
-    lies = [number for number, view in enumerate(views) if view.on_belt]
-    return Feet(
-        np.repeat(pose[lies], 3).astype(np.int64), np.tile(places, (len(lies), 1)), np.repeat(counts[lies], 3)
-    )
 
 
 def _of_scale(parameters: dict[str, Floats], board: Board) -> Floats:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from markupsafe import Markup
 
-from roemetry.arrays import Floats
+from roemetry.arrays import Floats, Integers
 from roemetry.evidence.height_uncertainty import HeightUncertainty
 from roemetry.pages.svg import Axis, box, dot, line, number, picture, plain, text
 from roemetry.records import Residuals
@@ -16,6 +16,7 @@ from roemetry.records import Residuals
 _POINTS_MAX = 4000
 _BINS = 40
 _WARM, _COLD, _MIDDLE = (179, 38, 44), (11, 85, 120), (226, 229, 232)
+_PALE, _EMPTY = (255, 255, 255), "#f3c9c5"
 _RAMP = ((253, 246, 216), (242, 166, 94), (176, 74, 112), (58, 31, 85))
 
 
@@ -40,6 +41,27 @@ def residual_map(one: Residuals, image_size: tuple[int, int]) -> Markup:
     ends = f"−{scale:.2g} to +{scale:.2g} {one.unit}"
     body.append(text(left + 220, top + tall + 34, ends, "start"))
     return picture(body, top + tall + 44, one.title, left + width + 10)
+
+
+def coverage_map(count: Integers, title: str, image_size: tuple[int, int]) -> Markup:
+    """Draw how much was observed in each cell of the image; red cells: nothing."""
+    rows, columns = image_size
+    left, top, width = 46.0, 12.0, 440.0
+    tall = width * rows / columns
+    high, wide = tall / count.shape[0], width / count.shape[1]
+    most = max(int(count.max()), 1)
+    body = []
+    for (row, column), much in np.ndenumerate(count):
+        share = math.sqrt(much / most)
+        fill = _between(_PALE, _COLD, 0.15 + 0.75 * share) if much else _EMPTY
+        x, y = left + column * wide, top + row * high
+        body.append(box(x, y, wide - 1, high - 1, "", f"{much} observed", fill))
+        kind = "on-dark" if much and share > 0.45 else "on-light"
+        body.append(text(x + wide / 2, y + high / 2 + 4, str(much), kind))
+    x_axis, y_axis = Axis(0, columns, left, left + width), Axis(0, rows, top, top + tall)
+    body += [text(x_axis(v), top + tall + 15, words) for v, words in x_axis.ticks(5)]
+    body += [text(left - 6, y_axis(v) + 4, words, "end") for v, words in y_axis.ticks(4)]
+    return picture(body, top + tall + 22, f"where {title} were observed", left + width + 10)
 
 
 def residual_histogram(one: Residuals) -> Markup:

@@ -6,10 +6,17 @@ from importlib.metadata import version
 from typing import Any, NamedTuple
 
 import numpy as np
+from markupsafe import Markup
 
-from roemetry.arrays import Floats
+from roemetry.arrays import Floats, Integers
 from roemetry.calibration import Calibration
-from roemetry.evidence.drawing import correlation_map, height_map, residual_histogram, residual_map
+from roemetry.evidence.drawing import (
+    correlation_map,
+    coverage_map,
+    height_map,
+    residual_histogram,
+    residual_map,
+)
 from roemetry.evidence.height_uncertainty import HeightUncertainty, height_uncertainty
 from roemetry.pages.templating import environment_of
 from roemetry.records import Evidence, Residuals
@@ -49,7 +56,7 @@ def page(calibration: Calibration, evidence: Evidence, triangulator: Triangulato
                 for one in evidence.residuals
                 if len(one.error)
             ],
-            coverage=[(one.title, coverage(one, calibration.image_size)) for one in evidence.residuals],
+            coverage=_coverages(evidence, calibration.image_size),
             heights=[(row, height_map(heights, n)) for n, row in enumerate(heights.row_px)],
             height_words=_height_words(heights),
             correlation=correlation_map(correlation, names) if shown else None,
@@ -60,12 +67,27 @@ def page(calibration: Calibration, evidence: Evidence, triangulator: Triangulato
     )
 
 
-def coverage(one: Residuals, image_size: tuple[int, int]) -> float:
-    """Share of the image's cells, 6 × 8, in which something was observed."""
+def coverage(one: Residuals, image_size: tuple[int, int]) -> Integers:
+    """Count what was observed in each of the image's cells, (6, 8)."""
     rows, columns = image_size
     row = np.clip((one.xy_px[:, 1] / rows * _GRID[0]).astype(np.int64), 0, _GRID[0] - 1)
     column = np.clip((one.xy_px[:, 0] / columns * _GRID[1]).astype(np.int64), 0, _GRID[1] - 1)
-    return float(np.unique(row * _GRID[1] + column).size / (_GRID[0] * _GRID[1]))
+    return np.bincount(row * _GRID[1] + column, minlength=_GRID[0] * _GRID[1]).reshape(_GRID)
+
+
+def _coverages(evidence: Evidence, image_size: tuple[int, int]) -> list[tuple[str, float, Markup]]:
+    """Give title, covered share and drawing of every set of places; sets at the same places once."""
+    found: list[tuple[str, float, Markup]] = []
+    known: list[Residuals] = []
+    for one in evidence.residuals:
+        if one.held_out or not len(one.error):
+            continue
+        if any(np.array_equal(one.xy_px, other.xy_px) for other in known):
+            continue
+        known.append(one)
+        count = coverage(one, image_size)
+        found.append((one.title, float((count > 0).mean()), coverage_map(count, one.title, image_size)))
+    return found
 
 
 def correlations(calibration: Calibration) -> tuple[Floats, list[str]]:

@@ -56,7 +56,10 @@ def residuals(**changes) -> Residuals:
 
 
 def test_coverage_counts_cells() -> None:
-    assert coverage(residuals(), (RIG.rows, RIG.columns)) == pytest.approx(0.5)
+    count = coverage(residuals(), (RIG.rows, RIG.columns))
+    assert count.sum() == 500
+    assert (count > 0).mean() == pytest.approx(0.5)
+    assert (count[:, 4:] == 0).all(), "nothing to the right"
 
 
 def test_correlations_leave_out_what_is_certain() -> None:

@@ -1,0 +1,192 @@
+"""From a calibration set to the joint adjustment of all that is seen in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from roemetry.arrays import Floats
+from roemetry.errors import CalibrationError
+from roemetry.records import Board, CalibrationSet
+from roemetry_pinhole.adjustment import Adjusted
+from roemetry_pinhole.equations import Corners, Feet
+from roemetry_pinhole.first_camera import FirstCamera, first_camera, free_numbers
+from roemetry_pinhole.geometry import CAMERA, Geometry, unknowns_of
+from roemetry_pinhole.measured import Measured
+from roemetry_pinhole.opencv_file import read_camera
+from roemetry_pinhole.stripe_points import Gathered, gather
+from roemetry_pinhole.views import BoardView, Seen, board_views
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Joint:
+    """The joint adjustment, and what it was made of.
+
+    Attributes
+    ----------
+    board
+        What was held under the stripes.
+    size
+        Rows and columns of the images.
+    seen
+        Poses, and by image why others are not used.
+    first
+        The views that are used.
+    pose
+        (view,) number of the view's pose in the adjustment.
+    gathered
+        Stripe points.
+    measured, adjusted
+        What went into the adjustment, and what came out.
+    moves
+        Whether the belt's travel is among the unknowns.
+    """
+
+    board: Board
+    size: tuple[int, int]
+    seen: Seen
+    first: FirstCamera
+    pose: np.ndarray
+    gathered: Gathered
+    measured: Measured
+    adjusted: Adjusted
+    moves: bool
+
+
+def joint(
+    observed: CalibrationSet, *, lens: str, camera_file: Path | None, print_contrast_max: float
+) -> Joint:
+    """Find everything in the images and adjust it together.
+
+    Parameters
+    ----------
+    observed
+        The images with their peaks.
+    lens
+        Name of the lens model.
+    camera_file
+        OpenCV's file with a camera that is known and not looked for.
+    print_contrast_max
+        Largest contrast of the print under a stripe at which its peaks count.
+
+    Raises
+    ------
+    CalibrationError
+        As `PinholeCalibrator.calibrate` says.
+    """
+    board = observed.board
+    if board is None:
+        raise CalibrationError(
+            "no board is described",
+            hint="add `board:` to the rig file: its kind, columns, rows and pitch_mm",
+        )
+    seen = board_views(observed, board)
+    tried = len({(one.shows, one.pose) for one in observed.observations if one.shows in _BOARDS})
+    if not tried:
+        raise CalibrationError("there is no image of the board", hint="name them in images.board")
+    size = observed.observations[0].frame.size
+    known = None if camera_file is None else read_camera(camera_file)
+    first = first_camera(seen, size, lens, known, tried)
+    pose, counts = _placed(first)
+    gathered = gather(
+        first,
+        board,
+        observed.showing("belt"),
+        observed.stripe_count,
+        counts,
+        print_contrast_max=print_contrast_max,
+    )
+    seen.left_out |= gathered.left_out
+    free = np.zeros(CAMERA, np.bool_) if known is not None else free_numbers(lens)
+    measured = _measured(first, gathered, board, pose, counts, free)
+    number = np.searchsorted(np.unique(pose), pose)
+    adjusted = measured.adjusted()
+    return Joint(board, size, seen, first, number, gathered, measured, adjusted, _moves(counts))
+
+
+_BOARDS = ("board", "board_on_belt")
+
+
+def _measured(
+    first: FirstCamera, gathered: Gathered, board: Board, pose: np.ndarray, counts: Floats, free: np.ndarray
+) -> Measured:
+    marks = [view.marks for view in first.views]
+    size = [len(one.xy_px) for one in marks]
+    keep = np.unique(pose)
+    number = np.searchsorted(keep, pose)
+    corners = Corners(
+        np.repeat(number, size),
+        np.concatenate([one.board_mm for one in marks]),
+        np.concatenate([one.xy_px for one in marks]),
+        np.repeat(counts, size),
+    )
+    start = Geometry(
+        camera=first.camera,
+        rotation=first.rotation[keep],
+        shift=first.shift[keep],
+        planes=gathered.planes,
+        belt=_belt(first, gathered, board),
+        travel=np.zeros(3),
+    )
+    unknowns = unknowns_of(start, free_camera=free, planes=True, belt=True, travel=_moves(counts))
+    on = gathered.points.pose
+    return Measured(
+        start,
+        unknowns,
+        corners,
+        replace(gathered.points, pose=np.where(on < 0, on, number[on])),
+        _feet(first.views, board, number, counts),
+        foot_std_mm=max(board.flatness_mm, 0.005) / np.sqrt(3.0),
+    )
+
+
+def _belt(first: FirstCamera, gathered: Gathered, board: Board) -> Floats:
+    """Give the belt (3,) b·X = 1 to start with: under the first board on it, or from its own stripes."""
+    lies = [number for number, view in enumerate(first.views) if view.on_belt]
+    belt = gathered.belt
+    if lies:
+        normal = first.rotation[lies[0]][:, 2]
+        return np.asarray(normal / (normal @ first.shift[lies[0]] + board.thickness_mm))
+    if belt is None or not np.isfinite(belt).all():
+        raise CalibrationError(
+            "nothing shows where the belt is",
+            hint="name images of the empty belt in images.belt, or of the board lying on it in "
+            "images.board_on_belt",
+        )
+    if np.unique(gathered.points.stripe[gathered.points.pose < 0]).size < 2:
+        raise CalibrationError(
+            "one stripe on the empty belt does not tell how the belt is tilted",
+            hint="lay the board on the belt and name the image in images.board_on_belt",
+        )
+    return belt
+
+
+def _placed(first: FirstCamera) -> tuple[np.ndarray, Floats]:
+    """Give each view the pose it belongs to and the encoder counts it was carried on since.
+
+    Boards that lie on the belt with known encoder counts were laid there once and are carried along.
+    """
+    pose = np.arange(len(first.views))
+    counts = np.zeros(len(first.views))
+    carried = [n for n, view in enumerate(first.views) if view.on_belt and np.isfinite(view.count)]
+    for number in carried:
+        pose[number] = carried[0]
+        counts[number] = first.views[number].count - first.views[carried[0]].count
+    return pose, counts
+
+
+def _moves(counts: Floats) -> bool:
+    return bool(np.ptp(counts) > 0) if counts.size else False
+
+
+def _feet(views: list[BoardView], board: Board, pose: np.ndarray, counts: Floats) -> Feet:
+    """Three corners of the underside of each board that lies on the belt."""
+    width, height = board.columns * board.pitch_mm, board.rows * board.pitch_mm
+    places = np.array([[0.0, 0.0], [width, 0.0], [0.5 * width, height]])
+    places = np.column_stack([places, np.full(3, board.thickness_mm)])
+    lies = [number for number, view in enumerate(views) if view.on_belt]
+    return Feet(
+        np.repeat(pose[lies], 3).astype(np.int64), np.tile(places, (len(lies), 1)), np.repeat(counts[lies], 3)
+    )
