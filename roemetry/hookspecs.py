@@ -45,6 +45,7 @@ KINDS = (
     "volume",
     "weigher",
     "classifier",
+    "grader",
     "sink",
     "simulator",
     "planner",

@@ -106,6 +106,7 @@ def _calibrated(
         volume=product.volume,
         weight=product.weight,
         grade=product.grade,
+        decision=product.decision,
         absent=absent,
         reasons=_once([*reasons, *_saturation(trace)]),
         provenance=provenance,

@@ -19,6 +19,7 @@ from roemetry.recipe import Recipe
 from roemetry.records import (
     AMBIGUOUS,
     Acquisition,
+    Decision,
     Frame,
     Grade,
     Outline,
@@ -40,6 +41,9 @@ _REFUSED_SHARE_MAX = 0.1
 """With more than this share of a product's peaks refused, neither volume nor grade is stated."""
 
 _NO_VOLUME = Reason("no-volume", "there is no volume to weigh")
+
+_NOTHING_STATED = ("undecided", "cut-by-edge")
+"""Reasons for which a product is not even decided upon."""
 
 _EDGE_ROWS = 2
 """Rows at the image's ends in which a product counts as cut; extractors may leave the very first out."""
@@ -144,6 +148,8 @@ class Pipeline:
             )
             scene = Scene(acquisition.id, stripes, outlines, calibration, penetration)
             products = self._drawn(products, scene, steps)
+            if "grader" in self._stages:
+                products = tuple(self._decided(product, steps.seconds) for product in products)
         return Trace(
             acquisition_id=acquisition.id,
             acquisition=acquisition,
@@ -182,6 +188,18 @@ class Pipeline:
         if "classifier" in self._stages and steps.allow("classifier", doubt):
             grade = steps.do("classifier", lambda: self._stages["classifier"].classify(product))
         return ProductTrace(product, volume, weight, grade, steps.absent)
+
+    def _decided(self, found: ProductTrace, seconds: dict[str, float]) -> ProductTrace:
+        """Let the grader decide, on results that have their uncertainties."""
+        steps = _Steps(self._debug, seconds)
+        doubt = next((why for why in found.absent.values() if why.code in _NOTHING_STATED), None)
+        decision: Decision | None = None
+        if steps.allow("grader", doubt):
+            decision = steps.do(
+                "grader",
+                lambda: self._stages["grader"].decide(found.product, found.volume, found.weight, found.grade),
+            )
+        return replace(found, decision=decision, absent={**found.absent, **steps.absent})
 
 
 class _Steps:

@@ -166,6 +166,7 @@ def _resolved(path: Path, document: Overridden, registry: Registry) -> dict[str,
         chosen = chooser.choose(kind, choice, "stages", kind)
         if chosen is not None:
             stages[kind] = chosen
+    _check_needs(stages, file, chooser)
     sinks = [chooser.choose("sink", choice, "sinks", index) for index, choice in enumerate(file.sinks)]
     calibration_path = None if file.calibration is None else path.parent / file.calibration
     calibration = None
@@ -207,6 +208,16 @@ def _resolved(path: Path, document: Overridden, registry: Registry) -> dict[str,
         "draws": file.draws,
         "sinks": tuple(sink for sink in sinks if sink is not None),
     }
+
+
+def _check_needs(stages: Mapping[str, Chosen], file: RecipeFile, chooser: Chooser) -> None:
+    """Note a fault where the grader asks for the result of a stage that the recipe has not."""
+    grader = stages.get("grader")
+    if grader is None:
+        return
+    for kind in sorted(grader.make().needs()):
+        if getattr(file.stages, kind) is None:
+            chooser.fault(f"it works on the result of the {kind}; add one", "stages", "grader")
 
 
 def _check_count(calibration: Calibration, stages: Mapping[str, Chosen], chooser: Chooser) -> None:

@@ -71,6 +71,7 @@ class StageChoices(Section):
     volume: Choice | None = None
     weigher: Choice | None = None
     classifier: Choice | None = None
+    grader: Choice | None = None
 
 
 class CalibrationCheck(Section):
@@ -123,5 +124,6 @@ NEEDS: dict[str, str] = {
     "volume": "triangulator",
     "weigher": "volume",
     "classifier": "triangulator",
+    "grader": "triangulator",
 }
 """By kind, the kind whose result it works on."""

@@ -6,15 +6,13 @@ state between calls, changes no input, and may be called from several threads.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
-from typing import Any, ClassVar, Generic, Literal, TypeVar
+from typing import Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
 
 from roemetry.calibration import Calibration
 from roemetry.errors import StageError
@@ -22,6 +20,7 @@ from roemetry.records import (
     Acquisition,
     AcquisitionReference,
     CalibrationSet,
+    Decision,
     Evidence,
     Fitted,
     Frame,
@@ -40,63 +39,33 @@ from roemetry.records import (
     Volume,
     Weight,
 )
+from roemetry.stage import Capabilities, OptionsT, Stage, StageOptions
 from roemetry.view import View
 
+__all__ = [
+    "INTERFACES",
+    "Calibrator",
+    "Capabilities",
+    "Classifier",
+    "Coder",
+    "Extractor",
+    "Grader",
+    "Outliner",
+    "Planner",
+    "Run",
+    "Simulator",
+    "Sink",
+    "Smoother",
+    "Source",
+    "Stage",
+    "StageOptions",
+    "Triangulator",
+    "Turn",
+    "VolumeEstimator",
+    "Weigher",
+]
+
 Turn = Literal[0, 90, 180, 270]
-
-
-class StageOptions(BaseModel):
-    """Options of a stage: a frozen model per implementation; each field with description, unit, bound."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-OptionsT = TypeVar("OptionsT", bound=StageOptions)
-
-
-@dataclass(frozen=True, slots=True)
-class Capabilities:
-    """What a stage claims of itself with its default options; `roemetry.testing` holds it to that.
-
-    Attributes
-    ----------
-    tolerance_px
-        Largest error of a position on a noise-free image, px: of a peak (extractors), of a rest line
-        (calibrators).
-    saturated_tolerance_px
-        Largest error of a peak where the image is saturated, px.
-    height_tolerance_mm
-        Largest error of a point, of exact stripes under an exact calibration, mm (triangulators).
-    relative_tolerance
-        Largest error relative to the true value: of a volume; of px/mm (calibrators).
-    fixture
-        ``package.module:function`` that gives the kit what it cannot make itself. For a triangulator it
-        takes a `roemetry.testing.LinearRig` and gives the rig's `Calibration`; for a calibrator it takes the
-        rig and gives a `CalibrationSet`; for a source it takes an empty folder, puts two acquisitions there
-        and gives the path to read; for any other kind it takes nothing and gives the options to make the
-        stage with. Empty: the kit's own.
-    """
-
-    tolerance_px: float = 0.1
-    saturated_tolerance_px: float = 1.0
-    height_tolerance_mm: float = 0.01
-    relative_tolerance: float = 0.05
-    fixture: str = ""
-
-
-class Stage(ABC, Generic[OptionsT]):
-    """What all stages have: options, and what they claim of themselves.
-
-    A subclass names its option model in `Options`; ``MyStage()`` has the defaults. `expected_failures` holds
-    the checks of `roemetry.testing` that the method itself cannot keep, each with the reason.
-    """
-
-    Options: ClassVar[type[StageOptions]] = StageOptions
-    capabilities: ClassVar[Capabilities] = Capabilities()
-    expected_failures: ClassVar[Mapping[str, str]] = MappingProxyType({})
-
-    def __init__(self, options: OptionsT | None = None) -> None:
-        self.options: OptionsT = self.Options() if options is None else options  # type: ignore[assignment]
 
 
 class Source(Stage[OptionsT]):
@@ -206,6 +175,26 @@ class Weigher(Stage[OptionsT]):
     def weigh(self, product: Product, volume: Volume, *, rng: np.random.Generator | None = None) -> Weight:
         """Estimate the mass; given `rng`, draw the weigher's own model error as well."""
 
+    @classmethod
+    def fit(cls, samples: Samples, *, form: str = "auto") -> Fitted:
+        """Learn from weighed products.
+
+        Parameters
+        ----------
+        samples
+            With masses.
+        form
+            Name of one of the weigher's models; ``auto``: the one that does best on held-out products.
+
+        Raises
+        ------
+        StageError
+            This weigher does not learn, or knows no such model.
+        DataError
+            The samples cannot be learned from.
+        """
+        raise StageError(f"{cls.__name__} does not learn", hint="the weigher `fitted` does")
+
 
 class Classifier(Stage[OptionsT]):
     """Judges a product's shape."""
@@ -235,6 +224,28 @@ class Classifier(Stage[OptionsT]):
             The samples cannot be learned from.
         """
         raise StageError(f"{cls.__name__} does not learn", hint="the classifier `learned` does")
+
+
+class Grader(Stage[OptionsT]):
+    """Decides what is to be done with a product, by all that was found of it."""
+
+    def needs(self) -> frozenset[str]:
+        """Name the kinds of stage whose results it asks for; a recipe without one of them is refused."""
+        return frozenset()
+
+    @abstractmethod
+    def decide(
+        self, product: Product, volume: Volume | None, weight: Weight | None, grade: Grade | None
+    ) -> Decision:
+        """Give the class with reasons; ``undecided`` is a legal answer.
+
+        Parameters
+        ----------
+        product
+            With its outline, where there is one.
+        volume, weight, grade
+            With their uncertainties; None where a stage was not asked for or could not say.
+        """
 
 
 @dataclass(frozen=True, slots=True)
@@ -313,6 +324,7 @@ INTERFACES: Mapping[str, type[Stage[Any]]] = {
     "volume": VolumeEstimator,
     "weigher": Weigher,
     "classifier": Classifier,
+    "grader": Grader,
     "sink": Sink,
     "simulator": Simulator,
     "planner": Planner,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import ClassVar
 
@@ -24,7 +24,7 @@ class CsvTableOptions(StageOptions):
 
     features: bool = Field(
         default=False,
-        description="add a column for each feature of the classifier",
+        description="add a column for each feature of the classifier and of the weigher",
     )
 
 
@@ -44,7 +44,7 @@ class CsvTable(Sink[CsvTableOptions]):
         features = _features(run) if self.options.features else []
         writer.writerow([*_COLUMNS, *features])
         for measurement in run.measurements():
-            given = {} if measurement.grade is None else measurement.grade.features
+            given = _given(measurement)
             writer.writerow(
                 [
                     *(_cell(column(measurement)) for column in _COLUMNS.values()),
@@ -60,9 +60,14 @@ def _features(run: Run) -> list[str]:
     """Names of all features in the run, in the order in which they appear."""
     found: dict[str, None] = {}
     for measurement in run.measurements():
-        if measurement.grade is not None:
-            found.update(dict.fromkeys(measurement.grade.features))
+        found.update(dict.fromkeys(_given(measurement)))
     return list(found)
+
+
+def _given(row: Measurement) -> Mapping[str, float]:
+    """Features of classifier and weigher by name."""
+    grade = {} if row.grade is None else row.grade.features
+    return grade if row.weight is None else {**grade, **row.weight.features}
 
 
 def _cell(value: Cell | None) -> Cell:
@@ -101,6 +106,8 @@ _COLUMNS: dict[str, Callable[[Measurement], Cell | None]] = {
     "product": lambda row: row.product,
     "status": lambda row: row.status,
     "grade": lambda row: None if row.grade is None else row.grade.label,
+    "decision": lambda row: None if row.decision is None else row.decision.label,
+    "lane": lambda row: None if row.decision is None else row.decision.lane,
     "weight (g)": lambda row: _value(_mass(row)),
     "weight standard uncertainty (g)": lambda row: _std(_mass(row)),
     "weight 95 % low (g)": lambda row: _end(_mass(row), 0),

@@ -46,6 +46,7 @@ def page(run: Run, products_max: int, worst_max: int) -> str:
         overview=seen,
         rows=[row_of(row, seen.common) for row in seen.rows],
         rows_max=ROWS_MAX,
+        decided=any(row.decision is not None for row in seen.rows),
         sections=sections,
         anchors=anchors,
         grades=[(grade_pill(label), count) for label, count in sorted(seen.grades.items())],

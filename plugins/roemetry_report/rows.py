@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from markupsafe import Markup
 
-from roemetry.records import Estimate, Measurement, Reason, Shares
+from roemetry.records import Decision, Estimate, Measurement, Reason, Shares
 from roemetry.units import MM3_PER_CM3, NOT_STATED
 from roemetry_report.charts import share_bar
 from roemetry_report.words import budget, interval, percent, plain, uncertainty, value
@@ -53,6 +53,8 @@ class Row:
     id: str
     status: Pill
     grade: Pill | None
+    decision: Pill | None
+    lane: str
     weight: Figure
     volume: Figure
     true_volume: Figure | None
@@ -80,6 +82,8 @@ def row_of(measurement: Measurement, common: Collection[Reason] = ()) -> Row:
         id=measurement.id,
         status=status_pill(measurement.status),
         grade=None if measurement.grade is None else grade_pill(measurement.grade.label),
+        decision=None if measurement.decision is None else decision_pill(measurement.decision),
+        lane="" if measurement.decision is None else measurement.decision.lane,
         weight=_NONE if measurement.weight is None else _figure(measurement.weight.mass_g, digits=1),
         volume=_NONE if volume is None else _figure(volume.visible_mm3, MM3_PER_CM3),
         true_volume=None
@@ -129,6 +133,13 @@ def grade_pill(label: str) -> Pill:
     if label == "unknown":
         return Pill(label, "?", "quiet")
     return Pill(label, "✓", "good") if label.lower() in _GOOD else Pill(label, "!", "warn")
+
+
+def decision_pill(decision: Decision) -> Pill:
+    """Give the sign and tone of a decision: a class is a class; one that is left open is to look at."""
+    if decision.label == "undecided":
+        return Pill(f"undecided: {' or '.join(decision.possible)}", "?", "warn")
+    return Pill(decision.label, "▸", "plain")
 
 
 _GOOD = frozenset({"good", "ok", "pass", "accept", "accepted", "normal"})

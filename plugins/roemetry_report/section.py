@@ -52,6 +52,7 @@ class ProductView:
     number: int
     row: Row
     grade_reasons: tuple[Reason, ...]
+    decision_reasons: tuple[Reason, ...]
     probability: str
     features: tuple[tuple[str, str], ...]
     reasons: tuple[Reason, ...]
@@ -150,12 +151,14 @@ def _product(row: Measurement, trace: Trace | None, key: str, section_key: str) 
         elif row.product > 0:
             profiles = displacement_charts(trace.stripes, row.product)
             words = "Displacement from the rest line over the image row, px, for each stripe on the product"
-    said = {*row.absent.values(), *(() if grade is None else grade.reasons)}
+    decided = () if row.decision is None else row.decision.reasons
+    said = {*row.absent.values(), *(() if grade is None else grade.reasons), *decided}
     return ProductView(
         key=key,
         number=row.product,
         row=row_of(row),
         grade_reasons=() if grade is None else grade.reasons,
+        decision_reasons=decided,
         probability="" if grade is None or math.isnan(grade.probability) else percent(grade.probability),
         features=() if grade is None else tuple(feature(*item) for item in grade.features.items()),
         reasons=tuple(r for r in row.all_reasons if r not in said),

@@ -31,3 +31,10 @@ def roemetry_stages() -> Iterator[StageEntry]:
         summary="Classes learned from labelled products, with calibrated probabilities",
         reference="Geurts, Ernst and Wehenkel 2006",
     )
+    yield StageEntry(
+        kind="grader",
+        name="grade-table",
+        target="roemetry_shape.grade_table:GradeTable",
+        summary="A buyer's classes over shape, size, weight and colour, with guard bands",
+        reference="ISO 14253-1 (decision rules); the table is ours",
+    )

@@ -10,6 +10,7 @@ from roemetry.arrays import Floats
 from roemetry.records import Product
 from roemetry_shape.curvature import curvature_features
 from roemetry_shape.hollows import hollows_of
+from roemetry_shape.outline_size import outline_size
 from roemetry_shape.sections import SAMPLES, Sections, sections_of
 
 SECTIONS_MIN = 3
@@ -22,7 +23,8 @@ _INNER = slice(SAMPLES // 8, SAMPLES - SAMPLES // 8)
 def shape_features(product: Product, smoothing_rows: int) -> dict[str, float]:
     """Give the features by name, units in the names; empty with fewer than three sections.
 
-    Lengths count what stripes saw: `length_seen_mm` ends at the outer stripes.
+    `length_seen_mm` counts what stripes saw: it ends at the outer stripes. `length_mm`, `across_mm` and
+    `footprint_mm2` are the outline's, and are there only if it is.
 
     Parameters
     ----------
@@ -36,6 +38,7 @@ def shape_features(product: Product, smoothing_rows: int) -> dict[str, float]:
         return {}
     return {
         **_size(sections),
+        **outline_size(product, sections),
         **_middle_line(sections),
         **_lean(sections),
         **_along(sections),

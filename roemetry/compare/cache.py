@@ -20,6 +20,7 @@ _VERBS = {
     "volume": "estimate",
     "weigher": "weigh",
     "classifier": "classify",
+    "grader": "decide",
 }
 _BEFORE: Mapping[str, tuple[str, ...]] = {
     "extractor": (),
@@ -30,6 +31,7 @@ _BEFORE: Mapping[str, tuple[str, ...]] = {
     "volume": ("triangulator", "outliner"),
     "weigher": ("volume",),
     "classifier": ("triangulator", "outliner"),
+    "grader": ("triangulator", "outliner", "volume", "weigher", "classifier"),
 }
 
 

@@ -33,6 +33,7 @@ STEPS = (
     "volume",
     "weigher",
     "classifier",
+    "grader",
 )
 
 

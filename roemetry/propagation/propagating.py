@@ -107,4 +107,4 @@ def _unstated(trace: ProductTrace, scene: Scene, chain: Chain, drawn: Drawn) -> 
         if other is None or other.visible_mm3.value != trace.volume.visible_mm3.value:
             reasons.append(_OUTLINE_NOT_STATED)
     weigher = chain.weigher and not chain.weigher.states_model_error
-    return Unstated(tuple(reasons), (_WEIGHT_NOT_STATED,) if weigher else ())
+    return Unstated(tuple(reasons), (_WEIGHT_NOT_STATED,) if weigher else (), points=not drawn.peaks_stated)

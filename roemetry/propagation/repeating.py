@@ -23,6 +23,7 @@ class Result(NamedTuple):
     mass_g: float = math.nan
     label: str = ""
     probability: float = math.nan
+    features: Mapping[str, float] = {}
 
 
 def again(
@@ -43,6 +44,7 @@ def again(
         mass_g=math.nan if weight is None else weight.mass_g.value,
         label="" if grade is None else grade.label,
         probability=math.nan if grade is None else grade.probability,
+        features={} if grade is None else grade.features,
     )
 
 

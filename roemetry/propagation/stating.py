@@ -22,10 +22,11 @@ FAILED_SHARE_MAX = 0.05
 
 
 class Unstated(NamedTuple):
-    """What keeps the uncertainty of volume and of weight from being stated."""
+    """What keeps the uncertainty of volume and of weight from being stated; and that of points."""
 
     volume: tuple[Reason, ...]
     weight: tuple[Reason, ...]
+    points: bool = False
 
 
 def with_uncertainty(
@@ -70,8 +71,20 @@ def with_uncertainty(
             else 0.0
             for result in together
         ]
-        grade = replace(grade, probability=float(np.mean(held)))
+        spread = {} if unstated.points else _features_std(grade.features, together)
+        grade = replace(grade, probability=float(np.mean(held)), features_std=spread)
     return replace(trace, volume=volume, weight=weight, grade=grade)
+
+
+def _features_std(features: Mapping[str, float], together: list[Result]) -> dict[str, float]:
+    """Give the standard deviation of each feature over the draws; of one that draws lack, none."""
+    found = {}
+    for name in features:
+        values = np.array([result.features.get(name, math.nan) for result in together])
+        good = values[np.isfinite(values)]
+        if good.size >= max(2.0, (1.0 - FAILED_SHARE_MAX) * values.size):
+            found[name] = float(good.std(ddof=1))
+    return found
 
 
 def _estimate(

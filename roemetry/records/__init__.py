@@ -5,7 +5,7 @@ from roemetry.records.evidence import Evidence, EvidenceFigure, Residuals
 from roemetry.records.fitting import Fitted, Samples
 from roemetry.records.measurement import Coding, Measurement, Status
 from roemetry.records.observations import Block, Board, CalibrationSet, Observation, Staircase
-from roemetry.records.outcome import Estimate, Grade, Marks, Shares, Volume, Weight
+from roemetry.records.outcome import Decision, Estimate, Grade, Marks, Shares, Volume, Weight
 from roemetry.records.peaks import EDGE, SATURATED, WIDE, Peaks
 from roemetry.records.plan import (
     Plan,
@@ -37,6 +37,7 @@ __all__ = [
     "Board",
     "CalibrationSet",
     "Coding",
+    "Decision",
     "Estimate",
     "Evidence",
     "EvidenceFigure",

@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from roemetry.errors import DataError
-from roemetry.records.outcome import Estimate, Grade, Shares, Volume, Weight
+from roemetry.records.outcome import Decision, Estimate, Grade, Shares, Volume, Weight
 from roemetry.records.reasons import Reason
 
 Status = Literal["measured", "empty", "failed"]
@@ -77,6 +77,8 @@ class Measurement:
         What must be known to believe the numbers.
     provenance
         Hashes of recipe, calibration and image, and version of every plugin that had a part.
+    decision
+        What the grader made of it; None where absent.
     """
 
     id: str
@@ -92,11 +94,12 @@ class Measurement:
     absent: Mapping[str, Reason] = field(default_factory=dict)
     reasons: tuple[Reason, ...] = ()
     provenance: Mapping[str, str] = field(default_factory=dict)
+    decision: Decision | None = None
 
     @property
     def all_reasons(self) -> tuple[Reason, ...]:
-        """Every reason on this row, each once: the row's own, then volume's, weight's and grade's."""
-        parts = (self, self.volume, self.weight, self.grade)
+        """Every reason on this row, each once: its own, then volume's, weight's, grade's, decision's."""
+        parts = (self, self.volume, self.weight, self.grade, self.decision)
         return tuple(dict.fromkeys(reason for part in parts if part is not None for reason in part.reasons))
 
     def to_json(self) -> str:
@@ -108,6 +111,7 @@ class Measurement:
             "product": self.product,
             "products": self.products,
             "status": self.status,
+            "decision": None if self.decision is None else _decision_row(self.decision),
             "grade": None if self.grade is None else _grade_row(self.grade),
             "weight": None if self.weight is None else _weight_row(self.weight),
             "volume": None if volume is None else _volume_row(volume),
@@ -136,13 +140,12 @@ class Measurement:
                 coding=None if coding is None else Coding(**{k: _number(v) for k, v in coding.items()}),
                 height_max_mm=_number(row["height_max_mm"]),
                 volume=None if row["volume"] is None else _read_volume(row["volume"]),
-                weight=None
-                if row["weight"] is None
-                else Weight(_read_estimate(row["weight"]["mass_g"]), _read_reasons(row["weight"])),
+                weight=None if row["weight"] is None else _read_weight(row["weight"]),
                 grade=None if row["grade"] is None else _read_grade(row["grade"]),
                 absent={kind: Reason(**reason) for kind, reason in row["absent"].items()},
                 reasons=_read_reasons(row),
                 provenance=row["provenance"],
+                decision=None if row.get("decision") is None else _read_decision(row["decision"]),
             )
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise DataError(
@@ -176,7 +179,11 @@ def _estimate_row(estimate: Estimate) -> dict[str, Any]:
 
 
 def _weight_row(weight: Weight) -> dict[str, Any]:
-    return {"mass_g": _estimate_row(weight.mass_g), "reasons": [r._asdict() for r in weight.reasons]}
+    return {
+        "mass_g": _estimate_row(weight.mass_g),
+        "features": dict(weight.features),
+        "reasons": [r._asdict() for r in weight.reasons],
+    }
 
 
 def _volume_row(volume: Volume) -> dict[str, Any]:
@@ -195,7 +202,17 @@ def _grade_row(grade: Grade) -> dict[str, Any]:
         "label": grade.label,
         "probability": grade.probability,
         "features": dict(grade.features),
+        "features_std": dict(grade.features_std),
         "reasons": [r._asdict() for r in grade.reasons],
+    }
+
+
+def _decision_row(decision: Decision) -> dict[str, Any]:
+    return {
+        "label": decision.label,
+        "lane": decision.lane,
+        "possible": list(decision.possible),
+        "reasons": [r._asdict() for r in decision.reasons],
     }
 
 
@@ -223,5 +240,22 @@ def _read_volume(row: Mapping[str, Any]) -> Volume:
 
 
 def _read_grade(row: Mapping[str, Any]) -> Grade:
-    features = {name: _number(value) for name, value in row["features"].items()}
-    return Grade(row["label"], _number(row["probability"]), features, _read_reasons(row))
+    return Grade(
+        row["label"],
+        _number(row["probability"]),
+        _read_numbers(row["features"]),
+        _read_reasons(row),
+        features_std=_read_numbers(row.get("features_std", {})),
+    )
+
+
+def _read_weight(row: Mapping[str, Any]) -> Weight:
+    return Weight(_read_estimate(row["mass_g"]), _read_reasons(row), _read_numbers(row.get("features", {})))
+
+
+def _read_decision(row: Mapping[str, Any]) -> Decision:
+    return Decision(row["label"], row["lane"], tuple(row["possible"]), _read_reasons(row))
+
+
+def _read_numbers(row: Mapping[str, Any]) -> Mapping[str, float]:
+    return {name: _number(value) for name, value in row.items()}

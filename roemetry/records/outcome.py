@@ -83,10 +83,14 @@ class Volume:
 
 @dataclass(frozen=True, slots=True)
 class Weight:
-    """Mass of one product, grams, and how it was reckoned."""
+    """Mass of one product, grams, and how it was reckoned.
+
+    `features` holds the numbers besides the volume that it rests on, each with its unit in the name.
+    """
 
     mass_g: Estimate
     reasons: tuple[Reason, ...] = ()
+    features: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -141,6 +145,8 @@ class Grade:
         Why, in words.
     marks
         Evidence to draw.
+    features_std
+        Standard uncertainties of features, by name; a feature that is not in it has none stated.
     """
 
     label: str
@@ -148,3 +154,26 @@ class Grade:
     features: Mapping[str, float] = field(default_factory=dict)
     reasons: tuple[Reason, ...] = ()
     marks: Marks | None = None
+    features_std: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """What is to be done with one product.
+
+    Attributes
+    ----------
+    label
+        The buyer's class, or ``undecided`` where the uncertainty leaves several.
+    lane
+        Where the product is to go: a belt, a bin; "" where the table does not say.
+    possible
+        The classes it may be of; one where it is decided.
+    reasons
+        Why, a code and a sentence for each class that was asked about.
+    """
+
+    label: str
+    lane: str = ""
+    possible: tuple[str, ...] = ()
+    reasons: tuple[Reason, ...] = ()

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from roemetry.records.acquisition import Acquisition, Frame
-from roemetry.records.outcome import Grade, Volume, Weight
+from roemetry.records.outcome import Decision, Grade, Volume, Weight
 from roemetry.records.peaks import Peaks
 from roemetry.records.product import Outline, Product
 from roemetry.records.profiles import Profiles
@@ -23,6 +23,7 @@ class ProductTrace:
     weight: Weight | None
     grade: Grade | None
     absent: Mapping[str, Reason] = field(default_factory=dict)
+    decision: Decision | None = None
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -11,11 +11,13 @@ from typing import Any
 import numpy as np
 
 from roemetry.errors import PluginError
+from roemetry.records import Estimate, Grade, Weight
 from roemetry.stages import (
     Calibrator,
     Classifier,
     Coder,
     Extractor,
+    Grader,
     Outliner,
     Planner,
     Simulator,
@@ -204,6 +206,19 @@ def _classifier(stage: Classifier[Any]) -> Cases:
     return Cases(case(product_of(HALF_ELLIPSOID)), case(product_of(BOX)), case(_NOTHING))
 
 
+def _grader(stage: Grader[Any]) -> Cases:
+    def case(mass_g: float) -> Case:
+        weight = None if mass_g == 0.0 else Weight(Estimate(mass_g, 0.1))
+        grade = None if mass_g == 0.0 else Grade("good", 0.99)
+        volume = None if mass_g == 0.0 else volume_of(9000.0)
+        inputs = product_of(HALF_ELLIPSOID), volume, weight, grade
+        return Case(
+            inputs, lambda grader: grader.decide(*inputs), lambda decision: decision.label == "undecided"
+        )
+
+    return Cases(case(9.9), case(20.0), case(0.0))
+
+
 def _sink(stage: Sink[Any]) -> Cases:
     def case(*rows: Any) -> Case:
         def call(sink: Sink[Any]) -> dict[str, bytes]:
@@ -242,6 +257,7 @@ _MAKERS: dict[type[Any], Callable[[Any], Cases]] = {
     VolumeEstimator: _volume,
     Weigher: _weigher,
     Classifier: _classifier,
+    Grader: _grader,
     Sink: _sink,
     Simulator: _simulator,
     Planner: _planner,

@@ -1,0 +1,65 @@
+"""What all stages have: options, and what they claim of themselves."""
+
+from __future__ import annotations
+
+from abc import ABC
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import ClassVar, Generic, TypeVar
+
+from pydantic import BaseModel, ConfigDict
+
+
+class StageOptions(BaseModel):
+    """Options of a stage: a frozen model per implementation; each field with description, unit, bound."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+OptionsT = TypeVar("OptionsT", bound=StageOptions)
+
+
+@dataclass(frozen=True, slots=True)
+class Capabilities:
+    """What a stage claims of itself with its default options; `roemetry.testing` holds it to that.
+
+    Attributes
+    ----------
+    tolerance_px
+        Largest error of a position on a noise-free image, px: of a peak (extractors), of a rest line
+        (calibrators).
+    saturated_tolerance_px
+        Largest error of a peak where the image is saturated, px.
+    height_tolerance_mm
+        Largest error of a point, of exact stripes under an exact calibration, mm (triangulators).
+    relative_tolerance
+        Largest error relative to the true value: of a volume; of px/mm (calibrators).
+    fixture
+        ``package.module:function`` that gives the kit what it cannot make itself. For a triangulator it
+        takes a `roemetry.testing.LinearRig` and gives the rig's `Calibration`; for a calibrator it takes the
+        rig and gives a `CalibrationSet`; for a source it takes an empty folder, puts two acquisitions there
+        and gives the path to read; for any other kind it takes nothing and gives the options to make the
+        stage with. Empty: the kit's own.
+    """
+
+    tolerance_px: float = 0.1
+    saturated_tolerance_px: float = 1.0
+    height_tolerance_mm: float = 0.01
+    relative_tolerance: float = 0.05
+    fixture: str = ""
+
+
+class Stage(ABC, Generic[OptionsT]):
+    """What all stages have: options, and what they claim of themselves.
+
+    A subclass names its option model in `Options`; ``MyStage()`` has the defaults. `expected_failures` holds
+    the checks of `roemetry.testing` that the method itself cannot keep, each with the reason.
+    """
+
+    Options: ClassVar[type[StageOptions]] = StageOptions
+    capabilities: ClassVar[Capabilities] = Capabilities()
+    expected_failures: ClassVar[Mapping[str, str]] = MappingProxyType({})
+
+    def __init__(self, options: OptionsT | None = None) -> None:
+        self.options: OptionsT = self.Options() if options is None else options  # type: ignore[assignment]

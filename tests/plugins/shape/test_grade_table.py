@@ -1,0 +1,283 @@
+"""A buyer's table: the first class that fits, guard bands at every limit, faults named with their line."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from roemetry.errors import ConfigurationError
+from roemetry.recipe import Recipe
+from roemetry.record import read_record
+from roemetry.records import Decision, Estimate, Grade, Measurement, Outline, Reason, Weight
+from roemetry.runner import run_recipe
+from roemetry.testing.runs import volume_of
+from roemetry.testing.solids import HALF_ELLIPSOID, product_of
+from roemetry_shape.grade_table import GradeTable, GradeTableOptions
+
+HOME = Path(__file__).resolve().parents[3] / "recipes" / "herring_roe"
+PRODUCT = product_of(HALF_ELLIPSOID)
+
+TABLE: dict[str, Any] = {
+    "classes": [
+        {"label": "A", "lane": "1", "shape": ["good"], "limits": {"weight_g": {"at_least": 20.0}}},
+        {"label": "B", "lane": "2", "shape": ["good", "bent"], "limits": {"weight_g": {"at_least": 10.0}}},
+        {"label": "C", "lane": "3"},
+    ],
+    "undecided_lane": "hand",
+}
+
+
+def decided(
+    mass_g: float, std_g: float = 0.1, label: str = "good", probability: float = math.nan, **more: Any
+) -> Decision:
+    grader = GradeTable(GradeTableOptions.model_validate({**TABLE, **more}))
+    return grader.decide(PRODUCT, None, Weight(Estimate(mass_g, std_g)), Grade(label, probability))
+
+
+def test_the_first_class_that_fits_is_taken_and_every_step_has_a_reason() -> None:
+    assert [decided(m).label for m in (25.0, 15.0, 5.0)] == ["A", "B", "C"]
+    assert [decided(m, label="bent").label for m in (25.0, 15.0, 5.0)] == ["B", "B", "C"]
+    last = decided(5.0)
+    assert (last.lane, last.possible) == ("3", ("C",))
+    assert [reason.code for reason in last.reasons] == ["class-refused", "class-refused", "class-proven"]
+    assert last.reasons[0].text == "A: weight_g is 5 ± 0.1, at least 20 is asked"
+
+
+def test_within_the_guard_band_it_is_undecided() -> None:
+    """The band is 1.65 · 0.1 g to either side."""
+    assert decided(20.17).label == "A"
+    assert decided(19.83).label == "B"
+    for mass in (20.16, 20.0, 19.84):
+        open_ = decided(mass)
+        assert (open_.label, open_.lane, open_.possible) == ("undecided", "hand", ("A", "B"))
+        assert [reason.code for reason in open_.reasons] == ["class-open", "class-proven"]
+    assert decided(20.0, guard_factor=0.0).label == "A"
+    taken = decided(20.0, unproven="next")
+    assert (taken.label, taken.lane) == ("B", "2")
+    assert taken.reasons[-1].code == "taken-unproven"
+
+
+def test_an_open_class_that_alone_is_left_is_taken() -> None:
+    """Between 8 and 9 g with a band wider than the class: neither kept nor broken, and nothing else fits."""
+    classes = [
+        {"label": "low", "limits": {"weight_g": {"below": 8.0}}},
+        {"label": "middle", "limits": {"weight_g": {"at_least": 8.0, "below": 9.0}, "dents": {"below": 5.0}}},
+        {"label": "odd", "limits": {"weight_g": {"at_least": 8.0, "below": 9.0}, "dents": {"at_least": 5.0}}},
+        {"label": "high", "limits": {"weight_g": {"at_least": 9.0}}},
+    ]
+    grader = GradeTable(GradeTableOptions.model_validate({"classes": classes, "std": {"dents": 0.1}}))
+    grade = Grade("good", features={"dents": 0.0})
+    one = grader.decide(PRODUCT, None, Weight(Estimate(8.5, 0.305)), grade)
+    assert one.label == "undecided"  # 1.65 · 0.305 g reaches both neighbours
+    one = grader.decide(PRODUCT, None, Weight(Estimate(8.5, 0.302)), grade)
+    assert one.label == "middle"
+    lone = [{"label": "A", "limits": {"weight_g": {"at_least": 8.0}}}, {"label": "B"}]
+    grader = GradeTable(GradeTableOptions.model_validate({"classes": lone}))
+    assert grader.decide(PRODUCT, None, None, None).possible == ("A", "B")
+
+
+def test_guarded_acceptance_keeps_its_risk(rng: np.random.Generator) -> None:
+    """Of products right at the limit 5 % are called the better class, 5 % the worse one."""
+    labels = [decided(20.0 + 0.1 * float(off)).label for off in rng.standard_normal(4000)]
+    for label in ("A", "B"):
+        assert labels.count(label) / 4000 == pytest.approx(0.0495, abs=4 * math.sqrt(0.05 * 0.95 / 4000))
+
+
+@pytest.mark.parametrize(
+    ("label", "probability", "features", "wanted"),
+    [
+        ("good", 0.97, {}, "A"),
+        ("good", 0.9, {}, "undecided"),
+        ("unknown", math.nan, {}, "undecided"),
+        # Not sure which of the two, sure that it is one of them: class A is open, B is not.
+        ("bent", 0.7, {"probability_good": 0.29, "probability_bent": 0.7}, "undecided"),
+        ("bent", 0.96, {"probability_good": 0.04, "probability_bent": 0.96}, "B"),
+    ],
+)
+def test_a_shape_must_be_sure(
+    label: str, probability: float, features: dict[str, float], wanted: str
+) -> None:
+    grader = GradeTable(GradeTableOptions.model_validate(TABLE))
+    grade = Grade(label, probability, features)
+    assert grader.decide(PRODUCT, None, Weight(Estimate(30.0, 0.1)), grade).label == wanted
+
+
+def test_size_colour_and_volume_are_asked_of_whoever_knows() -> None:
+    classes = [
+        {
+            "label": "A",
+            "limits": {
+                "length_mm": {"at_least": 50.0},
+                "green_mean": {"below": 90.0},
+                "true_volume_cm3": {"at_least": 5.0},
+            },
+        },
+        {"label": "B"},
+    ]
+    options = GradeTableOptions.model_validate({"classes": classes, "std": {"green_mean": 2.0}})
+    grader = GradeTable(options)
+    assert grader.needs() == {"volume"}
+    seen = replace(PRODUCT, outline=Outline(1, np.zeros((4, 2)), features={"green_mean": 80.0}))
+    volume = replace(volume_of(9000.0), true_mm3=Estimate(9000.0, 90.0))
+    grade = Grade("good", features={"length_mm": 51.0}, features_std={"length_mm": 0.3})
+    decision = grader.decide(seen, volume, None, grade)
+    assert decision.label == "A"
+    assert "guard-not-stated" not in [reason.code for reason in decision.reasons]
+    bare = grader.decide(seen, volume, None, Grade("good", features={"length_mm": 51.0}))
+    assert bare.reasons[-1] == Reason(
+        "guard-not-stated", "no uncertainty is stated of length_mm: compared without a guard band"
+    )
+    missing = grader.decide(PRODUCT, volume, None, grade)
+    assert missing.label == "undecided"
+    assert "there is no green_mean; there are length_mm, true_volume_cm3" in missing.reasons[0].text
+
+
+def table(*classes: tuple[str, dict[str, dict[str, float]]], **more: Any) -> dict[str, Any]:
+    return {"classes": [{"label": label, "limits": limits} for label, limits in classes], **more}
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (
+            table(("A", {"weight_g": {"at_least": 20}}), ("B", {"weight_g": {"at_least": 10, "below": 15}})),
+            "there is a gap: no class takes weight_g below 10",
+        ),
+        (
+            table(("A", {"weight_g": {"at_least": 20}}), ("B", {"weight_g": {"below": 15}})),
+            "no class takes weight_g at least 15 and below 20",
+        ),
+        (
+            table(("A", {"weight_g": {"at_least": 20}}), ("B", {"weight_g": {"at_least": 30}}), ("C", {})),
+            "no product comes this far",
+        ),
+        (
+            table(
+                ("A", {"weight_g": {"at_least": 10, "below": 20}}),
+                ("B", {"weight_g": {"at_least": 15, "below": 25}}),
+                ("C", {}),
+            ),
+            "overlaps class 'A' at weight_g at least 15 and below 20; move a limit",
+        ),
+        (table(("A", {"weight_g": {"at_least": 9, "below": 9}})), "nothing is at least 9 and below 9"),
+        (table(("A", {"weight_g": {}})), "neither at_least nor below"),
+        (table(("A", {}), std={"weight_g": 1.0}), "no class has a limit on it"),
+        ({"classes": []}, "at least 1 item"),
+    ],
+)
+def test_a_faulty_table_is_named(options: dict[str, Any], said: str) -> None:
+    with pytest.raises(ValidationError, match=said):
+        GradeTableOptions.model_validate(options)
+
+
+def test_what_is_no_fault_is_let_be() -> None:
+    GradeTableOptions.model_validate(table(("A", {"weight_g": {"at_least": 0}})))
+    nested = table(
+        ("A", {"weight_g": {"at_least": 10, "below": 20}}), ("B", {"weight_g": {"below": 30}}), ("C", {})
+    )
+    GradeTableOptions.model_validate(nested)
+    crossed = table(("A", {"weight_g": {"below": 20}}), ("B", {"weight_g": {"at_least": 10}}))
+    GradeTableOptions.model_validate({**crossed, "overlaps": "first-wins"})
+    with pytest.raises(ValidationError, match="overlaps class 'A'"):
+        GradeTableOptions.model_validate(crossed)
+
+
+RANGES = st.tuples(st.integers(0, 5), st.integers(0, 5)).filter(lambda ends: ends[0] < ends[1])
+CLASSES = st.lists(
+    st.tuples(st.dictionaries(st.sampled_from("ab"), RANGES), st.booleans()), min_size=1, max_size=4
+)
+
+
+@settings(max_examples=80, deadline=None)
+@given(CLASSES)
+def test_gaps_and_lost_classes_are_those_that_trying_finds(classes: list[Any]) -> None:
+    """On a grid between all limits: is there a point that no class takes, a class that no point reaches?"""
+    written = [
+        {
+            "label": str(number),
+            "shape": ["good"] if good_only else [],
+            "limits": {name: {"at_least": low, "below": high} for name, (low, high) in limits.items()},
+        }
+        for number, (limits, good_only) in enumerate(classes)
+    ]
+    taken: set[int] = set()
+    gap = False
+    places = np.arange(-0.5, 6.0)
+    for a, b, shape in itertools.product(places, places, ("good", "bad")):
+        point = {"a": a, "b": b}
+        fits = [
+            number
+            for number, (limits, good_only) in enumerate(classes)
+            if (not good_only or shape == "good")
+            and all(low <= point[name] < high for name, (low, high) in limits.items())
+        ]
+        gap |= not fits
+        taken.update(fits[:1])
+    said = ""
+    try:
+        GradeTableOptions.model_validate({"classes": written, "overlaps": "first-wins"})
+    except ValidationError as error:
+        said = str(error)
+    assert ("there is a gap" in said) == gap
+    assert said.count("no product comes this far") == len(classes) - len(taken)
+
+
+RECIPE = """\
+roemetry: 1
+product: skeins
+source: {{path: "{home}/images/skein_02.png"}}
+calibration: {home}/calibration.yaml
+stages:
+  extractor: {{use: dominant-peak, options: {{threshold: 15, start: lowest}}}}
+  coder: window-tracking
+  triangulator: block-linear
+  volume: zero-order-hold
+{weigher}  classifier: shape-limits
+  grader:
+    use: grade-table
+    options:
+      classes:
+        - {{label: heavy, lane: belt 1, limits: {{weight_g: {{at_least: {limit}}}}}}}
+        - {{label: light, lane: belt 2}}
+sinks: [csv]
+"""
+
+
+def recipe(folder: Path, weigher: str = "  weigher: density\n", limit: str = "1.0") -> Path:
+    path = folder / "recipe.yaml"
+    path.write_text(RECIPE.format(home=HOME, weigher=weigher, limit=limit), encoding="utf-8")
+    return path
+
+
+def test_a_run_records_what_was_decided(tmp_path: Path) -> None:
+    run_recipe(Recipe.load(recipe(tmp_path)), tmp_path / "out")
+    (row,) = read_record(tmp_path / "out")
+    assert row.decision is not None
+    assert (row.decision.label, row.decision.lane) == ("heavy", "belt 1")
+    again = Measurement.from_json(row.to_json())
+    assert again.decision == row.decision
+    header, line = (tmp_path / "out" / "results.csv").read_text("utf-8").splitlines()
+    cells = dict(zip(header.split(","), line.split(","), strict=False))
+    assert (cells["decision"], cells["lane"]) == ("heavy", "belt 1")
+
+
+def test_faults_have_their_line(tmp_path: Path) -> None:
+    with pytest.raises(
+        ConfigurationError, match=r"recipe.yaml:11:3: stages.grader: it works on the result of"
+    ):
+        Recipe.load(recipe(tmp_path, weigher=""))
+    path = recipe(tmp_path)
+    path.write_text(path.read_text("utf-8").replace("        - {label: light, lane: belt 2}\n", ""), "utf-8")
+    with pytest.raises(
+        ConfigurationError, match=r"recipe.yaml:15:7: .*there is a gap: no class takes weight_g"
+    ):
+        Recipe.load(path)
