@@ -47,7 +47,9 @@ def unknown_key(key: object, known: Sequence[str]) -> str:
     """Write what to say of a key nobody knows."""
     close = difflib.get_close_matches(str(key), known, n=1)
     said = f"unknown key `{key}`"
-    return said + (f"; did you mean `{close[0]}`?" if close else f"; known here: {', '.join(known)}")
+    return said + (
+        f"; did you mean `{close[0]}`?" if close else f"; known here: {', '.join(known) or 'none'}"
+    )
 
 
 def _faults(

@@ -38,3 +38,26 @@ def roemetry_stages() -> Iterable[StageEntry]:
         summary="points/<acquisition>.csv: every coded point, in pixels and, where calibrated, millimetres",
         reference="our own",
     )
+    yield StageEntry(
+        kind="sink",
+        name="parquet",
+        target="roemetry_files.parquet:Parquet",
+        summary="results.parquet: a line a product with every feature, typed, for data frames",
+        reference="our own",
+        requires=(("pyarrow", "pip install 'roemetry[export]'"),),
+    )
+    yield StageEntry(
+        kind="sink",
+        name="point-cloud",
+        target="roemetry_files.point_cloud:PointCloud",
+        summary="point_clouds/<acquisition>.ply: every calibrated point, with uncertainty and stripe",
+        reference="our own",
+    )
+    yield StageEntry(
+        kind="sink",
+        name="height-map",
+        target="roemetry_files.height_map:HeightMap",
+        summary="height_maps/<acquisition>.tif: 16-bit heights over the belt, and what was seen of them",
+        reference="our own",
+        requires=(("tifffile", "pip install 'roemetry[export]'"),),
+    )

@@ -41,13 +41,13 @@ class CsvTable(Sink[CsvTableOptions]):
         """Write the table from the run's measurements."""
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
-        features = _features(run) if self.options.features else []
-        writer.writerow([*_COLUMNS, *features])
+        features = features_of(run) if self.options.features else []
+        writer.writerow([*COLUMNS, *features])
         for measurement in run.measurements():
             given = _given(measurement)
             writer.writerow(
                 [
-                    *(_cell(column(measurement)) for column in _COLUMNS.values()),
+                    *(_cell(column(measurement)) for column in COLUMNS.values()),
                     *(_cell(given.get(name)) for name in features),
                 ]
             )
@@ -56,7 +56,7 @@ class CsvTable(Sink[CsvTableOptions]):
         return [path]
 
 
-def _features(run: Run) -> list[str]:
+def features_of(run: Run) -> list[str]:
     """Names of all features in the run, in the order in which they appear."""
     found: dict[str, None] = {}
     for measurement in run.measurements():
@@ -100,7 +100,7 @@ def _visible(row: Measurement) -> Estimate | None:
 
 _CM3 = mm3_to_cm3(1.0)
 
-_COLUMNS: dict[str, Callable[[Measurement], Cell | None]] = {
+COLUMNS: dict[str, Callable[[Measurement], Cell | None]] = {
     "id": lambda row: row.id,
     "acquisition": lambda row: row.acquisition,
     "product": lambda row: row.product,

@@ -13,6 +13,7 @@ from roemetry.errors import RoemetryError
 from roemetry.files import make_folder, write_whole
 from roemetry.records import Trace
 from roemetry.stages import Run, Sink, StageOptions
+from roemetry_files.names import file_name
 
 _PIXELS = ["stripe", "row (px)", "x (px)", "x standard uncertainty (px)", "rest x (px)", "product", "seen"]
 _MILLIMETRES = ["X (mm)", "Y (mm)", "Z (mm)"]
@@ -36,15 +37,10 @@ class Points(Sink[StageOptions]):
                 continue  # its row in the record says why it could not be read
             if trace.stripes is None:
                 continue
-            path = folder / f"{_file_name(name)}.csv"
+            path = folder / f"{file_name(name)}.csv"
             write_whole(path, _table(trace))
             written.append(path)
         return written
-
-
-def _file_name(acquisition_id: str) -> str:
-    """Give a name that stays in its folder, whatever a source calls its acquisitions."""
-    return acquisition_id.replace("/", "_").replace("\\", "_")
 
 
 def _table(trace: Trace) -> str:

@@ -13,6 +13,7 @@ from roemetry.cli import (
     check_calibration,
     check_plugin,
     compare,
+    export,
     fit_classifier,
     fit_penetration,
     lint,
@@ -20,6 +21,7 @@ from roemetry.cli import (
     plugins,
     report,
     run,
+    schema,
     simulate,
     target,
 )
@@ -67,6 +69,7 @@ app.command()(calibrate.calibrate)
 app.command()(lint.lint)
 app.command()(plugins.plugins)
 app.command()(report.report)
+app.command()(export.export)
 app.command()(simulate.simulate)
 app.command()(compare.compare)
 app.command()(check_plugin.check_plugin)
@@ -75,3 +78,4 @@ app.command()(plan.plan)
 app.command()(fit_classifier.fit_classifier)
 app.command()(fit_penetration.fit_penetration)
 app.command()(target.target)
+app.command()(schema.schema)

@@ -1,0 +1,64 @@
+"""point_clouds/: every calibrated point of each acquisition as PLY, for other programs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from roemetry.errors import RoemetryError
+from roemetry.files import make_folder, write_bytes
+from roemetry.records import Profiles
+from roemetry.stages import Run, Sink, StageOptions
+from roemetry_files.names import file_name
+
+_POINT = np.dtype(
+    [
+        ("x", "<f8"), ("y", "<f8"), ("z", "<f8"), ("z_std_mm", "<f4"),
+        ("stripe", "<i4"), ("product", "<i4"), ("seen", "u1"),
+    ]
+)  # fmt: skip
+_PLY = {"<f8": "double", "<f4": "float", "<i4": "int", "|u1": "uchar"}
+
+
+class PointCloud(Sink[StageOptions]):
+    """Writes ``point_clouds/<acquisition>.ply``, binary, belt frame, mm.
+
+    Beside x, y, z each point has its random standard uncertainty in z (NaN: not modelled), its stripe from 1,
+    its product (0: belt) and whether it was seen (1) or bridged (0), as scalar fields.
+    """
+
+    def write(self, run: Run) -> Sequence[Path]:
+        """Write a file for each acquisition that was triangulated."""
+        folder = run.folder / "point_clouds"
+        make_folder(folder)
+        written = []
+        for name in dict.fromkeys(row.acquisition for row in run.measurements()):
+            try:
+                trace = run.replay(name)
+            except RoemetryError:
+                continue  # its row in the record says why it could not be read
+            if trace.profiles is None:
+                continue
+            path = folder / f"{file_name(name)}.ply"
+            write_bytes(path, _ply(trace.profiles))
+            written.append(path)
+        return written
+
+
+def _ply(profiles: Profiles) -> bytes:
+    known = np.isfinite(profiles.xyz_mm).all(axis=2) & (profiles.product >= 0)
+    points = np.empty(int(known.sum()), dtype=_POINT)
+    for axis, name in enumerate("xyz"):
+        points[name] = profiles.xyz_mm[known][:, axis]
+    points["z_std_mm"] = profiles.height_std_mm[known]
+    points["stripe"] = np.broadcast_to(profiles.stripe[:, None] + 1, known.shape)[known]
+    points["product"] = profiles.product[known]
+    points["seen"] = profiles.seen[known]
+    properties = [f"property {_PLY[_POINT[name].str]} {name}" for name in _POINT.names or ()]
+    header = [
+        "ply", "format binary_little_endian 1.0", "comment roemetry: belt frame, mm",
+        f"element vertex {len(points)}", *properties, "end_header\n",
+    ]  # fmt: skip
+    return "\n".join(header).encode("ascii") + points.tobytes()

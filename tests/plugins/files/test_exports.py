@@ -1,0 +1,146 @@
+"""What is exported can be read by other programs, and says what was measured."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+import tifffile
+
+from roemetry.errors import OutputError
+from roemetry.recipe import Recipe
+from roemetry.record import read_record
+from roemetry.records import Profiles
+from roemetry.runner import run_recipe
+from roemetry_files.height_map import HeightMap
+from roemetry_files.point_cloud import PointCloud
+from roemetry_files.rastering import INTERPOLATED, SEEN, raster
+
+
+@pytest.fixture
+def out(line: Callable[..., Path], tmp_path: Path) -> Path:
+    recipe = Recipe.load(line(), sets=["sinks=[parquet, point-cloud, height-map]"])
+    outcome = run_recipe(recipe, tmp_path / "out")
+    assert outcome.sink_faults == ()
+    return tmp_path / "out"
+
+
+def plane(heights: np.ndarray, *, stripes: list[int], product: int = 1) -> Profiles:
+    """Slices 4 mm apart along X by their stripe, with a point each mm along Y."""
+    slices, points = heights.shape
+    xyz = np.empty((slices, points, 3))
+    xyz[..., 0] = 4.0 * np.array(stripes)[:, None]
+    xyz[..., 1] = -np.arange(points)[None, :]
+    xyz[..., 2] = heights
+    many = (slices, points)
+    return Profiles(
+        xyz_mm=xyz,
+        product=np.full(many, product, dtype=np.int16),
+        seen=np.ones(many, dtype=bool),
+        x_px=np.zeros(many),
+        row_px=np.tile(np.arange(points, dtype=float), (slices, 1)),
+        height_std_mm=np.full(many, np.nan),
+        stripe=np.array(stripes, dtype=np.int64),
+        frame=np.zeros(slices, dtype=np.int64),
+        plane=np.tile(np.array([1.0, 0.0, 0.0, 0.0]), (slices, 1)),
+    )
+
+
+def test_parquet_has_the_numbers_of_the_record(out: Path) -> None:
+    table = pq.read_table(out / "results.parquet")
+    rows = list(read_record(out))
+    assert table.num_rows == len(rows)
+    masses = [None if row.weight is None else row.weight.mass_g.value for row in rows]
+    assert table["weight_g"].to_pylist() == masses
+    assert any(mass is not None for mass in masses)
+    assert table.schema.field("weight_g").metadata[b"unit"] == b"g"
+    assert table.schema.field("visible_volume_cm3").metadata[b"heading"] == "visible volume (cm³)".encode()
+    # an uncertainty that is not stated is nothing, not a word in a column of numbers
+    assert str(table.schema.field("weight_standard_uncertainty_g").type) == "double"
+
+
+def test_a_point_cloud_has_the_points_of_the_profiles(out: Path) -> None:
+    file = next((out / "point_clouds").glob("*.ply"))
+    header, _, body = file.read_bytes().partition(b"end_header\n")
+    lines = header.decode("ascii").splitlines()
+    kinds = {"double": "<f8", "float": "<f4", "int": "<i4", "uchar": "u1"}
+    fields = [(words[2], kinds[words[1]]) for words in map(str.split, lines) if words[0] == "property"]
+    points = np.frombuffer(body, dtype=np.dtype(fields))
+    assert f"element vertex {len(points)}" in lines
+    row = next(row for row in read_record(out) if row.acquisition == file.stem and row.height_max_mm > 1.0)
+    assert points["z"][points["product"] == row.product].max() == pytest.approx(row.height_max_mm, abs=1e-9)
+    assert set(points["stripe"]) <= set(range(1, 8))
+
+
+def test_a_height_map_has_the_heights_of_the_record(out: Path) -> None:
+    file = next((out / "height_maps").glob("*.tif"))
+    with tifffile.TiffFile(file) as pages:
+        said = json.loads(pages.pages[0].description)
+        grey, known = pages.pages[0].asarray(), pages.pages[1].asarray()
+    assert grey.dtype == np.uint16
+    assert ((grey == 0) == (known == 0)).all()
+    heights = said["offset_mm"] + said["scale_mm"] * grey[known > 0]
+    highest = max(row.height_max_mm for row in read_record(out) if row.acquisition == file.stem)
+    assert heights.max() == pytest.approx(highest, abs=0.1)  # the grid need not meet the very top
+
+
+def test_between_stripes_a_plane_stays_a_plane() -> None:
+    heights = 1.0 + 0.5 * np.arange(5)[:, None] - 0.1 * np.arange(21)[None, :]
+    found = raster(plane(heights, stripes=[0, 1, 2, 3, 4]), 0.5)
+    assert found is not None
+    rows, columns = found.height_mm.shape
+    x = found.x_mm + 0.5 * np.arange(columns)[None, :]
+    y = found.y_mm - 0.5 * np.arange(rows)[:, None]
+    expected = 1.0 + 0.125 * x + 0.1 * y
+    inside = np.isfinite(found.height_mm)
+    assert inside.mean() > 0.9
+    assert np.abs(found.height_mm - expected)[inside].max() < 1e-9
+    assert set(np.unique(found.known[inside])) == {SEEN, INTERPOLATED}
+
+
+def test_nothing_is_put_where_a_stripe_is_missing() -> None:
+    found = raster(plane(np.ones((3, 11)), stripes=[0, 1, 3]), 0.5)
+    assert found is not None
+    assert (found.known[5, 1:8] == INTERPOLATED).all()
+    assert (found.known[5, 9:24] == 0).all()
+
+
+def test_nothing_is_put_over_a_gap_in_a_stripe_or_between_products() -> None:
+    heights = np.ones((2, 31))
+    heights[0, 10:20] = np.nan
+    found = raster(plane(heights, stripes=[0, 1]), 0.5)
+    assert found is not None
+    assert (found.known[24:36, 1:8] == 0).all()
+    both = plane(np.ones((2, 11)), stripes=[0, 1])
+    labels = np.array(both.product)
+    labels[1] = 2
+    apart = raster(Profiles(**{**{n: getattr(both, n) for n in both.__slots__}, "product": labels}), 0.5)
+    assert apart is not None
+    assert INTERPOLATED not in apart.known
+
+
+def test_where_nothing_is_known_there_is_no_map() -> None:
+    assert raster(plane(np.full((2, 5), np.nan), stripes=[0, 1]), 0.5) is None
+
+
+@pytest.mark.parametrize("sink", [PointCloud, HeightMap])
+def test_a_full_disk_leaves_no_half_file(
+    sink: type, line: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    recipe = Recipe.load(line(), sets=[f"sinks=[{'point-cloud' if sink is PointCloud else 'height-map'}]"])
+    monkeypatch.setattr(Path, "replace", full)
+    try:
+        outcome = run_recipe(recipe, tmp_path / "out")
+    except OutputError:
+        pass
+    else:
+        assert "No space left" in "".join(outcome.sink_faults)
+    assert not list((tmp_path / "out").rglob("*.ply"))
+    assert not list((tmp_path / "out").rglob("*.tif"))
