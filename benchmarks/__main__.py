@@ -15,6 +15,7 @@ BENCHMARKS = {
     "frame": "time from an array to a measurement, by stage",
     "startup": "time of `roemetry --help` over that of a two-command Typer program",
     "herring_roe": "coding, grading and volume on unseen simulated skeins",
+    "known_numbers": "what the shipped recipe gives on three skeins, written for `roemetry doctor`",
     "shipped_skeins": "the same on the shipped skeins, one by one",
     "simulate": "time of a simulated image on one core",
     "image_looks": "stripe width, saturation and grey levels of simulated and of real images",

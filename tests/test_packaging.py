@@ -7,6 +7,7 @@ import tomllib
 from importlib.metadata import entry_points
 from pathlib import Path
 
+from roemetry.doctor import KNOWN_NUMBERS, known_numbers
 from roemetry.registry import discover
 from roemetry.stages import INTERFACES
 
@@ -45,3 +46,13 @@ def test_every_package_is_typed(root: Path) -> None:
 def test_calibration_targets_lie_in_the_package(root: Path) -> None:
     build = tomllib.loads((root / "pyproject.toml").read_text("utf-8"))["tool"]["hatch"]["build"]
     assert build["targets"]["wheel"]["force-include"]["calib_targets"] == "roemetry/calib_targets"
+
+
+def test_all_that_the_doctor_needs_lies_in_the_package(root: Path) -> None:
+    build = tomllib.loads((root / "pyproject.toml").read_text("utf-8"))["tool"]["hatch"]["build"]
+    included = build["targets"]["wheel"]["force-include"]
+    folder = root / "recipes" / "herring_roe"
+    names = {row.partition("#")[0] for row in known_numbers(folder)}
+    needed = ["recipe.yaml", "calibration.yaml", KNOWN_NUMBERS, *(f"images/{name}.png" for name in names)]
+    for name in (f"recipes/herring_roe/{name}" for name in needed):
+        assert any(name == path or name.startswith(f"{path}/") for path in included), name

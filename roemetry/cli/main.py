@@ -13,6 +13,7 @@ from roemetry.cli import (
     check_calibration,
     check_plugin,
     compare,
+    doctor,
     export,
     fit_classifier,
     fit_penetration,
@@ -79,3 +80,4 @@ app.command()(fit_classifier.fit_classifier)
 app.command()(fit_penetration.fit_penetration)
 app.command()(target.target)
 app.command()(schema.schema)
+app.command()(doctor.doctor)

@@ -48,11 +48,9 @@ def target(
 
 def _shipped() -> dict[str, Path]:
     """Shipped descriptions by name: beside the installed package, or in the checkout."""
-    import roemetry
+    from roemetry.shipped import shipped
 
-    package = Path(roemetry.__file__).parent
-    folders = (package / "calib_targets", package.parent / "calib_targets")
-    folder = next((folder for folder in folders if folder.is_dir()), folders[0])
+    folder = shipped("calib_targets")
     return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
 
 
