@@ -38,9 +38,20 @@ def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     callable
         The same function, compiled; what was compiled before is taken from disk as long as no source of it
         has changed.
+
+    Raises
+    ------
+    TypeError
+        It calls a kernel that it has from a function around it: the mark of what is kept on disk would then
+        be another one in each process.
     """
     if function is None:
         return partial(kernel, **options)
+    if any(hasattr(cell.cell_contents, "py_func") for cell in function.__closure__ or ()):
+        raise TypeError(
+            f"{function.__qualname__} has a compiled function from the function around it: it would never be "
+            "found again on disk; call it by a name of the module"
+        )
     from numba import njit
 
     compiled: Any = njit(cache=True, nogil=True, **options)(function)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from roemetry.arrays import Floats
-from roemetry_kernels.compiling import float_kernel
+from roemetry_kernels.compiling import float_kernel, inlined
 from roemetry_kernels.influence import PIXELS_MAX, bell, fading, variance_of
 from roemetry_kernels.stripe_footing import FWHM_OF_SIGMA, Stripes
 from roemetry_kernels.stripe_scan import Pixels
@@ -14,6 +14,34 @@ _REACH = 2.6  # standard deviations to both sides that are fitted
 _LOWEST, _HIGHEST = 0.3, 3.0  # of the model: a pixel beyond counts as that dark or bright
 _SIGNAL_TO_NOISE = 60.0  # of a stripe's top, where the sensor is not known
 _SHOT = 0.3  # of the amplitude: where shot noise equals dark noise, where the sensor is not known
+LANES = 64  # stripes side by side
+
+# Where the quantities of each lane begin in one piece of memory (numba looks for overlaps in each loop else).
+_LEVEL = 0
+_FIRST = 1 * LANES  # the fitted pixels: the first one's distance from the middle, and how many
+_COUNT = 2 * LANES
+_WIDTH = 3 * LANES
+_NARROW = 4 * LANES
+_AMPLITUDE = 5 * LANES
+_BACKGROUND = 6 * LANES
+_SLOPE = 7 * LANES
+_UNSURE = 8 * LANES
+_GAIN = 9 * LANES
+_FLOOR = 10 * LANES
+_S0 = 11 * LANES
+_S1 = 12 * LANES
+_S2 = 13 * LANES
+_S3 = 14 * LANES
+_S4 = 15 * LANES
+_T0 = 16 * LANES
+_T1 = 17 * LANES
+_T2 = 18 * LANES
+_LEAN = 19 * LANES
+_MOVED = 20 * LANES
+_STD = 21 * LANES
+_PULL_1 = 22 * LANES  # what the pull of a logarithm on the top consists of
+_PULL_2 = 23 * LANES
+_TABLE = 24 * LANES
 
 
 @float_kernel
@@ -45,83 +73,128 @@ def gaussian_centres(
     x_px, x_std_px
         (peak,) to be filled; `x_px` is NaN where there is no result, `x_std_px` where the sensor is unknown.
     """
+    v = np.ones(_TABLE)
+    place, most = np.empty(LANES, np.int64), np.empty(LANES, np.int64)
     pull, light = np.empty(PIXELS_MAX), np.empty(PIXELS_MAX)
-    known = noise[0] + noise[1] > 0.0
-    speckle = noise[2] * noise[2]
+    speckled = noise[2] > 0.0 and noise[0] + noise[1] > 0.0
     row, los, his, _, middles, widths, amplitudes, backgrounds, slopes, unsures = s
-    for i in range(row.shape[0]):
-        begins = row[i] * columns
-        middle, background, slope, amplitude = middles[i], backgrounds[i], slopes[i], amplitudes[i]
-        sigma = widths[i] / FWHM_OF_SIGMA
-        reach, narrow = _REACH * sigma, 0.5 / (sigma * sigma)
-        first = max(los[i], int(np.floor(middle - reach + 0.5)))
-        last = min(his[i], int(np.floor(middle + reach + 0.5)), first + PIXELS_MAX - 1)
-        gain = noise[1] if known else amplitude / (_SIGNAL_TO_NOISE * _SIGNAL_TO_NOISE * (1.0 + _SHOT))
-        floor = noise[0] + gain * background if known else _SHOT * amplitude * gain
-        s0 = s1 = s2 = s3 = s4 = t0 = t1 = t2 = leaning = 0.0
-        # Places are unsigned, so that none can count from the end: only then does the loop run in vectors.
-        place, from_middle = np.uint64(begins + first), first - middle
-        for k in range(np.uint64(max(last + 1 - first, 0))):
-            u = from_middle + np.int64(k)
-            far = narrow * u * u
-            model = amplitude * bell(far)
-            level = float(levels[place + k])
-            above = min(max(level - background - slope * u, _LOWEST * model), _HIGHEST * model)
-            # ln(above / model), by a ratio of polynomials: to 2e-5 where they differ by 40 %.
-            both = above * above + model * model
-            log = 3.0 * (above * above - model * model) / (both + 4.0 * above * model) - far
-            # Far from the middle a logarithm is noisier than its variance says: it counts as darker there.
-            low = amplitude * fading(far)
-            share = low / (floor + low * (gain + speckle * low))
-            share = share if level < white else 0.0
-            weight = low * share
-            wu = weight * u
-            wuu = wu * u
-            s0 += weight
-            s1 += wu
-            s2 += wuu
-            s3 += wuu * u
-            s4 += wuu * u * u
-            t0 += weight * log
-            t1 += wu * log
-            t2 += wuu * log
-            leaning += share * u * u
+    count = row.shape[0]
+    for start in range(0, count, LANES):
+        lanes = min(LANES, count - start)
+        longest = 0
+        for k in range(lanes):
+            i = start + k
+            reach = _REACH / FWHM_OF_SIGMA * widths[i]
+            first = max(los[i], int(np.floor(middles[i] - reach + 0.5)))
+            last = min(his[i], int(np.floor(middles[i] + reach + 0.5)), first + PIXELS_MAX - 1)
+            place[k], most[k] = row[i] * columns + first, max(last - first, 0)
+            longest = max(longest, last + 1 - first)
+            v[_FIRST + k], v[_COUNT + k] = first - middles[i], last + 1 - first
+            v[_WIDTH + k], v[_AMPLITUDE + k] = widths[i], amplitudes[i]
+            v[_BACKGROUND + k], v[_SLOPE + k], v[_UNSURE + k] = backgrounds[i], slopes[i], unsures[i]
+        _begun(v, noise)
+        for j in range(longest):
+            for k in range(lanes):
+                v[_LEVEL + k] = levels[np.uint64(place[k] + min(j, most[k]))]
+            _added(v, float(j), float(white), noise[2] * noise[2])
+        _solved(v)
+        for k in range(lanes):
+            i = start + k
+            x_px[i] = middles[i] + v[_MOVED + k]
+            x_std_px[i] = v[_STD + k]
+            if speckled:
+                for j in range(most[k] + 1):
+                    pull[j], light[j] = _pull(v, k, j, noise[2] * noise[2])
+                lean, background = v[_LEAN + k], backgrounds[i]
+                x_std_px[i] = np.sqrt(
+                    variance_of(
+                        levels,
+                        white,
+                        place[k],
+                        most[k] + 1,
+                        pull,
+                        light,
+                        background,
+                        lean,
+                        unsures[i],
+                        noise,
+                    )
+                )
+
+
+@inlined
+def _begun(v: Floats, noise: Floats) -> None:
+    """Choose each lane's noise, and set its sums to zero."""
+    dark, gain = noise[0], noise[1]
+    known = dark + gain > 0.0
+    for k in range(LANES):
+        assumed = v[_AMPLITUDE + k] / (_SIGNAL_TO_NOISE * _SIGNAL_TO_NOISE * (1.0 + _SHOT))
+        v[_GAIN + k] = gain if known else assumed
+        v[_FLOOR + k] = dark + gain * v[_BACKGROUND + k] if known else _SHOT * v[_AMPLITUDE + k] * assumed
+        v[_NARROW + k] = 0.5 * (FWHM_OF_SIGMA * FWHM_OF_SIGMA) / (v[_WIDTH + k] * v[_WIDTH + k])
+        v[_S0 + k] = v[_S1 + k] = v[_S2 + k] = v[_S3 + k] = v[_S4 + k] = 0.0
+        v[_T0 + k] = v[_T1 + k] = v[_T2 + k] = v[_LEAN + k] = 0.0
+        v[_STD + k] = 0.0 if known else np.nan
+
+
+@inlined
+def _added(v: Floats, j: float, white: float, speckle: float) -> None:
+    """Add the next pixel of each lane to its sums."""
+    for k in range(LANES):
+        u = v[_FIRST + k] + j
+        far = v[_NARROW + k] * u * u
+        model = v[_AMPLITUDE + k] * bell(far)
+        above = v[_LEVEL + k] - v[_BACKGROUND + k] - v[_SLOPE + k] * u
+        above = min(max(above, _LOWEST * model), _HIGHEST * model)
+        # Far from the middle a logarithm is noisier than its variance says: it counts as darker there.
+        low = v[_AMPLITUDE + k] * fading(far)
+        # ln(above / model), by a ratio of polynomials: to 2e-5 where they differ by 40 %.
+        squares = above * above + model * model + 4.0 * above * model
+        variance = v[_FLOOR + k] + low * (v[_GAIN + k] + speckle * low)
+        under = 1.0 / (squares * variance)  # one division for both
+        log = 3.0 * (above * above - model * model) * variance * under - far
+        share = low * squares * under if v[_LEVEL + k] < white and j < v[_COUNT + k] else 0.0
+        weight = low * share
+        wu = weight * u
+        wuu = wu * u
+        v[_S0 + k] += weight
+        v[_S1 + k] += wu
+        v[_S2 + k] += wuu
+        v[_S3 + k] += wuu * u
+        v[_S4 + k] += wuu * u * u
+        v[_T0 + k] += weight * (log if share > 0.0 else 0.0)
+        v[_T1 + k] += wu * (log if share > 0.0 else 0.0)
+        v[_T2 + k] += wuu * (log if share > 0.0 else 0.0)
+        v[_LEAN + k] += share * u * u
+
+
+@inlined
+def _solved(v: Floats) -> None:
+    """Find the parabolas' tops, and their uncertainty by the pixels' noise and the background's slope."""
+    for k in range(LANES):
+        s0, s1, s2, s3, s4 = v[_S0 + k], v[_S1 + k], v[_S2 + k], v[_S3 + k], v[_S4 + k]
+        t0, t1, t2 = v[_T0 + k], v[_T1 + k], v[_T2 + k]
         # Parabola c0 + c1·u + c2·u²; its top is at −c1 / (2 c2).
         m11, m12, m22 = s2 * s0 - s1 * s1, s3 * s0 - s1 * s2, s4 * s0 - s2 * s2
         d1, d2 = t1 * s0 - s1 * t0, t2 * s0 - s2 * t0
         det = m11 * m22 - m12 * m12
         c1, c2 = d1 * m22 - d2 * m12, m11 * d2 - m12 * d1
-        x_px[i] = x_std_px[i] = np.nan
-        if not (det > 0.0 and c2 < 0.0 and abs(c1) < -widths[i] * c2):
-            continue
-        x_px[i] = middle - 0.5 * c1 / c2
-        if not known:
-            continue
+        good = (det > 0.0) & (c2 < 0.0) & (abs(c1) < -v[_WIDTH + k] * c2)
+        v[_MOVED + k] = -0.5 * c1 / c2 if good else np.nan
         # Of the pull of each logarithm on the top, the part by the parabola's width is left out: it is small.
         unit = -0.5 * s0 / c2
-        if speckle > 0.0:
-            for k in range(last + 1 - first):
-                u = first + k - middle
-                model, low = amplitude * bell(narrow * u * u), amplitude * fading(narrow * u * u)
-                share = low * low / (floor + low * (gain + speckle * low)) / model
-                pull[k] = unit * share * (m22 * (u - s1 / s0) - m12 * (u * u - s2 / s0))
-                light[k] = model
-            lean = unit * m22 * leaning
-            x_std_px[i] = np.sqrt(
-                variance_of(
-                    levels,
-                    white,
-                    begins + first,
-                    last + 1 - first,
-                    pull,
-                    light,
-                    background,
-                    lean,
-                    unsures[i],
-                    noise,
-                )
-            )
-        else:
-            lean = unit * m22 * leaning
-            variance = unit * unit * m22 * det / s0 + lean * lean * unsures[i] * floor
-            x_std_px[i] = np.sqrt(variance)
+        v[_LEAN + k] *= unit * m22
+        v[_PULL_1 + k], v[_PULL_2 + k] = unit * m22, unit * m12
+        lean = v[_LEAN + k] * v[_LEAN + k] * v[_UNSURE + k] * v[_FLOOR + k]
+        v[_STD + k] += np.sqrt(unit * unit * m22 * det / s0 + lean) if good else np.nan
+
+
+@inlined
+def _pull(v: Floats, k: int, j: int, speckle: float) -> tuple[float, float]:
+    """Give the pull of a pixel of a lane on the top, and its light by the model."""
+    u = v[_FIRST + k] + j
+    far = v[_NARROW + k] * u * u
+    model, low = v[_AMPLITUDE + k] * bell(far), v[_AMPLITUDE + k] * fading(far)
+    share = low * low / (v[_FLOOR + k] + low * (v[_GAIN + k] + speckle * low)) / model
+    off_1, off_2 = u - v[_S1 + k] / v[_S0 + k], u * u - v[_S2 + k] / v[_S0 + k]
+    return share * (v[_PULL_1 + k] * off_1 - v[_PULL_2 + k] * off_2), model

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from roemetry_kernels.compiling import float_kernel, inlined
 from roemetry_kernels.stripe_scan import Pixels, Places
@@ -12,6 +13,7 @@ _NEAR_PX = 4  # where a stripe of usual width has fallen to the background
 _BLOCK = 16  # pixels looked at together: one vector
 _DARKER = 0.125  # of the height: by less it does not get darker
 _SHALLOW = 0.45  # a valley less deep than that share of the lower of two tops is a dent in one stripe
+_SHALLOW_OF_300 = round(300 * _SHALLOW)
 
 
 @float_kernel
@@ -30,21 +32,75 @@ def join_tops(
     Of joined tops the first pixel of the first and the last of the last are kept. The parameters are those
     of `roemetry_kernels.stripe_footing.stripes_around`.
     """
+    tops = row.shape[0]
+    looked_at = np.empty(tops, np.uint8)
+    if not _may_be_one_or_none(levels, columns, left, right, row, first, last, looked_at):
+        return tops
     count = 0
-    for i in range(row.shape[0]):
-        at = row[i] * columns
-        if _spike_width(levels, at + first[i], at + last[i], at + left, at + right) < width_min_px:
-            continue
-        p = count - 1
-        near = p >= 0 and row[p] == row[i] and first[i] - last[p] <= SEEN_PX
-        if near and _is_one(
-            levels, at + first[p], at + last[p], at + first[i], at + last[i], at + left, at + right
-        ):
-            last[p] = last[i]
-            continue
+    changed = False  # what comes before is not what the quick look compared with
+    for i in range(tops):
+        if looked_at[i] or changed:
+            at = row[i] * columns
+            changed = True
+            if _spike_width(levels, at + first[i], at + last[i], at + left, at + right) < width_min_px:
+                continue
+            p = count - 1
+            near = p >= 0 and row[p] == row[i] and first[i] - last[p] <= SEEN_PX
+            if near and _is_one(
+                levels, at + first[p], at + last[p], at + first[i], at + last[i], at + left, at + right
+            ):
+                last[p] = last[i]
+                continue
+            changed = False
         row[count], first[count], last[count] = row[i], first[i], last[i]
         count += 1
     return count
+
+
+@inlined
+def _may_be_one_or_none(
+    levels: Pixels,
+    columns: int,
+    left: int,
+    right: int,
+    row: Places,
+    first: Places,
+    last: Places,
+    looked_at: NDArray[np.uint8],
+) -> int:
+    """Mark tops that may be a spike, or one with the top before; gives how many there are.
+
+    Nearly none is. So this is all that is done to most tops: whole numbers, and nothing to branch on.
+    """
+    found = 0
+    before_row = before_first = before_last = -1
+    for i in range(row.shape[0]):
+        at, begin, end = int(row[i]) * columns, int(first[i]), int(last[i])
+        high = _level(levels, at + begin)
+        beside = max(_level(levels, at + max(begin - 1, left)), _level(levels, at + min(end + 1, right - 1)))
+        near = min(
+            _level(levels, at + max(begin - _NEAR_PX, left)),
+            _level(levels, at + min(end + _NEAR_PX, right - 1)),
+        )
+        spike = 2 * (high - beside) >= high - near
+        same = before_row == row[i]
+        middle = at + (before_last + begin) // 2 if same else 1
+        valley = (
+            _level(levels, middle - 1) + _level(levels, middle) + _level(levels, middle + 1) if same else 0
+        )
+        lower = min(high, _level(levels, at + before_first if same else at))
+        # As `_is_one` asks first, in whole numbers; what lies on the limit is looked at as well.
+        dent = same & (300 * lower - 100 * valley <= _SHALLOW_OF_300 * lower + 1)
+        looked_at[i] = spike | dent
+        found += looked_at[i]
+        before_row, before_first, before_last = int(row[i]), begin, end
+    return found
+
+
+@inlined
+def _level(levels: Pixels, at: int) -> int:
+    # The place unsigned, which no index from the end can be; the level signed, for differences.
+    return np.int64(levels[np.uint64(at)])  # type: ignore[return-value]
 
 
 @inlined

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -97,8 +96,9 @@ def _as_words(image: Pixels, area: Area) -> tuple[Words, int, int]:
     return words, 0, 0
 
 
-def _made(kind: type[np.unsignedinteger[Any]], turn: Callable[..., None], steps: Callable[..., None]) -> Any:
+def _made(kind: type[np.unsignedinteger[Any]]) -> Any:
     """Compile the search for pixels of one type."""
+    of_bytes = kind is np.uint8
     tile = WORD // np.dtype(kind).itemsize
     full = np.iinfo(kind).max
     bits_a_pixel = np.uint64(8 * WORD // tile)
@@ -142,8 +142,12 @@ def _made(kind: type[np.unsignedinteger[Any]], turn: Callable[..., None], steps:
                 width = min(CHUNK, columns - x)
                 fetched = (width + tile - 1) // tile
                 gather(words, first_row + y - top, rows, first_word + x // tile, fetched, tile, gathered)
-                turn(gathered, turned)
-                steps(levels, width, threshold, extreme, falling, ended)
+                if of_bytes:
+                    turn_bytes(gathered, turned)
+                    steps_of_bytes(levels, width, threshold, extreme, falling, ended)
+                else:
+                    turn_pairs(gathered, turned)
+                    steps_of_pairs(levels, width, threshold, extreme, falling, ended)
                 for c in range(width):
                     begin = c * (LANES // tile)
                     some = np.uint64(0)
@@ -198,5 +202,5 @@ def _top_before(f: Pixels, end: int, threshold: int) -> tuple[int, int]:
     return first, last
 
 
-_scan_bytes = _made(np.uint8, turn_bytes, steps_of_bytes)
-_scan_pairs = _made(np.uint16, turn_pairs, steps_of_pairs)
+_scan_bytes = _made(np.uint8)
+_scan_pairs = _made(np.uint16)

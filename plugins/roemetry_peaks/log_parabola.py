@@ -26,8 +26,7 @@ class LogParabola(Extractor[LogParabolaOptions]):
 
     def extract(self, frame: Frame) -> Peaks:
         """Find the stripes of a frame."""
-        from roemetry_kernels.grey_logs import log_table  # numba: when something runs
-        from roemetry_kernels.log_parabola import log_parabola_centres
+        from roemetry_kernels.log_parabola import log_parabola_centres  # numba: when something runs
 
         points = 3 if self.options.points == "three" else 5
-        return found(frame, self.options, log_parabola_centres, log_table(frame.white), points)
+        return found(frame, self.options, log_parabola_centres, points)
