@@ -44,3 +44,10 @@ def roemetry_stages() -> Iterable[StageEntry]:
         summary="A surface through stripes and outline; the default where there is a plain-light image",
         reference="Duchon (1977), splines minimizing rotation-invariant semi-norms; the rim is ours",
     )
+    yield StageEntry(
+        kind="weigher",
+        name="fitted",
+        target="roemetry_volume.fitted_weight:FittedWeight",
+        summary="Visible volume times a ratio that weighed samples have taught, with a prediction interval",
+        reference="Hoerl and Kennard (1970), ridge regression; the features are ours",
+    )

@@ -12,11 +12,13 @@ from roemetry.cli import (
     calibrate,
     check_calibration,
     check_plugin,
+    check_weight,
     compare,
     doctor,
     export,
     fit_classifier,
     fit_penetration,
+    fit_weight,
     lint,
     plan,
     plugins,
@@ -75,8 +77,10 @@ app.command()(simulate.simulate)
 app.command()(compare.compare)
 app.command()(check_plugin.check_plugin)
 app.command()(check_calibration.check_calibration)
+app.command()(check_weight.check_weight)
 app.command()(plan.plan)
 app.command()(fit_classifier.fit_classifier)
+app.command()(fit_weight.fit_weight)
 app.command()(fit_penetration.fit_penetration)
 app.command()(target.target)
 app.command()(schema.schema)

@@ -1,0 +1,200 @@
+"""Weight from twenty weighed samples: error, interval and width on unseen simulated products.
+
+``python -m benchmarks weight [--first 60000] [--count 200] [--draws 200] [--samples 20] [--family NAME …]``
+
+Every product has a rig of its own. Its stripes are traced exactly, then moved by random errors of 0.1 px at
+each point and of 0.3 px for the outline as a whole. Of all products of a family 20 are drawn as weighed
+samples, again and again; the others are weighed by what those have taught. Beside it: the paper's volume
+times one factor that the same 20 give.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from benchmarks.volume_scenes import Exact, calibration_of, exact, rig_of
+from roemetry.errors import RoemetryError
+from roemetry.records import Outline, Product, Samples
+from roemetry_paper.zero_order_hold import ZeroOrderHold
+from roemetry_simulate.placing import in_reach
+from roemetry_simulate.products import PRODUCTS
+from roemetry_volume.fitted_weight import FittedWeight, FittedWeightOptions, with_inverse
+from roemetry_volume.outline_surface import OutlineSurface
+from roemetry_volume.weight_features import weight_features
+from roemetry_volume.weight_model import FORMS, WeightModel
+
+FAMILIES = ("herring-roe", "fillet")
+PEAK_NOISE_PX, OUTLINE_NOISE_PX = 0.1, 0.3
+
+
+class Weighed(NamedTuple):
+    """One product: its mass, what was measured of it, and the paper's volume."""
+
+    seed: int
+    defect: str
+    mass_g: float
+    paper_cm3: float
+    features: dict[str, float]
+
+
+def main() -> None:
+    """Print a table for each family."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--first", type=int, default=60000, help="seed of the first product and rig")
+    parser.add_argument("--count", type=int, default=200)
+    parser.add_argument("--draws", type=int, default=200, help="how often samples are drawn")
+    parser.add_argument("--samples", type=int, default=20)
+    parser.add_argument("--family", nargs="+", choices=sorted(PRODUCTS), default=list(FAMILIES))
+    parser.add_argument("--cache", type=Path, default=Path(tempfile.gettempdir()) / "roemetry-weight")
+    given = parser.parse_args()
+    for family in given.family:
+        products = list(measured(family, given.first, given.count, given.cache))
+        print(f"\n{family}: {len(products)} of {given.count} products measured, seeds from {given.first}")
+        print(f"{given.draws} draws of {given.samples} samples; means over draws, per cent\n")
+        print("| form | error | 95 % of errors within | interval holds | width | over paper × factor |")
+        print("|---|---|---|---|---|---|")
+        for form in ("auto", *FORMS):
+            print(f"| `{form}` | {line_of(products, form, given.samples, given.draws)} |")
+
+
+def line_of(products: Sequence[Weighed], form: str, samples: int, draws: int) -> str:
+    """Judge a form; "–" where it cannot be fitted."""
+    rng = np.random.default_rng(len(products))
+    figures = []
+    for _ in range(draws):
+        order = rng.permutation(len(products))
+        try:
+            figures.append(judged(products, order[:samples], order[samples:], form))
+        except RoemetryError:
+            return "– | – | – | – | –"
+    error, tail, held, width, paper = np.array(figures).T
+    return (
+        f"{100 * error.mean():.2f} | {100 * tail.mean():.2f} | {100 * held.mean():.1f} | "
+        f"{100 * width.mean():.1f} | {(error.mean() / paper.mean()):.2f} |"
+    ).removesuffix(" |")
+
+
+def judged(products: Sequence[Weighed], known: Any, asked: Any, form: str) -> tuple[float, ...]:
+    """Fit to the known, weigh the asked: mean error, 95 % point, coverage, median width; paper's error."""
+    model = fitted(products, known, form)
+    errors, held, width, paper = [], [], [], []
+    factor = np.mean([products[k].mass_g / products[k].paper_cm3 for k in known])
+    for one in (products[k] for k in asked):
+        low, value, high = interval_of(model, one.features)
+        errors.append(abs(value / one.mass_g - 1.0))
+        held.append(low <= one.mass_g <= high)
+        width.append((high - low) / value)
+        paper.append(abs(factor * one.paper_cm3 / one.mass_g - 1.0))
+    return (
+        float(np.mean(errors)),
+        float(np.quantile(errors, 0.95)),
+        float(np.mean(held)),
+        float(np.median(width)),
+        float(np.mean(paper)),
+    )
+
+
+def fitted(products: Sequence[Weighed], known: Any, form: str) -> WeightModel:
+    """Fit as `roemetry fit-weight` does, and read the file back."""
+    chosen = [products[k] for k in known]
+    names = tuple(dict.fromkeys(name for one in chosen for name in one.features))
+    ids = tuple(str(one.seed) for one in chosen)
+    samples = Samples(
+        ids=ids,
+        groups=ids,
+        features=names,
+        values=np.array([[one.features.get(name, np.nan) for name in names] for one in chosen]),
+        mass_g=np.array([one.mass_g for one in chosen]),
+        mass_std_g=np.full(len(chosen), np.nan),
+    )
+    content = FittedWeight.fit(samples, form=form).content
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "weight.json"
+        path.write_text(content, encoding="utf-8")
+        return WeightModel.load(path)
+
+
+def interval_of(model: WeightModel, features: dict[str, float]) -> tuple[float, float, float]:
+    """Mass with the ends of its interval, g."""
+    from scipy.stats import t
+
+    ratio, of_fit, scatter = model.ratio(with_inverse(features))
+    half = np.hypot(of_fit, scatter) / model.student_std * t.ppf(0.975, model.degrees_of_freedom)
+    visible = features["visible_cm3"]
+    return visible * (ratio - half), visible * ratio, visible * (ratio + half)
+
+
+def measured(family: str, first: int, count: int, cache: Path) -> list[Weighed]:
+    """Measure products, or take them from the cache."""
+    cache.mkdir(parents=True, exist_ok=True)
+    path = cache / f"{family}.jsonl"
+    kept: dict[int, Any] = {}
+    if path.exists():
+        rows = (json.loads(line) for line in path.read_text("utf-8").splitlines())
+        kept = {row["seed"]: row for row in rows}
+    found = []
+    for seed in range(first, first + count):
+        if seed not in kept:
+            kept[seed] = measure(family, seed)
+            with path.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(kept[seed]) + "\n")
+        if "refused" not in kept[seed]:
+            found.append(Weighed(**kept[seed]))
+    return found
+
+
+def measure(family: str, seed: int) -> dict[str, Any]:
+    """Draw a product on a rig of its own, and measure it."""
+    rig, kind = rig_of(seed, 11), PRODUCTS[family]
+    drawn = in_reach(kind.draw(seed, kind.Options()), rig, 1.2)
+    one = disturbed(exact(rig, drawn.solid), seed)
+    product = replace(one.product, calibration=calibration_of(rig))
+    try:
+        volume = OutlineSurface().estimate(product)
+        paper = ZeroOrderHold().estimate(product).visible_mm3.value
+    except RoemetryError as error:
+        return {"seed": seed, "refused": error.message}
+    # `weigh` without a model gives the features, as a run does.
+    features = FittedWeight(FittedWeightOptions()).weigh(product, volume).features
+    assert features == weight_features(product, volume)
+    return Weighed(
+        seed=seed,
+        defect=drawn.truth.defect,
+        mass_g=drawn.truth.mass_g,
+        paper_cm3=paper / 1000.0,
+        features=dict(features),
+    )._asdict()
+
+
+def disturbed(one: Exact, seed: int) -> Exact:
+    """Move points along their rows and the outline across itself, by random errors."""
+    rng = np.random.default_rng([seed, 61])
+    product = one.product
+    profiles, outline, view = product.profiles, product.outline, product.view
+    assert outline is not None
+    assert view is not None
+    x_px = profiles.x_px + PEAK_NOISE_PX * rng.standard_normal(profiles.x_px.shape)
+    number = np.broadcast_to(profiles.stripe[:, None], x_px.shape)
+    xyz = view.lift(np.stack([x_px, profiles.row_px], axis=-1), number)
+    moved = replace(profiles, x_px=x_px, xyz_mm=xyz)
+    ring = outline.xy_px
+    middle = ring.mean(axis=0)
+    away = (ring - middle) / np.hypot(*(ring - middle).T)[:, None]
+    contour = Outline(1, ring + OUTLINE_NOISE_PX * float(rng.standard_normal()) * away, OUTLINE_NOISE_PX)
+    return replace(one, product=_with(product, moved, contour))
+
+
+def _with(product: Product, profiles: Any, outline: Outline) -> Product:
+    return replace(product, profiles=profiles, outline=outline)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,270 @@
+"""Weights from weighed samples: the model that made them is found again, intervals hold, faults are named."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from roemetry.cli.main import app
+from roemetry.dataset import Dataset
+from roemetry.errors import ConfigurationError, DataError, StageError
+from roemetry.fitting import read_weighed, read_weights
+from roemetry.records import Samples
+from roemetry.testing.runs import volume_of
+from roemetry.testing.solids import DENSE, HALF_ELLIPSOID, product_of
+from roemetry_paper.density import Density
+from roemetry_volume.fitted_weight import FittedWeight, FittedWeightOptions
+from roemetry_volume.fitting_weights import fit_weights
+from roemetry_volume.weight_features import weight_features
+from roemetry_volume.weight_model import WeightModel
+
+HOME = Path(__file__).resolve().parents[3] / "recipes" / "herring_roe"
+NAMES = ("visible_cm3", "end_share", "rim_share", "rim_bow_share")
+
+
+def samples(
+    rng: np.random.Generator, count: int, scatter: float = 0.02, slope: float = -0.4, offset_g: float = 0.0
+) -> Samples:
+    """Mass = V (1.2 + slope · rim_share) + offset, with a scatter relative to it; end_share is noise."""
+    visible, rim = rng.uniform(8.0, 40.0, count), rng.uniform(0.2, 0.7, count)
+    mass = (visible * (1.2 + slope * rim) + offset_g) * (1.0 + scatter * rng.standard_normal(count))
+    values = np.column_stack([visible, rng.uniform(0.2, 0.7, count), rim, rng.uniform(-0.2, 0.0, count)])
+    ids = tuple(f"p{k}" for k in range(count))
+    return Samples(ids, ids, NAMES, values, mass_g=mass, mass_std_g=np.full(count, np.nan))
+
+
+def loaded(content: str, folder: Path) -> WeightModel:
+    path = folder / "weight.json"
+    path.write_text(content, encoding="utf-8")
+    return WeightModel.load(path)
+
+
+def test_the_law_that_made_the_masses_is_found(rng: np.random.Generator, tmp_path: Path) -> None:
+    exact = fit_weights(samples(rng, 400, scatter=0.0), form="rim")
+    model = loaded(exact.content, tmp_path)
+    for rim in (0.25, 0.45, 0.65):
+        ratio, _, _ = model.ratio({"rim_share": rim, "rim_bow_share": -0.1})
+        # The ridge weighs one sample in 400.
+        assert ratio == pytest.approx(1.2 - 0.4 * rim, abs=5e-4)
+    plain = loaded(fit_weights(samples(rng, 50, scatter=0.0, slope=0.0), form="scale").content, tmp_path)
+    assert plain.ratio({})[0] == pytest.approx(1.2, abs=1e-12)
+    apart = loaded(
+        fit_weights(samples(rng, 400, scatter=0.0, slope=0.0, offset_g=5.0), form="offset").content, tmp_path
+    )
+    assert 20.0 * apart.ratio({"per_cm3": 1 / 20.0})[0] == pytest.approx(29.0, abs=0.02)
+
+
+def test_auto_takes_the_plainest_form_that_does(rng: np.random.Generator) -> None:
+    assert json.loads(fit_weights(samples(rng, 60), form="auto").content)["form"] == "rim"
+    flat = [
+        json.loads(fit_weights(samples(rng, 30, slope=0.0), form="auto").content)["form"] for _ in range(20)
+    ]
+    assert flat.count("scale") >= 14
+    assert (
+        json.loads(fit_weights(samples(rng, 60, scatter=0.01, slope=0.0, offset_g=8.0)).content)["form"]
+        == "offset"
+    )
+
+
+def test_intervals_of_20_samples_hold_what_they_say(rng: np.random.Generator, tmp_path: Path) -> None:
+    """Over 120 draws of 20 samples, each judged on 50 others: standard error of the mean about 0.6 %."""
+    from scipy.stats import t
+
+    held = []
+    for _ in range(120):
+        model = loaded(fit_weights(samples(rng, 20), form="rim").content, tmp_path)
+        fresh = samples(rng, 50)
+        factor = t.ppf(0.975, model.degrees_of_freedom) / model.student_std
+        for values, mass in zip(fresh.values, fresh.mass_g, strict=True):
+            ratio, of_fit, scatter = model.ratio(dict(zip(NAMES, values, strict=True)))
+            held.append(abs(ratio - mass / values[0]) <= factor * math.hypot(of_fit, scatter))
+    assert np.mean(held) == pytest.approx(0.95, abs=0.02)
+
+
+def test_the_weigher_states_what_the_model_says(rng: np.random.Generator, tmp_path: Path) -> None:
+    product, volume = product_of(HALF_ELLIPSOID), volume_of(12_000.0)
+    bare = FittedWeight().weigh(product, volume)
+    assert math.isnan(bare.mass_g.value)
+    assert bare.reasons[0].code == "no-weight-model"
+    assert bare.features == weight_features(product, volume)
+    path = tmp_path / "weight.json"
+    given = samples(rng, 25, slope=0.0)
+    path.write_text(fit_weights(given, form="scale").content, encoding="utf-8")
+    weigher = FittedWeight(FittedWeightOptions(model=path))
+    weight = weigher.weigh(product, volume)
+    low, high = weight.mass_g.interval
+    assert weight.mass_g.value == pytest.approx(12.0 * (given.mass_g / given.values[:, 0]).mean(), abs=1e-9)
+    assert low < weight.mass_g.value < high
+    assert sum(part**2 for part in weight.mass_g.budget.values()) == pytest.approx(weight.mass_g.std**2)
+    draws = [weigher.weigh(product, volume, rng=rng).mass_g.value for _ in range(800)]
+    assert np.std(draws) == pytest.approx(weight.mass_g.std, rel=0.12)
+    assert np.quantile(draws, 0.975) == pytest.approx(high, abs=0.12 * (high - low))
+
+
+def test_beyond_the_samples_it_says_so(rng: np.random.Generator, tmp_path: Path) -> None:
+    path = tmp_path / "weight.json"
+    path.write_text(fit_weights(samples(rng, 25), form="scale").content, encoding="utf-8")
+    weigher = FittedWeight(FittedWeightOptions(model=path))
+    (reason,) = weigher.weigh(product_of(HALF_ELLIPSOID), volume_of(90_000.0)).reasons
+    assert reason.code == "outside-weighed"
+    assert "visible_cm3 is 90, the weighed samples have" in reason.text
+    path.write_text(fit_weights(samples(rng, 25), form="rim").content, encoding="utf-8")
+    missing = FittedWeight(FittedWeightOptions(model=path)).weigh(product_of(HALF_ELLIPSOID), volume_of(9e3))
+    assert math.isnan(missing.mass_g.value)
+    assert missing.reasons[0].code == "weight-feature-missing"
+    (tmp_path / "bad.json").write_text("{}", encoding="utf-8")
+    with pytest.raises(StageError, match=r"bad.json is no fitted weigher"):
+        FittedWeight(FittedWeightOptions(model=tmp_path / "bad.json")).weigh(
+            product_of(HALF_ELLIPSOID), volume_of(9e3)
+        )
+
+
+def test_features_do_not_depend_on_size_or_side() -> None:
+    one = weight_features(product_of(HALF_ELLIPSOID), volume_of(9000.0))
+    other = weight_features(product_of(HALF_ELLIPSOID.mirrored(), DENSE.mirrored()), volume_of(9000.0))
+    large = weight_features(product_of(HALF_ELLIPSOID.scaled(1.2)), volume_of(9000.0))
+    assert other["end_share"] == pytest.approx(one["end_share"], abs=0.01)
+    assert large["end_share"] == pytest.approx(one["end_share"], abs=0.03)
+
+
+@pytest.mark.parametrize(
+    ("factor", "named"),
+    [(1e-3, "kilograms"), (1 / 28.3495, "ounces"), (1 / 453.592, "pounds"), (1e3, "milligrams")],
+)
+def test_masses_in_another_unit_are_named(factor: float, named: str, rng: np.random.Generator) -> None:
+    given = samples(rng, 30)
+    with pytest.raises(DataError, match="these are not grams") as caught:
+        fit_weights(replace(given, mass_g=factor * given.mass_g), form="auto")
+    assert named in str(caught.value)
+    some = given.mass_g.copy()
+    some[[3, 7]] *= factor
+    with pytest.raises(DataError, match=rf"2 of 30 masses are off by the factor of {named} \(p3, p7\)"):
+        fit_weights(replace(given, mass_g=some), form="auto")
+
+
+def test_what_cannot_be_learned_from_is_named(rng: np.random.Generator) -> None:
+    given = samples(rng, 40)
+    with pytest.raises(DataError, match="masses do not follow the volumes"):
+        fit_weights(replace(given, mass_g=rng.permutation(given.mass_g)), form="auto")
+    few = Samples(
+        given.ids[:4],
+        given.ids[:4],
+        NAMES,
+        given.values[:4],
+        mass_g=given.mass_g[:4],
+        mass_std_g=given.mass_g[:4],
+    )
+    with pytest.raises(DataError, match="only 4 weighed products"):
+        fit_weights(few, form="auto")
+    with pytest.raises(DataError, match="no column `visible_cm3`"):
+        fit_weights(replace(given, features=("a", *NAMES[1:])), form="auto")
+    with pytest.raises(DataError, match=r"the form `ends` needs end_share"):
+        fit_weights(replace(given, features=("visible_cm3", "x", *NAMES[2:])), form="ends")
+    with pytest.raises(StageError, match="there is no form `cubic`"):
+        fit_weights(given, form="cubic")
+    with pytest.raises(DataError, match="no weighed product has a measured volume"):
+        fit_weights(replace(given, values=np.full_like(given.values, np.nan)), form="auto")
+    with pytest.raises(StageError, match="does not learn"):
+        Density.fit(given)
+    swapped = given.mass_g.copy()
+    swapped[5] *= 1.4
+    assert "look at p5:" in " ".join(fit_weights(replace(given, mass_g=swapped), form="rim").words)
+
+
+def test_twins_do_not_judge_each_other(rng: np.random.Generator) -> None:
+    """Ten products of odd density, each weighed five times: by group the error is the density's."""
+    visible = np.repeat(rng.uniform(8.0, 40.0, 10), 5)
+    shape = np.repeat(rng.normal(size=(10, 3)), 5, axis=0)
+    density = np.repeat(1.0 + 0.05 * rng.standard_normal(10), 5)
+    ids, groups = tuple(map(str, range(50))), tuple(str(k // 5) for k in range(50))
+    values = np.column_stack([visible, shape])
+    given = Samples(ids, groups, NAMES, values, mass_g=visible * density, mass_std_g=np.full(50, np.nan))
+    by_group = fit_weights(given, form="rim").figures["error_mean_share"]
+    by_line = fit_weights(replace(given, groups=ids), form="rim").figures["error_mean_share"]
+    assert by_group > 1.15 * by_line
+
+
+def table(path: Path, header: list[str], *rows: list[Any]) -> Path:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file).writerows([header, *rows])
+    return path
+
+
+@pytest.mark.parametrize(
+    ("header", "rows", "said"),
+    [
+        (["id", "mass_g"], [], "the table is empty"),
+        (["id", "mass_kg"], [["p1", 0.02]], "no column `mass_g`"),
+        (["name", "mass_g"], [["p1", 20]], "no column `id`"),
+        (["id", "mass_g"], [["p1", "20,1"]], r"w.csv:2: mass_g: found '20,1', expected a number"),
+        (["id", "mass_g"], [["p1", -3]], r"w.csv:2: mass_g: found -3, expected a mass above 0"),
+        (["id", "mass_g"], [["p1", 20], ["p1", 21]], r"w.csv:3: p1 stands there a second time"),
+        (["id", "mass_g"], [["p1", ""]], "no product has a mass"),
+    ],
+)
+def test_a_faulty_table_of_weights_is_named(
+    header: list[str], rows: list[list[Any]], said: str, tmp_path: Path
+) -> None:
+    with pytest.raises((DataError, ConfigurationError), match=said):
+        read_weights(table(tmp_path / "w.csv", header, *rows))
+
+
+def test_ids_that_do_not_meet_are_named(tmp_path: Path) -> None:
+    measured = table(tmp_path / "m.csv", ["id", "acquisition", "visible_cm3"], ["a#1", "a", 20.0])
+    weights = table(tmp_path / "w.csv", ["id", "mass_g"], ["b", 20.0])
+    with pytest.raises(DataError, match="the ids of the two tables do not meet"):
+        read_weighed(measured, weights)
+    met = read_weighed(measured, table(tmp_path / "v.csv", ["id", "mass_g", "mass_std_g"], ["a", 20.0, 0.1]))
+    assert (met.ids, met.groups, met.features) == (("a#1",), ("a",), ("visible_cm3",))
+    assert (met.mass_g[0], met.mass_std_g[0]) == (20.0, 0.1)
+
+
+def test_from_a_run_to_weights_and_back(tmp_path: Path) -> None:
+    """Ten shipped skeins, their true masses from the truth: run, fit, run, check."""
+    run = CliRunner()
+    base = ["run", str(HOME), "--set", "stages.classifier="]
+    sets = ["--set", "stages.weigher=fitted", "--set", "sinks=[{use: csv, options: {features: true}}]"]
+    done = run.invoke(app, [*base, *sets, "--out", str(tmp_path / "a")])
+    assert done.exit_code == 0, done.output
+    data = Dataset(HOME)
+    truth = {item.id: data.truth(item).products[0].mass_g for item in data.items()}
+    weights = table(
+        tmp_path / "weights.csv", ["id", "mass_g"], *[[name, mass] for name, mass in truth.items()]
+    )
+    model = tmp_path / "weight.json"
+    fit = run.invoke(
+        app,
+        ["fit-weight", str(tmp_path / "a" / "results.csv"), "--weights", str(weights), "--out", str(model)],
+    )
+    assert fit.exit_code == 0, fit.output
+    assert "10 weighed products" in fit.output
+    again = run.invoke(
+        app,
+        [
+            *base,
+            "--set",
+            f"stages.weigher={{use: fitted, options: {{model: {model}}}}}",
+            "--out",
+            str(tmp_path / "b"),
+        ],
+    )
+    assert again.exit_code == 0, again.output
+    check = run.invoke(app, ["check-weight", str(tmp_path / "b"), str(weights), "--json"])
+    assert check.exit_code == 0, check.output
+    found = json.loads(check.output)
+    assert found["verdict"] == "holds"
+    assert found["pairs"] == 10
+    heavy = table(
+        tmp_path / "heavy.csv", ["id", "mass_g"], *[[name, 1.2 * mass] for name, mass in truth.items()]
+    )
+    moved = run.invoke(app, ["check-weight", str(tmp_path / "b"), str(heavy)])
+    assert moved.exit_code == 1
+    assert "fit again" in moved.output
