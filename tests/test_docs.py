@@ -32,6 +32,7 @@ from roemetry.rig import Rig, RigFile
 from roemetry.runner import run_recipe
 from roemetry.stages import StageOptions
 from roemetry.target_file import BlockFile, BoardFile, StaircaseFile
+from roemetry.testing.catalogue import contract
 from roemetry.validation import checked
 from roemetry.yaml_source import parse
 
@@ -207,6 +208,14 @@ def test_the_example_of_a_stage_is_legal_and_uses_it(name: str) -> None:
             stage.Options.model_validate(choice.get("options", {}))
             used.add((kind, choice["use"]))
     assert used >= {(s.entry.kind, name) for s in registry.stages if s.entry.name == name}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_contract_of_a_kind_is_what_the_code_says(kind: str) -> None:
+    path = REFERENCE / "contracts" / f"{kind}.md"
+    written = path.read_text("utf-8") if path.exists() else ""
+    again = "write them again: python -m roemetry.testing.catalogue docs/reference/contracts"
+    assert written == contract(kind, discover()), again
 
 
 # Files

@@ -20,6 +20,7 @@ from roemetry.cli import (
     fit_penetration,
     fit_weight,
     lint,
+    new_plugin,
     plan,
     plugins,
     report,
@@ -76,6 +77,7 @@ app.command()(export.export)
 app.command()(simulate.simulate)
 app.command()(compare.compare)
 app.command()(check_plugin.check_plugin)
+app.command()(new_plugin.new_plugin)
 app.command()(check_calibration.check_calibration)
 app.command()(check_weight.check_weight)
 app.command()(plan.plan)
