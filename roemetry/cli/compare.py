@@ -34,6 +34,19 @@ def compare(
         Path | None,
         typer.Option("--out", "-o", help="Folder for the results. [default: results/NAME-compare-1, …]"),
     ] = None,
+    tolerance: Annotated[
+        float | None,
+        typer.Option(
+            "--tolerance",
+            min=0.0,
+            metavar="PCT",
+            help="Mean differences below this share are as good as none, %: gives a verdict on each variant.",
+        ),
+    ] = None,
+    folds: Annotated[
+        int, typer.Option("--folds", min=2, max=100, help="Folds for the choice among variants.")
+    ] = 5,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Of resampling and folds.")] = 1,
     jobs: Annotated[int, typer.Option("--jobs", "-j", min=1, help="Worker processes.")] = 1,
     sets: Annotated[
         list[str] | None,
@@ -50,6 +63,7 @@ def compare(
     from datetime import UTC, datetime
 
     from roemetry.cli.progress import progress
+    from roemetry.compare.agreement import Terms
     from roemetry.compare.comparing import compare as compared_on
     from roemetry.compare.data import Data
     from roemetry.compare.variants import make_variants
@@ -61,14 +75,17 @@ def compare(
     base = variants[0].recipe
     assert base is not None
     found = Data(base, data)
+    terms = Terms(tolerance, folds, seed)
     folder = out or _next_folder(base)
     with ItemsFile(folder) as items, progress("comparing", quiet=as_json) as on_progress:
-        compared = compared_on(variants, found, jobs=jobs, on_judged=items.add, on_progress=on_progress)
-    files = write_comparison(folder, compared, found, command=sys.argv[1:], began=began)
+        compared = compared_on(
+            variants, found, terms=terms, jobs=jobs, on_judged=items.add, on_progress=on_progress
+        )
+    files = write_comparison(folder, compared, found, terms=terms, command=sys.argv[1:], began=began)
     if as_json:
         typer.echo(json.dumps(json.loads((folder / SUMMARY).read_text("utf-8")), indent=2))
     else:
-        _show(base, compared, found.without_truth, files)
+        _show(base, compared, tolerance, found.without_truth, files)
     if any(one.failure for one in compared):
         raise typer.Exit(1)
 
@@ -83,15 +100,25 @@ def _next_folder(recipe: Recipe) -> Path:
     return folder
 
 
-def _show(recipe: Recipe, compared: Sequence[Compared], without_truth: str, files: Sequence[Path]) -> None:
+def _show(
+    recipe: Recipe,
+    compared: Sequence[Compared],
+    tolerance_pct: float | None,
+    without_truth: str,
+    files: Sequence[Path],
+) -> None:
     from rich.console import Console
 
-    from roemetry.cli.compare_table import problems_of, tables_of
+    from roemetry.cli.compare_table import problems_of, tables_of, verdicts_of
 
     console = Console()
     for table in tables_of(recipe.product, compared):
         console.print(table)
-    for said in [*problems_of(compared), *([without_truth] if without_truth else [])]:
+    for said in [
+        *verdicts_of(compared, tolerance_pct),
+        *problems_of(compared),
+        *([without_truth] if without_truth else []),
+    ]:
         console.print(said, highlight=False, markup=False, soft_wrap=True)
     for file in files:
         console.print(f"  {file}", highlight=False, soft_wrap=True)

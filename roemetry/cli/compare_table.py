@@ -9,7 +9,8 @@ from rich.table import Table
 from rich.text import Text
 
 from roemetry.compare.comparing import Compared
-from roemetry.compare.tables import flat
+from roemetry.compare.tables import Value, flat
+from roemetry.pages.svg import share
 
 _MEASURED = (
     ("visible\nbias %", "volume_visible_bias_pct", "+.1f"),
@@ -19,14 +20,15 @@ _MEASURED = (
     ("weight\n|err| %", "weight_mean_absolute_pct", ".1f"),
     ("classes\nbalanced", "classes_balanced_accuracy", ".3f"),
 )
+_VERDICTS = (("visible volume", "volume_visible"), ("true volume", "volume_true"), ("weight", "weight"))
 _STRIPES = (
-    ("coded\nright %", "coding_right_pct", ".2f"),
-    ("wrong\n%", "coding_wrong_pct", ".2f"),
+    ("coded\nright %", "coding_right_pct", "share"),
+    ("wrong\n%", "coding_wrong_pct", "share"),
     ("wrong\nrun", "coding_longest_wrong_run_rows", "d"),
     ("centre\nbias px", "centre_bias_px", "+.3f"),
     ("RMS\npx", "centre_rms_px", ".3f"),
-    ("missed\n%", "centre_missed_pct", ".2f"),
-    ("false\n%", "centre_false_pct", ".2f"),
+    ("missed\n%", "centre_missed_pct", "share"),
+    ("false\n%", "centre_false_pct", "share"),
     ("time\nms", "time_frame_median_ms", ".2f"),
 )
 
@@ -55,11 +57,20 @@ def tables_of(title: str, compared: Sequence[Compared]) -> list[Table]:
         for words, _, _ in columns:
             table.add_column(words, justify="right", no_wrap=True)
         for one, row in zip(compared, rows, strict=True):
-            cells = ["" if (value := row[key]) is None else format(value, form) for _, key, form in columns]
+            cells = [_cell(row[key], form) for _, key, form in columns]
             style = "red" if one.failure else ""
             table.add_row(Text(one.variant.name, style=style), *_refused(one, not tables), *cells)
         tables.append(table)
     return tables
+
+
+def _cell(value: Value, form: str) -> str:
+    if value is None:
+        return ""
+    if form == "share":
+        assert isinstance(value, float)
+        return share(value)
+    return format(value, form)
 
 
 def _refused(one: Compared, wanted: bool) -> list[Text]:
@@ -67,6 +78,27 @@ def _refused(one: Compared, wanted: bool) -> list[Text]:
         return []
     figures = one.figures
     return [Text("failed", "red") if figures is None else Text(f"{figures.refused}/{figures.acquisitions}")]
+
+
+def verdicts_of(compared: Sequence[Compared], tolerance_pct: float | None) -> list[str]:
+    """Write a sentence for each verdict on a variant beside the recipe as it is."""
+    said = []
+    for one in compared:
+        row = flat(one)
+        for what, group in _VERDICTS:
+            if (verdict := row[f"{group}_to_recipe_verdict"]) is None:
+                continue
+            mean, low, high = (row[f"{group}_to_recipe_mean{end}_pct"] for end in ("", "_low", "_high"))
+            said.append(
+                f"{one.variant.name}: {what} beside the recipe's, tolerance {tolerance_pct:g} %: {verdict}; "
+                f"mean difference {_signed(mean)} % ({_signed(low)} to {_signed(high)}), "
+                f"{row[f'{group}_to_recipe_n']} products"
+            )
+    return said
+
+
+def _signed(value: Value) -> str:
+    return "?" if not isinstance(value, float) else f"{value:+.2f}"
 
 
 def problems_of(compared: Sequence[Compared]) -> list[str]:

@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import islice
 from multiprocessing import get_context
 
+from roemetry.compare.agreement import Terms
 from roemetry.compare.cache import RememberedStages, StepMemory
 from roemetry.compare.data import Data, Unit, as_taken, changed_file
 from roemetry.compare.judging import Judged, judge, unreadable
+from roemetry.compare.standing import Standing, standing_of
 from roemetry.compare.tally import Figures, Tally
 from roemetry.compare.variants import Variant
 from roemetry.dataset import Dataset
@@ -31,10 +33,13 @@ class Compared:
         What it is.
     figures
         None where it could not even be made: `Variant.fault` says why.
+    standing
+        How it agrees with the truth and with the recipe as it is.
     """
 
     variant: Variant
     figures: Figures | None
+    standing: Standing = field(default_factory=Standing)
 
     @property
     def failure(self) -> str:
@@ -50,6 +55,7 @@ def compare(
     variants: Sequence[Variant],
     data: Data,
     *,
+    terms: Terms | None = None,
     jobs: int = 1,
     on_judged: Callable[[Variant, Judged], None] = lambda variant, judged: None,
     on_progress: Callable[[int, int], None] = lambda done, of: None,
@@ -62,6 +68,8 @@ def compare(
         What to compare; the first is the recipe as it is.
     data
         What to compare them on.
+    terms
+        What differences are judged by; default: no tolerance, so no verdict.
     jobs
         Worker processes; the figures are the same for any number, times aside.
     on_judged
@@ -83,9 +91,13 @@ def compare(
             tallies[judged.variant].add(judged, cold=cold)
             on_judged(by_number[judged.variant], judged)
         on_progress(done, data.count)
+    terms = Terms() if terms is None else terms
+    figures = {number: tally.figures() for number, tally in tallies.items()}
+    base = figures.get(variants[0].number)
     return tuple(
-        Compared(variant, tallies[variant.number].figures() if variant.number in tallies else None)
+        Compared(variant, own, standing_of(own, None if variant is variants[0] else base, terms))
         for variant in variants
+        for own in (figures.get(variant.number),)
     )
 
 

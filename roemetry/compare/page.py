@@ -8,11 +8,11 @@ from typing import Any
 
 from markupsafe import Markup
 
-from roemetry.compare import plots
+from roemetry.compare import page_agreement, plots
 from roemetry.compare.comparing import Compared
 from roemetry.compare.tables import STEPS, flat
 from roemetry.compare.tally import QUANTITIES
-from roemetry.pages.svg import plain
+from roemetry.pages.svg import plain, share
 from roemetry.pages.templating import environment_of
 from roemetry.yaml_source import dump
 
@@ -43,8 +43,10 @@ def page(compared: Sequence[Compared], told: Mapping[str, Any]) -> str:
         told=told,
         variants=list(zip(compared, rows, strict=True)),
         began=_when(told["began"]),
-        quantities=[_quantity(name, compared) for name in QUANTITIES],
+        quantities=[_quantity(name, compared, told["terms"]["tolerance_pct"]) for name in QUANTITIES],
         classes=[(one, one.figures.classes) for one in compared if one.figures and one.figures.classes],
+        probabilities=page_agreement.probabilities(compared),
+        choices=page_agreement.choices(compared, told["choices"]),
         coding=_coding(compared, rows),
         centres=_centres(compared, rows, "centre"),
         centres_on_product=_centres(compared, rows, "centre_on_product"),
@@ -59,7 +61,7 @@ def page(compared: Sequence[Compared], told: Mapping[str, Any]) -> str:
     )
 
 
-def _quantity(name: str, compared: Sequence[Compared]) -> dict[str, Any]:
+def _quantity(name: str, compared: Sequence[Compared], tolerance_pct: float | None) -> dict[str, Any]:
     """Gather the plots of one quantity; none where no variant has errors."""
     title, unit = _TITLES[name]
     variants = [
@@ -85,6 +87,8 @@ def _quantity(name: str, compared: Sequence[Compared]) -> dict[str, Any]:
         "more": len(variants) - len(shown),
         "capped": any(len(v.pairs) > plots.DOTS_MAX for v in variants),
         "by_visible": by_visible,
+        "truth": page_agreement.agreement_with_truth(name, unit, compared, tolerance_pct),
+        "recipe": page_agreement.agreement_with_recipe(name, unit, compared, tolerance_pct),
     }
 
 
@@ -95,7 +99,7 @@ def _coding(compared: Sequence[Compared], rows: Sequence[Mapping[str, Any]]) -> 
         if row["coding_points"] is None:
             continue
         values = [(part, row[f"coding_{part}_pct"], kind) for part, kind in _CODED if part != "right"]
-        bars.append((one.variant.name, values, f"right {plain(row['coding_right_pct'], 2)} %"))
+        bars.append((one.variant.name, values, f"right {share(row['coding_right_pct'])} %"))
     top = max((sum(value for _, value, _ in values) for _, values, _ in bars), default=0.0)
     return plots.stacked(bars, 1.05 * top or 1.0, "% of the visible points on products") if bars else None
 
@@ -122,7 +126,7 @@ def _found(compared: Sequence[Compared], rows: Sequence[Mapping[str, Any]]) -> M
         missed, false = row["centre_missed_pct"], row["centre_false_pct"]
         if missed is not None:
             values = [("missed", missed, "unseen"), ("false", false or 0.0, "wrong")]
-            words = f"missed {plain(missed, 2)} %, false {plain(false, 2)} %"
+            words = f"missed {share(missed)} %, false {share(false)} %"
             bars.append((one.variant.name, values, words))
     top = max((value for _, values, _ in bars for _, value, _ in values), default=0.0)
     if not bars:

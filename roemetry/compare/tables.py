@@ -8,9 +8,13 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+from roemetry.compare.agreement import Shift
 from roemetry.compare.centres import CentreScore
 from roemetry.compare.coding import CodingScore
 from roemetry.compare.comparing import Compared
+from roemetry.compare.grading import Reliability
+from roemetry.compare.resampling import Interval
+from roemetry.compare.standing import Standing
 from roemetry.compare.statistics import Errors
 from roemetry.compare.tally import Figures
 
@@ -71,6 +75,7 @@ def flat(one: Compared) -> dict[str, Value]:
     }
     for group, quantity, unit in GROUPS:
         row |= _errors(group, unit, None if figures is None else figures.errors[quantity])
+        row |= _agreements(group, quantity, one.standing)
     row["volume_true_from_visible_n"] = _true_from_visible(figures)
     classes = None if figures is None else figures.classes
     row |= {
@@ -78,6 +83,9 @@ def flat(one: Compared) -> dict[str, Value]:
         "classes_accuracy": None if classes is None else classes.accuracy,
         "classes_balanced_accuracy": None if classes is None else classes.balanced_accuracy,
     }
+    row |= _ends("classes_balanced", one.standing.balanced_interval, "")
+    row |= _shift("classes_balanced_shift", one.standing.balanced_shift, "")
+    row |= _probabilities(one.standing.reliability)
     row |= coding_shares(None if figures is None else figures.coding)
     row |= centre_figures("centre", None if figures is None else figures.centres)
     row |= centre_figures("centre_on_product", None if figures is None else figures.centres_on_product)
@@ -132,6 +140,43 @@ def _errors(group: str, unit: str, errors: Errors | None) -> dict[str, Value]:
         f"{group}_median_pct": None if errors is None else errors.median_pct,
         f"{group}_min_pct": None if errors is None else errors.min_pct,
         f"{group}_max_pct": None if errors is None else errors.max_pct,
+    }
+
+
+def _agreements(group: str, quantity: str, standing: Standing) -> dict[str, Value]:
+    """Against the truth: interval of the bias, limits, verdict; the same and more against the recipe."""
+    truth, recipe = standing.truth.get(quantity), standing.recipe.get(quantity)
+    return {
+        **_ends(f"{group}_bias", None if truth is None else truth.mean_interval_pct, "_pct"),
+        **_ends(f"{group}_limit", None if truth is None else truth.limits_pct, "_pct"),
+        f"{group}_verdict": None if truth is None else truth.verdict or None,
+        f"{group}_to_recipe_n": None if recipe is None else recipe.n,
+        f"{group}_to_recipe_mean_pct": None if recipe is None else recipe.mean_pct,
+        **_ends(f"{group}_to_recipe_mean", None if recipe is None else recipe.mean_interval_pct, "_pct"),
+        **_ends(f"{group}_to_recipe_limit", None if recipe is None else recipe.limits_pct, "_pct"),
+        f"{group}_to_recipe_verdict": None if recipe is None else recipe.verdict or None,
+        **_shift(f"{group}_nearer", standing.nearer.get(quantity), "_pct"),
+    }
+
+
+def _ends(name: str, interval: Interval | None, unit: str) -> dict[str, Value]:
+    low, high = (None, None) if interval is None else interval
+    return {f"{name}_low{unit}": low, f"{name}_high{unit}": high}
+
+
+def _shift(name: str, shift: Shift | None, unit: str) -> dict[str, Value]:
+    value, interval = (None, None) if shift is None else shift
+    return {f"{name}{unit}": value, **_ends(name, interval, unit)}
+
+
+def _probabilities(found: Reliability | None) -> dict[str, Value]:
+    return {
+        "probability_n": None if found is None else found.n,
+        "probability_stated": None if found is None else found.stated,
+        "probability_right": None if found is None else found.right,
+        **_shift("probability_excess", None if found is None else found.excess, ""),
+        "probability_brier": None if found is None else found.brier,
+        "probability_calibration_error": None if found is None else found.calibration_error,
     }
 
 

@@ -6,13 +6,14 @@ import math
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
 from roemetry.arrays import Floats
+from roemetry.compare.agreement import Beside
 from roemetry.compare.centres import CentreScore
 from roemetry.compare.coding import CodingScore
+from roemetry.compare.grading import Graded
 from roemetry.compare.judging import Judged, Pair
 from roemetry.compare.statistics import (
     NOT_GRADED,
@@ -24,16 +25,7 @@ from roemetry.compare.statistics import (
     quartiles_of,
 )
 from roemetry.recipe import Recipe
-from roemetry.records import Reason
-
-
-class Beside(NamedTuple):
-    """An estimate beside what is true, and which product it is of."""
-
-    estimate: float
-    true: float
-    product: str
-
+from roemetry.records import ProductTruth, Reason
 
 Pairs = list[Beside]
 
@@ -64,7 +56,11 @@ class Figures:
         By `QUANTITIES`, against truth; None where `absent` says why. For the true volume the estimator's
         true volume counts, where it gives one, else its visible volume.
     pairs
-        By `QUANTITIES`, the values themselves.
+        By `QUANTITIES`, the values of products whose truth is known.
+    values
+        By `QUANTITIES` and product, all that was measured, whether its truth is known or not.
+    graded
+        Products with a true class.
     true_from_visible
         For how many products the visible volume was compared with the true one.
     classes, centres, centres_on_product, coding
@@ -81,6 +77,8 @@ class Figures:
     warnings: tuple[Cause, ...]
     errors: Mapping[str, Errors | None]
     pairs: Mapping[str, Pairs]
+    values: Mapping[str, Mapping[str, Beside]]
+    graded: tuple[Graded, ...]
     true_from_visible: int
     classes: Classes | None
     centres: CentreScore | None
@@ -115,6 +113,8 @@ class Tally:
         self._warnings: Counter[str] = Counter()
         self._texts: dict[str, str] = {}
         self._pairs: dict[str, Pairs] = {name: [] for name in QUANTITIES}
+        self._values: dict[str, dict[str, Beside]] = {name: {} for name in QUANTITIES}
+        self._graded: list[Graded] = []
         self._known: Counter[str] = Counter()
         self._estimated: Counter[str] = Counter()
         self._from_visible = 0
@@ -166,6 +166,8 @@ class Tally:
             warnings=self._counted(self._warnings),
             errors=errors,
             pairs=self._pairs,
+            values=self._values,
+            graded=tuple(self._graded) if self._estimated["label"] else (),
             true_from_visible=self._from_visible,
             classes=classes,
             centres=self._centres[0],
@@ -187,7 +189,7 @@ class Tally:
         return tuple(Cause(code, count, self._texts[code]) for code, count in counter.most_common())
 
     def _add_pair(self, pair: Pair, product: str) -> None:
-        true = pair.true
+        true, specimen = pair.true, _specimen(pair.true, product)
         estimates = estimates_of(pair)
         for name in QUANTITIES:
             value = estimates[name]
@@ -196,14 +198,21 @@ class Tally:
             known = math.nan if true is None else getattr(true, name)
             self._estimated[name] += value is not None
             self._known[name] += known > 0
-            if value is not None and math.isfinite(value) and known > 0:
-                self._pairs[name].append(Beside(value, known, product))
+            if value is None or not math.isfinite(value):
+                continue
+            if known > 0 or estimates[name] is not None:
+                self._values[name][product] = Beside(value, known, product, specimen)
+            if known > 0:
+                self._pairs[name].append(Beside(value, known, product, specimen))
                 self._from_visible += name == "true_mm3" and estimates["true_mm3"] is None
-        label = pair.measured.grade.label if pair.measured and pair.measured.grade else None
+        grade = pair.measured.grade if pair.measured else None
+        label = None if grade is None else grade.label
         self._estimated["label"] += label is not None
         if true is not None and true.label:
             self._known["label"] += 1
             self._classes[true.label, label or NOT_GRADED] += 1
+            probability = math.nan if grade is None else grade.probability
+            self._graded.append(Graded(product, specimen, true.label, label or "", probability))
 
     def _why_not(self, name: str) -> str:
         """Say why a figure is missing."""
@@ -230,6 +239,15 @@ class Tally:
 def columns_of(pairs: Pairs) -> tuple[Floats, Floats]:
     """(product,) estimates, and (product,) true values."""
     return np.array([pair.estimate for pair in pairs]), np.array([pair.true for pair in pairs])
+
+
+def _specimen(true: ProductTruth | None, product: str) -> str:
+    """Name the thing itself: by what the truth says of it, else every product is one of its own."""
+    figures = {} if true is None else true.figures
+    for name in ("specimen", "seed"):
+        if name in figures and math.isfinite(figures[name]):
+            return f"{name} {figures[name]:.0f} {'' if true is None else true.defect}".strip()
+    return product
 
 
 _WORDS = {

@@ -13,9 +13,13 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from roemetry.compare.agreement import Terms
 from roemetry.compare.comparing import Compared
 from roemetry.compare.data import Data
+from roemetry.compare.grading import Reliability
 from roemetry.compare.judging import Judged, Pair
+from roemetry.compare.resampling import RESAMPLES
+from roemetry.compare.standing import Standing, choices_of
 from roemetry.compare.tables import GROUPS, centre_figures, coding_shares, to_csv
 from roemetry.compare.tally import Figures, estimates_of
 from roemetry.compare.variants import Variant
@@ -65,6 +69,7 @@ def write_comparison(
     compared: Sequence[Compared],
     data: Data,
     *,
+    terms: Terms | None = None,
     command: Sequence[str] = (),
     began: datetime | None = None,
 ) -> tuple[Path, ...]:
@@ -78,6 +83,8 @@ def write_comparison(
         What there is to tell; the first is the recipe as it is.
     data
         What was compared on.
+    terms
+        What differences were judged by.
     command
         Words of the command line, without the program's name.
     began
@@ -85,7 +92,7 @@ def write_comparison(
     """
     from roemetry.compare.page import page
 
-    told = described(compared, data, command=command, began=began)
+    told = described(compared, data, terms=terms, command=command, began=began)
     write_whole(folder / SUMMARY, json.dumps(told, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
     write_whole(folder / TABLE, to_csv(compared))
     write_whole(folder / PAGE, page(compared, told))
@@ -96,10 +103,12 @@ def described(
     compared: Sequence[Compared],
     data: Data,
     *,
+    terms: Terms | None = None,
     command: Sequence[str] = (),
     began: datetime | None = None,
 ) -> dict[str, Any]:
     """Tell everything as plain values, fit for JSON."""
+    terms = Terms() if terms is None else terms
     base = compared[0].variant.recipe
     if base is None:
         raise AssertionError("the recipe as it is has been loaded")
@@ -113,6 +122,8 @@ def described(
         "product": base.product,
         "sets": list(base.sets),
         "data": data.described(),
+        "terms": {**asdict(terms), "resamples": RESAMPLES},
+        "choices": [asdict(choice) for choice in choices_of(compared, terms)],
         "libraries": {name: version(name) for name in libraries},
         "python": platform.python_version(),
         "platform": platform.platform(),
@@ -138,7 +149,7 @@ def _variant(one: Compared) -> dict[str, Any]:
         "stages": None
         if recipe is None
         else {kind: chosen.described() for kind, chosen in recipe.stages.items()},
-        "figures": None if figures is None else _figures(figures),
+        "figures": None if figures is None else {**_figures(figures), **_standing(one.standing)},
     }
 
 
@@ -163,6 +174,25 @@ def _figures(figures: Figures) -> dict[str, Any]:
         "seconds": {step: asdict(quartiles) for step, quartiles in figures.seconds.items()},
         "absent": dict(figures.absent),
     }
+
+
+def _standing(standing: Standing) -> dict[str, Any]:
+    """Tell how a variant stands beside truth and recipe; intervals as [low, high]."""
+    return {
+        "to_truth": {group: standing.truth[name] for group, name, _ in GROUPS if name in standing.truth},
+        "to_recipe": {group: standing.recipe[name] for group, name, _ in GROUPS if name in standing.recipe},
+        "nearer_pct": {
+            group: standing.nearer[name]._asdict() for group, name, _ in GROUPS if name in standing.nearer
+        },
+        "recalls": [recall._asdict() for recall in standing.recalls],
+        "balanced_interval": standing.balanced_interval,
+        "balanced_shift": None if standing.balanced_shift is None else standing.balanced_shift._asdict(),
+        "reliability": None if standing.reliability is None else _reliability(standing.reliability),
+    }
+
+
+def _reliability(found: Reliability) -> dict[str, Any]:
+    return {**asdict(found), "excess": found.excess._asdict(), "bins": [one._asdict() for one in found.bins]}
 
 
 def _errors(errors: dict[str, Any], unit: str) -> dict[str, Any]:

@@ -102,3 +102,15 @@ def plain(value: float | None, digits: int = 1, sign: bool = False) -> str:
     if not any(letter in "123456789" for letter in written):
         written = written.lstrip("+-")
     return written.replace("-", "−").replace(",", "\u202f")
+
+
+def share(value: float | None, digits: int = 2) -> str:
+    """Write a share of 100 %, so that only nothing reads as 0 and only all reads as 100."""
+    if value is None or not math.isfinite(value):
+        return "–"
+    least = 10.0**-digits
+    if 0.0 < value < 0.5 * least:
+        return f"<{plain(least, digits)}"
+    if 100.0 - 0.5 * least < value < 100.0:
+        return f">{plain(100.0 - least, digits)}"
+    return plain(value, digits)

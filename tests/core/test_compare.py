@@ -289,6 +289,34 @@ def test_truth_of_images_turned_by_a_quarter_is_that_of_the_turned_image(
     assert abs(float(row["centre_bias_px"] or 9)) < 0.05
 
 
+def test_verdicts_intervals_and_classes_reach_every_file(
+    dataset: Callable[..., Path],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    roemetry: Callable[..., int],
+) -> None:
+    """A density 1.4 times as large is 33 % of the mean away, whatever the products."""
+    path, out = dataset(6), tmp_path / "out"
+    vary = "stages.weigher.options.density_g_per_cm3=1.54"
+    words = [path, "--vary", vary, "--out", out, "--tolerance", "5", "--folds", "2", "--seed", "4"]
+    assert roemetry(*words) == 0
+    assert "weight beside the recipe's, tolerance 5 %: different" in capsys.readouterr().out
+    told = json.loads((out / "comparison.json").read_text("utf-8"))
+    assert told["terms"] == {"tolerance_pct": 5.0, "folds": 2, "seed": 4, "resamples": 2000}
+    figures = told["variants"][1]["figures"]
+    assert figures["to_recipe"]["weight"]["mean_pct"] == pytest.approx(100 / 3, abs=1e-6)
+    assert figures["to_recipe"]["volume_visible"]["verdict"] == "equivalent"
+    assert figures["to_truth"]["volume_visible"]["specimens"] == 6
+    assert {recall["name"] for recall in figures["recalls"]} == {"good", "henkei"}
+    (by_weight,) = (choice for choice in told["choices"] if choice["figure"] == "mass_g")
+    assert by_weight["best"] == 0
+    (row,) = list(csv.DictReader((out / "comparison.csv").read_text("utf-8").splitlines()))[1:]
+    assert row["weight_to_recipe_verdict"] == "different"
+    page = (out / "comparison.html").read_text("utf-8")
+    for said in ("limits of agreement", "Beside the recipe as it is", "Choosing among these variants"):
+        assert said in page
+
+
 def test_a_changed_image_is_refused(dataset: Callable[..., Path]) -> None:
     path = dataset()
     cv2.imwrite(str(path.parent / "images" / "p02.png"), np.zeros((240, 320), np.uint8))
@@ -314,6 +342,8 @@ def test_without_a_data_set_there_are_times_and_a_reason(line: Callable[..., Pat
     assert flat(found[0])["time_frame_median_ms"] is not None
     header = (tmp_path / "out" / "comparison.csv").read_text("utf-8").splitlines()[0]
     assert "bias" not in header
+    assert "volume_visible_to_recipe_mean_pct" in header
+    assert flat(found[1])["volume_visible_to_recipe_n"] == 2
     assert "No truth." in (tmp_path / "out" / "comparison.html").read_text("utf-8")
 
 
