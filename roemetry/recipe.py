@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Protocol, Self
 
 from roemetry.calibration import Calibration
 from roemetry.choosing import Chooser, Chosen
@@ -23,7 +23,17 @@ from roemetry.recipe_file import NEEDS, CalibrationCheck, RecipeFile, SourceChoi
 from roemetry.records import Sensor
 from roemetry.registry import Registry, discover
 from roemetry.validation import checked
-from roemetry.yaml_source import Document, read
+from roemetry.yaml_source import Document, Step, read
+
+
+class Content(Protocol):
+    """A recipe file's values, and the way back to where each stands."""
+
+    data: Any
+    sets: list[str]
+
+    def place(self, path: Sequence[Step]) -> str:
+        """Say where the value at a path comes from."""
 
 
 @dataclass(frozen=True)
@@ -113,6 +123,35 @@ class Recipe:
         document = Overridden(Document("the recipe", data), ())
         return cls(**_resolved(Path(folder) / "recipe.yaml", document, registry or discover()))
 
+    @classmethod
+    def drafted(
+        cls,
+        path: Path,
+        content: Content,
+        registry: Registry,
+        *,
+        read_calibration: Callable[[Path], Calibration] = Calibration.load,
+    ) -> Self:
+        """Check what a recipe file would say if it were saved.
+
+        Parameters
+        ----------
+        path
+            The recipe file: relative paths in it begin at its folder.
+        content
+            Its values; `content.place` gives what stands before each fault.
+        registry
+            Stages to choose from.
+        read_calibration
+            Reads a calibration file, or remembers it.
+
+        Raises
+        ------
+        ConfigurationError
+            With every fault, each with its place.
+        """
+        return cls(**_resolved(path, content, registry, read_calibration))
+
     def resolved(self) -> dict[str, Any]:
         """Everything that decides a result, with defaults filled in, as plain values."""
         source = self.source_choice.model_dump(mode="json")
@@ -148,7 +187,12 @@ class Recipe:
         return hashlib.sha256(json.dumps(deciding, sort_keys=True).encode()).hexdigest()
 
 
-def _resolved(path: Path, document: Overridden, registry: Registry) -> dict[str, Any]:
+def _resolved(
+    path: Path,
+    document: Content,
+    registry: Registry,
+    read_calibration: Callable[[Path], Calibration] = Calibration.load,
+) -> dict[str, Any]:
     """Check a document and give the attributes of the recipe it describes."""
     file, faults = checked(RecipeFile, document.data, document.place)
     if file is None:
@@ -172,7 +216,7 @@ def _resolved(path: Path, document: Overridden, registry: Registry) -> dict[str,
     calibration = None
     if calibration_path is not None:
         try:
-            calibration = Calibration.load(calibration_path)
+            calibration = read_calibration(calibration_path)
         except RoemetryError as error:
             chooser.fault(str(error), "calibration")
         else:

@@ -28,6 +28,7 @@ from roemetry.cli import (
     schema,
     simulate,
     target,
+    tune,
 )
 from roemetry.errors import RoemetryError
 
@@ -87,3 +88,4 @@ app.command()(fit_penetration.fit_penetration)
 app.command()(target.target)
 app.command()(schema.schema)
 app.command()(doctor.doctor)
+app.command()(tune.tune)

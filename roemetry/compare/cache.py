@@ -36,10 +36,17 @@ _BEFORE: Mapping[str, tuple[str, ...]] = {
 
 
 class StepMemory:
-    """Results of the steps of one acquisition, with the time each took; cleared between acquisitions."""
+    """Results of the steps of one acquisition, with the time each took; cleared between acquisitions.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    most
+        So many results are kept; beyond that the one that was used longest ago is forgotten. None: all.
+    """
+
+    def __init__(self, most: int | None = None) -> None:
         self._kept: dict[object, tuple[Any, Exception | None, float]] = {}
+        self._most = most
 
     def clear(self) -> None:
         """Forget everything."""
@@ -56,6 +63,10 @@ class StepMemory:
             except Exception as error:
                 fault = error
             self._kept[key] = (result, fault, time.perf_counter() - begin)
+            if self._most is not None and len(self._kept) > self._most:
+                del self._kept[next(iter(self._kept))]
+        elif self._most is not None:
+            self._kept[key] = self._kept.pop(key)  # used last, forgotten last
         result, fault, seconds = self._kept[key]
         if fault is not None:
             raise fault.with_traceback(None)

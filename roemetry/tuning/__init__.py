@@ -1,0 +1,1 @@
+"""Trying a recipe's options on one frame: a local page that answers at once."""
