@@ -18,7 +18,7 @@ from roemetry.stages import Coder, StageOptions
 from roemetry_kernels.bridging import bridged
 from roemetry_kernels.refusing import refuse_uncodable
 from roemetry_kernels.rest_lines import calibrated_rest_lines, missing_stripes, reasons_of
-from roemetry_kernels.row_order import DEAREST, continued, order_rows, stripes_on_belt
+from roemetry_kernels.row_order import DEAREST, order_rows, refuse_doubtful, stripes_on_belt
 
 
 class OrderedOptions(StageOptions):
@@ -86,16 +86,24 @@ class Ordered(Coder[OrderedOptions]):
             high_mm,
             rest.tolerance_px,
         )
-        margin: Floats = dearer / DEAREST
-        firm = continued(peaks.row, peaks.x_px, stripe, live.size, _STEP_MAX_PX)
-        stripe[(stripe >= 0) & ~(firm & (margin >= self.options.margin_min))] = AMBIGUOUS
-        coded = (stripe >= 0).mean()
+        coded = refuse_doubtful(
+            peaks.row,
+            peaks.x_px,
+            stripe,
+            dearer,
+            live.size,
+            _STEP_MAX_PX,
+            self.options.margin_min * DEAREST,
+            AMBIGUOUS,
+        )
+        coded /= len(peaks)
         if coded < _CODED_SHARE_MIN:
             raise StageError(
                 f"only {coded:.0%} of the peaks are in an order that stripes can have: "
                 "that is noise, not stripes",
                 hint="raise the extractor's threshold, or look at the image",
             )
+        margin: Floats = dearer / DEAREST
         return bridged(
             peaks,
             stripe,

@@ -98,11 +98,9 @@ class Tracing(Coder[TracingOptions]):
             high_mm,
             options.smallest_trace_rows,
         )
-        stripe = np.where(
-            stripe == UNCODED, UNCODED, np.where(margin >= options.margin_min, stripe, AMBIGUOUS)
-        )
+        stripe[(stripe != UNCODED) & (margin < options.margin_min)] = AMBIGUOUS
         stripe = keep_order(peaks, stripe)
-        coded = (stripe >= 0).mean()
+        coded = np.count_nonzero(stripe >= 0) / len(peaks)
         if coded < _CODED_SHARE_MIN:
             raise StageError(
                 f"only {coded:.0%} of the peaks lie on traces that could be numbered: that is noise, or the "

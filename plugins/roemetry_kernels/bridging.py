@@ -6,7 +6,7 @@ import numpy as np
 
 from roemetry.arrays import Floats, Integers
 from roemetry.records import AMBIGUOUS, UNCODED, Peaks, Reason, StripeMap
-from roemetry_kernels.layout import cells_between, numbered, off_belt_and_bridged
+from roemetry_kernels.layout import cells_between, lay_out, numbered, off_belt_and_bridged
 from roemetry_kernels.rest_lines import RestLines
 
 _REACH_TOLERANCES = 3.0
@@ -43,30 +43,29 @@ def bridged(
     reasons
         What the coding has to say so far.
     """
-    shape = rest.x_px.shape
-    coded = np.flatnonzero(stripe >= 0)
-    cells = stripe[coded], peaks.row[coded]
-    x_px, x_std_px, margins = (np.full(shape, np.nan) for _ in range(3))
-    x_px[cells] = peaks.x_px[coded]
-    x_std_px[cells] = peaks.x_std_px[coded]
-    margins[cells] = margin[coded]
-    seen = np.isfinite(x_px)
+    x_px, x_std_px, margins = (np.empty(rest.x_px.shape) for _ in range(3))
+    seen, peak_stripe = np.empty(rest.x_px.shape, np.bool_), np.empty(len(peaks), np.int16)
+    lay_out(
+        *(peaks.row, peaks.x_px, peaks.x_std_px, stripe, margin),
+        *(x_px, x_std_px, margins, seen, peak_stripe),
+    )
     reach_px = _REACH_TOLERANCES * rest.tolerance_px
     off_belt = off_belt_and_bridged(x_px, rest.x_px, rest.tolerance_px, reach_px, longest_gap_rows)
     # without any rest line every point is off the belt: one product, and nothing is dirt
     unknown = not np.isfinite(rest.tolerance_px)
-    product, dirt = numbered(x_px, off_belt, smallest_product_points)
     if unknown:
         product, dirt = np.where(np.isfinite(x_px), 1, -1).astype(np.int16), np.zeros_like(seen)
+    else:
+        product, dirt = numbered(x_px, off_belt, smallest_product_points)
     said = list(reasons)
-    peak_stripe = stripe.astype(np.int16)
     if dirt.any():
         said.append(
             Reason("dirt", f"{int((dirt & seen).sum())} points off the belt are too few for a product")
         )
         for values in (x_px, x_std_px, margins):
             values[dirt] = np.nan
-        peak_stripe[coded] = np.where(dirt[cells], UNCODED, stripe[coded])
+        coded = np.flatnonzero(stripe >= 0)
+        peak_stripe[coded[dirt[stripe[coded], peaks.row[coded]]]] = UNCODED
         seen &= ~dirt
     ambiguous, count = cells_between(peaks.row, peaks.x_px, stripe, AMBIGUOUS, rest.x_px)
     if unknown:

@@ -6,6 +6,7 @@ import numpy as np
 
 from roemetry.arrays import Floats, Integers
 from roemetry.records import AMBIGUOUS, UNCODED, Peaks, Reason
+from roemetry_kernels.compiling import kernel
 
 _CLEARLY_LONGER = 3
 _REACH_STRIPES = 2
@@ -49,13 +50,20 @@ def drop_doubles(peaks: Peaks, stripe: Integers, line: Integers, segment_rows: I
 
 def keep_order(peaks: Peaks, stripe: Integers) -> Integers:
     """Refuse peaks of a row whose stripes do not increase from left to right."""
-    coded = np.flatnonzero(stripe >= 0)
-    same_row = peaks.row[coded[1:]] == peaks.row[coded[:-1]]
-    wrong = np.flatnonzero(same_row & (stripe[coded[1:]] <= stripe[coded[:-1]]))
     result = stripe.copy()
-    result[coded[wrong]] = AMBIGUOUS
-    result[coded[wrong + 1]] = AMBIGUOUS
+    _refuse_disorder(peaks.row, stripe, result, AMBIGUOUS)
     return result
+
+
+@kernel
+def _refuse_disorder(row: Integers, stripe: Integers, result: Integers, refused: int) -> None:
+    before = -1
+    for p in range(row.shape[0]):
+        if stripe[p] < 0:
+            continue
+        if before >= 0 and row[before] == row[p] and stripe[p] <= stripe[before]:
+            result[before] = result[p] = refused
+        before = p
 
 
 def refuse_unexplained_gaps(

@@ -5,10 +5,38 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from roemetry.arrays import Flags, Floats, Integers
+from roemetry.arrays import Flags, Floats, Integers, Labels
 from roemetry_kernels.compiling import kernel
 
 _PRODUCT_ROWS_MIN = 3
+
+
+@kernel
+def lay_out(
+    row: Integers, x_px: Floats, x_std_px: Floats, stripe: Integers, margin: Floats,
+    laid_x_px: Floats, laid_std_px: Floats, laid_margin: Floats, seen: Flags, peak_stripe: Labels,
+) -> None:  # fmt: skip
+    """Lay coded peaks out over (stripe, row), into the last five; of two in one cell the last one counts.
+
+    Parameters
+    ----------
+    row, x_px, x_std_px, stripe, margin
+        (peak,) what is known of each; `stripe` below 0 is not coded.
+    laid_x_px, laid_std_px, laid_margin, seen
+        (stripe, row) the same; NaN and False where there is none.
+    peak_stripe
+        (peak,) `stripe` in fewer bits.
+    """
+    for s in range(seen.shape[0]):
+        for r in range(seen.shape[1]):
+            laid_x_px[s, r] = laid_std_px[s, r] = laid_margin[s, r] = np.nan
+            seen[s, r] = False
+    for p in range(row.shape[0]):
+        s = stripe[p]
+        peak_stripe[p] = s
+        if s >= 0:
+            laid_x_px[s, row[p]], laid_std_px[s, row[p]] = x_px[p], x_std_px[p]
+            laid_margin[s, row[p]], seen[s, row[p]] = margin[p], True
 
 
 @kernel
@@ -96,43 +124,68 @@ def numbered(x_px: Floats, off_belt: Flags, smallest: int) -> tuple[NDArray[np.i
         (stripe, row) True for dirt.
     """
     stripes, rows = x_px.shape
-    filled = _joined(x_px, off_belt)
-    parent = np.arange(stripes * rows)
-    for s in range(stripes):
-        for row in range(rows):
-            if not filled[s, row]:
-                continue
-            cell = s * rows + row
-            if row + 1 < rows and filled[s, row + 1]:
-                _join(parent, cell, cell + 1)
-            if s + 1 < stripes and filled[s + 1, row]:
-                _join(parent, cell, cell + rows)
-    points = np.zeros(stripes * rows, np.int64)
-    cells = np.zeros(stripes * rows, np.int64)
-    place = np.zeros(stripes * rows)
-    for s in range(stripes):
-        for row in range(rows):
-            if filled[s, row]:
-                root = _root(parent, s * rows + row)
-                points[root] += off_belt[s, row]
-                cells[root] += 1
-                place[root] += s
-    number = np.zeros(stripes * rows, np.int16)
+    product = np.empty((stripes, rows), np.int16)
+    dirt = np.zeros((stripes, rows), np.bool_)
+    stripe, begin, end = _runs(_joined(x_px, off_belt))
+    runs = begin.size
+    parent = np.arange(runs)
+    # Runs of a stripe and of the next that have a row in common hang together.
+    one = other = 0
+    while one < runs and other < runs:
+        if stripe[other] <= stripe[one]:
+            other += 1
+        elif stripe[other] > stripe[one] + 1 or end[one] <= begin[other]:
+            one += 1
+        else:
+            if begin[one] < end[other]:
+                _join(parent, one, other)
+            if end[one] < end[other]:
+                one += 1
+            else:
+                other += 1
+    points, cells, place = np.zeros(runs, np.int64), np.zeros(runs, np.int64), np.zeros(runs)
+    for k in range(runs):
+        root = _root(parent, k)
+        for row in range(begin[k], end[k]):
+            points[root] += off_belt[stripe[k], row]
+        cells[root] += end[k] - begin[k]
+        place[root] += stripe[k] * (end[k] - begin[k])
+    number = np.zeros(runs, np.int16)
     big = np.flatnonzero(points >= max(smallest, 1))
     order = np.argsort(place[big] / cells[big], kind="mergesort")
     for k in range(big.size):
         number[big[order[k]]] = k + 1
-    product = np.full((stripes, rows), -1, np.int16)
-    dirt = np.zeros((stripes, rows), np.bool_)
     for s in range(stripes):
         for row in range(rows):
+            product[s, row] = -1 if np.isnan(x_px[s, row]) else 0
+    for k in range(runs):
+        mine, s = number[_root(parent, k)], stripe[k]
+        for row in range(begin[k], end[k]):
             if off_belt[s, row]:
-                mine = number[_root(parent, s * rows + row)]
                 product[s, row] = mine if mine > 0 else -1
                 dirt[s, row] = mine == 0
-            elif not np.isnan(x_px[s, row]):
-                product[s, row] = 0
     return product, dirt
+
+
+@kernel
+def _runs(filled: Flags) -> tuple[Integers, Integers, Integers]:
+    """Give stripe, first row and row after the last of each run along a stripe."""
+    stripes, rows = filled.shape
+    room = stripes * (rows // 2 + 1)
+    stripe, begin, end = np.empty(room, np.int64), np.empty(room, np.int64), np.empty(room, np.int64)
+    count = 0
+    for s in range(stripes):
+        row = 0
+        while row < rows:
+            if not filled[s, row]:
+                row += 1
+                continue
+            stripe[count], begin[count] = s, row
+            while row < rows and filled[s, row]:
+                row += 1
+            end[count] = row
+            count += 1
+    return stripe[:count], begin[:count], end[:count]
 
 
 @kernel

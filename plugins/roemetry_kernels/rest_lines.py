@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +11,7 @@ from roemetry.arrays import Floats, Integers
 from roemetry.calibration import Calibration
 from roemetry.errors import StageError
 from roemetry.records import Peaks, Reason
+from roemetry_kernels.compiling import kernel
 from roemetry_kernels.tracing import nearest_rest
 
 _SIGMAS = 4.0
@@ -19,6 +21,7 @@ _MOVED_MAX_PX = 1.0
 _MOVED_PX = 0.25
 """The mean of some thousand belt points is known far better than this."""
 _OUTER_SHARE = 0.1
+_BELT_PEAKS_MIN = 10
 _MAD_TO_STD = 1.4826
 
 
@@ -51,16 +54,24 @@ def calibrated_rest_lines(peaks: Peaks, calibration: Calibration) -> RestLines:
         Rest lines cross within the image, so that order says nothing; or the belt's stripes lie more than a
         pixel beside them.
     """
-    x_px = calibration.rest_line_px(np.arange(peaks.image_size[0], dtype=np.float64))
+    x_px = _lines_of(calibration, peaks.image_size[0])
+    tolerance_px, offset_px = _belt_scatter_px(peaks, x_px)
+    if abs(offset_px) > _MOVED_MAX_PX:
+        raise StageError(_moved(offset_px), hint="calibrate again")
+    return RestLines(x_px, tolerance_px, offset_px)
+
+
+@lru_cache(maxsize=8)
+def _lines_of(calibration: Calibration, rows: int) -> Floats:
+    """Give the calibration's lines over (stripe, row); the frames of a line all have the same."""
+    x_px = calibration.rest_line_px(np.arange(rows, dtype=np.float64))
     if calibration.stripe_count > 1 and not (np.diff(x_px, axis=0) > 0).all():
         raise StageError(
             "the calibration's rest lines cross, or are not numbered from left to right",
             hint="calibrate again; `roemetry lint` checks the file",
         )
-    tolerance_px, offset_px = _belt_scatter_px(peaks, x_px)
-    if abs(offset_px) > _MOVED_MAX_PX:
-        raise StageError(_moved(offset_px), hint="calibrate again")
-    return RestLines(x_px, tolerance_px, offset_px)
+    x_px.flags.writeable = False
+    return x_px
 
 
 def reasons_of(rest: RestLines) -> list[Reason]:
@@ -70,9 +81,9 @@ def reasons_of(rest: RestLines) -> list[Reason]:
 
 def missing_stripes(live: Integers, stripes: int) -> list[Reason]:
     """Name the stripes that are not among `live`, of `stripes` that are expected."""
-    dead = np.setdiff1d(np.arange(stripes), live)
-    if not dead.size:
+    if len(live) == stripes:
         return []
+    dead = np.setdiff1d(np.arange(stripes), live)
     names = ", ".join(str(stripe + 1) for stripe in dead)
     return [
         Reason(
@@ -154,13 +165,30 @@ def _belt_scatter_px(peaks: Peaks, rest_px: Floats) -> tuple[float, float]:
     Only the image's top and bottom tenth are asked: amid the image a product may lie near the lines.
     """
     rows = rest_px.shape[1]
-    outer = (peaks.row < _OUTER_SHARE * rows) | (peaks.row >= (1.0 - _OUTER_SHARE) * rows)
-    line, distance = nearest_rest(peaks.row[outer], peaks.x_px[outer], rest_px, _SEARCH_PX)
-    near = distance[line >= 0]
-    if near.size < 10:
+    top, bottom = np.searchsorted(peaks.row, (_OUTER_SHARE * rows, (1.0 - _OUTER_SHARE) * rows))
+    near, mad, mean = _scatter(peaks.row, peaks.x_px, rest_px, top, bottom, _SEARCH_PX)
+    if near < _BELT_PEAKS_MIN:
         return _TOLERANCE_MIN_PX, 0.0
-    scatter = _MAD_TO_STD * float(np.median(np.abs(near - np.median(near))))
-    return max(_TOLERANCE_MIN_PX, _SIGMAS * scatter), float(near.mean())
+    return max(_TOLERANCE_MIN_PX, _SIGMAS * _MAD_TO_STD * float(mad)), float(mean)
+
+
+@kernel
+def _scatter(
+    row: Integers, x_px: Floats, rest_px: Floats, top: int, bottom: int, search_px: float
+) -> tuple[int, float, float]:
+    """Number, median absolute deviation and mean of the distances of peaks near a line, px.
+
+    Peaks up to `top` and from `bottom` on are asked.
+    """
+    count = row.shape[0]
+    asked = np.empty(top + count - bottom, np.int64)
+    for n in range(asked.size):
+        asked[n] = n if n < top else bottom + n - top
+    line, distance = nearest_rest(row[asked], x_px[asked], rest_px, search_px)
+    near = distance[line >= 0]
+    if near.size == 0:
+        return 0, 0.0, 0.0
+    return near.size, np.median(np.abs(near - np.median(near))), near.mean()
 
 
 def _ends(

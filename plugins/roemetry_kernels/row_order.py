@@ -88,6 +88,13 @@ def order_rows(
     margin = np.zeros(x_px.shape[0])
     if labels == 0 or most == 0:
         return stripe, margin
+    # Displacements there may be, and the way that higher points go: the same in every row.
+    low, high, way = np.empty(labels), np.empty(labels), np.empty(labels)
+    for i in range(labels):
+        steep = px_per_mm[of_label[i]]
+        one, other = steep * height_min_mm, steep * height_max_mm
+        low[i], high[i] = min(one, other) - tolerance_px, max(one, other) + tolerance_px
+        way[i] = 1.0 if steep > 0.0 else -1.0
     height = np.empty((most, labels))
     own = np.empty((most, labels))
     first = np.empty(most, np.int64)
@@ -102,37 +109,39 @@ def order_rows(
         spacing = 1.0
         if labels > 1:
             spacing = (rest_px[of_label[-1], row] - rest_px[of_label[0], row]) / (labels - 1)
-        for k in range(count):
-            first[k], last[k] = labels, -1
-            for i in range(labels):
-                s = of_label[i]
-                off = x_px[begin + k] - rest_px[s, row]
-                h = off / px_per_mm[s]
-                slack = tolerance_px / abs(px_per_mm[s])
-                if h < height_min_mm - slack or h > height_max_mm + slack:
-                    continue
-                first[k] = min(first[k], i)
-                last[k] = i
-                height[k, i] = h * abs(px_per_mm[s]) / spacing
-                own[k, i] = -_REST if abs(off) <= tolerance_px else 0.0
-        if count == labels and _in_full(height, own, first, last, labels):
+        if count == labels and _in_full(
+            x_px[begin : begin + count], rest_px[:, row], of_label, low, high, way, 0.5 * spacing
+        ):
             for k in range(count):
                 stripe[begin + k] = of_label[k]
                 margin[begin + k] = DEAREST
             continue
+        for k in range(count):
+            first[k], last[k] = labels, -1
+            for i in range(labels):
+                off = x_px[begin + k] - rest_px[of_label[i], row]
+                if off < low[i] or off > high[i]:
+                    continue
+                first[k] = min(first[k], i)
+                last[k] = i
+                height[k, i] = way[i] * off / spacing
+                own[k, i] = -_REST if abs(off) <= tolerance_px else 0.0
         _least(height, own, first, last, count, labels, forward, backward)
         _verdicts(forward, backward, own, first, last, count, labels, of_label, begin, stripe, margin)
     return stripe, margin
 
 
 @kernel
-def _in_full(height: Floats, own: Floats, first: Integers, last: Integers, labels: int) -> bool:
+def _in_full(
+    x_px: Floats, rest_px: Floats, of_label: Integers, low: Floats, high: Floats, way: Floats, step_px: float
+) -> bool:
     """Say whether all stripes are there and the surface goes from each to the next without a large step."""
-    for k in range(labels):
-        if k < first[k] or k > last[k]:
+    before = 0.0
+    for k in range(of_label.size):
+        off = x_px[k] - rest_px[of_label[k]]
+        if off < low[k] or off > high[k] or (k and abs(way[k] * off - before) > step_px):
             return False
-        if k and abs(height[k, k] - height[k - 1, k - 1]) > 0.5:
-            return False
+        before = way[k] * off
     return True
 
 
@@ -184,17 +193,27 @@ def _verdicts(
 
 
 @kernel
-def continued(row: Integers, x_px: Floats, stripe: Integers, stripes: int, step_max_px: float) -> Flags:
-    """Say which coded peaks have a peak of their stripe near them within the next three rows up or down.
+def refuse_doubtful(
+    row: Integers, x_px: Floats, stripe: Integers, dearer: Floats, stripes: int, step_max_px: float,
+    dearer_min: float, refused: int,
+) -> int:  # fmt: skip
+    """Refuse coded peaks that another verdict suits as well or that stand alone; gives how many stay coded.
 
     Parameters
     ----------
     row, x_px, stripe
-        (peak,) sorted by row; `stripe` below 0 is not coded.
+        (peak,) sorted by row; `stripe` below 0 is not coded; changed.
+    dearer
+        (peak,) see `order_rows`.
     stripes
         Number of stripes.
     step_max_px
-        Largest step from one row to the next, px.
+        A peak stands alone without a peak of its stripe within the next three rows up or down, not farther
+        away than this from row to row, px.
+    dearer_min
+        Another verdict suits as well if it is dearer by less.
+    refused
+        What is written for a refused peak.
     """
     last = np.full(stripes, -1, np.int64)
     found = np.zeros(row.shape[0], np.bool_)
@@ -206,4 +225,9 @@ def continued(row: Integers, x_px: Floats, stripe: Integers, stripes: int, step_
         if q >= 0 and 0 < row[p] - row[q] <= 3 and abs(x_px[p] - x_px[q]) <= step_max_px * (row[p] - row[q]):
             found[p] = found[q] = True
         last[s] = p
-    return found
+    coded = 0
+    for p in range(row.shape[0]):
+        if stripe[p] >= 0 and not (found[p] and dearer[p] >= dearer_min):
+            stripe[p] = refused
+        coded += stripe[p] >= 0
+    return coded

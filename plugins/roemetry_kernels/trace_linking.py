@@ -49,29 +49,31 @@ def linked_traces(
     curvature, last = np.empty(peaks), np.empty(peaks, np.int64)
     length = np.zeros(peaks, np.int64)
     open_traces = np.empty(peaks, np.int64)
+    ahead, reach, far = np.empty(peaks), np.empty(peaks), np.empty(peaks)
     opened, count = 0, 0
     for r in range(row_start.shape[0] - 1):
         kept = 0
         for k in range(opened):
-            if r - last[open_traces[k]] <= gap_rows + 1:
-                open_traces[kept] = open_traces[k]
-                kept += 1
-        opened = kept
+            t = open_traces[k]
+            gap = r - last[t]
+            if gap > gap_rows + 1:
+                continue
+            open_traces[kept] = t
+            ahead[kept] = _ahead(place[t], slope[t], curvature[t], gap)
+            reach[kept] = step_max_px * (1.0 + _GAP_GROWTH * (gap - 1))
+            # a short trace does not know yet where it goes
+            if length[t] < 4 and gap > 2:
+                reach[kept] = 0.0
+            far[kept] = 0.1 * gap
+            kept += 1
+        opened = waiting = kept
         for p in range(row_start[r], row_start[r + 1]):
-            best, found = np.inf, -1
-            for k in range(opened):
-                t = open_traces[k]
-                gap = r - last[t]
-                if gap == 0:
-                    continue
-                off = abs(_ahead(place[t], slope[t], curvature[t], gap) - x_px[p])
-                reach = step_max_px * (1.0 + _GAP_GROWTH * (gap - 1))
-                # a short trace does not know yet where it goes
-                if length[t] < 4 and gap > 2:
-                    reach = 0.0
-                nearer = off <= reach and off + 0.1 * gap < best
-                if nearer and _mine(t, p, r, row_start, x_px, place, slope, curvature, gap):
-                    best, found = off + 0.1 * gap, t
+            best, found, place_of_found = np.inf, -1, -1
+            for k in range(waiting):
+                off = abs(ahead[k] - x_px[p])
+                nearer = off <= reach[k] and off + far[k] < best
+                if nearer and _mine(ahead[k], p, r, row_start, x_px):
+                    best, found, place_of_found = off + far[k], open_traces[k], k
             if found < 0:
                 found = count
                 place[found], slope[found], curvature[found] = x_px[p], 0.0, 0.0
@@ -80,8 +82,8 @@ def linked_traces(
                 count += 1
             else:
                 gap = r - last[found]
-                ahead = _ahead(place[found], slope[found], curvature[found], gap)
-                off = x_px[p] - ahead
+                off = x_px[p] - ahead[place_of_found]
+                reach[place_of_found] = -1.0  # it has its peak
                 gain = max(_SLOPE_GAIN, 1.0 / (length[found] + 1))
                 slope[found] += curvature[found] * gap + gain * off / gap
                 bent = curvature[found] + _CURVATURE_GAIN * off / (gap * gap)
@@ -101,12 +103,8 @@ def _ahead(place: float, slope: float, curvature: float, gap: int) -> float:
 
 
 @kernel
-def _mine(
-    t: int, p: int, r: int, row_start: Integers, x_px: Floats, place: Floats, slope: Floats,
-    curvature: Floats, gap: int,
-) -> bool:  # fmt: skip
-    """Say whether no other peak of the row is nearer to where the trace was going."""
-    ahead = _ahead(place[t], slope[t], curvature[t], gap)
+def _mine(ahead: float, p: int, r: int, row_start: Integers, x_px: Floats) -> bool:
+    """Say whether no other peak of the row is nearer to where a trace was going."""
     off = abs(ahead - x_px[p])
     if p > row_start[r] and abs(ahead - x_px[p - 1]) < off:
         return False
@@ -172,6 +170,8 @@ def coded_traces(
         low[i], high[i] = min(one, other) - tolerance_px, max(one, other) + tolerance_px
     rest_live = np.ascontiguousarray(rest_px[of_label])
     for _ in range(_PASSES):
+        if _all_labelled(label, used):
+            break
         votes, voters = vote_by_order(row_start, x_px, used, label, rest_live, low, high)
         settled = 0
         for f in range(pieces):
@@ -196,3 +196,12 @@ def coded_traces(
             stripe[p] = of_label[label[f]] if label[f] >= 0 else 0
             sure[p] = margin[f] if label[f] >= 0 else 0.0
     return stripe, sure
+
+
+@kernel
+def _all_labelled(label: Integers, used: Integers) -> bool:
+    """Say whether there is nothing to vote on."""
+    waiting = 0
+    for p in range(used.shape[0]):
+        waiting += used[p] >= 0 and label[used[p]] < 0
+    return waiting == 0

@@ -72,15 +72,27 @@ def nearest_rest(
     stripes = rest_px.shape[0]
     line = np.full(x_px.shape[0], -1, np.int64)
     distance = np.full(x_px.shape[0], np.nan)
+    before, nearest, all_known = -1, 0, True
     for p in range(x_px.shape[0]):
-        best = np.inf
-        for stripe in range(stripes):
-            off = x_px[p] - rest_px[stripe, row[p]]
+        r = row[p]
+        if r != before:
+            before, nearest, all_known = r, 0, True
+            for stripe in range(stripes):
+                all_known &= not np.isnan(rest_px[stripe, r])
+        if not all_known or x_px[p] < x_px[max(p - 1, 0)]:
+            nearest = 0
+        best = x_px[p] - rest_px[nearest, r]
+        best = np.inf if np.isnan(best) else best
+        # Where every line is known their distances fall and then rise: peaks to the right go on from there.
+        for stripe in range(nearest + 1, stripes):
+            off = x_px[p] - rest_px[stripe, r]
             if abs(off) < abs(best):
-                best = off
-                if abs(off) <= tolerance_px:
-                    line[p] = stripe
+                best, nearest = off, stripe
+            elif all_known:
+                break
         distance[p] = best
+        if abs(best) <= tolerance_px:
+            line[p] = nearest
     return line, distance
 
 
