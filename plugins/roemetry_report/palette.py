@@ -51,5 +51,21 @@ AMBIGUOUS = "#FF4D4D"
 UNCODED = "#9AA5B0"
 MARK = "#A9B4BE"
 OUTLINE = "#FFFFFF"
+RISING = ("#F4F6E8", "#DCE8C2", "#BBD8A5", "#8FC495", "#5FAE8C", "#389383", "#237676", "#1D5A66", "#183F55")
+"""From little to much, lightness falls evenly."""
+
+DIVERGING = (
+    "#21456E",
+    "#3E719E",
+    "#7BA4C4",
+    "#BBD2E2",
+    "#F3F3EE",
+    "#F3CFA9",
+    "#E2A066",
+    "#BF6F2B",
+    "#854310",
+)
+"""From negative (blue) to positive (brown), pale about zero; both ends differ for all eyes."""
+
 INK = "#17212B"
 """Text and axes on the page."""

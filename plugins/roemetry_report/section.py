@@ -16,6 +16,7 @@ from roemetry_report.arcs import arc_panel
 from roemetry_report.charts import slice_chart
 from roemetry_report.heights import SmallChart, displacement_charts, height_charts
 from roemetry_report.panels import Panel, panels
+from roemetry_report.relief import relief_panels
 from roemetry_report.rows import Row, row_of
 from roemetry_report.selection import Shown
 from roemetry_report.svg import number
@@ -60,6 +61,7 @@ class ProductView:
     slices: tuple[SliceRow, ...]
     slice_chart: Markup | None
     arcs: Panel | None
+    relief: tuple[Panel, ...]
     profiles: tuple[SmallChart, ...]
     profile_words: str
     changed: bool
@@ -140,11 +142,14 @@ def _product(row: Measurement, trace: Trace | None, key: str, section_key: str) 
     traced = _traced(row, trace)
     grade = row.grade
     arcs: Panel | None = None
+    relief: tuple[Panel, ...] = ()
     profiles: tuple[SmallChart, ...] = ()
     words = ""
     if trace is not None and trace.stripes is not None and trace.frame is not None:
         if traced is not None and traced.grade is not None and traced.grade.marks is not None:
             arcs = arc_panel(traced.grade.marks, trace.stripes, row.product, trace.frame.size, section_key)
+        if traced is not None and traced.grade is not None and traced.grade.relief is not None:
+            relief = relief_panels(traced.grade.relief)
         if traced is not None:
             profiles = height_charts(traced.product.profiles, row.product)
             words = "Height Z over Y, mm, for each slice that carries the product"
@@ -166,6 +171,7 @@ def _product(row: Measurement, trace: Trace | None, key: str, section_key: str) 
         slices=() if row.volume is None else _slices(row.volume),
         slice_chart=None if row.volume is None else slice_chart(row.volume),
         arcs=arcs,
+        relief=relief,
         profiles=profiles,
         profile_words=words,
         changed=_changed(row, traced),

@@ -103,7 +103,7 @@ def feature(name: str, figure: float) -> tuple[str, str]:
 
 _LONG = 100
 _JOINTS = re.compile(r"(?<=\w[_/.-])(?=\w)|(?=#)")
-_UNITS = {"_px": "px", "_mm3": "mm³", "_mm2": "mm²", "_mm": "mm", "_g": "g", "_deg": "°", "_per_mm": "1/mm"}
+_UNITS = {"_per_mm": "1/mm", "_px": "px", "_mm3": "mm³", "_mm2": "mm²", "_mm": "mm", "_g": "g", "_deg": "°"}
 
 
 def _short(figure: float) -> str:

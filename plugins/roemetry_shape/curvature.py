@@ -84,9 +84,8 @@ def surface_shape(sections: Sections) -> SurfaceShape:
     )
 
 
-def curvature_features(sections: Sections) -> dict[str, float]:
+def curvature_features(found: SurfaceShape) -> dict[str, float]:
     """Quantiles of the maps: a healthy product is a cap nearly everywhere."""
-    found = surface_shape(sections)
     if not found.shape_index.size:
         return {}
     return {

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from roemetry.arrays import Floats
-from roemetry.records import Product
-from roemetry_shape.curvature import curvature_features
+from roemetry.records import Product, Relief
+from roemetry_shape.curvature import curvature_features, surface_shape
 from roemetry_shape.hollows import hollows_of
+from roemetry_shape.humps import humps_of
 from roemetry_shape.outline_size import outline_size
+from roemetry_shape.regions import Region
+from roemetry_shape.relief import relief_of
 from roemetry_shape.sections import SAMPLES, Sections, sections_of
 
 SECTIONS_MIN = 3
@@ -20,8 +24,15 @@ _INNER = slice(SAMPLES // 8, SAMPLES - SAMPLES // 8)
 """Samples away from the edges, where a section is steep by nature."""
 
 
-def shape_features(product: Product, smoothing_rows: int) -> dict[str, float]:
-    """Give the features by name, units in the names; empty with fewer than three sections.
+class Shape(NamedTuple):
+    """Features by name (none with fewer than three sections), and the surface they were read off."""
+
+    features: dict[str, float]
+    relief: Relief | None = None
+
+
+def shape_of(product: Product, smoothing_rows: int) -> Shape:
+    """Measure a product's shape.
 
     `length_seen_mm` counts what stripes saw: it ends at the outer stripes. `length_mm`, `across_mm` and
     `footprint_mm2` are the outline's, and are there only if it is.
@@ -35,16 +46,28 @@ def shape_features(product: Product, smoothing_rows: int) -> dict[str, float]:
     """
     sections = sections_of(product, smoothing_rows)
     if len(sections.stripe) < SECTIONS_MIN:
-        return {}
-    return {
+        return Shape({})
+    below_mm, dents = hollows_of(sections)
+    above_mm, humps = humps_of(sections)
+    surface = surface_shape(sections)
+    features = {
         **_size(sections),
         **outline_size(product, sections),
         **_middle_line(sections),
         **_lean(sections),
         **_along(sections),
-        **_hollow_features(sections),
-        **curvature_features(sections),
+        **_hollow_features(below_mm, dents),
+        **_hump_features(humps),
+        **curvature_features(surface),
     }
+    stands_out_mm = np.where(below_mm >= above_mm, -below_mm, above_mm)
+    relief = relief_of(sections, surface, stands_out_mm, {"dent": dents, "hump": humps}, features)
+    return Shape(features, relief)
+
+
+def shape_features(product: Product, smoothing_rows: int) -> dict[str, float]:
+    """Give the features alone; empty with fewer than three sections."""
+    return shape_of(product, smoothing_rows).features
 
 
 def _size(sections: Sections) -> dict[str, float]:
@@ -134,8 +157,7 @@ def _along(sections: Sections) -> dict[str, float]:
     }
 
 
-def _hollow_features(sections: Sections) -> dict[str, float]:
-    depth, hollows = hollows_of(sections)
+def _hollow_features(depth: Floats, hollows: tuple[Region, ...]) -> dict[str, float]:
     deepest = depth.max(axis=1)
     first = hollows[0] if hollows else None
     t = np.linspace(-1.0, 1.0, SAMPLES)
@@ -152,10 +174,13 @@ def _hollow_features(sections: Sections) -> dict[str, float]:
     }
 
 
+def _hump_features(humps: tuple[Region, ...]) -> dict[str, float]:
+    return {
+        "hump_height_mm": humps[0].depth_mm if humps else 0.0,
+        "hump_area_mm2": humps[0].area_mm2 if humps else 0.0,
+        "humps": float(len(humps)),
+    }
+
+
 def _thick(sections: Sections) -> float:
     return max(float(sections.peak_mm.max()), 1e-9)
-
-
-def depth_below(product: Product, smoothing_rows: int) -> Floats:
-    """(section, sample) depth below the hull of each section, mm: what the dents were found from."""
-    return hollows_of(sections_of(product, smoothing_rows))[0]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -12,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from roemetry.records import Grade, Product, Reason
 from roemetry.stages import Classifier, StageOptions
-from roemetry_shape.features import shape_features
+from roemetry_shape.features import shape_of
 
 UNKNOWN = "unknown"
 _FEW = "fewer than three stripes show a cross-section: there is no shape to judge"
@@ -84,9 +85,12 @@ class FuzzyRules(Classifier[FuzzyRulesOptions]):
 
     def classify(self, product: Product, *, rng: np.random.Generator | None = None) -> Grade:
         """Judge by rules; `rng` is not used: rules do not err."""
-        features = shape_features(product, self.options.smoothing_rows)
-        if not features:
+        shape = shape_of(product, self.options.smoothing_rows)
+        if not shape.features:
             return Grade(UNKNOWN, reasons=(Reason("too-few-sections", _FEW),))
+        return replace(self._judged(shape.features), relief=shape.relief)
+
+    def _judged(self, features: Mapping[str, float]) -> Grade:
         missing = sorted({term.feature for term in self.options.terms.values()} - set(features))
         if missing:
             why = f"there is no feature {missing[0]}; there are {', '.join(sorted(features))}"

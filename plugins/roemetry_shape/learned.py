@@ -12,7 +12,7 @@ from pydantic import Field
 
 from roemetry.records import Fitted, Grade, Product, Reason, Samples
 from roemetry.stages import Capabilities, Classifier, StageOptions
-from roemetry_shape.features import shape_features
+from roemetry_shape.features import shape_of
 from roemetry_shape.learned_model import LearnedModel
 
 UNKNOWN = "unknown"
@@ -51,7 +51,7 @@ class Learned(Classifier[LearnedOptions]):
             The model's file is none, or damaged.
         """
         model = self._model
-        features = shape_features(product, model.smoothing_rows)
+        features, relief = shape_of(product, model.smoothing_rows)
         if not features:
             return Grade(UNKNOWN, reasons=(Reason("too-few-sections", _FEW),))
         values = model.values(features)
@@ -62,12 +62,12 @@ class Learned(Classifier[LearnedOptions]):
         told["strangeness"] = distance / model.distance_max
         if distance > model.distance_max:
             why = f"{distance / model.distance_max:.1f} times as far from all that was learned as is usual"
-            return Grade(UNKNOWN, math.nan, told, (Reason("unlike-anything-learned", why),))
+            return Grade(UNKNOWN, math.nan, told, (Reason("unlike-anything-learned", why),), relief=relief)
         label = _decided(by_class, model)
         if by_class[label] < self.options.probability_min:
             why = f"the likeliest class, {label}, has a probability of {by_class[label]:.2f} only"
-            return Grade(UNKNOWN, math.nan, told, (Reason("no-class-likely", why),))
-        return Grade(label, by_class[label], told, (Reason("learned-class", _said(by_class)),))
+            return Grade(UNKNOWN, math.nan, told, (Reason("no-class-likely", why),), relief=relief)
+        return Grade(label, by_class[label], told, (Reason("learned-class", _said(by_class)),), relief=relief)
 
     @classmethod
     def fit(cls, samples: Samples, *, good: str = "", smoothing_rows: int = 15) -> Fitted:

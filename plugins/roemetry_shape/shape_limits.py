@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -10,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from roemetry.records import Grade, Product, Reason
 from roemetry.stages import Classifier, StageOptions
-from roemetry_shape.features import shape_features
+from roemetry_shape.features import shape_of
 
 UNKNOWN = "unknown"
 _FEW = "fewer than three stripes show a cross-section: there is no shape to judge"
@@ -56,9 +58,12 @@ class ShapeLimits(Classifier[ShapeLimitsOptions]):
 
     def classify(self, product: Product, *, rng: np.random.Generator | None = None) -> Grade:
         """Judge by limits; `rng` is not used: limits do not err."""
-        features = shape_features(product, self.options.smoothing_rows)
-        if not features:
+        shape = shape_of(product, self.options.smoothing_rows)
+        if not shape.features:
             return Grade(UNKNOWN, reasons=(Reason("too-few-sections", _FEW),))
+        return replace(self._judged(shape.features), relief=shape.relief)
+
+    def _judged(self, features: Mapping[str, float]) -> Grade:
         if not self.options.limits:
             return Grade(UNKNOWN, features=features, reasons=(Reason("no-limits", "no limits are given"),))
         for limit in self.options.limits:

@@ -18,7 +18,7 @@ from roemetry_volume.weight_model import FORMS, WeightModel
 PRIOR = 1.0
 """Ridge on coefficients of standardised features, in samples: as much as one sample that says "no effect"."""
 FREE_MIN = 5
-"""Least number of samples beyond the coefficients."""
+"""Least number of samples beyond the coefficients; so Student's t has a standard deviation at any rate."""
 _FOLDS_MAX = 50
 _SIMPLER = 0.97
 """A form with more features must bring the error below this share of a plainer one's."""
@@ -58,7 +58,7 @@ def fit_weights(samples: Samples, *, form: str = "auto") -> Fitted:
             hint="weigh more: 20 are a good start",
         )
     chosen = form if form != "auto" else _best(tried)
-    model = _fitted(table, chosen)
+    model = _fitted(table, chosen, chosen_of=len(tried) if form == "auto" else 1)
     figures = _figures(table, tried, chosen)
     words = _words(table, tried, chosen, len(samples.ids))
     return Fitted(model.to_json({"samples": len(table.masses_g), **figures}), figures, words)
@@ -121,8 +121,12 @@ def _table(samples: Samples) -> _Table:
     )
 
 
-def _fitted(table: _Table, form: str, which: Floats | None = None) -> WeightModel:
-    """Fit some samples, all by default."""
+def _fitted(table: _Table, form: str, which: Floats | None = None, chosen_of: int = 1) -> WeightModel:
+    """Fit some samples, all by default.
+
+    A form that the same samples have chosen of several has adapted to them by that, too: the choice counts as
+    one more coefficient.
+    """
     use = np.ones(len(table.masses_g), np.bool_) if which is None else which
     values, ratio = table.design(form)[use], table.masses_g[use] / table.visible_cm3[use]
     count = len(ratio)
@@ -133,7 +137,7 @@ def _fitted(table: _Table, form: str, which: Floats | None = None) -> WeightMode
     penalty = np.diag([0.0] + [PRIOR] * values.shape[1])
     inverse = np.linalg.inv(rows.T @ rows + penalty)
     coefficients = inverse @ rows.T @ ratio
-    free = count - float(np.trace(rows @ inverse @ rows.T))
+    free = count - float(np.trace(rows @ inverse @ rows.T)) - float(chosen_of > 1)
     variance = float(((ratio - rows @ coefficients) ** 2).sum()) / free
     limits = {name: table.columns[name][use] for name in (VISIBLE, *FORMS[form])}
     return WeightModel(

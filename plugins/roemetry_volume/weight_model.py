@@ -20,7 +20,7 @@ FORMS: Mapping[str, tuple[str, ...]] = {
     "scale": (),
     "offset": ("per_cm3",),
     "ends": ("end_share",),
-    "rim": ("rim_share", "rim_bow_share"),
+    "rim": ("end_share", "rim_share", "rim_bow_share"),
 }
 """By name of a model, the features that mass over visible volume is linear in."""
 

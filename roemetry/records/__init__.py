@@ -19,6 +19,7 @@ from roemetry.records.plan import (
 from roemetry.records.product import Outline, Product
 from roemetry.records.profiles import Profiles
 from roemetry.records.reasons import Reason
+from roemetry.records.relief import Relief, ReliefMap, ReliefRegion
 from roemetry.records.stripes import AMBIGUOUS, BELT, NOTHING, UNCODED, StripeMap
 from roemetry.records.trace import ProductTrace, Trace
 from roemetry.records.truth import ProductTruth, Simulated, StripeTruth, Truth
@@ -61,6 +62,9 @@ __all__ = [
     "ProductTruth",
     "Profiles",
     "Reason",
+    "Relief",
+    "ReliefMap",
+    "ReliefRegion",
     "Residuals",
     "Role",
     "Samples",

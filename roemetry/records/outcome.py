@@ -10,6 +10,7 @@ import numpy as np
 
 from roemetry.arrays import Checker, Flags, Floats, Integers
 from roemetry.records.reasons import Reason
+from roemetry.records.relief import Relief
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,6 +148,8 @@ class Grade:
         Evidence to draw.
     features_std
         Standard uncertainties of features, by name; a feature that is not in it has none stated.
+    relief
+        The surface to draw; like marks, not in the record of a run.
     """
 
     label: str
@@ -155,6 +158,7 @@ class Grade:
     reasons: tuple[Reason, ...] = ()
     marks: Marks | None = None
     features_std: Mapping[str, float] = field(default_factory=dict)
+    relief: Relief | None = None
 
 
 @dataclass(frozen=True, slots=True)

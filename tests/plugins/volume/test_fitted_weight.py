@@ -51,7 +51,7 @@ def test_the_law_that_made_the_masses_is_found(rng: np.random.Generator, tmp_pat
     exact = fit_weights(samples(rng, 400, scatter=0.0), form="rim")
     model = loaded(exact.content, tmp_path)
     for rim in (0.25, 0.45, 0.65):
-        ratio, _, _ = model.ratio({"rim_share": rim, "rim_bow_share": -0.1})
+        ratio, _, _ = model.ratio({"end_share": 0.4, "rim_share": rim, "rim_bow_share": -0.1})
         # The ridge weighs one sample in 400.
         assert ratio == pytest.approx(1.2 - 0.4 * rim, abs=5e-4)
     plain = loaded(fit_weights(samples(rng, 50, scatter=0.0, slope=0.0), form="scale").content, tmp_path)
