@@ -1,0 +1,174 @@
+"""One sheet over a product: its lines, tips from the outline, and curved bridges between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from roemetry.arrays import Flags, Floats
+from roemetry.errors import StageError
+from roemetry.records import Product, Reason
+from roemetry_open3d.lines import Line, lines_of
+
+_COLUMNS = 64
+_EDGE_PX = 0.5
+_FAR_MM = 4.0
+_BEYOND_OUTER = Reason(
+    "beyond-outer-stripes",
+    "the product reaches beyond the outer stripes; what lies beyond is not in the number",
+)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Sheet:
+    """A grid over the product.
+
+    Attributes
+    ----------
+    xyz_mm : ndarray, shape (row, column, 3)
+        Rows run along X, from tip to tip where there is an outline; columns along each line.
+    spacing_mm : float
+        Mean distance of neighbouring lines.
+    lines
+        What was measured.
+    miss_mm : float
+        How far a line lies from the bridge over its own place when it is left out, root mean square: of
+        bridges twice as wide. NaN with fewer than five lines.
+    assumed : ndarray of bool, shape (row,)
+        True for rows beyond the outer lines.
+    reasons
+        What is to be said.
+    """
+
+    xyz_mm: Floats
+    spacing_mm: float
+    lines: tuple[Line, ...]
+    miss_mm: float
+    assumed: Flags
+    reasons: tuple[Reason, ...]
+
+
+def sheet_of(product: Product, step_mm: float) -> Sheet:
+    """Lay a sheet over a product, its grid about `step_mm` wide.
+
+    Raises
+    ------
+    StageError
+        Too few stripes, a hole, or an outline that reaches the image's edge.
+    """
+    lines, reasons = lines_of(product)
+    even = np.array([_evenly(line.xyz_mm, _COLUMNS) for line in lines])
+    border, why = _border(product, lines)
+    tips = [None if border is None else _tip(border, even, end) for end in (0, -1)]
+    if why is None and any(tip is None for tip in tips):
+        why = _BEYOND_OUTER
+    stack = np.array([*([tips[0]] if tips[0] is not None else []), *even, *tips[1:][: tips[1] is not None]])
+    gaps = np.linalg.norm(np.diff(stack, axis=0), axis=2).mean(axis=1)
+    rows, assumed = [], []
+    last = len(stack) - 1
+    for k, gap in enumerate(gaps.tolist()):
+        beyond = (k == 0 and tips[0] is not None) or (k == last - 1 and tips[1] is not None)
+        for share in np.arange(parts := max(round(gap / step_mm), 1)) / parts:
+            rows.append(_bridge(stack, k, float(share)))
+            assumed.append(beyond and not (k == last - 1 and share == 0.0))
+    rows.append(stack[-1])
+    assumed.append(tips[1] is not None)
+    long = float(np.median(np.linalg.norm(np.diff(even, axis=1), axis=2).sum(axis=1)))
+    columns = max(round(long / step_mm), 6) + 1
+    return Sheet(
+        xyz_mm=np.array([_evenly(row, columns) for row in rows]),
+        spacing_mm=float(np.linalg.norm(np.diff(even, axis=0), axis=2).mean()),
+        lines=lines,
+        miss_mm=_miss(even),
+        assumed=np.array(assumed),
+        reasons=reasons if why is None else (*reasons, why),
+    )
+
+
+def _evenly(points: Floats, count: int) -> Floats:
+    """Resample an open line to `count` points at even distances."""
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    at = np.linspace(0.0, along[-1], count)
+    return np.column_stack([np.interp(at, along, points[:, k]) for k in range(3)])
+
+
+def _bridge(stack: Floats, k: int, share: float) -> Floats:
+    """Give the row a share of the way from row k to the next: cubics with slopes from the neighbours."""
+    here, there = stack[k], stack[k + 1]
+    gap = float(np.linalg.norm(there - here, axis=1).mean())
+    chord = (there - here) / gap
+    slopes = []
+    for inner, outer in ((k, k - 1), (k + 1, k + 2)):
+        if not 0 <= outer < len(stack):
+            slopes.append(chord)
+            continue
+        wide = float(np.linalg.norm(stack[outer] - stack[inner], axis=1).mean())
+        other = (stack[inner] - stack[outer]) / wide * (1.0 if outer < inner else -1.0)
+        slopes.append((chord * wide + other * gap) / (wide + gap))
+    f = share
+    row: Floats = (
+        (1.0 + 2.0 * f) * (1.0 - f) ** 2 * here
+        + f * f * (3.0 - 2.0 * f) * there
+        + f * (1.0 - f) ** 2 * gap * slopes[0]
+        - f * f * (1.0 - f) * gap * slopes[1]
+    )
+    return row
+
+
+def _miss(even: Floats) -> float:
+    """Root mean square of heights against the bridges over left-out lines."""
+    if len(even) < 5:
+        return float("nan")
+    misses = []
+    for k in range(2, len(even) - 2):
+        rest = np.delete(even, k, axis=0)
+        near, far = even[k - 1].mean(axis=0)[0], even[k + 1].mean(axis=0)[0]
+        share = (even[k].mean(axis=0)[0] - near) / (far - near)
+        misses.append(_bridge(rest, k - 1, float(np.clip(share, 0.0, 1.0)))[:, 2] - even[k, :, 2])
+    return float(np.sqrt(np.mean(np.square(misses))))
+
+
+def _border(product: Product, lines: tuple[Line, ...]) -> tuple[Floats | None, Reason | None]:
+    """Place the outline at the height of the nearest lines' ends: (n, 3), or why there is none."""
+    from roemetry_kernels.footprint import inside_by
+
+    outline, view = product.outline, product.view
+    if outline is None or view is None:
+        return None, _BEYOND_OUTER
+    rows, columns = product.calibration.image_size
+    xy = outline.xy_px
+    if ((xy < _EDGE_PX) | (xy > np.array([columns, rows]) - 1.0 - _EDGE_PX)).any():
+        raise StageError(
+            "the product's outline reaches the image's edge: a part is not seen",
+            hint="place it within the image",
+        )
+    ends = np.array([line.xyz_mm[k] for line in lines for k in (0, -1)])
+    border = view.at_height(xy, np.full(len(xy), float(np.median(ends[:, 2]))))
+    for _ in range(2):
+        off = np.linalg.norm(border[:, None, :2] - ends[None, :, :2], axis=2)
+        weight = 1.0 / (1.0 + off) ** 2
+        border = view.at_height(xy, (weight * ends[:, 2]).sum(axis=1) / weight.sum(axis=1))
+    inside = inside_by(np.ascontiguousarray(border[:, :2]), np.ascontiguousarray(ends[:, :2]))
+    if float(np.median(inside)) > _FAR_MM or float(np.median(inside)) < -1.0:
+        return None, Reason(
+            "outline-disagrees",
+            f"the outline is not that of what the stripes show: their ends lie {np.median(inside):+.1f} mm "
+            "inside it; what lies beyond the outer stripes is not in the number",
+        )
+    return border, None
+
+
+def _tip(border: Floats, even: Floats, end: int) -> Floats | None:
+    """Give the part of the border beyond an outer line, from its low to its high Y, or None."""
+    line, inner = even[end], even[1 if end == 0 else -2]
+    low, high = line[0, :2], line[-1, :2]
+    normal = np.array([high[1] - low[1], low[0] - high[0]])
+    normal /= max(float(np.hypot(*normal)), 1e-9)
+    side = -np.sign(float((inner.mean(axis=0)[:2] - low) @ normal))
+    beyond = side * ((border[:, :2] - low) @ normal) > 0.0
+    starts = np.flatnonzero(beyond & ~np.roll(beyond, 1))
+    if starts.size != 1 or beyond.sum() < 5:
+        return None
+    part = np.roll(border, -int(starts[0]), axis=0)[: int(beyond.sum())]
+    return _evenly(part if part[0, 1] < part[-1, 1] else part[::-1], _COLUMNS)

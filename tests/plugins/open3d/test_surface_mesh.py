@@ -1,0 +1,232 @@
+"""Closed meshes: known bodies, refusals, files that other programs read."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from roemetry.errors import StageError
+from roemetry.records import Outline, Product
+from roemetry.testing.scenes import LinearRig
+from roemetry.testing.solids import HALF_CYLINDER, HALF_ELLIPSOID, SPHERICAL_CAP, product_from, product_of
+from roemetry.view import View
+from roemetry_open3d import loading, meshing
+from roemetry_open3d.closing import mended, open_edges
+from roemetry_open3d.lines import lines_of
+from roemetry_open3d.mesh_formats import colours, ply, stl
+from roemetry_open3d.meshing import Mesh, mesh_of
+from roemetry_open3d.sheet import sheet_of
+from roemetry_open3d.surface_mesh import MeshOptions, SurfaceMesh
+from roemetry_open3d.vertex_uncertainty import ASSUMED, BRIDGED, MEASURED, certainty_of
+
+METHODS = ("poisson", "ball-pivoting", "alpha-shape")
+COARSE = LinearRig(rows=240, columns=480, stripes=13, first_px=95.5, spacing_px=24.0, fan=0.0)
+"""Stripes 6 mm apart: bridges are what lies between."""
+
+
+def volume_by(method: str, product: Product, step_mm: float = 1.5):
+    return SurfaceMesh(MeshOptions(method=method, step_mm=step_mm)).estimate(product)
+
+
+def seen_from_above(product: Product, length: float, width: float, skew: float = 0.0) -> Product:
+    """The same with a camera straight above, and the outline of the body's elliptic foot."""
+    rows, columns = product.calibration.image_size
+    pose = np.diag([1.0, -1.0, -1.0, 1.0])
+    pose[2, 3] = 1e5
+    f_px = 4.0 * 1e5
+    matrix = np.array([[f_px, 0.0, (columns - 1) / 2], [0.0, f_px, (rows - 1) / 2], [0.0, 0.0, 1.0]])
+    view = View((rows, columns), matrix, pose, product.profiles.plane.copy())
+    angle = np.linspace(0.0, 2.0 * np.pi, 400, endpoint=False)
+    x = 0.5 * length * np.cos(angle) * np.where(np.cos(angle) > 0.0, 1.0 + skew, 1.0 - skew)
+    foot = np.column_stack([x, 0.5 * width * np.sin(angle), np.zeros(400)])
+    return replace(product, view=view, outline=Outline(1, view.project(foot)))
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_half_ellipsoid(method: str) -> None:
+    """Within 2 %: facets cut corners."""
+    volume = volume_by(method, product_of(HALF_ELLIPSOID))
+    assert volume.visible_mm3.value / HALF_ELLIPSOID.volume_mm3 == pytest.approx(1.0, abs=0.02)
+    assert np.isnan(volume.visible_mm3.std), "its model's error is not stated"
+    assert [reason.code for reason in volume.reasons] == ["beyond-outer-stripes"]
+
+
+@pytest.mark.parametrize("method", ["poisson", "alpha-shape"])
+def test_a_half_cylinder_with_flat_ends(method: str) -> None:
+    volume = volume_by(method, product_of(HALF_CYLINDER))
+    assert volume.visible_mm3.value / HALF_CYLINDER.volume_mm3 == pytest.approx(1.0, abs=0.025)
+
+
+def test_an_outline_closes_the_tips() -> None:
+    """Stripes 6 mm apart: without it 2 to 6 % is missing at the ends, with it the volume is within 2 %."""
+    bare = product_of(SPHERICAL_CAP, COARSE)
+    outlined = seen_from_above(bare, 50.0, 50.0)
+    without, with_it = (volume_by("poisson", each) for each in (bare, outlined))
+    assert -0.08 < without.visible_mm3.value / SPHERICAL_CAP.volume_mm3 - 1.0 < -0.005
+    assert with_it.visible_mm3.value / SPHERICAL_CAP.volume_mm3 == pytest.approx(1.0, abs=0.02)
+    assert without.shares.assumed == 0.0
+    assert 0.0 < with_it.shares.assumed < 0.1
+    assert not with_it.reasons
+
+
+def test_an_outline_of_something_else_is_left_out() -> None:
+    far = seen_from_above(product_of(SPHERICAL_CAP, COARSE), 30.0, 30.0)
+    volume = volume_by("poisson", far)
+    assert [reason.code for reason in volume.reasons] == ["outline-disagrees"]
+
+
+def test_an_outline_at_the_images_edge_is_refused() -> None:
+    product = seen_from_above(product_of(SPHERICAL_CAP, COARSE), 50.0, 50.0)
+    cut = replace(product, outline=Outline(1, product.outline.xy_px - product.outline.xy_px.min(axis=0)))
+    with pytest.raises(StageError, match="reaches the image's edge"):
+        volume_by("poisson", cut)
+
+
+def test_a_hole_is_refused() -> None:
+    heights = product_of(HALF_ELLIPSOID).profiles.xyz_mm[..., 2].copy()
+    y = product_of(HALF_ELLIPSOID).profiles.xyz_mm[..., 1]
+    x = product_of(HALF_ELLIPSOID).profiles.xyz_mm[..., 0]
+    distance = np.hypot(x, y)
+    heights[distance < 8.0] = np.nan
+    rim = (distance >= 8.0) & (distance < 9.5)
+    heights[rim] = np.minimum(heights[rim], 2.0)
+    with pytest.raises(StageError, match="falls away and rises again .* of stripe"):
+        volume_by("poisson", product_from(heights))
+
+
+def test_fewer_than_three_stripes_are_refused() -> None:
+    heights = product_of(HALF_ELLIPSOID).profiles.xyz_mm[..., 2].copy()
+    keep = np.flatnonzero(np.isfinite(heights).sum(axis=1) > 10)[[3, 9]]
+    heights[np.setdiff1d(np.arange(len(heights)), keep)] = np.nan
+    with pytest.raises(StageError, match="only 2 stripes lie on the product"):
+        volume_by("poisson", product_from(heights))
+
+
+def test_a_dead_stripe_and_a_gap_are_told() -> None:
+    product = product_of(HALF_ELLIPSOID)
+    heights = product.profiles.xyz_mm[..., 2].copy()
+    lit = np.flatnonzero(np.isfinite(heights).sum(axis=1) > 10)
+    heights[lit[8]] = np.nan
+    middle = int(np.nanargmax(heights[lit[12]]))
+    heights[lit[12], middle - 10 : middle + 10] = np.nan
+    _, reasons = lines_of(product_from(heights))
+    assert [reason.code for reason in reasons] == ["dead-stripe", "gap-in-slice"]
+    assert f"stripe {lit[12] + 1}" in reasons[1].text
+
+
+def test_a_mesh_that_is_not_closed_gives_no_number(monkeypatch: pytest.MonkeyPatch) -> None:
+    def holed(*given):
+        vertices, triangles = poisson(*given)
+        return vertices, triangles[1:]
+
+    poisson = meshing._poisson
+    monkeypatch.setattr(meshing, "_poisson", holed)
+    with pytest.raises(StageError, match=r"not closed \(3 of its edges .* no inside, so no volume"):
+        volume_by("poisson", product_of(HALF_ELLIPSOID))
+
+
+TETRAHEDRON = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
+
+
+def test_open_edges_are_counted() -> None:
+    assert open_edges(TETRAHEDRON) == 0
+    assert open_edges(TETRAHEDRON[1:]) == 3
+    turned = TETRAHEDRON.copy()
+    turned[0] = turned[0, ::-1]
+    assert open_edges(turned) > 0, "a triangle that faces inwards"
+    assert open_edges(np.vstack([TETRAHEDRON, TETRAHEDRON[:1]])) > 0, "a triangle too many"
+
+
+def test_small_holes_are_filled_about_their_middle() -> None:
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    vertices, triangles, closed = mended(corners, TETRAHEDRON[1:])
+    assert (closed, len(vertices), open_edges(triangles)) == (3, 5, 0)
+    assert Mesh(vertices, triangles, closed).volume_mm3 == pytest.approx(1.0 / 6.0)
+    # two holes that touch in a corner
+    _, twice, closed = mended(corners, TETRAHEDRON[2:])
+    assert (closed, open_edges(twice)) == (4, 0)
+    large = np.array([[k, (k + 1) % 20, 20] for k in range(20)])
+    assert mended(np.zeros((21, 3)), large)[2] == 0, "a hole of twenty edges is no small one"
+
+
+def test_without_open3d_the_message_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    find = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "open3d" else find(name))
+    with pytest.raises(StageError, match="not installed") as told:
+        volume_by("poisson", product_of(HALF_ELLIPSOID))
+    assert "pip install 'roemetry[open3d]'" in str(told.value)
+
+
+def test_a_system_without_libusb_gets_that_of_the_package(monkeypatch: pytest.MonkeyPatch) -> None:
+    import importlib
+
+    real, tried, loaded = importlib.import_module, [], []
+
+    def import_module(name: str):
+        if name == "open3d" and not loaded:
+            tried.append(name)
+            raise OSError("libusb-1.0.so.0: cannot open shared object file")
+        return real(name)
+
+    monkeypatch.setattr(loading.importlib, "import_module", import_module)
+    monkeypatch.setattr(loading.ctypes, "CDLL", lambda path, mode: loaded.append(path))
+    before = {name: module for name, module in sys.modules.items() if name.split(".")[0] == "open3d"}
+    monkeypatch.setattr(loading, "sys", type("Sys", (), {"modules": {}}))
+    assert loading.open3d().__name__ == "open3d"
+    assert tried == ["open3d"]
+    assert "usb" in loaded[0]
+    assert before.keys() <= sys.modules.keys()
+
+
+@pytest.fixture(scope="module")
+def made():
+    sheet = sheet_of(product_of(HALF_ELLIPSOID, COARSE), 1.5)
+    mesh = mesh_of(sheet, "poisson", 1.5)
+    return mesh, sheet, certainty_of(mesh, sheet, 1.5)
+
+
+def test_uncertainty_grows_between_stripes_and_is_not_stated_on_what_is_assumed(made) -> None:
+    mesh, sheet, certainty = made
+    assert set(np.unique(certainty.support)) == {MEASURED, BRIDGED, ASSUMED}
+    assert np.isnan(certainty.std_mm[certainty.support == ASSUMED]).all()
+    on_line, between = (np.median(certainty.std_mm[certainty.support == k]) for k in (MEASURED, BRIDGED))
+    assert on_line < between < sheet.miss_mm
+    assert (certainty.support[mesh.vertices[:, 2] == 0.0] == ASSUMED).all()
+
+
+def test_bridged_vertices_are_as_sure_as_stated(made) -> None:
+    """Of a body whose surface is known, nine tenths of the bridged vertices lie within two of their stds."""
+    mesh, _, certainty = made
+    x, y, z = mesh.vertices[certainty.support == BRIDGED].T
+    # across the surface: the level set of the ellipsoid over its gradient
+    a = 30.0 * np.where(x < 0.0, 0.8, 1.2)
+    q = (x / a) ** 2 + (y / 15.0) ** 2 + (z / 12.0) ** 2
+    slope = 2.0 * np.sqrt((x / a**2) ** 2 + (y / 15.0**2) ** 2 + (z / 12.0**2) ** 2)
+    off = np.abs(q - 1.0) / slope
+    assert np.mean(off < 2.0 * certainty.std_mm[certainty.support == BRIDGED]) > 0.9
+
+
+def test_other_programs_read_the_files(made, tmp_path: Path) -> None:
+    """Open3D's own readers, which are not ours: places, triangles, scalar, colours."""
+    import open3d as o3d
+
+    mesh, _, certainty = made
+    (tmp_path / "a.ply").write_bytes(ply(mesh, certainty, "Größe\nx"))
+    (tmp_path / "a.stl").write_bytes(stl(mesh, certainty, "a"))
+    read = o3d.io.read_triangle_mesh(str(tmp_path / "a.ply"))
+    assert np.asarray(read.vertices) == pytest.approx(mesh.vertices, abs=1e-4)
+    assert (np.asarray(read.triangles) == mesh.triangles).all()
+    assert np.asarray(read.vertex_colors) * 255.0 == pytest.approx(colours(certainty), abs=0.6)
+    points = o3d.t.io.read_point_cloud(str(tmp_path / "a.ply"))
+    quality = points.point["quality"].numpy()[:, 0]
+    assert quality == pytest.approx(certainty.std_mm, abs=1e-5, nan_ok=True)
+    flat = o3d.io.read_triangle_mesh(str(tmp_path / "a.stl"))
+    assert len(flat.triangles) == len(mesh.triangles)
+    corners = np.asarray(flat.vertices)[np.asarray(flat.triangles)]
+    inside = np.einsum("ij,ij->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6.0
+    assert inside == pytest.approx(mesh.volume_mm3, rel=1e-4)
