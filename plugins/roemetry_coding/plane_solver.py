@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -11,16 +11,10 @@ from roemetry.arrays import Flags, Floats, Integers
 from roemetry.calibration import Calibration
 from roemetry.records import Peaks
 from roemetry_kernels.label_costs import Labels, Steps, labels_of, steps_of
-from roemetry_kernels.label_pieces import ENDS, end_pieces, own_costs, pieces_agree, presence_of
+from roemetry_kernels.label_graph import Runs, runs_of, shifts_of
+from roemetry_kernels.label_pieces import ENDS, end_pieces, own_costs, presence_of
 from roemetry_kernels.label_sweeps import swept
-from roemetry_kernels.label_verdicts import (
-    chosen,
-    left_out,
-    line_costs,
-    mixed,
-    shifted,
-    verdicts_of,
-)
+from roemetry_kernels.label_verdicts import chosen, ends_settled, favoured, mixed, stepped, verdicts_of
 from roemetry_kernels.rest_lines import RestLines
 from roemetry_kernels.sight_entries import Entries, entries_of
 from roemetry_kernels.sight_lines import SightLines, sight_lines
@@ -48,8 +42,6 @@ class Weights:
         A stripe whose rest line shows nothing.
     tie_whole, tie_cut, tie_gap
         Change of stripe within a piece of a trace, where it was cut, and over a gap.
-    agreed
-        How often pieces are made to agree.
     """
 
     surface: float = 1.0
@@ -60,15 +52,12 @@ class Weights:
     anchor: float = 4.0
     on_end: float = 1.0
     absent: float = 3.0
-    tie_whole: float = 20.0
+    tie_whole: float = 300.0
     tie_cut: float = 1.5
     tie_gap: float = 6.0
-    agreed: int = 2
 
 
-BASE = Weights()
-OTHERS = (replace(BASE, unseen=1.5, agreed=1), replace(BASE, surface=3.0, agreed=1))
-"""Other weightings, each of which would be as good a guess: what they do not agree on is refused."""
+WEIGHTS = Weights()
 
 _STEP_MAX_PX = 7.0
 _BELT_ROWS_MIN = 6
@@ -81,14 +70,15 @@ _GAP_LINES = 20
 _RUN_ROWS = (25, 85)
 _BELOW_TOLERANCES = 1.5
 _KEEP = 1.0
-_ENDS_COUNT = 0.5
+_FEW_COUNT = 0.5
+_FEW_PEAKS = 4
 _MAJORITY = 0.9
 _END_LINES = 30
 _LOST = 0.25
 _SHIFT_GAIN = 6.0
-_RIVALS = 4
-_LEFT_OUT_LINES = 5.0
-ROUNDS = 2
+_GAIN_MIN = 0.5
+_SHIFTS_MAX = 12
+_ROUNDS = 2
 
 
 class Solved(NamedTuple):
@@ -100,8 +90,10 @@ class Solved(NamedTuple):
         (peak,) stripe, −1 for none.
     dearer
         (peak,) by how much the next best verdict is dearer.
-    unanimous
-        (peak,) True where all weightings say the same, and so does the whole piece.
+    evidence
+        (peak,) what the cheapest shift of its stripe, with others, to the next would cost, a sight line.
+    whole
+        (peak,) True where the whole piece of its trace says the same.
     there
         (stripe,) how surely a stripe is there at all, 0 to 1.
     entries
@@ -110,16 +102,19 @@ class Solved(NamedTuple):
 
     stripe: Integers
     dearer: Floats
-    unanimous: Flags
+    evidence: Floats
+    whole: Flags
     there: Floats
     entries: Entries
 
 
 class _Problem(NamedTuple):
     sight: SightLines
+    trace: Integers
     line: Integers
     piece: Integers
     piece_line: Integers
+    home: Integers
     anchored: Flags
     there: Floats
     entries: Entries
@@ -127,15 +122,7 @@ class _Problem(NamedTuple):
     steps: Steps
 
 
-class _Shift(NamedTuple):
-    where: Flags
-    stripe: int
-    by: int
-
-
-def solve_planes(
-    peaks: Peaks, calibration: Calibration, rest: RestLines, others: tuple[Weights, ...] = OTHERS
-) -> Solved:
+def solve_planes(peaks: Peaks, calibration: Calibration, rest: RestLines) -> Solved:
     """Give each peak the stripe that makes the cheapest surface.
 
     Parameters
@@ -146,34 +133,55 @@ def solve_planes(
         Gives planes (or at least displacements) and the range of heights.
     rest
         Its rest lines.
-    others
-        Further weightings that must agree.
     """
     problem = _posed(peaks, calibration, rest)
     entries, labels = problem.entries, problem.labels
     nodes = labels.low, labels.many, labels.offset
-    cost = _solved(problem, BASE)
-    for _ in range(ROUNDS):
-        best = chosen(labels.many, labels.offset, cost)
-        least = _energy(problem, best).sum()
-        improved = False
-        for shift in _rivals(problem, best):
-            rival = _solved(problem, BASE, best, shift)
-            total = _energy(problem, chosen(labels.many, labels.offset, rival)).sum()
-            if total < least:
-                cost, least, improved = rival, total, True
-        if not improved:
+    own = _own(problem)
+    cost = _swept(problem, own)
+    best, evidence, moved = _shifted(problem, own, chosen(labels.many, labels.offset, cost))
+    for _ in range(_ROUNDS):
+        if not moved:
             break
-    stripe, dearer = verdicts_of(entries.start, entries.peak, *nodes, problem.sight.line, problem.piece, cost)
-    dearer[problem.piece_line[problem.piece] == ENDS] *= _ENDS_COUNT
-    unanimous = np.ones(stripe.size, np.bool_)
-    for weights in others:
-        other, _ = verdicts_of(
-            entries.start, entries.peak, *nodes, problem.sight.line, problem.piece, _solved(problem, weights)
-        )
-        unanimous &= other == stripe
-    unanimous &= ~mixed(problem.piece, problem.piece_line, stripe, problem.there.size, _MAJORITY)
-    return Solved(stripe, dearer, unanimous, problem.there, problem.entries)
+        cost = _swept(problem, favoured(labels.many, labels.offset, best, own, _SHIFT_GAIN))
+        best, evidence, moved = _shifted(problem, own, chosen(labels.many, labels.offset, cost))
+    stripe, dearer, evidence = verdicts_of(
+        entries.start, entries.peak, *nodes, problem.sight.line, problem.piece, problem.piece_line,
+        cost, best, evidence,
+    )  # fmt: skip
+    settled = ends_settled(problem.trace, problem.piece, problem.piece_line, problem.home, stripe)
+    dearer *= settled
+    dearer[np.bincount(problem.piece)[problem.piece] < _FEW_PEAKS] *= _FEW_COUNT
+    whole = ~mixed(problem.piece, problem.piece_line, stripe, problem.there.size, _MAJORITY)
+    whole &= settled > 0.0
+    return Solved(stripe, dearer, evidence, whole, problem.there, problem.entries)
+
+
+def _shifted(problem: _Problem, own: Floats, best: Integers) -> tuple[Integers, Floats, bool]:
+    """Shift runs of one stripe as long as that is cheaper.
+
+    Gives (entry,) nodes; (entry,) what the cheapest shift that an entry's run is part of would cost, a sight
+    line; and whether anything was shifted.
+    """
+    entries, labels = problem.entries, problem.labels
+    moved = False
+    for _ in range(_SHIFTS_MAX):
+        runs = Runs(
+            *runs_of(
+                entries.start, entries.peak, entries.before, entries.tie, labels.low, labels.many,
+                labels.offset, problem.piece, best, own, *problem.steps, WEIGHTS.surface, WEIGHTS.unseen,
+            )
+        )  # fmt: skip
+        dearer, by = shifts_of(
+            runs.own, runs.one, runs.other, runs.both, runs.start, runs.edge, runs.first, runs.last,
+            entries.start.size - 1, _GAIN_MIN,
+        )  # fmt: skip
+        evidence = np.where(runs.of >= 0, dearer[runs.of], np.inf)
+        if not by.any():
+            break
+        moved = True
+        best = stepped(labels.many, labels.offset, best, np.where(runs.of >= 0, by[runs.of], 0))
+    return best, evidence, moved
 
 
 def _posed(peaks: Peaks, calibration: Calibration, rest: RestLines) -> _Problem:
@@ -187,12 +195,14 @@ def _posed(peaks: Peaks, calibration: Calibration, rest: RestLines) -> _Problem:
         sight.line, piece, piece_line, sight.enters, sight.leaves, sight.plane.shape[0], full,
         min(_PRESENT_ROWS_MIN, full), _END_LINES, _LOST,
     )  # fmt: skip
-    piece, piece_line, anchored = end_pieces(peaks.row, piece, piece_line, rows, _END_ROWS, _BORDER_ROWS)
+    piece, piece_line, anchored, home = end_pieces(
+        peaks.row, piece, piece_line, rows, _END_ROWS, _BORDER_ROWS
+    )
     u_per_px = float(np.nanmedian(sight.u_max - sight.u_min)) / peaks.image_size[1]
     entries = Entries(
         *entries_of(
             peaks.row, trace, piece, piece_line[piece] == ENDS, sight.line, sight.u, sight.plane.shape[0],
-            u_per_px, BASE.tie_whole, BASE.tie_cut, BASE.tie_gap, _GAP_LINES,
+            u_per_px, WEIGHTS.tie_whole, WEIGHTS.tie_cut, WEIGHTS.tie_gap, _GAP_LINES,
         )
     )  # fmt: skip
     slack_mm = rest.tolerance_px / np.abs(calibration.displacement_px_per_mm)
@@ -209,61 +219,24 @@ def _posed(peaks: Peaks, calibration: Calibration, rest: RestLines) -> _Problem:
             sight.u_max, presence, u_per_px,
         )
     )  # fmt: skip
-    return _Problem(sight, line, piece, piece_line, anchored, presence.max(axis=0), entries, labels, steps)
-
-
-def _solved(
-    problem: _Problem, weights: Weights, begun: Integers | None = None, shift: _Shift | None = None
-) -> Floats:
-    """Give (node,) costs; begun from (entry,) nodes with a part of the body shifted."""
-    entries, labels, steps = problem.entries, problem.labels, problem.steps
-    nodes = labels.low, labels.many, labels.offset
-    own = _own(problem, weights)
-    total = own
-    if begun is not None and shift is not None:
-        total = shifted(
-            entries.start, entries.peak, *nodes, begun, problem.piece, problem.piece_line, own, *shift,
-            _SHIFT_GAIN,
-        )  # fmt: skip
-    for turn in range(weights.agreed + 1):
-        cost = swept(
-            entries.start, entries.before, entries.after, entries.tie, *nodes, total, *steps, weights.surface,
-            weights.unseen, _KEEP,
-        )  # fmt: skip
-        if turn < weights.agreed:
-            stripes = problem.there.size
-            total = pieces_agree(entries.peak, *nodes, problem.piece, problem.piece_line, stripes, cost, own)
-    return np.asarray(cost)
-
-
-def _rivals(problem: _Problem, best: Integers) -> list[_Shift]:
-    """Name shifts of a part of the body that would bring back a stripe left out without need."""
-    entries, labels, steps = problem.entries, problem.labels, problem.steps
-    cost = left_out(
-        entries.start, labels.low, labels.many, labels.offset, best, steps.pair, steps.pair_start,
-        steps.unseen, problem.there.size,
+    return _Problem(
+        sight, trace, line, piece, piece_line, home, anchored, presence.max(axis=0), entries, labels, steps
     )  # fmt: skip
-    lines = cost.sum(axis=0)
-    rivals = []
-    for stripe in np.argsort(-lines)[:_RIVALS]:
-        if lines[stripe] > _LEFT_OUT_LINES:
-            rivals += [_Shift(np.ones(cost.shape[0], np.bool_), int(stripe), by) for by in (1, -1)]
-    return rivals
 
 
-def _own(problem: _Problem, weights: Weights) -> Floats:
+def _own(problem: _Problem) -> Floats:
     labels = problem.labels
     return np.asarray(own_costs(
         problem.entries.peak, labels.low, labels.many, labels.offset, problem.line, problem.piece,
-        problem.piece_line, problem.anchored, problem.there, weights.false_peak, weights.on_rest,
-        weights.long_run, weights.anchor, weights.on_end, weights.absent, _RUN_ROWS,
+        problem.piece_line, problem.anchored, problem.there, WEIGHTS.false_peak, WEIGHTS.on_rest,
+        WEIGHTS.long_run, WEIGHTS.anchor, WEIGHTS.on_end, WEIGHTS.absent, _RUN_ROWS,
     ))  # fmt: skip
 
 
-def _energy(problem: _Problem, best: Integers) -> Floats:
-    """Give (line,) what the chosen nodes cost with the base's weights."""
+def _swept(problem: _Problem, own: Floats) -> Floats:
+    """Give (node,) costs."""
     entries, labels = problem.entries, problem.labels
-    return np.asarray(line_costs(
-        entries.start, entries.before, entries.tie, labels.low, labels.many, labels.offset, best,
-        _own(problem, BASE), *problem.steps, BASE.surface, BASE.unseen,
+    return np.asarray(swept(
+        entries.start, entries.before, entries.after, entries.tie, labels.low, labels.many, labels.offset,
+        own, *problem.steps, WEIGHTS.surface, WEIGHTS.unseen, _KEEP,
     ))  # fmt: skip

@@ -16,7 +16,7 @@ from roemetry.errors import StageError
 from roemetry.records import AMBIGUOUS, Peaks, Reason, StripeMap
 from roemetry.stages import Coder, StageOptions
 from roemetry_coding.margins import margin_of
-from roemetry_coding.plane_solver import OTHERS, Solved, solve_planes
+from roemetry_coding.plane_solver import Solved, solve_planes
 from roemetry_kernels.bridging import bridged
 from roemetry_kernels.consistency import refuse_unexplained_gaps
 from roemetry_kernels.label_verdicts import out_of_order
@@ -30,12 +30,6 @@ class PlanesOptions(StageOptions):
 
     margin_min: float = Field(
         default=0.985, ge=0, le=1, description="peaks with a smaller margin are refused as ambiguous"
-    )
-    other_weights: int = Field(
-        default=2,
-        ge=0,
-        le=len(OTHERS),
-        description="further weightings that are solved; peaks on which they do not agree are refused",
     )
     longest_gap_rows: int = Field(
         default=20, ge=0, description="longest gap along a stripe that is bridged by a straight line, rows"
@@ -79,7 +73,7 @@ class Planes(Coder[PlanesOptions]):
                 hint="calibrate, or use the coder `window-tracking`",
             )
         rest = calibrated_rest_lines(peaks, calibration)
-        solved = solve_planes(peaks, calibration, rest, OTHERS[: self.options.other_weights])
+        solved = solve_planes(peaks, calibration, rest)
         live = np.flatnonzero(solved.there > 0.0)
         if not live.size or not _belt_fits(peaks, rest):
             raise StageError(
@@ -111,14 +105,14 @@ class Planes(Coder[PlanesOptions]):
         self, peaks: Peaks, calibration: Calibration, rest: RestLines, solved: Solved
     ) -> tuple[Integers, Floats, list[Reason]]:
         """Refuse doubt and disorder; give (peak,) stripe or verdict, margin, and what to say."""
-        margin = margin_of(solved.dearer)
+        margin = margin_of(solved.dearer, solved.evidence)
         stripe = solved.stripe.copy()
-        sure = solved.unanimous & (margin >= self.options.margin_min)
+        sure = solved.whole & (margin >= self.options.margin_min)
         stripe[(stripe >= 0) & ~sure] = AMBIGUOUS
         entries = solved.entries
-        wrong = out_of_order(entries.start, entries.peak, peaks.row, stripe, solved.there.size)
-        stripe[wrong] = AMBIGUOUS
         line, _ = nearest_rest(peaks.row, peaks.x_px, rest.x_px, rest.tolerance_px)
+        wrong = out_of_order(entries.start, entries.peak, peaks.row, line, stripe, solved.there.size)
+        stripe[wrong] = AMBIGUOUS
         stripe, gaps = refuse_unexplained_gaps(
             peaks,
             stripe,
@@ -126,6 +120,7 @@ class Planes(Coder[PlanesOptions]):
             rest.x_px,
             calibration.displacement_px_per_mm,
             self.options.longest_gap_rows,
+            on_bodies_too=True,
         )
         return stripe, margin, gaps
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from roemetry.arrays import Floats, Integers
+from roemetry.arrays import Flags, Floats, Integers
 from roemetry.records import AMBIGUOUS, UNCODED, Peaks, Reason
 from roemetry_kernels.compiling import kernel
 
 _CLEARLY_LONGER = 3
+_MISSING_ROWS = 2
 _REACH_STRIPES = 2
 """A product hides a stripe only if it is seen within this many stripes of it."""
 
@@ -73,6 +74,8 @@ def refuse_unexplained_gaps(
     rest_px: Floats,
     displacement_px: Floats,
     longest_gap_rows: int,
+    *,
+    on_bodies_too: bool = False,
 ) -> tuple[Integers, list[Reason]]:
     """Refuse belt beside a stripe that is interrupted where no product is in sight to hide it.
 
@@ -93,6 +96,10 @@ def refuse_unexplained_gaps(
         (stripe,) displacements, px, whose signs tell which way higher points move; NaN where unknown.
     longest_gap_rows
         Shorter gaps need no explanation.
+    on_bodies_too
+        A body may go on from a stripe that lies on its neighbour's rest line to ones that do not: refuse
+        those, too, up to the first stripe that is not seen. What is refused and lies on a rest line explains
+        nothing then.
 
     Returns
     -------
@@ -106,7 +113,7 @@ def refuse_unexplained_gaps(
     belt[stripe[on_own], peaks.row[on_own]] = True
     off_own = (stripe >= 0) & ~on_own
     body[stripe[off_own], peaks.row[off_own]] = True
-    refused = stripe == AMBIGUOUS
+    refused = (stripe == AMBIGUOUS) & ((line < 0) | (not on_bodies_too))
     nearest = np.abs(rest_px[:, peaks.row[refused]] - peaks.x_px[refused]).argmin(axis=0)
     body[nearest, peaks.row[refused]] = True
     doubt = np.zeros((stripes, rows), np.bool_)
@@ -122,14 +129,17 @@ def refuse_unexplained_gaps(
             interrupted.append(s + 1)
             for step in _directions(displacement_px[s]):
                 active, other = unexplained.copy(), s + step
+                if on_bodies_too:
+                    active = _widened(active)
                 while 0 <= other < stripes:
-                    active &= ~body[other]
-                    doubt[other] |= active & belt[other]
+                    active &= _widened(belt[other] | body[other]) if on_bodies_too else ~body[other]
+                    doubt[other] |= active & (belt[other] | on_bodies_too)
                     other += step
     if not doubt.any():
         return stripe, []
     result = stripe.copy()
-    result[on_own] = np.where(doubt[stripe[on_own], peaks.row[on_own]], AMBIGUOUS, stripe[on_own])
+    asked = (stripe >= 0) if on_bodies_too else on_own
+    result[asked] = np.where(doubt[stripe[asked], peaks.row[asked]], AMBIGUOUS, stripe[asked])
     names = ", ".join(str(number) for number in dict.fromkeys(interrupted))
     said = Reason(
         "unexplained-gap",
@@ -137,6 +147,15 @@ def refuse_unexplained_gaps(
         "spacing of displacement high looks like that, so what lies beside it is left out",
     )
     return result, [said]
+
+
+def _widened(rows: Flags) -> Flags:
+    """Add the rows within 2 of a marked one: single peaks may be missing."""
+    found = rows.copy()
+    for by in range(1, _MISSING_ROWS + 1):
+        found[by:] |= rows[:-by]
+        found[:-by] |= rows[by:]
+    return found
 
 
 def _directions(displacement_px: float) -> tuple[int, ...]:

@@ -68,7 +68,7 @@ class Steps(NamedTuple):
     after: Floats
 
 
-@kernel
+@kernel(error_model="numpy")
 def labels_of(
     start: Integers, u: Floats, plane: Floats, low_mm: Floats, high_mm: Floats
 ) -> tuple[Integers, Integers, Integers, Floats, Floats]:
@@ -104,44 +104,52 @@ def labels_of(
     return low, count, offset, height, label_mm
 
 
-@kernel
+@kernel(error_model="numpy")
 def _height(plane: Floats, u: float) -> float:
     return (plane[0] * u + plane[1]) / (plane[2] * u + plane[3])
 
 
-@kernel
+@kernel(error_model="numpy")
 def _place(plane: Floats, z: float) -> float:
     return (plane[3] * z - plane[1]) / (plane[0] - plane[2] * z)
 
 
-@kernel
+@kernel(error_model="numpy")
 def _ramp(value: float, low: float, high: float) -> float:
     return min(max((value - low) / (high - low), 0.0), 1.0)
 
 
-@kernel
+@kernel(error_model="numpy")
 def _at_border(plane: Floats, z: float, left: float, right: float, u_per_px: float) -> float:
     """How surely a stripe at a height would be seen between two places of a line, 0 to 1."""
     u = _place(plane, z)
     return _ramp(min(u - left, right - u) / u_per_px, _MERGED_PX, _APART_PX)
 
 
-@kernel
-def _between(
-    plane: Floats, z: float, left: float, right: float, lean_left: float, lean_right: float, rising: bool,
-    room_px: float, u_per_px: float,
+@kernel(error_model="numpy")
+def _left_out(
+    e: int, t: int, s: int, plane: Floats, z: float, left: float, right: float, hides: float, rising: bool,
+    room: float, u_per_px: float, presence: Floats, sums: Floats,
 ) -> float:  # fmt: skip
-    """How surely a stripe left out between two others would be seen, 0 to 1."""
-    u = _place(plane, z)
-    inside = u - left if not rising else right - u
-    lean = -lean_left if not rising else lean_right
-    behind = (1.0 - _ramp(inside / u_per_px, _MERGED_PX, _APART_PX)) * (
-        1.0 - _ramp(lean, _LEAN_HIDES, _LEAN_SHOWS)
-    )
-    return (1.0 - behind) * _ramp(room_px, _MERGED_PX, _APART_PX)
+    """Sum up how surely stripes between t and s, which were left out between two others, would be seen.
+
+    `hides` is how surely the line of sight leans so that the higher place may hide them, `room` how surely
+    they would not merge with the two; `sums` holds the running sum of their presence.
+    """
+    there = sums[e, s] - sums[e, t + 1]
+    least, most = _HIDDEN * there, (1.0 - _HIDDEN) * room
+    if hides == 0.0 or room == 0.0:
+        return least + most * there
+    seen = 0.0
+    for k in range(t + 1, s):
+        u = _place(plane[e, k], z)
+        inside = u - left if not rising else right - u
+        behind = hides * (1.0 - _ramp(inside / u_per_px, _MERGED_PX, _APART_PX))
+        seen += presence[e, k] * (1.0 - behind)
+    return least + most * seen
 
 
-@kernel
+@kernel(error_model="numpy")
 def steps_of(
     start: Integers, u: Floats, low: Integers, count: Integers, offset: Integers, height: Floats,
     label_mm: Floats, plane: Floats, lean: Floats, u_min: Floats, u_max: Floats, presence: Floats,
@@ -178,13 +186,21 @@ def steps_of(
     surface = np.empty(costs, np.float32)
     unseen = np.empty(costs, np.float32)
     before, after = _borders(start, u, low, count, offset, height, plane, u_min, u_max, presence, u_per_px)
+    sums = np.zeros((lines, plane.shape[1] + 1))
+    for e in range(lines):
+        for k in range(plane.shape[1]):
+            sums[e, k + 1] = sums[e, k] + presence[e, k]
     n, c = 0, 0
     for e in range(lines):
         for p in range(start[e], start[e + 1]):
+            # stripes rise to the right where a higher one gives a greater height at the same place
+            rising = _height(plane[e, plane.shape[1] - 1], u[p]) > _height(plane[e, 0], u[p])
             for q in range(max(start[e], p - _LOOK_BACK), p):
                 pair[n, 0], pair[n, 1], pair[n, 2] = q, p, c
                 n += 1
                 apart_px = (u[p] - u[q]) / u_per_px
+                lean_over = -lean[q] if not rising else lean[p]
+                hides = 1.0 - _ramp(lean_over, _LEAN_HIDES, _LEAN_SHOWS)
                 for i in range(count[p]):
                     s = low[p] + i
                     z_s, label = height[offset[p] + i], label_mm[offset[p] + i]
@@ -198,25 +214,22 @@ def steps_of(
                         z_t = height[offset[q] + j]
                         step = (z_s - z_t) / (label * (s - t))
                         surface[c] = min(step * step, 1.0)
-                        left_out = 0.0
                         if s - t > p - q + _LEFT_OUT_MAX:
-                            for k in range(t + 1, s):
-                                left_out += presence[e, k]
+                            unseen[c] = sums[e, s] - sums[e, t + 1]
                         elif s - t > 1:
-                            rising = _height(plane[e, s], u[p]) > _height(plane[e, t], u[p])
-                            for k in range(t + 1, s):
-                                seen = _between(
-                                    plane[e, k], min(z_s, z_t), u[q], u[p], lean[q], lean[p], rising,
-                                    apart_px / (s - t), u_per_px,
-                                )  # fmt: skip
-                                left_out += presence[e, k] * (_HIDDEN + (1.0 - _HIDDEN) * seen)
-                        unseen[c] = left_out
+                            room = _ramp(apart_px / (s - t), _MERGED_PX, _APART_PX)
+                            unseen[c] = _left_out(
+                                e, t, s, plane, min(z_s, z_t), u[q], u[p], hides, rising, room, u_per_px,
+                                presence, sums,
+                            )  # fmt: skip
+                        else:
+                            unseen[c] = 0.0
                         c += 1
         pair_start[e + 1] = n
     return pair, pair_start, surface, unseen, before, after
 
 
-@kernel
+@kernel(error_model="numpy")
 def _borders(
     start: Integers, u: Floats, low: Integers, count: Integers, offset: Integers, height: Floats,
     plane: Floats, u_min: Floats, u_max: Floats, presence: Floats, u_per_px: float,
@@ -225,12 +238,20 @@ def _borders(
     lines, stripes = plane.shape[0], plane.shape[1]
     before, after = np.zeros(offset[-1]), np.zeros(offset[-1])
     seen_left, seen_right = np.zeros(stripes + 1), np.zeros(stripes + 1)
+    belt_u = np.zeros(stripes)
+    inside = np.zeros((2, stripes), np.bool_)  # at any height, as seen from the left and the right border
     for e in range(lines):
         if np.isnan(u_min[e]) or start[e] == start[e + 1]:
             continue
+        top = 0.0
+        for node in range(offset[start[e]], offset[start[e + 1]]):
+            top = max(top, height[node])
         for k in range(stripes):  # on the belt, as far as the image's borders go
             seen = _at_border(plane[e, k], 0.0, u_min[e], u_max[e], u_per_px)
             seen_left[k + 1] = seen_left[k] + presence[e, k] * seen
+            belt_u[k], top_u = _place(plane[e, k], 0.0), _place(plane[e, k], top)
+            inside[0, k] = min(belt_u[k], top_u) - u_min[e] >= _APART_PX * u_per_px
+            inside[1, k] = u_max[e] - max(belt_u[k], top_u) >= _APART_PX * u_per_px
         for k in range(stripes - 1, -1, -1):
             seen = seen_left[k + 1] - seen_left[k]
             seen_right[k] = seen_right[k + 1] + seen
@@ -238,25 +259,23 @@ def _borders(
             for i in range(count[p]):
                 s, z = low[p] + i, max(height[offset[p] + i], 0.0)
                 for k in range(s - 1, -1, -1):
-                    apart = _at_border(plane[e, k], 0.0, -np.inf, u[p], u_per_px)
-                    if (
-                        k < s - _LEFT_OUT_MAX
-                        and apart == 1.0
-                        and _at_border(plane[e, k], z, u_min[e], np.inf, u_per_px) == 1.0
-                    ):
+                    apart = _ramp((u[p] - belt_u[k]) / u_per_px, _MERGED_PX, _APART_PX)
+                    there = 1.0
+                    if not inside[0, k]:
+                        there = _at_border(plane[e, k], z, u_min[e], np.inf, u_per_px)
+                    if k < s - _LEFT_OUT_MAX and apart == 1.0 and there == 1.0:
                         before[offset[p] + i] += seen_left[k + 1]
                         break
-                    weight = min(apart, _at_border(plane[e, k], z, u_min[e], np.inf, u_per_px))
-                    before[offset[p] + i] += min(seen_left[k + 1] - seen_left[k], presence[e, k] * weight)
+                    weight = presence[e, k] * min(apart, there)
+                    before[offset[p] + i] += min(seen_left[k + 1] - seen_left[k], weight)
                 for k in range(s + 1, stripes):
-                    apart = _at_border(plane[e, k], 0.0, u[p], np.inf, u_per_px)
-                    if (
-                        k > s + _LEFT_OUT_MAX
-                        and apart == 1.0
-                        and _at_border(plane[e, k], z, -np.inf, u_max[e], u_per_px) == 1.0
-                    ):
+                    apart = _ramp((belt_u[k] - u[p]) / u_per_px, _MERGED_PX, _APART_PX)
+                    there = 1.0
+                    if not inside[1, k]:
+                        there = _at_border(plane[e, k], z, -np.inf, u_max[e], u_per_px)
+                    if k > s + _LEFT_OUT_MAX and apart == 1.0 and there == 1.0:
                         after[offset[p] + i] += seen_right[k]
                         break
-                    weight = min(apart, _at_border(plane[e, k], z, -np.inf, u_max[e], u_per_px))
-                    after[offset[p] + i] += min(seen_right[k] - seen_right[k + 1], presence[e, k] * weight)
+                    weight = presence[e, k] * min(apart, there)
+                    after[offset[p] + i] += min(seen_right[k] - seen_right[k + 1], weight)
     return before, after

@@ -1,4 +1,4 @@
-"""Pieces of traces: their ends, what is known of them, and how they come to agree on one stripe."""
+"""Pieces of traces: their ends, what is known of them."""
 
 from __future__ import annotations
 
@@ -9,14 +9,12 @@ from roemetry_kernels.compiling import kernel
 
 ENDS = -2
 """Rest line of the ends that were cut off: not known."""
-_MEAN_MAX = 6.0
-"""No label of an entry counts for more than this in its piece's mean."""
 
 
 @kernel
 def end_pieces(
     row: Integers, piece: Integers, line: Integers, rows: int, end_rows: int, border_rows: int
-) -> tuple[Integers, Integers, Flags]:
+) -> tuple[Integers, Integers, Flags, Integers]:
     """Cut the ends off pieces that lie on a rest line and end amid the image.
 
     There a body that begins on the rest line, within its tolerance, may have been taken along.
@@ -38,7 +36,7 @@ def end_pieces(
     -------
     tuple
         (peak,) new pieces; (piece,) the rest line of each, `ENDS` for ends; (piece,) True for what is left of
-        a piece that reaches the image's border.
+        a piece that reaches the image's border; (piece,) the rest line it was, or was cut off from.
     """
     pieces = line.shape[0]
     first = np.full(pieces, rows, np.int64)
@@ -49,7 +47,7 @@ def end_pieces(
     number = np.full((pieces, 3), -1, np.int64)
     found = np.empty(row.shape[0], np.int64)
     on = np.empty(3 * pieces, np.int64)
-    anchored = np.zeros(3 * pieces, np.bool_)
+    anchored, home = np.zeros(3 * pieces, np.bool_), np.empty(3 * pieces, np.int64)
     count = 0
     for p in range(row.shape[0]):
         f, part = piece[p], 0
@@ -61,10 +59,11 @@ def end_pieces(
         if number[f, part] < 0:
             number[f, part] = count
             on[count] = line[f] if part == 0 else ENDS
+            home[count] = line[f]
             anchored[count] = part == 0 and (first[f] <= border_rows or last[f] >= rows - 1 - border_rows)
             count += 1
         found[p] = number[f, part]
-    return found, on[:count].copy(), anchored[:count].copy()
+    return found, on[:count].copy(), anchored[:count].copy(), home[:count].copy()
 
 
 @kernel
@@ -161,35 +160,3 @@ def own_costs(
             own[node] += absent * (1.0 - min(1.0, 5.0 * there[s]))
         own[offset[i + 1] - 1] = false_peak
     return own
-
-
-@kernel
-def pieces_agree(
-    peak: Integers, low: Integers, count: Integers, offset: Integers, piece: Integers, piece_line: Integers,
-    stripes: int, cost: Floats, own: Floats,
-) -> Floats:  # fmt: skip
-    """Add to each node's own cost the mean cost that its stripe has over its piece."""
-    pieces = piece_line.shape[0]
-    mean = np.zeros((pieces, stripes + 1))
-    entries = np.zeros(pieces)
-    for i in range(peak.shape[0]):
-        f = piece[peak[i]]
-        entries[f] += 1.0
-        for k in range(count[i]):
-            mean[f, low[i] + k] += min(cost[offset[i] + k], _MEAN_MAX) - _MEAN_MAX
-        mean[f, stripes] += min(cost[offset[i + 1] - 1], _MEAN_MAX) - _MEAN_MAX
-    for f in range(pieces):
-        least = np.inf
-        if piece_line[f] == ENDS:
-            entries[f] = np.inf
-        for s in range(stripes):
-            least = min(least, mean[f, s])
-        for s in range(stripes + 1):
-            mean[f, s] = max(0.0, (mean[f, s] - least) / max(entries[f], 1.0))
-    added = own.copy()
-    for i in range(peak.shape[0]):
-        f = piece[peak[i]]
-        for k in range(count[i]):
-            added[offset[i] + k] += mean[f, low[i] + k]
-        added[offset[i + 1] - 1] += mean[f, stripes]
-    return added

@@ -1,0 +1,103 @@
+"""Runs that are shifted together: costs are exact, order is kept, a dear body stays where it is."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+import pytest
+
+from roemetry_kernels.label_graph import _edges, shifts_of
+from roemetry_kernels.label_pieces import ENDS
+from roemetry_kernels.label_verdicts import ends_settled, favoured, stepped
+
+RUNS, LINES = 6, 12
+DISORDER = 1e5
+
+
+def chain(rng: np.random.Generator, gaps: list[int]) -> tuple[np.ndarray, ...]:
+    """Give the graph of runs side by side, each with random costs, that must stay in order.
+
+    `gaps` are the stripes left out between neighbours.
+    """
+    own = rng.uniform(-3.0, 3.0, (RUNS, 3))
+    one, other = np.arange(RUNS - 1), np.arange(1, RUNS)
+    both = rng.uniform(0.0, 4.0, (RUNS - 1, 3, 3))
+    for t, a, b in product(range(RUNS - 1), range(3), range(3)):
+        if a >= b + 1 + gaps[t]:
+            both[t, a, b] = DISORDER
+    start, edge = _edges(RUNS, one, other)
+    first = np.zeros(RUNS, np.int64)
+    return own, one, other, both, start, edge, first, np.full(RUNS, LINES - 1)
+
+
+def energy(graph: tuple[np.ndarray, ...], by: np.ndarray) -> float:
+    own, one, other, both = graph[:4]
+    return float(
+        own[np.arange(RUNS), by + 1].sum() + both[np.arange(RUNS - 1), by[one] + 1, by[other] + 1].sum()
+    )
+
+
+@pytest.mark.parametrize("trial", range(20))
+def test_what_is_shifted_is_cheaper_and_no_shift_is_cheaper_than_the_cheapest(
+    rng: np.random.Generator, trial: int
+) -> None:
+    """Against all changes of a small graph: never dearer than before, never below the least of all."""
+    graph = chain(rng, list(rng.integers(0, 2, RUNS - 1)))
+    dearer, by = shifts_of(*graph, LINES, 0.5)
+    before, after = energy(graph, np.zeros(RUNS, np.int64)), energy(graph, by)
+    assert after <= before - 0.5 or not by.any()
+    least = min(energy(graph, np.array(way)) for way in product((-1, 0, 1), repeat=RUNS))
+    assert after >= least - 1e-9
+    assert (dearer * LINES >= least - before - 1e-9).all()
+
+
+def test_a_run_without_room_takes_its_neighbours_along() -> None:
+    """Six stripes without gaps: shifting one to the right costs what it costs to shift all beyond."""
+    own = np.tile([2.0, 0.0, 3.0], (RUNS, 1))
+    one, other = np.arange(RUNS - 1), np.arange(1, RUNS)
+    both = np.zeros((RUNS - 1, 3, 3))
+    for a, b in product(range(3), range(3)):
+        both[:, a, b] = DISORDER if a > b else 0.0
+    graph = own, one, other, both, *_edges(RUNS, one, other), np.zeros(RUNS, np.int64)
+    dearer, by = shifts_of(*graph, np.full(RUNS, LINES - 1), LINES, 0.5)
+    assert not by.any()
+    # one to the left takes all before it along, at 2 each; one to the right all behind it, at 3 each
+    reached = np.minimum.accumulate(np.array([2.0 * (n + 1) for n in range(RUNS)])[::-1])[::-1]
+    behind = np.minimum.accumulate(np.array([3.0 * (RUNS - n) for n in range(RUNS)]))
+    np.testing.assert_allclose(dearer * LINES, np.minimum(reached, behind))
+
+
+def test_nodes_are_stepped_and_fall_to_none_beyond_what_is_possible() -> None:
+    count, offset = np.array([3, 2]), np.array([0, 4, 7])
+    best = np.array([1, 5])
+    np.testing.assert_array_equal(stepped(count, offset, best, np.array([1, 1])), [2, 6])
+    np.testing.assert_array_equal(stepped(count, offset, best, np.array([0, -1])), [1, 4])
+    own = np.zeros(7)
+    np.testing.assert_array_equal(np.flatnonzero(favoured(count, offset, best, own, 6.0)), [1, 5])
+
+
+@pytest.mark.parametrize(
+    ("sides", "said", "settled"),
+    [
+        ((4, 4), 4, 1.0),  # both sides agree
+        ((4, 4), 5, 0.0),
+        ((4, 5), 5, 0.4),  # belt of 4, then the product's 5: where it changes is not known
+        ((4, 5), 4, 0.0),
+        ((4, None), 4, 0.4),
+        ((4, None), 3, 0.0),
+    ],
+)
+def test_ends_are_believed_as_far_as_their_trace_speaks_for_them(
+    sides: tuple[int, int | None], said: int, settled: float
+) -> None:
+    """A piece of belt on stripe 4's rest line, its end, and what follows."""
+    counts = [10, 8, 10 if sides[1] is not None else 0]
+    piece = np.repeat(np.arange(3), counts)
+    stripe = np.repeat([sides[0], said, -1 if sides[1] is None else sides[1]], counts)
+    after = 4 if sides[1] == 4 else -1
+    found = ends_settled(
+        np.zeros(piece.size, np.int64), piece, np.array([4, ENDS, after]), np.array([4, 4, after]), stripe
+    )
+    assert (found[:10] == 1.0).all()
+    assert (found[10:18] == settled).all()
