@@ -15,6 +15,7 @@ import json
 import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -124,12 +125,17 @@ def fitted(products: Sequence[Weighed], known: Any, form: str) -> WeightModel:
 
 def interval_of(model: WeightModel, features: dict[str, float]) -> tuple[float, float, float]:
     """Mass with the ends of its interval, g."""
-    from scipy.stats import t
-
     ratio, of_fit, scatter = model.ratio(with_inverse(features))
-    half = np.hypot(of_fit, scatter) / model.student_std * t.ppf(0.975, model.degrees_of_freedom)
+    half = np.hypot(of_fit, scatter) / model.student_std * _factor(model.degrees_of_freedom)
     visible = features["visible_cm3"]
     return visible * (ratio - half), visible * ratio, visible * (ratio + half)
+
+
+@lru_cache(maxsize=4096)
+def _factor(degrees_of_freedom: float) -> float:
+    from scipy.stats import t
+
+    return float(t.ppf(0.975, degrees_of_freedom))
 
 
 def measured(family: str, first: int, count: int, cache: Path) -> list[Weighed]:

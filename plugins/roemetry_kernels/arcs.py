@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -82,11 +83,13 @@ def smoothed(curves: BodyCurves, values: Floats, window: int) -> Floats:
     return out
 
 
+@lru_cache(maxsize=64)
 def _quadratic_hat(window: int) -> Floats:
     """(window, window) matrix that takes equally spaced values to their least-squares quadratic."""
     powers = np.linspace(-1.0, 1.0, window)[:, None] ** np.arange(3)
     q, _ = np.linalg.qr(powers)
     hat: Floats = q @ q.T
+    hat.flags.writeable = False
     return hat
 
 

@@ -116,7 +116,9 @@ def _lean(sections: Sections) -> dict[str, float]:
     centre = (weight * t).sum(axis=1) / mass
     top = t[np.argmax(sections.height_mm, axis=1)]
     inner = sections.height_mm[:, _INNER]
-    slope = np.array([np.polyfit(a[_INNER], h, 1)[0] for a, h in zip(sections.across_mm, inner, strict=True)])
+    # Straight lines over places that lie evenly about 0.
+    across = sections.across_mm[:, _INNER]
+    slope = (across * inner).sum(axis=1) / (across**2).sum(axis=1)
     lean = np.degrees(np.arctan(slope))
     body = slice(1, -1) if len(lean) > 4 else slice(None)
     mirrored = sections.height_mm - sections.height_mm[:, ::-1]

@@ -74,12 +74,15 @@ def sections_of(product: Product, smoothing_rows: int) -> Sections:
     for number in np.unique(curves.slice):
         mine = xyz[curves.slice == number]
         mine = mine[np.argsort(mine[:, 1], kind="stable")]
-        y, keep = np.unique(mine[:, 1], return_index=True)
+        y = mine[:, 1]
+        keep = np.concatenate([[True], np.diff(y) > 0.0])
+        y = y[keep]
         if len(y) < _POINTS_MIN or y[-1] - y[0] < _WIDTH_MIN_MM:
             continue
         grid = np.linspace(y[0], y[-1], SAMPLES)
         height = np.interp(grid, y, mine[keep, 2])
-        middle = np.array([np.median(mine[:, 0]), 0.5 * (y[0] + y[-1])])
+        x = np.sort(mine[:, 0])
+        middle = np.array([0.5 * (x[(x.size - 1) // 2] + x[x.size // 2]), 0.5 * (y[0] + y[-1])])
         found.append((product.profiles.stripe[number], middle, 0.5 * (y[-1] - y[0]), height))
     return _in_order(found)
 

@@ -17,6 +17,7 @@ COVERAGE = 0.95
 COVERAGE_FACTOR = 1.959964
 ENOUGH_FOR_QUANTILES = 1000
 """From so many draws on the interval's ends are quantiles: 25 draws lie beyond each."""
+_UNKNOWN = "unknown"
 FAILED_SHARE_MAX = 0.05
 """With more draws than this refused, what is left is no fair sample."""
 
@@ -65,15 +66,20 @@ def with_uncertainty(
         mass, lost = _estimate(weight.mass_g, "mass_g", together, {**alone, **models}, stated=stated)
         weight = replace(weight, mass_g=mass, reasons=weight.reasons + unstated.weight + lost)
     if grade is not None and together:
-        held = [
-            (1.0 if math.isnan(result.probability) else result.probability)
-            if result.label == grade.label
-            else 0.0
-            for result in together
-        ]
+        held = [_probability(result, grade.label) for result in together]
         spread = {} if unstated.points else _features_std(grade.features, together)
         grade = replace(grade, probability=float(np.mean(held)), features_std=spread)
     return replace(trace, volume=volume, weight=weight, grade=grade)
+
+
+def _probability(result: Result, label: str) -> float:
+    """Give the probability of a label in one draw: as stated of each class, else of the draw's own."""
+    of_class = result.features.get(f"probability_{label}", math.nan)
+    if not math.isnan(of_class) and result.label != _UNKNOWN:
+        return of_class
+    if result.label != label:
+        return 0.0
+    return 1.0 if math.isnan(result.probability) else result.probability
 
 
 def _features_std(features: Mapping[str, float], together: list[Result]) -> dict[str, float]:

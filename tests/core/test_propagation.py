@@ -229,3 +229,36 @@ def test_draws_are_the_same_every_time() -> None:
     one, other = (done(scene(), Erring(), Tenth(), draws=80) for _ in range(2))
     assert one.volume.visible_mm3 == other.volume.visible_mm3
     assert one.weight == other.weight
+
+
+class Softly(AboveLimit):
+    """States a probability of both classes: a straight line over 100 mm, far from its ends."""
+
+    def classify(self, product, *, rng=None):
+        total = float(np.nansum(product.profiles.xyz_mm[:, :, 2]))
+        large = 0.5 + (total - self.limit) / 200.0
+        told = {"probability_large": large, "probability_small": 1.0 - large, "total_mm": total}
+        label = "large" if large > 0.5 else "small"
+        return Grade(label, told[f"probability_{label}"], told)
+
+
+def test_the_models_doubt_and_the_measurements_are_one_probability() -> None:
+    """Of a probability that is a straight line the mean over draws is its value at the mean: 0.53."""
+    given = scene()
+    value, peaks, _ = closed_form(given)
+    classifier = Softly()
+    classifier.limit = value - 6.0
+    found = done(given, SumOfHeights(), classifier=classifier)
+    assert found.grade is not None
+    std = math.hypot(peaks, OMEGA_RELATIVE * value)
+    assert std < 25.0, "the line must not end within the draws"
+    assert found.grade.probability == pytest.approx(0.53, abs=4 * std / 200.0 / math.sqrt(DRAWS))
+    assert found.grade.features_std["total_mm"] == pytest.approx(std, rel=0.1)
+
+
+def test_features_have_no_uncertainty_where_peaks_have_none() -> None:
+    given = scene()
+    bare = replace(given, stripes=replace(given.stripes, x_std_px=np.full_like(given.stripes.x_px, np.nan)))
+    found = done(bare, SumOfHeights(), classifier=Softly())
+    assert found.grade is not None
+    assert found.grade.features_std == {}

@@ -18,6 +18,7 @@ from roemetry.testing.solids import (
     product_of,
 )
 from roemetry_kernels.hollows import hollow_depth
+from roemetry_kernels.quadrics import local_quadrics
 from roemetry_shape.curvature import surface_shape
 from roemetry_shape.features import shape_features
 from roemetry_shape.hollows import hollows_of
@@ -52,6 +53,17 @@ def test_a_spheres_curvatures_are_its_radius() -> None:
     assert found.curvature_max[middle] == pytest.approx(-1 / radius, rel=0.15)  # 1/mm
     assert found.curvature_min[middle] == pytest.approx(-1 / radius, rel=0.15)  # 1/mm
     assert found.shape_index[middle] == pytest.approx(-1.0, abs=0.1)
+
+
+def test_a_quadric_is_fitted_by_itself(rng: np.random.Generator) -> None:
+    f, d, e, a, b, c = wanted = rng.normal(size=6) * np.array([5.0, 0.3, 0.3, 0.05, 0.05, 0.05])
+    x = np.repeat(np.array([0.0, 8.0, 17.0])[:, None], 65, axis=1)
+    y = np.linspace(-15.0, 15.0, 65) + np.array([0.0, 0.4, -0.3])[:, None]
+    middle = x[1, 20], y[1, 20]
+    u, v = x - middle[0], y - middle[1]
+    z = f + d * u + e * v + 0.5 * (a * u**2 + 2 * b * u * v + c * v**2)
+    fit = local_quadrics(x, y, z, 20, 21, 2, 6)
+    np.testing.assert_allclose(fit[0, 0], wanted, atol=1e-6)  # mm, 1, 1/mm
 
 
 def test_a_cylinder_is_bent_one_way_only() -> None:
