@@ -13,6 +13,18 @@ def stripe_colour_on_paper(stripe: int) -> str:
     return ON_PAPER[stripe % len(ON_PAPER)]
 
 
+def height_colour(share: float) -> str:
+    """Colour of a height from 0 to the largest: dark to light, for all eyes and in print."""
+    place = min(max(share, 0.0), 1.0) * (len(HEIGHTS) - 1)
+    below = min(int(place), len(HEIGHTS) - 2)
+    part = place - below
+    ends = [[int(code[i : i + 2], 16) for i in (1, 3, 5)] for code in HEIGHTS[below : below + 2]]
+    return "#" + "".join(f"{round(a + part * (b - a)):02x}" for a, b in zip(*ends, strict=True))
+
+
+HEIGHTS = ("#26456e", "#3f6b8c", "#5f8f98", "#8eb08f", "#c6c97c", "#f3dc78")
+"""Heights from low to high; lightness grows steadily."""
+
 ON_DARK = (
     "#E78AC3",
     "#8FA2FF",

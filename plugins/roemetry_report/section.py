@@ -19,6 +19,7 @@ from roemetry_report.panels import Panel, panels
 from roemetry_report.relief import relief_panels
 from roemetry_report.rows import Row, row_of
 from roemetry_report.selection import Shown
+from roemetry_report.solid import Solid, solid
 from roemetry_report.svg import number
 from roemetry_report.trust import Trust, trust
 from roemetry_report.words import feature, milliseconds, percent, plain
@@ -83,6 +84,8 @@ class SectionView:
         Whether there are curves to lay over the thumbnail.
     trust
         How sure the labels are; None where nothing is coded, or the coder does not say.
+    solid
+        The products in three dimensions; None without a calibration.
     """
 
     key: str
@@ -97,6 +100,7 @@ class SectionView:
     thumbnail: str
     has_curves: bool
     trust: Trust | None
+    solid: Solid | None
 
 
 def section(shown: Shown, replay: Callable[[str], Trace], key: str) -> SectionView:
@@ -135,6 +139,7 @@ def section(shown: Shown, replay: Callable[[str], Trace], key: str) -> SectionVi
         thumbnail="" if trace is None or trace.frame is None else _thumbnail(trace.frame, trace.stripes),
         has_curves=any(panel.letter == "d" for panel in drawn),
         trust=None if trace is None or trace.stripes is None else trust(trace.stripes),
+        solid=None if trace is None or trace.profiles is None else solid(trace.profiles),
     )
 
 

@@ -1,0 +1,206 @@
+"""The view in three dimensions: what is sent is what was measured; a browser turns it, paper shows it."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+import shutil
+import xml.etree.ElementTree as ElementTree
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from roemetry.records import Profiles
+from roemetry_report.palette import height_colour
+from roemetry_report.sink import Report
+from roemetry_report.solid import Solid, solid
+
+NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+
+
+def read(given: Solid) -> tuple[dict[str, Any], np.ndarray, np.ndarray, np.ndarray]:
+    """Give head, points (mm), flags and uncertainties (mm) as the page's script reads them."""
+    head = json.loads(given.head)
+    data = base64.b64decode(given.points)
+    count = sum(entry[2] for entry in head["slices"])
+    assert len(data) == 8 * count
+    steps = np.frombuffer(data, "<i2", 3 * count).reshape(count, 3)
+    flags = np.frombuffer(data, np.uint8, count, 6 * count)
+    shares = np.frombuffer(data, np.uint8, count, 7 * count)
+    std = np.where(shares == 255, np.nan, shares / 254 * head["std"])
+    return head, steps * head["step"] + np.array(head["origin"]), flags, std
+
+
+@pytest.fixture(scope="module")
+def profiles(synthetic: Any) -> Profiles:
+    found: Profiles = synthetic.trace_of(synthetic.Scene("a")).profiles
+    return found
+
+
+def test_every_point_that_is_sent_was_measured_to_a_hundredth(profiles: Profiles) -> None:
+    given = solid(profiles)
+    assert given is not None
+    head, xyz, flags, std = read(given)
+    assert [entry[1] for entry in head["slices"]] == [1] * len(head["slices"])
+    at = 0
+    for stripe, product, count in head["slices"]:
+        index = int(np.flatnonzero(profiles.stripe == stripe)[0])
+        on = profiles.product[index] == product
+        measured = profiles.xyz_mm[index, on]
+        mine = xyz[at : at + count]
+        apart = np.abs(mine[:, None, :] - measured[None, :, :]).max(axis=2)
+        assert apart.min(axis=1).max() <= 0.0051
+        nearest = apart.argmin(axis=1)
+        assert np.all(np.diff(nearest) > 0), "in the slice's own order"
+        assert {0, int(on.sum()) - 1} <= set(nearest.tolist()), "both ends are kept"
+        assert np.array_equal(flags[at : at + count] & 1, profiles.seen[index, on][nearest])
+        at += count
+    assert at == len(xyz) <= 720 + 4 * len(head["slices"])
+    assert np.isnan(std).all() and head["std"] == 0.0
+
+
+def test_a_hole_in_a_slice_is_not_joined(profiles: Profiles) -> None:
+    index = 5
+    on = np.flatnonzero(profiles.product[index] > 0)
+    xyz, product = profiles.xyz_mm.copy(), profiles.product.copy()
+    seen, x, row = profiles.seen.copy(), profiles.x_px.copy(), profiles.row_px.copy()
+    hole = on[40:60]
+    xyz[index, hole], product[index, hole], seen[index, hole] = np.nan, -1, False
+    x[index, hole] = row[index, hole] = np.nan
+    holed = replace(profiles, xyz_mm=xyz, product=product, seen=seen, x_px=x, row_px=row)
+    given = solid(holed)
+    assert given is not None
+    head, points, flags, _ = read(given)
+    at = sum(
+        entry[2]
+        for entry in head["slices"][: [e[0] for e in head["slices"]].index(int(profiles.stripe[index]))]
+    )
+    count = next(entry[2] for entry in head["slices"] if entry[0] == profiles.stripe[index])
+    free = np.flatnonzero((flags[at : at + count] & 2) == 0)
+    assert len(free) == 2 and free[0] == 0
+    edges = points[at + free[1] - 1 : at + free[1] + 1, 1]
+    assert np.allclose(edges, profiles.xyz_mm[index, [hole[0] - 1, hole[-1] + 1], 1], atol=0.0051)
+
+
+def test_uncertainties_come_out_within_a_percent_of_the_largest(
+    profiles: Profiles, rng: np.random.Generator
+) -> None:
+    std = np.where(
+        np.isfinite(profiles.xyz_mm[..., 2]), rng.uniform(0.01, 0.2, profiles.height_std_mm.shape), np.nan
+    )
+    given = solid(replace(profiles, height_std_mm=std))
+    assert given is not None
+    head, xyz, _, told = read(given)
+    assert head["std"] <= 0.2
+    known = np.isfinite(profiles.xyz_mm).all(axis=2) & (profiles.product > 0)
+    where = profiles.xyz_mm[known]
+    for point, value in list(zip(xyz, told, strict=True))[::40]:
+        true = std[known][np.abs(where - point).max(axis=1).argmin()]
+        assert abs(value - true) <= 0.002
+
+
+def test_two_products_are_never_bridged(synthetic: Any) -> None:
+    scene = synthetic.Scene(
+        "a", (synthetic.Dome(165, 200, 120, 90), synthetic.Dome(480, 290, 125, 100)), gaps=()
+    )
+    given = solid(synthetic.trace_of(scene).profiles)
+    assert given is not None
+    products = [entry[1] for entry in json.loads(given.head)["slices"]]
+    assert products == sorted(products) and set(products) == {1, 2}
+    cells = len(re.findall("solid-cell", str(given.still)))
+    assert cells == 7 * (len(products) - 2)
+
+
+def test_the_still_picture_keeps_within_its_frame_and_says_what_it_is(profiles: Profiles) -> None:
+    given = solid(profiles)
+    assert given is not None
+    drawing = ElementTree.fromstring(given.still)
+    assert "mm high" in drawing.get("aria-label", "")
+    assert len(str(given.still)) < 9000
+    assert len(given.points) < 9000
+    for path in drawing.iter("path"):
+        x, y = map(float, re.match(r"M(-?[\d.]+)[ ]?(-?[\d.]+)", path.get("d", "")).groups())  # type: ignore[union-attr]
+        assert 0 <= x <= 760 and 0 <= y <= 400
+
+
+def test_nothing_on_a_product_is_nothing_to_show(profiles: Profiles) -> None:
+    belt = replace(profiles, product=np.where(profiles.product > 0, 0, profiles.product).astype(np.int16))
+    assert solid(belt) is None
+
+
+def test_heights_grow_lighter() -> None:
+    light = [
+        sum(int(height_colour(s)[i : i + 2], 16) * w for i, w in ((1, 0.3), (3, 0.6), (5, 0.1)))
+        for s in np.linspace(0, 1, 50)
+    ]
+    assert np.all(np.diff(light) > 0)
+    assert height_colour(-1) == height_colour(0)
+
+
+@pytest.fixture(scope="module")
+def report(synthetic: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    scenes = [synthetic.Scene("one"), synthetic.Scene("two", (synthetic.Dome(dent_mm=6.0),), seed=2)]
+    rows = [row for scene in scenes for row in synthetic.measurements_of(scene)]
+    folder = tmp_path_factory.mktemp("solid")
+    run = synthetic.run_of(folder, rows, {scene.id: synthetic.trace_of(scene) for scene in scenes})
+    (path,) = Report().write(run)
+    return Path(path)
+
+
+@pytest.mark.parametrize("scripts", [True, False], ids=["with scripts", "without scripts"])
+def test_it_turns_in_a_browser_and_is_a_picture_without_scripts(report: Path, scripts: bool) -> None:
+    browser = next(filter(None, map(shutil.which, NAMES)), None)
+    if browser is None:
+        pytest.skip(f"no browser on this machine: none of {', '.join(NAMES)}")
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    with playwright.sync_playwright() as driver:
+        opened = driver.chromium.launch(executable_path=browser, args=["--no-sandbox"])
+        context = opened.new_context(viewport={"width": 1300, "height": 900}, java_script_enabled=scripts)
+        page = context.new_page()
+        faults: list[str] = []
+        page.on("pageerror", lambda error: faults.append(str(error)))
+        page.on("request", lambda request: request.url.startswith("http") and faults.append(request.url))
+        page.goto(report.as_uri())
+        figure = page.locator("figure.solid").first
+        figure.scroll_into_view_if_needed()
+
+        def shown() -> np.ndarray:
+            page.wait_for_timeout(120)
+            data = page.locator("figure.solid .solid-stage").first.screenshot()
+            return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+
+        def coloured(image: np.ndarray) -> float:
+            """Share of the picture in the colours of heights, which are neither grey nor white."""
+            return float((np.ptp(image.astype(int), axis=2) > 25).mean())
+
+        if not scripts:
+            assert coloured(shown()) > 0.05
+            assert page.locator("figure.solid canvas").count() == 0
+        else:
+            page.wait_for_selector("figure.solid.live canvas")
+            first = shown()
+            assert coloured(first) > 0.05
+            canvas = page.locator("figure.solid canvas").first
+            canvas.focus()
+            page.keyboard.press("Shift+ArrowLeft")
+            turned = shown()
+            assert (turned != first).any(axis=2).mean() > 0.02
+            page.keyboard.press("0")
+            box = canvas.bounding_box()
+            page.mouse.move(box["x"] + 300, box["y"] + 150)
+            page.mouse.down()
+            page.mouse.move(box["x"] + 380, box["y"] + 190, steps=4)
+            page.mouse.up()
+            assert (shown() != first).any(axis=2).mean() > 0.02
+            page.get_by_role("button", name="From above").first.click()
+            above = shown()
+            page.keyboard.press("0")
+            page.get_by_role("button", name="What was seen").first.click()
+            assert coloured(shown()) < coloured(above), "the surface between stripes is grey"
+        assert faults == []
+        opened.close()
