@@ -19,6 +19,8 @@ BENCHMARKS = {
     "shipped_skeins": "the same on the shipped skeins, one by one",
     "simulate": "time of a simulated image on one core",
     "image_looks": "stripe width, saturation and grey levels of simulated and of real images",
+    "grade": "classifiers on unseen skeins and rigs; fits the model beside the recipe",
+    "paper_experiment": "the paper's Table 1 and Figures 17 to 22 again, on six skeins and on 500",
     "paper_figures": "Figures 7 and 9 of the paper, from any image",
     "shape": "time of all shape features with the classifiers by rules, per product",
     "weight": "weight from 20 weighed samples: error, interval, width, against paper × one factor",

@@ -11,7 +11,7 @@ from roemetry.errors import DataError
 from roemetry.records import Fitted, Samples
 from roemetry_shape.learned_model import LearnedModel, sharpened, squeezed
 
-TREES = 150
+TREES = 60
 FOLDS = 5
 _PER_CLASS_MIN = 5
 _STRANGE = 1.5
@@ -105,7 +105,7 @@ def _forest() -> Any:
     from sklearn.ensemble import ExtraTreesClassifier
 
     return ExtraTreesClassifier(
-        TREES, min_samples_leaf=2, max_features=0.4, class_weight="balanced", random_state=_SEED
+        TREES, min_samples_leaf=3, max_features=0.4, class_weight="balanced", random_state=_SEED
     )
 
 

@@ -86,11 +86,12 @@ class FuzzyRules(Classifier[FuzzyRulesOptions]):
     def classify(self, product: Product, *, rng: np.random.Generator | None = None) -> Grade:
         """Judge by rules; `rng` is not used: rules do not err."""
         shape = shape_of(product, self.options.smoothing_rows)
-        if not shape.features:
-            return Grade(UNKNOWN, reasons=(Reason("too-few-sections", _FEW),))
-        return replace(self._judged(shape.features), relief=shape.relief)
+        return replace(self.judge(shape.features), relief=shape.relief)
 
-    def _judged(self, features: Mapping[str, float]) -> Grade:
+    def judge(self, features: Mapping[str, float]) -> Grade:
+        """Judge features that were measured already."""
+        if not features:
+            return Grade(UNKNOWN, reasons=(Reason("too-few-sections", _FEW),))
         missing = sorted({term.feature for term in self.options.terms.values()} - set(features))
         if missing:
             why = f"there is no feature {missing[0]}; there are {', '.join(sorted(features))}"

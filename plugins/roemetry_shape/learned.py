@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import ClassVar
@@ -50,8 +52,12 @@ class Learned(Classifier[LearnedOptions]):
         StageError
             The model's file is none, or damaged.
         """
+        shape = shape_of(product, self._model.smoothing_rows)
+        return replace(self.judge(shape.features), relief=shape.relief)
+
+    def judge(self, features: Mapping[str, float]) -> Grade:
+        """Judge features that were measured already, with the model's `smoothing_rows`."""
         model = self._model
-        features, relief = shape_of(product, model.smoothing_rows)
         if not features:
             return Grade(UNKNOWN, reasons=(Reason("too-few-sections", _FEW),))
         values = model.values(features)
@@ -62,12 +68,12 @@ class Learned(Classifier[LearnedOptions]):
         told["strangeness"] = distance / model.distance_max
         if distance > model.distance_max:
             why = f"{distance / model.distance_max:.1f} times as far from all that was learned as is usual"
-            return Grade(UNKNOWN, math.nan, told, (Reason("unlike-anything-learned", why),), relief=relief)
+            return Grade(UNKNOWN, math.nan, told, (Reason("unlike-anything-learned", why),))
         label = _decided(by_class, model)
         if by_class[label] < self.options.probability_min:
             why = f"the likeliest class, {label}, has a probability of {by_class[label]:.2f} only"
-            return Grade(UNKNOWN, math.nan, told, (Reason("no-class-likely", why),), relief=relief)
-        return Grade(label, by_class[label], told, (Reason("learned-class", _said(by_class)),), relief=relief)
+            return Grade(UNKNOWN, math.nan, told, (Reason("no-class-likely", why),))
+        return Grade(label, by_class[label], told, (Reason("learned-class", _said(by_class)),))
 
     @classmethod
     def fit(cls, samples: Samples, *, good: str = "", smoothing_rows: int = 15) -> Fitted:

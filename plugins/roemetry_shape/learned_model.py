@@ -12,8 +12,10 @@ import numpy as np
 
 from roemetry.arrays import Floats, Integers
 from roemetry.errors import StageError
+from roemetry_shape.forest_file import packed, unpacked
 
-VERSION = 1
+VERSION = 2
+_FOREST = ("feature", "threshold", "left", "right", "shares", "roots")
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,9 +88,10 @@ class LearnedModel:
         content = {
             "roemetry_classifier": VERSION,
             "about": dict(about),
-            **{name: _plain(value) for name, value in vars(self).items()},
+            **{name: _plain(value) for name, value in vars(self).items() if name not in _FOREST},
+            "forest": packed({name: getattr(self, name) for name in _FOREST}),
         }
-        return json.dumps(content, allow_nan=False) + "\n"
+        return json.dumps(content, allow_nan=False, separators=(",", ":")) + "\n"
 
     @classmethod
     def load(cls, path: Path) -> LearnedModel:
@@ -100,8 +103,11 @@ class LearnedModel:
             arrays: dict[str, Any] = {
                 name: np.array(data[name], np.int64 if kind == "Integers" else np.float64)
                 for name, kind in cls.__annotations__.items()
-                if kind in ("Floats", "Integers")
+                if kind in ("Floats", "Integers") and name not in _FOREST
             }
+            forest = unpacked(data["forest"])
+            if forest["feature"].max() >= len(data["features"]):
+                raise ValueError("a split asks for a feature that is not there")
             return cls(
                 features=tuple(data["features"]),
                 classes=tuple(data["classes"]),
@@ -111,6 +117,7 @@ class LearnedModel:
                 distance_max=float(data["distance_max"]),
                 smoothing_rows=int(data["smoothing_rows"]),
                 **arrays,
+                **forest,
             )
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise StageError(
@@ -132,5 +139,10 @@ def sharpened(shares: Floats, power: float) -> Floats:
 
 def _plain(value: Any) -> Any:
     if isinstance(value, np.ndarray):
-        return value.tolist() if value.dtype.kind == "i" else np.round(value, 5).tolist()
+        return value.tolist() if value.dtype.kind == "i" else [_short(row) for row in value.tolist()]
     return list(value) if isinstance(value, tuple) else value
+
+
+def _short(value: Any) -> Any:
+    """Keep six significant digits."""
+    return [_short(one) for one in value] if isinstance(value, list) else float(f"{value:.6g}")

@@ -59,11 +59,12 @@ class ShapeLimits(Classifier[ShapeLimitsOptions]):
     def classify(self, product: Product, *, rng: np.random.Generator | None = None) -> Grade:
         """Judge by limits; `rng` is not used: limits do not err."""
         shape = shape_of(product, self.options.smoothing_rows)
-        if not shape.features:
-            return Grade(UNKNOWN, reasons=(Reason("too-few-sections", _FEW),))
-        return replace(self._judged(shape.features), relief=shape.relief)
+        return replace(self.judge(shape.features), relief=shape.relief)
 
-    def _judged(self, features: Mapping[str, float]) -> Grade:
+    def judge(self, features: Mapping[str, float]) -> Grade:
+        """Judge features that were measured already."""
+        if not features:
+            return Grade(UNKNOWN, reasons=(Reason("too-few-sections", _FEW),))
         if not self.options.limits:
             return Grade(UNKNOWN, features=features, reasons=(Reason("no-limits", "no limits are given"),))
         for limit in self.options.limits:

@@ -30,6 +30,10 @@ def compare(
     data: Annotated[
         Path | None, typer.Option("--data", help="A data set with truth. [default: where the images are]")
     ] = None,
+    labels: Annotated[
+        Path | None,
+        typer.Option("--labels", help="Table of `id` and `label`: classes that count instead of the set's."),
+    ] = None,
     out: Annotated[
         Path | None,
         typer.Option("--out", "-o", help="Folder for the results. [default: results/NAME-compare-1, …]"),
@@ -68,13 +72,14 @@ def compare(
     from roemetry.compare.data import Data
     from roemetry.compare.variants import make_variants
     from roemetry.compare.writing import SUMMARY, ItemsFile, write_comparison
+    from roemetry.fitting import read_labels
     from roemetry.registry import discover
 
     began = datetime.now(UTC)
     variants = make_variants(recipe, vary or (), sets=sets or (), registry=discover())
     base = variants[0].recipe
     assert base is not None
-    found = Data(base, data)
+    found = Data(base, data, labels=None if labels is None else read_labels(labels))
     terms = Terms(tolerance, folds, seed)
     folder = out or _next_folder(base)
     with ItemsFile(folder) as items, progress("comparing", quiet=as_json) as on_progress:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass, field
 from itertools import islice
@@ -11,7 +11,7 @@ from multiprocessing import get_context
 
 from roemetry.compare.agreement import Terms
 from roemetry.compare.cache import RememberedStages, StepMemory
-from roemetry.compare.data import Data, Unit, as_taken, changed_file
+from roemetry.compare.data import Data, Unit, as_taken, changed_file, labelled
 from roemetry.compare.judging import Judged, judge, unreadable
 from roemetry.compare.standing import Standing, standing_of
 from roemetry.compare.tally import Figures, Tally
@@ -107,13 +107,13 @@ Found = tuple[bool, list[Judged]]
 def _judged(recipes: Sequence[tuple[int, Recipe]], data: Data, jobs: int) -> Iterator[Found]:
     """Give what each acquisition came to, in order."""
     if jobs == 1 or data.count < 2:
-        worker = _Worker(recipes, data.dataset)
+        worker = _Worker(recipes, data.dataset, data.labels)
         for unit in data.units():
             yield worker(unit)
         return
     # Spawned, not forked: a forked copy of numba's or OpenCV's threads can hang.
     with ProcessPoolExecutor(
-        min(jobs, data.count), get_context("spawn"), _start_worker, (recipes, data.dataset)
+        min(jobs, data.count), get_context("spawn"), _start_worker, (recipes, data.dataset, data.labels)
     ) as pool:
         waiting: deque[Future[Found]] = deque()
         coming = data.units()
@@ -131,7 +131,10 @@ def _judged(recipes: Sequence[tuple[int, Recipe]], data: Data, jobs: int) -> Ite
 class _Worker:
     """Takes one acquisition at a time through all variants."""
 
-    def __init__(self, recipes: Sequence[tuple[int, Recipe]], dataset: Dataset | None) -> None:
+    def __init__(
+        self, recipes: Sequence[tuple[int, Recipe]], dataset: Dataset | None, labels: Mapping[str, str]
+    ) -> None:
+        self._labels = labels
         self._source = recipes[0][1].source.make()
         self._dataset = dataset
         self._memory = StepMemory()
@@ -152,6 +155,7 @@ class _Worker:
                     why = Reason("changed", f"{changed}: has changed since its truth was written")
                     return cold, self._refuse(unit, why, truth)
                 truth = self._dataset.truth(unit.item)
+            truth = labelled(truth, unit.reference.id, self._labels)
             sensor = None if self._dataset is None else self._dataset.sensor
             acquisition = as_taken(self._source.read(unit.reference), unit.item, sensor)
         except (RoemetryError, OSError) as error:
@@ -186,9 +190,11 @@ class _Worker:
 _worker: _Worker | None = None
 
 
-def _start_worker(recipes: Sequence[tuple[int, Recipe]], dataset: Dataset | None) -> None:
+def _start_worker(
+    recipes: Sequence[tuple[int, Recipe]], dataset: Dataset | None, labels: Mapping[str, str]
+) -> None:
     global _worker
-    _worker = _Worker(recipes, dataset)
+    _worker = _Worker(recipes, dataset, labels)
 
 
 def _work(unit: Unit) -> Found:

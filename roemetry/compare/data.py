@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ from roemetry.dataset import DESCRIPTION, ITEMS, STRIPES, Dataset, Item
 from roemetry.errors import DataError
 from roemetry.files import sha256_of
 from roemetry.recipe import Recipe
-from roemetry.records import Acquisition, AcquisitionReference, Sensor
+from roemetry.records import Acquisition, AcquisitionReference, ProductTruth, Sensor, Truth
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +32,8 @@ class Data:
         Its source says where the images are.
     folder
         A data set to use instead: all of its items, whatever the source's path.
+    labels
+        True classes by product (``acquisition#1``), which count instead of those of the data set.
 
     Attributes
     ----------
@@ -41,17 +43,22 @@ class Data:
         Number of acquisitions.
     without_truth
         Why nothing is known of the acquisitions; "" where there is a data set.
+    labels
+        Classes that count instead of the data set's, by product.
 
     Raises
     ------
     ConfigurationError
         `folder` is no data set, or its ``dataset.yaml`` is wrong.
     DataError
-        There is nothing to compare on.
+        There is nothing to compare on, or a label is of what is not there.
     """
 
-    def __init__(self, recipe: Recipe, folder: Path | None = None) -> None:
+    def __init__(
+        self, recipe: Recipe, folder: Path | None = None, *, labels: Mapping[str, str] | None = None
+    ) -> None:
         self.without_truth = ""
+        self.labels: Mapping[str, str] = {} if labels is None else labels
         self._references: Sequence[AcquisitionReference] | None = None
         if folder is not None:
             self.dataset: Dataset | None = Dataset(folder)
@@ -60,15 +67,26 @@ class Data:
                 raise DataError(
                     f"{folder / ITEMS}: there is no item", hint="make the data set, or name another"
                 )
+            self._check_labels({item.id for item in self.dataset.items()})
             return
         self._references = recipe.source.make().references(recipe.source_path)
         self.count = len(self._references)
+        self._check_labels({reference.id for reference in self._references})
         found = _folder_of(recipe.source_path)
         self.dataset = None if found is None else Dataset(found)
         if self.dataset is None:
             self.without_truth = (
                 f"nothing is known of the images: there is no {DESCRIPTION} beside or above them; "
                 "name a data set with --data"
+            )
+
+    def _check_labels(self, ids: Set[str]) -> None:
+        strange = sorted({name for name in self.labels if name.partition("#")[0] not in ids})
+        if strange:
+            more = f" and {len(strange) - 1} more" if len(strange) > 1 else ""
+            raise DataError(
+                f"labels of what is not there: {strange[0]}{more}",
+                hint=f"ids are those of the acquisitions, such as {min(ids)}, or of a product, {min(ids)}#1",
             )
 
     def units(self) -> Iterator[Unit]:
@@ -91,6 +109,7 @@ class Data:
     def described(self) -> dict[str, Any]:
         """Everything a reader must know of the data."""
         told: dict[str, Any] = {"acquisitions": self.count, "without_truth": self.without_truth}
+        told["labels"] = sum("#" in name for name in self.labels)
         if self.dataset is None:
             nothing = (
                 "name",
@@ -141,6 +160,21 @@ def changed_file(item: Item, files: Mapping[Any, Path], folder: Path) -> str | N
         if role in item.sha256 and sha256_of(path) != item.sha256[role]:
             return str(path)
     return None
+
+
+def labelled(truth: Truth | None, acquisition: str, labels: Mapping[str, str]) -> Truth | None:
+    """Put other classes into the truth; where nothing is known, they are all that is."""
+    if truth is None:
+        mine = sorted(name for name in labels if name.startswith(f"{acquisition}#"))
+        products = tuple(ProductTruth(label=labels[name]) for name in mine)
+        return Truth(products) if products else None
+    if not labels:
+        return truth
+    products = tuple(
+        replace(one, label=labels.get(f"{acquisition}#{number}", ""))
+        for number, one in enumerate(truth.products, start=1)
+    )
+    return replace(truth, products=products)
 
 
 def as_taken(acquisition: Acquisition, item: Item | None, sensor: Sensor | None = None) -> Acquisition:

@@ -31,7 +31,7 @@ def read_samples(path: Path, labels: Path | None = None) -> Samples:
     """
     header, rows = read_table(path)
     key = key_of(path, header)
-    known = None if labels is None else _labels(labels)
+    known = None if labels is None else read_labels(labels)
     if known is None and LABEL not in header:
         raise DataError(
             f"{path}: there is no column `{LABEL}`", hint="add one, or name a file of labels with --labels"
@@ -62,7 +62,14 @@ def read_samples(path: Path, labels: Path | None = None) -> Samples:
     )
 
 
-def _labels(path: Path) -> Mapping[str, str]:
+def read_labels(path: Path) -> Mapping[str, str]:
+    """Read classes by product, ``acquisition#1``, and by acquisition, which stands for its one product.
+
+    Raises
+    ------
+    DataError
+        The file is missing, empty, or no table; the column `label` is missing.
+    """
     header, rows = read_table(path)
     key = key_of(path, header)
     if LABEL not in header:

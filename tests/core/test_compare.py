@@ -23,7 +23,7 @@ from roemetry.compare.tables import flat
 from roemetry.compare.variants import Variant, make_variants
 from roemetry.compare.writing import ItemsFile, write_comparison
 from roemetry.dataset import DatasetWriter, Description, Item, save_stripes
-from roemetry.errors import ConfigurationError
+from roemetry.errors import ConfigurationError, DataError
 from roemetry.hookspecs import StageEntry
 from roemetry.pipeline import Pipeline
 from roemetry.recipe import Recipe
@@ -315,6 +315,29 @@ def test_verdicts_intervals_and_classes_reach_every_file(
     page = (out / "comparison.html").read_text("utf-8")
     for said in ("limits of agreement", "Beside the recipe as it is", "Choosing among these variants"):
         assert said in page
+
+
+def test_labels_count_instead_of_those_of_the_set(
+    dataset: Callable[..., Path], tmp_path: Path, roemetry: Callable[..., int]
+) -> None:
+    table = tmp_path / "labels.csv"
+    table.write_text("id,label\np01,good\np02#1,dull\n", encoding="utf-8")
+    assert roemetry(dataset(), "--labels", table, "--out", tmp_path / "out") == 0
+    told = json.loads((tmp_path / "out" / "comparison.json").read_text("utf-8"))
+    assert told["data"]["labels"] == 2
+    classes = told["variants"][0]["figures"]["classes"]
+    assert (classes["n"], classes["true"]) == (2, ["dull", "good"])
+
+
+def test_labels_make_classes_known_without_a_data_set(line: Callable[..., Path]) -> None:
+    variants = make_variants(line(2), [], registry=discover())
+    assert variants[0].recipe is not None
+    (found,) = compare(variants, Data(variants[0].recipe, labels={"p01#1": "good"}))
+    assert found.figures is not None
+    assert found.figures.classes is not None
+    assert found.figures.classes.n == 1
+    with pytest.raises(DataError, match="labels of what is not there: p77#1"):
+        Data(variants[0].recipe, labels={"p77#1": "good"})
 
 
 def test_a_changed_image_is_refused(dataset: Callable[..., Path]) -> None:

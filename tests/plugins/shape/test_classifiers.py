@@ -19,6 +19,7 @@ from roemetry.records import Samples
 from roemetry.testing.solids import BOX, HALF_ELLIPSOID, product_of
 from roemetry_paper.arc_curvature import ArcCurvature
 from roemetry_shape.fitting import fit_forest
+from roemetry_shape.forest_file import packed, unpacked
 from roemetry_shape.fuzzy_rules import FuzzyRules, FuzzyRulesOptions
 from roemetry_shape.learned import Learned, LearnedOptions
 from roemetry_shape.learned_model import LearnedModel, sharpened
@@ -144,9 +145,45 @@ def test_what_cannot_be_learned_from_is_named(rng: np.random.Generator) -> None:
         ArcCurvature.fit(given)
 
 
+def test_a_forest_in_a_file_is_the_forest_in_memory(rng: np.random.Generator) -> None:
+    """Shares are kept to a thousandth, thresholds to seven digits: no sample here falls elsewhere."""
+    values = rng.normal(0.0, 1.0, (90, 4))
+    labels = tuple("abc"[k % 3] for k in range(90))
+    values[:, 1] += [3.0 * (k % 3) for k in range(90)]
+    names = tuple(str(k) for k in range(90))
+    fitted = fit_forest(Samples(names, names, tuple("wxyz"), values, labels), good="a", smoothing_rows=15)
+    lists = json.loads(fitted.content)["forest"]
+    forest = unpacked(lists)
+    again = packed(forest)
+    assert {name: again[name] for name in again if name != "shares"} == {
+        name: lists[name] for name in lists if name != "shares"
+    }
+    assert np.abs(np.array(again["shares"]) - np.array(lists["shares"])).max() <= 1
+    assert np.allclose(forest["shares"].sum(axis=1)[forest["feature"] < 0], 1.0)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        {"left": [0]},
+        {"right": [9]},
+        {"roots": [3]},
+        {"shares": [[1, 2]]},
+        {"threshold": ["x"]},
+        {"feature": []},
+    ],
+)
+def test_a_damaged_forest_is_refused_not_walked(damage: dict[str, object]) -> None:
+    """A way back would be walked for ever, a way out would read what is no node."""
+    sound = {"roots": [0], "feature": [0, -1, -1], "threshold": [1.0], "left": [1], "right": [2]}
+    assert unpacked({**sound, "shares": [[1000, 0], [0, 1000]]})["left"].tolist() == [1, -1, -1]
+    with pytest.raises(ValueError, match=r".+"):
+        unpacked({**sound, "shares": [[1000, 0], [0, 1000]], **damage})
+
+
 def test_a_damaged_model_is_named(tmp_path: Path) -> None:
     path = tmp_path / "m.json"
-    for text in ("", "[]", "{}", json.dumps({"roemetry_classifier": 1, "features": []})):
+    for text in ("", "[]", "{}", json.dumps({"roemetry_classifier": 2, "features": []})):
         path.write_text(text, encoding="utf-8")
         with pytest.raises(StageError, match=r"m.json is no fitted classifier"):
             Learned(LearnedOptions(model=path)).classify(DOME)

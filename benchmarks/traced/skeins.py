@@ -1,0 +1,133 @@
+"""One skein on one rig: traced, coded, and triangulated exactly and by the paper's model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from benchmarks.coded import CodingRig, sample_from
+from benchmarks.coded.crossings import Crossings, crossings_of
+from benchmarks.coded.products import in_view
+from benchmarks.traced.rigs import RIGS
+from roemetry.assembling import assemble
+from roemetry.calibration import Calibration
+from roemetry.errors import StageError
+from roemetry.records import Peaks, Product, Profiles, StripeMap
+from roemetry_paper.block_linear import BlockLinear
+from roemetry_paper.window_tracking import WindowTracking
+from roemetry_simulate.placing import moved_to
+from roemetry_simulate.products import PRODUCTS, Drawn
+
+_GRID_MM = 0.25
+_BLOCK_MM = 16.5
+_PAPER_NOISE_PX = 0.22
+"""Before peaks are taken to whole pixels; then rest lines scatter by 0.37 px, as on rendered images."""
+
+
+@dataclass(frozen=True, eq=False)
+class Traced:
+    """A skein and what was measured of it.
+
+    Attributes
+    ----------
+    seed
+        Of skein and rig.
+    rig
+        The rig.
+    drawn
+        The skein where it lies, with its truth and its reference.
+    crossings
+        Every true place of a stripe.
+    exact
+        Measured with sub-pixel peaks and the true planes of light; None where the coder refused.
+    paper
+        Measured with peaks at whole pixels and one coefficient a stripe; None alike.
+    refused
+        Why one of them is missing; "" where none is.
+    """
+
+    seed: int
+    rig: CodingRig
+    drawn: Drawn
+    crossings: Crossings
+    exact: Product | None
+    paper: Product | None
+    refused: str
+
+
+def traced(seed: int, rig: str = "recipe-like", kind: str = "") -> Traced:
+    """Trace a skein.
+
+    Parameters
+    ----------
+    seed
+        Of the skein and of its rig.
+    rig
+        One of `RIGS`.
+    kind
+        A kind of skein; "" draws one as the population has them.
+    """
+    family, on = PRODUCTS["herring-roe"], RIGS[rig](seed)
+    kinds = {"kinds": {kind: 1.0}} if kind else {}
+    drawn = family.draw(seed, family.Options(grid_step_mm=_GRID_MM, **kinds))
+    shift = in_view(drawn.solid, on).footprint_extent_mm()[0] - drawn.solid.footprint_extent_mm()[0]
+    drawn = drawn if shift == 0.0 else moved_to(drawn, shift, 0.0)
+    crossings = crossings_of(on.camera, on.laser, drawn.solid)
+    refused, found = "", []
+    calibration, by_block = on.calibration(), block_calibration(on)
+    for noise_px, whole_pixels, known, lift in (
+        (on.noise_px, False, calibration, _lifted),
+        (_PAPER_NOISE_PX, True, by_block, BlockLinear().triangulate),
+    ):
+        peaks = sample_from(replace(on, noise_px=noise_px), crossings, seed=seed).peaks
+        peaks = _at_whole_pixels(peaks) if whole_pixels else peaks
+        try:
+            products = assemble(lift(WindowTracking().code(peaks, known), known), (), known, str(seed))
+        except StageError as error:
+            refused, products = refused or str(error), ()
+        found.append(max(products, key=_points, default=None))
+    return Traced(seed, on, drawn, crossings, found[0], found[1], refused)
+
+
+def block_calibration(rig: CodingRig) -> Calibration:
+    """Give what the paper's block, read without error, says of a rig: one coefficient a stripe."""
+    middle = rig.rows // 2
+    offset_px = rig.line_px(_BLOCK_MM)[:, middle] - rig.line_px(0.0)[:, middle]
+    exact, omega = rig.calibration(), _BLOCK_MM / offset_px
+    parameters = {**exact.parameters, "omega_mm_per_px": omega}
+    return replace(exact, parameters=parameters, displacement_px_per_mm=1.0 / omega)
+
+
+def _points(product: Product) -> int:
+    return int((product.profiles.product == product.number).sum())
+
+
+def _at_whole_pixels(peaks: Peaks) -> Peaks:
+    """Take peaks to whole pixels, as the paper's extractor gives them; two that meet become one."""
+    x_px = np.round(peaks.x_px)
+    keep = np.ones(x_px.size, np.bool_)
+    keep[1:] = (np.diff(peaks.row) != 0) | (np.diff(x_px) != 0)
+    names = ("row", "x_std_px", "amplitude", "background", "width_px", "flags")
+    kept = {name: getattr(peaks, name)[keep] for name in names}
+    return replace(peaks, x_px=x_px[keep], **kept)
+
+
+def _lifted(stripes: StripeMap, calibration: Calibration) -> Profiles:
+    """Put every coded point on its true plane of light."""
+    view = calibration.view
+    assert view is not None
+    shape = stripes.x_px.shape
+    row_px = np.broadcast_to(np.arange(shape[1], dtype=np.float64), shape)
+    number = np.broadcast_to(np.arange(shape[0])[:, None], shape)
+    return Profiles(
+        xyz_mm=view.lift(np.stack([stripes.x_px, row_px], axis=-1), number),
+        product=stripes.product,
+        seen=stripes.seen,
+        x_px=stripes.x_px,
+        row_px=row_px,
+        height_std_mm=np.full(shape, np.nan),
+        stripe=np.arange(shape[0]),
+        frame=np.zeros(shape[0], np.int64),
+        plane=view.planes,
+    )

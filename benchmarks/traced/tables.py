@@ -1,0 +1,130 @@
+"""Many skeins, a row each: features, grades, sizes of defects, weights; kept on disk by what made them."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from benchmarks.traced.causes import weight_figures
+from benchmarks.traced.shown import defect_figures
+from benchmarks.traced.skeins import Traced, traced
+from roemetry_paper.arc_curvature import ArcCurvature, ArcCurvatureOptions
+from roemetry_shape.features import shape_of
+
+SMOOTHING_ROWS = 15
+HEALTHY_EVERY = ("healthy",) * 6
+LEARNING_MIX = (
+    *HEALTHY_EVERY,
+    *("dented", "dented", "several-dents", "bent", "s-bent"),
+    *("twisted", "twisted", "folded", "folded", "broken"),
+)
+"""Kinds by turns, for learning: every defect often enough, whatever the population has of it."""
+
+NAMED = {
+    "none": "good",
+    "dented": "dent",
+    "several-dents": "dent",
+    "bent": "bend",
+    "s-bent": "bend",
+    "twisted": "twist",
+    "folded": "fold",
+    "broken": "broken",
+}
+"""The name a grader would give each kind: one dent or several, one bend or an S are told alike."""
+
+BEST_OPTIONS = {"smoothing_rows": 31, "radius_max_px": 160.0, "delta_samples": 10}
+"""Of `arc-curvature`, chosen on rendered skeins of seeds 5000 to 5059."""
+
+VERSION = 1
+"""Counted up when what a row holds changes: kept rows of another number are made again."""
+
+
+class Row(NamedTuple):
+    """One skein.
+
+    Attributes
+    ----------
+    seed, rig, kind
+        What it is; `kind` is ``none`` for a healthy one.
+    refused
+        Why nothing was measured; "" where it was.
+    features
+        Of `shape_of`; empty where they could not be measured.
+    grades
+        Paper's rule as it is (``paper``), and with other options (``best options``).
+    defect
+        Of `defect_figures`; of the population also on other numbers of lines.
+    weight
+        Of `weight_figures`; of the population alone.
+    """
+
+    seed: int
+    rig: str
+    kind: str
+    refused: str
+    features: dict[str, float]
+    grades: dict[str, str]
+    defect: dict[str, float]
+    weight: dict[str, float]
+
+    @property
+    def name(self) -> str:
+        """What it should be called."""
+        return NAMED[self.kind]
+
+
+def rows_of(seeds: Sequence[int], rig: str, cache: Path, *, mix: Sequence[str] = ()) -> list[Row]:
+    """Measure skeins, or take them from the cache.
+
+    Parameters
+    ----------
+    seeds
+        One skein each.
+    rig
+        A family of rigs.
+    cache
+        Folder of the kept rows.
+    mix
+        Kinds by turns; empty: as the population has them.
+    """
+    return list(_rows(seeds, rig, cache, mix))
+
+
+def _rows(seeds: Sequence[int], rig: str, cache: Path, mix: Sequence[str]) -> Iterator[Row]:
+    cache.mkdir(parents=True, exist_ok=True)
+    path = cache / f"{'mix' if mix else 'population'}_{rig}_{VERSION}.jsonl"
+    known = {}
+    if path.exists():
+        for line in path.read_text("utf-8").splitlines():
+            row = Row(**json.loads(line))
+            known[row.seed] = row
+    with path.open("a", encoding="utf-8") as file:
+        for done, seed in enumerate(seeds):
+            if seed not in known:
+                row = _row(traced(seed, rig, mix[seed % len(mix)] if mix else ""), rig, whole=not mix)
+                file.write(json.dumps(row._asdict()) + "\n")
+                file.flush()
+                known[seed] = row
+                print(f"\r{rig}: {done + 1} of {len(seeds)}", end="", file=sys.stderr, flush=True)
+            yield known[seed]
+
+
+def _row(one: Traced, rig: str, *, whole: bool) -> Row:
+    features = {} if one.exact is None else shape_of(one.exact, SMOOTHING_ROWS).features
+    grades = {}
+    if one.paper is not None:
+        grades["paper"] = ArcCurvature().classify(one.paper).label
+        grades["best options"] = ArcCurvature(ArcCurvatureOptions(**BEST_OPTIONS)).classify(one.paper).label
+    return Row(
+        one.seed,
+        rig,
+        one.drawn.truth.defect,
+        one.refused,
+        features,
+        grades,
+        defect_figures(one) if whole else defect_figures(one, ()),
+        weight_figures(one) if whole else {},
+    )
