@@ -27,20 +27,24 @@ from roemetry_simulate.scene_file import RayCasterOptions
 from roemetry_simulate.scene_rig import rig_of
 
 RIGS: dict[str, dict[str, object]] = {
-    "narrow": {},
+    "narrow": {
+        "targets": {"board": {"square_mm": 10.5, "marker_mm": 7.9, "tilt_max_deg": 25.0}},
+    },
     "wide": {
         "camera": {
-            "width_px": 1280,
-            "height_px": 1024,
-            "pixel_size_um": 5.0,
+            "width_px": 640,
+            "height_px": 512,
+            "pixel_size_um": 10.0,
             "focal_length_mm": 8.0,
             "distance_mm": 200.0,
             "tilt_x_deg": 6.0,
             "tilt_y_deg": -4.0,
             "distortion": {"k1": -0.12, "k2": 0.03, "p1": 0.0005, "p2": -0.0004},
         },
-        "laser": {"projector_mm": [120.0, -4.0, 190.0], "line_width_mm": 0.8},
-        "targets": {"board": {"square_mm": 9.0, "marker_mm": 6.5, "tilt_max_deg": 25.0}},
+        "laser": {"projector_mm": [120.0, -4.0, 190.0], "line_width_mm": 1.2},
+        "targets": {
+            "board": {"columns": 13, "rows": 10, "square_mm": 12.0, "marker_mm": 9.0, "tilt_max_deg": 25.0}
+        },
     },
 }
 HEIGHTS_MM = (2.0, 5.0, 10.0, 16.5, 20.0, 25.0, 30.0)

@@ -113,6 +113,7 @@ def observe(rig: Rig, registry: Registry) -> tuple[CalibrationSet, dict[str, str
         extractor=rig.extractor.described(),
         board=rig.board,
         staircase=rig.staircase,
+        pyramid=rig.pyramid,
     )
     return observed, hashes
 

@@ -14,14 +14,16 @@ from roemetry.choosing import Chooser, Chosen
 from roemetry.errors import ConfigurationError, RoemetryError
 from roemetry.overrides import Overridden
 from roemetry.recipe_file import Channel, Choice, Section, SensorFile, StageChoice, Turn
-from roemetry.records import Block, Board, Sensor, Staircase
+from roemetry.records import Block, Board, Pyramid, Sensor, Staircase
 from roemetry.registry import Registry, discover
 from roemetry.target_file import (
     BlockFile,
     BoardFile,
+    PyramidFile,
     StaircaseFile,
     read_block,
     read_board,
+    read_pyramid,
     read_staircase,
 )
 from roemetry.validation import checked
@@ -36,6 +38,7 @@ class CalibrationImages(Section):
     block: list[str] = Field(default_factory=list, description="the block under the stripes")
     belt: list[str] = Field(default_factory=list, description="the empty belt")
     staircase: list[str] = Field(default_factory=list, description="the staircase under the stripes")
+    pyramid: list[str] = Field(default_factory=list, description="the truncated pyramid under the stripes")
     board: list[str] = Field(default_factory=list, description="the board in many poses, laser off")
     board_laser: list[str] = Field(default_factory=list, description="the board in these poses, laser on")
     board_on_belt: list[str] = Field(
@@ -68,6 +71,9 @@ class RigFile(Section):
     staircase: str | StaircaseFile | None = Field(
         default=None, description="the staircase's description: a file, or the staircase itself"
     )
+    pyramid: str | PyramidFile | None = Field(
+        default=None, description="the truncated pyramid's description: a file, or the pyramid itself"
+    )
     encoder_counts: list[float] = Field(
         default_factory=list,
         description="of the images in board_on_belt, in their order, if the belt carries the board along",
@@ -86,6 +92,7 @@ class Rig:
     block: Block | None
     board: Board | None
     staircase: Staircase | None
+    pyramid: Pyramid | None
     images: dict[str, list[Path]]
     extractor: Chosen
     calibrator: Chosen
@@ -118,6 +125,7 @@ class Rig:
         block = _asked(chooser, "target", lambda: read_block(file.target, folder))
         board = _asked(chooser, "board", lambda: read_board(file.board, folder))
         staircase = _asked(chooser, "staircase", lambda: read_staircase(file.staircase, folder))
+        pyramid = _asked(chooser, "pyramid", lambda: read_pyramid(file.pyramid, folder))
         for shows in ("board", "board_laser", "board_on_belt", "board_on_belt_laser"):
             _poses_differ(images[shows], shows, chooser)
         counts = file.encoder_counts
@@ -128,7 +136,7 @@ class Rig:
             )
         if chooser.faults or extractor is None or calibrator is None:
             raise ConfigurationError(chooser.faults)
-        return cls(path, file, block, board, staircase, images, extractor, calibrator)
+        return cls(path, file, block, board, staircase, pyramid, images, extractor, calibrator)
 
 
 def _found(folder: Path, pattern: str, chooser: Chooser, shows: str, index: int) -> list[Path]:

@@ -9,7 +9,7 @@ from pydantic import Field, PositiveFloat, model_validator
 
 from roemetry.errors import ConfigurationError
 from roemetry.recipe_file import Section
-from roemetry.records import Block, Board, Staircase
+from roemetry.records import Block, Board, Pyramid, Staircase
 from roemetry.validation import checked
 from roemetry.yaml_source import read
 
@@ -152,6 +152,16 @@ def read_staircase(given: str | StaircaseFile | None, folder: Path) -> Staircase
     if found is None:
         return None
     return Staircase(found.name, tuple(found.heights_mm), found.tread_mm, found.width_mm, found.tolerance_mm)
+
+
+def read_pyramid(given: str | PyramidFile | None, folder: Path) -> Pyramid | None:
+    """Give the truncated pyramid; raise ConfigurationError where its file is at fault."""
+    found = _described(given, folder, PyramidFile)
+    if found is None:
+        return None
+    if found.top_mm >= found.base_mm:
+        raise ConfigurationError(f"`{found.name}`: its top is no smaller than its base")
+    return Pyramid(found.name, found.base_mm, found.top_mm, found.height_mm, found.tolerance_mm)
 
 
 def _described(given: str | _File | None, folder: Path, model: type[_File]) -> _File | None:

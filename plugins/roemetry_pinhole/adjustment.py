@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from roemetry.arrays import Flags, Floats
+from roemetry_pinhole.edges import Edges, no_edges
 from roemetry_pinhole.equations import Corners, Feet, StripePoints, corner_residuals, stripe_residuals
 from roemetry_pinhole.geometry import Geometry, Unknowns
 from roemetry_pinhole.problem import STD_MIN_PX, STILL, Problem, Weights, inverse
@@ -71,7 +72,8 @@ def adjust(
     points: StripePoints,
     feet: Feet,
     *,
-    foot_std_mm: float,
+    foot_std_mm: float | Floats,
+    edges: Edges | None = None,
 ) -> Adjusted:
     """Find the unknowns.
 
@@ -84,7 +86,9 @@ def adjust(
     corners, points, feet
         What was seen.
     foot_std_mm
-        Standard uncertainty of the feet's heights.
+        Standard uncertainty of the feet's heights, of all or of each.
+    edges
+        What was seen of solids' edges; None: nothing.
 
     Raises
     ------
@@ -92,12 +96,8 @@ def adjust(
         What was seen does not determine the unknowns.
     """
     weights = Weights(1.0, 1.0, np.ones(corners.pose.size), np.ones(points.pose.size))
-    problem = Problem(unknowns, corners, points, feet, foot_std_mm, weights)
-    for still in (1e-2, 1e-4):
-        geometry = problem.settled(geometry, still)
-        off, far = problem.distances(geometry)
-        weights.corner_std_px = max(_spread(off / np.sqrt(2.0)) * _RAYLEIGH, STD_MIN_PX)
-        weights.stripe_scale = max(_spread(far), problem.scale_min)
+    problem = Problem(unknowns, corners, points, feet, foot_std_mm, weights, edges or no_edges())
+    geometry = nearly(problem, geometry)
     weights.robust = False
     geometry = problem.settled(geometry, 1e-6)
     problem.estimate_noise(geometry)
@@ -122,6 +122,17 @@ def adjust(
         correlation=weights.correlation,
         conflict=conflict,
     )
+
+
+def nearly(problem: Problem, geometry: Geometry) -> Geometry:
+    """Find the unknowns robustly and not to the last digit; the noise is estimated into the weights."""
+    weights = problem.weights
+    for still in (1e-2, 1e-4):
+        geometry = problem.settled(geometry, still)
+        off, far = problem.distances(geometry)
+        weights.corner_std_px = max(_spread(off / np.sqrt(2.0)) * _RAYLEIGH, STD_MIN_PX)
+        weights.stripe_scale = max(_spread(far), problem.scale_min)
+    return geometry
 
 
 def _in_peace(problem: Problem, geometry: Geometry) -> tuple[Geometry, float]:

@@ -6,15 +6,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
 from pydantic import Field
 
-from roemetry.arrays import Floats
 from roemetry.calibration import Calibration
-from roemetry.records import Board, CalibrationSet, Evidence
+from roemetry.records import CalibrationSet, Evidence
 from roemetry.stages import Calibrator, Capabilities, StageOptions
 from roemetry_pinhole.evidence import evidence_of
-from roemetry_pinhole.first_camera import FirstCamera
 from roemetry_pinhole.frames import (
     METHOD,
     covariance_of,
@@ -25,6 +22,7 @@ from roemetry_pinhole.frames import (
 )
 from roemetry_pinhole.joining import Joint, joint
 from roemetry_pinhole.judging import judged
+from roemetry_pinhole.scale import of_lengths
 from roemetry_pinhole.second_targets import check_scale
 
 
@@ -69,13 +67,13 @@ class PinholeCalibrator(Calibrator[PinholeCalibratorOptions]):
             are no noise; with what was left out and why.
         """
         joined = self._joint(observed)
-        board, adjusted, size = joined.board, joined.adjusted, joined.size
-        first, seen = joined.first, joined.seen
-        verdict = judged(adjusted, first, joined.gathered, board, size)
+        adjusted, size = joined.adjusted, joined.size
+        verdict = judged(joined)
         parameters = parameters_of(adjusted.geometry, travel=joined.moves)
         covariance = covariance_of(adjusted.covariance, adjusted.unknowns, travel=joined.moves)
-        covariance = covariance + _of_scale(parameters, board)
+        covariance = covariance + of_lengths(joined, parameters)
         top_mm = self.options.height_max_mm or verdict.height_max_mm
+        left_out = joined.seen.left_out.items()
         calibration = Calibration(
             method=METHOD,
             image_size=size,
@@ -86,12 +84,12 @@ class PinholeCalibrator(Calibrator[PinholeCalibratorOptions]):
             parameters=parameters,
             covariance=covariance,
             residuals=verdict.residuals,
-            target={"kind": board.kind, "name": board.name} | _described(board, first),
+            target=_described(joined),
             extractor=dict(observed.extractor),
-            notes=(*verdict.notes, *(f"not used: {name}: {why}" for name, why in seen.left_out.items())),
+            notes=(*verdict.notes, *(f"not used: {name}: {why}" for name, why in left_out)),
             view=view_of(parameters, size),
         )
-        return replace(calibration, **check_scale(calibration, observed))
+        return calibration if joined.solids else replace(calibration, **check_scale(calibration, observed))
 
     def evidence(self, observed: CalibrationSet, calibration: Calibration) -> Evidence:
         """Show residuals, views left out in turn, stripes against each other, coverage, and a verdict."""
@@ -106,26 +104,25 @@ class PinholeCalibrator(Calibrator[PinholeCalibratorOptions]):
         )
 
 
-def _of_scale(parameters: dict[str, Floats], board: Board) -> Floats:
-    """Covariance that the board's own tolerance adds: all lengths grow together."""
-    longer = max(board.columns, board.rows) * board.pitch_mm
-    relative = board.tolerance_mm / np.sqrt(3.0) / longer
-    by_scale = {name: np.zeros_like(array) for name, array in parameters.items()}
-    for name in ("planes_per_mm", "belt_per_mm"):
-        by_scale[name] = -parameters[name]
-    if "travel_mm_per_count" in parameters:
-        by_scale["travel_mm_per_count"] = parameters["travel_mm_per_count"]
-    way = np.concatenate([array.ravel() for array in by_scale.values()])
-    return np.asarray(relative**2 * np.outer(way, way))
-
-
-def _described(board: Board, first: FirstCamera) -> dict[str, object]:
-    layout = first.views[0].marks.layout
-    said = {
-        "columns": board.columns,
-        "rows": board.rows,
-        "pitch_mm": board.pitch_mm,
-        "tolerance_mm": board.tolerance_mm,
-        "poses": len(first.views),
-    }
-    return said | ({"layout": layout} if layout else {})
+def _described(joined: Joint) -> dict[str, object]:
+    board = joined.board
+    said: dict[str, object] = {}
+    if board is not None:
+        said = {
+            "kind": board.kind,
+            "name": board.name,
+            "columns": board.columns,
+            "rows": board.rows,
+            "pitch_mm": board.pitch_mm,
+            "tolerance_mm": board.tolerance_mm,
+            "poses": len(joined.first.views),
+        }
+        layout = joined.first.views[0].marks.layout
+        said |= {"layout": layout} if layout else {}
+    if joined.solids is not None:
+        shapes = joined.solids.shapes
+        said |= {
+            "kind": ", ".join(shape.kind for shape in shapes),
+            "name": ", ".join(shape.name for shape in shapes),
+        }
+    return said

@@ -53,6 +53,9 @@ class StripePoints:
         (point,) standard uncertainty of `x_px`, px, up to a common factor.
     counts
         (point,) as for corners.
+    face
+        (point, 4) n and d with n·X = d, mm, in the pose's own frame: the plane of the surface the point lies
+        on; None where all lie on boards, whose surface is (0, 0, 1, 0).
     """
 
     pose: Integers
@@ -61,6 +64,7 @@ class StripePoints:
     row_px: Floats
     std_px: Floats
     counts: Floats
+    face: Floats | None = None
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -99,7 +103,7 @@ def corner_rows(geometry: Geometry, unknowns: Unknowns, corners: Corners) -> Row
     values[:, :, CAMERA : CAMERA + 3] = np.cross(arm[:, None, :], by_at)
     values[:, :, CAMERA + 3 : CAMERA + 6] = by_at
     values[:, :, CAMERA + 6 :] = by_at * corners.counts[:, None, None]
-    columns = _columns(unknowns.camera, unknowns.poses[corners.pose], unknowns.travel)
+    columns = columns_of(unknowns.camera, unknowns.poses[corners.pose], unknowns.travel)
     return Rows(residual.ravel(), np.repeat(columns, 2, axis=0), values.reshape(-1, CAMERA + 9))
 
 
@@ -139,7 +143,7 @@ def stripe_rows(geometry: Geometry, unknowns: Unknowns, points: StripePoints) ->
         poses = np.where(board, unknowns.poses[np.maximum(points.pose, 0)], -1)
     columns = np.column_stack(
         [
-            _columns(unknowns.camera, poses, unknowns.travel),
+            columns_of(unknowns.camera, poses, unknowns.travel),
             unknowns.planes[points.stripe],
             np.where(board, -1, unknowns.belt),
         ]
@@ -165,9 +169,14 @@ class _Lines:
         self.normal, self.place = np.zeros_like(self.plane), np.zeros_like(self.plane)
         if geometry.shift.size:
             pose = np.maximum(points.pose, 0)
-            self.normal = geometry.rotation[pose][:, :, 2]
             self.place = geometry.shift[pose] + points.counts[:, None] * geometry.travel
+            if points.face is None:
+                self.normal = geometry.rotation[pose][:, :, 2]
+            else:
+                self.normal = (geometry.rotation[pose] @ points.face[:, :3, None])[:, :, 0]
         self.distance = (self.normal * self.place).sum(axis=1)
+        if points.face is not None:
+            self.distance = self.distance + points.face[:, 3]
         belt = geometry.belt if self.on_belt.any() else np.zeros(3)
         self._line = np.where(
             self.on_belt[:, None], self.plane - belt, self.distance[:, None] * self.plane - self.normal
@@ -180,11 +189,16 @@ class _Lines:
         xy, lens = straightened(seen, self._camera[4:], self._straight)
         self._straight = xy
         ray = np.column_stack([xy, np.ones(len(xy))])
-        (a, b), (c, d) = np.moveaxis(lens.by_place, 0, -1)
-        u, v = self._line[:, 0] / (a * d - b * c), self._line[:, 1] / (a * d - b * c)
-        by_seen = np.column_stack([u * d - v * c, v * a - u * b])
+        by_seen = by_bent(self._line, lens)
         slope = by_seen[:, 0] / focal[0]
         return (self._line * ray).sum(axis=1) / slope, seen, lens, ray, by_seen, slope
+
+
+def by_bent(line: Floats, lens: Bent) -> Floats:
+    """Give (n, 2) the derivatives of line·ray by the ray's place in the bent image; line is (n, 3)."""
+    (a, b), (c, d) = np.moveaxis(lens.by_place, 0, -1)
+    u, v = line[:, 0] / (a * d - b * c), line[:, 1] / (a * d - b * c)
+    return np.column_stack([u * d - v * c, v * a - u * b])
 
 
 def foot_rows(geometry: Geometry, unknowns: Unknowns, feet: Feet) -> Rows:
@@ -211,7 +225,8 @@ def _placed(geometry: Geometry, pose: Integers, board_mm: Floats, counts: Floats
     return arm, arm + geometry.shift[pose] + counts[:, None] * geometry.travel
 
 
-def _columns(camera: Integers, poses: Integers, travel: Integers) -> Integers:
+def columns_of(camera: Integers, poses: Integers, travel: Integers) -> Integers:
+    """Give (row, 21) the columns of camera, pose and travel."""
     rows = poses.shape[0]
     return np.column_stack(
         [np.broadcast_to(camera, (rows, camera.size)), poses, np.broadcast_to(travel, (rows, 3))]

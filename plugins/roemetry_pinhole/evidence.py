@@ -87,15 +87,15 @@ def _residuals(joined: Joint, held: HeldOut) -> tuple[Residuals, ...]:
 
 def _figures(joined: Joint, held: HeldOut, calibration: Calibration) -> dict[str, EvidenceFigure]:
     adjusted, residuals = joined.adjusted, calibration.residuals
-    found = {
-        "coverage": EvidenceFigure(
+    found = {}
+    if "marks_coverage" in residuals:
+        found["coverage"] = EvidenceFigure(
             "part of the image without marks",
             1.0 - residuals["marks_coverage"],
             "1",
             "6 × 6 cells",
             1.0 - _COVERAGE_MIN,
         )
-    }
     if held.mark_px.size:
         rms = _rms(adjusted.corner_px[adjusted.corner_used])
         found["marks"] = EvidenceFigure(

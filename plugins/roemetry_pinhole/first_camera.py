@@ -40,7 +40,13 @@ class FirstCamera:
 
 
 def first_camera(
-    seen: Seen, image_size: tuple[int, int], lens: str, known: Floats | None, tried: int
+    seen: Seen,
+    image_size: tuple[int, int],
+    lens: str,
+    known: Floats | None,
+    tried: int,
+    *,
+    least_if_known: int = _POSES_MIN_KNOWN,
 ) -> FirstCamera:
     """Find the camera, or only the poses where the camera is known.
 
@@ -56,6 +62,8 @@ def first_camera(
         (12,) the camera, if it is known.
     tried
         Number of poses there were, for messages.
+    least_if_known
+        Number of poses that are needed where the camera is known.
 
     Raises
     ------
@@ -63,7 +71,7 @@ def first_camera(
         Too few poses, or poses too much alike.
     """
     views = list(seen.views)
-    least = _POSES_MIN if known is None else _POSES_MIN_KNOWN
+    least = _POSES_MIN if known is None else least_if_known
     while True:
         if len(views) < least:
             raise CalibrationError(
@@ -71,6 +79,8 @@ def first_camera(
                 + _reasons(seen.left_out),
                 hint="take ten to twenty poses: all over the image, at all heights, tilted all ways round",
             )
+        if not views and known is not None:
+            return FirstCamera(known, [], np.empty((0, 3, 3)), np.empty((0, 3)))
         found = _solved(views, image_size, lens, known)
         rms = _rms(found)
         worst = int(rms.argmax())

@@ -142,8 +142,11 @@ def stripe_offsets(geometry: Geometry, points: StripePoints) -> tuple[Floats, Fl
     """
     offset, at, surface = [], [], []
     xyz = lifted(geometry, points)
-    for pose in np.unique(points.pose):
-        on = np.flatnonzero(points.pose == pose)
+    level = np.zeros(points.pose.size, np.int64)
+    if points.face is not None:
+        level = np.unique(points.face, axis=0, return_inverse=True)[1].ravel()
+    for pose, number in np.unique(np.column_stack([points.pose, level]), axis=0):
+        on = np.flatnonzero((points.pose == pose) & (level == number))
         stripes = np.unique(points.stripe[on])
         if stripes.size < _STRIPES_MIN or (pose == ON_BELT and np.ptp(points.counts[on]) > 0):
             continue

@@ -11,8 +11,9 @@ from roemetry.arrays import Floats
 from roemetry.errors import CalibrationError
 from roemetry.records import Board, CalibrationSet
 from roemetry_pinhole.adjustment import Adjusted
-from roemetry_pinhole.equations import Corners, Feet
+from roemetry_pinhole.equations import Corners, Feet, StripePoints
 from roemetry_pinhole.first_camera import FirstCamera, first_camera, free_numbers
+from roemetry_pinhole.from_solids import OnSolids, from_solids, solids_in
 from roemetry_pinhole.geometry import CAMERA, Geometry, unknowns_of
 from roemetry_pinhole.measured import Measured
 from roemetry_pinhole.opencv_file import read_camera
@@ -27,7 +28,7 @@ class Joint:
     Attributes
     ----------
     board
-        What was held under the stripes.
+        What was held under the stripes; None where solids alone were seen.
     size
         Rows and columns of the images.
     seen
@@ -36,20 +37,23 @@ class Joint:
         The views that are used.
     pose
         (view,) number of the view's pose in the adjustment.
-    gathered
-        Stripe points.
+    left_share
+        Share of the peaks on stripes that is left out before the adjustment.
+    solids
+        What solids on the belt gave, where the planes come from them; else None.
     measured, adjusted
         What went into the adjustment, and what came out.
     moves
         Whether the belt's travel is among the unknowns.
     """
 
-    board: Board
+    board: Board | None
     size: tuple[int, int]
     seen: Seen
     first: FirstCamera
     pose: np.ndarray
-    gathered: Gathered
+    left_share: float
+    solids: OnSolids | None
     measured: Measured
     adjusted: Adjusted
     moves: bool
@@ -77,19 +81,26 @@ def joint(
         As `PinholeCalibrator.calibrate` says.
     """
     board = observed.board
-    if board is None:
+    on_boards = any(one.shows in _BOARDS and one.frame.role == "laser" for one in observed.observations)
+    by_solids = bool(solids_in(observed)) and not on_boards
+    known = None if camera_file is None else read_camera(camera_file)
+    if board is None and not (by_solids and known is not None):
         raise CalibrationError(
             "no board is described",
-            hint="add `board:` to the rig file: its kind, columns, rows and pitch_mm",
+            hint="add `board:` to the rig file: its kind, columns, rows and pitch_mm; or give a camera file "
+            "and images of a block, a staircase or a truncated pyramid",
         )
-    seen = board_views(observed, board)
+    seen = Seen() if board is None else board_views(observed, board)
     tried = len({(one.shows, one.pose) for one in observed.observations if one.shows in _BOARDS})
-    if not tried:
+    if not tried and not (by_solids and known is not None):
         raise CalibrationError("there is no image of the board", hint="name them in images.board")
     size = observed.observations[0].frame.size
-    known = None if camera_file is None else read_camera(camera_file)
-    first = first_camera(seen, size, lens, known, tried)
+    first = first_camera(seen, size, lens, known, tried, **({"least_if_known": 0} if by_solids else {}))
     pose, counts = _placed(first)
+    number = np.unique(pose, return_inverse=True)[1]
+    free = np.zeros(CAMERA, np.bool_) if known is not None else free_numbers(lens)
+    if board is None or by_solids:
+        return _by_solids(observed, board, seen, first, free)
     gathered = gather(
         first,
         board,
@@ -99,11 +110,59 @@ def joint(
         print_contrast_max=print_contrast_max,
     )
     seen.left_out |= gathered.left_out
-    free = np.zeros(CAMERA, np.bool_) if known is not None else free_numbers(lens)
     measured = _measured(first, gathered, board, pose, counts, free)
-    number = np.searchsorted(np.unique(pose), pose)
-    adjusted = measured.adjusted()
-    return Joint(board, size, seen, first, number, gathered, measured, adjusted, _moves(counts))
+    return Joint(
+        board,
+        size,
+        seen,
+        first,
+        number,
+        gathered.left_share,
+        None,
+        measured,
+        measured.adjusted(),
+        _moves(counts),
+    )
+
+
+def _by_solids(
+    observed: CalibrationSet, board: Board | None, seen: Seen, first: FirstCamera, free: np.ndarray
+) -> Joint:
+    """Planes from solids on the belt; boards, if there are any, tell the camera, and where the belt is."""
+    number = np.arange(len(first.views))
+    still = np.zeros(len(first.views))
+    whole, none, nowhere = np.empty(0, np.int64), np.empty(0), np.empty((0, 3))
+    belt = None
+    lies = [view for view in number if first.views[view].on_belt]
+    feet, foot_std_mm = Feet(whole, nowhere, none), 0.01
+    if board is not None and lies:
+        normal = first.rotation[lies[0]][:, 2]
+        belt = np.asarray(normal / (normal @ first.shift[lies[0]] + board.thickness_mm))
+        feet = _feet(first.views, board, number, still)
+        foot_std_mm = _foot_std_mm(board)
+    start = Geometry(first.camera, first.rotation, first.shift, nowhere, np.full(3, np.nan), np.zeros(3))
+    boards = Measured(
+        start,
+        unknowns_of(start, free_camera=free, planes=False, belt=False, travel=False),
+        _corners(first, number, still),
+        StripePoints(whole, whole, none, none, none, none),
+        feet,
+        foot_std_mm,
+    )
+    found = from_solids(observed, boards, free, belt)
+    size = observed.observations[0].frame.size
+    return Joint(
+        board if first.views else None,
+        size,
+        seen,
+        first,
+        number,
+        found.left_share,
+        found,
+        found.measured,
+        found.adjusted,
+        moves=False,
+    )
 
 
 _BOARDS = ("board", "board_on_belt")
@@ -112,16 +171,8 @@ _BOARDS = ("board", "board_on_belt")
 def _measured(
     first: FirstCamera, gathered: Gathered, board: Board, pose: np.ndarray, counts: Floats, free: np.ndarray
 ) -> Measured:
-    marks = [view.marks for view in first.views]
-    size = [len(one.xy_px) for one in marks]
     keep = np.unique(pose)
     number = np.searchsorted(keep, pose)
-    corners = Corners(
-        np.repeat(number, size),
-        np.concatenate([one.board_mm for one in marks]),
-        np.concatenate([one.xy_px for one in marks]),
-        np.repeat(counts, size),
-    )
     start = Geometry(
         camera=first.camera,
         rotation=first.rotation[keep],
@@ -135,10 +186,25 @@ def _measured(
     return Measured(
         start,
         unknowns,
-        corners,
+        _corners(first, number, counts),
         replace(gathered.points, pose=np.where(on < 0, on, number[on])),
         _feet(first.views, board, number, counts),
-        foot_std_mm=max(board.flatness_mm, 0.005) / np.sqrt(3.0),
+        foot_std_mm=_foot_std_mm(board),
+    )
+
+
+def _foot_std_mm(board: Board) -> float:
+    return float(max(board.flatness_mm, 0.005) / np.sqrt(3.0))
+
+
+def _corners(first: FirstCamera, pose: np.ndarray, counts: Floats) -> Corners:
+    marks = [view.marks for view in first.views]
+    size = [len(one.xy_px) for one in marks]
+    return Corners(
+        np.repeat(pose, size).astype(np.int64),
+        np.concatenate([np.empty((0, 3)), *(one.board_mm for one in marks)]),
+        np.concatenate([np.empty((0, 2)), *(one.xy_px for one in marks)]),
+        np.repeat(counts, size),
     )
 
 

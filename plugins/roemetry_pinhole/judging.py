@@ -8,10 +8,9 @@ import numpy as np
 
 from roemetry.arrays import Floats
 from roemetry.errors import CalibrationError
-from roemetry.records import Board
 from roemetry_pinhole.adjustment import Adjusted
 from roemetry_pinhole.first_camera import FirstCamera
-from roemetry_pinhole.stripe_points import Gathered
+from roemetry_pinhole.joining import Joint
 
 _CELLS = 6
 _CELL_MARKS_MIN = 8
@@ -34,9 +33,7 @@ class Verdict:
     height_max_mm: float
 
 
-def judged(
-    adjusted: Adjusted, first: FirstCamera, gathered: Gathered, board: Board, size: tuple[int, int]
-) -> Verdict:
+def judged(joined: Joint) -> Verdict:
     """Judge an adjustment.
 
     Raises
@@ -44,37 +41,55 @@ def judged(
     CalibrationError
         A plane goes nearly through the camera; stripes do not lie in planes; residuals are no noise.
     """
+    adjusted = joined.adjusted
     _check_planes_pass_by(adjusted)
-    rms_px = float(np.sqrt((adjusted.corner_px[adjusted.corner_used] ** 2).sum(axis=1).mean()))
     _check_used(adjusted)
-    _check_planes(adjusted, gathered)
-    systematic_px, coverage = _systematic(adjusted, first, size)
-    if systematic_px > max(_SYSTEMATIC_MAX_PX, _SYSTEMATIC_SHARE_MAX * adjusted.corner_std_px):
-        raise CalibrationError(
-            f"the residuals are not noise: neighbouring marks are off together, by {systematic_px:.2f} px",
-            hint="take another lens model (calibrator.options.lens), a flat board, and a sharp lens",
-        )
-    notes = [f"scale: from the board's pitch of {board.pitch_mm:g} mm"]
-    if coverage < _COVERAGE_MIN:
-        notes.append(f"marks cover {coverage:.0%} of the image: elsewhere the lens is extrapolated")
+    _check_planes(adjusted, joined)
+    residuals: dict[str, float] = {}
+    notes: list[str] = []
+    if adjusted.corner_used.size:
+        residuals, notes = _of_marks(joined)
+    if joined.solids is not None:
+        names = ", ".join(f"{shape.kind} {shape.name}" for shape in joined.solids.shapes)
+        notes.append(f"planes of light: from {names}")
     if adjusted.conflict > 1.0:
         notes.append(
             "stripes and marks contradict each other a little: stripes count "
             f"{adjusted.conflict:.0f} times less than their scatter would allow"
         )
     used = adjusted.stripe_used
-    residuals = {
+    residuals |= {
+        "stripes_rms_px": float(np.sqrt((adjusted.stripe_px[used] ** 2).mean())),
+        "stripes_left_out": 1.0 - (1.0 - joined.left_share) * float(used.mean()),
+        "stripes_correlation": adjusted.correlation,
+        "poses": float(len(joined.first.views)),
+    }
+    return Verdict(residuals, tuple(notes), _height_reached(joined))
+
+
+def _of_marks(joined: Joint) -> tuple[dict[str, float], list[str]]:
+    """Figures and notes of the boards' marks."""
+    adjusted = joined.adjusted
+    rms_px = float(np.sqrt((adjusted.corner_px[adjusted.corner_used] ** 2).sum(axis=1).mean()))
+    systematic_px, coverage = _systematic(adjusted, joined.first, joined.size)
+    if systematic_px > max(_SYSTEMATIC_MAX_PX, _SYSTEMATIC_SHARE_MAX * adjusted.corner_std_px):
+        raise CalibrationError(
+            f"the residuals are not noise: neighbouring marks are off together, by {systematic_px:.2f} px",
+            hint="take another lens model (calibrator.options.lens), a flat board, and a sharp lens",
+        )
+    notes = []
+    if joined.board is not None and joined.solids is None:
+        notes.append(f"scale: from the board's pitch of {joined.board.pitch_mm:g} mm")
+    if coverage < _COVERAGE_MIN:
+        notes.append(f"marks cover {coverage:.0%} of the image: elsewhere the lens is extrapolated")
+    figures = {
         "marks_rms_px": rms_px,
         "marks_std_px": adjusted.corner_std_px,
         "marks_left_out": float(1.0 - adjusted.corner_used.mean()),
         "marks_systematic_px": systematic_px,
         "marks_coverage": coverage,
-        "stripes_rms_px": float(np.sqrt((adjusted.stripe_px[used] ** 2).mean())),
-        "stripes_left_out": 1.0 - (1.0 - gathered.left_share) * float(used.mean()),
-        "stripes_correlation": adjusted.correlation,
-        "poses": float(len(first.views)),
     }
-    return Verdict(residuals, tuple(notes), _height_reached(adjusted, board))
+    return figures, notes
 
 
 def _check_planes_pass_by(adjusted: Adjusted) -> None:
@@ -100,9 +115,9 @@ def _check_used(adjusted: Adjusted) -> None:
             )
 
 
-def _check_planes(adjusted: Adjusted, gathered: Gathered) -> None:
+def _check_planes(adjusted: Adjusted, joined: Joint) -> None:
     """Each stripe's points on all boards must lie in one plane as well as the others' do."""
-    points = gathered.points
+    points = joined.measured.points
     rms = np.array(
         [
             np.sqrt((adjusted.stripe_px[points.stripe == stripe] ** 2).mean())
@@ -139,9 +154,13 @@ def _systematic(adjusted: Adjusted, first: FirstCamera, size: tuple[int, int]) -
     return float(systematic), float(np.unique(cell).size / _CELLS**2)
 
 
-def _height_reached(adjusted: Adjusted, board: Board) -> float:
-    """Greatest height of the boards' middles over the belt, mm."""
-    geometry = adjusted.geometry
+def _height_reached(joined: Joint) -> float:
+    """Greatest height over the belt of the boards' middles, or of the solids whose stripes were used, mm."""
+    geometry, board = joined.adjusted.geometry, joined.board
+    if joined.solids is not None:
+        return max(shape.height_mm for shape in joined.solids.shapes)
+    if board is None:
+        raise AssertionError("planes come from boards or solids")
     middle = 0.5 * board.pitch_mm * np.array([board.columns, board.rows, 0.0])
     at: Floats = geometry.rotation @ middle + geometry.shift
     height = (1.0 - at @ geometry.belt) / np.sqrt(geometry.belt @ geometry.belt)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from roemetry.arrays import Floats
 from roemetry.errors import CalibrationError
+from roemetry_pinhole.edges import Edges, edge_rows, no_edges
 from roemetry_pinhole.equations import (
     Corners,
     Feet,
@@ -49,8 +50,9 @@ class Problem:
     corners: Corners
     points: StripePoints
     feet: Feet
-    foot_std_mm: float
+    foot_std_mm: float | Floats
     weights: Weights
+    edges: Edges = field(default_factory=no_edges)
 
     @property
     def scale_min(self) -> float:
@@ -91,11 +93,13 @@ class Problem:
         marks = corner_rows(geometry, self.unknowns, self.corners)
         stripes = stripe_rows(geometry, self.unknowns, self.points)
         stands = foot_rows(geometry, self.unknowns, self.feet)
+        rims = edge_rows(geometry, self.unknowns, self.edges)
         off, far = self._off(marks.residual), self._far(stripes.residual)
         for rows, weight in (
             (marks, np.repeat(self._share(off, self.weights.corner), 2) / self.weights.corner_std_px**2),
             (stripes, self._share(far, self.weights.stripe) / self._stripe_variance()),
-            (stands, np.full(stands.residual.size, self.foot_std_mm**-2)),
+            (stands, np.full(stands.residual.size, 1.0) / np.square(self.foot_std_mm)),
+            (rims, self._rim_share(rims.residual) / self.edges.std_px**2),
         ):
             add_rows(rows.columns, rows.values, rows.residual, weight, normal, gradient)
         return normal + np.tril(normal, -1).T, gradient
@@ -105,14 +109,13 @@ class Problem:
         off = self._off(corner_residuals(geometry, self.corners))
         far = self._far(stripe_residuals(geometry, self.points))
         total = ((foot_rows(geometry, self.unknowns, self.feet).residual / self.foot_std_mm) ** 2).sum()
+        rims = np.abs(edge_rows(geometry, self.unknowns, self.edges).residual) / self.edges.std_px
+        total += _huber(rims).sum()
         for distance, share in (
             (off, self.weights.corner),
             (far, self.weights.stripe / self.weights.correlation),
         ):
-            square = distance**2
-            if self.weights.robust:
-                square = np.where(distance > _HUBER, _HUBER * (2.0 * distance - _HUBER), square)
-            total += (share * square).sum()
+            total += (share * (_huber(distance) if self.weights.robust else distance**2)).sum()
         return float(total) if np.isfinite(total) else np.inf
 
     def marks_cost(self, geometry: Geometry) -> float:
@@ -157,8 +160,16 @@ class Problem:
             return share
         return share * np.minimum(1.0, _HUBER / np.maximum(distance, 1e-300))
 
+    def _rim_share(self, rims: Floats) -> Floats:
+        """Huber's weights: edges stay robust, for a corner or a chip is always among them."""
+        return np.minimum(1.0, _HUBER / np.maximum(np.abs(rims) / self.edges.std_px, 1e-300))
+
     def _stripe_variance(self) -> Floats:
         return (self.points.std_px * self.weights.stripe_scale) ** 2 * self.weights.correlation
+
+
+def _huber(distance: Floats) -> Floats:
+    return np.where(distance > _HUBER, _HUBER * (2.0 * distance - _HUBER), distance**2)
 
 
 def _solved(normal: Floats, diagonal: Floats, damping: float, gradient: Floats) -> Floats:

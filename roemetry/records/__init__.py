@@ -4,7 +4,14 @@ from roemetry.records.acquisition import Acquisition, AcquisitionReference, Fram
 from roemetry.records.evidence import Evidence, EvidenceFigure, Residuals
 from roemetry.records.fitting import Fitted, Samples
 from roemetry.records.measurement import Coding, Measurement, Status
-from roemetry.records.observations import Block, Board, CalibrationSet, Observation, Staircase
+from roemetry.records.observations import (
+    Block,
+    Board,
+    CalibrationSet,
+    Observation,
+    Pyramid,
+    Staircase,
+)
 from roemetry.records.outcome import Decision, Estimate, Grade, Marks, Shares, Volume, Weight
 from roemetry.records.peaks import EDGE, SATURATED, WIDE, Peaks
 from roemetry.records.plan import (
@@ -61,6 +68,7 @@ __all__ = [
     "ProductTrace",
     "ProductTruth",
     "Profiles",
+    "Pyramid",
     "Reason",
     "Relief",
     "ReliefMap",

@@ -70,6 +70,17 @@ class Staircase:
     tolerance_mm: float
 
 
+@dataclass(frozen=True, slots=True)
+class Pyramid:
+    """A square pyramid without its top: sides of base and top, height, and each one's tolerance, mm."""
+
+    name: str
+    base_mm: float
+    top_mm: float
+    height_mm: float
+    tolerance_mm: float
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class Observation:
     """One image of a target, and the peaks the recipe's extractor found in it.
@@ -77,8 +88,8 @@ class Observation:
     Attributes
     ----------
     shows
-        What is seen: ``belt`` (the empty one), ``block``, ``staircase``, ``board`` (held in any pose) or
-        ``board_on_belt`` (the same board lying on the belt).
+        What is seen: ``belt`` (the empty one), ``block``, ``staircase``, ``pyramid``, ``board`` (held in any
+        pose) or ``board_on_belt`` (the same board lying on the belt).
     frame
         The image; its role says whether the laser was on (``laser``) or off (``plain``).
     peaks
@@ -110,8 +121,9 @@ class CalibrationSet:
         Camera (its centre of projection) to belt, mm; None where it is not known.
     extractor
         Name and version of the extractor the peaks come from, with its options.
-    board, staircase
-        What the images of a board and of a staircase show; None where it was not described.
+    board, staircase, pyramid
+        What the images of a board, of a staircase and of a truncated pyramid show; None where it was not
+        described.
     """
 
     observations: tuple[Observation, ...]
@@ -121,6 +133,7 @@ class CalibrationSet:
     extractor: Mapping[str, object]
     board: Board | None = None
     staircase: Staircase | None = None
+    pyramid: Pyramid | None = None
 
     def showing(self, what: str) -> tuple[Observation, ...]:
         """Give the observations of one kind of target."""

@@ -1,0 +1,83 @@
+"""What a camera of known geometry sees of stripes on a solid: exact peaks, for tests."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from roemetry.records import CalibrationSet, Frame, Observation, Peaks
+from roemetry_pinhole.equations import ON_BELT, StripePoints, stripe_residuals
+from roemetry_pinhole.frames import belt_pose
+from roemetry_pinhole.geometry import Geometry, turned
+from roemetry_pinhole.holding_out import lifted
+from roemetry_pinhole.solid_shapes import Shape, inside
+
+
+def on_belt(geometry: Geometry, x_mm: float, y_mm: float, yaw_deg: float) -> Geometry:
+    """Lay a solid on the belt: the geometry with that one pose."""
+    pose = belt_pose(geometry.belt)
+    turn = pose[:3, :3].T @ turned(np.radians([[0.0, 0.0, yaw_deg]]))[0]
+    at = pose[:3, :3].T @ (np.array([x_mm, y_mm, 0.0]) - pose[:3, 3])
+    return replace(geometry, rotation=turn[None], shift=at[None])
+
+
+def crossings(geometry: Geometry, shape: Shape | None, size: tuple[int, int]) -> np.ndarray:
+    """Give (stripe, row) x of the stripes on belt and solid, px; nearest to the camera where several are."""
+    count, rows = geometry.stripe_count, size[0]
+    stripe, row = (index.ravel() for index in np.indices((count, rows)))
+    best, depth = np.full(stripe.size, np.nan), np.full(stripe.size, np.inf)
+    faces = [None, *(shape.faces if shape else ())]
+    for face in faces:
+        plane = np.array([0.0, 0.0, 1.0, 0.0]) if face is None else face.plane
+        pose = np.full(stripe.size, ON_BELT if face is None else 0)
+        points = StripePoints(
+            pose,
+            stripe,
+            np.full(stripe.size, 0.5 * size[1]),
+            row.astype(float),
+            np.ones(stripe.size),
+            np.zeros(stripe.size),
+            np.tile(plane, (stripe.size, 1)),
+        )
+        for _ in range(12):
+            points = replace(points, x_px=points.x_px - stripe_residuals(geometry, points))
+        at = lifted(geometry, points)
+        seen = np.abs(stripe_residuals(geometry, points)) < 1e-6
+        if face is not None:
+            there = (at - geometry.shift[0]) @ geometry.rotation[0]
+            seen &= inside(face, there[:, :2]) >= 0.0
+        nearer = seen & (at[:, 2] < depth)
+        best[nearer], depth[nearer] = points.x_px[nearer], at[nearer, 2]
+    best[(best < 1.0) | (best > size[1] - 2.0)] = np.nan
+    return best.reshape(count, rows)
+
+
+def seen_as(
+    shows: str, x_px: np.ndarray, size: tuple[int, int], rng: np.random.Generator, noise_px: float
+) -> Observation:
+    """Make an observation of stripes with noise on each peak."""
+    order = np.argsort(x_px, axis=0)
+    x = np.take_along_axis(x_px, order, axis=0).T
+    row, column = np.nonzero(np.isfinite(x))
+    at = x[row, column] + rng.normal(0.0, noise_px, row.size)
+    again = np.lexsort((at, row))
+    full = np.ones(row.size)
+    peaks = Peaks(
+        image_size=size,
+        row=row[again],
+        x_px=at[again],
+        x_std_px=noise_px * full,
+        amplitude=100.0 * full,
+        background=0.0 * full,
+        width_px=4.0 * full,
+        flags=np.zeros(row.size, np.uint8),
+    )
+    return Observation(shows, Frame(np.zeros(size, np.uint8), name=shows), peaks)
+
+
+def set_of(observations, stripes: int, **targets) -> CalibrationSet:
+    """Make a calibration set without boards."""
+    return CalibrationSet(
+        tuple(observations), stripes, targets.pop("block", None), None, {"use": "exact"}, **targets
+    )

@@ -1,0 +1,200 @@
+"""Planes of light from a block, a staircase or a truncated pyramid, against the geometry that made them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from roemetry.errors import CalibrationError
+from roemetry.records import Block, Pyramid, Staircase
+from roemetry_pinhole.calibrator import PinholeCalibrator, PinholeCalibratorOptions
+from roemetry_pinhole.edges import Edges, edge_rows
+from roemetry_pinhole.equations import Corners, corner_residuals, stripe_residuals, stripe_rows
+from roemetry_pinhole.frames import lines_at_height, parameters_of, view_of
+from roemetry_pinhole.geometry import CAMERA, Geometry, unknowns_of
+from roemetry_pinhole.opencv_file import write_camera
+from roemetry_pinhole.simulated import SimulatedRig, shown
+from roemetry_pinhole.solid_shapes import inside, shape_of
+from tests.plugins.pinhole.solids_seen import crossings, on_belt, seen_as, set_of
+
+SIZE = (400, 400)
+STRIPES = 7
+RIGS = {
+    "gentle": SimulatedRig(1000.0, 320.0, tilt_deg=(1.0, -0.4), image_size=SIZE, stripes=STRIPES),
+    "tilted": SimulatedRig(
+        500.0,
+        220.0,
+        tilt_deg=(12.0, -8.0),
+        lens=(-0.2, 0.08, 0.001, -0.0005, -0.01),
+        image_size=SIZE,
+        stripes=STRIPES,
+    ),
+}
+NOISE_PX = 0.1
+
+
+def wide(rig: SimulatedRig) -> float:
+    return SIZE[1] / rig.focal_px * rig.distance_mm
+
+
+def solid(kind: str, width: float):
+    steps = tuple(float(height) for height in np.array([0.03, 0.06, 0.09, 0.12]) * width)
+    return {
+        "block": Block("b", 2.0 * width, 0.3 * width, 0.12 * width, 0.02),
+        "staircase": Staircase("s", steps, 0.1 * width, 2.0 * width, 0.02),
+        "pyramid": Pyramid("p", 0.8 * width, 0.3 * width, 0.14 * width, 0.02),
+    }[kind]
+
+
+def truth(name: str, rng) -> Geometry:
+    return shown(RIGS[name], rng).geometry
+
+
+def calibrator(geometry: Geometry, folder: Path) -> PinholeCalibrator:
+    path = folder / "camera.yaml"
+    write_camera(path, view_of(parameters_of(geometry, travel=False), SIZE))
+    return PinholeCalibrator(PinholeCalibratorOptions(camera=path))
+
+
+def height_errors(calibration, geometry: Geometry, heights) -> tuple[np.ndarray, np.ndarray]:
+    """Heights, by a calibration, of exact stripes on levels, less the true ones, and what it states, mm."""
+    parameters = parameters_of(geometry, travel=False)
+    rows = np.linspace(0.1, 0.9, 5) * (SIZE[0] - 1)
+    drawn = [one for _, one in zip(range(60), calibration.redraws(np.random.default_rng(1)), strict=False)]
+    off, std = [], []
+    for height in heights:
+        x = lines_at_height(parameters, rows, height)
+        stripe, row = np.nonzero((x > 0) & (x < SIZE[1] - 1))
+        at = np.column_stack([x[stripe, row], rows[row]])
+
+        def measured(one, at=at, stripe=stripe):
+            return view_of(one.parameters, SIZE).lift(at, stripe)[:, 2]
+
+        off.append(measured(calibration) - height)
+        std.append(np.std([measured(one) for one in drawn], axis=0))
+    return np.concatenate(off), np.concatenate(std)
+
+
+@pytest.mark.parametrize(
+    ("rig", "kind", "bare"),
+    [
+        ("gentle", "block", True),
+        ("tilted", "block", False),
+        ("tilted", "staircase", True),
+        ("gentle", "staircase", False),
+        ("gentle", "pyramid", False),
+        ("tilted", "pyramid", True),
+    ],
+)
+def test_planes_from_a_solid_measure_heights(rig: str, kind: str, bare: bool, rng, tmp_path: Path) -> None:
+    """With and without an image of the empty belt; lengths are exact, so peaks' noise alone is left."""
+    geometry, width = truth(rig, rng), wide(RIGS[rig])
+    known = solid(kind, width)
+    lying = on_belt(geometry, 0.01 * width, -0.008 * width, 3.0)
+    seen = [seen_as(kind, crossings(lying, shape_of(known), SIZE), SIZE, rng, NOISE_PX)]
+    if bare:
+        seen.append(seen_as("belt", crossings(geometry, None, SIZE), SIZE, rng, NOISE_PX))
+    found = calibrator(geometry, tmp_path).calibrate(set_of(seen, STRIPES, **{kind: known}))
+    off, std = height_errors(found, geometry, np.array([0.0, 0.06, 0.12]) * width)
+    assert np.sqrt(np.mean((off / std) ** 2)) < 1.6, "the stated uncertainty holds"
+    assert np.median(std) < 0.03, "mm"
+    assert np.abs(off[std < 0.02]).max() < 0.05, "mm"
+    assert found.residuals["stripes_rms_px"] == pytest.approx(NOISE_PX, rel=0.1)
+    away, true = (1.0 / np.linalg.norm(b) for b in (found.parameters["belt_per_mm"], geometry.belt))
+    assert away == pytest.approx(true, rel=0.004), "mm"
+
+
+def test_the_solids_tolerance_is_in_the_covariance(rng, tmp_path: Path) -> None:
+    """A block that is 1 % higher than described makes all heights 1 % too small: and that is stated."""
+    geometry, width = truth("gentle", rng), wide(RIGS["gentle"])
+    known = solid("block", width)
+    lying = on_belt(geometry, 0.0, 0.0, 2.0)
+    seen = [seen_as("block", crossings(lying, shape_of(known), SIZE), SIZE, rng, 0.02)]
+    rough = replace(known, tolerance_mm=0.01 * known.height_mm * np.sqrt(3.0))
+    found = calibrator(geometry, tmp_path).calibrate(set_of(seen, STRIPES, block=rough))
+    redraws = found.redraws(np.random.default_rng(1))
+    row = np.array([200.0])
+    x = lines_at_height(found.parameters, row, known.height_mm)[3, 0]
+    drawn = [view_of(next(redraws).parameters, SIZE).lift(np.array([x, 200.0]), 3)[2] for _ in range(200)]
+    assert np.std(drawn) / known.height_mm == pytest.approx(0.01, rel=0.25)
+
+
+def test_a_solid_that_is_not_there_is_told(rng, tmp_path: Path) -> None:
+    geometry, width = truth("gentle", rng), wide(RIGS["gentle"])
+    nothing = seen_as("block", crossings(geometry, None, SIZE), SIZE, rng, NOISE_PX)
+    with pytest.raises(CalibrationError, match="the block is not seen") as caught:
+        calibrator(geometry, tmp_path).calibrate(set_of([nothing], STRIPES, block=solid("block", width)))
+    assert "block" in caught.value.message
+    assert caught.value.hint
+
+
+def test_a_wrong_number_of_stripes_is_told(rng, tmp_path: Path) -> None:
+    geometry, width = truth("gentle", rng), wide(RIGS["gentle"])
+    known = solid("block", width)
+    lying = on_belt(geometry, 0.0, 0.0, 2.0)
+    seen = [seen_as("block", crossings(lying, shape_of(known), SIZE), SIZE, rng, NOISE_PX)]
+    with pytest.raises(CalibrationError, match="block: all 9 stripes are seen in 0 rows"):
+        calibrator(geometry, tmp_path).calibrate(set_of(seen, STRIPES + 2, block=known))
+
+
+def test_a_stripe_that_misses_the_solid_is_named(rng, tmp_path: Path) -> None:
+    geometry, width = truth("gentle", rng), wide(RIGS["gentle"])
+    known = Pyramid("p", 0.35 * width, 0.15 * width, 0.1 * width, 0.02)
+    lying = on_belt(geometry, 0.0, 0.0, 2.0)
+    seen = [seen_as("pyramid", crossings(lying, shape_of(known), SIZE), SIZE, rng, NOISE_PX)]
+    with pytest.raises(CalibrationError, match=r"pyramid: stripe \d is found on one surface only"):
+        calibrator(geometry, tmp_path).calibrate(set_of(seen, STRIPES, pyramid=known))
+
+
+def corners_of(geometry: Geometry, block: Block) -> Edges:
+    """Four places on the edges of a block's top, where a camera sees them."""
+    top = shape_of(block).faces[0]
+    corners = np.column_stack([0.2 * top.corners_mm[:, 0], top.corners_mm[:, 1], np.full(4, top.plane[3])])
+    zero = np.zeros(4)
+    at = corner_residuals(geometry, Corners(zero.astype(np.int64), corners, np.zeros((4, 2)), zero))
+    planes = np.tile(top.plane, (4, 1)), top.walls[[0, 0, 1, 1]]
+    return Edges(zero.astype(np.int64), *planes, at.reshape(-1, 2), zero + 1.0)
+
+
+def test_derivatives_on_faces_and_edges_are_those_of_the_equations(rng) -> None:
+    geometry = on_belt(truth("tilted", rng), 2.0, -1.0, 5.0)
+    every = unknowns_of(geometry, free_camera=np.ones(CAMERA, bool), planes=True, belt=True, travel=False)
+    exact = shown(RIGS["tilted"], rng).points
+    face = np.tile(shape_of(solid("pyramid", 100.0)).faces[2].plane, (exact.pose.size, 1))
+    points = replace(exact, pose=np.zeros_like(exact.pose), face=face)
+    points = replace(points, x_px=points.x_px - stripe_residuals(geometry, points))
+    edges = corners_of(geometry, solid("block", 40.0))
+    sizes = {**dict.fromkeys(every.camera[:4], 1e-2), **dict.fromkeys(every.camera[4:], 1e-5)}
+    sizes |= dict.fromkeys([*every.planes.ravel(), *every.belt], 1e-8)
+    for rows, what in ((stripe_rows, points), (edge_rows, edges)):
+        found = rows(geometry, every, what)
+        given = np.zeros((found.residual.size, every.count))
+        row, place = np.nonzero(found.columns >= 0)
+        np.add.at(given, (row, found.columns[row, place]), found.values[row, place])
+        for number in range(every.count):
+            step = np.zeros(every.count)
+            step[number] = sizes.get(number, 1e-5)
+            up, down = (rows(every.moved(geometry, s * step), every, what).residual for s in (1.0, -1.0))
+            slope = (up - down) / (2.0 * step[number])
+            off = np.abs(slope - given[:, number]).max()
+            assert off <= 2e-4 * max(np.abs(slope).max(), 1e-3), (rows.__name__, number)
+
+
+def test_a_corner_of_a_face_is_seen_on_its_edge(rng) -> None:
+    """Edges against marks at the same corners: two ways to say where the image of a corner is."""
+    geometry = on_belt(truth("tilted", rng), 2.0, -1.0, 5.0)
+    edges = corners_of(geometry, solid("block", 60.0))
+    free = unknowns_of(geometry, free_camera=np.zeros(CAMERA, bool), planes=True, belt=True, travel=False)
+    assert np.abs(edge_rows(geometry, free, edges).residual).max() < 1e-8, "px"
+
+
+def test_outlines_of_faces() -> None:
+    pyramid = shape_of(Pyramid("p", 60.0, 20.0, 20.0, 0.02))
+    to_right = pyramid.faces[1]
+    assert to_right.plane @ [25.0, 0.0, 5.0, -1.0] == pytest.approx(0.0), "half way between 30 and 20"
+    assert inside(to_right, np.array([[25.0, 0.0], [0.0, 0.0], [12.0, 11.9]])) == pytest.approx(
+        [5.0, -10.0, 0.0707], abs=1e-3
+    )
