@@ -28,7 +28,7 @@ def main() -> None:
     parser.add_argument("--picture", type=Path)
     given = parser.parse_args()
     session = Session(given.recipe)
-    session.answer(Wish())
+    session.warm_up()
     for kind in ("extractor", "coder", "weigher"):
         _told(f"server, {kind} changed", [_moved(session, kind, i) for i in range(given.moves)])
     browser = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)

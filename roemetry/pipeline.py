@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
@@ -64,6 +65,8 @@ class Pipeline:
         By kind, stages to use instead of those the recipe would make: objects with the kind's verb.
     draws
         Monte Carlo draws; None: as many as the recipe says.
+    frame
+        Makes an acquisition's frame ready, or remembers it; None: `frame_of` does.
     """
 
     def __init__(
@@ -73,8 +76,10 @@ class Pipeline:
         debug: bool = False,
         stages: Mapping[str, Any] | None = None,
         draws: int | None = None,
+        frame: Callable[[Acquisition], Frame] | None = None,
     ) -> None:
         self.recipe = recipe
+        self._frame = frame or partial(frame_of, recipe)
         self._stages: Mapping[str, Any] = (
             {kind: chosen.make() for kind, chosen in recipe.stages.items()} if stages is None else stages
         )
@@ -93,17 +98,7 @@ class Pipeline:
         """Take one acquisition through the chain; whatever goes wrong stands in `Trace.absent`."""
         steps = _Steps(self._debug)
         source = self.recipe.source_choice
-        frame = steps.do(
-            "source",
-            lambda: prepare(
-                acquisition,
-                channel=source.channel,
-                turn_deg=source.turn_deg,
-                subtract=source.subtract,
-                bit_depth=source.bit_depth,
-                sensor=self.recipe.sensor,
-            ),
-        )
+        frame = steps.do("source", lambda: self._frame(acquisition))
         peaks: Peaks | None = None
         stripes: StripeMap | None = None
         outlines: tuple[Outline, ...] = ()
@@ -200,6 +195,19 @@ class Pipeline:
                 lambda: self._stages["grader"].decide(found.product, found.volume, found.weight, found.grade),
             )
         return replace(found, decision=decision, absent={**found.absent, **steps.absent})
+
+
+def frame_of(recipe: Recipe, acquisition: Acquisition) -> Frame:
+    """Make the laser frame ready as the recipe's source says; see `roemetry.preparing.prepare`."""
+    source = recipe.source_choice
+    return prepare(
+        acquisition,
+        channel=source.channel,
+        turn_deg=source.turn_deg,
+        subtract=source.subtract,
+        bit_depth=source.bit_depth,
+        sensor=recipe.sensor,
+    )
 
 
 class _Steps:

@@ -24,10 +24,9 @@ def tune(
 
     from roemetry.tuning.server import serve
     from roemetry.tuning.session import Session
-    from roemetry.tuning.wishes import Wish
 
-    session = Session(recipe)
-    session.answer(Wish())  # kernels are loaded, or compiled, before anybody waits for a slider
+    session = Session(recipe, debug=debug)
+    session.warm_up()
 
     def ready(address: str) -> None:
         typer.echo(f"{session.path}: open {address} (Ctrl-C stops)")

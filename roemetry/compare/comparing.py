@@ -10,7 +10,6 @@ from itertools import islice
 from multiprocessing import get_context
 
 from roemetry.compare.agreement import Terms
-from roemetry.compare.cache import RememberedStages, StepMemory
 from roemetry.compare.data import Data, Unit, as_taken, changed_file, labelled
 from roemetry.compare.judging import Judged, judge, unreadable
 from roemetry.compare.standing import Standing, standing_of
@@ -21,6 +20,7 @@ from roemetry.errors import RoemetryError
 from roemetry.pipeline import Pipeline
 from roemetry.recipe import Recipe
 from roemetry.records import Acquisition, Reason, Truth
+from roemetry.remembering import RememberedStages, StepMemory
 
 
 @dataclass(frozen=True, eq=False, slots=True)

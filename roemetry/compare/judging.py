@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from roemetry.compare.cache import StepMemory
 from roemetry.compare.centres import CentreScore, score_centres
 from roemetry.compare.coding import CodingScore, score_coding
 from roemetry.compare.matching import by_place
@@ -16,6 +15,7 @@ from roemetry.compare.points import truth_in
 from roemetry.measuring import measurements_of
 from roemetry.recipe import Recipe
 from roemetry.records import Measurement, ProductTruth, Reason, StripeTruth, Trace, Truth
+from roemetry.remembering import StepMemory
 
 
 @dataclass(frozen=True, eq=False, slots=True)

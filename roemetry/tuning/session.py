@@ -13,14 +13,14 @@ from pathlib import Path
 from typing import Any
 
 from roemetry.calibration import Calibration
-from roemetry.compare.cache import RememberedStages, StepMemory
 from roemetry.errors import ConfigurationError, RoemetryError
 from roemetry.files import write_bytes
 from roemetry.measuring import measurements_of
-from roemetry.pipeline import Pipeline
+from roemetry.pipeline import Pipeline, frame_of
 from roemetry.recipe import Recipe
-from roemetry.records import Acquisition, AcquisitionReference, Trace
+from roemetry.records import Acquisition, AcquisitionReference, Frame, Trace
 from roemetry.registry import Registry, discover
+from roemetry.remembering import RememberedStages, StepMemory
 from roemetry.tuning.editing import differences, edited
 from roemetry.tuning.form import form_of
 from roemetry.tuning.picture import picture_of
@@ -51,6 +51,8 @@ class Session:
         The recipe file, or a folder with a ``recipe.yaml`` in it.
     registry
         Stages to choose from; default: all that are installed.
+    debug
+        Let what is nobody's doubt or refusal through, with its traceback.
 
     Raises
     ------
@@ -60,7 +62,8 @@ class Session:
         Its source has nothing.
     """
 
-    def __init__(self, path: Path, registry: Registry | None = None) -> None:
+    def __init__(self, path: Path, registry: Registry | None = None, *, debug: bool = False) -> None:
+        self._debug = debug
         path = path / "recipe.yaml" if path.is_dir() else path
         self.registry = registry or discover()
         self._path = path.resolve()  # a link is followed, so that saving does not put a file in its place
@@ -86,10 +89,16 @@ class Session:
         with self._lock:
             return self._described()
 
+    def warm_up(self) -> None:
+        """Load kernels, or compile them, before anybody waits for a slider."""
+        self.answer(Wish())
+        self._memory.clear()  # or the page would show the times of compiling
+
     def answer(self, wish: Wish) -> bytes:
         """Run what the wish changes and pack what came out, or what is wrong with it.
 
-        A fault of the form is told with the path of its field; a stage that refuses is told with its reason.
+        A fault of the form is told with the path of its field; a stage that refuses, or fails, is told with
+        its reason.
         """
         with self._lock:
             begin = time.perf_counter()
@@ -103,6 +112,12 @@ class Session:
                 header["faults"] = [asdict(fault) for fault in faults_of(draft, error)]
             except RoemetryError as error:
                 header["faults"] = [asdict(Fault(("source", "path"), str(error)))]
+            # A fault of a plugin (or ours) must not end the page; which one it is, --debug tells.
+            except Exception as error:
+                if self._debug:
+                    raise
+                said = f"{type(error).__name__}: {error} (a plugin's fault, or ours; see --debug)"
+                header["faults"] = [asdict(Fault((), said))]
             header["seconds_in_all"] = time.perf_counter() - begin
             return packed(header, arrays)
 
@@ -162,7 +177,13 @@ class Session:
         acquisition = self._acquisition(recipe, reference)
         remembered = RememberedStages(recipe, self._memory)
         draws = recipe.draws if wish.draws else 0
-        trace = Pipeline(recipe, stages=remembered.stages, draws=draws).trace(acquisition)
+        settings = recipe.source_choice.model_dump_json(exclude={"path"})
+
+        def frame(given: Acquisition) -> Frame:
+            found: Frame = self._memory.recall(("frame", settings), lambda: frame_of(recipe, given))[0]
+            return found
+
+        trace = Pipeline(recipe, stages=remembered.stages, draws=draws, frame=frame).trace(acquisition)
         rows = measurements_of(trace, recipe, {})
         places = places_of(trace, arrays)
         return {

@@ -148,7 +148,7 @@ export function makeForm(place, recipe, wish, changed) {
       } else if (card) {
         told(card.fault, path.length > 2 && path[2] !== "use" ? `${path.slice(3).join(".")}: ${said}` : said);
       } else {
-        lost.push(`${path.join(".")}: ${said}`);
+        lost.push(path.length ? `${path.join(".")}: ${said}` : said);
       }
     }
     if (answer.faults.length) return lost;

@@ -56,7 +56,8 @@ function charts() {
 const changed = () => (answer?.changes.length ?? 0) > 0;
 
 /** Send the wish; while an answer is on its way, remember that a newer one is wanted. */
-async function send() {
+async function send(draws = false) {
+  wish.draws = draws;
   again = true;
   if (busy) return;
   busy = true;
@@ -102,7 +103,7 @@ async function shown(given) {
   else if (savedOf !== given.acquisition) await askSaved(given.acquisition);
   layers.show(given);
   picture.show(given);
-  showNumbers($("numbers"), given, saved, changed(), recipe.draws, picture.goTo);
+  showNumbers($("numbers"), given, saved, changed(), { count: recipe.draws, draw: () => send(true) }, picture.goTo);
   charts();
 }
 
@@ -138,7 +139,7 @@ function start(given) {
   $("product").textContent = given.product;
   $("file").textContent = given.path;
   document.title = `${given.name} · ${given.product} · roemetry tune`;
-  form = makeForm($("form"), recipe, wish, send);
+  form = makeForm($("form"), recipe, wish, () => send());
   send();
 }
 

@@ -3,15 +3,23 @@ import { element } from "./element.js";
 
 /** answer, saved: of the server; goTo(x, row): shows a place of the frame. */
 export function showNumbers(place, answer, saved, changed, draws, goTo) {
+  // draws: {count, draw}: how many the recipe wants, and what makes them
   const parts = [];
   for (const row of answer.rows) {
     const before = saved?.rows.find((one) => one.product === row.product);
     parts.push(productCard(row, before, changed));
   }
-  if (draws) parts.push(element("p", { className: "soft" }, answer.drawn
-    ? `u: standard uncertainty, from ${answer.drawn} draws` : "uncertainties are not drawn while you tune"));
+  if (draws.count) parts.push(drawing(answer, draws));
   parts.push(placesCard(answer, saved, changed, goTo));
   place.replaceChildren(...parts);
+}
+
+function drawing(answer, draws) {
+  if (answer.drawn) return element("p", { className: "soft" }, `±: standard uncertainty, from ${answer.drawn} draws`);
+  const button = element("button", { type: "button" }, `Draw uncertainties (${draws.count})`);
+  button.title = "They are left out while you tune: they take their time";
+  button.addEventListener("click", () => { button.disabled = true; button.textContent = "drawing…"; draws.draw(); });
+  return element("p", {}, button);
 }
 
 function productCard(row, before, changed) {

@@ -16,7 +16,6 @@ import pytest
 
 from roemetry.tuning.server import LOOPBACK, app_of
 from roemetry.tuning.session import Session
-from roemetry.tuning.wishes import Wish
 from roemetry.yaml_source import read
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
@@ -46,7 +45,7 @@ def served(recipe: Path) -> Iterator[str]:
     import uvicorn
 
     session = Session(recipe)
-    session.answer(Wish())
+    session.warm_up()
     with socket.socket() as listening:
         listening.bind((LOOPBACK, 0))
         listening.listen()

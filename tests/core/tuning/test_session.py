@@ -325,3 +325,55 @@ def test_what_is_packed_comes_out_again(rng: np.random.Generator) -> None:
     for name, array in arrays.items():
         assert np.array_equal(found[name], array)
         assert found[name].ctypes.data % 4 == 0
+
+
+def test_uncertainties_are_drawn_when_they_are_wished_for(line: Callable[..., Path]) -> None:
+    path = line()
+    path.write_text(path.read_text("utf-8") + "draws: 20\n", "utf-8")
+    session = Session(path)
+    quick, drawn = (
+        ask(session, wish(session).model_copy(update={"draws": wanted}))[0] for wanted in (False, True)
+    )
+    assert (quick["drawn"], drawn["drawn"]) == (0, 20)
+    recipe = Recipe.load(path)
+    source = recipe.source.make()
+    trace = Pipeline(recipe).trace(source.read(source.references(recipe.source_path)[0]))
+    volume = trace.products[0].volume
+    assert volume is not None
+    told = drawn["rows"][0]["volume"]["visible_mm3"]["std"]
+    assert told is None if np.isnan(volume.visible_mm3.std) else told == volume.visible_mm3.std
+    assert quick["rows"][0]["volume"]["visible_mm3"]["std"] is None
+
+
+def test_a_plugins_fault_is_told_and_does_not_end_the_page(
+    line: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from roemetry_files.image_files import ImageFiles
+
+    path = line()
+    session, open_session = Session(path), Session(path, debug=True)
+    asked = wish(session, "p02")
+
+    def broken(*_: object) -> None:
+        raise IndexError("off by one")
+
+    monkeypatch.setattr(ImageFiles, "read", broken)
+    header, _ = ask(session, asked)
+    assert "IndexError: off by one" in header["faults"][0]["said"]
+    with pytest.raises(IndexError):
+        open_session.answer(asked)
+
+
+def test_a_stages_fault_is_told_on_its_card(
+    line: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from roemetry_paper.window_tracking import WindowTracking
+
+    def broken(*_: object) -> None:
+        raise IndexError("off by one")
+
+    session = Session(line())
+    monkeypatch.setattr(WindowTracking, "code", broken)
+    header, arrays = ask(session, wish(session))
+    assert "IndexError: off by one" in header["absent"]["coder"]
+    assert "peaks.x_px" in arrays and "stripes.x_px" not in arrays

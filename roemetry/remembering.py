@@ -1,4 +1,4 @@
-"""What variants share is computed once: each step of an acquisition is remembered by all that decides it."""
+"""Steps are done once: each result of an acquisition is remembered by all that decides it."""
 
 from __future__ import annotations
 
