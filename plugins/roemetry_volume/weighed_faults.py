@@ -60,19 +60,24 @@ def _check_trend(masses_g: Floats, visible_cm3: Floats) -> None:
     """Refuse masses that no volume says anything of, where volumes differ enough to tell."""
     if len(masses_g) < _FOR_TREND or np.log(visible_cm3).std() < 0.1:
         return
-    scatter = np.log(masses_g / visible_cm3).std()
-    if scatter > np.log(masses_g).std():
+    # One odd sample does not make a trend: medians.
+    scatter, alone = _scatter(np.log(masses_g / visible_cm3)), _scatter(np.log(masses_g))
+    if scatter > alone:
         raise DataError(
             f"the masses do not follow the volumes: mass over volume scatters by {scatter:.0%}, masses alone "
-            f"by {np.log(masses_g).std():.0%}",
+            f"by {alone:.0%}",
             hint="were rows mixed up, or ids of one table given to the other's products?",
         )
+
+
+def _scatter(values: Floats) -> float:
+    return 1.4826 * float(np.median(np.abs(values - np.median(values))))
 
 
 def far_off(ids: Sequence[str], masses_g: Floats, fitted_g: Floats) -> list[str]:
     """Name samples far from what was fitted: perhaps another product's weight."""
     off = masses_g / fitted_g - 1.0
-    usual = 1.4826 * float(np.median(np.abs(off - np.median(off))))
+    usual = _scatter(off)
     far = np.flatnonzero(np.abs(off) > max(_FAR_STDS * usual, _FAR_SHARE))
     far = far[np.argsort(-np.abs(off[far]))]
     return [

@@ -6,10 +6,12 @@ product whose rim is high has more of it, and one that arches over a gap has a r
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from roemetry.arrays import Floats
-from roemetry.records import Product, Volume
+from roemetry.records import NOTHING, Product, Volume
 from roemetry.units import mm3_to_cm3
 from roemetry_volume.fusing import points_of
 from roemetry_volume.rim import StripePoints, ends_of, rim_of
@@ -34,10 +36,17 @@ def weight_features(product: Product, volume: Volume) -> dict[str, float]:
         slices.
     """
     found = {VISIBLE: mm3_to_cm3(volume.visible_mm3.value)}
-    points = points_of(product)
+    points = points_of(_seen(product))
     if len(points.first) - 1 < _SLICES_MIN or np.diff(points.first).min(initial=99) < 1:
         return found
     return found | _by_ends(points) | _by_rim(product, points, volume)
+
+
+def _seen(product: Product) -> Product:
+    """Leave bridged points out: at its end a stripe is bridged down to the belt, which is no rim."""
+    profiles = product.profiles
+    mine = np.where(profiles.seen, profiles.product, NOTHING)
+    return replace(product, profiles=replace(profiles, product=mine))
 
 
 def _by_ends(points: StripePoints) -> dict[str, float]:

@@ -135,6 +135,27 @@ def test_features_do_not_depend_on_size_or_side() -> None:
     assert large["end_share"] == pytest.approx(one["end_share"], abs=0.03)
 
 
+def test_what_is_bridged_down_to_the_belt_is_no_rim() -> None:
+    """Three rows at each end of each slice that fall to the belt, not seen."""
+    product = product_of(HALF_ELLIPSOID)
+    profiles = product.profiles
+    xyz, seen, whose = profiles.xyz_mm.copy(), profiles.seen.copy(), profiles.product.copy()
+    x_px, row_px = profiles.x_px.copy(), profiles.row_px.copy()
+    step = float(np.nanmedian(np.diff(xyz[30, :, 1])))
+    for one in range(profiles.slice_count):
+        mine = np.flatnonzero(whose[one] == 1)
+        for end, way in ((mine[0], -1), (mine[-1], 1)) if mine.size > 8 else ():
+            for k in (1, 2, 3):
+                at = end + k * way
+                xyz[one, at] = xyz[one, end] + np.array([0.0, k * way * step, 0.0])
+                xyz[one, at, 2] *= 1.0 - k / 4.0
+                x_px[one, at], row_px[one, at] = x_px[one, end], float(at)
+                whose[one, at], seen[one, at] = 1, False
+    bridged = replace(profiles, xyz_mm=xyz, seen=seen, product=whose, x_px=x_px, row_px=row_px)
+    one = weight_features(product, volume_of(9000.0))
+    assert weight_features(replace(product, profiles=bridged), volume_of(9000.0)) == one
+
+
 @pytest.mark.parametrize(
     ("factor", "named"),
     [(1e-3, "kilograms"), (1 / 28.3495, "ounces"), (1 / 453.592, "pounds"), (1e3, "milligrams")],
