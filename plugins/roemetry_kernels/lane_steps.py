@@ -102,7 +102,13 @@ def _made(kind: type[np.unsignedinteger[Any]]) -> Callable[..., None]:
 
     @kernel
     def steps(
-        levels: Levels, columns: int, threshold: int, extreme: Levels, falling: Levels, ended: Levels
+        levels: Levels,
+        columns: int,
+        threshold: int,
+        extreme: Levels,
+        falling: Levels,
+        top: Levels,
+        ended: Levels,
     ) -> None:
         """Search the next columns of all lanes for levels that rise and fall by more than the threshold.
 
@@ -121,11 +127,15 @@ def _made(kind: type[np.unsignedinteger[Any]]) -> Callable[..., None]:
             (lane,) lowest level so far, of complemented levels where the lane is falling; changed.
         falling
             (lane,) all bits set where a fall is looked for, else none; changed.
+        top
+            (lane,) where the lowest level so far lies, the leftmost of several: 2 and the column, or 1 where
+            it lies before these columns; changed.
         ended
-            (columns × lanes) to be filled: all bits set where a peak ended, else none.
+            (columns × lanes) to be filled: where a peak ended, `top` of its highest level; else 0.
         """
         enough = kind(threshold)
         for x in range(columns):
+            here = kind(x + 2)
             for k in range(LANES):
                 mode = falling[k]
                 level = kind(levels[x * LANES + k] ^ mode)
@@ -133,7 +143,8 @@ def _made(kind: type[np.unsignedinteger[Any]]) -> Callable[..., None]:
                 lowest = extreme[k]
                 turns = full if lowered > lowest else none
                 extreme[k] = kind(level ^ full) if lowered > lowest else min(lowest, level)
-                ended[x * LANES + k] = turns & mode
+                ended[x * LANES + k] = turns & mode & top[k]
+                top[k] = here if lowered > lowest or level < lowest else top[k]
                 falling[k] = mode ^ turns
 
     return steps

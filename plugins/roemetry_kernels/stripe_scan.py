@@ -74,7 +74,7 @@ def stripe_tops(image: Pixels, threshold: int, area: Area) -> Tops:
     words, top, left = _as_words(image, area)
     while True:
         row, first, last = np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room, np.int32)
-        count = scan(words, top, left, image, threshold, *area, row, first, last)
+        count = scan(words, top, left, image.reshape(-1), image.shape[1], threshold, *area, row, first, last)
         if count <= room:
             return Tops(row[:count], first[:count], last[:count])
         room = count
@@ -102,13 +102,15 @@ def _made(kind: type[np.unsignedinteger[Any]]) -> Any:
     tile = WORD // np.dtype(kind).itemsize
     full = np.iinfo(kind).max
     bits_a_pixel = np.uint64(8 * WORD // tile)
+    one_pixel = np.uint64(full)
 
     @kernel
     def scan(
         words: Words,
         first_row: int,
         first_word: int,
-        image: Pixels,
+        pixels: Pixels,
+        length: int,
         threshold: int,
         top: int,
         bottom: int,
@@ -124,11 +126,12 @@ def _made(kind: type[np.unsignedinteger[Any]]) -> Any:
         levels = turned.view(kind)
         ended_words = np.empty(LANES * CHUNK // tile, np.uint64)
         ended = ended_words.view(kind)
-        extreme, falling = np.empty(LANES, kind), np.empty(LANES, kind)
+        extreme, falling, top_here = np.empty(LANES, kind), np.empty(LANES, kind), np.empty(LANES, kind)
+        top_before = np.empty(LANES, np.int32)
         start = np.empty(LANES + 1, np.int64)
         columns = right - left
         lane = np.empty(LANES * (columns // 2 + 1) + 1, np.int16)
-        end = np.empty(LANES * (columns // 2 + 1) + 1, np.int32)
+        tops = np.empty(LANES * (columns // 2 + 1) + 1, np.int32)
         count = 0
         for y in range(top, bottom, LANES):
             rows = min(LANES, bottom - y)
@@ -136,18 +139,20 @@ def _made(kind: type[np.unsignedinteger[Any]]) -> Any:
             gathered[:] = 0
             extreme[:] = full
             falling[:] = 0
+            top_before[:] = left
             start[:] = 0
             found = 0
             for x in range(0, columns, CHUNK):
                 width = min(CHUNK, columns - x)
                 fetched = (width + tile - 1) // tile
                 gather(words, first_row + y - top, rows, first_word + x // tile, fetched, tile, gathered)
+                top_here[:] = 1
                 if of_bytes:
                     turn_bytes(gathered, turned)
-                    steps_of_bytes(levels, width, threshold, extreme, falling, ended)
+                    steps_of_bytes(levels, width, threshold, extreme, falling, top_here, ended)
                 else:
                     turn_pairs(gathered, turned)
-                    steps_of_pairs(levels, width, threshold, extreme, falling, ended)
+                    steps_of_pairs(levels, width, threshold, extreme, falling, top_here, ended)
                 for c in range(width):
                     begin = c * (LANES // tile)
                     some = np.uint64(0)
@@ -161,45 +166,32 @@ def _made(kind: type[np.unsignedinteger[Any]]) -> Any:
                             continue
                         # Written whether or not it ended: a branch would be guessed wrong half of the time.
                         for k in range(tile * (w - begin), tile * (w - begin + 1)):
+                            top_at = int(bits & one_pixel)
                             lane[found] = k
-                            end[found] = left + x + c
-                            ends = int(bits & np.uint64(1))
+                            tops[found] = left + x + top_at - 2 if top_at > 1 else top_before[k]
+                            ends = 1 if top_at > 0 else 0
                             start[k + 1] += ends
                             found += ends
                             bits >>= bits_a_pixel
+                for k in range(LANES):
+                    top_before[k] = left + x + top_here[k] - 2 if top_here[k] > 1 else top_before[k]
             for k in range(LANES):
                 start[k + 1] += start[k]
             for p in range(found):
                 to = count + start[lane[p]]
                 start[lane[p]] += 1
                 if to < row.shape[0]:
-                    row[to] = y + lane[p]
-                    first[to], last[to] = _top_before(image[y + lane[p]], end[p], threshold)
+                    row[to], first[to] = y + lane[p], tops[p]
+                    # Unsigned, which no index from the end can be.
+                    at = np.uint64((y + lane[p]) * length + tops[p])
+                    end = at + np.uint64(1)
+                    while pixels[end] == pixels[at]:
+                        end += np.uint64(1)
+                    last[to] = tops[p] + np.int64(end - at) - 1
             count += found
         return count
 
     return scan
-
-
-@kernel
-def _top_before(f: Pixels, end: int, threshold: int) -> tuple[int, int]:
-    """Give the leftmost run of highest pixels of the peak that ended at a pixel.
-
-    No pixel between the top and the end lies more than the threshold below the top, and one does between
-    the top and whatever came before that peak: so the way back may end there.
-    """
-    first = end - 1
-    high = int(f[first])
-    x = first - 1
-    while x >= 0 and int(f[x]) >= high - threshold:
-        if int(f[x]) >= high:
-            high = int(f[x])
-            first = x
-        x -= 1
-    last = first
-    while int(f[last + 1]) == high:
-        last += 1
-    return first, last
 
 
 _scan_bytes = _made(np.uint8)
