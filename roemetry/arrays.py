@@ -26,7 +26,7 @@ class Checker:
         """Replace a field by a read-only view of the wanted type; ``None`` in `shape` means any length."""
         given: object = getattr(self._record, field)
         value: NDArray[Any] = np.asarray(given, dtype=dtype)
-        if value.ndim != len(shape) or any(map(_differ, value.shape, shape)):
+        if value.shape != shape and (value.ndim != len(shape) or any(map(_differ, value.shape, shape))):
             wanted = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
             self._faults.append(f"{field} has shape {value.shape}, expected {wanted}")
         if given is value and not value.flags.writeable:

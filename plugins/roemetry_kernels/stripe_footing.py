@@ -160,38 +160,43 @@ def _measure(
 ) -> int:
     """Fill the fields of `Stripes`; gives the number of those within the width limits.
 
-    What is `done` (see `roemetry_kernels.footing_lanes.measure_lanes`) is only moved to its place.
+    What is `done` (see `roemetry_kernels.footing_lanes.measure_lanes`) is measured already.
     """
-    count = 0
-    for i in range(row.shape[0]):
+    count = row.shape[0]
+    for i in range(count):
         if done[i]:
-            lo, hi, high = places[0, i], places[1, i], highs[i]
-            middle, width, amplitude = values[0, i], values[1, i], values[2, i]
-            background, slope, unsure = values[3, i], values[4, i], values[5, i]
-        else:
-            lo, hi = left, right - 1
-            if i > 0 and row[i - 1] == row[i]:
-                lo = (last[i - 1] + first[i] + 1) // 2
-            if i + 1 < row.shape[0] and row[i + 1] == row[i]:
-                hi = (last[i] + first[i + 1]) // 2
-            at = row[i] * columns
-            high, middle, width, background, slope, unsure = _measured(
-                levels, at + first[i], at + last[i], at + lo, at + hi
-            )
-            middle -= at
-            amplitude = high - background
-        if not width_min_px <= width <= width_max_px:
             continue
-        out_row[count] = row[i]
-        places[0, count], places[1, count] = lo, hi
-        values[0, count], values[1, count], values[2, count] = middle, width, amplitude
-        values[3, count], values[4, count], values[5, count] = background, slope, unsure
-        margin = _EDGE_SIGMAS * width / FWHM_OF_SIGMA
-        flags[count] = (SATURATED if high >= white else 0) | (
-            EDGE if middle - margin < left or middle + margin > right - 1 else 0
+        lo, hi = left, right - 1
+        if i > 0 and row[i - 1] == row[i]:
+            lo = (last[i - 1] + first[i] + 1) // 2
+        if i + 1 < count and row[i + 1] == row[i]:
+            hi = (last[i] + first[i + 1]) // 2
+        at = row[i] * columns
+        places[0, i], places[1, i] = lo, hi
+        highs[i], middle, values[1, i], values[3, i], values[4, i], values[5, i] = _measured(
+            levels, at + first[i], at + last[i], at + lo, at + hi
         )
-        count += 1
-    return count
+        values[0, i], values[2, i] = middle - at, highs[i] - values[3, i]
+    unfit = 0
+    for i in range(count):
+        middle, width = values[0, i], values[1, i]
+        margin = _EDGE_SIGMAS * width / FWHM_OF_SIGMA
+        cut = (middle - margin < left) | (middle + margin > right - 1)
+        flags[i] = (SATURATED if highs[i] >= white else 0) | (EDGE if cut else 0)
+        out_row[i] = row[i]
+        unfit += 0 if (width >= width_min_px) & (width <= width_max_px) else 1
+    if unfit == 0:
+        return count
+    kept = 0
+    for i in range(count):
+        if not width_min_px <= values[1, i] <= width_max_px:
+            continue
+        out_row[kept], flags[kept] = out_row[i], flags[i]
+        places[0, kept], places[1, kept] = places[0, i], places[1, i]
+        for field in range(values.shape[0]):
+            values[field, kept] = values[field, i]
+        kept += 1
+    return kept
 
 
 @inlined
