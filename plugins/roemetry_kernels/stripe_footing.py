@@ -20,6 +20,8 @@ FWHM_OF_SIGMA = 2.354820045030949
 _FEET_FROM = 3.6  # standard deviations from the middle: what lies farther out is background
 _FEET_PX = 8  # pixels on each side that the background is taken from
 _FEET_SHARE_MAX = 0.25  # of the amplitude: what is brighter is taken for that much (hot pixels)
+_USUAL = 0.9  # of the rows: others may show nothing but noise
+_NEAR_BY_PX = 16.0  # two blocks of a JPEG
 _EDGE_SIGMAS = 2.5  # a stripe nearer to the border than that is not seen whole
 
 
@@ -59,7 +61,14 @@ class Stripes(NamedTuple):
 
 
 def stripes_around(
-    image: Pixels, tops: Tops, area: Area, *, white: int, width_min_px: float, width_max_px: float
+    image: Pixels,
+    tops: Tops,
+    area: Area,
+    *,
+    white: int,
+    width_min_px: float,
+    width_max_px: float,
+    share_min: float = 0.0,
 ) -> Stripes:
     """Measure what stands around tops, join tops of one stripe, leave out what is too narrow or too wide.
 
@@ -79,6 +88,9 @@ def stripes_around(
         Grey level from which on a pixel is saturated.
     width_min_px, width_max_px
         Full width at half height of what may be a stripe, px.
+    share_min
+        What rises by less than this share of a stripe near by (16 px), or of what the highest stripe of a
+        row usually has, is ringing, glare or what a JPEG made of noise: left out.
     """
     levels, columns = image.reshape(-1), image.shape[1]
     count = join_tops(levels, columns, area.left, area.right, width_min_px, *tops)
@@ -92,7 +104,7 @@ def stripes_around(
         if words.flags.aligned:
             feet = _FEET_FROM / FWHM_OF_SIGMA, _FEET_PX, _FEET_SHARE_MAX
             measure_lanes(levels, words, columns, *sides, *feet, *found, places, highs, values, done)
-    limits = white, width_min_px, width_max_px
+    limits = white, width_min_px, width_max_px, share_min
     count = _measure(levels, columns, *sides, *limits, *found, done, highs, row, places, flags, values)
     lo, hi = places[:, :count]
     middle, width, amplitude, background, slope, unsure = values[:, :count]
@@ -148,6 +160,7 @@ def _measure(
     white: int,
     width_min_px: float,
     width_max_px: float,
+    share_min: float,
     row: Places,
     first: Places,
     last: Places,
@@ -177,7 +190,7 @@ def _measure(
             levels, at + first[i], at + last[i], at + lo, at + hi
         )
         values[0, i], values[2, i] = middle - at, highs[i] - values[3, i]
-    unfit = 0
+    unfit, highest, lowest = 0, 0.0, np.inf
     for i in range(count):
         middle, width = values[0, i], values[1, i]
         margin = _EDGE_SIGMAS * width / FWHM_OF_SIGMA
@@ -185,11 +198,15 @@ def _measure(
         flags[i] = (SATURATED if highs[i] >= white else 0) | (EDGE if cut else 0)
         out_row[i] = row[i]
         unfit += 0 if (width >= width_min_px) & (width <= width_max_px) else 1
-    if unfit == 0:
+        highest, lowest = max(highest, values[2, i]), min(lowest, values[2, i])
+    if unfit == 0 and lowest >= share_min * highest:
         return count
+    least = share_min * _usual_height(row, values[2]) if share_min > 0.0 else -np.inf
+    for i in range(count):
+        done[i] = values[2, i] < least or _outshone(row, values, i, share_min)
     kept = 0
     for i in range(count):
-        if not width_min_px <= values[1, i] <= width_max_px:
+        if done[i] or not width_min_px <= values[1, i] <= width_max_px:
             continue
         out_row[kept], flags[kept] = out_row[i], flags[i]
         places[0, kept], places[1, kept] = places[0, i], places[1, i]
@@ -197,6 +214,38 @@ def _measure(
             values[field, kept] = values[field, i]
         kept += 1
     return kept
+
+
+@inlined
+def _usual_height(row: Places, amplitude: Floats) -> float:
+    """What the highest stripe reaches in all but the brightest tenth of the rows."""
+    highest = np.empty(row.shape[0])
+    rows = 0
+    for i in range(row.shape[0]):
+        if i == 0 or row[i] != row[i - 1]:
+            highest[rows] = amplitude[i]
+            rows += 1
+        else:
+            highest[rows - 1] = max(highest[rows - 1], amplitude[i])
+    at = int(_USUAL * (rows - 1))
+    return float(np.partition(highest[:rows], at)[at])
+
+
+@inlined
+def _outshone(row: Places, values: Floats, i: int, share_min: float) -> bool:
+    """Say whether a stripe of the same row near by is so much higher."""
+    least = values[2, i] / max(share_min, 1e-9)
+    j = i - 1
+    while j >= 0 and row[j] == row[i] and values[0, i] - values[0, j] <= _NEAR_BY_PX:
+        if values[2, j] > least:
+            return True
+        j -= 1
+    j = i + 1
+    while j < row.shape[0] and row[j] == row[i] and values[0, j] - values[0, i] <= _NEAR_BY_PX:
+        if values[2, j] > least:
+            return True
+        j += 1
+    return False
 
 
 @inlined

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 _NOISES = 10.0
 _LEVELS_MIN = 6.0
+_SHARE_MIN = 0.08
+"""Of a stripe beside it, that a stripe is high: the ripples of a JPEG are lower."""
 _ROUNDING = 1.0 / 12.0
 """Variance of rounding to whole grey levels."""
 
@@ -43,6 +45,7 @@ def found(frame: Frame, options: PeakOptions, centres: Callable[..., None], *set
     area = searched(frame, options.region)
     tops = stripe_tops(pixels, threshold_of(frame, pixels, area, options), area)
     limits = {"width_min_px": options.width_min_px, "width_max_px": options.width_max_px}
+    limits["share_min"] = _SHARE_MIN if options.threshold == "auto" else 0.0
     stripes = stripes_around(pixels, tops, area, white=frame.white, **limits)
     x_px, x_std_px = np.empty((2, stripes.row.shape[0]))
     levels, columns = pixels.reshape(-1), pixels.shape[1]

@@ -15,7 +15,8 @@ class PeakOptions(StageOptions):
     threshold: Annotated[float, Field(ge=1.0, le=255.0)] | Literal["auto"] = Field(
         default="auto",
         description="grey levels (of 0…255, scaled for deeper images) by which a stripe must rise above the "
-        "lowest level before it and fall again; auto: from the image's own noise",
+        "lowest level before it and fall again; auto: from the image's own noise, and from how high "
+        "its stripes are",
     )
     width_min_px: float = Field(
         default=1.5,

@@ -26,6 +26,14 @@ def test_stripes_and_a_slope_do_not_count(rng):
     assert noise_in(image) == pytest.approx(2.0, rel=0.2)
 
 
+@pytest.mark.parametrize("pitch", [12, 16, 20])
+def test_stripes_that_fill_the_image_do_not_count(pitch, rng):
+    x = np.arange(640)
+    stripes = 20.0 + 150.0 * np.exp(-0.5 * ((x % pitch - pitch / 2) / 2.0) ** 2)
+    image = (stripes + rng.normal(0.0, 1.5, (480, 640))).round().clip(0, 255).astype(np.uint8)
+    assert noise_in(image) == pytest.approx(1.5, rel=0.1)
+
+
 def test_an_even_image_has_the_noise_of_rounding():
     assert noise_in(np.full((50, 64), 7, np.uint8)) == pytest.approx(12**-0.5)
     assert noise_in(np.zeros((3, 5), np.uint16)) == pytest.approx(12**-0.5)

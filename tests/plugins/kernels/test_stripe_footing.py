@@ -58,3 +58,19 @@ def test_an_image_that_is_no_whole_number_of_words(rng):
     one, many = around(image), around(even)
     inner = many.middle < 300.0
     np.testing.assert_allclose(one.middle[one.middle < 300.0], many.middle[inner], atol=0.06)  # px
+
+
+def test_what_is_much_lower_than_the_stripes_is_left_out_if_wanted():
+    x = np.arange(300)
+
+    def at(place, height):
+        return height * np.exp(-0.5 * ((x - place) / 2.0) ** 2)
+
+    image = np.tile(20.0 + at(60, 200.0) + at(74, 14.0) + at(140, 18.0) + at(220, 14.0), (40, 1))
+    image[30:] = 20.0 + at(60, 80.0) + at(74, 8.0)
+    image = image.round().astype(np.uint8)
+    # 8 % of 200 is 16: the third stripe stays, the ripple beside the first and what is too dim do not
+    found = around(image, threshold=5, share_min=0.08)
+    assert np.bincount(found.row, minlength=40).tolist() == [2] * 30 + [1] * 10
+    np.testing.assert_allclose(np.unique(found.middle.round()), [60.0, 140.0])
+    assert np.bincount(around(image, threshold=5).row).tolist() == [4] * 30 + [2] * 10
