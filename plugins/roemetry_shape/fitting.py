@@ -105,7 +105,7 @@ def _forest() -> Any:
     from sklearn.ensemble import ExtraTreesClassifier
 
     return ExtraTreesClassifier(
-        TREES, min_samples_leaf=3, max_features=0.4, class_weight="balanced", random_state=_SEED
+        TREES, min_samples_leaf=2, max_features=0.4, class_weight="balanced", random_state=_SEED
     )
 
 
@@ -130,7 +130,11 @@ def _sharpness(shares: Floats, labels: np.ndarray, classes: np.ndarray) -> float
 
 
 def _good_from(probabilities: Floats, labels: np.ndarray, classes: np.ndarray, good: str) -> float:
-    """Least probability that is called good: where as few good ones are lost as bad ones kept."""
+    """Least probability that is called good: where as few good ones are lost as bad ones kept.
+
+    The best limit of one sample of products is itself a matter of chance. So it is the middle of those that
+    are not told from it: within one standard error (Breiman et al. 1984, section 3.4.3).
+    """
     if not good:
         return 0.5
     of_good = probabilities[:, int(np.searchsorted(classes, good))]
@@ -138,8 +142,11 @@ def _good_from(probabilities: Floats, labels: np.ndarray, classes: np.ndarray, g
     kept = np.array([(of_good[labels == good] >= limit).mean() for limit in limits])
     caught = np.array([(of_good[labels != good] < limit).mean() for limit in limits])
     balanced = 0.5 * (kept + caught)
-    best = np.flatnonzero(balanced >= balanced.max() - 1e-12)
-    return float(limits[best[len(best) // 2]])
+    best = int(balanced.argmax())
+    n_good = int((labels == good).sum())
+    scatter = kept * (1.0 - kept) / n_good + caught * (1.0 - caught) / (len(labels) - n_good)
+    alike = np.flatnonzero(balanced >= balanced[best] - 0.5 * np.sqrt(scatter[best]) - 1e-12)
+    return float(limits[alike[len(alike) // 2]])
 
 
 def _nodes(forest: Any) -> dict[str, Any]:
