@@ -100,6 +100,7 @@ def _type(command: str, clone: Path, rng: np.random.Generator, monkeypatch: pyte
     _prepare(words, clone)
     if words[:2] == ["python", "-m"]:
         monkeypatch.setattr(sys, "argv", words[2:])
+        monkeypatch.delitem(sys.modules, words[2], raising=False)  # another test may have imported it
         with pytest.raises(SystemExit) as ended:
             runpy.run_module(words[2], run_name="__main__")
         assert ended.value.code in (0, None), command

@@ -57,6 +57,8 @@ def _beside(folder: Path) -> None:
     shutil.copytree(home / "images", folder / "images" / "today")
     shutil.copytree(home / "calibration", folder / "calibration")
     shutil.copy(home / "calibration" / "block.png", folder / "block.png")
+    graded = zip(SKEINS, ("good", "dent", "twist"), strict=True)
+    _write(folder / "labels.csv", [{"id": skein, "label": label} for skein, label in graded])
     for name in ("today", "monday"):
         ran = CliRunner().invoke(app, ["run", str(home), "--out", str(folder / "results" / name)])
         assert ran.exit_code == 0, ran.output
