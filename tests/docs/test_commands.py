@@ -24,6 +24,7 @@ from benchmarks.__main__ import BENCHMARKS
 from roemetry.cli.main import app
 
 SMALLER = (
+    (r"^(roemetry simulate (?!.*--count).*)$", r"\1 --count 1 --calibration none"),
     (r"--count \d+", "--count 1"),
     (r"--calibration all", "--calibration none"),
     (r"--jobs \d+|-j \d+", "--jobs 1"),
