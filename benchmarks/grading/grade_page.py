@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from benchmarks.coding_plots import curves
+from benchmarks.grading.judges import GOOD
 from benchmarks.grading.scores import Judged, confusion_of, graded_of, score_of
 from benchmarks.grading.words import confusion, ends, share, table
 from benchmarks.traced.tables import NAMED, Row
@@ -19,6 +23,10 @@ RIGS = {
     "farther": "another design, camera 270 to 420 mm above the belt",
     "dense": "21 stripes 5 mm apart, wide angle, three times the noise",
 }
+_BIN_MIN = 5
+"""A share of fewer products is not drawn."""
+
+_SHOWN_MM = (0.0, 0.3, 0.6, 1.0, 2.0, 4.0, np.inf)
 _NAMES = list(dict.fromkeys(NAMED.values()))
 Found = Mapping[str, Mapping[str, Sequence[Judged]]]
 
@@ -47,6 +55,9 @@ def page(
             seeds=seeds,
         ),
         *(_results(rig, by_judge) for rig, by_judge in found.items()),
+        "## Over the size of what is shown\n",
+        _SIZE,
+        _over_shown(found["recipe-like"]),
         "## Which defect is taken for which\n",
         "`learned`, the test on rigs about the recipe's, whether a stripe shows the defect or not.\n",
         confusion(confusion_of(found["recipe-like"]["`learned`"]), [*_NAMES, "unknown"], "is \\ called"),
@@ -80,6 +91,22 @@ def _results(rig: str, by_judge: Mapping[str, Sequence[Judged]]) -> str:
     return f"## On {RIGS[rig]}\n\n{table(head, rows)}"
 
 
+def _over_shown(by_judge: Mapping[str, Sequence[Judged]]) -> str:
+    """Write the share caught of all deformed ones, by what a lit stripe shows of the defect."""
+    rows = []
+    for low, high in itertools.pairwise(_SHOWN_MM):
+        cells, n = [], 0
+        for judged in by_judge.values():
+            mine = [
+                one for one in judged if one.row.name != GOOD and low <= one.row.defect["shown_mm"] < high
+            ]
+            n = len(mine)
+            cells.append(f"{100.0 * sum(one.caught for one in mine) / n:.0f} %" if n else "–")
+        size = f"{low:g} to {high:g}" if np.isfinite(high) else f"{low:g} and more"
+        rows.append([size, str(n), *cells])
+    return table(["shown, mm", "deformed skeins", *by_judge], rows)
+
+
 def _calibration(found: Found, path: Path) -> str:
     lines = {"as it should be": [(0.0, 0.0), (1.0, 1.0)]}
     rows = []
@@ -87,7 +114,7 @@ def _calibration(found: Found, path: Path) -> str:
         curve = reliability_of(graded_of(by_judge["`learned`"]), Terms())
         if curve is None:
             continue
-        lines[RIGS[rig]] = [(one.stated, one.right) for one in curve.bins]
+        lines[RIGS[rig]] = [(one.stated, one.right) for one in curve.bins if one.n >= _BIN_MIN]
         rows.append(
             [
                 RIGS[rig],
@@ -149,6 +176,12 @@ defects by turns.
 deformed. *Balanced*: mean of good kept and caught, its interval from those of both shares. *Named right*:
 of the same skeins, the defect by its name: several dents are a dent, an S-bend is a bend. *Caught of all*:
 of all deformed ones, those too whose defect lies between the stripes. *Unknown* is neither kept nor caught.
+"""
+
+_SIZE = """\
+All deformed ones of the test on rigs about the recipe's, by the most that a lit stripe lies deep in the
+defect. What lies between two stripes is shown with nothing; no classifier can know of it. How many that are,
+and how many stripes would show them, is on [The paper's experiment](paper-experiment.md).
 """
 
 _MODEL = """\
