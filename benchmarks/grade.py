@@ -1,10 +1,11 @@
 """Classifiers on unseen skeins and rigs: the model beside the recipe, and docs/explanation/grading.md.
 
-``python -m benchmarks grade [--learn 750] [--test 300] [--cache DIR] [--model FILE] [--page FILE]``
+``python -m benchmarks grade [--learn 750] [--test 300] [--strangers 20] [--cache DIR] …``
 
 Learns on skeins from seed 50000 on rigs about the recipe's, each kind by turns. Tests on the population on
 such rigs (from 80200), and on half and a quarter as many on another design (from 71000) and on quite another
 with 21 stripes (from 72000). A skein takes half a second; the cache keeps it.
+Strangers, which must be unknown, are products of other families, from seed 65000.
 """
 
 from __future__ import annotations
@@ -18,11 +19,13 @@ from pathlib import Path
 from benchmarks.grading.grade_page import page
 from benchmarks.grading.judges import fitted_limits, fitted_model, judges_of
 from benchmarks.grading.scores import judged_by
+from benchmarks.grading.strangers import strangers
 from benchmarks.traced import rows_of
 from benchmarks.traced.tables import LEARNING_MIX, Row
 
 MODEL = Path("recipes/herring_roe/classifier.json")
 LEARN_FROM = 50000
+STRANGERS_FROM = 65000
 TESTS = {
     "recipe-like": (80200, 1.0, ()),
     "farther": (71000, 0.5, LEARNING_MIX),
@@ -36,6 +39,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--learn", type=int, default=750, help="skeins to learn from")
     parser.add_argument("--test", type=int, default=300, help="skeins of the first test")
+    parser.add_argument("--strangers", type=int, default=20, help="of each family that is no skein")
     parser.add_argument("--cache", type=Path, default=Path(tempfile.gettempdir()) / "roemetry-traced")
     parser.add_argument("--model", type=Path, default=MODEL)
     parser.add_argument("--page", type=Path, default=Path("docs/explanation/grading.md"))
@@ -54,6 +58,7 @@ def main() -> None:
         rig: {name: judged_by(judge, rows) for name, judge in judges.items()} for rig, rows in tests.items()
     }
     text = page(learning, fitted, limits, tests, found, given.model.stat().st_size, given.page.parent.parent)
+    text += strangers(given.model, range(STRANGERS_FROM, STRANGERS_FROM + given.strangers))
     given.page.write_text(text, encoding="utf-8")
     print(text)
 

@@ -7,7 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.traced import traced
 from roemetry import Pipeline, Recipe
+from roemetry_shape.learned import Learned, LearnedOptions
 
 FOLDER = Path(__file__).parents[3] / "recipes" / "herring_roe"
 SETS = (
@@ -43,3 +45,14 @@ def test_the_model_names_what_stripes_show(skein: str, label: str) -> None:
     assert grade is not None
     assert grade.label == label
     assert grade.probability > 0.5
+
+
+@pytest.mark.parametrize("family", ["staircase", "wedge", "truncated-pyramid"])
+def test_what_is_no_skein_is_unknown(family: str) -> None:
+    """Measured without an image, on a rig about the recipe's."""
+    learned = Learned(LearnedOptions(model=FOLDER / "classifier.json"))
+    product = traced(7, family=family).exact
+    assert product is not None
+    grade = learned.classify(product)
+    assert grade.label == "unknown"
+    assert [reason.code for reason in grade.reasons] == ["unlike-anything-learned"]
