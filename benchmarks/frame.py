@@ -37,7 +37,7 @@ BUDGET_MS = {
 """Of the fastest set at 640 × 480 with 11 stripes; all together under 1 ms, the most careful under 30."""
 
 WANTED = {
-    "fastest": {"extractor": ("dominant-peak",), "coder": ("ordered", "window-tracking")},
+    "fastest": {"extractor": ("log-parabola",), "coder": ("ordered", "window-tracking")},
     "careful": {
         "extractor": ("maximum-likelihood", "centre-of-gravity", "dominant-peak"),
         "coder": ("planes", "tracing", "window-tracking"),

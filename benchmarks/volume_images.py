@@ -12,7 +12,6 @@ from benchmarks.volume_scenes import HERRING_ROE, exact_skein, skein
 from roemetry.assembling import assemble
 from roemetry.calibration import Calibration
 from roemetry.errors import RoemetryError
-from roemetry.pipeline import undecided
 from roemetry.records import Frame, Product, Profiles, StripeMap
 from roemetry.scene import Scene
 from roemetry.stages import VolumeEstimator
@@ -37,9 +36,9 @@ class Pictured(NamedTuple):
 
 def image_rows(
     seeds: Sequence[int], cache: Path, estimators: Mapping[str, VolumeEstimator[Any]]
-) -> tuple[list[Pictured], list[str]]:
-    """Measure skeins from their images, with and without the plain-light one; also what was refused."""
-    rows, refusals = [], []
+) -> list[Pictured]:
+    """Measure skeins from their images: once with the plain-light image, once without."""
+    rows = []
     for seed in seeds:
         one = exact_skein(seed, 11, cache)
         laser, plain = images(seed, cache)
@@ -47,8 +46,7 @@ def image_rows(
             try:
                 product = measured(laser, plain, one.product.calibration, outline)
             except RoemetryError as error:
-                if outline == "plain":
-                    refusals.append(f"{seed}: {str(error).splitlines()[0]}")
+                print(f"{seed}: {error}")
                 continue
             for name, estimator in estimators.items():
                 if outline == "laser" and name != "outline-surface":
@@ -56,7 +54,7 @@ def image_rows(
                 try:
                     volume = estimator.estimate(product)
                 except RoemetryError as error:
-                    refusals.append(f"{seed}, `{name}`: {str(error).splitlines()[0]}")
+                    print(f"{seed} {name}: {error}")
                     continue
                 found = volume.visible_mm3
                 rows.append(
@@ -70,7 +68,7 @@ def image_rows(
                         one.true_mm3 / one.visible_mm3,
                     )
                 )
-    return rows, refusals
+    return rows
 
 
 def is_rendered(seed: int, cache: Path) -> bool:
@@ -99,9 +97,6 @@ def images(seed: int, cache: Path) -> tuple[Frame, Frame]:
 def measured(laser: Frame, plain: Frame, calibration: Calibration, outline: str) -> Product:
     """Take the images of one product through extraction, coding, true planes and outline."""
     stripes = WindowTracking().code(CentreOfGravity().extract(laser), calibration)
-    doubt = undecided(stripes)
-    if doubt is not None:  # as a run has it
-        raise RoemetryError(doubt.text)
     outliner = EdgeContour(EdgeContourOptions(light="plain" if outline == "plain" else "laser"))
     contours = outliner.outline(laser, plain, stripes, calibration)
     products = assemble(

@@ -17,6 +17,7 @@ from roemetry_kernels.stripe_scan import Pixels, Places
 
 _TOP = CHUNK // 2  # each top's first pixel lies there among the 64, or up to seven pixels further on
 _LONGEST_TOP = 16  # px
+_STEP = 4  # columns looked at before asking whether that was far enough
 
 # Where the quantities of each lane begin in one piece of memory: its first and last pixel that are the
 # stripe's own, those of its top, levels, crossings, and the pixels that the background is taken from.
@@ -146,10 +147,13 @@ def _half_height(f: Levels, known: Levels) -> None:
     for k in range(LANES):
         known[_LOW_LEFT + k] = known[_LOW_RIGHT + k] = none
         known[_HIGH + k] = known[_LEVEL_FIRST + k] = known[_LEVEL_LAST + k] = zero
-    for x in range(_TOP, _TOP + WORD + _LONGEST_TOP):
-        column = np.uint8(x)
+    longest = zero
+    for k in range(LANES):
+        longest = max(longest, known[_TOP_LAST + k])
+    for x in range(_TOP, int(longest) + 1):
+        column, here = np.uint8(x), f[x * LANES : (x + 1) * LANES]
         for k in range(LANES):
-            level = f[x * LANES + k]
+            level = here[k]
             begins, ends = column >= known[_TOP_FIRST + k], column <= known[_TOP_LAST + k]
             known[_HIGH + k] = max(known[_HIGH + k], level if begins and ends else zero)
             known[_LEVEL_FIRST + k] |= level if column == known[_TOP_FIRST + k] else zero
@@ -179,24 +183,46 @@ def _crossings(f: Levels, known: Levels) -> None:
         known[_AT_LEFT + k], known[_AT_RIGHT + k] = zero, none
         known[_BELOW_LEFT + k] = known[_ABOVE_LEFT + k] = zero
         known[_BELOW_RIGHT + k] = known[_ABOVE_RIGHT + k] = zero
-    for x in range(_TOP + WORD):
-        column = np.uint8(x)
-        for k in range(LANES):
-            level, inner = f[x * LANES + k], f[(x + 1) * LANES + k]
-            own = column >= known[_BEGIN + k] and column < known[_TOP_FIRST + k]
-            crossed = own and level < known[_HALF + k]
-            known[_AT_LEFT + k] = column if crossed else known[_AT_LEFT + k]
-            known[_BELOW_LEFT + k] = level if crossed else known[_BELOW_LEFT + k]
-            known[_ABOVE_LEFT + k] = inner if crossed else known[_ABOVE_LEFT + k]
-    for x in range(_TOP + 1, CHUNK):
-        column = np.uint8(x)
-        for k in range(LANES):
-            level, inner = f[x * LANES + k], f[(x - 1) * LANES + k]
-            own = column <= known[_END + k] and column > known[_TOP_LAST + k]
-            crossed = own and level < known[_HALF + k] and known[_AT_RIGHT + k] == none
-            known[_AT_RIGHT + k] = column if crossed else known[_AT_RIGHT + k]
-            known[_BELOW_RIGHT + k] = level if crossed else known[_BELOW_RIGHT + k]
-            known[_ABOVE_RIGHT + k] = inner if crossed else known[_ABOVE_RIGHT + k]
+    # Outwards from the tops, as far as any lane has not crossed yet: usually not far.
+    x = _TOP + WORD - 1
+    while x >= 0 and _any_is(known, _AT_LEFT, zero):
+        for column in range(x, max(x - _STEP, -1), -1):
+            # As slices: numba would ask of each place whether it counts from the end.
+            here, beside = (
+                f[column * LANES : (column + 1) * LANES],
+                f[(column + 1) * LANES : (column + 2) * LANES],
+            )
+            for k in range(LANES):
+                level, inner = here[k], beside[k]
+                own = np.uint8(column) >= known[_BEGIN + k] and np.uint8(column) < known[_TOP_FIRST + k]
+                crossed = own and level < known[_HALF + k] and known[_AT_LEFT + k] == zero
+                known[_AT_LEFT + k] = np.uint8(column) if crossed else known[_AT_LEFT + k]
+                known[_BELOW_LEFT + k] = level if crossed else known[_BELOW_LEFT + k]
+                known[_ABOVE_LEFT + k] = inner if crossed else known[_ABOVE_LEFT + k]
+        x -= _STEP
+    x = _TOP + 1
+    while x < CHUNK and _any_is(known, _AT_RIGHT, none):
+        for column in range(x, min(x + _STEP, CHUNK)):
+            here, beside = (
+                f[column * LANES : (column + 1) * LANES],
+                f[(column - 1) * LANES : column * LANES],
+            )
+            for k in range(LANES):
+                level, inner = here[k], beside[k]
+                own = np.uint8(column) <= known[_END + k] and np.uint8(column) > known[_TOP_LAST + k]
+                crossed = own and level < known[_HALF + k] and known[_AT_RIGHT + k] == none
+                known[_AT_RIGHT + k] = np.uint8(column) if crossed else known[_AT_RIGHT + k]
+                known[_BELOW_RIGHT + k] = level if crossed else known[_BELOW_RIGHT + k]
+                known[_ABOVE_RIGHT + k] = inner if crossed else known[_ABOVE_RIGHT + k]
+        x += _STEP
+
+
+@inlined
+def _any_is(known: Levels, begin: int, wanted: int) -> bool:
+    found = np.uint8(0)
+    for k in range(LANES):
+        found |= np.uint8(known[begin + k] == wanted)
+    return found != 0
 
 
 @inlined
@@ -241,16 +267,23 @@ def _background(f: Levels, known: Levels, sums: NDArray[np.uint16], v: Floats) -
     zero = np.uint8(0)
     for k in range(LANES):
         sums[k] = sums[LANES + k] = 0
-    for x in range(_TOP + WORD):
-        column = np.uint8(x)
+    farthest, nearest = _TOP + WORD, 0
+    outermost, innermost = 0, CHUNK
+    for k in range(LANES):
+        farthest = min(farthest, int(known[_OUT_LEFT + k]))
+        nearest = max(nearest, int(known[_IN_LEFT + k]))
+        innermost = min(innermost, int(known[_IN_RIGHT + k]))
+        outermost = max(outermost, int(known[_OUT_RIGHT + k]))
+    for x in range(farthest, min(nearest, _TOP + WORD)):
+        column, here = np.uint8(x), f[x * LANES : (x + 1) * LANES]
         for k in range(LANES):
-            level = min(f[x * LANES + k], known[_CAP + k])
+            level = min(here[k], known[_CAP + k])
             own = column >= known[_OUT_LEFT + k] and column < known[_IN_LEFT + k]
             sums[k] += np.uint16(level if own else zero)
-    for x in range(_TOP + 1, CHUNK):
-        column = np.uint8(x)
+    for x in range(max(innermost, _TOP + 1), min(outermost, CHUNK)):
+        column, here = np.uint8(x), f[x * LANES : (x + 1) * LANES]
         for k in range(LANES):
-            level = min(f[x * LANES + k], known[_CAP + k])
+            level = min(here[k], known[_CAP + k])
             own = column >= known[_IN_RIGHT + k] and column < known[_OUT_RIGHT + k]
             sums[LANES + k] += np.uint16(level if own else zero)
     for k in range(LANES):

@@ -6,7 +6,7 @@ import numpy as np
 
 from roemetry.arrays import Floats
 from roemetry_kernels.compiling import float_kernel, inlined
-from roemetry_kernels.influence import PIXELS_MAX, bell, fading, variance_of
+from roemetry_kernels.influence import LAGS, PIXELS_MAX, bell, fading
 from roemetry_kernels.stripe_footing import FWHM_OF_SIGMA, Stripes
 from roemetry_kernels.stripe_scan import Pixels
 
@@ -41,7 +41,8 @@ _MOVED = 20 * LANES
 _STD = 21 * LANES
 _PULL_1 = 22 * LANES  # what the pull of a logarithm on the top consists of
 _PULL_2 = 23 * LANES
-_TABLE = 24 * LANES
+_WEIGHT = 24 * LANES  # of the last pixel
+_TABLE = 25 * LANES
 
 
 @float_kernel
@@ -75,8 +76,10 @@ def gaussian_centres(
     """
     v = np.ones(_TABLE)
     place, most = np.empty(LANES, np.int64), np.empty(LANES, np.int64)
-    pull, light = np.empty(PIXELS_MAX), np.empty(PIXELS_MAX)
     speckled = noise[2] > 0.0 and noise[0] + noise[1] > 0.0
+    # What each pixel weighs, then by how much it pulls; lag by lag how alike the speckle is.
+    pulls = np.empty((PIXELS_MAX if speckled else 1) * LANES)
+    alike = np.exp(-0.25 * (np.arange(LAGS + 1) / noise[3]) ** 2)
     row, los, his, _, middles, widths, amplitudes, backgrounds, slopes, unsures = s
     count = row.shape[0]
     for start in range(0, count, LANES):
@@ -97,29 +100,15 @@ def gaussian_centres(
             for k in range(lanes):
                 v[_LEVEL + k] = levels[np.uint64(place[k] + min(j, most[k]))]
             _added(v, float(j), float(white), noise[2] * noise[2])
+            if speckled:
+                pulls[j * LANES : (j + 1) * LANES] = v[_WEIGHT : _WEIGHT + LANES]
         _solved(v)
+        if speckled:
+            _speckled(v, pulls, longest, alike, noise[2] * noise[2])
         for k in range(lanes):
             i = start + k
             x_px[i] = middles[i] + v[_MOVED + k]
             x_std_px[i] = v[_STD + k]
-            if speckled:
-                for j in range(most[k] + 1):
-                    pull[j], light[j] = _pull(v, k, j, noise[2] * noise[2])
-                lean, background = v[_LEAN + k], backgrounds[i]
-                x_std_px[i] = np.sqrt(
-                    variance_of(
-                        levels,
-                        white,
-                        place[k],
-                        most[k] + 1,
-                        pull,
-                        light,
-                        background,
-                        lean,
-                        unsures[i],
-                        noise,
-                    )
-                )
 
 
 @inlined
@@ -155,6 +144,7 @@ def _added(v: Floats, j: float, white: float, speckle: float) -> None:
         log = 3.0 * (above * above - model * model) * variance * under - far
         share = low * squares * under if v[_LEVEL + k] < white and j < v[_COUNT + k] else 0.0
         weight = low * share
+        v[_WEIGHT + k] = weight
         wu = weight * u
         wuu = wu * u
         v[_S0 + k] += weight
@@ -190,11 +180,22 @@ def _solved(v: Floats) -> None:
 
 
 @inlined
-def _pull(v: Floats, k: int, j: int, speckle: float) -> tuple[float, float]:
-    """Give the pull of a pixel of a lane on the top, and its light by the model."""
-    u = v[_FIRST + k] + j
-    far = v[_NARROW + k] * u * u
-    model, low = v[_AMPLITUDE + k] * bell(far), v[_AMPLITUDE + k] * fading(far)
-    share = low * low / (v[_FLOOR + k] + low * (v[_GAIN + k] + speckle * low)) / model
-    off_1, off_2 = u - v[_S1 + k] / v[_S0 + k], u * u - v[_S2 + k] / v[_S0 + k]
-    return share * (v[_PULL_1 + k] * off_1 - v[_PULL_2 + k] * off_2), model
+def _speckled(v: Floats, pulls: Floats, longest: int, alike: Floats, speckle: float) -> None:
+    """Add what neighbouring pixels' speckle has in common; each pixel's own is among the weights already."""
+    for j in range(longest):
+        here = pulls[j * LANES : (j + 1) * LANES]
+        for k in range(LANES):
+            u = v[_FIRST + k] + j
+            off_1, off_2 = u - v[_S1 + k] / v[_S0 + k], u * u - v[_S2 + k] / v[_S0 + k]
+            here[k] *= v[_PULL_1 + k] * off_1 - v[_PULL_2 + k] * off_2
+    for k in range(LANES):
+        v[_WEIGHT + k] = 0.0
+    for lag in range(1, LAGS + 1):
+        share = 2.0 * alike[lag]
+        for j in range(longest - lag):
+            here, there = pulls[j * LANES : (j + 1) * LANES], pulls[(j + lag) * LANES : (j + lag + 1) * LANES]
+            for k in range(LANES):
+                v[_WEIGHT + k] += share * here[k] * there[k]
+    for k in range(LANES):
+        variance = v[_STD + k] * v[_STD + k] + speckle * v[_WEIGHT + k]
+        v[_STD + k] = np.sqrt(max(variance, 0.0))

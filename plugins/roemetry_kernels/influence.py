@@ -11,7 +11,7 @@ from roemetry_kernels.stripe_scan import Pixels
 PIXELS_MAX = 512
 """Room for the pixels of one stripe."""
 
-_LAGS = 4  # px, within which speckle is taken as correlated
+LAGS = 4  # px, within which speckle is taken as correlated
 
 
 @inlined
@@ -86,7 +86,7 @@ def _speckled(
 ) -> float:
     """Variance by speckle of contrast 1, px²; the parameters are those of `variance_of`."""
     total = 0.0
-    for lag in range(_LAGS + 1):
+    for lag in range(LAGS + 1):
         together = 0.0
         for k in range(count - lag):
             if levels[first + k] < white and levels[first + k + lag] < white:

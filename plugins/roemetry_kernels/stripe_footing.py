@@ -203,7 +203,9 @@ def _measure(
         return count
     least = share_min * _usual_height(row, values[2]) if share_min > 0.0 else -np.inf
     for i in range(count):
-        done[i] = values[2, i] < least or _outshone(row, values, i, share_min)
+        done[i] = values[2, i] < least or (
+            values[2, i] < share_min * highest and _outshone(row, values, i, share_min)
+        )
     kept = 0
     for i in range(count):
         if done[i] or not width_min_px <= values[1, i] <= width_max_px:

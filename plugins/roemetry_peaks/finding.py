@@ -14,12 +14,15 @@ from roemetry_kernels.grey_levels import grey, plain_layout, scaled_level
 from roemetry_peaks.options import PeakOptions
 
 if TYPE_CHECKING:
+    from roemetry.arrays import Floats
+    from roemetry_kernels.stripe_footing import Stripes
     from roemetry_kernels.stripe_scan import Area
 
 _NOISES = 10.0
 _LEVELS_MIN = 6.0
 _SHARE_MIN = 0.08
 """Of a stripe beside it, that a stripe is high: the ripples of a JPEG are lower."""
+_CONTRAST = 2  # where it stands among what is known of the noise
 _ROUNDING = 1.0 / 12.0
 """Variance of rounding to whole grey levels."""
 
@@ -49,7 +52,8 @@ def found(frame: Frame, options: PeakOptions, centres: Callable[..., None], *set
     stripes = stripes_around(pixels, tops, area, white=frame.white, **limits)
     x_px, x_std_px = np.empty((2, stripes.row.shape[0]))
     levels, columns = pixels.reshape(-1), pixels.shape[1]
-    centres(levels, columns, stripes, frame.white, noise_of(frame, options), x_px, x_std_px, *settings)
+    noise = noise_of(frame, options, stripes)
+    centres(levels, columns, stripes, frame.white, noise, x_px, x_std_px, *settings)
     fields: dict[str, Any] = {
         "row": stripes.row,
         "x_px": x_px,
@@ -63,16 +67,21 @@ def found(frame: Frame, options: PeakOptions, centres: Callable[..., None], *set
     if nowhere.any():
         fields = {name: values[~nowhere] for name, values in fields.items()}
     # Speckle is as long along the stripe as across it; the sensor's noise is not correlated at all.
-    rows = options.speckle_length_px if options.speckle_contrast > 0.0 else 0.0
+    rows = options.speckle_length_px if noise[_CONTRAST] > 0.0 else 0.0
     return Peaks(image_size=frame.size, correlation_rows=rows, **fields)
 
 
-def noise_of(frame: Frame, options: PeakOptions) -> Any:
+def noise_of(frame: Frame, options: PeakOptions, stripes: Stripes) -> Floats:
     """Give what is known of the noise, as `roemetry_kernels.influence.variance_of` takes it."""
-    if frame.sensor is None:
-        return np.array([np.nan, np.nan, options.speckle_contrast, options.speckle_length_px])
-    read, gain = frame.sensor.read_noise_grey, frame.sensor.gain_grey_per_electron
-    return np.array([read * read + _ROUNDING, gain, options.speckle_contrast, options.speckle_length_px])
+    from roemetry_kernels.speckle_along import contrast_along
+
+    noise = np.array([np.nan, np.nan, 0.0, options.speckle_length_px])
+    if frame.sensor is not None:
+        read, gain = frame.sensor.read_noise_grey, frame.sensor.gain_grey_per_electron
+        noise[:_CONTRAST] = read * read + _ROUNDING, gain
+    stated = options.speckle_contrast
+    noise[_CONTRAST] = contrast_along(stripes, frame.size[0], noise) if stated == "auto" else stated
+    return noise
 
 
 def searched(frame: Frame, region: tuple[int, int, int, int] | None) -> Area:

@@ -32,11 +32,10 @@ class PeakOptions(StageOptions):
         description="part of the (turned) image to search: first row, row after the last, first column, "
         "column after the last, px; none: all of it",
     )
-    speckle_contrast: float = Field(
-        default=0.0,
-        ge=0.0,
-        le=1.0,
-        description="standard deviation of the light over its mean, from the laser's speckle, for x_std_px",
+    speckle_contrast: Annotated[float, Field(ge=0.0, le=1.0)] | Literal["auto"] = Field(
+        default="auto",
+        description="standard deviation of the light over its mean, from the laser's speckle; auto: from how "
+        "much the stripes jump from row to row",
     )
     speckle_length_px: float = Field(
         default=0.8,

@@ -142,15 +142,12 @@ class SliceSpline(_SliceEstimator):
 def _between_std(slices: Slices, slope: np.ndarray, between: float) -> float:
     """Say how far the areas between slices may be off: by what leaving single slices out changes.
 
-    The rule's distance from the spline, which smooth bodies follow more closely, is added as a rectangle's
-    half width.
+    The rule's distance from the spline, which smooth bodies follow more closely, is added.
     """
     from roemetry_kernels.slice_rules import SPLINE, between_slices, unevenness
 
     smooth: float = between_slices(slices.t_mm, slices.area_mm2, slope, SPLINE)
-    return math.hypot(
-        _BETWEEN * unevenness(slices.t_mm, slices.area_mm2), (smooth - between) / math.sqrt(3.0)
-    )
+    return math.hypot(_BETWEEN * unevenness(slices.t_mm, slices.area_mm2), smooth - between)
 
 
 def _cap_std(one: tuple[float, float, float, float]) -> float:

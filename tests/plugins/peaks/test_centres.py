@@ -78,7 +78,8 @@ def frame(pixels, *, known=True, bit_depth=8):
 )
 def test_scatter_is_near_the_bound_and_as_stated(name, most, rng):
     centre, sigma, amplitude, pixels = drawn(rng, 20_000)
-    peaks = MADE[name]().extract(frame(pixels))
+    # These rows are drawn apart: what one says of the next is nothing to tell speckle from.
+    peaks = MADE[name](speckle_contrast=0.0).extract(frame(pixels))
     assert peaks.row.tolist() == list(range(20_000)), "one peak in each row"
     error, stated = peaks.x_px - centre, peaks.x_std_px
     every_tenth = slice(None, None, 10)
@@ -115,6 +116,44 @@ def test_speckle_is_in_what_is_stated(name, rng):
     error = peaks.x_px - centre[peaks.row]
     assert peaks.row.size == 12_000
     assert 0.85 <= np.sqrt(np.mean(peaks.x_std_px**2) / np.mean(error**2)) <= 1.15
+
+
+def speckled(contrast, rng, *, rows=960, stripes=6):
+    """Draw bent stripes with breaks, and their centres by (stripe, row)."""
+    from scipy.ndimage import gaussian_filter
+
+    row = np.arange(rows)
+    phase = rng.uniform(0.0, 6.0, (stripes, 1))
+    centre = 40.3 + 60.0 * np.arange(stripes)[:, None] + 8.0 * np.sin(row / 40.0 + phase)
+    light = np.zeros((rows, 60 * stripes + 20))
+    for k in range(stripes):
+        light += profile(centre[k], rng.uniform(1.6, 2.8), rng.uniform(70.0, 170.0), light.shape[1])
+    light[::97] = 0.0
+    if contrast:
+        grain = gaussian_filter(rng.standard_normal(light.shape), 0.8)
+        light = light * np.exp(contrast * grain / grain.std() - 0.5 * contrast**2)
+    return centre, taken(light + 15.0, rng)
+
+
+@every
+@pytest.mark.parametrize("contrast", [0.0, 0.1, 0.2])
+def test_the_contrast_is_found_and_stated(name, contrast, rng):
+    centre, pixels = speckled(contrast, rng)
+    peaks = MADE[name]().extract(frame(pixels))
+    error = peaks.x_px - centre[np.abs(peaks.x_px - centre[:, peaks.row]).argmin(axis=0), peaks.row]
+    assert 0.8 <= np.sqrt(np.mean(peaks.x_std_px**2) / np.mean(error**2)) <= 1.2
+    assert (peaks.correlation_rows > 0.0) == (contrast > 0.0)
+
+
+def test_finding_the_contrast_makes_the_gaussian_better(rng):
+    centre, pixels = speckled(0.15, rng)
+
+    def rms(**told):
+        peaks = MADE["gaussian"](**told).extract(frame(pixels))
+        return np.sqrt(np.mean(np.abs(peaks.x_px - centre[:, peaks.row]).min(axis=0) ** 2))
+
+    assert rms() < 0.8 * rms(speckle_contrast=0.0)
+    assert rms() < 1.02 * rms(speckle_contrast=0.15)
 
 
 def test_stating_the_contrast_makes_the_gaussian_better(rng):
@@ -184,8 +223,9 @@ def test_a_stripe_near_the_border_is_flagged(name):
 def test_what_is_found_in_a_region_is_what_is_found_in_all(name, rng):
     _, _, _, pixels = drawn(rng, 60)
     pixels = np.hstack([pixels, pixels])
-    whole = MADE[name](threshold=25.0).extract(frame(pixels))
-    part = MADE[name](threshold=25.0, region=(10, 50, 64, 128)).extract(frame(pixels))
+    told = {"threshold": 25.0, "speckle_contrast": 0.0}
+    whole = MADE[name](**told).extract(frame(pixels))
+    part = MADE[name](**told, region=(10, 50, 64, 128)).extract(frame(pixels))
     mine = (whole.row >= 10) & (whole.row < 50) & (whole.x_px > 64)
     np.testing.assert_array_equal(part.row, whole.row[mine])
     np.testing.assert_allclose(part.x_px, whole.x_px[mine], atol=0.02)  # px: the background ends elsewhere

@@ -1,0 +1,64 @@
+"""The contrast that the scatter from row to row tells, against drawn scatter."""
+
+import numpy as np
+import pytest
+
+from roemetry_kernels.speckle_along import contrast_along
+from roemetry_kernels.stripe_footing import Stripes
+
+ROWS, WIDTH = 600, 5.0
+PX_A_CONTRAST = WIDTH * np.sqrt(0.125) / (2.0 * np.log(2.0))
+"""Scatter of the middle of two crossings at half height at a contrast of 1, from a Gaussian's slope."""
+UNKNOWN = np.array([np.nan, np.nan, 0.0, 0.8])
+
+
+def stripes(middle, *, amplitude=100.0):
+    """Make stripes from their (row, stripe) middles; rows where it is NaN have none."""
+    row, number = np.nonzero(np.isfinite(middle))
+    n = row.size
+    ones = np.ones(n)
+    places = np.zeros(n, np.int32)
+    return Stripes(
+        row, places, places, np.zeros(n, np.uint8), middle[row, number], WIDTH * ones, amplitude * ones,
+        20.0 * ones, 0.0 * ones, 0.0 * ones,
+    )  # fmt: skip
+
+
+def lines(rng, contrast, *, rows=ROWS):
+    """Draw a tilted, a bent and an upright line that scatter by a contrast."""
+    y = np.arange(rows)
+    there = np.stack([30.0 + 0.5 * y, 400.0 + 20.0 * np.sin(y / 60.0), 500.0 + 0.0 * y], axis=1)
+    return there + contrast * PX_A_CONTRAST * rng.standard_normal(there.shape)
+
+
+@pytest.mark.parametrize("contrast", [0.05, 0.15, 0.4])
+def test_scatter_tells_the_contrast(contrast, rng):
+    found = contrast_along(stripes(lines(rng, contrast)), ROWS, UNKNOWN)
+    assert found == pytest.approx(contrast, rel=0.2)
+
+
+def test_breaks_and_steps_do_not_matter(rng):
+    middle = lines(rng, 0.15)
+    middle[rng.random(middle.shape) < 0.1] = np.nan
+    middle[100:130, 0] += 12.0
+    assert contrast_along(stripes(middle), ROWS, UNKNOWN) == pytest.approx(0.15, rel=0.25)
+
+
+def test_the_sensors_noise_is_no_speckle(rng):
+    dark, gain, light = 4.0, 0.05, 50.0
+    pixel = (dark + gain * (20.0 + light)) / 1.5 / light**2
+    noise = np.array([dark, gain, 0.0, 0.8])
+    assert contrast_along(stripes(lines(rng, np.sqrt(pixel))), ROWS, noise) < 0.3 * np.sqrt(pixel)
+    both = contrast_along(stripes(lines(rng, np.sqrt(pixel + 0.15**2))), ROWS, noise)
+    assert both == pytest.approx(0.15, rel=0.2)
+
+
+def test_few_rows_say_nothing(rng):
+    assert contrast_along(stripes(lines(rng, 0.3, rows=20)), 20, UNKNOWN) == 0.0
+    assert contrast_along(stripes(np.full((5, 0), 0.0)), 5, UNKNOWN) == 0.0
+
+
+def test_rows_far_from_each_other_are_not_compared(rng):
+    middle = rng.uniform(0.0, 600.0, (ROWS, 1))
+    found = contrast_along(stripes(middle), ROWS, UNKNOWN)
+    assert found == 0.0
