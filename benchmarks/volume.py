@@ -1,14 +1,17 @@
 """Error of every volume estimator on simulated skeins; writes docs/explanation/volume.md.
 
-``python -m benchmarks volume [--first 30000] [--count 500] [--images 60] [--cache DIR] [--page FILE]``
+``python -m benchmarks volume [--first 30000] [--count 500] [--meshes 60] [--images 60] [--page FILE]``
 
 Every skein has a rig of its own. Stripes are traced exactly, 41 at a time, and thinned to fewer; outlines are
-exact silhouettes. The images are rendered anew (10 s each and more) and kept in the cache.
+exact silhouettes. The images are rendered anew (10 s each and more) and kept in the cache, as are each
+skein's results, for as long as no estimator changes: a run that was stopped goes on where it was.
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
+import json
 import statistics
 import tempfile
 import time
@@ -19,11 +22,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks.volume_images import image_rows, is_rendered
-from benchmarks.volume_page import page
+from benchmarks.volume_page import Seeds, page
 from benchmarks.volume_scenes import Exact, exact_skein, thinned
 from roemetry.errors import RoemetryError
+from roemetry.files import write_whole
 from roemetry.records import Product, Volume
 from roemetry.stages import VolumeEstimator
+from roemetry_open3d.surface_mesh import MeshOptions, SurfaceMesh
 from roemetry_paper.zero_order_hold import ZeroOrderHold
 from roemetry_volume.outline_surface import OutlineSurface
 from roemetry_volume.slice_estimators import (
@@ -45,6 +50,13 @@ ESTIMATORS: Mapping[str, VolumeEstimator[Any]] = {
     "slice-pchip, ends: none": SlicePchip(SliceOptions(ends="none")),
     "outline-surface": OutlineSurface(),
 }
+MESHES: Mapping[str, VolumeEstimator[Any]] = {
+    f"surface-mesh, {method}": SurfaceMesh(MeshOptions(method=method))
+    for method in ("poisson", "ball-pivoting", "alpha-shape")
+}
+"""Hundreds of times as slow: measured on the first skeins only."""
+_ONLY_ELEVEN = ("slice-pchip, ends: none", "surface-mesh, ball-pivoting", "surface-mesh, alpha-shape")
+_SOURCES = ("roemetry_volume", "roemetry_open3d", "roemetry_paper", "roemetry_kernels")
 STEPS = {41: 1, 21: 2, 11: 4, 9: 5, 6: 8, 5: 10, 3: 20}
 """How many stripes remain when each so many of 41 is kept."""
 
@@ -69,32 +81,54 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--first", type=int, default=30000, help="first seed of skein and rig")
     parser.add_argument("--count", type=int, default=500)
+    parser.add_argument("--meshes", type=int, default=60, help="skeins to lay meshes through, the first ones")
     parser.add_argument("--images", type=int, default=60, help="skeins to render, from seed + 10000")
     parser.add_argument("--no-render", action="store_true", help="only those images that the cache holds")
     parser.add_argument("--cache", type=Path, default=Path(tempfile.gettempdir()) / "roemetry-volume")
     parser.add_argument("--page", type=Path, default=Path("docs/explanation/volume.md"))
     given = parser.parse_args()
+    code = code_hash()
     rows = [
-        row for seed in range(given.first, given.first + given.count) for row in rows_of(seed, given.cache)
+        row
+        for number, seed in enumerate(range(given.first, given.first + given.count))
+        for row in kept_rows(seed, given.cache, meshes=number < given.meshes, code=code)
     ]
     seeds = range(given.first + 10000, given.first + 10000 + given.images)
     rendered = [seed for seed in seeds if not given.no_render or is_rendered(seed, given.cache)]
-    pictures = image_rows(rendered, given.cache, ESTIMATORS)
-    text = page(rows, pictures, given.first, given.count)
+    pictures, refusals = image_rows(rendered, given.cache, ESTIMATORS)
+    asked = Seeds(given.first, given.count, given.meshes, given.images)
+    text = page(rows, pictures, refusals, asked, given.page.parent.parent / "images")
     given.page.write_text(text, encoding="utf-8")
     print(text)
 
 
-def rows_of(seed: int, cache: Path) -> list[Row]:
-    """Measure one skein under every number of stripes."""
+def code_hash() -> str:
+    """Give a hash of the sources that results depend on."""
+    plugins = Path(__file__).parents[1] / "plugins"
+    text = hashlib.sha256()
+    for path in sorted(path for name in _SOURCES for path in (plugins / name).rglob("*.py")):
+        text.update(path.read_bytes())
+    return text.hexdigest()[:12]
+
+
+def kept_rows(seed: int, cache: Path, *, meshes: bool, code: str) -> list[Row]:
+    """Measure one skein, or take what was measured with the same code."""
+    path = cache / f"{seed}_{code}_{'meshes' if meshes else 'slices'}.json"
+    if not path.exists():
+        write_whole(path, json.dumps(rows_of(seed, cache, meshes=meshes)))
+    return [Row(*row) for row in json.loads(path.read_text("utf-8"))]
+
+
+def rows_of(seed: int, cache: Path, *, meshes: bool = False) -> list[Row]:
+    """Measure one skein under every number of stripes, the slower estimators under eleven only."""
     whole = exact_skein(seed, 41, cache)
     rows = []
     for stripes, step in STEPS.items():
         one = thinned(whole, step)
-        for name, estimator in ESTIMATORS.items():
-            if stripes != 11 and name in ("slice-sum", "slice-pchip, ends: none"):
+        for name, estimator in {**ESTIMATORS, **(MESHES if meshes else {})}.items():
+            if stripes != 11 and name in _ONLY_ELEVEN:
                 continue
-            volume, milliseconds = timed(estimator, one.product)
+            volume, milliseconds = timed(estimator, one.product, 3 if stripes == 11 else 1)
             error, std = against(volume, one)
             rows.append(
                 Row(
@@ -113,10 +147,10 @@ def rows_of(seed: int, cache: Path) -> list[Row]:
     return rows
 
 
-def timed(estimator: VolumeEstimator[Any], product: Product) -> tuple[Volume | None, float]:
-    """Estimate, three times over; the volume, or None where it was refused, and the median processor time."""
+def timed(estimator: VolumeEstimator[Any], product: Product, repeats: int) -> tuple[Volume | None, float]:
+    """Give the volume, None where it was refused, and the median processor time of some calls, ms."""
     seconds, volume = [], None
-    for _ in range(3):
+    for _ in range(1 if isinstance(estimator, SurfaceMesh) else repeats):
         begin = time.process_time()
         try:
             volume = estimator.estimate(product)

@@ -12,6 +12,7 @@ from benchmarks.volume_scenes import HERRING_ROE, exact_skein, skein
 from roemetry.assembling import assemble
 from roemetry.calibration import Calibration
 from roemetry.errors import RoemetryError
+from roemetry.pipeline import undecided
 from roemetry.records import Frame, Product, Profiles, StripeMap
 from roemetry.scene import Scene
 from roemetry.stages import VolumeEstimator
@@ -36,9 +37,9 @@ class Pictured(NamedTuple):
 
 def image_rows(
     seeds: Sequence[int], cache: Path, estimators: Mapping[str, VolumeEstimator[Any]]
-) -> list[Pictured]:
-    """Measure skeins from their images: once with the plain-light image, once without."""
-    rows = []
+) -> tuple[list[Pictured], list[str]]:
+    """Measure skeins from their images, with and without the plain-light one; also what was refused."""
+    rows, refusals = [], []
     for seed in seeds:
         one = exact_skein(seed, 11, cache)
         laser, plain = images(seed, cache)
@@ -46,7 +47,8 @@ def image_rows(
             try:
                 product = measured(laser, plain, one.product.calibration, outline)
             except RoemetryError as error:
-                print(f"{seed}: {error}")
+                if outline == "plain":
+                    refusals.append(f"{seed}: {str(error).splitlines()[0]}")
                 continue
             for name, estimator in estimators.items():
                 if outline == "laser" and name != "outline-surface":
@@ -54,7 +56,7 @@ def image_rows(
                 try:
                     volume = estimator.estimate(product)
                 except RoemetryError as error:
-                    print(f"{seed} {name}: {error}")
+                    refusals.append(f"{seed}, `{name}`: {str(error).splitlines()[0]}")
                     continue
                 found = volume.visible_mm3
                 rows.append(
@@ -68,7 +70,7 @@ def image_rows(
                         one.true_mm3 / one.visible_mm3,
                     )
                 )
-    return rows
+    return rows, refusals
 
 
 def is_rendered(seed: int, cache: Path) -> bool:
@@ -97,6 +99,9 @@ def images(seed: int, cache: Path) -> tuple[Frame, Frame]:
 def measured(laser: Frame, plain: Frame, calibration: Calibration, outline: str) -> Product:
     """Take the images of one product through extraction, coding, true planes and outline."""
     stripes = WindowTracking().code(CentreOfGravity().extract(laser), calibration)
+    doubt = undecided(stripes)
+    if doubt is not None:  # as a run has it
+        raise RoemetryError(doubt.text)
     outliner = EdgeContour(EdgeContourOptions(light="plain" if outline == "plain" else "laser"))
     contours = outliner.outline(laser, plain, stripes, calibration)
     products = assemble(

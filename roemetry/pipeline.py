@@ -136,7 +136,7 @@ class Pipeline:
             if self._view is None:  # the calibration never changes: neither does this
                 self._view = self._stages["triangulator"].view(calibration)
             assembled = assemble(profiles, outlines, calibration, acquisition.id, stripes.reasons, self._view)
-            doubt = _undecided(stripes)
+            doubt = undecided(stripes)
             products = tuple(
                 self._outcome(product, doubt or _cut_off(stripes, product.number), steps.seconds)
                 for product in assembled
@@ -246,7 +246,7 @@ class _Steps:
         return why_not is None
 
 
-def _undecided(stripes: StripeMap) -> Reason | None:
+def undecided(stripes: StripeMap) -> Reason | None:
     """Say why nothing can be stated of the products: too much of what may be theirs was refused."""
     refused = int(np.count_nonzero(stripes.peak_stripe == AMBIGUOUS))
     seen = int(np.count_nonzero((stripes.product > 0) & stripes.seen))

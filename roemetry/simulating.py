@@ -36,8 +36,9 @@ from roemetry.scene import Scene
 from roemetry.stages import Simulator
 from roemetry.yaml_source import dump
 
-Calibration = Literal["none", "basic", "all"]
+Calibration = Literal["none", "basic", "charuco", "all"]
 BASIC = ("block", "belt")
+KINDS: dict[Calibration, tuple[str, ...]] = {"basic": BASIC, "charuco": (*BASIC, "charuco")}
 FOLDERS: dict[Role, str] = {"laser": "images", "plain": "images_plain", "dark": "images_dark"}
 
 _SCENE = "scene.yaml"
@@ -103,7 +104,8 @@ def simulate(
     resume
         Go on with a set of the same scene and seed; it may also become longer.
     calibration
-        Calibration images: none, block and empty belt, or every kind the simulator has.
+        Calibration images: none, block and empty belt, these and the ChArUco board, or every kind the
+        simulator has.
     on_progress
         Called with (images done, of how many).
 
@@ -151,7 +153,7 @@ def _views(simulator: Simulator[Any], seed: int, calibration: Calibration) -> li
         return []
     found = []
     for kind, frames in simulator.calibration_frames(seed).items():
-        if calibration == "basic" and kind not in BASIC:
+        if kind not in KINDS.get(calibration, (kind,)):
             continue
         names = list(frames)
         for name in names:

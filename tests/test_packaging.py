@@ -56,3 +56,19 @@ def test_all_that_the_doctor_needs_lies_in_the_package(root: Path) -> None:
     needed = ["recipe.yaml", "calibration.yaml", KNOWN_NUMBERS, *(f"images/{name}.png" for name in names)]
     for name in (f"recipes/herring_roe/{name}" for name in needed):
         assert any(name == path or name.startswith(f"{path}/") for path in included), name
+
+
+def test_every_product_line_can_be_begun_from_a_wheel(root: Path) -> None:
+    """Its small files lie in the package; its images do not."""
+    build = tomllib.loads((root / "pyproject.toml").read_text("utf-8"))["tool"]["hatch"]["build"]
+    included = build["targets"]["wheel"]["force-include"]
+    lines = [folder for folder in (root / "recipes").iterdir() if (folder / "scene.yaml").is_file()]
+    for line in lines:
+        recipe = (line / "recipe.yaml").read_text("utf-8")
+        tables = [path.name for path in line.glob("*.csv") if path.name in recipe]
+        for name in ("recipe.yaml", "rig.yaml", "scene.yaml", "calibration.yaml", *tables):
+            path = f"recipes/{line.name}/{name}"
+            assert included.get(path) == f"roemetry/{path}", path
+    assert len(lines) == 5
+    texts = [path for path in included if path.startswith("recipes/") and "." in path and ".png" not in path]
+    assert sum((root / path).stat().st_size for path in texts) < 400_000

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import islice
 from pathlib import Path
 
 from benchmarks.grading.judges import GOOD, SHOWN_MM
@@ -18,8 +19,8 @@ from roemetry_shape.learned import Learned, LearnedOptions
 SUB_PIXEL = ("stages.extractor.use=centre-of-gravity", "stages.extractor.options={}")
 
 
-def on_images(recipe: Path, data: Path, model: Path) -> str:
-    """Judge a data set's images; `learned` gets sub-pixel peaks, the paper's rule its own."""
+def on_images(recipe: Path, data: Path, model: Path, count: int) -> str:
+    """Judge the first images of a data set; `learned` gets sub-pixel peaks, the paper's rule its own."""
     paper, fine = Pipeline(Recipe.load(recipe)), Pipeline(Recipe.load(recipe, sets=SUB_PIXEL))
     best = ArcCurvature(ArcCurvatureOptions(**BEST_OPTIONS))
     learned = Learned(LearnedOptions(model=model.resolve()))
@@ -27,7 +28,7 @@ def on_images(recipe: Path, data: Path, model: Path) -> str:
     references = {reference.id: reference for reference in source.references(data)}
     lines: dict[str, list[tuple[str, bool, str]]] = {}
     refused = 0
-    for item in Dataset(data).items():
+    for item in islice(Dataset(data).items(), count):
         (known,) = item.products
         shown = known.figures.get("defect_seen_mm", 0.0) >= SHOWN_MM
         acquisition = source.read(references[item.id])

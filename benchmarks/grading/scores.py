@@ -14,6 +14,7 @@ from roemetry.compare.grading import Graded
 from roemetry.compare.resampling import Interval, wilson
 
 UNKNOWN = "unknown"
+HEALTHY = "none"
 
 
 class Judged(NamedTuple):
@@ -96,8 +97,10 @@ def score_of(judged: Sequence[Judged]) -> Score:
 
 
 def confusion_of(judged: Sequence[Judged], *, by_kind: bool = False) -> Counter[tuple[str, str]]:
-    """Count (what it is, what it was called)."""
-    return Counter((one.row.kind if by_kind else one.row.name, one.label) for one in judged)
+    """Count (what it is, what it was called); by kind, one dent and several are told apart."""
+    return Counter(
+        (one.row.kind if by_kind and one.row.kind != HEALTHY else one.row.name, one.label) for one in judged
+    )
 
 
 def graded_of(judged: Sequence[Judged]) -> list[Graded]:

@@ -24,11 +24,11 @@ def ends(interval: Interval, digits: int = 3) -> str:
     return f"{interval.low:.{digits}f} to {interval.high:.{digits}f}"
 
 
-def confusion(found: Counter[tuple[str, str]], order: Sequence[str], what: str) -> str:
-    """Write what it is against what it was called."""
-    order = list(dict.fromkeys(order))
-    true = [name for name in order if any(pair[0] == name for pair in found)]
+def confusion(
+    found: Counter[tuple[str, str]], order: Sequence[str], what: str, true: Sequence[str] = ()
+) -> str:
+    """Write what it is against what it was called; `true` is the order of what it is, if another."""
+    true = [name for name in true or order if any(pair[0] == name for pair in found)]
     given = [name for name in order if any(pair[1] == name for pair in found)]
-    given += sorted({pair[1] for pair in found} - set(given))
     rows = [[name, *(str(found[name, other] or "·") for other in given)] for name in true]
     return table([what, *given], rows)

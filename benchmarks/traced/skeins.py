@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -56,8 +57,8 @@ class Traced:
     refused: str
 
 
-def traced(seed: int, rig: str = "recipe-like", kind: str = "") -> Traced:
-    """Trace a skein.
+def traced(seed: int, rig: str = "recipe-like", kind: str = "", family: str = "herring-roe") -> Traced:
+    """Trace a skein, or a product of another family.
 
     Parameters
     ----------
@@ -67,10 +68,14 @@ def traced(seed: int, rig: str = "recipe-like", kind: str = "") -> Traced:
         One of `RIGS`.
     kind
         A kind of skein; "" draws one as the population has them.
+    family
+        Of products; one without a grid is drawn as it is.
     """
-    family, on = PRODUCTS["herring-roe"], RIGS[rig](seed)
-    kinds = {"kinds": {kind: 1.0}} if kind else {}
-    drawn = family.draw(seed, family.Options(grid_step_mm=_GRID_MM, **kinds))
+    made, on = PRODUCTS[family], RIGS[rig](seed)
+    given: dict[str, Any] = {"kinds": {kind: 1.0}} if kind else {}
+    if "grid_step_mm" in made.Options.model_fields:
+        given["grid_step_mm"] = _GRID_MM
+    drawn = made.draw(seed, made.Options(**given))
     shift = in_view(drawn.solid, on).footprint_extent_mm()[0] - drawn.solid.footprint_extent_mm()[0]
     drawn = drawn if shift == 0.0 else moved_to(drawn, shift, 0.0)
     crossings = crossings_of(on.camera, on.laser, drawn.solid)

@@ -14,7 +14,16 @@ from roemetry_kernels.label_costs import Labels, Steps, labels_of, steps_of
 from roemetry_kernels.label_graph import Runs, runs_of, shifts_of
 from roemetry_kernels.label_pieces import ENDS, end_pieces, own_costs, presence_of
 from roemetry_kernels.label_sweeps import swept
-from roemetry_kernels.label_verdicts import chosen, ends_settled, favoured, mixed, stepped, verdicts_of
+from roemetry_kernels.label_verdicts import (
+    beside_level_bodies,
+    chosen,
+    ends_settled,
+    favoured,
+    mixed,
+    stepped,
+    verdicts_of,
+)
+from roemetry_kernels.level_bodies import level_instead
 from roemetry_kernels.rest_lines import RestLines
 from roemetry_kernels.sight_entries import Entries, entries_of
 from roemetry_kernels.sight_lines import SightLines, sight_lines
@@ -71,6 +80,9 @@ _RUN_ROWS = (25, 85)
 _BELOW_TOLERANCES = 1.5
 _KEEP = 1.0
 _FEW_COUNT = 0.5
+_STRANGE_COUNT = 0.3
+_LEVEL_ROWS = 20
+_LEVEL_DEARER = 1.0
 _FEW_PEAKS = 4
 _MAJORITY = 0.9
 _END_LINES = 30
@@ -154,7 +166,24 @@ def solve_planes(peaks: Peaks, calibration: Calibration, rest: RestLines) -> Sol
     dearer[np.bincount(problem.piece)[problem.piece] < _FEW_PEAKS] *= _FEW_COUNT
     whole = ~mixed(problem.piece, problem.piece_line, stripe, problem.there.size, _MAJORITY)
     whole &= settled > 0.0
+    strange = (problem.piece_line[problem.piece] >= 0) & (stripe != problem.piece_line[problem.piece])
+    evidence[strange] *= _STRANGE_COUNT
+    whole &= ~beside_level_bodies(
+        peaks.row, stripe, problem.line, problem.piece, problem.piece_line, _LEVEL_ROWS
+    )
+    whole &= ~_maybe_level(problem, best)
     return Solved(stripe, dearer, evidence, whole, problem.there, problem.entries)
+
+
+def _maybe_level(problem: _Problem, best: Integers) -> Flags:
+    """Mark (peak,) belt that may be a level body's, where that goes on for some rows along a piece."""
+    entries, labels, piece = problem.entries, problem.labels, problem.piece
+    found = level_instead(
+        entries.start, entries.peak, labels.low, labels.many, labels.offset, labels.height,
+        labels.label_mm, best, problem.line, *problem.steps, WEIGHTS.surface,
+        WEIGHTS.unseen, _LEVEL_DEARER, piece.size,
+    )  # fmt: skip
+    return np.asarray(found & (np.bincount(piece[found], minlength=piece.max() + 1) >= _LEVEL_ROWS)[piece])
 
 
 def _shifted(problem: _Problem, own: Floats, best: Integers) -> tuple[Integers, Floats, bool]:
@@ -174,7 +203,7 @@ def _shifted(problem: _Problem, own: Floats, best: Integers) -> tuple[Integers, 
         )  # fmt: skip
         dearer, by = shifts_of(
             runs.own, runs.one, runs.other, runs.both, runs.start, runs.edge, runs.first, runs.last,
-            entries.start.size - 1, _GAIN_MIN,
+            runs.size, entries.start.size - 1, _GAIN_MIN,
         )  # fmt: skip
         evidence = np.where(runs.of >= 0, dearer[runs.of], np.inf)
         if not by.any():

@@ -25,6 +25,13 @@ def roemetry_stages() -> Iterable[StageEntry]:
         reference="our own",
     )
     yield StageEntry(
+        kind="weigher",
+        name="scale",
+        target="roemetry_files.scale:Scale",
+        summary="The mass that the line's own scale gave, and the specific volume",
+        reference="our own",
+    )
+    yield StageEntry(
         kind="sink",
         name="csv",
         target="roemetry_files.csv_table:CsvTable",

@@ -90,12 +90,24 @@ def _end(estimate: Estimate | None, which: int, scale: float = 1.0) -> float | N
     return None if estimate is None else estimate.interval[which] * scale
 
 
+def _by_cause(estimate: Estimate | None, scale: float = 1.0) -> str | None:
+    """Write the budget as text, the largest part first: causes differ from row to row."""
+    if estimate is None or not estimate.budget:
+        return None
+    parts = sorted(estimate.budget.items(), key=lambda part: -part[1])
+    return "; ".join(f"{cause} {std * scale:.4g}" for cause, std in parts)
+
+
 def _mass(row: Measurement) -> Estimate | None:
     return None if row.weight is None else row.weight.mass_g
 
 
 def _visible(row: Measurement) -> Estimate | None:
     return None if row.volume is None else row.volume.visible_mm3
+
+
+def _true(row: Measurement) -> Estimate | None:
+    return None if row.volume is None else row.volume.true_mm3
 
 
 _CM3 = mm3_to_cm3(1.0)
@@ -112,10 +124,17 @@ COLUMNS: dict[str, Callable[[Measurement], Cell | None]] = {
     "weight standard uncertainty (g)": lambda row: _std(_mass(row)),
     "weight 95 % low (g)": lambda row: _end(_mass(row), 0),
     "weight 95 % high (g)": lambda row: _end(_mass(row), 1),
+    "weight by cause (g)": lambda row: _by_cause(_mass(row)),
     "visible volume (cm³)": lambda row: _value(_visible(row), _CM3),
     "visible volume standard uncertainty (cm³)": lambda row: _std(_visible(row), _CM3),
     "visible volume 95 % low (cm³)": lambda row: _end(_visible(row), 0, _CM3),
     "visible volume 95 % high (cm³)": lambda row: _end(_visible(row), 1, _CM3),
+    "visible volume by cause (cm³)": lambda row: _by_cause(_visible(row), _CM3),
+    "true volume (cm³)": lambda row: _value(_true(row), _CM3),
+    "true volume standard uncertainty (cm³)": lambda row: _std(_true(row), _CM3),
+    "true volume 95 % low (cm³)": lambda row: _end(_true(row), 0, _CM3),
+    "true volume 95 % high (cm³)": lambda row: _end(_true(row), 1, _CM3),
+    "true volume by cause (cm³)": lambda row: _by_cause(_true(row), _CM3),
     "largest height (mm)": lambda row: row.height_max_mm,
     "volume seen (share)": lambda row: None if row.volume is None else row.volume.shares.seen,
     "volume interpolated (share)": lambda row: None if row.volume is None else row.volume.shares.interpolated,

@@ -20,6 +20,12 @@ from roemetry_kernels.compiling import kernel
 _ASIDE = 1
 """Stripes on either side of its own that a run may move to."""
 _WAYS = 2 * _ASIDE + 1
+_OUT = _WAYS
+"""What follows the ways of being a stripe: none of it."""
+OUT = 1000
+"""So many stripes on: left out."""
+_SMALL_ENTRIES = 4
+"""A run with so few is left out rather than that all behind it must give way."""
 _DISORDER = 1e5
 """Cost of two neighbours out of order; whatever costs this much is forced to move along."""
 _IMPOSSIBLE = 20.0
@@ -36,7 +42,7 @@ class Runs(NamedTuple):
     stripe
         (run,) its stripe.
     own
-        (run, way) cost by itself, for its stripe and the ones beside it.
+        (run, way) cost by itself, for its stripe and the ones beside it, and for none of it.
     one, other
         (edge,) two runs that touch, the one to the left or above first.
     both
@@ -45,6 +51,8 @@ class Runs(NamedTuple):
         (run + 1,) where a run's edges begin; edges, run by run.
     first, last
         (run,) sight lines on which it begins and ends.
+    size
+        (run,) number of entries.
     """
 
     of: Integers
@@ -57,6 +65,7 @@ class Runs(NamedTuple):
     edge: Integers
     first: Integers
     last: Integers
+    size: Integers
 
 
 @kernel
@@ -66,7 +75,7 @@ def runs_of(
     surface: NDArray[np.float32], unseen: NDArray[np.float32], before: Floats, after: Floats,
     weight_surface: float, weight_unseen: float,
 ) -> tuple[
-    Integers, Integers, Floats, Integers, Integers, Floats, Integers, Integers, Integers, Integers
+    Integers, Integers, Floats, Integers, Integers, Floats, Integers, Integers, Integers, Integers, Integers
 ]:  # fmt: skip
     """Make the fields of `Runs` of a solution.
 
@@ -89,8 +98,9 @@ def runs_of(
     """
     of, stripe = _runs(peak, before_entry, low, count, offset, piece, best)
     runs, lines = stripe.shape[0], start.shape[0] - 1
-    alone = np.zeros((runs, _WAYS))
+    alone = np.zeros((runs, _WAYS + 1))
     first, last_line = np.full(runs, lines, np.int64), np.full(runs, -1, np.int64)
+    size = np.zeros(runs, np.int64)
     key = np.empty(2 * of.shape[0], np.int64)
     keys = 0
     for e in range(lines):
@@ -100,6 +110,8 @@ def runs_of(
             if f < 0:
                 continue
             first[f], last_line[f] = min(first[f], e), max(last_line[f], e)
+            alone[f, _OUT] += own[offset[p + 1] - 1]
+            size[f] += 1
             if q >= 0 and of[q] >= 0 and of[q] != f:
                 key[keys] = of[q] * runs + f
                 keys += 1
@@ -108,7 +120,7 @@ def runs_of(
                 keys += 1
             last = p
     key = np.unique(key[:keys])
-    both = np.zeros((key.shape[0], _WAYS, _WAYS))
+    both = np.zeros((key.shape[0], _WAYS + 1, _WAYS + 1))
     for e in range(lines):
         last, n = -1, pair_start[e]
         for p in range(start[e], start[e + 1]):
@@ -154,7 +166,7 @@ def runs_of(
                     alone[of[last], a] += weight_unseen * after[offset[last] + k]
     one, other = key // runs, key % runs
     edge_start, edge = _edges(runs, one, other)
-    return of, stripe, alone, one, other, both, edge_start, edge, first, last_line
+    return of, stripe, alone, one, other, both, edge_start, edge, first, last_line, size
 
 
 @kernel
@@ -197,13 +209,13 @@ def _edges(runs: int, one: Integers, other: Integers) -> tuple[Integers, Integer
 @kernel
 def shifts_of(
     own: Floats, one: Integers, other: Integers, both: Floats, start: Integers, edge: Integers,
-    first: Integers, last: Integers, lines: int, gain_min: float,
+    first: Integers, last: Integers, size: Integers, lines: int, gain_min: float,
 ) -> tuple[Floats, Integers]:  # fmt: skip
     """Shift every run by one stripe either way, with all that must, or had better, go along.
 
     Parameters
     ----------
-    own, one, other, both, start, edge, first, last
+    own, one, other, both, start, edge, first, last, size
         See `Runs`.
     lines
         Number of sight lines.
@@ -214,7 +226,7 @@ def shifts_of(
     -------
     tuple
         (run,) cost of the cheapest shift that it is part of, over the sight lines that are touched; and
-        (run,) how far it is shifted by those that are cheaper, taken together.
+        (run,) how far it is shifted by those that are cheaper, taken together; `OUT` where it is left out.
     """
     runs = own.shape[0]
     dearer = np.full(runs, np.inf)
@@ -225,21 +237,21 @@ def shifts_of(
     for f in range(runs):
         for k in range(2):
             way[:] = _ASIDE
-            cost[f, k] = _shift(f, 2 * k - 1, way, own, one, other, both, start, edge, waiting, queued)
+            cost[f, k] = _shift(f, 2 * k - 1, way, own, one, other, both, start, edge, size, waiting, queued)
             low, high = lines, 0
             for g in range(runs):
                 if way[g] != _ASIDE:
                     touched[first[g]] += 1
                     touched[last[g] + 1] -= 1
                     low, high = min(low, first[g]), max(high, last[g])
-            inside, size = 0, 0
+            inside, wide = 0, 0
             for e in range(low, high + 2):
                 inside += touched[e]
-                size += inside > 0
+                wide += inside > 0
                 touched[e] = 0
             for g in range(runs):
                 if way[g] != _ASIDE:
-                    dearer[g] = min(dearer[g], cost[f, k] / size)
+                    dearer[g] = min(dearer[g], cost[f, k] / wide)
     way[:] = _ASIDE
     tried = np.empty(runs, np.int64)
     for n in np.argsort(cost.ravel()):
@@ -248,33 +260,43 @@ def shifts_of(
             break
         if way[f] == _ASIDE:
             tried[:] = way
-            again = _shift(f, 2 * k - 1, tried, own, one, other, both, start, edge, waiting, queued)
+            again = _shift(f, 2 * k - 1, tried, own, one, other, both, start, edge, size, waiting, queued)
             if again <= -gain_min:
                 way[:] = tried
-    return dearer, way - _ASIDE
+    for f in range(runs):
+        way[f] = OUT if way[f] == _OUT else way[f] - _ASIDE
+    return dearer, way
 
 
 @kernel
 def _shift(
     f: int, by: int, way: Integers, own: Floats, one: Integers, other: Integers, both: Floats,
-    start: Integers, edge: Integers, waiting: Integers, queued: Flags,
+    start: Integers, edge: Integers, size: Integers, waiting: Integers, queued: Flags,
 ) -> float:  # fmt: skip
-    """Shift run f; then others the same way, as long as order asks for it or it is cheaper; give the cost."""
-    cost = _change(f, by, way, own, one, other, both, start, edge)
+    """Shift run f; then others the same way, as long as order asks for it or it is cheaper; give the cost.
+
+    Small runs that would have to give way are left out, if not all is in order with them shifted.
+    """
+    cost = _change(f, way[f] + by, way, own, one, other, both, start, edge)
     way[f] += by
-    size = _ask(f, way, one, other, start, edge, waiting, queued, 0)
-    while size > 0:
-        size -= 1
-        g = waiting[size]
+    more = _ask(f, way, one, other, start, edge, waiting, queued, 0)
+    while more > 0:
+        more -= 1
+        g = waiting[more]
         queued[g] = False
         forced = False
         for n in range(start[g], start[g + 1]):
             forced = forced or both[edge[n], way[one[edge[n]]], way[other[edge[n]]]] >= _DISORDER
-        change = _change(g, by, way, own, one, other, both, start, edge)
+        to = way[g] + by
+        change = _change(g, to, way, own, one, other, both, start, edge)
+        if forced and size[g] <= _SMALL_ENTRIES:
+            left_out = _change(g, _OUT, way, own, one, other, both, start, edge)
+            if left_out < change:
+                to, change = _OUT, left_out
         if forced or change < 0.0:
             cost += change
-            way[g] += by
-            size = _ask(g, way, one, other, start, edge, waiting, queued, size)
+            way[g] = to
+            more = _ask(g, way, one, other, start, edge, waiting, queued, more)
     return cost
 
 
@@ -294,11 +316,11 @@ def _ask(
 
 @kernel
 def _change(
-    f: int, by: int, way: Integers, own: Floats, one: Integers, other: Integers, both: Floats,
+    f: int, now: int, way: Integers, own: Floats, one: Integers, other: Integers, both: Floats,
     start: Integers, edge: Integers,
 ) -> float:  # fmt: skip
-    """What it costs to shift one more run."""
-    was, now = way[f], way[f] + by
+    """What it costs to change one more run."""
+    was = way[f]
     cost = own[f, now] - own[f, was]
     for n in range(start[f], start[f + 1]):
         t = edge[n]

@@ -273,3 +273,42 @@ def ends_settled(
             settled = _ONE_SIDE if here else 0.0
         found[p] = settled
     return found
+
+
+@kernel
+def beside_level_bodies(
+    row: Integers, stripe: Integers, on_line: Integers, piece: Integers, piece_line: Integers, rows_min: int
+) -> Flags:
+    """Mark belt beside a body that lies along the rest line of another stripe.
+
+    Such a body is level, and displaces its stripe by whole spacings: it may go on over the neighbours, which
+    then look like bare belt. What is marked are the belt's peaks of the same rows, from that rest line on
+    up to the first stripe that is not seen.
+
+    Parameters
+    ----------
+    row, stripe, on_line, piece
+        (peak,) row, sorted; stripe, below 0 for none; rest line it lies on, −1 for none; piece.
+    piece_line
+        (piece,) rest line it follows, −1 for none.
+    rows_min
+        Shorter pieces cross the rest line by chance.
+    """
+    peaks, size = row.shape[0], np.zeros(piece_line.shape[0], np.int64)
+    for p in range(peaks):
+        size[piece[p]] += stripe[p] >= 0 and stripe[p] != piece_line[piece[p]]
+    found = np.zeros(peaks, np.bool_)
+    for p in range(peaks):
+        f = piece[p]
+        if piece_line[f] < 0 or stripe[p] < 0 or stripe[p] == piece_line[f] or size[f] < rows_min:
+            continue
+        by = 1 if piece_line[f] > stripe[p] else -1
+        last, q = piece_line[f], p + by
+        while 0 <= q < peaks and row[q] == row[p]:
+            if stripe[q] >= 0:
+                if (stripe[q] - last) * by > 1:
+                    break
+                found[q] = found[q] or on_line[q] == stripe[q]
+                last = stripe[q]
+            q += by
+    return found

@@ -54,19 +54,11 @@ def bent(xy: Floats, coefficients: Floats) -> Bent:
 
 def straightened(places: Floats, coefficients: Floats, start: Floats | None = None) -> tuple[Floats, Bent]:
     """Undistort places (n, 2) by Newton's method; give the result and how it is bent there."""
-    xy = places if start is None else start
-    there = bent(xy, coefficients)
-    for _ in range(_STEPS_MAX):
-        off_x, off_y = (there.xy - places).T
-        if not max(np.abs(off_x).max(initial=0.0), np.abs(off_y).max(initial=0.0)) > _OFF_MAX:
-            break
-        (a, b), (c, d) = np.moveaxis(there.by_place, 0, -1)
-        determinant = a * d - b * c
-        step = np.column_stack([(d * off_x - b * off_y) / determinant, (a * off_y - c * off_x) / determinant])
-        xy = xy - step
-        there = bent(xy, coefficients)
-    return xy, there
+    if not coefficients.any():
+        return places, bent(places, coefficients)
+    from roemetry_kernels.straightening import straighten
 
-
-_STEPS_MAX = 20
-_OFF_MAX = 1e-13
+    places = np.ascontiguousarray(places)
+    begin = places if start is None else np.ascontiguousarray(start)
+    xy = straighten(places, np.ascontiguousarray(coefficients), begin)
+    return xy, bent(xy, coefficients)

@@ -9,6 +9,7 @@ import numpy as np
 
 from roemetry_shape.learned import LearnedOptions
 from roemetry_shape.learned_model import LearnedModel
+from roemetry_shape.strangeness import Seen
 
 
 def learned_options() -> LearnedOptions:
@@ -26,9 +27,7 @@ def learned_options() -> LearnedOptions:
         right=np.array([2, -1, -1]),
         shares=np.array([[0.0, 0.0], [0.1, 0.9], [0.9, 0.1]]),
         roots=np.array([0]),
-        centres=np.zeros((2, 1)),
-        spread=np.ones(1),
-        precision=np.eye(1),
+        seen=Seen(np.zeros((2, 1)), np.ones(1), np.ones((2, 1, 1))),
         distance_max=20.0,
         smoothing_rows=15,
     )

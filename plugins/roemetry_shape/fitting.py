@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -9,14 +10,16 @@ import numpy as np
 from roemetry.arrays import Floats, Integers
 from roemetry.errors import DataError
 from roemetry.records import Fitted, Samples
-from roemetry_shape.learned_model import LearnedModel, sharpened, squeezed
+from roemetry_shape.learned_model import LearnedModel, sharpened
+from roemetry_shape.strangeness import seen_in
+
+Folds = Sequence[tuple[Integers, Integers]]
 
 TREES = 60
 FOLDS = 5
 _PER_CLASS_MIN = 5
-_STRANGE = 1.5
-"""A product this many times farther from all classes than the farthest sample (left out) is strange."""
-_SHRINKAGE = 0.2
+_STRANGE = 1.2
+"""A product this many times farther from all classes than 99.5 % of the held-out samples is strange."""
 _SEED = 1
 
 
@@ -43,13 +46,13 @@ def fit_forest(samples: Samples, *, good: str, smoothing_rows: int) -> Fitted:
     _check(classes, counts, good)
     values, fill = _filled(samples.values)
     groups = np.unique(np.array(samples.groups), return_inverse=True)[1]
-    held_out = _held_out(values, labels, groups, classes)
+    folds = _folds(labels, groups)
+    held_out = _held_out(values, labels, folds, classes)
     power = _sharpness(held_out, labels, classes)
     probabilities = sharpened(held_out, power)
     good_from = _good_from(probabilities, labels, classes, good)
     forest = _forest().fit(values, labels)
     arrays = _nodes(forest)
-    centres, spread, precision = _seen(values, labels, classes)
     model = LearnedModel(
         features=samples.features,
         fill=fill,
@@ -58,14 +61,10 @@ def fit_forest(samples: Samples, *, good: str, smoothing_rows: int) -> Fitted:
         good_from=good_from,
         sharpness=power,
         **arrays,
-        centres=centres,
-        spread=spread,
-        precision=precision,
-        distance_max=np.inf,
+        seen=seen_in(values, labels),
+        distance_max=_STRANGE * _farthest(values, labels, folds),
         smoothing_rows=smoothing_rows,
     )
-    distances = np.array([model.distance(row) for row in values])
-    model = LearnedModel(**{**vars(model), "distance_max": float(_STRANGE * np.quantile(distances, 0.995))})
     figures = _figures(probabilities, labels, classes, good, good_from)
     about = {"samples": dict(zip(classes.tolist(), counts.tolist(), strict=True)), **figures}
     words = (
@@ -105,17 +104,28 @@ def _forest() -> Any:
     from sklearn.ensemble import ExtraTreesClassifier
 
     return ExtraTreesClassifier(
-        TREES, min_samples_leaf=3, max_features=0.4, class_weight="balanced", random_state=_SEED
+        TREES, min_samples_leaf=2, max_features=0.4, class_weight="balanced", random_state=_SEED
     )
 
 
-def _held_out(values: Floats, labels: np.ndarray, groups: Integers, classes: np.ndarray) -> Floats:
-    """(sample, class) shares by forests that did not know the sample's group."""
+def _folds(labels: np.ndarray, groups: Integers) -> Folds:
+    """Known and asked samples, fold by fold; a group is never on both sides."""
     from sklearn.model_selection import StratifiedGroupKFold
 
-    shares = np.zeros((len(labels), len(classes)))
     folds = StratifiedGroupKFold(min(FOLDS, len(np.unique(groups))), shuffle=True, random_state=_SEED)
-    for known, asked in folds.split(values, labels, groups):
+    return list(folds.split(np.zeros(len(labels)), labels, groups))
+
+
+def _farthest(values: Floats, labels: np.ndarray, folds: Folds) -> float:
+    """Distance of samples from what the others taught that all but 0.5 % keep."""
+    far = [seen_in(values[known], labels[known]).distances(values[asked]) for known, asked in folds]
+    return float(np.quantile(np.concatenate(far), 0.995))
+
+
+def _held_out(values: Floats, labels: np.ndarray, folds: Folds, classes: np.ndarray) -> Floats:
+    """(sample, class) shares by forests that did not know the sample's group."""
+    shares = np.zeros((len(labels), len(classes)))
+    for known, asked in folds:
         forest = _forest().fit(values[known], labels[known])
         shares[np.ix_(asked, np.searchsorted(classes, forest.classes_))] = forest.predict_proba(values[asked])
     return shares
@@ -130,7 +140,11 @@ def _sharpness(shares: Floats, labels: np.ndarray, classes: np.ndarray) -> float
 
 
 def _good_from(probabilities: Floats, labels: np.ndarray, classes: np.ndarray, good: str) -> float:
-    """Least probability that is called good: where as few good ones are lost as bad ones kept."""
+    """Least probability that is called good: where as few good ones are lost as bad ones kept.
+
+    The best limit of one sample of products is itself a matter of chance. So it is the middle of those that
+    are not told from it: within one standard error (Breiman et al. 1984, section 3.4.3).
+    """
     if not good:
         return 0.5
     of_good = probabilities[:, int(np.searchsorted(classes, good))]
@@ -138,8 +152,11 @@ def _good_from(probabilities: Floats, labels: np.ndarray, classes: np.ndarray, g
     kept = np.array([(of_good[labels == good] >= limit).mean() for limit in limits])
     caught = np.array([(of_good[labels != good] < limit).mean() for limit in limits])
     balanced = 0.5 * (kept + caught)
-    best = np.flatnonzero(balanced >= balanced.max() - 1e-12)
-    return float(limits[best[len(best) // 2]])
+    best = int(balanced.argmax())
+    n_good = int((labels == good).sum())
+    scatter = kept * (1.0 - kept) / n_good + caught * (1.0 - caught) / (len(labels) - n_good)
+    alike = np.flatnonzero(balanced >= balanced[best] - 0.5 * np.sqrt(scatter[best]) - 1e-12)
+    return float(limits[alike[len(alike) // 2]])
 
 
 def _nodes(forest: Any) -> dict[str, Any]:
@@ -163,17 +180,6 @@ def _nodes(forest: Any) -> dict[str, Any]:
         "shares": np.concatenate(shares),
         "roots": np.array(roots, np.int64),
     }
-
-
-def _seen(values: Floats, labels: np.ndarray, classes: np.ndarray) -> tuple[Floats, Floats, Floats]:
-    """Class means, scales, and the inverse of the within-class correlation, shrunk towards none."""
-    squeezed_values = squeezed(values)
-    centres = np.stack([squeezed_values[labels == name].mean(axis=0) for name in classes])
-    off = squeezed_values - centres[np.searchsorted(classes, labels)]
-    spread = np.maximum(off.std(axis=0), 1e-3)
-    correlation = (off / spread).T @ (off / spread) / len(off)
-    shrunk = (1.0 - _SHRINKAGE) * correlation + _SHRINKAGE * np.eye(len(spread))
-    return centres, spread, np.linalg.inv(shrunk)
 
 
 def _figures(

@@ -13,8 +13,9 @@ import numpy as np
 from roemetry.arrays import Floats, Integers
 from roemetry.errors import StageError
 from roemetry_shape.forest_file import packed, unpacked
+from roemetry_shape.strangeness import Seen, halves, whole
 
-VERSION = 2
+VERSION = 3
 _FOREST = ("feature", "threshold", "left", "right", "shares", "roots")
 
 
@@ -36,9 +37,8 @@ class LearnedModel:
         Power that turns the forest's shares into probabilities.
     feature, threshold, left, right, shares, roots
         The forest, see `roemetry_kernels.forest`.
-    centres, spread, precision
-        (class, feature) means and (feature,) scales of the samples, and (feature, feature) inverse of the
-        correlation within classes: how far a product is from all that was seen.
+    seen
+        What the samples of each class look like: how far a product is from all of them.
     distance_max
         Largest such distance that is not yet strange.
     smoothing_rows
@@ -57,9 +57,7 @@ class LearnedModel:
     right: Integers
     shares: Floats
     roots: Integers
-    centres: Floats
-    spread: Floats
-    precision: Floats
+    seen: Seen
     distance_max: float
     smoothing_rows: int
 
@@ -80,15 +78,19 @@ class LearnedModel:
     def distance(self, values: Floats) -> float:
         """How far a sample is from the nearest class, in within-class standard deviations."""
         filled = np.where(np.isfinite(values), values, self.fill)
-        off = (squeezed(filled) - self.centres) / self.spread
-        return float(np.sqrt(np.einsum("cf,fg,cg->c", off, self.precision, off).min() / len(self.features)))
+        return float(self.seen.distances(filled[None])[0])
 
     def to_json(self, about: Mapping[str, Any]) -> str:
         """Write the model, with whatever is to be said about it."""
         content = {
             "roemetry_classifier": VERSION,
             "about": dict(about),
-            **{name: _plain(value) for name, value in vars(self).items() if name not in _FOREST},
+            **{name: _plain(value) for name, value in vars(self).items() if name not in (*_FOREST, "seen")},
+            "seen": {
+                "centres": _plain(self.seen.centres),
+                "spread": _plain(self.seen.spread),
+                "precision": halves(self.seen.precision),
+            },
             "forest": packed({name: getattr(self, name) for name in _FOREST}),
         }
         return json.dumps(content, allow_nan=False, separators=(",", ":")) + "\n"
@@ -100,23 +102,24 @@ class LearnedModel:
             data = json.loads(path.read_text(encoding="utf-8"))
             if data["roemetry_classifier"] != VERSION:
                 raise StageError(f"{path.name}: format {data['roemetry_classifier']}, expected {VERSION}")
-            arrays: dict[str, Any] = {
-                name: np.array(data[name], np.int64 if kind == "Integers" else np.float64)
-                for name, kind in cls.__annotations__.items()
-                if kind in ("Floats", "Integers") and name not in _FOREST
-            }
+            seen = data["seen"]
             forest = unpacked(data["forest"])
             if forest["feature"].max() >= len(data["features"]):
                 raise ValueError("a split asks for a feature that is not there")
             return cls(
                 features=tuple(data["features"]),
+                fill=np.array(data["fill"], np.float64),
                 classes=tuple(data["classes"]),
                 good=str(data["good"]),
                 good_from=float(data["good_from"]),
                 sharpness=float(data["sharpness"]),
                 distance_max=float(data["distance_max"]),
                 smoothing_rows=int(data["smoothing_rows"]),
-                **arrays,
+                seen=Seen(
+                    np.array(seen["centres"], np.float64),
+                    np.array(seen["spread"], np.float64),
+                    whole(seen["precision"], len(data["features"])),
+                ),
                 **forest,
             )
         except (OSError, ValueError, KeyError, TypeError) as error:
@@ -124,11 +127,6 @@ class LearnedModel:
                 f"{path.name} is no fitted classifier, or it is damaged: {type(error).__name__}: {error}",
                 hint="make it with `roemetry fit-classifier`",
             ) from error
-
-
-def squeezed(values: Floats) -> Floats:
-    """Bring features of many sizes to one: nearly linear about 0, logarithmic far out."""
-    return np.asarray(np.arcsinh(values))
 
 
 def sharpened(shares: Floats, power: float) -> Floats:

@@ -40,6 +40,7 @@ class Quantities:
         self._stated = stated
         self._estimates = _estimates(volume, weight)
         self._features = {} if product.outline is None else dict(product.outline.features)
+        self._features |= {} if weight is None else weight.features
         self._features |= {} if grade is None else grade.features
         self._features_std = {} if grade is None else grade.features_std
 

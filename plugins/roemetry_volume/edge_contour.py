@@ -20,8 +20,6 @@ from roemetry_volume.outline_features import features_of
 from roemetry_volume.outline_image import glow, over_belt
 from roemetry_volume.outline_start import start_regions, stripe_regions
 
-_PLAIN_STD_PX = 0.15  # of the contour as a whole; single places scatter more, which averages out
-_GLOW_STD_PX = 1.0
 _LEAST_CONTRAST = 3.0
 _USUAL_SPACING_PX = 40.0
 
@@ -89,7 +87,7 @@ class EdgeContour(Outliner[EdgeContourOptions]):
                 Outline(
                     product=number,
                     xy_px=edge.xy_px,
-                    xy_std_px=_PLAIN_STD_PX if use_plain else _GLOW_STD_PX,
+                    xy_std_px=edge.std_px,
                     features=features_of(edge.xy_px, chosen.pixels),
                 )
             )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -31,6 +32,10 @@ _PASSES = (
 )
 _ENOUGH = 0.4
 _OUTWARDS_PX = 0.01
+_BLUR_PX = 0.6  # of a sharp lens, with the resampling of the image
+_GLOW_BLUR_PX = 2.57  # after `glow`
+_LEAST_STD_PX = 0.1
+_GLOW_STD_PX = 0.9  # see docs/reference/plugins/edge-contour.md
 
 
 class Edge(NamedTuple):
@@ -40,12 +45,13 @@ class Edge(NamedTuple):
     ----------
     xy_px : ndarray, shape (400, 2)
         The contour.
-    rough_px
-        Root mean square of what single normals scatter about their neighbours.
+    std_px
+        Standard uncertainty of its place as a whole: what the image's noise and texture leave open, and what
+        the model of the brightness across the edge may be wrong by.
     """
 
     xy_px: Floats
-    rough_px: float
+    std_px: float
 
 
 def edge_around(level: Floats, region: NDArray[np.bool_], *, shaded: bool = True) -> Edge | None:
@@ -59,7 +65,7 @@ def edge_around(level: Floats, region: NDArray[np.bool_], *, shaded: bool = True
         (row, column) roughly the product.
     shaded
         True in plain light, where a body darkens towards its rim and its shadow lies beside it: its edge is
-        a kink. False in even light, where it is the steepest place.
+        a kink. False in even light smoothed as `glow` does, where it is the steepest place.
     """
     import cv2
 
@@ -73,19 +79,30 @@ def edge_around(level: Floats, region: NDArray[np.bool_], *, shaded: bool = True
     inside = float(level[region].mean())
     ground = float(np.median(level[~region])) if not region.all() else 0.0
     falling = level if inside >= ground else -level
-    rough = 0.0
     for search in _PASSES:
         smooth = cv2.GaussianBlur(falling, (0, 0), search.smooth_px)
-        ring, rough = _moved(smooth, ring, search, shaded)
+        ring = _moved(smooth, ring, search, shaded)
     if shaded:
         for _ in range(2):
-            ring, rough = kinked(falling, ring)
+            ring, std_px = kinked(falling, ring, _BLUR_PX)
+        # nobody has measured this camera's blur: what a third more or less would change
+        narrow, wide = (kinked(falling, ring, share * _BLUR_PX)[0] for share in (0.67, 1.33))
+        model_px = math.hypot(_LEAST_STD_PX, 0.5 * _apart(narrow, wide))
+    else:  # so smooth an image tells a kink from a step badly: how far apart they lie is all it says
+        kink, std_px = kinked(falling, ring, _GLOW_BLUR_PX)
+        model_px = math.hypot(_GLOW_STD_PX, _apart(kink, ring))
     rows, columns = level.shape
     ring = np.clip(ring, -0.5, np.array([columns, rows]) - 0.5)
-    return Edge(ring, rough)
+    return Edge(ring, math.hypot(std_px, model_px))
 
 
-def _moved(smooth: Floats, ring: Floats, search: _Pass, shaded: bool) -> tuple[Floats, float]:
+def _apart(one: Floats, other: Floats) -> float:
+    """Mean distance of two outlines of the same thing, px, positive where the other is larger."""
+    length = float(np.hypot(*(np.roll(one, -1, axis=0) - one).T).sum())
+    return (abs(area_of(other)) - abs(area_of(one))) / length
+
+
+def _moved(smooth: Floats, ring: Floats, search: _Pass, shaded: bool) -> Floats:
     """Move a ring along its normals to the edge.
 
     In plain light that is where brightness, falling outwards, stops to fall: where it falls most is well
@@ -108,5 +125,4 @@ def _moved(smooth: Floats, ring: Floats, search: _Pass, shaded: bool) -> tuple[F
     cost = -np.clip(edge / strong, 0.0, 1.0) - (_OUTWARDS_PX * off if shaded else 0.0)
     path = closed_path(cost, search.bend / max(search.step_px, 0.25), 2)
     even = rounded(off[path][:, None], search.round_off)
-    rough = float(np.sqrt(np.mean((off[path] - even[:, 0]) ** 2)))
-    return evenly(ring + even * normal, ring.shape[0]), rough
+    return evenly(ring + even * normal, ring.shape[0])

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from roemetry.arrays import Floats
 
 _SMOOTH_PX = 5.0
+_GLOW_SMOOTH_PX = 2.5
 _GRID_PX = 8
 _ROUNDS = 6
 
@@ -86,5 +87,5 @@ def glow(pixels: NDArray[Any], spacing_px: float) -> NDArray[Any]:
 
     width = max(int(0.6 * spacing_px) | 1, 9)
     opened = cv2.morphologyEx(pixels, cv2.MORPH_OPEN, np.ones((1, width), np.uint8))
-    smooth = cv2.GaussianBlur(opened.astype(np.float32), (0, 0), 2.5)
+    smooth = cv2.GaussianBlur(opened.astype(np.float32), (0, 0), _GLOW_SMOOTH_PX)
     return np.asarray(np.rint(64.0 * smooth).astype(np.uint16))

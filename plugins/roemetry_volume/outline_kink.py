@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 
 import numpy as np
@@ -10,7 +11,6 @@ from roemetry.arrays import Floats
 from roemetry_volume.outline_ring import along_normals, normals_of, rounded
 from roemetry_volume.silhouette import evenly
 
-_BLUR_PX = 0.6  # of a sharp lens, with the resampling of the image
 _REACH_PX = 5.0
 _STEP_PX = 0.5
 _SEARCH_PX = 2.5
@@ -18,9 +18,11 @@ _SEARCH_STEP_PX = 0.25
 _NEIGHBOURS = 1.0
 _ROUND_OFF = 1.5
 _BEND = 0.3
+_TERMS = 6
+_ALIKE_PX = 6.0  # along the contour: texture of belt and product, and what is smoothed over
 
 
-def kinked(level: Floats, ring: Floats) -> tuple[Floats, float]:
+def kinked(level: Floats, ring: Floats, blur_px: float) -> tuple[Floats, float]:
     """Move a ring to where the brightness has its kink.
 
     Inside, brightness is a + b·√d + c·d in the distance d from the edge (a round body turns away from the
@@ -33,18 +35,21 @@ def kinked(level: Floats, ring: Floats) -> tuple[Floats, float]:
         (row, column) log(image / belt), falling outwards.
     ring : ndarray, shape (n, 2)
         The outline to about two pixels.
+    blur_px
+        Standard deviation of the image's blur, px.
 
     Returns
     -------
     ring : ndarray, shape (n, 2)
         The outline.
-    rough_px : float
-        Root mean square scatter of single normals about their neighbours.
+    std_px : float
+        Standard uncertainty of the contour's place as a whole: that of each normal, from its fit's residual
+        and how fast it grows beside the best place, pooled over the contour, every 6 px by themselves.
     """
     from roemetry_kernels.closed_contour import closed_path
 
     normal = normals_of(ring)
-    off, places, residual = _model()
+    off, places, residual = _model(blur_px)
     seen = rounded(along_normals(level, ring, normal, off), _NEIGHBOURS)
     cost = np.stack([((seen @ left) ** 2).sum(axis=1) for left in residual], axis=1)
     usual = float(np.median(cost.max(axis=1) - cost.min(axis=1))) or 1.0
@@ -57,17 +62,22 @@ def kinked(level: Floats, ring: Floats) -> tuple[Floats, float]:
         part = np.where(curve > 0.0, np.clip(0.5 * (before - after) / curve, -0.75, 0.75), 0.0)
     exact = places[path] + _SEARCH_STEP_PX * np.where(inner == path, part, 0.0)
     even = rounded(exact[:, None], _ROUND_OFF)
-    rough = float(np.sqrt(np.mean((exact - even[:, 0]) ** 2)))
-    return evenly(ring + even * normal, ring.shape[0]), rough
+    clear = curve > 0.0
+    noise = here[clear] / (off.size - _TERMS)
+    each = 2.0 * noise * _SEARCH_STEP_PX**2 / curve[clear]
+    length = float(np.hypot(*(np.roll(ring, -1, axis=0) - ring).T).sum())
+    std = math.sqrt(float(np.median(each)) * _ALIKE_PX / length) if clear.any() else math.inf
+    return evenly(ring + even * normal, ring.shape[0]), std
 
 
-@lru_cache(maxsize=1)
-def _model() -> tuple[Floats, Floats, Floats]:
+@lru_cache(maxsize=4)
+def _model(blur_px: float) -> tuple[Floats, Floats, Floats]:
     """Distances of samples, places of the edge, and for each the matrix that leaves what does not fit."""
     off = np.arange(-_REACH_PX, _REACH_PX + 0.5 * _STEP_PX, _STEP_PX)
     places = np.arange(-_SEARCH_PX, _SEARCH_PX + 0.5 * _SEARCH_STEP_PX, _SEARCH_STEP_PX)
-    fine = np.arange(-_REACH_PX - 4.0, _REACH_PX + 4.0, 0.05)
-    blur = np.exp(-0.5 * ((off[:, None] - fine[None, :]) / _BLUR_PX) ** 2)
+    reach = _REACH_PX + max(4.0, 4.0 * blur_px)
+    fine = np.arange(-reach, reach, 0.05)
+    blur = np.exp(-0.5 * ((off[:, None] - fine[None, :]) / blur_px) ** 2)
     blur /= blur.sum(axis=1)[:, None]
     residual = []
     for place in places:

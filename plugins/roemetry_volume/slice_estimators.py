@@ -142,12 +142,15 @@ class SliceSpline(_SliceEstimator):
 def _between_std(slices: Slices, slope: np.ndarray, between: float) -> float:
     """Say how far the areas between slices may be off: by what leaving single slices out changes.
 
-    The rule's distance from the spline, which smooth bodies follow more closely, is added.
+    The rule's distance from the spline, which smooth bodies follow more closely, is added as a rectangle's
+    half width.
     """
     from roemetry_kernels.slice_rules import SPLINE, between_slices, unevenness
 
     smooth: float = between_slices(slices.t_mm, slices.area_mm2, slope, SPLINE)
-    return math.hypot(_BETWEEN * unevenness(slices.t_mm, slices.area_mm2), smooth - between)
+    return math.hypot(
+        _BETWEEN * unevenness(slices.t_mm, slices.area_mm2), (smooth - between) / math.sqrt(3.0)
+    )
 
 
 def _cap_std(one: tuple[float, float, float, float]) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -57,10 +58,11 @@ def slices_of(product: Product) -> Slices:
         Fewer than three stripes lie on the product, or a plane of light runs along X.
     """
     from roemetry_kernels import slice_areas as columns
+    from roemetry_kernels import slice_order as order
 
     profiles = product.profiles
     table = table_of(profiles, product.number)
-    lit = np.flatnonzero(table[:, columns.COUNT])
+    lit, held, whole = order.in_order(table, profiles.stripe, profiles.frame)
     if not lit.size:
         raise StageError("no stripe on the product", hint="there is nothing to sum; look at the coding")
     if lit.size < LEAST_SLICES:
@@ -69,41 +71,29 @@ def slices_of(product: Product) -> Slices:
             "between and beyond is not known",
             hint="a finer fan of stripes, or a larger product",
         )
-    t_all = table[:, columns.AT]
-    if np.isnan(t_all).any():
-        named = int(profiles.stripe[np.isnan(t_all)][0]) + 1
+    told = whole.tolist()
+    if told[order.UNKNOWN] >= 0.0:
+        named = int(profiles.stripe[int(told[order.UNKNOWN])]) + 1
         raise StageError(f"the plane of stripe {named} runs along X: slices have no spacing there")
-    lit = lit[np.argsort(t_all[lit], kind="stable")]
-    rows, t = table[lit], t_all[lit]
-    stripe, frame = profiles.stripe[lit], profiles.frame[lit]
-    gap = np.diff(t)
-    if not (gap > 0.0).all():
+    if not told[order.LEAST_GAP] > 0.0:
         raise StageError("two slices lie at the same place", hint="one slice for each stripe and frame")
-    # Stripe numbers tell of stripes without a point, within a frame: a scan's frames overlap as they like.
-    step = np.where(frame[1:] == frame[:-1], np.maximum(np.abs(np.diff(stripe)), 1), 1)
-    spacing = gap / step
-    before, after = _beyond(t_all, t[0], t[-1])
-    usual = float(spacing.mean())
-    held = np.zeros(t.size)
-    held[:-1] += 0.5 * gap
-    held[1:] += 0.5 * gap
-    own = np.zeros(t.size)
-    own[:-1] += 0.5 * spacing
-    own[1:] += 0.5 * spacing
-    seen, joined = rows[:, columns.SEEN], rows[:, columns.BRIDGED] + rows[:, columns.FILLED]
+    rows = table[lit]
+    ends = [told[order.BEFORE], told[order.AFTER]]
+    limited = [not math.isnan(end) for end in ends]
+    before, after = (end if known else told[order.USUAL] for end, known in zip(ends, limited, strict=True))
     return Slices(
-        stripe=stripe,
-        t_mm=t,
+        stripe=profiles.stripe[lit],
+        t_mm=rows[:, columns.AT].copy(),
         area_mm2=rows[:, columns.AREA].copy(),
         width_mm=rows[:, columns.WIDTH].copy(),
         held_mm=held,
         table=rows,
-        reach_mm=(usual if before is None else before, usual if after is None else after),
-        limited=(before is not None, after is not None),
-        missing=int((step - 1).sum()),
-        seen_mm3=float(seen @ own),
-        joined_mm3=float(joined @ own),
-        assumed_mm3=float((seen + joined) @ (held - own)),
+        reach_mm=(before, after),
+        limited=(limited[0], limited[1]),
+        missing=int(told[order.MISSING]),
+        seen_mm3=told[order.SEEN_MM3],
+        joined_mm3=told[order.JOINED_MM3],
+        assumed_mm3=told[order.ASSUMED_MM3],
     )
 
 
@@ -142,13 +132,4 @@ def _in_rows(profiles: Profiles) -> Profiles:
         x_px=moved(profiles.x_px),
         row_px=moved(profiles.row_px),
         height_std_mm=moved(profiles.height_std_mm),
-    )
-
-
-def _beyond(t_all: Floats, first: float, last: float) -> tuple[float | None, float | None]:
-    """Distance from both outer slices to the next stripe outside, or None."""
-    before, after = t_all[t_all < first], t_all[t_all > last]
-    return (
-        first - float(before.max()) if before.size else None,
-        float(after.min()) - last if after.size else None,
     )

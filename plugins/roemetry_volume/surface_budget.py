@@ -18,7 +18,7 @@ OUTLINE_STD_PX = 0.3
 OUTLINE = "outline"
 """The cause that a run draws itself, by moving the contour."""
 
-_BETWEEN = 0.5  # of what leaving single slices out changes, in quadrature
+_BETWEEN = 0.45  # of what leaving single slices out changes, in quadrature
 _STIFFER = 30.0
 _STEP_MM = 0.2
 """Of differences: about the rim's own uncertainty, since what is square there is not even nearly linear."""

@@ -19,6 +19,7 @@ from roemetry.cli import (
     fit_classifier,
     fit_penetration,
     fit_weight,
+    init,
     lint,
     new_plugin,
     plan,
@@ -69,6 +70,7 @@ def _options(
     """Calibration and metrology for laser-stripe inspection of curved products."""
 
 
+app.command()(init.init)
 app.command()(run.run)
 app.command()(calibrate.calibrate)
 app.command()(lint.lint)

@@ -15,6 +15,7 @@ class CalibrationImages(StrEnum):
 
     none = "none"
     basic = "basic"
+    charuco = "charuco"
     all = "all"
 
 
@@ -28,7 +29,10 @@ def simulate(
     ] = None,
     calibration: Annotated[
         CalibrationImages,
-        typer.Option("--calibration", help="Calibration images: basic is block and empty belt."),
+        typer.Option(
+            "--calibration",
+            help="Calibration images: basic is block and empty belt; charuco also a board in several poses.",
+        ),
     ] = CalibrationImages.basic,
     jobs: Annotated[
         int | None, typer.Option("--jobs", "-j", min=1, help="Worker processes. [default: all cores]")

@@ -38,7 +38,7 @@ def table_of(title: str, measurements: Iterable[Measurement], rows: int) -> Tabl
         coding = row.coding
         table.add_row(
             Text(row.id),
-            Text(row.grade.label if row.grade is not None else row.status, style=_COLOURS[row.status]),
+            Text(_verdict(row), style=_COLOURS[row.status]),
             "" if row.weight is None else stated(row.weight.mass_g.value, 1),
             "" if row.volume is None else stated(mm3_to_cm3(row.volume.visible_mm3.value)),
             "" if math.isnan(row.height_max_mm) else stated(row.height_max_mm, 1),
@@ -46,3 +46,12 @@ def table_of(title: str, measurements: Iterable[Measurement], rows: int) -> Tabl
             "" if coding is None else str(coding.ambiguous),
         )
     return table
+
+
+def _verdict(row: Measurement) -> str:
+    """Say what a product is like, and what is to be done with it."""
+    shape = row.grade.label if row.grade is not None else row.status
+    if row.decision is None:
+        return shape
+    lane = f" ({row.decision.lane})" if row.decision.lane else ""
+    return f"{shape} → {row.decision.label}{lane}"

@@ -86,6 +86,7 @@ def choices(compared: Sequence[Compared], told: Sequence[Mapping[str, Any]]) -> 
 
 
 def _drawn(plots: Sequence[Any], size_words: str, tolerance_pct: float | None) -> list[tuple[str, Any]]:
+    """Draw the first few; where nothing differs there is nothing to draw."""
     return [
         (
             one.variant.name,
@@ -93,5 +94,5 @@ def _drawn(plots: Sequence[Any], size_words: str, tolerance_pct: float | None) -
                 one.variant.number, one.variant.name, points, found, size_words, tolerance_pct
             ),
         )
-        for one, points, found in plots[:PLOTS_MAX]
+        for one, points, found in [plot for plot in plots if any(point[1] for point in plot[1])][:PLOTS_MAX]
     ]

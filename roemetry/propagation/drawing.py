@@ -8,13 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from roemetry.arrays import Floats
+from roemetry.arrays import Floats, Integers
 from roemetry.assembling import assemble
 from roemetry.calibration import Calibration
 from roemetry.errors import RoemetryError
 from roemetry.penetration import raised
 from roemetry.propagation.scene import Chain, Scene
-from roemetry.records import Outline, Product, StripeMap
+from roemetry.records import Outline, Product, Profiles, StripeMap
 
 PEAKS, CALIBRATION, OUTLINE, PENETRATION = "peak noise", "calibration", "outline", "penetration"
 
@@ -34,14 +34,17 @@ class Drawn:
         self._scene, self._chain, self._rng = scene, chain, rng
         self._calibrations = scene.calibration.redraws(rng)
         stripes = scene.stripes
+        lit = stripes.product > 0
         self._std_px = np.where(stripes.seen, stripes.x_std_px, 0.0)
-        self.peaks_stated = bool(np.isfinite(self._std_px[stripes.seen & (stripes.product > 0)]).all())
+        self.peaks_stated = bool(np.isfinite(self._std_px[stripes.seen & lit]).all())
         self._std_px = np.nan_to_num(self._std_px)
+        rows = np.flatnonzero(lit.any(axis=0))
+        self._rows = slice(int(rows[0]), int(rows[-1]) + 1) if rows.size else slice(0, 0)
         contours = any(math.isfinite(outline.xy_std_px) for outline in scene.outlines)
         known = {PEAKS: self.peaks_stated, CALIBRATION: True, OUTLINE: contours}
         known[PENETRATION] = scene.penetration is not None
         self.causes = tuple(cause for cause, stated in known.items() if stated)
-        self._bridged = (~stripes.seen) & np.isfinite(stripes.x_px)
+        self._bridges = _bridges(stripes)
 
     def scenes(self, count: int, causes: tuple[str, ...]) -> Iterator[Mapping[int, Product]]:
         """Give drawn products by number, `count` times; what is no cause stays as it was found."""
@@ -76,6 +79,7 @@ class Drawn:
             profiles = triangulator.triangulate(stripes, calibration)
         except RoemetryError:
             return {}
+        profiles = _cut(profiles, self._rows)
         if offset_mm:
             profiles = raised(profiles, offset_mm)
         view = triangulator.view(calibration)
@@ -89,12 +93,34 @@ class Drawn:
         if reach > 0:
             noise = _smoothed(noise, reach)
         noise *= self._std_px
-        for stripe in np.flatnonzero(self._bridged.any(axis=1)):
-            seen = np.flatnonzero(self._scene.stripes.seen[stripe])
-            gap = np.flatnonzero(self._bridged[stripe])
-            if seen.size:
-                noise[stripe, gap] = np.interp(gap, seen, noise[stripe, seen])
+        stripe, gap, before, after, share = self._bridges
+        noise[stripe, gap] = (1.0 - share) * noise[stripe, before] + share * noise[stripe, after]
         return noise
+
+
+def _bridges(stripes: StripeMap) -> tuple[Integers, Integers, Integers, Integers, Floats]:
+    """Give bridged points: stripe, row, the seen rows before and after, how far between them it lies."""
+    parts = [np.empty((5, 0))]
+    bridged = ~stripes.seen & np.isfinite(stripes.x_px)
+    for stripe in np.flatnonzero(bridged.any(axis=1)).tolist():
+        seen, gap = np.flatnonzero(stripes.seen[stripe]), np.flatnonzero(bridged[stripe])
+        if not seen.size:
+            continue
+        at = np.searchsorted(seen, gap)
+        before, after = seen[np.maximum(at - 1, 0)], seen[np.minimum(at, seen.size - 1)]
+        share = np.clip((gap - before) / np.maximum(after - before, 1), 0.0, 1.0)
+        parts.append(np.stack([np.full(gap.size, float(stripe)), gap, before, after, share]))
+    joined = np.concatenate(parts, axis=1)
+    stripe_, row, first, last = joined[:4].astype(np.int64)
+    return stripe_, row, first, last, joined[4]
+
+
+def _cut(profiles: Profiles, rows: slice) -> Profiles:
+    """Keep the rows with product: what draws are asked for lies there, and a third of the time is saved."""
+    if profiles.x_px.shape[1] < rows.stop:
+        return profiles
+    fields = ("xyz_mm", "product", "seen", "x_px", "row_px", "height_std_mm")
+    return replace(profiles, **{name: getattr(profiles, name)[:, rows] for name in fields})
 
 
 def _smoothed(noise: Floats, reach_rows: float) -> Floats:

@@ -78,8 +78,12 @@ def test_scores_count_unknown_as_neither() -> None:
     assert found.balanced == 0.75
 
 
-def test_a_confusion_has_each_name_once() -> None:
-    text = confusion(
-        Counter({("broken", "good"): 2, ("broken", "broken"): 1}), ["good", "broken", "broken"], "x"
-    )
-    assert text.splitlines() == ["| x | good | broken |", "| --- | --- | --- |", "| broken | 2 | 1 |"]
+def test_a_confusion_leaves_out_what_does_not_occur() -> None:
+    found = Counter({("bent", "good"): 2, ("bent", "bend"): 1, ("good", "good"): 3})
+    text = confusion(found, ["good", "dent", "bend"], "x", ["good", "dented", "bent"])
+    assert text.splitlines() == [
+        "| x | good | bend |",
+        "| --- | --- | --- |",
+        "| good | 3 | · |",
+        "| bent | 2 | 1 |",
+    ]

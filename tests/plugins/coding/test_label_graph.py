@@ -7,7 +7,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from roemetry_kernels.label_graph import _edges, shifts_of
+from roemetry_kernels.label_graph import OUT, _edges, shifts_of
 from roemetry_kernels.label_pieces import ENDS
 from roemetry_kernels.label_verdicts import ends_settled, favoured, stepped
 
@@ -20,15 +20,17 @@ def chain(rng: np.random.Generator, gaps: list[int]) -> tuple[np.ndarray, ...]:
 
     `gaps` are the stripes left out between neighbours.
     """
-    own = rng.uniform(-3.0, 3.0, (RUNS, 3))
+    own = np.hstack([rng.uniform(-3.0, 3.0, (RUNS, 3)), np.full((RUNS, 1), 1e3)])
     one, other = np.arange(RUNS - 1), np.arange(1, RUNS)
-    both = rng.uniform(0.0, 4.0, (RUNS - 1, 3, 3))
+    both = np.zeros((RUNS - 1, 4, 4))
+    both[:, :3, :3] = rng.uniform(0.0, 4.0, (RUNS - 1, 3, 3))
     for t, a, b in product(range(RUNS - 1), range(3), range(3)):
         if a >= b + 1 + gaps[t]:
             both[t, a, b] = DISORDER
     start, edge = _edges(RUNS, one, other)
     first = np.zeros(RUNS, np.int64)
-    return own, one, other, both, start, edge, first, np.full(RUNS, LINES - 1)
+    last, size = np.full(RUNS, LINES - 1), np.full(RUNS, LINES)
+    return own, one, other, both, start, edge, first, last, size
 
 
 def energy(graph: tuple[np.ndarray, ...], by: np.ndarray) -> float:
@@ -54,18 +56,33 @@ def test_what_is_shifted_is_cheaper_and_no_shift_is_cheaper_than_the_cheapest(
 
 def test_a_run_without_room_takes_its_neighbours_along() -> None:
     """Six stripes without gaps: shifting one to the right costs what it costs to shift all beyond."""
-    own = np.tile([2.0, 0.0, 3.0], (RUNS, 1))
+    own = np.tile([2.0, 0.0, 3.0, 5.0], (RUNS, 1))
     one, other = np.arange(RUNS - 1), np.arange(1, RUNS)
-    both = np.zeros((RUNS - 1, 3, 3))
+    both = np.zeros((RUNS - 1, 4, 4))
     for a, b in product(range(3), range(3)):
         both[:, a, b] = DISORDER if a > b else 0.0
     graph = own, one, other, both, *_edges(RUNS, one, other), np.zeros(RUNS, np.int64)
-    dearer, by = shifts_of(*graph, np.full(RUNS, LINES - 1), LINES, 0.5)
+    last = np.full(RUNS, LINES - 1)
+    dearer, by = shifts_of(*graph, last, np.full(RUNS, LINES), LINES, 0.5)
     assert not by.any()
     # one to the left takes all before it along, at 2 each; one to the right all behind it, at 3 each
     reached = np.minimum.accumulate(np.array([2.0 * (n + 1) for n in range(RUNS)])[::-1])[::-1]
     behind = np.minimum.accumulate(np.array([3.0 * (RUNS - n) for n in range(RUNS)]))
     np.testing.assert_allclose(dearer * LINES, np.minimum(reached, behind))
+
+
+def test_a_small_run_in_the_way_is_left_out() -> None:
+    """Five runs that are better one stripe on; the last, of two peaks, has no room: it goes."""
+    own = np.tile([2.0, 0.0, -9.0, 12.0], (RUNS, 1))
+    own[-1] = [2.0, 0.0, 50.0, 12.0]
+    one, other = np.arange(RUNS - 1), np.arange(1, RUNS)
+    both = np.zeros((RUNS - 1, 4, 4))
+    for a, b in product(range(3), range(3)):
+        both[:, a, b] = DISORDER if a > b else 0.0
+    graph = own, one, other, both, *_edges(RUNS, one, other), np.zeros(RUNS, np.int64)
+    last, size = np.full(RUNS, LINES - 1), np.array([LINES] * (RUNS - 1) + [2])
+    _, by = shifts_of(*graph, last, size, LINES, 0.5)
+    np.testing.assert_array_equal(by, [1] * (RUNS - 1) + [OUT])
 
 
 def test_nodes_are_stepped_and_fall_to_none_beyond_what_is_possible() -> None:

@@ -183,7 +183,7 @@ def test_a_damaged_forest_is_refused_not_walked(damage: dict[str, object]) -> No
 
 def test_a_damaged_model_is_named(tmp_path: Path) -> None:
     path = tmp_path / "m.json"
-    for text in ("", "[]", "{}", json.dumps({"roemetry_classifier": 2, "features": []})):
+    for text in ("", "[]", "{}", json.dumps({"roemetry_classifier": 3, "features": []})):
         path.write_text(text, encoding="utf-8")
         with pytest.raises(StageError, match=r"m.json is no fitted classifier"):
             Learned(LearnedOptions(model=path)).classify(DOME)

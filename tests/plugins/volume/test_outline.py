@@ -76,6 +76,20 @@ def test_a_shaded_body_is_found_to_a_part_of_a_pixel(rng: np.random.Generator, s
     assert found.features["area_px2"] == pytest.approx(np.pi * 120.0 * 45.0, rel=0.015)
 
 
+def test_its_uncertainty_comes_from_the_image(rng: np.random.Generator) -> None:
+    """Dark, in a shadow, or in four times the noise: a figure each, which holds the truth."""
+    noisy = plain_image(rng, shadow=False)
+    noise = rng.normal(0.0, 5.0, noisy.pixels.shape)
+    noisy = replace(noisy, pixels=np.clip(np.rint(noisy.pixels + noise), 0, 255).astype(np.uint8))
+    stds = []
+    for image in (plain_image(rng, bright=25.0, shadow=False), plain_image(rng), noisy):
+        (found,) = EdgeContour().outline(LASER, image, stripes_on(), None)
+        stds.append(found.xy_std_px)
+        assert abs(distance(found.xy_px).mean()) < 3.0 * found.xy_std_px  # px
+    assert len({round(std, 3) for std in stds}) == 3
+    assert all(0.1 < std < 0.8 for std in stds)
+
+
 def test_a_dark_body_on_a_bright_belt(rng: np.random.Generator) -> None:
     (found,) = EdgeContour().outline(LASER, plain_image(rng, bright=25.0, shadow=False), stripes_on(), None)
     assert abs(distance(found.xy_px).mean()) < 0.6  # px
@@ -134,7 +148,7 @@ def test_the_laser_image_has_an_outline_in_its_ambient_light(rng: np.random.Gene
     frame = Frame(np.clip(np.rint(light + rng.normal(0.0, 1.0, light.shape)), 0, 255).astype(np.uint8))
     (found,) = EdgeContour().outline(frame, None, stripes_on(), None)
     assert abs(distance(found.xy_px).mean()) < 1.2  # px
-    assert found.xy_std_px == 1.0
+    assert 0.9 < found.xy_std_px < 2.0, "the model's part, and more"
     with pytest.raises(StageError, match="there is no plain-light image"):
         EdgeContour(EdgeContourOptions(light="plain")).outline(frame, None, stripes_on(), None)
 

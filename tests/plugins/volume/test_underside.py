@@ -66,3 +66,11 @@ def test_the_share_is_fitted_to_weighed_samples(rng: np.random.Generator) -> Non
     assert std == pytest.approx(0.03, abs=0.004)
     with pytest.raises(ValueError, match="three samples"):
         fitted_share([1.0, 2.0], [1.0, 2.0])
+
+
+def test_a_gap_under_some_products_widens_the_intervals_of_all(rng: np.random.Generator) -> None:
+    """One product in fifteen stands on air: a standard deviation alone would leave those out."""
+    gap = rng.random(2000) < 1.0 / 15.0
+    true = np.where(gap, rng.normal(0.75, 0.02, 2000), rng.normal(0.92, 0.01, 2000))
+    share, std = fitted_share(np.ones(1000), true[:1000])
+    assert 0.92 < np.mean(np.abs(true[1000:] - share) < 1.96 * std) < 0.98

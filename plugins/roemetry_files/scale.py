@@ -1,0 +1,116 @@
+"""The mass that the line's own scale gave, and the specific volume that follows."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Mapping
+from functools import cached_property
+from pathlib import Path
+from types import MappingProxyType
+from typing import ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from roemetry.errors import DataError, StageError
+from roemetry.records import Estimate, Product, Reason, Volume, Weight
+from roemetry.stages import Capabilities, StageOptions, Weigher
+from roemetry.units import mm3_to_cm3
+
+
+class ScaleOptions(StageOptions):
+    """Options of `Scale`."""
+
+    masses: Path = Field(description="table (CSV) with the columns `id` and `mass_g`; relative to the recipe")
+    std_g: float | None = Field(
+        default=None,
+        gt=0.0,
+        le=100_000.0,
+        description="g, standard uncertainty of the scale; not given: the mass's is not stated",
+    )
+
+
+class Scale(Weigher[ScaleOptions]):
+    """Reads the mass from a table; its features are the specific volume and the density.
+
+    The specific volume is volume over mass, ml/g, with the true volume where the estimator knows it, else
+    the visible one, and a reason that says so.
+    """
+
+    Options: ClassVar[type[StageOptions]] = ScaleOptions
+    capabilities = Capabilities(fixture="roemetry_files.example_masses:scale_options")
+    expected_failures: ClassVar[Mapping[str, str]] = MappingProxyType(
+        {
+            "check_mass_is_proportional_to_volume": "the mass comes from a scale, whatever the volume",
+        }
+    )
+
+    @property
+    def states_model_error(self) -> bool:
+        """Whether the scale's standard uncertainty is given."""
+        return self.options.std_g is not None
+
+    @cached_property
+    def _masses(self) -> dict[str, float]:
+        return read_masses(self.options.masses)
+
+    def weigh(self, product: Product, volume: Volume, *, rng: np.random.Generator | None = None) -> Weight:
+        """Look the mass up by the id of product or acquisition; given `rng`, draw the scale's error."""
+        names = (f"{product.acquisition_ids[0]}#{product.number}", product.acquisition_ids[0])
+        mass = next((self._masses[name] for name in names if name in self._masses), math.nan)
+        if math.isnan(mass):
+            raise StageError(
+                f"{self.options.masses.name} has no mass of {names[0]}",
+                hint=f"write a line `{names[0]},MASS`; `{names[1]}` does where an image shows one product",
+            )
+        std = self.options.std_g
+        if rng is not None and std is not None:
+            mass += float(rng.normal(0.0, std))
+        chosen = volume.visible_mm3 if volume.true_mm3 is None else volume.true_mm3
+        if not chosen.value > 0.0:
+            raise StageError(
+                "there is no volume beside the mass; which product it is of cannot be told",
+                hint="see why the volume is missing",
+            )
+        specific = mm3_to_cm3(chosen.value) / mass if mass > 0.0 else math.nan
+        estimate = Estimate(mass) if std is None or rng is not None else Estimate(mass, std, {"scale": std})
+        return Weight(
+            estimate,
+            (_VISIBLE_FOR_TRUE,) if volume.true_mm3 is None else (),
+            {"specific_volume_ml_per_g": specific},
+        )
+
+
+def read_masses(path: Path) -> dict[str, float]:
+    """Read a table of masses, g, by id; raise DataError, with the line, for what is no mass."""
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            lines = list(csv.DictReader(file))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise DataError(f"{path}: cannot be read: {error}") from error
+    missing = {"id", "mass_g"} - set(lines[0] if lines else ())
+    if missing:
+        raise DataError(
+            f"{path}: has no column {' and no column '.join(sorted(missing))}",
+            hint="the first line is `id,mass_g`, each further one a product",
+        )
+    found: dict[str, float] = {}
+    for number, line in enumerate(lines, start=2):
+        name = (line["id"] or "").strip()
+        try:
+            mass = float(line["mass_g"])
+        except (TypeError, ValueError):
+            mass = math.nan
+        if not (name and mass > 0.0 and math.isfinite(mass)):
+            raise DataError(f"{path}:{number}: expected an id and a mass above 0 g, found {line}")
+        if name in found:
+            raise DataError(f"{path}:{number}: `{name}` stands here a second time; keep one")
+        found[name] = mass
+    return found
+
+
+_VISIBLE_FOR_TRUE = Reason(
+    "specific-volume-visible",
+    "the specific volume is that of the visible volume; air below the product counts as product",
+)

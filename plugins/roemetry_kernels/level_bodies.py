@@ -1,0 +1,133 @@
+"""Belt that may as well be the level top of a body one label height high."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roemetry.arrays import Flags, Floats, Integers
+from roemetry_kernels.compiling import kernel
+
+_LOOK_BACK = 4
+_BROKEN = 20.0
+_HIGH_SHARE = 0.5
+"""A body that is taken into account is at least this share of a label height high."""
+
+
+@kernel
+def level_instead(
+    start: Integers, peak: Integers, low: Integers, count: Integers, offset: Integers, height: Floats,
+    label_mm: Floats, best: Integers, on_line: Integers, pair: Integers, pair_start: Integers,
+    surface: NDArray[np.float32], unseen: NDArray[np.float32], before: Floats, after: Floats,
+    weight_surface: float, weight_unseen: float, dearer_max: float, peaks: int,
+) -> Flags:  # fmt: skip
+    """Mark (peak,) belt that could be a body's, one stripe on, hardly dearer.
+
+    Where a stripe is not seen beside a body, the belt's next ones, one or several, are taken for the
+    neighbours' stripes on a level body: the stripe that is not seen is then on its other side.
+
+    Parameters
+    ----------
+    start, peak
+        See `roemetry_kernels.sight_entries.Entries`.
+    low, count, offset, height, label_mm
+        See `roemetry_kernels.label_costs.Labels`.
+    best
+        (entry,) chosen node.
+    on_line
+        (peak,) rest line a peak lies on, −1 for none.
+    pair, pair_start, surface, unseen, before, after
+        See `roemetry_kernels.label_costs.Steps`.
+    weight_surface, weight_unseen
+        See `roemetry_kernels.label_sweeps.swept`.
+    dearer_max
+        Cost, a sight line, up to which the other way of seeing it counts.
+    peaks
+        Number of peaks.
+    """
+    found = np.zeros(peaks, np.bool_)
+    kept = np.empty(peak.shape[0], np.int64)
+    stripe = np.empty(peak.shape[0], np.int64)
+    for e in range(start.shape[0] - 1):
+        size = 0
+        for i in range(start[e], start[e + 1]):
+            k = best[i] - offset[i]
+            if k < count[i]:
+                kept[size], stripe[size] = i, low[i] + k
+                size += 1
+        for by in (-1, 1):
+            for n in range(size):
+                j = n + by  # on the side that the stripes would move to, and off the belt
+                if on_line[peak[kept[n]]] != stripe[n] or not 0 <= j < size:
+                    continue
+                if on_line[peak[kept[j]]] == stripe[j] or (stripe[n] - stripe[j]) * -by < 2:
+                    continue
+                cost, m = 0.0, n
+                while on_line[peak[kept[m]]] == stripe[m]:
+                    p = kept[m]
+                    k = stripe[m] + by - low[p]
+                    if k < 0 or k >= count[p]:
+                        break
+                    node = offset[p] + k
+                    if height[node] < _HIGH_SHARE * label_mm[node]:
+                        break
+                    i = m - by  # the next stripe on the other side
+                    cost += _side(
+                        m, m + by, by, by if m != n else 0, kept, stripe, size, start[e], low, count, offset,
+                        pair, pair_start[e], surface, unseen, before, after, weight_surface, weight_unseen,
+                    )  # fmt: skip
+                    ended = cost + _side(
+                        m, i, by, 0, kept, stripe, size, start[e], low, count, offset, pair, pair_start[e],
+                        surface, unseen, before, after, weight_surface, weight_unseen,
+                    )  # fmt: skip
+                    if ended < dearer_max:
+                        for t in range(min(m, n), max(m, n) + 1):
+                            found[peak[kept[t]]] = True
+                    if not 0 <= i < size or (stripe[i] - stripe[m]) * -by != 1:
+                        break
+                    m = i
+    return found
+
+
+@kernel
+def _side(
+    m: int, j: int, by: int, by_other: int, kept: Integers, stripe: Integers, size: int, first: int,
+    low: Integers, count: Integers, offset: Integers, pair: Integers, pair_first: int,
+    surface: NDArray[np.float32], unseen: NDArray[np.float32], before: Floats, after: Floats,
+    weight_surface: float, weight_unseen: float,
+) -> float:  # fmt: skip
+    """What it changes, towards neighbour j or the image's border there, that m is moved."""
+    p = kept[m]
+    k = stripe[m] - low[p]
+    if j < 0:
+        return weight_unseen * (before[offset[p] + k + by] - before[offset[p] + k])
+    if j >= size:
+        return weight_unseen * (after[offset[p] + k + by] - after[offset[p] + k])
+    h = stripe[j] - low[kept[j]]
+    if j < m:
+        was = _pair(kept[j], p, h, k, first, count, pair, pair_first, surface, unseen, weight_surface,
+                    weight_unseen)  # fmt: skip
+        now = _pair(kept[j], p, h + by_other, k + by, first, count, pair, pair_first, surface, unseen,
+                    weight_surface, weight_unseen)  # fmt: skip
+    else:
+        was = _pair(p, kept[j], k, h, first, count, pair, pair_first, surface, unseen, weight_surface,
+                    weight_unseen)  # fmt: skip
+        now = _pair(p, kept[j], k + by, h + by_other, first, count, pair, pair_first, surface, unseen,
+                    weight_surface, weight_unseen)  # fmt: skip
+    return now - was
+
+
+@kernel
+def _pair(
+    q: int, p: int, h: int, k: int, first: int, count: Integers, pair: Integers, pair_first: int,
+    surface: NDArray[np.float32], unseen: NDArray[np.float32], weight_surface: float, weight_unseen: float,
+) -> float:  # fmt: skip
+    """Cost of two neighbours, of their hth and kth possible stripe."""
+    if p - q > _LOOK_BACK:
+        return _BROKEN
+    n, at = pair_first, p - first
+    whole = min(at, _LOOK_BACK)
+    n += whole * (whole - 1) // 2 + max(at - _LOOK_BACK, 0) * _LOOK_BACK
+    n += q - max(first, p - _LOOK_BACK)
+    c = pair[n, 2] + k * count[q] + h
+    return min(weight_surface * surface[c] + weight_unseen * unseen[c], _BROKEN)

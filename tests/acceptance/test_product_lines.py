@@ -1,0 +1,51 @@
+"""Every shipped product line is near the truth on its own images."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+
+from benchmarks.product_lines import LINES, Row, rows
+from roemetry.calibrating import calibrate
+from roemetry.calibration import Calibration
+from roemetry.dataset import Dataset
+from roemetry.rig import Rig
+
+HOME = Path(__file__).resolve().parents[2] / "recipes"
+
+VISIBLE_OFF = {"potato": 0.02, "fish_fillet": 0.02, "bread_roll": 0.04, "egg": 0.06}
+"""Largest relative error of a product's visible volume, of those that are measured."""
+
+MEASURED = {"potato": 6, "fish_fillet": 4, "bread_roll": 5, "egg": 8}
+"""Products that must be measured, of 6, 4, 5 and 9."""
+
+
+@pytest.fixture(scope="module", params=LINES)
+def line(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+@pytest.fixture(scope="module")
+def found(line: str) -> list[Row]:
+    return list(rows(line))
+
+
+def test_volumes_are_near_the_truth(line: str, found: list[Row]) -> None:
+    off = [row.visible_off for row in found if not math.isnan(row.visible_off)]
+    assert len(off) >= MEASURED[line]
+    assert max(map(abs, off)) <= VISIBLE_OFF[line]
+
+
+def test_the_stated_calibration_is_the_one_of_the_images(line: str) -> None:
+    """Made again from the images that lie there, it gives the same heights to a hundredth of a millimetre."""
+    made = calibrate(Rig.load(HOME / line / "rig.yaml"))
+    kept = Calibration.load(HOME / line / "calibration.yaml")
+    assert made.stripe_count == kept.stripe_count
+    for one, other in zip(made.displacement_px_per_mm, kept.displacement_px_per_mm, strict=True):
+        assert abs(one - other) < 1e-4
+
+
+def test_images_and_truth_are_whole(line: str) -> None:
+    assert list(Dataset(HOME / line / "data").faults()) == []

@@ -1,0 +1,152 @@
+"""Every command in README and in the pages is typed, page by page, in the order in which a reader would.
+
+What costs minutes is made smaller (`SMALLER`); what a test must not do (install, measure for hours) is not
+run but looked at otherwise, and says why (`NOT_RUN`).
+"""
+
+from __future__ import annotations
+
+import re
+import runpy
+import shlex
+import shutil
+import sys
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from reading import PAGES, ROOT, commands, stands_for_something, titled
+from typer.testing import CliRunner
+from world import make_world, multiply, scale
+
+from benchmarks.__main__ import BENCHMARKS
+from roemetry.cli.main import app
+
+SMALLER = (
+    (r"^(roemetry simulate (?!.*--count).*)$", r"\1 --count 1 --calibration none"),
+    (r"--count \d+", "--count 1"),
+    (r"--calibration all", "--calibration none"),
+    (r"--jobs \d+|-j \d+", "--jobs 1"),
+    (r"--draws \d+", "--draws 5"),
+    (r" --simulate\b", ""),
+)
+
+NOT_RUN = {
+    r"pip install -e (\S+)$": "makes the package known without pip",
+    r"pip ": "installs",
+    r"pytest |python -m pytest": "tests of a test",
+    r"python -m benchmarks ": "takes minutes to hours; its name is checked",
+    r"roemetry init ": "renders for a minute: tested with small images in tests/core/test_starting.py",
+    r"roemetry tune ": "serves until it is stopped",
+    r"roemetry run \S+ --out \S+ --resume": "goes on with a run that was stopped: tested with real kills",
+    r"roemetry simulate .*--resume": "goes on with a set that was stopped: tested with real kills",
+    r"roemetry simulate .*--out skeins": "a set of that name lies there already, in full size",
+    r"roemetry fit-penetration ": "needs a step target's two images: tested with simulated ones",
+    r"roemetry check-plugin my-plugin": "`my-plugin` is the reader's",
+}
+EXPECTED_EXIT = {
+    r"roemetry check-weight": (0, 1),  # three products are too few to say that all is well
+    r"roemetry compare .*--data more": (1,),  # the world's smaller camera is none that was calibrated
+    r"roemetry compare .*local-maximum": (1,),  # it finds the noise, and says so in its row
+}
+
+WITH_COMMANDS = [page for page in PAGES if commands(page)]
+
+
+@pytest.fixture(scope="session")
+def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("docs") / "clone"
+    make_world(folder)
+    return folder
+
+
+@pytest.fixture
+def clone(kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    folder = tmp_path / "clone"
+    shutil.copytree(kept, folder)
+    monkeypatch.chdir(folder)
+    return folder
+
+
+@pytest.mark.parametrize("page", WITH_COMMANDS, ids=lambda page: str(page.relative_to(ROOT)))
+def test_the_commands_of_a_page_run(
+    page: Path, clone: Path, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, text in titled(page).items():
+        (clone / "my-plugin" / name).parent.mkdir(parents=True, exist_ok=True)
+        (clone / "my-plugin" / name).write_text(text, "utf-8")
+    for command in commands(page):
+        if stands_for_something(command):
+            continue
+        skipped = next((pattern for pattern in NOT_RUN if re.match(pattern, command)), None)
+        if skipped is None:
+            _type(command, clone, rng, monkeypatch)
+        elif found := re.match(r"pip install -e '?([\w./-]+)'?$", command):
+            if (clone / found.group(1)).is_dir():
+                _make_known(clone / found.group(1), clone, monkeypatch)
+        elif found := re.match(r"python -m benchmarks (\S+)", command):
+            assert found.group(1) in BENCHMARKS, command
+
+
+def test_what_is_not_run_stands_somewhere() -> None:
+    everything = [command for page in WITH_COMMANDS for command in commands(page)]
+    for pattern in NOT_RUN:
+        if "tune" not in pattern:
+            assert any(re.match(pattern, command) for command in everything), pattern
+
+
+def _type(command: str, clone: Path, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
+    for pattern, smaller in SMALLER:
+        command = re.sub(pattern, smaller, command)
+    words = shlex.split(command)
+    _prepare(words, clone)
+    if words[:2] == ["python", "-m"]:
+        monkeypatch.setattr(sys, "argv", words[2:])
+        monkeypatch.delitem(sys.modules, words[2], raising=False)  # another test may have imported it
+        with pytest.raises(SystemExit) as ended:
+            runpy.run_module(words[2], run_name="__main__")
+        assert ended.value.code in (0, None), command
+    else:
+        done = CliRunner().invoke(app, words[1:])
+        allowed = next(
+            (codes for pattern, codes in EXPECTED_EXIT.items() if re.match(pattern, command)), (0,)
+        )
+        if done.exception is not None and not isinstance(done.exception, SystemExit):
+            raise AssertionError(f"{command}: {done.exception}") from done.exception
+        assert done.exit_code in allowed, f"{command}\n{done.output}"
+    for name in ("weighed", "features"):
+        if f"results/{name}" in words and words[1] == "run":
+            multiply(clone / "results" / name, rng)
+
+
+def _prepare(words: list[str], clone: Path) -> None:
+    """What the page takes for granted: yesterday's folder is not in the way, the scale stands there."""
+    if "roemetry_peaks.measure_noise" in words:
+        recipe = clone / words[words.index("roemetry_peaks.measure_noise") + 1]
+        begun, _, rest = recipe.read_text("utf-8").partition("  extractor:\n")
+        rest = rest[rest.index("  coder:") :]
+        recipe.write_text(f"{begun}  extractor: maximum-likelihood\n{rest}", "utf-8")
+    if "--out" in words:
+        out = clone / words[words.index("--out") + 1]
+        if words[1] in ("run", "compare", "simulate") and out.exists():
+            shutil.rmtree(out)
+    if "scale.csv" in words:
+        scale(clone / "results" / "today")
+
+
+def _make_known(folder: Path, clone: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Do what `pip install -e` does, for this test only."""
+    project = tomllib.loads((folder / "pyproject.toml").read_text("utf-8"))["project"]
+    known = clone / ".installed"
+    info = known / f"{project['name'].replace('-', '_')}-{project['version']}.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text(
+        f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: {project['version']}\n", "utf-8"
+    )
+    points = project["entry-points"]["roemetry"]
+    (info / "entry_points.txt").write_text(
+        "[roemetry]\n" + "".join(f"{name} = {module}\n" for name, module in points.items()), "utf-8"
+    )
+    monkeypatch.syspath_prepend(str(folder))
+    monkeypatch.syspath_prepend(str(known))
