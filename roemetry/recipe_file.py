@@ -34,28 +34,32 @@ Choice = Annotated[StageChoice, BeforeValidator(_short_form)]
 class SensorFile(Section):
     """The camera's noise, as EMVA 1288 data sheets state it."""
 
-    gain_grey_per_electron: float = Field(gt=0, description="grey levels for each electron")
+    gain_grey_per_electron: float = Field(
+        gt=0, description="grey levels for each electron (EMVA 1288: 1/K in the camera's bit depth)"
+    )
     read_noise_grey: float = Field(ge=0, description="standard deviation of a dark pixel, grey levels")
 
 
 class SourceChoice(Section):
     """Where images come from and how they are made ready."""
 
-    use: str = Field(default="image-files", description="name of the source")
-    path: str = Field(description="what to read; relative to the recipe")
+    use: str = Field(default="image-files", description="name of the source's stage")
+    path: str = Field(description="what to read: a file, a folder, or a pattern such as `images/*.png`")
     channel: Channel = Field(default="grey", description="what to make of a colour image")
     turn_deg: Turn = Field(
         default=0,
         description="counter-clockwise turn, degrees, that makes the stripes run from top to bottom",
     )
     bit_depth: int | None = Field(
-        default=None, ge=1, le=16, description="bits in use; default: all that the file's pixels have"
+        default=None, ge=1, le=16, description="bits in use; none: all that the file's pixels have"
     )
     subtract: Literal["none", "dark"] = Field(
-        default="none", description="`dark`: subtract the laser-off partner of each image"
+        default="none",
+        description="`dark`: subtract the laser-off partner of each image, cut off at 0",
     )
     sensor: SensorFile | None = Field(
-        default=None, description="the camera's noise; default: what the source knows of it"
+        default=None,
+        description="the camera's noise, for extractors that weigh by it; none: what the source knows of it",
     )
     options: dict[str, Any] = Field(default_factory=dict, description="the source's own options")
 
@@ -63,15 +67,23 @@ class SourceChoice(Section):
 class StageChoices(Section):
     """The chain; a recipe may end after any stage."""
 
-    extractor: Choice
-    coder: Choice | None = None
-    smoother: Choice | None = None
-    triangulator: Choice | None = None
-    outliner: Choice | None = None
-    volume: Choice | None = None
-    weigher: Choice | None = None
-    classifier: Choice | None = None
-    grader: Choice | None = None
+    extractor: Choice = Field(description="finds peaks in the frame")
+    coder: Choice | None = Field(default=None, description="says which stripe each peak belongs to")
+    smoother: Choice | None = Field(
+        default=None, description="smooths stripes along their rows, and says what resolution that costs"
+    )
+    triangulator: Choice | None = Field(default=None, description="makes profiles, mm, by the calibration")
+    outliner: Choice | None = Field(
+        default=None, description="finds the products' outlines, in the plain-light or the laser frame"
+    )
+    volume: Choice | None = Field(
+        default=None, description="gives a product's volume and what was seen of it"
+    )
+    weigher: Choice | None = Field(default=None, description="gives a product's mass")
+    classifier: Choice | None = Field(default=None, description="gives a product's grade, and why")
+    grader: Choice | None = Field(
+        default=None, description="decides by the buyer's table: class, and where the product goes"
+    )
 
 
 class CalibrationCheck(Section):
@@ -82,10 +94,10 @@ class CalibrationCheck(Section):
         description="control chart that `roemetry check-calibration` keeps; relative to the recipe",
     )
     max_age_days: float | None = Field(
-        default=None, gt=0, description="days the last check may lie back; default: any number"
+        default=None, gt=0, description="days the last check may lie back; none: any number"
     )
     valid_days: float | None = Field(
-        default=None, gt=0, description="days the calibration itself may be old; default: any number"
+        default=None, gt=0, description="days the calibration itself may be old; none: any number"
     )
 
 
@@ -93,8 +105,10 @@ class RecipeFile(Section):
     """One recipe."""
 
     roemetry: Literal[1] = Field(description="version of the recipe format")
-    product: str = Field(min_length=1, description="what is measured, in words")
-    source: SourceChoice
+    product: str = Field(
+        min_length=1, description="what is measured, in words; the title of table and report"
+    )
+    source: SourceChoice = Field(description="where images come from and how they are made ready")
     calibration: str | None = Field(
         default=None,
         description="calibration file; relative to the recipe. Without one, results are in pixels",
@@ -106,14 +120,17 @@ class RecipeFile(Section):
     calibration_check: CalibrationCheck | None = Field(
         default=None, description="when a doubt about the calibration stands on every measurement"
     )
-    stages: StageChoices
+    stages: StageChoices = Field(description="the chain")
     draws: int = Field(
         default=0,
         ge=0,
         le=100_000,
         description="Monte Carlo draws for the uncertainty of volume, weight and grade; 0: none is stated",
     )
-    sinks: list[Choice] = Field(default_factory=lambda: [StageChoice(use="csv"), StageChoice(use="report")])
+    sinks: list[Choice] = Field(
+        default_factory=lambda: [StageChoice(use="csv"), StageChoice(use="report")],
+        description="what is derived from the record at the end; `[]` for nothing but the record",
+    )
 
 
 NEEDS: dict[str, str] = {

@@ -22,6 +22,7 @@ from pydantic_core import PydanticUndefined
 from roemetry import records
 from roemetry.calibration import Calibration
 from roemetry.cli.main import app
+from roemetry.cli.reference_tables import rewritten
 from roemetry.hookspecs import KINDS
 from roemetry.recipe import Recipe
 from roemetry.recipe_file import RecipeFile, StageChoice
@@ -105,6 +106,13 @@ def test_the_tables_of_the_command_line_are_the_options(verb: str) -> None:
     assert all(len(row[-1]) > 10 for row in rows), "an option without an explanation"
     if verb:
         assert f"roemetry {verb} " in "".join(content for _, content in blocks(part, "")), "no example"
+
+
+@pytest.mark.parametrize("name", ["command-line.md", "recipe.md"])
+def test_what_a_page_takes_from_the_code_is_what_the_code_says(name: str) -> None:
+    again = rewritten(page(name))
+    assert again == page(name), "write them again: python -m roemetry.cli.reference_tables docs/reference"
+    assert again.count("<!-- from the code:") == again.count("<!-- to here -->") > 3
 
 
 def test_every_verb_and_no_other_stands_in_the_list_of_verbs() -> None:

@@ -16,14 +16,27 @@ def calibrate(
     rig: Annotated[Path, typer.Argument(help="A rig file: which images, which target, how many stripes.")],
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", help="The calibration file; left out: calibration.yaml beside the rig."),
+        typer.Option(
+            "--out",
+            "-o",
+            help="The calibration file; an old one is replaced; left out: calibration.yaml beside the rig.",
+        ),
     ] = None,
     sets: Annotated[
         list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="Change the rig, e.g. working_distance_mm=320."),
+        typer.Option(
+            "--set",
+            metavar="KEY=VALUE",
+            help="Change the rig, e.g. working_distance_mm=320; may stand several times.",
+        ),
     ] = None,
     report: Annotated[
-        Path | None, typer.Option("--report", help="Write a page (HTML) about the calibration to this file.")
+        Path | None,
+        typer.Option(
+            "--report",
+            help="Write a page (HTML) about the calibration to this file: verdict, figures, "
+            "residuals, coverage, height uncertainty.",
+        ),
     ] = None,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:

@@ -17,17 +17,27 @@ def check_calibration(
     image: Annotated[Path, typer.Argument(help="The block on the belt under the stripes.")],
     target: Annotated[
         Path | None,
-        typer.Option("--target", help="The block's description; left out: the calibration's own block."),
+        typer.Option(
+            "--target", help="The block's description; left out: the block the calibration was made from."
+        ),
     ] = None,
     chart: Annotated[
         Path | None,
-        typer.Option("--chart", help="Control chart to keep; left out: the recipe's, if it names one."),
+        typer.Option(
+            "--chart",
+            help="Control chart (SQLite): earlier checks are looked at, this one is added; left "
+            "out: the recipe's `calibration_check.chart`, else nothing is kept.",
+        ),
     ] = None,
     report: Annotated[
-        Path | None, typer.Option("--report", help="Write the chart as a page (HTML) to this file.")
+        Path | None,
+        typer.Option("--report", help="Write the chart of this calibration as a page (HTML) to this file."),
     ] = None,
     sets: Annotated[
-        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change the recipe.")
+        list[str] | None,
+        typer.Option(
+            "--set", metavar="KEY=VALUE", help="Change the recipe for this check; may stand several times."
+        ),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the check as JSON.")] = False,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,

@@ -20,7 +20,12 @@ def check_plugin(
         str,
         typer.Argument(help="A stage (dominant-peak, extractor/dominant-peak), or a plugin: all its stages."),
     ],
-    as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
+    as_json: Annotated[
+        bool,
+        typer.Option(
+            "--json", help="Print as JSON: a list of kind, stage, provider, check, sentence, result, reason."
+        ),
+    ] = False,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
     """Hold a plugin's stages to the contract of their kinds, on scenes whose answer is known.

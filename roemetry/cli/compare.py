@@ -23,20 +23,32 @@ def compare(
         typer.Option(
             "--vary",
             metavar="KEY=VALUE,VALUE",
-            help="A kind of stage with names, or a value of the recipe with values; several make every "
-            "combination.",
+            help="`KIND=name,name` exchanges a stage, `key.key=value,value` a value of the recipe; may "
+            "stand several times: every combination is compared.",
         ),
     ] = None,
     data: Annotated[
-        Path | None, typer.Option("--data", help="A data set with truth. [default: where the images are]")
+        Path | None,
+        typer.Option(
+            "--data",
+            help="A data set with truth; all of its items are measured; left out: where the images are.",
+        ),
     ] = None,
     labels: Annotated[
         Path | None,
-        typer.Option("--labels", help="Table of `id` and `label`: classes that count instead of the set's."),
+        typer.Option(
+            "--labels",
+            help="Table of `id` and `label`: true classes that count instead of those of the data set.",
+        ),
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", help="Folder for the results. [default: results/NAME-compare-1, …]"),
+        typer.Option(
+            "--out",
+            "-o",
+            help="Folder for the results; one that holds a comparison is refused; left out: "
+            "results/NAME-compare-1, then -2, …",
+        ),
     ] = None,
     tolerance: Annotated[
         float | None,
@@ -44,19 +56,31 @@ def compare(
             "--tolerance",
             min=0.0,
             metavar="PCT",
-            help="Mean differences below this share are as good as none, %: gives a verdict on each variant.",
+            help="Mean differences below this many per cent count as none; gives each variant a verdict.",
         ),
     ] = None,
     folds: Annotated[
         int, typer.Option("--folds", min=2, max=100, help="Folds for the choice among variants.")
     ] = 5,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Of resampling and folds.")] = 1,
-    jobs: Annotated[int, typer.Option("--jobs", "-j", min=1, help="Worker processes.")] = 1,
+    jobs: Annotated[
+        int,
+        typer.Option(
+            "--jobs",
+            "-j",
+            min=1,
+            help="Worker processes; the numbers are the same for any number, times aside.",
+        ),
+    ] = 1,
     sets: Annotated[
         list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="Change the recipe for all variants."),
+        typer.Option(
+            "--set", metavar="KEY=VALUE", help="Change the recipe for all variants; may stand several times."
+        ),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print comparison.json.")] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print comparison.json instead of the tables; no progress bar.")
+    ] = False,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
     """Compare variants of a recipe on the same data: trueness against what is known, and time.

@@ -10,7 +10,13 @@ import typer
 
 
 def doctor(
-    as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
+    as_json: Annotated[
+        bool,
+        typer.Option(
+            "--json",
+            help="Print as JSON: a list of `what`, `verdict` (`ok`, `missing`, `wrong`), `found`, `remedy`.",
+        ),
+    ] = False,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
     """Say what is installed and what is missing, and whether this machine gives the numbers it should.

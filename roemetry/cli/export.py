@@ -15,7 +15,8 @@ def export(
         typer.Argument(help="What to write: parquet, point-cloud, height-map, or any other installed sink."),
     ],
     sets: Annotated[
-        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="An option of the sink.")
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="An option of the sink; may stand several times."),
     ] = None,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:

@@ -12,15 +12,32 @@ def fit_classifier(
     data: Annotated[Path, typer.Argument(help="Table (CSV) of features, a line a product.")],
     labels: Annotated[
         Path | None,
-        typer.Option("--labels", help="Table of `id` and `label`; left out: DATA has a column `label`."),
+        typer.Option(
+            "--labels",
+            help="Table of `id` (or `acquisition`) and `label`; only products named there are "
+            "taken; left out: DATA's column `label`.",
+        ),
     ] = None,
-    good: Annotated[str, typer.Option("--good", help="The class of good products, if there is one.")] = "",
-    out: Annotated[Path, typer.Option("--out", "-o", help="File to write.")] = Path("classifier.json"),
+    good: Annotated[
+        str,
+        typer.Option(
+            "--good",
+            help="The class of good products: a limit for its probability is chosen on held-out products.",
+        ),
+    ] = "",
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help="File to write; the classifier's option `model` names it.")
+    ] = Path("classifier.json"),
     classifier: Annotated[
         str, typer.Option("--classifier", help="Name of the classifier that learns.")
     ] = "learned",
     smoothing_rows: Annotated[
-        int, typer.Option("--smoothing-rows", min=0, help="Window the features were measured with, rows.")
+        int,
+        typer.Option(
+            "--smoothing-rows",
+            min=0,
+            help="Window the features were measured with, rows; stored with the model.",
+        ),
     ] = 15,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:

@@ -13,21 +13,27 @@ def fit_penetration(
     bare: Annotated[Path, typer.Argument(help="Image of the block as it is: matt and opaque.")],
     covered: Annotated[Path, typer.Argument(help="Image of the block under the product's own material.")],
     film: Annotated[
-        float, typer.Option("--film", min=0, help="Thickness of the cover, mm; 0 for paint of its colour.")
+        float,
+        typer.Option(
+            "--film", min=0, help="Thickness of the cover, mm; 0 for paint of the product's colour."
+        ),
     ],
     film_std: Annotated[
         float, typer.Option("--film-std", min=0, help="Standard uncertainty of that thickness, mm.")
     ] = 0.0,
     target: Annotated[
         Path | None,
-        typer.Option("--target", help="The block's description; left out: the calibration's own block."),
+        typer.Option(
+            "--target", help="The block's description; left out: the block the calibration was made from."
+        ),
     ] = None,
     out: Annotated[
         Path | None,
         typer.Option("--out", "-o", help="File to write; left out: penetration.yaml beside the recipe."),
     ] = None,
     sets: Annotated[
-        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change the recipe.")
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="Change the recipe; may stand several times."),
     ] = None,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:

@@ -12,11 +12,21 @@ def fit_weight(
     data: Annotated[Path, typer.Argument(help="Table (CSV) of what was measured, a line a product.")],
     weights: Annotated[
         Path | None,
-        typer.Option("--weights", help="Table of `id` and `mass_g`; left out: DATA has a column `mass_g`."),
+        typer.Option(
+            "--weights",
+            help="Table of `id` (or `acquisition`) and `mass_g`, maybe `mass_std_g`; only products "
+            "named there are taken; left out: DATA's column `mass_g`.",
+        ),
     ] = None,
-    out: Annotated[Path, typer.Option("--out", "-o", help="File to write.")] = Path("weight.json"),
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help="File to write; the weigher's option `model` names it.")
+    ] = Path("weight.json"),
     form: Annotated[
-        str, typer.Option("--form", help="Model; auto: the one that does best on folds by product.")
+        str,
+        typer.Option(
+            "--form",
+            help="Model; auto: the one that does best on held-out products, of like ones the plainest.",
+        ),
     ] = "auto",
     weigher: Annotated[str, typer.Option("--weigher", help="Name of the weigher that learns.")] = "fitted",
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,

@@ -17,7 +17,11 @@ def init(
     folder: Annotated[Path | None, typer.Argument(help="Folder to write; empty, or not there yet.")] = None,
     like: Annotated[
         str | None,
-        typer.Option("--like", metavar="LINE", help="Copy a product line that comes with roemetry."),
+        typer.Option(
+            "--like",
+            metavar="LINE",
+            help="A product line that comes with roemetry; its recipe, rig, scene and calibration are taken.",
+        ),
     ] = None,
     product: Annotated[
         str | None, typer.Option("--product", help="Own product: what lies on the belt.")
@@ -25,7 +29,9 @@ def init(
     size: Annotated[
         str | None,
         typer.Option(
-            "--size", metavar="LxWxH", help="Its largest length across the stripes, width, height, mm."
+            "--size",
+            metavar="LxWxH",
+            help="With --product: largest length across the stripes, width, height, mm.",
         ),
     ] = None,
     image: Annotated[
@@ -38,16 +44,27 @@ def init(
         typer.Option("--distance-mm", help="Camera to belt, mm; left out: as near as the product allows."),
     ] = None,
     stripes: Annotated[
-        int | None, typer.Option("--stripes", help="Stripes of light; left out: as many as fit.")
+        int | None,
+        typer.Option(
+            "--stripes",
+            help="Stripes of light, 5 to 40; left out: up to 15, as many as leave the projector room.",
+        ),
     ] = None,
     measure: Annotated[
-        str, typer.Option("--measure", help="What is wanted: volume, weight, shape; with commas.")
+        str, typer.Option("--measure", help="What is wanted, with commas: volume, weight, shape.")
     ] = "volume",
-    density: Annotated[float | None, typer.Option("--density", help="Of the product, g/cm³.")] = None,
+    density: Annotated[
+        float | None, typer.Option("--density", help="Of the product, g/cm³; needed for weight.")
+    ] = None,
     plain_light: Annotated[
-        bool, typer.Option("--plain-light", help="A second image is taken in plain light, laser off.")
+        bool,
+        typer.Option(
+            "--plain-light",
+            help="A second image is taken in plain light, laser off: an outline is found, the volume "
+            "follows it.",
+        ),
     ] = False,
-    items: Annotated[int, typer.Option("--items", min=0, help="Simulated images to try it on.")] = 3,
+    items: Annotated[int, typer.Option("--items", min=0, help="Simulated acquisitions to try it on.")] = 3,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
     """Write a folder to begin with: recipe, rig, calibration, simulated images, the next three commands.

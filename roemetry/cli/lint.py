@@ -16,7 +16,12 @@ if TYPE_CHECKING:
 def lint(
     file: Annotated[Path, typer.Argument(help="A recipe, a rig, calibration or scene file, or a data set.")],
     sets: Annotated[
-        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Check it with this change.")
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="KEY=VALUE",
+            help="Check the recipe or the rig with this change; may stand several times.",
+        ),
     ] = None,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:

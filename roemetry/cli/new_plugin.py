@@ -12,7 +12,10 @@ def new_plugin(
     name: Annotated[str, typer.Argument(help="Its name, e.g. my-peaks: small letters, digits, hyphens.")],
     kind: Annotated[str, typer.Option("--kind", "-k", help="Kind of its stage.")] = "extractor",
     out: Annotated[
-        Path, typer.Option("--out", "-o", help="Folder to make the package's folder in.")
+        Path,
+        typer.Option(
+            "--out", "-o", help="Folder to make the package's folder in; left out: the working directory."
+        ),
     ] = Path(),
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:

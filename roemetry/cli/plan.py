@@ -20,7 +20,7 @@ def plan(
     scene: Annotated[Path, typer.Argument(help="A scene file, or a folder with a scene.yaml in it.")],
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", help="The page to write. [default: plan.html; none with --json]"),
+        typer.Option("--out", "-o", help="The page to write; left out: plan.html, with --json none."),
     ] = None,
     simulate: Annotated[
         bool, typer.Option("--simulate", help="Put short simulations of flat plates beside the prediction.")
@@ -28,10 +28,19 @@ def plan(
     sets: Annotated[
         list[str] | None,
         typer.Option(
-            "--set", metavar="KEY=VALUE", help="Change the scene: simulator.options.laser.planes=15."
+            "--set",
+            metavar="KEY=VALUE",
+            help="Change the scene, e.g. simulator.options.laser.planes=15; may stand several times.",
         ),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the whole plan as JSON.")] = False,
+    as_json: Annotated[
+        bool,
+        typer.Option(
+            "--json",
+            help="Print the whole plan as JSON: figures, maps, tables, curves, reasons; units "
+            "beside every number.",
+        ),
+    ] = False,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
     """Say what a rig will give before it is built: view, height range, uncertainty, slopes, stripes.

@@ -9,7 +9,14 @@ import typer
 
 
 def plugins(
-    as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
+    as_json: Annotated[
+        bool,
+        typer.Option(
+            "--json",
+            help="Print as JSON: `stages` (kind, name, provider, summary, reference, status) and "
+            "`broken` (provider, why).",
+        ),
+    ] = False,
 ) -> None:
     """List the installed stages, who provides them, and what is wrong with those that cannot be used."""
     from roemetry.registry import discover

@@ -18,20 +18,44 @@ def run(
     recipe: Annotated[Path, typer.Argument(help="A recipe file, or a folder with a recipe.yaml in it.")],
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", help="Folder for the results; left out: results/NAME-1, then -2, …"),
+        typer.Option(
+            "--out",
+            "-o",
+            help="Folder for the results, made if need be; left out: results/NAME-1, then -2, …",
+        ),
     ] = None,
-    jobs: Annotated[int, typer.Option("--jobs", "-j", min=1, help="Worker processes.")] = 1,
+    jobs: Annotated[
+        int,
+        typer.Option(
+            "--jobs",
+            "-j",
+            min=1,
+            help="Worker processes; the record is the same, byte for byte, for any number.",
+        ),
+    ] = 1,
     sets: Annotated[
         list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="Change the recipe, e.g. source.path=images."),
+        typer.Option(
+            "--set",
+            metavar="KEY=VALUE",
+            help="Change the recipe for this run, e.g. source.path=images; may stand several times.",
+        ),
     ] = None,
     draws: Annotated[
         int | None,
-        typer.Option("--draws", min=0, help="Monte Carlo draws for the uncertainty; default: the recipe's."),
+        typer.Option(
+            "--draws",
+            min=0,
+            help="Monte Carlo draws for the uncertainty of volume, weight and grade; left out: the recipe's.",
+        ),
     ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with a stopped run in --out.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")] = False,
-    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print the outcome as JSON instead of the table; no progress bar.")
+    ] = False,
+    debug: Annotated[
+        bool, typer.Option("--debug", help="Show tracebacks; the first failed acquisition ends the run.")
+    ] = False,
 ) -> None:
     """Measure everything a recipe's source has; write the record, the tables and the report.
 

@@ -11,7 +11,7 @@ import typer
 
 def schema(
     kind: Annotated[str, typer.Argument(help="Of which file: recipe, rig or scene.")] = "recipe",
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="File to write; left out: print.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="File to write; left out: printed.")] = None,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
     """Write the JSON schema of a file, with the options of every installed stage, for editors."""

@@ -21,28 +21,51 @@ class CalibrationImages(StrEnum):
 
 def simulate(
     scene: Annotated[Path, typer.Argument(help="A scene file, or a folder with a scene.yaml in it.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder of the data set.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder of the data set, made if need be.")],
     count: Annotated[int, typer.Option("--count", "-n", min=0, help="Number of items.")] = 10,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="The same seed gives the same bytes.")] = 1,
+    seed: Annotated[
+        int,
+        typer.Option(
+            "--seed",
+            min=0,
+            help="Item number k is drawn from the seed plus k; the same seed gives the same bytes.",
+        ),
+    ] = 1,
     product: Annotated[
-        str | None, typer.Option("--product", metavar="FAMILY", help="Another product than the scene's.")
+        str | None,
+        typer.Option(
+            "--product",
+            metavar="FAMILY",
+            help="A family of products, with that family's defaults; left out: the scene's.",
+        ),
     ] = None,
     calibration: Annotated[
         CalibrationImages,
         typer.Option(
             "--calibration",
-            help="Calibration images: basic is block and empty belt; charuco also a board in several poses.",
+            help="Calibration images; basic: block and empty belt, charuco: a board in poses too, all: "
+            "everything.",
         ),
     ] = CalibrationImages.basic,
     jobs: Annotated[
-        int | None, typer.Option("--jobs", "-j", min=1, help="Worker processes. [default: all cores]")
+        int | None,
+        typer.Option(
+            "--jobs",
+            "-j",
+            min=1,
+            help="Worker processes; the bytes are the same for any number; left out: all cores.",
+        ),
     ] = None,
     resume: Annotated[
         bool, typer.Option("--resume", help="Go on with a set that was stopped, or make it longer.")
     ] = False,
     sets: Annotated[
         list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="Change the scene: simulator.options.samples=5."),
+        typer.Option(
+            "--set",
+            metavar="KEY=VALUE",
+            help="Change the scene, e.g. simulator.options.samples=5; may stand several times.",
+        ),
     ] = None,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:

@@ -21,13 +21,23 @@ def target(
         list[Path] | None,
         typer.Argument(help="Target files, or names of shipped ones; left out: list the shipped ones."),
     ] = None,
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder to write to.")] = Path(),
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out", "-o", help="Folder to write to, made if need be; left out: the working directory."
+        ),
+    ] = Path(),
     sheet_format: Annotated[
-        SheetFormat, typer.Option("--format", help="Of a printed sheet; PDF needs roemetry[targets].")
+        SheetFormat,
+        typer.Option("--format", help='Of a printed sheet; PDF needs `pip install "roemetry[targets]"`.'),
     ] = SheetFormat.SVG,
     page: Annotated[
         str | None,
-        typer.Option("--page", help="Page size (a4, letter, a3 …); default: the smallest ISO one that fits."),
+        typer.Option(
+            "--page",
+            help="Page size of a printed sheet: a4, letter, a3, a2, a1, a0; left out: the smallest "
+            "of A4 to A0 that fits.",
+        ),
     ] = None,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
