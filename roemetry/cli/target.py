@@ -29,7 +29,7 @@ def target(
     ] = Path(),
     sheet_format: Annotated[
         SheetFormat,
-        typer.Option("--format", help='Of a printed sheet; PDF needs `pip install "roemetry[targets]"`.'),
+        typer.Option("--format", help="Of a printed sheet; PDF needs the extra `targets`."),
     ] = SheetFormat.SVG,
     page: Annotated[
         str | None,
