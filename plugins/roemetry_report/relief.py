@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from markupsafe import Markup
 
-from roemetry.arrays import Flags
+from roemetry.arrays import Flags, Floats
 from roemetry.records import Relief, ReliefMap, ReliefRegion
 from roemetry_report import palette, svg
 from roemetry_report.panels import Panel
@@ -20,6 +20,9 @@ _LEGEND_MM = 11.0
 _QUANTILE = 0.98
 """Of the values' sizes: what lies beyond has the colour of the end."""
 
+_ARROW_MM = 5.0
+"""How long a direction that lies flat is drawn."""
+_ARROW_EVERY = 3
 _TEXT_MM = 3.2
 _NAMED_MAX = 5
 
@@ -29,7 +32,7 @@ def relief_panels(relief: Relief) -> tuple[Panel, ...]:
     if not relief.xy_mm.size:
         return ()
     known = (shown for shown in relief.maps if np.isfinite(shown.values).any())
-    maps = (_map(shown, relief, letter) for letter, shown in zip("jklmnopq", known, strict=False))
+    maps = (_map(shown, relief, letter) for letter, shown in zip("klmnopqr", known, strict=False))
     return (_plan(relief), *maps)
 
 
@@ -52,7 +55,7 @@ def _plan(relief: Relief) -> Panel:
     notes = [*counts, *_regions(relief), *_figures(relief)]
     label = f"Plan of the product with its mid-line; {'; '.join(notes)}"
     return Panel(
-        "i", "Shape from above, mm", svg.picture(body, box=box, label=label, kind="plan"), tuple(notes)
+        "j", "Shape from above, mm", svg.picture(body, box=box, label=label, kind="plan"), tuple(notes)
     )
 
 
@@ -138,6 +141,8 @@ def _map(shown: ReliefMap, relief: Relief, letter: str) -> Panel:
             body.append(Markup('<path fill="{}" d="{}"/>').format(colour, _cells(relief, which)))
     edges = np.concatenate([relief.xy_mm[:, 0], relief.xy_mm[::-1, -1]])
     body.append(Markup('<path class="map-edge" d="{}z"/>').format(svg.line(edges[:, 0], -edges[:, 1])))
+    if shown.arrows is not None:
+        body.append(_arrows(shown.arrows, relief))
     body += _legend(relief, colours, (low, size))
     unit = f", {shown.unit}" if shown.unit else ""
     least, most = float(np.nanmin(values)), float(np.nanmax(values))
@@ -146,6 +151,19 @@ def _map(shown: ReliefMap, relief: Relief, letter: str) -> Panel:
     label = f"Map of {shown.title}{unit} over the product; {note}"
     drawing = svg.picture(body, box=_box(relief, legend=True), label=label, kind="plan")
     return Panel(letter, f"{shown.title}{unit}", drawing, (note,))
+
+
+def _arrows(arrows: Floats, relief: Relief) -> Markup:
+    """Lines from a few places of each section, as long as the direction lies flat; a dot at the place."""
+    sections, samples = np.nonzero(np.isfinite(arrows).all(axis=-1))
+    chosen = samples % _ARROW_EVERY == samples.min(initial=0) % _ARROW_EVERY
+    places = relief.xy_mm[sections[chosen], samples[chosen]]
+    steps = _ARROW_MM * arrows[sections[chosen], samples[chosen]]
+    data = "".join(
+        f"M{_tenth(x)} {_tenth(-y)}h.01M{_tenth(x)} {_tenth(-y)}l{_tenth(across)} {_tenth(-up)}"
+        for (x, y), (across, up) in zip(places.tolist(), steps.tolist(), strict=True)
+    )
+    return Markup('<path class="map-arrows" d="{}"/>').format(data)
 
 
 def _legend(relief: Relief, colours: Sequence[str], ends: tuple[float, float]) -> list[Markup]:

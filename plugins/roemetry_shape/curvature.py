@@ -23,6 +23,8 @@ class SurfaceShape(NamedTuple):
         Where, belt frame, mm.
     slope_deg
         Angle between the surface's normal and Z.
+    normal_x, normal_y
+        What the unit normal has along X and Y: it leans downhill.
     curvature_max, curvature_min
         Principal curvatures, 1/mm; positive is hollow (seen from above), negative is a hump.
     shape_index
@@ -33,6 +35,8 @@ class SurfaceShape(NamedTuple):
     y_mm: Floats
     z_mm: Floats
     slope_deg: Floats
+    normal_x: Floats
+    normal_y: Floats
     curvature_max: Floats
     curvature_min: Floats
     shape_index: Floats
@@ -49,7 +53,7 @@ def surface_shape(sections: Sections) -> SurfaceShape:
     y = sections.middle_mm[:, 1, None] + sections.across_mm
     if count < 3:
         nothing = np.empty((0, place.size))
-        return SurfaceShape(*[nothing] * 7)
+        return SurfaceShape(*[nothing] * 9)
     from roemetry_kernels.quadrics import local_quadrics
 
     heights = np.ascontiguousarray(sections.height_mm)
@@ -58,6 +62,7 @@ def surface_shape(sections: Sections) -> SurfaceShape:
     d, e, a, b, c = (fit[..., k] for k in range(1, 6))
     long = np.sqrt(1.0 + d**2 + e**2)
     gauss = (a * c - b**2) / long**4
+    across = np.sqrt(d**2 + e**2)
     mean = ((1 + e**2) * a - 2 * d * e * b + (1 + d**2) * c) / (2 * long**3)
     root = np.sqrt(np.maximum(mean**2 - gauss, 0.0))
     high, low = mean + root, mean - root
@@ -66,7 +71,9 @@ def surface_shape(sections: Sections) -> SurfaceShape:
         x_mm=x[inner],
         y_mm=y[inner],
         z_mm=heights[inner],
-        slope_deg=np.degrees(np.arctan(np.hypot(d, e))),
+        slope_deg=np.degrees(np.arctan(across)),
+        normal_x=-d / long,
+        normal_y=-e / long,
         curvature_max=high,
         curvature_min=low,
         shape_index=index,

@@ -57,7 +57,14 @@ def relief_of(
         middle_mm=sections.middle_mm,
         maps=(
             ReliefMap("Dents (−) and humps (+)", "mm", stands_out_mm[:, kept], True, 1.0),
-            ReliefMap("Slope", "°", _spread(surface.slope_deg, sections), False, 45.0),
+            ReliefMap(
+                "Slope, and normals",
+                "°",
+                _spread(surface.slope_deg, sections),
+                False,
+                45.0,
+                np.stack([_spread(part, sections) for part in (surface.normal_x, surface.normal_y)], axis=-1),
+            ),
             ReliefMap(
                 "Shape index: −1 cap, 0 saddle, 1 cup", "", _spread(surface.shape_index, sections), True, 1.0
             ),

@@ -24,6 +24,9 @@ class ReliefMap:
         Whether its sign matters: colours then part at zero.
     full_scale
         Colours reach at least so far: what is small beside it looks pale.
+    arrows
+        (section, sample, 2) a direction at each place, of length 1 at most, belt frame: for a normal what it
+        has along X and Y. None: there is none to draw.
     """
 
     title: str
@@ -31,6 +34,7 @@ class ReliefMap:
     values: Floats
     about_zero: bool = False
     full_scale: float = 0.0
+    arrows: Floats | None = None
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -87,4 +91,6 @@ class Relief:
         for shown in self.maps:
             fits = shown.values.shape == (sections, samples)
             check.require(fits, f"the map {shown.title} has another shape")
+            fits = shown.arrows is None or shown.arrows.shape == (sections, samples, 2)
+            check.require(fits, f"the arrows of the map {shown.title} have another shape")
         check.finish()

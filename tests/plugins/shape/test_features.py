@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from roemetry.testing.solids import (
@@ -25,6 +25,7 @@ from roemetry_shape.hollows import hollows_of
 from roemetry_shape.sections import SAMPLES, sections_of
 
 
+@settings(deadline=None)  # the first example may compile a kernel
 @given(st.lists(st.floats(-5, 5), min_size=3, max_size=30))
 def test_the_hull_lies_over_the_curve_and_is_concave(heights: list[float]) -> None:
     across = np.arange(len(heights), dtype=float)[None]
@@ -53,6 +54,18 @@ def test_a_spheres_curvatures_are_its_radius() -> None:
     assert found.curvature_max[middle] == pytest.approx(-1 / radius, rel=0.15)  # 1/mm
     assert found.curvature_min[middle] == pytest.approx(-1 / radius, rel=0.15)  # 1/mm
     assert found.shape_index[middle] == pytest.approx(-1.0, abs=0.1)
+
+
+def test_a_spheres_normals_point_away_from_its_centre() -> None:
+    found = surface_shape(sections_of(product_of(SPHERICAL_CAP), 0))
+    foot, height = SPHERICAL_CAP.length_mm / 2, SPHERICAL_CAP.height_mm
+    radius = (foot**2 + height**2) / (2 * height)
+    near = np.hypot(found.x_mm, found.y_mm) < 0.6 * foot
+    assert near.sum() > 20
+    np.testing.assert_allclose(found.normal_x[near], found.x_mm[near] / radius, atol=0.05)
+    np.testing.assert_allclose(found.normal_y[near], found.y_mm[near] / radius, atol=0.05)
+    tilt = np.degrees(np.arcsin(np.hypot(found.normal_x, found.normal_y)))
+    np.testing.assert_allclose(tilt, found.slope_deg, atol=1e-9)
 
 
 def test_a_quadric_is_fitted_by_itself(rng: np.random.Generator) -> None:

@@ -68,11 +68,12 @@ def test_the_drawing_names_what_stands_out() -> None:
     _, relief = shape_of(bumped(3.0), 0)
     assert relief is not None
     plan, *maps = relief_panels(relief)
-    assert [panel.letter for panel in (plan, *maps)] == list("ijklmn")
+    assert [panel.letter for panel in (plan, *maps)] == list("jklmno")
     assert "1 hump" in plan.notes
     assert any(": hump of " in note for note in plan.notes)
     assert "plan-hump" in plan.drawing
     assert all(panel.drawing.startswith("<svg") for panel in maps)
+    assert ["map-arrows" in panel.drawing for panel in maps] == [False, True, False, False, False]
 
 
 def test_without_sections_there_is_nothing_to_draw() -> None:
