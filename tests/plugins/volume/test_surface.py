@@ -190,3 +190,51 @@ def scaled(outline: Outline, factor: float) -> Outline:
 
 def codes(volume) -> set[str]:
     return {reason.code for reason in volume.reasons}
+
+
+def changed(made: Product, mine: np.ndarray, **fields: np.ndarray) -> Product:
+    """Keep the points that `mine` marks, with other fields where given."""
+    old = made.profiles
+    kept = replace(
+        old,
+        xyz_mm=np.where(mine[..., None], fields.get("xyz_mm", old.xyz_mm), np.nan),
+        product=np.where(mine, old.product, -1).astype(np.int16),
+        seen=old.seen & mine,
+        x_px=np.where(mine, old.x_px, np.nan),
+        row_px=np.where(mine, old.row_px, np.nan),
+    )
+    return replace(made, profiles=kept)
+
+
+def test_bad_products_give_a_reason_or_no_number() -> None:
+    made, visible = dome()
+    y, on = made.profiles.xyz_mm[..., 1], made.profiles.seen
+    lit = np.flatnonzero(on.any(axis=1))
+    few = on & np.isin(np.arange(STRIPES), lit[3:5])[:, None]
+    with pytest.raises(StageError, match="only 2 stripes lie on the product"):
+        OutlineSurface().estimate(changed(made, few))
+    with pytest.raises(StageError, match="on or below the belt"):
+        OutlineSurface().estimate(changed(made, on, xyz_mm=made.profiles.xyz_mm * [1.0, 1.0, -1.0]))
+    middle = np.isin(np.arange(STRIPES), lit[3:6])[:, None]
+    hole = OutlineSurface().estimate(changed(made, on & ~(middle & (np.abs(y) < 7.0))))
+    assert {"outline-not-used", "hole"} <= codes(hole)
+    assert hole.visible_mm3.value < 0.9 * visible  # nothing is counted where nothing was seen
+    sunk = made.profiles.xyz_mm.copy()
+    sunk[lit[2], :, 2] -= 18.0
+    below = OutlineSurface().estimate(changed(made, on, xyz_mm=sunk))
+    assert "below-belt" in codes(below)
+
+
+def test_two_products_that_touch_are_told() -> None:
+    """Two domes end to end under one outline: a number for both together, and the waist between them."""
+
+    def top(x, y):
+        q = 1.0 - (np.minimum(np.abs(x - 19.0), np.abs(x + 19.0)) / 20.5) ** 2 - (y / 14.0) ** 2
+        return np.where(q > 0.0, 1.0 + 10.0 * np.sqrt(np.maximum(q, 0.0)), np.nan)
+
+    x, y = np.meshgrid(np.linspace(-40.0, 40.0, 400), np.linspace(-15.0, 15.0, 150))
+    z = top(x, y)
+    there = np.isfinite(z)
+    made = product(top, 11.0, np.column_stack([x[there], y[there], z[there]]))
+    volume = OutlineSurface().estimate(made)
+    assert "waist" in codes(volume)
