@@ -54,6 +54,25 @@ def with_stripes(rows: Sequence[Row], names: Sequence[str]) -> str:
     )
 
 
+def covered(rows: Sequence[Row], names: Sequence[str]) -> str:
+    """Give the share of intervals that hold the truth, and their median width, by number of stripes."""
+    lines = []
+    for stripes in sorted({row.stripes for row in rows}):
+        mine = [row for row in rows if row.stripes == stripes]
+        cells = []
+        for name in names:
+            found = errors(mine, name)
+            known = np.isfinite(found).all(axis=1)
+            if known.sum() < 0.5 * len(found) or not known.any():
+                cells.append("–")
+                continue
+            error, std = found[known].T
+            inside, width = np.mean(np.abs(error) < K * std), np.median(2.0 * K * std)
+            cells.append(f"{100.0 * inside:.1f} / {100.0 * width:.2f}")
+        lines.append((str(stripes), *cells))
+    return table(("stripes", *(f"`{name}`" for name in names)), lines)
+
+
 def enough(rows: Sequence[Row], names: Sequence[str]) -> str:
     """Give the number of stripes from which on 95 % of the products are off by less than a limit."""
     tried = sorted({row.stripes for row in rows}, reverse=True)
