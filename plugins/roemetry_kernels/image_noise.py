@@ -19,6 +19,8 @@ _QUANTILE_OF_CHI = 0.791
 """That quantile of the root mean square of 15 differences of white noise, over the true one; found by drawing
 ten million blocks."""
 _QUANTISATION = 1.0 / math.sqrt(12.0)
+_NOISES = 10.0  # that a stripe rises at least
+_LEVELS_MIN = 6.0  # of 255
 _STEEP_SHARE = 0.01  # of white: noisier images are looked at across the rows as well
 
 
@@ -42,6 +44,15 @@ def image_noise(image: NDArray[Any], top: int, bottom: int, left: int, right: in
         # Where stripes fill the image every block holds a slope; from row to row they hardly change.
         noise = min(noise, _noise_of(_low_sum(levels, columns, columns, top, bottom - 1, left, right)))
     return max(noise, _QUANTISATION)
+
+
+def automatic_rise(image: NDArray[Any], white: int, top: int, bottom: int, left: int, right: int) -> int:
+    """Choose by how much a stripe must rise: ten times the noise, at least 6 grey levels of 255.
+
+    The parameters are those of `image_noise`; `white` is the grey level that 255 stands for.
+    """
+    noise = image_noise(image, top, bottom, left, right)
+    return math.ceil(max(_NOISES * noise, _LEVELS_MIN * white / 255.0))
 
 
 def _noise_of(low: int) -> float:

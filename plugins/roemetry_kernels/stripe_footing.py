@@ -12,6 +12,7 @@ from roemetry.records.peaks import EDGE, SATURATED
 from roemetry_kernels.compiling import float_kernel, inlined
 from roemetry_kernels.footing_lanes import measure_lanes
 from roemetry_kernels.lane_steps import CHUNK, WORD
+from roemetry_kernels.local_contrast import outshone, usual_height
 from roemetry_kernels.stripe_joining import SEEN_PX, join_tops, lowest_after, lowest_before
 from roemetry_kernels.stripe_scan import Area, Pixels, Places, Tops
 
@@ -20,8 +21,6 @@ FWHM_OF_SIGMA = 2.354820045030949
 _FEET_FROM = 3.6  # standard deviations from the middle: what lies farther out is background
 _FEET_PX = 8  # pixels on each side that the background is taken from
 _FEET_SHARE_MAX = 0.25  # of the amplitude: what is brighter is taken for that much (hot pixels)
-_USUAL = 0.9  # of the rows: others may show nothing but noise
-_NEAR_BY_PX = 16.0  # two blocks of a JPEG
 _EDGE_SIGMAS = 2.5  # a stripe nearer to the border than that is not seen whole
 
 
@@ -201,10 +200,10 @@ def _measure(
         highest, lowest = max(highest, values[2, i]), min(lowest, values[2, i])
     if unfit == 0 and lowest >= share_min * highest:
         return count
-    least = share_min * _usual_height(row, values[2]) if share_min > 0.0 else -np.inf
+    least = share_min * usual_height(row, values[2]) if share_min > 0.0 else -np.inf
     for i in range(count):
         done[i] = values[2, i] < least or (
-            values[2, i] < share_min * highest and _outshone(row, values, i, share_min)
+            values[2, i] < share_min * highest and outshone(row, values[0], values[2], i, share_min)
         )
     kept = 0
     for i in range(count):
@@ -216,38 +215,6 @@ def _measure(
             values[field, kept] = values[field, i]
         kept += 1
     return kept
-
-
-@inlined
-def _usual_height(row: Places, amplitude: Floats) -> float:
-    """What the highest stripe reaches in all but the brightest tenth of the rows."""
-    highest = np.empty(row.shape[0])
-    rows = 0
-    for i in range(row.shape[0]):
-        if i == 0 or row[i] != row[i - 1]:
-            highest[rows] = amplitude[i]
-            rows += 1
-        else:
-            highest[rows - 1] = max(highest[rows - 1], amplitude[i])
-    at = int(_USUAL * (rows - 1))
-    return float(np.partition(highest[:rows], at)[at])
-
-
-@inlined
-def _outshone(row: Places, values: Floats, i: int, share_min: float) -> bool:
-    """Say whether a stripe of the same row near by is so much higher."""
-    least = values[2, i] / max(share_min, 1e-9)
-    j = i - 1
-    while j >= 0 and row[j] == row[i] and values[0, i] - values[0, j] <= _NEAR_BY_PX:
-        if values[2, j] > least:
-            return True
-        j -= 1
-    j = i + 1
-    while j < row.shape[0] and row[j] == row[i] and values[0, j] - values[0, i] <= _NEAR_BY_PX:
-        if values[2, j] > least:
-            return True
-        j += 1
-    return False
 
 
 @inlined

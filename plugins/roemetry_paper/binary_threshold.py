@@ -5,24 +5,24 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import ClassVar
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
 from roemetry.records import Frame, Peaks
 from roemetry.stages import Capabilities, Extractor, StageOptions
 from roemetry_kernels.grey_levels import grey, scaled_level
-from roemetry_paper.dominant_peak import as_peaks
+from roemetry_paper.dominant_peak import as_peaks, rise_of
 
 
 class BinaryThresholdOptions(StageOptions):
     """Options of `BinaryThreshold`."""
 
-    threshold: float = Field(
+    threshold: Annotated[float, Field(ge=0.0, le=255.0)] | Literal["auto"] = Field(
         default=128.0,
-        ge=0.0,
-        le=255.0,
-        description="grey level (of 0…255, scaled for deeper images) above which a pixel belongs to a stripe",
+        description="grey level (of 0…255, scaled for deeper images) above which a pixel belongs to a "
+        "stripe. auto (not the paper's): a quarter of the way from the dark to what the image's stripes "
+        "reach, and above the noise",
     )
 
 
@@ -51,5 +51,13 @@ class BinaryThreshold(Extractor[BinaryThresholdOptions]):
         """Find the runs of all rows but the first and the last."""
         from roemetry_kernels.peak_scans import runs_above  # numba: loaded only when something runs
 
-        threshold = math.floor(scaled_level(self.options.threshold, frame))
+        stated = self.options.threshold
+        threshold = level_of(frame) if stated == "auto" else math.floor(scaled_level(stated, frame))
         return as_peaks(frame, runs_above(grey(frame), threshold, white=frame.white))
+
+
+def level_of(frame: Frame) -> int:
+    """Choose a grey level between the dark and the stripes."""
+    from roemetry_kernels.local_contrast import level_between
+
+    return level_between(grey(frame), rise_of(frame))

@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
 
 from roemetry.records import Frame, Peaks
 from roemetry.stages import Capabilities, Extractor, StageOptions
-from roemetry_kernels.grey_levels import grey, scaled_level
+from roemetry_kernels.grey_levels import grey, plain_layout, scaled_level
 
 if TYPE_CHECKING:
     from roemetry_kernels.peak_scans import Scan
@@ -21,12 +21,11 @@ if TYPE_CHECKING:
 class DominantPeakOptions(StageOptions):
     """Options of `DominantPeak`."""
 
-    threshold: float = Field(
+    threshold: Annotated[float, Field(ge=0.0, le=255.0)] | Literal["auto"] = Field(
         default=100.0,
-        ge=0.0,
-        le=255.0,
         description="grey levels (of 0…255, scaled for deeper images) by which a peak must exceed the "
-        "valleys before and after it; one that exceeds them by just as much does not count",
+        "valleys before and after it; one that exceeds them by just as much does not count. auto (not the "
+        "paper's): from the image's own noise, and from how high its stripes are",
     )
     start: Literal["fixed", "lowest"] = Field(
         default="fixed",
@@ -55,7 +54,7 @@ class DominantPeak(Extractor[DominantPeakOptions]):
     - With ``start: fixed`` the start keeps its grey level however dark the row gets after it. A stripe to
       the right of a bright image border, or of a step halfway down another stripe's slope, is lost
       unless it exceeds that level too. ``start: lowest`` mends this; it is a peak search with hysteresis.
-    - The threshold is fixed: stripes dimmer than it are lost.
+    - The threshold is fixed: stripes dimmer than it are lost. ``threshold: auto`` mends this.
     """
 
     Options: ClassVar[type[StageOptions]] = DominantPeakOptions
@@ -71,9 +70,27 @@ class DominantPeak(Extractor[DominantPeakOptions]):
         """Find the dominant peaks of all rows but the first and the last."""
         from roemetry_kernels.peak_scans import dominant_peaks  # numba: loaded only when something runs
 
-        threshold = math.floor(scaled_level(self.options.threshold, frame))
+        stated, pixels = self.options.threshold, grey(frame)
+        threshold = rise_of(frame) if stated == "auto" else math.floor(scaled_level(stated, frame))
         lowest = self.options.start == "lowest"
-        return as_peaks(frame, dominant_peaks(grey(frame), threshold, lowest=lowest, white=frame.white))
+        scan = dominant_peaks(pixels, threshold, lowest=lowest, white=frame.white)
+        return as_peaks(frame, without_faint(scan) if stated == "auto" else scan)
+
+
+def rise_of(frame: Frame) -> int:
+    """Choose by how much a peak must rise, from the image's noise, grey levels."""
+    from roemetry_kernels.image_noise import automatic_rise
+
+    rows, columns = frame.size
+    return automatic_rise(plain_layout(grey(frame)), frame.white, 0, rows, 0, columns)
+
+
+def without_faint(scan: Scan) -> Scan:
+    """Leave out what is low beside the image's other peaks."""
+    from roemetry_kernels.local_contrast import SHARE_MIN, faint
+
+    kept = ~faint(scan.row, scan.x_px, scan.amplitude, SHARE_MIN)
+    return scan if kept.all() else type(scan)._make(values[kept] for values in scan)
 
 
 def as_peaks(frame: Frame, scan: Scan) -> Peaks:

@@ -5,24 +5,25 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import ClassVar
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
 from roemetry.records import Frame, Peaks
 from roemetry.stages import Capabilities, Extractor, StageOptions
 from roemetry_kernels.grey_levels import grey, scaled_level
+from roemetry_paper.binary_threshold import level_of
 from roemetry_paper.dominant_peak import as_peaks
 
 
 class LocalMaximumOptions(StageOptions):
     """Options of `LocalMaximum`."""
 
-    floor: float = Field(
+    floor: Annotated[float, Field(ge=0.0, le=255.0)] | Literal["auto"] = Field(
         default=0.0,
-        ge=0.0,
-        le=255.0,
-        description="grey level (of 0…255, scaled for deeper images) which a maximum must reach to count",
+        description="grey level (of 0…255, scaled for deeper images) which a maximum must reach to count. "
+        "auto (not the paper's): a quarter of the way from the dark to what the image's stripes reach, and "
+        "above the noise",
     )
 
 
@@ -48,5 +49,6 @@ class LocalMaximum(Extractor[LocalMaximumOptions]):
         """Find the maxima of all rows but the first and the last."""
         from roemetry_kernels.peak_scans import local_maxima  # numba: loaded only when something runs
 
-        floor = math.ceil(scaled_level(self.options.floor, frame))
+        stated = self.options.floor
+        floor = level_of(frame) if stated == "auto" else math.ceil(scaled_level(stated, frame))
         return as_peaks(frame, local_maxima(grey(frame), floor, white=frame.white))

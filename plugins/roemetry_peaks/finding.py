@@ -18,10 +18,6 @@ if TYPE_CHECKING:
     from roemetry_kernels.stripe_footing import Stripes
     from roemetry_kernels.stripe_scan import Area
 
-_NOISES = 10.0
-_LEVELS_MIN = 6.0
-_SHARE_MIN = 0.08
-"""Of a stripe beside it, that a stripe is high: the ripples of a JPEG are lower."""
 _CONTRAST = 2  # where it stands among what is known of the noise
 _ROUNDING = 1.0 / 12.0
 """Variance of rounding to whole grey levels."""
@@ -41,6 +37,7 @@ def found(frame: Frame, options: PeakOptions, centres: Callable[..., None], *set
     settings
         What else the kernel takes.
     """
+    from roemetry_kernels.local_contrast import SHARE_MIN
     from roemetry_kernels.stripe_footing import stripes_around
     from roemetry_kernels.stripe_scan import stripe_tops
 
@@ -48,7 +45,7 @@ def found(frame: Frame, options: PeakOptions, centres: Callable[..., None], *set
     area = searched(frame, options.region)
     tops = stripe_tops(pixels, threshold_of(frame, pixels, area, options), area)
     limits = {"width_min_px": options.width_min_px, "width_max_px": options.width_max_px}
-    limits["share_min"] = _SHARE_MIN if options.threshold == "auto" else 0.0
+    limits["share_min"] = SHARE_MIN if options.threshold == "auto" else 0.0
     stripes = stripes_around(pixels, tops, area, white=frame.white, **limits)
     x_px, x_std_px = np.empty((2, stripes.row.shape[0]))
     levels, columns = pixels.reshape(-1), pixels.shape[1]
@@ -102,8 +99,8 @@ def searched(frame: Frame, region: tuple[int, int, int, int] | None) -> Area:
 
 def threshold_of(frame: Frame, pixels: Any, area: Area, options: PeakOptions) -> int:
     """Give the threshold in grey levels of the frame."""
-    from roemetry_kernels.image_noise import image_noise
+    from roemetry_kernels.image_noise import automatic_rise
 
     if options.threshold != "auto":
         return math.floor(scaled_level(options.threshold, frame))
-    return math.ceil(max(_NOISES * image_noise(pixels, *area), scaled_level(_LEVELS_MIN, frame)))
+    return automatic_rise(pixels, frame.white, *area)

@@ -38,7 +38,8 @@ class MaximumLikelihoodOptions(StageOptions):
     threshold: Annotated[float, Field(ge=1.0, le=255.0)] | Literal["auto"] = Field(
         default="auto",
         description="grey levels (of 0…255, scaled for deeper images) by which a stripe must rise above both "
-        "valleys, in the lightly smoothed image; auto: 8 times the noise of that image, at least 5",
+        "valleys, in the lightly smoothed image; auto: 8 times the noise of that image, at least 5, "
+        "and 8 % of what the image's stripes reach",
     )
     width_min_px: float = Field(
         default=2.0,
@@ -179,6 +180,7 @@ _ESTIMATED = Reason(
 
 def starts(frame: Frame, options: MaximumLikelihoodOptions) -> tuple[Any, Found]:
     """Find where to fit; gives the searched part of the image with it."""
+    from roemetry_kernels.local_contrast import SHARE_MIN, faint
     from roemetry_kernels.smoothed_peaks import (
         NOISE_LEFT,
         background_noise,
@@ -206,6 +208,11 @@ def starts(frame: Frame, options: MaximumLikelihoodOptions) -> tuple[Any, Found]
     else:
         rise = np.full(256, scaled_level(options.threshold, frame))
     where = smoothed_peaks(image, rise, frame.white)
+    if (
+        options.threshold == "auto"
+        and (low := faint(where.row, where.x_px, where.amplitude, SHARE_MIN)).any()
+    ):
+        where = type(where)._make(values[~low] for values in where)
     beside = light_beside(image, where, math.sqrt(quiet), slope)
     measured = variance is not None and gain is not None
     return image, Found(

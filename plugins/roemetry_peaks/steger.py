@@ -25,7 +25,8 @@ class StegerOptions(StageOptions):
     threshold: Annotated[float, Field(ge=1.0, le=255.0)] | Literal["auto"] = Field(
         default="auto",
         description="grey levels (of 0…255, scaled for deeper images) by which a stripe must rise above both "
-        "valleys, in the smoothed image; auto: 8 times the noise of that image, at least 5",
+        "valleys, in the smoothed image; auto: 8 times the noise of that image, at least 5, and 8 % of "
+        "what the image's stripes reach",
     )
     width_min_px: float = Field(
         default=1.5,
@@ -62,6 +63,7 @@ class Steger(Extractor[StegerOptions]):
         """Find the stripes of a frame."""
         import cv2
 
+        from roemetry_kernels.local_contrast import SHARE_MIN, faint
         from roemetry_kernels.ridges import crossings
         from roemetry_kernels.smoothed_peaks import background_noise, rounding_variance
 
@@ -97,6 +99,8 @@ class Steger(Extractor[StegerOptions]):
         inside = np.abs(x_px - 0.5 * (image.shape[1] - 1)) <= 0.5 * image.shape[1]
         inside[1:] &= (np.diff(row) > 0) | (np.diff(x_px) > 0.0)
         order = order[inside]
+        if options.threshold == "auto":
+            order = order[~faint(found.row[order], found.x_px[order], found.amplitude[order], SHARE_MIN)]
         return Peaks(
             image_size=frame.size,
             row=found.row[order] + area.top,

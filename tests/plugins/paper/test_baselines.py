@@ -177,3 +177,42 @@ def test_the_papers_figures_7_and_9_can_be_made_again(tmp_path, capsys):
     assert cv2.imread(str(tmp_path / "out" / "figure_9.png")).shape == (50 + 8 + 34, 4 * (120 + 16), 3)
     with pytest.raises(SystemExit):
         figures.main([str(tmp_path / "a & b.png"), "--row", "0", "--out", str(tmp_path / "out")])
+
+
+def stripes_on(ground, height, rng):
+    """(row, column) three stripes 40 px apart, the last one at 60 % of the height, with noise."""
+    x = np.arange(160)
+    light = sum(h * np.exp(-0.5 * ((x - c) / 2.0) ** 2) for h, c in ((1.0, 30), (1.0, 70), (0.6, 110)))
+    level = ground + height * light + rng.normal(0.0, 1.0, (80, 160))
+    return Frame(np.clip(np.rint(level), 0, 255).astype(np.uint8))
+
+
+@pytest.mark.parametrize(("ground", "height"), [(10.0, 40.0), (10.0, 200.0), (90.0, 120.0)])
+@pytest.mark.parametrize(
+    "extractor",
+    [
+        DominantPeak(DominantPeakOptions(threshold="auto")),
+        BinaryThreshold(BinaryThresholdOptions(threshold="auto")),
+    ],
+)
+def test_an_automatic_threshold_finds_stripes_of_any_brightness(extractor, ground, height, rng):
+    peaks = extractor.extract(stripes_on(ground, height, rng))
+    assert len(peaks) == 3 * 78
+    assert np.abs(peaks.x_px.reshape(-1, 3) - [30, 70, 110]).max() <= 2.0  # px: whole pixels, with noise
+
+
+@pytest.mark.parametrize(("ground", "height"), [(10.0, 40.0), (90.0, 120.0)])
+def test_an_automatic_floor_leaves_out_the_dark(ground, height, rng):
+    peaks = LocalMaximum(LocalMaximumOptions(floor="auto")).extract(stripes_on(ground, height, rng))
+    off = np.abs(peaks.x_px[:, None] - [30, 70, 110]).min(axis=1)
+    assert off.max() <= 4.0  # px
+    assert len(peaks) >= 3 * 78
+
+
+def test_an_automatic_threshold_leaves_out_what_is_faint_beside_a_stripe():
+    row = np.full(60, 10)
+    row[30:33] = 150, 230, 150
+    row[40:43] = 20, 25, 20
+    frame = Frame(np.tile(row.astype(np.uint8), (20, 1)))
+    assert len(DominantPeak(DominantPeakOptions(threshold=8.0)).extract(frame)) == 2 * 18
+    assert DominantPeak(DominantPeakOptions(threshold="auto")).extract(frame).x_px.tolist() == [31.0] * 18
