@@ -114,8 +114,14 @@ def observe(rig: Rig, registry: Registry) -> tuple[CalibrationSet, dict[str, str
         board=rig.board,
         staircase=rig.staircase,
         pyramid=rig.pyramid,
+        mm_per_count=_per_count(rig),
     )
     return observed, hashes
+
+
+def _per_count(rig: Rig) -> tuple[float, float] | None:
+    known_mm = rig.file.encoder_mm_per_count
+    return None if known_mm is None else (known_mm, rig.file.encoder_mm_per_count_std)
 
 
 def default_path(rig: Rig) -> Path:

@@ -78,6 +78,12 @@ class RigFile(Section):
         default_factory=list,
         description="of the images in board_on_belt, in their order, if the belt carries the board along",
     )
+    encoder_mm_per_count: float | None = Field(
+        default=None,
+        gt=0,
+        description="the belt's way per encoder count, mm, where it is known from elsewhere",
+    )
+    encoder_mm_per_count_std: float = Field(default=0.0, ge=0, description="its standard uncertainty, mm")
     images: CalibrationImages
     extractor: Choice
     calibrator: Choice = Field(default_factory=lambda: StageChoice(use="block-linear"))

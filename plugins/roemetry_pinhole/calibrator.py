@@ -20,6 +20,7 @@ from roemetry_pinhole.frames import (
     rest_polynomials,
     view_of,
 )
+from roemetry_pinhole.free_scale import rescaled, scaled_by_references
 from roemetry_pinhole.joining import Joint, joint
 from roemetry_pinhole.judging import judged
 from roemetry_pinhole.scale import of_lengths
@@ -36,6 +37,14 @@ class PinholeCalibratorOptions(StageOptions):
     camera: Path | None = Field(
         default=None,
         description="OpenCV file with a camera matrix and distortion that are known and not looked for",
+    )
+    flatness: Literal["known", "free"] = Field(
+        default="known",
+        description="known: the board is flat; free: its shape is looked for, up to the fourth order",
+    )
+    scale: Literal["known", "free"] = Field(
+        default="known",
+        description="known: the board's pitch; free: looked for, from a block, a staircase or the encoder",
     )
     print_contrast_max: float = Field(
         default=0.25,
@@ -67,20 +76,36 @@ class PinholeCalibrator(Calibrator[PinholeCalibratorOptions]):
             are no noise; with what was left out and why.
         """
         joined = self._joint(observed)
+        if self.options.scale == "free":
+            return scaled_by_references(
+                joined, observed, lambda scaled: self._made(scaled, observed, lengths=False)
+            )
+        calibration = self._made(joined, observed, lengths=True)
+        return calibration if joined.solids else replace(calibration, **check_scale(calibration, observed))
+
+    def evidence(self, observed: CalibrationSet, calibration: Calibration) -> Evidence:
+        """Show residuals, views left out in turn, stripes against each other, coverage, and a verdict."""
+        joined = self._joint(observed)
+        if self.options.scale == "free" and joined.board is not None:
+            joined = rescaled(joined, float(calibration.target["pitch_mm"]) / joined.board.pitch_mm)
+        return evidence_of(joined, calibration)
+
+    def _made(self, joined: Joint, observed: CalibrationSet, *, lengths: bool) -> Calibration:
+        """Give the calibration of an adjustment, with the uncertainty of the targets' lengths or without."""
         adjusted, size = joined.adjusted, joined.size
-        verdict = judged(joined)
+        verdict = judged(joined, scale_is_known=lengths)
         parameters = parameters_of(adjusted.geometry, travel=joined.moves)
         covariance = covariance_of(adjusted.covariance, adjusted.unknowns, travel=joined.moves)
-        covariance = covariance + of_lengths(joined, parameters)
-        top_mm = self.options.height_max_mm or verdict.height_max_mm
+        if lengths:
+            covariance = covariance + of_lengths(joined, parameters)
         left_out = joined.seen.left_out.items()
-        calibration = Calibration(
+        return Calibration(
             method=METHOD,
             image_size=size,
             turn_deg=observed.observations[0].frame.turn_deg,
             rest_px=rest_polynomials(parameters, size),
             displacement_px_per_mm=displacements(parameters, size),
-            height_range_mm=(0.0, top_mm),
+            height_range_mm=(0.0, self.options.height_max_mm or verdict.height_max_mm),
             parameters=parameters,
             covariance=covariance,
             residuals=verdict.residuals,
@@ -89,11 +114,6 @@ class PinholeCalibrator(Calibrator[PinholeCalibratorOptions]):
             notes=(*verdict.notes, *(f"not used: {name}: {why}" for name, why in left_out)),
             view=view_of(parameters, size),
         )
-        return calibration if joined.solids else replace(calibration, **check_scale(calibration, observed))
-
-    def evidence(self, observed: CalibrationSet, calibration: Calibration) -> Evidence:
-        """Show residuals, views left out in turn, stripes against each other, coverage, and a verdict."""
-        return evidence_of(self._joint(observed), calibration)
 
     def _joint(self, observed: CalibrationSet) -> Joint:
         return joint(
@@ -101,6 +121,7 @@ class PinholeCalibrator(Calibrator[PinholeCalibratorOptions]):
             lens=self.options.lens,
             camera_file=self.options.camera,
             print_contrast_max=self.options.print_contrast_max,
+            bent=self.options.flatness == "free",
         )
 
 

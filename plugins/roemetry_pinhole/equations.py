@@ -8,8 +8,11 @@ from typing import NamedTuple
 import numpy as np
 
 from roemetry.arrays import Floats, Integers
+from roemetry_pinhole.bending import Bend
 from roemetry_pinhole.geometry import CAMERA, Geometry, Unknowns
 from roemetry_pinhole.lens import Bent, bent, straightened
+
+_BENT_ROUNDS = 3
 
 ON_BELT = -1
 """Pose of stripe points that lie on the bare belt."""
@@ -86,7 +89,7 @@ class Rows(NamedTuple):
 
 def corner_rows(geometry: Geometry, unknowns: Unknowns, corners: Corners) -> Rows:
     """Give predicted − seen, px: for each mark a row for x and one for y, in turn."""
-    arm, at = _placed(geometry, corners.pose, corners.board_mm, corners.counts)
+    arm, at = _placed(geometry, corners.pose, _bent_marks(geometry, corners), corners.counts)
     depth = at[:, 2]
     xy = at[:, :2] / depth[:, None]
     lens = bent(xy, geometry.camera[4:])
@@ -104,12 +107,17 @@ def corner_rows(geometry: Geometry, unknowns: Unknowns, corners: Corners) -> Row
     values[:, :, CAMERA + 3 : CAMERA + 6] = by_at
     values[:, :, CAMERA + 6 :] = by_at * corners.counts[:, None, None]
     columns = columns_of(unknowns.camera, unknowns.poses[corners.pose], unknowns.travel)
-    return Rows(residual.ravel(), np.repeat(columns, 2, axis=0), values.reshape(-1, CAMERA + 9))
+    rows = Rows(residual.ravel(), np.repeat(columns, 2, axis=0), values.reshape(-1, CAMERA + 9))
+    if unknowns.bend.size and geometry.bend is not None:
+        away = (by_at @ geometry.rotation[corners.pose][:, :, 2:]).reshape(-1, 1)
+        by_bend = np.repeat(geometry.bend.by_coefficient(corners.board_mm[:, :2]), 2, axis=0)
+        rows = _with_bend(rows, unknowns, away * by_bend)
+    return rows
 
 
 def corner_residuals(geometry: Geometry, corners: Corners) -> Floats:
     """Give predicted − seen, px, x and y in turn, without derivatives."""
-    at = _placed(geometry, corners.pose, corners.board_mm, corners.counts)[1]
+    at = _placed(geometry, corners.pose, _bent_marks(geometry, corners), corners.counts)[1]
     seen = bent(at[:, :2] / at[:, 2:], geometry.camera[4:]).xy * geometry.camera[:2] + geometry.camera[2:4]
     return np.ravel(seen - corners.xy_px)
 
@@ -137,7 +145,6 @@ def stripe_rows(geometry: Geometry, unknowns: Unknowns, points: StripePoints) ->
     values[:, CAMERA + 6 : CAMERA + 9] = values[:, CAMERA + 3 : CAMERA + 6] * points.counts[:, None]
     values[:, CAMERA + 9 : CAMERA + 12] = ray * np.where(where.on_belt, 1.0, where.distance)[:, None]
     values[:, CAMERA + 12 :] = np.where(board, 0.0, -ray)
-    values /= slope[:, None]
     poses = np.full((way.size, 6), -1)
     if unknowns.poses.size:
         poses = np.where(board, unknowns.poses[np.maximum(points.pose, 0)], -1)
@@ -148,7 +155,11 @@ def stripe_rows(geometry: Geometry, unknowns: Unknowns, points: StripePoints) ->
             np.where(board, -1, unknowns.belt),
         ]
     )
-    return Rows(way + more, columns, values)
+    values /= slope[:, None]
+    rows = Rows(way + more, columns, values)
+    if unknowns.bend.size and where.by_bend is not None:
+        rows = _with_bend(rows, unknowns, of_plane * where.by_bend / slope[:, None])
+    return rows
 
 
 def stripe_residuals(geometry: Geometry, points: StripePoints) -> Floats:
@@ -177,10 +188,33 @@ class _Lines:
         self.distance = (self.normal * self.place).sum(axis=1)
         if points.face is not None:
             self.distance = self.distance + points.face[:, 3]
+        self.by_bend: Floats | None = None
+        if geometry.bend is not None and points.face is None:
+            self._bend(geometry, geometry.bend, points)
         belt = geometry.belt if self.on_belt.any() else np.zeros(3)
         self._line = np.where(
             self.on_belt[:, None], self.plane - belt, self.distance[:, None] * self.plane - self.normal
         )
+
+    def _bend(self, geometry: Geometry, bend: Bend, points: StripePoints) -> None:
+        """Put in place of a board's plane the one that touches it where the ray meets it."""
+        on = np.flatnonzero(~self.on_belt)
+        rotation, place = geometry.rotation[points.pose[on]], self.place[on]
+        seen = np.column_stack([points.x_px, points.row_px])[on]
+        xy = straightened((seen - self._camera[2:4]) / self._camera[:2], self._camera[4:])[0]
+        ray = np.column_stack([xy, np.ones(len(xy))])
+        normal, distance = self.normal[on], self.distance[on]
+        for _ in range(_BENT_ROUNDS):
+            at = ray * (distance / (normal * ray).sum(axis=1))[:, None]
+            there = ((at - place)[:, None, :] @ rotation)[:, 0, :2]
+            own = np.column_stack([-bend.slopes(there), np.ones(on.size)])
+            own /= np.sqrt((own**2).sum(axis=1))[:, None]
+            normal = (rotation @ own[:, :, None])[:, :, 0]
+            touched = np.column_stack([there, bend.height_mm(there)])
+            distance = (normal * place).sum(axis=1) + (own * touched).sum(axis=1)
+        self.normal[on], self.distance[on] = normal, distance
+        self.by_bend = np.zeros((len(self.on_belt), bend.coefficients_mm.size))
+        self.by_bend[on] = own[:, 2:] * bend.by_coefficient(there)
 
     def way_px(self, x_px: Floats) -> tuple[Floats, Floats, Bent, Floats, Floats, Floats]:
         """Give the way to the line along the row, px; place in the bent image, lens, ray, ∂/∂place, slope."""
@@ -223,6 +257,20 @@ def _placed(geometry: Geometry, pose: Integers, board_mm: Floats, counts: Floats
     """Give places on the board turned into the camera's axes, and in the camera's frame, mm."""
     arm = (geometry.rotation[pose] @ board_mm[:, :, None])[:, :, 0]
     return arm, arm + geometry.shift[pose] + counts[:, None] * geometry.travel
+
+
+def _bent_marks(geometry: Geometry, corners: Corners) -> Floats:
+    """Give (mark, 3) places on the board as it is, mm."""
+    if geometry.bend is None:
+        return corners.board_mm
+    away = geometry.bend.height_mm(corners.board_mm[:, :2])
+    return corners.board_mm + np.column_stack([np.zeros((away.size, 2)), away])
+
+
+def _with_bend(rows: Rows, unknowns: Unknowns, by_bend: Floats) -> Rows:
+    """Add the derivatives by the board's shape."""
+    more = np.broadcast_to(unknowns.bend, (len(rows.columns), unknowns.bend.size))
+    return Rows(rows.residual, np.column_stack([rows.columns, more]), np.column_stack([rows.values, by_bend]))
 
 
 def columns_of(camera: Integers, poses: Integers, travel: Integers) -> Integers:

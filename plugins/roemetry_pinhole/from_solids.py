@@ -202,7 +202,14 @@ def _measured(
     of_boards = np.broadcast_to(boards.foot_std_mm, boards.feet.pose.shape)
     return Measured(
         geometry,
-        unknowns_of(geometry, free_camera=free_camera, planes=True, belt=True, travel=False),
+        unknowns_of(
+            geometry,
+            free_camera=free_camera,
+            planes=True,
+            belt=True,
+            travel=False,
+            bend=geometry.bend is not None,
+        ),
         boards.corners,
         points,
         feet,

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from roemetry.arrays import Flags, Floats, Integers
+from roemetry_pinhole.bending import BENDS, Bend
 from roemetry_pinhole.lens import COEFFICIENTS
 
 CAMERA = 4 + COEFFICIENTS
@@ -30,6 +31,8 @@ class Geometry:
         (3,) the same of the belt; NaN where it is not asked for.
     travel
         (3,) way of the belt per encoder count, mm; 0 where it is not asked for.
+    bend
+        Shape of the board's print; None where it is taken to be flat.
     """
 
     camera: Floats
@@ -38,6 +41,7 @@ class Geometry:
     planes: Floats
     belt: Floats
     travel: Floats
+    bend: Bend | None = None
 
     @property
     def stripe_count(self) -> int:
@@ -59,6 +63,8 @@ class Unknowns:
         (3,)
     poses
         (pose, 6) turn about the camera's axes, rad, then shift, mm.
+    bend
+        (12,) of the board's shape, mm; (0,) where it is taken to be flat.
     """
 
     camera: Integers
@@ -66,16 +72,20 @@ class Unknowns:
     belt: Integers
     travel: Integers
     poses: Integers
+    bend: Integers = field(default_factory=lambda: np.empty(0, np.int64))
 
     @property
     def count(self) -> int:
         """Number of unknowns."""
-        parts = (self.camera, self.planes.ravel(), self.belt, self.travel, self.poses.ravel())
+        parts = (self.camera, self.planes.ravel(), self.belt, self.travel, self.poses.ravel(), self.bend)
         return int(np.concatenate(parts).max()) + 1
 
     def moved(self, geometry: Geometry, step: Floats) -> Geometry:
         """Give the geometry after a step of the unknowns."""
         turn = _part(step, self.poses[:, :3])
+        bend = geometry.bend
+        if bend is not None and self.bend.size:
+            bend = bend.moved(_part(step, self.bend))
         return replace(
             geometry,
             camera=geometry.camera + _part(step, self.camera),
@@ -84,11 +94,12 @@ class Unknowns:
             travel=geometry.travel + _part(step, self.travel),
             rotation=turned(turn) @ geometry.rotation,
             shift=geometry.shift + _part(step, self.poses[:, 3:]),
+            bend=bend,
         )
 
 
 def unknowns_of(
-    geometry: Geometry, *, free_camera: Flags, planes: bool, belt: bool, travel: bool
+    geometry: Geometry, *, free_camera: Flags, planes: bool, belt: bool, travel: bool, bend: bool = False
 ) -> Unknowns:
     """Number the unknowns: the camera's first, poses last.
 
@@ -98,7 +109,7 @@ def unknowns_of(
         For its sizes.
     free_camera
         (12,) which of the camera's numbers are looked for.
-    planes, belt, travel
+    planes, belt, travel, bend
         Whether these are looked for.
     """
     start = 0
@@ -116,6 +127,7 @@ def unknowns_of(
         belt=numbered(np.full(3, belt)),
         travel=numbered(np.full(3, travel)),
         poses=numbered(np.ones((geometry.shift.shape[0], 6), np.bool_)),
+        bend=numbered(np.full(BENDS if bend else 0, True)),
     )
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from roemetry.arrays import Floats, Integers
 from roemetry.errors import CalibrationError
+from roemetry_pinhole.bending import Bend
 from roemetry_pinhole.equations import ON_BELT, Feet, StripePoints, corner_residuals
 from roemetry_pinhole.geometry import CAMERA, Geometry, unknowns_of
 from roemetry_pinhole.lens import straightened
@@ -72,7 +73,7 @@ def held_out(measured: Measured, found: Geometry) -> HeldOut:
             skipped += out.size
             continue
         for pose in out:
-            board = _resected(measured, int(pose), replace(found, camera=geometry.camera))
+            board = _resected(measured, int(pose), replace(found, camera=geometry.camera, bend=geometry.bend))
             mine = chosen(measured.corners, measured.corners.pose == pose, np.array([pose]))
             off = -corner_residuals(board, mine).reshape(-1, 2)
             marks.append((off, mine.xy_px, np.full(len(off), pose)))
@@ -127,8 +128,11 @@ def _heights(geometry: Geometry, board: Geometry, points: StripePoints) -> Float
     """Heights over the board's surface along the belt's normal, mm."""
     normal, place = board.rotation[0][:, 2], board.shift[0] + points.counts[:, None] * geometry.travel
     up = -geometry.belt / np.sqrt(geometry.belt @ geometry.belt)
-    off = ((lifted(geometry, points) - place) @ normal) / (normal @ up)
-    return np.asarray(off)
+    away = lifted(geometry, points) - place
+    off = away @ normal
+    if board.bend is not None:
+        off = off - board.bend.height_mm((away @ board.rotation[0])[:, :2])
+    return np.asarray(off / (normal @ up))
 
 
 def stripe_offsets(geometry: Geometry, points: StripePoints) -> tuple[Floats, Floats, Integers]:
@@ -142,6 +146,8 @@ def stripe_offsets(geometry: Geometry, points: StripePoints) -> tuple[Floats, Fl
     """
     offset, at, surface = [], [], []
     xyz = lifted(geometry, points)
+    if geometry.bend is not None and points.face is None:
+        xyz = xyz - _print_off_plane(geometry, geometry.bend, points, xyz)
     level = np.zeros(points.pose.size, np.int64)
     if points.face is not None:
         level = np.unique(points.face, axis=0, return_inverse=True)[1].ravel()
@@ -159,6 +165,17 @@ def stripe_offsets(geometry: Geometry, points: StripePoints) -> tuple[Floats, Fl
             at.append([points.x_px[mine].mean(), points.row_px[mine].mean()])
             surface.append(pose)
     return np.array(offset), np.array(at).reshape(-1, 2), np.array(surface, np.int64)
+
+
+def _print_off_plane(geometry: Geometry, bend: Bend, points: StripePoints, xyz: Floats) -> Floats:
+    """Give (point, 3) the way from each board's plane to its print at these points; 0 on the belt."""
+    way = np.zeros_like(xyz)
+    on = np.flatnonzero(points.pose != ON_BELT)
+    rotation, place = geometry.rotation[points.pose[on]], geometry.shift[points.pose[on]]
+    place = place + points.counts[on, None] * geometry.travel
+    there = ((xyz[on] - place)[:, None, :] @ rotation)[:, 0, :2]
+    way[on] = bend.height_mm(there)[:, None] * rotation[:, :, 2]
+    return way
 
 
 _STRIPES_MIN = 4

@@ -11,6 +11,7 @@ from roemetry.arrays import Floats
 from roemetry.errors import CalibrationError
 from roemetry.records import Board, CalibrationSet
 from roemetry_pinhole.adjustment import Adjusted
+from roemetry_pinhole.bending import Bend
 from roemetry_pinhole.equations import Corners, Feet, StripePoints
 from roemetry_pinhole.first_camera import FirstCamera, first_camera, free_numbers
 from roemetry_pinhole.from_solids import OnSolids, from_solids, solids_in
@@ -60,7 +61,12 @@ class Joint:
 
 
 def joint(
-    observed: CalibrationSet, *, lens: str, camera_file: Path | None, print_contrast_max: float
+    observed: CalibrationSet,
+    *,
+    lens: str,
+    camera_file: Path | None,
+    print_contrast_max: float,
+    bent: bool = False,
 ) -> Joint:
     """Find everything in the images and adjust it together.
 
@@ -74,6 +80,8 @@ def joint(
         OpenCV's file with a camera that is known and not looked for.
     print_contrast_max
         Largest contrast of the print under a stripe at which its peaks count.
+    bent
+        Whether the board's shape is looked for.
 
     Raises
     ------
@@ -100,7 +108,7 @@ def joint(
     number = np.unique(pose, return_inverse=True)[1]
     free = np.zeros(CAMERA, np.bool_) if known is not None else free_numbers(lens)
     if board is None or by_solids:
-        return _by_solids(observed, board, seen, first, free)
+        return _by_solids(observed, board, seen, first, free, bent=bent)
     gathered = gather(
         first,
         board,
@@ -110,7 +118,7 @@ def joint(
         print_contrast_max=print_contrast_max,
     )
     seen.left_out |= gathered.left_out
-    measured = _measured(first, gathered, board, pose, counts, free)
+    measured = _measured(first, gathered, board, pose, counts, free, bent=bent)
     return Joint(
         board,
         size,
@@ -126,7 +134,13 @@ def joint(
 
 
 def _by_solids(
-    observed: CalibrationSet, board: Board | None, seen: Seen, first: FirstCamera, free: np.ndarray
+    observed: CalibrationSet,
+    board: Board | None,
+    seen: Seen,
+    first: FirstCamera,
+    free: np.ndarray,
+    *,
+    bent: bool,
 ) -> Joint:
     """Planes from solids on the belt; boards, if there are any, tell the camera, and where the belt is."""
     number = np.arange(len(first.views))
@@ -140,7 +154,15 @@ def _by_solids(
         belt = np.asarray(normal / (normal @ first.shift[lies[0]] + board.thickness_mm))
         feet = _feet(first.views, board, number, still)
         foot_std_mm = _foot_std_mm(board)
-    start = Geometry(first.camera, first.rotation, first.shift, nowhere, np.full(3, np.nan), np.zeros(3))
+    start = Geometry(
+        first.camera,
+        first.rotation,
+        first.shift,
+        nowhere,
+        np.full(3, np.nan),
+        np.zeros(3),
+        bend=_flat(board) if bent and board is not None and first.views else None,
+    )
     boards = Measured(
         start,
         unknowns_of(start, free_camera=free, planes=False, belt=False, travel=False),
@@ -169,7 +191,14 @@ _BOARDS = ("board", "board_on_belt")
 
 
 def _measured(
-    first: FirstCamera, gathered: Gathered, board: Board, pose: np.ndarray, counts: Floats, free: np.ndarray
+    first: FirstCamera,
+    gathered: Gathered,
+    board: Board,
+    pose: np.ndarray,
+    counts: Floats,
+    free: np.ndarray,
+    *,
+    bent: bool,
 ) -> Measured:
     keep = np.unique(pose)
     number = np.searchsorted(keep, pose)
@@ -180,8 +209,9 @@ def _measured(
         planes=gathered.planes,
         belt=_belt(first, gathered, board),
         travel=np.zeros(3),
+        bend=_flat(board) if bent else None,
     )
-    unknowns = unknowns_of(start, free_camera=free, planes=True, belt=True, travel=_moves(counts))
+    unknowns = unknowns_of(start, free_camera=free, planes=True, belt=True, travel=_moves(counts), bend=bent)
     on = gathered.points.pose
     return Measured(
         start,
@@ -191,6 +221,11 @@ def _measured(
         _feet(first.views, board, number, counts),
         foot_std_mm=_foot_std_mm(board),
     )
+
+
+def _flat(board: Board) -> Bend:
+    """Give the shape to begin with."""
+    return Bend.none(board.columns * board.pitch_mm, board.rows * board.pitch_mm)
 
 
 def _foot_std_mm(board: Board) -> float:

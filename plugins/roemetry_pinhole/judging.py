@@ -10,6 +10,7 @@ from roemetry.arrays import Floats
 from roemetry.errors import CalibrationError
 from roemetry_pinhole.adjustment import Adjusted
 from roemetry_pinhole.first_camera import FirstCamera
+from roemetry_pinhole.frames import belt_pose
 from roemetry_pinhole.joining import Joint
 
 _CELLS = 6
@@ -33,8 +34,8 @@ class Verdict:
     height_max_mm: float
 
 
-def judged(joined: Joint) -> Verdict:
-    """Judge an adjustment.
+def judged(joined: Joint, *, scale_is_known: bool = True) -> Verdict:
+    """Judge an adjustment; `scale_is_known` says whether the board's pitch is what lengths come from.
 
     Raises
     ------
@@ -48,10 +49,13 @@ def judged(joined: Joint) -> Verdict:
     residuals: dict[str, float] = {}
     notes: list[str] = []
     if adjusted.corner_used.size:
-        residuals, notes = _of_marks(joined)
+        residuals, notes = _of_marks(joined, scale_is_known=scale_is_known)
     if joined.solids is not None:
         names = ", ".join(f"{shape.kind} {shape.name}" for shape in joined.solids.shapes)
         notes.append(f"planes of light: from {names}")
+    if joined.moves:
+        travelled, said = _of_travel(adjusted)
+        residuals, notes = residuals | travelled, [*notes, said]
     if adjusted.conflict > 1.0:
         notes.append(
             "stripes and marks contradict each other a little: stripes count "
@@ -67,7 +71,7 @@ def judged(joined: Joint) -> Verdict:
     return Verdict(residuals, tuple(notes), _height_reached(joined))
 
 
-def _of_marks(joined: Joint) -> tuple[dict[str, float], list[str]]:
+def _of_marks(joined: Joint, *, scale_is_known: bool) -> tuple[dict[str, float], list[str]]:
     """Figures and notes of the boards' marks."""
     adjusted = joined.adjusted
     rms_px = float(np.sqrt((adjusted.corner_px[adjusted.corner_used] ** 2).sum(axis=1).mean()))
@@ -75,11 +79,16 @@ def _of_marks(joined: Joint) -> tuple[dict[str, float], list[str]]:
     if systematic_px > max(_SYSTEMATIC_MAX_PX, _SYSTEMATIC_SHARE_MAX * adjusted.corner_std_px):
         raise CalibrationError(
             f"the residuals are not noise: neighbouring marks are off together, by {systematic_px:.2f} px",
-            hint="take another lens model (calibrator.options.lens), a flat board, and a sharp lens",
+            hint="take another lens model (calibrator.options.lens), a flat board or `flatness: free`, "
+            "and a sharp lens",
         )
     notes = []
-    if joined.board is not None and joined.solids is None:
+    if joined.board is not None and joined.solids is None and scale_is_known:
         notes.append(f"scale: from the board's pitch of {joined.board.pitch_mm:g} mm")
+    bend = adjusted.geometry.bend
+    shape = {} if bend is None else {"board_bend_mm": bend.range_mm()}
+    if bend is not None:
+        notes.append(f"the board's shape was looked for: its print is bent by {bend.range_mm():.3f} mm")
     if coverage < _COVERAGE_MIN:
         notes.append(f"marks cover {coverage:.0%} of the image: elsewhere the lens is extrapolated")
     figures = {
@@ -89,7 +98,20 @@ def _of_marks(joined: Joint) -> tuple[dict[str, float], list[str]]:
         "marks_systematic_px": systematic_px,
         "marks_coverage": coverage,
     }
-    return figures, notes
+    return figures | shape, notes
+
+
+def _of_travel(adjusted: Adjusted) -> tuple[dict[str, float], str]:
+    """Way of the belt per count, and its direction in the belt's frame."""
+    way, at = adjusted.geometry.travel, adjusted.unknowns.travel
+    size = float(np.sqrt(way @ way))
+    std = float(np.sqrt(way @ adjusted.covariance[np.ix_(at, at)] @ way)) / size
+    x, y, z = belt_pose(adjusted.geometry.belt)[:3, :3] @ way / size
+    said = (
+        f"the belt runs {size:.6g} ± {std:.1g} mm per count, at {np.degrees(np.arctan2(y, x)):.2f}° from X "
+        f"towards Y, {np.degrees(np.arcsin(z)):.2f}° out of its plane"
+    )
+    return {"mm_per_count": size, "mm_per_count_std": std}, said
 
 
 def _check_planes_pass_by(adjusted: Adjusted) -> None:

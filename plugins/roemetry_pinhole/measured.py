@@ -87,6 +87,7 @@ class Measured:
             planes=bool((self.unknowns.planes >= 0).any()),
             belt=bool((self.unknowns.belt >= 0).any()),
             travel=bool((self.unknowns.travel >= 0).any()),
+            bend=bool(self.unknowns.bend.size),
         )
         return Measured(
             replace(start, rotation=start.rotation[poses], shift=start.shift[poses]),

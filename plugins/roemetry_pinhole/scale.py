@@ -28,13 +28,18 @@ def of_lengths(joined: Joint, parameters: Mapping[str, Floats]) -> Floats:
 
 def grown(parameters: Mapping[str, Floats], variance: float) -> Floats:
     """Give the covariance if all lengths grow together, by a share of the given variance."""
-    by_scale = {name: np.zeros_like(array) for name, array in parameters.items()}
-    for name in ("planes_per_mm", "belt_per_mm"):
-        by_scale[name] = -parameters[name]
-    if "travel_mm_per_count" in parameters:
-        by_scale["travel_mm_per_count"] = parameters["travel_mm_per_count"]
-    way = flat(by_scale)
+    way = by_scale(parameters)
     return np.asarray(variance * np.outer(way, way))
+
+
+def by_scale(parameters: Mapping[str, Floats]) -> Floats:
+    """Give (n,) derivatives of the parameters by the logarithm of all lengths."""
+    found = {name: np.zeros_like(array) for name, array in parameters.items()}
+    for name in ("planes_per_mm", "belt_per_mm"):
+        found[name] = -parameters[name]
+    if "travel_mm_per_count" in parameters:
+        found["travel_mm_per_count"] = parameters["travel_mm_per_count"]
+    return flat(found)
 
 
 def relative_of(board: Board) -> float:

@@ -1,7 +1,9 @@
-"""A second metric reference in the set: the block and the staircase, measured with the new calibration."""
+"""A second metric reference in the set: block, staircase, encoder, measured with the new calibration."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,58 +12,113 @@ from roemetry.arrays import Floats
 from roemetry.calibration import Calibration
 from roemetry.errors import CalibrationError
 from roemetry.records import CalibrationSet, Peaks
-from roemetry_pinhole.frames import belt_pose, camera_of
+from roemetry_pinhole.frames import belt_pose, camera_of, lines_at_height
 from roemetry_pinhole.lens import straightened
+from roemetry_pinhole.scale import flat
 
-_CONFLICT_STDS = 3.0
+CONFLICT_STDS = 3.0
 _STEP_MM = 0.05
 _BELT_MM = 0.6
 _POINTS_MIN = 60
 _MAD_TO_STD = 1.4826
-_DRAWS = 60
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Reference:
+    """A length whose measure does not come from the board.
+
+    Attributes
+    ----------
+    name, key, what
+        Of the reference, of its ratio among the residuals, and of its length in words.
+    ratio, own_std
+        What the calibration measures over what is described; its relative standard uncertainty without the
+        calibration's part.
+    by_parameter
+        (n,) derivative of ln ratio by the calibration's parameters, in the order of its covariance.
+    """
+
+    name: str
+    key: str
+    what: str
+    ratio: float
+    own_std: float
+    by_parameter: Floats
+
+    def std(self, covariance: Floats) -> float:
+        """Give the ratio's relative standard uncertainty, the calibration's part included."""
+        return float(np.sqrt(self.own_std**2 + self.by_parameter @ covariance @ self.by_parameter))
 
 
 def check_scale(calibration: Calibration, observed: CalibrationSet) -> dict[str, Any]:
-    """Measure block and staircase; give residuals and notes with what was found.
+    """Measure block, staircase and the belt's way; give residuals and notes with what was found.
 
     Raises
     ------
     CalibrationError
-        A height contradicts the board: the ratio and its uncertainty are told.
+        One contradicts the board: the ratio and its uncertainty are told.
     """
     residuals, notes = dict(calibration.residuals), list(calibration.notes)
-    asked: list[tuple[str, str, tuple[float, ...], float]] = []
+    found, missed = references(calibration, observed)
+    for one in found:
+        std = one.std(calibration.covariance)
+        if abs(one.ratio - 1.0) > CONFLICT_STDS * std:
+            raise CalibrationError(
+                f"board and {one.name} contradict each other: by the board {one.what} is {one.ratio:.4f} ± "
+                f"{std:.4f} times what is described",
+                hint="measure the board's pitch and the reference with a calliper: was the board printed to "
+                "fit the page? `scale: free` takes the scale from the reference",
+            )
+        residuals |= {one.key: one.ratio, f"{one.key}_std": std}
+        notes.append(f"{one.what} comes out {one.ratio:.4f} ± {std:.4f} times as described")
+    return {"residuals": residuals, "notes": (*notes, *missed)}
+
+
+def references(calibration: Calibration, observed: CalibrationSet) -> tuple[list[Reference], list[str]]:
+    """Give what can be measured with a calibration though it is known, and notes on what was not found."""
+    found: list[Reference] = []
+    notes: list[str] = []
+    asked: list[tuple[str, tuple[float, ...], float]] = []
     if observed.block is not None:
-        asked.append(("block", "block", (observed.block.height_mm,), observed.block.tolerance_mm))
+        asked.append(("block", (observed.block.height_mm,), observed.block.tolerance_mm))
     if observed.staircase is not None:
-        stairs = observed.staircase
-        asked.append(("staircase", "staircase", stairs.heights_mm, stairs.tolerance_mm))
-    for shows, name, heights, tolerance_mm in asked:
-        views = observed.showing(shows)
-        found = [_height(calibration, [view.peaks for view in views], height) for height in heights]
-        known = [(m, u, h) for (m, u), h in zip(found, heights, strict=True) if np.isfinite(m)]
+        asked.append(("staircase", observed.staircase.heights_mm, observed.staircase.tolerance_mm))
+    for name, heights, tolerance_mm in asked:
+        views = observed.showing(name)
         if not views:
             continue
+        seen = [_height(calibration, [view.peaks for view in views], height) for height in heights]
+        known = [(m, u, h) for (m, u), h in zip(seen, heights, strict=True) if np.isfinite(m)]
         if not known:
             notes.append(f"the {name} was not found in its images: it checks nothing")
             continue
         measured, std, height = (np.array(column) for column in zip(*known, strict=True))
-        common = _common_relative(calibration, height)
         own = np.hypot(std, tolerance_mm / np.sqrt(3.0)) / height
         weight = own**-2
         ratio = float((weight * measured / height).sum() / weight.sum())
-        uncertainty = float(np.sqrt(1.0 / weight.sum() + common**2))
-        if abs(ratio - 1.0) > _CONFLICT_STDS * uncertainty:
-            raise CalibrationError(
-                f"board and {name} contradict each other: by the board the {name} is {ratio:.4f} ± "
-                f"{uncertainty:.4f} times as high as described",
-                hint="measure the board's pitch and the heights with a calliper: was the board printed to "
-                "fit the page?",
+        way = _by_parameter(calibration, float(height.max()))
+        found.append(
+            Reference(
+                name,
+                f"{name}_height_ratio",
+                f"the {name}'s height",
+                ratio,
+                float(weight.sum() ** -0.5),
+                way,
             )
-        residuals[f"{name}_height_ratio"] = ratio
-        residuals[f"{name}_height_ratio_std"] = uncertainty
-        notes.append(f"the {name}'s height comes out {ratio:.4f} ± {uncertainty:.4f} times as described")
-    return {"residuals": residuals, "notes": tuple(notes)}
+        )
+    if observed.mm_per_count is not None and "travel_mm_per_count" in calibration.parameters:
+        found.append(_encoder(calibration.parameters, *observed.mm_per_count))
+    return found, notes
+
+
+def _encoder(parameters: Mapping[str, Floats], known_mm: float, known_std_mm: float) -> Reference:
+    travel = parameters["travel_mm_per_count"]
+    size = float(np.sqrt(travel @ travel))
+    way = {name: np.zeros_like(array) for name, array in parameters.items()}
+    way["travel_mm_per_count"] = travel / size**2
+    what = "the belt's way per encoder count"
+    return Reference("encoder", "encoder_ratio", what, size / known_mm, known_std_mm / known_mm, flat(way))
 
 
 def _height(calibration: Calibration, images: list[Peaks], height_mm: float) -> tuple[float, float]:
@@ -101,23 +158,31 @@ def _heights_of(calibration: Calibration, peaks: Peaks) -> Floats:
     return np.asarray((ray @ up)[None, :] / (parameters["planes_per_mm"] @ ray.T) + origin)
 
 
-def _common_relative(calibration: Calibration, heights_mm: Floats) -> float:
-    """Relative standard uncertainty of a height in the image's middle, of the calibration, by redraws."""
-    from roemetry_pinhole.frames import lines_at_height
-
-    height = float(heights_mm.max())
+def _by_parameter(calibration: Calibration, height_mm: float) -> Floats:
+    """Give (n,) derivatives of ln(height) in the image's middle row by the calibration's parameters."""
+    parameters = calibration.parameters
     row = np.array([(calibration.image_size[0] - 1) / 2.0])
-    x_px = lines_at_height(calibration.parameters, row, height)[:, 0]
+    x_px = lines_at_height(parameters, row, height_mm)[:, 0]
     good = np.isfinite(x_px)
-    found = []
-    draws = calibration.redraws(np.random.default_rng(1))
-    for _, drawn in zip(range(_DRAWS), draws, strict=False):
-        parameters = drawn.parameters
-        camera = camera_of(parameters)
-        seen = np.column_stack([x_px[good], np.full(int(good.sum()), row[0])])
+    seen = np.column_stack([x_px[good], np.full(int(good.sum()), row[0])])
+
+    def mean_height(values: Floats) -> float:
+        drawn, start = {}, 0
+        for name, array in parameters.items():
+            drawn[name] = values[start : start + array.size].reshape(array.shape)
+            start += array.size
+        camera = camera_of(drawn)
         xy = straightened((seen - camera[2:4]) / camera[:2], camera[4:])[0]
         ray = np.column_stack([xy, np.ones(len(xy))])
-        pose = belt_pose(parameters["belt_per_mm"])
-        planes = parameters["planes_per_mm"][good]
-        found.append(float(((ray @ pose[2, :3]) / (ray * planes).sum(axis=1) + pose[2, 3]).mean()))
-    return float(np.std(found, ddof=1)) / height
+        pose = belt_pose(drawn["belt_per_mm"])
+        planes = drawn["planes_per_mm"][good]
+        return float(((ray @ pose[2, :3]) / (ray * planes).sum(axis=1) + pose[2, 3]).mean())
+
+    middle = flat(parameters)
+    std = np.sqrt(np.diag(calibration.covariance))
+    found = np.zeros(middle.size)
+    for number in np.flatnonzero(std > 0):
+        step = np.zeros(middle.size)
+        step[number] = 0.1 * std[number]
+        found[number] = (mean_height(middle + step) - mean_height(middle - step)) / (2.0 * step[number])
+    return found / height_mm

@@ -124,6 +124,9 @@ class CalibrationSet:
     board, staircase, pyramid
         What the images of a board, of a staircase and of a truncated pyramid show; None where it was not
         described.
+    mm_per_count
+        Way of the belt per encoder count and its standard uncertainty, mm, where they are known from
+        elsewhere; else None.
     """
 
     observations: tuple[Observation, ...]
@@ -134,6 +137,7 @@ class CalibrationSet:
     board: Board | None = None
     staircase: Staircase | None = None
     pyramid: Pyramid | None = None
+    mm_per_count: tuple[float, float] | None = None
 
     def showing(self, what: str) -> tuple[Observation, ...]:
         """Give the observations of one kind of target."""

@@ -1,0 +1,120 @@
+"""A board that is not flat: its shape is found with everything else, and what a flat one would cost."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from roemetry_pinhole.adjustment import adjust
+from roemetry_pinhole.bending import BENDS, Bend
+from roemetry_pinhole.equations import ON_BELT, corner_residuals, corner_rows, stripe_residuals, stripe_rows
+from roemetry_pinhole.geometry import CAMERA, Geometry, unknowns_of
+from roemetry_pinhole.holding_out import held_out, lifted, stripe_offsets
+from roemetry_pinhole.lens import bent
+from roemetry_pinhole.measured import Measured
+from roemetry_pinhole.simulated import Shown, SimulatedRig, noisy, shown
+
+RIG = SimulatedRig(1600.0, 350.0, tilt_deg=(6.0, -4.0), lens=(-0.2, 0.1, 0.0, 0.0, 0.0), stripes=5, poses=10)
+FREE = np.arange(CAMERA) < 9
+
+
+def bowed(exact: Shown, bow_mm: float) -> Shown:
+    """What a board shows that is bent like a roof tile, with a twist; marks projected by hand."""
+    extent = exact.corners.board_mm[:, :2].max(axis=0)
+    bend = Bend.none(*extent)
+    coefficients = np.zeros(BENDS)
+    coefficients[[0, 1, 5]] = bow_mm, -0.4 * bow_mm, 0.2 * bow_mm  # x², xy, and xy² of the third order
+    bend = bend.moved(coefficients)
+    geometry = replace(exact.geometry, bend=bend)
+    x, y = (exact.corners.board_mm[:, :2] - 0.5 * extent).T / (0.5 * extent.max())
+    print_mm = exact.corners.board_mm.copy()
+    print_mm[:, 2] = bow_mm * (x**2 - 0.4 * x * y + 0.2 * x * y**2)
+    pose = exact.corners.pose
+    at = (geometry.rotation[pose] @ print_mm[:, :, None])[:, :, 0] + geometry.shift[pose]
+    xy = bent(at[:, :2] / at[:, 2:], geometry.camera[4:]).xy * geometry.camera[:2] + geometry.camera[2:4]
+    points = exact.points
+    for _ in range(4):
+        points = replace(points, x_px=points.x_px - stripe_residuals(geometry, points))
+    return replace(exact, geometry=geometry, corners=replace(exact.corners, xy_px=xy), points=points)
+
+
+def measured(seen: Shown, start: Geometry, *, bend: bool) -> Measured:
+    free = unknowns_of(start, free_camera=FREE, planes=True, belt=True, travel=False, bend=bend)
+    return Measured(start, free, seen.corners, seen.points, seen.feet, 0.03)
+
+
+def test_marks_and_stripes_lie_on_the_bent_print(rng) -> None:
+    exact = bowed(shown(RIG, rng), 0.8)
+    assert np.abs(corner_residuals(exact.geometry, exact.corners)).max() < 1e-9, "px"
+    # where ray and plane of light meet, the print is
+    on = exact.points.pose != ON_BELT
+    pose = exact.points.pose[on]
+    at = lifted(exact.geometry, exact.points)[on] - exact.geometry.shift[pose]
+    board = (at[:, None, :] @ exact.geometry.rotation[pose])[:, 0]
+    off = board[:, 2] - exact.geometry.bend.height_mm(board[:, :2])
+    assert np.abs(off).max() < 1e-6, "mm"
+    assert np.ptp(board[:, 2]) > 0.3, "mm"
+
+
+def test_derivatives_are_those_of_the_equations(rng) -> None:
+    exact = bowed(shown(RIG, rng), 0.8)
+    every = measured(exact, exact.geometry, bend=True).unknowns
+    for rows, what in ((corner_rows, exact.corners), (stripe_rows, exact.points)):
+        found = rows(exact.geometry, every, what)
+        given = np.zeros((found.residual.size, every.count))
+        row, place = np.nonzero(found.columns >= 0)
+        np.add.at(given, (row, found.columns[row, place]), found.values[row, place])
+        for number in every.bend:
+            step = np.zeros(every.count)
+            step[number] = 1e-3
+            up, down = (
+                rows(every.moved(exact.geometry, s * step), every, what).residual for s in (1.0, -1.0)
+            )
+            slope = (up - down) / 2e-3
+            assert np.abs(slope - given[:, number]).max() <= 2e-3 * np.abs(slope).max(), (
+                rows.__name__,
+                number,
+            )
+
+
+def test_the_shape_is_found_and_planes_are_right_again(rng) -> None:
+    exact = bowed(shown(RIG, rng), 0.5)
+    seen = noisy(exact, rng, 0.05, 0.1, 0.03)
+    flat = replace(exact.geometry, bend=None)
+    start = replace(exact.geometry, bend=exact.geometry.bend.moved(-exact.geometry.bend.coefficients_mm))
+    found = measured(seen, start, bend=True).adjusted()
+    assert found.corner_std_px == pytest.approx(0.05, rel=0.15)
+    off = found.geometry.planes - exact.geometry.planes
+    at = found.unknowns.planes
+    covariance = found.covariance[at[:, :, None], at[:, None, :]]
+    square = np.einsum("si,sij,sj->s", off, np.linalg.inv(covariance), off).mean() / 3.0
+    assert square < 2.5
+    assert found.geometry.bend.range_mm() == pytest.approx(exact.geometry.bend.range_mm(), abs=0.03), "mm"
+    taken_for_flat = measured(seen, flat, bend=False).adjusted()
+    assert taken_for_flat.corner_std_px > 1.5 * found.corner_std_px
+
+
+def test_the_spread_of_planes_is_the_stated_one(rng) -> None:
+    exact = bowed(shown(replace(RIG, rows=12), rng), 0.4)
+    squares = []
+    for _ in range(12):
+        seen = noisy(exact, rng, 0.08, 0.15, 0.03)
+        free = measured(seen, exact.geometry, bend=True).unknowns
+        found = adjust(exact.geometry, free, seen.corners, seen.points, seen.feet, foot_std_mm=0.03)
+        off = found.geometry.planes - exact.geometry.planes
+        covariance = found.covariance[free.planes[:, :, None], free.planes[:, None, :]]
+        squares.append(np.einsum("si,sij,sj->s", off, np.linalg.inv(covariance), off) / 3.0)
+    assert 0.5 < np.mean(squares) < 1.6, "twelve draws with one camera in common"
+
+
+def test_held_out_views_know_the_shape(rng) -> None:
+    exact = bowed(shown(RIG, rng), 0.5)
+    seen = noisy(exact, rng, 0.05, 0.1, 0.03)
+    every = measured(seen, exact.geometry, bend=True)
+    found = every.adjusted().geometry
+    held = held_out(every, found)
+    assert np.sqrt((held.mark_px**2).mean()) == pytest.approx(0.05, rel=0.2), "px"
+    assert abs(held.height_mm.mean()) < 0.02, "mm"
+    assert np.sqrt((stripe_offsets(found, seen.points)[0] ** 2).mean()) < 0.02, "mm"
