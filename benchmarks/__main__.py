@@ -14,7 +14,7 @@ BENCHMARKS = {
     "extract": "precision, speed and bias of extractors against the physical bound and against peers",
     "extract_real": "the same on real camera images: matches, reflections, a line across a printed board",
     "frame": "time from an array to a measurement, by stage",
-    "geometry": "displacement and height of one stripe, where the linear model stands, and the page's picture",
+    "geometry": "displacement and height of one stripe, the linear model beside it, and the picture of it",
     "startup": "time of `roemetry --help` over that of a two-command Typer program",
     "herring_roe": "coding, grading and volume on unseen simulated skeins",
     "known_numbers": "what the shipped recipe gives on three skeins, written for `roemetry doctor`",
