@@ -10,7 +10,9 @@ import numpy as np
 from roemetry.arrays import Flags, Floats, Integers
 from roemetry.calibration import Calibration
 from roemetry.records import Peaks
+from roemetry_kernels.label_agreement import agreed
 from roemetry_kernels.label_costs import Labels, Steps, labels_of, steps_of
+from roemetry_kernels.label_cuts import best_shift
 from roemetry_kernels.label_graph import Runs, runs_of, shifts_of
 from roemetry_kernels.label_pieces import ENDS, end_pieces, own_costs, presence_of
 from roemetry_kernels.label_sweeps import swept
@@ -80,16 +82,18 @@ _RUN_ROWS = (25, 85)
 _BELOW_TOLERANCES = 1.5
 _KEEP = 1.0
 _FEW_COUNT = 0.5
+_SMALL_COUNT = 0.4
 _STRANGE_COUNT = 0.3
 _LEVEL_ROWS = 20
 _LEVEL_DEARER = 1.0
 _FEW_PEAKS = 4
+_SMALL_PEAKS = 12
 _MAJORITY = 0.9
 _END_LINES = 30
 _LOST = 0.25
 _SHIFT_GAIN = 6.0
 _GAIN_MIN = 0.5
-_SHIFTS_MAX = 12
+_SHIFTS_MAX = 24
 _ROUNDS = 2
 
 
@@ -151,19 +155,22 @@ def solve_planes(peaks: Peaks, calibration: Calibration, rest: RestLines) -> Sol
     nodes = labels.low, labels.many, labels.offset
     own = _own(problem)
     cost = _swept(problem, own)
-    best, evidence, moved = _shifted(problem, own, chosen(labels.many, labels.offset, cost))
+    best, evidence, moved = _shifted(problem, own, _agreed(problem, cost))
+    moved = moved or bool((best != chosen(labels.many, labels.offset, cost)).any())
     for _ in range(_ROUNDS):
         if not moved:
             break
         cost = _swept(problem, favoured(labels.many, labels.offset, best, own, _SHIFT_GAIN))
-        best, evidence, moved = _shifted(problem, own, chosen(labels.many, labels.offset, cost))
+        best, evidence, moved = _shifted(problem, own, _agreed(problem, cost))
     stripe, dearer, evidence = verdicts_of(
         entries.start, entries.peak, *nodes, problem.sight.line, problem.piece, problem.piece_line,
         cost, best, evidence,
     )  # fmt: skip
     settled = ends_settled(problem.trace, problem.piece, problem.piece_line, problem.home, stripe)
     dearer *= settled
-    dearer[np.bincount(problem.piece)[problem.piece] < _FEW_PEAKS] *= _FEW_COUNT
+    size = np.bincount(problem.piece)[problem.piece]
+    dearer[size < _FEW_PEAKS] *= _FEW_COUNT
+    evidence[(size <= _SMALL_PEAKS) | (problem.piece_line[problem.piece] == ENDS)] *= _SMALL_COUNT
     whole = ~mixed(problem.piece, problem.piece_line, stripe, problem.there.size, _MAJORITY)
     whole &= settled > 0.0
     strange = (problem.piece_line[problem.piece] >= 0) & (stripe != problem.piece_line[problem.piece])
@@ -172,7 +179,18 @@ def solve_planes(peaks: Peaks, calibration: Calibration, rest: RestLines) -> Sol
         peaks.row, stripe, problem.line, problem.piece, problem.piece_line, _LEVEL_ROWS
     )
     whole &= ~_maybe_level(problem, best)
+    # a few peaks by themselves on a rest line are what is left of belt, at the edge of a shadow
+    alone = np.bincount(problem.trace)[problem.trace] < _BELT_ROWS_MIN
+    whole &= ~(alone & (problem.line >= 0) & (problem.line != stripe))
     return Solved(stripe, dearer, evidence, whole, problem.there, problem.entries)
+
+
+def _agreed(problem: _Problem, cost: Floats) -> Integers:
+    labels, piece = problem.labels, problem.piece
+    return np.asarray(agreed(
+        problem.entries.start, problem.entries.peak, labels.low, labels.many, labels.offset, piece,
+        problem.piece_line, problem.there.size, cost,
+    ))  # fmt: skip
 
 
 def _maybe_level(problem: _Problem, best: Integers) -> Flags:
@@ -201,9 +219,14 @@ def _shifted(problem: _Problem, own: Floats, best: Integers) -> tuple[Integers, 
                 labels.offset, problem.piece, best, own, *problem.steps, WEIGHTS.surface, WEIGHTS.unseen,
             )
         )  # fmt: skip
+        by, gain = _best_of_shifts(runs)
+        if gain >= _GAIN_MIN:
+            moved = True
+            best = stepped(labels.many, labels.offset, best, np.where(runs.of >= 0, by[runs.of], 0))
+            continue
         dearer, by = shifts_of(
-            runs.own, runs.one, runs.other, runs.both, runs.start, runs.edge, runs.first, runs.last,
-            runs.size, entries.start.size - 1, _GAIN_MIN,
+            runs.own, runs.one, runs.other, runs.both, runs.disorder, runs.start, runs.edge, runs.first,
+            runs.last, runs.size, entries.start.size - 1, _GAIN_MIN,
         )  # fmt: skip
         evidence = np.where(runs.of >= 0, dearer[runs.of], np.inf)
         if not by.any():
@@ -211,6 +234,13 @@ def _shifted(problem: _Problem, own: Floats, best: Integers) -> tuple[Integers, 
         moved = True
         best = stepped(labels.many, labels.offset, best, np.where(runs.of >= 0, by[runs.of], 0))
     return best, evidence, moved
+
+
+def _best_of_shifts(runs: Runs) -> tuple[Integers, float]:
+    """Give (run,) how far to move it, and the gain, of the best set of runs to move up or down by one."""
+    found = [(way, *best_shift(runs.own, runs.one, runs.other, runs.both, 1, way)) for way in (1, -1)]
+    way, moved, change = min(found, key=lambda shift: shift[2])
+    return np.where(moved, way, 0), -change
 
 
 def _posed(peaks: Peaks, calibration: Calibration, rest: RestLines) -> _Problem:

@@ -26,8 +26,10 @@ OUT = 1000
 """So many stripes on: left out."""
 _SMALL_ENTRIES = 4
 """A run with so few is left out rather than that all behind it must give way."""
-_DISORDER = 1e5
-"""Cost of two neighbours out of order; whatever costs this much is forced to move along."""
+_END_ENTRIES = 12
+"""So may be one with so few, as an end that may hold two stripes, when it is asked what is sure."""
+_DISORDER = 40.0
+"""Cost of two neighbours out of order: more than to leave both out."""
 _IMPOSSIBLE = 20.0
 """Cost of a stripe that an entry cannot be, and of neighbours too far apart to be compared."""
 
@@ -47,6 +49,8 @@ class Runs(NamedTuple):
         (edge,) two runs that touch, the one to the left or above first.
     both
         (edge, way, way) what they cost each other.
+    disorder
+        (edge, way, way) True where that puts neighbours on a sight line out of order.
     start, edge
         (run + 1,) where a run's edges begin; edges, run by run.
     first, last
@@ -61,6 +65,7 @@ class Runs(NamedTuple):
     one: Integers
     other: Integers
     both: Floats
+    disorder: Flags
     start: Integers
     edge: Integers
     first: Integers
@@ -75,7 +80,8 @@ def runs_of(
     surface: NDArray[np.float32], unseen: NDArray[np.float32], before: Floats, after: Floats,
     weight_surface: float, weight_unseen: float,
 ) -> tuple[
-    Integers, Integers, Floats, Integers, Integers, Floats, Integers, Integers, Integers, Integers, Integers
+    Integers, Integers, Floats, Integers, Integers, Floats, Flags, Integers, Integers, Integers, Integers,
+    Integers,
 ]:  # fmt: skip
     """Make the fields of `Runs` of a solution.
 
@@ -121,6 +127,7 @@ def runs_of(
             last = p
     key = np.unique(key[:keys])
     both = np.zeros((key.shape[0], _WAYS + 1, _WAYS + 1))
+    disorder = np.zeros(both.shape, np.bool_)
     for e in range(lines):
         last, n = -1, pair_start[e]
         for p in range(start[e], start[e + 1]):
@@ -152,6 +159,7 @@ def runs_of(
                         k = stripe[f] + b - _ASIDE - low[p]
                         if stripe[of[last]] + a >= stripe[f] + b:
                             both[t, a, b] += _DISORDER
+                            disorder[t, a, b] = True
                         elif not near:
                             both[t, a, b] += _IMPOSSIBLE
                         elif 0 <= k < count[p] and 0 <= h < count[last]:
@@ -166,7 +174,7 @@ def runs_of(
                     alone[of[last], a] += weight_unseen * after[offset[last] + k]
     one, other = key // runs, key % runs
     edge_start, edge = _edges(runs, one, other)
-    return of, stripe, alone, one, other, both, edge_start, edge, first, last_line, size
+    return of, stripe, alone, one, other, both, disorder, edge_start, edge, first, last_line, size
 
 
 @kernel
@@ -208,14 +216,14 @@ def _edges(runs: int, one: Integers, other: Integers) -> tuple[Integers, Integer
 
 @kernel
 def shifts_of(
-    own: Floats, one: Integers, other: Integers, both: Floats, start: Integers, edge: Integers,
-    first: Integers, last: Integers, size: Integers, lines: int, gain_min: float,
+    own: Floats, one: Integers, other: Integers, both: Floats, disorder: Flags, start: Integers,
+    edge: Integers, first: Integers, last: Integers, size: Integers, lines: int, gain_min: float,
 ) -> tuple[Floats, Integers]:  # fmt: skip
     """Shift every run by one stripe either way, with all that must, or had better, go along.
 
     Parameters
     ----------
-    own, one, other, both, start, edge, first, last, size
+    own, one, other, both, disorder, start, edge, first, last, size
         See `Runs`.
     lines
         Number of sight lines.
@@ -237,7 +245,10 @@ def shifts_of(
     for f in range(runs):
         for k in range(2):
             way[:] = _ASIDE
-            cost[f, k] = _shift(f, 2 * k - 1, way, own, one, other, both, start, edge, size, waiting, queued)
+            cost[f, k] = _shift(
+                f, 2 * k - 1, _END_ENTRIES, way, own, one, other, both, disorder, start, edge, size,
+                waiting, queued,
+            )  # fmt: skip
             low, high = lines, 0
             for g in range(runs):
                 if way[g] != _ASIDE:
@@ -260,7 +271,10 @@ def shifts_of(
             break
         if way[f] == _ASIDE:
             tried[:] = way
-            again = _shift(f, 2 * k - 1, tried, own, one, other, both, start, edge, size, waiting, queued)
+            again = _shift(
+                f, 2 * k - 1, _SMALL_ENTRIES, tried, own, one, other, both, disorder, start, edge, size,
+                waiting, queued,
+            )  # fmt: skip
             if again <= -gain_min:
                 way[:] = tried
     for f in range(runs):
@@ -270,12 +284,12 @@ def shifts_of(
 
 @kernel
 def _shift(
-    f: int, by: int, way: Integers, own: Floats, one: Integers, other: Integers, both: Floats,
-    start: Integers, edge: Integers, size: Integers, waiting: Integers, queued: Flags,
+    f: int, by: int, small: int, way: Integers, own: Floats, one: Integers, other: Integers, both: Floats,
+    disorder: Flags, start: Integers, edge: Integers, size: Integers, waiting: Integers, queued: Flags,
 ) -> float:  # fmt: skip
     """Shift run f; then others the same way, as long as order asks for it or it is cheaper; give the cost.
 
-    Small runs that would have to give way are left out, if not all is in order with them shifted.
+    Runs of up to `small` entries that would have to give way are left out, where that is cheaper.
     """
     cost = _change(f, way[f] + by, way, own, one, other, both, start, edge)
     way[f] += by
@@ -286,10 +300,10 @@ def _shift(
         queued[g] = False
         forced = False
         for n in range(start[g], start[g + 1]):
-            forced = forced or both[edge[n], way[one[edge[n]]], way[other[edge[n]]]] >= _DISORDER
+            forced = forced or disorder[edge[n], way[one[edge[n]]], way[other[edge[n]]]]
         to = way[g] + by
         change = _change(g, to, way, own, one, other, both, start, edge)
-        if forced and size[g] <= _SMALL_ENTRIES:
+        if forced and size[g] <= small:
             left_out = _change(g, _OUT, way, own, one, other, both, start, edge)
             if left_out < change:
                 to, change = _OUT, left_out

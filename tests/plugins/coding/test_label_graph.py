@@ -11,7 +11,7 @@ from roemetry_kernels.label_graph import OUT, _edges, shifts_of
 from roemetry_kernels.label_pieces import ENDS
 from roemetry_kernels.label_verdicts import ends_settled, favoured, stepped
 
-RUNS, LINES = 6, 12
+RUNS, LINES = 6, 20
 DISORDER = 1e5
 
 
@@ -30,7 +30,7 @@ def chain(rng: np.random.Generator, gaps: list[int]) -> tuple[np.ndarray, ...]:
     start, edge = _edges(RUNS, one, other)
     first = np.zeros(RUNS, np.int64)
     last, size = np.full(RUNS, LINES - 1), np.full(RUNS, LINES)
-    return own, one, other, both, start, edge, first, last, size
+    return own, one, other, both, both == DISORDER, start, edge, first, last, size
 
 
 def energy(graph: tuple[np.ndarray, ...], by: np.ndarray) -> float:
@@ -61,7 +61,7 @@ def test_a_run_without_room_takes_its_neighbours_along() -> None:
     both = np.zeros((RUNS - 1, 4, 4))
     for a, b in product(range(3), range(3)):
         both[:, a, b] = DISORDER if a > b else 0.0
-    graph = own, one, other, both, *_edges(RUNS, one, other), np.zeros(RUNS, np.int64)
+    graph = own, one, other, both, both == DISORDER, *_edges(RUNS, one, other), np.zeros(RUNS, np.int64)
     last = np.full(RUNS, LINES - 1)
     dearer, by = shifts_of(*graph, last, np.full(RUNS, LINES), LINES, 0.5)
     assert not by.any()
@@ -79,7 +79,7 @@ def test_a_small_run_in_the_way_is_left_out() -> None:
     both = np.zeros((RUNS - 1, 4, 4))
     for a, b in product(range(3), range(3)):
         both[:, a, b] = DISORDER if a > b else 0.0
-    graph = own, one, other, both, *_edges(RUNS, one, other), np.zeros(RUNS, np.int64)
+    graph = own, one, other, both, both == DISORDER, *_edges(RUNS, one, other), np.zeros(RUNS, np.int64)
     last, size = np.full(RUNS, LINES - 1), np.array([LINES] * (RUNS - 1) + [2])
     _, by = shifts_of(*graph, last, size, LINES, 0.5)
     np.testing.assert_array_equal(by, [1] * (RUNS - 1) + [OUT])
