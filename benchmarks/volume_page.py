@@ -146,11 +146,11 @@ _HEAD = """\
 # Volume: what was seen, what was assumed
 
 Made by `python -m benchmarks volume --first {first} --count {count} --meshes {meshes} --images {images}`:
-{count} simulated herring roe
-skeins of all kinds, seeds {first} to {last}, each on a rig of its own (camera 270 to 420 mm above the
-belt, laser on either side, stripes over 87.5 mm). While the estimators were made, seeds below 3000, 30000 to
-30499 and 40000 to 40059 were looked at. Errors are those of the **visible volume**, the integral of the top
-surface's height over the footprint, in per cent of the truth. {pictured}
+{count} simulated herring roe skeins of all kinds, seeds {first} to {last}, each on a rig of its own
+(camera 270 to 420 mm above the belt, laser on either side, stripes over 87.5 mm). While the estimators were
+made, seeds below 3000, 30000 to 30499 and 40000 to 40059 were looked at. Errors are those of the
+**visible volume**, the integral of the top surface's height over the footprint, in per cent of the truth.
+{pictured}
 
 Stripe centres, planes and silhouettes are exact unless it says *from images*: what is left is the error
 of the method.
