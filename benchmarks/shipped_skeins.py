@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
 
 from benchmarks.herring_roe import BEST_OPTIONS, score
@@ -17,6 +18,7 @@ FOLDER = Path("recipes/herring_roe")
 
 def main() -> None:
     """Print the table."""
+    argparse.ArgumentParser(description=__doc__).parse_args()
     recipe = Recipe.load(FOLDER)
     source, pipeline = recipe.source.make(), Pipeline(recipe)
     best = ArcCurvature(ArcCurvatureOptions(**BEST_OPTIONS))
