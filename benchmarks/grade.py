@@ -26,6 +26,7 @@ from benchmarks.traced.tables import LEARNING_MIX, Row
 MODEL = Path("recipes/herring_roe/classifier.json")
 LEARN_FROM = 50000
 STRANGERS_FROM = 65000
+DENSE_LEARN = (73000, 73250)
 TESTS = {
     "recipe-like": (80200, 1.0, ()),
     "farther": (71000, 0.5, LEARNING_MIX),
@@ -57,6 +58,12 @@ def main() -> None:
     found = {
         rig: {name: judged_by(judge, rows) for name, judge in judges.items()} for rig, rows in tests.items()
     }
+    again = fitted_model(rows_of(range(*DENSE_LEARN), "dense", given.cache, mix=LEARNING_MIX))
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "dense.json"
+        path.write_text(again.content, encoding="utf-8")
+        judge = judges_of(path, limits)["`learned`"]
+        found["dense"]["`learned`, fitted on such rigs"] = judged_by(judge, tests["dense"])
     text = page(learning, fitted, limits, tests, found, given.model.stat().st_size, given.page.parent.parent)
     text += strangers(given.model, range(STRANGERS_FROM, STRANGERS_FROM + given.strangers))
     given.page.write_text(text, encoding="utf-8")

@@ -55,6 +55,7 @@ def page(
             seeds=seeds,
         ),
         *(_results(rig, by_judge) for rig, by_judge in found.items()),
+        _DENSE,
         "## Over the size of what is shown\n",
         _SIZE,
         _over_shown(found["recipe-like"]),
@@ -176,6 +177,13 @@ defects by turns.
 deformed. *Balanced*: mean of good kept and caught, its interval from those of both shares. *Named right*:
 of the same skeins, the defect by its name: several dents are a dent, an S-bend is a bend. *Caught of all*:
 of all deformed ones, those too whose defect lies between the stripes. *Unknown* is neither kept nor caught.
+"""
+
+_DENSE = """\
+Neither the limits nor the model hold on a rig of twice as many stripes with three times the noise: sections
+are closer, and their noise is hollow and steep. Fitted on such rigs (seeds 73000 to 73249) the same method
+does what the last line says. A model belongs to a design of a rig: after a change of stripes, lens or
+extractor fit again.
 """
 
 _SIZE = """\
