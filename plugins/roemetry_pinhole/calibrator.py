@@ -8,7 +8,9 @@ from typing import Literal
 
 from pydantic import Field
 
+from roemetry.arrays import Floats
 from roemetry.calibration import Calibration
+from roemetry.errors import CalibrationError
 from roemetry.records import CalibrationSet, Evidence
 from roemetry.stages import Calibrator, Capabilities, StageOptions
 from roemetry_pinhole.evidence import evidence_of
@@ -23,6 +25,7 @@ from roemetry_pinhole.frames import (
 from roemetry_pinhole.free_scale import rescaled, scaled_by_references
 from roemetry_pinhole.joining import Joint, joint
 from roemetry_pinhole.judging import judged
+from roemetry_pinhole.opencv_file import read_planes
 from roemetry_pinhole.scale import of_lengths
 from roemetry_pinhole.second_targets import check_scale
 
@@ -37,6 +40,13 @@ class PinholeCalibratorOptions(StageOptions):
     camera: Path | None = Field(
         default=None,
         description="OpenCV file with a camera matrix and distortion that are known and not looked for",
+    )
+    planes: Path | None = Field(
+        default=None,
+        description="OpenCV file with known planes of light: rows A, B, C, D, camera frame, mm",
+    )
+    planes_form: Literal["Ax+By+Cz+D=0", "Ax+By+Cz-D=0"] = Field(
+        default="Ax+By+Cz+D=0", description="what a row of the file of planes means"
     )
     flatness: Literal["known", "free"] = Field(
         default="known",
@@ -122,7 +132,19 @@ class PinholeCalibrator(Calibrator[PinholeCalibratorOptions]):
             camera_file=self.options.camera,
             print_contrast_max=self.options.print_contrast_max,
             bent=self.options.flatness == "free",
+            planes=self._planes(),
         )
+
+    def _planes(self) -> Floats | None:
+        """Give the planes that are known; raise CalibrationError where it is not said up to which height."""
+        if self.options.planes is None:
+            return None
+        if self.options.height_max_mm is None:
+            raise CalibrationError(
+                "with known planes nothing tells up to which height the calibration is meant",
+                hint="give height_max_mm among the calibrator's options",
+            )
+        return read_planes(self.options.planes, sign=1 if self.options.planes_form == "Ax+By+Cz+D=0" else -1)
 
 
 def _described(joined: Joint) -> dict[str, object]:

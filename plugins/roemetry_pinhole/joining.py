@@ -16,6 +16,7 @@ from roemetry_pinhole.equations import Corners, Feet, StripePoints
 from roemetry_pinhole.first_camera import FirstCamera, first_camera, free_numbers
 from roemetry_pinhole.from_solids import OnSolids, from_solids, solids_in
 from roemetry_pinhole.geometry import CAMERA, Geometry, unknowns_of
+from roemetry_pinhole.known_planes import with_known_planes
 from roemetry_pinhole.measured import Measured
 from roemetry_pinhole.opencv_file import read_camera
 from roemetry_pinhole.stripe_points import Gathered, gather
@@ -67,6 +68,7 @@ def joint(
     camera_file: Path | None,
     print_contrast_max: float,
     bent: bool = False,
+    planes: Floats | None = None,
 ) -> Joint:
     """Find everything in the images and adjust it together.
 
@@ -82,6 +84,8 @@ def joint(
         Largest contrast of the print under a stripe at which its peaks count.
     bent
         Whether the board's shape is looked for.
+    planes
+        (stripe, 3) p·X = 1 of planes that are known and not looked for; a camera file is needed then.
 
     Raises
     ------
@@ -92,6 +96,8 @@ def joint(
     on_boards = any(one.shows in _BOARDS and one.frame.role == "laser" for one in observed.observations)
     by_solids = bool(solids_in(observed)) and not on_boards
     known = None if camera_file is None else read_camera(camera_file)
+    if planes is not None:
+        return _by_planes(observed, known, planes)
     if board is None and not (by_solids and known is not None):
         raise CalibrationError(
             "no board is described",
@@ -130,6 +136,28 @@ def joint(
         measured,
         measured.adjusted(),
         _moves(counts),
+    )
+
+
+def _by_planes(observed: CalibrationSet, camera: Floats | None, planes: Floats) -> Joint:
+    """Camera and planes from files; the empty belt tells where it is."""
+    if camera is None:
+        raise CalibrationError(
+            "planes of light are given without the camera in whose frame they are",
+            hint="name the camera's file as well: options: {camera: camera.yaml, planes: planes.yaml}",
+        )
+    measured = with_known_planes(observed, camera, planes)
+    return Joint(
+        None,
+        observed.observations[0].frame.size,
+        Seen(),
+        FirstCamera(camera, [], measured.start.rotation, measured.start.shift),
+        np.empty(0, np.int64),
+        0.0,
+        None,
+        measured,
+        measured.adjusted(),
+        moves=False,
     )
 
 

@@ -53,6 +53,11 @@ def judged(joined: Joint, *, scale_is_known: bool = True) -> Verdict:
     if joined.solids is not None:
         names = ", ".join(f"{shape.kind} {shape.name}" for shape in joined.solids.shapes)
         notes.append(f"planes of light: from {names}")
+    if joined.board is None and joined.solids is None:
+        notes.append(
+            "camera and planes of light were read from files and are taken as exact: their uncertainty is in "
+            "no figure"
+        )
     if joined.moves:
         travelled, said = _of_travel(adjusted)
         residuals, notes = residuals | travelled, [*notes, said]
@@ -177,12 +182,12 @@ def _systematic(adjusted: Adjusted, first: FirstCamera, size: tuple[int, int]) -
 
 
 def _height_reached(joined: Joint) -> float:
-    """Greatest height over the belt of the boards' middles, or of the solids whose stripes were used, mm."""
+    """Greatest height over the belt of the boards' middles, or of the solids, mm; 0 where there are none."""
     geometry, board = joined.adjusted.geometry, joined.board
     if joined.solids is not None:
         return max(shape.height_mm for shape in joined.solids.shapes)
     if board is None:
-        raise AssertionError("planes come from boards or solids")
+        return 0.0
     middle = 0.5 * board.pitch_mm * np.array([board.columns, board.rows, 0.0])
     at: Floats = geometry.rotation @ middle + geometry.shift
     height = (1.0 - at @ geometry.belt) / np.sqrt(geometry.belt @ geometry.belt)

@@ -161,7 +161,8 @@ def _circles(grey: NDArray[np.uint8], board: Board) -> tuple[Floats, Floats, flo
         if not found:
             found, centres = cv2.findCirclesGrid(grey, size, flags=flags, blobDetector=detector)
     if not found:
-        raise UnseenError(why_no_circles(grey, board, len(detector.detect(grey))))
+        circles = np.array([one.pt for one in detector.detect(grey)], np.float64).reshape(-1, 2)
+        raise UnseenError(why_no_circles(grey, board, circles))
     xy = np.asarray(centres, np.float64).reshape(size[1], size[0], 2)
     board_mm, places = _grid(_right_handed(xy), board.pitch_mm, 0.5)
     spacing_px = _spacing(board_mm, places, board.pitch_mm)

@@ -46,7 +46,11 @@ def read_camera(path: Path) -> Floats:
 
 
 def write_camera(path: Path, view: View) -> None:
-    """Write a view's camera as OpenCV's `FileStorage` does: camera_matrix, distortion_coefficients, size."""
+    """Write a view's camera as OpenCV's `FileStorage` does: camera_matrix, distortion_coefficients, size.
+
+    Planes of light are rows A, B, C, D of Ax + By + Cz + D = 0 in the camera's frame, as `read_planes` takes
+    them.
+    """
     import cv2
 
     storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
@@ -57,7 +61,9 @@ def write_camera(path: Path, view: View) -> None:
     storage.write("camera_matrix", np.array(view.camera_matrix))
     storage.write("distortion_coefficients", np.array(view.distortion).reshape(1, -1))
     storage.write("T_belt_camera", np.array(view.T_belt_camera))
-    storage.write("laser_planes", np.array(view.planes))
+    pose, planes = np.array(view.T_belt_camera), np.array(view.planes)
+    rows = np.column_stack([planes[:, :3] @ pose[:3, :3], planes[:, :3] @ pose[:3, 3] - planes[:, 3]])
+    storage.write("laser_planes", rows)
     storage.release()
 
 
@@ -76,8 +82,15 @@ def plane_from(a: float, b: float, c: float, d: float, *, sign: int) -> Floats:
     return np.array([a, b, c], np.float64) / distance
 
 
-def read_planes(path: Path) -> Floats:
-    """Give (stripe, 3) p·X = 1 from a file that holds rows A, B, C, D of Ax + By + Cz + D = 0 in `planes`.
+def read_planes(path: Path, *, sign: int = 1) -> Floats:
+    """Give (stripe, 3) p·X = 1 from rows A, B, C, D named `planes` or `laser_planes`, camera frame, mm.
+
+    Parameters
+    ----------
+    path
+        YAML, JSON or XML as OpenCV writes it.
+    sign
+        1 where the rows mean Ax + By + Cz + D = 0, −1 where they mean Ax + By + Cz − D = 0.
 
     Raises
     ------
@@ -91,7 +104,10 @@ def read_planes(path: Path) -> Floats:
         storage.release()
     if rows is None or rows.ndim != 2 or rows.shape[1] != 4:
         raise DataError(f"{path}: there are no planes here: rows of A, B, C, D named `planes`")
-    return np.stack([plane_from(*row, sign=1) for row in rows.tolist()])
+    try:
+        return np.stack([plane_from(*row, sign=sign) for row in rows.tolist()])
+    except DataError as error:
+        raise DataError(f"{path}: {error.message}") from error
 
 
 def _opened(path: Path):  # type: ignore[no-untyped-def]  # noqa: ANN202

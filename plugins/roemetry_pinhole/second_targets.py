@@ -60,12 +60,13 @@ def check_scale(calibration: Calibration, observed: CalibrationSet) -> dict[str,
     """
     residuals, notes = dict(calibration.residuals), list(calibration.notes)
     found, missed = references(calibration, observed)
+    first = "board" if "pitch_mm" in calibration.target else "known planes"
     for one in found:
         std = one.std(calibration.covariance)
         if abs(one.ratio - 1.0) > CONFLICT_STDS * std:
             raise CalibrationError(
-                f"board and {one.name} contradict each other: by the board {one.what} is {one.ratio:.4f} ± "
-                f"{std:.4f} times what is described",
+                f"{first} and {one.name} contradict each other: by the {first} {one.what} is "
+                f"{one.ratio:.4f} ± {std:.4f} times what is described",
                 hint="measure the board's pitch and the reference with a calliper: was the board printed to "
                 "fit the page? `scale: free` takes the scale from the reference",
             )

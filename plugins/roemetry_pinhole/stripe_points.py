@@ -140,10 +140,31 @@ def gather(
         if number != ON_BELT
     )
     rows = np.concatenate([part for part, _ in parts])
-    points = StripePoints(
+    return Gathered(_points(rows), numbered.planes, belt, 1.0 - kept / max(on_stripes, 1), left_out)
+
+
+def belt_points(
+    belts: tuple[Observation, ...], camera: Floats, planes: Floats
+) -> tuple[StripePoints, Floats]:
+    """Give the stripes on the empty belt, numbered by known planes, and a first estimate of the belt.
+
+    Raises
+    ------
+    CalibrationError
+        Another number of stripes is seen than there are planes.
+    """
+    belt, parts = _belt_lines(belts, camera, planes)
+    if belt is None:
+        raise CalibrationError("there is no image of the empty belt", hint="name one in images.belt")
+    step = max(1, -(-sum(part.size for *_, part in parts) // _POINTS_MAX))
+    rows = np.concatenate([_binned(*part, step, 0.0)[0] for part in parts])
+    return _points(rows), belt
+
+
+def _points(rows: Floats) -> StripePoints:
+    return StripePoints(
         rows[:, 0].astype(np.int64), rows[:, 1].astype(np.int64), *np.ascontiguousarray(rows[:, 2:].T)
     )
-    return Gathered(points, numbered.planes, belt, 1.0 - kept / max(on_stripes, 1), left_out)
 
 
 def _straight(peaks: Peaks, camera: Floats) -> Floats:

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from roemetry.arrays import Floats
 from roemetry.records import Board
 
 _BLURRED_PX = 8.0
 _DICTIONARIES = ("DICT_4X4_1000", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000", "DICT_ARUCO_ORIGINAL")
-_BORDER_SHARE = 0.02
+_ENLARGED = 4
+_MARKERS_MIN = 4
+_SQUARES_MIN = 25
+_SQUARE_MAX_PX = 12.0
 
 
 class UnseenError(Exception):
@@ -25,6 +30,9 @@ def why_no_charuco(grey: NDArray[np.uint8], board: Board, corners: int) -> str:
     mirrored = _markers(np.ascontiguousarray(grey[:, ::-1]), str(board.dictionary))
     if mirrored > max(2, 2 * own):  # a few false ones are found in any image
         return "the image is mirrored: the board's markers are found in its mirror image"
+    tiny = _tiny(grey, str(board.dictionary))
+    if tiny:
+        return tiny
     if own < 3:
         for name in _DICTIONARIES:
             found = _markers(grey, name)
@@ -65,14 +73,23 @@ def why_no_chessboard(grey: NDArray[np.uint8], board: Board) -> str:
     )
 
 
-def why_no_circles(grey: NDArray[np.uint8], board: Board, circles: int) -> str:
-    """Say why no grid of circles was found."""
-    expected = board.columns * board.rows
-    if circles < expected / 4:
-        return _blurred(grey) or f"no board is seen ({circles} dark circles, {expected} are expected)"
-    if circles < expected:
-        return f"the board is cut off: {circles} of {expected} circles are seen"
-    return f"{circles} dark circles are seen, no grid of {board.columns} × {board.rows}: is it another board?"
+def why_no_circles(grey: NDArray[np.uint8], board: Board, circles_px: Floats) -> str:
+    """Say why no grid was found among dark circles at (circle, 2)."""
+    expected, count = board.columns * board.rows, len(circles_px)
+    if count < expected / 4:
+        return _blurred(grey) or f"no board is seen ({count} dark circles, {expected} are expected)"
+    if count >= expected:
+        return (
+            f"{count} dark circles are seen, no grid of {board.columns} × {board.rows}: is it another board?"
+        )
+    apart = np.hypot(*(circles_px[:, None] - circles_px[None]).transpose(2, 0, 1))
+    pitch = float(np.median(np.sort(apart, axis=1)[:, 1]))
+    low, high = circles_px.min(axis=0), circles_px.max(axis=0)
+    if (low < 1.5 * pitch).any() or (high > np.array(grey.shape[::-1]) - 1.5 * pitch).any():
+        return f"the board is cut off: {count} of {expected} circles are seen"
+    return (
+        f"{count} dark circles are seen, {expected} are expected: is it another board, or is a part covered?"
+    )
 
 
 def board_ids(board: Board) -> NDArray[Any]:
@@ -95,6 +112,27 @@ def _ids(grey: NDArray[np.uint8], dictionary: str) -> NDArray[Any]:
     detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary)))
     ids = detector.detectMarkers(grey)[1]
     return np.empty(0, np.int64) if ids is None else np.ravel(ids)
+
+
+def _tiny(grey: NDArray[np.uint8], dictionary: str) -> str:
+    """Say that markers are too small to be read, by what an enlarged image shows; "" where they are not."""
+    import cv2
+
+    large = cv2.resize(grey, None, fx=_ENLARGED, fy=_ENLARGED, interpolation=cv2.INTER_CUBIC)
+    detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary)))
+    corners, _, squares = detector.detectMarkers(large)
+
+    def width_px(found: Sequence[NDArray[Any]]) -> float:
+        return float(np.median([np.hypot(*(one[0, 1] - one[0, 0])) for one in found])) / _ENLARGED
+
+    if len(corners) >= _MARKERS_MIN:
+        width = width_px(corners)
+        return (
+            f"the board is tiny: its markers are {width:.0f} px wide, 14 px are needed" if width < 14 else ""
+        )
+    if not corners and len(squares) >= _SQUARES_MIN and width_px(squares) < _SQUARE_MAX_PX:
+        return f"no board is seen, but {len(squares)} small squares: is the board tiny, too far away?"
+    return ""
 
 
 def _blurred(grey: NDArray[np.uint8]) -> str:

@@ -88,7 +88,7 @@ def spoilt(board: Board, fault: str) -> Frame:
     if fault == "blurred":
         pixels = cv2.GaussianBlur(pixels, (0, 0), 14.0)
     elif fault == "tiny":
-        pixels = seen(board, scale=0.065)[0].pixels
+        pixels = seen(board, scale=0.1 if board.kind == "charuco" else 0.065)[0].pixels
     elif fault == "mirrored":
         pixels = np.ascontiguousarray(pixels[:, ::-1])
     elif fault == "cut off":
@@ -108,6 +108,9 @@ def spoilt(board: Board, fault: str) -> Frame:
         (CHESS, "blurred", "blurred"),
         (CHESS, "cut off", "cut off|another board"),
         (CHESS, "nothing", "no board is seen"),
+        (CHARUCO, "tiny", "tiny"),
+        (CHESS, "tiny", "tiny"),
+        (CIRCLES, "tiny", "tiny"),
         (CIRCLES, "cut off", "cut off|another board"),
         (CIRCLES, "nothing", "no board is seen"),
     ],
@@ -117,9 +120,11 @@ def test_a_board_that_cannot_be_used_is_named(board: Board, fault: str, says: st
         find_marks(spoilt(board, fault), board)
 
 
-def test_a_tiny_board_is_not_used() -> None:
-    with pytest.raises(UnseenError, match=r"tiny|no board|cut off|another"):
-        find_marks(spoilt(CHESS, "tiny"), CHESS)
+@pytest.mark.parametrize("scale", [0.12, 0.14, 0.16])
+def test_markers_that_cannot_be_read_are_called_tiny(scale: float) -> None:
+    frame, _ = seen(CHARUCO, scale=scale)
+    with pytest.raises(UnseenError, match=r"the board is tiny: its markers are \d+ px wide"):
+        find_marks(frame, CHARUCO)
 
 
 @pytest.mark.parametrize(
@@ -128,6 +133,8 @@ def test_a_tiny_board_is_not_used() -> None:
         (CHARUCO, Board("c", "charuco", 9, 6, 8.0, 6.0, "DICT_5X5_250")),
         (CHESS, Board("b", "chessboard", 8, 6, 8.0)),
         (CHESS, Board("b", "chessboard", 11, 8, 8.0)),
+        (CIRCLES, Board("g", "circle-grid", 6, 5, 8.0)),
+        (CHARUCO, Board("c", "charuco", 12, 9, 8.0, 6.0, "DICT_4X4_250")),
     ],
 )
 def test_another_board_is_told(board: Board, other: Board) -> None:
