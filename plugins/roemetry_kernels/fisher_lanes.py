@@ -6,8 +6,6 @@ the compiler needs to see that lanes do not depend on each other.
 
 from __future__ import annotations
 
-import math
-
 from roemetry.arrays import Floats
 from roemetry_kernels.compiling import kernel
 
@@ -55,7 +53,9 @@ P3 = 34 * LANES
 P4 = 35 * LANES
 SPREAD = 36 * LANES
 SPECKLE = 37 * LANES
-TABLE = 38 * LANES
+GOOD = 38 * LANES
+MOVES = 39 * LANES
+TABLE = 40 * LANES
 _E3, _E4, _E5, _E6, _E7, _E8 = 1 / 6, 1 / 24, 1 / 120, 1 / 720, 1 / 5040, 1 / 40320
 
 
@@ -88,26 +88,70 @@ def normal_sums(
             v = variance + gain * max(b + m, 0.0) + lanes[C2 + lane] * m * m
             kept = keep[LANES * i + lane] if r * r <= lanes[LIMIT + lane] * v else 0.0
             used[LANES * i + lane] = kept
-            iv = kept / math.sqrt(v)
             j0 = 2.0 * m * d * inverse
-            w0, w1, w2, w3 = j0 * iv, e * iv, j0 * d * iv, r * iv
-            t = rho * lanes[C2 + lane] * m * iv * lanes[M + lane] * lanes[IV + lane]
-            z = 1.0 / math.sqrt(1.0 - t * t)
-            q0 = (w0 - t * lanes[W0 + lane]) * z
-            q1 = (w1 - t * lanes[W1 + lane]) * z
-            q2 = (w2 - t * lanes[W2 + lane]) * z
-            q3 = (w3 - t * lanes[W3 + lane]) * z
-            lanes[M + lane], lanes[IV + lane] = m, iv
-            lanes[W0 + lane], lanes[W1 + lane], lanes[W2 + lane], lanes[W3 + lane] = w0, w1, w2, w3
-            lanes[N00 + lane] += q0 * q0
-            lanes[N01 + lane] += q0 * q1
-            lanes[N02 + lane] += q0 * q2
-            lanes[N11 + lane] += q1 * q1
-            lanes[N12 + lane] += q1 * q2
-            lanes[N22 + lane] += q2 * q2
-            lanes[G0 + lane] += q0 * q3
-            lanes[G1 + lane] += q1 * q3
-            lanes[G2 + lane] += q2 * q3
+            j2 = j0 * d
+            # What the pixel before tells of this one by the speckle both share is taken off; what is left
+            # has the variance v − c²/v'. One division serves for both variances.
+            before = lanes[IV + lane]
+            c = rho * lanes[C2 + lane] * m * lanes[M + lane]
+            told = c * before
+            left = v - c * told
+            over = kept / (v * left)
+            q0, q1 = j0 - told * lanes[W0 + lane], e - told * lanes[W1 + lane]
+            q2, q3 = j2 - told * lanes[W2 + lane], r - told * lanes[W3 + lane]
+            weight = v * over
+            p0, p1, p2 = weight * q0, weight * q1, weight * q2
+            lanes[M + lane], lanes[IV + lane] = m, left * over
+            lanes[W0 + lane], lanes[W1 + lane], lanes[W2 + lane], lanes[W3 + lane] = j0, e, j2, r
+            lanes[N00 + lane] += p0 * q0
+            lanes[N01 + lane] += p0 * q1
+            lanes[N02 + lane] += p0 * q2
+            lanes[N11 + lane] += p1 * q1
+            lanes[N12 + lane] += p1 * q2
+            lanes[N22 + lane] += p2 * q2
+            lanes[G0 + lane] += p0 * q3
+            lanes[G1 + lane] += p1 * q3
+            lanes[G2 + lane] += p2 * q3
+
+
+@kernel(fastmath={"contract", "nsz"}, error_model="numpy")
+def steps(lanes: Floats, enough: float, shift_max: float, sigma_min: float, sigma_max: float) -> None:
+    """Take each lane's step from its normal equations; GOOD and MOVES say of each 1 or 0.
+
+    A lane is no longer GOOD where the equations have no solution, or where it left what is near its start or
+    a stripe's width. It MOVES where the step is longer than `enough` of the centre's standard uncertainty.
+    `shift_max` is in standard deviations of the stripe, `sigma_min` and `sigma_max` in px.
+    """
+    for lane in range(LANES):
+        n00, n01, n02 = lanes[N00 + lane], lanes[N01 + lane], lanes[N02 + lane]
+        n11, n12, n22 = lanes[N11 + lane], lanes[N12 + lane], lanes[N22 + lane]
+        g0, g1, g2 = lanes[G0 + lane], lanes[G1 + lane], lanes[G2 + lane]
+        c00, c01, c02 = n11 * n22 - n12 * n12, n02 * n12 - n01 * n22, n01 * n12 - n02 * n11
+        c11, c12, c22 = n00 * n22 - n02 * n02, n01 * n02 - n00 * n12, n00 * n11 - n01 * n01
+        det = n00 * c00 + n01 * c01 + n02 * c02
+        solved = det > 1e-9 * n00 * n11 * n22
+        one = 1.0 / (det if solved else 1.0)
+        a, s = lanes[A + lane], lanes[S + lane]
+        dx = (c00 * g0 + c01 * g1 + c02 * g2) * one
+        da = (c01 * g0 + c11 * g1 + c12 * g2) * one
+        ds = (c02 * g0 + c12 * g1 + c22 * g2) * one
+        far = abs(dx) + 0.3 * s * abs(ds)
+        good = lanes[GOOD + lane] if solved else 0.0
+        lanes[MOVES + lane] = good if far * far > enough * enough * c00 * one else 0.0
+        # A lane that is not good stays where it is.
+        dx, da, ds = (dx, da, ds) if good > 0.0 else (0.0, 0.0, 0.0)
+        lanes[H0 + lane] = c00 * one if good > 0.0 else lanes[H0 + lane]
+        lanes[H1 + lane] = c01 * one if good > 0.0 else lanes[H1 + lane]
+        lanes[H2 + lane] = c02 * one if good > 0.0 else lanes[H2 + lane]
+        x = lanes[X + lane] + min(max(dx, -0.7 * s), 0.7 * s)
+        # exp(ds) to 1e-6 of 1.
+        ds = min(max(ds, -0.4), 0.4)
+        s *= 1.0 + ds * (1.0 + ds * (0.5 + ds * (_E3 + ds * (_E4 + ds * (_E5 + ds * _E6)))))
+        lanes[X + lane], lanes[S + lane] = x, s
+        lanes[A + lane] = min(max(a + da, 0.4 * a), 2.5 * a)
+        near = abs(x - lanes[START_X + lane]) <= shift_max * max(lanes[START_S + lane], 1.0)
+        near &= (s >= sigma_min) & (s <= sigma_max)
+        lanes[GOOD + lane] = good if near else 0.0
 
 
 @kernel(fastmath={"contract", "nsz"}, error_model="numpy")
@@ -135,12 +179,15 @@ def centre_variance(lanes: Floats, used: Floats, n: int, variance: float, gain: 
             m = lanes[A + lane] * e
             mu = max(lanes[B + lane] + lanes[SLOPE + lane] * (x - lanes[START_X + lane]) + m, 0.0)
             v = variance + gain * mu + lanes[C2 + lane] * m * m
-            iv = used[LANES * i + lane] / math.sqrt(v)
             j0 = 2.0 * m * d * inverse
-            u = iv * (lanes[H0 + lane] * j0 + lanes[H1 + lane] * e + lanes[H2 + lane] * j0 * d)
-            t = rho * lanes[C2 + lane] * m * iv * lanes[M + lane] * lanes[IV + lane]
-            own = (u - t * lanes[U + lane]) / (1.0 - t * t)
-            q = lanes[IV + lane] * (lanes[E + lane] - t * own)
+            before = lanes[IV + lane]
+            c = rho * lanes[C2 + lane] * m * lanes[M + lane]
+            told = c * before
+            left = v - c * told
+            over = used[LANES * i + lane] / (v * left)
+            u = lanes[H0 + lane] * j0 + lanes[H1 + lane] * e + lanes[H2 + lane] * j0 * d
+            own = v * over * (u - told * lanes[U + lane])
+            q = lanes[E + lane] - told * own
             p = q * lanes[M + lane]
             near = (
                 rho * lanes[P1 + lane] + r2 * lanes[P2 + lane] + r3 * lanes[P3 + lane] + r4 * lanes[P4 + lane]
@@ -151,7 +198,7 @@ def centre_variance(lanes: Floats, used: Floats, n: int, variance: float, gain: 
             lanes[P3 + lane] = lanes[P2 + lane]
             lanes[P2 + lane] = lanes[P1 + lane]
             lanes[P1 + lane] = p
-            lanes[M + lane], lanes[IV + lane], lanes[MU + lane] = m, iv, mu
+            lanes[M + lane], lanes[IV + lane], lanes[MU + lane] = m, left * over, mu
             lanes[U + lane], lanes[E + lane] = u, own
 
 

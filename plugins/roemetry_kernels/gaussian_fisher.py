@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from roemetry.arrays import Floats, Integers
 from roemetry_kernels import fisher_lanes as at
 from roemetry_kernels.compiling import kernel
-from roemetry_kernels.fisher_lanes import LANES, centre_variance, normal_sums
+from roemetry_kernels.fisher_lanes import LANES, centre_variance, normal_sums, steps
 
 WINDOW = 3.2
 """Half of a fitted window, standard deviations of the stripe."""
@@ -130,7 +130,7 @@ def fit_peaks(
                     used[LANES * n + lane] = 0.0
                     if clipped and phase == 1 and lane < count:
                         state[p] = CLIPPED
-                good = _fit_lanes(lanes, grey, keep, used, n, variance, gain, rho, phase == 1)
+                _fit_lanes(lanes, grey, keep, used, n, variance, gain, rho, phase == 1)
                 if phase == 1:
                     centre_variance(lanes, used, n, variance, gain, rho)
                 for lane in range(count):
@@ -143,7 +143,7 @@ def fit_peaks(
                         lanes[at.A + lane],
                         lanes[at.S + lane],
                     )
-                    if not good >> lane & 1:
+                    if lanes[at.GOOD + lane] == 0.0:
                         state[p] = FAILED
 
 
@@ -182,43 +182,19 @@ def _fit_lanes(
     gain: float,
     rho: float,
     to_the_end: bool,
-) -> int:
-    """Step until all lanes rest, then on without outliers; gives a bit for each good lane."""
-    good = (1 << LANES) - 1
+) -> None:
+    """Step until all lanes rest, then on without outliers."""
+    lanes[at.GOOD : at.GOOD + LANES] = 1.0
     lanes[at.LIMIT : at.LIMIT + LANES] = np.inf
     for step in range(_STEPS_MAX if to_the_end else _FIRST_STEPS):
         last = lanes[at.LIMIT] < np.inf
         normal_sums(lanes, grey, keep, used, n, variance, gain, rho)
+        steps(lanes, _ENOUGH, _SHIFT_MAX, _SIGMA_MIN_PX, _SIGMA_MAX_PX)
         rests = True
         for lane in range(LANES):
-            if not good >> lane & 1:
-                continue
-            n00, n01, n02 = lanes[at.N00 + lane], lanes[at.N01 + lane], lanes[at.N02 + lane]
-            n11, n12, n22 = lanes[at.N11 + lane], lanes[at.N12 + lane], lanes[at.N22 + lane]
-            g0, g1, g2 = lanes[at.G0 + lane], lanes[at.G1 + lane], lanes[at.G2 + lane]
-            c00, c01, c02 = n11 * n22 - n12 * n12, n02 * n12 - n01 * n22, n01 * n12 - n02 * n11
-            c11, c12, c22 = n00 * n22 - n02 * n02, n01 * n02 - n00 * n12, n00 * n11 - n01 * n01
-            det = n00 * c00 + n01 * c01 + n02 * c02
-            if not det > 1e-9 * n00 * n11 * n22:
-                good &= ~(1 << lane)
-                continue
-            a, s = lanes[at.A + lane], lanes[at.S + lane]
-            dx = (c00 * g0 + c01 * g1 + c02 * g2) / det
-            da = (c01 * g0 + c11 * g1 + c12 * g2) / det
-            ds = (c02 * g0 + c12 * g1 + c22 * g2) / det
-            if abs(dx) + 0.3 * s * abs(ds) > _ENOUGH * math.sqrt(c00 / det):
-                rests = False
-            lanes[at.H0 + lane], lanes[at.H1 + lane], lanes[at.H2 + lane] = c00 / det, c01 / det, c02 / det
-            x = lanes[at.X + lane] + min(max(dx, -0.7 * s), 0.7 * s)
-            s *= math.exp(min(max(ds, -0.4), 0.4))
-            far = _SHIFT_MAX * max(lanes[at.START_S + lane], 1.0)
-            lanes[at.X + lane], lanes[at.S + lane] = x, s
-            lanes[at.A + lane] = min(max(a + da, 0.4 * a), 2.5 * a)
-            if not (abs(x - lanes[at.START_X + lane]) <= far and _SIGMA_MIN_PX <= s <= _SIGMA_MAX_PX):
-                good &= ~(1 << lane)
+            rests &= lanes[at.MOVES + lane] == 0.0
         if last and rests:
             break
         # Which pixels are outliers is asked at each step anew: one hot pixel makes good ones look bad.
         if to_the_end and (rests or step == _STEPS_MAX - _LAST_STEPS):
             lanes[at.LIMIT : at.LIMIT + LANES] = _OUTLIER * _OUTLIER
-    return good

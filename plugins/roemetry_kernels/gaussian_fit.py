@@ -14,6 +14,7 @@ _REACH = 2.6  # standard deviations to both sides that are fitted
 _LOWEST, _HIGHEST = 0.3, 3.0  # of the model: a pixel beyond counts as that dark or bright
 _SIGNAL_TO_NOISE = 60.0  # of a stripe's top, where the sensor is not known
 _SHOT = 0.3  # of the amplitude: where shot noise equals dark noise, where the sensor is not known
+_UNLIKE = 0.01  # what is correlated by less is taken for independent
 LANES = 64  # stripes side by side
 
 # Where the quantities of each lane begin in one piece of memory (numba looks for overlaps in each loop else).
@@ -42,7 +43,9 @@ _STD = 21 * LANES
 _PULL_1 = 22 * LANES  # what the pull of a logarithm on the top consists of
 _PULL_2 = 23 * LANES
 _WEIGHT = 24 * LANES  # of the last pixel
-_TABLE = 25 * LANES
+_MEAN_1 = 25 * LANES  # weighted, of the distance from the middle, and of its square
+_MEAN_2 = 26 * LANES
+_TABLE = 27 * LANES
 
 
 @float_kernel
@@ -182,16 +185,18 @@ def _solved(v: Floats) -> None:
 @inlined
 def _speckled(v: Floats, pulls: Floats, longest: int, alike: Floats, speckle: float) -> None:
     """Add what neighbouring pixels' speckle has in common; each pixel's own is among the weights already."""
+    for k in range(LANES):
+        v[_WEIGHT + k] = 0.0
+        v[_MEAN_1 + k], v[_MEAN_2 + k] = v[_S1 + k] / v[_S0 + k], v[_S2 + k] / v[_S0 + k]
     for j in range(longest):
         here = pulls[j * LANES : (j + 1) * LANES]
         for k in range(LANES):
             u = v[_FIRST + k] + j
-            off_1, off_2 = u - v[_S1 + k] / v[_S0 + k], u * u - v[_S2 + k] / v[_S0 + k]
-            here[k] *= v[_PULL_1 + k] * off_1 - v[_PULL_2 + k] * off_2
-    for k in range(LANES):
-        v[_WEIGHT + k] = 0.0
+            here[k] *= v[_PULL_1 + k] * (u - v[_MEAN_1 + k]) - v[_PULL_2 + k] * (u * u - v[_MEAN_2 + k])
     for lag in range(1, LAGS + 1):
         share = 2.0 * alike[lag]
+        if share < _UNLIKE:
+            break
         for j in range(longest - lag):
             here, there = pulls[j * LANES : (j + 1) * LANES], pulls[(j + lag) * LANES : (j + lag + 1) * LANES]
             for k in range(LANES):

@@ -59,7 +59,8 @@ def background_noise(image: Pixels) -> float:
     if min(image.shape) < 3 or image.shape[1] < _BLOCK_PX + 2:
         return 0.0
     squares = _block_squares(image, max(1, image.shape[0] // 96))
-    return float(math.sqrt(np.quantile(squares, _QUIET_QUANTILE) / (_LAPLACIAN_SQUARES * _QUIET_SHARE)))
+    at = int(_QUIET_QUANTILE * (squares.shape[0] - 1))
+    return float(math.sqrt(np.partition(squares, at)[at] / (_LAPLACIAN_SQUARES * _QUIET_SHARE)))
 
 
 def rounding_variance(image: Pixels) -> float:
@@ -184,27 +185,33 @@ def _tops(smooth: NDArray[np.int32], rise: Floats, white: float, tops: Integers,
     columns = smooth.shape[0]
     scale = 255.9 / (_WEIGHTS * white)
     count = 0
-    base = 0
+    base, low = 0, int(smooth[0])
     x = 1
     while x < columns:
         # Up from the lowest pixel since the last peak.
-        need = smooth[base] + rise[min(int(smooth[base] * scale), 255)]
-        while x < columns and smooth[x] <= need:
-            if smooth[x] < smooth[base]:
-                base = x
-                need = smooth[base] + rise[min(int(smooth[base] * scale), 255)]
+        enough = rise[min(int(low * scale), 255)]
+        need = math.floor(low + enough)
+        here = low
+        while x < columns:
+            here = int(smooth[x])
+            if here > need:
+                break
+            if here < low:
+                base, low = x, here
+                enough = rise[min(int(low * scale), 255)]
+                need = math.floor(low + enough)
             x += 1
         if x >= columns:
             break
-        top = x
-        fall = 0.0
+        top, high = x, here
+        least = math.ceil(high - max(enough, _SEPARATE * (high - low)))
         while x < columns:
-            if smooth[x] > smooth[top]:
-                top = x
-            elif smooth[x] < smooth[top]:
-                fall = max(need - smooth[base], _SEPARATE * (smooth[top] - smooth[base]))
-                if smooth[x] < smooth[top] - fall:
-                    break
+            here = int(smooth[x])
+            if here > high:
+                top, high = x, here
+                least = math.ceil(high - max(enough, _SEPARATE * (high - low)))
+            elif here < least:
+                break
             x += 1
         if x >= columns:
             break
@@ -212,11 +219,10 @@ def _tops(smooth: NDArray[np.int32], rise: Floats, white: float, tops: Integers,
         tops[count] = top
         valleys[count] = base
         count += 1
-        base = x
+        base, low = x, here
         x += 1
-        valleys[count] = base
-        while x < columns and smooth[x] <= smooth[base]:
-            base = x
+        while x < columns and smooth[x] <= low:
+            base, low = x, int(smooth[x])
             x += 1
         valleys[count] = base
     if count:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
 
@@ -29,6 +30,8 @@ _FWHM = 2.3548200450309493  # full width at half height of a Gaussian, standard 
 _SAMPLES = (480, 960)  # peaks that tell of the noise, in the first and the second pass
 _GOLDEN = 0.6180339887498949
 _FIRST_CONTRAST = 0.1
+_EVERY = 7  # peak's share of speckle is looked at
+_ROWS = 8  # beyond which nothing is correlated along the stripe
 _CUT = 2.0  # a stripe nearer to the left or right border than so many standard deviations is cut off
 
 
@@ -102,16 +105,16 @@ class MaximumLikelihood(Extractor[MaximumLikelihoodOptions]):
         at = found.starts
         fit = fitted(image, frame.white, found, noise, np.arange(at.row.shape[0]))
         kept = self._kept(fit, found, noise, frame.white)
-        order = np.flatnonzero(kept)
-        apart = _apart(at.row[order], fit.x_px[order], fit.sigma_px[order])
-        if not apart.all():
+        order: Any = slice(None) if kept.all() else np.flatnonzero(kept)
+        if not _apart(at.row[order], fit.x_px[order], fit.sigma_px[order]).all():
+            order = np.flatnonzero(kept)
             order = order[np.lexsort((fit.x_px[order], at.row[order]))]
             order = order[_apart(at.row[order], fit.x_px[order], fit.sigma_px[order])]
         x_px, sigma_px = fit.x_px[order], fit.sigma_px[order]
         beyond = _CUT * sigma_px
         flags = np.where(fit.state[order] == CLIPPED, SATURATED, 0)
         flags |= np.where((x_px < beyond) | (x_px > image.shape[1] - 1 - beyond), EDGE, 0)
-        share = float(np.median(fit.speckled[order])) if order.size else 0.0
+        share = float(np.median(fit.speckled[order][::_EVERY])) if x_px.size else 0.0
         return Peaks(
             image_size=frame.size,
             row=at.row[order] + found.top,
@@ -329,9 +332,13 @@ def _rows_of(share: float, correlation: float) -> float:
     """Give the correlation along the stripe: speckle is as long along it as across, all else independent."""
     if share <= 0.0 or correlation <= 0.0:
         return 0.0
-    length = math.sqrt(-0.25 / math.log(correlation))
-    rows = np.arange(1, 8)
-    target = share * float(np.exp(-(rows**2) / (4.0 * length**2)).sum())
+    # exp(−rows² / (4 length²)), of neighbouring rows the pixels' own correlation.
+    target = share * sum(correlation ** (row * row) for row in range(1, _ROWS))
+    return float(np.interp(target, *_sums_of_lengths()))
+
+
+@cache
+def _sums_of_lengths() -> tuple[Floats, Floats]:
+    """Sums of the correlation over rows, and the lengths they belong to, rows."""
     lengths = np.linspace(0.1, 2.0, 200)
-    sums = np.exp(-(rows**2) / (4.0 * lengths[:, None] ** 2)).sum(1)
-    return float(np.interp(target, sums, lengths))
+    return np.exp(-(np.arange(1, _ROWS) ** 2) / (4.0 * lengths[:, None] ** 2)).sum(1), lengths
