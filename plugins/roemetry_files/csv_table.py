@@ -44,7 +44,7 @@ class CsvTable(Sink[CsvTableOptions]):
         features = features_of(run) if self.options.features else []
         writer.writerow([*COLUMNS, *features])
         for measurement in run.measurements():
-            given = _given(measurement)
+            given = given_features(measurement)
             writer.writerow(
                 [
                     *(_cell(column(measurement)) for column in COLUMNS.values()),
@@ -60,11 +60,11 @@ def features_of(run: Run) -> list[str]:
     """Names of all features in the run, in the order in which they appear."""
     found: dict[str, None] = {}
     for measurement in run.measurements():
-        found.update(dict.fromkeys(_given(measurement)))
+        found.update(dict.fromkeys(given_features(measurement)))
     return list(found)
 
 
-def _given(row: Measurement) -> Mapping[str, float]:
+def given_features(row: Measurement) -> Mapping[str, float]:
     """Features of classifier and weigher by name."""
     grade = {} if row.grade is None else row.grade.features
     return grade if row.weight is None else {**grade, **row.weight.features}

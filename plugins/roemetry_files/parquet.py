@@ -10,10 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from roemetry.files import write_bytes
-from roemetry.records import Measurement
 from roemetry.stages import Run, Sink, StageOptions
 from roemetry.units import NOT_STATED
-from roemetry_files.csv_table import COLUMNS, features_of
+from roemetry_files.csv_table import COLUMNS, features_of, given_features
 
 
 class Parquet(Sink[StageOptions]):
@@ -33,7 +32,7 @@ class Parquet(Sink[StageOptions]):
             heading: [_cell(column(row)) for row in rows] for heading, column in COLUMNS.items()
         }
         for feature in features_of(run):
-            found[f"feature {feature}"] = [_feature(row, feature) for row in rows]
+            found[f"feature {feature}"] = [_cell(given_features(row).get(feature)) for row in rows]
         fields, arrays = [], []
         for heading, values in found.items():
             array = pa.array(values)
@@ -52,11 +51,6 @@ class Parquet(Sink[StageOptions]):
 
 def _cell(value: Any) -> Any:
     return None if value == NOT_STATED or (isinstance(value, float) and math.isnan(value)) else value
-
-
-def _feature(row: Measurement, name: str) -> float | None:
-    value = None if row.grade is None else row.grade.features.get(name)
-    return None if value is None or math.isnan(value) else float(value)
 
 
 def _unit(heading: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,13 +12,11 @@ import pyarrow.parquet as pq
 import pytest
 import tifffile
 
-from roemetry.errors import OutputError
+from roemetry.finished import recipe_of
 from roemetry.recipe import Recipe
 from roemetry.record import read_record
 from roemetry.records import Profiles
-from roemetry.runner import run_recipe
-from roemetry_files.height_map import HeightMap
-from roemetry_files.point_cloud import PointCloud
+from roemetry.runner import derive, run_recipe
 from roemetry_files.rastering import INTERPOLATED, SEEN, raster
 
 
@@ -61,6 +60,21 @@ def test_parquet_has_the_numbers_of_the_record(out: Path) -> None:
     assert table.schema.field("visible_volume_cm3").metadata[b"heading"] == "visible volume (cm³)".encode()
     # an uncertainty that is not stated is nothing, not a word in a column of numbers
     assert str(table.schema.field("weight_standard_uncertainty_g").type) == "double"
+
+
+def test_parquet_has_the_features_of_classifier_and_weigher(
+    line: Callable[..., Path], tmp_path: Path
+) -> None:
+    sets = ["sinks=[parquet]", "stages.weigher={use: fitted}"]
+    outcome = run_recipe(Recipe.load(line(count=1), sets=sets), tmp_path / "out")
+    assert outcome.sink_faults == ()
+    (row,) = read_record(tmp_path / "out")
+    assert row.weight is not None and row.grade is not None
+    table = pq.read_table(tmp_path / "out" / "results.parquet")
+    for name, value in {**row.grade.features, **row.weight.features}.items():
+        (column,) = [one for one in table.schema if one.metadata[b"heading"] == f"feature {name}".encode()]
+        assert table[column.name].to_pylist() == [None if math.isnan(value) else value], name
+    assert "visible_cm3" in row.weight.features
 
 
 def test_a_point_cloud_has_the_points_of_the_profiles(out: Path) -> None:
@@ -127,20 +141,20 @@ def test_where_nothing_is_known_there_is_no_map() -> None:
     assert raster(plane(np.full((2, 5), np.nan), stripes=[0, 1]), 0.5) is None
 
 
-@pytest.mark.parametrize("sink", [PointCloud, HeightMap])
+@pytest.mark.parametrize(("sink", "folder"), [("point-cloud", "point_clouds"), ("height-map", "height_maps")])
 def test_a_full_disk_leaves_no_half_file(
-    sink: type, line: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    sink: str, folder: str, line: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    run_recipe(Recipe.load(line(count=1), sets=["sinks=[]"]), tmp_path / "out")
+    recipe, provenance = recipe_of(tmp_path / "out", sets=[f"sinks=[{sink}]"])
+
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    recipe = Recipe.load(line(), sets=[f"sinks=[{'point-cloud' if sink is PointCloud else 'height-map'}]"])
-    monkeypatch.setattr(Path, "replace", full)
-    try:
-        outcome = run_recipe(recipe, tmp_path / "out")
-    except OutputError:
-        pass
-    else:
-        assert "No space left" in "".join(outcome.sink_faults)
-    assert not list((tmp_path / "out").rglob("*.ply"))
-    assert not list((tmp_path / "out").rglob("*.tif"))
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "replace", full)
+        _, (fault,) = derive(recipe, tmp_path / "out", provenance)
+    assert "No space left" in fault
+    assert list((tmp_path / "out" / folder).iterdir()) == []
+    files, faults = derive(recipe, tmp_path / "out", provenance)
+    assert faults == () and len(files) == 1, "with room again it is written"
