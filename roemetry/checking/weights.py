@@ -17,18 +17,20 @@ LEAST = 5
 """With fewer pairs nothing can be said."""
 
 _SLACK, _LIMIT = 0.5, 6.0
-"""Of the cumulative sums, in standard deviations: half of a shift of 1; rarely a false alarm in 20 pairs."""
+"""Of the cumulative sums, in standard deviations: half of a shift of 1 beyond the tolerance; rarely a false
+alarm in 20 pairs."""
 
 _WIDER_SURE = 0.999
 
 
 class WeighedPair(NamedTuple):
-    """One product, grams: by the line with its standard uncertainty (NaN: not stated), and by the scale."""
+    """One product, grams: by the line and by the scale, with standard uncertainties (NaN: not stated)."""
 
     id: str
     line_g: float
     line_std_g: float
     scale_g: float
+    scale_std_g: float = math.nan
 
 
 class WeightCheck(NamedTuple):
@@ -79,8 +81,8 @@ def check_weights(pairs: Sequence[WeighedPair], tolerance_share: float = 0.01) -
     Notes
     -----
     Refit where the bias is surely not 0 and above the tolerance, where it runs away (cumulative sums of the
-    differences in standard deviations, Page 1954), or where the differences are surely wider than stated
-    (χ², one-sided 99.9 %).
+    differences, each less the tolerance, in standard deviations, Page 1954), or where the differences are
+    surely wider than stated (χ², one-sided 99.9 %). A scale whose uncertainty is not stated counts as exact.
 
     Raises
     ------
@@ -98,7 +100,9 @@ def check_weights(pairs: Sequence[WeighedPair], tolerance_share: float = 0.01) -
             f"the line's weights are {usual:.3g} times the scale's (median): these are not the same unit",
             hint="`mass_g` is in grams",
         )
-    std = np.array([pair.line_std_g / pair.scale_g for pair in pairs])
+    std = np.array(
+        [math.hypot(pair.line_std_g, np.nan_to_num(pair.scale_std_g)) / pair.scale_g for pair in pairs]
+    )
     count, bias = len(pairs), float(off.mean())
     scatter = float(off.std(ddof=1)) if count > 1 else math.nan
     if count < LEAST:
@@ -108,8 +112,9 @@ def check_weights(pairs: Sequence[WeighedPair], tolerance_share: float = 0.01) -
 
     half = float(t.ppf(0.975, count - 1)) * scatter / math.sqrt(count)
     stated = bool(np.isfinite(std).all() and (std > 0.0).all())
-    z = off / std if stated else (off / scatter if scatter > 0.0 else np.zeros(count))
-    begin = _runs_away(z)
+    unit = std if stated else np.full(count, scatter if scatter > 0.0 else math.inf)
+    z = off / unit
+    begin = _runs_away(z, _SLACK + tolerance_share / unit)
     words = []
     if abs(bias) > max(tolerance_share, half):
         words.append(
@@ -140,14 +145,14 @@ def check_weights(pairs: Sequence[WeighedPair], tolerance_share: float = 0.01) -
     )
 
 
-def _runs_away(z: Floats) -> int | None:
+def _runs_away(z: Floats, slack: Floats) -> int | None:
     """Index of the product with which a cumulative sum began to rise to its limit; None where none does."""
     for sign in (1.0, -1.0):
         total, begin = 0.0, 0
-        for at, value in enumerate(sign * z):
+        for at, value in enumerate(sign * z - slack):
             if total == 0.0:
                 begin = at
-            total = max(0.0, total + float(value) - _SLACK)
+            total = max(0.0, total + float(value))
             if total > _LIMIT:
                 return begin
     return None

@@ -30,7 +30,7 @@ def check_weight(
 
     known = read_weights(scale)
     pairs = [
-        WeighedPair(row.id, row.weight.mass_g.value, row.weight.mass_g.std, known[row.id].mass_g)
+        WeighedPair(row.id, row.weight.mass_g.value, row.weight.mass_g.std, *known[row.id])
         for row in read_record(run)
         if row.id in known and row.weight is not None and math.isfinite(row.weight.mass_g.value)
     ]

@@ -61,3 +61,18 @@ def test_what_says_nothing_is_told() -> None:
         check_weights([])
     with pytest.raises(DataError, match="not the same unit"):
         check_weights(pairs(np.full(6, 1000.0)))
+
+
+def test_a_bias_within_the_tolerance_never_adds_up_to_running_away() -> None:
+    """0.9 % in each of 200 pairs, stated to 0.5 %: 1.8 uncertainties to one side, every time."""
+    sure = pairs(np.full(200, 1.009), std=0.005)
+    assert check_weights(sure, 0.01).since == ""
+    assert check_weights(sure, 0.0).since == "p0"
+    assert check_weights(pairs(np.full(200, 1.02), std=0.005), 0.01).since == "p0"
+
+
+def test_the_scales_own_uncertainty_is_part_of_a_difference() -> None:
+    off = np.tile([0.98, 1.02], 10)
+    rough = [pair._replace(scale_std_g=math.sqrt(3.0) * pair.line_std_g) for pair in pairs(off, std=0.01)]
+    assert check_weights(pairs(off, std=0.01)).scatter_over_stated == pytest.approx(2.0, abs=1e-9)
+    assert check_weights(rough).scatter_over_stated == pytest.approx(1.0, abs=1e-9)
