@@ -38,8 +38,6 @@ class Drawn:
         self._std_px = np.where(stripes.seen, stripes.x_std_px, 0.0)
         self.peaks_stated = bool(np.isfinite(self._std_px[stripes.seen & lit]).all())
         self._std_px = np.nan_to_num(self._std_px)
-        rows = np.flatnonzero(lit.any(axis=0))
-        self._rows = slice(int(rows[0]), int(rows[-1]) + 1) if rows.size else slice(0, 0)
         contours = any(math.isfinite(outline.xy_std_px) for outline in scene.outlines)
         known = {PEAKS: self.peaks_stated, CALIBRATION: True, OUTLINE: contours}
         known[PENETRATION] = scene.penetration is not None
@@ -79,7 +77,7 @@ class Drawn:
             profiles = triangulator.triangulate(stripes, calibration)
         except RoemetryError:
             return {}
-        profiles = _cut(profiles, self._rows)
+        profiles = _cut(profiles)
         if offset_mm:
             profiles = raised(profiles, offset_mm)
         view = triangulator.view(calibration)
@@ -115,12 +113,12 @@ def _bridges(stripes: StripeMap) -> tuple[Integers, Integers, Integers, Integers
     return stripe_, row, first, last, joined[4]
 
 
-def _cut(profiles: Profiles, rows: slice) -> Profiles:
-    """Keep the rows with product: what draws are asked for lies there, and a third of the time is saved."""
-    if profiles.x_px.shape[1] < rows.stop:
-        return profiles
+def _cut(profiles: Profiles) -> Profiles:
+    """Keep the points from the first to the last on a product: a third of the draws' time is saved."""
+    lit = np.flatnonzero((profiles.product > 0).any(axis=0))
+    points = slice(int(lit[0]), int(lit[-1]) + 1) if lit.size else slice(0, 0)
     fields = ("xyz_mm", "product", "seen", "x_px", "row_px", "height_std_mm")
-    return replace(profiles, **{name: getattr(profiles, name)[:, rows] for name in fields})
+    return replace(profiles, **{name: getattr(profiles, name)[:, points] for name in fields})
 
 
 def _smoothed(noise: Floats, reach_rows: float) -> Floats:

@@ -18,6 +18,7 @@ COVERAGE_FACTOR = 1.959964
 ENOUGH_FOR_QUANTILES = 1000
 """From so many draws on the interval's ends are quantiles: 25 draws lie beyond each."""
 _UNKNOWN = "unknown"
+_NO_INTERVAL = (math.nan, math.nan)
 FAILED_SHARE_MAX = 0.05
 """With more draws than this refused, what is left is no fair sample."""
 
@@ -113,9 +114,9 @@ def _estimate(
     if good.size < (1.0 - FAILED_SHARE_MAX) * values.size or good.size < 2:
         why = f"{values.size - good.size} of {values.size} draws could not be measured"
         lost = (Reason("draws-refused", f"{why}: the uncertainty is not stated"),)
-        return replace(found, std=math.nan, budget=budget), lost
+        return replace(found, std=math.nan, budget=budget, interval=_NO_INTERVAL), lost
     if not stated:
-        return replace(found, std=math.nan, budget=budget), ()
+        return replace(found, std=math.nan, budget=budget, interval=_NO_INTERVAL), ()
     std = float(good.std(ddof=1))
     if good.size >= ENOUGH_FOR_QUANTILES:
         tail = (1.0 - COVERAGE) / 2.0

@@ -78,6 +78,22 @@ class Tenth(Weigher[StageOptions]):
         return Weight(Estimate(0.1 * volume.visible_mm3.value + error))
 
 
+class WithInterval(Tenth):
+    def weigh(self, product, volume, *, rng=None):
+        return Weight(replace(super().weigh(product, volume, rng=rng).mass_g, std=5.0, interval=(1.0, 2.0)))
+
+
+class FromTheMiddle(BlockLinear):
+    """Gives points in another order than the image's rows."""
+
+    def triangulate(self, stripes, calibration):
+        found = super().triangulate(stripes, calibration)
+        fields = ("xyz_mm", "product", "seen", "x_px", "row_px", "height_std_mm")
+        return replace(
+            found, **{name: np.roll(getattr(found, name), RIG.rows // 2, axis=1) for name in fields}
+        )
+
+
 class AboveLimit(Classifier[StageOptions]):
     limit = 0.0
 
@@ -101,8 +117,15 @@ def scene(stripes: StripeMap | None = None, outlines: tuple[Outline, ...] = ()) 
     return Scene("a", replace(given, x_std_px=std), outlines, calibration())
 
 
-def done(given: Scene, estimator, weigher=None, classifier=None, draws: int = DRAWS) -> ProductTrace:
-    profiles = BlockLinear().triangulate(given.stripes, given.calibration)
+def done(
+    given: Scene,
+    estimator,
+    weigher=None,
+    classifier=None,
+    draws: int = DRAWS,
+    triangulator=BlockLinear(),  # noqa: B008
+) -> ProductTrace:
+    profiles = triangulator.triangulate(given.stripes, given.calibration)
     (product,) = assemble(profiles, given.outlines, given.calibration, "a")
     volume = estimator.estimate(product)
     found = ProductTrace(
@@ -111,7 +134,7 @@ def done(given: Scene, estimator, weigher=None, classifier=None, draws: int = DR
         weight=None if weigher is None else weigher.weigh(product, volume),
         grade=None if classifier is None else classifier.classify(product),
     )
-    (drawn,) = propagate((found,), given, Chain(BlockLinear(), estimator, weigher, classifier), draws=draws)
+    (drawn,) = propagate((found,), given, Chain(triangulator, estimator, weigher, classifier), draws=draws)
     return drawn
 
 
@@ -140,6 +163,15 @@ def test_parts_and_sum_are_the_closed_forms() -> None:
     assert low < value < high
     assert mass.std == pytest.approx(math.hypot(0.1 * total, 5.0), rel=0.09)
     assert mass.budget["weight model"] == pytest.approx(5.0, rel=0.18)
+
+
+def test_points_need_not_stand_in_the_order_of_rows() -> None:
+    usual, other = (
+        done(scene(), SumOfHeights(), draws=60, triangulator=by).volume.visible_mm3
+        for by in (BlockLinear(), FromTheMiddle())
+    )
+    assert other.std == pytest.approx(usual.std, rel=1e-9)
+    assert other.budget == pytest.approx(usual.budget, rel=1e-9)
 
 
 def test_correlated_peaks_weigh_more() -> None:
@@ -174,6 +206,9 @@ def test_what_is_not_stated_gives_no_interval() -> None:
     assert math.isnan(found.volume.visible_mm3.interval[0])
     assert [reason.code for reason in found.volume.reasons] == ["volume-model-not-stated"]
     assert set(found.volume.visible_mm3.budget) == {"peak noise", "calibration"}
+    found = done(given, Silent(), WithInterval(), draws=60)
+    assert math.isnan(found.weight.mass_g.std), "and an interval of the weigher's own is none of the whole"
+    assert np.isnan(found.weight.mass_g.interval).all()
     silent = scene(RIG.stripe_map(RIG.dome()))
     silent = replace(
         silent, stripes=replace(silent.stripes, x_std_px=np.full_like(silent.stripes.x_px, np.nan))
