@@ -82,6 +82,8 @@ class RememberedStages:
         What to do.
     memory
         Where results are kept; the same one for all recipes compared.
+    draws
+        Monte Carlo draws; None: as many as the recipe says.
 
     Attributes
     ----------
@@ -93,8 +95,8 @@ class RememberedStages:
         By kind, the time its steps took where they were done, s; add up until `start`.
     """
 
-    def __init__(self, recipe: Recipe, memory: StepMemory) -> None:
-        self.keys = step_keys(recipe)
+    def __init__(self, recipe: Recipe, memory: StepMemory, draws: int | None = None) -> None:
+        self.keys = step_keys(recipe, recipe.draws if draws is None else draws)
         self.seconds: dict[str, float] = {}
         self.stages: dict[str, Any] = {
             kind: _RememberedStage(kind, chosen.make(), self.keys[kind], memory, self.seconds)
@@ -106,8 +108,11 @@ class RememberedStages:
         self.seconds.clear()
 
 
-def step_keys(recipe: Recipe) -> dict[str, str]:
-    """Hash, by kind of stage, all that decides its result: its options, and every step before it."""
+def step_keys(recipe: Recipe, draws: int) -> dict[str, str]:
+    """Hash, by kind of stage, all that decides its result: its options, and every step before it.
+
+    A grader looks at uncertainties, so the number of draws decides its result as well.
+    """
     source = recipe.source_choice
     keys: dict[str, str] = {}
 
@@ -121,6 +126,7 @@ def step_keys(recipe: Recipe) -> dict[str, str]:
                 None if recipe.penetration is None else recipe.penetration.sha256,
                 recipe.calibration.sha256 if calibrated and recipe.calibration is not None else None,
                 source.model_dump(mode="json", exclude={"path"}),
+                draws if kind == "grader" else None,
             ]
             keys[kind] = hashlib.sha256(json.dumps(decided_by, sort_keys=True).encode()).hexdigest()
         return keys[kind]

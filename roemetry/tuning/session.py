@@ -175,8 +175,8 @@ class Session:
         references = self._references(recipe)
         reference = next((one for one in references if one.id == wish.acquisition), references[0])
         acquisition = self._acquisition(recipe, reference)
-        remembered = RememberedStages(recipe, self._memory)
         draws = recipe.draws if wish.draws else 0
+        remembered = RememberedStages(recipe, self._memory, draws)
         settings = recipe.source_choice.model_dump_json(exclude={"path"})
 
         def frame(given: Acquisition) -> Frame:

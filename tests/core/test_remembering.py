@@ -1,0 +1,32 @@
+"""What is remembered is asked for again where anything that decides it has changed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from roemetry.recipe import Recipe
+from roemetry.records import Decision, Estimate, Weight
+from roemetry.remembering import RememberedStages, StepMemory
+from roemetry.testing.solids import HALF_ELLIPSOID, product_of
+
+GRADER = (
+    "stages.grader={use: grade-table, options: {classes: "
+    "[{label: heavy, limits: {weight_g: {at_least: 10}}}, {label: light}]}}"
+)
+
+
+def test_a_grader_decides_anew_where_draws_give_other_uncertainties(line: Callable[..., Path]) -> None:
+    recipe = Recipe.load(line(count=1), sets=[GRADER])
+    memory = StepMemory()
+    product = product_of(HALF_ELLIPSOID)
+
+    def decided(draws: int, std_g: float) -> Decision:
+        grader = RememberedStages(recipe, memory, draws).stages["grader"]
+        found: Decision = grader.decide(product, None, Weight(Estimate(9.9, std_g)), None)
+        return found
+
+    sure = decided(0, 0.001)
+    assert sure.label == "light"
+    assert decided(200, 1.0).label == "undecided"
+    assert decided(0, 0.001) is sure
