@@ -68,7 +68,8 @@ class Bootstrap:
     ) -> list[Interval]:
         """Give the intervals of several statistics, (draw, statistic), of the same draws."""
         if self.count < 2:
-            return [NO_INTERVAL] * statistics(np.ones((1, columns.shape[1] + 1))).shape[1]
+            with np.errstate(divide="ignore", invalid="ignore"):  # asked only how many there are
+                return [NO_INTERVAL] * statistics(np.ones((1, columns.shape[1] + 1))).shape[1]
         from scipy.special import ndtr, stdtrit
 
         sums = np.zeros((self.count, columns.shape[1] + 1))

@@ -190,3 +190,11 @@ def test_all_of_a_specimen_is_in_one_fold() -> None:
 )
 def test_only_nothing_reads_as_nothing(value: float | None, words: str) -> None:
     assert share(value) == words
+
+
+@pytest.mark.filterwarnings("error")
+def test_one_specimen_measured_often_has_no_interval() -> None:
+    found = agreement_of(np.array([1.0, 2.0, 3.0]), ["a", "a", "a"], Terms(tolerance_pct=5.0))
+    assert found is not None
+    assert (found.n, found.specimens, found.mean_pct, found.verdict) == (3, 1, 2.0, "undecided")
+    assert math.isnan(found.mean_interval_pct.low) and math.isnan(found.high_limit_interval_pct.high)
