@@ -15,6 +15,8 @@ SAMPLES = 65
 
 _POINTS_MIN = 12
 _WIDTH_MIN_MM = 2.0
+_GAP_MAX = 0.5
+"""Of a section's width: where more is missing in one piece, two slivers at the foot are no section."""
 
 
 class Sections(NamedTuple):
@@ -57,7 +59,7 @@ class Sections(NamedTuple):
 
 
 def sections_of(product: Product, smoothing_rows: int) -> Sections:
-    """Cut a product into its sections; those too short to have a shape are left out.
+    """Cut a product into its sections; those too short or too torn to have a shape are left out.
 
     Parameters
     ----------
@@ -78,6 +80,8 @@ def sections_of(product: Product, smoothing_rows: int) -> Sections:
         keep = np.concatenate([[True], np.diff(y) > 0.0])
         y = y[keep]
         if len(y) < _POINTS_MIN or y[-1] - y[0] < _WIDTH_MIN_MM:
+            continue
+        if np.diff(y).max() > _GAP_MAX * (y[-1] - y[0]):
             continue
         grid = np.linspace(y[0], y[-1], SAMPLES)
         height = np.interp(grid, y, mine[keep, 2])

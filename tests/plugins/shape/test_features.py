@@ -135,3 +135,17 @@ def test_a_box_is_full() -> None:
     assert features["fullness_median"] > 0.9
     assert features["hollow_depth_mm"] < 1e-6
     assert sections_of(product_of(BOX), 0).height_mm.shape[1] == SAMPLES
+
+
+@pytest.mark.parametrize(("missing", "fewer"), [(0.3, 0), (0.7, 1)])
+def test_two_slivers_at_the_foot_are_no_section(missing: float, fewer: int) -> None:
+    """A hole is bridged up to half of the width; what is left of more is no cross-section."""
+    product = product_of(HALF_ELLIPSOID)
+    sections = sections_of(product, 0)
+    torn = int(sections.stripe[len(sections.stripe) // 2])
+    profiles = product.profiles
+    off_mm = np.abs(profiles.xyz_mm[torn, :, 1] - sections.middle_mm[len(sections.stripe) // 2, 1])
+    whose = profiles.product.copy()
+    whose[torn, off_mm < missing * sections.half_width_mm[len(sections.stripe) // 2]] = 0
+    holed = replace(product, profiles=replace(profiles, product=whose))
+    assert len(sections_of(holed, 0).stripe) == len(sections.stripe) - fewer

@@ -33,6 +33,7 @@ def test_the_model_is_small_and_says_what_it_was_fitted_on() -> None:
         ("skein_03", "dent"),
         ("skein_06", "twist"),
         ("skein_07", "fold"),
+        ("skein_08", "good"),
         ("skein_09", "bend"),
     ],
 )
