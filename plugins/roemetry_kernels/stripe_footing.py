@@ -68,6 +68,7 @@ def stripes_around(
     width_min_px: float,
     width_max_px: float,
     share_min: float = 0.0,
+    height_min: float = 0.0,
 ) -> Stripes:
     """Measure what stands around tops, join tops of one stripe, leave out what is too narrow or too wide.
 
@@ -90,6 +91,8 @@ def stripes_around(
     share_min
         What rises by less than this share of a stripe near by (16 px), or of what the highest stripe of a
         row usually has, is ringing, glare or what a JPEG made of noise: left out.
+    height_min
+        What stands less above the background beside it, grey levels, is a bump on bright ground: left out.
     """
     levels, columns = image.reshape(-1), image.shape[1]
     count = join_tops(levels, columns, area.left, area.right, width_min_px, *tops)
@@ -103,7 +106,7 @@ def stripes_around(
         if words.flags.aligned:
             feet = _FEET_FROM / FWHM_OF_SIGMA, _FEET_PX, _FEET_SHARE_MAX
             measure_lanes(levels, words, columns, *sides, *feet, *found, places, highs, values, done)
-    limits = white, width_min_px, width_max_px, share_min
+    limits = white, width_min_px, width_max_px, share_min, height_min
     count = _measure(levels, columns, *sides, *limits, *found, done, highs, row, places, flags, values)
     lo, hi = places[:, :count]
     middle, width, amplitude, background, slope, unsure = values[:, :count]
@@ -160,6 +163,7 @@ def _measure(
     width_min_px: float,
     width_max_px: float,
     share_min: float,
+    height_min: float,
     row: Places,
     first: Places,
     last: Places,
@@ -198,9 +202,9 @@ def _measure(
         out_row[i] = row[i]
         unfit += 0 if (width >= width_min_px) & (width <= width_max_px) else 1
         highest, lowest = max(highest, values[2, i]), min(lowest, values[2, i])
-    if unfit == 0 and lowest >= share_min * highest:
+    if unfit == 0 and lowest >= max(share_min * highest, height_min):
         return count
-    least = share_min * usual_height(row, values[2]) if share_min > 0.0 else -np.inf
+    least = max(share_min * usual_height(row, values[2]) if share_min > 0.0 else -np.inf, height_min)
     for i in range(count):
         done[i] = values[2, i] < least or (
             values[2, i] < share_min * highest and outshone(row, values[0], values[2], i, share_min)

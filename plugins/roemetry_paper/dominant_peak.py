@@ -95,4 +95,8 @@ def without_faint(scan: Scan) -> Scan:
 
 def as_peaks(frame: Frame, scan: Scan) -> Peaks:
     """Make the record of what a scan found in the frame; the scans do not model an uncertainty of x."""
-    return Peaks(image_size=frame.size, x_std_px=np.full(scan.row.shape[0], np.nan), **scan._asdict())
+    from roemetry_kernels.upside_down import doubts
+
+    reasons = doubts(frame.pixels, frame.white, scan.row, scan.x_px, scan.width_px)
+    unsaid = np.full(scan.row.shape[0], np.nan)
+    return Peaks(image_size=frame.size, x_std_px=unsaid, reasons=reasons, **scan._asdict())

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from roemetry_kernels.stripe_footing import Stripes
     from roemetry_kernels.stripe_scan import Area
 
+_HEIGHT_SHARE = 0.5
+"""Of the threshold, that a stripe is high above the light beside it: noise on bright ground has tops, too."""
 _CONTRAST = 2  # where it stands among what is known of the noise
 _ROUNDING = 1.0 / 12.0
 """Variance of rounding to whole grey levels."""
@@ -40,12 +42,15 @@ def found(frame: Frame, options: PeakOptions, centres: Callable[..., None], *set
     from roemetry_kernels.local_contrast import SHARE_MIN
     from roemetry_kernels.stripe_footing import stripes_around
     from roemetry_kernels.stripe_scan import stripe_tops
+    from roemetry_kernels.upside_down import doubts
 
     pixels = plain_layout(grey(frame))
     area = searched(frame, options.region)
-    tops = stripe_tops(pixels, threshold_of(frame, pixels, area, options), area)
+    threshold = threshold_of(frame, pixels, area, options)
+    tops = stripe_tops(pixels, threshold, area)
     limits = {"width_min_px": options.width_min_px, "width_max_px": options.width_max_px}
     limits["share_min"] = SHARE_MIN if options.threshold == "auto" else 0.0
+    limits["height_min"] = _HEIGHT_SHARE * threshold
     stripes = stripes_around(pixels, tops, area, white=frame.white, **limits)
     x_px, x_std_px = np.empty((2, stripes.row.shape[0]))
     levels, columns = pixels.reshape(-1), pixels.shape[1]
@@ -65,7 +70,8 @@ def found(frame: Frame, options: PeakOptions, centres: Callable[..., None], *set
         fields = {name: values[~nowhere] for name, values in fields.items()}
     # Speckle is as long along the stripe as across it; the sensor's noise is not correlated at all.
     rows = options.speckle_length_px if noise[_CONTRAST] > 0.0 else 0.0
-    return Peaks(image_size=frame.size, correlation_rows=rows, **fields)
+    reasons = doubts(pixels, frame.white, fields["row"], fields["x_px"], fields["width_px"])
+    return Peaks(image_size=frame.size, correlation_rows=rows, reasons=reasons, **fields)
 
 
 def noise_of(frame: Frame, options: PeakOptions, stripes: Stripes) -> Floats:

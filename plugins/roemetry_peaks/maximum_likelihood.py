@@ -97,6 +97,7 @@ class MaximumLikelihood(Extractor[MaximumLikelihoodOptions]):
     def extract(self, frame: Frame) -> Peaks:
         """Find the stripes of a frame."""
         from roemetry_kernels.gaussian_fisher import CLIPPED
+        from roemetry_kernels.upside_down import doubts
 
         image, found = starts(frame, self.options)
         noise = found.noise if found.noise is not None else estimated_noise(image, frame.white, found)
@@ -125,7 +126,10 @@ class MaximumLikelihood(Extractor[MaximumLikelihoodOptions]):
             width_px=_FWHM * sigma_px,
             flags=flags.astype(np.uint8),
             correlation_rows=_rows_of(share, noise.correlation),
-            reasons=() if found.measured else (_ESTIMATED,),
+            reasons=(
+                *(() if found.measured else (_ESTIMATED,)),
+                *doubts(image, frame.white, at.row[order], x_px, _FWHM * sigma_px),
+            ),
         )
 
     def _kept(self, fit: Fitted, found: Found, noise: StripeNoise, white: int) -> Flags:

@@ -66,6 +66,7 @@ class Steger(Extractor[StegerOptions]):
         from roemetry_kernels.local_contrast import SHARE_MIN, faint
         from roemetry_kernels.ridges import crossings
         from roemetry_kernels.smoothed_peaks import background_noise, rounding_variance
+        from roemetry_kernels.upside_down import doubts
 
         options = self.options
         area = searched(frame, options.region)
@@ -111,6 +112,7 @@ class Steger(Extractor[StegerOptions]):
             width_px=found.width_px[order],
             flags=found.flags[order],
             correlation_rows=sigma,
+            reasons=doubts(image, frame.white, found.row[order], found.x_px[order], found.width_px[order]),
         )
 
 

@@ -201,6 +201,24 @@ def test_dark_lines_on_bright_ground_are_no_stripes(name: str, rng: np.random.Ge
 
 
 @every_extractor
+@pytest.mark.parametrize("lines", [slice(None), slice(0, 1)])
+def test_dark_lines_are_named(name: str, lines: slice, rng: np.random.Generator) -> None:
+    peaks = extracted(name, camera(214.0 - light(centres()[lines]), rng))
+    assert peaks is not None
+    if name in BY_METHOD:
+        return
+    assert "upside-down" in {reason.code for reason in peaks.reasons}
+
+
+@every_extractor
+def test_bright_stripes_are_not_named_so(name: str, rng: np.random.Generator) -> None:
+    for level in (light(centres()), 60.0 + light(centres()), 0.0 * light(centres())):
+        peaks = extracted(name, camera(level, rng))
+        assert peaks is not None
+        assert name in BY_METHOD or "upside-down" not in {reason.code for reason in peaks.reasons}
+
+
+@every_extractor
 def test_interlaced_rows(name: str, rng: np.random.Generator) -> None:
     """Every other row was taken while the belt was 6 px further on."""
     x_px = centres() + 6.0 * (np.arange(ROWS) % 2)

@@ -1,0 +1,81 @@
+"""Whether an image's stripes are darker than their surroundings: what is found then lies between them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roemetry.arrays import Floats
+from roemetry.records.reasons import Reason
+
+_LOOKED_AT = 200  # pairs of neighbours
+_FEWEST = 8  # pairs, or rows, below which nothing is said
+_FILLED = 0.5  # of a row, that stripes fill at most
+_WIDTHS_PX = (1.5, 40.0)  # at half height, of what may be a line
+_ROWS_MAX = 32  # that are searched for dark lines where nothing bright is found
+_ODD = Reason(
+    "upside-down",
+    "what was found is wider than the gaps between: the stripes are darker than their surroundings "
+    "(then give the complement of the image), or too near to each other",
+)
+_DARK = Reason(
+    "upside-down",
+    "no bright stripe was found, but dark lines: give the complement of the image if they are meant",
+)
+
+
+def doubts(
+    image: NDArray[Any], white: int, row: NDArray[Any], x_px: Floats, width_px: Floats
+) -> tuple[Reason, ...]:
+    """Say what speaks against the peaks of an image being its stripes.
+
+    Stripes leave most of a row dark: of 8 standard deviations from one to the next, the full width at half
+    height is 0.29. Between dark lines the bright ground is the wider part. Where there are less than two
+    peaks a row, some rows of the complement are searched.
+
+    Parameters
+    ----------
+    image : ndarray of uint8 or uint16, shape (rows, columns)
+        Grey levels.
+    white
+        Grey level from which on a pixel is saturated.
+    row, x_px, width_px
+        (peak,) image row, place and full width at half height, px, sorted by row, then place.
+    """
+    step = max(1, row.shape[0] // _LOOKED_AT)
+    one = np.arange(0, row.shape[0] - 1, step)
+    one = one[row[one] == row[one + 1]]
+    if one.size >= _FEWEST:
+        filled = 0.5 * (width_px[one] + width_px[one + 1]) / (x_px[one + 1] - x_px[one])
+        # Half of them is more than half: without a median, which would take longer than all else.
+        if 2 * np.count_nonzero(filled > _FILLED) > one.size:
+            return (_ODD,)
+    few = row.shape[0] < 2 * image.shape[0]
+    return (_DARK,) if few and _has_dark_lines(image, white, row.shape[0] / image.shape[0]) else ()
+
+
+def _has_dark_lines(image: NDArray[Any], white: int, bright_a_row: float) -> bool:
+    from roemetry_kernels.grey_levels import plain_layout
+    from roemetry_kernels.image_noise import automatic_rise
+    from roemetry_kernels.local_contrast import SHARE_MIN
+    from roemetry_kernels.stripe_footing import stripes_around
+    from roemetry_kernels.stripe_scan import Area, stripe_tops
+
+    some = image[:: max(1, -(-image.shape[0] // _ROWS_MAX))]
+    area = Area(0, some.shape[0], 0, some.shape[1])
+    dark = plain_layout((white - np.minimum(some, white)).astype(some.dtype.newbyteorder("=")))
+    rise = automatic_rise(dark, white, *area)
+    lines = stripes_around(
+        dark,
+        stripe_tops(dark, rise, area),
+        area,
+        white=white,
+        width_min_px=_WIDTHS_PX[0],
+        width_max_px=_WIDTHS_PX[1],
+        share_min=SHARE_MIN,
+        height_min=0.5 * rise,
+    ).row
+    rows = np.unique(lines).size
+    return rows >= max(_FEWEST, some.shape[0] // 2) and lines.size > bright_a_row * some.shape[0]
