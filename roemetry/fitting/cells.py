@@ -11,7 +11,12 @@ from roemetry.errors import ConfigurationError, DataError
 
 ID, LABEL, GROUP = "id", "label", "acquisition"
 MASS, MASS_STD = "mass_g", "mass_std_g"
-_NEVER_FEATURES = (ID, LABEL, GROUP, MASS, MASS_STD, "product", "status", "grade", "group", "reasons")
+_NEVER_FEATURES = (
+    *(ID, LABEL, GROUP, MASS, MASS_STD),
+    *("product", "status", "grade", "decision", "lane", "group", "peaks", "reasons"),
+)
+"""Columns of the `csv` sink that may hold numbers and are no feature, and those that people add."""
+
 _NEVER_BEGIN = ("probability_", "truth_", "strangeness")
 _FAULTS_SHOWN = 10
 
