@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -81,7 +82,11 @@ class Data:
             )
 
     def _check_labels(self, ids: Set[str]) -> None:
-        strange = sorted({name for name in self.labels if name.partition("#")[0] not in ids})
+        strange = sorted(
+            name
+            for name in self.labels
+            if name not in ids and not (_NUMBERED.search(name) and _NUMBERED.sub("", name) in ids)
+        )
         if strange:
             more = f" and {len(strange) - 1} more" if len(strange) > 1 else ""
             raise DataError(
@@ -162,12 +167,19 @@ def changed_file(item: Item, files: Mapping[Any, Path], folder: Path) -> str | N
     return None
 
 
+_NUMBERED = re.compile(r"#[1-9]\d{0,2}$")
+
+
 def labelled(truth: Truth | None, acquisition: str, labels: Mapping[str, str]) -> Truth | None:
     """Put other classes into the truth; where nothing is known, they are all that is."""
     if truth is None:
-        mine = sorted(name for name in labels if name.startswith(f"{acquisition}#"))
-        products = tuple(ProductTruth(label=labels[name]) for name in mine)
-        return Truth(products) if products else None
+        begin = f"{acquisition}#"
+        numbers = [int(name.removeprefix(begin)) for name in labels if name.startswith(begin)]
+        known = tuple(
+            ProductTruth(label=labels.get(f"{begin}{number}", ""))
+            for number in range(1, max(numbers, default=0) + 1)
+        )
+        return Truth(known) if known else None
     if not labels:
         return truth
     products = tuple(

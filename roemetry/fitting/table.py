@@ -68,13 +68,18 @@ def read_labels(path: Path) -> Mapping[str, str]:
     Raises
     ------
     DataError
-        The file is missing, empty, or no table; the column `label` is missing.
+        The file is missing, empty, or no table; the column `label` is missing; a product stands there twice.
     """
     header, rows = read_table(path)
     key = key_of(path, header)
     if LABEL not in header:
         raise DataError(f"{path}: there is no column `{LABEL}`", hint=f"the columns are {', '.join(header)}")
-    found = {row[key].strip(): row[LABEL].strip() for _, row in rows}
+    found: dict[str, str] = {}
+    for line, row in rows:
+        name = row[key].strip()
+        if name in found:
+            raise DataError(f"{path}:{line}: {name} stands there a second time", hint="one line a product")
+        found[name] = row[LABEL].strip()
     # A label of an acquisition goes for its one product, too.
     return {**{f"{name}#1": label for name, label in found.items() if "#" not in name}, **found}
 

@@ -18,12 +18,13 @@ import pytest
 
 from roemetry.cli.main import main
 from roemetry.compare.comparing import Compared, compare
-from roemetry.compare.data import Data, as_taken
+from roemetry.compare.data import Data, as_taken, labelled
 from roemetry.compare.tables import flat
 from roemetry.compare.variants import Variant, make_variants
 from roemetry.compare.writing import ItemsFile, write_comparison
 from roemetry.dataset import DatasetWriter, Description, Item, save_stripes
 from roemetry.errors import ConfigurationError, DataError
+from roemetry.fitting import read_labels
 from roemetry.hookspecs import StageEntry
 from roemetry.pipeline import Pipeline
 from roemetry.recipe import Recipe
@@ -338,6 +339,31 @@ def test_labels_make_classes_known_without_a_data_set(line: Callable[..., Path])
     assert found.figures.classes.n == 1
     with pytest.raises(DataError, match="labels of what is not there: p77#1"):
         Data(variants[0].recipe, labels={"p77#1": "good"})
+
+
+def test_labels_without_a_data_set_keep_the_products_numbers() -> None:
+    many = labelled(None, "a", {f"a#{number}": f"class {number}" for number in range(1, 12)})
+    assert many is not None
+    assert [one.label for one in many.products] == [f"class {number}" for number in range(1, 12)]
+    second = labelled(None, "a", {"a#2": "dull", "aa#1": "good"})
+    assert second is not None
+    assert [one.label for one in second.products] == ["", "dull"]
+    assert labelled(None, "a", {"b#1": "good"}) is None
+
+
+@pytest.mark.parametrize("name", ["p01#", "p01#x", "p01#0", "p01#1#1"])
+def test_a_label_of_no_products_number_is_told(line: Callable[..., Path], name: str) -> None:
+    recipe = make_variants(line(1), [], registry=discover())[0].recipe
+    assert recipe is not None
+    with pytest.raises(DataError, match=f"labels of what is not there: {name}"):
+        Data(recipe, labels={name: "good"})
+
+
+def test_a_product_that_is_labelled_twice_is_told(tmp_path: Path) -> None:
+    table = tmp_path / "labels.csv"
+    table.write_text("id,label\np01,good\np01,dull\n", encoding="utf-8")
+    with pytest.raises(DataError, match=r"labels.csv:3: p01 stands there a second time"):
+        read_labels(table)
 
 
 def test_a_changed_image_is_refused(dataset: Callable[..., Path]) -> None:
