@@ -31,7 +31,6 @@ HERRING_ROE = Path(__file__).parents[1] / "recipes" / "herring_roe"
 Floats = NDArray[np.float64]
 
 _REACH_MM = 87.5
-_SPACING_MM = 8.75
 
 
 @dataclass(frozen=True, eq=False)

@@ -78,6 +78,3 @@ DIVERGING = (
     "#854310",
 )
 """From negative (blue) to positive (brown), pale about zero; both ends differ for all eyes."""
-
-INK = "#17212B"
-"""Text and axes on the page."""
