@@ -87,7 +87,7 @@ _STRANGE_COUNT = 0.3
 _LEVEL_ROWS = 20
 _LEVEL_DEARER = 1.0
 _FEW_PEAKS = 4
-_SMALL_PEAKS = 12
+_LONG_PEAKS = 30
 _MAJORITY = 0.9
 _END_LINES = 30
 _LOST = 0.25
@@ -170,7 +170,7 @@ def solve_planes(peaks: Peaks, calibration: Calibration, rest: RestLines) -> Sol
     dearer *= settled
     size = np.bincount(problem.piece)[problem.piece]
     dearer[size < _FEW_PEAKS] *= _FEW_COUNT
-    evidence[(size <= _SMALL_PEAKS) | (problem.piece_line[problem.piece] == ENDS)] *= _SMALL_COUNT
+    evidence *= np.clip(size / _LONG_PEAKS, _SMALL_COUNT, 1.0)
     whole = ~mixed(problem.piece, problem.piece_line, stripe, problem.there.size, _MAJORITY)
     whole &= settled > 0.0
     strange = (problem.piece_line[problem.piece] >= 0) & (stripe != problem.piece_line[problem.piece])
