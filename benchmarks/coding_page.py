@@ -243,8 +243,8 @@ def _speed(results: Results) -> str:
     ]  # fmt: skip
     head = ["coder", "11 stripes, ms", "5 % quickest", "times window-tracking", "21 stripes, ms"]
     return (
-        "## Time of a frame\n640 × 480, one thread, medians of frames coded in turns. Milliseconds move "
-        f"with the load of the machine, ratios less.\n{_about(found)}\n"
+        "## Time of a frame\n640 × 480, time on the processor, one thread, medians of frames coded in turns. "
+        f"Milliseconds move with the load of the machine, ratios less.\n{_about(found)}\n"
         + _table([*head, "5 % quickest", "times window-tracking"], rows)
     )
 

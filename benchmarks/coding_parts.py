@@ -147,7 +147,7 @@ def cases(results: Results, coders: Coders, given: Namespace) -> None:
 
 
 def speed(results: Results, coders: Coders, given: Namespace) -> None:
-    """Time of a frame, after warm-up, in turns, so that all coders meet the same load."""
+    """Time of a frame on the processor, after warm-up, in turns, so that all coders meet the same load."""
     times: dict[str, dict[str, list[float]]] = {coder: {name: [] for name in RIGS} for coder in coders}
     for name, make in RIGS.items():
         samples = []
@@ -161,10 +161,10 @@ def speed(results: Results, coders: Coders, given: Namespace) -> None:
         for turn in range(13):
             for coder, stage in coders.items():
                 for sample in samples:
-                    begin = time.perf_counter()
+                    begin = time.process_time()
                     answer(stage, sample)
                     if turn >= 2:
-                        times[coder][name].append(1e3 * (time.perf_counter() - begin))
+                        times[coder][name].append(1e3 * (time.process_time() - begin))
     for coder, found in times.items():
         medians = {name: statistics.median(each) for name, each in found.items()}
         quick = {name: statistics.quantiles(each, n=20)[0] for name, each in found.items()}
