@@ -19,6 +19,8 @@ from roemetry_pinhole.geometry import Geometry, Unknowns
 from roemetry_pinhole.problem import STD_MIN_PX, STILL, Problem, Weights, inverse
 
 _OUTLIER = 4.5
+_STRAY = 12.0
+_STRAY_MIN_PX = 1.0
 _LAGS = 150
 _MAD_TO_STD = 1.4826
 
@@ -98,6 +100,7 @@ def adjust(
     weights = Weights(1.0, 1.0, np.ones(corners.pose.size), np.ones(points.pose.size))
     problem = Problem(unknowns, corners, points, feet, foot_std_mm, weights, edges or no_edges())
     geometry = nearly(problem, geometry)
+    _without_strays(problem, geometry)
     weights.robust = False
     geometry = problem.settled(geometry, 1e-6)
     problem.estimate_noise(geometry)
@@ -133,6 +136,21 @@ def nearly(problem: Problem, geometry: Geometry) -> Geometry:
         weights.corner_std_px = max(_spread(off / np.sqrt(2.0)) * _RAYLEIGH, STD_MIN_PX)
         weights.stripe_scale = max(_spread(far), problem.scale_min)
     return geometry
+
+
+def _without_strays(problem: Problem, geometry: Geometry) -> None:
+    """Give no weight to what is far off by the median's measure: squares of many strays would hide them all.
+
+    A stripe that would lose more than half is left as it is: it shall be named, not lost.
+    """
+    weights, stripe = problem.weights, problem.points.stripe
+    off, far = problem.distances(geometry)
+    weights.corner = (off <= max(_STRAY * weights.corner_std_px, _STRAY_MIN_PX)).astype(np.float64)
+    keep = (far <= _STRAY * weights.stripe_scale) | (far * problem.points.std_px <= _STRAY_MIN_PX)
+    for number in np.unique(stripe):
+        if keep[stripe == number].mean() < 0.5:
+            keep[stripe == number] = True
+    weights.stripe = keep.astype(np.float64)
 
 
 def _in_peace(problem: Problem, geometry: Geometry) -> tuple[Geometry, float]:

@@ -16,12 +16,13 @@ from roemetry_pinhole.joining import Joint
 _CELLS = 6
 _CELL_MARKS_MIN = 8
 _SYSTEMATIC_MAX_PX = 0.4
-_SYSTEMATIC_SHARE_MAX = 2.0
+_SYSTEMATIC_SHARE_MAX = 0.5
 _COVERAGE_MIN = 0.4
 _PLANE_FACTOR_MAX = 5.0
 _PLANE_RMS_MIN_PX = 0.5
 _GRAZING_MIN = 0.02
 _USED_MIN = 0.75
+_SYSTEMATIC_TOLD_PX = 0.05
 _BOARD_GROUPS_MIN = 2
 
 
@@ -88,6 +89,11 @@ def _of_marks(joined: Joint, *, scale_is_known: bool) -> tuple[dict[str, float],
             "and a sharp lens",
         )
     notes = []
+    if systematic_px > max(_SYSTEMATIC_TOLD_PX, _SYSTEMATIC_SHARE_MAX * adjusted.corner_std_px):
+        notes.append(
+            "the residuals are not noise alone: neighbouring marks are off together by "
+            f"{systematic_px:.2f} of {adjusted.corner_std_px:.2f} px; stated uncertainties are too small"
+        )
     if joined.board is not None and joined.solids is None and scale_is_known:
         notes.append(f"scale: from the board's pitch of {joined.board.pitch_mm:g} mm")
     bend = adjusted.geometry.bend

@@ -1,0 +1,105 @@
+"""What the residuals forbid: sets of simulated points, each spoilt in one way, refused by name."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from roemetry.errors import CalibrationError
+from roemetry.records import Board
+from roemetry_pinhole.first_camera import FirstCamera
+from roemetry_pinhole.geometry import CAMERA, unknowns_of
+from roemetry_pinhole.joining import Joint
+from roemetry_pinhole.judging import judged
+from roemetry_pinhole.marks import Marks
+from roemetry_pinhole.measured import Measured
+from roemetry_pinhole.simulated import Shown, SimulatedRig, noisy, shown
+from roemetry_pinhole.views import BoardView, Seen
+
+RIG = SimulatedRig(1600.0, 350.0, tilt_deg=(6.0, -4.0), lens=(-0.2, 0.1, 0.0, 0.0, 0.0), stripes=5, poses=10)
+
+
+def joint_of(seen: Shown) -> Joint:
+    free = unknowns_of(seen.geometry, free_camera=np.arange(CAMERA) < 9, planes=True, belt=True, travel=False)
+    measured = Measured(seen.geometry, free, seen.corners, seen.points, seen.feet, 0.03)
+    views = []
+    for pose in range(len(seen.geometry.shift)):
+        mine = seen.corners.pose == pose
+        marks = Marks(seen.corners.board_mm[mine], seen.corners.xy_px[mine], "", 2.0, 40.0)
+        views.append(BoardView(f"pose {pose}", marks, None, None, on_belt=False, count=np.nan))
+    first = FirstCamera(seen.geometry.camera, views, seen.geometry.rotation, seen.geometry.shift)
+    board = Board(
+        "b", "chessboard", 11, 8, pitch_mm=seen.corners.board_mm[1, 0] - seen.corners.board_mm[0, 0]
+    )
+    pose = np.arange(len(views))
+    adjusted = measured.adjusted()
+    return Joint(board, RIG.image_size, Seen(), first, pose, 0.0, None, measured, adjusted, moves=False)
+
+
+def few_errors(rng: np.random.Generator, rig: SimulatedRig = RIG) -> Shown:
+    return noisy(shown(rig, rng), rng, 0.05, 0.1, 0.02)
+
+
+def with_marks(seen: Shown, off_px: np.ndarray) -> Shown:
+    return replace(seen, corners=replace(seen.corners, xy_px=seen.corners.xy_px + off_px))
+
+
+def with_peaks(seen: Shown, off_px: np.ndarray) -> Shown:
+    return replace(seen, points=replace(seen.points, x_px=seen.points.x_px + off_px))
+
+
+def refused(seen: Shown, says: str) -> None:
+    with pytest.raises(CalibrationError, match=says) as caught:
+        judged(joint_of(seen))
+    assert caught.value.hint
+
+
+def test_what_is_right_is_let_through(rng) -> None:
+    verdict = judged(joint_of(few_errors(rng)))
+    assert verdict.residuals["marks_systematic_px"] < 0.02, "px"
+    assert verdict.residuals["marks_rms_px"] == pytest.approx(0.05 * np.sqrt(2.0), rel=0.1), "px"
+
+
+def test_a_plane_nearly_through_the_camera_is_named(rng) -> None:
+    """One stripe, the laser beside the lens: half a degree from the line of sight."""
+    seen = few_errors(rng, replace(RIG, stripes=1, angle_deg=0.5, tilt_deg=(0.0, 0.0)))
+    refused(seen, r"plane of stripe 1 passes the camera's centre by \d\.\d mm only")
+
+
+def test_residuals_that_neighbours_share_are_no_noise(rng) -> None:
+    """Ripples no lens model knows, 1.2 px high, 400 px long."""
+    seen = few_errors(rng)
+    x, y = seen.corners.xy_px.T
+    ripple = 1.2 * np.column_stack([np.sin(x / 64.0), np.cos(y / 64.0)])
+    refused(with_marks(seen, ripple), "residuals are not noise: neighbouring marks are off together")
+
+
+def test_small_ripples_are_told(rng) -> None:
+    seen = few_errors(rng)
+    x, y = seen.corners.xy_px.T
+    ripple = 0.3 * np.column_stack([np.sin(x / 64.0), np.cos(y / 64.0)])
+    notes = judged(joint_of(with_marks(seen, ripple))).notes
+    assert any("not noise alone" in note for note in notes)
+    assert not any("not noise" in note for note in judged(joint_of(seen)).notes)
+
+
+def test_a_stripe_that_is_in_no_plane_is_named(rng) -> None:
+    """A reflection is taken for stripe 3: on each board it is somewhere else."""
+    seen = few_errors(rng)
+    wrong = rng.uniform(-6.0, 6.0, RIG.poses + 1)[seen.points.pose] * (seen.points.stripe == 2)
+    refused(with_peaks(seen, wrong), "stripe 3 does not lie in one plane")
+
+
+def test_marks_that_are_not_one_rigid_rig(rng) -> None:
+    """The camera is pushed between the images, and within them."""
+    seen = few_errors(rng)
+    pushed = rng.random(seen.corners.pose.size) < 0.35
+    refused(with_marks(seen, pushed[:, None] * rng.normal(0.0, 12.0, (pushed.size, 2))), "marks do not fit")
+
+
+def test_peaks_that_are_not_one_rigid_rig(rng) -> None:
+    seen = few_errors(rng)
+    moved = rng.random(seen.points.pose.size) < 0.4
+    refused(with_peaks(seen, moved * rng.normal(0.0, 20.0, moved.size)), "stripe peaks do not fit")
