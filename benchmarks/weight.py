@@ -85,6 +85,30 @@ def report(title: str, products: Sequence[Weighed], given: argparse.Namespace) -
     print("|---|---|---|---|---|---|")
     for form in ("auto", *FORMS):
         print(f"| `{form}` | {line_of(products, form, given.samples, given.draws)} |")
+    print("\n| shape | products | error | interval holds |\n|---|---|---|---|")
+    for shape, (count, error, held) in by_shape(products, given.samples, given.draws).items():
+        print(f"| {shape} | {count} | {100 * error:.2f} | {100 * held:.1f} |")
+
+
+def by_shape(products: Sequence[Weighed], samples: int, draws: int) -> dict[str, tuple[int, float, float]]:
+    """Give, shape by shape, how many products there are, their mean error, and how many the interval held."""
+    rng = np.random.default_rng(len(products))
+    found: dict[str, list[tuple[float, bool]]] = {one.defect: [] for one in products}
+    for _ in range(draws):
+        order = rng.permutation(len(products))
+        model = fitted(products, order[:samples], "auto")
+        for one in (products[k] for k in order[samples:]):
+            low, value, high = interval_of(model, one.features)
+            found[one.defect].append((abs(value / one.mass_g - 1.0), low <= one.mass_g <= high))
+    return {
+        shape: (
+            sum(one.defect == shape for one in products),
+            float(np.mean([error for error, _ in told])),
+            float(np.mean([held for _, held in told])),
+        )
+        for shape, told in sorted(found.items())
+        if told
+    }
 
 
 def line_of(products: Sequence[Weighed], form: str, samples: int, draws: int) -> str:
