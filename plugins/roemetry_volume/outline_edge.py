@@ -31,6 +31,7 @@ _PASSES = (
     _Pass(5.0, 0.5, 1.2, 0.05, 2.0),
 )
 _ENOUGH = 0.4
+_SAMPLED = 4
 _OUTWARDS_PX = 0.01
 _BLUR_PX = 0.6  # of a sharp lens, with the resampling of the image
 _GLOW_BLUR_PX = 2.57  # after `glow`
@@ -77,7 +78,8 @@ def edge_around(level: Floats, region: NDArray[np.bool_], *, shaded: bool = True
         return None
     ring = rounded(evenly(chain, _NORMALS), 4.0)
     inside = float(level[region].mean())
-    ground = float(np.median(level[~region])) if not region.all() else 0.0
+    beside = level[::_SAMPLED, ::_SAMPLED][~region[::_SAMPLED, ::_SAMPLED]]
+    ground = float(np.median(beside)) if beside.size else 0.0
     falling = level if inside >= ground else -level
     for search in _PASSES:
         smooth = cv2.GaussianBlur(falling, (0, 0), search.smooth_px)
