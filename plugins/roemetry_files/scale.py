@@ -102,6 +102,11 @@ def read_masses(path: Path) -> dict[str, float]:
             mass = float(line["mass_g"])
         except (TypeError, ValueError):
             mass = math.nan
+        if None in line:
+            raise DataError(
+                f"{path}:{number}: `{name}` has more cells than the first line",
+                hint="write decimals with a point: 12.5, not 12,5",
+            )
         if not (name and mass > 0.0 and math.isfinite(mass)):
             raise DataError(f"{path}:{number}: expected an id and a mass above 0 g, found {line}")
         if name in found:

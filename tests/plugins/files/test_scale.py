@@ -66,6 +66,7 @@ def test_a_product_that_was_not_weighed_is_refused(tmp_path: Path) -> None:
         ("id,mass_g\na,nan\n", "masses.csv:2:"),
         ("id,mass_g\na\n", "masses.csv:2:"),
         ("id,mass_g\n,3\n", "masses.csv:2:"),
+        ("id,mass_g\na,12,5\n", "masses.csv:2: `a` has more cells than the first line"),
         ("id,mass_g\na,1\na,2\n", "`a` stands here a second time"),
     ],
 )
