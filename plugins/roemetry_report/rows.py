@@ -138,7 +138,8 @@ def grade_pill(label: str) -> Pill:
 def decision_pill(decision: Decision) -> Pill:
     """Give the sign and tone of a decision: a class is a class; one that is left open is to look at."""
     if decision.label == "undecided":
-        return Pill(f"undecided: {' or '.join(decision.possible)}", "?", "warn")
+        possible = " or ".join(decision.possible) or "fits no class"
+        return Pill(f"undecided: {possible}", "?", "warn")
     return Pill(decision.label, "▸", "plain")
 
 
