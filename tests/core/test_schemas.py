@@ -50,7 +50,10 @@ def test_a_good_recipe_is_valid(recipe: Draft202012Validator) -> None:
     assert not list(recipe.iter_errors(changed("stages", "coder", to=None)))
 
 
-@pytest.mark.parametrize("path", sorted(Path("recipes").rglob("*.yaml")), ids=str)
+SHIPPED = sorted((Path(__file__).parents[2] / "recipes").rglob("*.yaml"))
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: f"{path.parent.name}/{path.name}")
 def test_every_shipped_file_is_valid(path: Path) -> None:
     data = read(path).data
     kinds = {"roemetry": "recipe", "roemetry_rig": "rig", "roemetry_scene": "scene"}
