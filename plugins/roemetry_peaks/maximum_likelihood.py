@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
 
@@ -16,7 +15,7 @@ from roemetry.stages import Capabilities, Extractor, StageOptions
 from roemetry_kernels.grey_levels import grey, plain_layout, scaled_level
 from roemetry_peaks.finding import searched
 from roemetry_peaks.noise_file import noise_of_file
-from roemetry_peaks.speckle import TILES, StripeNoise, noise_from, tile_of
+from roemetry_peaks.speckle import TILES, StripeNoise, noise_from, rows_of, tile_of
 
 if TYPE_CHECKING:
     from roemetry_kernels.smoothed_peaks import Starts
@@ -30,8 +29,10 @@ _FWHM = 2.3548200450309493  # full width at half height of a Gaussian, standard 
 _SAMPLES = (480, 960)  # peaks that tell of the noise, in the first and the second pass
 _GOLDEN = 0.6180339887498949
 _FIRST_CONTRAST = 0.1
+_READ_SHARE = 2.0  # of the variance beside the stripes, that the read noise's can be
+_READ_MOST = 0.02  # of white, that it can be even where what is dark was made smooth (JPEG, subtraction)
+_GAIN_SHARE = 1.0 / 255.0  # of white, that an electron can be
 _EVERY = 7  # peak's share of speckle is looked at
-_ROWS = 8  # beyond which nothing is correlated along the stripe
 _CUT = 2.0  # a stripe nearer to the left or right border than so many standard deviations is cut off
 
 
@@ -125,7 +126,7 @@ class MaximumLikelihood(Extractor[MaximumLikelihoodOptions]):
             background=found.beside.height[order],
             width_px=_FWHM * sigma_px,
             flags=flags.astype(np.uint8),
-            correlation_rows=_rows_of(share, noise.correlation),
+            correlation_rows=rows_of(share, noise.correlation),
             reasons=(
                 *(() if found.measured else (_ESTIMATED,)),
                 *doubts(image, frame.white, at.row[order], x_px, _FWHM * sigma_px),
@@ -250,8 +251,14 @@ def estimated_noise(image: Any, white: int, found: Found) -> StripeNoise:
             variance=found.variance,
             gain=found.gain,
             rounding=found.rounding,
+            most=most_noise(found, white),
         )
     return noise
+
+
+def most_noise(found: Found, white: int) -> tuple[float, float]:
+    """Give what R and g can be at most: no camera is so noisy that it would be stated."""
+    return max(_READ_SHARE * found.quiet, (_READ_MOST * white) ** 2), _GAIN_SHARE * white
 
 
 def products_of(
@@ -330,19 +337,3 @@ def _apart(row: Integers, x_px: Floats, sigma_px: Floats) -> Flags:
     if row.shape[0]:
         apart[1:] = (np.diff(row) > 0) | (np.diff(x_px) > 0.5 * np.minimum(sigma_px[1:], sigma_px[:-1]))
     return apart
-
-
-def _rows_of(share: float, correlation: float) -> float:
-    """Give the correlation along the stripe: speckle is as long along it as across, all else independent."""
-    if share <= 0.0 or correlation <= 0.0:
-        return 0.0
-    # exp(−rows² / (4 length²)), of neighbouring rows the pixels' own correlation.
-    target = share * sum(correlation ** (row * row) for row in range(1, _ROWS))
-    return float(np.interp(target, *_sums_of_lengths()))
-
-
-@cache
-def _sums_of_lengths() -> tuple[Floats, Floats]:
-    """Sums of the correlation over rows, and the lengths they belong to, rows."""
-    lengths = np.linspace(0.1, 2.0, 200)
-    return np.exp(-(np.arange(1, _ROWS) ** 2) / (4.0 * lengths[:, None] ** 2)).sum(1), lengths

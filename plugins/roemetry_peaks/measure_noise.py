@@ -24,6 +24,7 @@ from roemetry_peaks.maximum_likelihood import (
     MaximumLikelihood,
     MaximumLikelihoodOptions,
     estimated_noise,
+    most_noise,
     products_of,
     starts,
 )
@@ -81,7 +82,13 @@ def measured(frames: Sequence[Frame], options: MaximumLikelihoodOptions) -> dict
         products, tile, contrast2 = (np.concatenate(part) for part in zip(*parts, strict=True))
         peaks = int((products[:, 2, 2] > 0.0).sum())
         noise = noise_from(
-            products, tile, contrast2, variance=first.variance, gain=first.gain, rounding=first.rounding
+            products,
+            tile,
+            contrast2,
+            variance=first.variance,
+            gain=first.gain,
+            rounding=first.rounding,
+            most=most_noise(first, seen[0][2]),
         )
     frame = frames[0]
     return {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ _PEAKS_MIN = 6  # a tile with fewer has the image's contrast
 _SECOND_ORDER = 1.3  # a fit follows strong speckle further than its linear leverage tells; found by drawing
 _CORRELATIONS = np.linspace(0.0, 0.9, 181)
 _LAGS = _CORRELATIONS[:, None] ** np.array([0.0, 1.0, 4.0, 9.0])
+_ROWS = 8  # beyond which nothing is correlated along the stripe
 _USUAL, _USUAL_STD = 0.5, 0.25  # the correlation of neighbouring pixels, where the image says little
 
 
@@ -65,6 +67,7 @@ def noise_from(
     variance: float | None,
     gain: float | None,
     rounding: float,
+    most: tuple[float, float] = (np.inf, np.inf),
 ) -> StripeNoise:
     """Solve for the noise that makes residuals what they are.
 
@@ -80,6 +83,8 @@ def noise_from(
         R, grey levels², and g, grey levels, where they are known; None: estimated.
     rounding
         Variance of rounding, grey levels²; R is no less.
+    most
+        What R and g can be at most, where they are estimated: what is no Gaussian leaves residuals, too.
     """
     said = products[:, 2, 2] > 0.0
     products, tile, contrast2 = products[said], tile[said], contrast2[said]
@@ -88,7 +93,7 @@ def noise_from(
     correlation = _USUAL
     for _ in range(2 if variance is None or gain is None else 1):
         if variance is None or gain is None:
-            read, shot = _sensor(products.sum(0), _lags(correlation), variance, gain)
+            read, shot = _sensor(products.sum(0), _lags(correlation), variance, gain, most)
             read = max(read, rounding)
         else:
             read, shot = variance, gain
@@ -110,8 +115,10 @@ def _lags(correlation: float) -> NDArray[np.float64]:
     return np.asarray(correlation ** np.array([0.0, 1.0, 4.0, 9.0]))
 
 
-def _sensor(sums: Floats, lags: Floats, variance: float | None, gain: float | None) -> tuple[float, float]:
-    """R and g by moments; what comes out negative is 0, and the others are solved for again."""
+def _sensor(
+    sums: Floats, lags: Floats, variance: float | None, gain: float | None, most: tuple[float, float]
+) -> tuple[float, float]:
+    """R and g by moments; what comes out negative or too large is put right, the others solved for again."""
     matrix = np.column_stack([sums[:3, 1:3], sums[:3, 3:] @ lags])
     target = sums[:3, 0].copy()
     known = {0: variance, 1: gain}
@@ -123,10 +130,16 @@ def _sensor(sums: Floats, lags: Floats, variance: float | None, gain: float | No
     while free:
         found = np.linalg.lstsq(matrix[np.ix_(free, free)], target[free], rcond=None)[0]
         lowest = int(np.argmin(found))
-        if found[lowest] >= 0.0:
+        if found[lowest] < 0.0:
+            solved[free.pop(lowest)] = 0.0
+            continue
+        high = [at for at, cause in enumerate(free) if cause < len(most) and found[at] > most[cause]]
+        if not high:
             solved |= dict(zip(free, map(float, found), strict=True))
             break
-        solved[free.pop(lowest)] = 0.0
+        cause = free.pop(high[0])
+        solved[cause] = most[cause]
+        target -= matrix[:, cause] * most[cause]
     return solved[0], solved[1]
 
 
@@ -172,3 +185,19 @@ def _by_tile(own: Floats, unit: Floats, tile: Integers) -> Floats:
     shrunk: Floats = np.full(tiles, max(mean, 0.0))
     shrunk[enough] = np.maximum(mean + true / (true + chance) * (found - mean), 0.0)
     return shrunk
+
+
+def rows_of(share: float, correlation: float) -> float:
+    """Give the correlation along the stripe: speckle is as long along it as across, all else independent."""
+    if share <= 0.0 or correlation <= 0.0:
+        return 0.0
+    # exp(−rows² / (4 length²)), of neighbouring rows the pixels' own correlation.
+    target = share * sum(correlation ** (row * row) for row in range(1, _ROWS))
+    return float(np.interp(target, *_sums_of_lengths()))
+
+
+@cache
+def _sums_of_lengths() -> tuple[Floats, Floats]:
+    """Sums of the correlation over rows, and the lengths they belong to, rows."""
+    lengths = np.linspace(0.1, 2.0, 200)
+    return np.exp(-(np.arange(1, _ROWS) ** 2) / (4.0 * lengths[:, None] ** 2)).sum(1), lengths

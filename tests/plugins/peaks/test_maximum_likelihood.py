@@ -230,3 +230,23 @@ def test_there_must_be_stripes_to_measure_noise() -> None:
     for frames in ([], [Frame(np.zeros((50, 60), np.uint8))]):
         with pytest.raises(DataError):
             measured(frames, MaximumLikelihoodOptions())
+
+
+@pytest.mark.parametrize("threshold", ["auto", 20.0])
+def test_overexposed_stripes_of_no_gaussian_shape_are_not_taken_for_noise(
+    threshold: float | str, rng: np.random.Generator
+) -> None:
+    x_px = true_x_px()
+    off = np.abs(np.arange(400)[None, None, :] - x_px[:, :, None])
+    height = rng.uniform(200.0, 1200.0, x_px.shape)[:, :, None]
+    flat = (height * np.clip(4.0 - off, 0.0, 1.0) + 60.0 * np.exp(-off / 3.0)).sum(axis=0)
+    _, packed = cv2.imencode(".jpg", np.clip(flat, 0, 255).astype(np.uint8), [cv2.IMWRITE_JPEG_QUALITY, 85])
+    pixels = cv2.imdecode(packed, cv2.IMREAD_GRAYSCALE)
+    extractor = MaximumLikelihood(MaximumLikelihoodOptions(threshold=threshold))
+    image, found = starts(Frame(pixels), extractor.options)
+    noise = estimated_noise(image, 255, found)
+    assert noise.variance <= 5.2**2  # grey levels²
+    assert noise.gain <= 1.0
+    peaks = extractor.extract(Frame(pixels))
+    off_px = np.abs(peaks.x_px - x_px[:, peaks.row]).min(axis=0)
+    assert (off_px < 1.0).sum() >= 0.9 * x_px.size  # px
