@@ -1,6 +1,6 @@
 """Calibration from real images: twelve boards with a laser line, thirty-two views of a chessboard.
 
-``python -m benchmarks calibrate_real [--extractor NAME] [--channel grey] [--contrast 0.8]``, with the data
+``python -m benchmarks calibrate_real [--extractor NAME] [--channel grey] [--contrast 0.85]``, with the data
 where the environment variable ROEMETRY_REAL_DATA says. The laser-off partner is subtracted. Extractor,
 channel and the print's contrast up to which peaks count (``print_contrast_max``) were chosen on this set.
 """
@@ -39,7 +39,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--extractor", default="fir-zero-crossing")
     parser.add_argument("--channel", default="grey")
-    parser.add_argument("--contrast", type=float, default=0.8)
+    parser.add_argument("--contrast", type=float, default=0.85)
     given = parser.parse_args()
     home = Path(os.environ.get("ROEMETRY_REAL_DATA", "../shared/real"))
     for name, run in (("laser_on_circle_grid", _boards), ("chessboard_mit", _chessboard)):
