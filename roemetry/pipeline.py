@@ -43,9 +43,6 @@ _REFUSED_SHARE_MAX = 0.1
 
 _NO_VOLUME = Reason("no-volume", "there is no volume to weigh")
 
-_NOTHING_STATED = ("undecided", "cut-by-edge")
-"""Reasons for which a product is not even decided upon."""
-
 _EDGE_ROWS = 2
 """Rows at the image's ends in which a product counts as cut; extractors may leave the very first out."""
 
@@ -137,14 +134,16 @@ class Pipeline:
                 self._view = self._stages["triangulator"].view(calibration)
             assembled = assemble(profiles, outlines, calibration, acquisition.id, stripes.reasons, self._view)
             doubt = undecided(stripes)
+            doubts = {product.number: doubt or _cut_off(stripes, product.number) for product in assembled}
             products = tuple(
-                self._outcome(product, doubt or _cut_off(stripes, product.number), steps.seconds)
-                for product in assembled
+                self._outcome(product, doubts[product.number], steps.seconds) for product in assembled
             )
             scene = Scene(acquisition.id, stripes, outlines, calibration, penetration)
             products = self._drawn(products, scene, steps)
             if "grader" in self._stages:
-                products = tuple(self._decided(product, steps.seconds) for product in products)
+                products = tuple(
+                    self._decided(found, doubts[found.product.number], steps.seconds) for found in products
+                )
         return Trace(
             acquisition_id=acquisition.id,
             acquisition=acquisition,
@@ -184,10 +183,9 @@ class Pipeline:
             grade = steps.do("classifier", lambda: self._stages["classifier"].classify(product))
         return ProductTrace(product, volume, weight, grade, steps.absent)
 
-    def _decided(self, found: ProductTrace, seconds: dict[str, float]) -> ProductTrace:
+    def _decided(self, found: ProductTrace, doubt: Reason | None, seconds: dict[str, float]) -> ProductTrace:
         """Let the grader decide, on results that have their uncertainties."""
         steps = _Steps(self._debug, seconds)
-        doubt = next((why for why in found.absent.values() if why.code in _NOTHING_STATED), None)
         decision: Decision | None = None
         if steps.allow("grader", doubt):
             decision = steps.do(
