@@ -103,11 +103,11 @@ to 22. Here are that table and those figures for six simulated skeins, whose eve
 what {count} skeins say of the same method, of what it confuses, and of where its weight goes wrong.
 
 Made by `python -m benchmarks paper_experiment --count {count}`. The six are images that come with the
-recipe. The {count} are traced ray by ray without a rendered image, seeds {first} to {last} of the whole
-population, each on a rig of its own about the recipe's; {refused} of them were refused by the coder. The
-options of the paper's rule, the limits and the model of `learned` were chosen and fitted on other seeds;
-how the limit of *good* is chosen was changed after a look at the first 200. What `learned` does on skeins
-and rigs that nobody had looked at is on [Grading](grading.md).
+recipe, coded by `window-tracking`. The {count} are traced ray by ray without a rendered image, seeds
+{first} to {last} of the whole population, each on a rig of its own about the recipe's; {refused} of them
+were refused by the coder. The options of the paper's rule, the limits and the model of `learned` were
+chosen and fitted on other seeds; how the limit of *good* is chosen was changed after a look at the first
+200. What `learned` does on skeins and rigs that nobody had looked at is on [Grading](grading.md).
 """
 
 _TABLE_1 = """\

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from itertools import islice
 from pathlib import Path
 
+from benchmarks.experiment.six import PAPERS_CODER
 from benchmarks.grading.judges import GOOD, SHOWN_MM
 from benchmarks.grading.words import share, table
 from benchmarks.traced.tables import BEST_OPTIONS, NAMED
@@ -16,12 +17,15 @@ from roemetry_files.dataset_source import DatasetSource
 from roemetry_paper.arc_curvature import ArcCurvature, ArcCurvatureOptions
 from roemetry_shape.learned import Learned, LearnedOptions
 
-SUB_PIXEL = ("stages.extractor.use=centre-of-gravity", "stages.extractor.options={}")
+SUB_PIXEL = (*PAPERS_CODER, "stages.extractor.use=centre-of-gravity", "stages.extractor.options={}")
 
 
 def on_images(recipe: Path, data: Path, model: Path, count: int) -> str:
     """Judge the first images of a data set; `learned` gets sub-pixel peaks, the paper's rule its own."""
-    paper, fine = Pipeline(Recipe.load(recipe)), Pipeline(Recipe.load(recipe, sets=SUB_PIXEL))
+    paper, fine = (
+        Pipeline(Recipe.load(recipe, sets=PAPERS_CODER)),
+        Pipeline(Recipe.load(recipe, sets=SUB_PIXEL)),
+    )
     best = ArcCurvature(ArcCurvatureOptions(**BEST_OPTIONS))
     learned = Learned(LearnedOptions(model=model.resolve()))
     source, found, errors = DatasetSource(), {}, []

@@ -19,6 +19,8 @@ SIX = ("skein_01", "skein_03", "skein_05", "skein_06", "skein_07", "skein_10")
 """Good, dented, bent, twisted, folded, broken: one of each that the paper's five henkei may have been."""
 
 FIRST_FIGURE = 17
+PAPERS_CODER = ("stages.coder.use=window-tracking",)
+"""The recipe's own coder is another one; all else in it is the paper's."""
 
 Picture = NDArray[np.uint8]
 _PANEL = (320, 240)
@@ -39,8 +41,8 @@ class Sample(NamedTuple):
 
 
 def measured(recipe_folder: Path, images: Path) -> list[Sample]:
-    """Measure the six by the shipped recipe, and draw their figures into a folder."""
-    recipe = Recipe.load(recipe_folder)
+    """Measure the six by the shipped recipe with the paper's coder, and draw their figures into a folder."""
+    recipe = Recipe.load(recipe_folder, sets=PAPERS_CODER)
     source, pipeline = recipe.source.make(), Pipeline(recipe)
     best = ArcCurvature(ArcCurvatureOptions(**BEST_OPTIONS))
     data = Dataset(recipe_folder)

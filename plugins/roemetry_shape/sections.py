@@ -15,7 +15,7 @@ SAMPLES = 65
 
 _POINTS_MIN = 12
 _WIDTH_MIN_MM = 2.0
-_GAP_MAX = 0.5
+_GAP_MAX = 2.0 / 3.0
 """Of a section's width: where more is missing in one piece, two slivers at the foot are no section."""
 
 
