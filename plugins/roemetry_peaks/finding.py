@@ -25,7 +25,13 @@ _ROUNDING = 1.0 / 12.0
 """Variance of rounding to whole grey levels."""
 
 
-def found(frame: Frame, options: PeakOptions, centres: Callable[..., None], *settings: Any) -> Peaks:
+def found(
+    frame: Frame,
+    options: PeakOptions,
+    centres: Callable[..., None],
+    *settings: Any,
+    weighs_speckle: bool = False,
+) -> Peaks:
     """Find the stripes of a frame and measure the centre of each by a kernel.
 
     Parameters
@@ -38,6 +44,8 @@ def found(frame: Frame, options: PeakOptions, centres: Callable[..., None], *set
         Kernel with the parameters of `roemetry_kernels.centre_of_gravity.centres_of_gravity`.
     settings
         What else the kernel takes.
+    weighs_speckle
+        Whether the centres depend on the speckle's contrast, and not only what is stated of them.
     """
     from roemetry_kernels.local_contrast import SHARE_MIN
     from roemetry_kernels.stripe_footing import stripes_around
@@ -54,7 +62,7 @@ def found(frame: Frame, options: PeakOptions, centres: Callable[..., None], *set
     stripes = stripes_around(pixels, tops, area, white=frame.white, **limits)
     x_px, x_std_px = np.empty((2, stripes.row.shape[0]))
     levels, columns = pixels.reshape(-1), pixels.shape[1]
-    noise = noise_of(frame, options, stripes)
+    noise = noise_of(frame, options, stripes, sought=weighs_speckle or frame.sensor is not None)
     centres(levels, columns, stripes, frame.white, noise, x_px, x_std_px, *settings)
     fields: dict[str, Any] = {
         "row": stripes.row,
@@ -74,16 +82,21 @@ def found(frame: Frame, options: PeakOptions, centres: Callable[..., None], *set
     return Peaks(image_size=frame.size, correlation_rows=rows, reasons=reasons, **fields)
 
 
-def noise_of(frame: Frame, options: PeakOptions, stripes: Stripes) -> Floats:
-    """Give what is known of the noise, as `roemetry_kernels.influence.variance_of` takes it."""
+def noise_of(frame: Frame, options: PeakOptions, stripes: Stripes, *, sought: bool) -> Floats:
+    """Give what is known of the noise, as `roemetry_kernels.influence.variance_of` takes it.
+
+    An automatic contrast is 0 where it is not `sought`: nothing is stated without a sensor.
+    """
     from roemetry_kernels.speckle_along import contrast_along
 
     noise = np.array([np.nan, np.nan, 0.0, options.speckle_length_px])
     if frame.sensor is not None:
         read, gain = frame.sensor.read_noise_grey, frame.sensor.gain_grey_per_electron
         noise[:_CONTRAST] = read * read + _ROUNDING, gain
-    stated = options.speckle_contrast
-    noise[_CONTRAST] = contrast_along(stripes, frame.size[0], noise) if stated == "auto" else stated
+    if options.speckle_contrast != "auto":
+        noise[_CONTRAST] = options.speckle_contrast
+    elif sought:
+        noise[_CONTRAST] = contrast_along(stripes, frame.size[0], noise)
     return noise
 
 

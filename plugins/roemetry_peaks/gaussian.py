@@ -24,4 +24,4 @@ class Gaussian(Extractor[GaussianOptions]):
         """Find the stripes of a frame."""
         from roemetry_kernels.gaussian_fit import gaussian_centres  # numba: when something runs
 
-        return found(frame, self.options, gaussian_centres)
+        return found(frame, self.options, gaussian_centres, weighs_speckle=True)
