@@ -106,7 +106,5 @@ def test_references_that_contradict_are_refused_with_the_ratio(seen, known: bool
 def test_the_page_shows_the_calibration_with_the_scale_that_was_found(seen) -> None:
     asked = replace(smaller(seen, 1.03), block=BLOCK)
     made = FREE.calibrate(asked)
-    evidence = FREE.evidence(asked, made)
-    right = PinholeCalibrator().evidence(seen, PinholeCalibrator().calibrate(seen))
-    heights = [next(f.value for f in one.figures if "single points" in f.title) for one in (evidence, right)]
-    assert heights[0] == pytest.approx(heights[1], rel=0.05), "mm"
+    figures = {one.title: one.value for one in FREE.evidence(asked, made).figures}
+    assert figures["heights on other views, single points, rms"] < 0.1, "mm; 3 % of 20 mm are 0.6"
