@@ -1,13 +1,15 @@
 """The shipped product lines on their own simulated products: the tables of their README pages.
 
-``python -m benchmarks product_lines [LINE …]``
+``python -m benchmarks product_lines [LINE …] [--data FOLDER] [--set KEY=VALUE]``
+
+With ``--data`` the line's recipe measures another set of simulated products; ``--set`` changes the recipe.
 """
 
 from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -75,13 +77,14 @@ HEAD = (
 )
 
 
-def rows(line: str, home: Path = HOME) -> Iterator[Row]:
-    """Measure a line's own products, each beside its truth; one that was missed has a row too."""
-    recipe = Recipe.load(home / line)
+def rows(line: str, folder: Path | None = None, sets: Sequence[str] = ()) -> Iterator[Row]:
+    """Measure a line's products, or a folder's, each beside its truth; one that was missed has a row too."""
+    recipe = Recipe.load(HOME / line, sets=sets)
     source, pipeline = recipe.source.make(), Pipeline(recipe, debug=True)
-    data = Dataset(recipe.source_path)
+    folder = folder or recipe.source_path
+    data = Dataset(folder)
     truths = {item.id: data.truth(item) for item in data.items()}
-    for reference in source.references(recipe.source_path):
+    for reference in source.references(folder):
         trace, known = pipeline.trace(source.read(reference)), truths[reference.id]
         assert trace.stripes is not None and known.stripes is not None
         place = {true: mine for mine, true in by_place(trace.stripes, known.stripes).items()}
@@ -124,16 +127,22 @@ def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("lines", nargs="*", default=LINES, metavar="LINE")
-    for line in parser.parse_args().lines:
+    parser.add_argument("--data", type=Path, help="a set of simulated products, instead of the line's own")
+    parser.add_argument("--set", dest="sets", action="append", default=[], metavar="KEY=VALUE")
+    asked = parser.parse_args()
+    for line in asked.lines:
         print(f"\n### {line}\n\n{HEAD}")
-        found = list(rows(line))
+        found = list(rows(line, asked.data, asked.sets))
         for row in found:
             print(row.markdown())
         for what in ("visible_off", "true_off"):
             off = [getattr(row, what) for row in found if not math.isnan(getattr(row, what))]
             if off:
-                mean, worst = sum(off) / len(off), max(map(abs, off))
-                print(f"\n{what}: mean {100 * mean:+.2f} %, largest {100 * worst:.2f} %, of {len(off)}")
+                mean, spread, worst = np.mean(off), np.std(off, ddof=1), max(map(abs, off))
+                print(
+                    f"\n{what}: mean {100 * mean:+.2f} %, standard deviation {100 * spread:.2f} %, "
+                    f"largest {100 * worst:.2f} %, of {len(off)}"
+                )
 
 
 if __name__ == "__main__":
