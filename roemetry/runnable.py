@@ -7,9 +7,11 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from roemetry.checking import calibration_doubts
+from roemetry.errors import DataError
 from roemetry.measuring import measurements_of
 from roemetry.pipeline import Pipeline
 from roemetry.recipe import Recipe as CheckedRecipe
@@ -105,9 +107,10 @@ class Recipe(CheckedRecipe):
             ("dark", dark),
         )
         frames = tuple(
-            Frame(pixels, role=role, name=name, bit_depth=8 * pixels.dtype.itemsize)
+            Frame(image, role=role, name=name, bit_depth=8 * image.dtype.itemsize)
             for role, pixels in given
             if pixels is not None
+            for image in (_array(pixels, role),)
         )
         return self._pipeline.trace(Acquisition(name, frames))
 
@@ -122,3 +125,12 @@ class Recipe(CheckedRecipe):
     def __getstate__(self) -> dict[str, Any]:
         # a worker makes stages of its own: they hold compiled code
         return {name: value for name, value in self.__dict__.items() if name != "_pipeline"}
+
+
+def _array(pixels: Any, role: Role) -> NDArray[Any]:
+    try:
+        return np.asarray(pixels)
+    except ValueError as error:
+        raise DataError(
+            f"the {role} image is no array: {error}", hint="give (row, column) grey levels, uint8 or uint16"
+        ) from error

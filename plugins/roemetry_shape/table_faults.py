@@ -93,7 +93,7 @@ class _Cells:
         if self.count > CELLS_MAX:
             return
         for axis, name in enumerate(self._names, start=1):
-            if name.endswith(_NEVER_NEGATIVE):
+            if name.endswith(_NEVER_NEGATIVE) and "_per_" not in name:
                 self.real &= self._along(axis, [high > 0.0 for _, high in self._ranges(name)])
 
     def of(self, ranges: Mapping[str, Range], shape: Sequence[str]) -> Any:

@@ -5,7 +5,7 @@ Seen from straight above, a point at height H on a plane of light is displaced b
     H · tan · D / (D − H),  tan = the projector's offset over its height,
 
 on a belt that lies D below the camera. A flank that is displaced by a whole stripe spacing looks like its
-neighbour's belt; so the projector is placed for three quarters of a spacing at the greatest height.
+neighbour's belt; so the projector is placed for 0.7 of a spacing at the greatest height.
 """
 
 from __future__ import annotations

@@ -56,6 +56,10 @@ def test_a_trace_has_every_step(line: Callable[..., Path]) -> None:
 
 def test_what_is_no_image_is_refused(line: Callable[..., Path]) -> None:
     recipe = Recipe.load(line())
+    with pytest.raises(DataError, match="int64, expected uint8 or uint16"):
+        recipe.measure([[1, 2], [3, 4]])  # type: ignore[arg-type]
+    with pytest.raises(DataError, match="the laser image is no array"):
+        recipe.measure([[1, 2], [3]])  # type: ignore[arg-type]
     with pytest.raises(DataError, match="float64, expected uint8 or uint16"):
         recipe.measure(np.zeros((240, 320)))
     with pytest.raises(DataError, match="empty"):

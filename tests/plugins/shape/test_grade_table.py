@@ -168,6 +168,10 @@ def table(*classes: tuple[str, dict[str, dict[str, float]]], **more: Any) -> dic
             ),
             "overlaps class 'A' at weight_g at least 15 and below 20; move a limit",
         ),
+        (  # a curvature has a sign, unlike a length
+            table(("A", {"hollow_curvature_high_per_mm": {"at_least": 0}})),
+            "there is a gap: no class takes hollow_curvature_high_per_mm below 0",
+        ),
         (table(("A", {"weight_g": {"at_least": 9, "below": 9}})), "nothing is at least 9 and below 9"),
         (table(("A", {"weight_g": {}})), "neither at_least nor below"),
         (table(("A", {}), std={"weight_g": 1.0}), "no class has a limit on it"),
