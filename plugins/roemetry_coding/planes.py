@@ -39,6 +39,7 @@ class PlanesOptions(StageOptions):
     )
 
 
+_LIVE_PEAKS_MIN = 15
 _CODED_SHARE_MIN = 0.4
 _OUTER_SHARE = 0.1
 _ON_BELT_MIN = 0.3
@@ -74,7 +75,8 @@ class Planes(Coder[PlanesOptions]):
             )
         rest = calibrated_rest_lines(peaks, calibration)
         solved = solve_planes(peaks, calibration, rest)
-        live = np.flatnonzero(solved.there > 0.0)
+        given = np.bincount(solved.stripe[solved.stripe >= 0], minlength=solved.there.size)
+        live = np.flatnonzero((solved.there > 0.0) & (given >= _LIVE_PEAKS_MIN))
         if not live.size or not _belt_fits(peaks, rest):
             raise StageError(
                 f"no stripe lies where the {rest.x_px.shape[0]} rest lines are",

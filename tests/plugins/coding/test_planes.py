@@ -104,3 +104,19 @@ def _true(sample) -> np.ndarray:
             nearest = off.argmin(axis=1)
             found[here] = np.where(off.min(axis=1) < 1.0, true.stripe[there][nearest], -1)
     return found
+
+
+def test_a_dead_stripe_on_whose_rest_line_a_product_lies_is_named() -> None:
+    """Some twenty peaks of the product lie where the dead stripe's belt would be."""
+    seed = 500_022
+    scene = coded.sample_of(
+        coded.easy_rig(seed), coded.skein(seed, "s-bent"), coded.DAMAGES["dead-stripe"], seed=seed + 7
+    )
+    (dead,) = scene.dead
+    rest = calibrated_rest_lines(scene.peaks, scene.calibration)
+    on_line = np.abs(scene.peaks.x_px - rest.x_px[dead, scene.peaks.row]) <= rest.tolerance_px
+    assert on_line.sum() >= 15
+    (reason,) = [
+        r for r in Planes().code(scene.peaks, scene.calibration).reasons if r.code == "stripe-missing"
+    ]
+    assert reason.text.endswith(f"stripe {dead + 1}")
