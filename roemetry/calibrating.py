@@ -9,9 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from roemetry.blame import blamed
 from roemetry.calibration import Calibration
 from roemetry.errors import CalibrationError
 from roemetry.files import sha256_of
+from roemetry.giving import given
 from roemetry.preparing import prepare
 from roemetry.records import (
     Acquisition,
@@ -48,7 +50,8 @@ def calibrate_with_evidence(rig: Rig, *, registry: Registry | None = None) -> tu
 
 
 def _calibrated(rig: Rig, observed: CalibrationSet, hashes: dict[str, str]) -> Calibration:
-    calibration: Calibration = rig.calibrator.make().calibrate(observed)
+    with blamed("calibrator", rig.calibrator):
+        calibration: Calibration = given("calibrator", rig.calibrator.make().calibrate(observed))
     return replace(calibration, image_sha256=hashes, made=datetime.now(UTC).isoformat(timespec="seconds"))
 
 
@@ -99,7 +102,9 @@ def observe(rig: Rig, registry: Registry) -> tuple[CalibrationSet, dict[str, str
                 partner = (
                     None  # in other light than the laser image: it shows the board, not what to subtract
                 )
-            peaks = extractor.extract(frame if partner is None else _prepared(read, partner, rig))
+            light = frame if partner is None else _prepared(read, partner, rig)
+            with blamed("extractor", rig.extractor):
+                peaks = given("extractor", extractor.extract(light))
             observations.append(Observation(target, frame, peaks, pose))
     if not observations:
         raise CalibrationError(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, get_args
 
 from roemetry.errors import RoemetryError
 from roemetry.files import sha256_of
@@ -78,8 +78,9 @@ class Chooser:
         except RoemetryError as error:
             self.fault(str(error), *at, "use")
             return None
-        if not issubclass(stage, INTERFACES[kind]):
-            self.fault(f"{choice.use} of {registered.provider} is not a {kind}", *at)
+        misfit = misfit_of(stage, kind)
+        if misfit is not None:
+            self.fault(f"{choice.use} of {registered.provider} cannot be used: {misfit}", *at)
             return None
         options, wrong = checked(stage.Options, choice.options, self._place, (*at, "options"))
         self.faults += wrong
@@ -94,6 +95,23 @@ class Chooser:
     def fault(self, sentence: str, *at: Step) -> None:
         """Note a fault at a path of the file."""
         self.faults.append(f"{self._place(at)}: {'.'.join(map(str, at))}: {sentence}")
+
+
+def misfit_of(stage: type[Any], kind: str) -> str | None:
+    """Say why a class cannot be a stage of a kind, and what its author has to do; None if it can."""
+    interface = INTERFACES[kind]
+    if not issubclass(stage, interface):
+        return f"class {stage.__name__} does not inherit from `roemetry.stages.{interface.__name__}`"
+    if stage.__abstractmethods__:
+        lacking = ", ".join(f"`{name}`" for name in sorted(stage.__abstractmethods__))
+        return f"class {stage.__name__} does not define {lacking}"
+    for base in stage.__dict__.get("__orig_bases__", ()):
+        for model in get_args(base):
+            if isinstance(model, type) and not issubclass(stage.Options, model):
+                return (
+                    f"class {stage.__name__} has no options: write `Options = {model.__name__}` in its body"
+                )
+    return None
 
 
 def _paths(options: StageOptions) -> dict[str, Path]:

@@ -11,8 +11,11 @@ from typing import Any, TypeVar
 import numpy as np
 
 from roemetry.assembling import assemble
+from roemetry.blame import failure
 from roemetry.calibration import Calibration
+from roemetry.choosing import Chosen
 from roemetry.errors import RoemetryError
+from roemetry.giving import given
 from roemetry.penetration import raised
 from roemetry.preparing import prepare, prepare_plain
 from roemetry.propagation import Chain, Scene, propagate
@@ -93,7 +96,7 @@ class Pipeline:
 
     def trace(self, acquisition: Acquisition) -> Trace:
         """Take one acquisition through the chain; whatever goes wrong stands in `Trace.absent`."""
-        steps = _Steps(self._debug)
+        steps = _Steps(self.recipe.stages, self._debug)
         source = self.recipe.source_choice
         frame = steps.do("source", lambda: self._frame(acquisition))
         peaks: Peaks | None = None
@@ -168,7 +171,7 @@ class Pipeline:
         )
 
     def _outcome(self, product: Product, doubt: Reason | None, seconds: dict[str, float]) -> ProductTrace:
-        steps = _Steps(self._debug, seconds)
+        steps = _Steps(self.recipe.stages, self._debug, seconds)
         volume: Volume | None = None
         weight: Weight | None = None
         grade: Grade | None = None
@@ -185,7 +188,7 @@ class Pipeline:
 
     def _decided(self, found: ProductTrace, doubt: Reason | None, seconds: dict[str, float]) -> ProductTrace:
         """Let the grader decide, on results that have their uncertainties."""
-        steps = _Steps(self._debug, seconds)
+        steps = _Steps(self.recipe.stages, self._debug, seconds)
         decision: Decision | None = None
         if steps.allow("grader", doubt):
             decision = steps.do(
@@ -211,16 +214,19 @@ def frame_of(recipe: Recipe, acquisition: Acquisition) -> Frame:
 class _Steps:
     """Runs steps, takes their time, and notes why a result is missing."""
 
-    def __init__(self, debug: bool, seconds: dict[str, float] | None = None) -> None:
+    def __init__(
+        self, chosen: Mapping[str, Chosen], debug: bool, seconds: dict[str, float] | None = None
+    ) -> None:
         self.absent: dict[str, Reason] = {}
         self.seconds: dict[str, float] = {} if seconds is None else seconds
+        self._chosen = chosen
         self._debug = debug
 
     def do(self, kind: str, step: Callable[[], T]) -> T | None:
         """Run a step; None if it could not be done."""
         begin = time.perf_counter()
         try:
-            return step()
+            return given(kind, step())
         except RoemetryError as error:
             if self._debug:
                 raise
@@ -229,10 +235,7 @@ class _Steps:
         except Exception as error:
             if self._debug:
                 raise
-            self.absent[kind] = Reason(
-                f"{kind}-fault",
-                f"the {kind} failed with {type(error).__name__}: {error} (a plugin's fault; see --debug)",
-            )
+            self.absent[kind] = Reason(f"{kind}-fault", failure(error, kind, self._chosen.get(kind)))
         finally:
             self.seconds[kind] = self.seconds.get(kind, 0.0) + time.perf_counter() - begin
         return None

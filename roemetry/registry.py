@@ -10,9 +10,11 @@ import difflib
 import importlib
 import importlib.util
 import os
+import tomllib
 from collections.abc import Iterable
 from dataclasses import dataclass
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint, PackageNotFoundError, distribution, entry_points
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -117,7 +119,8 @@ class Registry:
             raise PluginError(
                 f"{stage.entry.kind} `{stage.entry.name}` of {stage.provider}: "
                 f"`{stage.entry.target}` cannot be imported: {type(error).__name__}: {error}",
-                hint="reinstall the plugin, or report this to its author",
+                hint="if the plugin is yours, mend its code, or `target` in its StageEntry; "
+                "else reinstall it, or report this to its author",
             ) from error
         if not isinstance(found, type):
             raise PluginError(f"{stage.entry.target} of {stage.provider} is not a class")
@@ -125,6 +128,9 @@ class Registry:
 
     def _unknown(self, kind: str, use: str) -> PluginError:
         names = sorted({stage.entry.name for stage in self.of_kind(kind)})
+        install = not_installed(use)
+        if install is not None:
+            return PluginError(f"there is no {kind} `{use}` yet", hint=install)
         close = difflib.get_close_matches(use, names, n=1)
         parts = [f"did you mean `{close[0]}`?"] if close else []
         parts += [
@@ -170,6 +176,19 @@ def discover(found: Iterable[EntryPoint] | None = None) -> Registry:
     return Registry(tuple(stages), tuple(broken))
 
 
+def not_installed(name: str) -> str | None:
+    """Say how to install a package whose folder, by its path from here, was named; None if there is none."""
+    try:
+        project = tomllib.loads((Path(name) / "pyproject.toml").read_text(encoding="utf-8"))
+        distribution(project["project"]["name"])
+    except PackageNotFoundError:
+        return f"the package in the folder {name} is not installed: `pip install -e {name}`"
+    # A folder without a sound project is no plugin that waits to be installed.
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    return None
+
+
 def _entries(point: EntryPoint) -> list[StageEntry]:
     """Load one plugin in a plugin manager of its own, so that it cannot disturb another."""
     module: ModuleType = point.load()
@@ -182,7 +201,7 @@ def _entries(point: EntryPoint) -> list[StageEntry]:
         raise PluginError(f"a hook is misspelt or has wrong arguments: {error}") from error
     results = manager.hook.roemetry_stages()
     if not results:
-        raise PluginError("it implements no `roemetry_stages` hook")
+        raise PluginError(_without_stages(module, called=bool(manager.hook.roemetry_stages.get_hookimpls())))
     entries = [entry for result in results for entry in result]
     for entry in entries:
         if not isinstance(entry, StageEntry):
@@ -197,3 +216,10 @@ def _entries(point: EntryPoint) -> list[StageEntry]:
                 "update roemetry"
             )
     return entries
+
+
+def _without_stages(module: ModuleType, *, called: bool) -> str:
+    if called:
+        return "its `roemetry_stages` gives nothing: `yield` a StageEntry, or return a list of them"
+    mend = "put `@hookimpl` above it" if hasattr(module, "roemetry_stages") else "define it"
+    return f"it implements no `roemetry_stages` hook: {mend} in {module.__name__}"

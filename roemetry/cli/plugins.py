@@ -49,7 +49,8 @@ def plugins(
 
     table = Table()
     for heading in ("kind", "name", "what it does", "provider", "status"):
-        table.add_column(heading, overflow="fold")
+        # A name is typed from here into a recipe: it stays whole, however narrow the window.
+        table.add_column(heading, overflow="fold", no_wrap=heading in ("kind", "name"))
     for stage in registry.stages:
         claimed = [
             other for other in registry.of_kind(stage.entry.kind) if other.entry.name == stage.entry.name

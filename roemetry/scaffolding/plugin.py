@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import difflib
 import importlib.util
 import keyword
 import re
 from pathlib import Path
 from string import Template
 
-from roemetry.errors import ConfigurationError
+from roemetry.errors import ConfigurationError, OutputError
 from roemetry.files import make_folder, write_whole
 from roemetry.hookspecs import KINDS
 from roemetry.registry import Registry
@@ -35,6 +36,7 @@ _NO_TEMPLATE = {
     "simulator": "plugins/roemetry_simulate",
     "planner": "plugins/roemetry_simulate",
 }
+_NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 _USES = {
     "source": "source: {{use: {stage}, path: images}}",
     "sink": "sinks: [csv, {stage}]",
@@ -67,10 +69,17 @@ def new_plugin(name: str, kind: str, folder: Path, registry: Registry) -> tuple[
     OutputError
         The folder cannot be written.
     """
-    _check(name, kind, registry)
+    _check_kind(kind)
+    _check_name(name)
     home = folder / name
     if home.exists():
-        raise ConfigurationError(f"{home} is there already", hint="choose another name, or another --out")
+        raise ConfigurationError(
+            f"{home} is there already: nothing was written",
+            hint=f"go on with it (`pip install -e {home}`), or choose another name or another --out",
+        )
+    if folder.exists() and not folder.is_dir():
+        raise OutputError(f"{folder} is a file", hint="--out names a folder")
+    _check_free(name, kind, registry)
     package = name.replace("-", "_")
     module = kind
     words = {
@@ -79,6 +88,7 @@ def new_plugin(name: str, kind: str, folder: Path, registry: Registry) -> tuple[
         "module": module,
         "stage": name,
         "kind": kind,
+        "a_kind": f"an {kind}" if kind[0] in "aeiou" else f"a {kind}",
         "Class": "".join(part.capitalize() for part in name.split("-")),
         "summary": TEMPLATES[kind],
         "use": "In a recipe:\n\n```yaml\n" + _use(kind, name) + "\n```",
@@ -100,27 +110,48 @@ def new_plugin(name: str, kind: str, folder: Path, registry: Registry) -> tuple[
     return (*written, home / package / "py.typed")
 
 
-def _check(name: str, kind: str, registry: Registry) -> None:
+def _check_kind(kind: str) -> None:
     if kind not in KINDS:
-        raise ConfigurationError(f"there is no kind of stage `{kind}`", hint=f"one of {', '.join(TEMPLATES)}")
+        close = difflib.get_close_matches(kind.lower(), TEMPLATES, n=1)
+        mean = f"did you mean `{close[0]}`? " if close else ""
+        raise ConfigurationError(
+            f"there is no kind of stage `{kind}`", hint=f"{mean}one of {', '.join(TEMPLATES)}"
+        )
     if kind not in TEMPLATES:
         raise ConfigurationError(
             f"there is no template for a {kind}",
             hint=f"start from {_NO_TEMPLATE[kind]} in roemetry's sources; templates: {', '.join(TEMPLATES)}",
         )
-    if not re.fullmatch(r"[a-z][a-z0-9]*(-[a-z0-9]+)*", name) or keyword.iskeyword(name):
+
+
+def _check_name(name: str) -> None:
+    if keyword.iskeyword(name):
         raise ConfigurationError(
-            f"{name!r} cannot be a plugin's name", hint="small letters, digits and hyphens, e.g. my-peaks"
+            f"{name!r} cannot be a plugin's name: it is a word of Python", hint=f"for example my-{name}"
         )
-    if importlib.util.find_spec(name.replace("-", "_")) is not None:
+    if not _NAME.fullmatch(name):
+        words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "-", name).lower()
+        better = re.sub(r"[^a-z0-9]+", "-", words).strip("-")
+        if not _NAME.fullmatch(better) or keyword.iskeyword(better):
+            better = f"my-{better}" if _NAME.fullmatch(f"my-{better}") else "my-peaks"
         raise ConfigurationError(
-            f"a module {name.replace('-', '_')} is installed already", hint="choose another name"
+            f"{name!r} cannot be a plugin's name",
+            hint=f"a small letter, then small letters, digits and hyphens: `{better}`",
         )
+
+
+def _check_free(name: str, kind: str, registry: Registry) -> None:
     for stage in registry.of_kind(kind):
         if stage.entry.name == name:
             raise ConfigurationError(
-                f"{stage.provider} has a {kind} `{name}` already", hint="choose another name"
+                f"there is a stage `{name}` of this kind already: {stage.provider}",
+                hint="choose another name",
             )
+    module = name.replace("-", "_")
+    if importlib.util.find_spec(module) is not None:
+        raise ConfigurationError(
+            f"`{module}` is installed already as a Python module", hint="choose another name"
+        )
 
 
 def _use(kind: str, stage: str) -> str:

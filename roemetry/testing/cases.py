@@ -11,8 +11,10 @@ from typing import Any
 import numpy as np
 
 from roemetry.errors import PluginError
+from roemetry.giving import given
 from roemetry.records import Estimate, Grade, Weight
 from roemetry.stages import (
+    INTERFACES,
     Calibrator,
     Classifier,
     Coder,
@@ -67,8 +69,17 @@ def cases_for(stage: Stage[Any]) -> Cases:
     """Make the cases for a stage of any kind, anew at each call."""
     for kind, make in _MAKERS.items():
         if isinstance(stage, kind):
-            return make(stage)
+            cases = make(stage)
+            empty = None if cases.empty is None else _typed(cases.empty, stage)
+            return Cases(_typed(cases.ordinary, stage), _typed(cases.other, stage), empty)
     raise PluginError(f"{type(stage).__name__} is of no kind that has checks")
+
+
+def _typed(case: Case, stage: Stage[Any]) -> Case:
+    """Let a call say so if the stage does not give the record of its kind."""
+    kind = next(kind for kind, interface in INTERFACES.items() if isinstance(stage, interface))
+
+    return replace(case, call=lambda called: given(kind, case.call(called)))
 
 
 def _source(stage: Source[Any]) -> Cases:

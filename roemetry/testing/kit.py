@@ -7,9 +7,11 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from roemetry.blame import place_in
+from roemetry.choosing import misfit_of
 from roemetry.errors import PluginError
-from roemetry.registry import Registered, Registry, discover
-from roemetry.stages import INTERFACES, Stage
+from roemetry.registry import Registered, Registry, discover, not_installed
+from roemetry.stages import Stage
 from roemetry.testing.checks import Check, checks_of, name_of
 from roemetry.testing.fixtures import made
 
@@ -76,11 +78,18 @@ def judged(stage: Stage[Any], check: Check, reason: str | None = None) -> Result
     except Exception as error:
         if reason is not None:
             return Result("expected failure", reason)
-        found = str(error) if isinstance(error, AssertionError) else f"{type(error).__name__}: {error}"
-        return Result("failed", found)
+        return Result("failed", _told(error, type(stage).__module__))
     if reason is not None:
         return Result("unexpectedly passed", f"declared to fail ({reason}), but it passes")
     return Result("passed")
+
+
+def _told(error: Exception, module: str) -> str:
+    """Say what a check found, or what the stage raised and where in its code."""
+    if isinstance(error, AssertionError):
+        return str(error)
+    place = place_in(error, module)
+    return f"{type(error).__name__}: {error}" + ("" if place is None else f" (at {place})")
 
 
 def prepared(
@@ -93,8 +102,9 @@ def prepared(
     if registered.missing is not None:
         raise PluginError(f"{entry.kind} `{entry.name}` {registered.missing}")
     cls = Registry((registered,), ()).load(registered)
-    if not issubclass(cls, INTERFACES[entry.kind]):
-        raise PluginError(f"{entry.target} of {registered.provider} is not a {entry.kind}")
+    misfit = misfit_of(cls, entry.kind)
+    if misfit is not None:
+        raise PluginError(f"{entry.target} of {registered.provider} cannot be used: {misfit}")
     try:
         stage = made(cls, options)
     except PluginError:
@@ -139,6 +149,9 @@ def stages_named(name: str, registry: Registry | None = None) -> tuple[Registere
     for broken in registry.broken:
         if name in (broken.provider.name, broken.provider.distribution, broken.provider.entry_point):
             raise PluginError(str(broken))
+    install = not_installed(name)
+    if install is not None:
+        raise PluginError(f"there is no stage or plugin `{name}` yet", hint=install)
     known = sorted({each for stage in registry.stages for each in _names(stage)})
     close = difflib.get_close_matches(name, known, n=1)
     raise PluginError(

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
 from pydantic import Field
 
-from roemetry.choosing import Chooser
+from roemetry.choosing import Chooser, misfit_of
 from roemetry.files import sha256_of
 from roemetry.hookspecs import StageEntry
 from roemetry.recipe_file import StageChoice
@@ -58,3 +59,40 @@ def test_a_missing_file_is_a_fault_with_its_place(tmp_path: Path) -> None:
     (fault,) = asked.faults
     assert fault.startswith("recipe.yaml:3:5: stages.weigher.options.table: there is no file")
     assert fault.endswith("no.csv")
+
+
+class NoVerb(Weigher[TableOptions]):
+    Options = TableOptions
+
+
+class NoOptions(Weigher[TableOptions]):
+    def weigh(self, product: Product, volume: Volume, *, rng: object = None) -> Weight:
+        raise NotImplementedError
+
+
+@pytest.mark.parametrize(
+    ("cls", "kind", "says"),
+    [
+        (FromTable, "extractor", "class FromTable does not inherit from `roemetry.stages.Extractor`"),
+        (int, "volume", "class int does not inherit from `roemetry.stages.VolumeEstimator`"),
+        (NoVerb, "weigher", "class NoVerb does not define `weigh`"),
+        (NoOptions, "weigher", "class NoOptions has no options: write `Options = TableOptions` in its body"),
+    ],
+)
+def test_a_class_that_cannot_be_a_stage_is_told_why(cls: type, kind: str, says: str) -> None:
+    assert misfit_of(cls, kind) == says
+
+
+def test_a_class_that_can_be_a_stage() -> None:
+    assert misfit_of(FromTable, "weigher") is None
+    assert misfit_of(type("Inherits", (FromTable,), {}), "weigher") is None
+
+
+def test_a_class_without_its_verb_is_a_fault_of_the_recipe(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(OneStage, "load", lambda self, registered: NoVerb)
+    asked = chooser(tmp_path)
+    assert asked.choose("weigher", StageChoice(use="from-table"), "stages", "weigher") is None
+    (fault,) = asked.faults
+    assert fault.endswith("from-table of test 1 (test) cannot be used: class NoVerb does not define `weigh`")

@@ -74,10 +74,11 @@ def test_a_name_that_cannot_be_is_refused(name: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "kind", "says"),
     [
-        ("gaussian", "extractor", "has a extractor `gaussian` already|has an extractor"),
-        ("json", "sink", "a module json is installed already"),
-        ("class", "sink", "cannot be a plugin's name"),
-        ("my-peaks", "extracter", "there is no kind of stage `extracter`"),
+        ("gaussian", "extractor", "there is a stage `gaussian` of this kind already"),
+        ("json", "sink", "`json` is installed already as a Python module"),
+        ("class", "sink", "it is a word of Python"),
+        ("my-peaks", "extracter", "did you mean `extractor`"),
+        ("my-peaks", "Extractor", "did you mean `extractor`"),
     ],
 )
 def test_what_is_taken_is_refused(name: str, kind: str, says: str, tmp_path: Path) -> None:
@@ -85,15 +86,28 @@ def test_what_is_taken_is_refused(name: str, kind: str, says: str, tmp_path: Pat
         new_plugin(name, kind, tmp_path, discover())
 
 
+@pytest.mark.parametrize(
+    ("name", "better"),
+    [("MyPeaks", "my-peaks"), ("my_peaks", "my-peaks"), ("my peaks", "my-peaks"), ("3d-peaks", "my-3d-peaks"),
+     ("Class", "my-class"), ("...", "my-peaks")],
+)  # fmt: skip
+def test_a_name_that_can_be_is_offered(name: str, better: str, tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match=f"`{better}`"):
+        new_plugin(name, "extractor", tmp_path, discover())
+    assert new_plugin(better, "extractor", tmp_path, discover())
+
+
 def test_nothing_is_overwritten(tmp_path: Path) -> None:
-    (tmp_path / "my-peaks").mkdir()
-    with pytest.raises(ConfigurationError, match="is there already"):
+    written = new_plugin("my-peaks", "extractor", tmp_path, discover())
+    before = [file.read_bytes() for file in written]
+    with pytest.raises(ConfigurationError, match=r"is there already(.|\n)*pip install -e"):
         new_plugin("my-peaks", "extractor", tmp_path, discover())
+    assert [file.read_bytes() for file in written] == before
 
 
 def test_a_folder_that_cannot_be_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
-    with pytest.raises(OutputError):
+    with pytest.raises(OutputError, match="--out names a folder"):
         new_plugin("my-peaks", "extractor", tmp_path / "file", discover())
 
 

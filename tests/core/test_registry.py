@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from roemetry.errors import PluginError
-from roemetry.registry import Registry, discover
+from roemetry.registry import Registry, discover, not_installed
 
 ENTRY = """
 from roemetry.hookspecs import StageEntry, hookimpl
@@ -87,6 +87,35 @@ def test_a_misspelt_hook(plugins) -> None:
 
 def test_no_hook_at_all(plugins) -> None:
     assert "no `roemetry_stages` hook" in str(plugins(plugin_none="x = 1").broken[0])
+
+
+def test_a_hook_without_its_mark(plugins) -> None:
+    registry = plugins(plugin_unmarked=entry().replace("@hookimpl", ""))
+    assert "put `@hookimpl` above it in plugin_unmarked" in str(registry.broken[0])
+
+
+def test_a_hook_that_gives_nothing(plugins) -> None:
+    registry = plugins(plugin_mute=entry().replace("yield StageEntry", "StageEntry"))
+    assert "gives nothing: `yield` a StageEntry" in str(registry.broken[0])
+
+
+def test_the_folder_of_a_package_is_told_to_be_installed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name, text in {
+        "my-peaks": '[project]\nname = "surely-not-installed"\n',
+        "numpy": '[project]\nname = "numpy"\n',
+        "no-project": "[tool]\n",
+        "half-written": "[project\n",
+    }.items():
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "pyproject.toml").write_text(text, encoding="utf-8")
+    assert not_installed("my-peaks") is not None
+    with pytest.raises(PluginError, match="`pip install -e my-peaks`"):
+        discover().find("extractor", "my-peaks")
+    for name in ("numpy", "no-project", "half-written", "nowhere", "a\0b"):
+        assert not_installed(name) is None
 
 
 def test_an_unknown_kind(plugins) -> None:

@@ -122,6 +122,20 @@ def test_a_fault_in_a_plugin_is_a_row(
         run_recipe(Recipe.load(tmp_path / "line"), tmp_path / "debug", debug=True)
 
 
+def test_a_stage_that_gives_nothing_is_no_empty_belt(
+    line: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from roemetry_paper.dominant_peak import DominantPeak
+
+    monkeypatch.setattr(DominantPeak, "extract", lambda self, frame: None)
+    outcome = run_recipe(Recipe.load(line(2)), tmp_path / "out")
+    assert outcome.counts["failed"] == 2
+    why = rows_of(tmp_path / "out")["p01"].absent["extractor"]
+    assert why.code == "extractor-fault"
+    assert "the extractor `dominant-peak` failed" in why.text
+    assert "gave nothing (None), expected Peaks" in why.text
+
+
 def test_a_run_is_not_written_over(line: Callable[..., Path], tmp_path: Path) -> None:
     recipe = Recipe.load(line(1))
     run_recipe(recipe, tmp_path / "out")

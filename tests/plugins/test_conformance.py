@@ -91,13 +91,35 @@ def test_a_stage_that_lacks_something_is_skipped_with_the_reason() -> None:
 @pytest.mark.parametrize(
     ("kind", "target", "says"),
     [
-        ("coder", "roemetry_paper.dominant_peak:DominantPeak", "is not a coder"),
+        (
+            "coder",
+            "roemetry_paper.dominant_peak:DominantPeak",
+            r"does not inherit from `roemetry.stages.Coder`",
+        ),
         ("extractor", "roemetry_paper.dominant_peak:Nothing", "cannot be imported"),
     ],
 )
 def test_what_cannot_be_made_is_said(kind: str, target: str, says: str) -> None:
     with pytest.raises(PluginError, match=says):
         list(conformance(registered(kind, target)))
+
+
+def test_a_stage_that_gives_nothing_or_breaks_is_told_so(monkeypatch) -> None:
+    stage = registered("extractor", "roemetry_paper.dominant_peak:DominantPeak")
+    monkeypatch.setattr(DominantPeak, "extract", lambda self, frame: None)
+    _, first = next(iter(conformance(stage)))
+    assert first.outcome == "failed"
+    assert first.message == "TypeError: it gave nothing (None), expected Peaks"
+
+
+def test_where_a_stage_breaks_is_told() -> None:
+    class Breaks(DominantPeak):
+        def extract(self, frame):
+            raise ZeroDivisionError("oh")
+
+    said = judged(Breaks(), _check(Breaks, "check_centres_are_right")).message
+    line = Breaks.extract.__code__.co_firstlineno + 1
+    assert said == f"ZeroDivisionError: oh (at test_conformance.py:{line})"
 
 
 def test_a_fixture_gives_what_the_kit_cannot_make(monkeypatch) -> None:
