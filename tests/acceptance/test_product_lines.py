@@ -34,7 +34,7 @@ def found(line: str) -> list[Row]:
 
 def table_of(line: str) -> list[list[str]]:
     page = (HOME / line / "README.md").read_text("utf-8")
-    told = page.split("## What was found")[1].split(" that nothing was chosen on")[0]
+    told = page.split("## What was found")[1].split("\nOn ")[0]
     start = [row for row in told.splitlines() if row.startswith("| ") and "#" in row.split("|")[1]]
     return [[cell.strip() for cell in row.strip("|").split("|")] for row in start]
 
