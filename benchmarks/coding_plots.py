@@ -12,7 +12,7 @@ from roemetry.pages import svg
 
 Points = Sequence[tuple[float, float]]
 
-_COLOURS = ("#0d689c", "#a65a00", "#187059", "#b71d7c", "#5a4fcf", "#726317", "#7a3b1d", "#44525f")
+_COLOURS = ("#0d689c", "#a65a00", "#187059", "#b71d7c", "#5a4fcf", "#726317", "#7a3b1d", "#44525f", "#d0453b")
 _STYLE = Markup(
     "<style>text{font:12px system-ui,sans-serif;fill:#3c434c;text-anchor:middle}"
     ".start{text-anchor:start}.end{text-anchor:end}.grid{stroke:#d9dee4;fill:none}"
