@@ -7,9 +7,10 @@ import numpy as np
 from roemetry.arrays import Flags, Floats, Integers, Labels
 from roemetry_kernels.compiling import kernel
 
-AT, AREA, SEEN, BRIDGED, FILLED, WIDTH, HOLE, TOP, LOW, COUNT, FIRST_ROW, LAST_ROW = range(12)
+AT, AREA, SEEN, BRIDGED, FILLED, WIDTH, HOLE, TOP, LOW, COUNT, FIRST_ROW, LAST_ROW, CLEFT = range(13)
 """Columns of the table: rest X (mm); area (mm²) and its parts by kind of point; width (mm); length left out
-as a hole (mm); highest and lowest Z (mm); number of points; first and last row (px)."""
+as a hole (mm); highest and lowest Z (mm); number of points; first and last row (px); how deep the surface
+falls between two humps, over the lower one."""
 
 _STEP_MAX = 1.5  # rows; a larger step between neighbours means that rows are missing
 _HOLE_SHARE = 0.3
@@ -50,13 +51,13 @@ def slice_areas(
 
     Returns
     -------
-    table : ndarray, shape (slice, 12)
+    table : ndarray, shape (slice, 13)
         Columns as named above; in the order of `Profiles`.
     ordered : bool
         False where a slice's points are not in the order of rows: then the table is not valid.
     """
     slices, points = product.shape
-    table = np.zeros((slices, 12))
+    table = np.zeros((slices, 13))
     low_y, high_y = np.inf, -np.inf
     length, rows = 0.0, 0.0
     ordered = True
@@ -137,6 +138,7 @@ def _area(
     on, count = on[start:stop], stop - start
     out[FIRST_ROW], out[LAST_ROW] = row_px[on[0]], row_px[on[count - 1]]
     wall = 0.5 * (xyz_mm[on[0], 2] ** 2 + xyz_mm[on[count - 1], 2] ** 2)
+    out[CLEFT] = _cleft(xyz_mm, on, count)
     widest = _GAP_SHARE * abs(xyz_mm[on[count - 1], 1] - xyz_mm[on[0], 1])
     fan = y0, slope_y, slope_z, wall
     for m in range(count):
@@ -176,6 +178,24 @@ def _trimmed(xyz_mm: Floats, on: Integers, count: int) -> tuple[int, int]:
         if inner - here > max(_JUMP_MM, _JUMP * (next_one - inner)):
             stop = m
     return start, stop
+
+
+@kernel
+def _cleft(xyz_mm: Floats, on: Integers, count: int) -> float:
+    """Deepest fall below the lower of the highest points on either side, over that; from 0 to 1."""
+    before = np.empty(count)
+    highest = 0.0
+    for m in range(count):
+        highest = max(highest, xyz_mm[on[m], 2])
+        before[m] = highest
+    highest, deepest = 0.0, 0.0
+    for m in range(count - 1, -1, -1):
+        z = xyz_mm[on[m], 2]
+        highest = max(highest, z)
+        hump = min(before[m], highest)
+        if hump > 0.0:
+            deepest = max(deepest, 1.0 - max(z, 0.0) / hump)
+    return deepest
 
 
 @kernel

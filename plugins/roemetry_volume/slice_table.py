@@ -24,7 +24,7 @@ class Slices(NamedTuple):
         Stripe of each.
     t_mm, area_mm2, width_mm, held_mm : ndarray of float64, shape (n,)
         Rest X; area; extent along Y; half the ways to both neighbours.
-    table : ndarray of float64, shape (n, 12)
+    table : ndarray of float64, shape (n, 13)
         All columns of `roemetry_kernels.slice_areas`.
     reach_mm, limited : tuple
         At both ends: distance to the next stripe (the mean spacing where there is none), and whether there

@@ -77,7 +77,7 @@ def test_a_shaded_body_is_found_to_a_part_of_a_pixel(rng: np.random.Generator, s
 
 
 def test_its_uncertainty_comes_from_the_image(rng: np.random.Generator) -> None:
-    """Dark, in a shadow, or in four times the noise: a figure each, which holds the truth."""
+    """Dark, beside a shadow, or in four times the noise without one: a figure each, which holds the truth."""
     noisy = plain_image(rng, shadow=False)
     noise = rng.normal(0.0, 5.0, noisy.pixels.shape)
     noisy = replace(noisy, pixels=np.clip(np.rint(noisy.pixels + noise), 0, 255).astype(np.uint8))
@@ -88,6 +88,20 @@ def test_its_uncertainty_comes_from_the_image(rng: np.random.Generator) -> None:
         assert abs(distance(found.xy_px).mean()) < 3.0 * found.xy_std_px  # px
     assert len({round(std, 3) for std in stds}) == 3
     assert all(0.1 < std < 0.8 for std in stds)
+
+
+@pytest.mark.xfail(
+    strict=True,
+    reason="beside a shadow as dark as the body's rim there is no step, only a kink, which noise takes "
+    "outwards by 0.4 to 1.0 px; what the fit leaves over does not show it, so 0.11 px are stated",
+)
+def test_its_uncertainty_holds_beside_a_shadow_in_noise(rng: np.random.Generator) -> None:
+    """Four times the noise, and the shadow that is as dark as the rim."""
+    noisy = plain_image(rng, shadow=True)
+    noise = rng.normal(0.0, 5.0, noisy.pixels.shape)
+    noisy = replace(noisy, pixels=np.clip(np.rint(noisy.pixels + noise), 0, 255).astype(np.uint8))
+    (found,) = EdgeContour().outline(LASER, noisy, stripes_on(), None)
+    assert abs(distance(found.xy_px).mean()) < 3.0 * found.xy_std_px  # px
 
 
 def test_a_dark_body_on_a_bright_belt(rng: np.random.Generator) -> None:

@@ -14,6 +14,7 @@ from roemetry.records import Outline, Product, Profiles
 from roemetry.testing import LinearRig
 from roemetry.view import View
 from roemetry_volume.outline_surface import OutlineSurface
+from roemetry_volume.slice_estimators import SlicePchip
 from roemetry_volume.surface import Knots, plate_through, without_slice
 from roemetry_volume.underside import UndersideOptions
 
@@ -238,3 +239,39 @@ def test_two_products_that_touch_are_told() -> None:
     made = product(top, 11.0, np.column_stack([x[there], y[there], z[there]]))
     volume = OutlineSurface().estimate(made)
     assert "waist" in codes(volume)
+
+
+@pytest.mark.parametrize("apart", [16.0, 18.0, 20.0, 22.0])
+@pytest.mark.parametrize("wall", [0.0, 1.0, 4.0])
+def test_two_products_side_by_side_are_told(apart: float, wall: float) -> None:
+    """Two domes beside each other, which stripes and outline take for one, overlapping or just touching."""
+    made, _ = side_by_side(apart, wall)
+    for estimator in (OutlineSurface(), SlicePchip()):
+        volume = estimator.estimate(made)
+        (cleft,) = (reason for reason in volume.reasons if reason.code == "cleft")
+        assert "two products side by side, measured as one" in cleft.text
+
+
+def test_the_number_of_two_side_by_side_is_that_of_both() -> None:
+    """Where the cleft between them is seen to its ground."""
+    made, both = side_by_side(20.0, 1.0)
+    found = OutlineSurface().estimate(made).visible_mm3
+    assert abs(found.value - both) < 2.0 * found.std < 0.015 * both
+
+
+def test_a_dome_has_no_cleft() -> None:
+    assert not codes(OutlineSurface().estimate(dome()[0])) & {"cleft", "waist"}
+
+
+def side_by_side(apart: float, wall: float) -> tuple[Product, float]:
+    """Two domes, 80 mm long and 22 mm wide, their middles so far apart in Y, and what lies below both."""
+
+    def top(x, y):
+        q = 1.0 - (x / 40.0) ** 2 - ((np.abs(y) - apart / 2.0) / 11.0) ** 2
+        return np.where(q > 0.0, wall + 10.0 * np.sqrt(np.maximum(q, 0.0)), np.nan)
+
+    x, y = np.meshgrid(np.linspace(-40.0, 40.0, 401), np.linspace(-25.0, 25.0, 251))
+    z = top(x, y)
+    there = np.isfinite(z)
+    points = np.column_stack([x[there], y[there], z[there]])
+    return product(top, wall + 10.0, points), float(z[there].sum()) * 0.2 * 0.2
