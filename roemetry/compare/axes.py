@@ -93,7 +93,9 @@ def read_axes(texts: Sequence[str], registry: Registry) -> tuple[Axis, ...]:
 
 def _fault(axis: Axis, has_equals: bool, registry: Registry) -> str | None:
     if not has_equals or not axis.key:
-        return "expected KIND=name,name or key.key=value,value"
+        kinds = [found.entry.kind for found in registry.stages if found.entry.name == axis.key]
+        mean = f"; did you mean `{kinds[0]}={axis.key}`?" if kinds else ""
+        return f"expected KIND=name,name or key.key=value,value{mean}"
     if not axis.values or "" in axis.values:
         return "a value is missing"
     if not axis.is_stage:

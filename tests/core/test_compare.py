@@ -237,6 +237,7 @@ def test_every_variant_stands_once_and_the_recipe_first(line: Callable[..., Path
         ("source.chanel=red", "did you mean `channel`?"),
         ("source.path=a,b", "cannot be varied"),
         ("extractor", "expected KIND=name,name"),
+        ("gaussian", "did you mean `extractor=gaussian`?"),
         ("extractor=", "a value is missing"),
         ("extractor=local-maximum,", "a value is missing"),
         ("stages.extractor=local-maximum", "write `extractor=…`"),
