@@ -18,7 +18,7 @@ from roemetry.errors import RoemetryError
 from roemetry.giving import given
 from roemetry.penetration import raised
 from roemetry.preparing import prepare, prepare_plain
-from roemetry.propagation import Chain, Scene, propagate
+from roemetry.propagation import Chain, Scene, propagate, without_draws
 from roemetry.recipe import Recipe
 from roemetry.records import (
     AMBIGUOUS,
@@ -163,9 +163,9 @@ class Pipeline:
     def _drawn(
         self, products: tuple[ProductTrace, ...], scene: Scene, steps: _Steps
     ) -> tuple[ProductTrace, ...]:
-        """Give the products with their uncertainties, if draws are wanted."""
+        """Give the products with their uncertainties; without draws, name what is a part only."""
         if not self._draws:
-            return products
+            return tuple(without_draws(found) for found in products)
         return (
             steps.do("draws", lambda: propagate(products, scene, self._chain, draws=self._draws)) or products
         )

@@ -40,7 +40,7 @@ def checked(
     try:
         return model.model_validate(data), []
     except ValidationError as error:
-        return None, [fault for detail in error.errors() for fault in _faults(model, detail, place, at)]
+        return None, [fault for group in _grouped(error) for fault in _faults(model, group, place, at)]
 
 
 def unknown_key(key: object, known: Sequence[str]) -> str:
@@ -52,13 +52,22 @@ def unknown_key(key: object, known: Sequence[str]) -> str:
     )
 
 
+def _grouped(error: ValidationError) -> list[list[ErrorDetails]]:
+    """Put together what is said of one value that fits none of several shapes: it is one mistake."""
+    groups: dict[tuple[Step, ...], list[ErrorDetails]] = {}
+    for detail in error.errors():
+        groups.setdefault(_in_file(detail), []).append(detail)
+    return list(groups.values())
+
+
 def _faults(
-    model: type[BaseModel], detail: ErrorDetails, place: Place, at: tuple[Step, ...]
+    model: type[BaseModel], group: list[ErrorDetails], place: Place, at: tuple[Step, ...]
 ) -> Iterator[str]:
-    path = (*at, *(step for step in detail["loc"] if _is_in_file(step)))
+    detail = group[0]
+    path = (*at, *_in_file(detail))
     raised = detail.get("ctx", {}).get("error")
     if not isinstance(raised, MisfitError):
-        yield _placed(path, place, _sentence(model, detail))
+        yield _placed(path, place, _sentence(model, detail) if len(group) == 1 else _either(group))
         return
     for below, said in raised.faults:
         found = _below(detail["input"], below)
@@ -88,9 +97,18 @@ def _below(value: object, path: Sequence[Step]) -> object:
     return value
 
 
+def _in_file(detail: ErrorDetails) -> tuple[Step, ...]:
+    """Give keys and indices of the file without the tags pydantic adds for unions and function validators."""
+    steps = tuple(step for step in detail["loc"] if _is_in_file(step))
+    return steps[:-1] if steps and steps[-1] in _SHAPES and detail["type"] != "extra_forbidden" else steps
+
+
 def _is_in_file(step: Step) -> bool:
-    """Tell keys and indices from the tags pydantic adds for unions and function validators."""
     return isinstance(step, int) or not any(mark in step for mark in "([-")
+
+
+_SHAPES = ("float", "int", "str", "bool")
+"""Tags of a union's plain members; no key of a file has such a name."""
 
 
 def _sentence(model: type[BaseModel], detail: ErrorDetails) -> str:
@@ -110,10 +128,24 @@ def _sentence(model: type[BaseModel], detail: ErrorDetails) -> str:
         return (
             f"a key must be a word, found {_shown(found)}; a comma ends a value: write decimals with a point"
         )
-    said = _NUMBERS.get(kind) or detail["msg"][0].lower() + detail["msg"][1:]
-    said = said.removeprefix("value error, ").replace("input should be", "expected")
+    said = _expected(detail)
     close = difflib.get_close_matches(str(found), _choices(detail), n=1) if kind == "literal_error" else []
     return f"{said}, found {_shown(found)}" + (f"; did you mean `{close[0]}`?" if close else "")
+
+
+def _either(group: list[ErrorDetails]) -> str:
+    """Say what a value may be that has several legal shapes; words stand last."""
+    ordered = sorted(group, key=lambda detail: detail["type"] == "literal_error")
+    first, *others = dict.fromkeys(_expected(detail) for detail in ordered)
+    said = ", or ".join([first, *(other.removeprefix("expected ") for other in others)])
+    words = [word for detail in ordered for word in _choices(detail)]
+    close = difflib.get_close_matches(str(group[0]["input"]), words, n=1)
+    return f"{said}, found {_shown(group[0]['input'])}" + (f"; did you mean `{close[0]}`?" if close else "")
+
+
+def _expected(detail: ErrorDetails) -> str:
+    said = _NUMBERS.get(detail["type"]) or detail["msg"][0].lower() + detail["msg"][1:]
+    return said.removeprefix("value error, ").replace("input should be", "expected")
 
 
 _NUMBERS = {

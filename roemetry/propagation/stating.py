@@ -19,6 +19,10 @@ ENOUGH_FOR_QUANTILES = 1000
 """From so many draws on the interval's ends are quantiles: 25 draws lie beyond each."""
 _UNKNOWN = "unknown"
 _NO_INTERVAL = (math.nan, math.nan)
+_PART_ONLY = Reason(
+    "model-error-only",
+    "the uncertainty is that of the model alone: the noise of peaks and the calibration come with `draws`",
+)
 FAILED_SHARE_MAX = 0.05
 """With more draws than this refused, what is left is no fair sample."""
 
@@ -71,6 +75,21 @@ def with_uncertainty(
         spread = {} if unstated.points else _features_std(grade.features, together)
         grade = replace(grade, probability=float(np.mean(held)), features_std=spread)
     return replace(trace, volume=volume, weight=weight, grade=grade)
+
+
+def without_draws(trace: ProductTrace) -> ProductTrace:
+    """Say of each uncertainty that a stage stated by itself that it is a part of the whole."""
+    volume, weight = trace.volume, trace.weight
+    if volume is not None and _a_part(volume.visible_mm3):
+        volume = replace(volume, reasons=(*volume.reasons, _PART_ONLY))
+    if weight is not None and _a_part(weight.mass_g):
+        weight = replace(weight, reasons=(*weight.reasons, _PART_ONLY))
+    return replace(trace, volume=volume, weight=weight)
+
+
+def _a_part(estimate: Estimate) -> bool:
+    """Tell an uncertainty without an interval: a stage that knows the whole of it states that as well."""
+    return math.isfinite(estimate.std) and not all(map(math.isfinite, estimate.interval))
 
 
 def _probability(result: Result, label: str) -> float:

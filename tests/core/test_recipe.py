@@ -96,6 +96,12 @@ MISTAKES = [
         ":9:7:",
         "did you mean `threshold`?",
     ),
+    (
+        "neither a number nor the word",
+        GOOD.replace("threshold: 60", "threshold: autp"),
+        ":9:7:",
+        "or 'auto', found 'autp'; did you mean `auto`?",
+    ),
     ("out of bounds", GOOD.replace("threshold: 60", "threshold: -4"), ":9:7:", "found -4"),
     ("a word for a number", GOOD.replace("threshold: 60", "threshold: high"), ":9:7:", "found 'high'"),
     ("a list for a map", GOOD.replace("  path: images", "  - images"), ":3:1:", "found a list"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import pickle
 from collections.abc import Callable
 from pathlib import Path
@@ -15,6 +16,8 @@ from roemetry import Recipe, RoemetryError, run_recipe
 from roemetry.errors import ConfigurationError, DataError
 from roemetry.record import read_record
 from roemetry.yaml_source import read
+
+SHIPPED = Path(__file__).resolve().parents[2] / "recipes" / "herring_roe"
 
 
 def test_running_gives_the_rows_of_the_record(line: Callable[..., Path], tmp_path: Path) -> None:
@@ -86,3 +89,32 @@ def test_a_fault_of_a_dictionary_names_its_keys() -> None:
         )
     assert isinstance(caught.value, RoemetryError)
     assert str(caught.value).startswith("the recipe: stages.extractor.use: there is no extractor `no-such`")
+
+
+@pytest.mark.parametrize(("volume", "draws", "said"), [("slice-pchip", 0, True), ("slice-pchip", 40, False)])
+def test_an_uncertainty_of_the_model_alone_is_called_that(volume: str, draws: int, said: bool) -> None:
+    recipe = Recipe.load(
+        SHIPPED,
+        sets=[
+            "stages.extractor={use: gaussian}",
+            "source.sensor={gain_grey_per_electron: 0.0255, read_noise_grey: 1.0}",
+            f"stages.volume={volume}",
+            f"draws={draws}",
+            f"source.path={SHIPPED}/images/skein_01.png",
+        ],
+    )
+    (row,) = recipe.run()
+    assert row.volume is not None
+    assert math.isfinite(row.volume.visible_mm3.std)
+    assert math.isfinite(row.volume.visible_mm3.interval[0]) is not said
+    assert ("model-error-only" in [reason.code for reason in row.volume.reasons]) is said
+
+
+def test_where_no_uncertainty_is_stated_there_is_no_part_of_one_either() -> None:
+    recipe = Recipe.load(
+        SHIPPED, sets=["stages.volume=zero-order-hold", f"source.path={SHIPPED}/images/skein_01.png"]
+    )
+    (row,) = recipe.run()
+    assert row.volume is not None
+    assert math.isnan(row.volume.visible_mm3.std)
+    assert "model-error-only" not in [reason.code for reason in row.volume.reasons]
