@@ -11,8 +11,6 @@ from roemetry_kernels.compiling import kernel
 
 LANES = 16
 """Peaks side by side; loops over fewer are not turned into vector instructions."""
-SPECKLE_REACH_PX = 4
-"""Farthest pixels whose speckle is taken to be correlated."""
 
 # Where each field begins in the table.
 X = 0 * LANES

@@ -21,7 +21,6 @@ from roemetry.records import Peaks
 from roemetry.view import View
 
 _LINES_MAX_FACTOR = 4
-_RANK_TOLERANCE = 1e-6
 _BORDER_PX = 0.5
 
 

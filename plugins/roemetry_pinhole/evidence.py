@@ -13,7 +13,6 @@ from roemetry_pinhole.joining import Joint
 _WORSE_MAX = 1.5
 _BIAS_SHARE_MAX = 1.0
 _COVERAGE_MIN = 0.7
-_AGREE_STDS_MAX = 3.0
 
 
 def evidence_of(joined: Joint, calibration: Calibration) -> Evidence:

@@ -23,7 +23,6 @@ _PLANE_RMS_MIN_PX = 0.5
 _GRAZING_MIN = 0.02
 _USED_MIN = 0.75
 _SYSTEMATIC_TOLD_PX = 0.05
-_BOARD_GROUPS_MIN = 2
 
 
 @dataclass(frozen=True, eq=False, slots=True)
