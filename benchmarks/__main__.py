@@ -19,6 +19,7 @@ BENCHMARKS = {
     "herring_roe": "coding, grading and volume on unseen simulated skeins",
     "known_numbers": "what the shipped recipe gives on three skeins, written for `roemetry doctor`",
     "product_lines": "the shipped product lines on their own products: the tables of their pages",
+    "report_picture": "the picture of README: the report's first panels on one shipped skein",
     "shipped_skeins": "the same on the shipped skeins, one by one",
     "simulate": "time of a simulated image on one core",
     "image_looks": "stripe width, saturation and grey levels of simulated and of real images",
