@@ -89,7 +89,9 @@ def inline(value: Any) -> str:
     if isinstance(value, list | tuple):
         return "[" + ", ".join(inline(item) for item in value) + "]"
     if isinstance(value, str):
-        plain = _PLAIN.fullmatch(value) and not value.endswith(" ") and parse(value, "a word").data == value
+        # in a list, since a word such as NULL on a line of its own is an empty file
+        same = _PLAIN.fullmatch(value) and not value.endswith(" ")
+        plain = same and parse(f"[{value}]", "a word").data == [value]
         return value if plain else json.dumps(value, ensure_ascii=False)
     return json.dumps(value)
 

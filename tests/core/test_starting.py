@@ -162,7 +162,7 @@ def test_nothing_is_overwritten(tmp_path: Path) -> None:
 
 
 def test_a_line_is_begun_run_and_reported(tmp_path: Path) -> None:
-    begun = start_like("fish fillet", tmp_path / "line", items=1)
+    begun = start_like("herring roe", tmp_path / "line", items=1)
     run_recipe(Recipe.load(begun.folder), tmp_path / "out")
     record = (tmp_path / "out" / "measurements.jsonl").read_text("utf-8")
     rows = [json.loads(line) for line in record.splitlines()]

@@ -6,7 +6,7 @@ import copy
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from roemetry.errors import ConfigurationError
@@ -213,6 +213,8 @@ VALUES = st.recursive(
 )
 
 
+@example("NULL")
+@example(["~", "no", "1e3", "a: b"])
 @settings(deadline=None, max_examples=60)
 @given(VALUES)
 def test_a_value_on_one_line_is_read_as_what_it_was(value: Any) -> None:
