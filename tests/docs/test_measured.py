@@ -1,4 +1,4 @@
-"""Every method that can be right or wrong has its measured figures on its page, with the command that gives them."""
+"""Every method that can be right or wrong has measured figures on its page, with the command for them."""
 
 from __future__ import annotations
 
