@@ -120,6 +120,8 @@ def observe(rig: Rig, registry: Registry) -> tuple[CalibrationSet, dict[str, str
         staircase=rig.staircase,
         pyramid=rig.pyramid,
         mm_per_count=_per_count(rig),
+        sphere_plate=rig.sphere_plate,
+        ruler=rig.ruler,
     )
     return observed, hashes
 

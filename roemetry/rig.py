@@ -14,16 +14,18 @@ from roemetry.choosing import Chooser, Chosen
 from roemetry.errors import ConfigurationError, RoemetryError
 from roemetry.overrides import Overridden
 from roemetry.recipe_file import Channel, Choice, Section, SensorFile, StageChoice, Turn
-from roemetry.records import Block, Board, Pyramid, Sensor, Staircase
+from roemetry.records import Block, Board, Pyramid, Ruler, Sensor, SpherePlate, Staircase
 from roemetry.registry import Registry, discover
 from roemetry.target_file import (
     BlockFile,
     BoardFile,
     PyramidFile,
+    SpherePlateFile,
     StaircaseFile,
     read_block,
     read_board,
     read_pyramid,
+    read_sphere_plate,
     read_staircase,
 )
 from roemetry.validation import checked
@@ -39,6 +41,7 @@ class CalibrationImages(Section):
     belt: list[str] = Field(default_factory=list, description="the empty belt")
     staircase: list[str] = Field(default_factory=list, description="the staircase under the stripes")
     pyramid: list[str] = Field(default_factory=list, description="the truncated pyramid under the stripes")
+    sphere_plate: list[str] = Field(default_factory=list, description="the sphere plate under the stripes")
     board: list[str] = Field(default_factory=list, description="the board in many poses, laser off")
     board_laser: list[str] = Field(default_factory=list, description="the board in these poses, laser on")
     board_on_belt: list[str] = Field(
@@ -47,6 +50,14 @@ class CalibrationImages(Section):
     board_on_belt_laser: list[str] = Field(
         default_factory=list, description="the board lying on the belt, laser on"
     )
+
+
+class RulerFile(Section):
+    """A length of the board's sheet, as it should be and as it is."""
+
+    printed_mm: float = Field(gt=0, description="what it should be, e.g. that of the sheet's own ruler, mm")
+    measured_mm: float = Field(gt=0, description="what a steel ruler or a calliper measures, mm")
+    std_mm: float = Field(default=0.2, gt=0, description="standard uncertainty of that, mm")
 
 
 class RigFile(Section):
@@ -74,6 +85,12 @@ class RigFile(Section):
     pyramid: str | PyramidFile | None = Field(
         default=None, description="the truncated pyramid's description: a file, or the pyramid itself"
     )
+    sphere_plate: str | SpherePlateFile | None = Field(
+        default=None, description="the sphere plate's description: a file, or the plate itself"
+    )
+    ruler: RulerFile | None = Field(
+        default=None, description="a length of the board's print, measured with a ruler"
+    )
     encoder_counts: list[float] = Field(
         default_factory=list,
         description="of the images in board_on_belt, in their order, if the belt carries the board along",
@@ -99,9 +116,15 @@ class Rig:
     board: Board | None
     staircase: Staircase | None
     pyramid: Pyramid | None
+    sphere_plate: SpherePlate | None
     images: dict[str, list[Path]]
     extractor: Chosen
     calibrator: Chosen
+
+    @property
+    def ruler(self) -> Ruler | None:
+        """What a ruler measured of the board's print, where the file states it."""
+        return None if self.file.ruler is None else Ruler(**self.file.ruler.model_dump())
 
     @property
     def sensor(self) -> Sensor | None:
@@ -132,6 +155,7 @@ class Rig:
         board = _asked(chooser, "board", lambda: read_board(file.board, folder))
         staircase = _asked(chooser, "staircase", lambda: read_staircase(file.staircase, folder))
         pyramid = _asked(chooser, "pyramid", lambda: read_pyramid(file.pyramid, folder))
+        spheres = _asked(chooser, "sphere_plate", lambda: read_sphere_plate(file.sphere_plate, folder))
         for shows in ("board", "board_laser", "board_on_belt", "board_on_belt_laser"):
             _poses_differ(images[shows], shows, chooser)
         counts = file.encoder_counts
@@ -142,7 +166,7 @@ class Rig:
             )
         if chooser.faults or extractor is None or calibrator is None:
             raise ConfigurationError(chooser.faults)
-        return cls(path, file, block, board, staircase, pyramid, images, extractor, calibrator)
+        return cls(path, file, block, board, staircase, pyramid, spheres, images, extractor, calibrator)
 
 
 def _found(folder: Path, pattern: str, chooser: Chooser, shows: str, index: int) -> list[Path]:

@@ -9,7 +9,7 @@ from pydantic import Field, PositiveFloat, model_validator
 
 from roemetry.errors import ConfigurationError
 from roemetry.recipe_file import Section
-from roemetry.records import Block, Board, Pyramid, Staircase
+from roemetry.records import Block, Board, Pyramid, SpherePlate, Staircase
 from roemetry.validation import checked
 from roemetry.yaml_source import read
 
@@ -162,6 +162,18 @@ def read_pyramid(given: str | PyramidFile | None, folder: Path) -> Pyramid | Non
     if found.top_mm >= found.base_mm:
         raise ConfigurationError(f"`{found.name}`: its top is no smaller than its base")
     return Pyramid(found.name, found.base_mm, found.top_mm, found.height_mm, found.tolerance_mm)
+
+
+def read_sphere_plate(given: str | SpherePlateFile | None, folder: Path) -> SpherePlate | None:
+    """Give the sphere plate; raise ConfigurationError where its file is at fault or its balls meet."""
+    found = _described(given, folder, SpherePlateFile)
+    if found is None:
+        return None
+    if found.columns * found.rows > 1 and found.diameter_mm >= found.pitch_mm:
+        raise ConfigurationError(
+            f"`{found.name}`: its balls touch each other: diameter_mm is not below pitch_mm"
+        )
+    return SpherePlate(**found.model_dump(exclude={"kind"}))
 
 
 def _described(given: str | _File | None, folder: Path, model: type[_File]) -> _File | None:

@@ -23,11 +23,12 @@ from roemetry_pinhole.frames import (
     view_of,
 )
 from roemetry_pinhole.free_scale import rescaled, scaled_by_references
-from roemetry_pinhole.joining import Joint, joint
+from roemetry_pinhole.joining import Joint, joint, planes_by_solids
 from roemetry_pinhole.judging import judged
 from roemetry_pinhole.opencv_file import read_planes
 from roemetry_pinhole.scale import of_lengths
 from roemetry_pinhole.second_targets import check_scale
+from roemetry_pinhole.solids_agree import check_beside_solids, check_solids
 
 
 class PinholeCalibratorOptions(StageOptions):
@@ -85,13 +86,20 @@ class PinholeCalibrator(Calibrator[PinholeCalibratorOptions]):
             boards, no belt, a scale that two targets contradict, planes that do not agree, or residuals that
             are no noise; with what was left out and why.
         """
-        joined = self._joint(observed)
         if self.options.scale == "free":
             return scaled_by_references(
-                joined, observed, lambda scaled: self._made(scaled, observed, lengths=False)
+                self._joint(observed), observed, lambda scaled: self._made(scaled, observed, lengths=False)
             )
-        calibration = self._made(joined, observed, lengths=True)
-        return calibration if joined.solids else replace(calibration, **check_scale(calibration, observed))
+        if not planes_by_solids(observed) or self.options.planes is not None:
+            calibration = self._calibrated(observed)
+            return replace(calibration, **check_scale(calibration, observed))
+        try:
+            calibration = self._calibrated(observed)
+        except CalibrationError:
+            # solids that contradict each other spoil the fit of all: then that is the reason to give
+            check_solids(observed, self._calibrated)
+            raise
+        return replace(calibration, **check_beside_solids(calibration, observed, self._calibrated))
 
     def evidence(self, observed: CalibrationSet, calibration: Calibration) -> Evidence:
         """Show residuals, views left out in turn, stripes against each other, coverage, and a verdict."""
@@ -99,6 +107,9 @@ class PinholeCalibrator(Calibrator[PinholeCalibratorOptions]):
         if self.options.scale == "free" and joined.board is not None:
             joined = rescaled(joined, float(calibration.target["pitch_mm"]) / joined.board.pitch_mm)
         return evidence_of(joined, calibration)
+
+    def _calibrated(self, observed: CalibrationSet) -> Calibration:
+        return self._made(self._joint(observed), observed, lengths=True)
 
     def _made(self, joined: Joint, observed: CalibrationSet, *, lengths: bool) -> Calibration:
         """Give the calibration of an adjustment, with the uncertainty of the targets' lengths or without."""

@@ -18,7 +18,7 @@ from roemetry_pinhole.geometry import Geometry, unknowns_of
 from roemetry_pinhole.measured import Measured
 from roemetry_pinhole.solid_faces import Assigned, assigned, righted
 from roemetry_pinhole.solid_shapes import Shape, Solid, shape_of, toleranced
-from roemetry_pinhole.solid_start import Numbered, belt_lines, numbered, start_of
+from roemetry_pinhole.solid_start import Numbered, Start, belt_lines, numbered, start_of
 
 _ROUNDS = (
     (0.30, 0.05, 4000),
@@ -140,11 +140,12 @@ def _fitted(
 ) -> _Fit:
     shapes = [shape_of(solid) for solid in solids]
     focal_px, stripes = float(boards.start.camera[0]), observed.stripe_count
-    starts = []
+    starts: list[Start] = []
     for view, shape in zip(views, shapes, strict=True):
         lines = belt_lines(bare[0] if bare else None, view, stripes, focal_px)
         turn = turn_deg if len(shape.turns_deg) > 1 else 0.0
-        starts.append(start_of(view, lines, shape, focal_px, belt, turn))
+        # all on one belt: places by different belts would not fit together
+        starts.append(start_of(view, lines, shape, focal_px, starts[0].belt if starts else belt, turn))
     first_pose = len(boards.start.shift)
     geometry = replace(
         boards.start,

@@ -93,8 +93,7 @@ def joint(
         As `PinholeCalibrator.calibrate` says.
     """
     board = observed.board
-    on_boards = any(one.shows in _BOARDS and one.frame.role == "laser" for one in observed.observations)
-    by_solids = bool(solids_in(observed)) and not on_boards
+    by_solids = planes_by_solids(observed)
     known = None if camera_file is None else read_camera(camera_file)
     if planes is not None:
         return _by_planes(observed, known, planes)
@@ -137,6 +136,12 @@ def joint(
         measured.adjusted(),
         _moves(counts),
     )
+
+
+def planes_by_solids(observed: CalibrationSet) -> bool:
+    """Say whether the planes come from solids: some are there, and no board is under the laser."""
+    on_boards = any(one.shows in _BOARDS and one.frame.role == "laser" for one in observed.observations)
+    return bool(solids_in(observed)) and not on_boards
 
 
 def _by_planes(observed: CalibrationSet, camera: Floats | None, planes: Floats) -> Joint:

@@ -1,4 +1,4 @@
-"""A second metric reference in the set: block, staircase, encoder, measured with the new calibration."""
+"""A second metric reference in the set: a solid, a ruler, the encoder, measured with the new calibration."""
 
 from __future__ import annotations
 
@@ -11,10 +11,11 @@ import numpy as np
 from roemetry.arrays import Floats
 from roemetry.calibration import Calibration
 from roemetry.errors import CalibrationError
-from roemetry.records import CalibrationSet, Peaks
+from roemetry.records import Board, CalibrationSet, Peaks, Ruler
 from roemetry_pinhole.frames import belt_pose, camera_of, lines_at_height
 from roemetry_pinhole.lens import straightened
-from roemetry_pinhole.scale import flat
+from roemetry_pinhole.plate_scale import plate_scale
+from roemetry_pinhole.scale import flat, relative_of
 
 CONFLICT_STDS = 3.0
 _STEP_MM = 0.05
@@ -51,32 +52,50 @@ class Reference:
 
 
 def check_scale(calibration: Calibration, observed: CalibrationSet) -> dict[str, Any]:
-    """Measure block, staircase and the belt's way; give residuals and notes with what was found.
+    """Measure solids, the print and the belt's way; give residuals and notes with what was found.
 
     Raises
     ------
     CalibrationError
-        One contradicts the board: the ratio and its uncertainty are told.
+        One contradicts what the scale comes from: the ratio and its uncertainty are told.
     """
     residuals, notes = dict(calibration.residuals), list(calibration.notes)
-    found, missed = references(calibration, observed)
-    first = "board" if "pitch_mm" in calibration.target else "known planes"
+    kind, board = str(calibration.target.get("kind", "known planes")), observed.board
+    by_board = board is not None and kind == board.kind
+    board_std = relative_of(board) if by_board and board is not None else 0.0
+    found, missed = references(calibration, observed, board_std)
+    first = "board" if by_board else kind
     for one in found:
         std = one.std(calibration.covariance)
         if abs(one.ratio - 1.0) > CONFLICT_STDS * std:
             raise CalibrationError(
                 f"{first} and {one.name} contradict each other: by the {first} {one.what} is "
                 f"{one.ratio:.4f} ± {std:.4f} times what is described",
-                hint="measure the board's pitch and the reference with a calliper: was the board printed to "
-                "fit the page? `scale: free` takes the scale from the reference",
+                hint=_HINT if by_board else "measure both with a calliper, or leave one out",
             )
         residuals |= {one.key: one.ratio, f"{one.key}_std": std}
         notes.append(f"{one.what} comes out {one.ratio:.4f} ± {std:.4f} times as described")
     return {"residuals": residuals, "notes": (*notes, *missed)}
 
 
-def references(calibration: Calibration, observed: CalibrationSet) -> tuple[list[Reference], list[str]]:
-    """Give what can be measured with a calibration though it is known, and notes on what was not found."""
+_HINT = (
+    "measure the board's pitch and the reference with a calliper: was the board printed to fit the page? "
+    "`scale: free` takes the scale from the reference"
+)
+
+
+def references(
+    calibration: Calibration, observed: CalibrationSet, board_std: float = 0.0
+) -> tuple[list[Reference], list[str]]:
+    """Give what can be measured with a calibration though it is known, and notes on what was seen.
+
+    Parameters
+    ----------
+    calibration, observed
+        The calibration, and the images of the references.
+    board_std
+        Relative standard uncertainty of the board's lengths, where the scale comes from them.
+    """
     found: list[Reference] = []
     notes: list[str] = []
     asked: list[tuple[str, tuple[float, ...], float]] = []
@@ -84,6 +103,8 @@ def references(calibration: Calibration, observed: CalibrationSet) -> tuple[list
         asked.append(("block", (observed.block.height_mm,), observed.block.tolerance_mm))
     if observed.staircase is not None:
         asked.append(("staircase", observed.staircase.heights_mm, observed.staircase.tolerance_mm))
+    if observed.pyramid is not None:
+        asked.append(("pyramid", (observed.pyramid.height_mm,), observed.pyramid.tolerance_mm))
     for name, heights, tolerance_mm in asked:
         views = observed.showing(name)
         if not views:
@@ -108,9 +129,32 @@ def references(calibration: Calibration, observed: CalibrationSet) -> tuple[list
                 way,
             )
         )
+    plates = [view.peaks for view in observed.showing("sphere_plate")]
+    if observed.sphere_plate is not None and plates:
+        scale = plate_scale(calibration, plates, observed.sphere_plate)
+        if scale is None:
+            notes.append("the sphere plate was not found in its images: it checks nothing")
+        else:
+            what = "the sphere plate's lengths"
+            own = scale.ratio, scale.own_std, scale.by_parameter
+            found.append(Reference("sphere plate", "sphere_plate_ratio", what, *own))
+            notes.append(scale.said)
+    if observed.ruler is not None and observed.board is not None and "pitch_mm" in calibration.target:
+        found.append(_ruler(calibration, observed.board, observed.ruler, board_std))
     if observed.mm_per_count is not None and "travel_mm_per_count" in calibration.parameters:
         found.append(_encoder(calibration.parameters, *observed.mm_per_count))
     return found, notes
+
+
+def _ruler(calibration: Calibration, board: Board, ruler: Ruler, board_std: float) -> Reference:
+    """The print as the calibration has it, by its pitch, over what the ruler says."""
+    grown = float(calibration.target["pitch_mm"]) / board.pitch_mm
+    ratio = grown * ruler.printed_mm / ruler.measured_mm
+    own_std = float(np.hypot(ruler.std_mm / ruler.measured_mm, board_std))
+    # the pitch is no parameter: what peaks and marks are uncertain by does not change the print's size
+    return Reference(
+        "ruler", "ruler_ratio", "the print's length", ratio, own_std, np.zeros(len(calibration.covariance))
+    )
 
 
 def _encoder(parameters: Mapping[str, Floats], known_mm: float, known_std_mm: float) -> Reference:

@@ -10,6 +10,8 @@ from roemetry.records.observations import (
     CalibrationSet,
     Observation,
     Pyramid,
+    Ruler,
+    SpherePlate,
     Staircase,
 )
 from roemetry.records.outcome import Decision, Estimate, Grade, Marks, Shares, Volume, Weight
@@ -75,10 +77,12 @@ __all__ = [
     "ReliefRegion",
     "Residuals",
     "Role",
+    "Ruler",
     "Samples",
     "Sensor",
     "Shares",
     "Simulated",
+    "SpherePlate",
     "Staircase",
     "Status",
     "StripeMap",

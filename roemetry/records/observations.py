@@ -81,6 +81,32 @@ class Pyramid:
     tolerance_mm: float
 
 
+@dataclass(frozen=True, slots=True)
+class SpherePlate:
+    """Equal balls in a square grid: columns along X (across the stripes), rows along Y; lengths in mm.
+
+    `centre_height_mm` is that of the balls' centres over the belt; `tolerance_mm` the half width of each
+    length's tolerance.
+    """
+
+    name: str
+    columns: int
+    rows: int
+    pitch_mm: float
+    diameter_mm: float
+    centre_height_mm: float
+    tolerance_mm: float
+
+
+@dataclass(frozen=True, slots=True)
+class Ruler:
+    """A length of the board's print, as it should be and as a ruler measures it, with that one's std, mm."""
+
+    printed_mm: float
+    measured_mm: float
+    std_mm: float
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class Observation:
     """One image of a target, and the peaks the recipe's extractor found in it.
@@ -88,8 +114,8 @@ class Observation:
     Attributes
     ----------
     shows
-        What is seen: ``belt`` (the empty one), ``block``, ``staircase``, ``pyramid``, ``board`` (held in any
-        pose) or ``board_on_belt`` (the same board lying on the belt).
+        What is seen: ``belt`` (the empty one), ``block``, ``staircase``, ``pyramid``, ``sphere_plate``,
+        ``board`` (held in any pose) or ``board_on_belt`` (the same board lying on the belt).
     frame
         The image; its role says whether the laser was on (``laser``) or off (``plain``).
     peaks
@@ -121,12 +147,14 @@ class CalibrationSet:
         Camera (its centre of projection) to belt, mm; None where it is not known.
     extractor
         Name and version of the extractor the peaks come from, with its options.
-    board, staircase, pyramid
-        What the images of a board, of a staircase and of a truncated pyramid show; None where it was not
-        described.
+    board, staircase, pyramid, sphere_plate
+        What the images of a board, of a staircase, of a truncated pyramid and of a sphere plate show; None
+        where it was not described.
     mm_per_count
         Way of the belt per encoder count and its standard uncertainty, mm, where they are known from
         elsewhere; else None.
+    ruler
+        A length of the board's print that was measured with a ruler; None where none was.
     """
 
     observations: tuple[Observation, ...]
@@ -138,6 +166,8 @@ class CalibrationSet:
     staircase: Staircase | None = None
     pyramid: Pyramid | None = None
     mm_per_count: tuple[float, float] | None = None
+    sphere_plate: SpherePlate | None = None
+    ruler: Ruler | None = None
 
     def showing(self, what: str) -> tuple[Observation, ...]:
         """Give the observations of one kind of target."""

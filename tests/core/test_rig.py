@@ -11,8 +11,10 @@ import pytest
 from roemetry.calibrating import calibrate, observe
 from roemetry.calibration import Calibration
 from roemetry.errors import CalibrationError, ConfigurationError
+from roemetry.records import Ruler, SpherePlate
 from roemetry.registry import discover
 from roemetry.rig import Rig, pose_of
+from roemetry.shipped import shipped
 from roemetry.target_file import TARGET_FILES
 from roemetry.validation import checked
 from roemetry.yaml_source import read
@@ -145,6 +147,25 @@ def test_poses_are_paired_by_the_numbers_in_their_names(rig, board_rig: Path) ->
             rows, count = np.unique(view.peaks.row, return_counts=True)
             assert rows.size >= rig.rows - 2, "the partner's square is gone from the difference"
             assert (count == rig.stripes).all()
+
+
+def test_references_are_described_and_reach_the_calibrator(board_rig: Path) -> None:
+    """A sphere plate's file and image, and what a ruler says of the print."""
+    text = board_rig.read_text(encoding="utf-8").replace("images:", "images:\n  sphere_plate: [balls.png]")
+    described = shipped("calib_targets", "sphere-plate-3x2-30.yaml")
+    board_rig.with_name("balls.yaml").write_text(described.read_text("utf-8"), encoding="utf-8")
+    lit = cv2.imread(str(board_rig.with_name("on_02.png")), cv2.IMREAD_GRAYSCALE)
+    cv2.imwrite(str(board_rig.with_name("balls.png")), np.maximum(lit, 30))
+    more = "sphere_plate: balls.yaml\nruler: {printed_mm: 100, measured_mm: 99.6, std_mm: 0.1}\n"
+    board_rig.write_text(text + more, encoding="utf-8")
+    observed, _ = observe(Rig.load(board_rig), discover())
+    assert observed.ruler == Ruler(100.0, 99.6, 0.1)
+    assert observed.sphere_plate == SpherePlate("sphere-plate-3x2-30", 3, 2, 30.0, 20.0, 15.0, 0.01)
+    assert len(observed.showing("sphere_plate")[0].peaks) > 0
+    wrong = (board_rig.with_name("balls.yaml")).read_text("utf-8").replace("pitch_mm: 30", "pitch_mm: 19")
+    board_rig.with_name("balls.yaml").write_text(wrong, encoding="utf-8")
+    with pytest.raises(ConfigurationError, match="its balls touch each other"):
+        Rig.load(board_rig)
 
 
 def test_the_numbers_of_a_name_tell_the_pose() -> None:

@@ -6,7 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from roemetry.records import CalibrationSet, Frame, Observation, Peaks
+from roemetry.records import CalibrationSet, Frame, Observation, Peaks, SpherePlate
+from roemetry.view import View
+from roemetry_pinhole.ball_plate import centres
 from roemetry_pinhole.equations import ON_BELT, StripePoints, stripe_residuals
 from roemetry_pinhole.frames import belt_pose
 from roemetry_pinhole.geometry import Geometry, turned
@@ -81,3 +83,38 @@ def set_of(observations, stripes: int, **targets) -> CalibrationSet:
     return CalibrationSet(
         tuple(observations), stripes, targets.pop("block", None), None, {"use": "exact"}, **targets
     )
+
+
+def over_balls(view: View, plate: SpherePlate, pose: np.ndarray, x_px: np.ndarray) -> np.ndarray:
+    """Put balls into (stripe, row) crossings of the empty belt; `pose` is x, y, turn (rad) and size.
+
+    A plane of light cuts a ball in a circle; the part of it that faces both camera and light is seen.
+    """
+    seen = x_px.copy()
+    turn = np.linspace(-np.pi, np.pi, 4001)
+    for centre in centres(plate, pose):
+        radius = 0.5 * pose[3] * plate.diameter_mm
+        for stripe, (*normal, distance) in enumerate(view.planes):
+            normal = np.array(normal)
+            away = distance - normal @ centre
+            if abs(away) >= 0.97 * radius:
+                continue
+            along = np.cross(normal, [0.0, 1.0, 0.0])
+            along /= np.linalg.norm(along)
+            other = np.cross(normal, along)
+            circle = np.sqrt(radius**2 - away**2)
+            at = centre + away * normal
+            at = at + circle * (np.cos(turn)[:, None] * along + np.sin(turn)[:, None] * other)
+            out = (at - centre) / radius
+            to_camera, to_light = view.camera_mm - at, view.projector_mm - at
+            facing = ((out * to_camera).sum(axis=1) > 0.15 * np.linalg.norm(to_camera, axis=1)) & (
+                (out * to_light).sum(axis=1) > 0.15 * np.linalg.norm(to_light, axis=1)
+            )
+            at = at[facing]
+            if len(at) < 20:
+                continue
+            xy = view.project(at)
+            xy = xy[np.argsort(xy[:, 1])]
+            rows = np.arange(max(0, int(np.ceil(xy[0, 1]))), min(x_px.shape[1] - 1, int(xy[-1, 1])) + 1)
+            seen[stripe, rows] = np.interp(rows, xy[:, 1], xy[:, 0])
+    return seen

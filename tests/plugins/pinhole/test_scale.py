@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from roemetry.calibration import Calibration
 from roemetry.errors import CalibrationError
-from roemetry.records import Block, CalibrationSet, Frame, Observation, Staircase
+from roemetry.records import Block, CalibrationSet, Frame, Observation, Ruler, SpherePlate
 from roemetry.testing import LinearRig
 from roemetry_pinhole.calibrator import PinholeCalibrator, PinholeCalibratorOptions
 from roemetry_pinhole.conformance import _image, _peaks, _pose, observed_of
-from roemetry_pinhole.frames import lines_at_height
+from roemetry_pinhole.frames import lines_at_height, view_of
+from roemetry_pinhole.scale import relative_of
+from roemetry_pinhole.second_targets import check_scale
+from tests.plugins.pinhole.solids_seen import over_balls
 
 FREE = PinholeCalibrator(PinholeCalibratorOptions(scale="free"))
 BLOCK = Block("block", 100.0, 30.0, 10.0, tolerance_mm=0.01)
-STEPS = Staircase("steps", (10.0,), 10.0, 80.0, tolerance_mm=0.01)
+BALLS = SpherePlate("balls", 3, 2, pitch_mm=18.0, diameter_mm=14.0, centre_height_mm=9.0, tolerance_mm=0.01)
 WAY_MM = 0.05
 """Per encoder count, straight up in the image."""
 
@@ -60,13 +65,22 @@ def test_the_belt_tells_its_way_per_count(seen) -> None:
     assert any("mm per count" in note for note in made.notes)
 
 
-@pytest.mark.parametrize("by", ["block", "staircase", "encoder"])
-def test_the_scale_comes_from_the_reference(seen, by: str) -> None:
+@pytest.fixture(scope="module")
+def right(seen) -> Calibration:
+    return PinholeCalibrator().calibrate(seen)
+
+
+@pytest.mark.parametrize("by", ["block", "encoder", "ruler", "sphere plate"])
+def test_the_scale_comes_from_the_reference(seen, right, by: str) -> None:
     """A board printed 3 % larger than described; heights and distances come out right again."""
-    right = PinholeCalibrator().calibrate(seen)
-    given = {"block": {"block": BLOCK}, "staircase": {"staircase": STEPS}}
-    asked = replace(smaller(seen, 1.03), **given.get(by, {"mm_per_count": (WAY_MM, 1e-5)}))
-    made = FREE.calibrate(asked)
+    plates = [balls_on_belt(seen, right, 1.0, x_mm) for x_mm in (1.5, -2.0)]
+    given = {
+        "block": {"block": BLOCK},
+        "encoder": {"mm_per_count": (WAY_MM, 1e-5)},
+        "ruler": {"ruler": Ruler(100.0, 103.0, 0.1)},
+        "sphere plate": {"sphere_plate": BALLS, "observations": (*seen.observations, *plates)},
+    }
+    made = FREE.calibrate(replace(smaller(seen, 1.03), **given[by]))
     assert made.residuals["pitch_ratio"] == pytest.approx(1.03, abs=4.0 * made.residuals["pitch_ratio_std"])
     assert made.residuals["pitch_ratio_std"] < 0.004
     assert made.target["pitch_mm"] == pytest.approx(seen.board.pitch_mm, rel=0.004)
@@ -75,6 +89,8 @@ def test_the_scale_comes_from_the_reference(seen, by: str) -> None:
     assert any("scale: looked for" in note and by in note for note in made.notes)
     assert not any("from the board's pitch" in note for note in made.notes)
     assert (np.linalg.eigvalsh(made.covariance) > -1e-9 * np.abs(made.covariance).max()).all()
+    if by == "ruler":
+        assert made.residuals["pitch_ratio_std"] == pytest.approx(0.1 / 103.0, rel=1e-3)
 
 
 def test_the_covariance_holds_the_references_length(seen) -> None:
@@ -101,6 +117,56 @@ def test_references_that_contradict_are_refused_with_the_ratio(seen, known: bool
     method = PinholeCalibrator() if known else FREE
     with pytest.raises(CalibrationError, match=r"contradict each other.* (0\.96|1\.0[34])\d\d ± 0\.0"):
         method.calibrate(both)
+
+
+def test_a_ruler_checks_the_print(seen) -> None:
+    """A print of which 100 mm measure 103 ± 0.1; and one that is right."""
+    with pytest.raises(CalibrationError, match=r"board and ruler contradict each other.* 0\.9709 ± 0\.001"):
+        PinholeCalibrator().calibrate(replace(seen, ruler=Ruler(100.0, 103.0, 0.1)))
+    fine = PinholeCalibrator().calibrate(replace(seen, ruler=Ruler(100.0, 100.05, 0.1)))
+    assert fine.residuals["ruler_ratio"] == pytest.approx(1.0 / 1.0005, abs=1e-6)
+    std = np.hypot(0.1 / 100.05, relative_of(seen.board))
+    assert fine.residuals["ruler_ratio_std"] == pytest.approx(std, rel=1e-3)
+
+
+def test_a_ruler_and_a_block_that_contradict_each_other(seen) -> None:
+    with pytest.raises(CalibrationError, match="block and ruler contradict each other"):
+        FREE.calibrate(replace(seen, block=BLOCK, ruler=Ruler(100.0, 96.0, 0.02)))
+
+
+def balls_on_belt(seen: CalibrationSet, right: Calibration, size: float, x_mm: float = 1.5) -> Observation:
+    """What the rig of the boards sees of six balls that are larger than described by a factor."""
+    rig = LinearRig()
+    belt = lines_at_height(right.parameters, np.arange(rig.rows, dtype=np.float64), 0.0)
+    view = view_of(right.parameters, right.image_size)
+    x_px = over_balls(view, BALLS, np.array([x_mm, -0.8, np.radians(4.0), size]), belt)
+    bare = next(one for one in seen.observations if one.shows == "belt")
+    return replace(bare, shows="sphere_plate", peaks=rig.peaks(x_px, scatter_px=0.03).peaks)
+
+
+def test_a_sphere_plate_is_measured(seen, right) -> None:
+    """1 % off is told with the ratio; nothing is measured where nothing lies."""
+    bare = next(one for one in seen.observations if one.shows == "belt")
+    images = {
+        "right": balls_on_belt(seen, right, 1.0),
+        "small": balls_on_belt(seen, right, 0.99),
+        "none": replace(bare, shows="sphere_plate"),
+    }
+    said = {}
+    for name, image in images.items():
+        observed = replace(seen, observations=(image,), sphere_plate=BALLS)
+        try:
+            said[name] = check_scale(right, observed)
+        except CalibrationError as error:
+            assert name == "small"
+            assert re.search(r"board and sphere plate contradict .* 0\.9[89]\d\d ± 0\.00", error.message)
+    std = said["right"]["residuals"]["sphere_plate_ratio_std"]
+    assert said["right"]["residuals"]["sphere_plate_ratio"] == pytest.approx(1.0, abs=3.0 * std)
+    assert std < 0.004
+    assert any("on 6 balls lie 0.0" in note for note in said["right"]["notes"])
+    assert "sphere_plate_ratio" not in said["none"]["residuals"]
+    assert any("sphere plate was not found" in note for note in said["none"]["notes"])
+    assert set(said) == {"right", "none"}
 
 
 def test_the_page_shows_the_calibration_with_the_scale_that_was_found(seen) -> None:

@@ -122,6 +122,31 @@ def test_the_solids_tolerance_is_in_the_covariance(rng, tmp_path: Path) -> None:
     assert np.std(drawn) / known.height_mm == pytest.approx(0.01, rel=0.25)
 
 
+@pytest.mark.parametrize(("off", "refused"), [(0.0, False), (0.01, True), (0.08, True)])
+def test_solids_that_contradict_each_other_are_refused_with_the_ratio(off, refused, rng, tmp_path) -> None:
+    """A block that is higher than described by a share, beside a pyramid that is as described."""
+    geometry, width = truth("tilted", rng), wide(RIGS["tilted"])
+    known = {kind: solid(kind, width) for kind in ("pyramid", "block")}
+    lying = on_belt(geometry, 0.01 * width, -0.008 * width, 3.0)
+    seen = [
+        seen_as(kind, crossings(lying, shape_of(one), SIZE), SIZE, rng, NOISE_PX)
+        for kind, one in known.items()
+    ]
+    known["block"] = replace(known["block"], height_mm=known["block"].height_mm / (1.0 + off))
+    method = calibrator(geometry, tmp_path)
+    if refused:
+        says = rf"pyramid and block contradict .* is {1.0 + off:.2f}\d\d ± 0\.00"
+        with pytest.raises(CalibrationError, match=says) as caught:
+            method.calibrate(set_of(seen, STRIPES, **known))
+        assert "calliper" in (caught.value.hint or "")
+        return
+    found = method.calibrate(set_of(seen, STRIPES, **known)).residuals
+    for kind in known:
+        std = found[f"{kind}_height_ratio_std"]
+        assert std < 0.003
+        assert found[f"{kind}_height_ratio"] == pytest.approx(1.0, abs=3.0 * std)
+
+
 def test_a_solid_that_is_not_there_is_told(rng, tmp_path: Path) -> None:
     geometry, width = truth("gentle", rng), wide(RIGS["gentle"])
     nothing = seen_as("block", crossings(geometry, None, SIZE), SIZE, rng, NOISE_PX)
