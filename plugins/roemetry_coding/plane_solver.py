@@ -13,6 +13,7 @@ from roemetry.records import Peaks
 from roemetry_kernels.label_agreement import agreed
 from roemetry_kernels.label_costs import Labels, Steps, labels_of, steps_of
 from roemetry_kernels.label_cuts import best_shift
+from roemetry_kernels.label_doubts import broken_off, claimed, interjected, mixed
 from roemetry_kernels.label_graph import Runs, runs_of, shifts_of
 from roemetry_kernels.label_pieces import ENDS, end_pieces, own_costs, presence_of
 from roemetry_kernels.label_sweeps import swept
@@ -21,7 +22,6 @@ from roemetry_kernels.label_verdicts import (
     chosen,
     ends_settled,
     favoured,
-    mixed,
     stepped,
     verdicts_of,
 )
@@ -88,8 +88,11 @@ _LEVEL_ROWS = 40
 _LEVEL_DEARER = 1.0
 _FEW_PEAKS = 4
 _LONG_PEAKS = 30
+_BODY_PEAKS = 12
 _MAJORITY = 0.9
 _END_LINES = 30
+_FITS = 0.75
+_SHORT_GAP_LINES = 4
 _LOST = 0.25
 _SHIFT_GAIN = 6.0
 _GAIN_MIN = 0.5
@@ -108,6 +111,10 @@ class Solved(NamedTuple):
         (peak,) by how much the next best verdict is dearer.
     evidence
         (peak,) what the cheapest shift of its stripe, with others, to the next would cost, a sight line.
+    piece
+        (peak,) piece of its trace.
+    claimed
+        (peak,) stripe, or the one that its piece has elsewhere, −1 for none.
     whole
         (peak,) True where the whole piece of its trace says the same.
     there
@@ -117,6 +124,8 @@ class Solved(NamedTuple):
     """
 
     stripe: Integers
+    piece: Integers
+    claimed: Integers
     dearer: Floats
     evidence: Floats
     whole: Flags
@@ -168,13 +177,23 @@ def solve_planes(peaks: Peaks, calibration: Calibration, rest: RestLines) -> Sol
     )  # fmt: skip
     settled = ends_settled(problem.trace, problem.piece, problem.piece_line, problem.home, stripe)
     dearer *= settled
-    size = np.bincount(problem.piece)[problem.piece]
-    dearer[size < _FEW_PEAKS] *= _FEW_COUNT
-    evidence *= np.clip(size / _LONG_PEAKS, _SMALL_COUNT, 1.0)
+    piece_line = problem.piece_line[problem.piece]
+    together = _together(problem, stripe, np.ones(stripe.size, np.bool_))
+    dearer[np.bincount(problem.piece)[problem.piece] < _FEW_PEAKS] *= _FEW_COUNT
+    evidence *= np.clip(together / _LONG_PEAKS, _SMALL_COUNT, 1.0)
     whole = ~mixed(problem.piece, problem.piece_line, stripe, problem.there.size, _MAJORITY)
     whole &= settled > 0.0
-    strange = (problem.piece_line[problem.piece] >= 0) & (stripe != problem.piece_line[problem.piece])
-    evidence[strange] *= _STRANGE_COUNT
+    claims = claimed(
+        problem.trace, problem.piece, problem.piece_line, stripe, settled, problem.there.size, _FEW_PEAKS
+    )
+    whole &= ~broken_off(
+        entries.start, entries.peak, entries.before, entries.tie, problem.piece, claims, WEIGHTS.tie_whole,
+        _FITS * WEIGHTS.tie_gap, _SHORT_GAP_LINES,
+    )  # fmt: skip
+    between = interjected(problem.trace, problem.piece, problem.piece_line, stripe)
+    whole &= ~(between | ((piece_line == ENDS) & (_together(problem, stripe, between) > 0)))
+    strange = (piece_line >= 0) & (stripe != piece_line)
+    evidence[strange & (_together(problem, stripe, piece_line == -1) < _BODY_PEAKS)] *= _STRANGE_COUNT
     whole &= ~beside_level_bodies(
         peaks.row, stripe, problem.line, problem.piece, problem.piece_line, _LEVEL_ROWS
     )
@@ -182,7 +201,13 @@ def solve_planes(peaks: Peaks, calibration: Calibration, rest: RestLines) -> Sol
     # a few peaks by themselves on a rest line are what is left of belt, at the edge of a shadow
     alone = np.bincount(problem.trace)[problem.trace] < _BELT_ROWS_MIN
     whole &= ~(alone & (problem.line >= 0) & (problem.line != stripe))
-    return Solved(stripe, dearer, evidence, whole, problem.there, problem.entries)
+    return Solved(stripe, problem.piece, claims, dearer, evidence, whole, problem.there, problem.entries)
+
+
+def _together(problem: _Problem, stripe: Integers, counted: Flags) -> Integers:
+    """Give (peak,) how many of its trace that are counted have its stripe."""
+    cell = problem.trace * (problem.there.size + 1) + stripe + 1
+    return np.asarray(np.bincount(cell[counted], minlength=int(cell.max()) + 1)[cell])
 
 
 def _agreed(problem: _Problem, cost: Floats) -> Integers:

@@ -19,6 +19,7 @@ from roemetry_coding.margins import margin_of
 from roemetry_coding.plane_solver import Solved, solve_planes
 from roemetry_kernels.bridging import bridged
 from roemetry_kernels.consistency import refuse_unexplained_gaps
+from roemetry_kernels.label_doubts import left_over
 from roemetry_kernels.label_verdicts import out_of_order
 from roemetry_kernels.refusing import refuse_uncodable
 from roemetry_kernels.rest_lines import RestLines, calibrated_rest_lines, missing_stripes, reasons_of
@@ -43,6 +44,8 @@ _LIVE_PEAKS_MIN = 15
 _CODED_SHARE_MIN = 0.4
 _OUTER_SHARE = 0.1
 _ON_BELT_MIN = 0.3
+_SURVIVE_SHARE = 0.5
+_CONTESTED_PEAKS = 3
 
 
 class Planes(Coder[PlanesOptions]):
@@ -115,6 +118,11 @@ class Planes(Coder[PlanesOptions]):
         line, _ = nearest_rest(peaks.row, peaks.x_px, rest.x_px, rest.tolerance_px)
         wrong = out_of_order(entries.start, entries.peak, peaks.row, line, stripe, solved.there.size)
         stripe[wrong] = AMBIGUOUS
+        wrong = out_of_order(entries.start, entries.peak, peaks.row, line, solved.claimed, solved.there.size)
+        # at a body's edge its stripe may be seen twice for a row or two
+        often = np.bincount(solved.piece[wrong], minlength=solved.piece.max() + 1) >= _CONTESTED_PEAKS
+        stripe[wrong & often[solved.piece] & (stripe >= 0)] = AMBIGUOUS
+        stripe[left_over(solved.piece, solved.stripe, stripe, _SURVIVE_SHARE)] = AMBIGUOUS
         stripe, gaps = refuse_unexplained_gaps(
             peaks,
             stripe,

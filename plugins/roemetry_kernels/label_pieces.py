@@ -9,6 +9,8 @@ from roemetry_kernels.compiling import kernel
 
 ENDS = -2
 """Rest line of the ends that were cut off: not known."""
+_AMID_SHARE = 0.5
+"""What lies on a rest line amid the image only, and is shorter, may be the neighbour's body."""
 
 
 @kernel
@@ -103,6 +105,9 @@ def presence_of(
         if seen[s] < rows_min:
             continue
         low, high = min(enters[s], leaves[s]), max(enters[s], leaves[s])
+        amid = first[s] - low > end_lines and high - last[s] > end_lines
+        if amid and seen[s] < _AMID_SHARE * (high - low):
+            continue
         for e in range(lines):
             off = (e < first[s] and first[s] - low > end_lines) or (
                 e > last[s] and high - last[s] > end_lines

@@ -188,34 +188,6 @@ def stepped(count: Integers, offset: Integers, best: Integers, by: Integers) -> 
 
 
 @kernel
-def mixed(piece: Integers, piece_line: Integers, stripe: Integers, stripes: int, share_min: float) -> Flags:
-    """Mark coded peaks whose piece, which is one stripe, was given several: all but a large majority.
-
-    Parameters
-    ----------
-    piece, piece_line
-        (peak,) piece; (piece,) its rest line. `ENDS` may hold two stripes.
-    stripe
-        (peak,) stripe, below 0 for none.
-    stripes
-        Number of stripes.
-    share_min
-        Share of a piece's coded peaks that makes a majority large.
-    """
-    pieces = piece_line.shape[0]
-    votes = np.zeros((pieces, stripes), np.int64)
-    for p in range(piece.shape[0]):
-        if stripe[p] >= 0:
-            votes[piece[p], stripe[p]] += 1
-    found = np.zeros(piece.shape[0], np.bool_)
-    for p in range(piece.shape[0]):
-        f = piece[p]
-        if stripe[p] >= 0 and piece_line[f] != ENDS:
-            found[p] = votes[f, stripe[p]] < share_min * votes[f].sum()
-    return found
-
-
-@kernel
 def ends_settled(
     trace: Integers, piece: Integers, piece_line: Integers, home: Integers, stripe: Integers
 ) -> Floats:
