@@ -12,8 +12,13 @@ from pydantic import BaseModel, ConfigDict
 
 
 class StageOptions(BaseModel):
-    """Options of a stage: a frozen model per implementation; each field with description, unit, bound."""
+    """Options of a stage: a frozen model per implementation; each field with description, unit, bound.
 
+    `about_product` names options that say what the product is, not how the method works. Where `roemetry
+    compare` puts another stage in the place of one, those that both have in common stay as they are.
+    """
+
+    about_product: ClassVar[frozenset[str]] = frozenset()
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 

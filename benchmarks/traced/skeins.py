@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -57,7 +58,13 @@ class Traced:
     refused: str
 
 
-def traced(seed: int, rig: str = "recipe-like", kind: str = "", family: str = "herring-roe") -> Traced:
+def traced(
+    seed: int,
+    rig: str = "recipe-like",
+    kind: str = "",
+    family: str = "herring-roe",
+    options: Mapping[str, Any] | None = None,
+) -> Traced:
     """Trace a skein, or a product of another family.
 
     Parameters
@@ -70,9 +77,11 @@ def traced(seed: int, rig: str = "recipe-like", kind: str = "", family: str = "h
         A kind of skein; "" draws one as the population has them.
     family
         Of products; one without a grid is drawn as it is.
+    options
+        Of the family.
     """
     made, on = PRODUCTS[family], RIGS[rig](seed)
-    given: dict[str, Any] = {"kinds": {kind: 1.0}} if kind else {}
+    given: dict[str, Any] = {**(options or {}), **({"kinds": {kind: 1.0}} if kind else {})}
     if "grid_step_mm" in made.Options.model_fields:
         given["grid_step_mm"] = _GRID_MM
     drawn = made.draw(seed, made.Options(**given))

@@ -1,4 +1,4 @@
-"""Many skeins, a row each: features, grades, sizes of defects, weights; kept on disk by what made them."""
+"""Many skeins, a row each: features, grades, sizes of defects, weights; kept, by the code that made them."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from benchmarks.made_by import made_by
 from benchmarks.traced.causes import weight_figures
 from benchmarks.traced.shown import defect_figures
 from benchmarks.traced.skeins import Traced, traced
@@ -37,9 +38,6 @@ NAMED = {
 
 BEST_OPTIONS = {"smoothing_rows": 31, "radius_max_px": 160.0, "delta_samples": 10}
 """Of `arc-curvature`, chosen on rendered skeins of seeds 5000 to 5059."""
-
-VERSION = 1
-"""Counted up when what a row holds changes: kept rows of another number are made again."""
 
 
 class Row(NamedTuple):
@@ -95,7 +93,7 @@ def rows_of(seeds: Sequence[int], rig: str, cache: Path, *, mix: Sequence[str] =
 
 def _rows(seeds: Sequence[int], rig: str, cache: Path, mix: Sequence[str]) -> Iterator[Row]:
     cache.mkdir(parents=True, exist_ok=True)
-    path = cache / f"{'mix' if mix else 'population'}_{rig}_{VERSION}.jsonl"
+    path = cache / f"{'mix' if mix else 'population'}_{rig}_{made_by(__name__)}.jsonl"
     known = {}
     if path.exists():
         for line in path.read_text("utf-8").splitlines():

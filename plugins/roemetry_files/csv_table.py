@@ -73,7 +73,14 @@ def given_features(row: Measurement) -> Mapping[str, float]:
 def _cell(value: Cell | None) -> Cell:
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return ""
-    return round(value, 4) if isinstance(value, float) else value
+    return rounded(value) if isinstance(value, float) else value
+
+
+def rounded(value: float) -> float:
+    """Round to four decimals; below 1 to five significant digits: curvatures per mm are small."""
+    if value == 0.0 or not math.isfinite(value):
+        return value
+    return round(value, 4 + max(0, -math.floor(math.log10(abs(value)))))
 
 
 def _value(estimate: Estimate | None, scale: float = 1.0) -> float | None:

@@ -40,6 +40,13 @@ class ArcCurvatureOptions(StageOptions):
     radius_max_mm: float | None = Field(
         default=None, gt=0.0, description="mm, for space mm; not given: radius_max_px converted for the rig"
     )
+    tuned_at_mm_per_px: float | None = Field(
+        default=None,
+        gt=0.0,
+        le=100.0,
+        description="mm per px along stripes on the product, at which lengths in px and rows were chosen: "
+        "they are converted to the rig's own scale; none: taken as they are",
+    )
     smoothing_rows: int = Field(
         default=0,
         ge=0,
@@ -88,6 +95,9 @@ class ArcCurvature(Classifier[ArcCurvatureOptions]):
     1/R_px = s²/(h R_mm) and R_mm = R_px s²/h, stripe by stripe. Where slopes are not small the two spaces
     do not agree: circles in the image are ellipses in the cross-section.
 
+    Lengths in pixels belong to a scale. Given the scale they were chosen at, all of them, and the samples
+    between points, are multiplied by how much finer the rig is, so that a rescaled rig grades the same.
+
     What to know before trusting it: the rule is sharp. At 14 samples, a radius below 80 px is a bow of
     1.2 px, so with whole-pixel peaks noise alone turns a flat healthy product into henkei. Take sub-pixel
     peaks, or `smoothing_rows`, or ask for more than one arc. With samples one row apart no circle is
@@ -99,12 +109,13 @@ class ArcCurvature(Classifier[ArcCurvatureOptions]):
 
     def classify(self, product: Product, *, rng: np.random.Generator | None = None) -> Grade:
         """Grade one product; `rng` is not used, since no error of the rule itself is modelled."""
-        options = self.options
         curves = body_curves(product.profiles, product.number)
+        mm_per_px = _mm_per_px(product, curves)
+        options = _rescaled(self.options, mm_per_px)
         middle = arc_middles(curves, options.delta_samples)
         if not middle.size:
             return _unknown(curves, options.delta_samples)
-        arcs = _arcs(product, curves, middle, options)
+        arcs = _arcs(product, curves, middle, options, mm_per_px)
         count, flagged = arcs.flagged.size, int(arcs.flagged.sum())
         label = HENKEI if flagged >= options.henkei_arcs_min else GOOD
         smallest = float(np.min(arcs.radius, where=arcs.concave, initial=np.inf))
@@ -138,7 +149,9 @@ class _Arcs:
     radius_max: Floats
 
 
-def _arcs(product: Product, curves: BodyCurves, middle: Integers, options: ArcCurvatureOptions) -> _Arcs:
+def _arcs(
+    product: Product, curves: BodyCurves, middle: Integers, options: ArcCurvatureOptions, mm_per_px: float
+) -> _Arcs:
     from roemetry_kernels.body_points import circles
 
     profiles, delta = product.profiles, options.delta_samples
@@ -147,7 +160,6 @@ def _arcs(product: Product, curves: BodyCurves, middle: Integers, options: ArcCu
     x_row[:, 0], x_row[:, 1] = profiles.x_px[here], profiles.row_px[here]
     in_section = options.space == "mm"
     along_above = profiles.xyz_mm[curves.slice, curves.point, 1:] if in_section else x_row[:, :0]
-    y_mm = along_above[:, :1].ravel()
     if options.smoothing_rows:
         both = smoothed(curves, np.concatenate([x_row, along_above], axis=1), options.smoothing_rows)
         x_row, along_above = np.ascontiguousarray(both[:, :2]), np.ascontiguousarray(both[:, 2:])
@@ -159,12 +171,12 @@ def _arcs(product: Product, curves: BodyCurves, middle: Integers, options: ArcCu
         radius_min: Floats = np.full(middle.size, options.radius_min_px)
         radius_max: Floats = np.full(middle.size, options.radius_max_px)
     else:
-        mm_per_px = _mm_per_px_at_small_slope(curves, y_mm, x_row[:, 1]) * np.abs(displacement)
+        to_mm = mm_per_px**2 * np.abs(displacement)
         to_centre, radius, bow = circles(along_above, middle, delta)
         convexity = -to_centre[:, 1]
         low, high = options.radius_min_mm, options.radius_max_mm
-        radius_min = options.radius_min_px * mm_per_px if low is None else np.full(middle.size, low)
-        radius_max = options.radius_max_px * mm_per_px if high is None else np.full(middle.size, high)
+        radius_min = options.radius_min_px * to_mm if low is None else np.full(middle.size, low)
+        radius_max = options.radius_max_px * to_mm if high is None else np.full(middle.size, high)
     concave = np.isfinite(radius) & (convexity < 0.0)
     middle_px = x_row[middle]
     return _Arcs(
@@ -180,12 +192,31 @@ def _arcs(product: Product, curves: BodyCurves, middle: Integers, options: ArcCu
     )
 
 
-def _mm_per_px_at_small_slope(curves: BodyCurves, y_mm: Floats, row_px: Floats) -> float:
-    """Square of the mm per px along the stripes: the s² of the class's derivation, one for the product."""
+def _mm_per_px(product: Product, curves: BodyCurves) -> float:
+    """Scale along the stripes: the s of the class's derivation, one for the product; NaN without any step."""
+    y_mm = product.profiles.xyz_mm[curves.slice, curves.point, 1]
+    row_px = product.profiles.row_px[curves.slice, curves.point]
     same_curve = np.ones(y_mm.size, np.bool_)
     same_curve[curves.first] = False
     step_mm, step_px = np.diff(y_mm, prepend=np.nan), np.diff(row_px, prepend=np.nan)
-    return float(np.median(np.abs(step_mm[same_curve] / step_px[same_curve]))) ** 2
+    steps = np.abs(step_mm[same_curve] / step_px[same_curve])
+    return float(np.median(steps)) if steps.size else math.nan
+
+
+def _rescaled(options: ArcCurvatureOptions, mm_per_px: float) -> ArcCurvatureOptions:
+    """Convert lengths in pixels, and numbers of rows, from the scale they were chosen at to the rig's."""
+    if options.tuned_at_mm_per_px is None or math.isnan(mm_per_px):
+        return options
+    finer = options.tuned_at_mm_per_px / mm_per_px
+    half = max(round(0.5 * (finer * options.smoothing_rows - 1.0)), 1)
+    return options.model_copy(
+        update={
+            "delta_samples": max(round(finer * options.delta_samples), 1),
+            "radius_min_px": finer * options.radius_min_px,
+            "radius_max_px": finer * options.radius_max_px,
+            "smoothing_rows": 2 * half + 1 if options.smoothing_rows else 0,
+        }
+    )
 
 
 def _unknown(curves: BodyCurves, delta: int) -> Grade:

@@ -100,7 +100,8 @@ def _sizes(relief: Relief) -> list[Markup]:
     if "length_seen_mm" in figures:
         words = f"{plain(figures['length_seen_mm'], 1)} seen along the mid-line"
         found.append(svg.text((left + right) / 2, below + 3.6, words, "plan-words"))
-    found.append(svg.text(at, top - 1.5, f"{plain(bottom - top, 1)} wide", "plan-words"))
+    # Above the whole body: numbers of dents and humps may stand at its edge.
+    found.append(svg.text(at, float(y.min()) - 4.0, f"{plain(bottom - top, 1)} wide", "plan-words"))
     return found
 
 
@@ -183,11 +184,15 @@ def _legend(relief: Relief, colours: Sequence[str], ends: tuple[float, float]) -
 
 
 def _cells(relief: Relief, which: Flags) -> str:
-    """Path of the cells about chosen places: half way to the neighbours, runs along a section in one."""
+    """Path of the cells about chosen places: half way to the neighbours, runs along a section in one.
+
+    The outer ones end at their section, where the body that is drawn ends.
+    """
     x = relief.middle_mm[:, 0]
-    half = np.diff(x) / 2.0 if len(x) > 1 else np.array([2.0])
-    left = x - np.concatenate([half[:1], half])
-    right = x + np.concatenate([half, half[-1:]])
+    half = np.diff(x) / 2.0
+    end = np.zeros(1) if len(x) > 1 else np.full(1, 2.0)
+    left = x - np.concatenate([end, half])
+    right = x + np.concatenate([half, end])
     data = []
     for section in np.flatnonzero(which.any(axis=1)):
         y = -relief.xy_mm[section, :, 1]

@@ -27,8 +27,9 @@ def learned_options() -> LearnedOptions:
         right=np.array([2, -1, -1]),
         shares=np.array([[0.0, 0.0], [0.1, 0.9], [0.9, 0.1]]),
         roots=np.array([0]),
-        seen=Seen(np.zeros((2, 1)), np.ones(1), np.ones((2, 1, 1))),
+        seen=Seen(np.zeros((2, 1)), np.ones(1), np.ones((2, 1, 1)), np.zeros(1), np.full(1, 6.0)),
         distance_max=20.0,
+        beyond_max=1.0,
         smoothing_rows=15,
     )
     path = Path(tempfile.mkdtemp()) / "one_decision.json"

@@ -12,7 +12,8 @@ from roemetry.records import Product, Relief
 from roemetry_shape.curvature import curvature_features, surface_shape
 from roemetry_shape.hollows import hollows_of
 from roemetry_shape.humps import humps_of
-from roemetry_shape.outline_size import outline_size
+from roemetry_shape.lengthwise import lengthwise_features
+from roemetry_shape.outline_features import outline_features
 from roemetry_shape.regions import Region
 from roemetry_shape.relief import relief_of
 from roemetry_shape.sections import SAMPLES, Sections, sections_of
@@ -22,6 +23,13 @@ SECTIONS_MIN = 3
 
 _INNER = slice(SAMPLES // 8, SAMPLES - SAMPLES // 8)
 """Samples away from the edges, where a section is steep by nature."""
+
+
+_LINES = list(range(SAMPLES // 8, SAMPLES - SAMPLES // 8, 2))
+"""Samples that are followed along the product."""
+
+_SADDLE_LEAST_MM = 0.3
+"""Of a shallower one nobody can say how wide it is."""
 
 
 class Shape(NamedTuple):
@@ -52,10 +60,12 @@ def shape_of(product: Product, smoothing_rows: int) -> Shape:
     surface = surface_shape(sections)
     features = {
         **_size(sections),
-        **outline_size(product, sections),
+        **outline_features(product, sections),
         **_middle_line(sections),
         **_lean(sections),
+        **_saddles(sections),
         **_along(sections),
+        **lengthwise_features(sections),
         **_hollow_features(below_mm, dents),
         **_hump_features(humps),
         **curvature_features(surface),
@@ -133,21 +143,16 @@ def _lean(sections: Sections) -> dict[str, float]:
 
 
 def _along(sections: Sections) -> dict[str, float]:
-    """The run of heights along the product: saddles, steps, ends that are cut off."""
-    from roemetry_kernels.hollows import hollow_depth
-
+    """The run of heights along the product: steps, ends that are cut off."""
     s, peak, area = sections.along_mm, sections.peak_mm, sections.area_mm2
     thick = _thick(sections)
     lines = sections.height_mm[:, [SAMPLES // 4, SAMPLES // 2, 3 * SAMPLES // 4]].T
-    saddle = hollow_depth(np.ascontiguousarray(np.tile(s, (3, 1))), np.ascontiguousarray(lines))
     rise = np.abs(np.diff(lines, axis=1)) / np.diff(s)
     ends = np.sort(np.array([peak[0], peak[-1]])) / thick
     wide = np.sort(sections.half_width_mm[[0, -1]]) / sections.half_width_mm.max()
     halves = np.sort([area[: len(area) // 2].sum(), area[-(len(area) // 2) :].sum()])
     inner = rise[:, 1:-1] if rise.shape[1] > 3 else rise
     return {
-        "saddle_mm": float(saddle.max()),
-        "saddle_share": float(saddle.max() / thick),
         "rise_most": float(inner.max()),
         "rise_end": float(rise[:, [0, -1]].max()),
         "end_height_low": float(ends[0]),
@@ -156,6 +161,25 @@ def _along(sections: Sections) -> dict[str, float]:
         "end_width_high": float(wide[1]),
         "halves_share": float(halves[0] / max(halves[1], 1e-9)),
         "peak_step_mm": float(np.abs(np.diff(peak, 2)).max(initial=0.0)),
+    }
+
+
+def _saddles(sections: Sections) -> dict[str, float]:
+    """How deep the heights along the product lie below their hull, and over how much of its width."""
+    from roemetry_kernels.hollows import hollow_depth
+
+    lines = np.ascontiguousarray(sections.height_mm[:, _LINES].T)
+    along = np.ascontiguousarray(np.broadcast_to(sections.along_mm, lines.shape))
+    depth = hollow_depth(along, lines).max(axis=1)
+    at_three = depth[[_LINES.index(SAMPLES // 4), len(_LINES) // 2, _LINES.index(3 * SAMPLES // 4)]]
+    rising = np.sort(depth)
+    deepest = float(at_three.max())
+    return {
+        "saddle_mm": deepest,
+        "saddle_share": deepest / _thick(sections),
+        "saddle_median_mm": float(rising[len(rising) // 2]),
+        "saddle_least_mm": float(rising[len(rising) // 10]),
+        "saddle_wide": float((depth > 0.5 * rising[-1]).mean()) if rising[-1] > _SADDLE_LEAST_MM else 0.0,
     }
 
 

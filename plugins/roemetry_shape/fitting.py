@@ -11,7 +11,7 @@ from roemetry.arrays import Floats, Integers
 from roemetry.errors import DataError
 from roemetry.records import Fitted, Samples
 from roemetry_shape.learned_model import LearnedModel, sharpened
-from roemetry_shape.strangeness import seen_in
+from roemetry_shape.strangeness import beyond, seen_in
 
 Folds = Sequence[tuple[Integers, Integers]]
 
@@ -19,7 +19,9 @@ TREES = 60
 FOLDS = 5
 _PER_CLASS_MIN = 5
 _STRANGE = 1.2
-"""A product this many times farther from all classes than 99.5 % of the held-out samples is strange."""
+"""A product this many times farther from all that was seen than 99.5 % of the held-out samples is strange."""
+_BEYOND_LEAST = 0.1
+"""Features may lie by a tenth of their range beyond it, however many samples there were."""
 _SEED = 1
 
 
@@ -51,6 +53,7 @@ def fit_forest(samples: Samples, *, good: str, smoothing_rows: int) -> Fitted:
     power = _sharpness(held_out, labels, classes)
     probabilities = sharpened(held_out, power)
     good_from = _good_from(probabilities, labels, classes, good)
+    distance, outside = _farthest(values, labels, folds)
     forest = _forest().fit(values, labels)
     arrays = _nodes(forest)
     model = LearnedModel(
@@ -62,7 +65,8 @@ def fit_forest(samples: Samples, *, good: str, smoothing_rows: int) -> Fitted:
         sharpness=power,
         **arrays,
         seen=seen_in(values, labels),
-        distance_max=_STRANGE * _farthest(values, labels, folds),
+        distance_max=_STRANGE * distance,
+        beyond_max=max(_STRANGE * outside, _BEYOND_LEAST),
         smoothing_rows=smoothing_rows,
     )
     figures = _figures(probabilities, labels, classes, good, good_from)
@@ -116,10 +120,14 @@ def _folds(labels: np.ndarray, groups: Integers) -> Folds:
     return list(folds.split(np.zeros(len(labels)), labels, groups))
 
 
-def _farthest(values: Floats, labels: np.ndarray, folds: Folds) -> float:
-    """Distance of samples from what the others taught that all but 0.5 % keep."""
-    far = [seen_in(values[known], labels[known]).distances(values[asked]) for known, asked in folds]
-    return float(np.quantile(np.concatenate(far), 0.995))
+def _farthest(values: Floats, labels: np.ndarray, folds: Folds) -> tuple[float, float]:
+    """Distance from the classes, and beyond all values, that the others taught; all but 0.5 % keep it."""
+    far, outside = [], []
+    for known, asked in folds:
+        seen = seen_in(values[known], labels[known])
+        far.append(seen.distances(values[asked]))
+        outside.append(beyond(seen.excess(values[asked])))
+    return float(np.quantile(np.concatenate(far), 0.995)), float(np.quantile(np.concatenate(outside), 0.995))
 
 
 def _held_out(values: Floats, labels: np.ndarray, folds: Folds, classes: np.ndarray) -> Floats:

@@ -15,7 +15,7 @@ from pydantic import Field
 from roemetry.records import Fitted, Grade, Product, Reason, Samples
 from roemetry.stages import Capabilities, Classifier, StageOptions
 from roemetry_shape.features import shape_of
-from roemetry_shape.learned_model import LearnedModel
+from roemetry_shape.learned_model import LearnedModel, Strangeness
 
 UNKNOWN = "unknown"
 
@@ -61,14 +61,13 @@ class Learned(Classifier[LearnedOptions]):
         if not features:
             return Grade(UNKNOWN, reasons=(Reason("too-few-sections", _FEW),))
         values = model.values(features)
-        distance = model.distance(values)
+        strange = model.strangeness(values)
         probabilities = model.probabilities(values)
         by_class = dict(zip(model.classes, probabilities.tolist(), strict=True))
         told = {**features, **{f"probability_{name}": value for name, value in by_class.items()}}
-        told["strangeness"] = distance / model.distance_max
-        if distance > model.distance_max:
-            why = f"{distance / model.distance_max:.1f} times as far from all that was learned as is usual"
-            return Grade(UNKNOWN, math.nan, told, (Reason("unlike-anything-learned", why),))
+        told["strangeness"] = strange.value
+        if strange.value > 1.0:
+            return Grade(UNKNOWN, math.nan, told, (Reason("unlike-anything-learned", _unlike(strange)),))
         label = _decided(by_class, model)
         if by_class[label] < self.options.probability_min:
             why = f"the likeliest class, {label}, has a probability of {by_class[label]:.2f} only"
@@ -84,6 +83,15 @@ class Learned(Classifier[LearnedOptions]):
 
 
 _FEW = "fewer than three stripes show a cross-section: there is no shape to judge"
+
+
+def _unlike(strange: Strangeness) -> str:
+    if not strange.feature:
+        return f"{strange.value:.1f} times as far from all that was learned as is usual"
+    return (
+        f"{strange.feature} is {strange.found:.4g}, in all that was learned {strange.low:.4g} to "
+        f"{strange.high:.4g}: with others like it {strange.value:.1f} times as far outside as is usual"
+    )
 
 
 def _decided(by_class: dict[str, float], model: LearnedModel) -> str:

@@ -3,20 +3,40 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from roemetry.arrays import Floats, Integers
 from roemetry.errors import StageError
 from roemetry_shape.forest_file import packed, unpacked
-from roemetry_shape.strangeness import Seen, halves, whole
+from roemetry_shape.strangeness import Seen, beyond, halves, whole
 
-VERSION = 3
+VERSION = 4
 _FOREST = ("feature", "threshold", "left", "right", "shares", "roots")
+
+
+class Strangeness(NamedTuple):
+    """How far a sample is from all that was learned.
+
+    Attributes
+    ----------
+    value
+        As a multiple of what is usual; above 1 it is strange.
+    feature, found, low, high
+        The feature that lies farthest beyond what was seen, its value, and what was seen; "" and NaN where it
+        is all features together that are farther from every class.
+    """
+
+    value: float
+    feature: str = ""
+    found: float = math.nan
+    low: float = math.nan
+    high: float = math.nan
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +61,8 @@ class LearnedModel:
         What the samples of each class look like: how far a product is from all of them.
     distance_max
         Largest such distance that is not yet strange.
+    beyond_max
+        The same of how far features lie beyond all that were seen.
     smoothing_rows
         How the features were measured.
     """
@@ -59,6 +81,7 @@ class LearnedModel:
     roots: Integers
     seen: Seen
     distance_max: float
+    beyond_max: float
     smoothing_rows: int
 
     def values(self, features: Mapping[str, float]) -> Floats:
@@ -75,10 +98,19 @@ class LearnedModel:
         )
         return sharpened(shares, self.sharpness)
 
-    def distance(self, values: Floats) -> float:
-        """How far a sample is from the nearest class, in within-class standard deviations."""
-        filled = np.where(np.isfinite(values), values, self.fill)
-        return float(self.seen.distances(filled[None])[0])
+    def strangeness(self, values: Floats) -> Strangeness:
+        """How far a sample is from all that was learned; above 1 it is strange."""
+        filled = np.where(np.isfinite(values), values, self.fill)[None]
+        distance = float(self.seen.distances(filled)[0]) / self.distance_max
+        excess = self.seen.excess(filled)
+        outside = float(beyond(excess)[0]) / self.beyond_max
+        if outside <= distance:
+            return Strangeness(distance)
+        most = int(excess[0].argmax())
+        ends = np.sinh([self.seen.low[most], self.seen.high[most]])
+        return Strangeness(
+            outside, self.features[most], float(filled[0, most]), float(ends[0]), float(ends[1])
+        )
 
     def to_json(self, about: Mapping[str, Any]) -> str:
         """Write the model, with whatever is to be said about it."""
@@ -89,6 +121,8 @@ class LearnedModel:
             "seen": {
                 "centres": _plain(self.seen.centres),
                 "spread": _plain(self.seen.spread),
+                "low": _plain(self.seen.low),
+                "high": _plain(self.seen.high),
                 "precision": halves(self.seen.precision),
             },
             "forest": packed({name: getattr(self, name) for name in _FOREST}),
@@ -114,11 +148,14 @@ class LearnedModel:
                 good_from=float(data["good_from"]),
                 sharpness=float(data["sharpness"]),
                 distance_max=float(data["distance_max"]),
+                beyond_max=float(data["beyond_max"]),
                 smoothing_rows=int(data["smoothing_rows"]),
                 seen=Seen(
                     np.array(seen["centres"], np.float64),
                     np.array(seen["spread"], np.float64),
                     whole(seen["precision"], len(data["features"])),
+                    np.array(seen["low"], np.float64),
+                    np.array(seen["high"], np.float64),
                 ),
                 **forest,
             )

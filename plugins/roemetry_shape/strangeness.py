@@ -1,4 +1,9 @@
-"""How far a product is from all that was learned: by the means and correlations of each class."""
+"""How far a product is from all that was learned: by the means and correlations of each class, and by ranges.
+
+Two measures, since each is blind where the other sees. The distance from the nearest class sees a combination
+of features that no class has, but drowns one strange feature among fifty. How far single features lie beyond
+all that was ever seen finds that one, and can name it.
+"""
 
 from __future__ import annotations
 
@@ -14,6 +19,8 @@ _OF_ALL = 50.0
 
 _PARTS = 1000
 _SPREAD_MIN = 1e-3
+_RANGE_MIN = 0.1
+"""A feature that hardly varied among the samples may vary by a tenth."""
 
 
 class Seen(NamedTuple):
@@ -27,17 +34,32 @@ class Seen(NamedTuple):
         (feature,) standard deviations within classes.
     precision
         (class, feature, feature) inverse of the correlation within the class.
+    low, high
+        (feature,) least and largest squeezed values, of all classes.
     """
 
     centres: Floats
     spread: Floats
     precision: Floats
+    low: Floats
+    high: Floats
 
     def distances(self, values: Floats) -> Floats:
         """(sample,) distances from the nearest class, in its standard deviations, of (sample, feature)."""
         off = (squeezed(values)[:, None] - self.centres) / self.spread
         squares = np.einsum("ncf,cfg,ncg->nc", off, self.precision, off)
         return np.asarray(np.sqrt(squares.min(axis=1) / values.shape[1]))
+
+    def excess(self, values: Floats) -> Floats:
+        """(sample, feature) how far values lie beyond all that were seen, as shares of the range seen."""
+        small = squeezed(values)
+        outside = np.maximum(np.maximum(self.low - small, small - self.high), 0.0)
+        return np.asarray(outside / np.maximum(self.high - self.low, _RANGE_MIN))
+
+
+def beyond(excess: Floats) -> Floats:
+    """(sample,) root of the summed squares of (sample, feature) excesses."""
+    return np.asarray(np.sqrt((excess**2).sum(axis=1)))
 
 
 def seen_in(values: Floats, labels: np.ndarray) -> Seen:
@@ -66,7 +88,8 @@ def seen_in(values: Floats, labels: np.ndarray) -> Seen:
         # What never varies in a class may vary a little all the same.
         alone = np.diag(np.maximum(np.diag(mixed), 0.05))
         precision.append(np.linalg.inv((1.0 - _SHRINKAGE) * mixed + _SHRINKAGE * alone))
-    return Seen(centres, spread, _rounded(np.stack(precision)))
+    low, high = small.min(axis=0), small.max(axis=0)
+    return Seen(centres, spread, _rounded(np.stack(precision)), low, high)
 
 
 def squeezed(values: Floats) -> Floats:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Literal, Self
+from typing import ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,6 +16,10 @@ from roemetry.stages import StageOptions
 
 class UndersideOptions(StageOptions):
     """What is known of the product's underside."""
+
+    about_product: ClassVar[frozenset[str]] = frozenset(
+        ("underside", "true_share", "true_share_std", "gap_mm", "gap_std_mm")
+    )
 
     underside: Literal["unknown", "flat", "rounded", "air-gap"] = Field(
         default="unknown", description="model of the underside; unknown states no true volume"

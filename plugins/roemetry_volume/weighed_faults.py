@@ -21,6 +21,8 @@ _FAR_STDS = 4.0
 _FAR_SHARE = 0.1
 _NAMED = 5
 _FOR_TREND = 8
+_BY_CHANCE = 0.05
+"""Ranks that agree no better than this share of shuffled tables do show no trend."""
 
 
 def check_masses(ids: Sequence[str], masses_g: Floats, visible_cm3: Floats) -> None:
@@ -60,12 +62,15 @@ def _check_trend(masses_g: Floats, visible_cm3: Floats) -> None:
     """Refuse masses that no volume says anything of, where volumes differ enough to tell."""
     if len(masses_g) < _FOR_TREND or np.log(visible_cm3).std() < 0.1:
         return
-    # One odd sample does not make a trend: medians.
+    from scipy.stats import spearmanr
+
+    # One odd sample does not unmake a trend: medians, and ranks.
     scatter, alone = _scatter(np.log(masses_g / visible_cm3)), _scatter(np.log(masses_g))
-    if scatter > alone:
+    ranks = spearmanr(masses_g, visible_cm3, alternative="greater")
+    if scatter > alone or not ranks.pvalue <= _BY_CHANCE:
         raise DataError(
             f"the masses do not follow the volumes: mass over volume scatters by {scatter:.0%}, masses alone "
-            f"by {alone:.0%}",
+            f"by {alone:.0%}; their ranks agree by {ranks.statistic:+.2f} of 1",
             hint="were rows mixed up, or ids of one table given to the other's products?",
         )
 

@@ -13,6 +13,10 @@ from roemetry.compare.plots import DOTS_MAX, colour
 from roemetry.pages import svg
 
 _WIDTH, _FLOOR, _LEFT = 320.0, 196.0, 46.0
+_BESIDE, _BAR = (14.0, 8.5, 3.0), 3.5
+"""Where, right of the plot, the bars of intervals stand, and how wide; side by side, since they overlap."""
+
+_WRITING = 11.0
 
 Point = tuple[float, float, str]
 """Size, difference in %, and of which product."""
@@ -41,14 +45,14 @@ def bland_altman(
     size_words: str,
     tolerance_pct: float | None,
 ) -> Markup:
-    """Draw differences over size, with their mean, limits of agreement, intervals, and the tolerance."""
+    """Draw differences over size, their mean, limits of agreement, and the tolerance; intervals beside."""
     ends = [*agreement.low_limit_interval_pct, *agreement.high_limit_interval_pct, *agreement.limits_pct, 0.0]
     ends += [p[1] for p in points] + ([] if tolerance_pct is None else [-tolerance_pct, tolerance_pct])
     known = [value for value in ends if np.isfinite(value)]
     room = 0.06 * (max(known) - min(known)) or 1.0
     up = svg.Axis.over(min(known) - room, max(known) + room, _FLOOR, 8.0)
-    across = svg.Axis.over(min(p[0] for p in points), max(p[0] for p in points), _LEFT + 8.0, _WIDTH - 60.0)
-    right = _WIDTH - 54.0
+    across = svg.Axis.over(min(p[0] for p in points), max(p[0] for p in points), _LEFT + 8.0, _WIDTH - 70.0)
+    right = _WIDTH - 64.0
     parts = []
     if tolerance_pct is not None:
         band = up(-tolerance_pct) - up(tolerance_pct)
@@ -63,21 +67,23 @@ def bland_altman(
         parts.append(svg.text(across(value), _FLOOR + 15.0, written))
     paint = colour(number)
     low, high = agreement.limits_pct
-    for value, interval, kind in (
-        (agreement.mean_pct, agreement.mean_interval_pct, "median"),
-        (low, agreement.low_limit_interval_pct, "equal"),
-        (high, agreement.high_limit_interval_pct, "equal"),
-    ):
-        if not np.isfinite(value):
-            continue
+    drawn = [
+        (value, interval, kind)
+        for value, interval, kind in (
+            (high, agreement.high_limit_interval_pct, "equal"),
+            (agreement.mean_pct, agreement.mean_interval_pct, "median"),
+            (low, agreement.low_limit_interval_pct, "equal"),
+        )
+        if np.isfinite(value)
+    ]
+    written_at = _apart([up(value) + 4.0 for value, _, _ in drawn])
+    for (value, interval, kind), at, beside in zip(drawn, written_at, _BESIDE, strict=False):
+        parts.append(svg.line(_LEFT, up(value), right, up(value), kind))
         if np.isfinite(interval.low):
-            tall = up(interval.low) - up(interval.high)
             words = f"{svg.plain(interval.low, 2, True)} to {svg.plain(interval.high, 2, True)} %"
-            parts.append(svg.box(_LEFT, up(interval.high), right - _LEFT, tall, "interval", words, paint))
-        parts += [
-            svg.line(_LEFT, up(value), right, up(value), kind),
-            svg.text(right + 4.0, up(value) + 4.0, svg.plain(value, 1, True), "start"),
-        ]
+            tall = up(interval.low) - up(interval.high)
+            parts.append(svg.box(right + beside, up(interval.high), _BAR, tall, "interval", words, paint))
+        parts.append(svg.text(right + 21.0, at, svg.plain(value, 1, True), "start"))
     for size, difference, product in _some(points):
         title = f"{product}: {svg.plain(difference, 2, True)} %"
         parts.append(svg.dot(across(size), up(difference), "point", title, paint))
@@ -90,6 +96,14 @@ def bland_altman(
         f"{svg.plain(low, 2, True)} to {svg.plain(high, 2, True)} %, {agreement.n} products"
     )
     return svg.picture(parts, _FLOOR + 38.0, label, width=_WIDTH)
+
+
+def _apart(places: Sequence[float]) -> list[float]:
+    """Move writing that stands in falling order of value, so that no line covers the one above."""
+    moved: list[float] = []
+    for place in places:
+        moved.append(max(place, moved[-1] + _WRITING) if moved else place)
+    return moved
 
 
 def reliability(number: int, name: str, found: Reliability) -> Markup:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
@@ -76,7 +77,8 @@ def make_variants(
     for values in product(*(axis.values for axis in axes)):
         chosen = _that_apply(list(zip(axes, values, strict=True)), base, registry)
         changed = [(axis, value) for axis, value in chosen if not _is_own(axis, value, base, registry)]
-        variant = _variant(path, sets, chosen, changed, registry)
+        kept = [text for axis, value in changed for text in _kept(axis, value, base, registry)]
+        variant = _variant(path, sets, chosen, changed, kept, registry)
         same = tuple(variant.settings.items()) if variant.recipe is None else variant.recipe.sha256
         if same not in known:
             known.add(same)
@@ -104,16 +106,32 @@ def _variant(
     sets: Sequence[str],
     chosen: Sequence[tuple[Axis, str]],
     changed: Sequence[tuple[Axis, str]],
+    kept: Sequence[str],
     registry: Registry,
 ) -> Variant:
     settings = {axis.key: value for axis, value in chosen}
     name = ", ".join(_shown(axis, value, chosen) for axis, value in changed) or AS_IT_IS
-    changes = [axis.change(value) for axis, value in changed]
+    stages = [axis.change(value) for axis, value in changed if axis.is_stage]
+    options = [axis.change(value) for axis, value in changed if not axis.is_stage]
     try:
-        recipe = Recipe.load(path, sets=[*sets, *changes], registry=registry)
+        recipe = Recipe.load(path, sets=[*sets, *stages, *kept, *options], registry=registry)
     except RoemetryError as error:
         return Variant(-1, name, settings, None, _in_words_of_vary(str(error), changed))
     return Variant(-1, name, settings, recipe)
+
+
+def _kept(axis: Axis, value: str, base: Recipe, registry: Registry) -> list[str]:
+    """Give the recipe's options that say what the product is, where the stage put in its place has them."""
+    if not axis.is_stage or axis.key not in base.stages:
+        return []
+    own = base.stages[axis.key].options
+    given = own.model_dump(mode="json", include=set(own.about_product & own.model_fields_set))
+    return [
+        f"stages.{axis.key}.options.{name}={json.dumps(said)}"
+        for stage in _classes(axis.key, [value], registry)
+        for name, said in given.items()
+        if name in stage.Options.about_product
+    ]
 
 
 def _shown(axis: Axis, value: str, chosen: Sequence[tuple[Axis, str]]) -> str:

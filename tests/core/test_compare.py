@@ -226,6 +226,29 @@ def test_every_variant_stands_once_and_the_recipe_first(line: Callable[..., Path
     assert local.stages["extractor"].options == local.stages["extractor"].stage.Options()
 
 
+def test_what_is_said_of_the_product_stays_when_the_method_is_exchanged(line: Callable[..., Path]) -> None:
+    """The underside is the product's; the ends are the method's; another method's default may differ."""
+    own = (
+        "{use: slice-pchip, options: {ends: hold, underside: rounded, true_share: 0.9, true_share_std: 0.02}}"
+    )
+    path, known = line(1), discover()
+
+    def made(*vary: str) -> tuple[Variant, ...]:
+        return make_variants(path, vary, sets=[f"stages.volume={own}"], registry=known)
+
+    _, simpson, zero_order = made("volume=slice-simpson,zero-order-hold")
+    _, other, *_ = made("volume=slice-simpson", "stages.volume.options.true_share=0.8")
+    assert simpson.name == "slice-simpson"
+    assert simpson.recipe is not None
+    options = simpson.recipe.stages["volume"].options.model_dump()
+    assert options["underside"] == "rounded"
+    assert (options["true_share"], options["true_share_std"]) == (0.9, 0.02)
+    assert options["ends"] == "taper"
+    assert zero_order.fault == ""
+    assert other.recipe is not None
+    assert other.recipe.stages["volume"].options.model_dump()["true_share"] == 0.8
+
+
 @pytest.mark.parametrize(
     ("vary", "says"),
     [

@@ -222,6 +222,37 @@ def test_millimetres_equal_pixels_on_a_rig_of_unit_scales():
     assert millimetres.features["smallest_concave_radius_mm"] == pytest.approx(60.0, abs=1e-9)  # mm
 
 
+def circle_in_space(scale, radius_mm=60.0):
+    """The same concave circle, on a rig of `scale` px for each mm."""
+    rows = np.arange(round(100 * scale), round(300 * scale) + 1)
+    middle, radius = 200 * scale, radius_mm * scale
+    x = REST_PX - (radius - np.sqrt(radius**2 - (0.25 * (rows - middle)) ** 2))
+    return product_of([(0, rows, x)], displacement=-scale, mm_per_row=1.0 / scale)
+
+
+@pytest.mark.parametrize("space", ["px", "mm"])
+@pytest.mark.parametrize("scale", [0.5, 1.25, 1.5])
+def test_lengths_in_pixels_are_those_of_the_scale_they_were_chosen_at(scale, space):
+    """A flat ellipse: curvature and all lengths scale alike, so arcs and grade are the same."""
+    given = {"radius_max_px": 990.0, "delta_samples": 20, "space": space}
+    own = grade_of(circle_in_space(1.0), **given)
+    blind = grade_of(circle_in_space(scale), **given)
+    told = grade_of(circle_in_space(scale), **given, tuned_at_mm_per_px=1.0)
+    assert own.label == told.label == "henkei"
+    assert told.features["arcs"] == own.features["arcs"] != blind.features["arcs"]
+    assert told.features["arcs_flagged"] == own.features["arcs_flagged"]
+    expected = own.marks.value * (scale if space == "px" else 1.0)
+    np.testing.assert_allclose(told.marks.value, expected, rtol=1e-6)
+    same = grade_of(circle_in_space(1.0), **given, tuned_at_mm_per_px=1.0)
+    np.testing.assert_array_equal(same.marks.value, own.marks.value)
+
+
+def test_rows_of_smoothing_stay_odd_when_converted():
+    for scale in (0.05, 0.5, 0.9, 1.1, 1.5):
+        grade = grade_of(circle_in_space(scale), smoothing_rows=7, delta_samples=3, tuned_at_mm_per_px=1.0)
+        assert grade.label in ("good", "henkei", "unknown")
+
+
 @pytest.mark.parametrize("displacement", [-2.5, 2.5])
 def test_millimetres_are_those_of_the_cross_section(displacement):
     # A circular dent of radius 20 mm in the cross-section, on a rig of 0.2 mm a row and ±2.5 px/mm.

@@ -100,8 +100,8 @@ def test_what_is_learned_is_right_and_says_how_sure_it_is(rng: np.random.Generat
     assert right[doubtful].mean() == pytest.approx(stated[doubtful].mean(), abs=0.12)
     np.testing.assert_allclose(probabilities.sum(axis=1), 1.0, atol=1e-12)
     strange = np.array([30.0, -30.0])
-    assert model.distance(strange) > model.distance_max
-    assert np.mean([model.distance(row) > model.distance_max for row in fresh.values]) < 0.02
+    assert model.strangeness(strange).value > 1.0
+    assert np.mean([model.strangeness(row).value > 1.0 for row in fresh.values]) < 0.02
 
 
 def test_the_stored_forest_is_sklearns_own(rng: np.random.Generator, tmp_path: Path) -> None:
@@ -183,7 +183,7 @@ def test_a_damaged_forest_is_refused_not_walked(damage: dict[str, object]) -> No
 
 def test_a_damaged_model_is_named(tmp_path: Path) -> None:
     path = tmp_path / "m.json"
-    for text in ("", "[]", "{}", json.dumps({"roemetry_classifier": 3, "features": []})):
+    for text in ("", "[]", "{}", json.dumps({"roemetry_classifier": 4, "features": []})):
         path.write_text(text, encoding="utf-8")
         with pytest.raises(StageError, match=r"m.json is no fitted classifier"):
             Learned(LearnedOptions(model=path)).classify(DOME)

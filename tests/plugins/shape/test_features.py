@@ -22,7 +22,8 @@ from roemetry_kernels.quadrics import local_quadrics
 from roemetry_shape.curvature import surface_shape
 from roemetry_shape.features import shape_features
 from roemetry_shape.hollows import hollows_of
-from roemetry_shape.sections import SAMPLES, sections_of
+from roemetry_shape.lengthwise import lengthwise_features
+from roemetry_shape.sections import SAMPLES, Sections, sections_of
 
 
 @settings(deadline=None)  # the first example may compile a kernel
@@ -43,6 +44,22 @@ def test_a_half_ellipsoid_is_what_it_is() -> None:
     assert features["fullness_median"] == pytest.approx(np.pi / 4, abs=0.02)
     for name in ("dents", "dent_depth_mm", "bend_mm", "hollow_curvature_share", "asymmetry"):
         assert features[name] == pytest.approx(0.0, abs=0.05), name
+
+
+def test_where_the_volume_lies_along_is_known_for_a_prism_and_for_what_thins_out() -> None:
+    """Moments of a box: 0 and 9/5; of an area that falls evenly to nothing: 2√2/5 and 12/5."""
+    features = shape_features(product_of(BOX), 0)
+    assert features["lengthwise_skew"] == pytest.approx(0.0, abs=1e-6)
+    assert features["lengthwise_kurtosis"] == pytest.approx(1.8, abs=0.05)
+    count = 201
+    height = np.linspace(1.0, 0.0, count)[:, None] * np.ones(SAMPLES)
+    across = np.linspace(-1.0, 1.0, SAMPLES) * np.ones((count, 1))
+    along, middle = np.linspace(0.0, 9.0, count), np.zeros((count, 2))
+    thinning = Sections(np.arange(count), along, middle, np.ones(count), height, across)
+    for lying in (thinning, thinning._replace(height_mm=height[::-1])):
+        found = lengthwise_features(lying)
+        assert found["lengthwise_skew"] == pytest.approx(2.0 * np.sqrt(2.0) / 5.0, abs=1e-3)
+        assert found["lengthwise_kurtosis"] == pytest.approx(2.4, abs=1e-3)
 
 
 def test_a_spheres_curvatures_are_its_radius() -> None:

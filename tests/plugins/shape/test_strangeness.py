@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from roemetry_shape.strangeness import halves, seen_in, whole
+from roemetry_shape.strangeness import beyond, halves, seen_in, whole
 
 
 def samples(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -37,3 +37,20 @@ def test_the_file_keeps_it(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(whole(halves(seen.precision), 2), seen.precision, atol=1e-9)
     with pytest.raises(ValueError, match="expected 6 values a class"):
         whole(halves(seen.precision), 3)
+
+
+def test_one_feature_beyond_all_that_was_seen_is_found_among_many(rng: np.random.Generator) -> None:
+    """Half its range beyond it, in one of forty that all hang together."""
+    common = rng.standard_normal((300, 1))
+    values = common + 0.2 * rng.standard_normal((300, 40))
+    labels = np.array(["a", "b"])[rng.integers(0, 2, 300)]
+    seen = seen_in(values, labels)
+    np.testing.assert_array_equal(seen.excess(values), 0.0)
+    low, high = np.sinh(seen.low[7]), np.sinh(seen.high[7])
+    one = values[:1].copy()
+    one[0, 7] = np.sinh(seen.high[7] + 0.5 * (seen.high[7] - seen.low[7]))
+    found = seen.excess(one)
+    assert low < values[0, 7] < high < one[0, 7]
+    assert found[0].argmax() == 7
+    assert found[0, 7] == pytest.approx(0.5, abs=1e-9)
+    assert beyond(found)[0] == pytest.approx(0.5, abs=1e-9)

@@ -23,6 +23,7 @@ from roemetry.testing.solids import DENSE, HALF_ELLIPSOID, product_of
 from roemetry_paper.density import Density
 from roemetry_volume.fitted_weight import FittedWeight, FittedWeightOptions
 from roemetry_volume.fitting_weights import fit_weights
+from roemetry_volume.weighed_faults import check_masses
 from roemetry_volume.weight_features import weight_features
 from roemetry_volume.weight_model import WeightModel
 
@@ -169,6 +170,22 @@ def test_masses_in_another_unit_are_named(factor: float, named: str, rng: np.ran
     some[[3, 7]] *= factor
     with pytest.raises(DataError, match=rf"2 of 30 masses are off by the factor of {named} \(p3, p7\)"):
         fit_weights(replace(given, mass_g=some), form="auto")
+
+
+def test_rows_that_were_mixed_up_are_refused_and_right_ones_are_not(rng: np.random.Generator) -> None:
+    """Ten products: of shuffled masses one table in twenty agrees by chance; scatter of 5 % is no mix-up."""
+    refused = {"shuffled": 0, "right": 0}
+    names = [f"p{number}" for number in range(10)]
+    for _ in range(60):
+        visible = rng.uniform(12.0, 35.0, 10)
+        masses = visible * rng.normal(0.95, 0.05, 10)
+        for what, given in (("right", masses), ("shuffled", rng.permutation(masses))):
+            try:
+                check_masses(names, given, visible)
+            except DataError:
+                refused[what] += 1
+    assert refused["shuffled"] >= 50
+    assert refused["right"] <= 2
 
 
 def test_what_cannot_be_learned_from_is_named(rng: np.random.Generator) -> None:
