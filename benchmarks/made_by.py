@@ -57,10 +57,14 @@ def _with_packages(name: str) -> Iterator[str]:
 
 
 def _path_of(name: str) -> Path | None:
-    if not name.startswith(_OURS):
+    """Find a module's file without importing anything above it but its outermost package's place."""
+    outermost, *inner = name.split(".")
+    if not outermost.startswith(_OURS):
         return None
-    try:
-        spec = find_spec(name)
-    except ModuleNotFoundError:  # `a.b` where `a` is no package: b is a name in it
-        return None
-    return None if spec is None or spec.origin is None else Path(spec.origin)
+    spec = find_spec(outermost)
+    for folder in (spec.submodule_search_locations or ()) if spec is not None else ():
+        place = Path(folder, *inner)
+        for path in (place / "__init__.py", place.with_suffix(".py")):
+            if path.is_file():
+                return path
+    return None
