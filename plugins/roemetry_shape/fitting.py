@@ -19,7 +19,9 @@ TREES = 60
 FOLDS = 5
 _PER_CLASS_MIN = 5
 _STRANGE = 1.2
-"""A product this many times farther from all that was seen than 99.5 % of the held-out samples is strange."""
+"""A product this many times farther from all classes than 99.5 % of the held-out samples is strange."""
+_BEYOND = 1.5
+"""The same for features beyond all that was seen; more, since extremes are a matter of few samples."""
 _BEYOND_LEAST = 0.1
 """Features may lie by a tenth of their range beyond it, however many samples there were."""
 _SEED = 1
@@ -66,7 +68,7 @@ def fit_forest(samples: Samples, *, good: str, smoothing_rows: int) -> Fitted:
         **arrays,
         seen=seen_in(values, labels),
         distance_max=_STRANGE * distance,
-        beyond_max=max(_STRANGE * outside, _BEYOND_LEAST),
+        beyond_max=max(_BEYOND * outside, _BEYOND_LEAST),
         smoothing_rows=smoothing_rows,
     )
     figures = _figures(probabilities, labels, classes, good, good_from)
