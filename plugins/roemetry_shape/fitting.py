@@ -20,7 +20,7 @@ FOLDS = 5
 _PER_CLASS_MIN = 5
 _STRANGE = 1.2
 """A product this many times farther from all classes than 99.5 % of the held-out samples is strange."""
-_BEYOND = 1.5
+_BEYOND = 1.35
 """The same for features beyond all that was seen; more, since extremes are a matter of few samples."""
 _BEYOND_LEAST = 0.1
 """Features may lie by a tenth of their range beyond it, however many samples there were."""
