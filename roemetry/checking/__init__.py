@@ -3,7 +3,7 @@
 from roemetry.checking.chart import Chart
 from roemetry.checking.checking import check_calibration
 from roemetry.checking.doubting import calibration_doubts
-from roemetry.checking.fitting_penetration import fit_penetration
+from roemetry.checking.fitting_penetration import fit_penetration, fit_penetration_in_one
 from roemetry.checking.judging import Check, Quantity
 from roemetry.checking.known_block import block_of
 
@@ -15,4 +15,5 @@ __all__ = [
     "calibration_doubts",
     "check_calibration",
     "fit_penetration",
+    "fit_penetration_in_one",
 ]

@@ -50,8 +50,8 @@ def check_calibration(recipe: Recipe, image: Path, block: Block, chart: Path | N
             hint="name one in `calibration`, and a triangulator in `stages`",
         )
     # The block is matt: what light does in the product is not to be added to it.
-    trace = _trace(replace(recipe, penetration=None), image)
-    profiles = _profiles(trace, image)
+    trace = trace_of(replace(recipe, penetration=None), image)
+    profiles = profiles_in(trace, image)
     places = find_block(profiles, block)
     view = recipe.stages["triangulator"].make().view(calibration)
     reading = read_block(profiles, places, view)
@@ -79,10 +79,11 @@ def check_calibration(recipe: Recipe, image: Path, block: Block, chart: Path | N
 
 def profiles_of(recipe: Recipe, image: Path) -> Profiles:
     """Take one image through a recipe as far as its profiles; raise DataError where that cannot be done."""
-    return _profiles(_trace(recipe, image), image)
+    return profiles_in(trace_of(recipe, image), image)
 
 
-def _trace(recipe: Recipe, image: Path) -> Trace:
+def trace_of(recipe: Recipe, image: Path) -> Trace:
+    """Take one image through a recipe's chain, without draws; raise DataError where it cannot be read."""
     return Pipeline(recipe, draws=0).trace(_read(image))
 
 
@@ -95,7 +96,8 @@ def _read(image: Path) -> Acquisition:
     return acquisition
 
 
-def _profiles(trace: Trace, image: Path) -> Profiles:
+def profiles_in(trace: Trace, image: Path) -> Profiles:
+    """Give what a chain made of an image; raise DataError where it did not get as far as profiles."""
     if trace.profiles is None:
         why = "; ".join(reason.text for reason in trace.absent.values())
         raise DataError(f"{image}: the block cannot be measured: {why}")

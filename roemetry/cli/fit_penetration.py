@@ -2,22 +2,40 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 
+class HalfName(StrEnum):
+    """Half of a block in the image."""
+
+    top = "top"
+    bottom = "bottom"
+
+
 def fit_penetration(
     recipe: Annotated[Path, typer.Argument(help="The line's recipe file, or its folder.")],
-    bare: Annotated[Path, typer.Argument(help="Image of the block as it is: matt and opaque.")],
-    covered: Annotated[Path, typer.Argument(help="Image of the block under the product's own material.")],
+    bare: Annotated[
+        Path,
+        typer.Argument(help="Image of the block as it is, matt and opaque; or of both halves, with --half."),
+    ],
     film: Annotated[
         float,
         typer.Option(
             "--film", min=0, help="Thickness of the cover, mm; 0 for paint of the product's colour."
         ),
     ],
+    covered: Annotated[
+        Path | None,
+        typer.Argument(help="Image of the block under the product's own material; not with --half."),
+    ] = None,
+    half: Annotated[
+        HalfName | None,
+        typer.Option("--half", help="One image: which half of the block in it is covered or painted."),
+    ] = None,
     film_std: Annotated[
         float, typer.Option("--film-std", min=0, help="Standard uncertainty of that thickness, mm.")
     ] = 0.0,
@@ -41,12 +59,23 @@ def fit_penetration(
 
     Exit code: 0 written; 1 the block is not found; 2 the recipe or the command line is wrong.
     """
-    from roemetry.checking import block_of, fit_penetration
+    from roemetry.checking import block_of, fit_penetration, fit_penetration_in_one
+    from roemetry.errors import ConfigurationError
     from roemetry.recipe import Recipe
+
+    if (covered is None) == (half is None):
+        raise ConfigurationError(
+            "expected a second image or --half",
+            hint="BARE COVERED: two images of one block; BARE --half top: one image of a block whose half "
+            "towards the image's top is covered",
+        )
 
     loaded = Recipe.load(recipe, sets=[*(sets or ()), "penetration="])
     block = block_of(loaded, target)
-    found = fit_penetration(loaded, bare, covered, block, film_mm=film, film_std_mm=film_std)
+    if covered is not None:
+        found = fit_penetration(loaded, bare, covered, block, film_mm=film, film_std_mm=film_std)
+    elif half is not None:
+        found = fit_penetration_in_one(loaded, bare, block, half.value, film_mm=film, film_std_mm=film_std)
     path = out or loaded.path.with_name("penetration.yaml")
     found.save(path)
     typer.echo(f"{path}: {found.product} is seen {found.offset_mm:.3f} mm too low, ± {found.std_mm:.3f} mm")

@@ -11,10 +11,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from roemetry.checking import fit_penetration_in_one
 from roemetry.cli.main import app
 from roemetry.errors import CalibrationError, ConfigurationError, DataError
 from roemetry.penetration import Penetration, raised
 from roemetry.recipe import Recipe
+from roemetry.records import Block
 from roemetry.runner import run_recipe
 from roemetry.testing.scenes import LinearRig
 from roemetry_paper.block_linear import BlockLinear
@@ -88,6 +90,58 @@ def test_what_was_drawn_is_found_and_used(line: Path) -> None:
         heights.append(json.loads((line / name / "measurements.jsonl").read_text("utf-8"))["height_max_mm"])
     assert heights[0] - heights[1] == pytest.approx(light.offset_mm, abs=1e-9)  # mm
     assert Recipe.load(line).sha256 != Recipe.load(line, sets=["penetration="]).sha256
+
+
+@pytest.mark.parametrize(("half", "film"), [("top", 2.0), ("bottom", 0.0)])
+def test_two_colours_in_one_image(line: Path, rig, half: str, film: float) -> None:
+    """Half of a block under 2 mm of something light enters by 0.6 mm; or painted, entered by as much."""
+    found = np.zeros((rig.stripes, rig.rows))
+    found[1:6, 70:170] = 12.0
+    covered = slice(70, 120) if half == "top" else slice(120, 170)
+    found[1:6, covered] += film - 0.6
+    cv2.imwrite(str(line / "both.png"), rig.image(rig.x_px(found)))
+    common = ["--film", str(film), "--film-std", "0.03", "--target", str(line / "block.yaml")]
+    done = CliRunner().invoke(
+        app, ["fit-penetration", str(line), str(line / "both.png"), "--half", half, *common]
+    )
+    assert done.exit_code == 0, done.output
+    light = Penetration.load(line / "penetration.yaml")
+    assert light.offset_mm == pytest.approx(0.6, abs=0.03)  # mm
+    assert 0.03 <= light.std_mm < 0.05
+
+
+def test_one_image_of_a_whole_block_or_of_none_is_refused(line: Path, rig) -> None:
+    """Without a second image the half must be named; too little of a top is said."""
+    target = ["--film", "0", "--target", str(line / "block.yaml")]
+    bare = str(line / "bare" / "block.png")
+    neither = CliRunner().invoke(app, ["fit-penetration", str(line), bare, *target])
+    assert isinstance(neither.exception, ConfigurationError)
+    assert "expected a second image or --half" in str(neither.exception)
+    short = np.zeros((rig.stripes, rig.rows))
+    short[1:6, 100:115] = 12.0
+    cv2.imwrite(str(line / "short.png"), rig.image(rig.x_px(short)))
+    small = CliRunner().invoke(
+        app, ["fit-penetration", str(line), str(line / "short.png"), "--half", "top", *target]
+    )
+    assert isinstance(small.exception, DataError)
+    assert "does not show two level halves on 3 stripes" in str(small.exception)
+
+
+def test_the_calibration_counts_where_halves_lie_apart(line: Path, rig) -> None:
+    """A calibration whose stripes are uncertain one by one by 1 %: the step's own 1 % by √5 stripes stays."""
+    found = np.zeros((rig.stripes, rig.rows))
+    found[1:6, 70:170] = 12.0
+    found[1:6, 70:120] += 2.0
+    cv2.imwrite(str(line / "both.png"), rig.image(rig.x_px(found)))
+    calibration = rig.calibration()
+    omega = calibration.parameters["omega_mm_per_px"]
+    covariance = np.zeros(calibration.covariance.shape)
+    covariance[: omega.size, : omega.size] = np.diag((0.01 * omega) ** 2)
+    replace(calibration, covariance=covariance).save(line / "calibration.yaml")
+    recipe = Recipe.load(line, sets=["penetration="])
+    block = Block("b", 50.0, 25.0, 12.0, 0.02)
+    light = fit_penetration_in_one(recipe, line / "both.png", block, "top", film_mm=2.0, film_std_mm=0.0)
+    assert light.std_mm == pytest.approx(0.01 * 2.0 / np.sqrt(5.0), rel=0.3)
 
 
 def test_another_calibration_is_said(line: Path) -> None:
