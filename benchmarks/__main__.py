@@ -6,6 +6,7 @@ import importlib
 import sys
 
 BENCHMARKS = {
+    "calibrate_averages": "heights of levels by pinhole-plane, averaged over many rendered images of each",
     "calibrate_images": "heights of pinhole-plane and block-linear from simulated images, against the truth",
     "calibrate_points": "spread of repeated calibrations of simulated points over what they state",
     "calibrate_real": "calibration from real boards with a laser line, and from a real chessboard",

@@ -71,11 +71,11 @@ def main() -> None:
     parser.add_argument("--plot", type=Path, help="SVG: errors against the height")
     parser.add_argument("--map", type=Path, help="SVG: errors over the image")
     given = parser.parse_args()
-    scene = _scene(given.rig, given.poses)
+    scene = scene_of(given.rig, given.poses)
     with tempfile.TemporaryDirectory() as made:
         folder = given.out or Path(made)
-        _render(scene, folder, given.seed)
-        both = {method: _calibrated(scene, folder, method, given.extractor) for method in METHODS}
+        render_targets(scene, folder, given.seed)
+        both = {method: calibrated(scene, folder, method, given.extractor) for method in METHODS}
     found = {method: _errors(scene, calibration) for method, (calibration, _) in both.items()}
     camera, poses = rig_of(scene).camera, scene.targets.board.poses
     print(
@@ -87,7 +87,7 @@ def main() -> None:
         for name, value in calibration.residuals.items():
             print(f"  {name}: {value:.4g}")
     _table(found)
-    _grid(found["pinhole-plane"])
+    print_cells(found["pinhole-plane"])
     _judge(scene, both["pinhole-plane"][0])
     if given.plot:
         given.plot.write_text(_plot(found), encoding="utf-8")
@@ -98,7 +98,8 @@ def main() -> None:
 METHODS = ("block-linear", "pinhole-plane")
 
 
-def _scene(name: str, poses: int | None) -> RayCasterOptions:
+def scene_of(name: str, poses: int | None) -> RayCasterOptions:
+    """Give one of `RIGS`, with so many poses of the board."""
     scene = RayCasterOptions.model_validate(RIGS[name])
     if poses is None:
         return scene
@@ -107,7 +108,8 @@ def _scene(name: str, poses: int | None) -> RayCasterOptions:
     return RayCasterOptions.model_validate({**RIGS[name], "targets": targets})
 
 
-def _render(scene: RayCasterOptions, folder: Path, seed: int) -> None:
+def render_targets(scene: RayCasterOptions, folder: Path, seed: int) -> None:
+    """Write the images of belt, block and board that are not there yet."""
     frames = RayCaster(scene).calibration_frames(seed)
     for kind in ("belt", "block", "charuco"):
         for name in frames[kind]:
@@ -117,9 +119,10 @@ def _render(scene: RayCasterOptions, folder: Path, seed: int) -> None:
                 cv2.imwrite(str(path), frames[kind][name].pixels)
 
 
-def _calibrated(
+def calibrated(
     scene: RayCasterOptions, folder: Path, method: str, extractor: str
 ) -> tuple[Calibration, float]:
+    """Calibrate from the written images; give the time it took as well, s."""
     part, block = scene.targets.board, scene.targets.block
     images = {"belt": ["belt/belt.png"], "block": ["block/block.png"]}
     data: dict[str, object] = {
@@ -168,7 +171,7 @@ def _errors(scene: RayCasterOptions, calibration: Calibration) -> dict[float, Fl
     row_px = np.arange(rows, dtype=np.float64)
     found = {}
     for height in HEIGHTS_MM:
-        x = _exact(rig, height, row_px)
+        x = exact_lines(rig, height, row_px)
         x[(x < 0) | (x > columns - 1)] = np.nan
         seen = np.isfinite(x)
         stripes = StripeMap(
@@ -185,7 +188,7 @@ def _errors(scene: RayCasterOptions, calibration: Calibration) -> dict[float, Fl
     return found
 
 
-def _exact(rig, height_mm: float, row_px: Floats) -> Floats:  # noqa: ANN001
+def exact_lines(rig, height_mm: float, row_px: Floats) -> Floats:  # noqa: ANN001
     """Where each plane lies on a level of this height, (stripe, row) px, by projecting many points."""
     away = float(rig.camera.centre_mm[2])
     y = np.linspace(-1.0, 1.0, 4001) * away
@@ -210,7 +213,7 @@ def _table(found: dict[str, dict[float, Floats]]) -> None:
         print(f"| {height:g} | " + " | ".join(cells) + " |")
 
 
-def _grid(found: dict[float, Floats]) -> None:
+def print_cells(found: dict[float, Floats]) -> None:
     """Mean errors in cells of five groups of stripes × five of rows × five heights."""
     cells = []
     for height in GRID_MM:
@@ -234,7 +237,7 @@ def _judge(scene: RayCasterOptions, calibration: Calibration) -> None:
     row = np.linspace(0.1, 0.9, 5) * (calibration.image_size[0] - 1)
     xy, stripe, truth = [], [], []
     for height in HEIGHTS_MM:
-        x = _exact(rig, height, row)
+        x = exact_lines(rig, height, row)
         number, at = np.nonzero((x > 0) & (x < calibration.image_size[1] - 1))
         xy.append(np.column_stack([x[number, at], row[at]]))
         stripe.append(number)
