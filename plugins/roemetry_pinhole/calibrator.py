@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
 from pydantic import Field
 
 from roemetry.arrays import Floats
@@ -25,6 +26,7 @@ from roemetry_pinhole.frames import (
 from roemetry_pinhole.free_scale import rescaled, scaled_by_references
 from roemetry_pinhole.joining import Joint, joint, planes_by_solids
 from roemetry_pinhole.judging import judged
+from roemetry_pinhole.known_planes import of_planes
 from roemetry_pinhole.opencv_file import read_planes
 from roemetry_pinhole.scale import of_lengths
 from roemetry_pinhole.second_targets import check_scale
@@ -48,6 +50,14 @@ class PinholeCalibratorOptions(StageOptions):
     )
     planes_form: Literal["Ax+By+Cz+D=0", "Ax+By+Cz-D=0"] = Field(
         default="Ax+By+Cz+D=0", description="what a row of the file of planes means"
+    )
+    planes_offset_std_mm: float = Field(
+        default=0.0,
+        ge=0,
+        description="standard uncertainty of known planes' places along their normals, at the belt, mm",
+    )
+    planes_angle_std_deg: float = Field(
+        default=0.0, ge=0, description="standard uncertainty of known planes' directions, degrees"
     )
     flatness: Literal["known", "free"] = Field(
         default="known",
@@ -119,6 +129,12 @@ class PinholeCalibrator(Calibrator[PinholeCalibratorOptions]):
         covariance = covariance_of(adjusted.covariance, adjusted.unknowns, travel=joined.moves)
         if lengths:
             covariance = covariance + of_lengths(joined, parameters)
+        notes = verdict.notes
+        if self.options.planes is not None:
+            own, note = self._of_known_planes(joined)
+            first = 12  # the camera's numbers come first, and stay as they are
+            covariance[first:, first:] += own
+            notes = (*notes, note)
         left_out = joined.seen.left_out.items()
         return Calibration(
             method=METHOD,
@@ -132,7 +148,7 @@ class PinholeCalibrator(Calibrator[PinholeCalibratorOptions]):
             residuals=verdict.residuals,
             target=_described(joined),
             extractor=dict(observed.extractor),
-            notes=(*verdict.notes, *(f"not used: {name}: {why}" for name, why in left_out)),
+            notes=(*notes, *(f"not used: {name}: {why}" for name, why in left_out)),
             view=view_of(parameters, size),
         )
 
@@ -144,6 +160,20 @@ class PinholeCalibrator(Calibrator[PinholeCalibratorOptions]):
             print_contrast_max=self.options.print_contrast_max,
             bent=self.options.flatness == "free",
             planes=self._planes(),
+        )
+
+    def _of_known_planes(self, joined: Joint) -> tuple[Floats, str]:
+        """Give the covariance of planes and belt by what the known planes are uncertain by, and a note."""
+        angle, offset = self.options.planes_angle_std_deg, self.options.planes_offset_std_mm
+        if not (angle or offset):
+            none = joined.adjusted.geometry.planes.size + 3
+            return np.zeros((none, none)), (
+                "camera and planes of light were read from files and are taken as exact: their uncertainty "
+                "is in no figure; planes_offset_std_mm and planes_angle_std_deg state it"
+            )
+        return of_planes(joined.measured, joined.adjusted, angle, offset), (
+            f"planes of light were read from a file, each uncertain by {offset:g} mm along its normal and by "
+            f"{angle:g}°, on its own; the camera is taken as exact"
         )
 
     def _planes(self) -> Floats | None:

@@ -53,11 +53,6 @@ def judged(joined: Joint, *, scale_is_known: bool = True) -> Verdict:
     if joined.solids is not None:
         names = ", ".join(f"{shape.kind} {shape.name}" for shape in joined.solids.shapes)
         notes.append(f"planes of light: from {names}")
-    if joined.board is None and joined.solids is None:
-        notes.append(
-            "camera and planes of light were read from files and are taken as exact: their uncertainty is in "
-            "no figure"
-        )
     if joined.moves:
         travelled, said = _of_travel(adjusted)
         residuals, notes = residuals | travelled, [*notes, said]

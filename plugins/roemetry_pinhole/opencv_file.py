@@ -8,7 +8,6 @@ import numpy as np
 
 from roemetry.arrays import Floats
 from roemetry.errors import DataError
-from roemetry.view import View
 from roemetry_pinhole.geometry import CAMERA
 
 _MATRIX = ("camera_matrix", "cameraMatrix", "Camera_Matrix", "K", "intrinsics")
@@ -43,28 +42,6 @@ def read_camera(path: Path) -> Floats:
     camera[:4] = matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]
     camera[4 : 4 + min(numbers.size, 8)] = numbers[:8]
     return camera
-
-
-def write_camera(path: Path, view: View) -> None:
-    """Write a view's camera as OpenCV's `FileStorage` does: camera_matrix, distortion_coefficients, size.
-
-    Planes of light are rows A, B, C, D of Ax + By + Cz + D = 0 in the camera's frame, as `read_planes` takes
-    them.
-    """
-    import cv2
-
-    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
-    if not storage.isOpened():
-        raise DataError(f"{path}: the file cannot be written")
-    storage.write("image_width", int(view.image_size[1]))
-    storage.write("image_height", int(view.image_size[0]))
-    storage.write("camera_matrix", np.array(view.camera_matrix))
-    storage.write("distortion_coefficients", np.array(view.distortion).reshape(1, -1))
-    storage.write("T_belt_camera", np.array(view.T_belt_camera))
-    pose, planes = np.array(view.T_belt_camera), np.array(view.planes)
-    rows = np.column_stack([planes[:, :3] @ pose[:3, :3], planes[:, :3] @ pose[:3, 3] - planes[:, 3]])
-    storage.write("laser_planes", rows)
-    storage.release()
 
 
 def plane_from(a: float, b: float, c: float, d: float, *, sign: int) -> Floats:

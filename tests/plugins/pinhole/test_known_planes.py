@@ -8,14 +8,18 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from roemetry.calibration import Calibration
-from roemetry.errors import CalibrationError, DataError
+from roemetry.camera_file import write_camera
+from roemetry.cli.main import app
+from roemetry.errors import CalibrationError, ConfigurationError, DataError
 from roemetry.records import CalibrationSet
 from roemetry.testing import LinearRig
 from roemetry_pinhole.calibrator import PinholeCalibrator, PinholeCalibratorOptions
 from roemetry_pinhole.conformance import observed_of
-from roemetry_pinhole.opencv_file import read_planes, write_camera
+from roemetry_pinhole.frames import camera_of, lines_at_height, view_of
+from roemetry_pinhole.opencv_file import read_camera, read_planes
 
 
 @pytest.fixture(scope="module")
@@ -55,6 +59,53 @@ def test_the_belt_is_found_in_either_form(made, belt, tmp_path: Path, sign: floa
     size = found.covariance.shape[0]
     assert not found.covariance[: size - 3, : size - 3].any(), "nothing is stated of what was read"
     assert (np.diag(found.covariance)[-3:] > 0).all()
+
+
+def test_what_the_planes_are_uncertain_by_is_in_the_heights(made, belt, tmp_path: Path, rng) -> None:
+    """Each plane leaned or moved by its standard uncertainty, in a file; squares of heights' changes."""
+    angle_deg, offset_mm = 0.004, 0.003
+    given = files(made, tmp_path)
+    options = {**given, "planes_angle_std_deg": angle_deg, "planes_offset_std_mm": offset_mm}
+    stated = PinholeCalibrator(PinholeCalibratorOptions(**options)).calibrate(belt)
+    assert any("each uncertain by 0.003 mm" in note for note in stated.notes)
+    exact = PinholeCalibrator(PinholeCalibratorOptions(**given)).calibrate(belt)
+    row = np.array([60.0, 140.0])
+    x = lines_at_height(exact.parameters, row, 10.0)
+    stripe, at = np.nonzero(np.isfinite(x))
+    places = np.column_stack([x[stripe, at], row[at]])
+
+    def heights(one: Calibration) -> np.ndarray:
+        return view_of(one.parameters, one.image_size).lift(places, stripe)[:, 2]
+
+    squares = np.zeros(stripe.size)
+    true = made.parameters["planes_per_mm"]
+    middle = lines_at_height(made.parameters, np.array([99.5]), 0.0)[:, 0]
+    for moved in range(len(true)):
+        place = in_camera(made, middle[moved], 99.5)
+        place -= (true[moved] @ place - 1.0) / (true[moved] @ true[moved]) * true[moved]
+        normal = true[moved] / np.linalg.norm(true[moved])
+        ways = np.linalg.svd(normal[None])[2][1:]
+        for lean, off in ((ways[0], 0.0), (ways[1], 0.0), (0.0 * normal, offset_mm)):
+            rows = np.column_stack([true, np.full(len(true), -1.0)])
+            leaned = normal + np.radians(angle_deg) * lean
+            rows[moved] = [*leaned, -(leaned @ place + off)]
+            storage = cv2.FileStorage(str(given["planes"]), cv2.FILE_STORAGE_WRITE)
+            storage.write("planes", rows)
+            storage.release()
+            other = PinholeCalibrator(PinholeCalibratorOptions(**given)).calibrate(belt)
+            squares += (heights(other) - heights(exact)) ** 2
+    only = replace(stated, covariance=stated.covariance - exact.covariance)
+    redraws = only.redraws(rng)
+    std = np.std([heights(next(redraws)) for _ in range(600)], axis=0)
+    assert np.median(std / np.sqrt(squares)) == pytest.approx(1.0, abs=0.05)
+    assert std / np.sqrt(squares) == pytest.approx(1.0, abs=0.2)
+
+
+def in_camera(made: Calibration, x_px: float, row_px: float) -> np.ndarray:
+    """Where a place on the belt is, camera frame, mm."""
+    ray = np.array([x_px, row_px, 1.0])
+    ray[:2] = (ray[:2] - made.parameters["principal_px"]) / made.parameters["focal_px"]
+    return ray / (ray @ made.parameters["belt_per_mm"])
 
 
 def test_what_is_written_is_what_is_read(made, tmp_path: Path) -> None:
@@ -97,3 +148,38 @@ def test_a_plane_through_the_camera_is_told_with_its_file(tmp_path: Path) -> Non
     storage.release()
     with pytest.raises(DataError, match=r"planes\.yaml: the plane goes through"):
         read_planes(path)
+
+
+def test_the_command_line_writes_what_is_read_back(made, belt, tmp_path: Path) -> None:
+    """From a calibration file to OpenCV's and back: the same camera, the same planes."""
+    made.save(tmp_path / "line.yaml")
+    done = CliRunner().invoke(app, ["export", str(tmp_path / "line.yaml"), "opencv"])
+    assert done.exit_code == 0, done.output
+    written = tmp_path / "line-opencv.yaml"
+    assert str(written) in done.output
+    assert read_camera(written) == pytest.approx(camera_of(made.parameters), rel=1e-12)
+    assert read_planes(written) == pytest.approx(made.parameters["planes_per_mm"], rel=1e-9)
+    options = PinholeCalibratorOptions(camera=written, planes=written, height_max_mm=20.0)
+    again = PinholeCalibrator(options).calibrate(belt).parameters["planes_per_mm"]
+    assert again == pytest.approx(made.parameters["planes_per_mm"], rel=1e-9)
+    xml = CliRunner().invoke(
+        app, ["export", str(tmp_path / "line.yaml"), "opencv", "-o", str(tmp_path / "c.xml")]
+    )
+    assert xml.exit_code == 0
+    assert read_camera(tmp_path / "c.xml") == pytest.approx(camera_of(made.parameters), rel=1e-12)
+
+
+def test_what_cannot_be_written_is_told(made, tmp_path: Path) -> None:
+    made.save(tmp_path / "line.yaml")
+    LinearRig().calibration().save(tmp_path / "block.yaml")
+    replace(made, view=replace(made.view, exact=False)).save(tmp_path / "rough.yaml")
+    for words, kind, says in (
+        (["line.yaml", "parquet"], ConfigurationError, "only `opencv` can be written, not `parquet`"),
+        (["block.yaml", "opencv"], CalibrationError, "knows no camera"),
+        (["rough.yaml", "opencv"], CalibrationError, "knows no camera"),
+        (["line.yaml", "opencv", "-o", str(tmp_path / "c.txt")], DataError, "cannot be written"),
+        (["line.yaml", "opencv", "-o", str(tmp_path / "no" / "c.yaml")], DataError, "cannot be written"),
+    ):
+        done = CliRunner().invoke(app, ["export", str(tmp_path / words[0]), *words[1:]])
+        assert isinstance(done.exception, kind), words
+        assert says in str(done.exception)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from roemetry.calibration import Calibration
+from roemetry.camera_file import write_camera
 from roemetry.errors import DataError
 from roemetry.records import StripeMap
 from roemetry_pinhole.frames import (
@@ -19,7 +20,7 @@ from roemetry_pinhole.frames import (
     rest_polynomials,
     view_of,
 )
-from roemetry_pinhole.opencv_file import plane_from, read_camera, read_planes, write_camera
+from roemetry_pinhole.opencv_file import plane_from, read_camera, read_planes
 from roemetry_pinhole.pinhole_plane import PinholePlane
 from roemetry_pinhole.simulated import SimulatedRig, shown
 
