@@ -10,10 +10,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from roemetry.arrays import Floats
+from roemetry.arrays import Floats, Integers
 from roemetry_kernels.compiling import float_kernel, inlined
-from roemetry_kernels.lane_steps import CHUNK, LANES, WORD, Levels, Words, turn_bytes
-from roemetry_kernels.stripe_scan import Pixels, Places
+from roemetry_kernels.lane_steps import CHUNK, LANES, WORD, Levels, Words, copied, turn_bytes
+from roemetry_kernels.stripe_scan import Places
 
 _TOP = CHUNK // 2  # each top's first pixel lies there among the 64, or up to seven pixels further on
 _LONGEST_TOP = 16  # px
@@ -55,12 +55,26 @@ _BACKGROUND = 3 * LANES
 _SLOPE = 4 * LANES
 _UNSURE = 5 * LANES
 _LEVEL = 6 * LANES
-_FRACTIONS = 7 * LANES
+_FROM = 7 * LANES  # the column that the first of the 64 pixels is
+_FRACTIONS = 8 * LANES
+
+# Tops, each list with one element before the lanes' and one after them, and columns that are a stripe's own.
+_BESIDE = LANES + 2
+_ROW = 1
+_FIRST = _BESIDE + 1
+_LAST = 2 * _BESIDE + 1
+_LO = 3 * _BESIDE
+_HI = 3 * _BESIDE + LANES
+_TOPS = 3 * _BESIDE + 2 * LANES
+
+# Unsigned, which no index from the end can be.
+_W = np.uint64(WORD)
+_GROUPS = np.uint64(LANES // WORD)
+_APART = np.uint64(LANES * CHUNK // WORD // WORD)  # from words of one row of eight to those of the next
 
 
 @float_kernel
 def measure_lanes(
-    levels: Pixels,
     words: Words,
     columns: int,
     left: int,
@@ -80,8 +94,8 @@ def measure_lanes(
 
     Parameters
     ----------
-    levels, words, columns
-        Grey levels, row after row; the same as words of eight; the length of a row.
+    words, columns
+        Grey levels, row after row, as words of eight; the length of a row.
     left, right
         Columns that may be used, from the first to the one after the last.
     feet_from, feet_px, feet_share_max
@@ -93,51 +107,71 @@ def measure_lanes(
         (2, peak), (peak,), (6, peak), (peak,) to be filled: lo and hi; highest level; middle, width,
         amplitude, background, slope, unsure; 0 where the stripe does not fit into the 64 pixels.
     """
-    count, size = row.shape[0], words.shape[0]
+    count = row.shape[0]
+    own_pixels, measured = places.reshape(-1), values.reshape(-1)
     gathered = np.zeros(LANES * CHUNK // WORD, np.uint64)
     turned = np.zeros(LANES * CHUNK // WORD, np.uint64)
     f = turned.view(np.uint8)
     # What is known of each lane, in one piece of memory: else each loop would ask first which pieces overlap.
     known, v = np.zeros(_KNOWN, np.uint8), np.zeros(_FRACTIONS)
+    tops, words_at = np.zeros(_TOPS, np.int64), np.zeros(LANES, np.uint64)
     sums = np.zeros(2 * LANES, np.uint16)
     for start in range(0, count, LANES):
         lanes = min(LANES, count - start)
-        for k in range(lanes):
-            i = start + k
-            here, begin, end = row[i], first[i], last[i]
-            before, after = max(i - 1, 0), min(i + 1, count - 1)
-            shared = (i > 0) & (row[before] == here)
-            lo = (last[before] + begin + 1) // 2 if shared else left
-            shared = (i + 1 < count) & (row[after] == here)
-            hi = (end + first[after]) // 2 if shared else right - 1
-            places[0, i], places[1, i] = lo, hi
-            place = here * columns + begin
-            word = place // WORD - _TOP // WORD
-            long = end - begin
-            whole = (word >= 0) & (word + CHUNK // WORD <= size) & (long < _LONGEST_TOP)
-            word = max(min(word, size - CHUNK // WORD), 0)
-            at = _TOP + place % WORD
-            known[_TOP_FIRST + k], known[_TOP_LAST + k] = at, at + min(long, _LONGEST_TOP)
-            known[_CUT_LEFT + k], known[_CUT_RIGHT + k] = begin - lo > at, hi - begin + at >= CHUNK
-            known[_BEGIN + k] = max(lo - begin + at, 0)
-            known[_END + k] = min(hi - begin + at, CHUNK - 1)
-            known[_WHOLE + k] = whole
-            to = k % WORD * (LANES * CHUNK // WORD // WORD) + k // WORD
-            for c in range(CHUNK // WORD):
-                gathered[to + c * (LANES // WORD)] = words[word + c]
+        _tops_of(row, first, last, start, lanes, tops)
+        _own_pixels(tops, columns, left, right, words.shape[0], known, words_at, v)
+        for k in range(np.uint64(lanes)):
+            at, to = words_at[k], k % _W * _APART + k // _W
+            for c in range(_W):
+                gathered[to + c * _GROUPS] = words[at + c]
         turn_bytes(gathered, turned)
         _half_height(f, known)
         _crossings(f, known)
         _feet(known, v, feet_from, feet_px, feet_share_max)
         _background(f, known, sums, v)
-        for k in range(lanes):
-            i = start + k
-            done[i] = known[_WHOLE + k]
-            highs[i] = known[_HIGH + k]
-            values[0, i] = v[_MIDDLE + k] + (float(first[i]) - float(known[_TOP_FIRST + k]))
-            values[1, i], values[2, i] = v[_WIDTH + k], v[_AMPLITUDE + k]
-            values[3, i], values[4, i] = v[_BACKGROUND + k], v[_SLOPE + k]
-            values[5, i] = v[_UNSURE + k]
+        copied(tops, _LO, lanes, own_pixels, start)
+        copied(tops, _HI, lanes, own_pixels, count + start)
+        copied(known, _WHOLE, lanes, done, start)
+        copied(known, _HIGH, lanes, highs, start)
+        for k in range(LANES):
+            v[_MIDDLE + k] += v[_FROM + k]
+        for field in range(values.shape[0]):
+            copied(v, field * LANES, lanes, measured, field * count + start)
+
+
+@inlined
+def _tops_of(row: Places, first: Places, last: Places, start: int, lanes: int, tops: Integers) -> None:
+    """Copy the lanes' tops, with the one before and the one after; there is none in row −1."""
+    copied(row, start, lanes, tops, _ROW)
+    copied(first, start, lanes, tops, _FIRST)
+    copied(last, start, lanes, tops, _LAST)
+    tops[_ROW - 1] = tops[_ROW + lanes] = -1
+    if start > 0:
+        tops[_ROW - 1], tops[_LAST - 1] = row[start - 1], last[start - 1]
+    if start + lanes < row.shape[0]:
+        tops[_ROW + lanes], tops[_FIRST + lanes] = row[start + lanes], first[start + lanes]
+
+
+@inlined
+def _own_pixels(
+    tops: Integers, columns: int, left: int, right: int, size: int, known: Levels, words_at: Words, v: Floats
+) -> None:
+    """Say which pixels are a stripe's own, down to halfway to its neighbours, and which words hold them."""
+    for k in range(LANES):
+        begin, end = tops[_FIRST + k], tops[_LAST + k]
+        before = tops[_ROW + k - 1] == tops[_ROW + k]
+        after = tops[_ROW + k + 1] == tops[_ROW + k]
+        lo = (tops[_LAST + k - 1] + begin + 1) >> 1 if before else left
+        hi = (end + tops[_FIRST + k + 1]) >> 1 if after else right - 1
+        place = tops[_ROW + k] * columns + begin
+        word, at, long = (place // WORD) - _TOP // WORD, _TOP + (place & (WORD - 1)), end - begin
+        known[_WHOLE + k] = (word >= 0) & (word + CHUNK // WORD <= size) & (long < _LONGEST_TOP)
+        words_at[k] = max(min(word, size - CHUNK // WORD), 0)
+        tops[_LO + k], tops[_HI + k] = lo, hi
+        known[_TOP_FIRST + k], known[_TOP_LAST + k] = at, at + min(long, _LONGEST_TOP)
+        known[_CUT_LEFT + k], known[_CUT_RIGHT + k] = begin - lo > at, hi - begin + at >= CHUNK
+        known[_BEGIN + k], known[_END + k] = max(lo - begin + at, 0), min(hi - begin + at, CHUNK - 1)
+        v[_FROM + k] = begin - at
 
 
 @inlined
@@ -158,21 +192,31 @@ def _half_height(f: Levels, known: Levels) -> None:
             known[_HIGH + k] = max(known[_HIGH + k], level if begins and ends else zero)
             known[_LEVEL_FIRST + k] |= level if column == known[_TOP_FIRST + k] else zero
             known[_LEVEL_LAST + k] |= level if column == known[_TOP_LAST + k] else zero
-    for x in range(_TOP + WORD):
-        column = np.uint8(x)
-        for k in range(LANES):
-            level = f[x * LANES + k]
-            level = level if column >= known[_BEGIN + k] and column < known[_TOP_FIRST + k] else none
-            known[_LOW_LEFT + k] = min(known[_LOW_LEFT + k], level)
-    for x in range(_TOP + 1, CHUNK):
-        column = np.uint8(x)
-        for k in range(LANES):
-            level = f[x * LANES + k]
-            level = level if column <= known[_END + k] and column > known[_TOP_LAST + k] else none
-            known[_LOW_RIGHT + k] = min(known[_LOW_RIGHT + k], level)
+    _lowest(f, known, 0, _TOP + WORD, _BEGIN, _TOP_FIRST, zero, _LOW_LEFT)
+    _lowest(f, known, _TOP, CHUNK, _TOP_LAST, _END, np.uint8(1), _LOW_RIGHT)
     for k in range(LANES):
         base = max(known[_LOW_LEFT + k], known[_LOW_RIGHT + k])
         known[_HALF + k] = (np.uint16(known[_HIGH + k]) + np.uint16(base) + np.uint16(1)) >> np.uint16(1)
+
+
+@inlined
+def _lowest(f: Levels, known: Levels, x0: int, x1: int, begins: int, ends: int, later: int, low: int) -> None:
+    """Lower `low` to the lowest level of the lanes' pixels from `begins` up to `ends`, both moved by `later`.
+
+    Four columns in one go: what is written has not to be read again at once.
+    """
+    none = np.uint8(255)
+    for x in range(x0, x1, 4):
+        c0, c1, c2, c3 = np.uint8(x), np.uint8(x + 1), np.uint8(x + 2), np.uint8(x + 3)
+        here = f[x * LANES : (x + 4) * LANES]
+        for k in range(LANES):
+            begin, end = np.uint8(known[begins + k] + later), np.uint8(known[ends + k] + later)
+            level_0 = here[k] if c0 >= begin and c0 < end else none
+            level_1 = here[LANES + k] if c1 >= begin and c1 < end else none
+            level_2 = here[2 * LANES + k] if c2 >= begin and c2 < end else none
+            level_3 = here[3 * LANES + k] if c3 >= begin and c3 < end else none
+            lowest = min(min(level_0, level_1), min(level_2, level_3))
+            known[low + k] = min(known[low + k], lowest)
 
 
 @inlined
@@ -188,10 +232,8 @@ def _crossings(f: Levels, known: Levels) -> None:
     while x >= 0 and _any_is(known, _AT_LEFT, zero):
         for column in range(x, max(x - _STEP, -1), -1):
             # As slices: numba would ask of each place whether it counts from the end.
-            here, beside = (
-                f[column * LANES : (column + 1) * LANES],
-                f[(column + 1) * LANES : (column + 2) * LANES],
-            )
+            here = f[column * LANES : (column + 1) * LANES]
+            beside = f[(column + 1) * LANES : (column + 2) * LANES]
             for k in range(LANES):
                 level, inner = here[k], beside[k]
                 own = np.uint8(column) >= known[_BEGIN + k] and np.uint8(column) < known[_TOP_FIRST + k]
@@ -203,10 +245,8 @@ def _crossings(f: Levels, known: Levels) -> None:
     x = _TOP + 1
     while x < CHUNK and _any_is(known, _AT_RIGHT, none):
         for column in range(x, min(x + _STEP, CHUNK)):
-            here, beside = (
-                f[column * LANES : (column + 1) * LANES],
-                f[(column - 1) * LANES : column * LANES],
-            )
+            here = f[column * LANES : (column + 1) * LANES]
+            beside = f[(column - 1) * LANES : column * LANES]
             for k in range(LANES):
                 level, inner = here[k], beside[k]
                 own = np.uint8(column) <= known[_END + k] and np.uint8(column) > known[_TOP_LAST + k]
@@ -236,9 +276,12 @@ def _feet(known: Levels, v: Floats, feet_from: float, feet_px: int, feet_share_m
         found &= (known[_LEVEL_FIRST + k] >= half) & (known[_LEVEL_LAST + k] >= half)
         level = 0.5 * (high + base)
         outer, inner = float(known[_BELOW_LEFT + k]), float(known[_ABOVE_LEFT + k])
-        from_px = float(known[_AT_LEFT + k]) + (level - outer) / (inner - outer if found else 1.0)
+        rise, up = inner - outer if found else 1.0, level - outer
         outer, inner = float(known[_BELOW_RIGHT + k]), float(known[_ABOVE_RIGHT + k])
-        to_px = float(known[_AT_RIGHT + k]) - (level - outer) / (inner - outer if found else 1.0)
+        fall, down = inner - outer if found else 1.0, level - outer
+        under = 1.0 / (rise * fall)  # one division for both
+        from_px = float(known[_AT_LEFT + k]) + up * fall * under
+        to_px = float(known[_AT_RIGHT + k]) - down * rise * under
         middle, width = 0.5 * (from_px + to_px), to_px - from_px
         reach = feet_from * width
         found &= (middle > reach) & (middle + reach < room)
@@ -292,11 +335,13 @@ def _background(f: Levels, known: Levels, sums: NDArray[np.uint16], v: Floats) -
     for k in range(LANES):
         pixels_left = float(known[_IN_LEFT + k]) - float(known[_OUT_LEFT + k])
         pixels_right = float(known[_OUT_RIGHT + k]) - float(known[_IN_RIGHT + k])
-        level_left, level_right = v[_LEVEL + k] / pixels_left, v[_BACKGROUND + k] / pixels_right
         mid_left = 0.5 * (float(known[_OUT_LEFT + k]) + float(known[_IN_LEFT + k]) - 1.0)
         apart = 0.5 * (float(known[_IN_RIGHT + k]) + float(known[_OUT_RIGHT + k]) - 1.0) - mid_left
-        slope = (level_right - level_left) / apart
-        background = level_left + slope * (v[_MIDDLE + k] - mid_left)
+        # one division for all
+        under = 1.0 / (pixels_left * pixels_right * apart * apart)
+        sum_left, sum_right = v[_LEVEL + k] * pixels_right, v[_BACKGROUND + k] * pixels_left
+        slope = (sum_right - sum_left) * apart * under
+        background = sum_left * apart * apart * under + slope * (v[_MIDDLE + k] - mid_left)
         v[_AMPLITUDE + k], v[_BACKGROUND + k] = float(known[_HIGH + k]) - background, background
         v[_SLOPE + k] = slope
-        v[_UNSURE + k] = (1.0 / pixels_left + 1.0 / pixels_right) / (apart * apart)
+        v[_UNSURE + k] = (pixels_left + pixels_right) * under

@@ -13,28 +13,55 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from roemetry_kernels.compiling import kernel
+from roemetry_kernels.compiling import inlined, kernel
 
 LANES = 128  # rows side by side
 CHUNK = 64  # columns that are turned at a time: what is worked on stays in the first cache
 WORD = 8  # bytes of the words that pixels are moved in
 
+_TOGETHER = 8  # columns that a lane is taken over before it is put down
+_LANES, _CHUNK = np.uint64(LANES), np.uint64(CHUNK)
+
 Words = NDArray[np.uint64]
 Levels = NDArray[Any]
 
 
-@kernel
-def gather(
-    words: Words, first_row: int, rows: int, first_word: int, count: int, tile: int, gathered: Words
-) -> None:
-    """Take `count` words of each row and lay those of every `tile`-th row side by side."""
-    groups = LANES // tile
-    room = gathered.shape[0] // LANES
+@inlined
+def copied(source: Any, begin: int, count: int, target: Any, to: int) -> None:
+    """Copy one piece of memory; the places unsigned, which none from the end can be: many at a time then."""
+    read, write = np.uint64(begin), np.uint64(to)
+    for k in range(np.uint64(count)):
+        target[write + k] = source[read + k]
+
+
+@inlined
+def gather(words: Words, begin: int, pitch: int, rows: int, count: int, tile: int, gathered: Words) -> None:
+    """Take `count` words of each row and lay those of every `tile`-th row side by side.
+
+    All numbers are unsigned, which no index from the end can be: only then are words moved without asking.
+
+    Parameters
+    ----------
+    words
+        The image's pixels, row after row.
+    begin, pitch
+        Place of the first word, and how far it is from there to the next row's.
+    rows, count, tile
+        How many rows, how many words of each (at most a chunk's), and every how many rows lie side by side.
+    gathered
+        To be filled.
+    """
+    groups = _LANES // tile
+    room = _CHUNK // tile
     for r in range(rows):
-        line = words[first_row + r]
-        to = (r % tile) * room * groups + r // tile
-        for c in range(count):
-            gathered[to + c * groups] = line[first_word + c]
+        from_word, to = begin + r * pitch, r % tile * (room * groups) + r // tile
+        if count == room:
+            # Mostly so; the number of words is then known to the compiler.
+            for c in range(room):
+                gathered[to + c * groups] = words[from_word + c]
+        else:
+            for c in range(count):
+                gathered[to + c * groups] = words[from_word + c]
 
 
 @kernel
@@ -118,7 +145,7 @@ def _made(kind: type[np.unsignedinteger[Any]]) -> Callable[..., None]:
         Parameters
         ----------
         levels
-            (columns × lanes) grey levels, turned.
+            (columns × lanes) grey levels, turned; columns after those may be changed.
         columns
             How many of them to search.
         threshold
@@ -134,18 +161,25 @@ def _made(kind: type[np.unsignedinteger[Any]]) -> Callable[..., None]:
             (columns × lanes) to be filled: where a peak ended, `top` of its highest level; else 0.
         """
         enough = kind(threshold)
-        for x in range(columns):
-            here = kind(x + 2)
-            for k in range(LANES):
-                mode = falling[k]
-                level = kind(levels[x * LANES + k] ^ mode)
-                lowered = kind(max(level, enough) - enough)
-                lowest = extreme[k]
-                turns = full if lowered > lowest else none
-                extreme[k] = kind(level ^ full) if lowered > lowest else min(lowest, level)
-                ended[x * LANES + k] = turns & mode & top[k]
-                top[k] = here if lowered > lowest or level < lowest else top[k]
-                falling[k] = mode ^ turns
+        whole = -(-columns // _TOGETHER) * _TOGETHER
+        # What a lane sees twice in a row changes nothing.
+        for at in range(columns * LANES, whole * LANES):
+            levels[at] = levels[at - LANES]
+        for x in range(0, whole, _TOGETHER):
+            begin = np.uint64(x * LANES)
+            k: Any
+            for k in range(_LANES):
+                mode, lowest, lies = falling[k], extreme[k], top[k]
+                for j in range(_TOGETHER):
+                    here, at = kind(x + 2 + j), begin + np.uint64(j * LANES) + k
+                    level = kind(levels[at] ^ mode)
+                    lowered = kind(max(level, enough) - enough)
+                    turns = full if lowered > lowest else none
+                    ended[at] = turns & mode & lies
+                    lies = here if lowered > lowest or level < lowest else lies
+                    lowest = kind(level ^ full) if lowered > lowest else min(lowest, level)
+                    mode = kind(mode ^ turns)
+                falling[k], extreme[k], top[k] = mode, lowest, lies
 
     return steps
 

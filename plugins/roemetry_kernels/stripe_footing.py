@@ -105,7 +105,7 @@ def stripes_around(
         words = levels.view(np.uint64)
         if words.flags.aligned:
             feet = _FEET_FROM / FWHM_OF_SIGMA, _FEET_PX, _FEET_SHARE_MAX
-            measure_lanes(levels, words, columns, *sides, *feet, *found, places, highs, values, done)
+            measure_lanes(words, columns, *sides, *feet, *found, places, highs, values, done)
     limits = white, width_min_px, width_max_px, share_min, height_min
     count = _measure(levels, columns, *sides, *limits, *found, done, highs, row, places, flags, values)
     lo, hi = places[:, :count]
@@ -193,15 +193,18 @@ def _measure(
             levels, at + first[i], at + last[i], at + lo, at + hi
         )
         values[0, i], values[2, i] = middle - at, highs[i] - values[3, i]
-    unfit, highest, lowest = 0, 0.0, np.inf
-    for i in range(count):
-        middle, width = values[0, i], values[1, i]
-        margin = _EDGE_SIGMAS * width / FWHM_OF_SIGMA
-        cut = (middle - margin < left) | (middle + margin > right - 1)
+    # Loops that write to one place each, and unsigned numbers, which none from the end can be.
+    middles, widths, heights = values[0], values[1], values[2]
+    for i in range(np.uint64(count)):
+        margin = _EDGE_SIGMAS / FWHM_OF_SIGMA * widths[i]
+        cut = (middles[i] - margin < left) | (middles[i] + margin > right - 1)
         flags[i] = (SATURATED if highs[i] >= white else 0) | (EDGE if cut else 0)
+    for i in range(np.uint64(count)):
         out_row[i] = row[i]
-        unfit += 0 if (width >= width_min_px) & (width <= width_max_px) else 1
-        highest, lowest = max(highest, values[2, i]), min(lowest, values[2, i])
+    unfit, highest, lowest = 0, 0.0, np.inf
+    for i in range(np.uint64(count)):
+        unfit += 0 if (widths[i] >= width_min_px) & (widths[i] <= width_max_px) else 1
+        highest, lowest = max(highest, heights[i]), min(lowest, heights[i])
     if unfit == 0 and lowest >= max(share_min * highest, height_min):
         return count
     least = max(share_min * usual_height(row, values[2]) if share_min > 0.0 else -np.inf, height_min)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,6 +16,8 @@ _BLOCK = 16  # pixels looked at together: one vector
 _DARKER = 0.125  # of the height: by less it does not get darker
 _SHALLOW = 0.45  # a valley less deep than that share of the lower of two tops is a dent in one stripe
 _SHALLOW_OF_300 = round(300 * _SHALLOW)
+# Unsigned, which no index from the end can be.
+_ONE, _NEAR = np.uint64(1), np.uint64(_NEAR_PX)
 
 
 @float_kernel
@@ -73,34 +77,33 @@ def _may_be_one_or_none(
     Nearly none is. So this is all that is done to most tops: whole numbers, and nothing to branch on.
     """
     found = 0
-    before_row = before_first = before_last = -1
-    for i in range(row.shape[0]):
-        at, begin, end = int(row[i]) * columns, int(first[i]), int(last[i])
-        high = _level(levels, at + begin)
-        beside = max(_level(levels, at + max(begin - 1, left)), _level(levels, at + min(end + 1, right - 1)))
-        near = min(
-            _level(levels, at + max(begin - _NEAR_PX, left)),
-            _level(levels, at + min(end + _NEAR_PX, right - 1)),
-        )
+    before_row: Any = -1
+    before_last: Any = 0
+    before_high: Any = 0
+    for i in range(np.uint64(row.shape[0])):
+        begin: Any = np.int64(first[i])
+        end: Any = np.int64(last[i])
+        here: Any = np.int64(row[i])
+        from_at, to_at = np.uint64(here * columns + begin), np.uint64(here * columns + end)
+        high = np.int64(levels[from_at])
+        if begin < left + _NEAR_PX or end >= right - _NEAR_PX:
+            looked_at[i] = 1
+            found += 1
+            before_row, before_last, before_high = here, end, high
+            continue
+        beside = max(np.int64(levels[from_at - _ONE]), np.int64(levels[to_at + _ONE]))
+        near = min(np.int64(levels[from_at - _NEAR]), np.int64(levels[to_at + _NEAR]))
         spike = 2 * (high - beside) >= high - near
-        same = before_row == row[i]
-        middle = at + (before_last + begin) // 2 if same else 1
-        valley = (
-            _level(levels, middle - 1) + _level(levels, middle) + _level(levels, middle + 1) if same else 0
-        )
-        lower = min(high, _level(levels, at + before_first if same else at))
+        same = before_row == here
+        middle = np.uint64(here * columns + ((before_last + begin) >> 1 if same else begin))
+        valley = np.int64(levels[middle - _ONE]) + np.int64(levels[middle]) + np.int64(levels[middle + _ONE])
+        lower = min(high, before_high)
         # As `_is_one` asks first, in whole numbers; what lies on the limit is looked at as well.
         dent = same & (300 * lower - 100 * valley <= _SHALLOW_OF_300 * lower + 1)
         looked_at[i] = spike | dent
         found += looked_at[i]
-        before_row, before_first, before_last = int(row[i]), begin, end
+        before_row, before_last, before_high = here, end, high
     return found
-
-
-@inlined
-def _level(levels: Pixels, at: int) -> int:
-    # The place unsigned, which no index from the end can be; the level signed, for differences.
-    return np.int64(levels[np.uint64(at)])  # type: ignore[return-value]
 
 
 @inlined

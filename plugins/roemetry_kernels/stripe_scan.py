@@ -102,7 +102,12 @@ def _made(kind: type[np.unsignedinteger[Any]]) -> Any:
     tile = WORD // np.dtype(kind).itemsize
     full = np.iinfo(kind).max
     bits_a_pixel = np.uint64(8 * WORD // tile)
-    one_pixel = np.uint64(full)
+    one_pixel, one_tile, one, groups = (
+        np.uint64(full),
+        np.uint64(tile),
+        np.uint64(1),
+        np.uint64(LANES // tile),
+    )
 
     @kernel
     def scan(
@@ -128,11 +133,12 @@ def _made(kind: type[np.unsignedinteger[Any]]) -> Any:
         ended = ended_words.view(kind)
         extreme, falling, top_here = np.empty(LANES, kind), np.empty(LANES, kind), np.empty(LANES, kind)
         top_before = np.empty(LANES, np.int32)
-        start = np.empty(LANES + 1, np.int64)
+        start = np.empty(LANES + 1, np.uint64)
         columns = right - left
+        line, pitch = words.reshape(-1), words.shape[1]
         lane = np.empty(LANES * (columns // 2 + 1) + 1, np.int16)
         tops = np.empty(LANES * (columns // 2 + 1) + 1, np.int32)
-        count = 0
+        count: Any = 0
         for y in range(top, bottom, LANES):
             rows = min(LANES, bottom - y)
             # A lane's first pixel is its lowest level; lanes without a row see black.
@@ -141,11 +147,20 @@ def _made(kind: type[np.unsignedinteger[Any]]) -> Any:
             falling[:] = 0
             top_before[:] = left
             start[:] = 0
-            found = 0
+            found: Any = np.uint64(0)
             for x in range(0, columns, CHUNK):
                 width = min(CHUNK, columns - x)
                 fetched = (width + tile - 1) // tile
-                gather(words, first_row + y - top, rows, first_word + x // tile, fetched, tile, gathered)
+                begin = (first_row + y - top) * pitch + first_word + x // tile
+                gather(
+                    line,
+                    np.uint64(begin),
+                    np.uint64(pitch),
+                    np.uint64(rows),
+                    np.uint64(fetched),
+                    one_tile,
+                    gathered,
+                )
                 top_here[:] = 1
                 if of_bytes:
                     turn_bytes(gathered, turned)
@@ -153,24 +168,24 @@ def _made(kind: type[np.unsignedinteger[Any]]) -> Any:
                 else:
                     turn_pairs(gathered, turned)
                     steps_of_pairs(levels, width, threshold, extreme, falling, top_here, ended)
-                for c in range(width):
-                    begin = c * (LANES // tile)
+                for c in range(np.uint64(width)):
                     some = np.uint64(0)
-                    for w in range(begin, begin + LANES // tile):
-                        some |= ended_words[w]
+                    for w in range(groups):
+                        some |= ended_words[c * groups + w]
                     if some == 0:
                         continue
-                    for w in range(begin, begin + LANES // tile):
-                        bits = ended_words[w]
+                    for w in range(groups):
+                        bits = ended_words[c * groups + w]
                         if bits == 0:
                             continue
                         # Written whether or not it ended: a branch would be guessed wrong half of the time.
-                        for k in range(tile * (w - begin), tile * (w - begin + 1)):
-                            top_at = int(bits & one_pixel)
+                        for j in range(one_tile):
+                            k: Any = w * one_tile + j
+                            top_at = np.int64(bits & one_pixel)
                             lane[found] = k
                             tops[found] = left + x + top_at - 2 if top_at > 1 else top_before[k]
-                            ends = 1 if top_at > 0 else 0
-                            start[k + 1] += ends
+                            ends = np.uint64(top_at > 0)
+                            start[k + one] += ends
                             found += ends
                             bits >>= bits_a_pixel
                 for k in range(LANES):
@@ -178,8 +193,8 @@ def _made(kind: type[np.unsignedinteger[Any]]) -> Any:
             for k in range(LANES):
                 start[k + 1] += start[k]
             for p in range(found):
-                to = count + start[lane[p]]
-                start[lane[p]] += 1
+                to = count + np.int64(start[lane[p]])
+                start[lane[p]] += one
                 if to < row.shape[0]:
                     row[to], first[to] = y + lane[p], tops[p]
                     # Unsigned, which no index from the end can be.
@@ -188,7 +203,7 @@ def _made(kind: type[np.unsignedinteger[Any]]) -> Any:
                     while pixels[end] == pixels[at]:
                         end += np.uint64(1)
                     last[to] = tops[p] + np.int64(end - at) - 1
-            count += found
+            count += np.int64(found)
         return count
 
     return scan

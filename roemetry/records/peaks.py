@@ -71,8 +71,8 @@ class Peaks:
         rows, columns = self.image_size
         if row.ndim == 1 and x_px.shape == row.shape and n:
             check.require(bool(row[0] >= 0 and row[-1] < rows), f"row is outside 0…{rows - 1}")
-            step = np.diff(row)
-            in_order = (step > 0) | ((step == 0) & (np.diff(x_px) > 0))
+            before, after = row[:-1], row[1:]
+            in_order = (after > before) | ((after == before) & (x_px[1:] > x_px[:-1]))
             check.require(bool(in_order.all()), "peaks are not sorted by row, then x")
             check.require(
                 bool(x_px.min() >= -0.5 and x_px.max() <= columns - 0.5),
