@@ -108,28 +108,32 @@ def joint(
     if not tried and not (by_solids and known is not None):
         raise CalibrationError("there is no image of the board", hint="name them in images.board")
     size = observed.observations[0].frame.size
-    first = first_camera(seen, size, lens, known, tried, **({"least_if_known": 0} if by_solids else {}))
-    pose, counts = _placed(first)
-    number = np.unique(pose, return_inverse=True)[1]
     free = np.zeros(CAMERA, np.bool_) if known is not None else free_numbers(lens)
-    if board is None or by_solids:
-        return _by_solids(observed, board, seen, first, free, bent=bent)
-    gathered = gather(
-        first,
-        board,
-        observed.showing("belt"),
-        observed.stripe_count,
-        counts,
-        print_contrast_max=print_contrast_max,
-    )
-    seen.left_out |= gathered.left_out
+    while True:
+        first = first_camera(seen, size, lens, known, tried, **({"least_if_known": 0} if by_solids else {}))
+        if board is None or by_solids:
+            return _by_solids(observed, board, seen, first, free, bent=bent)
+        pose, counts = _placed(first)
+        gathered = gather(
+            first,
+            board,
+            observed.showing("belt"),
+            observed.stripe_count,
+            counts,
+            print_contrast_max=print_contrast_max,
+        )
+        seen.left_out |= gathered.left_out
+        if not gathered.strange:
+            break
+        strange = {first.views[number].name for number in gathered.strange}
+        seen.views = [view for view in seen.views if view.name not in strange]
     measured = _measured(first, gathered, board, pose, counts, free, bent=bent)
     return Joint(
         board,
         size,
         seen,
         first,
-        number,
+        np.unique(pose, return_inverse=True)[1],
         gathered.left_share,
         None,
         measured,

@@ -10,7 +10,14 @@ from numpy.typing import NDArray
 
 from roemetry.arrays import Floats
 from roemetry.records import Board, Frame
-from roemetry_pinhole.unseen import UnseenError, why_no_charuco, why_no_chessboard, why_no_circles
+from roemetry_pinhole.unseen import (
+    NEARER,
+    SHARPER,
+    UnseenError,
+    why_no_charuco,
+    why_no_chessboard,
+    why_no_circles,
+)
 
 _SPACING_MIN_PX = 8.0
 _EDGE_SHARE_MAX = 0.45
@@ -69,11 +76,13 @@ def find_marks(frame: Frame, board: Board) -> Marks:
     edge_px = _edge_width(grey, xy_px, spacing_px)
     if spacing_px < _SPACING_MIN_PX:
         raise UnseenError(
-            f"the board is tiny: its marks are {spacing_px:.1f} px apart, {_SPACING_MIN_PX:g} px are needed"
+            f"the board is tiny: its marks are {spacing_px:.1f} px apart, {_SPACING_MIN_PX:g} px are needed; "
+            + NEARER
         )
     if edge_px > _EDGE_SHARE_MAX * spacing_px:
         raise UnseenError(
             f"the board is blurred: its edges are {edge_px:.1f} px wide, its marks {spacing_px:.1f} px apart"
+            f"; {SHARPER}"
         )
     _check_fit(board_mm, xy_px, spacing_px, board)
     return Marks(board_mm, xy_px, layout, edge_px, spacing_px, radius_mm)
@@ -106,7 +115,8 @@ def _charuco(grey: NDArray[np.uint8], board: Board) -> tuple[Floats, Floats, str
     spanned = np.ptp(places[:, :2], axis=0) / (board.pitch_mm * np.array([board.columns, board.rows]))
     if spanned.min() < _CHARUCO_SPAN_MIN:
         raise UnseenError(
-            f"the board is cut off: {count} of {(board.columns - 1) * (board.rows - 1)} corners are seen"
+            f"the board is cut off: {count} of {(board.columns - 1) * (board.rows - 1)} corners are seen; "
+            "show more of it"
         )
     xy = np.asarray(corners, np.float32).reshape(-1, 1, 2)
     spacing = _spacing(places, xy[:, 0, :].astype(np.float64), board.pitch_mm)
@@ -246,11 +256,11 @@ def _check_fit(board_mm: Floats, xy_px: Floats, spacing_px: float, board: Board)
     flat = board_mm[:, :2].astype(np.float64)
     matrix, _ = cv2.findHomography(flat, xy_px, 0)
     if matrix is None:
-        raise UnseenError("the board is seen edge on: its marks lie on a line")
+        raise UnseenError("the board is seen edge on: its marks lie on a line; turn it towards the camera")
     seen = np.column_stack([flat, np.ones(len(flat))]) @ matrix.T
     off = float(np.median(np.hypot(*(seen[:, :2] / seen[:, 2:] - xy_px).T)))
     if off > _FIT_SHARE_MAX * spacing_px:
         raise UnseenError(
             f"the marks do not lie as on a board of {board.columns} × {board.rows}: "
-            f"they are {off:.1f} px off; is it another board?"
+            f"they are {off:.1f} px off; is it another board? Correct `board`, or leave the image out"
         )

@@ -18,6 +18,11 @@ _AMBIGUOUS = 1.5
 _ROUNDS = 4
 _SECONDS = 4
 _CONDITION_MAX = 1e12
+_STRANGE_FACTOR = 8.0
+_STRANGE_LEAST = 1e-3
+"""Of the distance from the camera."""
+_STRANGE_POSES_MIN = 4
+"""Of fewer poses nobody could say which is wrong."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -67,24 +72,59 @@ def number_stripes(poses: list[PoseLines], stripes: int) -> Numbered:
         for pose, offset in zip(shown, offsets, strict=True)
         if offset is not None
     }
+    by_order = dict(numbers)
     for _ in range(_ROUNDS):
         planes = _planes([(pose, numbers[id(pose)]) for pose in shown if id(pose) in numbers], stripes)
         numbers = {id(pose): _nearest(pose, planes) for pose in shown}
+    strange = _strange(shown, [numbers[id(pose)] for pose in shown], stripes)
+    for pose in strange:
+        numbers[id(pose)] = np.full(pose.count, -1)
+    if strange:
+        planes = _planes([(pose, numbers[id(pose)]) for pose in shown], stripes)
     left_out = {
-        pose.name: "its stripes lie on none of the planes that the other poses show"
+        pose.name: "its stripes lie on none of the planes that the other poses show: is it mirrored, or did "
+        "the board or the laser move before it was taken? Take the pose again"
         for pose in shown
         if not (numbers[id(pose)] >= 0).any()
     }
     found = [numbers.get(id(pose), np.empty(0, np.int64)) for pose in poses]
-    _check(poses, found, stripes)
+    _check(poses, found, [by_order.get(id(pose), np.empty(0)) for pose in poses], stripes)
     return Numbered(found, planes, left_out)
 
 
-def _check(poses: list[PoseLines], found: list[np.ndarray], stripes: int) -> None:
+def _strange(shown: list[PoseLines], numbers: list[np.ndarray], stripes: int) -> list[PoseLines]:
+    """Give the poses whose lines lie far off the planes that the others show: mirrored, or moved.
+
+    A board that is its own mirror image is told by nothing else.
+    """
+    kept = list(zip(shown, numbers, strict=True))
+    found: list[PoseLines] = []
+    while len(kept) > _STRANGE_POSES_MIN:
+        off = np.full(len(kept), np.nan)
+        for one, (pose, mine) in enumerate(kept):
+            on = np.flatnonzero(mine >= 0)
+            planes = _planes([other for at, other in enumerate(kept) if at != one], stripes)
+            own = _distances(pose, planes)[on, mine[on]]
+            if np.isfinite(own).any():
+                off[one] = float(np.nanmedian(own)) / float(pose.ends_mm[:, :, 2].mean())
+        if not np.isfinite(off).any():
+            break
+        worst = int(np.nanargmax(off))
+        if off[worst] <= max(_STRANGE_FACTOR * float(np.nanmedian(off)), _STRANGE_LEAST):
+            break
+        found.append(kept.pop(worst)[0])
+    return found
+
+
+def _check(poses: list[PoseLines], found: list[np.ndarray], by_order: list[np.ndarray], stripes: int) -> None:
     for stripe in range(stripes):
         on = [pose.name for pose, numbers in zip(poses, found, strict=True) if (numbers == stripe).any()]
         if len(on) < 2:
-            where = f"on one board alone ({on[0]})" if on else "on no board"
+            # of a line on one board alone there is no plane; its order says which it is
+            seen = [
+                pose.name for pose, numbers in zip(poses, by_order, strict=True) if (numbers == stripe).any()
+            ]
+            where = f"on one board alone ({(on or seen)[0]})" if on or len(seen) == 1 else "on no board"
             raise CalibrationError(
                 f"stripe {stripe + 1} lies {where}: that determines no plane",
                 hint="add poses in which the board lies under it; is `stripes` right?",

@@ -41,6 +41,8 @@ class Gathered:
         Share of the peaks on stripes that is left out: on uneven print, or far off the others.
     left_out
         By image, why its stripes are not used.
+    strange
+        Views whose stripes contradict the others', by number: their marks are not to be trusted either.
     """
 
     points: StripePoints
@@ -48,6 +50,7 @@ class Gathered:
     belt: Floats | None
     left_share: float
     left_out: dict[str, str]
+    strange: tuple[int, ...] = ()
 
 
 def gather(
@@ -84,6 +87,7 @@ def gather(
     left_out: dict[str, str] = {}
     found: list[tuple[int, Peaks, list[StripeLine], Floats]] = []
     poses: list[PoseLines] = []
+    doubtful: list[int] = []
     for number, view in enumerate(first.views):
         if view.laser is None:
             continue
@@ -96,11 +100,17 @@ def gather(
         use &= ~(peaks.width_px > _WIDTH_SHARE_MAX * view.marks.spacing_px)
         lines = strongest(find_lines(peaks, xy, use, float(first.camera[0])), peaks, stripes)
         if not lines:
-            left_out[view.laser.frame.name] = "no stripe is seen on the board: is the laser on?"
+            left_out[view.laser.frame.name] = (
+                "no stripe is seen on the board: is the laser on, and does it fall on it?"
+            )
             continue
         if len(lines) > stripes:
-            many = f"{len(lines)} lines are seen on the board, the rig has {stripes} stripes"
-            left_out[view.laser.frame.name] = many
+            left_out[view.laser.frame.name] = (
+                f"{len(lines)} lines are seen on the board, the rig has {stripes} stripes: is there a "
+                "reflection, or was one image of the pair mirrored or the board moved? Take the pose again"
+            )
+            if view.plain is not None:
+                doubtful.append(number)
             continue
         found.append((number, peaks, lines, xy))
         normal, shift = first.rotation[number][:, 2], first.shift[number]
@@ -140,7 +150,11 @@ def gather(
         if number != ON_BELT
     )
     rows = np.concatenate([part for part, _ in parts])
-    return Gathered(_points(rows), numbered.planes, belt, 1.0 - kept / max(on_stripes, 1), left_out)
+    doubtful += [
+        number for (number, *_), pose in zip(found, poses, strict=True) if pose.name in numbered.left_out
+    ]
+    strange = tuple(doubtful)
+    return Gathered(_points(rows), numbered.planes, belt, 1.0 - kept / max(on_stripes, 1), left_out, strange)
 
 
 def belt_points(

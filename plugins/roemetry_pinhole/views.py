@@ -120,9 +120,15 @@ def _lit(plain: Observation, laser: Observation) -> str:
     if darker > _OTHER_LIGHT_SHARE:
         return ""  # taken in plain light: the pair cannot be compared
     if darker > 4.0 * brighter and darker > _LIT_SHARE_MIN:
-        return f"it is darker than {plain.frame.name}: are the images with the laser on and off exchanged?"
+        return (
+            f"it is darker than {plain.frame.name}: are the images with the laser on and off exchanged? Name "
+            "each where it belongs"
+        )
     if brighter < _LIT_SHARE_MIN:
-        return f"no stripe is seen beside {plain.frame.name}: is it an image with the laser off?"
+        return (
+            f"no stripe is seen beside {plain.frame.name}: is it an image with the laser off? Take the pose "
+            "again"
+        )
     return ""
 
 

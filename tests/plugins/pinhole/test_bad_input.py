@@ -1,0 +1,165 @@
+"""Whole calibrations from image files with bad ones among them: each is named, none is averaged in."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from roemetry.calibrating import calibrate
+from roemetry.calibration import Calibration
+from roemetry.errors import CalibrationError
+from roemetry.records import Board
+from roemetry.rig import Rig
+from tests.plugins.pinhole.board_set import (
+    CHARUCO,
+    CHESS,
+    NEAR_MM,
+    STRIPES,
+    lit,
+    load,
+    plain,
+    pose,
+    save,
+    written,
+)
+
+
+def made(path: Path) -> Calibration:
+    return calibrate(Rig.load(path))
+
+
+def bad(board: Board, folder: Path, rng) -> dict[str, tuple[str, str]]:
+    """Write pairs of images that no calibration may use; give by name why, and what is to be done."""
+
+    def pair(number: int, off: np.ndarray, on: np.ndarray) -> None:
+        save(folder / f"off_{number}.png", off, rng)
+        save(folder / f"on_{number}.png", on, rng)
+
+    every = range(STRIPES)
+    rotation, shift = pose(9)
+    off = 0.5 * plain(board, rotation, shift)
+    on = lit(off, 0.5, rotation, shift, every)
+    pair(20, *(cv2.GaussianBlur(image, (0, 0), 9.0) for image in (off, on)))
+    half = 0.5 * board.pitch_mm * np.array([board.columns, board.rows, 0.0])
+    away = 5.0 if board is CHESS else 2.6
+    far = 0.5 * plain(board, rotation, np.array([0.0, 0.0, away * NEAR_MM]) - rotation @ half)
+    pair(21, far, far + 1.0)
+    aside = shift + np.array([-45.0 if board is CHESS else -75.0, 0.0, 0.0])
+    cut = 0.5 * plain(board, rotation, aside)
+    pair(22, cut, lit(cut, 0.5, rotation, aside, every))
+    other = replace(board, columns=8, rows=5) if board is CHESS else replace(board, dictionary="DICT_5X5_50")
+    wrong = 0.5 * plain(other, rotation, shift)
+    pair(23, wrong, lit(wrong, 0.5, rotation, shift, every))
+    pair(24, off[:, ::-1], on[:, ::-1])
+    turn, way = pose(6)
+    way = way + np.array([1.0, -1.0, 2.0])
+    one_side = 0.5 * plain(board, turn, way)
+    pair(25, one_side[:, ::-1], lit(one_side, 0.5, turn, way, every))
+    mirrored = ("is mirrored", "mirroring off") if board is CHARUCO else ("on none of the planes", "again")
+    return {
+        "off_20": ("blurred", "focus"),
+        "off_21": ("tiny", "hold it nearer"),
+        "off_22": ("cut off", "show more" if board is CHARUCO else "wholly inside"),
+        "off_23": ("another board", "correct `board`"),
+        "off_24" if board is CHARUCO else "on_24": mirrored,
+        "off_25" if board is CHARUCO else "on_25": mirrored if board is CHARUCO else ("7 lines", "again"),
+    }
+
+
+@pytest.mark.parametrize("board", [CHESS, CHARUCO], ids=lambda board: board.kind)
+def test_bad_images_are_named_and_change_nothing(board: Board, rng, tmp_path: Path) -> None:
+    """Blurred, tiny, cut off, another board, mirrored; or one half of a pair mirrored."""
+    path = written(tmp_path, board)
+    clean = made(path)
+    expected = bad(board, tmp_path, rng)
+    found = made(path)
+    for name, (why, advice) in expected.items():
+        notes = [note for note in found.notes if note.startswith(f"not used: {name}.png: ")]
+        assert len(notes) == 1, name
+        assert why in notes[0]
+        assert advice in notes[0]
+    assert found.residuals["poses"] == 8
+    for name, values in clean.parameters.items():
+        np.testing.assert_allclose(found.parameters[name], values, rtol=1e-12, atol=1e-15, err_msg=name)
+
+
+def test_wrong_laser_images_are_named(rng, tmp_path: Path) -> None:
+    """A laser-off image given as laser-on; the two of a pair exchanged."""
+    path = written(tmp_path)
+    clean = made(path)
+    for number, exchanged in ((20, False), (21, True)):
+        rotation, shift = pose(number % 8)
+        shift = shift + np.array([2.0, 1.0, 3.0])
+        off = 0.5 * plain(CHESS, rotation, shift)
+        on = lit(off, 0.5, rotation, shift, range(STRIPES)) if exchanged else off
+        save(tmp_path / f"off_{number}.png", on if exchanged else off, rng)
+        save(tmp_path / f"on_{number}.png", off, rng)
+    found = made(path)
+    notes = "\n".join(found.notes)
+    assert "on_20.png: no stripe is seen beside off_20.png: is it an image with the laser off?" in notes
+    assert "on_21.png: it is darker than off_21.png: are the images" in notes
+    assert found.residuals["poses"] == 9, "stripes across the print spoil the marks of the exchanged one"
+    assert "off_21.png: its marks are off by" in notes
+    std = np.sqrt(np.diag(clean.covariance))[12:-3].reshape(-1, 3)
+    assert (np.abs(found.parameters["planes_per_mm"] - clean.parameters["planes_per_mm"]) < 4.0 * std).all()
+
+
+def test_images_of_mixed_size_are_refused_by_name(rng, tmp_path: Path) -> None:
+    path = written(tmp_path, poses=4)
+    save(tmp_path / "on_2.png", load(tmp_path / "on_2.png")[:-4], rng)
+    with pytest.raises(
+        CalibrationError, match=r"on_2\.png is 400 × 296 pixels, belt\.png is 400 × 300"
+    ) as caught:
+        made(path)
+    assert "one camera" in (caught.value.hint or "")
+
+
+def test_a_stripe_that_is_seen_in_one_pose_only_is_named(tmp_path: Path) -> None:
+    shows = {number: range(STRIPES - 1) for number in range(8) if number != 4}
+    path = written(tmp_path, stripes=shows)
+    with pytest.raises(CalibrationError, match=r"stripe 5 lies on one board alone \(on_4\.png\)") as caught:
+        made(path)
+    assert "add poses" in (caught.value.hint or "")
+
+
+def test_a_plane_nearly_through_the_camera_is_named(tmp_path: Path) -> None:
+    with pytest.raises(
+        CalibrationError, match=r"stripe 3 passes the camera's centre by 1\.\d mm only"
+    ) as caught:
+        made(written(tmp_path, lean=0.004))
+    assert "sideways" in (caught.value.hint or "")
+
+
+def test_a_rig_that_is_mirrored_as_a_whole_measures_the_same_heights(rng, tmp_path: Path) -> None:
+    """A chessboard mirrored is itself: all images mirrored show a rig with the laser on the other side."""
+    path = written(tmp_path)
+    right = made(path)
+    for image in tmp_path.glob("*.png"):
+        save(image, load(image)[:, ::-1], np.random.default_rng(0))
+    left = made(path)
+    assert left.displacement_px_per_mm[::-1] == pytest.approx(-right.displacement_px_per_mm, rel=2e-3)
+    assert left.rest_px[::-1, 0] == pytest.approx(399.0 - right.rest_px[:, 0], abs=0.05)
+    assert left.view is not None
+    assert right.view is not None
+    assert left.view.camera_mm[2] == pytest.approx(right.view.camera_mm[2], rel=2e-3)
+
+
+@pytest.mark.parametrize("number", [5, 9])
+def test_one_mirrored_view_of_a_symmetrical_board_without_stripes_shifts_nothing(
+    number: int, rng, tmp_path: Path
+) -> None:
+    """Marks of a chessboard do not tell, but they are those of a legal view: within what is stated."""
+    path = written(tmp_path)
+    clean = made(path)
+    rotation, shift = pose(number)
+    shift = shift + np.array([1.0, 1.0, 3.0])
+    save(tmp_path / "off_20.png", 0.5 * plain(CHESS, rotation, shift)[:, ::-1], rng)
+    found = made(path)
+    assert found.residuals["poses"] == 9
+    std = np.sqrt(np.diag(clean.covariance))
+    for name, first, last in (("focal_px", 0, 2), ("principal_px", 2, 4)):
+        assert (np.abs(found.parameters[name] - clean.parameters[name]) < 4.0 * std[first:last]).all(), name
