@@ -15,6 +15,9 @@ SAMPLES = 65
 
 _POINTS_MIN = 12
 _WIDTH_MIN_MM = 2.0
+_SLIVER = 0.15
+"""Of the largest height: whether a stripe still shows a lower outer section is a matter of light."""
+
 _GAP_MAX = 2.0 / 3.0
 """Of a section's width: where more is missing in one piece, two slivers at the foot are no section."""
 
@@ -61,6 +64,9 @@ class Sections(NamedTuple):
 def sections_of(product: Product, smoothing_rows: int) -> Sections:
     """Cut a product into its sections; those too short or too torn to have a shape are left out.
 
+    So are outer ones lower than 15 % of it: one more or less of them would change what is said of the
+    ends.
+
     Parameters
     ----------
     product
@@ -88,7 +94,16 @@ def sections_of(product: Product, smoothing_rows: int) -> Sections:
         x = np.sort(mine[:, 0])
         middle = np.array([0.5 * (x[(x.size - 1) // 2] + x[x.size // 2]), 0.5 * (y[0] + y[-1])])
         found.append((product.profiles.stripe[number], middle, 0.5 * (y[-1] - y[0]), height))
-    return _in_order(found)
+    return _in_order(_without_slivers(found))
+
+
+def _without_slivers(
+    found: list[tuple[int, Floats, float, Floats]],
+) -> list[tuple[int, Floats, float, Floats]]:
+    found = sorted(found, key=lambda section: float(section[1][0]))
+    peaks = [float(section[3].max()) for section in found]
+    high = [k for k, peak in enumerate(peaks) if peak >= _SLIVER * max(peaks)]
+    return found[high[0] : high[-1] + 1] if high else found
 
 
 def _in_order(found: list[tuple[int, Floats, float, Floats]]) -> Sections:
@@ -96,7 +111,6 @@ def _in_order(found: list[tuple[int, Floats, float, Floats]]) -> Sections:
         nothing = np.empty((0, SAMPLES))
         empty = np.empty(0)
         return Sections(np.empty(0, np.int64), empty, np.empty((0, 2)), empty, nothing, nothing)
-    found.sort(key=lambda section: float(section[1][0]))
     middle = np.stack([section[1] for section in found])
     half = np.array([section[2] for section in found])
     step = np.sqrt((np.diff(middle, axis=0) ** 2).sum(axis=1))

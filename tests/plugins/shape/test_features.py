@@ -62,6 +62,21 @@ def test_where_the_volume_lies_along_is_known_for_a_prism_and_for_what_thins_out
         assert found["lengthwise_kurtosis"] == pytest.approx(2.4, abs=1e-3)
 
 
+def test_an_outer_sliver_is_no_section() -> None:
+    """Whether the light at a thin end is just seen or just missed must not change the features."""
+    product = product_of(BOX)
+    whole = sections_of(product, 0)
+    xyz = product.profiles.xyz_mm.copy()
+    first = int(np.flatnonzero(product.profiles.stripe == whole.stripe[0])[0])
+    xyz[first, :, 2] *= 0.1
+    thin = replace(product, profiles=replace(product.profiles, xyz_mm=xyz))
+    assert sections_of(thin, 0).stripe.tolist() == whole.stripe[1:].tolist()
+    label = product.profiles.product.copy()
+    label[first] = 0
+    gone = replace(product, profiles=replace(product.profiles, product=label))
+    assert shape_features(thin, 0) == pytest.approx(shape_features(gone, 0), nan_ok=True)
+
+
 def test_a_spheres_curvatures_are_its_radius() -> None:
     sections = sections_of(product_of(SPHERICAL_CAP), 0)
     found = surface_shape(sections)
