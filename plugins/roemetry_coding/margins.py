@@ -12,7 +12,7 @@ _SHIFTED_AT_ZERO = 0.5
 _EVIDENCE_BY_E = 0.65
 _WRONG_AT_LEAST = 1e-4
 """How often labels were wrong, on simulated skeins: up to half where two cost the same, e times less often
-for every 1.1 that the second best is dearer and every 0.4 of evidence, and never less often than the last:
+for every 1.1 that the second best is dearer and every 0.65 of evidence, and never less often than the last:
 assumptions fail, too."""
 
 

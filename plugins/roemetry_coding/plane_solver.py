@@ -65,7 +65,7 @@ class Weights:
     absent: float = 3.0
     tie_whole: float = 300.0
     tie_cut: float = 1.5
-    tie_gap: float = 6.0
+    tie_gap: float = 60.0
 
 
 WEIGHTS = Weights()
@@ -91,8 +91,8 @@ _LONG_PEAKS = 30
 _BODY_PEAKS = 12
 _MAJORITY = 0.9
 _END_LINES = 30
-_FITS = 0.75
-_SHORT_GAP_LINES = 4
+_FITS = 0.6
+_SHORT_GAP_LINES = 14
 _LOST = 0.25
 _SHIFT_GAIN = 6.0
 _GAIN_MIN = 0.5

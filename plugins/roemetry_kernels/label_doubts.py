@@ -10,6 +10,8 @@ from roemetry_kernels.label_pieces import ENDS
 
 _MUCH_LARGER = 3
 """Of two pieces that contradict each other, one so many times as large is believed."""
+_FEW_REFUSED = 4
+"""So many refused in a row say something about the others."""
 
 
 @kernel
@@ -178,4 +180,31 @@ def left_over(piece: Integers, stripe: Integers, kept: Integers, share_min: floa
     found = np.zeros(piece.shape[0], np.bool_)
     for p in range(piece.shape[0]):
         found[p] = kept[p] >= 0 and after[piece[p]] < share_min * before[piece[p]]
+    return found
+
+
+@kernel
+def outnumbered(row: Integers, line: Integers, stripe: Integers, kept: Integers, rows: int) -> Flags:
+    """Mark coded peaks of bodies in rows where more of the body was refused than is left.
+
+    The stripes of a body are counted from each other: where most are in doubt, the others are.
+
+    Parameters
+    ----------
+    row, line
+        (peak,) row; rest line a peak lies on, −1 for none.
+    stripe, kept
+        (peak,) stripe before and after refusing, below 0 for none.
+    rows
+        Image rows.
+    """
+    refused, left = np.zeros(rows, np.int64), np.zeros(rows, np.int64)
+    for p in range(row.shape[0]):
+        if stripe[p] >= 0 and line[p] != stripe[p]:
+            refused[row[p]] += kept[p] < 0
+            left[row[p]] += kept[p] >= 0
+    found = np.zeros(row.shape[0], np.bool_)
+    for p in range(row.shape[0]):
+        many = refused[row[p]] >= _FEW_REFUSED and refused[row[p]] > left[row[p]]
+        found[p] = many and kept[p] >= 0 and line[p] != stripe[p]
     return found

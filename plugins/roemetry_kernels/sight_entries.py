@@ -9,6 +9,9 @@ import numpy as np
 from roemetry.arrays import Flags, Floats, Integers
 from roemetry_kernels.compiling import kernel
 
+_TIE_LOOSE = 1.8
+"""What even two ends that hardly point at each other are tied by."""
+
 
 class Entries(NamedTuple):
     """Peaks as they stand on the sight lines: a trace has one entry on each line it crosses.
@@ -155,7 +158,7 @@ def _tied(
                     break
             if found >= 0:
                 up[i], down[found] = found, i
-                tie[i] = tie_gap * (1.0 - 0.7 * best)
+                tie[i] = _TIE_LOOSE + tie_gap * (1.0 - best)
     return up, down, tie
 
 
