@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +9,7 @@ import numpy as np
 from roemetry.arrays import Flags, Floats, Integers
 from roemetry.calibration import Calibration
 from roemetry.records import Peaks
+from roemetry_coding.plane_weights import WEIGHTS
 from roemetry_kernels.label_agreement import agreed
 from roemetry_kernels.label_costs import Labels, Steps, labels_of, steps_of
 from roemetry_kernels.label_cuts import best_shift
@@ -30,45 +30,6 @@ from roemetry_kernels.rest_lines import RestLines
 from roemetry_kernels.sight_entries import Entries, entries_of
 from roemetry_kernels.sight_lines import SightLines, sight_lines
 from roemetry_kernels.tracing import cut_at_rest_lines, nearest_rest, trace_fragments
-
-
-@dataclass(frozen=True, slots=True)
-class Weights:
-    """What speaks for and against a label; the unit is a surface step of one label height.
-
-    Attributes
-    ----------
-    surface
-        A step of the surface between two stripes by the height that one stripe spacing stands for.
-    unseen
-        A stripe left out that would be seen.
-    false_peak
-        A peak left out.
-    on_rest, long_run, anchor
-        Gain of a peak on its own rest line; more if it is one of a long run; more if that begins at the
-        image's border.
-    on_end
-        The same at the end of a run, where a body may begin.
-    absent
-        A stripe whose rest line shows nothing.
-    tie_whole, tie_cut, tie_gap
-        Change of stripe within a piece of a trace, where it was cut, and over a gap.
-    """
-
-    surface: float = 1.0
-    unseen: float = 4.0
-    false_peak: float = 6.0
-    on_rest: float = 0.2
-    long_run: float = 0.2
-    anchor: float = 4.0
-    on_end: float = 1.0
-    absent: float = 3.0
-    tie_whole: float = 300.0
-    tie_cut: float = 1.5
-    tie_gap: float = 60.0
-
-
-WEIGHTS = Weights()
 
 _STEP_MAX_PX = 7.0
 _BELT_ROWS_MIN = 6
@@ -98,6 +59,8 @@ _SHIFT_GAIN = 6.0
 _GAIN_MIN = 0.5
 _SHIFTS_MAX = 24
 _ROUNDS = 2
+_DOUBT_ROUNDS = 2
+_DOUBTFUL = 2.7
 
 
 class Solved(NamedTuple):
@@ -180,7 +143,8 @@ def solve_planes(peaks: Peaks, calibration: Calibration, rest: RestLines) -> Sol
     piece_line = problem.piece_line[problem.piece]
     together = _together(problem, stripe, np.ones(stripe.size, np.bool_))
     dearer[np.bincount(problem.piece)[problem.piece] < _FEW_PEAKS] *= _FEW_COUNT
-    evidence *= np.clip(together / _LONG_PEAKS, _SMALL_COUNT, 1.0)
+    short = np.clip(together / _LONG_PEAKS, _SMALL_COUNT, 1.0)
+    evidence *= short
     whole = ~mixed(problem.piece, problem.piece_line, stripe, problem.there.size, _MAJORITY)
     whole &= settled > 0.0
     claims = claimed(
@@ -201,6 +165,12 @@ def solve_planes(peaks: Peaks, calibration: Calibration, rest: RestLines) -> Sol
     # a few peaks by themselves on a rest line are what is left of belt, at the edge of a shadow
     alone = np.bincount(problem.trace)[problem.trace] < _BELT_ROWS_MIN
     whole &= ~(alone & (problem.line >= 0) & (problem.line != stripe))
+    for _ in range(_DOUBT_ROUNDS):
+        # a label may be propped up by others that are themselves in doubt
+        doubtful = (stripe >= 0) & ((evidence < _DOUBTFUL) | ~whole)
+        if not doubtful.any():
+            break
+        evidence = np.minimum(evidence, short * _without(problem, own, best, doubtful))
     return Solved(stripe, problem.piece, claims, dearer, evidence, whole, problem.there, problem.entries)
 
 
@@ -238,27 +208,48 @@ def _shifted(problem: _Problem, own: Floats, best: Integers) -> tuple[Integers, 
     entries, labels = problem.entries, problem.labels
     moved = False
     for _ in range(_SHIFTS_MAX):
-        runs = Runs(
-            *runs_of(
-                entries.start, entries.peak, entries.before, entries.tie, labels.low, labels.many,
-                labels.offset, problem.piece, best, own, *problem.steps, WEIGHTS.surface, WEIGHTS.unseen,
-            )
-        )  # fmt: skip
+        runs = _runs(problem, own, best)
         by, gain = _best_of_shifts(runs)
         if gain >= _GAIN_MIN:
             moved = True
             best = stepped(labels.many, labels.offset, best, np.where(runs.of >= 0, by[runs.of], 0))
             continue
-        dearer, by = shifts_of(
-            runs.own, runs.one, runs.other, runs.both, runs.disorder, runs.start, runs.edge, runs.first,
-            runs.last, runs.size, entries.start.size - 1, _GAIN_MIN,
-        )  # fmt: skip
+        dearer, by = _shifts(runs, entries.start.size - 1)
         evidence = np.where(runs.of >= 0, dearer[runs.of], np.inf)
         if not by.any():
             break
         moved = True
         best = stepped(labels.many, labels.offset, best, np.where(runs.of >= 0, by[runs.of], 0))
     return best, evidence, moved
+
+
+def _runs(problem: _Problem, own: Floats, best: Integers) -> Runs:
+    entries, labels = problem.entries, problem.labels
+    return Runs(*runs_of(
+        entries.start, entries.peak, entries.before, entries.tie, labels.low, labels.many, labels.offset,
+        problem.piece, best, own, *problem.steps, WEIGHTS.surface, WEIGHTS.unseen,
+    ))  # fmt: skip
+
+
+def _shifts(runs: Runs, lines: int) -> tuple[Floats, Integers]:
+    dearer, by = shifts_of(
+        runs.own, runs.one, runs.other, runs.both, runs.disorder, runs.start, runs.edge, runs.first,
+        runs.last, runs.size, lines, _GAIN_MIN,
+    )  # fmt: skip
+    return dearer, by
+
+
+def _without(problem: _Problem, own: Floats, best: Integers, doubtful: Flags) -> Floats:
+    """Give (peak,) evidence as it is without the peaks that are in doubt; infinite for these."""
+    entries, labels = problem.entries, problem.labels
+    left = np.where(doubtful[entries.peak], labels.offset[1:] - 1, best)
+    runs = _runs(problem, own, left)
+    found = np.full(doubtful.size, np.inf)
+    if not runs.stripe.size:
+        return found
+    dearer, _ = _shifts(runs, entries.start.size - 1)
+    np.minimum.at(found, entries.peak, np.where(runs.of >= 0, dearer[runs.of], np.inf))
+    return found
 
 
 def _best_of_shifts(runs: Runs) -> tuple[Integers, float]:
