@@ -223,6 +223,6 @@ def _numbers(row: Measurement) -> Row:
     return (
         math.nan if row.volume is None else row.volume.visible_mm3.value,
         math.nan if row.weight is None else row.weight.mass_g.value,
-        row.height_max_mm,
+        row.height_max_mm.value,
         "" if row.grade is None else row.grade.label,
     )

@@ -17,6 +17,7 @@ from roemetry.records import (
     SATURATED,
     UNCODED,
     Coding,
+    Estimate,
     Measurement,
     Peaks,
     ProductTrace,
@@ -82,11 +83,11 @@ def _calibrated(
 ) -> Measurement:
     profiles = product.product.profiles
     heights = np.ascontiguousarray(profiles.xyz_mm[:, :, 2])
-    height_max = float(np.fmax.reduce(heights, axis=None, initial=math.nan))
+    height_max = product.height_max_mm or Estimate(product.product.height_max_mm)
     low, high = product.product.calibration.height_range_mm
     reasons = [*product.absent.values(), *warnings, *product.product.reasons]
     height_min = float(np.fmin.reduce(heights, axis=None, initial=math.nan))
-    for reached in (height_max, height_min):
+    for reached in (height_max.value, height_min):
         if reached > high + _HEIGHT_SLACK_MM or reached < low - _HEIGHT_SLACK_MM:
             reasons.append(
                 Reason(

@@ -117,6 +117,10 @@ def _true(row: Measurement) -> Estimate | None:
     return None if row.volume is None else row.volume.true_mm3
 
 
+def _height(row: Measurement) -> Estimate | None:
+    return None if math.isnan(row.height_max_mm.value) else row.height_max_mm
+
+
 _CM3 = mm3_to_cm3(1.0)
 
 COLUMNS: dict[str, Callable[[Measurement], Cell | None]] = {
@@ -142,7 +146,11 @@ COLUMNS: dict[str, Callable[[Measurement], Cell | None]] = {
     "true volume 95 % low (cm³)": lambda row: _end(_true(row), 0, _CM3),
     "true volume 95 % high (cm³)": lambda row: _end(_true(row), 1, _CM3),
     "true volume by cause (cm³)": lambda row: _by_cause(_true(row), _CM3),
-    "largest height (mm)": lambda row: row.height_max_mm,
+    "largest height (mm)": lambda row: row.height_max_mm.value,
+    "largest height standard uncertainty (mm)": lambda row: _std(_height(row)),
+    "largest height 95 % low (mm)": lambda row: _end(_height(row), 0),
+    "largest height 95 % high (mm)": lambda row: _end(_height(row), 1),
+    "largest height by cause (mm)": lambda row: _by_cause(_height(row)),
     "volume seen (share)": lambda row: None if row.volume is None else row.volume.shares.seen,
     "volume interpolated (share)": lambda row: None if row.volume is None else row.volume.shares.interpolated,
     "volume assumed (share)": lambda row: None if row.volume is None else row.volume.shares.assumed,

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from markupsafe import Markup
 
-from roemetry.records import Decision, Estimate, Measurement, Reason, Shares
+from roemetry.records import Decision, Estimate, Grade, Measurement, Reason, Shares
 from roemetry.units import MM3_PER_CM3, NOT_STATED
 from roemetry_report.charts import share_bar
 from roemetry_report.words import budget, interval, percent, plain, uncertainty, value
@@ -53,6 +53,7 @@ class Row:
     id: str
     status: Pill
     grade: Pill | None
+    probability: str
     decision: Pill | None
     lane: str
     weight: Figure
@@ -82,6 +83,7 @@ def row_of(measurement: Measurement, common: Collection[Reason] = ()) -> Row:
         id=measurement.id,
         status=status_pill(measurement.status),
         grade=None if measurement.grade is None else grade_pill(measurement.grade.label),
+        probability=probability_of(measurement.grade),
         decision=None if measurement.decision is None else decision_pill(measurement.decision),
         lane="" if measurement.decision is None else measurement.decision.lane,
         weight=_NONE if measurement.weight is None else _figure(measurement.weight.mass_g, digits=1),
@@ -89,7 +91,7 @@ def row_of(measurement: Measurement, common: Collection[Reason] = ()) -> Row:
         true_volume=None
         if volume is None or volume.true_mm3 is None
         else _figure(volume.true_mm3, MM3_PER_CM3),
-        height=Figure(plain(measurement.height_max_mm, 1), NOT_STATED, _sortable(measurement.height_max_mm)),
+        height=_figure(measurement.height_max_mm, digits=1),
         displacement=_NONE
         if coding is None
         else Figure(
@@ -118,6 +120,11 @@ def _figure(estimate: Estimate, per: float = 1.0, digits: int = 2) -> Figure:
         interval(estimate, per),
         budget(estimate, per),
     )
+
+
+def probability_of(grade: Grade | None) -> str:
+    """Write the probability of a grade in per cent; nothing where none is stated."""
+    return "" if grade is None or math.isnan(grade.probability) else percent(grade.probability)
 
 
 def status_pill(status: str) -> Pill:

@@ -10,7 +10,7 @@ import numpy as np
 from markupsafe import Markup
 
 from roemetry.errors import RoemetryError
-from roemetry.records import BELT, Frame, Measurement, ProductTrace, Reason, StripeMap, Trace, Volume
+from roemetry.records import BELT, Frame, Grade, Measurement, ProductTrace, Reason, StripeMap, Trace, Volume
 from roemetry.units import MM3_PER_CM3
 from roemetry_report.arcs import arc_panel
 from roemetry_report.charts import slice_chart
@@ -55,7 +55,6 @@ class ProductView:
     row: Row
     grade_reasons: tuple[Reason, ...]
     decision_reasons: tuple[Reason, ...]
-    probability: str
     features: tuple[tuple[str, str], ...]
     reasons: tuple[Reason, ...]
     absent: Mapping[str, Reason]
@@ -169,8 +168,7 @@ def _product(row: Measurement, trace: Trace | None, key: str, section_key: str) 
         row=row_of(row),
         grade_reasons=() if grade is None else grade.reasons,
         decision_reasons=decided,
-        probability="" if grade is None or math.isnan(grade.probability) else percent(grade.probability),
-        features=() if grade is None else tuple(feature(*item) for item in grade.features.items()),
+        features=() if grade is None else _features(grade),
         reasons=tuple(r for r in row.all_reasons if r not in said),
         absent=row.absent,
         slices=() if row.volume is None else _slices(row.volume),
@@ -238,3 +236,8 @@ def _thumbnail(frame: Frame, stripes: StripeMap | None) -> str:
     left = (float(x.min() + x.max()) - height * 4 / 3) / 2
     top = (float(row.min() + row.max()) - height) / 2
     return " ".join(number(value) for value in (left, top, height * 4 / 3, height))
+
+
+def _features(grade: Grade) -> tuple[tuple[str, str], ...]:
+    std = grade.features_std
+    return tuple(feature(name, figure, std.get(name, math.nan)) for name, figure in grade.features.items())

@@ -86,7 +86,7 @@ def overview(run: Run, products_max: int, worst_max: int) -> Overview:
             suspects.append((-bad, index, row.acquisition))
             if len(suspects) > _SUSPECTS_PER_PLACE * worst_max:
                 suspects = sorted(suspects)[: len(suspects) // 2]
-        finite |= row.volume is not None or math.isfinite(row.height_max_mm)
+        finite |= row.volume is not None or math.isfinite(row.height_max_mm.value)
         if row.status == "measured":
             common = row.all_reasons if common is None else tuple(r for r in common if r in row.all_reasons)
     worst = list(dict.fromkeys(name for _, _, name in sorted(suspects)))[:worst_max]

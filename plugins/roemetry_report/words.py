@@ -93,12 +93,15 @@ def counted(count: int, one: str, many: str | None = None) -> str:
     return f"{count} {one if count == 1 else many or one + 's'}"
 
 
-def feature(name: str, figure: float) -> tuple[str, str]:
-    """Split a figure's name into words and its unit, which stands at its end."""
+def feature(name: str, figure: float, std: float = math.nan) -> tuple[str, str]:
+    """Give a figure's name in words with its unit, and the figure with its standard uncertainty if stated."""
+    text = _short(figure)
+    if math.isfinite(figure) and std > 0:
+        text = f"{plain(figure, _decimals(std, 2))} ± {plain(std, _decimals(std, 2))}"
     for ending, unit in _UNITS.items():
         if name.endswith(ending):
-            return f"{name.removesuffix(ending).replace('_', ' ')} ({unit})", _short(figure)
-    return name.replace("_", " "), _short(figure)
+            return f"{name.removesuffix(ending).replace('_', ' ')} ({unit})", text
+    return name.replace("_", " "), text
 
 
 _LONG = 100
@@ -109,7 +112,9 @@ _UNITS = {"_per_mm": "1/mm", "_px": "px", "_mm3": "mm³", "_mm2": "mm²", "_mm":
 def _short(figure: float) -> str:
     if not math.isfinite(figure):
         return "–"
-    return plain(figure, 0) if figure == int(figure) else plain(figure, 2)
+    if figure == int(figure):
+        return plain(figure, 0)
+    return plain(figure, max(2, 2 - math.floor(math.log10(abs(figure)))) if abs(figure) < 1 else 2)
 
 
 def _decimals(std: float, otherwise: int) -> int:

@@ -10,8 +10,8 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
-from roemetry.records import Measurement
-from roemetry.units import mm3_to_cm3, stated
+from roemetry.records import Estimate, Measurement
+from roemetry.units import MM3_PER_CM3, stated
 
 
 def problems_of(measurements: Iterable[Measurement]) -> list[str]:
@@ -29,23 +29,33 @@ _COLOURS = {"measured": "default", "empty": "yellow", "failed": "red"}
 def table_of(title: str, measurements: Iterable[Measurement], rows: int) -> Table:
     """Make the table; of a long run it shows the first rows and says how many there are."""
     caption = f"the first {_ROWS_MAX} of {rows} rows" if rows > _ROWS_MAX else None
+    # Eighty columns, the width of a pipe, hold it all.
     table = Table(title=Text(title), caption=caption, title_justify="left", box=SIMPLE_HEAD)
-    table.add_column("product", no_wrap=True)
-    table.add_column("grade")
-    for heading in ("g", "cm³", "mm high", "stripes", "ambiguous"):
+    table.pad_edge, table.collapse_padding = False, True
+    table.add_column("product", min_width=10, overflow="fold")
+    table.add_column("grade", min_width=6)
+    for heading in ("g", "cm³", "mm high", "stripes", "ambi-\nguous"):
         table.add_column(heading, justify="right", no_wrap=True)
     for row in islice(measurements, _ROWS_MAX):
         coding = row.coding
         table.add_row(
             Text(row.id),
             Text(_verdict(row), style=_COLOURS[row.status]),
-            "" if row.weight is None else stated(row.weight.mass_g.value, 1),
-            "" if row.volume is None else stated(mm3_to_cm3(row.volume.visible_mm3.value)),
-            "" if math.isnan(row.height_max_mm) else stated(row.height_max_mm, 1),
+            "" if row.weight is None else _figure(row.weight.mass_g, 1),
+            "" if row.volume is None else _figure(row.volume.visible_mm3, 2, MM3_PER_CM3),
+            _figure(row.height_max_mm, 2),
             "" if coding is None else f"{coding.stripes_seen}/{coding.stripes}",
             "" if coding is None else str(coding.ambiguous),
         )
     return table
+
+
+def _figure(estimate: Estimate, digits: int, per: float = 1.0) -> str:
+    """Write a value and, where it is stated, ± its standard uncertainty; nothing where there is no value."""
+    if math.isnan(estimate.value):
+        return ""
+    value = stated(estimate.value / per, digits)
+    return value if math.isnan(estimate.std) else f"{value} ± {estimate.std / per:.{digits}f}"
 
 
 def _verdict(row: Measurement) -> str:

@@ -40,21 +40,20 @@ def propagate(
     """
     seed = int.from_bytes(hashlib.sha256(scene.acquisition_id.encode()).digest()[:8], "little")
     rng = np.random.default_rng(seed)
-    wanted = [trace for trace in products if trace.volume is not None or trace.grade is not None]
-    if not wanted:
+    if not products:
         return products
     drawn = Drawn(scene, chain, rng)
     own = max(_BUDGET_DRAWS_MIN, draws // 4)
-    together: dict[int, list[Result]] = {trace.product.number: [] for trace in wanted}
+    together: dict[int, list[Result]] = {trace.product.number: [] for trace in products}
     alone: dict[str, dict[int, list[Result]]] = {}
     for by_number in drawn.scenes(draws, drawn.causes):
-        for trace in wanted:
+        for trace in products:
             number = trace.product.number
             together[number].append(again(chain, by_number.get(number), rng, model=True))
     for cause in drawn.causes:
-        alone[cause] = {trace.product.number: [] for trace in wanted}
+        alone[cause] = {trace.product.number: [] for trace in products}
         for by_number in drawn.scenes(own, (cause,)):
-            for trace in wanted:
+            for trace in products:
                 number = trace.product.number
                 found = again(chain, by_number.get(number), rng, model=False, graded=False)
                 alone[cause][number].append(found)
@@ -66,8 +65,6 @@ def propagate(
             models_alone(trace, chain, rng, own),
             _unstated(trace, scene, chain, drawn),
         )
-        if trace in wanted
-        else trace
         for trace in products
     )
 

@@ -24,6 +24,7 @@ class Result(NamedTuple):
     label: str = ""
     probability: float = math.nan
     features: Mapping[str, float] = {}
+    height_max_mm: float = math.nan
 
 
 def again(
@@ -45,6 +46,7 @@ def again(
         label="" if grade is None else grade.label,
         probability=math.nan if grade is None else grade.probability,
         features={} if grade is None else grade.features,
+        height_max_mm=product.height_max_mm,
     )
 
 

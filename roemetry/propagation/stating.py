@@ -58,6 +58,7 @@ def with_uncertainty(
         What keeps an uncertainty from being stated.
     """
     volume, weight, grade = trace.volume, trace.weight, trace.grade
+    height = _largest(trace.product.height_max_mm, together, alone, stated=not unstated.points)
     if volume is not None:
         causes = {**alone, **{cause: found for cause, found in models.items() if cause == VOLUME_MODEL}}
         visible, true = volume.visible_mm3, volume.true_mm3
@@ -74,7 +75,7 @@ def with_uncertainty(
         held = [_probability(result, grade.label) for result in together]
         spread = {} if unstated.points else _features_std(grade.features, together)
         grade = replace(grade, probability=float(np.mean(held)), features_std=spread)
-    return replace(trace, volume=volume, weight=weight, grade=grade)
+    return replace(trace, volume=volume, weight=weight, grade=grade, height_max_mm=height)
 
 
 def without_draws(trace: ProductTrace) -> ProductTrace:
@@ -100,6 +101,34 @@ def _probability(result: Result, label: str) -> float:
     if result.label != label:
         return 0.0
     return 1.0 if math.isnan(result.probability) else result.probability
+
+
+def _largest(
+    found_mm: float, together: list[Result], alone: Mapping[str, list[Result]], *, stated: bool
+) -> Estimate:
+    """Give the largest height with its uncertainty: what draws scatter by, and what noise has lifted it by.
+
+    The largest of many noisy heights is too high on average. Noise drawn on top of it lifts it once more: on
+    a flat top, where the highest of n points grows with the noise's size, by √2 − 1 of what the first noise
+    did; on a peaked one both lifts are small. So the first lift is taken to be that much larger than the second.
+    """
+    parts = {cause: _distance(found_mm, results) for cause, results in alone.items()}
+    budget = {cause: part for cause, part in parts.items() if part > 0}
+    std = _distance(found_mm, together)
+    if not stated or not math.isfinite(std):
+        return Estimate(found_mm, budget=budget)
+    reach = COVERAGE_FACTOR * std
+    return Estimate(found_mm, std, budget, (found_mm - reach, found_mm + reach))
+
+
+def _distance(found_mm: float, results: list[Result]) -> float:
+    """Give the scatter of drawn largest heights with the lift of what was found, mm; NaN where too few."""
+    drawn = np.array([result.height_max_mm for result in results])
+    good = drawn[np.isfinite(drawn)]
+    if good.size < max(2.0, (1.0 - FAILED_SHARE_MAX) * drawn.size):
+        return math.nan
+    lift = max(0.0, float(good.mean()) - found_mm) / (math.sqrt(2.0) - 1.0)
+    return math.hypot(float(good.std(ddof=1)), lift)
 
 
 def _features_std(features: Mapping[str, float], together: list[Result]) -> dict[str, float]:

@@ -15,6 +15,7 @@ from roemetry.records.outcome import Decision, Estimate, Grade, Shares, Volume, 
 from roemetry.records.reasons import Reason
 
 Status = Literal["measured", "empty", "failed"]
+_UNKNOWN = Estimate(math.nan)
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +69,7 @@ class Measurement:
     coding
         How the stripes were found; None where extraction or coding failed.
     height_max_mm
-        Largest height above the belt, mm; NaN where unknown.
+        Largest height of a point above the belt, mm; its value is NaN where unknown.
     volume, weight, grade
         None where absent.
     absent
@@ -87,7 +88,7 @@ class Measurement:
     status: Status
     products: int = 1
     coding: Coding | None = None
-    height_max_mm: float = math.nan
+    height_max_mm: Estimate = _UNKNOWN
     volume: Volume | None = None
     weight: Weight | None = None
     grade: Grade | None = None
@@ -115,7 +116,7 @@ class Measurement:
             "grade": None if self.grade is None else _grade_row(self.grade),
             "weight": None if self.weight is None else _weight_row(self.weight),
             "volume": None if volume is None else _volume_row(volume),
-            "height_max_mm": self.height_max_mm,
+            "height_max_mm": _estimate_row(self.height_max_mm),
             "coding": None
             if self.coding is None
             else {name: getattr(self.coding, name) for name in Coding.__slots__},
@@ -138,7 +139,7 @@ class Measurement:
                 status=row["status"],
                 products=row["products"],
                 coding=None if coding is None else Coding(**{k: _number(v) for k, v in coding.items()}),
-                height_max_mm=_number(row["height_max_mm"]),
+                height_max_mm=_read_estimate(row["height_max_mm"]),
                 volume=None if row["volume"] is None else _read_volume(row["volume"]),
                 weight=None if row["weight"] is None else _read_weight(row["weight"]),
                 grade=None if row["grade"] is None else _read_grade(row["grade"]),

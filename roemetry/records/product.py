@@ -71,3 +71,9 @@ class Product:
     outline: Outline | None = None
     reasons: tuple[Reason, ...] = ()
     view: View | None = None
+
+    @property
+    def height_max_mm(self) -> float:
+        """Largest height of a point on the product above the belt, mm; NaN where it has none."""
+        heights = np.ascontiguousarray(self.profiles.xyz_mm[:, :, 2])
+        return float(np.fmax.reduce(heights, axis=None, initial=math.nan))

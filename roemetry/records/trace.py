@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from roemetry.records.acquisition import Acquisition, Frame
-from roemetry.records.outcome import Decision, Grade, Volume, Weight
+from roemetry.records.outcome import Decision, Estimate, Grade, Volume, Weight
 from roemetry.records.peaks import Peaks
 from roemetry.records.product import Outline, Product
 from roemetry.records.profiles import Profiles
@@ -16,7 +16,10 @@ from roemetry.records.stripes import StripeMap
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ProductTrace:
-    """One product and what was found of it; None where a stage was not asked for or not possible."""
+    """One product and what was found of it; None where a stage was not asked for or not possible.
+
+    `height_max_mm` is None where no uncertainty was drawn: the product itself knows its largest height.
+    """
 
     product: Product
     volume: Volume | None
@@ -24,6 +27,7 @@ class ProductTrace:
     grade: Grade | None
     absent: Mapping[str, Reason] = field(default_factory=dict)
     decision: Decision | None = None
+    height_max_mm: Estimate | None = None
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -34,7 +34,7 @@ def measured(acquisition: str = "p1") -> Measurement:
         product=1,
         status="measured",
         coding=Coding(7, 7, 1400, 1400, 0, 0, 500, 0, 0.0, 20.0),
-        height_max_mm=10.0,
+        height_max_mm=Estimate(10.0),
         volume=volume_of(9000.0),
         weight=Weight(Estimate(9.9)),
         grade=Grade("good", reasons=(Reason("convex", "no arc is concave"),)),

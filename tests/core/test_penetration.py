@@ -87,7 +87,9 @@ def test_what_was_drawn_is_found_and_used(line: Path) -> None:
     for name, sets in (("with", []), ("without", ["penetration="])):
         recipe = Recipe.load(line, sets=sets)
         run_recipe(recipe, line / name)
-        heights.append(json.loads((line / name / "measurements.jsonl").read_text("utf-8"))["height_max_mm"])
+        heights.append(
+            json.loads((line / name / "measurements.jsonl").read_text("utf-8"))["height_max_mm"]["value"]
+        )
     assert heights[0] - heights[1] == pytest.approx(light.offset_mm, abs=1e-9)  # mm
     assert Recipe.load(line).sha256 != Recipe.load(line, sets=["penetration="]).sha256
 

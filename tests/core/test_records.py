@@ -120,7 +120,7 @@ def test_a_measurement_comes_back_from_its_line(data: st.DataObject) -> None:
         status=data.draw(st.sampled_from(["measured", "empty", "failed"])),
         products=data.draw(st.integers(1, 9)),
         coding=data.draw(st.none() | st.just(Coding(11, 9, 100, 90, 6, 4, 50, 3, math.nan, -3.5))),
-        height_max_mm=data.draw(numbers),
+        height_max_mm=data.draw(estimates),
         volume=Volume(
             data.draw(estimates),
             data.draw(st.none() | estimates),

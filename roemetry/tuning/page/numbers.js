@@ -70,7 +70,7 @@ function quantities(row) {
   put("mass", "g", row.weight?.mass_g, 1, 2);
   put("visible volume", "cm³", row.volume?.visible_mm3, 1000, 2);
   put("true volume", "cm³", row.volume?.true_mm3, 1000, 2);
-  if (row.height_max_mm !== null && row.height_max_mm !== undefined) found.push(["height, most", "mm", row.height_max_mm.toFixed(2)]);
+  put("height, most", "mm", row.height_max_mm, 1, 2);
   if (row.volume) {
     share("seen", row.volume.shares.seen);
     share("interpolated", row.volume.shares.interpolated);

@@ -85,8 +85,12 @@ def test_a_point_cloud_has_the_points_of_the_profiles(out: Path) -> None:
     fields = [(words[2], kinds[words[1]]) for words in map(str.split, lines) if words[0] == "property"]
     points = np.frombuffer(body, dtype=np.dtype(fields))
     assert f"element vertex {len(points)}" in lines
-    row = next(row for row in read_record(out) if row.acquisition == file.stem and row.height_max_mm > 1.0)
-    assert points["z"][points["product"] == row.product].max() == pytest.approx(row.height_max_mm, abs=1e-9)
+    row = next(
+        row for row in read_record(out) if row.acquisition == file.stem and row.height_max_mm.value > 1.0
+    )
+    assert points["z"][points["product"] == row.product].max() == pytest.approx(
+        row.height_max_mm.value, abs=1e-9
+    )
     assert set(points["stripe"]) <= set(range(1, 8))
 
 
@@ -98,7 +102,7 @@ def test_a_height_map_has_the_heights_of_the_record(out: Path) -> None:
     assert grey.dtype == np.uint16
     assert ((grey == 0) == (known == 0)).all()
     heights = said["offset_mm"] + said["scale_mm"] * grey[known > 0]
-    highest = max(row.height_max_mm for row in read_record(out) if row.acquisition == file.stem)
+    highest = max(row.height_max_mm.value for row in read_record(out) if row.acquisition == file.stem)
     assert heights.max() == pytest.approx(highest, abs=0.1)  # the grid need not meet the very top
 
 

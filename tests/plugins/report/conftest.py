@@ -165,7 +165,7 @@ def measurements_of(scene: Scene, **changes: Any) -> tuple[Measurement, ...]:
                 saturated_share=0.0213,
                 displacement_max_px=float(np.nanmax(np.where(mine, stripes.x_px - stripes.rest_px, np.nan))),
             ),
-            "height_max_mm": math.nan if heights is None else float(np.nanmax(heights)),
+            "height_max_mm": Estimate(math.nan if heights is None else float(np.nanmax(heights))),
             "volume": None if traced is None else traced.volume,
             "weight": None if traced is None else traced.weight,
             "grade": None if traced is None else traced.grade,

@@ -149,8 +149,10 @@ def test_every_measurement_has_a_row_with_its_reason(mixed):
 def test_uncertainty_that_is_not_modelled_is_not_stated(mixed):
     rows, text = mixed
     cells = Page(text).rows["skein_01#1"]
-    weight, volume = rows[0].weight.mass_g.value, rows[0].volume.visible_mm3.value
-    assert cells[4:8] == [f"{weight:.1f}", "not stated", f"{volume / 1000:.2f}", "not stated"]
+    row = rows[0]
+    values = (row.weight.mass_g.value, row.volume.visible_mm3.value / 1000, row.height_max_mm.value)
+    texts = (f"{value:.{digits}f}" for value, digits in zip(values, (1, 2, 1), strict=True))
+    assert cells[4:7] == [f"{text} not stated" for text in texts]
 
 
 def test_stated_uncertainty_is_printed_and_sets_the_places(synthetic, tmp_path):
@@ -160,9 +162,10 @@ def test_stated_uncertainty_is_printed_and_sets_the_places(synthetic, tmp_path):
         row,
         volume=replace(row.volume, visible_mm3=Estimate(20123.4, 456.7)),
         weight=Weight(Estimate(22.136, 0.512)),
+        height_max_mm=Estimate(17.3772, 0.0221),
     )
     cells = Page(written(synthetic.run_of(tmp_path, [row], {}))).rows["a#1"]
-    assert cells[4:8] == ["22.14", "0.51", "20.12", "0.46"]
+    assert cells[4:7] == ["22.14 ± 0.51", "20.12 ± 0.46", "17.377 ± 0.022"]
 
 
 def test_what_holds_for_every_product_is_said_once_above_the_table(mixed):
@@ -236,7 +239,7 @@ def test_nothing_but_nan_is_a_page_too(synthetic, tmp_path):
     (row,) = synthetic.measurements_of(synthetic.Scene("a"))
     row = replace(
         row,
-        height_max_mm=nan,
+        height_max_mm=Estimate(nan),
         volume=Volume(Estimate(nan), Estimate(nan), Shares(nan, nan, nan), [0, 1], [nan, nan], [nan, nan]),
         weight=Weight(Estimate(nan)),
         grade=Grade("unknown", features={"radius_px": nan}),
@@ -244,7 +247,7 @@ def test_nothing_but_nan_is_a_page_too(synthetic, tmp_path):
     )
     trace = synthetic.trace_of(synthetic.Scene("a"))
     cells = Page(written(synthetic.run_of(tmp_path, [row], {"a": trace}))).rows["a#1"]
-    assert cells[2:10] == ["? unknown", "● measured", "–", "not stated", "–", "not stated", "–", "–"]
+    assert cells[2:8] == ["? unknown", "● measured", "–", "–", "–", "–"]
 
 
 def test_an_empty_record_is_a_page_too(synthetic, tmp_path):
