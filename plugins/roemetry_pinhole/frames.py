@@ -18,6 +18,9 @@ _FAN_RMS_MAX_MM = 5.0
 _REST_DEGREE_MAX = 7
 _REST_OFF_MAX_PX = 0.002
 _REST_ROUNDS = 30
+_PLANES_STD_MM = 0.05
+_PROJECTOR_Y_STD_MM = 20.0
+"""How far a projector stands beside the camera's own plane, as rigs are built."""
 
 
 def belt_pose(belt: Floats) -> Floats:
@@ -61,7 +64,7 @@ def view_of(parameters: Mapping[str, Floats], image_size: tuple[int, int]) -> Vi
         T_belt_camera=pose,
         planes=planes,
         distortion=parameters["distortion"],
-        projector_mm=_projector(planes),
+        projector_mm=projector_of(planes),
     )
 
 
@@ -157,11 +160,16 @@ def displacements(parameters: Mapping[str, Floats], image_size: tuple[int, int])
     return np.asarray((high - low) / (2.0 * step))
 
 
-def _projector(planes: Floats) -> Floats:
-    """Give the point that all planes share (of a line they share, that at Y = 0); NaN if there is none."""
+def projector_of(planes: Floats) -> Floats:
+    """Give the point that all planes share; NaN if there is none.
+
+    Planes that fan out from a point meet very nearly in a line through it, and say nearly nothing of where on
+    that line it is: noise alone would move it by hundreds of millimetres. So Y = 0, beside the optical axis,
+    is one more observation; it decides only where the planes leave Y open.
+    """
     if len(planes) < 3:
         return np.full(3, np.nan)
-    rows = np.vstack([planes[:, :3], [[0.0, 1e-6, 0.0]]])
+    rows = np.vstack([planes[:, :3], [[0.0, _PLANES_STD_MM / _PROJECTOR_Y_STD_MM, 0.0]]])
     point = np.linalg.lstsq(rows, np.append(planes[:, 3], 0.0), rcond=1e-12)[0]
     off = planes[:, :3] @ point - planes[:, 3]
     return point if np.sqrt((off**2).mean()) < _FAN_RMS_MAX_MM else np.full(3, np.nan)

@@ -17,6 +17,7 @@ from roemetry_pinhole.frames import (
     displacements,
     lines_at_height,
     parameters_of,
+    projector_of,
     rest_polynomials,
     view_of,
 )
@@ -173,3 +174,28 @@ def test_planes_from_a_file(tmp_path: Path) -> None:
         encoding="utf-8",
     )
     assert read_planes(path) == pytest.approx(np.array([[0.6, 0.0, 0.8]]) / 160.0)
+
+
+def fan(projector_mm: np.ndarray, axes: np.ndarray) -> np.ndarray:
+    """Give (stripe, 4) planes through a projector and points 12 mm apart on the belt, each along its axis."""
+    at = np.column_stack([np.arange(len(axes)) * 12.0 - 40.0, np.zeros(len(axes)), np.zeros(len(axes))])
+    normal = np.cross(at - projector_mm, axes)
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    return np.column_stack([normal, normal @ projector_mm])
+
+
+def test_a_fan_about_one_line_leaves_the_projector_beside_the_camera(rng) -> None:
+    true = np.array([120.0, -4.0, 310.0])
+    planes = fan(true, np.tile([0.01, 1.0, 0.005], (11, 1)))
+    planes[:, 3] += rng.normal(0.0, 0.02, 11)
+    found = projector_of(planes)
+    assert abs(found[1]) < 1.0  # mm; the noise alone would put it anywhere
+    assert np.linalg.norm((found - true)[[0, 2]]) < 2.0
+
+
+def test_planes_turned_against_each_other_show_where_the_projector_is(rng) -> None:
+    true = np.array([120.0, 60.0, 310.0])
+    axes = np.column_stack([np.linspace(-0.5, 0.5, 11) ** 2, np.ones(11), np.zeros(11)])
+    planes = fan(true, axes)
+    planes[:, 3] += rng.normal(0.0, 0.02, 11)
+    assert np.abs(projector_of(planes) - true).max() < 1.5  # mm
