@@ -110,7 +110,7 @@ def _largest(
 
     The largest of many noisy heights is too high on average. Noise drawn on top of it lifts it once more: on
     a flat top, where the highest of n points grows with the noise's size, by √2 − 1 of what the first noise
-    did; on a peaked one both lifts are small. So the first lift is taken to be that much larger than the second.
+    did; on a peaked one both lifts are small. So the first lift is reckoned from the second by that share.
     """
     parts = {cause: _distance(found_mm, results) for cause, results in alone.items()}
     budget = {cause: part for cause, part in parts.items() if part > 0}

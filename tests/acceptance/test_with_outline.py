@@ -10,7 +10,8 @@ from typing import Any
 
 import pytest
 
-from roemetry.recipe import Recipe
+from roemetry import Recipe
+from roemetry.records import Measurement
 from roemetry.runner import run_recipe
 
 HOME = Path(__file__).parents[2] / "recipes" / "herring_roe"
@@ -34,9 +35,9 @@ def row(folder: Path) -> Mapping[str, Any]:
     return json.loads(line)
 
 
-def truth() -> Mapping[str, Any]:
+def truth(name: str = "skein_09") -> Mapping[str, Any]:
     lines = (HOME / "items.jsonl").read_text("utf-8").splitlines()
-    (item,) = (item for item in map(json.loads, lines) if item["id"] == "skein_09")
+    (item,) = (item for item in map(json.loads, lines) if item["id"] == name)
     return item["products"][0]
 
 
@@ -68,3 +69,28 @@ def test_the_table_and_the_report_say_the_same(folder: Path, row: Mapping[str, A
 
 def test_its_calibration_is_its_extractors(row: Mapping[str, Any]) -> None:
     assert "other-extractor" not in {reason["code"] for reason in row["reasons"]}
+
+
+@pytest.fixture(scope="module")
+def all_ten() -> Mapping[str, Measurement]:
+    recipe = Recipe.load(HOME / "with_outline.yaml", sets=["draws=0"])
+    return {row.acquisition: row for row in recipe.run()}
+
+
+def test_its_volumes_are_right_at_every_height(all_ten: Mapping[str, Measurement]) -> None:
+    off = []
+    for name, row in all_ten.items():
+        assert row.volume is not None, name
+        off.append(row.volume.visible_mm3.value / truth(name)["visible_mm3"] - 1.0)
+    assert len(off) == 10
+    assert max(map(abs, off)) < 0.015
+    assert sum(map(abs, off)) / len(off) < 0.006
+
+
+def test_it_names_what_a_stripe_shows_of_a_defect(all_ten: Mapping[str, Measurement]) -> None:
+    wanted = {"none": "good", "dented": "dent", "bent": "bend", "twisted": "twist", "folded": "fold"}
+    for name, row in all_ten.items():
+        known = truth(name)
+        assert row.grade is not None, name
+        shown = known["defect"] in ("bent", "none") or known["figures"]["defect_seen_mm"] >= 1.0
+        assert row.grade.label == (wanted[known["defect"]] if shown else "good"), name
