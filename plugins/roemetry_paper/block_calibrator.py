@@ -57,9 +57,10 @@ class BlockCalibrator(Calibrator[BlockCalibratorOptions]):
         views = observed.showing("block")
         if not views:
             raise CalibrationError("there is no image of the block", hint="name it in images.block")
-        rest_px, rest_rms_px = rest_polynomials(observed)
+        rest = rest_polynomials(observed)
+        rest_px = rest.lines_px
         seen = [view_of_block(view, rest_px) for view in views]
-        offset_px, offset_std_px = _offsets(seen, views, observed.stripe_count)
+        offset_px, offset_std_px, row_px = _offsets(seen, views, observed.stripe_count)
         omega = block.height_mm / offset_px
         fan = _check_fan(omega)
         scale = _scale(seen, block, observed.working_distance_mm)
@@ -71,10 +72,14 @@ class BlockCalibrator(Calibrator[BlockCalibratorOptions]):
             rest_px=rest_px,
             displacement_px_per_mm=1.0 / omega,
             height_range_mm=(0.0, self.options.height_max_factor * block.height_mm),
-            parameters={"omega_mm_per_px": omega, "mm_per_px": np.array([scale.mm_per_px])},
-            covariance=_covariance(omega, offset_px, offset_std_px, block, scale),
+            parameters={
+                "omega_mm_per_px": omega,
+                "mm_per_px": np.array([scale.mm_per_px]),
+                "rest_error_px": np.zeros(rest_px.shape),
+            },
+            covariance=_covariance(omega, offset_px, offset_std_px, block, scale, rest.covariance, row_px),
             residuals={
-                "rest_line_rms_px": rest_rms_px,
+                "rest_line_rms_px": rest.rms_px,
                 "block_top_rms_px": float(np.sqrt(np.nanmean([view.scatter_px**2 for view in seen]))),
                 "block_edge_rms_px": float(np.sqrt(np.nanmean([view.edge_rms_px**2 for view in seen]))),
                 "fan_largest_relative": fan,
@@ -101,8 +106,10 @@ class _Scale(NamedTuple):
     notes: tuple[str, ...]
 
 
-def _offsets(seen: list[BlockView], views: tuple[Observation, ...], stripes: int) -> tuple[Floats, Floats]:
-    """Give (stripe,) displacement on the block and its standard uncertainty, px, each from its best view."""
+def _offsets(
+    seen: list[BlockView], views: tuple[Observation, ...], stripes: int
+) -> tuple[Floats, Floats, Floats]:
+    """Give (stripe,) displacement on the block, its standard uncertainty, px, and row, from the best view."""
     offsets = np.stack([view.offset_px for view in seen])
     stds = np.where(np.isfinite(offsets), np.stack([view.offset_std_px for view in seen]), np.inf)
     best = stds.argmin(axis=0)
@@ -127,7 +134,8 @@ def _offsets(seen: list[BlockView], views: tuple[Observation, ...], stripes: int
             f"stripes {names} are displaced to the right on the block and the others to the left",
             hint="all light must come from one side; check the number of stripes and turn_deg",
         )
-    return offset, stds[best, np.arange(stripes)]
+    rows = np.stack([view.row_px for view in seen])
+    return offset, stds[best, np.arange(stripes)], rows[best, np.arange(stripes)]
 
 
 def _check_fan(omega: Floats) -> float:
@@ -189,13 +197,29 @@ def _scale(seen: list[BlockView], block: Block, working_distance_mm: float | Non
 
 
 def _covariance(
-    omega: Floats, offset_px: Floats, offset_std_px: Floats, block: Block, scale: _Scale
+    omega: Floats,
+    offset_px: Floats,
+    offset_std_px: Floats,
+    block: Block,
+    scale: _Scale,
+    rest: Floats,
+    row_px: Floats,
 ) -> Floats:
-    """Of (Ω…, mm/px): each stripe's own reading, and the block's height common to all."""
+    """Of (Ω…, mm/px, rest lines' errors): each stripe's own reading, and the block's height common to all.
+
+    Where the true rest line lies e px further, the displacement on the block is e too large and Ω too small
+    by e over it: at the block's height the two cancel, on the belt the line's error stands alone.
+    """
     n = omega.size
-    covariance = np.zeros((n + 1, n + 1))
+    covariance = np.zeros((3 * n + 1, 3 * n + 1))
     height_relative = block.tolerance_mm / np.sqrt(3.0) / block.height_mm
     covariance[:n, :n] = np.diag((omega * offset_std_px / offset_px) ** 2)
     covariance[:n, :n] += height_relative**2 * np.outer(omega, omega)
     covariance[n, n] = (scale.mm_per_px * scale.relative_std) ** 2
+    for stripe in range(n):
+        own = slice(n + 1 + 2 * stripe, n + 3 + 2 * stripe)
+        by_rest = omega[stripe] / offset_px[stripe] * np.array([1.0, row_px[stripe]])
+        covariance[own, own] = rest[stripe]
+        covariance[stripe, own] = covariance[own, stripe] = rest[stripe] @ by_rest
+        covariance[stripe, stripe] += by_rest @ rest[stripe] @ by_rest
     return covariance

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from roemetry.arrays import Floats
 from roemetry.calibration import Calibration
 from roemetry.errors import StageError
 from roemetry.records import Profiles, StripeMap
@@ -45,7 +46,12 @@ class BlockLinear(Triangulator[StageOptions]):
         xyz_mm = np.empty((count, rows, 3))
         xyz_mm[:, :, 0] = (stripes.x_px - (columns - 1) / 2.0) * scale
         xyz_mm[:, :, 1] = np.where(np.isnan(stripes.x_px), np.nan, ((rows - 1) / 2.0 - row_px) * scale)
-        xyz_mm[:, :, 2] = omega[:, None] * (stripes.x_px - stripes.rest_px)
+        away_px = stripes.x_px - stripes.rest_px
+        rest_px = _rest_px(calibration)
+        if rest_px is not calibration.rest_px:
+            off = rest_px - calibration.rest_px
+            away_px = away_px - off[:, :1] - off[:, 1:2] * (row_px - (rows - 1) / 2.0)
+        xyz_mm[:, :, 2] = omega[:, None] * away_px
         return Profiles(
             xyz_mm=xyz_mm,
             product=stripes.product,
@@ -55,7 +61,7 @@ class BlockLinear(Triangulator[StageOptions]):
             height_std_mm=np.abs(omega)[:, None] * stripes.x_std_px,
             stripe=np.arange(count),
             frame=np.zeros(count, np.int64),
-            plane=light_planes(calibration.rest_px, omega, scale, (columns - 1) / 2.0),
+            plane=light_planes(rest_px, omega, scale, (columns - 1) / 2.0),
         )
 
     def view(self, calibration: Calibration) -> View | None:
@@ -65,8 +71,18 @@ class BlockLinear(Triangulator[StageOptions]):
             return None
         return block_view(
             calibration.image_size,
-            calibration.rest_px,
+            _rest_px(calibration),
             calibration.parameters["omega_mm_per_px"],
             float(calibration.parameters["mm_per_px"][0]),
             None if known.telecentric else float(known.camera_mm[2]),
         )
+
+
+def _rest_px(calibration: Calibration) -> Floats:
+    """Give the rest lines; those of a redrawn calibration are off by what was drawn."""
+    error_px = calibration.parameters.get("rest_error_px")
+    if error_px is None or not error_px.any():
+        return calibration.rest_px
+    found = calibration.rest_px.copy()
+    found[:, : error_px.shape[1]] += error_px
+    return found

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,6 +18,7 @@ _DISPLACED_MIN_PX = 4.0
 _BLOCK_ROWS_MIN = 20
 _TRIM = 0.1
 _BATCH_ROWS = 10
+_BATCHES_MIN = 6
 _BODY_STEP_PX = 7.0
 _END_ROWS = 12
 _REST_RMS_MAX_PX = 1.5
@@ -43,6 +45,8 @@ class BlockView:
         Turn of the block about the vertical.
     span_px
         Extent of the top across the stripes that is seen, px.
+    row_px
+        (stripe,) mean row of what `offset_px` comes from, from the middle row.
     """
 
     offset_px: Floats
@@ -53,10 +57,29 @@ class BlockView:
     edge_rms_px: float
     yaw_rad: float
     span_px: float
+    row_px: Floats
 
 
-def rest_polynomials(observed: CalibrationSet) -> tuple[Floats, float]:
-    """Fit each stripe's rest line: (stripe, 2) in the row from the middle, and the rms residual, px.
+class RestFit(NamedTuple):
+    """Rest lines of the bare belt.
+
+    Attributes
+    ----------
+    lines_px
+        (stripe, 2) x in the middle row, px, and slope.
+    rms_px
+        Rms distance of the peaks from them.
+    covariance
+        (stripe, 2, 2) of each line.
+    """
+
+    lines_px: Floats
+    rms_px: float
+    covariance: Floats
+
+
+def rest_polynomials(observed: CalibrationSet) -> RestFit:
+    """Fit each stripe's rest line, a straight one.
 
     From the images of the empty belt; without one, from the belt above and below the block.
 
@@ -96,7 +119,7 @@ def view_of_block(view: Observation, rest_px: Floats) -> BlockView:
     middle = (peaks.image_size[0] - 1) / 2.0
     x_px = _in_rows(peaks, rows, stripes)
     offset = x_px - (rest_px[:, :1] + rest_px[:, 1:] * (rows - middle))
-    mean, std, first, last, place, scatter = (np.full(stripes, np.nan) for _ in range(6))
+    mean, std, first, last, place, scatter, at_row = (np.full(stripes, np.nan) for _ in range(7))
     for stripe in range(stripes):
         run = _longest_run(rows, np.abs(offset[stripe]) > _DISPLACED_MIN_PX)
         if run.size < _BLOCK_ROWS_MIN:
@@ -107,6 +130,7 @@ def view_of_block(view: Observation, rest_px: Floats) -> BlockView:
         inner = inner[np.abs(inner - typical) < _DISPLACED_MIN_PX]
         mean[stripe], std[stripe] = inner.mean(), _std_of_mean(inner)
         scatter[stripe] = inner.std()
+        at_row[stripe] = rows[run].mean() - middle
         from_middle = np.arange(peaks.image_size[0]) - middle
         lines = rest_px[:, :1] + rest_px[:, 1:] * from_middle
         edges = _edges(peaks, lines, stripe, mean[stripe], int(rows[run[run.size // 2]]))
@@ -116,7 +140,7 @@ def view_of_block(view: Observation, rest_px: Floats) -> BlockView:
     width, width_std, edge_rms, yaw = _width(place, first, last)
     scatter_px = float(np.nanmean(scatter)) if np.isfinite(scatter).any() else np.nan
     span_px = float(np.nanmax(place) - np.nanmin(place)) if np.isfinite(place).any() else np.nan
-    return BlockView(mean, std, scatter_px, width, width_std, edge_rms, yaw, span_px)
+    return BlockView(mean, std, scatter_px, width, width_std, edge_rms, yaw, span_px, at_row)
 
 
 def _full_rows(peaks: Peaks, stripes: int) -> Floats:
@@ -130,8 +154,9 @@ def _in_rows(peaks: Peaks, rows: Floats, stripes: int) -> Floats:
     return np.asarray(peaks.x_px[first[None, :] + np.arange(stripes)[:, None]])
 
 
-def _fitted(from_middle: Floats, x_px: Floats, name: str) -> tuple[Floats, float]:
+def _fitted(from_middle: Floats, x_px: Floats, name: str) -> RestFit:
     rest = np.empty((x_px.shape[0], 2))
+    covariance = np.empty((x_px.shape[0], 2, 2))
     residual = np.empty_like(x_px)
     for stripe, x in enumerate(x_px):
         keep = np.ones(x.size, np.bool_)
@@ -141,16 +166,29 @@ def _fitted(from_middle: Floats, x_px: Floats, name: str) -> tuple[Floats, float
             keep = np.abs(off) <= max(3.0 * float(np.std(off[keep])), 0.5)
         rest[stripe] = start, slope
         residual[stripe] = np.where(keep, off, np.nan)
+        covariance[stripe] = _of_line(from_middle[keep], off[keep])
     rms = float(np.sqrt(np.nanmean(residual**2)))
     if rms > _REST_RMS_MAX_PX:
         raise CalibrationError(
             f"{name}: the stripes on the belt are not straight (rms {rms:.2f} px)",
             hint="is the belt flat and empty? a strongly distorting lens needs a full camera calibration",
         )
-    return rest, rms
+    return RestFit(rest, rms, covariance)
 
 
-def _from_block_image(view: Observation, stripes: int) -> tuple[Floats, float]:
+def _of_line(from_middle: Floats, off: Floats) -> Floats:
+    """(2, 2) covariance of a line through rows that are correlated over a few rows: from sums of batches."""
+    powers = np.column_stack([np.ones(off.size), from_middle])
+    inverse = np.linalg.inv(powers.T @ powers)
+    batches = off.size // _BATCH_ROWS
+    if batches < _BATCHES_MIN:
+        return np.asarray(float(off @ off) / off.size * _BATCH_ROWS * inverse)
+    batch = np.minimum(np.arange(off.size) // _BATCH_ROWS, batches - 1)
+    sums = np.stack([np.bincount(batch, column * off) for column in powers.T])
+    return np.asarray(inverse @ (sums @ sums.T) @ inverse * batches / (batches - 2))
+
+
+def _from_block_image(view: Observation, stripes: int) -> RestFit:
     peaks = view.peaks
     fragment, fragments = trace_fragments(peaks.row_start, peaks.x_px, _BODY_STEP_PX)
     try:
@@ -163,7 +201,11 @@ def _from_block_image(view: Observation, stripes: int) -> tuple[Floats, float]:
         raise AssertionError("rest lines of a known number of stripes are found or refused")
     rows = np.arange(peaks.image_size[0]) - (peaks.image_size[0] - 1) / 2.0
     rest = np.array([np.polyfit(rows, line, 1)[::-1] for line in lines.x_px])
-    return rest, belt_tolerance_px(peaks, lines.x_px) / 4.0
+    rms = belt_tolerance_px(peaks, lines.x_px) / 4.0
+    # the belt above and below the block: at least the image's ends
+    ends = np.concatenate([rows[:_END_ROWS], rows[-_END_ROWS:]])
+    covariance = _of_line(ends, np.full(ends.size, rms))
+    return RestFit(rest, rms, np.repeat(covariance[None], stripes, axis=0))
 
 
 def _longest_run(rows: Floats, displaced: np.ndarray) -> np.ndarray:

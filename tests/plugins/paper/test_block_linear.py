@@ -9,6 +9,7 @@ import pytest
 
 from roemetry.errors import CalibrationError, StageError
 from roemetry.records import BELT, NOTHING, Block, CalibrationSet, Frame, Observation, StripeMap
+from roemetry.testing import LinearRig
 from roemetry_paper.block_calibrator import BlockCalibrator, BlockCalibratorOptions
 from roemetry_paper.block_linear import BlockLinear
 from roemetry_paper.dominant_peak import DominantPeak, DominantPeakOptions
@@ -80,6 +81,44 @@ def test_the_stated_uncertainty_covers_the_scatter(rig, rng) -> None:
     scatter = np.std([m.parameters["omega_mm_per_px"] for m in made], axis=0, ddof=1)
     stated = np.sqrt(np.diag(made[0].covariance)[: rig.stripes])
     assert (scatter < 2.0 * stated).all()
+
+
+@pytest.mark.parametrize("belt", [True, False], ids=["with belt image", "without"])
+def test_heights_from_the_belt_up_scatter_as_stated(rng, belt: bool) -> None:
+    """Exact stripes on levels of 0, 5 and 10 mm, by sixty calibrations, against redraws of one of them."""
+    rig = LinearRig()
+    flat = np.zeros((rig.stripes, rig.rows))
+    exact = replace(BLOCK, tolerance_mm=0.0)
+
+    def seen(heights: np.ndarray, shows: str) -> Observation:
+        x_px = rig.x_px(heights) + rng.normal(0.0, 0.2, flat.shape)
+        frame = Frame(np.zeros((rig.rows, rig.columns), np.uint8), name=shows)
+        return Observation(shows, frame, rig.peaks(x_px).peaks)
+
+    def made():
+        views = [seen(block_heights(rig), "block")]
+        views += [seen(flat, "belt")] if belt else []
+        return BlockCalibrator().calibrate(
+            CalibrationSet(tuple(views), rig.stripes, exact, 300.0, {"use": "exact"})
+        )
+
+    def heights(calibration) -> np.ndarray:
+        found = []
+        for level in (0.0, 5.0, 10.0):
+            rest_px = calibration.rest_line_px(np.arange(rig.rows, dtype=np.float64))
+            stripes = replace(rig.stripe_map(flat + level), rest_px=rest_px)
+            found.append(BlockLinear().triangulate(stripes, calibration).xyz_mm[:, [20, 100, 180], 2])
+        return np.array(found)
+
+    first = made()
+    stated = np.std([heights(one) for one, _ in zip(first.redraws(rng), range(400), strict=False)], axis=0)
+    scatter = np.std([heights(made()) for _ in range(60)], axis=0, ddof=1)
+    ratio = np.sqrt((scatter**2).mean(axis=(1, 2)) / (stated**2).mean(axis=(1, 2)))
+    assert (stated[0] > 0.001).all(), "mm: the belt's zero is uncertain"
+    if belt:
+        assert ratio == pytest.approx(1.0, abs=0.25)
+    else:
+        assert (ratio < 1.25).all(), "how many rows of belt were used is not known: stated with the fewest"
 
 
 @pytest.mark.parametrize(
