@@ -24,7 +24,7 @@ from benchmarks.extraction.first import startup
 from benchmarks.extraction.methods import TOLD, Method, frame_of, measured_beforehand, methods
 from benchmarks.extraction.page import PLOT, machine, plot, points, put_into_page
 from benchmarks.extraction.precision import close_together, precision, two_materials
-from benchmarks.extraction.speed import speed
+from benchmarks.extraction.speed import frame_after_frame, speed
 from benchmarks.extraction.tables import Table
 from roemetry.records import Frame
 
@@ -64,7 +64,10 @@ def main() -> None:
         "pitch": lambda: [close_together(fast(judged), max(given.images // 4, 1), given.seed)],
         "bias": lambda: [bias(quick(judged), given.rows, given.seed)],
         "along": lambda: along(max(given.images // 2, 1), given.seed),
-        "speed": lambda: [speed(timed(judged, given.seed), given.sizes, given.repeats, given.seed)],
+        "speed": lambda: [
+            speed(everything := timed(judged, given.seed), given.sizes, given.repeats, given.seed),
+            frame_after_frame(everything, given.repeats, given.seed),
+        ],
         "startup": lambda: [startup([each.name for each in finding], min(given.repeats, _ROUNDS))],
     }
     made: dict[str, list[Table]] = {}

@@ -19,6 +19,8 @@ from benchmarks.extraction.tables import Table, number
 YARDSTICK = "OpenCV blur + dilate + log-parabola"
 _SLOW_S = 0.5
 _FEW = 3
+_IMAGES = 8
+_WARMING = 2  # rounds that are not counted
 
 
 def speed(methods: Sequence[Method], sizes: Sequence[str], repeats: int, seed: int) -> Table:
@@ -49,6 +51,33 @@ def speed(methods: Sequence[Method], sizes: Sequence[str], repeats: int, seed: i
         f"Speed, processor time of one thread, medians of {repeats} rounds; ×: over the OpenCV log-parabola",
         ["method", *(f"{size}, {what}" for size in sizes for what in ("ms", "Mpixel/s", "×"))],
         list(cells.values()),
+    )
+
+
+def frame_after_frame(methods: Sequence[Method], repeats: int, seed: int) -> Table:
+    """Time each method as it runs on a line: one frame after the other, and nothing else in between.
+
+    In turn with two dozen others each method finds caches that hold none of its instructions; what it then
+    takes over this is theirs to fill.
+    """
+    size = next(iter(SIZES))
+    rng = np.random.default_rng([seed, 15])
+    drawn = [drawn_set("speckle", SIZES[size], rng) for _ in range(_IMAGES)]
+    rows = []
+    for method in (method for method in methods if not method.slow):
+        taken = []
+        for repeat in range(_WARMING + repeats):
+            for each in drawn:
+                begin = time.thread_time()
+                method.find(each.pixels, each.light)
+                if repeat >= _WARMING:
+                    taken.append(time.thread_time() - begin)
+        quick = statistics.quantiles(taken, n=20)[0]
+        rows.append([method.name, number(1e3 * statistics.median(taken), 3), number(1e3 * quick, 3)])
+    return Table(
+        f"The same frame after frame, as on a line; {_IMAGES} VGA images, {repeats} times each",
+        ["method", "median, ms", "quickest 5 %, ms"],
+        rows,
     )
 
 

@@ -73,16 +73,20 @@ def _low_sum(
         return 0
     a_row = min(across, _BLOCKS_MAX // rows)
     sums, counts = np.empty(rows * a_row, np.int64), np.zeros(_SUMS, np.int64)
-    for n in range(sums.size):
-        row = top + (2 * (n // a_row) + 1) * (bottom - top) // (2 * rows)
-        # Unsigned, which no index from the end can be: only then are pixels taken many at a time.
-        begin = np.uint64(row * columns + left + _BLOCK * (n % a_row * across // a_row))
-        total: Any = np.int64(0)
-        for k in range(np.uint64(_BLOCK - 1)):
-            step = np.int64(levels[begin + k + np.uint64(apart)]) - np.int64(levels[begin + k])
-            total += step * step
-        sums[n] = total
-        counts[min(total, _SUMS - 1)] += 1
+    # Unsigned, which no index from the end can be: only then are pixels taken many at a time.
+    begins, beside = np.empty(a_row, np.uint64), np.uint64(apart)
+    for n in range(a_row):
+        begins[n] = left + _BLOCK * (n * across // a_row)
+    for r in range(rows):
+        row = np.uint64((top + (2 * r + 1) * (bottom - top) // (2 * rows)) * columns)
+        for n in range(a_row):
+            begin = row + begins[n]
+            total: Any = np.int64(0)
+            for k in range(np.uint64(_BLOCK - 1)):
+                step = np.int64(levels[begin + k + beside]) - np.int64(levels[begin + k])
+                total += step * step
+            sums[r * a_row + n] = total
+            counts[min(total, _SUMS - 1)] += 1
     wanted = int(_QUANTILE * (sums.size - 1))
     upto: Any = 0
     for low in range(_SUMS - 1):

@@ -54,12 +54,15 @@ def usual_height(row: NDArray[Any], amplitude: Floats) -> float:
     """What the highest peak reaches in all but the brightest tenth of the rows."""
     highest = np.empty(row.shape[0])
     rows = 0
-    for i in range(row.shape[0]):
-        if i == 0 or row[i] != row[i - 1]:
-            highest[rows] = amplitude[i]
+    best = amplitude[0]
+    for i in range(np.uint64(1), np.uint64(row.shape[0])):
+        if row[i] != row[i - np.uint64(1)]:
+            highest[rows] = best
             rows += 1
-        else:
-            highest[rows - 1] = max(highest[rows - 1], amplitude[i])
+            best = amplitude[i]
+        best = max(best, amplitude[i])
+    highest[rows] = best
+    rows += 1
     at = int(_USUAL * (rows - 1))
     return float(np.partition(highest[:rows], at)[at])
 

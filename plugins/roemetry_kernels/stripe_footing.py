@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -173,7 +173,7 @@ def _measure(
     places: NDArray[np.int32],
     flags: NDArray[np.uint8],
     values: Floats,
-) -> int:
+) -> Any:
     """Fill the fields of `Stripes`; gives the number of those within the width limits.
 
     What is `done` (see `roemetry_kernels.footing_lanes.measure_lanes`) is measured already.
@@ -208,20 +208,30 @@ def _measure(
     if unfit == 0 and lowest >= max(share_min * highest, height_min):
         return count
     least = max(share_min * usual_height(row, values[2]) if share_min > 0.0 else -np.inf, height_min)
-    for i in range(count):
-        done[i] = values[2, i] < least or (
-            values[2, i] < share_min * highest and outshone(row, values[0], values[2], i, share_min)
-        )
-    kept = 0
-    for i in range(count):
-        if done[i] or not width_min_px <= values[1, i] <= width_max_px:
-            continue
-        out_row[kept], flags[kept] = out_row[i], flags[i]
-        places[0, kept], places[1, kept] = places[0, i], places[1, i]
-        for field in range(values.shape[0]):
-            values[field, kept] = values[field, i]
-        kept += 1
-    return kept
+    # Where each stripe that is kept was; up to the first that is not, nothing moves.
+    was, kept = np.empty(count, np.uint64), np.uint64(0)
+    for i in range(np.uint64(count)):
+        low = heights[i] < share_min * highest
+        low = heights[i] < least or (low and outshone(row, middles, heights, np.int64(i), share_min))
+        was[kept] = i
+        kept += np.uint64((not low) & (widths[i] >= width_min_px) & (widths[i] <= width_max_px))
+    begin = np.uint64(0)
+    while begin < kept and was[begin] == begin:
+        begin += np.uint64(1)
+    _moved(out_row, was, begin, kept)
+    _moved(flags, was, begin, kept)
+    for side in range(places.shape[0]):
+        _moved(places[side], was, begin, kept)
+    for field in range(values.shape[0]):
+        _moved(values[field], was, begin, kept)
+    return np.int64(kept)
+
+
+@inlined
+def _moved(numbers: Any, was: NDArray[np.uint64], begin: int, end: int) -> None:
+    """Take numbers from where they were, farther on."""
+    for k in range(begin, end):
+        numbers[k] = numbers[was[k]]
 
 
 @inlined

@@ -45,12 +45,13 @@ def doubts(
         (peak,) image row, place and full width at half height, px, sorted by row, then place.
     """
     step = max(1, row.shape[0] // _LOOKED_AT)
-    one = np.arange(0, row.shape[0] - 1, step)
-    one = one[row[one] == row[one + 1]]
-    if one.size >= _FEWEST:
-        filled = 0.5 * (width_px[one] + width_px[one + 1]) / (x_px[one + 1] - x_px[one])
+    one, other = slice(0, max(row.shape[0] - 1, 0), step), slice(1, None, step)
+    pairs = row[one] == row[other]
+    looked_at = np.count_nonzero(pairs)
+    if looked_at >= _FEWEST:
+        filled = width_px[one] + width_px[other] > 2.0 * _FILLED * (x_px[other] - x_px[one])
         # Half of them is more than half: without a median, which would take longer than all else.
-        if 2 * np.count_nonzero(filled > _FILLED) > one.size:
+        if 2 * np.count_nonzero(filled & pairs) > looked_at:
             return (_ODD,)
     few = row.shape[0] < 2 * image.shape[0]
     return (_DARK,) if few and _has_dark_lines(image, white, row.shape[0] / image.shape[0]) else ()
