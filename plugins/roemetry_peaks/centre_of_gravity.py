@@ -8,7 +8,6 @@ from pydantic import Field
 
 from roemetry.records import Frame, Peaks
 from roemetry.stages import Capabilities, Extractor, StageOptions
-from roemetry_peaks.finding import found
 from roemetry_peaks.options import PeakOptions
 
 
@@ -31,6 +30,8 @@ class CentreOfGravity(Extractor[CentreOfGravityOptions]):
 
     def extract(self, frame: Frame) -> Peaks:
         """Find the stripes of a frame."""
-        from roemetry_kernels.centre_of_gravity import centres_of_gravity  # numba: when something runs
+        # numba: when something runs
+        from roemetry_kernels.centre_of_gravity import centres_of_gravity
+        from roemetry_peaks.finding import found
 
         return found(frame, self.options, centres_of_gravity, self.options.reach_sigmas)

@@ -1,22 +1,27 @@
-"""From a frame to peaks: what all extractors here have in common."""
+"""From a frame to peaks: what the extractors that measure each stripe by itself have in common.
+
+It imports what is compiled: to be imported itself only when something runs.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from roemetry.errors import StageError
+from roemetry.arrays import Floats
 from roemetry.records import Frame, Peaks
 from roemetry_kernels.grey_levels import grey, plain_layout, scaled_level
+from roemetry_kernels.image_noise import automatic_rise
+from roemetry_kernels.local_contrast import SHARE_MIN
+from roemetry_kernels.speckle_along import contrast_along
+from roemetry_kernels.stripe_footing import Stripes, stripes_around
+from roemetry_kernels.stripe_scan import Area, stripe_tops
+from roemetry_kernels.upside_down import doubts
 from roemetry_peaks.options import PeakOptions
-
-if TYPE_CHECKING:
-    from roemetry.arrays import Floats
-    from roemetry_kernels.stripe_footing import Stripes
-    from roemetry_kernels.stripe_scan import Area
+from roemetry_peaks.region import searched
 
 _HEIGHT_SHARE = 0.5
 """Of the threshold, that a stripe is high above the light beside it: noise on bright ground has tops, too."""
@@ -47,11 +52,6 @@ def found(
     weighs_speckle
         Whether the centres depend on the speckle's contrast, and not only what is stated of them.
     """
-    from roemetry_kernels.local_contrast import SHARE_MIN
-    from roemetry_kernels.stripe_footing import stripes_around
-    from roemetry_kernels.stripe_scan import stripe_tops
-    from roemetry_kernels.upside_down import doubts
-
     pixels = plain_layout(grey(frame))
     area = searched(frame, options.region)
     threshold = threshold_of(frame, pixels, area, options)
@@ -87,8 +87,6 @@ def noise_of(frame: Frame, options: PeakOptions, stripes: Stripes, *, sought: bo
 
     An automatic contrast is 0 where it is not `sought`: nothing is stated without a sensor.
     """
-    from roemetry_kernels.speckle_along import contrast_along
-
     noise = np.array([np.nan, np.nan, 0.0, options.speckle_length_px])
     if frame.sensor is not None:
         read, gain = frame.sensor.read_noise_grey, frame.sensor.gain_grey_per_electron
@@ -100,26 +98,8 @@ def noise_of(frame: Frame, options: PeakOptions, stripes: Stripes, *, sought: bo
     return noise
 
 
-def searched(frame: Frame, region: tuple[int, int, int, int] | None) -> Area:
-    """Give the part of the frame to search; raise StageError where it does not lie within the frame."""
-    from roemetry_kernels.stripe_scan import Area
-
-    rows, columns = frame.size
-    if region is None:
-        return Area(0, rows, 0, columns)
-    top, bottom, left, right = region
-    if not (0 <= top < bottom <= rows and 0 <= left < right <= columns):
-        raise StageError(
-            f"region {list(region)} does not lie within the image of {rows} rows and {columns} columns",
-            hint="give first row, row after the last, first column, column after the last",
-        )
-    return Area(*region)
-
-
 def threshold_of(frame: Frame, pixels: Any, area: Area, options: PeakOptions) -> int:
     """Give the threshold in grey levels of the frame."""
-    from roemetry_kernels.image_noise import automatic_rise
-
     if options.threshold != "auto":
         return math.floor(scaled_level(options.threshold, frame))
     return automatic_rise(pixels, frame.white, *area)

@@ -6,7 +6,6 @@ from typing import ClassVar
 
 from roemetry.records import Frame, Peaks
 from roemetry.stages import Capabilities, Extractor, StageOptions
-from roemetry_peaks.finding import found
 from roemetry_peaks.options import PeakOptions
 
 
@@ -22,6 +21,8 @@ class Gaussian(Extractor[GaussianOptions]):
 
     def extract(self, frame: Frame) -> Peaks:
         """Find the stripes of a frame."""
-        from roemetry_kernels.gaussian_fit import gaussian_centres  # numba: when something runs
+        # numba: when something runs
+        from roemetry_kernels.gaussian_fit import gaussian_centres
+        from roemetry_peaks.finding import found
 
         return found(frame, self.options, gaussian_centres, weighs_speckle=True)

@@ -8,7 +8,6 @@ from pydantic import Field
 
 from roemetry.records import Frame, Peaks
 from roemetry.stages import Capabilities, Extractor, StageOptions
-from roemetry_peaks.finding import found
 from roemetry_peaks.options import PeakOptions
 
 
@@ -26,7 +25,9 @@ class LogParabola(Extractor[LogParabolaOptions]):
 
     def extract(self, frame: Frame) -> Peaks:
         """Find the stripes of a frame."""
-        from roemetry_kernels.log_parabola import log_parabola_centres  # numba: when something runs
+        # numba: when something runs
+        from roemetry_kernels.log_parabola import log_parabola_centres
+        from roemetry_peaks.finding import found
 
         points = 3 if self.options.points == "three" else 5
         return found(frame, self.options, log_parabola_centres, points)

@@ -13,8 +13,8 @@ from roemetry.arrays import Flags, Floats, Integers
 from roemetry.records import EDGE, SATURATED, Frame, Peaks, Reason
 from roemetry.stages import Capabilities, Extractor, StageOptions
 from roemetry_kernels.grey_levels import grey, plain_layout, scaled_level
-from roemetry_peaks.finding import searched
 from roemetry_peaks.noise_file import noise_of_file
+from roemetry_peaks.region import searched
 from roemetry_peaks.speckle import TILES, StripeNoise, noise_from, rows_of, tile_of
 
 if TYPE_CHECKING:

@@ -19,7 +19,6 @@ from roemetry.errors import DataError, RoemetryError
 from roemetry.files import write_whole
 from roemetry.preparing import prepare
 from roemetry.records import Frame
-from roemetry_peaks.finding import searched
 from roemetry_peaks.maximum_likelihood import (
     MaximumLikelihood,
     MaximumLikelihoodOptions,
@@ -28,6 +27,7 @@ from roemetry_peaks.maximum_likelihood import (
     products_of,
     starts,
 )
+from roemetry_peaks.region import searched
 from roemetry_peaks.speckle import StripeNoise, noise_from
 
 _PEAKS = 4000  # that are looked at in each frame

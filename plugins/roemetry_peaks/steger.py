@@ -11,7 +11,7 @@ from pydantic import Field
 from roemetry.records import Frame, Peaks
 from roemetry.stages import Capabilities, Extractor, StageOptions
 from roemetry_kernels.grey_levels import grey, plain_layout, scaled_level
-from roemetry_peaks.finding import searched
+from roemetry_peaks.region import searched
 
 _NOISES = 8.0  # of the smoothed image, that a ridge rises above both valleys
 _LEVELS_MIN = 5.0  # grey levels of 0…255 that it rises at least

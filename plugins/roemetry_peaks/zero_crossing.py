@@ -8,7 +8,6 @@ from pydantic import Field
 
 from roemetry.records import Frame, Peaks
 from roemetry.stages import Capabilities, Extractor, StageOptions
-from roemetry_peaks.finding import found
 from roemetry_peaks.options import PeakOptions
 
 
@@ -30,7 +29,9 @@ class ZeroCrossing(Extractor[ZeroCrossingOptions]):
 
     def extract(self, frame: Frame) -> Peaks:
         """Find the stripes of a frame."""
-        from roemetry_kernels.zero_crossing import zero_crossings  # numba: when something runs
+        # numba: when something runs
+        from roemetry_kernels.zero_crossing import zero_crossings
+        from roemetry_peaks.finding import found
 
         half_length = 0 if self.options.half_length == "auto" else self.options.half_length
         return found(frame, self.options, zero_crossings, half_length)
