@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from roemetry.arrays import Floats, Integers
 from roemetry.records.peaks import EDGE, SATURATED
-from roemetry_kernels.compiling import kernel
+from roemetry_kernels.compiling import inlined, kernel
 
 _STEEPEST = 10.0  # px a row: a stripe that leans more hardly crosses rows
 _LONG = 0.5  # a ridge's curvature along itself over that across; blobs have 1
@@ -24,6 +24,10 @@ _LIT_NOISES = 4.0  # standard deviations of three pixels' mean, that it must hav
 _STEP_PX = 0.5
 _REACH_PX = 60.0
 _FWHM = 2.3548200450309493
+_LENGTH = 2.0  # of the smoothing's standard deviation, in rows, that a ridge is long at least
+_GONE_PX = 1.0  # from where the ridge was leading, that its crossing of the next row may lie
+_MISSING = 1  # rows without a crossing, that a ridge is followed over
+_BENT = 0.5  # of what it leans, that it may lie farther away
 _ROOM = 48  # crossings a row, made at first
 
 Smooth = NDArray[np.float64]
@@ -79,13 +83,13 @@ def crossings(
     room = _ROOM * image.shape[0]
     while True:
         row, flags = np.empty(room, np.int64), np.zeros(room, np.uint8)
-        values = np.empty((4, room))
+        values = np.empty((5, room))
         limits = np.array([sigma_px, bend_min, rise, *widths_px, white, noise], np.float64)
         count = _crossings(image, smooth, *slopes, *bends, limits, row, values, flags)
         if count <= room:
             break
         room = count
-    x_px, amplitude, background, width_px = values[:, :count].copy()
+    x_px, amplitude, background, width_px = values[:4, :count].copy()
     return Crossings(row[:count].copy(), x_px, amplitude, background, width_px, flags[:count].copy())
 
 
@@ -131,6 +135,7 @@ def _crossings(
                     values[0, count] = crossing
                     values[1, count], values[2, count] = measured[0], measured[1]
                     values[3, count] = measured[2] * size / nx_sum
+                    values[4, count] = -ny_sum / nx_sum
                     flags[count] = _flags(image, crossing, y, limits[0], limits[5])
                 if good:
                     kept_x, kept = crossing, strongest
@@ -145,7 +150,47 @@ def _crossings(
                 nx_sum += near * nx
                 ny_sum += near * ny
                 x_last = at
-    return count
+    if count > row.shape[0]:
+        return count
+    return _long(min(math.ceil(_LENGTH * limits[0]), rows), count, row, values, flags)
+
+
+@inlined
+def _long(rows_min: int, count: int, row: Integers, values: Floats, flags: NDArray[np.uint8]) -> int:
+    """Leave out what no ridge of so many rows runs through, in place; gives how many crossings are left.
+
+    A ridge goes on where it was leading. A hot pixel, a ripple of a JPEG, a bump of noise is bright in a row
+    or two; smoothing makes it round, and noise beside it long.
+    """
+    rows = np.ones((2, count), np.int64)
+    for way in range(2):
+        begin, upto = 0, 0
+        for i in range(count):
+            p = i if way == 0 else count - 1 - i
+            down = 1 if way == 0 else -1
+            # Crossings of the rows before, as far as they have been walked past.
+            while (
+                begin < i and down * (row[p] - row[begin if way == 0 else count - 1 - begin]) > _MISSING + 1
+            ):
+                begin += 1
+            upto = begin
+            while upto < i:
+                q = upto if way == 0 else count - 1 - upto
+                if row[q] == row[p]:
+                    break
+                lean = values[4, q] * (row[p] - row[q])
+                if abs(values[0, p] - values[0, q] - lean) <= _GONE_PX + _BENT * abs(lean):
+                    rows[way, p] = max(rows[way, p], rows[way, q] + 1)
+                upto += 1
+    kept = 0
+    for p in range(count):
+        if rows[0, p] + rows[1, p] - 1 < rows_min:
+            continue
+        row[kept], flags[kept] = row[p], flags[p]
+        for field in range(values.shape[0]):
+            values[field, kept] = values[field, p]
+        kept += 1
+    return kept
 
 
 @kernel

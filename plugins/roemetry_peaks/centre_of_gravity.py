@@ -10,6 +10,8 @@ from roemetry.records import Frame, Peaks
 from roemetry.stages import Capabilities, Extractor, StageOptions
 from roemetry_peaks.options import PeakOptions
 
+_BEYOND_LINEAR = 3.5  # see `roemetry_peaks.finding.found`; found by drawing
+
 
 class CentreOfGravityOptions(PeakOptions):
     """Options of `CentreOfGravity`."""
@@ -34,4 +36,6 @@ class CentreOfGravity(Extractor[CentreOfGravityOptions]):
         from roemetry_kernels.centre_of_gravity import centres_of_gravity
         from roemetry_peaks.finding import found
 
-        return found(frame, self.options, centres_of_gravity, self.options.reach_sigmas)
+        return found(
+            frame, self.options, centres_of_gravity, self.options.reach_sigmas, beyond_linear=_BEYOND_LINEAR
+        )

@@ -36,6 +36,7 @@ def found(
     centres: Callable[..., None],
     *settings: Any,
     weighs_speckle: bool = False,
+    beyond_linear: float = 0.0,
 ) -> Peaks:
     """Find the stripes of a frame and measure the centre of each by a kernel.
 
@@ -51,6 +52,9 @@ def found(
         What else the kernel takes.
     weighs_speckle
         Whether the centres depend on the speckle's contrast, and not only what is stated of them.
+    beyond_linear
+        By which share, over the contrast's square, speckle scatters these centres more than each pixel's pull
+        on them tells: a strong one changes the pulls themselves. Found by drawing.
     """
     pixels = plain_layout(grey(frame))
     area = searched(frame, options.region)
@@ -63,6 +67,7 @@ def found(
     x_px, x_std_px = np.empty((2, stripes.row.shape[0]))
     levels, columns = pixels.reshape(-1), pixels.shape[1]
     noise = noise_of(frame, options, stripes, sought=weighs_speckle or frame.sensor is not None)
+    noise[_CONTRAST] *= math.sqrt(1.0 + beyond_linear * noise[_CONTRAST] ** 2)
     centres(levels, columns, stripes, frame.white, noise, x_px, x_std_px, *settings)
     fields: dict[str, Any] = {
         "row": stripes.row,

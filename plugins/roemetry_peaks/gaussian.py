@@ -8,6 +8,8 @@ from roemetry.records import Frame, Peaks
 from roemetry.stages import Capabilities, Extractor, StageOptions
 from roemetry_peaks.options import PeakOptions
 
+_BEYOND_LINEAR = 6.0  # see `roemetry_peaks.finding.found`; found by drawing
+
 
 class GaussianOptions(PeakOptions):
     """Options of `Gaussian`."""
@@ -25,4 +27,4 @@ class Gaussian(Extractor[GaussianOptions]):
         from roemetry_kernels.gaussian_fit import gaussian_centres
         from roemetry_peaks.finding import found
 
-        return found(frame, self.options, gaussian_centres, weighs_speckle=True)
+        return found(frame, self.options, gaussian_centres, weighs_speckle=True, beyond_linear=_BEYOND_LINEAR)

@@ -10,6 +10,8 @@ from roemetry.records import Frame, Peaks
 from roemetry.stages import Capabilities, Extractor, StageOptions
 from roemetry_peaks.options import PeakOptions
 
+_BEYOND_LINEAR = 3.0  # see `roemetry_peaks.finding.found`; found by drawing
+
 
 class LogParabolaOptions(PeakOptions):
     """Options of `LogParabola`."""
@@ -30,4 +32,4 @@ class LogParabola(Extractor[LogParabolaOptions]):
         from roemetry_peaks.finding import found
 
         points = 3 if self.options.points == "three" else 5
-        return found(frame, self.options, log_parabola_centres, points)
+        return found(frame, self.options, log_parabola_centres, points, beyond_linear=_BEYOND_LINEAR)

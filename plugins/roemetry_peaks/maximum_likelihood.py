@@ -13,6 +13,7 @@ from roemetry.arrays import Flags, Floats, Integers
 from roemetry.records import EDGE, SATURATED, Frame, Peaks, Reason
 from roemetry.stages import Capabilities, Extractor, StageOptions
 from roemetry_kernels.grey_levels import grey, plain_layout, scaled_level
+from roemetry_peaks.clipped_tops import middles_of_flanks
 from roemetry_peaks.noise_file import noise_of_file
 from roemetry_peaks.region import searched
 from roemetry_peaks.speckle import TILES, StripeNoise, noise_from, rows_of, tile_of
@@ -106,6 +107,7 @@ class MaximumLikelihood(Extractor[MaximumLikelihoodOptions]):
             noise = _noise_as_told(self.options, noise.variance, noise.gain)
         at = found.starts
         fit = fitted(image, frame.white, found, noise, np.arange(at.row.shape[0]))
+        middles_of_flanks(fit, image, frame.white, found)
         kept = self._kept(fit, found, noise, frame.white)
         order: Any = slice(None) if kept.all() else np.flatnonzero(kept)
         if not _apart(at.row[order], fit.x_px[order], fit.sigma_px[order]).all():

@@ -79,8 +79,7 @@ class Steger(Extractor[StegerOptions]):
 
         noise = math.sqrt(max(background_noise(image) ** 2, rounding_variance(image)))
         if options.threshold == "auto":
-            # White noise that is smoothed in two dimensions.
-            rise = max(_NOISES * noise / (2.0 * math.sqrt(math.pi) * sigma), scaled_level(_LEVELS_MIN, frame))
+            rise = max(_NOISES * noise * _noise_left(plain, image.shape[0]), scaled_level(_LEVELS_MIN, frame))
         else:
             rise = scaled_level(options.threshold, frame)
         found = crossings(
@@ -114,6 +113,16 @@ class Steger(Extractor[StegerOptions]):
             correlation_rows=sigma,
             reasons=doubts(image, frame.white, found.row[order], found.x_px[order], found.width_px[order]),
         )
+
+
+def _noise_left(plain: np.ndarray, rows: int) -> float:
+    """Give what the smoothing leaves of white noise, halfway down an image; borders are repeated.
+
+    Along the rows the image is taken as long: where there are few rows, each of them counts several times.
+    """
+    reach = plain.size // 2
+    of_row = np.bincount(np.clip(rows // 2 + np.arange(-reach, reach + 1), 0, rows - 1), plain)
+    return float(np.linalg.norm(plain) * np.linalg.norm(of_row))
 
 
 def _filters(sigma: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -10,6 +10,8 @@ from roemetry.records import Frame, Peaks
 from roemetry.stages import Capabilities, Extractor, StageOptions
 from roemetry_peaks.options import PeakOptions
 
+_BEYOND_LINEAR = 1.0  # see `roemetry_peaks.finding.found`; found by drawing
+
 
 class ZeroCrossingOptions(PeakOptions):
     """Options of `ZeroCrossing`."""
@@ -34,4 +36,4 @@ class ZeroCrossing(Extractor[ZeroCrossingOptions]):
         from roemetry_peaks.finding import found
 
         half_length = 0 if self.options.half_length == "auto" else self.options.half_length
-        return found(frame, self.options, zero_crossings, half_length)
+        return found(frame, self.options, zero_crossings, half_length, beyond_linear=_BEYOND_LINEAR)

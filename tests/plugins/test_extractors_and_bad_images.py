@@ -33,13 +33,6 @@ WHOLE_PIXEL = {"dominant-peak": "the last pixel of a flat top counts"}
 
 NARROW = {"steger": "a flat top much wider than its filter has no ridge in the middle"}
 
-FLANKS = {**NARROW, "maximum-likelihood": "two or three lit pixels a flank fit no Gaussian: nothing is given"}
-
-SHORT_RIDGES = {
-    "steger": "a hot pixel, a ripple of JPEG, a bump of noise in a single row are short ridges, too"
-}
-"""Gives single false peaks beside sound ones, by its method: what is shorter than a stripe is the coder's."""
-
 ROWS, COLUMNS = 96, 320
 REST_PX = np.array([60.0, 130.0, 200.0, 270.0])
 
@@ -170,7 +163,7 @@ def test_stripes_cut_off_at_white(name: str, rng: np.random.Generator) -> None:
     assert (peaks.flags[near] & SATURATED).all(), "a top at white is told"
     if name not in WHOLE_PIXEL:
         only_right(name, peaks, x_px, 3.0 if name in NARROW else 1.0)
-        assert name in BY_METHOD or name in FLANKS or found_share(peaks, x_px, 1.0) >= 0.8
+        assert name in BY_METHOD or name in NARROW or found_share(peaks, x_px, 1.0) >= 0.8
 
 
 @every_extractor
@@ -234,7 +227,7 @@ def test_jpeg_blocks(name: str, quality: int, rng: np.random.Generator) -> None:
     peaks = extracted(name, cv2.imdecode(packed, cv2.IMREAD_GRAYSCALE))
     assert peaks is not None
     assert found_share(peaks, x_px, 1.5) >= 0.99
-    if name not in BY_METHOD and name not in SHORT_RIDGES:
+    if name not in BY_METHOD:
         # the ringing beside a stripe is light in the image: a few of its ripples may pass, no more
         distance = np.abs(x_px[:, peaks.row] - peaks.x_px).min(axis=0)
         assert (distance[stripes_of(peaks)] > 1.5).mean() <= 0.01
@@ -261,7 +254,7 @@ def test_hot_pixels_are_no_stripes(name: str, rng: np.random.Generator) -> None:
     assert peaks is not None
     assert found_share(peaks, x_px, 2.0) >= 0.98
     if "width_min_px" in type(made(name)).Options.model_fields:
-        only_right(name, peaks, x_px, COLUMNS if name in SHORT_RIDGES else 3.0)
+        only_right(name, peaks, x_px, 3.0)
 
 
 @every_extractor
@@ -328,7 +321,7 @@ def test_slivers(name: str, shape: tuple[int, int], rng: np.random.Generator) ->
     x_px = centres(rows=shape[0])
     pixels = camera(light(x_px), rng)[:, : shape[1]]
     peaks = extracted(name, np.ascontiguousarray(pixels[: shape[0]]))
-    only_right(name, peaks, x_px, COLUMNS if name in SHORT_RIDGES else 1.5)
+    only_right(name, peaks, x_px, 1.5)
 
 
 @every_extractor
