@@ -56,7 +56,7 @@ MESHES: Mapping[str, VolumeEstimator[Any]] = {
 }
 """Hundreds of times as slow: measured on the first skeins only."""
 _ONLY_ELEVEN = ("slice-pchip, ends: none", "surface-mesh, ball-pivoting", "surface-mesh, alpha-shape")
-_SOURCES = ("roemetry_volume", "roemetry_open3d", "roemetry_paper", "roemetry_kernels")
+_SOURCES = ("roemetry_volume", "roemetry_open3d", "roemetry_paper", "roemetry_kernels", "roemetry_peaks")
 STEPS = {41: 1, 21: 2, 11: 4, 9: 5, 6: 8, 5: 10, 3: 20}
 """How many stripes remain when each so many of 41 is kept."""
 
@@ -84,6 +84,7 @@ def main() -> None:
     parser.add_argument("--meshes", type=int, default=20, help="skeins to lay meshes through, the first ones")
     parser.add_argument("--images", type=int, default=60, help="skeins to render")
     parser.add_argument("--images-from", type=int, default=90000, help="first seed of those")
+    parser.add_argument("--draws", type=int, default=200, help="of each skein from images")
     parser.add_argument("--no-render", action="store_true", help="only those images that the cache holds")
     parser.add_argument("--cache", type=Path, default=Path(tempfile.gettempdir()) / "roemetry-volume")
     parser.add_argument("--page", type=Path, default=Path("docs/explanation/volume.md"))
@@ -96,7 +97,7 @@ def main() -> None:
     ]
     seeds = range(given.images_from, given.images_from + given.images)
     rendered = [seed for seed in seeds if not given.no_render or is_rendered(seed, given.cache)]
-    pictures, refusals = image_rows(rendered, given.cache, ESTIMATORS)
+    pictures, refusals = image_rows(rendered, given.cache, ESTIMATORS, draws=given.draws, code=code)
     asked = Seeds(given.first, given.count, given.meshes, given.images, given.images_from)
     text = page(rows, pictures, refusals, asked, given.page.parent.parent / "images")
     given.page.write_text(text, encoding="utf-8")

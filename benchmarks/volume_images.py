@@ -2,75 +2,146 @@
 
 from __future__ import annotations
 
+import json
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.volume_scenes import HERRING_ROE, exact_skein, skein
+from benchmarks.volume_scenes import HERRING_ROE, calibration_of, skein
 from roemetry.assembling import assemble
 from roemetry.calibration import Calibration
 from roemetry.errors import RoemetryError
+from roemetry.files import write_whole
 from roemetry.pipeline import undecided
-from roemetry.records import Frame, Product, Profiles, StripeMap
-from roemetry.scene import Scene
-from roemetry.stages import VolumeEstimator
+from roemetry.propagation.drawing import Drawn
+from roemetry.propagation.scene import Chain, Scene
+from roemetry.records import Frame, Outline, Product, Profiles, StripeMap, Volume
+from roemetry.scene import Scene as SceneFile
+from roemetry.stages import StageOptions, Triangulator, VolumeEstimator
 from roemetry_paper.window_tracking import WindowTracking
-from roemetry_peaks.centre_of_gravity import CentreOfGravity
+from roemetry_peaks.maximum_likelihood import MaximumLikelihood
 from roemetry_simulate import scene_rig
 from roemetry_simulate.render import render
 from roemetry_volume.edge_contour import EdgeContour, EdgeContourOptions
 
+_FUSING = "outline-surface"
+
 
 class Pictured(NamedTuple):
-    """One estimate from images; error and uncertainty relative to the true visible volume."""
+    """One estimate from images, relative to the true visible volume.
+
+    `std` is that of all draws, NaN where the estimator states none; `model_std` is the estimator's own.
+    """
 
     seed: int
     estimator: str
     outline: str
     error: float
     std: float
+    model_std: float
     defect: str
     true_share: float
 
 
+class TruePlanes(Triangulator[StageOptions]):
+    """Meets the rays of coded peaks with the planes of the calibration's view, which are the true ones."""
+
+    Options = StageOptions
+
+    def triangulate(self, stripes: StripeMap, calibration: Calibration) -> Profiles:
+        """Give slices in the belt frame."""
+        return lifted(stripes, calibration)
+
+
 def image_rows(
-    seeds: Sequence[int], cache: Path, estimators: Mapping[str, VolumeEstimator[Any]]
+    seeds: Sequence[int],
+    cache: Path,
+    estimators: Mapping[str, VolumeEstimator[Any]],
+    *,
+    draws: int,
+    code: str,
 ) -> tuple[list[Pictured], list[str]]:
-    """Measure skeins from their images, with and without the plain-light one; also what was refused."""
+    """Measure skeins from their images, with and without the plain-light one; also what was refused.
+
+    What was measured with the same code, by its hash, is taken from the cache.
+    """
     rows, refusals = [], []
     for seed in seeds:
-        one = exact_skein(seed, 11, cache)
-        laser, plain = images(seed, cache)
-        for outline in ("plain", "laser"):
-            try:
-                product = measured(laser, plain, one.product.calibration, outline)
-            except RoemetryError as error:
-                if outline == "plain":
-                    refusals.append(f"{seed}: {str(error).splitlines()[0]}")
-                continue
-            for name, estimator in estimators.items():
-                if outline == "laser" and name != "outline-surface":
-                    continue
-                try:
-                    volume = estimator.estimate(product)
-                except RoemetryError as error:
-                    refusals.append(f"{seed}, `{name}`: {str(error).splitlines()[0]}")
-                    continue
-                found = volume.visible_mm3
-                rows.append(
-                    Pictured(
-                        seed,
-                        name,
-                        outline,
-                        found.value / one.visible_mm3 - 1.0,
-                        found.std / one.visible_mm3,
-                        one.defect,
-                        one.true_mm3 / one.visible_mm3,
-                    )
-                )
+        path = cache / f"{seed}_{code}_{draws}_images.json"
+        if not path.exists():
+            write_whole(path, json.dumps(_of_one(seed, cache, estimators, draws)))
+        mine, refused = json.loads(path.read_text("utf-8"))
+        rows += [Pictured(*row) for row in mine]
+        refusals += refused
     return rows, refusals
+
+
+def _of_one(
+    seed: int, cache: Path, estimators: Mapping[str, VolumeEstimator[Any]], draws: int
+) -> tuple[list[Pictured], list[str]]:
+    rig, drawn = skein(seed)
+    calibration, truth = calibration_of(rig), drawn.solid
+    laser, plain = images(seed, cache)
+    rows, refusals = [], []
+    for outline in ("plain", "laser"):
+        mine = estimators if outline == "plain" else {_FUSING: estimators[_FUSING]}
+        try:
+            stripes, contours = coded(laser, plain, calibration, outline)
+            product = product_of(stripes, contours, calibration)
+        except RoemetryError as error:
+            if outline == "plain":
+                refusals.append(f"{seed}: {str(error).splitlines()[0]}")
+            continue
+        found: dict[str, Volume] = {}
+        for name, estimator in mine.items():
+            try:
+                found[name] = estimator.estimate(product)
+            except RoemetryError as error:
+                refusals.append(f"{seed}, `{name}`: {str(error).splitlines()[0]}")
+        scene = Scene(str(seed), stripes, contours, calibration)
+        stds = drawn_stds(
+            {name: mine[name] for name in found}, scene, draws, np.random.default_rng([seed, 7])
+        )
+        rows += [
+            Pictured(
+                seed,
+                name,
+                outline,
+                volume.visible_mm3.value / truth.visible_volume_mm3 - 1.0,
+                stds[name] / truth.visible_volume_mm3,
+                volume.visible_mm3.std / truth.visible_volume_mm3,
+                drawn.truth.defect,
+                truth.true_volume_mm3 / truth.visible_volume_mm3,
+            )
+            for name, volume in found.items()
+        ]
+    return rows, refusals
+
+
+def drawn_stds(
+    estimators: Mapping[str, VolumeEstimator[Any]], scene: Scene, draws: int, rng: np.random.Generator
+) -> dict[str, float]:
+    """Draw peaks, outline and each estimator's own error as a run does; all estimators on the same draws.
+
+    NaN where the estimator does not state its error, or more than a twentieth of the draws are refused.
+    """
+    drawing = Drawn(scene, Chain(TruePlanes(), None, None, None), rng)
+    stating = {name: one for name, one in estimators.items() if one.states_model_error}
+    values: dict[str, list[float]] = {name: [] for name in stating}
+    for products in drawing.scenes(draws, drawing.causes):
+        for name, estimator in stating.items():
+            try:
+                values[name].append(estimator.estimate(products[1], rng=rng).visible_mm3.value)
+            except (RoemetryError, KeyError):
+                continue
+    enough = 0.95 * draws
+    return {
+        name: float(np.std(values[name], ddof=1)) if len(values.get(name, ())) >= enough else math.nan
+        for name in estimators
+    }
 
 
 def is_rendered(seed: int, cache: Path) -> bool:
@@ -83,7 +154,7 @@ def images(seed: int, cache: Path) -> tuple[Frame, Frame]:
     path = cache / f"{seed}_images.npz"
     if not path.exists():
         rig, drawn = skein(seed)
-        scene = Scene.load(HERRING_ROE).simulator.options
+        scene = SceneFile.load(HERRING_ROE).simulator.options
         surface = scene_rig.surface_of(scene, seed)  # type: ignore[arg-type]
         kept = {
             name: render(rig, drawn.solid, surface, seed=seed, plain=name == "plain")
@@ -98,12 +169,24 @@ def images(seed: int, cache: Path) -> tuple[Frame, Frame]:
 
 def measured(laser: Frame, plain: Frame, calibration: Calibration, outline: str) -> Product:
     """Take the images of one product through extraction, coding, true planes and outline."""
-    stripes = WindowTracking().code(CentreOfGravity().extract(laser), calibration)
+    stripes, contours = coded(laser, plain, calibration, outline)
+    return product_of(stripes, contours, calibration)
+
+
+def coded(
+    laser: Frame, plain: Frame, calibration: Calibration, outline: str
+) -> tuple[StripeMap, tuple[Outline, ...]]:
+    """Extract, code, and look for the outline in the image that `outline` names."""
+    stripes = WindowTracking().code(MaximumLikelihood().extract(laser), calibration)
     doubt = undecided(stripes)
     if doubt is not None:  # as a run has it
         raise RoemetryError(doubt.text)
     outliner = EdgeContour(EdgeContourOptions(light="plain" if outline == "plain" else "laser"))
-    contours = outliner.outline(laser, plain, stripes, calibration)
+    return stripes, outliner.outline(laser, plain, stripes, calibration)
+
+
+def product_of(stripes: StripeMap, contours: tuple[Outline, ...], calibration: Calibration) -> Product:
+    """Give the one product that was coded."""
     products = assemble(
         lifted(stripes, calibration), contours, calibration, "images", stripes.reasons, calibration.view
     )

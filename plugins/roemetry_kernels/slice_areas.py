@@ -7,10 +7,10 @@ import numpy as np
 from roemetry.arrays import Flags, Floats, Integers, Labels
 from roemetry_kernels.compiling import kernel
 
-AT, AREA, SEEN, BRIDGED, FILLED, WIDTH, HOLE, TOP, LOW, COUNT, FIRST_ROW, LAST_ROW, CLEFT = range(13)
+AT, AREA, SEEN, BRIDGED, FILLED, WIDTH, HOLE, TOP, LOW, COUNT, FIRST_ROW, LAST_ROW, CLEFT, LOOSE = range(14)
 """Columns of the table: rest X (mm); area (mm²) and its parts by kind of point; width (mm); length left out
 as a hole (mm); highest and lowest Z (mm); number of points; first and last row (px); how deep the surface
-falls between two humps, over the lower one."""
+falls between two humps, over the lower one; area bridged beyond the outermost points that were seen (mm²)."""
 
 _STEP_MAX = 1.5  # rows; a larger step between neighbours means that rows are missing
 _HOLE_SHARE = 0.3
@@ -51,13 +51,13 @@ def slice_areas(
 
     Returns
     -------
-    table : ndarray, shape (slice, 13)
+    table : ndarray, shape (slice, 14)
         Columns as named above; in the order of `Profiles`.
     ordered : bool
         False where a slice's points are not in the order of rows: then the table is not valid.
     """
     slices, points = product.shape
-    table = np.zeros((slices, 13))
+    table = np.zeros((slices, 14))
     low_y, high_y = np.inf, -np.inf
     length, rows = 0.0, 0.0
     ordered = True
@@ -141,6 +141,7 @@ def _area(
     out[CLEFT] = _cleft(xyz_mm, on, count)
     widest = _GAP_SHARE * abs(xyz_mm[on[count - 1], 1] - xyz_mm[on[0], 1])
     fan = y0, slope_y, slope_z, wall
+    first, last = _outermost_seen(seen, on, count)
     for m in range(count):
         k = on[m]
         y, z = xyz_mm[k, 1], xyz_mm[k, 2]
@@ -158,6 +159,19 @@ def _area(
         out[WIDTH] += span
         out[AREA] += part
         out[SEEN if seen[k] else BRIDGED] += abs(part)
+        if m < first or m > last:
+            out[LOOSE] += abs(part)
+
+
+@kernel
+def _outermost_seen(seen: Flags, on: Integers, count: int) -> tuple[int, int]:
+    """First and last place among a slice's points that was seen; of none, all are beyond."""
+    first, last = count, count
+    for m in range(count):
+        if seen[on[m]]:
+            first = min(first, m)
+            last = m
+    return first, last
 
 
 @kernel

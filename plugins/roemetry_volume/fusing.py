@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from roemetry.arrays import Floats
+from roemetry.arrays import Flags, Floats, Integers
 from roemetry.records import Product
 from roemetry.view import View
 from roemetry_volume.rim import Rim, StripePoints, ends_of, rim_of
@@ -74,15 +74,32 @@ class Fused:
 
 
 def points_of(product: Product) -> StripePoints:
-    """Give the product's points, slice after slice, down the rows."""
+    """Give the product's points, slice after slice, down the rows.
+
+    What a coder has bridged beyond the outermost points it saw of a slice runs down to the belt beside the
+    product, and is no part of its surface: left out, as are slices of which nothing was seen.
+    """
     profiles = product.profiles
     mine = (profiles.product == product.number) & np.isfinite(profiles.xyz_mm[..., 2])
     slices, index = np.nonzero(mine)
     order = np.lexsort((profiles.row_px[slices, index], slices))
     slices, index = slices[order], index[order]
+    held = _between_seen(slices, profiles.seen[slices, index])
+    slices, index = slices[held], index[held]
     _, number = np.unique(slices, return_inverse=True)
     first = np.append(np.flatnonzero(np.diff(number, prepend=-1)), number.size)
     return StripePoints(profiles.xyz_mm[slices, index], number, first)
+
+
+def _between_seen(slices: Integers, seen: Flags) -> Flags:
+    """Say which points lie between the outermost seen ones of their slice."""
+    place = np.arange(slices.size)
+    first = np.full(int(slices.max(initial=-1)) + 1, slices.size)
+    last = np.full(first.size, -1)
+    np.minimum.at(first, slices[seen], place[seen])
+    np.maximum.at(last, slices[seen], place[seen])
+    held: Flags = (place >= first[slices]) & (place <= last[slices])
+    return held
 
 
 def fuse(product: Product, view: View, contour_px: Floats) -> Fused:

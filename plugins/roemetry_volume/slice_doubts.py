@@ -12,8 +12,6 @@ from roemetry_volume.slice_table import Slices
 _UNSEARCHED_ROWS = 1  # at the image's top and bottom: extractors may leave them out
 _BELOW_MM = 1.0
 _WAIST = 0.35
-_CLEFT = 0.3  # single skeins, dented and folded ones too, are deeper on one stripe at the most
-_CLEFT_SLICES = 3
 
 
 def reasons_of(product: Product, slices: Slices, caps: Sequence[float] = ()) -> tuple[Reason, ...]:
@@ -72,15 +70,6 @@ def reasons_of(product: Product, slices: Slices, caps: Sequence[float] = ()) -> 
                 "waist",
                 f"the slice of stripe {slices.stripe[waist] + 1} has under {_WAIST:.0%} of the area on both "
                 "sides of it: perhaps two products that touch, measured as one",
-            )
-        )
-    cloven = int((table[:, columns.CLEFT] > _CLEFT).sum())
-    if cloven >= max(_CLEFT_SLICES, len(table) / 3.0):
-        reasons.append(
-            Reason(
-                "cleft",
-                f"on {cloven} of {len(table)} stripes the surface falls by over {_CLEFT:.0%} between two "
-                "humps: perhaps two products side by side, measured as one",
             )
         )
     first, last = table[:, columns.FIRST_ROW].min(), table[:, columns.LAST_ROW].max()

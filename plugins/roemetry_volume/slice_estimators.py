@@ -16,10 +16,13 @@ from roemetry_volume.slice_table import Slices, slices_of
 from roemetry_volume.underside import estimate_of, true_volume
 
 # chosen so that 95 % intervals hold the truth as often as they say: docs/reference/plugins/slice-pchip.md
-_TAPER_STD = 0.14  # of a tapered cap's volume
-_BETWEEN = 0.45  # of what leaving a slice out changes: with it, the gap is half as wide
-_RULES_APART = 1.5  # a rectangle's half width over its standard deviation would be 1.73
-_AREAS_STD = 0.002  # of the volume: walls and ends of the slices themselves, however many there are
+_TAPER_STD = 0.13  # of a tapered cap's volume
+_BETWEEN = 0.42  # of what leaving a slice out changes: with it, the gap is half as wide
+_RULES_APART = 1.4  # a rectangle's half width over its standard deviation would be 1.73
+_AREAS_STD = 0.003  # of the volume: walls and ends of the slices themselves, however many there are
+_LOOSE = 1.0 / math.sqrt(3.0)  # of what is bridged beyond a slice's seen points: none of it, or twice as much
+_OVER_GAP = 0.1  # of what a straight line fills: a dome rises over it by some tenth
+_BLUNT_STD = 2.0 / math.sqrt(12.0)  # of a cap of half the way to the next stripe
 _OPEN_SPACINGS = 2.0
 _OPEN_SHARE = 0.2  # of the product's lit length; beyond either, an open end's taper is not believed
 
@@ -63,7 +66,9 @@ class _SliceEstimator(VolumeEstimator[SliceOptions]):
             )
         budget = {
             "between slices": math.hypot(_between_std(slices, slope, between), _AREAS_STD * volume),
-            "ends": math.hypot(*(_cap_std(one) for one in caps)),
+            "slice ends": _LOOSE * float(slices.loose_mm2 @ slices.held_mm),
+            "gaps": _OVER_GAP * float(slices.filled_mm2 @ slices.held_mm),
+            "ends": math.hypot(*(self._cap_std(slices, end, one) for end, one in enumerate(caps))),
         }
         if rng is not None:
             volume += sum(std * rng.standard_normal() for std in budget.values())
@@ -80,18 +85,29 @@ class _SliceEstimator(VolumeEstimator[SliceOptions]):
 
     def _cap(self, slices: Slices, end: int) -> tuple[float, float, float, float]:
         """Volume, length, slope and kind of what lies beyond an outer slice."""
-        from roemetry_kernels.slice_rules import BLUNT, NO_CAP, cap
+        from roemetry_kernels.slice_rules import BLUNT, NO_CAP
 
-        reach, limited = slices.reach_mm[end], slices.limited[end]
         if self.options.ends == "none":
             return 0.0, 0.0, math.nan, NO_CAP
         if self.options.ends == "hold":
-            length = 0.5 * reach
+            length = 0.5 * slices.reach_mm[end]
             return length * float(slices.area_mm2[-end]), length, math.nan, BLUNT
-        span = float(slices.t_mm[-1] - slices.t_mm[0])
-        within = reach if limited else max(_OPEN_SPACINGS * reach, _OPEN_SHARE * span)
-        found: tuple[float, float, float, float] = cap(slices.t_mm, slices.area_mm2, end, within, limited)
-        return found
+        return _tapered(slices, end)
+
+    def _cap_std(self, slices: Slices, end: int, one: tuple[float, float, float, float]) -> float:
+        """Say how far a cap may be off, mm³; of a blunt end anything up to the next stripe is possible.
+
+        An area that is held although the slices taper is off by what the taper says otherwise.
+        """
+        from roemetry_kernels.slice_rules import TAPERED
+
+        if one[3] == TAPERED:
+            return _TAPER_STD * abs(one[0])
+        if self.options.ends == "hold":
+            taper = _tapered(slices, end)
+            if taper[3] == TAPERED:
+                return math.hypot(_TAPER_STD * taper[0], taper[0] - one[0])
+        return _BLUNT_STD * abs(one[0])
 
     def _true(
         self,
@@ -153,11 +169,15 @@ def _between_std(slices: Slices, slope: np.ndarray, between: float) -> float:
     return math.hypot(_BETWEEN * unevenness(slices.t_mm, slices.area_mm2), (smooth - between) / _RULES_APART)
 
 
-def _cap_std(one: tuple[float, float, float, float]) -> float:
-    """Say how far a cap may be off, mm³; of a blunt end anything up to the next stripe is possible."""
-    from roemetry_kernels.slice_rules import BLUNT
+def _tapered(slices: Slices, end: int) -> tuple[float, float, float, float]:
+    """Give the cap by the slices' taper, as far as that is believed."""
+    from roemetry_kernels.slice_rules import cap
 
-    return abs(one[0]) * (2.0 / math.sqrt(12.0) if one[3] == BLUNT else _TAPER_STD)
+    reach, limited = slices.reach_mm[end], slices.limited[end]
+    span = float(slices.t_mm[-1] - slices.t_mm[0])
+    within = reach if limited else max(_OPEN_SPACINGS * reach, _OPEN_SHARE * span)
+    found: tuple[float, float, float, float] = cap(slices.t_mm, slices.area_mm2, end, within, limited)
+    return found
 
 
 def _shares(slices: Slices, caps: list[tuple[float, float, float, float]]) -> Shares:

@@ -13,6 +13,10 @@ from roemetry.errors import StageError
 from roemetry.records import Product, Profiles
 
 LEAST_SLICES = 3
+_CLEFT = (
+    0.3  # of the lower hump; single skeins, dented and folded ones too, fall deeper on one stripe at most
+)
+_CLEFT_SLICES = 3
 
 
 class Slices(NamedTuple):
@@ -22,9 +26,10 @@ class Slices(NamedTuple):
     ----------
     stripe : ndarray of int64, shape (n,)
         Stripe of each.
-    t_mm, area_mm2, width_mm, held_mm : ndarray of float64, shape (n,)
-        Rest X; area; extent along Y; half the ways to both neighbours.
-    table : ndarray of float64, shape (n, 13)
+    t_mm, area_mm2, width_mm, loose_mm2, filled_mm2, held_mm : ndarray of float64, shape (n,)
+        Rest X; area; extent along Y; of the area, what was bridged beyond the outermost points that were
+        seen, and what a straight line fills over missing rows; half the ways to both neighbours.
+    table : ndarray of float64, shape (n, 14)
         All columns of `roemetry_kernels.slice_areas`.
     reach_mm, limited : tuple
         At both ends: distance to the next stripe (the mean spacing where there is none), and whether there
@@ -39,6 +44,8 @@ class Slices(NamedTuple):
     t_mm: Floats
     area_mm2: Floats
     width_mm: Floats
+    loose_mm2: Floats
+    filled_mm2: Floats
     held_mm: Floats
     table: Floats
     reach_mm: tuple[float, float]
@@ -55,7 +62,8 @@ def slices_of(product: Product) -> Slices:
     Raises
     ------
     StageError
-        Fewer than three stripes lie on the product, or a plane of light runs along X.
+        Fewer than three stripes lie on the product, it looks like two side by side, or a plane of light runs
+        along X.
     """
     from roemetry_kernels import slice_areas as columns
     from roemetry_kernels import slice_order as order
@@ -78,6 +86,7 @@ def slices_of(product: Product) -> Slices:
     if not told[order.LEAST_GAP] > 0.0:
         raise StageError("two slices lie at the same place", hint="one slice for each stripe and frame")
     rows = table[lit]
+    _refuse_cloven(rows)
     ends = [told[order.BEFORE], told[order.AFTER]]
     limited = [not math.isnan(end) for end in ends]
     before, after = (end if known else told[order.USUAL] for end, known in zip(ends, limited, strict=True))
@@ -86,6 +95,8 @@ def slices_of(product: Product) -> Slices:
         t_mm=rows[:, columns.AT].copy(),
         area_mm2=rows[:, columns.AREA].copy(),
         width_mm=rows[:, columns.WIDTH].copy(),
+        loose_mm2=rows[:, columns.LOOSE].copy(),
+        filled_mm2=rows[:, columns.FILLED].copy(),
         held_mm=held,
         table=rows,
         reach_mm=(before, after),
@@ -95,6 +106,19 @@ def slices_of(product: Product) -> Slices:
         joined_mm3=told[order.JOINED_MM3],
         assumed_mm3=told[order.ASSUMED_MM3],
     )
+
+
+def _refuse_cloven(rows: Floats) -> None:
+    """Refuse what falls deep between two humps on so many stripes that it is hardly one product."""
+    from roemetry_kernels.slice_areas import CLEFT
+
+    deep = int((rows[:, CLEFT] > _CLEFT).sum())
+    if deep >= max(_CLEFT_SLICES, len(rows) / 3.0):
+        raise StageError(
+            f"on {deep} of {len(rows)} stripes the surface falls by over {_CLEFT:.0%} between two humps: two "
+            "products side by side, coded as one, have no volume in common",
+            hint="keep products apart on the belt",
+        )
 
 
 def table_of(profiles: Profiles, number: int) -> Floats:
