@@ -34,7 +34,9 @@ def lines_of(product: Product) -> tuple[tuple[Line, ...], tuple[Reason, ...]]:
         both of its rims.
     """
     profiles = product.profiles
-    mine = (profiles.product == product.number) & np.isfinite(profiles.xyz_mm[..., 2])
+    mine = _between_seen(
+        (profiles.product == product.number) & np.isfinite(profiles.xyz_mm[..., 2]), profiles.seen
+    )
     lit = np.flatnonzero(mine.sum(axis=1) >= _LEAST_POINTS)
     if lit.size < LEAST_LINES:
         raise StageError(
@@ -60,6 +62,15 @@ def lines_of(product: Product) -> tuple[tuple[Line, ...], tuple[Reason, ...]]:
             gaps.append(stripe)
         lines.append(line)
     return tuple(lines), _reasons(lit, profiles.stripe, gaps)
+
+
+def _between_seen(mine: Flags, seen: Flags) -> Flags:
+    """Keep the points between the outermost seen ones of each slice: bridges beyond run down to the belt."""
+    lit = mine & seen
+    begun = np.logical_or.accumulate(lit, axis=1)
+    to_come = np.logical_or.accumulate(lit[:, ::-1], axis=1)[:, ::-1]
+    kept: Flags = mine & begun & to_come
+    return kept
 
 
 def _has_gap(line: Line, stripe: int) -> bool:

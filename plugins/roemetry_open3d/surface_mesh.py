@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Literal
 
 import numpy as np
@@ -10,6 +11,7 @@ from pydantic import Field
 from roemetry.errors import StageError
 from roemetry.records import Estimate, Product, Reason, Shares, Volume
 from roemetry.stages import Capabilities, StageOptions, VolumeEstimator
+from roemetry_open3d.mesh_budget import budget_of
 from roemetry_open3d.meshing import mesh_of
 from roemetry_open3d.sheet import Sheet, sheet_of
 
@@ -26,13 +28,18 @@ class MeshOptions(StageOptions):
 
 
 class SurfaceMesh(VolumeEstimator[MeshOptions]):
-    """V = ∮ z dA over a closed mesh that stands on the belt. Its model's error is not stated."""
+    """V = ∮ z dA over a closed mesh that stands on the belt."""
 
     Options = MeshOptions
     capabilities = Capabilities(relative_tolerance=0.05)
 
+    @property
+    def states_model_error(self) -> bool:
+        """Whether all of the model's error is drawn."""
+        return True
+
     def estimate(self, product: Product, *, rng: np.random.Generator | None = None) -> Volume:
-        """Estimate the visible volume; `rng` changes nothing, for no error of the model is stated.
+        """Estimate the visible volume; with `rng` the model's own error is drawn, too.
 
         Raises
         ------
@@ -53,7 +60,12 @@ class SurfaceMesh(VolumeEstimator[MeshOptions]):
             reasons += (
                 Reason("mesh-mended", f"holes with {mesh.mended} edges in all were filled to close the mesh"),
             )
-        return Volume(Estimate(volume), None, _shares(sheet), reasons=reasons)
+        shares = _shares(sheet)
+        budget = budget_of(sheet, self.options.method, volume, shares.assumed)
+        if rng is not None:
+            volume += sum(std * rng.standard_normal() for std in budget.values())
+        std = math.hypot(*budget.values())
+        return Volume(Estimate(volume, std, budget), None, shares, reasons=reasons)
 
 
 def _shares(sheet: Sheet) -> Shares:

@@ -13,11 +13,14 @@ from roemetry.stages import Capabilities, VolumeEstimator
 from roemetry_volume.fusing import Fused, fuse
 from roemetry_volume.outline_doubts import outline_fault
 from roemetry_volume.slice_doubts import reasons_of
-from roemetry_volume.slice_estimators import SlicePchip
+from roemetry_volume.slice_estimators import SlicePchip, gaps_std
 from roemetry_volume.slice_options import SliceOptions
 from roemetry_volume.slice_table import Slices, slices_of
 from roemetry_volume.surface_budget import OUTLINE, budget_of
 from roemetry_volume.underside import UndersideOptions, estimate_of, true_volume
+
+_BEYOND = 0.03
+"""Of what lies beyond the outer slices: fillets and rolls reach far beyond them, roe hardly."""
 
 
 class OutlineSurface(VolumeEstimator[UndersideOptions]):
@@ -57,14 +60,16 @@ class OutlineSurface(VolumeEstimator[UndersideOptions]):
                 f"the surface encloses {volume:.4g} mm³: the points lie on or below the belt",
                 hint="look at the coding and the belt's zero",
             )
+        shares = _shares(fused, slices, product)
         budget = budget_of(fused, product.view, product.outline.xy_std_px)
+        budget |= {"gaps": gaps_std(slices), "ends": _BEYOND * shares.assumed * volume}
         if rng is not None:
             volume += sum(std * rng.standard_normal() for cause, std in budget.items() if cause != OUTLINE)
         visible = estimate_of(volume, budget)
         return Volume(
             visible_mm3=visible,
             true_mm3=true_volume(self.options, visible, float(fused.weight_mm2.sum()), rng),
-            shares=_shares(fused, slices, product),
+            shares=shares,
             slice_stripe=slices.stripe,
             slice_area_mm2=slices.area_mm2,
             slice_spacing_mm=slices.held_mm,

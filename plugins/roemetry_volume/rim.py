@@ -109,5 +109,6 @@ def rim_of(
         off = rim - design @ found
         limit = max(1.4826 * float(np.median(np.abs(off))), 0.1)
         weight = base / (1.0 + (off / (2.0 * limit)) ** 2)
-    std = float(np.sqrt((weight * (off**2 + spread[known] ** 2)).sum() / weight.sum() / (known.sum() / 3.0)))
+    # not less for many ends: what makes one end look low makes its neighbours look low
+    std = float(np.sqrt((weight * (off**2 + spread[known] ** 2)).sum() / weight.sum()))
     return Rim(found, scale, max(std, 0.1), is_dome)

@@ -17,12 +17,14 @@ from roemetry_volume.underside import estimate_of, true_volume
 
 # chosen so that 95 % intervals hold the truth as often as they say: docs/reference/plugins/slice-pchip.md
 _TAPER_STD = 0.13  # of a tapered cap's volume
+_OPEN_TAPER_STD = 0.35  # the same with no stripe beyond that shows belt
 _BETWEEN = 0.42  # of what leaving a slice out changes: with it, the gap is half as wide
 _RULES_APART = 1.4  # a rectangle's half width over its standard deviation would be 1.73
 _AREAS_STD = 0.003  # of the volume: walls and ends of the slices themselves, however many there are
 _LOOSE = 1.0 / math.sqrt(3.0)  # of what is bridged beyond a slice's seen points: none of it, or twice as much
 _OVER_GAP = 0.1  # of what a straight line fills: a dome rises over it by some tenth
 _BLUNT_STD = 2.0 / math.sqrt(12.0)  # of a cap of half the way to the next stripe
+_WALL_STD = 0.5 / math.sqrt(3.0)  # of the way that a plane leans over the height of an end wall
 _OPEN_SPACINGS = 2.0
 _OPEN_SHARE = 0.2  # of the product's lit length; beyond either, an open end's taper is not believed
 
@@ -67,7 +69,7 @@ class _SliceEstimator(VolumeEstimator[SliceOptions]):
         budget = {
             "between slices": math.hypot(_between_std(slices, slope, between), _AREAS_STD * volume),
             "slice ends": _LOOSE * float(slices.loose_mm2 @ slices.held_mm),
-            "gaps": _OVER_GAP * float(slices.filled_mm2 @ slices.held_mm),
+            "gaps": gaps_std(slices),
             "ends": math.hypot(*(self._cap_std(slices, end, one) for end, one in enumerate(caps))),
         }
         if rng is not None:
@@ -95,19 +97,24 @@ class _SliceEstimator(VolumeEstimator[SliceOptions]):
         return _tapered(slices, end)
 
     def _cap_std(self, slices: Slices, end: int, one: tuple[float, float, float, float]) -> float:
-        """Say how far a cap may be off, mm³; of a blunt end anything up to the next stripe is possible.
+        """Say how far a cap may be off, mm³.
 
-        An area that is held although the slices taper is off by what the taper says otherwise.
+        Of a blunt end anything up to the next stripe is possible, and a wall that leaning light sees or not;
+        of an open end without taper, that the product goes on as far as a taper would be believed. An area
+        that is held although the slices taper is off by what the taper says otherwise.
         """
-        from roemetry_kernels.slice_rules import TAPERED
+        from roemetry_kernels.slice_rules import NO_CAP, TAPERED
 
-        if one[3] == TAPERED:
-            return _TAPER_STD * abs(one[0])
-        if self.options.ends == "hold":
-            taper = _tapered(slices, end)
-            if taper[3] == TAPERED:
-                return math.hypot(_TAPER_STD * taper[0], taper[0] - one[0])
-        return _BLUNT_STD * abs(one[0])
+        if self.options.ends == "none":
+            return 0.0
+        taper = _tapered(slices, end) if self.options.ends == "hold" else one
+        area = float(slices.area_mm2[-end])
+        if taper[3] == TAPERED:
+            share = _TAPER_STD if slices.limited[end] else _OPEN_TAPER_STD
+            return math.hypot(share * taper[0], taper[0] - one[0])
+        if taper[3] == NO_CAP:
+            return _OPEN_SHARE * area * float(slices.t_mm[-1] - slices.t_mm[0])
+        return math.hypot(_BLUNT_STD * one[0], _WALL_STD * slices.leaning_mm[end] * area)
 
     def _true(
         self,
@@ -167,6 +174,11 @@ def _between_std(slices: Slices, slope: np.ndarray, between: float) -> float:
 
     smooth: float = between_slices(slices.t_mm, slices.area_mm2, slope, SPLINE)
     return math.hypot(_BETWEEN * unevenness(slices.t_mm, slices.area_mm2), (smooth - between) / _RULES_APART)
+
+
+def gaps_std(slices: Slices) -> float:
+    """Say how far what straight lines fill over missing rows may be off, mm³."""
+    return _OVER_GAP * float(slices.filled_mm2 @ slices.held_mm)
 
 
 def _tapered(slices: Slices, end: int) -> tuple[float, float, float, float]:

@@ -34,6 +34,8 @@ class Slices(NamedTuple):
     reach_mm, limited : tuple
         At both ends: distance to the next stripe (the mean spacing where there is none), and whether there
         is one.
+    leaning_mm : tuple
+        At both ends: how far the plane of light leans over the outer slice's height.
     missing : int
         Stripes between others on the product without a point.
     seen_mm3, joined_mm3, assumed_mm3 : float
@@ -50,6 +52,7 @@ class Slices(NamedTuple):
     table: Floats
     reach_mm: tuple[float, float]
     limited: tuple[bool, bool]
+    leaning_mm: tuple[float, float]
     missing: int
     seen_mm3: float
     joined_mm3: float
@@ -101,11 +104,21 @@ def slices_of(product: Product) -> Slices:
         table=rows,
         reach_mm=(before, after),
         limited=(limited[0], limited[1]),
+        leaning_mm=(_leaning(profiles, table, int(lit[0])), _leaning(profiles, table, int(lit[-1]))),
         missing=int(told[order.MISSING]),
         seen_mm3=told[order.SEEN_MM3],
         joined_mm3=told[order.JOINED_MM3],
         assumed_mm3=told[order.ASSUMED_MM3],
     )
+
+
+def _leaning(profiles: Profiles, table: Floats, slice_: int) -> float:
+    """How far in X a slice's plane goes from the belt to the slice's highest point, mm."""
+    from roemetry_kernels.slice_areas import TOP
+
+    across, _, upwards, _ = profiles.plane[slice_].tolist()
+    highest: float = table[slice_, TOP]
+    return float(abs(upwards / across)) * max(highest, 0.0)
 
 
 def _refuse_cloven(rows: Floats) -> None:

@@ -19,9 +19,10 @@ OUTLINE = "outline"
 """The cause that a run draws itself, by moving the contour."""
 
 # chosen so that 95 % intervals hold the truth as often as they say: docs/reference/plugins/outline-surface.md
-_BETWEEN = 0.25  # of what leaving single slices out changes, in quadrature: with them, gaps are half as wide
-_FEW = 6.0  # and that over the square of their number: few slices do not show how smooth the product is
+_BETWEEN = 0.15  # of what leaving single slices out changes, in quadrature: with them, gaps are half as wide
+_FEW = 7.0  # and that over the square of their number: few slices do not show how smooth the product is
 _STIFFER = 30.0
+_SETTINGS = 0.4  # of what a plate so much stiffer changes
 _LEAST_STD = 0.0004  # of the volume: the border's place and shape, however many stripes there are
 _STEP_MM = 0.2
 """Of differences: about the rim's own uncertainty, since what is square there is not even nearly linear."""
@@ -34,7 +35,7 @@ def budget_of(fused: Fused, view: View, outline_std_px: float) -> dict[str, floa
     return {
         "between slices": _left_out(fused),
         "settings": math.hypot(
-            (_stiffer(fused) - fused.volume_mm3) / math.sqrt(3.0), _LEAST_STD * fused.volume_mm3
+            _SETTINGS * (_stiffer(fused) - fused.volume_mm3), _LEAST_STD * fused.volume_mm3
         ),
         OUTLINE: std_px * px_mm * abs(_per_mm_outwards(fused)),
         "rim": fused.rim.std_mm * abs(_per_mm_of_rim(fused, view)),

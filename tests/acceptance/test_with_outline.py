@@ -15,7 +15,7 @@ from roemetry.records import Measurement
 from roemetry.runner import run_recipe
 
 HOME = Path(__file__).parents[2] / "recipes" / "herring_roe"
-CAUSES = {"peak noise", "calibration", "outline", "between slices", "settings", "rim"}
+CAUSES = {"peak noise", "calibration", "outline", "between slices", "settings", "rim", "gaps", "ends"}
 
 
 @pytest.fixture(scope="module")

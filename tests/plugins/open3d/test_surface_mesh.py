@@ -52,8 +52,22 @@ def test_a_half_ellipsoid(method: str) -> None:
     """Within 2 %: facets cut corners."""
     volume = volume_by(method, product_of(HALF_ELLIPSOID))
     assert volume.visible_mm3.value / HALF_ELLIPSOID.volume_mm3 == pytest.approx(1.0, abs=0.02)
-    assert np.isnan(volume.visible_mm3.std), "its model's error is not stated"
+    found = volume.visible_mm3
+    assert set(found.budget) == {"facets", "between lines", "ends"}
+    assert abs(found.value - HALF_ELLIPSOID.volume_mm3) < 1.96 * found.std < 0.06 * found.value
     assert [reason.code for reason in volume.reasons] == ["beyond-outer-stripes"]
+
+
+def test_draws_scatter_by_the_stated_uncertainty() -> None:
+    estimator, product = (
+        SurfaceMesh(MeshOptions(method="alpha-shape", step_mm=4.0)),
+        product_of(SPHERICAL_CAP, COARSE),
+    )
+    stated = estimator.estimate(product).visible_mm3
+    rng = np.random.default_rng(5)
+    drawn = [estimator.estimate(product, rng=rng).visible_mm3.value for _ in range(60)]
+    assert estimator.states_model_error
+    assert np.std(drawn) == pytest.approx(stated.std, rel=0.3)
 
 
 @pytest.mark.parametrize("method", ["poisson", "alpha-shape"])
@@ -69,6 +83,8 @@ def test_an_outline_closes_the_tips() -> None:
     without, with_it = (volume_by("poisson", each) for each in (bare, outlined))
     assert -0.08 < without.visible_mm3.value / SPHERICAL_CAP.volume_mm3 - 1.0 < -0.005
     assert with_it.visible_mm3.value / SPHERICAL_CAP.volume_mm3 == pytest.approx(1.0, abs=0.02)
+    for each in (without, with_it):
+        assert abs(each.visible_mm3.value - SPHERICAL_CAP.volume_mm3) < 1.96 * each.visible_mm3.std
     assert without.shares.assumed == 0.0
     assert 0.0 < with_it.shares.assumed < 0.1
     assert not with_it.reasons
