@@ -36,6 +36,8 @@ _OUTWARDS_PX = 0.01
 _BLUR_PX = 0.6  # of a sharp lens, with the resampling of the image
 _GLOW_BLUR_PX = 2.57  # after `glow`
 _LEAST_STD_PX = 0.1
+_USUAL_SCATTER_PX = 0.25  # of single normals: texture, and the steps of the search
+_BIASED = 0.7  # of what they scatter beyond that: noise takes the kink to one side
 _GLOW_STD_PX = 0.9  # see docs/reference/plugins/edge-contour.md
 
 
@@ -86,12 +88,13 @@ def edge_around(level: Floats, region: NDArray[np.bool_], *, shaded: bool = True
         ring = _moved(smooth, ring, search, shaded)
     if shaded:
         for _ in range(2):
-            ring, std_px = kinked(falling, ring, _BLUR_PX)
+            ring, std_px, scatter_px = kinked(falling, ring, _BLUR_PX)
         # nobody has measured this camera's blur: what a third more or less would change
-        narrow, wide = (kinked(falling, ring, share * _BLUR_PX)[0] for share in (0.67, 1.33))
-        model_px = math.hypot(_LEAST_STD_PX, 0.5 * _apart(narrow, wide))
+        narrow, wide = (kinked(falling, ring, share * _BLUR_PX).ring for share in (0.67, 1.33))
+        unsure_px = _BIASED * max(scatter_px - _USUAL_SCATTER_PX, 0.0)
+        model_px = math.hypot(_LEAST_STD_PX, 0.5 * _apart(narrow, wide), unsure_px)
     else:  # so smooth an image tells a kink from a step badly: how far apart they lie is all it says
-        kink, std_px = kinked(falling, ring, _GLOW_BLUR_PX)
+        kink, std_px, _ = kinked(falling, ring, _GLOW_BLUR_PX)
         model_px = math.hypot(_GLOW_STD_PX, _apart(kink, ring))
     rows, columns = level.shape
     ring = np.clip(ring, -0.5, np.array([columns, rows]) - 0.5)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,7 +23,28 @@ _TERMS = 6
 _ALIKE_PX = 6.0  # along the contour: texture of belt and product, and what is smoothed over
 
 
-def kinked(level: Floats, ring: Floats, blur_px: float) -> tuple[Floats, float]:
+class Kinked(NamedTuple):
+    """An outline at the kink.
+
+    Attributes
+    ----------
+    ring : ndarray, shape (n, 2)
+        The outline.
+    std_px : float
+        Standard uncertainty of the contour's place as a whole: that of each normal, from its fit's residual
+        and how fast it grows beside the best place, pooled over the contour, every 6 px by themselves.
+    scatter_px : float
+        How far the single normals' best places scatter about the contour, standard deviation. Beside a
+        shadow as dark as the rim noise decides where the kink is, and the residual does not show it: this
+        does.
+    """
+
+    ring: Floats
+    std_px: float
+    scatter_px: float
+
+
+def kinked(level: Floats, ring: Floats, blur_px: float) -> Kinked:
     """Move a ring to where the brightness has its kink.
 
     Inside, brightness is a + b·√d + c·d in the distance d from the edge (a round body turns away from the
@@ -37,14 +59,6 @@ def kinked(level: Floats, ring: Floats, blur_px: float) -> tuple[Floats, float]:
         The outline to about two pixels.
     blur_px
         Standard deviation of the image's blur, px.
-
-    Returns
-    -------
-    ring : ndarray, shape (n, 2)
-        The outline.
-    std_px : float
-        Standard uncertainty of the contour's place as a whole: that of each normal, from its fit's residual
-        and how fast it grows beside the best place, pooled over the contour, every 6 px by themselves.
     """
     from roemetry_kernels.closed_contour import closed_path
 
@@ -67,7 +81,8 @@ def kinked(level: Floats, ring: Floats, blur_px: float) -> tuple[Floats, float]:
     each = 2.0 * noise * _SEARCH_STEP_PX**2 / curve[clear]
     length = float(np.hypot(*(np.roll(ring, -1, axis=0) - ring).T).sum())
     std = math.sqrt(float(np.median(each)) * _ALIKE_PX / length) if clear.any() else math.inf
-    return evenly(ring + even * normal, ring.shape[0]), std
+    scatter = float((places[cost.argmin(axis=1)] - even[:, 0]).std())
+    return Kinked(evenly(ring + even * normal, ring.shape[0]), std, scatter)
 
 
 @lru_cache(maxsize=4)

@@ -90,18 +90,14 @@ def test_its_uncertainty_comes_from_the_image(rng: np.random.Generator) -> None:
     assert all(0.1 < std < 0.8 for std in stds)
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="beside a shadow as dark as the body's rim there is no step, only a kink, which noise takes "
-    "outwards by 0.4 to 1.0 px; what the fit leaves over does not show it, so 0.11 px are stated",
-)
-def test_its_uncertainty_holds_beside_a_shadow_in_noise(rng: np.random.Generator) -> None:
-    """Four times the noise, and the shadow that is as dark as the rim."""
-    noisy = plain_image(rng, shadow=True)
-    noise = rng.normal(0.0, 5.0, noisy.pixels.shape)
-    noisy = replace(noisy, pixels=np.clip(np.rint(noisy.pixels + noise), 0, 255).astype(np.uint8))
+@pytest.mark.parametrize("noise", [2.5, 5.0, 8.0])
+def test_its_uncertainty_holds_beside_a_shadow_in_noise(rng: np.random.Generator, noise: float) -> None:
+    """Two to seven times the noise, and a shadow as dark as the rim: there is no step, only a kink."""
+    image = plain_image(rng, shadow=True)
+    pixels = image.pixels + rng.normal(0.0, noise, image.pixels.shape)
+    noisy = replace(image, pixels=np.clip(np.rint(pixels), 0, 255).astype(np.uint8))
     (found,) = EdgeContour().outline(LASER, noisy, stripes_on(), None)
-    assert abs(distance(found.xy_px).mean()) < 3.0 * found.xy_std_px  # px
+    assert abs(distance(found.xy_px).mean()) < 3.0 * found.xy_std_px < 3.0  # px
 
 
 def test_a_dark_body_on_a_bright_belt(rng: np.random.Generator) -> None:
