@@ -12,11 +12,10 @@ import numpy as np
 from pydantic import Field
 
 from roemetry.arrays import Floats
-from roemetry.errors import RoemetryError
-from roemetry.files import make_folder, write_bytes
+from roemetry.records import Trace
 from roemetry.stages import Run, Sink, StageOptions
-from roemetry_files.names import file_name
-from roemetry_files.rastering import Raster, raster
+from roemetry_files.each_acquisition import write_each
+from roemetry_files.rastering import raster
 
 _LEVELS = 65535
 
@@ -39,27 +38,15 @@ class HeightMap(Sink[HeightMapOptions]):
 
     def write(self, run: Run) -> Sequence[Path]:
         """Write a file for each acquisition that was triangulated."""
-        folder = run.folder / "height_maps"
-        make_folder(folder)
-        written = []
-        for name in dict.fromkeys(row.acquisition for row in run.measurements()):
-            try:
-                trace = run.replay(name)
-            except RoemetryError:
-                continue  # its row in the record says why it could not be read
-            if trace.profiles is None:
-                continue
-            found = raster(trace.profiles, self.options.pixel_mm)
-            if found is None:
-                continue
-            path = folder / f"{file_name(name)}.tif"
-            write_bytes(path, _tiff(found, self.options.pixel_mm))
-            written.append(path)
-        return written
+        return write_each(run, "height_maps", ".tif", lambda trace: _tiff(trace, self.options.pixel_mm))
 
 
-def _tiff(found: Raster, pixel_mm: float) -> bytes:
+def _tiff(trace: Trace, pixel_mm: float) -> bytes | None:
     import tifffile
+
+    found = None if trace.profiles is None else raster(trace.profiles, pixel_mm)
+    if found is None:
+        return None
 
     grey, offset_mm, scale_mm = _quantised(found.height_mm)
     said = {

@@ -7,11 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from roemetry.errors import RoemetryError
-from roemetry.files import make_folder, write_bytes
-from roemetry.records import Profiles
+from roemetry.records import Trace
 from roemetry.stages import Run, Sink, StageOptions
-from roemetry_files.names import file_name
+from roemetry_files.each_acquisition import write_each
 
 _POINT = np.dtype(
     [
@@ -31,23 +29,13 @@ class PointCloud(Sink[StageOptions]):
 
     def write(self, run: Run) -> Sequence[Path]:
         """Write a file for each acquisition that was triangulated."""
-        folder = run.folder / "point_clouds"
-        make_folder(folder)
-        written = []
-        for name in dict.fromkeys(row.acquisition for row in run.measurements()):
-            try:
-                trace = run.replay(name)
-            except RoemetryError:
-                continue  # its row in the record says why it could not be read
-            if trace.profiles is None:
-                continue
-            path = folder / f"{file_name(name)}.ply"
-            write_bytes(path, _ply(trace.profiles))
-            written.append(path)
-        return written
+        return write_each(run, "point_clouds", ".ply", _ply)
 
 
-def _ply(profiles: Profiles) -> bytes:
+def _ply(trace: Trace) -> bytes | None:
+    profiles = trace.profiles
+    if profiles is None:
+        return None
     known = np.isfinite(profiles.xyz_mm).all(axis=2) & (profiles.product >= 0)
     points = np.empty(int(known.sum()), dtype=_POINT)
     for axis, name in enumerate("xyz"):

@@ -9,14 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from roemetry.errors import RoemetryError
-from roemetry.files import make_folder, write_whole
 from roemetry.records import Trace
 from roemetry.stages import Run, Sink, StageOptions
-from roemetry_files.names import file_name
+from roemetry_files.each_acquisition import write_each
 
 _PIXELS = ["stripe", "row (px)", "x (px)", "x standard uncertainty (px)", "rest x (px)", "product", "seen"]
-_MILLIMETRES = ["X (mm)", "Y (mm)", "Z (mm)"]
+_MILLIMETRES = ["X (mm)", "Y (mm)", "Z (mm)", "random part of Z standard uncertainty (mm)"]
 
 
 class Points(Sink[StageOptions]):
@@ -27,29 +25,16 @@ class Points(Sink[StageOptions]):
 
     def write(self, run: Run) -> Sequence[Path]:
         """Write a file for each acquisition that was coded."""
-        folder = run.folder / "points"
-        make_folder(folder)
-        written = []
-        for name in dict.fromkeys(row.acquisition for row in run.measurements()):
-            try:
-                trace = run.replay(name)
-            except RoemetryError:
-                continue  # its row in the record says why it could not be read
-            if trace.stripes is None:
-                continue
-            path = folder / f"{file_name(name)}.csv"
-            write_whole(path, _table(trace))
-            written.append(path)
-        return written
+        return write_each(run, "points", ".csv", _table)
 
 
-def _table(trace: Trace) -> str:
+def _table(trace: Trace) -> bytes | None:
     stripes, profiles = trace.stripes, trace.profiles
+    if stripes is None:
+        return None
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(_PIXELS + (_MILLIMETRES if profiles is not None else []))
-    if stripes is None:
-        return text.getvalue()
     for stripe, row in np.argwhere(np.isfinite(stripes.x_px)):
         line: list[object] = [
             stripe + 1,
@@ -61,10 +46,11 @@ def _table(trace: Trace) -> str:
         if profiles is not None:
             at = np.flatnonzero(profiles.stripe == stripe)
             point = _point(profiles.row_px[at[0]], row) if at.size else None
-            xyz = profiles.xyz_mm[at[0], point] if point is not None else (np.nan,) * 3
+            there = (at[0], point) if point is not None else None
+            xyz = (np.nan,) * 4 if there is None else (*profiles.xyz_mm[there], profiles.height_std_mm[there])
             line += [_text(value) for value in xyz]
         writer.writerow(line)
-    return text.getvalue()
+    return text.getvalue().encode()
 
 
 def _point(row_px: np.ndarray, row: int) -> int | None:

@@ -15,14 +15,23 @@ from roemetry.units import MM3_PER_CM3, stated
 
 
 def problems_of(measurements: Iterable[Measurement]) -> list[str]:
-    """Write a line for each row that was not measured, with the reason."""
-    return [
-        f"{row.id}: {row.reasons[0].text if row.reasons else row.status}"
-        for row in islice((row for row in measurements if row.status != "measured"), _ROWS_MAX)
-    ]
+    """Write a line for each reason why rows were not measured, with the rows it holds for."""
+    rows_by_text: dict[str, list[str]] = {}
+    for row in measurements:
+        if row.status != "measured":
+            text = row.reasons[0].text if row.reasons else row.status
+            rows_by_text.setdefault(text, []).append(row.id)
+    return [f"{_few(rows)}: {text}" for text, rows in islice(rows_by_text.items(), _ROWS_MAX)]
+
+
+def _few(rows: list[str]) -> str:
+    """Name the first rows, and count the others."""
+    named = ", ".join(rows[:_NAMED_MAX])
+    return f"{named} and {len(rows) - _NAMED_MAX} more" if len(rows) > _NAMED_MAX else named
 
 
 _ROWS_MAX = 40
+_NAMED_MAX = 3
 _COLOURS = {"measured": "default", "empty": "yellow", "failed": "red"}
 
 

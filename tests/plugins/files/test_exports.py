@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import math
 from collections.abc import Callable
@@ -22,7 +23,7 @@ from roemetry_files.rastering import INTERPOLATED, SEEN, raster
 
 @pytest.fixture
 def out(line: Callable[..., Path], tmp_path: Path) -> Path:
-    recipe = Recipe.load(line(), sets=["sinks=[parquet, point-cloud, height-map]"])
+    recipe = Recipe.load(line(), sets=["sinks=[parquet, point-cloud, height-map, points]"])
     outcome = run_recipe(recipe, tmp_path / "out")
     assert outcome.sink_faults == ()
     return tmp_path / "out"
@@ -92,6 +93,19 @@ def test_a_point_cloud_has_the_points_of_the_profiles(out: Path) -> None:
         row.height_max_mm.value, abs=1e-9
     )
     assert set(points["stripe"]) <= set(range(1, 8))
+
+
+def test_the_table_of_points_says_what_the_cloud_says(out: Path) -> None:
+    file = next((out / "points").glob("*.csv"))
+    with file.open(encoding="utf-8", newline="") as table:
+        lines = list(csv.DictReader(table))
+    on_product = [line for line in lines if line["product"] == "1" and line["Z (mm)"]]
+    highest = max(float(line["Z (mm)"]) for line in on_product)
+    (row,) = (row for row in read_record(out) if row.acquisition == file.stem and row.product == 1)
+    assert highest == pytest.approx(row.height_max_mm.value, abs=1e-4)  # mm
+    for line in on_product:
+        if line["x standard uncertainty (px)"]:
+            assert 0.0 < float(line["random part of Z standard uncertainty (mm)"]) < 1.0
 
 
 def test_a_height_map_has_the_heights_of_the_record(out: Path) -> None:
