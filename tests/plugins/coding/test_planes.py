@@ -10,7 +10,7 @@ import pytest
 from roemetry.errors import StageError
 from roemetry.testing.scenes import LinearRig, wrong_labels
 from roemetry_coding.margins import margin_of
-from roemetry_coding.planes import Planes
+from roemetry_coding.planes import Planes, PlanesOptions
 from roemetry_kernels.rest_lines import calibrated_rest_lines
 from roemetry_kernels.sight_lines import sight_lines
 
@@ -87,10 +87,14 @@ def test_it_needs_a_calibration() -> None:
 
 
 def test_margins_grow_with_the_difference_and_stay_below_one() -> None:
-    margin = margin_of(np.linspace(0.0, 50.0, 200), np.full(200, np.inf))
-    assert (np.diff(margin) >= 0).all()
-    assert 0.0 < margin[0] < 0.5
-    assert margin[-1] < 1.0
+    up, sure = np.linspace(0.0, 50.0, 200), np.full(200, np.inf)
+    for margin in (margin_of(up, sure), margin_of(sure, up)):
+        assert (np.diff(margin) >= 0).all()
+        assert margin[-1] < 1.0
+    assert margin_of(up, sure)[0] < PlanesOptions().margin_min  # refused unless it is asked for
+    assert margin_of(sure, up)[0] == pytest.approx(
+        0.0, abs=1e-9
+    )  # a shift that costs nothing: one of the two
 
 
 def _true(sample) -> np.ndarray:
