@@ -45,7 +45,7 @@ def main() -> None:
     """Print the cells' errors after one image and after all."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rig", choices=sorted(RIGS), default="narrow")
-    parser.add_argument("--poses", type=int, help="left out: 30, of the wide rig 24")
+    parser.add_argument("--poses", type=int, help="left out: narrow 30, wide 24, dense 16")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--images", type=int, default=200)
     parser.add_argument("--extractor", default="centre-of-gravity")

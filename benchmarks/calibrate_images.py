@@ -32,6 +32,10 @@ RIGS: dict[str, dict[str, object]] = {
     "narrow": {
         "targets": {"board": {"square_mm": 10.5, "marker_mm": 7.9, "tilt_max_deg": 25.0, "poses": 30}},
     },
+    "dense": {
+        "laser": {"planes": 31, "spacing_mm": 3.3, "line_width_mm": 0.75},
+        "targets": {"board": {"square_mm": 10.5, "marker_mm": 7.9, "tilt_max_deg": 25.0, "poses": 16}},
+    },
     "wide": {
         "camera": {
             "width_px": 640,
@@ -64,7 +68,7 @@ def main() -> None:
     """Print both methods' errors."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rig", choices=sorted(RIGS), default="narrow")
-    parser.add_argument("--poses", type=int, help="left out: 30, of the wide rig 24")
+    parser.add_argument("--poses", type=int, help="left out: narrow 30, wide 24, dense 16")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--extractor", default="centre-of-gravity")
     parser.add_argument("--out", type=Path)

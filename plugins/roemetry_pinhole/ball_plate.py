@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -100,25 +101,44 @@ def find_plate(parameters: Mapping[str, Floats], peaks: Peaks, plate: SpherePlat
     plate
         What lies there; its columns run across the stripes, within 45°.
     """
+    near = _on_heights(parameters, peaks, plate)
+    if near.stripe.size < _POINTS_MIN:
+        return None
+    across = _across(parameters, near.stripe, near.x_px, near.row_px)
+    start = _first(near.at_mm, plate)[0]
+    found = _fitted(near.at_mm, across, near.stripe, near.x_px, near.row_px, plate, start)
+    # a peak is one, however many stripes it might belong to
+    explained = 0.0 if found is None else found.ball.size / np.unique(near.peak).size
+    return found if explained > _EXPLAINED_MIN else None
+
+
+def likeness(parameters: Mapping[str, Floats], peaks: Peaks, plate: SpherePlate) -> float:
+    """Give how well peaks agree with a sphere plate somewhere, before anything is fitted; 0 without any."""
+    near = _on_heights(parameters, peaks, plate)
+    return _first(near.at_mm, plate)[1] if near.stripe.size >= _BALL_POINTS_MIN else 0.0
+
+
+class _Near(NamedTuple):
+    """Peaks taken for stripes by which they lie at the balls' heights: (point,) and (point, 3)."""
+
+    peak: Integers
+    stripe: Integers
+    x_px: Floats
+    row_px: Floats
+    at_mm: Floats
+
+
+def _on_heights(parameters: Mapping[str, Floats], peaks: Peaks, plate: SpherePlate) -> _Near:
     good = np.flatnonzero((peaks.flags & (EDGE | WIDE)) == 0)
-    x_px, row_px = peaks.x_px[good], peaks.row[good].astype(np.float64)
     stripes = len(parameters["planes_per_mm"])
-    every = np.repeat(np.arange(stripes), x_px.size)
-    at = points_of(parameters, every, np.tile(x_px, stripes), np.tile(row_px, stripes))
-    height = at[:, 2].reshape(stripes, -1)
-    off_belt = np.tile(~(np.abs(height) < _BELT_MM).any(axis=0), stripes)
+    stripe, peak = (index.ravel() for index in np.indices((stripes, good.size)))
+    x_px, row_px = peaks.x_px[good][peak], peaks.row[good][peak].astype(np.float64)
+    at = points_of(parameters, stripe, x_px, row_px)
+    on_belt = np.asarray((np.abs(at[:, 2].reshape(stripes, -1)) < _BELT_MM).any(axis=0))
     radius = 0.5 * plate.diameter_mm
     high = np.abs(at[:, 2] - plate.centre_height_mm - 0.6 * radius) < 0.7 * radius
-    use = np.flatnonzero(off_belt & high)
-    if use.size < _POINTS_MIN:
-        return None
-    start = _first(at[use], plate)
-    stripe, x_px, row_px = every[use], np.tile(x_px, stripes)[use], np.tile(row_px, stripes)[use]
-    across = _across(parameters, stripe, x_px, row_px)
-    found = _fitted(at[use], across, stripe, x_px, row_px, plate, start)
-    # a peak is one, however many stripes it might belong to
-    explained = 0 if found is None else found.ball.size / np.unique(use % height.shape[1]).size
-    return found if explained > _EXPLAINED_MIN else None
+    use = np.flatnonzero(high & ~on_belt[peak])
+    return _Near(peak[use], stripe[use], x_px[use], row_px[use], at[use])
 
 
 def points_of(parameters: Mapping[str, Floats], stripe: Integers, x_px: Floats, row_px: Floats) -> Floats:
@@ -156,8 +176,8 @@ def _across(parameters: Mapping[str, Floats], stripe: Integers, x_px: Floats, ro
     return np.asarray((up - down) / (2.0 * step))
 
 
-def _first(at: Floats, plate: SpherePlate) -> Floats:
-    """Pose by votes: each point says on which circle the centre of its ball lies."""
+def _first(at: Floats, plate: SpherePlate) -> tuple[Floats, float]:
+    """Pose by votes, and how many: each point says on which circle the centre of its ball lies."""
     radius = 0.5 * plate.diameter_mm
     cell = 0.08 * radius
     reach = np.sqrt(np.maximum(radius**2 - (at[:, 2] - plate.centre_height_mm) ** 2, 0.0))
@@ -182,7 +202,8 @@ def _first(at: Floats, plate: SpherePlate) -> Floats:
     u, v = np.moveaxis(np.where(inside[..., None], place, 0), -1, 0)
     score = (votes[u, v] * inside).sum(axis=-1)
     which, turn, ball = np.unravel_index(score.argmax(), score.shape)
-    return np.array([*(anchors[which] - flat[turn, ball]), yaws[turn], 1.0])
+    found = np.array([*(anchors[which] - flat[turn, ball]), yaws[turn], 1.0])
+    return found, float(score[which, turn, ball])
 
 
 def _peaks_of(votes: Floats, apart: int) -> Floats:

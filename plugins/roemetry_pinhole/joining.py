@@ -14,6 +14,7 @@ from roemetry_pinhole.adjustment import Adjusted
 from roemetry_pinhole.bending import Bend
 from roemetry_pinhole.equations import Corners, Feet, StripePoints
 from roemetry_pinhole.first_camera import FirstCamera, first_camera, free_numbers
+from roemetry_pinhole.from_plate import from_plate
 from roemetry_pinhole.from_solids import OnSolids, from_solids, solids_in
 from roemetry_pinhole.geometry import CAMERA, Geometry, unknowns_of
 from roemetry_pinhole.known_planes import with_known_planes
@@ -145,7 +146,8 @@ def joint(
 def planes_by_solids(observed: CalibrationSet) -> bool:
     """Say whether the planes come from solids: some are there, and no board is under the laser."""
     on_boards = any(one.shows in _BOARDS and one.frame.role == "laser" for one in observed.observations)
-    return bool(solids_in(observed)) and not on_boards
+    balls = observed.sphere_plate is not None and bool(observed.showing("sphere_plate"))
+    return (bool(solids_in(observed)) or balls) and not on_boards
 
 
 def _by_planes(observed: CalibrationSet, camera: Floats | None, planes: Floats) -> Joint:
@@ -208,7 +210,11 @@ def _by_solids(
         feet,
         foot_std_mm,
     )
-    found = from_solids(observed, boards, free, belt)
+    plate = observed.sphere_plate
+    if solids_in(observed) or plate is None:
+        found = from_solids(observed, boards, free, belt)
+    else:
+        found = from_plate(observed, plate, boards, free, belt)
     size = observed.observations[0].frame.size
     return Joint(
         board if first.views else None,

@@ -24,7 +24,7 @@ def check_beside_solids(
         notes=(*calibration.notes, *notes),
     )
     # no board's print is what this scale comes from
-    kinds = [shows for shows, _ in solids_in(observed)]
+    kinds = [shows for shows, _ in solids_in(observed)] or ["sphere_plate"]
     return check_scale(found, replace(_without(observed, kinds), ruler=None))
 
 

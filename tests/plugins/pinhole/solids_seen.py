@@ -117,4 +117,5 @@ def over_balls(view: View, plate: SpherePlate, pose: np.ndarray, x_px: np.ndarra
             xy = xy[np.argsort(xy[:, 1])]
             rows = np.arange(max(0, int(np.ceil(xy[0, 1]))), min(x_px.shape[1] - 1, int(xy[-1, 1])) + 1)
             seen[stripe, rows] = np.interp(rows, xy[:, 1], xy[:, 0])
+    seen[(seen < 1.0) | (seen > view.image_size[1] - 2.0)] = np.nan
     return seen

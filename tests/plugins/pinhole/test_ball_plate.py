@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from roemetry.records import SpherePlate
+from roemetry.errors import CalibrationError
+from roemetry.records import CalibrationSet, Frame, Observation, SpherePlate
+from roemetry.testing import LinearRig
+from roemetry_pinhole.adjustment import Adjusted
 from roemetry_pinhole.ball_plate import find_plate
-from roemetry_pinhole.frames import parameters_of, view_of
-from roemetry_pinhole.simulated import shown
-from tests.plugins.pinhole.solids_seen import crossings, over_balls, seen_as
-from tests.plugins.pinhole.test_solids import RIGS, SIZE, wide
+from roemetry_pinhole.calibrator import PinholeCalibrator
+from roemetry_pinhole.conformance import _image, _peaks, _pose, observed_of
+from roemetry_pinhole.equations import Feet, StripePoints
+from roemetry_pinhole.frames import lines_at_height, parameters_of, view_of
+from roemetry_pinhole.from_plate import from_plate
+from roemetry_pinhole.geometry import CAMERA, Geometry, unknowns_of
+from roemetry_pinhole.measured import Measured
+from roemetry_pinhole.simulated import Shown, shown
+from tests.plugins.pinhole.solids_seen import crossings, over_balls, seen_as, set_of
+from tests.plugins.pinhole.test_solids import RIGS, SIZE, STRIPES, wide
 
 
 def plate_of(width: float) -> SpherePlate:
@@ -46,3 +57,101 @@ def test_an_empty_belt_and_a_block_are_no_sphere_plate(rng) -> None:
     for x_px in (belt, np.full_like(belt, np.nan)):
         seen = seen_as("sphere_plate", x_px, SIZE, rng, 0.1)
         assert find_plate(parameters, seen.peaks, plate_of(width)) is None
+
+
+def boards_of(exact: Shown) -> Measured:
+    """Boards with the laser off, the first one lying on the belt; the camera is known."""
+    none, whole = np.empty(0), np.empty(0, np.int64)
+    start = replace(exact.geometry, planes=np.empty((0, 3)), belt=np.full(3, np.nan))
+    far = exact.corners.board_mm.max(axis=0)
+    under = far * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.5, 1.0, 0.0]])
+    unknowns = unknowns_of(start, free_camera=np.zeros(CAMERA, bool), planes=False, belt=False, travel=False)
+    return Measured(
+        start,
+        unknowns,
+        exact.corners,
+        StripePoints(whole, whole, none, none, none, none),
+        Feet(np.zeros(3, np.int64), under, np.zeros(3)),
+        0.01,
+    )
+
+
+def plates_on(geometry: Geometry, plate: SpherePlate, width: float, places, rng) -> CalibrationSet:
+    """The empty belt, and the plate at places across the stripes."""
+    view, belt = view_of(parameters_of(geometry, travel=False), SIZE), crossings(geometry, None, SIZE)
+    seen = [seen_as("belt", belt, SIZE, rng, 0.1)]
+    for place in places:
+        pose = np.array([place * width, -0.02 * width, np.radians(rng.uniform(-8.0, 8.0)), 1.0])
+        seen.append(seen_as("sphere_plate", over_balls(view, plate, pose, belt), SIZE, rng, 0.1))
+    return set_of(seen, STRIPES, sphere_plate=plate)
+
+
+def height_errors(adjusted: Adjusted, true: Geometry, levels) -> tuple[np.ndarray, np.ndarray]:
+    """Heights of exact stripes on levels less the true ones, and what the covariance states, mm."""
+    rows = np.linspace(0.1, 0.9, 5) * (SIZE[0] - 1)
+    factor = np.linalg.cholesky(adjusted.covariance + 1e-24 * np.eye(len(adjusted.covariance)))
+    drawn = np.random.default_rng(5).normal(size=(60, len(factor))) @ factor.T
+    geometries = [adjusted.geometry, *(adjusted.unknowns.moved(adjusted.geometry, one) for one in drawn)]
+    views = [view_of(parameters_of(one, travel=False), SIZE) for one in geometries]
+    off, std = [], []
+    for level in levels:
+        x_px = lines_at_height(parameters_of(true, travel=False), rows, level)
+        stripe, row = np.nonzero((x_px > 0) & (x_px < SIZE[1] - 1))
+        at = np.column_stack([x_px[stripe, row], rows[row]])
+        z = np.array([view.lift(at, stripe)[:, 2] for view in views])
+        off.append(z[0] - level)
+        std.append(z[1:].std(axis=0))
+    return np.concatenate(off), np.concatenate(std)
+
+
+@pytest.mark.parametrize("name", list(RIGS))
+def test_planes_from_a_sphere_plate_measure_heights(name: str, rng) -> None:
+    """Five images of it; the belt is known from a board that lies on it."""
+    exact, width = shown(RIGS[name], rng), wide(RIGS[name])
+    plate = replace(plate_of(width), tolerance_mm=0.0)
+    observed = plates_on(exact.geometry, plate, width, (-0.2, -0.1, 0.0, 0.1, 0.2), rng)
+    boards = boards_of(exact)
+    found = from_plate(observed, plate, boards, np.zeros(CAMERA, bool), exact.geometry.belt)
+    off, std = height_errors(found.adjusted, exact.geometry, np.array([0.0, 0.06, 0.12, 0.2]) * width)
+    assert np.abs(off).max() < 0.03, "mm"
+    assert np.median(std) < 0.01, "mm"
+    assert np.sqrt(np.mean((off / std) ** 2)) < 1.8, "the stated uncertainty holds"
+    used = found.adjusted.stripe_px[found.adjusted.stripe_used]
+    assert np.sqrt((used**2).mean()) == pytest.approx(0.1, rel=0.1), "px"
+    few = plates_on(exact.geometry, plate, width, (0.0,), rng)
+    with pytest.raises(CalibrationError, match=r"stripe .*\d lies on no ball: that determines no plane"):
+        from_plate(few, plate, boards, np.zeros(CAMERA, bool), exact.geometry.belt)
+
+
+def test_a_sphere_plate_calibrates_with_boards_that_the_laser_never_met(rng) -> None:
+    """Through the calibrator; without a board on the belt it is refused, and on an empty belt."""
+    rig = LinearRig()
+    whole = observed_of(rig)
+    right = PinholeCalibrator().calibrate(whole)
+    plate = SpherePlate(
+        "balls", 3, 2, pitch_mm=18.0, diameter_mm=14.0, centre_height_mm=9.0, tolerance_mm=0.01
+    )
+    belt = next(one for one in whole.observations if one.shows == "belt")
+    rest = lines_at_height(right.parameters, np.arange(rig.rows, dtype=np.float64), 0.0)
+    plates = []
+    for place in (-12.0, -6.0, 0.0, 6.0, 12.0):
+        x_px = over_balls(right.view, plate, np.array([place, -0.8, 0.05, 1.0]), rest)
+        peaks = rig.peaks(x_px, scatter_px=0.03).peaks
+        plates.append(replace(belt, shows="sphere_plate", peaks=peaks))
+    dark = [one for one in whole.observations if one.frame.role == "plain"]
+    lying = Frame(_image(rig, *_pose(0)), role="plain", name="lying")
+    lying_board = Observation("board_on_belt", lying, _peaks(rig, np.empty((0, 2))), "lying")
+    board = replace(whole.board, thickness_mm=6.0)
+    given = replace(whole, board=board, sphere_plate=plate)
+    made = PinholeCalibrator().calibrate(replace(given, observations=(belt, lying_board, *dark, *plates)))
+    assert made.target["kind"] == "sphere-plate"
+    assert any("planes of light: from sphere-plate balls" in note for note in made.notes)
+    ratio = made.displacement_px_per_mm / right.displacement_px_per_mm
+    assert ratio == pytest.approx(1.0, abs=0.004)
+    assert made.height_range_mm[1] == pytest.approx(16.0)
+    with pytest.raises(CalibrationError, match="does not tell where the belt is") as caught:
+        PinholeCalibrator().calibrate(replace(given, observations=(belt, *dark, *plates)))
+    assert "board_on_belt" in (caught.value.hint or "")
+    empty = replace(belt, shows="sphere_plate")
+    with pytest.raises(CalibrationError, match="the sphere plate is not seen"):
+        PinholeCalibrator().calibrate(replace(given, observations=(belt, lying_board, *dark, empty)))
