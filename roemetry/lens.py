@@ -44,34 +44,45 @@ def undistorted(xy: Floats, distortion: Floats) -> Floats:
     if not distortion.any():
         return bent
     straight = bent.copy()
-    for _ in range(_NEWTON_STEPS):
+    for step in range(_NEWTON_STEPS + 1):
         wrong = distorted(straight, distortion) - bent
-        if not np.nanmax(np.abs(wrong), initial=0.0) > _NEWTON_RESIDUAL:
+        a, b, c, d = slopes(straight, distortion)
+        determinant = a * d - b * c
+        if step == _NEWTON_STEPS or not np.nanmax(np.abs(wrong), initial=0.0) > _NEWTON_RESIDUAL:
             break
-        a, b, c, d = _slopes(straight, distortion)
         with np.errstate(divide="ignore", invalid="ignore"):
-            determinant = a * d - b * c
             straight[:, 0] -= (d * wrong[:, 0] - b * wrong[:, 1]) / determinant
             straight[:, 1] -= (a * wrong[:, 1] - c * wrong[:, 0]) / determinant
-    missed = np.abs(distorted(straight, distortion) - bent).max(axis=1)
-    a, b, c, d = _slopes(straight, distortion)
+    missed = np.abs(wrong).max(axis=1)
     # Beyond the fold the image is turned over: a root there fits, but no light takes that way.
-    proper = (a * d - b * c > 0) & (a + d > 0)
+    proper = (determinant > 0) & (a + d > 0)
     straight[~((missed < _MISSED_MAX) & proper)] = np.nan
     return straight
 
 
-def _slopes(xy: Floats, distortion: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """∂x′/∂x, ∂x′/∂y, ∂y′/∂x, ∂y′/∂y of `distorted`, by central differences."""
-    by_x = (distorted(xy + _RIGHT, distortion) - distorted(xy - _RIGHT, distortion)) / (2 * _STEP)
-    by_y = (distorted(xy + _DOWN, distortion) - distorted(xy - _DOWN, distortion)) / (2 * _STEP)
-    return by_x[:, 0], by_y[:, 0], by_x[:, 1], by_y[:, 1]
+def slopes(xy: Floats, distortion: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """Give ∂x′/∂x, ∂x′/∂y, ∂y′/∂x, ∂y′/∂y of `distorted` at places (n, 2), each (n,)."""
+    k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, tau_x, tau_y = _all(distortion)
+    x, y = xy[:, 0], xy[:, 1]
+    r2 = x * x + y * y
+    above, below = 1 + r2 * (k1 + r2 * (k2 + r2 * k3)), 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
+    radial = above / below
+    rising = (k1 + r2 * (2 * k2 + 3 * r2 * k3) - radial * (k4 + r2 * (2 * k5 + 3 * r2 * k6))) / below
+    cross = 2 * (x * y * rising + p1 * x + p2 * y)
+    prism_x, prism_y = 2 * (s1 + 2 * r2 * s2), 2 * (s3 + 2 * r2 * s4)
+    by_x = np.stack([radial + 2 * (x * x * rising + p1 * y + 3 * p2 * x) + prism_x * x, cross + prism_y * x])
+    by_y = np.stack([cross + prism_x * y, radial + 2 * (y * y * rising + 3 * p1 * y + p2 * x) + prism_y * y])
+    if tau_x or tau_y:
+        turn = _tilt(tau_x, tau_y)
+        bent = distorted(xy, np.concatenate([distortion[:12], np.zeros(2)])).T
+        ahead = turn[2, :2] @ bent + turn[2, 2]
+        place = (turn[:2, :2] @ bent + turn[:2, 2:]) / ahead
+        by_x, by_y = ((turn[:2, :2] @ by - place * (turn[2, :2] @ by)) / ahead for by in (by_x, by_y))
+    return by_x[0], by_y[0], by_x[1], by_y[1]
 
 
 _NEWTON_STEPS = 30
 _NEWTON_RESIDUAL = 1e-13
-_STEP = 1e-5
-_RIGHT, _DOWN = np.array([_STEP, 0.0]), np.array([0.0, _STEP])
 _MISSED_MAX = 1e-9
 
 

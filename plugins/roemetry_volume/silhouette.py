@@ -46,8 +46,8 @@ def border_at(view: View, contour_px: Floats, height_mm: Floats, fall_mm: Floats
     fall_mm : ndarray, shape (n,), or None
         α at each point, mm.
     """
-    xy = view.at_height(contour_px, height_mm)[:, :2]
-    _, way = view.rays(contour_px)
+    start, way = view.rays(contour_px)
+    xy = start[:, :2] + ((height_mm - start[:, 2]) / way[:, 2])[:, None] * way[:, :2]
     outward = _outward(xy)
     tilt = (way[:, :2] * outward).sum(axis=1) / -way[:, 2]
     if fall_mm is not None:
