@@ -89,8 +89,8 @@ def _unlike(strange: Strangeness) -> str:
     if not strange.feature:
         return f"{strange.value:.1f} times as far from all that was learned as is usual"
     return (
-        f"{strange.feature} is {strange.found:.4g}, in all that was learned {strange.low:.4g} to "
-        f"{strange.high:.4g}: with others like it {strange.value:.1f} times as far outside as is usual"
+        f"{strange.feature} is {strange.found:.3g}, and was {strange.low:.3g} to {strange.high:.3g} in all "
+        f"that was learned; over all features {strange.value:.1f} times as far outside as is usual"
     )
 
 

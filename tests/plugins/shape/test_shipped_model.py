@@ -48,12 +48,14 @@ def test_the_model_names_what_stripes_show(skein: str, label: str) -> None:
     assert grade.probability > 0.5
 
 
-@pytest.mark.parametrize("family", ["staircase", "wedge", "truncated-pyramid"])
+@pytest.mark.parametrize("family", ["fillet", "staircase", "wedge", "truncated-pyramid"])
 def test_what_is_no_skein_is_unknown(family: str) -> None:
-    """Measured without an image, on a rig about the recipe's."""
+    """Measured without an image, on a rig about the recipe's; and the feature that tells is named."""
     learned = Learned(LearnedOptions(model=FOLDER / "classifier.json"))
     product = traced(7, family=family).exact
     assert product is not None
     grade = learned.classify(product)
     assert grade.label == "unknown"
     assert [reason.code for reason in grade.reasons] == ["unlike-anything-learned"]
+    assert grade.features["strangeness"] > 1.0
+    assert grade.reasons[0].text.split(" is ")[0] in grade.features
