@@ -65,7 +65,8 @@ def main() -> None:
         judge = judges_of(path, limits)["`learned`"]
         found["dense"]["`learned`, fitted on such rigs"] = judged_by(judge, tests["dense"])
     text = page(learning, fitted, limits, tests, found, given.model.stat().st_size, given.page.parent.parent)
-    text += strangers(given.model, range(STRANGERS_FROM, STRANGERS_FROM + given.strangers))
+    seeds = range(STRANGERS_FROM, STRANGERS_FROM + given.strangers)
+    text += strangers(given.model, seeds, given.cache)
     given.page.write_text(text, encoding="utf-8")
     print(text)
 

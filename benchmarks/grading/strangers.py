@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import json
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -12,6 +14,7 @@ import numpy as np
 from benchmarks.grading.judges import GOOD
 from benchmarks.grading.scores import UNKNOWN
 from benchmarks.grading.words import share, table
+from benchmarks.made_by import made_by
 from benchmarks.traced import traced
 from benchmarks.traced.tables import SMOOTHING_ROWS
 from roemetry.compare.resampling import wilson
@@ -105,13 +108,13 @@ STRANGERS: Mapping[str, tuple[str, Options]] = {
 """Family and options by name: foods as they are simulated; bodies of geometry as large as a skein."""
 
 
-def strangers(model: Path, seeds: Sequence[int]) -> str:
+def strangers(model: Path, seeds: Sequence[int], cache: Path) -> str:
     """Write what the model says of products of other families, on rigs about the recipe's."""
-    learned = Learned(LearnedOptions(model=model))
+    learned, known = Learned(LearnedOptions(model=model)), features_of_all(seeds, cache)
     rows: list[list[str]] = []
     found = {True: (0, 0), False: (0, 0)}
     for name in STRANGERS:
-        said = Counter(_said(learned, name, seed) for seed in seeds)
+        said = Counter(_said(learned, known[name, seed]) for seed in seeds)
         asked, unknown, seen = said.total() - said[_NOTHING], said[UNKNOWN], name not in NOT_SEEN
         named = {label: n for label, n in said.items() if label not in (UNKNOWN, GOOD, _NOTHING)}
         others = ", ".join(f"{n} {label}" for label, n in sorted(named.items())) or "·"
@@ -143,9 +146,23 @@ def features_of(name: str, seed: int) -> dict[str, float]:
     return {} if one.exact is None else shape_of(one.exact, SMOOTHING_ROWS).features
 
 
-def _said(learned: Learned, name: str, seed: int) -> str:
+def features_of_all(seeds: Sequence[int], cache: Path) -> dict[tuple[str, int], dict[str, float]]:
+    """Measure every stranger, or take it from the cache, whose name says by what code it was made."""
+    cache.mkdir(parents=True, exist_ok=True)
+    path = cache / f"strangers_{made_by(__name__)}.jsonl"
+    lines = path.read_text("utf-8").splitlines() if path.exists() else []
+    known = {(name, seed): features for name, seed, features in map(json.loads, lines)}
+    with path.open("a", encoding="utf-8") as file:
+        for one in itertools.product(STRANGERS, seeds):
+            if one not in known:
+                known[one] = features_of(*one)
+                file.write(json.dumps([*one, known[one]]) + "\n")
+                file.flush()
+    return known
+
+
+def _said(learned: Learned, features: dict[str, float]) -> str:
     """Give the label; `_NOTHING` where there was nothing to judge."""
-    features = features_of(name, seed)
     return learned.judge(features).label if features else _NOTHING
 
 
