@@ -29,6 +29,7 @@ BENCHMARKS = {
     "paper_figures": "Figures 7 and 9 of the paper, from any image",
     "shape": "time of all shape features with the classifiers by rules, per product",
     "weight": "weight from 20 weighed samples: error, interval, width, against paper × one factor",
+    "wheelset": "broken stripes of a real image without calibration: what order can number, against a hand",
     "words": "the shipped fuzzy rules over outline and heights, on rendered skeins",
     "tune": "time from a moved slider of `roemetry tune` to the answer, and the picture of the page",
     "volume": "error of every volume estimator on simulated skeins, and the page of it",
