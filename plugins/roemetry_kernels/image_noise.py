@@ -20,7 +20,8 @@ _QUANTILE_OF_CHI = 0.791
 ten million blocks."""
 _QUANTISATION = 1.0 / math.sqrt(12.0)
 _NOISES = 10.0  # that a stripe rises at least
-_LEVELS_MIN = 6.0  # of 255
+RISE_MIN = 6.0
+"""Of 255 grey levels, that a stripe rises at least."""
 _STEEP_SHARE = 0.01  # of white: noisier images are looked at across the rows as well
 
 
@@ -52,7 +53,7 @@ def automatic_rise(image: NDArray[Any], white: int, top: int, bottom: int, left:
     The parameters are those of `image_noise`; `white` is the grey level that 255 stands for.
     """
     noise = image_noise(image, top, bottom, left, right)
-    return math.ceil(max(_NOISES * noise, _LEVELS_MIN * white / 255.0))
+    return math.ceil(max(_NOISES * noise, RISE_MIN * white / 255.0))
 
 
 def _noise_of(low: int) -> float:

@@ -9,12 +9,14 @@ from numpy.typing import NDArray
 
 from roemetry.arrays import Floats
 from roemetry.records.reasons import Reason
+from roemetry_kernels.image_noise import RISE_MIN
 
 _LOOKED_AT = 200  # pairs of neighbours
 _FEWEST = 8  # pairs, or rows, below which nothing is said
 _FILLED = 0.5  # of a row, that stripes fill at most
 _WIDTHS_PX = (1.5, 40.0)  # at half height, of what may be a line
 _ROWS_MAX = 32  # that are searched for dark lines where nothing bright is found
+_PIXELS_A_ROW = 160  # that tell of the ground
 _ODD = Reason(
     "upside-down",
     "what was found is wider than the gaps between: the stripes are darker than their surroundings "
@@ -53,8 +55,22 @@ def doubts(
         # Half of them is more than half: without a median, which would take longer than all else.
         if 2 * np.count_nonzero(filled & pairs) > looked_at:
             return (_ODD,)
-    few = row.shape[0] < 2 * image.shape[0]
-    return (_DARK,) if few and _has_dark_lines(image, white, row.shape[0] / image.shape[0]) else ()
+    if row.shape[0] >= 2 * image.shape[0] or not _has_darker_pixels(image, white):
+        return ()
+    return (_DARK,) if _has_dark_lines(image, white, row.shape[0] / image.shape[0]) else ()
+
+
+def _has_darker_pixels(image: NDArray[Any], white: int) -> bool:
+    """Say whether rows usually hold a pixel darker than the ground by what a line needs: asked first.
+
+    On dark ground none is, so that what searches for lines need not even be loaded.
+    """
+    some = image[:: max(1, -(-image.shape[0] // _ROWS_MAX))]
+    part = some[:, :: max(1, some.shape[1] // _PIXELS_A_ROW)].reshape(-1)
+    half = max(some.shape[0] // 2 - 1, 0)
+    darkest = np.partition(some.min(axis=1), half)[half]
+    ground = np.partition(part, part.size // 2)[part.size // 2]
+    return float(ground) - float(darkest) >= RISE_MIN * white / 255.0
 
 
 def _has_dark_lines(image: NDArray[Any], white: int, bright_a_row: float) -> bool:
