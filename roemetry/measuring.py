@@ -96,20 +96,21 @@ def _calibrated(
                 )
             )
     absent = {**trace.absent, **product.absent}
+    coding = _coding(trace, product.product.number)
     return Measurement(
         id=f"{trace.acquisition_id}#{product.product.number}",
         acquisition=trace.acquisition_id,
         product=product.product.number,
         products=number_of,
         status="failed" if product.absent else "measured",
-        coding=_coding(trace, product.product.number),
+        coding=coding,
         height_max_mm=height_max,
         volume=product.volume,
         weight=product.weight,
         grade=product.grade,
         decision=product.decision,
         absent=absent,
-        reasons=_once([*reasons, *_saturation(trace)]),
+        reasons=_once([*reasons, *_saturation(coding)]),
         provenance=provenance,
     )
 
@@ -123,6 +124,7 @@ def _in_pixels(
     fault = trace.absent.get("triangulator")
     wanted = fault is not None and fault != UNCALIBRATED
     status: Status = "failed" if wanted else "measured" if numbers != [0] else "empty"
+    codings = [_coding(trace, number) for number in numbers]
     return tuple(
         Measurement(
             id=f"{trace.acquisition_id}#{number}",
@@ -130,14 +132,14 @@ def _in_pixels(
             product=number,
             products=len(numbers),
             status=status,
-            coding=_coding(trace, number),
+            coding=coding,
             absent=dict(trace.absent),
             reasons=_once(
-                [*warnings, *stripes.reasons, *_saturation(trace), *([fault] if fault and wanted else [])]
+                [*warnings, *stripes.reasons, *_saturation(coding), *([fault] if fault and wanted else [])]
             ),
             provenance=provenance,
         )
-        for number in numbers
+        for number, coding in zip(numbers, codings, strict=True)
     )
 
 
@@ -208,10 +210,8 @@ def _saturated_share(peaks: Peaks, stripes: StripeMap) -> float:
     return np.count_nonzero((peaks.flags & SATURATED > 0) & coded) / many if many else math.nan
 
 
-def _saturation(trace: Trace) -> list[Reason]:
-    if trace.peaks is None or trace.stripes is None:
-        return []
-    share = _saturated_share(trace.peaks, trace.stripes)
+def _saturation(coding: Coding | None) -> list[Reason]:
+    share = math.nan if coding is None else coding.saturated_share
     if not share > _SATURATED_SHARE_MAX:
         return []
     return [Reason("saturated", f"{share:.0%} of the stripe points are saturated: lower the exposure")]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -165,7 +166,8 @@ def _belt_scatter_px(peaks: Peaks, rest_px: Floats) -> tuple[float, float]:
     Only the image's top and bottom tenth are asked: amid the image a product may lie near the lines.
     """
     rows = rest_px.shape[1]
-    top, bottom = np.searchsorted(peaks.row, (_OUTER_SHARE * rows, (1.0 - _OUTER_SHARE) * rows))
+    top = peaks.row_start[math.ceil(_OUTER_SHARE * rows)]
+    bottom = peaks.row_start[math.ceil((1.0 - _OUTER_SHARE) * rows)]
     near, mad, mean = _scatter(peaks.row, peaks.x_px, rest_px, top, bottom, _SEARCH_PX)
     if near < _BELT_PEAKS_MIN:
         return _TOLERANCE_MIN_PX, 0.0
