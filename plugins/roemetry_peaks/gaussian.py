@@ -8,7 +8,7 @@ from roemetry.records import Frame, Peaks
 from roemetry.stages import Capabilities, Extractor, StageOptions
 from roemetry_peaks.options import PeakOptions
 
-_BEYOND_LINEAR = 6.0  # see `roemetry_peaks.finding.found`; found by drawing
+_BEYOND_LINEAR = 7.0  # see `roemetry_peaks.finding.found`; found by drawing
 
 
 class GaussianOptions(PeakOptions):
