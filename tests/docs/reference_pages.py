@@ -1,0 +1,73 @@
+"""The reference pages, and how their sections, tables and blocks are read."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import typer
+from pydantic_core import PydanticUndefined
+
+from roemetry.cli.main import app
+from roemetry.registry import discover
+
+ROOT = Path(__file__).resolve().parents[2]
+REFERENCE = ROOT / "docs" / "reference"
+PAGES = sorted([*REFERENCE.rglob("*.md"), *(ROOT / "docs" / "how-to").glob("*.md")])
+CLI = typer.main.get_command(app)
+VERBS: dict[str, Any] = dict(CLI.commands)  # type: ignore[attr-defined]
+STAGES = sorted({stage.entry.name for stage in discover().stages})
+
+
+def page(name: str) -> str:
+    return (REFERENCE / name).read_text("utf-8")
+
+
+def section(text: str, heading: str) -> str:
+    """From a heading to the next one of the same or a higher level."""
+    lines = text.splitlines()
+    begin = next((i for i, line in enumerate(lines) if line.split(" {")[0] == heading), None)
+    assert begin is not None, f"no heading {heading!r}"
+    level = len(heading) - len(heading.lstrip("#"))
+    fenced = False
+    for end in range(begin + 1, len(lines)):
+        fenced ^= lines[end].startswith("```")
+        if not fenced and re.match(rf"#{{1,{level}}} ", lines[end]):
+            return "\n".join(lines[begin:end])
+    return "\n".join(lines[begin:])
+
+
+def table(text: str) -> list[list[str]]:
+    """Cells of all table rows whose first cell begins with code."""
+    rows = [re.split(r"(?<!\\)\|", line)[1:-1] for line in text.splitlines() if line.startswith("| `")]
+    return [[cell.strip() for cell in row] for row in rows]
+
+
+def coded(cell: str) -> list[str]:
+    return re.findall(r"`([^`]+)`", cell)
+
+
+def firsts(text: str) -> list[str]:
+    """All that stands as code in the first cells of a text's tables."""
+    return [word for row in table(text) for word in coded(row[0])]
+
+
+FENCE = re.compile(r'^( *)```(\w*)(?: title="([^"]*)")?\n(.*?)^\1```$', flags=re.MULTILINE | re.DOTALL)
+
+
+def blocks(text: str, language: str) -> list[tuple[str, str]]:
+    """(title, content) of fenced blocks, also indented ones."""
+    return [
+        (title or "", re.sub(rf"^{indent}", "", content, flags=re.MULTILINE))
+        for indent, named, title, content in FENCE.findall(text)
+        if named == language
+    ]
+
+
+def text_of(default: object) -> str:
+    if default is None:
+        return "none"
+    if default is PydanticUndefined:
+        return "its own"
+    return f"`{default:g}`" if isinstance(default, float) else f"`{default}`"
