@@ -1,6 +1,6 @@
 """Error of every volume estimator on simulated skeins; writes docs/explanation/volume.md.
 
-``python -m benchmarks volume [--first 80000] [--count 500] [--meshes 20] [--images 60] [--page FILE]``
+``python -m benchmarks volume [--first 80000] [--count 500] [--meshes 20] [--images 100] [--page FILE]``
 
 Every skein has a rig of its own. Stripes are traced exactly, 41 at a time, and thinned to fewer; outlines are
 exact silhouettes. The images are rendered anew (10 s each and more) and kept in the cache, as are each
@@ -21,8 +21,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from benchmarks.volume_bodies import body_rows
 from benchmarks.volume_images import image_rows, is_rendered
-from benchmarks.volume_page import Seeds, page
+from benchmarks.volume_page import Pictures, Seeds, page
 from benchmarks.volume_scenes import Exact, exact_skein, thinned
 from roemetry.errors import RoemetryError
 from roemetry.files import write_whole
@@ -57,6 +58,9 @@ MESHES: Mapping[str, VolumeEstimator[Any]] = {
 """Hundreds of times as slow: measured on the first skeins only."""
 _ONLY_ELEVEN = ("slice-pchip, ends: none", "surface-mesh, ball-pivoting", "surface-mesh, alpha-shape")
 _SOURCES = ("roemetry_volume", "roemetry_open3d", "roemetry_paper", "roemetry_kernels", "roemetry_peaks")
+_OF_BODIES = ("outline-surface", "slice-pchip")
+_LOOKED_AT = (range(70000, 70060), range(90000, 90060), range(110000, 110060))
+"""Skeins whose images the intervals' widths were chosen on: shown by themselves, where the cache has them."""
 STEPS = {41: 1, 21: 2, 11: 4, 9: 5, 6: 8, 5: 10, 3: 20}
 """How many stripes remain when each so many of 41 is kept."""
 
@@ -82,9 +86,10 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=80000, help="first seed of skein and rig")
     parser.add_argument("--count", type=int, default=500)
     parser.add_argument("--meshes", type=int, default=20, help="skeins to lay meshes through, the first ones")
-    parser.add_argument("--images", type=int, default=60, help="skeins to render")
-    parser.add_argument("--images-from", type=int, default=90000, help="first seed of those")
-    parser.add_argument("--draws", type=int, default=200, help="of each skein from images")
+    parser.add_argument("--images", type=int, default=100, help="skeins to render")
+    parser.add_argument("--images-from", type=int, default=120000, help="first seed of those")
+    parser.add_argument("--draws", type=int, default=50, help="of each skein from images")
+    parser.add_argument("--bodies", type=int, default=96001, help="first seed of the known bodies' rigs")
     parser.add_argument("--no-render", action="store_true", help="only those images that the cache holds")
     parser.add_argument("--cache", type=Path, default=Path(tempfile.gettempdir()) / "roemetry-volume")
     parser.add_argument("--page", type=Path, default=Path("docs/explanation/volume.md"))
@@ -97,9 +102,15 @@ def main() -> None:
     ]
     seeds = range(given.images_from, given.images_from + given.images)
     rendered = [seed for seed in seeds if not given.no_render or is_rendered(seed, given.cache)]
-    pictures, refusals = image_rows(rendered, given.cache, ESTIMATORS, draws=given.draws, code=code)
-    asked = Seeds(given.first, given.count, given.meshes, given.images, given.images_from)
-    text = page(rows, pictures, refusals, asked, given.page.parent.parent / "images")
+    unseen, refusals = image_rows(rendered, given.cache, ESTIMATORS, draws=given.draws, code=code)
+    kept = [seed for span in _LOOKED_AT for seed in span if is_rendered(seed, given.cache)]
+    looked_at, _ = image_rows(kept, given.cache, ESTIMATORS, draws=given.draws, code=code)
+    known = body_rows(given.bodies, given.cache, {name: ESTIMATORS[name] for name in _OF_BODIES}, code)
+    asked = Seeds(
+        given.first, given.count, given.meshes, given.images, given.images_from, given.draws, given.bodies
+    )
+    pictures = Pictures(unseen, looked_at, refusals)
+    text = page(rows, pictures, known, asked, given.page.parent.parent / "images")
     given.page.write_text(text, encoding="utf-8")
     print(text)
 

@@ -29,14 +29,17 @@ def judged(rows: Sequence[Row]) -> str:
     return table(("estimator", *COLUMNS), lines)
 
 
-def from_images(pictures: Sequence[Pictured]) -> str:
-    """Give the same from images."""
+def from_images(pictures: Sequence[Pictured], names: Sequence[str] = ()) -> str:
+    """Give the same from images, of these estimators alone if they are named."""
     plain = [row for row in pictures if row.outline == "plain"]
     if not plain:
         return ""
-    names = dict.fromkeys(row.estimator for row in plain)
-    lines = [line_of(f"`{name}`", errors(plain, name)) for name in names]
-    lines.append(fitted(errors(plain, _BASE)))
+    lines = [
+        line_of(f"`{name}`", errors(plain, name))
+        for name in names or dict.fromkeys(row.estimator for row in plain)
+    ]
+    if not names:
+        lines.append(fitted(errors(plain, _BASE)))
     laser = errors([row for row in pictures if row.outline == "laser"], "outline-surface")
     if laser.size:
         lines.append(line_of("`outline-surface`, outline from the laser image", laser))

@@ -14,12 +14,13 @@ from roemetry_volume.underside import fitted_share
 
 if TYPE_CHECKING:
     from benchmarks.volume import Row
+    from benchmarks.volume_images import Pictured
 
 _SHARES = (0.7, 0.8, 0.85, 0.9, 0.92, 1.0)
 
 
-def underside(rows: Sequence[Row]) -> str:
-    """Fit the share on either half of the skeins, and judge it on the other half."""
+def underside(rows: Sequence[Row], pictures: Sequence[Pictured]) -> str:
+    """Fit the share on either half of the skeins, judge it on the other half, and on those from images."""
     mine = [row for row in rows if row.estimator == "outline-surface" and math.isfinite(row.error)]
     if len(mine) < 6:
         return ""
@@ -37,6 +38,7 @@ def underside(rows: Sequence[Row]) -> str:
         ("flat", *figures(100.0 * (visible / true - 1.0)), "not stated", "not stated"),
         ("rounded, fitted share", *figures(100.0 * (value / true - 1.0)), *_intervals(value, std, true)),
     ]
+    lines += _from_images(pictures, *fitted_share(visible, true))
     return (
         "`fitted_share` is fitted to every other skein and judged on the rest, then the other way round:\n"
         f"{' and '.join(said)}. Per cent of the true volume, visible volume by `outline-surface`:\n\n"
@@ -46,6 +48,19 @@ def underside(rows: Sequence[Row]) -> str:
         + "\nNothing seen from above tells one underside from another. A second view, or weighed\n"
         "samples of the product, would.\n"
     )
+
+
+def _from_images(pictures: Sequence[Pictured], share: float, scatter: float) -> list[tuple[str, ...]]:
+    """Judge the share of all exact skeins on those that were measured from images."""
+    mine = [row for row in pictures if row.estimator == "outline-surface" and row.outline == "plain"]
+    if not mine:
+        return []
+    visible = np.array([1.0 + row.error for row in mine])
+    true = np.array([row.true_share for row in mine])
+    std = np.hypot(share * np.array([row.std for row in mine]), scatter * visible)
+    value = share * visible
+    label = f"the share of all, on {len(mine)} from images"
+    return [(label, *figures(100.0 * (value / true - 1.0)), *_intervals(value, std, true))]
 
 
 def _intervals(value: np.ndarray, std: np.ndarray, true: np.ndarray) -> tuple[str, str]:

@@ -7,10 +7,13 @@ import numpy as np
 from roemetry.arrays import Flags, Floats, Integers, Labels
 from roemetry_kernels.compiling import kernel
 
-AT, AREA, SEEN, BRIDGED, FILLED, WIDTH, HOLE, TOP, LOW, COUNT, FIRST_ROW, LAST_ROW, CLEFT, LOOSE = range(14)
+AT, AREA, SEEN, BRIDGED, FILLED, WIDTH, HOLE, TOP, LOW, COUNT, FIRST_ROW, LAST_ROW, CLEFT, LOOSE, OPEN = (
+    range(15)
+)
 """Columns of the table: rest X (mm); area (mm²) and its parts by kind of point; width (mm); length left out
 as a hole (mm); highest and lowest Z (mm); number of points; first and last row (px); how deep the surface
-falls between two humps, over the lower one; area bridged beyond the outermost points that were seen (mm²)."""
+falls between two humps, over the lower one; area bridged beyond the outermost points that were seen, and that
+of straight lines over what is left out as a hole (mm²)."""
 
 _STEP_MAX = 1.5  # rows; a larger step between neighbours means that rows are missing
 _HOLE_SHARE = 0.3
@@ -51,13 +54,13 @@ def slice_areas(
 
     Returns
     -------
-    table : ndarray, shape (slice, 14)
+    table : ndarray, shape (slice, 15)
         Columns as named above; in the order of `Profiles`.
     ordered : bool
         False where a slice's points are not in the order of rows: then the table is not valid.
     """
     slices, points = product.shape
-    table = np.zeros((slices, 14))
+    table = np.zeros((slices, 15))
     low_y, high_y = np.inf, -np.inf
     length, rows = 0.0, 0.0
     ordered = True
@@ -224,10 +227,11 @@ def _gap(
 ) -> None:
     """Bridge the rows between two curves of a slice, or count them as a hole."""
     span = max(abs(other[1] - one[1]) - row, 0.0)
+    mean = 0.5 * (_weighed(one[1], one[2], fan) + _weighed(other[1], other[2], fan))
     if span > widest or (one[2] < _HOLE_SHARE * top and other[2] < _HOLE_SHARE * top):
         out[HOLE] += span
+        out[OPEN] += abs(span * mean)
         return
-    mean = 0.5 * (_weighed(one[1], one[2], fan) + _weighed(other[1], other[2], fan))
     out[WIDTH] += span
     out[AREA] += span * mean
     out[FILLED] += abs(span * mean)

@@ -23,6 +23,7 @@ _RULES_APART = 1.4  # a rectangle's half width over its standard deviation would
 _AREAS_STD = 0.003  # of the volume: walls and ends of the slices themselves, however many there are
 _LOOSE = 1.0 / math.sqrt(3.0)  # of what is bridged beyond a slice's seen points: none of it, or twice as much
 _OVER_GAP = 0.1  # of what a straight line fills: a dome rises over it by some tenth
+_IN_HOLE = 1.0 / math.sqrt(3.0)  # of what a straight line over a hole would hold: it may not be empty
 _BLUNT_STD = 2.0 / math.sqrt(12.0)  # of a cap of half the way to the next stripe
 _WALL_STD = 0.5 / math.sqrt(3.0)  # of the way that a plane leans over the height of an end wall
 _OPEN_SPACINGS = 2.0
@@ -177,8 +178,8 @@ def _between_std(slices: Slices, slope: np.ndarray, between: float) -> float:
 
 
 def gaps_std(slices: Slices) -> float:
-    """Say how far what straight lines fill over missing rows may be off, mm³."""
-    return _OVER_GAP * float(slices.filled_mm2 @ slices.held_mm)
+    """Say how far what straight lines fill, and holes that count as empty, may be off, mm³."""
+    return float((_OVER_GAP * slices.filled_mm2 + _IN_HOLE * slices.open_mm2) @ slices.held_mm)
 
 
 def _tapered(slices: Slices, end: int) -> tuple[float, float, float, float]:

@@ -26,10 +26,11 @@ class Slices(NamedTuple):
     ----------
     stripe : ndarray of int64, shape (n,)
         Stripe of each.
-    t_mm, area_mm2, width_mm, loose_mm2, filled_mm2, held_mm : ndarray of float64, shape (n,)
+    t_mm, area_mm2, width_mm, loose_mm2, filled_mm2, open_mm2, held_mm : ndarray of float64, shape (n,)
         Rest X; area; extent along Y; of the area, what was bridged beyond the outermost points that were
-        seen, and what a straight line fills over missing rows; half the ways to both neighbours.
-    table : ndarray of float64, shape (n, 14)
+        seen, and what a straight line fills over missing rows; what one over a hole would hold; half the ways
+        to both neighbours.
+    table : ndarray of float64, shape (n, 15)
         All columns of `roemetry_kernels.slice_areas`.
     reach_mm, limited : tuple
         At both ends: distance to the next stripe (the mean spacing where there is none), and whether there
@@ -48,6 +49,7 @@ class Slices(NamedTuple):
     width_mm: Floats
     loose_mm2: Floats
     filled_mm2: Floats
+    open_mm2: Floats
     held_mm: Floats
     table: Floats
     reach_mm: tuple[float, float]
@@ -100,6 +102,7 @@ def slices_of(product: Product) -> Slices:
         width_mm=rows[:, columns.WIDTH].copy(),
         loose_mm2=rows[:, columns.LOOSE].copy(),
         filled_mm2=rows[:, columns.FILLED].copy(),
+        open_mm2=rows[:, columns.OPEN].copy(),
         held_mm=held,
         table=rows,
         reach_mm=(before, after),
