@@ -14,6 +14,7 @@ LEAST_LINES = 3
 _LEAST_POINTS = 4
 _GAP_MM = 3.0
 _FALLEN = 0.5
+_SUNKEN_MM = 1.0
 
 
 class Line(NamedTuple):
@@ -30,8 +31,8 @@ def lines_of(product: Product) -> tuple[tuple[Line, ...], tuple[Reason, ...]]:
     Raises
     ------
     StageError
-        Fewer than three stripes lie on the product, or one of them shows a hole: no single sheet goes through
-        both of its rims.
+        Fewer than three stripes lie on the product, one of them lies below the belt, or one shows a hole: no
+        single sheet goes through both of its rims.
     """
     profiles = product.profiles
     mine = _between_seen(
@@ -58,6 +59,11 @@ def lines_of(product: Product) -> tuple[tuple[Line, ...], tuple[Reason, ...]]:
             profiles.seen[index][mine[index]][order],
         )
         stripe = int(profiles.stripe[index]) + 1
+        if (depth := -float(line.xyz_mm[:, 2].mean())) > _SUNKEN_MM:
+            raise StageError(
+                f"the slice of stripe {stripe} lies {depth:.1f} mm below the belt: no product does",
+                hint="look at the coding, the calibration and the belt's zero",
+            )
         if _has_gap(line, stripe):
             gaps.append(stripe)
         lines.append(line)

@@ -17,6 +17,7 @@ _CLEFT = (
     0.3  # of the lower hump; single skeins, dented and folded ones too, fall deeper on one stripe at most
 )
 _CLEFT_SLICES = 3
+_SUNKEN_MM = 1.0
 
 
 class Slices(NamedTuple):
@@ -67,8 +68,8 @@ def slices_of(product: Product) -> Slices:
     Raises
     ------
     StageError
-        Fewer than three stripes lie on the product, it looks like two side by side, or a plane of light runs
-        along X.
+        Fewer than three stripes lie on the product, it looks like two side by side, a slice lies below the
+        belt, or a plane of light runs along X.
     """
     from roemetry_kernels import slice_areas as columns
     from roemetry_kernels import slice_order as order
@@ -92,6 +93,7 @@ def slices_of(product: Product) -> Slices:
         raise StageError("two slices lie at the same place", hint="one slice for each stripe and frame")
     rows = table[lit]
     _refuse_cloven(rows)
+    _refuse_sunken(rows, profiles.stripe[lit])
     ends = [told[order.BEFORE], told[order.AFTER]]
     limited = [not math.isnan(end) for end in ends]
     before, after = (end if known else told[order.USUAL] for end, known in zip(ends, limited, strict=True))
@@ -134,6 +136,20 @@ def _refuse_cloven(rows: Floats) -> None:
             f"on {deep} of {len(rows)} stripes the surface falls by over {_CLEFT:.0%} between two humps: two "
             "products side by side, coded as one, have no volume in common",
             hint="keep products apart on the belt",
+        )
+
+
+def _refuse_sunken(rows: Floats, stripe: Integers) -> None:
+    """Refuse a product of which a slice lies below the belt as a whole."""
+    from roemetry_kernels.slice_areas import AREA, WIDTH
+
+    depth = -rows[:, AREA] / np.maximum(rows[:, WIDTH], 1e-9)
+    worst = int(depth.argmax())
+    if depth[worst] > _SUNKEN_MM:
+        raise StageError(
+            f"the slice of stripe {int(stripe[worst]) + 1} lies {depth[worst]:.1f} mm below the belt: no "
+            "product does",
+            hint="look at the coding, the calibration and the belt's zero",
         )
 
 

@@ -58,6 +58,15 @@ def test_a_half_ellipsoid(method: str) -> None:
     assert [reason.code for reason in volume.reasons] == ["beyond-outer-stripes"]
 
 
+def test_a_slice_below_the_belt_is_refused() -> None:
+    made = product_of(SPHERICAL_CAP, COARSE)
+    lit = np.flatnonzero((made.profiles.product == 1).any(axis=1))
+    xyz = made.profiles.xyz_mm.copy()
+    xyz[lit[2], :, 2] -= 30.0
+    with pytest.raises(StageError, match="mm below the belt"):
+        volume_by("poisson", replace(made, profiles=replace(made.profiles, xyz_mm=xyz)))
+
+
 def test_draws_scatter_by_the_stated_uncertainty() -> None:
     estimator, product = (
         SurfaceMesh(MeshOptions(method="alpha-shape", step_mm=4.0)),

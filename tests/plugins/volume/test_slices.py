@@ -147,7 +147,7 @@ def test_refusals_and_doubts() -> None:
     with pytest.raises(StageError, match="only 2 stripes lie on the product"):
         SlicePchip().estimate(only(product, [4, 5]))
     below = replace(product.profiles, xyz_mm=product.profiles.xyz_mm * [1.0, 1.0, -1.0])
-    with pytest.raises(StageError, match="the points lie on or below the belt"):
+    with pytest.raises(StageError, match="below the belt"):
         SlicePchip().estimate(replace(product, profiles=below))
     assert "dead-stripe" in codes(SlicePchip().estimate(without(product, 5, slice(None))))
     assert "gap-in-slice" in codes(SlicePchip().estimate(without(product, 5, slice(235, 240))))

@@ -214,7 +214,7 @@ def test_bad_products_give_a_reason_or_no_number() -> None:
     few = on & np.isin(np.arange(STRIPES), lit[3:5])[:, None]
     with pytest.raises(StageError, match="only 2 stripes lie on the product"):
         OutlineSurface().estimate(changed(made, few))
-    with pytest.raises(StageError, match="on or below the belt"):
+    with pytest.raises(StageError, match="below the belt"):
         OutlineSurface().estimate(changed(made, on, xyz_mm=made.profiles.xyz_mm * [1.0, 1.0, -1.0]))
     middle = np.isin(np.arange(STRIPES), lit[3:6])[:, None]
     hole = OutlineSurface().estimate(changed(made, on & ~(middle & (np.abs(y) < 7.0))))
@@ -224,8 +224,24 @@ def test_bad_products_give_a_reason_or_no_number() -> None:
     assert abs(found.value - visible) < 1.96 * found.std, "and it may not have been empty"
     sunk = made.profiles.xyz_mm.copy()
     sunk[lit[2], :, 2] -= 18.0
-    below = OutlineSurface().estimate(changed(made, on, xyz_mm=sunk))
-    assert "below-belt" in codes(below)
+    with pytest.raises(StageError, match=f"the slice of stripe {lit[2] + 1} lies .* mm below the belt"):
+        OutlineSurface().estimate(changed(made, on, xyz_mm=sunk))
+    dipped = made.profiles.xyz_mm.copy()
+    dipped[lit[2], np.flatnonzero(on[lit[2]])[:8], 2] = -2.0
+    assert "below-belt" in codes(OutlineSurface().estimate(changed(made, on, xyz_mm=dipped)))
+
+
+@pytest.mark.parametrize(("times", "shift_px"), [(1.08, 0.0), (1.3, 0.0), (0.6, 0.0), (1.0, 30.0)])
+def test_an_outline_that_disagrees_is_not_used(times: float, shift_px: float) -> None:
+    made, visible = dome()
+    outline = made.outline
+    assert outline is not None
+    middle = outline.xy_px.mean(axis=0)
+    other = replace(outline, xy_px=times * (outline.xy_px - middle) + middle + shift_px)
+    volume = OutlineSurface().estimate(replace(made, outline=other))
+    assert volume.reasons[0].code == "outline-disagrees"
+    assert volume.visible_mm3.value == SlicePchip().estimate(made).visible_mm3.value
+    assert abs(volume.visible_mm3.value - visible) < 1.96 * volume.visible_mm3.std
 
 
 def test_two_products_that_touch_are_told() -> None:
