@@ -23,7 +23,7 @@ import numpy as np
 
 from benchmarks.volume_bodies import body_rows
 from benchmarks.volume_images import image_rows, is_rendered
-from benchmarks.volume_page import Pictures, Seeds, page
+from benchmarks.volume_page import IN_IMAGES, Pictures, Seeds, page
 from benchmarks.volume_scenes import Exact, exact_skein, thinned
 from roemetry.errors import RoemetryError
 from roemetry.files import write_whole
@@ -104,7 +104,8 @@ def main() -> None:
     rendered = [seed for seed in seeds if not given.no_render or is_rendered(seed, given.cache)]
     unseen, refusals = image_rows(rendered, given.cache, ESTIMATORS, draws=given.draws, code=code)
     kept = [seed for span in _LOOKED_AT for seed in span if is_rendered(seed, given.cache)]
-    looked_at, _ = image_rows(kept, given.cache, ESTIMATORS, draws=given.draws, code=code)
+    few = {name: ESTIMATORS[name] for name in IN_IMAGES}
+    looked_at, _ = image_rows(kept, given.cache, few, draws=given.draws, code=code, lights=("plain",))
     known = body_rows(given.bodies, given.cache, {name: ESTIMATORS[name] for name in _OF_BODIES}, code)
     asked = Seeds(
         given.first, given.count, given.meshes, given.images, given.images_from, given.draws, given.bodies

@@ -63,16 +63,17 @@ def image_rows(
     *,
     draws: int,
     code: str,
+    lights: Sequence[str] = ("plain", "laser"),
 ) -> tuple[list[Pictured], list[str]]:
-    """Measure skeins from their images, with and without the plain-light one; also what was refused.
+    """Measure skeins from their images, with outlines in the light of each; also what was refused.
 
     What was measured with the same code, by its hash, is taken from the cache.
     """
     rows, refusals = [], []
     for seed in seeds:
-        path = cache / f"{seed}_{code}_{draws}_images.json"
+        path = cache / f"{seed}_{code}_{draws}_{'_'.join(lights)}_{len(estimators)}.json"
         if not path.exists():
-            write_whole(path, json.dumps(_of_one(seed, cache, estimators, draws)))
+            write_whole(path, json.dumps(_of_one(seed, cache, estimators, draws, lights)))
         mine, refused = json.loads(path.read_text("utf-8"))
         rows += [Pictured(*row) for row in mine]
         refusals += refused
@@ -80,13 +81,17 @@ def image_rows(
 
 
 def _of_one(
-    seed: int, cache: Path, estimators: Mapping[str, VolumeEstimator[Any]], draws: int
+    seed: int,
+    cache: Path,
+    estimators: Mapping[str, VolumeEstimator[Any]],
+    draws: int,
+    lights: Sequence[str],
 ) -> tuple[list[Pictured], list[str]]:
     rig, drawn = skein(seed)
     calibration, truth = calibration_of(rig), drawn.solid
     laser, plain = images(seed, cache)
     rows, refusals = [], []
-    for outline in ("plain", "laser"):
+    for outline in lights:
         mine = estimators if outline == "plain" else {_FUSING: estimators[_FUSING]}
         try:
             stripes, contours = coded(laser, plain, calibration, outline)

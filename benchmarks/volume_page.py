@@ -42,7 +42,7 @@ BY_STRIPES = (
 )
 DRAWN = ("zero-order-hold", "slice-trapezoid", "slice-pchip", "outline-surface")
 STATED = ("slice-sum", "slice-trapezoid", "slice-simpson", "slice-pchip", "slice-spline", "outline-surface")
-_IN_IMAGES = ("slice-sum", "slice-trapezoid", "slice-pchip", "outline-surface")
+IN_IMAGES = ("slice-sum", "slice-trapezoid", "slice-pchip", "outline-surface")
 _LOW = 1e-4
 
 
@@ -160,7 +160,7 @@ def _looked_at(pictures: Sequence[Pictured]) -> list[str]:
     many = len({row.seed for row in pictures})
     return [
         f"On the {many} on which the widths of the intervals were looked at while they were chosen:\n",
-        from_images(pictures, _IN_IMAGES),
+        from_images(pictures, IN_IMAGES),
     ]
 
 
