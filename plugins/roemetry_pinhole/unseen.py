@@ -76,8 +76,9 @@ def why_no_chessboard(grey: NDArray[np.uint8], board: Board) -> str:
     expected = sorted((board.columns - 1, board.rows - 1))
     flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_LARGER
     found, corners, meta = cv2.findChessboardCornersSBWithMeta(grey, (3, 3), flags)
-    if not found or meta is None:
-        return _blurred(grey) or _NONE
+    blurred = _blurred(grey)  # then what is found is a part of the board, not the whole of another one
+    if not found or meta is None or blurred:
+        return blurred or _NONE
     size = sorted(meta.shape)
     xy = corners.reshape(-1, 2)
     pitch = float(np.median(np.hypot(*np.diff(xy[: meta.shape[1]], axis=0).T)))

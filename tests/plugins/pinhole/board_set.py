@@ -24,11 +24,11 @@ _SQUARE = 24
 _SAMPLES = 3
 
 
-def planes(lean: float = 0.5) -> np.ndarray:
+def planes(lean: float = 0.5, count: int = STRIPES) -> np.ndarray:
     """(stripe, 3) p·X = 1 of a fan, camera frame; `lean` mm aside for each mm up."""
-    x = np.linspace(-36.0, 36.0, STRIPES)
+    x = np.linspace(-36.0, 36.0, count)
     leans = lean + 0.002 * x
-    normal = np.column_stack([np.ones(STRIPES), np.full(STRIPES, 0.01), leans])
+    normal = np.column_stack([np.ones(count), np.full(count, 0.01), leans])
     return normal / (x + leans * NEAR_MM)[:, None]
 
 
@@ -60,7 +60,12 @@ def plain(board: Board, rotation: np.ndarray, shift: np.ndarray) -> np.ndarray:
 
 
 def lit(
-    image: np.ndarray, lean: float, rotation: np.ndarray | None, shift: np.ndarray | None, stripes: range
+    image: np.ndarray,
+    lean: float,
+    rotation: np.ndarray | None,
+    shift: np.ndarray | None,
+    stripes: range,
+    count: int = STRIPES,
 ) -> np.ndarray:
     """The image with stripes on the board (on the belt where there is none) added."""
     found = image.copy()
@@ -68,7 +73,7 @@ def lit(
     distance = NEAR_MM if shift is None else float(normal @ shift)
     y = (np.arange(SIZE[0]) - 149.5) / FOCAL_PX
     for stripe in stripes:
-        line = distance * planes(lean)[stripe] - normal
+        line = distance * planes(lean, count)[stripe] - normal
         x_px = 199.5 - FOCAL_PX * (line[1] * y + line[2]) / line[0]
         glow = np.exp(-0.5 * ((np.arange(SIZE[1]) - x_px[:, None]) / 1.5) ** 2)
         if rotation is not None and shift is not None:
@@ -86,25 +91,26 @@ def written(
     poses: int = 8,
     lean: float = 0.5,
     stripes: dict[int, range] | None = None,
+    count: int = STRIPES,
 ) -> Path:
     """Write belt, plain and laser images of the poses and a rig file; give its path.
 
     `stripes` says of a pose which stripes fall on its board; all, where it says nothing.
     """
     rng = np.random.default_rng(3)
-    all_ = range(STRIPES)
-    save(folder / "belt.png", lit(np.full(SIZE, 10.0), lean, None, None, all_), rng)
+    all_ = range(count)
+    save(folder / "belt.png", lit(np.full(SIZE, 10.0), lean, None, None, all_, count), rng)
     for number in range(poses):
         rotation, shift = pose(number)
         image = 0.5 * plain(board, rotation, shift)
         save(folder / f"off_{number}.png", image, rng)
         falls = (stripes or {}).get(number, all_)
-        save(folder / f"on_{number}.png", lit(image, lean, rotation, shift, falls), rng)
+        save(folder / f"on_{number}.png", lit(image, lean, rotation, shift, falls, count), rng)
     described = {name: getattr(board, name) for name in board.__slots__ if getattr(board, name) is not None}
     data = {
         "roemetry_rig": 1,
         "name": "boards",
-        "stripes": STRIPES,
+        "stripes": count,
         "board": described,
         "images": {"belt": ["belt.png"], "board": ["off_*.png"], "board_laser": ["on_*.png"]},
         "extractor": "centre-of-gravity",

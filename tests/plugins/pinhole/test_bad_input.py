@@ -62,6 +62,7 @@ def bad(board: Board, folder: Path, rng) -> dict[str, tuple[str, str]]:
     mirrored = ("is mirrored", "mirroring off") if board is CHARUCO else ("on none of the planes", "again")
     return {
         "off_20": ("blurred", "focus"),
+        "on_20": ("blurred", "focus"),
         "off_21": ("tiny", "hold it nearer"),
         "off_22": ("cut off", "show more" if board is CHARUCO else "wholly inside"),
         "off_23": ("another board", "correct `board`"),
