@@ -71,11 +71,10 @@ def bridged(
     if unknown:
         ambiguous[:] = False
     if count:
-        said.append(
-            Reason(
-                "ambiguous", f"{count} peaks could not be given to one stripe with certainty and are left out"
-            )
-        )
+        peaks_are = "1 peak could not be given to one stripe with certainty and is"
+        if count > 1:
+            peaks_are = f"{count} peaks could not be given to one stripe with certainty and are"
+        said.append(Reason("ambiguous", f"{peaks_are} left out"))
     return StripeMap(
         x_px=x_px,
         x_std_px=x_std_px,

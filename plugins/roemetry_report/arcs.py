@@ -61,7 +61,7 @@ def arc_panel(
         notes.append(f"{int(leaving.sum())} {'lead' if leaving.sum() > 1 else 'leads'} out of the picture")
     title = f"Body curves, an arrow to each {marks.kind}"
     label = f"Body curves of product {product} with arrows ({marks.kind}); {'; '.join(notes)}"
-    return Panel("e", title, svg.picture(body, box=box, label=label, kind="screen zoomed"), tuple(notes))
+    return Panel("g", title, svg.picture(body, box=box, label=label, kind="screen zoomed"), tuple(notes))
 
 
 def _zoom(marks: Marks, stripes: StripeMap, product: int, size: tuple[int, int]) -> Box | None:

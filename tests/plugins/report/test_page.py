@@ -181,7 +181,7 @@ def test_two_products_share_their_pictures(mixed):
     text = mixed[1]
     section = next(part for part in text.split('<section class="acquisition"') if "2 products" in part)
     assert section.count("data:image/jpeg") == 1
-    assert re.findall(r"<b>\((\w)\)</b>", section) == list("abcdiefgefg")
+    assert re.findall(r"<b>\((\w)\)</b>", section) == list("abcdeghighi")
 
 
 def test_a_section_keeps_below_a_quarter_of_a_megabyte(mixed):
@@ -222,7 +222,7 @@ def test_uncalibrated_is_said_on_top_and_pixels_are_what_is_given(synthetic, tmp
     page = Page(text)
     assert "Uncalibrated: results are in pixels" in page.words
     assert "turned by 90°" in page.words
-    assert re.findall(r"<b>\((\w)\)</b>", text) == ["a", "b", "c", "d", "g"]
+    assert re.findall(r"<b>\((\w)\)</b>", text) == ["a", "b", "c", "d", "i"]
     assert f"{rows[0].coding.displacement_max_px:.1f}" in page.rows["weld#1"]
     assert "Weight" not in page.words
 
