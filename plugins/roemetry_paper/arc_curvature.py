@@ -112,7 +112,8 @@ class ArcCurvature(Classifier[ArcCurvatureOptions]):
     def classify(self, product: Product, *, rng: np.random.Generator | None = None) -> Grade:
         """Grade one product; `rng` is not used, since no error of the rule itself is modelled."""
         curves = body_curves(product.profiles, product.number)
-        mm_per_px = _mm_per_px(product, curves)
+        asked = self.options.space == "mm" or self.options.tuned_at_mm_per_px is not None
+        mm_per_px = _mm_per_px(product, curves) if asked else math.nan
         options = _rescaled(self.options, mm_per_px)
         middle = arc_middles(curves, options.delta_samples)
         if not middle.size:
