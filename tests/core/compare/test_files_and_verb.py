@@ -1,0 +1,123 @@
+"""What the verb `compare` writes, and how it ends."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Callable
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+from comparing_lines import COUNT
+
+
+def test_verdicts_intervals_and_classes_reach_every_file(
+    dataset: Callable[..., Path],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    roemetry: Callable[..., int],
+) -> None:
+    """A density 1.4 times as large is 33 % of the mean away, whatever the products."""
+    path, out = dataset(6), tmp_path / "out"
+    vary = "stages.weigher.options.density_g_per_cm3=1.54"
+    words = [path, "--vary", vary, "--out", out, "--tolerance", "5", "--folds", "2", "--seed", "4"]
+    assert roemetry(*words) == 0
+    assert "weight beside the recipe's, tolerance 5 %: different" in capsys.readouterr().out
+    told = json.loads((out / "comparison.json").read_text("utf-8"))
+    assert told["terms"] == {"tolerance_pct": 5.0, "folds": 2, "seed": 4, "resamples": 2000}
+    figures = told["variants"][1]["figures"]
+    assert figures["to_recipe"]["weight"]["mean_pct"] == pytest.approx(100 / 3, abs=1e-6)
+    assert figures["to_recipe"]["volume_visible"]["verdict"] == "equivalent"
+    assert figures["to_truth"]["volume_visible"]["specimens"] == 6
+    assert {recall["name"] for recall in figures["recalls"]} == {"good", "henkei"}
+    (by_weight,) = (choice for choice in told["choices"] if choice["figure"] == "mass_g")
+    assert by_weight["best"] == 0
+    (row,) = list(csv.DictReader((out / "comparison.csv").read_text("utf-8").splitlines()))[1:]
+    assert row["weight_to_recipe_verdict"] == "different"
+    page = (out / "comparison.html").read_text("utf-8")
+    for said in ("limits of agreement", "Beside the recipe as it is", "Choosing among these variants"):
+        assert said in page
+
+
+class Tags(HTMLParser):
+    """Checks that tags close in order, and gathers whatever a page could load."""
+
+    VOID = ("meta", "link", "br")
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.loads: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.loads += [value or "" for name, value in attrs if name in ("src", "href", "srcset", "data")]
+        assert tag not in ("script", "iframe", "object", "img")
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        pass
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+
+def test_command_line_and_files(
+    dataset: Callable[..., Path],
+    tmp_path: Path,
+    roemetry: Callable[..., int],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    path, out = dataset(), tmp_path / "out"
+    words = [path, "--vary", "extractor=dominant-peak,local-maximum", "--data", path.parent, "--out", out]
+    assert roemetry(*words) == 0
+    assert "local-maximum" in capsys.readouterr().out
+    told = json.loads((out / "comparison.json").read_text("utf-8"))
+    assert told["data"]["name"] == "drawn domes"
+    assert told["data"]["seeds"] == [1, COUNT]
+    assert told["data"]["made_from"] == {"seed": 7}
+    assert set(told["data"]["sha256"]) == {"dataset.yaml", "items.jsonl"}
+    assert [variant["name"] for variant in told["variants"]] == ["recipe", "local-maximum"]
+    assert told["variants"][0]["figures"]["volume_visible"]["bias_pct"] == pytest.approx(-100 / 11)
+    with (out / "comparison.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["set extractor"] for row in rows] == ["dominant-peak", "local-maximum"]
+    assert float(rows[0]["volume_visible_rmse_mm3"]) > 0
+    items = [json.loads(text) for text in (out / "items.jsonl").read_text("utf-8").splitlines()]
+    assert len(items) == 2 * COUNT
+    assert items[0]["true"]["visible_mm3"] == pytest.approx(1.1 * items[0]["measured"]["visible_mm3"])
+    page = (out / "comparison.html").read_text("utf-8")
+    tags = Tags()
+    tags.feed(page)
+    assert tags.open == []
+    assert tags.loads == ["data:,"]
+    assert "url(" not in page
+    assert "@import" not in page
+    for said in (
+        "drawn domes",
+        told["variants"][1]["name"],
+        "CC0-1.0",
+        told["data"]["sha256"]["items.jsonl"],
+    ):
+        assert said in page
+    assert roemetry(*words) == 1
+    assert "there is a comparison in this folder already" in capsys.readouterr().err
+
+
+def test_exit_codes(
+    dataset: Callable[..., Path],
+    tmp_path: Path,
+    roemetry: Callable[..., int],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    path = dataset()
+    monkeypatch.chdir(tmp_path)
+    assert roemetry(path, "--vary", "extractor=nothing") == 2
+    assert "there is no extractor `nothing`" in capsys.readouterr().err
+    assert roemetry(path, "--data", tmp_path) == 2
+    assert "dataset.yaml: cannot be read" in capsys.readouterr().err
+    assert roemetry(path, "--vary", "stages.extractor.options.threshold=-5", "--json") == 1
+    assert json.loads(capsys.readouterr().out)["variants"][1]["status"] == "failed"
+    assert (tmp_path / "results" / "line-compare-1" / "comparison.html").exists()
