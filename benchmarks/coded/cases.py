@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from benchmarks.coded.crossings import Crossings, crossings_of
 from benchmarks.coded.damage import Damage
-from benchmarks.coded.products import side_by_side, skein
+from benchmarks.coded.products import grown, side_by_side, skein
 from benchmarks.coded.rigs import CodingRig, dense_rig, easy_rig
 from benchmarks.coded.samples import Sample, sample_from
 from roemetry_simulate.parameters import draw
@@ -28,8 +28,8 @@ def broken_stripes() -> Sample:
 
 
 def grazed_stripes() -> Sample:
-    """A cap 3 mm high whose rim is all slope: outer stripes only graze it."""
-    return _lying(easy_rig(), sphere(SphereOptions(radius_mm=60.0, height_mm=3.0), Pose(2.0, 1.0, 0.0)))
+    """A cap 3 mm high whose rim is all slope: one stripe only grazes it."""
+    return _lying(easy_rig(), sphere(SphereOptions(radius_mm=60.0, height_mm=3.0), Pose(7.0, 1.0, 0.0)))
 
 
 def hidden_body() -> Sample:
@@ -117,7 +117,7 @@ def a_dead_stripe() -> Sample:
 
 def dense_and_displaced() -> Sample:
     """Twenty-one stripes displaced by up to 2.2 spacings, wide angle, speckle."""
-    return _lying(dense_rig(1), skein(3, "bent"))
+    return _lying(dense_rig(1), grown(skein(3, "bent"), 1.5))
 
 
 def a_step_of_one_spacing() -> Sample:
