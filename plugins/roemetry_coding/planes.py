@@ -134,6 +134,7 @@ class Planes(Coder[PlanesOptions]):
             self.options.longest_gap_rows,
             on_bodies_too=True,
         )
+        stripe[left_over(solved.piece, solved.stripe, stripe, _SURVIVE_SHARE)] = AMBIGUOUS
         return stripe, margin, gaps
 
 

@@ -12,6 +12,8 @@ _CLEARLY_LONGER = 3
 _MISSING_ROWS = 2
 _REACH_STRIPES = 2
 """A product hides a stripe only if it is seen within this many stripes of it."""
+_HIDING_SPACINGS = 0.15
+"""What hides a whole stripe displaces others by so much at least."""
 
 
 def drop_doubles(peaks: Peaks, stripe: Integers, line: Integers, segment_rows: Integers) -> Integers:
@@ -98,8 +100,8 @@ def refuse_unexplained_gaps(
         Shorter gaps need no explanation.
     on_bodies_too
         A body may go on from a stripe that lies on its neighbour's rest line to ones that do not: refuse
-        those, too, up to the first stripe that is not seen. What is refused and lies on a rest line explains
-        nothing then.
+        those, too, up to the first stripe that is not seen. What is refused and lies on a rest line, and a
+        body too low to hide a stripe, explain nothing then.
 
     Returns
     -------
@@ -113,14 +115,21 @@ def refuse_unexplained_gaps(
     belt[stripe[on_own], peaks.row[on_own]] = True
     off_own = (stripe >= 0) & ~on_own
     body[stripe[off_own], peaks.row[off_own]] = True
+    hiding = body
+    if on_bodies_too and stripes > 1:
+        spacing_px = np.median(np.diff(rest_px, axis=0), axis=0)
+        away_px = np.abs(peaks.x_px - rest_px[np.maximum(stripe, 0), peaks.row])
+        high = off_own & (away_px >= _HIDING_SPACINGS * spacing_px[peaks.row])
+        hiding = np.zeros((stripes, rows), np.bool_)
+        hiding[stripe[high], peaks.row[high]] = True
     refused = (stripe == AMBIGUOUS) & ((line < 0) | (not on_bodies_too))
     nearest = np.abs(rest_px[:, peaks.row[refused]] - peaks.x_px[refused]).argmin(axis=0)
-    body[nearest, peaks.row[refused]] = True
+    body[nearest, peaks.row[refused]] = hiding[nearest, peaks.row[refused]] = True
     doubt = np.zeros((stripes, rows), np.bool_)
     interrupted = []
     for s in range(stripes):
         own = np.flatnonzero(belt[s])
-        hidden = np.any(body[max(0, s - _REACH_STRIPES) : s + _REACH_STRIPES + 1], axis=0).reshape(rows)
+        hidden = body[s] | np.any(hiding[max(0, s - _REACH_STRIPES) : s + _REACH_STRIPES + 1], axis=0)
         for k in np.flatnonzero(np.diff(own) > longest_gap_rows + 1):
             unexplained = np.zeros(rows, np.bool_)
             unexplained[own[k] + 1 : own[k + 1]] = ~hidden[own[k] + 1 : own[k + 1]]

@@ -55,3 +55,23 @@ def test_a_gap_that_nothing_explains_casts_doubt_up_to_the_next_stripe_that_is_m
         refused = np.unique(found.stripe[(said == AMBIGUOUS) & (np.abs(found.peaks.row - 90) < 25)])
         np.testing.assert_array_equal(refused, [2, 3, 4] if whole else [2, 3])
         assert [reason.code for reason in reasons] == ["unexplained-gap"]
+
+
+@pytest.mark.parametrize("off_spacings, doubted", [(0.1, True), (0.6, False)])
+def test_only_a_body_that_is_high_enough_explains_a_hidden_stripe(off_spacings: float, doubted: bool) -> None:
+    """Beside an interrupted stripe all others are displaced a little, or by more than half a spacing."""
+    linear = LinearRig()
+    x_px = linear.rest_px()
+    x_px[1, 60:120] = np.nan
+    x_px[2:, 60:120] += off_spacings * linear.spacing_px
+    found = linear.peaks(x_px)
+    within = (found.peaks.row >= 60) & (found.peaks.row < 120)
+    line = np.where(within & (found.stripe >= 2), -1, found.stripe)
+    displacement_px = np.full(linear.stripes, linear.px_per_mm)
+    said, _ = refuse_unexplained_gaps(
+        found.peaks, found.stripe, line, linear.rest_px(), displacement_px, 20, on_bodies_too=True
+    )
+    inside = (found.peaks.row >= 65) & (found.peaks.row < 115) & (found.stripe >= 2)
+    outside = (found.peaks.row < 55) | (found.peaks.row >= 125)
+    assert ((said == AMBIGUOUS) == doubted)[inside].all()
+    assert not (said == AMBIGUOUS)[outside].any()
