@@ -27,6 +27,7 @@ _HEIGHTS = (0.6, 0.8, 1.0, 1.3)
 """Of the projector over the belt, in distances of the camera."""
 _ANGLES_DEG = np.arange(10.0, 61.0, 2.5)
 _TRIED = 8
+_TRIED_VIEWS = 2
 _PEAKS_MAX = 500
 _ROUNDS = 5
 _STRIPE_POINTS_MIN = 12
@@ -89,7 +90,7 @@ def _start(boards: Geometry, lines: Floats, views: tuple[Observation, ...], plat
     pose = belt_pose(boards.belt)
     away = float(pose[2, 3])
     line = np.column_stack([np.ones(len(lines)), -lines[:, 1], -lines[:, 0]])
-    peaks = [_thinned(view.peaks) for view in views]
+    peaks = [_thinned(view.peaks) for view in views[:: max(1, len(views) // _TRIED_VIEWS)]]
     tried: list[tuple[float, int, Geometry]] = []
     for share in _HEIGHTS:
         for angle in np.radians([*-_ANGLES_DEG, *_ANGLES_DEG]):
