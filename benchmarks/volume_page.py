@@ -215,7 +215,7 @@ The chain: `maximum-likelihood`, `window-tracking`, the true planes of light, `e
 image of the empty belt, 8-bit images of 640 × 480 with speckle and noise. Nothing is taken from the
 truth but the calibration. Intervals are those of {draws} draws each: the noise of the peaks, the
 outline's place, and the estimator's own error, as a run with `--draws` has them; the calibration is
-exact here, and draws nothing.
+exact here, and draws nothing. `outline-surface` says a little more than it needs to.
 """
 
 _BODIES = """
@@ -239,7 +239,8 @@ are guessed, and beyond 21 stripes little is gained. A coder tells 11 stripes ap
 """
 
 _COVERED = """
-Share of the 95 % intervals that hold the truth / their median width, per cent. Under three stripes only
-the paper's sum gives a number. `slice-sum` states what its ends may hide, which is more than it needs
-to.
+Share of the 95 % intervals that hold the truth / their median width, per cent. Three stripes over this width
+put fewer than three on most products: only the paper's sum gives a number there. With exact centres the
+slices' intervals are wider than they need be, since they are to hold from images, too, and where a product
+other than roe goes on beyond the outermost stripe.
 """
