@@ -1,6 +1,6 @@
 """Classifiers on unseen skeins and rigs: the model beside the recipe, and docs/explanation/grading.md.
 
-``python -m benchmarks grade [--learn 750] [--test 450] [--strangers 20] [--cache DIR] …``
+``python -m benchmarks grade [--learn 750] [--test 450] [--strangers 10] [--cache DIR] …``
 
 Learns on skeins from seed 50000 on rigs about the recipe's, each kind by turns. Tests on the population on
 such rigs (from 80200), and on a third and a sixth as many on another design (from 71000) and on quite another
@@ -40,7 +40,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--learn", type=int, default=750, help="skeins to learn from")
     parser.add_argument("--test", type=int, default=450, help="skeins of the first test")
-    parser.add_argument("--strangers", type=int, default=20, help="of each family that is no skein")
+    parser.add_argument("--strangers", type=int, default=10, help="of each family that is no skein")
     parser.add_argument("--cache", type=Path, default=Path(tempfile.gettempdir()) / "roemetry-traced")
     parser.add_argument("--model", type=Path, default=MODEL)
     parser.add_argument("--page", type=Path, default=Path("docs/explanation/grading.md"))

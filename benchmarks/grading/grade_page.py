@@ -15,6 +15,7 @@ from benchmarks.grading.words import confusion, ends, share, table
 from benchmarks.traced.tables import NAMED, Row
 from roemetry.compare.agreement import Terms
 from roemetry.compare.grading import reliability_of
+from roemetry.compare.resampling import wilson
 from roemetry.records import Fitted
 from roemetry_shape.shape_limits import ShapeLimitsOptions
 
@@ -25,6 +26,9 @@ RIGS = {
 }
 _BIN_MIN = 5
 """A share of fewer products is not drawn."""
+
+_STATED_MIN = 20
+"""Of fewer products with a probability nothing is said."""
 
 _SHOWN_MM = (0.0, 0.3, 0.6, 1.0, 2.0, 4.0, np.inf)
 _NAMES = list(dict.fromkeys(NAMED.values()))
@@ -76,19 +80,27 @@ def _results(rig: str, by_judge: Mapping[str, Sequence[Judged]]) -> str:
     rows = []
     for name, judged in by_judge.items():
         s = score_of(judged)
-        named = share(s.named, s.shown) if "paper" not in name else "does not name"
+        named = f"{share(s.named, s.shown)} ({ends(wilson(s.named, s.shown))})"
         rows.append(
             [
                 name,
                 share(s.kept, s.good),
                 share(s.caught, s.shown),
                 f"{s.balanced:.3f} ({ends(s.balanced_interval)})",
-                named,
+                named if "paper" not in name else "does not name",
                 share(s.caught_of_all, s.deformed),
                 str(s.unknown),
             ]
         )
-    head = ("classifier", "good kept", "caught", "balanced (95 %)", "named right", "caught of all", "unknown")
+    head = (
+        "classifier",
+        "good kept",
+        "caught",
+        "balanced (95 %)",
+        "named right (95 %)",
+        "caught of all",
+        "unknown",
+    )
     return f"## On {RIGS[rig]}\n\n{table(head, rows)}"
 
 
@@ -113,7 +125,7 @@ def _calibration(found: Found, path: Path) -> str:
     rows = []
     for rig, by_judge in found.items():
         curve = reliability_of(graded_of(by_judge["`learned`"]), Terms())
-        if curve is None:
+        if curve is None or curve.n < _STATED_MIN:
             continue
         lines[RIGS[rig]] = [(one.stated, one.right) for one in curve.bins if one.n >= _BIN_MIN]
         rows.append(
@@ -160,8 +172,7 @@ _HEAD = """\
 
 Made by `python -m benchmarks grade --learn {learn} --test {test}`: simulated herring roe skeins whose
 stripes are traced ray by ray, without a rendered image. Peaks have noise, faint ones are lost, neighbours
-merge, and `window-tracking` finds their numbers (`planes` on the dense rig); the true planes of light place
-them. The paper's rule gets
+merge, and `window-tracking` finds their numbers; the true planes of light place them. The paper's rule gets
 peaks at whole pixels, with the noise of rendered images. Every skein has a rig of its own.
 
 Learned from seeds {first} to {last}, on rigs about the recipe's. Tested on seeds that nothing was fitted to
@@ -182,14 +193,15 @@ of all deformed ones, those too whose defect lies between the stripes. *Unknown*
 """
 
 _DENSE = """\
-Neither the limits nor the model hold on a rig of twice as many stripes with three times the noise: sections
-are closer, and there are more of them. Fitted on such rigs (seeds 73000 to 73249) the same method does what
-the last line says. A model belongs to a design of a rig: after a change of stripes, lens or extractor fit
-again.
+The limits do not hold on a rig of twice as many stripes with three times the noise: sections are closer, and
+there are more of them. The model of the recipe's rigs says itself that it knows none of this. Fitted on such
+rigs (seeds 73000 to 73249) the same method does what the last line says. A model belongs to a design of a
+rig: after a change of stripes, lens or extractor fit again.
 
-The coder decides here. `window-tracking` gave 18 of the 92 good skeins of 73000 to 73249 a wrong number
-somewhere, which is a step of several millimetres; `planes` none of these 18. What is numbered wrongly looks
-deformed, and no classifier can know better.
+The coder decides here. On 18 of the 92 good skeins of seeds 73000 to 73249 there is a hollow over 0.5 mm or a
+saddle over 1 mm, up to eleven: `window-tracking` has given a stripe a wrong number. With `planes`, tried by
+hand, the same 18 have hollows of 0.5 and saddles of 1.9 mm at most. What is numbered wrongly looks deformed,
+and no classifier can know better: on such a rig take the coder first, then fit.
 """
 
 _SIZE = """\

@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
 
 from benchmarks.coded import CodingRig, dense_rig, easy_rig
 from benchmarks.volume_scenes import rig_of
-from roemetry.stages import Coder
-from roemetry_coding.planes import Planes
-from roemetry_paper.window_tracking import WindowTracking
 
 _NOISE_PX = 0.08
 _HEIGHTS_MM = (-1.0, 26.0)
@@ -36,10 +32,3 @@ RIGS: Mapping[str, Callable[[int], CodingRig]] = {
     "farther": farther,
     "dense": dense,
 }
-
-CODERS: Mapping[str, Callable[[], Coder[Any]]] = {
-    "recipe-like": WindowTracking,
-    "farther": WindowTracking,
-    "dense": Planes,
-}
-"""Of peaks at parts of a pixel. With 21 stripes every fifth skein has a wrong number by `WindowTracking`."""

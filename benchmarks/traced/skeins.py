@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.coded import CodingRig, sample_from
 from benchmarks.coded.crossings import Crossings, crossings_of
 from benchmarks.coded.products import in_view
-from benchmarks.traced.rigs import CODERS, RIGS
+from benchmarks.traced.rigs import RIGS
 from roemetry.assembling import assemble
 from roemetry.calibration import Calibration
 from roemetry.errors import StageError
@@ -90,14 +90,14 @@ def traced(
     crossings = crossings_of(on.camera, on.laser, drawn.solid)
     refused, found = "", []
     calibration, by_block = on.calibration(), block_calibration(on)
-    for noise_px, whole_pixels, coder, known, lift in (
-        (on.noise_px, False, CODERS[rig](), calibration, _lifted),
-        (_PAPER_NOISE_PX, True, WindowTracking(), by_block, BlockLinear().triangulate),
+    for noise_px, whole_pixels, known, lift in (
+        (on.noise_px, False, calibration, _lifted),
+        (_PAPER_NOISE_PX, True, by_block, BlockLinear().triangulate),
     ):
         peaks = sample_from(replace(on, noise_px=noise_px), crossings, seed=seed).peaks
         peaks = _at_whole_pixels(peaks) if whole_pixels else peaks
         try:
-            products = assemble(lift(coder.code(peaks, known), known), (), known, str(seed))
+            products = assemble(lift(WindowTracking().code(peaks, known), known), (), known, str(seed))
         except StageError as error:
             refused, products = refused or str(error), ()
         found.append(max(products, key=_points, default=None))
