@@ -115,7 +115,7 @@ def test_speckle_is_in_what_is_stated(name, rng):
     peaks = MADE[name](speckle_contrast=0.15).extract(frame(taken(level, rng)))
     error = peaks.x_px - centre[peaks.row]
     assert peaks.row.size == 12_000
-    assert 0.85 <= np.sqrt(np.mean(peaks.x_std_px**2) / np.mean(error**2)) <= 1.15
+    assert 0.9 <= np.sqrt(np.mean(peaks.x_std_px**2) / np.mean(error**2)) <= 1.1
 
 
 def speckled(contrast, rng, *, rows=960, stripes=6):
@@ -136,12 +136,12 @@ def speckled(contrast, rng, *, rows=960, stripes=6):
 
 
 @every
-@pytest.mark.parametrize("contrast", [0.0, 0.1, 0.2])
+@pytest.mark.parametrize("contrast", [0.0, 0.1, 0.25])
 def test_the_contrast_is_found_and_stated(name, contrast, rng):
     centre, pixels = speckled(contrast, rng)
     peaks = MADE[name]().extract(frame(pixels))
     error = peaks.x_px - centre[np.abs(peaks.x_px - centre[:, peaks.row]).argmin(axis=0), peaks.row]
-    assert 0.8 <= np.sqrt(np.mean(peaks.x_std_px**2) / np.mean(error**2)) <= 1.2
+    assert 0.9 <= np.sqrt(np.mean(peaks.x_std_px**2) / np.mean(error**2)) <= 1.1
     assert (peaks.correlation_rows > 0.0) == (contrast > 0.0)
 
 
