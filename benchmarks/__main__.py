@@ -8,6 +8,7 @@ import sys
 BENCHMARKS = {
     "calibrate_averages": "heights of levels by pinhole-plane, averaged over many rendered images of each",
     "calibrate_images": "heights of pinhole-plane and block-linear from simulated images, against the truth",
+    "calibrate_plate": "size of the shipped sphere plate in rendered images, by pinhole-plane",
     "calibrate_points": "spread of repeated calibrations of simulated points over what they state",
     "calibrate_real": "calibration from real boards with a laser line, and from a real chessboard",
     "coding": "share labelled, wrong and refused of every coder, where it breaks, its time",

@@ -75,10 +75,10 @@ def averaged(scene: RayCasterOptions, height_mm: float, extractor: str, seed: in
     registry = discover()
     stage = registry.load(registry.find("extractor", extractor))()
     lines = exact_lines(rig, height_mm, np.arange(rig.camera.height_px, dtype=np.float64))
-    laser, ambient = laser_light(rig, Block(_WIDE_MM, _WIDE_MM, height_mm), _matt(scene, seed), scene.samples)
+    laser, ambient = laser_light(rig, Block(_WIDE_MM, _WIDE_MM, height_mm), matt(scene, seed), scene.samples)
     total, many = np.zeros(lines.shape), np.zeros(lines.shape)
     for number in range(images):
-        peaks = stage.extract(_frame(rig, expose(laser, ambient, rig.sensor, seed + number)))
+        peaks = stage.extract(frame_of(rig, expose(laser, ambient, rig.sensor, seed + number)))
         off = np.abs(lines[:, peaks.row] - peaks.x_px)
         off[np.isnan(off)] = np.inf
         stripe = off.argmin(axis=0)
@@ -108,13 +108,14 @@ def _heights(calibration: Calibration, x_px: Floats) -> Floats:
     return np.asarray(stage.triangulate(stripes, calibration).xyz_mm[..., 2])
 
 
-def _frame(rig: Rig, pixels: np.ndarray) -> Frame:
+def frame_of(rig: Rig, pixels: np.ndarray) -> Frame:
+    """Give a rendered image with the sensor's noise as its owner knows it."""
     sensor = rig.sensor
     noise = Noise(sensor.grey_per_electron, sensor.read_noise_grey)
     return Frame(pixels, name="level", bit_depth=sensor.bit_depth, sensor=noise)
 
 
-def _matt(scene: RayCasterOptions, seed: int) -> Surface:
+def matt(scene: RayCasterOptions, seed: int) -> Surface:
     """The simulated targets' material: matt, with a third of the product's texture."""
     surface = surface_of(scene, seed)
     return replace(
