@@ -45,7 +45,7 @@ _CODED_SHARE_MIN = 0.4
 _OUTER_SHARE = 0.1
 _ON_BELT_MIN = 0.3
 _SURVIVE_SHARE = 0.5
-_CONTESTED_PEAKS = 3
+_CONTESTED_PEAKS = 4
 
 
 class Planes(Coder[PlanesOptions]):
