@@ -123,8 +123,13 @@ def refuse_unexplained_gaps(
         hiding = np.zeros((stripes, rows), np.bool_)
         hiding[stripe[high], peaks.row[high]] = True
     refused = (stripe == AMBIGUOUS) & ((line < 0) | (not on_bodies_too))
-    nearest = np.abs(rest_px[:, peaks.row[refused]] - peaks.x_px[refused]).argmin(axis=0)
-    body[nearest, peaks.row[refused]] = hiding[nearest, peaks.row[refused]] = True
+    off_px = np.abs(rest_px[:, peaks.row[refused]] - peaks.x_px[refused])
+    nearest = off_px.argmin(axis=0)
+    body[nearest, peaks.row[refused]] = True
+    if on_bodies_too and stripes > 1:
+        refused[refused] = off_px.min(axis=0) >= _HIDING_SPACINGS * spacing_px[peaks.row[refused]]
+        nearest = np.abs(rest_px[:, peaks.row[refused]] - peaks.x_px[refused]).argmin(axis=0)
+        hiding[nearest, peaks.row[refused]] = True
     doubt = np.zeros((stripes, rows), np.bool_)
     interrupted = []
     for s in range(stripes):

@@ -57,9 +57,12 @@ def test_a_gap_that_nothing_explains_casts_doubt_up_to_the_next_stripe_that_is_m
         assert [reason.code for reason in reasons] == ["unexplained-gap"]
 
 
-@pytest.mark.parametrize("off_spacings, doubted", [(0.1, True), (0.6, False)])
-def test_only_a_body_that_is_high_enough_explains_a_hidden_stripe(off_spacings: float, doubted: bool) -> None:
-    """Beside an interrupted stripe all others are displaced a little, or by more than half a spacing."""
+@pytest.mark.parametrize("refused", [False, True])
+@pytest.mark.parametrize("off_spacings, doubted", [(0.1, True), (0.4, False)])
+def test_only_a_body_that_is_high_enough_explains_a_hidden_stripe(
+    off_spacings: float, doubted: bool, refused: bool
+) -> None:
+    """Beside an interrupted stripe all others are displaced, a little or much; the nearest may be refused."""
     linear = LinearRig()
     x_px = linear.rest_px()
     x_px[1, 60:120] = np.nan
@@ -68,10 +71,11 @@ def test_only_a_body_that_is_high_enough_explains_a_hidden_stripe(off_spacings: 
     within = (found.peaks.row >= 60) & (found.peaks.row < 120)
     line = np.where(within & (found.stripe >= 2), -1, found.stripe)
     displacement_px = np.full(linear.stripes, linear.px_per_mm)
+    given = np.where(refused & within & (found.stripe == 2), AMBIGUOUS, found.stripe)
     said, _ = refuse_unexplained_gaps(
-        found.peaks, found.stripe, line, linear.rest_px(), displacement_px, 20, on_bodies_too=True
+        found.peaks, given, line, linear.rest_px(), displacement_px, 20, on_bodies_too=True
     )
-    inside = (found.peaks.row >= 65) & (found.peaks.row < 115) & (found.stripe >= 2)
+    inside = (found.peaks.row >= 65) & (found.peaks.row < 115) & (found.stripe >= 3)
     outside = (found.peaks.row < 55) | (found.peaks.row >= 125)
     assert ((said == AMBIGUOUS) == doubted)[inside].all()
     assert not (said == AMBIGUOUS)[outside].any()
