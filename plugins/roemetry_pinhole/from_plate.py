@@ -14,7 +14,7 @@ from roemetry.arrays import Flags, Floats
 from roemetry.errors import CalibrationError
 from roemetry.records import CalibrationSet, Observation, Peaks, SpherePlate
 from roemetry_pinhole.adjustment import Adjusted
-from roemetry_pinhole.ball_plate import Plate, centres, find_plate, likeness
+from roemetry_pinhole.ball_plate import Plate, centres, find_plate
 from roemetry_pinhole.equations import ON_BELT, Feet, StripePoints
 from roemetry_pinhole.frames import belt_pose, parameters_of
 from roemetry_pinhole.from_solids import OnSolids
@@ -28,7 +28,7 @@ _HEIGHTS = (0.6, 0.8, 1.0, 1.3)
 _ANGLES_DEG = np.arange(10.0, 61.0, 2.5)
 _TRIED = 8
 _TRIED_VIEWS = 2
-_PEAKS_MAX = 500
+_PEAKS_MAX = 1500
 _ROUNDS = 5
 _STRIPE_POINTS_MIN = 12
 _BELT_POINTS_MAX = 3000
@@ -91,7 +91,7 @@ def _start(boards: Geometry, lines: Floats, views: tuple[Observation, ...], plat
     away = float(pose[2, 3])
     line = np.column_stack([np.ones(len(lines)), -lines[:, 1], -lines[:, 0]])
     peaks = [_thinned(view.peaks) for view in views[:: max(1, len(views) // _TRIED_VIEWS)]]
-    tried: list[tuple[float, int, Geometry]] = []
+    tried: list[tuple[int, int, Geometry]] = []
     for share in _HEIGHTS:
         for angle in np.radians([*-_ANGLES_DEG, *_ANGLES_DEG]):
             high = share * away
@@ -99,8 +99,9 @@ def _start(boards: Geometry, lines: Floats, views: tuple[Observation, ...], plat
             planes = boards.belt + line * ((1.0 - boards.belt @ at) / (line @ at))[:, None]
             geometry = replace(boards, planes=planes)
             parameters = parameters_of(geometry, travel=False)
-            score = sum(likeness(parameters, one, plate) for one in peaks)
-            tried.append((-score, len(tried), geometry))
+            found = [find_plate(parameters, one, plate) for one in peaks]
+            on_balls = sum(one.ball.size for one in found if one is not None)
+            tried.append((-on_balls, len(tried), geometry))
     fits: list[tuple[float, int, Geometry]] = []
     for _, number, geometry in sorted(tried)[:_TRIED]:
         found = [find_plate(parameters_of(geometry, travel=False), view.peaks, plate) for view in views]
