@@ -76,6 +76,11 @@ _PEAKS_NOT_STATED = Reason(
     "peak-noise-not-stated",
     "the extractor does not state the uncertainty of its peaks, so that of volume and weight is not stated",
 )
+_CALIBRATION_NOT_STATED = Reason(
+    "calibration-model-not-stated",
+    "the calibration's model leaves perspective out, and how far that moves a volume is not stated: "
+    "no uncertainty and no interval is given",
+)
 _OUTLINE_NOT_STATED = Reason(
     "outline-error-not-stated",
     "the outliner does not state the uncertainty of its contour, so that of volume and weight is not stated",
@@ -95,6 +100,9 @@ def _unstated(trace: ProductTrace, scene: Scene, chain: Chain, drawn: Drawn) -> 
     reasons = []
     if not drawn.peaks_stated:
         reasons.append(_PEAKS_NOT_STATED)
+    view = scene.calibration.view
+    if view is not None and not view.exact:
+        reasons.append(_CALIBRATION_NOT_STATED)
     if chain.volume and not chain.volume.states_model_error:
         reasons.append(_VOLUME_NOT_STATED)
     outline = trace.product.outline

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -221,6 +222,20 @@ def test_what_is_not_stated_gives_no_interval() -> None:
 def contour(std_px: float) -> Outline:
     angle = np.linspace(0, 2 * np.pi, 200, endpoint=False)
     return Outline(1, np.column_stack([160 + 80 * np.cos(angle), 100 + 40 * np.sin(angle)]), std_px)
+
+
+def test_a_calibration_known_to_be_approximate_gives_no_interval(root: Path) -> None:
+    view = Calibration.load(root / "recipes" / "herring_roe" / "calibration.yaml").view
+    assert view is not None
+    assert not view.exact
+    given = scene()
+    approximate = replace(given, calibration=replace(given.calibration, view=view))
+    found = done(approximate, SumOfHeights(), draws=50).volume
+    assert math.isnan(found.visible_mm3.std)
+    assert found.visible_mm3.budget["calibration"] > 0.0
+    assert [reason.code for reason in found.reasons] == ["calibration-model-not-stated"]
+    exact = replace(approximate, calibration=replace(approximate.calibration, view=replace(view, exact=True)))
+    assert math.isfinite(done(exact, SumOfHeights(), draws=50).volume.visible_mm3.std)
 
 
 def test_a_contour_moves_as_one() -> None:
