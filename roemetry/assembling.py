@@ -39,16 +39,20 @@ def assemble(
 
 
 def _only(profiles: Profiles, number: int) -> Profiles:
+    """Keep the points of one product, from the first to the last of any slice."""
     mine = profiles.product == number
+    lit = mine.any(axis=0)
+    points = slice(int(lit.argmax()), lit.size - int(lit[::-1].argmax()))
+    mine = mine[:, points]
     # adding NaN takes a third of the time of choosing between a number and NaN
     others = np.where(mine, 0.0, np.nan)
     return Profiles(
-        xyz_mm=profiles.xyz_mm + others[:, :, None],
-        product=np.where(mine, profiles.product, _NOTHING),
-        seen=profiles.seen & mine,
-        x_px=profiles.x_px + others,
-        row_px=profiles.row_px + others,
-        height_std_mm=profiles.height_std_mm + others,
+        xyz_mm=profiles.xyz_mm[:, points] + others[:, :, None],
+        product=np.where(mine, profiles.product[:, points], _NOTHING),
+        seen=profiles.seen[:, points] & mine,
+        x_px=profiles.x_px[:, points] + others,
+        row_px=profiles.row_px[:, points] + others,
+        height_std_mm=profiles.height_std_mm[:, points] + others,
         stripe=profiles.stripe,
         frame=profiles.frame,
         plane=profiles.plane,
