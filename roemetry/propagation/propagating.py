@@ -32,7 +32,8 @@ def propagate(
     scene, chain
         What they were found from, by which stages.
     draws
-        Number of draws with all causes together; each cause alone gets a quarter of it, at least 50.
+        Number of draws with all causes together; each cause alone gets a quarter of it, at least 50
+        if there are as many.
 
     Notes
     -----
@@ -43,7 +44,7 @@ def propagate(
     if not products:
         return products
     drawn = Drawn(scene, chain, rng)
-    own = max(_BUDGET_DRAWS_MIN, draws // 4)
+    own = min(draws, max(_BUDGET_DRAWS_MIN, draws // 4))
     together: dict[int, list[Result]] = {trace.product.number: [] for trace in products}
     alone: dict[str, dict[int, list[Result]]] = {}
     for by_number in drawn.scenes(draws, drawn.causes):
