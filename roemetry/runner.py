@@ -10,17 +10,12 @@ import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import islice
-from multiprocessing import get_context, parent_process
-from multiprocessing.connection import wait
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from roemetry.checking import calibration_doubts
 from roemetry.errors import DataError, InterruptedRunError, RoemetryError
 from roemetry.files import LineFile, make_folder, sha256_of, write_whole
 from roemetry.measuring import failed, measurements_of
@@ -29,6 +24,9 @@ from roemetry.recipe import Recipe
 from roemetry.record import PROVENANCE, RECORD, acquisitions_to_keep, count_rows, read_record
 from roemetry.records import AcquisitionReference, Reason, Trace
 from roemetry.stages import Run
+
+if TYPE_CHECKING:
+    from concurrent.futures import Future
 
 Measured = tuple[list[str], Mapping[str, float]]
 """An acquisition's lines of the record, and the seconds its stages took."""
@@ -169,6 +167,10 @@ def measured(
         for reference in references:
             yield worker(reference)
         return
+    from concurrent.futures import ProcessPoolExecutor
+    from concurrent.futures.process import BrokenProcessPool
+    from multiprocessing import get_context
+
     # Spawned, not forked: a forked copy of numba's or OpenCV's threads can hang.
     with ProcessPoolExecutor(
         min(jobs, len(references)), get_context("spawn"), _start_worker, (recipe, debug)
@@ -203,7 +205,7 @@ class _Worker:
         self._pipeline = Pipeline(recipe, debug=debug)
         self._debug = debug
         self._hashes = recipe.hashes
-        self._doubts = calibration_doubts(recipe)
+        self._doubts = _doubts_of(recipe)
 
     def __call__(self, reference: AcquisitionReference) -> Measured:
         try:
@@ -222,6 +224,14 @@ class _Worker:
         return [row.to_json() for row in rows], trace.seconds
 
 
+def _doubts_of(recipe: Recipe) -> tuple[Reason, ...]:
+    if recipe.calibration_check is None:
+        return ()
+    from roemetry.checking import calibration_doubts
+
+    return calibration_doubts(recipe)
+
+
 _worker: _Worker | None = None
 
 
@@ -233,6 +243,9 @@ def _start_worker(recipe: Recipe, debug: bool) -> None:
 
 def _end_with_parent() -> None:
     """End this worker when its parent is gone, however that was ended."""
+    from multiprocessing import parent_process
+    from multiprocessing.connection import wait
+
     parent = parent_process()
     if parent is not None:
         wait([parent.sentinel])
@@ -265,7 +278,8 @@ def _provenance(recipe: Recipe, references: Sequence[AcquisitionReference]) -> d
         },
         "libraries": {name: version(name) for name in ("numpy", "numba", "opencv-contrib-python-headless")},
         "python": platform.python_version(),
-        "platform": platform.platform(),
+        # Not platform.platform(): that asks another process for the processor's name.
+        "platform": "-".join((platform.system(), platform.release(), platform.machine())),
         "acquisitions": len(references),
         "resolved_recipe": recipe.resolved(),
     }
