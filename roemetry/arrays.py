@@ -32,7 +32,7 @@ class Checker:
         if given is value and not value.flags.writeable:
             return value
         view = value.view()
-        view.flags.writeable = False
+        view.setflags(write=False)
         object.__setattr__(self._record, field, view)
         return view
 

@@ -18,7 +18,7 @@ from roemetry.stages import Coder, StageOptions
 from roemetry_kernels.bridging import bridged
 from roemetry_kernels.refusing import refuse_uncodable
 from roemetry_kernels.rest_lines import calibrated_rest_lines, missing_stripes, reasons_of
-from roemetry_kernels.row_order import DEAREST, order_rows, refuse_doubtful, stripes_on_belt
+from roemetry_kernels.row_order import DEAREST, order_rows, refuse_doubtful
 
 
 class OrderedOptions(StageOptions):
@@ -69,7 +69,7 @@ class Ordered(Coder[OrderedOptions]):
                 hint="calibrate, or use the coder `window-tracking`",
             )
         rest = calibrated_rest_lines(peaks, calibration)
-        live = stripes_on_belt(peaks.row, peaks.x_px, rest.x_px, rest.tolerance_px, _LIVE_ROWS_MIN)
+        live = rest.on_line >= _LIVE_ROWS_MIN
         if not live.any():
             raise StageError(
                 f"no stripe lies where the {live.size} rest lines are",

@@ -29,7 +29,7 @@ from roemetry_kernels.level_bodies import level_instead
 from roemetry_kernels.rest_lines import RestLines
 from roemetry_kernels.sight_entries import Entries, entries_of
 from roemetry_kernels.sight_lines import SightLines, sight_lines
-from roemetry_kernels.tracing import cut_at_rest_lines, nearest_rest, trace_fragments
+from roemetry_kernels.tracing import cut_at_rest_lines, trace_fragments
 
 _STEP_MAX_PX = 7.0
 _BELT_ROWS_MIN = 6
@@ -263,8 +263,7 @@ def _posed(peaks: Peaks, calibration: Calibration, rest: RestLines) -> _Problem:
     _stripes, rows = rest.x_px.shape
     sight = sight_lines(peaks, calibration, rest.x_px)
     trace, traces = trace_fragments(peaks.row_start, peaks.x_px, _STEP_MAX_PX)
-    line, _ = nearest_rest(peaks.row, peaks.x_px, rest.x_px, rest.tolerance_px)
-    piece, piece_line = cut_at_rest_lines(trace, line, traces, _BELT_ROWS_MIN, _FLICKER_ROWS)
+    piece, piece_line = cut_at_rest_lines(trace, rest.line, traces, _BELT_ROWS_MIN, _FLICKER_ROWS)
     full = int(_PRESENT_SHARE * rows)
     presence = presence_of(
         sight.line, piece, piece_line, sight.enters, sight.leaves, sight.plane.shape[0], full,
@@ -295,7 +294,8 @@ def _posed(peaks: Peaks, calibration: Calibration, rest: RestLines) -> _Problem:
         )
     )  # fmt: skip
     return _Problem(
-        sight, trace, line, piece, piece_line, home, anchored, presence.max(axis=0), entries, labels, steps
+        sight, trace, rest.line, piece, piece_line, home, anchored, presence.max(axis=0), entries, labels,
+        steps,
     )  # fmt: skip
 
 

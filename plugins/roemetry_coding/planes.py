@@ -23,7 +23,6 @@ from roemetry_kernels.label_doubts import left_over, outnumbered
 from roemetry_kernels.label_verdicts import out_of_order
 from roemetry_kernels.refusing import refuse_uncodable
 from roemetry_kernels.rest_lines import RestLines, calibrated_rest_lines, missing_stripes, reasons_of
-from roemetry_kernels.tracing import nearest_rest
 
 
 class PlanesOptions(StageOptions):
@@ -115,7 +114,7 @@ class Planes(Coder[PlanesOptions]):
         sure = solved.whole & (margin >= self.options.margin_min)
         stripe[(stripe >= 0) & ~sure] = AMBIGUOUS
         entries = solved.entries
-        line, _ = nearest_rest(peaks.row, peaks.x_px, rest.x_px, rest.tolerance_px)
+        line = rest.line
         wrong = out_of_order(entries.start, entries.peak, peaks.row, line, stripe, solved.there.size)
         stripe[wrong] = AMBIGUOUS
         wrong = out_of_order(entries.start, entries.peak, peaks.row, line, solved.claimed, solved.there.size)
@@ -144,8 +143,7 @@ def _belt_fits(peaks: Peaks, rest: RestLines) -> bool:
     outer = (peaks.row < _OUTER_SHARE * rows) | (peaks.row >= (1.0 - _OUTER_SHARE) * rows)
     if not outer.any():
         return True
-    line, _ = nearest_rest(peaks.row[outer], peaks.x_px[outer], rest.x_px, rest.tolerance_px)
-    return bool((line >= 0).mean() >= _ON_BELT_MIN)
+    return bool((rest.line[outer] >= 0).mean() >= _ON_BELT_MIN)
 
 
 def _approximate(calibration: Calibration) -> list[Reason]:

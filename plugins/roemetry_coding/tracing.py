@@ -12,14 +12,12 @@ from pydantic import Field
 
 from roemetry.calibration import Calibration
 from roemetry.errors import StageError
-from roemetry.records import AMBIGUOUS, UNCODED, Peaks, StripeMap
+from roemetry.records import AMBIGUOUS, Peaks, StripeMap
 from roemetry.stages import Coder, StageOptions
 from roemetry_kernels.bridging import bridged
-from roemetry_kernels.consistency import keep_order
 from roemetry_kernels.refusing import refuse_uncodable
 from roemetry_kernels.rest_lines import calibrated_rest_lines, missing_stripes, reasons_of
-from roemetry_kernels.row_order import stripes_on_belt
-from roemetry_kernels.trace_linking import coded_traces, linked_traces
+from roemetry_kernels.trace_linking import coded_traces
 
 
 class TracingOptions(StageOptions):
@@ -74,33 +72,31 @@ class Tracing(Coder[TracingOptions]):
                 hint="calibrate, or use the coder `window-tracking`",
             )
         rest = calibrated_rest_lines(peaks, calibration)
-        live = stripes_on_belt(peaks.row, peaks.x_px, rest.x_px, rest.tolerance_px, _LIVE_ROWS_MIN)
+        live = rest.on_line >= _LIVE_ROWS_MIN
         if not live.any():
             raise StageError(
                 f"no stripe lies where the {live.size} rest lines are",
                 hint="camera or laser may have been moved: calibrate again, or remove what covers the belt",
             )
-        trace, traces = linked_traces(
-            peaks.row_start, peaks.row, peaks.x_px, options.step_max_px, options.longest_gap_rows
-        )
         low_mm, high_mm = calibration.height_range_mm
-        stripe, margin = coded_traces(
+        stripe, margin, coded = coded_traces(
             peaks.row_start,
             peaks.row,
             peaks.x_px,
-            trace,
-            traces,
+            options.step_max_px,
+            options.longest_gap_rows,
             rest.x_px,
+            rest.line,
             live,
             rest.tolerance_px,
             calibration.displacement_px_per_mm,
             low_mm,
             high_mm,
             options.smallest_trace_rows,
+            options.margin_min,
+            AMBIGUOUS,
         )
-        stripe[(stripe != UNCODED) & (margin < options.margin_min)] = AMBIGUOUS
-        stripe = keep_order(peaks, stripe)
-        coded = np.count_nonzero(stripe >= 0) / len(peaks)
+        coded /= len(peaks)
         if coded < _CODED_SHARE_MIN:
             raise StageError(
                 f"only {coded:.0%} of the peaks lie on traces that could be numbered: that is noise, or the "

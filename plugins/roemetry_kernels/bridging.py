@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from roemetry.arrays import Floats, Integers
 from roemetry.records import AMBIGUOUS, UNCODED, Peaks, Reason, StripeMap
-from roemetry_kernels.layout import cells_between, lay_out, numbered, off_belt_and_bridged
+from roemetry_kernels.layout import Layout, laid_out
 from roemetry_kernels.rest_lines import RestLines
 
 _REACH_TOLERANCES = 3.0
@@ -43,33 +45,26 @@ def bridged(
     reasons
         What the coding has to say so far.
     """
-    x_px, x_std_px, margins = (np.empty(rest.x_px.shape) for _ in range(3))
-    seen, peak_stripe = np.empty(rest.x_px.shape, np.bool_), np.empty(len(peaks), np.int16)
-    lay_out(
-        *(peaks.row, peaks.x_px, peaks.x_std_px, stripe, margin),
-        *(x_px, x_std_px, margins, seen, peak_stripe),
-    )
-    reach_px = _REACH_TOLERANCES * rest.tolerance_px
-    off_belt = off_belt_and_bridged(x_px, rest.x_px, rest.tolerance_px, reach_px, longest_gap_rows)
+    laid = Layout(*laid_out(
+        peaks.row, peaks.x_px, peaks.x_std_px, stripe, margin, AMBIGUOUS, rest.x_px, rest.tolerance_px,
+        _REACH_TOLERANCES * rest.tolerance_px, longest_gap_rows, smallest_product_points,
+    ))  # fmt: skip
+    x_px, seen, product, dirt = laid.x_px, laid.seen, laid.product, laid.dirt
     # without any rest line every point is off the belt: one product, and nothing is dirt
-    unknown = not np.isfinite(rest.tolerance_px)
-    if unknown:
+    if not math.isfinite(rest.tolerance_px):
         product, dirt = np.where(np.isfinite(x_px), 1, -1).astype(np.int16), np.zeros_like(seen)
-    else:
-        product, dirt = numbered(x_px, off_belt, smallest_product_points)
+        laid.between[:] = False
     said = list(reasons)
-    if dirt.any():
+    if np.count_nonzero(dirt):
         said.append(
             Reason("dirt", f"{int((dirt & seen).sum())} points off the belt are too few for a product")
         )
-        for values in (x_px, x_std_px, margins):
+        for values in (x_px, laid.x_std_px, laid.margin):
             values[dirt] = np.nan
         coded = np.flatnonzero(stripe >= 0)
-        peak_stripe[coded[dirt[stripe[coded], peaks.row[coded]]]] = UNCODED
+        laid.peak_stripe[coded[dirt[stripe[coded], peaks.row[coded]]]] = UNCODED
         seen &= ~dirt
-    ambiguous, count = cells_between(peaks.row, peaks.x_px, stripe, AMBIGUOUS, rest.x_px)
-    if unknown:
-        ambiguous[:] = False
+    count = laid.refused
     if count:
         peaks_are = "1 peak could not be given to one stripe with certainty and is"
         if count > 1:
@@ -77,12 +72,12 @@ def bridged(
         said.append(Reason("ambiguous", f"{peaks_are} left out"))
     return StripeMap(
         x_px=x_px,
-        x_std_px=x_std_px,
+        x_std_px=laid.x_std_px,
         product=product,
         seen=seen,
-        margin=margins,
-        ambiguous=ambiguous,
+        margin=laid.margin,
+        ambiguous=laid.between,
         rest_px=rest.x_px,
-        peak_stripe=peak_stripe,
+        peak_stripe=laid.peak_stripe,
         reasons=tuple(said),
     )

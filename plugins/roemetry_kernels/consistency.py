@@ -54,19 +54,24 @@ def drop_doubles(peaks: Peaks, stripe: Integers, line: Integers, segment_rows: I
 def keep_order(peaks: Peaks, stripe: Integers) -> Integers:
     """Refuse peaks of a row whose stripes do not increase from left to right."""
     result = stripe.copy()
-    _refuse_disorder(peaks.row, stripe, result, AMBIGUOUS)
+    refuse_disorder(peaks.row, result, AMBIGUOUS)
     return result
 
 
 @kernel
-def _refuse_disorder(row: Integers, stripe: Integers, result: Integers, refused: int) -> None:
-    before = -1
+def refuse_disorder(row: Integers, stripe: Integers, refused: int) -> int:
+    """Write `refused` where a row's stripes do not increase, in place; gives how many peaks stay coded."""
+    coded, before, left = 0, -1, -1
     for p in range(row.shape[0]):
-        if stripe[p] < 0:
+        own = stripe[p]
+        if own < 0:
             continue
-        if before >= 0 and row[before] == row[p] and stripe[p] <= stripe[before]:
-            result[before] = result[p] = refused
-        before = p
+        coded += 1
+        if before >= 0 and row[before] == row[p] and own <= left:
+            coded -= (stripe[before] >= 0) + 1
+            stripe[before] = stripe[p] = refused
+        before, left = p, own
+    return coded
 
 
 def refuse_unexplained_gaps(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,32 +13,74 @@ from roemetry_kernels.compiling import kernel
 _PRODUCT_ROWS_MIN = 3
 
 
+class Layout(NamedTuple):
+    """Coded points over (stripe, row).
+
+    Attributes
+    ----------
+    x_px, x_std_px, margin
+        (stripe, row) what is known of each point, gaps bridged; NaN where there is none.
+    seen
+        (stripe, row) True where there is a peak.
+    peak_stripe
+        (peak,) stripe in few bits.
+    product
+        (stripe, row) product's number, 0 on the belt, −1 where nothing is known and for dirt.
+    dirt
+        (stripe, row) True for what lies off the belt and is too small for a product.
+    between, refused
+        (stripe, row) True where a refused peak may belong; and the number of those peaks.
+    """
+
+    x_px: Floats
+    x_std_px: Floats
+    margin: Floats
+    seen: Flags
+    peak_stripe: Labels
+    product: Labels
+    dirt: Flags
+    between: Flags
+    refused: int
+
+
 @kernel
-def lay_out(
-    row: Integers, x_px: Floats, x_std_px: Floats, stripe: Integers, margin: Floats,
-    laid_x_px: Floats, laid_std_px: Floats, laid_margin: Floats, seen: Flags, peak_stripe: Labels,
-) -> None:  # fmt: skip
-    """Lay coded peaks out over (stripe, row), into the last five; of two in one cell the last one counts.
+def laid_out(
+    row: Integers, x_px: Floats, x_std_px: Floats, stripe: Integers, margin: Floats, refused: int,
+    rest_px: Floats, tolerance_px: float, reach_px: float, longest_gap_rows: int, smallest: int,
+) -> tuple[Floats, Floats, Floats, Flags, Labels, Labels, Flags, Flags, int]:  # fmt: skip
+    """Lay coded peaks out over (stripe, row); of two in one cell the last one counts.
 
     Parameters
     ----------
     row, x_px, x_std_px, stripe, margin
-        (peak,) what is known of each; `stripe` below 0 is not coded.
-    laid_x_px, laid_std_px, laid_margin, seen
-        (stripe, row) the same; NaN and False where there is none.
-    peak_stripe
-        (peak,) `stripe` in fewer bits.
+        (peak,) what is known of each; `stripe` below 0 is not coded, `refused` is refused.
+    refused
+        See above.
+    rest_px, tolerance_px, reach_px, longest_gap_rows
+        See `off_belt_and_bridged`.
+    smallest
+        See `numbered`.
+
+    Returns
+    -------
+    tuple
+        The fields of `Layout`.
     """
-    for s in range(seen.shape[0]):
-        for r in range(seen.shape[1]):
-            laid_x_px[s, r] = laid_std_px[s, r] = laid_margin[s, r] = np.nan
-            seen[s, r] = False
+    shape = rest_px.shape
+    laid_x_px, laid_std_px, laid_margin = np.empty(shape), np.empty(shape), np.empty(shape)
+    seen = np.zeros(shape, np.bool_)
+    peak_stripe = np.empty(row.size, np.int16)
+    laid_x_px[:] = laid_std_px[:] = laid_margin[:] = np.nan
     for p in range(row.shape[0]):
-        s = stripe[p]
+        s, r = stripe[p], row[p]
         peak_stripe[p] = s
         if s >= 0:
-            laid_x_px[s, row[p]], laid_std_px[s, row[p]] = x_px[p], x_std_px[p]
-            laid_margin[s, row[p]], seen[s, row[p]] = margin[p], True
+            laid_x_px[s, r], laid_std_px[s, r] = x_px[p], x_std_px[p]
+            laid_margin[s, r], seen[s, r] = margin[p], True
+    off_belt = off_belt_and_bridged(laid_x_px, rest_px, tolerance_px, reach_px, longest_gap_rows)
+    product, dirt = numbered(laid_x_px, off_belt, smallest)
+    between, count = cells_between(row, x_px, stripe, refused, rest_px)
+    return laid_x_px, laid_std_px, laid_margin, seen, peak_stripe, product, dirt, between, count
 
 
 @kernel
@@ -90,7 +134,8 @@ def off_belt_and_bridged(
                 for k in range(begin, end):
                     off_belt[s, seen[k]] = False
             begin = end
-        for k in range(count - 1):
+        whole = count == 0 or seen[count - 1] - seen[0] == count - 1
+        for k in range(0 if whole else count - 1):
             before, after = seen[k], seen[k + 1]
             if not 1 < after - before <= longest_gap_rows + 1:
                 continue
@@ -227,7 +272,7 @@ def _joined(x_px: Floats, off_belt: Flags) -> Flags:
         for row in range(rows):
             if np.isnan(x_px[s, row]):
                 continue
-            if last >= 0 and off_belt[s, last] and off_belt[s, row]:
+            if 0 <= last < row - 1 and off_belt[s, last] and off_belt[s, row]:
                 filled[s, last:row] = True
             last = row
     return filled

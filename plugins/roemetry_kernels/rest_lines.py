@@ -37,6 +37,10 @@ class RestLines(NamedTuple):
         shows no belt to know them from.
     tolerance_px
         How far a peak may be from a rest line and still lie on the belt, px.
+    line
+        (peak,) rest line that each of the frame's peaks lies on, −1 for none.
+    on_line
+        (stripe,) number of peaks on each rest line.
     offset_px
         Mean distance of the belt's peaks from the lines, px: 0 for lines fitted to this frame, and how far
         camera, laser or belt have moved for those of a calibration.
@@ -44,6 +48,8 @@ class RestLines(NamedTuple):
 
     x_px: Floats
     tolerance_px: float
+    line: Integers
+    on_line: Integers
     offset_px: float = 0.0
 
 
@@ -56,24 +62,24 @@ def calibrated_rest_lines(peaks: Peaks, calibration: Calibration) -> RestLines:
         Rest lines cross within the image, so that order says nothing; or the belt's stripes lie more than a
         pixel beside them.
     """
-    x_px = _lines_of(calibration, peaks.image_size[0])
-    tolerance_px, offset_px = _belt_scatter_px(peaks, x_px)
-    if abs(offset_px) > _MOVED_MAX_PX:
-        raise StageError(_moved(offset_px), hint="calibrate again")
-    return RestLines(x_px, tolerance_px, offset_px)
+    rest = _with_peaks(peaks, *_lines_of(calibration, peaks.image_size[0]))
+    if abs(rest.offset_px) > _MOVED_MAX_PX:
+        raise StageError(_moved(rest.offset_px), hint="calibrate again")
+    return rest
 
 
 @lru_cache(maxsize=8)
-def _lines_of(calibration: Calibration, rows: int) -> Floats:
-    """Give the calibration's lines over (stripe, row); the frames of a line all have the same."""
+def _lines_of(calibration: Calibration, rows: int) -> tuple[Floats, Floats]:
+    """Give the lines over (stripe, row) and (row, stripe); one calibration's frames all have the same."""
     x_px = calibration.rest_line_px(np.arange(rows, dtype=np.float64))
     if calibration.stripe_count > 1 and not (np.diff(x_px, axis=0) > 0).all():
         raise StageError(
             "the calibration's rest lines cross, or are not numbered from left to right",
             hint="calibrate again; `roemetry lint` checks the file",
         )
-    x_px.flags.writeable = False
-    return x_px
+    by_row = np.ascontiguousarray(x_px.T)
+    x_px.flags.writeable = by_row.flags.writeable = False
+    return x_px, by_row
 
 
 def reasons_of(rest: RestLines) -> list[Reason]:
@@ -153,45 +159,74 @@ def rest_lines_of_frame(
     x_px = np.array([_line(a, b, rows) for a, b in zip(top, bottom, strict=True)])
     for _ in range(3):
         x_px = _refined(peaks, x_px)
-    return RestLines(x_px, belt_tolerance_px(peaks, x_px))
+    return _with_peaks(peaks, x_px, np.ascontiguousarray(x_px.T))._replace(offset_px=0.0)
 
 
-def belt_tolerance_px(peaks: Peaks, rest_px: Floats) -> float:
-    """Four standard deviations (robust) of the peaks about the rest lines, at least 1 px."""
-    return _belt_scatter_px(peaks, rest_px)[0]
+def _with_peaks(peaks: Peaks, x_px: Floats, by_row: Floats) -> RestLines:
+    """Give lines with what the frame's peaks say of them.
 
-
-def _belt_scatter_px(peaks: Peaks, rest_px: Floats) -> tuple[float, float]:
-    """Give the belt's tolerance and the mean distance of its peaks from the rest lines, px.
-
-    Only the image's top and bottom tenth are asked: amid the image a product may lie near the lines.
+    The tolerance is four standard deviations (robust) of the peaks about the lines, at least 1 px. For it,
+    and for the mean distance, only the image's top and bottom tenth are asked: amid the image a product may
+    lie near the lines.
     """
-    rows = rest_px.shape[1]
-    top = peaks.row_start[math.ceil(_OUTER_SHARE * rows)]
-    bottom = peaks.row_start[math.ceil((1.0 - _OUTER_SHARE) * rows)]
-    near, mad, mean = _scatter(peaks.row, peaks.x_px, rest_px, top, bottom, _SEARCH_PX)
-    if near < _BELT_PEAKS_MIN:
-        return _TOLERANCE_MIN_PX, 0.0
-    return max(_TOLERANCE_MIN_PX, _SIGMAS * _MAD_TO_STD * float(mad)), float(mean)
+    rows = x_px.shape[1]
+    line, on_line, tolerance_px, mean = _on_lines(
+        peaks.row_start, peaks.x_px, by_row, math.ceil(_OUTER_SHARE * rows),
+        math.ceil((1.0 - _OUTER_SHARE) * rows),
+    )  # fmt: skip
+    return RestLines(x_px, tolerance_px, line, on_line, mean)
 
 
 @kernel
-def _scatter(
-    row: Integers, x_px: Floats, rest_px: Floats, top: int, bottom: int, search_px: float
-) -> tuple[int, float, float]:
+def _on_lines(
+    row_start: Integers, x_px: Floats, by_row: Floats, top: int, bottom: int
+) -> tuple[Integers, Integers, float, float]:
+    """Give (peak,) the line it lies on, (stripe,) number of those, the tolerance, and the mean distance, px.
+
+    `by_row` are lines (row, stripe), px; the rows before `top` and from `bottom` on tell the scatter.
+    """
+    line, distance = np.empty(x_px.size, np.int64), np.empty(x_px.size)
+    stripes = by_row.shape[1]
+    for row in range(row_start.size - 1):
+        nearest = 0
+        for p in range(row_start[row], row_start[row + 1]):
+            off = x_px[p] - by_row[row, nearest]
+            while nearest + 1 < stripes and abs(x_px[p] - by_row[row, nearest + 1]) < abs(off):
+                nearest += 1
+                off = x_px[p] - by_row[row, nearest]
+            line[p], distance[p] = nearest, off
+    near, mad, mean = _scatter(distance, row_start[top], row_start[bottom], _SEARCH_PX)
+    tolerance_px = _TOLERANCE_MIN_PX
+    if near < _BELT_PEAKS_MIN:
+        mean = 0.0
+    else:
+        tolerance_px = max(tolerance_px, _SIGMAS * _MAD_TO_STD * mad)
+    on_line = np.zeros(stripes, np.int64)
+    for p in range(line.size):
+        if abs(distance[p]) <= tolerance_px:
+            on_line[line[p]] += 1
+        else:
+            line[p] = -1
+    return line, on_line, tolerance_px, mean
+
+
+@kernel
+def _scatter(distance: Floats, top: int, bottom: int, search_px: float) -> tuple[int, float, float]:
     """Number, median absolute deviation and mean of the distances of peaks near a line, px.
 
     Peaks up to `top` and from `bottom` on are asked.
     """
-    count = row.shape[0]
-    asked = np.empty(top + count - bottom, np.int64)
-    for n in range(asked.size):
-        asked[n] = n if n < top else bottom + n - top
-    line, distance = nearest_rest(row[asked], x_px[asked], rest_px, search_px)
-    near = distance[line >= 0]
-    if near.size == 0:
+    near = np.empty(top + distance.size - bottom)
+    count: Any = 0
+    for n in range(near.size):
+        off = distance[n if n < top else bottom + n - top]
+        if abs(off) <= search_px:
+            near[count] = off
+            count += 1
+    if count == 0:
         return 0, 0.0, 0.0
-    return near.size, _median(np.abs(near - _median(near))), near.mean()
+    near = near[:count]
+    return count, _median(np.abs(near - _median(near))), near.mean()
 
 
 @inlined
@@ -206,18 +241,18 @@ def _median(values: Floats) -> float:
         upto[int((value - lowest) * scale) + 1] += 1
     for k in range(_BINS):
         upto[k + 1] += upto[k]
-    middle = np.empty(2)
-    for side in range(2):
-        wanted = (values.size - 1 + side) // 2
-        k = int(np.searchsorted(upto, wanted, side="right")) - 1
-        some = np.empty(upto[k + 1] - upto[k])
-        count: Any = 0
-        for value in values:
-            if int((value - lowest) * scale) == k:
-                some[count] = value
-                count += 1
-        middle[side] = np.partition(some, wanted - upto[k])[wanted - upto[k]]
-    return float(0.5 * (middle[0] + middle[1]))
+    # the two middle ones lie in one bin, or in two with nothing between
+    first, second = (values.size - 1) // 2, values.size // 2
+    lower = int(np.searchsorted(upto, first, side="right")) - 1
+    upper = int(np.searchsorted(upto, second, side="right")) - 1
+    some = np.empty(upto[upper + 1] - upto[lower])
+    count: Any = 0
+    for value in values:
+        if lower <= int((value - lowest) * scale) <= upper:
+            some[count] = value
+            count += 1
+    some.sort()
+    return float(0.5 * (some[first - upto[lower]] + some[second - upto[lower]]))
 
 
 def _ends(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from roemetry.arrays import Flags, Floats, Integers
 from roemetry_kernels.compiling import kernel
@@ -20,26 +19,6 @@ _REST = 0.3
 _LOOK_BACK = 3
 DEAREST = 2.0 * _SKIP
 """A verdict is dearer than another by this at most: one stripe put in another place and one left out."""
-
-
-@kernel
-def stripes_on_belt(
-    row: Integers, x_px: Floats, rest_px: Floats, tolerance_px: float, rows_min: int
-) -> NDArray[np.bool_]:
-    """Say which stripes are seen on their rest lines in at least `rows_min` rows."""
-    stripes = rest_px.shape[0]
-    seen = np.zeros(stripes, np.int64)
-    for p in range(row.shape[0]):
-        low, high = 0, stripes
-        while low < high:
-            middle = (low + high) // 2
-            if rest_px[middle, row[p]] < x_px[p] - tolerance_px:
-                low = middle + 1
-            else:
-                high = middle
-        if low < stripes and rest_px[low, row[p]] <= x_px[p] + tolerance_px:
-            seen[low] += 1
-    return seen >= rows_min
 
 
 @kernel

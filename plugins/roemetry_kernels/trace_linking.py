@@ -6,8 +6,9 @@ import numpy as np
 
 from roemetry.arrays import Flags, Floats, Integers
 from roemetry_kernels.compiling import kernel
+from roemetry_kernels.consistency import refuse_disorder
 from roemetry_kernels.ordering import vote_by_order
-from roemetry_kernels.tracing import cut_at_rest_lines, nearest_rest
+from roemetry_kernels.tracing import cut_in_order
 
 _SLOPE_GAIN = 0.3
 _CURVATURE_GAIN = 0.03
@@ -22,7 +23,7 @@ _PASSES = 4
 
 @kernel
 def linked_traces(
-    row_start: Integers, row: Integers, x_px: Floats, step_max_px: float, gap_rows: int
+    row_start: Integers, x_px: Floats, step_max_px: float, gap_rows: int
 ) -> tuple[Integers, int]:
     """Join peaks to traces that were going there.
 
@@ -31,7 +32,7 @@ def linked_traces(
 
     Parameters
     ----------
-    row_start, row, x_px
+    row_start, x_px
         Peaks by row, px.
     step_max_px
         Largest distance from the prediction, px.
@@ -44,54 +45,68 @@ def linked_traces(
         (peak,) trace, and the number of traces.
     """
     peaks = x_px.shape[0]
-    trace = np.full(peaks, -1, np.int64)
-    place, slope = np.empty(peaks), np.empty(peaks)
-    curvature, last = np.empty(peaks), np.empty(peaks, np.int64)
-    length = np.zeros(peaks, np.int64)
-    open_traces = np.empty(peaks, np.int64)
-    ahead, reach, far = np.empty(peaks), np.empty(peaks), np.empty(peaks)
+    trace = np.empty(peaks, np.int64)
+    # what is known of the open traces, in the order in which they began
+    number, last = np.empty(peaks, np.int64), np.empty(peaks, np.int64)
+    length = np.empty(peaks, np.int64)
+    place, slope, curvature = np.empty(peaks), np.empty(peaks), np.empty(peaks)
+    ahead = np.empty(peaks)
+    # of a row's peaks: the trace that comes nearest, and how near
+    most = 0
+    for r in range(row_start.shape[0] - 1):
+        most = max(most, row_start[r + 1] - row_start[r])
+    taken_by, nearest = np.full(most, -1, np.int64), np.full(most, np.inf)
     opened, count = 0, 0
     for r in range(row_start.shape[0] - 1):
-        kept = 0
+        begin, end = row_start[r], row_start[r + 1]
+        kept, p = 0, begin
         for k in range(opened):
-            t = open_traces[k]
-            gap = r - last[t]
+            gap = r - last[k]
             if gap > gap_rows + 1:
                 continue
-            open_traces[kept] = t
-            ahead[kept] = _ahead(place[t], slope[t], curvature[t], gap)
-            reach[kept] = step_max_px * (1.0 + _GAP_GROWTH * (gap - 1))
-            # a short trace does not know yet where it goes
-            if length[t] < 4 and gap > 2:
-                reach[kept] = 0.0
-            far[kept] = 0.1 * gap
+            if kept != k:
+                number[kept], last[kept], length[kept] = number[k], last[k], length[k]
+                place[kept], slope[kept], curvature[kept] = place[k], slope[k], curvature[k]
+            to, reach, far = place[kept] + slope[kept] + 0.5 * curvature[kept], step_max_px, 0.1
+            if gap > 1:
+                to = _ahead(place[kept], slope[kept], curvature[kept], gap)
+                reach, far = step_max_px * (1.0 + _GAP_GROWTH * (gap - 1)), 0.1 * gap
+            ahead[kept] = to
             kept += 1
-        opened = waiting = kept
-        for p in range(row_start[r], row_start[r + 1]):
-            best, found, place_of_found = np.inf, -1, -1
-            for k in range(waiting):
-                off = abs(ahead[k] - x_px[p])
-                nearer = off <= reach[k] and off + far[k] < best
-                if nearer and _mine(ahead[k], p, r, row_start, x_px):
-                    best, found, place_of_found = off + far[k], open_traces[k], k
-            if found < 0:
-                found = count
-                place[found], slope[found], curvature[found] = x_px[p], 0.0, 0.0
-                open_traces[opened] = found
+            # a short trace does not know yet where it goes
+            if begin == end or (gap > 2 and length[kept - 1] < 4):
+                continue
+            while p + 1 < end and abs(to - x_px[p + 1]) < abs(to - x_px[p]):
+                p += 1
+            while p > begin and abs(to - x_px[p - 1]) < abs(to - x_px[p]):
+                p -= 1
+            off = abs(to - x_px[p])
+            if off <= reach and off + far < nearest[p - begin]:
+                taken_by[p - begin], nearest[p - begin] = kept - 1, off + far
+        opened = kept
+        for p in range(begin, end):
+            k = taken_by[p - begin]
+            taken_by[p - begin], nearest[p - begin] = -1, np.inf
+            if k < 0:
+                k = opened
+                number[k], length[k], slope[k], curvature[k] = count, 0, 0.0, 0.0
                 opened += 1
                 count += 1
             else:
-                gap = r - last[found]
-                off = x_px[p] - ahead[place_of_found]
-                reach[place_of_found] = -1.0  # it has its peak
-                gain = max(_SLOPE_GAIN, 1.0 / (length[found] + 1))
-                slope[found] += curvature[found] * gap + gain * off / gap
-                bent = curvature[found] + _CURVATURE_GAIN * off / (gap * gap)
-                curvature[found] = min(max(bent, -_CURVATURE_MAX), _CURVATURE_MAX)
-                place[found] = x_px[p]
-            last[found] = r
-            length[found] += 1
-            trace[p] = found
+                gap = r - last[k]
+                off = x_px[p] - ahead[k]
+                gain = _SLOPE_GAIN
+                if length[k] < 3:
+                    gain = max(gain, 1.0 / (length[k] + 1))
+                away, bend = gain * off, _CURVATURE_GAIN * off
+                if gap > 1:  # nearly never, and divisions are slow
+                    away, bend = away / gap, bend / (gap * gap)
+                slope[k] += curvature[k] * gap + away
+                bent = curvature[k] + bend
+                curvature[k] = min(max(bent, -_CURVATURE_MAX), _CURVATURE_MAX)
+            place[k], last[k] = x_px[p], r
+            length[k] += 1
+            trace[p] = number[k]
     return trace, count
 
 
@@ -103,30 +118,22 @@ def _ahead(place: float, slope: float, curvature: float, gap: int) -> float:
 
 
 @kernel
-def _mine(ahead: float, p: int, r: int, row_start: Integers, x_px: Floats) -> bool:
-    """Say whether no other peak of the row is nearer to where a trace was going."""
-    off = abs(ahead - x_px[p])
-    if p > row_start[r] and abs(ahead - x_px[p - 1]) < off:
-        return False
-    return not (p + 1 < row_start[r + 1] and abs(ahead - x_px[p + 1]) < off)
-
-
-@kernel
 def coded_traces(
-    row_start: Integers, row: Integers, x_px: Floats, trace: Integers, traces: int, rest_px: Floats,
-    live: Flags, tolerance_px: float, px_per_mm: Floats, height_min_mm: float, height_max_mm: float,
-    rows_min: int,
-) -> tuple[Integers, Floats]:  # fmt: skip
+    row_start: Integers, row: Integers, x_px: Floats, step_max_px: float, gap_rows: int, rest_px: Floats,
+    line: Integers, live: Flags, tolerance_px: float, px_per_mm: Floats, height_min_mm: float,
+    height_max_mm: float, rows_min: int, margin_min: float, refused: int,
+) -> tuple[Integers, Floats, int]:  # fmt: skip
     """Number traces from the belt, the others by their order between them.
 
     Parameters
     ----------
     row_start, row, x_px
         Peaks by row, px.
-    trace, traces
+    step_max_px, gap_rows
         See `linked_traces`.
-    rest_px, live
-        (stripe, row) rest lines, px; (stripe,) False for those that are not there.
+    rest_px, line, live
+        (stripe, row) rest lines, px; (peak,) the one a peak lies on, −1 for none; (stripe,) False for those
+        that are not there.
     tolerance_px
         How far from its rest line a peak still is belt, px.
     px_per_mm
@@ -135,42 +142,44 @@ def coded_traces(
         Heights there may be, mm.
     rows_min
         Traces with fewer peaks are noise.
+    margin_min
+        A stripe with a smaller margin is refused.
+    refused
+        What is written for a refused peak.
 
     Returns
     -------
     tuple
-        (peak,) stripe, −1 for noise; and (peak,) margin, 0 where nothing decides.
+        (peak,) stripe, −1 for noise, refused where those of a row do not increase; (peak,) margin, 0 where
+        nothing decides; and the number of coded peaks.
     """
-    line, _ = nearest_rest(row, x_px, rest_px, tolerance_px)
-    piece, piece_line = cut_at_rest_lines(trace, line, traces, _BELT_ROWS_MIN, _FLICKER_ROWS)
+    trace, traces = linked_traces(row_start, x_px, step_max_px, gap_rows)
+    piece, piece_line, order, start = cut_in_order(trace, line, traces, _BELT_ROWS_MIN, _FLICKER_ROWS)
     pieces = piece_line.shape[0]
     rows = rest_px.shape[1]
     of_label = np.flatnonzero(live)
     to_label = np.full(rest_px.shape[0], -1, np.int64)
     for i in range(of_label.size):
         to_label[of_label[i]] = i
-    size = np.zeros(pieces, np.int64)
-    first, last = np.full(pieces, rows, np.int64), np.full(pieces, -1, np.int64)
-    for p in range(row.shape[0]):
-        f = piece[p]
-        size[f] += 1
-        first[f], last[f] = min(first[f], row[p]), max(last[f], row[p])
+    size = start[1:] - start[:-1]
     label = np.full(pieces, -1, np.int64)
     margin = np.zeros(pieces)
+    used_piece = np.full(pieces, -1, np.int64)
     for f in range(pieces):
-        anchored = piece_line[f] >= 0 and (first[f] <= _END_ROWS or last[f] >= rows - 1 - _END_ROWS)
+        first, last = row[order[start[f]]], row[order[start[f + 1] - 1]]
+        anchored = piece_line[f] >= 0 and (first <= _END_ROWS or last >= rows - 1 - _END_ROWS)
         if anchored and to_label[piece_line[f]] >= 0:
             label[f], margin[f] = to_label[piece_line[f]], 1.0
-    used = np.empty(row.shape[0], np.int64)
-    for p in range(row.shape[0]):
-        used[p] = piece[p] if size[piece[p]] >= rows_min or label[piece[p]] >= 0 else -1
+        if size[f] >= rows_min or label[f] >= 0:
+            used_piece[f] = f
+    used = used_piece[piece]
     low, high = np.empty(of_label.size), np.empty(of_label.size)
     for i in range(of_label.size):
         one, other = px_per_mm[of_label[i]] * height_min_mm, px_per_mm[of_label[i]] * height_max_mm
         low[i], high[i] = min(one, other) - tolerance_px, max(one, other) + tolerance_px
     rest_live = np.ascontiguousarray(rest_px[of_label])
     for _ in range(_PASSES):
-        if _all_labelled(label, used):
+        if not np.any((used_piece >= 0) & (label < 0)):
             break
         votes, voters = vote_by_order(row_start, x_px, used, label, rest_live, low, high)
         settled = 0
@@ -188,20 +197,13 @@ def coded_traces(
                 settled += 1
         if settled == 0:
             break
-    stripe = np.full(row.shape[0], -1, np.int64)
-    sure = np.zeros(row.shape[0])
-    for p in range(row.shape[0]):
-        if used[p] >= 0:
-            f = piece[p]
-            stripe[p] = of_label[label[f]] if label[f] >= 0 else 0
-            sure[p] = margin[f] if label[f] >= 0 else 0.0
-    return stripe, sure
-
-
-@kernel
-def _all_labelled(label: Integers, used: Integers) -> bool:
-    """Say whether there is nothing to vote on."""
-    waiting = 0
-    for p in range(used.shape[0]):
-        waiting += used[p] >= 0 and label[used[p]] < 0
-    return waiting == 0
+    verdict = np.full(pieces, -1, np.int64)
+    for f in range(pieces):
+        if used_piece[f] >= 0:
+            verdict[f] = of_label[label[f]] if label[f] >= 0 and margin[f] >= margin_min else refused
+        else:
+            margin[f] = 0.0
+    stripe, sure = np.empty(row.size, np.int64), np.empty(row.size)
+    for p in range(row.size):
+        stripe[p], sure[p] = verdict[piece[p]], margin[piece[p]]
+    return stripe, sure, refuse_disorder(row, stripe, refused)

@@ -121,32 +121,68 @@ def cut_at_rest_lines(
     tuple
         (peak,) segment of each peak; (segment,) rest line it lies on, −1 for none.
     """
+    segment, segment_line, _, _ = cut_in_order(fragment, line, fragments, belt_rows_min, flicker_rows)
+    return segment, segment_line
+
+
+@kernel
+def cut_in_order(
+    fragment: Integers, line: Integers, fragments: int, belt_rows_min: int, flicker_rows: int
+) -> tuple[Integers, Integers, Integers, Integers]:
+    """Cut as `cut_at_rest_lines`, and give the peaks segment by segment, too.
+
+    Gives (peak,) segment; (segment,) rest line; (peak,) peaks, sorted by segment, then row; and
+    (segment + 1,) where each segment begins among those.
+    """
     peaks = fragment.shape[0]
     length = np.zeros(fragments + 1, np.int64)
     for p in range(peaks):
         length[fragment[p] + 1] += 1
     start = np.cumsum(length)
-    order = np.empty(peaks, np.int64)
+    order, state = np.empty(peaks, np.int64), np.empty(peaks, np.int64)
     fill = start[:-1].copy()
     for p in range(peaks):
-        order[fill[fragment[p]]] = p
-        fill[fragment[p]] += 1
+        at = fill[fragment[p]]
+        order[at], state[at] = p, line[p]
+        fill[fragment[p]] = at + 1
     segment = np.empty(peaks, np.int64)
-    segment_line = np.empty(peaks, np.int64)
+    segment_line, segment_start = np.empty(peaks, np.int64), np.empty(peaks + 1, np.int64)
+    run_line, run_start = np.empty(peaks, np.int64), np.empty(peaks + 1, np.int64)
     count = 0
     for f in range(fragments):
-        begin, end = start[f], start[f + 1]
-        state = np.empty(end - begin, np.int64)
-        for k in range(begin, end):
-            state[k - begin] = line[order[k]]
-        _close_flicker(state, flicker_rows)
-        _drop_short(state, belt_rows_min)
-        for k in range(end - begin):
-            if k == 0 or state[k] != state[k - 1]:
-                segment_line[count] = state[k]
+        first = count
+        runs = _runs(state, start[f], start[f + 1], flicker_rows, run_line, run_start)
+        for k in range(runs):
+            own = run_line[k] if run_start[k + 1] - run_start[k] >= belt_rows_min else -1
+            if count == first or own != segment_line[count - 1]:
+                segment_line[count], segment_start[count] = own, run_start[k]
                 count += 1
-            segment[order[begin + k]] = count - 1
-    return segment, segment_line[:count].copy()
+            for at in range(run_start[k], run_start[k + 1]):
+                segment[order[at]] = count - 1
+    segment_start[count] = peaks
+    return segment, segment_line[:count].copy(), order, segment_start[: count + 1].copy()
+
+
+@kernel
+def _runs(
+    state: Integers, begin: int, end: int, flicker_rows: int, run_line: Integers, run_start: Integers
+) -> int:
+    """Write line and start of each run of one line, and the last one's end; gives the number of runs.
+
+    What is on no line for a few rows between two runs of one line belongs to them.
+    """
+    count = 0
+    for k in range(begin, end):
+        if k > begin and state[k] == state[k - 1]:
+            continue
+        again = count > 1 and run_line[count - 1] == -1 and run_line[count - 2] == state[k]
+        if again and k - run_start[count - 1] <= flicker_rows:
+            count -= 1
+            continue
+        run_line[count], run_start[count] = state[k], k
+        count += 1
+    run_start[count] = end
+    return count
 
 
 @kernel
@@ -157,26 +193,3 @@ def _nearest(x_px: Floats, begin: int, end: int, x: float) -> int:
         if off < nearest:
             best, nearest = p, off
     return best
-
-
-@kernel
-def _close_flicker(state: Integers, flicker_rows: int) -> None:
-    last = -1
-    for k in range(state.shape[0]):
-        if state[k] < 0:
-            continue
-        if last >= 0 and state[last] == state[k] and k - last - 1 <= flicker_rows:
-            for between in range(last + 1, k):
-                state[between] = state[k]
-        last = k
-
-
-@kernel
-def _drop_short(state: Integers, belt_rows_min: int) -> None:
-    begin = 0
-    for k in range(1, state.shape[0] + 1):
-        if k == state.shape[0] or state[k] != state[begin]:
-            if k - begin < belt_rows_min:
-                for short in range(begin, k):
-                    state[short] = -1
-            begin = k

@@ -10,7 +10,7 @@ import numpy as np
 from roemetry.arrays import Floats
 from roemetry.errors import CalibrationError, StageError
 from roemetry.records import CalibrationSet, Observation, Peaks
-from roemetry_kernels.rest_lines import belt_tolerance_px, rest_lines_of_frame
+from roemetry_kernels.rest_lines import rest_lines_of_frame
 from roemetry_kernels.tracing import trace_fragments
 
 _FULL_ROWS_MIN = 0.5
@@ -201,7 +201,7 @@ def _from_block_image(view: Observation, stripes: int) -> RestFit:
         raise AssertionError("rest lines of a known number of stripes are found or refused")
     rows = np.arange(peaks.image_size[0]) - (peaks.image_size[0] - 1) / 2.0
     rest = np.array([np.polyfit(rows, line, 1)[::-1] for line in lines.x_px])
-    rms = belt_tolerance_px(peaks, lines.x_px) / 4.0
+    rms = lines.tolerance_px / 4.0
     # the belt above and below the block: at least the image's ends
     ends = np.concatenate([rows[:_END_ROWS], rows[-_END_ROWS:]])
     covariance = _of_line(ends, np.full(ends.size, rms))

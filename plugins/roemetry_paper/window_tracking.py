@@ -36,7 +36,7 @@ from roemetry_kernels.rest_lines import (
     reasons_of,
     rest_lines_of_frame,
 )
-from roemetry_kernels.tracing import nearest_rest, trace_fragments
+from roemetry_kernels.tracing import trace_fragments
 from roemetry_paper.belt import Belt, belt_of
 from roemetry_paper.literal_tracking import literal_codes
 
@@ -160,7 +160,7 @@ class WindowTracking(Coder[WindowTrackingOptions]):
         calibration: Calibration | None,
     ) -> tuple[Integers, Floats, list[Reason]]:
         """Give (peak,) stripe or UNCODED or AMBIGUOUS, (peak,) margin, and what to say of it."""
-        line, _ = nearest_rest(peaks.row, peaks.x_px, rest.x_px, rest.tolerance_px)
+        line = rest.line
         belt = belt_of(peaks, fragment, fragments, line, rest.x_px.shape[0])
         if belt.live.size == 0:
             raise StageError(
@@ -198,7 +198,12 @@ class WindowTracking(Coder[WindowTrackingOptions]):
             )
         number = np.full(fragments, UNCODED, np.int64)
         number[big[np.argsort(place[big])]] = np.arange(big.size)
-        rest = RestLines(np.full((big.size, peaks.image_size[0]), np.nan), np.inf)
+        rest = RestLines(
+            x_px=np.full((big.size, peaks.image_size[0]), np.nan),
+            tolerance_px=np.inf,
+            line=np.full(len(peaks), -1),
+            on_line=np.zeros(big.size, np.int64),
+        )
         return rest, number[fragment], np.full(len(peaks), np.nan)
 
     def _settle(

@@ -73,10 +73,9 @@ class StripeMap:
         check.require(self.correlation_rows >= 0, "correlation_rows is negative")
         if x_px.shape == product.shape == seen.shape:
             empty = np.isnan(x_px)
-            check.require(
-                bool(((product == NOTHING) == empty).all()), "product is −1 exactly where x_px is NaN"
-            )
-            check.require(not bool((seen & empty).any()), "seen where x_px is NaN")
+            unlike = np.count_nonzero((product == NOTHING) != empty)
+            check.require(unlike == 0, "product is −1 exactly where x_px is NaN")
+            check.require(np.count_nonzero(seen & empty) == 0, "seen where x_px is NaN")
         check.finish()
 
     @property

@@ -26,7 +26,7 @@ def test_a_stripe_is_followed_over_a_gap_by_its_direction(linear) -> None:
     beside = np.where(rows < 90, np.nan, 60.0 + 0.8 * 70.0)
     found = linear.peaks(np.array([lean, beside]))
     peaks = found.peaks
-    trace, _ = linked_traces(peaks.row_start, peaks.row, peaks.x_px, 3.5, 20)
+    trace, _ = linked_traces(peaks.row_start, peaks.x_px, 3.5, 20)
     of_lean = trace[found.stripe == 0]
     assert np.unique(of_lean).size == 1
     assert of_lean[0] not in trace[found.stripe == 1]
@@ -36,8 +36,8 @@ def test_a_longer_gap_ends_a_trace(linear) -> None:
     x_px = linear.x_px(linear.belt())[:1]
     x_px[0, 60:85] = np.nan
     peaks = linear.peaks(x_px).peaks
-    assert np.unique(linked_traces(peaks.row_start, peaks.row, peaks.x_px, 3.5, 20)[0]).size == 2
-    assert np.unique(linked_traces(peaks.row_start, peaks.row, peaks.x_px, 3.5, 25)[0]).size == 1
+    assert np.unique(linked_traces(peaks.row_start, peaks.x_px, 3.5, 20)[0]).size == 2
+    assert np.unique(linked_traces(peaks.row_start, peaks.x_px, 3.5, 25)[0]).size == 1
 
 
 @pytest.mark.parametrize("height_mm", [4.0, 8.0, 15.0])
