@@ -44,7 +44,7 @@ class Bend:
     def by_coefficient(self, place_mm: Floats) -> Floats:
         """Give (n, 12) what each coefficient adds at places (n, 2)."""
         x, y = self._powers(place_mm)
-        return np.asarray(x[:, _POWERS[:, 0]] * y[:, _POWERS[:, 1]])
+        return np.asarray((x[_POWERS[:, 0]] * y[_POWERS[:, 1]]).T)
 
     def height_mm(self, place_mm: Floats) -> Floats:
         """Give (n,) how far the print lies off the plane at places (n, 2)."""
@@ -54,8 +54,8 @@ class Bend:
         """Give (n, 2) the derivatives of the height along x and y."""
         x, y = self._powers(place_mm)
         i, j = _POWERS.T
-        along = i * x[:, np.maximum(i - 1, 0)] * y[:, j] @ self.coefficients_mm
-        down = j * x[:, i] * y[:, np.maximum(j - 1, 0)] @ self.coefficients_mm
+        along = (self.coefficients_mm * i) @ (x[np.maximum(i - 1, 0)] * y[j])
+        down = (self.coefficients_mm * j) @ (x[i] * y[np.maximum(j - 1, 0)])
         return np.column_stack([along, down]) / self.reach_mm
 
     def range_mm(self) -> float:
@@ -66,7 +66,10 @@ class Bend:
         flat = np.column_stack([places, np.ones(len(places))])
         return float(np.ptp(height - flat @ np.linalg.lstsq(flat, height, rcond=None)[0]))
 
-    def _powers(self, place_mm: Floats) -> tuple[Floats, Floats]:
-        from_middle = (place_mm - self.middle_mm) / self.reach_mm
-        x, y = (from_middle[:, axis, None] ** np.arange(5) for axis in (0, 1))
-        return x, y
+    def _powers(self, place_mm: Floats) -> Floats:
+        """(2, 5, n) of x and of y, the powers 0 to 4."""
+        from_middle = ((place_mm - self.middle_mm) / self.reach_mm).T
+        powers = np.ones((2, 5, len(place_mm)))
+        for power in range(1, 5):
+            np.multiply(powers[:, power - 1], from_middle, out=powers[:, power])
+        return powers
