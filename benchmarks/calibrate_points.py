@@ -106,7 +106,7 @@ def _chosen(exact: Shown, stripes: int) -> np.ndarray:
 def _heights(geometry: Geometry, exact: Shown, at: np.ndarray) -> Floats:
     """Heights over the belt, mm, of chosen stripe points without noise."""
     seen = np.column_stack([exact.points.x_px[at], exact.points.row_px[at]])
-    xy = straightened((seen - geometry.camera[2:4]) / geometry.camera[:2], geometry.camera[4:])[0]
+    xy = straightened((seen - geometry.camera[2:4]) / geometry.camera[:2], geometry.camera[4:])
     ray = np.column_stack([xy, np.ones(len(xy))])
     points = ray / (ray * geometry.planes[exact.points.stripe[at]]).sum(axis=1)[:, None]
     pose = belt_pose(geometry.belt)

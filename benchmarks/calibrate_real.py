@@ -123,7 +123,7 @@ def _no_feet() -> Feet:
 
 def _points_mm(geometry: Geometry, points: StripePoints) -> Floats:
     seen = np.column_stack([points.x_px, points.row_px])
-    xy = straightened((seen - geometry.camera[2:4]) / geometry.camera[:2], geometry.camera[4:])[0]
+    xy = straightened((seen - geometry.camera[2:4]) / geometry.camera[:2], geometry.camera[4:])
     ray = np.column_stack([xy, np.ones(len(xy))])
     normal, shift = geometry.rotation[points.pose][:, :, 2], geometry.shift[points.pose]
     return np.asarray(ray * ((normal * shift).sum(axis=1) / (normal * ray).sum(axis=1))[:, None])

@@ -139,7 +139,7 @@ def _on_heights(parameters: Mapping[str, Floats], peaks: Peaks, plate: SpherePla
 def points_of(parameters: Mapping[str, Floats], stripe: Integers, x_px: Floats, row_px: Floats) -> Floats:
     """Give (point, 3) where peaks lie in the belt frame, mm."""
     camera = camera_of(parameters)
-    xy = straightened((np.column_stack([x_px, row_px]) - camera[2:4]) / camera[:2], camera[4:])[0]
+    xy = straightened((np.column_stack([x_px, row_px]) - camera[2:4]) / camera[:2], camera[4:])
     ray = np.column_stack([xy, np.ones(len(xy))])
     pose = belt_pose(parameters["belt_per_mm"])
     with np.errstate(divide="ignore"):

@@ -9,7 +9,7 @@ import numpy as np
 from roemetry.arrays import Floats, Integers
 from roemetry_pinhole.equations import Rows, by_bent, columns_of
 from roemetry_pinhole.geometry import CAMERA, Geometry, Unknowns
-from roemetry_pinhole.lens import straightened
+from roemetry_pinhole.lens import bent, straightened
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -55,7 +55,8 @@ def edge_rows(geometry: Geometry, unknowns: Unknowns, edges: Edges) -> Rows:
     line = to_face[:, None] * wall - to_wall[:, None] * face
     focal = geometry.camera[:2]
     seen = (edges.xy_px - geometry.camera[2:4]) / focal
-    xy, lens = straightened(seen, geometry.camera[4:])
+    xy = straightened(seen, geometry.camera[4:])
+    lens = bent(xy, geometry.camera[4:])
     ray = np.column_stack([xy, np.ones(len(xy))])
     by_seen = by_bent(line, lens)
     slope = np.sqrt(((by_seen / focal) ** 2).sum(axis=1))

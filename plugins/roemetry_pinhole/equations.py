@@ -201,7 +201,7 @@ class _Lines:
         on = np.flatnonzero(~self.on_belt)
         rotation, place = geometry.rotation[points.pose[on]], self.place[on]
         seen = np.column_stack([points.x_px, points.row_px])[on]
-        xy = straightened((seen - self._camera[2:4]) / self._camera[:2], self._camera[4:])[0]
+        xy = straightened((seen - self._camera[2:4]) / self._camera[:2], self._camera[4:])
         ray = np.column_stack([xy, np.ones(len(xy))])
         normal, distance = self.normal[on], self.distance[on]
         for _ in range(_BENT_ROUNDS):
@@ -220,7 +220,8 @@ class _Lines:
         """Give the way to the line along the row, px; place in the bent image, lens, ray, ∂/∂place, slope."""
         focal = self._camera[:2]
         seen = (np.column_stack([x_px, self._row_px]) - self._camera[2:4]) / focal
-        xy, lens = straightened(seen, self._camera[4:], self._straight)
+        xy = straightened(seen, self._camera[4:], self._straight)
+        lens = bent(xy, self._camera[4:])
         self._straight = xy
         ray = np.column_stack([xy, np.ones(len(xy))])
         by_seen = by_bent(self._line, lens)

@@ -96,7 +96,7 @@ def _joined(nothing: tuple[Any, ...], parts: list[tuple[Any, ...]]) -> list[Any]
 def lifted(geometry: Geometry, points: StripePoints) -> Floats:
     """Give (point, 3) where the points' rays meet their planes of light, camera frame, mm."""
     seen = np.column_stack([points.x_px, points.row_px])
-    xy = straightened((seen - geometry.camera[2:4]) / geometry.camera[:2], geometry.camera[4:])[0]
+    xy = straightened((seen - geometry.camera[2:4]) / geometry.camera[:2], geometry.camera[4:])
     ray = np.column_stack([xy, np.ones(len(xy))])
     return np.asarray(ray / (ray * geometry.planes[points.stripe]).sum(axis=1)[:, None])
 

@@ -105,7 +105,7 @@ def _middle(measured: Measured, geometry: Geometry, stripe: int) -> Floats:
     mine = measured.points.stripe == stripe
     seen = np.array([[measured.points.x_px[mine].mean(), measured.points.row_px[mine].mean()]])
     camera = geometry.camera
-    xy = straightened((seen - camera[2:4]) / camera[:2], camera[4:])[0][0]
+    xy = straightened((seen - camera[2:4]) / camera[:2], camera[4:])[0]
     ray = np.array([*xy, 1.0])
     place = ray / (ray @ geometry.belt)
     plane = geometry.planes[stripe]

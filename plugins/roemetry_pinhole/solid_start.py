@@ -98,7 +98,7 @@ def numbered(view: Observation, camera: Floats, stripes: int) -> Numbered:
     whole = whole[order]
     std = peaks.x_std_px[whole]
     seen = (np.column_stack([peaks.x_px[whole], peaks.row[whole]]) - camera[2:4]) / camera[:2]
-    xy = straightened(seen, camera[4:])[0]
+    xy = straightened(seen, camera[4:])
     return Numbered(
         view.frame.name,
         np.tile(np.arange(stripes), whole.size // stripes),

@@ -183,7 +183,7 @@ def _points(rows: Floats) -> StripePoints:
 
 def _straight(peaks: Peaks, camera: Floats) -> Floats:
     seen = (np.column_stack([peaks.x_px, peaks.row]) - camera[2:4]) / camera[:2]
-    return straightened(seen, camera[4:])[0]
+    return straightened(seen, camera[4:])
 
 
 def _belt_lines(
