@@ -107,9 +107,7 @@ def _of_one(
             except RoemetryError as error:
                 refusals.append(f"{seed}, `{name}`: {str(error).splitlines()[0]}")
         scene = Scene(str(seed), stripes, contours, calibration)
-        stds = drawn_stds(
-            {name: mine[name] for name in found}, scene, draws, np.random.default_rng([seed, 7])
-        )
+        stds = drawn_stds(mine, found, scene, draws, np.random.default_rng([seed, 7]))
         rows += [
             Pictured(
                 seed,
@@ -127,25 +125,30 @@ def _of_one(
 
 
 def drawn_stds(
-    estimators: Mapping[str, VolumeEstimator[Any]], scene: Scene, draws: int, rng: np.random.Generator
+    estimators: Mapping[str, VolumeEstimator[Any]],
+    found: Mapping[str, Volume],
+    scene: Scene,
+    draws: int,
+    rng: np.random.Generator,
 ) -> dict[str, float]:
     """Draw peaks, outline and each estimator's own error as a run does; all estimators on the same draws.
 
     NaN where the estimator does not state its error, or more than a twentieth of the draws are refused.
     """
     drawing = Drawn(scene, Chain(TruePlanes(), None, None, None), rng)
-    stating = {name: one for name, one in estimators.items() if one.states_model_error}
+    stating = {name: estimators[name] for name in found if estimators[name].states_model_error}
     values: dict[str, list[float]] = {name: [] for name in stating}
     for products in drawing.scenes(draws, drawing.causes):
         for name, estimator in stating.items():
             try:
-                values[name].append(estimator.estimate(products[1], rng=rng).visible_mm3.value)
+                drawn = estimator.redraw(products[1], found[name], rng=rng)
+                values[name].append(drawn.visible_mm3.value)
             except (RoemetryError, KeyError):
                 continue
     enough = 0.95 * draws
     return {
         name: float(np.std(values[name], ddof=1)) if len(values.get(name, ())) >= enough else math.nan
-        for name in estimators
+        for name in found
     }
 
 

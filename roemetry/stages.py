@@ -162,6 +162,24 @@ class VolumeEstimator(Stage[OptionsT]):
     def estimate(self, product: Product, *, rng: np.random.Generator | None = None) -> Volume:
         """Estimate the volume; given `rng`, draw the estimator's own model error as well."""
 
+    def redraw(self, product: Product, found: Volume, *, rng: np.random.Generator | None = None) -> Volume:
+        """Estimate the volume of a product of which noise was drawn.
+
+        An estimator that takes long over its budget may draw by the one it has found: it hardly depends on
+        the noise. Of the result only the values are used.
+
+        Parameters
+        ----------
+        product
+            As it was drawn.
+        found
+            What `estimate` gave of the product as it was seen.
+        rng
+            As in `estimate`.
+        """
+        del found
+        return self.estimate(product, rng=rng)
+
 
 class Weigher(Stage[OptionsT]):
     """Turns volume (and what else is known) into mass."""

@@ -7,13 +7,12 @@ import numpy as np
 from roemetry.arrays import Flags, Floats, Integers, Labels
 from roemetry_kernels.compiling import kernel
 
-AT, AREA, SEEN, BRIDGED, FILLED, WIDTH, HOLE, TOP, LOW, COUNT, FIRST_ROW, LAST_ROW, CLEFT, LOOSE, OPEN = (
-    range(15)
-)
+AT, AREA, SEEN, BRIDGED, FILLED, WIDTH, HOLE, TOP, LOW, COUNT, FIRST_ROW, LAST_ROW, CLEFT, LOOSE = range(14)
+OPEN, WALL = 14, 15
 """Columns of the table: rest X (mm); area (mm²) and its parts by kind of point; width (mm); length left out
 as a hole (mm); highest and lowest Z (mm); number of points; first and last row (px); how deep the surface
 falls between two humps, over the lower one; area bridged beyond the outermost points that were seen, and that
-of straight lines over what is left out as a hole (mm²)."""
+of straight lines over what is left out as a hole (mm²); mean square of the heights of both ends (mm²)."""
 
 _STEP_MAX = 1.5  # rows; a larger step between neighbours means that rows are missing
 _HOLE_SHARE = 0.3
@@ -54,13 +53,13 @@ def slice_areas(
 
     Returns
     -------
-    table : ndarray, shape (slice, 15)
+    table : ndarray, shape (slice, 16)
         Columns as named above; in the order of `Profiles`.
     ordered : bool
         False where a slice's points are not in the order of rows: then the table is not valid.
     """
     slices, points = product.shape
-    table = np.zeros((slices, 15))
+    table = np.zeros((slices, 16))
     low_y, high_y = np.inf, -np.inf
     length, rows = 0.0, 0.0
     ordered = True
@@ -141,6 +140,7 @@ def _area(
     on, count = on[start:stop], stop - start
     out[FIRST_ROW], out[LAST_ROW] = row_px[on[0]], row_px[on[count - 1]]
     wall = 0.5 * (xyz_mm[on[0], 2] ** 2 + xyz_mm[on[count - 1], 2] ** 2)
+    out[WALL] = wall
     out[CLEFT] = _cleft(xyz_mm, on, count)
     widest = _GAP_SHARE * abs(xyz_mm[on[count - 1], 1] - xyz_mm[on[0], 1])
     fan = y0, slope_y, slope_z, wall

@@ -74,7 +74,7 @@ def cap(
         mm³; mm; dA/dt at the outer slice (mm, NaN without taper); `TAPERED`, `BLUNT` (no taper, but the next
         stripe shows belt: half the way to it is counted) or `NO_CAP`.
     """
-    i, j, k = _three_outer(t, at_end)
+    i, j, k = three_outer(t, at_end)
     first = area[i]
     x1, x2 = abs(t[j] - t[i]), abs(t[k] - t[i])
     # area inwards: first + g·x + c·x²
@@ -99,7 +99,29 @@ def cap(
 
 
 @kernel
-def _three_outer(t: Floats, at_end: int) -> tuple[int, int, int]:
+def short_of(t: Floats, area: Floats, at_end: int) -> tuple[float, float]:
+    """By how much an outer slice falls short of what the inner ones say, and what they say, mm².
+
+    They say the lower of the line through the next two slices and the parabola through the next three;
+    nothing where there are fewer than five slices, or where the next ones fall by over a tenth.
+    """
+    n = t.size
+    if n < 5:
+        return 0.0, 0.0
+    step = 1 if at_end == 0 else -1
+    i = 0 if at_end == 0 else n - 1
+    j, k, m = i + step, i + 2 * step, i + 3 * step
+    if area[j] < 0.9 * area[k]:
+        return 0.0, 0.0
+    slope = (area[j] - area[k]) / (t[j] - t[k])
+    bend = ((area[k] - area[m]) / (t[k] - t[m]) - slope) / (t[m] - t[j])
+    line = area[j] + slope * (t[i] - t[j])
+    expected = min(line, line + bend * (t[i] - t[j]) * (t[i] - t[k]))
+    return expected - area[i], expected
+
+
+@kernel
+def three_outer(t: Floats, at_end: int) -> tuple[int, int, int]:
     """Numbers of the outer slice and of the next ones that lie 0.08 and 0.17 of the whole length inwards."""
     n = t.size
     step = 1 if at_end == 0 else -1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -54,17 +55,11 @@ class OutlineSurface(VolumeEstimator[UndersideOptions]):
         late = outline_fault(product, slices, fused)
         if late is not None:
             return self._by_slices(product, late, rng)
-        volume = fused.volume_mm3
-        if not volume > 0.0:
-            raise StageError(
-                f"the surface encloses {volume:.4g} mm³: the points lie on or below the belt",
-                hint="look at the coding and the belt's zero",
-            )
+        volume = _positive(fused.volume_mm3)
         shares = _shares(fused, slices, product)
         budget = budget_of(fused, product.view, product.outline.xy_std_px)
         budget |= {"gaps": gaps_std(slices), "ends": _BEYOND * shares.assumed * volume}
-        if rng is not None:
-            volume += sum(std * rng.standard_normal() for cause, std in budget.items() if cause != OUTLINE)
+        volume += _model_error(budget, rng)
         visible = estimate_of(volume, budget)
         return Volume(
             visible_mm3=visible,
@@ -76,10 +71,47 @@ class OutlineSurface(VolumeEstimator[UndersideOptions]):
             reasons=reasons_of(product, slices) + _reasons(fused),
         )
 
+    def redraw(self, product: Product, found: Volume, *, rng: np.random.Generator | None = None) -> Volume:
+        """Estimate a drawn product by the budget that was found: to make it takes as long as the surface.
+
+        Raises
+        ------
+        StageError
+            As `estimate` does.
+        """
+        if OUTLINE not in found.visible_mm3.budget or product.outline is None or product.view is None:
+            return self.estimate(product, rng=rng)
+        slices = slices_of(product)
+        if outline_fault(product, slices) is not None:
+            return self.estimate(product, rng=rng)
+        fused = fuse(product, product.view, product.outline.xy_px)
+        if outline_fault(product, slices, fused) is not None:
+            return self.estimate(product, rng=rng)
+        budget = dict(found.visible_mm3.budget)
+        visible = estimate_of(_positive(fused.volume_mm3) + _model_error(budget, rng), budget)
+        true = true_volume(self.options, visible, float(fused.weight_mm2.sum()), rng)
+        return replace(found, visible_mm3=visible, true_mm3=true)
+
     def _by_slices(self, product: Product, why: Reason | None, rng: np.random.Generator | None) -> Volume:
         options = SliceOptions(**self.options.model_dump())
         volume = SlicePchip(options).estimate(product, rng=rng)
         return volume if why is None else replace(volume, reasons=(why, *volume.reasons))
+
+
+def _positive(volume_mm3: float) -> float:
+    if not volume_mm3 > 0.0:
+        raise StageError(
+            f"the surface encloses {volume_mm3:.4g} mm³: the points lie on or below the belt",
+            hint="look at the coding and the belt's zero",
+        )
+    return volume_mm3
+
+
+def _model_error(budget: Mapping[str, float], rng: np.random.Generator | None) -> float:
+    """Draw all causes but the outline's place, which a run moves itself."""
+    if rng is None:
+        return 0.0
+    return sum(std * rng.standard_normal() for cause, std in budget.items() if cause != OUTLINE)
 
 
 def _reasons(fused: Fused) -> tuple[Reason, ...]:

@@ -38,7 +38,7 @@ def reasons_of(product: Product, slices: Slices, caps: Sequence[float] = ()) -> 
                 f"{'shows' if many == 1 else 'show'} nothing; the slices beside were joined over the gap",
             )
         )
-    if (table[:, columns.FILLED] > 0.0).any():
+    if table[:, columns.FILLED].max() > 0.0:
         where = _named(slices.stripe[table[:, columns.FILLED] > 0.0])
         reasons.append(
             Reason(
@@ -46,7 +46,7 @@ def reasons_of(product: Product, slices: Slices, caps: Sequence[float] = ()) -> 
                 f"rows neither seen nor bridged (stripe {where}); joined by a straight line, as interpolated",
             )
         )
-    if (table[:, columns.HOLE] > 0.0).any():
+    if table[:, columns.HOLE].max() > 0.0:
         hole = table[:, columns.HOLE]
         reasons.append(
             Reason(

@@ -11,23 +11,18 @@ from roemetry.errors import StageError
 from roemetry.records import Estimate, Product, Shares, Volume
 from roemetry.stages import Capabilities, VolumeEstimator
 from roemetry_volume.slice_doubts import reasons_of
+from roemetry_volume.slice_ends import Cap, cap_of
 from roemetry_volume.slice_options import SliceOptions, SliceSumOptions
 from roemetry_volume.slice_table import Slices, slices_of
 from roemetry_volume.underside import estimate_of, true_volume
 
 # chosen so that 95 % intervals hold the truth as often as they say: docs/reference/plugins/slice-pchip.md
-_TAPER_STD = 0.13  # of a tapered cap's volume
-_OPEN_TAPER_STD = 0.35  # the same with no stripe beyond that shows belt
 _BETWEEN = 0.42  # of what leaving a slice out changes: with it, the gap is half as wide
 _RULES_APART = 1.4  # a rectangle's half width over its standard deviation would be 1.73
 _AREAS_STD = 0.003  # of the volume: walls and ends of the slices themselves, however many there are
 _LOOSE = 1.0 / math.sqrt(3.0)  # of what is bridged beyond a slice's seen points: none of it, or twice as much
 _OVER_GAP = 0.1  # of what a straight line fills: a dome rises over it by some tenth
 _IN_HOLE = 1.0 / math.sqrt(3.0)  # of what a straight line over a hole would hold: it may not be empty
-_BLUNT_STD = 2.0 / math.sqrt(12.0)  # of a cap of half the way to the next stripe
-_WALL_STD = 0.5 / math.sqrt(3.0)  # of the way that a plane leans over the height of an end wall
-_OPEN_SPACINGS = 2.0
-_OPEN_SHARE = 0.2  # of the product's lit length; beyond either, an open end's taper is not believed
 
 
 class _SliceEstimator(VolumeEstimator[SliceOptions]):
@@ -58,10 +53,10 @@ class _SliceEstimator(VolumeEstimator[SliceOptions]):
 
         slices = slices_of(product)
         nan = math.nan
-        caps = [self._cap(slices, end) for end in (0, 1)]
-        slope = np.array([one[2] if one[3] == slice_rules.TAPERED else nan for one in caps])
+        caps = [cap_of(product, slices, end, self.options.ends) for end in (0, 1)]
+        slope = np.array([one.slope_mm if one.kind == slice_rules.TAPERED else nan for one in caps])
         between = slice_rules.between_slices(slices.t_mm, slices.area_mm2, slope, self.rule)
-        volume = between + caps[0][0] + caps[1][0]
+        volume = between + sum(one.volume_mm3 + one.shadow_mm3 for one in caps)
         if not volume > 0.0:
             raise StageError(
                 f"the slices sum up to {volume:.4g} mm³: the points lie on or below the belt",
@@ -71,7 +66,7 @@ class _SliceEstimator(VolumeEstimator[SliceOptions]):
             "between slices": math.hypot(_between_std(slices, slope, between), _AREAS_STD * volume),
             "slice ends": _LOOSE * float(slices.loose_mm2 @ slices.held_mm),
             "gaps": gaps_std(slices),
-            "ends": math.hypot(*(self._cap_std(slices, end, one) for end, one in enumerate(caps))),
+            "ends": math.hypot(caps[0].std_mm3, caps[1].std_mm3),
         }
         if rng is not None:
             volume += sum(std * rng.standard_normal() for std in budget.values())
@@ -83,51 +78,20 @@ class _SliceEstimator(VolumeEstimator[SliceOptions]):
             slice_stripe=slices.stripe,
             slice_area_mm2=slices.area_mm2,
             slice_spacing_mm=slices.held_mm,
-            reasons=reasons_of(product, slices, [one[3] for one in caps]),
+            reasons=reasons_of(product, slices, [one.kind for one in caps]),
         )
-
-    def _cap(self, slices: Slices, end: int) -> tuple[float, float, float, float]:
-        """Volume, length, slope and kind of what lies beyond an outer slice."""
-        from roemetry_kernels.slice_rules import BLUNT, NO_CAP
-
-        if self.options.ends == "none":
-            return 0.0, 0.0, math.nan, NO_CAP
-        if self.options.ends == "hold":
-            length = 0.5 * slices.reach_mm[end]
-            return length * float(slices.area_mm2[-end]), length, math.nan, BLUNT
-        return _tapered(slices, end)
-
-    def _cap_std(self, slices: Slices, end: int, one: tuple[float, float, float, float]) -> float:
-        """Say how far a cap may be off, mm³.
-
-        Of a blunt end anything up to the next stripe is possible, and a wall that leaning light sees or not;
-        of an open end without taper, that the product goes on as far as a taper would be believed. An area
-        that is held although the slices taper is off by what the taper says otherwise.
-        """
-        from roemetry_kernels.slice_rules import NO_CAP, TAPERED
-
-        if self.options.ends == "none":
-            return 0.0
-        taper = _tapered(slices, end) if self.options.ends == "hold" else one
-        area = float(slices.area_mm2[-end])
-        if taper[3] == TAPERED:
-            share = _TAPER_STD if slices.limited[end] else _OPEN_TAPER_STD
-            return math.hypot(share * taper[0], taper[0] - one[0])
-        if taper[3] == NO_CAP:
-            return _OPEN_SHARE * area * float(slices.t_mm[-1] - slices.t_mm[0])
-        return math.hypot(_BLUNT_STD * one[0], _WALL_STD * slices.leaning_mm[end] * area)
 
     def _true(
         self,
         visible: Estimate,
         slices: Slices,
-        caps: list[tuple[float, float, float, float]],
+        caps: list[Cap],
         rng: np.random.Generator | None,
     ) -> Estimate | None:
         if self.options.underside == "unknown":
             return None
         # two thirds of the rectangle: the width falls at an end as a parabola does
-        at_ends = sum(2.0 / 3.0 * one[1] * slices.width_mm[-end] for end, one in enumerate(caps))
+        at_ends = sum(2.0 / 3.0 * one.length_mm * slices.width_mm[-end] for end, one in enumerate(caps))
         footprint = float((slices.width_mm * slices.held_mm).sum()) + float(at_ends)
         return true_volume(self.options, visible, footprint, rng)
 
@@ -182,19 +146,8 @@ def gaps_std(slices: Slices) -> float:
     return float((_OVER_GAP * slices.filled_mm2 + _IN_HOLE * slices.open_mm2) @ slices.held_mm)
 
 
-def _tapered(slices: Slices, end: int) -> tuple[float, float, float, float]:
-    """Give the cap by the slices' taper, as far as that is believed."""
-    from roemetry_kernels.slice_rules import cap
-
-    reach, limited = slices.reach_mm[end], slices.limited[end]
-    span = float(slices.t_mm[-1] - slices.t_mm[0])
-    within = reach if limited else max(_OPEN_SPACINGS * reach, _OPEN_SHARE * span)
-    found: tuple[float, float, float, float] = cap(slices.t_mm, slices.area_mm2, end, within, limited)
-    return found
-
-
-def _shares(slices: Slices, caps: list[tuple[float, float, float, float]]) -> Shares:
-    beyond = abs(caps[0][0]) + abs(caps[1][0])
+def _shares(slices: Slices, caps: list[Cap]) -> Shares:
+    beyond = sum(abs(one.volume_mm3) for one in caps)
     seen, joined, assumed = slices.seen_mm3, slices.joined_mm3, slices.assumed_mm3 + beyond
     total = seen + joined + assumed
     return Shares(seen / total, joined / total, assumed / total)

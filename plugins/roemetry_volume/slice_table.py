@@ -31,13 +31,16 @@ class Slices(NamedTuple):
         Rest X; area; extent along Y; of the area, what was bridged beyond the outermost points that were
         seen, and what a straight line fills over missing rows; what one over a hole would hold; half the ways
         to both neighbours.
-    table : ndarray of float64, shape (n, 15)
+    table : ndarray of float64, shape (n, 16)
         All columns of `roemetry_kernels.slice_areas`.
+    place : ndarray of int64, shape (n,)
+        Where each slice is in `Profiles`.
     reach_mm, limited : tuple
         At both ends: distance to the next stripe (the mean spacing where there is none), and whether there
         is one.
-    leaning_mm : tuple
-        At both ends: how far the plane of light leans over the outer slice's height.
+    lean : tuple
+        Of the planes of light of both outer slices: how far they go outwards, away from the product, for each
+        millimetre upwards; negative where they lean over it.
     missing : int
         Stripes between others on the product without a point.
     seen_mm3, joined_mm3, assumed_mm3 : float
@@ -53,9 +56,10 @@ class Slices(NamedTuple):
     open_mm2: Floats
     held_mm: Floats
     table: Floats
+    place: Integers
     reach_mm: tuple[float, float]
     limited: tuple[bool, bool]
-    leaning_mm: tuple[float, float]
+    lean: tuple[float, float]
     missing: int
     seen_mm3: float
     joined_mm3: float
@@ -107,9 +111,10 @@ def slices_of(product: Product) -> Slices:
         open_mm2=rows[:, columns.OPEN].copy(),
         held_mm=held,
         table=rows,
+        place=lit,
         reach_mm=(before, after),
         limited=(limited[0], limited[1]),
-        leaning_mm=(_leaning(profiles, table, int(lit[0])), _leaning(profiles, table, int(lit[-1]))),
+        lean=(-_lean(profiles, int(lit[0])), _lean(profiles, int(lit[-1]))),
         missing=int(told[order.MISSING]),
         seen_mm3=told[order.SEEN_MM3],
         joined_mm3=told[order.JOINED_MM3],
@@ -117,13 +122,10 @@ def slices_of(product: Product) -> Slices:
     )
 
 
-def _leaning(profiles: Profiles, table: Floats, slice_: int) -> float:
-    """How far in X a slice's plane goes from the belt to the slice's highest point, mm."""
-    from roemetry_kernels.slice_areas import TOP
-
+def _lean(profiles: Profiles, slice_: int) -> float:
+    """How far in X a slice's plane goes for each millimetre upwards."""
     across, _, upwards, _ = profiles.plane[slice_].tolist()
-    highest: float = table[slice_, TOP]
-    return float(abs(upwards / across)) * max(highest, 0.0)
+    return float(-upwards / across)
 
 
 def _refuse_cloven(rows: Floats) -> None:

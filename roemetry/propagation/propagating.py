@@ -50,13 +50,13 @@ def propagate(
     for by_number in drawn.scenes(draws, drawn.causes):
         for trace in products:
             number = trace.product.number
-            together[number].append(again(chain, by_number.get(number), rng, model=True))
+            together[number].append(again(chain, trace, by_number.get(number), rng, model=True))
     for cause in drawn.causes:
         alone[cause] = {trace.product.number: [] for trace in products}
         for by_number in drawn.scenes(own, (cause,)):
             for trace in products:
                 number = trace.product.number
-                found = again(chain, by_number.get(number), rng, model=False, graded=False)
+                found = again(chain, trace, by_number.get(number), rng, model=False, graded=False)
                 alone[cause][number].append(found)
     return tuple(
         with_uncertainty(

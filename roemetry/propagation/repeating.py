@@ -28,13 +28,19 @@ class Result(NamedTuple):
 
 
 def again(
-    chain: Chain, product: Product | None, rng: np.random.Generator, *, model: bool, graded: bool = True
+    chain: Chain,
+    trace: ProductTrace,
+    product: Product | None,
+    rng: np.random.Generator,
+    *,
+    model: bool,
+    graded: bool = True,
 ) -> Result:
     """Estimate, weigh and classify one drawn product; with `model`, drawing the stages' own errors too."""
     if product is None:
         return Result()
     own = rng if model else None
-    volume = done(lambda: chain.volume.estimate(product, rng=own)) if chain.volume else None
+    volume = done(lambda: _estimated(chain, trace, product, own)) if chain.volume else None
     weight = None
     if chain.weigher and volume is not None:
         weight = done(lambda: chain.weigher.weigh(product, volume, rng=own))
@@ -50,6 +56,16 @@ def again(
     )
 
 
+def _estimated(
+    chain: Chain, trace: ProductTrace, product: Product, rng: np.random.Generator | None
+) -> Volume:
+    if trace.volume is None:
+        found: Volume = chain.volume.estimate(product, rng=rng)
+        return found
+    drawn: Volume = chain.volume.redraw(product, trace.volume, rng=rng)
+    return drawn
+
+
 def models_alone(
     trace: ProductTrace, chain: Chain, rng: np.random.Generator, count: int
 ) -> Mapping[str, list[Result]]:
@@ -59,7 +75,7 @@ def models_alone(
     if volume is None:
         return found
     if chain.volume.states_model_error:
-        drawn = (done(lambda: chain.volume.estimate(product, rng=rng)) for _ in range(count))
+        drawn = (done(lambda: chain.volume.redraw(product, volume, rng=rng)) for _ in range(count))
         found[VOLUME_MODEL] = [_weighed(chain, product, volume, None) for volume in drawn]
     if chain.weigher and chain.weigher.states_model_error:
         found[WEIGHT_MODEL] = [_weighed(chain, product, volume, rng) for _ in range(count)]

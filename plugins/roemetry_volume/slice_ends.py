@@ -1,0 +1,169 @@
+"""What lies beyond the outer slices: by a quadric where one fits, by the areas' taper, or half a spacing."""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from roemetry.records import Product
+from roemetry_volume.slice_options import Ends
+from roemetry_volume.slice_table import Slices
+
+# chosen so that 95 % intervals hold the truth as often as they say: docs/reference/plugins/slice-pchip.md
+_TAPER_STD = 0.13  # of a tapered cap's volume
+_OPEN_TAPER_STD = 0.35  # the same with no stripe beyond that shows belt
+_QUADRIC_STD = 0.08  # of a quadric's cap
+_SHADOW_STD = 0.35  # of what leaning light counts too much behind an end, by the quadric
+_RIM_STD = 0.3  # of that triangle below the rim, where no quadric tells it
+_FITS_MM = 0.08  # a quadric that misses the points by so much is believed by half
+_HARDLY = 0.02
+_BLUNT_STD = 2.0 / math.sqrt(12.0)  # of a cap of half the way to the next stripe
+_WALL_STD = 0.5 / math.sqrt(3.0)  # of the way that a plane leans over the height of an end wall
+_OPEN_SPACINGS = 2.0
+_OPEN_SHARE = 0.2  # of the product's lit length; beyond either, an open end's taper is not believed
+_CLIFF = 0.4  # an outer slice that is so much smaller than the others say: a wall before it
+
+
+class Cap(NamedTuple):
+    """What lies beyond an outer slice.
+
+    `kind` is one of `roemetry_kernels.slice_rules`; `slope_mm` is dA/dt at the outer slice (NaN: no taper);
+    `shadow_mm3` what the slices themselves count too much because light leans over this end, negative.
+    """
+
+    volume_mm3: float
+    length_mm: float
+    slope_mm: float
+    kind: float
+    shadow_mm3: float
+    std_mm3: float
+
+
+class _Kernels(NamedTuple):
+    rules: Any
+    columns: Any
+    quadric_end: Any
+
+
+@lru_cache(maxsize=1)
+def _kernels() -> _Kernels:
+    """Import what takes long to import once, at the first call."""
+    from roemetry_kernels import slice_areas, slice_rules
+    from roemetry_kernels.quadric_ends import quadric_end
+
+    return _Kernels(slice_rules, slice_areas, quadric_end)
+
+
+def cap_of(product: Product, slices: Slices, end: int, ends: Ends) -> Cap:
+    """Give what lies beyond the first (`end` 0) or the last (1) slice."""
+    rules = _kernels().rules
+    if ends == "none":
+        return Cap(0.0, 0.0, math.nan, rules.NO_CAP, 0.0, 0.0)
+    limited, within = slices.limited[end], _within(slices, end)
+    taper = rules.cap(slices.t_mm, slices.area_mm2, end, within, limited)
+    if ends == "hold":
+        length = 0.5 * slices.reach_mm[end]
+        volume = length * float(slices.area_mm2[-end])
+        return Cap(volume, length, math.nan, rules.BLUNT, 0.0, _std(slices, end, taper, volume))
+    std = _std(slices, end, taper, taper[0])
+    volume, length, shadow, trust = _by_quadric(product, slices, end, within)
+    if trust < _HARDLY:
+        return Cap(*taper, 0.0, std)
+    apart = volume + shadow - taper[0]
+    own = math.hypot(_QUADRIC_STD * volume, _SHADOW_STD * shadow)
+    return Cap(
+        (1.0 - trust) * taper[0] + trust * volume,
+        (1.0 - trust) * taper[1] + trust * length,
+        taper[2],
+        rules.TAPERED if trust > 0.5 else taper[3],
+        trust * shadow,
+        math.hypot((1.0 - trust) * std, trust * own, math.sqrt(trust * (1.0 - trust)) * apart),
+    )
+
+
+def _within(slices: Slices, end: int) -> float:
+    """How far beyond the outer slice the end may lie, mm."""
+    reach = slices.reach_mm[end]
+    if slices.limited[end]:
+        return reach
+    return max(_OPEN_SPACINGS * reach, _OPEN_SHARE * float(slices.t_mm[-1] - slices.t_mm[0]))
+
+
+def _by_quadric(
+    product: Product, slices: Slices, end: int, within_mm: float
+) -> tuple[float, float, float, float]:
+    """Give volume, length and shadow of the cap by a quadric through three slices, and how far to believe it.
+
+    With the shadow goes what the slices' walls were taken too high by: a slice's outermost points lie over
+    the rim, by the quadric, and most where light grazes.
+    """
+    profiles, table = product.profiles, slices.table
+    _, columns, quadric_end = _kernels()
+    volume, length, shadow, rim_mm, off_mm = quadric_end(
+        profiles.xyz_mm,
+        profiles.product,
+        profiles.seen,
+        profiles.row_px,
+        profiles.plane,
+        product.number,
+        table,
+        slices.place,
+        end,
+        within_mm,
+        slices.limited[end],
+    )
+    trust = 1.0 / (1.0 + (off_mm / _FITS_MM) ** 10) if off_mm < 3.0 * _FITS_MM else 0.0
+    if trust < _HARDLY:
+        return 0.0, 0.0, 0.0, 0.0
+    # dX/dz over t, by which the wall below a slice's ends counts
+    opening = (slices.lean[1] + slices.lean[0]) / float(slices.t_mm[-1] - slices.t_mm[0])
+    n = slices.t_mm.size
+    half = np.clip(0.5 * n - np.arange(n), 0.0, 1.0)
+    mine = half[::-1] if end else half
+    wall = max(rim_mm, 0.0) ** 2 - table[:, columns.WALL]
+    shadow += 0.5 * opening * float((mine * slices.held_mm * slices.width_mm) @ wall)
+    return volume, length, shadow, trust
+
+
+def _std(slices: Slices, end: int, taper: tuple[float, float, float, float], volume_mm3: float) -> float:
+    """Say how far a cap of some volume may be off, mm³.
+
+    Of a blunt end anything up to the next stripe is possible, and a wall that leaning light sees or not;
+    of an open end without taper, that the product goes on as far as a taper would be believed. An area
+    that is held although the slices taper is off by what the taper says otherwise. Where light leans over an
+    end, its shadow below the rim counts, more or less; and there may be a wall before the outer slice.
+    """
+    rules, columns, _ = _kernels()
+    outer = slices.table[-end].tolist()
+    area, lean = outer[columns.AREA], slices.lean[end]
+    if taper[3] == rules.NO_CAP:
+        std = _OPEN_SHARE * area * float(slices.t_mm[-1] - slices.t_mm[0])
+    elif taper[3] == rules.TAPERED:
+        share = _TAPER_STD if slices.limited[end] else _OPEN_TAPER_STD
+        std = math.hypot(share * taper[0], taper[0] - volume_mm3)
+    else:
+        over_mm = abs(lean) * max(outer[columns.TOP], 0.0)
+        std = math.hypot(_BLUNT_STD * volume_mm3, _WALL_STD * over_mm * area)
+    below_rim = 0.5 * max(-lean, 0.0) * outer[columns.WALL] * outer[columns.WIDTH]
+    missing, expected = rules.short_of(slices.t_mm, slices.area_mm2, end)
+    cliff = _cliff_std(slices, end, missing, expected) if missing > _CLIFF * expected else 0.0
+    return math.hypot(std, _RIM_STD * below_rim, cliff)
+
+
+def _cliff_std(slices: Slices, end: int, missing_mm2: float, expected_mm2: float) -> float:
+    """Say how far off the volume may be because a wall stands just before an outer slice, mm³.
+
+    The outer slice is then far smaller than the next ones say, and narrower rather than lower: light met the
+    wall's edge at a slant. The wall is anywhere between the last two slices; leaning light sees it or not.
+    """
+    columns = _kernels().columns
+    inner = -2 if end else 1
+    outer, before = slices.table[-end], slices.table[inner]
+    if outer[columns.WIDTH] * before[columns.TOP] >= before[columns.WIDTH] * outer[columns.TOP]:
+        return 0.0
+    spacing = abs(float(slices.t_mm[-end] - slices.t_mm[inner]))
+    over_mm = abs(slices.lean[end]) * max(float(before[columns.TOP]), 0.0)
+    return math.hypot(spacing / math.sqrt(12.0) * missing_mm2, _WALL_STD * over_mm * expected_mm2)
