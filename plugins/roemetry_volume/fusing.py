@@ -20,8 +20,9 @@ _POINTS = 400
 _ROUNDS = 3
 _NODES = 40, 14
 _RIM_WEIGHT = 6.0
-_OPEN_RATIO = 0.85
+_OPEN_RATIO = 0.9
 _OPEN_MISS = 0.15
+_FACING = 0.85
 _BELOW_RIM_MM = 0.3
 _WALL_MM = 1.5
 _PROBE_MM = 1.0
@@ -121,7 +122,7 @@ def fuse(product: Product, view: View, contour_px: Floats) -> Fused:
         coarse = contour[::2]
         rim = rim_of(points, ends, place, inside_by(coarse, place[ends[0]]))
         knots = _knots(points, place, rim, coarse)
-        open_end = _open_ends(knots, contour)
+        open_end = _open_ends(knots, contour, (border.outward @ turn)[:, 0])
         plate = _plate(knots, contour, open_end)
         height, fall = _at_border(plate, rim, contour, border, (centre, turn), open_end)
         moved = border_at(view, contour_px, height, fall)
@@ -163,11 +164,13 @@ def _height(value: Floats, rim: Rim) -> Floats:
     return np.sign(value) * np.sqrt(np.abs(value)) if rim.upright else value
 
 
-def _open_ends(knots: Knots, contour: Floats) -> Any:
+def _open_ends(knots: Knots, contour: Floats, outward_s: Floats) -> Any:
     """Say where the outline belongs to a flat end: one towards which the slices do not fall.
 
-    Where the outer slice is hardly lower than the next one, the plate is fitted without it, once with and
-    once without a rim beyond. A flat end it is if the rim makes the plate miss the slice by far.
+    Where the outer slice is hardly lower than the next one at the same places across the product, the plate
+    is fitted without it, once with and once without a rim beyond. A flat end it is if the rim makes the plate
+    miss the slice by far. To the end belongs what lies beyond the outer slice, and, beyond the next one, what
+    faces along the product: a slice at a slant runs over the edge.
     """
     is_open = np.zeros(contour.shape[0], np.bool_)
     slices = np.unique(knots.slice)
@@ -175,20 +178,28 @@ def _open_ends(knots: Knots, contour: Floats) -> Any:
         return is_open
     along = LONG_AXIS * contour[:, 0]
     for outer, inner in ((slices[0], slices[1]), (slices[-1], slices[-2])):
-        mine, next_one = knots.slice == outer, knots.slice == inner
-        level, before = (float(np.average(knots.u[m], weights=knots.weight[m])) for m in (mine, next_one))
-        if level <= _OPEN_RATIO * before or level <= 1.0:
+        mine, next_one = knots.slice == outer, np.flatnonzero(knots.slice == inner)
+        next_one = next_one[np.argsort(knots.v[next_one])]
+        v, s, weight = knots.v[mine], knots.s[mine], knots.weight[mine]
+        beside = (v >= knots.v[next_one[0]]) & (v <= knots.v[next_one[-1]])
+        across = float(np.ptp(knots.v[next_one]))
+        if not beside.any() or float(np.ptp(knots.s[next_one])) > LONG_AXIS * across:
             continue
+        level = float(np.average(knots.u[mine], weights=weight))
+        before, inner_s = (np.interp(v[beside], knots.v[next_one], x[next_one]) for x in (knots.u, knots.s))
+        if level <= 1.0 or float(knots.u[mine][beside].mean()) <= _OPEN_RATIO * float(before.mean()):
+            continue
+        step = float((s[beside] - inner_s).mean())
         # the outline beyond the outer slice, which may cross the product at a slant
-        v, s = knots.v[mine], knots.s[mine]
         lean = np.polyfit(v, s, 1) if np.ptp(v) > 1.0 else np.array([0.0, s.mean()])
-        step = s.mean() - knots.s[next_one].mean()
         beyond = (along - np.polyval(lean, contour[:, 1])) * np.sign(step) > 0.3 * abs(step)
+        past = (along - np.interp(contour[:, 1], knots.v[next_one], knots.s[next_one])) * np.sign(step)
+        beyond |= (outward_s * np.sign(step) > _FACING) & (past > 0.2 * abs(step))
         others = Knots(*(getattr(knots, name)[~mine] for name in Knots.__slots__))
         misses = []
         for opened in (is_open, is_open | beyond):
             guess = _plate(others, contour, opened).at(s, v)
-            misses.append(float(np.average(guess, weights=knots.weight[mine])) - level)
+            misses.append(float(np.average(guess, weights=weight)) - level)
         if misses[0] < -_OPEN_MISS * level and abs(misses[1]) < 0.5 * abs(misses[0]):
             is_open |= beyond
     return is_open

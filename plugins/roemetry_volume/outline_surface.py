@@ -20,6 +20,9 @@ from roemetry_volume.slice_table import Slices, slices_of
 from roemetry_volume.surface_budget import OUTLINE, budget_of
 from roemetry_volume.underside import UndersideOptions, estimate_of, true_volume
 
+_STEPS = 0.5  # of what single slices depart from the course of the others
+_STEPS_LEAST = 4
+_SMOOTH = 0.02  # of the volume: what a dent or a bend does is in the plate's own budget
 _BEYOND = 0.03
 """Of what lies beyond the outer slices: fillets and rolls reach far beyond them, roe hardly."""
 
@@ -58,6 +61,7 @@ class OutlineSurface(VolumeEstimator[UndersideOptions]):
         volume = _positive(fused.volume_mm3)
         shares = _shares(fused, slices, product)
         budget = budget_of(fused, product.view, product.outline.xy_std_px)
+        budget["between slices"] = math.hypot(budget["between slices"], _steps_std(slices, volume))
         budget |= {"gaps": gaps_std(slices), "ends": _BEYOND * shares.assumed * volume}
         volume += _model_error(budget, rng)
         visible = estimate_of(volume, budget)
@@ -124,6 +128,16 @@ def _reasons(fused: Fused) -> tuple[Reason, ...]:
             "up to an upright end",
         ),
     )
+
+
+def _steps_std(slices: Slices, volume_mm3: float) -> float:
+    """Say how far the volume may be off where inner slices jump: a stair's riser is anywhere between two."""
+    from roemetry_kernels.slice_rules import unevenness
+
+    if slices.t_mm.size < _STEPS_LEAST + 2:
+        return 0.0
+    uneven: float = unevenness(slices.t_mm[1:-1], slices.area_mm2[1:-1])
+    return _STEPS * max(uneven - _SMOOTH * volume_mm3, 0.0)
 
 
 def _shares(fused: Fused, slices: Slices, product: Product) -> Shares:

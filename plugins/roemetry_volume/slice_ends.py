@@ -71,7 +71,7 @@ def cap_of(product: Product, slices: Slices, end: int, ends: Ends) -> Cap:
     std = _std(slices, end, taper, taper[0])
     volume, length, shadow, trust = _by_quadric(product, slices, end, within)
     if trust < _HARDLY:
-        return Cap(*taper, 0.0, std)
+        return Cap(taper[0], taper[1], taper[2], taper[3], 0.0, std)
     apart = volume + shadow - taper[0]
     own = math.hypot(_QUADRIC_STD * volume, _SHADOW_STD * shadow)
     return Cap(
