@@ -100,7 +100,7 @@ def _by_quadric(
     With the shadow goes what the slices' walls were taken too high by: a slice's outermost points lie over
     the rim, by the quadric, and most where light grazes.
     """
-    profiles, table = product.profiles, slices.table
+    profiles, table = slices.profiles, slices.table
     _, columns, quadric_end = _kernels()
     volume, length, shadow, rim_mm, off_mm = quadric_end(
         profiles.xyz_mm,

@@ -33,8 +33,8 @@ class Slices(NamedTuple):
         to both neighbours.
     table : ndarray of float64, shape (n, 16)
         All columns of `roemetry_kernels.slice_areas`.
-    place : ndarray of int64, shape (n,)
-        Where each slice is in `Profiles`.
+    profiles, place
+        The points, in the order of the rows, and where each slice is in them, shape (n,).
     reach_mm, limited : tuple
         At both ends: distance to the next stripe (the mean spacing where there is none), and whether there
         is one.
@@ -56,6 +56,7 @@ class Slices(NamedTuple):
     open_mm2: Floats
     held_mm: Floats
     table: Floats
+    profiles: Profiles
     place: Integers
     reach_mm: tuple[float, float]
     limited: tuple[bool, bool]
@@ -78,8 +79,7 @@ def slices_of(product: Product) -> Slices:
     from roemetry_kernels import slice_areas as columns
     from roemetry_kernels import slice_order as order
 
-    profiles = product.profiles
-    table = table_of(profiles, product.number)
+    table, profiles = table_of(product.profiles, product.number)
     lit, held, whole = order.in_order(table, profiles.stripe, profiles.frame)
     if not lit.size:
         raise StageError("no stripe on the product", hint="there is nothing to sum; look at the coding")
@@ -111,6 +111,7 @@ def slices_of(product: Product) -> Slices:
         open_mm2=rows[:, columns.OPEN].copy(),
         held_mm=held,
         table=rows,
+        profiles=profiles,
         place=lit,
         reach_mm=(before, after),
         limited=(limited[0], limited[1]),
@@ -155,8 +156,8 @@ def _refuse_sunken(rows: Floats, stripe: Integers) -> None:
         )
 
 
-def table_of(profiles: Profiles, number: int) -> Floats:
-    """Give the kernel's table; points in any order are put into that of the rows first."""
+def table_of(profiles: Profiles, number: int) -> tuple[Floats, Profiles]:
+    """Give the kernel's table; points in any order are put into that of the rows first, and given back so."""
     from roemetry_kernels.slice_areas import slice_areas
 
     for _ in range(2):
@@ -173,7 +174,7 @@ def table_of(profiles: Profiles, number: int) -> Floats:
         if ordered:
             break
         profiles = _in_rows(profiles)
-    return table
+    return table, profiles
 
 
 def _in_rows(profiles: Profiles) -> Profiles:

@@ -123,6 +123,19 @@ def test_flat_ends_are_not_rounded_off() -> None:
     assert "flat-end" in codes(volume)
 
 
+def test_a_flat_end_is_seen_where_a_slice_runs_over_its_edge() -> None:
+    """The outer slice, at a slant, ends half the way across: what there is of it is as high as the next."""
+    made, true = half_cylinder()
+    profiles = made.profiles
+    outer = np.flatnonzero((profiles.product == 1).any(axis=1))[-1]
+    cut = profiles.product.copy()
+    cut[outer] = np.where(profiles.xyz_mm[outer, :, 1] > -1.0, cut[outer], -1)
+    short = replace(made, profiles=replace(profiles, product=cut, seen=profiles.seen & (cut == 1)))
+    volume = OutlineSurface().estimate(short)
+    assert volume.visible_mm3.value / true - 1.0 == pytest.approx(0.0, abs=1e-2)
+    assert "flat-end" in codes(volume)
+
+
 def test_the_interval_holds_the_truth_and_names_its_causes() -> None:
     made = dome(-4.0, 6.0)
     volume = OutlineSurface().estimate(made[0])
@@ -205,6 +218,22 @@ def changed(made: Product, mine: np.ndarray, **fields: np.ndarray) -> Product:
         row_px=np.where(mine, old.row_px, np.nan),
     )
     return replace(made, profiles=kept)
+
+
+def test_a_drawn_product_takes_the_budget_that_was_found(rng: np.random.Generator) -> None:
+    """The same surface; the budget is not made again; without an outline all is as in `estimate`."""
+    made, _ = dome(wall=6.0)
+    estimator = OutlineSurface()
+    found = estimator.estimate(made)
+    marked = replace(found, visible_mm3=replace(found.visible_mm3, budget={"outline": 5.0, "rim": 70.0}))
+    again = estimator.redraw(made, marked).visible_mm3
+    assert again.value == pytest.approx(found.visible_mm3.value, rel=1e-12)
+    drawn = [estimator.redraw(made, marked, rng=rng).visible_mm3.value for _ in range(60)]
+    assert np.std(drawn) == pytest.approx(70.0, rel=0.35)  # the outline's place is the run's to move
+    bare = replace(made, outline=None)
+    slices = estimator.estimate(bare)
+    assert estimator.redraw(bare, slices).visible_mm3.value == pytest.approx(slices.visible_mm3.value)
+    assert estimator.redraw(bare, found).visible_mm3.value == pytest.approx(slices.visible_mm3.value)
 
 
 def test_bad_products_give_a_reason_or_no_number() -> None:

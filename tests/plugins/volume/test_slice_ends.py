@@ -1,0 +1,134 @@
+"""Ends beyond the outer slices: quadrics against closed forms, and walls."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from roemetry.records import Product
+from roemetry.testing import LinearRig
+from roemetry.testing.solids import HALF_ELLIPSOID, product_of
+from roemetry_kernels import quadric_ends as ends
+from roemetry_kernels import slice_rules
+from roemetry_volume.slice_ends import cap_of
+from roemetry_volume.slice_estimators import SlicePchip, SliceSimpson, SliceSpline
+from roemetry_volume.slice_table import slices_of
+
+RIG = LinearRig(rows=200, columns=640, stripes=11, first_px=120.0, spacing_px=40.0, px_per_mm=1.5, fan=0.0)
+HALF_LENGTH, HALF_WIDTH, HEIGHT = 31.0, 20.0, 16.0
+SPACING_MM = 8.0
+
+
+@pytest.mark.parametrize("rim", [0.0, 7.0])
+@pytest.mark.parametrize("shift_mm", [0.0, 2.1, 5.3])
+def test_an_ellipsoids_cap_is_exact_under_upright_light(rim: float, shift_mm: float) -> None:
+    product = ellipsoid(rim=rim, lean=0.0, shift_mm=shift_mm)
+    slices = slices_of(product)
+    for end in (0, 1):
+        from_mm = abs(slices.t_mm[-end]) / HALF_LENGTH
+        found = quadric(product, end)
+        # ∫ 2·b·r·√(1 − x²) + π/2·b·c·(1 − x²) dx from the outer slice to the end
+        arc = 0.5 * (np.arccos(from_mm) - from_mm * np.sqrt(1.0 - from_mm**2))
+        disc = 2.0 / 3.0 - from_mm + from_mm**3 / 3.0
+        volume = HALF_LENGTH * HALF_WIDTH * (2.0 * rim * arc + 0.5 * np.pi * HEIGHT * disc)
+        assert found[ends.VOLUME] == pytest.approx(volume, rel=2e-3)
+        assert found[ends.LENGTH] == pytest.approx((1.0 - from_mm) * HALF_LENGTH, abs=0.01)
+        assert found[ends.RIM_MM] == pytest.approx(rim, abs=1e-3)
+        assert found[ends.SHADOW] == 0.0
+        assert found[ends.RESIDUAL_MM] < 1e-3
+
+
+@pytest.mark.parametrize("estimator", [SliceSimpson, SlicePchip, SliceSpline])
+@pytest.mark.parametrize("rim", [0.0, 7.0])
+@pytest.mark.parametrize("lean", [-0.6, 0.6])
+def test_steep_light_and_high_rims_leave_ellipsoids_within_one_per_cent(
+    estimator, rim: float, lean: float
+) -> None:
+    """Without an outline; the shadow behind the far end is up to some per cent of the volume."""
+    true = np.pi * HALF_LENGTH * HALF_WIDTH * (rim + 2.0 / 3.0 * HEIGHT)
+    for shift_mm in (0.0, 2.1, 5.3):
+        product = ellipsoid(rim=rim, lean=lean, shift_mm=shift_mm)
+        found = estimator().estimate(product).visible_mm3
+        assert found.value == pytest.approx(true, rel=1e-2)
+        assert abs(found.value - true) < 1.96 * found.std
+        shadows = [cap_of(product, slices_of(product), end, "taper").shadow_mm3 for end in (0, 1)]
+        assert min(shadows) < -2e-3 * true
+
+
+def test_no_quadric_closes_a_flat_end() -> None:
+    product = ellipsoid(rim=0.0, lean=0.3, shift_mm=0.0)
+    xyz = product.profiles.xyz_mm.copy()
+    xyz[..., 2] = np.where(np.isfinite(xyz[..., 2]), 9.0, np.nan)
+    level = replace(product, profiles=replace(product.profiles, xyz_mm=xyz))
+    assert all(np.isnan(quadric(level, 1)))
+
+
+def test_an_outer_slice_far_below_the_others_course_means_a_wall() -> None:
+    t = np.arange(6.0)
+    area = np.array([100.0, 100.0, 100.0, 100.0, 100.0, 20.0])
+    assert slice_rules.short_of(t, area, 1) == pytest.approx((80.0, 100.0))
+    assert slice_rules.short_of(t, area, 0) == pytest.approx((0.0, 100.0))
+    falling = 100.0 - 3.0 * np.arange(6.0) ** 2  # a parabola says itself
+    assert slice_rules.short_of(t, falling, 1)[0] == pytest.approx(0.0, abs=1e-9)
+    assert slice_rules.short_of(t[:4], area[:4], 1) == (0.0, 0.0)
+
+
+def test_a_wall_between_the_last_two_slices_is_in_the_interval() -> None:
+    """A box that the outer stripe only just meets, at its corner."""
+    product = product_of(HALF_ELLIPSOID, replace(RIG, rows=480))
+    profiles = product.profiles
+    lit = np.isfinite(profiles.xyz_mm[..., 2])
+    outer = np.flatnonzero(lit.any(axis=1))[-1]
+    whole = np.abs(profiles.xyz_mm[..., 1]) < 15.0
+    keep = whole & (np.arange(profiles.slice_count) <= outer)[:, None]
+    keep[: outer - 6] = False
+    keep[outer] &= profiles.xyz_mm[outer, :, 1] > 11.0
+    xyz = profiles.xyz_mm.copy()
+    xyz[..., 2] = np.where(keep, 12.0, np.nan)
+    changed = replace(profiles, xyz_mm=xyz, product=np.where(keep, 1, -1).astype(np.int16), seen=keep)
+    slices = slices_of(replace(product, profiles=changed))
+    cap = cap_of(replace(product, profiles=changed), slices, 1, "taper")
+    spacing = slices.t_mm[-1] - slices.t_mm[-2]
+    step = slices.area_mm2[-2] - slices.area_mm2[-1]
+    assert cap.std_mm3 > step * spacing / np.sqrt(12.0)
+
+
+def quadric(product: Product, end: int) -> tuple[float, ...]:
+    slices = slices_of(product)
+    profiles = slices.profiles
+    return tuple(
+        ends.quadric_end(
+            profiles.xyz_mm, profiles.product, profiles.seen, profiles.row_px, profiles.plane, 1,
+            slices.table, slices.place, end, slices.reach_mm[end], slices.limited[end],
+        )
+    )  # fmt: skip
+
+
+def ellipsoid(*, rim: float, lean: float, shift_mm: float) -> Product:
+    """Half an ellipsoid on a wall, lit by leaning planes as a camera straight above sees it."""
+    t = SPACING_MM * np.arange(-6, 7) + shift_mm
+    count, rows = t.size, RIG.rows
+    y = np.broadcast_to(30.0 - 0.3 * np.arange(rows), (count, rows))
+    # x = t + lean·z into ((z − rim)/c)² + (x/a)² + (y/b)² = 1, the upper of two places
+    k = (HEIGHT / HALF_LENGTH) ** 2
+    a = 1.0 + k * lean**2
+    b = rim - k * lean * t[:, None]
+    c = rim**2 - HEIGHT**2 * (1.0 - (y / HALF_WIDTH) ** 2) + k * t[:, None] ** 2
+    inside = b**2 - a * c
+    z = (b + np.sqrt(np.maximum(inside, 0.0))) / a
+    lit = (inside > 0.0) & (z > rim)
+    xyz = np.stack([t[:, None] + lean * z, y, z], axis=-1)
+    plane = np.column_stack([np.ones(count), np.zeros(count), np.full(count, -lean), t])
+    like = product_of(HALF_ELLIPSOID, replace(RIG, stripes=count))
+    row_px = np.broadcast_to(np.arange(float(rows)), (count, rows))
+    profiles = replace(
+        like.profiles,
+        xyz_mm=np.where(lit[..., None], xyz, np.nan),
+        product=np.where(lit, 1, -1).astype(np.int16),
+        seen=lit,
+        row_px=np.where(lit, row_px, np.nan),
+        plane=plane / np.linalg.norm(plane[:, :3], axis=1)[:, None],
+    )
+    return replace(like, profiles=profiles)
