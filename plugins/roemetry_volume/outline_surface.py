@@ -20,11 +20,11 @@ from roemetry_volume.slice_table import Slices, slices_of
 from roemetry_volume.surface_budget import OUTLINE, budget_of
 from roemetry_volume.underside import UndersideOptions, estimate_of, true_volume
 
-_STEPS = 0.5  # of what single slices depart from the course of the others
+_STEPS = 0.7  # of what single slices depart from the course of the others
 _STEPS_LEAST = 4
-_SMOOTH = 0.02  # of the volume: what a dent or a bend does is in the plate's own budget
-_BEYOND = 0.03
-"""Of what lies beyond the outer slices: fillets and rolls reach far beyond them, roe hardly."""
+_SMOOTH = 0.012  # of the volume: what a dent or a bend does is in the plate's own budget
+_BEYOND, _FAR_BEYOND = 0.015, 0.15
+"""Of what lies beyond the outer slices, and times its share: rolls reach far beyond them, roe hardly."""
 
 
 class OutlineSurface(VolumeEstimator[UndersideOptions]):
@@ -62,7 +62,7 @@ class OutlineSurface(VolumeEstimator[UndersideOptions]):
         shares = _shares(fused, slices, product)
         budget = budget_of(fused, product.view, product.outline.xy_std_px)
         budget["between slices"] = math.hypot(budget["between slices"], _steps_std(slices, volume))
-        budget |= {"gaps": gaps_std(slices), "ends": _BEYOND * shares.assumed * volume}
+        budget |= {"gaps": gaps_std(slices), "ends": _beyond_std(shares.assumed) * volume}
         volume += _model_error(budget, rng)
         visible = estimate_of(volume, budget)
         return Volume(
@@ -128,6 +128,11 @@ def _reasons(fused: Fused) -> tuple[Reason, ...]:
             "up to an upright end",
         ),
     )
+
+
+def _beyond_std(share: float) -> float:
+    """Say how far what lies beyond the outer slices may be off, of the volume."""
+    return share * (_BEYOND + _FAR_BEYOND * share)
 
 
 def _steps_std(slices: Slices, volume_mm3: float) -> float:

@@ -13,7 +13,7 @@ from roemetry_volume.slice_options import Ends
 from roemetry_volume.slice_table import Slices
 
 # chosen so that 95 % intervals hold the truth as often as they say: docs/reference/plugins/slice-pchip.md
-_TAPER_STD = 0.13  # of a tapered cap's volume
+_TAPER_STD = 0.11  # of a tapered cap's volume
 _OPEN_TAPER_STD = 0.35  # the same with no stripe beyond that shows belt
 _QUADRIC_STD = 0.08  # of a quadric's cap
 _SHADOW_STD = 0.35  # of what leaning light counts too much behind an end, by the quadric

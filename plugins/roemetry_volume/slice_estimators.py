@@ -17,8 +17,8 @@ from roemetry_volume.slice_table import Slices, slices_of
 from roemetry_volume.underside import estimate_of, true_volume
 
 # chosen so that 95 % intervals hold the truth as often as they say: docs/reference/plugins/slice-pchip.md
-_BETWEEN = 0.42  # of what leaving a slice out changes: with it, the gap is half as wide
-_RULES_APART = 1.4  # a rectangle's half width over its standard deviation would be 1.73
+_BETWEEN = 0.38  # of what leaving a slice out changes: with it, the gap is half as wide
+_RULES_APART = 1.3  # a rectangle's half width over its standard deviation would be 1.73
 _AREAS_STD = 0.003  # of the volume: walls and ends of the slices themselves, however many there are
 _LOOSE = 1.0 / math.sqrt(3.0)  # of what is bridged beyond a slice's seen points: none of it, or twice as much
 _OVER_GAP = 0.1  # of what a straight line fills: a dome rises over it by some tenth

@@ -19,7 +19,7 @@ OUTLINE = "outline"
 """The cause that a run draws itself, by moving the contour."""
 
 # chosen so that 95 % intervals hold the truth as often as they say: docs/reference/plugins/outline-surface.md
-_BETWEEN = 0.15  # of what leaving single slices out changes, in quadrature: with them, gaps are half as wide
+_BETWEEN = 0.13  # of what leaving single slices out changes, in quadrature: with them, gaps are half as wide
 _FEW = 7.0  # and that over the square of their number: few slices do not show how smooth the product is
 _STIFFER = 30.0
 _SETTINGS = 0.4  # of what a plate so much stiffer changes
