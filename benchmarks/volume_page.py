@@ -189,11 +189,11 @@ python -m benchmarks volume --first {first} --count {count} --meshes {meshes} \\
 Errors are those of the **visible volume**, the integral of the top surface's height over the footprint, in
 per cent of the truth.
 
-Nothing was chosen on these. While the estimators were made, seeds below 3000, 30000 to 30499 and 40000
-to 40059 were looked at; when the widths of the intervals were chosen, 60000 to 60499 and images of the
-seeds 70000 to 70059, 90000 to 90059 and 110000 to 110059. (An earlier study was of the same 500 skeins;
-it said that widths were wrong under some numbers of stripes and from images, and no constant was fitted
-to it.)
+Nothing was chosen on these. While the estimators were made, skeins of the seeds below 3000, 30000 to 30499
+and 40000 to 40059 were looked at, and known bodies on rigs of the seeds 97001 to 97010; when the widths of
+the intervals were chosen, 60000 to 60499 and images of the seeds 70000 to 70059, 90000 to 90059 and 110000
+to 110059. (Earlier studies were of the same 500 skeins; they said which intervals were wrong under some
+numbers of stripes and from images, and no constant was fitted to them.)
 
 Stripe centres, planes and silhouettes are exact unless it says *from images*: what is left is the error
 of the method.
@@ -215,16 +215,16 @@ The chain: `maximum-likelihood`, `window-tracking`, the true planes of light, `e
 image of the empty belt, 8-bit images of 640 × 480 with speckle and noise. Nothing is taken from the
 truth but the calibration. Intervals are those of {draws} draws each: the noise of the peaks, the
 outline's place, and the estimator's own error, as a run with `--draws` has them; the calibration is
-exact here, and draws nothing. `outline-surface` says a little more than it needs to.
+exact here, and draws nothing.
 """
 
 _BODIES = """
 Each cell: mean absolute error / largest, per cent of the visible volume / how many of the 95 %
 intervals hold the truth. Each body lies somewhere else on {rigs} rigs, seeds {first} to {last}; centres
-and silhouettes are exact. Without an outline a flat end between two stripes is not known, and a product
-that goes on beyond the outermost stripe even less: the intervals say so. Two things they do not say: a
-stair's riser between two stripes; and that the slices of a body whose rim lies high (ball, potato,
-roll) fall faster at the ends than a taper through three of them.
+and silhouettes are exact. Without an outline ellipsoids, balls, their caps and nearly eggs are found by the
+[quadric](../reference/plugins/slice-pchip.md#ends) through their outer slices. A flat end between two stripes
+is not known, nor whether leaning light passed over a wall or met it, and a product that goes on beyond the
+outermost stripe even less: the intervals say so.
 """
 
 _STRIPES = """

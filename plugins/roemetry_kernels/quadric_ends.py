@@ -22,7 +22,7 @@ _TERMS = 7
 _NODES = 12
 _BEYOND = 1.15
 _AREA_OFF = 0.3
-_OFF_MM = 0.3
+_OFF_MM = 0.25
 
 
 @kernel
@@ -82,16 +82,13 @@ def quadric_end(
     if not table[three[0], COUNT] > 3.0 or np.isnan(y_ref):
         return nothing
     x_ref = (d - ny * y_ref) / nx
-    normal, right, square, tall = _normal_equations(
-        xyz_mm, product, seen, row_px, number, rows, ends, sign, x_ref, y_ref
-    )
+    means, count = _means(xyz_mm, product, seen, row_px, number, rows, ends, sign, x_ref, y_ref)
+    if count < 2 * _TERMS:
+        return nothing
+    normal, right, tall = _normal_equations(means, count)
     c = _solved(normal, right)
     r = c[0]
-    off = square
-    for i in range(_TERMS):
-        off -= c[i] * right[i]
-    height = abs(tall - r)
-    residual_mm = _UNIT_MM * math.sqrt(max(off, 0.0)) / (2.0 * max(height, 0.01))
+    residual_mm = _UNIT_MM * _misfit(means, count, c) / (2.0 * max(abs(tall - r), 0.01))
     if not (c[4] < 0.0 and c[6] < 0.0 and r < tall and residual_mm < _OFF_MM):
         return nothing
     # Q in the local frame, where the plane of the outer slice is x = q·y + m·z
@@ -117,18 +114,18 @@ def quadric_end(
 
 
 @kernel
-def _normal_equations(
+def _means(
     xyz_mm: Floats, product: Labels, seen: Flags, row_px: Floats, number: int, rows: Integers,
     ends: Floats, sign: float, x_ref: float, y_ref: float,
-) -> tuple[Floats, Floats, float, float]:  # fmt: skip
-    """Sum up z² = 2r·z + Q′ over means of neighbouring points, each slice weighing 1/3; also z² and z."""
-    normal, right = np.zeros((_TERMS, _TERMS)), np.zeros(_TERMS)
-    mean = np.zeros(_TERMS + 1)
-    square, tall = 0.0, 0.0
+) -> tuple[Floats, int]:  # fmt: skip
+    """Give means over neighbouring points of the terms of z² = 2r·z + Q′, of z², their weights and slices."""
+    means = np.zeros((3 * (2 * _GROUPS + 1), _TERMS + 3))
+    count = 0
     for which in range(rows.size):
         i = rows[which]
         first, last = ends[which, 0], ends[which, 1]
         size = max(int(ends[which, 2]) // _GROUPS, 1)
+        mean = means[count]
         held = 0
         for k in range(product.shape[1]):
             if row_px[i, k] > last:
@@ -148,19 +145,49 @@ def _normal_equations(
             held += 1
             if held < size:
                 continue
-            share = size / (3.0 * ends[which, 2])
             for a in range(_TERMS + 1):
                 mean[a] /= held
-            for a in range(_TERMS):
-                for b in range(a + 1):
-                    normal[a, b] += share * mean[a] * mean[b]
-                right[a] += share * mean[a] * mean[7]
-            square += share * mean[7] * mean[7]
-            tall += share * 0.5 * mean[0]
-            mean[:] = 0.0
+            mean[_TERMS + 1] = size / (3.0 * ends[which, 2])
+            mean[_TERMS + 2] = which
+            count += 1
+            if count == means.shape[0]:
+                return means, count
+            mean = means[count]
             held = 0
         mean[:] = 0.0
-    return normal, right, square, tall
+    return means, count
+
+
+@kernel
+def _normal_equations(means: Floats, count: int) -> tuple[Floats, Floats, float]:
+    """Sum up the normal equations, each slice weighing 1/3; also the mean z."""
+    normal, right = np.zeros((_TERMS, _TERMS)), np.zeros(_TERMS)
+    tall = 0.0
+    for k in range(count):
+        mean = means[k]
+        share = mean[_TERMS + 1]
+        for a in range(_TERMS):
+            for b in range(a + 1):
+                normal[a, b] += share * mean[a] * mean[b]
+            right[a] += share * mean[a] * mean[_TERMS]
+        tall += share * 0.5 * mean[0]
+    return normal, right, tall
+
+
+@kernel
+def _misfit(means: Floats, count: int, c: Floats) -> float:
+    """Root mean square by which the points lie off, in z², less the noise that neighbours do not share."""
+    square, noise = 0.0, 0.0
+    before, slice_before = 0.0, -1.0
+    for k in range(count):
+        off = means[k, _TERMS]
+        for a in range(_TERMS):
+            off -= c[a] * means[k, a]
+        square += means[k, _TERMS + 1] * off * off
+        if means[k, _TERMS + 2] == slice_before:
+            noise += 0.5 * means[k, _TERMS + 1] * (off - before) ** 2
+        before, slice_before = off, means[k, _TERMS + 2]
+    return math.sqrt(max(square - noise, 0.0))
 
 
 @kernel

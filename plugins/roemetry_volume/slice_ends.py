@@ -15,10 +15,10 @@ from roemetry_volume.slice_table import Slices
 # chosen so that 95 % intervals hold the truth as often as they say: docs/reference/plugins/slice-pchip.md
 _TAPER_STD = 0.11  # of a tapered cap's volume
 _OPEN_TAPER_STD = 0.35  # the same with no stripe beyond that shows belt
-_QUADRIC_STD = 0.08  # of a quadric's cap
-_SHADOW_STD = 0.35  # of what leaning light counts too much behind an end, by the quadric
+_QUADRIC_STD = 0.12  # of a quadric's cap
+_SHADOW_STD = 0.5  # of what leaning light counts too much behind an end, by the quadric
 _RIM_STD = 0.3  # of that triangle below the rim, where no quadric tells it
-_FITS_MM = 0.08  # a quadric that misses the points by so much is believed by half
+_FITS_MM = 0.07  # a quadric that misses the points by so much is believed by half
 _HARDLY = 0.02
 _BLUNT_STD = 2.0 / math.sqrt(12.0)  # of a cap of half the way to the next stripe
 _WALL_STD = 0.5 / math.sqrt(3.0)  # of the way that a plane leans over the height of an end wall
