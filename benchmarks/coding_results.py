@@ -42,7 +42,9 @@ def coders_named(names: list[str]) -> Coders:
     """Make all coders and `VARIANTS`, or those of the names: ``name`` or ``name (option: value)``."""
     registry = discover()
     there = {stage.entry.name: stage for stage in registry.of_kind("coder")}
-    known = [*there, *(name for name in VARIANTS if name.split(" (")[0] in there)]
+    # those that count without a calibration have no planes to be right or wrong about
+    known = [name for name, stage in there.items() if not registry.load(stage).capabilities.relative_numbers]
+    known += [name for name in VARIANTS if name.split(" (")[0] in there]
     found: Coders = {}
     for name in names or known:
         base, _, option = name.removesuffix(")").partition(" (")

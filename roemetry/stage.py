@@ -40,6 +40,9 @@ class Capabilities:
         Largest error of a point, of exact stripes under an exact calibration, mm (triangulators).
     relative_tolerance
         Largest error relative to the true value: of a volume; of px/mm (calibrators).
+    relative_numbers
+        True for a coder that takes no calibration and counts stripes from the first that is seen: it is
+        given none, and numbers that are right but for the same offset are right.
     fixture
         ``package.module:function`` that gives the kit what it cannot make itself. For a triangulator it
         takes a `roemetry.testing.LinearRig` and gives the rig's `Calibration`; for a calibrator it takes the
@@ -52,6 +55,7 @@ class Capabilities:
     saturated_tolerance_px: float = 1.0
     height_tolerance_mm: float = 0.01
     relative_tolerance: float = 0.05
+    relative_numbers: bool = False
     fixture: str = ""
 
 

@@ -1,4 +1,4 @@
-"""Coders that say how sure they are: by order, by tracing, by the planes of light themselves."""
+"""Coders that say how sure they are: by order, by tracing, by the planes of light, by joining pieces."""
 
 from __future__ import annotations
 
@@ -29,5 +29,12 @@ def roemetry_stages() -> Iterable[StageEntry]:
         name="planes",
         target="roemetry_coding.planes:Planes",
         summary="The labels that make a surface this camera would see like this; refuses doubt",
+        reference="our own",
+    )
+    yield StageEntry(
+        kind="coder",
+        name="pieces",
+        target="roemetry_coding.pieces:Pieces",
+        summary="Without a calibration: joins broken stripes and counts them where order and direction agree",
         reference="our own",
     )

@@ -113,7 +113,8 @@ def _extractor(stage: Extractor[Any]) -> Cases:
 
 def _coder(stage: Coder[Any]) -> Cases:
     def case(rig: LinearRig, x_px: Any) -> Case:
-        inputs = rig.peaks(x_px, scatter_px=0.1).peaks, rig.calibration()
+        calibration = None if stage.capabilities.relative_numbers else rig.calibration()
+        inputs = rig.peaks(x_px, scatter_px=0.1).peaks, calibration
         return Case(
             inputs, lambda coder: coder.code(*inputs), lambda stripes: not np.isfinite(stripes.x_px).any()
         )

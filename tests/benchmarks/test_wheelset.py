@@ -1,30 +1,54 @@
-"""Numbering by order without calibration: what follows on is numbered, what is open is not."""
+"""The wheelset image's count: the coder's numbers against those by hand, whatever both begin with."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
+from roemetry.records import Peaks
+from roemetry_coding.pieces import Pieces
+
 wheelset = pytest.importorskip("benchmarks.wheelset", reason="only in a checkout")
 
 
-def pieces_of(off_spacings: float, stripes: int = 4, gap: tuple[int, int] = (100, 140)) -> list:
-    """Slanting stripes 40 px apart, cut by a gap; below it they go on so many spacings to the side."""
-    found = []
-    for stripe in range(stripes):
-        for rows, shift in ((np.arange(gap[0]), 0.0), (np.arange(gap[1], 240), 40.0 * off_spacings)):
-            found.append(wheelset.Piece(rows, 50.0 + 40.0 * stripe + 0.2 * rows + shift))
-    return found
+def slanting(off_spacings: float = 0.0) -> Peaks:
+    """Give five stripes 40 px apart; all but the outer ones are cut, and go on a little to the side."""
+    row, x_px = [], []
+    for stripe in range(5):
+        rows = np.arange(240)
+        if 0 < stripe < 4:
+            rows = np.r_[0:100, 140:240]
+        row.append(rows)
+        x_px.append(
+            50.0 + 40.0 * stripe + 0.2 * rows + 40.0 * off_spacings * (rows >= 140) * (len(rows) < 240)
+        )
+    row, x_px = np.concatenate(row), np.concatenate(x_px)
+    order = np.lexsort((x_px, row))
+    flat = np.full(row.size, 5.0)
+    return Peaks((240, 300), row[order], x_px[order], flat, flat, flat, flat, np.zeros(row.size, np.uint8))
 
 
-@pytest.mark.parametrize("off_spacings", [0.0, 0.15, -0.15])
-def test_stripes_that_go_on_after_a_gap_are_numbered(off_spacings: float) -> None:
-    assert wheelset.numbered(pieces_of(off_spacings)) == [1, 1, 2, 2, 3, 3, 4, 4]
+@pytest.mark.parametrize("first", [1, 4])
+def test_numbers_are_counted_against_those_by_hand(monkeypatch, first: int) -> None:
+    """By hand the same stripes are counted from another number on, and one piece is not numbered."""
+    starts = {
+        0: ((50, 0),),
+        1: ((90, 0),),
+        2: ((130, 0), (158, 140)),
+        3: ((170, 0), (198, 140)),
+        4: ((210, 0),),
+    }
+    monkeypatch.setattr(wheelset, "BY_HAND", {first + n: at for n, at in starts.items()})
+    peaks = slanting()
+    verdict = wheelset.judged(peaks, Pieces().code(peaks, None))
+    assert len(verdict.pieces) == 8
+    assert (verdict.by_hand == 0).sum() == 1
+    known = verdict.by_hand > 0
+    np.testing.assert_array_equal(verdict.given[known], verdict.by_hand[known])
+    assert verdict.given[~known] == first + 1
 
 
-@pytest.mark.parametrize("off_spacings", [0.5, -0.5, 0.4])
-def test_stripes_that_may_be_either_neighbour_are_not_joined(off_spacings: float) -> None:
-    """Then one half is numbered and the other is left open: two runs of four, and nothing ties them."""
-    number = wheelset.numbered(pieces_of(off_spacings))
-    upper, lower = number[::2], number[1::2]
-    assert sorted((upper, lower)) == [[0, 0, 0, 0], [1, 2, 3, 4]]
+def test_what_is_open_has_no_number() -> None:
+    peaks = slanting(off_spacings=0.5)
+    verdict = wheelset.judged(peaks, Pieces().code(peaks, None))
+    assert (verdict.given == 0).sum() >= 3

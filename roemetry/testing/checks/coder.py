@@ -225,8 +225,17 @@ def _coded(
 
 def _coded_x(coder: Coder[Any], rig: LinearRig, x_px: Floats) -> _Coded:
     found = rig.peaks(x_px, _SCATTER_PX)
-    stripes = coder.code(found.peaks, rig.calibration())
-    return _Coded(stripes, found.stripe, found.peaks.row, found.peaks.x_px, x_px)
+    relative = coder.capabilities.relative_numbers
+    stripes = coder.code(found.peaks, None if relative else rig.calibration())
+    truth = found.stripe - _offset(stripes, found.stripe) if relative else found.stripe
+    return _Coded(stripes, truth, found.peaks.row, found.peaks.x_px, x_px)
+
+
+def _offset(stripes: StripeMap, truth: Integers) -> int:
+    """Give by how much most numbers of a coder that counts from the first stripe seen fall short."""
+    given = np.flatnonzero(stripes.peak_stripe[: truth.size] >= 0)
+    short, count = np.unique(truth[given] - stripes.peak_stripe[given], return_counts=True)
+    return int(short[count.argmax()]) if count.size else 0
 
 
 def _none_wrong(coded: _Coded) -> None:
