@@ -191,6 +191,7 @@ class _Growth:
         ):
             if border:
                 continue
+            facing |= bool(faces[list(self.doubted)].any())
             open_end = self.given & ~self._next[taken].any(axis=1) & faces
             used = [pair[taken] for pair in self.breaks]
             open_end[used] = False
