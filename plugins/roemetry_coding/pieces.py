@@ -21,7 +21,7 @@ from roemetry_coding.piece_sides import pieces_of
 from roemetry_kernels.bridging import bridged
 from roemetry_kernels.consistency import keep_order
 from roemetry_kernels.refusing import refuse_uncodable
-from roemetry_kernels.rest_lines import RestLines
+from roemetry_kernels.rest_lines import unknown_rest_lines
 from roemetry_kernels.tracing import trace_fragments
 
 
@@ -119,12 +119,11 @@ class Pieces(Coder[PiecesOptions]):
                 hint="stripes must run from top to bottom (source.turn_deg); look at the image",
             )
         count = int(stripe.max(initial=0)) + 1
-        rest = RestLines(np.full((count, peaks.image_size[0]), np.nan), np.inf)
         return bridged(
             peaks,
             stripe,
             margin,
-            rest,
+            unknown_rest_lines(count, peaks),
             longest_gap_rows=options.longest_gap_rows,
             smallest_product_points=1,
             reasons=[_said(pieces.count, numbers.number, count)],

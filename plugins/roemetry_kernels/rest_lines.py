@@ -53,6 +53,16 @@ class RestLines(NamedTuple):
     offset_px: float = 0.0
 
 
+def unknown_rest_lines(stripes: int, peaks: Peaks) -> RestLines:
+    """Give rest lines of which nothing is known: every point is off the belt."""
+    return RestLines(
+        x_px=np.full((stripes, peaks.image_size[0]), np.nan),
+        tolerance_px=np.inf,
+        line=np.full(len(peaks), -1),
+        on_line=np.zeros(stripes, np.int64),
+    )
+
+
 def calibrated_rest_lines(peaks: Peaks, calibration: Calibration) -> RestLines:
     """Take the rest lines from the calibration, the tolerance from this frame's scatter about them.
 

@@ -35,6 +35,7 @@ from roemetry_kernels.rest_lines import (
     missing_stripes,
     reasons_of,
     rest_lines_of_frame,
+    unknown_rest_lines,
 )
 from roemetry_kernels.tracing import trace_fragments
 from roemetry_paper.belt import Belt, belt_of
@@ -198,13 +199,7 @@ class WindowTracking(Coder[WindowTrackingOptions]):
             )
         number = np.full(fragments, UNCODED, np.int64)
         number[big[np.argsort(place[big])]] = np.arange(big.size)
-        rest = RestLines(
-            x_px=np.full((big.size, peaks.image_size[0]), np.nan),
-            tolerance_px=np.inf,
-            line=np.full(len(peaks), -1),
-            on_line=np.zeros(big.size, np.int64),
-        )
-        return rest, number[fragment], np.full(len(peaks), np.nan)
+        return unknown_rest_lines(big.size, peaks), number[fragment], np.full(len(peaks), np.nan)
 
     def _settle(
         self, peaks: Peaks, belt: Belt, noise: Flags, rest_px: Floats, low_px: Floats, high_px: Floats
