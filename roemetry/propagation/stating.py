@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from roemetry.arrays import Floats
 from roemetry.propagation.repeating import VOLUME_MODEL, Result
 from roemetry.records import Estimate, ProductTrace, Reason
 
@@ -73,8 +74,9 @@ def with_uncertainty(
         weight = replace(weight, mass_g=mass, reasons=weight.reasons + unstated.weight + lost)
     if grade is not None and together:
         held = [_probability(result, grade.label) for result in together]
+        sure = math.nan if grade.label == _UNKNOWN else float(np.mean(held))
         spread = {} if unstated.points else _features_std(grade.features, together)
-        grade = replace(grade, probability=float(np.mean(held)), features_std=spread)
+        grade = replace(grade, probability=sure, features_std=spread)
     return replace(trace, volume=volume, weight=weight, grade=grade, height_max_mm=height)
 
 
@@ -127,8 +129,8 @@ def _distance(found_mm: float, results: list[Result]) -> float:
     good = drawn[np.isfinite(drawn)]
     if good.size < max(2.0, (1.0 - FAILED_SHARE_MAX) * drawn.size):
         return math.nan
-    lift = max(0.0, float(good.mean()) - found_mm) / (math.sqrt(2.0) - 1.0)
-    return math.hypot(float(good.std(ddof=1)), lift)
+    mean, std = _mean_and_std(good)
+    return math.hypot(std, max(0.0, mean - found_mm) / (math.sqrt(2.0) - 1.0))
 
 
 def _features_std(features: Mapping[str, float], together: list[Result]) -> dict[str, float]:
@@ -138,7 +140,7 @@ def _features_std(features: Mapping[str, float], together: list[Result]) -> dict
         values = np.array([result.features.get(name, math.nan) for result in together])
         good = values[np.isfinite(values)]
         if good.size >= max(2.0, (1.0 - FAILED_SHARE_MAX) * values.size):
-            found[name] = float(good.std(ddof=1))
+            found[name] = _mean_and_std(good)[1]
     return found
 
 
@@ -165,7 +167,7 @@ def _estimate(
         return replace(found, std=math.nan, budget=budget, interval=_NO_INTERVAL), lost
     if not stated:
         return replace(found, std=math.nan, budget=budget, interval=_NO_INTERVAL), ()
-    std = float(good.std(ddof=1))
+    std = _mean_and_std(good)[1]
     if good.size >= ENOUGH_FOR_QUANTILES:
         tail = (1.0 - COVERAGE) / 2.0
         low, high = (float(q) for q in np.quantile(good, [tail, 1.0 - tail]))
@@ -178,4 +180,11 @@ def _estimate(
 def _spread(results: list[Result], field: str) -> float:
     values = np.array([getattr(result, field) for result in results])
     good = values[np.isfinite(values)]
-    return float(good.std(ddof=1)) if good.size >= 2 else math.nan
+    return _mean_and_std(good)[1] if good.size >= 2 else math.nan
+
+
+def _mean_and_std(values: Floats) -> tuple[float, float]:
+    """Give both; of equal values exactly these and 0: what a mean rounds off is no scatter."""
+    if np.ptp(values) == 0.0:
+        return float(values[0]), 0.0
+    return float(values.mean()), float(values.std(ddof=1))

@@ -51,6 +51,11 @@ def test_a_scale_in_common_moves_it_in_proportion() -> None:
     assert high - height.value == pytest.approx(height.value - low, abs=1e-9)  # mm
 
 
+def test_a_cause_that_does_not_touch_it_is_not_in_its_budget() -> None:
+    height = drawn(0.0, STD_PX, 0.0, draws=60)
+    assert set(height.budget) == {"peak noise"}
+
+
 def test_its_interval_holds_the_true_height_though_noise_lifts_the_largest(rng: np.random.Generator) -> None:
     true_mm = drawn(0.0, STD_PX, 0.0, draws=2).value
     shape = RIG.stripe_map(RIG.dome()).x_px.shape

@@ -275,6 +275,19 @@ def test_the_grades_probability_is_the_share_of_draws() -> None:
     assert found.grade.probability == pytest.approx(0.8413, abs=0.05)
 
 
+class NeverSure(AboveLimit):
+    """Names no class, and has a feature that no draw changes, of a value no sum of equals hits."""
+
+    def classify(self, product, *, rng=None):
+        return Grade("unknown", features={"always": 0.1})
+
+
+def test_an_unknown_grade_has_no_probability_and_what_never_changes_no_scatter() -> None:
+    found = done(scene(), SumOfHeights(), classifier=NeverSure(), draws=60)
+    assert math.isnan(found.grade.probability)
+    assert found.grade.features_std == {"always": 0.0}
+
+
 def test_draws_are_the_same_every_time() -> None:
     one, other = (done(scene(), Erring(), Tenth(), draws=80) for _ in range(2))
     assert one.volume.visible_mm3 == other.volume.visible_mm3
