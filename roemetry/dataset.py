@@ -31,6 +31,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from roemetry.errors import ConfigurationError, DataError, OutputError
 from roemetry.files import LineFile, make_folder, sha256_of, write_whole
+from roemetry.json_values import json_values
 from roemetry.recipe_file import SensorFile
 from roemetry.records import ProductTruth, Role, Sensor, StripeTruth, Truth
 from roemetry.validation import checked
@@ -230,7 +231,7 @@ class DatasetWriter:
         if item.stripes is not None:
             hashes[STRIPES] = sha256_of(self.folder / item.stripes)
         row = asdict(item) | {"sha256": hashes}
-        self._items.append(json.dumps(_null(row), ensure_ascii=False))
+        self._items.append(json.dumps(json_values(row), ensure_ascii=False))
 
     def close(self) -> None:
         """Close the list of items."""
@@ -315,11 +316,3 @@ def _product(row: dict[str, Any]) -> ProductTruth:
     numbers: dict[str, Any] = {name: math.nan if value is None else value for name, value in row.items()}
     numbers["figures"] = {name: math.nan if v is None else v for name, v in row["figures"].items()}
     return ProductTruth(**numbers)
-
-
-def _null(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _null(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_null(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sqlite3
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
@@ -12,6 +13,7 @@ from typing import Any, TypeVar
 
 from roemetry.checking.judging import Check, Quantity
 from roemetry.errors import DataError, OutputError
+from roemetry.json_values import json_values
 from roemetry.records import Reason
 
 T = TypeVar("T")
@@ -37,7 +39,7 @@ class Chart:
 
     def add(self, check: Check) -> None:
         """Write a check down; raise OutputError where the file cannot be written."""
-        row = (check.made, check.calibration_sha256, json.dumps(asdict(check)))
+        row = (check.made, check.calibration_sha256, json.dumps(json_values(asdict(check))))
         try:
             with self._opened() as base:
                 base.execute(_TABLE)
@@ -81,6 +83,10 @@ class Chart:
 
 
 def _check(data: dict[str, Any]) -> Check:
-    lengths = {name: Quantity(**data[name]) for name in ("height", "belt", "width")}
+    lengths = {name: Quantity(**_numbers(data[name])) for name in ("height", "belt", "width")}
     reasons = tuple(Reason._make(reason) for reason in data["reasons"])
-    return Check(**{**data, **lengths, "reasons": reasons})
+    return Check(**{**_numbers(data), **lengths, "reasons": reasons})
+
+
+def _numbers(data: dict[str, Any]) -> dict[str, Any]:
+    return {name: math.nan if value is None else value for name, value in data.items()}

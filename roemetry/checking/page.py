@@ -58,7 +58,7 @@ def chart_plot(checks: Sequence[Check], name: str) -> Markup:
     for n, check, found in known:
         words = f"{check.made}: {plain(found.value, 3)} mm, {check.verdict}"
         body.append(dot(x_axis(n), y_axis(found.value), "point", words, _COLOURS[check.verdict], 4.0))
-    ticks = [(n, words) for n, words in x_axis.ticks(10) if n == round(n)]
-    body += [text(x_axis(n), bottom + 16, words) for n, words in ticks]
+    ticks = [n for n, _ in x_axis.ticks(10) if n == round(n)]
+    body += [text(x_axis(n), bottom + 16, f"{n:.0f}") for n in ticks]
     body += [text(right, bottom + 32, "check number", "end"), text(left - 6, top - 4, "mm", "end")]
     return picture(body, bottom + 38, f"{WORDS[name]} over the checks", _WIDTH)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -52,6 +53,7 @@ def check_calibration(
     from roemetry.checking.page import page
     from roemetry.errors import ConfigurationError
     from roemetry.files import write_whole
+    from roemetry.json_values import json_values
     from roemetry.recipe import Recipe
 
     loaded = Recipe.load(recipe, sets=sets or ())
@@ -63,9 +65,9 @@ def check_calibration(
         )
     check = check_calibration(loaded, image, block_of(loaded, target), kept)
     if as_json:
-        typer.echo(json.dumps(asdict(check), indent=2))
+        typer.echo(json.dumps(json_values(asdict(check)), indent=2))
     else:
-        _show(check)
+        show(check)
     if report is not None and kept is not None:
         write_whole(report, page(Chart(kept).checks(check.calibration_sha256), loaded.product))
         typer.echo(f"{report}", err=as_json)
@@ -73,12 +75,16 @@ def check_calibration(
         raise typer.Exit(1)
 
 
-def _show(check: Check) -> None:
+def show(check: Check) -> None:
+    """Print a check: a line each for what was measured, then its reasons."""
     from roemetry.checking.judging import QUANTITIES
 
     typer.echo(f"{check.target}: {check.verdict}")
     for name in QUANTITIES:
         found = check.quantity(name)
+        if math.isnan(found.value):
+            typer.echo(f"  {name:10} not measured")
+            continue
         difference = found.value - found.expected
         typer.echo(
             f"  {name:10} {found.value:9.3f}  expected {found.expected:9.3f}  "

@@ -26,6 +26,7 @@ def check_weight(
     """
     from roemetry.checking.weights import WeighedPair, check_weights
     from roemetry.fitting import read_weights
+    from roemetry.json_values import json_values
     from roemetry.record import read_record
 
     known = read_weights(scale)
@@ -36,11 +37,7 @@ def check_weight(
     ]
     check = check_weights(pairs, tolerance)
     if as_json:
-        plain = {
-            name: None if isinstance(value, float) and math.isnan(value) else value
-            for name, value in check._asdict().items()
-        }
-        typer.echo(json.dumps(plain, indent=2))
+        typer.echo(json.dumps(json_values(check._asdict()), indent=2))
     else:
         typer.echo(f"{check.verdict}: {check.pairs} products weighed by both")
         typer.echo(f"  line over scale {check.bias_share:+.2%}, scatter {check.scatter_share:.2%}")

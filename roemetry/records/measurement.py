@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from roemetry.errors import DataError
+from roemetry.json_values import json_values
 from roemetry.records.outcome import Decision, Estimate, Grade, Shares, Volume, Weight
 from roemetry.records.reasons import Reason
 
@@ -124,7 +125,7 @@ class Measurement:
             "reasons": [reason._asdict() for reason in self.reasons],
             "provenance": dict(self.provenance),
         }
-        return json.dumps(_null(row), ensure_ascii=False, allow_nan=False)
+        return json.dumps(json_values(row), ensure_ascii=False, allow_nan=False)
 
     @classmethod
     def from_json(cls, line: str) -> Measurement:
@@ -153,17 +154,6 @@ class Measurement:
                 f"not a measurement: {line[:60]!r}… ({type(error).__name__}: {error})",
                 hint="the line was written by another version of roemetry, or edited by hand",
             ) from error
-
-
-def _null(value: Any) -> Any:
-    """Make a value fit for JSON: NaN becomes None, numpy numbers become Python's."""
-    if isinstance(value, dict):
-        return {key: _null(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_null(item) for item in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _number(value: Any) -> Any:

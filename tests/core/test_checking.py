@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import math
 import sqlite3
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -18,6 +20,7 @@ from roemetry.checking import Chart, Check, Quantity, calibration_doubts
 from roemetry.checking.block_reading import find_block, read_block
 from roemetry.checking.judging import judged
 from roemetry.checking.page import page
+from roemetry.cli.check_calibration import show
 from roemetry.cli.main import app
 from roemetry.errors import DataError, OutputError
 from roemetry.recipe import Recipe
@@ -128,6 +131,10 @@ def test_the_chart_gives_back_what_was_written(tmp_path: Path) -> None:
     assert [c.made for c in found] == [first.made, (NOW + timedelta(days=1)).isoformat(timespec="seconds")]
     assert found[0].reasons == first.reasons
     assert found[0].height == first.height
+    assert math.isnan(found[0].width.value)
+    with closing(sqlite3.connect(tmp_path / "chart.sqlite")) as base:
+        (content,) = base.execute("SELECT content FROM checks").fetchone()
+    assert json.loads(content, parse_constant=pytest.fail)["width"]["value"] is None, "NaN is no JSON"
     assert len(chart.checks()) == 3
 
 
@@ -215,6 +222,16 @@ def test_a_run_carries_the_doubts(line: Callable[..., Path], tmp_path: Path) -> 
     run_recipe(recipe, tmp_path / "results")
     (row,) = (tmp_path / "results" / "measurements.jsonl").read_text("utf-8").splitlines()
     assert "calibration-out" in {reason["code"] for reason in json.loads(row)["reasons"]}
+
+
+def test_what_was_not_measured_is_said_in_words(capsys: pytest.CaptureFixture[str]) -> None:
+    show(check())
+    assert "  width_mm   not measured\n" in capsys.readouterr().out
+
+
+def test_checks_are_counted_in_whole_numbers() -> None:
+    assert ">1<" in page([check()], "line")
+    assert ">1.0<" not in page([check()], "line")
 
 
 def test_a_page_of_many_checks_draws_them_all() -> None:
