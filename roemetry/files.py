@@ -107,6 +107,11 @@ class LineFile:
 
 
 def _cannot_write(path: Path, error: OSError) -> OutputError:
+    if isinstance(error, FileExistsError | NotADirectoryError):
+        return OutputError(
+            f"{path}: cannot be written: a file stands where a folder is needed",
+            hint="choose another with --out",
+        )
     why = error.strerror or str(error)
     return OutputError(
         f"{path}: cannot be written: {why}",

@@ -23,6 +23,11 @@ def read_record(folder: Path) -> Iterator[Measurement]:
                 try:
                     yield Measurement.from_json(line)
                 except DataError as error:
+                    if not line.endswith("\n"):
+                        raise DataError(
+                            f"{path}:{number}: the last line is cut off: the run was stopped in it",
+                            hint="`roemetry run` with --resume takes it away and goes on",
+                        ) from error
                     raise DataError(f"{path}:{number}: {error.message}", hint=error.hint) from error
     except UnicodeDecodeError as error:
         raise DataError(f"{path}: damaged: byte {error.start} of a block is not UTF-8") from error

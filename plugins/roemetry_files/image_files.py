@@ -39,8 +39,9 @@ class ImageFiles(Source[ImageFilesOptions]):
         """List the images, sorted by name; raise DataError where there is none."""
         files = _files(path)
         if not files:
+            absent = "" if path.exists() or _is_pattern(path) else ": no such file or folder"
             raise DataError(
-                f"{path}: there is no image here",
+                f"{path}: there is no image here{absent}",
                 hint=f"source.path is a file, a folder or a pattern of {', '.join(SUFFIXES)}",
             )
         stems = Counter(file.stem for file in files)
@@ -110,8 +111,12 @@ def _cut_off(data: np.ndarray) -> bool:
 def _files(path: Path) -> list[Path]:
     if path.is_dir():
         found = [file for file in path.iterdir() if file.suffix.lower() in SUFFIXES]
-    elif any(mark in path.name for mark in "*?["):
+    elif _is_pattern(path):
         found = list(path.parent.glob(path.name))
     else:
         found = [path] if path.is_file() else []
     return sorted(file for file in found if file.is_file())
+
+
+def _is_pattern(path: Path) -> bool:
+    return any(mark in path.name for mark in "*?[")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -187,4 +188,6 @@ def _tell(started: Started) -> None:
         f"{started.folder}: {', '.join(path.name for path in started.files)}; "
         f"{started.items} simulated acquisitions in data"
     )
-    typer.echo(f"next: cd {started.folder} && roemetry run .   (README.md says how to go on)")
+    typer.echo(
+        f"next: cd {shlex.quote(str(started.folder))} && roemetry run .   (README.md says how to go on)"
+    )

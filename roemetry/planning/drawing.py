@@ -22,7 +22,7 @@ def side_view(sketch: Sequence[PlanShape]) -> Markup:
     """Draw the rig to scale, X to the right, Z up, the same millimetres both ways."""
     points = np.vstack([one.points_mm for one in sketch])
     (x_low, z_low), (x_high, z_high) = points.min(axis=0), points.max(axis=0)
-    left, top, right, bottom = 52.0, 26.0, 96.0, 44.0
+    left, top, right, bottom = 52.0, 26.0, 132.0, 44.0
     per_mm = (_SIDE_WIDTH - left - right) / (x_high - x_low)
     height = top + bottom + per_mm * (z_high - z_low)
     x_axis = Axis(x_low, x_high, left, _SIDE_WIDTH - right)

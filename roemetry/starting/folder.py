@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
+import unicodedata
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -117,7 +118,9 @@ def texts_of(answers: Answers, layout: Layout, items: int) -> dict[str, str]:
 def _alike(answers: Answers) -> dict[str, Any]:
     """Name the simulator's family whose proportions the product has, and what goes under its images."""
     length, width, height = answers.size_mm
-    item = re.sub(r"[^a-z0-9]+", "_", answers.product.lower()).strip("_") or "product"
+    letters = unicodedata.normalize("NFKD", answers.product.casefold())
+    plain = "".join(letter for letter in letters if not unicodedata.combining(letter))
+    item = re.sub(r"[^a-z0-9]+", "_", plain).strip("_") or "product"
     flat = height / width
     family = "fillet" if flat <= 0.45 else "bread-roll" if flat <= 0.7 else "potato"
     narrow = {"fillet": 0.7 * length, "bread-roll": length, "potato": 0.9 * length}[family]

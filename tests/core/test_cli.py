@@ -68,14 +68,18 @@ def test_a_folder_that_cannot_be_written(line: Callable[..., Path], tmp_path: Pa
     (tmp_path / "file").write_text("x", encoding="utf-8")
     done = roemetry("run", line(1), "--out", tmp_path / "file" / "out")
     assert done.returncode == 1
-    assert "cannot be written" in done.stderr
+    assert "cannot be written: a file stands where a folder is needed" in done.stderr
+    assert "free some space" not in done.stderr
     assert "Traceback" not in done.stderr
 
 
 def test_no_images(line: Callable[..., Path], tmp_path: Path) -> None:
-    done = roemetry("run", line(1), "--set", f"source.path={tmp_path}/*.tif", "--out", tmp_path / "out")
+    recipe = line(1)
+    done = roemetry("run", recipe, "--set", f"source.path={tmp_path}/*.tif", "--out", tmp_path / "out")
     assert done.returncode == 1
-    assert "there is no image here" in done.stderr
+    assert "there is no image here\n" in done.stderr
+    done = roemetry("run", recipe, "--set", "source.path=nowhere", "--out", tmp_path / "out")
+    assert "nowhere: there is no image here: no such file or folder" in done.stderr
 
 
 def test_lint_says_what_a_file_is(line: Callable[..., Path]) -> None:

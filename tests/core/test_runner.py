@@ -381,6 +381,9 @@ def test_a_damaged_record_is_named_with_its_line(line: Callable[..., Path], tmp_
     record.write_bytes(first + b'{"a": 1}\n')
     with pytest.raises(DataError, match=r"measurements\.jsonl:2: not a measurement"):
         run_recipe(recipe, tmp_path / "out", resume=True)
+    record.write_bytes(first + first[:40])
+    with pytest.raises(DataError, match=r"measurements\.jsonl:2: the last line is cut off"):
+        list(read_record(tmp_path / "out"))
     record.write_bytes(first + b"\xff\xfe\n")
     with pytest.raises(DataError, match="not UTF-8"):
         run_recipe(recipe, tmp_path / "out", resume=True)

@@ -124,6 +124,17 @@ def test_files_of_an_own_product_are_sound(
     assert "{{" not in (tmp_path / "README.md").read_text("utf-8")
 
 
+def test_an_items_name_keeps_its_letters_without_their_accents() -> None:
+    answers = Answers("Weißwürste à la carte", (90.0, 60.0, 45.0))
+    text = texts_of(answers, lay_out(answers), items=1)["scene.yaml"]
+    assert "item: weisswurste_a_la_carte_{number:02d}\n" in text
+
+
+def test_the_next_command_can_be_typed_where_the_folder_has_a_space(tmp_path: Path) -> None:
+    done = CliRunner().invoke(app, ["init", str(tmp_path / "my line"), "--like", "egg", "--items", "0"])
+    assert f"next: cd '{tmp_path / 'my line'}' && roemetry run ." in done.stdout
+
+
 def test_five_lines_are_shipped_and_whole() -> None:
     assert set(shipped_lines()) == set(LINES)
     for folder in shipped_lines().values():
