@@ -15,7 +15,7 @@ from roemetry_kernels.label_costs import Labels, Steps, labels_of, steps_of
 from roemetry_kernels.label_cuts import best_shift
 from roemetry_kernels.label_doubts import broken_off, claimed, interjected, mixed
 from roemetry_kernels.label_graph import Runs, runs_of, shifts_of
-from roemetry_kernels.label_pieces import ENDS, end_pieces, own_costs, presence_of
+from roemetry_kernels.label_pieces import ENDS, between_bare, end_pieces, own_costs, presence_of
 from roemetry_kernels.label_sweeps import swept
 from roemetry_kernels.label_verdicts import (
     beside_level_bodies,
@@ -34,6 +34,7 @@ from roemetry_kernels.tracing import cut_at_rest_lines, trace_fragments
 _STEP_MAX_PX = 7.0
 _BELT_ROWS_MIN = 6
 _FLICKER_ROWS = 3
+_BARE_ROWS = 20
 _END_ROWS = 8
 _BORDER_ROWS = 12
 _PRESENT_SHARE = 0.2
@@ -260,10 +261,13 @@ def _best_of_shifts(runs: Runs) -> tuple[Integers, float]:
 
 
 def _posed(peaks: Peaks, calibration: Calibration, rest: RestLines) -> _Problem:
-    _stripes, rows = rest.x_px.shape
+    stripes, rows = rest.x_px.shape
     sight = sight_lines(peaks, calibration, rest.x_px)
     trace, traces = trace_fragments(peaks.row_start, peaks.x_px, _STEP_MAX_PX)
-    piece, piece_line = cut_at_rest_lines(trace, rest.line, traces, _BELT_ROWS_MIN, _FLICKER_ROWS)
+    alone = between_bare(peaks.row, rest.line, stripes, rows, _BARE_ROWS)
+    state = np.where(alone, rest.line + stripes, rest.line)
+    piece, piece_line = cut_at_rest_lines(trace, state, traces, _BELT_ROWS_MIN, _FLICKER_ROWS)
+    piece_line = np.where(piece_line >= stripes, piece_line - stripes, piece_line)
     full = int(_PRESENT_SHARE * rows)
     presence = presence_of(
         sight.line, piece, piece_line, sight.enters, sight.leaves, sight.plane.shape[0], full,

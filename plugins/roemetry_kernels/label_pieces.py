@@ -14,6 +14,39 @@ _AMID_SHARE = 0.5
 
 
 @kernel
+def between_bare(row: Integers, line: Integers, stripes: int, rows: int, rows_min: int) -> Flags:
+    """Mark peaks on a rest line where the rest lines on either side show nothing.
+
+    What hides both may lie under this one, too, displaced by just a whole spacing.
+
+    Parameters
+    ----------
+    row, line
+        (peak,) row; rest line it lies on, −1 for none.
+    stripes, rows
+        Number of rest lines and of image rows.
+    rows_min
+        A rest line is bare where nothing lies on it for so many rows on end.
+    """
+    bare = np.zeros((stripes, rows), np.bool_)
+    last = np.full(stripes, -1, np.int64)
+    for p in range(row.shape[0] + stripes):
+        r = row[p] if p < row.shape[0] else rows
+        s = line[p] if p < row.shape[0] else p - row.shape[0]
+        if s < 0:
+            continue
+        if r - last[s] > rows_min:
+            bare[s, last[s] + 1 : r] = True
+        last[s] = r
+    found = np.zeros(row.shape[0], np.bool_)
+    for p in range(row.shape[0]):
+        s = line[p]
+        if 0 < s < stripes - 1:
+            found[p] = bare[s - 1, row[p]] and bare[s + 1, row[p]]
+    return found
+
+
+@kernel
 def end_pieces(
     row: Integers, piece: Integers, line: Integers, rows: int, end_rows: int, border_rows: int
 ) -> tuple[Integers, Integers, Flags, Integers]:
