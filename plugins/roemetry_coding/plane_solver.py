@@ -14,7 +14,7 @@ from roemetry_kernels.label_agreement import agreed
 from roemetry_kernels.label_costs import Labels, Steps, labels_of, steps_of
 from roemetry_kernels.label_cuts import best_shift
 from roemetry_kernels.label_doubts import broken_off, claimed, interjected, mixed
-from roemetry_kernels.label_graph import Runs, runs_of, shifts_of
+from roemetry_kernels.label_graph import Runs, runs_of, shifts_of, strays_of
 from roemetry_kernels.label_pieces import ENDS, between_bare, end_pieces, own_costs, presence_of
 from roemetry_kernels.label_sweeps import swept
 from roemetry_kernels.label_verdicts import (
@@ -58,6 +58,7 @@ _SHORT_GAP_LINES = 14
 _LOST = 0.25
 _SHIFT_GAIN = 6.0
 _GAIN_MIN = 0.5
+_STRAY_LINES = 15
 _SHIFTS_MAX = 24
 _ROUNDS = 2
 _DOUBT_ROUNDS = 2
@@ -109,6 +110,7 @@ class _Problem(NamedTuple):
     entries: Entries
     labels: Labels
     steps: Steps
+    u_per_px: float
 
 
 def solve_planes(peaks: Peaks, calibration: Calibration, rest: RestLines) -> Solved:
@@ -215,7 +217,7 @@ def _shifted(problem: _Problem, own: Floats, best: Integers) -> tuple[Integers, 
             moved = True
             best = stepped(labels.many, labels.offset, best, np.where(runs.of >= 0, by[runs.of], 0))
             continue
-        dearer, by = _shifts(runs, entries.start.size - 1)
+        dearer, by = _shifts(problem, runs)
         evidence = np.where(runs.of >= 0, dearer[runs.of], np.inf)
         if not by.any():
             break
@@ -232,10 +234,13 @@ def _runs(problem: _Problem, own: Floats, best: Integers) -> Runs:
     ))  # fmt: skip
 
 
-def _shifts(runs: Runs, lines: int) -> tuple[Floats, Integers]:
+def _shifts(problem: _Problem, runs: Runs) -> tuple[Floats, Integers]:
+    entries = problem.entries
+    lines = entries.start.size - 1
+    stray = strays_of(entries.start, runs.of, runs.stripe, problem.there.size, _STRAY_LINES)
     dearer, by = shifts_of(
         runs.own, runs.one, runs.other, runs.both, runs.disorder, runs.start, runs.edge, runs.first,
-        runs.last, runs.size, lines, _GAIN_MIN,
+        runs.last, runs.size, stray, lines, _GAIN_MIN,
     )  # fmt: skip
     return dearer, by
 
@@ -248,7 +253,7 @@ def _without(problem: _Problem, own: Floats, best: Integers, doubtful: Flags) ->
     found = np.full(doubtful.size, np.inf)
     if not runs.stripe.size:
         return found
-    dearer, _ = _shifts(runs, entries.start.size - 1)
+    dearer, _ = _shifts(problem, runs)
     np.minimum.at(found, entries.peak, np.where(runs.of >= 0, dearer[runs.of], np.inf))
     return found
 
@@ -299,7 +304,7 @@ def _posed(peaks: Peaks, calibration: Calibration, rest: RestLines) -> _Problem:
     )  # fmt: skip
     return _Problem(
         sight, trace, rest.line, piece, piece_line, home, anchored, presence.max(axis=0), entries, labels,
-        steps,
+        steps, u_per_px,
     )  # fmt: skip
 
 

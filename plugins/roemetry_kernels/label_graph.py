@@ -30,6 +30,10 @@ _END_ENTRIES = 12
 """So may be one with so few, as an end that may hold two stripes, when it is asked what is sure."""
 _DISORDER = 40.0
 """Cost of two neighbours out of order: more than to leave both out."""
+_OVERLAP_LINES = 4
+"""Two runs that are out of order on so few lines need not give way: their ends can be left out there."""
+_OVERLAP = 8.0
+"""What that costs, a line."""
 _IMPOSSIBLE = 20.0
 """Cost of a stripe that an entry cannot be, and of neighbours too far apart to be compared."""
 
@@ -50,7 +54,7 @@ class Runs(NamedTuple):
     both
         (edge, way, way) what they cost each other.
     disorder
-        (edge, way, way) True where that puts neighbours on a sight line out of order.
+        (edge, way, way) number of sight lines on which that puts neighbours out of order.
     start, edge
         (run + 1,) where a run's edges begin; edges, run by run.
     first, last
@@ -65,7 +69,7 @@ class Runs(NamedTuple):
     one: Integers
     other: Integers
     both: Floats
-    disorder: Flags
+    disorder: Integers
     start: Integers
     edge: Integers
     first: Integers
@@ -80,7 +84,7 @@ def runs_of(
     surface: NDArray[np.float32], unseen: NDArray[np.float32], before: Floats, after: Floats,
     weight_surface: float, weight_unseen: float,
 ) -> tuple[
-    Integers, Integers, Floats, Integers, Integers, Floats, Flags, Integers, Integers, Integers, Integers,
+    Integers, Integers, Floats, Integers, Integers, Floats, Integers, Integers, Integers, Integers, Integers,
     Integers,
 ]:  # fmt: skip
     """Make the fields of `Runs` of a solution.
@@ -127,7 +131,7 @@ def runs_of(
             last = p
     key = np.unique(key[:keys])
     both = np.zeros((key.shape[0], _WAYS + 1, _WAYS + 1))
-    disorder = np.zeros(both.shape, np.bool_)
+    disorder = np.zeros(both.shape, np.int64)
     for e in range(lines):
         last, n = -1, pair_start[e]
         for p in range(start[e], start[e + 1]):
@@ -159,7 +163,7 @@ def runs_of(
                         k = stripe[f] + b - _ASIDE - low[p]
                         if stripe[of[last]] + a >= stripe[f] + b:
                             both[t, a, b] += _DISORDER
-                            disorder[t, a, b] = True
+                            disorder[t, a, b] += 1
                         elif not near:
                             both[t, a, b] += _IMPOSSIBLE
                         elif 0 <= k < count[p] and 0 <= h < count[last]:
@@ -215,9 +219,68 @@ def _edges(runs: int, one: Integers, other: Integers) -> tuple[Integers, Integer
 
 
 @kernel
+def strays_of(start: Integers, of: Integers, stripe: Integers, stripes: int, lines_min: int) -> Flags:
+    """Mark runs of a stripe that is seen on a few lines only, amid lines on which both its neighbours are.
+
+    Parameters
+    ----------
+    start
+        (line + 1,) where each line's entries begin.
+    of, stripe
+        (entry,) run, −1 for none; (run,) its stripe.
+    stripes
+        Number of stripes.
+    lines_min
+        On so many lines before and after it is not seen, but its neighbours are.
+    """
+    lines = start.shape[0] - 1
+    seen = np.zeros((lines, stripes), np.bool_)
+    for e in range(lines):
+        for i in range(start[e], start[e + 1]):
+            if of[i] >= 0:
+                seen[e, stripe[of[i]]] = True
+    inside = np.zeros((lines, stripes), np.bool_)
+    for s in range(1, stripes - 1):
+        e = 0
+        while e < lines:
+            if not seen[e, s]:
+                e += 1
+                continue
+            end = e
+            k = e
+            while k < lines and k - end <= 3:
+                if seen[k, s]:
+                    end = k
+                k += 1
+            if _between(seen, s, e - lines_min, e) and _between(seen, s, end + 1, end + 1 + lines_min):
+                inside[e : end + 1, s] = True
+            e = end + 1
+    found = np.zeros(stripe.shape[0], np.bool_)
+    for e in range(lines):
+        for i in range(start[e], start[e + 1]):
+            if of[i] >= 0 and inside[e, stripe[of[i]]]:
+                found[of[i]] = True
+    return found
+
+
+@kernel
+def _between(seen: Flags, s: int, first: int, end: int) -> bool:
+    """Say whether the neighbours of stripe s are seen on nearly all of some lines, and s is not."""
+    if first < 0 or end > seen.shape[0]:
+        return False
+    both = 0
+    for e in range(first, end):
+        if seen[e, s]:
+            return False
+        both += seen[e, s - 1] and seen[e, s + 1]
+    return both >= 0.8 * (end - first)
+
+
+@kernel
 def shifts_of(
-    own: Floats, one: Integers, other: Integers, both: Floats, disorder: Flags, start: Integers,
-    edge: Integers, first: Integers, last: Integers, size: Integers, lines: int, gain_min: float,
+    own: Floats, one: Integers, other: Integers, both: Floats, disorder: Integers, start: Integers,
+    edge: Integers, first: Integers, last: Integers, size: Integers, stray: Flags, lines: int,
+    gain_min: float,
 ) -> tuple[Floats, Integers]:  # fmt: skip
     """Shift every run by one stripe either way, with all that must, or had better, go along.
 
@@ -241,12 +304,15 @@ def shifts_of(
     cost = np.full((runs, 2), np.inf)
     way, waiting = np.empty(runs, np.int64), np.empty(runs, np.int64)
     queued = np.zeros(runs, np.bool_)
+    overlap = (disorder > 0) & (disorder <= _OVERLAP_LINES)
+    eased = np.where(overlap, both - disorder * (_DISORDER - _OVERLAP), both)
+    much = np.where(overlap, 0, disorder)
     touched = np.zeros(lines + 1, np.int64)
     for f in range(runs):
         for k in range(2):
             way[:] = _ASIDE
             cost[f, k] = _shift(
-                f, 2 * k - 1, _END_ENTRIES, way, own, one, other, both, disorder, start, edge, size,
+                f, 2 * k - 1, _END_ENTRIES, way, own, one, other, eased, much, start, edge, size, stray,
                 waiting, queued,
             )  # fmt: skip
             low, high = lines, 0
@@ -264,7 +330,7 @@ def shifts_of(
                 if way[g] != _ASIDE:
                     dearer[g] = min(dearer[g], cost[f, k] / wide)
     way[:] = _ASIDE
-    tried = np.empty(runs, np.int64)
+    tried, none = np.empty(runs, np.int64), np.zeros(runs, np.bool_)
     for n in np.argsort(cost.ravel()):
         f, k = n // 2, n % 2
         if cost[f, k] > -gain_min:
@@ -272,7 +338,7 @@ def shifts_of(
         if way[f] == _ASIDE:
             tried[:] = way
             again = _shift(
-                f, 2 * k - 1, _SMALL_ENTRIES, tried, own, one, other, both, disorder, start, edge, size,
+                f, 2 * k - 1, _SMALL_ENTRIES, tried, own, one, other, both, disorder, start, edge, size, none,
                 waiting, queued,
             )  # fmt: skip
             if again <= -gain_min:
@@ -285,7 +351,8 @@ def shifts_of(
 @kernel
 def _shift(
     f: int, by: int, small: int, way: Integers, own: Floats, one: Integers, other: Integers, both: Floats,
-    disorder: Flags, start: Integers, edge: Integers, size: Integers, waiting: Integers, queued: Flags,
+    disorder: Integers, start: Integers, edge: Integers, size: Integers, stray: Flags, waiting: Integers,
+    queued: Flags,
 ) -> float:  # fmt: skip
     """Shift run f; then others the same way, as long as order asks for it or it is cheaper; give the cost.
 
@@ -300,10 +367,10 @@ def _shift(
         queued[g] = False
         forced = False
         for n in range(start[g], start[g + 1]):
-            forced = forced or disorder[edge[n], way[one[edge[n]]], way[other[edge[n]]]]
+            forced = forced or disorder[edge[n], way[one[edge[n]]], way[other[edge[n]]]] > 0
         to = way[g] + by
         change = _change(g, to, way, own, one, other, both, start, edge)
-        if forced and size[g] <= small:
+        if forced and (size[g] <= small or stray[g]):
             left_out = _change(g, _OUT, way, own, one, other, both, start, edge)
             if left_out < change:
                 to, change = _OUT, left_out
