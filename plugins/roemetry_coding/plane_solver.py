@@ -13,7 +13,7 @@ from roemetry_coding.plane_weights import WEIGHTS
 from roemetry_kernels.label_agreement import agreed
 from roemetry_kernels.label_costs import Labels, Steps, labels_of, steps_of
 from roemetry_kernels.label_cuts import best_shift
-from roemetry_kernels.label_doubts import broken_off, claimed, interjected, mixed
+from roemetry_kernels.label_doubts import aside, broken_off, claimed, interjected, mixed
 from roemetry_kernels.label_graph import Runs, runs_of, shifts_of, strays_of
 from roemetry_kernels.label_pieces import ENDS, between_bare, end_pieces, own_costs, presence_of
 from roemetry_kernels.label_sweeps import swept
@@ -159,6 +159,8 @@ def solve_planes(peaks: Peaks, calibration: Calibration, rest: RestLines) -> Sol
     )  # fmt: skip
     between = interjected(problem.trace, problem.piece, problem.piece_line, stripe)
     whole &= ~(between | ((piece_line == ENDS) & (_together(problem, stripe, between) > 0)))
+    spacing_px = float(np.median(np.diff(rest.x_px, axis=0))) if rest.x_px.shape[0] > 1 else np.inf
+    whole &= ~aside(peaks.row, peaks.x_px, problem.line, problem.piece, stripe, spacing_px)
     strange = (piece_line >= 0) & (stripe != piece_line)
     evidence[strange & (_together(problem, stripe, piece_line == -1) < _BODY_PEAKS)] *= _STRANGE_COUNT
     whole &= ~beside_level_bodies(
@@ -208,7 +210,7 @@ def _shifted(problem: _Problem, own: Floats, best: Integers) -> tuple[Integers, 
     Gives (entry,) nodes; (entry,) what the cheapest shift that an entry's run is part of would cost, a sight
     line; and whether anything was shifted.
     """
-    entries, labels = problem.entries, problem.labels
+    labels = problem.labels
     moved = False
     for _ in range(_SHIFTS_MAX):
         runs = _runs(problem, own, best)

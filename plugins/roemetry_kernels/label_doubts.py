@@ -10,6 +10,8 @@ from roemetry_kernels.label_pieces import ENDS
 
 _MUCH_LARGER = 3
 """Of two pieces that contradict each other, one so many times as large is believed."""
+_GOES_ON_SPACINGS = 0.3
+_ASIDE_SPACINGS = 0.5
 _FEW_REFUSED = 4
 """So many refused in a row say something about the others."""
 
@@ -119,6 +121,49 @@ def interjected(trace: Integers, piece: Integers, piece_line: Integers, stripe: 
         body = piece_line[a] != voted[a] or piece_line[b] != voted[b]
         found[p] = stripe[p] >= 0 and body and stripe[p] != voted[a]
     return found
+
+
+@kernel
+def aside(
+    row: Integers, x_px: Floats, line: Integers, piece: Integers, stripe: Integers, spacing_px: float
+) -> Flags:
+    """Mark pieces of a body that stand far beside where their stripe goes on after them, as it was before.
+
+    Parameters
+    ----------
+    row, x_px, line, piece, stripe
+        (peak,) row, sorted, and place, px; rest line it lies on, −1 for none; piece of its trace; stripe,
+        below 0 for none.
+    spacing_px
+        Distance of the rest lines, px.
+    """
+    pieces, stripes = piece.max() + 1, stripe.max() + 1
+    size = np.zeros(pieces, np.int64)
+    first_px, last_px = np.zeros(pieces), np.zeros(pieces)
+    own = np.full(pieces, -1, np.int64)
+    before, after = np.full(pieces, -1, np.int64), np.full(pieces, -1, np.int64)
+    last = np.full(stripes + 1, -1, np.int64)
+    for p in range(row.shape[0]):
+        s, f = stripe[p], piece[p]
+        if s < 0 or line[p] == s or (own[f] >= 0 and own[f] != s):
+            continue
+        if own[f] < 0:
+            own[f], first_px[f] = s, x_px[p]
+            before[f] = last[s]
+            if last[s] >= 0:
+                after[last[s]] = f
+            last[s] = f
+        last_px[f] = x_px[p]
+        size[f] += 1
+    found = np.zeros(pieces, np.bool_)
+    for f in range(pieces):
+        a, b = before[f], after[f]
+        if a < 0 or b < 0 or min(size[a], size[b]) < _FEW_REFUSED:
+            continue
+        one, other = first_px[f] - last_px[a], last_px[f] - first_px[b]
+        goes_on = abs(first_px[b] - last_px[a]) <= _GOES_ON_SPACINGS * spacing_px
+        found[f] = goes_on and min(abs(one), abs(other)) > _ASIDE_SPACINGS * spacing_px
+    return found[piece]
 
 
 @kernel

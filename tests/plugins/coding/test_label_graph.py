@@ -13,6 +13,12 @@ from roemetry_kernels.label_verdicts import ends_settled, favoured, stepped
 
 RUNS, LINES = 6, 20
 DISORDER = 1e5
+NO_STRAYS = np.zeros(RUNS, np.bool_)
+
+
+def disordered(both: np.ndarray) -> np.ndarray:
+    """Give (edge, way, way) sight lines that are out of order: all on which the two meet, or none."""
+    return np.where(both == DISORDER, LINES, 0)
 
 
 def chain(rng: np.random.Generator, gaps: list[int]) -> tuple[np.ndarray, ...]:
@@ -30,7 +36,7 @@ def chain(rng: np.random.Generator, gaps: list[int]) -> tuple[np.ndarray, ...]:
     start, edge = _edges(RUNS, one, other)
     first = np.zeros(RUNS, np.int64)
     last, size = np.full(RUNS, LINES - 1), np.full(RUNS, LINES)
-    return own, one, other, both, both == DISORDER, start, edge, first, last, size
+    return own, one, other, both, disordered(both), start, edge, first, last, size
 
 
 def energy(graph: tuple[np.ndarray, ...], by: np.ndarray) -> float:
@@ -46,7 +52,7 @@ def test_what_is_shifted_is_cheaper_and_no_shift_is_cheaper_than_the_cheapest(
 ) -> None:
     """Against all changes of a small graph: never dearer than before, never below the least of all."""
     graph = chain(rng, list(rng.integers(0, 2, RUNS - 1)))
-    dearer, by = shifts_of(*graph, LINES, 0.5)
+    dearer, by = shifts_of(*graph, NO_STRAYS, LINES, 0.5)
     before, after = energy(graph, np.zeros(RUNS, np.int64)), energy(graph, by)
     assert after <= before - 0.5 or not by.any()
     least = min(energy(graph, np.array(way)) for way in product((-1, 0, 1), repeat=RUNS))
@@ -61,9 +67,9 @@ def test_a_run_without_room_takes_its_neighbours_along() -> None:
     both = np.zeros((RUNS - 1, 4, 4))
     for a, b in product(range(3), range(3)):
         both[:, a, b] = DISORDER if a > b else 0.0
-    graph = own, one, other, both, both == DISORDER, *_edges(RUNS, one, other), np.zeros(RUNS, np.int64)
+    graph = own, one, other, both, disordered(both), *_edges(RUNS, one, other), np.zeros(RUNS, np.int64)
     last = np.full(RUNS, LINES - 1)
-    dearer, by = shifts_of(*graph, last, np.full(RUNS, LINES), LINES, 0.5)
+    dearer, by = shifts_of(*graph, last, np.full(RUNS, LINES), NO_STRAYS, LINES, 0.5)
     assert not by.any()
     # one to the left takes all before it along, at 2 each; one to the right all behind it, at 3 each
     reached = np.minimum.accumulate(np.array([2.0 * (n + 1) for n in range(RUNS)])[::-1])[::-1]
@@ -79,9 +85,9 @@ def test_a_small_run_in_the_way_is_left_out() -> None:
     both = np.zeros((RUNS - 1, 4, 4))
     for a, b in product(range(3), range(3)):
         both[:, a, b] = DISORDER if a > b else 0.0
-    graph = own, one, other, both, both == DISORDER, *_edges(RUNS, one, other), np.zeros(RUNS, np.int64)
+    graph = own, one, other, both, disordered(both), *_edges(RUNS, one, other), np.zeros(RUNS, np.int64)
     last, size = np.full(RUNS, LINES - 1), np.array([LINES] * (RUNS - 1) + [2])
-    _, by = shifts_of(*graph, last, size, LINES, 0.5)
+    _, by = shifts_of(*graph, last, size, NO_STRAYS, LINES, 0.5)
     np.testing.assert_array_equal(by, [1] * (RUNS - 1) + [OUT])
 
 
