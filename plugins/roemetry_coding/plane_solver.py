@@ -14,8 +14,9 @@ from roemetry_kernels.label_agreement import agreed
 from roemetry_kernels.label_costs import Labels, Steps, labels_of, steps_of
 from roemetry_kernels.label_cuts import best_shift
 from roemetry_kernels.label_doubts import aside, broken_off, claimed, interjected, mixed
-from roemetry_kernels.label_graph import Runs, runs_of, shifts_of, strays_of
+from roemetry_kernels.label_graph import Runs, runs_of, shifts_of
 from roemetry_kernels.label_pieces import ENDS, between_bare, end_pieces, own_costs, presence_of
+from roemetry_kernels.label_strays import strays_of
 from roemetry_kernels.label_sweeps import swept
 from roemetry_kernels.label_verdicts import (
     beside_level_bodies,

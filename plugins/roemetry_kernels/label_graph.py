@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from roemetry.arrays import Flags, Floats, Integers
 from roemetry_kernels.compiling import kernel
+from roemetry_kernels.label_strays import eased
 
 _ASIDE = 1
 """Stripes on either side of its own that a run may move to."""
@@ -25,15 +26,10 @@ _OUT = _WAYS
 OUT = 1000
 """So many stripes on: left out."""
 _SMALL_ENTRIES = 4
-"""A run with so few is left out rather than that all behind it must give way."""
 _END_ENTRIES = 12
-"""So may be one with so few, as an end that may hold two stripes, when it is asked what is sure."""
+"""A run with so few is left out before all behind it give way: to solve, and to ask what is sure."""
 _DISORDER = 40.0
 """Cost of two neighbours out of order: more than to leave both out."""
-_OVERLAP_LINES = 4
-"""Two runs that are out of order on so few lines need not give way: their ends can be left out there."""
-_OVERLAP = 8.0
-"""What that costs, a line."""
 _IMPOSSIBLE = 20.0
 """Cost of a stripe that an entry cannot be, and of neighbours too far apart to be compared."""
 
@@ -219,64 +215,6 @@ def _edges(runs: int, one: Integers, other: Integers) -> tuple[Integers, Integer
 
 
 @kernel
-def strays_of(start: Integers, of: Integers, stripe: Integers, stripes: int, lines_min: int) -> Flags:
-    """Mark runs of a stripe that is seen on a few lines only, amid lines on which both its neighbours are.
-
-    Parameters
-    ----------
-    start
-        (line + 1,) where each line's entries begin.
-    of, stripe
-        (entry,) run, −1 for none; (run,) its stripe.
-    stripes
-        Number of stripes.
-    lines_min
-        On so many lines before and after it is not seen, but its neighbours are.
-    """
-    lines = start.shape[0] - 1
-    seen = np.zeros((lines, stripes), np.bool_)
-    for e in range(lines):
-        for i in range(start[e], start[e + 1]):
-            if of[i] >= 0:
-                seen[e, stripe[of[i]]] = True
-    inside = np.zeros((lines, stripes), np.bool_)
-    for s in range(1, stripes - 1):
-        e = 0
-        while e < lines:
-            if not seen[e, s]:
-                e += 1
-                continue
-            end = e
-            k = e
-            while k < lines and k - end <= 3:
-                if seen[k, s]:
-                    end = k
-                k += 1
-            if _between(seen, s, e - lines_min, e) and _between(seen, s, end + 1, end + 1 + lines_min):
-                inside[e : end + 1, s] = True
-            e = end + 1
-    found = np.zeros(stripe.shape[0], np.bool_)
-    for e in range(lines):
-        for i in range(start[e], start[e + 1]):
-            if of[i] >= 0 and inside[e, stripe[of[i]]]:
-                found[of[i]] = True
-    return found
-
-
-@kernel
-def _between(seen: Flags, s: int, first: int, end: int) -> bool:
-    """Say whether the neighbours of stripe s are seen on nearly all of some lines, and s is not."""
-    if first < 0 or end > seen.shape[0]:
-        return False
-    both = 0
-    for e in range(first, end):
-        if seen[e, s]:
-            return False
-        both += seen[e, s - 1] and seen[e, s + 1]
-    return both >= 0.8 * (end - first)
-
-
-@kernel
 def shifts_of(
     own: Floats, one: Integers, other: Integers, both: Floats, disorder: Integers, start: Integers,
     edge: Integers, first: Integers, last: Integers, size: Integers, stray: Flags, lines: int,
@@ -288,6 +226,8 @@ def shifts_of(
     ----------
     own, one, other, both, disorder, start, edge, first, last, size
         See `Runs`.
+    stray
+        (run,) True for what may be left out when it is asked what is sure.
     lines
         Number of sight lines.
     gain_min
@@ -304,15 +244,13 @@ def shifts_of(
     cost = np.full((runs, 2), np.inf)
     way, waiting = np.empty(runs, np.int64), np.empty(runs, np.int64)
     queued = np.zeros(runs, np.bool_)
-    overlap = (disorder > 0) & (disorder <= _OVERLAP_LINES)
-    eased = np.where(overlap, both - disorder * (_DISORDER - _OVERLAP), both)
-    much = np.where(overlap, 0, disorder)
+    cheap, much = eased(both, disorder, _DISORDER)
     touched = np.zeros(lines + 1, np.int64)
     for f in range(runs):
         for k in range(2):
             way[:] = _ASIDE
             cost[f, k] = _shift(
-                f, 2 * k - 1, _END_ENTRIES, way, own, one, other, eased, much, start, edge, size, stray,
+                f, 2 * k - 1, _END_ENTRIES, way, own, one, other, cheap, much, start, edge, size, stray,
                 waiting, queued,
             )  # fmt: skip
             low, high = lines, 0

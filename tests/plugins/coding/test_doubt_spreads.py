@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from roemetry_kernels.label_doubts import broken_off, claimed, interjected, left_over, outnumbered
-from roemetry_kernels.label_pieces import ENDS, presence_of
+from roemetry_kernels.label_doubts import aside, broken_off, claimed, interjected, left_over, outnumbered
+from roemetry_kernels.label_pieces import ENDS, between_bare, presence_of
+from roemetry_kernels.label_strays import eased, strays_of
 
 STRIPES = 9
 
@@ -86,3 +87,43 @@ def test_where_most_of_a_body_is_refused_the_rest_is(refused: int, doubted: bool
     kept = np.where((stripe >= 2) & (stripe < 2 + refused), -2, stripe)
     found = outnumbered(row, line, stripe, kept, 1)
     np.testing.assert_array_equal(found, doubted & (kept >= 2))
+
+
+@pytest.mark.parametrize("beside_px, doubted", [(0.0, False), (10.0, False), (40.0, True)])
+def test_a_piece_beside_where_its_stripe_goes_on_is_doubted(beside_px: float, doubted: bool) -> None:
+    """A stripe's body in three pieces, the middle one moved aside; with belt around it, it is a body."""
+    row = np.arange(60)
+    piece, stripe = row // 20, np.full(60, 3)
+    x_px = np.where(piece == 1, 200.0 + beside_px, 200.0)
+    found = aside(row, x_px, np.full(60, -1), piece, stripe, 40.0)
+    np.testing.assert_array_equal(found, (piece == 1) & doubted)
+    belt = np.where(piece == 1, -1, 3)
+    assert not aside(row, x_px, belt, piece, stripe, 40.0).any()
+
+
+@pytest.mark.parametrize("bare, marked", [((1, 3), True), ((1,), False), ((3,), False), ((), False)])
+def test_a_rest_line_between_bare_ones_may_show_a_body(bare: tuple[int, ...], marked: bool) -> None:
+    """Five stripes over 100 rows; some rest lines show nothing in rows 30 to 69."""
+    row, line = (a.ravel() for a in np.meshgrid(np.arange(100), np.arange(5), indexing="ij"))
+    amid = (row >= 30) & (row < 70)
+    line = np.where(amid & np.isin(line, bare), -1, line)
+    found = between_bare(row, line, 5, 100, 20)
+    np.testing.assert_array_equal(found, amid & (line == 2) & marked)
+    assert not between_bare(row, line, 5, 100, 41).any()  # 40 rows are then no bare line
+
+
+@pytest.mark.parametrize("of_three, stray", [((40, 60), True), ((0, 60), False), ((10, 90), False)])
+def test_a_stripe_amid_its_neighbours_only_is_a_stray(of_three: tuple[int, int], stray: bool) -> None:
+    """Stripes 2 and 4 are seen on 100 lines, 3 between them on some."""
+    seen = [(e, s) for e in range(100) for s in (2, 3, 4) if s != 3 or of_three[0] <= e < of_three[1]]
+    start = np.searchsorted([e for e, _ in seen], np.arange(101))
+    of = np.array([s - 2 for _, s in seen])
+    found = strays_of(start, of, np.array([2, 3, 4]), 6, 15)
+    np.testing.assert_array_equal(found, [False, stray, False])
+
+
+def test_runs_that_hardly_touch_need_not_give_way() -> None:
+    both, disorder = np.array([[[100.0, 85.0, 3.0]]]), np.array([[[2, 5, 0]]])
+    cost, left = eased(both, disorder, 40.0)
+    np.testing.assert_allclose(cost, [[[100.0 - 2 * 32.0, 85.0, 3.0]]])
+    np.testing.assert_array_equal(left, [[[0, 5, 0]]])

@@ -124,3 +124,11 @@ def test_a_dead_stripe_on_whose_rest_line_a_product_lies_is_named() -> None:
         r for r in Planes().code(scene.peaks, scene.calibration).reasons if r.code == "stripe-missing"
     ]
     assert reason.text.endswith(f"stripe {dead + 1}")
+
+
+@pytest.mark.parametrize("seed", [9200033, 9200034, 9200070])
+def test_a_wedge_over_the_next_rest_line_is_not_shifted(seed: int) -> None:
+    """A face one label height high goes on from bare belt without a break: both sides of it are bare."""
+    sample = coded.sample_of(coded.dense_rig(seed), coded.shape(seed, "wedge"), seed=seed)
+    found = coded.score(Planes().code(sample.peaks, sample.calibration), sample)
+    assert found.longest_wrong_run <= 3
