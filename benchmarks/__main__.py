@@ -6,6 +6,7 @@ import importlib
 import sys
 
 BENCHMARKS = {
+    "best_chain": "grade, volume, weight and what intervals hold: the best shipped recipe on unseen skeins",
     "calibrate_averages": "heights of levels by pinhole-plane, averaged over many rendered images of each",
     "calibrate_images": "heights of pinhole-plane and block-linear from simulated images, against the truth",
     "calibrate_plate": "size of the shipped sphere plate in rendered images, by pinhole-plane",
