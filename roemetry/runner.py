@@ -193,7 +193,7 @@ def measured(
                 hint="what was measured is whole; go on with --resume and fewer --jobs",
             ) from error
         finally:
-            pool.shutdown(wait=False, cancel_futures=True)
+            pool.shutdown(cancel_futures=True)
 
 
 class _Worker:

@@ -227,7 +227,7 @@ def _made(scene: Scene, folder: Path, seed: int, tasks: Sequence[_Task], jobs: i
                     return
                 yield waiting.popleft().result()
         finally:
-            pool.shutdown(wait=False, cancel_futures=True)
+            pool.shutdown(cancel_futures=True)
 
 
 class _Worker:

@@ -125,7 +125,7 @@ def _judged(recipes: Sequence[tuple[int, Recipe]], data: Data, jobs: int) -> Ite
                     return
                 yield waiting.popleft().result()
         finally:
-            pool.shutdown(wait=False, cancel_futures=True)
+            pool.shutdown(cancel_futures=True)
 
 
 class _Worker:
