@@ -26,7 +26,7 @@ from roemetry_kernels.label_verdicts import (
     stepped,
     verdicts_of,
 )
-from roemetry_kernels.level_bodies import level_instead
+from roemetry_kernels.level_bodies import goes_through, level_instead
 from roemetry_kernels.rest_lines import RestLines
 from roemetry_kernels.sight_entries import Entries, entries_of
 from roemetry_kernels.sight_lines import SightLines, sight_lines
@@ -167,7 +167,11 @@ def solve_planes(peaks: Peaks, calibration: Calibration, rest: RestLines) -> Sol
     whole &= ~beside_level_bodies(
         peaks.row, stripe, problem.line, problem.piece, problem.piece_line, _LEVEL_ROWS
     )
-    whole &= ~_maybe_level(problem, best)
+    level = _maybe_level(problem, best)
+    if level.any():
+        off_px = peaks.x_px - rest.x_px[problem.line, peaks.row]
+        level &= ~goes_through(problem.piece, off_px, level)
+    whole &= ~level
     # a few peaks by themselves on a rest line are what is left of belt, at the edge of a shadow
     alone = np.bincount(problem.trace)[problem.trace] < _BELT_ROWS_MIN
     whole &= ~(alone & (problem.line >= 0) & (problem.line != stripe))

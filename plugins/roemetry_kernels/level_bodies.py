@@ -12,6 +12,9 @@ _LOOK_BACK = 4
 _BROKEN = 20.0
 _HIGH_SHARE = 0.5
 """A body that is taken into account is at least this share of a label height high."""
+_SIDE_PEAKS_MIN = 6
+_SAME_STDS = 3.0
+_MAD_TO_STD = 1.4826
 
 
 @kernel
@@ -87,6 +90,36 @@ def level_instead(
                         break
                     m = i
     return found
+
+
+def goes_through(piece: Integers, off_px: Floats, found: Flags) -> Flags:
+    """Mark (peak,) what was found on pieces that lie before it, in it and after it at the same place.
+
+    A body would have to be exactly one label height high to show nothing where it begins and ends.
+
+    Parameters
+    ----------
+    piece
+        (peak,) piece of its trace.
+    off_px
+        (peak,) way from its rest line, px.
+    found
+        (peak,) what `level_instead` says, in the order of rows.
+    """
+    through = np.zeros(found.shape, np.bool_)
+    for one in np.unique(piece[found]):
+        members = np.flatnonzero(piece == one)
+        inside = found[members]
+        first, last = np.flatnonzero(inside)[[0, -1]]
+        if min(first, members.size - 1 - last) < _SIDE_PEAKS_MIN:
+            continue
+        off, sides = off_px[members], np.arange(members.size)
+        sides = (sides < first) | (sides > last)
+        there, beside = off[inside], off[sides]
+        spread = [_MAD_TO_STD * np.median(np.abs(part - np.median(part))) for part in (there, beside)]
+        std = np.sqrt(spread[0] ** 2 / there.size + spread[1] ** 2 / beside.size)
+        through[members] = abs(np.median(there) - np.median(beside)) <= _SAME_STDS * std
+    return through & found
 
 
 @kernel
