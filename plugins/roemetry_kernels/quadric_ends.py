@@ -8,7 +8,7 @@ import numpy as np
 
 from roemetry.arrays import Flags, Floats, Integers, Labels
 from roemetry_kernels.compiling import kernel
-from roemetry_kernels.slice_areas import AREA, AT, COUNT, FIRST_ROW, LAST_ROW
+from roemetry_kernels.slice_areas import AREA, AT, COUNT, FIRST_ROW, LAST_ROW, TOP, WIDTH
 from roemetry_kernels.slice_rules import three_outer
 
 VOLUME, LENGTH, SHADOW, RIM_MM, RESIDUAL_MM = range(5)
@@ -23,6 +23,7 @@ _NODES = 12
 _BEYOND = 1.15
 _AREA_OFF = 0.3
 _OFF_MM = 0.25
+_LARGER = 1.25
 
 
 @kernel
@@ -94,6 +95,8 @@ def quadric_end(
     # Q in the local frame, where the plane of the outer slice is x = q·y + m·z
     q, m = -sign * ny / nx, -sign * nz / nx
     c[1] += r * r
+    if _is_larger(c, table):
+        return nothing
     section = _section(c, m, q, 0.0)  # the area of the outer slice, or the quadric is another one
     if not abs(_UNIT_MM**2 * section - area_mm2) < _AREA_OFF * area_mm2:
         return nothing
@@ -214,6 +217,23 @@ def _solved(normal: Floats, right: Floats) -> Floats:
             found[i] -= normal[k, i] * found[k]
         found[i] /= normal[i, i]
     return found
+
+
+@kernel
+def _is_larger(c: Floats, table: Floats) -> bool:
+    """Whether the quadric, where it is highest, is far higher or wider than the product: another body's."""
+    top, width = 0.0, 0.0
+    for i in range(table.shape[0]):
+        top, width = max(top, table[i, TOP]), max(width, table[i, WIDTH])
+    # Q at its summit, and its fall across there
+    det = 4.0 * c[4] * c[6] - c[5] * c[5]
+    if not det > 0.0:
+        return True
+    x, y = (c[5] * c[3] - 2.0 * c[6] * c[2]) / det, (c[5] * c[2] - 2.0 * c[4] * c[3]) / det
+    summit = c[1] + 0.5 * (c[2] * x + c[3] * y)
+    across = 2.0 * math.sqrt(max(summit, 0.0) / -c[6])
+    high = c[0] + math.sqrt(max(summit, 0.0))
+    return _UNIT_MM * high > _LARGER * top or _UNIT_MM * across > 2.0 * _LARGER * width
 
 
 @kernel

@@ -11,7 +11,7 @@ from roemetry.records import Product
 from roemetry.testing import LinearRig
 from roemetry.testing.solids import HALF_ELLIPSOID, product_of
 from roemetry_kernels import quadric_ends as ends
-from roemetry_kernels import slice_rules
+from roemetry_kernels import slice_areas, slice_rules
 from roemetry_volume.slice_ends import cap_of
 from roemetry_volume.slice_estimators import SlicePchip, SliceSimpson, SliceSpline
 from roemetry_volume.slice_table import slices_of
@@ -65,6 +65,16 @@ def test_no_quadric_closes_a_flat_end() -> None:
     assert all(np.isnan(quadric(level, 1)))
 
 
+@pytest.mark.parametrize(("column", "factor"), [(slice_areas.TOP, 0.6), (slice_areas.WIDTH, 0.3)])
+def test_a_quadric_larger_than_the_product_is_not_taken(column: int, factor: float) -> None:
+    product = ellipsoid(rim=7.0, lean=0.3, shift_mm=0.0)
+    slices = slices_of(product)
+    table = slices.table.copy()
+    table[:, column] *= factor
+    assert all(np.isnan(quadric(product, 1, table)))
+    assert all(np.isfinite(quadric(product, 1)))
+
+
 def test_an_outer_slice_far_below_the_others_course_means_a_wall() -> None:
     t = np.arange(6.0)
     area = np.array([100.0, 100.0, 100.0, 100.0, 100.0, 20.0])
@@ -95,13 +105,13 @@ def test_a_wall_between_the_last_two_slices_is_in_the_interval() -> None:
     assert cap.std_mm3 > step * spacing / np.sqrt(12.0)
 
 
-def quadric(product: Product, end: int) -> tuple[float, ...]:
+def quadric(product: Product, end: int, table: np.ndarray | None = None) -> tuple[float, ...]:
     slices = slices_of(product)
     profiles = slices.profiles
     return tuple(
         ends.quadric_end(
             profiles.xyz_mm, profiles.product, profiles.seen, profiles.row_px, profiles.plane, 1,
-            slices.table, slices.place, end, slices.reach_mm[end], slices.limited[end],
+            slices.table if table is None else table, slices.place, end, slices.reach_mm[end], slices.limited[end],
         )
     )  # fmt: skip
 
