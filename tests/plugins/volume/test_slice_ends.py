@@ -108,10 +108,11 @@ def test_a_wall_between_the_last_two_slices_is_in_the_interval() -> None:
 def quadric(product: Product, end: int, table: np.ndarray | None = None) -> tuple[float, ...]:
     slices = slices_of(product)
     profiles = slices.profiles
+    table = slices.table if table is None else table
     return tuple(
         ends.quadric_end(
             profiles.xyz_mm, profiles.product, profiles.seen, profiles.row_px, profiles.plane, 1,
-            slices.table if table is None else table, slices.place, end, slices.reach_mm[end], slices.limited[end],
+            table, slices.place, end, slices.reach_mm[end], slices.limited[end],
         )
     )  # fmt: skip
 
