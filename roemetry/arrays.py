@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from roemetry.errors import DataError
+from roemetry.errors import RecordError
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -26,6 +26,8 @@ class Checker:
         """Replace a field by a read-only view of the wanted type; ``None`` in `shape` means any length."""
         given: object = getattr(self._record, field)
         value: NDArray[Any] = np.asarray(given, dtype=dtype)
+        if np.issubdtype(dtype, np.integer) and _has_fractions(given, value):
+            self._faults.append(f"{field} holds what is no whole number, expected {np.dtype(dtype)}")
         if value.shape != shape and (value.ndim != len(shape) or any(map(_differ, value.shape, shape))):
             wanted = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
             self._faults.append(f"{field} has shape {value.shape}, expected {wanted}")
@@ -44,8 +46,13 @@ class Checker:
     def finish(self) -> None:
         """Raise one error that names every fault, if there is one."""
         if self._faults:
-            raise DataError(f"{type(self._record).__name__}: " + "; ".join(self._faults))
+            raise RecordError(f"{type(self._record).__name__}: " + "; ".join(self._faults))
 
 
 def _differ(have: int, want: int | None) -> bool:
     return want is not None and have != want
+
+
+def _has_fractions(given: object, whole: NDArray[Any]) -> bool:
+    found: NDArray[Any] = np.asarray(given)
+    return found.dtype.kind == "f" and not np.array_equal(found, whole)

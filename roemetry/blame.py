@@ -8,10 +8,10 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from roemetry.choosing import Chosen
-from roemetry.errors import PluginError, RoemetryError
+from roemetry.errors import FAULTS, PluginError, RecordError, RoemetryError
 
 
-def failure(error: Exception, kind: str, chosen: Chosen | None) -> str:
+def failure(error: BaseException, kind: str, chosen: Chosen | None) -> str:
     """Say which stage failed, with what, and where in its code.
 
     Parameters
@@ -34,10 +34,15 @@ def blamed(kind: str, chosen: Chosen) -> Iterator[None]:
     """Turn what a stage raises, unless it refuses, into a `PluginError` that names the stage."""
     try:
         yield
-    except RoemetryError:
-        raise
-    except Exception as error:
+    except FAULTS as error:
+        if refuses(error):
+            raise
         raise PluginError(failure(error, kind, chosen)) from error
+
+
+def refuses(error: BaseException) -> bool:
+    """Tell a stage that says why it cannot do its work from one that is broken."""
+    return isinstance(error, RoemetryError) and not isinstance(error, RecordError)
 
 
 def place_in(error: BaseException, module: str) -> str | None:

@@ -77,8 +77,16 @@ class DataError(RoemetryError):
     """An image or a record is not what it must be."""
 
 
+class RecordError(DataError):
+    """A record was made of arrays that do not go together: the fault of the stage that made it."""
+
+
 class StageError(RoemetryError):
     """A stage could not do its work on this acquisition."""
+
+
+FAULTS = (Exception, SystemExit)
+"""What a plugin may break with and the rest goes on: ``sys.exit`` in a stage is no wish of the user's."""
 
 
 class OutputError(RoemetryError):

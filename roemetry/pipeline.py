@@ -11,10 +11,10 @@ from typing import Any, TypeVar
 import numpy as np
 
 from roemetry.assembling import assemble
-from roemetry.blame import failure
+from roemetry.blame import failure, refuses
 from roemetry.calibration import Calibration
 from roemetry.choosing import Chosen
-from roemetry.errors import RoemetryError
+from roemetry.errors import FAULTS
 from roemetry.giving import given
 from roemetry.penetration import raised
 from roemetry.preparing import prepare, prepare_plain
@@ -227,15 +227,14 @@ class _Steps:
         begin = time.perf_counter()
         try:
             return given(kind, step())
-        except RoemetryError as error:
-            if self._debug:
-                raise
-            self.absent[kind] = Reason(f"{kind}-refused", str(error))
         # A fault in one plugin must not end a batch; the row says whose fault it is.
-        except Exception as error:
+        except FAULTS as error:
             if self._debug:
                 raise
-            self.absent[kind] = Reason(f"{kind}-fault", failure(error, kind, self._chosen.get(kind)))
+            if refuses(error):
+                self.absent[kind] = Reason(f"{kind}-refused", str(error))
+            else:
+                self.absent[kind] = Reason(f"{kind}-fault", failure(error, kind, self._chosen.get(kind)))
         finally:
             self.seconds[kind] = self.seconds.get(kind, 0.0) + time.perf_counter() - begin
         return None

@@ -20,7 +20,7 @@ from typing import Any
 
 import pluggy
 
-from roemetry.errors import PluginError
+from roemetry.errors import FAULTS, PluginError
 from roemetry.hookspecs import API, KINDS, PROJECT, Hooks, StageEntry
 
 
@@ -115,7 +115,7 @@ class Registry:
         module_name, _, class_name = stage.entry.target.partition(":")
         try:
             found = getattr(importlib.import_module(module_name), class_name)
-        except Exception as error:
+        except FAULTS as error:
             raise PluginError(
                 f"{stage.entry.kind} `{stage.entry.name}` of {stage.provider}: "
                 f"`{stage.entry.target}` cannot be imported: {type(error).__name__}: {error}",
@@ -167,7 +167,7 @@ def discover(found: Iterable[EntryPoint] | None = None) -> Registry:
         try:
             stages += [Registered(entry, provider) for entry in _entries(point)]
         # Whatever a foreign module raises while it is imported must not stop the others.
-        except Exception as error:
+        except FAULTS as error:
             why = str(error) if isinstance(error, PluginError) else f"{type(error).__name__}: {error}"
             broken.append(Broken(provider, why))
     if broken and os.environ.get("ROEMETRY_STRICT") == "1":

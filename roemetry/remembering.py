@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from roemetry.errors import FAULTS
 from roemetry.recipe import Recipe
 from roemetry.records import Product
 
@@ -45,7 +46,7 @@ class StepMemory:
     """
 
     def __init__(self, most: int | None = None) -> None:
-        self._kept: dict[object, tuple[Any, Exception | None, float]] = {}
+        self._kept: dict[object, tuple[Any, Exception | SystemExit | None, float]] = {}
         self._most = most
 
     def clear(self) -> None:
@@ -60,7 +61,7 @@ class StepMemory:
             try:
                 result = step()
             # Kept, not swallowed: it is raised below, here and for every variant that shares the step.
-            except Exception as error:
+            except FAULTS as error:
                 fault = error
             self._kept[key] = (result, fault, time.perf_counter() - begin)
             if self._most is not None and len(self._kept) > self._most:

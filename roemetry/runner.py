@@ -16,7 +16,7 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from roemetry.errors import DataError, InterruptedRunError, RoemetryError
+from roemetry.errors import FAULTS, DataError, InterruptedRunError, RoemetryError
 from roemetry.files import LineFile, make_folder, sha256_of, write_whole
 from roemetry.measuring import failed, measurements_of
 from roemetry.pipeline import Pipeline
@@ -142,7 +142,7 @@ def derive(
         except RoemetryError as error:
             faults.append(f"sink {chosen.registered.entry.name}: {error}")
         # A fault in one sink must not take the others' files away.
-        except Exception as error:
+        except FAULTS as error:
             if debug:
                 raise
             faults.append(
@@ -212,7 +212,7 @@ class _Worker:
             acquisition = self._source.read(reference)
             hashes = {f"{role}_sha256": sha256_of(path) for role, path in reference.files.items()}
         # Whatever a source raises, the batch goes on.
-        except Exception as error:
+        except FAULTS as error:
             if self._debug:
                 raise
             ours = isinstance(error, RoemetryError | OSError)

@@ -76,7 +76,7 @@ class Peaks:
             check.require(bool(in_order.all()), "peaks are not sorted by row, then x")
             check.require(
                 bool(x_px.min() >= -0.5 and x_px.max() <= columns - 0.5),
-                f"x_px is outside −0.5…{columns - 0.5}",
+                f"x_px is outside −0.5…{columns - 0.5}, or not a number",
             )
         check.finish()
         start = np.searchsorted(row, np.arange(rows + 1))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from roemetry.errors import RoemetryError
+from roemetry.errors import FAULTS, RoemetryError
 
 
 class NotKeptError(AssertionError):
@@ -36,7 +36,7 @@ def refused(what: str, *kinds: type[RoemetryError]) -> Iterator[list[RoemetryErr
     except wanted as error:
         caught.append(error)
         return
-    except Exception as error:
+    except FAULTS as error:
         raise NotKeptError(f"{what}: {type(error).__name__} ({error}), expected {_names(wanted)}") from error
     raise NotKeptError(f"{what} was taken, expected {_names(wanted)}")
 

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from roemetry.blame import place_in
 from roemetry.choosing import misfit_of
-from roemetry.errors import PluginError
+from roemetry.errors import FAULTS, PluginError
 from roemetry.registry import Registered, Registry, discover, not_installed
 from roemetry.stages import Stage
 from roemetry.testing.checks import Check, checks_of, name_of
@@ -75,7 +75,7 @@ def judged(stage: Stage[Any], check: Check, reason: str | None = None) -> Result
     try:
         check(stage)
     # Whatever a plugin's stage raises is a result, not the end of the kit.
-    except Exception as error:
+    except FAULTS as error:
         if reason is not None:
             return Result("expected failure", reason)
         return Result("failed", _told(error, type(stage).__module__))
@@ -84,7 +84,7 @@ def judged(stage: Stage[Any], check: Check, reason: str | None = None) -> Result
     return Result("passed")
 
 
-def _told(error: Exception, module: str) -> str:
+def _told(error: BaseException, module: str) -> str:
     """Say what a check found, or what the stage raised and where in its code."""
     if isinstance(error, AssertionError):
         return str(error)
@@ -109,7 +109,7 @@ def prepared(
         stage = made(cls, options)
     except PluginError:
         raise
-    except Exception as error:
+    except FAULTS as error:
         raise PluginError(
             f"{entry.kind} `{entry.name}` cannot be made: {type(error).__name__}: {error}",
             hint="give every option a default, or name a fixture in its capabilities",

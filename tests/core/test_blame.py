@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from roemetry.blame import blamed, failure, place_in
 from roemetry.choosing import Chosen
 from roemetry.errors import DataError, PluginError
+from roemetry.records import Peaks
 from roemetry.registry import discover
 
 
@@ -54,3 +57,13 @@ def test_outside_a_run_a_fault_is_a_plugin_error_and_a_refusal_stays_one() -> No
     assert isinstance(broke.value.__cause__, ZeroDivisionError)
     with pytest.raises(DataError), blamed("extractor", chosen()):
         raise DataError("no light")
+    with fault, blamed("extractor", chosen()):
+        sys.exit(0)
+
+
+def test_a_record_that_contradicts_itself_is_its_stages_fault() -> None:
+    fault = pytest.raises(PluginError, match="`dominant-peak` failed with RecordError: Peaks: ")
+    with fault as broke, blamed("extractor", chosen()):
+        Peaks((4, 4), np.array([0.5]), *(np.array([np.nan]),) * 5, flags=np.zeros(1))
+    assert "row holds what is no whole number" in broke.value.message
+    assert "x_px is outside −0.5…3.5, or not a number" in broke.value.message

@@ -122,6 +122,20 @@ def test_a_fault_in_a_plugin_is_a_row(
         run_recipe(Recipe.load(tmp_path / "line"), tmp_path / "debug", debug=True)
 
 
+def test_a_plugin_that_ends_the_program_ends_its_row_only(
+    line: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from roemetry_paper.zero_order_hold import ZeroOrderHold
+
+    monkeypatch.setattr(ZeroOrderHold, "estimate", lambda *_, **__: sys.exit(0))
+    outcome = run_recipe(Recipe.load(line(2)), tmp_path / "out")
+    assert outcome.counts["failed"] == 2
+    assert (
+        "`zero-order-hold` failed with SystemExit: 0"
+        in rows_of(tmp_path / "out")["p01"].absent["volume"].text
+    )
+
+
 def test_a_stage_that_gives_nothing_is_no_empty_belt(
     line: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -172,7 +186,9 @@ def test_resume_measures_an_acquisition_again_of_which_a_row_is_missing(
     assert path.read_text(encoding="utf-8") == first + second
 
 
-def test_killed_at_any_moment_the_record_is_whole(line: Callable[..., Path], tmp_path: Path) -> None:
+def test_killed_at_any_moment_all_but_the_last_line_is_whole(
+    line: Callable[..., Path], tmp_path: Path
+) -> None:
     path = line(60)
     out = tmp_path / "out"
     command = [sys.executable, "-m", "roemetry", "run", str(path), "--out", str(out), "--json"]
@@ -184,10 +200,11 @@ def test_killed_at_any_moment_the_record_is_whole(line: Callable[..., Path], tmp
     os.kill(process.pid, signal.SIGKILL)
     process.wait()
     written = record.read_text(encoding="utf-8")
-    assert written.endswith("\n")
-    assert all(json.loads(row)["status"] == "measured" for row in written.splitlines())
+    whole = written[: written.rfind("\n") + 1]  # the system may stop in the middle of a write
+    assert all(json.loads(row)["status"] == "measured" for row in whole.splitlines())
     recipe = Recipe.load(path)
     run_recipe(recipe, out, resume=True)
+    assert record.read_text(encoding="utf-8").startswith(whole)
     assert [row.acquisition for row in read_record(out)] == [f"p{n:02d}" for n in range(1, 61)]
 
 
