@@ -9,13 +9,16 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 from roemetry.calibration import Calibration
 
 SEED = 20260711
-# What lands must not depend on luck; `--hypothesis-profile=explore` looks for cases nobody has seen.
-settings.register_profile("steady", derandomize=True)
+# What lands must depend neither on luck nor on what else the machine does;
+# `--hypothesis-profile=explore` looks for cases nobody has seen.
+settings.register_profile(
+    "steady", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow]
+)
 settings.register_profile("explore", max_examples=500)
 settings.load_profile("steady")
 ROOT = Path(__file__).resolve().parent.parent
