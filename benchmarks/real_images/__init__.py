@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roemetry.preparing import prepare
-from roemetry.records import EDGE, WIDE, Acquisition, Frame, Peaks
+from roemetry.records import WIDE, Acquisition, Frame, Peaks
 
 
 def folder_of(name: str) -> Path | None:
@@ -31,6 +31,6 @@ def prepared(
 
 
 def sound(peaks: Peaks) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Give rows and positions of the peaks that are neither flagged too wide nor cut off by the border."""
-    kept = peaks.flags & (WIDE | EDGE) == 0
+    """Give rows and positions of the peaks that are not flagged too wide."""
+    kept = peaks.flags & WIDE == 0
     return peaks.row[kept], peaks.x_px[kept]

@@ -7,12 +7,21 @@ import math
 import numpy as np
 
 from roemetry.arrays import Floats
-from roemetry_kernels.compiling import float_kernel
+from roemetry.records.peaks import EDGE
+from roemetry_kernels.compiling import float_kernel, inlined
 from roemetry_kernels.influence import PIXELS_MAX, variance_of
 from roemetry_kernels.stripe_footing import FWHM_OF_SIGMA, Stripes
 from roemetry_kernels.stripe_scan import Pixels
 
 _PASSES = 3
+_SIGMAS_MIN = 0.75  # what is left of a window at the border: less says next to nothing
+
+
+@inlined
+def _follows(sigmas: float) -> float:
+    """By how much the centre of a Gaussian follows a shift of the window."""
+    within = np.sqrt(2.0 * np.pi) * math.erf(sigmas / np.sqrt(2.0))
+    return 2.0 * sigmas * np.exp(-0.5 * sigmas**2) / within
 
 
 @float_kernel
@@ -44,16 +53,23 @@ def centres_of_gravity(
         What is summed over, to both sides: standard deviations of the stripe.
     """
     pull, light = np.empty(PIXELS_MAX), np.empty(PIXELS_MAX)
-    # By how much the centre follows a shift of the window, for a Gaussian profile.
-    within = np.sqrt(2.0 * np.pi) * math.erf(sigmas / np.sqrt(2.0))
-    follows = 2.0 * sigmas * np.exp(-0.5 * sigmas**2) / within
-    row, los, his, _, middles, widths, _, backgrounds, slopes, unsures = s
+    whole = _follows(sigmas)
+    row, los, his, flags, middles, widths, _, backgrounds, slopes, unsures = s
     for i in range(row.shape[0]):
         begins = row[i] * columns
         lo, hi = los[i], his[i]
         middle, background, slope = middles[i], backgrounds[i], slopes[i]
         reach = sigmas * widths[i] / FWHM_OF_SIGMA
-        centre = middle
+        centre, follows = middle, whole
+        if flags[i] & EDGE:
+            # The border leaves less of one side: as much is taken of the other one.
+            seen = min(middle - lo, hi - middle) + 0.5
+            if seen < reach:
+                least = seen * FWHM_OF_SIGMA / widths[i]
+                if least < _SIGMAS_MIN:
+                    x_px[i] = np.nan
+                    continue
+                reach, follows = seen, _follows(least)
         total = 0.0
         for _ in range(_PASSES):
             total = moment = 0.0

@@ -17,6 +17,7 @@ from roemetry_kernels.stripe_scan import Places
 
 _TOP = CHUNK // 2  # each top's first pixel lies there among the 64, or up to seven pixels further on
 _LONGEST_TOP = 16  # px
+_BORDER_PX = 24  # what begins nearer to the border may be cut off by it, and is left to the general way
 _STEP = 4  # columns looked at before asking whether that was far enough
 
 # Where the quantities of each lane begin in one piece of memory: its first and last pixel that are the
@@ -165,7 +166,9 @@ def _own_pixels(
         hi = (end + tops[_FIRST + k + 1]) >> 1 if after else right - 1
         place = tops[_ROW + k] * columns + begin
         word, at, long = (place // WORD) - _TOP // WORD, _TOP + (place & (WORD - 1)), end - begin
-        known[_WHOLE + k] = (word >= 0) & (word + CHUNK // WORD <= size) & (long < _LONGEST_TOP)
+        cut = ((not before) & (begin - left < _BORDER_PX)) | ((not after) & (right - 1 - end < _BORDER_PX))
+        fits = (word >= 0) & (word + CHUNK // WORD <= size) & (long < _LONGEST_TOP)
+        known[_WHOLE + k] = fits & (not cut)
         words_at[k] = max(min(word, size - CHUNK // WORD), 0)
         tops[_LO + k], tops[_HI + k] = lo, hi
         known[_TOP_FIRST + k], known[_TOP_LAST + k] = at, at + min(long, _LONGEST_TOP)

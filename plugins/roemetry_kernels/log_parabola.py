@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from roemetry.arrays import Floats
+from roemetry.records.peaks import EDGE, SATURATED
 from roemetry_kernels.compiling import float_kernel, inlined
 from roemetry_kernels.influence import variance_of_middle
 from roemetry_kernels.lane_logs import logarithms
@@ -66,7 +67,7 @@ def log_parabola_centres(
         by_2[j] = (u * u - (2.0 / 3.0 if half == 1 else 2.0)) / (2.0 / 3.0 if half == 1 else 14.0)
     alike = np.exp(-0.25 * (np.arange(5) / noise[3]) ** 2)
     v = np.ones(_TABLE)
-    row, los, his, _, middles, widths, amplitudes, backgrounds, slopes, unsures = s
+    row, los, his, flags, middles, widths, amplitudes, backgrounds, slopes, unsures = s
     count = row.shape[0]
     places, steps = np.empty(LANES, np.uint64), np.empty(LANES, np.uint64)
     for start in range(0, count, LANES):
@@ -102,6 +103,10 @@ def log_parabola_centres(
         _uncertainties(v, by_1, by_2, alike, noise)
         copied(v, _X, lanes, x_px, start)
         copied(v, _STD, lanes, x_std_px, start)
+        for k in range(np.uint64(lanes)):
+            # Where the border leaves fewer pixels, there is no middle between two flanks either.
+            cut = (flags[start + k] & (EDGE | SATURATED)) == EDGE and v[_USABLE + k] == 0.0
+            x_px[start + k] = np.nan if cut else x_px[start + k]
 
 
 @inlined

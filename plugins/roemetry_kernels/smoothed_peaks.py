@@ -214,6 +214,11 @@ def _tops(smooth: NDArray[np.int32], rise: Floats, white: float, tops: Integers,
                 break
             x += 1
         if x >= columns:
+            # Cut off by the border on its way down, as those at the other border are on their way up.
+            if top < columns - 1 and high - int(smooth[columns - 1]) > enough:
+                tops[count], valleys[count], valleys[count + 1] = top, base, columns - 1
+                count += 1
+                return count
             break
         # A second bump on the same stripe's slope does not stand out from both sides.
         tops[count] = top

@@ -21,6 +21,7 @@ FWHM_OF_SIGMA = 2.354820045030949
 _FEET_FROM = 3.6  # standard deviations from the middle: what lies farther out is background
 _FEET_PX = 8  # pixels on each side that the background is taken from
 _FEET_SHARE_MAX = 0.25  # of the amplitude: what is brighter is taken for that much (hot pixels)
+_BORDER_PX = 64  # nearer than that the border may cut off a stripe's foot
 _EDGE_SIGMAS = 2.5  # a stripe nearer to the border than that is not seen whole
 
 
@@ -140,6 +141,16 @@ def _crossings(levels: Pixels, level: float, first: int, last: int, lo: int, hi:
 
 
 @inlined
+def _cut_off(levels: Pixels, half: float, begin: int, end: int, lo: int, hi: int, side: int) -> bool:
+    """Say whether the border is nearer on a side than the stripe's foot, by its width on the other one."""
+    from_px, to_px = _crossings(levels, half, begin, end, lo, hi)
+    top = 0.5 * (begin + end)
+    seen = top - lo if side < 0 else hi - top
+    wide = to_px - top if side < 0 else top - from_px
+    return seen < _FEET_FROM * 2.0 * wide / FWHM_OF_SIGMA
+
+
+@inlined
 def _foot(levels: Pixels, begin: int, end: int, high: float) -> float:
     """Mean grey level of the pixels from `begin` up to `end`; levels above `high` count as `high`."""
     total, most = np.int64(0), int(high)
@@ -188,9 +199,13 @@ def _measure(
         if i + 1 < count and row[i + 1] == row[i]:
             hi = (last[i] + first[i + 1]) // 2
         at = row[i] * columns
+        at_left, at_right = (
+            lo == left and first[i] - lo < _BORDER_PX,
+            hi == right - 1 and hi - last[i] < _BORDER_PX,
+        )
         places[0, i], places[1, i] = lo, hi
         highs[i], middle, values[1, i], values[3, i], values[4, i], values[5, i] = _measured(
-            levels, at + first[i], at + last[i], at + lo, at + hi
+            levels, at + first[i], at + last[i], at + lo, at + hi, at_left, at_right
         )
         values[0, i], values[2, i] = middle - at, highs[i] - values[3, i]
     # Loops that write to one place each, and unsigned numbers, which none from the end can be.
@@ -236,19 +251,37 @@ def _moved(numbers: Any, was: NDArray[np.uint64], begin: int, end: int) -> None:
 
 @inlined
 def _measured(
-    levels: Pixels, begin: int, end: int, lo: int, hi: int
+    levels: Pixels, begin: int, end: int, lo: int, hi: int, at_left: bool, at_right: bool
 ) -> tuple[float, float, float, float, float, float]:
-    """Highest level, middle, width, background, slope, unsure of one stripe, from places in `levels`."""
+    """Highest level, middle, width, background, slope, unsure of one stripe, from places in `levels`.
+
+    Where the border (`at_left`, `at_right`) cuts a side off before its foot, that side tells neither the
+    background nor, if it ends above half height, the width: the other one does.
+    """
     high = 0.0
     for x in range(begin, end + 1):
         high = max(high, float(levels[x]))
-    base = float(
-        max(
-            lowest_before(levels, max(lo, begin - SEEN_PX), begin),
-            lowest_after(levels, end + 1, min(hi, end + SEEN_PX) + 1),
-        )
-    )
-    from_px, to_px = _crossings(levels, 0.5 * (high + base), begin, end, lo, hi)
+    low_left = lowest_before(levels, max(lo, begin - SEEN_PX), begin)
+    low_right = lowest_after(levels, end + 1, min(hi, end + SEEN_PX) + 1)
+    base = float(max(low_left, low_right))
+    if at_left or at_right:
+        cut_left = at_left & _cut_off(levels, 0.5 * (high + low_right), begin, end, lo, hi, -1)
+        cut_right = at_right & _cut_off(levels, 0.5 * (high + low_left), begin, end, lo, hi, 1)
+        if cut_left != cut_right:
+            base = float(low_right if cut_left else low_left)
+    half = 0.5 * (high + base)
+    from_px, to_px = _crossings(levels, half, begin, end, lo, hi)
+    ends_left = at_left and from_px <= lo and levels[lo] >= half
+    ends_right = at_right and to_px >= hi and levels[hi] >= half
+    if ends_left != ends_right:
+        top = 0.5 * (begin + end)
+        if begin == end and lo < begin < hi:
+            before, after = float(levels[begin - 1]), float(levels[begin + 1])
+            top += 0.5 * (after - before) / max(2.0 * high - before - after, 1.0)
+        if ends_left:
+            from_px = 2.0 * top - to_px
+        else:
+            to_px = 2.0 * top - from_px
     middle, width = 0.5 * (from_px + to_px), to_px - from_px
     reach = _FEET_FROM * width / FWHM_OF_SIGMA
     cap = base + _FEET_SHARE_MAX * (high - base)
@@ -262,10 +295,10 @@ def _measured(
     pixels_left, pixels_right = inner_left - outer_left, outer_right - inner_right
     slope = unsure = 0.0
     if pixels_left > 0 and pixels_right > 0:
-        at_left = 0.5 * (outer_left + inner_left - 1)
-        apart = 0.5 * (inner_right + outer_right - 1) - at_left
+        left_px = 0.5 * (outer_left + inner_left - 1)
+        apart = 0.5 * (inner_right + outer_right - 1) - left_px
         slope = (level_right - level_left) / apart
-        background = level_left + slope * (middle - at_left)
+        background = level_left + slope * (middle - left_px)
         unsure = (1.0 / pixels_left + 1.0 / pixels_right) / (apart * apart)
     elif pixels_left > 0:
         background = level_left

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from roemetry.arrays import Floats
+from roemetry.records.peaks import EDGE
 from roemetry_kernels.compiling import float_kernel, inlined
 from roemetry_kernels.influence import PIXELS_MAX, variance_of
 from roemetry_kernels.stripe_footing import FWHM_OF_SIGMA, Stripes
@@ -27,16 +28,20 @@ def zero_crossings(
     """Find where the sum of the pixels to the right equals the sum of those to the left.
 
     That is the zero of the derivative, smoothed by a box of `half_length` pixels to each side (0: 1.6
-    standard deviations of the stripe), between pixels by a straight line. The background's slope is taken
-    off. The other parameters are those of `roemetry_kernels.gaussian_fit.gaussian_centres`.
+    standard deviations of the stripe; less where the border leaves less), between pixels by a straight line.
+    The background's slope is taken off. The other parameters are those of
+    `roemetry_kernels.gaussian_fit.gaussian_centres`.
     """
     pull, light = np.empty(PIXELS_MAX), np.empty(PIXELS_MAX)
-    row, los, his, _, middles, widths, _, backgrounds, slopes, unsures = s
+    row, los, his, flags, middles, widths, _, backgrounds, slopes, unsures = s
     for i in range(row.shape[0]):
         begins = row[i] * columns
         half = half_length
         if half == 0:
             half = max(1, int(np.rint(_LENGTH_OF_SIGMA * widths[i] / FWHM_OF_SIGMA)))
+        if flags[i] & EDGE:
+            here = int(np.floor(middles[i]))
+            half = max(1, min(half, min(here - los[i], his[i] - here - 1)))
         tilt = slopes[i] * half * (half + 1)
         lowest, highest = los[i] + half, his[i] - half
         x_px[i] = x_std_px[i] = np.nan

@@ -78,9 +78,9 @@ def found(
         "width_px": stripes.width,
         "flags": stripes.flags,
     }
-    nowhere = np.isnan(x_px)
-    if nowhere.any():
-        fields = {name: values[~nowhere] for name, values in fields.items()}
+    if x_px.size and not (x_px.min() >= 0.0 and x_px.max() <= columns - 1.0):
+        inside = (x_px >= 0.0) & (x_px <= columns - 1.0)  # where there is none, NaN
+        fields = {name: values[inside] for name, values in fields.items()}
     # Speckle is as long along the stripe as across it; the sensor's noise is not correlated at all.
     rows = options.speckle_length_px if noise[_CONTRAST] > 0.0 else 0.0
     reasons = doubts(pixels, frame.white, fields["row"], fields["x_px"], fields["width_px"])
