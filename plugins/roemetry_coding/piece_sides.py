@@ -14,8 +14,8 @@ from roemetry.records import Peaks
 
 SLOPE_ROWS = 12
 """Rows at an end that say where it points."""
-_THROUGH_ROWS, _THROUGH_OFF = 12, 0.05
-"""A break that is no break: rows, and how far beside where both ends point, spacings."""
+_THROUGH_ROWS, _THROUGH_OFF, _THROUGH_TURN = 12, 0.05, math.radians(20.0)
+"""A break that is no break: rows, how far beside where both ends point, spacings, and how far it turns, rad."""
 _CUT_ROWS, _STEP_ASIDE_PX = 6, 2.5
 """A trace that steps aside by so much is cut there; rows on either side that say where it goes."""
 _FIT_ROUNDS, _FIT_WITHIN = 12, 0.4
@@ -123,6 +123,7 @@ def pieces_of(peaks: Peaks, fragment: Integers, rows_min: int) -> Pieces:
     spacing = _spacing(pairs)
     off, gap, faces = _offs(top, bottom, spacing)
     through = (gap > 0) & (gap <= _THROUGH_ROWS + 1) & (np.abs(off) <= _THROUGH_OFF)
+    through &= np.abs(np.arctan(bottom.slope)[:, None] - np.arctan(top.slope)[None, :]) <= _THROUGH_TURN
     through &= (through.sum(axis=1, keepdims=True) == 1) & (through.sum(axis=0, keepdims=True) == 1)
     return Pieces(
         kept,
