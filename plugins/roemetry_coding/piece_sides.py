@@ -15,7 +15,7 @@ from roemetry.records import Peaks
 SLOPE_ROWS = 12
 """Rows at an end that say where it points."""
 _THROUGH_ROWS, _THROUGH_OFF, _THROUGH_TURN = 12, 0.05, math.radians(20.0)
-"""A break that is no break: rows, how far beside where both ends point, spacings, and how far it turns, rad."""
+"""A break that is no break: rows, how far beside where both ends point, spacings, and its turn, rad."""
 _CUT_ROWS, _STEP_ASIDE_PX = 6, 2.5
 """A trace that steps aside by so much is cut there; rows on either side that say where it goes."""
 _FIT_ROUNDS, _FIT_WITHIN = 12, 0.4
