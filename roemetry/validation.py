@@ -144,6 +144,11 @@ def _either(group: list[ErrorDetails]) -> str:
 
 
 def _expected(detail: ErrorDetails) -> str:
+    limits = detail.get("ctx", {})
+    if detail["type"] == "too_short":
+        return f"expected {limits['min_length']} or more"
+    if detail["type"] == "too_long":
+        return f"expected {limits['max_length']} at most"
     said = _NUMBERS.get(detail["type"]) or detail["msg"][0].lower() + detail["msg"][1:]
     return said.removeprefix("value error, ").replace("input should be", "expected")
 
@@ -163,7 +168,7 @@ def _shown(value: object) -> str:
     if isinstance(value, Mapping):
         return "a map" if value else "an empty map"
     if isinstance(value, list | tuple):
-        return "a list"
+        return "a list" if value else "an empty list"
     if value is None:
         return "nothing"
     return repr(value)[:60]

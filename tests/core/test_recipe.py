@@ -62,6 +62,12 @@ MISTAKES = [
     ("a decimal comma", GOOD.replace("threshold: 60", "threshold: 0,5"), ":9:7:", "after a point"),
     ("a decimal comma in a map", _inline("{threshold: 0,5}"), ":8:28:", "write decimals with a point"),
     ("a list for options", _inline("[threshold, 60]"), ":8:5:", "found a list, expected a map"),
+    (
+        "a table without a line",
+        GOOD.replace("sinks", "  grader: {use: grade-table, options: {classes: []}}\nsinks"),
+        ":11:40:",
+        "expected 1 or more, found an empty list",
+    ),
     ("a fraction of a draw", GOOD + "draws: 2.5\n", ":12:1:", "expected a whole number, found 2.5"),
     ("a word for a list", GOOD.replace("[csv]", "csv"), ":11:1:", "expected a list: `[one, two]`"),
     ("grey in American", GOOD.replace("images", "images\n  channel: gray"), ":5:3:", "did you mean `grey`?"),
