@@ -6,7 +6,8 @@ import hashlib
 import json
 import time
 from collections.abc import Callable, Mapping
-from typing import Any
+from types import TracebackType
+from typing import Any, NamedTuple
 
 from roemetry.errors import FAULTS
 from roemetry.recipe import Recipe
@@ -36,6 +37,11 @@ _BEFORE: Mapping[str, tuple[str, ...]] = {
 }
 
 
+class _Fault(NamedTuple):
+    error: Exception | SystemExit
+    raised_at: TracebackType | None
+
+
 class StepMemory:
     """Results of the steps of one acquisition, with the time each took; cleared between acquisitions.
 
@@ -46,7 +52,7 @@ class StepMemory:
     """
 
     def __init__(self, most: int | None = None) -> None:
-        self._kept: dict[object, tuple[Any, Exception | SystemExit | None, float]] = {}
+        self._kept: dict[object, tuple[Any, _Fault | None, float]] = {}
         self._most = most
 
     def clear(self) -> None:
@@ -62,7 +68,7 @@ class StepMemory:
                 result = step()
             # Kept, not swallowed: it is raised below, here and for every variant that shares the step.
             except FAULTS as error:
-                fault = error
+                fault = _Fault(error, error.__traceback__)
             self._kept[key] = (result, fault, time.perf_counter() - begin)
             if self._most is not None and len(self._kept) > self._most:
                 del self._kept[next(iter(self._kept))]
@@ -70,7 +76,8 @@ class StepMemory:
             self._kept[key] = self._kept.pop(key)  # used last, forgotten last
         result, fault, seconds = self._kept[key]
         if fault is not None:
-            raise fault.with_traceback(None)
+            # where it was raised is told to the plugin's author; each time anew, so that it does not grow
+            raise fault.error.with_traceback(fault.raised_at)
         return result, seconds
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import pytest
+
 from roemetry.recipe import Recipe
 from roemetry.records import Decision, Estimate, Weight
 from roemetry.remembering import RememberedStages, StepMemory
@@ -30,3 +32,17 @@ def test_a_grader_decides_anew_where_draws_give_other_uncertainties(line: Callab
     assert sure.label == "light"
     assert decided(200, 1.0).label == "undecided"
     assert decided(0, 0.001) is sure
+
+
+def test_what_a_step_raised_is_raised_again_with_its_place() -> None:
+    memory, places = StepMemory(), []
+
+    def breaks() -> None:
+        raise IndexError("oh")
+
+    for _ in range(3):
+        with pytest.raises(IndexError) as broke:
+            memory.recall("key", breaks)
+        places.append([str(entry.path.name) for entry in broke.traceback])
+    assert broke.traceback[-1].name == "breaks"
+    assert places[0] == places[1] == places[2], "the traceback does not grow"
