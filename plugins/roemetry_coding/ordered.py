@@ -14,24 +14,18 @@ from roemetry.arrays import Floats
 from roemetry.calibration import Calibration
 from roemetry.errors import StageError
 from roemetry.records import AMBIGUOUS, Peaks, StripeMap
-from roemetry.stages import Coder, StageOptions
-from roemetry_kernels.bridging import bridged
-from roemetry_kernels.refusing import refuse_uncodable
+from roemetry.stages import Coder
+from roemetry_kernels.bridging import BridgingOptions, bridged
+from roemetry_kernels.refusing import refuse_bare_lines, refuse_uncodable, required_calibration
 from roemetry_kernels.rest_lines import calibrated_rest_lines, missing_stripes, reasons_of
 from roemetry_kernels.row_order import DEAREST, order_rows, refuse_doubtful
 
 
-class OrderedOptions(StageOptions):
+class OrderedOptions(BridgingOptions):
     """Gaps, sizes and doubt."""
 
     margin_min: float = Field(
         default=0.2, ge=0, le=1, description="peaks with a smaller margin are refused as ambiguous"
-    )
-    longest_gap_rows: int = Field(
-        default=20, ge=0, description="longest gap along a stripe that is bridged by a straight line, rows"
-    )
-    smallest_product_points: int = Field(
-        default=40, ge=1, description="bodies with fewer points, taken together, are dirt on the belt"
     )
 
 
@@ -63,18 +57,10 @@ class Ordered(Coder[OrderedOptions]):
             fewer than two peaks in five in an order that stripes can have.
         """
         refuse_uncodable(peaks, calibration)
-        if calibration is None:
-            raise StageError(
-                "the coder `ordered` needs a calibration: it tells which stripe a row begins with",
-                hint="calibrate, or use the coder `window-tracking`",
-            )
+        calibration = required_calibration(calibration, "ordered", "it tells which stripe a row begins with")
         rest = calibrated_rest_lines(peaks, calibration)
         live = rest.on_line >= _LIVE_ROWS_MIN
-        if not live.any():
-            raise StageError(
-                f"no stripe lies where the {live.size} rest lines are",
-                hint="camera or laser may have been moved: calibrate again, or remove what covers the belt",
-            )
+        refuse_bare_lines(bool(live.any()), live.size)
         low_mm, high_mm = calibration.height_range_mm
         stripe, dearer = order_rows(
             peaks.row_start,

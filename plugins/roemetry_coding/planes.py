@@ -14,28 +14,22 @@ from roemetry.arrays import Floats, Integers
 from roemetry.calibration import Calibration
 from roemetry.errors import StageError
 from roemetry.records import AMBIGUOUS, Peaks, Reason, StripeMap
-from roemetry.stages import Coder, StageOptions
+from roemetry.stages import Coder
 from roemetry_coding.margins import margin_of
 from roemetry_coding.plane_solver import Solved, solve_planes
-from roemetry_kernels.bridging import bridged
+from roemetry_kernels.bridging import BridgingOptions, bridged
 from roemetry_kernels.consistency import refuse_unexplained_gaps
 from roemetry_kernels.label_doubts import left_over, outnumbered
 from roemetry_kernels.label_verdicts import out_of_order
-from roemetry_kernels.refusing import refuse_uncodable
+from roemetry_kernels.refusing import refuse_bare_lines, refuse_uncodable, required_calibration
 from roemetry_kernels.rest_lines import RestLines, calibrated_rest_lines, missing_stripes, reasons_of
 
 
-class PlanesOptions(StageOptions):
+class PlanesOptions(BridgingOptions):
     """How sure a label must be, and gaps and sizes as in other coders."""
 
     margin_min: float = Field(
         default=0.985, ge=0, le=1, description="peaks with a smaller margin are refused as ambiguous"
-    )
-    longest_gap_rows: int = Field(
-        default=20, ge=0, description="longest gap along a stripe that is bridged by a straight line, rows"
-    )
-    smallest_product_points: int = Field(
-        default=40, ge=1, description="bodies with fewer points, taken together, are dirt on the belt"
     )
 
 
@@ -70,20 +64,12 @@ class Planes(Coder[PlanesOptions]):
             fewer than two peaks in five on any possible surface.
         """
         refuse_uncodable(peaks, calibration)
-        if calibration is None:
-            raise StageError(
-                "the coder `planes` needs a calibration: without planes a peak has no height",
-                hint="calibrate, or use the coder `window-tracking`",
-            )
+        calibration = required_calibration(calibration, "planes", "without planes a peak has no height")
         rest = calibrated_rest_lines(peaks, calibration)
         solved = solve_planes(peaks, calibration, rest)
         given = np.bincount(solved.stripe[solved.stripe >= 0], minlength=solved.there.size)
         live = np.flatnonzero((solved.there > 0.0) & (given >= _LIVE_PEAKS_MIN))
-        if not live.size or not _belt_fits(peaks, rest):
-            raise StageError(
-                f"no stripe lies where the {rest.x_px.shape[0]} rest lines are",
-                hint="camera or laser may have been moved: calibrate again, or remove what covers the belt",
-            )
+        refuse_bare_lines(live.size > 0 and _belt_fits(peaks, rest), rest.x_px.shape[0])
         stripe, margin, gaps = self._decided(peaks, calibration, rest, solved)
         coded = (stripe >= 0).mean()
         if coded < _CODED_SHARE_MIN:

@@ -13,14 +13,14 @@ from pydantic import Field
 from roemetry.calibration import Calibration
 from roemetry.errors import StageError
 from roemetry.records import AMBIGUOUS, Peaks, StripeMap
-from roemetry.stages import Coder, StageOptions
-from roemetry_kernels.bridging import bridged
-from roemetry_kernels.refusing import refuse_uncodable
+from roemetry.stages import Coder
+from roemetry_kernels.bridging import BridgingOptions, bridged
+from roemetry_kernels.refusing import refuse_bare_lines, refuse_uncodable, required_calibration
 from roemetry_kernels.rest_lines import calibrated_rest_lines, missing_stripes, reasons_of
 from roemetry_kernels.trace_linking import coded_traces
 
 
-class TracingOptions(StageOptions):
+class TracingOptions(BridgingOptions):
     """Gaps, sizes and doubt."""
 
     step_max_px: float = Field(
@@ -32,9 +32,6 @@ class TracingOptions(StageOptions):
     smallest_trace_rows: int = Field(default=6, ge=1, description="traces with fewer peaks are noise, rows")
     margin_min: float = Field(
         default=0.6, ge=0, le=1, description="peaks with a smaller margin are refused as ambiguous"
-    )
-    smallest_product_points: int = Field(
-        default=40, ge=1, description="bodies with fewer points, taken together, are dirt on the belt"
     )
 
 
@@ -66,18 +63,10 @@ class Tracing(Coder[TracingOptions]):
         """
         options = self.options
         refuse_uncodable(peaks, calibration)
-        if calibration is None:
-            raise StageError(
-                "the coder `tracing` needs a calibration: it tells which belt a trace comes from",
-                hint="calibrate, or use the coder `window-tracking`",
-            )
+        calibration = required_calibration(calibration, "tracing", "it tells which belt a trace comes from")
         rest = calibrated_rest_lines(peaks, calibration)
         live = rest.on_line >= _LIVE_ROWS_MIN
-        if not live.any():
-            raise StageError(
-                f"no stripe lies where the {live.size} rest lines are",
-                hint="camera or laser may have been moved: calibrate again, or remove what covers the belt",
-            )
+        refuse_bare_lines(bool(live.any()), live.size)
         low_mm, high_mm = calibration.height_range_mm
         stripe, margin, coded = coded_traces(
             peaks.row_start,

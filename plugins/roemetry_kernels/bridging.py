@@ -5,11 +5,25 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from pydantic import Field
 
 from roemetry.arrays import Floats, Integers
 from roemetry.records import AMBIGUOUS, UNCODED, Peaks, Reason, StripeMap
+from roemetry.stages import StageOptions
 from roemetry_kernels.layout import Layout, laid_out
 from roemetry_kernels.rest_lines import RestLines
+
+
+class BridgingOptions(StageOptions):
+    """Gaps and sizes: the options of every coder that lays its peaks out by `bridged`."""
+
+    longest_gap_rows: int = Field(
+        default=20, ge=0, description="longest gap along a stripe that is bridged by a straight line, rows"
+    )
+    smallest_product_points: int = Field(
+        default=40, ge=1, description="bodies with fewer points, taken together, are dirt on the belt"
+    )
+
 
 _REACH_TOLERANCES = 3.0
 """A run off the belt is product only if it gets this many tolerances away from its rest line."""

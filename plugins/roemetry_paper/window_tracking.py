@@ -24,11 +24,11 @@ from roemetry.arrays import Flags, Floats, Integers
 from roemetry.calibration import Calibration
 from roemetry.errors import StageError
 from roemetry.records import AMBIGUOUS, UNCODED, Peaks, Reason, StripeMap
-from roemetry.stages import Coder, StageOptions
-from roemetry_kernels.bridging import bridged
+from roemetry.stages import Coder
+from roemetry_kernels.bridging import BridgingOptions, bridged
 from roemetry_kernels.consistency import drop_doubles, keep_order, refuse_unexplained_gaps
 from roemetry_kernels.ordering import vote_by_order
-from roemetry_kernels.refusing import refuse_uncodable
+from roemetry_kernels.refusing import refuse_bare_lines, refuse_uncodable
 from roemetry_kernels.rest_lines import (
     RestLines,
     calibrated_rest_lines,
@@ -42,7 +42,7 @@ from roemetry_paper.belt import Belt, belt_of
 from roemetry_paper.literal_tracking import literal_codes
 
 
-class WindowTrackingOptions(StageOptions):
+class WindowTrackingOptions(BridgingOptions):
     """Windows, gaps and areas of the tracking."""
 
     belt: Literal["rest-line", "interruption"] = Field(
@@ -61,12 +61,6 @@ class WindowTrackingOptions(StageOptions):
     )
     body_window_px: int = Field(default=14, ge=1, le=99, description="width of the window on the body, px")
     smallest_area_px: int = Field(default=10, ge=1, description="fragments with fewer peaks are noise")
-    longest_gap_rows: int = Field(
-        default=20, ge=0, description="longest gap along a stripe that is bridged by a straight line, rows"
-    )
-    smallest_product_points: int = Field(
-        default=40, ge=1, description="bodies with fewer points, taken together, are dirt on the belt"
-    )
     margin_min: float = Field(
         default=0.1,
         ge=0,
@@ -163,11 +157,7 @@ class WindowTracking(Coder[WindowTrackingOptions]):
         """Give (peak,) stripe or UNCODED or AMBIGUOUS, (peak,) margin, and what to say of it."""
         line = rest.line
         belt = belt_of(peaks, fragment, fragments, line, rest.x_px.shape[0])
-        if belt.live.size == 0:
-            raise StageError(
-                f"no stripe lies where the {rest.x_px.shape[0]} rest lines are",
-                hint="camera or laser may have been moved: calibrate again, or remove what covers the belt",
-            )
+        refuse_bare_lines(belt.live.size > 0, rest.x_px.shape[0])
         small = np.bincount(fragment, minlength=fragments) < self.options.smallest_area_px
         noise = small[belt.fragment] & ~belt.anchored
         low, high = _displacements(rest, belt.live, calibration)
