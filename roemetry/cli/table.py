@@ -43,20 +43,36 @@ def table_of(title: str, measurements: Iterable[Measurement], rows: int) -> Tabl
     table.pad_edge, table.collapse_padding = False, True
     table.add_column("product", min_width=10, overflow="fold")
     table.add_column("grade", min_width=6)
-    for heading in ("g", "cm³", "mm high", "stripes", "ambi-\nguous"):
+    shown = list(islice(measurements, _ROWS_MAX))
+    of_pixels = any(_displacement(row) for row in shown) and not any(any(_in_units(row)) for row in shown)
+    headings = ("px displaced",) if of_pixels else ("g", "cm³", "mm high")
+    for heading in (*headings, "stripes", "ambi-\nguous"):
         table.add_column(heading, justify="right", no_wrap=True)
-    for row in islice(measurements, _ROWS_MAX):
+    for row in shown:
         coding = row.coding
         table.add_row(
             Text(row.id),
             Text(_verdict(row), style=_COLOURS[row.status]),
-            "" if row.weight is None else _figure(row.weight.mass_g, 1),
-            "" if row.volume is None else _figure(row.volume.visible_mm3, 2, MM3_PER_CM3),
-            _figure(row.height_max_mm, 2),
+            *((_displacement(row),) if of_pixels else _in_units(row)),
             "" if coding is None else f"{coding.stripes_seen}/{coding.stripes}",
             "" if coding is None else str(coding.ambiguous),
         )
     return table
+
+
+def _in_units(row: Measurement) -> tuple[str, str, str]:
+    """Write mass, volume and height; empty where they are missing."""
+    return (
+        "" if row.weight is None else _figure(row.weight.mass_g, 1),
+        "" if row.volume is None else _figure(row.volume.visible_mm3, 2, MM3_PER_CM3),
+        _figure(row.height_max_mm, 2),
+    )
+
+
+def _displacement(row: Measurement) -> str:
+    """Write the largest displacement, which is all there is without a calibration."""
+    found = math.nan if row.coding is None else row.coding.displacement_max_px
+    return "" if math.isnan(found) else f"{found:.1f}"
 
 
 def _figure(estimate: Estimate, digits: int, per: float = 1.0) -> str:

@@ -51,3 +51,15 @@ def test_a_fault_of_many_images_is_told_once() -> None:
         "p0#0, p1#0, p2#0 and 27 more: the image is black",
         "q#0: empty",
     ]
+
+
+def test_without_a_calibration_the_displacement_stands_there() -> None:
+    nothing = Estimate(math.nan)
+    row = replace(measured(), weight=None, volume=None, height_max_mm=nothing)
+    assert row.coding is not None
+    row = replace(row, coding=replace(row.coding, displacement_max_px=18.04))
+    text = shown(row, Measurement("p2#0", "p2", 0, "failed", reasons=(NO_LIGHT,)))
+    assert "px displaced" in text
+    assert "18.0" in text
+    assert "cm³" not in text
+    assert "cm³" in shown(measured(), row), "one row in millimetres is enough"
