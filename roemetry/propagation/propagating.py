@@ -75,7 +75,8 @@ _PROBE_PX = 1.0
 
 _PEAKS_NOT_STATED = Reason(
     "peak-noise-not-stated",
-    "the extractor does not state the uncertainty of its peaks, so that of volume and weight is not stated",
+    "the extractor does not state the uncertainty of its peaks (some do only where source.sensor says the "
+    "camera's noise), so that of volume and weight is not stated",
 )
 _CALIBRATION_NOT_STATED = Reason(
     "calibration-model-not-stated",

@@ -162,7 +162,12 @@ def _estimate(
     values = np.array([getattr(result, field) for result in together])
     good = values[np.isfinite(values)]
     if good.size < (1.0 - FAILED_SHARE_MAX) * values.size or good.size < 2:
-        why = f"{values.size - good.size} of {values.size} draws could not be measured"
+        lost_count = values.size - good.size
+        why = (
+            f"{lost_count} of {values.size} draws could not be measured"
+            if lost_count
+            else "one draw has no scatter"
+        )
         lost = (Reason("draws-refused", f"{why}: the uncertainty is not stated"),)
         return replace(found, std=math.nan, budget=budget, interval=_NO_INTERVAL), lost
     if not stated:

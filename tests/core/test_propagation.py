@@ -264,6 +264,12 @@ def test_too_many_refused_draws_state_nothing() -> None:
     assert [reason.code for reason in found.volume.reasons] == ["draws-refused"]
 
 
+def test_one_draw_states_nothing() -> None:
+    found = done(scene(), SumOfHeights(), draws=1)
+    assert math.isnan(found.volume.visible_mm3.std)
+    assert "one draw has no scatter" in found.volume.reasons[-1].text
+
+
 def test_the_grades_probability_is_the_share_of_draws() -> None:
     """With the limit one standard uncertainty below the value, 84 % of draws stay above."""
     given = scene()
