@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -196,8 +195,14 @@ class Calibration:
                 f"{path}: the calibration is damaged: {what}",
                 hint="restore the file or make it again with `roemetry calibrate`",
             ) from error
-        if not all(math.isfinite(x) for x in calibration.displacement_px_per_mm):
-            raise CalibrationError(f"{path}: displacement_px_per_mm holds a number that is not finite")
+        decisive = {
+            "displacement_px_per_mm": calibration.displacement_px_per_mm,
+            **{f"parameters.{name}": array for name, array in calibration.parameters.items()},
+            "covariance": calibration.covariance,
+        }
+        for name, numbers in decisive.items():
+            if not np.isfinite(numbers).all():
+                raise CalibrationError(f"{path}: {name} holds a number that is not finite")
         return calibration
 
 

@@ -43,6 +43,17 @@ def test_a_damaged_file_is_named(rig, tmp_path: Path, old: str, new: str, says: 
         Calibration.load(path)
 
 
+@pytest.mark.parametrize("name", ["omega_mm_per_px", "mm_per_px"])
+def test_a_parameter_that_is_no_number_is_named(rig, tmp_path: Path, name: str) -> None:
+    made = rig.calibration()
+    broken = {**made.parameters, name: np.full_like(made.parameters[name], np.nan)}
+    replace(made, parameters=broken).save(tmp_path / "c.yaml")
+    with pytest.raises(
+        RoemetryError, match=rf"c\.yaml: parameters\.{name} holds a number that is not finite"
+    ):
+        Calibration.load(tmp_path / "c.yaml")
+
+
 def test_rest_lines_are_polynomials_about_the_middle_row(rig) -> None:
     made = replace(rig.calibration(), rest_px=np.array([[100.0, 0.5]] * rig.stripes))
     x_px = made.rest_line_px(np.array([0.0, 119.5, 239.0]))
