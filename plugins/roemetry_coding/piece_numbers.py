@@ -50,12 +50,15 @@ def numbers_of(pieces: Pieces, reach_rows: int, margin_min: float) -> Numbers:
         What has a smaller margin is not numbered, and nothing is numbered by it.
     """
     doubted: set[int] = set()
+    loose: set[int] = set()
     while True:
-        growth = _best_growth(pieces, reach_rows, margin_min, doubted)
-        found = {piece for pair in growth.doubtful_breaks() for piece in pair}
-        if not found:
+        growth = _best_growth(pieces, reach_rows, margin_min, doubted, loose)
+        of_breaks = {piece for pair in growth.doubtful_breaks() for piece in pair}
+        of_itself = growth.loose() - of_breaks
+        if not of_breaks and not of_itself:
             break
-        doubted |= found
+        doubted |= of_breaks
+        loose |= of_itself
     number = growth.number - growth.number.min(initial=_FAR, where=growth.given)
     return Numbers(np.where(growth.given, number, -1), np.where(growth.given, growth.margin, np.nan))
 
@@ -63,12 +66,14 @@ def numbers_of(pieces: Pieces, reach_rows: int, margin_min: float) -> Numbers:
 _FAR = np.iinfo(np.int64).max
 
 
-def _best_growth(pieces: Pieces, reach_rows: int, margin_min: float, refused: set[int]) -> _Growth:
+def _best_growth(
+    pieces: Pieces, reach_rows: int, margin_min: float, doubted: set[int], loose: set[int]
+) -> _Growth:
     """Let numbers spread from the longest stripe, or from another it did not reach if that gives more."""
-    tried = set(refused)
+    tried = doubted | loose
     best = None
     while best is None or len(tried) < pieces.count:
-        growth = _Growth(pieces, reach_rows, margin_min, refused)
+        growth = _Growth(pieces, reach_rows, margin_min, doubted, loose)
         growth.grow(tried)
         tried |= set(np.flatnonzero(growth.given).tolist())
         if best is None or growth.peaks > best.peaks:
@@ -84,8 +89,11 @@ def _best_growth(pieces: Pieces, reach_rows: int, margin_min: float, refused: se
 class _Growth:
     """Numbers that spread from the longest stripe to its neighbours."""
 
-    def __init__(self, pieces: Pieces, reach_rows: int, margin_min: float, doubted: set[int]) -> None:
-        self.pieces, self.reach_rows, self.margin_min, self.doubted = pieces, reach_rows, margin_min, doubted
+    def __init__(
+        self, pieces: Pieces, reach_rows: int, margin_min: float, doubted: set[int], loose: set[int]
+    ) -> None:
+        self.pieces, self.reach_rows, self.margin_min = pieces, reach_rows, margin_min
+        self.doubted, self.refused = doubted, doubted | loose
         self.number = np.zeros(pieces.count, np.int64)
         self.margin = np.zeros(pieces.count)
         self.given = np.zeros(pieces.count, np.bool_)
@@ -101,7 +109,7 @@ class _Growth:
     def grow(self, not_from: set[int]) -> None:
         """Give numbers until nothing more can be decided, from the longest that is none of `not_from` on."""
         size = [sum(self.pieces.peaks[k].size for k in group) for group in self.groups]
-        sure = [g for g, group in enumerate(self.groups) if not self.doubted.intersection(group)]
+        sure = [g for g, group in enumerate(self.groups) if not self.refused.intersection(group)]
         waiting = sorted(sure, key=lambda g: -size[g])
         first = next((g for g in waiting if not not_from.intersection(self.groups[g])), None)
         if first is None:
@@ -236,6 +244,26 @@ class _Growth:
             if not more:
                 return doubt
             doubt |= more
+
+    def loose(self) -> set[int]:
+        """Give pieces that neither the border nor a bridged break ties, and which others face unexplained.
+
+        Such a piece may be another stripe's, moved aside: what it broke off from is in sight.
+        """
+        pieces = self.pieces
+        uppers, lowers = ({pair[side] for pair in self.breaks} for side in (0, 1))
+        unknown = ~self.given
+        found: set[int] = set()
+        for group in self.groups:
+            if not self.given[group[0]]:
+                continue
+            tied = any(
+                pieces.border_top[k] or pieces.border_bottom[k] or k in uppers or k in lowers for k in group
+            )
+            faced = (pieces.faces[:, group].any(axis=1) | pieces.faces[group].any(axis=0)) & unknown
+            if faced.any() and not tied:
+                found.update(group)
+        return found
 
     def _left_over(self, pair: tuple[int, int], number: int, ends: Flags, tops: Flags) -> bool:
         """Say whether a stripe neither goes through beside a break nor breaks there, and has an end over.
