@@ -134,6 +134,21 @@ def test_a_wide_gap_is_not_counted_over() -> None:
     assert (stripes.peak_stripe == AMBIGUOUS).sum() == 2 * ROWS
 
 
+@pytest.mark.parametrize("off_spacings", [-0.8, -0.9, -1.1, 0.8, 0.9, 1.1])
+@pytest.mark.parametrize("dead", [1, 2, 4])
+def test_bodies_beside_a_dead_stripe_do_not_take_its_number(off_spacings: float, dead: int) -> None:
+    """What is moved aside stands at a regular distance from a stripe that is not its neighbour.
+
+    By a whole spacing, to a twentieth, it goes on as the neighbour itself would: that is not told apart.
+    """
+    x_px = lines(lean=0.05)
+    body = slice(dead + 1, STRIPES - 1) if off_spacings < 0 else slice(1, dead)
+    x_px[body, 95:105] = x_px[body, 200:210] = np.nan
+    x_px[body, 105:200] += off_spacings * SPACING_PX
+    x_px[dead] = np.nan
+    refused_or_right(x_px)
+
+
 def test_glare_across_the_stripes_takes_no_number() -> None:
     x_px = lines()
     x_px[2:5, 140:160] = np.nan
