@@ -225,7 +225,8 @@ intervals hold the truth. Each body lies somewhere else on {rigs} rigs, seeds {f
 and silhouettes are exact. Without an outline ellipsoids, balls, their caps and nearly eggs are found by the
 [quadric](../reference/plugins/slice-pchip.md#ends) through their outer slices. A flat end between two stripes
 is not known, nor whether leaning light passed over a wall or met it, and a product that goes on beyond the
-outermost stripe even less: the intervals say so.
+outermost stripe even less: the intervals allow for that, of wedges not always enough. Fillets are thin, with
+sharp edges: what is missed there is in no budget.
 """
 
 _STRIPES = """
