@@ -165,7 +165,9 @@ class Pipeline:
     ) -> tuple[ProductTrace, ...]:
         """Give the products with their uncertainties; without draws, name what is a part only."""
         if not self._draws:
-            return tuple(without_draws(found) for found in products)
+            view = scene.calibration.view
+            approximate = view is not None and not view.exact
+            return tuple(without_draws(found, approximate=approximate) for found in products)
         return (
             steps.do("draws", lambda: propagate(products, scene, self._chain, draws=self._draws)) or products
         )

@@ -16,7 +16,7 @@ import numpy as np
 from roemetry.propagation.drawing import Drawn, moved
 from roemetry.propagation.repeating import Result, again, done, models_alone
 from roemetry.propagation.scene import Chain, Scene
-from roemetry.propagation.stating import Unstated, with_uncertainty
+from roemetry.propagation.stating import CALIBRATION_NOT_STATED, Unstated, with_uncertainty
 from roemetry.records import ProductTrace, Reason
 
 
@@ -78,11 +78,6 @@ _PEAKS_NOT_STATED = Reason(
     "the extractor does not state the uncertainty of its peaks (some do only where source.sensor says the "
     "camera's noise), so that of volume and weight is not stated",
 )
-_CALIBRATION_NOT_STATED = Reason(
-    "calibration-model-not-stated",
-    "the calibration's model leaves perspective out, and how far that moves a volume is not stated: "
-    "no uncertainty and no interval is given",
-)
 _OUTLINE_NOT_STATED = Reason(
     "outline-error-not-stated",
     "the outliner does not state the uncertainty of its contour, so that of volume and weight is not stated",
@@ -104,7 +99,7 @@ def _unstated(trace: ProductTrace, scene: Scene, chain: Chain, drawn: Drawn) -> 
         reasons.append(_PEAKS_NOT_STATED)
     view = scene.calibration.view
     if view is not None and not view.exact:
-        reasons.append(_CALIBRATION_NOT_STATED)
+        reasons.append(CALIBRATION_NOT_STATED)
     if chain.volume and not chain.volume.states_model_error:
         reasons.append(_VOLUME_NOT_STATED)
     outline = trace.product.outline

@@ -16,6 +16,8 @@ from roemetry.records import Estimate, ProductTrace, Reason
 COVERAGE = 0.95
 """Share of cases in which an interval is to hold the true value."""
 COVERAGE_FACTOR = 1.959964
+FEW_DRAWS = 20
+"""With fewer, a standard deviation is itself uncertain by a sixth and more."""
 ENOUGH_FOR_QUANTILES = 1000
 """From so many draws on the interval's ends are quantiles: 25 draws lie beyond each."""
 _UNKNOWN = "unknown"
@@ -23,6 +25,11 @@ _NO_INTERVAL = (math.nan, math.nan)
 _PART_ONLY = Reason(
     "model-error-only",
     "the uncertainty is that of the model alone: the noise of peaks and the calibration come with `draws`",
+)
+CALIBRATION_NOT_STATED = Reason(
+    "calibration-model-not-stated",
+    "the calibration's model leaves perspective out, and how far that moves a volume is not stated: "
+    "no uncertainty and no interval is given",
 )
 FAILED_SHARE_MAX = 0.05
 """With more draws than this refused, what is left is no fair sample."""
@@ -80,14 +87,26 @@ def with_uncertainty(
     return replace(trace, volume=volume, weight=weight, grade=grade, height_max_mm=height)
 
 
-def without_draws(trace: ProductTrace) -> ProductTrace:
-    """Say of each uncertainty that a stage stated by itself that it is a part of the whole."""
+def without_draws(trace: ProductTrace, *, approximate: bool) -> ProductTrace:
+    """Say of each uncertainty that a stage stated by itself that it is a part of the whole.
+
+    On an approximate calibration it is not stated: who reads a part as the whole would be misled most there.
+    """
     volume, weight = trace.volume, trace.weight
+    said = CALIBRATION_NOT_STATED if approximate else _PART_ONLY
     if volume is not None and _a_part(volume.visible_mm3):
-        volume = replace(volume, reasons=(*volume.reasons, _PART_ONLY))
+        visible, true = volume.visible_mm3, volume.true_mm3
+        if approximate:
+            visible, true = _unstated(visible), None if true is None else _unstated(true)
+        volume = replace(volume, visible_mm3=visible, true_mm3=true, reasons=(*volume.reasons, said))
     if weight is not None and _a_part(weight.mass_g):
-        weight = replace(weight, reasons=(*weight.reasons, _PART_ONLY))
+        mass = _unstated(weight.mass_g) if approximate else weight.mass_g
+        weight = replace(weight, mass_g=mass, reasons=(*weight.reasons, said))
     return replace(trace, volume=volume, weight=weight)
+
+
+def _unstated(estimate: Estimate) -> Estimate:
+    return replace(estimate, std=math.nan, interval=_NO_INTERVAL)
 
 
 def _a_part(estimate: Estimate) -> bool:
@@ -169,9 +188,9 @@ def _estimate(
             else "one draw has no scatter"
         )
         lost = (Reason("draws-refused", f"{why}: the uncertainty is not stated"),)
-        return replace(found, std=math.nan, budget=budget, interval=_NO_INTERVAL), lost
+        return replace(_unstated(found), budget=budget), lost
     if not stated:
-        return replace(found, std=math.nan, budget=budget, interval=_NO_INTERVAL), ()
+        return replace(_unstated(found), budget=budget), ()
     std = _mean_and_std(good)[1]
     if good.size >= ENOUGH_FOR_QUANTILES:
         tail = (1.0 - COVERAGE) / 2.0
@@ -179,7 +198,15 @@ def _estimate(
         interval = (min(low, found.value), max(high, found.value))
     else:
         interval = (found.value - COVERAGE_FACTOR * std, found.value + COVERAGE_FACTOR * std)
-    return replace(found, std=std, budget=budget, interval=interval), ()
+    return replace(found, std=std, budget=budget, interval=interval), _few(good.size)
+
+
+def _few(draws: int) -> tuple[Reason, ...]:
+    """Say of a standard deviation of few draws how uncertain it is itself: by 1/√(2(n − 1))."""
+    if draws >= FEW_DRAWS:
+        return ()
+    share = 1.0 / math.sqrt(2.0 * (draws - 1))
+    return (Reason("few-draws", f"{draws} draws tell a standard uncertainty to {share:.0%} only: take more"),)
 
 
 def _spread(results: list[Result], field: str) -> float:

@@ -264,6 +264,13 @@ def test_too_many_refused_draws_state_nothing() -> None:
     assert [reason.code for reason in found.volume.reasons] == ["draws-refused"]
 
 
+@pytest.mark.parametrize(("draws", "said"), [(3, ["few-draws"]), (19, ["few-draws"]), (20, [])])
+def test_few_draws_say_that_they_are_few(draws: int, said: list[str]) -> None:
+    found = done(scene(), SumOfHeights(), draws=draws)
+    assert math.isfinite(found.volume.visible_mm3.std)
+    assert [reason.code for reason in found.volume.reasons] == said
+
+
 def test_one_draw_states_nothing() -> None:
     found = done(scene(), SumOfHeights(), draws=1)
     assert math.isnan(found.volume.visible_mm3.std)

@@ -112,6 +112,16 @@ def test_an_uncertainty_of_the_model_alone_is_called_that(volume: str, draws: in
     assert ("model-error-only" in [reason.code for reason in row.volume.reasons]) is said
 
 
+def test_on_an_approximate_calibration_no_part_stands_for_the_whole() -> None:
+    """A guard band would be made of it, and the block's scale is off by more than all parts together."""
+    sets = ["stages.volume=slice-pchip", f"source.path={SHIPPED}/images/skein_01.png"]
+    (row,) = Recipe.load(SHIPPED, sets=sets).run()
+    assert row.volume is not None
+    assert math.isnan(row.volume.visible_mm3.std)
+    assert row.volume.visible_mm3.budget
+    assert "calibration-model-not-stated" in [reason.code for reason in row.volume.reasons]
+
+
 def test_where_no_uncertainty_is_stated_there_is_no_part_of_one_either() -> None:
     recipe = Recipe.load(
         SHIPPED, sets=["stages.volume=zero-order-hold", f"source.path={SHIPPED}/images/skein_01.png"]
