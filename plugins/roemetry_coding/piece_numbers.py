@@ -18,6 +18,8 @@ _POINTS_AT = 0.4
 """A break is bridged to what begins within so much of where it should, spacings."""
 _RIVAL = 0.15
 """Another end is a rival if it points no worse by more, spacings."""
+_CONTESTS = 1.0
+"""A piece without a number contests a break if it points so near to one of its ends, spacings."""
 _THROUGH_ROWS = 10
 """A stripe goes through beside a break if it is seen so far above and below it, rows."""
 
@@ -234,6 +236,7 @@ class _Growth:
             pair
             for pair in self.breaks
             if any(self._left_over(pair, int(self.number[pair[0]]) + step, ends, tops) for step in (-1, 1))
+            or self._contested(pair)
         }
         while True:  # along the front, from break to break of neighbours
             more = {
@@ -244,6 +247,17 @@ class _Growth:
             if not more:
                 return doubt
             doubt |= more
+
+    def _contested(self, pair: tuple[int, int]) -> bool:
+        """Say whether a piece without a number, as long as one that counts, begins or ends in a break."""
+        pieces = self.pieces
+        other = ~self.given & (np.array([part.size for part in pieces.peaks]) >= _ALONE_ROWS)
+        begins = np.abs(pieces.off[pair[0]]) <= _CONTESTS
+        ends = np.abs(pieces.off[:, pair[1]]) <= _CONTESTS
+        near = pieces.gap[pair[0], pair[1]] + pieces.spacing_px[pair[1]]
+        begins &= pieces.gap[pair[0]] <= near
+        ends &= pieces.gap[:, pair[1]] <= near
+        return bool((other & (begins | ends)).any())
 
     def loose(self) -> set[int]:
         """Give pieces that neither the border nor a bridged break ties, and which others face unexplained.
