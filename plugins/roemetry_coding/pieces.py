@@ -62,8 +62,8 @@ class Pieces(Coder[PiecesOptions]):
         {
             "check_a_missing_stripe_shifts_nothing": "how many stripes a wide gap lacks is not known without "
             "a calibration: what lies beyond it is refused",
-            "check_a_hidden_body_shifts_nothing": "bodies moved aside beside a stripe that is left over are in "
-            "doubt, and with them so much of seven stripes that the frame is refused",
+            "check_a_hidden_body_shifts_nothing": "bodies moved aside beside a stripe that is left over are "
+            "in doubt, and with them so much of seven stripes that the frame is refused",
             "check_an_untouched_stripe_is_belt": _NO_BELT,
             "check_a_bare_belt_has_no_product": _NO_BELT,
             "check_a_smooth_wedge_is_product": _NO_BELT,
