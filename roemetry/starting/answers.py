@@ -158,7 +158,7 @@ def lay_out(answers: Answers) -> Layout:
             _rounded(0.3 * view[1], 1.0),
             block_height,
         ),
-        board_square=max(_rounded(min(view[0] / 16.0, view[1] / 12.0), 0.5), 0.5),
+        board_square=max(_rounded(min(view[0] / 13.7, view[1] / 10.3), 0.5), 0.5),
     )
 
 
