@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
-from roemetry.arrays import Floats, Integers
+from roemetry.arrays import Flags, Floats, Integers
 from roemetry.calibration import Calibration
 from roemetry.errors import StageError
 from roemetry.records import AMBIGUOUS, Peaks, Reason, StripeMap
@@ -39,6 +39,7 @@ _OUTER_SHARE = 0.1
 _ON_BELT_MIN = 0.3
 _SURVIVE_SHARE = 0.5
 _CONTESTED_PEAKS = 4
+_REMNANT_SHARE = 0.1
 
 
 class Planes(Coder[PlanesOptions]):
@@ -120,7 +121,16 @@ class Planes(Coder[PlanesOptions]):
             on_bodies_too=True,
         )
         stripe[left_over(solved.piece, solved.stripe, stripe, _SURVIVE_SHARE)] = AMBIGUOUS
+        stripe[_remnants(line, stripe)] = AMBIGUOUS
         return stripe, margin, gaps
+
+
+def _remnants(line: Integers, stripe: Integers) -> Flags:
+    """Mark (peak,) what is left on bodies of which nearly all was refused: nothing bears it out any more."""
+    left = (stripe >= 0) & (stripe != line)
+    refused = np.count_nonzero((stripe == AMBIGUOUS) & (line < 0))
+    few = np.count_nonzero(left) < _REMNANT_SHARE * (np.count_nonzero(left) + refused)
+    return np.asarray(left & few)
 
 
 def _belt_fits(peaks: Peaks, rest: RestLines) -> bool:
