@@ -31,7 +31,6 @@ from roemetry.records import Frame
 SEED = 40_000
 """Used while the extractors were built; the figures of the documentation are from another one."""
 _MIDDLE = "3 Mpix"
-_ROUNDS = 3  # of whole processes
 
 
 def main() -> None:
@@ -68,7 +67,7 @@ def main() -> None:
             speed(everything := timed(judged, given.seed), given.sizes, given.repeats, given.seed),
             frame_after_frame(everything, given.repeats, given.seed),
         ],
-        "startup": lambda: [startup([each.name for each in finding], min(given.repeats, _ROUNDS))],
+        "startup": lambda: [startup([each.name for each in finding], given.repeats)],
     }
     made: dict[str, list[Table]] = {}
     for part in parts:
