@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -94,3 +95,9 @@ def test_it_names_what_a_stripe_shows_of_a_defect(all_ten: Mapping[str, Measurem
         assert row.grade is not None, name
         shown = known["defect"] in ("bent", "none") or known["figures"]["defect_seen_mm"] >= 1.0
         assert row.grade.label == (wanted[known["defect"]] if shown else "good"), name
+
+
+def test_the_reports_panels_stand_in_the_order_of_their_letters(folder: Path) -> None:
+    letters = re.findall(r"<b>\((\w)\)</b>", (folder / "report.html").read_text("utf-8"))
+    assert {"a", "h", "i", "j"} <= set(letters)
+    assert letters == sorted(letters)
