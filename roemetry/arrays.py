@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,9 +25,8 @@ class Checker:
     def array(self, field: str, dtype: type[np.generic], shape: tuple[int | None, ...]) -> NDArray[Any]:
         """Replace a field by a read-only view of the wanted type; ``None`` in `shape` means any length."""
         given: object = getattr(self._record, field)
-        value: NDArray[Any] = np.asarray(given, dtype=dtype)
-        if np.issubdtype(dtype, np.integer) and _has_fractions(given, value):
-            self._faults.append(f"{field} holds what is no whole number, expected {np.dtype(dtype)}")
+        # every stage of every frame comes by here, nearly always with just what is wanted
+        value = given if _is_already(given, dtype) else self._converted(field, given, dtype)
         if value.shape != shape and (value.ndim != len(shape) or any(map(_differ, value.shape, shape))):
             wanted = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
             self._faults.append(f"{field} has shape {value.shape}, expected {wanted}")
@@ -38,6 +37,12 @@ class Checker:
         object.__setattr__(self._record, field, view)
         return view
 
+    def _converted(self, field: str, given: object, dtype: type[np.generic]) -> NDArray[Any]:
+        value: NDArray[Any] = np.asarray(given, dtype=dtype)
+        if np.issubdtype(dtype, np.integer) and _has_fractions(given, value):
+            self._faults.append(f"{field} holds what is no whole number, expected {np.dtype(dtype)}")
+        return value
+
     def require(self, condition: bool, fault: str) -> None:
         """Note a fault unless the condition holds."""
         if not condition:
@@ -47,6 +52,10 @@ class Checker:
         """Raise one error that names every fault, if there is one."""
         if self._faults:
             raise RecordError(f"{type(self._record).__name__}: " + "; ".join(self._faults))
+
+
+def _is_already(given: object, dtype: type[np.generic]) -> TypeGuard[NDArray[Any]]:
+    return type(given) is np.ndarray and given.dtype.type is dtype and given.dtype.isnative
 
 
 def _differ(have: int, want: int | None) -> bool:

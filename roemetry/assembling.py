@@ -44,10 +44,12 @@ def _only(profiles: Profiles, number: int) -> Profiles:
     lit = mine.any(axis=0)
     points = slice(int(lit.argmax()), lit.size - int(lit[::-1].argmax()))
     mine = mine[:, points]
-    # adding NaN takes a third of the time of choosing between a number and NaN
+    # adding NaN takes a third of the time of choosing between a number and NaN, and a loop over whole rows a
+    # fourth of that of one over three coordinates
     others = np.where(mine, 0.0, np.nan)
+    xyz_mm = profiles.xyz_mm[:, points]
     return Profiles(
-        xyz_mm=profiles.xyz_mm[:, points] + others[:, :, None],
+        xyz_mm=(xyz_mm.reshape(len(mine), -1) + np.repeat(others, 3, axis=1)).reshape(xyz_mm.shape),
         product=np.where(mine, profiles.product[:, points], _NOTHING),
         seen=profiles.seen[:, points] & mine,
         x_px=profiles.x_px[:, points] + others,

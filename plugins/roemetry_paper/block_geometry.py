@@ -66,6 +66,8 @@ def light_planes(
     x_mm = (rest_px[:, 0] - middle_px) * mm_per_px
     # In the plane lie (lean, −1, 0), along the rest line, and (up, 0, 1), up the light.
     up = mm_per_px / omega_mm_per_px - x_mm * per_distance
-    normal = np.stack([np.ones_like(lean), lean, -up], axis=1)
-    normal /= np.sqrt((normal**2).sum(axis=1))[:, None]
-    return np.column_stack([normal, normal[:, 0] * x_mm])
+    length = np.sqrt(1.0 + lean**2 + up**2)
+    planes = np.empty((x_mm.size, 4))
+    for column, part in enumerate((1.0, lean, -up, x_mm)):
+        planes[:, column] = part / length
+    return planes
