@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -26,13 +27,15 @@ from roemetry_kernels.label_verdicts import (
     stepped,
     verdicts_of,
 )
-from roemetry_kernels.level_bodies import goes_through, level_instead
+from roemetry_kernels.level_bodies import goes_through, level_instead, on_end
+from roemetry_kernels.lying_still import lying_still
 from roemetry_kernels.rest_lines import RestLines
 from roemetry_kernels.sight_entries import Entries, entries_of
 from roemetry_kernels.sight_lines import SightLines, sight_lines
 from roemetry_kernels.tracing import cut_at_rest_lines, trace_fragments
 
 _STEP_MAX_PX = 7.0
+_OUTER_SHARE = 0.1
 _BELT_ROWS_MIN = 6
 _FLICKER_ROWS = 3
 _BARE_ROWS = 20
@@ -167,10 +170,11 @@ def solve_planes(peaks: Peaks, calibration: Calibration, rest: RestLines) -> Sol
     whole &= ~beside_level_bodies(
         peaks.row, stripe, problem.line, problem.piece, problem.piece_line, _LEVEL_ROWS
     )
-    level = _maybe_level(problem, best)
+    level = _maybe_level(problem, peaks.row, best)
     if level.any():
-        off_px = peaks.x_px - rest.x_px[problem.line, peaks.row]
-        level &= ~goes_through(problem.piece, off_px, level)
+        home = problem.home[problem.piece]
+        off_px = peaks.x_px - rest.x_px[home, peaks.row]
+        level &= ~(goes_through(problem.piece, off_px, level) & (home >= 0))
     whole &= ~level
     # a few peaks by themselves on a rest line are what is left of belt, at the edge of a shadow
     alone = np.bincount(problem.trace)[problem.trace] < _BELT_ROWS_MIN
@@ -198,15 +202,15 @@ def _agreed(problem: _Problem, cost: Floats) -> Integers:
     ))  # fmt: skip
 
 
-def _maybe_level(problem: _Problem, best: Integers) -> Flags:
+def _maybe_level(problem: _Problem, row: Integers, best: Integers) -> Flags:
     """Mark (peak,) belt that may be a level body's, where that goes on for some rows along a piece."""
     entries, labels, piece = problem.entries, problem.labels, problem.piece
     found = level_instead(
         entries.start, entries.peak, labels.low, labels.many, labels.offset, labels.height,
         labels.label_mm, best, problem.line, *problem.steps, WEIGHTS.surface,
-        WEIGHTS.unseen, _LEVEL_DEARER, piece.size,
+        WEIGHTS.unseen, problem.there, _LEVEL_DEARER, piece.size,
     )  # fmt: skip
-    return np.asarray(found & (np.bincount(piece[found], minlength=piece.max() + 1) >= _LEVEL_ROWS)[piece])
+    return np.asarray(on_end(row, piece, found, _LEVEL_ROWS, _FLICKER_ROWS))
 
 
 def _shifted(problem: _Problem, own: Floats, best: Integers) -> tuple[Integers, Floats, bool]:
@@ -276,8 +280,12 @@ def _posed(peaks: Peaks, calibration: Calibration, rest: RestLines) -> _Problem:
     stripes, rows = rest.x_px.shape
     sight = sight_lines(peaks, calibration, rest.x_px)
     trace, traces = trace_fragments(peaks.row_start, peaks.x_px, _STEP_MAX_PX)
-    alone = between_bare(peaks.row, rest.line, stripes, rows, _BARE_ROWS)
-    state = np.where(alone, rest.line + stripes, rest.line)
+    line = lying_still(
+        peaks.row, peaks.x_px, trace, rest.line, rest.x_px, rest.tolerance_px, rest.offset_px,
+        math.ceil(_OUTER_SHARE * rows),
+    )  # fmt: skip
+    alone = between_bare(peaks.row, line, stripes, rows, _BARE_ROWS)
+    state = np.where(alone, line + stripes, line)
     piece, piece_line = cut_at_rest_lines(trace, state, traces, _BELT_ROWS_MIN, _FLICKER_ROWS)
     piece_line = np.where(piece_line >= stripes, piece_line - stripes, piece_line)
     full = int(_PRESENT_SHARE * rows)
@@ -310,7 +318,7 @@ def _posed(peaks: Peaks, calibration: Calibration, rest: RestLines) -> _Problem:
         )
     )  # fmt: skip
     return _Problem(
-        sight, trace, rest.line, piece, piece_line, home, anchored, presence.max(axis=0), entries, labels,
+        sight, trace, line, piece, piece_line, home, anchored, presence.max(axis=0), entries, labels,
         steps, u_per_px,
     )  # fmt: skip
 

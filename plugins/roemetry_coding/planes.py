@@ -38,6 +38,7 @@ _CODED_SHARE_MIN = 0.4
 _OUTER_SHARE = 0.1
 _ON_BELT_MIN = 0.3
 _SURVIVE_SHARE = 0.5
+_BODY_SURVIVE_SHARE = 0.7
 _CONTESTED_PEAKS = 4
 _REMNANT_SHARE = 0.1
 
@@ -120,6 +121,10 @@ class Planes(Coder[PlanesOptions]):
             self.options.longest_gap_rows,
             on_bodies_too=True,
         )
+        if gaps:
+            # what a body is on some rows it is on the others
+            partly = left_over(solved.piece, solved.stripe, stripe, _BODY_SURVIVE_SHARE)
+            stripe[partly & (line != solved.stripe)] = AMBIGUOUS
         stripe[left_over(solved.piece, solved.stripe, stripe, _SURVIVE_SHARE)] = AMBIGUOUS
         stripe[_remnants(line, stripe)] = AMBIGUOUS
         return stripe, margin, gaps

@@ -22,12 +22,13 @@ def level_instead(
     start: Integers, peak: Integers, low: Integers, count: Integers, offset: Integers, height: Floats,
     label_mm: Floats, best: Integers, on_line: Integers, pair: Integers, pair_start: Integers,
     surface: NDArray[np.float32], unseen: NDArray[np.float32], before: Floats, after: Floats,
-    weight_surface: float, weight_unseen: float, dearer_max: float, peaks: int,
+    weight_surface: float, weight_unseen: float, there: Floats, dearer_max: float, peaks: int,
 ) -> Flags:  # fmt: skip
-    """Mark (peak,) belt that could be a body's, one stripe on, hardly dearer.
+    """Mark (peak,) belt, and what goes on from it, that could be a body's, one stripe on, hardly dearer.
 
-    Where a stripe is not seen beside a body, the belt's next ones, one or several, are taken for the
-    neighbours' stripes on a level body: the stripe that is not seen is then on its other side.
+    Where a stripe is not seen beside a body, the next ones, one or several, are taken for the neighbours'
+    stripes on a level body: the stripe that is not seen is then on its other side. Some of them lie on their
+    rest lines, the others may be bodies already.
 
     Parameters
     ----------
@@ -43,6 +44,8 @@ def level_instead(
         See `roemetry_kernels.label_costs.Steps`.
     weight_surface, weight_unseen
         See `roemetry_kernels.label_sweeps.swept`.
+    there
+        (stripe,) how surely a stripe is there at all: what gives no light is no stripe that is not seen.
     dearer_max
         Cost, a sight line, up to which the other way of seeing it counts.
     peaks
@@ -61,13 +64,14 @@ def level_instead(
         for by in (-1, 1):
             for n in range(size):
                 j = n + by  # on the side that the stripes would move to, and off the belt
-                if on_line[peak[kept[n]]] != stripe[n] or not 0 <= j < size:
+                if not 0 <= j < size or (stripe[n] - stripe[j]) * -by < 2:
                     continue
-                if on_line[peak[kept[j]]] == stripe[j] or (stripe[n] - stripe[j]) * -by < 2:
+                if on_line[peak[kept[j]]] == stripe[j] or not _any_there(there, stripe[n], stripe[j]):
                     continue
-                cost, m = 0.0, n
-                while on_line[peak[kept[m]]] == stripe[m]:
+                cost, m, belts = 0.0, n, 0
+                while True:
                     p = kept[m]
+                    belts += on_line[peak[p]] == stripe[m]
                     k = stripe[m] + by - low[p]
                     if k < 0 or k >= count[p]:
                         break
@@ -83,7 +87,7 @@ def level_instead(
                         m, i, by, 0, kept, stripe, size, start[e], low, count, offset, pair, pair_start[e],
                         surface, unseen, before, after, weight_surface, weight_unseen,
                     )  # fmt: skip
-                    if ended < dearer_max:
+                    if belts > 0 and ended < dearer_max:
                         for t in range(min(m, n), max(m, n) + 1):
                             found[peak[kept[t]]] = True
                     if not 0 <= i < size or (stripe[i] - stripe[m]) * -by != 1:
@@ -120,6 +124,47 @@ def goes_through(piece: Integers, off_px: Floats, found: Flags) -> Flags:
         std = np.sqrt(spread[0] ** 2 / there.size + spread[1] ** 2 / beside.size)
         through[members] = abs(np.median(there) - np.median(beside)) <= _SAME_STDS * std
     return through & found
+
+
+@kernel
+def _any_there(there: Floats, one: int, other: int) -> bool:
+    """Say whether light of any stripe between two is there at all."""
+    return bool((there[min(one, other) + 1 : max(one, other)] > 0.0).any())
+
+
+@kernel
+def on_end(row: Integers, piece: Integers, found: Flags, rows_min: int, rows_between: int) -> Flags:
+    """Mark (peak,) what was found on so many rows of its piece on end.
+
+    Parameters
+    ----------
+    row, piece
+        (peak,) row, in increasing order; piece of its trace.
+    found
+        (peak,) what is asked.
+    rows_min
+        Fewer rows are as many as a break along a stripe may have.
+    rows_between
+        So many rows between may be missing.
+    """
+    last = np.full(piece.max() + 1, -(rows_between + 2), np.int64)
+    run_of = np.full(piece.max() + 1, -1, np.int64)
+    run, first = np.full(row.shape[0], -1, np.int64), np.empty(row.shape[0], np.int64)
+    length = np.zeros(row.shape[0], np.int64)
+    runs = 0
+    for p in range(row.shape[0]):
+        f = piece[p]
+        if not found[p]:
+            continue
+        if row[p] - last[f] > rows_between + 1:
+            run_of[f], first[runs] = runs, row[p]
+            runs += 1
+        run[p], last[f] = run_of[f], row[p]
+        length[run[p]] = row[p] - first[run[p]] + 1
+    kept = np.zeros(row.shape[0], np.bool_)
+    for p in range(row.shape[0]):
+        kept[p] = run[p] >= 0 and length[run[p]] >= rows_min
+    return kept
 
 
 @kernel
