@@ -24,14 +24,14 @@ _BLUNT_STD = 2.0 / math.sqrt(12.0)  # of a cap of half the way to the next strip
 _WALL_STD = 0.5 / math.sqrt(3.0)  # of the way that a plane leans over the height of an end wall
 _OPEN_SPACINGS = 2.0
 _OPEN_SHARE = 0.2  # of the product's lit length; beyond either, an open end's taper is not believed
-_CLIFF = 0.4  # an outer slice that is so much smaller than the others say: a wall before it
 
 
 class Cap(NamedTuple):
     """What lies beyond an outer slice.
 
     `kind` is one of `roemetry_kernels.slice_rules`; `slope_mm` is dA/dt at the outer slice (NaN: no taper);
-    `shadow_mm3` what the slices themselves count too much because light leans over this end, negative.
+    `shadow_mm3` what leaning light makes the slices count too little at this end, or, negative, too much;
+    `area_mm2` what the outer slice counts with: one that runs over the edge of an upright end as if whole.
     """
 
     volume_mm3: float
@@ -40,48 +40,108 @@ class Cap(NamedTuple):
     kind: float
     shadow_mm3: float
     std_mm3: float
+    area_mm2: float
+
+
+class _Flat(NamedTuple):
+    """An upright end: as `Cap`; and how far to believe it, from 0 to 1."""
+
+    volume_mm3: float
+    length_mm: float
+    shadow_mm3: float
+    std_mm3: float
+    area_mm2: float
+    trust: float
 
 
 class _Kernels(NamedTuple):
     rules: Any
     columns: Any
     quadric_end: Any
+    flat_end: Any
 
 
 @lru_cache(maxsize=1)
 def _kernels() -> _Kernels:
     """Import what takes long to import once, at the first call."""
     from roemetry_kernels import slice_areas, slice_rules
+    from roemetry_kernels.flat_ends import flat_end
     from roemetry_kernels.quadric_ends import quadric_end
 
-    return _Kernels(slice_rules, slice_areas, quadric_end)
+    return _Kernels(slice_rules, slice_areas, quadric_end, flat_end)
 
 
 def cap_of(product: Product, slices: Slices, end: int, ends: Ends) -> Cap:
     """Give what lies beyond the first (`end` 0) or the last (1) slice."""
     rules = _kernels().rules
     if ends == "none":
-        return Cap(0.0, 0.0, math.nan, rules.NO_CAP, 0.0, 0.0)
+        return Cap(0.0, 0.0, math.nan, rules.NO_CAP, 0.0, 0.0, float(slices.area_mm2[-end]))
     limited, within = slices.limited[end], _within(slices, end)
+    area = float(slices.area_mm2[-end])
     taper = rules.cap(slices.t_mm, slices.area_mm2, end, within, limited)
     if ends == "hold":
         length = 0.5 * slices.reach_mm[end]
-        volume = length * float(slices.area_mm2[-end])
-        return Cap(volume, length, math.nan, rules.BLUNT, 0.0, _std(slices, end, taper, volume))
-    std = _std(slices, end, taper, taper[0])
+        volume = length * area
+        std = _std(slices, end, taper, volume)
+        return Cap(volume, length, math.nan, rules.BLUNT, 0.0, std, area)
+    volume, length, slope, kind = taper
+    found = Cap(volume, length, slope, kind, 0.0, _std(slices, end, taper, volume), area)
+    flat = _flat(product, slices, end)
+    if flat.trust > _HARDLY:
+        found = _mixed(found, flat, rules.BLUNT)
     volume, length, shadow, trust = _by_quadric(product, slices, end, within)
     if trust < _HARDLY:
-        return Cap(taper[0], taper[1], taper[2], taper[3], 0.0, std)
-    apart = volume + shadow - taper[0]
+        return found
     own = math.hypot(_QUADRIC_STD * volume, _SHADOW_STD * shadow)
+    return _mixed(found, _Flat(volume, length, shadow, own, area, trust), rules.TAPERED)
+
+
+def _mixed(one: Cap, other: _Flat, kind: float) -> Cap:
+    """Believe the other by its trust."""
+    trust, rest = other.trust, 1.0 - other.trust
+    apart = other.volume_mm3 + other.shadow_mm3 - one.volume_mm3 - one.shadow_mm3
     return Cap(
-        (1.0 - trust) * taper[0] + trust * volume,
-        (1.0 - trust) * taper[1] + trust * length,
-        taper[2],
-        rules.TAPERED if trust > 0.5 else taper[3],
-        trust * shadow,
-        math.hypot((1.0 - trust) * std, trust * own, math.sqrt(trust * (1.0 - trust)) * apart),
+        rest * one.volume_mm3 + trust * other.volume_mm3,
+        rest * one.length_mm + trust * other.length_mm,
+        one.slope_mm,
+        kind if trust > 0.5 else one.kind,
+        rest * one.shadow_mm3 + trust * other.shadow_mm3,
+        math.hypot(rest * one.std_mm3, trust * other.std_mm3, math.sqrt(trust * rest) * apart),
+        rest * one.area_mm2 + trust * other.area_mm2,
     )
+
+
+def _flat(product: Product, slices: Slices, end: int) -> _Flat:
+    """Give what lies beyond an outer slice if the product ends upright there."""
+    profiles, view = product.profiles, product.view
+    camera = math.nan if view is None else float(view.T_belt_camera[0, 3])
+    if view is not None and view.telecentric:  # it stands above all of the product
+        camera = 0.5 * float(slices.t_mm[0] + slices.t_mm[-1])
+    found = _kernels().flat_end(
+        profiles.xyz_mm,
+        profiles.product,
+        profiles.row_px,
+        product.number,
+        slices.table,
+        slices.place,
+        end,
+        slices.lean,
+        slices.reach_mm[end],
+        slices.limited[end],
+        camera,
+    )
+    return _Flat(*found)
+
+
+def _walls_counted(slices: Slices, end: int, wall_mm: float) -> float:
+    """Say by how much this end's half of the slices counts walls of their own ends more than lower ones."""
+    # dX/dz over t, by which the wall below a slice's ends counts
+    opening = (slices.lean[1] + slices.lean[0]) / float(slices.t_mm[-1] - slices.t_mm[0])
+    n = slices.t_mm.size
+    half = np.clip(0.5 * n - np.arange(n), 0.0, 1.0)
+    mine = half[::-1] if end else half
+    higher = slices.table[:, _kernels().columns.WALL] - wall_mm * wall_mm
+    return 0.5 * opening * float((mine * slices.held_mm * slices.width_mm) @ higher)
 
 
 def _within(slices: Slices, end: int) -> float:
@@ -100,8 +160,8 @@ def _by_quadric(
     With the shadow goes what the slices' walls were taken too high by: a slice's outermost points lie over
     the rim, by the quadric, and most where light grazes.
     """
-    profiles, table = slices.profiles, slices.table
-    _, columns, quadric_end = _kernels()
+    profiles = slices.profiles
+    quadric_end = _kernels().quadric_end
     volume, length, shadow, rim_mm, off_mm = quadric_end(
         profiles.xyz_mm,
         profiles.product,
@@ -109,7 +169,7 @@ def _by_quadric(
         profiles.row_px,
         profiles.plane,
         product.number,
-        table,
+        slices.table,
         slices.place,
         end,
         within_mm,
@@ -118,13 +178,7 @@ def _by_quadric(
     trust = 1.0 / (1.0 + (off_mm / _FITS_MM) ** 10) if off_mm < 3.0 * _FITS_MM else 0.0
     if trust < _HARDLY:
         return 0.0, 0.0, 0.0, 0.0
-    # dX/dz over t, by which the wall below a slice's ends counts
-    opening = (slices.lean[1] + slices.lean[0]) / float(slices.t_mm[-1] - slices.t_mm[0])
-    n = slices.t_mm.size
-    half = np.clip(0.5 * n - np.arange(n), 0.0, 1.0)
-    mine = half[::-1] if end else half
-    wall = max(rim_mm, 0.0) ** 2 - table[:, columns.WALL]
-    shadow += 0.5 * opening * float((mine * slices.held_mm * slices.width_mm) @ wall)
+    shadow -= _walls_counted(slices, end, max(rim_mm, 0.0))
     return volume, length, shadow, trust
 
 
@@ -136,7 +190,7 @@ def _std(slices: Slices, end: int, taper: tuple[float, float, float, float], vol
     that is held although the slices taper is off by what the taper says otherwise. Where light leans over an
     end, its shadow below the rim counts, more or less; and there may be a wall before the outer slice.
     """
-    rules, columns, _ = _kernels()
+    rules, columns = _kernels()[:2]
     outer = slices.table[-end].tolist()
     area, lean = outer[columns.AREA], slices.lean[end]
     if taper[3] == rules.NO_CAP:
@@ -148,22 +202,4 @@ def _std(slices: Slices, end: int, taper: tuple[float, float, float, float], vol
         over_mm = abs(lean) * max(outer[columns.TOP], 0.0)
         std = math.hypot(_BLUNT_STD * volume_mm3, _WALL_STD * over_mm * area)
     below_rim = 0.5 * max(-lean, 0.0) * outer[columns.WALL] * outer[columns.WIDTH]
-    missing, expected = rules.short_of(slices.t_mm, slices.area_mm2, end)
-    cliff = _cliff_std(slices, end, missing, expected) if missing > _CLIFF * expected else 0.0
-    return math.hypot(std, _RIM_STD * below_rim, cliff)
-
-
-def _cliff_std(slices: Slices, end: int, missing_mm2: float, expected_mm2: float) -> float:
-    """Say how far off the volume may be because a wall stands just before an outer slice, mm³.
-
-    The outer slice is then far smaller than the next ones say, and narrower rather than lower: light met the
-    wall's edge at a slant. The wall is anywhere between the last two slices; leaning light sees it or not.
-    """
-    columns = _kernels().columns
-    inner = -2 if end else 1
-    outer, before = slices.table[-end], slices.table[inner]
-    if outer[columns.WIDTH] * before[columns.TOP] >= before[columns.WIDTH] * outer[columns.TOP]:
-        return 0.0
-    spacing = abs(float(slices.t_mm[-end] - slices.t_mm[inner]))
-    over_mm = abs(slices.lean[end]) * max(float(before[columns.TOP]), 0.0)
-    return math.hypot(spacing / math.sqrt(12.0) * missing_mm2, _WALL_STD * over_mm * expected_mm2)
+    return math.hypot(std, _RIM_STD * below_rim)

@@ -7,6 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from roemetry.arrays import Floats
 from roemetry.errors import StageError
 from roemetry.records import Estimate, Product, Shares, Volume
 from roemetry.stages import Capabilities, VolumeEstimator
@@ -55,15 +56,19 @@ class _SliceEstimator(VolumeEstimator[SliceOptions]):
         nan = math.nan
         caps = [cap_of(product, slices, end, self.options.ends) for end in (0, 1)]
         slope = np.array([one.slope_mm if one.kind == slice_rules.TAPERED else nan for one in caps])
-        between = slice_rules.between_slices(slices.t_mm, slices.area_mm2, slope, self.rule)
+        # where an outer slice runs over the edge of an upright end, as if it were whole
+        area = slices.area_mm2.copy()
+        area[0], area[-1] = caps[0].area_mm2, caps[1].area_mm2
+        between = slice_rules.between_slices(slices.t_mm, area, slope, self.rule)
         volume = between + sum(one.volume_mm3 + one.shadow_mm3 for one in caps)
         if not volume > 0.0:
             raise StageError(
                 f"the slices sum up to {volume:.4g} mm³: the points lie on or below the belt",
                 hint="look at the coding and the belt's zero",
             )
+        uneven = _between_std(slices.t_mm, area, slope, between)
         budget = {
-            "between slices": math.hypot(_between_std(slices, slope, between), _AREAS_STD * volume),
+            "between slices": math.hypot(uneven, _AREAS_STD * volume),
             "slice ends": _LOOSE * float(slices.loose_mm2 @ slices.held_mm),
             "gaps": gaps_std(slices),
             "ends": math.hypot(caps[0].std_mm3, caps[1].std_mm3),
@@ -130,15 +135,15 @@ class SliceSpline(_SliceEstimator):
     rule = 4
 
 
-def _between_std(slices: Slices, slope: np.ndarray, between: float) -> float:
+def _between_std(t_mm: Floats, area_mm2: Floats, slope: Floats, between: float) -> float:
     """Say how far the areas between slices may be off: by what leaving single slices out changes.
 
     Part of the rule's distance from the spline, which smooth bodies follow more closely, is added.
     """
     from roemetry_kernels.slice_rules import SPLINE, between_slices, unevenness
 
-    smooth: float = between_slices(slices.t_mm, slices.area_mm2, slope, SPLINE)
-    return math.hypot(_BETWEEN * unevenness(slices.t_mm, slices.area_mm2), (smooth - between) / _RULES_APART)
+    smooth: float = between_slices(t_mm, area_mm2, slope, SPLINE)
+    return math.hypot(_BETWEEN * unevenness(t_mm, area_mm2), (smooth - between) / _RULES_APART)
 
 
 def gaps_std(slices: Slices) -> float:
