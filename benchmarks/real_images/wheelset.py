@@ -1,7 +1,8 @@
 """Twenty stripes on a curved part: against another program's centre lines, and against marks made by hand.
 
 The other program's lines run on through the black band of the image, which must have been painted over
-later, so only those of its points count that have light. Where a stripe runs along the rows it has no
+later, so only those of its points count that have light. Which of these have a stripe's middle under them was
+judged by eye (`benchmarks.real_images.wheelset_points`). Where a stripe runs along the rows it has no
 centre in them: each point is looked for either in the image as it is or in the image turned by 90°, in
 whichever the line is steeper.
 
@@ -33,6 +34,7 @@ from numpy.typing import NDArray
 from benchmarks.extraction.tables import Table, number, percent
 from benchmarks.real_images import folder_of, prepared, sound
 from benchmarks.real_images.overlay import overlay
+from benchmarks.real_images.wheelset_points import have_stripe, sheet, verdicts
 from roemetry.records import Frame
 from roemetry.stages import Extractor
 
@@ -40,9 +42,6 @@ MARKS = Path(__file__).with_name("wheelset_marks.csv")
 MATCH_PX = 3.0
 _LIT = 60
 _NEAR_PX = 13
-_BORDER_PX = 10.0
-_BULGES = ((60, 340, 205, 515), (200, 522, 228, 552), (540, 632, 615, 672))
-"""Boxes (x, y, x, y) around light that is no line, seen by eye: the streak, a bulge, the overexposed blob."""
 _SLACK_PX = 2.0
 
 
@@ -66,18 +65,20 @@ def wheelset(stages: Mapping[str, Extractor[Any]], out: Path | None) -> Table | 
     rows = []
     for name, stage in stages.items():
         off: list[float] = []
-        clear: list[bool] = []
+        there: list[bool] = []
         counts = np.zeros(6, int)
         for turn_deg in (0, 90):
             frame = prepared(image, turn_deg=turn_deg, channel="max")
             row, x_px = sound(stage.extract(frame))
             wanted = list(lit_centres(centres, frame, turn_deg))
             off += distances(frame, wanted, row, x_px)
-            clear += [is_clear(y, x, frame, turn_deg) for y, x in wanted]
+            by_eye = verdicts(turn_deg, frame.size[0])
+            there += have_stripe(wanted, by_eye)
             right, tally = judged(marks(turn_deg, frame.size[0]), row, x_px)
             counts += tally
             if out is not None:
                 overlay(out / f"wheelset_{turn_deg}_{name}.png", frame.pixels, row, x_px, right)
+                sheet(out / f"wheelset_{turn_deg}_points.png", frame.pixels, wanted, by_eye)
         away = np.array(off)
         matched = away <= MATCH_PX
         stripes, hit, extra, twice, glare, unlit = counts
@@ -85,7 +86,7 @@ def wheelset(stages: Mapping[str, Extractor[Any]], out: Path | None) -> Table | 
             [
                 name,
                 f"{100.0 * matched.mean():.1f} of {matched.size}",
-                f"{100.0 * matched[clear].mean():.1f} of {sum(clear)}",
+                f"{100.0 * matched[there].mean():.1f} of {sum(there)}",
                 number(float(np.median(away[np.isfinite(away)])), 2),
                 f"{percent(hit, stripes)} of {stripes}",
                 percent(extra, hit + extra),
@@ -97,7 +98,7 @@ def wheelset(stages: Mapping[str, Extractor[Any]], out: Path | None) -> Table | 
         [
             "extractor",
             f"its points within {MATCH_PX:.0f} px, %",
-            "the same away from glare and border, %",
+            "of those with a stripe's middle under them, %",
             "median distance, px",
             "marked crossings found, %",
             "false among the peaks judged, %",
@@ -118,14 +119,6 @@ def lit_centres(centres: NDArray[Any], frame: Frame, turn_deg: int) -> Iterable[
             x_px = 0.5 * (first + end - 1)
             if steep[row, int(x_px)] and light[row, int(x_px)] > _LIT:
                 yield row, x_px
-
-
-def is_clear(row: int, x_px: float, frame: Frame, turn_deg: int) -> bool:
-    """Tell whether a point lies away from the image's left and right border and from the marked glare."""
-    rows, columns = frame.size
-    x, y = (x_px, float(row)) if turn_deg == 0 else (rows - 1.0 - row, x_px)
-    glare = any(left <= x <= right and top <= y <= bottom for left, top, right, bottom in _BULGES)
-    return _BORDER_PX < x_px < columns - 1 - _BORDER_PX and not glare
 
 
 def is_steep(drawn: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -31,6 +31,7 @@ def centres_of_gravity(
     s: Stripes,
     white: int,
     noise: Floats,
+    contrast2: Floats,
     x_px: Floats,
     x_std_px: Floats,
     sigmas: float,
@@ -47,12 +48,15 @@ def centres_of_gravity(
         Grey level from which on a pixel is saturated.
     noise
         As for `roemetry_kernels.influence.variance_of`.
+    contrast2
+        (peak,) square of the speckle's contrast, or (1,) that of all.
     x_px, x_std_px
         (peak,) to be filled; `x_px` is NaN where there is no result, `x_std_px` where the sensor is unknown.
     sigmas
         What is summed over, to both sides: standard deviations of the stripe.
     """
     pull, light = np.empty(PIXELS_MAX), np.empty(PIXELS_MAX)
+    each = contrast2.shape[0] > 1
     whole = _follows(sigmas)
     row, los, his, flags, middles, widths, _, backgrounds, slopes, unsures = s
     for i in range(row.shape[0]):
@@ -95,8 +99,19 @@ def centres_of_gravity(
             light[k] = levels[begins + x] - background - slope * (x - middle)
             second += pull[k] * (x - centre)
         x_px[i] = centre
+        speckle = contrast2[i if each else 0]
         x_std_px[i] = np.sqrt(
             variance_of(
-                levels, white, begins + first, count, pull, light, background, second, unsures[i], noise
+                levels,
+                white,
+                begins + first,
+                count,
+                pull,
+                light,
+                background,
+                second,
+                unsures[i],
+                noise,
+                speckle,
             )
         )

@@ -7,6 +7,7 @@ import numpy as np
 from roemetry.arrays import Floats
 from roemetry_kernels.compiling import float_kernel, inlined
 from roemetry_kernels.influence import LAGS, PIXELS_MAX, bell, fading
+from roemetry_kernels.lane_steps import copied
 from roemetry_kernels.stripe_footing import FWHM_OF_SIGMA, Stripes
 from roemetry_kernels.stripe_scan import Pixels
 
@@ -45,7 +46,8 @@ _PULL_2 = 23 * LANES
 _WEIGHT = 24 * LANES  # of the last pixel
 _MEAN_1 = 25 * LANES  # weighted, of the distance from the middle, and of its square
 _MEAN_2 = 26 * LANES
-_TABLE = 27 * LANES
+_CONTRAST2 = 27 * LANES  # square of the speckle's contrast
+_TABLE = 28 * LANES
 
 
 @float_kernel
@@ -55,6 +57,7 @@ def gaussian_centres(
     s: Stripes,
     white: int,
     noise: Floats,
+    contrast2: Floats,
     x_px: Floats,
     x_std_px: Floats,
 ) -> None:
@@ -74,15 +77,18 @@ def gaussian_centres(
         Grey level from which on a pixel is saturated.
     noise
         As for `roemetry_kernels.influence.variance_of`.
+    contrast2
+        (peak,) square of the speckle's contrast, or (1,) that of all.
     x_px, x_std_px
         (peak,) to be filled; `x_px` is NaN where there is no result, `x_std_px` where the sensor is unknown.
     """
     v = np.ones(_TABLE)
     place, most = np.empty(LANES, np.int64), np.empty(LANES, np.int64)
-    speckled = noise[2] > 0.0 and noise[0] + noise[1] > 0.0
+    speckled = contrast2.max() > 0.0 and noise[0] + noise[1] > 0.0
+    v[_CONTRAST2 : _CONTRAST2 + LANES] = contrast2[0]
     # What each pixel weighs, then by how much it pulls; lag by lag how alike the speckle is.
     pulls = np.empty((PIXELS_MAX if speckled else 1) * LANES)
-    alike = np.exp(-0.25 * (np.arange(LAGS + 1) / noise[3]) ** 2)
+    alike = np.exp(-0.25 * (np.arange(LAGS + 1) / noise[2]) ** 2)
     row, los, his, _, middles, widths, amplitudes, backgrounds, slopes, unsures = s
     count = row.shape[0]
     for start in range(0, count, LANES):
@@ -98,16 +104,18 @@ def gaussian_centres(
             v[_FIRST + k], v[_COUNT + k] = first - middles[i], last + 1 - first
             v[_WIDTH + k], v[_AMPLITUDE + k] = widths[i], amplitudes[i]
             v[_BACKGROUND + k], v[_SLOPE + k], v[_UNSURE + k] = backgrounds[i], slopes[i], unsures[i]
+        if contrast2.shape[0] > 1:
+            copied(contrast2, start, lanes, v, _CONTRAST2)
         _begun(v, noise)
         for j in range(longest):
             for k in range(lanes):
                 v[_LEVEL + k] = levels[np.uint64(place[k] + min(j, most[k]))]
-            _added(v, float(j), float(white), noise[2] * noise[2])
+            _added(v, float(j), float(white))
             if speckled:
                 pulls[j * LANES : (j + 1) * LANES] = v[_WEIGHT : _WEIGHT + LANES]
         _solved(v)
         if speckled:
-            _speckled(v, pulls, longest, alike, noise[2] * noise[2])
+            _speckled(v, pulls, longest, alike)
         for k in range(lanes):
             i = start + k
             x_px[i] = middles[i] + v[_MOVED + k]
@@ -130,7 +138,7 @@ def _begun(v: Floats, noise: Floats) -> None:
 
 
 @inlined
-def _added(v: Floats, j: float, white: float, speckle: float) -> None:
+def _added(v: Floats, j: float, white: float) -> None:
     """Add the next pixel of each lane to its sums."""
     for k in range(LANES):
         u = v[_FIRST + k] + j
@@ -142,7 +150,7 @@ def _added(v: Floats, j: float, white: float, speckle: float) -> None:
         low = v[_AMPLITUDE + k] * fading(far)
         # ln(above / model), by a ratio of polynomials: to 2e-5 where they differ by 40 %.
         squares = above * above + model * model + 4.0 * above * model
-        variance = v[_FLOOR + k] + low * (v[_GAIN + k] + speckle * low)
+        variance = v[_FLOOR + k] + low * (v[_GAIN + k] + v[_CONTRAST2 + k] * low)
         under = 1.0 / (squares * variance)  # one division for both
         log = 3.0 * (above * above - model * model) * variance * under - far
         share = low * squares * under if v[_LEVEL + k] < white and j < v[_COUNT + k] else 0.0
@@ -183,7 +191,7 @@ def _solved(v: Floats) -> None:
 
 
 @inlined
-def _speckled(v: Floats, pulls: Floats, longest: int, alike: Floats, speckle: float) -> None:
+def _speckled(v: Floats, pulls: Floats, longest: int, alike: Floats) -> None:
     """Add what neighbouring pixels' speckle has in common; each pixel's own is among the weights already."""
     for k in range(LANES):
         v[_WEIGHT + k] = 0.0
@@ -202,5 +210,5 @@ def _speckled(v: Floats, pulls: Floats, longest: int, alike: Floats, speckle: fl
             for k in range(LANES):
                 v[_WEIGHT + k] += share * here[k] * there[k]
     for k in range(LANES):
-        variance = v[_STD + k] * v[_STD + k] + speckle * v[_WEIGHT + k]
+        variance = v[_STD + k] * v[_STD + k] + v[_CONTRAST2 + k] * v[_WEIGHT + k]
         v[_STD + k] = np.sqrt(max(variance, 0.0))

@@ -26,6 +26,7 @@ def variance_of(
     slope_pull: float,
     unsure: float,
     noise: Floats,
+    contrast2: float,
 ) -> float:
     """Variance of a centre from the pixels' noise, the speckle, and the slope of the background, px².
 
@@ -48,16 +49,18 @@ def variance_of(
     unsure
         (variance of that slope) / (variance of a background pixel), 1/px².
     noise
-        (4,) variance of a black pixel, grey levels²; grey levels per electron; speckle contrast; its
-        correlation length, px. NaN where it is not known.
+        (3,) variance of a black pixel, grey levels²; grey levels per electron; NaN where they are not known;
+        correlation length of the speckle, px.
+    contrast2
+        Square of the speckle's contrast.
     """
-    dark, gain, contrast, length = noise[0], noise[1], noise[2], noise[3]
+    dark, gain, length = noise[0], noise[1], noise[2]
     total = 0.0
     for k in range(count):
         if levels[first + k] < white:
             total += pull[k] * pull[k] * (dark + gain * levels[first + k])
-    if contrast > 0.0:
-        total += contrast * contrast * _speckled(levels, white, first, count, pull, light, length)
+    if contrast2 > 0.0:
+        total += contrast2 * _speckled(levels, white, first, count, pull, light, length)
     return total + slope_pull * slope_pull * unsure * (dark + gain * background)
 
 
@@ -97,7 +100,9 @@ def _speckled(
 
 
 @inlined
-def variance_of_middle(width: float, amplitude: float, background: float, noise: Floats) -> float:
+def variance_of_middle(
+    width: float, amplitude: float, background: float, noise: Floats, contrast2: float
+) -> float:
     """Variance of the middle between the half-height crossings of a Gaussian stripe, px².
 
     Each crossing is interpolated between two pixels of which the noise is (on the mean) two thirds of one's.
@@ -108,10 +113,10 @@ def variance_of_middle(width: float, amplitude: float, background: float, noise:
         Full width at half height, px.
     amplitude, background
         Of the stripe, grey levels.
-    noise
+    noise, contrast2
         As for `variance_of`.
     """
     steepness = 2.0 * np.log(2.0) * amplitude / width  # of a Gaussian at half height, grey levels per px
     light = 0.5 * amplitude
-    pixel = (noise[0] + noise[1] * (background + light)) / 1.5 + (noise[2] * light) ** 2
+    pixel = (noise[0] + noise[1] * (background + light)) / 1.5 + contrast2 * light * light
     return 0.5 * pixel / (steepness * steepness)

@@ -36,7 +36,8 @@ _STD = 24 * LANES
 _ROW = 25 * LANES
 _LO = 26 * LANES
 _HI = 27 * LANES
-_TABLE = 28 * LANES
+_CONTRAST2 = 28 * LANES  # square of the speckle's contrast
+_TABLE = 29 * LANES
 _N = np.uint64(LANES)
 
 
@@ -47,6 +48,7 @@ def log_parabola_centres(
     s: Stripes,
     white: int,
     noise: Floats,
+    contrast2: Floats,
     x_px: Floats,
     x_std_px: Floats,
     points: int,
@@ -65,8 +67,9 @@ def log_parabola_centres(
         u = j - 2.0
         by_1[j] = u / (2.0 if half == 1 else 10.0)
         by_2[j] = (u * u - (2.0 / 3.0 if half == 1 else 2.0)) / (2.0 / 3.0 if half == 1 else 14.0)
-    alike = np.exp(-0.25 * (np.arange(5) / noise[3]) ** 2)
+    alike = np.exp(-0.25 * (np.arange(5) / noise[2]) ** 2)
     v = np.ones(_TABLE)
+    v[_CONTRAST2 : _CONTRAST2 + LANES] = contrast2[0]
     row, los, his, flags, middles, widths, amplitudes, backgrounds, slopes, unsures = s
     count = row.shape[0]
     places, steps = np.empty(LANES, np.uint64), np.empty(LANES, np.uint64)
@@ -81,6 +84,8 @@ def log_parabola_centres(
         copied(row, start, lanes, v, _ROW)
         copied(los, start, lanes, v, _LO)
         copied(his, start, lanes, v, _HI)
+        if contrast2.shape[0] > 1:
+            copied(contrast2, start, lanes, v, _CONTRAST2)
         for k in range(LANES):
             v[_AT + k] = np.floor(v[_MIDDLE + k] + 0.5)
         if half == 1:
@@ -148,7 +153,7 @@ def _uncertainties(v: Floats, by_1: Floats, by_2: Floats, alike: Floats, noise: 
     How steep the parabola is comes from the width: as fitted it may be flat by chance, which would give a
     peak an uncertainty beyond all measure.
     """
-    dark, gain, speckle = noise[0], noise[1], noise[2] * noise[2]
+    dark, gain = noise[0], noise[1]
     b0, b1, b2, b3, b4 = by_1[0], by_1[1], by_1[2], by_1[3], by_1[4]
     d0, d1, d2, d3, d4 = by_2[0], by_2[1], by_2[2], by_2[3], by_2[4]
     a0, a1, a2, a3, a4 = alike[0], 2.0 * alike[1], 2.0 * alike[2], 2.0 * alike[3], 2.0 * alike[4]
@@ -172,7 +177,9 @@ def _uncertainties(v: Floats, by_1: Floats, by_2: Floats, alike: Floats, noise: 
         together += a1 * (r0 * r1 + r1 * r2 + r2 * r3 + r3 * r4)
         together += a2 * (r0 * r2 + r1 * r3 + r2 * r4) + a3 * (r0 * r3 + r1 * r4) + a4 * r0 * r4
         background = dark + gain * v[_BACKGROUND + k]
-        variance += speckle * together + lean * lean * v[_UNSURE + k] * background
+        variance += v[_CONTRAST2 + k] * together + lean * lean * v[_UNSURE + k] * background
         of_top = variance / (1.0 + variance / (_BELIEVED_PX * _BELIEVED_PX))
-        of_middle = variance_of_middle(v[_WIDTH + k], v[_AMPLITUDE + k], v[_BACKGROUND + k], noise)
+        of_middle = variance_of_middle(
+            v[_WIDTH + k], v[_AMPLITUDE + k], v[_BACKGROUND + k], noise, v[_CONTRAST2 + k]
+        )
         v[_STD + k] = np.sqrt(of_top if v[_USABLE + k] > 0.0 else of_middle)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from roemetry.arrays import Floats, Integers
 from roemetry.records.peaks import EDGE, SATURATED
 from roemetry_kernels.compiling import inlined, kernel
+from roemetry_kernels.ridge_ends import BORDER, LEANS, carried_on
 
 _STEEPEST = 10.0  # px a row: a stripe that leans more hardly crosses rows
 _LONG = 0.5  # a ridge's curvature along itself over that across; blobs have 1
@@ -152,7 +153,11 @@ def _crossings(
                 x_last = at
     if count > row.shape[0]:
         return count
-    return _long(min(math.ceil(_LENGTH * limits[0]), rows), count, row, values, flags)
+    found = _long(min(math.ceil(_LENGTH * limits[0]), rows), count, row, values, flags)
+    count = carried_on(image, limits[0], _LIT_NOISES * limits[6], found, row, values)
+    for p in range(found, min(count, row.shape[0])):
+        flags[p] = _flags(image, values[0, p], row[p], limits[0], limits[5])
+    return count
 
 
 @inlined
@@ -196,7 +201,7 @@ def _long(rows_min: int, count: int, row: Integers, values: Floats, flags: NDArr
 @kernel
 def _bent_by_border(nx: float, ny: float, y: int, rows: int, sigma: float) -> bool:
     """Whether a leaning ridge is so near the first or last row that what lies beyond would be asked."""
-    return abs(ny) > 0.1 * abs(nx) and min(y, rows - 1 - y) < 2.0 * sigma
+    return abs(ny) > LEANS * abs(nx) and min(y, rows - 1 - y) < BORDER * sigma
 
 
 @kernel

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from roemetry.arrays import Floats
 from roemetry.records.peaks import EDGE, SATURATED
+from roemetry_kernels.border_tops import mirrored
 from roemetry_kernels.compiling import float_kernel, inlined
 from roemetry_kernels.footing_lanes import measure_lanes
 from roemetry_kernels.lane_steps import CHUNK, WORD
@@ -205,7 +206,7 @@ def _measure(
         )
         places[0, i], places[1, i] = lo, hi
         highs[i], middle, values[1, i], values[3, i], values[4, i], values[5, i] = _measured(
-            levels, at + first[i], at + last[i], at + lo, at + hi, at_left, at_right
+            levels, white, at + first[i], at + last[i], at + lo, at + hi, at_left, at_right
         )
         values[0, i], values[2, i] = middle - at, highs[i] - values[3, i]
     # Loops that write to one place each, and unsigned numbers, which none from the end can be.
@@ -251,7 +252,7 @@ def _moved(numbers: Any, was: NDArray[np.uint64], begin: int, end: int) -> None:
 
 @inlined
 def _measured(
-    levels: Pixels, begin: int, end: int, lo: int, hi: int, at_left: bool, at_right: bool
+    levels: Pixels, white: int, begin: int, end: int, lo: int, hi: int, at_left: bool, at_right: bool
 ) -> tuple[float, float, float, float, float, float]:
     """Highest level, middle, width, background, slope, unsure of one stripe, from places in `levels`.
 
@@ -275,7 +276,11 @@ def _measured(
     ends_right = at_right and to_px >= hi and levels[hi] >= half
     if ends_left != ends_right:
         top = 0.5 * (begin + end)
-        if begin == end and lo < begin < hi:
+        if high >= white and ends_left and begin > lo:
+            top = mirrored(levels, max(lo, begin - 2), begin, end, float(low_right), hi)
+        elif high >= white and ends_right and end < hi:
+            top = mirrored(levels, min(hi, end + 2), begin, end, float(low_left), lo)
+        elif begin == end and lo < begin < hi:
             before, after = float(levels[begin - 1]), float(levels[begin + 1])
             top += 0.5 * (after - before) / max(2.0 * high - before - after, 1.0)
         if ends_left:

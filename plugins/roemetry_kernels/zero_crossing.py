@@ -21,6 +21,7 @@ def zero_crossings(
     s: Stripes,
     white: int,
     noise: Floats,
+    contrast2: Floats,
     x_px: Floats,
     x_std_px: Floats,
     half_length: int,
@@ -33,6 +34,7 @@ def zero_crossings(
     `roemetry_kernels.gaussian_fit.gaussian_centres`.
     """
     pull, light = np.empty(PIXELS_MAX), np.empty(PIXELS_MAX)
+    each = contrast2.shape[0] > 1
     row, los, his, flags, middles, widths, _, backgrounds, slopes, unsures = s
     for i in range(row.shape[0]):
         begins = row[i] * columns
@@ -73,9 +75,20 @@ def zero_crossings(
             pull[k] = unit * ((1.0 - part) * _side(x - before, half) + part * _side(x - after, half))
             light[k] = levels[begins + x] - backgrounds[i] - slopes[i] * (x - middles[i])
             lean += pull[k] * (x - middles[i])
+        speckle = contrast2[i if each else 0]
         x_std_px[i] = np.sqrt(
             variance_of(
-                levels, white, begins + first, count, pull, light, backgrounds[i], lean, unsures[i], noise
+                levels,
+                white,
+                begins + first,
+                count,
+                pull,
+                light,
+                backgrounds[i],
+                lean,
+                unsures[i],
+                noise,
+                speckle,
             )
         )
 

@@ -14,9 +14,10 @@ import numpy as np
 from roemetry.arrays import Floats
 from roemetry.records import Frame, Peaks
 from roemetry_kernels.grey_levels import grey, plain_layout, scaled_level
+from roemetry_kernels.half_seen import CUT_TWICE, middles_at_border
 from roemetry_kernels.image_noise import automatic_rise
 from roemetry_kernels.local_contrast import SHARE_MIN
-from roemetry_kernels.speckle_along import contrast_along
+from roemetry_kernels.speckle_along import contrasts_along
 from roemetry_kernels.stripe_footing import Stripes, stripes_around
 from roemetry_kernels.stripe_scan import Area, stripe_tops
 from roemetry_kernels.upside_down import doubts
@@ -25,7 +26,6 @@ from roemetry_peaks.region import searched
 
 _HEIGHT_SHARE = 0.5
 """Of the threshold, that a stripe is high above the light beside it: noise on bright ground has tops, too."""
-_CONTRAST = 2  # where it stands among what is known of the noise
 _ROUNDING = 1.0 / 12.0
 """Variance of rounding to whole grey levels."""
 
@@ -66,9 +66,13 @@ def found(
     stripes = stripes_around(pixels, tops, area, white=frame.white, **limits)
     x_px, x_std_px = np.empty((2, stripes.row.shape[0]))
     levels, columns = pixels.reshape(-1), pixels.shape[1]
-    noise = noise_of(frame, options, stripes, sought=weighs_speckle or frame.sensor is not None)
-    noise[_CONTRAST] *= math.sqrt(1.0 + beyond_linear * noise[_CONTRAST] ** 2)
-    centres(levels, columns, stripes, frame.white, noise, x_px, x_std_px, *settings)
+    noise = noise_of(frame, options)
+    sought = weighs_speckle or frame.sensor is not None
+    contrast2 = contrasts_of(frame, options, stripes, noise, sought=sought)
+    contrast2 *= 1.0 + beyond_linear * contrast2
+    centres(levels, columns, stripes, frame.white, noise, contrast2, x_px, x_std_px, *settings)
+    if x_px.size and stripes.flags.max() >= CUT_TWICE:
+        middles_at_border(stripes, noise, contrast2, x_px, x_std_px)
     fields: dict[str, Any] = {
         "row": stripes.row,
         "x_px": x_px,
@@ -82,25 +86,32 @@ def found(
         inside = (x_px >= 0.0) & (x_px <= columns - 1.0)  # where there is none, NaN
         fields = {name: values[inside] for name, values in fields.items()}
     # Speckle is as long along the stripe as across it; the sensor's noise is not correlated at all.
-    rows = options.speckle_length_px if noise[_CONTRAST] > 0.0 else 0.0
+    rows = options.speckle_length_px if contrast2.any() else 0.0
     reasons = doubts(pixels, frame.white, fields["row"], fields["x_px"], fields["width_px"])
     return Peaks(image_size=frame.size, correlation_rows=rows, reasons=reasons, **fields)
 
 
-def noise_of(frame: Frame, options: PeakOptions, stripes: Stripes, *, sought: bool) -> Floats:
-    """Give what is known of the noise, as `roemetry_kernels.influence.variance_of` takes it.
+def noise_of(frame: Frame, options: PeakOptions) -> Floats:
+    """Give what is known of the sensor's noise, as `roemetry_kernels.influence.variance_of` takes it."""
+    if frame.sensor is None:
+        return np.array([np.nan, np.nan, options.speckle_length_px])
+    read, gain = frame.sensor.read_noise_grey, frame.sensor.gain_grey_per_electron
+    return np.array([read * read + _ROUNDING, gain, options.speckle_length_px])
+
+
+def contrasts_of(
+    frame: Frame, options: PeakOptions, stripes: Stripes, noise: Floats, *, sought: bool
+) -> Floats:
+    """Give the square of the speckle's contrast: (1,) that of all stripes, or (peak,) where they differ.
 
     An automatic contrast is 0 where it is not `sought`: nothing is stated without a sensor.
     """
-    noise = np.array([np.nan, np.nan, 0.0, options.speckle_length_px])
-    if frame.sensor is not None:
-        read, gain = frame.sensor.read_noise_grey, frame.sensor.gain_grey_per_electron
-        noise[:_CONTRAST] = read * read + _ROUNDING, gain
     if options.speckle_contrast != "auto":
-        noise[_CONTRAST] = options.speckle_contrast
-    elif sought:
-        noise[_CONTRAST] = contrast_along(stripes, frame.size[0], noise)
-    return noise
+        return np.array([options.speckle_contrast**2])
+    if not sought:
+        return np.zeros(1)
+    squares: Floats = contrasts_along(stripes, *frame.size, noise)
+    return squares
 
 
 def threshold_of(frame: Frame, pixels: Any, area: Area, options: PeakOptions) -> int:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 
 wheelset = pytest.importorskip("benchmarks.real_images.wheelset", reason="only in a checkout")
+points = pytest.importorskip("benchmarks.real_images.wheelset_points", reason="only in a checkout")
 
 from benchmarks.real_images import boards, folder_of, prepared, weld  # noqa: E402
 
@@ -52,14 +54,25 @@ def test_another_programs_points_count_where_steep_and_lit() -> None:
     assert off == [1.5, np.inf]
 
 
-def test_points_near_glare_or_border_are_set_apart() -> None:
-    frame = prepared(np.zeros((672, 800), np.uint8), turn_deg=0)
-    turned = prepared(np.zeros((672, 800), np.uint8), turn_deg=90)
-    assert wheelset.is_clear(100, 400.0, frame, 0)
-    assert not wheelset.is_clear(100, 5.0, frame, 0)
-    assert not wheelset.is_clear(450, 150.0, frame, 0), "the streak"
-    # x 150, y 450 of the image is row 649, x 450 of the turned one
-    assert not wheelset.is_clear(649, 450.0, turned, 90)
+def test_points_judged_by_eye_are_those_of_the_image_as_it_is_turned() -> None:
+    """The file holds rows and columns; a column of the image is a row of the turned one, from the last on."""
+    upright, turned = points.verdicts(0, 672), points.verdicts(90, 800)
+    assert len(upright) + len(turned) == 439
+    assert {*upright.values(), *turned.values()} == {"stripe", "beside", "border"}
+    assert upright[243, 0.5] == "border" and turned[799 - 401, 0.0] == "beside"
+    with points.POINTS.open() as lines:
+        assert "column,401,0,beside\n" in lines
+    wanted = [(243, 0.5), (799 - 401, 0.0), (300, 400.0)]
+    assert points.have_stripe(wanted, upright) == [False, True, True], "what was not judged has a stripe"
+
+
+def test_the_sheet_shows_every_run_of_judged_points(tmp_path) -> None:
+    pixels = np.zeros((100, 60), np.uint8)
+    judged = {(10, 20.0): "stripe", (11, 20.5): "beside", (50, 3.0): "border"}
+    points.sheet(tmp_path / "sheet.png", pixels, [*judged, (12, 21.0)], judged)
+    shown = cv2.imread(str(tmp_path / "sheet.png"))
+    assert shown.shape == (350, 5 * 350, 3), "two cells and three empty ones"
+    assert (shown[:, 700:] == 0).all()
 
 
 def test_turned_marks_lie_where_the_turned_image_has_them() -> None:

@@ -31,23 +31,28 @@ def stripes_of(kind, rng):
     return image, stripes_around(image, tops, area, **limits), white
 
 
-@pytest.mark.parametrize("contrast", [0.0, 0.15])
+@pytest.mark.parametrize(("contrast", "each"), [(0.0, False), (0.15, False), (0.15, True)])
 @pytest.mark.parametrize("kind", [np.uint8, np.uint16])
 @pytest.mark.parametrize(
     ("centres", "settings"),
     [(gaussian_centres, ()), (log_parabola_centres, (3,)), (log_parabola_centres, (5,))],
 )
-def test_a_stripe_is_measured_the_same_whatever_stands_beside_it(centres, settings, kind, contrast, rng):
+def test_a_stripe_is_measured_the_same_whatever_stands_beside_it(
+    centres, settings, kind, contrast, each, rng
+):
     image, together, white = stripes_of(kind, rng)
     levels, columns, count = image.reshape(-1), image.shape[1], together.row.shape[0]
     assert count > 1000
-    noise = np.array([*SENSOR, contrast, 0.8])
+    noise = np.array([*SENSOR, 0.8])
+    # As one number for all, and as one for each stripe.
+    contrast2 = contrast**2 * rng.uniform(0.2, 2.0, count) if each else np.array([contrast**2])
     x_px, x_std_px = np.empty((2, count))
-    centres(levels, columns, together, white, noise, x_px, x_std_px, *settings)
+    centres(levels, columns, together, white, noise, contrast2, x_px, x_std_px, *settings)
     for i in range(0, count, 7):
         one = Stripes(*(values[i : i + 1] for values in together))
         alone = np.empty((2, 1))
-        centres(levels, columns, one, white, noise, *alone, *settings)
+        own = contrast2[i : i + 1] if each else contrast2
+        centres(levels, columns, one, white, noise, own, *alone, *settings)
         np.testing.assert_allclose(alone[0, 0], x_px[i], atol=1e-9)  # px
         np.testing.assert_allclose(alone[1, 0], x_std_px[i], rtol=1e-9)
 

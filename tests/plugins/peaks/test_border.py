@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from roemetry.arrays import Floats
-from roemetry.records import EDGE, Frame, Sensor
+from roemetry.records import EDGE, SATURATED, Frame, Sensor
 from roemetry.registry import discover
 
 ROWS, COLUMNS, SIGMA_PX, GAIN = 240, 96, 2.0, 0.0255
@@ -104,3 +104,22 @@ def test_a_saturated_stripe_at_the_border(name: str, rng) -> None:
     near = np.abs(off) < 3.0
     assert near.sum() >= 0.95 * ROWS
     assert np.sqrt((off[near] ** 2).mean()) < 0.1
+
+
+@pytest.mark.parametrize("right", [False, True], ids=["left", "right"])
+@pytest.mark.parametrize("name", STATED)
+def test_what_is_stated_of_a_stripe_that_white_and_border_cut_off(name: str, right: bool, rng) -> None:
+    """Within a factor of two; as for a stripe that is seen whole, an eighth of it might be stated."""
+    stage = extractor(name)
+    for height in (300.0, 500.0):
+        found = []
+        for _ in range(6):
+            centre_px = rng.uniform(2.0, 4.0) + rng.uniform(-0.002, 0.002) * np.arange(ROWS)
+            frame = drawn(centre_px, rng, height)
+            peaks = stage.extract(mirrored(frame) if right else frame)
+            off = (COLUMNS - 1 - peaks.x_px if right else peaks.x_px) - centre_px[peaks.row]
+            cut = (np.abs(off) < 3.0) & (peaks.flags & EDGE != 0) & (peaks.flags & SATURATED != 0)
+            found.append(np.column_stack([off[cut], peaks.x_std_px[cut]]))
+        error, stated = np.sqrt((np.concatenate(found) ** 2).mean(axis=0))
+        assert error < 0.05, height  # px
+        assert 0.5 < stated / error < 2.2, height

@@ -84,3 +84,29 @@ def test_saturated_stripes_are_flagged_and_centred(rng: np.random.Generator) -> 
     assert (peaks.flags[here] & SATURATED).all()
     off = np.abs(peaks.x_px[:, None] - x_px[:, peaks.row].T).min(1)
     assert off[here].max() < 0.1
+
+
+@pytest.mark.parametrize("lean", [-0.6, 0.15, 0.9])
+def test_ridges_go_on_to_the_first_and_the_last_row(lean: float, rng: np.random.Generator) -> None:
+    """Stripes that lean and bow, 1 px over 9 rows, at both ends: every row of theirs has its peak."""
+    row = np.arange(ROWS)
+    from_end = np.minimum(row, ROWS - 1 - row)
+    x_px = np.array([80.0, 160.0])[:, None] + lean * (row - ROWS / 2) + from_end**2 / 81.0 * (from_end < 9)
+    x_px += (from_end >= 9) * 1.0
+    light = sum(np.exp(-0.5 * ((np.arange(COLUMNS) - c[:, None]) / SIGMA_PX) ** 2) for c in x_px)
+    level = 12.0 + 150.0 * light + rng.normal(0.0, 1.2, light.shape)
+    peaks = Steger().extract(Frame(np.clip(np.rint(level), 0, 255).astype(np.uint8)))
+    for ends in (row[:4], row[-4:]):
+        for y in ends:
+            there = [x for x in x_px[:, y] if AWAY < x < COLUMNS - AWAY]
+            found = peaks.x_px[(peaks.row == y) & (peaks.x_px > AWAY) & (peaks.x_px < COLUMNS - AWAY)]
+            assert found.size == len(there)
+            assert np.abs(found - there).max(initial=0.0) < 0.25
+
+
+def test_a_speck_beyond_a_stripes_end_is_no_more_of_it(rng: np.random.Generator) -> None:
+    pixels, x_px = leaning(0.5, rng)
+    pixels[:4] = 12
+    pixels[2, np.rint(x_px[3, 2]).astype(int)] = 200
+    peaks = Steger().extract(Frame(pixels))
+    assert (peaks.row >= 3).all()
