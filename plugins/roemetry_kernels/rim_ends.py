@@ -10,6 +10,7 @@ from roemetry_kernels.compiling import kernel
 _STEPS = 25
 _LEAST = 6
 _LEAST_ROOT_MM = 0.25
+_LEVEL_MM2 = 0.25  # a surface that falls by less than half a millimetre ends in an edge, as a box does
 
 
 @kernel
@@ -32,7 +33,7 @@ def rim_heights(
     rim, spread, upright : ndarray, shape (ends,)
         Mean height over what fits, weighed by how well, mm, and its standard deviation; which share of the
         fall over the end is α·d, as of a surface that meets the rim upright: a slope that meets it at an
-        angle has β·d² alone. NaN for an end of too few points.
+        angle has β·d² alone, and a level top that ends in an edge nothing. NaN for an end of too few points.
     """
     ends = first.size
     rim, spread, upright = np.full(ends, np.nan), np.full(ends, np.nan), np.full(ends, np.nan)
@@ -88,4 +89,4 @@ def _misfit(z: Floats, d: Floats, rim: float) -> tuple[float, float]:
         total += off * off
     far = d.max()
     fall = alpha * far + abs(beta) * far * far
-    return total, alpha * far / fall if fall > 0.0 else 1.0
+    return total, alpha * far / fall if fall > _LEVEL_MM2 else 0.0

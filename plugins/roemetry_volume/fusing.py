@@ -12,7 +12,7 @@ from roemetry.arrays import Flags, Floats, Integers
 from roemetry.records import Product
 from roemetry.view import View
 from roemetry_volume.rim import Rim, StripePoints, ends_of, rim_of
-from roemetry_volume.silhouette import Border, border_at, evenly
+from roemetry_volume.silhouette import Border, area_of, border_at, evenly
 from roemetry_volume.surface import Knots, Plate, grouped, plate_through
 
 LONG_AXIS = 0.4
@@ -22,6 +22,7 @@ _NODES = 40, 14
 _RIM_WEIGHT = 6.0
 _OPEN_RATIO = 0.9
 _OPEN_MISS = 0.15
+_OVER_RIM = 1.0  # mm²: what is hardly over the rim ends with it, upright or not
 _FACING = 0.85
 _BELOW_RIM_MM = 0.3
 _WALL_MM = 1.5
@@ -103,18 +104,29 @@ def _between_seen(slices: Integers, seen: Flags) -> Flags:
     return held
 
 
-def fuse(product: Product, view: View, contour_px: Floats) -> Fused:
-    """Solve surface, rim and border together."""
+def fuse(
+    product: Product, view: View, contour_px: Floats, upright: tuple[bool, bool] = (False, False)
+) -> Fused:
+    """Solve surface, rim and border together.
+
+    Parameters
+    ----------
+    product, view, contour_px
+        The product; the rig's geometry; the outline in the image.
+    upright
+        Whether the slices show an upright end at low and at high X: no rim is asked for there.
+    """
     from roemetry_kernels.footprint import inside_by, nodes_within
 
     contour_px = evenly(contour_px, _POINTS)
     points = points_of(product)
-    ends = ends_of(points)
     xyz = points.xyz_mm
-    height = np.full(_POINTS, 0.8 * float(np.median(xyz[ends[0][ends[1]], 2])))
+    outermost = np.concatenate([points.first[:-1], points.first[1:] - 1])
+    height = np.full(_POINTS, 0.8 * float(np.median(xyz[outermost, 2])))
     border = border_at(view, contour_px, np.maximum(height, 0.0))
     centre, turn = _axes(border.xy_mm)
     place = (xyz[:, :2] - centre) @ turn
+    ends = ends_of(points, place[:, 1])
     fall = np.zeros(_POINTS)
     open_end = np.zeros(_POINTS, np.bool_)
     for _ in range(_ROUNDS):
@@ -122,7 +134,7 @@ def fuse(product: Product, view: View, contour_px: Floats) -> Fused:
         coarse = contour[::2]
         rim = rim_of(points, ends, place, inside_by(coarse, place[ends[0]]))
         knots = _knots(points, place, rim, coarse)
-        open_end = _open_ends(knots, contour, (border.outward @ turn)[:, 0])
+        open_end = _open_ends(knots, contour, (border.outward @ turn)[:, 0], upright)
         plate = _plate(knots, contour, open_end)
         height, fall = _at_border(plate, rim, contour, border, (centre, turn), open_end)
         moved = border_at(view, contour_px, height, fall)
@@ -132,6 +144,7 @@ def fuse(product: Product, view: View, contour_px: Floats) -> Fused:
             break
     contour = (border.xy_mm - centre) @ turn
     s, v, weight = nodes_within(contour, *_gauss(_NODES[0]), *_gauss(_NODES[1]))
+    weight *= abs(area_of(contour)) / weight.sum()  # corners are between nodes
     return Fused(points, place, rim, border, plate, knots, contour, open_end, height, s, v, weight)
 
 
@@ -164,8 +177,10 @@ def _height(value: Floats, rim: Rim) -> Floats:
     return np.sign(value) * np.sqrt(np.abs(value)) if rim.upright else value
 
 
-def _open_ends(knots: Knots, contour: Floats, outward_s: Floats) -> Any:
+def _open_ends(knots: Knots, contour: Floats, outward_s: Floats, upright: tuple[bool, bool]) -> Any:
     """Say where the outline belongs to a flat end: one towards which the slices do not fall.
+
+    Of one that the slices show to be upright it is what faces along the product.
 
     Where the outer slice is hardly lower than the next one at the same places across the product, the plate
     is fitted without it, once with and once without a rim beyond. A flat end it is if the rim makes the plate
@@ -181,20 +196,24 @@ def _open_ends(knots: Knots, contour: Floats, outward_s: Floats) -> Any:
         mine, next_one = knots.slice == outer, np.flatnonzero(knots.slice == inner)
         next_one = next_one[np.argsort(knots.v[next_one])]
         v, s, weight = knots.v[mine], knots.s[mine], knots.weight[mine]
+        out = np.sign(s.mean() - knots.s[next_one].mean())
+        past = (along - np.interp(contour[:, 1], knots.v[next_one], knots.s[next_one])) * out
+        if upright[int(out > 0.0)] and float(knots.u[next_one].mean()) > _OVER_RIM:
+            is_open |= (outward_s * out > _FACING) & (past > 0.0)
+            continue
         beside = (v >= knots.v[next_one[0]]) & (v <= knots.v[next_one[-1]])
         across = float(np.ptp(knots.v[next_one]))
         if not beside.any() or float(np.ptp(knots.s[next_one])) > LONG_AXIS * across:
             continue
         level = float(np.average(knots.u[mine], weights=weight))
         before, inner_s = (np.interp(v[beside], knots.v[next_one], x[next_one]) for x in (knots.u, knots.s))
-        if level <= 1.0 or float(knots.u[mine][beside].mean()) <= _OPEN_RATIO * float(before.mean()):
+        if level <= _OVER_RIM or float(knots.u[mine][beside].mean()) <= _OPEN_RATIO * float(before.mean()):
             continue
         step = float((s[beside] - inner_s).mean())
         # the outline beyond the outer slice, which may cross the product at a slant
         lean = np.polyfit(v, s, 1) if np.ptp(v) > 1.0 else np.array([0.0, s.mean()])
-        beyond = (along - np.polyval(lean, contour[:, 1])) * np.sign(step) > 0.3 * abs(step)
-        past = (along - np.interp(contour[:, 1], knots.v[next_one], knots.s[next_one])) * np.sign(step)
-        beyond |= (outward_s * np.sign(step) > _FACING) & (past > 0.2 * abs(step))
+        beyond = (along - np.polyval(lean, contour[:, 1])) * out > 0.3 * abs(step)
+        beyond |= (outward_s * out > _FACING) & (past > 0.2 * abs(step))
         others = Knots(*(getattr(knots, name)[~mine] for name in Knots.__slots__))
         misses = []
         for opened in (is_open, is_open | beyond):

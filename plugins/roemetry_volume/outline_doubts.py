@@ -10,6 +10,7 @@ from roemetry_volume.fusing import Fused
 from roemetry_volume.slice_table import Slices
 
 _EDGE_PX = 1.0
+_SOME = 0.1  # of the usual width: less of a slice is no outer one
 _OUTSIDE_MM = 1.0
 _OUTSIDE_SHARE = 0.03
 _SHORT_MM = (
@@ -51,8 +52,9 @@ def outline_fault(product: Product, slices: Slices, fused: Fused | None = None) 
             "the product's outline reaches the image's edge: a part is not seen",
             hint="place it within the image",
         )
-    # an outer slice may cut an end wall, of which only the two edges are seen
-    if (slices.table[1:-1, HOLE] > 0.0).any():
+    # outer slices may cut an end wall, of which only the two edges are seen
+    some = np.flatnonzero(slices.width_mm > _SOME * float(np.median(slices.width_mm)))
+    if (slices.table[some[0] + 1 : some[-1], HOLE] > 0.0).any():
         return Reason(
             "outline-not-used",
             "slices have a hole that an outline does not show: the volume is that of the slices alone",

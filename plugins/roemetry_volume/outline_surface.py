@@ -14,6 +14,7 @@ from roemetry.stages import Capabilities, VolumeEstimator
 from roemetry_volume.fusing import Fused, fuse
 from roemetry_volume.outline_doubts import outline_fault
 from roemetry_volume.slice_doubts import reasons_of
+from roemetry_volume.slice_ends import upright_ends
 from roemetry_volume.slice_estimators import SlicePchip, gaps_std
 from roemetry_volume.slice_options import SliceOptions
 from roemetry_volume.slice_table import Slices, slices_of
@@ -54,7 +55,7 @@ class OutlineSurface(VolumeEstimator[UndersideOptions]):
         why = outline_fault(product, slices)
         if why is not None or product.outline is None or product.view is None:
             return self._by_slices(product, why, rng)
-        fused = fuse(product, product.view, product.outline.xy_px)
+        fused = fuse(product, product.view, product.outline.xy_px, upright_ends(product, slices))
         late = outline_fault(product, slices, fused)
         if late is not None:
             return self._by_slices(product, late, rng)
@@ -88,7 +89,7 @@ class OutlineSurface(VolumeEstimator[UndersideOptions]):
         slices = slices_of(product)
         if outline_fault(product, slices) is not None:
             return self.estimate(product, rng=rng)
-        fused = fuse(product, product.view, product.outline.xy_px)
+        fused = fuse(product, product.view, product.outline.xy_px, upright_ends(product, slices))
         if outline_fault(product, slices, fused) is not None:
             return self.estimate(product, rng=rng)
         budget = dict(found.visible_mm3.budget)

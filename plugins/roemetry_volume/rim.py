@@ -12,6 +12,7 @@ _LENGTH_MM = 5.0
 _HEIGHT_STD_MM = 0.1
 _SPREAD_FLOOR_MM = 0.2
 _UPRIGHT_LEAST = 0.35
+_WALL_SLOPE, _WALL_MM = 12.0, 1.0  # steeper than a dome is from row to row, over at least so much
 _RIDGE = np.array([0.0, 0.05, 0.05, 0.2])
 
 
@@ -47,8 +48,15 @@ class Rim(NamedTuple):
         return height
 
 
-def ends_of(points: StripePoints) -> tuple[Integers, Integers, Integers]:
+def ends_of(points: StripePoints, across_mm: Floats) -> tuple[Integers, Integers, Integers]:
     """Give the points of both ends of each slice, outermost first, within 5 mm along Y.
+
+    Parameters
+    ----------
+    points
+        The product's points.
+    across_mm : ndarray, shape (n,)
+        Their place across the product: down an upright side that the camera sees, it does not change.
 
     Returns
     -------
@@ -60,10 +68,18 @@ def ends_of(points: StripePoints) -> tuple[Integers, Integers, Integers]:
     for begin, stop in zip(points.first[:-1].tolist(), points.first[1:].tolist(), strict=True):
         near = np.abs(y[begin:stop] - y[begin]) <= _LENGTH_MM
         far = np.abs(y[begin:stop] - y[stop - 1]) <= _LENGTH_MM
-        parts.append(begin + np.flatnonzero(near))
-        parts.append(begin + np.flatnonzero(far)[::-1])
+        for end in (np.flatnonzero(near), np.flatnonzero(far)[::-1]):
+            parts.append(_over_wall(begin + end, across_mm, points.xyz_mm[:, 2]))
     size = np.array([part.size for part in parts])
     return np.concatenate(parts), np.concatenate([[0], np.cumsum(size)[:-1]]), size
+
+
+def _over_wall(end: Integers, across_mm: Floats, z_mm: Floats) -> Integers:
+    """Leave out the points of an upright wall that the camera sees: rows go down it, and hardly across."""
+    rise = np.diff(z_mm[end])
+    wall = rise > _WALL_SLOPE * np.abs(np.diff(across_mm[end]))
+    rows = int(wall.argmin()) if not wall.all() else 0
+    return end[rows:] if rise[:rows].sum() > _WALL_MM else end
 
 
 def rim_of(

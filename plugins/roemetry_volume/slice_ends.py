@@ -20,6 +20,7 @@ _SHADOW_STD = 0.5  # of what leaning light counts too much behind an end, by the
 _RIM_STD = 0.3  # of that triangle below the rim, where no quadric tells it
 _FITS_MM = 0.07  # a quadric that misses the points by so much is believed by half
 _HARDLY = 0.02
+_UPRIGHT = 0.75
 _BLUNT_STD = 2.0 / math.sqrt(12.0)  # of a cap of half the way to the next stripe
 _WALL_STD = 0.5 / math.sqrt(3.0)  # of the way that a plane leans over the height of an end wall
 _OPEN_SPACINGS = 2.0
@@ -94,6 +95,11 @@ def cap_of(product: Product, slices: Slices, end: int, ends: Ends) -> Cap:
         return found
     own = math.hypot(_QUADRIC_STD * volume, _SHADOW_STD * shadow)
     return _mixed(found, _Flat(volume, length, shadow, own, area, trust), rules.TAPERED)
+
+
+def upright_ends(product: Product, slices: Slices) -> tuple[bool, bool]:
+    """Say whether the slices show an upright end at low and at high X."""
+    return _flat(product, slices, 0).trust > _UPRIGHT, _flat(product, slices, 1).trust > _UPRIGHT
 
 
 def _mixed(one: Cap, other: _Flat, kind: float) -> Cap:

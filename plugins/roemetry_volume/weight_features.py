@@ -75,7 +75,7 @@ def _by_rim(product: Product, points: StripePoints, volume: Volume) -> dict[str,
 
     if product.outline is None or product.view is None or not volume.visible_mm3.value > 0.0:
         return {}
-    ends = ends_of(points)
+    ends = ends_of(points, points.xyz_mm[:, 1])
     level = _LEVEL * float(np.median(points.xyz_mm[ends[0][ends[1]], 2]))
     xy = product.view.at_height(evenly(product.outline.xy_px, _CONTOUR_POINTS), level)[:, :2]
     if not np.isfinite(xy).all():
