@@ -145,7 +145,9 @@ def solve_planes(peaks: Peaks, calibration: Calibration, rest: RestLines) -> Sol
         entries.start, entries.peak, *nodes, problem.sight.line, problem.piece, problem.piece_line,
         cost, best, evidence,
     )  # fmt: skip
-    settled = ends_settled(problem.trace, problem.piece, problem.piece_line, problem.home, stripe)
+    settled = ends_settled(
+        problem.trace, problem.piece, problem.piece_line, problem.home, problem.line, stripe
+    )  # fmt: skip
     dearer *= settled
     piece_line = problem.piece_line[problem.piece]
     together = _together(problem, stripe, np.ones(stripe.size, np.bool_))
@@ -164,7 +166,7 @@ def solve_planes(peaks: Peaks, calibration: Calibration, rest: RestLines) -> Sol
     between = interjected(problem.trace, problem.piece, problem.piece_line, stripe)
     whole &= ~(between | ((piece_line == ENDS) & (_together(problem, stripe, between) > 0)))
     spacing_px = float(np.median(np.diff(rest.x_px, axis=0))) if rest.x_px.shape[0] > 1 else np.inf
-    whole &= ~aside(peaks.row, peaks.x_px, problem.line, problem.piece, stripe, spacing_px)
+    whole &= ~aside(peaks.row, peaks.x_px, rest.line, problem.piece, stripe, spacing_px)
     strange = (piece_line >= 0) & (stripe != piece_line)
     evidence[strange & (_together(problem, stripe, piece_line == -1) < _BODY_PEAKS)] *= _STRANGE_COUNT
     whole &= ~beside_level_bodies(

@@ -189,13 +189,14 @@ def stepped(count: Integers, offset: Integers, best: Integers, by: Integers) -> 
 
 @kernel
 def ends_settled(
-    trace: Integers, piece: Integers, piece_line: Integers, home: Integers, stripe: Integers
+    trace: Integers, piece: Integers, piece_line: Integers, home: Integers, line: Integers, stripe: Integers
 ) -> Floats:
     """Give (peak,) how far the rest of its trace speaks for a peak of a cut-off end; 1 for any other peak.
 
     1 if the trace is that stripe on both sides, less if on one, 0 if on neither.
     Where the trace is belt on one side and another stripe's product on the other, the row at which it
-    changes is not known: 0 for what is called belt there, too.
+    changes is not known: 0 for what is called belt there, too, and for what is called product and still lies
+    on the belt's rest line.
 
     Parameters
     ----------
@@ -203,6 +204,8 @@ def ends_settled(
         (peak,) trace and piece, peaks sorted by row.
     piece_line, home
         (piece,) its rest line, `ENDS` for ends; the rest line that an end was cut off from.
+    line
+        (peak,) rest line a peak lies on, −1 for none.
     stripe
         (peak,) stripe, below 0 for none.
     """
@@ -242,7 +245,8 @@ def ends_settled(
             settled = _ONE_SIDE if stripe[p] == max(a, b) else 0.0
         else:
             here = (stripe[p] == a and not belt[p, 0]) or (stripe[p] == b and not belt[p, 1])
-            settled = _ONE_SIDE if here else 0.0
+            still = (belt[p, 0] and line[p] == a) or (belt[p, 1] and line[p] == b)
+            settled = _ONE_SIDE if here and not still else 0.0
         found[p] = settled
     return found
 

@@ -120,7 +120,21 @@ def test_ends_are_believed_as_far_as_their_trace_speaks_for_them(
     stripe = np.repeat([sides[0], said, -1 if sides[1] is None else sides[1]], counts)
     after = 4 if sides[1] == 4 else -1
     found = ends_settled(
-        np.zeros(piece.size, np.int64), piece, np.array([4, ENDS, after]), np.array([4, 4, after]), stripe
-    )
+        np.zeros(piece.size, np.int64), piece, np.array([4, ENDS, after]), np.array([4, 4, after]),
+        np.full(piece.size, -1), stripe,
+    )  # fmt: skip
     assert (found[:10] == 1.0).all()
     assert (found[10:18] == settled).all()
+
+
+@pytest.mark.parametrize(("first", "settled"), [(4, 0.0), (5, 0.4)])
+def test_an_end_that_lies_on_the_belt_still_is_not_yet_the_product(first: int, settled: float) -> None:
+    """An end called 5 on stripe 4's rest line, before a body of 5; before it there is belt, or that body."""
+    piece = np.repeat(np.arange(3), [10, 8, 10])
+    stripe = np.repeat([first, 5, 5], [10, 8, 10])
+    line = np.where(np.arange(28) < 14, 4, -1)
+    found = ends_settled(
+        np.zeros(28, np.int64), piece, np.array([4, ENDS, -1]), np.array([4, 4, -1]), line, stripe
+    )
+    assert (found[10:14] == (settled if first == 4 else 1.0)).all()
+    assert (found[14:18] == (0.4 if first == 4 else 1.0)).all()
