@@ -23,6 +23,7 @@ _OTHER = 0.15, 0.4  # other cut over the longer one: an end is cut at one side w
 _CUT_BOTH = 0.12, 0.2  # of the width: at both where light passes over a round body's end; rounded ends less
 _HARDLY = 0.2  # of the next slice's width: it need not be the top that such a slice shows
 _SHORT = 0.4, 0.6
+_LOW = 0.75  # of the next slice's highest point: the product falls
 _SKEW = 0.58  # an edge turned by 30 degrees
 _ROUNDED = 0.3  # of what leaning light passes over: the edge may be rounded off
 
@@ -84,14 +85,22 @@ def flat_end(
         return nothing
     outwards = 1.0 if at_end == 1 else -1.0
     spacing = abs(table[o, AT] - table[i, AT])
+    is_low = table[o, TOP] < _LOW * table[i, TOP]
+    hardly = table[o, WIDTH] < _HARDLY * table[i, WIDTH]
+    if is_low and not hardly:
+        return nothing
+    points = np.empty((3, product.shape[1], 3))
+    count = np.zeros(3, np.int64)
     low, high = np.zeros(3), np.zeros(3)
     low_x, high_x = np.zeros(3), np.zeros(3)
     for k in range(3):
-        low[k], high[k], low_x[k], high_x[k] = _sides(
-            xyz_mm, product, row_px, number, table[o + k * step], place[o + k * step]
+        s = o + k * step
+        count[k] = _gathered(
+            points[k], xyz_mm, product, row_px, number, place[s], table[s, FIRST_ROW], table[s, LAST_ROW]
         )
-    raw, moment, square = _sums(xyz_mm, product, row_px, number, table[i], place[i])
-    if table[o, WIDTH] < _HARDLY * table[i, WIDTH]:
+        low[k], high[k], low_x[k], high_x[k] = _sides(points[k], count[k])
+    raw, moment, square = _sums(points[1], count[1])
+    if hardly:
         missing, whole = short_of(table[:, AT], table[:, AREA], at_end)
         trust = _ramp(missing / max(whole, 1e-9), _SHORT)
         narrow = table[o, WIDTH] * table[i, TOP] < table[i, WIDTH] * table[o, TOP]
@@ -103,7 +112,7 @@ def flat_end(
         # the sides go on as from slice to slice
         shift = 0.5 * on * (low[1] + high[1] - low[2] - high[2])
         wider = 0.5 * on * (high[1] - low[1] - high[2] + low[2])
-        ratio = _ratio(xyz_mm, product, row_px, number, table[o], table[i], place[o], place[i], shift)
+        ratio = _ratio(points, count, shift)
         low_cut, high_cut = low[0] - (low[1] + shift - wider), high[1] + shift + wider - high[0]
         cut, other, width = max(low_cut, high_cut), min(low_cut, high_cut), high[1] - low[1] + 2.0 * wider
         if not (ratio > _LEVEL[0] and width > 0.0):
@@ -200,86 +209,68 @@ def _unseen(
 
 
 @kernel
-def _counts(
-    xyz_mm: Floats, product: Labels, row_px: Floats, number: int, row: Floats, slice_: int, k: int
-) -> bool:
-    """Whether a point is the product's, and none of those left out at the slice's ends."""
-    if not row[FIRST_ROW] <= row_px[slice_, k] <= row[LAST_ROW]:
-        return False
-    return product[slice_, k] == number and np.isfinite(xyz_mm[slice_, k, 2])
+def _gathered(
+    points: Floats, xyz_mm: Floats, product: Labels, row_px: Floats, number: int,
+    slice_: int, first: float, last: float,
+) -> int:  # fmt: skip
+    """Put the product's points of a slice in a row, but for those left out at its ends; say how many."""
+    count = 0
+    for k in range(product.shape[1]):
+        if product[slice_, k] != number or not np.isfinite(xyz_mm[slice_, k, 2]):
+            continue
+        if first <= row_px[slice_, k] <= last:
+            for axis in range(3):
+                points[count, axis] = xyz_mm[slice_, k, axis]
+            count += 1
+    return count
 
 
 @kernel
-def _sides(
-    xyz_mm: Floats, product: Labels, row_px: Floats, number: int, row: Floats, slice_: int
-) -> tuple[float, float, float, float]:
+def _sides(points: Floats, count: int) -> tuple[float, float, float, float]:
     """Smallest and largest Y of a slice, and X there."""
     low, high, low_x, high_x = np.inf, -np.inf, 0.0, 0.0
-    for k in range(product.shape[1]):
-        if _counts(xyz_mm, product, row_px, number, row, slice_, k):
-            x, y = xyz_mm[slice_, k, 0], xyz_mm[slice_, k, 1]
-            if y < low:
-                low, low_x = y, x
-            if y > high:
-                high, high_x = y, x
+    for k in range(count):
+        if points[k, 1] < low:
+            low, low_x = points[k, 1], points[k, 0]
+        if points[k, 1] > high:
+            high, high_x = points[k, 1], points[k, 0]
     return low, high, low_x, high_x
 
 
 @kernel
-def _sums(
-    xyz_mm: Floats, product: Labels, row_px: Floats, number: int, row: Floats, slice_: int
-) -> tuple[float, float, float]:
+def _sums(points: Floats, count: int) -> tuple[float, float, float]:
     """∫z, ∫x·z and ∫z² over Y of a slice."""
     area, moment, square = 0.0, 0.0, 0.0
-    before = -1
-    for k in range(product.shape[1]):
-        if not _counts(xyz_mm, product, row_px, number, row, slice_, k):
-            continue
-        x, y, z = xyz_mm[slice_, k, 0], xyz_mm[slice_, k, 1], xyz_mm[slice_, k, 2]
-        if before >= 0:
-            span, last_z = abs(y - xyz_mm[slice_, before, 1]), xyz_mm[slice_, before, 2]
-            area += 0.5 * span * (z + last_z)
-            moment += 0.5 * span * (x * z + xyz_mm[slice_, before, 0] * last_z)
-            square += 0.5 * span * (z * z + last_z * last_z)
-        before = k
+    for k in range(1, count):
+        half = 0.5 * abs(points[k, 1] - points[k - 1, 1])
+        z, last_z = points[k, 2], points[k - 1, 2]
+        area += half * (z + last_z)
+        moment += half * (points[k, 0] * z + points[k - 1, 0] * last_z)
+        square += half * (z * z + last_z * last_z)
     return area, moment, square
 
 
 @kernel
-def _ratio(
-    xyz_mm: Floats, product: Labels, row_px: Floats, number: int,
-    outer_row: Floats, inner_row: Floats, outer: int, inner: int, shift: float,
-) -> float:  # fmt: skip
+def _ratio(points: Floats, count: Integers, shift: float) -> float:
     """Mean height of a slice over that of the next at the same places, moved along with the sides; or NaN."""
-    points = product.shape[1]
-    first, last = -1, -1
-    for k in range(points):
-        if _counts(xyz_mm, product, row_px, number, inner_row, inner, k):
-            first = k if first < 0 else first
-            last = k
-    if first < 0 or last == first:
+    outer, inner, last = points[0], points[1], count[1] - 1
+    if last < 1:
         return np.nan
     # rows run one way across the product
-    way = 1.0 if xyz_mm[inner, last, 1] > xyz_mm[inner, first, 1] else -1.0
+    way = 1.0 if inner[last, 1] > inner[0, 1] else -1.0
     mine, theirs = 0.0, 0.0
-    before, at = first, first
-    for step in range(points):
-        k = step
-        if not _counts(xyz_mm, product, row_px, number, outer_row, outer, k):
+    at = 0
+    for k in range(count[0]):
+        y = way * (outer[k, 1] - shift)
+        if y < way * inner[0, 1]:
             continue
-        y = way * (xyz_mm[outer, k, 1] - shift)
-        if y < way * xyz_mm[inner, first, 1]:
-            continue
-        while at <= last:
-            if _counts(xyz_mm, product, row_px, number, inner_row, inner, at):
-                if way * xyz_mm[inner, at, 1] >= y:
-                    break
-                before = at
+        while at <= last and way * inner[at, 1] < y:
             at += 1
         if at > last:
             break
-        span = way * (xyz_mm[inner, at, 1] - xyz_mm[inner, before, 1])
-        share = (y - way * xyz_mm[inner, before, 1]) / span if span > 0.0 else 0.0
-        mine += xyz_mm[outer, k, 2]
-        theirs += (1.0 - share) * xyz_mm[inner, before, 2] + share * xyz_mm[inner, at, 2]
+        before = max(at - 1, 0)
+        span = way * (inner[at, 1] - inner[before, 1])
+        share = (y - way * inner[before, 1]) / span if span > 0.0 else 0.0
+        mine += outer[k, 2]
+        theirs += (1.0 - share) * inner[before, 2] + share * inner[at, 2]
     return mine / theirs if theirs > 0.0 else np.nan
