@@ -101,12 +101,12 @@ def quadric_end(
     if not abs(_UNIT_MM**2 * section - area_mm2) < _AREA_OFF * area_mm2:
         return nothing
     far = _BEYOND * reach_mm / _UNIT_MM
-    if _section(c, m, q, far) > 0.0:
+    if _is_there(c, m, q, far):
         return nothing
     low, high = 0.0, far
     for _ in range(24):
         middle = 0.5 * (low + high)
-        if _section(c, m, q, middle) > 0.0:
+        if _is_there(c, m, q, middle):
             low = middle
         else:
             high = middle
@@ -237,22 +237,43 @@ def _is_larger(c: Floats, table: Floats) -> bool:
 
 
 @kernel
+def _is_there(c: Floats, m: float, q: float, at: float) -> bool:
+    """Whether the section with x = at + q·y + m·z has an area."""
+    begin, end, _, _, _, _, _ = _extent(c, m, q, at)
+    return end > begin
+
+
+@kernel
 def _section(c: Floats, m: float, q: float, at: float) -> float:
     """Area, down to the belt, of the section with x = at + q·y + m·z, where the surface is over its rim."""
+    begin, end, middle, half, b0, b1, d2 = _extent(c, m, q, at)
+    if not end > begin:
+        return 0.0
+    area = (end - begin) * (b0 + 0.5 * b1 * (begin + end))
+    area += math.sqrt(-d2) * (_half_disc(end - middle, half) - _half_disc(begin - middle, half))
+    return area / (1.0 - c[4] * m * m)
+
+
+@kernel
+def _extent(
+    c: Floats, m: float, q: float, at: float
+) -> tuple[float, float, float, float, float, float, float]:
+    """From where to where along y it is; with z = (b0 + b1·y + √D)/a the middle and half of D's roots."""
+    nothing = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     r, low = c[0], max(c[0], 0.0)
     a = 1.0 - c[4] * m * m
-    # z = (b + √D)/a with b = b0 + b1·y and D of second degree in y
+    # D is of second degree in y
     b0, b1 = r + 0.5 * m * (c[2] + 2.0 * c[4] * at), 0.5 * m * (2.0 * c[4] * q + c[5])
     g0 = r * r - (c[1] + at * (c[2] + at * c[4]))
     g1 = -(q * (c[2] + 2.0 * c[4] * at) + c[3] + c[5] * at)
     g2 = -(c[4] * q * q + c[5] * q + c[6])
     d0, d1, d2 = b0 * b0 - a * g0, 2.0 * b0 * b1 - a * g1, b1 * b1 - a * g2
     if not d2 < 0.0:
-        return 0.0
+        return nothing
     middle = -0.5 * d1 / d2
     top = d0 + 0.5 * d1 * middle
     if not top > 0.0:
-        return 0.0
+        return nothing
     half = math.sqrt(top / -d2)
     begin, end = middle - half, middle + half
     # where the section comes down to its lowest height before it turns back
@@ -263,17 +284,13 @@ def _section(c: Floats, m: float, q: float, at: float) -> float:
     chord = (f0 + 0.5 * f1 * centre) / g2
     if (b0 + b1 * begin) / a < low:
         if not chord > 0.0:
-            return 0.0
+            return nothing
         begin = max(centre - math.sqrt(chord), begin)
     if (b0 + b1 * end) / a < low:
         if not chord > 0.0:
-            return 0.0
+            return nothing
         end = min(centre + math.sqrt(chord), end)
-    if not end > begin:
-        return 0.0
-    area = (end - begin) * (b0 + 0.5 * b1 * (begin + end))
-    area += math.sqrt(-d2) * (_half_disc(end - middle, half) - _half_disc(begin - middle, half))
-    return area / a
+    return begin, end, middle, half, b0, b1, d2
 
 
 @kernel

@@ -19,6 +19,7 @@ _HOLE_SHARE = 0.3
 _GAP_SHARE = 0.4
 _END_ROWS = 4
 _JUMP, _JUMP_MM = 2.2, 0.8
+_Y, _Z, _ROW, _SEEN = range(4)
 
 
 @kernel
@@ -60,29 +61,40 @@ def slice_areas(
     """
     slices, points = product.shape
     table = np.zeros((slices, 16))
+    # the product's points one after another: y, z, row, and 1 where they were seen
+    on = np.empty((slices * points, 4))
+    begin = np.zeros(slices + 1, np.int64)
     low_y, high_y = np.inf, -np.inf
     length, rows = 0.0, 0.0
     ordered = True
+    count = 0
     for i in range(slices):
-        last = -1
         for k in range(points):
             if product[i, k] != number or not np.isfinite(xyz_mm[i, k, 2]):
                 continue
-            y = xyz_mm[i, k, 1]
+            y, row = xyz_mm[i, k, 1], row_px[i, k]
             low_y, high_y = min(low_y, y), max(high_y, y)
-            if last >= 0:
-                step = row_px[i, k] - row_px[i, last]
+            if count > begin[i]:
+                step = row - on[count - 1, _ROW]
                 if step <= 0.0:
                     ordered = False
                 elif step <= _STEP_MAX:
-                    length += abs(y - xyz_mm[i, last, 1])
+                    length += abs(y - on[count - 1, _Y])
                     rows += step
-            last = k
+            on[count, _Y], on[count, _Z], on[count, _ROW], on[count, _SEEN] = (
+                y,
+                xyz_mm[i, k, 2],
+                row,
+                seen[i, k],
+            )
+            count += 1
+        begin[i + 1] = count
     per_row = length / rows if rows > 0.0 else np.nan
     y0 = 0.5 * (low_y + high_y)
     slope_y, slope_z = _fan(plane, y0, table)
+    highest = np.empty(points)
     for i in range(slices):
-        _area(table[i], xyz_mm[i], product[i], seen[i], row_px[i], number, y0, slope_y, slope_z, per_row)
+        _area(table[i], on[begin[i] : begin[i + 1]], highest, y0, slope_y, slope_z, per_row)
     return table, ordered
 
 
@@ -110,107 +122,97 @@ def _fan(plane: Floats, y0: float, table: Floats) -> tuple[float, float]:
 
 @kernel
 def _area(
-    out: Floats,
-    xyz_mm: Floats,
-    product: Labels,
-    seen: Flags,
-    row_px: Floats,
-    number: int,
-    y0: float,
-    slope_y: float,
-    slope_z: float,
-    per_row: float,
+    out: Floats, on: Floats, highest: Floats, y0: float, slope_y: float, slope_z: float, per_row: float
 ) -> None:
     """Write one slice's row of the table."""
-    points = product.shape[0]
-    on = np.empty(points, np.int64)
-    count = 0
-    top, low = -np.inf, np.inf
-    for k in range(points):
-        z = xyz_mm[k, 2]
-        if product[k] == number and np.isfinite(z):
-            on[count] = k
-            count += 1
-            top, low = max(top, z), min(low, z)
+    count = on.shape[0]
     out[COUNT] = count
     if count == 0:
         return
-    out[TOP], out[LOW] = top, low
-    start, stop = _trimmed(xyz_mm, on, count)
-    on, count = on[start:stop], stop - start
-    out[FIRST_ROW], out[LAST_ROW] = row_px[on[0]], row_px[on[count - 1]]
-    wall = 0.5 * (xyz_mm[on[0], 2] ** 2 + xyz_mm[on[count - 1], 2] ** 2)
-    out[WALL] = wall
-    out[CLEFT] = _cleft(xyz_mm, on, count)
-    widest = _GAP_SHARE * abs(xyz_mm[on[count - 1], 1] - xyz_mm[on[0], 1])
-    fan = y0, slope_y, slope_z, wall
-    first, last = _outermost_seen(seen, on, count)
+    top, low = -np.inf, np.inf
     for m in range(count):
-        k = on[m]
-        y, z = xyz_mm[k, 1], xyz_mm[k, 2]
-        before = abs(y - xyz_mm[on[m - 1], 1]) if m > 0 else np.nan
-        after = abs(y - xyz_mm[on[m + 1], 1]) if m < count - 1 else np.nan
-        if m > 0 and row_px[k] - row_px[on[m - 1]] > _STEP_MAX:
-            _gap(out, xyz_mm[on[m - 1]], xyz_mm[k], fan, top, per_row, widest)
-            before = np.nan
-        if m < count - 1 and row_px[on[m + 1]] - row_px[k] > _STEP_MAX:
+        top, low = max(top, on[m, _Z]), min(low, on[m, _Z])
+    out[TOP], out[LOW] = top, low
+    start, stop = _trimmed(on)
+    on = on[start:stop]
+    count = stop - start
+    out[FIRST_ROW], out[LAST_ROW] = on[0, _ROW], on[count - 1, _ROW]
+    wall = 0.5 * (on[0, _Z] ** 2 + on[count - 1, _Z] ** 2)
+    out[WALL] = wall
+    out[CLEFT] = _cleft(on, highest)
+    widest = _GAP_SHARE * abs(on[count - 1, _Y] - on[0, _Y])
+    fan = y0, slope_y, slope_z, wall
+    first, last = _outermost_seen(on)
+    before = np.nan
+    for m in range(count):
+        after, gap = np.nan, False
+        if m < count - 1:
+            after = abs(on[m, _Y] - on[m + 1, _Y])
+            gap = on[m + 1, _ROW] - on[m, _ROW] > _STEP_MAX
+        if gap:
             after = np.nan
         inwards = after if np.isnan(before) else before
         outwards = before if np.isnan(after) else after
         span = per_row if np.isnan(inwards) else 0.5 * (inwards + outwards)
-        part = span * _weighed(y, z, fan)
+        part = span * _weighed(on[m, _Y], on[m, _Z], fan)
         out[WIDTH] += span
         out[AREA] += part
-        out[SEEN if seen[k] else BRIDGED] += abs(part)
+        out[SEEN if on[m, _SEEN] > 0.0 else BRIDGED] += abs(part)
         if m < first or m > last:
             out[LOOSE] += abs(part)
+        if gap:
+            _gap(out, on[m], on[m + 1], fan, top, per_row, widest)
+        before = after
 
 
 @kernel
-def _outermost_seen(seen: Flags, on: Integers, count: int) -> tuple[int, int]:
+def _outermost_seen(on: Floats) -> tuple[int, int]:
     """First and last place among a slice's points that was seen; of none, all are beyond."""
+    count = on.shape[0]
     first, last = count, count
     for m in range(count):
-        if seen[on[m]]:
+        if on[m, _SEEN] > 0.0:
             first = min(first, m)
             last = m
     return first, last
 
 
 @kernel
-def _trimmed(xyz_mm: Floats, on: Integers, count: int) -> tuple[int, int]:
+def _trimmed(on: Floats) -> tuple[int, int]:
     """Leave out rows at a slice's ends that see a part of the belt beside the product.
 
     Blur makes of the two a peak in between. There the height jumps, and then rises evenly.
     """
+    count = on.shape[0]
     start, stop = 0, count
     if count < 4 * _END_ROWS:
         return start, stop
     for k in range(_END_ROWS):
-        here, inner, next_one = xyz_mm[on[k], 2], xyz_mm[on[k + 1], 2], xyz_mm[on[k + 2], 2]
+        here, inner, next_one = on[k, _Z], on[k + 1, _Z], on[k + 2, _Z]
         if inner - here > max(_JUMP_MM, _JUMP * (next_one - inner)):
             start = k + 1
         m = count - 1 - k
-        here, inner, next_one = xyz_mm[on[m], 2], xyz_mm[on[m - 1], 2], xyz_mm[on[m - 2], 2]
+        here, inner, next_one = on[m, _Z], on[m - 1, _Z], on[m - 2, _Z]
         if inner - here > max(_JUMP_MM, _JUMP * (next_one - inner)):
             stop = m
     return start, stop
 
 
 @kernel
-def _cleft(xyz_mm: Floats, on: Integers, count: int) -> float:
+def _cleft(on: Floats, before: Floats) -> float:
     """Deepest fall below the lower of the highest points on either side, over that; from 0 to 1."""
-    before = np.empty(count)
+    count = on.shape[0]
     highest = 0.0
     for m in range(count):
-        highest = max(highest, xyz_mm[on[m], 2])
+        highest = max(highest, on[m, _Z])
         before[m] = highest
     highest, deepest = 0.0, 0.0
     for m in range(count - 1, -1, -1):
-        z = xyz_mm[on[m], 2]
+        z = on[m, _Z]
         highest = max(highest, z)
         hump = min(before[m], highest)
-        if hump > 0.0:
+        # most points are the highest yet from one side
+        if z < hump and hump > 0.0:
             deepest = max(deepest, 1.0 - max(z, 0.0) / hump)
     return deepest
 
@@ -226,9 +228,9 @@ def _gap(
     widest: float,
 ) -> None:
     """Bridge the rows between two curves of a slice, or count them as a hole."""
-    span = max(abs(other[1] - one[1]) - row, 0.0)
-    mean = 0.5 * (_weighed(one[1], one[2], fan) + _weighed(other[1], other[2], fan))
-    if span > widest or (one[2] < _HOLE_SHARE * top and other[2] < _HOLE_SHARE * top):
+    span = max(abs(other[_Y] - one[_Y]) - row, 0.0)
+    mean = 0.5 * (_weighed(one[_Y], one[_Z], fan) + _weighed(other[_Y], other[_Z], fan))
+    if span > widest or (one[_Z] < _HOLE_SHARE * top and other[_Z] < _HOLE_SHARE * top):
         out[HOLE] += span
         out[OPEN] += abs(span * mean)
         return

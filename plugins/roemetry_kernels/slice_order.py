@@ -6,13 +6,25 @@ import numpy as np
 
 from roemetry.arrays import Floats, Integers
 from roemetry_kernels.compiling import kernel
-from roemetry_kernels.slice_areas import AT, BRIDGED, COUNT, FILLED, SEEN
+from roemetry_kernels.slice_areas import (
+    AT,
+    BRIDGED,
+    COUNT,
+    FILLED,
+    FIRST_ROW,
+    HOLE,
+    LAST_ROW,
+    LOW,
+    SEEN,
+)
 
 BEFORE, AFTER, USUAL, MISSING, SEEN_MM3, JOINED_MM3, ASSUMED_MM3, LEAST_GAP, UNKNOWN = range(9)
+MOST_FILLED, MOST_HOLE, LOWEST, UPPERMOST, LOWERMOST = range(9, 14)
 """What `in_order` says of all slices: distances from the outer ones to the next stripe outside (NaN:
 there is none) and mean spacing, mm; stripes between without a point; volumes that are seen, joined along a
-stripe, and over stripes without a point, mm³; smallest distance of two slices, mm; and the first slice of the
-table whose place is not known, or −1."""
+stripe, and over stripes without a point, mm³; smallest distance of two slices, mm; the first slice of the
+table whose place is not known, or −1; and of the slices that have points the largest area filled (mm²) and
+length left out (mm), the lowest height (mm), and the first and last row (px)."""
 
 
 @kernel
@@ -33,10 +45,10 @@ def in_order(table: Floats, stripe: Integers, frame: Integers) -> tuple[Integers
         Rows of the table, sorted.
     held_mm : ndarray of float64, shape (n,)
         Half the ways to both neighbours, nothing beyond the outer ones.
-    whole : ndarray of float64, shape (9,)
+    whole : ndarray of float64, shape (14,)
         As named above.
     """
-    whole = np.full(9, np.nan)
+    whole = np.full(14, np.nan)
     whole[UNKNOWN] = -1.0
     lit = np.empty(table.shape[0], np.int64)
     count = 0
@@ -79,11 +91,17 @@ def in_order(table: Floats, stripe: Integers, frame: Integers) -> tuple[Integers
     whole[USUAL] = spacings / (count - 1) if count > 1 else np.nan
     whole[MISSING], whole[LEAST_GAP] = missing, least
     seen, joined, assumed = 0.0, 0.0, 0.0
+    filled, hole, lowest, upper, lower = 0.0, 0.0, np.inf, np.inf, -np.inf
     for k in range(count):
+        mine = table[lit[k]]
+        filled, hole, lowest = max(filled, mine[FILLED]), max(hole, mine[HOLE]), min(lowest, mine[LOW])
+        upper, lower = min(upper, mine[FIRST_ROW]), max(lower, mine[LAST_ROW])
         on = table[lit[k], SEEN]
         between = table[lit[k], BRIDGED] + table[lit[k], FILLED]
         seen += on * own[k]
         joined += between * own[k]
         assumed += (on + between) * (held[k] - own[k])
     whole[SEEN_MM3], whole[JOINED_MM3], whole[ASSUMED_MM3] = seen, joined, assumed
+    whole[MOST_FILLED], whole[MOST_HOLE], whole[LOWEST] = filled, hole, lowest
+    whole[UPPERMOST], whole[LOWERMOST] = upper, lower
     return lit, held, whole

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from roemetry.arrays import Floats
 from roemetry.records import Product, Reason
 from roemetry_volume.slice_table import Slices
 
@@ -38,7 +39,7 @@ def reasons_of(product: Product, slices: Slices, caps: Sequence[float] = ()) -> 
                 f"{'shows' if many == 1 else 'show'} nothing; the slices beside were joined over the gap",
             )
         )
-    if table[:, columns.FILLED].max() > 0.0:
+    if slices.most_filled_mm2 > 0.0:
         where = _named(slices.stripe[table[:, columns.FILLED] > 0.0])
         reasons.append(
             Reason(
@@ -46,7 +47,7 @@ def reasons_of(product: Product, slices: Slices, caps: Sequence[float] = ()) -> 
                 f"rows neither seen nor bridged (stripe {where}); joined by a straight line, as interpolated",
             )
         )
-    if table[:, columns.HOLE].max() > 0.0:
+    if slices.most_hole_mm > 0.0:
         hole = table[:, columns.HOLE]
         reasons.append(
             Reason(
@@ -55,7 +56,7 @@ def reasons_of(product: Product, slices: Slices, caps: Sequence[float] = ()) -> 
                 f"{_named(slices.stripe[hole > 0.0])}): a hole, or two products; nothing is counted there",
             )
         )
-    if table[:, columns.LOW].min() < -_BELOW_MM:
+    if slices.lowest_mm < -_BELOW_MM:
         low = table[:, columns.LOW]
         reasons.append(
             Reason(
@@ -72,7 +73,7 @@ def reasons_of(product: Product, slices: Slices, caps: Sequence[float] = ()) -> 
                 "sides of it: perhaps two products that touch, measured as one",
             )
         )
-    first, last = table[:, columns.FIRST_ROW].min(), table[:, columns.LAST_ROW].max()
+    first, last = slices.rows_px
     if first <= _UNSEARCHED_ROWS or last >= calibration.image_size[0] - 1 - _UNSEARCHED_ROWS:
         reasons.append(
             Reason("cut-by-edge", "the product reaches the image's first or last row; it may go on beyond"),
@@ -97,13 +98,18 @@ def reasons_of(product: Product, slices: Slices, caps: Sequence[float] = ()) -> 
     return tuple(reasons)
 
 
-def _waist(area: np.ndarray) -> int | None:
+def _waist(area: Floats) -> int | None:
     """Index of a slice that is far smaller than some on both sides of it, or None."""
-    left = np.maximum.accumulate(area)
-    right = np.maximum.accumulate(area[::-1])[::-1]
-    inner = np.arange(1, area.size - 1)
-    small = inner[area[inner] < _WAIST * np.minimum(left[inner], right[inner])]
-    return int(small[np.argmin(area[small])]) if small.size else None
+    sizes = area.tolist()
+    right = sizes.copy()
+    for k in range(len(sizes) - 2, -1, -1):
+        right[k] = max(right[k], right[k + 1])
+    left, found = sizes[0], None
+    for k in range(1, len(sizes) - 1):
+        left = max(left, sizes[k])
+        if sizes[k] < _WAIST * min(left, right[k]) and (found is None or sizes[k] < sizes[found]):
+            found = k
+    return found
 
 
 def _named(stripes: np.ndarray) -> str:

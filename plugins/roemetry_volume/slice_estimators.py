@@ -148,6 +148,8 @@ def _between_std(t_mm: Floats, area_mm2: Floats, slope: Floats, between: float) 
 
 def gaps_std(slices: Slices) -> float:
     """Say how far what straight lines fill, and holes that count as empty, may be off, mm³."""
+    if slices.most_filled_mm2 == 0.0 and slices.most_hole_mm == 0.0:
+        return 0.0
     return float((_OVER_GAP * slices.filled_mm2 + _IN_HOLE * slices.open_mm2) @ slices.held_mm)
 
 

@@ -45,6 +45,9 @@ class Slices(NamedTuple):
         Stripes between others on the product without a point.
     seen_mm3, joined_mm3, assumed_mm3 : float
         What was seen, what was bridged along a stripe, what stands over stripes without a point.
+    most_filled_mm2, most_hole_mm, lowest_mm, rows_px
+        Of all slices the largest area that a straight line fills, the largest length left out as a hole, the
+        lowest height, and the first and last row.
     """
 
     stripe: Integers
@@ -65,6 +68,10 @@ class Slices(NamedTuple):
     seen_mm3: float
     joined_mm3: float
     assumed_mm3: float
+    most_filled_mm2: float
+    most_hole_mm: float
+    lowest_mm: float
+    rows_px: tuple[float, float]
 
 
 def slices_of(product: Product) -> Slices:
@@ -101,14 +108,15 @@ def slices_of(product: Product) -> Slices:
     ends = [told[order.BEFORE], told[order.AFTER]]
     limited = [not math.isnan(end) for end in ends]
     before, after = (end if known else told[order.USUAL] for end, known in zip(ends, limited, strict=True))
+    by_column = np.ascontiguousarray(rows.T)
     return Slices(
         stripe=profiles.stripe[lit],
-        t_mm=rows[:, columns.AT].copy(),
-        area_mm2=rows[:, columns.AREA].copy(),
-        width_mm=rows[:, columns.WIDTH].copy(),
-        loose_mm2=rows[:, columns.LOOSE].copy(),
-        filled_mm2=rows[:, columns.FILLED].copy(),
-        open_mm2=rows[:, columns.OPEN].copy(),
+        t_mm=by_column[columns.AT],
+        area_mm2=by_column[columns.AREA],
+        width_mm=by_column[columns.WIDTH],
+        loose_mm2=by_column[columns.LOOSE],
+        filled_mm2=by_column[columns.FILLED],
+        open_mm2=by_column[columns.OPEN],
         held_mm=held,
         table=rows,
         profiles=profiles,
@@ -120,6 +128,10 @@ def slices_of(product: Product) -> Slices:
         seen_mm3=told[order.SEEN_MM3],
         joined_mm3=told[order.JOINED_MM3],
         assumed_mm3=told[order.ASSUMED_MM3],
+        most_filled_mm2=told[order.MOST_FILLED],
+        most_hole_mm=told[order.MOST_HOLE],
+        lowest_mm=told[order.LOWEST],
+        rows_px=(told[order.UPPERMOST], told[order.LOWERMOST]),
     )
 
 
@@ -133,7 +145,7 @@ def _refuse_cloven(rows: Floats) -> None:
     """Refuse what falls deep between two humps on so many stripes that it is hardly one product."""
     from roemetry_kernels.slice_areas import CLEFT
 
-    deep = int((rows[:, CLEFT] > _CLEFT).sum())
+    deep = sum(depth > _CLEFT for depth in rows[:, CLEFT].tolist())
     if deep >= max(_CLEFT_SLICES, len(rows) / 3.0):
         raise StageError(
             f"on {deep} of {len(rows)} stripes the surface falls by over {_CLEFT:.0%} between two humps: two "
@@ -146,6 +158,8 @@ def _refuse_sunken(rows: Floats, stripe: Integers) -> None:
     """Refuse a product of which a slice lies below the belt as a whole."""
     from roemetry_kernels.slice_areas import AREA, WIDTH
 
+    if not rows[:, AREA].min() < 0.0:
+        return
     depth = -rows[:, AREA] / np.maximum(rows[:, WIDTH], 1e-9)
     worst = int(depth.argmax())
     if depth[worst] > _SUNKEN_MM:
