@@ -14,6 +14,7 @@ from roemetry_kernels.compiling import float_kernel, inlined
 from roemetry_kernels.footing_lanes import measure_lanes
 from roemetry_kernels.lane_steps import CHUNK, WORD
 from roemetry_kernels.local_contrast import outshone, usual_height
+from roemetry_kernels.stripe_glare import GLARING, TOO_WIDE, take_off_glare
 from roemetry_kernels.stripe_joining import SEEN_PX, join_tops, lowest_after, lowest_before
 from roemetry_kernels.stripe_scan import Area, Pixels, Places, Tops
 
@@ -217,6 +218,8 @@ def _measure(
         flags[i] = (SATURATED if highs[i] >= white else 0) | (EDGE if cut else 0)
     for i in range(np.uint64(count)):
         out_row[i] = row[i]
+    if _may_lie_in_glare(widths, highs, white):
+        take_off_glare(white, out_row, flags, values)
     unfit, highest, lowest = 0, 0.0, np.inf
     for i in range(np.uint64(count)):
         unfit += 0 if (widths[i] >= width_min_px) & (widths[i] <= width_max_px) else 1
@@ -241,6 +244,17 @@ def _measure(
     for field in range(values.shape[0]):
         _moved(values[field], was, begin, kept)
     return np.int64(kept)
+
+
+@inlined
+def _may_lie_in_glare(widths: Floats, highs: Floats, white: int) -> bool:
+    """Whether some stripe as bright as white is so much wider than the others that it may be two things."""
+    total, widest, count = 0.0, 0.0, np.uint64(widths.shape[0])
+    for i in range(count):
+        total += widths[i]
+    for i in range(count):
+        widest = max(widest, widths[i] if highs[i] >= GLARING * white else 0.0)
+    return widest * widths.shape[0] > TOO_WIDE * total
 
 
 @inlined

@@ -14,7 +14,7 @@ import numpy as np
 from roemetry.arrays import Floats
 from roemetry.records import Frame, Peaks
 from roemetry_kernels.grey_levels import grey, plain_layout, scaled_level
-from roemetry_kernels.half_seen import CUT_TWICE, middles_at_border
+from roemetry_kernels.half_seen import middles_of_half_seen, what_is_odd
 from roemetry_kernels.image_noise import automatic_rise
 from roemetry_kernels.local_contrast import SHARE_MIN
 from roemetry_kernels.speckle_along import contrasts_along
@@ -71,8 +71,10 @@ def found(
     contrast2 = contrasts_of(frame, options, stripes, noise, sought=sought)
     contrast2 *= 1.0 + beyond_linear * contrast2
     centres(levels, columns, stripes, frame.white, noise, contrast2, x_px, x_std_px, *settings)
-    if x_px.size and stripes.flags.max() >= CUT_TWICE:
-        middles_at_border(stripes, noise, contrast2, x_px, x_std_px)
+    outside, half_seen = what_is_odd(x_px, stripes.flags, columns)
+    if half_seen:
+        middles_of_half_seen(stripes, noise, contrast2, x_px, x_std_px)
+        outside, _ = what_is_odd(x_px, stripes.flags, columns)
     fields: dict[str, Any] = {
         "row": stripes.row,
         "x_px": x_px,
@@ -82,7 +84,7 @@ def found(
         "width_px": stripes.width,
         "flags": stripes.flags,
     }
-    if x_px.size and not (x_px.min() >= 0.0 and x_px.max() <= columns - 1.0):
+    if outside:
         inside = (x_px >= 0.0) & (x_px <= columns - 1.0)  # where there is none, NaN
         fields = {name: values[inside] for name, values in fields.items()}
     # Speckle is as long along the stripe as across it; the sensor's noise is not correlated at all.

@@ -16,7 +16,7 @@ from roemetry_kernels.grey_levels import grey, plain_layout, scaled_level
 from roemetry_peaks.clipped_tops import middles_of_flanks
 from roemetry_peaks.noise_file import noise_of_file
 from roemetry_peaks.region import searched
-from roemetry_peaks.speckle import TILES, StripeNoise, noise_from, rows_of, tile_of
+from roemetry_peaks.speckle import FINE_TILES, TILES, StripeNoise, noise_from, rows_of, tile_of
 
 if TYPE_CHECKING:
     from roemetry_kernels.smoothed_peaks import Starts
@@ -244,16 +244,22 @@ def _noise_as_told(options: MaximumLikelihoodOptions, variance: float, gain: flo
 
 
 def estimated_noise(image: Any, white: int, found: Found) -> StripeNoise:
-    """Estimate the noise from the image in two passes; each fits a sample of the peaks."""
+    """Estimate the noise from the image in two passes; each fits a sample of the peaks.
+
+    Where there is more than one material, a third one fits all, and takes smaller tiles.
+    """
     guess = (found.quiet if found.variance is None else found.variance, found.gain or 0.0)
     noise = StripeNoise(*guess, 0.0, np.full(TILES, _FIRST_CONTRAST**2))
-    for size in _SAMPLES:
+    for size, tiles in ((_SAMPLES[0], TILES), (_SAMPLES[1], TILES), (found.starts.row.size, FINE_TILES)):
+        if tiles == FINE_TILES and not noise.differs:
+            break
         noise = noise_from(
-            *products_of(image, white, found, noise, size),
+            *products_of(image, white, found, noise, size, tiles),
             variance=found.variance,
             gain=found.gain,
             rounding=found.rounding,
             most=most_noise(found, white),
+            tiles=tiles,
         )
     return noise
 
@@ -264,7 +270,7 @@ def most_noise(found: Found, white: int) -> tuple[float, float]:
 
 
 def products_of(
-    image: Any, white: int, found: Found, noise: StripeNoise, size: int
+    image: Any, white: int, found: Found, noise: StripeNoise, size: int, tiles: tuple[int, int] = TILES
 ) -> tuple[Floats, Integers, Floats]:
     """Fit a sample of the peaks, and give their residual products, the tiles they lie in, and their C²."""
     from roemetry_kernels.residual_noise import residual_products
@@ -291,7 +297,7 @@ def products_of(
         contrast2,
         fit.state,
     )
-    return products, tile_of(image.shape, row, fit.x_px), contrast2
+    return products, tile_of(image.shape, row, fit.x_px, tiles), contrast2
 
 
 def _spread(peaks: int, size: int) -> Integers:

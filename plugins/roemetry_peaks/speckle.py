@@ -12,6 +12,10 @@ from roemetry.arrays import Floats, Integers
 
 TILES = (4, 12)
 """Rows and columns of tiles that the image is cut into; each has a speckle contrast of its own."""
+FINE_TILES = (16, 12)
+"""The same where there is more than one material in the image."""
+_DIFFERENT = 0.4  # standard deviation of the tiles' C² over their mean, from which on there is
+_NEXT_TO_NONE = 0.03**2  # of C²: less is what chance makes of none
 _PEAKS_MIN = 6  # a tile with fewer has the image's contrast
 _SECOND_ORDER = 1.3  # a fit follows strong speckle further than its linear leverage tells; found by drawing
 _CORRELATIONS = np.linspace(0.0, 0.9, 181)
@@ -33,7 +37,7 @@ class StripeNoise:
     correlation
         Of the speckle of neighbouring pixels along a row, 0 to 0.9.
     contrast2
-        (row, column) C² of the image's `TILES`.
+        (row, column) C² of the image's `TILES` or `FINE_TILES`.
     """
 
     variance: float
@@ -50,10 +54,18 @@ class StripeNoise:
         ]
         return tile
 
+    @property
+    def differs(self) -> bool:
+        """Whether there is more than one material in the image."""
+        spread, mean = self.contrast2.std(), self.contrast2.mean()
+        return bool(spread > _DIFFERENT * mean and self.contrast2.max() > _NEXT_TO_NONE)
 
-def tile_of(image_size: tuple[int, int], row: Integers, x_px: Floats) -> Integers:
+
+def tile_of(
+    image_size: tuple[int, int], row: Integers, x_px: Floats, tiles: tuple[int, int] = TILES
+) -> Integers:
     """(peak,) number of the tile each peak lies in, row by row."""
-    down, across = TILES
+    down, across = tiles
     column: Integers = np.clip((x_px * across / image_size[1]).astype(np.int64), 0, across - 1)
     numbers: Integers = np.clip(row * down // image_size[0], 0, down - 1) * across + column
     return numbers
@@ -68,6 +80,7 @@ def noise_from(
     gain: float | None,
     rounding: float,
     most: tuple[float, float] = (np.inf, np.inf),
+    tiles: tuple[int, int] = TILES,
 ) -> StripeNoise:
     """Solve for the noise that makes residuals what they are.
 
@@ -85,11 +98,13 @@ def noise_from(
         Variance of rounding, grey levels²; R is no less.
     most
         What R and g can be at most, where they are estimated: what is no Gaussian leaves residuals, too.
+    tiles
+        Rows and columns of tiles that the numbers in `tile` are of.
     """
     said = products[:, 2, 2] > 0.0
     products, tile, contrast2 = products[said], tile[said], contrast2[said]
     if not tile.size:
-        return StripeNoise(variance or rounding, gain or 0.0, _USUAL, np.zeros(TILES))
+        return StripeNoise(variance or rounding, gain or 0.0, _USUAL, np.zeros(tiles))
     correlation = _USUAL
     for _ in range(2 if variance is None or gain is None else 1):
         if variance is None or gain is None:
@@ -105,9 +120,9 @@ def noise_from(
         correlation = _correlation(
             np.column_stack([next_, own]) * share, products[:, 2, 3:] * share, products[:, 3, 3:] * share
         )
-    by_tile = _by_tile(own, products[:, 2, 3:] @ _lags(correlation), tile)
+    by_tile = _by_tile(own, products[:, 2, 3:] @ _lags(correlation), tile, tiles[0] * tiles[1])
     by_tile = np.minimum(by_tile * (1.0 + _SECOND_ORDER * by_tile), 1.0)
-    return StripeNoise(read, shot, correlation, by_tile.reshape(TILES))
+    return StripeNoise(read, shot, correlation, by_tile.reshape(tiles))
 
 
 def _lags(correlation: float) -> NDArray[np.float64]:
@@ -164,9 +179,8 @@ def _correlation(left: Floats, by_own: Floats, by_next: Floats) -> float:
     return float(_CORRELATIONS[int(np.argmin(doubt))]) if np.isfinite(doubt).any() else _USUAL
 
 
-def _by_tile(own: Floats, unit: Floats, tile: Integers) -> Floats:
+def _by_tile(own: Floats, unit: Floats, tile: Integers, tiles: int) -> Floats:
     """C² of each tile, drawn to the image's as far as the tiles' differences are no more than chance."""
-    tiles = TILES[0] * TILES[1]
     mean = max(float(own.sum() / unit.sum()), 0.0) if unit.sum() > 0.0 else 0.0
     count = np.bincount(tile, minlength=tiles)
     units = np.bincount(tile, unit, tiles)

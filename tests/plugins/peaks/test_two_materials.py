@@ -31,7 +31,10 @@ def on_product(row: np.ndarray, x_px: np.ndarray) -> np.ndarray:
     return np.hypot((row - ROWS / 2) / (0.35 * ROWS), (x_px - COLUMNS / 2) / (0.4 * COLUMNS)) < 1.0
 
 
-@pytest.mark.parametrize("name", ["centre-of-gravity", "fir-zero-crossing", "gaussian", "log-parabola"])
+NAMES = ["centre-of-gravity", "fir-zero-crossing", "gaussian", "log-parabola", "maximum-likelihood"]
+
+
+@pytest.mark.parametrize("name", NAMES)
 def test_each_material_is_stated_as_it_scatters(name, rng) -> None:
     """With one contrast for all of the image 1.5 and 0.45 times what comes out would be stated."""
     registry = discover()
