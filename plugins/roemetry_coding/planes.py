@@ -19,7 +19,7 @@ from roemetry_coding.margins import margin_of
 from roemetry_coding.plane_solver import Solved, solve_planes
 from roemetry_kernels.bridging import BridgingOptions, bridged
 from roemetry_kernels.consistency import refuse_unexplained_gaps
-from roemetry_kernels.label_doubts import left_over, outnumbered
+from roemetry_kernels.label_doubts import left_over
 from roemetry_kernels.label_verdicts import out_of_order
 from roemetry_kernels.refusing import refuse_bare_lines, refuse_uncodable, required_calibration
 from roemetry_kernels.rest_lines import RestLines, calibrated_rest_lines, missing_stripes, reasons_of
@@ -109,8 +109,6 @@ class Planes(Coder[PlanesOptions]):
         # at a body's edge its stripe may be seen twice for a row or two
         often = np.bincount(solved.piece[wrong], minlength=solved.piece.max() + 1) >= _CONTESTED_PEAKS
         stripe[wrong & often[solved.piece] & (stripe >= 0)] = AMBIGUOUS
-        stripe[left_over(solved.piece, solved.stripe, stripe, _SURVIVE_SHARE)] = AMBIGUOUS
-        stripe[outnumbered(peaks.row, line, solved.stripe, stripe, rest.x_px.shape[1])] = AMBIGUOUS
         stripe[left_over(solved.piece, solved.stripe, stripe, _SURVIVE_SHARE)] = AMBIGUOUS
         stripe, gaps = refuse_unexplained_gaps(
             peaks,

@@ -12,8 +12,8 @@ _MUCH_LARGER = 3
 """Of two pieces that contradict each other, one so many times as large is believed."""
 _GOES_ON_SPACINGS = 0.3
 _ASIDE_SPACINGS = 0.5
-_FEW_REFUSED = 4
-"""So many refused in a row say something about the others."""
+_FEW_PEAKS = 4
+"""A piece of fewer says nothing about where its stripe goes on."""
 
 
 @kernel
@@ -158,7 +158,7 @@ def aside(
     found = np.zeros(pieces, np.bool_)
     for f in range(pieces):
         a, b = before[f], after[f]
-        if a < 0 or b < 0 or min(size[a], size[b]) < _FEW_REFUSED:
+        if a < 0 or b < 0 or min(size[a], size[b]) < _FEW_PEAKS:
             continue
         one, other = first_px[f] - last_px[a], last_px[f] - first_px[b]
         goes_on = abs(first_px[b] - last_px[a]) <= _GOES_ON_SPACINGS * spacing_px
@@ -225,31 +225,4 @@ def left_over(piece: Integers, stripe: Integers, kept: Integers, share_min: floa
     found = np.zeros(piece.shape[0], np.bool_)
     for p in range(piece.shape[0]):
         found[p] = kept[p] >= 0 and after[piece[p]] < share_min * before[piece[p]]
-    return found
-
-
-@kernel
-def outnumbered(row: Integers, line: Integers, stripe: Integers, kept: Integers, rows: int) -> Flags:
-    """Mark coded peaks of bodies in rows where more of the body was refused than is left.
-
-    The stripes of a body are counted from each other: where most are in doubt, the others are.
-
-    Parameters
-    ----------
-    row, line
-        (peak,) row; rest line a peak lies on, −1 for none.
-    stripe, kept
-        (peak,) stripe before and after refusing, below 0 for none.
-    rows
-        Image rows.
-    """
-    refused, left = np.zeros(rows, np.int64), np.zeros(rows, np.int64)
-    for p in range(row.shape[0]):
-        if stripe[p] >= 0 and line[p] != stripe[p]:
-            refused[row[p]] += kept[p] < 0
-            left[row[p]] += kept[p] >= 0
-    found = np.zeros(row.shape[0], np.bool_)
-    for p in range(row.shape[0]):
-        many = refused[row[p]] >= _FEW_REFUSED and refused[row[p]] > left[row[p]]
-        found[p] = many and kept[p] >= 0 and line[p] != stripe[p]
     return found

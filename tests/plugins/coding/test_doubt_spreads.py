@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from roemetry_kernels.label_doubts import aside, broken_off, claimed, interjected, left_over, outnumbered
+from roemetry_kernels.label_doubts import aside, broken_off, claimed, interjected, left_over
 from roemetry_kernels.label_pieces import ENDS, between_bare, presence_of
 from roemetry_kernels.label_strays import eased, strays_of
 
@@ -77,16 +77,6 @@ def test_what_lies_on_a_rest_line_amid_the_image_only_is_no_belt(rows: tuple[int
         line, piece, np.zeros(1, np.int64), np.zeros(1), np.full(1, 479.0), 480, 96, 15, 30, 0.25
     )
     assert (found.max() > 0.0) == there
-
-
-@pytest.mark.parametrize("refused, doubted", [(5, True), (4, False), (3, False)])
-def test_where_most_of_a_body_is_refused_the_rest_is(refused: int, doubted: bool) -> None:
-    """A row of eight peaks of a body and two of the belt."""
-    row, stripe = np.zeros(10, np.int64), np.arange(10)
-    line = np.where(stripe < 2, stripe, -1)
-    kept = np.where((stripe >= 2) & (stripe < 2 + refused), -2, stripe)
-    found = outnumbered(row, line, stripe, kept, 1)
-    np.testing.assert_array_equal(found, doubted & (kept >= 2))
 
 
 @pytest.mark.parametrize("beside_px, doubted", [(0.0, False), (10.0, False), (40.0, True)])
