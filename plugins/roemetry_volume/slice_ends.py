@@ -21,6 +21,7 @@ _RIM_STD = 0.3  # of that triangle below the rim, where no quadric tells it
 _FITS_MM = 0.07  # a quadric that misses the points by so much is believed by half
 _HARDLY = 0.02
 _UPRIGHT = 0.75
+_CLIFF = 0.4  # an outer slice that is so much smaller than the others say: a wall before it
 _BLUNT_STD = 2.0 / math.sqrt(12.0)  # of a cap of half the way to the next stripe
 _WALL_STD = 0.5 / math.sqrt(3.0)  # of the way that a plane leans over the height of an end wall
 _OPEN_SPACINGS = 2.0
@@ -208,4 +209,22 @@ def _std(slices: Slices, end: int, taper: tuple[float, float, float, float], vol
         over_mm = abs(lean) * max(outer[columns.TOP], 0.0)
         std = math.hypot(_BLUNT_STD * volume_mm3, _WALL_STD * over_mm * area)
     below_rim = 0.5 * max(-lean, 0.0) * outer[columns.WALL] * outer[columns.WIDTH]
-    return math.hypot(std, _RIM_STD * below_rim)
+    missing, expected = rules.short_of(slices.t_mm, slices.area_mm2, end)
+    cliff = _cliff_std(slices, end, missing, expected) if missing > _CLIFF * expected else 0.0
+    return math.hypot(std, _RIM_STD * below_rim, cliff)
+
+
+def _cliff_std(slices: Slices, end: int, missing_mm2: float, expected_mm2: float) -> float:
+    """Say how far off the volume may be because a wall stands just before an outer slice, mm³.
+
+    The outer slice is then far smaller than the next ones say, and narrower rather than lower: light met the
+    wall's edge at a slant. The wall is anywhere between the last two slices; leaning light sees it or not.
+    """
+    columns = _kernels().columns
+    inner = -2 if end else 1
+    outer, before = slices.table[-end], slices.table[inner]
+    if outer[columns.WIDTH] * before[columns.TOP] >= before[columns.WIDTH] * outer[columns.TOP]:
+        return 0.0
+    spacing = abs(float(slices.t_mm[-end] - slices.t_mm[inner]))
+    over_mm = abs(slices.lean[end]) * max(float(before[columns.TOP]), 0.0)
+    return math.hypot(spacing / math.sqrt(12.0) * missing_mm2, _WALL_STD * over_mm * expected_mm2)
