@@ -73,9 +73,9 @@ def contrasts_along(s: Stripes, rows: int, columns: int, noise: Floats) -> Float
     if step > 1:
         square, of_sensor, at = _places(s, begins, rows, noise, 1)
     by_tile = _by_tile(s, square, of_sensor, at, of_all[0], rows, columns)
-    each = np.empty(count)
+    each, per_row, per_px = np.empty(count), _TILES[0] / rows, _TILES[1] / columns
     for i in range(count):
-        each[i] = by_tile[_tile(s.row[i], s.middle[i], rows, columns, _TILES[0], _TILES[1])]
+        each[i] = by_tile[_tile(s.row[i], s.middle[i], per_row, per_px, _TILES)]
     return each
 
 
@@ -147,9 +147,10 @@ def _followed(row: Floats, middle: Floats, begins: Floats, rows: int, at: int) -
 
 
 @inlined
-def _tile(row: int, x_px: float, rows: int, columns: int, down: int, across: int) -> int:
-    """Number of the tile that a place lies in; x may lie outside of the image."""
-    return (row * down // rows) * across + min(max(int(x_px * across / columns), 0), across - 1)
+def _tile(row: int, x_px: float, per_row: float, per_px: float, tiles: tuple[int, int]) -> int:
+    """Number of the tile that a place lies in, from tiles per row and px; x may lie outside of the image."""
+    down, across = tiles
+    return min(int(row * per_row), down - 1) * across + min(max(int(x_px * per_px), 0), across - 1)
 
 
 @inlined
@@ -165,8 +166,9 @@ def _differs(
     """Whether the squares of different parts of the image differ by more than by chance."""
     parts = _PARTS[0] * _PARTS[1]
     count, total = np.zeros(parts), np.zeros(parts)
+    per_row, per_px = _PARTS[0] / rows, _PARTS[1] / columns
     for p in range(at.shape[0]):
-        part = _tile(s.row[at[p]] + _APART // 2, s.middle[at[p]], rows, columns, _PARTS[0], _PARTS[1])
+        part = _tile(s.row[at[p]] + _APART // 2, s.middle[at[p]], per_row, per_px, _PARTS)
         count[part] += 1.0
         total[part] += min(square[p] / (contrast2 + of_sensor[p]), _CLIP)
     mean = total.sum() / count.sum()
@@ -188,10 +190,10 @@ def _by_tile(
     columns: int,
 ) -> Floats:
     """(tile,) square of the contrast, from the mean of the squares; what is far too large counts less."""
-    tiles = _TILES[0] * _TILES[1]
+    tiles, per_row, per_px = _TILES[0] * _TILES[1], _TILES[0] / rows, _TILES[1] / columns
     begin, tile = np.zeros(tiles + 1, np.int64), np.empty(at.shape[0], np.int64)
     for p in range(at.shape[0]):
-        tile[p] = _tile(s.row[at[p]] + _APART // 2, s.middle[at[p]], rows, columns, _TILES[0], _TILES[1])
+        tile[p] = _tile(s.row[at[p]] + _APART // 2, s.middle[at[p]], per_row, per_px, _TILES)
         begin[tile[p] + 1] += 1
     begin = np.cumsum(begin)
     filled, sorted_ = begin.copy(), np.empty(at.shape[0])

@@ -218,7 +218,13 @@ def _measure(
         flags[i] = (SATURATED if highs[i] >= white else 0) | (EDGE if cut else 0)
     for i in range(np.uint64(count)):
         out_row[i] = row[i]
-    if _may_lie_in_glare(widths, highs, white):
+    total, wide, glaring = 0.0, 0, GLARING * white
+    for i in range(np.uint64(count)):
+        total += widths[i]
+    too_wide = TOO_WIDE * total / max(count, 1)
+    for i in range(np.uint64(count)):
+        wide += 1 if (widths[i] > too_wide) & (highs[i] >= glaring) else 0
+    if wide > 0:
         take_off_glare(white, out_row, flags, values)
     unfit, highest, lowest = 0, 0.0, np.inf
     for i in range(np.uint64(count)):
@@ -244,17 +250,6 @@ def _measure(
     for field in range(values.shape[0]):
         _moved(values[field], was, begin, kept)
     return np.int64(kept)
-
-
-@inlined
-def _may_lie_in_glare(widths: Floats, highs: Floats, white: int) -> bool:
-    """Whether some stripe as bright as white is so much wider than the others that it may be two things."""
-    total, widest, count = 0.0, 0.0, np.uint64(widths.shape[0])
-    for i in range(count):
-        total += widths[i]
-    for i in range(count):
-        widest = max(widest, widths[i] if highs[i] >= GLARING * white else 0.0)
-    return widest * widths.shape[0] > TOO_WIDE * total
 
 
 @inlined

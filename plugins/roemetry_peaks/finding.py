@@ -69,7 +69,11 @@ def found(
     noise = noise_of(frame, options)
     sought = weighs_speckle or frame.sensor is not None
     contrast2 = contrasts_of(frame, options, stripes, noise, sought=sought)
-    contrast2 *= 1.0 + beyond_linear * contrast2
+    speckled = contrast2.shape[0] > 1 or contrast2[0] > 0.0
+    if contrast2.shape[0] > 1:
+        contrast2 *= 1.0 + beyond_linear * contrast2
+    else:  # quicker on one number
+        contrast2[0] *= 1.0 + beyond_linear * float(contrast2[0])
     centres(levels, columns, stripes, frame.white, noise, contrast2, x_px, x_std_px, *settings)
     outside, half_seen = what_is_odd(x_px, stripes.flags, columns)
     if half_seen:
@@ -88,7 +92,7 @@ def found(
         inside = (x_px >= 0.0) & (x_px <= columns - 1.0)  # where there is none, NaN
         fields = {name: values[inside] for name, values in fields.items()}
     # Speckle is as long along the stripe as across it; the sensor's noise is not correlated at all.
-    rows = options.speckle_length_px if contrast2.any() else 0.0
+    rows = options.speckle_length_px if speckled else 0.0
     reasons = doubts(pixels, frame.white, fields["row"], fields["x_px"], fields["width_px"])
     return Peaks(image_size=frame.size, correlation_rows=rows, reasons=reasons, **fields)
 
