@@ -89,7 +89,7 @@ def main() -> None:
     parser.add_argument("--images", type=int, default=100, help="skeins to render")
     parser.add_argument("--images-from", type=int, default=120000, help="first seed of those")
     parser.add_argument("--draws", type=int, default=50, help="of each skein from images")
-    parser.add_argument("--bodies", type=int, default=98001, help="first seed of the known bodies' rigs")
+    parser.add_argument("--bodies", type=int, default=99001, help="first seed of the known bodies' rigs")
     parser.add_argument("--no-render", action="store_true", help="only those images that the cache holds")
     parser.add_argument("--cache", type=Path, default=Path(tempfile.gettempdir()) / "roemetry-volume")
     parser.add_argument("--page", type=Path, default=Path("docs/explanation/volume.md"))

@@ -20,7 +20,7 @@ from roemetry_simulate.products.family import Pose, draw_pose, random_of
 from roemetry_simulate.products.parts import PartsSolid, placed, plane
 from roemetry_simulate.solid import Solid
 
-RIGS = 8
+RIGS = 24
 _LYING = {"offset_range_x_mm": 5.0, "offset_range_y_mm": 8.0, "turn_range_deg": 15.0}
 _OFF_CENTRE = {"offset_range_x_mm": 5.0, "offset_range_y_mm": 22.0, "turn_range_deg": 10.0}
 _HALF_ELLIPSOID = "half-ellipsoid"
