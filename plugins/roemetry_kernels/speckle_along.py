@@ -26,6 +26,7 @@ _NOTHING = 0.1  # of the sensor's share: less than that is not told from none
 _PARTS = 4, 4  # of the image, rows and columns, that are asked whether their contrast differs
 _DIFFERENT = 45.0  # sum of 16 squares of normal deviates, at most, where it does not
 _TILES = 16, 12  # that have a contrast each where it differs
+_LAST_DIGITS = 1e-6  # of a tile: what lies on a border is in one and the same, however it was rounded
 _PLACES_MIN = 6  # a tile with fewer has the image's
 _CLIP, _CLIPPED_MEAN = 4.0, 0.906  # a square counts as so many means at most; the mean of 20 such squares
 _VARIANCE_OF_SQUARE = 1.23  # of such a square of a normal deviate
@@ -150,7 +151,9 @@ def _followed(row: Floats, middle: Floats, begins: Floats, rows: int, at: int) -
 def _tile(row: int, x_px: float, per_row: float, per_px: float, tiles: tuple[int, int]) -> int:
     """Number of the tile that a place lies in, from tiles per row and px; x may lie outside of the image."""
     down, across = tiles
-    return min(int(row * per_row), down - 1) * across + min(max(int(x_px * per_px), 0), across - 1)
+    return min(int(row * per_row), down - 1) * across + min(
+        max(int(x_px * per_px + _LAST_DIGITS), 0), across - 1
+    )
 
 
 @inlined

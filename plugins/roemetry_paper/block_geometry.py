@@ -68,6 +68,7 @@ def light_planes(
     up = mm_per_px / omega_mm_per_px - x_mm * per_distance
     length = np.sqrt(1.0 + lean**2 + up**2)
     planes = np.empty((x_mm.size, 4))
-    for column, part in enumerate((1.0, lean, -up, x_mm)):
+    for column, part in enumerate((1.0, lean, -up)):
         planes[:, column] = part / length
+    planes[:, 3] = planes[:, 0] * x_mm
     return planes
