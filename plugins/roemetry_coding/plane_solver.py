@@ -11,15 +11,15 @@ from roemetry.arrays import Flags, Floats, Integers
 from roemetry.calibration import Calibration
 from roemetry.records import Peaks
 from roemetry_coding.plane_weights import WEIGHTS
-from roemetry_kernels.label_agreement import agreed
-from roemetry_kernels.label_costs import Labels, Steps, labels_of, steps_of
-from roemetry_kernels.label_cuts import best_shift
-from roemetry_kernels.label_doubts import aside, broken_off, claimed, interjected, mixed
-from roemetry_kernels.label_graph import Runs, runs_of, shifts_of
-from roemetry_kernels.label_pieces import ENDS, between_bare, end_pieces, own_costs, presence_of
-from roemetry_kernels.label_strays import strays_of
-from roemetry_kernels.label_sweeps import swept
-from roemetry_kernels.label_verdicts import (
+from roemetry_kernels.coding.label_agreement import agreed
+from roemetry_kernels.coding.label_costs import Labels, Steps, labels_of, steps_of
+from roemetry_kernels.coding.label_cuts import best_shift
+from roemetry_kernels.coding.label_doubts import aside, broken_off, claimed, interjected, mixed
+from roemetry_kernels.coding.label_graph import Runs, runs_of, shifts_of
+from roemetry_kernels.coding.label_pieces import ENDS, between_bare, end_pieces, own_costs, presence_of
+from roemetry_kernels.coding.label_strays import strays_of
+from roemetry_kernels.coding.label_sweeps import swept
+from roemetry_kernels.coding.label_verdicts import (
     beside_level_bodies,
     chosen,
     ends_settled,
@@ -27,12 +27,12 @@ from roemetry_kernels.label_verdicts import (
     stepped,
     verdicts_of,
 )
-from roemetry_kernels.level_bodies import goes_through, level_instead, on_end
-from roemetry_kernels.lying_still import lying_still
-from roemetry_kernels.rest_lines import RestLines
-from roemetry_kernels.sight_entries import Entries, entries_of
-from roemetry_kernels.sight_lines import SightLines, sight_lines
-from roemetry_kernels.tracing import cut_at_rest_lines, trace_fragments
+from roemetry_kernels.coding.level_bodies import goes_through, level_instead, on_end
+from roemetry_kernels.coding.lying_still import lying_still
+from roemetry_kernels.coding.rest_lines import RestLines
+from roemetry_kernels.coding.sight_entries import Entries, entries_of
+from roemetry_kernels.coding.sight_lines import SightLines, sight_lines
+from roemetry_kernels.coding.tracing import cut_at_rest_lines, trace_fragments
 
 _STEP_MAX_PX = 7.0
 _OUTER_SHARE = 0.1

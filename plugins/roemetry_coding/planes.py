@@ -17,12 +17,12 @@ from roemetry.records import AMBIGUOUS, Peaks, Reason, StripeMap
 from roemetry.stages import Coder
 from roemetry_coding.margins import margin_of
 from roemetry_coding.plane_solver import Solved, solve_planes
-from roemetry_kernels.bridging import BridgingOptions, bridged
-from roemetry_kernels.consistency import refuse_unexplained_gaps
-from roemetry_kernels.label_doubts import left_over
-from roemetry_kernels.label_verdicts import out_of_order
-from roemetry_kernels.refusing import refuse_bare_lines, refuse_uncodable, required_calibration
-from roemetry_kernels.rest_lines import RestLines, calibrated_rest_lines, missing_stripes, reasons_of
+from roemetry_kernels.coding.bridging import BridgingOptions, bridged
+from roemetry_kernels.coding.consistency import refuse_unexplained_gaps
+from roemetry_kernels.coding.label_doubts import left_over
+from roemetry_kernels.coding.label_verdicts import out_of_order
+from roemetry_kernels.coding.refusing import refuse_bare_lines, refuse_uncodable, required_calibration
+from roemetry_kernels.coding.rest_lines import RestLines, calibrated_rest_lines, missing_stripes, reasons_of
 
 
 class PlanesOptions(BridgingOptions):

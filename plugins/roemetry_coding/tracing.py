@@ -14,10 +14,10 @@ from roemetry.calibration import Calibration
 from roemetry.errors import StageError
 from roemetry.records import AMBIGUOUS, Peaks, StripeMap
 from roemetry.stages import Coder
-from roemetry_kernels.bridging import BridgingOptions, bridged
-from roemetry_kernels.refusing import refuse_bare_lines, refuse_uncodable, required_calibration
-from roemetry_kernels.rest_lines import calibrated_rest_lines, missing_stripes, reasons_of
-from roemetry_kernels.trace_linking import coded_traces
+from roemetry_kernels.coding.bridging import BridgingOptions, bridged
+from roemetry_kernels.coding.refusing import refuse_bare_lines, refuse_uncodable, required_calibration
+from roemetry_kernels.coding.rest_lines import calibrated_rest_lines, missing_stripes, reasons_of
+from roemetry_kernels.coding.trace_linking import coded_traces
 
 
 class TracingOptions(BridgingOptions):

@@ -131,7 +131,7 @@ def _miss(even: Floats) -> float:
 
 def _border(product: Product, lines: tuple[Line, ...]) -> tuple[Floats | None, Reason | None]:
     """Place the outline at the height of the nearest lines' ends: (n, 3), or why there is none."""
-    from roemetry_kernels.footprint import inside_by
+    from roemetry_kernels.volume.footprint import inside_by
 
     outline, view = product.outline, product.view
     if outline is None or view is None:

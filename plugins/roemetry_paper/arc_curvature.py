@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 from roemetry.arrays import Flags, Floats, Integers
 from roemetry.records import Grade, Marks, Product, Reason
 from roemetry.stages import Classifier, StageOptions
-from roemetry_kernels.arcs import BodyCurves, arc_middles, body_curves, smoothed
+from roemetry_kernels.shape.arcs import BodyCurves, arc_middles, body_curves, smoothed
 
 GOOD, HENKEI, UNKNOWN = "good", "henkei", "unknown"
 
@@ -155,7 +155,7 @@ class _Arcs:
 def _arcs(
     product: Product, curves: BodyCurves, middle: Integers, options: ArcCurvatureOptions, mm_per_px: float
 ) -> _Arcs:
-    from roemetry_kernels.body_points import circles
+    from roemetry_kernels.shape.body_points import circles
 
     profiles, delta = product.profiles, options.delta_samples
     here = (curves.slice, curves.point)

@@ -8,8 +8,8 @@ import numpy as np
 
 from roemetry.arrays import Flags, Integers
 from roemetry.records import AMBIGUOUS, Peaks
-from roemetry_kernels.ordering import doubtful_by_order
-from roemetry_kernels.tracing import cut_at_rest_lines
+from roemetry_kernels.coding.ordering import doubtful_by_order
+from roemetry_kernels.coding.tracing import cut_at_rest_lines
 
 _END_ROWS = 12
 """Rows at the image's ends within which a belt segment must begin: a product never reaches so far."""

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from roemetry.records import Frame, Peaks
 from roemetry.stages import Capabilities, Extractor, StageOptions
-from roemetry_kernels.grey_levels import grey, scaled_level
+from roemetry_kernels.extraction.grey_levels import grey, scaled_level
 from roemetry_paper.dominant_peak import as_peaks, rise_of
 
 
@@ -49,7 +49,9 @@ class BinaryThreshold(Extractor[BinaryThresholdOptions]):
 
     def extract(self, frame: Frame) -> Peaks:
         """Find the runs of all rows but the first and the last."""
-        from roemetry_kernels.peak_scans import runs_above  # numba: loaded only when something runs
+        from roemetry_kernels.extraction.peak_scans import (
+            runs_above,  # numba: loaded only when something runs
+        )
 
         stated = self.options.threshold
         threshold = level_of(frame) if stated == "auto" else math.floor(scaled_level(stated, frame))
@@ -58,6 +60,6 @@ class BinaryThreshold(Extractor[BinaryThresholdOptions]):
 
 def level_of(frame: Frame) -> int:
     """Choose a grey level between the dark and the stripes."""
-    from roemetry_kernels.local_contrast import level_between
+    from roemetry_kernels.extraction.local_contrast import level_between
 
     return level_between(grey(frame), rise_of(frame))

@@ -10,8 +10,8 @@ import numpy as np
 from roemetry.arrays import Floats
 from roemetry.errors import CalibrationError, StageError
 from roemetry.records import CalibrationSet, Observation, Peaks
-from roemetry_kernels.rest_lines import rest_lines_of_frame
-from roemetry_kernels.tracing import trace_fragments
+from roemetry_kernels.coding.rest_lines import rest_lines_of_frame
+from roemetry_kernels.coding.tracing import trace_fragments
 
 _FULL_ROWS_MIN = 0.5
 _DISPLACED_MIN_PX = 4.0

@@ -11,7 +11,7 @@ import numpy as np
 
 from roemetry.arrays import Floats, Integers
 from roemetry.records import UNCODED, Peaks
-from roemetry_kernels.tracing import trace_fragments
+from roemetry_kernels.coding.tracing import trace_fragments
 
 _JOIN_ROWS = 20
 

@@ -25,11 +25,11 @@ from roemetry.calibration import Calibration
 from roemetry.errors import StageError
 from roemetry.records import AMBIGUOUS, UNCODED, Peaks, Reason, StripeMap
 from roemetry.stages import Coder
-from roemetry_kernels.bridging import BridgingOptions, bridged
-from roemetry_kernels.consistency import drop_doubles, keep_order, refuse_unexplained_gaps
-from roemetry_kernels.ordering import vote_by_order
-from roemetry_kernels.refusing import refuse_bare_lines, refuse_uncodable
-from roemetry_kernels.rest_lines import (
+from roemetry_kernels.coding.bridging import BridgingOptions, bridged
+from roemetry_kernels.coding.consistency import drop_doubles, keep_order, refuse_unexplained_gaps
+from roemetry_kernels.coding.ordering import vote_by_order
+from roemetry_kernels.coding.refusing import refuse_bare_lines, refuse_uncodable
+from roemetry_kernels.coding.rest_lines import (
     RestLines,
     calibrated_rest_lines,
     missing_stripes,
@@ -37,7 +37,7 @@ from roemetry_kernels.rest_lines import (
     rest_lines_of_frame,
     unknown_rest_lines,
 )
-from roemetry_kernels.tracing import trace_fragments
+from roemetry_kernels.coding.tracing import trace_fragments
 from roemetry_paper.belt import Belt, belt_of
 from roemetry_paper.literal_tracking import literal_codes
 

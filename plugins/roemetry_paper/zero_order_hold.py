@@ -10,7 +10,7 @@ from roemetry.arrays import Flags, Floats, Integers
 from roemetry.errors import StageError
 from roemetry.records import Estimate, Product, Profiles, Reason, Shares, Volume
 from roemetry.stages import Capabilities, StageOptions, VolumeEstimator
-from roemetry_kernels.arcs import BodyCurves, body_curves
+from roemetry_kernels.shape.arcs import BodyCurves, body_curves
 
 _UNSEARCHED_ROWS = 1  # at the image's top and bottom: the paper's extractors leave them out
 
@@ -87,7 +87,7 @@ class _Slices(NamedTuple):
 
 
 def _slices(profiles: Profiles, curves: BodyCurves) -> _Slices:
-    from roemetry_kernels.body_points import held_over, slice_sums
+    from roemetry_kernels.shape.body_points import held_over, slice_sums
 
     count = profiles.slice_count
     alone = bool((curves.size == 1).any())

@@ -33,7 +33,7 @@ class CentreOfGravity(Extractor[CentreOfGravityOptions]):
     def extract(self, frame: Frame) -> Peaks:
         """Find the stripes of a frame."""
         # numba: when something runs
-        from roemetry_kernels.centre_of_gravity import centres_of_gravity
+        from roemetry_kernels.extraction.centre_of_gravity import centres_of_gravity
         from roemetry_peaks.finding import found
 
         return found(

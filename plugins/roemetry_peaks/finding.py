@@ -13,14 +13,14 @@ import numpy as np
 
 from roemetry.arrays import Floats
 from roemetry.records import Frame, Peaks
-from roemetry_kernels.grey_levels import grey, plain_layout, scaled_level
-from roemetry_kernels.half_seen import middles_of_half_seen, what_is_odd
-from roemetry_kernels.image_noise import automatic_rise
-from roemetry_kernels.local_contrast import SHARE_MIN
-from roemetry_kernels.speckle_along import contrasts_along
-from roemetry_kernels.stripe_footing import Stripes, stripes_around
-from roemetry_kernels.stripe_scan import Area, stripe_tops
-from roemetry_kernels.upside_down import doubts
+from roemetry_kernels.extraction.grey_levels import grey, plain_layout, scaled_level
+from roemetry_kernels.extraction.half_seen import middles_of_half_seen, what_is_odd
+from roemetry_kernels.extraction.image_noise import automatic_rise
+from roemetry_kernels.extraction.local_contrast import SHARE_MIN
+from roemetry_kernels.extraction.speckle_along import contrasts_along
+from roemetry_kernels.extraction.stripe_footing import Stripes, stripes_around
+from roemetry_kernels.extraction.stripe_scan import Area, stripe_tops
+from roemetry_kernels.extraction.upside_down import doubts
 from roemetry_peaks.options import PeakOptions
 from roemetry_peaks.region import searched
 
@@ -47,7 +47,7 @@ def found(
     options
         What counts as a stripe.
     centres
-        Kernel with the parameters of `roemetry_kernels.centre_of_gravity.centres_of_gravity`.
+        Kernel with the parameters of `roemetry_kernels.extraction.centre_of_gravity.centres_of_gravity`.
     settings
         What else the kernel takes.
     weighs_speckle
@@ -98,7 +98,7 @@ def found(
 
 
 def noise_of(frame: Frame, options: PeakOptions) -> Floats:
-    """Give what is known of the sensor's noise, as `roemetry_kernels.influence.variance_of` takes it."""
+    """Give what is known of the sensor's noise, as `influence.variance_of` takes it."""
     if frame.sensor is None:
         return np.array([np.nan, np.nan, options.speckle_length_px])
     read, gain = frame.sensor.read_noise_grey, frame.sensor.gain_grey_per_electron

@@ -24,7 +24,7 @@ class Gaussian(Extractor[GaussianOptions]):
     def extract(self, frame: Frame) -> Peaks:
         """Find the stripes of a frame."""
         # numba: when something runs
-        from roemetry_kernels.gaussian_fit import gaussian_centres
+        from roemetry_kernels.extraction.gaussian_fit import gaussian_centres
         from roemetry_peaks.finding import found
 
         return found(frame, self.options, gaussian_centres, weighs_speckle=True, beyond_linear=_BEYOND_LINEAR)

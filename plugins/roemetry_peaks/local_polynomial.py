@@ -43,7 +43,7 @@ class LocalPolynomial(Smoother[LocalPolynomialOptions]):
 
     def smooth(self, stripes: StripeMap) -> StripeMap:
         """Smooth what was seen; bridged points and labels stay as they are."""
-        from roemetry_kernels.along_stripe import smoothed_run
+        from roemetry_kernels.extraction.along_stripe import smoothed_run
 
         rows = self.options.rows
         x_px, x_std_px = stripes.x_px.copy(), stripes.x_std_px.copy()

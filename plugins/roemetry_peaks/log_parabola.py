@@ -28,7 +28,7 @@ class LogParabola(Extractor[LogParabolaOptions]):
     def extract(self, frame: Frame) -> Peaks:
         """Find the stripes of a frame."""
         # numba: when something runs
-        from roemetry_kernels.log_parabola import log_parabola_centres
+        from roemetry_kernels.extraction.log_parabola import log_parabola_centres
         from roemetry_peaks.finding import found
 
         points = 3 if self.options.points == "three" else 5

@@ -12,15 +12,15 @@ from pydantic import Field
 from roemetry.arrays import Flags, Floats, Integers
 from roemetry.records import EDGE, SATURATED, Frame, Peaks, Reason
 from roemetry.stages import Capabilities, Extractor, StageOptions
-from roemetry_kernels.grey_levels import grey, plain_layout, scaled_level
+from roemetry_kernels.extraction.grey_levels import grey, plain_layout, scaled_level
 from roemetry_peaks.clipped_tops import middles_of_flanks
 from roemetry_peaks.noise_file import noise_of_file
 from roemetry_peaks.region import searched
 from roemetry_peaks.speckle import FINE_TILES, TILES, StripeNoise, noise_from, rows_of, tile_of
 
 if TYPE_CHECKING:
-    from roemetry_kernels.smoothed_peaks import Starts
-    from roemetry_kernels.stripe_background import Beside
+    from roemetry_kernels.extraction.smoothed_peaks import Starts
+    from roemetry_kernels.extraction.stripe_background import Beside
 
 _NOISES = 8.0  # of the smoothed image, that a stripe rises above both valleys
 _LEVELS_MIN = 5.0  # grey levels of 0…255 that it rises at least
@@ -98,8 +98,8 @@ class MaximumLikelihood(Extractor[MaximumLikelihoodOptions]):
 
     def extract(self, frame: Frame) -> Peaks:
         """Find the stripes of a frame."""
-        from roemetry_kernels.gaussian_fisher import CLIPPED
-        from roemetry_kernels.upside_down import doubts
+        from roemetry_kernels.extraction.gaussian_fisher import CLIPPED
+        from roemetry_kernels.extraction.upside_down import doubts
 
         image, found = starts(frame, self.options)
         noise = found.noise if found.noise is not None else estimated_noise(image, frame.white, found)
@@ -190,14 +190,14 @@ _ESTIMATED = Reason(
 
 def starts(frame: Frame, options: MaximumLikelihoodOptions) -> tuple[Any, Found]:
     """Find where to fit; gives the searched part of the image with it."""
-    from roemetry_kernels.local_contrast import SHARE_MIN, faint
-    from roemetry_kernels.smoothed_peaks import (
+    from roemetry_kernels.extraction.local_contrast import SHARE_MIN, faint
+    from roemetry_kernels.extraction.smoothed_peaks import (
         NOISE_LEFT,
         background_noise,
         rounding_variance,
         smoothed_peaks,
     )
-    from roemetry_kernels.stripe_background import light_beside
+    from roemetry_kernels.extraction.stripe_background import light_beside
 
     area = searched(frame, options.region)
     image = plain_layout(grey(frame)[area.top : area.bottom, area.left : area.right])
@@ -273,7 +273,7 @@ def products_of(
     image: Any, white: int, found: Found, noise: StripeNoise, size: int, tiles: tuple[int, int] = TILES
 ) -> tuple[Floats, Integers, Floats]:
     """Fit a sample of the peaks, and give their residual products, the tiles they lie in, and their C²."""
-    from roemetry_kernels.residual_noise import residual_products
+    from roemetry_kernels.extraction.residual_noise import residual_products
 
     peaks = found.starts.row.shape[0]
     pick = _spread(peaks, size)
@@ -310,7 +310,7 @@ def _spread(peaks: int, size: int) -> Integers:
 
 def fitted(image: Any, white: int, found: Found, noise: StripeNoise, pick: Integers) -> Fitted:
     """Fit the chosen peaks."""
-    from roemetry_kernels.gaussian_fisher import fit_peaks
+    from roemetry_kernels.extraction.gaussian_fisher import fit_peaks
 
     at, beside = found.starts, found.beside
     row, x_px = at.row[pick], at.x_px[pick]

@@ -15,7 +15,7 @@ from roemetry.records import Frame
 from roemetry_peaks.speckle import TILES, StripeNoise
 
 if TYPE_CHECKING:
-    from roemetry_kernels.stripe_scan import Area
+    from roemetry_kernels.extraction.stripe_scan import Area
 
 _AGAIN = "measure again: python -m roemetry_peaks.measure_noise RECIPE --out FILE"
 

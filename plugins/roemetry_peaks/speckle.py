@@ -87,7 +87,7 @@ def noise_from(
     Parameters
     ----------
     products
-        (peak, 4, 7) from `roemetry_kernels.residual_noise.residual_products`.
+        (peak, 4, 7) from `roemetry_kernels.extraction.residual_noise.residual_products`.
     tile
         (peak,) tile each peak lies in.
     contrast2

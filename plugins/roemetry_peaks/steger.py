@@ -10,7 +10,7 @@ from pydantic import Field
 
 from roemetry.records import Frame, Peaks
 from roemetry.stages import Capabilities, Extractor, StageOptions
-from roemetry_kernels.grey_levels import grey, plain_layout, scaled_level
+from roemetry_kernels.extraction.grey_levels import grey, plain_layout, scaled_level
 from roemetry_peaks.region import searched
 
 _NOISES = 8.0  # of the smoothed image, that a ridge rises above both valleys
@@ -63,10 +63,10 @@ class Steger(Extractor[StegerOptions]):
         """Find the stripes of a frame."""
         import cv2
 
-        from roemetry_kernels.local_contrast import SHARE_MIN, faint
-        from roemetry_kernels.ridges import crossings
-        from roemetry_kernels.smoothed_peaks import background_noise, rounding_variance
-        from roemetry_kernels.upside_down import doubts
+        from roemetry_kernels.extraction.local_contrast import SHARE_MIN, faint
+        from roemetry_kernels.extraction.ridges import crossings
+        from roemetry_kernels.extraction.smoothed_peaks import background_noise, rounding_variance
+        from roemetry_kernels.extraction.upside_down import doubts
 
         options = self.options
         area = searched(frame, options.region)

@@ -32,7 +32,7 @@ class ZeroCrossing(Extractor[ZeroCrossingOptions]):
     def extract(self, frame: Frame) -> Peaks:
         """Find the stripes of a frame."""
         # numba: when something runs
-        from roemetry_kernels.zero_crossing import zero_crossings
+        from roemetry_kernels.extraction.zero_crossing import zero_crossings
         from roemetry_peaks.finding import found
 
         half_length = 0 if self.options.half_length == "auto" else self.options.half_length

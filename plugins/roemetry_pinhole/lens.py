@@ -25,7 +25,7 @@ class Bent(NamedTuple):
 
 def bent(xy: Floats, coefficients: Floats) -> Bent:
     """Distort places (n, 2) by eight coefficients."""
-    from roemetry_kernels.lens_bending import bend
+    from roemetry_kernels.calibration.lens_bending import bend
 
     return Bent(*bend(np.ascontiguousarray(xy), np.ascontiguousarray(coefficients)))
 
@@ -34,7 +34,7 @@ def straightened(places: Floats, coefficients: Floats, start: Floats | None = No
     """Undistort places (n, 2) by Newton's method."""
     if not coefficients.any():
         return places
-    from roemetry_kernels.straightening import straighten
+    from roemetry_kernels.calibration.straightening import straighten
 
     places = np.ascontiguousarray(places)
     begin = places if start is None else np.ascontiguousarray(start)

@@ -39,7 +39,7 @@ class PinholePlane(Triangulator[StageOptions]):
             raise StageError(
                 f"the stripes have {stripes.rows} rows, the calibration's images {calibration.image_size[0]}"
             )
-        from roemetry_kernels.sight import lift_stripes
+        from roemetry_kernels.calibration.sight import lift_stripes
 
         parameters = calibration.parameters
         pose = belt_pose(parameters["belt_per_mm"])

@@ -86,7 +86,7 @@ class Problem:
 
     def normal(self, geometry: Geometry) -> tuple[Floats, Floats]:
         """Normal matrix and gradient."""
-        from roemetry_kernels.normal_equations import add_rows
+        from roemetry_kernels.calibration.normal_equations import add_rows
 
         size = self.unknowns.count
         normal, gradient = np.zeros((size, size)), np.zeros(size)
@@ -131,7 +131,7 @@ class Problem:
 
     def estimate_noise(self, geometry: Geometry) -> None:
         """Variance components: squares of the residuals over their degrees of freedom."""
-        from roemetry_kernels.normal_equations import row_variances
+        from roemetry_kernels.calibration.normal_equations import row_variances
 
         weights = self.weights
         covariance = inverse(self.normal(geometry)[0])

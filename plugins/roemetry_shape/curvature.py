@@ -54,7 +54,7 @@ def surface_shape(sections: Sections) -> SurfaceShape:
     if count < 3:
         nothing = np.empty((0, place.size))
         return SurfaceShape(*[nothing] * 9)
-    from roemetry_kernels.quadrics import local_quadrics
+    from roemetry_kernels.shape.quadrics import local_quadrics
 
     heights = np.ascontiguousarray(sections.height_mm)
     fit = local_quadrics(np.ascontiguousarray(x), y, heights, _EDGE, SAMPLES - _EDGE, 2, _REACH)

@@ -166,7 +166,7 @@ def _along(sections: Sections) -> dict[str, float]:
 
 def _saddles(sections: Sections) -> dict[str, float]:
     """How deep the heights along the product lie below their hull, and over how much of its width."""
-    from roemetry_kernels.hollows import hollow_depth
+    from roemetry_kernels.shape.hollows import hollow_depth
 
     lines = np.ascontiguousarray(sections.height_mm[:, _LINES].T)
     along = np.ascontiguousarray(np.broadcast_to(sections.along_mm, lines.shape))

@@ -13,7 +13,7 @@ _PARTS = 1000
 
 
 def packed(forest: Mapping[str, Any]) -> dict[str, list[Any]]:
-    """Write a forest's arrays (see `roemetry_kernels.forest`) as short lists.
+    """Write a forest's arrays (see `roemetry_kernels.shape.forest`) as short lists.
 
     Returns
     -------

@@ -14,7 +14,7 @@ _LEAST_MM = 0.4
 
 def hollows_of(sections: Sections) -> tuple[Floats, tuple[Region, ...]]:
     """Give (section, sample) depths, mm, and the dents, the deepest first."""
-    from roemetry_kernels.hollows import hollow_depth
+    from roemetry_kernels.shape.hollows import hollow_depth
 
     if not len(sections.stripe):
         return np.empty((0, SAMPLES)), ()

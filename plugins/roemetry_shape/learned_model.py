@@ -56,7 +56,7 @@ class LearnedModel:
     sharpness
         Power that turns the forest's shares into probabilities.
     feature, threshold, left, right, shares, roots
-        The forest, see `roemetry_kernels.forest`.
+        The forest, see `roemetry_kernels.shape.forest`.
     seen
         What the samples of each class look like: how far a product is from all of them.
     distance_max
@@ -90,7 +90,7 @@ class LearnedModel:
 
     def probabilities(self, values: Floats) -> Floats:
         """(class,) calibrated probabilities of one sample."""
-        from roemetry_kernels.forest import forest_shares
+        from roemetry_kernels.shape.forest import forest_shares
 
         filled = np.where(np.isfinite(values), values, self.fill)
         shares = forest_shares(

@@ -8,7 +8,7 @@ import numpy as np
 
 from roemetry.arrays import Floats, Integers
 from roemetry.records import Product
-from roemetry_kernels.arcs import body_curves, smoothed
+from roemetry_kernels.shape.arcs import body_curves, smoothed
 
 SAMPLES = 65
 """Samples across a section; an odd number, so that one is its middle."""

@@ -133,7 +133,7 @@ def fuse(
     upright
         Whether the slices show an upright end at low and at high X: no rim is asked for there.
     """
-    from roemetry_kernels.footprint import inside_by, nodes_within
+    from roemetry_kernels.volume.footprint import inside_by, nodes_within
 
     contour_px = evenly(contour_px, _POINTS)
     points = points_of(product)
@@ -174,7 +174,7 @@ def _axes(xy: Floats) -> tuple[Floats, Floats]:
 
 
 def _knots(points: StripePoints, place: Floats, rim: Rim, contour: Floats) -> Knots:
-    from roemetry_kernels.footprint import inside_by
+    from roemetry_kernels.volume.footprint import inside_by
 
     over = points.xyz_mm[:, 2] - rim.at(place[:, 0], place[:, 1])
     # what is seen of the wall below the rim is no part of the dome

@@ -33,7 +33,7 @@ def outline_fault(product: Product, slices: Slices, fused: Fused | None = None) 
     StageError
         The outline reaches the image's edge.
     """
-    from roemetry_kernels.slice_areas import HOLE
+    from roemetry_kernels.volume.slice_areas import HOLE
 
     outline, view = product.outline, product.view
     if outline is None:
@@ -64,7 +64,7 @@ def outline_fault(product: Product, slices: Slices, fused: Fused | None = None) 
 
 def _disagreement(fused: Fused) -> Reason | None:
     """Compare the stripes' points and ends with the border."""
-    from roemetry_kernels.footprint import inside_by
+    from roemetry_kernels.volume.footprint import inside_by
 
     inside = inside_by(fused.contour[::4], fused.place[::3])
     outside = float((inside < -_OUTSIDE_MM).mean())

@@ -114,7 +114,7 @@ def _moved(smooth: Floats, ring: Floats, search: _Pass, shaded: bool) -> Floats:
     inside. An edge that is clear enough counts as much as the clearest, and of two the outer is taken: folds
     and breaks inside are clearer than the rim.
     """
-    from roemetry_kernels.closed_contour import closed_path
+    from roemetry_kernels.volume.closed_contour import closed_path
 
     normal = normals_of(ring)
     off = np.arange(-search.reach_px, search.reach_px + search.step_px, search.step_px)

@@ -60,7 +60,7 @@ def kinked(level: Floats, ring: Floats, blur_px: float) -> Kinked:
     blur_px
         Standard deviation of the image's blur, px.
     """
-    from roemetry_kernels.closed_contour import closed_path
+    from roemetry_kernels.volume.closed_contour import closed_path
 
     normal = normals_of(ring)
     off, places, residual = _model(blur_px)

@@ -138,7 +138,7 @@ def _beyond_std(share: float) -> float:
 
 def _steps_std(slices: Slices, volume_mm3: float) -> float:
     """Say how far the volume may be off where inner slices jump: a stair's riser is anywhere between two."""
-    from roemetry_kernels.slice_rules import unevenness
+    from roemetry_kernels.volume.slice_rules import unevenness
 
     if slices.t_mm.size < _STEPS_LEAST + 2:
         return 0.0

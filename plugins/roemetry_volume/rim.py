@@ -98,7 +98,7 @@ def rim_of(
     inside_mm : ndarray
         Distance inside the outline of the points that `ends` lists.
     """
-    from roemetry_kernels.rim_ends import rim_heights
+    from roemetry_kernels.volume.rim_ends import rim_heights
 
     index, first, size = ends
     heights, spread, upright = rim_heights(

@@ -25,8 +25,8 @@ def reasons_of(product: Product, slices: Slices, caps: Sequence[float] = ()) -> 
     caps
         Kinds of the caps at both ends, for estimators that have such.
     """
-    from roemetry_kernels import slice_areas as columns
-    from roemetry_kernels.slice_rules import BLUNT, NO_CAP
+    from roemetry_kernels.volume import slice_areas as columns
+    from roemetry_kernels.volume.slice_rules import BLUNT, NO_CAP
 
     table, calibration = slices.table, product.calibration
     reasons = []

@@ -31,7 +31,7 @@ _OPEN_SHARE = 0.2  # of the product's lit length; beyond either, an open end's t
 class Cap(NamedTuple):
     """What lies beyond an outer slice.
 
-    `kind` is one of `roemetry_kernels.slice_rules`; `slope_mm` is dA/dt at the outer slice (NaN: no taper);
+    `kind` is one of `slice_rules`; `slope_mm` is dA/dt at the outer slice (NaN: no taper);
     `shadow_mm3` what leaning light makes the slices count too little at this end, or, negative, too much;
     `area_mm2` what the outer slice counts with: one that runs over the edge of an upright end as if whole.
     """
@@ -66,9 +66,9 @@ class _Kernels(NamedTuple):
 @lru_cache(maxsize=1)
 def _kernels() -> _Kernels:
     """Import what takes long to import once, at the first call."""
-    from roemetry_kernels import slice_areas, slice_rules
-    from roemetry_kernels.flat_ends import flat_end
-    from roemetry_kernels.quadric_ends import quadric_end
+    from roemetry_kernels.volume import slice_areas, slice_rules
+    from roemetry_kernels.volume.flat_ends import flat_end
+    from roemetry_kernels.volume.quadric_ends import quadric_end
 
     return _Kernels(slice_rules, slice_areas, quadric_end, flat_end)
 

@@ -50,7 +50,7 @@ class _SliceEstimator(VolumeEstimator[SliceOptions]):
         StageError
             Fewer than three stripes lie on the product, or a plane runs along X, or the sum is not positive.
         """
-        from roemetry_kernels import slice_rules
+        from roemetry_kernels.volume import slice_rules
 
         slices = slices_of(product)
         nan = math.nan
@@ -140,7 +140,7 @@ def _between_std(t_mm: Floats, area_mm2: Floats, slope: Floats, between: float) 
 
     Part of the rule's distance from the spline, which smooth bodies follow more closely, is added.
     """
-    from roemetry_kernels.slice_rules import SPLINE, between_slices, unevenness
+    from roemetry_kernels.volume.slice_rules import SPLINE, between_slices, unevenness
 
     smooth: float = between_slices(t_mm, area_mm2, slope, SPLINE)
     return math.hypot(_BETWEEN * unevenness(t_mm, area_mm2), (smooth - between) / _RULES_APART)

@@ -32,7 +32,7 @@ class Slices(NamedTuple):
         seen, and what a straight line fills over missing rows; what one over a hole would hold; half the ways
         to both neighbours.
     table : ndarray of float64, shape (n, 16)
-        All columns of `roemetry_kernels.slice_areas`.
+        All columns of `roemetry_kernels.volume.slice_areas`.
     profiles, place
         The points, in the order of the rows, and where each slice is in them, shape (n,).
     reach_mm, limited : tuple
@@ -83,8 +83,8 @@ def slices_of(product: Product) -> Slices:
         Fewer than three stripes lie on the product, it looks like two side by side, a slice lies below the
         belt, or a plane of light runs along X.
     """
-    from roemetry_kernels import slice_areas as columns
-    from roemetry_kernels import slice_order as order
+    from roemetry_kernels.volume import slice_areas as columns
+    from roemetry_kernels.volume import slice_order as order
 
     table, profiles = table_of(product.profiles, product.number)
     lit, held, whole = order.in_order(table, profiles.stripe, profiles.frame)
@@ -143,7 +143,7 @@ def _lean(profiles: Profiles, slice_: int) -> float:
 
 def _refuse_cloven(rows: Floats) -> None:
     """Refuse what falls deep between two humps on so many stripes that it is hardly one product."""
-    from roemetry_kernels.slice_areas import CLEFT
+    from roemetry_kernels.volume.slice_areas import CLEFT
 
     deep = sum(depth > _CLEFT for depth in rows[:, CLEFT].tolist())
     if deep >= max(_CLEFT_SLICES, len(rows) / 3.0):
@@ -156,7 +156,7 @@ def _refuse_cloven(rows: Floats) -> None:
 
 def _refuse_sunken(rows: Floats, stripe: Integers) -> None:
     """Refuse a product of which a slice lies below the belt as a whole."""
-    from roemetry_kernels.slice_areas import AREA, WIDTH
+    from roemetry_kernels.volume.slice_areas import AREA, WIDTH
 
     if not rows[:, AREA].min() < 0.0:
         return
@@ -172,7 +172,7 @@ def _refuse_sunken(rows: Floats, stripe: Integers) -> None:
 
 def table_of(profiles: Profiles, number: int) -> tuple[Floats, Profiles]:
     """Give the kernel's table; points in any order are put into that of the rows first, and given back so."""
-    from roemetry_kernels.slice_areas import slice_areas
+    from roemetry_kernels.volume.slice_areas import slice_areas
 
     for _ in range(2):
         table: Floats

@@ -43,7 +43,7 @@ class Plate:
     Attributes
     ----------
     grid
-        Of the spline, see `roemetry_kernels.surface_spline.Grid`.
+        Of the spline, see `roemetry_kernels.volume.surface_spline.Grid`.
     coefficients
         Of the spline.
     factor
@@ -59,7 +59,7 @@ class Plate:
 
     def at(self, s: Floats, v: Floats) -> Floats:
         """Value at places; s scaled."""
-        from roemetry_kernels.surface_spline import values_at
+        from roemetry_kernels.volume.surface_spline import values_at
 
         values: Floats = values_at(self.coefficients, self.grid, s, v)
         return values
@@ -78,7 +78,7 @@ def plate_through(
     """Fit a plate through the knots and through 0 at places of the rim; `stiffness` times as stiff."""
     from scipy.linalg import cho_solve_banded, cholesky_banded
 
-    from roemetry_kernels.surface_spline import add_points, bending
+    from roemetry_kernels.volume.surface_spline import add_points, bending
 
     s, v = np.concatenate([knots.s, rim_s]), np.concatenate([knots.v, rim_v])
     low_s, low_v = float(s.min()) - 0.5, float(v.min()) - 0.5
@@ -97,7 +97,7 @@ def plate_through(
 
 def without_slice(plate: Plate, knots: Knots, slice_: int) -> Floats:
     """Give the coefficients of the plate that a slice had no part in, by its leverage: without a refit."""
-    from roemetry_kernels.surface_spline import rows_of
+    from roemetry_kernels.volume.surface_spline import rows_of
 
     mine = knots.slice == slice_
     numbers, parts = rows_of(plate.grid, knots.s[mine], knots.v[mine])

@@ -76,7 +76,7 @@ def _per_mm_outwards(fused: Fused) -> float:
 
 def _per_mm_of_rim(fused: Fused, view: View) -> float:
     """Change of volume when the rim is taken higher by a millimetre, and the border placed there, mm²."""
-    from roemetry_kernels.surface_spline import add_points
+    from roemetry_kernels.volume.surface_spline import add_points
 
     knots, upright = fused.knots, fused.rim.upright
     over = (np.sign(knots.u) * np.sqrt(np.abs(knots.u)) if upright else knots.u) - _STEP_MM
@@ -93,7 +93,7 @@ def _per_mm_of_rim(fused: Fused, view: View) -> float:
 
 
 def _rim_right(fused: Fused, rim: Floats, values: Floats) -> Floats:
-    from roemetry_kernels.surface_spline import add_points
+    from roemetry_kernels.volume.surface_spline import add_points
 
     change = np.zeros_like(fused.plate.right)
     unused = np.zeros((3 * (fused.plate.grid[4] + 3) + 4, change.size))

@@ -71,7 +71,7 @@ def _by_ends(points: StripePoints) -> dict[str, float]:
 
 
 def _by_rim(product: Product, points: StripePoints, volume: Volume) -> dict[str, float]:
-    from roemetry_kernels.footprint import inside_by
+    from roemetry_kernels.volume.footprint import inside_by
 
     if product.outline is None or product.view is None or not volume.visible_mm3.value > 0.0:
         return {}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from roemetry_kernels.level_bodies import goes_through
+from roemetry_kernels.coding.level_bodies import goes_through
 
 ROWS = 240
 INSIDE = slice(100, 160)

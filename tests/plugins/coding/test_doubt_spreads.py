@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from roemetry_kernels.label_doubts import aside, broken_off, claimed, interjected, left_over
-from roemetry_kernels.label_pieces import ENDS, between_bare, presence_of
-from roemetry_kernels.label_strays import eased, strays_of
+from roemetry_kernels.coding.label_doubts import aside, broken_off, claimed, interjected, left_over
+from roemetry_kernels.coding.label_pieces import ENDS, between_bare, presence_of
+from roemetry_kernels.coding.label_strays import eased, strays_of
 
 STRIPES = 9
 

@@ -7,9 +7,9 @@ from itertools import product
 import numpy as np
 import pytest
 
-from roemetry_kernels.label_agreement import agreed
-from roemetry_kernels.label_cuts import best_shift
-from roemetry_kernels.label_pieces import ENDS
+from roemetry_kernels.coding.label_agreement import agreed
+from roemetry_kernels.coding.label_cuts import best_shift
+from roemetry_kernels.coding.label_pieces import ENDS
 
 STAYS = 1
 

@@ -7,9 +7,9 @@ from itertools import product
 import numpy as np
 import pytest
 
-from roemetry_kernels.label_graph import OUT, _edges, shifts_of
-from roemetry_kernels.label_pieces import ENDS
-from roemetry_kernels.label_verdicts import ends_settled, favoured, stepped
+from roemetry_kernels.coding.label_graph import OUT, _edges, shifts_of
+from roemetry_kernels.coding.label_pieces import ENDS
+from roemetry_kernels.coding.label_verdicts import ends_settled, favoured, stepped
 
 RUNS, LINES = 6, 20
 DISORDER = 1e5

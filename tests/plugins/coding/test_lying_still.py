@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from roemetry_kernels.level_bodies import on_end
-from roemetry_kernels.lying_still import lying_still
+from roemetry_kernels.coding.level_bodies import on_end
+from roemetry_kernels.coding.lying_still import lying_still
 
 ROWS = 300
 OUTER = 30

@@ -11,8 +11,8 @@ from roemetry.errors import StageError
 from roemetry.testing.scenes import LinearRig, wrong_labels
 from roemetry_coding.margins import margin_of
 from roemetry_coding.planes import Planes, PlanesOptions
-from roemetry_kernels.rest_lines import calibrated_rest_lines
-from roemetry_kernels.sight_lines import sight_lines
+from roemetry_kernels.coding.rest_lines import calibrated_rest_lines
+from roemetry_kernels.coding.sight_lines import sight_lines
 
 coded = pytest.importorskip("benchmarks.coded", reason="only in a checkout")
 

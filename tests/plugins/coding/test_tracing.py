@@ -10,7 +10,7 @@ import pytest
 from roemetry.errors import StageError
 from roemetry.testing.scenes import LinearRig, wrong_labels
 from roemetry_coding.tracing import Tracing, TracingOptions
-from roemetry_kernels.trace_linking import linked_traces
+from roemetry_kernels.coding.trace_linking import linked_traces
 
 
 @pytest.fixture

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from roemetry_kernels.grey_levels import plain_layout
-from roemetry_kernels.image_noise import image_noise
+from roemetry_kernels.extraction.grey_levels import plain_layout
+from roemetry_kernels.extraction.image_noise import image_noise
 
 
 def noise_in(image):

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from roemetry_kernels.grey_levels import plain_layout
-from roemetry_kernels.stripe_footing import stripes_around
-from roemetry_kernels.stripe_scan import Area, stripe_tops
+from roemetry_kernels.extraction.grey_levels import plain_layout
+from roemetry_kernels.extraction.stripe_footing import stripes_around
+from roemetry_kernels.extraction.stripe_scan import Area, stripe_tops
 
 
 def around(image, threshold=25, **limits):

@@ -9,8 +9,8 @@ from pydantic import ValidationError
 
 from roemetry.calibration import Calibration
 from roemetry.records import Product, Profiles
-from roemetry_kernels.arcs import body_curves, smoothed
-from roemetry_kernels.body_points import circles
+from roemetry_kernels.shape.arcs import body_curves, smoothed
+from roemetry_kernels.shape.body_points import circles
 from roemetry_paper.arc_curvature import ArcCurvature, ArcCurvatureOptions
 
 ROWS = 480

@@ -17,8 +17,8 @@ from roemetry.testing.solids import (
     product_from,
     product_of,
 )
-from roemetry_kernels.hollows import hollow_depth
-from roemetry_kernels.quadrics import local_quadrics
+from roemetry_kernels.shape.hollows import hollow_depth
+from roemetry_kernels.shape.quadrics import local_quadrics
 from roemetry_shape.curvature import surface_shape
 from roemetry_shape.features import shape_features
 from roemetry_shape.hollows import hollows_of

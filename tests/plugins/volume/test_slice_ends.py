@@ -10,8 +10,8 @@ import pytest
 from roemetry.records import Product
 from roemetry.testing import LinearRig
 from roemetry.testing.solids import HALF_ELLIPSOID, product_of
-from roemetry_kernels import quadric_ends as ends
-from roemetry_kernels import slice_areas, slice_rules
+from roemetry_kernels.volume import quadric_ends as ends
+from roemetry_kernels.volume import slice_areas, slice_rules
 from roemetry_volume.slice_ends import cap_of
 from roemetry_volume.slice_estimators import SlicePchip, SliceSimpson, SliceSpline
 from roemetry_volume.slice_table import slices_of

@@ -13,7 +13,7 @@ from roemetry.errors import StageError
 from roemetry.records import Product
 from roemetry.testing import LinearRig
 from roemetry.testing.solids import HALF_ELLIPSOID, Solid, product_of
-from roemetry_kernels import slice_areas, slice_rules
+from roemetry_kernels.volume import slice_areas, slice_rules
 from roemetry_volume.slice_estimators import (
     SlicePchip,
     SliceSimpson,

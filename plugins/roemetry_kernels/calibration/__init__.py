@@ -1,0 +1,1 @@
+"""Rays, lenses and the normal equations of an adjustment."""

@@ -1,0 +1,298 @@
+"""Where the stripes lie on the bare belt: from the calibration, or from the frame's own top and bottom."""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from roemetry.arrays import Floats, Integers
+from roemetry.calibration import Calibration
+from roemetry.errors import StageError
+from roemetry.records import Peaks, Reason
+from roemetry_kernels.coding.tracing import nearest_rest
+from roemetry_kernels.compiling import inlined, kernel
+
+_SIGMAS = 4.0
+_BINS = 512  # that numbers are counted in to find the middle one
+_TOLERANCE_MIN_PX = 1.0
+_SEARCH_PX = 3.0
+_MOVED_MAX_PX = 1.0
+_MOVED_PX = 0.25
+"""The mean of some thousand belt points is known far better than this."""
+_OUTER_SHARE = 0.1
+_BELT_PEAKS_MIN = 10
+_MAD_TO_STD = 1.4826
+
+
+class RestLines(NamedTuple):
+    """Rest lines of a frame.
+
+    Attributes
+    ----------
+    x_px
+        (stripe, row) x on the bare belt, px, increasing with the stripe in each row; NaN where the frame
+        shows no belt to know them from.
+    tolerance_px
+        How far a peak may be from a rest line and still lie on the belt, px.
+    line
+        (peak,) rest line that each of the frame's peaks lies on, −1 for none.
+    on_line
+        (stripe,) number of peaks on each rest line.
+    offset_px
+        Mean distance of the belt's peaks from the lines, px: 0 for lines fitted to this frame, and how far
+        camera, laser or belt have moved for those of a calibration.
+    """
+
+    x_px: Floats
+    tolerance_px: float
+    line: Integers
+    on_line: Integers
+    offset_px: float = 0.0
+
+
+def unknown_rest_lines(stripes: int, peaks: Peaks) -> RestLines:
+    """Give rest lines of which nothing is known: every point is off the belt."""
+    return RestLines(
+        x_px=np.full((stripes, peaks.image_size[0]), np.nan),
+        tolerance_px=np.inf,
+        line=np.full(len(peaks), -1),
+        on_line=np.zeros(stripes, np.int64),
+    )
+
+
+def calibrated_rest_lines(peaks: Peaks, calibration: Calibration) -> RestLines:
+    """Take the rest lines from the calibration, the tolerance from this frame's scatter about them.
+
+    Raises
+    ------
+    StageError
+        Rest lines cross within the image, so that order says nothing; or the belt's stripes lie more than a
+        pixel beside them.
+    """
+    rest = _with_peaks(peaks, *_lines_of(calibration, peaks.image_size[0]))
+    if abs(rest.offset_px) > _MOVED_MAX_PX:
+        raise StageError(_moved(rest.offset_px), hint="calibrate again")
+    return rest
+
+
+@lru_cache(maxsize=8)
+def _lines_of(calibration: Calibration, rows: int) -> tuple[Floats, Floats]:
+    """Give the lines over (stripe, row) and (row, stripe); one calibration's frames all have the same."""
+    x_px = calibration.rest_line_px(np.arange(rows, dtype=np.float64))
+    if calibration.stripe_count > 1 and not (np.diff(x_px, axis=0) > 0).all():
+        raise StageError(
+            "the calibration's rest lines cross, or are not numbered from left to right",
+            hint="calibrate again; `roemetry lint` checks the file",
+        )
+    by_row = np.ascontiguousarray(x_px.T)
+    x_px.flags.writeable = by_row.flags.writeable = False
+    return x_px, by_row
+
+
+def reasons_of(rest: RestLines) -> list[Reason]:
+    """Say that the belt's stripes lie beside the lines, if they do by more than a quarter of a pixel."""
+    return [Reason("moved", _moved(rest.offset_px))] if abs(rest.offset_px) > _MOVED_PX else []
+
+
+def missing_stripes(live: Integers, stripes: int) -> list[Reason]:
+    """Name the stripes that are not among `live`, of `stripes` that are expected."""
+    if len(live) == stripes:
+        return []
+    dead = np.setdiff1d(np.arange(stripes), live)
+    names = ", ".join(str(stripe + 1) for stripe in dead)
+    return [
+        Reason(
+            "stripe-missing",
+            f"{stripes} stripes are expected and {live.size} are seen: nothing lies on the rest "
+            f"line{'s' if dead.size > 1 else ''} of stripe {names}",
+        )
+    ]
+
+
+def _moved(offset_px: float) -> str:
+    """Say that the belt's stripes are not where the calibration has them."""
+    return (
+        f"the belt's stripes lie {offset_px:+.2f} px beside the calibrated rest lines: camera, laser or belt "
+        "has moved, and every height is off by that much"
+    )
+
+
+def rest_lines_of_frame(
+    peaks: Peaks, fragment: Integers, fragments: int, stripe_count: int | None, end_rows: int
+) -> RestLines | None:
+    """Fit a straight rest line to the top and bottom segments of each stripe.
+
+    A stripe's top segment is a fragment that begins within the first `end_rows` rows; its bottom segment
+    ends within the last. They are paired in order.
+
+    Parameters
+    ----------
+    peaks, fragment, fragments
+        The frame's peaks, the fragment of each, and their number.
+    stripe_count
+        Number of stripes there must be; None if it is not known.
+    end_rows
+        See above, rows.
+
+    Returns
+    -------
+    RestLines or None
+        None where the number of stripes is not known and not as many end at the bottom as begin at the top.
+
+    Raises
+    ------
+    StageError
+        Fewer or more stripes begin at the top or end at the bottom than there must be.
+    """
+    rows = peaks.image_size[0]
+    first = np.full(fragments, rows, np.int64)
+    last = np.full(fragments, -1, np.int64)
+    np.minimum.at(first, fragment, peaks.row)
+    np.maximum.at(last, fragment, peaks.row)
+    long_enough = last - first >= end_rows
+    top = _ends(peaks, fragment, np.flatnonzero(long_enough & (first < end_rows)), end_rows, at_top=True)
+    bottom = _ends(
+        peaks, fragment, np.flatnonzero(long_enough & (last >= rows - end_rows)), end_rows, at_top=False
+    )
+    if stripe_count is None and (not top or len(top) != len(bottom)):
+        return None
+    if stripe_count is not None and not len(top) == len(bottom) == stripe_count:
+        raise StageError(
+            f"{stripe_count} stripes are expected; {len(top)} begin at the image's top "
+            f"and {len(bottom)} end at its bottom",
+            hint="stripes must run from top to bottom (source.turn_deg) with bare belt at both ends; "
+            "or give a calibration, which knows the rest lines",
+        )
+    x_px = np.array([_line(a, b, rows) for a, b in zip(top, bottom, strict=True)])
+    for _ in range(3):
+        x_px = _refined(peaks, x_px)
+    return _with_peaks(peaks, x_px, np.ascontiguousarray(x_px.T))._replace(offset_px=0.0)
+
+
+def _with_peaks(peaks: Peaks, x_px: Floats, by_row: Floats) -> RestLines:
+    """Give lines with what the frame's peaks say of them.
+
+    The tolerance is four standard deviations (robust) of the peaks about the lines, at least 1 px. For it,
+    and for the mean distance, only the image's top and bottom tenth are asked: amid the image a product may
+    lie near the lines.
+    """
+    rows = x_px.shape[1]
+    line, on_line, tolerance_px, mean = _on_lines(
+        peaks.row_start, peaks.x_px, by_row, math.ceil(_OUTER_SHARE * rows),
+        math.ceil((1.0 - _OUTER_SHARE) * rows),
+    )  # fmt: skip
+    return RestLines(x_px, tolerance_px, line, on_line, mean)
+
+
+@kernel
+def _on_lines(
+    row_start: Integers, x_px: Floats, by_row: Floats, top: int, bottom: int
+) -> tuple[Integers, Integers, float, float]:
+    """Give (peak,) the line it lies on, (stripe,) number of those, the tolerance, and the mean distance, px.
+
+    `by_row` are lines (row, stripe), px; the rows before `top` and from `bottom` on tell the scatter.
+    """
+    line, distance = np.empty(x_px.size, np.int64), np.empty(x_px.size)
+    stripes = by_row.shape[1]
+    for row in range(row_start.size - 1):
+        nearest = 0
+        for p in range(row_start[row], row_start[row + 1]):
+            off = x_px[p] - by_row[row, nearest]
+            while nearest + 1 < stripes and abs(x_px[p] - by_row[row, nearest + 1]) < abs(off):
+                nearest += 1
+                off = x_px[p] - by_row[row, nearest]
+            line[p], distance[p] = nearest, off
+    near, mad, mean = _scatter(distance, row_start[top], row_start[bottom], _SEARCH_PX)
+    tolerance_px = _TOLERANCE_MIN_PX
+    if near < _BELT_PEAKS_MIN:
+        mean = 0.0
+    else:
+        tolerance_px = max(tolerance_px, _SIGMAS * _MAD_TO_STD * mad)
+    on_line = np.zeros(stripes, np.int64)
+    for p in range(line.size):
+        if abs(distance[p]) <= tolerance_px:
+            on_line[line[p]] += 1
+        else:
+            line[p] = -1
+    return line, on_line, tolerance_px, mean
+
+
+@kernel
+def _scatter(distance: Floats, top: int, bottom: int, search_px: float) -> tuple[int, float, float]:
+    """Number, median absolute deviation and mean of the distances of peaks near a line, px.
+
+    Peaks up to `top` and from `bottom` on are asked.
+    """
+    near = np.empty(top + distance.size - bottom)
+    count: Any = 0
+    for n in range(near.size):
+        off = distance[n if n < top else bottom + n - top]
+        if abs(off) <= search_px:
+            near[count] = off
+            count += 1
+    if count == 0:
+        return 0, 0.0, 0.0
+    near = near[:count]
+    return count, _median(np.abs(near - _median(near))), near.mean()
+
+
+@inlined
+def _median(values: Floats) -> float:
+    """Give the median by counting: a sort guesses wrong at every other number, which takes far longer."""
+    lowest, highest = values.min(), values.max()
+    if not lowest < highest:
+        return float(lowest)
+    scale = (_BINS - 1) / (highest - lowest)
+    upto = np.zeros(_BINS + 1, np.int64)
+    for value in values:
+        upto[int((value - lowest) * scale) + 1] += 1
+    for k in range(_BINS):
+        upto[k + 1] += upto[k]
+    # the two middle ones lie in one bin, or in two with nothing between
+    first, second = (values.size - 1) // 2, values.size // 2
+    lower = int(np.searchsorted(upto, first, side="right")) - 1
+    upper = int(np.searchsorted(upto, second, side="right")) - 1
+    some = np.empty(upto[upper + 1] - upto[lower])
+    count: Any = 0
+    for value in values:
+        if lower <= int((value - lowest) * scale) <= upper:
+            some[count] = value
+            count += 1
+    some.sort()
+    return float(0.5 * (some[first - upto[lower]] + some[second - upto[lower]]))
+
+
+def _ends(
+    peaks: Peaks, fragment: Integers, candidates: Integers, end_rows: int, *, at_top: bool
+) -> list[tuple[float, float]]:
+    """Give (row, x) in the middle of each candidate's outermost `end_rows` rows, from left to right."""
+    ends = []
+    for number in candidates:
+        mine = np.flatnonzero(fragment == number)
+        outermost = mine[:end_rows] if at_top else mine[-end_rows:]
+        ends.append((float(np.median(peaks.row[outermost])), float(np.median(peaks.x_px[outermost]))))
+    return sorted(ends, key=lambda end: end[1])
+
+
+def _line(top: tuple[float, float], bottom: tuple[float, float], rows: int) -> Floats:
+    slope = (bottom[1] - top[1]) / (bottom[0] - top[0])
+    return np.asarray(top[1] + slope * (np.arange(rows) - top[0]), np.float64)
+
+
+def _refined(peaks: Peaks, rest_px: Floats) -> Floats:
+    """Fit each line again to the peaks near it, by least absolute deviations in two steps."""
+    rows = np.arange(rest_px.shape[1])
+    line, distance = nearest_rest(peaks.row, peaks.x_px, rest_px, _SEARCH_PX)
+    refined = rest_px.copy()
+    for stripe in range(rest_px.shape[0]):
+        mine = line == stripe
+        if mine.sum() < 20:
+            continue
+        off = distance[mine]
+        weight = 1.0 / np.maximum(np.abs(off - np.median(off)), 0.25)
+        slope, shift = np.polyfit(peaks.row[mine], off, 1, w=np.sqrt(weight))
+        refined[stripe] += shift + slope * rows
+    return refined

@@ -1,0 +1,1 @@
+"""The search for stripes in image rows, their centres, and what noise does to them."""

@@ -1,0 +1,104 @@
+"""Overexposed stripes with glare beside them, told by the rows above and below; compiled.
+
+In glare as bright as half a stripe's height, or as the stripe itself, a row shows one wide run of light. But
+a stripe's flanks go on from row to row: where one goes on, and the other one jumps away, what lies beyond the
+stripe's width is glare.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roemetry.arrays import Floats
+from roemetry_kernels.compiling import float_kernel, inlined
+
+GLARE = 128
+"""Flag of a stripe of which one flank lies in glare, in no record: its middle is all that is known of it."""
+
+TOO_WIDE = 2.0
+"""Times as wide as stripes are on the mean: if none is, nothing is looked at."""
+GLARING = 0.97
+"""Of white, that a stripe with glare beside it reaches."""
+_GOES_ON_PX = 2.0  # from where a flank was leading, that it may lie
+_JUMP, _JUMP_PX = 0.5, 3.0  # of the stripe's width, and in px, that a flank is farther out in glare
+_KNOWN_ROWS = 5  # that a stripe has gone on for before
+_ROWS_MAX = 40  # in glare
+_TURNS = 0.2  # by how much each row counts in what a stripe leans and how wide it is
+
+
+@float_kernel
+def take_off_glare(
+    white: int,
+    row: NDArray[np.int64],
+    flags: NDArray[np.uint8],
+    values: Floats,
+) -> None:
+    """Give stripes of which one flank lies in glare the width that they had before, in place.
+
+    Parameters
+    ----------
+    white
+        Grey level from which on a pixel is saturated.
+    row, flags, values
+        What `stripe_footing.stripes_around` fills, sorted; `GLARE` is added to `flags`.
+    """
+    middles, widths = values[0], values[1]
+    count = row.shape[0]
+    left, right = np.empty(count), np.empty(count)
+    lean, width, known, rows = np.zeros(count), np.empty(count), np.zeros(count), np.zeros(count)
+    for way in (1, -1):
+        first = 0 if way > 0 else count - 1
+        begin = end = here = first  # those of the row before, and where this row begins
+        for k in range(count):
+            i = first + way * k
+            if row[i] != row[here]:
+                begin, end = here, i
+                here = i
+                if way * (row[i] - row[begin]) != 1:
+                    begin = end
+            left[i], right[i] = middles[i] - 0.5 * widths[i], middles[i] + 0.5 * widths[i]
+            lean[i], width[i], known[i], rows[i] = 0.0, widths[i], 0.0, 0.0
+            p = _before(left, right, lean, known, i, begin, end, way)
+            if p < 0:
+                continue
+            off_left, off_right = left[i] - left[p] - lean[p], right[i] - right[p] - lean[p]
+            jump = max(_JUMP * width[p], _JUMP_PX)
+            if max(abs(off_left), abs(off_right)) <= jump:
+                turns = _TURNS if known[p] > 0.0 else 1.0
+                lean[i] = lean[p] + turns * 0.5 * (off_left + off_right)
+                width[i] = width[p] + _TURNS * (widths[i] - width[p])
+                known[i] = known[p] + 1.0
+                continue
+            bright = values[2, i] + values[3, i] >= GLARING * white
+            if not (bright and known[p] >= _KNOWN_ROWS and rows[p] < _ROWS_MAX):
+                continue
+            if abs(off_left) < _GOES_ON_PX and off_right > jump:
+                right[i] = left[i] + width[p]
+            elif abs(off_right) < _GOES_ON_PX and off_left < -jump:
+                left[i] = right[i] - width[p]
+            else:
+                continue
+            lean[i], width[i], known[i], rows[i] = lean[p], width[p], known[p], rows[p] + 1.0
+            middles[i], widths[i] = 0.5 * (left[i] + right[i]), right[i] - left[i]
+            flags[i] |= GLARE
+
+
+@inlined
+def _before(
+    left: Floats, right: Floats, lean: Floats, known: Floats, i: int, begin: int, end: int, way: int
+) -> int:
+    """Give the stripe of the row before that goes on as one; −1 for none.
+
+    That is the one of which both flanks go on, else of those of which one does the one known for longest.
+    """
+    before, longest = -1, -1.0
+    p = begin
+    while p != end:
+        off_left, off_right = abs(left[i] - left[p] - lean[p]), abs(right[i] - right[p] - lean[p])
+        if max(off_left, off_right) < _GOES_ON_PX:
+            return p
+        if min(off_left, off_right) < _GOES_ON_PX and known[p] > longest:
+            before, longest = p, known[p]
+        p += way
+    return before

@@ -1,0 +1,1 @@
+"""Slices, surfaces and outlines, and what lies beyond the outer slices."""
