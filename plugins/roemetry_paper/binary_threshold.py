@@ -49,9 +49,8 @@ class BinaryThreshold(Extractor[BinaryThresholdOptions]):
 
     def extract(self, frame: Frame) -> Peaks:
         """Find the runs of all rows but the first and the last."""
-        from roemetry_kernels.extraction.peak_scans import (
-            runs_above,  # numba: loaded only when something runs
-        )
+        # numba: loaded only when something runs
+        from roemetry_kernels.extraction.peak_scans import runs_above
 
         stated = self.options.threshold
         threshold = level_of(frame) if stated == "auto" else math.floor(scaled_level(stated, frame))

@@ -68,9 +68,8 @@ class DominantPeak(Extractor[DominantPeakOptions]):
 
     def extract(self, frame: Frame) -> Peaks:
         """Find the dominant peaks of all rows but the first and the last."""
-        from roemetry_kernels.extraction.peak_scans import (
-            dominant_peaks,  # numba: loaded only when something runs
-        )
+        # numba: loaded only when something runs
+        from roemetry_kernels.extraction.peak_scans import dominant_peaks
 
         stated, pixels = self.options.threshold, grey(frame)
         threshold = rise_of(frame) if stated == "auto" else math.floor(scaled_level(stated, frame))

@@ -47,9 +47,8 @@ class LocalMaximum(Extractor[LocalMaximumOptions]):
 
     def extract(self, frame: Frame) -> Peaks:
         """Find the maxima of all rows but the first and the last."""
-        from roemetry_kernels.extraction.peak_scans import (
-            local_maxima,  # numba: loaded only when something runs
-        )
+        # numba: loaded only when something runs
+        from roemetry_kernels.extraction.peak_scans import local_maxima
 
         stated = self.options.floor
         floor = level_of(frame) if stated == "auto" else math.ceil(scaled_level(stated, frame))

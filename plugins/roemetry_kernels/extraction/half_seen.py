@@ -16,10 +16,8 @@ CUT_TWICE = EDGE | SATURATED
 _MIRRORED_PX = 0.02
 """Standard uncertainty of a middle by a pixel's like on the other flank, but for noise; found by drawing."""
 
-
-_OF_GLARE = (
-    0.25  # of its width, that a stripe in glare is known to: told by another program's line on a real image
-)
+_OF_GLARE = 0.25
+"""Of its width, that a stripe in glare is known to: told by another program's line on a real image."""
 
 
 @kernel
