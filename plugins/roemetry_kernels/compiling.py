@@ -14,6 +14,8 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
+from roemetry_kernels.taking_turns import compiled_in_turns
+
 _IMPORT = re.compile(
     r"^[ \t]*(?:from|import)[ \t]+(roemetry_[\w.]*)(?:[ \t]+import[ \t]+(?:([^(\n]+)|\(([^)]*)\)))?",
     re.MULTILINE,
@@ -60,7 +62,9 @@ def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
         if not hasattr(kept, "_source_stamp"):
             # another numba keeps its marks elsewhere: rather compile every time than run what is outdated
             return njit(nogil=True, **options)(function)
-        kept._source_stamp = (kept._source_stamp, digest(Path(function.__code__.co_filename)))
+        source = Path(function.__code__.co_filename)
+        kept._source_stamp = (kept._source_stamp, digest(source))
+        return compiled_in_turns(compiled, source)
     return compiled
 
 

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from roemetry_kernels import taking_turns
+
 PLUGINS = Path(__file__).parents[3] / "plugins"
 
 CALLED = """
@@ -35,13 +37,22 @@ print(caller(2.0), sum(caller.stats.cache_hits.values()))
 """
 
 
-def ran(folder: Path) -> list[str]:
+def started(folder: Path) -> subprocess.Popen[str]:
     path = os.pathsep.join([str(folder), str(PLUGINS)])
-    done = subprocess.run(
-        [sys.executable, "-c", RUN], capture_output=True, text=True, check=True, cwd=folder,
+    return subprocess.Popen(
+        [sys.executable, "-c", RUN], stdout=subprocess.PIPE, text=True, cwd=folder,
         env={**os.environ, "PYTHONPATH": path, "PYTHONDONTWRITEBYTECODE": "1"},
     )  # fmt: skip
-    return done.stdout.split()
+
+
+def ran(folder: Path) -> list[str]:
+    return said(started(folder))
+
+
+def said(process: subprocess.Popen[str]) -> list[str]:
+    out = process.communicate()[0].split()
+    assert process.returncode == 0
+    return out
 
 
 @pytest.fixture
@@ -61,6 +72,26 @@ def test_a_kernel_is_kept_and_made_anew_when_a_callee_or_its_constant_changes(pa
     (package / "numbers.py").write_text("FACTOR = 5.0")
     assert ran(package.parent) == ["8.0", "0"]
     assert ran(package.parent) == ["8.0", "1"]
+
+
+def test_of_processes_that_start_together_one_compiles(package: Path) -> None:
+    processes = [started(package.parent) for _ in range(3)]
+    assert sorted(said(process) for process in processes) == [["7.0", "0"], ["7.0", "1"], ["7.0", "1"]]
+
+
+def test_who_waited_long_enough_compiles_for_himself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fcntl = pytest.importorskip("fcntl", reason="no locks of this kind on this system")
+    source = tmp_path / "made.py"
+    source.write_text("")
+    monkeypatch.setattr(taking_turns, "_WAIT_S", 0.1)
+    with source.open("rb") as other:
+        fcntl.flock(other, fcntl.LOCK_EX)
+        with taking_turns._turn(source):
+            pass
+    with source.open("rb") as other:
+        with taking_turns._turn(source), taking_turns._turn(source), pytest.raises(BlockingIOError):
+            fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def test_every_kernel_is_compiled_by_the_decorator_that_looks_at_all_sources() -> None:
