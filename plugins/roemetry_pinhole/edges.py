@@ -8,7 +8,7 @@ import numpy as np
 
 from roemetry.arrays import Floats, Integers
 from roemetry_pinhole.equations import Rows, by_bent, columns_of
-from roemetry_pinhole.geometry import CAMERA, Geometry, Unknowns
+from roemetry_pinhole.geometry import CAMERA, Geometry, Unknowns, crossed
 from roemetry_pinhole.lens import bent, straightened
 
 
@@ -47,6 +47,8 @@ def edge_rows(geometry: Geometry, unknowns: Unknowns, edges: Edges) -> Rows:
     Through the camera's centre and the edge of the planes n·X = δ (face) and w·X = ω (wall) goes the plane
     (δ w − ω n)·m = 0 of rays m. The left side over the size of its slope in the image is the distance.
     """
+    if not edges.pose.size:
+        return Rows(np.empty(0), np.empty((0, CAMERA + 9), np.int64), np.empty((0, CAMERA + 9)))
     turn, shift = geometry.rotation[edges.pose], geometry.shift[edges.pose]
     face = (turn @ edges.face[:, :3, None])[:, :, 0]
     wall = (turn @ edges.wall[:, :3, None])[:, :, 0]
@@ -66,10 +68,10 @@ def edge_rows(geometry: Geometry, unknowns: Unknowns, edges: Edges) -> Rows:
     values[:, 2:4] = -by_seen / focal
     values[:, 4:CAMERA] = -(by_seen[:, None, :] @ lens.by_coefficient)[:, 0, :]
     values[:, CAMERA : CAMERA + 3] = (
-        np.cross(face, shift) * on_wall
-        + to_face[:, None] * np.cross(wall, ray)
-        - np.cross(wall, shift) * on_face
-        - to_wall[:, None] * np.cross(face, ray)
+        crossed(face, shift) * on_wall
+        + to_face[:, None] * crossed(wall, ray)
+        - crossed(wall, shift) * on_face
+        - to_wall[:, None] * crossed(face, ray)
     )
     values[:, CAMERA + 3 : CAMERA + 6] = face * on_wall - wall * on_face
     values /= slope[:, None]

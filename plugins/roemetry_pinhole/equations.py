@@ -9,7 +9,7 @@ import numpy as np
 
 from roemetry.arrays import Floats, Integers
 from roemetry_pinhole.bending import Bend
-from roemetry_pinhole.geometry import CAMERA, Geometry, Unknowns
+from roemetry_pinhole.geometry import CAMERA, Geometry, Unknowns, crossed
 from roemetry_pinhole.lens import Bent, bent, straightened
 
 _BENT_ROUNDS = 3
@@ -103,7 +103,7 @@ def corner_rows(geometry: Geometry, unknowns: Unknowns, corners: Corners) -> Row
     values[:, 0, 0], values[:, 1, 1] = lens.xy[:, 0], lens.xy[:, 1]
     values[:, 0, 2] = values[:, 1, 3] = 1.0
     values[:, :, 4:CAMERA] = lens.by_coefficient * focal[:, None]
-    values[:, :, CAMERA : CAMERA + 3] = np.cross(arm[:, None, :], by_at)
+    values[:, :, CAMERA : CAMERA + 3] = crossed(arm[:, None, :], by_at)
     values[:, :, CAMERA + 3 : CAMERA + 6] = by_at
     values[:, :, CAMERA + 6 :] = by_at * corners.counts[:, None, None]
     columns = columns_of(unknowns.camera, unknowns.poses[corners.pose], unknowns.travel)
@@ -138,7 +138,7 @@ def stripe_rows(geometry: Geometry, unknowns: Unknowns, points: StripePoints) ->
     values[:, 2:4] = -by_seen / focal
     values[:, 4:CAMERA] = -(by_seen[:, None, :] @ lens.by_coefficient)[:, 0, :]
     of_plane = (ray * where.plane).sum(axis=1)[:, None]
-    turn = of_plane * np.cross(where.normal, where.place) - np.cross(where.normal, ray)
+    turn = of_plane * crossed(where.normal, where.place) - crossed(where.normal, ray)
     board = ~where.on_belt[:, None]
     values[:, CAMERA : CAMERA + 3] = np.where(board, turn, 0.0)
     values[:, CAMERA + 3 : CAMERA + 6] = np.where(board, of_plane * where.normal, 0.0)
@@ -219,11 +219,14 @@ class _Lines:
     def way_px(self, x_px: Floats) -> tuple[Floats, Floats, Bent, Floats, Floats, Floats]:
         """Give the way to the line along the row, px; place in the bent image, lens, ray, ∂/∂place, slope."""
         focal = self._camera[:2]
-        seen = (np.column_stack([x_px, self._row_px]) - self._camera[2:4]) / focal
+        seen = np.empty((x_px.size, 2))
+        seen[:, 0] = (x_px - self._camera[2]) / focal[0]
+        seen[:, 1] = (self._row_px - self._camera[3]) / focal[1]
         xy = straightened(seen, self._camera[4:], self._straight)
         lens = bent(xy, self._camera[4:])
         self._straight = xy
-        ray = np.column_stack([xy, np.ones(len(xy))])
+        ray = np.ones((x_px.size, 3))
+        ray[:, :2] = xy
         by_seen = by_bent(self._line, lens)
         slope = by_seen[:, 0] / focal[0]
         return (self._line * ray).sum(axis=1) / slope, seen, lens, ray, by_seen, slope
@@ -231,9 +234,13 @@ class _Lines:
 
 def by_bent(line: Floats, lens: Bent) -> Floats:
     """Give (n, 2) the derivatives of line·ray by the ray's place in the bent image; line is (n, 3)."""
-    (a, b), (c, d) = np.moveaxis(lens.by_place, 0, -1)
-    u, v = line[:, 0] / (a * d - b * c), line[:, 1] / (a * d - b * c)
-    return np.column_stack([u * d - v * c, v * a - u * b])
+    a, b, c, d = (lens.by_place[:, i, j] for i in (0, 1) for j in (0, 1))
+    area = a * d - b * c
+    u, v = line[:, 0] / area, line[:, 1] / area
+    derivatives = np.empty((len(line), 2))
+    derivatives[:, 0] = u * d - v * c
+    derivatives[:, 1] = v * a - u * b
+    return derivatives
 
 
 def foot_rows(geometry: Geometry, unknowns: Unknowns, feet: Feet) -> Rows:
@@ -243,7 +250,7 @@ def foot_rows(geometry: Geometry, unknowns: Unknowns, feet: Feet) -> Rows:
     up = np.broadcast_to(-geometry.belt / size, at.shape)
     residual = (1.0 - at @ geometry.belt) / size
     by_belt = -at / size - (residual / size**2)[:, None] * geometry.belt
-    values = np.column_stack([np.cross(arm, up), up, up * feet.counts[:, None], by_belt])
+    values = np.column_stack([crossed(arm, up), up, up * feet.counts[:, None], by_belt])
     columns = np.column_stack(
         [
             unknowns.poses[feet.pose],
@@ -252,6 +259,12 @@ def foot_rows(geometry: Geometry, unknowns: Unknowns, feet: Feet) -> Rows:
         ]
     )
     return Rows(residual, columns.astype(np.int64), values)
+
+
+def foot_residuals(geometry: Geometry, feet: Feet) -> Floats:
+    """Give heights of the boards' undersides over the belt, mm, without derivatives."""
+    at = _placed(geometry, feet.pose, feet.board_mm, feet.counts)[1]
+    return np.asarray((1.0 - at @ geometry.belt) / float(np.sqrt((geometry.belt**2).sum())))
 
 
 def _placed(geometry: Geometry, pose: Integers, board_mm: Floats, counts: Floats) -> tuple[Floats, Floats]:

@@ -15,6 +15,7 @@ from roemetry_pinhole.equations import (
     StripePoints,
     corner_residuals,
     corner_rows,
+    foot_residuals,
     foot_rows,
     stripe_residuals,
     stripe_rows,
@@ -108,7 +109,7 @@ class Problem:
         """Weighted squares, or Huber's loss; infinite where the geometry is impossible."""
         off = self._off(corner_residuals(geometry, self.corners))
         far = self._far(stripe_residuals(geometry, self.points))
-        total = ((foot_rows(geometry, self.unknowns, self.feet).residual / self.foot_std_mm) ** 2).sum()
+        total = ((foot_residuals(geometry, self.feet) / self.foot_std_mm) ** 2).sum()
         rims = np.abs(edge_rows(geometry, self.unknowns, self.edges).residual) / self.edges.std_px
         total += _huber(rims).sum()
         for distance, share in (
