@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -22,6 +24,21 @@ settings.register_profile(
 settings.register_profile("explore", max_examples=500)
 settings.load_profile("steady")
 ROOT = Path(__file__).resolve().parent.parent
+# Several processes share the cores: threads of the linear algebra in each would only wait for one another.
+# Those that are started from here take it over.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Give each process a run of files of its own, so that fixtures and kernels are made once.
+
+    pytest-xdist would deal the tests out by turns: every process would make the fixture of each file, and
+    all would wait for the same kernels at once. Who is done takes over half of what another has left.
+    """
+    from xdist.scheduler import WorkStealingScheduling
+
+    return WorkStealingScheduling(config, log) if config.getvalue("dist") == "load" else None
 
 
 @pytest.fixture
