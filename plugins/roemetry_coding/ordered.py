@@ -65,7 +65,7 @@ class Ordered(Coder[OrderedOptions]):
         stripe, dearer = order_rows(
             peaks.row_start,
             peaks.x_px,
-            rest.x_px,
+            rest.by_row_px,
             live,
             calibration.displacement_px_per_mm,
             low_mm,

@@ -25,6 +25,7 @@ _MOVED_PX = 0.25
 _OUTER_SHARE = 0.1
 _BELT_PEAKS_MIN = 10
 _MAD_TO_STD = 1.4826
+_MAD_MIN_PX = _TOLERANCE_MIN_PX / (_SIGMAS * _MAD_TO_STD)  # less makes no difference
 
 
 class RestLines(NamedTuple):
@@ -35,6 +36,8 @@ class RestLines(NamedTuple):
     x_px
         (stripe, row) x on the bare belt, px, increasing with the stripe in each row; NaN where the frame
         shows no belt to know them from.
+    by_row_px
+        (row, stripe) the same.
     tolerance_px
         How far a peak may be from a rest line and still lie on the belt, px.
     line
@@ -47,6 +50,7 @@ class RestLines(NamedTuple):
     """
 
     x_px: Floats
+    by_row_px: Floats
     tolerance_px: float
     line: Integers
     on_line: Integers
@@ -57,6 +61,7 @@ def unknown_rest_lines(stripes: int, peaks: Peaks) -> RestLines:
     """Give rest lines of which nothing is known: every point is off the belt."""
     return RestLines(
         x_px=np.full((stripes, peaks.image_size[0]), np.nan),
+        by_row_px=np.full((peaks.image_size[0], stripes), np.nan),
         tolerance_px=np.inf,
         line=np.full(len(peaks), -1),
         on_line=np.zeros(stripes, np.int64),
@@ -184,7 +189,7 @@ def _with_peaks(peaks: Peaks, x_px: Floats, by_row: Floats) -> RestLines:
         peaks.row_start, peaks.x_px, by_row, math.ceil(_OUTER_SHARE * rows),
         math.ceil((1.0 - _OUTER_SHARE) * rows),
     )  # fmt: skip
-    return RestLines(x_px, tolerance_px, line, on_line, mean)
+    return RestLines(x_px, by_row, tolerance_px, line, on_line, mean)
 
 
 @kernel
@@ -197,46 +202,81 @@ def _on_lines(
     """
     line, distance = np.empty(x_px.size, np.int64), np.empty(x_px.size)
     stripes = by_row.shape[1]
+    lines = by_row.reshape(-1)
     for row in range(row_start.size - 1):
-        nearest = 0
-        for p in range(row_start[row], row_start[row + 1]):
-            off = x_px[p] - by_row[row, nearest]
-            while nearest + 1 < stripes and abs(x_px[p] - by_row[row, nearest + 1]) < abs(off):
-                nearest += 1
-                off = x_px[p] - by_row[row, nearest]
-            line[p], distance[p] = nearest, off
-    near, mad, mean = _scatter(distance, row_start[top], row_start[bottom], _SEARCH_PX)
+        begin, end = row_start[row], row_start[row + 1]
+        if end - begin == stripes and _each_on_its_own(lines, row * stripes, stripes, x_px, begin):
+            for k in range(np.uint64(stripes)):
+                line[np.uint64(begin) + k] = k
+                distance[np.uint64(begin) + k] = (
+                    x_px[np.uint64(begin) + k] - lines[np.uint64(row * stripes) + k]
+                )
+            continue
+        nearest: Any = np.uint64(row * stripes)
+        last = np.uint64((row + 1) * stripes - 1)
+        for p in range(np.uint64(begin), np.uint64(end)):
+            off = x_px[p] - lines[nearest]
+            while nearest < last and abs(x_px[p] - lines[nearest + np.uint64(1)]) < abs(off):
+                nearest += np.uint64(1)
+                off = x_px[p] - lines[nearest]
+            line[p], distance[p] = nearest - np.uint64(row * stripes), off
+    near, mad, mean = _scatter(distance, row_start[top], row_start[bottom], _SEARCH_PX, _MAD_MIN_PX)
     tolerance_px = _TOLERANCE_MIN_PX
     if near < _BELT_PEAKS_MIN:
         mean = 0.0
     else:
         tolerance_px = max(tolerance_px, _SIGMAS * _MAD_TO_STD * mad)
     on_line = np.zeros(stripes, np.int64)
-    for p in range(line.size):
-        if abs(distance[p]) <= tolerance_px:
-            on_line[line[p]] += 1
-        else:
-            line[p] = -1
+    for p in range(np.uint64(line.size)):
+        near_it = abs(distance[p]) <= tolerance_px
+        on_line[np.uint64(line[p])] += near_it
+        line[p] = line[p] if near_it else -1
     return line, on_line, tolerance_px, mean
 
 
+@inlined
+def _each_on_its_own(lines: Floats, first: int, stripes: int, x_px: Floats, begin: int) -> bool:
+    """Say whether of as many peaks of a row as there are stripes each is nearest to its own line."""
+    other: Any = np.uint64(0)
+    a, b, one = np.uint64(first), np.uint64(begin), np.uint64(1)
+    for k in range(np.uint64(stripes - 1)):
+        here, after = x_px[b + k], x_px[b + k + one]
+        line, following = lines[a + k], lines[a + k + one]
+        other |= np.uint64(abs(here - following) < abs(here - line))
+        other |= np.uint64(not abs(after - following) < abs(after - line))
+    return other == 0
+
+
 @kernel
-def _scatter(distance: Floats, top: int, bottom: int, search_px: float) -> tuple[int, float, float]:
+def _scatter(
+    distance: Floats, top: int, bottom: int, search_px: float, mad_px: float
+) -> tuple[int, float, float]:
     """Number, median absolute deviation and mean of the distances of peaks near a line, px.
 
-    Peaks up to `top` and from `bottom` on are asked.
+    Peaks up to `top` and from `bottom` on are asked. A deviation of no more than `mad_px` is given as that.
     """
-    near = np.empty(top + distance.size - bottom)
-    count: Any = 0
-    for n in range(near.size):
-        off = distance[n if n < top else bottom + n - top]
-        if abs(off) <= search_px:
-            near[count] = off
-            count += 1
-    if count == 0:
+    near = np.empty(top + distance.size - bottom + 1)
+    count: Any = np.uint64(0)
+    # Written whether or not it is near: a branch would be guessed wrong.
+    for begin, end in ((0, top), (bottom, distance.size)):
+        for p in range(np.uint64(begin), np.uint64(end)):
+            near[count] = distance[p]
+            count += np.uint64(abs(distance[p]) <= search_px)
+    near = near[: np.int64(count)]
+    if near.size == 0:
         return 0, 0.0, 0.0
-    near = near[:count]
-    return count, _median(np.abs(near - _median(near))), near.mean()
+    mean = near.mean()
+    # Fewer than half lie beyond a quarter of that on either side of the mean: so the median does not, either.
+    # If more than half lie within the other three quarters, they lie near enough to the median.
+    above, below, inside = 0, 0, 0
+    for p in range(np.uint64(near.size)):
+        off = near[p] - mean
+        above += off > 0.25 * mad_px
+        below += off < -0.25 * mad_px
+        inside += abs(off) <= 0.75 * mad_px
+    settled = 2 * max(above, below) < near.size < 2 * inside
+    mad = mad_px if settled else max(_median(np.abs(near - _median(near))), mad_px)
+    return near.size, mad, mean
 
 
 @inlined

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from roemetry.arrays import Flags, Floats, Integers
-from roemetry_kernels.compiling import kernel
+from roemetry_kernels.compiling import inlined, kernel
+
+Places = NDArray[np.uint64]
 
 _FAR = 1e9
 _STEP_MAX = 1.0
@@ -25,7 +30,7 @@ DEAREST = 2.0 * _SKIP
 def order_rows(
     row_start: Integers,
     x_px: Floats,
-    rest_px: Floats,
+    rest_by_row_px: Floats,
     live: Flags,
     px_per_mm: Floats,
     height_min_mm: float,
@@ -41,8 +46,8 @@ def order_rows(
     ----------
     row_start, x_px
         Peaks by row, px.
-    rest_px
-        (stripe, row) rest lines, px, increasing with the stripe.
+    rest_by_row_px
+        (row, stripe) rest lines, px, increasing with the stripe.
     live
         (stripe,) False for stripes that are not there at all.
     px_per_mm
@@ -74,96 +79,122 @@ def order_rows(
         one, other = steep * height_min_mm, steep * height_max_mm
         low[i], high[i] = min(one, other) - tolerance_px, max(one, other) + tolerance_px
         way[i] = 1.0 if steep > 0.0 else -1.0
-    height = np.empty((most, labels))
-    own = np.empty((most, labels))
-    first = np.empty(most, np.int64)
-    last = np.empty(most, np.int64)
-    forward = np.empty((most, labels))
-    backward = np.empty((most, labels))
+    width = np.uint64(labels)
+    height, own = np.empty(most * labels), np.empty(most * labels)
+    forward, backward = np.empty(most * labels), np.empty(most * labels)
+    first, after = np.empty(most, np.uint64), np.empty(most, np.uint64)
+    lines = _of_labels(rest_by_row_px, of_label)
     for row in range(row_start.shape[0] - 1):
-        begin = row_start[row]
+        begin, at = row_start[row], row * labels
         count = row_start[row + 1] - begin
         if count == 0:
             continue
         spacing = 1.0
         if labels > 1:
-            spacing = (rest_px[of_label[-1], row] - rest_px[of_label[0], row]) / (labels - 1)
+            spacing = (lines[at + labels - 1] - lines[at]) / (labels - 1)
         if count == labels and _in_full(
-            x_px[begin : begin + count], rest_px[:, row], of_label, low, high, way, 0.5 * spacing
+            x_px, np.uint64(begin), lines, np.uint64(at), np.uint64(count), low, high, way, 0.5 * spacing
         ):
-            for k in range(count):
-                stripe[begin + k] = of_label[k]
-                margin[begin + k] = DEAREST
+            for k in range(np.uint64(count)):
+                stripe[np.uint64(begin) + k] = of_label[k]
+                margin[np.uint64(begin) + k] = DEAREST
             continue
-        for k in range(count):
-            first[k], last[k] = labels, -1
-            for i in range(labels):
-                off = x_px[begin + k] - rest_px[of_label[i], row]
+        for k in range(np.uint64(count)):
+            first[k] = after[k] = 0
+            for i in range(np.uint64(labels)):
+                off = x_px[np.uint64(begin) + k] - lines[np.uint64(at) + i]
+                height[k * width + i] = way[i] * off / spacing
+                own[k * width + i] = -_REST if abs(off) <= tolerance_px else 0.0
                 if off < low[i] or off > high[i]:
                     continue
-                first[k] = min(first[k], i)
-                last[k] = i
-                height[k, i] = way[i] * off / spacing
-                own[k, i] = -_REST if abs(off) <= tolerance_px else 0.0
-        _least(height, own, first, last, count, labels, forward, backward)
-        _verdicts(forward, backward, own, first, last, count, labels, of_label, begin, stripe, margin)
+                first[k] = i if after[k] == 0 else first[k]
+                after[k] = i + np.uint64(1)
+        _least(height, own, first, after, count, labels, forward, backward)
+        _verdicts(
+            forward, backward, own, first, after, count, labels, of_label, np.uint64(begin), stripe, margin
+        )
     return stripe, margin
 
 
-@kernel
+@inlined
+def _of_labels(rest_by_row_px: Floats, of_label: Integers) -> Floats:
+    """Give the rest lines of the stripes that are there, row after row."""
+    if of_label.size == rest_by_row_px.shape[1]:
+        return rest_by_row_px.reshape(-1)
+    return rest_by_row_px[:, of_label].copy().reshape(-1)
+
+
+@inlined
 def _in_full(
-    x_px: Floats, rest_px: Floats, of_label: Integers, low: Floats, high: Floats, way: Floats, step_px: float
-) -> bool:
+    x_px: Floats, begin: int, lines: Floats, at: int, count: int, low: Floats, high: Floats, way: Floats,
+    step_px: float,
+) -> bool:  # fmt: skip
     """Say whether all stripes are there and the surface goes from each to the next without a large step."""
-    before = 0.0
-    for k in range(of_label.size):
-        off = x_px[k] - rest_px[of_label[k]]
-        if off < low[k] or off > high[k] or (k and abs(way[k] * off - before) > step_px):
-            return False
-        before = way[k] * off
-    return True
+    # All are looked at, also after one that is not: a branch at each would be guessed wrong.
+    other: Any = np.uint64(0)
+    before = way[0] * (x_px[begin] - lines[at])
+    for k in range(count):
+        off = x_px[begin + k] - lines[at + k]
+        towards = way[k] * off
+        other |= np.uint64(off < low[k]) | np.uint64(off > high[k])
+        other |= np.uint64(abs(towards - before) > step_px)
+        before = towards
+    return other == 0
 
 
-@kernel
+@inlined
 def _least(
-    height: Floats, own: Floats, first: Integers, last: Integers, count: int, labels: int,
+    height: Floats, own: Floats, first: Places, after: Places, count: int, labels: int,
     forward: Floats, backward: Floats,
 ) -> None:  # fmt: skip
-    """Write the least cost of all up to, and from, each peak with each stripe, both with its own."""
-    for k in range(count):
-        for i in range(first[k], last[k] + 1):
+    """Write the least cost of all up to, and from, each peak with each stripe, both with its own.
+
+    Stripes that a peak may be are those from `first` up to `after`.
+    """
+    one, look_back, width = np.uint64(1), np.uint64(_LOOK_BACK), np.uint64(labels)
+    peaks = np.uint64(count)
+    for k in range(peaks):
+        for i in range(first[k], after[k]):
+            here = height[k * width + i]
             best = i * _SKIP + k * _FALSE
-            for q in range(max(0, k - _LOOK_BACK), k):
-                for j in range(first[q], min(last[q], i - 1) + 1):
-                    step = min(abs(height[k, i] - height[q, j]), _STEP_MAX)
-                    best = min(best, forward[q, j] + step + (i - j - 1) * _SKIP + (k - q - 1) * _FALSE)
-            forward[k, i] = best + own[k, i]
-    for k in range(count - 1, -1, -1):
-        for i in range(first[k], last[k] + 1):
-            best = (labels - 1 - i) * _SKIP + (count - 1 - k) * _FALSE
-            for q in range(k + 1, min(count, k + 1 + _LOOK_BACK)):
-                for j in range(max(first[q], i + 1), last[q] + 1):
-                    step = min(abs(height[k, i] - height[q, j]), _STEP_MAX)
-                    best = min(best, backward[q, j] + step + (j - i - 1) * _SKIP + (q - k - 1) * _FALSE)
-            backward[k, i] = best + own[k, i]
+            for q in range(k - min(k, look_back), k):
+                for j in range(first[q], min(after[q], i)):
+                    step = min(abs(here - height[q * width + j]), _STEP_MAX)
+                    left_out = (i - j - one) * _SKIP + (k - q - one) * _FALSE
+                    best = min(best, forward[q * width + j] + step + left_out)
+            forward[k * width + i] = best + own[k * width + i]
+    for m in range(peaks):
+        k = peaks - one - m
+        for i in range(first[k], after[k]):
+            here = height[k * width + i]
+            best = (width - one - i) * _SKIP + (peaks - one - k) * _FALSE
+            for q in range(k + one, min(peaks, k + one + look_back)):
+                for j in range(max(first[q], i + one), after[q]):
+                    step = min(abs(here - height[q * width + j]), _STEP_MAX)
+                    left_out = (j - i - one) * _SKIP + (q - k - one) * _FALSE
+                    best = min(best, backward[q * width + j] + step + left_out)
+            backward[k * width + i] = best + own[k * width + i]
 
 
-@kernel
+@inlined
 def _verdicts(
-    forward: Floats, backward: Floats, own: Floats, first: Integers, last: Integers, count: int, labels: int,
+    forward: Floats, backward: Floats, own: Floats, first: Places, after: Places, count: int, labels: int,
     of_label: Integers, begin: int, stripe: Integers, margin: Floats,
 ) -> None:  # fmt: skip
     """Walk back along the cheapest row, and compare each of its peaks with the next best verdict."""
     whole = labels * _SKIP + count * _FALSE
-    for k in range(count):
-        for i in range(first[k], last[k] + 1):
-            whole = min(whole, forward[k, i] + backward[k, i] - own[k, i])
-    for k in range(count):
+    width = np.uint64(labels)
+    for k in range(np.uint64(count)):
+        for i in range(first[k], after[k]):
+            at = k * width + i
+            whole = min(whole, forward[at] + backward[at] - own[at])
+    for k in range(np.uint64(count)):
         best, second, mine = _FAR, _FAR, -1
-        for i in range(first[k], last[k] + 1):
-            cost = forward[k, i] + backward[k, i] - own[k, i]
+        for i in range(first[k], after[k]):
+            at = k * width + i
+            cost = forward[at] + backward[at] - own[at]
             if cost < best:
-                best, second, mine = cost, best, i
+                best, second, mine = cost, best, np.int64(i)
             else:
                 second = min(second, cost)
         if mine >= 0 and best <= whole + 1e-9:
