@@ -65,7 +65,9 @@ def prepare(
             )
         pixels = np.where(pixels > off, pixels - off, 0).astype(pixels.dtype)
     return replace(
-        _turned(replace(laser, pixels=pixels), turn_deg),
+        laser,
+        pixels=_turned(pixels, turn_deg),
+        turn_deg=(laser.turn_deg + turn_deg) % 360,
         bit_depth=laser.bit_depth if bit_depth is None else bit_depth,
         sensor=laser.sensor if sensor is None else sensor,
     )
@@ -74,12 +76,13 @@ def prepare(
 def prepare_plain(acquisition: Acquisition, *, turn_deg: int) -> Frame | None:
     """Turn the plain-light image like the laser frame; its colours stay. None where there is none."""
     plain = acquisition.frame("plain")
-    return None if plain is None else _turned(plain, turn_deg)
+    if plain is None:
+        return None
+    return replace(plain, pixels=_turned(plain.pixels, turn_deg), turn_deg=(plain.turn_deg + turn_deg) % 360)
 
 
-def _turned(frame: Frame, turn_deg: int) -> Frame:
-    pixels = np.rot90(frame.pixels, turn_deg // 90) if turn_deg else frame.pixels
-    return replace(frame, pixels=np.ascontiguousarray(pixels), turn_deg=(frame.turn_deg + turn_deg) % 360)
+def _turned(pixels: NDArray[Any], turn_deg: int) -> NDArray[Any]:
+    return np.ascontiguousarray(np.rot90(pixels, turn_deg // 90) if turn_deg else pixels)
 
 
 def _one_channel(pixels: NDArray[Any], channel: str) -> NDArray[Any]:

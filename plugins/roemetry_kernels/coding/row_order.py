@@ -151,20 +151,21 @@ def _least(
 
     Stripes that a peak may be are those from `first` up to `after`.
     """
-    one, look_back, width = np.uint64(1), np.uint64(_LOOK_BACK), np.uint64(labels)
+    zero, one, look_back, width = np.uint64(0), np.uint64(1), np.uint64(_LOOK_BACK), np.uint64(labels)
     peaks = np.uint64(count)
+    k: Any
     for k in range(peaks):
         for i in range(first[k], after[k]):
             here = height[k * width + i]
             best = i * _SKIP + k * _FALSE
-            for q in range(k - min(k, look_back), k):
+            for q in range(k - look_back if k > look_back else zero, k):
                 for j in range(first[q], min(after[q], i)):
                     step = min(abs(here - height[q * width + j]), _STEP_MAX)
                     left_out = (i - j - one) * _SKIP + (k - q - one) * _FALSE
                     best = min(best, forward[q * width + j] + step + left_out)
             forward[k * width + i] = best + own[k * width + i]
-    for m in range(peaks):
-        k = peaks - one - m
+    for done in range(peaks):
+        k = peaks - one - done
         for i in range(first[k], after[k]):
             here = height[k * width + i]
             best = (width - one - i) * _SKIP + (peaks - one - k) * _FALSE
@@ -189,7 +190,8 @@ def _verdicts(
             at = k * width + i
             whole = min(whole, forward[at] + backward[at] - own[at])
     for k in range(np.uint64(count)):
-        best, second, mine = _FAR, _FAR, -1
+        mine: Any = -1
+        best, second = _FAR, _FAR
         for i in range(first[k], after[k]):
             at = k * width + i
             cost = forward[at] + backward[at] - own[at]
