@@ -13,10 +13,10 @@ from roemetry_kernels.compiling import float_kernel, inlined
 from roemetry_kernels.extraction.border_tops import mirrored
 from roemetry_kernels.extraction.footing_lanes import measure_lanes
 from roemetry_kernels.extraction.lane_steps import CHUNK, WORD
-from roemetry_kernels.extraction.local_contrast import outshone, usual_height
 from roemetry_kernels.extraction.stripe_glare import GLARING, TOO_WIDE, take_off_glare
 from roemetry_kernels.extraction.stripe_joining import SEEN_PX, join_tops, lowest_after, lowest_before
 from roemetry_kernels.extraction.stripe_scan import Area, Pixels, Places, Tops
+from roemetry_kernels.extraction.unfit_stripes import without_unfit
 
 FWHM_OF_SIGMA = 2.354820045030949
 
@@ -211,7 +211,7 @@ def _measure(
         )
         values[0, i], values[2, i] = middle - at, highs[i] - values[3, i]
     # Loops that write to one place each, and unsigned numbers, which none from the end can be.
-    middles, widths, heights = values[0], values[1], values[2]
+    middles, widths = values[0], values[1]
     for i in range(np.uint64(count)):
         margin = _EDGE_SIGMAS / FWHM_OF_SIGMA * widths[i]
         cut = (middles[i] - margin < left) | (middles[i] + margin > right - 1)
@@ -226,37 +226,8 @@ def _measure(
         wide += 1 if (widths[i] > too_wide) & (highs[i] >= glaring) else 0
     if wide > 0:
         take_off_glare(white, out_row, flags, values)
-    unfit, highest, lowest = 0, 0.0, np.inf
-    for i in range(np.uint64(count)):
-        unfit += 0 if (widths[i] >= width_min_px) & (widths[i] <= width_max_px) else 1
-        highest, lowest = max(highest, heights[i]), min(lowest, heights[i])
-    if unfit == 0 and lowest >= max(share_min * highest, height_min):
-        return count
-    least = max(share_min * usual_height(row, values[2]) if share_min > 0.0 else -np.inf, height_min)
-    # Where each stripe that is kept was; up to the first that is not, nothing moves.
-    was, kept = np.empty(count, np.uint64), np.uint64(0)
-    for i in range(np.uint64(count)):
-        low = heights[i] < share_min * highest
-        low = heights[i] < least or (low and outshone(row, middles, heights, np.int64(i), share_min))
-        was[kept] = i
-        kept += np.uint64((not low) & (widths[i] >= width_min_px) & (widths[i] <= width_max_px))
-    begin = np.uint64(0)
-    while begin < kept and was[begin] == begin:
-        begin += np.uint64(1)
-    _moved(out_row, was, begin, kept)
-    _moved(flags, was, begin, kept)
-    for side in range(places.shape[0]):
-        _moved(places[side], was, begin, kept)
-    for field in range(values.shape[0]):
-        _moved(values[field], was, begin, kept)
-    return np.int64(kept)
-
-
-@inlined
-def _moved(numbers: Any, was: NDArray[np.uint64], begin: int, end: int) -> None:
-    """Take numbers from where they were, farther on."""
-    for k in range(begin, end):
-        numbers[k] = numbers[was[k]]
+    limits = width_min_px, width_max_px, share_min, height_min
+    return without_unfit(row, *limits, out_row, places, flags, values)
 
 
 @inlined
