@@ -155,12 +155,10 @@ class _Arcs:
 def _arcs(
     product: Product, curves: BodyCurves, middle: Integers, options: ArcCurvatureOptions, mm_per_px: float
 ) -> _Arcs:
-    from roemetry_kernels.shape.body_points import circles
+    from roemetry_kernels.shape.body_points import circles, pairs_in_line
 
     profiles, delta = product.profiles, options.delta_samples
-    here = (curves.slice, curves.point)
-    x_row = np.empty((curves.slice.size, 2))
-    x_row[:, 0], x_row[:, 1] = profiles.x_px[here], profiles.row_px[here]
+    x_row = pairs_in_line(profiles.x_px, profiles.row_px, curves.slice, curves.point)
     in_section = options.space == "mm"
     along_above = profiles.xyz_mm[curves.slice, curves.point, 1:] if in_section else x_row[:, :0]
     if options.smoothing_rows:
@@ -283,7 +281,8 @@ def _are(count: int) -> str:
 
 
 def _marks(arcs: _Arcs, unit: str) -> Marks:
-    drawn = np.isfinite(arcs.radius) & np.isfinite(arcs.centre_px).all(axis=1)
+    known = np.isfinite(arcs.radius) & np.isfinite(arcs.centre_px).all(axis=1)
+    drawn = slice(None) if known.all() else known
     return Marks(
         kind="centre of arc",
         unit=unit,

@@ -98,7 +98,7 @@ def arc_middles(curves: BodyCurves, delta: int) -> Integers:
 
     N points give floor((N − 1) / delta) − 1 of them.
     """
-    many = np.maximum((curves.size - 1) // delta - 1, 0)
-    of = np.repeat(np.arange(many.size), many)
-    before = np.cumsum(many) - many
-    return np.asarray(curves.first[of] + delta * (np.arange(of.size) - before[of] + 1))
+    from roemetry_kernels.shape.body_points import middles_in_line
+
+    middles: Integers = middles_in_line(curves.first, curves.size, delta)
+    return middles

@@ -43,6 +43,27 @@ def points_in_line(
 
 
 @kernel
+def middles_in_line(first: Integers, size: Integers, delta: int) -> Integers:
+    """Index of the middle point of each three that are `delta` points apart, from each curve's first on."""
+    middle = np.empty(size.sum() // delta, np.int64)
+    n = 0
+    for c in range(first.size):
+        for m in range(first[c] + delta, first[c] + size[c] - delta, delta):
+            middle[n] = m
+            n += 1
+    return middle[:n].copy()
+
+
+@kernel
+def pairs_in_line(one: Floats, other: Floats, slice_of: Integers, point_of: Integers) -> Floats:
+    """Collect two (slice, point) quantities of points in line: (n, 2)."""
+    pairs = np.empty((slice_of.size, 2))
+    for k in range(slice_of.size):
+        pairs[k, 0], pairs[k, 1] = one[slice_of[k], point_of[k]], other[slice_of[k], point_of[k]]
+    return pairs
+
+
+@kernel
 def slice_sums(
     slice_of: Integers,
     point_of: Integers,
