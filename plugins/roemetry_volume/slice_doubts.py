@@ -6,13 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from roemetry.arrays import Floats
 from roemetry.records import Product, Reason
+from roemetry_volume.slice_kernels import slice_kernels
 from roemetry_volume.slice_table import Slices
 
 _UNSEARCHED_ROWS = 1  # at the image's top and bottom: extractors may leave them out
 _BELOW_MM = 1.0
-_WAIST = 0.35
 
 
 def reasons_of(product: Product, slices: Slices, caps: Sequence[float] = ()) -> tuple[Reason, ...]:
@@ -25,9 +24,7 @@ def reasons_of(product: Product, slices: Slices, caps: Sequence[float] = ()) -> 
     caps
         Kinds of the caps at both ends, for estimators that have such.
     """
-    from roemetry_kernels.volume import slice_areas as columns
-    from roemetry_kernels.volume.slice_rules import BLUNT, NO_CAP
-
+    columns, _, rules, _, _ = slice_kernels()
     table, calibration = slices.table, product.calibration
     reasons = []
     if slices.missing:
@@ -65,12 +62,12 @@ def reasons_of(product: Product, slices: Slices, caps: Sequence[float] = ()) -> 
                 f"{_named(slices.stripe[low < -_BELOW_MM])}); they are counted with their sign",
             )
         )
-    if (waist := _waist(slices.area_mm2)) is not None:
+    if (waist := rules.waist(slices.area_mm2)) >= 0:
         reasons.append(
             Reason(
                 "waist",
-                f"the slice of stripe {slices.stripe[waist] + 1} has under {_WAIST:.0%} of the area on both "
-                "sides of it: perhaps two products that touch, measured as one",
+                f"the slice of stripe {slices.stripe[waist] + 1} has under {rules.WAIST:.0%} of the area on "
+                "both sides of it: perhaps two products that touch, measured as one",
             )
         )
     first, last = slices.rows_px
@@ -78,7 +75,7 @@ def reasons_of(product: Product, slices: Slices, caps: Sequence[float] = ()) -> 
         reasons.append(
             Reason("cut-by-edge", "the product reaches the image's first or last row; it may go on beyond"),
         )
-    if any(kind == BLUNT for kind in caps):
+    if any(kind == rules.BLUNT for kind in caps):
         reasons.append(
             Reason(
                 "blunt-end",
@@ -87,7 +84,7 @@ def reasons_of(product: Product, slices: Slices, caps: Sequence[float] = ()) -> 
             )
         )
     if not all(slices.limited) and caps:
-        by_taper = not any(kind == NO_CAP for kind in caps)
+        by_taper = not any(kind == rules.NO_CAP for kind in caps)
         reasons.append(
             Reason(
                 "beyond-outer-stripes",
@@ -96,20 +93,6 @@ def reasons_of(product: Product, slices: Slices, caps: Sequence[float] = ()) -> 
             )
         )
     return tuple(reasons)
-
-
-def _waist(area: Floats) -> int | None:
-    """Index of a slice that is far smaller than some on both sides of it, or None."""
-    sizes = area.tolist()
-    right = sizes.copy()
-    for k in range(len(sizes) - 2, -1, -1):
-        right[k] = max(right[k], right[k + 1])
-    left, found = sizes[0], None
-    for k in range(1, len(sizes) - 1):
-        left = max(left, sizes[k])
-        if sizes[k] < _WAIST * min(left, right[k]) and (found is None or sizes[k] < sizes[found]):
-            found = k
-    return found
 
 
 def _named(stripes: np.ndarray) -> str:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from roemetry.records import Product
+from roemetry_volume.slice_kernels import slice_kernels
 from roemetry_volume.slice_options import Ends
 from roemetry_volume.slice_table import Slices
 
@@ -56,26 +56,9 @@ class _Flat(NamedTuple):
     trust: float
 
 
-class _Kernels(NamedTuple):
-    rules: Any
-    columns: Any
-    quadric_end: Any
-    flat_end: Any
-
-
-@lru_cache(maxsize=1)
-def _kernels() -> _Kernels:
-    """Import what takes long to import once, at the first call."""
-    from roemetry_kernels.volume import slice_areas, slice_rules
-    from roemetry_kernels.volume.flat_ends import flat_end
-    from roemetry_kernels.volume.quadric_ends import quadric_end
-
-    return _Kernels(slice_rules, slice_areas, quadric_end, flat_end)
-
-
 def cap_of(product: Product, slices: Slices, end: int, ends: Ends) -> Cap:
     """Give what lies beyond the first (`end` 0) or the last (1) slice."""
-    rules = _kernels().rules
+    rules = slice_kernels().rules
     if ends == "none":
         return Cap(0.0, 0.0, math.nan, rules.NO_CAP, 0.0, 0.0, float(slices.area_mm2[-end]))
     limited, within = slices.limited[end], _within(slices, end)
@@ -124,7 +107,7 @@ def _flat(product: Product, slices: Slices, end: int) -> _Flat:
     camera = math.nan if view is None else float(view.T_belt_camera[0, 3])
     if view is not None and view.telecentric:  # it stands above all of the product
         camera = 0.5 * float(slices.t_mm[0] + slices.t_mm[-1])
-    found = _kernels().flat_end(
+    found = slice_kernels().flat_end(
         profiles.xyz_mm,
         profiles.product,
         profiles.row_px,
@@ -147,7 +130,7 @@ def _walls_counted(slices: Slices, end: int, wall_mm: float) -> float:
     n = slices.t_mm.size
     half = np.clip(0.5 * n - np.arange(n), 0.0, 1.0)
     mine = half[::-1] if end else half
-    higher = slices.table[:, _kernels().columns.WALL] - wall_mm * wall_mm
+    higher = slices.table[:, slice_kernels().columns.WALL] - wall_mm * wall_mm
     return 0.5 * opening * float((mine * slices.held_mm * slices.width_mm) @ higher)
 
 
@@ -168,7 +151,7 @@ def _by_quadric(
     the rim, by the quadric, and most where light grazes.
     """
     profiles = slices.profiles
-    quadric_end = _kernels().quadric_end
+    quadric_end = slice_kernels().quadric_end
     volume, length, shadow, rim_mm, off_mm = quadric_end(
         profiles.xyz_mm,
         profiles.product,
@@ -197,7 +180,7 @@ def _std(slices: Slices, end: int, taper: tuple[float, float, float, float], vol
     that is held although the slices taper is off by what the taper says otherwise. Where light leans over an
     end, its shadow below the rim counts, more or less; and there may be a wall before the outer slice.
     """
-    rules, columns = _kernels()[:2]
+    columns, _, rules, _, _ = slice_kernels()
     outer = slices.table[-end].tolist()
     area, lean = outer[columns.AREA], slices.lean[end]
     if taper[3] == rules.NO_CAP:
@@ -220,7 +203,7 @@ def _cliff_std(slices: Slices, end: int, missing_mm2: float, expected_mm2: float
     The outer slice is then far smaller than the next ones say, and narrower rather than lower: light met the
     wall's edge at a slant. The wall is anywhere between the last two slices; leaning light sees it or not.
     """
-    columns = _kernels().columns
+    columns = slice_kernels().columns
     inner = -2 if end else 1
     outer, before = slices.table[-end], slices.table[inner]
     if outer[columns.WIDTH] * before[columns.TOP] >= before[columns.WIDTH] * outer[columns.TOP]:

@@ -13,6 +13,7 @@ from roemetry.records import Estimate, Product, Shares, Volume
 from roemetry.stages import Capabilities, VolumeEstimator
 from roemetry_volume.slice_doubts import reasons_of
 from roemetry_volume.slice_ends import Cap, cap_of
+from roemetry_volume.slice_kernels import slice_kernels
 from roemetry_volume.slice_options import SliceOptions, SliceSumOptions
 from roemetry_volume.slice_table import Slices, slices_of
 from roemetry_volume.underside import estimate_of, true_volume
@@ -50,16 +51,15 @@ class _SliceEstimator(VolumeEstimator[SliceOptions]):
         StageError
             Fewer than three stripes lie on the product, or a plane runs along X, or the sum is not positive.
         """
-        from roemetry_kernels.volume import slice_rules
-
+        rules = slice_kernels().rules
         slices = slices_of(product)
         nan = math.nan
         caps = [cap_of(product, slices, end, self.options.ends) for end in (0, 1)]
-        slope = np.array([one.slope_mm if one.kind == slice_rules.TAPERED else nan for one in caps])
+        slope = np.array([one.slope_mm if one.kind == rules.TAPERED else nan for one in caps])
         # where an outer slice runs over the edge of an upright end, as if it were whole
         area = slices.area_mm2.copy()
         area[0], area[-1] = caps[0].area_mm2, caps[1].area_mm2
-        between = slice_rules.between_slices(slices.t_mm, area, slope, self.rule)
+        between = rules.between_slices(slices.t_mm, area, slope, self.rule)
         volume = between + sum(one.volume_mm3 + one.shadow_mm3 for one in caps)
         if not volume > 0.0:
             raise StageError(
@@ -140,10 +140,9 @@ def _between_std(t_mm: Floats, area_mm2: Floats, slope: Floats, between: float) 
 
     Part of the rule's distance from the spline, which smooth bodies follow more closely, is added.
     """
-    from roemetry_kernels.volume.slice_rules import SPLINE, between_slices, unevenness
-
-    smooth: float = between_slices(t_mm, area_mm2, slope, SPLINE)
-    return math.hypot(_BETWEEN * unevenness(t_mm, area_mm2), (smooth - between) / _RULES_APART)
+    rules = slice_kernels().rules
+    smooth: float = rules.between_slices(t_mm, area_mm2, slope, rules.SPLINE)
+    return math.hypot(_BETWEEN * rules.unevenness(t_mm, area_mm2), (smooth - between) / _RULES_APART)
 
 
 def gaps_std(slices: Slices) -> float:

@@ -11,12 +11,10 @@ import numpy as np
 from roemetry.arrays import Floats, Integers
 from roemetry.errors import StageError
 from roemetry.records import Product, Profiles
+from roemetry_volume.slice_kernels import slice_kernels
 
 LEAST_SLICES = 3
-_CLEFT = (
-    0.3  # of the lower hump; single skeins, dented and folded ones too, fall deeper on one stripe at most
-)
-_CLEFT_SLICES = 3
+_CLEFT_SLICES = 3  # single skeins, dented and folded ones too, fall deep on one stripe at most
 _SUNKEN_MM = 1.0
 
 
@@ -83,11 +81,9 @@ def slices_of(product: Product) -> Slices:
         Fewer than three stripes lie on the product, it looks like two side by side, a slice lies below the
         belt, or a plane of light runs along X.
     """
-    from roemetry_kernels.volume import slice_areas as columns
-    from roemetry_kernels.volume import slice_order as order
-
+    columns, order, _, _, _ = slice_kernels()
     table, profiles = table_of(product.profiles, product.number)
-    lit, held, whole = order.in_order(table, profiles.stripe, profiles.frame)
+    lit, held, whole, rows, by_column = order.in_order(table, profiles.stripe, profiles.frame, profiles.plane)
     if not lit.size:
         raise StageError("no stripe on the product", hint="there is nothing to sum; look at the coding")
     if lit.size < LEAST_SLICES:
@@ -102,15 +98,16 @@ def slices_of(product: Product) -> Slices:
         raise StageError(f"the plane of stripe {named} runs along X: slices have no spacing there")
     if not told[order.LEAST_GAP] > 0.0:
         raise StageError("two slices lie at the same place", hint="one slice for each stripe and frame")
-    rows = table[lit]
-    _refuse_cloven(rows)
-    _refuse_sunken(rows, profiles.stripe[lit])
+    stripe = profiles.stripe[lit]
+    if told[order.CLOVEN] >= _CLEFT_SLICES:
+        _refuse_cloven(int(told[order.CLOVEN]), lit.size)
+    if told[order.LEAST_AREA] < 0.0:
+        _refuse_sunken(rows, stripe)
     ends = [told[order.BEFORE], told[order.AFTER]]
     limited = [not math.isnan(end) for end in ends]
     before, after = (end if known else told[order.USUAL] for end, known in zip(ends, limited, strict=True))
-    by_column = np.ascontiguousarray(rows.T)
     return Slices(
-        stripe=profiles.stripe[lit],
+        stripe=stripe,
         t_mm=by_column[columns.AT],
         area_mm2=by_column[columns.AREA],
         width_mm=by_column[columns.WIDTH],
@@ -123,7 +120,7 @@ def slices_of(product: Product) -> Slices:
         place=lit,
         reach_mm=(before, after),
         limited=(limited[0], limited[1]),
-        lean=(-_lean(profiles, int(lit[0])), _lean(profiles, int(lit[-1]))),
+        lean=(told[order.LEANS[0]], told[order.LEANS[1]]),
         missing=int(told[order.MISSING]),
         seen_mm3=told[order.SEEN_MM3],
         joined_mm3=told[order.JOINED_MM3],
@@ -135,20 +132,12 @@ def slices_of(product: Product) -> Slices:
     )
 
 
-def _lean(profiles: Profiles, slice_: int) -> float:
-    """How far in X a slice's plane goes for each millimetre upwards."""
-    across, _, upwards, _ = profiles.plane[slice_].tolist()
-    return float(-upwards / across)
-
-
-def _refuse_cloven(rows: Floats) -> None:
+def _refuse_cloven(deep: int, slices: int) -> None:
     """Refuse what falls deep between two humps on so many stripes that it is hardly one product."""
-    from roemetry_kernels.volume.slice_areas import CLEFT
-
-    deep = sum(depth > _CLEFT for depth in rows[:, CLEFT].tolist())
-    if deep >= max(_CLEFT_SLICES, len(rows) / 3.0):
+    share = slice_kernels().order.CLEFT_SHARE
+    if deep >= slices / 3.0:
         raise StageError(
-            f"on {deep} of {len(rows)} stripes the surface falls by over {_CLEFT:.0%} between two humps: two "
+            f"on {deep} of {slices} stripes the surface falls by over {share:.0%} between two humps: two "
             "products side by side, coded as one, have no volume in common",
             hint="keep products apart on the belt",
         )
@@ -158,8 +147,6 @@ def _refuse_sunken(rows: Floats, stripe: Integers) -> None:
     """Refuse a product of which a slice lies below the belt as a whole."""
     from roemetry_kernels.volume.slice_areas import AREA, WIDTH
 
-    if not rows[:, AREA].min() < 0.0:
-        return
     depth = -rows[:, AREA] / np.maximum(rows[:, WIDTH], 1e-9)
     worst = int(depth.argmax())
     if depth[worst] > _SUNKEN_MM:
@@ -172,8 +159,7 @@ def _refuse_sunken(rows: Floats, stripe: Integers) -> None:
 
 def table_of(profiles: Profiles, number: int) -> tuple[Floats, Profiles]:
     """Give the kernel's table; points in any order are put into that of the rows first, and given back so."""
-    from roemetry_kernels.volume.slice_areas import slice_areas
-
+    slice_areas = slice_kernels().columns.slice_areas
     for _ in range(2):
         table: Floats
         table, ordered = slice_areas(

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from roemetry.arrays import Flags, Floats, Integers, Labels
-from roemetry_kernels.compiling import kernel
+from roemetry_kernels.compiling import float_kernel
 from roemetry_kernels.volume.slice_areas import AREA, AT, COUNT, FIRST_ROW, LAST_ROW, TOP, WIDTH
 from roemetry_kernels.volume.slice_rules import three_outer
 
@@ -26,7 +26,7 @@ _OFF_MM = 0.25
 _LARGER = 1.25
 
 
-@kernel
+@float_kernel
 def quadric_end(
     xyz_mm: Floats,
     product: Labels,
@@ -116,7 +116,7 @@ def quadric_end(
     return _UNIT_MM**3 * volume, _UNIT_MM * length, _UNIT_MM**3 * shadow, _UNIT_MM * r, residual_mm
 
 
-@kernel
+@float_kernel
 def _means(
     xyz_mm: Floats, product: Labels, seen: Flags, row_px: Floats, number: int, rows: Integers,
     ends: Floats, sign: float, x_ref: float, y_ref: float,
@@ -161,7 +161,7 @@ def _means(
     return means, count
 
 
-@kernel
+@float_kernel
 def _normal_equations(means: Floats, count: int) -> tuple[Floats, Floats, float]:
     """Sum up the normal equations, each slice weighing 1/3; also the mean z."""
     normal, right = np.zeros((_TERMS, _TERMS)), np.zeros(_TERMS)
@@ -177,7 +177,7 @@ def _normal_equations(means: Floats, count: int) -> tuple[Floats, Floats, float]
     return normal, right, tall
 
 
-@kernel
+@float_kernel
 def _misfit(means: Floats, count: int, c: Floats) -> float:
     """Root mean square by which the points lie off, in z², less the noise that neighbours do not share."""
     square, noise = 0.0, 0.0
@@ -193,7 +193,7 @@ def _misfit(means: Floats, count: int, c: Floats) -> float:
     return math.sqrt(max(square - noise, 0.0))
 
 
-@kernel
+@float_kernel
 def _solved(normal: Floats, right: Floats) -> Floats:
     """Solve by Cholesky's factors of the lower triangle, which it overwrites; a touch of damping."""
     n = right.size
@@ -219,7 +219,7 @@ def _solved(normal: Floats, right: Floats) -> Floats:
     return found
 
 
-@kernel
+@float_kernel
 def _is_larger(c: Floats, table: Floats) -> bool:
     """Whether the quadric, where it is highest, is far higher or wider than the product: another body's."""
     top, width = 0.0, 0.0
@@ -236,14 +236,14 @@ def _is_larger(c: Floats, table: Floats) -> bool:
     return _UNIT_MM * high > _LARGER * top or _UNIT_MM * across > 2.0 * _LARGER * width
 
 
-@kernel
+@float_kernel
 def _is_there(c: Floats, m: float, q: float, at: float) -> bool:
     """Whether the section with x = at + q·y + m·z has an area."""
     begin, end, _, _, _, _, _ = _extent(c, m, q, at)
     return end > begin
 
 
-@kernel
+@float_kernel
 def _section(c: Floats, m: float, q: float, at: float) -> float:
     """Area, down to the belt, of the section with x = at + q·y + m·z, where the surface is over its rim."""
     begin, end, middle, half, b0, b1, d2 = _extent(c, m, q, at)
@@ -254,7 +254,7 @@ def _section(c: Floats, m: float, q: float, at: float) -> float:
     return area / (1.0 - c[4] * m * m)
 
 
-@kernel
+@float_kernel
 def _extent(
     c: Floats, m: float, q: float, at: float
 ) -> tuple[float, float, float, float, float, float, float]:
@@ -293,14 +293,14 @@ def _extent(
     return begin, end, middle, half, b0, b1, d2
 
 
-@kernel
+@float_kernel
 def _half_disc(u: float, half: float) -> float:
     """∫√(half² − u²) du from 0."""
     share = min(max(u / half, -1.0), 1.0)
     return 0.5 * half * half * (share * math.sqrt(1.0 - share * share) + math.asin(share))
 
 
-@kernel
+@float_kernel
 def _beyond(c: Floats, m: float, q: float, length: float, root: float) -> float:
     """Integrate the section from 0 to a length, in √(root − x), in which it is smooth at the root."""
     begin, end = math.sqrt(max(root - length, 0.0)), math.sqrt(root)
@@ -314,7 +314,7 @@ def _beyond(c: Floats, m: float, q: float, length: float, root: float) -> float:
     return total
 
 
-@kernel
+@float_kernel
 def _shadow(c: Floats, m: float) -> float:
     """What leaning light sees of the end in its own shadow, less than nothing; nothing if it leans outwards.
 

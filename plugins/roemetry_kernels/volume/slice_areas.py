@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from roemetry.arrays import Flags, Floats, Integers, Labels
-from roemetry_kernels.compiling import kernel
+from roemetry_kernels.compiling import float_kernel
 
 AT, AREA, SEEN, BRIDGED, FILLED, WIDTH, HOLE, TOP, LOW, COUNT, FIRST_ROW, LAST_ROW, CLEFT, LOOSE = range(14)
 OPEN, WALL = 14, 15
@@ -22,7 +22,7 @@ _JUMP, _JUMP_MM = 2.2, 0.8
 _Y, _Z, _ROW, _SEEN = range(4)
 
 
-@kernel
+@float_kernel
 def slice_areas(
     xyz_mm: Floats,
     product: Labels,
@@ -98,7 +98,7 @@ def slice_areas(
     return table, ordered
 
 
-@kernel
+@float_kernel
 def _fan(plane: Floats, y0: float, table: Floats) -> tuple[float, float]:
     """Write t of each slice; give how fast the planes' slopes dX/dy and dX/dz change with t, per mm."""
     slices = plane.shape[0]
@@ -120,7 +120,7 @@ def _fan(plane: Floats, y0: float, table: Floats) -> tuple[float, float]:
     return ty / tt, tz / tt
 
 
-@kernel
+@float_kernel
 def _area(
     out: Floats, on: Floats, highest: Floats, y0: float, slope_y: float, slope_z: float, per_row: float
 ) -> None:
@@ -143,29 +143,40 @@ def _area(
     widest = _GAP_SHARE * abs(on[count - 1, _Y] - on[0, _Y])
     fan = y0, slope_y, slope_z, wall
     first, last = _outermost_seen(on)
-    before = np.nan
+    # summed up here, not in the table: a write there would make all of the slice be read anew
+    width, area, on_seen, on_bridged, loose = 0.0, 0.0, 0.0, 0.0, 0.0
+    inwards = np.nan
     for m in range(count):
-        after, gap = np.nan, False
+        y, z, row, is_seen = on[m, _Y], on[m, _Z], on[m, _ROW], on[m, _SEEN]
+        outwards, gap = np.nan, False
         if m < count - 1:
-            after = abs(on[m, _Y] - on[m + 1, _Y])
-            gap = on[m + 1, _ROW] - on[m, _ROW] > _STEP_MAX
-        if gap:
-            after = np.nan
-        inwards = after if np.isnan(before) else before
-        outwards = before if np.isnan(after) else after
-        span = per_row if np.isnan(inwards) else 0.5 * (inwards + outwards)
-        part = span * _weighed(on[m, _Y], on[m, _Z], fan)
-        out[WIDTH] += span
-        out[AREA] += part
-        out[SEEN if on[m, _SEEN] > 0.0 else BRIDGED] += abs(part)
+            gap = on[m + 1, _ROW] - row > _STEP_MAX
+            if not gap:
+                outwards = abs(y - on[m + 1, _Y])
+        before, after = inwards, outwards
+        inwards = outwards
+        if np.isnan(before):
+            before = after
+        if np.isnan(after):
+            after = before
+        span = per_row if np.isnan(before) else 0.5 * (before + after)
+        part = span * _weighed(y, z, fan)
+        width += span
+        area += part
+        if is_seen > 0.0:
+            on_seen += abs(part)
+        else:
+            on_bridged += abs(part)
         if m < first or m > last:
-            out[LOOSE] += abs(part)
+            loose += abs(part)
         if gap:
             _gap(out, on[m], on[m + 1], fan, top, per_row, widest)
-        before = after
+    out[WIDTH] += width
+    out[AREA] += area
+    out[SEEN], out[BRIDGED], out[LOOSE] = on_seen, on_bridged, loose
 
 
-@kernel
+@float_kernel
 def _outermost_seen(on: Floats) -> tuple[int, int]:
     """First and last place among a slice's points that was seen; of none, all are beyond."""
     count = on.shape[0]
@@ -177,7 +188,7 @@ def _outermost_seen(on: Floats) -> tuple[int, int]:
     return first, last
 
 
-@kernel
+@float_kernel
 def _trimmed(on: Floats) -> tuple[int, int]:
     """Leave out rows at a slice's ends that see a part of the belt beside the product.
 
@@ -198,7 +209,7 @@ def _trimmed(on: Floats) -> tuple[int, int]:
     return start, stop
 
 
-@kernel
+@float_kernel
 def _cleft(on: Floats, before: Floats) -> float:
     """Deepest fall below the lower of the highest points on either side, over that; from 0 to 1."""
     count = on.shape[0]
@@ -217,7 +228,7 @@ def _cleft(on: Floats, before: Floats) -> float:
     return deepest
 
 
-@kernel
+@float_kernel
 def _gap(
     out: Floats,
     one: Floats,
@@ -239,7 +250,7 @@ def _gap(
     out[FILLED] += abs(span * mean)
 
 
-@kernel
+@float_kernel
 def _weighed(y: float, z: float, fan: tuple[float, float, float, float]) -> float:
     """Height times the local spacing over that on the belt, mm."""
     y0, slope_y, slope_z, wall = fan

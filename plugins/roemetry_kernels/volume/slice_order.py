@@ -7,8 +7,10 @@ import numpy as np
 from roemetry.arrays import Floats, Integers
 from roemetry_kernels.compiling import kernel
 from roemetry_kernels.volume.slice_areas import (
+    AREA,
     AT,
     BRIDGED,
+    CLEFT,
     COUNT,
     FILLED,
     FIRST_ROW,
@@ -19,16 +21,22 @@ from roemetry_kernels.volume.slice_areas import (
 )
 
 BEFORE, AFTER, USUAL, MISSING, SEEN_MM3, JOINED_MM3, ASSUMED_MM3, LEAST_GAP, UNKNOWN = range(9)
-MOST_FILLED, MOST_HOLE, LOWEST, UPPERMOST, LOWERMOST = range(9, 14)
+MOST_FILLED, MOST_HOLE, LOWEST, UPPERMOST, LOWERMOST, LEAST_AREA, CLOVEN = range(9, 16)
+LEANS = 16, 17
+CLEFT_SHARE = 0.3
 """What `in_order` says of all slices: distances from the outer ones to the next stripe outside (NaN:
 there is none) and mean spacing, mm; stripes between without a point; volumes that are seen, joined along a
 stripe, and over stripes without a point, mm³; smallest distance of two slices, mm; the first slice of the
 table whose place is not known, or −1; and of the slices that have points the largest area filled (mm²) and
-length left out (mm), the lowest height (mm), and the first and last row (px)."""
+length left out (mm), the lowest height (mm), the first and last row (px), the least area (mm²), how many
+fall by over `CLEFT_SHARE` between two humps, and how far the planes of both outer ones go outwards for each
+millimetre upwards."""
 
 
 @kernel
-def in_order(table: Floats, stripe: Integers, frame: Integers) -> tuple[Integers, Floats, Floats]:
+def in_order(
+    table: Floats, stripe: Integers, frame: Integers, plane: Floats
+) -> tuple[Integers, Floats, Floats, Floats, Floats]:
     """Sort the slices that have points along rising rest X.
 
     Parameters
@@ -38,6 +46,8 @@ def in_order(table: Floats, stripe: Integers, frame: Integers) -> tuple[Integers
     stripe, frame : ndarray of int64, shape (slice,)
         As in `Profiles`: within a frame stripe numbers tell of stripes without a point; a scan's frames
         overlap as they like.
+    plane : ndarray of float64, shape (slice, 4)
+        As there.
 
     Returns
     -------
@@ -45,10 +55,14 @@ def in_order(table: Floats, stripe: Integers, frame: Integers) -> tuple[Integers
         Rows of the table, sorted.
     held_mm : ndarray of float64, shape (n,)
         Half the ways to both neighbours, nothing beyond the outer ones.
-    whole : ndarray of float64, shape (14,)
+    whole : ndarray of float64, shape (18,)
         As named above.
+    rows : ndarray of float64, shape (n, 16)
+        The table's rows, sorted.
+    columns : ndarray of float64, shape (16, n)
+        The same by column, each in one piece.
     """
-    whole = np.full(14, np.nan)
+    whole = np.full(18, np.nan)
     whole[UNKNOWN] = -1.0
     lit = np.empty(table.shape[0], np.int64)
     count = 0
@@ -64,8 +78,9 @@ def in_order(table: Floats, stripe: Integers, frame: Integers) -> tuple[Integers
             count += 1
     lit = lit[:count]
     held = np.zeros(count)
+    rows, columns = np.empty((count, table.shape[1])), np.empty((table.shape[1], count))
     if count == 0 or whole[UNKNOWN] >= 0.0:
-        return lit, held, whole
+        return lit, held, whole, rows, columns
     own = np.zeros(count)
     spacings, missing, least = 0.0, 0.0, np.inf
     for k in range(count - 1):
@@ -90,18 +105,26 @@ def in_order(table: Floats, stripe: Integers, frame: Integers) -> tuple[Integers
     whole[AFTER] = after if after < np.inf else np.nan
     whole[USUAL] = spacings / (count - 1) if count > 1 else np.nan
     whole[MISSING], whole[LEAST_GAP] = missing, least
+    whole[LEANS[0]] = plane[lit[0], 2] / plane[lit[0], 0]
+    whole[LEANS[1]] = -plane[lit[count - 1], 2] / plane[lit[count - 1], 0]
     seen, joined, assumed = 0.0, 0.0, 0.0
     filled, hole, lowest, upper, lower = 0.0, 0.0, np.inf, np.inf, -np.inf
+    least_area, cloven = np.inf, 0.0
     for k in range(count):
-        mine = table[lit[k]]
+        mine = rows[k]
+        for column in range(mine.size):
+            mine[column] = table[lit[k], column]
+            columns[column, k] = mine[column]
+        least_area = min(least_area, mine[AREA])
+        cloven += 1.0 if mine[CLEFT] > CLEFT_SHARE else 0.0
         filled, hole, lowest = max(filled, mine[FILLED]), max(hole, mine[HOLE]), min(lowest, mine[LOW])
         upper, lower = min(upper, mine[FIRST_ROW]), max(lower, mine[LAST_ROW])
-        on = table[lit[k], SEEN]
-        between = table[lit[k], BRIDGED] + table[lit[k], FILLED]
+        on, between = mine[SEEN], mine[BRIDGED] + mine[FILLED]
         seen += on * own[k]
         joined += between * own[k]
         assumed += (on + between) * (held[k] - own[k])
+    whole[LEAST_AREA], whole[CLOVEN] = least_area, cloven
     whole[SEEN_MM3], whole[JOINED_MM3], whole[ASSUMED_MM3] = seen, joined, assumed
     whole[MOST_FILLED], whole[MOST_HOLE], whole[LOWEST] = filled, hole, lowest
     whole[UPPERMOST], whole[LOWERMOST] = upper, lower
-    return lit, held, whole
+    return lit, held, whole, rows, columns

@@ -10,6 +10,9 @@ from roemetry_kernels.compiling import kernel
 SUM, TRAPEZOID, SIMPSON, PCHIP, SPLINE = range(5)
 NO_CAP, TAPERED, BLUNT = 0.0, 1.0, 2.0
 
+WAIST = 0.35
+"""A slice under that share of some on both sides of it is a waist."""
+
 _BEYOND = 1.15
 """A cap that would reach this much further than the next stripe, which shows belt, is cut off there."""
 
@@ -118,6 +121,21 @@ def short_of(t: Floats, area: Floats, at_end: int) -> tuple[float, float]:
     line = area[j] + slope * (t[i] - t[j])
     expected = min(line, line + bend * (t[i] - t[j]) * (t[i] - t[k]))
     return expected - area[i], expected
+
+
+@kernel
+def waist(area: Floats) -> int:
+    """Give the number of the smallest slice that is far smaller than some on both sides of it, or −1."""
+    n, found = area.size, -1
+    right = area.copy()
+    for k in range(n - 2, -1, -1):
+        right[k] = max(right[k], right[k + 1])
+    left = area[0]
+    for k in range(1, n - 1):
+        left = max(left, area[k])
+        if area[k] < WAIST * min(left, right[k]) and (found < 0 or area[k] < area[found]):
+            found = k
+    return found
 
 
 @kernel
