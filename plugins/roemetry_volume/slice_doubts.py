@@ -24,7 +24,7 @@ def reasons_of(product: Product, slices: Slices, caps: Sequence[float] = ()) -> 
     caps
         Kinds of the caps at both ends, for estimators that have such.
     """
-    columns, _, rules, _, _ = slice_kernels()
+    columns, _, rules = slice_kernels()[:3]
     table, calibration = slices.table, product.calibration
     reasons = []
     if slices.missing:

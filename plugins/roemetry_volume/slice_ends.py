@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-
 from roemetry.records import Product
 from roemetry_volume.slice_kernels import slice_kernels
 from roemetry_volume.slice_options import Ends
@@ -33,7 +31,9 @@ class Cap(NamedTuple):
 
     `kind` is one of `slice_rules`; `slope_mm` is dA/dt at the outer slice (NaN: no taper);
     `shadow_mm3` what leaning light makes the slices count too little at this end, or, negative, too much;
-    `area_mm2` what the outer slice counts with: one that runs over the edge of an upright end as if whole.
+    `area_mm2` what the outer slice counts with: one that runs over the edge of an upright end as if whole;
+    `bulge_mm3` what a quadric says that lies between it and the next one over the straight line from area to
+    area, and `trust` how far to believe that.
     """
 
     volume_mm3: float
@@ -43,6 +43,8 @@ class Cap(NamedTuple):
     shadow_mm3: float
     std_mm3: float
     area_mm2: float
+    bulge_mm3: float = 0.0
+    trust: float = 0.0
 
 
 class _Flat(NamedTuple):
@@ -74,11 +76,12 @@ def cap_of(product: Product, slices: Slices, end: int, ends: Ends) -> Cap:
     flat = _flat(product, slices, end)
     if flat.trust > _HARDLY:
         found = _mixed(found, flat, rules.BLUNT)
-    volume, length, shadow, trust = _by_quadric(product, slices, end, within)
+    volume, length, shadow, bulge, trust = _by_quadric(product, slices, end, within)
     if trust < _HARDLY:
         return found
     own = math.hypot(_QUADRIC_STD * volume, _SHADOW_STD * shadow)
-    return _mixed(found, _Flat(volume, length, shadow, own, area, trust), rules.TAPERED)
+    mixed = _mixed(found, _Flat(volume, length, shadow, own, area, trust), rules.TAPERED)
+    return mixed._replace(bulge_mm3=bulge, trust=trust)
 
 
 def upright_ends(product: Product, slices: Slices) -> tuple[bool, bool]:
@@ -123,17 +126,6 @@ def _flat(product: Product, slices: Slices, end: int) -> _Flat:
     return _Flat(*found)
 
 
-def _walls_counted(slices: Slices, end: int, wall_mm: float) -> float:
-    """Say by how much this end's half of the slices counts walls of their own ends more than lower ones."""
-    # dX/dz over t, by which the wall below a slice's ends counts
-    opening = (slices.lean[1] + slices.lean[0]) / float(slices.t_mm[-1] - slices.t_mm[0])
-    n = slices.t_mm.size
-    half = np.clip(0.5 * n - np.arange(n), 0.0, 1.0)
-    mine = half[::-1] if end else half
-    higher = slices.table[:, slice_kernels().columns.WALL] - wall_mm * wall_mm
-    return 0.5 * opening * float((mine * slices.held_mm * slices.width_mm) @ higher)
-
-
 def _within(slices: Slices, end: int) -> float:
     """How far beyond the outer slice the end may lie, mm."""
     reach = slices.reach_mm[end]
@@ -144,15 +136,14 @@ def _within(slices: Slices, end: int) -> float:
 
 def _by_quadric(
     product: Product, slices: Slices, end: int, within_mm: float
-) -> tuple[float, float, float, float]:
-    """Give volume, length and shadow of the cap by a quadric through three slices, and how far to believe it.
+) -> tuple[float, float, float, float, float]:
+    """Give volume, length, shadow and bulge of the cap by a quadric through three slices, and its trust.
 
-    With the shadow goes what the slices' walls were taken too high by: a slice's outermost points lie over
-    the rim, by the quadric, and most where light grazes.
+    With the shadow goes what the slices miss at their own ends, now that the rim's height is known.
     """
     profiles = slices.profiles
     quadric_end = slice_kernels().quadric_end
-    volume, length, shadow, rim_mm, off_mm = quadric_end(
+    volume, length, shadow, bulge, rim_mm, off_mm = quadric_end(
         profiles.xyz_mm,
         profiles.product,
         profiles.seen,
@@ -167,9 +158,19 @@ def _by_quadric(
     )
     trust = 1.0 / (1.0 + (off_mm / _FITS_MM) ** 10) if off_mm < 3.0 * _FITS_MM else 0.0
     if trust < _HARDLY:
-        return 0.0, 0.0, 0.0, 0.0
-    shadow -= _walls_counted(slices, end, max(rim_mm, 0.0))
-    return volume, length, shadow, trust
+        return 0.0, 0.0, 0.0, 0.0, 0.0
+    shadow += slice_kernels().edges_missed(
+        profiles.xyz_mm,
+        profiles.product,
+        profiles.row_px,
+        product.number,
+        slices.table,
+        slices.place,
+        end,
+        slices.lean,
+        max(rim_mm, 0.0),
+    )
+    return volume, length, shadow, bulge, trust
 
 
 def _std(slices: Slices, end: int, taper: tuple[float, float, float, float], volume_mm3: float) -> float:
@@ -180,7 +181,7 @@ def _std(slices: Slices, end: int, taper: tuple[float, float, float, float], vol
     that is held although the slices taper is off by what the taper says otherwise. Where light leans over an
     end, its shadow below the rim counts, more or less; and there may be a wall before the outer slice.
     """
-    columns, _, rules, _, _ = slice_kernels()
+    columns, _, rules = slice_kernels()[:3]
     outer = slices.table[-end].tolist()
     area, lean = outer[columns.AREA], slices.lean[end]
     if taper[3] == rules.NO_CAP:

@@ -14,6 +14,7 @@ class SliceKernels(NamedTuple):
     rules: Any
     quadric_end: Any
     flat_end: Any
+    edges_missed: Any
 
 
 @lru_cache(maxsize=1)
@@ -22,5 +23,6 @@ def slice_kernels() -> SliceKernels:
     from roemetry_kernels.volume import slice_areas, slice_order, slice_rules
     from roemetry_kernels.volume.flat_ends import flat_end
     from roemetry_kernels.volume.quadric_ends import quadric_end
+    from roemetry_kernels.volume.slice_edges import edges_missed
 
-    return SliceKernels(slice_areas, slice_order, slice_rules, quadric_end, flat_end)
+    return SliceKernels(slice_areas, slice_order, slice_rules, quadric_end, flat_end, edges_missed)

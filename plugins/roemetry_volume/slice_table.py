@@ -81,7 +81,7 @@ def slices_of(product: Product) -> Slices:
         Fewer than three stripes lie on the product, it looks like two side by side, a slice lies below the
         belt, or a plane of light runs along X.
     """
-    columns, order, _, _, _ = slice_kernels()
+    columns, order = slice_kernels()[:2]
     table, profiles = table_of(product.profiles, product.number)
     lit, held, whole, rows, by_column = order.in_order(table, profiles.stripe, profiles.frame, profiles.plane)
     if not lit.size:

@@ -12,6 +12,7 @@ from roemetry.arrays import Floats, Integers
 CELL_MM = 2.5
 STIFFNESS = 0.1
 _RIDGE = 1e-6
+_BELIEF = 10.0  # a dome's quadric leaves 0.2 % of the scatter, a skein's 7 %, that of steps nearly all
 _GROUP = 5
 
 
@@ -88,11 +89,39 @@ def plate_through(
     grid = (low_s, low_v, CELL_MM, cells[0], cells[1])
     band = bending(grid, stiffness * STIFFNESS, _RIDGE)
     right = np.zeros(band.shape[1])
-    add_points(band, right, grid, knots.s, knots.v, knots.u, knots.weight)
-    add_points(band, right, grid, rim_s, rim_v, np.zeros_like(rim_s), rim_weight)
+    course, off = _course(
+        grid,
+        (s, v),
+        np.concatenate([knots.u, np.zeros_like(rim_s)]),
+        np.concatenate([knots.weight, rim_weight]),
+    )
+    add_points(band, right, grid, s, v, off, np.concatenate([knots.weight, rim_weight]))
     factor = cholesky_banded(band, overwrite_ab=True, lower=True, check_finite=False)
     found = cho_solve_banded((factor, True), right, check_finite=False)
-    return Plate(grid, found, factor, right)
+    return Plate(grid, course + found, factor, right)
+
+
+def _course(grid: Any, place: tuple[Floats, Floats], u: Floats, weight: Floats) -> tuple[Floats, Floats]:
+    """Give the quadric through all points, as the spline's coefficients, and by how much each lies off it.
+
+    It is taken by a share: the more of the points' scatter it leaves, the less it says of what is between.
+    """
+    (s, v), (low_s, low_v, side, cells_s, cells_v) = place, grid
+    root = np.sqrt(weight)
+    a, b = (s - low_s) / side, (v - low_v) / side
+    design = np.column_stack([np.ones_like(a), a, b, a * a, a * b, b * b])
+    c, *_ = np.linalg.lstsq(root[:, None] * design, root * u, rcond=None)
+    # a cubic B-spline's coefficient k stands for the place k - 1; of a square it is a third less
+    i, j = np.arange(cells_s + 3)[:, None] - 1.0, np.arange(cells_v + 3)[None, :] - 1.0
+    course = (
+        c[0] + c[1] * i + c[2] * j + c[3] * (i * i - 1.0 / 3.0) + c[4] * i * j + c[5] * (j * j - 1.0 / 3.0)
+    )
+    guess = design @ c
+    left = float(
+        (weight * (u - guess) ** 2).sum() / (weight * (u - np.average(u, weights=weight)) ** 2).sum()
+    )
+    share = max(1.0 - left, 0.0) ** _BELIEF
+    return share * course.ravel(), u - share * guess
 
 
 def without_slice(plate: Plate, knots: Knots, slice_: int) -> Floats:

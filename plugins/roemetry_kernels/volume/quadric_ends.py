@@ -8,18 +8,21 @@ import numpy as np
 
 from roemetry.arrays import Flags, Floats, Integers, Labels
 from roemetry_kernels.compiling import float_kernel
+from roemetry_kernels.volume.quadric_shadow import shadow_of
 from roemetry_kernels.volume.slice_areas import AREA, AT, COUNT, FIRST_ROW, LAST_ROW, TOP, WIDTH
 from roemetry_kernels.volume.slice_rules import three_outer
 
-VOLUME, LENGTH, SHADOW, RIM_MM, RESIDUAL_MM = range(5)
+VOLUME, LENGTH, SHADOW, BULGE, RIM_MM, RESIDUAL_MM = range(6)
 """What `quadric_end` gives: volume beyond the outer slice (mm³) and how far it reaches (mm); what the slices
-count too much because leaning light passes over the end, negative (mm³); height of the rim; how far off the
-quadric the points lie (mm). All are NaN where no quadric closes there."""
+count too much because leaning light passes over the end, negative (mm³); what lies between the outer slice
+and the next one over the straight line from area to area (mm³); height of the rim; how far off the quadric
+the points lie (mm). All are NaN where no quadric closes there."""
 
 _UNIT_MM = 10.0  # of the local frame: numbers near 1 keep the normal equations sound
 _GROUPS = 20  # of points, along a slice
 _TERMS = 7
 _NODES = 12
+_PARTS = 4
 _BEYOND = 1.15
 _AREA_OFF = 0.3
 _OFF_MM = 0.25
@@ -39,7 +42,7 @@ def quadric_end(
     at_end: int,
     reach_mm: float,
     limited: bool,
-) -> tuple[float, float, float, float, float]:
+) -> tuple[float, float, float, float, float, float]:
     """Fit (z − r)² = Q(x, y), Q of second degree, through three slices and take the volume beyond them.
 
     Every ellipsoid that stands or lies on the belt with a level rim is one, a ball and a cap of one, too. In
@@ -65,7 +68,7 @@ def quadric_end(
     tuple of float
         As named above.
     """
-    nothing = (np.nan, np.nan, np.nan, np.nan, np.nan)
+    nothing = (np.nan, np.nan, np.nan, np.nan, np.nan, np.nan)
     three = three_outer(table[:, AT], at_end)
     sign = 1.0 if at_end == 1 else -1.0
     rows = np.array([place[three[0]], place[three[1]], place[three[2]]])
@@ -112,8 +115,10 @@ def quadric_end(
             high = middle
     length = min(high, reach_mm / _UNIT_MM) if limited else high
     volume = _beyond(c, m, q, length, high)
-    shadow = _shadow(c, m)
-    return _UNIT_MM**3 * volume, _UNIT_MM * length, _UNIT_MM**3 * shadow, _UNIT_MM * r, residual_mm
+    fanning = _fanning(plane, table, place)
+    shadow, bulge = shadow_of(c, m, q, fanning), _bulge(c, m, q, fanning, table, at_end)
+    cubic = _UNIT_MM**3
+    return cubic * volume, _UNIT_MM * length, cubic * shadow, cubic * bulge, _UNIT_MM * r, residual_mm
 
 
 @float_kernel
@@ -315,36 +320,23 @@ def _beyond(c: Floats, m: float, q: float, length: float, root: float) -> float:
 
 
 @float_kernel
-def _shadow(c: Floats, m: float) -> float:
-    """What leaning light sees of the end in its own shadow, less than nothing; nothing if it leans outwards.
+def _fanning(plane: Floats, table: Floats, place: Integers) -> float:
+    """How much dX/dz of the planes of light changes along rest X, per unit."""
+    n = table.shape[0]
+    first, last = place[0], place[n - 1]
+    change = plane[first, 2] / plane[first, 0] - plane[last, 2] / plane[last, 0]
+    return _UNIT_MM * change / (table[n - 1, AT] - table[0, AT])
 
-    Line by line along x: behind the place where the ray grazes, the slices count the triangle below the ray;
-    of that the product fills a part, and the same rim on the near side, which no camera above sees, another.
-    """
-    if not m < 0.0:
-        return 0.0
-    r, low, k, lean = c[0], max(c[0], 0.0), -c[4], -m
-    u0, u1, u2 = c[1] + c[2] * c[2] / (4.0 * k), c[3] + 0.5 * c[2] * c[5] / k, c[6] + 0.25 * c[5] * c[5] / k
-    if not u2 < 0.0:
-        return 0.0
-    middle = -0.5 * u1 / u2
-    top = u0 + 0.5 * u1 * middle
-    if not top > 0.0:
-        return 0.0
-    half, root = math.sqrt(top / -u2), math.sqrt(k)
-    graze = math.atan2(1.0, lean * root)
-    total = 0.0
-    for node in range(2 * _NODES):
-        turn = math.pi * ((node + 0.5) / (2 * _NODES) - 0.5)
-        s = math.sqrt(top) * math.cos(turn)
-        height = r + s * math.cos(graze)
-        foot = 0.5 * math.pi if r >= 0.0 else math.acos(min(max(-r / s, -1.0), 1.0))
-        if height <= low or foot <= graze:
-            continue
-        body = r * s / root * (math.sin(foot) - math.sin(graze))
-        body += 0.5 * s * s / root * (
-            foot - graze + math.sin(foot) * math.cos(foot) - math.sin(graze) * math.cos(graze)
-        )  # fmt: skip
-        off = body - 0.5 * lean * (height * height - low * low)
-        total += off * half * math.cos(turn) * math.pi / (2 * _NODES)
-    return total
+
+@float_kernel
+def _bulge(c: Floats, m: float, q: float, fanning: float, table: Floats, at_end: int) -> float:
+    """Integrate the sections from the outer slice inwards to the next one, less the trapezoid."""
+    n = table.shape[0]
+    outer, inner = (n - 1, n - 2) if at_end == 1 else (0, 1)
+    way = -abs(table[outer, AT] - table[inner, AT]) / _UNIT_MM
+    total = -0.5 * (_section(c, m, q, 0.0) + _section(c, m + fanning * way, q, way))
+    for k in range(_PARTS):
+        for place in (0.21132486540518712, 0.7886751345948129):
+            at = way * (k + place) / _PARTS
+            total += 0.5 / _PARTS * _section(c, m + fanning * at, q, at)
+    return -way * total

@@ -18,7 +18,14 @@ _BEYOND = 1.15
 
 
 @kernel
-def between_slices(t: Floats, area: Floats, slope: Floats, rule: int) -> float:
+def between_slices(
+    t: Floats,
+    area: Floats,
+    slope: Floats,
+    rule: int,
+    bulge: tuple[float, float] = (0.0, 0.0),
+    trust: tuple[float, float] = (0.0, 0.0),
+) -> float:
     """Give the volume from the first to the last slice, mm³.
 
     Parameters
@@ -32,6 +39,10 @@ def between_slices(t: Floats, area: Floats, slope: Floats, rule: int) -> float:
     rule
         `SUM` (the same as the trapezoid here: they differ in the caps), `TRAPEZOID`, `SIMPSON`, `PCHIP`
         (Fritsch and Butland's slopes) or `SPLINE` (cubic, not-a-knot where no slope is given).
+    bulge, trust
+        What is known at either end to lie between the outer two slices over the straight line, mm³, and how
+        far to believe it rather than the cubics. Where both are believed the body is smooth from end to
+        end, and `PCHIP` takes the spline's slopes: its own are flat beside the largest area.
     """
     n = t.size
     if rule == SIMPSON:
@@ -39,6 +50,12 @@ def between_slices(t: Floats, area: Floats, slope: Floats, rule: int) -> float:
     slopes = np.zeros(n)
     if rule == PCHIP:
         _pchip_slopes(t, area, slopes)
+        smooth = trust[0] * trust[1]
+        if smooth > 0.0:
+            through = np.zeros(n)
+            _spline_slopes(t, area, slope, through)
+            for i in range(n):
+                slopes[i] += smooth * (through[i] - slopes[i])
     elif rule == SPLINE:
         _spline_slopes(t, area, slope, slopes)
     volume = 0.0
@@ -46,7 +63,12 @@ def between_slices(t: Floats, area: Floats, slope: Floats, rule: int) -> float:
         h = t[i + 1] - t[i]
         volume += 0.5 * h * (area[i] + area[i + 1])
         if rule >= PCHIP:
-            volume += h * h * (slopes[i] - slopes[i + 1]) / 12.0
+            over = h * h * (slopes[i] - slopes[i + 1]) / 12.0
+            if i == 0:
+                over += trust[0] * (bulge[0] - over)
+            if i == n - 2:
+                over += trust[1] * (bulge[1] - over)
+            volume += over
     return volume
 
 

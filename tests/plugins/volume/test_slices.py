@@ -78,7 +78,7 @@ def test_smooth_areas_are_even(rng: np.random.Generator) -> None:
 
 @pytest.mark.parametrize("estimator", [SliceSimpson, SlicePchip, SliceSpline])
 @pytest.mark.parametrize("shift_px", [0.0, 9.0, 23.0])
-@pytest.mark.parametrize("size", [(75.0, 40.0, 14.0), (92.0, 30.0, 18.0)])
+@pytest.mark.parametrize("size", [(75.0, 40.0, 14.0), (92.0, 30.0, 18.0), (50.0, 50.0, 20.0)])
 def test_half_ellipsoids_under_eleven_stripes(estimator, shift_px: float, size) -> None:
     """Within 0.5 % wherever the stripes fall, the planes leaning by 0.375 mm a millimetre."""
     solid = Solid("half-ellipsoid", *size)

@@ -158,7 +158,8 @@ def test_an_outline_a_pixel_too_wide_moves_the_volume_as_budgeted() -> None:
 def test_leaving_a_slice_out_is_a_refit_without_it(rng: np.random.Generator) -> None:
     number = np.repeat(np.arange(6), 9)
     s, v = 4.0 * number, np.tile(np.linspace(-10.0, 10.0, 9), 6)
-    knots = Knots(s, v, 50.0 - 0.1 * s * s + rng.normal(0.0, 2.0, s.size), np.full(s.size, 5.0), number)
+    # no quadric's course, which is kept as it was found with all slices
+    knots = Knots(s, v, rng.normal(0.0, 2.0, s.size), np.full(s.size, 5.0), number)
     angle = np.linspace(0.0, 2.0 * np.pi, 60)
     rim = 10.0 + 16.0 * np.cos(angle), 12.0 * np.sin(angle), np.full(60, 6.0)
     keep = number != 2
