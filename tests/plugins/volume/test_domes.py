@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from roemetry.arrays import Floats
 from roemetry.records import Product
 from roemetry.testing import LinearRig
 from roemetry.testing.solids import Solid, product_of
@@ -21,7 +22,7 @@ RIG = LinearRig(rows=200, columns=640, stripes=11, first_px=120.0, spacing_px=40
 
 def test_between_few_stripes_the_plate_goes_as_a_quadric_does() -> None:
     number = np.repeat(np.arange(4), 9)
-    s, v = 6.0 * number - 9.0, np.tile(np.linspace(-6.0, 6.0, 9), 4)
+    s, v = 6.0 * number.astype(np.float64) - 9.0, np.tile(np.linspace(-6.0, 6.0, 9), 4)
     knots = Knots(s, v, dome(s, v), np.full(s.size, 5.0), number)
     angle = np.linspace(0.0, 2.0 * np.pi, 90, endpoint=False)
     plate = plate_through(knots, 12.0 * np.cos(angle), 15.0 * np.sin(angle), np.full(90, 6.0))
@@ -69,7 +70,7 @@ def test_rows_that_a_slice_lacks_at_a_rim_are_made_up_for(rows: int) -> None:
     assert gained[0] - gained[1] == pytest.approx(lost[1] - lost[0], rel=0.25)
 
 
-def dome(s: np.ndarray, v: np.ndarray) -> np.ndarray:
+def dome(s: Floats, v: Floats) -> Floats:
     return 100.0 * (1.0 - (s / 12.0) ** 2 - (v / 15.0) ** 2)
 
 
