@@ -83,6 +83,7 @@ def order_rows(
     height, own = np.empty(most * labels), np.empty(most * labels)
     forward, backward = np.empty(most * labels), np.empty(most * labels)
     first, after = np.empty(most, np.uint64), np.empty(most, np.uint64)
+    skipped, false = np.arange(labels) * _SKIP, np.arange(most) * _FALSE  # by their number
     lines = _of_labels(rest_by_row_px, of_label)
     for row in range(row_start.shape[0] - 1):
         begin, at = row_start[row], row * labels
@@ -100,16 +101,18 @@ def order_rows(
                 margin[np.uint64(begin) + k] = DEAREST
             continue
         for k in range(np.uint64(count)):
-            first[k] = after[k] = 0
+            # A peak lies farther off to the right from each next line: what it may be stands in a row.
+            x, beyond, upto = x_px[np.uint64(begin) + k], 0, 0
             for i in range(np.uint64(labels)):
-                off = x_px[np.uint64(begin) + k] - lines[np.uint64(at) + i]
+                off = x - lines[np.uint64(at) + i]
+                beyond += off > high[i]
+                upto += off >= low[i]
+            first[k], after[k] = beyond, max(beyond, upto)
+            for i in range(first[k], after[k]):
+                off = x - lines[np.uint64(at) + i]
                 height[k * width + i] = way[i] * off / spacing
                 own[k * width + i] = -_REST if abs(off) <= tolerance_px else 0.0
-                if off < low[i] or off > high[i]:
-                    continue
-                first[k] = i if after[k] == 0 else first[k]
-                after[k] = i + np.uint64(1)
-        _least(height, own, first, after, count, labels, forward, backward)
+        _least(height, own, first, after, count, labels, skipped, false, forward, backward)
         _verdicts(
             forward, backward, own, first, after, count, labels, of_label, np.uint64(begin), stripe, margin
         )
@@ -145,7 +148,7 @@ def _in_full(
 @inlined
 def _least(
     height: Floats, own: Floats, first: Places, after: Places, count: int, labels: int,
-    forward: Floats, backward: Floats,
+    skipped: Floats, false: Floats, forward: Floats, backward: Floats,
 ) -> None:  # fmt: skip
     """Write the least cost of all up to, and from, each peak with each stripe, both with its own.
 
@@ -157,22 +160,22 @@ def _least(
     for k in range(peaks):
         for i in range(first[k], after[k]):
             here = height[k * width + i]
-            best = i * _SKIP + k * _FALSE
+            best = skipped[i] + false[k]
             for q in range(k - look_back if k > look_back else zero, k):
                 for j in range(first[q], min(after[q], i)):
                     step = min(abs(here - height[q * width + j]), _STEP_MAX)
-                    left_out = (i - j - one) * _SKIP + (k - q - one) * _FALSE
+                    left_out = skipped[i - j - one] + false[k - q - one]
                     best = min(best, forward[q * width + j] + step + left_out)
             forward[k * width + i] = best + own[k * width + i]
     for done in range(peaks):
         k = peaks - one - done
         for i in range(first[k], after[k]):
             here = height[k * width + i]
-            best = (width - one - i) * _SKIP + (peaks - one - k) * _FALSE
+            best = skipped[width - one - i] + false[peaks - one - k]
             for q in range(k + one, min(peaks, k + one + look_back)):
                 for j in range(max(first[q], i + one), after[q]):
                     step = min(abs(here - height[q * width + j]), _STEP_MAX)
-                    left_out = (j - i - one) * _SKIP + (q - k - one) * _FALSE
+                    left_out = skipped[j - i - one] + false[q - k - one]
                     best = min(best, backward[q * width + j] + step + left_out)
             backward[k * width + i] = best + own[k * width + i]
 
