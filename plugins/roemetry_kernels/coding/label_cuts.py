@@ -92,7 +92,8 @@ def _source_side(tail: Integers, head: Integers, room: Floats, nodes: int, sourc
                     size += 1
         if level[sink] < 0:
             return level >= 0
-        at[:] = start[:-1]
+        for n in range(nodes):
+            at[n] = start[n]
         n, depth = source, 0
         while True:
             if n == sink:

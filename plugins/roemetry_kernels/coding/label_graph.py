@@ -274,13 +274,15 @@ def shifts_of(
         if cost[f, k] > -gain_min:
             break
         if way[f] == _ASIDE:
-            tried[:] = way
+            for g in range(runs):
+                tried[g] = way[g]
             again = _shift(
                 f, 2 * k - 1, _SMALL_ENTRIES, tried, own, one, other, both, disorder, start, edge, size, none,
                 waiting, queued,
             )  # fmt: skip
             if again <= -gain_min:
-                way[:] = tried
+                for g in range(runs):
+                    way[g] = tried[g]
     for f in range(runs):
         way[f] = OUT if way[f] == _OUT else way[f] - _ASIDE
     return dearer, way

@@ -88,5 +88,11 @@ def eased(both: Floats, disorder: Integers, cost: float) -> tuple[Floats, Intege
     cost
         What disorder costs in `both`, a line.
     """
-    touches = (disorder > 0) & (disorder <= _OVERLAP_LINES)
-    return np.where(touches, both - disorder * (cost - _OVERLAP), both), np.where(touches, 0, disorder)
+    eased_both, eased_disorder = both.copy(), disorder.copy()
+    for t in range(both.shape[0]):
+        for a in range(both.shape[1]):
+            for b in range(both.shape[2]):
+                if 0 < disorder[t, a, b] <= _OVERLAP_LINES:
+                    eased_both[t, a, b] -= disorder[t, a, b] * (cost - _OVERLAP)
+                    eased_disorder[t, a, b] = 0
+    return eased_both, eased_disorder

@@ -6,6 +6,7 @@ import numpy as np
 
 from roemetry.arrays import Floats, Integers
 from roemetry_kernels.compiling import kernel
+from roemetry_kernels.ranking import median_of
 
 _ROWS = 12
 """Peaks before, or after, one that are asked for their mean."""
@@ -71,8 +72,12 @@ def lying_still(
     asked = told & ((row < outer) | (row >= rows - outer))
     still_px = _STILL * tolerance_px
     if asked.any():
-        still_px = max(still_px, min(_SIGMAS * _MAD_TO_STD * np.median(least_px[asked]), tolerance_px))
-    return np.where(told & (least_px > still_px), -1, line)
+        still_px = max(still_px, min(_SIGMAS * _MAD_TO_STD * median_of(least_px[asked]), tolerance_px))
+    still = line.copy()
+    for p in range(peaks):
+        if told[p] and least_px[p] > still_px:
+            still[p] = -1
+    return still
 
 
 @kernel
@@ -90,7 +95,7 @@ def _ends(
                 off_px = np.empty(mine.size)
                 for k in range(mine.size):
                     off_px[k] = x_px[mine[k]] - rest_px[s, row[mine[k]]]
-                found[s, side] = np.median(off_px)
+                found[s, side] = median_of(off_px)
     return found
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roemetry_kernels.compiling import kernel
+from roemetry_kernels.ranking import nth_smallest
 
 _BLOCK = 16  # pixels whose differences are looked at together
 _BLOCKS_MAX = 1024  # looked at in all: the estimate is then good to 2 %
@@ -94,4 +95,4 @@ def _low_sum(
         upto += counts[low]
         if upto > wanted:
             return low
-    return int(np.partition(sums, wanted)[wanted])
+    return int(nth_smallest(sums, wanted))

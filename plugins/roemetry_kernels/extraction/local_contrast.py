@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from roemetry.arrays import Flags, Floats
 from roemetry_kernels.compiling import float_kernel, inlined
+from roemetry_kernels.ranking import nth_smallest
 
 SHARE_MIN = 0.08
 """Of a stripe beside it, that a stripe is high: the ripples of a JPEG are lower."""
@@ -64,7 +65,7 @@ def usual_height(row: NDArray[Any], amplitude: Floats) -> float:
     highest[rows] = best
     rows += 1
     at = int(_USUAL * (rows - 1))
-    return float(np.partition(highest[:rows], at)[at])
+    return float(nth_smallest(highest[:rows], at))
 
 
 @inlined

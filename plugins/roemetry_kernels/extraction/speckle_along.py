@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from roemetry.arrays import Floats
 from roemetry_kernels.compiling import float_kernel, inlined
 from roemetry_kernels.extraction.stripe_footing import Stripes
+from roemetry_kernels.ranking import median_of
 
 _APART = 3  # rows: usual speckle is not correlated over that many
 _LOOKED_AT = 500  # places: the contrast is then good to 6 %
@@ -66,7 +67,7 @@ def contrasts_along(s: Stripes, rows: int, columns: int, noise: Floats) -> Float
     of_all = np.zeros(1)
     if found < _FEWEST:
         return of_all
-    squared = np.median(square / _MEDIAN_OF_SQUARE - of_sensor)
+    squared = median_of(square / _MEDIAN_OF_SQUARE - of_sensor)
     if squared > _NOTHING * of_sensor.sum() / found:
         of_all[0] = squared / (1.0 + _STRONG * squared)
     if not _differs(s, square, of_sensor, at, max(squared, 0.0), rows, columns):
@@ -210,7 +211,7 @@ def _by_tile(
         count = begin[t + 1] - begin[t]
         if count < _PLACES_MIN:
             continue
-        limit = _CLIP * np.median(sorted_[begin[t] : begin[t + 1]]) / _MEDIAN_OF_SQUARE
+        limit = _CLIP * median_of(sorted_[begin[t] : begin[t + 1]]) / _MEDIAN_OF_SQUARE
         total = 0.0
         for p in range(begin[t], begin[t + 1]):
             total += min(sorted_[p], limit)
