@@ -154,6 +154,7 @@ class _RememberedStage:
         work = getattr(stage, verb)
 
         def remembered(*inputs: Any) -> Any:
+            """Give what the stage gives, from memory if it has done this before; its time is added up."""
             number = next((given.number for given in inputs if isinstance(given, Product)), 0)
             result, took = memory.recall((kind, key, number), lambda: work(*inputs))
             seconds[kind] = seconds.get(kind, 0.0) + took

@@ -212,6 +212,7 @@ def _by_parameter(calibration: Calibration, height_mm: float) -> Floats:
     seen = np.column_stack([x_px[good], np.full(int(good.sum()), row[0])])
 
     def mean_height(values: Floats) -> float:
+        """Give the mean height, mm, of those places under parameters that stand one after the other."""
         drawn, start = {}, 0
         for name, array in parameters.items():
             drawn[name] = values[start : start + array.size].reshape(array.shape)

@@ -113,6 +113,7 @@ def _extractor(stage: Extractor[Any]) -> Cases:
 
 def _coder(stage: Coder[Any]) -> Cases:
     def case(rig: LinearRig, x_px: Any) -> Case:
+        """Give the coding of peaks at (stripe, row) places, px; NaN everywhere is an empty image."""
         calibration = None if stage.capabilities.relative_numbers else rig.calibration()
         inputs = rig.peaks(x_px, scatter_px=0.1).peaks, calibration
         return Case(
@@ -132,6 +133,7 @@ def _smoother(stage: Smoother[Any]) -> Cases:
     rig = LinearRig()
 
     def case(height_mm: Any) -> Case:
+        """Give the smoothing of stripes over (stripe, row) heights, mm; NaN is not seen."""
         inputs = rig.stripe_map(height_mm)
         return Case(
             (inputs,),
@@ -144,6 +146,7 @@ def _smoother(stage: Smoother[Any]) -> Cases:
 
 def _calibrator(stage: Calibrator[Any]) -> Cases:
     def case(rig: LinearRig) -> Case:
+        """Give the calibration of a rig from images of the targets that the stage takes."""
         observed = calibration_set_for(stage, rig)
         return Case((observed,), lambda calibrator: calibrator.calibrate(observed))
 
@@ -160,6 +163,7 @@ def _triangulator(stage: Triangulator[Any]) -> Cases:
     calibration = calibration_for(stage, rig)
 
     def case(height_mm: Any) -> Case:
+        """Give the triangulation of stripes over (stripe, row) heights, mm; NaN is not seen."""
         inputs = rig.stripe_map(height_mm), calibration
         return Case(
             inputs,
@@ -174,6 +178,7 @@ def _outliner(stage: Outliner[Any]) -> Cases:
     rig = LinearRig()
 
     def case(height_mm: Any, *, lit: bool = True) -> Case:
+        """Give the outlining of an ellipse over (stripe, row) heights, mm; without light there is none."""
         row, column = np.mgrid[: rig.rows, : rig.columns]
         inside = np.hypot((row - rig.middle_row) / 45.0, (column - rig.middle_column) / 100.0) < 1.0
         plain = frame_of(np.where(inside, 180.0, 40.0) if lit else np.full(inside.shape, 40.0))
@@ -186,6 +191,7 @@ def _outliner(stage: Outliner[Any]) -> Cases:
 
 def _volume(stage: VolumeEstimator[Any]) -> Cases:
     def case(product: Any) -> Case:
+        """Give the estimate of a product's volume."""
         return Case(
             (product,),
             lambda estimator: estimator.estimate(product),
@@ -199,6 +205,7 @@ def _weigher(stage: Weigher[Any]) -> Cases:
     product = product_of(HALF_ELLIPSOID)
 
     def case(volume_mm3: float) -> Case:
+        """Give the weighing of a volume, mm³."""
         inputs = product, volume_of(volume_mm3)
         return Case(
             inputs, lambda weigher: weigher.weigh(*inputs), lambda weight: not weight.mass_g.value > 0.0
@@ -209,6 +216,7 @@ def _weigher(stage: Weigher[Any]) -> Cases:
 
 def _classifier(stage: Classifier[Any]) -> Cases:
     def case(product: Any) -> Case:
+        """Give the classification of a product."""
         return Case(
             (product,),
             lambda classifier: classifier.classify(product),
@@ -220,6 +228,7 @@ def _classifier(stage: Classifier[Any]) -> Cases:
 
 def _grader(stage: Grader[Any]) -> Cases:
     def case(mass_g: float) -> Case:
+        """Give the decision on a product of a mass, g; at 0 nothing is known of it."""
         weight = None if mass_g == 0.0 else Weight(Estimate(mass_g, 0.1))
         grade = None if mass_g == 0.0 else Grade("good", 0.99)
         volume = None if mass_g == 0.0 else volume_of(9000.0)
@@ -233,6 +242,8 @@ def _grader(stage: Grader[Any]) -> Cases:
 
 def _sink(stage: Sink[Any]) -> Cases:
     def case(*rows: Any) -> Case:
+        """Give what is written of rows of the record: file by file, its bytes."""
+
         def call(sink: Sink[Any]) -> dict[str, bytes]:
             with tempfile.TemporaryDirectory() as folder:
                 paths = sink.write(run_of(Path(folder), rows))

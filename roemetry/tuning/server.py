@@ -64,6 +64,7 @@ def app_of(session: Session) -> Starlette:
         return JSONResponse(session.recipe(), headers=_HEADERS)
 
     def picture(request: Request) -> Response:
+        """Give a kept picture by its key, or 404 with a word of why."""
         found = session.picture(request.path_params["key"])
         if found is None:
             return JSONResponse({"said": "this picture is not kept any more"}, 404, headers=_HEADERS)

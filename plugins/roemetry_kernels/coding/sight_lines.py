@@ -117,6 +117,7 @@ def _epipolar(peaks: Peaks, view: View, projector_mm: Floats, rest_px: Floats) -
     side = np.cross(base, forward)
 
     def placed(xy_px: Floats) -> tuple[Floats, Floats]:
+        """Give (point,) the angle about the base at which a pixel looks, rad, and a cotangent along it."""
         way = view.rays(xy_px)[1]
         ahead, beside = way @ forward, way @ side
         with np.errstate(divide="ignore", invalid="ignore"):
