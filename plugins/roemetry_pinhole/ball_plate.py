@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -181,15 +182,15 @@ def _first(at: Floats, plate: SpherePlate) -> Floats:
     y = (at[:, 1, None] + reach[:, None] * np.sin(turn)).ravel()
     low = np.array([x.min(), y.min()]) - 2.0 * cell
     size = [int(np.ptp(one) / cell) + 6 for one in (x, y)]
-    votes = np.zeros(size)
-    np.add.at(votes, (((x - low[0]) / cell).astype(int), ((y - low[1]) / cell).astype(int)), 1.0)
+    voted = ((x - low[0]) / cell).astype(int) * size[1] + ((y - low[1]) / cell).astype(int)
+    votes = np.bincount(voted, minlength=size[0] * size[1]).reshape(size).astype(np.float64)
     for axis in (0, 1):
         votes = votes + np.roll(votes, 1, axis) + np.roll(votes, -1, axis)
     # one ball with many stripes must not outvote the others
     votes = np.sqrt(votes)
     anchors = low + (_peaks_of(votes, int(radius / cell)) + 0.5) * cell
     yaws = np.radians(_YAWS_DEG)
-    flat = np.stack([centres(plate, np.array([0.0, 0.0, yaw, 1.0]))[:, :2] for yaw in yaws])
+    flat = _turned(plate)
     # (anchor, yaw, ball at the anchor, other ball)
     at_all = anchors[:, None, None, None] + flat[None, :, None] - flat[None, :, :, None]
     place = np.floor((at_all - low) / cell).astype(int)
@@ -198,6 +199,13 @@ def _first(at: Floats, plate: SpherePlate) -> Floats:
     score = (votes[u, v] * inside).sum(axis=-1)
     which, turn, ball = np.unravel_index(score.argmax(), score.shape)
     return np.array([*(anchors[which] - flat[turn, ball]), yaws[turn], 1.0])
+
+
+@lru_cache(maxsize=8)
+def _turned(plate: SpherePlate) -> Floats:
+    """(yaw, ball, 2) centres of the balls of a plate at the origin, mm, for each turn that is tried."""
+    yaws = np.radians(_YAWS_DEG)
+    return np.stack([centres(plate, np.array([0.0, 0.0, yaw, 1.0]))[:, :2] for yaw in yaws])
 
 
 def _peaks_of(votes: Floats, apart: int) -> Floats:
