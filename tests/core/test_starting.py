@@ -215,7 +215,7 @@ def test_what_comes_to_no_end_leaves_nothing(
 
 
 def test_an_own_product_is_begun_calibrated_run_and_reported(tmp_path: Path) -> None:
-    size = "--product plums --size 50x40x30mm --image 320x240 --pixel-um 20 --stripes 7"
+    size = "--product plums --size 50x40x30mm --image 240x180 --pixel-um 26.7 --stripes 7"
     wanted = "--measure volume,weight --density 1 --items 1"
     words = ["init", str(tmp_path / "plums"), *size.split(), *wanted.split()]
     done = CliRunner().invoke(app, words)
