@@ -268,21 +268,19 @@ def shifts_of(
                 if way[g] != _ASIDE:
                     dearer[g] = min(dearer[g], cost[f, k] / wide)
     way[:] = _ASIDE
-    tried, none = np.empty(runs, np.int64), np.zeros(runs, np.bool_)
+    none = np.zeros(runs, np.bool_)
     for n in np.argsort(cost.ravel()):
         f, k = n // 2, n % 2
         if cost[f, k] > -gain_min:
             break
         if way[f] == _ASIDE:
-            for g in range(runs):
-                tried[g] = way[g]
+            tried = way.copy()
             again = _shift(
                 f, 2 * k - 1, _SMALL_ENTRIES, tried, own, one, other, both, disorder, start, edge, size, none,
                 waiting, queued,
             )  # fmt: skip
             if again <= -gain_min:
-                for g in range(runs):
-                    way[g] = tried[g]
+                way = tried
     for f in range(runs):
         way[f] = OUT if way[f] == _OUT else way[f] - _ASIDE
     return dearer, way
