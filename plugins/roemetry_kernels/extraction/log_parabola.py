@@ -101,17 +101,15 @@ def log_parabola_centres(
             place, step = places[k], steps[k]
             for j in range(np.uint64(5)):
                 v[j * _N + k] = levels[place + step * j]
-        for j in range(2 - half, 3 + half):
-            for k in range(LANES):
-                v[_USABLE + k] = v[_USABLE + k] if v[_LEVEL + j * LANES + k] < white else 0.0
+        _without_white(v, white, half)
         _tops(v, by_1, by_2, 0.5 + _ASTRAY * half)
         _uncertainties(v, by_1, by_2, alike, noise)
-        copied(v, _X, lanes, x_px, start)
         copied(v, _STD, lanes, x_std_px, start)
+        begin = np.uint64(start)
         for k in range(np.uint64(lanes)):
             # Where the border leaves fewer pixels, there is no middle between two flanks either.
-            cut = (flags[start + k] & (EDGE | SATURATED)) == EDGE and v[_USABLE + k] == 0.0
-            x_px[start + k] = np.nan if cut else x_px[start + k]
+            cut = ((flags[begin + k] & (EDGE | SATURATED)) == EDGE) & (v[_USABLE + k] == 0.0)
+            x_px[begin + k] = np.nan if cut else v[_X + k]
 
 
 @inlined
@@ -124,6 +122,21 @@ def _moved_to_highest(levels: Pixels, columns: int, v: Floats, lanes: int) -> No
             before, here, after = levels[place - 1], levels[place], levels[place + 1]
             if max(before, after) > here:
                 v[_AT + k] += 1.0 if after > before else -1.0
+
+
+@inlined
+def _without_white(v: Floats, white: int, half: int) -> None:
+    """Leave out lanes of which a pixel that counts is saturated."""
+    if half == 1:
+        for k in range(LANES):
+            highest = max(max(v[_LEVEL + LANES + k], v[_LEVEL + 2 * LANES + k]), v[_LEVEL + 3 * LANES + k])
+            v[_USABLE + k] = v[_USABLE + k] if highest < white else 0.0
+        return
+    for k in range(LANES):
+        one = max(v[_LEVEL + k], v[_LEVEL + LANES + k])
+        other = max(v[_LEVEL + 3 * LANES + k], v[_LEVEL + 4 * LANES + k])
+        highest = max(max(one, other), v[_LEVEL + 2 * LANES + k])
+        v[_USABLE + k] = v[_USABLE + k] if highest < white else 0.0
 
 
 @inlined
