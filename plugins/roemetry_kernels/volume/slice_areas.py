@@ -17,6 +17,8 @@ of straight lines over what is left out as a hole (mm²); mean square of the hei
 _STEP_MAX = 1.5  # rows; a larger step between neighbours means that rows are missing
 _HOLE_SHARE = 0.3
 _GAP_SHARE = 0.4
+_STEP_SHARE = 0.15  # of the slice's top
+_LEVEL_ROWS, _LEVEL_SHARE = 4, 0.3
 _END_ROWS = 4
 _JUMP, _JUMP_MM = 2.2, 0.8
 _Y, _Z, _ROW, _SEEN = range(4)
@@ -43,7 +45,8 @@ def slice_areas(
     Each point stands for half the way to each of its neighbours; at a curve's end as much outwards as
     inwards. Up to four rows at either end are left out where the height jumps. Between two curves of a slice
     the area is bridged by a straight line, unless both ends are low (below 0.3 of the slice's top) or the gap
-    is wide (over 0.4 of the slice): then it is a hole, and nothing is counted there.
+    is wide (over 0.4 of the slice): then it is a hole, and nothing is counted there. A wide one between two
+    levels is none: light runs along a step's wall there, which the camera does not see.
 
     Parameters
     ----------
@@ -170,7 +173,8 @@ def _area(
         if m < first or m > last:
             loose += abs(part)
         if gap:
-            _gap(out, on[m], on[m + 1], fan, top, per_row, widest)
+            farthest = np.inf if _is_step(on, m, top) else widest
+            _gap(out, on[m], on[m + 1], fan, top, per_row, farthest)
     out[WIDTH] += width
     out[AREA] += area
     out[SEEN], out[BRIDGED], out[LOOSE] = on_seen, on_bridged, loose
@@ -226,6 +230,16 @@ def _cleft(on: Floats, before: Floats) -> float:
         if z < hump and hump > 0.0:
             deepest = max(deepest, 1.0 - max(z, 0.0) / hump)
     return deepest
+
+
+@float_kernel
+def _is_step(on: Floats, m: int, top: float) -> bool:
+    """Whether a slice is level up to a gap and beyond it, but not as high: light met a wall there."""
+    if m < _LEVEL_ROWS or m + 1 + _LEVEL_ROWS >= on.shape[0]:
+        return False
+    step = abs(on[m + 1, _Z] - on[m, _Z])
+    falls = max(abs(on[m, _Z] - on[m - _LEVEL_ROWS, _Z]), abs(on[m + 1 + _LEVEL_ROWS, _Z] - on[m + 1, _Z]))
+    return step > _STEP_SHARE * top and falls < _LEVEL_SHARE * step
 
 
 @float_kernel
