@@ -13,6 +13,7 @@ from roemetry.records import Product
 from roemetry.view import View
 from roemetry_volume.rim import Rim, StripePoints, ends_of, rim_of
 from roemetry_volume.silhouette import Border, area_of, border_at, evenly
+from roemetry_volume.step_lines import Step, steps_at, steps_of
 from roemetry_volume.surface import Knots, Plate, grouped, plate_through
 
 LONG_AXIS = 0.4
@@ -38,7 +39,7 @@ class Fused:
     Attributes
     ----------
     points
-        The product's points; `place` (n, 2) are theirs along and across the product, mm.
+        The product's points, less the steps; `place` (n, 2) are theirs along and across the product, mm.
     rim, border, plate, knots
         See their classes.
     contour : ndarray, shape (400, 2)
@@ -49,6 +50,8 @@ class Fused:
         Height of the surface over the border.
     s, v, weight_mm2
         Nodes and weights over the footprint.
+    steps, over_mm
+        Steps that slices cross, and how much they rise at the nodes.
     """
 
     points: StripePoints
@@ -63,11 +66,13 @@ class Fused:
     s: Floats
     v: Floats
     weight_mm2: Floats
+    steps: tuple[Step, ...]
+    over_mm: Floats
 
     def heights(self, values: Floats | None = None, rim_shift_mm: float = 0.0) -> Floats:
         """Height at the nodes, mm; `values` are the plate's there, if they are not its own."""
         u = self.plate.at(LONG_AXIS * self.s, self.v) if values is None else values
-        heights: Floats = self.rim.at(self.s, self.v) + rim_shift_mm + _height(u, self.rim)
+        heights: Floats = self.rim.at(self.s, self.v) + rim_shift_mm + _height(u, self.rim) + self.over_mm
         return heights
 
     @property
@@ -144,6 +149,17 @@ def fuse(
     centre, turn = _axes(border.xy_mm)
     place = (xyz[:, :2] - centre) @ turn
     ends = ends_of(points, place[:, 1])
+    steps = steps_of(points, place, _to_light(view, xyz) @ turn)
+    if (
+        steps
+        and rim_of(points, ends, place, inside_by((border.xy_mm - centre) @ turn, place[ends[0]])).upright
+    ):
+        steps = ()  # a dome's jump is a fold or a break, which runs as it likes
+    if steps:
+        xyz = xyz.copy()
+        xyz[:, 2] -= steps_at(steps, place[:, 0], place[:, 1])
+        points = points._replace(xyz_mm=xyz)
+        ends = ends_of(points, place[:, 1])
     fall = np.zeros(_POINTS)
     open_end = np.zeros(_POINTS, np.bool_)
     for _ in range(_ROUNDS):
@@ -154,6 +170,7 @@ def fuse(
         open_end = _open_ends(knots, contour, (border.outward @ turn)[:, 0], upright)
         plate = _plate(knots, contour, open_end)
         height, fall = _at_border(plate, rim, contour, border, (centre, turn), open_end)
+        height += steps_at(steps, contour[:, 0], contour[:, 1]) * (border.tilt >= 0.0)
         moved = border_at(view, contour_px, height, fall)
         step = np.abs(moved.xy_mm - border.xy_mm).max()
         border = moved
@@ -162,7 +179,17 @@ def fuse(
     contour = (border.xy_mm - centre) @ turn
     s, v, weight = nodes_within(contour, *_gauss(_NODES[0]), *_gauss(_NODES[1]))
     weight *= abs(area_of(contour)) / weight.sum()  # corners are between nodes
-    return Fused(points, place, rim, border, plate, knots, contour, open_end, height, s, v, weight)
+    over = steps_at(steps, s, v)
+    return Fused(
+        points, place, rim, border, plate, knots, contour, open_end, height, s, v, weight, steps, over
+    )
+
+
+def _to_light(view: View, xyz: Floats) -> Floats:
+    """How far along X and Y light comes for each millimetre that it is higher, at points."""
+    way = view.projector_mm - xyz
+    towards: Floats = way[:, :2] / way[:, 2:]
+    return towards
 
 
 def _axes(xy: Floats) -> tuple[Floats, Floats]:

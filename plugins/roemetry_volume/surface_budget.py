@@ -33,7 +33,7 @@ def budget_of(fused: Fused, view: View, outline_std_px: float) -> dict[str, floa
     px_mm = _mm_per_px(fused, view)
     std_px = OUTLINE_STD_PX if math.isnan(outline_std_px) else outline_std_px
     return {
-        "between slices": _left_out(fused),
+        "between slices": math.hypot(_left_out(fused), *(step.std_mm3 for step in fused.steps)),
         "settings": math.hypot(
             _SETTINGS * (_stiffer(fused) - fused.volume_mm3), _LEAST_STD * fused.volume_mm3
         ),
