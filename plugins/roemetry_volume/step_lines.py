@@ -10,7 +10,6 @@ import numpy as np
 from roemetry.arrays import Floats
 from roemetry_volume.rim import StripePoints
 
-_LEVEL, _FEW = 5, 3  # points of a level at least; points that end it
 _LEVEL_SHARE, _TILT_SHARE = (
     0.15,
     0.1,
@@ -87,8 +86,9 @@ def steps_of(points: StripePoints, place: Floats, to_light: Floats | None) -> tu
         alike = [_is_same(one, waiting[0]) for one in waiting]
         steps.append(_line(list(compress(waiting, alike)), points, place))
         waiting = [one for one, taken in zip(waiting, alike, strict=True) if not taken]
+    middle = [float(np.median(z[begin:stop])) for begin, stop in bounds]
     for number, next_number in pairwise(range(len(bounds))):
-        two = _uncrossed(points, bounds, number, next_number, found, least)
+        two = _uncrossed(points, bounds, middle, number, next_number, found, least)
         if two is not None:
             steps.append(_between(points, place, to_light, *two))
     return tuple(step for step in steps if step is not None)
@@ -101,9 +101,12 @@ def _is_same(one: _Crossing, other: _Crossing) -> bool:
 
 def _crossings(place: Floats, z: Floats, number: int, least_mm: float) -> list[_Crossing]:
     """Find one slice's jumps between neighbouring levels."""
-    levels = _levels(z, least_mm)
+    from roemetry_kernels.volume.levels import levels
+
     found = []
-    for (begin, last), (first, stop) in pairwise(levels):
+    for (begin, last), (first, stop) in pairwise(
+        levels(z, _LEVEL_SHARE * least_mm, _TILT_SHARE * least_mm).tolist()
+    ):
         one, other = float(np.median(z[begin : last + 1])), float(np.median(z[first : stop + 1]))
         if abs(other - one) < least_mm:
             continue
@@ -118,27 +121,10 @@ def _crossings(place: Floats, z: Floats, number: int, least_mm: float) -> list[_
     return found
 
 
-def _levels(z: Floats, least_mm: float) -> list[tuple[int, int]]:
-    """Give the first and the last point of each level of a slice; what rises or falls evenly is none."""
-    within, tilt = _LEVEL_SHARE * least_mm, _TILT_SHARE * least_mm
-    levels, begin = [], 0
-    while begin < z.size:
-        height = float(np.median(z[begin : begin + _LEVEL]))
-        # some neighbours together are another height, single ones noise
-        off = (np.abs(z[begin:] - height) > within).astype(np.int64)
-        away = np.flatnonzero(np.convolve(off, np.ones(_FEW, np.int64), "valid") == _FEW)
-        size = int(away[0]) if away.size else z.size - begin
-        run = z[begin : begin + size]
-        half = size // 2
-        if size >= _LEVEL and abs(float(np.median(run[-half:]) - np.median(run[:half]))) < tilt:
-            levels.append((begin, begin + size - 1))
-        begin += max(size, 1)
-    return levels
-
-
 def _uncrossed(
     points: StripePoints,
     bounds: list[tuple[int, int]],
+    middle: list[float],
     one: int,
     other: int,
     found: list[_Crossing],
@@ -146,11 +132,10 @@ def _uncrossed(
 ) -> tuple[slice, slice] | None:
     """Give the points of two neighbouring slices, the lower one first, with a step between; or None."""
     y, z = points.xyz_mm[:, 1], points.xyz_mm[:, 2]
-    whole = _WHOLE * max(float(np.ptp(y[begin:stop])) for begin, stop in bounds)
-    middle = [float(np.median(z[begin:stop])) for begin, stop in bounds]
     step = abs(middle[one] - middle[other])
     if step < least:
         return None
+    whole = _WHOLE * max(float(np.ptp(y[begin:stop])) for begin, stop in bounds)
     for number in (one, other):
         begin, stop = bounds[number]
         if (
