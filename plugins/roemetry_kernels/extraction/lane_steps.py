@@ -21,6 +21,7 @@ WORD = 8  # bytes of the words that pixels are moved in
 
 _TOGETHER = 8  # columns that a lane is taken over before it is put down
 _LANES, _CHUNK = np.uint64(LANES), np.uint64(CHUNK)
+_2, _3, _4 = np.uint64(2), np.uint64(3), np.uint64(4)
 
 Words = NDArray[np.uint64]
 Levels = NDArray[Any]
@@ -75,8 +76,6 @@ def turn_bytes(gathered: Words, turned: Words) -> None:
     turned
         To be filled: word (x, g) holds rows 8g … 8g + 7 of column x.
     """
-    s4, s2, s1 = np.uint64(32), np.uint64(16), np.uint64(8)
-    m4, m2, m1 = np.uint64(0xFFFFFFFF), np.uint64(0xFFFF0000FFFF), np.uint64(0xFF00FF00FF00FF)
     groups = LANES // 8
     step = CHUNK // 8 * groups
     for c in range(CHUNK // 8):
@@ -87,27 +86,16 @@ def turn_bytes(gathered: Words, turned: Words) -> None:
             a2, a3 = gathered[p + 2 * step + g], gathered[p + 3 * step + g]
             a4, a5 = gathered[p + 4 * step + g], gathered[p + 5 * step + g]
             a6, a7 = gathered[p + 6 * step + g], gathered[p + 7 * step + g]
-            t0, t1 = ((a0 >> s4) ^ a4) & m4, ((a1 >> s4) ^ a5) & m4
-            t2, t3 = ((a2 >> s4) ^ a6) & m4, ((a3 >> s4) ^ a7) & m4
-            a0, a1, a2, a3 = a0 ^ (t0 << s4), a1 ^ (t1 << s4), a2 ^ (t2 << s4), a3 ^ (t3 << s4)
-            a4, a5, a6, a7 = a4 ^ t0, a5 ^ t1, a6 ^ t2, a7 ^ t3
-            t0, t1 = ((a0 >> s2) ^ a2) & m2, ((a1 >> s2) ^ a3) & m2
-            t2, t3 = ((a4 >> s2) ^ a6) & m2, ((a5 >> s2) ^ a7) & m2
-            a0, a1, a4, a5 = a0 ^ (t0 << s2), a1 ^ (t1 << s2), a4 ^ (t2 << s2), a5 ^ (t3 << s2)
-            a2, a3, a6, a7 = a2 ^ t0, a3 ^ t1, a6 ^ t2, a7 ^ t3
-            t0, t1 = ((a0 >> s1) ^ a1) & m1, ((a2 >> s1) ^ a3) & m1
-            t2, t3 = ((a4 >> s1) ^ a5) & m1, ((a6 >> s1) ^ a7) & m1
-            turned[q + g], turned[q + groups + g] = a0 ^ (t0 << s1), a1 ^ t0
-            turned[q + 2 * groups + g], turned[q + 3 * groups + g] = a2 ^ (t1 << s1), a3 ^ t1
-            turned[q + 4 * groups + g], turned[q + 5 * groups + g] = a4 ^ (t2 << s1), a5 ^ t2
-            turned[q + 6 * groups + g], turned[q + 7 * groups + g] = a6 ^ (t3 << s1), a7 ^ t3
+            b0, b1, b2, b3, b4, b5, b6, b7 = _exchanged_bytes(a0, a1, a2, a3, a4, a5, a6, a7)
+            turned[q + g], turned[q + groups + g] = b0, b1
+            turned[q + 2 * groups + g], turned[q + 3 * groups + g] = b2, b3
+            turned[q + 4 * groups + g], turned[q + 5 * groups + g] = b4, b5
+            turned[q + 6 * groups + g], turned[q + 7 * groups + g] = b6, b7
 
 
 @kernel
 def turn_pairs(gathered: Words, turned: Words) -> None:
     """Turn tiles of 4 × 4 pixels of two bytes; as `turn_bytes`, with 4 for 8."""
-    s2, s1 = np.uint64(32), np.uint64(16)
-    m2, m1 = np.uint64(0xFFFFFFFF), np.uint64(0xFFFF0000FFFF)
     groups = LANES // 4
     step = CHUNK // 4 * groups
     for c in range(CHUNK // 4):
@@ -116,11 +104,58 @@ def turn_pairs(gathered: Words, turned: Words) -> None:
         for g in range(groups):
             a0, a1 = gathered[p + g], gathered[p + step + g]
             a2, a3 = gathered[p + 2 * step + g], gathered[p + 3 * step + g]
-            t0, t1 = ((a0 >> s2) ^ a2) & m2, ((a1 >> s2) ^ a3) & m2
-            a0, a1, a2, a3 = a0 ^ (t0 << s2), a1 ^ (t1 << s2), a2 ^ t0, a3 ^ t1
-            t0, t1 = ((a0 >> s1) ^ a1) & m1, ((a2 >> s1) ^ a3) & m1
-            turned[q + g], turned[q + groups + g] = a0 ^ (t0 << s1), a1 ^ t0
-            turned[q + 2 * groups + g], turned[q + 3 * groups + g] = a2 ^ (t1 << s1), a3 ^ t1
+            b0, b1, b2, b3 = _exchanged_pairs(a0, a1, a2, a3)
+            turned[q + g], turned[q + groups + g] = b0, b1
+            turned[q + 2 * groups + g], turned[q + 3 * groups + g] = b2, b3
+
+
+@inlined
+def turn_tile_of_bytes(words: Words, first: int, apart: int, turned: Words) -> None:
+    """Turn one tile of 8 × 8 bytes: a word, `apart` from the next, holds 8 rows of a column.
+
+    In `turned` it holds 8 columns of a row.
+    """
+    a0, a1, a2, a3 = words[first], words[first + apart], words[first + _2 * apart], words[first + _3 * apart]
+    later = first + _4 * apart
+    a4, a5, a6, a7 = words[later], words[later + apart], words[later + _2 * apart], words[later + _3 * apart]
+    a0, a1, a2, a3, a4, a5, a6, a7 = _exchanged_bytes(a0, a1, a2, a3, a4, a5, a6, a7)
+    turned[0], turned[1], turned[2], turned[3] = a0, a1, a2, a3
+    turned[4], turned[5], turned[6], turned[7] = a4, a5, a6, a7
+
+
+@inlined
+def turn_tile_of_pairs(words: Words, first: int, apart: int, turned: Words) -> None:
+    """Turn one tile of 4 × 4 pixels of two bytes; as `turn_tile_of_bytes`, with 4 for 8."""
+    a0, a1, a2, a3 = words[first], words[first + apart], words[first + _2 * apart], words[first + _3 * apart]
+    turned[0], turned[1], turned[2], turned[3] = _exchanged_pairs(a0, a1, a2, a3)
+
+
+@inlined
+def _exchanged_bytes(a0: Any, a1: Any, a2: Any, a3: Any, a4: Any, a5: Any, a6: Any, a7: Any) -> Any:
+    s4, s2, s1 = np.uint64(32), np.uint64(16), np.uint64(8)
+    m4, m2, m1 = np.uint64(0xFFFFFFFF), np.uint64(0xFFFF0000FFFF), np.uint64(0xFF00FF00FF00FF)
+    t0, t1 = ((a0 >> s4) ^ a4) & m4, ((a1 >> s4) ^ a5) & m4
+    t2, t3 = ((a2 >> s4) ^ a6) & m4, ((a3 >> s4) ^ a7) & m4
+    a0, a1, a2, a3 = a0 ^ (t0 << s4), a1 ^ (t1 << s4), a2 ^ (t2 << s4), a3 ^ (t3 << s4)
+    a4, a5, a6, a7 = a4 ^ t0, a5 ^ t1, a6 ^ t2, a7 ^ t3
+    t0, t1 = ((a0 >> s2) ^ a2) & m2, ((a1 >> s2) ^ a3) & m2
+    t2, t3 = ((a4 >> s2) ^ a6) & m2, ((a5 >> s2) ^ a7) & m2
+    a0, a1, a4, a5 = a0 ^ (t0 << s2), a1 ^ (t1 << s2), a4 ^ (t2 << s2), a5 ^ (t3 << s2)
+    a2, a3, a6, a7 = a2 ^ t0, a3 ^ t1, a6 ^ t2, a7 ^ t3
+    t0, t1 = ((a0 >> s1) ^ a1) & m1, ((a2 >> s1) ^ a3) & m1
+    t2, t3 = ((a4 >> s1) ^ a5) & m1, ((a6 >> s1) ^ a7) & m1
+    a0, a2, a4, a6 = a0 ^ (t0 << s1), a2 ^ (t1 << s1), a4 ^ (t2 << s1), a6 ^ (t3 << s1)
+    return a0, a1 ^ t0, a2, a3 ^ t1, a4, a5 ^ t2, a6, a7 ^ t3
+
+
+@inlined
+def _exchanged_pairs(a0: Any, a1: Any, a2: Any, a3: Any) -> Any:
+    s2, s1 = np.uint64(32), np.uint64(16)
+    m2, m1 = np.uint64(0xFFFFFFFF), np.uint64(0xFFFF0000FFFF)
+    t0, t1 = ((a0 >> s2) ^ a2) & m2, ((a1 >> s2) ^ a3) & m2
+    a0, a1, a2, a3 = a0 ^ (t0 << s2), a1 ^ (t1 << s2), a2 ^ t0, a3 ^ t1
+    t0, t1 = ((a0 >> s1) ^ a1) & m1, ((a2 >> s1) ^ a3) & m1
+    return a0 ^ (t0 << s1), a1 ^ t0, a2 ^ (t1 << s1), a3 ^ t1
 
 
 def _made(kind: type[np.unsignedinteger[Any]]) -> Callable[..., None]:

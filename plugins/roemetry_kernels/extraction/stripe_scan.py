@@ -18,6 +18,8 @@ from roemetry_kernels.extraction.lane_steps import (
     steps_of_pairs,
     turn_bytes,
     turn_pairs,
+    turn_tile_of_bytes,
+    turn_tile_of_pairs,
 )
 
 Pixels = NDArray[Any]
@@ -108,6 +110,10 @@ def _made(kind: type[np.unsignedinteger[Any]]) -> Any:
         np.uint64(1),
         np.uint64(LANES // tile),
     )
+    # A word's pixels with the value 1 each, their highest bits, their other bits, and where the last begins.
+    units = np.uint64(((1 << 8 * WORD) - 1) // full)
+    high_bits, last_pixel = units << np.uint64(8 * WORD // tile - 1), np.uint64(8 * WORD) - bits_a_pixel
+    low_bits = ~high_bits
 
     @kernel
     def scan(
@@ -134,6 +140,7 @@ def _made(kind: type[np.unsignedinteger[Any]]) -> Any:
         extreme, falling, top_here = np.empty(LANES, kind), np.empty(LANES, kind), np.empty(LANES, kind)
         top_before = np.empty(LANES, np.int32)
         start = np.empty(LANES + 1, np.uint64)
+        ends_in, of_lane = np.empty(groups, np.uint64), np.empty(one_tile, np.uint64)
         columns = right - left
         line, pitch = words.reshape(-1), words.shape[1]
         lane = np.empty(LANES * (columns // 2 + 1) + 1, np.int16)
@@ -168,26 +175,46 @@ def _made(kind: type[np.unsignedinteger[Any]]) -> Any:
                 else:
                     turn_pairs(gathered, turned)
                     steps_of_pairs(levels, width, threshold, extreme, falling, top_here, ended)
-                for c in range(np.uint64(width)):
-                    some = np.uint64(0)
+                # Peaks end in few tiles of so many columns and lanes; there most often once a lane.
+                for c in range(np.uint64(0), np.uint64(width), one_tile):
                     for w in range(groups):
-                        some |= ended_words[c * groups + w]
-                    if some == 0:
-                        continue
+                        ends_in[w] = np.uint64(0)
+                    for j in range(one_tile):
+                        for w in range(groups):
+                            ends_in[w] |= ended_words[(c + j) * groups + w]
                     for w in range(groups):
-                        bits = ended_words[c * groups + w]
-                        if bits == 0:
+                        if ends_in[w] == 0:
                             continue
-                        # Written whether or not it ended: a branch would be guessed wrong half of the time.
+                        if of_bytes:
+                            turn_tile_of_bytes(ended_words, c * groups + w, groups, of_lane)
+                        else:
+                            turn_tile_of_pairs(ended_words, c * groups + w, groups, of_lane)
+                        twice = np.uint64(0)
                         for j in range(one_tile):
-                            k: Any = w * one_tile + j
-                            top_at = np.int64(bits & one_pixel)
-                            lane[found] = k
-                            tops[found] = left + x + top_at - 2 if top_at > 1 else top_before[k]
-                            ends = np.uint64(top_at > 0)
-                            start[k + one] += ends
-                            found += ends
-                            bits >>= bits_a_pixel
+                            filled = (((of_lane[j] & low_bits) + low_bits) | of_lane[j]) & high_bits
+                            twice |= filled & (filled - one)
+                        # Written whether or not it ended: a branch would be guessed wrong half of the time.
+                        if twice == 0:
+                            for j in range(one_tile):
+                                k: Any = w * one_tile + j
+                                top_at = np.int64((of_lane[j] * units) >> last_pixel)
+                                lane[found] = k
+                                tops[found] = left + x + top_at - 2 if top_at > 1 else top_before[k]
+                                ends = np.uint64(top_at > 0)
+                                start[k + one] += ends
+                                found += ends
+                            continue
+                        for j in range(one_tile):
+                            k = w * one_tile + j
+                            bits = of_lane[j]
+                            while bits != 0:
+                                top_at = np.int64(bits & one_pixel)
+                                lane[found] = k
+                                tops[found] = left + x + top_at - 2 if top_at > 1 else top_before[k]
+                                ends = np.uint64(top_at > 0)
+                                start[k + one] += ends
+                                found += ends
+                                bits >>= bits_a_pixel
                 for k in range(LANES):
                     top_before[k] = left + x + top_here[k] - 2 if top_here[k] > 1 else top_before[k]
             for k in range(LANES):
