@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 
 from roemetry.arrays import Floats
-from roemetry.records import Frame, Peaks
+from roemetry.records import EDGE, SATURATED, Frame, Peaks
 from roemetry_kernels.extraction.grey_levels import grey, plain_layout, scaled_level
 from roemetry_kernels.extraction.half_seen import middles_of_half_seen, what_is_odd
 from roemetry_kernels.extraction.image_noise import automatic_rise
+from roemetry_kernels.extraction.leaving_stripes import leaving_stripes
 from roemetry_kernels.extraction.local_contrast import SHARE_MIN
 from roemetry_kernels.extraction.speckle_along import contrasts_along
 from roemetry_kernels.extraction.stripe_footing import Stripes, stripes_around
@@ -91,10 +92,39 @@ def found(
     if outside:
         inside = (x_px >= 0.0) & (x_px <= columns - 1.0)  # where there is none, NaN
         fields = {name: values[inside] for name, values in fields.items()}
+    if half_seen:
+        fields = _with_leaving(fields, levels, columns, area, frame, stripes, x_px)
     # Speckle is as long along the stripe as across it; the sensor's noise is not correlated at all.
     rows = options.speckle_length_px if speckled else 0.0
     reasons = doubts(pixels, frame.white, fields["row"], fields["x_px"], fields["width_px"])
     return Peaks(image_size=frame.size, correlation_rows=rows, reasons=reasons, **fields)
+
+
+def _with_leaving(
+    fields: dict[str, Any],
+    levels: Any,
+    columns: int,
+    area: Area,
+    frame: Frame,
+    stripes: Stripes,
+    x_px: Floats,
+) -> dict[str, Any]:
+    """Add the rows in which overexposed stripes leave the image, to what is known of each peak."""
+    whose, row, x_px, x_std_px, width_px = leaving_stripes(levels, columns, area, frame.white, stripes, x_px)
+    if not whose.size:
+        return fields
+    more = {
+        "row": row,
+        "x_px": x_px,
+        "x_std_px": x_std_px if frame.sensor is not None else np.full(whose.size, np.nan),
+        "amplitude": stripes.amplitude[whose],
+        "background": stripes.background[whose],
+        "width_px": width_px,
+        "flags": np.full(whose.size, SATURATED | EDGE, np.uint8),
+    }
+    joined = {name: np.concatenate([values, more[name]]) for name, values in fields.items()}
+    order = np.lexsort((joined["x_px"], joined["row"]))
+    return {name: values[order] for name, values in joined.items()}
 
 
 def noise_of(frame: Frame, options: PeakOptions) -> Floats:

@@ -107,8 +107,10 @@ def log_parabola_centres(
         copied(v, _STD, lanes, x_std_px, start)
         begin = np.uint64(start)
         for k in range(np.uint64(lanes)):
-            # Where the border leaves fewer pixels, there is no middle between two flanks either.
-            cut = ((flags[begin + k] & (EDGE | SATURATED)) == EDGE) & (v[_USABLE + k] == 0.0)
+            # Where the border leaves fewer pixels and cuts off a flank, there is no middle either.
+            away = 0.5 * v[_WIDTH + k]
+            one = (v[_MIDDLE + k] - away <= v[_LO + k]) | (v[_MIDDLE + k] + away >= v[_HI + k])
+            cut = one & ((flags[begin + k] & (EDGE | SATURATED)) == EDGE) & (v[_USABLE + k] == 0.0)
             x_px[begin + k] = np.nan if cut else v[_X + k]
 
 

@@ -15,8 +15,9 @@ from roemetry_kernels.extraction.footing_lanes import measure_lanes
 from roemetry_kernels.extraction.lane_steps import CHUNK, WORD
 from roemetry_kernels.extraction.stripe_glare import GLARING, TOO_WIDE, take_off_glare
 from roemetry_kernels.extraction.stripe_joining import SEEN_PX, join_tops, lowest_after, lowest_before
+from roemetry_kernels.extraction.stripe_limits import limits_out_of_light
 from roemetry_kernels.extraction.stripe_scan import Area, Pixels, Places, Tops
-from roemetry_kernels.extraction.unfit_stripes import without_unfit
+from roemetry_kernels.extraction.unfit_stripes import closed_up, unfit_stripes
 
 FWHM_OF_SIGMA = 2.354820045030949
 
@@ -193,23 +194,16 @@ def _measure(
     """
     count = row.shape[0]
     for i in range(count):
-        if done[i]:
-            continue
-        lo, hi = left, right - 1
-        if i > 0 and row[i - 1] == row[i]:
-            lo = (last[i - 1] + first[i] + 1) // 2
-        if i + 1 < count and row[i + 1] == row[i]:
-            hi = (last[i] + first[i + 1]) // 2
-        at = row[i] * columns
-        at_left, at_right = (
-            lo == left and first[i] - lo < _BORDER_PX,
-            hi == right - 1 and hi - last[i] < _BORDER_PX,
-        )
-        places[0, i], places[1, i] = lo, hi
-        highs[i], middle, values[1, i], values[3, i], values[4, i], values[5, i] = _measured(
-            levels, white, at + first[i], at + last[i], at + lo, at + hi, at_left, at_right
-        )
-        values[0, i], values[2, i] = middle - at, highs[i] - values[3, i]
+        if not done[i]:
+            follows, leads = i > 0 and row[i - 1] == row[i], i + 1 < count and row[i + 1] == row[i]
+            places[0, i] = (last[i - 1] + first[i] + 1) // 2 if follows else left
+            places[1, i] = (last[i] + first[i + 1]) // 2 if leads else right - 1
+    _measure_rest(levels, columns, left, right, white, row, first, last, done, highs, places, values)
+    limits = width_min_px, width_max_px, share_min, height_min
+    unfit = unfit_stripes(row, *limits, values)
+    changed = limits_out_of_light(levels, columns, row, first, last, unfit, highs, places, done)
+    if changed:
+        _measure_rest(levels, columns, left, right, white, row, first, last, done, highs, places, values)
     # Loops that write to one place each, and unsigned numbers, which none from the end can be.
     middles, widths = values[0], values[1]
     for i in range(np.uint64(count)):
@@ -225,9 +219,42 @@ def _measure(
     for i in range(np.uint64(count)):
         wide += 1 if (widths[i] > too_wide) & (highs[i] >= glaring) else 0
     if wide > 0:
-        take_off_glare(white, out_row, flags, values)
-    limits = width_min_px, width_max_px, share_min, height_min
-    return without_unfit(row, *limits, out_row, places, flags, values)
+        take_off_glare(white, share_min, out_row, flags, values)
+        changed = True
+    if changed:
+        unfit = unfit_stripes(row, *limits, values)
+    return closed_up(unfit, out_row, places, flags, values)
+
+
+@float_kernel
+def _measure_rest(
+    levels: Pixels,
+    columns: int,
+    left: int,
+    right: int,
+    white: int,
+    row: Places,
+    first: Places,
+    last: Places,
+    done: NDArray[np.uint8],
+    highs: Floats,
+    places: NDArray[np.int32],
+    values: Floats,
+) -> None:
+    """Measure within `places` what is not done."""
+    for i in range(row.shape[0]):
+        if done[i]:
+            continue
+        lo, hi = places[0, i], places[1, i]
+        at = row[i] * columns
+        at_left, at_right = (
+            lo == left and first[i] - lo < _BORDER_PX,
+            hi == right - 1 and hi - last[i] < _BORDER_PX,
+        )
+        highs[i], middle, values[1, i], values[3, i], values[4, i], values[5, i] = _measured(
+            levels, white, at + first[i], at + last[i], at + lo, at + hi, at_left, at_right
+        )
+        values[0, i], values[2, i] = middle - at, highs[i] - values[3, i]
 
 
 @inlined

@@ -20,7 +20,7 @@ TOO_WIDE = 2.0
 """Times as wide as stripes are on the mean: if none is, nothing is looked at."""
 GLARING = 0.97
 """Of white, that a stripe with glare beside it reaches."""
-_GOES_ON_PX = 2.0  # from where a flank was leading, that it may lie
+_GOES_ON, _GOES_ON_PX = 0.25, 2.0  # of the stripe's width, and in px, from where a flank was leading
 _JUMP, _JUMP_PX = 0.5, 3.0  # of the stripe's width, and in px, that a flank is farther out in glare
 _KNOWN_ROWS = 5  # that a stripe has gone on for before
 _ROWS_MAX = 40  # in glare
@@ -30,6 +30,7 @@ _TURNS = 0.2  # by how much each row counts in what a stripe leans and how wide 
 @float_kernel
 def take_off_glare(
     white: int,
+    share_min: float,
     row: NDArray[np.int64],
     flags: NDArray[np.uint8],
     values: Floats,
@@ -40,10 +41,14 @@ def take_off_glare(
     ----------
     white
         Grey level from which on a pixel is saturated.
+    share_min
+        Of the highest stripe's height: what is lower, such as ripples beside stripes, is not followed.
     row, flags, values
         What `stripe_footing.stripes_around` fills, sorted; `GLARE` is added to `flags`.
     """
     middles, widths = values[0], values[1]
+    least = share_min * np.max(values[2])
+    seen_middles, seen_widths = middles.copy(), widths.copy()
     count = row.shape[0]
     left, right = np.empty(count), np.empty(count)
     lean, width, known, rows = np.zeros(count), np.empty(count), np.zeros(count), np.zeros(count)
@@ -57,9 +62,11 @@ def take_off_glare(
                 here = i
                 if way * (row[i] - row[begin]) != 1:
                     begin = end
-            left[i], right[i] = middles[i] - 0.5 * widths[i], middles[i] + 0.5 * widths[i]
-            lean[i], width[i], known[i], rows[i] = 0.0, widths[i], 0.0, 0.0
-            p = _before(left, right, lean, known, i, begin, end, way)
+            left[i], right[i] = seen_middles[i] - 0.5 * seen_widths[i], seen_middles[i] + 0.5 * seen_widths[i]
+            if values[2, i] < least:
+                left[i] = right[i] = np.nan  # near to nothing
+            lean[i], width[i], known[i], rows[i] = 0.0, seen_widths[i], 0.0, 0.0
+            p = _before(left, right, lean, width, known, i, begin, end, way)
             if p < 0:
                 continue
             off_left, off_right = left[i] - left[p] - lean[p], right[i] - right[p] - lean[p]
@@ -67,38 +74,52 @@ def take_off_glare(
             if max(abs(off_left), abs(off_right)) <= jump:
                 turns = _TURNS if known[p] > 0.0 else 1.0
                 lean[i] = lean[p] + turns * 0.5 * (off_left + off_right)
-                width[i] = width[p] + _TURNS * (widths[i] - width[p])
+                width[i] = width[p] + _TURNS * (seen_widths[i] - width[p])
                 known[i] = known[p] + 1.0
                 continue
-            bright = values[2, i] + values[3, i] >= GLARING * white
+            bright = min(values[2, i] + values[3, i], values[2, p] + values[3, p]) >= GLARING * white
             if not (bright and known[p] >= _KNOWN_ROWS and rows[p] < _ROWS_MAX):
                 continue
-            if abs(off_left) < _GOES_ON_PX and off_right > jump:
+            near = max(_GOES_ON * width[p], _GOES_ON_PX)
+            if abs(off_left) < near and off_right > jump:
+                left[i] -= (1.0 - _TURNS) * off_left
                 right[i] = left[i] + width[p]
-            elif abs(off_right) < _GOES_ON_PX and off_left < -jump:
+            elif abs(off_right) < near and off_left < -jump:
+                right[i] -= (1.0 - _TURNS) * off_right
                 left[i] = right[i] - width[p]
             else:
                 continue
             lean[i], width[i], known[i], rows[i] = lean[p], width[p], known[p], rows[p] + 1.0
-            middles[i], widths[i] = 0.5 * (left[i] + right[i]), right[i] - left[i]
-            flags[i] |= GLARE
+            if width[p] < widths[i]:
+                middles[i], widths[i] = 0.5 * (left[i] + right[i]), width[p]
+                flags[i] |= GLARE
 
 
 @inlined
 def _before(
-    left: Floats, right: Floats, lean: Floats, known: Floats, i: int, begin: int, end: int, way: int
+    left: Floats,
+    right: Floats,
+    lean: Floats,
+    width: Floats,
+    known: Floats,
+    i: int,
+    begin: int,
+    end: int,
+    way: int,
 ) -> int:
     """Give the stripe of the row before that goes on as one; −1 for none.
 
-    That is the one of which both flanks go on, else of those of which one does the one known for longest.
+    That is the one of which both flanks go on, else of those known and of which one does the narrowest: glare
+    that has gone on for some rows is wide.
     """
-    before, longest = -1, -1.0
+    before, narrowest = -1, np.inf
     p = begin
     while p != end:
         off_left, off_right = abs(left[i] - left[p] - lean[p]), abs(right[i] - right[p] - lean[p])
-        if max(off_left, off_right) < _GOES_ON_PX:
+        near = max(_GOES_ON * width[p], _GOES_ON_PX)
+        if max(off_left, off_right) < near:
             return p
-        if min(off_left, off_right) < _GOES_ON_PX and known[p] > longest:
-            before, longest = p, known[p]
+        if min(off_left, off_right) < near and known[p] >= _KNOWN_ROWS and width[p] < narrowest:
+            before, narrowest = p, width[p]
         p += way
     return before

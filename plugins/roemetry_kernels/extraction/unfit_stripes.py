@@ -18,28 +18,22 @@ _ONE, _TWO, _THREE, _FOUR = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(
 
 
 @float_kernel
-def without_unfit(
-    top_row: Places,
+def unfit_stripes(
+    row: Places,
     width_min_px: float,
     width_max_px: float,
     share_min: float,
     height_min: float,
-    row: NDArray[np.int64],
-    places: NDArray[np.int32],
-    flags: NDArray[np.uint8],
     values: Floats,
-) -> int:
-    """Leave out what is no stripe, in place; gives the number of those that are left, which stand first.
+) -> NDArray[np.uint64]:
+    """Give the numbers of what is no stripe.
 
     The other parameters are those of `roemetry_kernels.extraction.stripe_footing.stripes_around`.
 
     Parameters
     ----------
-    top_row
-        (peak,) image row.
-    row, places, flags, values
-        (peak,), (2, peak), (peak,), (6, peak) image row, lo and hi, flags; middle, width, amplitude,
-        background, slope, unsure.
+    row, values
+        (peak,), (6, peak) image row; middle, width, amplitude, background, slope, unsure.
     """
     middles, widths, heights = values[0], values[1], values[2]
     count = row.shape[0]
@@ -48,8 +42,8 @@ def without_unfit(
         unfit += 0 if (widths[i] >= width_min_px) & (widths[i] <= width_max_px) else 1
         highest, lowest = max(highest, heights[i]), min(lowest, heights[i])
     if unfit == 0 and lowest >= max(share_min * highest, height_min):
-        return count
-    least = max(share_min * usual_height(top_row, heights) if share_min > 0.0 else -np.inf, height_min)
+        return np.empty(0, np.uint64)
+    least = max(share_min * usual_height(row, heights) if share_min > 0.0 else -np.inf, height_min)
     # Nearly all are kept: which may not be is asked of many at a time, and only those are looked at.
     looked_at, clear = np.zeros(-(-count // WORD) * WORD, np.uint8), max(share_min * highest, least)
     for i in range(np.uint64(count)):
@@ -63,9 +57,25 @@ def without_unfit(
         begin = np.int64(word) * WORD
         for i in range(begin, min(begin + WORD, count)):
             low = heights[i] < share_min * highest
-            low = heights[i] < least or (low and outshone(top_row, middles, heights, i, share_min))
+            low = heights[i] < least or (low and outshone(row, middles, heights, i, share_min))
             dropped[gone] = i
             gone += np.uint64(low or not width_min_px <= widths[i] <= width_max_px)
+    return dropped[:gone]
+
+
+@float_kernel
+def closed_up(
+    dropped: NDArray[np.uint64],
+    row: NDArray[np.int64],
+    places: NDArray[np.int32],
+    flags: NDArray[np.uint8],
+    values: Floats,
+) -> int:
+    """Leave out those stripes, in place; gives the number of those that are left, which stand first.
+
+    The other parameters are those that `roemetry_kernels.extraction.stripe_footing.stripes_around` gives.
+    """
+    gone = dropped.shape[0]
     if gone > 0:
         _closed_up(row, dropped, gone)
         _closed_up(flags, dropped, gone)
@@ -73,15 +83,15 @@ def without_unfit(
             _closed_up(places[side], dropped, gone)
         for field in range(values.shape[0]):
             _closed_up(values[field], dropped, gone)
-    return count - np.int64(gone)
+    return row.shape[0] - gone
 
 
 @inlined
 def _closed_up(numbers: Any, dropped: NDArray[np.uint64], gone: int) -> None:
     """Move numbers forwards over those that are dropped."""
-    for g in range(gone):
+    for g in range(np.uint64(gone)):
         by, k = g + _ONE, dropped[g] + _ONE
-        end = dropped[by] if by < gone else np.uint64(numbers.shape[0])
+        end = dropped[by] if by < np.uint64(gone) else np.uint64(numbers.shape[0])
         # Four are read before one is written: so they move together.
         while k + _FOUR <= end:
             first, second, third, fourth = (
