@@ -93,26 +93,25 @@ def _slices(profiles: Profiles, curves: BodyCurves) -> _Slices:
     alone = bool((curves.size == 1).any())
     row_mm = _mm_per_row(profiles, curves) if alone else np.nan
     sums, y_mm = slice_sums(*curves, profiles.xyz_mm, profiles.seen, row_mm)
-    area, seen_mm2, bridged_mm2 = sums.T
     rest_mm = _rest_mm(profiles, 0.5 * float(y_mm[0] + y_mm[1]))
     order = np.argsort(rest_mm, kind="stable")
     rest_mm, stripe, frame = rest_mm[order], profiles.stripe[order], profiles.frame[order]
+    area_mm2, seen_mm2, bridged_mm2 = np.ascontiguousarray(sums[order].T)
     lit = np.zeros(count, np.bool_)
     lit[curves.slice[curves.first]] = True
     lit = lit[order]
-    on_product = np.flatnonzero(lit)
     dead = ~lit
-    dead[: on_product[0]] = dead[on_product[-1] :] = False
-    for place in np.flatnonzero(dead):  # amid the product: without any point, or live and of the area 0
+    dead[: int(lit.argmax())] = dead[count - int(lit[::-1].argmax()) :] = False
+    for place in dead.nonzero()[0]:  # amid the product: without any point, or live and of the area 0
         dead[place] = np.isnan(profiles.xyz_mm[order[place], :, 2]).all()
 
     spacing, own, missing = held_over(rest_mm, stripe, frame, dead)
     return _Slices(
         stripe=stripe,
         lit=lit,
-        area_mm2=area[order],
-        seen_mm2=seen_mm2[order],
-        bridged_mm2=bridged_mm2[order],
+        area_mm2=area_mm2,
+        seen_mm2=seen_mm2,
+        bridged_mm2=bridged_mm2,
         spacing_mm=spacing,
         own_mm=own,
         missing=missing,
@@ -161,6 +160,8 @@ def _no_volume(slices: _Slices, volume_mm3: float) -> str:
 
 
 def _reasons(product: Product, curves: BodyCurves, slices: _Slices) -> tuple[Reason, ...]:
+    from roemetry_kernels.shape.body_points import rows_reached
+
     profiles, calibration = product.profiles, product.calibration
     reasons = []
     held = slices.lit & (slices.missing > 0)
@@ -178,8 +179,8 @@ def _reasons(product: Product, curves: BodyCurves, slices: _Slices) -> tuple[Rea
         reasons.append(
             Reason("last-slice-not-counted", "the last lit stripe's slice is not counted (the paper's sum)"),
         )
-    row_px = profiles.row_px[curves.slice, curves.point]
-    if unseen := _rows_unseen(row_px, curves):
+    lowest, highest, unseen = rows_reached(profiles.row_px, curves.slice, curves.point, curves.first)
+    if unseen:
         reasons.append(
             Reason(
                 "gap-in-slice",
@@ -187,7 +188,7 @@ def _reasons(product: Product, curves: BodyCurves, slices: _Slices) -> tuple[Rea
                 "nothing is counted there",
             )
         )
-    if row_px.min() <= _UNSEARCHED_ROWS or row_px.max() >= calibration.image_size[0] - 1 - _UNSEARCHED_ROWS:
+    if lowest <= _UNSEARCHED_ROWS or highest >= calibration.image_size[0] - 1 - _UNSEARCHED_ROWS:
         reasons.append(
             Reason("cut-by-edge", "the product reaches the image's first or last row; it may go on beyond"),
         )
@@ -200,11 +201,3 @@ def _reasons(product: Product, curves: BodyCurves, slices: _Slices) -> tuple[Rea
             )
         )
     return tuple(reasons)
-
-
-def _rows_unseen(row_px: Floats, curves: BodyCurves) -> int:
-    """Rows between two curves of one slice, all slices together."""
-    begin = curves.first[1:]
-    same_slice = curves.slice[begin] == curves.slice[begin - 1]
-    gaps = np.rint(row_px[begin] - row_px[begin - 1]) - 1
-    return int(gaps[same_slice].sum())

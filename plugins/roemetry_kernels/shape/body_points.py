@@ -64,6 +64,23 @@ def pairs_in_line(one: Floats, other: Floats, slice_of: Integers, point_of: Inte
 
 
 @kernel
+def rows_reached(
+    row_px: Floats, slice_of: Integers, point_of: Integers, first: Integers
+) -> tuple[float, float, int]:
+    """Lowest and highest row of points in line, and the rows between two curves of one slice, summed."""
+    lowest, highest, between = math.inf, -math.inf, 0
+    for k in range(slice_of.size):
+        row = row_px[slice_of[k], point_of[k]]
+        lowest, highest = min(lowest, row), max(highest, row)
+    for c in range(1, first.size):
+        k = first[c]
+        if slice_of[k] == slice_of[k - 1]:
+            step = row_px[slice_of[k], point_of[k]] - row_px[slice_of[k - 1], point_of[k - 1]]
+            between += int(np.rint(step)) - 1
+    return lowest, highest, between
+
+
+@kernel
 def slice_sums(
     slice_of: Integers,
     point_of: Integers,
