@@ -229,9 +229,9 @@ as such by slices that do not fall; where between two stripes it stands is not, 
 its edge, and of a product that goes on beyond the outermost stripe even less: the intervals allow for
 that.
 
-The rigs of this table had been looked at to learn where errors come from. On 24 that never were, seeds 101001 to
-101024, half ellipsoids are off by at most 0.22 % with an outline and 0.20 % without, the staircase by 1.09 % on
-average and 3.5 % at most, and 360 and 358 of 360 intervals hold.
+The rigs of this table had been looked at to learn where errors come from. On 24 that never were, seeds
+101001 to 101024, half ellipsoids are off by at most 0.22 % with an outline and 0.20 % without, the
+staircase by 1.09 % on average and 3.5 % at most, and 360 and 358 of 360 intervals hold.
 
 A staircase's riser that stripes cross is [found](../reference/plugins/outline-surface.md) to a tenth of a
 millimetre: where they cross all three, the volume is off by 0.0 to 0.4 %. One of 4 mm that no stripe crosses

@@ -16,7 +16,6 @@ from roemetry.records import EDGE, SATURATED, Frame, Peaks
 from roemetry_kernels.extraction.grey_levels import grey, plain_layout, scaled_level
 from roemetry_kernels.extraction.half_seen import middles_of_half_seen, what_is_odd
 from roemetry_kernels.extraction.image_noise import automatic_rise
-from roemetry_kernels.extraction.leaving_stripes import leaving_stripes
 from roemetry_kernels.extraction.local_contrast import SHARE_MIN
 from roemetry_kernels.extraction.speckle_along import contrasts_along
 from roemetry_kernels.extraction.stripe_footing import Stripes, stripes_around
@@ -110,6 +109,9 @@ def _with_leaving(
     x_px: Floats,
 ) -> dict[str, Any]:
     """Add the rows in which overexposed stripes leave the image, to what is known of each peak."""
+    # few images have any
+    from roemetry_kernels.extraction.leaving_stripes import leaving_stripes
+
     whose, row, x_px, x_std_px, width_px = leaving_stripes(levels, columns, area, frame.white, stripes, x_px)
     if not whose.size:
         return fields
