@@ -11,9 +11,8 @@ from roemetry.arrays import Floats
 from roemetry_kernels.compiling import float_kernel, inlined
 from roemetry_kernels.extraction.stripe_scan import Pixels, Places
 
-_IN_LIGHT = (
-    0.25  # of the brighter top's height above the darkest pixel between: what is brighter is its light
-)
+_IN_LIGHT = 0.25
+"""Of the brighter top's height above the darkest pixel between: what is brighter is its light."""
 _BRIGHT = 0.25  # of the highest top: what is lower has no ripples beside it that are tops
 
 
