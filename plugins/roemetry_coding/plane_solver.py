@@ -66,7 +66,7 @@ _STRAY_LINES = 15
 _SHIFTS_MAX = 24
 _ROUNDS = 2
 _DOUBT_ROUNDS = 2
-_DOUBTFUL = 2.7
+_DOUBTFUL = 0.65
 
 
 class Solved(NamedTuple):
@@ -166,6 +166,7 @@ def solve_planes(peaks: Peaks, calibration: Calibration, rest: RestLines) -> Sol
     between = interjected(problem.trace, problem.piece, problem.piece_line, stripe)
     whole &= ~(between | ((piece_line == ENDS) & (_together(problem, stripe, between) > 0)))
     spacing_px = float(np.median(np.diff(rest.x_px, axis=0))) if rest.x_px.shape[0] > 1 else np.inf
+    whole &= ~_kinked(problem, peaks, stripe)
     whole &= ~aside(peaks.row, peaks.x_px, rest.line, problem.piece, stripe, spacing_px)
     strange = (piece_line >= 0) & (stripe != piece_line)
     evidence[strange & (_together(problem, stripe, piece_line == -1) < _BODY_PEAKS)] *= _STRANGE_COUNT
@@ -194,6 +195,46 @@ def _together(problem: _Problem, stripe: Integers, counted: Flags) -> Integers:
     """Give (peak,) how many of its trace that are counted have its stripe."""
     cell = problem.trace * (problem.there.size + 1) + stripe + 1
     return np.asarray(np.bincount(cell[counted], minlength=int(cell.max()) + 1)[cell])
+
+
+def _kinked(problem: _Problem, peaks: Peaks, stripe: Integers) -> Flags:
+    """Mark (peak,) pieces at a body's border that would carry its surface on better one stripe further.
+
+    Differences between neighbours cannot tell a high edge above a steep flank from a low foot before a high
+    step: both are one break. The two stripes further inside can: their line, carried on to the border, meets
+    the right label nearer than the ones beside it. A piece is marked where that fails on most of its rows.
+    """
+    line = np.clip(np.rint(problem.sight.line).astype(np.int64), 0, problem.sight.plane.shape[0] - 1)
+    body = np.flatnonzero((stripe >= 0) & (problem.line != stripe))
+    asked, worse = np.zeros(problem.piece_line.size), np.zeros(problem.piece_line.size)
+    for by in (1, -1):
+        order = body if by == 1 else body[::-1]
+        if order.size < 4:
+            continue
+        one, two, three = order[:-2], order[1:-1], order[2:]
+        before = np.concatenate([[-1], order[:-3]])
+        row, own = peaks.row, stripe
+        inner = (row[one] == row[three]) & (own[three] == own[two] + by)
+        border = (before < 0) | (row[before] != row[one])
+        one, two, three = (which[inner & border] for which in (one, two, three))
+
+        def height(peak: Integers, label: Integers) -> Floats:
+            label = np.clip(label, 0, problem.there.size - 1)
+            alpha, beta, gamma, delta = problem.sight.plane[line[peak], label].T
+            u = problem.sight.u[peak]
+            return np.asarray((alpha * u + beta) / (gamma * u + delta))
+
+        near, far = height(two, stripe[two]), height(three, stripe[three])
+        x = peaks.x_px
+        carried = near + (near - far) * (x[one] - x[two]) / (x[two] - x[three])
+        off = np.abs(height(one, stripe[one]) - carried)
+        other = np.minimum(
+            np.abs(height(one, stripe[one] + 1) - carried), np.abs(height(one, stripe[one] - 1) - carried)
+        )
+        np.add.at(asked, problem.piece[one], 1.0)
+        np.add.at(worse, problem.piece[one], other < 0.5 * off)
+    at_border = (asked > 0.5 * np.bincount(problem.piece, minlength=asked.size)) & (problem.piece_line != ENDS)
+    return np.asarray(at_border & (worse > 0.5 * asked))[problem.piece]
 
 
 def _agreed(problem: _Problem, cost: Floats) -> Integers:

@@ -17,6 +17,11 @@ _HIDDEN = 0.06
 _MERGED_PX = 2.0
 _APART_PX = 7.0
 """A stripe nearer to another than this may merge with it, or is seen beyond doubt."""
+_CLIFF = 0.5
+"""Change of height between neighbouring stripes, in label heights, from which on a surface is broken there and
+not steep: how high the break is no longer matters. A shift by one stripe turns a smooth place into a break of
+one label height and cannot be paid for by breaks elsewhere becoming lower. Between 0.4 and 0.7 labels change
+little; at 1 a shift of a body's outer part costs next to nothing where the body's edge is high."""
 _LEFT_OUT_MAX = 4
 _LEAN_HIDES = -0.05
 _LEAN_SHOWS = 0.15
@@ -128,7 +133,7 @@ def _at_border(plane: Floats, z: float, left: float, right: float, u_per_px: flo
 
 @kernel(error_model="numpy")
 def _left_out(
-    e: int, t: int, s: int, plane: Floats, z: float, left: float, right: float, hides: float, rising: bool,
+    e: int, t: int, s: int, plane: Floats, z_t: float, z_s: float, left: float, right: float, hides: float, rising: bool,
     room: float, u_per_px: float, presence: Floats, sums: Floats,
 ) -> float:  # fmt: skip
     """Sum up how surely stripes between t and s, which were left out between two others, would be seen.
@@ -136,14 +141,21 @@ def _left_out(
     `hides` is how surely the line of sight leans so that the higher place may hide them, `room` how surely
     they would not merge with the two; `sums` holds the running sum of their presence.
     """
+    z = min(z_t, z_s)
     there = sums[e, s] - sums[e, t + 1]
     least, most = _HIDDEN * there, (1.0 - _HIDDEN) * room
     if hides == 0.0 or room == 0.0:
         return least + most * there
     seen = 0.0
+    # The higher place may go on level, towards the light, up to where the next stripe would be seen on it.
+    edge = right if rising else left
+    if rising and z_s > z_t:
+        edge = min(right, _place(plane[e, s - 1], z_s))
+    elif not rising and z_t > z_s:
+        edge = max(left, _place(plane[e, t + 1], z_t))
     for k in range(t + 1, s):
         u = _place(plane[e, k], z)
-        inside = u - left if not rising else right - u
+        inside = u - edge if not rising else edge - u
         behind = hides * (1.0 - _ramp(inside / u_per_px, _MERGED_PX, _APART_PX))
         seen += presence[e, k] * (1.0 - behind)
     return least + most * seen
@@ -212,14 +224,12 @@ def steps_of(
                             c += 1
                             continue
                         z_t = height[offset[q] + j]
-                        step = (z_s - z_t) / (label * (s - t))
-                        surface[c] = min(step * step, 1.0)
-                        if s - t > p - q + _LEFT_OUT_MAX:
-                            unseen[c] = sums[e, s] - sums[e, t + 1]
-                        elif s - t > 1:
+                        step = (z_s - z_t) / label
+                        surface[c] = min(step * step / (_CLIFF * _CLIFF), 1.0)
+                        if s - t > 1:
                             room = _ramp(apart_px / (s - t), _MERGED_PX, _APART_PX)
                             unseen[c] = _left_out(
-                                e, t, s, plane, min(z_s, z_t), u[q], u[p], hides, rising, room, u_per_px,
+                                e, t, s, plane, z_t, z_s, u[q], u[p], hides, rising, room, u_per_px,
                                 presence, sums,
                             )  # fmt: skip
                         else:
