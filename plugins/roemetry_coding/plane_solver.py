@@ -178,7 +178,6 @@ def solve_planes(peaks: Peaks, calibration: Calibration, rest: RestLines) -> Sol
         home = problem.home[problem.piece]
         off_px = peaks.x_px - rest.x_px[home, peaks.row]
         level &= ~(goes_through(problem.piece, off_px, level) & (home >= 0))
-    whole &= ~level
     # a few peaks by themselves on a rest line are what is left of belt, at the edge of a shadow
     alone = np.bincount(problem.trace)[problem.trace] < _BELT_ROWS_MIN
     whole &= ~(alone & (problem.line >= 0) & (problem.line != stripe))
@@ -188,6 +187,14 @@ def solve_planes(peaks: Peaks, calibration: Calibration, rest: RestLines) -> Sol
         if not doubtful.any():
             break
         evidence = np.minimum(evidence, short * _without(problem, own, best, doubtful))
+    # Belt that may be a level step is no reason to doubt the body beside it: that stands above the step, too.
+    whole &= ~level
+    if level.any():
+        belt = problem.line == stripe
+        doubtful = (stripe >= 0) & ((evidence < _DOUBTFUL) | ~whole)
+        evidence = np.where(
+            belt, np.minimum(evidence, short * _without(problem, own, best, doubtful)), evidence
+        )
     return Solved(stripe, problem.piece, claims, dearer, evidence, whole, problem.there, problem.entries)
 
 
