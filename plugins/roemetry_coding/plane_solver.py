@@ -316,7 +316,7 @@ def _posed(peaks: Peaks, calibration: Calibration, rest: RestLines) -> _Problem:
     steps = Steps(
         *steps_of(
             entries.start, entries.u, *labels, sight.plane, sight.lean[entries.peak], sight.u_min,
-            sight.u_max, presence, u_per_px,
+            sight.u_max, presence, u_per_px, 2.0 * slack_mm,
         )
     )  # fmt: skip
     return _Problem(
