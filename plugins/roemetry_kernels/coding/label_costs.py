@@ -227,9 +227,7 @@ def steps_of(
                             surface[c] = 1.0
                         else:
                             surface[c] = min(step * step, 1.0)
-                        if s - t > p - q + _LEFT_OUT_MAX:
-                            unseen[c] = sums[e, s] - sums[e, t + 1]
-                        elif s - t > 1:
+                        if s - t > 1:
                             # the higher place may go on until just before the next stripe would show on it
                             left, right = u[q], u[p]
                             if rising and z_s > z_t:
