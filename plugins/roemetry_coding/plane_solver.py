@@ -66,7 +66,7 @@ _STRAY_LINES = 15
 _SHIFTS_MAX = 24
 _ROUNDS = 2
 _DOUBT_ROUNDS = 2
-_DOUBTFUL = 0.65
+_DOUBTFUL = 1.0
 
 
 class Solved(NamedTuple):
@@ -364,7 +364,7 @@ def _posed(peaks: Peaks, calibration: Calibration, rest: RestLines) -> _Problem:
     steps = Steps(
         *steps_of(
             entries.start, entries.u, *labels, sight.plane, sight.lean[entries.peak], sight.u_min,
-            sight.u_max, presence, u_per_px,
+            sight.u_max, presence, u_per_px, 2.0 * slack_mm,
         )
     )  # fmt: skip
     return _Problem(

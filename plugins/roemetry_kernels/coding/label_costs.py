@@ -17,12 +17,9 @@ _HIDDEN = 0.06
 _MERGED_PX = 2.0
 _APART_PX = 7.0
 """A stripe nearer to another than this may merge with it, or is seen beyond doubt."""
-_CLIFF = 0.5
-"""Change of height between neighbouring stripes, in label heights, from which on a surface is broken there and
-not steep: how high the break is no longer matters. A shift by one stripe turns a smooth place into a break of
-one label height and cannot be paid for by breaks elsewhere becoming lower. Between 0.4 and 0.7 labels change
-little; at 1 a shift of a body's outer part costs next to nothing where the body's edge is high."""
 _LEFT_OUT_MAX = 4
+_CLIFF = 0.5
+_RIM = 1.0 / 3.0
 _LEAN_HIDES = -0.05
 _LEAN_SHOWS = 0.15
 
@@ -133,7 +130,7 @@ def _at_border(plane: Floats, z: float, left: float, right: float, u_per_px: flo
 
 @kernel(error_model="numpy")
 def _left_out(
-    e: int, t: int, s: int, plane: Floats, z_t: float, z_s: float, left: float, right: float, hides: float, rising: bool,
+    e: int, t: int, s: int, plane: Floats, z: float, left: float, right: float, hides: float, rising: bool,
     room: float, u_per_px: float, presence: Floats, sums: Floats,
 ) -> float:  # fmt: skip
     """Sum up how surely stripes between t and s, which were left out between two others, would be seen.
@@ -141,21 +138,14 @@ def _left_out(
     `hides` is how surely the line of sight leans so that the higher place may hide them, `room` how surely
     they would not merge with the two; `sums` holds the running sum of their presence.
     """
-    z = min(z_t, z_s)
     there = sums[e, s] - sums[e, t + 1]
     least, most = _HIDDEN * there, (1.0 - _HIDDEN) * room
     if hides == 0.0 or room == 0.0:
         return least + most * there
     seen = 0.0
-    # The higher place may go on level, towards the light, up to where the next stripe would be seen on it.
-    edge = right if rising else left
-    if rising and z_s > z_t:
-        edge = min(right, _place(plane[e, s - 1], z_s))
-    elif not rising and z_t > z_s:
-        edge = max(left, _place(plane[e, t + 1], z_t))
     for k in range(t + 1, s):
         u = _place(plane[e, k], z)
-        inside = u - edge if not rising else edge - u
+        inside = u - left if not rising else right - u
         behind = hides * (1.0 - _ramp(inside / u_per_px, _MERGED_PX, _APART_PX))
         seen += presence[e, k] * (1.0 - behind)
     return least + most * seen
@@ -165,7 +155,7 @@ def _left_out(
 def steps_of(
     start: Integers, u: Floats, low: Integers, count: Integers, offset: Integers, height: Floats,
     label_mm: Floats, plane: Floats, lean: Floats, u_min: Floats, u_max: Floats, presence: Floats,
-    u_per_px: float,
+    u_per_px: float, belt_mm: Floats,
 ) -> tuple[Integers, Integers, NDArray[np.float32], NDArray[np.float32], Floats, Floats]:  # fmt: skip
     """Work out the fields of `Steps`.
 
@@ -202,6 +192,7 @@ def steps_of(
     for e in range(lines):
         for k in range(plane.shape[1]):
             sums[e, k + 1] = sums[e, k] + presence[e, k]
+    slope = _slopes(start, u, low, count, offset, height, plane)
     n, c = 0, 0
     for e in range(lines):
         for p in range(start[e], start[e + 1]):
@@ -224,19 +215,54 @@ def steps_of(
                             c += 1
                             continue
                         z_t = height[offset[q] + j]
-                        step = (z_s - z_t) / label
-                        surface[c] = min(step * step / (_CLIFF * _CLIFF), 1.0)
+                        rise = z_s - z_t
+                        step = abs(rise)
+                        step = min(step, abs(rise - (s - t) * slope[offset[q] + j, 0]))
+                        step = min(step, abs(rise - (s - t) * slope[offset[p] + i, 1]))
+                        step /= _CLIFF * label
+                        on_belt = abs(z_t) <= belt_mm[t], abs(z_s) <= belt_mm[s]
+                        if on_belt[0] != on_belt[1]:
+                            surface[c] = min(step * step, _RIM)
+                        elif s - t > 1 and not on_belt[0]:
+                            surface[c] = 1.0
+                        else:
+                            surface[c] = min(step * step, 1.0)
                         if s - t > 1:
+                            # the higher place may go on until just before the next stripe would show on it
+                            left, right = u[q], u[p]
+                            if rising and z_s > z_t:
+                                right = max(left, min(right, _place(plane[e, s - 1], z_s)))
+                            elif not rising and z_t > z_s:
+                                left = min(right, max(left, _place(plane[e, t + 1], z_t)))
                             room = _ramp(apart_px / (s - t), _MERGED_PX, _APART_PX)
                             unseen[c] = _left_out(
-                                e, t, s, plane, z_t, z_s, u[q], u[p], hides, rising, room, u_per_px,
-                                presence, sums,
+                                e, t, s, plane, min(z_s, z_t), left, right, hides, rising, room, u_per_px, presence, sums,
                             )  # fmt: skip
                         else:
                             unseen[c] = 0.0
                         c += 1
         pair_start[e + 1] = n
     return pair, pair_start, surface, unseen, before, after
+
+
+@kernel(error_model="numpy")
+def _slopes(
+    start: Integers, u: Floats, low: Integers, count: Integers, offset: Integers, height: Floats, plane: Floats
+) -> Floats:
+    """Give (node, 2) the rise per stripe from the peak before, and to the peak after, taken for neighbours.
+
+    All labels of a line shifted by one change it little, so it is known before any label is.
+    """
+    slope = np.zeros((height.shape[0], 2))
+    for e in range(start.shape[0] - 1):
+        for i in range(start[e], start[e + 1]):
+            for k in range(low[i], low[i] + count[i]):
+                node = offset[i] + k - low[i]
+                if i > start[e] and k > 0:
+                    slope[node, 0] = height[node] - _height(plane[e, k - 1], u[i - 1])
+                if i + 1 < start[e + 1] and k + 1 < plane.shape[1]:
+                    slope[node, 1] = _height(plane[e, k + 1], u[i + 1]) - height[node]
+    return slope
 
 
 @kernel(error_model="numpy")
