@@ -44,15 +44,11 @@ _BASES = 4
 """Poses (those with most lines) that are paired with all others; one good one is enough."""
 _ROUNDS = 5
 """Rounds of taking lines and fitting planes; the third changes nothing any more."""
-_PASS_BY_SHARE = 0.02
-"""Of the distance: a plane that passes the camera's centre nearer than this measures nothing."""
 _CONDITION_MAX = 1e12
 _APART_SHARE = 0.4
 """Of the spacing: two planes nearer than this over the boards are one stripe, found twice."""
 _WEAK_SHARE = 0.5
 """Of the weakest accepted plane's peaks: surplus planes with fewer than this are reflections."""
-_LONE_SHARE = 0.3
-"""Of the median line's peaks: a line in no plane that is longer than this may be a stripe seen once."""
 _POSE_SHARE_MIN = 0.5
 """Of a pose's peaks: if fewer lie on planes, its lines fit the others' by chance only."""
 _OUTLYING_FACTOR = 8.0
@@ -104,11 +100,14 @@ class Numbered:
         (stripe, 3) p·X = 1 of each plane, a first estimate, 1/mm.
     left_out
         Poses that fit no numbering, with the reason.
+    moved
+        Those of them whose board or laser moved: nothing in their images is to be trusted.
     """
 
     stripe: list[Integers]
     planes: Floats
     left_out: dict[str, str]
+    moved: tuple[str, ...] = ()
 
 
 def number_stripes(poses: Sequence[PoseLines], stripes: int, belt: PoseLines | None = None) -> Numbered:
@@ -136,8 +135,8 @@ def number_stripes(poses: Sequence[PoseLines], stripes: int, belt: PoseLines | N
         moved = _poses_off(kept, planes, numbers)
         if not moved:
             break
-        left_out |= dict.fromkeys(moved, _MOVED)
-        kept = [pose for pose in kept if pose.name not in moved]
+        left_out |= {pose.name: _MOVED if pose.count > _FEW else _HIDDEN for pose in moved}
+        kept = [pose for pose in kept if pose not in moved]
     number_of = _numbers_of(kept, numbers, planes, stripes, belt is not None and belt.count == stripes)
     found = {
         pose.name: np.where(mine >= 0, number_of[mine], -1) if len(number_of) else mine
@@ -146,13 +145,20 @@ def number_stripes(poses: Sequence[PoseLines], stripes: int, belt: PoseLines | N
     ordered = np.full((stripes, 3), np.nan)
     ordered[number_of[number_of >= 0]] = planes[number_of >= 0]
     by_pose = [found.get(pose.name, np.full(pose.count, -1)) for pose in poses]
-    return Numbered([mine.astype(np.int64) for mine in by_pose], ordered, left_out)
+    moved_ones = tuple(name for name, why in left_out.items() if why is _MOVED)
+    return Numbered([mine.astype(np.int64) for mine in by_pose], ordered, left_out, moved_ones)
 
 
 _MOVED = (
-    "its stripes lie on none of the planes that the other poses show: is it mirrored, or did the board or the "
-    "laser move before it was taken? Take the pose again"
+    "its stripes lie on none of the planes that the other poses show: is it mirrored, or did the board or "
+    "the laser move before it was taken? Take the pose again"
 )
+_HIDDEN = (
+    "hardly a line is seen on even print, and it lies on no plane of the other poses: are the stripes faint, "
+    "or as wide as the board's squares? Tilt the board less"
+)
+_FEW = 2
+"""Lines of a pose from which nothing can be told of the pose itself."""
 
 
 def _planes_of(poses: list[PoseLines]) -> tuple[Floats, list[Integers]]:
@@ -183,7 +189,7 @@ def _planes_of(poses: list[PoseLines]) -> tuple[Floats, list[Integers]]:
 
 
 def _best_pairing(poses: list[PoseLines], free: list[Flags], tolerance: float) -> Floats:
-    """Give the planes (plane, 3) of the pairing in order with the largest sum of votes, of free lines alone."""
+    """Give the planes (plane, 3) of the pairing in order with the largest sum of votes; free lines only."""
     lines = [pose.ends_mm[use] for pose, use in zip(poses, free, strict=True)]
     light = [float(pose.weight[use].sum()) for pose, use in zip(poses, free, strict=True)]
     bases = [int(one) for one in np.argsort(-np.array(light), kind="stable")[:_BASES] if light[int(one)] > 0]
@@ -207,8 +213,6 @@ def _votes(lines: list[Floats], base: int, other: int, tolerance: float) -> tupl
     planes = np.full(right.shape, np.nan)
     solvable = np.linalg.cond(square) < _CONDITION_MAX
     planes[solvable] = np.linalg.solve(square[solvable], right[solvable][:, :, None])[:, :, 0]
-    past_mm = 1.0 / np.sqrt((planes**2).sum(axis=2))
-    planes[past_mm < _PASS_BY_SHARE * float(one[:, :, 2].mean())] = np.nan
     off = np.maximum(_off_mm(one, planes, "iek,ijk->ije"), _off_mm(two, planes, "jek,ijk->ije"))
     votes = _vote(off, tolerance)
     likely = votes > 0.0
@@ -310,7 +314,13 @@ def _in_order(poses: list[PoseLines], planes: Floats, spacing: float) -> Floats:
         near = np.abs(apart).mean(axis=1) < _APART_SHARE * spacing if kept else crosses
         if not (crosses | near).any():
             kept.append(plane)
-    return planes[sorted(kept, key=lambda plane: float(x[plane].mean()))]
+    found = planes[sorted(kept, key=lambda plane: float(x[plane].mean()))]
+    # lines are listed from left to right in the image; in space that may be either way
+    turns = 0
+    for pose in poses:
+        mine = _nearest(pose, found, tolerance)
+        turns += int(np.sign(np.diff(mine[mine >= 0])).sum())
+    return found[::-1] if turns < 0 else found
 
 
 def _tolerance(poses: list[PoseLines], planes: Floats, spacing: float) -> float:
@@ -322,7 +332,7 @@ def _tolerance(poses: list[PoseLines], planes: Floats, spacing: float) -> float:
     return float(max(_NOISE_FACTOR * usual, _TOLERANCE_LEAST_SHARE * spacing))
 
 
-def _poses_off(poses: list[PoseLines], planes: Floats, numbers: list[Integers]) -> list[str]:
+def _poses_off(poses: list[PoseLines], planes: Floats, numbers: list[Integers]) -> list[PoseLines]:
     """Give poses whose lines lie off the planes that the others show: mirrored, or moved.
 
     A board that is its own mirror image is told by nothing else.
@@ -336,7 +346,7 @@ def _poses_off(poses: list[PoseLines], planes: Floats, numbers: list[Integers]) 
         ]
     )
     if share.min() < _POSE_SHARE_MIN:
-        return [poses[int(share.argmin())].name]
+        return [poses[int(share.argmin())]]
     off = np.full(len(poses), np.nan)
     for one, pose in enumerate(poses):
         others = [at for at in range(len(poses)) if at != one]
@@ -350,13 +360,13 @@ def _poses_off(poses: list[PoseLines], planes: Floats, numbers: list[Integers]) 
     worst = int(np.nanargmax(off))
     if off[worst] <= max(_OUTLYING_FACTOR * float(np.nanmedian(off)), _OUTLYING_LEAST):
         return []
-    return [poses[worst].name]
+    return [poses[worst]]
 
 
 def _numbers_of(
     poses: list[PoseLines], numbers: list[Integers], planes: Floats, stripes: int, belt_shows_all: bool
 ) -> Integers:
-    """Give (plane,) the stripe of each plane, −1 for none; raise CalibrationError where that cannot be told."""
+    """Give (plane,) the stripe of each plane, −1 for none; CalibrationError where that cannot be told."""
     count = len(planes)
     peaks, boards = np.zeros(count), np.zeros(count, np.int64)
     on: list[list[str]] = [[] for _ in range(count)]
@@ -403,10 +413,9 @@ def _too_few(
         return CalibrationError(
             f"stripe {stripe} lies on one board alone ({names[0]}): that determines no plane", hint=hint
         )
-    usual = float(np.median(np.concatenate([pose.weight for pose in poses] or [np.ones(1)])))
     lone: list[tuple[int, str]] = []
     for pose, mine in zip(poses, numbers, strict=False):
-        for line in np.flatnonzero((mine < 0) & (pose.weight >= _LONE_SHARE * usual)):
+        for line in np.flatnonzero(mine < 0):
             left = mine[:line]
             left = left[left >= 0]
             lone.append((int(left[-1]) + 2 if left.size else 1, pose.name))
@@ -417,9 +426,9 @@ def _too_few(
         )
     missing = sorted(set(range(stripes)) - set(number.tolist()))
     if len(planes) and len(missing) and (number < 0).any():
-        names = ", ".join(str(one + 1) for one in missing)
+        those = ", ".join(str(one + 1) for one in missing)
         return CalibrationError(
-            f"stripes {names} of the empty belt are found on fewer than two boards", hint=hint
+            f"stripes {those} of the empty belt are found on fewer than two boards", hint=hint
         )
     return CalibrationError(
         f"no numbering of {stripes} stripes fits: {len(planes)} planes of light are found on two boards or "

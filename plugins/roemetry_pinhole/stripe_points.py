@@ -144,15 +144,13 @@ def gather(
         if number != ON_BELT
     )
     rows = np.concatenate([part for part, _ in parts])
-    strange = tuple(
-        one.number for one, pose in zip(found, poses, strict=True) if pose.name in numbered.left_out
-    )
+    strange = tuple(one.number for one, pose in zip(found, poses, strict=True) if pose.name in numbered.moved)
     return Gathered(_points(rows), numbered.planes, belt, 1.0 - kept / max(on_stripes, 1), left_out, strange)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _OnBoard:
-    """Peaks of one view: all of them without distortion, which lie on the board and on even print; its plane."""
+    """Peaks of one view, without distortion; which lie on the board and on even print; the board's plane."""
 
     number: int
     peaks: Peaks
@@ -184,7 +182,7 @@ class _OnBoard:
 
 
 _SEARCH_PX = 6.0
-"""Half the width of the lane in which a stripe is sought, px: poses before the adjustment err by 1 to 2 px."""
+"""Half the width of the lane in which a stripe is sought, px: first poses err by 1 to 2 px."""
 _SEARCH_SHARE = 0.35
 """The same at most, of the distance of the next stripe."""
 
