@@ -73,7 +73,7 @@ class BlockCalibrator(Calibrator[BlockCalibratorOptions]):
             raise CalibrationError("there is no image of the block", hint="name it in images.block")
         rest = rest_polynomials(observed)
         rest_px = rest.lines_px
-        seen = [view_of_block(view, rest_px) for view in views]
+        seen = [view_of_block(view, rest_px, rest.rms_px) for view in views]
         offset_px, offset_std_px, row_px = _offsets(seen, views, observed.stripe_count)
         offset_px, offset_std_px, row_px, fan, said = _filled(offset_px, offset_std_px, row_px, rest_px)
         if observed.working_distance_mm is not None and observed.working_distance_mm <= 2 * block.height_mm:

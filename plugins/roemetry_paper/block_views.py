@@ -50,6 +50,9 @@ _EDGE_ROOM_MIN_PX = 0.75
 _EDGE_GAP_ROWS = 3
 """Rows without a peak that do not end the block: speckle takes single peaks."""
 _MAD_TO_STD = 1.4826
+_ROOM_MIN_PX = 1.5
+_ROOM_SIGMAS = 4.0
+"""A peak is on a belt line within so many of its scatter; less than 1.5 px is within whole pixels."""
 _HIDDEN_MAX = 2
 """Stripes at an end that may strike the block's side, where the camera does not see them."""
 _SMOOTHER = 1.5
@@ -146,14 +149,14 @@ def rest_polynomials(observed: CalibrationSet) -> RestFit:
     return _fitted(stripe, from_middle, x_px, observed.stripe_count, belts[0].frame.name)
 
 
-def view_of_block(view: Observation, rest_px: Floats) -> BlockView:
+def view_of_block(view: Observation, rest_px: Floats, rest_rms_px: float) -> BlockView:
     """Measure displacements and edges of the block in one image."""
     stripes = rest_px.shape[0]
     peaks = _centred(view)
     from_middle = np.arange(peaks.image_size[0]) - (peaks.image_size[0] - 1) / 2.0
     rest = np.polynomial.polynomial.polyval(from_middle, rest_px.T)
     mean, std, first, last, place, scatter, at_row, growth, growth_std = np.full((9, stripes), np.nan)
-    for stripe, line in _on_the_block(peaks, rest).items():
+    for stripe, line in _on_the_block(peaks, rest, max(_ROOM_MIN_PX, _ROOM_SIGMAS * rest_rms_px)).items():
         row, x = _one_a_row(peaks, line)
         offset = x - rest[stripe, row]
         run = _longest_run(row, np.abs(offset) > _DISPLACED_MIN_PX)
@@ -279,10 +282,10 @@ def _strongest(lines: list[Integers], count: int) -> list[Integers]:
     return [line for line, own in zip(lines, size, strict=True) if own >= weakest]
 
 
-def _on_the_block(peaks: Peaks, rest: Floats) -> dict[int, Integers]:
+def _on_the_block(peaks: Peaks, rest: Floats, room_px: float) -> dict[int, Integers]:
     """Give the peaks on the block's top by stripe; {} where there is none or two matchings are as good."""
     stripes = rest.shape[0]
-    rows = _rows_of_block(peaks, rest)
+    rows = _rows_of_block(peaks, rest, room_px)
     if rows is None:
         return {}
     first, last = rows
@@ -348,21 +351,27 @@ def _matched(
     return float(unexplained), float(max(np.median(rough), 0.05)), pairs
 
 
-def _rows_of_block(peaks: Peaks, rest: Floats) -> tuple[int, int] | None:
-    """Give the first and last row in which the belt's lines are interrupted, a little inside; or None."""
-    room = np.full(rest.shape[0], _DISPLACED_MIN_PX)
+def _rows_of_block(peaks: Peaks, rest: Floats, room_px: float) -> tuple[int, int] | None:
+    """Give the first and last row in which the belt's lines are interrupted, a little inside; or None.
+
+    Displaced by about a spacing, stripes lie near their neighbours' belt lines: hence the narrow room.
+    """
     empty = np.zeros(rest.shape[1])
     for row in range(rest.shape[1]):
         x = peaks.x_px[peaks.row_start[row] : peaks.row_start[row + 1]]
         off = np.abs(rest[:, row, None] - x[None, :]).min(axis=1, initial=np.inf)
-        empty[row] = (off > room).mean()
+        empty[row] = (off > room_px).mean()
     # the first and the last row hold no peaks of some extractors
-    smooth = np.convolve(empty[1:-1], np.ones(9) / 9.0, mode="same")
+    smooth = np.convolve(empty[1:-1], np.ones(_SMOOTH_ROWS) / _SMOOTH_ROWS, mode="same")
     most = float(np.percentile(smooth, 99.0))
     run = _longest_run(np.arange(1, rest.shape[1] - 1), smooth > 0.5 * most)
-    if most < 1.5 / rest.shape[0] or run.size < _BLOCK_ROWS_MIN or run.size > 0.9 * rest.shape[1]:
+    if most < 0.8 / rest.shape[0] or run.size < _BLOCK_ROWS_MIN or run.size > 0.9 * rest.shape[1]:
         return None
-    return int(run[0]) + 4, int(run[-1]) - 2
+    return int(run[0]) + _SMOOTH_ROWS // 2, int(run[-1]) - _SMOOTH_ROWS // 2
+
+
+_SMOOTH_ROWS = 9
+"""Rows that are looked at together: speckle takes a peak in thirty."""
 
 
 def _fitted(stripe: Floats, from_middle: Floats, x_px: Floats, stripes: int, name: str) -> RestFit:
