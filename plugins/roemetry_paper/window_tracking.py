@@ -75,7 +75,9 @@ _END_ROWS = 12
 _DARK_ROWS_MAX = 20
 _PIECES_MAX = 400
 _PIECES_SHARE_MIN = 0.25
-_AGREEMENT_MIN = 0.9
+_AGREEMENT_MIN = 0.75
+"""Of the rows that vote: an extractor loses a peak in up to a fifth of the rows of a flank, and each such
+row is off by one. A stripe that is lost in three rows of four shifts those behind it, and nothing tells."""
 _VOTERS_MIN = 3
 _VOTING_SHARE_MIN = 0.5
 _PASSES_MAX = 12
