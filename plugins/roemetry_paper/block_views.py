@@ -41,7 +41,8 @@ _DISPLACED_MIN_PX = 4.0
 _BLOCK_ROWS_MIN = 20
 _RUN_GAP_ROWS = 12
 _TRIM = 0.1
-_BATCH_ROWS = 10
+_BATCH_ROWS = 8
+"""Rows that are averaged into one nearly independent value: peaks are correlated over two or three rows."""
 _BATCHES_MIN = 6
 _BODY_STEP_PX = 7.0
 _END_ROWS = 12
@@ -367,7 +368,7 @@ def _rows_of_block(peaks: Peaks, rest: Floats, room_px: float) -> tuple[int, int
     run = _longest_run(np.arange(1, rest.shape[1] - 1), smooth > 0.5 * most)
     if most < 0.8 / rest.shape[0] or run.size < _BLOCK_ROWS_MIN or run.size > 0.9 * rest.shape[1]:
         return None
-    return int(run[0]) + _SMOOTH_ROWS // 2, int(run[-1]) - _SMOOTH_ROWS // 2
+    return int(run[0]) + 1, int(run[-1]) - 1
 
 
 _SMOOTH_ROWS = 9

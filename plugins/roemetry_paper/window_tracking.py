@@ -62,6 +62,11 @@ class WindowTrackingOptions(BridgingOptions):
     )
     body_window_px: int = Field(default=14, ge=1, le=99, description="width of the window on the body, px")
     smallest_area_px: int = Field(default=10, ge=1, description="fragments with fewer peaks are noise")
+    hidden: Literal["anywhere", "facing-light"] = Field(
+        default="anywhere",
+        description="where bodies may be hidden or lost. facing-light: only on the flank that faces the "
+        "light, where the camera looks past an overhang; so stripes are counted from the shadow's side",
+    )
     margin_min: float = Field(
         default=0.1,
         ge=0,
@@ -75,9 +80,10 @@ _END_ROWS = 12
 _DARK_ROWS_MAX = 20
 _PIECES_MAX = 400
 _PIECES_SHARE_MIN = 0.25
-_AGREEMENT_MIN = 0.75
-"""Of the rows that vote: an extractor loses a peak in up to a fifth of the rows of a flank, and each such
-row is off by one. A stripe that is lost in three rows of four shifts those behind it, and nothing tells."""
+_AGREEMENT_MIN = {"anywhere": 0.9, "facing-light": 0.75}
+"""Of the rows that vote. Counted from the shadow's side each row that has lost a peak is off by one, and an
+extractor loses one in up to a fifth of a flank's rows. A stripe that is lost in three rows of four shifts
+those behind it, and nothing tells."""
 _VOTERS_MIN = 3
 _VOTING_SHARE_MIN = 0.5
 _PASSES_MAX = 12
@@ -210,11 +216,12 @@ class WindowTracking(Coder[WindowTrackingOptions]):
         margin = np.where(belt.anchored, 1.0, np.nan)
         for _ in range(_PASSES_MAX):
             votes, voters = vote_by_order(peaks.row_start, peaks.x_px, used, label, rest_px, low_px, high_px)
-            if light:
+            if light and self.options.hidden == "facing-light":
                 votes = vote_from_shadow(
                     peaks.row_start, peaks.x_px, used, label, rest_px, low_px, high_px, light
                 )
-            settled, gained = _decided(votes, voters, belt.rows, label, self.options.margin_min)
+            agreement = _AGREEMENT_MIN[self.options.hidden]
+            settled, gained = _decided(votes, voters, belt.rows, label, self.options.margin_min, agreement)
             margin = np.where(settled, gained, margin)
             found = belt.continued(np.where(settled, votes.argmax(axis=1), label))
             if (found == label).all():
@@ -311,7 +318,12 @@ def _refuse_dark_rows(peaks: Peaks) -> None:
 
 
 def _decided(
-    votes: Integers, voters: Integers, rows: Integers, label: Integers, margin_min: float
+    votes: Integers,
+    voters: Integers,
+    rows: Integers,
+    label: Integers,
+    margin_min: float,
+    agreement_min: float,
 ) -> tuple[Flags, Floats]:
     """Say which unknown segments their rows agree on, and by which margin.
 
@@ -328,7 +340,7 @@ def _decided(
     settled = (
         (label < 0)
         & (voters >= np.maximum(_VOTERS_MIN, _VOTING_SHARE_MIN * rows))
-        & (best >= _AGREEMENT_MIN * voters)
+        & (best >= agreement_min * voters)
         & (margin >= margin_min)
     )
     return settled, margin
