@@ -351,5 +351,8 @@ def _displacements(rest: RestLines, live: Integers, calibration: Calibration | N
     if calibration is None:
         return np.full(live.size, -_UNBOUNDED_PX), np.full(live.size, _UNBOUNDED_PX)
     per_mm = calibration.displacement_px_per_mm[live]
-    ends = np.stack([per_mm * height for height in calibration.height_range_mm])
+    view = calibration.view
+    # nearer to the camera a millimetre is seen larger
+    near = 0.0 if view is None or view.telecentric else 1.0 / float(view.camera_mm[2])
+    ends = np.stack([per_mm * height / (1.0 - height * near) for height in calibration.height_range_mm])
     return ends.min(axis=0) - rest.tolerance_px, ends.max(axis=0) + rest.tolerance_px
