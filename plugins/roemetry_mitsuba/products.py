@@ -242,9 +242,9 @@ def _loft(rng: np.random.Generator, options: SkeinOptions, kind: str, how: np.ra
     lump = np.concatenate([[0.0], np.repeat(taper[1:-1], _AROUND), [0.0]])
     bump = waves(points_mm) * lump
     if end < 1.0:
-        near = np.clip((np.concatenate([[0.0], np.repeat(t[1:-1], _AROUND), [end]]) - (end - 6.0 / length)) * length / 6.0, 0.0, 1.0)
-        ragged = _waves(how if how is not None else rng, (4.0, 9.0), 1.0)
-        points_mm[:, 0] += near**2 * np.clip(ragged(points_mm * [0.0, 1.0, 1.0]), -2.5, 2.5)
+        near = np.clip((np.concatenate([[0.0], np.repeat(t[1:-1], _AROUND), [end]]) - (end - 8.0 / length)) * length / 8.0, 0.0, 1.0)
+        ragged = _waves(how if how is not None else rng, (5.0, 11.0), 0.6)
+        points_mm[:, 0] += near**2 * np.clip(ragged(points_mm * [0.0, 1.0, 1.0]), -1.6, 1.6)
     points_mm = points_mm + bump[:, None] * normals_of(points_mm, faces)
     if how is not None and kind in ("dented", "folded"):
         points_mm = _pressed(points_mm, kind, how, length, width, height, locals().get("fold", 0.0))

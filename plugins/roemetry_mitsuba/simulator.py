@@ -36,7 +36,7 @@ _NEXT_IN_FRAME = 1_000_003
 """Between the seeds of a frame's products, so that no other item's product has them."""
 _TEXEL_MM = 0.15
 """Pitch of the textures: about a pixel."""
-_WHITE, _BLACK = 0.62, 0.05
+_WHITE, _BLACK = 0.62, 0.08
 """Albedo of a board's paper and ink, and of the matt paint of block and staircase (`_WHITE`)."""
 _PX_PER_SQUARE = 64
 _EDGE_MM = 1.0
