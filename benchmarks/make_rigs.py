@@ -1,7 +1,8 @@
-"""Fresh rigs with truth, drawn at random and rendered by either simulator, for `python -m benchmarks outside`.
+"""Fresh rigs with truth, drawn at random and rendered by either simulator.
 
-A rig is a folder of files as a user would have them (boards, block, empty belt, products by laser and by plain
-light; rig and recipe files) with the truth beside it (`truth.json`, `truth/*.npz`). Everything about it is
+A rig is a folder of files as a user would have them (boards, block, empty belt, products by laser and by
+plain light; rig and recipe files) with the truth beside it (`truth.json`, `truth/*.npz`), in the layout that
+`python -m benchmarks outside` reads. Everything about it is
 drawn from the seed: stripes, spacing, side and steepness of the projector, camera size, lens, tilt, light,
 gloss, scattering, speckle, saturation. Kinds take turns: `paper` is like the published rig with another
 camera, `dense` has narrow stripes of uneven power, a steep projector, speckle and gloss, `any` lies between.
@@ -55,15 +56,21 @@ class Body:
 
 def main() -> None:
     """Read the command line and write the rigs."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--simulator", choices=MAKERS, default="mitsuba")
     parser.add_argument("--seed", type=int, required=True, help="decides everything about the rigs")
     parser.add_argument("--rigs", type=int, default=3, help="how many")
     parser.add_argument("--kinds", default=",".join(KINDS), help="kinds that take turns, with commas between")
     parser.add_argument("--bodies", type=int, default=10, help="products of each")
     parser.add_argument("--boards", type=int, default=9, help="tilted poses of the board")
-    parser.add_argument("--samples", type=int, default=3, help="camera rays along each side of a pixel (mitsuba)")
-    parser.add_argument("--scale", type=float, default=1.0, help="image size over the rig's, for short trials")
+    parser.add_argument(
+        "--samples", type=int, default=3, help="camera rays along each side of a pixel (mitsuba)"
+    )
+    parser.add_argument(
+        "--scale", type=float, default=1.0, help="image size over the rig's, for short trials"
+    )
     parser.add_argument("--out", type=Path, required=True)
     told = parser.parse_args()
     kinds = told.kinds.split(",")
@@ -107,23 +114,36 @@ def draw_rig(rng: np.random.Generator, kind: str, *, boards: int, scale: float =
     white = between((420.0, 600.0), (700.0, 1000.0))  # grey level of white in a stripe: over 255 saturates
     plain_belt = float(rng.uniform(0.22, 0.36))
     grey = gain * exposure
-    belt = [float(x) for x in np.round(spacing * (np.arange(stripes) - 0.5 * (stripes - 1)) + rng.normal(0, 0.06, stripes), 4)]
+    belt = [
+        float(x)
+        for x in np.round(
+            spacing * (np.arange(stripes) - 0.5 * (stripes - 1)) + rng.normal(0, 0.06, stripes), 4
+        )
+    ]
     stray = None
     if hard > 0.5:
-        place = [float(v) for v in np.round([*rng.uniform(60.0, 130.0, 2) * rng.choice([-1, 1], 2), rng.uniform(150.0, 260.0)], 1)]
+        place = [
+            float(v)
+            for v in np.round(
+                [*rng.uniform(60.0, 130.0, 2) * rng.choice([-1, 1], 2), rng.uniform(150.0, 260.0)], 1
+            )
+        ]
         stray = {"position_mm": place, "e_per_ms": float(rng.uniform(12.0, 40.0)) / grey}
-    columns, rows = round(0.72 * view_mm / 8.0), round(0.72 * view_mm * height / width / 8.0)
+    # the board reaches beyond the outer stripes, so that each of them lies on it in most poses
+    columns, rows = math.ceil((belt[-1] - belt[0] + 2.0) / 8.0), round(0.72 * view_mm * height / width / 8.0)
     block_length = 0.78 * view_mm
     return {
         "camera": {
             "width_px": width, "height_px": height, "pixel_size_um": pixel_um, "focal_length_mm": focal_mm,
-            "principal_point_px": [float(0.5 * width + rng.uniform(-8, 8)), float(0.5 * height + rng.uniform(-8, 8))],
+            "principal_point_px": [float(0.5 * width + rng.uniform(-8, 8)),
+            float(0.5 * height + rng.uniform(-8, 8))],
             "distance_mm": distance_mm, "tilt_x_deg": tilt_x, "tilt_y_deg": between((-3.0, 3.0), (-6.0, 6.0)),
             "distortion": {
                 "k1": float(rng.uniform(-0.13, 0.03)), "k2": float(rng.uniform(-0.02, 0.08)),
                 "p1": float(rng.uniform(-6e-4, 6e-4)), "p2": float(rng.uniform(-6e-4, 6e-4)),
             },
-            "blur_sigma_px": between((0.45, 0.6), (0.55, 0.85)), "exposure_ms": exposure, "gain_dn_per_e": gain,
+            "blur_sigma_px": between((0.45, 0.6), (0.55, 0.85)), "exposure_ms": exposure,
+            "gain_dn_per_e": gain,
             "full_well_e": float(round(270.0 / gain)), "read_noise_e": between((0.5, 0.9), (0.7, 1.3)) / gain,
             "black_level_dn": float(rng.uniform(3.0, 8.0)),
             "vignetting": between((0.6, 1.1), (1.2, 2.0)), "prnu": float(rng.uniform(0.003, 0.009)),
@@ -135,16 +155,19 @@ def draw_rig(rng: np.random.Generator, kind: str, *, boards: int, scale: float =
             "line_width_mm": 4.0 * between((0.24, 0.30), (0.20, 0.30)),
             "waist_distance_mm": up / math.cos(steep_rad), "divergence_mrad": float(rng.uniform(0.5, 3.0)),
             "peak_e_per_ms": white / grey, "fall_deg": float(rng.uniform(18.0, 40.0)),
-            "speckle_contrast": between((0.08, 0.13), (0.17, 0.26)), "speckle_sigma_px": float(rng.uniform(0.6, 1.1)),
+            "speckle_contrast": between((0.08, 0.13), (0.17, 0.26)),
+            "speckle_sigma_px": float(rng.uniform(0.6, 1.1)),
         },
         "belt": {
             "albedo_laser": between((0.30, 0.42), (0.2, 0.32)), "albedo_plain": plain_belt,
-            "texture": float(rng.uniform(0.03, 0.08)), "gloss": 0.0 if hard < 0.5 else float(rng.uniform(0.0, 0.06)),
+            "texture": float(rng.uniform(0.03, 0.08)),
+            "gloss": 0.0 if hard < 0.5 else float(rng.uniform(0.0, 0.06)),
         },
         "light": {
             "ambient_e_per_ms": between((5.0, 12.0), (12.0, 30.0)) / grey,
             "plain_e_per_ms": float(rng.uniform(270.0, 320.0)) / grey,
-            "lamp_height_mm": float(rng.uniform(180.0, 300.0)), "lamp_radius_mm": float(rng.uniform(70.0, 150.0)),
+            "lamp_height_mm": float(rng.uniform(180.0, 300.0)), "lamp_radius_mm": float(rng.uniform(70.0,
+            150.0)),
             "images": ["laser", "plain"], **({"stray": stray} if stray else {}),
         },
         "surface": {
@@ -172,31 +195,45 @@ def draw_rig(rng: np.random.Generator, kind: str, *, boards: int, scale: float =
 
 
 def draw_bodies(rng: np.random.Generator, maker: str, count: int, scene: Mapping[str, Any]) -> list[Body]:
-    """Choose the products: half of them skeins, half of these with a defect; shapes that are no food between."""
+    """Choose the products: good skeins, skeins with a defect, and other shapes between them."""
     feet = scene["laser"]["belt_x_mm"]
     reach = min(feet[-1] - feet[0] + 8.0, 108.0)
     long = [0.76 * reach, 0.97 * reach]
     if maker == "mitsuba":
         defects = [str(d) for d in rng.permutation(["dented", "bent", "twisted", "folded", "broken"])]
         good, skein = "none", "lofted-skein"
-        others = [("ball", "reference"), ("supershape", "potato"), ("box", "reference"), ("superquadric", "reference"), ("rod", "reference")]
+        others = [
+            ("ball", "reference"),
+            ("supershape", "potato"),
+            ("box", "reference"),
+            ("superquadric", "reference"),
+            ("rod", "reference"),
+        ]
         sizes: dict[str, Any] = {"length_mm": long}
         more: dict[str, dict[str, Any]] = {}
     else:
         defects = [str(d) for d in rng.permutation(["dented", "bent", "twisted", "folded", "s-bent"])]
         good, skein = "healthy", "herring-roe"
-        others = [("sphere", "reference"), ("potato", "potato"), ("block", "reference"), ("egg", "reference"), ("cylinder", "reference")]
+        others = [
+            ("sphere", "reference"),
+            ("potato", "potato"),
+            ("block", "reference"),
+            ("egg", "reference"),
+            ("cylinder", "reference"),
+        ]
         sizes = {}
         more = {
             "sphere": {"radius_mm": float(rng.uniform(10.0, 14.0))},
-            "potato": {"length_range_mm": [55.0, 68.0], "width_range_mm": [40.0, 48.0], "thickness_range_mm": [26.0, 34.0]},
+            "potato": {"length_range_mm": [55.0, 68.0], "width_range_mm": [40.0, 48.0],
+            "thickness_range_mm": [26.0, 34.0]},
             "block": {
                 "length_mm": float(rng.uniform(45, 65)), "width_mm": float(rng.uniform(20, 32)),
                 "height_mm": float(rng.uniform(10, 18)), "turn_range_deg": 8.0,
             },
-            "cylinder": {"length_mm": float(rng.uniform(50, 65)), "radius_mm": float(rng.uniform(8, 11)), "half": False},
+            "cylinder": {"length_mm": float(rng.uniform(50, 65)), "radius_mm": float(rng.uniform(8, 11)),
+            "half": False},
         }  # fmt: skip
-    order = "g d o d o g o d g o d g o d g".split()
+    order = [*"gdodogodgodgodg"]
     found: list[Body] = []
     while len(found) < count:
         what = order[len(found) % len(order)]
@@ -218,8 +255,14 @@ def write_rig(
     folder.mkdir(parents=True, exist_ok=True)
     begin = time.perf_counter()
     boards = scene["targets"]["board"]["poses"]
-    calibration = [("empty", "belt", "belt"), ("block", "block", "block"), ("stair", "staircase", "staircase")]
-    calibration += [(f"board_{k:02d}", "charuco", f"pose_{k:02d}" if k else "on_belt") for k in range(boards + 1)]
+    calibration = [
+        ("empty", "belt", "belt"),
+        ("block", "block", "block"),
+        ("stair", "staircase", "staircase"),
+    ]
+    calibration += [
+        (f"board_{k:02d}", "charuco", f"pose_{k:02d}" if k else "on_belt") for k in range(boards + 1)
+    ]
     images: dict[str, Any] = {}
     for label, kind, pose in calibration:
         lights = ("laser", "plain") if kind in ("charuco",) else ("laser",)
@@ -227,8 +270,15 @@ def write_rig(
             path = folder / f"calibration/{label}_{light}.png"
             if not path.exists():
                 view = f"{pose}_{light}" if kind == "charuco" else pose
-                _save(path, maker.calibration_frame(kind, view, seed, bright=light == "laser" and kind != "belt"))
-        images[label] = {"kind": kind, "laser": f"calibration/{label}_laser.png", "truth": f"truth/{label}.npz"}
+                _save(
+                    path,
+                    maker.calibration_frame(kind, view, seed, bright=light == "laser" and kind != "belt"),
+                )
+        images[label] = {
+            "kind": kind,
+            "laser": f"calibration/{label}_laser.png",
+            "truth": f"truth/{label}.npz",
+        }
         if kind == "charuco":
             images[label]["plain"] = f"calibration/{label}_plain.png"
         if not (folder / f"truth/{label}.npz").exists():
@@ -263,7 +313,9 @@ class _Maker:
         white = laser["peak_e_per_ms"] * camera["exposure_ms"] * camera["gain_dn_per_e"] * max(laser["power"])
         dimmed = camera["exposure_ms"] * min(1.0, _EXPOSED_GREY / (_BOARD_WHITE * white))
         self.whole = self.make(scene | {"product": {"family": "none"}})
-        self.dimmed = self.make(scene | {"product": {"family": "none"}, "camera": {**camera, "exposure_ms": dimmed}})
+        self.dimmed = self.make(
+            scene | {"product": {"family": "none"}, "camera": {**camera, "exposure_ms": dimmed}}
+        )
 
     def make(self, options: dict[str, Any]) -> Any:
         """Make the simulator."""
@@ -274,7 +326,7 @@ class _Maker:
         raise NotImplementedError
 
     def calibration_frame(self, kind: str, view: str, seed: int, *, bright: bool) -> Frame:
-        """Take a calibration image; white targets under the laser with a shorter exposure, as a user would."""
+        """Take a calibration image; white targets under the laser with a shorter exposure, as users do."""
         maker = self.dimmed if bright else self.whole
         frame: Frame = maker.calibration_frames(seed)[kind][view]
         return frame
@@ -326,10 +378,10 @@ class _RayCaster(_Maker):
     def make(self, options: dict[str, Any]) -> Any:
         from roemetry_simulate.ray_caster import RayCaster
 
-        known = {
-            part: {k: v for k, v in value.items() if k not in _OWN_KEYS.get(part, ())} if isinstance(value, dict) else value
-            for part, value in options.items()
-        }
+        known = {}
+        for part, value in options.items():
+            own = _OWN_KEYS.get(part, ())
+            known[part] = {k: v for k, v in value.items() if k not in own} if own else value
         return RayCaster(RayCaster.Options.model_validate(known))
 
     def calibration_truth(self, kind: str, pose: str, seed: int) -> dict[str, Any]:
@@ -370,10 +422,15 @@ def _columns(found: Any) -> dict[str, Any]:
 def _flat(x: Floats, xyz: Floats, label: Any, nsol: Any) -> dict[str, Any]:
     """Columns by (row, stripe)."""
     empty: dict[str, Any] = {f"extra_{n}": np.zeros(0, np.int16) for n in ("row", "stripe")}
-    empty |= {"extra_x": np.zeros(0), "extra_X": np.zeros((0, 3), np.float32), "extra_label": np.zeros(0, np.int8)}
+    empty |= {
+        "extra_x": np.zeros(0),
+        "extra_X": np.zeros((0, 3), np.float32),
+        "extra_label": np.zeros(0, np.int8),
+    }
     return {
         "x": np.ascontiguousarray(x.T), "X": np.ascontiguousarray(xyz.transpose(1, 0, 2), dtype=np.float32),
-        "label": np.ascontiguousarray(label.T, dtype=np.int8), "nsol": np.ascontiguousarray(nsol.T, dtype=np.uint8),
+        "label": np.ascontiguousarray(label.T, dtype=np.int8), "nsol": np.ascontiguousarray(nsol.T,
+        dtype=np.uint8),
         **empty,
     }  # fmt: skip
 
@@ -386,13 +443,15 @@ def _object(body: Body, product: ProductTruth) -> dict[str, Any]:
     return {
         "volume_mm3": product.true_mm3, "mass_g_at_1p1": 1.1e-3 * product.true_mm3,
         "topview_volume_mm3": product.visible_mm3, "footprint_mm2": figures.get("footprint_mm2"),
-        "max_height_mm": figures.get("height_mm"), "cls": cls, "defect": words.get(product.defect), "family": body.family,
+        "max_height_mm": figures.get("height_mm"), "cls": cls, "defect": words.get(product.defect),
+        "family": body.family,
         "figures": figures,
     }  # fmt: skip
 
 
 def _truth_json(
-    name: str, scene: Mapping[str, Any], told: Mapping[str, Any], images: dict[str, Any], objects: dict[str, Any],
+    name: str, scene: Mapping[str, Any], told: Mapping[str, Any], images: dict[str, Any], objects: dict[str,
+    Any],
     maker: str, seed: int,
 ) -> dict[str, Any]:  # fmt: skip
     rig, camera, laser, board = told["rig"], scene["camera"], scene["laser"], scene["targets"]["board"]
@@ -403,14 +462,19 @@ def _truth_json(
     for label, image in images.items():
         if image["kind"] == "charuco":
             image["kind"] = "board"
-            pose = np.array(told["charuco"]["T_belt_board"]["on_belt" if label == "board_00" else label.replace("board", "pose")])
+            pose = np.array(
+                told["charuco"]["T_belt_board"][
+                    "on_belt" if label == "board_00" else label.replace("board", "pose")
+                ]
+            )
             image |= {"R_board_to_belt": pose[:3, :3].tolist(), "t_board_to_belt": pose[:3, 3].tolist()}
     return {
         "rig": name, "units": "mm", "maker": maker, "seed": seed,
         "frames": {
             "belt": "right handed; x along the image's columns, y up the image, z up; belt at z = 0",
             "camera": "OpenCV: x right, y down, z forward; X_cam = R X_belt + t",
-            "pixel": "integer coordinates are pixel centres", "plane": "n . X + d = 0, |n| = 1, n_x > 0 in the belt frame",
+            "pixel": "integer coordinates are pixel centres",
+            "plane": "n . X + d = 0, |n| = 1, n_x > 0 in the belt frame",
         },
         "camera": {
             "width": camera["width_px"], "height": camera["height_px"], "K": rig["camera_matrix"],
@@ -419,21 +483,27 @@ def _truth_json(
             "psf_sigma_px": camera["blur_sigma_px"],
         },
         "laser": {
-            "n_stripes": len(planes), "projector_centre_belt": list(rig["projector_mm"]), "planes_belt": planes.tolist(),
+            "n_stripes": len(planes), "projector_centre_belt": list(rig["projector_mm"]),
+            "planes_belt": planes.tolist(),
             "planes_cam": in_camera.tolist(), "sigma_mm": [0.25 * laser["line_width_mm"]] * len(planes),
             "relative_power": laser["power"],
             "angle_to_vertical_deg": np.degrees(np.arctan(-planes[:, 2] / planes[:, 0])).tolist(),
             "order": "index 0 = smallest belt x",
         },
         "sensor": {
-            "gain_grey_per_electron": camera["gain_dn_per_e"], "read_DN": camera["read_noise_e"] * camera["gain_dn_per_e"],
-            "black": camera["black_level_dn"], "speckle": laser["speckle_contrast"], "speckle_px": laser["speckle_sigma_px"],
+            "gain_grey_per_electron": camera["gain_dn_per_e"],
+            "read_DN": camera["read_noise_e"] * camera["gain_dn_per_e"],
+            "black": camera["black_level_dn"], "speckle": laser["speckle_contrast"],
+            "speckle_px": laser["speckle_sigma_px"],
         },
         "board": {
-            "type": "ChArUco", "dictionary": "DICT_4X4_250", "squares_x": board["columns"], "squares_y": board["rows"],
-            "square_mm": board["square_mm"], "marker_mm": board["marker_mm"], "thickness_mm": board["thickness_mm"],
+            "type": "ChArUco", "dictionary": "DICT_4X4_250", "squares_x": board["columns"],
+            "squares_y": board["rows"],
+            "square_mm": board["square_mm"], "marker_mm": board["marker_mm"],
+            "thickness_mm": board["thickness_mm"],
         },
-        "block": dict(told["block"]), "staircase": dict(told["staircase"]), "images": images, "objects": objects,
+        "block": dict(told["block"]), "staircase": dict(told["staircase"]), "images": images,
+        "objects": objects,
         "scene": dict(scene),
     }  # fmt: skip
 
@@ -489,7 +559,8 @@ def _write_yaml(folder: Path, name: str, scene: Mapping[str, Any], bodies: list[
                     "use": "outline-surface",
                     "options": {"underside": "rounded", "true_share": 0.884, "true_share_std": 0.053},
                 },
-                "weigher": {"use": "density", "options": {"density_g_per_cm3": 1.1, "density_std_g_per_cm3": 0.01}},
+                "weigher": {"use": "density", "options": {"density_g_per_cm3": 1.1,
+                "density_std_g_per_cm3": 0.01}},
                 "classifier": {"use": "learned", "options": {"model": "../classifier.json"}},
             },
             "sinks": ["csv", "report"],

@@ -1,4 +1,4 @@
-"""A second maker of stripe images whose answer is known: Mitsuba 3 casts the rays and holds the materials.
+"""A second maker of stripe images whose answer is known; Mitsuba 3 casts the rays.
 
 It reads the same scene files as the plugin `simulate` and writes the same data sets, and shares no code with
 it, so that what both agree on does not come from one maker's assumptions. Frames are those of `conventions`:
@@ -20,7 +20,7 @@ def roemetry_stages() -> Iterable[StageEntry]:
         kind="simulator",
         name="mitsuba",
         target="roemetry_mitsuba.simulator:MitsubaSimulator",
-        summary="Stripe images by Mitsuba 3: gloss, scattering inside the product, interreflection; exact truth",
+        summary="Stripe images by Mitsuba 3: gloss, scattering, interreflection; exact truth",
         reference="Jakob et al., Mitsuba 3 (2022); Jensen et al., dipole (2001); Walter et al., GGX (2007)",
         requires=(("mitsuba", 'pip install "roemetry[mitsuba]"'),),
     )

@@ -253,10 +253,10 @@ def _raise(top: Floats, corners: Floats, x0: float, y0: float, step_x: float, st
         turn = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
         if turn <= 0.0:  # looks down or edge on: another face lies above it
             continue
-        i0 = max(int(math.ceil((min(a[0], b[0], c[0]) - x0) / step_x - 0.5)), 0)
-        i1 = min(int(math.floor((max(a[0], b[0], c[0]) - x0) / step_x - 0.5)), columns - 1)
-        j0 = max(int(math.ceil((min(a[1], b[1], c[1]) - y0) / step_y - 0.5)), 0)
-        j1 = min(int(math.floor((max(a[1], b[1], c[1]) - y0) / step_y - 0.5)), rows - 1)
+        i0 = max(math.ceil((min(a[0], b[0], c[0]) - x0) / step_x - 0.5), 0)
+        i1 = min(math.floor((max(a[0], b[0], c[0]) - x0) / step_x - 0.5), columns - 1)
+        j0 = max(math.ceil((min(a[1], b[1], c[1]) - y0) / step_y - 0.5), 0)
+        j1 = min(math.floor((max(a[1], b[1], c[1]) - y0) / step_y - 0.5), rows - 1)
         for j in range(j0, j1 + 1):
             y = y0 + (j + 0.5) * step_y - a[1]
             for i in range(i0, i1 + 1):

@@ -1,7 +1,7 @@
 """Light of an image, by Mitsuba 3: which rays are cast, and what each adds.
 
-Mitsuba's `llvm_ad_mono` variant holds the meshes and textures and casts all rays; how a surface sends light
-on is in `roemetry_mitsuba.materials`. What reaches a pixel is summed from
+Mitsuba's `llvm_ad_mono` variant holds meshes and textures and casts all rays; how a surface sends light on
+is in `roemetry_mitsuba.materials`. What reaches a pixel is summed from
 
 1. *direct light*, at `samples`² camera rays a pixel on a regular grid (over the aperture too, where the lens
    has a focus): each laser plane is evaluated at the visible point as a Gaussian sheet, times the cosine, the
@@ -14,7 +14,7 @@ on is in `roemetry_mitsuba.materials`. What reaches a pixel is summed from
    `bounce_rays` rays each, smoothed over neighbouring nodes of the same plane and spread to the pixels. It
    varies over millimetres, so this bias is far below its noise at one sample a pixel.
 
-Grey levels over black throughout: a white (albedo 1) diffuse surface under the irradiance E shows E. Left out:
+Grey levels over black throughout: a white (albedo 1) diffuse surface under irradiance E shows E. Left out:
 more than two bounces, caustics sharper than the nodes, polarisation. Rays are float32, so a point is right
 to about 0.02 µm; truth never comes from here, see `roemetry_mitsuba.truth`.
 """
@@ -167,11 +167,15 @@ class Tracer:
             raise StageError(f"Mitsuba cannot take this scene: {said}", at=("product",)) from error
         mi = self._mi
         self._belt_look, self._body_look = self._look_of(belt), self._look_of(material)
-        self._has_gloss = belt.gloss > 0.0 or bool(bodies and (material.gloss > 0.0 or material.metal != "none"))
+        self._has_gloss = belt.gloss > 0.0 or bool(
+            bodies and (material.gloss > 0.0 or material.metal != "none")
+        )
         # opaque, so that another rig or light does not compile the kernels anew
         opaque = [*fan.origin_mm, *fan.axis, fan.sigma_mm, fan.waist_mm, fan.divergence_rad, fan.fall_rad]
         x, y, z = 0.0, 0.0, 0.0
-        self._reference_mm = float(np.linalg.norm(fan.origin_mm - np.array([fan.x_mm(0.0, 0.0).mean(), y, z])))
+        self._reference_mm = float(
+            np.linalg.norm(fan.origin_mm - np.array([fan.x_mm(0.0, 0.0).mean(), y, z]))
+        )
         opaque.append(self._reference_mm + x)
         self._told = [drjit.opaque(mi.Float, float(value)) for value in opaque]
         self._planes = mi.Float(np.column_stack([fan.normals, fan.peak_grey]).ravel().astype(np.float32))
@@ -212,7 +216,12 @@ class Tracer:
         valid = np.array(si.is_valid())
         body = valid & np.array(si.shape != self._belt)
         points, normals = np.array(si.p).T.astype(np.float64), np.array(si.sh_frame.n).T.astype(np.float64)
-        return points.reshape(*shape, 3), normals.reshape(*shape, 3), valid.reshape(shape), body.reshape(shape)
+        return (
+            points.reshape(*shape, 3),
+            normals.reshape(*shape, 3),
+            valid.reshape(shape),
+            body.reshape(shape),
+        )
 
     def _rays(self, k: int, spin: Singles) -> tuple[Any, Any]:
         """Camera rays of the sample k of every pixel: origins and unit directions in the belt frame."""
@@ -239,7 +248,7 @@ class Tracer:
         return origin, self._vector(way)
 
     def _look(
-        self, origin: Any, way: Any, lamps: Lamps, laser: bool, ring: Singles, disc: float, u: Singles
+        self, origin: Any, way: Any, lamps: Lamps, laser: bool, ring: NDArray[Any], disc: float, u: Singles
     ) -> list[Singles]:
         """Laser light, other light, albedo, albedo of the body, coverage, that camera rays bring back."""
         mi, dr = self._mi, self._dr
@@ -270,7 +279,9 @@ class Tracer:
         body = albedo * covered
         return [self._whole(part, len(ring)) for part in (light, other, albedo, body, covered)]
 
-    def _met(self, ray: Any, lamps: Lamps, laser: bool, spin: Any, disc: float, active: Any) -> tuple[Any, Any]:
+    def _met(
+        self, ray: Any, lamps: Lamps, laser: bool, spin: Any, disc: float, active: Any
+    ) -> tuple[Any, Any]:
         """What rays that left a surface meet: its laser light, and its other light or the sky's."""
         mi, dr = self._mi, self._dr
         met = self._scene.ray_intersect(ray, active)
@@ -298,7 +309,9 @@ class Tracer:
             wet = 0.0 if look.wet is None else look.wet.eval(mi.Point2f(u, v))[0]
             gloss = look.gloss + (1.0 - look.gloss) * wet
             found.append((look.albedo.eval(mi.Point2f(u, v))[0], gloss, look.roughness * (1.0 - 0.75 * wet)))
-        albedo, gloss, roughness = (dr.select(on_body, mi.Float(a), mi.Float(b)) for a, b in zip(*found, strict=True))
+        albedo, gloss, roughness = (
+            dr.select(on_body, mi.Float(a), mi.Float(b)) for a, b in zip(*found, strict=True)
+        )
         metal = METALS.get(self._material.metal)
         return Surface(albedo, gloss, roughness, metal, on_body & (metal is not None))
 
@@ -377,7 +390,9 @@ class Tracer:
             given += glossy(self._dr, surface, si.wi, wo)
         return self._dr.select(lit, e * given, 0.0)
 
-    def _bounced(self, lamps: Lamps, laser: bool, rays: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
+    def _bounced(
+        self, lamps: Lamps, laser: bool, rays: int, rng: np.random.Generator
+    ) -> tuple[Floats, Floats]:
         """Irradiance by one bounce and the sky at every pixel, by the laser and by the rest."""
         mi, dr = self._mi, self._dr
         points, normals, valid, body = self._centres
@@ -389,7 +404,9 @@ class Tracer:
         # a rank-1 lattice, shifted anew at each node
         u = (((k + 0.5) / rays)[None] + rng.random((count, 1))) % 1.0
         v = ((k * 0.6180339887498949)[None] + rng.random((count, 1))) % 1.0
-        local = np.stack([np.sqrt(u) * np.cos(2 * np.pi * v), np.sqrt(u) * np.sin(2 * np.pi * v), np.sqrt(1.0 - u)])
+        local = np.stack(
+            [np.sqrt(u) * np.cos(2 * np.pi * v), np.sqrt(u) * np.sin(2 * np.pi * v), np.sqrt(1.0 - u)]
+        )
         way = _to_world(n.reshape(-1, 3), local).reshape(-1, 3)
         start = np.repeat((p + 1e-3 * n).reshape(-1, 3), rays, axis=0)
         active = mi.Bool(np.repeat(there.ravel(), rays))
@@ -498,8 +515,9 @@ class Tracer:
 @lru_cache(maxsize=1)
 def _pinhole(camera: Camera) -> tuple[Floats, ...]:
     """Pinhole coordinates x, y of all pixels, then their changes over a pixel to the right and down."""
-    x, y = np.meshgrid(np.arange(camera.width_px, dtype=np.float64), np.arange(camera.height_px, dtype=np.float64))
-    x, y = x.ravel(), y.ravel()
+    columns, rows = np.arange(camera.width_px), np.arange(camera.height_px)
+    x: Floats = np.tile(columns, len(rows)).astype(np.float64)
+    y: Floats = np.repeat(rows, len(columns)).astype(np.float64)
     at = camera.undistorted(x, y)
     right, down = camera.undistorted(x + 0.5, y), camera.undistorted(x, y + 0.5)
     steps = [2.0 * (after[m] - at[m]) for after in (right, down) for m in (0, 1)]
@@ -513,7 +531,11 @@ def _to_world(normals: Floats, local: Floats) -> Floats:
     b = normals[:, 0] * normals[:, 1] * a
     s = np.stack([1.0 + sign * normals[:, 0] ** 2 * a, sign * b, -sign * normals[:, 0]], axis=-1)
     t = np.stack([b, sign + normals[:, 1] ** 2 * a, -normals[:, 1]], axis=-1)
-    return local[0][..., None] * s[:, None] + local[1][..., None] * t[:, None] + local[2][..., None] * normals[:, None]
+    return (
+        local[0][..., None] * s[:, None]
+        + local[1][..., None] * t[:, None]
+        + local[2][..., None] * normals[:, None]
+    )
 
 
 def _smoothed(

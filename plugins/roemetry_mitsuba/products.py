@@ -50,8 +50,12 @@ class FamilyOptions(Part):
 
     density_g_per_cm3: float = Field(default=1.0, gt=0, le=25, description="density, g/cm³")
     turn_range_deg: float = Field(default=10.0, ge=0, le=180, description="turned by up to this, degrees")
-    offset_range_x_mm: float = Field(default=2.0, ge=0, le=5000, description="off centre along X by up to, mm")
-    offset_range_y_mm: float = Field(default=3.0, ge=0, le=5000, description="off centre along Y by up to, mm")
+    offset_range_x_mm: float = Field(
+        default=2.0, ge=0, le=5000, description="off centre along X by up to, mm"
+    )
+    offset_range_y_mm: float = Field(
+        default=3.0, ge=0, le=5000, description="off centre along Y by up to, mm"
+    )
 
 
 class SkeinOptions(FamilyOptions):
@@ -123,8 +127,12 @@ class MeshOptions(FamilyOptions):
     """Options of `mesh`."""
 
     turn_range_deg: float = Field(default=0.0, ge=0, le=180, description="turned by up to this, degrees")
-    offset_range_x_mm: float = Field(default=0.0, ge=0, le=5000, description="off centre along X by up to, mm")
-    offset_range_y_mm: float = Field(default=0.0, ge=0, le=5000, description="off centre along Y by up to, mm")
+    offset_range_x_mm: float = Field(
+        default=0.0, ge=0, le=5000, description="off centre along X by up to, mm"
+    )
+    offset_range_y_mm: float = Field(
+        default=0.0, ge=0, le=5000, description="off centre along Y by up to, mm"
+    )
     file: Path = Field(description="mesh file, .obj, .stl or .ply")
     mm_per_unit: float = Field(default=1.0, gt=0, le=1e6, description="millimetres in one unit of the file")
     up: Literal["x", "-x", "y", "-y", "z", "-z"] = Field(default="z", description="axis that points up")
@@ -155,7 +163,9 @@ def options_of(family: str, options: Mapping[str, Any], at: tuple[str | int, ...
         return None
     if family not in FAMILIES:
         known = ", ".join((NONE, *FAMILIES))
-        raise MisfitError((("family",), f"simulator mitsuba has no product family `{family}`; it has {known}"))
+        raise MisfitError(
+            (("family",), f"simulator mitsuba has no product family `{family}`; it has {known}")
+        )
     kind = FAMILIES[family].Options
     try:
         return kind.model_validate(dict(options))
@@ -178,10 +188,14 @@ def skein(rng: np.random.Generator, options: SkeinOptions) -> Drawn:
     sound = _loft(np.random.default_rng([seed, 1]), options, NONE, None)
     if kind == NONE:
         return Drawn(sound)
-    return Drawn(_loft(np.random.default_rng([seed, 1]), options, kind, np.random.default_rng([seed, 2])), kind, sound)
+    return Drawn(
+        _loft(np.random.default_rng([seed, 1]), options, kind, np.random.default_rng([seed, 2])), kind, sound
+    )
 
 
-def _loft(rng: np.random.Generator, options: SkeinOptions, kind: str, how: np.random.Generator | None) -> Body:
+def _loft(
+    rng: np.random.Generator, options: SkeinOptions, kind: str, how: np.random.Generator | None
+) -> Body:
     """Sweep a skein; `rng` draws the sound body, `how` its defect, so that both share all but the defect."""
     length, width, height = (
         float(rng.uniform(*r)) for r in (options.length_mm, options.width_mm, options.height_mm)
@@ -205,7 +219,11 @@ def _loft(rng: np.random.Generator, options: SkeinOptions, kind: str, how: np.ra
     broken_mm = 0.0
     if end < 1.0:
         broken_mm = 1.8
-        taper *= np.sqrt(np.clip(1.0 - ((s * end - (end - broken_mm / length)) / (broken_mm / length)).clip(0.0) ** 2, 0.0, 1.0))
+        taper *= np.sqrt(
+            np.clip(
+                1.0 - ((s * end - (end - broken_mm / length)) / (broken_mm / length)).clip(0.0) ** 2, 0.0, 1.0
+            )
+        )
     x, y = length * (t - 0.5), np.array(drift)
     turn = np.zeros_like(s)
     flat = 1.0
@@ -215,7 +233,11 @@ def _loft(rng: np.random.Generator, options: SkeinOptions, kind: str, how: np.ra
         y = y + way * math.tan(0.5 * kink) * (np.sqrt((x - at) ** 2 + soft**2) - soft)
         x = at + (x - at) * math.cos(0.5 * kink)
     if how is not None and kind == "twisted":
-        turn = how.choice([-1.0, 1.0]) * math.radians(how.uniform(40.0, 80.0)) * (t - 0.5 + 0.06 * np.sin(2 * np.pi * t))
+        turn = (
+            how.choice([-1.0, 1.0])
+            * math.radians(how.uniform(40.0, 80.0))
+            * (t - 0.5 + 0.06 * np.sin(2 * np.pi * t))
+        )
         flat = 0.88
     if how is not None and kind == "folded":
         fold = length * how.uniform(-0.18, 0.18)
@@ -242,7 +264,13 @@ def _loft(rng: np.random.Generator, options: SkeinOptions, kind: str, how: np.ra
     lump = np.concatenate([[0.0], np.repeat(taper[1:-1], _AROUND), [0.0]])
     bump = waves(points_mm) * lump
     if end < 1.0:
-        near = np.clip((np.concatenate([[0.0], np.repeat(t[1:-1], _AROUND), [end]]) - (end - 8.0 / length)) * length / 8.0, 0.0, 1.0)
+        near = np.clip(
+            (np.concatenate([[0.0], np.repeat(t[1:-1], _AROUND), [end]]) - (end - 8.0 / length))
+            * length
+            / 8.0,
+            0.0,
+            1.0,
+        )
         ragged = _waves(how if how is not None else rng, (5.0, 11.0), 0.6)
         points_mm[:, 0] += near**2 * np.clip(ragged(points_mm * [0.0, 1.0, 1.0]), -1.6, 1.6)
     points_mm = points_mm + bump[:, None] * normals_of(points_mm, faces)
@@ -255,7 +283,13 @@ def _loft(rng: np.random.Generator, options: SkeinOptions, kind: str, how: np.ra
 
 
 def _pressed(
-    points: Floats, kind: str, how: np.random.Generator, length: float, width: float, height: float, fold: float
+    points: Floats,
+    kind: str,
+    how: np.random.Generator,
+    length: float,
+    width: float,
+    height: float,
+    fold: float,
 ) -> Floats:
     """Press a dent, or the crease of a fold, into the upper side."""
     pressed = points.copy()
@@ -294,7 +328,9 @@ def supershape(rng: np.random.Generator, options: SupershapeOptions) -> Drawn:
     half = 0.5 * np.array([rng.uniform(*r) for r in (options.length_mm, options.width_mm, options.height_mm)])
     u, v = _sphere_angles(97, 192)
     lobes = int(rng.integers(options.lumps[0], options.lumps[1] + 1))
-    level = _superformula(v + rng.uniform(0, 2 * np.pi), lobes, *rng.uniform([3.0, 4.0, 4.0], [6.0, 7.0, 7.0]))
+    level = _superformula(
+        v + rng.uniform(0, 2 * np.pi), lobes, *rng.uniform([3.0, 4.0, 4.0], [6.0, 7.0, 7.0])
+    )
     # the upright formula has no odd lobes, so that the poles stay smooth
     upright = _superformula(u, 2, *rng.uniform([2.6, 3.2, 3.2], [4.0, 4.6, 4.6]))
     level, upright = level / level.max(), upright / upright.max()
@@ -346,7 +382,9 @@ def stairs(steps: int, tread_mm: float, riser_mm: float, width_mm: float) -> Bod
     foot = [(k * tread_mm, 0.0) for k in range(1, steps)]
     profile = np.array(outline + foot) - [0.5 * steps * tread_mm, 0.0]
     n = len(profile)
-    points = np.concatenate([np.column_stack([np.full(n, x), profile]) for x in (-0.5 * width_mm, 0.5 * width_mm)])
+    points = np.concatenate(
+        [np.column_stack([np.full(n, x), profile]) for x in (-0.5 * width_mm, 0.5 * width_mm)]
+    )
     flat: list[tuple[int, int, int]] = []
     last = 2 * steps + 1
     low = [0, *range(last + 1, n), last]  # places of the foot line from front to back
@@ -363,7 +401,9 @@ def stairs(steps: int, tread_mm: float, riser_mm: float, width_mm: float) -> Bod
         sides += [(i, j, n + j), (i, n + j, n + i)]
     ends = [(a, c, b) for a, b, c in flat] + [(n + a, n + b, n + c) for a, b, c in flat]
     body = Body(points, np.array(sides + ends, dtype=np.int64), smooth=False)
-    return body if body.true_mm3 > 0 else Body(points, np.ascontiguousarray(body.faces[:, ::-1]), smooth=False)
+    return (
+        body if body.true_mm3 > 0 else Body(points, np.ascontiguousarray(body.faces[:, ::-1]), smooth=False)
+    )
 
 
 def from_file(rng: np.random.Generator, options: MeshOptions) -> Drawn:
@@ -402,7 +442,7 @@ def _waves(
     count = 28
     ways = rng.normal(size=(count, 3))
     ways /= np.linalg.norm(ways, axis=1, keepdims=True)
-    lengths = np.exp(rng.uniform(*np.log(length_mm), count))
+    lengths = np.exp(rng.uniform(math.log(length_mm[0]), math.log(length_mm[1]), count))
     phase = rng.uniform(0.0, 2.0 * np.pi, count)
     size = lengths / math.sqrt(float((lengths**2).sum()))  # longer waves are higher
     numbers = 2.0 * np.pi * ways / lengths[:, None]

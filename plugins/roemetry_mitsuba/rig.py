@@ -166,13 +166,12 @@ def camera_of(part: CameraPart) -> Camera:
 def fan_of(part: LaserPart, grey_per_e_per_ms: float) -> Fan:
     """Make the fan that a scene describes; the second number turns its light into grey levels."""
     if part.belt_x_mm is not None:
-        feet_x = np.array(part.belt_x_mm, dtype=np.float64)
+        feet_x: Floats = np.array(part.belt_x_mm, dtype=np.float64)
     else:
-        feet_x = part.centre_x_mm + part.spacing_mm * (np.arange(part.planes) - 0.5 * (part.planes - 1))
+        order = np.arange(part.planes, dtype=np.float64) - 0.5 * (part.planes - 1)
+        feet_x = np.asarray(part.centre_x_mm + part.spacing_mm * order)
     yaw, pitch = math.radians(part.yaw_deg), math.radians(part.pitch_deg)
-    axis = np.array(
-        [-math.sin(yaw) * math.cos(pitch), math.cos(yaw) * math.cos(pitch), math.sin(pitch)]
-    )
+    axis = np.array([-math.sin(yaw) * math.cos(pitch), math.cos(yaw) * math.cos(pitch), math.sin(pitch)])
     origin = np.array(part.projector_mm, dtype=np.float64)
     towards = np.stack([feet_x, 0 * feet_x, 0 * feet_x], axis=-1) - origin
     normals = np.cross(towards, axis)
@@ -193,7 +192,7 @@ def check_rig(camera_part: CameraPart, laser_part: LaserPart) -> None:
     rays = camera.directions(x, y)
     back = camera.project(camera.centre_mm + 100.0 * rays)
     if not np.abs(back - np.stack([x, y], axis=-1)).max() < 1e-6:
-        raise MisfitError((("distortion",), "it folds the image over within the view"))
+        raise MisfitError((("camera", "distortion"), "it folds the image over within the view"))
     if (rays[..., 2] >= -1e-3).any():
         raise MisfitError((("camera",), "a part of the image does not see the belt: it is tilted too far"))
     sides = camera.border_on(0.0) @ fan.normals.T - fan.offsets_mm
@@ -204,4 +203,4 @@ def check_rig(camera_part: CameraPart, laser_part: LaserPart) -> None:
             f"the laser misses the view: its planes meet the belt at X = {feet.min():.1f} to "
             f"{feet.max():.1f} mm, the camera sees X = {view[0]:.1f} to {view[1]:.1f} mm"
         )
-        raise MisfitError((("centre_x_mm" if laser_part.belt_x_mm is None else "belt_x_mm",), why))
+        raise MisfitError((("laser", "centre_x_mm" if laser_part.belt_x_mm is None else "belt_x_mm"), why))

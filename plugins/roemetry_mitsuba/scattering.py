@@ -38,9 +38,9 @@ _BINS = 4096
 
 
 class Dipole(NamedTuple):
-    """Depths of source and image (mm), reach of the gathering (mm), and (1 + σd)e^(−σd)/d³ over d².
+    """Depths of source and image (mm), reach (mm), and (1 + σd)e^(−σd)/d³ over d².
 
-    The table runs from 0 to reach² in even steps; it holds the scale that makes a level surface give back all.
+    The table runs from 0 to reach² in even steps; its scale makes a level surface give back all.
     """
 
     source_mm: float
@@ -140,7 +140,7 @@ def _gather(
         away = math.sqrt(bx * bx + by * by + bz * bz)
         angle = math.asin((bx * axis[0] + by * axis[1] + bz * axis[2]) / away)
         span = int(reach_mm / (away * step_rad)) + 1
-        middle = int(round((angle - first_rad) / step_rad))
+        middle = round((angle - first_rad) / step_rad)
         j0, j1 = max(middle - span, 0), min(middle + span, flux.shape[1] - 1)
         summed = 0.0
         for i in range(planes.shape[0]):

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from roemetry.errors import MisfitError
 from roemetry.stages import StageOptions
@@ -64,7 +64,9 @@ class CameraPart(Part):
     )
     distortion: DistortionPart = Field(default_factory=DistortionPart, description="of the lens")
     focus: FocusPart | None = Field(default=None, description="focus; default: sharp everywhere")
-    blur_sigma_px: float = Field(default=0.5, ge=0, le=20, description="Gaussian PSF of the lens in focus, px")
+    blur_sigma_px: float = Field(
+        default=0.5, ge=0, le=20, description="Gaussian PSF of the lens in focus, px"
+    )
     exposure_ms: float = Field(default=10.0, gt=0, le=1e4, description="exposure time, ms")
     gain_dn_per_e: float = Field(default=0.0255, gt=0, le=100, description="grey levels per electron")
     full_well_e: float | None = Field(default=None, gt=0, le=1e7, description="electrons a pixel holds")
@@ -75,7 +77,10 @@ class CameraPart(Part):
         default=1.0, ge=0, le=5, description="v of 1/(1 + v·tan²)², tan of the field angle; 1 is cos⁴"
     )
     prnu: float = Field(
-        default=0.005, ge=0, le=0.2, description="relative deviation of the pixels' gains, the same each image"
+        default=0.005,
+        ge=0,
+        le=0.2,
+        description="relative deviation of the pixels' gains, the same each image",
     )
 
     @field_validator("T_belt_camera")
@@ -105,9 +110,7 @@ class LaserPart(Part):
     yaw_deg: float = Field(default=0.6, gt=-80, lt=80, description="turn of the lines from belt Y, degrees")
     pitch_deg: float = Field(default=0.3, gt=-45, lt=45, description="rise of the lines' direction, degrees")
     line_width_mm: float = Field(default=1.24, gt=0, le=100, description="1/e² width at the waist, mm")
-    waist_distance_mm: float = Field(
-        default=336.0, ge=0, le=1e5, description="waist, from the projector, mm"
-    )
+    waist_distance_mm: float = Field(default=336.0, ge=0, le=1e5, description="waist, from the projector, mm")
     divergence_mrad: float = Field(
         default=0.0, ge=0, le=500, description="growth of half the 1/e² width away from the waist, mrad"
     )
@@ -122,7 +125,9 @@ class LaserPart(Part):
         default=25.0, gt=0, le=1000, description="deviation of the power along the line over the angle"
     )
     wavelength_nm: float = Field(default=660.0, ge=200, le=2000, description="wavelength, nm")
-    speckle_contrast: float = Field(default=0.10, ge=0, le=1, description="deviation over mean of the speckle")
+    speckle_contrast: float = Field(
+        default=0.10, ge=0, le=1, description="deviation over mean of the speckle"
+    )
     speckle_sigma_px: float | None = Field(
         default=0.7, ge=0, le=50,
         description="grain of the speckle, px (deviation); null: from wavelength, f-number and distance",
@@ -370,11 +375,9 @@ class MitsubaOptions(StageOptions):
         default=64, ge=0, le=4096, description="rays per node of the indirect light; 0 leaves it out"
     )
 
-    @field_validator("laser")
-    @classmethod
-    def _can_be_seen(cls, laser: LaserPart, info: ValidationInfo) -> LaserPart:
+    @model_validator(mode="after")
+    def _can_be_seen(self) -> MitsubaOptions:
         from roemetry_mitsuba.rig import check_rig
 
-        if "camera" in info.data:
-            check_rig(info.data["camera"], laser)
-        return laser
+        check_rig(self.camera, self.laser)
+        return self

@@ -1,7 +1,7 @@
 """The simulator stage: from a scene to images and their truth.
 
-An item's product is drawn from (set's seed + number), its texture, speckle and noise from the same; so an item
-does not depend on the others. The same scene, seed and number give the same bytes on the same kind of
+An item's product is drawn from (set's seed + number), its texture, speckle and noise from the same; so an
+item does not depend on the others. The same scene, seed and number give the same bytes on the same kind of
 processor (float32 sums may differ in their last digits between vector widths).
 """
 
@@ -71,9 +71,7 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
         item_seed = seed + number
         found = crossings(self.camera, self.fan, bodies)
         frames = [self._item_frame(role, bodies, item_seed, number) for role in self.options.light.images]
-        products = tuple(
-            _with_figures(one, found, k, item_seed) for k, one in enumerate(placed, start=1)
-        )
+        products = tuple(_with_figures(one, found, k, item_seed) for k, one in enumerate(placed, start=1))
         return Simulated(tuple(frames), Truth(products, found.record()))
 
     def placed(self, number: int, seed: int) -> tuple[Placed, ...]:
@@ -92,7 +90,7 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
             at = rng.uniform(-1.0, 1.0, 3) * [
                 options.offset_range_x_mm, options.offset_range_y_mm, options.turn_range_deg
             ]  # fmt: skip
-            laid.append(_lay(drawn, *at, options.density_g_per_cm3))
+            laid.append(_lay(drawn, (at[0], at[1], at[2]), options.density_g_per_cm3))
         if part.in_frame > 1:
             laid = _in_a_row(laid, part.gap_mm)
         name = f"item {number + 1}, {part.family} of seed {item_seed}"
@@ -105,7 +103,12 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
         """Give the calibration images, by kind and name; each is made when it is asked for."""
         boards = [f"pose_{k:02d}" for k in range(1, self.options.targets.board.poses + 1)] + [ON_BELT]
         lit = [f"{name}_{light}" for name in boards for light in ("plain", "laser")]
-        names = {"block": ["block"], "belt": ["belt"], "staircase": ["staircase"], **dict.fromkeys(BOARDS, lit)}
+        names = {
+            "block": ["block"],
+            "belt": ["belt"],
+            "staircase": ["staircase"],
+            **dict.fromkeys(BOARDS, lit),
+        }
         return {
             kind: _Asked(listed, lambda name, kind=kind: self._target(kind, name, seed))  # type: ignore[misc]
             for kind, listed in names.items()
@@ -135,13 +138,21 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
             tilt = math.radians(part.tilt_max_deg) * (0.0 if number == 1 else rng.uniform(0.55, 1.0))
             way = 2.0 * math.pi * (number + rng.uniform(-0.3, 0.3)) * 0.381966  # all ways round, none twice
             spin = math.radians(rng.uniform(-20.0, 20.0)) + (math.pi if rng.random() < 0.25 else 0.0)
-            turn = _about(np.array([math.cos(way), math.sin(way), 0.0]), tilt) @ _about(np.array([0.0, 0.0, 1.0]), spin)
+            turn = _about(np.array([math.cos(way), math.sin(way), 0.0]), tilt) @ _about(
+                np.array([0.0, 0.0, 1.0]), spin
+            )
             turn = turn @ np.diag([1.0, -1.0, -1.0])
             lift = float(np.abs(turn[2, :2]) @ (0.5 * size + part.square_mm)) + part.thickness_mm + 0.3
-            middle = np.array([*rng.uniform(-5.0, 5.0, 2), lift + rng.uniform(*part.height_mm)])
+            height = lift + float(rng.uniform(*part.height_mm))
+            # a user lays the board where the laser meets it, and not twice at the same place
+            middle = np.array([float(self.fan.x_mm(0.0, height).mean()), 0.0, height])
+            middle[:2] += rng.uniform(-4.0, 4.0, 2)
             poses[f"pose_{number:02d}"] = _pose(turn, middle - turn[:, :2] @ (0.5 * size))
         flat = _about(np.array([0.0, 0.0, 1.0]), math.radians(1.5)) @ np.diag([1.0, -1.0, -1.0])
-        poses[ON_BELT] = _pose(flat, np.array([0.0, 0.0, part.thickness_mm]) - flat[:, :2] @ (0.5 * size))
+        poses[ON_BELT] = _pose(
+            flat,
+            np.array([self.fan.x_mm(0.0, 0.0).mean(), 0.0, part.thickness_mm]) - flat[:, :2] @ (0.5 * size),
+        )
         return poses
 
     def turn_deg(self) -> Turn:
@@ -194,7 +205,11 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
         if grain is None:
             f_number = 8.0 if camera.focus is None else camera.focus.f_number
             grain = diffraction_grain_px(
-                laser.wavelength_nm, f_number, camera.focal_length_mm, camera.distance_mm, camera.pixel_size_um
+                laser.wavelength_nm,
+                f_number,
+                camera.focal_length_mm,
+                camera.distance_mm,
+                camera.pixel_size_um,
             )
         return Sensor(
             camera.gain_dn_per_e, camera.read_noise_e * camera.gain_dn_per_e, camera.black_level_dn,
@@ -250,14 +265,23 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
         bodies = self.target_bodies(kind, name, seed)
         number = sum(name.encode()) + 1000 * ("block", "belt", "staircase", *BOARDS).index(kind)
         if kind in BOARDS:
-            material = _printed(self.options.targets.board, kind, self.board_poses(seed)[name.rsplit("_", 1)[0]])
+            material = _printed(
+                self.options.targets.board, kind, self.board_poses(seed)[name.rsplit("_", 1)[0]]
+            )
         else:
             material = Material(np.full((2, 2), _WHITE), np.zeros((2, 4)))
         pixels = self._taken(role, bodies, material, None, seed + 7919 * number)
-        return Frame(pixels, role=role, name=name, bit_depth=self.options.camera.bit_depth, sensor=self.sensor())
+        return Frame(
+            pixels, role=role, name=name, bit_depth=self.options.camera.bit_depth, sensor=self.sensor()
+        )
 
     def _taken(
-        self, role: Role, bodies: list[Body], material: Material, below: tuple[Dipole, float] | None, seed: int
+        self,
+        role: Role,
+        bodies: list[Body],
+        material: Material,
+        below: tuple[Dipole, float] | None,
+        seed: int,
     ) -> NDArray[Any]:
         """Take one image, turned as it is stored."""
         tracer = Tracer(
@@ -277,8 +301,10 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
         low, high = at[:, :2].min(axis=0) - 5.0, at[:, :2].max(axis=0) + 5.0
         rng = np.random.default_rng([seed, 11])
         factor, x, y = _texture(rng, low, high, belt.texture)
-        for k in range(belt.dirt.count):
-            spot = rng.uniform([*low, 0.5 * belt.dirt.diameter_mm[0]], [*high, 0.5 * belt.dirt.diameter_mm[1]])
+        for _ in range(belt.dirt.count):
+            spot = rng.uniform(
+                [*low, 0.5 * belt.dirt.diameter_mm[0]], [*high, 0.5 * belt.dirt.diameter_mm[1]]
+            )
             factor = np.where(np.hypot(x - spot[0], y - spot[1]) < spot[2], belt.dirt.albedo, factor)
         for patch in belt.patches:
             inside = (x > patch.x_mm[0]) & (x < patch.x_mm[1]) & (y > patch.y_mm[0]) & (y < patch.y_mm[1])
@@ -299,11 +325,15 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
         if surface.wet.count and surface.wet.gloss > 0.0:
             wet = np.zeros_like(factor)
             for _ in range(surface.wet.count):
-                spot = rng.uniform([*low, 0.5 * surface.wet.diameter_mm[0]], [*high, 0.5 * surface.wet.diameter_mm[1]])
+                spot = rng.uniform(
+                    [*low, 0.5 * surface.wet.diameter_mm[0]], [*high, 0.5 * surface.wet.diameter_mm[1]]
+                )
                 wet = np.maximum(wet, surface.wet.gloss * (np.hypot(x - spot[0], y - spot[1]) < spot[2]))
         albedo = surface.albedo_plain if role == "plain" else surface.albedo_laser
         roughness = math.sqrt(2.0 / (surface.gloss_exponent + 2.0))
-        return Material(albedo * factor, _over(low, high, shear), surface.gloss, roughness, surface.metal, wet)
+        return Material(
+            albedo * factor, _over(low, high, shear), surface.gloss, roughness, surface.metal, wet
+        )
 
     def _picture(self, shape: tuple[int, ...]) -> Floats:
         """The albedo map as factors, row 0 at the smallest Y."""
@@ -336,7 +366,7 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
         lowest = min(float(self.camera.centre_mm[2]), float(self.fan.origin_mm[2]))
         if body.height_mm >= lowest:
             raise StageError(
-                f"{name}: the product is {body.height_mm:.1f} mm high, and camera or laser hang at {lowest:.1f} mm",
+                f"{name}: the product is {body.height_mm:.1f} mm high, the rig hangs at {lowest:.1f} mm",
                 hint="make the product smaller, or hang them higher",
                 at=("product",),
             )
@@ -345,7 +375,8 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
         if x_min < left or x_max > right or y_min < near or y_max > far:
             raise StageError(
                 f"{name}: the product lies on X = {x_min:.1f} to {x_max:.1f} mm, Y = {y_min:.1f} to "
-                f"{y_max:.1f} mm; the view is X = {left:.1f} to {right:.1f} mm, Y = {near:.1f} to {far:.1f} mm",
+                f"{y_max:.1f} mm; the view is X = {left:.1f} to {right:.1f} mm, Y = {near:.1f} to "
+                f"{far:.1f} mm",
                 hint="make the product smaller, or let the camera see more",
                 at=("product",),
             )
@@ -369,8 +400,9 @@ class _Asked(Mapping[str, Frame]):
         return len(self._names)
 
 
-def _lay(drawn: Drawn, x_mm: float, y_mm: float, yaw_deg: float, density: float) -> Placed:
-    """Lay a product on the belt; volumes are taken before it is turned, in line with its height map."""
+def _lay(drawn: Drawn, at: tuple[float, float, float], density: float) -> Placed:
+    """Lay a product at (x mm, y mm, yaw degrees); volumes are taken before it is turned."""
+    x_mm, y_mm, yaw_deg = at
     body = drawn.body
     truth = ProductTruth(
         label="good" if drawn.defect == NONE else "henkei",
@@ -453,7 +485,9 @@ def _hollow(profile_mm: Floats) -> float:
     return float((np.interp(profile[:, 0], corners[:, 0], corners[:, 1]) - profile[:, 1]).max())
 
 
-def _texture(rng: np.random.Generator, low: Floats, high: Floats, deviation: float) -> tuple[Floats, Floats, Floats]:
+def _texture(
+    rng: np.random.Generator, low: Floats, high: Floats, deviation: float
+) -> tuple[Floats, Floats, Floats]:
     """Factors of an albedo over a rectangle, mean 1, and their X and Y: blotches, cells and grain alike."""
     from scipy.ndimage import gaussian_filter
 

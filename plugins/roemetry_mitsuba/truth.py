@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,35 +73,51 @@ class Crossings:
         return StripeTruth(x, product > 0, xyz, product)
 
 
+class _Found(NamedTuple):
+    """Crossings before they are judged: stripe, row, column (px), point (mm), face (-1: the belt)."""
+
+    stripe: Integers
+    row: Integers
+    x_px: Floats
+    points: Floats
+    face: Integers
+
+    def at(self, which: NDArray[Any]) -> _Found:
+        """Give some of them, by flags or in an order."""
+        return _Found(
+            self.stripe[which], self.row[which], self.x_px[which], self.points[which], self.face[which]
+        )
+
+
 def crossings(camera: Camera, fan: Fan, bodies: Sequence[Body]) -> Crossings:
     """Find where every stripe crosses the middle of every image row on what is lit and seen."""
-    owner = np.concatenate([np.full(len(body.faces), k) for k, body in enumerate(bodies)] or [np.zeros(0, np.int64)])
-    corners = np.concatenate([body.corners_mm for body in bodies] or [np.zeros((0, 3, 3))])
+    empty = np.zeros((0, 3, 3))
+    owner = np.repeat(np.arange(1, len(bodies) + 1), [len(body.faces) for body in bodies])
+    corners = np.concatenate([empty, *(body.corners_mm for body in bodies)])
     parts = []
     for i in np.flatnonzero(fan.peak_grey > 0.0):
         ends, faces = _cut(corners, fan.normals[i], float(fan.offsets_mm[i]))
         belt = _on_belt(camera, fan, int(i))
         ends = np.concatenate([ends, belt])
         faces = np.concatenate([faces, np.full(len(belt), -1)])
-        row, point, which = _rows(camera, ends)
-        parts.append((np.full(len(row), i), row, point, faces[which]))
-    stripe, row, points, face = (np.concatenate(column) for column in zip(*parts, strict=True))
-    x = camera.project(points)[:, 0]
-    keep = (x >= -0.5) & (x <= camera.width_px - 0.5)
-    stripe, row, points, face, x = (values[keep] for values in (stripe, row, points, face, x))
+        row, points, which = _rows(camera, ends)
+        parts.append(_Found(np.full(len(row), i), row, camera.project(points)[:, 0], points, faces[which]))
+    found = _Found(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+    found = found.at((found.x_px >= -0.5) & (found.x_px <= camera.width_px - 0.5))
     for source in (camera.centre_mm, fan.origin_mm):
-        free = _faces_it(points, face, corners, source)
-        free[free] = ~_hidden(points[free], face[free], corners, source)
-        stripe, row, points, face, x = (values[free] for values in (stripe, row, points, face, x))
-    label = np.where(face >= 0, owner[face] + 1 if len(owner) else 0, 0)
+        found = found.at(_faces_it(found.points, found.face, corners, source))
+        found = found.at(~_hidden(found.points, found.face, corners, source))
+    label = np.zeros(len(found.face), dtype=np.int64)
+    label[found.face >= 0] = owner[found.face[found.face >= 0]]
+    order = np.lexsort((found.x_px, -found.points[:, 2], label == 0, found.row, found.stripe))
+    found, label = found.at(order), label[order]
     # a crossing on an edge belongs to both of its faces: one of them is left out
-    order = np.lexsort((x, -points[:, 2], label == 0, row, stripe))
-    stripe, row, points, x, label = (v[order] for v in (stripe, row, points, x, label))
-    twice = np.zeros(len(x), dtype=np.bool_)
-    twice[1:] = (stripe[1:] == stripe[:-1]) & (row[1:] == row[:-1]) & (np.abs(np.diff(x)) < 1e-7)
-    keep = ~twice
+    keep = np.ones(len(label), dtype=np.bool_)
+    same = (found.stripe[1:] == found.stripe[:-1]) & (found.row[1:] == found.row[:-1])
+    keep[1:] = ~(same & (np.abs(np.diff(found.x_px)) < 1e-7))
+    found = found.at(keep)
     shape = (len(fan.normals), camera.height_px)
-    return Crossings(stripe[keep], row[keep], x[keep], points[keep], label[keep], shape)
+    return Crossings(found.stripe, found.row, found.x_px, found.points, label[keep], shape)
 
 
 def _cut(corners: Floats, normal: Floats, offset: float) -> tuple[Floats, Integers]:
