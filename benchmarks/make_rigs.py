@@ -175,8 +175,8 @@ def draw_rig(rng: np.random.Generator, kind: str, *, boards: int, scale: float =
             "texture": float(rng.uniform(0.05, 0.10)), "gloss": between((0.03, 0.08), (0.08, 0.12)),
             "gloss_exponent": between((15.0, 40.0), (40.0, 160.0)),
             "below": {
-                "share": between((0.3, 0.5), (0.45, 0.65)), "depth_mm": float(rng.uniform(0.35, 0.7)),
-                "blur_mm": between((0.5, 0.8), (0.7, 1.1)),
+                "share": between((0.12, 0.25), (0.25, 0.40)), "depth_mm": float(rng.uniform(0.2, 0.4)),
+                "blur_mm": between((0.4, 0.7), (0.5, 0.9)),
             },
             "wet": {"count": 0 if hard < 0.5 else int(rng.integers(3, 9))},
         },
