@@ -131,7 +131,9 @@ def draw_rig(rng: np.random.Generator, kind: str, *, boards: int, scale: float =
         stray = {"position_mm": place, "e_per_ms": float(rng.uniform(12.0, 40.0)) / grey}
     # the board reaches beyond the outer stripes, so that each of them lies on it in most poses
     columns, rows = math.ceil((belt[-1] - belt[0] + 2.0) / 8.0), round(0.72 * view_mm * height / width / 8.0)
-    block_length = 0.78 * view_mm
+    # the block lies where the stripes meet its top, and reaches beyond them
+    block_height, top = 16.5, 1.0 - 16.5 / up
+    block_length, block_x = (belt[-1] - belt[0]) * top + 14.0, side * math.tan(steep_rad) * 16.5
     return {
         "camera": {
             "width_px": width, "height_px": height, "pixel_size_um": pixel_um, "focal_length_mm": focal_mm,
@@ -182,8 +184,8 @@ def draw_rig(rng: np.random.Generator, kind: str, *, boards: int, scale: float =
         },
         "targets": {
             "block": {
-                "length_mm": round(block_length), "width_mm": 32.0, "height_mm": 16.5,
-                "centre_x_mm": 0.0, "centre_y_mm": 0.0, "yaw_deg": float(rng.uniform(-1.0, 1.0)),
+                "length_mm": round(block_length), "width_mm": 32.0, "height_mm": block_height,
+                "centre_x_mm": block_x, "centre_y_mm": 0.0, "yaw_deg": float(rng.uniform(-1.0, 1.0)),
             },
             "staircase": {"width_mm": round(block_length)},
             "board": {

@@ -329,7 +329,7 @@ def supershape(rng: np.random.Generator, options: SupershapeOptions) -> Drawn:
     u, v = _sphere_angles(97, 192)
     lobes = int(rng.integers(options.lumps[0], options.lumps[1] + 1))
     level = _superformula(
-        v + rng.uniform(0, 2 * np.pi), lobes, *rng.uniform([3.0, 4.0, 4.0], [6.0, 7.0, 7.0])
+        v + rng.uniform(0, 2 * np.pi), lobes, *rng.uniform([7.0, 4.0, 4.0], [14.0, 7.0, 7.0])
     )
     # the upright formula has no odd lobes, so that the poles stay smooth
     upright = _superformula(u, 2, *rng.uniform([2.6, 3.2, 3.2], [4.0, 4.6, 4.6]))
