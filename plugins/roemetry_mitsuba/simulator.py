@@ -248,7 +248,8 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
         below = None
         if surface.below.share > 0.0 and surface.metal == "none":
             below = self._dipole, surface.below.share
-        pixels = self._taken(role, bodies, self._product_material(role, bodies, seed), below, seed)
+        ground = self._belt_material(role, seed, clean=False)
+        pixels = self._taken(role, ground, bodies, self._product_material(role, bodies, seed), below, seed)
         belt = self.options.belt
         travel_mm = number * belt.pitch_mm
         return Frame(
@@ -270,22 +271,20 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
             )
         else:
             material = Material(np.full((2, 2), _WHITE), np.zeros((2, 4)))
-        pixels = self._taken(role, bodies, material, None, seed + 7919 * number)
+        seed += 7919 * number
+        ground = self._belt_material(role, seed, clean=True)
+        pixels = self._taken(role, ground, bodies, material, None, seed)
         return Frame(
             pixels, role=role, name=name, bit_depth=self.options.camera.bit_depth, sensor=self.sensor()
         )
 
     def _taken(
-        self,
-        role: Role,
-        bodies: list[Body],
-        material: Material,
-        below: tuple[Dipole, float] | None,
-        seed: int,
-    ) -> NDArray[Any]:
+        self, role: Role, ground: Material, bodies: list[Body], material: Material,
+        below: tuple[Dipole, float] | None, seed: int,
+    ) -> NDArray[Any]:  # fmt: skip
         """Take one image, turned as it is stored."""
         tracer = Tracer(
-            self.camera, self._lens, self.fan, self._belt_material(role, seed), bodies, material, below,
+            self.camera, self._lens, self.fan, ground, bodies, material, below,
             self.options.samples, seed,
         )  # fmt: skip
         laser, other = tracer.image(
@@ -295,18 +294,18 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
         pixels = expose(laser, other, self.camera, self._sensor, noise)
         return np.ascontiguousarray(np.rot90(pixels, -self.options.turn_deg // 90))
 
-    def _belt_material(self, role: Role, seed: int) -> Material:
+    def _belt_material(self, role: Role, seed: int, *, clean: bool) -> Material:
         belt = self.options.belt
         at = self.camera.border_on(0.0)
         low, high = at[:, :2].min(axis=0) - 5.0, at[:, :2].max(axis=0) + 5.0
         rng = np.random.default_rng([seed, 11])
         factor, x, y = _texture(rng, low, high, belt.texture)
-        for _ in range(belt.dirt.count):
+        for _ in range(0 if clean else belt.dirt.count):
             spot = rng.uniform(
                 [*low, 0.5 * belt.dirt.diameter_mm[0]], [*high, 0.5 * belt.dirt.diameter_mm[1]]
             )
             factor = np.where(np.hypot(x - spot[0], y - spot[1]) < spot[2], belt.dirt.albedo, factor)
-        for patch in belt.patches:
+        for patch in [] if clean else belt.patches:
             inside = (x > patch.x_mm[0]) & (x < patch.x_mm[1]) & (y > patch.y_mm[0]) & (y < patch.y_mm[1])
             factor = np.where(inside, patch.albedo, factor)
         albedo = belt.albedo_plain if role == "plain" else belt.albedo_laser

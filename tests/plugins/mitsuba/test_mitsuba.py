@@ -321,3 +321,16 @@ def test_without_llvm_the_message_says_what_to_install(monkeypatch: pytest.Monke
         light_module.mitsuba()
     assert caught.value.hint is not None and "libllvm" in caught.value.hint
     assert [finding.verdict for finding in doctor._llvm()] == ["missing"]
+
+
+def test_products_side_by_side_have_labels_of_their_own() -> None:
+    box = {"length_mm": [20, 30], "width_mm": [10, 12], "height_mm": [6, 7]}
+    options = {**SMALL, "product": {"family": "box", "in_frame": 3, "options": box}}
+    made = MitsubaSimulator(MitsubaOptions.model_validate(options)).simulate(0, 4)
+    stripes = made.truth.stripes
+    assert stripes is not None and len(made.truth.products) == 3
+    for label, product in enumerate(made.truth.products, start=1):
+        at = stripes.xyz_mm[stripes.product == label]
+        assert len(at) > 0
+        assert product.figures["x_min_mm"] <= at[:, 0].min() and at[:, 0].max() <= product.figures["x_max_mm"]
+        assert product.figures["y_min_mm"] <= at[:, 1].min() and at[:, 1].max() <= product.figures["y_max_mm"]
