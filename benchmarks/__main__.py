@@ -21,6 +21,7 @@ BENCHMARKS = {
     "startup": "time of `roemetry --help` over that of a two-command Typer program",
     "herring_roe": "coding, grading and volume on unseen simulated skeins",
     "known_numbers": "what the shipped recipe gives on three skeins, written for `roemetry doctor`",
+    "make_rigs": "fresh rigs with truth, drawn at random and rendered by either simulator",
     "pieces": "numbers without a calibration on traced skeins and shapes: refused, and wrong",
     "product_lines": "the shipped product lines on their own products: the tables of their pages",
     "report_picture": "the picture of README: the report's first panels on one shipped skein",

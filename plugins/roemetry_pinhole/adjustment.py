@@ -8,13 +8,20 @@ the less, the more their residuals are correlated along a stripe.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from roemetry.arrays import Flags, Floats
 from roemetry_pinhole.edges import Edges, no_edges
-from roemetry_pinhole.equations import Corners, Feet, StripePoints, corner_residuals, stripe_residuals
+from roemetry_pinhole.equations import (
+    ON_BELT,
+    Corners,
+    Feet,
+    StripePoints,
+    corner_residuals,
+    stripe_residuals,
+)
 from roemetry_pinhole.geometry import Geometry, Unknowns
 from roemetry_pinhole.problem import STD_MIN_PX, STILL, Problem, Weights, inverse
 
@@ -101,6 +108,7 @@ def adjust(
     problem = Problem(unknowns, corners, points, feet, foot_std_mm, weights, edges or no_edges())
     geometry = nearly(problem, geometry)
     _without_strays(problem, geometry)
+    points = problem.points = _by_surface(problem, geometry)
     weights.robust = False
     geometry = problem.settled(geometry, 1e-6)
     problem.estimate_noise(geometry)
@@ -151,6 +159,31 @@ def _without_strays(problem: Problem, geometry: Geometry) -> None:
         if keep[stripe == number].mean() < 0.5:
             keep[stripe == number] = True
     weights.stripe = keep.astype(np.float64)
+
+
+def _by_surface(problem: Problem, geometry: Geometry) -> StripePoints:
+    """Give the points, those on the belt with larger standard uncertainties if they scatter more than stated.
+
+    Extractors state uncertainties in proportion within a surface. On printed boards they overstate (speckle
+    and noise on dark print), so one factor for all would state the belt's stripes, and with them heights at
+    belt level, too well. The other way round nothing is gained: what scatters less needs no mending.
+    """
+    points, used = problem.points, problem.weights.stripe > 0
+    far = problem.distances(geometry)[1]
+    belt = points.pose == ON_BELT
+    on_belt, elsewhere = far[belt & used], far[~belt & used]
+    if min(on_belt.size, elsewhere.size) < _SURFACE_POINTS_MIN:
+        return points
+    factor = _spread(on_belt) / max(_spread(elsewhere), problem.scale_min)
+    if factor < _SURFACE_FACTOR_MIN:
+        return points
+    return replace(points, std_px=np.where(belt, factor, 1.0) * points.std_px)
+
+
+_SURFACE_POINTS_MIN = 50
+"""Of fewer points the spread is uncertain by more than a tenth."""
+_SURFACE_FACTOR_MIN = 1.2
+"""Less is within what the spread of correlated residuals tells, and changes weights by less than a half."""
 
 
 def _in_peace(problem: Problem, geometry: Geometry) -> tuple[Geometry, float]:

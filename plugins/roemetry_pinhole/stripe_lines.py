@@ -146,6 +146,12 @@ def _fitted(part: Integers, xy: Floats, focal_px: float) -> StripeLine:
     return StripeLine(start, slope, part)
 
 
+def settled(part: Integers, xy: Floats, focal_px: float) -> Integers:
+    """Give those of a stripe's peaks that are near the line fitted to them."""
+    line = _fitted(part, xy, focal_px)
+    return np.asarray(line.peak[_off(line, xy[line.peak]) * focal_px < _NEAR_PX])
+
+
 def strongest(lines: list[StripeLine], peaks: Peaks, count: int) -> list[StripeLine]:
     """Leave out lines beyond `count` that are far weaker: edges of the print, reflections."""
     if len(lines) <= count:

@@ -6,14 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from roemetry.arrays import Floats, Integers
+from roemetry.arrays import Flags, Floats, Integers
 from roemetry.errors import CalibrationError
 from roemetry.records import EDGE, WIDE, Board, Observation, Peaks
 from roemetry_pinhole.equations import ON_BELT, StripePoints
 from roemetry_pinhole.first_camera import FirstCamera
 from roemetry_pinhole.lens import straightened
 from roemetry_pinhole.numbering import PoseLines, number_stripes
-from roemetry_pinhole.stripe_lines import StripeLine, find_lines, strongest
+from roemetry_pinhole.stripe_lines import StripeLine, find_lines, settled, strongest
 from roemetry_pinhole.views import on_board, on_even_print
 
 _WIDTH_SHARE_MAX = 0.35
@@ -85,58 +85,52 @@ def gather(
         The stripes cannot be numbered, or one lies on too few boards.
     """
     left_out: dict[str, str] = {}
-    found: list[tuple[int, Peaks, list[StripeLine], Floats]] = []
+    found: list[_OnBoard] = []
     poses: list[PoseLines] = []
-    doubtful: list[int] = []
+    focal_px = float(first.camera[0])
+    size = board.pitch_mm * np.array([board.columns, board.rows])
     for number, view in enumerate(first.views):
         if view.laser is None:
             continue
         peaks = view.laser.peaks
         xy = _straight(peaks, first.camera)
         place = on_board(view, board, xy, first.rotation[number], first.shift[number])
-        size = board.pitch_mm * np.array([board.columns, board.rows])
         use = ((place > 0.0) & (place < size)).all(axis=1)
         use &= (peaks.flags & (EDGE | WIDE)) == 0
         use &= ~(peaks.width_px > _WIDTH_SHARE_MAX * view.marks.spacing_px)
-        lines = strongest(find_lines(peaks, xy, use, float(first.camera[0])), peaks, stripes)
+        even = np.ones(len(peaks), np.bool_)
+        if view.plain is not None:
+            even = on_even_print(peaks, view.plain.frame, print_contrast_max)
+        # peaks at edges of the print follow the print: where they are many they make lines of their own
+        lines = find_lines(peaks, xy, use & even, focal_px) or find_lines(peaks, xy, use, focal_px)
         if not lines:
             left_out[view.laser.frame.name] = (
                 "no stripe is seen on the board: is the laser on, and does it fall on it?"
             )
             continue
-        if len(lines) > stripes:
-            left_out[view.laser.frame.name] = (
-                f"{len(lines)} lines are seen on the board, the rig has {stripes} stripes: is there a "
-                "reflection, or was one image of the pair mirrored or the board moved? Take the pose again"
-            )
-            if view.plain is not None:
-                doubtful.append(number)
-            continue
-        found.append((number, peaks, lines, xy))
-        normal, shift = first.rotation[number][:, 2], first.shift[number]
-        ends = np.array([line.ends(xy) for line in lines])
-        ends *= ((normal @ shift) / (ends @ normal))[:, :, None]
-        poses.append(PoseLines(view.laser.frame.name, ends))
+        normal = first.rotation[number][:, 2]
+        plane = normal / (normal @ first.shift[number])
+        found.append(_OnBoard(number, peaks, xy, use, even, plane))
+        poses.append(_in_space(view.laser.frame.name, lines, xy, plane))
     if len(poses) < _BOARDS_MIN:
         raise CalibrationError(
             f"stripes lie on the board in {len(poses)} of {len(first.views)} poses, not in {_BOARDS_MIN}"
             + "".join(f"\n  {name}: {why}" for name, why in left_out.items()),
             hint="hold the board under the stripes, at different heights and tilts; is `stripes` right?",
         )
-    numbered = number_stripes(poses, stripes)
+    numbered = number_stripes(poses, stripes, _belt_pose(first, board, belts, stripes))
     left_out |= numbered.left_out
     peaks_used: list[tuple[int, int, Peaks, Integers]] = []
     on_stripes = 0
-    for (number, peaks, lines, _), numbers in zip(found, numbered.stripe, strict=True):
-        for line, stripe in zip(lines, numbers, strict=True):
-            if stripe >= 0:
-                on_stripes += line.peak.size
-                plain = first.views[number].plain
-                even = np.ones(line.peak.size, np.bool_)
-                if plain is not None:
-                    even = on_even_print(peaks, plain.frame, print_contrast_max)[line.peak]
-                if even.sum() >= _PEAKS_MIN:
-                    peaks_used.append((number, int(stripe), peaks, line.peak[even]))
+    for view_lines, pose in zip(found, poses, strict=True):
+        if pose.name in numbered.left_out:
+            continue
+        peaks, number = view_lines.peaks, view_lines.number
+        for stripe, part in view_lines.near(numbered.planes, focal_px):
+            on_stripes += part.size
+            part = part[view_lines.even[part]]
+            if part.size >= _PEAKS_MIN:
+                peaks_used.append((number, stripe, peaks, part))
     on_lines = sum(part.size for _, _, _, part in peaks_used)
     belt, belt_parts = _belt_lines(belts, first.camera, numbered.planes)
     step = max(1, -(-(on_lines + sum(part.size for *_, part in belt_parts)) // _POINTS_MAX))
@@ -150,11 +144,72 @@ def gather(
         if number != ON_BELT
     )
     rows = np.concatenate([part for part, _ in parts])
-    doubtful += [
-        number for (number, *_), pose in zip(found, poses, strict=True) if pose.name in numbered.left_out
-    ]
-    strange = tuple(doubtful)
+    strange = tuple(one.number for one, pose in zip(found, poses, strict=True) if pose.name in numbered.moved)
     return Gathered(_points(rows), numbered.planes, belt, 1.0 - kept / max(on_stripes, 1), left_out, strange)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _OnBoard:
+    """Peaks of one view, without distortion; which lie on the board and on even print; the board's plane."""
+
+    number: int
+    peaks: Peaks
+    xy: Floats
+    use: Flags
+    even: Flags
+    plane: Floats
+
+    def near(self, planes: Floats, focal_px: float) -> list[tuple[int, Integers]]:
+        """Give the peaks of each stripe, sought where its plane of light meets the board.
+
+        Pieces of a stripe that were too short to be a line of their own are found again so, and lines that
+        belong to no plane are not.
+        """
+        line = planes - self.plane
+        chosen = np.flatnonzero(self.use)
+        y = self.xy[chosen, 1]
+        x = -(line[:, 1:2] * y + line[:, 2:]) / line[:, :1]
+        off = np.abs(self.xy[chosen, 0] - x) * focal_px
+        nearest = off.argmin(axis=0)
+        found = []
+        for stripe in range(len(planes)):
+            others = np.delete(x, stripe, axis=0) - x[stripe]
+            room = np.abs(others).min(axis=0, initial=np.inf) * focal_px
+            near = (nearest == stripe) & (off[stripe] < np.minimum(_SEARCH_PX, _SEARCH_SHARE * room))
+            if near.sum() >= _PEAKS_MIN:
+                found.append((stripe, settled(chosen[near], self.xy, focal_px)))
+        return [(stripe, part) for stripe, part in found if part.size >= _PEAKS_MIN]
+
+
+_SEARCH_PX = 6.0
+"""Half the width of the lane in which a stripe is sought, px: first poses err by 1 to 2 px."""
+_SEARCH_SHARE = 0.35
+"""The same at most, of the distance of the next stripe."""
+
+
+def _in_space(name: str, lines: list[StripeLine], xy: Floats, plane: Floats) -> PoseLines:
+    """Give lines by their ends on a plane (3,) p·X = 1 in the camera's frame."""
+    ends = np.array([line.ends(xy) for line in lines])
+    ends /= (ends @ plane)[:, :, None]
+    return PoseLines(name, ends, np.array([line.peak.size for line in lines]))
+
+
+def _belt_pose(
+    first: FirstCamera, board: Board, belts: tuple[Observation, ...], stripes: int
+) -> PoseLines | None:
+    """Give the lines on the empty belt, where a board lay on it; the image with the right number of them."""
+    lies = [number for number, view in enumerate(first.views) if view.on_belt]
+    if not lies:
+        return None
+    normal = first.rotation[lies[0]][:, 2]
+    plane = normal / (normal @ first.shift[lies[0]] + board.thickness_mm)
+    for view in belts:
+        xy = _straight(view.peaks, first.camera)
+        usable = (view.peaks.flags & (EDGE | WIDE)) == 0
+        lines = strongest(find_lines(view.peaks, xy, usable, float(first.camera[0])), view.peaks, stripes)
+        if len(lines) == stripes:
+            return _in_space(view.frame.name, lines, xy, plane)
+    return None
 
 
 def belt_points(

@@ -111,13 +111,14 @@ def test_rest_lines_and_displacements_are_those_of_the_planes(calibration) -> No
 
 
 def test_a_redrawn_calibration_moves_points_and_view_together(calibration, rng) -> None:
-    drawn = calibration.redraw(rng)
+    drawn = calibration.redraw(rng, PinholePlane().view)
+    assert calibration.redraw(rng).view is None, "the view of other parameters is not kept"
     stripes = stripes_at(calibration, 9.0)
     profiles = PinholePlane().triangulate(stripes, drawn)
     seen = profiles.seen
     assert np.abs(profiles.xyz_mm[seen][:, 2] - 9.0).max() > 1e-6, "mm"
     xy = np.stack([profiles.x_px, profiles.row_px], axis=2)
-    lifted = PinholePlane().view(drawn).lift(xy, np.arange(stripes.stripe_count)[:, None])
+    lifted = drawn.view.lift(xy, np.arange(stripes.stripe_count)[:, None])
     assert np.abs(lifted[seen] - profiles.xyz_mm[seen]).max() < 1e-8, "mm"
 
 
