@@ -41,7 +41,7 @@ from roemetry.view import View
 
 T = TypeVar("T")
 
-_REFUSED_SHARE_MAX = 0.1
+_REFUSED_SHARE_MAX = 0.6
 """With more than this share of a product's peaks refused, neither volume nor grade is stated."""
 
 _NO_VOLUME = Reason("no-volume", "there is no volume to weigh")
