@@ -246,7 +246,8 @@ def steps_of(
                                 left = min(right, max(left, _place(plane[e, t + 1], z_t)))
                             room = _ramp(apart_px / (s - t), _MERGED_PX, _APART_PX)
                             unseen[c] = _left_out(
-                                e, t, s, plane, min(z_s, z_t), left, right, hides, rising, room, u_per_px, presence, sums,
+                                e, t, s, plane, min(z_s, z_t), left, right, hides, rising, room, u_per_px,
+                                presence, sums,
                             )  # fmt: skip
                         else:
                             unseen[c] = 0.0
@@ -257,8 +258,9 @@ def steps_of(
 
 @kernel(error_model="numpy")
 def _slopes(
-    start: Integers, u: Floats, low: Integers, count: Integers, offset: Integers, height: Floats, plane: Floats
-) -> Floats:
+    start: Integers, u: Floats, low: Integers, count: Integers, offset: Integers, height: Floats,
+    plane: Floats,
+) -> Floats:  # fmt: skip
     """Give (node, 2) the rise per stripe from the peak before, and to the peak after, taken for neighbours.
 
     All labels of a line shifted by one change it little, so it is known before any label is.
