@@ -46,6 +46,9 @@ _PRESENT_ROWS_MIN = 15
 _GAP_LINES = 20
 _RUN_ROWS = (25, 85)
 _BELOW_TOLERANCES = 1.5
+_BEYOND = 2.0
+"""Heights are looked for up to so many times the highest that the calibration is meant for: only so is a
+product that is too high seen as that, and not taken for a lower one a stripe or more off."""
 _KEEP = 1.0
 _FEW_COUNT = 0.5
 _SMALL_COUNT = 0.4
@@ -355,10 +358,12 @@ def _posed(peaks: Peaks, calibration: Calibration, rest: RestLines) -> _Problem:
     )  # fmt: skip
     slack_mm = rest.tolerance_px / np.abs(calibration.displacement_px_per_mm)
     low_mm, high_mm = calibration.height_range_mm
+    # belt that lies on its rest line from the image's border on is no product out of range: that saves time
+    beyond = np.where(anchored[piece[entries.peak]], 1.0, _BEYOND)
     labels = Labels(
         *labels_of(
             entries.start, entries.u, sight.plane, min(low_mm, 0.0) - _BELOW_TOLERANCES * slack_mm,
-            high_mm + slack_mm,
+            high_mm + slack_mm, beyond,
         )
     )  # fmt: skip
     steps = Steps(

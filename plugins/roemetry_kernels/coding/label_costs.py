@@ -72,9 +72,19 @@ class Steps(NamedTuple):
 
 @kernel(error_model="numpy")
 def labels_of(
-    start: Integers, u: Floats, plane: Floats, low_mm: Floats, high_mm: Floats
+    start: Integers, u: Floats, plane: Floats, low_mm: Floats, high_mm: Floats, beyond: Floats
 ) -> tuple[Integers, Integers, Integers, Floats, Floats]:
-    """List the stripes whose height at an entry lies within (stripe,) bounds, mm; the fields of `Labels`."""
+    """List the stripes whose height at an entry lies within bounds; the fields of `Labels`.
+
+    Parameters
+    ----------
+    start, u, plane
+        See `roemetry_kernels.coding.sight_entries.Entries` and `roemetry_kernels.coding.sight_lines`.
+    low_mm, high_mm
+        (stripe,) bounds, mm.
+    beyond
+        (entry,) factor on the upper bound.
+    """
     size, stripes = u.shape[0], plane.shape[1]
     low = np.zeros(size, np.int64)
     count = np.zeros(size, np.int64)
@@ -84,7 +94,7 @@ def labels_of(
             last = -1
             for k in range(stripes):
                 z = _height(plane[e, k], u[i])
-                if low_mm[k] <= z <= high_mm[k]:
+                if low_mm[k] <= z <= beyond[i] * high_mm[k]:
                     if count[i] == 0:
                         low[i] = k
                         count[i] = 1
@@ -236,7 +246,8 @@ def steps_of(
                                 left = min(right, max(left, _place(plane[e, t + 1], z_t)))
                             room = _ramp(apart_px / (s - t), _MERGED_PX, _APART_PX)
                             unseen[c] = _left_out(
-                                e, t, s, plane, min(z_s, z_t), left, right, hides, rising, room, u_per_px, presence, sums,
+                                e, t, s, plane, min(z_s, z_t), left, right, hides, rising, room, u_per_px,
+                                presence, sums,
                             )  # fmt: skip
                         else:
                             unseen[c] = 0.0
@@ -247,8 +258,9 @@ def steps_of(
 
 @kernel(error_model="numpy")
 def _slopes(
-    start: Integers, u: Floats, low: Integers, count: Integers, offset: Integers, height: Floats, plane: Floats
-) -> Floats:
+    start: Integers, u: Floats, low: Integers, count: Integers, offset: Integers, height: Floats,
+    plane: Floats,
+) -> Floats:  # fmt: skip
     """Give (node, 2) the rise per stripe from the peak before, and to the peak after, taken for neighbours.
 
     All labels of a line shifted by one change it little, so it is known before any label is.
