@@ -10,10 +10,10 @@ import pytest
 from roemetry.errors import CalibrationError
 from roemetry.records import Block, CalibrationSet
 from roemetry.testing import LinearRig
+from roemetry_pinhole.boards import board_views
 from roemetry_pinhole.calibrator import PinholeCalibrator, PinholeCalibratorOptions
 from roemetry_pinhole.conformance import observed_of
 from roemetry_pinhole.numbering import PoseLines, number_stripes
-from roemetry_pinhole.views import board_views
 
 
 @pytest.fixture(scope="module")
