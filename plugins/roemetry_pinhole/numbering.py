@@ -137,7 +137,9 @@ def number_stripes(poses: Sequence[PoseLines], stripes: int, belt: PoseLines | N
             break
         left_out |= {pose.name: _MOVED if pose.count > _FEW else _HIDDEN for pose in moved}
         kept = [pose for pose in kept if pose not in moved]
-    number_of = _numbers_of(kept, numbers, planes, stripes, belt is not None and belt.count == stripes)
+    number_of = _numbers_of(
+        kept, numbers, planes, stripes, belt_shows_all=belt is not None and belt.count == stripes
+    )
     found = {
         pose.name: np.where(mine >= 0, number_of[mine], -1) if len(number_of) else mine
         for pose, mine in zip(kept, numbers, strict=False)
@@ -364,7 +366,7 @@ def _poses_off(poses: list[PoseLines], planes: Floats, numbers: list[Integers]) 
 
 
 def _numbers_of(
-    poses: list[PoseLines], numbers: list[Integers], planes: Floats, stripes: int, belt_shows_all: bool
+    poses: list[PoseLines], numbers: list[Integers], planes: Floats, stripes: int, *, belt_shows_all: bool
 ) -> Integers:
     """Give (plane,) the stripe of each plane, −1 for none; CalibrationError where that cannot be told."""
     count = len(planes)
@@ -394,7 +396,7 @@ def _numbers_of(
     usable = (number >= 0) & (boards >= 2)
     if usable.sum() == stripes:
         return np.where(usable, number, -1)
-    raise _too_few(poses, numbers, planes, number, on, stripes)
+    raise _too_few(poses, numbers, planes, number, on, stripes, belt_shows_all=belt_shows_all)
 
 
 def _too_few(
@@ -404,6 +406,8 @@ def _too_few(
     number: Integers,
     on: list[list[str]],
     stripes: int,
+    *,
+    belt_shows_all: bool,
 ) -> CalibrationError:
     """Say which stripe is seen on too few boards, as far as that is known."""
     hint = "add poses in which the board lies under it; is `stripes` right?"
@@ -425,10 +429,10 @@ def _too_few(
             f"stripe {stripe} lies on one board alone ({name}): that determines no plane", hint=hint
         )
     missing = sorted(set(range(stripes)) - set(number.tolist()))
-    if len(planes) and len(missing) and (number < 0).any():
+    if belt_shows_all and missing:
         those = ", ".join(str(one + 1) for one in missing)
         return CalibrationError(
-            f"stripes {those} of the empty belt are found on fewer than two boards", hint=hint
+            f"stripe {those} is seen on the empty belt and on fewer than two boards", hint=hint
         )
     return CalibrationError(
         f"no numbering of {stripes} stripes fits: {len(planes)} planes of light are found on two boards or "

@@ -12,6 +12,7 @@ from roemetry.calibration import Calibration
 from roemetry.camera_file import write_camera
 from roemetry.errors import DataError
 from roemetry.records import StripeMap
+from roemetry_pinhole.conformance import SimulatedRig, shown
 from roemetry_pinhole.frames import (
     METHOD,
     displacements,
@@ -21,9 +22,8 @@ from roemetry_pinhole.frames import (
     rest_polynomials,
     view_of,
 )
-from roemetry_pinhole.opencv_file import plane_from, read_camera, read_planes
+from roemetry_pinhole.known_planes import plane_from, read_camera, read_planes
 from roemetry_pinhole.pinhole_plane import PinholePlane
-from roemetry_pinhole.simulated import SimulatedRig, shown
 
 SIZE = (480, 640)
 RIGS = {

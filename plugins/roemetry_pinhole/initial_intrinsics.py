@@ -8,10 +8,10 @@ import numpy as np
 
 from roemetry.arrays import Flags, Floats
 from roemetry.errors import CalibrationError
-from roemetry_pinhole.adjustment import adjust
+from roemetry_pinhole.boards import BoardView, Seen
+from roemetry_pinhole.bundle import adjust
 from roemetry_pinhole.equations import Corners, Feet, StripePoints
 from roemetry_pinhole.geometry import CAMERA, Geometry, unknowns_of
-from roemetry_pinhole.views import BoardView, Seen
 
 _POSES_MIN = 4
 _POSES_MIN_KNOWN = 2
@@ -170,7 +170,7 @@ def _without_shift(view: BoardView, found: FirstCamera, number: int) -> BoardVie
 
 def _projected(found: FirstCamera, number: int, places: Floats) -> tuple[Floats, Floats]:
     """Give (n, 2) places in the image, px, and how large a unit of the board's area is there."""
-    from roemetry_pinhole.lens import bent
+    from roemetry_pinhole.geometry import bent
 
     at = places @ found.rotation[number].T + found.shift[number]
     lens = bent(at[:, :2] / at[:, 2:], found.camera[4:])

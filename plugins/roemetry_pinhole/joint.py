@@ -10,18 +10,15 @@ import numpy as np
 from roemetry.arrays import Floats
 from roemetry.errors import CalibrationError
 from roemetry.records import Board, CalibrationSet
-from roemetry_pinhole.adjustment import Adjusted
-from roemetry_pinhole.bending import Bend
+from roemetry_pinhole.boards import BoardView, Seen, board_views
+from roemetry_pinhole.bundle import Adjusted, Measured
 from roemetry_pinhole.equations import Corners, Feet, StripePoints
-from roemetry_pinhole.first_camera import FirstCamera, first_camera, free_numbers
-from roemetry_pinhole.from_plate import from_plate
 from roemetry_pinhole.from_solids import OnSolids, from_solids, solids_in
-from roemetry_pinhole.geometry import CAMERA, Geometry, unknowns_of
-from roemetry_pinhole.known_planes import with_known_planes
-from roemetry_pinhole.measured import Measured
-from roemetry_pinhole.opencv_file import read_camera
-from roemetry_pinhole.stripe_points import Gathered, gather
-from roemetry_pinhole.views import BoardView, Seen, board_views
+from roemetry_pinhole.geometry import CAMERA, Bend, Geometry, unknowns_of
+from roemetry_pinhole.initial_intrinsics import FirstCamera, first_camera, free_numbers
+from roemetry_pinhole.known_planes import read_camera, with_known_planes
+from roemetry_pinhole.plates import from_plate
+from roemetry_pinhole.stripes import Gathered, gather
 
 
 @dataclass(frozen=True, eq=False, slots=True)
