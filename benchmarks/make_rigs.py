@@ -105,7 +105,7 @@ def draw_rig(rng: np.random.Generator, kind: str, *, boards: int, scale: float =
     tilt_x = between((-3.0, 3.0), (4.0, 12.0)) * (1.0 if hard == 0.0 else float(rng.choice([-1.0, 1.0])))
     stripes = round(between((11.0, 15.0), (16.0, 21.0)))
     spacing = float(rng.uniform(84.0, 98.0)) / (stripes - 1)
-    side = float(rng.choice([-1.0, 1.0]))
+    side = 1.0 if kind == "any" else float(rng.choice([-1.0, 1.0]))  # one of three at least shines from +x
     steep_rad = math.radians(between((22.0, 28.0), (33.0, 40.0)))
     up = float(rng.uniform(240.0, 330.0))
     power = np.round(1.0 + between((0.06, 0.1), (0.18, 0.25)) * rng.uniform(-1.7, 1.7, stripes), 3)
