@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.traced.tables import SMOOTHING_ROWS, Row
+from benchmarks.traced.tables import SMOOTHING_MM, Row
 from roemetry.records import Fitted, Grade, Samples
 from roemetry_shape.fuzzy_rules import FuzzyRules, FuzzyRulesOptions
 from roemetry_shape.learned import Learned, LearnedOptions
@@ -47,7 +47,7 @@ def fitted_model(rows: Sequence[Row]) -> Fitted:
     values = np.array([[row.features.get(name, np.nan) for name in names] for row in used])
     ids = tuple(str(row.seed) for row in used)
     labels = tuple(row.name for row in used)
-    return Learned.fit(Samples(ids, ids, names, values, labels), good=GOOD, smoothing_rows=SMOOTHING_ROWS)
+    return Learned.fit(Samples(ids, ids, names, values, labels), good=GOOD, smoothing_mm=SMOOTHING_MM)
 
 
 def fitted_limits(rows: Sequence[Row]) -> ShapeLimitsOptions:
@@ -75,7 +75,7 @@ def fitted_limits(rows: Sequence[Row]) -> ShapeLimitsOptions:
         found.append({"feature": name, key: at, "label": _most_common(caught)[0]})
         left = [row for row in left if row not in caught]
     return ShapeLimitsOptions.model_validate(
-        {"limits": found, "good": GOOD, "smoothing_rows": SMOOTHING_ROWS}
+        {"limits": found, "good": GOOD, "smoothing_mm": SMOOTHING_MM}
     )
 
 
@@ -97,7 +97,7 @@ def rules_of(limits: ShapeLimitsOptions) -> FuzzyRulesOptions:
         )
     rules.append({"when": [f"not {name}" for name in terms], "label": GOOD})
     return FuzzyRulesOptions.model_validate(
-        {"terms": terms, "rules": rules, "smoothing_rows": SMOOTHING_ROWS}
+        {"terms": terms, "rules": rules, "smoothing_mm": SMOOTHING_MM}
     )
 
 

@@ -28,6 +28,13 @@ def humps_of(sections: Sections) -> tuple[Floats, tuple[Region, ...]]:
     height: Floats = np.zeros((len(sections.stripe), SAMPLES))
     if len(sections.stripe) < _SECTIONS_MIN:
         return height, ()
+    inner = np.abs(np.linspace(-1.0, 1.0, SAMPLES)) <= _INNER
+    height[:, inner] = np.maximum(sections.height_mm - dome_of(sections), 0.0)[:, inner]
+    return height, regions_of(height, sections, _LEAST_MM)
+
+
+def dome_of(sections: Sections) -> Floats:
+    """(section, sample) heights of the smooth body that fits most of the surface, mm; see `humps_of`."""
     t: Floats = np.linspace(-1.0, 1.0, SAMPLES)
     along = sections.along_mm / max(float(sections.along_mm[-1]), 1e-9) * 2.0 - 1.0
     inner = np.abs(t) <= _INNER
@@ -44,9 +51,7 @@ def humps_of(sections: Sections) -> tuple[Floats, tuple[Region, ...]]:
         off = wanted - rows @ fit
         spread = max(1.4826 * float(np.median(np.abs(off))), _SPREAD_LEAST_MM2)
         weight = 1.0 / (1.0 + (off / (2.0 * spread)) ** 2)
-    body = np.sqrt(np.maximum(design @ fit, 0.0))
-    height[:, inner] = np.maximum(sections.height_mm - body, 0.0)[:, inner]
-    return height, regions_of(height, sections, _LEAST_MM)
+    return np.sqrt(np.maximum(design @ fit, 0.0))
 
 
 def _basis(along: Floats, t: Floats) -> Floats:

@@ -77,7 +77,7 @@ def test_the_drawing_names_what_stands_out() -> None:
 
 
 def test_without_sections_there_is_nothing_to_draw() -> None:
-    assert shape_of(product_from(np.full((61, 240), np.nan)), 15).relief is None
+    assert shape_of(product_from(np.full((61, 240), np.nan)), 3.0).relief is None
 
 
 LIMITS = ShapeLimits(
