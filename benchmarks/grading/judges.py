@@ -74,9 +74,7 @@ def fitted_limits(rows: Sequence[Row]) -> ShapeLimitsOptions:
             break
         found.append({"feature": name, key: at, "label": _most_common(caught)[0]})
         left = [row for row in left if row not in caught]
-    return ShapeLimitsOptions.model_validate(
-        {"limits": found, "good": GOOD, "smoothing_mm": SMOOTHING_MM}
-    )
+    return ShapeLimitsOptions.model_validate({"limits": found, "good": GOOD, "smoothing_mm": SMOOTHING_MM})
 
 
 def rules_of(limits: ShapeLimitsOptions) -> FuzzyRulesOptions:
@@ -96,9 +94,7 @@ def rules_of(limits: ShapeLimitsOptions) -> FuzzyRulesOptions:
             }
         )
     rules.append({"when": [f"not {name}" for name in terms], "label": GOOD})
-    return FuzzyRulesOptions.model_validate(
-        {"terms": terms, "rules": rules, "smoothing_mm": SMOOTHING_MM}
-    )
+    return FuzzyRulesOptions.model_validate({"terms": terms, "rules": rules, "smoothing_mm": SMOOTHING_MM})
 
 
 def _candidates(

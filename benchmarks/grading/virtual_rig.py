@@ -5,11 +5,13 @@ belt, N planes of light through it that are parallel to the belt's Y, and a came
 plane and row (a constant Y) the light travels down a straight line; the first point of the surface on it is
 lit. It is seen if no other part of the surface lies between it and the camera. Points that light or camera
 meet at a grazing angle have no peak; some rows and whole pieces are lost at random. The noise of a peak's
-place (independent, and a part that is correlated over some rows, as speckle is) moves a point along its plane
-by noise · mm/px / (tan of light − tan of sight), as triangulation does; the planes' calibration errs a little.
+place (independent, and a part that is correlated over some rows, as speckle is) moves a point along its
+plane by noise · mm/px / (tan of light − tan of sight), as triangulation does; the planes' calibration errs a
+little.
 
-Assumed: pinhole and lens distortion do not matter to the shape of a section; rows are sampled at even steps of
-Y; labels are right. What goes wrong in extraction and coding is not in here; `benchmarks.traced` has the coder.
+Assumed: pinhole and lens distortion do not matter to the shape of a section; rows are sampled at even steps
+of Y; labels are right. What goes wrong in extraction and coding is not in here; `benchmarks.traced` has the
+coder.
 """
 
 from __future__ import annotations
@@ -34,7 +36,7 @@ GRAZING = 0.12
 
 
 class Surface(NamedTuple):
-    """A body's top: (row of y, column of x) heights over the belt, mm, 0 outside; the grid's first x and y."""
+    """A body's top: (row of y, column of x) heights over the belt, mm, 0 outside; first x and y."""
 
     height_mm: Floats
     x0_mm: float
@@ -135,7 +137,7 @@ def measured(surface: Surface, rig: Rig, rng: np.random.Generator) -> Product:
         xyz_mm=xyz,
         product=np.where(seen, 1, NOTHING).astype(np.int16),
         seen=seen,
-        x_px=np.where(seen, xyz[..., 0] / rig.row_mm, np.nan),
+        x_px=np.where(seen, (rig.camera_x_mm + sight * rig.camera_z_mm) / rig.row_mm, np.nan),
         row_px=np.where(seen, rows, np.nan),
         height_std_mm=np.where(seen, np.hypot(rig.noise_px, rig.correlated_px) * gain, np.nan),
         stripe=np.arange(shape[0]),
@@ -151,9 +153,7 @@ def _first_lit(surface: Surface, rest: Floats, lean: Floats, y: Floats) -> Float
     levels = np.linspace(top, 0.0, _DEPTH_STEPS)
     x = rest[:, None, None] - lean[:, None, None] * levels
     shape = (len(rest), len(y), _DEPTH_STEPS)
-    over = levels - surface.at(
-        np.broadcast_to(x, shape), np.broadcast_to(y[None, :, None], shape)
-    )
+    over = levels - surface.at(np.broadcast_to(x, shape), np.broadcast_to(y[None, :, None], shape))
     under = over[..., :-1] <= 0.0
     first = np.argmax(under, axis=-1)
     hit = under.any(axis=-1) & (first > 0)
@@ -162,9 +162,7 @@ def _first_lit(surface: Surface, rest: Floats, lean: Floats, y: Floats) -> Float
     before, after = take(over, first[..., None] - 1, -1)[..., 0], take(over, first[..., None], -1)[..., 0]
     share = before / np.maximum(before - after, 1e-9)
     z = levels[first - 1] + share * (levels[1] - levels[0])
-    xyz = np.stack(
-        [rest[:, None] - lean[:, None] * z, np.broadcast_to(y, z.shape), z], axis=-1
-    )
+    xyz = np.stack([rest[:, None] - lean[:, None] * z, np.broadcast_to(y, z.shape), z], axis=-1)
     xyz[~hit] = np.nan
     return xyz
 

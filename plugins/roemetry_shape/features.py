@@ -2,20 +2,20 @@
 
 Model. All features but those of humps are read off the surface in the product's own frame
 (`roemetry_shape.product_frame`), at even places along the product, so that they do not depend on the number
-and distance of the stripes, the direction and side of the light, the camera's scale, or how the product lies.
-None has a sign or a head end: a product that is mirrored or turned about gives the same numbers (a twist turns
-the other way when mirrored; its size stays).
+and distance of the stripes, the direction and side of the light, the camera's scale, or how the product
+lies. None has a sign or a head end: a product that is mirrored or turned about gives the same numbers (a
+twist turns the other way when mirrored; its size stays).
 
     axis         m(s) through the sections' middles: bend, bow and S against a straight line
-    lean         angle of the best straight line over a section's inner three quarters; its run along s is twist
+    lean         angle of the best line over a section's inner three quarters; its run along s is twist
     hollows      depth below the upper convex hull of each section (across) and of each line along (saddles);
                  what lies below both is a cup, the mark of a dent
     pit          depth below a smooth dome that fits most of the surface (robust): a dent that hollows nothing
     ends         heights and areas over the outer tenths, as shares of the largest
     moments      skewness and kurtosis of the volume along the product
 
-It fails where fewer than three stripes show a cross-section (no features), and where a defect lies between two
-stripes (nothing is seen of it). How far each feature spreads over rigs for the same body is measured by
+It fails where fewer than three stripes show a cross-section (no features), and where a defect lies between
+two stripes (nothing is seen of it). How far each feature spreads over rigs for the same body is measured by
 `python -m benchmarks grade`.
 """
 
@@ -29,11 +29,17 @@ import numpy as np
 from roemetry.arrays import Floats
 from roemetry.records import Product, Relief
 from roemetry_shape.curvature import surface_shape
-from roemetry_shape.hollows import hollows_of
-from roemetry_shape.humps import dome_of, humps_of
 from roemetry_shape.outline_features import outline_features
 from roemetry_shape.product_frame import STATIONS, Frame, in_product_frame
-from roemetry_shape.regions import Region, regions_of
+from roemetry_shape.regions import (
+    DENT_LEAST_MM,
+    Region,
+    dome_of,
+    hollow_depth,
+    hollows_of,
+    humps_of,
+    regions_of,
+)
 from roemetry_shape.relief import relief_of
 from roemetry_shape.sections import SAMPLES, Sections, sections_of
 
@@ -41,8 +47,8 @@ SECTIONS_MIN = 3
 """With fewer sections a product has no shape to speak of."""
 
 SMOOTHING_MM = 3.0
-"""Window of the quadratic along each curve: a third of the narrowest dent's width (8 mm), whose depth it lowers
-by 2 %; 2 or 4 mm change no feature by more than noise does."""
+"""Window of the quadratic along each curve: a third of the narrowest dent's width (8 mm),
+whose depth it lowers by 2 %; 2 or 4 mm change no feature by more than noise does."""
 
 _ACROSS = slice(SAMPLES // 8, SAMPLES - SAMPLES // 8)
 """Samples away from the edges, where a section is steep by nature."""
@@ -53,12 +59,10 @@ _ALONG = slice(STATIONS // 10, STATIONS - STATIONS // 10)
 _LINES = list(range(SAMPLES // 8, SAMPLES - SAMPLES // 8, 2))
 """Samples that are followed along the product."""
 
-_DENT_LEAST_MM = 0.4
-"""Shallower is relief, not a dent: twice the deepest hollow that noise of 0.1 mm makes in a smoothed section."""
-
 _PATCH_MM2 = 4.0
-"""A depth is one that so much of the surface reaches: half of the least dent that a stripe shows over its 8 mm.
-The single deepest sample would be a sample of the noise; 2 or 8 mm² change no dent's depth by over a tenth."""
+"""A depth is one that so much of the surface reaches: half of the least dent that a stripe
+shows over its 8 mm. The single deepest sample would be a sample of the noise; 2 or 8 mm² change no dent's
+depth by over a tenth."""
 
 
 class Shape(NamedTuple):
@@ -173,8 +177,6 @@ def _lean(sections: Sections) -> dict[str, float]:
 
 def _hollows(sections: Sections) -> dict[str, float]:
     """Depths below the hulls across and along, and the dents: regions below those across."""
-    from roemetry_kernels.shape.hollows import hollow_depth
-
     across = hollow_depth(sections.across_mm, np.ascontiguousarray(sections.height_mm))
     # At its edges a section ends where the last row was seen: a step there is no hollow.
     across[:, : _ACROSS.start] = across[:, _ACROSS.stop :] = 0.0
@@ -186,7 +188,7 @@ def _hollows(sections: Sections) -> dict[str, float]:
     step = float(sections.along_mm[1])
     sample = (2.0 * sections.half_width_mm / (SAMPLES - 1) * step)[:, None]  # mm² of a sample
     every_second = np.broadcast_to(2.0 * sample[_ALONG], cup.shape)
-    dents = [one for one in regions_of(across, sections, _DENT_LEAST_MM) if one.area_mm2 >= _PATCH_MM2]
+    dents = [one for one in regions_of(across, sections, DENT_LEAST_MM) if one.area_mm2 >= _PATCH_MM2]
     return {
         "hollow_depth_mm": _reached(across, np.broadcast_to(sample, across.shape)),
         "hollow_median_mm": float(np.median(deepest)),

@@ -2,8 +2,8 @@
 
 Model. Eight good products say where the good ones of this line lie, but not how they scatter: a standard
 deviation of eight is itself uncertain by 26 %, and of forty features some will be far too small. So each
-feature's variance is that of the samples, drawn towards what good products show over rigs (an inverse-gamma prior
-worth `PRIOR_SAMPLES` samples: empirical Bayes, Efron and Morris 1973):
+feature's variance is that of the samples, drawn towards what good products show over rigs (an inverse-gamma
+prior worth `PRIOR_SAMPLES` samples: empirical Bayes, Efron and Morris 1973):
 
     s_i² = (Σ (x − m_i)² + ν₀·σ_i²) / (n − 1 + ν₀),    ν₀ = PRIOR_SAMPLES, σ_i of `GOOD_SPREAD`
     z_i  = max(x_i − m_i, 0) / (s_i·√(1 + 1/n))         a defect raises these features; none lowers them
@@ -13,14 +13,13 @@ Features are those of `GOOD_SPREAD`, each the size of some defect in its unit. A
 (features of one's own) is judged by all of its features, to either side, with the samples' variance alone;
 Student's t for n − 1 degrees takes the place of z.
 
-The limit is `LIMIT`, and at least what the samples reach when each is judged by the others. Named defects, even
-one of each, do three things: a limit above the least of them moves to half way between it and the good
-ones; a product that is not good gets the name of the defect whose direction in z is nearest, if its cosine is at
-least `COSINE_MIN`; else it is `not-good`.
+The limit is `LIMIT`. Named defects, even one of each, do two things: a limit above the least of them moves to
+between it and the good ones; and a product that is not good gets the name of the defect whose direction in z
+is nearest, if its cosine is at least `COSINE_MIN`; else it is `not-good`.
 
 What n samples can promise is a matter of counting, whatever the method: if all n are kept when judged by the
-others, at least 0.05^(1/n) of good products are kept, with 95 % confidence (Clopper and Pearson 1934): 69 % of
-8, 95 % from 59 on. It fails for defects that raise none of the features.
+others, at least 0.05^(1/n) of good products are kept, with 95 % confidence (Clopper and Pearson 1934): 69 %
+of 8, 95 % from 59 on. It fails for defects that raise none of the features.
 """
 
 from __future__ import annotations
@@ -115,7 +114,7 @@ class GoodReference:
     smoothing_mm: float
 
     def deviations(self, values: Floats) -> Floats:
-        """(sample, feature) deviations in standard deviations, of (sample, feature); 0 where one is missing."""
+        """(sample, feature) deviations of values, in standard deviations; 0 where a value is missing."""
         z = (values - self.centre) / self.spread
         z = np.maximum(z, 0.0) if self.one_sided else np.abs(z)
         return np.where(np.isfinite(z), z, 0.0)
@@ -201,7 +200,16 @@ def fit_reference(
     def made(good_values: Floats) -> GoodReference:
         centre, spread = _centre_and_spread(good_values, prior)
         return GoodReference(
-            kept_names, centre, spread, one_sided, good, limit, (), np.empty((0, len(taken))), 0.0, smoothing_mm
+            kept_names,
+            centre,
+            spread,
+            one_sided,
+            good,
+            limit,
+            (),
+            np.empty((0, len(taken))),
+            0.0,
+            smoothing_mm,
         )
 
     left_out = np.array(

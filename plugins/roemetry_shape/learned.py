@@ -1,21 +1,22 @@
 """Classes learned from labelled products: a forest of randomised trees, or the distance from good ones.
 
 Model. From hundreds of products of every class, `roemetry fit-classifier` makes a forest of extremely
-randomised trees (Geurts, Ernst and Wehenkel 2006) over the shape features. The mean of the leaves' class shares,
-s_c, becomes a probability by temperature scaling, p_c ∝ s_c^k, with the k of least log loss on held-out products
-(Guo et al. 2017). From fewer, it makes a reference of good ones (`roemetry_shape.good_reference`). In both cases
+randomised trees (Geurts, Ernst and Wehenkel 2006) over the shape features. The mean of the leaves' class
+shares, s_c, becomes a probability by temperature scaling, p_c ∝ s_c^k, with the k of least log loss on
+held-out products (Guo et al. 2017). From fewer, it makes a reference of good ones
+(`roemetry_shape.good_reference`). In both cases
 
     novel                     → unknown   unlike anything learned (`roemetry_shape.novelty`)
-    p_good ≥ good_from        → good      limit balanced on held-out products
-    else, p_c ≥ stated_from   → c         c the likeliest other class
+    c = good if p_good ≥ good_from, else the likeliest other class; good_from is balanced on held-out products
+    p_c ≥ stated_from         → c
     else                      → unknown   no class is likely enough
 
 `stated_from` is the limit at which no more than 2.5 % of held-out products were given a wrong class. Sizes of
 the product are not learned (`LEFT_OUT`): how large a population is says nothing of its shape.
 
-Assumed: the samples' rigs, light and population are those of the products; where they are not, novelty must tell.
-The model that is shipped was fitted over random rigs, two simulators' shapes, noise and turned products.
-It fails, as every classifier, for a defect that no stripe shows.
+Assumed: the samples' rigs, light and population are those of the products; where they are not, novelty must
+tell. The model that is shipped was fitted over random rigs, two simulators' shapes, noise and turned
+products. It fails, as every classifier, for a defect that no stripe shows.
 
 A model is a JSON file without code: `LearnedModel.load` checks every index before a tree is walked.
 """
@@ -111,7 +112,7 @@ class Learned(Classifier[LearnedOptions]):
         if novelty.value > 1.0:
             return Grade(UNKNOWN, math.nan, told, (Reason("unlike-anything-learned", _unlike(novelty)),))
         label = _decided(by_class, model)
-        least = max(self.options.probability_min, 0.0 if label == model.good else model.stated_from)
+        least = max(self.options.probability_min, model.stated_from)
         if by_class[label] < least:
             why = f"the likeliest class, {label}, has a probability of {by_class[label]:.2f} only"
             return Grade(UNKNOWN, math.nan, told, (Reason("no-class-likely", why),))
@@ -206,7 +207,7 @@ class LearnedModel:
     good, good_from
         The class of good products, and the least probability of it that is called so.
     stated_from
-        Least probability of another class that is stated.
+        Least probability of a class that is stated.
     temperature
         Power that turns the forest's shares into probabilities.
     forest
@@ -249,9 +250,7 @@ class LearnedModel:
 
     def to_json(self, about: Mapping[str, Any]) -> str:
         """Write the model, with whatever is to be said about it."""
-        plain = {
-            name: _plain(value) for name, value in vars(self).items() if name not in ("forest", "seen")
-        }
+        plain = {name: _plain(value) for name, value in vars(self).items() if name not in ("forest", "seen")}
         content = {
             "roemetry_classifier": VERSION,
             "method": "forest",

@@ -1,12 +1,12 @@
 """Fit the learned classifier: from a few good products, a handful of named ones, or hundreds.
 
-With at least `PER_CLASS_MIN` products of each of two classes or more, and `FOREST_MIN` in all, a forest is fitted
-(`roemetry_shape.learned`), judged on folds that share no group: its temperature, the least probability of good,
-that of a stated class, and the limits of novelty are all chosen on held-out products. With fewer, a reference of
-the good ones (`roemetry_shape.good_reference`), judged by leaving each out.
+With at least `PER_CLASS_MIN` products of each of two classes or more, and `FOREST_MIN` in all, a forest is
+fitted (`roemetry_shape.learned`), judged on folds that share no group: its temperature, the least
+probability of good, that of a stated class, and the limits of novelty are all chosen on held-out products.
+With fewer, a reference of the good ones (`roemetry_shape.good_reference`), judged by leaving each out.
 
-What is promised is counted, not modelled: the lower end of the exact 95 % interval (Clopper and Pearson 1934) of
-the good ones kept, and of the others caught.
+What is promised is counted, not modelled: the lower end of the exact 95 % interval (Clopper and Pearson
+1934) of the good ones kept, and of the others caught.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ EXCESS_LEAST = 0.1
 """Features may lie by a tenth of their range beyond it, however many samples there were."""
 
 WRONG_MAX = 0.025
-"""Share of held-out products given a wrong class that is not good's: half of what is allowed on other rigs."""
+"""Share of held-out products given a wrong class: half of what is allowed on other rigs."""
 
 _SEED = 1
 
@@ -118,7 +118,12 @@ def _reference(
 
 
 def _forest_fit(
-    names: tuple[str, ...], values: Floats, labels: np.ndarray, groups: Integers, good: str, smoothing_mm: float
+    names: tuple[str, ...],
+    values: Floats,
+    labels: np.ndarray,
+    groups: Integers,
+    good: str,
+    smoothing_mm: float,
 ) -> Fitted:
     classes, counts = np.unique(labels, return_counts=True)
     values, fill = _filled(values)
@@ -150,9 +155,10 @@ def _forest_fit(
         f"judged on {FOLDS} folds that share no group"
     ]
     if good:
+        kept, caught = (100 * figures[f"{name}_at_least"] for name in ("good_kept", "others_caught"))
         words.append(
-            f"promised by counting, with 95 % confidence: at least {100 * figures['good_kept_at_least']:.0f} % "
-            f"of good products are kept, {100 * figures['others_caught_at_least']:.0f} % of the others caught"
+            f"promised by counting, with 95 % confidence: at least {kept:.0f} % of good products are kept, "
+            f"{caught:.0f} % of the others caught"
         )
     return Fitted(model.to_json(about), figures, tuple(words))
 
@@ -229,16 +235,14 @@ def _good_from(probabilities: Floats, labels: np.ndarray, classes: np.ndarray, g
 def _stated_from(
     probabilities: Floats, labels: np.ndarray, classes: np.ndarray, good: str, good_from: float
 ) -> float:
-    """Least probability of a class but good at which at most `WRONG_MAX` of all are given a wrong one."""
-    others = np.flatnonzero(classes != good)
-    of_others = probabilities[:, others]
+    """Least probability of a stated class at which at most `WRONG_MAX` of all are given a wrong one."""
+    of_others = np.where(classes == good, -1.0, probabilities)
+    chosen = of_others.argmax(axis=1)
     if good:
-        asked = probabilities[:, int(np.searchsorted(classes, good))] < good_from
-    else:
-        asked = np.ones(len(labels), np.bool_)
-    stated = of_others.max(axis=1)
-    wrong = asked & (classes[others][of_others.argmax(axis=1)] != labels)
-    doubtful = np.sort(stated[wrong])[::-1]
+        of_good = int(np.searchsorted(classes, good))
+        chosen = np.where(probabilities[:, of_good] >= good_from, of_good, chosen)
+    stated = probabilities[np.arange(len(labels)), chosen]
+    doubtful = np.sort(stated[classes[chosen] != labels])[::-1]
     allowed = int(WRONG_MAX * len(labels))
     return float(doubtful[allowed] + 1e-6) if len(doubtful) > allowed else 0.0
 

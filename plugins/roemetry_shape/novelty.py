@@ -9,12 +9,13 @@ since each is blind where the other sees:
                one strange feature among fifty, which the distance drowns, and its name
 
 S_c is the correlation within the class, mixed with that of all classes as its samples count against
-`POOLED_SAMPLES` (regularised discriminant analysis, Friedman 1989), and drawn towards none by `SHRINKAGE` (Ledoit
-and Wolf 2004). Each measure is divided by what held-out samples reach at most, so 1 is the limit for both.
+`POOLED_SAMPLES` (regularised discriminant analysis, Friedman 1989), and drawn towards none by `SHRINKAGE`
+(Ledoit and Wolf 2004). Each measure is divided by what held-out samples reach at most, so 1 is the limit for
+both.
 
-Assumed: the samples are what is to be expected: rigs, light and populations that differ from them by more than
-they differ among each other are novel, and are said to be so. It fails for a stranger whose every feature
-lies within what was seen.
+Assumed: the samples are what is to be expected: rigs, light and populations that differ from them by more
+than they differ among each other are novel, and are said to be so. It fails for a stranger whose every
+feature lies within what was seen.
 """
 
 from __future__ import annotations

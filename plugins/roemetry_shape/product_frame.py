@@ -1,15 +1,15 @@
 """A product's surface in its own frame: cross-sections at even places along it, whatever the rig.
 
-Model. Stripes cut a product where the rig's planes happen to lie: obliquely, leaning with the light, 5 to 9 mm
-apart, and turned against the product's axis. Features read off such cuts are features of the rig. So the cuts
-are lofted: sample j of each cut (at the j-th even place from edge to edge) is joined with sample j of the next by
-a monotone cubic (Fritsch and Butland 1984) over the distance along the product's axis, which is the line through
-the cuts' middles. The lofted surface is then cut again, upright and square to the axis, at `STATIONS` even
-places between the first and the last point of the middle line.
+Model. Stripes cut a product where the rig's planes happen to lie: obliquely, leaning with the light, 5 to 9
+mm apart, and turned against the product's axis. Features read off such cuts are features of the rig. So the
+cuts are lofted: sample j of each cut (at the j-th even place from edge to edge) is joined with sample j of
+the next by a monotone cubic (Fritsch and Butland 1984) over the distance along the product's axis, which is
+the line through the cuts' middles. The lofted surface is then cut again, upright and square to the axis, at
+`STATIONS` even places between the first and the last point of the middle line.
 
 Assumed: cuts run from edge to edge and follow each other along the axis; the product is turned by less than
-about 45 degrees from the X axis. What lies between two stripes and shows on neither is not in it, whatever the
-interpolation. The ends beyond the outer stripes are missing: `end_missing_mm` says by how much, from the
+about 45 degrees from the X axis. What lies between two stripes and shows on neither is not in it, whatever
+the interpolation. The ends beyond the outer stripes are missing: `end_missing_mm` says by how much, from the
 areas of the last cuts, which fall to nothing linearly at a rounded end.
 """
 
@@ -39,7 +39,8 @@ class Frame(NamedTuple):
     Attributes
     ----------
     sections
-        `STATIONS` sections square to the axis; `middle_mm` in the product's frame: along the axis, and off it.
+        `STATIONS` sections square to the axis; `middle_mm` in the product's frame: along the axis, and off
+        it.
     pitch_mm
         Median distance of the stripes along the axis, mm.
     end_missing_mm
@@ -75,7 +76,7 @@ def in_product_frame(sections: Sections) -> Frame:
 
 
 def _along_the_axis(points: Floats, area: Floats) -> tuple[Floats, Floats, Floats]:
-    """Turn points about Z so that the line through the cuts' middles, weighed by their areas, lies along s."""
+    """Turn points about Z so that the line through the middles, weighed by area, lies along s."""
     x, y, z = np.moveaxis(points, -1, 0)
     middle_x, middle_y = x[:, SAMPLES // 2], 0.5 * (y[:, 0] + y[:, -1])
     weight = area / area.sum()

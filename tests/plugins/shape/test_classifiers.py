@@ -23,7 +23,6 @@ from roemetry_shape.fuzzy_rules import FuzzyRules, FuzzyRulesOptions
 from roemetry_shape.good_reference import GOOD_SPREAD, lower_bound
 from roemetry_shape.learned import (
     Learned,
-    LearnedModel,
     LearnedOptions,
     load_model,
     pack_forest,
@@ -243,7 +242,7 @@ def test_the_verb_learns_from_a_table(rng: np.random.Generator, tmp_path: Path) 
 
 
 def skeins(rng: np.random.Generator, count: int, **deformed: float) -> np.ndarray:
-    """Shape features of products alike, in units of `GOOD_SPREAD`; deformed ones deviate by so many of them."""
+    """Shape features of products alike; deformed ones deviate by so many of `GOOD_SPREAD`."""
     z = rng.normal(0.0, 1.0, (count, len(GOOD_SPREAD)))
     for name, off in deformed.items():
         z[:, list(GOOD_SPREAD).index(name)] += off

@@ -17,11 +17,9 @@ from roemetry.testing.solids import (
     product_from,
     product_of,
 )
-from roemetry_kernels.shape.hollows import hollow_depth
-from roemetry_kernels.shape.quadrics import local_quadrics
-from roemetry_shape.curvature import surface_shape
+from roemetry_shape.curvature import local_quadrics, surface_shape
 from roemetry_shape.features import features_of, shape_features
-from roemetry_shape.hollows import hollows_of
+from roemetry_shape.regions import hollow_depth, hollows_of
 from roemetry_shape.sections import SAMPLES, Sections, sections_of
 
 
