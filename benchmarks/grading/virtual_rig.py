@@ -16,6 +16,7 @@ coder.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -144,7 +145,9 @@ def measured(surface: Surface, rig: Rig, rng: np.random.Generator) -> Product:
         frame=np.zeros(shape[0], np.int64),
         plane=normal / np.hypot(1.0, lean)[:, None],
     )
-    return Product(1, profiles, LinearRig().calibration(), ("scene",))
+    known = LinearRig(stripes=rig.stripes, spacing_px=10.0, first_px=5.0).calibration()
+    displacement = np.abs(lean - (rest - rig.camera_x_mm) / rig.camera_z_mm) / rig.row_mm
+    return Product(1, profiles, replace(known, displacement_px_per_mm=displacement), ("scene",))
 
 
 def _first_lit(surface: Surface, rest: Floats, lean: Floats, y: Floats) -> Floats:

@@ -35,6 +35,11 @@ TURN_DEG = 12.0
 FAMILIES: Mapping[str, Callable[[int, str], Body]] = {"ours": our_skein, "second": second_skein}
 
 
+def make_body(family: str, seed: int, label: str) -> Body:
+    """Draw a body of a family with a class of defect."""
+    return FAMILIES.get(family, lofted_skein)(seed, label)
+
+
 def virtual_rows(family: str, seeds: Sequence[int], rigs_each: int, cache: Path) -> list[Row]:
     """Draw bodies of a family, each measured on `rigs_each` random rigs, turned and mirrored at random."""
     cache.mkdir(parents=True, exist_ok=True)
@@ -43,12 +48,11 @@ def virtual_rows(family: str, seeds: Sequence[int], rigs_each: int, cache: Path)
     known: dict[int, list[Row]] = {}
     for row in (Row(**json.loads(line)) for line in lines):
         known.setdefault(row.seed, []).append(row)
-    make = FAMILIES.get(family, lofted_skein)
     with path.open("a", encoding="utf-8") as file:
         for done, seed in enumerate(seeds):
             if seed not in known:
                 rng = np.random.default_rng([seed, 7])
-                body = make(seed, MIX[seed % len(MIX)])
+                body = make_body(family, seed, MIX[seed % len(MIX)])
                 known[seed] = list(rows_of_body(body, family, seed, rng, rigs_each))
                 file.writelines(json.dumps(row._asdict()) + "\n" for row in known[seed])
                 file.flush()
@@ -95,22 +99,28 @@ def lofted_skein(seed: int, label: str) -> Body:
     return Body(*of_meshes(meshes), label)
 
 
-def rendered_rows(folder: Path, count: int) -> list[Row]:
-    """Measure the skeins among the meshes of a rendered set (`objects/`), each on `count` random rigs.
+def rendered_bodies(folder: Path) -> list[Body]:
+    """Read the skeins among the meshes of a rendered set (`objects/`).
 
-    Their sound shapes are not known: what shows of a defect is taken to be enough.
+    Their sound shapes are not known; an empty belt stands for them, so all of a defect counts as shown.
     """
     import open3d as o3d
 
-    rows: list[Row] = []
+    bodies: list[Body] = []
     objects = json.loads((folder / "objects" / "objects.json").read_text("utf-8"))
-    for number, (name, one) in enumerate(objects.items()):
-        label = "good" if one["cls"] == "good" else one["defect"]
-        if one["cls"] not in ("good", "defective"):
-            continue
-        mesh = o3d.io.read_triangle_mesh(str(folder / "objects" / f"{name}.ply"))
-        (surface,) = of_meshes([(np.asarray(mesh.vertices), np.asarray(mesh.triangles))])
-        rng = np.random.default_rng([number, 5])
-        found = rows_of_body(Body(surface, surface, label), "rendered", number, rng, count)
-        rows += [row._replace(defect={"shown_mm": np.inf}) for row in found]
-    return rows
+    for name, one in objects.items():
+        if one["cls"] in ("good", "defective"):
+            mesh = o3d.io.read_triangle_mesh(str(folder / "objects" / f"{name}.ply"))
+            (top,) = of_meshes([(np.asarray(mesh.vertices), np.asarray(mesh.triangles))])
+            empty = top._replace(height_mm=np.zeros_like(top.height_mm))
+            bodies.append(Body(top, empty, "good" if one["cls"] == "good" else one["defect"]))
+    return bodies
+
+
+def rendered_rows(folder: Path, count: int) -> list[Row]:
+    """Measure the skeins of a rendered set, each on `count` random rigs."""
+    return [
+        row
+        for number, body in enumerate(rendered_bodies(folder))
+        for row in rows_of_body(body, "rendered", number, np.random.default_rng([number, 5]), count)
+    ]

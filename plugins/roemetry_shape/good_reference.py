@@ -63,11 +63,13 @@ PRIOR_SAMPLES = 12.0
 """What the prior counts against the samples: as many as one rig's first day has. 6 to 25 change good kept, of
 eight samples, by less than 2 %."""
 
-LIMIT = 4.0
-"""Of the largest of nineteen z: see the reference page for what it keeps and catches over populations."""
+LIMIT = 5.0
+"""Of the largest of nineteen z, chosen on bodies of our simulator: 3 keeps 97 % of good ones and catches
+97 % of deformed ones that stripes show by a millimetre; 5 keeps all of 400 and catches 96 %."""
 
-COSINE_MIN = 0.7
-"""Of the angle between a product's deviations and a defect's: 45 degrees."""
+COSINE_MIN = 0.9
+"""Of the angle between a product's deviations and a defect's: 26 degrees. At 0.7 three in ten names were
+wrong, at 0.9 one in seven."""
 
 _SPREAD_SHARE_MIN = 0.02
 """Of a feature without prior: its spread is at least this share of its mean, as its uncertainty is."""
