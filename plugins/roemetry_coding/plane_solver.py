@@ -83,8 +83,10 @@ class Solved(NamedTuple):
         (peak,) by how much the next best verdict is dearer.
     evidence
         (peak,) what the cheapest shift of its stripe, with others, to the next would cost, a sight line.
-    piece
-        (peak,) piece of its trace.
+    trace, piece
+        (peak,) trace, and piece of it.
+    anchored
+        (peak,) True where the piece is belt that reaches the image's border.
     claimed
         (peak,) stripe, or the one that its piece has elsewhere, −1 for none.
     whole
@@ -96,7 +98,9 @@ class Solved(NamedTuple):
     """
 
     stripe: Integers
+    trace: Integers
     piece: Integers
+    anchored: Flags
     claimed: Integers
     dearer: Floats
     evidence: Floats
@@ -198,7 +202,7 @@ def solve_planes(peaks: Peaks, calibration: Calibration, rest: RestLines) -> Sol
         evidence = np.where(
             belt, np.minimum(evidence, short * _without(problem, own, best, doubtful)), evidence
         )
-    return Solved(stripe, problem.piece, claims, dearer, evidence, whole, problem.there, problem.entries)
+    return Solved(stripe, problem.trace, problem.piece, problem.anchored[problem.piece], claims, dearer, evidence, whole, problem.there, problem.entries)
 
 
 def _together(problem: _Problem, stripe: Integers, counted: Flags) -> Integers:

@@ -18,7 +18,7 @@ from roemetry.stages import Coder
 from roemetry_coding.margins import margin_of
 from roemetry_coding.plane_solver import Solved, solve_planes
 from roemetry_kernels.coding.bridging import BridgingOptions, bridged
-from roemetry_kernels.coding.consistency import refuse_unexplained_gaps
+from roemetry_kernels.coding.consistency import HIDING_SPACINGS, refuse_unexplained_gaps
 from roemetry_kernels.coding.label_doubts import left_over
 from roemetry_kernels.coding.label_verdicts import out_of_order
 from roemetry_kernels.coding.refusing import refuse_bare_lines, refuse_uncodable, required_calibration
@@ -110,6 +110,7 @@ class Planes(Coder[PlanesOptions]):
         often = np.bincount(solved.piece[wrong], minlength=solved.piece.max() + 1) >= _CONTESTED_PEAKS
         stripe[wrong & often[solved.piece] & (stripe >= 0)] = AMBIGUOUS
         stripe[left_over(solved.piece, solved.stripe, stripe, _SURVIVE_SHARE)] = AMBIGUOUS
+        before = stripe
         stripe, gaps = refuse_unexplained_gaps(
             peaks,
             stripe,
@@ -123,9 +124,31 @@ class Planes(Coder[PlanesOptions]):
             # what a body is on some rows it is on the others
             partly = left_over(solved.piece, solved.stripe, stripe, _BODY_SURVIVE_SHARE)
             stripe[partly & (line != solved.stripe)] = AMBIGUOUS
+            level = ~solved.anchored & _nearly_belt(peaks, before, rest)
+            for along in (before, solved.trace):
+                goes_on = _goes_on(peaks.row, along, level, stripe < 0, self.options.longest_gap_rows)
+                stripe[goes_on] = AMBIGUOUS
         stripe[left_over(solved.piece, solved.stripe, stripe, _SURVIVE_SHARE)] = AMBIGUOUS
         stripe[_remnants(line, stripe)] = AMBIGUOUS
         return stripe, margin, gaps
+
+
+def _nearly_belt(peaks: Peaks, stripe: Integers, rest: RestLines) -> Flags:
+    """Mark (peak,) what lies so near its stripe's rest line that it could hide nothing."""
+    spacing_px = np.median(np.diff(rest.x_px, axis=0)) if rest.x_px.shape[0] > 1 else np.inf
+    away_px = np.abs(peaks.x_px - rest.x_px[np.maximum(stripe, 0), peaks.row])
+    return np.asarray((stripe >= 0) & (away_px < HIDING_SPACINGS * spacing_px))
+
+
+def _goes_on(row: Integers, along: Integers, asked: Flags, doubted: Flags, gap_rows: int) -> Flags:
+    """Mark (peak,) those asked that go on, along a stripe or a trace, from one in doubt."""
+    which = np.flatnonzero(asked)
+    which = which[np.lexsort((row[which], along[which]))]
+    apart = (np.diff(along[which], prepend=-1) != 0) | (np.diff(row[which], prepend=0) > gap_rows + 1)
+    group = np.cumsum(apart)
+    found = np.zeros(row.size, np.bool_)
+    found[which] = np.bincount(group, weights=doubted[which])[group] > 0.0
+    return found
 
 
 def _remnants(line: Integers, stripe: Integers) -> Flags:
