@@ -202,7 +202,18 @@ def solve_planes(peaks: Peaks, calibration: Calibration, rest: RestLines) -> Sol
         evidence = np.where(
             belt, np.minimum(evidence, short * _without(problem, own, best, doubtful)), evidence
         )
-    return Solved(stripe, problem.trace, problem.piece, problem.anchored[problem.piece], claims, dearer, evidence, whole, problem.there, problem.entries)
+    return Solved(
+        stripe,
+        problem.trace,
+        problem.piece,
+        problem.anchored[problem.piece],
+        claims,
+        dearer,
+        evidence,
+        whole,
+        problem.there,
+        problem.entries,
+    )
 
 
 def _together(problem: _Problem, stripe: Integers, counted: Flags) -> Integers:
@@ -247,7 +258,9 @@ def _kinked(problem: _Problem, peaks: Peaks, stripe: Integers) -> Flags:
         )
         np.add.at(asked, problem.piece[one], 1.0)
         np.add.at(worse, problem.piece[one], other < 0.5 * off)
-    at_border = (asked > 0.5 * np.bincount(problem.piece, minlength=asked.size)) & (problem.piece_line != ENDS)
+    at_border = (asked > 0.5 * np.bincount(problem.piece, minlength=asked.size)) & (
+        problem.piece_line != ENDS
+    )
     return np.asarray(at_border & (worse > 0.5 * asked))[problem.piece]
 
 

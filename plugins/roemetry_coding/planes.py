@@ -110,7 +110,7 @@ class Planes(Coder[PlanesOptions]):
         often = np.bincount(solved.piece[wrong], minlength=solved.piece.max() + 1) >= _CONTESTED_PEAKS
         stripe[wrong & often[solved.piece] & (stripe >= 0)] = AMBIGUOUS
         stripe[left_over(solved.piece, solved.stripe, stripe, _SURVIVE_SHARE)] = AMBIGUOUS
-        before = stripe
+
         stripe, gaps = refuse_unexplained_gaps(
             peaks,
             stripe,
@@ -124,8 +124,8 @@ class Planes(Coder[PlanesOptions]):
             # what a body is on some rows it is on the others
             partly = left_over(solved.piece, solved.stripe, stripe, _BODY_SURVIVE_SHARE)
             stripe[partly & (line != solved.stripe)] = AMBIGUOUS
-            level = ~solved.anchored & _nearly_belt(peaks, before, rest)
-            for along in (before, solved.trace):
+            level = ~solved.anchored & _nearly_belt(peaks, solved.stripe, rest)
+            for along in (solved.stripe, solved.trace):
                 goes_on = _goes_on(peaks.row, along, level, stripe < 0, self.options.longest_gap_rows)
                 stripe[goes_on] = AMBIGUOUS
         stripe[left_over(solved.piece, solved.stripe, stripe, _SURVIVE_SHARE)] = AMBIGUOUS
