@@ -46,9 +46,6 @@ _PRESENT_ROWS_MIN = 15
 _GAP_LINES = 20
 _RUN_ROWS = (25, 85)
 _BELOW_TOLERANCES = 1.5
-_BEYOND = 2.0
-"""Heights are looked for up to so many times the highest that the calibration is meant for: only so is a
-product that is too high seen as that, and not taken for a lower one a stripe or more off."""
 _KEEP = 1.0
 _FEW_COUNT = 0.5
 _SMALL_COUNT = 0.4
@@ -124,7 +121,7 @@ class _Problem(NamedTuple):
     u_per_px: float
 
 
-def solve_planes(peaks: Peaks, calibration: Calibration, rest: RestLines) -> Solved:
+def solve_planes(peaks: Peaks, calibration: Calibration, rest: RestLines, beyond: float) -> Solved:
     """Give each peak the stripe that makes the cheapest surface.
 
     Parameters
@@ -135,8 +132,10 @@ def solve_planes(peaks: Peaks, calibration: Calibration, rest: RestLines) -> Sol
         Gives planes (or at least displacements) and the range of heights.
     rest
         Its rest lines.
+    beyond
+        Heights are looked for up to so many times the highest that the calibration is meant for.
     """
-    problem = _posed(peaks, calibration, rest)
+    problem = _posed(peaks, calibration, rest, beyond)
     entries, labels = problem.entries, problem.labels
     nodes = labels.low, labels.many, labels.offset
     own = _own(problem)
@@ -346,7 +345,7 @@ def _best_of_shifts(runs: Runs) -> tuple[Integers, float]:
     return np.where(moved, way, 0), -change
 
 
-def _posed(peaks: Peaks, calibration: Calibration, rest: RestLines) -> _Problem:
+def _posed(peaks: Peaks, calibration: Calibration, rest: RestLines, beyond: float) -> _Problem:
     stripes, rows = rest.x_px.shape
     sight = sight_lines(peaks, calibration, rest.x_px)
     trace, traces = trace_fragments(peaks.row_start, peaks.x_px, _STEP_MAX_PX)
@@ -376,11 +375,11 @@ def _posed(peaks: Peaks, calibration: Calibration, rest: RestLines) -> _Problem:
     slack_mm = rest.tolerance_px / np.abs(calibration.displacement_px_per_mm)
     low_mm, high_mm = calibration.height_range_mm
     # belt that lies on its rest line from the image's border on is no product out of range: that saves time
-    beyond = np.where(anchored[piece[entries.peak]], 1.0, _BEYOND)
+    reach = np.where(anchored[piece[entries.peak]], 1.0, beyond)
     labels = Labels(
         *labels_of(
             entries.start, entries.u, sight.plane, min(low_mm, 0.0) - _BELOW_TOLERANCES * slack_mm,
-            high_mm + slack_mm, beyond,
+            high_mm + slack_mm, reach,
         )
     )  # fmt: skip
     steps = Steps(
