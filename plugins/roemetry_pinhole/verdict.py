@@ -1,4 +1,4 @@
-"""What may be said of a calibration: limits it is refused by, figures, held-out views, and a verdict in words.
+"""What may be said of a calibration: limits that refuse it, figures, held-out views, a verdict in words.
 
 Limits. A stripe's peaks on all surfaces lie in one plane but for noise, so the residuals of each stripe are
 limited twice: by what its extractor states of its peaks (`_STATED_FACTOR_MAX`) and by the residuals of the
@@ -94,8 +94,8 @@ def judged(joined: Joint, *, scale_is_known: bool = True) -> Verdict:
     if adjusted.conflict > 1.0:
         size = "a little" if adjusted.conflict <= _CONFLICT_LITTLE else "by more than their scatter explains"
         notes.append(
-            f"stripes and marks contradict each other {size}: stripes count {adjusted.conflict:.0f} times less "
-            "than their scatter would allow"
+            f"stripes and marks contradict each other {size}: stripes count {adjusted.conflict:.0f} times "
+            "less than their scatter would allow"
         )
     if joined.print_share > 0.0:
         notes.append(
@@ -605,13 +605,13 @@ def _verdict(figures: dict[str, EvidenceFigure], held: HeldOut, calibration: Cal
         )
     if "strays" in over:
         words.append(
-            f"{figures['strays'].value:.0%} of the stripe peaks on even print are far off and not used: look at "
-            "the laser images for reflections, a lamp, or a board that moved."
+            f"{figures['strays'].value:.0%} of the stripe peaks on even print are far off and not used: look "
+            "at the laser images for reflections, a lamp, or a board that moved."
         )
     if "noise" in over:
         words.append(
-            f"Stripe peaks scatter {figures['noise'].value:.1f} times as much as the extractor states: what is "
-            "stated of heights by their peaks is too small by so much."
+            f"Stripe peaks scatter {figures['noise'].value:.1f} times as much as the extractor states: what "
+            "is stated of heights by their peaks is too small by so much."
         )
     if "coverage" in over:
         words.append(
