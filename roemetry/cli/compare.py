@@ -96,7 +96,7 @@ def compare(
     from roemetry.compare.data import Data
     from roemetry.compare.variants import make_variants
     from roemetry.compare.writing import SUMMARY, ItemsFile, write_comparison
-    from roemetry.fitting import read_labels
+    from roemetry.known_products import read_labels
     from roemetry.registry import discover
 
     began = datetime.now(UTC)
