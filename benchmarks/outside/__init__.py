@@ -26,7 +26,10 @@ mean square of the stated standard uncertainties over that of the errors.
 carries their number; *refused* those whose peak carries none; *wrong* those whose peak carries another
 and has no crossing of the stripe it names nearer than all others (two stripes that share one peak are
 `shared` in the JSON). Other solutions of a row (``extra_*``) can be what a peak shows, but are not
-scored.
+scored. *All peaks* asks the other way round, of every labelled peak, belt and edges included: *wrong* is
+one within 3 px of crossings, none of which is of the stripe it names, in its row or the two above and
+below; *stray* is one that is near no crossing at all; *at rims* are those whose stripe crosses within
+3 px in a row beside it only: light reaches over the exact edge.
 
 **Calibration**: heights of exact crossings of levels over the calibrated range and all the image, lifted
 by the calibration, minus the level. *real/stated* is the root mean square of error over stated
@@ -34,7 +37,8 @@ uncertainty.
 
 **Volume**: *visible* is against ``topview_volume_mm3``, *true* against ``volume_mm3`` (not used where
 the mesh is not watertight); a body in several parts counts by its largest. **Grade**: right is the
-body's kind, and `unknown` for a body that is no skein; `unknown` for a skein is counted apart.
+body's kind (for rules that know one word for all defects, that word), and `unknown` for a body that is no
+skein; `unknown` for a skein is counted apart.
 """
 
 from __future__ import annotations

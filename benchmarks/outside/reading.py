@@ -235,7 +235,9 @@ def true_calibration(truth: Mapping[str, Any], height_max_mm: float) -> Calibrat
         method="pinhole-plane",
         image_size=view.image_size,
         turn_deg=0,
-        rest_px=np.polynomial.polynomial.polyfit(row_px - 0.5 * (rows - 1), rest.T, 6).T,
+        rest_px=np.asarray(
+            np.polynomial.polynomial.polyfit(row_px - 0.5 * (rows - 1), rest.T, 6).T, np.float64
+        ),
         displacement_px_per_mm=(lifted - rest)[:, rows // 2],
         height_range_mm=(0.0, height_max_mm),
         parameters=parameters,

@@ -13,6 +13,9 @@ from benchmarks.outside.reading import NO_SKEIN
 
 Row = Mapping[str, Any]
 
+DEFECTIVE = "henkei"
+"""What the paper's rule and the fuzzy rules call a skein with any defect."""
+
 
 def tables(results: Sequence[Row]) -> list[Table]:
     """Give one table of everything over all rigs, and one of each body."""
@@ -37,18 +40,35 @@ def _rig_rows(one: Row) -> list[list[str]]:
         for where in ("body", "belt"):
             rows.append([name, f"peaks on {where}", extractor, _peaks(found, where)])
     by = "; the calibration is the true one" if one["labels_by_true_calibration"] else ""
+    labelled: dict[str, str] = {}
     for chain, found in one["chains"].items():
         if "refused" in found:
             rows.append([name, "measuring", chain, f"not run: {found['refused']}"])
             continue
-        bodies = found["bodies"]
-        shown = by if chain != "paper" else ""
-        rows.append([name, "labels", chain, _labels(bodies.values()) + shown])
-        rows.append([name, "visible volume", chain, _volume(bodies.values(), "visible")])
-        rows.append([name, "true volume", chain, _volume(bodies.values(), "true")])
-        rows.append([name, "grade", chain, _grades(bodies.values())])
+        for kind, bodies in _kinds(found["bodies"]).items():
+            text = _labels(bodies) + (by if chain != "paper" else "")
+            if labelled.get(kind) != text:  # chains that code alike are told once
+                rows.append([name, f"labels, {kind}", chain, text])
+            labelled[kind] = text
+            rows.append([name, f"visible volume, {kind}", chain, _volume(bodies, "visible")])
+            if any("true" in body for body in bodies):
+                rows.append([name, f"true volume, {kind}", chain, _volume(bodies, "true")])
+            if any(body["grade"]["said"] for body in bodies):
+                rows.append([name, f"grade, {kind}", chain, _grades(bodies)])
+        text = _all_peaks(found["bodies"].values())
+        if labelled.get("all peaks") != text:
+            rows.append([name, "labels, all peaks", chain, text])
+        labelled["all peaks"] = text
     rows += [[name, "fault", "", fault] for fault in one["faults"]]
     return rows
+
+
+def _kinds(bodies: Mapping[str, Row]) -> dict[str, list[Row]]:
+    """Part the bodies into skeins and other shapes."""
+    parts: dict[str, list[Row]] = {"skeins": [], "shapes": []}
+    for body in bodies.values():
+        parts["shapes" if body["grade"]["true"] == NO_SKEIN else "skeins"].append(body)
+    return {kind: found for kind, found in parts.items() if found}
 
 
 def _calibration(found: Row) -> str:
@@ -79,15 +99,28 @@ def _peaks(found: Row, where: str) -> str:
 
 
 def _labels(bodies: Iterable[Row]) -> str:
+    total = _summed(bodies)
+    seen = max(total.get("visible", 0) - total.get("unseen", 0), 1)
+    unseen = total.get("unseen", 0) / max(total.get("visible", 0), 1)
+    return (
+        f"{total.get('right', 0) / seen:.2%} right, {1e6 * total.get('wrong', 0) / seen:.0f} ppm wrong, "
+        f"{total.get('refused', 0) / seen:.2%} refused of {seen:.0f} points; {unseen:.2%} have no peak"
+    )
+
+
+def _all_peaks(bodies: Iterable[Row]) -> str:
+    total = _summed(bodies)
+    names = ("peaks_wrong", "peaks_stray", "peaks_at_rims", "peaks")
+    wrong, stray, rims, count = (round(total.get(name, 0)) for name in names)
+    return f"{wrong} wrong, {stray} stray, {rims} at rims of {count} labelled, belt and edges included"
+
+
+def _summed(bodies: Iterable[Row]) -> dict[str, float]:
     total: dict[str, float] = {}
     for body in bodies:
         for key, value in body["labels"].items():
             total[key] = total.get(key, 0) + value
-    seen = max(total.get("visible", 0) - total.get("unseen", 0), 1)
-    return (
-        f"{total.get('right', 0) / seen:.2%} right, {1e6 * total.get('wrong', 0) / seen:.0f} ppm wrong, "
-        f"{total.get('refused', 0) / seen:.2%} refused of {seen:.0f} points"
-    )
+    return total
 
 
 def _volume(bodies: Iterable[Row], which: str) -> str:
@@ -117,12 +150,21 @@ def grade_of(said: str | None, true: str) -> str:
         return "right" if said == "unknown" else "wrong"
     if said == "unknown":
         return "unknown"
+    if said == DEFECTIVE:  # the paper's word for any defect
+        return "wrong" if true == "good" else "right"
     return "right" if said == true else "wrong"
 
 
 def _grades(bodies: Iterable[Row]) -> str:
-    judged = [grade_of(body["grade"]["said"], body["grade"]["true"]) for body in bodies]
-    return ", ".join(f"{judged.count(name)} {name}" for name in ("right", "wrong", "unknown", "none"))
+    said = [(body["grade"]["said"], body["grade"]["true"]) for body in bodies]
+    judged = [grade_of(*one) for one in said]
+    counts = ", ".join(f"{judged.count(name)} {name}" for name in ("right", "wrong", "unknown", "none"))
+    good = [one for one, true in said if true == "good"]
+    bad = [one for one, true in said if true not in ("good", NO_SKEIN)]
+    if not good and not bad:
+        return counts
+    caught = sum(one not in (None, "good", "unknown") for one in bad)
+    return f"{counts}; good kept {good.count('good')} of {len(good)}, defects caught {caught} of {len(bad)}"
 
 
 def shortened(text: str, length: int = 70) -> str:
