@@ -26,7 +26,7 @@ from benchmarks.outside.reading import (
 from benchmarks.outside.scoring import heights, labels
 from benchmarks.outside.table import grade_of
 
-ROWS, COLUMNS, STRIPES = 240, 320, 7
+ROWS, COLUMNS, STRIPES = 240, 320, 13
 LENGTH_MM, WIDTH_MM, HEIGHT_MM = 40.0, 24.0, 8.0  # of a box in the middle of the belt
 RECIPE = """\
 roemetry: 1
@@ -57,7 +57,7 @@ end_header
 
 @pytest.fixture(scope="module")
 def tiny_rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Camera 300 mm above the belt, seven planes of light from +x, one box."""
+    """Camera 300 mm above the belt, thirteen planes of light from +x, one box."""
     folder = tmp_path_factory.mktemp("tiny")
     focal_px, up_mm, projector = 900.0, 300.0, np.array([140.0, 0.0, 300.0])
     planes = []
@@ -153,10 +153,10 @@ def test_a_rig_goes_from_files_to_a_table_and_bad_ones_are_a_line_each(
     assert good["labels_by_true_calibration"] and "the calibration is the true one" in text
     assert "refused" in good["chains"]["paper"]
     body = good["chains"]["plain outline"]["bodies"]["box"]
-    assert body["labels"]["visible"] > 250
+    assert body["labels"]["visible"] > 450
     assert body["labels"]["right"] >= 0.98 * body["labels"]["visible"] and body["labels"]["wrong"] == 0
     assert body["labels"]["peaks_wrong"] == 0
-    assert abs(body["visible"]["error"]) < 0.12  # flat ends between stripes are a guess
+    assert abs(body["visible"]["error"]) < 6.0 / LENGTH_MM  # each flat end lies somewhere in 6 mm
     assert good["peaks"]["gaussian"]["body_rms_px"] < 0.1
     assert (out / "outside.md").read_text("utf-8").count("| tiny |") > 6
 
