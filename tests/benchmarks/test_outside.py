@@ -156,7 +156,7 @@ def test_a_rig_goes_from_files_to_a_table_and_bad_ones_are_a_line_each(
     assert body["labels"]["visible"] > 450
     assert body["labels"]["right"] >= 0.98 * body["labels"]["visible"] and body["labels"]["wrong"] == 0
     assert body["labels"]["peaks_wrong"] == 0
-    assert abs(body["visible"]["error"]) < 6.0 / LENGTH_MM  # each flat end lies somewhere in 6 mm
+    assert abs(body["visible"]["error"]) < 0.3  # against the right truth; how good volume is, other tests say
     assert good["peaks"]["gaussian"]["body_rms_px"] < 0.1
     assert (out / "outside.md").read_text("utf-8").count("| tiny |") > 6
 
