@@ -16,8 +16,9 @@ from roemetry.simulating import simulate
 
 pytest.importorskip("mitsuba", reason='pip install "roemetry[mitsuba]"')
 drjit = pytest.importorskip("drjit")
-if not drjit.has_backend(drjit.JitBackend.LLVM):
-    pytest.skip("the LLVM library is not found", allow_module_level=True)
+needs_llvm = pytest.mark.skipif(
+    not drjit.has_backend(drjit.JitBackend.LLVM), reason="the LLVM library is not found"
+)
 
 from roemetry_mitsuba import light as light_module  # noqa: E402
 from roemetry_mitsuba.bodies import check_closed  # noqa: E402
@@ -122,6 +123,7 @@ def test_a_defect_changes_the_skein_where_it_is(kind: str, rng: np.random.Genera
     assert missing.max() > 1.5
 
 
+@needs_llvm
 def test_a_matt_level_belt_shows_what_the_light_says() -> None:
     camera, fan = rig(SMALL)
     tracer = Tracer(camera, Lens(), fan, matt(0.5), [], matt(0.5), None, 2, 1)
@@ -148,6 +150,7 @@ def test_a_matt_level_belt_shows_what_the_light_says() -> None:
     assert line == pytest.approx(expected * across * math.sqrt(2.0 * math.pi), rel=0.01)
 
 
+@needs_llvm
 def test_a_white_body_in_a_white_room_is_hardly_seen(rng: np.random.Generator) -> None:
     camera, fan = rig(SMALL)
     body = ball(rng, FAMILIES["ball"].Options()).body
@@ -158,6 +161,7 @@ def test_a_white_body_in_a_white_room_is_hardly_seen(rng: np.random.Generator) -
     assert np.percentile(other, 1) > 85.0
 
 
+@needs_llvm
 def test_the_middle_of_a_rendered_stripe_is_where_truth_says(rng: np.random.Generator) -> None:
     camera, fan = rig({**SMALL, "camera": {"width_px": 320, "height_px": 240, "pixel_size_um": 20.0}})
     body = ball(rng, FAMILIES["ball"].Options()).body
@@ -176,6 +180,7 @@ def test_the_middle_of_a_rendered_stripe_is_where_truth_says(rng: np.random.Gene
     assert np.abs(off).max() < 0.02
 
 
+@needs_llvm
 def test_gloss_drawn_and_gloss_evaluated_are_the_same_light() -> None:
     mi = mitsuba()
     import drjit as dr
@@ -216,6 +221,7 @@ def test_scattering_gives_back_what_entered_with_the_spread_that_was_told() -> N
     assert math.sqrt((found * x**2).sum() / found.sum()) == pytest.approx(0.8, rel=0.12)
 
 
+@needs_llvm
 def test_the_same_seed_gives_the_same_bytes_and_another_does_not() -> None:
     options = {
         **SMALL,
@@ -255,6 +261,7 @@ def scene_file(tmp_path: Path) -> Path:
     return path
 
 
+@needs_llvm
 def test_a_data_set_is_whole_and_its_stripes_are_the_truth(scene_file: Path, tmp_path: Path) -> None:
     from roemetry.dataset import Dataset
 
@@ -283,6 +290,7 @@ def test_a_scene_that_cannot_be_is_refused_by_place(scene_file: Path, change: st
         Scene.load(scene_file, sets=[f"simulator.options.{change}"])
 
 
+@needs_llvm
 def test_meshes_that_cannot_be_are_refused_by_name(scene_file: Path, tmp_path: Path) -> None:
     corners = "v 0 0 0\nv 9 0 0\nv 0 9 0\nv 0 0 9\n"
     closed = "f 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
@@ -305,6 +313,7 @@ def test_meshes_that_cannot_be_are_refused_by_name(scene_file: Path, tmp_path: P
     assert body.truth.true_mm3 == pytest.approx(121.5, rel=1e-6)
 
 
+@needs_llvm
 def test_a_product_larger_than_the_view_is_refused_with_sizes(scene_file: Path) -> None:
     sets = ["simulator.options.product={family: box, options: {length_mm: [400, 401]}}"]
     with pytest.raises((ConfigurationError, StageError), match="the view is X"):
@@ -312,9 +321,10 @@ def test_a_product_larger_than_the_view_is_refused_with_sizes(scene_file: Path) 
 
 
 def test_without_llvm_the_message_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    import mitsuba as mi
+
     from roemetry import doctor
 
-    mi = mitsuba()
     monkeypatch.setattr(mi, "variant", lambda: "scalar_rgb")
     monkeypatch.setattr(drjit, "has_backend", lambda _: False)
     with pytest.raises(PluginError, match="LLVM") as caught:
@@ -323,6 +333,7 @@ def test_without_llvm_the_message_says_what_to_install(monkeypatch: pytest.Monke
     assert [finding.verdict for finding in doctor._llvm()] == ["missing"]
 
 
+@needs_llvm
 def test_products_side_by_side_have_labels_of_their_own() -> None:
     box = {"length_mm": [20, 30], "width_mm": [10, 12], "height_mm": [6, 7]}
     options = {**SMALL, "product": {"family": "box", "in_frame": 3, "options": box}}
