@@ -1,7 +1,8 @@
 """Rigs that another renderer made, taken from files to grades as a user would, against their truth.
 
 ``python -m benchmarks outside [FOLDER ...] [--draws 50] [--rigs D E] [--jobs 1] [--extractors NAMES]
-[--chains NAMES] [--out FOLDER]``
+[--chains NAMES] [--out FOLDER]``, and ``--again outside.json [outside.json ...] --out FOLDER``, which
+measures nothing and writes the page of several runs.
 
 A folder is a rig folder (with a ``truth.json``) or a folder of rig folders; left out: the one that
 ``ROEMETRY_RENDERED_DATA`` names, else ``../shared/rendered``. Each rig is copied into a temporary folder, the
@@ -73,7 +74,15 @@ def main() -> None:
     parser.add_argument("--extractors", nargs="*", default=["maximum-likelihood", "gaussian"])
     parser.add_argument("--chains", nargs="+", default=list(CHAINS), choices=CHAINS)
     parser.add_argument("--out", type=Path, help="folder for outside.json and outside.md")
+    parser.add_argument(
+        "--again", type=Path, nargs="+", help="results of earlier runs: only the page is made"
+    )
     given = parser.parse_args()
+    if given.again:
+        told = [json.loads(path.read_text("utf-8")) for path in given.again]
+        results = [_numbers(rig) for one in told for rig in one["rigs"]]
+        _write(results, {one["draws"] for one in told}, given.out)
+        return
     default = Path(os.environ.get(VARIABLE, ROOT.parent / "shared" / "rendered"))
     folders = rig_folders(given.folders or [default])
     if given.rigs:
@@ -87,20 +96,34 @@ def main() -> None:
             results = list(pool.map(_scored, jobs))
     else:
         results = [_scored(job) for job in jobs]
-    text = page(results, given.draws)
-    print(text)
+    _write(results, {given.draws}, given.out)
     print(f"{time.monotonic() - begin:.0f} s")
-    if given.out:
-        given.out.mkdir(parents=True, exist_ok=True)
-        content = {"draws": given.draws, "rigs": _plain(results)}
-        (given.out / "outside.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-        (given.out / "outside.md").write_text(f"# Rendered rigs\n\n{text}", encoding="utf-8")
 
 
-def page(results: list[dict[str, Any]], draws: int) -> str:
+def page(results: list[dict[str, Any]], draws: set[int]) -> str:
     """Write the tables as Markdown."""
-    head = f"`python -m benchmarks outside --draws {draws}`; what the words mean stands at the top of it."
-    return "\n".join([head, "", *(str(table) for table in tables(results))])
+    words = (__doc__ or "").partition("What the words of the table mean:")[2].strip().replace("``", "`")
+    count = " or ".join(map(str, sorted(draws)))
+    parts = [
+        "# Rendered rigs against their truth",
+        f"Made by `python -m benchmarks outside --draws {count}` from the files of each rig: boards and "
+        "block calibrated, bodies measured, everything held against the truth. The rigs come from "
+        "renderers that share no line with the simulator the methods were developed on, or from fresh "
+        "seeds; they are not part of the repository (`--help` says where they are looked for).",
+        *(str(table) for table in tables(results)),
+        f"## What the words mean\n\n{words}",
+    ]
+    return "\n\n".join(part.strip() for part in parts) + "\n"
+
+
+def _write(results: list[dict[str, Any]], draws: set[int], folder: Path | None) -> None:
+    text = page(results, draws)
+    print(text.partition("## What the words mean")[0])
+    if folder:
+        folder.mkdir(parents=True, exist_ok=True)
+        content = {"draws": max(draws), "rigs": _plain(results)}
+        (folder / "outside.json").write_text(json.dumps(content) + "\n", encoding="utf-8")
+        (folder / "outside.md").write_text(text, encoding="utf-8")
 
 
 def _scored(job: tuple[Path, int, list[str], list[str]]) -> dict[str, Any]:
@@ -127,3 +150,12 @@ def _plain(value: Any) -> Any:
     if isinstance(value, list):
         return [_plain(one) for one in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _numbers(value: Any, key: str = "") -> Any:
+    """Undo `_plain`: null stands for no number, but where it means that nothing was said."""
+    if isinstance(value, dict):
+        return {name: _numbers(one, name) for name, one in value.items()}
+    if isinstance(value, list):
+        return [_numbers(one) for one in value]
+    return math.nan if value is None and key not in ("said", "holds") else value

@@ -193,10 +193,9 @@ def body_row(body: Body, trace: Trace, rows: Sequence[Measurement], true: Crossi
     """Score what one recipe said of one body."""
     row: Row = {"labels": labels(trace, true), "products": sum(one.product > 0 for one in rows)}
     chosen = _largest(trace, rows)
-    row["reasons"] = [reason.text for reason in chosen.reasons]
     if chosen.volume is None:
-        why = chosen.absent.get("volume") or next(iter(chosen.absent.values()), None)
-        row["refused"] = why.text if why else (row["reasons"] or ["no product"])[0]
+        why = chosen.absent.get("volume") or next(iter((*chosen.absent.values(), *chosen.reasons)), None)
+        row["refused"] = why.text if why else "no product"
     else:
         row["visible"] = _against(chosen.volume.visible_mm3, body.topview_mm3)
         if chosen.volume.true_mm3 is not None and body.grade != NO_SKEIN:  # the share is a skein's

@@ -10,6 +10,7 @@ import numpy as np
 
 from benchmarks.extraction.tables import Table
 from benchmarks.outside.reading import NO_SKEIN
+from benchmarks.outside.scoring import CHAINS
 
 Row = Mapping[str, Any]
 
@@ -18,14 +19,83 @@ DEFECTIVE = "henkei"
 
 
 def tables(results: Sequence[Row]) -> list[Table]:
-    """Give one table of everything over all rigs, and one of each body."""
+    """Give a line for each rig, the worst volume first; then everything of each rig; then every body."""
     rows: list[list[str]] = []
     for one in results:
         rows += _rig_rows(one)
     return [
-        Table("Rendered rigs against their truth", ["rig", "what", "by", "result"], rows),
+        _summary(results),
+        Table("Everything", ["rig", "what", "by", "result"], rows),
         _bodies(results),
     ]
+
+
+def _summary(results: Sequence[Row]) -> Table:
+    lines: list[tuple[float, list[str]]] = []
+    pooled: dict[str, dict[str, dict[str, Row]]] = {chain: {"bodies": {}} for chain in CHAINS}
+    for one in results:
+        if "fault" in one:
+            continue
+        boards = one["calibration"]["boards"]
+        heights = "refused" if "refused" in boards else f"{boards['rms_mm']:.4f}"
+        lines.append(_line(one["rig"], heights, one["chains"]))
+        for chain, found in one["chains"].items():
+            bodies = found.get("bodies", {})
+            pooled[chain]["bodies"] |= {f"{one['rig']}/{name}": body for name, body in bodies.items()}
+    lines.sort(key=lambda line: -line[0])
+    if len(lines) > 1:
+        lines.append(_line("all", "", pooled))
+    columns = ["rig", "heights rms, mm", "labels: skeins", "shapes"]
+    columns += [
+        "skeins: plain outline",
+        "shapes",
+        "skeins: laser outline",
+        "no outline",
+        "the paper's recipe",
+    ]
+    title = (
+        "Rigs, the worst first. Labels: right, wrong. Volume: measured of all, mean absolute error of the "
+        "visible volume, intervals that hold, their median width. Grades: right / wrong / unknown / none"
+    )
+    return Table(title, [*columns, "grades: skeins", "shapes"], [cells for _, cells in lines])
+
+
+def _line(name: str, heights: str, chains: Row) -> tuple[float, list[str]]:
+    """Give a rig's line, and the error of its skeins' volume, by which lines are ordered."""
+    kinds = {chain: _kinds(found.get("bodies", {})) for chain, found in chains.items()}
+    usual = kinds.get("plain outline", {})
+    cells = [name, heights]
+    for kind in ("skeins", "shapes"):
+        total = _summed(usual.get(kind, []))
+        seen = max(total.get("visible", 0) - total.get("unseen", 0), 1)
+        right, wrong = total.get("right", 0) / seen, 1e6 * total.get("wrong", 0) / seen
+        cells.append(f"{right:.2%}, {wrong:.0f} ppm" if total else "–")
+    cells += [_short_volume(usual.get(kind, [])) for kind in ("skeins", "shapes")]
+    cells += [_short_volume(kinds.get(chain, {}).get("skeins", [])) for chain in CHAINS[1:]]
+    for kind in ("skeins", "shapes"):
+        judged = [grade_of(body["grade"]["said"], body["grade"]["true"]) for body in usual.get(kind, [])]
+        counts = [judged.count(word) for word in ("right", "wrong", "unknown", "none")]
+        cells.append(" / ".join(map(str, counts)) if judged else "–")
+    return _mean_absolute(usual.get("skeins", [])), cells
+
+
+def _mean_absolute(bodies: Sequence[Row]) -> float:
+    off = [abs(body["visible"]["error"]) for body in bodies if "visible" in body]
+    return float(np.mean(off)) if off else math.inf
+
+
+def _short_volume(bodies: Sequence[Row]) -> str:
+    if not bodies:
+        return "–"
+    known = [body["visible"] for body in bodies if "visible" in body]
+    if not known:
+        return f"0 of {len(bodies)}"
+    text = f"{len(known)} of {len(bodies)}, {_mean_absolute(bodies):.2%}"
+    stated = [one for one in known if one["holds"] is not None]
+    if stated:
+        width = np.median([one["width"] for one in stated])
+        text += f", {sum(one['holds'] for one in stated)} hold, {width:.1%}"
+    return text
 
 
 def _rig_rows(one: Row) -> list[list[str]]:
