@@ -51,7 +51,8 @@ def calibrated(rig: RenderedRig, folder: Path, file: str) -> tuple[Calibration |
     except RoemetryError as error:
         return None, {"refused": _sentence(error)}
     found.save(folder / f"{Path(file).stem}_calibration.yaml")
-    return found, heights(found, rig)
+    left_out = {name: float(value) for name, value in found.residuals.items() if name.endswith("left_out")}
+    return found, heights(found, rig) | {"left_out": left_out}
 
 
 def heights(calibration: Calibration, rig: RenderedRig) -> Row:

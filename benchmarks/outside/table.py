@@ -147,6 +147,8 @@ def _calibration(found: Row) -> str:
     low, high = found["range_mm"]
     ratio = found["real_over_stated"]
     said = "uncertainty not stated" if math.isnan(ratio) else f"real/stated {ratio:.2f}"
+    for name, share in found.get("left_out", {}).items():
+        said += f"; {share:.1%} of the {name.removesuffix('_left_out')} left out"
     return (
         f"heights of {low:g} to {high:g} mm: rms {found['rms_mm']:.4f} mm (lower half "
         f"{found['rms_lower_half_mm']:.4f}), largest {found['max_mm']:.4f} mm; {said}"
