@@ -345,3 +345,27 @@ def test_products_side_by_side_have_labels_of_their_own() -> None:
         assert len(at) > 0
         assert product.figures["x_min_mm"] <= at[:, 0].min() and at[:, 0].max() <= product.figures["x_max_mm"]
         assert product.figures["y_min_mm"] <= at[:, 1].min() and at[:, 1].max() <= product.figures["y_max_mm"]
+
+
+@needs_llvm
+def test_the_shipped_recipe_measures_what_the_other_simulator_never_drew(tmp_path: Path) -> None:
+    """Same rig, other light, other skeins: the shipped calibration holds, and no label is wrong."""
+    from roemetry.compare.comparing import compare
+    from roemetry.compare.data import Data
+    from roemetry.compare.tables import flat
+    from roemetry.compare.variants import make_variants
+    from roemetry.registry import discover
+    from roemetry.shipped import shipped
+
+    folder = shipped("recipes", "herring_roe")
+    sets = ["simulator.use=mitsuba", "simulator.options.product={family: lofted-skein}"]
+    scene = Scene.load(folder / "scene.yaml", sets=[*sets, "simulator.options.samples=2"])
+    simulate(scene, tmp_path / "set", count=1, seed=3)
+    variants = make_variants(folder / "with_outline.yaml", (), sets=["draws=0"], registry=discover())
+    base = variants[0].recipe
+    assert base is not None
+    row = flat(compare(variants, Data(base, tmp_path / "set"))[0])
+    assert row["coding_wrong_pct"] == 0.0
+    assert isinstance(row["coding_right_pct"], float) and row["coding_right_pct"] > 90.0
+    # tissue that scatters is seen lower than it is, by some tenths of a millimetre of 15
+    assert isinstance(row["volume_visible_bias_pct"], float) and abs(row["volume_visible_bias_pct"]) < 3.0
