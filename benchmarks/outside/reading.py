@@ -251,12 +251,14 @@ def lines_at(view: View, height_mm: float, row_px: Floats) -> Floats:
     """Give (stripe, row) where the planes meet a level, px."""
     y = np.linspace(-250.0, 250.0, 4001)
     lines = []
-    for plane in view.planes:
+    for number, plane in enumerate(view.planes):
         points = np.column_stack(
             [(plane[3] - plane[1] * y - plane[2] * height_mm) / plane[0], y, np.full(y.size, height_mm)]
         )
         xy = view.project(points)
         near = (np.abs(xy - 0.5 * np.array(view.image_size[::-1])) < 0.75 * max(view.image_size)).all(axis=1)
+        # far outside the image the lens model folds back: only points whose ray comes home count
+        near &= np.abs(view.lift(xy, np.full(y.size, number)) - points).max(axis=1) < 1e-3
         order = np.argsort(xy[near, 1])
         lines.append(np.interp(row_px, xy[near, 1][order], xy[near, 0][order]))
     return np.array(lines)
