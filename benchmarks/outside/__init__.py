@@ -51,6 +51,7 @@ import os
 import shutil
 import tempfile
 import time
+import traceback
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -141,6 +142,9 @@ def _scored(job: tuple[Path, int, list[str], list[str]]) -> dict[str, Any]:
             return score_rig(rig, copy, draws, extractors, chains)
     except (RigError, OSError) as fault:
         return {"rig": folder.name, "fault": str(fault)}
+    except Exception as error:  # a fault of the program: told with its traceback, and the other rigs go on
+        traceback.print_exc()
+        return {"rig": folder.name, "fault": f"the program failed: {type(error).__name__}: {error}"}
 
 
 def _plain(value: Any) -> Any:
