@@ -271,7 +271,8 @@ def _model_error(image: Any, white: int, found: Found) -> Floats:
         beside.down,
         beside.up,
     )
-    return share * beside.amplitude**2
+    variance: Floats = share * beside.amplitude**2
+    return variance
 
 
 def _sensor(frame: Frame, rounding: float) -> tuple[float | None, float | None]:

@@ -157,9 +157,11 @@ def _sensor(
         if free.any():
             solution[free] = np.linalg.lstsq(matrix[:, free], target - matrix @ solution, rcond=None)[0]
         left = float(np.sum((target - matrix @ solution) ** 2))
-        if (solution >= 0.0).all() and (solution[:2] <= np.maximum(most, solution[:2] * ~free[:2])).all():
-            if left < least - 1e-12:
-                best, least = (float(solution[0]), float(solution[1])), left
+        possible = (solution >= 0.0).all() and (
+            solution[:2] <= np.maximum(most, solution[:2] * ~free[:2])
+        ).all()
+        if possible and left < least - 1e-12:
+            best, least = (float(solution[0]), float(solution[1])), left
     return best
 
 

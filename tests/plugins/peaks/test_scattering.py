@@ -38,7 +38,7 @@ def stripe(rng: np.random.Generator, left: float, right: float, rows: int = 500)
 
 @pytest.mark.parametrize("contrast", [0.12, 0.25])
 def test_skirts_of_tissue_neither_pull_the_centre_nor_hide_in_what_is_stated(contrast, rng):
-    mean, centre = stripe(rng, 0.15, 0.25)
+    mean, centre = stripe(rng, 0.2, 0.2)
     frame = Frame(pixels=speckled(mean, contrast, rng), sensor=Sensor(GAIN, READ))
     peaks = MaximumLikelihood(MaximumLikelihood.Options()).extract(frame)
     error = peaks.x_px - centre[peaks.row]
