@@ -63,6 +63,8 @@ _WHOLE_PEAKS, _WHOLE_SHARE = 6, 0.75
 """A piece with as many peaks, this share of them one stripe, holds no false ones."""
 _LEFT_SHARE, _BODY_LEFT_SHARE = 0.5, 0.75
 """Of a piece with fewer of its labels left, none is kept; of a body where a gap is unexplained."""
+_ABOVE_ODDS = 50.0
+"""A product higher than the calibration is meant for is so many times less likely than one that is not."""
 _CONTESTED_PEAKS = 4
 """Order must speak against so many peaks of a piece before the piece is contested: at a body's edge its
 stripe may be seen twice for a row or two."""
@@ -137,6 +139,8 @@ def decided(
     """Refuse what is in doubt or out of order; give (peak,) stripe or verdict, margin, and what to say."""
     pieces, stripes = problem.pieces, problem.there.size
     margin = margin_of(verdicts.dearer, verdicts.evidence)
+    above = _heights_mm(peaks, verdicts.stripe, calibration, rest) > calibration.height_range_mm[1]
+    margin[above] = np.maximum(1.0 - _ABOVE_ODDS * (1.0 - margin[above]), 0.0)
     stripe = verdicts.stripe.copy()
     stripe[(stripe >= 0) & ~(verdicts.sure & (margin >= margin_min))] = AMBIGUOUS
     stripe[out_of_order(problem.entries, peaks.row, rest.line, stripe, stripes)] = AMBIGUOUS
@@ -160,6 +164,13 @@ def decided(
             stripe[going_on(peaks.row, along, level, stripe < 0, longest_gap_rows)] = AMBIGUOUS
     stripe[left_over(pieces.of, verdicts.stripe, stripe, _LEFT_SHARE)] = AMBIGUOUS
     return stripe, margin, gaps
+
+
+def _heights_mm(peaks: Peaks, stripe: Integers, calibration: Calibration, rest: RestLines) -> Floats:
+    """Give (peak,) heights to some per cent, by displacements; 0 for belt and what is no stripe."""
+    k = np.maximum(stripe, 0)
+    height_mm = (peaks.x_px - rest.x_px[k, peaks.row]) / calibration.displacement_px_per_mm[k]
+    return np.where((stripe >= 0) & (stripe != rest.line), height_mm, 0.0)
 
 
 def margin_of(dearer: Floats, evidence: Floats) -> Floats:
