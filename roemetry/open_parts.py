@@ -153,7 +153,7 @@ def _spacing_px(stripes: StripeMap) -> float:
         apart = apart[np.isfinite(apart)]
         if apart.size:
             return float(np.median(apart))
-    return math.inf
+    return 1e9  # a single stripe; finite, for the edges of rows without a product are infinite
 
 
 def _within(

@@ -17,7 +17,7 @@ from roemetry.records import Frame, Outline, StripeMap
 from roemetry.stages import Outliner, StageOptions
 from roemetry_volume.outline_edge import edge_around
 from roemetry_volume.outline_features import features_of
-from roemetry_volume.outline_image import glow, over_belt
+from roemetry_volume.outline_image import SMOOTHED_PX, ambient, over_belt
 from roemetry_volume.outline_start import belt_stripes, cores, ring_around, seen_regions
 
 _LEAST_CONTRAST = 3.0
@@ -75,14 +75,15 @@ class EdgeContour(Outliner[EdgeContourOptions]):
         if use_plain:
             level = over_belt(chosen.pixels, belt, product)
         else:
-            dark = None if belt is None else glow(_one(belt), spacing)
-            level = over_belt(glow(_one(chosen.pixels), spacing), dark, product)
+            dark = None if belt is None else ambient(_one(belt), spacing)
+            level = over_belt(ambient(_one(chosen.pixels), spacing), dark, product)
+        smoothed_px = 0.0 if use_plain else SMOOTHED_PX
         outlines = []
         for number, region in (known or cores(level)).items():
             if not _is_clear(level, region):
                 continue
-            ring, others = ring_around(region), belt_stripes(stripes, number, frame.size)
-            edge = edge_around(level, ring, others, spacing, shaded=use_plain)
+            ring, others = ring_around(region, spacing), belt_stripes(stripes, number, frame.size)
+            edge = edge_around(level, ring, others, spacing, smoothed_px=smoothed_px)
             if edge is None:
                 continue
             outlines.append(

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from roemetry.arrays import Floats
 
 _SMOOTH_PX = 5.0
-_GLOW_SMOOTH_PX = 2.5
+SMOOTHED_PX = 2.5
+"""Ambient light is dim: a grey level or two of noise would hide the body's edge otherwise."""
 _GRID_PX = 8
 _ROUNDS = 6
 _RIDGE = 1e-10
@@ -82,14 +83,15 @@ def _contrast(plane: Floats, product: NDArray[np.bool_]) -> float:
     return abs(float(np.median(inside) - np.median(outside))) / (float(outside.std()) + 1e-6)
 
 
-def glow(pixels: NDArray[Any], spacing_px: float) -> NDArray[Any]:
-    """Take the stripes out of a laser image: what is left is ambient light, and shadow.
+def ambient(pixels: NDArray[Any], spacing_px: float) -> NDArray[Any]:
+    """Take the stripes out of a laser image: what is left is ambient light, in 64ths of a grey level.
 
-    Grey opening along the rows by more than a stripe is wide, less than stripes are apart; then smoothing.
+    Grey opening along the rows by more than a stripe is wide, less than stripes are apart; then smoothing by
+    `SMOOTHED_PX` against noise.
     """
     import cv2
 
     width = max(int(0.6 * spacing_px) | 1, 9)
     opened = cv2.morphologyEx(pixels, cv2.MORPH_OPEN, np.ones((1, width), np.uint8))
-    smooth = cv2.GaussianBlur(opened.astype(np.float32), (0, 0), _GLOW_SMOOTH_PX)
+    smooth = cv2.GaussianBlur(opened.astype(np.float32), (0, 0), SMOOTHED_PX)
     return np.asarray(np.rint(64.0 * smooth).astype(np.uint16))
