@@ -14,7 +14,8 @@ pose's lines nor their position in the row decides; the planes in space do:
    nothing). The best pairing over several pairs of poses is the start.
 3. Each line takes the nearest plane within a tolerance, planes are fitted again, and the tolerance shrinks to
    the noise that is seen. Planes that most boards do not show, though they show stripes on both sides, are
-   dropped. Lines that are left form new planes by the same vote, until none is left.
+   dropped, or those that the empty belt does not show. Lines that are left form new planes by the same vote,
+   until none is left.
 4. Planes that cross or coincide with better supported ones are dropped, the rest is numbered in its order. An
    image of the empty belt counts as one more pose where the belt's place is known.
 
@@ -54,7 +55,9 @@ _APART_SHARE = 0.4
 """Of the spacing: two planes nearer than this over the boards are one stripe, found twice."""
 _SHOWN_SHARE_MIN = 0.5
 """A plane must have a line in this share of the poses that show stripes on both sides of it. Two lines on two
-boards always nearly lie in one plane, so false lines make planes by chance, in 2 of 10 poses."""
+boards always nearly lie in one plane, so false lines make planes by chance, in 2 of 10 poses, rarely 3."""
+_SHOWN_MIN = 4
+"""Or in so many poses: a faint stripe may be found on a few boards alone."""
 _WEAK_SHARE = 0.5
 """Of the weakest accepted plane's peaks: surplus planes with fewer than this are reflections."""
 _POSE_SHARE_MIN = 0.5
@@ -139,11 +142,15 @@ def number_stripes(poses: Sequence[PoseLines], stripes: int, belt: PoseLines | N
     left_out: dict[str, str] = {}
     while True:
         every = [*kept, *([belt] if belt is not None and belt.count else [])]
-        planes, numbers = _planes_of(every)
+        planes, numbers = _planes_of(every, belt_shows_all=belt is not None and belt.count == stripes)
         moved = _poses_off(kept, planes, numbers)
         if not moved:
             break
-        left_out |= {pose.name: _MOVED if pose.count > _FEW else _HIDDEN for pose in moved}
+        usual = float(np.median([pose.weight.sum() for pose in kept]))
+        left_out |= {
+            pose.name: _HIDDEN if pose.count <= _FEW or pose.weight.sum() < _FEW_SHARE * usual else _MOVED
+            for pose in moved
+        }
         kept = [pose for pose in kept if pose not in moved]
     number_of = _numbers_of(
         kept, numbers, planes, stripes, belt_shows_all=belt is not None and belt.count == stripes
@@ -169,10 +176,15 @@ _HIDDEN = (
 )
 _FEW = 2
 """Lines of a pose from which nothing can be told of the pose itself."""
+_FEW_SHARE = 0.1
+"""Of the usual pose's peaks: fewer are scraps too short to say where their lines run."""
 
 
-def _planes_of(poses: list[PoseLines]) -> tuple[Floats, list[Integers]]:
-    """Find planes (plane, 3), in order, and for each pose the (line,) plane of each line, −1 for none."""
+def _planes_of(poses: list[PoseLines], *, belt_shows_all: bool) -> tuple[Floats, list[Integers]]:
+    """Find planes (plane, 3), in order, and for each pose the (line,) plane of each line, −1 for none.
+
+    With `belt_shows_all` the last pose shows every stripe once, and nothing else.
+    """
     spacing = _spacing_mm(poses)
     tolerance = _TOLERANCE_SHARE * spacing
     free = [np.ones(pose.count, np.bool_) for pose in poses]
@@ -189,7 +201,10 @@ def _planes_of(poses: list[PoseLines]) -> tuple[Floats, list[Integers]]:
             planes = _in_order(poses, planes, spacing)
             tolerance = min(tolerance, _tolerance(poses, planes, spacing))
         numbers = [_nearest(pose, planes, tolerance) for pose in poses]
-        planes = planes[_shown_share(numbers, len(planes)) >= _SHOWN_SHARE_MIN]
+        if belt_shows_all:
+            planes = planes[np.isin(np.arange(len(planes)), numbers[-1])]
+        else:
+            planes = planes[_is_shown(numbers, len(planes))]
         numbers = [_nearest(pose, planes, tolerance) for pose in poses]
         if sum(int((mine >= 0).sum()) for mine in numbers) <= before:
             # what these lines have in common is no stripe: each is tried once
@@ -341,19 +356,17 @@ def _in_order(poses: list[PoseLines], planes: Floats, spacing: float) -> Floats:
     return found[::-1] if turns < 0 else found
 
 
-def _shown_share(numbers: list[Integers], count: int) -> Floats:
-    """Of the poses in which a plane's stripe must be seen, give (plane,) the share in which it is.
+def _is_shown(numbers: list[Integers], count: int) -> Flags:
+    """Say of each plane (plane,) whether enough of the poses show it in which its stripe must be seen.
 
     It must be seen where stripes on both sides of it are: nothing but the board's edge ends the row of them.
     """
-    share = np.ones(count)
     first = np.array([mine[mine >= 0].min(initial=count) for mine in numbers])
     last = np.array([mine.max(initial=-1) for mine in numbers])
-    for plane in range(count):
-        due = (first <= plane) & (last >= plane)
-        seen = sum(bool((mine == plane).any()) for mine in numbers)
-        share[plane] = seen / max(int(due.sum()), 1)
-    return share
+    plane = np.arange(count)
+    due = ((first[:, None] <= plane) & (last[:, None] >= plane)).sum(axis=0)
+    seen = np.array([np.isin(plane, mine) for mine in numbers]).sum(axis=0)
+    return np.asarray((seen >= _SHOWN_SHARE_MIN * due) | (seen >= _SHOWN_MIN))
 
 
 def _tolerance(poses: list[PoseLines], planes: Floats, spacing: float) -> float:
