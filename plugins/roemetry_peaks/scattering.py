@@ -3,8 +3,8 @@
 Model. On an opaque surface a row's profile is the laser's: a Gaussian of height a and standard deviation σ.
 In tissue part of the light enters, is scattered and leaves again some tenths of a millimetre away. The
 profile becomes a narrow peak on broad skirts, and the two skirts differ wherever the tissue does (edges,
-membranes, texture). No Gaussian describes the skirts, and no other fixed curve does either. So they are not fitted; the
-fit is told how little they say of the centre: each pixel's variance becomes
+membranes, texture). No Gaussian describes the skirts, and no other fixed curve does either. So they are not
+fitted; the fit is told how little they say of the centre: each pixel's variance becomes
 
     v = R + (d a)² + g μ + C² m²,
 
@@ -13,8 +13,8 @@ vanishes in the skirts, and the pixels that the model is worst at weigh most.
 
 d is measured before any fit, and separately from speckle: the mean light between 2 and 3.2 standard
 deviations on each side, less what a Gaussian of that width at half height has there, over a. Speckle and
-noise change from row to row and average out along a stripe; light from inside a body does not. So the excess is averaged
-over the rows within `_REACH_ROWS`, and counts as far as it is larger than its own scatter allows.
+noise change from row to row and average out along a stripe; light from inside a body does not. So the
+excess is averaged over the rows within `_REACH_ROWS`, and counts as far as it is larger than its own scatter allows.
 
 Assumed: neighbouring rows see the same material; width at half height is hardly changed by the skirts. Fails
 where stripes stand nearer together than about 7 σ (their skirts overlap), and where a stripe is so short that
