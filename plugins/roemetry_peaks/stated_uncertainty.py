@@ -118,7 +118,7 @@ def corrected(
             continue
         sigma = width_px[pick] / _FWHM
         share = _lopsided(image, row[pick], x_px[pick], amplitude[pick], background[pick], sigma)
-        if share * np.median(sigma) > _MATTERS * float(np.median(std[pick])):
+        if share * _median(sigma) > _MATTERS * _median(std[pick]):
             std = np.where(group, np.hypot(std, share / _FWHM * width_px), std)
             reasons = (*reasons, _SKEWED)
     return std, tuple(dict.fromkeys(reasons))
@@ -161,8 +161,7 @@ def _factor(row: Integers, x_px: Floats, x_std_px: Floats, use: Flags) -> float:
         ratios = _windows(row, x_px, x_std_px, use)
     if ratios.size < _WINDOWS_MIN:
         return 1.0
-    half = ratios.size // 2
-    factor = math.sqrt(float(np.partition(ratios, half)[half]) / _USUAL)
+    factor = math.sqrt(_median(ratios) / _USUAL)
     return 1.0 if 1.0 / _TRUSTED <= factor <= _TRUSTED else max(factor, 1e-3)
 
 
@@ -198,6 +197,11 @@ def _windows(row: Integers, x_px: Floats, x_std_px: Floats, use: Flags) -> Float
     return ratios[:count]
 
 
+def _median(values: Floats) -> float:
+    """The upper of the two middle values: for few numbers much quicker than numpy's."""
+    return float(np.sort(values)[values.size // 2])
+
+
 def _lopsided(
     image: NDArray[Any], row: Integers, x_px: Floats, amplitude: Floats, background: Floats, sigma_px: Floats
 ) -> float:
@@ -205,7 +209,7 @@ def _lopsided(
     middles = _chords(*_mean_profiles(image, row, x_px, amplitude, background, sigma_px))
     if not middles.size:
         return 0.0
-    usual = np.median(middles, axis=0)
+    usual = np.sort(middles, axis=0)[middles.shape[0] // 2]
     if usual.max() - usual.min() < _SHARE_MIN:
         return 0.0
     return float(np.abs(usual).max())
