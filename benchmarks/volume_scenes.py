@@ -15,10 +15,9 @@ from roemetry.scene import Scene
 from roemetry.view import View
 from roemetry_kernels.compiling import kernel
 from roemetry_simulate import scene_rig
-from roemetry_simulate.camera import Camera, looking_down
+from roemetry_simulate.camera import Camera, camera_ray, looking_down
 from roemetry_simulate.laser import LaserFan, fan_through
-from roemetry_simulate.lens import camera_ray
-from roemetry_simulate.placing import in_reach
+from roemetry_simulate.population import in_reach
 from roemetry_simulate.products import PRODUCTS, Drawn
 from roemetry_simulate.raycast import hit_body
 from roemetry_simulate.render import Rig

@@ -32,7 +32,7 @@ from benchmarks.volume_scenes import Exact, calibration_of, exact, exact_skein, 
 from roemetry.errors import RoemetryError
 from roemetry.records import Outline, Product, Samples
 from roemetry_paper.zero_order_hold import ZeroOrderHold
-from roemetry_simulate.placing import in_reach
+from roemetry_simulate.population import in_reach
 from roemetry_simulate.products import PRODUCTS
 from roemetry_volume.fitted_weight import FittedWeight, FittedWeightOptions, with_inverse
 from roemetry_volume.outline_surface import OutlineSurface

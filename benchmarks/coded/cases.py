@@ -13,10 +13,9 @@ from benchmarks.coded.damage import Damage
 from benchmarks.coded.products import grown, side_by_side, skein
 from benchmarks.coded.rigs import CodingRig, dense_rig, easy_rig
 from benchmarks.coded.samples import Sample, sample_from
-from roemetry_simulate.parameters import draw
 from roemetry_simulate.products.artefacts import SphereOptions, WedgeOptions, sphere, wedge
 from roemetry_simulate.products.family import Pose
-from roemetry_simulate.skein import build
+from roemetry_simulate.skein import build, draw
 from roemetry_simulate.solid import Block, GriddedSolid, Solid
 
 _SEED = 424242

@@ -8,12 +8,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from roemetry_simulate.bodies import Body
-from roemetry_simulate.camera import Camera
+from roemetry_simulate.camera import Camera, camera_ray
 from roemetry_simulate.laser import LaserFan
-from roemetry_simulate.lens import camera_ray
 from roemetry_simulate.raycast import first_hit, normal_at, sees
-from roemetry_simulate.solid import Solid
+from roemetry_simulate.solid import Body, Solid
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]

@@ -18,7 +18,7 @@ from roemetry.errors import StageError
 from roemetry.records import Peaks, Product, Profiles, StripeMap
 from roemetry_paper.block_linear import BlockLinear
 from roemetry_paper.window_tracking import WindowTracking
-from roemetry_simulate.placing import moved_to
+from roemetry_simulate.population import moved_to
 from roemetry_simulate.products import PRODUCTS, Drawn
 
 _GRID_MM = 0.25

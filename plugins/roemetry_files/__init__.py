@@ -56,7 +56,7 @@ def roemetry_stages() -> Iterable[StageEntry]:
     yield StageEntry(
         kind="sink",
         name="point-cloud",
-        target="roemetry_files.point_cloud:PointCloud",
+        target="roemetry_files.points:PointCloud",
         summary="point_clouds/<acquisition>.ply: every calibrated point, with uncertainty and stripe",
         reference="our own",
     )

@@ -1,21 +1,23 @@
-"""height_maps/: the heights of each acquisition as a 16-bit TIFF, for image processing."""
+"""The sink `height-map`: heights over the belt on a regular grid, as 16-bit TIFF."""
 
 from __future__ import annotations
 
 import io
 import json
 from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from roemetry.arrays import Floats
-from roemetry.records import Trace
+from roemetry.records import Profiles, Trace
 from roemetry.stages import Run, Sink, StageOptions
-from roemetry_files.each_acquisition import write_each
-from roemetry_files.rastering import raster
+from roemetry_files.per_acquisition import write_each
 
 _LEVELS = 65535
 
@@ -85,3 +87,122 @@ def _quantised(height_mm: Floats) -> tuple[np.ndarray, float, float]:
     offset_mm = low - scale_mm
     levels = np.rint((height_mm - offset_mm) / scale_mm)
     return np.where(np.isfinite(height_mm), levels, 0).astype(np.uint16), offset_mm, scale_mm
+
+
+SEEN, INTERPOLATED = 1, 2
+
+_GAP_STEPS = 2.5
+"""A slice's points farther apart than so many of its usual steps are not joined."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Raster:
+    """Heights over the belt.
+
+    Attributes
+    ----------
+    height_mm
+        (row, column) heights, mm; rows go against belt Y (as in the image), columns along X; NaN not known.
+    known
+        (row, column) 0 not known, 1 seen, 2 interpolated.
+    x_mm, y_mm
+        Belt position of the centre of pixel (0, 0), mm.
+    """
+
+    height_mm: Floats
+    known: NDArray[np.uint8]
+    x_mm: float
+    y_mm: float
+
+
+def raster(profiles: Profiles, pixel_mm: float) -> Raster | None:
+    """Lay slices on a grid.
+
+    Between neighbouring stripes heights are interpolated linearly along X, where both show the same product
+    (or both the belt); nothing is interpolated over a stripe that is missing, or beyond the outer ones.
+
+    Parameters
+    ----------
+    profiles
+        Slices in the belt frame.
+    pixel_mm
+        Side of a pixel, mm.
+
+    Returns
+    -------
+    Raster or None
+        None where no point is known.
+    """
+    known = np.isfinite(profiles.xyz_mm).all(axis=2) & (profiles.product >= 0)
+    if not known.any():
+        return None
+    points = profiles.xyz_mm[known]
+    low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
+    columns, rows = (int(np.floor((high[axis] - low[axis]) / pixel_mm)) + 1 for axis in (0, 1))
+    x_mm = low[0] + pixel_mm * np.arange(columns)
+    y_mm = high[1] - pixel_mm * np.arange(rows)
+    height_mm = np.full((rows, columns), np.nan)
+    marks = np.zeros((rows, columns), dtype=np.uint8)
+    order = np.argsort(profiles.stripe, kind="stable")
+    slices = {int(profiles.stripe[index]): _on_rows(profiles, index, known[index], y_mm) for index in order}
+    for (left, a), (right, b) in pairwise(slices.items()):
+        if right == left + 1:
+            _between(a, b, x_mm, height_mm, marks)
+    for x, z, label in slices.values():
+        _along(x, z, label, x_mm, pixel_mm, height_mm, marks)
+    return Raster(height_mm, marks, float(x_mm[0]), float(y_mm[0]))
+
+
+def _on_rows(
+    profiles: Profiles, index: int, known: NDArray[np.bool_], y_mm: Floats
+) -> tuple[Floats, Floats, NDArray[np.int64]]:
+    """Give a slice's X, Z and label at the grid's rows; NaN and −1 where it was not seen."""
+    x, z = np.full(len(y_mm), np.nan), np.full(len(y_mm), np.nan)
+    label = np.full(len(y_mm), -1, dtype=np.int64)
+    points = profiles.xyz_mm[index][known]
+    if len(points) < 2:
+        return x, z, label
+    order = np.argsort(points[:, 1])
+    points, labels = points[order], profiles.product[index][known][order]
+    above = np.searchsorted(points[:, 1], y_mm)
+    inside = (above > 0) & (above < len(points))
+    after = above[inside]
+    before = after - 1
+    steps = points[after, 1] - points[before, 1]
+    usual = float(np.median(np.diff(points[:, 1])))
+    joined = (steps <= _GAP_STEPS * usual) & (steps > 0) & (labels[after] == labels[before])
+    after, before, rows = after[joined], before[joined], np.flatnonzero(inside)[joined]
+    share = (y_mm[rows] - points[before, 1]) / steps[joined]
+    x[rows] = points[before, 0] + share * (points[after, 0] - points[before, 0])
+    z[rows] = points[before, 2] + share * (points[after, 2] - points[before, 2])
+    label[rows] = labels[before]
+    return x, z, label
+
+
+def _between(
+    a: tuple[Floats, Floats, NDArray[np.int64]],
+    b: tuple[Floats, Floats, NDArray[np.int64]],
+    x_mm: Floats,
+    height_mm: Floats,
+    marks: NDArray[np.uint8],
+) -> None:
+    for row in np.flatnonzero((a[2] >= 0) & (a[2] == b[2]) & (b[0] > a[0])):
+        first, last = np.searchsorted(x_mm, (a[0][row], b[0][row]))
+        share = (x_mm[first:last] - a[0][row]) / (b[0][row] - a[0][row])
+        height_mm[row, first:last] = a[1][row] + share * (b[1][row] - a[1][row])
+        marks[row, first:last] = INTERPOLATED
+
+
+def _along(
+    x: Floats,
+    z: Floats,
+    label: NDArray[np.int64],
+    x_mm: Floats,
+    pixel_mm: float,
+    height_mm: Floats,
+    marks: NDArray[np.uint8],
+) -> None:
+    rows = np.flatnonzero(label >= 0)
+    columns = np.clip(np.rint((x[rows] - x_mm[0]) / pixel_mm).astype(int), 0, len(x_mm) - 1)
+    height_mm[rows, columns] = z[rows]
+    marks[rows, columns] = SEEN

@@ -1,9 +1,10 @@
-"""The mass that the line's own scale gave, and the specific volume that follows."""
+"""The weigher `scale`: the mass that the line's own scale gave."""
 
 from __future__ import annotations
 
 import csv
 import math
+import tempfile
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
@@ -39,7 +40,7 @@ class Scale(Weigher[ScaleOptions]):
     """
 
     Options: ClassVar[type[StageOptions]] = ScaleOptions
-    capabilities = Capabilities(fixture="roemetry_files.example_masses:scale_options")
+    capabilities = Capabilities(fixture="roemetry_files.scale:scale_options")
     expected_failures: ClassVar[Mapping[str, str]] = MappingProxyType(
         {
             "check_mass_is_proportional_to_volume": "the mass comes from a scale, whatever the volume",
@@ -119,3 +120,10 @@ _VISIBLE_FOR_TRUE = Reason(
     "specific-volume-visible",
     "the specific volume is that of the visible volume; air below the product counts as product",
 )
+
+
+def scale_options() -> ScaleOptions:
+    """Write the mass of the product that the kit weighs; give the options to find it."""
+    path = Path(tempfile.mkdtemp()) / "masses.csv"
+    path.write_text("id,mass_g\nscene,10.5\n", encoding="utf-8")
+    return ScaleOptions(masses=path, std_g=0.1)

@@ -1,22 +1,22 @@
-"""meshes/: a closed mesh of each product, for other programs."""
+"""The sink `mesh-files`: closed meshes as PLY and STL, with each vertex's uncertainty."""
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
+import numpy as np
 from pydantic import Field
 
+from roemetry.arrays import Floats
 from roemetry.errors import RoemetryError
 from roemetry.files import make_folder, write_bytes, write_whole
 from roemetry.stages import Run, Sink
-from roemetry_open3d.loading import open3d
-from roemetry_open3d.mesh_formats import ply, stl
-from roemetry_open3d.meshing import mesh_of
-from roemetry_open3d.sheet import sheet_of
+from roemetry_open3d.meshing import Mesh, mesh_of, open3d
+from roemetry_open3d.sheet import Sheet, sheet_of
 from roemetry_open3d.surface_mesh import MeshOptions
-from roemetry_open3d.vertex_uncertainty import certainty_of
 
 
 class MeshFilesOptions(MeshOptions):
@@ -80,3 +80,117 @@ class MeshFiles(Sink[MeshFilesOptions]):
 def _file_name(title: str) -> str:
     """Give a name that stays in its folder, whatever a source calls its acquisitions."""
     return title.replace("/", "_").replace("\\", "_").replace("#", "_")
+
+
+_GREY = 150
+_STOPS = np.array([[38, 84, 148], [91, 167, 176], [236, 220, 141], [178, 57, 40]], np.float64)
+"""Blue where it is sure, over green and yellow, to red at the highest uncertainty of the mesh."""
+
+
+def ply(mesh: Mesh, certainty: Certainty, title: str) -> bytes:
+    """Write binary PLY: place, `quality` (standard uncertainty, mm), `support`, colour."""
+    header = "\n".join(
+        [
+            "ply",
+            "format binary_little_endian 1.0",
+            f"comment {_plain(title)}",
+            "comment x y z in mm in the belt frame; z up from the belt",
+            "comment quality: standard uncertainty across the surface in mm; nan where it is assumed",
+            "comment support: 0 measured, 1 bridged between stripes, 2 assumed (walls, belt, tips)",
+            f"element vertex {len(mesh.vertices)}",
+            *(f"property float {name}" for name in ("x", "y", "z", "quality")),
+            *(f"property uchar {name}" for name in ("support", "red", "green", "blue")),
+            f"element face {len(mesh.triangles)}",
+            "property list uchar int vertex_indices",
+            "end_header\n",
+        ]
+    )
+    fields: list[tuple[str, str]] = [(name, "<f4") for name in ("x", "y", "z", "quality")]
+    fields += [(name, "u1") for name in ("support", "red", "green", "blue")]
+    vertices = np.zeros(len(mesh.vertices), np.dtype(fields))
+    for k, name in enumerate("xyz"):
+        vertices[name] = mesh.vertices[:, k]
+    vertices["quality"], vertices["support"] = certainty.std_mm, certainty.support
+    for k, name in enumerate(("red", "green", "blue")):
+        vertices[name] = colours(certainty)[:, k]
+    faces = np.zeros(len(mesh.triangles), np.dtype([("many", "u1"), ("corners", "<i4", (3,))]))
+    faces["many"], faces["corners"] = 3, mesh.triangles
+    return header.encode("ascii") + vertices.tobytes() + faces.tobytes()
+
+
+def stl(mesh: Mesh, certainty: Certainty, title: str) -> bytes:
+    """Write binary STL; the two spare bytes of a facet hold its colour, 5 bits each, as VisCAM reads them."""
+    corners = mesh.vertices[mesh.triangles]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-12)[:, None]
+    facets = np.zeros(len(corners), np.dtype([("floats", "<f4", (4, 3)), ("colour", "<u2")]))
+    facets["floats"][:, 0], facets["floats"][:, 1:] = normal, corners
+    shade = colours(certainty)[mesh.triangles].mean(axis=1).astype(np.uint16) >> 3
+    facets["colour"] = 0x8000 | shade[:, 0] << 10 | shade[:, 1] << 5 | shade[:, 2]
+    # readers take a file that begins with "solid" for text
+    head = f"roemetry mm {_plain(title)}".encode("ascii")[:80].ljust(80)
+    return head + struct.pack("<I", len(facets)) + facets.tobytes()
+
+
+def colours(certainty: Certainty) -> np.ndarray:
+    """Give (vertex, 3) colours of 0 to 255: by uncertainty, grey where the surface is assumed."""
+    std: Floats = certainty.std_mm
+    known = np.isfinite(std) & (certainty.support != ASSUMED)
+    largest = float(np.percentile(std[known], 99)) if known.any() else 0.0
+    share = np.clip(np.nan_to_num(std) / largest, 0.0, 1.0) if largest > 0.0 else np.zeros(std.size)
+    at = np.linspace(0.0, 1.0, len(_STOPS))
+    coloured = np.column_stack([np.interp(share, at, _STOPS[:, k]) for k in range(3)])
+    return np.where(known[:, None], coloured, _GREY).round().astype(np.uint8)
+
+
+def _plain(title: str) -> str:
+    return title.encode("ascii", "replace").decode("ascii").replace("\n", " ").replace("\r", " ")
+
+
+MEASURED, BRIDGED, ASSUMED = 0, 1, 2
+
+
+class Certainty(NamedTuple):
+    """What is known of each vertex.
+
+    `std_mm` (vertex,): standard uncertainty of its place across the surface, mm, NaN on what is assumed;
+    `support` (vertex,): measured, bridged or assumed.
+    """
+
+    std_mm: Floats
+    support: np.ndarray
+
+
+def certainty_of(mesh: Mesh, sheet: Sheet, step_mm: float) -> Certainty:
+    """Give each vertex's standard uncertainty and support.
+
+    Between lines it is m·√(d/h): d the distance to the nearest measured point, h the spacing of lines, m how
+    far bridges twice as wide miss the lines that were left out. The measured points' own uncertainty is
+    added. Walls, the face on the belt and the tips beyond the outer lines are assumed, and have none.
+
+    Notes
+    -----
+    Points whose height's uncertainty is not stated count with none: what stands then is the bridges' alone.
+    """
+    from scipy.spatial import cKDTree
+
+    points = np.concatenate([line.xyz_mm for line in sheet.lines])
+    own = np.nan_to_num(np.concatenate([line.std_mm for line in sheet.lines]))
+    seen = np.concatenate([line.seen for line in sheet.lines])
+    distance, nearest = cKDTree(points).query(mesh.vertices)
+    std = np.hypot(own[nearest], sheet.miss_mm * np.sqrt(distance / sheet.spacing_mm))
+    on_top = _on_sheet(mesh.vertices, sheet, step_mm)
+    support = np.where((distance <= step_mm) & seen[nearest], MEASURED, BRIDGED)
+    support = np.where(on_top, support, ASSUMED).astype(np.uint8)
+    return Certainty(np.where(on_top, std, np.nan), support)
+
+
+def _on_sheet(vertices: Floats, sheet: Sheet, step_mm: float) -> np.ndarray:
+    """Say which vertices lie on the part of the sheet between the outer lines, not on wall or belt."""
+    from scipy.spatial import cKDTree
+
+    grid = sheet.xyz_mm
+    between = np.repeat(~sheet.assumed[:, None], grid.shape[1], axis=1)
+    off, nearest = cKDTree(grid.reshape(-1, 3)).query(vertices)
+    on: np.ndarray = (off <= 1.5 * step_mm) & between.ravel()[nearest] & (vertices[:, 2] > 0.0)
+    return on

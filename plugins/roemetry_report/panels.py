@@ -1,18 +1,21 @@
-"""The paper's four pictures of a sample (Figures 17–22): image, peaks, coded peaks on the image, curves."""
+"""The panels of one acquisition: the image, peaks, coded curves over it and alone, arcs and their centres."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import base64
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from markupsafe import Markup
+from numpy.typing import NDArray
 
 from roemetry.arrays import Flags, Floats
-from roemetry.records import AMBIGUOUS, UNCODED, Outline, Peaks, StripeMap, Trace
+from roemetry.records import AMBIGUOUS, BELT, UNCODED, Frame, Marks, Outline, Peaks, StripeMap, Trace
 from roemetry_report import palette, svg
-from roemetry_report.base_image import BaseImage, base_image
-from roemetry_report.curves import curves, row_step
+from roemetry_report.svg import Box
+from roemetry_report.words import counted
 
 _DOTS_MAX = 7500
 _MARKS_MAX = 1500
@@ -186,3 +189,224 @@ def _thinned(step: int) -> tuple[str, ...]:
 
 
 _ORDINAL = {2: "nd", 3: "rd"}
+
+
+_BYTES_MAX = 72_000
+_TRIES = ((1280, 85), (1280, 70), (960, 70), (720, 65), (640, 50), (480, 40))
+"""Longest side (px) and JPEG quality, from best to least."""
+
+
+@dataclass(frozen=True, slots=True)
+class BaseImage:
+    """A picture to draw on.
+
+    Attributes
+    ----------
+    rows, columns
+        Size of the frame that the overlays' coordinates belong to.
+    uri
+        The picture as a ``data:`` address.
+    notes
+        What was done to it for display, in words.
+    """
+
+    rows: int
+    columns: int
+    uri: str
+    notes: tuple[str, ...]
+
+
+def base_image(trace: Trace) -> BaseImage | None:
+    """Make the picture of a trace's laser frame; in colour where it was taken in colour."""
+    frame = trace.frame
+    if frame is None:
+        return None
+    notes = []
+    if frame.turn_deg:
+        notes.append(f"turned by {frame.turn_deg}° (counter-clockwise) from how it was taken")
+    pixels, white = _as_taken(trace, frame)
+    shown, gain = _eight_bit(pixels, white)
+    if gain > 1:
+        notes.append(f"brightened {gain:.1f} × for display")
+    coded, scaled_to = _jpeg(shown)
+    if scaled_to is not None:
+        notes.append(f"scaled to {scaled_to[1]} × {scaled_to[0]} px for display")
+    rows, columns = frame.size
+    uri = "data:image/jpeg;base64," + base64.b64encode(coded).decode("ascii")
+    return BaseImage(rows, columns, uri, tuple(notes))
+
+
+def _as_taken(trace: Trace, frame: Frame) -> tuple[NDArray[Any], int]:
+    """Give the colour image, turned like the frame, where there is one; else the frame itself."""
+    taken = None if trace.acquisition is None else trace.acquisition.frame("laser")
+    if taken is not None and taken.pixels.ndim == 3:
+        turned = np.rot90(taken.pixels, (frame.turn_deg - taken.turn_deg) // 90 % 4)
+        if turned.shape[:2] == frame.size:
+            return turned, taken.white
+    return frame.pixels, frame.white
+
+
+def _eight_bit(pixels: NDArray[Any], white: int) -> tuple[NDArray[np.uint8], float]:
+    """Scale the sensor's range to 0…255; a picture too dark to see is brightened."""
+    top = float(np.percentile(pixels[::2, ::2], 99.9))
+    gain = min(8.0, 0.8 * white / top) if 0 < top < 0.35 * white else 1.0
+    if gain == 1.0 and white == 255 and pixels.dtype == np.uint8:
+        return np.ascontiguousarray(pixels), 1.0
+    shown = np.clip(pixels * (gain * 255.0 / white), 0, 255)
+    return np.rint(shown).astype(np.uint8), gain
+
+
+def _jpeg(pixels: NDArray[np.uint8]) -> tuple[bytes, tuple[int, int] | None]:
+    """Code as JPEG, at the first setting that keeps within the size; the last one counts anyway."""
+    import cv2
+
+    coded, size = b"", None
+    for side, quality in _TRIES:
+        scale = side / max(pixels.shape[:2])
+        image = pixels
+        if scale < 1:
+            columns, rows = (max(1, round(n * scale)) for n in (pixels.shape[1], pixels.shape[0]))
+            image = cv2.resize(pixels, (columns, rows), interpolation=cv2.INTER_AREA)
+        _, buffer = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])
+        coded = buffer.tobytes()
+        size = (int(image.shape[0]), int(image.shape[1])) if image is not pixels else None
+        if len(coded) <= _BYTES_MAX:
+            break
+    return coded, size
+
+
+_POINTS_MAX = 6000
+"""More points than these make a section too large; then only every n-th row is drawn."""
+
+
+def curves(stripes: StripeMap, *, product: int | None = None) -> Markup:
+    """Draw every stripe: on the belt thin and grey, on a product thick and coloured, bridged dashed.
+
+    Parameters
+    ----------
+    stripes
+        What the coder gave.
+    product
+        Draw this product's points only; None draws all products and the belt.
+    """
+    step = row_step(stripes)
+    parts = []
+    for index in range(stripes.stripe_count):
+        x, label, seen = stripes.x_px[index], stripes.product[index], stripes.seen[index]
+        colour = palette.stripe_colour(index)
+        body = label > BELT if product is None else label == product
+        if product is None:
+            parts += _path(x, seen & (label == BELT), step, "c-belt", palette.BELT)
+            parts += _path(x, ~seen & (label == BELT), step, "c-belt c-bridged", palette.BELT, join=True)
+        parts += _path(x, seen & body, step, "c-body", colour)
+        parts += _path(x, ~seen & body, step, "c-body c-bridged", colour, join=True)
+    return Markup("").join(parts)
+
+
+def row_step(stripes: StripeMap) -> int:
+    """Every how many rows a point is drawn."""
+    return max(1, -(-int(np.isfinite(stripes.x_px).sum()) // _POINTS_MAX))
+
+
+def runs(mask: Flags) -> Iterator[tuple[int, int]]:
+    """Give first and one-past-last of each run of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
+    yield from zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
+
+
+def _path(x: Floats, mask: Flags, step: int, kind: str, colour: str, *, join: bool = False) -> list[Markup]:
+    """Give one path for all runs; `join` draws from the known point before to the one after each run."""
+    data = []
+    for begin, end in runs(mask):
+        first = begin - 1 if join and begin > 0 and np.isfinite(x[begin - 1]) else begin
+        last = end if join and end < len(x) and np.isfinite(x[end]) else end - 1
+        rows = np.arange(first, last + 1, step)
+        if rows[-1] != last:
+            rows = np.append(rows, last)
+        data.append(svg.line(x[rows], rows.astype(np.float64)))
+    if not data:
+        return []
+    return [Markup('<path class="c {}" stroke="{}" d="{}"/>').format(kind, colour, "".join(data))]
+
+
+_FAR_HEIGHTS = 1.5
+"""An arrow longer than so many image heights is not drawn: the curve is as good as straight there."""
+
+
+def arc_panel(
+    marks: Marks, stripes: StripeMap, product: int, size: tuple[int, int], key: str
+) -> Panel | None:
+    """Draw a product's evidence over its curves, zoomed to the product; None where there is nothing to draw.
+
+    Parameters
+    ----------
+    marks
+        The classifier's evidence.
+    stripes
+        What the coder gave.
+    product
+        The product's number.
+    size
+        Rows and columns of the image.
+    key
+        What the ids of the section's drawings begin with: the dimmed picture lies below.
+    """
+    box = _zoom(marks, stripes, product, size)
+    if box is None:
+        return None
+    length = np.hypot(*(marks.to_px - marks.from_px).T)
+    known = np.isfinite(length)
+    drawn = known & (length <= _FAR_HEIGHTS * size[0])
+    leaving = drawn & ~_inside(marks.to_px, box)
+    body = [
+        Markup('<use class="dim" href="#{}-image"/>').format(key),
+        curves(stripes, product=product),
+        _arrows(marks, drawn & ~marks.flagged, flagged=False),
+        _arrows(marks, drawn & marks.flagged, flagged=True),
+    ]
+    flagged = int(marks.flagged.sum())
+    notes = [f"{counted(len(length), 'arrow')}, {flagged or 'none'} flagged"]
+    if drawn.sum() < known.sum():
+        far = int(known.sum() - drawn.sum())
+        notes.append(
+            f"{far} not drawn: farther away than {_FAR_HEIGHTS} image heights (almost straight there)"
+        )
+    if (~known).any():
+        notes.append(f"{int((~known).sum())} without a place: straight there")
+    if leaving.any():
+        notes.append(f"{int(leaving.sum())} {'lead' if leaving.sum() > 1 else 'leads'} out of the picture")
+    title = f"Body curves, an arrow to each {marks.kind}"
+    label = f"Body curves of product {product} with arrows ({marks.kind}); {'; '.join(notes)}"
+    return Panel("g", title, svg.picture(body, box=box, label=label, kind="screen zoomed"), tuple(notes))
+
+
+def _zoom(marks: Marks, stripes: StripeMap, product: int, size: tuple[int, int]) -> Box | None:
+    """Give the view: the product, and the flagged centres as far as they lie in the image, with a margin."""
+    stripe, row = np.nonzero(stripes.product == product)
+    if not row.size:
+        return None
+    points = [np.column_stack([stripes.x_px[stripe, row], row.astype(np.float64)])]
+    whole = (-0.5, -0.5, float(size[1]), float(size[0]))
+    points.append(marks.to_px[marks.flagged & _inside(marks.to_px, whole)])
+    every = np.concatenate(points)
+    margin = 0.06 * max(size)
+    low = np.maximum(every.min(axis=0) - margin, -0.5)
+    high = np.minimum(every.max(axis=0) + margin, (size[1] - 0.5, size[0] - 0.5))
+    width, height = (high - low).tolist()
+    return (float(low[0]), float(low[1]), width, height)
+
+
+def _inside(points: Floats, box: Box) -> Flags:
+    x, y, width, height = box
+    within: Flags = (points >= (x, y)) & (points <= (x + width, y + height))
+    return within[:, 0] & within[:, 1]
+
+
+def _arrows(marks: Marks, which: Flags, *, flagged: bool) -> Markup:
+    if not which.any():
+        return Markup("")
+    kind, colour = ("flagged", palette.AMBIGUOUS) if flagged else ("mark", palette.MARK)
+    ends = np.stack([marks.from_px[which], marks.to_px[which]], axis=1)
+    # An arrow head stands at the last point of a path only, so each arrow is a path of its own.
+    paths = (Markup('<path class="c" d="{}"/>').format(svg.line(end[:, 0], end[:, 1])) for end in ends)
+    return Markup('<g class="{}" stroke="{}">{}</g>').format(kind, colour, Markup("").join(paths))

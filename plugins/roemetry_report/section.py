@@ -12,16 +12,11 @@ from markupsafe import Markup
 from roemetry.errors import RoemetryError
 from roemetry.records import BELT, Frame, Grade, Measurement, ProductTrace, Reason, StripeMap, Trace, Volume
 from roemetry.units import MM3_PER_CM3
-from roemetry_report.arcs import arc_panel
-from roemetry_report.charts import slice_chart
-from roemetry_report.heights import SmallChart, displacement_charts, height_charts
-from roemetry_report.panels import Panel, panels
-from roemetry_report.relief import relief_panels
-from roemetry_report.rows import Row, row_of
-from roemetry_report.selection import Shown
-from roemetry_report.solid import Solid, solid
+from roemetry_report.charts import SmallChart, displacement_charts, height_charts, slice_chart
+from roemetry_report.overview import Row, Shown, Trust, row_of, trust
+from roemetry_report.panels import Panel, arc_panel, panels
+from roemetry_report.surface import Solid, relief_panels, solid
 from roemetry_report.svg import number
-from roemetry_report.trust import Trust, trust
 from roemetry_report.words import feature, milliseconds, percent, plain
 
 _DIFFERS = 1e-6

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roemetry_kernels.compiling import kernel
-from roemetry_simulate.camera import Camera
-from roemetry_simulate.lens import camera_ray
+from roemetry_simulate.camera import Camera, camera_ray
 from roemetry_simulate.raycast import AnyBody, first_hit_in
 from roemetry_simulate.sensor import blurred
 from roemetry_simulate.solid import Solid

@@ -11,7 +11,7 @@ from roemetry_simulate.plan_tables import mean_spacing_mm
 from roemetry_simulate.plan_uncertainty import peak_std, stripes_at
 from roemetry_simulate.plan_volume import Space
 from roemetry_simulate.scene_file import RayCasterOptions
-from roemetry_simulate.scene_rig import view_mm
+from roemetry_simulate.scene_optics import view_mm
 
 Floats = NDArray[np.float64]
 

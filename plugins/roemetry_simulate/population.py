@@ -1,24 +1,33 @@
-"""What lies on the belt, item by item: a family's draw, kept where the rig can see it."""
+"""Products on the belt, item by item: drawn from a family, placed in view, alone or side by side."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
-from pydantic import ValidationError
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from roemetry.errors import MisfitError
-from roemetry.validation import unknown_key
-from roemetry_simulate.group import lying_together
-from roemetry_simulate.placing import check_in_view, in_reach
-from roemetry_simulate.products import PRODUCTS, Drawn, ProductFamily, ProductOptions
+from roemetry.errors import StageError
+from roemetry_simulate.products import Drawn, family_of, options_of
+from roemetry_simulate.products.family import Pose
+from roemetry_simulate.products.mesh import MeshSolid
+from roemetry_simulate.products.parts import PartsSolid, box, placed
 from roemetry_simulate.render import Rig
 from roemetry_simulate.scene_file import ProductPart
-from roemetry_simulate.side_by_side import side_by_side
-from roemetry_simulate.solid import EmptyBelt, Solid
-
-NONE = "none"
+from roemetry_simulate.scene_optics import view_mm
+from roemetry_simulate.solid import (
+    FIELDS,
+    PARTS,
+    Block,
+    EmptyBelt,
+    ExactBody,
+    Fields,
+    GriddedSolid,
+    Reach,
+    Solid,
+)
 
 _NEXT_IN_FRAME = 1_000_000_000
 """From the seed of a frame's product to that of its next, so that no other item's first has it."""
@@ -43,44 +52,6 @@ class Lying:
     def solid(self) -> Solid:
         """All of them as one solid."""
         return lying_together([one.solid for one in self.products]) if self.products else EmptyBelt()
-
-
-def family_of(name: str) -> ProductFamily | None:
-    """Return a family by name, None for `none`; raise ValueError with a close match for an unknown one."""
-    import difflib
-
-    if name == NONE:
-        return None
-    if name not in PRODUCTS:
-        close = difflib.get_close_matches(name, PRODUCTS, n=1)
-        mean = f"; did you mean `{close[0]}`?" if close else ""
-        raise ValueError(f"there is no product family `{name}`{mean} There are: none, {', '.join(PRODUCTS)}")
-    return PRODUCTS[name]
-
-
-def options_of(
-    name: str, options: Mapping[str, Any], at: tuple[str | int, ...] = ("options",)
-) -> ProductOptions | None:
-    """Check a family's options, which stand at some keys; raise MisfitError with every fault."""
-    try:
-        family = family_of(name)
-    except ValueError as error:
-        raise MisfitError((("family",), str(error))) from None
-    if family is None:
-        if options:
-            raise MisfitError((at, "family `none` has no options"))
-        return None
-    try:
-        return family.Options.model_validate(dict(options))
-    except ValidationError as error:
-        said = []
-        for detail in error.errors():
-            if detail["type"] == "extra_forbidden":
-                why = unknown_key(detail["loc"][-1], list(family.Options.model_fields))
-            else:
-                why = f"{detail['msg'][0].lower()}{detail['msg'][1:]}".removeprefix("value error, ")
-            said.append(((*at, *detail["loc"]), why))
-        raise MisfitError(*said) from None
 
 
 def product_of(part: ProductPart, rig: Rig, number: int, seed: int) -> Lying:
@@ -125,3 +96,362 @@ def product_of(part: ProductPart, rig: Rig, number: int, seed: int) -> Lying:
         one = in_reach(one, rig, part.most_overhang_spacings)
     check_in_view(one, rig, name)
     return Lying(item_seed, (one,))
+
+
+Floats = NDArray[np.float64]
+
+_MARGIN_MM = 1.0
+
+
+def in_reach(drawn: Drawn, rig: Rig, most_overhang_spacings: float) -> Drawn:
+    """Move a product along X until its ends keep within the view and near the outer stripes.
+
+    Parameters
+    ----------
+    drawn : Drawn
+        The product as it was drawn.
+    rig : Rig
+        What sees it.
+    most_overhang_spacings : float
+        How far an end may lie beyond the outermost planes, in mean spacings on the belt.
+
+    Returns
+    -------
+    Drawn
+        The same product, moved by as little as need be; one that is too long is moved as far as it helps.
+    """
+    x_min, x_max, y_min, y_max = drawn.solid.footprint_extent_mm()
+    height_mm = 0.25 * _top_mm(drawn.solid)
+    fan = np.sort(rig.laser.x_mm(0.5 * (y_min + y_max), height_mm))
+    spacing_mm = float(np.diff(fan).mean()) if fan.size > 1 else 0.0
+    low, high, _, _ = _view_at(rig, height_mm)
+    if fan.size > 1:
+        low = max(low, float(fan[0]) - most_overhang_spacings * spacing_mm)
+        high = min(high, float(fan[-1]) + most_overhang_spacings * spacing_mm)
+    shift_mm = max(low - x_min, 0.0) + min(high - x_max, 0.0)
+    return drawn if shift_mm == 0.0 else moved_to(drawn, shift_mm, 0.0)
+
+
+def moved_to(drawn: Drawn, x_mm: float, y_mm: float) -> Drawn:
+    """Return the same product, moved on the belt, with its reference and its truth."""
+    figures = dict(drawn.truth.figures)
+    for axis, by_mm in (("x", x_mm), ("y", y_mm)):
+        for name in (f"{axis}_min_mm", f"{axis}_max_mm", f"centre_{axis}_mm"):
+            if name in figures:
+                figures[name] += by_mm
+    return replace(
+        drawn,
+        solid=moved(drawn.solid, x_mm, y_mm),
+        truth=replace(drawn.truth, figures=figures),
+        reference=None if drawn.reference is None else moved(drawn.reference, x_mm, y_mm),
+    )
+
+
+def check_in_view(drawn: Drawn, rig: Rig, name: str) -> None:
+    """Raise StageError, with sizes, for a product that reaches out of the view or up to the camera."""
+    top_mm = _top_mm(drawn.solid)
+    lowest_mm = min(float(rig.camera.centre_mm[2]), float(rig.laser.projector_mm[2]))
+    if top_mm >= lowest_mm:
+        raise StageError(
+            f"{name}: the product is {top_mm:.1f} mm high, and camera or laser hang at {lowest_mm:.1f} mm",
+            hint="make the product smaller, or hang them higher",
+            at=("product",),
+        )
+    found, view = drawn.solid.footprint_extent_mm(), view_mm(rig.camera, 0.0)
+    inside = found[0] >= view[0] and found[1] <= view[1] and found[2] >= view[2] and found[3] <= view[3]
+    if not inside:
+        raise StageError(
+            f"{name}: the product {_why(found, view)}: it lies on X = {found[0]:.1f} to {found[1]:.1f} mm, "
+            f"Y = {found[2]:.1f} to {found[3]:.1f} mm; the view is X = {view[0]:.1f} to {view[1]:.1f} mm, "
+            f"Y = {view[2]:.1f} to {view[3]:.1f} mm of the belt",
+            hint="make the product smaller, or let the camera see more",
+            at=("product",),
+        )
+
+
+def _why(found: tuple[float, ...], view: tuple[float, ...]) -> str:
+    larger = any(found[k + 1] - found[k] > view[k + 1] - view[k] for k in (0, 2))
+    return "is larger than the view" if larger else "reaches out of the view"
+
+
+def moved(solid: Solid, x_mm: float, y_mm: float = 0.0) -> Solid:
+    """Return the same solid moved along belt X and Y."""
+    for kind, move in _MOVES.items():
+        if isinstance(solid, kind):
+            return move(solid, x_mm, y_mm)
+    raise TypeError(f"a {type(solid).__name__} cannot be moved")
+
+
+def _move_parts(solid: PartsSolid, x_mm: float, y_mm: float) -> PartsSolid:
+    s = solid.surfaces.copy()
+    # g(x - t, y - u, z): columns are part, xx, yy, zz, xy, xz, yz, x, y, z, constant
+    s[:, 10] += s[:, 1] * x_mm**2 - s[:, 7] * x_mm
+    s[:, 10] += s[:, 2] * y_mm**2 - s[:, 8] * y_mm + s[:, 4] * x_mm * y_mm
+    s[:, 7] -= 2.0 * s[:, 1] * x_mm + s[:, 4] * y_mm
+    s[:, 8] -= 2.0 * s[:, 2] * y_mm + s[:, 4] * x_mm
+    s[:, 9] -= s[:, 5] * x_mm + s[:, 6] * y_mm
+    x_min, x_max, y_min, y_max = solid.extent_mm
+    return replace(solid, surfaces=s, extent_mm=(x_min + x_mm, x_max + x_mm, y_min + y_mm, y_max + y_mm))
+
+
+_MOVES: dict[type[Any], Callable[[Any, float, float], Solid]] = {
+    GriddedSolid: lambda solid, x, y: replace(solid, x0_mm=solid.x0_mm + x, y0_mm=solid.y0_mm + y),
+    Block: lambda solid, x, y: replace(
+        solid, centre_x_mm=solid.centre_x_mm + x, centre_y_mm=solid.centre_y_mm + y
+    ),
+    PartsSolid: _move_parts,
+    MeshSolid: lambda solid, x, y: replace(solid, corners_mm=solid.corners_mm + np.array([x, y, 0.0])),
+}
+
+
+def _top_mm(solid: Solid) -> float:
+    return float(solid.body().top_mm)
+
+
+def _view_at(rig: Rig, height_mm: float) -> tuple[float, float, float, float]:
+    x_min, x_max, y_min, y_max = view_mm(rig.camera, height_mm)
+    return x_min + _MARGIN_MM, x_max - _MARGIN_MM, y_min, y_max
+
+
+Flags = NDArray[np.bool_]
+
+_CELL_MM = 0.5
+_TRIES, _STARTS = 200, 20
+
+
+def side_by_side(
+    products: Sequence[Drawn],
+    rig: Rig,
+    *,
+    gap_mm: float,
+    most_overhang_spacings: float,
+    seed: int,
+    name: str,
+) -> tuple[Drawn, ...]:
+    """Lay products where they keep off each other.
+
+    Parameters
+    ----------
+    products : sequence of Drawn
+        As they were drawn; they are moved, not turned.
+    rig : Rig
+        Footprints stay within its view of the belt.
+    gap_mm : float
+        Least gap between two footprints.
+    most_overhang_spacings : float
+        How far they may reach beyond the outermost planes, in mean spacings on the belt.
+    seed : int
+        Of the places, which are drawn uniformly and kept where they are free.
+    name : str
+        Of the item, for the message.
+
+    Returns
+    -------
+    tuple of Drawn
+        From left to right.
+
+    Raises
+    ------
+    StageError
+        There is no room for so many.
+    """
+    rng = np.random.default_rng([seed, 53])
+    low_x, high_x, low_y, high_y = _room(rig, most_overhang_spacings)
+    shape = (int((high_y - low_y) / _CELL_MM), int((high_x - low_x) / _CELL_MM))
+    masks = [_mask(one) for one in products]
+    fits = all(mask.shape[0] < shape[0] and mask.shape[1] < shape[1] for mask in masks)
+    for _ in range(_STARTS if fits else 0):
+        taken = np.zeros(shape, bool)
+        laid = []
+        for one, mask in zip(products, masks, strict=True):
+            at = _free_place(rng, taken, mask)
+            if at is None:
+                break
+            x_min, _, y_min, _ = one.solid.footprint_extent_mm()
+            laid.append(moved_to(one, low_x + _CELL_MM * at[1] - x_min, low_y + _CELL_MM * at[0] - y_min))
+            taken[at[0] : at[0] + mask.shape[0], at[1] : at[1] + mask.shape[1]] |= mask
+            taken = _grown(taken, mask, at, gap_mm)
+        else:
+            return tuple(sorted(laid, key=lambda one: sum(one.solid.footprint_extent_mm()[:2])))
+    raise StageError(
+        f"{name}: there is no room for {len(products)} products on X = {low_x:.1f} to {high_x:.1f} mm, "
+        f"Y = {low_y:.1f} to {high_y:.1f} mm of the belt with {gap_mm:g} mm between them",
+        hint="take fewer or smaller products, or a smaller gap",
+        at=("product", "in_frame"),
+    )
+
+
+def _room(rig: Rig, most_overhang_spacings: float) -> tuple[float, float, float, float]:
+    x_min, x_max, y_min, y_max = view_mm(rig.camera, 0.0)
+    feet = rig.laser.x_mm(0.5 * (y_min + y_max), 0.0)
+    if feet.size > 1:
+        beyond_mm = most_overhang_spacings * float(np.ptp(feet)) / (feet.size - 1)
+        x_min = max(x_min, float(feet.min()) - beyond_mm)
+        x_max = min(x_max, float(feet.max()) + beyond_mm)
+    return x_min + _MARGIN_MM, x_max - _MARGIN_MM, y_min + _MARGIN_MM, y_max - _MARGIN_MM
+
+
+def _mask(one: Drawn) -> Flags:
+    """Cells of the product's extent that its footprint may touch."""
+    from scipy.ndimage import binary_dilation
+
+    x_min, x_max, y_min, y_max = one.solid.footprint_extent_mm()
+    x, y = np.meshgrid(
+        np.arange(x_min, x_max + _CELL_MM, _CELL_MM), np.arange(y_min, y_max + _CELL_MM, _CELL_MM)
+    )
+    mask: Flags = binary_dilation(np.isfinite(one.solid.heights_mm(x, y)[0]))
+    return mask
+
+
+def _free_place(rng: np.random.Generator, taken: Flags, mask: Flags) -> tuple[int, int] | None:
+    for _ in range(_TRIES):
+        row = int(rng.integers(0, taken.shape[0] - mask.shape[0]))
+        column = int(rng.integers(0, taken.shape[1] - mask.shape[1]))
+        if not (taken[row : row + mask.shape[0], column : column + mask.shape[1]] & mask).any():
+            return row, column
+    return None
+
+
+def _grown(taken: Flags, mask: Flags, at: tuple[int, int], gap_mm: float) -> Flags:
+    """Add what lies within the gap of the product that was laid last."""
+    from scipy.ndimage import distance_transform_edt
+
+    alone = np.ones(taken.shape, bool)
+    alone[at[0] : at[0] + mask.shape[0], at[1] : at[1] + mask.shape[1]] = ~mask
+    near: Flags = _CELL_MM * distance_transform_edt(alone) <= gap_mm
+    return taken | near
+
+
+_NEAR_MM = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Solids that do not touch each other.
+
+    Attributes
+    ----------
+    members : tuple of Solid
+        All gridded, all of exact parts (or blocks), or all meshes.
+    """
+
+    members: tuple[Solid, ...]
+
+    @property
+    def visible_volume_mm3(self) -> float:
+        """Sum of the members' visible volumes."""
+        return sum(one.visible_volume_mm3 for one in self.members)
+
+    @property
+    def true_volume_mm3(self) -> float:
+        """Sum of the members' volumes."""
+        return sum(one.true_volume_mm3 for one in self.members)
+
+    @property
+    def footprint_mm2(self) -> float:
+        """Sum of the members' footprints."""
+        return sum(one.footprint_mm2 for one in self.members)
+
+    def heights_mm(self, x_mm: ArrayLike, y_mm: ArrayLike) -> tuple[Floats, Floats]:
+        """Highest and lowest Z over belt positions of one shape; NaN outside all footprints."""
+        found = [one.heights_mm(x_mm, y_mm) for one in self.members]
+        top, bottom = found[0]
+        for higher, lower in found[1:]:
+            top, bottom = np.fmax(top, higher), np.fmin(bottom, lower)
+        return top, bottom
+
+    def footprint_extent_mm(self) -> tuple[float, float, float, float]:
+        """Smallest and largest X, smallest and largest Y of all footprints, millimetres."""
+        ends = np.array([one.footprint_extent_mm() for one in self.members])
+        return (
+            float(ends[:, 0].min()),
+            float(ends[:, 1].max()),
+            float(ends[:, 2].min()),
+            float(ends[:, 3].max()),
+        )
+
+    def body(self) -> ExactBody | Fields:
+        """Return the kernels' form."""
+        members = [_parts_of(one) if isinstance(one, Block) else one for one in self.members]
+        gridded = [one for one in members if isinstance(one, GriddedSolid)]
+        exact = [one for one in members if isinstance(one, PartsSolid)]
+        meshes = [one for one in members if isinstance(one, MeshSolid)]
+        if len(gridded) == len(members):
+            return _fields(gridded)
+        if len(exact) == len(members):
+            return _parts(exact)
+        if len(meshes) == len(members):
+            corners = np.concatenate([one.corners_mm for one in meshes])
+            return MeshSolid(corners, np.nan, np.nan, np.nan).body()
+        raise TypeError("the solids of a group are of one kind")
+
+    def member_at(self, points_mm: Floats) -> NDArray[np.int16]:
+        """Tell which member, from 1, each of some points (n, 3) of their skins belongs to."""
+        label = np.zeros(len(points_mm), np.int16)
+        around = [
+            (0.0, 0.0),
+            *((_NEAR_MM * np.cos(a), _NEAR_MM * np.sin(a)) for a in np.arange(8) * np.pi / 4),
+        ]
+        for dx, dy in around:
+            for number, one in enumerate(self.members, start=1):
+                over = np.isfinite(one.heights_mm(points_mm[:, 0] + dx, points_mm[:, 1] + dy)[0])
+                label[(label == 0) & over] = number
+        left = label == 0
+        if left.any():
+            # a wall that leans out by more than that: the nearest footprint's extent
+            x, y = points_mm[left, 0], points_mm[left, 1]
+            ends = [one.footprint_extent_mm() for one in self.members]
+            off = [
+                np.hypot(np.fmax(np.fmax(a - x, x - b), 0.0), np.fmax(np.fmax(c - y, y - d), 0.0))
+                for a, b, c, d in ends
+            ]
+            label[left] = 1 + np.argmin(off, axis=0)
+        return label
+
+
+def lying_together(solids: Sequence[Solid]) -> Solid:
+    """Return one solid for the kernels: the only one itself, or a group."""
+    return solids[0] if len(solids) == 1 else Group(tuple(solids))
+
+
+def _fields(members: Sequence[GriddedSolid]) -> Fields:
+    places, first = [], 0
+    for one in members:
+        body, (rows, columns) = one.body(), one.grid.shape[:2]
+        places.append(
+            [body.x0_mm, body.y0_mm, body.step_mm, body.top_mm, body.mid_slope, body.u_slope_mm,
+             float(first), float(rows), float(columns)]
+        )  # fmt: skip
+        first += rows * columns
+    nodes, table = np.concatenate([one.grid.reshape(-1, 3) for one in members]), np.array(places)
+    for array in (nodes, table):
+        array.flags.writeable = False
+    reach = _reach([one.body().reach for one in members])
+    return Fields(FIELDS, reach, reach[5], nodes, table)
+
+
+def _parts(members: Sequence[PartsSolid]) -> ExactBody:
+    tables, first = [], 0.0
+    for one in members:
+        table = one.surfaces.copy()
+        table[:, 0] += first
+        first = float(table[-1, 0]) + 1.0
+        tables.append(table)
+    reach = _reach([one.body().reach for one in members])
+    surfaces, bounds = np.concatenate(tables), np.array([reach])
+    for array in (surfaces, bounds):
+        array.flags.writeable = False
+    return ExactBody(PARTS, reach, reach[5], surfaces=surfaces, boxes=bounds)
+
+
+def _parts_of(block: Block) -> PartsSolid:
+    half_x, half_y, height = 0.5 * block.length_mm, 0.5 * block.width_mm, block.height_mm
+    sides = box((-half_x, half_x), (-half_y, half_y), (0.0, height))
+    pose = Pose(block.centre_x_mm, block.centre_y_mm, block.yaw_deg)
+    volumes = block.visible_volume_mm3, block.true_volume_mm3, block.footprint_mm2
+    return PartsSolid(placed([sides], pose), *volumes, block.footprint_extent_mm(), height)
+
+
+def _reach(boxes: Sequence[Reach]) -> Reach:
+    low, high = np.min(boxes, axis=0), np.max(boxes, axis=0)
+    return (float(low[0]), float(low[1]), float(low[2]), float(high[3]), float(high[4]), float(high[5]))

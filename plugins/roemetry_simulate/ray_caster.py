@@ -14,18 +14,16 @@ from numpy.typing import NDArray
 from roemetry.records import Frame, ProductTruth, Role, Simulated, StripeTruth, Truth
 from roemetry.records import Sensor as Noise
 from roemetry.stages import Simulator, Turn
-from roemetry_simulate.group import Group
-from roemetry_simulate.marks import marked
-from roemetry_simulate.population import product_of
+from roemetry_simulate.contamination import marked
+from roemetry_simulate.population import Group, product_of
 from roemetry_simulate.products import Drawn
 from roemetry_simulate.render import Rig, render, turned_back
 from roemetry_simulate.scene_file import RayCasterOptions
 from roemetry_simulate.scene_rig import rig_of, surface_of
-from roemetry_simulate.shown import stripes_show
 from roemetry_simulate.solid import Solid
 from roemetry_simulate.targets import TargetViews, known_beforehand
 from roemetry_simulate.truth import StripeTruth as Crossings
-from roemetry_simulate.truth import stripe_centres
+from roemetry_simulate.truth import stripe_centres, stripes_show
 
 
 class RayCaster(Simulator[RayCasterOptions]):

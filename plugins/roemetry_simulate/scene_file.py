@@ -13,7 +13,18 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from roemetry.errors import MisfitError
 from roemetry.stages import StageOptions
-from roemetry_simulate.scene_optics import CameraPart, LaserPart, Part, Place, Point, Share
+from roemetry_simulate.products import options_of
+from roemetry_simulate.scene_optics import (
+    CameraPart,
+    LaserPart,
+    Part,
+    Place,
+    Point,
+    Share,
+    check_camera,
+    check_laser,
+)
+from roemetry_simulate.surface import check_picture
 
 Sizes = tuple[Annotated[float, Field(gt=0, le=1e4)], Annotated[float, Field(gt=0, le=1e4)]]
 
@@ -113,8 +124,6 @@ class AlbedoMapPart(Part):
     @field_validator("file")
     @classmethod
     def _is_an_image(cls, file: Path) -> Path:
-        from roemetry_simulate.albedo_map import check_picture
-
         check_picture(file)
         return file
 
@@ -173,8 +182,6 @@ class ProductPart(Part):
 
     @model_validator(mode="after")
     def _is_known(self) -> ProductPart:
-        from roemetry_simulate.population import options_of
-
         options_of(self.family, self.options, ("options",))
         for number, item in enumerate(self.items):
             options_of(self.family, self.options | item.options, ("items", number, "options"))
@@ -253,16 +260,12 @@ class RayCasterOptions(StageOptions):
     @field_validator("camera")
     @classmethod
     def _sees_the_belt(cls, camera: CameraPart) -> CameraPart:
-        from roemetry_simulate.scene_rig import check_camera
-
         check_camera(camera)
         return camera
 
     @field_validator("laser")
     @classmethod
     def _is_in_view(cls, laser: LaserPart, info: ValidationInfo) -> LaserPart:
-        from roemetry_simulate.scene_rig import check_laser
-
         if "camera" in info.data:
             check_laser(info.data["camera"], laser)
         return laser

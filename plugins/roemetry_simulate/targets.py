@@ -1,18 +1,19 @@
-"""Images for calibration: empty belt, block, staircase, and flat boards with the laser on and off."""
+"""Calibration targets in the scene: block, staircase, boards in their poses."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from roemetry.records import Frame
 from roemetry.records import Sensor as Noise
-from roemetry_simulate.boards import BoardPose, board_picture, board_solid, on_belt, picture_from, poses
 from roemetry_simulate.products.artefacts import StaircaseOptions, staircase
 from roemetry_simulate.products.family import Pose
+from roemetry_simulate.products.parts import PartsSolid, plane
 from roemetry_simulate.render import Rig, render, turned_back
 from roemetry_simulate.scene_file import BoardPart, RayCasterOptions
 from roemetry_simulate.scene_rig import surface_of
@@ -157,3 +158,143 @@ class _Views(Mapping[str, Frame]):
 
     def __len__(self) -> int:
         return len(self._names)
+
+
+Floats = NDArray[np.float64]
+
+_PX_PER_SQUARE = 80
+_BLACK = 0.12
+
+
+class BoardPose(NamedTuple):
+    """Where a board is: `T_belt_board`, shape (4, 4), mm.
+
+    The board's own frame is OpenCV's: origin at the outer corner of its first square, x along the columns,
+    y along the rows (down in the image), z away from the camera.
+    """
+
+    T_belt_board: Floats
+
+
+def poses(part: BoardPart, seed: int) -> list[BoardPose]:
+    """Draw a board's poses: the first lies level, the others are tilted all ways round.
+
+    Parameters
+    ----------
+    part : BoardPart
+        Sizes and ranges.
+    seed : int
+        The same seed gives the same poses.
+
+    Returns
+    -------
+    list of BoardPose
+        No point of a board lies below the belt.
+    """
+    rng = np.random.default_rng([seed, 41])
+    half = 0.5 * part.square_mm * np.array([part.columns + 1.0, part.rows + 1.0])
+    found = []
+    for number in range(part.poses):
+        share, turn, jitter, along_x, along_y, up = rng.uniform(-1.0, 1.0, 6)
+        tilt_deg = 0.0 if number == 0 else part.tilt_max_deg * (0.75 + 0.25 * share)
+        way = 2.0 * np.pi * (number + 0.3 * jitter) / max(part.poses - 1, 1)
+        rotation = _turned(tilt_deg, way) @ _about_z(8.0 * turn) @ np.diag([1.0, -1.0, -1.0])
+        low, high = part.height_mm
+        lift_mm = float(np.abs(rotation[2, :2]) @ half) + part.thickness_mm + 0.5
+        middle = np.array([4.0 * along_x, 4.0 * along_y, lift_mm + low + 0.5 * (up + 1.0) * (high - low)])
+        pose = np.eye(4)
+        pose[:3, :3] = rotation
+        size = part.square_mm * np.array([part.columns, part.rows])
+        pose[:3, 3] = middle - rotation[:, :2] @ (0.5 * size)
+        found.append(BoardPose(pose))
+    return found
+
+
+def on_belt(part: BoardPart) -> BoardPose:
+    """Return the pose of a board that lies on the belt, its middle at the origin, rows across the stripes."""
+    pose = np.diag([1.0, -1.0, -1.0, 1.0])
+    half = 0.5 * part.square_mm * np.array([part.columns, part.rows])
+    pose[:3, 3] = -half[0], half[1], part.thickness_mm
+    return BoardPose(pose)
+
+
+def board_picture(part: BoardPart, kind: str) -> Floats:
+    """Return the board's print: factors of the albedo, half a square of white around it.
+
+    Parameters
+    ----------
+    part : BoardPart
+        Squares, markers.
+    kind : str
+        ``charuco`` or ``chessboard``.
+
+    Returns
+    -------
+    ndarray, shape ((rows + 1) · 80, (columns + 1) · 80)
+        Outer corner of the first square at (39.5, 39.5).
+    """
+    import cv2
+
+    if kind == "charuco":
+        dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, part.dictionary))
+        board = cv2.aruco.CharucoBoard((part.columns, part.rows), part.square_mm, part.marker_mm, dictionary)
+        size = ((part.columns + 1) * _PX_PER_SQUARE, (part.rows + 1) * _PX_PER_SQUARE)
+        grey = board.generateImage(size, marginSize=_PX_PER_SQUARE // 2) / 255.0
+    else:
+        squares = np.add.outer(np.arange(part.rows), np.arange(part.columns)) % 2
+        grey = np.pad(
+            np.kron(squares, np.ones((_PX_PER_SQUARE, _PX_PER_SQUARE))),
+            _PX_PER_SQUARE // 2,
+            constant_values=1.0,
+        )
+    picture: Floats = np.ascontiguousarray(_BLACK + (1.0 - _BLACK) * grey, dtype=np.float64)
+    return picture
+
+
+def picture_from(part: BoardPart, pose: BoardPose) -> Floats:
+    """Return the (2, 4) matrix that takes a belt point (x, y, z, 1) to the picture's (column, row)."""
+    to_board = np.linalg.inv(pose.T_belt_board)
+    scale = _PX_PER_SQUARE / part.square_mm
+    matrix: Floats = np.array(scale * to_board[:2], dtype=np.float64)
+    matrix[:, 3] += 0.5 * _PX_PER_SQUARE - 0.5
+    return np.ascontiguousarray(matrix)
+
+
+def board_solid(part: BoardPart, pose: BoardPose) -> PartsSolid:
+    """Return the plate that carries the print on its upper face."""
+    at = pose.T_belt_board
+    x, y, down = at[:3, 0], at[:3, 1], at[:3, 2]
+    edge = 0.5 * part.square_mm
+    limits = [
+        (-x, edge), (x, part.columns * part.square_mm + edge), (-y, edge),
+        (y, part.rows * part.square_mm + edge), (-down, 0.0), (down, part.thickness_mm),
+    ]  # fmt: skip
+    origin = at[:3, 3]
+    surfaces = [
+        [0.0, *plane((float(n[0]), float(n[1]), float(n[2])), float(n @ origin + limit))]
+        for n, limit in limits
+    ]
+    ends = [
+        origin + u * x + v * y + w * down
+        for u in (-edge, part.columns * part.square_mm + edge)
+        for v in (-edge, part.rows * part.square_mm + edge)
+        for w in (0.0, part.thickness_mm)
+    ]
+    low, high = np.min(ends, axis=0), np.max(ends, axis=0)
+    volume = (part.columns + 1) * (part.rows + 1) * part.square_mm**2 * part.thickness_mm
+    extent = (float(low[0]), float(high[0]), float(low[1]), float(high[1]))
+    return PartsSolid(np.array(surfaces), np.nan, volume, np.nan, extent, float(high[2]))
+
+
+def _turned(tilt_deg: float, way_rad: float) -> Floats:
+    """Rotation by a tilt about a level axis in a direction."""
+    c, s = np.cos(np.deg2rad(tilt_deg)), np.sin(np.deg2rad(tilt_deg))
+    axis = np.array([np.cos(way_rad), np.sin(way_rad), 0.0])
+    cross = np.array([[0.0, -axis[2], axis[1]], [axis[2], 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
+    turned: Floats = c * np.eye(3) + s * cross + (1.0 - c) * np.outer(axis, axis)
+    return turned
+
+
+def _about_z(angle_deg: float) -> Floats:
+    c, s = np.cos(np.deg2rad(angle_deg)), np.sin(np.deg2rad(angle_deg))
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])

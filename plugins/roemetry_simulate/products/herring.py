@@ -1,4 +1,4 @@
-"""Herring roe skeins: the population of `roemetry_simulate.parameters`, and two further kinds.
+"""Herring roe skeins: the population of `roemetry_simulate.skein`, and two further kinds.
 
 70–105 mm long, 20–34 mm wide, 10–20 mm thick; healthy (0.32), dented (0.13), bent (0.12), s-bent (0.08),
 twisted (0.11), folded (0.11), broken (0.06), or with several dents (0.07); a dent is 2–6 mm deep, at most
@@ -16,8 +16,6 @@ from typing import Self
 
 from pydantic import Field, model_validator
 
-from roemetry_simulate.defects import dents
-from roemetry_simulate.parameters import FURTHER_KINDS, KINDS, SkeinRecord, draw
 from roemetry_simulate.products.family import (
     Drawn,
     ProductFamily,
@@ -27,7 +25,7 @@ from roemetry_simulate.products.family import (
     pick,
     random_of,
 )
-from roemetry_simulate.skein import build
+from roemetry_simulate.skein import FURTHER_KINDS, KINDS, SkeinRecord, build, dents, draw
 
 _LEAST_LOST, _MOST_LOST = 0.05, 0.25
 _COARSE_MM = 0.5

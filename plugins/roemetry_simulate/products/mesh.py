@@ -1,17 +1,9 @@
-"""Any closed triangle mesh as a product, with its volumes.
-
-The mesh is scaled to millimetres, one of its axes is turned up, and it is laid on the belt by its lowest
-point, the middle of its footprint's bounds at the place drawn. Its true volume is that of the divergence
-theorem; its visible volume is summed from the exact top heights over a grid of about two million vertical
-rays, in the mesh's own frame, so that neither depends on where it lies. Undercuts are seen and shadowed as
-they are; only the visible volume fills them. Shells that lie within others or cut each other are not looked
-for: the true volume counts what they enclose with their sign. Nothing but the place is random. Density
-1 g/cm³.
-"""
+"""A user's own mesh as a product: read, checked for closedness, closed where asked, laid on the belt."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -23,7 +15,6 @@ from pydantic import Field
 
 from roemetry.errors import DataError
 from roemetry_kernels.compiling import kernel
-from roemetry_simulate.bodies import MESH, ExactBody
 from roemetry_simulate.products.family import (
     Drawn,
     Pose,
@@ -33,8 +24,8 @@ from roemetry_simulate.products.family import (
     draw_pose,
     random_of,
 )
-from roemetry_simulate.products.mesh_file import Triangles, read_mesh
 from roemetry_simulate.products.triangles import Tree, build_tree, vertical_heights
+from roemetry_simulate.solid import MESH, ExactBody
 
 Floats = NDArray[np.float64]
 
@@ -250,3 +241,178 @@ def _make(seed: int, options: MeshOptions) -> Drawn:
 
 MESH_FAMILY = ProductFamily("mesh", "any closed mesh: OBJ, STL or PLY", MeshOptions, _make)
 """The family."""
+
+
+Integers = NDArray[np.int64]
+
+_PLY_TYPES = {
+    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
+    "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4",
+    "double": "f8", "float64": "f8",
+}  # fmt: skip
+
+
+class Triangles(NamedTuple):
+    """Points (V, 3) in the file's unit, and triangles (T, 3) of their indices, counted from 0."""
+
+    points: Floats
+    faces: Integers
+
+
+def read_mesh(path: Path) -> Triangles:
+    """Read a mesh; faces of more than three corners are cut into fans.
+
+    Parameters
+    ----------
+    path : Path
+        Its ending says the format: .obj, .stl or .ply.
+
+    Returns
+    -------
+    Triangles
+        As they stand in the file.
+
+    Raises
+    ------
+    DataError
+        With the file's name and the reason, where it cannot be read.
+    """
+    readers = {".obj": _read_obj, ".stl": _read_stl, ".ply": _read_ply}
+    reader = readers.get(path.suffix.lower())
+    if reader is None:
+        raise DataError(f"{path}: a mesh file ends in {', '.join(readers)}, not {path.suffix!r}")
+    try:
+        mesh = reader(path.read_bytes())
+    except OSError as fault:
+        raise DataError(f"{path}: {fault.strerror or fault}") from fault
+    except (ValueError, IndexError, KeyError, OverflowError) as fault:
+        raise DataError(f"{path}: not a readable {path.suffix[1:].upper()} mesh: {fault}") from fault
+    if not mesh.faces.size:
+        raise DataError(f"{path}: the mesh has no faces")
+    if not np.isfinite(mesh.points).all():
+        raise DataError(f"{path}: the mesh has points that are NaN or infinite")
+    if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.points):
+        raise DataError(f"{path}: a face names a point that is not there ({len(mesh.points)} points)")
+    return mesh
+
+
+def _read_obj(data: bytes) -> Triangles:
+    points: list[list[float]] = []
+    faces: list[list[int]] = []
+    for number, line in enumerate(data.decode("utf-8", errors="replace").splitlines(), start=1):
+        words = line.split()
+        if not words:
+            continue
+        try:
+            if words[0] == "v":
+                points.append([float(word) for word in words[1:4]])
+                if len(points[-1]) != 3:
+                    raise ValueError("a point has three numbers")
+            elif words[0] == "f":
+                corners = [int(word.split("/")[0]) for word in words[1:]]
+                faces.append([c - 1 if c > 0 else len(points) + c for c in corners])
+        except ValueError as fault:
+            raise ValueError(f"line {number}: {fault}") from fault
+    return Triangles(np.array(points, dtype=np.float64).reshape(-1, 3), _fans(faces))
+
+
+def _read_stl(data: bytes) -> Triangles:
+    count = int.from_bytes(data[80:84], "little")
+    if len(data) == 84 + 50 * count and len(data) >= 84:
+        row = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+        corners = np.frombuffer(data, row, count, 84)["corners"].astype(np.float64)
+    elif data.lstrip().startswith(b"solid"):
+        words = data.decode("ascii", errors="replace").split()
+        at = [k for k, word in enumerate(words) if word == "vertex"]
+        corners = np.array([words[k + 1 : k + 4] for k in at], dtype=np.float64).reshape(-1, 3, 3)
+    else:
+        raise ValueError(f"{count} triangles need {84 + 50 * count} bytes, the file has {len(data)}")
+    return Triangles(corners.reshape(-1, 3), np.arange(3 * len(corners), dtype=np.int64).reshape(-1, 3))
+
+
+class _Element(NamedTuple):
+    """An element of a PLY header: name, rows, and its properties (name, type, type of a list's length)."""
+
+    name: str
+    rows: int
+    properties: list[tuple[str, str, str]]
+
+
+def _read_ply(data: bytes) -> Triangles:
+    head, mark, rest = data.partition(b"end_header")
+    if not data.startswith(b"ply") or not mark:
+        raise ValueError("the header does not run from 'ply' to 'end_header'")
+    body = rest[rest.index(b"\n") + 1 :]
+    form, elements = _ply_header(head.decode("ascii", errors="replace").splitlines())
+    rows = _ply_text(body, elements) if form == "ascii" else _ply_binary(body, elements, form)
+    for needed in ("vertex", "face"):
+        if needed not in rows:
+            raise ValueError(f"there is no element {needed!r}")
+    names = {element.name: [p[0] for p in element.properties] for element in elements}
+    axes = [names["vertex"].index(axis) for axis in "xyz"]
+    lists = [name in ("vertex_indices", "vertex_index") for name in names["face"]]
+    points = np.array([[row[axis][0] for axis in axes] for row in rows["vertex"]], dtype=np.float64)
+    faces = [[int(corner) for corner in row[lists.index(True)]] for row in rows["face"]]
+    return Triangles(points.reshape(-1, 3), _fans(faces))
+
+
+def _ply_header(lines: Sequence[str]) -> tuple[str, list[_Element]]:
+    form, elements = "", list[_Element]()
+    for words in (line.split() for line in lines):
+        if words[:1] == ["format"]:
+            form = words[1]
+        elif words[:1] == ["element"]:
+            elements.append(_Element(words[1], int(words[2]), []))
+        elif words[:1] == ["property"]:
+            length = _PLY_TYPES[words[2]] if words[1] == "list" else ""
+            elements[-1].properties.append((words[-1], _PLY_TYPES[words[-2]], length))
+    if form not in ("ascii", "binary_little_endian", "binary_big_endian"):
+        raise ValueError(f"unknown format {form!r}")
+    return form, elements
+
+
+Rows = dict[str, list[list[Sequence[float]]]]
+
+
+def _ply_text(body: bytes, elements: Sequence[_Element]) -> Rows:
+    numbers = [float(word) for word in body.split()]
+    at = 0
+    rows: Rows = {}
+    for element in elements:
+        rows[element.name] = []
+        for _ in range(element.rows):
+            row: list[Sequence[float]] = []
+            for _, _, length in element.properties:
+                count = int(numbers[at]) if length else 1
+                at += bool(length)
+                row.append(numbers[at : at + count])
+                at += count
+            rows[element.name].append(row)
+    if at > len(numbers):
+        raise ValueError("the file ends early")
+    return rows
+
+
+def _ply_binary(body: bytes, elements: Sequence[_Element], form: str) -> Rows:
+    order = "<" if form == "binary_little_endian" else ">"
+    at = 0
+    rows: Rows = {}
+    for element in elements:
+        rows[element.name] = []
+        for _ in range(element.rows):
+            row: list[Sequence[float]] = []
+            for _, kind, length in element.properties:
+                count = 1
+                if length:
+                    count = int(np.frombuffer(body, order + length, 1, at)[0])
+                    at += np.dtype(length).itemsize
+                row.append(np.frombuffer(body, order + kind, count, at).tolist())
+                at += count * np.dtype(kind).itemsize
+            rows[element.name].append(row)
+    return rows
+
+
+def _fans(faces: Iterable[Sequence[int]]) -> Integers:
+    """Cut polygons into triangles about their first corner."""
+    cut = [(f[0], f[k], f[k + 1]) for f in faces for k in range(1, len(f) - 1)]
+    return np.array(cut, dtype=np.int64).reshape(-1, 3)

@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from roemetry_kernels.compiling import kernel
-from roemetry_simulate.bodies import PARTS, ExactBody
 from roemetry_simulate.products.family import Pose
+from roemetry_simulate.solid import PARTS, ExactBody
 
 Floats = NDArray[np.float64]
 Surface = tuple[float, float, float, float, float, float, float, float, float, float]

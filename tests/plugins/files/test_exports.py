@@ -18,7 +18,7 @@ from roemetry.recipe import Recipe
 from roemetry.record import read_record
 from roemetry.records import Profiles
 from roemetry.runner import derive, run_recipe
-from roemetry_files.rastering import INTERPOLATED, SEEN, raster
+from roemetry_files.height_map import INTERPOLATED, SEEN, raster
 
 
 @pytest.fixture

@@ -15,14 +15,11 @@ from roemetry.records import Outline, Product
 from roemetry.testing.scenes import LinearRig
 from roemetry.testing.solids import HALF_CYLINDER, HALF_ELLIPSOID, SPHERICAL_CAP, product_from, product_of
 from roemetry.view import View
-from roemetry_open3d import loading, meshing
-from roemetry_open3d.closing import mended, open_edges
-from roemetry_open3d.lines import lines_of
-from roemetry_open3d.mesh_formats import colours, ply, stl
-from roemetry_open3d.meshing import Mesh, mesh_of
-from roemetry_open3d.sheet import sheet_of
+from roemetry_open3d import meshing
+from roemetry_open3d.mesh_files import ASSUMED, BRIDGED, MEASURED, certainty_of, colours, ply, stl
+from roemetry_open3d.meshing import Mesh, mended, mesh_of, open_edges
+from roemetry_open3d.sheet import lines_of, sheet_of
 from roemetry_open3d.surface_mesh import MeshOptions, SurfaceMesh
-from roemetry_open3d.vertex_uncertainty import ASSUMED, BRIDGED, MEASURED, certainty_of
 
 METHODS = ("poisson", "ball-pivoting", "alpha-shape")
 COARSE = LinearRig(rows=240, columns=480, stripes=13, first_px=95.5, spacing_px=24.0, fan=0.0)
@@ -198,11 +195,11 @@ def test_a_system_without_libusb_gets_that_of_the_package(monkeypatch: pytest.Mo
             raise OSError("libusb-1.0.so.0: cannot open shared object file")
         return real(name)
 
-    monkeypatch.setattr(loading.importlib, "import_module", import_module)
-    monkeypatch.setattr(loading.ctypes, "CDLL", lambda path, mode: loaded.append(path))
+    monkeypatch.setattr(meshing.importlib, "import_module", import_module)
+    monkeypatch.setattr(meshing.ctypes, "CDLL", lambda path, mode: loaded.append(path))
     before = {name: module for name, module in sys.modules.items() if name.split(".")[0] == "open3d"}
-    monkeypatch.setattr(loading, "sys", type("Sys", (), {"modules": {}}))
-    assert loading.open3d().__name__ == "open3d"
+    monkeypatch.setattr(meshing, "sys", type("Sys", (), {"modules": {}}))
+    assert meshing.open3d().__name__ == "open3d"
     assert tried == ["open3d"]
     assert "usb" in loaded[0]
     assert before.keys() <= sys.modules.keys()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from roemetry.records import Decision
-from roemetry_report.rows import decision_pill
+from roemetry_report.overview import decision_pill
 
 
 @pytest.mark.parametrize(

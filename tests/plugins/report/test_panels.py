@@ -11,12 +11,8 @@ import pytest
 
 from roemetry.records import AMBIGUOUS, Frame, Marks
 from roemetry_report import palette, svg
-from roemetry_report.arcs import arc_panel
-from roemetry_report.base_image import base_image
-from roemetry_report.charts import share_bar, slice_chart, ticks_to
-from roemetry_report.curves import curves, runs
-from roemetry_report.heights import height_charts
-from roemetry_report.panels import panels
+from roemetry_report.charts import height_charts, share_bar, slice_chart, ticks_to
+from roemetry_report.panels import arc_panel, base_image, curves, panels, runs
 
 NUMBER = re.compile(r"[A-Za-z]|-?(?:\d+(?:\.\d*)?|\.\d+)")
 

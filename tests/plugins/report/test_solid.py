@@ -18,7 +18,7 @@ import pytest
 from roemetry.records import Profiles
 from roemetry_report.palette import height_colour
 from roemetry_report.sink import Report
-from roemetry_report.solid import Solid, solid
+from roemetry_report.surface import Solid, solid
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from roemetry.records import StripeMap
-from roemetry_report.trust import CLASSES, classes_of, trust
+from roemetry_report.overview import CLASSES, classes_of, trust
 
 SVG = "{http://www.w3.org/2000/svg}"
 

@@ -10,9 +10,8 @@ import pytest
 from roemetry.scene import Scene
 from roemetry.yaml_source import dump
 from roemetry_simulate.camera import looking_down
-from roemetry_simulate.group import Group
 from roemetry_simulate.laser import fan_through
-from roemetry_simulate.placing import moved
+from roemetry_simulate.population import Group, moved
 from roemetry_simulate.products.artefacts import SphereOptions, sphere
 from roemetry_simulate.products.family import Pose
 from roemetry_simulate.solid import Block, on_grid

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from roemetry_simulate.parameters import KINDS, draw
-from roemetry_simulate.skein import build
+from roemetry_simulate.skein import KINDS, build, draw
 
 
 def coarse(seed, kind):

@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 from roemetry_simulate.products import PRODUCTS
 from roemetry_simulate.products.artefacts import ARTEFACTS
-from roemetry_simulate.products.outline import outline_mm
+from roemetry_simulate.products.family import outline_mm
 from roemetry_simulate.products.parts import PartsSolid, hit_parts, parts_normal
 
 NAMES = [family.name for family in ARTEFACTS]

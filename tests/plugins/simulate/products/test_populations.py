@@ -8,11 +8,9 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from roemetry_simulate.defects import dents
-from roemetry_simulate.parameters import FURTHER_KINDS, KINDS, draw
 from roemetry_simulate.products import PRODUCTS
 from roemetry_simulate.products.family import Drawn
-from roemetry_simulate.skein import build
+from roemetry_simulate.skein import FURTHER_KINDS, KINDS, build, dents, draw
 
 SEEDS = range(50)
 

@@ -7,8 +7,7 @@ from roemetry_simulate.camera import looking_down
 from roemetry_simulate.laser import fan_through
 from roemetry_simulate.products import PRODUCTS
 from roemetry_simulate.products.family import Pose
-from roemetry_simulate.products.mesh import close, lay
-from roemetry_simulate.products.mesh_file import Triangles
+from roemetry_simulate.products.mesh import Triangles, close, lay
 from roemetry_simulate.truth import stripe_centres
 
 CAMERA = looking_down(

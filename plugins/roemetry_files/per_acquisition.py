@@ -1,4 +1,4 @@
-"""A file for each acquisition of a run, from what happened to it."""
+"""Files written once for each acquisition, under names that every file system takes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,11 @@ from roemetry.errors import RoemetryError
 from roemetry.files import make_folder, write_bytes
 from roemetry.records import Trace
 from roemetry.stages import Run
-from roemetry_files.names import file_name
+
+
+def file_name(acquisition_id: str) -> str:
+    """Give a name that stays in its folder, whatever a source calls its acquisitions."""
+    return acquisition_id.replace("/", "_").replace("\\", "_")
 
 
 def write_each(

@@ -1,0 +1,439 @@
+"""The overview of a run: which products are shown, a table row for each, what to trust."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from markupsafe import Markup
+from numpy.typing import NDArray
+
+from roemetry.arrays import Flags, Floats
+from roemetry.records import (
+    AMBIGUOUS,
+    BELT,
+    Decision,
+    Estimate,
+    Grade,
+    Measurement,
+    Reason,
+    Shares,
+    StripeMap,
+)
+from roemetry.stages import Run
+from roemetry.units import MM3_PER_CM3, NOT_STATED
+from roemetry_report import svg
+from roemetry_report.charts import share_bar
+from roemetry_report.words import budget, interval, percent, plain, uncertainty, value
+
+ROWS_MAX = 2000
+"""Rows of the summary table; a page with more is no help to anyone."""
+
+_SUSPECTS_PER_PLACE = 64
+"""So many rows are kept in mind for each place among the worst: an acquisition may have many rows."""
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """An acquisition that gets a section, with all its rows of the record."""
+
+    acquisition: str
+    rows: tuple[Measurement, ...]
+    worst: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Overview:
+    """A run at a glance.
+
+    Attributes
+    ----------
+    total
+        Number of rows of the record.
+    statuses, grades
+        How many rows have each status, how many products each grade.
+    rows
+        The first rows, for the table.
+    common
+        Reasons that stand on every measured row: said once.
+    shown
+        Acquisitions that get a section.
+    calibrated
+        Whether any number is in millimetres or grams.
+    """
+
+    total: int
+    statuses: Mapping[str, int]
+    grades: Mapping[str, int]
+    rows: tuple[Measurement, ...]
+    common: tuple[Reason, ...]
+    shown: tuple[Shown, ...]
+    calibrated: bool
+
+
+def overview(run: Run, products_max: int, worst_max: int) -> Overview:
+    """Look through the record.
+
+    Parameters
+    ----------
+    run
+        What was measured.
+    products_max
+        So many rows from the first on are shown.
+    worst_max
+        So many more are shown from among the others: failed, most ambiguous or least seen.
+    """
+    statuses: Counter[str] = Counter()
+    grades: Counter[str] = Counter()
+    rows: list[Measurement] = []
+    first: dict[str, None] = {}
+    suspects: list[tuple[float, int, str]] = []
+    common: tuple[Reason, ...] | None = None
+    finite = False
+    for index, row in enumerate(run.measurements()):
+        statuses[row.status] += 1
+        if row.grade is not None:
+            grades[row.grade.label] += 1
+        if index < ROWS_MAX:
+            rows.append(row)
+        if index < products_max:
+            first[row.acquisition] = None
+        elif worst_max and row.acquisition not in first and (bad := badness(row)) > 0:
+            suspects.append((-bad, index, row.acquisition))
+            if len(suspects) > _SUSPECTS_PER_PLACE * worst_max:
+                suspects = sorted(suspects)[: len(suspects) // 2]
+        finite |= row.volume is not None or math.isfinite(row.height_max_mm.value)
+        if row.status == "measured":
+            common = row.all_reasons if common is None else tuple(r for r in common if r in row.all_reasons)
+    worst = list(dict.fromkeys(name for _, _, name in sorted(suspects)))[:worst_max]
+    total = sum(statuses.values())
+    return Overview(
+        total=total,
+        statuses=statuses,
+        grades=grades,
+        rows=tuple(rows),
+        common=common if common and statuses["measured"] > 1 else (),
+        shown=_with_rows(run, list(first), worst),
+        calibrated=_calibrated(run.provenance, finite),
+    )
+
+
+def badness(row: Measurement) -> float:
+    """How much a row wants looking at: failed most, then the larger of ambiguous and not seen shares."""
+    if row.status == "failed":
+        return 2.0
+    if row.status == "empty":
+        return 0.0
+    coding = row.coding
+    ambiguous = coding.ambiguous / coding.peaks if coding is not None and coding.peaks else 0.0
+    if row.volume is not None and math.isfinite(row.volume.shares.seen):
+        unseen = 1.0 - row.volume.shares.seen
+    elif coding is not None and coding.rows_seen + coding.rows_interpolated:
+        unseen = coding.rows_interpolated / (coding.rows_seen + coding.rows_interpolated)
+    else:
+        unseen = 0.0
+    return max(ambiguous, unseen)
+
+
+def _with_rows(run: Run, first: list[str], worst: list[str]) -> tuple[Shown, ...]:
+    """Collect each chosen acquisition's rows, wherever they stand."""
+    chosen: dict[str, list[Measurement]] = {name: [] for name in (*first, *worst)}
+    if chosen:
+        for row in run.measurements():
+            if row.acquisition in chosen:
+                chosen[row.acquisition].append(row)
+    return tuple(Shown(name, tuple(rows), name in worst) for name, rows in chosen.items())
+
+
+def _calibrated(provenance: Mapping[str, object], finite: bool) -> bool:
+    for key in ("calibration_sha256", "calibration"):
+        if key in provenance:
+            return provenance[key] is not None
+    return finite
+
+
+_FULL_REASONS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """A number with its uncertainty in words; `sort` is the number itself, for sorting."""
+
+    text: str
+    std: str
+    sort: float | None
+    interval: str = ""
+    budget: tuple[tuple[str, str], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Pill:
+    """A verdict: words, a sign and a tone, so that colour is never alone."""
+
+    words: str
+    sign: str
+    tone: str
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One measurement in words.
+
+    Attributes
+    ----------
+    shares_of
+        What the shares are shares of: the volume, or (without one) the points.
+    main
+        What matters most for this row: why it failed, or the first reason of its grade.
+    further
+        The other reasons, for which a code is enough.
+    """
+
+    id: str
+    status: Pill
+    grade: Pill | None
+    probability: str
+    decision: Pill | None
+    lane: str
+    weight: Figure
+    volume: Figure
+    true_volume: Figure | None
+    height: Figure
+    displacement: Figure
+    share_bar: Markup | None
+    share_words: tuple[str, str, str] | None
+    share_sort: float | None
+    shares_of: str
+    stripes: str
+    stripes_sort: int | None
+    ambiguous: str
+    ambiguous_sort: int | None
+    main: tuple[Reason, ...]
+    further: tuple[Reason, ...]
+
+
+def row_of(measurement: Measurement, common: Collection[Reason] = ()) -> Row:
+    """Write a measurement for people; reasons in `common` are said elsewhere."""
+    coding, volume = measurement.coding, measurement.volume
+    shares, shares_of = _shares(measurement)
+    reasons = [reason for reason in _by_weight(measurement) if reason not in common]
+    known = shares is not None and math.isfinite(shares.seen + shares.interpolated + shares.assumed)
+    return Row(
+        id=measurement.id,
+        status=status_pill(measurement.status),
+        grade=None if measurement.grade is None else grade_pill(measurement.grade.label),
+        probability=probability_of(measurement.grade),
+        decision=None if measurement.decision is None else decision_pill(measurement.decision),
+        lane="" if measurement.decision is None else measurement.decision.lane,
+        weight=_NONE if measurement.weight is None else _figure(measurement.weight.mass_g, digits=1),
+        volume=_NONE if volume is None else _figure(volume.visible_mm3, MM3_PER_CM3),
+        true_volume=None
+        if volume is None or volume.true_mm3 is None
+        else _figure(volume.true_mm3, MM3_PER_CM3),
+        height=_figure(measurement.height_max_mm, digits=1),
+        displacement=_NONE
+        if coding is None
+        else Figure(
+            plain(coding.displacement_max_px, 1), NOT_STATED, _sortable(abs(coding.displacement_max_px))
+        ),
+        share_bar=None if shares is None else share_bar(shares),
+        share_words=(percent(shares.seen), percent(shares.interpolated), percent(shares.assumed))
+        if shares is not None and known
+        else None,
+        share_sort=_sortable(shares.seen) if shares is not None else None,
+        shares_of=shares_of,
+        stripes="–" if coding is None else f"{coding.stripes_seen} of {coding.stripes}",
+        stripes_sort=None if coding is None else coding.stripes_seen,
+        ambiguous="–" if coding is None else str(coding.ambiguous),
+        ambiguous_sort=None if coding is None else coding.ambiguous,
+        main=tuple(reasons[:1] if measurement.status != "failed" else reasons[:_FULL_REASONS]),
+        further=tuple(reasons[1 if measurement.status != "failed" else _FULL_REASONS :]),
+    )
+
+
+def _figure(estimate: Estimate, per: float = 1.0, digits: int = 2) -> Figure:
+    return Figure(
+        value(estimate, per, digits),
+        uncertainty(estimate, per, digits),
+        _sortable(estimate.value),
+        interval(estimate, per),
+        budget(estimate, per),
+    )
+
+
+def probability_of(grade: Grade | None) -> str:
+    """Write the probability of a grade in per cent; nothing where none is stated."""
+    return "" if grade is None or math.isnan(grade.probability) else percent(grade.probability)
+
+
+def status_pill(status: str) -> Pill:
+    """Give the sign and tone of a status."""
+    sign, tone = {"measured": ("●", "plain"), "empty": ("○", "quiet"), "failed": ("✕", "bad")}.get(
+        status, ("?", "quiet")
+    )
+    return Pill(status, sign, tone)
+
+
+def grade_pill(label: str) -> Pill:
+    """Give the sign and tone of a grade; a label that is not known to be good is one to look at."""
+    if label == "unknown":
+        return Pill(label, "?", "quiet")
+    return Pill(label, "✓", "good") if label.lower() in _GOOD else Pill(label, "!", "warn")
+
+
+def decision_pill(decision: Decision) -> Pill:
+    """Give the sign and tone of a decision: a class is a class; one that is left open is to look at."""
+    if decision.label == "undecided":
+        possible = " or ".join(decision.possible) or "fits no class"
+        return Pill(f"undecided: {possible}", "?", "warn")
+    return Pill(decision.label, "▸", "plain")
+
+
+_GOOD = frozenset({"good", "ok", "pass", "accept", "accepted", "normal"})
+_NONE = Figure("–", "", None)
+
+
+def _by_weight(measurement: Measurement) -> tuple[Reason, ...]:
+    """Give the reasons with what is missing first, then the grade's, then the rest; each once."""
+    grade = () if measurement.grade is None else measurement.grade.reasons
+    failed = tuple(r for r in measurement.reasons if r in measurement.absent.values())
+    if measurement.status == "failed" and not failed:
+        failed = tuple(measurement.absent.values())
+    return tuple(dict.fromkeys((*failed, *grade, *measurement.all_reasons)))
+
+
+def _shares(measurement: Measurement) -> tuple[Shares | None, str]:
+    if measurement.volume is not None:
+        return measurement.volume.shares, "of the visible volume"
+    coding = measurement.coding
+    if coding is None or not coding.rows_seen + coding.rows_interpolated or measurement.product == 0:
+        return None, ""
+    seen = coding.rows_seen / (coding.rows_seen + coding.rows_interpolated)
+    return Shares(seen, 1 - seen, 0.0), "of the points"
+
+
+def _sortable(number: float) -> float | None:
+    return number if math.isfinite(number) else None
+
+
+CLASSES = (
+    ("sure", 0.9, "from 0.9"),
+    ("fair", 0.7, "0.7 to 0.9"),
+    ("weak", 0.5, "0.5 to 0.7"),
+    ("poor", 0.3, "0.3 to 0.5"),
+    ("least", 0.0, "below 0.3"),
+)
+"""Classes of margin from the surest on: CSS class, least margin, words."""
+
+_NOT_STATED, _REFUSED, _EMPTY = len(CLASSES), len(CLASSES) + 1, len(CLASSES) + 2
+_KINDS = (*(name for name, _, _ in CLASSES), "unstated", "refused")
+_TALL = 10.0
+_TOLD_FROM = 2
+"""Runs of this class and below say what they are when they are pointed at."""
+
+
+@dataclass(frozen=True, slots=True)
+class Strip:
+    """A band: its name and its drawing."""
+
+    name: str
+    drawing: Markup
+
+
+@dataclass(frozen=True, slots=True)
+class Trust:
+    """The strips of an acquisition, and what they come to in words."""
+
+    strips: tuple[Strip, ...]
+    rows: int
+    notes: tuple[str, ...]
+
+
+def trust(stripes: StripeMap) -> Trust | None:
+    """Draw the margins; None where the coder states none and refuses nothing.
+
+    A band's points on the product are as high as the band, those on the belt half as high. What was bridged
+    has no margin of its own and is left out, like what was not seen.
+    """
+    if not (np.isfinite(stripes.margin) & stripes.seen).any() and not stripes.ambiguous.any():
+        return None
+    kind = classes_of(stripes)
+    on_product = stripes.product > BELT
+    bands = [
+        Strip(str(index + 1), _band(kind[index], on_product[index], stripes.margin[index], index + 1))
+        for index in range(stripes.stripe_count)
+    ]
+    matters = on_product | stripes.ambiguous
+    worst = np.where(matters & (kind != _EMPTY), kind, -1).max(axis=0, initial=-1)
+    all_of = np.where(worst < 0, _EMPTY, worst)
+    least = np.fmin.reduce(np.where(on_product & stripes.seen, stripes.margin, np.nan), axis=0)
+    bands.insert(0, Strip("least", _band(all_of, np.ones_like(all_of, np.bool_), least, None)))
+    return Trust(tuple(bands), stripes.rows, _notes(stripes))
+
+
+def classes_of(stripes: StripeMap) -> NDArray[np.int64]:
+    """(stripe, row) class of each point: an index into `CLASSES`, not stated, refused, or empty."""
+    floors = np.array([floor for _, floor, _ in CLASSES])
+    stated = np.isfinite(stripes.margin)
+    kind = np.full(stripes.margin.shape, _EMPTY, np.int64)
+    kind[stripes.seen & ~stated] = _NOT_STATED
+    at = stripes.seen & stated
+    kind[at] = np.searchsorted(-floors, -np.maximum(stripes.margin[at], 0.0))
+    # A refused peak where the stripe has another, certain one is no doubt about the stripe.
+    kind[stripes.ambiguous & ~stripes.seen] = _REFUSED
+    return kind
+
+
+def _band(kind: NDArray[np.int64], tall: Flags, margin: Floats, stripe: int | None) -> Markup:
+    """Draw runs of one class and height as rectangles, one path for each class."""
+    edges = np.flatnonzero((np.diff(kind) != 0) | (np.diff(tall.astype(np.int8)) != 0)) + 1
+    starts, ends = np.concatenate([[0], edges]), np.concatenate([edges, [kind.size]])
+    quiet: dict[str, list[str]] = {}
+    told = []
+    for begin, end in zip(starts.tolist(), ends.tolist(), strict=True):
+        which = int(kind[begin])
+        if which == _EMPTY:
+            continue
+        high = _TALL if tall[begin] or which == _REFUSED else 0.5 * _TALL
+        data = f"M{begin} {svg.number(0.5 * (_TALL - high))}h{end - begin}v{svg.number(high)}h-{end - begin}z"
+        if which >= _TOLD_FROM:
+            told.append(
+                Markup('<path class="t-{}" d="{}"><title>{}</title></path>').format(
+                    _KINDS[which], data, _told(which, begin, end, margin[begin:end])
+                )
+            )
+        else:
+            quiet.setdefault(_KINDS[which], []).append(data)
+    body = [Markup('<path class="t-{}" d="{}"/>').format(name, "".join(d)) for name, d in quiet.items()]
+    name = "Least margin of any stripe on the product" if stripe is None else f"Margin of stripe {stripe}"
+    return svg.picture(
+        [*body, *told], box=(0, 0, kind.size, _TALL), label=f"{name}, row by row", kind="strip", stretch=True
+    )
+
+
+def _told(which: int, begin: int, end: int, margin: Floats) -> str:
+    where = f"row {begin}" if end == begin + 1 else f"rows {begin} to {end - 1}"
+    if which == _REFUSED:
+        return f"{where}: refused as ambiguous"
+    if which == _NOT_STATED:
+        return f"{where}: margin not stated"
+    return f"{where}: margin from {plain(float(np.nanmin(margin)), 2)}"
+
+
+def _notes(stripes: StripeMap) -> tuple[str, ...]:
+    refused = int(np.count_nonzero(stripes.peak_stripe == AMBIGUOUS))
+    said = [f"{refused} {'peak' if refused == 1 else 'peaks'} refused as ambiguous"] if refused else []
+    mine = (stripes.product > BELT) & stripes.seen & np.isfinite(stripes.margin)
+    if mine.any():
+        margin = np.where(mine, stripes.margin, np.inf)
+        stripe, row = np.unravel_index(int(margin.argmin()), margin.shape)
+        share = float((stripes.margin[mine] >= CLASSES[0][1]).mean())
+        said.insert(
+            0,
+            f"least on a product: {plain(float(margin[stripe, row]), 2)}, stripe {stripe + 1}, row {row}; "
+            f"{percent(share)} of its points are at {CLASSES[0][1]} or above",
+        )
+    return tuple(said)
