@@ -1,4 +1,4 @@
-"""The paper's experiment again, on six skeins and on 500; writes docs/explanation/paper-experiment.md.
+"""The paper's experiment again, on six skeins and on 500; writes docs/measurements/paper-experiment.md.
 
 ``python -m benchmarks paper_experiment [--count 500] [--images 60] [--cache DIR] [--page FILE]``
 
@@ -35,7 +35,7 @@ def main() -> None:
     parser.add_argument("--learn", type=int, default=750, help="skeins that limits are found on")
     parser.add_argument("--images", type=int, default=60, help="skeins that are rendered, too")
     parser.add_argument("--cache", type=Path, default=Path(tempfile.gettempdir()) / "roemetry-traced")
-    parser.add_argument("--page", type=Path, default=Path("docs/explanation/paper-experiment.md"))
+    parser.add_argument("--page", type=Path, default=Path("docs/measurements/paper-experiment.md"))
     given = parser.parse_args()
     rows = rows_of(range(FIRST, FIRST + given.count), "recipe-like", given.cache)
     learning = range(LEARN_FROM, LEARN_FROM + given.learn)

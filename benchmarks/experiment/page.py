@@ -1,4 +1,4 @@
-"""The page docs/explanation/paper-experiment.md, made of what the benchmark measured."""
+"""The page docs/measurements/paper-experiment.md, made of what the benchmark measured."""
 
 from __future__ import annotations
 
@@ -107,7 +107,8 @@ recipe, coded by `window-tracking`. The {count} are traced ray by ray without a 
 {first} to {last} of the whole population, each on a rig of its own about the recipe's; {refused} of them
 were refused by the coder. The options of the paper's rule, the limits and the model of `learned` were
 chosen and fitted on other seeds; how the limit of *good* is chosen was changed after a look at the first
-200. What `learned` does on skeins and rigs that nobody had looked at is on [Grading](grading.md).
+200. What `learned` does on skeins and rigs that nobody had looked at is on
+[Grading](../explanation/grading.md).
 """
 
 _TABLE_1 = """\
@@ -130,7 +131,7 @@ no classifier can know; the line *shown* is what can be had at all.
 _STRIPES = """\
 By how many stripes it could be shown: evenly spaced lines over the same width as the rig's eleven. What
 hides behind the product counts as seen here, so this is the most that so many stripes could show. More
-stripes stand closer, and coding has to tell them apart ([Coding](coding.md)).
+stripes stand closer, and coding has to tell them apart ([Coding](../explanation/coding.md)).
 """
 
 _WEIGHT = """\
