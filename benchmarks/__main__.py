@@ -28,7 +28,6 @@ BENCHMARKS = {
     "product_lines": "the shipped product lines on their own products: the tables of their pages",
     "report_picture": "the picture of README: the report's first panels on one shipped skein",
     "shipped_skeins": "the same on the shipped skeins, one by one",
-    "simulate": "time of a simulated image on one core",
     "image_looks": "stripe width, saturation and grey levels of simulated and of real images",
     "grade": "classifiers on unseen skeins and rigs; fits the model beside the recipe",
     "paper_experiment": "the paper's Table 1 and Figures 17 to 22 again, on six skeins and on 500",
