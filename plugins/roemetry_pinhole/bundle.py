@@ -239,8 +239,9 @@ _STRAY_MIN_PX = 1.0
 """Nearer than this nothing is left out before anything is settled, px. No change from 0.6 to 1.6."""
 _LAGS = 150
 """Points along a stripe over which residuals are tried for correlation; it ends at the first that is not
-significant.""" _MAD_TO_STD = 1.4826 """Standard deviation of a normal distribution over its median absolute
-deviation."""
+significant."""
+_MAD_TO_STD = 1.4826
+"""Standard deviation of a normal distribution over its median absolute deviation."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
