@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from roemetry.arrays import Flags, Floats
-from roemetry.calibrating.control_chart import Chart, Check, Quantity, judged
+from roemetry.calibrating.control_chart import Chart, Check, Quantity, judge
 from roemetry.calibration import Calibration
 from roemetry.errors import ConfigurationError, DataError
 from roemetry.files import sha256_of
@@ -74,7 +74,7 @@ def check_calibration(recipe: Recipe, image: Path, block: Block, chart: Path | N
         stripe_spread_mm=reading.stripe_spread_mm,
     )
     history = () if chart is None else Chart(chart).checks(calibration.sha256)
-    verdict, reasons = judged(check, history)
+    verdict, reasons = judge(check, history)
     check = replace(check, verdict=verdict, reasons=reasons)
     if chart is not None:
         Chart(chart).add(check)

@@ -106,7 +106,7 @@ class Check:
         return found
 
 
-def judged(check: Check, history: Sequence[Check]) -> tuple[Verdict, tuple[Reason, ...]]:
+def judge(check: Check, history: Sequence[Check]) -> tuple[Verdict, tuple[Reason, ...]]:
     """Give verdict and reasons; `history` holds earlier checks of the same calibration, oldest first."""
     out, drifting = [], []
     for name in QUANTITIES:

@@ -185,7 +185,7 @@ def _level(calibration: Calibration, height_mm: float) -> StripeMap:
     rest = calibration.rest_line_px(row)
     view = calibration.view
     if view is not None and view.exact:
-        x_px = _seen_at(calibration, row, height_mm)
+        x_px = level_line_px(calibration, row, height_mm)
     else:
         x_px = rest + calibration.displacement_px_per_mm[:, None] * height_mm
     x_px = np.where((x_px >= 0) & (x_px <= columns - 1), x_px, np.nan)
@@ -202,7 +202,7 @@ def _level(calibration: Calibration, height_mm: float) -> StripeMap:
     )
 
 
-def _seen_at(calibration: Calibration, row: Floats, height_mm: float) -> Floats:
+def level_line_px(calibration: Calibration, row: Floats, height_mm: float) -> Floats:
     """(stripe, row) x where each stripe's plane is at a height in each image row, px: by regula falsi."""
     view = calibration.view
     if view is None:
