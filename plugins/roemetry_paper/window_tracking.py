@@ -78,16 +78,23 @@ class WindowTrackingOptions(BridgingOptions):
 _END_ROWS = 12
 """Rows at the image's ends within which a belt segment must begin: a skein never reaches so far."""
 _DARK_ROWS_MAX = 20
+"""Rows on end without a peak: as long a gap as is bridged."""
 _PIECES_MAX = 400
+"""Pieces without a belt to number them by: more is noise."""
 _PIECES_SHARE_MIN = 0.25
+"""Of all peaks: where less lies in traced pieces, it is noise."""
 _AGREEMENT_MIN = {"anywhere": 0.9, "facing-light": 0.75}
 """Of the rows that vote. Counted from the shadow's side each row that has lost a peak is off by one, and an
 extractor loses one in up to a fifth of a flank's rows. A stripe that is lost in three rows of four shifts
 those behind it, and nothing tells."""
 _VOTERS_MIN = 3
+"""Rows that vote: fewer are chance."""
 _VOTING_SHARE_MIN = 0.5
+"""Of a segment's rows: where most cannot vote, something is seen twice and something hidden."""
 _PASSES_MAX = 12
+"""Passes; each settles what the one before made certain, until nothing changes."""
 _UNBOUNDED_PX = 1e6
+"""No bound, px."""
 
 
 class WindowTracking(Coder[WindowTrackingOptions]):

@@ -27,7 +27,7 @@ _ADVICE = "; is it there, lit, in front of something that differs from it?"
 _NONE = "no board is seen" + _ADVICE
 
 
-class UnseenError(Exception):
+class BoardNotFoundError(Exception):
     """A board cannot be used; says why."""
 
 

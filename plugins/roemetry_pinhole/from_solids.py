@@ -380,7 +380,7 @@ def _fitted(
         measured = _measured(boards, free_camera, geometry, found, shapes, first_pose)
         if last:
             break
-        geometry = measured.nearly()
+        geometry = measured.robust_prefit()
         if number < _RIGHTED_FROM:
             continue
         right = [

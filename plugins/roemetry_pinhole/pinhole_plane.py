@@ -17,7 +17,7 @@ from roemetry_pinhole.frames import belt_pose, camera_of, planes_in_belt_frame, 
 
 
 class PinholePlane(Triangulator[StageOptions]):
-    """Each peak's ray, straightened, meets its stripe's plane of light; the point goes to the belt frame.
+    """Each peak's ray, undistorted, meets its stripe's plane of light; the point goes to the belt frame.
 
     `height_std_mm` is what the peak's own noise does to Z. What the calibration contributes is common to all
     points: it is in the calibration's covariance, and a redrawn calibration moves all points together.

@@ -1,6 +1,6 @@
 """From images to a calibration, its evidence, and its checks on a running line."""
 
-from roemetry.calibrating.block_check import block_of, check_calibration
+from roemetry.calibrating.block_check import block_of, check_calibration, find_block, read_block
 from roemetry.calibrating.control_chart import (
     QUANTITIES,
     Chart,
@@ -8,8 +8,15 @@ from roemetry.calibrating.control_chart import (
     Quantity,
     calibration_doubts,
     chart_page,
+    judge,
 )
-from roemetry.calibrating.evidence import evidence_page, height_uncertainty
+from roemetry.calibrating.evidence import (
+    correlations,
+    coverage,
+    evidence_page,
+    height_uncertainty,
+    level_line_px,
+)
 from roemetry.calibrating.from_rig import calibrate, calibrate_with_evidence, default_path, observe
 from roemetry.calibrating.penetration import fit_penetration, fit_penetration_in_one
 
@@ -24,10 +31,16 @@ __all__ = [
     "calibration_doubts",
     "chart_page",
     "check_calibration",
+    "correlations",
+    "coverage",
     "default_path",
     "evidence_page",
+    "find_block",
     "fit_penetration",
     "fit_penetration_in_one",
     "height_uncertainty",
+    "judge",
+    "level_line_px",
     "observe",
+    "read_block",
 ]

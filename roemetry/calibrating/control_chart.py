@@ -32,8 +32,11 @@ Verdict = Literal["in order", "drifting", "out"]
 QUANTITIES = ("height_mm", "belt_mm", "width_mm")
 
 _HISTORY_MIN = 8
+"""Checks from which centre and scatter of a chart are taken: the scatter is then known to 25 %."""
 _ONE_SIDE_RUN = 8
+"""Checks in a row on one side: by chance once in 128."""
 _SIGMAS = 3.0
+"""Standard deviations of a chart's limits (Shewhart): by chance once in 370."""
 _MOVING_RANGE_TO_STD = 1.128
 """Mean range of two draws from a normal distribution, in standard deviations (d₂ of control charts)."""
 WORDS = {"height_mm": "height of the block", "belt_mm": "belt's zero", "width_mm": "width of the block"}
@@ -103,7 +106,7 @@ class Check:
         return found
 
 
-def judged(check: Check, history: Sequence[Check]) -> tuple[Verdict, tuple[Reason, ...]]:
+def judge(check: Check, history: Sequence[Check]) -> tuple[Verdict, tuple[Reason, ...]]:
     """Give verdict and reasons; `history` holds earlier checks of the same calibration, oldest first."""
     out, drifting = [], []
     for name in QUANTITIES:
@@ -146,6 +149,7 @@ def _drift(name: str, now: Quantity, before: Sequence[float]) -> str:
 
 
 _FORMAT = 1
+"""Of the file."""
 _TABLE = """
 CREATE TABLE IF NOT EXISTS checks
 (made TEXT NOT NULL, calibration_sha256 TEXT NOT NULL, content TEXT NOT NULL)

@@ -157,7 +157,9 @@ def _brighter_light(plain: Frame, laser: Frame) -> bool:
 
 
 _BRIGHTER_GREY = 0.02
+"""Of white: more than noise of two images differs by."""
 _BRIGHTER_SHARE_MAX = 0.25
+"""Of the image: stripes and their glow cover less."""
 
 
 def _none(frame: Frame) -> Peaks:

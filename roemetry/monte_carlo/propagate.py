@@ -106,7 +106,9 @@ def propagate(
 
 
 _BUDGET_DRAWS_MIN = 50
+"""Draws of one cause alone: its share of the budget is then known to 10 %."""
 _PROBE_PX = 1.0
+"""Step by which a contour is moved to see whether the volume uses it, px."""
 
 _PEAKS_NOT_STATED = Reason(
     "peak-noise-not-stated",

@@ -15,6 +15,7 @@ from roemetry.records import Estimate, ProductTrace, Reason
 COVERAGE = 0.95
 """Share of cases in which an interval is to hold the true value."""
 COVERAGE_FACTOR = 1.959964
+"""Half width of a 95 % interval in standard deviations of a normal distribution."""
 FEW_DRAWS = 20
 """With fewer, a standard deviation is itself uncertain by a sixth and more."""
 ENOUGH_FOR_QUANTILES = 1000

@@ -220,6 +220,18 @@ def test_lines_lost_false_or_broken_in_any_pose_change_no_number(seed, lost, fal
         assert missed.size <= 2, pose.name
 
 
+def test_exchanged_laser_images_are_named_as_such(rng) -> None:
+    """Each pose shows the lines of the next one: every stripe is seen on every board, and in no plane."""
+    poses = [pose for pose in fan(9, 30, rng) if pose.count == 9][:3] + fan(9, 9, rng)
+    boards = [np.linalg.lstsq(p.ends_mm.reshape(-1, 3), np.ones(2 * p.count), rcond=None)[0] for p in poses]
+    wrong = []
+    for pose, board in zip(poses, boards[1:] + boards[:1], strict=True):
+        ends = pose.ends_mm / (pose.ends_mm @ board)[:, :, None]
+        wrong.append(PoseLines(pose.name, ends))
+    with pytest.raises(CalibrationError, match="contradict each other|no numbering of 9"):
+        number_stripes(wrong, 9)
+
+
 def test_the_empty_belt_numbers_what_boards_show_in_part(rng) -> None:
     """Stripe 1 lies on no board: the belt's lines tell which one it is."""
     poses = fan(7, 8, rng)
