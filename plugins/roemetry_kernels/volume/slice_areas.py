@@ -21,6 +21,8 @@ _STEP_SHARE = 0.15  # of the slice's top
 _LEVEL_ROWS, _LEVEL_SHARE = 4, 0.3
 _END_ROWS = 4
 _JUMP, _JUMP_MM = 2.2, 0.8
+_TAIL_POINTS = 12
+"""Points of a slice's end that say how it goes on: about two millimetres, over which a dome is a parabola."""
 _Y, _Z, _ROW, _SEEN = range(4)
 
 
@@ -136,8 +138,13 @@ def _area(
     for m in range(count):
         top, low = max(top, on[m, _Z]), min(low, on[m, _Z])
     out[TOP], out[LOW] = top, low
+    first, last = _outermost_seen(on)
+    belt_y = on[0, _Y], on[count - 1, _Y]
+    if first < count:
+        on = on[first : last + 1]
     start, stop = _trimmed(on)
     on = on[start:stop]
+    bridged = first > 0 and first < count, first < count and last < count - 1
     count = stop - start
     out[FIRST_ROW], out[LAST_ROW] = on[0, _ROW], on[count - 1, _ROW]
     wall = 0.5 * (on[0, _Z] ** 2 + on[count - 1, _Z] ** 2)
@@ -145,7 +152,6 @@ def _area(
     out[CLEFT] = _cleft(on, highest)
     widest = _GAP_SHARE * abs(on[count - 1, _Y] - on[0, _Y])
     fan = y0, slope_y, slope_z, wall
-    first, last = _outermost_seen(on)
     # summed up here, not in the table: a write there would make all of the slice be read anew
     width, area, on_seen, on_bridged, loose = 0.0, 0.0, 0.0, 0.0, 0.0
     inwards = np.nan
@@ -170,14 +176,67 @@ def _area(
             on_seen += abs(part)
         else:
             on_bridged += abs(part)
-        if m < first or m > last:
+        if first == on.shape[0]:
             loose += abs(part)
         if gap:
             farthest = np.inf if _is_step(on, m, top) else widest
             _gap(out, on[m], on[m + 1], fan, top, per_row, farthest)
+    for end in range(2):
+        if bridged[end]:
+            tail, reach = _tail(on, end, belt_y[end])
+            edge = on[0 if end == 0 else count - 1]
+            if edge[_Z] > 0.0:
+                tail *= _weighed(edge[_Y], edge[_Z], fan) / edge[_Z]
+            width += reach
+            area += tail
+            on_bridged += abs(tail)
+            loose += abs(tail)
     out[WIDTH] += width
     out[AREA] += area
     out[SEEN], out[BRIDGED], out[LOOSE] = on_seen, on_bridged, loose
+
+
+@float_kernel
+def _tail(on: Floats, end: int, belt_y: float) -> tuple[float, float]:
+    """Give area and width between a slice's outermost seen point and the belt that is seen beyond it.
+
+    A dome's y is a parabola of z near its rim (Green: z = rim + √(α·d)): fitted to the outermost points, it is
+    followed down to where it turns, which is the rim, or to the belt, but not beyond where belt was seen.
+    Of what does not fall, the edge lies anywhere up to there: half of it counts.
+    """
+    count = on.shape[0]
+    first, step = (0, 1) if end == 0 else (count - 1, -1)
+    y0, z0 = on[first, _Y], on[first, _Z]
+    most = abs(belt_y - y0)
+    sign = 1.0 if belt_y > y0 else -1.0
+    row = abs(on[first + step, _Y] - y0) if count > 1 else 0.0
+    used = min(_TAIL_POINTS, count)
+    # d = b·h + c·h², outwards from the outermost point over the height above it
+    hh, hhh, hhhh, dh, dhh = 0.0, 0.0, 0.0, 0.0, 0.0
+    for m in range(1, used):
+        d, h = sign * (on[first + m * step, _Y] - y0), on[first + m * step, _Z] - z0
+        hh += h * h
+        hhh += h * h * h
+        hhhh += h * h * h * h
+        dh += d * h
+        dhh += d * h * h
+    determinant = hh * hhhh - hhh * hhh
+    half = 0.5 * most * z0 - 0.5 * row * z0, max(0.5 * most - 0.5 * row, 0.0)
+    if used < _TAIL_POINTS or not determinant > 1e-9 * hh * hhhh:
+        return half
+    b, c = (dh * hhhh - dhh * hhh) / determinant, (dhh * hh - dh * hhh) / determinant
+    if not b < 0.0:
+        c, b = 0.0, dh / hh
+    if not b < 0.0:
+        return half
+    stop = -z0
+    if c < 0.0:
+        stop = max(stop, -0.5 * b / c)
+    if (b + c * stop) * stop > most:
+        inside = b * b + 4.0 * c * most
+        stop = 2.0 * most / (b - np.sqrt(max(inside, 0.0)))
+    beyond = stop * (b * (z0 + 0.5 * stop) + c * stop * (z0 + 2.0 / 3.0 * stop))
+    return beyond - 0.5 * row * z0, max((b + c * stop) * stop - 0.5 * row, 0.0)
 
 
 @float_kernel

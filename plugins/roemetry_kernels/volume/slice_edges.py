@@ -6,7 +6,7 @@ import numpy as np
 
 from roemetry.arrays import Floats, Integers, Labels
 from roemetry_kernels.compiling import float_kernel
-from roemetry_kernels.volume.slice_areas import AT, FIRST_ROW, LAST_ROW, WALL, WIDTH
+from roemetry_kernels.volume.slice_areas import AT, FIRST_ROW, LAST_ROW, LOOSE, WALL, WIDTH
 
 _APART = 3  # points: near enough for a parabola, far enough for noise
 _FARTHEST = 8.0  # of the points' distance: more than the camera does not see of a steep rim
@@ -69,7 +69,7 @@ def edges_missed(
                 count += 1
         held = 0.5 * (table[min(k + 1, n - 1), AT] - table[max(k - 1, 0), AT])
         missed = -0.5 * opening * table[k, WIDTH] * (table[k, WALL] - rim_mm * rim_mm)
-        if count > 4 * _APART:
+        if count > 4 * _APART and table[k, LOOSE] == 0.0:  # else what is beyond is in the area already
             missed += _beyond(points, 0, 1, rim_mm) + _beyond(points, count - 1, -1, rim_mm)
         total += mine * held * missed
     return total

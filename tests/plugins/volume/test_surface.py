@@ -327,8 +327,9 @@ def test_what_is_bridged_beyond_a_slices_end_is_no_surface() -> None:
     assert found.value == pytest.approx(plain.value, rel=1e-9)
     slices, loose = (SlicePchip().estimate(one).visible_mm3 for one in (made, bridged))
     assert slices.budget["slice ends"] == 0.0
-    assert loose.budget["slice ends"] == pytest.approx((loose.value - slices.value) / np.sqrt(3.0), rel=0.2)
-    assert abs(loose.value - slices.value) < 1.96 * loose.std
+    assert loose.budget["slice ends"] > 0.0
+    # the bridge alone holds 2 % of the volume; the dome that is followed to its rim nothing but rounding
+    assert loose.value == pytest.approx(slices.value, rel=2e-3)
 
 
 def side_by_side(apart: float, wall: float) -> Product:
