@@ -11,6 +11,7 @@ import numpy as np
 from roemetry.errors import StageError
 from roemetry.records import Product, Reason, Shares, Volume
 from roemetry.stages import Capabilities, VolumeEstimator
+from roemetry_volume.common_error import common_height_std_mm
 from roemetry_volume.fusing import Fused, fuse
 from roemetry_volume.outline_doubts import outline_fault
 from roemetry_volume.slice_doubts import reasons_of
@@ -64,6 +65,7 @@ class OutlineSurface(VolumeEstimator[UndersideOptions]):
         budget = budget_of(fused, product.view, product.outline.xy_std_px)
         budget["between slices"] = math.hypot(budget["between slices"], _steps_std(slices, volume))
         budget |= {"gaps": gaps_std(slices), "ends": _beyond_std(shares.assumed) * volume}
+        budget["common height"] = common_height_std_mm(product) * float(fused.weight_mm2.sum())
         volume += _model_error(budget, rng)
         visible = estimate_of(volume, budget)
         return Volume(

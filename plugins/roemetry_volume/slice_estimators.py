@@ -11,6 +11,7 @@ from roemetry.arrays import Floats
 from roemetry.errors import StageError
 from roemetry.records import Estimate, Product, Shares, Volume
 from roemetry.stages import Capabilities, VolumeEstimator
+from roemetry_volume.common_error import common_height_std_mm
 from roemetry_volume.slice_doubts import reasons_of
 from roemetry_volume.slice_ends import Cap, cap_of
 from roemetry_volume.slice_kernels import slice_kernels
@@ -74,6 +75,7 @@ class _SliceEstimator(VolumeEstimator[SliceOptions]):
             "slice ends": _LOOSE * float(slices.loose_mm2 @ slices.held_mm),
             "gaps": gaps_std(slices),
             "ends": math.hypot(caps[0].std_mm3, caps[1].std_mm3),
+            "common height": common_height_std_mm(product) * self._footprint_mm2(slices, caps),
         }
         if rng is not None:
             volume += sum(std * rng.standard_normal() for std in budget.values())
@@ -97,10 +99,13 @@ class _SliceEstimator(VolumeEstimator[SliceOptions]):
     ) -> Estimate | None:
         if self.options.underside == "unknown":
             return None
+        return true_volume(self.options, visible, self._footprint_mm2(slices, caps), rng)
+
+    @staticmethod
+    def _footprint_mm2(slices: Slices, caps: list[Cap]) -> float:
         # two thirds of the rectangle: the width falls at an end as a parabola does
         at_ends = sum(2.0 / 3.0 * one.length_mm * slices.width_mm[-end] for end, one in enumerate(caps))
-        footprint = float((slices.width_mm * slices.held_mm).sum()) + float(at_ends)
-        return true_volume(self.options, visible, footprint, rng)
+        return float((slices.width_mm * slices.held_mm).sum()) + float(at_ends)
 
 
 class SliceSum(_SliceEstimator):
