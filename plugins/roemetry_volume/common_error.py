@@ -31,7 +31,12 @@ def common_height_std_mm(product: Product) -> float:
     """Give the standard uncertainty that all of a product's heights share, mm; 0 where none is stated."""
     profiles = product.profiles
     common: float = _common_std_mm(
-        profiles.xyz_mm, profiles.height_std_mm, profiles.row_px, profiles.product, profiles.seen, product.number
+        profiles.xyz_mm,
+        profiles.height_std_mm,
+        profiles.row_px,
+        profiles.product,
+        profiles.seen,
+        product.number,
     )
     return common
 

@@ -200,7 +200,7 @@ def _area(
 def _tail(on: Floats, end: int, belt_y: float) -> tuple[float, float]:
     """Give area and width between a slice's outermost seen point and the belt that is seen beyond it.
 
-    A dome's y is a parabola of z near its rim (Green: z = rim + √(α·d)): fitted to the outermost points, it is
+    A dome's y is a parabola of z near its rim, z = rim + √(α·d): fitted to the outermost points, it is
     followed down to where it turns, which is the rim, or to the belt, but not beyond where belt was seen.
     Of what does not fall, the edge lies anywhere up to there: half of it counts.
     """
