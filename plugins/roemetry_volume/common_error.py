@@ -15,6 +15,8 @@ uncertainty is right. It fails towards 0 where the surface is rough from row to 
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from roemetry.arrays import Flags, Floats, Labels
@@ -64,4 +66,4 @@ def _common_std_mm(
     if count < _POINTS_MIN:
         return 0.0
     noise = 1.4826 * np.median(second[:count])
-    return np.sqrt(max(np.median(stated[:count]) ** 2 - noise * noise / 6.0, 0.0))
+    return math.sqrt(max(np.median(stated[:count]) ** 2 - noise * noise / 6.0, 0.0))

@@ -139,15 +139,8 @@ def test_a_flat_end_is_seen_where_a_slice_runs_over_its_edge() -> None:
 def test_the_interval_holds_the_truth_and_names_its_causes() -> None:
     made = dome(-4.0, 6.0)
     volume = OutlineSurface().estimate(made[0])
-    assert set(volume.visible_mm3.budget) == {
-        "between slices",
-        "settings",
-        "outline",
-        "rim",
-        "gaps",
-        "ends",
-        "common height",
-    }
+    causes = {"between slices", "settings", "outline", "rim", "gaps", "ends", "common height"}
+    assert set(volume.visible_mm3.budget) == causes
     assert abs(volume.visible_mm3.value - made[1]) < 2.0 * volume.visible_mm3.std
     assert volume.visible_mm3.std < 0.01 * made[1]
     assert volume.shares.assumed == pytest.approx(0.05, abs=0.05)
