@@ -29,6 +29,7 @@ _BELOW_RIM_MM = 0.3
 _WALL_MM = 1.5
 _PROBE_MM = 1.0
 _SETTLED_MM = 0.03
+_WALL_REACH_MM = 0.4  # two rows: a wall that shows by less is not told from its edge
 _FEW, _BELT_SHARE = 3, 0.5
 
 
@@ -162,6 +163,7 @@ def fuse(
         ends = ends_of(points, place[:, 1])
     fall = np.zeros(_POINTS)
     open_end = np.zeros(_POINTS, np.bool_)
+    wall_shows = _wall_shows(points, (border.xy_mm - centre) @ turn, border.tilt, place)
     for _ in range(_ROUNDS):
         contour = (border.xy_mm - centre) @ turn
         coarse = contour[::2]
@@ -169,7 +171,7 @@ def fuse(
         knots = _knots(points, place, rim, coarse)
         open_end = _open_ends(knots, contour, (border.outward @ turn)[:, 0], upright)
         plate = _plate(knots, contour, open_end)
-        height, fall = _at_border(plate, rim, contour, border, (centre, turn), open_end)
+        height, fall = _at_border(plate, rim, contour, border, (centre, turn), open_end, wall_shows)
         height += steps_at(steps, contour[:, 0], contour[:, 1]) * (border.tilt >= 0.0)
         moved = border_at(view, contour_px, height, fall)
         step = np.abs(moved.xy_mm - border.xy_mm).max()
@@ -274,7 +276,13 @@ def _plate(knots: Knots, contour: Floats, open_end: Any) -> Plate:
 
 
 def _at_border(
-    plate: Plate, rim: Rim, contour: Floats, border: Border, frame: tuple[Floats, Floats], open_end: Any
+    plate: Plate,
+    rim: Rim,
+    contour: Floats,
+    border: Border,
+    frame: tuple[Floats, Floats],
+    open_end: Any,
+    wall_shows: bool,
 ) -> tuple[Floats, Floats]:
     """Height of the edge that made the outline, and how the dome falls to it (α, mm), along the border."""
     inner = contour - _PROBE_MM * (border.outward @ frame[1])
@@ -282,10 +290,30 @@ def _at_border(
     level = rim.at(contour[:, 0], contour[:, 1])
     top = level + _height(plate.at(LONG_AXIS * contour[:, 0], contour[:, 1]), rim)
     # A wall that the camera sees ends at the belt if there is no dome above it: it is upright then.
-    foot = level * np.clip(2.0 * dome_mm / np.maximum(level, 1e-3), 0.0, 1.0)
+    foot = level * np.clip(2.0 * dome_mm / np.maximum(level, 1e-3), 0.0, 1.0) if wall_shows else level
     height = np.where(border.tilt < 0.0, foot, np.where(open_end, top, level))
     fall = dome_mm**2 / _PROBE_MM if rim.upright else np.zeros_like(dome_mm)
     return height, np.where(open_end | (border.tilt < 0.0), 0.0, fall)
+
+
+def _wall_shows(points: StripePoints, contour: Floats, tilt: Floats, place: Floats) -> bool:
+    """Say whether the outline holds the walls that face the camera, or ends at their upper edge.
+
+    A wall that faces the camera but not the lamp may be as dark as the shadow beside it. The stripes on top
+    of an upright wall end at its edge. The contour stands at the share 0.8 of their height here: if it is the
+    wall's foot they end 0.8 of tilt times height inside it, if it is the edge, 0.2 of that outside.
+    """
+    from roemetry_kernels.volume.footprint import inside_by
+
+    last = np.concatenate([points.first[:-1], points.first[1:] - 1])
+    off = np.hypot(*(place[last, None, :] - contour[None, :, :]).transpose(2, 0, 1))
+    facing = -tilt[off.argmin(axis=1)]
+    reach_mm = facing * points.xyz_mm[last, 2]
+    told = reach_mm > _WALL_REACH_MM
+    if told.sum() < _FEW:
+        return True
+    share = inside_by(contour, place[last[told]]) / reach_mm[told]
+    return bool(np.median(share) > 0.3)
 
 
 @lru_cache(maxsize=8)
