@@ -15,7 +15,7 @@ from roemetry.testing import LinearRig
 from roemetry.view import View
 from roemetry_volume.outline_surface import OutlineSurface
 from roemetry_volume.slice_estimators import SlicePchip
-from roemetry_volume.surface import Knots, plate_through, without_slice
+from roemetry_volume.surface_fit import Knots, plate_through, without_slice
 from roemetry_volume.underside import UndersideOptions
 
 CAMERA_MM, F_PX, ROWS, COLUMNS = 320.0, 1600.0, 480, 640

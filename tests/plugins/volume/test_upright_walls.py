@@ -6,11 +6,11 @@ import cv2
 import numpy as np
 import pytest
 
-from roemetry_volume.fusing import fuse
 from roemetry_volume.rim import StripePoints, ends_of
 from roemetry_volume.silhouette import area_of
 from roemetry_volume.slice_ends import upright_ends
 from roemetry_volume.slice_table import slices_of
+from roemetry_volume.surface_fit import fuse
 from tests.plugins.volume.test_surface import box, dome, half_cylinder
 
 
