@@ -167,10 +167,20 @@ def decided(
 
 
 def _heights_mm(peaks: Peaks, stripe: Integers, calibration: Calibration, rest: RestLines) -> Floats:
-    """Give (peak,) heights to some per cent, by displacements; 0 for belt and what is no stripe."""
-    k = np.maximum(stripe, 0)
-    height_mm = (peaks.x_px - rest.x_px[k, peaks.row]) / calibration.displacement_px_per_mm[k]
-    return np.where((stripe >= 0) & (stripe != rest.line), height_mm, 0.0)
+    """Give (peak,) heights; 0 for belt and what is no stripe.
+
+    Without a view they are told by displacements alone: too large by the share of the camera's distance that
+    the height is.
+    """
+    on = np.flatnonzero((stripe >= 0) & (stripe != rest.line))
+    height_mm = np.zeros(stripe.size)
+    if calibration.view is not None:
+        place = np.column_stack([peaks.x_px[on], peaks.row[on]])
+        height_mm[on] = calibration.view.lift(place, stripe[on])[:, 2]
+    else:
+        displaced_px = peaks.x_px[on] - rest.x_px[stripe[on], peaks.row[on]]
+        height_mm[on] = displaced_px / calibration.displacement_px_per_mm[stripe[on]]
+    return height_mm
 
 
 def margin_of(dearer: Floats, evidence: Floats) -> Floats:
