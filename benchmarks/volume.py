@@ -33,13 +33,13 @@ from roemetry_open3d.surface_mesh import MeshOptions, SurfaceMesh
 from roemetry_paper.zero_order_hold import ZeroOrderHold
 from roemetry_volume.outline_surface import OutlineSurface
 from roemetry_volume.slice_estimators import (
+    SliceOptions,
     SlicePchip,
     SliceSimpson,
     SliceSpline,
     SliceSum,
     SliceTrapezoid,
 )
-from roemetry_volume.slice_options import SliceOptions
 
 ESTIMATORS: Mapping[str, VolumeEstimator[Any]] = {
     "zero-order-hold": ZeroOrderHold(),

@@ -8,9 +8,8 @@ import numpy as np
 
 from roemetry.arrays import Flags, Floats, Integers, Labels
 from roemetry_kernels.compiling import float_kernel
-from roemetry_kernels.volume.quadric_shadow import shadow_of
-from roemetry_kernels.volume.slice_areas import AREA, AT, COUNT, FIRST_ROW, LAST_ROW, TOP, WIDTH
-from roemetry_kernels.volume.slice_rules import three_outer
+from roemetry_volume.slice_rules import three_outer
+from roemetry_volume.slice_table import AREA, AT, COUNT, FIRST_ROW, LAST_ROW, LOOSE, TOP, WALL, WIDTH
 
 VOLUME, LENGTH, SHADOW, BULGE, RIM_MM, RESIDUAL_MM = range(6)
 """What `quadric_end` gives: volume beyond the outer slice (mm³) and how far it reaches (mm); what the slices
@@ -340,3 +339,159 @@ def _bulge(c: Floats, m: float, q: float, fanning: float, table: Floats, at_end:
             at = way * (k + place) / _PARTS
             total += 0.5 / _PARTS * _section(c, m + fanning * at, q, at)
     return -way * total
+
+
+_LINES = 16
+_ROUNDS = 4
+
+
+@float_kernel
+def shadow_of(c: Floats, m: float, q: float, fanning: float) -> float:
+    """What leaning light sees of the end in its own shadow, less than nothing; nothing if it leans outwards.
+
+    Line by line along x: behind the place where the ray grazes, the slices count the triangle below the ray;
+    of that the product fills a part, and the same rim on the near side, which no camera above sees, another.
+    Beside the product's middle the ray grazes nearer to the projector, and leans less there.
+
+    Parameters
+    ----------
+    c : ndarray, shape (7,)
+        (z − c₀)² = c₁ + c₂x + c₃y + c₄x² + c₅xy + c₆y².
+    m, q, fanning
+        The outer slice's plane of light is x = q·y + m·z; how m changes along x.
+
+    Returns
+    -------
+    float
+        Volume, in the units of the quadric.
+    """
+    if not m < 0.0:
+        return 0.0
+    r, low, k = c[0], max(c[0], 0.0), -c[4]
+    u0, u1, u2 = c[1] + c[2] * c[2] / (4.0 * k), c[3] + 0.5 * c[2] * c[5] / k, c[6] + 0.25 * c[5] * c[5] / k
+    if not u2 < 0.0:
+        return 0.0
+    middle = -0.5 * u1 / u2
+    top = u0 + 0.5 * u1 * middle
+    if not top > 0.0:
+        return 0.0
+    half, root = math.sqrt(top / -u2), math.sqrt(k)
+    total = 0.0
+    for node in range(_LINES):
+        turn = math.pi * ((node + 0.5) / _LINES - 0.5)
+        s, y = math.sqrt(top) * math.cos(turn), middle + half * math.sin(turn)
+        centre = 0.5 * (c[2] + c[5] * y) / k
+        lean, along, up = -m, 0.0, 0.0
+        for _ in range(_ROUNDS):
+            # where the ray grazes, as sine and cosine of the ellipse's angle from its top
+            up = lean * root / math.sqrt(1.0 + lean * lean * k)
+            along = 1.0 / math.sqrt(1.0 + lean * lean * k)
+            at = centre + s / root * along + lean * (r + s * up) - q * y
+            lean = max(-(m + fanning * at), 0.0)
+        height = r + s * up
+        if height <= low or not lean > 0.0:
+            continue
+        graze = math.acos(up)
+        foot, foot_sine, foot_cosine = 0.5 * math.pi, 1.0, 0.0
+        if r < 0.0:
+            foot_cosine = min(-r / s, 1.0)
+            foot, foot_sine = math.acos(foot_cosine), math.sqrt(1.0 - foot_cosine * foot_cosine)
+        if foot <= graze:
+            continue
+        body = r * s / root * (foot_sine - along)
+        body += 0.5 * s * s / root * (foot - graze + foot_sine * foot_cosine - along * up)
+        off = body - 0.5 * lean * (height * height - low * low)
+        total += off * half * math.cos(turn) * math.pi / _LINES
+    return total
+
+
+_APART = 3  # points: near enough for a parabola, far enough for noise
+_FARTHEST = 8.0  # of the points' distance: more than the camera does not see of a steep rim
+
+
+@float_kernel
+def edges_missed(
+    xyz_mm: Floats,
+    product: Labels,
+    row_px: Floats,
+    number: int,
+    table: Floats,
+    place: Integers,
+    at_end: int,
+    lean: tuple[float, float],
+    rim_mm: float,
+) -> float:
+    """Give what one end's half of the slices count too little at their own ends, mm³.
+
+    A slice's outermost points lie over the rim, which has two effects. As the height of the wall below the
+    slice's ends they are too high. And what lies outside of them is more than half the way to the next
+    point: a camera above does not see how a dome falls to its rim, and near the rim rows lie far apart. There
+    y is a parabola of z through three points; the slice goes on along it down to the rim, or up to where it
+    turns.
+
+    Parameters
+    ----------
+    xyz_mm, product, row_px : ndarray
+        As in `Profiles`.
+    number
+        Number of the product.
+    table, place
+        Rows of `slice_areas` along rising rest X, and where each slice is in `Profiles`.
+    at_end
+        0 the half of the first slice, 1 that of the last.
+    lean
+        Of the planes of light of both outer slices: outwards for each millimetre upwards.
+    rim_mm
+        Height of the rim, not below the belt.
+
+    Returns
+    -------
+    float
+        As said.
+    """
+    n = table.shape[0]
+    opening = (lean[0] + lean[1]) / (table[n - 1, AT] - table[0, AT])
+    points = np.empty((product.shape[1], 2))
+    total = 0.0
+    for k in range(n):
+        mine = min(max(0.5 * n - (k if at_end == 0 else n - 1 - k), 0.0), 1.0)
+        if not mine > 0.0:
+            continue
+        i, count = place[k], 0
+        for m in range(product.shape[1]):
+            if product[i, m] != number or not np.isfinite(xyz_mm[i, m, 2]):
+                continue
+            if table[k, FIRST_ROW] <= row_px[i, m] <= table[k, LAST_ROW]:
+                points[count, 0], points[count, 1] = xyz_mm[i, m, 1], xyz_mm[i, m, 2]
+                count += 1
+        held = 0.5 * (table[min(k + 1, n - 1), AT] - table[max(k - 1, 0), AT])
+        missed = -0.5 * opening * table[k, WIDTH] * (table[k, WALL] - rim_mm * rim_mm)
+        if count > 4 * _APART and table[k, LOOSE] == 0.0:  # else what is beyond is in the area already
+            missed += _beyond_slice(points, 0, 1, rim_mm) + _beyond_slice(points, count - 1, -1, rim_mm)
+        total += mine * held * missed
+    return total
+
+
+@float_kernel
+def _beyond_slice(points: Floats, first: int, step: int, rim_mm: float) -> float:
+    """Area beyond a slice's outermost point, less what is counted there, mm²."""
+    y0, z0 = points[first, 0], points[first, 1]
+    p, q = points[first + _APART * step], points[first + 2 * _APART * step]
+    # outwards from the outermost point, as b·(z − z0) + c·(z − z0)²
+    sign = -1.0 if q[0] > y0 else 1.0
+    y1, y2, z1, z2 = sign * (p[0] - y0), sign * (q[0] - y0), p[1] - z0, q[1] - z0
+    if not (z1 > 0.0 and z2 > z1 and y1 < 0.0 and y2 < y1):
+        return 0.0
+    c = (y2 / z2 - y1 / z1) / (z2 - z1)
+    b = y1 / z1 - c * z1
+    if not b < 0.0:
+        return 0.0  # it has turned already
+    stop = min(rim_mm - z0, 0.0)
+    if c < 0.0:
+        stop = max(stop, -0.5 * b / c)
+    row = abs(points[first + step, 0] - y0)
+    if (b + c * stop) * stop > _FARTHEST * row:
+        return 0.0
+    # ∫ z dy from there to the outermost point
+    beyond = stop * (b * (z0 + 0.5 * stop) + c * stop * (z0 + 2.0 / 3.0 * stop))
+    return beyond - 0.5 * row * z0
