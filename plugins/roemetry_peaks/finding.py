@@ -96,7 +96,9 @@ def found(
         fields = _with_leaving(fields, levels, columns, area, frame, stripes, x_px)
     # Speckle is as long along the stripe as across it; the sensor's noise is not correlated at all.
     rows = options.speckle_length_px if speckled else 0.0
-    fields["x_std_px"], contradictions = corrected(pixels, **fields)
+    fields["x_std_px"], contradictions = corrected(
+        pixels, **fields, sensor=(float(noise[0]), float(noise[1]))
+    )
     odd = doubts(pixels, frame.white, fields["row"], fields["x_px"], fields["width_px"])
     return Peaks(image_size=frame.size, correlation_rows=rows, reasons=(*contradictions, *odd), **fields)
 

@@ -129,7 +129,9 @@ class MaximumLikelihood(Extractor[MaximumLikelihoodOptions]):
         flags = flags.astype(np.uint8)
         row, height, width = at.row[order], found.beside.height[order], _FWHM * sigma_px
         known = row, x_px, fit.x_std_px[order], fit.amplitude[order], height, width, flags
-        x_std_px, contradictions = corrected(image, *known, ~found.lit[order])
+        x_std_px, contradictions = corrected(
+            image, *known, sensor=(noise.variance, noise.gain), asked=~found.lit[order]
+        )
         return Peaks(
             image_size=frame.size,
             row=row + found.top,
