@@ -67,8 +67,9 @@ _SAMPLE = 512
 _TILES = 16
 """Parts of the sample with a mean profile each; the median of them counts, so that one body does not
 decide."""
-_TILES_MIN = 4
-"""Parts of the image below which nothing is said of the mean profile: their scatter would not be known."""
+_TILES_MIN = 8
+"""Parts of the image below which nothing is said of the mean profile: one stripe that keeps its place in
+the pixel grid has a lopsided mean, too."""
 _CHANCE = 4.0
 """Standard errors of the parts' mean that count as chance: speckle makes each mean profile lopsided."""
 _PEAKS_MIN = 8
