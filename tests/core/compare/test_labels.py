@@ -12,7 +12,7 @@ from roemetry.compare.comparing import compare
 from roemetry.compare.data import Data, labelled
 from roemetry.compare.variants import make_variants
 from roemetry.errors import DataError
-from roemetry.fitting import read_labels
+from roemetry.known_products import read_labels
 from roemetry.registry import discover
 
 
