@@ -28,7 +28,7 @@ from roemetry_peaks.maximum_likelihood import (
     starts,
 )
 from roemetry_peaks.region import searched
-from roemetry_peaks.speckle import StripeNoise, noise_from
+from roemetry_peaks.speckle_noise import StripeNoise, noise_from
 
 _PEAKS = 4000  # that are looked at in each frame
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from roemetry_kernels.extraction.grey_levels import plain_layout
-from roemetry_kernels.extraction.stripe_footing import stripes_around
-from roemetry_kernels.extraction.stripe_scan import Area, stripe_tops
+from roemetry_kernels.image_levels import plain_layout
+from roemetry_peaks.peak_scan import Area, stripe_tops
+from roemetry_peaks.peak_window import stripes_around
 
 
 def around(image, threshold=25, **limits):

@@ -4,13 +4,11 @@ import numpy as np
 import pytest
 
 from roemetry_kernels.compiling import float_kernel, kernel
-from roemetry_kernels.extraction.gaussian_fit import gaussian_centres
-from roemetry_kernels.extraction.grey_levels import plain_layout
-from roemetry_kernels.extraction.lane_logs import logarithms
-from roemetry_kernels.extraction.log_parabola import log_parabola_centres
-from roemetry_kernels.extraction.stripe_footing import Stripes, stripes_around
-from roemetry_kernels.extraction.stripe_joining import SEEN_PX, _is_one, _spike_width, join_tops
-from roemetry_kernels.extraction.stripe_scan import Area, stripe_tops
+from roemetry_kernels.image_levels import plain_layout
+from roemetry_peaks.gaussian import gaussian_centres
+from roemetry_peaks.log_parabola import log_parabola_centres, logarithms
+from roemetry_peaks.peak_scan import Area, stripe_tops
+from roemetry_peaks.peak_window import SEEN_PX, Stripes, _is_one, _spike_width, join_tops, stripes_around
 
 SENSOR = 1.08, 0.0255  # variance of a black pixel, grey levels per electron
 

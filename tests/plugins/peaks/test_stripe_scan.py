@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from roemetry_kernels.compiling import kernel
-from roemetry_kernels.extraction.grey_levels import plain_layout
-from roemetry_kernels.extraction.stripe_scan import Area, stripe_tops
+from roemetry_kernels.image_levels import plain_layout
+from roemetry_peaks.peak_scan import Area, stripe_tops
 
 
 def in_words(row, threshold):

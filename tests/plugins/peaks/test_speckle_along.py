@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from roemetry_kernels.extraction.speckle_along import contrasts_along
-from roemetry_kernels.extraction.stripe_footing import Stripes
+from roemetry_peaks.peak_window import Stripes
+from roemetry_peaks.speckle_contrast import contrasts_along
 
 ROWS, WIDTH = 600, 5.0
 PX_A_CONTRAST = WIDTH * np.sqrt(0.125) / (2.0 * np.log(2.0))

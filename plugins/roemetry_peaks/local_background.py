@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from roemetry.arrays import Floats, Integers
 from roemetry_kernels.compiling import kernel
-from roemetry_kernels.extraction.smoothed_peaks import Starts
+from roemetry_peaks.smoothed_peaks import Starts
 
 _REACH = 4  # rows pooled on either side
 _STEP_PX = 3.0  # farthest from row to row along one stripe

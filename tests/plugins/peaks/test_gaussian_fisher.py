@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from roemetry_kernels.extraction.gaussian_fisher import CLIPPED, FAILED, FITTED, fit_peaks
-from roemetry_kernels.extraction.residual_noise import CAUSES, residual_products
-from roemetry_kernels.extraction.stripe_background import neighbours
+from roemetry_peaks.fisher_scoring import CLIPPED, FAILED, FITTED, fit_peaks
+from roemetry_peaks.local_background import neighbours
+from roemetry_peaks.speckle_noise import CAUSES, residual_products
 
 VARIANCE, GAIN, RHO = 1.1, 0.03, 0.6
 

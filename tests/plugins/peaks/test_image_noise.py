@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from roemetry_kernels.extraction.grey_levels import plain_layout
-from roemetry_kernels.extraction.image_noise import image_noise
+from roemetry_kernels.image_levels import image_noise, plain_layout
 
 
 def noise_in(image):

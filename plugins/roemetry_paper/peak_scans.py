@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from roemetry.arrays import Floats, Integers
 from roemetry.records.peaks import EDGE, SATURATED
 from roemetry_kernels.compiling import kernel
-from roemetry_kernels.extraction.grey_levels import plain_layout
+from roemetry_kernels.image_levels import plain_layout
 
 _BORDER_PX = 2  # a peak this near to the left or right border pixel may be cut off
 _BLOCK = 16  # pixels looked at together where nothing happens: one vector of 16-bit pixels
