@@ -1,8 +1,10 @@
 """The decorator of every kernel: compiled once, kept on disk, compiled anew when any source of it changes.
 
-numba keeps what it compiled beside the source and looks at the age of that one file. What a kernel takes from
-other files (kernels that are compiled into it, constants) may have changed since, unnoticed. So here the mark
-of what is kept also holds a hash of every file of ours that the kernel's file imports, at any depth.
+numba keeps what it compiled beside the source and looks at that one file. What a kernel takes from other files
+(kernels that are compiled into it, constants) may have changed since, unnoticed. So the stamp of what is kept also
+holds a hash of every file of ours that the kernel's file imports, at any depth (`cache_locators`).
+
+With ``NUMBA_DISABLE_JIT=1`` every kernel is the plain Python function: a reference that needs no compiler.
 """
 
 from __future__ import annotations
@@ -54,18 +56,22 @@ def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
             f"{function.__qualname__} has a compiled function from the function around it: it would never be "
             "found again on disk; call it by a name of the module"
         )
-    from numba import njit
+    from numba import config, njit
 
-    compiled: Any = njit(cache=True, nogil=True, **options)(function)
-    kept = getattr(compiled._cache, "_cache_file", None)
-    if kept is not None:
-        if not hasattr(kept, "_source_stamp"):
-            # another numba keeps its marks elsewhere: rather compile every time than run what is outdated
-            return njit(nogil=True, **options)(function)
-        source = Path(function.__code__.co_filename)
-        kept._source_stamp = (kept._source_stamp, digest(source))
-        return compiled_in_turns(compiled, source)
-    return compiled
+    if config.DISABLE_JIT:  # numba then gives the function itself: every kernel runs as plain Python
+        return njit(**options)(function)
+    if not hasattr(config, "CACHE_LOCATOR_CLASSES"):
+        # a numba that cannot be told which files to look at: rather compile every time than run what is outdated
+        return njit(nogil=True, **options)(function)
+    from roemetry_kernels.cache_locators import NAMES
+
+    before = config.CACHE_LOCATOR_CLASSES
+    config.CACHE_LOCATOR_CLASSES = NAMES
+    try:
+        compiled: Any = njit(cache=True, nogil=True, **options)(function)
+    finally:
+        config.CACHE_LOCATOR_CLASSES = before  # functions of others keep the locators they had
+    return compiled_in_turns(compiled, Path(function.__code__.co_filename))
 
 
 def float_kernel(function: Callable[..., Any]) -> Any:
