@@ -19,7 +19,7 @@ from roemetry.registry import discover
 from roemetry.shipped import shipped
 from roemetry.target_file import SpherePlateFile, read_sphere_plate, read_target
 from roemetry.targets.solids import solid_triangles
-from roemetry_pinhole.plate_scale import plate_scale
+from roemetry_pinhole.plates import plate_scale
 from roemetry_simulate.products.family import Pose
 from roemetry_simulate.products.mesh import Triangles, close, lay
 from roemetry_simulate.render import render

@@ -13,12 +13,10 @@ from dataclasses import replace
 import numpy as np
 
 from roemetry.arrays import Floats
-from roemetry_pinhole.adjustment import Adjusted, adjust
+from roemetry_pinhole.bundle import Adjusted, Problem, Weights, adjust, inverse
+from roemetry_pinhole.conformance import Shown, SimulatedRig, noisy, shown
 from roemetry_pinhole.frames import belt_pose
-from roemetry_pinhole.geometry import CAMERA, Geometry, Unknowns, unknowns_of
-from roemetry_pinhole.lens import straightened
-from roemetry_pinhole.problem import Problem, Weights, inverse
-from roemetry_pinhole.simulated import Shown, SimulatedRig, noisy, shown
+from roemetry_pinhole.geometry import CAMERA, Geometry, Unknowns, straightened, unknowns_of
 
 RIGS = {
     "gentle": SimulatedRig(2000.0, 400.0),

@@ -20,15 +20,13 @@ from roemetry.records import Board, Frame
 from roemetry.registry import discover
 from roemetry.rig import Rig
 from roemetry.yaml_source import dump
-from roemetry_pinhole.adjustment import Adjusted, adjust
+from roemetry_pinhole.board_diagnostics import UnseenError
+from roemetry_pinhole.boards import BoardView, Seen, board_views, find_marks
+from roemetry_pinhole.bundle import Adjusted, adjust
 from roemetry_pinhole.equations import Corners, Feet, StripePoints
-from roemetry_pinhole.first_camera import FirstCamera, first_camera, free_numbers
-from roemetry_pinhole.geometry import Geometry, unknowns_of
-from roemetry_pinhole.lens import straightened
-from roemetry_pinhole.marks import find_marks
-from roemetry_pinhole.stripe_points import Gathered, gather
-from roemetry_pinhole.unseen import UnseenError
-from roemetry_pinhole.views import BoardView, Seen, board_views
+from roemetry_pinhole.geometry import Geometry, straightened, unknowns_of
+from roemetry_pinhole.initial_intrinsics import FirstCamera, first_camera, free_numbers
+from roemetry_pinhole.stripes import Gathered, gather
 
 AUTHORS_PLANE = np.array([-1.3051671468331907e-01, -6.3959525011364002e00, 1.0])
 NOBODY = np.empty(0, np.int64)

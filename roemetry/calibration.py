@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -104,12 +104,26 @@ class Calibration:
         powers = from_middle[None, :] ** np.arange(self.rest_px.shape[1])[:, None]
         return self.rest_px @ powers
 
-    def redraw(self, rng: np.random.Generator) -> Calibration:
+    def redraw(
+        self, rng: np.random.Generator, view_of: Callable[[Calibration], View | None] | None = None
+    ) -> Calibration:
         """Give a calibration whose parameters are drawn from their joint distribution (JCGM 101, 6.4.8)."""
-        return next(self.redraws(rng))
+        return next(self.redraws(rng, view_of))
 
-    def redraws(self, rng: np.random.Generator) -> Iterator[Calibration]:
-        """Give drawn calibrations without end; the covariance is taken apart once for all of them."""
+    def redraws(
+        self, rng: np.random.Generator, view_of: Callable[[Calibration], View | None] | None = None
+    ) -> Iterator[Calibration]:
+        """Give drawn calibrations without end; the covariance is taken apart once for all of them.
+
+        Parameters
+        ----------
+        rng
+            Where chance comes from.
+        view_of
+            What gives the view of drawn parameters: `Triangulator.view` of the method's triangulator.
+            Without it a drawn calibration has no view, for this one's would belong to other parameters.
+            `rest_px` and `displacement_px_per_mm`, by which frames are coded, stay as they are.
+        """
         mean = np.concatenate([array.ravel() for array in self.parameters.values()])
         # parameters of different units differ by ten powers of ten: taken apart in their own sizes
         own = np.sqrt(np.diag(self.covariance))
@@ -122,7 +136,8 @@ class Calibration:
             for name, array in self.parameters.items():
                 parameters[name] = drawn[start : start + array.size].reshape(array.shape)
                 start += array.size
-            yield replace(self, parameters=parameters)
+            moved = replace(self, parameters=parameters)
+            yield replace(moved, view=None if view_of is None else view_of(moved))
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers, lists and words, as they stand in the file."""

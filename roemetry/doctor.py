@@ -10,6 +10,7 @@ import re
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from importlib import import_module
 from importlib.metadata import PackageNotFoundError, packages_distributions, requires, version
 from pathlib import Path
 from typing import Literal
@@ -77,6 +78,7 @@ def examine(registry: Registry | None = None) -> Iterator[Finding]:
     )
     yield from _libraries()
     yield _one_opencv()
+    yield from _llvm()
     yield from _plugins(registry)
     yield from _measured()
 
@@ -135,6 +137,23 @@ def _one_opencv() -> Finding:
         f"{', '.join(found)} overwrite each other",
         f"pip uninstall {' '.join(found)}; pip install --force-reinstall opencv-contrib-python-headless",
     )
+
+
+def _llvm() -> Iterator[Finding]:
+    """Mitsuba's package does not bring the library that compiles its kernels."""
+    if _version("mitsuba") is None:
+        return
+    try:
+        drjit = import_module("drjit")
+        there = bool(drjit.has_backend(drjit.JitBackend.LLVM))
+    except Exception as error:  # whatever a broken installation raises is what the doctor is asked for
+        yield Finding("LLVM library", "missing", str(error), "pip install --force-reinstall mitsuba")
+        return
+    if there:
+        yield Finding("LLVM library", "ok", "found: simulator mitsuba can compile its kernels")
+    else:
+        remedy = "install LLVM 15 or newer (apt install libllvm15), or set DRJIT_LIBLLVM_PATH to its file"
+        yield Finding("LLVM library", "missing", "not found: simulator mitsuba cannot run", remedy)
 
 
 def _plugins(registry: Registry) -> Iterator[Finding]:

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from roemetry.calibration import Calibration
+from roemetry.open_parts import open_parts
 from roemetry.pipeline import UNCALIBRATED
 from roemetry.recipe import Recipe
 from roemetry.records import (
@@ -174,6 +175,11 @@ def _without_product(
     )
 
 
+def _open(peaks: Peaks, stripes: StripeMap, number: int) -> int:
+    part = open_parts(peaks, stripes).get(number)
+    return part.points if part is not None else 0
+
+
 def _coding(trace: Trace, number: int) -> Coding | None:
     peaks, stripes = trace.peaks, trace.stripes
     if peaks is None:
@@ -189,7 +195,7 @@ def _coding(trace: Trace, number: int) -> Coding | None:
         stripes_seen=int(np.count_nonzero(of_stripe)),
         peaks=len(peaks),
         coded=int(of_stripe.sum()),
-        ambiguous=int(verdicts[0]),
+        ambiguous=_open(peaks, stripes, number) if number else int(verdicts[0]),
         uncoded=int(verdicts[UNCODED - AMBIGUOUS]),
         rows_seen=int(seen),
         rows_interpolated=int(rows - seen),

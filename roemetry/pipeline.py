@@ -16,12 +16,12 @@ from roemetry.calibration import Calibration
 from roemetry.choosing import Chosen
 from roemetry.errors import FAULTS
 from roemetry.giving import given
+from roemetry.open_parts import OpenPart, open_parts, said_of, widened, widened_by
 from roemetry.penetration import raised
 from roemetry.preparing import prepare, prepare_plain
 from roemetry.propagation import Chain, Scene, propagate, without_draws
 from roemetry.recipe import Recipe
 from roemetry.records import (
-    AMBIGUOUS,
     Acquisition,
     Decision,
     Frame,
@@ -41,8 +41,11 @@ from roemetry.view import View
 
 T = TypeVar("T")
 
-_REFUSED_SHARE_MAX = 0.1
-"""With more than this share of a product's peaks refused, neither volume nor grade is stated."""
+_HEIGHT_SLACK_MM = 0.5
+"""Noise may lift a point by so much above the calibrated range."""
+
+_TOO_HIGH_SHARE_MAX = 0.01
+"""A hundredth of a product's points above the calibrated range may be false peaks; more is the product."""
 
 _NO_VOLUME = Reason("no-volume", "there is no volume to weigh")
 
@@ -136,13 +139,18 @@ class Pipeline:
             if self._view is None:  # the calibration never changes: neither does this
                 self._view = self._stages["triangulator"].view(calibration)
             assembled = assemble(profiles, outlines, calibration, acquisition.id, stripes.reasons, self._view)
-            doubt = undecided(stripes)
-            doubts = {product.number: doubt or _cut_off(stripes, product.number) for product in assembled}
+            opened = open_parts(peaks, stripes) if peaks is not None else {}
+            assembled = tuple(_with_open_part(product, opened.get(product.number)) for product in assembled)
+            doubts = {
+                product.number: _undecided(product) or _too_high(product) or _cut_off(stripes, product.number)
+                for product in assembled
+            }
             products = tuple(
                 self._outcome(product, doubts[product.number], steps.seconds) for product in assembled
             )
             scene = Scene(acquisition.id, stripes, outlines, calibration, penetration)
             products = self._drawn(products, scene, steps)
+            products = tuple(_with_open_points(found, opened) for found in products)
             if "grader" in self._stages:
                 products = tuple(
                     self._decided(found, doubts[found.product.number], steps.seconds) for found in products
@@ -248,16 +256,39 @@ class _Steps:
         return why_not is None
 
 
-def undecided(stripes: StripeMap) -> Reason | None:
-    """Say why nothing can be stated of the products: too much of what may be theirs was refused."""
-    refused = int(np.count_nonzero(stripes.peak_stripe == AMBIGUOUS))
-    seen = int(np.count_nonzero((stripes.product > 0) & stripes.seen))
-    if refused <= _REFUSED_SHARE_MAX * (refused + seen):
+def _with_open_part(product: Product, part: OpenPart | None) -> Product:
+    """Say of a product what of it is open, instead of what was refused in the whole frame."""
+    said = tuple(reason for reason in product.reasons if reason.code != "ambiguous")
+    own = said_of(part, product) if part is not None else None
+    return replace(product, reasons=said if own is None else (own, *said))
+
+
+def _undecided(product: Product) -> Reason | None:
+    """Say why nothing can be stated of a product: most of it is open."""
+    return next((reason for reason in product.reasons if reason.code == "undecided"), None)
+
+
+def _with_open_points(found: ProductTrace, opened: Mapping[int, OpenPart]) -> ProductTrace:
+    """Widen what is stated of a product by what is open of it."""
+    part = opened.get(found.product.number)
+    if part is None or not part.points:
+        return found
+    volume, weight = widened(found.volume, found.weight, widened_by(part, found.product))
+    return replace(found, volume=volume, weight=weight)
+
+
+def _too_high(product: Product) -> Reason | None:
+    """Say why nothing can be stated of a product that is higher than the calibration was made for."""
+    high_mm = product.calibration.height_range_mm[1]
+    heights = product.profiles.xyz_mm[:, :, 2]
+    heights = heights[np.isfinite(heights)]
+    beyond = int(np.count_nonzero(heights > high_mm + _HEIGHT_SLACK_MM))
+    if beyond <= _TOO_HIGH_SHARE_MAX * heights.size:
         return None
     return Reason(
-        "undecided",
-        f"{refused} peaks could not be given to a stripe with certainty, only {seen} on the product could: "
-        "no number would be honest",
+        "above-calibrated-range",
+        f"the product reaches {heights.max():.1f} mm, and {beyond / heights.size:.0%} of its points lie "
+        f"above the {high_mm:.1f} mm that the calibration is meant for: calibrate for greater heights",
     )
 
 

@@ -222,7 +222,7 @@ class Classifier(Stage[OptionsT]):
         """Give the class with reasons; ``unknown`` is a legal answer."""
 
     @classmethod
-    def fit(cls, samples: Samples, *, good: str = "", smoothing_rows: int = 15) -> Fitted:
+    def fit(cls, samples: Samples, *, good: str = "", smoothing_mm: float = 3.0) -> Fitted:
         """Learn from labelled products.
 
         Parameters
@@ -231,8 +231,8 @@ class Classifier(Stage[OptionsT]):
             With labels.
         good
             The class of good products; "" where there is none.
-        smoothing_rows
-            Window the features were measured with, rows.
+        smoothing_mm
+            Window the features were measured with, mm.
 
         Raises
         ------

@@ -44,7 +44,7 @@ def test_every_public_name_is_there() -> None:
 
 
 def test_no_file_holds_two_ideas(root: Path) -> None:
-    """A file past 350 lines usually holds two."""
+    """One idea may fill a file; past 700 lines it holds two."""
     files = [*root.glob("roemetry/**/*.py"), *root.glob("plugins/**/*.py")]
     assert len(files) > 40
-    assert {file.name: n for file in files if (n := len(file.read_text("utf-8").splitlines())) > 350} == {}
+    assert {file.name: n for file in files if (n := len(file.read_text("utf-8").splitlines())) > 700} == {}

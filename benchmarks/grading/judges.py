@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.traced.tables import SMOOTHING_ROWS, Row
+from benchmarks.traced.tables import SMOOTHING_MM, Row
 from roemetry.records import Fitted, Grade, Samples
 from roemetry_shape.fuzzy_rules import FuzzyRules, FuzzyRulesOptions
 from roemetry_shape.learned import Learned, LearnedOptions
@@ -16,6 +16,9 @@ from roemetry_shape.shape_limits import ShapeLimits, ShapeLimitsOptions
 
 SHOWN_MM = 1.0
 """A defect that a lit stripe shows by this much ought to be caught."""
+
+TAUGHT_MM = 0.5
+"""A defect that stripes show by less is not learned from: its features are those of a good product."""
 
 GOOD = "good"
 Judge = Callable[[Row], Grade]
@@ -40,14 +43,20 @@ def judges_of(model: Path, limits: ShapeLimitsOptions) -> dict[str, Judge]:
     }
 
 
-def fitted_model(rows: Sequence[Row]) -> Fitted:
-    """Fit the learned classifier; defects that no stripe shows are in it, so that it learns to doubt."""
+def samples_of(rows: Sequence[Row]) -> Samples:
+    """Make samples of rows that were measured; those of one body share a group."""
     used = [row for row in rows if row.features]
     names = tuple(name for name in used[0].features if name not in NOT_LEARNED)
     values = np.array([[row.features.get(name, np.nan) for name in names] for row in used])
-    ids = tuple(str(row.seed) for row in used)
-    labels = tuple(row.name for row in used)
-    return Learned.fit(Samples(ids, ids, names, values, labels), good=GOOD, smoothing_rows=SMOOTHING_ROWS)
+    ids = tuple(str(k) for k in range(len(used)))
+    groups = tuple(f"{row.rig} {row.seed}" for row in used)
+    return Samples(ids, groups, names, values, tuple(row.name for row in used))
+
+
+def fitted_model(rows: Sequence[Row]) -> Fitted:
+    """Fit the learned classifier; a defect of which no stripe shows half a millimetre teaches nothing."""
+    shown = [row for row in rows if row.name == GOOD or row.defect["shown_mm"] >= TAUGHT_MM]
+    return Learned.fit(samples_of(shown), good=GOOD, smoothing_mm=SMOOTHING_MM)
 
 
 def fitted_limits(rows: Sequence[Row]) -> ShapeLimitsOptions:
@@ -74,9 +83,7 @@ def fitted_limits(rows: Sequence[Row]) -> ShapeLimitsOptions:
             break
         found.append({"feature": name, key: at, "label": _most_common(caught)[0]})
         left = [row for row in left if row not in caught]
-    return ShapeLimitsOptions.model_validate(
-        {"limits": found, "good": GOOD, "smoothing_rows": SMOOTHING_ROWS}
-    )
+    return ShapeLimitsOptions.model_validate({"limits": found, "good": GOOD, "smoothing_mm": SMOOTHING_MM})
 
 
 def rules_of(limits: ShapeLimitsOptions) -> FuzzyRulesOptions:
@@ -96,9 +103,7 @@ def rules_of(limits: ShapeLimitsOptions) -> FuzzyRulesOptions:
             }
         )
     rules.append({"when": [f"not {name}" for name in terms], "label": GOOD})
-    return FuzzyRulesOptions.model_validate(
-        {"terms": terms, "rules": rules, "smoothing_rows": SMOOTHING_ROWS}
-    )
+    return FuzzyRulesOptions.model_validate({"terms": terms, "rules": rules, "smoothing_mm": SMOOTHING_MM})
 
 
 def _candidates(

@@ -16,7 +16,7 @@ from benchmarks.grading.scores import UNKNOWN
 from benchmarks.grading.words import share, table
 from benchmarks.made_by import made_by
 from benchmarks.traced import traced
-from benchmarks.traced.tables import SMOOTHING_ROWS
+from benchmarks.traced.tables import SMOOTHING_MM
 from roemetry.compare.resampling import wilson
 from roemetry.errors import RoemetryError
 from roemetry_shape.features import shape_of
@@ -143,7 +143,7 @@ def features_of(name: str, seed: int) -> dict[str, float]:
         one = traced(seed, family=family, options={**lies, **options(Size(*sizes.tolist()))})
     except RoemetryError:
         return {}
-    return {} if one.exact is None else shape_of(one.exact, SMOOTHING_ROWS).features
+    return {} if one.exact is None else shape_of(one.exact, SMOOTHING_MM).features
 
 
 def features_of_all(seeds: Sequence[int], cache: Path) -> dict[tuple[str, int], dict[str, float]]:

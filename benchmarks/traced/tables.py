@@ -15,7 +15,7 @@ from benchmarks.traced.skeins import Traced, traced
 from roemetry_paper.arc_curvature import ArcCurvature, ArcCurvatureOptions
 from roemetry_shape.features import shape_of
 
-SMOOTHING_ROWS = 15
+SMOOTHING_MM = 3.0
 HEALTHY_EVERY = ("healthy",) * 6
 LEARNING_MIX = (
     *HEALTHY_EVERY,
@@ -111,7 +111,7 @@ def _rows(seeds: Sequence[int], rig: str, cache: Path, mix: Sequence[str]) -> It
 
 
 def _row(one: Traced, rig: str, *, whole: bool) -> Row:
-    features = {} if one.exact is None else shape_of(one.exact, SMOOTHING_ROWS).features
+    features = {} if one.exact is None else shape_of(one.exact, SMOOTHING_MM).features
     grades = {}
     if one.paper is not None:
         grades["paper"] = ArcCurvature().classify(one.paper).label

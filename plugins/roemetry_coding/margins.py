@@ -7,8 +7,7 @@ import numpy as np
 from roemetry.arrays import Floats
 
 _SHIFTED = (
-    (0.2, 0.5), (0.5, 0.2), (0.8, 0.08), (1.1, 0.04), (1.5, 0.015), (1.75, 7.5e-3), (2.75, 4e-3),
-    (3.3, 1.5e-3), (4.0, 1e-3), (5.0, 5e-4), (8.0, 1e-4),
+    (0.3, 0.5), (0.6, 0.1), (0.8, 0.03), (1.0, 6e-3), (1.5, 3e-3), (2.0, 1e-3), (3.0, 2e-4), (8.0, 5e-5),
 )  # fmt: skip
 """Evidence, and how often a label with it was wrong: the more, the less often."""
 _ALONE = ((0.0, 0.03), (2.0, 0.02), (3.0, 8e-3), (4.0, 5e-3), (6.0, 5e-4), (10.0, 1e-4))

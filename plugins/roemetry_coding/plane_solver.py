@@ -46,6 +46,9 @@ _PRESENT_ROWS_MIN = 15
 _GAP_LINES = 20
 _RUN_ROWS = (25, 85)
 _BELOW_TOLERANCES = 1.5
+_BEYOND = 2.0
+"""Heights are looked for up to so many times the highest that the calibration is meant for: only so is a
+product that is too high seen as that, and not taken for a lower one a stripe or more off."""
 _KEEP = 1.0
 _FEW_COUNT = 0.5
 _SMALL_COUNT = 0.4
@@ -66,7 +69,7 @@ _STRAY_LINES = 15
 _SHIFTS_MAX = 24
 _ROUNDS = 2
 _DOUBT_ROUNDS = 2
-_DOUBTFUL = 2.7
+_DOUBTFUL = 1.0
 
 
 class Solved(NamedTuple):
@@ -166,6 +169,7 @@ def solve_planes(peaks: Peaks, calibration: Calibration, rest: RestLines) -> Sol
     between = interjected(problem.trace, problem.piece, problem.piece_line, stripe)
     whole &= ~(between | ((piece_line == ENDS) & (_together(problem, stripe, between) > 0)))
     spacing_px = float(np.median(np.diff(rest.x_px, axis=0))) if rest.x_px.shape[0] > 1 else np.inf
+    whole &= ~_kinked(problem, peaks, stripe)
     whole &= ~aside(peaks.row, peaks.x_px, rest.line, problem.piece, stripe, spacing_px)
     strange = (piece_line >= 0) & (stripe != piece_line)
     evidence[strange & (_together(problem, stripe, piece_line == -1) < _BODY_PEAKS)] *= _STRANGE_COUNT
@@ -177,7 +181,6 @@ def solve_planes(peaks: Peaks, calibration: Calibration, rest: RestLines) -> Sol
         home = problem.home[problem.piece]
         off_px = peaks.x_px - rest.x_px[home, peaks.row]
         level &= ~(goes_through(problem.piece, off_px, level) & (home >= 0))
-    whole &= ~level
     # a few peaks by themselves on a rest line are what is left of belt, at the edge of a shadow
     alone = np.bincount(problem.trace)[problem.trace] < _BELT_ROWS_MIN
     whole &= ~(alone & (problem.line >= 0) & (problem.line != stripe))
@@ -187,6 +190,14 @@ def solve_planes(peaks: Peaks, calibration: Calibration, rest: RestLines) -> Sol
         if not doubtful.any():
             break
         evidence = np.minimum(evidence, short * _without(problem, own, best, doubtful))
+    # Belt that may be a level step is no reason to doubt the body beside it: that stands above the step, too.
+    whole &= ~level
+    if level.any():
+        belt = problem.line == stripe
+        doubtful = (stripe >= 0) & ((evidence < _DOUBTFUL) | ~whole)
+        evidence = np.where(
+            belt, np.minimum(evidence, short * _without(problem, own, best, doubtful)), evidence
+        )
     return Solved(stripe, problem.piece, claims, dearer, evidence, whole, problem.there, problem.entries)
 
 
@@ -194,6 +205,46 @@ def _together(problem: _Problem, stripe: Integers, counted: Flags) -> Integers:
     """Give (peak,) how many of its trace that are counted have its stripe."""
     cell = problem.trace * (problem.there.size + 1) + stripe + 1
     return np.asarray(np.bincount(cell[counted], minlength=int(cell.max()) + 1)[cell])
+
+
+def _kinked(problem: _Problem, peaks: Peaks, stripe: Integers) -> Flags:
+    """Mark (peak,) pieces at a body's border that would carry its surface on better one stripe further.
+
+    Differences between neighbours cannot tell a high edge above a steep flank from a low foot before a high
+    step: both are one break. The two stripes further inside can: their line, carried on to the border, meets
+    the right label nearer than the ones beside it. A piece is marked where that fails on most of its rows.
+    """
+    line = np.clip(np.rint(problem.sight.line).astype(np.int64), 0, problem.sight.plane.shape[0] - 1)
+    body = np.flatnonzero((stripe >= 0) & (problem.line != stripe))
+    asked, worse = np.zeros(problem.piece_line.size), np.zeros(problem.piece_line.size)
+    for by in (1, -1):
+        order = body if by == 1 else body[::-1]
+        if order.size < 4:
+            continue
+        one, two, three = order[:-2], order[1:-1], order[2:]
+        before = np.concatenate([[-1], order[:-3]])
+        row, own = peaks.row, stripe
+        inner = (row[one] == row[three]) & (own[three] == own[two] + by)
+        border = (before < 0) | (row[before] != row[one])
+        one, two, three = (which[inner & border] for which in (one, two, three))
+
+        def height(peak: Integers, label: Integers) -> Floats:
+            label = np.clip(label, 0, problem.there.size - 1)
+            alpha, beta, gamma, delta = problem.sight.plane[line[peak], label].T
+            u = problem.sight.u[peak]
+            return np.asarray((alpha * u + beta) / (gamma * u + delta))
+
+        near, far = height(two, stripe[two]), height(three, stripe[three])
+        x = peaks.x_px
+        carried = near + (near - far) * (x[one] - x[two]) / (x[two] - x[three])
+        off = np.abs(height(one, stripe[one]) - carried)
+        other = np.minimum(
+            np.abs(height(one, stripe[one] + 1) - carried), np.abs(height(one, stripe[one] - 1) - carried)
+        )
+        np.add.at(asked, problem.piece[one], 1.0)
+        np.add.at(worse, problem.piece[one], other < 0.5 * off)
+    at_border = (asked > 0.5 * np.bincount(problem.piece, minlength=asked.size)) & (problem.piece_line != ENDS)
+    return np.asarray(at_border & (worse > 0.5 * asked))[problem.piece]
 
 
 def _agreed(problem: _Problem, cost: Floats) -> Integers:
@@ -307,16 +358,18 @@ def _posed(peaks: Peaks, calibration: Calibration, rest: RestLines) -> _Problem:
     )  # fmt: skip
     slack_mm = rest.tolerance_px / np.abs(calibration.displacement_px_per_mm)
     low_mm, high_mm = calibration.height_range_mm
+    # belt that lies on its rest line from the image's border on is no product out of range: that saves time
+    beyond = np.where(anchored[piece[entries.peak]], 1.0, _BEYOND)
     labels = Labels(
         *labels_of(
             entries.start, entries.u, sight.plane, min(low_mm, 0.0) - _BELOW_TOLERANCES * slack_mm,
-            high_mm + slack_mm,
+            high_mm + slack_mm, beyond,
         )
     )  # fmt: skip
     steps = Steps(
         *steps_of(
             entries.start, entries.u, *labels, sight.plane, sight.lean[entries.peak], sight.u_min,
-            sight.u_max, presence, u_per_px,
+            sight.u_max, presence, u_per_px, 2.0 * slack_mm,
         )
     )  # fmt: skip
     return _Problem(

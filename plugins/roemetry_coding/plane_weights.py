@@ -28,7 +28,7 @@ class Weights:
         Change of stripe within a piece of a trace, where it was cut, and over a gap.
     """
 
-    surface: float = 1.0
+    surface: float = 3.0
     unseen: float = 4.0
     false_peak: float = 6.0
     on_rest: float = 0.2

@@ -1,5 +1,11 @@
 """Calibration from one block of known height (section 3.4), with a scale and with refusals.
 
+Model. In perspective a plane of light moves its stripe by D = h / (Ω (1 − h/W)) px at height h, where W is
+the camera's distance from the belt; Ω, mm/px, is what a first millimetre would tell. The block's height h and
+its displacement D give Ω. Without a working distance 1/W is 0, and that is the paper's H = Ω D. A camera that
+is tilted a little along the stripes sees displacements grow from row to row, for all stripes alike: by how
+much is read from the block's top, too, and Ω is that of the middle row.
+
 The paper gives Ω_i = block height / displacement of stripe i on the block. It does not say where the scale
 in X and Y comes from; here it comes from the block's width along the stripes, seen at the block's top.
 """
@@ -31,6 +37,14 @@ class BlockCalibratorOptions(StageOptions):
 _DISTANCE_MIN_HEIGHTS = 10.0
 """Nobody puts a camera nearer to the belt than ten block heights; used where the distance is not known."""
 _FAN_RESIDUAL_MAX = 0.03
+"""A stripe taken for its neighbour is off by more than a tenth, one on clean matt metal by less than 0.01."""
+_FAN_MIN = 5
+"""Stripes from which a parabola can be checked."""
+_TILT_MAX = 0.15
+"""Tangent of the angle (8.5°) within which a camera that is set up by eye looks straight down. A tilt across
+the stripes acts on heights as a distance that is wrong by so much, relatively."""
+_EXTRAPOLATED_SHARE_MAX = 0.15
+"""Of the stripes may miss the block: two of fifteen. Further out a parabola is no longer sure."""
 
 
 class BlockCalibrator(Calibrator[BlockCalibratorOptions]):
@@ -59,10 +73,19 @@ class BlockCalibrator(Calibrator[BlockCalibratorOptions]):
             raise CalibrationError("there is no image of the block", hint="name it in images.block")
         rest = rest_polynomials(observed)
         rest_px = rest.lines_px
-        seen = [view_of_block(view, rest_px) for view in views]
+        seen = [view_of_block(view, rest_px, rest.rms_px) for view in views]
         offset_px, offset_std_px, row_px = _offsets(seen, views, observed.stripe_count)
-        omega = block.height_mm / offset_px
-        fan = _check_fan(omega)
+        offset_px, offset_std_px, row_px, fan, said = _filled(offset_px, offset_std_px, row_px, rest_px)
+        if observed.working_distance_mm is not None and observed.working_distance_mm <= 2 * block.height_mm:
+            raise CalibrationError(
+                f"working_distance_mm is {observed.working_distance_mm:g}, the block is "
+                f"{block.height_mm:g} mm high",
+                hint="it is the distance from the camera's lens to the belt, in millimetres",
+            )
+        per_distance = 0.0 if observed.working_distance_mm is None else 1.0 / observed.working_distance_mm
+        growth, growth_std = _growth(seen)
+        omega = block.height_mm / (1.0 - block.height_mm * per_distance) / offset_px
+        omega = omega * (1.0 + growth * row_px)
         scale = _scale(seen, block, observed.working_distance_mm)
         size = views[0].frame.size
         return Calibration(
@@ -76,8 +99,20 @@ class BlockCalibrator(Calibrator[BlockCalibratorOptions]):
                 "omega_mm_per_px": omega,
                 "mm_per_px": np.array([scale.mm_per_px]),
                 "rest_error_px": np.zeros(rest_px.shape),
+                "inverse_distance_per_mm": np.array([per_distance]),
+                "growth_per_px": np.array([growth]),
             },
-            covariance=_covariance(omega, offset_px, offset_std_px, block, scale, rest.covariance, row_px),
+            covariance=_covariance(
+                omega,
+                offset_px,
+                offset_std_px,
+                block,
+                scale,
+                rest.covariance,
+                row_px,
+                growth_std,
+                per_distance,
+            ),
             residuals={
                 "rest_line_rms_px": rest.rms_px,
                 "block_top_rms_px": float(np.sqrt(np.nanmean([view.scatter_px**2 for view in seen]))),
@@ -95,7 +130,7 @@ class BlockCalibrator(Calibrator[BlockCalibratorOptions]):
                 "yaw_deg": float(np.degrees(np.mean([view.yaw_rad for view in seen]))),
             },
             extractor=dict(observed.extractor),
-            notes=scale.notes,
+            notes=scale.notes + said,
             view=block_view(size, rest_px, omega, scale.mm_per_px, observed.working_distance_mm),
         )
 
@@ -118,11 +153,11 @@ def _offsets(
     if missing.size == stripes:
         raise CalibrationError(
             f"the block was not found in {', '.join(view.frame.name for view in views)}: "
-            "no stripe is displaced over a run of rows in which all stripes are seen",
+            "over no run of rows are the belt's lines displaced so that it is plain which line is which",
             hint="is the block under the stripes, and clean and matt? is images.block the right file? "
             "is the number of stripes right?",
         )
-    if missing.size:
+    if missing.size > max(_EXTRAPOLATED_SHARE_MAX * stripes, 1.0) or stripes - missing.size < _FAN_MIN:
         names = ", ".join(str(stripe + 1) for stripe in missing)
         raise CalibrationError(
             f"stripe {names} is not seen on the block",
@@ -138,13 +173,36 @@ def _offsets(
     return offset, stds[best, np.arange(stripes)], rows[best, np.arange(stripes)]
 
 
-def _check_fan(omega: Floats) -> float:
-    """Planes that fan out from one projector have 1/Ω that varies smoothly; give the largest deviation."""
-    if omega.size < 5:
-        return 0.0
-    index = np.arange(omega.size)
-    slope = 1.0 / omega
-    deviation = np.abs(slope - np.polyval(np.polyfit(index, slope, 2), index)) / np.abs(slope)
+def _growth(seen: list[BlockView]) -> tuple[float, float]:
+    """Give the displacement's relative growth per row, 1/px, common to all stripes, and its uncertainty."""
+    growth = np.concatenate([view.growth_per_px for view in seen])
+    std = np.concatenate([view.growth_std_per_px for view in seen])
+    known = np.isfinite(growth) & (std > 0.0)
+    if not known.any():
+        return 0.0, 0.0
+    stated = float(np.sqrt((std[known] ** 2).mean()))
+    seen_std = float(growth[known].std(ddof=1)) if known.sum() > 1 else 0.0
+    # Birge's ratio: where stripes differ by more than each states, what they show counts
+    return float(growth[known].mean()), max(stated, seen_std) / float(np.sqrt(known.sum()))
+
+
+def _filled(
+    offset_px: Floats, offset_std_px: Floats, row_px: Floats, rest_px: Floats
+) -> tuple[Floats, Floats, Floats, float, tuple[str, ...]]:
+    """Check displacements by the fan of all, and take those of outer stripes that miss the block from it.
+
+    Planes that fan out from one projector are displaced, seen from above, by an amount that is linear in the
+    rest line's place; tilt and lens bend that a little, hence a parabola. Gives displacements, standard
+    uncertainties and rows without gaps, the largest deviation from the fan, and a note.
+    """
+    known = np.isfinite(offset_px)
+    if known.sum() < _FAN_MIN:
+        return offset_px, offset_std_px, row_px, 0.0, ()
+    place = (rest_px[:, 0] - rest_px[:, 0].mean()) / max(float(np.ptp(rest_px[:, 0])), 1.0)
+    powers = np.polynomial.polynomial.polyvander(place, 2)
+    inverse = np.linalg.pinv(powers[known])
+    fan_px = powers @ (inverse @ offset_px[known])
+    deviation = np.where(known, np.abs(offset_px / fan_px - 1.0), 0.0)
     worst = int(deviation.argmax())
     if deviation[worst] > _FAN_RESIDUAL_MAX:
         raise CalibrationError(
@@ -152,7 +210,20 @@ def _check_fan(omega: Floats) -> float:
             f"{deviation[worst]:.1%} (at most {_FAN_RESIDUAL_MAX:.0%} is allowed)",
             hint="look at the block image: dirt, a reflection, or a stripe taken for its neighbour",
         )
-    return float(deviation[worst])
+    if known.all():
+        return offset_px, offset_std_px, row_px, float(deviation[worst]), ()
+    left = (offset_px - fan_px)[known]
+    scatter_px = float(np.sqrt((left**2).sum() / max(known.sum() - 3, 1)))
+    lever = np.sqrt(1.0 + ((powers @ inverse) ** 2).sum(axis=1))
+    names = ", ".join(str(stripe + 1) for stripe in np.flatnonzero(~known))
+    said = f"stripe {names} misses the block: its displacement is extrapolated from the fan of the others"
+    return (
+        np.where(known, offset_px, fan_px),
+        np.where(known, offset_std_px, scatter_px * lever),
+        np.where(known, row_px, float(np.nanmean(row_px))),
+        float(deviation[worst]),
+        (said,),
+    )
 
 
 def _scale(seen: list[BlockView], block: Block, working_distance_mm: float | None) -> _Scale:
@@ -177,15 +248,10 @@ def _scale(seen: list[BlockView], block: Block, working_distance_mm: float | Non
     own = np.hypot(block.tolerance_mm / np.sqrt(3.0) / block.width_mm, edge_std_px / width_px)
     notes = ["square pixels assumed: the scale along the stripes is used across them as well"]
     if working_distance_mm is not None:
-        if working_distance_mm <= 2 * block.height_mm:
-            raise CalibrationError(
-                f"working_distance_mm is {working_distance_mm:g}, the block is {block.height_mm:g} mm high",
-                hint="it is the distance from the camera's lens to the belt, in millimetres",
-            )
         factor = working_distance_mm / (working_distance_mm - block.height_mm)
         notes.append(
             f"scale taken from the block's top to the belt by the working distance: × {factor:.4f}; "
-            "it grows with height, which this model leaves out"
+            "heights and places above the belt are taken in perspective with it"
         )
         return _Scale(at_top * factor, float(own), tuple(notes))
     unknown = 1.0 / _DISTANCE_MIN_HEIGHTS / np.sqrt(3.0)
@@ -204,21 +270,30 @@ def _covariance(
     scale: _Scale,
     rest: Floats,
     row_px: Floats,
+    growth_std: float,
+    per_distance: float,
 ) -> Floats:
     """Of (Ω…, mm/px, rest lines' errors): each stripe's own reading, and the block's height common to all.
 
     Where the true rest line lies e px further, the displacement on the block is e too large and Ω too small
     by e over it: at the block's height the two cancel, on the belt the line's error stands alone.
     """
-    n = omega.size
-    covariance = np.zeros((3 * n + 1, 3 * n + 1))
+    n, k = omega.size, rest.shape[1]
+    size = n + 1 + k * n + 2  # the last two: the distance, which the rig file gives, and the growth
+    covariance = np.zeros((size, size))
+    by_growth = np.concatenate([omega * row_px, np.zeros(size - n - 1), [1.0]])
+    covariance += growth_std**2 * np.outer(by_growth, by_growth)
+    by_distance = np.zeros(size)
+    by_distance[:n] = omega * block.height_mm / (1.0 - block.height_mm * per_distance)
+    by_distance[-2] = 1.0
+    covariance += (_TILT_MAX * per_distance) ** 2 / 3.0 * np.outer(by_distance, by_distance)
     height_relative = block.tolerance_mm / np.sqrt(3.0) / block.height_mm
-    covariance[:n, :n] = np.diag((omega * offset_std_px / offset_px) ** 2)
+    covariance[:n, :n] += np.diag((omega * offset_std_px / offset_px) ** 2)
     covariance[:n, :n] += height_relative**2 * np.outer(omega, omega)
     covariance[n, n] = (scale.mm_per_px * scale.relative_std) ** 2
     for stripe in range(n):
-        own = slice(n + 1 + 2 * stripe, n + 3 + 2 * stripe)
-        by_rest = omega[stripe] / offset_px[stripe] * np.array([1.0, row_px[stripe]])
+        own = slice(n + 1 + k * stripe, n + 1 + k * (stripe + 1))
+        by_rest = omega[stripe] / offset_px[stripe] * row_px[stripe] ** np.arange(k)
         covariance[own, own] = rest[stripe]
         covariance[stripe, own] = covariance[own, stripe] = rest[stripe] @ by_rest
         covariance[stripe, stripe] += by_rest @ rest[stripe] @ by_rest

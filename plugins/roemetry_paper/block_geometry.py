@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from roemetry.arrays import Floats
+from roemetry.lens import undistorted
 from roemetry.view import View
 
 _ABOVE_MM = 1000.0
@@ -42,16 +43,46 @@ def block_view(
     middle_x, middle_y = (columns - 1) / 2.0, (rows - 1) / 2.0
     pose = np.diag([1.0, -1.0, -1.0, 1.0])
     pose[2, 3] = height
+    k1 = 0.0 if telecentric else _bow(rest_px, middle_x, focal)
+    straight_px, grown = _straightened(rest_px, middle_x, middle_y, focal, k1)
     return View(
         image_size=image_size,
         camera_matrix=np.array([[focal, 0.0, middle_x], [0.0, focal, middle_y], [0.0, 0.0, 1.0]]),
         T_belt_camera=pose,
         planes=light_planes(
-            rest_px, omega_mm_per_px, mm_per_px, middle_x, 0.0 if telecentric else 1.0 / height
+            straight_px, omega_mm_per_px * grown, mm_per_px, middle_x, 0.0 if telecentric else 1.0 / height
         ),
+        distortion=np.array([k1, 0.0, 0.0, 0.0]) if k1 else np.empty(0),
         telecentric=telecentric,
         exact=False,
     )
+
+
+def _bow(rest_px: Floats, middle_px: float, focal_px: float) -> float:
+    """Give k1 of the lens from the bow of the belt's lines (plumb lines: Brown 1971); 0 where none is seen.
+
+    At distance 1 a straight line x = a is seen as a (1 + k1 (a² + y²)): its bow is k1 a.
+    """
+    if rest_px.shape[1] < 3:
+        return 0.0
+    place = (rest_px[:, 0] - middle_px) / focal_px
+    return float((rest_px[:, 2] * focal_px * place).sum() / max(float((place**2).sum()), 1e-12))
+
+
+def _straightened(
+    rest_px: Floats, middle_px: float, half_px: float, focal_px: float, k1: float
+) -> tuple[Floats, Floats]:
+    """Give (stripe, 2) rest lines without the lens, and by how much it stretches displacements there."""
+    if not k1:
+        return rest_px[:, :2], np.ones(rest_px.shape[0])
+    y = np.linspace(-half_px, half_px, 9)
+    seen = np.polynomial.polynomial.polyval(y, rest_px.T) - middle_px
+    xy = np.stack([seen / focal_px, np.broadcast_to(y / focal_px, seen.shape)], axis=-1)
+    straight = undistorted(xy.reshape(-1, 2), np.array([k1, 0.0, 0.0, 0.0])).reshape(xy.shape) * focal_px
+    lines = np.array([np.polynomial.polynomial.polyfit(one[:, 1], one[:, 0], 1) for one in straight])
+    lines[:, 0] += middle_px
+    place = (lines[:, 0] - middle_px) / focal_px
+    return lines, 1.0 + 3.0 * k1 * place**2
 
 
 def light_planes(

@@ -16,8 +16,10 @@ from roemetry_paper.block_geometry import block_view, light_planes
 class BlockLinear(Triangulator[StageOptions]):
     """H = Ω_i · D2: height is proportional to the displacement from the stripe's rest line.
 
-    One scale (mm/px, at belt level) serves for X and Y everywhere: perspective, which makes higher things
-    look larger, and lens distortion are left out. The origin is the belt point at the image's centre.
+    Where the calibration knows the camera's distance W from the belt, perspective is taken out: H =
+    Ω D2 / (1 + Ω D2 / W), and X and Y, at belt level mm/px times pixels from the image's centre, shrink by
+    1 − H/W. Without it both are the paper's: higher things look larger. The camera is taken to look straight
+    down. The origin is the belt point at the image's centre.
     """
 
     capabilities = Capabilities(height_tolerance_mm=1e-9)
@@ -44,24 +46,30 @@ class BlockLinear(Triangulator[StageOptions]):
         count = stripes.stripe_count
         row_px = np.broadcast_to(np.arange(rows, dtype=np.float64), (count, rows))
         xyz_mm = np.empty((count, rows, 3))
-        xyz_mm[:, :, 0] = (stripes.x_px - (columns - 1) / 2.0) * scale
-        xyz_mm[:, :, 1] = np.where(np.isnan(stripes.x_px), np.nan, ((rows - 1) / 2.0 - row_px) * scale)
         away_px = stripes.x_px - stripes.rest_px
         rest_px = _rest_px(calibration)
         if rest_px is not calibration.rest_px:
-            off = rest_px - calibration.rest_px
-            away_px = away_px - off[:, :1] - off[:, 1:2] * (row_px - (rows - 1) / 2.0)
-        xyz_mm[:, :, 2] = omega[:, None] * away_px
+            from_middle = np.arange(rows) - (rows - 1) / 2.0
+            off = (rest_px - calibration.rest_px).T
+            away_px = away_px - np.polynomial.polynomial.polyval(from_middle, off)
+        per_distance = _per_distance(calibration)
+        growth = calibration.parameters.get("growth_per_px", np.zeros(1))[0]
+        height_mm = omega[:, None] * away_px / (1.0 + growth * (np.arange(rows) - (rows - 1) / 2.0))
+        height_mm /= 1.0 + per_distance * height_mm
+        shrunk = 1.0 - per_distance * height_mm
+        xyz_mm[:, :, 0] = (stripes.x_px - (columns - 1) / 2.0) * scale * shrunk
+        xyz_mm[:, :, 1] = ((rows - 1) / 2.0 - row_px) * scale * shrunk
+        xyz_mm[:, :, 2] = height_mm
         return Profiles(
             xyz_mm=xyz_mm,
             product=stripes.product,
             seen=stripes.seen,
             x_px=stripes.x_px,
             row_px=row_px,
-            height_std_mm=np.abs(omega)[:, None] * stripes.x_std_px,
+            height_std_mm=np.abs(omega)[:, None] * shrunk**2 * stripes.x_std_px,
             stripe=np.arange(count),
             frame=np.zeros(count, np.int64),
-            plane=light_planes(rest_px, omega, scale, (columns - 1) / 2.0),
+            plane=light_planes(rest_px, omega, scale, (columns - 1) / 2.0, per_distance),
         )
 
     def view(self, calibration: Calibration) -> View | None:
@@ -74,8 +82,14 @@ class BlockLinear(Triangulator[StageOptions]):
             _rest_px(calibration),
             calibration.parameters["omega_mm_per_px"],
             float(calibration.parameters["mm_per_px"][0]),
-            None if known.telecentric else float(known.camera_mm[2]),
+            None if not _per_distance(calibration) else 1.0 / _per_distance(calibration),
         )
+
+
+def _per_distance(calibration: Calibration) -> float:
+    """1/W, 1/mm; 0 where the distance is not known, and of calibrations made before it was told."""
+    known = calibration.parameters.get("inverse_distance_per_mm")
+    return 0.0 if known is None else float(known[0])
 
 
 def _rest_px(calibration: Calibration) -> Floats:

@@ -1,30 +1,63 @@
-"""What the images of the empty belt and of the block show."""
+"""What the images of the empty belt and of the block show.
+
+Model. On the empty belt a stripe is a line, bowed by the lens: x = a + b y + c y² (radial distortion's first
+term bows a straight line by a parabola). On the block's top, h above the belt, each stripe i is displaced by
+D_i, all to one side, and D changes smoothly from stripe to stripe, for the planes fan out from one projector.
+
+Peaks of any extractor are gathered into lines first (pieces of one line are joined, a second peak in the same
+stripe and stray peaks fall to the line or away), so neither speckle nor a missing peak matters. In the rows
+of the block the lines are matched to stripes in order. A stripe may miss the top (it then stays on its belt
+line or is hidden), so several matchings are possible: the one whose displacements are a smooth function of
+the stripes' places is taken (the places' own irregularities cancel in the right one alone), and if two are
+equally smooth, none. It fails where the block's rows cannot be told: all displaced stripes on belt lines.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from roemetry.arrays import Floats
+from roemetry.arrays import Flags, Floats, Integers
 from roemetry.errors import CalibrationError, StageError
 from roemetry.records import CalibrationSet, Observation, Peaks
 from roemetry_kernels.coding.rest_lines import rest_lines_of_frame
 from roemetry_kernels.coding.tracing import trace_fragments
+from roemetry_paper.whole_pixels import centres, is_whole
 
-_FULL_ROWS_MIN = 0.5
+_BOW_ROWS_MIN = 200
+"""Rows of belt from which a parabola is determined better than a pixel's rounding; below, a straight line."""
+_BOW_SIGMAS = 5.0
+"""A bow of fewer standard deviations is none: in a straight rig it would only add noise."""
+_LINE_ROWS_MIN = 12
+_LINE_SHARE_MIN = 0.3
+"""Of the longest line's peaks: what has fewer is a reflection or the edge of something."""
+_JOIN_PX = 3.5
+"""Pieces whose middle distance is less are one line: speckle splits a stripe into peaks 2 to 3 px apart."""
+_SURPLUS_SHARE = 0.5
+"""Of the weakest stripe's peaks: more lines than stripes are tolerated where the surplus has fewer."""
 _DISPLACED_MIN_PX = 4.0
 _BLOCK_ROWS_MIN = 20
+_RUN_GAP_ROWS = 12
 _TRIM = 0.1
-_BATCH_ROWS = 10
+_BATCH_ROWS = 8
+"""Rows that are averaged into one nearly independent value: peaks are correlated over two or three rows."""
 _BATCHES_MIN = 6
 _BODY_STEP_PX = 7.0
 _END_ROWS = 12
 _REST_RMS_MAX_PX = 1.5
 _EDGE_ROOM_MIN_PX = 0.75
-_EDGE_GAP_ROWS = 1
+_EDGE_GAP_ROWS = 3
+"""Rows without a peak that do not end the block: speckle takes single peaks."""
 _MAD_TO_STD = 1.4826
+_ROOM_MIN_PX = 1.5
+_ROOM_SIGMAS = 4.0
+"""A peak is on a belt line within so many of its scatter; less than 1.5 px is within whole pixels."""
+_HIDDEN_MAX = 2
+"""Stripes at an end that may strike the block's side, where the camera does not see them."""
+_SMOOTHER = 1.5
+"""Times as smooth the chosen matching must be as the next; rows' own scatter leaves a tenth."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -47,6 +80,9 @@ class BlockView:
         Extent of the top across the stripes that is seen, px.
     row_px
         (stripe,) mean row of what `offset_px` comes from, from the middle row.
+    growth_per_px, growth_std_per_px
+        (stripe,) relative growth of the displacement from row to row, 1/px, and its standard uncertainty: a
+        camera that is tilted along the stripes sees nearer rows displaced further.
     """
 
     offset_px: Floats
@@ -58,6 +94,8 @@ class BlockView:
     yaw_rad: float
     span_px: float
     row_px: Floats
+    growth_per_px: Floats
+    growth_std_per_px: Floats
 
 
 class RestFit(NamedTuple):
@@ -66,11 +104,11 @@ class RestFit(NamedTuple):
     Attributes
     ----------
     lines_px
-        (stripe, 2) x in the middle row, px, and slope.
+        (stripe, 2 or 3) x in the middle row, px, slope, and bow.
     rms_px
         Rms distance of the peaks from them.
     covariance
-        (stripe, 2, 2) of each line.
+        (stripe, k, k) of each line.
     """
 
     lines_px: Floats
@@ -79,7 +117,7 @@ class RestFit(NamedTuple):
 
 
 def rest_polynomials(observed: CalibrationSet) -> RestFit:
-    """Fit each stripe's rest line, a straight one.
+    """Fit each stripe's rest line.
 
     From the images of the empty belt; without one, from the belt above and below the block.
 
@@ -92,93 +130,281 @@ def rest_polynomials(observed: CalibrationSet) -> RestFit:
     if not belts:
         view = observed.showing("block")[0]
         return _from_block_image(view, observed.stripe_count)
-    x_px = np.full((observed.stripe_count, 0), np.nan)
-    row_px = np.empty(0)
+    middle = (belts[0].frame.size[0] - 1) / 2.0
+    stripe, from_middle, x_px = (np.empty(0) for _ in range(3))
     for view in belts:
-        full = _full_rows(view.peaks, observed.stripe_count)
-        lit = int((np.diff(view.peaks.row_start) > 0).sum())
-        if full.size < _FULL_ROWS_MIN * view.peaks.image_size[0]:
-            found = np.bincount(np.diff(view.peaks.row_start)).argmax() if lit else 0
+        peaks = _centred(view)
+        lines = _strongest(_lines_in(peaks, np.arange(len(peaks))), observed.stripe_count)
+        if len(lines) != observed.stripe_count:
             raise CalibrationError(
-                f"{view.frame.name}: {observed.stripe_count} stripes are expected, "
-                f"but most rows show {found} (only {full.size} rows show all)",
+                f"{view.frame.name}: {observed.stripe_count} stripes are expected on the empty belt, "
+                f"{len(lines)} are seen",
                 hint="check `stripes` in the rig file, the extractor's threshold, turn_deg, "
                 "and that every stripe crosses the whole image",
             )
-        x_px = np.concatenate([x_px, _in_rows(view.peaks, full, observed.stripe_count)], axis=1)
-        row_px = np.concatenate([row_px, full])
-    middle = (belts[0].frame.size[0] - 1) / 2.0
-    return _fitted(row_px - middle, x_px, belts[0].frame.name)
+        for number, line in enumerate(lines):
+            row, x = _one_a_row(peaks, line)
+            stripe = np.concatenate([stripe, np.full(row.size, number)])
+            from_middle = np.concatenate([from_middle, row - middle])
+            x_px = np.concatenate([x_px, x])
+    return _fitted(stripe, from_middle, x_px, observed.stripe_count, belts[0].frame.name)
 
 
-def view_of_block(view: Observation, rest_px: Floats) -> BlockView:
+def view_of_block(view: Observation, rest_px: Floats, rest_rms_px: float) -> BlockView:
     """Measure displacements and edges of the block in one image."""
     stripes = rest_px.shape[0]
-    peaks = view.peaks
-    rows = _full_rows(peaks, stripes)
-    middle = (peaks.image_size[0] - 1) / 2.0
-    x_px = _in_rows(peaks, rows, stripes)
-    offset = x_px - (rest_px[:, :1] + rest_px[:, 1:] * (rows - middle))
-    mean, std, first, last, place, scatter, at_row = (np.full(stripes, np.nan) for _ in range(7))
-    for stripe in range(stripes):
-        run = _longest_run(rows, np.abs(offset[stripe]) > _DISPLACED_MIN_PX)
+    peaks = _centred(view)
+    from_middle = np.arange(peaks.image_size[0]) - (peaks.image_size[0] - 1) / 2.0
+    rest = np.polynomial.polynomial.polyval(from_middle, rest_px.T)
+    mean, std, first, last, place, scatter, at_row, growth, growth_std = np.full((9, stripes), np.nan)
+    for stripe, line in _on_the_block(peaks, rest, max(_ROOM_MIN_PX, _ROOM_SIGMAS * rest_rms_px)).items():
+        row, x = _one_a_row(peaks, line)
+        offset = x - rest[stripe, row]
+        run = _longest_run(row, np.abs(offset) > _DISPLACED_MIN_PX)
         if run.size < _BLOCK_ROWS_MIN:
             continue
         trim = int(_TRIM * run.size)
-        inner = offset[stripe, run[trim : run.size - trim]]
-        typical = np.median(inner)
-        inner = inner[np.abs(inner - typical) < _DISPLACED_MIN_PX]
+        inside = run[trim : run.size - trim]
+        inside = inside[np.abs(offset[inside] - np.median(offset[inside])) < _DISPLACED_MIN_PX]
+        inner, off_middle = offset[inside], from_middle[row[inside]]
         mean[stripe], std[stripe] = inner.mean(), _std_of_mean(inner)
         scatter[stripe] = inner.std()
-        at_row[stripe] = rows[run].mean() - middle
-        from_middle = np.arange(peaks.image_size[0]) - middle
-        lines = rest_px[:, :1] + rest_px[:, 1:] * from_middle
-        edges = _edges(peaks, lines, stripe, mean[stripe], int(rows[run[run.size // 2]]))
+        at_row[stripe] = off_middle.mean()
+        grown, of_line, _ = _line(off_middle - off_middle.mean(), inner, 1)
+        growth[stripe] = grown[1] / grown[0]
+        growth_std[stripe] = np.sqrt(of_line[1, 1]) / abs(grown[0])
+        edges = _edges(peaks, rest, stripe, mean[stripe], int(row[run[run.size // 2]]))
         if edges is not None:
             first[stripe], last[stripe] = edges
-            place[stripe] = x_px[stripe, run].mean()
+            place[stripe] = x[run].mean()
     width, width_std, edge_rms, yaw = _width(place, first, last)
     scatter_px = float(np.nanmean(scatter)) if np.isfinite(scatter).any() else np.nan
     span_px = float(np.nanmax(place) - np.nanmin(place)) if np.isfinite(place).any() else np.nan
-    return BlockView(mean, std, scatter_px, width, width_std, edge_rms, yaw, span_px, at_row)
+    return BlockView(
+        mean, std, scatter_px, width, width_std, edge_rms, yaw, span_px, at_row, growth, growth_std
+    )
 
 
-def _full_rows(peaks: Peaks, stripes: int) -> Floats:
-    """Rows that show exactly as many peaks as there are stripes: there, order is certain."""
-    return np.flatnonzero(np.diff(peaks.row_start) == stripes).astype(np.float64)
+def _centred(view: Observation) -> Peaks:
+    """Give an image's peaks; whole pixels are replaced by the stripes' centres there."""
+    peaks = view.peaks
+    if not is_whole(peaks.x_px) or np.isfinite(peaks.x_std_px).any():
+        return peaks
+    x_px = centres(view.frame.pixels, peaks.row, peaks.x_px, peaks.background, peaks.amplitude)
+    return replace(peaks, x_px=np.where(_in_order(peaks, x_px), x_px, peaks.x_px))
 
 
-def _in_rows(peaks: Peaks, rows: Floats, stripes: int) -> Floats:
-    """(stripe, row) x of the peaks of full rows, px."""
-    first = peaks.row_start[rows.astype(np.int64)]
-    return np.asarray(peaks.x_px[first[None, :] + np.arange(stripes)[:, None]])
+def _in_order(peaks: Peaks, x_px: Floats) -> Flags:
+    """Say which peaks would still stand in a row's order; two on one plateau have the same centre."""
+    ahead = (np.diff(x_px) <= 0.0) & (np.diff(peaks.row) == 0)
+    row = np.isin(peaks.row, peaks.row[1:][ahead])
+    return np.asarray(~row)
 
 
-def _fitted(from_middle: Floats, x_px: Floats, name: str) -> RestFit:
-    rest = np.empty((x_px.shape[0], 2))
-    covariance = np.empty((x_px.shape[0], 2, 2))
-    residual = np.empty_like(x_px)
-    for stripe, x in enumerate(x_px):
-        keep = np.ones(x.size, np.bool_)
-        for _ in range(3):
-            slope, start = np.polyfit(from_middle[keep], x[keep], 1)
-            off = x - (start + slope * from_middle)
-            keep = np.abs(off) <= max(3.0 * float(np.std(off[keep])), 0.5)
-        rest[stripe] = start, slope
-        residual[stripe] = np.where(keep, off, np.nan)
-        covariance[stripe] = _of_line(from_middle[keep], off[keep])
-    rms = float(np.sqrt(np.nanmean(residual**2)))
+def _lines_in(peaks: Peaks, chosen: Integers) -> list[Integers]:
+    """Give the peaks of each line, left to right: fragments, joined where they continue each other."""
+    if not chosen.size:
+        return []
+    row, x_px = peaks.row[chosen].astype(np.float64), peaks.x_px[chosen]
+    starts = np.searchsorted(peaks.row[chosen], np.arange(peaks.image_size[0] + 1))
+    fragment, _ = trace_fragments(starts, np.ascontiguousarray(x_px), _BODY_STEP_PX)
+    order = np.argsort(fragment, kind="stable")
+    parts = np.split(order, np.flatnonzero(np.diff(fragment[order])) + 1)
+    lines: list[Integers] = []
+    curves: list[Floats] = []
+    for part in sorted(parts, key=len, reverse=True):
+        if len(part) < 3:
+            break
+        off = [abs(float(np.median(x_px[part] - _at(curve, row[part])))) for curve in curves]
+        near = int(np.argmin(off)) if off else -1
+        if near >= 0 and off[near] < _JOIN_PX:
+            lines[near] = np.concatenate([lines[near], part])
+        elif len(part) >= _LINE_ROWS_MIN:
+            lines.append(part)
+            curves.append(np.empty(0))
+            near = len(lines) - 1
+        else:
+            continue
+        curves[near] = _curve(row[lines[near]], x_px[lines[near]])
+    lines = _merged(lines, row, x_px)
+    longest = max((line.size for line in lines), default=0)
+    lines = [line for line in lines if line.size >= max(_LINE_ROWS_MIN, _LINE_SHARE_MIN * longest)]
+    middle = float(np.median(row))
+    lines.sort(key=lambda line: float(_at(_curve(row[line], x_px[line]), middle)))
+    return [np.sort(chosen[line]) for line in lines]
+
+
+def _merged(lines: list[Integers], row: Floats, x_px: Floats) -> list[Integers]:
+    """Join lines that are one, found in two parts before either was long enough to point well."""
+    kept: list[Integers] = []
+    for line in sorted(lines, key=len, reverse=True):
+        for number, other in enumerate(kept):
+            curve = _curve(row[other], x_px[other])
+            if abs(float(np.median(x_px[line] - _at(curve, row[line])))) < _JOIN_PX:
+                kept[number] = np.concatenate([other, line])
+                break
+        else:
+            kept.append(line)
+    return kept
+
+
+def _curve(row: Floats, x_px: Floats) -> Floats:
+    """Give a line by row, or a parabola where there are rows enough; the last number is its middle row."""
+    degree = 2 if np.ptp(row) >= _BOW_ROWS_MIN and row.size >= _BOW_ROWS_MIN else 1
+    middle = row.mean()
+    keep = np.ones(row.size, np.bool_)
+    found = np.zeros(1)
+    for _ in range(3):
+        found = np.polynomial.polynomial.polyfit(row[keep] - middle, x_px[keep], degree)
+        off = np.abs(x_px - np.polynomial.polynomial.polyval(row - middle, found))
+        keep = off <= max(3.0 * _MAD_TO_STD * float(np.median(off)), 0.5)
+    return np.append(found, middle)
+
+
+def _at(curve: Floats, row: Floats | float) -> Floats:
+    return np.asarray(np.polynomial.polynomial.polyval(np.asarray(row) - curve[-1], curve[:-1]))
+
+
+def _one_a_row(peaks: Peaks, line: Integers) -> tuple[Integers, Floats]:
+    """Give the rows of a line and x in each, px: the mean of its peaks by their height."""
+    row, at = np.unique(peaks.row[line], return_inverse=True)
+    light = np.maximum(peaks.amplitude[line], 1e-6)
+    return row.astype(np.int64), np.bincount(at, light * peaks.x_px[line]) / np.bincount(at, light)
+
+
+def _strongest(lines: list[Integers], count: int) -> list[Integers]:
+    """Leave surplus lines out that are far weaker than the weakest stripe."""
+    if len(lines) <= count:
+        return lines
+    size = np.array([line.size for line in lines])
+    weakest, surplus = np.sort(size)[::-1][count - 1 : count + 1]
+    if surplus > _SURPLUS_SHARE * weakest:
+        return lines
+    return [line for line, own in zip(lines, size, strict=True) if own >= weakest]
+
+
+def _on_the_block(peaks: Peaks, rest: Floats, room_px: float) -> dict[int, Integers]:
+    """Give the peaks on the block's top by stripe; {} where there is none or two matchings are as good."""
+    stripes = rest.shape[0]
+    rows = _rows_of_block(peaks, rest, room_px)
+    if rows is None:
+        return {}
+    first, last = rows
+    chosen = np.flatnonzero((peaks.row >= first) & (peaks.row <= last))
+    lines = _lines_in(peaks, chosen)
+    middle = (first + last) // 2
+    found = np.array([_at(_curve(peaks.row[line].astype(float), peaks.x_px[line]), middle) for line in lines])
+    at_rest = rest[:, middle]
+    best: list[tuple[float, float, dict[int, int]]] = []
+    for shift in range(stripes):
+        for skipped in range(min(shift, len(lines)) + 1):
+            tried = _matched(found, at_rest, shift, skipped)
+            if tried is not None:
+                best.append(tried)
+    if not best:
+        return {}
+    best.sort(key=lambda one: (one[0], one[1]))
+    chosen_one = best[0]
+    for other in best[1:]:
+        same = other[2] == chosen_one[2]
+        if not same and other[0] == chosen_one[0] and other[1] < _SMOOTHER * chosen_one[1]:
+            return {}
+    return {stripe: lines[line] for stripe, line in chosen_one[2].items()}
+
+
+def _matched(
+    found: Floats, at_rest: Floats, shift: int, first_line: int
+) -> tuple[float, float, dict[int, int]] | None:
+    """Match lines in order to stripes from `shift` on; give what stays unexplained, roughness, px, and pairs.
+
+    Lines before `first_line` and behind the last pair must be stripes that stay on the belt; stripes that
+    are on neither count as unexplained.
+    """
+    pairs: dict[int, int] = {}
+    side = 0.0
+    for line in range(first_line, found.size):
+        stripe = line - first_line + shift
+        if not 0 <= stripe < at_rest.size:
+            break
+        offset = float(found[line] - at_rest[stripe])
+        if abs(offset) <= _DISPLACED_MIN_PX or side * offset < 0.0:
+            break
+        side = np.sign(offset)
+        pairs[stripe] = line
+    if len(pairs) < min(3, at_rest.size):
+        return None
+    hit, line_of = np.array(list(pairs)), np.array(list(pairs.values()))
+    offsets = found[line_of] - at_rest[hit]
+    place = (at_rest[hit] - at_rest.mean()) / max(float(np.ptp(at_rest)), 1.0)
+    degree = min(2, len(pairs) - 2)
+    rough = np.abs(offsets - np.polyval(np.polyfit(place, offsets, degree), place))
+    left = [x for number, x in enumerate(found) if number not in pairs.values()]
+    # a stripe is on the block or on its belt line in these rows, not on both
+    near = [int(np.abs(at_rest - x).argmin()) for x in left]
+    unexplained = sum(
+        abs(float(at_rest[one] - x)) >= _DISPLACED_MIN_PX or one in pairs
+        for one, x in zip(near, left, strict=True)
+    )
+    lost = [one for one in range(at_rest.size) if one not in pairs and one not in near]
+    inner = sum(int(hit.min() < one < hit.max()) for one in lost)
+    if len(lost) > _HIDDEN_MAX or inner:
+        return None
+    return float(unexplained), float(max(np.median(rough), 0.05)), pairs
+
+
+def _rows_of_block(peaks: Peaks, rest: Floats, room_px: float) -> tuple[int, int] | None:
+    """Give the first and last row in which the belt's lines are interrupted, a little inside; or None.
+
+    Displaced by about a spacing, stripes lie near their neighbours' belt lines: hence the narrow room.
+    """
+    empty = np.zeros(rest.shape[1])
+    for row in range(rest.shape[1]):
+        x = peaks.x_px[peaks.row_start[row] : peaks.row_start[row + 1]]
+        off = np.abs(rest[:, row, None] - x[None, :]).min(axis=1, initial=np.inf)
+        empty[row] = (off > room_px).mean()
+    # the first and the last row hold no peaks of some extractors
+    smooth = np.convolve(empty[1:-1], np.ones(_SMOOTH_ROWS) / _SMOOTH_ROWS, mode="same")
+    most = float(np.percentile(smooth, 99.0))
+    run = _longest_run(np.arange(1, rest.shape[1] - 1), smooth > 0.5 * most)
+    if most < 0.8 / rest.shape[0] or run.size < _BLOCK_ROWS_MIN or run.size > 0.9 * rest.shape[1]:
+        return None
+    return int(run[0]) + 1, int(run[-1]) - 1
+
+
+_SMOOTH_ROWS = 9
+"""Rows that are looked at together: speckle takes a peak in thirty."""
+
+
+def _fitted(stripe: Floats, from_middle: Floats, x_px: Floats, stripes: int, name: str) -> RestFit:
+    """Fit a line to each stripe, or a parabola to all where their bow is seen."""
+    straight = [_line(from_middle[stripe == one], x_px[stripe == one], 1) for one in range(stripes)]
+    bowed = [_line(from_middle[stripe == one], x_px[stripe == one], 2) for one in range(stripes)]
+    bow = [abs(line[2]) / np.sqrt(covariance[2, 2]) for line, covariance, _ in bowed]
+    many = np.ptp(from_middle) >= _BOW_ROWS_MIN
+    found = bowed if many and float(np.max(bow)) > _BOW_SIGMAS else straight
+    rms = float(np.sqrt(np.mean(np.concatenate([off**2 for *_, off in found]))))
     if rms > _REST_RMS_MAX_PX:
         raise CalibrationError(
             f"{name}: the stripes on the belt are not straight (rms {rms:.2f} px)",
             hint="is the belt flat and empty? a strongly distorting lens needs a full camera calibration",
         )
-    return RestFit(rest, rms, covariance)
+    return RestFit(np.stack([line for line, *_ in found]), rms, np.stack([one for _, one, _ in found]))
 
 
-def _of_line(from_middle: Floats, off: Floats) -> Floats:
-    """(2, 2) covariance of a line through rows that are correlated over a few rows: from sums of batches."""
-    powers = np.column_stack([np.ones(off.size), from_middle])
+def _line(from_middle: Floats, x: Floats, degree: int) -> tuple[Floats, Floats, Floats]:
+    """Coefficients, lowest power first, their covariance, and residuals without outliers."""
+    keep = np.ones(x.size, np.bool_)
+    off, found = x, np.zeros(degree + 1)
+    for _ in range(3):
+        found = np.asarray(np.polynomial.polynomial.polyfit(from_middle[keep], x[keep], degree))
+        off = x - np.polynomial.polynomial.polyval(from_middle, found)
+        keep = np.abs(off) <= max(3.0 * float(np.std(off[keep])), 0.5)
+    return found, _of_line(from_middle[keep], off[keep], degree), off[keep]
+
+
+def _of_line(from_middle: Floats, off: Floats, degree: int = 1) -> Floats:
+    """Covariance of a line through rows that are correlated over a few rows: from sums of batches."""
+    powers = np.polynomial.polynomial.polyvander(from_middle, degree)
     inverse = np.linalg.inv(powers.T @ powers)
     batches = off.size // _BATCH_ROWS
     if batches < _BATCHES_MIN:
@@ -189,7 +415,7 @@ def _of_line(from_middle: Floats, off: Floats) -> Floats:
 
 
 def _from_block_image(view: Observation, stripes: int) -> RestFit:
-    peaks = view.peaks
+    peaks = _centred(view)
     fragment, fragments = trace_fragments(peaks.row_start, peaks.x_px, _BODY_STEP_PX)
     try:
         lines = rest_lines_of_frame(peaks, fragment, fragments, stripes, _END_ROWS)
@@ -208,12 +434,12 @@ def _from_block_image(view: Observation, stripes: int) -> RestFit:
     return RestFit(rest, rms, np.repeat(covariance[None], stripes, axis=0))
 
 
-def _longest_run(rows: Floats, displaced: np.ndarray) -> np.ndarray:
+def _longest_run(rows: Integers, displaced: np.ndarray) -> np.ndarray:
     """Positions in `rows` of the longest displaced run; gaps of a few rows do not end it."""
     at = np.flatnonzero(displaced)
     if not at.size:
         return at
-    pieces = np.split(at, np.flatnonzero(np.diff(rows[at]) > _END_ROWS) + 1)
+    pieces = np.split(at, np.flatnonzero(np.diff(rows[at]) > _RUN_GAP_ROWS) + 1)
     return max(pieces, key=len)
 
 

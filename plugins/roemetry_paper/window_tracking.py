@@ -38,6 +38,7 @@ from roemetry_kernels.coding.rest_lines import (
     unknown_rest_lines,
 )
 from roemetry_kernels.coding.tracing import trace_fragments
+from roemetry_kernels.compiling import kernel
 from roemetry_paper.belt import Belt, belt_of
 from roemetry_paper.literal_tracking import literal_codes
 
@@ -61,6 +62,11 @@ class WindowTrackingOptions(BridgingOptions):
     )
     body_window_px: int = Field(default=14, ge=1, le=99, description="width of the window on the body, px")
     smallest_area_px: int = Field(default=10, ge=1, description="fragments with fewer peaks are noise")
+    hidden: Literal["anywhere", "facing-light"] = Field(
+        default="anywhere",
+        description="where bodies may be hidden or lost. facing-light: only on the flank that faces the "
+        "light, where the camera looks past an overhang; so stripes are counted from the shadow's side",
+    )
     margin_min: float = Field(
         default=0.1,
         ge=0,
@@ -74,7 +80,10 @@ _END_ROWS = 12
 _DARK_ROWS_MAX = 20
 _PIECES_MAX = 400
 _PIECES_SHARE_MIN = 0.25
-_AGREEMENT_MIN = 0.9
+_AGREEMENT_MIN = {"anywhere": 0.9, "facing-light": 0.75}
+"""Of the rows that vote. Counted from the shadow's side each row that has lost a peak is off by one, and an
+extractor loses one in up to a fifth of a flank's rows. A stripe that is lost in three rows of four shifts
+those behind it, and nothing tells."""
 _VOTERS_MIN = 3
 _VOTING_SHARE_MIN = 0.5
 _PASSES_MAX = 12
@@ -162,7 +171,7 @@ class WindowTracking(Coder[WindowTrackingOptions]):
         noise = small[belt.fragment] & ~belt.anchored
         low, high = _displacements(rest, belt.live, calibration)
         rest_live = np.ascontiguousarray(rest.x_px[belt.live])
-        label, margin = self._settle(peaks, belt, noise, rest_live, low, high)
+        label, margin = self._settle(peaks, belt, noise, rest_live, low, high, _light_side(calibration))
         stripe = np.where(label >= 0, belt.live[np.maximum(label, 0)], label)
         of_peak = drop_doubles(peaks, stripe[belt.segment], line, belt.rows[belt.segment])
         of_peak = keep_order(peaks, of_peak)
@@ -192,7 +201,14 @@ class WindowTracking(Coder[WindowTrackingOptions]):
         return unknown_rest_lines(big.size, peaks), number[fragment], np.full(len(peaks), np.nan)
 
     def _settle(
-        self, peaks: Peaks, belt: Belt, noise: Flags, rest_px: Floats, low_px: Floats, high_px: Floats
+        self,
+        peaks: Peaks,
+        belt: Belt,
+        noise: Flags,
+        rest_px: Floats,
+        low_px: Floats,
+        high_px: Floats,
+        light: int,
     ) -> tuple[Integers, Floats]:
         """From the belt to all that order decides: (segment,) live stripe, UNCODED or AMBIGUOUS; margin."""
         used = np.where(noise[belt.segment], -1, belt.segment)
@@ -200,7 +216,12 @@ class WindowTracking(Coder[WindowTrackingOptions]):
         margin = np.where(belt.anchored, 1.0, np.nan)
         for _ in range(_PASSES_MAX):
             votes, voters = vote_by_order(peaks.row_start, peaks.x_px, used, label, rest_px, low_px, high_px)
-            settled, gained = _decided(votes, voters, belt.rows, label, self.options.margin_min)
+            if light and self.options.hidden == "facing-light":
+                votes = vote_from_shadow(
+                    peaks.row_start, peaks.x_px, used, label, rest_px, low_px, high_px, light
+                )
+            agreement = _AGREEMENT_MIN[self.options.hidden]
+            settled, gained = _decided(votes, voters, belt.rows, label, self.options.margin_min, agreement)
             margin = np.where(settled, gained, margin)
             found = belt.continued(np.where(settled, votes.argmax(axis=1), label))
             if (found == label).all():
@@ -208,6 +229,66 @@ class WindowTracking(Coder[WindowTrackingOptions]):
             label = found
         margin[label < 0] = np.nan
         return np.where(noise, UNCODED, np.where(label >= 0, label, AMBIGUOUS)), margin
+
+
+def _light_side(calibration: Calibration | None) -> int:
+    """−1 where the light comes from the left in the image, 1 from the right, 0 where that is not known."""
+    if calibration is None:
+        return 0
+    side = np.sign(calibration.displacement_px_per_mm)
+    return int(side[0]) if (side == side[0]).all() else 0
+
+
+@kernel
+def vote_from_shadow(
+    row_start: Integers,
+    x_px: Floats,
+    segment: Integers,
+    label: Integers,
+    rest_px: Floats,
+    displacement_min_px: Floats,
+    displacement_max_px: Floats,
+    light: int,
+) -> Integers:
+    """Let each row vote on the one stripe that each segment is, counted from the shadow's side.
+
+    The camera stands on the shadow's side of the light, so whatever is lit there is also seen. Hidden
+    stripes lie on the flank that faces the light, where the camera looks past an overhang. Between two known
+    stripes the unknown peaks are therefore the last ones on the shadow's side, and those that are missing
+    are missing on the side of the light; glints on that flank do not matter either. Arguments as of
+    `vote_by_order`; `light` is −1 where it comes from the left. A peak that the extractor misses on the
+    shadow's side shifts the row's votes: rows that disagree settle nothing.
+
+    Returns
+    -------
+    ndarray, shape (segment, stripe)
+        Rows in which the segment is the stripe.
+    """
+    stripes = rest_px.shape[0]
+    votes = np.zeros((label.shape[0], stripes), np.int64)
+    for row in range(row_start.shape[0] - 1):
+        left, p, end = -1, row_start[row], row_start[row + 1]
+        while p < end:
+            q, unknown = p, 0
+            while q < end and (segment[q] < 0 or label[segment[q]] < 0):
+                if segment[q] >= 0:
+                    unknown += 1
+                q += 1
+            right = stripes if q == end else label[segment[q]]
+            if right <= left:
+                break
+            if 0 < unknown <= right - left - 1:
+                stripe = right - unknown if light < 0 else left + 1
+                for u in range(p, q):
+                    if segment[u] < 0:
+                        continue
+                    off = x_px[u] - rest_px[stripe, row]
+                    if displacement_min_px[stripe] <= off <= displacement_max_px[stripe]:
+                        votes[segment[u], stripe] += 1
+                    stripe += 1
+            left = right
+            p = q + 1
+    return votes
 
 
 _LITERAL = Reason(
@@ -237,7 +318,12 @@ def _refuse_dark_rows(peaks: Peaks) -> None:
 
 
 def _decided(
-    votes: Integers, voters: Integers, rows: Integers, label: Integers, margin_min: float
+    votes: Integers,
+    voters: Integers,
+    rows: Integers,
+    label: Integers,
+    margin_min: float,
+    agreement_min: float,
 ) -> tuple[Flags, Floats]:
     """Say which unknown segments their rows agree on, and by which margin.
 
@@ -254,7 +340,7 @@ def _decided(
     settled = (
         (label < 0)
         & (voters >= np.maximum(_VOTERS_MIN, _VOTING_SHARE_MIN * rows))
-        & (best >= _AGREEMENT_MIN * voters)
+        & (best >= agreement_min * voters)
         & (margin >= margin_min)
     )
     return settled, margin
@@ -265,5 +351,8 @@ def _displacements(rest: RestLines, live: Integers, calibration: Calibration | N
     if calibration is None:
         return np.full(live.size, -_UNBOUNDED_PX), np.full(live.size, _UNBOUNDED_PX)
     per_mm = calibration.displacement_px_per_mm[live]
-    ends = np.stack([per_mm * height for height in calibration.height_range_mm])
+    view = calibration.view
+    # nearer to the camera a millimetre is seen larger
+    near = 0.0 if view is None or view.telecentric else 1.0 / float(view.camera_mm[2])
+    ends = np.stack([per_mm * height / (1.0 - height * near) for height in calibration.height_range_mm])
     return ends.min(axis=0) - rest.tolerance_px, ends.max(axis=0) + rest.tolerance_px

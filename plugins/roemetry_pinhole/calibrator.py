@@ -14,7 +14,6 @@ from roemetry.calibration import Calibration
 from roemetry.errors import CalibrationError
 from roemetry.records import CalibrationSet, Evidence
 from roemetry.stages import Calibrator, Capabilities, StageOptions
-from roemetry_pinhole.evidence import evidence_of
 from roemetry_pinhole.frames import (
     METHOD,
     covariance_of,
@@ -23,14 +22,17 @@ from roemetry_pinhole.frames import (
     rest_polynomials,
     view_of,
 )
-from roemetry_pinhole.free_scale import rescaled, scaled_by_references
-from roemetry_pinhole.joining import Joint, joint, planes_by_solids
-from roemetry_pinhole.judging import judged
-from roemetry_pinhole.known_planes import of_planes
-from roemetry_pinhole.opencv_file import read_planes
-from roemetry_pinhole.scale import of_lengths
-from roemetry_pinhole.second_targets import check_scale
-from roemetry_pinhole.solids_agree import check_beside_solids, check_solids
+from roemetry_pinhole.joint import Joint, joint, planes_by_solids
+from roemetry_pinhole.known_planes import of_planes, read_planes
+from roemetry_pinhole.scale import (
+    check_beside_solids,
+    check_scale,
+    check_solids,
+    of_lengths,
+    rescaled,
+    scaled_by_references,
+)
+from roemetry_pinhole.verdict import evidence_of, judged
 
 
 class PinholeCalibratorOptions(StageOptions):

@@ -1,20 +1,124 @@
-"""Planes of light that are known beforehand: only the belt is looked for."""
+"""Cameras and planes of light that are known from files.
+
+OpenCV's camera files: a matrix and distortion coefficients, YAML, JSON or XML.
+
+Planes of light that are known beforehand: only the belt is looked for.
+"""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
 from roemetry.arrays import Floats
-from roemetry.errors import CalibrationError
+from roemetry.errors import CalibrationError, DataError
 from roemetry.records import CalibrationSet
-from roemetry_pinhole.adjustment import Adjusted
+from roemetry_pinhole.bundle import Adjusted, Measured
 from roemetry_pinhole.equations import Corners, Feet
-from roemetry_pinhole.geometry import CAMERA, Geometry, unknowns_of
-from roemetry_pinhole.lens import straightened
-from roemetry_pinhole.measured import Measured
-from roemetry_pinhole.stripe_points import belt_points
+from roemetry_pinhole.geometry import CAMERA, Geometry, straightened, unknowns_of
+from roemetry_pinhole.stripes import belt_points
+
+_MATRIX = ("camera_matrix", "cameraMatrix", "Camera_Matrix", "K", "intrinsics")
+_LENS = ("distortion_coefficients", "distCoeffs", "Distortion_Coefficients", "dist_coeffs", "D")
+_PLANES = ("planes", "laser_planes")
+
+
+def read_camera(path: Path) -> Floats:
+    """Give (12,) fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6 from a file that OpenCV wrote.
+
+    Raises
+    ------
+    DataError
+        There is no such file, or it holds no camera matrix, or a lens model this program does not know.
+    """
+    storage = _opened(path)
+    try:
+        matrix, lens = _first(storage, _MATRIX), _first(storage, _LENS)
+    finally:
+        storage.release()
+    if matrix is None or matrix.shape != (3, 3):
+        raise DataError(f"{path}: there is no 3 × 3 camera matrix here ({', '.join(_MATRIX)})")
+    if abs(matrix[0, 1]) > 1e-9:
+        raise DataError(f"{path}: the camera matrix has a skew of {matrix[0, 1]:g}; square axes are expected")
+    numbers = np.zeros(0) if lens is None else np.ravel(lens)
+    if numbers.size > 8 and numbers[8:].any():
+        raise DataError(
+            f"{path}: there are {numbers.size} distortion coefficients; up to 8 are known here",
+            hint="calibrate with k1, k2, p1, p2, k3 (and k4, k5, k6)",
+        )
+    camera = np.zeros(CAMERA)
+    camera[:4] = matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]
+    camera[4 : 4 + min(numbers.size, 8)] = numbers[:8]
+    return camera
+
+
+def plane_from(a: float, b: float, c: float, d: float, *, sign: int) -> Floats:
+    """Give (3,) p·X = 1 from Ax + By + Cz + D = 0 (`sign` = 1) or Ax + By + Cz = D (`sign` = −1), mm.
+
+    Raises
+    ------
+    DataError
+        The plane goes through the origin, the camera's centre: it measures nothing.
+    """
+    distance = -sign * d
+    size = float(np.sqrt(a * a + b * b + c * c))
+    if size == 0.0 or abs(distance) < 1e-9 * size:
+        raise DataError("the plane goes through the camera's centre, or has no direction")
+    return np.array([a, b, c], np.float64) / distance
+
+
+def read_planes(path: Path, *, sign: int = 1) -> Floats:
+    """Give (stripe, 3) p·X = 1 from rows A, B, C, D named `planes` or `laser_planes`, camera frame, mm.
+
+    Parameters
+    ----------
+    path
+        YAML, JSON or XML as OpenCV writes it.
+    sign
+        1 where the rows mean Ax + By + Cz + D = 0, −1 where they mean Ax + By + Cz − D = 0.
+
+    Raises
+    ------
+    DataError
+        There are no such rows, or a plane goes through the camera's centre.
+    """
+    storage = _opened(path)
+    try:
+        rows = _first(storage, _PLANES)
+    finally:
+        storage.release()
+    if rows is None or rows.ndim != 2 or rows.shape[1] != 4:
+        raise DataError(f"{path}: there are no planes here: rows of A, B, C, D named `planes`")
+    try:
+        return np.stack([plane_from(*row, sign=sign) for row in rows.tolist()])
+    except DataError as error:
+        raise DataError(f"{path}: {error.message}") from error
+
+
+def _opened(path: Path):  # type: ignore[no-untyped-def]  # noqa: ANN202
+    import cv2
+
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    try:
+        storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
+    except (cv2.error, SystemError) as error:
+        raise DataError(f"{path}: not a file that OpenCV wrote") from error
+    if not storage.isOpened():
+        raise DataError(f"{path}: the file cannot be read, or OpenCV did not write it")
+    return storage
+
+
+def _first(storage, names: tuple[str, ...]) -> Floats | None:  # type: ignore[no-untyped-def]  # noqa: ANN001
+    for name in names:
+        node = storage.getNode(name)
+        if not node.empty():
+            found = node.mat()
+            if found is not None:
+                return np.asarray(found, np.float64)
+    return None
+
 
 _OFF_MAX_PX = 3.0
 

@@ -1,41 +1,91 @@
-"""Which stripe is which in each pose: solved over all poses together.
+"""Which line on a board is which stripe: planes of light found jointly in all poses.
 
-The lines of one pose stand in the order of their planes, but a board's edge may cut some off. A numbering is
-right when the lines of one number, seen on several boards, lie in one plane.
+Model. A stripe is a plane of light p·X = 1 in the camera's frame. Each pose shows lines on its board, whose
+ends are known in space because the board's pose is. Lines of different poses belong to one stripe when they
+lie in one plane. A pose may miss stripes (cut off by the board's edge, too faint, saturated), show pieces of
+one twice, and show lines that are no stripe (reflections, edges of the print). So neither the count of a
+pose's lines nor their position in the row decides; the planes in space do:
+
+1. Every line of one pose with every line of another spans a plane (least squares over four ends), and the
+   other poses vote for it by how near a line of theirs lies. Lines of two boards are nearly coplanar even if
+   they belong to neighbouring stripes; it is the third board that decides.
+2. The order of stripes is the same on every board. Of two poses the pairing with the largest sum of votes
+   that keeps the order is found by dynamic programming (Needleman and Wunsch 1970; skipping a line costs
+   nothing). The best pairing over several pairs of poses is the start.
+3. Each line takes the nearest plane within a tolerance, planes are fitted again, and the tolerance shrinks to
+   the noise that is seen. Lines that are left form new planes by the same vote, until none is left.
+4. Planes that cross or coincide with better supported ones are dropped, the rest is numbered in its order. An
+   image of the empty belt counts as one more pose where the belt's place is known.
+
+A line that belongs to no plane is false and is left out. A pose most of whose lines belong to no plane is
+left out with its name: mirrored or moved. It fails where all boards are parallel and near each other (any
+pairing in order then lies in planes) and where stripes cross within the boards' volume.
+The voting is RANSAC's (Fischler and Bolles 1981), with every pair of lines tried.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from roemetry.arrays import Floats
+from roemetry.arrays import Flags, Floats, Integers
 from roemetry.errors import CalibrationError
 
-_NEIGHBOUR_SHARE = 0.35
-_AMBIGUOUS = 1.5
-_ROUNDS = 4
-_SECONDS = 4
+_TOLERANCE_SHARE = 0.2
+"""Of the spacing of neighbouring lines: distance at which a line no longer votes. A wrong plane collects
+votes by chance in 2 × 0.2 of the poses; anything from 0.1 to 0.3 gives the same numbers."""
+_TOLERANCE_LEAST_SHARE = 0.04
+"""Of the spacing: the tolerance shrinks no further, for poses before the adjustment err by so much."""
+_NOISE_FACTOR = 4.0
+"""The tolerance shrinks to so many median distances: a normal error exceeds it once in 150."""
+_BASES = 4
+"""Poses (those with most lines) that are paired with all others; one good one is enough."""
+_ROUNDS = 5
+"""Rounds of taking lines and fitting planes; the third changes nothing any more."""
 _CONDITION_MAX = 1e12
-_STRANGE_FACTOR = 8.0
-_STRANGE_LEAST = 1e-3
-"""Of the distance from the camera."""
-_STRANGE_POSES_MIN = 4
+_APART_SHARE = 0.4
+"""Of the spacing: two planes nearer than this over the boards are one stripe, found twice."""
+_WEAK_SHARE = 0.5
+"""Of the weakest accepted plane's peaks: surplus planes with fewer than this are reflections."""
+_POSE_SHARE_MIN = 0.5
+"""Of a pose's peaks: if fewer lie on planes, its lines fit the others' by chance only."""
+_OUTLYING_FACTOR = 8.0
+"""Times the usual distance of a pose's lines from the planes of all others: moved or mirrored."""
+_OUTLYING_LEAST = 1e-3
+"""Of the distance from the camera: what is nearer than this is never called moved."""
+_OUTLYING_POSES_MIN = 4
 """Of fewer poses nobody could say which is wrong."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PoseLines:
-    """Lines on the board of one pose, left to right: (line, 2, 3) their ends in the camera's frame, mm."""
+    """Lines on the board of one pose, left to right.
+
+    Attributes
+    ----------
+    name
+        Name of the image.
+    ends_mm
+        (line, 2, 3) the ends of each in the camera's frame, mm.
+    peaks
+        (line,) how many peaks each was found from; None: equally many.
+    """
 
     name: str
     ends_mm: Floats
+    peaks: Integers | None = None
 
     @property
     def count(self) -> int:
         """Number of lines."""
         return int(self.ends_mm.shape[0])
+
+    @property
+    def weight(self) -> Floats:
+        """(line,) how much each counts."""
+        return np.ones(self.count) if self.peaks is None else self.peaks.astype(np.float64)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -50,174 +100,360 @@ class Numbered:
         (stripe, 3) p·X = 1 of each plane, a first estimate, 1/mm.
     left_out
         Poses that fit no numbering, with the reason.
+    moved
+        Those of them whose board or laser moved: nothing in their images is to be trusted.
     """
 
-    stripe: list[np.ndarray]
+    stripe: list[Integers]
     planes: Floats
     left_out: dict[str, str]
+    moved: tuple[str, ...] = ()
 
 
-def number_stripes(poses: list[PoseLines], stripes: int) -> Numbered:
+def number_stripes(poses: Sequence[PoseLines], stripes: int, belt: PoseLines | None = None) -> Numbered:
     """Number the lines of all poses.
+
+    Parameters
+    ----------
+    poses
+        Lines on boards.
+    stripes
+        How many the rig has.
+    belt
+        Lines on the empty belt, where its place is known: one more pose, in which nothing hides a stripe.
 
     Raises
     ------
     CalibrationError
-        No numbering fits, or a stripe lies on fewer than two boards.
+        A stripe lies on fewer than two boards, or more planes are seen than there are stripes.
     """
-    shown = [pose for pose in poses if 0 < pose.count <= stripes]
-    offsets = _offsets(shown, stripes)
-    numbers = {
-        id(pose): np.arange(pose.count) + offset
-        for pose, offset in zip(shown, offsets, strict=True)
-        if offset is not None
-    }
-    by_order = dict(numbers)
-    for _ in range(_ROUNDS):
-        planes = _planes([(pose, numbers[id(pose)]) for pose in shown if id(pose) in numbers], stripes)
-        numbers = {id(pose): _nearest(pose, planes) for pose in shown}
-    strange = _strange(shown, [numbers[id(pose)] for pose in shown], stripes)
-    for pose in strange:
-        numbers[id(pose)] = np.full(pose.count, -1)
-    if strange:
-        planes = _planes([(pose, numbers[id(pose)]) for pose in shown], stripes)
-    left_out = {
-        pose.name: "its stripes lie on none of the planes that the other poses show: is it mirrored, or did "
-        "the board or the laser move before it was taken? Take the pose again"
-        for pose in shown
-        if not (numbers[id(pose)] >= 0).any()
-    }
-    found = [numbers.get(id(pose), np.empty(0, np.int64)) for pose in poses]
-    _check(poses, found, [by_order.get(id(pose), np.empty(0)) for pose in poses], stripes)
-    return Numbered(found, planes, left_out)
-
-
-def _strange(shown: list[PoseLines], numbers: list[np.ndarray], stripes: int) -> list[PoseLines]:
-    """Give the poses whose lines lie far off the planes that the others show: mirrored, or moved.
-
-    A board that is its own mirror image is told by nothing else.
-    """
-    kept = list(zip(shown, numbers, strict=True))
-    found: list[PoseLines] = []
-    while len(kept) > _STRANGE_POSES_MIN:
-        off = np.full(len(kept), np.nan)
-        for one, (pose, mine) in enumerate(kept):
-            on = np.flatnonzero(mine >= 0)
-            planes = _planes([other for at, other in enumerate(kept) if at != one], stripes)
-            own = _distances(pose, planes)[on, mine[on]]
-            if np.isfinite(own).any():
-                off[one] = float(np.nanmedian(own)) / float(pose.ends_mm[:, :, 2].mean())
-        if not np.isfinite(off).any():
+    kept = [pose for pose in poses if pose.count]
+    left_out: dict[str, str] = {}
+    while True:
+        every = [*kept, *([belt] if belt is not None and belt.count else [])]
+        planes, numbers = _planes_of(every)
+        moved = _poses_off(kept, planes, numbers)
+        if not moved:
             break
-        worst = int(np.nanargmax(off))
-        if off[worst] <= max(_STRANGE_FACTOR * float(np.nanmedian(off)), _STRANGE_LEAST):
+        left_out |= {pose.name: _MOVED if pose.count > _FEW else _HIDDEN for pose in moved}
+        kept = [pose for pose in kept if pose not in moved]
+    number_of = _numbers_of(
+        kept, numbers, planes, stripes, belt_shows_all=belt is not None and belt.count == stripes
+    )
+    found = {
+        pose.name: np.where(mine >= 0, number_of[mine], -1) if len(number_of) else mine
+        for pose, mine in zip(kept, numbers, strict=False)
+    }
+    ordered = np.full((stripes, 3), np.nan)
+    ordered[number_of[number_of >= 0]] = planes[number_of >= 0]
+    by_pose = [found.get(pose.name, np.full(pose.count, -1)) for pose in poses]
+    moved_ones = tuple(name for name, why in left_out.items() if why is _MOVED)
+    return Numbered([mine.astype(np.int64) for mine in by_pose], ordered, left_out, moved_ones)
+
+
+_MOVED = (
+    "its stripes lie on none of the planes that the other poses show: is it mirrored, or did the board or "
+    "the laser move before it was taken? Take the pose again"
+)
+_HIDDEN = (
+    "hardly a line is seen on even print, and it lies on no plane of the other poses: are the stripes faint, "
+    "or as wide as the board's squares? Tilt the board less"
+)
+_FEW = 2
+"""Lines of a pose from which nothing can be told of the pose itself."""
+
+
+def _planes_of(poses: list[PoseLines]) -> tuple[Floats, list[Integers]]:
+    """Find planes (plane, 3), in order, and for each pose the (line,) plane of each line, −1 for none."""
+    spacing = _spacing_mm(poses)
+    tolerance = _TOLERANCE_SHARE * spacing
+    free = [np.ones(pose.count, np.bool_) for pose in poses]
+    planes = _best_pairing(poses, free, tolerance)
+    numbers: list[Integers] = [np.full(pose.count, -1) for pose in poses]
+    least = 0
+    while len(planes):
+        for _ in range(_ROUNDS):
+            numbers = [_nearest(pose, planes, tolerance) for pose in poses]
+            planes = _fitted(poses, numbers, len(planes))
+            planes = planes[np.isfinite(planes).all(axis=1)]
+            planes = _in_order(poses, planes, spacing)
+            tolerance = min(tolerance, _tolerance(poses, planes, spacing))
+        numbers = [_nearest(pose, planes, tolerance) for pose in poses]
+        if len(planes) <= least:
             break
-        found.append(kept.pop(worst)[0])
+        least = len(planes)
+        free = [mine < 0 for mine in numbers]
+        more = _best_pairing(poses, free, tolerance)
+        if not len(more):
+            break
+        planes = np.concatenate([planes, more])
+    return planes, numbers
+
+
+def _best_pairing(poses: list[PoseLines], free: list[Flags], tolerance: float) -> Floats:
+    """Give the planes (plane, 3) of the pairing in order with the largest sum of votes; free lines only."""
+    lines = [pose.ends_mm[use] for pose, use in zip(poses, free, strict=True)]
+    light = [float(pose.weight[use].sum()) for pose, use in zip(poses, free, strict=True)]
+    bases = [int(one) for one in np.argsort(-np.array(light), kind="stable")[:_BASES] if light[int(one)] > 0]
+    best, found = 0.0, np.empty((0, 3))
+    for at, base in enumerate(bases):
+        for other in range(len(lines)):
+            if other == base or other in bases[:at] or not len(lines[other]):
+                continue
+            planes, votes = _votes(lines, base, other, tolerance)
+            total, pairs = _ordered_pairs(votes)
+            if total > best:
+                best, found = total, planes[pairs[:, 0], pairs[:, 1]]
     return found
 
 
-def _check(poses: list[PoseLines], found: list[np.ndarray], by_order: list[np.ndarray], stripes: int) -> None:
-    for stripe in range(stripes):
-        on = [pose.name for pose, numbers in zip(poses, found, strict=True) if (numbers == stripe).any()]
-        if len(on) < 2:
-            # of a line on one board alone there is no plane; its order says which it is
-            seen = [
-                pose.name for pose, numbers in zip(poses, by_order, strict=True) if (numbers == stripe).any()
-            ]
-            where = f"on one board alone ({(on or seen)[0]})" if on or len(seen) == 1 else "on no board"
-            raise CalibrationError(
-                f"stripe {stripe + 1} lies {where}: that determines no plane",
-                hint="add poses in which the board lies under it; is `stripes` right?",
-            )
+def _votes(lines: list[Floats], base: int, other: int, tolerance: float) -> tuple[Floats, Floats]:
+    """Give the planes (i, j, 3) through each line of one pose and each of another, and their votes (i, j)."""
+    one, two = lines[base], lines[other]
+    square = np.einsum("lei,lej->lij", one, one)[:, None] + np.einsum("lei,lej->lij", two, two)[None]
+    right = one.sum(axis=1)[:, None] + two.sum(axis=1)[None]
+    planes = np.full(right.shape, np.nan)
+    solvable = np.linalg.cond(square) < _CONDITION_MAX
+    planes[solvable] = np.linalg.solve(square[solvable], right[solvable][:, :, None])[:, :, 0]
+    off = np.maximum(_off_mm(one, planes, "iek,ijk->ije"), _off_mm(two, planes, "jek,ijk->ije"))
+    votes = _vote(off, tolerance)
+    likely = votes > 0.0
+    tried = planes[likely]
+    gathered = votes[likely]
+    for pose in range(len(lines)):
+        if pose not in (base, other) and len(lines[pose]):
+            nearest = _off_mm(lines[pose], tried, "lek,hk->hle").min(axis=1)
+            gathered = gathered + _vote(nearest, tolerance)
+    votes[likely] = gathered
+    return planes, votes
 
 
-def _offsets(shown: list[PoseLines], stripes: int) -> list[int | None]:
-    """Give the number of each pose's first line; None where it cannot be told yet."""
-    full = [pose.count == stripes for pose in shown]
-    if sum(full) >= 2:
-        return _extended([0 if one else None for one in full], shown, stripes)
-    anchor = int(np.argmax([pose.count for pose in shown]))
-    best: tuple[float, list[int | None]] | None = None
-    most = np.argsort([-pose.count for pose in shown], kind="stable")[: _SECONDS + 1].tolist()
-    for second in most:
-        if second == anchor:
-            continue
-        for shift in range(1 - shown[second].count, shown[anchor].count):
-            start: list[int | None] = [None] * len(shown)
-            start[anchor], start[second] = 0, shift
-            tried = _extended(start, shown, stripes)
-            known = [(o, pose) for o, pose in zip(tried, shown, strict=True) if o is not None]
-            first = min(o for o, _ in known)
-            if max(o + pose.count for o, pose in known) - first != stripes:
-                continue
-            moved = [None if o is None else o - first for o in tried]
-            cost = _cost(moved, shown, stripes)
-            if best is None or cost < best[0]:
-                best = cost, moved
-    if best is None:
-        raise CalibrationError(
-            f"no numbering of the stripes fits all poses: at most {shown[anchor].count} of {stripes} stripes "
-            "lie on one board",
-            hint="take two poses in which the board lies under all stripes; is `stripes` right?",
-        )
-    return best[1]
+def _off_mm(ends: Floats, planes: Floats, axes: str) -> Floats:
+    """Give the larger distance of two ends from planes, mm; `axes` names lines, ends (e) and planes."""
+    size = np.sqrt((planes**2).sum(axis=-1))
+    off: Floats = np.abs(np.einsum(axes, ends, planes) - 1.0).max(axis=-1)
+    return np.asarray(off / (size[:, None] if axes.endswith("hle") else size))
 
 
-def _extended(start: list[int | None], shown: list[PoseLines], stripes: int) -> list[int | None]:
-    """Add poses, each at the place where its lines are nearest to the planes known so far."""
-    offsets = list(start)
-    low = min(o for o in offsets if o is not None)
-    while True:
-        known = [(pose, o) for pose, o in zip(shown, offsets, strict=True) if o is not None]
-        planes = _planes(
-            [(pose, np.arange(pose.count) + o - low + stripes) for pose, o in known], 3 * stripes
-        )
-        best: tuple[float, int, int] | None = None
-        for number, pose in enumerate(shown):
-            if offsets[number] is not None:
-                continue
-            line = np.arange(pose.count)
-            shift = np.arange(3 * stripes - pose.count + 1)
-            square = _distances(pose, planes)[line, shift[:, None] + line] ** 2
-            known_lines = np.isfinite(square).sum(axis=1)
-            enough = known_lines >= max(1, min(pose.count, stripes) // 2)
-            costs = np.where(enough, np.sqrt(np.nansum(square, axis=1) / np.maximum(known_lines, 1)), np.inf)
-            order = np.argsort(costs)
-            if not np.isfinite(costs[order[0]]):
-                continue
-            if len(order) > 1 and costs[order[1]] < _AMBIGUOUS * costs[order[0]]:
-                continue
-            if best is None or costs[order[0]] < best[0]:
-                best = float(costs[order[0]]), number, int(order[0]) - stripes + low
-        if best is None:
-            return offsets
-        offsets[best[1]] = best[2]
+def _vote(off_mm: Floats, tolerance: float) -> Floats:
+    """1 on the plane, 0 from the tolerance on, and for NaN."""
+    return np.asarray(np.fmax(0.0, 1.0 - (off_mm / tolerance) ** 2))
 
 
-def _cost(offsets: list[int | None], shown: list[PoseLines], stripes: int) -> float:
-    known = [
-        (pose, np.arange(pose.count) + o) for pose, o in zip(shown, offsets, strict=True) if o is not None
-    ]
-    planes = _planes(known, stripes)
-    off = np.concatenate([_distances(pose, planes)[np.arange(pose.count), at] for pose, at in known])
-    missing = len(shown) - len(known)
-    return float(np.sqrt(np.nanmean(off**2))) * (1.0 + missing) if np.isfinite(off).any() else np.inf
+def _ordered_pairs(votes: Floats) -> tuple[float, Integers]:
+    """Give the largest sum of votes (i, j) along a path on which both grow, and the (pair, 2) on it."""
+    rows, columns = votes.shape
+    total = np.zeros((rows + 1, columns + 1))
+    for i in range(rows):
+        row = np.maximum(total[i, 1:], total[i, :-1] + votes[i])
+        total[i + 1, 1:] = np.maximum.accumulate(row)
+    pairs = []
+    i, j = rows, columns
+    while i and j:
+        if total[i, j] == total[i - 1, j]:
+            i -= 1
+        elif total[i, j] == total[i, j - 1]:
+            j -= 1
+        else:
+            i, j = i - 1, j - 1
+            pairs.append((i, j))
+    return float(total[-1, -1]), np.array(pairs[::-1], np.int64).reshape(-1, 2)
 
 
-def _planes(known: list[tuple[PoseLines, np.ndarray]], stripes: int) -> Floats:
-    """Fit p·X = 1 to the ends of all lines of each number; NaN for numbers seen on fewer than two boards."""
-    square, right = np.zeros((stripes, 3, 3)), np.zeros((stripes, 3))
-    boards = np.zeros(stripes, np.int64)
-    for pose, numbers in known:
-        use = numbers >= 0
-        ends, at = pose.ends_mm[use], numbers[use]
+def _nearest(pose: PoseLines, planes: Floats, tolerance: float) -> Integers:
+    """Give each line the nearest plane within the tolerance; of several lines the nearest one gets it."""
+    if not len(planes):
+        return np.full(pose.count, -1)
+    off = _distances(pose, planes)
+    off = np.where(np.isfinite(off), off, np.inf)
+    numbers, best = off.argmin(axis=1), off.min(axis=1)
+    numbers = np.where(best <= tolerance, numbers, -1)
+    for number in np.unique(numbers[numbers >= 0]):
+        same = np.flatnonzero(numbers == number)
+        numbers[same[best[same] > best[same].min()]] = -1
+    return np.asarray(numbers, np.int64)
+
+
+def _fitted(poses: Sequence[PoseLines], numbers: Sequence[Integers], count: int) -> Floats:
+    """Fit p·X = 1 to the ends of all lines of each plane; NaN for planes seen in fewer than two poses."""
+    square, right = np.zeros((count, 3, 3)), np.zeros((count, 3))
+    seen = np.zeros(count, np.int64)
+    for pose, mine in zip(poses, numbers, strict=True):
+        use = mine >= 0
+        ends, at = pose.ends_mm[use], mine[use]
         np.add.at(square, at, np.einsum("lei,lej->lij", ends, ends))
         np.add.at(right, at, ends.sum(axis=1))
-        boards[np.unique(at)] += 1
-    planes = np.full((stripes, 3), np.nan)
-    good = (boards >= 2) & (np.linalg.cond(square) < _CONDITION_MAX)
+        seen[np.unique(at)] += 1
+    planes = np.full((count, 3), np.nan)
+    good = (seen >= 2) & (np.linalg.cond(square) < _CONDITION_MAX)
     planes[good] = np.linalg.solve(square[good], right[good][:, :, None])[:, :, 0]
     return planes
+
+
+def _in_order(poses: list[PoseLines], planes: Floats, spacing: float) -> Floats:
+    """Sort planes from left to right; of two that cross or coincide over the boards the weaker is dropped."""
+    if not len(planes):
+        return planes
+    tolerance = _TOLERANCE_SHARE * spacing
+    support = np.zeros(len(planes))
+    for pose in poses:
+        mine = _nearest(pose, planes, tolerance)
+        off = _distances(pose, planes)
+        on = np.flatnonzero(mine >= 0)
+        support[mine[on]] += _vote(off[on, mine[on]], tolerance)
+    ends = np.concatenate([pose.ends_mm for pose in poses]).reshape(-1, 3)
+    # where each plane stands at the corners of the volume that the boards filled, along x
+    y, z = (np.percentile(ends[:, axis], [2.0, 98.0]) for axis in (1, 2))
+    at = np.array([[v, w] for v in y for w in z])
+    with np.errstate(divide="ignore"):
+        x = (1.0 - planes[:, 1:] @ at.T) / planes[:, :1]
+    kept: list[int] = []
+    for plane in np.argsort(-support, kind="stable").tolist():
+        if support[plane] <= 0 or not np.isfinite(x[plane]).all():
+            continue
+        apart = x[kept] - x[plane]
+        crosses = apart.min(axis=1, initial=np.inf) * apart.max(axis=1, initial=-np.inf) < 0.0
+        near = np.abs(apart).mean(axis=1) < _APART_SHARE * spacing if kept else crosses
+        if not (crosses | near).any():
+            kept.append(plane)
+    found = planes[sorted(kept, key=lambda plane: float(x[plane].mean()))]
+    # lines are listed from left to right in the image; in space that may be either way
+    turns = 0
+    for pose in poses:
+        mine = _nearest(pose, found, tolerance)
+        turns += int(np.sign(np.diff(mine[mine >= 0])).sum())
+    return found[::-1] if turns < 0 else found
+
+
+def _tolerance(poses: list[PoseLines], planes: Floats, spacing: float) -> float:
+    """Give the tolerance that the distances seen ask for, mm."""
+    off = [_distances(pose, planes).min(axis=1) for pose in poses if len(planes)]
+    near = np.concatenate(off) if off else np.empty(0)
+    near = near[near < _TOLERANCE_SHARE * spacing]
+    usual = float(np.median(near)) if near.size else spacing
+    return float(max(_NOISE_FACTOR * usual, _TOLERANCE_LEAST_SHARE * spacing))
+
+
+def _poses_off(poses: list[PoseLines], planes: Floats, numbers: list[Integers]) -> list[PoseLines]:
+    """Give poses whose lines lie off the planes that the others show: mirrored, or moved.
+
+    A board that is its own mirror image is told by nothing else.
+    """
+    if len(poses) < _OUTLYING_POSES_MIN or not len(planes):
+        return []
+    share = np.array(
+        [
+            float(pose.weight[mine >= 0].sum() / max(pose.weight.sum(), 1.0))
+            for pose, mine in zip(poses, numbers, strict=False)
+        ]
+    )
+    if share.min() < _POSE_SHARE_MIN:
+        return [poses[int(share.argmin())]]
+    off = np.full(len(poses), np.nan)
+    for one, pose in enumerate(poses):
+        others = [at for at in range(len(poses)) if at != one]
+        without = _fitted([poses[at] for at in others], [numbers[at] for at in others], len(planes))
+        on = np.flatnonzero(numbers[one] >= 0)
+        own = _distances(pose, without)[on, numbers[one][on]]
+        if np.isfinite(own).any():
+            off[one] = float(np.nanmedian(own)) / float(pose.ends_mm[:, :, 2].mean())
+    if not np.isfinite(off).any():
+        return []
+    worst = int(np.nanargmax(off))
+    if off[worst] <= max(_OUTLYING_FACTOR * float(np.nanmedian(off)), _OUTLYING_LEAST):
+        return []
+    return [poses[worst]]
+
+
+def _numbers_of(
+    poses: list[PoseLines], numbers: list[Integers], planes: Floats, stripes: int, *, belt_shows_all: bool
+) -> Integers:
+    """Give (plane,) the stripe of each plane, −1 for none; CalibrationError where that cannot be told."""
+    count = len(planes)
+    peaks, boards = np.zeros(count), np.zeros(count, np.int64)
+    on: list[list[str]] = [[] for _ in range(count)]
+    for pose, mine in zip(poses, numbers, strict=False):
+        for plane in mine[mine >= 0]:
+            boards[plane] += 1
+            on[plane].append(pose.name)
+        np.add.at(peaks, mine[mine >= 0], pose.weight[mine >= 0])
+    number = np.arange(count)
+    if belt_shows_all:
+        # the belt shows every stripe once: its lines are the numbers
+        number = np.full(count, -1)
+        on_belt = numbers[len(poses)]
+        number[on_belt[on_belt >= 0]] = np.flatnonzero(on_belt >= 0)
+    elif count > stripes:
+        strongest = np.sort(np.argsort(-peaks, kind="stable")[:stripes])
+        surplus = np.setdiff1d(number, strongest)
+        if peaks[surplus].max() > _WEAK_SHARE * peaks[strongest].min():
+            raise CalibrationError(
+                f"{count} planes of light are seen on the boards, the rig has {stripes} stripes",
+                hint="correct `stripes`, or keep reflections off the boards",
+            )
+        number = np.full(count, -1)
+        number[strongest] = np.arange(stripes)
+    usable = (number >= 0) & (boards >= 2)
+    if usable.sum() == stripes:
+        return np.where(usable, number, -1)
+    raise _too_few(poses, numbers, planes, number, on, stripes, belt_shows_all=belt_shows_all)
+
+
+def _too_few(
+    poses: list[PoseLines],
+    numbers: list[Integers],
+    planes: Floats,
+    number: Integers,
+    on: list[list[str]],
+    stripes: int,
+    *,
+    belt_shows_all: bool,
+) -> CalibrationError:
+    """Say which stripe is seen on too few boards, as far as that is known."""
+    hint = "add poses in which the board lies under it; is `stripes` right?"
+    once = [(int(number[plane]) + 1, names) for plane, names in enumerate(on) if len(names) == 1]
+    if once and once[0][0] > 0:
+        stripe, names = once[0]
+        return CalibrationError(
+            f"stripe {stripe} lies on one board alone ({names[0]}): that determines no plane", hint=hint
+        )
+    lone: list[tuple[int, str]] = []
+    for pose, mine in zip(poses, numbers, strict=False):
+        for line in np.flatnonzero(mine < 0):
+            left = mine[:line]
+            left = left[left >= 0]
+            lone.append((int(left[-1]) + 2 if left.size else 1, pose.name))
+    if len(lone) == 1 and len(planes) == stripes - 1:
+        stripe, name = lone[0]
+        return CalibrationError(
+            f"stripe {stripe} lies on one board alone ({name}): that determines no plane", hint=hint
+        )
+    missing = sorted(set(range(stripes)) - set(number.tolist()))
+    if belt_shows_all and missing:
+        those = ", ".join(str(one + 1) for one in missing)
+        return CalibrationError(
+            f"stripe {those} is seen on the empty belt and on fewer than two boards", hint=hint
+        )
+    return CalibrationError(
+        f"no numbering of {stripes} stripes fits: {len(planes)} planes of light are found on two boards or "
+        f"more; {max((pose.count for pose in poses), default=0)} lines lie on one board at most",
+        hint="take more poses in which the board lies under all stripes; is `stripes` right?",
+    )
+
+
+def _spacing_mm(poses: Sequence[PoseLines]) -> float:
+    """Give the median distance of neighbouring lines across their direction, mm."""
+    gaps = []
+    for pose in poses:
+        if pose.count < 2:
+            continue
+        middle, along = pose.ends_mm.mean(axis=1), pose.ends_mm[:, 1] - pose.ends_mm[:, 0]
+        along = along.mean(axis=0) / np.sqrt((along.mean(axis=0) ** 2).sum())
+        apart = np.diff(middle, axis=0)
+        apart -= (apart @ along)[:, None] * along
+        gaps.append(np.sqrt((apart**2).sum(axis=1)))
+    depth = float(np.mean([pose.ends_mm[:, :, 2].mean() for pose in poses]))
+    return float(np.median(np.concatenate(gaps))) if gaps else 0.05 * depth
 
 
 def _distances(pose: PoseLines, planes: Floats) -> Floats:
@@ -225,17 +461,3 @@ def _distances(pose: PoseLines, planes: Floats) -> Floats:
     size = np.sqrt((planes**2).sum(axis=1))
     off: Floats = np.abs(np.einsum("lek,sk->lse", pose.ends_mm, planes) - 1.0).max(axis=2) / size
     return off
-
-
-def _nearest(pose: PoseLines, planes: Floats) -> np.ndarray:
-    """Give each line the plane nearest to it, if it is far nearer than to the neighbours."""
-    off = _distances(pose, planes)
-    off = np.where(np.isnan(off), np.inf, off)
-    numbers = off.argmin(axis=1)
-    best = off.min(axis=1)
-    apart = np.sort(off, axis=1)[:, 1] if planes.shape[0] > 1 else np.full(len(off), np.inf)
-    numbers = np.where(best <= _NEIGHBOUR_SHARE * apart, numbers, -1)
-    for number in np.unique(numbers[numbers >= 0]):
-        same = np.flatnonzero(numbers == number)
-        numbers[same[best[same] > best[same].min()]] = -1
-    return np.asarray(numbers)

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
+from roemetry.arrays import Floats
 from roemetry.calibration import Calibration
 from roemetry.errors import StageError
 from roemetry.records import Profiles, StripeMap
 from roemetry.stages import Capabilities, StageOptions, Triangulator
 from roemetry.view import View
+from roemetry_kernels.compiling import float_kernel
 from roemetry_pinhole.frames import belt_pose, camera_of, planes_in_belt_frame, view_of
 
 
@@ -39,8 +43,6 @@ class PinholePlane(Triangulator[StageOptions]):
             raise StageError(
                 f"the stripes have {stripes.rows} rows, the calibration's images {calibration.image_size[0]}"
             )
-        from roemetry_kernels.calibration.sight import lift_stripes
-
         parameters = calibration.parameters
         pose = belt_pose(parameters["belt_per_mm"])
         planes = parameters["planes_per_mm"]
@@ -67,3 +69,100 @@ class PinholePlane(Triangulator[StageOptions]):
     def view(self, calibration: Calibration) -> View | None:
         """Give the view of the calibration's own parameters, so that a redrawn one moves it."""
         return view_of(calibration.parameters, calibration.image_size)
+
+
+_STEPS_MAX = 20
+_STEP_END = 3e-6  # Newton's next step would be some 1e-12
+
+
+@float_kernel
+def lift_stripes(
+    x_px: Floats, x_std_px: Floats, camera: Floats, planes: Floats, rotation: Floats, shift: Floats
+) -> tuple[Floats, Floats, int]:
+    """Give points in the belt frame and what the peaks' noise does to their heights.
+
+    Parameters
+    ----------
+    x_px, x_std_px
+        (stripe, row) peaks and their standard uncertainty, px; NaN where there is none.
+    camera
+        (12,) fx, fy, cx, cy, px; k1, k2, p1, p2, k3, k4, k5, k6 of OpenCV's model.
+    planes
+        (stripe, 3) p with p·X = 1 in the camera's frame, 1/mm.
+    rotation, shift
+        (3, 3) and (3,) to the belt frame from the camera's, mm.
+
+    Returns
+    -------
+    tuple
+        (stripe, row, 3) points, mm, and (stripe, row) standard uncertainty of Z, mm; NaN where there is none
+        or the ray has no place in the straight image; and how many have none.
+    """
+    stripes, rows = x_px.shape
+    points = np.full((stripes, rows, 3), np.nan)
+    height_std = np.full((stripes, rows), np.nan)
+    fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
+    k1, k2, p1, p2, k3 = camera[4], camera[5], camera[6], camera[7], camera[8]
+    k4, k5, k6 = camera[9], camera[10], camera[11]
+    bends, lost = False, 0
+    for k in range(4, 12):
+        bends = bends or camera[k] != 0.0
+    rational = k4 != 0.0 or k5 != 0.0 or k6 != 0.0
+    for s in range(stripes):
+        off_x = off_y = gain_x = gain_y = 0.0  # straight − bent, and its change from row to row
+        followed = 0
+        for r in range(rows):
+            seen = x_px[s, r]
+            if math.isnan(seen):
+                followed = 0
+                continue
+            bent_x, bent_y = (seen - cx) / fx, (r - cy) / fy
+            x, y = bent_x, bent_y
+            xx, xy, yy, determinant = 1.0, 0.0, 1.0, 1.0
+            if bends:
+                if followed > 0:
+                    x, y = x + off_x, y + off_y
+                    if followed > 1:
+                        x, y = x + gain_x, y + gain_y
+                good = False
+                for _ in range(_STEPS_MAX):
+                    r2 = x * x + y * y
+                    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+                    slope = 2.0 * k1 + r2 * (4.0 * k2 + 6.0 * r2 * k3)
+                    if rational:
+                        below = 1.0 + r2 * (k4 + r2 * (k5 + r2 * k6))
+                        radial /= below
+                        slope = (slope - radial * (2.0 * k4 + r2 * (4.0 * k5 + 6.0 * r2 * k6))) / below
+                    xy = slope * x * y + 2.0 * (p1 * x + p2 * y)
+                    xx = radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x
+                    yy = radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x
+                    wrong_x = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x) - bent_x
+                    wrong_y = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y - bent_y
+                    determinant = xx * yy - xy * xy
+                    step_x = (yy * wrong_x - xy * wrong_y) / determinant
+                    step_y = (xx * wrong_y - xy * wrong_x) / determinant
+                    x -= step_x
+                    y -= step_y
+                    if abs(step_x) + abs(step_y) < _STEP_END:
+                        good = True
+                        break
+                if not (good and determinant > 0.0 and xx + yy > 0.0):
+                    followed = 0
+                    lost += 1
+                    continue
+                new_x, new_y = x - bent_x, y - bent_y
+                gain_x, gain_y = new_x - off_x, new_y - off_y
+                off_x, off_y = new_x, new_y
+                followed += 1
+            p, q, n = planes[s, 0], planes[s, 1], planes[s, 2]
+            depth = 1.0 / (p * x + q * y + n)
+            for k in range(3):
+                points[s, r, k] = shift[k] + depth * (
+                    rotation[k, 0] * x + rotation[k, 1] * y + rotation[k, 2]
+                )
+            # the peak moves along the row: (x, y) by the inverse slope of the lens, then along the plane
+            move_x, move_y = yy / (determinant * fx), -xy / (determinant * fx)
+            move_z = -(p * move_x + q * move_y) * depth
+            rise = rotation[2, 0] * (move_x + x * move_z) + rotation[2, 1] * (move_y + y * move_z)
+            height_std[s, r] = abs(depth * (rise + rotation[2, 2] * move_z)) * x_std_px[s, r]
+    return points, height_std, lost

@@ -1,15 +1,31 @@
-"""What the lengths that the scale comes from are uncertain by does to the parameters."""
+"""Where lengths come from, and references that check them.
+
+What the lengths that the scale comes from are uncertain by does to the parameters.
+
+The scale looked for: lengths come from block, staircase or encoder, and the board's pitch with them.
+
+A second metric reference in the set: a solid, a ruler, the encoder, measured with the new calibration.
+
+Solids that give the planes of light, against each other.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from roemetry.arrays import Floats
-from roemetry.records import Board
-from roemetry_pinhole.frames import parameters_of
-from roemetry_pinhole.joining import Joint
+from roemetry.calibration import Calibration
+from roemetry.errors import CalibrationError
+from roemetry.records import Board, CalibrationSet, Peaks, Ruler
+from roemetry_pinhole.frames import belt_pose, camera_of, lines_at_height, parameters_of
+from roemetry_pinhole.from_solids import solids_in
+from roemetry_pinhole.geometry import straightened
+from roemetry_pinhole.joint import Joint
+from roemetry_pinhole.plates import plate_scale
 
 
 def of_lengths(joined: Joint, parameters: Mapping[str, Floats]) -> Floats:
@@ -52,3 +68,427 @@ def relative_of(board: Board) -> float:
 def flat(parameters: Mapping[str, Floats]) -> Floats:
     """Give all parameters in the order of the covariance."""
     return np.concatenate([np.ravel(array) for array in parameters.values()])
+
+
+_ROUNDS_MAX = 8
+_STILL = 1e-6
+
+
+def scaled_by_references(
+    joined: Joint, observed: CalibrationSet, made: Callable[[Joint], Calibration]
+) -> Calibration:
+    """Make the calibration in which the references have the lengths that are described.
+
+    Parameters
+    ----------
+    joined
+        The adjustment with the board's pitch as described.
+    observed
+        The images of the references.
+    made
+        Gives the calibration of an adjustment, its covariance without that of any length.
+
+    Raises
+    ------
+    CalibrationError
+        There is no reference, or two contradict each other.
+    """
+    if joined.board is None or joined.solids is not None:
+        raise CalibrationError(
+            "the scale is to be looked for, but it comes from the solids' own lengths",
+            hint="leave `scale: free` out, or show the board under the laser",
+        )
+    described_mm = joined.board.pitch_mm
+    for _ in range(_ROUNDS_MAX):
+        calibration = made(joined)
+        found, missed = references(calibration, observed)
+        if not found:
+            raise CalibrationError(
+                "the scale is to be looked for, and nothing beside the board tells it"
+                + "".join(f"\n  {note}" for note in missed),
+                hint="add images of a block or a staircase, or encoder_counts with encoder_mm_per_count; if "
+                "you measured the board with a ruler, correct pitch_mm and tolerance_mm and leave "
+                "`scale: free` out",
+            )
+        share = _shares(found, calibration.covariance)
+        off = float(share @ np.log([one.ratio for one in found]))
+        if abs(off) < _STILL:
+            break
+        joined = rescaled(joined, float(np.exp(-off)))
+    _check_agreement(found, calibration.covariance)
+    covariance, std = _covariance(found, share, calibration)
+    names = ", ".join(one.name for one in found)
+    pitch_mm = float(calibration.target["pitch_mm"])
+    note = (
+        f"scale: looked for, from {names}; the board's pitch comes out as {pitch_mm:.5g} mm, "
+        f"{pitch_mm / described_mm:.4f} ± {std:.4f} times what is described"
+    )
+    residuals = {"pitch_ratio": pitch_mm / described_mm, "pitch_ratio_std": std}
+    for one in found if len(found) > 1 else ():
+        residuals |= {one.key: one.ratio, f"{one.key}_std": one.std(calibration.covariance)}
+    return replace(
+        calibration,
+        covariance=covariance,
+        residuals={**calibration.residuals, **residuals},
+        notes=(*calibration.notes, note, *missed),
+    )
+
+
+def rescaled(joined: Joint, factor: float) -> Joint:
+    """Adjust again with a board that is larger by a factor; what stands under it keeps its thickness."""
+    board, measured = joined.board, joined.measured
+    if board is None:
+        raise AssertionError("there is a board")
+    found = joined.adjusted.geometry
+    bend = found.bend
+    if bend is not None:
+        bend = replace(
+            bend,
+            middle_mm=factor * bend.middle_mm,
+            reach_mm=factor * bend.reach_mm,
+            coefficients_mm=factor * bend.coefficients_mm,
+        )
+    start = replace(
+        found,
+        shift=factor * found.shift,
+        planes=found.planes / factor,
+        belt=found.belt / factor,
+        travel=factor * found.travel,
+        bend=bend,
+    )
+    measured = replace(
+        measured,
+        start=start,
+        corners=replace(measured.corners, board_mm=factor * measured.corners.board_mm),
+        feet=replace(measured.feet, board_mm=measured.feet.board_mm * [factor, factor, 1.0]),
+    )
+    marker_mm = None if board.marker_mm is None else factor * board.marker_mm
+    return replace(
+        joined,
+        board=replace(board, pitch_mm=factor * board.pitch_mm, marker_mm=marker_mm),
+        measured=measured,
+        adjusted=measured.adjusted(),
+    )
+
+
+def _shares(found: list[Reference], covariance: Floats) -> Floats:
+    weight = np.array([max(one.std(covariance), 1e-9) ** -2 for one in found])
+    return np.asarray(weight / weight.sum())
+
+
+def _check_agreement(found: list[Reference], covariance: Floats) -> None:
+    for number, one in enumerate(found):
+        for other in found[number + 1 :]:
+            apart = one.by_parameter - other.by_parameter
+            std = float(np.sqrt(one.own_std**2 + other.own_std**2 + apart @ covariance @ apart))
+            ratio = one.ratio / other.ratio
+            if abs(np.log(ratio)) > CONFLICT_STDS * std:
+                raise CalibrationError(
+                    f"{one.name} and {other.name} contradict each other: by the {other.name} {one.what} is "
+                    f"{ratio:.4f} ± {std:.4f} times what is described",
+                    hint="measure both with a calliper, or leave one out",
+                )
+
+
+def _covariance(found: list[Reference], share: Floats, calibration: Calibration) -> tuple[Floats, float]:
+    """Covariance when the references' lengths are kept, and the scale's relative standard uncertainty.
+
+    All lengths follow −ln ratio, which depends on the parameters and on the references' own errors.
+    """
+    way = by_scale(calibration.parameters)
+    slope = share @ np.array([one.by_parameter for one in found])
+    own = float((share**2) @ np.array([one.own_std**2 for one in found]))
+    kept = np.eye(way.size) - np.outer(way, slope)
+    covariance = calibration.covariance
+    std = float(np.sqrt(own + slope @ covariance @ slope))
+    return np.asarray(kept @ covariance @ kept.T + own * np.outer(way, way)), std
+
+
+CONFLICT_STDS = 3.0
+_STEP_MM = 0.05
+_BELT_MM = 0.6
+_POINTS_MIN = 60
+_MAD_TO_STD = 1.4826
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Reference:
+    """A length whose measure does not come from the board.
+
+    Attributes
+    ----------
+    name, key, what
+        Of the reference, of its ratio among the residuals, and of its length in words.
+    ratio, own_std
+        What the calibration measures over what is described; its relative standard uncertainty without the
+        calibration's part.
+    by_parameter
+        (n,) derivative of ln ratio by the calibration's parameters, in the order of its covariance.
+    """
+
+    name: str
+    key: str
+    what: str
+    ratio: float
+    own_std: float
+    by_parameter: Floats
+
+    def std(self, covariance: Floats) -> float:
+        """Give the ratio's relative standard uncertainty, the calibration's part included."""
+        return float(np.sqrt(self.own_std**2 + self.by_parameter @ covariance @ self.by_parameter))
+
+
+def check_scale(calibration: Calibration, observed: CalibrationSet) -> dict[str, Any]:
+    """Measure solids, the print and the belt's way; give residuals and notes with what was found.
+
+    Raises
+    ------
+    CalibrationError
+        One contradicts what the scale comes from: the ratio and its uncertainty are told.
+    """
+    residuals, notes = dict(calibration.residuals), list(calibration.notes)
+    kind, board = str(calibration.target.get("kind", "known planes")), observed.board
+    by_board = board is not None and kind == board.kind
+    board_std = relative_of(board) if by_board and board is not None else 0.0
+    found, missed = references(calibration, observed, board_std)
+    first = "board" if by_board else kind
+    for one in found:
+        std = one.std(calibration.covariance)
+        if abs(one.ratio - 1.0) > CONFLICT_STDS * std:
+            raise CalibrationError(
+                f"{first} and {one.name} contradict each other: by the {first} {one.what} is "
+                f"{one.ratio:.4f} ± {std:.4f} times what is described",
+                hint=_HINT if by_board else "measure both with a calliper, or leave one out",
+            )
+        residuals |= {one.key: one.ratio, f"{one.key}_std": std}
+        notes.append(f"{one.what} comes out {one.ratio:.4f} ± {std:.4f} times as described")
+    return {"residuals": residuals, "notes": (*notes, *missed)}
+
+
+_HINT = (
+    "measure the board's pitch and the reference with a calliper: was the board printed to fit the page? "
+    "`scale: free` takes the scale from the reference"
+)
+
+
+def references(
+    calibration: Calibration, observed: CalibrationSet, board_std: float = 0.0
+) -> tuple[list[Reference], list[str]]:
+    """Give what can be measured with a calibration though it is known, and notes on what was seen.
+
+    Parameters
+    ----------
+    calibration, observed
+        The calibration, and the images of the references.
+    board_std
+        Relative standard uncertainty of the board's lengths, where the scale comes from them.
+    """
+    found: list[Reference] = []
+    notes: list[str] = []
+    asked: list[tuple[str, tuple[float, ...], float]] = []
+    if observed.block is not None:
+        asked.append(("block", (observed.block.height_mm,), observed.block.tolerance_mm))
+    if observed.staircase is not None:
+        asked.append(("staircase", observed.staircase.heights_mm, observed.staircase.tolerance_mm))
+    if observed.pyramid is not None:
+        asked.append(("pyramid", (observed.pyramid.height_mm,), observed.pyramid.tolerance_mm))
+    for name, heights, tolerance_mm in asked:
+        views = observed.showing(name)
+        if not views:
+            continue
+        seen = [_height(calibration, [view.peaks for view in views], height) for height in heights]
+        known = [(m, u, h) for (m, u), h in zip(seen, heights, strict=True) if np.isfinite(m)]
+        if not known:
+            notes.append(f"the {name} was not found in its images: it checks nothing")
+            continue
+        measured, std, height = (np.array(column) for column in zip(*known, strict=True))
+        own = np.hypot(std, tolerance_mm / np.sqrt(3.0)) / height
+        weight = own**-2
+        ratio = float((weight * measured / height).sum() / weight.sum())
+        way = _by_parameter(calibration, float(height.max()))
+        found.append(
+            Reference(
+                name,
+                f"{name}_height_ratio",
+                f"the {name}'s height",
+                ratio,
+                float(weight.sum() ** -0.5),
+                way,
+            )
+        )
+    plates = [view.peaks for view in observed.showing("sphere_plate")]
+    if observed.sphere_plate is not None and plates:
+        scale = plate_scale(calibration, plates, observed.sphere_plate)
+        if scale is None:
+            notes.append("the sphere plate was not found in its images: it checks nothing")
+        else:
+            what = "the sphere plate's lengths"
+            own = scale.ratio, scale.own_std, scale.by_parameter
+            found.append(Reference("sphere plate", "sphere_plate_ratio", what, *own))
+            notes.append(scale.said)
+    if observed.ruler is not None and observed.board is not None and "pitch_mm" in calibration.target:
+        found.append(_ruler(calibration, observed.board, observed.ruler, board_std))
+    if observed.mm_per_count is not None and "travel_mm_per_count" in calibration.parameters:
+        found.append(_encoder(calibration.parameters, *observed.mm_per_count))
+    return found, notes
+
+
+def _ruler(calibration: Calibration, board: Board, ruler: Ruler, board_std: float) -> Reference:
+    """The print as the calibration has it, by its pitch, over what the ruler says."""
+    grown = float(calibration.target["pitch_mm"]) / board.pitch_mm
+    ratio = grown * ruler.printed_mm / ruler.measured_mm
+    own_std = float(np.hypot(ruler.std_mm / ruler.measured_mm, board_std))
+    # the pitch is no parameter: what peaks and marks are uncertain by does not change the print's size
+    return Reference(
+        "ruler", "ruler_ratio", "the print's length", ratio, own_std, np.zeros(len(calibration.covariance))
+    )
+
+
+def _encoder(parameters: Mapping[str, Floats], known_mm: float, known_std_mm: float) -> Reference:
+    travel = parameters["travel_mm_per_count"]
+    size = float(np.sqrt(travel @ travel))
+    way = {name: np.zeros_like(array) for name, array in parameters.items()}
+    way["travel_mm_per_count"] = travel / size**2
+    what = "the belt's way per encoder count"
+    return Reference("encoder", "encoder_ratio", what, size / known_mm, known_std_mm / known_mm, flat(way))
+
+
+def _height(calibration: Calibration, images: list[Peaks], height_mm: float) -> tuple[float, float]:
+    """Mean height of the points near a level, mm, and its standard uncertainty; NaN where there are few.
+
+    Every peak is taken for every stripe; those of the right stripe gather at one height.
+    """
+    heights = []
+    for peaks in images:
+        z = _heights_of(calibration, peaks)
+        on_belt = (np.abs(z) < _BELT_MM).any(axis=0)
+        heights.append(z[:, ~on_belt].ravel())
+    z = np.concatenate(heights) if heights else np.empty(0)
+    room = 0.08 * height_mm + 0.3
+    z = z[np.abs(z - height_mm) < room]
+    if z.size < _POINTS_MIN:
+        return np.nan, np.nan
+    count, edge = np.histogram(z, np.arange(height_mm - room, height_mm + room + _STEP_MM, _STEP_MM))
+    smooth = np.convolve(count, np.ones(3), "same")
+    peak = float(edge[smooth.argmax()]) + 0.5 * _STEP_MM
+    for _ in range(4):
+        near = z[np.abs(z - peak) < 0.25]
+        if near.size < _POINTS_MIN:
+            return np.nan, np.nan
+        peak = float(near.mean())
+    batches = np.array([part.mean() for part in np.array_split(near, 12)])
+    return peak, float(batches.std(ddof=1) / np.sqrt(12.0))
+
+
+def _heights_of(calibration: Calibration, peaks: Peaks) -> Floats:
+    """Give (stripe, peak) the height each peak would have on each plane, mm."""
+    parameters = calibration.parameters
+    camera = camera_of(parameters)
+    xy = straightened((np.column_stack([peaks.x_px, peaks.row]) - camera[2:4]) / camera[:2], camera[4:])
+    ray = np.column_stack([xy, np.ones(len(xy))])
+    up, origin = belt_pose(parameters["belt_per_mm"])[2, :3], belt_pose(parameters["belt_per_mm"])[2, 3]
+    return np.asarray((ray @ up)[None, :] / (parameters["planes_per_mm"] @ ray.T) + origin)
+
+
+def _by_parameter(calibration: Calibration, height_mm: float) -> Floats:
+    """Give (n,) derivatives of ln(height) in the image's middle row by the calibration's parameters."""
+    parameters = calibration.parameters
+    row = np.array([(calibration.image_size[0] - 1) / 2.0])
+    x_px = lines_at_height(parameters, row, height_mm)[:, 0]
+    good = np.isfinite(x_px)
+    seen = np.column_stack([x_px[good], np.full(int(good.sum()), row[0])])
+
+    def mean_height(values: Floats) -> float:
+        """Give the mean height, mm, of those places under parameters that stand one after the other."""
+        drawn, start = {}, 0
+        for name, array in parameters.items():
+            drawn[name] = values[start : start + array.size].reshape(array.shape)
+            start += array.size
+        camera = camera_of(drawn)
+        xy = straightened((seen - camera[2:4]) / camera[:2], camera[4:])
+        ray = np.column_stack([xy, np.ones(len(xy))])
+        pose = belt_pose(drawn["belt_per_mm"])
+        planes = drawn["planes_per_mm"][good]
+        return float(((ray @ pose[2, :3]) / (ray * planes).sum(axis=1) + pose[2, 3]).mean())
+
+    middle = flat(parameters)
+    std = np.sqrt(np.diag(calibration.covariance))
+    found = np.zeros(middle.size)
+    for number in np.flatnonzero(std > 0):
+        step = np.zeros(middle.size)
+        step[number] = 0.1 * std[number]
+        found[number] = (mean_height(middle + step) - mean_height(middle - step)) / (2.0 * step[number])
+    return found / height_mm
+
+
+def check_beside_solids(
+    calibration: Calibration, observed: CalibrationSet, made: Callable[[CalibrationSet], Calibration]
+) -> dict[str, Any]:
+    """Give residuals and notes of a calibration from solids with what its other targets say."""
+    residuals, notes = check_solids(observed, made)
+    found = replace(
+        calibration,
+        residuals={**calibration.residuals, **residuals},
+        notes=(*calibration.notes, *notes),
+    )
+    # no board's print is what this scale comes from
+    kinds = [shows for shows, _ in solids_in(observed)] or ["sphere_plate"]
+    return check_scale(found, replace(_without(observed, kinds), ruler=None))
+
+
+def check_solids(
+    observed: CalibrationSet, made: Callable[[CalibrationSet], Calibration]
+) -> tuple[dict[str, float], list[str]]:
+    """Leave out each kind of solid in turn, and measure it with what the others give.
+
+    Parameters
+    ----------
+    observed
+        The images of solids.
+    made
+        Gives the calibration from a set; raises CalibrationError where it gives none.
+
+    Returns
+    -------
+    tuple
+        Residuals and notes; of solids that the others could not do without, a note.
+
+    Raises
+    ------
+    CalibrationError
+        One contradicts the others: the ratio and its uncertainty are told.
+    """
+    residuals: dict[str, float] = {}
+    notes: list[str] = []
+    kinds = list(dict.fromkeys(shows for shows, _ in solids_in(observed)))
+    for left in kinds if len(kinds) > 1 else ():
+        others = ", ".join(kind for kind in kinds if kind != left)
+        try:
+            calibration = made(_without(observed, [left]))
+        except CalibrationError as error:
+            notes.append(f"{left}: not checked: without it there is no calibration: {error.message}")
+            continue
+        alone = replace(_without(observed, [kind for kind in kinds if kind != left]), mm_per_count=None)
+        found, said = references(calibration, alone)
+        notes += said
+        for one in found:
+            if one.name != left:
+                continue
+            std = one.std(calibration.covariance)
+            if abs(one.ratio - 1.0) > CONFLICT_STDS * std:
+                raise CalibrationError(
+                    f"{others} and {left} contradict each other: by the {others} {one.what} is "
+                    f"{one.ratio:.4f} ± {std:.4f} times what is described",
+                    hint="measure both with a calliper, or leave one out",
+                )
+            residuals |= {one.key: one.ratio, f"{one.key}_std": std}
+            notes.append(
+                f"{one.what} comes out {one.ratio:.4f} ± {std:.4f} times as described by the {others} alone"
+            )
+    return residuals, notes
+
+
+def _without(observed: CalibrationSet, kinds: list[str]) -> CalibrationSet:
+    gone: dict[str, Any] = dict.fromkeys(kinds)
+    kept = tuple(one for one in observed.observations if one.shows not in kinds)
+    return replace(observed, observations=kept, **gone)

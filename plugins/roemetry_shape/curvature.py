@@ -1,4 +1,10 @@
-"""Principal curvatures and shape index of a surface through the sections."""
+"""Principal curvatures and shape index of a surface through the sections, for the maps of a report.
+
+Model. Around each place, over three sections and six samples to either side, z = f + d·x + e·y + ½(a·x² +
+2b·xy + c·y²) is fitted by least squares; the curvatures are those of the quadric by its first and second
+fundamental form, at its own slope; the shape index is Koenderink's (1992). They are shown, not judged by:
+the three sections span two pitches of the stripes, so the same body has other curvatures on another rig.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from roemetry.arrays import Floats
+from roemetry_kernels.compiling import kernel
 from roemetry_shape.sections import SAMPLES, Sections
 
 _REACH = 6
@@ -54,8 +61,6 @@ def surface_shape(sections: Sections) -> SurfaceShape:
     if count < 3:
         nothing = np.empty((0, place.size))
         return SurfaceShape(*[nothing] * 9)
-    from roemetry_kernels.shape.quadrics import local_quadrics
-
     heights = np.ascontiguousarray(sections.height_mm)
     fit = local_quadrics(np.ascontiguousarray(x), y, heights, _EDGE, SAMPLES - _EDGE, 2, _REACH)
     inner = slice(1, count - 1), slice(_EDGE, SAMPLES - _EDGE, 2)
@@ -80,28 +85,71 @@ def surface_shape(sections: Sections) -> SurfaceShape:
     )
 
 
-def curvature_features(found: SurfaceShape) -> dict[str, float]:
-    """Quantiles of the maps: a healthy product is a cap nearly everywhere."""
-    if not found.shape_index.size:
-        return {}
-    slope, hollow, ridge, index = (
-        np.sort(values.ravel())
-        for values in (found.slope_deg, found.curvature_max, found.curvature_min, found.shape_index)
-    )
-    return {
-        "slope_high_deg": _quantile(slope, 0.9),
-        "hollow_curvature_high_per_mm": _quantile(hollow, 0.98),
-        "hollow_curvature_share": float((hollow > 0.02).mean()),
-        "ridge_curvature_high_per_mm": -_quantile(ridge, 0.02),
-        "shape_index_high": _quantile(index, 0.95),
-        "shape_index_median": _quantile(index, 0.5),
-        "cup_share": float((index > 0.25).mean()),
-    }
+COLUMNS = 6
+_RIDGE = 1e-9
 
 
-def _quantile(rising: Floats, share: float) -> float:
-    """Quantile of sorted values, as numpy's; which takes longer to find out what it is given."""
-    at = share * (rising.size - 1)
-    below = int(at)
-    above = min(below + 1, rising.size - 1)
-    return float(rising[below] + (at - below) * (rising[above] - rising[below]))
+@kernel
+def local_quadrics(x: Floats, y: Floats, z: Floats, first: int, last: int, step: int, reach: int) -> Floats:
+    """Fit z = f + d·x + e·y + ½(a·x² + 2b·xy + c·y²) about places, over three sections.
+
+    Parameters
+    ----------
+    x, y, z
+        (section, sample) places and heights, mm.
+    first, last, step
+        Samples about which to fit: from the first on, every so many, before the last.
+    reach
+        Samples to either side that take part, every second one.
+
+    Returns
+    -------
+    ndarray, shape (section − 2, place, 6)
+        f, d, e, a, b, c about each place, x and y from there; of all sections but the outer two.
+    """
+    sections = x.shape[0]
+    places = (last - first + step - 1) // step
+    found = np.full((sections - 2, places, COLUMNS), np.nan)
+    normal = np.empty((COLUMNS, COLUMNS + 1))
+    row = np.empty(COLUMNS)
+    for section in range(1, sections - 1):
+        # Scales make the equations even, whatever the spacing of the sections.
+        wide = 0.5 * abs(x[section + 1, first] - x[section - 1, first])
+        fine = abs(y[section, first + 1] - y[section, first]) * reach
+        wide, fine = max(wide, 1e-9), max(fine, 1e-9)
+        for place in range(places):
+            at = first + place * step
+            normal[:] = 0.0
+            for neighbour in range(section - 1, section + 2):
+                for sample in range(at - reach, at + reach + 1, 2):
+                    dx = (x[neighbour, sample] - x[section, at]) / wide
+                    dy = (y[neighbour, sample] - y[section, at]) / fine
+                    row[0], row[1], row[2] = 1.0, dx, dy
+                    row[3], row[4], row[5] = 0.5 * dx * dx, dx * dy, 0.5 * dy * dy
+                    for i in range(COLUMNS):
+                        for j in range(COLUMNS):
+                            normal[i, j] += row[i] * row[j]
+                        normal[i, COLUMNS] += row[i] * z[neighbour, sample]
+            for i in range(COLUMNS):
+                normal[i, i] += _RIDGE
+            _eliminate(normal)
+            scales = (1.0, wide, fine, wide * wide, wide * fine, fine * fine)
+            for i in range(COLUMNS):
+                found[section - 1, place, i] = normal[i, COLUMNS] / scales[i]
+    return found
+
+
+@kernel
+def _eliminate(rows: Floats) -> None:
+    """Solve a symmetric positive system in place (Gauss and Jordan): the last column becomes the answer."""
+    count = rows.shape[0]
+    for i in range(count):
+        pivot = rows[i, i]
+        for j in range(i, count + 1):
+            rows[i, j] /= pivot
+        for k in range(count):
+            if k != i:
+                factor = rows[k, i]
+                if factor != 0.0:
+                    for j in range(i, count + 1):
+                        rows[k, j] -= factor * rows[i, j]

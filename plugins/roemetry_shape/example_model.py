@@ -7,9 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from roemetry_shape.learned import LearnedOptions
-from roemetry_shape.learned_model import LearnedModel
-from roemetry_shape.strangeness import Seen
+from roemetry_shape.learned import Forest, LearnedModel, LearnedOptions
+from roemetry_shape.novelty import SeenClasses
 
 
 def learned_options() -> LearnedOptions:
@@ -20,17 +19,20 @@ def learned_options() -> LearnedOptions:
         classes=("dented", "good"),
         good="good",
         good_from=0.5,
-        sharpness=1.0,
-        feature=np.array([0, -1, -1]),
-        threshold=np.array([1.0, 0.0, 0.0]),
-        left=np.array([1, -1, -1]),
-        right=np.array([2, -1, -1]),
-        shares=np.array([[0.0, 0.0], [0.1, 0.9], [0.9, 0.1]]),
-        roots=np.array([0]),
-        seen=Seen(np.zeros((2, 1)), np.ones(1), np.ones((2, 1, 1)), np.zeros(1), np.full(1, 6.0)),
+        stated_from=0.0,
+        temperature=1.0,
+        forest=Forest(
+            feature=np.array([0, -1, -1]),
+            threshold=np.array([1.0, 0.0, 0.0]),
+            left=np.array([1, -1, -1]),
+            right=np.array([2, -1, -1]),
+            shares=np.array([[0.0, 0.0], [0.1, 0.9], [0.9, 0.1]]),
+            roots=np.array([0]),
+        ),
+        seen=SeenClasses(np.zeros((2, 1)), np.ones(1), np.ones((2, 1, 1)), np.zeros(1), np.full(1, 6.0)),
         distance_max=20.0,
-        beyond_max=1.0,
-        smoothing_rows=15,
+        excess_max=1.0,
+        smoothing_mm=3.0,
     )
     path = Path(tempfile.mkdtemp()) / "one_decision.json"
     path.write_text(model.to_json({"samples": {}}), encoding="utf-8")

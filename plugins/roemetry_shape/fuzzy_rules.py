@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from roemetry.records import Grade, Product, Reason
 from roemetry.stages import Classifier, StageOptions
-from roemetry_shape.features import shape_of
+from roemetry_shape.features import SMOOTHING_MM, shape_of
 
 UNKNOWN = "unknown"
 _FEW = "fewer than three stripes show a cross-section: there is no shape to judge"
@@ -53,8 +53,8 @@ class Rule(BaseModel):
 class FuzzyRulesOptions(StageOptions):
     """Options of `FuzzyRules`."""
 
-    smoothing_rows: int = Field(
-        default=15, ge=0, le=201, description="window (odd) that smooths each curve first, rows; 0: none"
+    smoothing_mm: float = Field(
+        default=SMOOTHING_MM, ge=0.0, le=50.0, description="window that smooths each curve first, mm; 0: none"
     )
     terms: dict[str, Term] = Field(default_factory=dict, description="words: `feature` and `points`")
     rules: tuple[Rule, ...] = Field(default=(), description="rules: `when` (terms) and `label`")
@@ -85,7 +85,7 @@ class FuzzyRules(Classifier[FuzzyRulesOptions]):
 
     def classify(self, product: Product, *, rng: np.random.Generator | None = None) -> Grade:
         """Judge by rules; `rng` is not used: rules do not err."""
-        shape = shape_of(product, self.options.smoothing_rows)
+        shape = shape_of(product, self.options.smoothing_mm)
         return replace(self.judge(shape.features), relief=shape.relief)
 
     def judge(self, features: Mapping[str, float]) -> Grade:

@@ -1,18 +1,28 @@
-"""Classes of a buyer: over shape, size, weight and colour; the first that a product fits wins."""
+"""Classes of a buyer: over shape, size, weight and colour; the first that a product fits wins.
+
+Model. A table is a list of classes, each with half-open ranges of quantities and the shapes it takes. Going
+down it, a limit is kept or broken only if the value lies off it by more than the guard band, `guard_factor`
+standard uncertainties (the decision rule of ISO 14253-1, at every limit alike); between, it is open. A
+product is of the first class that is kept, if every class before it is broken. A table is looked through
+before it is used: between all its limits lie cells, and each cell must belong to a class, each class to a
+cell, and two classes may share cells only if one holds the other. More than `CELLS_MAX` cells are refused,
+not searched.
+"""
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Mapping
-from typing import Annotated, ClassVar, Literal
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, ClassVar, Literal
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from roemetry.errors import MisfitError
-from roemetry.records import Decision, Grade, Product, Reason, Volume, Weight
+from roemetry.records import Decision, Estimate, Grade, Product, Reason, Volume, Weight
 from roemetry.stages import Capabilities, Grader, StageOptions
-from roemetry_shape.quantities import Quantities, needed_for
-from roemetry_shape.table_faults import faults_of
+from roemetry.units import mm3_to_cm3
 
 UNDECIDED = "undecided"
 
@@ -225,3 +235,200 @@ def _not_guarded(found: Quantities, factor: float) -> tuple[Reason, ...]:
     return (
         Reason("guard-not-stated", f"no uncertainty is stated of {names}: compared without a guard band"),
     )
+
+
+WEIGHT, VISIBLE, TRUE = "weight_g", "visible_volume_cm3", "true_volume_cm3"
+
+
+def needed_for(name: str) -> str:
+    """Name the kind of stage that gives a quantity; "" where several may."""
+    return {WEIGHT: "weigher", VISIBLE: "volume", TRUE: "volume"}.get(name, "")
+
+
+class Quantities:
+    """A product's quantities by name, with their standard uncertainties.
+
+    Attributes
+    ----------
+    grade
+        The shape; None where there is none.
+    without_std
+        Quantities that were asked for and have no uncertainty, in the order in which they were.
+    """
+
+    def __init__(
+        self,
+        product: Product,
+        volume: Volume | None,
+        weight: Weight | None,
+        grade: Grade | None,
+        stated: Mapping[str, float],
+    ) -> None:
+        self.grade = grade
+        self.without_std: list[str] = []
+        self._stated = stated
+        self._estimates = _estimates(volume, weight)
+        self._features = {} if product.outline is None else dict(product.outline.features)
+        self._features |= {} if weight is None else weight.features
+        self._features |= {} if grade is None else grade.features
+        self._features_std = {} if grade is None else grade.features_std
+
+    def value(self, name: str) -> float:
+        """Give a quantity, in the unit its name says; NaN where there is none."""
+        if name in self._estimates:
+            return self._estimates[name].value
+        return self._features.get(name, math.nan)
+
+    def std(self, name: str) -> float:
+        """Give its standard uncertainty: what the run states, else what the table does, else NaN."""
+        estimate = self._estimates.get(name)
+        found = self._features_std.get(name, math.nan) if estimate is None else estimate.std
+        if math.isnan(found):
+            found = self._stated.get(name, math.nan)
+        if math.isnan(found) and name not in self.without_std and not math.isnan(self.value(name)):
+            self.without_std.append(name)
+        return found
+
+    def why_missing(self, name: str) -> str:
+        """Say that a quantity is not there, and what is."""
+        if needed_for(name) or name in self._features:
+            return f"{name} could not be measured"
+        known = ", ".join(sorted([*self._estimates, *self._features]))
+        return f"there is no {name}; there are {known}"
+
+
+def _estimates(volume: Volume | None, weight: Weight | None) -> dict[str, Estimate]:
+    found = {}
+    if weight is not None:
+        found[WEIGHT] = weight.mass_g
+    if volume is not None:
+        found[VISIBLE] = _in_cm3(volume.visible_mm3)
+        if volume.true_mm3 is not None:
+            found[TRUE] = _in_cm3(volume.true_mm3)
+    return found
+
+
+def _in_cm3(estimate: Estimate) -> Estimate:
+    return Estimate(mm3_to_cm3(estimate.value), mm3_to_cm3(estimate.std))
+
+
+Range = tuple[float, float]
+Fault = tuple[tuple[str | int, ...], str]
+
+CELLS_MAX = 2_000_000
+"""A table that cuts its quantities into more cells than this is not looked through."""
+
+_NEVER_NEGATIVE = ("_g", "_cm3", "_mm3", "_mm2", "_mm", "_px2", "_px")
+
+
+def faults_of(
+    labels: Sequence[str],
+    ranges: Sequence[Mapping[str, Range]],
+    shapes: Sequence[Sequence[str]],
+    *,
+    overlaps_are_faults: bool,
+) -> list[Fault]:
+    """Look a table through, cell by cell, between all limits that stand in it.
+
+    Parameters
+    ----------
+    labels
+        Of the classes, in order.
+    ranges
+        By class, the half-open range of each quantity it asks about.
+    shapes
+        By class, the shapes it takes; none: any.
+    overlaps_are_faults
+        Whether two classes may share cells though neither holds the other.
+
+    Returns
+    -------
+    list
+        Keys that lead to what is wrong, and what is wrong and what to do.
+    """
+    cells = _Cells(ranges, shapes)
+    if cells.count > CELLS_MAX:
+        said = f"the limits cut the quantities into {cells.count:,} cells: too many to look for gaps"
+        return [(("classes",), f"{said}; use fewer quantities")]
+    taken = [cells.of(one, shape) for one, shape in zip(ranges, shapes, strict=True)]
+    faults: list[Fault] = []
+    before = np.zeros_like(cells.real)
+    for number, mine in enumerate(taken):
+        if not (mine & ~before).any():
+            said = "no product comes this far: the classes before take all of it"
+            faults.append((("classes", number, "label"), f"{said}; put it before them, or leave it out"))
+        elif overlaps_are_faults:
+            faults += _overlaps(number, labels, taken, cells)
+        before |= mine
+    left = cells.real & ~before
+    if left.any():
+        where = cells.named(left)
+        said = f"there is a gap: no class takes {where}; widen a class, or add a last one without limits"
+        faults.append((("classes", len(labels)), said))
+    return faults
+
+
+def _overlaps(number: int, labels: Sequence[str], taken: Sequence[Any], cells: _Cells) -> list[Fault]:
+    mine = taken[number]
+    for earlier in range(number):
+        other = taken[earlier]
+        both = mine & other
+        # A class within a later, wider one is what "the first wins" is for.
+        if both.any() and (other & ~mine).any():
+            said = (
+                f"overlaps class {labels[earlier]!r} at {cells.named(both)}; move a limit, or say "
+                "`overlaps: first-wins`"
+            )
+            return [(("classes", number, "label"), said)]
+    return []
+
+
+class _Cells:
+    """Every combination of shape and of the ranges between limits."""
+
+    def __init__(self, ranges: Sequence[Mapping[str, Range]], shapes: Sequence[Sequence[str]]) -> None:
+        self._names = list(dict.fromkeys(name for one in ranges for name in one))
+        self._edges = {name: _edges(ranges, name) for name in self._names}
+        self._shapes = [*dict.fromkeys(shape for one in shapes for shape in one), ""]
+        self._size = (len(self._shapes), *(len(self._edges[name]) - 1 for name in self._names))
+        self.count = math.prod(self._size)
+        self.real = np.ones(self._size if self.count <= CELLS_MAX else (0,), np.bool_)
+        if self.count > CELLS_MAX:
+            return
+        for axis, name in enumerate(self._names, start=1):
+            if name.endswith(_NEVER_NEGATIVE) and "_per_" not in name:
+                self.real &= self._along(axis, [high > 0.0 for _, high in self._ranges(name)])
+
+    def of(self, ranges: Mapping[str, Range], shape: Sequence[str]) -> Any:
+        """Cells that a class takes."""
+        mine = self.real & self._along(0, [not shape or one in shape for one in self._shapes])
+        for axis, name in enumerate(self._names, start=1):
+            low, high = ranges.get(name, (-math.inf, math.inf))
+            mine &= self._along(axis, [low <= a and b <= high for a, b in self._ranges(name)])
+        return mine
+
+    def named(self, which: Any) -> str:
+        """Say in words where the first of these cells is; what does not matter is left out."""
+        first = tuple(int(at[0]) for at in np.nonzero(which))
+        said = []
+        for axis, name in enumerate(self._names, start=1):
+            low, high = self._ranges(name)[first[axis]]
+            if math.isfinite(low) or math.isfinite(high):
+                parts = [f"at least {low:g}"] if math.isfinite(low) else []
+                said.append(f"{name} " + " and ".join(parts + [f"below {high:g}"] * math.isfinite(high)))
+        if len(self._shapes) > 1:
+            shape = self._shapes[first[0]]
+            said.append(f"shape {shape}" if shape else "any other shape")
+        return ", ".join(said) or "anything"
+
+    def _ranges(self, name: str) -> list[Range]:
+        return list(itertools.pairwise(self._edges[name]))
+
+    def _along(self, axis: int, values: list[bool]) -> Any:
+        shape = [1] * len(self._size)
+        shape[axis] = len(values)
+        return np.array(values, np.bool_).reshape(shape)
+
+
+def _edges(ranges: Sequence[Mapping[str, Range]], name: str) -> list[float]:
+    return sorted({-math.inf, math.inf, *(edge for one in ranges if name in one for edge in one[name])})

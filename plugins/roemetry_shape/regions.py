@@ -1,4 +1,15 @@
-"""Regions of a surface that stand out: what hangs together, from stripe to stripe, beyond a least depth."""
+"""Dents and humps: regions of a product's surface that stand out of what it would be without them.
+
+Model. A dent is where a section lies below its own upper convex hull (Andrew's monotone chain): a sound
+section is convex from above. A hump is where the surface stands above the smooth dome that fits most of it:
+the squared height of a dome is nearly a polynomial of low order over its footprint (of a half-ellipsoid one
+of second order), so a polynomial, quadratic across and cubic along, is fitted to it with weights that let
+single regions go their own way (Cauchy's, six rounds of reweighted least squares). What hangs together from
+stripe to stripe, deeper than a least depth, is a region.
+
+It fails for a dent as wide as its section (nothing is left to span the hull) and where a hump is most of the
+surface. At the outer 15 % of the width, where a dome is steep, no hump is told.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +18,30 @@ from typing import NamedTuple
 import numpy as np
 
 from roemetry.arrays import Floats, Integers
+from roemetry_kernels.compiling import kernel
 from roemetry_shape.sections import SAMPLES, Sections
+
+DENT_LEAST_MM = 0.4
+"""Shallower is relief, not a dent: twice the deepest hollow that noise of 0.1 mm makes
+in a smoothed section."""
+
+HUMP_LEAST_MM = 0.8
+"""Lower is relief, or a body that is not as smooth as the fit."""
+
+_INNER = 0.85
+"""Share of the half width within which a dome is fitted and humps are told."""
+
+_ROUNDS = 6
+"""Of reweighting: after them the fit moves by less than 0.01 mm."""
+
+_STEP = 2
+"""Every second sample is fitted: neighbours say the same."""
+
+_SECTIONS_MIN = 5
+"""For a cubic along: one more than its coefficients."""
+
+_SPREAD_LEAST_MM2 = 4.0
+"""Of squared heights: 0.15 mm at a height of 13 mm. Weights do not follow finer relief than this."""
 
 
 class Region(NamedTuple):
@@ -33,6 +67,52 @@ class Region(NamedTuple):
     y_mm: float
     stripes: int
     cells: Integers
+
+
+def hollows_of(sections: Sections) -> tuple[Floats, tuple[Region, ...]]:
+    """Give (section, sample) depths, mm, and the dents, the deepest first."""
+    if not len(sections.stripe):
+        return np.empty((0, SAMPLES)), ()
+    depth = hollow_depth(sections.across_mm, sections.height_mm)
+    return depth, regions_of(depth, sections, DENT_LEAST_MM)
+
+
+def humps_of(sections: Sections) -> tuple[Floats, tuple[Region, ...]]:
+    """Give (section, sample) heights above the smooth body, mm, and the humps, the highest first."""
+    height: Floats = np.zeros((len(sections.stripe), SAMPLES))
+    if len(sections.stripe) < _SECTIONS_MIN:
+        return height, ()
+    inner = np.abs(np.linspace(-1.0, 1.0, SAMPLES)) <= _INNER
+    height[:, inner] = np.maximum(sections.height_mm - dome_of(sections), 0.0)[:, inner]
+    return height, regions_of(height, sections, HUMP_LEAST_MM)
+
+
+def dome_of(sections: Sections) -> Floats:
+    """(section, sample) heights of the smooth body that fits most of the surface, mm; see `humps_of`."""
+    t: Floats = np.linspace(-1.0, 1.0, SAMPLES)
+    along = sections.along_mm / max(float(sections.along_mm[-1]), 1e-9) * 2.0 - 1.0
+    inner = np.abs(t) <= _INNER
+    design = _basis(along, t)
+    squared = sections.height_mm**2
+    chosen = np.flatnonzero(inner)[::_STEP]
+    rows = design[:, chosen].reshape(-1, design.shape[-1])
+    wanted = squared[:, chosen].ravel()
+    weight: Floats = np.ones(wanted.size)
+    fit: Floats = np.zeros(rows.shape[1])
+    for _ in range(_ROUNDS):
+        normal = rows.T @ (weight[:, None] * rows) + 1e-9 * np.eye(rows.shape[1])
+        fit = np.asarray(np.linalg.solve(normal, rows.T @ (weight * wanted)), np.float64)
+        off = wanted - rows @ fit
+        spread = max(1.4826 * float(np.median(np.abs(off))), _SPREAD_LEAST_MM2)
+        weight = 1.0 / (1.0 + (off / (2.0 * spread)) ** 2)
+    return np.sqrt(np.maximum(design @ fit, 0.0))
+
+
+def _basis(along: Floats, t: Floats) -> Floats:
+    """(section, sample, 12) products of 1, s, s², s³ and 1, t, t²."""
+    of_s = np.stack([along**k for k in range(4)], axis=-1)
+    of_t = np.stack([t**k for k in range(3)], axis=-1)
+    return np.asarray(np.einsum("ik,jl->ijkl", of_s, of_t).reshape(along.size, t.size, 12))
 
 
 def regions_of(depth: Floats, sections: Sections, least_mm: float) -> tuple[Region, ...]:
@@ -69,3 +149,41 @@ def _stands_for_mm(along_mm: Floats) -> Floats:
         return np.zeros(len(along_mm))
     step = np.diff(along_mm)
     return np.asarray(0.5 * (np.concatenate([step[:1], step]) + np.concatenate([step, step[-1:]])))
+
+
+@kernel
+def hollow_depth(across: Floats, height: Floats) -> Floats:
+    """Depth of each curve below its upper convex hull (Andrew's monotone chain).
+
+    Parameters
+    ----------
+    across, height
+        (curve, n) strictly increasing places, and heights over them; no NaN.
+
+    Returns
+    -------
+    ndarray, shape (curve, n)
+        Hull less height, at least 0; 0 where the curve touches its hull.
+    """
+    curves, count = height.shape
+    depth = np.zeros((curves, count))
+    corner = np.empty(count, np.int64)
+    for c in range(curves):
+        corners = 0
+        for i in range(count):
+            while corners > 1:
+                a, b = corner[corners - 2], corner[corners - 1]
+                turn = (across[c, b] - across[c, a]) * (height[c, i] - height[c, a]) - (
+                    height[c, b] - height[c, a]
+                ) * (across[c, i] - across[c, a])
+                if turn < 0.0:
+                    break
+                corners -= 1
+            corner[corners] = i
+            corners += 1
+        for k in range(corners - 1):
+            a, b = corner[k], corner[k + 1]
+            slope = (height[c, b] - height[c, a]) / (across[c, b] - across[c, a])
+            for i in range(a + 1, b):
+                depth[c, i] = max(height[c, a] + slope * (across[c, i] - across[c, a]) - height[c, i], 0.0)
+    return depth

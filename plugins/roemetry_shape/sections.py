@@ -39,6 +39,8 @@ class Sections(NamedTuple):
         (section, SAMPLES) height over the belt at even steps from edge to edge, mm.
     across_mm
         (section, SAMPLES) distance from the middle along Y, mm.
+    x_mm
+        (section, SAMPLES) X of the same places: a plane of light leans, so a section's X changes with height.
     """
 
     stripe: Integers
@@ -47,6 +49,7 @@ class Sections(NamedTuple):
     half_width_mm: Floats
     height_mm: Floats
     across_mm: Floats
+    x_mm: Floats
 
     @property
     def peak_mm(self) -> Floats:
@@ -61,7 +64,7 @@ class Sections(NamedTuple):
         return np.asarray(inner * step)
 
 
-def sections_of(product: Product, smoothing_rows: int) -> Sections:
+def sections_of(product: Product, smoothing_mm: float) -> Sections:
     """Cut a product into its sections; those too short or too torn to have a shape are left out.
 
     So are outer ones lower than 15 % of it: one more or less of them would change what is said of the
@@ -71,13 +74,14 @@ def sections_of(product: Product, smoothing_rows: int) -> Sections:
     ----------
     product
         Its slices must run along Y, as those of stripes that run from top to bottom do.
-    smoothing_rows
-        Window, rows (odd), of the local quadratic that smooths each curve first; 0 smooths nothing.
+    smoothing_mm
+        Length of the local quadratic that smooths each curve first, mm, so that a rig of other rows smooths
+        as much; 0 smooths nothing.
     """
     curves = body_curves(product.profiles, product.number)
     xyz = product.profiles.xyz_mm[curves.slice, curves.point]
-    if smoothing_rows and len(xyz):
-        xyz = smoothed(curves, xyz, smoothing_rows)
+    if smoothing_mm and len(xyz) > 1:
+        xyz = smoothed(curves, xyz, _window(xyz[:, 1], smoothing_mm))
     found = []
     for number in np.unique(curves.slice):
         mine = xyz[curves.slice == number]
@@ -93,32 +97,46 @@ def sections_of(product: Product, smoothing_rows: int) -> Sections:
         height = np.interp(grid, y, mine[keep, 2])
         x = np.sort(mine[:, 0])
         middle = np.array([0.5 * (x[(x.size - 1) // 2] + x[x.size // 2]), 0.5 * (y[0] + y[-1])])
-        found.append((product.profiles.stripe[number], middle, 0.5 * (y[-1] - y[0]), height))
+        x_mm = np.interp(grid, y, mine[keep, 0])
+        found.append(_Cut(int(product.profiles.stripe[number]), middle, 0.5 * (y[-1] - y[0]), height, x_mm))
     return _in_order(_without_slivers(found))
 
 
-def _without_slivers(
-    found: list[tuple[int, Floats, float, Floats]],
-) -> list[tuple[int, Floats, float, Floats]]:
-    found = sorted(found, key=lambda section: float(section[1][0]))
-    peaks = [float(section[3].max()) for section in found]
+def _window(y_mm: Floats, smoothing_mm: float) -> int:
+    """Odd number of points whose length is nearest to `smoothing_mm`."""
+    step = float(np.median(np.abs(np.diff(y_mm))))
+    return 2 * round(0.5 * (smoothing_mm / max(step, 1e-3) - 1.0)) + 1
+
+
+class _Cut(NamedTuple):
+    stripe: int
+    middle_mm: Floats
+    half_width_mm: float
+    height_mm: Floats
+    x_mm: Floats
+
+
+def _without_slivers(found: list[_Cut]) -> list[_Cut]:
+    found = sorted(found, key=lambda cut: float(cut.middle_mm[0]))
+    peaks = [float(cut.height_mm.max()) for cut in found]
     high = [k for k, peak in enumerate(peaks) if peak >= _SLIVER * max(peaks)]
     return found[high[0] : high[-1] + 1] if high else found
 
 
-def _in_order(found: list[tuple[int, Floats, float, Floats]]) -> Sections:
+def _in_order(found: list[_Cut]) -> Sections:
     if not found:
         nothing = np.empty((0, SAMPLES))
         empty = np.empty(0)
-        return Sections(np.empty(0, np.int64), empty, np.empty((0, 2)), empty, nothing, nothing)
-    middle = np.stack([section[1] for section in found])
-    half = np.array([section[2] for section in found])
+        return Sections(np.empty(0, np.int64), empty, np.empty((0, 2)), empty, nothing, nothing, nothing)
+    middle = np.stack([cut.middle_mm for cut in found])
+    half = np.array([cut.half_width_mm for cut in found])
     step = np.sqrt((np.diff(middle, axis=0) ** 2).sum(axis=1))
     return Sections(
-        stripe=np.array([section[0] for section in found], np.int64),
+        stripe=np.array([cut.stripe for cut in found], np.int64),
         along_mm=np.concatenate([[0.0], np.cumsum(step)]),
         middle_mm=middle,
         half_width_mm=half,
-        height_mm=np.stack([section[3] for section in found]),
+        height_mm=np.stack([cut.height_mm for cut in found]),
         across_mm=half[:, None] * np.linspace(-1.0, 1.0, SAMPLES),
+        x_mm=np.stack([cut.x_mm for cut in found]),
     )

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from roemetry.records import Grade, Product, Reason
 from roemetry.stages import Classifier, StageOptions
-from roemetry_shape.features import shape_of
+from roemetry_shape.features import SMOOTHING_MM, shape_of
 
 UNKNOWN = "unknown"
 _FEW = "fewer than three stripes show a cross-section: there is no shape to judge"
@@ -38,8 +38,8 @@ class Limit(BaseModel):
 class ShapeLimitsOptions(StageOptions):
     """Options of `ShapeLimits`."""
 
-    smoothing_rows: int = Field(
-        default=15, ge=0, le=201, description="window (odd) that smooths each curve first, rows; 0: none"
+    smoothing_mm: float = Field(
+        default=SMOOTHING_MM, ge=0.0, le=50.0, description="window that smooths each curve first, mm; 0: none"
     )
     limits: tuple[Limit, ...] = Field(
         default=(),
@@ -58,7 +58,7 @@ class ShapeLimits(Classifier[ShapeLimitsOptions]):
 
     def classify(self, product: Product, *, rng: np.random.Generator | None = None) -> Grade:
         """Judge by limits; `rng` is not used: limits do not err."""
-        shape = shape_of(product, self.options.smoothing_rows)
+        shape = shape_of(product, self.options.smoothing_mm)
         return replace(self.judge(shape.features), relief=shape.relief)
 
     def judge(self, features: Mapping[str, float]) -> Grade:

@@ -107,12 +107,12 @@ def profiles_in(trace: Trace, image: Path) -> Profiles:
 def _spread(recipe: Recipe, trace: Trace, calibration: Calibration, places: Places) -> Reading:
     """Standard deviation of the readings over redrawn calibrations."""
     triangulator = recipe.stages["triangulator"].make()
-    redraws = calibration.redraws(np.random.default_rng(_SEED))
+    redraws = calibration.redraws(np.random.default_rng(_SEED), triangulator.view)
     drawn = []
     for _ in range(_REDRAWS):
         drawn_one = next(redraws)
         profiles = triangulator.triangulate(trace.stripes, drawn_one)
-        drawn.append(read_block(profiles, places, triangulator.view(drawn_one)))
+        drawn.append(read_block(profiles, places, drawn_one.view))
     of = {
         name: float(np.std([getattr(reading, name) for reading in drawn], ddof=1))
         for name in ("height_mm", "belt_mm", "width_mm")

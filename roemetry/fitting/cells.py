@@ -17,7 +17,7 @@ _NEVER_FEATURES = (
 )
 """Columns of the `csv` sink that may hold numbers and are no feature, and those that people add."""
 
-_NEVER_BEGIN = ("probability_", "truth_", "strangeness")
+_NEVER_BEGIN = ("probability_", "truth_", "novelty", "strangeness")
 _FAULTS_SHOWN = 10
 
 

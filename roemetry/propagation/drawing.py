@@ -32,7 +32,7 @@ class Drawn:
 
     def __init__(self, scene: Scene, chain: Chain, rng: np.random.Generator) -> None:
         self._scene, self._chain, self._rng = scene, chain, rng
-        self._calibrations = scene.calibration.redraws(rng)
+        self._calibrations = scene.calibration.redraws(rng, chain.triangulator.view)
         stripes = scene.stripes
         lit = stripes.product > 0
         self._std_px = np.where(stripes.seen, stripes.x_std_px, 0.0)
@@ -80,7 +80,8 @@ class Drawn:
         profiles = _cut(profiles)
         if offset_mm:
             profiles = raised(profiles, offset_mm)
-        view = triangulator.view(calibration)
+        drawn = calibration is not self._scene.calibration
+        view = calibration.view if drawn else triangulator.view(calibration)
         found = assemble(profiles, outlines, calibration, self._scene.acquisition_id, view=view)
         return {product.number: product for product in found}
 

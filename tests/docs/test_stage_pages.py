@@ -58,8 +58,9 @@ def test_the_example_of_a_stage_is_legal_and_uses_it(name: str) -> None:
         data = parse(content, name).data
         choices = [*data.get("stages", {}).items(), *(("sink", c) for c in data.get("sinks", []))]
         choices += [(kind, data[kind]) for kind in ("calibrator", "simulator") if kind in data]
-        # a scene's `simulator` names its planner as well
-        choices += [("planner", data["simulator"]) for _ in range("simulator" in data)]
+        # a scene's `simulator` names its planner as well, where there is one
+        planned = any(s.entry.name == name for s in registry.of_kind("planner"))
+        choices += [("planner", data["simulator"]) for _ in range("simulator" in data and planned)]
         if "source" in data:
             source = {"use": "image-files"} | data["source"]
             choices.append(("source", {"use": source["use"], "options": source.get("options", {})}))

@@ -34,6 +34,11 @@ FAULTS: dict[str, str] = {}
 
 
 OPTIONS = {
+    "mitsuba": {
+        "camera": {"width_px": 96, "height_px": 64, "pixel_size_um": 66.0},
+        "samples": 2,
+        "bounce_rays": 8,
+    },
     "ray-caster": {
         "camera": {"width_px": 96, "height_px": 64, "pixel_size_um": 66.0},
         "product": {"family": "egg"},

@@ -18,6 +18,8 @@ _MERGED_PX = 2.0
 _APART_PX = 7.0
 """A stripe nearer to another than this may merge with it, or is seen beyond doubt."""
 _LEFT_OUT_MAX = 4
+_CLIFF = 0.5
+_RIM = 1.0 / 3.0
 _LEAN_HIDES = -0.05
 _LEAN_SHOWS = 0.15
 
@@ -70,9 +72,19 @@ class Steps(NamedTuple):
 
 @kernel(error_model="numpy")
 def labels_of(
-    start: Integers, u: Floats, plane: Floats, low_mm: Floats, high_mm: Floats
+    start: Integers, u: Floats, plane: Floats, low_mm: Floats, high_mm: Floats, beyond: Floats
 ) -> tuple[Integers, Integers, Integers, Floats, Floats]:
-    """List the stripes whose height at an entry lies within (stripe,) bounds, mm; the fields of `Labels`."""
+    """List the stripes whose height at an entry lies within bounds; the fields of `Labels`.
+
+    Parameters
+    ----------
+    start, u, plane
+        See `roemetry_kernels.coding.sight_entries.Entries` and `roemetry_kernels.coding.sight_lines`.
+    low_mm, high_mm
+        (stripe,) bounds, mm.
+    beyond
+        (entry,) factor on the upper bound.
+    """
     size, stripes = u.shape[0], plane.shape[1]
     low = np.zeros(size, np.int64)
     count = np.zeros(size, np.int64)
@@ -82,7 +94,7 @@ def labels_of(
             last = -1
             for k in range(stripes):
                 z = _height(plane[e, k], u[i])
-                if low_mm[k] <= z <= high_mm[k]:
+                if low_mm[k] <= z <= beyond[i] * high_mm[k]:
                     if count[i] == 0:
                         low[i] = k
                         count[i] = 1
@@ -153,7 +165,7 @@ def _left_out(
 def steps_of(
     start: Integers, u: Floats, low: Integers, count: Integers, offset: Integers, height: Floats,
     label_mm: Floats, plane: Floats, lean: Floats, u_min: Floats, u_max: Floats, presence: Floats,
-    u_per_px: float,
+    u_per_px: float, belt_mm: Floats,
 ) -> tuple[Integers, Integers, NDArray[np.float32], NDArray[np.float32], Floats, Floats]:  # fmt: skip
     """Work out the fields of `Steps`.
 
@@ -190,6 +202,7 @@ def steps_of(
     for e in range(lines):
         for k in range(plane.shape[1]):
             sums[e, k + 1] = sums[e, k] + presence[e, k]
+    slope = _slopes(start, u, low, count, offset, height, plane)
     n, c = 0, 0
     for e in range(lines):
         for p in range(start[e], start[e + 1]):
@@ -212,14 +225,28 @@ def steps_of(
                             c += 1
                             continue
                         z_t = height[offset[q] + j]
-                        step = (z_s - z_t) / (label * (s - t))
-                        surface[c] = min(step * step, 1.0)
-                        if s - t > p - q + _LEFT_OUT_MAX:
-                            unseen[c] = sums[e, s] - sums[e, t + 1]
-                        elif s - t > 1:
+                        rise = z_s - z_t
+                        step = abs(rise)
+                        step = min(step, abs(rise - (s - t) * slope[offset[q] + j, 0]))
+                        step = min(step, abs(rise - (s - t) * slope[offset[p] + i, 1]))
+                        step /= _CLIFF * label
+                        on_belt = abs(z_t) <= belt_mm[t], abs(z_s) <= belt_mm[s]
+                        if on_belt[0] != on_belt[1]:
+                            surface[c] = min(step * step, _RIM)
+                        elif s - t > 1 and not on_belt[0]:
+                            surface[c] = 1.0
+                        else:
+                            surface[c] = min(step * step, 1.0)
+                        if s - t > 1:
+                            # the higher place may go on until just before the next stripe would show on it
+                            left, right = u[q], u[p]
+                            if rising and z_s > z_t:
+                                right = max(left, min(right, _place(plane[e, s - 1], z_s)))
+                            elif not rising and z_t > z_s:
+                                left = min(right, max(left, _place(plane[e, t + 1], z_t)))
                             room = _ramp(apart_px / (s - t), _MERGED_PX, _APART_PX)
                             unseen[c] = _left_out(
-                                e, t, s, plane, min(z_s, z_t), u[q], u[p], hides, rising, room, u_per_px,
+                                e, t, s, plane, min(z_s, z_t), left, right, hides, rising, room, u_per_px,
                                 presence, sums,
                             )  # fmt: skip
                         else:
@@ -227,6 +254,27 @@ def steps_of(
                         c += 1
         pair_start[e + 1] = n
     return pair, pair_start, surface, unseen, before, after
+
+
+@kernel(error_model="numpy")
+def _slopes(
+    start: Integers, u: Floats, low: Integers, count: Integers, offset: Integers, height: Floats,
+    plane: Floats,
+) -> Floats:  # fmt: skip
+    """Give (node, 2) the rise per stripe from the peak before, and to the peak after, taken for neighbours.
+
+    All labels of a line shifted by one change it little, so it is known before any label is.
+    """
+    slope = np.zeros((height.shape[0], 2))
+    for e in range(start.shape[0] - 1):
+        for i in range(start[e], start[e + 1]):
+            for k in range(low[i], low[i] + count[i]):
+                node = offset[i] + k - low[i]
+                if i > start[e] and k > 0:
+                    slope[node, 0] = height[node] - _height(plane[e, k - 1], u[i - 1])
+                if i + 1 < start[e + 1] and k + 1 < plane.shape[1]:
+                    slope[node, 1] = _height(plane[e, k + 1], u[i + 1]) - height[node]
+    return slope
 
 
 @kernel(error_model="numpy")

@@ -125,7 +125,7 @@ def test_heights_from_the_belt_up_scatter_as_stated(rng, belt: bool) -> None:
     ("change", "says"),
     [
         ({"block": None}, "its three sides are unknown"),
-        ({"stripe_count": 9}, "9 stripes are expected, but most rows show 7"),
+        ({"stripe_count": 9}, "9 stripes are expected on the empty belt, 7 are seen"),
         ({"working_distance_mm": 12.0}, "working_distance_mm is 12"),
         ({"observations": ()}, "no image of the block"),
     ],
@@ -141,10 +141,20 @@ def test_no_block_in_the_image(rig, rng) -> None:
         BlockCalibrator().calibrate(observed(rig, rng, heights=empty))
 
 
-def test_a_stripe_that_misses_the_block_is_named(rig, rng) -> None:
+def test_an_outer_stripe_that_misses_the_block_is_taken_from_the_fan(rig, rng) -> None:
     heights = block_heights(rig)
     heights[-1] = 0.0
-    with pytest.raises(CalibrationError, match="stripe 7 is not seen on the block"):
+    exact = replace(BLOCK, tolerance_mm=0.0)
+    made = BlockCalibrator().calibrate(observed(rig, rng, heights=heights, block=exact))
+    assert any("stripe 7 misses the block" in note for note in made.notes)
+    assert made.displacement_px_per_mm[-1] == pytest.approx(2.0, abs=0.05), "px/mm"
+    assert made.covariance[6, 6] > 2.0 * made.covariance[3, 3], "and is less certain"
+
+
+def test_two_stripes_of_seven_that_miss_the_block_are_named(rig, rng) -> None:
+    heights = block_heights(rig)
+    heights[-2:] = 0.0
+    with pytest.raises(CalibrationError, match="stripe 6, 7 is not seen on the block"):
         BlockCalibrator().calibrate(observed(rig, rng, heights=heights))
 
 

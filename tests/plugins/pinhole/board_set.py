@@ -9,8 +9,8 @@ import numpy as np
 
 from roemetry.records import Board
 from roemetry.yaml_source import dump
+from roemetry_pinhole.boards import charuco_of
 from roemetry_pinhole.geometry import turned
-from roemetry_pinhole.marks import charuco_of
 
 SIZE = (300, 400)
 FOCAL_PX, NEAR_MM = 900.0, 300.0

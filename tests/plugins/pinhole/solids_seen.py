@@ -8,12 +8,12 @@ import numpy as np
 
 from roemetry.records import CalibrationSet, Frame, Observation, Peaks, SpherePlate
 from roemetry.view import View
-from roemetry_pinhole.ball_plate import centres
 from roemetry_pinhole.equations import ON_BELT, StripePoints, stripe_residuals
 from roemetry_pinhole.frames import belt_pose
 from roemetry_pinhole.geometry import Geometry, turned
-from roemetry_pinhole.holding_out import lifted
-from roemetry_pinhole.solid_shapes import Shape, inside
+from roemetry_pinhole.plates import centres
+from roemetry_pinhole.solids import Shape, inside
+from roemetry_pinhole.verdict import lifted
 
 
 def on_belt(geometry: Geometry, x_mm: float, y_mm: float, yaw_deg: float) -> Geometry:

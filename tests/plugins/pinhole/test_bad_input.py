@@ -73,7 +73,7 @@ def bad(board: Board, folder: Path, rng) -> dict[str, tuple[str, str]]:
         "off_22": ("cut off", "show more" if board is CHARUCO else "wholly inside"),
         "off_23": ("another board", "correct `board`"),
         "off_24" if board is CHARUCO else "on_24": mirrored,
-        "off_25" if board is CHARUCO else "on_25": mirrored if board is CHARUCO else ("7 lines", "again"),
+        "off_25" if board is CHARUCO else "on_25": mirrored,
     }
 
 

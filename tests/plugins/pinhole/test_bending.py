@@ -7,14 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from roemetry_pinhole.adjustment import adjust
-from roemetry_pinhole.bending import BENDS, Bend
+from roemetry_pinhole.bundle import Measured, adjust
+from roemetry_pinhole.conformance import Shown, SimulatedRig, noisy, shown
 from roemetry_pinhole.equations import ON_BELT, corner_residuals, corner_rows, stripe_residuals, stripe_rows
-from roemetry_pinhole.geometry import CAMERA, Geometry, unknowns_of
-from roemetry_pinhole.holding_out import held_out, lifted, stripe_offsets
-from roemetry_pinhole.lens import bent
-from roemetry_pinhole.measured import Measured
-from roemetry_pinhole.simulated import Shown, SimulatedRig, noisy, shown
+from roemetry_pinhole.geometry import BENDS, CAMERA, Bend, Geometry, bent, unknowns_of
+from roemetry_pinhole.verdict import held_out, lifted, stripe_offsets
 
 RIG = SimulatedRig(1600.0, 350.0, tilt_deg=(6.0, -4.0), lens=(-0.2, 0.1, 0.0, 0.0, 0.0), stripes=5, poses=10)
 FREE = np.arange(CAMERA) < 9

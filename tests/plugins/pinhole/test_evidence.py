@@ -9,13 +9,12 @@ import pytest
 
 from roemetry.evidence import page
 from roemetry.testing import LinearRig
+from roemetry_pinhole.bundle import Measured
 from roemetry_pinhole.calibrator import PinholeCalibrator
-from roemetry_pinhole.conformance import observed_of
+from roemetry_pinhole.conformance import SimulatedRig, noisy, observed_of, shown
 from roemetry_pinhole.geometry import CAMERA, unknowns_of
-from roemetry_pinhole.holding_out import held_out, lifted, stripe_offsets
-from roemetry_pinhole.measured import Measured
 from roemetry_pinhole.pinhole_plane import PinholePlane
-from roemetry_pinhole.simulated import SimulatedRig, noisy, shown
+from roemetry_pinhole.verdict import held_out, lifted, stripe_offsets
 
 RIG = SimulatedRig(
     1600.0, 350.0, tilt_deg=(6.0, -4.0), lens=(-0.2, 0.1, 0.001, -0.0005, 0.02), stripes=5, poses=10

@@ -9,14 +9,13 @@ import pytest
 
 from roemetry.errors import CalibrationError
 from roemetry.records import Board
-from roemetry_pinhole.first_camera import FirstCamera
+from roemetry_pinhole.boards import BoardView, Marks, Seen
+from roemetry_pinhole.bundle import Measured
+from roemetry_pinhole.conformance import Shown, SimulatedRig, noisy, shown
 from roemetry_pinhole.geometry import CAMERA, unknowns_of
-from roemetry_pinhole.joining import Joint
-from roemetry_pinhole.judging import judged
-from roemetry_pinhole.marks import Marks
-from roemetry_pinhole.measured import Measured
-from roemetry_pinhole.simulated import Shown, SimulatedRig, noisy, shown
-from roemetry_pinhole.views import BoardView, Seen
+from roemetry_pinhole.initial_intrinsics import FirstCamera
+from roemetry_pinhole.joint import Joint
+from roemetry_pinhole.verdict import judged
 
 RIG = SimulatedRig(1600.0, 350.0, tilt_deg=(6.0, -4.0), lens=(-0.2, 0.1, 0.0, 0.0, 0.0), stripes=5, poses=10)
 

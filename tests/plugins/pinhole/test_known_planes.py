@@ -19,7 +19,7 @@ from roemetry.testing import LinearRig
 from roemetry_pinhole.calibrator import PinholeCalibrator, PinholeCalibratorOptions
 from roemetry_pinhole.conformance import observed_of
 from roemetry_pinhole.frames import camera_of, lines_at_height, view_of
-from roemetry_pinhole.opencv_file import read_camera, read_planes
+from roemetry_pinhole.known_planes import read_camera, read_planes
 
 
 @pytest.fixture(scope="module")

@@ -10,10 +10,10 @@ import pytest
 from roemetry.errors import CalibrationError
 from roemetry.records import Block, CalibrationSet
 from roemetry.testing import LinearRig
+from roemetry_pinhole.boards import board_views
 from roemetry_pinhole.calibrator import PinholeCalibrator, PinholeCalibratorOptions
 from roemetry_pinhole.conformance import observed_of
 from roemetry_pinhole.numbering import PoseLines, number_stripes
-from roemetry_pinhole.views import board_views
 
 
 @pytest.fixture(scope="module")
@@ -166,3 +166,39 @@ def test_a_known_camera_is_taken_as_it_is(observed, tmp_path) -> None:
     assert (again.parameters["focal_px"] == made.parameters["focal_px"]).all()
     assert np.abs(again.displacement_px_per_mm / made.displacement_px_per_mm - 1.0).max() < 0.002
     assert np.abs(again.covariance[:12, :12]).max() == 0.0
+
+
+def spoilt(pose: PoseLines, rng) -> tuple[PoseLines, np.ndarray]:
+    """A pose with a stripe lost in its middle and a false line between two others; and the right numbers."""
+    first = int(pose.name.rsplit(" ", 1)[1])
+    ends, number = pose.ends_mm, first + np.arange(pose.count)
+    lost = int(rng.integers(1, pose.count - 1))
+    ends, number = np.delete(ends, lost, axis=0), np.delete(number, lost)
+    at = int(rng.integers(1, len(ends)))
+    share = rng.uniform(0.35, 0.65, (2, 1))
+    false = share * ends[at - 1] + (1.0 - share) * ends[at]
+    return PoseLines(pose.name, np.insert(ends, at, false, axis=0)), np.insert(number, at, -1)
+
+
+def test_lost_and_false_lines_in_every_pose_change_no_number(rng) -> None:
+    """As many lines as stripes on most boards, and none of these boards shows them all."""
+    made = [spoilt(pose, rng) for pose in fan(9, 10, rng)]
+    numbered = number_stripes([pose for pose, _ in made], 9)
+    assert not numbered.left_out
+    for (pose, right), found in zip(made, numbered.stripe, strict=True):
+        wrong = (found >= 0) & (found != right)
+        assert not wrong.any(), pose.name
+        assert ((found >= 0) == (right >= 0)).mean() > 0.85, pose.name
+
+
+def test_the_empty_belt_numbers_what_boards_show_in_part(rng) -> None:
+    """Stripe 1 lies on no board: the belt's lines tell which one it is."""
+    poses = fan(7, 8, rng)
+    cut = [
+        PoseLines(pose.name, pose.ends_mm[max(1 - int(pose.name.rsplit(" ", 1)[1]), 0) :]) for pose in poses
+    ]
+    whole = next(pose for pose in fan(7, 40, rng) if pose.count == 7)
+    with pytest.raises(
+        CalibrationError, match="stripe 1 is seen on the empty belt and on fewer than two boards"
+    ):
+        number_stripes(cut, 7, whole)

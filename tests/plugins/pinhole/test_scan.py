@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from roemetry_pinhole.conformance import shown
 from roemetry_pinhole.from_solids import from_solids
 from roemetry_pinhole.geometry import CAMERA
-from roemetry_pinhole.simulated import shown
-from roemetry_pinhole.solid_shapes import shape_of
+from roemetry_pinhole.solids import shape_of
 from tests.plugins.pinhole.solids_seen import crossings, on_belt, seen_as, set_of
 from tests.plugins.pinhole.test_ball_plate import boards_of, height_errors
 from tests.plugins.pinhole.test_solids import RIGS, SIZE, solid, wide

@@ -12,12 +12,18 @@ from roemetry.camera_file import write_camera
 from roemetry.errors import CalibrationError
 from roemetry.records import Block, Pyramid, Staircase
 from roemetry_pinhole.calibrator import PinholeCalibrator, PinholeCalibratorOptions
-from roemetry_pinhole.edges import Edges, edge_rows
-from roemetry_pinhole.equations import Corners, corner_residuals, stripe_residuals, stripe_rows
+from roemetry_pinhole.conformance import SimulatedRig, shown
+from roemetry_pinhole.equations import (
+    Corners,
+    Edges,
+    corner_residuals,
+    edge_rows,
+    stripe_residuals,
+    stripe_rows,
+)
 from roemetry_pinhole.frames import lines_at_height, parameters_of, view_of
 from roemetry_pinhole.geometry import CAMERA, Geometry, unknowns_of
-from roemetry_pinhole.simulated import SimulatedRig, shown
-from roemetry_pinhole.solid_shapes import inside, shape_of
+from roemetry_pinhole.solids import inside, shape_of
 from tests.plugins.pinhole.solids_seen import crossings, on_belt, seen_as, set_of
 
 SIZE = (400, 400)

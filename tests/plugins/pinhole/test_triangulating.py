@@ -12,6 +12,7 @@ from roemetry.calibration import Calibration
 from roemetry.camera_file import write_camera
 from roemetry.errors import DataError
 from roemetry.records import StripeMap
+from roemetry_pinhole.conformance import SimulatedRig, shown
 from roemetry_pinhole.frames import (
     METHOD,
     displacements,
@@ -21,9 +22,8 @@ from roemetry_pinhole.frames import (
     rest_polynomials,
     view_of,
 )
-from roemetry_pinhole.opencv_file import plane_from, read_camera, read_planes
+from roemetry_pinhole.known_planes import plane_from, read_camera, read_planes
 from roemetry_pinhole.pinhole_plane import PinholePlane
-from roemetry_pinhole.simulated import SimulatedRig, shown
 
 SIZE = (480, 640)
 RIGS = {
@@ -111,13 +111,14 @@ def test_rest_lines_and_displacements_are_those_of_the_planes(calibration) -> No
 
 
 def test_a_redrawn_calibration_moves_points_and_view_together(calibration, rng) -> None:
-    drawn = calibration.redraw(rng)
+    drawn = calibration.redraw(rng, PinholePlane().view)
+    assert calibration.redraw(rng).view is None, "the view of other parameters is not kept"
     stripes = stripes_at(calibration, 9.0)
     profiles = PinholePlane().triangulate(stripes, drawn)
     seen = profiles.seen
     assert np.abs(profiles.xyz_mm[seen][:, 2] - 9.0).max() > 1e-6, "mm"
     xy = np.stack([profiles.x_px, profiles.row_px], axis=2)
-    lifted = PinholePlane().view(drawn).lift(xy, np.arange(stripes.stripe_count)[:, None])
+    lifted = drawn.view.lift(xy, np.arange(stripes.stripe_count)[:, None])
     assert np.abs(lifted[seen] - profiles.xyz_mm[seen]).max() < 1e-8, "mm"
 
 

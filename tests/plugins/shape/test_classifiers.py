@@ -10,19 +10,26 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pydantic import ValidationError
+from scipy.stats import binom
 from typer.testing import CliRunner
 
 from roemetry.cli.main import app
 from roemetry.errors import ConfigurationError, DataError, StageError
 from roemetry.fitting import read_samples
-from roemetry.records import Samples
+from roemetry.records import Fitted, Samples
 from roemetry.testing.solids import BOX, HALF_ELLIPSOID, product_of
 from roemetry_paper.arc_curvature import ArcCurvature
-from roemetry_shape.fitting import fit_forest
-from roemetry_shape.forest_file import packed, unpacked
 from roemetry_shape.fuzzy_rules import FuzzyRules, FuzzyRulesOptions
-from roemetry_shape.learned import Learned, LearnedOptions
-from roemetry_shape.learned_model import LearnedModel, sharpened
+from roemetry_shape.good_reference import GOOD_SPREAD, lower_bound
+from roemetry_shape.learned import (
+    Learned,
+    LearnedOptions,
+    load_model,
+    pack_forest,
+    temperature_scale,
+    unpack_forest,
+)
+from roemetry_shape.learned_fit import fit_classifier
 from roemetry_shape.shape_limits import ShapeLimits, ShapeLimitsOptions
 
 DOME, SLAB = product_of(HALF_ELLIPSOID), product_of(BOX)
@@ -84,12 +91,12 @@ def samples(rng: np.random.Generator, count: int = 240) -> Samples:
 
 
 def test_what_is_learned_is_right_and_says_how_sure_it_is(rng: np.random.Generator, tmp_path: Path) -> None:
-    fitted = fit_forest(samples(rng), good="good", smoothing_rows=15)
+    fitted = fit_classifier(samples(rng), good="good", smoothing_mm=3.0)
     assert fitted.figures["good_kept_share"] > 0.97
     assert fitted.figures["others_caught_share"] > 0.97
     path = tmp_path / "model.json"
     path.write_text(fitted.content, encoding="utf-8")
-    model = LearnedModel.load(path)
+    model = load_model(path)
     fresh = samples(np.random.default_rng(99), 600)
     probabilities = np.stack([model.probabilities(row) for row in fresh.values])
     right = np.array(model.classes)[probabilities.argmax(axis=1)] == np.array(fresh.labels)
@@ -99,21 +106,21 @@ def test_what_is_learned_is_right_and_says_how_sure_it_is(rng: np.random.Generat
     assert doubtful.sum() > 30
     assert right[doubtful].mean() == pytest.approx(stated[doubtful].mean(), abs=0.12)
     np.testing.assert_allclose(probabilities.sum(axis=1), 1.0, atol=1e-12)
-    strange = np.array([30.0, -30.0])
-    assert model.strangeness(strange).value > 1.0
-    assert np.mean([model.strangeness(row).value > 1.0 for row in fresh.values]) < 0.02
+    novel = np.array([30.0, -30.0])
+    assert model.novelty(novel).value > 1.0
+    assert np.mean([model.novelty(row).value > 1.0 for row in fresh.values]) < 0.02
 
 
 def test_the_stored_forest_is_sklearns_own(rng: np.random.Generator, tmp_path: Path) -> None:
-    from roemetry_shape.fitting import _forest
+    from roemetry_shape.learned_fit import _trees
 
     given = samples(rng)
-    fitted = fit_forest(given, good="", smoothing_rows=15)
+    fitted = fit_classifier(given, good="", smoothing_mm=3.0)
     (tmp_path / "m.json").write_text(fitted.content, encoding="utf-8")
-    model = LearnedModel.load(tmp_path / "m.json")
-    forest = _forest().fit(given.values, np.array(given.labels))
+    model = load_model(tmp_path / "m.json")
+    forest = _trees().fit(given.values, np.array(given.labels))
     ours = np.stack([model.probabilities(row) for row in given.values])
-    theirs = sharpened(forest.predict_proba(given.values), model.sharpness)
+    theirs = temperature_scale(forest.predict_proba(given.values), model.temperature)
     # Thresholds are stored to 1e-5: a sample on an edge may fall to the other side.
     assert np.quantile(np.abs(ours - theirs), 0.99) < 1e-3
 
@@ -125,22 +132,23 @@ def test_groups_keep_twins_from_judging_each_other(rng: np.random.Generator) -> 
     ids = tuple(str(n) for n in range(400))
     groups = tuple(str(n // 10) for n in range(400))
     names = ("a", "b", "c", "d")
-    by_product = fit_forest(Samples(ids, groups, names, values, labels), good="good", smoothing_rows=0)
-    by_line = fit_forest(Samples(ids, ids, names, values, labels), good="good", smoothing_rows=0)
+    by_product = fit_classifier(Samples(ids, groups, names, values, labels), good="good", smoothing_mm=0.0)
+    by_line = fit_classifier(Samples(ids, ids, names, values, labels), good="good", smoothing_mm=0.0)
     assert by_product.figures["right_share"] < 0.75
     assert by_line.figures["right_share"] > 0.9
 
 
 def test_what_cannot_be_learned_from_is_named(rng: np.random.Generator) -> None:
     given = samples(rng)
-    with pytest.raises(DataError, match="one class only"):
-        fit_forest(replace(given, labels=("good",) * 240), good="good", smoothing_rows=0)
+    few = Samples(("p",) * 4, ("p",) * 4, given.features, given.values[:4], ("good",) * 4)
+    with pytest.raises(DataError, match=r"too few products of `good` \(4\)"):
+        fit_classifier(few, good="good", smoothing_mm=0.0)
     with pytest.raises(DataError, match=r"too few products of `lone` \(1\)"):
-        fit_forest(replace(given, labels=("lone", *given.labels[1:])), good="good", smoothing_rows=0)
+        fit_classifier(replace(given, labels=("lone", *given.labels[1:])), good="good", smoothing_mm=0.0)
     with pytest.raises(DataError, match="no product is labelled `fine`"):
-        fit_forest(given, good="fine", smoothing_rows=0)
+        fit_classifier(given, good="fine", smoothing_mm=0.0)
     with pytest.raises(DataError, match="no feature varies"):
-        fit_forest(replace(given, values=np.ones((240, 2))), good="good", smoothing_rows=0)
+        fit_classifier(replace(given, values=np.ones((240, 2))), good="good", smoothing_mm=0.0)
     with pytest.raises(StageError, match="does not learn"):
         ArcCurvature.fit(given)
 
@@ -151,15 +159,15 @@ def test_a_forest_in_a_file_is_the_forest_in_memory(rng: np.random.Generator) ->
     labels = tuple("abc"[k % 3] for k in range(90))
     values[:, 1] += [3.0 * (k % 3) for k in range(90)]
     names = tuple(str(k) for k in range(90))
-    fitted = fit_forest(Samples(names, names, tuple("wxyz"), values, labels), good="a", smoothing_rows=15)
+    fitted = fit_classifier(Samples(names, names, tuple("wxyz"), values, labels), good="a", smoothing_mm=3.0)
     lists = json.loads(fitted.content)["forest"]
-    forest = unpacked(lists)
-    again = packed(forest)
+    forest = unpack_forest(lists)
+    again = pack_forest(forest)
     assert {name: again[name] for name in again if name != "shares"} == {
         name: lists[name] for name in lists if name != "shares"
     }
     assert np.abs(np.array(again["shares"]) - np.array(lists["shares"])).max() <= 1
-    assert np.allclose(forest["shares"].sum(axis=1)[forest["feature"] < 0], 1.0)
+    assert np.allclose(forest.shares.sum(axis=1)[forest.feature < 0], 1.0)
 
 
 @pytest.mark.parametrize(
@@ -176,14 +184,14 @@ def test_a_forest_in_a_file_is_the_forest_in_memory(rng: np.random.Generator) ->
 def test_a_damaged_forest_is_refused_not_walked(damage: dict[str, object]) -> None:
     """A way back would be walked for ever, a way out would read what is no node."""
     sound = {"roots": [0], "feature": [0, -1, -1], "threshold": [1.0], "left": [1], "right": [2]}
-    assert unpacked({**sound, "shares": [[1000, 0], [0, 1000]]})["left"].tolist() == [1, -1, -1]
+    assert unpack_forest({**sound, "shares": [[1000, 0], [0, 1000]]}).left.tolist() == [1, -1, -1]
     with pytest.raises(ValueError, match=r".+"):
-        unpacked({**sound, "shares": [[1000, 0], [0, 1000]], **damage})
+        unpack_forest({**sound, "shares": [[1000, 0], [0, 1000]], **damage})
 
 
 def test_a_damaged_model_is_named(tmp_path: Path) -> None:
     path = tmp_path / "m.json"
-    for text in ("", "[]", "{}", json.dumps({"roemetry_classifier": 4, "features": []})):
+    for text in ("", "[]", "{}", json.dumps({"roemetry_classifier": 5, "features": []})):
         path.write_text(text, encoding="utf-8")
         with pytest.raises(StageError, match=r"m.json is no fitted classifier"):
             Learned(LearnedOptions(model=path)).classify(DOME)
@@ -230,4 +238,48 @@ def test_the_verb_learns_from_a_table(rng: np.random.Generator, tmp_path: Path) 
     done = CliRunner().invoke(app, words)
     assert done.exit_code == 0, done.output
     assert "balanced_accuracy" in done.stdout
-    assert LearnedModel.load(out).classes == ("bend", "dent", "good")
+    assert load_model(out).classes == ("bend", "dent", "good")
+
+
+def skeins(rng: np.random.Generator, count: int, **deformed: float) -> np.ndarray:
+    """Shape features of products alike; deformed ones deviate by so many of `GOOD_SPREAD`."""
+    z = rng.normal(0.0, 1.0, (count, len(GOOD_SPREAD)))
+    for name, off in deformed.items():
+        z[:, list(GOOD_SPREAD).index(name)] += off
+    return 2.0 + z * np.array(list(GOOD_SPREAD.values()))
+
+
+def fitted_on(tmp_path: Path, values: np.ndarray, labels: tuple[str, ...]) -> tuple[Learned, Fitted]:
+    ids = tuple(str(k) for k in range(len(values)))
+    fitted = Learned.fit(Samples(ids, ids, tuple(GOOD_SPREAD), values, labels), good="good")
+    (tmp_path / "m.json").write_text(fitted.content, encoding="utf-8")
+    return Learned(LearnedOptions(model=tmp_path / "m.json")), fitted
+
+
+def labels_of(learned: Learned, values: np.ndarray) -> list[str]:
+    return [learned.judge(dict(zip(GOOD_SPREAD, row.tolist(), strict=True))).label for row in values]
+
+
+def test_eight_good_ones_alone_tell_good_from_not(rng: np.random.Generator, tmp_path: Path) -> None:
+    learned, fitted = fitted_on(tmp_path, skeins(rng, 8), ("good",) * 8)
+    assert np.mean([label == "good" for label in labels_of(learned, skeins(rng, 400))]) > 0.95
+    assert set(labels_of(learned, skeins(rng, 100, cup_depth_mm=10.0))) == {"not-good"}
+    assert fitted.figures["good_kept_at_least"] == pytest.approx(0.05 ** (1 / 8))
+    assert "at least 69 % of good products are kept" in fitted.words[1]
+
+
+def test_one_named_defect_gives_its_name_to_those_like_it(rng: np.random.Generator, tmp_path: Path) -> None:
+    values = np.concatenate([skeins(rng, 8), skeins(rng, 1, cup_depth_mm=15.0), skeins(rng, 1, bow_mm=15.0)])
+    learned, _ = fitted_on(tmp_path, values, ("good",) * 8 + ("dent", "bend"))
+    for name, feature in (("dent", "cup_depth_mm"), ("bend", "bow_mm")):
+        said = labels_of(learned, skeins(rng, 100, **{feature: 12.0}))
+        assert said.count(name) > 90
+        assert "good" not in said
+    assert labels_of(learned, skeins(rng, 50, twist_deg=12.0)).count("not-good") > 45
+
+
+@pytest.mark.parametrize(("kept", "count", "least"), [(8, 8, 0.6877), (59, 59, 0.9505), (57, 60, 0.8765)])
+def test_what_is_promised_is_the_exact_binomial_bound(kept: int, count: int, least: float) -> None:
+    """Least share of which `kept` or more of `count` happen in one case of twenty."""
+    assert lower_bound(kept, count) == pytest.approx(least, abs=1e-3)
+    assert binom.sf(kept - 1, count, lower_bound(kept, count)) == pytest.approx(0.05, abs=1e-9)

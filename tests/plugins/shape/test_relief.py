@@ -16,8 +16,8 @@ from roemetry_report.relief import relief_panels
 from roemetry_shape.example_model import learned_options
 from roemetry_shape.features import shape_features, shape_of
 from roemetry_shape.fuzzy_rules import FuzzyRules, FuzzyRulesOptions
-from roemetry_shape.humps import humps_of
 from roemetry_shape.learned import Learned
+from roemetry_shape.regions import humps_of
 from roemetry_shape.sections import sections_of
 from roemetry_shape.shape_limits import ShapeLimits, ShapeLimitsOptions
 
@@ -77,7 +77,7 @@ def test_the_drawing_names_what_stands_out() -> None:
 
 
 def test_without_sections_there_is_nothing_to_draw() -> None:
-    assert shape_of(product_from(np.full((61, 240), np.nan)), 15).relief is None
+    assert shape_of(product_from(np.full((61, 240), np.nan)), 3.0).relief is None
 
 
 LIMITS = ShapeLimits(

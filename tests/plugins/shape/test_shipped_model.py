@@ -57,5 +57,5 @@ def test_what_is_no_skein_is_unknown(family: str) -> None:
     grade = learned.classify(product)
     assert grade.label == "unknown"
     assert [reason.code for reason in grade.reasons] == ["unlike-anything-learned"]
-    assert grade.features["strangeness"] > 1.0
+    assert grade.features["novelty"] > 1.0
     assert grade.reasons[0].text.split(" is ")[0] in grade.features

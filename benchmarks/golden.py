@@ -1,0 +1,115 @@
+"""Golden records: what every shipped recipe says today, so that moved code can be shown to say the same.
+
+``python -m benchmarks golden --write`` measures anew and writes ``tests/golden/RECIPE.json``; without
+``--write`` it compares and prints what differs. Write them anew only when numbers are meant to change, and
+look at the difference.
+
+Each recipe measures all its shipped images without Monte Carlo draws; those that state draws, their first
+image with `DRAWS` as well. Kept is the whole line of the record but hashes and versions: values, labels,
+grades, reasons. Nothing in it is a time or a path.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from collections.abc import Iterator
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from roemetry import Recipe
+from roemetry.measuring import measurements_of
+from roemetry.pipeline import Pipeline
+
+ROOT = Path(__file__).resolve().parents[1]
+GOLDEN = ROOT / "tests" / "golden"
+RECIPES = (
+    "bread_roll/recipe",
+    "egg/recipe",
+    "fish_fillet/recipe",
+    "herring_roe/by_words",
+    "herring_roe/recipe",
+    "herring_roe/with_outline",
+    "potato/recipe",
+    "weld_groove/recipe",
+)
+DRAWS = 4
+RELATIVE = 1e-7
+"""Largest relative difference: libraries of linear algebra differ by some 1e-12, a changed rule by far more."""
+ABSOLUTE = 1e-9
+"""For values that are zero but for rounding, in the value's own unit."""
+
+
+def main() -> None:
+    """Compare, or write."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--write", action="store_true", help="take what is measured now for right")
+    given = parser.parse_args()
+    different = 0
+    for name in RECIPES:
+        found = records(name)
+        if given.write:
+            GOLDEN.mkdir(exist_ok=True)
+            file_of(name).write_text(json.dumps(found, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+            continue
+        for line in differences(json.loads(file_of(name).read_text("utf-8")), found, name):
+            print(line)
+            different += 1
+    if different:
+        sys.exit(f"{different} values differ")
+
+
+def file_of(name: str) -> Path:
+    """Give the file that keeps a recipe's records."""
+    return GOLDEN / f"{name.replace('/', '-')}.json"
+
+
+def records(name: str) -> list[dict[str, Any]]:
+    """Measure a shipped recipe's images."""
+    path = ROOT / "recipes" / f"{name}.yaml"
+    recipe = Recipe.load(path, sets=["draws=0", "sinks=[]"])
+    found = list(_lines(recipe, None))
+    if Recipe.load(path).draws:
+        found += _lines(Recipe.load(path, sets=[f"draws={DRAWS}", "sinks=[]"]), 1)
+    return found
+
+
+def _lines(recipe: Recipe, count: int | None) -> Iterator[dict[str, Any]]:
+    source, pipeline = recipe.source.make(), Pipeline(recipe)
+    for reference in islice(source.references(recipe.source_path), count):
+        trace = pipeline.trace(source.read(reference))
+        for row in measurements_of(trace, recipe, {}):
+            line = json.loads(row.to_json())
+            line["draws"] = recipe.draws
+            yield line
+
+
+def differences(expected: Any, found: Any, where: str) -> Iterator[str]:
+    """Say where two records differ."""
+    if isinstance(expected, dict) and isinstance(found, dict):
+        for key in sorted(expected.keys() | found.keys()):
+            if key not in expected or key not in found:
+                yield f"{where}.{key}: only {'found' if key in found else 'expected'}"
+            else:
+                yield from differences(expected[key], found[key], f"{where}.{key}")
+    elif isinstance(expected, list) and isinstance(found, list):
+        if len(expected) != len(found):
+            yield f"{where}: {len(found)} entries, expected {len(expected)}"
+        for k, (a, b) in enumerate(zip(expected, found, strict=False)):
+            yield from differences(a, b, f"{where}[{k}]")
+    elif _number(expected) and _number(found):
+        if not math.isclose(expected, found, rel_tol=RELATIVE, abs_tol=ABSOLUTE):
+            yield f"{where}: {found!r}, expected {expected!r}"
+    elif expected != found:
+        yield f"{where}: {found!r}, expected {expected!r}"
+
+
+def _number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,125 @@
+"""Rigs that another renderer made, taken from files to grades as a user would, against their truth.
+
+``python -m benchmarks outside [FOLDER ...] [--draws 50] [--rigs D E] [--jobs 1] [--extractors NAMES]
+[--chains NAMES] [--out FOLDER]``
+
+A folder is a rig folder (with a ``truth.json``) or a folder of rig folders; left out: the one that
+``ROEMETRY_RENDERED_DATA`` names, else ``../shared/rendered``. Each rig is copied into a temporary folder, the
+shipped classifier beside it, and then: ``boards.yaml`` and ``block_rig.yaml`` are calibrated, the bodies are
+measured by ``with_outline.yaml``, by ``laser_outline.yaml``, by the former without any outline, and by
+``recipes/herring_roe/recipe.yaml`` on the block's calibration. Where the boards' calibration is refused, the
+recipes get one made from the truth, and the table says so.
+
+What the words of the table mean:
+
+**Crossing**: a row of the image, a stripe, and the exact column where that stripe's plane meets a
+surface that is lit and seen. Scored are those whose neighbours in the row above and below lie on the
+same surface (an edge pixel has truth and hardly any light) and that are 3 px from the image's left and
+right border.
+
+**Peaks**: *found* is a scored crossing with a peak within 2 px, *missed* one without; *false* is a peak
+with no crossing, scored or not, within 3 px of its row. Errors are against the geometric centre: light
+that scatters in tissue moves the real peak, which is counted as error. *stated/observed* is the root
+mean square of the stated standard uncertainties over that of the errors.
+
+**Labels**: of the scored crossings on a body that have a peak within 3 px, *right* are those whose peak
+carries their number; *refused* those whose peak carries none; *wrong* those whose peak carries another
+and has no crossing of the stripe it names nearer than all others (two stripes that share one peak are
+`shared` in the JSON). Other solutions of a row (``extra_*``) can be what a peak shows, but are not
+scored.
+
+**Calibration**: heights of exact crossings of levels over the calibrated range and all the image, lifted
+by the calibration, minus the level. *real/stated* is the root mean square of error over stated
+uncertainty.
+
+**Volume**: *visible* is against ``topview_volume_mm3``, *true* against ``volume_mm3`` (not used where
+the mesh is not watertight); a body in several parts counts by its largest. **Grade**: right is the
+body's kind, and `unknown` for a body that is no skein; `unknown` for a skein is counted apart.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import shutil
+import tempfile
+import time
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import Any
+
+from benchmarks.outside.reading import RigError, read_rig, rig_folders
+from benchmarks.outside.scoring import CHAINS, score_rig
+from benchmarks.outside.table import tables
+
+ROOT = Path(__file__).resolve().parents[2]
+VARIABLE = "ROEMETRY_RENDERED_DATA"
+CLASSIFIER = ROOT / "recipes" / "herring_roe" / "classifier.json"
+
+
+def main() -> None:
+    """Score every rig, print the table, and write it with its numbers."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("folders", type=Path, nargs="*", metavar="FOLDER")
+    parser.add_argument("--draws", type=int, default=50)
+    parser.add_argument("--rigs", nargs="+", help="only the rig folders of these names")
+    parser.add_argument("--jobs", type=int, default=1, help="rigs at a time")
+    parser.add_argument("--extractors", nargs="*", default=["maximum-likelihood", "gaussian"])
+    parser.add_argument("--chains", nargs="+", default=list(CHAINS), choices=CHAINS)
+    parser.add_argument("--out", type=Path, help="folder for outside.json and outside.md")
+    given = parser.parse_args()
+    default = Path(os.environ.get(VARIABLE, ROOT.parent / "shared" / "rendered"))
+    folders = rig_folders(given.folders or [default])
+    if given.rigs:
+        folders = [folder for folder in folders if folder.resolve().name in given.rigs]
+    if not folders:
+        raise SystemExit(f"no rig folder in {', '.join(map(str, given.folders or [default]))}")
+    jobs = [(folder, given.draws, given.extractors, given.chains) for folder in folders]
+    begin = time.monotonic()
+    if given.jobs > 1:
+        with ProcessPoolExecutor(given.jobs) as pool:
+            results = list(pool.map(_scored, jobs))
+    else:
+        results = [_scored(job) for job in jobs]
+    text = page(results, given.draws)
+    print(text)
+    print(f"{time.monotonic() - begin:.0f} s")
+    if given.out:
+        given.out.mkdir(parents=True, exist_ok=True)
+        content = {"draws": given.draws, "rigs": _plain(results)}
+        (given.out / "outside.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+        (given.out / "outside.md").write_text(f"# Rendered rigs\n\n{text}", encoding="utf-8")
+
+
+def page(results: list[dict[str, Any]], draws: int) -> str:
+    """Write the tables as Markdown."""
+    head = f"`python -m benchmarks outside --draws {draws}`; what the words mean stands at the top of it."
+    return "\n".join([head, "", *(str(table) for table in tables(results))])
+
+
+def _scored(job: tuple[Path, int, list[str], list[str]]) -> dict[str, Any]:
+    folder, draws, extractors, chains = job
+    try:
+        rig = read_rig(folder)
+        with tempfile.TemporaryDirectory(prefix="roemetry-outside-") as made:
+            copy = Path(made) / "rig"
+            shutil.copytree(
+                folder, copy, ignore=shutil.ignore_patterns("truth", "results", "calibration.yaml")
+            )
+            for path in (copy, *copy.rglob("*")):
+                path.chmod(path.stat().st_mode | 0o200)  # the originals may be read-only
+            shutil.copy(CLASSIFIER, Path(made) / "classifier.json")
+            return score_rig(rig, copy, draws, extractors, chains)
+    except (RigError, OSError) as fault:
+        return {"rig": folder.name, "fault": str(fault)}
+
+
+def _plain(value: Any) -> Any:
+    """Give numbers that are none as null: JSON has no NaN."""
+    if isinstance(value, dict):
+        return {key: _plain(one) for key, one in value.items()}
+    if isinstance(value, list):
+        return [_plain(one) for one in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,350 @@
+"""Scores of one rig: its calibration, its peaks, and every body by every recipe, as plain numbers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from benchmarks.outside.reading import (
+    NO_SKEIN,
+    Body,
+    Crossings,
+    RenderedRig,
+    RigError,
+    camera_and_planes,
+    read_crossings,
+    true_calibration,
+)
+from roemetry import Calibration, Recipe, Rig, RoemetryError, calibrate
+from roemetry.arrays import Floats
+from roemetry.compare.points import nearest
+from roemetry.measuring import measurements_of
+from roemetry.pipeline import Pipeline, frame_of
+from roemetry.records import AMBIGUOUS, Acquisition, Estimate, Measurement, Peaks, Trace
+from roemetry.registry import discover
+
+HIT_PX = 2.0
+HEIGHTS_MM = 9
+"""Levels over the calibrated range at which heights are compared."""
+
+PAPER = Path(__file__).resolve().parents[2] / "recipes" / "herring_roe" / "recipe.yaml"
+CHAINS = ("plain outline", "laser outline", "no outline", "paper")
+
+Row = dict[str, Any]
+
+
+def calibrated(rig: RenderedRig, folder: Path, file: str) -> tuple[Calibration | None, Row]:
+    """Calibrate as a user would, and compare with the truth; None with the reason where it is refused."""
+    try:
+        found = calibrate(Rig.load(folder / file))
+    except RoemetryError as error:
+        return None, {"refused": _sentence(error)}
+    found.save(folder / f"{Path(file).stem}_calibration.yaml")
+    return found, heights(found, rig)
+
+
+def heights(calibration: Calibration, rig: RenderedRig) -> Row:
+    """Compare heights of exact crossings, over the image and the calibrated range, with the truth."""
+    triangulator = discover().find("triangulator", calibration.method)
+    stage = discover().load(triangulator)()
+    true = camera_and_planes(rig.truth)
+    if stage.view(calibration) is None:
+        return {"refused": "the calibration has no camera to lift points with"}
+    rows, columns = true.image_size
+    low, high = calibration.height_range_mm
+    xy, stripe, truth = [], [], []
+    for level in np.linspace(low, high, HEIGHTS_MM):
+        y = np.linspace(-250.0, 250.0, 201)
+        for number, (nx, ny, nz, d) in enumerate(true.planes):
+            point = np.column_stack([(d - ny * y - nz * level) / nx, y, np.full(y.size, level)])
+            at = true.project(point)
+            # the lens model folds back far outside the image: only points whose ray comes home count
+            home = np.abs(true.lift(at, np.full(y.size, number)) - point).max(axis=1) < 1e-3
+            inside = home & (at > 0).all(axis=1) & (at[:, 0] < columns - 1) & (at[:, 1] < rows - 1)
+            xy.append(at[inside])
+            stripe.append(np.full(int(inside.sum()), number))
+            truth.append(np.full(int(inside.sum()), level))
+    places, numbers, expected = np.concatenate(xy), np.concatenate(stripe), np.concatenate(truth)
+    off = stage.view(calibration).lift(places, numbers)[:, 2] - expected
+    draws = calibration.redraws(np.random.default_rng(7))
+    std = np.std(
+        [stage.view(one).lift(places, numbers)[:, 2] for _, one in zip(range(60), draws, strict=False)],
+        axis=0,
+    )
+    usual = expected <= 0.5 * (low + high)
+    return {
+        "range_mm": [low, high],
+        "rms_mm": _rms(off),
+        "rms_lower_half_mm": _rms(off[usual]),
+        "max_mm": float(np.abs(off).max()),
+        "stated_mm": _rms(std) if (std > 0).any() else math.nan,
+        "real_over_stated": _rms(off[std > 0] / std[std > 0]),
+    }
+
+
+def peaks(found: Peaks, true: Crossings) -> Row:
+    """Compare one image's peaks with the truth; sums add up over images."""
+    at = nearest(true.row, true.x_px, found.row, found.x_px)
+    off = np.where(at >= 0, found.x_px[at] - true.x_px, np.nan)
+    hit = true.sure & (np.abs(off) <= HIT_PX)
+    of = nearest(found.row, found.x_px, true.row, true.x_px)
+    row: Row = {"crossings": int(true.sure.sum()), "false": int((of < 0).sum())}
+    for name, where in (("body", hit & true.on_body), ("belt", hit & ~true.on_body)):
+        std = found.x_std_px[at[where]]
+        has = np.isfinite(std) & (std > 0)
+        row |= {
+            f"{name}_found": int(where.sum()),
+            f"{name}_missed": int((true.sure & (true.on_body == (name == "body"))).sum() - where.sum()),
+            f"{name}_sum_px": float(off[where].sum()),
+            f"{name}_square_px2": float((off[where] ** 2).sum()),
+            f"{name}_stated": int(has.sum()),
+            f"{name}_stated_square_px2": float((std[has] ** 2).sum()),
+            f"{name}_observed_square_px2": float((off[where][has] ** 2).sum()),
+        }
+    return row
+
+
+def labels(trace: Trace, true: Crossings) -> Row:
+    """Compare one image's labels with the truth: visible points of the body, see the definitions."""
+    visible = true.on_body & true.sure
+    row: Row = {"visible": int(visible.sum()), "unseen": 0, "right": 0, "wrong": 0, "refused": 0}
+    if trace.peaks is None:
+        return row | {"unseen": row["visible"]}
+    found = trace.peaks
+    at = nearest(true.row, true.x_px, found.row, found.x_px)
+    seen = visible & (at >= 0)
+    row["unseen"] = int((visible & (at < 0)).sum())
+    if trace.stripes is None:
+        return row | {"refused": int(seen.sum())}
+    said = trace.stripes.peak_stripe.astype(np.int64)
+    of = nearest(found.row, found.x_px, true.row, true.x_px)
+    # A peak is wrong only when the nearest crossing to the peak, too, is another stripe's.
+    right = seen & (said[at] == true.stripe)
+    given = np.where(said >= 0, said, -1)
+    meant = of[at]
+    wrong = seen & ~right & (given[at] >= 0) & (true.stripe[meant] != given[at])
+    known = of >= 0
+    all_wrong = known & (given >= 0) & (true.stripe[of] != given)
+    heights_off = _heights_off(trace, true, right)
+    return row | {
+        "right": int(right.sum()),
+        "wrong": int(wrong.sum()),
+        "refused": int((seen & (given[at] < 0)).sum()),
+        "shared": int((seen & ~right & ~wrong & (given[at] >= 0)).sum()),
+        "ambiguous": int((seen & (said[at] == AMBIGUOUS)).sum()),
+        "labelled_all": int((known & (given >= 0)).sum()),
+        "wrong_all": int(all_wrong.sum()),
+        "invented": int((~known & (given >= 0)).sum()),
+        "heights": int(heights_off.size),
+        "heights_sum_mm": float(heights_off.sum()),
+        "heights_square_mm2": float((heights_off**2).sum()),
+    }
+
+
+def _heights_off(trace: Trace, true: Crossings, right: Any) -> Floats:
+    """Give the height errors of the points whose label is right, mm."""
+    if trace.profiles is None:
+        return np.empty(0)
+    z = trace.profiles.xyz_mm[true.stripe[right], true.row[right], 2] - true.z_mm[right]
+    near = trace.profiles.x_px[true.stripe[right], true.row[right]] - true.x_px[right]
+    return np.asarray(z[np.isfinite(z) & (np.abs(near) <= HIT_PX)])
+
+
+def body_row(body: Body, trace: Trace, rows: Sequence[Measurement], true: Crossings) -> Row:
+    """Score what one recipe said of one body."""
+    row: Row = {"labels": labels(trace, true), "products": sum(one.product > 0 for one in rows)}
+    chosen = _largest(trace, rows)
+    row["reasons"] = [reason.text for reason in chosen.reasons]
+    if chosen.volume is None:
+        why = chosen.absent.get("volume") or next(iter(chosen.absent.values()), None)
+        row["refused"] = why.text if why else (row["reasons"] or ["no product"])[0]
+    else:
+        row["visible"] = _against(chosen.volume.visible_mm3, body.topview_mm3)
+        if chosen.volume.true_mm3 is not None and body.grade != NO_SKEIN:  # the share is a skein's
+            row["true"] = _against(chosen.volume.true_mm3, body.volume_mm3)
+    row["grade"] = {
+        "true": body.grade,
+        "said": None if chosen.grade is None else chosen.grade.label,
+        "probability": math.nan if chosen.grade is None else chosen.grade.probability,
+    }
+    return row
+
+
+def _largest(trace: Trace, rows: Sequence[Measurement]) -> Measurement:
+    """Give the row of the product with most points: a body that was split shows its larger part."""
+    if trace.stripes is None or len(rows) == 1:
+        return rows[0]
+    sizes = {one.product: int((trace.stripes.product == one.product).sum()) for one in rows}
+    return max(rows, key=lambda one: sizes[one.product])
+
+
+def _against(found: Estimate, truth: float) -> Row:
+    low, high = found.interval
+    stated = math.isfinite(low) and math.isfinite(high) and math.isfinite(truth)
+    return {
+        "error": found.value / truth - 1.0,
+        "holds": bool(low <= truth <= high) if stated else None,
+        "width": (high - low) / truth if stated else math.nan,
+    }
+
+
+def recipes_of(
+    rig: RenderedRig, folder: Path, boards: Calibration | None, block: Calibration | None, draws: int
+) -> dict[str, Recipe | str]:
+    """Give the recipe of each chain, or the sentence why there is none."""
+    if boards is None:
+        true_calibration(rig.truth, _tallest_mm(rig)).save(folder / "calibration.yaml")
+    else:
+        boards.save(folder / "calibration.yaml")
+    files = {"plain outline": "with_outline.yaml", "laser outline": "laser_outline.yaml"}
+    files["no outline"] = "with_outline.yaml"
+    made: dict[str, Recipe | str] = {}
+    for chain in CHAINS:
+        try:
+            if chain == "paper":
+                if block is None:
+                    made[chain] = "no calibration by the block"
+                    continue
+                data = yaml.safe_load(PAPER.read_text("utf-8"))
+                data["source"] = {"path": "images"}
+                data["calibration"] = "block_rig_calibration.yaml"
+            else:
+                path = folder / files[chain]
+                if not path.is_file():
+                    made[chain] = f"{path.name}: missing"
+                    continue
+                data = yaml.safe_load(path.read_text("utf-8"))
+                data["draws"] = draws
+                if chain == "no outline":
+                    data["source"].get("options", {}).pop("plain", None)
+                    data["stages"].pop("outliner", None)
+                    data["stages"]["volume"] = {"use": "slice-spline"}  # no true volume
+            data["sinks"] = []
+            made[chain] = Recipe.of(data, folder=folder)
+        except RoemetryError as error:
+            made[chain] = _sentence(error)
+        except (OSError, yaml.YAMLError, AttributeError, KeyError, TypeError) as error:
+            made[chain] = f"{chain}: the recipe cannot be read: {error}".replace("\n", " ")
+    return made
+
+
+def score_rig(
+    rig: RenderedRig, folder: Path, draws: int, extractors: Sequence[str], chains: Sequence[str]
+) -> Row:
+    """Take one rig through everything.
+
+    Parameters
+    ----------
+    rig
+        Its truth.
+    folder
+        A copy of the rig's folder that may be written into.
+    draws
+        Monte Carlo draws of the recipes with an outline.
+    extractors
+        Extractors to compare on every body's image.
+    chains
+        Which of `CHAINS` to run.
+    """
+    faults = list(rig.faults)
+    boards, by_boards = calibrated(rig, folder, "boards.yaml")
+    block, by_block = calibrated(rig, folder, "block_rig.yaml") if "paper" in chains else (None, {})
+    result: Row = {
+        "rig": rig.name,
+        "calibration": {"boards": by_boards, "block": by_block},
+        "labels_by_true_calibration": boards is None,
+        "peaks": {},
+        "chains": {},
+        "faults": faults,
+    }
+    recipes = recipes_of(rig, folder, boards, block, draws)
+    truths: dict[str, Crossings] = {}
+    for body in rig.bodies:
+        try:
+            truths[body.name] = read_crossings(rig.folder / body.truth, rig.image_size)
+        except RigError as fault:
+            faults.append(f"{body.name}: {fault}; the body is left out")
+    usual = next((one for one in recipes.values() if isinstance(one, Recipe)), None)
+    if usual is not None:
+        for name in extractors:
+            result["peaks"][name] = _peaks_by(name, usual, truths, faults)
+    for chain in chains:
+        recipe = recipes[chain]
+        if isinstance(recipe, str):
+            result["chains"][chain] = {"refused": recipe}
+            continue
+        result["chains"][chain] = {"bodies": _bodies_by(recipe, rig, truths, faults, chain)}
+    return result
+
+
+def _bodies_by(
+    recipe: Recipe, rig: RenderedRig, truths: Mapping[str, Crossings], faults: list[str], chain: str
+) -> dict[str, Row]:
+    pipeline, found = Pipeline(recipe), {}
+    bodies = {body.name: body for body in rig.bodies if body.name in truths}
+    for name, acquisition in _acquisitions(recipe, set(bodies), faults, chain):
+        trace = pipeline.trace(acquisition)
+        rows = measurements_of(trace, recipe, recipe.hashes)
+        found[name] = body_row(bodies[name], trace, rows, truths[name])
+    return found
+
+
+def _peaks_by(name: str, recipe: Recipe, truths: Mapping[str, Crossings], faults: list[str]) -> Row:
+    total: Row = {}
+    try:
+        stage = discover().load(discover().find("extractor", name))()
+    except RoemetryError as error:
+        return {"refused": _sentence(error)}
+    for body, acquisition in _acquisitions(recipe, set(truths), faults, name):
+        try:
+            one = peaks(stage.extract(frame_of(recipe, acquisition)), truths[body])
+        except RoemetryError as error:
+            faults.append(f"{body}, {name}: {_sentence(error)}")
+            continue
+        total = {key: total.get(key, 0) + value for key, value in one.items()}
+    for where in ("body", "belt"):
+        count = total.get(f"{where}_found", 0)
+        stated, has = total.get(f"{where}_stated_square_px2", 0.0), total.get(f"{where}_stated", 0)
+        if count:
+            total[f"{where}_rms_px"] = math.sqrt(total[f"{where}_square_px2"] / count)
+            total[f"{where}_mean_px"] = total[f"{where}_sum_px"] / count
+        if has:
+            total[f"{where}_stated_over_observed"] = math.sqrt(stated / total[f"{where}_observed_square_px2"])
+    return total
+
+
+def _acquisitions(
+    recipe: Recipe, names: set[str], faults: list[str], what: str
+) -> list[tuple[str, Acquisition]]:
+    """Read the images of the bodies; what cannot be read is a fault, and the rest goes on."""
+    source, read = recipe.source.make(), []
+    try:
+        references = source.references(recipe.source_path)
+    except RoemetryError as error:
+        faults.append(f"{what}: {_sentence(error)}")
+        return []
+    for reference in references:
+        if reference.id in names:
+            try:
+                read.append((reference.id, source.read(reference)))
+            except RoemetryError as error:
+                faults.append(f"{reference.id}, {what}: {_sentence(error)}")
+    return read
+
+
+def _tallest_mm(rig: RenderedRig) -> float:
+    heights_mm = [float(one.get("max_height_mm", 0.0)) for one in rig.truth["objects"].values()]
+    return max(40.0, *heights_mm)
+
+
+def _sentence(error: RoemetryError) -> str:
+    return " ".join(error.message.split())
+
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(values**2))) if values.size else math.nan

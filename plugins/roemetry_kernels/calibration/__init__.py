@@ -1,1 +1,0 @@
-"""Rays, lenses and the normal equations of an adjustment."""

@@ -1,0 +1,267 @@
+"""Closed triangle meshes on the belt: checks, exact volume, height map, files.
+
+A body is a closed mesh in the belt frame (mm, z up, lowest point at z = 0). Its true volume is that of the
+divergence theorem; its visible volume, all that lies under its top surface down to the belt, is summed over a
+grid of vertical rays 0.1 mm apart (for a body of 25 mm the sum is right to about 0.01 %: the error of a
+midpoint rule at an edge of random phase).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roemetry.errors import DataError
+from roemetry_kernels.compiling import kernel
+
+Floats = NDArray[np.float64]
+Faces = NDArray[np.int64]
+
+RASTER_MM = 0.1
+"""Pitch of the height map; a quarter of the smallest detail a family makes."""
+
+_FILES = (".obj", ".ply", ".stl")
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """A closed mesh.
+
+    Attributes
+    ----------
+    points_mm
+        Corners, belt frame, shape (V, 3).
+    faces
+        Indices of corners, counter-clockwise from outside, shape (F, 3).
+    smooth
+        Whether light sees interpolated normals (curved bodies) or the faces' own (blocks).
+    """
+
+    points_mm: Floats
+    faces: Faces
+    smooth: bool = True
+
+    @property
+    def corners_mm(self) -> Floats:
+        """Corners of each face, shape (F, 3, 3)."""
+        return self.points_mm[self.faces]
+
+    @property
+    def normals(self) -> Floats:
+        """Unit normals at the corners, weighted by the areas of their faces, shape (V, 3)."""
+        return normals_of(self.points_mm, self.faces)
+
+    @property
+    def extent_mm(self) -> tuple[float, float, float, float]:
+        """Smallest and largest X, smallest and largest Y."""
+        low, high = self.points_mm.min(axis=0), self.points_mm.max(axis=0)
+        return float(low[0]), float(high[0]), float(low[1]), float(high[1])
+
+    @property
+    def height_mm(self) -> float:
+        """Largest Z."""
+        return float(self.points_mm[:, 2].max())
+
+    @cached_property
+    def true_mm3(self) -> float:
+        """Volume within the mesh."""
+        a, b, c = np.moveaxis(self.corners_mm, 1, 0)
+        return float(np.einsum("ti,ti->", a, np.cross(b, c)) / 6.0)
+
+    @cached_property
+    def heights(self) -> HeightMap:
+        """Highest Z over the belt."""
+        x_min, x_max, y_min, y_max = self.extent_mm
+        columns = max(math.ceil((x_max - x_min) / RASTER_MM), 1)
+        rows = max(math.ceil((y_max - y_min) / RASTER_MM), 1)
+        # a whole number of cells over the extent: the sum over a block that lies straight is exact
+        step = (x_max - x_min) / columns, (y_max - y_min) / rows
+        top = np.full((rows, columns), -1.0)
+        _raise(top, np.ascontiguousarray(self.corners_mm), x_min, y_min, *step)
+        top[top < 0.0] = np.nan
+        return HeightMap(top, (x_min, y_min), step)
+
+    @property
+    def visible_mm3(self) -> float:
+        """Volume under the top surface down to the belt."""
+        return float(np.nansum(self.heights.top_mm)) * math.prod(self.heights.step_mm)
+
+    @property
+    def footprint_mm2(self) -> float:
+        """Area that the body hides from above."""
+        return float(np.isfinite(self.heights.top_mm).sum()) * math.prod(self.heights.step_mm)
+
+    def moved(self, x_mm: float, y_mm: float, yaw_deg: float = 0.0) -> Body:
+        """Give the body turned about its own origin, then moved."""
+        c, s = math.cos(math.radians(yaw_deg)), math.sin(math.radians(yaw_deg))
+        turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        return replace(self, points_mm=self.points_mm @ turn.T + np.array([x_mm, y_mm, 0.0]))
+
+
+@dataclass(frozen=True, eq=False)
+class HeightMap:
+    """Highest Z at cells' middles, NaN beside the body; cell (0, 0) begins at `start_mm`, (X, Y)."""
+
+    top_mm: Floats
+    start_mm: tuple[float, float]
+    step_mm: tuple[float, float]
+
+    def at(self, x_mm: Floats, y_mm: Floats) -> Floats:
+        """Give the height of the cell that each place lies in, NaN beside the body."""
+        i = np.floor((x_mm - self.start_mm[0]) / self.step_mm[0]).astype(np.int64)
+        j = np.floor((y_mm - self.start_mm[1]) / self.step_mm[1]).astype(np.int64)
+        rows, columns = self.top_mm.shape
+        inside = (i >= 0) & (i < columns) & (j >= 0) & (j < rows)
+        found = np.full(np.shape(x_mm), np.nan)
+        found[inside] = self.top_mm[j[inside], i[inside]]
+        return found
+
+
+def normals_of(points_mm: Floats, faces: Faces) -> Floats:
+    """Give unit normals at corners, weighted by the areas of their faces, outwards where faces are."""
+    a, b, c = np.moveaxis(points_mm[faces], 1, 0)
+    across = np.cross(b - a, c - a)
+    summed = np.zeros_like(points_mm)
+    for corner in range(3):
+        for axis in range(3):
+            summed[:, axis] += np.bincount(faces[:, corner], across[:, axis], len(points_mm))
+    unit: Floats = summed / np.maximum(np.linalg.norm(summed, axis=1, keepdims=True), 1e-300)
+    return unit
+
+
+def settled(points_mm: Floats, faces: Faces, smooth: bool = True) -> Body:
+    """Give a body whose lowest point touches the belt, the middle of its bounds over the origin."""
+    low, high = points_mm.min(axis=0), points_mm.max(axis=0)
+    middle = np.array([0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), low[2]])
+    body = Body(points_mm - middle, faces, smooth)
+    return body if body.true_mm3 > 0.0 else replace(body, faces=np.ascontiguousarray(faces[:, ::-1]))
+
+
+def check_closed(points_mm: Floats, faces: Faces, name: str) -> None:
+    """Raise DataError for a mesh with open edges, with turned faces, or without a volume."""
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    way = np.where(edges[:, 0] < edges[:, 1], 1, -1)
+    _, which, counts = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True, return_counts=True)
+    gaps = int((counts % 2).sum())
+    if gaps:
+        raise DataError(
+            f"{name}: the mesh is not watertight: {gaps} of {len(counts)} edges are open",
+            hint="close its holes first; the volume of an open mesh is not defined",
+        )
+    if np.bincount(which.reshape(-1), weights=way).any():
+        raise DataError(
+            f"{name}: neighbouring faces of the mesh are turned against each other",
+            hint="make the order of the faces' corners agree, so that all look outwards",
+        )
+    extent = np.ptp(points_mm, axis=0)
+    a, b, c = np.moveaxis(points_mm[faces], 1, 0)
+    if abs(np.einsum("ti,ti->", a, np.cross(b, c)) / 6.0) <= 1e-9 * float(np.prod(extent)):
+        raise DataError(f"{name}: the mesh encloses no volume")
+
+
+def read_body(path: Path, mm_per_unit: float, up: str) -> Body:
+    """Read a mesh file by Mitsuba (STL: here) and lay it on the belt.
+
+    Raises
+    ------
+    DataError
+        The file is missing, not a mesh, or not watertight; with the file's name.
+    """
+    if path.suffix.lower() not in _FILES:
+        raise DataError(f"{path}: a mesh file ends in {', '.join(_FILES)}, not `{path.suffix}`")
+    if not path.is_file():
+        raise DataError(f"{path}: there is no such mesh file")
+    try:
+        points = _stl(path) if path.suffix.lower() == ".stl" else _by_mitsuba(path)
+    except (RuntimeError, ValueError) as error:
+        said = str(error).strip().splitlines()[-1] if str(error).strip() else type(error).__name__
+        raise DataError(f"{path}: not a mesh that can be read: {said}") from error
+    if not len(points):
+        raise DataError(f"{path}: the mesh has no faces")
+    if not np.isfinite(points).all():
+        raise DataError(f"{path}: the mesh has corners that are NaN or infinite")
+    merged, which = np.unique(points, axis=0, return_inverse=True)
+    faces = which.reshape(-1, 3)
+    a, b, c = faces.T
+    faces = faces[(a != b) & (b != c) & (c != a)]
+    check_closed(merged, faces, str(path))
+    size = mm_per_unit * merged @ _upright(up).T
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    return settled(size, faces, _is_smooth(size, faces, edges))
+
+
+def _by_mitsuba(path: Path) -> Floats:
+    """Corners of all faces, shape (3 F, 3), of a PLY or OBJ file."""
+    from roemetry_mitsuba.light import mitsuba
+
+    mi = mitsuba()
+    mesh = mi.load_dict({"type": path.suffix[1:].lower(), "filename": str(path), "face_normals": True})
+    told = mi.traverse(mesh)
+    points = np.array(told["vertex_positions"], dtype=np.float64).reshape(-1, 3)
+    faces = np.array(told["faces"], dtype=np.int64).reshape(-1, 3)
+    if faces.size and faces.max() >= len(points):
+        raise ValueError(f"a face names a point that is not there ({len(points)} points)")
+    corners: Floats = points[faces].reshape(-1, 3)
+    return corners
+
+
+def _stl(path: Path) -> Floats:
+    """Corners of all faces, shape (3 F, 3), of an STL file."""
+    data = path.read_bytes()
+    count = int.from_bytes(data[80:84], "little")
+    if len(data) == 84 + 50 * count and len(data) > 84:
+        row = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+        corners = np.frombuffer(data, row, count, 84)["corners"].astype(np.float64)
+        return corners.reshape(-1, 3)
+    words = data.decode("ascii", errors="replace").split()
+    at = [k for k, word in enumerate(words) if word == "vertex"]
+    if words[:1] != ["solid"] or len(at) % 3:
+        raise ValueError("neither a binary nor a text STL file")
+    return np.array([words[k + 1 : k + 4] for k in at], dtype=np.float64).reshape(-1, 3)
+
+
+def _upright(up: str) -> Floats:
+    """Give a rotation that turns an axis (x, -y, …) to +z."""
+    order = {"x": [1, 2, 0], "y": [2, 0, 1], "z": [0, 1, 2]}[up[-1]]
+    turn = np.eye(3)[order]
+    return np.diag([1.0, -1.0, -1.0]) @ turn if up[0] == "-" else turn
+
+
+def _is_smooth(points: Floats, faces: Faces, edges: Faces) -> bool:
+    """Whether neighbouring faces mostly meet at less than 30 degrees: the mesh stands for a curved body."""
+    a, b, c = np.moveaxis(points[faces], 1, 0)
+    normals = np.cross(b - a, c - a)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    owner = np.tile(np.arange(len(faces)), 3)
+    order = np.lexsort(np.sort(edges, axis=1).T)
+    pairs = owner[order][: 2 * (len(order) // 2)].reshape(-1, 2)
+    cosine = np.einsum("ti,ti->t", normals[pairs[:, 0]], normals[pairs[:, 1]])
+    return float((cosine < math.cos(math.radians(30.0))).mean()) < 0.02
+
+
+@kernel
+def _raise(top: Floats, corners: Floats, x0: float, y0: float, step_x: float, step_y: float) -> None:
+    """Raise each cell of a grid to the highest face over its middle."""
+    rows, columns = top.shape
+    for k in range(corners.shape[0]):
+        a, b, c = corners[k, 0], corners[k, 1], corners[k, 2]
+        turn = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+        if turn <= 0.0:  # looks down or edge on: another face lies above it
+            continue
+        i0 = max(math.ceil((min(a[0], b[0], c[0]) - x0) / step_x - 0.5), 0)
+        i1 = min(math.floor((max(a[0], b[0], c[0]) - x0) / step_x - 0.5), columns - 1)
+        j0 = max(math.ceil((min(a[1], b[1], c[1]) - y0) / step_y - 0.5), 0)
+        j1 = min(math.floor((max(a[1], b[1], c[1]) - y0) / step_y - 0.5), rows - 1)
+        for j in range(j0, j1 + 1):
+            y = y0 + (j + 0.5) * step_y - a[1]
+            for i in range(i0, i1 + 1):
+                x = x0 + (i + 0.5) * step_x - a[0]
+                u = (x * (c[1] - a[1]) - y * (c[0] - a[0])) / turn
+                v = (y * (b[0] - a[0]) - x * (b[1] - a[1])) / turn
+                if u >= -1e-12 and v >= -1e-12 and u + v <= 1.0 + 1e-12:
+                    top[j, i] = max(top[j, i], a[2] + u * (b[2] - a[2]) + v * (c[2] - a[2]))

@@ -1,0 +1,404 @@
+"""Boards in images: their marks, and which views can be used.
+
+Marks of a board in an image: inner corners of squares, or centres of circles.
+
+Poses of the board: what was seen of it with the laser off and on, and which images cannot be used.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roemetry.arrays import Flags, Floats
+from roemetry.records import Board, CalibrationSet, Frame, Observation, Peaks
+from roemetry_pinhole.board_diagnostics import (
+    NEARER,
+    SHARPER,
+    UnseenError,
+    why_no_charuco,
+    why_no_chessboard,
+    why_no_circles,
+)
+
+_SPACING_MIN_PX = 8.0
+_EDGE_SHARE_MAX = 0.45
+_CHARUCO_MIN = 12
+_CHARUCO_SPAN_MIN = 0.3
+_FIT_SHARE_MAX = 0.12
+_CIRCLE_AREA_MIN_PX = 12.0
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Marks:
+    """Marks of a board found in one image.
+
+    Attributes
+    ----------
+    board_mm
+        (mark, 3) on the board: origin at the outer corner of the first square (of a grid: half a pitch off
+        the first circle), x along the columns, y along the rows, z away from the camera.
+    xy_px
+        (mark, 2) in the image.
+    layout
+        Of a ChArUco board the layout that fits, ``new`` or ``old``; else "".
+    edge_px
+        Width of its edges in the image, px: range of grey levels over the steepest slope.
+    spacing_px
+        Median distance of neighbouring marks, px.
+    radius_mm
+        Of a grid's circles, estimated from their area in the image; 0 for other boards.
+    """
+
+    board_mm: Floats
+    xy_px: Floats
+    layout: str
+    edge_px: float
+    spacing_px: float
+    radius_mm: float = 0.0
+
+
+def find_marks(frame: Frame, board: Board) -> Marks:
+    """Find a board.
+
+    Raises
+    ------
+    UnseenError
+        It cannot be used, with the reason: not there, blurred, tiny, cut off, mirrored, another board.
+    """
+    grey = _eight_bit(frame)
+    layout, radius_mm = "", 0.0
+    if board.kind == "charuco":
+        board_mm, xy_px, layout = _charuco(grey, board)
+    elif board.kind == "chessboard":
+        board_mm, xy_px = _chessboard(grey, board)
+    else:
+        board_mm, xy_px, radius_mm = _circles(grey, board)
+    spacing_px = _spacing(board_mm, xy_px, board.pitch_mm)
+    edge_px = _edge_width(grey, xy_px, spacing_px)
+    if spacing_px < _SPACING_MIN_PX:
+        raise UnseenError(
+            f"the board is tiny: its marks are {spacing_px:.1f} px apart, {_SPACING_MIN_PX:g} px are needed; "
+            + NEARER
+        )
+    if edge_px > _EDGE_SHARE_MAX * spacing_px:
+        raise UnseenError(
+            f"the board is blurred: its edges are {edge_px:.1f} px wide, its marks {spacing_px:.1f} px apart"
+            f"; {SHARPER}"
+        )
+    _check_fit(board_mm, xy_px, spacing_px, board)
+    return Marks(board_mm, xy_px, layout, edge_px, spacing_px, radius_mm)
+
+
+def _eight_bit(frame: Frame) -> NDArray[np.uint8]:
+    pixels = frame.pixels
+    if pixels.dtype == np.uint8 and frame.bit_depth == 8:
+        return np.ascontiguousarray(pixels)
+    return np.ascontiguousarray(np.rint(pixels * (255.0 / frame.white)).clip(0, 255).astype(np.uint8))
+
+
+def _charuco(grey: NDArray[np.uint8], board: Board) -> tuple[Floats, Floats, str]:
+    import cv2
+
+    best: tuple[int, Any, Any, str] = (0, None, None, "")
+    pattern = charuco_of(board, "new")
+    for layout in ("new", "old") if board.layout == "auto" else (board.layout,):
+        tried = charuco_of(board, layout)
+        corners, ids, _, _ = cv2.aruco.CharucoDetector(tried).detectBoard(grey)
+        if ids is not None and len(ids) > best[0]:
+            best, pattern = (len(ids), corners, ids, layout), tried
+        if best[0] > 0.7 * (board.columns - 1) * (board.rows - 1):
+            break  # another layout does not show that many
+    count, corners, ids, layout = best
+    if count < _CHARUCO_MIN:
+        raise UnseenError(why_no_charuco(grey, board, count))
+    places = np.asarray(pattern.getChessboardCorners(), np.float64)[np.ravel(ids)]
+    places[:, 2] = 0.0
+    spanned = np.ptp(places[:, :2], axis=0) / (board.pitch_mm * np.array([board.columns, board.rows]))
+    if spanned.min() < _CHARUCO_SPAN_MIN:
+        raise UnseenError(
+            f"the board is cut off: {count} of {(board.columns - 1) * (board.rows - 1)} corners are seen; "
+            "show more of it"
+        )
+    xy = np.asarray(corners, np.float32).reshape(-1, 1, 2)
+    spacing = _spacing(places, xy[:, 0, :].astype(np.float64), board.pitch_mm)
+    # markers stand near the corners: their edges must stay outside the window
+    room = 0.5 * (1.0 - float(board.marker_mm or 0.0) / board.pitch_mm)
+    return places, _refined(grey, xy, spacing, share=0.85 * room), layout
+
+
+def charuco_of(board: Board, layout: str) -> Any:
+    """Give OpenCV's ChArUco board of a layout, ``new`` or ``old``."""
+    import cv2
+
+    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, str(board.dictionary)))
+    marker_mm = float(board.marker_mm or 0.0)
+    made = cv2.aruco.CharucoBoard((board.columns, board.rows), board.pitch_mm, marker_mm, dictionary)
+    made.setLegacyPattern(layout == "old")
+    return made
+
+
+def _chessboard(grey: NDArray[np.uint8], board: Board) -> tuple[Floats, Floats]:
+    import cv2
+
+    size = (board.columns - 1, board.rows - 1)
+    flags = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY | cv2.CALIB_CB_NORMALIZE_IMAGE
+    found, corners = cv2.findChessboardCornersSB(grey, size, flags=flags)
+    if not found:
+        found, corners = cv2.findChessboardCorners(
+            grey, size, flags=cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
+        )
+        if not found:
+            raise UnseenError(why_no_chessboard(grey, board))
+    corners = np.asarray(corners, np.float32).reshape(-1, 1, 2)
+    spacing = float(np.median(np.hypot(*np.diff(corners[: size[0], 0, :], axis=0).T)))
+    # over a window that holds more of the edges than the detector's own it scatters less
+    xy = _refined(grey, corners, spacing).reshape(size[1], size[0], 2)
+    return _grid(_right_handed(xy), board.pitch_mm, 1.0)
+
+
+def _circles(grey: NDArray[np.uint8], board: Board) -> tuple[Floats, Floats, float]:
+    import cv2 as typed_cv2
+
+    cv2: Any = typed_cv2  # its type stubs lack the blob detector
+    size = (board.columns, board.rows)
+    options = cv2.SimpleBlobDetector_Params()
+    options.minArea, options.maxArea = _CIRCLE_AREA_MIN_PX, grey.size / (4.0 * board.columns * board.rows)
+    options.filterByInertia, options.minInertiaRatio = True, 0.1
+    options.minConvexity, options.minDistBetweenBlobs = 0.9, 4.0
+    options.minThreshold, options.maxThreshold, options.thresholdStep = 20.0, 230.0, 10.0
+    detector = cv2.SimpleBlobDetector_create(options)
+    found = False
+    for flags in (cv2.CALIB_CB_SYMMETRIC_GRID, cv2.CALIB_CB_SYMMETRIC_GRID | cv2.CALIB_CB_CLUSTERING):
+        if not found:
+            found, centres = cv2.findCirclesGrid(grey, size, flags=flags, blobDetector=detector)
+    if not found:
+        circles = np.array([one.pt for one in detector.detect(grey)], np.float64).reshape(-1, 2)
+        raise UnseenError(why_no_circles(grey, board, circles))
+    xy = np.asarray(centres, np.float64).reshape(size[1], size[0], 2)
+    board_mm, places = _grid(_right_handed(xy), board.pitch_mm, 0.5)
+    spacing_px = _spacing(board_mm, places, board.pitch_mm)
+    centres, area_px = _centred(grey, places, spacing_px)
+    matrix = cv2.findHomography(board_mm[:, :2], centres, 0)[0]
+    homogeneous = np.column_stack([board_mm[:, :2], np.ones(len(board_mm))]) @ matrix.T
+    # area of the image of a unit of the board, at each mark
+    scale = np.abs(np.linalg.det(matrix) / homogeneous[:, 2] ** 3)
+    return board_mm, centres, float(np.sqrt(np.nanmedian(area_px / scale) / np.pi))
+
+
+def _right_handed(xy: Floats) -> Floats:
+    """Order (row, column, 2) so that rows follow columns clockwise in the image, whose y points down."""
+    along, down = xy[0, -1] - xy[0, 0], xy[-1, 0] - xy[0, 0]
+    return xy if along[0] * down[1] - along[1] * down[0] > 0 else xy[:, ::-1]
+
+
+def _grid(xy: Floats, pitch_mm: float, first: float) -> tuple[Floats, Floats]:
+    row, column = np.indices(xy.shape[:2])
+    places = np.stack([column + first, row + first, np.zeros(row.shape)], axis=2) * pitch_mm
+    return places.reshape(-1, 3), xy.reshape(-1, 2)
+
+
+def _refined(grey: NDArray[np.uint8], corners: Any, spacing_px: float, share: float = 0.3) -> Floats:
+    import cv2
+
+    half = int(np.clip(int(share * spacing_px), 2, 15))
+    stop = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-4)
+    start = np.ascontiguousarray(corners, np.float32)
+    refined = cv2.cornerSubPix(grey, start, (half, half), (-1, -1), stop)
+    return np.asarray(refined, np.float64).reshape(-1, 2)
+
+
+def _centred(grey: NDArray[np.uint8], xy: Floats, spacing_px: float) -> tuple[Floats, Floats]:
+    """Centre of gravity and area of each dark circle; pixels count by how dark they are."""
+    half = int(np.clip(round(0.48 * spacing_px), 3, 200))
+    rows, columns = grey.shape
+    found, area = xy.copy(), np.full(len(xy), np.nan)
+    for mark, (x, y) in enumerate(xy):
+        left, top = round(x) - half, round(y) - half
+        if left < 0 or top < 0 or left + 2 * half >= columns or top + 2 * half >= rows:
+            continue
+        patch = grey[top : top + 2 * half + 1, left : left + 2 * half + 1].astype(np.float64)
+        dark, light = np.percentile(patch, [5, 85])
+        weight = np.clip((light - 0.1 * (light - dark) - patch) / (0.8 * (light - dark) + 1e-9), 0.0, 1.0)
+        v, u = np.indices(patch.shape)
+        weight *= np.hypot(u - half, v - half) <= half
+        area[mark] = weight.sum()
+        found[mark] = left + (weight * u).sum() / area[mark], top + (weight * v).sum() / area[mark]
+    near = np.hypot(*(found - xy).T) < 0.1 * spacing_px
+    return np.where(near[:, None], found, xy), np.where(near, area, np.nan)
+
+
+def _spacing(board_mm: Floats, xy_px: Floats, pitch_mm: float) -> float:
+    """Median distance, px, of marks that are one pitch apart."""
+    way = np.abs(board_mm[:, None, :2] - board_mm[None, :, :2]).sum(axis=2)
+    one, other = np.nonzero(np.abs(way - pitch_mm) < 0.01 * pitch_mm)
+    return float(np.median(np.hypot(*(xy_px[one] - xy_px[other]).T))) if one.size else 0.0
+
+
+def _edge_width(grey: NDArray[np.uint8], xy_px: Floats, spacing_px: float) -> float:
+    """Median over the marks of the range of grey levels around them over the steepest slope there, px."""
+    import cv2
+
+    smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), 0.7)
+    slope = np.hypot(
+        cv2.Sobel(smooth, cv2.CV_32F, 1, 0, scale=0.125), cv2.Sobel(smooth, cv2.CV_32F, 0, 1, scale=0.125)
+    )
+    half = max(int(0.5 * spacing_px), 2)
+    widths = []
+    for x, y in np.rint(xy_px).astype(int):
+        window = np.s_[max(y - half, 0) : y + half + 1, max(x - half, 0) : x + half + 1]
+        low, high = np.percentile(smooth[window], [3, 97])
+        widths.append(float(high - low) / max(float(slope[window].max()), 1e-3))
+    return float(np.median(widths))
+
+
+def _check_fit(board_mm: Floats, xy_px: Floats, spacing_px: float, board: Board) -> None:
+    import cv2
+
+    flat = board_mm[:, :2].astype(np.float64)
+    matrix, _ = cv2.findHomography(flat, xy_px, 0)
+    if matrix is None:
+        raise UnseenError("the board is seen edge on: its marks lie on a line; turn it towards the camera")
+    seen = np.column_stack([flat, np.ones(len(flat))]) @ matrix.T
+    off = float(np.median(np.hypot(*(seen[:, :2] / seen[:, 2:] - xy_px).T)))
+    if off > _FIT_SHARE_MAX * spacing_px:
+        raise UnseenError(
+            f"the marks do not lie as on a board of {board.columns} × {board.rows}: "
+            f"they are {off:.1f} px off; is it another board? Correct `board`, or leave the image out"
+        )
+
+
+_LIT_GREY = 0.06
+_UNEVEN_NOISE = 0.02
+_LIT_SHARE_MIN = 2e-4
+_OTHER_LIGHT_SHARE = 0.25
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class BoardView:
+    """The board in one pose.
+
+    Attributes
+    ----------
+    name
+        Of the image in which its marks were found.
+    marks
+        Its marks.
+    laser
+        The image with the laser on, with its peaks; None where there is none that can be used.
+    plain
+        The image with the laser off, if there is one.
+    on_belt
+        Whether the board lies on the belt.
+    count
+        Encoder count; NaN where not known.
+    raw_px
+        (mark, 2) of circles: their centres of gravity, where those of `marks` have been corrected.
+    """
+
+    name: str
+    marks: Marks
+    laser: Observation | None
+    plain: Observation | None
+    on_belt: bool
+    count: float
+    raw_px: Floats | None = None
+
+
+@dataclass(eq=False, slots=True)
+class Seen:
+    """All poses that can be used, and by image why others cannot."""
+
+    views: list[BoardView] = field(default_factory=list)
+    left_out: dict[str, str] = field(default_factory=dict)
+
+
+def board_views(observed: CalibrationSet, board: Board) -> Seen:
+    """Find the board in every pose; in the laser-off image if there is one and it serves."""
+    seen = Seen()
+    for shows in ("board", "board_on_belt"):
+        poses: dict[str, dict[str, Observation]] = {}
+        for observation in observed.showing(shows):
+            poses.setdefault(observation.pose, {})[observation.frame.role] = observation
+        for pose in poses.values():
+            plain, laser = pose.get("plain"), pose.get("laser")
+            found = _marks([one for one in (plain, laser) if one is not None], board, seen)
+            if found is None:
+                continue
+            frame, marks = found
+            if laser is not None and plain is not None:
+                fault = _lit(plain, laser)
+                if fault:
+                    seen.left_out[laser.frame.name] = fault
+                    laser = None
+            count = plain.frame.encoder_count if plain is not None else np.nan
+            seen.views.append(BoardView(frame, marks, laser, plain, shows == "board_on_belt", count))
+    _one_layout(seen)
+    return seen
+
+
+def on_board(view: BoardView, board: Board, xy: Floats, rotation: Floats, shift: Floats) -> Floats:
+    """Give (ray, 2) where rays through (ray, 2) places at distance 1 meet the board, mm on the board."""
+    ray = np.column_stack([xy, np.ones(len(xy))])
+    normal = rotation[:, 2]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        at = ray * ((normal @ shift) / (ray @ normal))[:, None]
+    return np.asarray((at - shift) @ rotation[:, :2])
+
+
+def on_even_print(peaks: Peaks, plain: Frame, contrast_max: float) -> Flags:
+    """Say which peaks lie where the print is even over the stripe's width: at its edges stripes seem shifted.
+
+    Judged by the image with the laser off, along the row.
+    """
+    columns = plain.size[1]
+    half = int(np.clip(np.ceil(0.6 * np.nanmedian(peaks.width_px)), 1, 25)) if len(peaks) else 1
+    at = np.clip(np.rint(peaks.x_px).astype(np.int64)[:, None] + np.arange(-half, half + 1), 0, columns - 1)
+    around = plain.pixels[peaks.row[:, None], at].astype(np.float64)
+    low, high = around.min(axis=1), around.max(axis=1)
+    return np.asarray((high - low) <= contrast_max * (high + low) + _UNEVEN_NOISE * plain.white)
+
+
+def _marks(images: list[Observation], board: Board, seen: Seen) -> tuple[str, Marks] | None:
+    for image in images:
+        try:
+            return image.frame.name, find_marks(image.frame, board)
+        except UnseenError as error:
+            seen.left_out[image.frame.name] = str(error)
+    return None
+
+
+def _lit(plain: Observation, laser: Observation) -> str:
+    """Say what is wrong with a pair: the laser is on in neither, or in the one that should be without."""
+    step = _LIT_GREY * laser.frame.white
+    difference = laser.frame.pixels.astype(np.float32) - plain.frame.pixels
+    brighter = float((difference > step).mean())
+    darker = float((difference < -step).mean())
+    if darker > _OTHER_LIGHT_SHARE:
+        return ""  # taken in plain light: the pair cannot be compared
+    if darker > 4.0 * brighter and darker > _LIT_SHARE_MIN:
+        return (
+            f"it is darker than {plain.frame.name}: are the images with the laser on and off exchanged? Name "
+            "each where it belongs"
+        )
+    if brighter < _LIT_SHARE_MIN:
+        return (
+            f"no stripe is seen beside {plain.frame.name}: is it an image with the laser off? Take the pose "
+            "again"
+        )
+    return ""
+
+
+def _one_layout(seen: Seen) -> None:
+    """Leave out images in which another ChArUco layout fits than in most."""
+    layouts = [view.marks.layout for view in seen.views]
+    if len(set(layouts)) < 2:
+        return
+    most = max(set(layouts), key=layouts.count)
+    for view in seen.views:
+        if view.marks.layout != most:
+            seen.left_out[view.name] = f"its layout is the {view.marks.layout} one, that of most is {most}"
+    seen.views = [view for view in seen.views if view.marks.layout == most]

@@ -1,0 +1,587 @@
+"""Bundle adjustment: the weighted problem, its robust solution, and its covariance.
+
+The weighted problem of the adjustment, and Levenberg and Marquardt's way to its minimum.
+
+One joint adjustment of all unknowns, robust first, then by least squares, with its covariance.
+
+Bundle adjustment (Triggs, McLauchlan, Hartley, Fitzgibbon 2000) with Huber's loss until it stands still; then
+what is far off its kind's noise is left out, and the rest has equal rights. The noise of marks and of stripe
+peaks is estimated from their residuals and the leverage of the unknowns (variance components); peaks count
+the less, the more their residuals are correlated along a stripe.
+
+Everything that goes into the joint adjustment; whole, or with some poses kept out of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, TypeVar
+
+import numpy as np
+
+from roemetry.arrays import Flags, Floats, Integers
+from roemetry.errors import CalibrationError
+from roemetry_kernels.compiling import kernel
+from roemetry_pinhole.equations import (
+    ON_BELT,
+    Corners,
+    Edges,
+    Feet,
+    StripePoints,
+    corner_residuals,
+    corner_rows,
+    edge_rows,
+    foot_residuals,
+    foot_rows,
+    no_edges,
+    stripe_residuals,
+    stripe_rows,
+)
+from roemetry_pinhole.geometry import Geometry, Unknowns, unknowns_of
+
+STILL = 1e-11
+"""Relative gain of a step at which the last adjustment ends."""
+STD_MIN_PX = 2e-3
+"""Nobody finds a mark or a stripe better than that."""
+_HUBER = 2.0
+_ROUNDS_MAX = 60
+_DAMPING_MAX = 1e6
+
+
+@dataclass(eq=False, slots=True)
+class Weights:
+    """Noise and share of every observation."""
+
+    corner_std_px: float
+    stripe_scale: float
+    corner: Floats
+    stripe: Floats
+    robust: bool = True
+    correlation: float = 1.0
+
+
+@dataclass(eq=False, slots=True)
+class Problem:
+    """What was seen, what is looked for, and how much each observation counts."""
+
+    unknowns: Unknowns
+    corners: Corners
+    points: StripePoints
+    feet: Feet
+    foot_std_mm: float | Floats
+    weights: Weights
+    edges: Edges = field(default_factory=no_edges)
+
+    @property
+    def scale_min(self) -> float:
+        """Least factor on the peaks' standard uncertainties."""
+        return STD_MIN_PX / float(np.median(self.points.std_px)) if self.points.std_px.size else 1.0
+
+    def settled(self, geometry: Geometry, still: float) -> Geometry:
+        """Levenberg–Marquardt until a step gains less than the share `still` of the cost."""
+        damping, cost = 1e-4, self.cost(geometry)
+        for _ in range(_ROUNDS_MAX):
+            normal, gradient = self.normal(geometry)
+            diagonal = np.diag(normal).copy()
+            if not (diagonal > 0).all():
+                raise _undetermined()
+            while True:
+                step = _solved(normal, diagonal, damping, gradient)
+                moved = self.unknowns.moved(geometry, -step)
+                new_cost = self.cost(moved)
+                if new_cost <= cost * (1.0 + 1e-12):
+                    break
+                damping *= 8.0
+                if damping > _DAMPING_MAX:
+                    return geometry
+            gained = cost - new_cost
+            geometry, cost = moved, new_cost
+            # a small gain under strong damping is no sign of having arrived
+            if gained <= still * cost and (damping < 1e-9 or still > STILL):
+                break
+            damping = max(damping / 100.0, 1e-14)
+        return geometry
+
+    def normal(self, geometry: Geometry) -> tuple[Floats, Floats]:
+        """Normal matrix and gradient."""
+        size = self.unknowns.count
+        normal, gradient = np.zeros((size, size)), np.zeros(size)
+        marks = corner_rows(geometry, self.unknowns, self.corners)
+        stripes = stripe_rows(geometry, self.unknowns, self.points)
+        stands = foot_rows(geometry, self.unknowns, self.feet)
+        rims = edge_rows(geometry, self.unknowns, self.edges)
+        off, far = self._off(marks.residual), self._far(stripes.residual)
+        for rows, weight in (
+            (marks, np.repeat(self._share(off, self.weights.corner), 2) / self.weights.corner_std_px**2),
+            (stripes, self._share(far, self.weights.stripe) / self._stripe_variance()),
+            (stands, np.full(stands.residual.size, 1.0) / np.square(self.foot_std_mm)),
+            (rims, self._rim_share(rims.residual) / self.edges.std_px**2),
+        ):
+            add_rows(rows.columns, rows.values, rows.residual, weight, normal, gradient)
+        return normal + np.tril(normal, -1).T, gradient
+
+    def cost(self, geometry: Geometry) -> float:
+        """Weighted squares, or Huber's loss; infinite where the geometry is impossible."""
+        off = self._off(corner_residuals(geometry, self.corners))
+        far = self._far(stripe_residuals(geometry, self.points))
+        total = ((foot_residuals(geometry, self.feet) / self.foot_std_mm) ** 2).sum()
+        rims = np.abs(edge_rows(geometry, self.unknowns, self.edges).residual) / self.edges.std_px
+        total += _huber(rims).sum()
+        for distance, share in (
+            (off, self.weights.corner),
+            (far, self.weights.stripe / self.weights.correlation),
+        ):
+            total += (share * (_huber(distance) if self.weights.robust else distance**2)).sum()
+        return float(total) if np.isfinite(total) else np.inf
+
+    def marks_cost(self, geometry: Geometry) -> float:
+        """Squares of the marks alone."""
+        off = self._off(corner_residuals(geometry, self.corners))
+        return float((self.weights.corner * off**2).sum())
+
+    def distances(self, geometry: Geometry) -> tuple[Floats, Floats]:
+        """Distances of the marks, px, and of the peaks in their own standard uncertainties."""
+        marks = corner_residuals(geometry, self.corners)
+        far = np.abs(stripe_residuals(geometry, self.points)) / self.points.std_px
+        return np.hypot(marks[::2], marks[1::2]), far
+
+    def estimate_noise(self, geometry: Geometry) -> None:
+        """Variance components: squares of the residuals over their degrees of freedom."""
+        weights = self.weights
+        covariance = inverse(self.normal(geometry)[0])
+        marks = corner_rows(geometry, self.unknowns, self.corners)
+        taken = row_variances(marks.columns, marks.values, covariance) / weights.corner_std_px**2
+        share = np.repeat(weights.corner, 2)
+        free = float((share * (1.0 - taken)).sum())
+        if free > 0:
+            weights.corner_std_px = max(float(np.sqrt((share * marks.residual**2).sum() / free)), STD_MIN_PX)
+        stripes = stripe_rows(geometry, self.unknowns, self.points)
+        taken = row_variances(stripes.columns, stripes.values, covariance) / self._stripe_variance()
+        free = float((weights.stripe * (1.0 - taken)).sum())
+        if free > 0:
+            square = (weights.stripe * (stripes.residual / self.points.std_px) ** 2).sum() / free
+            weights.stripe_scale = max(float(np.sqrt(square)), self.scale_min)
+
+    def _off(self, marks: Floats) -> Floats:
+        return np.hypot(marks[::2], marks[1::2]) / self.weights.corner_std_px
+
+    def _far(self, stripes: Floats) -> Floats:
+        return np.abs(stripes) / (self.points.std_px * self.weights.stripe_scale)
+
+    def _share(self, distance: Floats, share: Floats) -> Floats:
+        """Huber's weights while robust."""
+        if not self.weights.robust:
+            return share
+        return share * np.minimum(1.0, _HUBER / np.maximum(distance, 1e-300))
+
+    def _rim_share(self, rims: Floats) -> Floats:
+        """Huber's weights: edges stay robust, for a corner or a chip is always among them."""
+        return np.minimum(1.0, _HUBER / np.maximum(np.abs(rims) / self.edges.std_px, 1e-300))
+
+    def _stripe_variance(self) -> Floats:
+        return (self.points.std_px * self.weights.stripe_scale) ** 2 * self.weights.correlation
+
+
+def _huber(distance: Floats) -> Floats:
+    return np.where(distance > _HUBER, _HUBER * (2.0 * distance - _HUBER), distance**2)
+
+
+def _solved(normal: Floats, diagonal: Floats, damping: float, gradient: Floats) -> Floats:
+    from scipy.linalg import LinAlgError, cho_factor, cho_solve
+
+    scale = 1.0 / np.sqrt(diagonal)
+    matrix = normal * scale[:, None] * scale[None, :]
+    matrix[np.diag_indices_from(matrix)] += damping
+    try:
+        return np.asarray(scale * cho_solve(cho_factor(matrix, lower=True), scale * gradient))
+    except LinAlgError as error:
+        raise _undetermined() from error
+
+
+def inverse(normal: Floats) -> Floats:
+    """Invert a normal matrix whose unknowns differ by many powers of ten: the covariance."""
+    from scipy.linalg import LinAlgError, cho_factor, cho_solve
+
+    scale = 1.0 / np.sqrt(np.diag(normal))
+    try:
+        factor = cho_factor(normal * scale[:, None] * scale[None, :], lower=True)
+    except LinAlgError as error:
+        raise _undetermined() from error
+    inverse = cho_solve(factor, np.eye(len(normal)))
+    return np.asarray(0.5 * (inverse + inverse.T) * scale[:, None] * scale[None, :])
+
+
+def _undetermined() -> CalibrationError:
+    return CalibrationError(
+        "what was seen does not determine camera, planes and belt",
+        hint="add poses of the board at other heights and tilts, and see that every stripe lies on it",
+    )
+
+
+_OUTLIER = 4.5
+_STRAY = 12.0
+_STRAY_MIN_PX = 1.0
+_LAGS = 150
+_MAD_TO_STD = 1.4826
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Adjusted:
+    """What the adjustment found.
+
+    Attributes
+    ----------
+    geometry
+        The unknowns' best values.
+    unknowns
+        Where each stands in `covariance`.
+    covariance
+        (n, n) of all unknowns.
+    corner_px
+        (mark, 2) residuals, px.
+    stripe_px
+        (point,) residuals, px.
+    corner_used, stripe_used
+        (mark,), (point,) False for what was left out as far off.
+    corner_std_px
+        Noise of a mark in x or y, px.
+    stripe_scale
+        Noise of a stripe peak over its stated standard uncertainty.
+    correlation
+        Factor by which the peaks' correlation along the stripes widens the variance of their mean; so much
+        less they count.
+    conflict
+        Factor by which they count less still, for contradicting the marks; 1 where they do not.
+    """
+
+    geometry: Geometry
+    unknowns: Unknowns
+    covariance: Floats
+    corner_px: Floats
+    stripe_px: Floats
+    corner_used: Flags
+    stripe_used: Flags
+    corner_std_px: float
+    stripe_scale: float
+    correlation: float
+    conflict: float
+
+
+def adjust(
+    geometry: Geometry,
+    unknowns: Unknowns,
+    corners: Corners,
+    points: StripePoints,
+    feet: Feet,
+    *,
+    foot_std_mm: float | Floats,
+    edges: Edges | None = None,
+) -> Adjusted:
+    """Find the unknowns.
+
+    Parameters
+    ----------
+    geometry
+        Where to start; near enough for the nearest minimum to be the right one.
+    unknowns
+        What is looked for.
+    corners, points, feet
+        What was seen.
+    foot_std_mm
+        Standard uncertainty of the feet's heights, of all or of each.
+    edges
+        What was seen of solids' edges; None: nothing.
+
+    Raises
+    ------
+    CalibrationError
+        What was seen does not determine the unknowns.
+    """
+    weights = Weights(1.0, 1.0, np.ones(corners.pose.size), np.ones(points.pose.size))
+    problem = Problem(unknowns, corners, points, feet, foot_std_mm, weights, edges or no_edges())
+    geometry = nearly(problem, geometry)
+    _without_strays(problem, geometry)
+    points = problem.points = _by_surface(problem, geometry)
+    weights.robust = False
+    geometry = problem.settled(geometry, 1e-6)
+    problem.estimate_noise(geometry)
+    off, far = problem.distances(geometry)
+    weights.corner = (off <= _OUTLIER * 1.2 * weights.corner_std_px).astype(np.float64)
+    weights.stripe = (far <= _OUTLIER * weights.stripe_scale).astype(np.float64)
+    weights.correlation = _correlation(stripe_residuals(geometry, points) / points.std_px, points, weights)
+    geometry, conflict = _in_peace(problem, geometry)
+    problem.estimate_noise(geometry)
+    covariance = inverse(problem.normal(geometry)[0])
+    marks, stripes = corner_residuals(geometry, corners), stripe_residuals(geometry, points)
+    return Adjusted(
+        geometry=geometry,
+        unknowns=unknowns,
+        covariance=covariance,
+        corner_px=marks.reshape(-1, 2),
+        stripe_px=stripes,
+        corner_used=weights.corner > 0,
+        stripe_used=weights.stripe > 0,
+        corner_std_px=weights.corner_std_px,
+        stripe_scale=weights.stripe_scale,
+        correlation=weights.correlation,
+        conflict=conflict,
+    )
+
+
+def nearly(problem: Problem, geometry: Geometry) -> Geometry:
+    """Find the unknowns robustly and not to the last digit; the noise is estimated into the weights."""
+    weights = problem.weights
+    for still in (1e-2, 1e-4):
+        geometry = problem.settled(geometry, still)
+        off, far = problem.distances(geometry)
+        weights.corner_std_px = max(_spread(off / np.sqrt(2.0)) * _RAYLEIGH, STD_MIN_PX)
+        weights.stripe_scale = max(_spread(far), problem.scale_min)
+    return geometry
+
+
+def _without_strays(problem: Problem, geometry: Geometry) -> None:
+    """Give no weight to what is far off by the median's measure: squares of many strays would hide them all.
+
+    A stripe that would lose more than half is left as it is: it shall be named, not lost.
+    """
+    weights, stripe = problem.weights, problem.points.stripe
+    off, far = problem.distances(geometry)
+    weights.corner = (off <= max(_STRAY * weights.corner_std_px, _STRAY_MIN_PX)).astype(np.float64)
+    keep = (far <= _STRAY * weights.stripe_scale) | (far * problem.points.std_px <= _STRAY_MIN_PX)
+    for number in np.unique(stripe):
+        if keep[stripe == number].mean() < 0.5:
+            keep[stripe == number] = True
+    weights.stripe = keep.astype(np.float64)
+
+
+def _by_surface(problem: Problem, geometry: Geometry) -> StripePoints:
+    """Give the points, those on the belt with larger standard uncertainties if they scatter more than stated.
+
+    Extractors state uncertainties in proportion within a surface. On printed boards they overstate (speckle
+    and noise on dark print), so one factor for all would state the belt's stripes, and with them heights at
+    belt level, too well. The other way round nothing is gained: what scatters less needs no mending.
+    """
+    points, used = problem.points, problem.weights.stripe > 0
+    far = problem.distances(geometry)[1]
+    belt = points.pose == ON_BELT
+    on_belt, elsewhere = far[belt & used], far[~belt & used]
+    if min(on_belt.size, elsewhere.size) < _SURFACE_POINTS_MIN:
+        return points
+    factor = _spread(on_belt) / max(_spread(elsewhere), problem.scale_min)
+    if factor < _SURFACE_FACTOR_MIN:
+        return points
+    return replace(points, std_px=np.where(belt, factor, 1.0) * points.std_px)
+
+
+_SURFACE_POINTS_MIN = 50
+"""Of fewer points the spread is uncertain by more than a tenth."""
+_SURFACE_FACTOR_MIN = 1.2
+"""Less is within what the spread of correlated residuals tells, and changes weights by less than a half."""
+
+
+def _in_peace(problem: Problem, geometry: Geometry) -> tuple[Geometry, float]:
+    """Settle, with stripes that count so little that they do not pull camera and poses off the marks.
+
+    Stripes tell of each board's plane, three numbers, and of the camera. If they agree with the marks, the
+    marks' squares grow by less than that many when stripes are added. If they grow by more, the stripes have
+    an error in common that their scatter does not show (a bowed line, light that bleeds, an uneven board).
+    """
+    weights = problem.weights
+    own = weights.correlation
+    if not (weights.stripe.any() and weights.corner.any()):
+        return problem.settled(geometry, STILL), 1.0
+    weights.correlation = own * _ALMOST_NOTHING
+    alone = problem.marks_cost(problem.settled(geometry, 1e-6))
+    poses = np.unique(problem.corners.pose).size
+    shared = float((problem.unknowns.camera >= 0).sum() + 3 * poses)
+    weights.correlation, conflict = own, 1.0
+    for _ in range(_PEACE_ROUNDS):
+        geometry = problem.settled(geometry, STILL)
+        grown = (problem.marks_cost(geometry) - alone) / shared
+        if grown <= 1.0:
+            break
+        conflict *= min(max(1.5 * grown, 2.0), 10.0)
+        weights.correlation = own * conflict
+    return geometry, conflict
+
+
+_ALMOST_NOTHING = 1e6
+_PEACE_ROUNDS = 6
+_RAYLEIGH = 1.0 / (np.sqrt(np.log(2.0)) * _MAD_TO_STD)
+"""The median of √((x² + y²)/2) of normal x and y is √(ln 2) of their standard deviation."""
+
+
+def _correlation(off: Floats, points: StripePoints, weights: Weights) -> float:
+    """1 + 2 Σ ρ over the lags along a stripe up to the first that is not significant."""
+    order = np.lexsort((points.row_px, points.stripe, points.pose))
+    order = order[weights.stripe[order] > 0]
+    pose, stripe, row = points.pose[order], points.stripe[order], points.row_px[order]
+    value = off[order]
+    if value.size < 100:
+        return 1.0
+    square = float((value**2).mean())
+    apart = np.diff(row)[(np.diff(pose) == 0) & (np.diff(stripe) == 0)]
+    step = float(np.median(apart)) if apart.size else 1.0
+    factor = 1.0
+    for lag in range(1, _LAGS + 1):
+        together = (pose[lag:] == pose[:-lag]) & (stripe[lag:] == stripe[:-lag])
+        together &= row[lag:] - row[:-lag] <= (lag + 0.5) * step
+        if together.sum() < 100:
+            break
+        share = float((value[lag:] * value[:-lag])[together].mean()) / square
+        if share < 2.0 / np.sqrt(together.sum()):
+            break
+        factor += 2.0 * share
+    return factor
+
+
+def _spread(distance: Floats) -> float:
+    """Standard deviation by the median; 1 where there is nothing."""
+    return _MAD_TO_STD * float(np.median(distance)) if distance.size else 1.0
+
+
+_Rows = TypeVar("_Rows", Corners, StripePoints, Feet)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Measured:
+    """What was seen, where the adjustment starts, and what it looks for.
+
+    Attributes
+    ----------
+    start, unknowns
+        See `adjust`.
+    corners, points, feet
+        What was seen.
+    foot_std_mm
+        Standard uncertainty of the feet's heights, mm: of all, or of each.
+    edges
+        What was seen of solids' edges.
+    """
+
+    start: Geometry
+    unknowns: Unknowns
+    corners: Corners
+    points: StripePoints
+    feet: Feet
+    foot_std_mm: float | Floats
+    edges: Edges = field(default_factory=no_edges)
+
+    def adjusted(self) -> Adjusted:
+        """Adjust; raises as `adjust`."""
+        return adjust(
+            self.start,
+            self.unknowns,
+            self.corners,
+            self.points,
+            self.feet,
+            foot_std_mm=self.foot_std_mm,
+            edges=self.edges,
+        )
+
+    def nearly(self) -> Geometry:
+        """Adjust robustly and not to the last digit; raises as `adjust`."""
+        return nearly(self._problem(None), self.start)
+
+    def stepped(self, found: Adjusted) -> Geometry:
+        """Give where what was found goes if this was seen instead: one step, the weights as they were."""
+        problem = self._problem(found)
+        normal, gradient = problem.normal(found.geometry)
+        return self.unknowns.moved(found.geometry, -inverse(normal) @ gradient)
+
+    def _problem(self, found: Adjusted | None) -> Problem:
+        weights = Weights(1.0, 1.0, np.ones(self.corners.pose.size), np.ones(self.points.pose.size))
+        if found is not None:
+            weights = Weights(
+                found.corner_std_px,
+                found.stripe_scale,
+                found.corner_used.astype(np.float64),
+                found.stripe_used.astype(np.float64),
+                robust=False,
+                correlation=found.correlation * found.conflict,
+            )
+        return Problem(
+            self.unknowns, self.corners, self.points, self.feet, self.foot_std_mm, weights, self.edges
+        )
+
+    def of(self, poses: Integers, start: Geometry) -> Measured:
+        """Give what boards in some poses (ascending) and the bare belt show, from another start."""
+        feet = np.isin(self.feet.pose, poses)
+        found = unknowns_of(
+            replace(start, rotation=start.rotation[poses], shift=start.shift[poses]),
+            free_camera=self.unknowns.camera >= 0,
+            planes=bool((self.unknowns.planes >= 0).any()),
+            belt=bool((self.unknowns.belt >= 0).any()),
+            travel=bool((self.unknowns.travel >= 0).any()),
+            bend=bool(self.unknowns.bend.size),
+        )
+        return Measured(
+            replace(start, rotation=start.rotation[poses], shift=start.shift[poses]),
+            found,
+            chosen(self.corners, np.isin(self.corners.pose, poses), poses),
+            chosen(self.points, np.isin(self.points.pose, [ON_BELT, *poses]), poses),
+            chosen(self.feet, feet, poses),
+            self.foot_std_mm if isinstance(self.foot_std_mm, float) else self.foot_std_mm[feet],
+            no_edges(),
+        )
+
+
+def chosen(rows: _Rows, keep: Flags, poses: Integers | None = None) -> _Rows:
+    """Give some of the rows; with `poses` (ascending) their poses numbered by the place in there."""
+    given = {field.name: getattr(rows, field.name) for field in fields(rows)}
+    parts: dict[str, Any] = {name: None if column is None else column[keep] for name, column in given.items()}
+    if poses is not None:
+        pose = rows.pose[keep]
+        parts["pose"] = np.where(pose == ON_BELT, ON_BELT, np.searchsorted(poses, pose))
+    return replace(rows, **parts)
+
+
+@kernel
+def add_rows(
+    columns: Integers, values: Floats, residual: Floats, weight: Floats, normal: Floats, gradient: Floats
+) -> None:
+    """Add rows of a sparse Jacobian to JᵀWJ and JᵀWr.
+
+    Parameters
+    ----------
+    columns
+        (row, k) which parameter each value belongs to; −1 for none.
+    values
+        (row, k) derivatives.
+    residual, weight
+        (row,) of each row.
+    normal, gradient
+        (n, n) and (n,); added to. Of `normal` the lower triangle alone.
+    """
+    for row in range(columns.shape[0]):
+        w = weight[row]
+        if w == 0.0:
+            continue
+        for i in range(columns.shape[1]):
+            a = columns[row, i]
+            if a < 0:
+                continue
+            scaled = w * values[row, i]
+            gradient[a] += scaled * residual[row]
+            for j in range(columns.shape[1]):
+                b = columns[row, j]
+                if 0 <= b <= a:
+                    normal[a, b] += scaled * values[row, j]
+
+
+@kernel
+def row_variances(columns: Integers, values: Floats, covariance: Floats) -> Floats:
+    """Give (row,) J C Jᵀ: the variance of what each row predicts, C being the parameters' covariance."""
+    found = np.zeros(columns.shape[0])
+    for row in range(columns.shape[0]):
+        total = 0.0
+        for i in range(columns.shape[1]):
+            a = columns[row, i]
+            if a < 0:
+                continue
+            for j in range(columns.shape[1]):
+                b = columns[row, j]
+                if b >= 0:
+                    total += values[row, i] * covariance[a, b] * values[row, j]
+        found[row] = total
+    return found

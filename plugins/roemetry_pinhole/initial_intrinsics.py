@@ -1,0 +1,201 @@
+"""A first camera and first poses from the marks alone; views that do not fit are left out with the reason."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from roemetry.arrays import Flags, Floats
+from roemetry.errors import CalibrationError
+from roemetry_pinhole.boards import BoardView, Seen
+from roemetry_pinhole.bundle import adjust
+from roemetry_pinhole.equations import Corners, Feet, StripePoints
+from roemetry_pinhole.geometry import CAMERA, Geometry, unknowns_of
+
+_POSES_MIN = 4
+_POSES_MIN_KNOWN = 2
+_TILT_SPREAD_MIN_DEG = 8.0
+_VIEW_FACTOR_MAX = 4.0
+_VIEW_RMS_MIN_PX = 0.3
+
+FREE: dict[str, tuple[int, ...]] = {
+    "none": (),
+    "radial": (4, 5),
+    "brown": (4, 5, 6, 7, 8),
+    "rational": tuple(range(4, CAMERA)),
+    "tangential": (4, 5, 6, 7),
+}
+"""By name of the lens model, which of the camera's twelve numbers are looked for beside the first four."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class FirstCamera:
+    """Camera (12,), views that fit, and (view, 3, 3), (view, 3) their poses."""
+
+    camera: Floats
+    views: list[BoardView]
+    rotation: Floats
+    shift: Floats
+
+
+def first_camera(
+    seen: Seen,
+    image_size: tuple[int, int],
+    lens: str,
+    known: Floats | None,
+    tried: int,
+    *,
+    least_if_known: int = _POSES_MIN_KNOWN,
+) -> FirstCamera:
+    """Find the camera, or only the poses where the camera is known.
+
+    Parameters
+    ----------
+    seen
+        The poses; what is left out is added to it.
+    image_size
+        Rows and columns.
+    lens
+        Key of `FREE`.
+    known
+        (12,) the camera, if it is known.
+    tried
+        Number of poses there were, for messages.
+    least_if_known
+        Number of poses that are needed where the camera is known.
+
+    Raises
+    ------
+    CalibrationError
+        Too few poses, or poses too much alike.
+    """
+    views = list(seen.views)
+    least = _POSES_MIN if known is None else least_if_known
+    while True:
+        if len(views) < least:
+            raise CalibrationError(
+                f"the board is seen in {len(views)} of {tried} poses; {least} are the least"
+                + _reasons(seen.left_out),
+                hint="take ten to twenty poses: all over the image, at all heights, tilted all ways round",
+            )
+        if not views and known is not None:
+            return FirstCamera(known, [], np.empty((0, 3, 3)), np.empty((0, 3)))
+        found = _solved(views, image_size, lens, known)
+        rms = _rms(found)
+        worst = int(rms.argmax())
+        limit = max(_VIEW_FACTOR_MAX * float(np.median(rms)), _VIEW_RMS_MIN_PX)
+        if rms[worst] <= limit:
+            break
+        seen.left_out[views[worst].name] = (
+            f"its marks are off by {rms[worst]:.2f} px (rms), those of the others by {np.median(rms):.2f} px"
+            ": is it mirrored or bent, or did it move? Leave the image out"
+        )
+        del views[worst]
+    if any(view.marks.radius_mm for view in found.views):
+        for _ in range(2):
+            centred = [_without_shift(view, found, number) for number, view in enumerate(views)]
+            found = replace(_solved(centred, image_size, lens, known), views=centred)
+    if known is None:
+        _check_variety(found)
+    return found
+
+
+_SIMPLER = {"none": "none", "radial": "radial", "brown": "tangential", "rational": "tangential"}
+
+
+def free_numbers(lens: str) -> Flags:
+    """Give (12,) which of the camera's numbers are looked for."""
+    free = np.zeros(CAMERA, np.bool_)
+    free[[0, 1, 2, 3, *FREE[lens]]] = True
+    return free
+
+
+def _solved(
+    views: list[BoardView], image_size: tuple[int, int], lens: str, known: Floats | None
+) -> FirstCamera:
+    """Poses of a guessed camera by Collins and Bartoli's method, then marks alone adjusted."""
+    import cv2
+
+    places = [view.marks.board_mm.astype(np.float32) for view in views]
+    seen = [view.marks.xy_px.astype(np.float32).reshape(-1, 1, 2) for view in views]
+    camera = np.zeros(CAMERA)
+    if known is not None:
+        camera = known
+    else:
+        # the aspect ratio is left free: of a rank-deficient set the guess would not be a number
+        guess = cv2.initCameraMatrix2D(places, seen, image_size[::-1], 1.0)
+        sane = np.isfinite(guess).all() and 0.2 * max(image_size) < guess[0, 0] < 50.0 * max(image_size)
+        camera[:2] = guess[0, 0] if sane else 1.5 * max(image_size)
+        camera[2:4] = (image_size[1] - 1) / 2.0, (image_size[0] - 1) / 2.0
+    matrix = np.array([[camera[0], 0.0, camera[2]], [0.0, camera[1], camera[3]], [0.0, 0.0, 1.0]])
+    rotation, shift = np.empty((len(views), 3, 3)), np.empty((len(views), 3))
+    for number, (place, xy) in enumerate(zip(places, seen, strict=True)):
+        _, turn, way = cv2.solvePnP(place, xy, matrix, camera[4:], flags=cv2.SOLVEPNP_IPPE)
+        rotation[number], shift[number] = cv2.Rodrigues(turn)[0], way.ravel()
+    none = np.empty(0)
+    start = Geometry(camera, rotation, shift, np.empty((0, 3)), np.full(3, np.nan), np.zeros(3))
+    whole = np.empty(0, np.int64)
+    size = [len(view.marks.xy_px) for view in views]
+    corners = Corners(
+        np.repeat(np.arange(len(views)), size),
+        np.concatenate([view.marks.board_mm for view in views]),
+        np.concatenate([view.marks.xy_px for view in views]),
+        np.zeros(sum(size)),
+    )
+    nothing = StripePoints(whole, whole, none, none, none, none)
+    feet = Feet(whole, np.empty((0, 3)), none)
+    # the sixth order and the rational model come in by the joint adjustment: from a start without them it
+    # goes to the right minimum
+    free = np.zeros(CAMERA, np.bool_) if known is not None else free_numbers(_SIMPLER[lens])
+    unknowns = unknowns_of(start, free_camera=free, planes=False, belt=False, travel=False)
+    found = adjust(start, unknowns, corners, nothing, feet, foot_std_mm=1.0).geometry
+    return FirstCamera(found.camera, views, found.rotation, found.shift)
+
+
+def _without_shift(view: BoardView, found: FirstCamera, number: int) -> BoardView:
+    """Take off how far a circle's centre of gravity in the image lies from the image of its centre."""
+    marks = view.marks
+    radius, turn = np.meshgrid(np.sqrt((np.arange(6) + 0.5) / 6.0), np.arange(24) * np.pi / 12.0)
+    disc = marks.radius_mm * np.stack([radius * np.cos(turn), radius * np.sin(turn), 0.0 * turn], axis=-1)
+    shape = (len(marks.board_mm), disc.size // 3, 3)
+    places = np.broadcast_to(marks.board_mm[:, None, :], shape) + disc.reshape(1, -1, 3)
+    seen, weight = _projected(found, number, places.reshape(-1, 3))
+    seen, weight = seen.reshape(*shape[:2], 2), weight.reshape(shape[:2])
+    centre = (seen * weight[..., None]).sum(axis=1) / weight.sum(axis=1)[:, None]
+    shift = centre - _projected(found, number, marks.board_mm)[0]
+    raw = view.raw_px if view.raw_px is not None else marks.xy_px
+    return replace(view, marks=replace(marks, xy_px=raw - shift), raw_px=raw)
+
+
+def _projected(found: FirstCamera, number: int, places: Floats) -> tuple[Floats, Floats]:
+    """Give (n, 2) places in the image, px, and how large a unit of the board's area is there."""
+    from roemetry_pinhole.geometry import bent
+
+    at = places @ found.rotation[number].T + found.shift[number]
+    lens = bent(at[:, :2] / at[:, 2:], found.camera[4:])
+    area = np.linalg.det(lens.by_place) / at[:, 2] ** 3
+    return lens.xy * found.camera[:2] + found.camera[2:4], area
+
+
+def _rms(found: FirstCamera) -> Floats:
+    rms = []
+    for number, view in enumerate(found.views):
+        xy = _projected(found, number, view.marks.board_mm)[0]
+        rms.append(float(np.sqrt(((xy - view.marks.xy_px) ** 2).sum(axis=1).mean())))
+    return np.array(rms)
+
+
+def _check_variety(found: FirstCamera) -> None:
+    normal = found.rotation[:, :, 2]
+    spread = float(np.degrees(np.arccos(np.clip((normal @ normal.T).min(), -1.0, 1.0))))
+    if spread < _TILT_SPREAD_MIN_DEG:
+        raise CalibrationError(
+            f"the poses have no variety: no two boards are tilted against each other by more than "
+            f"{spread:.1f}° ({_TILT_SPREAD_MIN_DEG:g}° is the least)",
+            hint="tilt the board by 20 to 30 degrees, another way in each pose",
+        )
+
+
+def _reasons(left_out: dict[str, str]) -> str:
+    return "".join(f"\n  {name}: {why}" for name, why in left_out.items())

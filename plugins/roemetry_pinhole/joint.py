@@ -1,0 +1,333 @@
+"""From a calibration set to the joint adjustment of all that is seen in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from roemetry.arrays import Floats
+from roemetry.errors import CalibrationError
+from roemetry.records import Board, CalibrationSet
+from roemetry_pinhole.boards import BoardView, Seen, board_views
+from roemetry_pinhole.bundle import Adjusted, Measured
+from roemetry_pinhole.equations import Corners, Feet, StripePoints
+from roemetry_pinhole.from_solids import OnSolids, from_solids, solids_in
+from roemetry_pinhole.geometry import CAMERA, Bend, Geometry, unknowns_of
+from roemetry_pinhole.initial_intrinsics import FirstCamera, first_camera, free_numbers
+from roemetry_pinhole.known_planes import read_camera, with_known_planes
+from roemetry_pinhole.plates import from_plate
+from roemetry_pinhole.stripes import Gathered, gather
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Joint:
+    """The joint adjustment, and what it was made of.
+
+    Attributes
+    ----------
+    board
+        What was held under the stripes; None where solids alone were seen.
+    size
+        Rows and columns of the images.
+    seen
+        Poses, and by image why others are not used.
+    first
+        The views that are used.
+    pose
+        (view,) number of the view's pose in the adjustment.
+    left_share
+        Share of the peaks on stripes that is left out before the adjustment.
+    solids
+        What solids on the belt gave, where the planes come from them; else None.
+    measured, adjusted
+        What went into the adjustment, and what came out.
+    moves
+        Whether the belt's travel is among the unknowns.
+    """
+
+    board: Board | None
+    size: tuple[int, int]
+    seen: Seen
+    first: FirstCamera
+    pose: np.ndarray
+    left_share: float
+    solids: OnSolids | None
+    measured: Measured
+    adjusted: Adjusted
+    moves: bool
+
+
+def joint(
+    observed: CalibrationSet,
+    *,
+    lens: str,
+    camera_file: Path | None,
+    print_contrast_max: float,
+    bent: bool = False,
+    planes: Floats | None = None,
+) -> Joint:
+    """Find everything in the images and adjust it together.
+
+    Parameters
+    ----------
+    observed
+        The images with their peaks.
+    lens
+        Name of the lens model.
+    camera_file
+        OpenCV's file with a camera that is known and not looked for.
+    print_contrast_max
+        Largest contrast of the print under a stripe at which its peaks count.
+    bent
+        Whether the board's shape is looked for.
+    planes
+        (stripe, 3) p·X = 1 of planes that are known and not looked for; a camera file is needed then.
+
+    Raises
+    ------
+    CalibrationError
+        As `PinholeCalibrator.calibrate` says.
+    """
+    board = observed.board
+    by_solids = planes_by_solids(observed)
+    known = None if camera_file is None else read_camera(camera_file)
+    if planes is not None:
+        return _by_planes(observed, known, planes)
+    if board is None and not (by_solids and known is not None):
+        raise CalibrationError(
+            "no board is described",
+            hint="add `board:` to the rig file: its kind, columns, rows and pitch_mm; or give a camera file "
+            "and images of a block, a staircase or a truncated pyramid",
+        )
+    seen = Seen() if board is None else board_views(observed, board)
+    tried = len({(one.shows, one.pose) for one in observed.observations if one.shows in _BOARDS})
+    if not tried and not (by_solids and known is not None):
+        raise CalibrationError("there is no image of the board", hint="name them in images.board")
+    size = observed.observations[0].frame.size
+    free = np.zeros(CAMERA, np.bool_) if known is not None else free_numbers(lens)
+    while True:
+        first = first_camera(seen, size, lens, known, tried, **({"least_if_known": 0} if by_solids else {}))
+        if board is None or by_solids:
+            return _by_solids(observed, board, seen, first, free, bent=bent)
+        pose, counts = _placed(first)
+        gathered = gather(
+            first,
+            board,
+            observed.showing("belt"),
+            observed.stripe_count,
+            counts,
+            print_contrast_max=print_contrast_max,
+        )
+        seen.left_out |= gathered.left_out
+        if not gathered.strange:
+            break
+        strange = {first.views[number].name for number in gathered.strange}
+        seen.views = [view for view in seen.views if view.name not in strange]
+    measured = _measured(first, gathered, board, pose, counts, free, bent=bent)
+    return Joint(
+        board,
+        size,
+        seen,
+        first,
+        np.unique(pose, return_inverse=True)[1],
+        gathered.left_share,
+        None,
+        measured,
+        measured.adjusted(),
+        _moves(counts),
+    )
+
+
+def planes_by_solids(observed: CalibrationSet) -> bool:
+    """Say whether the planes come from solids: some are there, and no board is under the laser."""
+    on_boards = any(one.shows in _BOARDS and one.frame.role == "laser" for one in observed.observations)
+    balls = observed.sphere_plate is not None and bool(observed.showing("sphere_plate"))
+    return (bool(solids_in(observed)) or balls) and not on_boards
+
+
+def _by_planes(observed: CalibrationSet, camera: Floats | None, planes: Floats) -> Joint:
+    """Camera and planes from files; the empty belt tells where it is."""
+    if camera is None:
+        raise CalibrationError(
+            "planes of light are given without the camera in whose frame they are",
+            hint="name the camera's file as well: options: {camera: camera.yaml, planes: planes.yaml}",
+        )
+    measured = with_known_planes(observed, camera, planes)
+    return Joint(
+        None,
+        observed.observations[0].frame.size,
+        Seen(),
+        FirstCamera(camera, [], measured.start.rotation, measured.start.shift),
+        np.empty(0, np.int64),
+        0.0,
+        None,
+        measured,
+        measured.adjusted(),
+        moves=False,
+    )
+
+
+def _by_solids(
+    observed: CalibrationSet,
+    board: Board | None,
+    seen: Seen,
+    first: FirstCamera,
+    free: np.ndarray,
+    *,
+    bent: bool,
+) -> Joint:
+    """Planes from solids on the belt; boards, if there are any, tell the camera, and where the belt is."""
+    number = np.arange(len(first.views))
+    still = np.zeros(len(first.views))
+    whole, none, nowhere = np.empty(0, np.int64), np.empty(0), np.empty((0, 3))
+    belt = None
+    lies = [view for view in number if first.views[view].on_belt]
+    feet, foot_std_mm = Feet(whole, nowhere, none), 0.01
+    if board is not None and lies:
+        normal = first.rotation[lies[0]][:, 2]
+        belt = np.asarray(normal / (normal @ first.shift[lies[0]] + board.thickness_mm))
+        feet = _feet(first.views, board, number, still)
+        foot_std_mm = _foot_std_mm(board)
+    start = Geometry(
+        first.camera,
+        first.rotation,
+        first.shift,
+        nowhere,
+        np.full(3, np.nan),
+        np.zeros(3),
+        bend=_flat(board) if bent and board is not None and first.views else None,
+    )
+    boards = Measured(
+        start,
+        unknowns_of(start, free_camera=free, planes=False, belt=False, travel=False),
+        _corners(first, number, still),
+        StripePoints(whole, whole, none, none, none, none),
+        feet,
+        foot_std_mm,
+    )
+    plate = observed.sphere_plate
+    if solids_in(observed) or plate is None:
+        found = from_solids(observed, boards, free, belt)
+    else:
+        found = from_plate(observed, plate, boards, free, belt)
+    size = observed.observations[0].frame.size
+    return Joint(
+        board if first.views else None,
+        size,
+        seen,
+        first,
+        number,
+        found.left_share,
+        found,
+        found.measured,
+        found.adjusted,
+        moves=False,
+    )
+
+
+_BOARDS = ("board", "board_on_belt")
+
+
+def _measured(
+    first: FirstCamera,
+    gathered: Gathered,
+    board: Board,
+    pose: np.ndarray,
+    counts: Floats,
+    free: np.ndarray,
+    *,
+    bent: bool,
+) -> Measured:
+    keep = np.unique(pose)
+    number = np.searchsorted(keep, pose)
+    start = Geometry(
+        camera=first.camera,
+        rotation=first.rotation[keep],
+        shift=first.shift[keep],
+        planes=gathered.planes,
+        belt=_belt(first, gathered, board),
+        travel=np.zeros(3),
+        bend=_flat(board) if bent else None,
+    )
+    unknowns = unknowns_of(start, free_camera=free, planes=True, belt=True, travel=_moves(counts), bend=bent)
+    on = gathered.points.pose
+    return Measured(
+        start,
+        unknowns,
+        _corners(first, number, counts),
+        replace(gathered.points, pose=np.where(on < 0, on, number[on])),
+        _feet(first.views, board, number, counts),
+        foot_std_mm=_foot_std_mm(board),
+    )
+
+
+def _flat(board: Board) -> Bend:
+    """Give the shape to begin with."""
+    return Bend.none(board.columns * board.pitch_mm, board.rows * board.pitch_mm)
+
+
+def _foot_std_mm(board: Board) -> float:
+    return float(max(board.flatness_mm, 0.005) / np.sqrt(3.0))
+
+
+def _corners(first: FirstCamera, pose: np.ndarray, counts: Floats) -> Corners:
+    marks = [view.marks for view in first.views]
+    size = [len(one.xy_px) for one in marks]
+    return Corners(
+        np.repeat(pose, size).astype(np.int64),
+        np.concatenate([np.empty((0, 3)), *(one.board_mm for one in marks)]),
+        np.concatenate([np.empty((0, 2)), *(one.xy_px for one in marks)]),
+        np.repeat(counts, size),
+    )
+
+
+def _belt(first: FirstCamera, gathered: Gathered, board: Board) -> Floats:
+    """Give the belt (3,) b·X = 1 to start with: under the first board on it, or from its own stripes."""
+    lies = [number for number, view in enumerate(first.views) if view.on_belt]
+    belt = gathered.belt
+    if lies:
+        normal = first.rotation[lies[0]][:, 2]
+        return np.asarray(normal / (normal @ first.shift[lies[0]] + board.thickness_mm))
+    if belt is None or not np.isfinite(belt).all():
+        raise CalibrationError(
+            "nothing shows where the belt is",
+            hint="name images of the empty belt in images.belt, or of the board lying on it in "
+            "images.board_on_belt",
+        )
+    if np.unique(gathered.points.stripe[gathered.points.pose < 0]).size < 2:
+        raise CalibrationError(
+            "one stripe on the empty belt does not tell how the belt is tilted",
+            hint="lay the board on the belt and name the image in images.board_on_belt",
+        )
+    return belt
+
+
+def _placed(first: FirstCamera) -> tuple[np.ndarray, Floats]:
+    """Give each view the pose it belongs to and the encoder counts it was carried on since.
+
+    Boards that lie on the belt with known encoder counts were laid there once and are carried along.
+    """
+    pose = np.arange(len(first.views))
+    counts = np.zeros(len(first.views))
+    carried = [n for n, view in enumerate(first.views) if view.on_belt and np.isfinite(view.count)]
+    for number in carried:
+        pose[number] = carried[0]
+        counts[number] = first.views[number].count - first.views[carried[0]].count
+    return pose, counts
+
+
+def _moves(counts: Floats) -> bool:
+    return bool(np.ptp(counts) > 0) if counts.size else False
+
+
+def _feet(views: list[BoardView], board: Board, pose: np.ndarray, counts: Floats) -> Feet:
+    """Three corners of the underside of each board that lies on the belt."""
+    width, height = board.columns * board.pitch_mm, board.rows * board.pitch_mm
+    places = np.array([[0.0, 0.0], [width, 0.0], [0.5 * width, height]])
+    places = np.column_stack([places, np.full(3, board.thickness_mm)])
+    lies = [number for number, view in enumerate(views) if view.on_belt]
+    return Feet(
+        np.repeat(pose[lies], 3).astype(np.int64), np.tile(places, (len(lies), 1)), np.repeat(counts[lies], 3)
+    )

@@ -1,0 +1,608 @@
+"""Plates with balls: found in images, as a reference for scale, and as the source of planes.
+
+A sphere plate on the belt, measured with a calibration: where it lies, and how large it comes out.
+
+How large a sphere plate comes out by a calibration, and how sure that is.
+
+Planes of light from a sphere plate on a belt that is known: each stripe's cut through the balls.
+
+With the belt known, a plane of light through its line on the belt may only lean, and those of one projector
+lean together: places for it are tried, the plate is looked for with each, all is adjusted from the best one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from roemetry.arrays import Flags, Floats, Integers
+from roemetry.calibration import Calibration
+from roemetry.errors import CalibrationError
+from roemetry.records import EDGE, WIDE, CalibrationSet, Observation, Peaks, SpherePlate
+from roemetry_pinhole.bundle import Adjusted, Measured
+from roemetry_pinhole.equations import ON_BELT, Feet, StripePoints
+from roemetry_pinhole.frames import belt_pose, camera_of, parameters_of
+from roemetry_pinhole.from_solids import OnSolids
+from roemetry_pinhole.geometry import Geometry, straightened, turned, unknowns_of
+from roemetry_pinhole.solids import Shape, belt_lines, numbered
+
+_BELT_MM = 0.6
+_CAP_RISE_MIN = 0.35
+"""Points are used where the ball's surface rises by less than some 70°: further down it shades itself."""
+_WAYS = 72
+_ANCHORS = 8
+_YAWS_DEG = np.arange(-45.0, 46.0, 1.0)
+_ROUNDS = (0.20, 0.12, 0.08, 0.05, 0.05, 0.05)
+"""Of each round, how far off a ball its points may be, in radii."""
+_STEPS = 4
+_STRAY_MADS = 4.5
+_ALONG_SHARE = 0.2
+_BALL_POINTS_MIN = 12
+_POINTS_MIN = 60
+_EXPLAINED_MIN = 0.15
+"""Share of the peaks at the balls' heights that must lie on balls: in images with the plate's level and
+shadows it is 0.28 to 0.38, without them above 0.7."""
+_MAD_TO_STD = 1.4826
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Plate:
+    """A sphere plate as measured.
+
+    Attributes
+    ----------
+    pose
+        (4,) x, y of its middle in the belt frame, mm; its turn about Z, rad; its lengths over the described.
+    stripe, x_px, row_px, ball
+        (point,) peaks on balls: stripe, place, and which ball.
+    at_mm, per_px
+        (point, 3) where they lie in the belt frame; (point,) how far a pixel moves them across the ball, mm.
+    slopes
+        (point, 4) derivatives of the points' residuals by the pose.
+    residual
+        (point,) distance from the ball's surface over `per_px`: px.
+    rms_mm
+        Rms distance of the points from their balls.
+    """
+
+    pose: Floats
+    stripe: Integers
+    x_px: Floats
+    row_px: Floats
+    ball: Integers
+    at_mm: Floats
+    per_px: Floats
+    slopes: Floats
+    residual: Floats
+    rms_mm: float
+
+    @property
+    def balls(self) -> int:
+        """Number of balls that are seen."""
+        return int(np.unique(self.ball).size)
+
+    def answer(self, change: Floats) -> float:
+        """Give the change of ln(size) if the points' residuals (point,) change."""
+        normal = self.slopes.T @ self.slopes
+        return float(-np.linalg.solve(normal, self.slopes.T @ change)[3] / self.pose[3])
+
+    def random_std(self) -> float:
+        """Give the standard uncertainty of ln(size) by the scatter of the points.
+
+        Peaks along one stripe over one ball err together: the larger of what single points and what such
+        groups tell.
+        """
+        inverse = np.linalg.inv(self.slopes.T @ self.slopes)
+        way = inverse[3] @ self.slopes.T / self.pose[3]
+        alone = float(np.sqrt((way**2).sum() * (self.residual**2).mean()))
+        group = np.unique(self.stripe * 10_000 + self.ball, return_inverse=True)[1]
+        sums = np.bincount(group, way * self.residual)
+        spare = max(sums.size - 4, 1)
+        return max(alone, float(np.sqrt((sums**2).sum() * sums.size / spare)))
+
+
+def find_plate(parameters: Mapping[str, Floats], peaks: Peaks, plate: SpherePlate) -> Plate | None:
+    """Find a sphere plate and fit its place and size; None where it is not seen.
+
+    Every peak is taken for every stripe; those of the right stripe lie on balls.
+
+    Parameters
+    ----------
+    parameters
+        Of a calibration.
+    peaks
+        Of one image.
+    plate
+        What lies there; its columns run across the stripes, within 45°.
+    """
+    near = _on_heights(parameters, peaks, plate)
+    if near.stripe.size < _POINTS_MIN:
+        return None
+    across = _across(parameters, near.stripe, near.x_px, near.row_px)
+    start = _first(near.at_mm, plate)
+    found = _fitted(near.at_mm, across, near.stripe, near.x_px, near.row_px, plate, start)
+    # a peak is one, however many stripes it might belong to
+    explained = 0.0 if found is None else found.ball.size / np.unique(near.peak).size
+    return found if explained > _EXPLAINED_MIN else None
+
+
+class _Near(NamedTuple):
+    """Peaks taken for stripes by which they lie at the balls' heights: (point,) and (point, 3)."""
+
+    peak: Integers
+    stripe: Integers
+    x_px: Floats
+    row_px: Floats
+    at_mm: Floats
+
+
+def _on_heights(parameters: Mapping[str, Floats], peaks: Peaks, plate: SpherePlate) -> _Near:
+    good = np.flatnonzero((peaks.flags & (EDGE | WIDE)) == 0)
+    stripes = len(parameters["planes_per_mm"])
+    stripe, peak = (index.ravel() for index in np.indices((stripes, good.size)))
+    x_px, row_px = peaks.x_px[good][peak], peaks.row[good][peak].astype(np.float64)
+    at = points_of(parameters, stripe, x_px, row_px)
+    on_belt = np.asarray((np.abs(at[:, 2].reshape(stripes, -1)) < _BELT_MM).any(axis=0))
+    radius = 0.5 * plate.diameter_mm
+    high = np.abs(at[:, 2] - plate.centre_height_mm - 0.6 * radius) < 0.7 * radius
+    use = np.flatnonzero(high & ~on_belt[peak])
+    return _Near(peak[use], stripe[use], x_px[use], row_px[use], at[use])
+
+
+def points_of(parameters: Mapping[str, Floats], stripe: Integers, x_px: Floats, row_px: Floats) -> Floats:
+    """Give (point, 3) where peaks lie in the belt frame, mm."""
+    camera = camera_of(parameters)
+    xy = straightened((np.column_stack([x_px, row_px]) - camera[2:4]) / camera[:2], camera[4:])
+    ray = np.column_stack([xy, np.ones(len(xy))])
+    pose = belt_pose(parameters["belt_per_mm"])
+    with np.errstate(divide="ignore"):
+        depth = 1.0 / (ray * parameters["planes_per_mm"][stripe]).sum(axis=1)
+    return np.asarray((ray * depth[:, None]) @ pose[:3, :3].T + pose[:3, 3])
+
+
+def off_balls(at_mm: Floats, ball: Integers, plate: SpherePlate, pose: Floats) -> tuple[Floats, Floats]:
+    """Give (point,) distances of points outwards from their balls, mm, and (point, 3) the way out."""
+    way = at_mm - centres(plate, pose)[ball]
+    size = np.sqrt((way**2).sum(axis=1))
+    return size - 0.5 * pose[3] * plate.diameter_mm, way / size[:, None]
+
+
+def centres(plate: SpherePlate, pose: Floats) -> Floats:
+    """Give (ball, 3) the balls' centres in the belt frame, mm."""
+    u = (np.arange(plate.columns) - 0.5 * (plate.columns - 1)) * plate.pitch_mm
+    v = (np.arange(plate.rows) - 0.5 * (plate.rows - 1)) * plate.pitch_mm
+    grid = np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2)
+    cos, sin = np.cos(pose[2]), np.sin(pose[2])
+    xy = pose[3] * grid @ np.array([[cos, sin], [-sin, cos]]) + pose[:2]
+    return np.column_stack([xy, np.full(len(xy), pose[3] * plate.centre_height_mm)])
+
+
+def _across(parameters: Mapping[str, Floats], stripe: Integers, x_px: Floats, row_px: Floats) -> Floats:
+    """(point, 3) way of each point for a pixel along the row, mm."""
+    step = 0.25
+    up, down = (points_of(parameters, stripe, x_px + s * step, row_px) for s in (1.0, -1.0))
+    return np.asarray((up - down) / (2.0 * step))
+
+
+def _first(at: Floats, plate: SpherePlate) -> Floats:
+    """Pose by votes: each point says on which circle the centre of its ball lies."""
+    radius = 0.5 * plate.diameter_mm
+    cell = 0.08 * radius
+    reach = np.sqrt(np.maximum(radius**2 - (at[:, 2] - plate.centre_height_mm) ** 2, 0.0))
+    turn = 2.0 * np.pi * np.arange(_WAYS) / _WAYS
+    x = (at[:, 0, None] + reach[:, None] * np.cos(turn)).ravel()
+    y = (at[:, 1, None] + reach[:, None] * np.sin(turn)).ravel()
+    low = np.array([x.min(), y.min()]) - 2.0 * cell
+    size = [int(np.ptp(one) / cell) + 6 for one in (x, y)]
+    voted = ((x - low[0]) / cell).astype(int) * size[1] + ((y - low[1]) / cell).astype(int)
+    votes = np.bincount(voted, minlength=size[0] * size[1]).reshape(size).astype(np.float64)
+    for axis in (0, 1):
+        votes = votes + np.roll(votes, 1, axis) + np.roll(votes, -1, axis)
+    # one ball with many stripes must not outvote the others
+    votes = np.sqrt(votes)
+    anchors = low + (_peaks_of(votes, int(radius / cell)) + 0.5) * cell
+    yaws = np.radians(_YAWS_DEG)
+    flat = _turned(plate)
+    # (anchor, yaw, ball at the anchor, other ball)
+    at_all = anchors[:, None, None, None] + flat[None, :, None] - flat[None, :, :, None]
+    place = np.floor((at_all - low) / cell).astype(int)
+    inside = np.asarray(((place >= 0) & (place < votes.shape)).all(axis=-1))
+    u, v = np.moveaxis(np.where(inside[..., None], place, 0), -1, 0)
+    score = (votes[u, v] * inside).sum(axis=-1)
+    which, turn, ball = np.unravel_index(score.argmax(), score.shape)
+    return np.array([*(anchors[which] - flat[turn, ball]), yaws[turn], 1.0])
+
+
+@lru_cache(maxsize=8)
+def _turned(plate: SpherePlate) -> Floats:
+    """(yaw, ball, 2) centres of the balls of a plate at the origin, mm, for each turn that is tried."""
+    yaws = np.radians(_YAWS_DEG)
+    return np.stack([centres(plate, np.array([0.0, 0.0, yaw, 1.0]))[:, :2] for yaw in yaws])
+
+
+def _peaks_of(votes: Floats, apart: int) -> Floats:
+    """(anchor, 2) the highest cells, none nearer to another than so many cells."""
+    left = votes.copy()
+    found = []
+    for _ in range(_ANCHORS):
+        u, v = np.unravel_index(left.argmax(), left.shape)
+        found.append((u, v))
+        left[max(u - apart, 0) : u + apart + 1, max(v - apart, 0) : v + apart + 1] = 0.0
+    return np.array(found, np.float64)
+
+
+def _fitted(
+    at: Floats,
+    across: Floats,
+    stripe: Integers,
+    x_px: Floats,
+    row_px: Floats,
+    plate: SpherePlate,
+    pose: Floats,
+) -> Plate | None:
+    """Gauss and Newton, the points on balls chosen anew in each round."""
+    radius = 0.5 * plate.diameter_mm
+    found = None
+    for share in _ROUNDS:
+        centre = centres(plate, pose)
+        ball = ((at[:, None, :2] - centre[None, :, :2]) ** 2).sum(axis=2).argmin(axis=1)
+        off, out = off_balls(at, ball, plate, pose)
+        on = (np.abs(off) < share * radius) & (out[:, 2] > _CAP_RISE_MIN)
+        on &= np.bincount(ball[on], minlength=len(centre))[ball] >= _BALL_POINTS_MIN
+        use = np.flatnonzero(on)
+        for _ in range(_STEPS):
+            if use.size < _POINTS_MIN:
+                return None
+            found = _measured(at, across, stripe, x_px, row_px, ball, use, plate, pose)
+            pose = pose + np.linalg.lstsq(found.slopes, -found.residual, rcond=None)[0]
+            limit = _STRAY_MADS * _MAD_TO_STD * float(np.median(np.abs(found.residual))) + 1e-6
+            use = use[np.abs(found.residual) < limit]
+    return found
+
+
+def _measured(
+    at: Floats,
+    across: Floats,
+    stripe: Integers,
+    x_px: Floats,
+    row_px: Floats,
+    ball: Integers,
+    use: Integers,
+    plate: SpherePlate,
+    pose: Floats,
+) -> Plate:
+    off, out = off_balls(at[use], ball[use], plate, pose)
+    per_px = np.abs((out * across[use]).sum(axis=1))
+    # a point that a pixel moves along the surface says nothing that could be weighed
+    per_px = np.maximum(per_px, _ALONG_SHARE * float(np.median(per_px)))
+    return Plate(
+        pose,
+        stripe[use],
+        x_px[use],
+        row_px[use],
+        ball[use],
+        at[use],
+        per_px,
+        _slopes(out, ball[use], plate, pose) / per_px[:, None],
+        off / per_px,
+        float(np.sqrt((off**2).mean())),
+    )
+
+
+def _slopes(out: Floats, ball: Integers, plate: SpherePlate, pose: Floats) -> Floats:
+    """(point, 4) derivatives of the distances from the balls by the pose."""
+    own = centres(plate, pose)[ball] - [*pose[:2], 0.0]
+    turned = np.column_stack([-own[:, 1], own[:, 0], np.zeros(len(own))])
+    by_size = -(out * own).sum(axis=1) / pose[3] - 0.5 * plate.diameter_mm
+    return np.column_stack([-out[:, 0], -out[:, 1], -(out * turned).sum(axis=1), by_size])
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class PlateScale:
+    """A sphere plate's lengths over those described.
+
+    Attributes
+    ----------
+    ratio, own_std
+        See `Reference` in `second_targets`.
+    by_parameter
+        (n,) derivative of ln ratio by the calibration's parameters.
+    said
+        What was seen, in words.
+    """
+
+    ratio: float
+    own_std: float
+    by_parameter: Floats
+    said: str
+
+
+def plate_scale(calibration: Calibration, images: list[Peaks], plate: SpherePlate) -> PlateScale | None:
+    """Measure a sphere plate in one or more images; None where it is seen in none."""
+    found = [one for peaks in images if (one := find_plate(calibration.parameters, peaks, plate)) is not None]
+    if not found:
+        return None
+    weight = np.array([max(one.random_std(), 1e-7) ** -2 for one in found])
+    share = weight / weight.sum()
+    own = float(weight.sum() ** -0.5)
+    # the plate is the same in all images: what its lengths are wrong by does not average out
+    lengths = np.stack([_by_length(one, plate) for one in found])
+    of_lengths = (share @ lengths) * plate.tolerance_mm / np.sqrt(3.0)
+    ways = np.stack([_by_parameter(calibration, one, plate) for one in found])
+    balls, points = sum(one.balls for one in found), sum(one.ball.size for one in found)
+    rms_mm = float(np.sqrt(sum(one.rms_mm**2 * one.ball.size for one in found) / points))
+    return PlateScale(
+        ratio=float(np.exp(share @ np.log([one.pose[3] for one in found]))),
+        own_std=float(np.sqrt(own**2 + of_lengths @ of_lengths)),
+        by_parameter=np.asarray(share @ ways),
+        said=f"sphere plate: {points} points on {balls} balls lie {rms_mm:.3f} mm (rms) off them",
+    )
+
+
+def _by_length(found: Plate, plate: SpherePlate) -> Floats:
+    """(3,) derivatives of ln ratio by the described pitch, diameter and centres' height, 1/mm."""
+    before = off_balls(found.at_mm, found.ball, plate, found.pose)[0]
+    slopes = []
+    for name in ("pitch_mm", "diameter_mm", "centre_height_mm"):
+        longer = replace(plate, **{name: getattr(plate, name) + _STEP_MM})
+        after = off_balls(found.at_mm, found.ball, longer, found.pose)[0]
+        slopes.append(found.answer((after - before) / found.per_px) / _STEP_MM)
+    return np.array(slopes)
+
+
+def _by_parameter(calibration: Calibration, found: Plate, plate: SpherePlate) -> Floats:
+    """(n,) derivatives of ln ratio by the calibration's parameters, by central differences."""
+    std = np.sqrt(np.diag(calibration.covariance))
+    slopes = np.zeros(std.size)
+    for number in np.flatnonzero(std > 0):
+        off = []
+        for sign in (1.0, -1.0):
+            step = np.zeros(std.size)
+            step[number] = 0.1 * sign * std[number]
+            at = points_of(_moved(calibration.parameters, step), found.stripe, found.x_px, found.row_px)
+            off.append(off_balls(at, found.ball, plate, found.pose)[0])
+        slopes[number] = found.answer((off[0] - off[1]) / found.per_px) / (0.2 * std[number])
+    return slopes
+
+
+def _moved(parameters: Mapping[str, Floats], step: Floats) -> dict[str, Floats]:
+    moved, start = {}, 0
+    for name, array in parameters.items():
+        moved[name] = array + step[start : start + array.size].reshape(array.shape)
+        start += array.size
+    return moved
+
+
+_STEP_MM = 1e-3
+
+
+_HEIGHTS = (0.6, 0.8, 1.0, 1.3)
+"""Of the projector over the belt, in distances of the camera."""
+_ANGLES_DEG = np.arange(10.0, 61.0, 2.5)
+_TRIED = 8
+_TRIED_VIEWS = 2
+_PEAKS_MAX = 1500
+_PLATE_ROUNDS = 5
+_STRIPE_POINTS_MIN = 12
+_BELT_POINTS_MAX = 3000
+_LIES_STD_MM = 0.01
+
+
+def from_plate(
+    observed: CalibrationSet, plate: SpherePlate, boards: Measured, free_camera: Flags, belt: Floats | None
+) -> OnSolids:
+    """Find the planes of light.
+
+    Parameters
+    ----------
+    observed
+        Images of the sphere plate and of the empty belt.
+    plate
+        As described.
+    boards, free_camera, belt
+        As of `from_solids`; the belt must be known.
+
+    Raises
+    ------
+    CalibrationError
+        The belt is not known or its empty image is missing; the plate is not seen; a stripe lies on no ball.
+    """
+    if belt is None or not observed.showing("belt"):
+        raise CalibrationError(
+            "a sphere plate alone does not tell where the belt is",
+            hint="name an image of the board lying on the belt, laser off (images.board_on_belt), and one of "
+            "the empty belt (images.belt); or take a truncated pyramid",
+        )
+    camera, stripes = boards.start.camera, observed.stripe_count
+    bare = [numbered(view, camera, stripes) for view in observed.showing("belt")]
+    lines = belt_lines(bare[0], bare[0], stripes, float(camera[0]))
+    views = observed.showing("sphere_plate")
+    geometry = _start(replace(boards.start, belt=belt), lines, views, plate)
+    on_belt = np.concatenate(
+        [np.column_stack([one.stripe, one.x_px, one.row_px, one.std_px]) for one in bare]
+    )
+    on_belt = on_belt[:: max(1, -(-len(on_belt) // _BELT_POINTS_MAX))]
+    first = len(boards.start.shift)
+    for number in range(_PLATE_ROUNDS):
+        plates = [_seen(geometry, view, plate) for view in views]
+        _check_stripes(plates, stripes)
+        measured = _measured_plate(boards, free_camera, geometry, on_belt, plates, plate, first)
+        geometry = measured.nearly() if number + 1 < _PLATE_ROUNDS else geometry
+    adjusted = measured.adjusted()
+    return OnSolids(
+        measured,
+        adjusted,
+        (_shape(plate),),
+        tuple(_if_longer(measured, adjusted, plates, plate)),
+        0.0,
+    )
+
+
+def _start(boards: Geometry, lines: Floats, views: tuple[Observation, ...], plate: SpherePlate) -> Geometry:
+    """Try places of the projector; give the geometry by which most peaks lie on balls."""
+    pose = belt_pose(boards.belt)
+    away = float(pose[2, 3])
+    line = np.column_stack([np.ones(len(lines)), -lines[:, 1], -lines[:, 0]])
+    peaks = [_thinned(view.peaks) for view in views[:: max(1, len(views) // _TRIED_VIEWS)]]
+    tried: list[tuple[int, int, Geometry]] = []
+    for share in _HEIGHTS:
+        for angle in np.radians([*-_ANGLES_DEG, *_ANGLES_DEG]):
+            high = share * away
+            at = pose[:3, :3].T @ (np.array([high * np.tan(angle), 0.0, high]) - pose[:3, 3])
+            planes = boards.belt + line * ((1.0 - boards.belt @ at) / (line @ at))[:, None]
+            geometry = replace(boards, planes=planes)
+            parameters = parameters_of(geometry, travel=False)
+            found = [find_plate(parameters, one, plate) for one in peaks]
+            on_balls = sum(one.ball.size for one in found if one is not None)
+            tried.append((-on_balls, len(tried), geometry))
+    fits: list[tuple[float, int, Geometry]] = []
+    for _, number, geometry in sorted(tried)[:_TRIED]:
+        found = [find_plate(parameters_of(geometry, travel=False), view.peaks, plate) for view in views]
+        points = sum(one.ball.size for one in found if one is not None)
+        off_mm = max((one.rms_mm for one in found if one is not None), default=np.inf)
+        fits.append((off_mm / max(points, 1), number, geometry))
+    best = min(fits)
+    if not np.isfinite(best[0]):
+        raise CalibrationError(
+            f"{views[0].frame.name}: the sphere plate is not seen",
+            hint="lay it under the stripes, its columns across them; are its lengths right?",
+        )
+    return best[2]
+
+
+def _thinned(peaks: Peaks) -> Peaks:
+    """Some of an image's rows, for trying."""
+    every = max(1, len(peaks) // _PEAKS_MAX)
+    keep = peaks.row % every == 0
+    columns = ("row", "x_px", "x_std_px", "amplitude", "background", "width_px", "flags")
+    return Peaks(image_size=peaks.image_size, **{name: getattr(peaks, name)[keep] for name in columns})
+
+
+def _seen(geometry: Geometry, view: Observation, plate: SpherePlate) -> Plate:
+    found = find_plate(parameters_of(geometry, travel=False), view.peaks, plate)
+    if found is None:
+        raise CalibrationError(
+            f"{view.frame.name}: the sphere plate is not seen",
+            hint="lay it under the stripes, its columns across them; are its lengths right?",
+        )
+    return found
+
+
+def _check_stripes(plates: list[Plate], stripes: int) -> None:
+    many = np.bincount(np.concatenate([one.stripe for one in plates]), minlength=stripes)
+    missing = np.flatnonzero(many < _STRIPE_POINTS_MIN)
+    if missing.size:
+        names = ", ".join(str(stripe + 1) for stripe in missing)
+        raise CalibrationError(
+            f"stripe {names} lies on no ball: that determines no plane",
+            hint="add images of the sphere plate with the plate moved across the stripes",
+        )
+
+
+def _measured_plate(
+    boards: Measured,
+    free_camera: Flags,
+    geometry: Geometry,
+    on_belt: Floats,
+    plates: list[Plate],
+    plate: SpherePlate,
+    first: int,
+) -> Measured:
+    pose = belt_pose(geometry.belt)
+    turns = np.stack([pose[:3, :3].T @ _yaw(one) for one in plates])
+    places = np.stack([pose[:3, :3].T @ ([*one.pose[:2], 0.0] - pose[:3, 3]) for one in plates])
+    start = replace(
+        geometry,
+        rotation=np.concatenate([geometry.rotation[:first], turns]),
+        shift=np.concatenate([geometry.shift[:first], places]),
+    )
+    side = 0.5 * plate.pitch_mm * max(plate.columns, plate.rows)
+    under = side * np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 1.0, 0.0]])
+    mine = first + np.repeat(np.arange(len(plates)), 3)
+    feet = Feet(
+        np.concatenate([boards.feet.pose, mine]),
+        np.concatenate([boards.feet.board_mm, *([under] * len(plates))]),
+        np.concatenate([boards.feet.counts, np.zeros(mine.size)]),
+    )
+    of_boards = np.broadcast_to(boards.foot_std_mm, boards.feet.pose.shape)
+    return Measured(
+        start,
+        unknowns_of(
+            start,
+            free_camera=free_camera,
+            planes=True,
+            belt=True,
+            travel=False,
+            bend=start.bend is not None,
+        ),
+        boards.corners,
+        _points(on_belt, plates, plate, first),
+        feet,
+        np.concatenate([of_boards, np.full(mine.size, _LIES_STD_MM)]),
+    )
+
+
+def _points(on_belt: Floats, plates: list[Plate], plate: SpherePlate, first: int) -> StripePoints:
+    """Peaks on the belt and on balls; a ball's surface at a peak is the plane that touches it there."""
+    tables = [np.column_stack([np.full(len(on_belt), ON_BELT), on_belt])]
+    faces = [np.tile([0.0, 0.0, 1.0, 0.0], (len(on_belt), 1))]
+    for number, one in enumerate(plates):
+        same = np.ones(one.ball.size)
+        std = np.median(on_belt[:, 3]) * same
+        tables.append(np.column_stack([(first + number) * same, one.stripe, one.x_px, one.row_px, std]))
+        faces.append(np.column_stack([_out(one, plate), _distances(one, plate, plate)]))
+    pose, stripe, x_px, row_px, std_px = np.ascontiguousarray(np.concatenate(tables).T)
+    return StripePoints(
+        pose.astype(np.int64),
+        stripe.astype(np.int64),
+        x_px,
+        row_px,
+        std_px,
+        np.zeros(pose.size),
+        np.concatenate(faces),
+    )
+
+
+def _if_longer(
+    measured: Measured, adjusted: Adjusted, plates: list[Plate], plate: SpherePlate
+) -> list[Geometry]:
+    """Adjust again for each length, longer by its standard uncertainty; the touching planes stay parallel."""
+    found = []
+    for name in ("pitch_mm", "diameter_mm", "centre_height_mm"):
+        longer = replace(plate, **{name: getattr(plate, name) + plate.tolerance_mm / np.sqrt(3.0)})
+        if measured.points.face is None:
+            raise AssertionError("peaks lie on faces")
+        face = measured.points.face.copy()
+        face[-sum(one.ball.size for one in plates) :, 3] = np.concatenate(
+            [_distances(one, plate, longer) for one in plates]
+        )
+        found.append(replace(measured, points=replace(measured.points, face=face)).stepped(adjusted))
+    return found
+
+
+def _out(one: Plate, plate: SpherePlate) -> Floats:
+    """(point, 3) directions away from the balls' centres, in the plate's frame."""
+    way = one.at_mm - centres(plate, one.pose)[one.ball]
+    return np.asarray((way / np.sqrt((way**2).sum(axis=1))[:, None]) @ _yaw(one))
+
+
+def _distances(one: Plate, plate: SpherePlate, longer: SpherePlate) -> Floats:
+    """(point,) distance of each touching plane from the plate's origin, of a plate with other lengths, mm."""
+    own = centres(longer, np.array([0.0, 0.0, 0.0, 1.0]))[one.ball]
+    return np.asarray((_out(one, plate) * own).sum(axis=1) + 0.5 * longer.diameter_mm)
+
+
+def _yaw(one: Plate) -> Floats:
+    """(3, 3) to the belt frame from the plate's."""
+    return np.asarray(turned(np.array([[0.0, 0.0, one.pose[2]]]))[0])
+
+
+def _shape(plate: SpherePlate) -> Shape:
+    """For its name and height."""
+    top = plate.centre_height_mm + 0.5 * plate.diameter_mm
+    along = plate.rows * plate.pitch_mm
+    return Shape("sphere-plate", plate.name, (), 0, top, along, top, False, (0.0,))

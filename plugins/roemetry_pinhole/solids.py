@@ -1,0 +1,484 @@
+"""Blocks, staircases and truncated pyramids: their shapes, and where they stand.
+
+Solids of known shape on the belt: the faces that stripes can lie on, and the edges where they end.
+
+A first geometry from a solid on the belt: belt lines, what is off them, planes, and where the solid lies.
+
+Stripes are numbered by their order in the rows in which all of them are seen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from roemetry.arrays import Flags, Floats, Integers
+from roemetry.errors import CalibrationError
+from roemetry.records import EDGE, WIDE, Block, Observation, Pyramid, Staircase
+from roemetry_pinhole.frames import belt_pose
+from roemetry_pinhole.geometry import straightened, turned
+
+Solid = Block | Staircase | Pyramid
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Face:
+    """One face as seen from above.
+
+    Attributes
+    ----------
+    plane
+        (4,) n and d with n·X = d, mm, in the solid's frame: X across the stripes, Y along them, Z up, origin
+        on the belt under its middle.
+    corners_mm
+        (corner, 2) X and Y of its corners, convex, counter-clockwise.
+    walls
+        (2, 4) vertical planes at which it ends towards −Y and +Y.
+    ends
+        Whether it drops there, so that a stripe that crosses it ends at the wall.
+    """
+
+    plane: Floats
+    corners_mm: Floats
+    walls: Floats
+    ends: tuple[bool, bool]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Shape:
+    """A solid.
+
+    Attributes
+    ----------
+    kind, name
+        For people.
+    faces
+        All that stripes can lie on, but for the belt.
+    top
+        Index of its highest level face.
+    height_mm
+        Height of that face.
+    along_mm, along_height_mm
+        Extent along the stripes over which they are not on the belt, and the height at its ends.
+    wide_top
+        Whether all stripes that lie on the solid reach its highest face.
+    turns_deg
+        Ways round it may lie, as far as its shape tells them apart.
+    """
+
+    kind: str
+    name: str
+    faces: tuple[Face, ...]
+    top: int
+    height_mm: float
+    along_mm: float
+    along_height_mm: float
+    wide_top: bool
+    turns_deg: tuple[float, ...]
+
+
+def shape_of(solid: Solid) -> Shape:
+    """Give the shape of a block, a staircase or a truncated pyramid."""
+    match solid:
+        case Block():
+            return _block(solid)
+        case Staircase():
+            return _staircase(solid)
+        case Pyramid():
+            return _pyramid(solid)
+
+
+def toleranced(solid: Solid) -> tuple[Callable[[float], Solid], ...]:
+    """Give, for each length with a tolerance, the solid with that length longer by so many mm."""
+    from dataclasses import replace
+
+    match solid:
+        case Block():
+            return (
+                lambda more: replace(solid, height_mm=solid.height_mm + more),
+                lambda more: replace(solid, width_mm=solid.width_mm + more),
+            )
+        case Staircase():
+            steps = range(len(solid.heights_mm))
+            return (
+                *(
+                    lambda more, step=step: replace(solid, heights_mm=_longer(solid.heights_mm, step, more))
+                    for step in steps
+                ),
+                lambda more: replace(solid, tread_mm=solid.tread_mm + more / len(solid.heights_mm)),
+            )
+        case Pyramid():
+            return (
+                lambda more: replace(solid, base_mm=solid.base_mm + more),
+                lambda more: replace(solid, top_mm=solid.top_mm + more),
+                lambda more: replace(solid, height_mm=solid.height_mm + more),
+            )
+
+
+def _longer(heights_mm: tuple[float, ...], step: int, more: float) -> tuple[float, ...]:
+    return tuple(height + (more if number == step else 0.0) for number, height in enumerate(heights_mm))
+
+
+def _block(block: Block) -> Shape:
+    half = 0.5 * block.width_mm
+    top = _level(block.length_mm, -half, half, block.height_mm, (True, True))
+    return Shape(
+        "block", block.name, (top,), 0, block.height_mm, block.width_mm, block.height_mm, True, (0.0,)
+    )
+
+
+def _staircase(stairs: Staircase) -> Shape:
+    heights = stairs.heights_mm
+    y = (np.arange(len(heights) + 1) - 0.5 * len(heights)) * stairs.tread_mm
+    around = (0.0, *heights, 0.0)
+    faces = tuple(
+        _level(
+            stairs.width_mm,
+            float(y[step]),
+            float(y[step + 1]),
+            height,
+            (around[step] < height, around[step + 2] < height),
+        )
+        for step, height in enumerate(heights)
+    )
+    top = int(np.argmax(heights))
+    ends = 0.5 * (heights[0] + heights[-1])
+    alike = heights == heights[::-1]
+    turns = (0.0,) if alike else (0.0, 180.0)
+    return Shape("staircase", stairs.name, faces, top, heights[top], float(y[-1] - y[0]), ends, True, turns)
+
+
+def _pyramid(pyramid: Pyramid) -> Shape:
+    base, top, height = 0.5 * pyramid.base_mm, 0.5 * pyramid.top_mm, pyramid.height_mm
+    none = np.tile([0.0, 1.0, 0.0, 0.0], (2, 1))
+    faces = [_level(2.0 * top, -top, top, height, (False, False))]
+    for turn in range(4):
+        cos, sin = ((1, 0), (0, 1), (-1, 0), (0, -1))[turn]
+        way = np.array([[cos, -sin], [sin, cos]], np.float64)
+        # of the side towards +X: X + Z (base − top)/height = base
+        normal = np.array([1.0, 0.0, (base - top) / height])
+        size = np.sqrt(normal @ normal)
+        corners = np.array([[base, -base], [base, base], [top, top], [top, -top]])
+        plane = np.array([*(way @ normal[:2]), normal[2], base]) / size
+        faces.append(Face(plane, corners @ way.T, none, (False, False)))
+    return Shape(
+        "truncated-pyramid", pyramid.name, tuple(faces), 0, height, pyramid.base_mm, 0.0, False, (0.0,)
+    )
+
+
+def _level(length: float, low: float, high: float, height: float, ends: tuple[bool, bool]) -> Face:
+    half = 0.5 * length
+    corners = np.array([[-half, low], [half, low], [half, high], [-half, high]])
+    walls = np.array([[0.0, 1.0, 0.0, low], [0.0, 1.0, 0.0, high]])
+    return Face(np.array([0.0, 0.0, 1.0, height]), corners, walls, ends)
+
+
+def inside(face: Face, xy_mm: Floats) -> Floats:
+    """Give (point,) how far points lie inside a face's outline, mm; negative outside."""
+    corners = face.corners_mm
+    along = np.roll(corners, -1, axis=0) - corners
+    inwards = np.column_stack([-along[:, 1], along[:, 0]]) / np.hypot(*along.T)[:, None]
+    off = (xy_mm[:, None, :] - corners) * inwards
+    return np.asarray(off.sum(axis=2).min(axis=1))
+
+
+def footprint(shape: Shape, xy_mm: Floats) -> Floats:
+    """Give (point,) how far points lie inside the solid's outline on the belt, mm; negative outside."""
+    return np.asarray(np.stack([inside(face, xy_mm) for face in shape.faces]).max(axis=0))
+
+
+def off_surface(shape: Shape, xyz_mm: Floats, rim_mm: float) -> Floats:
+    """Give (point,) how far points in the solid's frame are from belt or faces, mm.
+
+    Near a rim, by less than `rim_mm`, the nearer of both sides counts.
+    """
+    off = np.where(footprint(shape, xyz_mm[:, :2]) < rim_mm, np.abs(xyz_mm[:, 2]), np.inf)
+    for face in shape.faces:
+        there = inside(face, xyz_mm[:, :2]) > -rim_mm
+        own = np.abs(xyz_mm @ face.plane[:3] - face.plane[3])
+        off = np.where(there, np.minimum(off, own), off)
+    return off
+
+
+_BARE_SHARE = 0.08
+_OFF_PX = 1.5
+_ROWS_MIN = 12
+_PLATEAU_SHARE = 0.93
+_OFF_SHARE_MAX = 0.2
+_FAN_CONDITION = 0.01
+_LEANS = 0.5
+_MOVES_MAX = 120
+_DISTANCES = (0.76, 0.84, 0.92, 1.0, 1.08)
+_TILTS_DEG = [(x, y) for x in (-12.0, -4.0, 4.0, 12.0) for y in (-12.0, -4.0, 4.0, 12.0)]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Numbered:
+    """Peaks of one image whose stripe is known.
+
+    Attributes
+    ----------
+    name
+        Of the image.
+    stripe
+        (peak,) stripe.
+    x_px, row_px, std_px
+        (peak,) where they are, px.
+    ray
+        (peak, 3) their rays, without distortion, z = 1.
+    """
+
+    name: str
+    stripe: Integers
+    x_px: Floats
+    row_px: Floats
+    std_px: Floats
+    ray: Floats
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Start:
+    """A first geometry.
+
+    Attributes
+    ----------
+    planes, belt
+        (stripe, 3) and (3,) p·X = 1, camera frame, 1/mm.
+    rotation, shift
+        (3, 3) and (3,) to the camera's frame from the solid's.
+    off_mm
+        Mean distance of the peaks from the surface where they should lie; large ones count little.
+    """
+
+    planes: Floats
+    belt: Floats
+    rotation: Floats
+    shift: Floats
+    off_mm: float
+
+
+def numbered(view: Observation, camera: Floats, stripes: int) -> Numbered:
+    """Number the peaks by their order, in the rows that show as many as there are stripes.
+
+    Raises
+    ------
+    CalibrationError
+        There are too few such rows.
+    """
+    peaks = view.peaks
+    good = np.flatnonzero((peaks.flags & (EDGE | WIDE)) == 0)
+    count = np.bincount(peaks.row[good], minlength=peaks.image_size[0])
+    whole = good[count[peaks.row[good]] == stripes]
+    if whole.size < _ROWS_MIN * stripes:
+        usual = int(np.median(count[count > 0])) if (count > 0).any() else 0
+        raise CalibrationError(
+            f"{view.frame.name}: all {stripes} stripes are seen in {whole.size // max(stripes, 1)} rows only "
+            f"(most rows show {usual})",
+            hint="check `stripes` and the extractor's threshold; every stripe must be seen on belt and solid",
+        )
+    order = np.lexsort((peaks.x_px[whole], peaks.row[whole]))
+    whole = whole[order]
+    std = peaks.x_std_px[whole]
+    seen = (np.column_stack([peaks.x_px[whole], peaks.row[whole]]) - camera[2:4]) / camera[:2]
+    xy = straightened(seen, camera[4:])
+    return Numbered(
+        view.frame.name,
+        np.tile(np.arange(stripes), whole.size // stripes),
+        peaks.x_px[whole],
+        peaks.row[whole].astype(np.float64),
+        np.where(np.isfinite(std) & (std > 0), std, 1.0),
+        np.column_stack([xy, np.ones(len(xy))]),
+    )
+
+
+def belt_lines(bare: Numbered | None, view: Numbered, stripes: int, focal_px: float) -> Floats:
+    """Give (stripe, 2) start and slope of each stripe on the bare belt: x = start + slope · y, straightened.
+
+    Without an image of the empty belt the first and last rows of the solid's image are taken as bare.
+    """
+    lines = np.empty((stripes, 2))
+    for stripe in range(stripes):
+        part = view if bare is None else bare
+        mine = part.ray[part.stripe == stripe]
+        if bare is None:
+            # a stripe's rows follow each other: its outer ones are bare
+            ends = max(int(_BARE_SHARE * len(mine)), 4)
+            mine = np.concatenate([mine[:ends], mine[-ends:]])
+        for _ in range(4):
+            lines[stripe] = np.polynomial.polynomial.polyfit(mine[:, 1], mine[:, 0], 1)
+            off = np.abs(mine[:, 0] - lines[stripe] @ [np.ones(len(mine)), mine[:, 1]]) * focal_px
+            near = off <= max(3.0 * float(np.median(off)), 0.5)
+            mine = mine[near]
+    return lines
+
+
+def start_of(
+    view: Numbered, lines: Floats, shape: Shape, focal_px: float, belt: Floats | None, turn_deg: float
+) -> Start:
+    """Find a first geometry from one image of a solid.
+
+    Parameters
+    ----------
+    view
+        The image's peaks.
+    lines
+        (stripe, 2) stripes on the bare belt, see `belt_lines`.
+    shape
+        The solid.
+    focal_px
+        To make pixels of distances on the plane at distance 1.
+    belt
+        (3,) b·X = 1, 1/mm, where it is known; else distances about the one that the solid's extent gives,
+        and tilts of the camera, are tried.
+    turn_deg
+        Which way round the solid lies.
+
+    Raises
+    ------
+    CalibrationError
+        The solid is not seen.
+    """
+    own = lines[view.stripe]
+    off_px = (view.ray[:, 0] - own[:, 0] - own[:, 1] * view.ray[:, 1]) * focal_px
+    lifted = np.abs(off_px) > _OFF_PX
+    on = [stripe for stripe in range(len(lines)) if (lifted & (view.stripe == stripe)).sum() >= _ROWS_MIN]
+    if not on:
+        raise CalibrationError(
+            f"{view.name}: the {shape.kind} is not seen: no stripe is off its place on the bare belt",
+            hint="lay it under the stripes; with bare belt above and below it in the image",
+        )
+    high = _on_top(view, off_px, lifted, on)
+    first, every = _belts(view, shape, lifted, on) if belt is None else ([belt], [belt])
+
+    def best(belts: list[Floats], stripes: list[int]) -> Start:
+        top = {stripe: high[stripe] for stripe in stripes}
+        tried = [_start(view, lines, shape, one, lifted, top, turn_deg) for one in belts]
+        return min(tried, key=_unlikely)
+
+    groups = [on] if shape.wide_top else [[s for s in (at - 1, at, at + 1) if s in high] for at in on]
+    stripes = min(groups, key=lambda group: best(first, group).off_mm) if len(groups) > 1 else groups[0]
+    start = best(every, stripes)
+    if belt is not None:
+        return start
+    top = {stripe: high[stripe] for stripe in stripes}
+    return _nearer(start, lambda one: _start(view, lines, shape, one, lifted, top, turn_deg))
+
+
+def _nearer(start: Start, made: Callable[[Floats], Start]) -> Start:
+    """Move the belt's distance and tilt to where the peaks lie nearest to the surface (Nelder and Mead)."""
+    from scipy.optimize import minimize
+
+    def of(moved: Floats) -> Floats:
+        lean = start.belt[:2] / start.belt[2] + moved[:2]
+        return np.asarray(np.array([*lean, 1.0]) * start.belt[2] * np.exp(moved[2]))
+
+    simplex = np.array([[0.0, 0.0, 0.0], [0.05, 0.0, 0.0], [0.0, 0.05, 0.0], [0.0, 0.0, 0.03]])
+    options = {"initial_simplex": simplex, "maxfev": _MOVES_MAX, "xatol": 1e-3, "fatol": 1e-4}
+    found = minimize(
+        lambda moved: _unlikely(made(of(moved))), simplex[0], method="Nelder-Mead", options=options
+    )
+    nearer = made(of(found.x))
+    return nearer if _unlikely(nearer) < _unlikely(start) else start
+
+
+def _unlikely(start: Start) -> float:
+    """Distance off the surface, mm, the larger the more the belt is tilted: tilts are told by little."""
+    lean = start.belt[:2] / (_LEANS * start.belt[2])
+    return float(start.off_mm * (1.0 + lean @ lean))
+
+
+def _on_top(view: Numbered, off_px: Floats, lifted: Flags, on: list[int]) -> dict[int, Integers]:
+    """Give by stripe the peaks on the highest level it reaches."""
+    top = {}
+    for stripe in on:
+        mine = np.flatnonzero(lifted & (view.stripe == stripe))
+        high = float(np.quantile(np.abs(off_px[mine]), 0.9))
+        top[stripe] = mine[np.abs(off_px[mine]) >= _PLATEAU_SHARE * high]
+    return top
+
+
+def _belts(view: Numbered, shape: Shape, lifted: Flags, on: list[int]) -> tuple[list[Floats], list[Floats]]:
+    """Give belts (3,) to try: level ones about the distance of the solid's extent, and those also tilted."""
+    spans = [
+        float(np.ptp(np.quantile(view.ray[lifted & (view.stripe == stripe), 1], [0.01, 0.99])))
+        for stripe in on
+    ]
+    distance = shape.along_mm / float(np.median(spans)) + shape.along_height_mm
+    level = [np.array([0.0, 0.0, 1.0 / (factor * distance)]) for factor in _DISTANCES]
+    # the distance is that along the optical axis
+    leaning = [
+        one + one[2] * np.array([np.tan(tilt[1]), -np.tan(tilt[0]), 0.0])
+        for one in level
+        for tilt in np.radians(_TILTS_DEG)
+    ]
+    return level, level + leaning
+
+
+def _start(
+    view: Numbered,
+    lines: Floats,
+    shape: Shape,
+    belt: Floats,
+    lifted: Flags,
+    top: dict[int, Integers],
+    turn_deg: float,
+) -> Start:
+    level = belt / (1.0 - shape.height_mm * float(np.sqrt(belt @ belt)))
+    planes = np.full((len(lines), 3), np.nan)
+    y = np.array([view.ray[:, 1].min(), view.ray[:, 1].max()])
+    for stripe, peaks in top.items():
+        ends = np.column_stack([lines[stripe, 0] + lines[stripe, 1] * y, y, np.ones(2)])
+        rays = np.vstack([ends, view.ray[peaks]])
+        sides = np.concatenate([ends @ belt, view.ray[peaks] @ level])
+        planes[stripe] = np.linalg.lstsq(rays, sides, rcond=None)[0]
+    planes = _of_one_fan(planes, lines, belt)
+    pose = belt_pose(belt)
+    xyz = view.ray / (view.ray * planes[view.stripe]).sum(axis=1)[:, None] @ pose[:3, :3].T + pose[:3, 3]
+    low, high = np.quantile(xyz[lifted, :2], [0.01, 0.99], axis=0)
+    middle = np.array([*(0.5 * (low + high)), 0.0])
+    turn = turned(np.radians([[0.0, 0.0, turn_deg]]))[0]
+    off = np.minimum(off_surface(shape, (xyz - middle) @ turn, 0.0), _OFF_SHARE_MAX * shape.height_mm)
+    rotation, shift = pose[:3, :3].T @ turn, pose[:3, :3].T @ (middle - pose[:3, 3])
+    return Start(planes, belt, rotation, shift, float(off.mean()))
+
+
+def _of_one_fan(planes: Floats, lines: Floats, belt: Floats) -> Floats:
+    """Fill in planes that are not known: through their belt line and the others' point of light."""
+    known = np.isfinite(planes).all(axis=1)
+    if known.all():
+        return planes
+    point = np.linalg.lstsq(planes[known], np.ones(int(known.sum())), rcond=_FAN_CONDITION)[0]
+    filled = planes.copy()
+    for stripe in np.flatnonzero(~known):
+        line = np.array([1.0, -lines[stripe, 1], -lines[stripe, 0]])
+        filled[stripe] = belt + line * (1.0 - belt @ point) / (line @ point)
+    return filled
+
+
+def renumbered(view: Numbered, off_mm: Floats) -> Numbered:
+    """Exchange neighbours in a row where the other way round both lie nearer to the surface.
+
+    Parameters
+    ----------
+    view
+        The peaks, row by row, in the order of their numbers.
+    off_mm
+        (3, peak) distance from the surface if the peak's stripe were the one to the left, its own, the one
+        to the right; infinite where there is none.
+    """
+    stripes = int(view.stripe.max()) + 1
+    left, own, right = (part.reshape(-1, stripes) for part in off_mm)
+    number = view.stripe.reshape(-1, stripes).copy()
+    usual = float(np.median(own))
+    for k in range(stripes - 1):
+        before, after = own[:, k] + own[:, k + 1], right[:, k] + left[:, k + 1]
+        swap = (after < _SWAP_SHARE * before) & (before > _SWAP_FACTOR * usual)
+        swap &= (number[:, k] == k) & (number[:, k + 1] == k + 1)
+        number[swap, k], number[swap, k + 1] = k + 1, k
+    return replace(view, stripe=number.ravel())
+
+
+_SWAP_SHARE = 0.35
+_SWAP_FACTOR = 12.0

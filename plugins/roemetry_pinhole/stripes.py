@@ -1,0 +1,462 @@
+"""Stripes on planes: lines among peaks, and numbered points for the adjustment.
+
+Stripes on a plane: straight lines once the lens's distortion is out, found among one image's peaks.
+
+Stripe peaks on boards and belt, numbered, and gathered over a few rows each.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from roemetry.arrays import Flags, Floats, Integers
+from roemetry.errors import CalibrationError
+from roemetry.records import EDGE, WIDE, Board, Observation, Peaks
+from roemetry_pinhole.boards import on_board, on_even_print
+from roemetry_pinhole.equations import ON_BELT, StripePoints
+from roemetry_pinhole.geometry import straightened
+from roemetry_pinhole.initial_intrinsics import FirstCamera
+from roemetry_pinhole.numbering import PoseLines, number_stripes
+
+_STEP_MAX_PX = 3.0
+_JOIN_PX = 2.5
+_NEAR_PX = 2.0
+_ROWS_MIN = 12
+_FRAGMENT_ROWS_MIN = 6
+_SHARE_MIN = 0.08
+_ROUNDS = 3
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class StripeLine:
+    """One stripe on a plane.
+
+    Attributes
+    ----------
+    start, slope
+        x = start + slope · y on the plane at distance 1, without distortion.
+    peak
+        (n,) indices of its peaks, by row.
+    """
+
+    start: float
+    slope: float
+    peak: Integers
+
+    def ends(self, xy: Floats) -> Floats:
+        """Give (2, 3) the rays of its two ends, from (peak, 2) places without distortion."""
+        y = xy[self.peak[[0, -1]], 1]
+        return np.column_stack([self.start + self.slope * y, y, np.ones(2)])
+
+
+def find_lines(peaks: Peaks, xy: Floats, use: Flags, focal_px: float) -> list[StripeLine]:
+    """Find the stripes, left to right.
+
+    Parameters
+    ----------
+    peaks
+        All peaks of the image.
+    xy
+        (peak, 2) the same on the plane at distance 1, without distortion.
+    use
+        (peak,) which of them lie on the plane that is looked at.
+    focal_px
+        To make pixels of distances there.
+    """
+    from roemetry_kernels.coding.tracing import trace_fragments
+
+    chosen = np.flatnonzero(use)
+    if not chosen.size:
+        return []
+    row_start = np.searchsorted(peaks.row[chosen], np.arange(peaks.image_size[0] + 1))
+    fragment, _ = trace_fragments(row_start, np.ascontiguousarray(peaks.x_px[chosen]), _STEP_MAX_PX)
+    order = np.argsort(fragment, kind="stable")
+    parts = np.split(chosen[order], np.flatnonzero(np.diff(fragment[order])) + 1)
+    lines: list[StripeLine] = []
+    for part in sorted(parts, key=len, reverse=True):
+        if len(part) < _FRAGMENT_ROWS_MIN:
+            break
+        off = [np.median(_off(line, xy[part])) * focal_px for line in lines]
+        near = int(np.argmin(off)) if off else -1
+        if near >= 0 and off[near] < _JOIN_PX:
+            lines[near] = _fitted(np.concatenate([lines[near].peak, part]), xy, focal_px)
+        elif len(part) >= _ROWS_MIN:
+            lines.append(_fitted(part, xy, focal_px))
+    longest = max((line.peak.size for line in lines), default=0)
+    lines = [line for line in lines if line.peak.size >= max(_ROWS_MIN, _SHARE_MIN * longest)]
+    middle = float(np.median(xy[chosen, 1]))
+    lines.sort(key=lambda line: line.start + line.slope * middle)
+    return _shared_out(lines, xy, chosen, focal_px)
+
+
+def _shared_out(lines: list[StripeLine], xy: Floats, chosen: Integers, focal_px: float) -> list[StripeLine]:
+    """Give each line every peak that is near it, also those of fragments too short to count."""
+    if not lines:
+        return lines
+    for _ in range(_ROUNDS):
+        off = np.stack([_off(line, xy[chosen]) * focal_px for line in lines])
+        nearest = off.argmin(axis=0)
+        mine = off.min(axis=0) < _NEAR_PX
+        lines = [
+            _fitted(chosen[mine & (nearest == number)], xy, focal_px)
+            if (mine & (nearest == number)).sum() >= _ROWS_MIN
+            else line
+            for number, line in enumerate(lines)
+        ]
+    lines = _uncrossed(_merged(lines, xy, focal_px), xy[chosen, 1])
+    return [replace(line, peak=np.sort(line.peak)) for line in lines]
+
+
+def _uncrossed(lines: list[StripeLine], y: Floats) -> list[StripeLine]:
+    """Of lines that cross on the board leave the shorter out: stripes of one fan do not cross."""
+    ends = np.array([y.min(), y.max()])
+    at = np.array([line.start + line.slope * ends for line in lines])
+    kept: list[int] = []
+    for number in sorted(range(len(lines)), key=lambda number: -lines[number].peak.size):
+        apart = at[kept] - at[number]
+        if not (apart.min(axis=1, initial=np.inf) * apart.max(axis=1, initial=-np.inf) < 0.0).any():
+            kept.append(number)
+    return [lines[number] for number in sorted(kept)]
+
+
+def _merged(lines: list[StripeLine], xy: Floats, focal_px: float) -> list[StripeLine]:
+    """Join neighbours that are one line in two parts, found before either was long enough to point well."""
+    kept: list[StripeLine] = []
+    for line in lines:
+        if kept:
+            y = xy[np.concatenate([kept[-1].peak, line.peak]), 1]
+            at = np.array([y.min(), y.max()])
+            apart = line.start - kept[-1].start + (line.slope - kept[-1].slope) * at
+            if np.abs(apart).min() * focal_px < _JOIN_PX:
+                kept[-1] = _fitted(np.unique(np.concatenate([kept[-1].peak, line.peak])), xy, focal_px)
+                continue
+        kept.append(line)
+    return kept
+
+
+def _off(line: StripeLine, xy: Floats) -> Floats:
+    return np.abs(xy[:, 0] - line.start - line.slope * xy[:, 1])
+
+
+def _fitted(part: Integers, xy: Floats, focal_px: float) -> StripeLine:
+    """Fit by least absolute deviations (reweighted), so that strays do not count."""
+    part = np.sort(part)
+    x, y = xy[part, 0], xy[part, 1]
+    weight = np.ones(part.size)
+    start = slope = 0.0
+    for _ in range(8):
+        total = weight.sum()
+        mean_x, mean_y = (weight * x).sum() / total, (weight * y).sum() / total
+        spread = (weight * (y - mean_y) ** 2).sum()
+        slope = float((weight * (y - mean_y) * (x - mean_x)).sum() / max(spread, 1e-30))
+        start = float(mean_x - slope * mean_y)
+        off = np.abs(x - start - slope * y) * focal_px
+        weight = 1.0 / np.maximum(off, 0.2)
+    return StripeLine(start, slope, part)
+
+
+def settled(part: Integers, xy: Floats, focal_px: float) -> Integers:
+    """Give those of a stripe's peaks that are near the line fitted to them."""
+    line = _fitted(part, xy, focal_px)
+    return np.asarray(line.peak[_off(line, xy[line.peak]) * focal_px < _NEAR_PX])
+
+
+def strongest(lines: list[StripeLine], peaks: Peaks, count: int) -> list[StripeLine]:
+    """Leave out lines beyond `count` that are far weaker: edges of the print, reflections."""
+    if len(lines) <= count:
+        return lines
+    light = np.array([float(peaks.amplitude[line.peak].sum()) for line in lines])
+    least = _STRAY_SHARE * np.sort(light)[-count]
+    return [line for line, own in zip(lines, light, strict=True) if own >= least]
+
+
+_STRAY_SHARE = 0.35
+
+
+_WIDTH_SHARE_MAX = 0.35
+_POINTS_MAX = 20_000
+_PEAKS_MIN = 8
+_BOARDS_MIN = 2
+_OFF_MAX_MADS = 5.0
+_OFF_MAX_LEAST_PX = 0.5
+_MAD_TO_STD = 1.4826
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Gathered:
+    """Stripe points for the adjustment, and a first estimate of the planes.
+
+    Attributes
+    ----------
+    points
+        Means over a few rows each.
+    planes
+        (stripe, 3) p·X = 1, 1/mm.
+    belt
+        (3,) a first estimate of the belt from the empty belt's images; None without any.
+    left_share
+        Share of the peaks on stripes that is left out: on uneven print, or far off the others.
+    left_out
+        By image, why its stripes are not used.
+    strange
+        Views whose stripes contradict the others', by number: their marks are not to be trusted either.
+    """
+
+    points: StripePoints
+    planes: Floats
+    belt: Floats | None
+    left_share: float
+    left_out: dict[str, str]
+    strange: tuple[int, ...] = ()
+
+
+def gather(
+    first: FirstCamera,
+    board: Board,
+    belts: tuple[Observation, ...],
+    stripes: int,
+    travelled: Floats,
+    *,
+    print_contrast_max: float,
+) -> Gathered:
+    """Find the stripes on all boards and on the empty belt, and number them.
+
+    Parameters
+    ----------
+    first
+        Camera and poses, nearly right.
+    board
+        For its size.
+    belts
+        Images of the empty belt.
+    stripes
+        How many the rig has.
+    travelled
+        (view,) encoder counts since the view's pose was defined.
+    print_contrast_max
+        Largest contrast of the print under a stripe at which its peaks count.
+
+    Raises
+    ------
+    CalibrationError
+        The stripes cannot be numbered, or one lies on too few boards.
+    """
+    left_out: dict[str, str] = {}
+    found: list[_OnBoard] = []
+    poses: list[PoseLines] = []
+    focal_px = float(first.camera[0])
+    size = board.pitch_mm * np.array([board.columns, board.rows])
+    for number, view in enumerate(first.views):
+        if view.laser is None:
+            continue
+        peaks = view.laser.peaks
+        xy = _straight(peaks, first.camera)
+        place = on_board(view, board, xy, first.rotation[number], first.shift[number])
+        use = ((place > 0.0) & (place < size)).all(axis=1)
+        use &= (peaks.flags & (EDGE | WIDE)) == 0
+        use &= ~(peaks.width_px > _WIDTH_SHARE_MAX * view.marks.spacing_px)
+        even = np.ones(len(peaks), np.bool_)
+        if view.plain is not None:
+            even = on_even_print(peaks, view.plain.frame, print_contrast_max)
+        # peaks at edges of the print follow the print: where they are many they make lines of their own
+        lines = find_lines(peaks, xy, use & even, focal_px) or find_lines(peaks, xy, use, focal_px)
+        if not lines:
+            left_out[view.laser.frame.name] = (
+                "no stripe is seen on the board: is the laser on, and does it fall on it?"
+            )
+            continue
+        normal = first.rotation[number][:, 2]
+        plane = normal / (normal @ first.shift[number])
+        found.append(_OnBoard(number, peaks, xy, use, even, plane))
+        poses.append(_in_space(view.laser.frame.name, lines, xy, plane))
+    if len(poses) < _BOARDS_MIN:
+        raise CalibrationError(
+            f"stripes lie on the board in {len(poses)} of {len(first.views)} poses, not in {_BOARDS_MIN}"
+            + "".join(f"\n  {name}: {why}" for name, why in left_out.items()),
+            hint="hold the board under the stripes, at different heights and tilts; is `stripes` right?",
+        )
+    numbered = number_stripes(poses, stripes, _belt_pose(first, board, belts, stripes))
+    left_out |= numbered.left_out
+    peaks_used: list[tuple[int, int, Peaks, Integers]] = []
+    on_stripes = 0
+    for view_lines, pose in zip(found, poses, strict=True):
+        if pose.name in numbered.left_out:
+            continue
+        peaks, number = view_lines.peaks, view_lines.number
+        for stripe, part in view_lines.near(numbered.planes, focal_px):
+            on_stripes += part.size
+            part = part[view_lines.even[part]]
+            if part.size >= _PEAKS_MIN:
+                peaks_used.append((number, stripe, peaks, part))
+    on_lines = sum(part.size for _, _, _, part in peaks_used)
+    belt, belt_parts = _belt_lines(belts, first.camera, numbered.planes)
+    step = max(1, -(-(on_lines + sum(part.size for *_, part in belt_parts)) // _POINTS_MAX))
+    parts = [
+        _binned(number, stripe, peaks, part, step, travelled[number] if number != ON_BELT else 0.0)
+        for number, stripe, peaks, part in peaks_used + belt_parts
+    ]
+    kept = sum(
+        int(count.sum())
+        for (number, *_), (_, count) in zip(peaks_used + belt_parts, parts, strict=True)
+        if number != ON_BELT
+    )
+    rows = np.concatenate([part for part, _ in parts])
+    strange = tuple(one.number for one, pose in zip(found, poses, strict=True) if pose.name in numbered.moved)
+    return Gathered(_points(rows), numbered.planes, belt, 1.0 - kept / max(on_stripes, 1), left_out, strange)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _OnBoard:
+    """Peaks of one view, without distortion; which lie on the board and on even print; the board's plane."""
+
+    number: int
+    peaks: Peaks
+    xy: Floats
+    use: Flags
+    even: Flags
+    plane: Floats
+
+    def near(self, planes: Floats, focal_px: float) -> list[tuple[int, Integers]]:
+        """Give the peaks of each stripe, sought where its plane of light meets the board.
+
+        Pieces of a stripe that were too short to be a line of their own are found again so, and lines that
+        belong to no plane are not.
+        """
+        line = planes - self.plane
+        chosen = np.flatnonzero(self.use)
+        y = self.xy[chosen, 1]
+        x = -(line[:, 1:2] * y + line[:, 2:]) / line[:, :1]
+        off = np.abs(self.xy[chosen, 0] - x) * focal_px
+        nearest = off.argmin(axis=0)
+        found = []
+        for stripe in range(len(planes)):
+            others = np.delete(x, stripe, axis=0) - x[stripe]
+            room = np.abs(others).min(axis=0, initial=np.inf) * focal_px
+            near = (nearest == stripe) & (off[stripe] < np.minimum(_SEARCH_PX, _SEARCH_SHARE * room))
+            if near.sum() >= _PEAKS_MIN:
+                found.append((stripe, settled(chosen[near], self.xy, focal_px)))
+        return [(stripe, part) for stripe, part in found if part.size >= _PEAKS_MIN]
+
+
+_SEARCH_PX = 6.0
+"""Half the width of the lane in which a stripe is sought, px: first poses err by 1 to 2 px."""
+_SEARCH_SHARE = 0.35
+"""The same at most, of the distance of the next stripe."""
+
+
+def _in_space(name: str, lines: list[StripeLine], xy: Floats, plane: Floats) -> PoseLines:
+    """Give lines by their ends on a plane (3,) p·X = 1 in the camera's frame."""
+    ends = np.array([line.ends(xy) for line in lines])
+    ends /= (ends @ plane)[:, :, None]
+    return PoseLines(name, ends, np.array([line.peak.size for line in lines]))
+
+
+def _belt_pose(
+    first: FirstCamera, board: Board, belts: tuple[Observation, ...], stripes: int
+) -> PoseLines | None:
+    """Give the lines on the empty belt, where a board lay on it; the image with the right number of them."""
+    lies = [number for number, view in enumerate(first.views) if view.on_belt]
+    if not lies:
+        return None
+    normal = first.rotation[lies[0]][:, 2]
+    plane = normal / (normal @ first.shift[lies[0]] + board.thickness_mm)
+    for view in belts:
+        xy = _straight(view.peaks, first.camera)
+        usable = (view.peaks.flags & (EDGE | WIDE)) == 0
+        lines = strongest(find_lines(view.peaks, xy, usable, float(first.camera[0])), view.peaks, stripes)
+        if len(lines) == stripes:
+            return _in_space(view.frame.name, lines, xy, plane)
+    return None
+
+
+def belt_points(
+    belts: tuple[Observation, ...], camera: Floats, planes: Floats
+) -> tuple[StripePoints, Floats]:
+    """Give the stripes on the empty belt, numbered by known planes, and a first estimate of the belt.
+
+    Raises
+    ------
+    CalibrationError
+        Another number of stripes is seen than there are planes.
+    """
+    belt, parts = _belt_lines(belts, camera, planes)
+    if belt is None:
+        raise CalibrationError("there is no image of the empty belt", hint="name one in images.belt")
+    step = max(1, -(-sum(part.size for *_, part in parts) // _POINTS_MAX))
+    rows = np.concatenate([_binned(*part, step, 0.0)[0] for part in parts])
+    return _points(rows), belt
+
+
+def _points(rows: Floats) -> StripePoints:
+    return StripePoints(
+        rows[:, 0].astype(np.int64), rows[:, 1].astype(np.int64), *np.ascontiguousarray(rows[:, 2:].T)
+    )
+
+
+def _straight(peaks: Peaks, camera: Floats) -> Floats:
+    seen = (np.column_stack([peaks.x_px, peaks.row]) - camera[2:4]) / camera[:2]
+    return straightened(seen, camera[4:])
+
+
+def _belt_lines(
+    belts: tuple[Observation, ...], camera: Floats, planes: Floats
+) -> tuple[Floats | None, list[tuple[int, int, Peaks, Integers]]]:
+    """Find and number the stripes on the empty belt, by the plane that fits them best."""
+    parts: list[tuple[int, int, Peaks, Integers]] = []
+    rays, sides = [], []
+    for view in belts:
+        xy = _straight(view.peaks, camera)
+        usable = (view.peaks.flags & (EDGE | WIDE)) == 0
+        lines = strongest(find_lines(view.peaks, xy, usable, float(camera[0])), view.peaks, len(planes))
+        if not lines or len(lines) > len(planes):
+            raise CalibrationError(
+                f"{view.frame.name}: {len(planes)} stripes are expected on the empty belt, "
+                f"{len(lines)} are seen",
+                hint="check `stripes`, the extractor's threshold, turn_deg, and that the belt is empty",
+            )
+        fits = []
+        for first in range(len(planes) - len(lines) + 1):
+            ray = np.concatenate([line.ends(xy) for line in lines])
+            side = (ray * np.repeat(planes[first : first + len(lines)], 2, axis=0)).sum(axis=1)
+            plane, _, rank, _ = np.linalg.lstsq(ray, side, rcond=1e-9)
+            off = np.abs(ray @ plane - side).max() / np.sqrt((plane**2).sum()) if rank == 3 else np.inf
+            fits.append((float(off), first))
+        first = min(fits)[1]
+        rays += [line.ends(xy) for line in lines]
+        sides += [line.ends(xy) @ planes[first + number] for number, line in enumerate(lines)]
+        parts += [(ON_BELT, first + number, view.peaks, line.peak) for number, line in enumerate(lines)]
+    if not parts:
+        return None, parts
+    belt = np.linalg.lstsq(np.concatenate(rays), np.concatenate(sides), rcond=None)[0]
+    return belt, parts
+
+
+def _binned(
+    number: int, stripe: int, peaks: Peaks, part: Integers, step: int, count: float
+) -> tuple[Floats, Integers]:
+    """Means of peaks over `step` rows: pose, stripe, x, row, standard uncertainty, counts; and how many each.
+
+    What is far off a smooth curve along the stripe is left out first.
+    """
+    row, x, std = peaks.row[part].astype(np.float64), peaks.x_px[part], peaks.x_std_px[part]
+    std = np.where(np.isfinite(std) & (std > 0), std, 1.0)
+    middle, half = row.mean(), max(np.ptp(row) / 2.0, 1.0)
+    keep = np.ones(row.size, np.bool_)
+    for _ in range(3):
+        curve = np.polynomial.polynomial.polyfit((row[keep] - middle) / half, x[keep], 3)
+        off = np.abs(x - np.polynomial.polynomial.polyval((row - middle) / half, curve))
+        spread = _MAD_TO_STD * float(np.median(off[keep]))
+        keep = off <= max(_OFF_MAX_MADS * spread, _OFF_MAX_LEAST_PX)
+    row, x, std = row[keep], x[keep], std[keep]
+    bin_of = np.unique(((row - row[0]) // step).astype(np.int64), return_inverse=True)[1]
+    members = np.bincount(bin_of)
+
+    def mean(of: Floats) -> Floats:
+        return np.bincount(bin_of, of) / members
+
+    many = np.sqrt(mean(std**2) / members)
+    same = np.ones(members.size)
+    rows = np.column_stack([number * same, stripe * same, mean(x), mean(row), many, count * same])
+    return rows, members

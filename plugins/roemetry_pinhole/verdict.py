@@ -1,0 +1,544 @@
+"""What residuals and views left out in turn say of a calibration.
+
+What the adjustment's residuals say, in figures and words; and what they forbid.
+
+Views kept out of the adjustment, and what the calibration that never saw them says of them.
+
+What speaks for a calibration: residuals, views it did not know, stripes that agree, and a verdict.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from roemetry.arrays import Floats, Integers
+from roemetry.calibration import Calibration
+from roemetry.errors import CalibrationError
+from roemetry.records import Evidence, EvidenceFigure, Residuals
+from roemetry_pinhole.bundle import Adjusted, Measured, chosen
+from roemetry_pinhole.equations import ON_BELT, Feet, StripePoints, corner_residuals
+from roemetry_pinhole.frames import belt_pose
+from roemetry_pinhole.geometry import CAMERA, Bend, Geometry, straightened, unknowns_of
+from roemetry_pinhole.initial_intrinsics import FirstCamera
+from roemetry_pinhole.joint import Joint
+
+_CELLS = 6
+_CELL_MARKS_MIN = 8
+_SYSTEMATIC_MAX_PX = 0.4
+_SYSTEMATIC_SHARE_MAX = 0.5
+_COVERAGE_MIN = 0.4
+_PLANE_FACTOR_MAX = 5.0
+_PLANE_RMS_MIN_PX = 0.5
+_GRAZING_MIN = 0.02
+_USED_MIN = 0.75
+_SYSTEMATIC_TOLD_PX = 0.05
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Verdict:
+    """Figures for the calibration file, sentences for its reader, and the height the boards reached, mm."""
+
+    residuals: dict[str, float]
+    notes: tuple[str, ...]
+    height_max_mm: float
+
+
+def judged(joined: Joint, *, scale_is_known: bool = True) -> Verdict:
+    """Judge an adjustment; `scale_is_known` says whether the board's pitch is what lengths come from.
+
+    Raises
+    ------
+    CalibrationError
+        A plane goes nearly through the camera; stripes do not lie in planes; residuals are no noise.
+    """
+    adjusted = joined.adjusted
+    _check_planes_pass_by(adjusted)
+    _check_used(adjusted)
+    _check_planes(adjusted, joined)
+    residuals: dict[str, float] = {}
+    notes: list[str] = []
+    if adjusted.corner_used.size:
+        residuals, notes = _of_marks(joined, scale_is_known=scale_is_known)
+    if joined.solids is not None:
+        names = ", ".join(f"{shape.kind} {shape.name}" for shape in joined.solids.shapes)
+        notes.append(f"planes of light: from {names}")
+    if joined.moves:
+        travelled, said = _of_travel(adjusted)
+        residuals, notes = residuals | travelled, [*notes, said]
+    if adjusted.conflict > 1.0:
+        notes.append(
+            "stripes and marks contradict each other a little: stripes count "
+            f"{adjusted.conflict:.0f} times less than their scatter would allow"
+        )
+    used = adjusted.stripe_used
+    residuals |= {
+        "stripes_rms_px": float(np.sqrt((adjusted.stripe_px[used] ** 2).mean())),
+        "stripes_left_out": 1.0 - (1.0 - joined.left_share) * float(used.mean()),
+        "stripes_correlation": adjusted.correlation,
+        "poses": float(len(joined.first.views)),
+    }
+    return Verdict(residuals, tuple(notes), _height_reached(joined))
+
+
+def _of_marks(joined: Joint, *, scale_is_known: bool) -> tuple[dict[str, float], list[str]]:
+    """Figures and notes of the boards' marks."""
+    adjusted = joined.adjusted
+    rms_px = float(np.sqrt((adjusted.corner_px[adjusted.corner_used] ** 2).sum(axis=1).mean()))
+    systematic_px, coverage = _systematic(adjusted, joined.first, joined.size)
+    if systematic_px > max(_SYSTEMATIC_MAX_PX, _SYSTEMATIC_SHARE_MAX * adjusted.corner_std_px):
+        raise CalibrationError(
+            f"the residuals are not noise: neighbouring marks are off together, by {systematic_px:.2f} px",
+            hint="take another lens model (calibrator.options.lens), a flat board or `flatness: free`, "
+            "and a sharp lens",
+        )
+    notes = []
+    if systematic_px > max(_SYSTEMATIC_TOLD_PX, _SYSTEMATIC_SHARE_MAX * adjusted.corner_std_px):
+        notes.append(
+            "the residuals are not noise alone: neighbouring marks are off together by "
+            f"{systematic_px:.2f} of {adjusted.corner_std_px:.2f} px; stated uncertainties are too small"
+        )
+    if joined.board is not None and joined.solids is None and scale_is_known:
+        notes.append(f"scale: from the board's pitch of {joined.board.pitch_mm:g} mm")
+    bend = adjusted.geometry.bend
+    shape = {} if bend is None else {"board_bend_mm": bend.range_mm()}
+    if bend is not None:
+        notes.append(f"the board's shape was looked for: its print is bent by {bend.range_mm():.3f} mm")
+    if coverage < _COVERAGE_MIN:
+        notes.append(f"marks cover {coverage:.0%} of the image: elsewhere the lens is extrapolated")
+    figures = {
+        "marks_rms_px": rms_px,
+        "marks_std_px": adjusted.corner_std_px,
+        "marks_left_out": float(1.0 - adjusted.corner_used.mean()),
+        "marks_systematic_px": systematic_px,
+        "marks_coverage": coverage,
+    }
+    return figures | shape, notes
+
+
+def _of_travel(adjusted: Adjusted) -> tuple[dict[str, float], str]:
+    """Way of the belt per count, and its direction in the belt's frame."""
+    way, at = adjusted.geometry.travel, adjusted.unknowns.travel
+    size = float(np.sqrt(way @ way))
+    std = float(np.sqrt(way @ adjusted.covariance[np.ix_(at, at)] @ way)) / size
+    x, y, z = belt_pose(adjusted.geometry.belt)[:3, :3] @ way / size
+    said = (
+        f"the belt runs {size:.6g} ± {std:.1g} mm per count, at {np.degrees(np.arctan2(y, x)):.2f}° from X "
+        f"towards Y, {np.degrees(np.arcsin(z)):.2f}° out of its plane"
+    )
+    return {"mm_per_count": size, "mm_per_count_std": std}, said
+
+
+def _check_planes_pass_by(adjusted: Adjusted) -> None:
+    """A plane through the camera's centre is seen edge on: no height moves its stripe."""
+    geometry = adjusted.geometry
+    past = 1.0 / np.sqrt((geometry.planes**2).sum(axis=1))
+    away = 1.0 / float(np.sqrt((geometry.belt**2).sum()))
+    worst = int(past.argmin())
+    if past[worst] < _GRAZING_MIN * away:
+        raise CalibrationError(
+            f"the plane of stripe {worst + 1} passes the camera's centre by {past[worst]:.1f} mm only "
+            f"({past[worst] / away:.1%} of the distance to the belt): heights would hardly move the stripe",
+            hint="move the laser away from the camera, sideways",
+        )
+
+
+def _check_used(adjusted: Adjusted) -> None:
+    for what, used in (("marks", adjusted.corner_used), ("stripe peaks", adjusted.stripe_used)):
+        if used.size and used.mean() < _USED_MIN:
+            raise CalibrationError(
+                f"{1.0 - used.mean():.0%} of the {what} do not fit: what was seen is not one rigid rig",
+                hint="did the camera, the laser or the board move or bend between the images?",
+            )
+
+
+def _check_planes(adjusted: Adjusted, joined: Joint) -> None:
+    """Each stripe's points on all boards must lie in one plane as well as the others' do."""
+    points = joined.measured.points
+    rms = np.array(
+        [
+            np.sqrt((adjusted.stripe_px[points.stripe == stripe] ** 2).mean())
+            for stripe in range(adjusted.geometry.stripe_count)
+        ]
+    )
+    worst = int(rms.argmax())
+    usual = float(np.median(rms)) if rms.size > 2 else adjusted.stripe_scale
+    if rms[worst] > max(_PLANE_FACTOR_MAX * usual, _PLANE_RMS_MIN_PX) and rms.size > 2:
+        raise CalibrationError(
+            f"stripe {worst + 1} does not lie in one plane: its points are off by {rms[worst]:.2f} px (rms), "
+            f"those of the others by {usual:.2f} px",
+            hint="look for a reflection, a bent board, or a laser that moved between the images",
+        )
+
+
+def _systematic(adjusted: Adjusted, first: FirstCamera, size: tuple[int, int]) -> tuple[float, float]:
+    """Part of the marks' residuals that neighbours in the image share, px, and the share of cells with marks.
+
+    Squares of the means over cells of the image, less what noise alone gives them.
+    """
+    xy = np.concatenate([view.marks.xy_px for view in first.views])
+    cell = np.clip((xy / np.array([size[1], size[0]]) * _CELLS).astype(int), 0, _CELLS - 1) @ [1, _CELLS]
+    used = adjusted.corner_used
+    excess, weight = 0.0, 0
+    for number in range(_CELLS * _CELLS):
+        inside = adjusted.corner_px[used & (cell == number)]
+        if len(inside) < _CELL_MARKS_MIN:
+            continue
+        share = float((inside.mean(axis=0) ** 2).mean() - inside.var(axis=0).mean() / len(inside))
+        excess += len(inside) * share
+        weight += len(inside)
+    systematic = np.sqrt(max(excess / weight, 0.0)) if weight else 0.0
+    return float(systematic), float(np.unique(cell).size / _CELLS**2)
+
+
+def _height_reached(joined: Joint) -> float:
+    """Greatest height over the belt of the boards' middles, or of the solids, mm; 0 where there are none."""
+    geometry, board = joined.adjusted.geometry, joined.board
+    if joined.solids is not None:
+        return max(shape.height_mm for shape in joined.solids.shapes)
+    if board is None:
+        return 0.0
+    middle = 0.5 * board.pitch_mm * np.array([board.columns, board.rows, 0.0])
+    at: Floats = geometry.rotation @ middle + geometry.shift
+    height = (1.0 - at @ geometry.belt) / np.sqrt(geometry.belt @ geometry.belt)
+    return float(max(height.max(), 1.0))
+
+
+_FOLDS = 5
+_POSES_MIN = 4
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class HeldOut:
+    """Errors of a calibration at views it did not know.
+
+    Attributes
+    ----------
+    mark_px, mark_at_px
+        (mark, 2) seen less predicted, and where; each board's pose is found from its own marks.
+    mark_pose
+        (mark,) pose.
+    height_mm, height_at_px
+        (point,) measured less true height, along the belt's normal, of stripe points on the held-out boards,
+        whose marks say where they are; and (point, 2) where in the image.
+    height_pose, height_stripe
+        (point,) pose and stripe.
+    skipped
+        Poses that cannot be spared: without them the rest determines no calibration.
+    """
+
+    mark_px: Floats
+    mark_at_px: Floats
+    mark_pose: Integers
+    height_mm: Floats
+    height_at_px: Floats
+    height_pose: Integers
+    height_stripe: Integers
+    skipped: int
+
+
+def held_out(measured: Measured, found: Geometry) -> HeldOut:
+    """Leave every fifth pose out in turn; boards that lie on the belt always stay.
+
+    Parameters
+    ----------
+    measured
+        All that was seen.
+    found
+        What the adjustment of all found: a start for those of less.
+    """
+    poses = np.unique(measured.corners.pose)
+    spare = np.setdiff1d(poses, measured.feet.pose)
+    folds = min(_FOLDS, spare.size)
+    marks: list[tuple[Any, ...]] = []
+    heights: list[tuple[Any, ...]] = []
+    skipped = 0
+    for fold in range(folds):
+        out = spare[fold::folds]
+        kept = np.setdiff1d(poses, out)
+        try:
+            geometry = _calibrated(measured, kept, found)
+        except CalibrationError:
+            skipped += out.size
+            continue
+        for pose in out:
+            board = _resected(measured, int(pose), replace(found, camera=geometry.camera, bend=geometry.bend))
+            mine = chosen(measured.corners, measured.corners.pose == pose, np.array([pose]))
+            off = -corner_residuals(board, mine).reshape(-1, 2)
+            marks.append((off, mine.xy_px, np.full(len(off), pose)))
+            points = chosen(measured.points, measured.points.pose == pose)
+            at = np.column_stack([points.x_px, points.row_px])
+            heights.append((_heights(geometry, board, points), at, points.pose, points.stripe))
+    none, both, whole = np.empty(0), np.empty((0, 2)), np.empty(0, np.int64)
+    mark_px, mark_at_px, mark_pose = _joined((both, both, whole), marks)
+    height_mm, height_at_px, height_pose, stripe = _joined((none, both, whole, whole), heights)
+    return HeldOut(
+        mark_px, mark_at_px, mark_pose, height_mm, height_at_px, height_pose, stripe, skipped=skipped
+    )
+
+
+def _joined(nothing: tuple[Any, ...], parts: list[tuple[Any, ...]]) -> list[Any]:
+    """Put parts one behind the other, column by column."""
+    return [np.concatenate(column) for column in zip(nothing, *parts, strict=True)]
+
+
+def lifted(geometry: Geometry, points: StripePoints) -> Floats:
+    """Give (point, 3) where the points' rays meet their planes of light, camera frame, mm."""
+    seen = np.column_stack([points.x_px, points.row_px])
+    xy = straightened((seen - geometry.camera[2:4]) / geometry.camera[:2], geometry.camera[4:])
+    ray = np.column_stack([xy, np.ones(len(xy))])
+    return np.asarray(ray / (ray * geometry.planes[points.stripe]).sum(axis=1)[:, None])
+
+
+def _calibrated(measured: Measured, kept: Integers, found: Geometry) -> Geometry:
+    """Adjust without the others; raise CalibrationError where a stripe or the lens is then not determined."""
+    if kept.size < _POSES_MIN:
+        raise CalibrationError(f"{kept.size} poses are left")
+    less = measured.of(kept, found)
+    for stripe in range(found.stripe_count):
+        if np.unique(less.points.pose[less.points.stripe == stripe]).size < 2:
+            raise CalibrationError(f"stripe {stripe + 1} is left on one surface")
+    return less.adjusted().geometry
+
+
+def _resected(measured: Measured, pose: int, start: Geometry) -> Geometry:
+    """Find one board's pose from its own marks with a given camera."""
+    alone = measured.of(np.array([pose]), start)
+    nothing = np.zeros(alone.points.pose.size, np.bool_)
+    unknowns = unknowns_of(
+        alone.start, free_camera=np.zeros(CAMERA, np.bool_), planes=False, belt=False, travel=False
+    )
+    nobody = Feet(np.empty(0, np.int64), np.empty((0, 3)), np.empty(0))
+    only = replace(alone, unknowns=unknowns, points=chosen(alone.points, nothing), feet=nobody)
+    return only.adjusted().geometry
+
+
+def _heights(geometry: Geometry, board: Geometry, points: StripePoints) -> Floats:
+    """Heights over the board's surface along the belt's normal, mm."""
+    normal, place = board.rotation[0][:, 2], board.shift[0] + points.counts[:, None] * geometry.travel
+    up = -geometry.belt / np.sqrt(geometry.belt @ geometry.belt)
+    away = lifted(geometry, points) - place
+    off = away @ normal
+    if board.bend is not None:
+        off = off - board.bend.height_mm((away @ board.rotation[0])[:, :2])
+    return np.asarray(off / (normal @ up))
+
+
+def stripe_offsets(geometry: Geometry, points: StripePoints) -> tuple[Floats, Floats, Integers]:
+    """Say how far stripes are apart on one surface: a plane through all their points, each stripe's mean.
+
+    Returns
+    -------
+    offset_mm, at_px, surface
+        (n,) mean distance from the plane of a stripe's points on one surface, positive towards the camera;
+        (n, 2) where their middle is in the image; (n,) pose of the surface, −1 of the belt.
+    """
+    offset, at, surface = [], [], []
+    xyz = lifted(geometry, points)
+    if geometry.bend is not None and points.face is None:
+        xyz = xyz - _print_off_plane(geometry, geometry.bend, points, xyz)
+    level = np.zeros(points.pose.size, np.int64)
+    if points.face is not None:
+        level = np.unique(points.face, axis=0, return_inverse=True)[1].ravel()
+    for pose, number in np.unique(np.column_stack([points.pose, level]), axis=0):
+        on = np.flatnonzero((points.pose == pose) & (level == number))
+        stripes = np.unique(points.stripe[on])
+        if stripes.size < _STRIPES_MIN or (pose == ON_BELT and np.ptp(points.counts[on]) > 0):
+            continue
+        middle = xyz[on].mean(axis=0)
+        normal = np.linalg.svd(xyz[on] - middle, full_matrices=False)[2][2]
+        normal = normal * (-1.0 if normal[2] > 0 else 1.0)
+        for stripe in stripes:
+            mine = on[points.stripe[on] == stripe]
+            offset.append(float(((xyz[mine] - middle) @ normal).mean()))
+            at.append([points.x_px[mine].mean(), points.row_px[mine].mean()])
+            surface.append(pose)
+    return np.array(offset), np.array(at).reshape(-1, 2), np.array(surface, np.int64)
+
+
+def _print_off_plane(geometry: Geometry, bend: Bend, points: StripePoints, xyz: Floats) -> Floats:
+    """Give (point, 3) the way from each board's plane to its print at these points; 0 on the belt."""
+    way = np.zeros_like(xyz)
+    on = np.flatnonzero(points.pose != ON_BELT)
+    rotation, place = geometry.rotation[points.pose[on]], geometry.shift[points.pose[on]]
+    place = place + points.counts[on, None] * geometry.travel
+    there = ((xyz[on] - place)[:, None, :] @ rotation)[:, 0, :2]
+    way[on] = bend.height_mm(there)[:, None] * rotation[:, :, 2]
+    return way
+
+
+_STRIPES_MIN = 4
+
+
+_WORSE_MAX = 1.5
+_BIAS_SHARE_MAX = 1.0
+_COVERAGE_TOLD_MIN = 0.7
+
+
+def evidence_of(joined: Joint, calibration: Calibration) -> Evidence:
+    """Show what speaks for a calibration, and judge it in words."""
+    held = held_out(joined.measured, joined.adjusted.geometry)
+    figures = _figures(joined, held, calibration)
+    return Evidence(_verdict(figures, held, calibration), tuple(figures.values()), _residuals(joined, held))
+
+
+def _residuals(joined: Joint, held: HeldOut) -> tuple[Residuals, ...]:
+    adjusted, measured = joined.adjusted, joined.measured
+    marks, used = measured.corners, adjusted.corner_used
+    points, seen = measured.points, adjusted.stripe_used
+    at = np.column_stack([points.x_px, points.row_px])
+    offset, middle, surface = stripe_offsets(adjusted.geometry, points)
+    axes = ("x", "y")
+    shown = [
+        Residuals(
+            f"marks, {axis}",
+            "px",
+            marks.xy_px[used],
+            -adjusted.corner_px[used, number],
+            marks.pose[used],
+            f"Marks of the boards, {axis} in the image; group: the view.",
+        )
+        for number, axis in enumerate(axes)
+    ]
+    shown += [
+        Residuals(
+            f"marks of other views, {axis}",
+            "px",
+            held.mark_at_px,
+            held.mark_px[:, number],
+            held.mark_pose,
+            "Each fifth view was left out in turn; the board's pose is its own, the camera that of the rest.",
+            held_out=True,
+        )
+        for number, axis in enumerate(axes)
+    ]
+    shown += [
+        Residuals(
+            "stripe peaks",
+            "px",
+            at[seen],
+            adjusted.stripe_px[seen],
+            points.stripe[seen],
+            "Means over a few rows, along the row, on boards and belt; group: the stripe.",
+        ),
+        Residuals(
+            "heights on other views",
+            "mm",
+            held.height_at_px,
+            held.height_mm,
+            held.height_stripe,
+            "Stripe points on boards that were left out, against the place their marks give; group: the "
+            "stripe.",
+            held_out=True,
+        ),
+        Residuals(
+            "stripes against each other",
+            "mm",
+            middle,
+            offset,
+            np.maximum(surface, 0),
+            "Mean distance of each stripe's points from the plane through those of all stripes on the same "
+            "board or belt; group: the view.",
+        ),
+    ]
+    return tuple(one for one in shown if len(one.error))
+
+
+def _figures(joined: Joint, held: HeldOut, calibration: Calibration) -> dict[str, EvidenceFigure]:
+    adjusted, residuals = joined.adjusted, calibration.residuals
+    found = {}
+    if "marks_coverage" in residuals:
+        found["coverage"] = EvidenceFigure(
+            "part of the image without marks",
+            1.0 - residuals["marks_coverage"],
+            "1",
+            "6 × 6 cells",
+            1.0 - _COVERAGE_TOLD_MIN,
+        )
+    if held.mark_px.size:
+        rms = _rms(adjusted.corner_px[adjusted.corner_used])
+        found["marks"] = EvidenceFigure(
+            "marks of other views over those used, rms",
+            _robust_rms(held.mark_px) / max(rms, 1e-12),
+            "1",
+            "cross-validation, every fifth view left out in turn",
+            _WORSE_MAX,
+        )
+    if held.height_mm.size:
+        means = _means(held.height_mm, held.height_pose)
+        low, high = calibration.height_range_mm
+        found["heights"] = EvidenceFigure(
+            "heights on other views, single points, rms",
+            _robust_rms(held.height_mm),
+            "mm",
+            "means over a few rows, random part included",
+        )
+        found["bias"] = EvidenceFigure(
+            "heights on other views, mean of a board, rms",
+            _rms(means),
+            "mm",
+            f"{means.size} boards; at most a thousandth of the height range",
+            1e-3 * _BIAS_SHARE_MAX * (high - low),
+        )
+    offset = stripe_offsets(adjusted.geometry, joined.measured.points)[0]
+    if offset.size:
+        found["agree"] = EvidenceFigure(
+            "stripes against each other on one surface, rms",
+            _rms(offset),
+            "mm",
+            f"{offset.size} stripes on boards and belt; at most a thousandth of the height range",
+            1e-3 * (calibration.height_range_mm[1] - calibration.height_range_mm[0]),
+        )
+    return found
+
+
+def _verdict(figures: dict[str, EvidenceFigure], held: HeldOut, calibration: Calibration) -> tuple[str, ...]:
+    low, high = calibration.height_range_mm
+    over = [key for key, one in figures.items() if one.value > one.limit]
+    words = [
+        f"Usable from {low:g} to {high:.1f} mm: "
+        + (f"{len(over)} of {len(figures)} tests failed, see below." if over else "it stood all tests.")
+    ]
+    if "bias" in figures:
+        words.append(
+            f"On boards it did not know, heights are {1e3 * figures['heights'].value:.0f} µm off (rms of "
+            f"single points) and {1e3 * figures['bias'].value:.1f} µm in the mean of a board."
+        )
+    else:
+        words.append("No view can be spared: it was not tested on views it did not know. Take more poses.")
+    if "marks" in over:
+        words.append(
+            f"Views it did not know fit {figures['marks'].value:.1f} times worse than those it knew: too few "
+            "poses for this lens model, or poses too much alike."
+        )
+    if "bias" in over:
+        words.append("Boards it did not know lie at wrong heights: a bent board, or too few poses.")
+    if "agree" in over:
+        words.append(
+            f"Stripes contradict each other by {1e3 * figures['agree'].value:.0f} µm on one surface: steps "
+            "between stripes of that size are the calibration's, not the product's."
+        )
+    if "coverage" in over:
+        words.append(
+            f"Marks cover {1.0 - figures['coverage'].value:.0%} of the image: elsewhere the lens is "
+            "extrapolated, and heights there are not proven."
+        )
+    if held.skipped:
+        words.append(f"{held.skipped} views could not be left out: the rest determines no calibration.")
+    return tuple(words)
+
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def _robust_rms(values: Floats) -> float:
+    """Rms without what is beyond six times the median: strays are left out of the adjustment as well."""
+    size = np.abs(values)
+    return _rms(values[size <= 6.0 * max(float(np.median(size)), 1e-12)])
+
+
+def _means(values: Floats, group: np.ndarray) -> Floats:
+    return np.array([values[group == one].mean() for one in np.unique(group)])
