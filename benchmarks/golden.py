@@ -38,7 +38,7 @@ RECIPES = (
 )
 DRAWS = 4
 RELATIVE = 1e-7
-"""Largest relative difference: libraries of linear algebra differ by some 1e-12, a changed rule by far more."""
+"""Largest relative difference: linear algebra libraries differ by some 1e-12, a changed rule by far more."""
 ABSOLUTE = 1e-9
 """For values that are zero but for rounding, in the value's own unit."""
 

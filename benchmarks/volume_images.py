@@ -15,7 +15,7 @@ from roemetry.assembling import assemble
 from roemetry.calibration import Calibration
 from roemetry.errors import RoemetryError
 from roemetry.files import write_whole
-from roemetry.pipeline import undecided
+from roemetry.open_parts import SHARE_MAX, open_parts
 from roemetry.propagation.drawing import Drawn
 from roemetry.propagation.scene import Chain, Scene
 from roemetry.records import Frame, Outline, Product, Profiles, StripeMap, Volume
@@ -185,10 +185,10 @@ def coded(
     laser: Frame, plain: Frame, calibration: Calibration, outline: str
 ) -> tuple[StripeMap, tuple[Outline, ...]]:
     """Extract, code, and look for the outline in the image that `outline` names."""
-    stripes = WindowTracking().code(MaximumLikelihood().extract(laser), calibration)
-    doubt = undecided(stripes)
-    if doubt is not None:  # as a run has it
-        raise RoemetryError(doubt.text)
+    peaks = MaximumLikelihood().extract(laser)
+    stripes = WindowTracking().code(peaks, calibration)
+    if any(part.share > SHARE_MAX for part in open_parts(peaks, stripes).values()):  # as a run has it
+        raise RoemetryError("more than half of the product's points could not be given to a stripe")
     outliner = EdgeContour(EdgeContourOptions(light="plain" if outline == "plain" else "laser"))
     return stripes, outliner.outline(laser, plain, stripes, calibration)
 

@@ -72,10 +72,11 @@ def heights(calibration: Calibration, rig: RenderedRig) -> Row:
     places, numbers, expected = np.concatenate(xy), np.concatenate(stripe), np.concatenate(truth)
     off = stage.view(calibration).lift(places, numbers)[:, 2] - expected
     draws = calibration.redraws(np.random.default_rng(7))
-    std = np.std(
-        [stage.view(one).lift(places, numbers)[:, 2] for _, one in zip(range(60), draws, strict=False)],
-        axis=0,
-    )
+    views = [stage.view(one) for _, one in zip(range(60), draws, strict=False)]
+    if None in views:  # not every calibration can be redrawn with its view
+        std = np.zeros(len(expected))
+    else:
+        std = np.std([view.lift(places, numbers)[:, 2] for view in views], axis=0)
     usual = expected <= 0.5 * (low + high)
     return {
         "range_mm": [low, high],

@@ -243,7 +243,9 @@ def _kinked(problem: _Problem, peaks: Peaks, stripe: Integers) -> Flags:
         )
         np.add.at(asked, problem.piece[one], 1.0)
         np.add.at(worse, problem.piece[one], other < 0.5 * off)
-    at_border = (asked > 0.5 * np.bincount(problem.piece, minlength=asked.size)) & (problem.piece_line != ENDS)
+    at_border = (asked > 0.5 * np.bincount(problem.piece, minlength=asked.size)) & (
+        problem.piece_line != ENDS
+    )
     return np.asarray(at_border & (worse > 0.5 * asked))[problem.piece]
 
 

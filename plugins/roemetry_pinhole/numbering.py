@@ -377,6 +377,9 @@ def _numbers_of(
             boards[plane] += 1
             on[plane].append(pose.name)
         np.add.at(peaks, mine[mine >= 0], pose.weight[mine >= 0])
+    for mine in numbers[len(poses) :]:
+        # the belt is a board whose place is known: with one more line it determines a plane
+        boards[mine[mine >= 0]] += 1
     number = np.arange(count)
     if belt_shows_all:
         # the belt shows every stripe once: its lines are the numbers

@@ -18,7 +18,7 @@ from roemetry.stages import Outliner, StageOptions
 from roemetry_volume.outline_edge import edge_around
 from roemetry_volume.outline_features import features_of
 from roemetry_volume.outline_image import glow, over_belt
-from roemetry_volume.outline_start import start_regions, stripe_regions
+from roemetry_volume.outline_start import belt_stripes, cores, ring_around, seen_regions
 
 _LEAST_CONTRAST = 3.0
 _USUAL_SPACING_PX = 40.0
@@ -38,7 +38,7 @@ class EdgeContourOptions(StageOptions):
 
 
 class EdgeContour(Outliner[EdgeContourOptions]):
-    """Starts from the stripes' ends and a bright (or dark) core, and ends at the kink in the brightness.
+    """Starts from what is seen of the product's stripes, and ends at the kink in the brightness.
 
     Nothing is known of heights here: an outline is what the camera sees, in pixels.
     """
@@ -64,24 +64,25 @@ class EdgeContour(Outliner[EdgeContourOptions]):
         chosen: Frame = plain if use_plain and plain is not None else frame
         if chosen.size != frame.size:
             raise StageError(f"the plain-light image is {chosen.size}, the laser image {frame.size}")
-        known = stripe_regions(stripes, frame.size)
+        known = seen_regions(stripes, frame.size)
         if not use_plain and not known:
             return ()
         product = np.zeros(frame.size, np.bool_)
         for mask in known.values():
             product |= mask
         belt = _belt_of(self.options.belt, chosen)
+        spacing = _spacing_px(stripes)
         if use_plain:
             level = over_belt(chosen.pixels, belt, product)
         else:
-            spacing = _spacing_px(stripes)
             dark = None if belt is None else glow(_one(belt), spacing)
             level = over_belt(glow(_one(chosen.pixels), spacing), dark, product)
         outlines = []
-        for number, region in start_regions(level, known).items():
+        for number, region in (known or cores(level)).items():
             if not _is_clear(level, region):
                 continue
-            edge = edge_around(level, region, shaded=use_plain)
+            ring, others = ring_around(region), belt_stripes(stripes, number, frame.size)
+            edge = edge_around(level, ring, others, spacing, shaded=use_plain)
             if edge is None:
                 continue
             outlines.append(

@@ -1,4 +1,19 @@
-"""From a rough region to its outline: the edge along normals, by dynamic programming."""
+"""From a rough ring around a product to its outline: the edge along normals, by dynamic programming.
+
+Three searches, each on the normals of the ring that the one before found, each the cheapest closed path
+through a strip (normal, distance):
+
+1. wide: from the product's outermost seen points outwards, no further than the next stripe that lies on the
+   belt. Silhouettes are sharp: brightness changes within the lens's blur. Shadows of extended lamps and the
+   shading of round bodies change slowly. So what counts is by how much the gradient at a fine scale exceeds
+   what the gradient at a coarse scale explains, whatever its sign, and the outer of two clear edges.
+2. narrow: in plain light a body darkens towards its rim and its shadow lies beside it, so the edge is where
+   brightness stops to fall, not where it falls most.
+3. to a part of a pixel: `kinked`.
+
+It fails where a shadow's edge is as sharp as the body's (a lamp that is a point), and where product and belt
+look alike over a long part of the contour: stripes that end elsewhere show it (`outline_doubts`).
+"""
 
 from __future__ import annotations
 
@@ -6,35 +21,38 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from roemetry.arrays import Floats
-from roemetry_volume.outline_kink import kinked
-from roemetry_volume.outline_ring import along_normals, normals_of, rounded
+from roemetry.arrays import Flags, Floats
+from roemetry_volume.outline_kink import along_normals, kinked, normals_of, rounded
 from roemetry_volume.silhouette import area_of, evenly
 
 _NORMALS = 400
+_LEAST_POINTS, _LEAST_AREA_PX2 = 16, 30.0
+_ROUND_START = 6.0
+"""Normals: the start is a polygon through stripes' ends, whose corners say nothing."""
 
+_WIDE = ((2.5, 0.3), (0.6, 0.6))
+"""Spacings of stripes, outwards and inwards, of the two wide searches. Beside the product's first stripe the
+edge is at most one spacing away, and in the laser's shadow as far as a body of one and a half spacings of
+displacement throws it; the second search has the normals of the first one's result."""
+_FINE_PX, _COARSE_PX = 1.5, 5.0
+"""Scales of the gradients: somewhat more than a lens's blur, and that of the penumbra of a near lamp."""
+_WIDE_BEND, _WIDE_STEP = 0.05, 3
+"""Bending costs little, but an edge may run no steeper than 3 px from normal to normal."""
+_WIDE_OUTWARDS_PX = 0.002
+"""Of two equally clear edges the outer: 100 px count a fifth of a clear edge."""
+_WIDE_ROUND = 3.0
+_DIRECTION_ROUND = 8.0
+"""Normals are smoothed over so many of them, else they cross at the corners of the start."""
+_CLEAR = 0.5
+"""Of the usual strength of the strongest edge: an edge so clear counts in full."""
 
-class _Pass(NamedTuple):
-    """A search: how far to both sides, in which steps, on an image smoothed by how much, how stiff."""
-
-    reach_px: float
-    step_px: float
-    smooth_px: float
-    bend: float
-    round_off: float
-
-
-_PASSES = (
-    _Pass(16.0, 1.0, 2.5, 0.10, 3.0),
-    _Pass(5.0, 0.5, 1.2, 0.05, 2.0),
-)
+_REACH_PX, _STEP_PX, _SMOOTH_PX, _BEND, _ROUND = 5.0, 0.5, 1.2, 0.05, 2.0
 _ENOUGH = 0.4
-_SAMPLED = 4
 _OUTWARDS_PX = 0.01
 _BLUR_PX = 0.6  # of a sharp lens, with the resampling of the image
 _GLOW_BLUR_PX = 2.57  # after `glow`
+_GLOW_SCALE = 2.0  # gradients of what `glow` smoothed are looked for at twice the scale
 _LEAST_STD_PX = 0.1
 _USUAL_SCATTER_PX = 0.25  # of single normals: texture, and the steps of the search
 _BIASED = 0.7  # of what they scatter beyond that: noise takes the kink to one side
@@ -57,44 +75,42 @@ class Edge(NamedTuple):
     std_px: float
 
 
-def edge_around(level: Floats, region: NDArray[np.bool_], *, shaded: bool = True) -> Edge | None:
-    """Find the outline of what lies in a region; None where the region is too small to have one.
+def edge_around(
+    level: Floats, start: Floats, belt: Flags, spacing_px: float, *, shaded: bool = True
+) -> Edge | None:
+    """Find the outline around a rough ring; None where the ring is too small to have one.
 
     Parameters
     ----------
     level
         (row, column) log(image / belt).
-    region
-        (row, column) roughly the product.
+    start
+        (n, 2) a closed polygon, px: through the product's outermost seen points, or around its core.
+    belt
+        (row, column) True on stripes that lie on the belt or on another product: the outline runs on this
+        side of them.
+    spacing_px
+        Distance of neighbouring stripes.
     shaded
         True in plain light, where a body darkens towards its rim and its shadow lies beside it: its edge is
         a kink. False in even light smoothed as `glow` does, where it is the steepest place.
     """
-    import cv2
-
-    found, _ = cv2.findContours(region.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    if not found:
+    if start.shape[0] < 3 or abs(area_of(start)) < _LEAST_AREA_PX2:
         return None
-    chain = max(found, key=cv2.contourArea)[:, 0, :].astype(np.float64)
-    if chain.shape[0] < 16 or abs(area_of(chain)) < 30.0:
-        return None
-    ring = rounded(evenly(chain, _NORMALS), 4.0)
-    inside = float(level[region].mean())
-    beside = level[::_SAMPLED, ::_SAMPLED][~region[::_SAMPLED, ::_SAMPLED]]
-    ground = float(np.median(beside)) if beside.size else 0.0
-    falling = level if inside >= ground else -level
-    for search in _PASSES:
-        smooth = cv2.GaussianBlur(falling, (0, 0), search.smooth_px)
-        ring = _moved(smooth, ring, search, shaded)
+    level = level.astype(np.float32)
+    ring = rounded(evenly(start, _NORMALS), _ROUND_START)
+    for outwards, inwards in _WIDE:
+        ring = _widely(level, ring, belt, (outwards * spacing_px, inwards * spacing_px), shaded)
+    ring = _narrowly(level, ring, shaded)
     if shaded:
         for _ in range(2):
-            ring, std_px, scatter_px = kinked(falling, ring, _BLUR_PX)
+            ring, std_px, scatter_px = kinked(level, ring, _BLUR_PX)
         # nobody has measured this camera's blur: what a third more or less would change
-        narrow, wide = (kinked(falling, ring, share * _BLUR_PX).ring for share in (0.67, 1.33))
+        narrow, wide = (kinked(level, ring, share * _BLUR_PX).ring for share in (0.67, 1.33))
         unsure_px = _BIASED * max(scatter_px - _USUAL_SCATTER_PX, 0.0)
         model_px = math.hypot(_LEAST_STD_PX, 0.5 * _apart(narrow, wide), unsure_px)
     else:  # so smooth an image tells a kink from a step badly: how far apart they lie is all it says
-        kink, std_px, _ = kinked(falling, ring, _GLOW_BLUR_PX)
+        kink, std_px, _ = kinked(level, ring, _GLOW_BLUR_PX)
         model_px = math.hypot(_GLOW_STD_PX, _apart(kink, ring))
     rows, columns = level.shape
     ring = np.clip(ring, -0.5, np.array([columns, rows]) - 0.5)
@@ -107,27 +123,65 @@ def _apart(one: Floats, other: Floats) -> float:
     return (abs(area_of(other)) - abs(area_of(one))) / length
 
 
-def _moved(smooth: Floats, ring: Floats, search: _Pass, shaded: bool) -> Floats:
-    """Move a ring along its normals to the edge.
+def _widely(level: Floats, ring: Floats, belt: Flags, reach_px: tuple[float, float], shaded: bool) -> Floats:
+    """Move a ring to the sharpest closed edge before the belt's stripes."""
+    import cv2
 
-    In plain light that is where brightness, falling outwards, stops to fall: where it falls most is well
-    inside. An edge that is clear enough counts as much as the clearest, and of two the outer is taken: folds
-    and breaks inside are clearer than the rim.
+    from roemetry_kernels.volume.closed_contour import closed_path
+
+    outwards, inwards = reach_px
+    # only what lies within reach is looked at
+    low = np.maximum(np.floor(ring.min(axis=0) - outwards).astype(int) - 20, 0)
+    high = np.ceil(ring.max(axis=0) + outwards).astype(int) + 21
+    window = (slice(low[1], high[1]), slice(low[0], high[0]))
+    level, ring = level[window], ring - low
+    normal = rounded(normals_of(ring), _DIRECTION_ROUND)
+    normal /= np.maximum(np.hypot(normal[:, 0], normal[:, 1]), 1e-9)[:, None]
+    off = np.arange(-inwards, outwards, 1.0)
+
+    def gradient(scale_px: float) -> Floats:
+        smooth = cv2.GaussianBlur(level, (0, 0), scale_px)
+        before, after = (along_normals(smooth, ring, normal, off + at) for at in (-scale_px, scale_px))
+        return np.asarray(rounded((before - after) / (2.0 * scale_px), 1.0))
+
+    scale = 1.0 if shaded else _GLOW_SCALE
+    sharp = np.abs(gradient(scale * _FINE_PX) - gradient(scale * _COARSE_PX))
+    behind = along_normals(belt[window].astype(np.float32), ring, normal, off) > 0.3
+    behind &= off[None] > 0.0
+    behind = np.cumsum(behind, axis=1) > 0
+    sharp[behind] = 0.0
+    clear = max(_CLEAR * float(np.median(sharp.max(axis=1))), 1e-9)
+    cost = -np.clip(sharp / clear, 0.0, 1.0) - _WIDE_OUTWARDS_PX * off[None]
+    cost[behind] = 1.0
+    path = closed_path(cost, _WIDE_BEND, _WIDE_STEP)
+    even = rounded(off[path][:, None], _WIDE_ROUND)
+    return np.asarray(low + rounded(evenly(ring + even * normal, _NORMALS), 2.0))
+
+
+def _narrowly(level: Floats, ring: Floats, shaded: bool) -> Floats:
+    """Move a ring along its normals to where brightness, changing outwards, stops to change, or is steepest.
+
+    An edge that is clear enough counts as much as the clearest, and of two the outer is taken: folds and
+    breaks inside are clearer than the rim.
     """
+    import cv2
+
     from roemetry_kernels.volume.closed_contour import closed_path
 
     normal = normals_of(ring)
-    off = np.arange(-search.reach_px, search.reach_px + search.step_px, search.step_px)
-    half = max(search.step_px, search.smooth_px)
-    before, here, after = (along_normals(smooth, ring, normal, off + shift) for shift in (-half, 0.0, half))
+    off = np.arange(-_REACH_PX, _REACH_PX + _STEP_PX, _STEP_PX)
+    smooth = cv2.GaussianBlur(level, (0, 0), _SMOOTH_PX)
+    before, here, after = (
+        along_normals(smooth, ring, normal, off + shift) for shift in (-_SMOOTH_PX, 0.0, _SMOOTH_PX)
+    )
+    # a body may be brighter than what is beside it on one side, and darker on the other
+    sign = np.sign(rounded((before[:, :1] - after[:, -1:]), _DIRECTION_ROUND))
     if shaded:
-        edge = np.where(before > here, (before - 2.0 * here + after) / (half * half), 0.0)
+        edge = np.where(sign * (before - here) > 0.0, sign * (before - 2.0 * here + after), 0.0)
+        strong = max(_ENOUGH * float(np.median(edge.max(axis=1))), 1e-9)
+        cost = -np.clip(edge / strong, 0.0, 1.0) - _OUTWARDS_PX * off
     else:
-        edge = (before - after) / (2.0 * half)
-    strong = max(_ENOUGH * float(np.median(edge.max(axis=1))), 1e-9)
-    if not shaded:
-        strong /= _ENOUGH
-    cost = -np.clip(edge / strong, 0.0, 1.0) - (_OUTWARDS_PX * off if shaded else 0.0)
-    path = closed_path(cost, search.bend / max(search.step_px, 0.25), 2)
-    even = rounded(off[path][:, None], search.round_off)
-    return evenly(ring + even * normal, ring.shape[0])
+        edge = sign * (before - after)
+        cost = -np.clip(edge / max(float(np.median(edge.max(axis=1))), 1e-9), 0.0, 1.0)
+    path = closed_path(cost, _BEND / _STEP_PX, 2)
+    return evenly(ring + rounded(off[path][:, None], _ROUND) * normal, ring.shape[0])

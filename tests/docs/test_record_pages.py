@@ -25,7 +25,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One run of a shipped skein with every table."""
     folder = tmp_path_factory.mktemp("run")
     home = ROOT / "recipes" / "herring_roe"
-    sets = [f"source.path={home / 'images' / 'skein_02.png'}", "sinks=[csv, points]"]
+    sets = [f"source.path={home / 'images' / 'skein_04.png'}", "sinks=[csv, points]"]
     run_recipe(Recipe.load(home, sets=sets), folder)
     return folder
 
@@ -48,7 +48,7 @@ def test_the_fields_of_the_record_are_those_that_are_written(results: Path) -> N
 
 
 def test_the_columns_of_the_tables_are_those_that_are_written(results: Path) -> None:
-    for file, heading in (("results.csv", "## results.csv"), ("points/skein_02.csv", "## points/*.csv")):
+    for file, heading in (("results.csv", "## results.csv"), ("points/skein_04.csv", "## points/*.csv")):
         header = (results / file).read_text("utf-8").splitlines()[0].split(",")
         assert firsts(section(page("results.md"), heading)) == header
 
