@@ -1,4 +1,4 @@
-"""The one hook a plugin implements, and the record it yields.
+"""The hooks a plugin may implement, and the records they yield.
 
 A plugin package looks like this, whole::
 
@@ -20,8 +20,9 @@ and in its pyproject.toml::
     [project.entry-points.roemetry]
     my-plugin = "my_plugin"
 
-The hook registers and does nothing else: `target` is a word, and the class behind it is imported only when
-a recipe uses it, so listing plugins stays cheap.
+A hook registers and does nothing else: `target` is a word, and the class behind it is imported only when
+a recipe uses it, so listing plugins stays cheap. A plugin that adds a command to ``roemetry`` yields a
+`VerbEntry` from ``roemetry_verbs`` in the same way.
 """
 
 from __future__ import annotations
@@ -86,10 +87,35 @@ class StageEntry:
     api: int = API
 
 
+@dataclass(frozen=True, slots=True)
+class VerbEntry:
+    """One command that a plugin adds to the command line: ``roemetry NAME``.
+
+    Attributes
+    ----------
+    name
+        Kebab-case name.
+    target
+        ``package.module:function``; the function's parameters are annotated as for `typer.Typer.command`.
+    summary
+        What it does, in one line: what ``roemetry --help`` lists. The function's docstring is the help of the
+        command itself.
+    """
+
+    name: str
+    target: str
+    summary: str
+
+
 class Hooks:
     """The hooks a plugin may implement."""
 
     @hookspec
     def roemetry_stages(self) -> Iterable[StageEntry]:
         """Yield an entry for each stage the plugin offers."""
+        raise NotImplementedError  # pragma: no cover - a specification is never called
+
+    @hookspec
+    def roemetry_verbs(self) -> Iterable[VerbEntry]:
+        """Yield an entry for each command the plugin adds to the command line."""
         raise NotImplementedError  # pragma: no cover - a specification is never called

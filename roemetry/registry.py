@@ -1,4 +1,4 @@
-"""Which stages are installed, who provides them, and what is wrong with those that cannot be used.
+"""Which stages and commands are installed, who provides them, and what is wrong with those that fail.
 
 A broken plugin costs one warning and one missing name, never the program. A name that two plugins claim is
 refused until the recipe says whose it means: the order of a search path must not choose an algorithm.
@@ -21,7 +21,7 @@ from typing import Any
 import pluggy
 
 from roemetry.errors import FAULTS, PluginError
-from roemetry.hookspecs import API, KINDS, PROJECT, Hooks, StageEntry
+from roemetry.hookspecs import API, KINDS, PROJECT, Hooks, StageEntry, VerbEntry
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,10 +70,11 @@ class Registered:
 
 @dataclass(frozen=True, slots=True)
 class Registry:
-    """Every stage found, and every plugin that failed."""
+    """Every stage found, every plugin that failed, and the commands that plugins add to the command line."""
 
     stages: tuple[Registered, ...]
     broken: tuple[Broken, ...]
+    verbs: tuple[VerbEntry, ...] = ()
 
     def of_kind(self, kind: str) -> tuple[Registered, ...]:
         """Give the stages of one kind."""
@@ -155,6 +156,7 @@ def discover(found: Iterable[EntryPoint] | None = None) -> Registry:
     points = entry_points(group=PROJECT) if found is None else found
     only_built_in = os.environ.get("ROEMETRY_PLUGINS") == ""
     stages: list[Registered] = []
+    verbs: list[VerbEntry] = []
     broken: list[Broken] = []
     for point in sorted(points, key=lambda p: (p.dist.name if p.dist else "", p.name)):
         provider = Provider(
@@ -165,7 +167,9 @@ def discover(found: Iterable[EntryPoint] | None = None) -> Registry:
         if only_built_in and provider.distribution != PROJECT:
             continue
         try:
-            stages += [Registered(entry, provider) for entry in _entries(point)]
+            entries, commands = _entries(point)
+            stages += [Registered(entry, provider) for entry in entries]
+            verbs += commands
         # Whatever a foreign module raises while it is imported must not stop the others.
         except FAULTS as error:
             why = str(error) if isinstance(error, PluginError) else f"{type(error).__name__}: {error}"
@@ -173,7 +177,7 @@ def discover(found: Iterable[EntryPoint] | None = None) -> Registry:
     if broken and os.environ.get("ROEMETRY_STRICT") == "1":
         raise PluginError("; ".join(str(item) for item in broken), hint="ROEMETRY_STRICT=1 is set")
     stages.sort(key=lambda s: (KINDS.index(s.entry.kind), s.entry.name, s.provider.name))
-    return Registry(tuple(stages), tuple(broken))
+    return Registry(tuple(stages), tuple(broken), tuple(verbs))
 
 
 def not_installed(name: str) -> str | None:
@@ -189,7 +193,7 @@ def not_installed(name: str) -> str | None:
     return None
 
 
-def _entries(point: EntryPoint) -> list[StageEntry]:
+def _entries(point: EntryPoint) -> tuple[list[StageEntry], list[VerbEntry]]:
     """Load one plugin in a plugin manager of its own, so that it cannot disturb another."""
     module: ModuleType = point.load()
     manager = pluggy.PluginManager(PROJECT)
@@ -199,8 +203,9 @@ def _entries(point: EntryPoint) -> list[StageEntry]:
         manager.check_pending()
     except pluggy.PluginValidationError as error:
         raise PluginError(f"a hook is misspelt or has wrong arguments: {error}") from error
+    verbs = [verb for result in manager.hook.roemetry_verbs() for verb in result]
     results = manager.hook.roemetry_stages()
-    if not results:
+    if not results and not verbs:
         raise PluginError(_without_stages(module, called=bool(manager.hook.roemetry_stages.get_hookimpls())))
     entries = [entry for result in results for entry in result]
     for entry in entries:
@@ -215,7 +220,10 @@ def _entries(point: EntryPoint) -> list[StageEntry]:
                 f"stage `{entry.name}` needs interface version {entry.api}, this roemetry has {API}: "
                 "update roemetry"
             )
-    return entries
+    for verb in verbs:
+        if not isinstance(verb, VerbEntry):
+            raise PluginError(f"`roemetry_verbs` gave a {type(verb).__name__}, expected VerbEntry")
+    return entries, verbs
 
 
 def _without_stages(module: ModuleType, *, called: bool) -> str:

@@ -22,11 +22,11 @@ from benchmarks.outside.reading import (
 )
 from roemetry import Calibration, Recipe, Rig, RoemetryError, calibrate
 from roemetry.arrays import Floats
-from roemetry.compare.points import nearest
 from roemetry.measuring import measurements_of
 from roemetry.pipeline import Pipeline, frame_of
 from roemetry.records import AMBIGUOUS, Acquisition, Estimate, Measurement, Peaks, Trace
 from roemetry.registry import discover
+from roemetry_tools.compare.points import nearest
 
 HIT_PX = 2.0
 HEIGHTS_MM = 9

@@ -1,7 +1,7 @@
 """Where numba keeps a compiled kernel, and the stamp by which it knows that the kernel is out of date.
 
 numba's own locators stamp the one file in which a function stands. A kernel is compiled together with what it
-imports from our other files (kernels, constants), so these locators add a hash of all of them. numba is pointed to
+imports from our other files (kernels, constants), so these locators add a hash of all of them. numba finds
 them by its setting `NUMBA_CACHE_LOCATOR_CLASSES`, which takes names of classes like those below.
 """
 

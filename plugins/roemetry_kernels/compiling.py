@@ -1,8 +1,8 @@
 """The decorator of every kernel: compiled once, kept on disk, compiled anew when any source of it changes.
 
-numba keeps what it compiled beside the source and looks at that one file. What a kernel takes from other files
-(kernels that are compiled into it, constants) may have changed since, unnoticed. So the stamp of what is kept also
-holds a hash of every file of ours that the kernel's file imports, at any depth (`cache_locators`).
+numba keeps what it compiled beside the source and looks at that one file. What a kernel takes from other
+files (kernels that are compiled into it, constants) may have changed since, unnoticed. So the stamp of what
+is kept also holds a hash of every file of ours that its file imports, at any depth (`cache_locators`).
 
 With ``NUMBA_DISABLE_JIT=1`` every kernel is the plain Python function: a reference that needs no compiler.
 """
@@ -61,7 +61,7 @@ def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     if config.DISABLE_JIT:  # numba then gives the function itself: every kernel runs as plain Python
         return njit(**options)(function)
     if not hasattr(config, "CACHE_LOCATOR_CLASSES"):
-        # a numba that cannot be told which files to look at: rather compile every time than run what is outdated
+        # this numba cannot be told which files to look at: compile every time, never run what is outdated
         return njit(nogil=True, **options)(function)
     from roemetry_kernels.cache_locators import NAMES
 

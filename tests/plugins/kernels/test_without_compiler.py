@@ -1,4 +1,4 @@
-"""Without its compiler every kernel is a plain Python function: the reference for what the compiler makes of it."""
+"""Without the compiler every kernel is a plain Python function, the reference for the compiled one."""
 
 from __future__ import annotations
 

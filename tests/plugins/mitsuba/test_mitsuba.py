@@ -312,7 +312,7 @@ def test_a_product_larger_than_the_view_is_refused_with_sizes(scene_file: Path) 
 
 
 def test_without_llvm_the_message_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    from roemetry import doctor
+    from roemetry_tools import doctor
 
     mi = mitsuba()
     monkeypatch.setattr(mi, "variant", lambda: "scalar_rgb")
