@@ -15,9 +15,9 @@ from roemetry.assembling import assemble
 from roemetry.calibration import Calibration
 from roemetry.errors import RoemetryError
 from roemetry.files import write_whole
+from roemetry.monte_carlo import Chain, Scene
+from roemetry.monte_carlo.propagate import Drawn
 from roemetry.open_parts import SHARE_MAX, open_parts
-from roemetry.propagation.drawing import Drawn
-from roemetry.propagation.scene import Chain, Scene
 from roemetry.records import Frame, Outline, Product, Profiles, StripeMap, Volume
 from roemetry.scene import Scene as SceneFile
 from roemetry.stages import StageOptions, Triangulator, VolumeEstimator

@@ -59,10 +59,13 @@ class OpenPart(NamedTuple):
 
 
 def open_parts(peaks: Peaks, stripes: StripeMap) -> Mapping[int, OpenPart]:
-    """Give, by product, what of it is open; each refused peak counts for one product at most."""
+    """Give, by product, what of it is open.
+
+    A refused peak within reach of several products counts for each of them: it may be of any, and they may be
+    pieces of one body that only what is open holds together.
+    """
     refused = np.flatnonzero(stripes.peak_stripe == AMBIGUOUS)
     row, x_px = peaks.row[refused], peaks.x_px[refused]
-    free = np.ones(refused.size, np.bool_)
     spacing_px = _spacing_px(stripes)
     beside_px = np.full(refused.size, np.inf)
     if np.isfinite(stripes.rest_px).any():
@@ -74,8 +77,7 @@ def open_parts(peaks: Peaks, stripes: StripeMap) -> Mapping[int, OpenPart]:
         mine = (stripes.product == number) & stripes.seen
         if not mine.any():
             continue
-        part = _within(mine, stripes.x_px, row, x_px, free, off_belt, spacing_px)
-        free &= ~part
+        part = _within(mine, stripes.x_px, row, x_px, off_belt, spacing_px)
         sure = int(np.count_nonzero(mine))
         if part.any():
             at, place = row[part], x_px[part]
@@ -151,7 +153,7 @@ def _spacing_px(stripes: StripeMap) -> float:
         apart = apart[np.isfinite(apart)]
         if apart.size:
             return float(np.median(apart))
-    return math.inf
+    return 1e9  # a single stripe; finite, for the edges of rows without a product are infinite
 
 
 def _within(
@@ -159,7 +161,6 @@ def _within(
     x_px: Floats,
     row: Integers,
     place_px: Floats,
-    free: Flags,
     off_belt: Flags,
     spacing_px: float,
 ) -> Flags:
@@ -173,7 +174,7 @@ def _within(
         reach = _REACH_SPACINGS * spacing_px
         inside = (place_px >= low[row]) & (place_px <= high[row])
         beside = (place_px >= near_low[row] - reach) & (place_px <= near_high[row] + reach) & off_belt
-        more = free & (inside | beside) & ~found
+        more = (inside | beside) & ~found
         if not more.any():
             break
         found |= more

@@ -16,10 +16,10 @@ from roemetry.calibration import Calibration
 from roemetry.choosing import Chosen
 from roemetry.errors import FAULTS
 from roemetry.giving import given
+from roemetry.monte_carlo import Chain, Scene, propagate, without_draws
 from roemetry.open_parts import OpenPart, open_parts, said_of, widened, widened_by
 from roemetry.penetration import raised
 from roemetry.preparing import prepare, prepare_plain
-from roemetry.propagation import Chain, Scene, propagate, without_draws
 from roemetry.recipe import Recipe
 from roemetry.records import (
     Acquisition,

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from roemetry.checking import calibration_doubts
+from roemetry.calibrating import calibration_doubts
 from roemetry.errors import DataError
 from roemetry.measuring import measurements_of
 from roemetry.pipeline import Pipeline

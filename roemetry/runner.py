@@ -227,7 +227,7 @@ class _Worker:
 def _doubts_of(recipe: Recipe) -> tuple[Reason, ...]:
     if recipe.calibration_check is None:
         return ()
-    from roemetry.checking import calibration_doubts
+    from roemetry.calibrating import calibration_doubts
 
     return calibration_doubts(recipe)
 

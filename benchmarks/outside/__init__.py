@@ -1,7 +1,8 @@
 """Rigs that another renderer made, taken from files to grades as a user would, against their truth.
 
 ``python -m benchmarks outside [FOLDER ...] [--draws 50] [--rigs D E] [--jobs 1] [--extractors NAMES]
-[--chains NAMES] [--out FOLDER]``
+[--chains NAMES] [--out FOLDER]``, and ``--again outside.json [outside.json ...] --out FOLDER``, which
+measures nothing and writes the page of several runs.
 
 A folder is a rig folder (with a ``truth.json``) or a folder of rig folders; left out: the one that
 ``ROEMETRY_RENDERED_DATA`` names, else ``../shared/rendered``. Each rig is copied into a temporary folder, the
@@ -26,7 +27,10 @@ mean square of the stated standard uncertainties over that of the errors.
 carries their number; *refused* those whose peak carries none; *wrong* those whose peak carries another
 and has no crossing of the stripe it names nearer than all others (two stripes that share one peak are
 `shared` in the JSON). Other solutions of a row (``extra_*``) can be what a peak shows, but are not
-scored.
+scored. *All peaks* asks the other way round, of every labelled peak, belt and edges included: *wrong* is
+one within 3 px of crossings, none of which is of the stripe it names, in its row or the two above and
+below; *stray* is one that is near no crossing at all; *at rims* are those whose stripe crosses within
+3 px in a row beside it only: light reaches over the exact edge.
 
 **Calibration**: heights of exact crossings of levels over the calibrated range and all the image, lifted
 by the calibration, minus the level. *real/stated* is the root mean square of error over stated
@@ -34,7 +38,8 @@ uncertainty.
 
 **Volume**: *visible* is against ``topview_volume_mm3``, *true* against ``volume_mm3`` (not used where
 the mesh is not watertight); a body in several parts counts by its largest. **Grade**: right is the
-body's kind, and `unknown` for a body that is no skein; `unknown` for a skein is counted apart.
+body's kind (for rules that know one word for all defects, that word), and `unknown` for a body that is no
+skein; `unknown` for a skein is counted apart.
 """
 
 from __future__ import annotations
@@ -46,6 +51,7 @@ import os
 import shutil
 import tempfile
 import time
+import traceback
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -69,7 +75,15 @@ def main() -> None:
     parser.add_argument("--extractors", nargs="*", default=["maximum-likelihood", "gaussian"])
     parser.add_argument("--chains", nargs="+", default=list(CHAINS), choices=CHAINS)
     parser.add_argument("--out", type=Path, help="folder for outside.json and outside.md")
+    parser.add_argument(
+        "--again", type=Path, nargs="+", help="results of earlier runs: only the page is made"
+    )
     given = parser.parse_args()
+    if given.again:
+        told = [json.loads(path.read_text("utf-8")) for path in given.again]
+        results = [_numbers(rig) for one in told for rig in one["rigs"]]
+        _write(results, {one["draws"] for one in told}, given.out)
+        return
     default = Path(os.environ.get(VARIABLE, ROOT.parent / "shared" / "rendered"))
     folders = rig_folders(given.folders or [default])
     if given.rigs:
@@ -83,20 +97,34 @@ def main() -> None:
             results = list(pool.map(_scored, jobs))
     else:
         results = [_scored(job) for job in jobs]
-    text = page(results, given.draws)
-    print(text)
+    _write(results, {given.draws}, given.out)
     print(f"{time.monotonic() - begin:.0f} s")
-    if given.out:
-        given.out.mkdir(parents=True, exist_ok=True)
-        content = {"draws": given.draws, "rigs": _plain(results)}
-        (given.out / "outside.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-        (given.out / "outside.md").write_text(f"# Rendered rigs\n\n{text}", encoding="utf-8")
 
 
-def page(results: list[dict[str, Any]], draws: int) -> str:
+def page(results: list[dict[str, Any]], draws: set[int]) -> str:
     """Write the tables as Markdown."""
-    head = f"`python -m benchmarks outside --draws {draws}`; what the words mean stands at the top of it."
-    return "\n".join([head, "", *(str(table) for table in tables(results))])
+    words = (__doc__ or "").partition("What the words of the table mean:")[2].strip().replace("``", "`")
+    count = " or ".join(map(str, sorted(draws)))
+    parts = [
+        "# Rendered rigs against their truth",
+        f"Made by `python -m benchmarks outside --draws {count}` from the files of each rig: boards and "
+        "block calibrated, bodies measured, everything held against the truth. The rigs come from "
+        "renderers that share no line with the simulator the methods were developed on, or from fresh "
+        "seeds; they are not part of the repository (`--help` says where they are looked for).",
+        *(str(table) for table in tables(results)),
+        f"## What the words mean\n\n{words}",
+    ]
+    return "\n\n".join(part.strip() for part in parts) + "\n"
+
+
+def _write(results: list[dict[str, Any]], draws: set[int], folder: Path | None) -> None:
+    text = page(results, draws)
+    print(text.partition("## What the words mean")[0])
+    if folder:
+        folder.mkdir(parents=True, exist_ok=True)
+        content = {"draws": max(draws), "rigs": _plain(results)}
+        (folder / "outside.json").write_text(json.dumps(content) + "\n", encoding="utf-8")
+        (folder / "outside.md").write_text(text, encoding="utf-8")
 
 
 def _scored(job: tuple[Path, int, list[str], list[str]]) -> dict[str, Any]:
@@ -114,6 +142,9 @@ def _scored(job: tuple[Path, int, list[str], list[str]]) -> dict[str, Any]:
             return score_rig(rig, copy, draws, extractors, chains)
     except (RigError, OSError) as fault:
         return {"rig": folder.name, "fault": str(fault)}
+    except Exception as error:  # a fault of the program: told with its traceback, and the other rigs go on
+        traceback.print_exc()
+        return {"rig": folder.name, "fault": f"the program failed: {type(error).__name__}: {error}"}
 
 
 def _plain(value: Any) -> Any:
@@ -123,3 +154,12 @@ def _plain(value: Any) -> Any:
     if isinstance(value, list):
         return [_plain(one) for one in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _numbers(value: Any, key: str = "") -> Any:
+    """Undo `_plain`: null stands for no number, but where it means that nothing was said."""
+    if isinstance(value, dict):
+        return {name: _numbers(one, name) for name, one in value.items()}
+    if isinstance(value, list):
+        return [_numbers(one) for one in value]
+    return math.nan if value is None and key not in ("said", "holds") else value

@@ -235,7 +235,9 @@ def true_calibration(truth: Mapping[str, Any], height_max_mm: float) -> Calibrat
         method="pinhole-plane",
         image_size=view.image_size,
         turn_deg=0,
-        rest_px=np.polynomial.polynomial.polyfit(row_px - 0.5 * (rows - 1), rest.T, 6).T,
+        rest_px=np.asarray(
+            np.polynomial.polynomial.polyfit(row_px - 0.5 * (rows - 1), rest.T, 6).T, np.float64
+        ),
         displacement_px_per_mm=(lifted - rest)[:, rows // 2],
         height_range_mm=(0.0, height_max_mm),
         parameters=parameters,
@@ -249,12 +251,14 @@ def lines_at(view: View, height_mm: float, row_px: Floats) -> Floats:
     """Give (stripe, row) where the planes meet a level, px."""
     y = np.linspace(-250.0, 250.0, 4001)
     lines = []
-    for plane in view.planes:
+    for number, plane in enumerate(view.planes):
         points = np.column_stack(
             [(plane[3] - plane[1] * y - plane[2] * height_mm) / plane[0], y, np.full(y.size, height_mm)]
         )
         xy = view.project(points)
         near = (np.abs(xy - 0.5 * np.array(view.image_size[::-1])) < 0.75 * max(view.image_size)).all(axis=1)
+        # far outside the image the lens model folds back: only points whose ray comes home count
+        near &= np.abs(view.lift(xy, np.full(y.size, number)) - points).max(axis=1) < 1e-3
         order = np.argsort(xy[near, 1])
         lines.append(np.interp(row_px, xy[near, 1][order], xy[near, 0][order]))
     return np.array(lines)

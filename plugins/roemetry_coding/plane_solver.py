@@ -14,20 +14,18 @@ from roemetry_coding.plane_weights import WEIGHTS
 from roemetry_kernels.coding.label_agreement import agreed
 from roemetry_kernels.coding.label_costs import Labels, Steps, labels_of, steps_of
 from roemetry_kernels.coding.label_cuts import best_shift
-from roemetry_kernels.coding.label_doubts import aside, broken_off, claimed, interjected, mixed
+from roemetry_kernels.coding.label_doubts import claimed
 from roemetry_kernels.coding.label_graph import Runs, runs_of, shifts_of
 from roemetry_kernels.coding.label_pieces import ENDS, between_bare, end_pieces, own_costs, presence_of
-from roemetry_kernels.coding.label_strays import strays_of
 from roemetry_kernels.coding.label_sweeps import swept
 from roemetry_kernels.coding.label_verdicts import (
-    beside_level_bodies,
     chosen,
     ends_settled,
     favoured,
     stepped,
     verdicts_of,
 )
-from roemetry_kernels.coding.level_bodies import goes_through, level_instead, on_end
+from roemetry_kernels.coding.level_bodies import level_instead, on_end
 from roemetry_kernels.coding.lying_still import lying_still
 from roemetry_kernels.coding.rest_lines import RestLines
 from roemetry_kernels.coding.sight_entries import Entries, entries_of
@@ -46,11 +44,7 @@ _PRESENT_ROWS_MIN = 15
 _GAP_LINES = 20
 _RUN_ROWS = (25, 85)
 _BELOW_TOLERANCES = 1.5
-_BEYOND = 2.0
-"""Heights are looked for up to so many times the highest that the calibration is meant for: only so is a
-product that is too high seen as that, and not taken for a lower one a stripe or more off."""
 _KEEP = 1.0
-_FEW_COUNT = 0.5
 _SMALL_COUNT = 0.4
 _STRANGE_COUNT = 0.3
 _LEVEL_ROWS = 40
@@ -58,14 +52,10 @@ _LEVEL_DEARER = 1.0
 _FEW_PEAKS = 4
 _LONG_PEAKS = 30
 _BODY_PEAKS = 12
-_MAJORITY = 0.9
 _END_LINES = 30
-_FITS = 0.6
-_SHORT_GAP_LINES = 14
 _LOST = 0.25
 _SHIFT_GAIN = 6.0
 _GAIN_MIN = 0.5
-_STRAY_LINES = 15
 _SHIFTS_MAX = 24
 _ROUNDS = 2
 _DOUBT_ROUNDS = 2
@@ -83,8 +73,10 @@ class Solved(NamedTuple):
         (peak,) by how much the next best verdict is dearer.
     evidence
         (peak,) what the cheapest shift of its stripe, with others, to the next would cost, a sight line.
-    piece
-        (peak,) piece of its trace.
+    trace, piece
+        (peak,) trace, and piece of it.
+    anchored
+        (peak,) True where the piece is belt that reaches the image's border.
     claimed
         (peak,) stripe, or the one that its piece has elsewhere, −1 for none.
     whole
@@ -96,7 +88,9 @@ class Solved(NamedTuple):
     """
 
     stripe: Integers
+    trace: Integers
     piece: Integers
+    anchored: Flags
     claimed: Integers
     dearer: Floats
     evidence: Floats
@@ -120,7 +114,7 @@ class _Problem(NamedTuple):
     u_per_px: float
 
 
-def solve_planes(peaks: Peaks, calibration: Calibration, rest: RestLines) -> Solved:
+def solve_planes(peaks: Peaks, calibration: Calibration, rest: RestLines, beyond: float) -> Solved:
     """Give each peak the stripe that makes the cheapest surface.
 
     Parameters
@@ -131,8 +125,10 @@ def solve_planes(peaks: Peaks, calibration: Calibration, rest: RestLines) -> Sol
         Gives planes (or at least displacements) and the range of heights.
     rest
         Its rest lines.
+    beyond
+        Heights are looked for up to so many times the highest that the calibration is meant for.
     """
-    problem = _posed(peaks, calibration, rest)
+    problem = _posed(peaks, calibration, rest, beyond)
     entries, labels = problem.entries, problem.labels
     nodes = labels.low, labels.many, labels.offset
     own = _own(problem)
@@ -154,33 +150,15 @@ def solve_planes(peaks: Peaks, calibration: Calibration, rest: RestLines) -> Sol
     dearer *= settled
     piece_line = problem.piece_line[problem.piece]
     together = _together(problem, stripe, np.ones(stripe.size, np.bool_))
-    dearer[np.bincount(problem.piece)[problem.piece] < _FEW_PEAKS] *= _FEW_COUNT
     short = np.clip(together / _LONG_PEAKS, _SMALL_COUNT, 1.0)
     evidence *= short
-    whole = ~mixed(problem.piece, problem.piece_line, stripe, problem.there.size, _MAJORITY)
-    whole &= settled > 0.0
+    whole = settled > 0.0
     claims = claimed(
         problem.trace, problem.piece, problem.piece_line, stripe, settled, problem.there.size, _FEW_PEAKS
     )
-    whole &= ~broken_off(
-        entries.start, entries.peak, entries.before, entries.tie, problem.piece, claims, WEIGHTS.tie_whole,
-        _FITS * WEIGHTS.tie_gap, _SHORT_GAP_LINES,
-    )  # fmt: skip
-    between = interjected(problem.trace, problem.piece, problem.piece_line, stripe)
-    whole &= ~(between | ((piece_line == ENDS) & (_together(problem, stripe, between) > 0)))
-    spacing_px = float(np.median(np.diff(rest.x_px, axis=0))) if rest.x_px.shape[0] > 1 else np.inf
-    whole &= ~_kinked(problem, peaks, stripe)
-    whole &= ~aside(peaks.row, peaks.x_px, rest.line, problem.piece, stripe, spacing_px)
     strange = (piece_line >= 0) & (stripe != piece_line)
     evidence[strange & (_together(problem, stripe, piece_line == -1) < _BODY_PEAKS)] *= _STRANGE_COUNT
-    whole &= ~beside_level_bodies(
-        peaks.row, stripe, problem.line, problem.piece, problem.piece_line, _LEVEL_ROWS
-    )
     level = _maybe_level(problem, peaks.row, best)
-    if level.any():
-        home = problem.home[problem.piece]
-        off_px = peaks.x_px - rest.x_px[home, peaks.row]
-        level &= ~(goes_through(problem.piece, off_px, level) & (home >= 0))
     # a few peaks by themselves on a rest line are what is left of belt, at the edge of a shadow
     alone = np.bincount(problem.trace)[problem.trace] < _BELT_ROWS_MIN
     whole &= ~(alone & (problem.line >= 0) & (problem.line != stripe))
@@ -198,55 +176,24 @@ def solve_planes(peaks: Peaks, calibration: Calibration, rest: RestLines) -> Sol
         evidence = np.where(
             belt, np.minimum(evidence, short * _without(problem, own, best, doubtful)), evidence
         )
-    return Solved(stripe, problem.piece, claims, dearer, evidence, whole, problem.there, problem.entries)
+    return Solved(
+        stripe,
+        problem.trace,
+        problem.piece,
+        problem.anchored[problem.piece],
+        claims,
+        dearer,
+        evidence,
+        whole,
+        problem.there,
+        problem.entries,
+    )
 
 
 def _together(problem: _Problem, stripe: Integers, counted: Flags) -> Integers:
     """Give (peak,) how many of its trace that are counted have its stripe."""
     cell = problem.trace * (problem.there.size + 1) + stripe + 1
     return np.asarray(np.bincount(cell[counted], minlength=int(cell.max()) + 1)[cell])
-
-
-def _kinked(problem: _Problem, peaks: Peaks, stripe: Integers) -> Flags:
-    """Mark (peak,) pieces at a body's border that would carry its surface on better one stripe further.
-
-    Differences between neighbours cannot tell a high edge above a steep flank from a low foot before a high
-    step: both are one break. The two stripes further inside can: their line, carried on to the border, meets
-    the right label nearer than the ones beside it. A piece is marked where that fails on most of its rows.
-    """
-    line = np.clip(np.rint(problem.sight.line).astype(np.int64), 0, problem.sight.plane.shape[0] - 1)
-    body = np.flatnonzero((stripe >= 0) & (problem.line != stripe))
-    asked, worse = np.zeros(problem.piece_line.size), np.zeros(problem.piece_line.size)
-    for by in (1, -1):
-        order = body if by == 1 else body[::-1]
-        if order.size < 4:
-            continue
-        one, two, three = order[:-2], order[1:-1], order[2:]
-        before = np.concatenate([[-1], order[:-3]])
-        row, own = peaks.row, stripe
-        inner = (row[one] == row[three]) & (own[three] == own[two] + by)
-        border = (before < 0) | (row[before] != row[one])
-        one, two, three = (which[inner & border] for which in (one, two, three))
-
-        def height(peak: Integers, label: Integers) -> Floats:
-            label = np.clip(label, 0, problem.there.size - 1)
-            alpha, beta, gamma, delta = problem.sight.plane[line[peak], label].T
-            u = problem.sight.u[peak]
-            return np.asarray((alpha * u + beta) / (gamma * u + delta))
-
-        near, far = height(two, stripe[two]), height(three, stripe[three])
-        x = peaks.x_px
-        carried = near + (near - far) * (x[one] - x[two]) / (x[two] - x[three])
-        off = np.abs(height(one, stripe[one]) - carried)
-        other = np.minimum(
-            np.abs(height(one, stripe[one] + 1) - carried), np.abs(height(one, stripe[one] - 1) - carried)
-        )
-        np.add.at(asked, problem.piece[one], 1.0)
-        np.add.at(worse, problem.piece[one], other < 0.5 * off)
-    at_border = (asked > 0.5 * np.bincount(problem.piece, minlength=asked.size)) & (
-        problem.piece_line != ENDS
-    )
-    return np.asarray(at_border & (worse > 0.5 * asked))[problem.piece]
 
 
 def _agreed(problem: _Problem, cost: Floats) -> Integers:
@@ -303,7 +250,7 @@ def _runs(problem: _Problem, own: Floats, best: Integers) -> Runs:
 def _shifts(problem: _Problem, runs: Runs) -> tuple[Floats, Integers]:
     entries = problem.entries
     lines = entries.start.size - 1
-    stray = strays_of(entries.start, runs.of, runs.stripe, problem.there.size, _STRAY_LINES)
+    stray = np.zeros(runs.stripe.size, np.bool_)
     dearer, by = shifts_of(
         runs.own, runs.one, runs.other, runs.both, runs.disorder, runs.start, runs.edge, runs.first,
         runs.last, runs.size, stray, lines, _GAIN_MIN,
@@ -331,7 +278,7 @@ def _best_of_shifts(runs: Runs) -> tuple[Integers, float]:
     return np.where(moved, way, 0), -change
 
 
-def _posed(peaks: Peaks, calibration: Calibration, rest: RestLines) -> _Problem:
+def _posed(peaks: Peaks, calibration: Calibration, rest: RestLines, beyond: float) -> _Problem:
     stripes, rows = rest.x_px.shape
     sight = sight_lines(peaks, calibration, rest.x_px)
     trace, traces = trace_fragments(peaks.row_start, peaks.x_px, _STEP_MAX_PX)
@@ -361,11 +308,11 @@ def _posed(peaks: Peaks, calibration: Calibration, rest: RestLines) -> _Problem:
     slack_mm = rest.tolerance_px / np.abs(calibration.displacement_px_per_mm)
     low_mm, high_mm = calibration.height_range_mm
     # belt that lies on its rest line from the image's border on is no product out of range: that saves time
-    beyond = np.where(anchored[piece[entries.peak]], 1.0, _BEYOND)
+    reach = np.where(anchored[piece[entries.peak]], 1.0, beyond)
     labels = Labels(
         *labels_of(
             entries.start, entries.u, sight.plane, min(low_mm, 0.0) - _BELOW_TOLERANCES * slack_mm,
-            high_mm + slack_mm, beyond,
+            high_mm + slack_mm, reach,
         )
     )  # fmt: skip
     steps = Steps(

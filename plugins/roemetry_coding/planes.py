@@ -7,6 +7,8 @@ every stripe that is not seen is hidden by something. What is in doubt is refuse
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from pydantic import Field
 
@@ -18,7 +20,7 @@ from roemetry.stages import Coder
 from roemetry_coding.margins import margin_of
 from roemetry_coding.plane_solver import Solved, solve_planes
 from roemetry_kernels.coding.bridging import BridgingOptions, bridged
-from roemetry_kernels.coding.consistency import refuse_unexplained_gaps
+from roemetry_kernels.coding.consistency import HIDING_SPACINGS, refuse_unexplained_gaps
 from roemetry_kernels.coding.label_doubts import left_over
 from roemetry_kernels.coding.label_verdicts import out_of_order
 from roemetry_kernels.coding.refusing import refuse_bare_lines, refuse_uncodable, required_calibration
@@ -33,6 +35,12 @@ class PlanesOptions(BridgingOptions):
     )
 
 
+_BEYOND = (2.0, 4.0, 8.0)
+"""Heights are looked for up to so many times the highest that the calibration is meant for: only so is a
+product that is too high seen as that, and not taken for a lower one a stripe or more off. Twice is enough
+where the next higher label was looked at, too; else the next bound is taken. It costs time on every frame."""
+_AT_BOUND_SHARE_MAX = 0.02
+"""So many body points may lie next to the bound before it is raised: false peaks do."""
 _LIVE_PEAKS_MIN = 15
 _CODED_SHARE_MIN = 0.4
 _OUTER_SHARE = 0.1
@@ -68,7 +76,11 @@ class Planes(Coder[PlanesOptions]):
         refuse_uncodable(peaks, calibration)
         calibration = required_calibration(calibration, "planes", "without planes a peak has no height")
         rest = calibrated_rest_lines(peaks, calibration)
-        solved = solve_planes(peaks, calibration, rest)
+        solved = solve_planes(peaks, calibration, rest, _BEYOND[0])
+        for bound, beyond in pairwise(_BEYOND):
+            if not _bounded(peaks, solved.stripe, calibration, rest, bound):
+                break
+            solved = solve_planes(peaks, calibration, rest, beyond)
         given = np.bincount(solved.stripe[solved.stripe >= 0], minlength=solved.there.size)
         live = np.flatnonzero((solved.there > 0.0) & (given >= _LIVE_PEAKS_MIN))
         refuse_bare_lines(live.size > 0 and _belt_fits(peaks, rest), rest.x_px.shape[0])
@@ -110,6 +122,7 @@ class Planes(Coder[PlanesOptions]):
         often = np.bincount(solved.piece[wrong], minlength=solved.piece.max() + 1) >= _CONTESTED_PEAKS
         stripe[wrong & often[solved.piece] & (stripe >= 0)] = AMBIGUOUS
         stripe[left_over(solved.piece, solved.stripe, stripe, _SURVIVE_SHARE)] = AMBIGUOUS
+
         stripe, gaps = refuse_unexplained_gaps(
             peaks,
             stripe,
@@ -123,9 +136,43 @@ class Planes(Coder[PlanesOptions]):
             # what a body is on some rows it is on the others
             partly = left_over(solved.piece, solved.stripe, stripe, _BODY_SURVIVE_SHARE)
             stripe[partly & (line != solved.stripe)] = AMBIGUOUS
+            level = ~solved.anchored & _nearly_belt(peaks, solved.stripe, rest)
+            for along in (solved.stripe, solved.trace):
+                goes_on = _goes_on(peaks.row, along, level, stripe < 0, self.options.longest_gap_rows)
+                stripe[goes_on] = AMBIGUOUS
         stripe[left_over(solved.piece, solved.stripe, stripe, _SURVIVE_SHARE)] = AMBIGUOUS
         stripe[_remnants(line, stripe)] = AMBIGUOUS
         return stripe, margin, gaps
+
+
+def _nearly_belt(peaks: Peaks, stripe: Integers, rest: RestLines) -> Flags:
+    """Mark (peak,) what lies so near its stripe's rest line that it could hide nothing."""
+    spacing_px = np.median(np.diff(rest.x_px, axis=0)) if rest.x_px.shape[0] > 1 else np.inf
+    away_px = np.abs(peaks.x_px - rest.x_px[np.maximum(stripe, 0), peaks.row])
+    return np.asarray((stripe >= 0) & (away_px < HIDING_SPACINGS * spacing_px))
+
+
+def _goes_on(row: Integers, along: Integers, asked: Flags, doubted: Flags, gap_rows: int) -> Flags:
+    """Mark (peak,) those asked that go on, along a stripe or a trace, from one in doubt."""
+    which = np.flatnonzero(asked)
+    which = which[np.lexsort((row[which], along[which]))]
+    apart = (np.diff(along[which], prepend=-1) != 0) | (np.diff(row[which], prepend=0) > gap_rows + 1)
+    group = np.cumsum(apart)
+    found = np.zeros(row.size, np.bool_)
+    found[which] = np.bincount(group, weights=doubted[which])[group] > 0.0
+    return found
+
+
+def _bounded(peaks: Peaks, stripe: Integers, calibration: Calibration, rest: RestLines, bound: float) -> bool:
+    """Say whether bodies might be one stripe spacing higher, had heights above the bound been looked at."""
+    if rest.x_px.shape[0] < 2:
+        return False
+    body = np.flatnonzero((stripe >= 0) & (stripe != rest.line))
+    per_mm = calibration.displacement_px_per_mm[stripe[body]]
+    height_mm = (peaks.x_px[body] - rest.x_px[stripe[body], peaks.row[body]]) / per_mm
+    label_mm = np.median(np.diff(rest.x_px, axis=0)) / np.abs(per_mm)
+    at_bound = np.count_nonzero(height_mm + label_mm > bound * calibration.height_range_mm[1])
+    return bool(at_bound > _AT_BOUND_SHARE_MAX * body.size)
 
 
 def _remnants(line: Integers, stripe: Integers) -> Flags:

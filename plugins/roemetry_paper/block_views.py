@@ -451,23 +451,42 @@ def _edges(
     From a row inside, go up and down while the row has a peak where the stripe is expected on the top. At a
     displacement of about a spacing the neighbour's belt line is near that place: then a peak must be
     nearer to the top's place than to any belt line, and if that leaves less than a pixel, nothing is said.
+
+    A row that is lit in part has a peak as well, so the last row with a peak lies outside the edge on the
+    mean. The edge is where the peaks' amplitude falls to half of what it is on the top.
     """
     top = lines[stripe] + offset_px
     room = min(_DISPLACED_MIN_PX, float(np.abs(lines - top).min()) / 2.0)
     if room < _EDGE_ROOM_MIN_PX:
         return None
-    ends = []
+    sides = []
     for step in (-1, 1):
-        row, end, missed = inside, inside, 0
+        row, missed, light = inside, 0, []
         while 0 <= row < lines.shape[1] and missed <= _EDGE_GAP_ROWS:
-            in_row = peaks.x_px[peaks.row_start[row] : peaks.row_start[row + 1]]
-            if in_row.size and np.abs(in_row - top[row]).min() <= room:
-                end, missed = row, 0
+            own = slice(peaks.row_start[row], peaks.row_start[row + 1])
+            away = np.abs(peaks.x_px[own] - top[row])
+            if away.size and away.min() <= room:
+                light.append(float(peaks.amplitude[own][away.argmin()]))
+                missed = 0
             else:
+                light.append(0.0)
                 missed += 1
             row += step
-        ends.append(end + 0.5 * step)
-    return ends[0], ends[1]
+        sides.append(np.array(light))
+    usual = np.concatenate(sides)
+    half = 0.5 * float(np.median(usual[usual > 0.0])) if (usual > 0.0).any() else np.nan
+    first, last = (_half_way(light, half) for light in sides)
+    return inside - first, inside + last
+
+
+def _half_way(light: Floats, half: float) -> float:
+    """Rows from the start at which light, followed to its end, falls below half for the last time."""
+    lit = np.flatnonzero(light >= half)
+    if not lit.size:
+        return 0.5
+    at = int(lit[-1])
+    after = float(light[at + 1]) if at + 1 < light.size else 0.0
+    return at + float(light[at] - half) / float(light[at] - after)
 
 
 def _std_of_mean(values: Floats) -> float:

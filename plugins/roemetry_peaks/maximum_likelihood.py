@@ -34,6 +34,12 @@ _READ_SHARE = 2.0  # of the variance beside the stripes, that the read noise's c
 _READ_MOST = 0.02  # of white, that it can be even where what is dark was made smooth (JPEG, subtraction)
 _GAIN_SHARE = 1.0 / 255.0  # of white, that an electron can be
 _EVERY = 7  # peak's share of speckle is looked at
+_OPAQUE_MIN = 100
+"""Peaks without an error of the profile's model, from which on they alone tell of the noise: of fewer no
+contrast by tile can be told, and all are taken."""
+_FLANKS_ERROR = 0.1
+"""Model error over the start's height, for the fit that clipped tops' skirts are measured against: it makes
+the flanks decide, and leaves the skirts out."""
 _CUT = 2.0  # a stripe nearer to the left or right border than so many standard deviations is cut off
 
 
@@ -168,6 +174,8 @@ class Found(NamedTuple):
         Whether read noise and gain are known.
     top, left, columns
         Place and width of the part that is searched.
+    error
+        (peak,) variance of the profile model's error, grey levels² (`roemetry_peaks.scattering`).
     """
 
     starts: Starts
@@ -181,6 +189,7 @@ class Found(NamedTuple):
     top: int
     left: int
     columns: int
+    error: Floats
 
 
 _ESTIMATED = Reason(
@@ -225,9 +234,45 @@ def starts(frame: Frame, options: MaximumLikelihoodOptions) -> tuple[Any, Found]
         where = type(where)._make(values[~low] for values in where)
     beside = light_beside(image, where, math.sqrt(quiet), slope)
     measured = variance is not None and gain is not None
-    return image, Found(
-        where, beside, variance, gain, rounding, quiet, given, measured, area.top, area.left, image.shape[1]
+    place = area.top, area.left, image.shape[1]
+    found = Found(
+        where, beside, variance, gain, rounding, quiet, given, measured, *place, np.zeros(where.row.size)
     )
+    return image, found._replace(error=_model_error(image, frame.white, found))
+
+
+def _model_error(image: Any, white: int, found: Found) -> Floats:
+    """(peak,) variance of the error of a Gaussian as the profile's model, grey levels²."""
+    from roemetry_kernels.extraction.gaussian_fisher import FAILED
+    from roemetry_peaks.scattering import model_error
+
+    at, beside = found.starts, found.beside
+    x_px, amplitude, sigma_px = at.x_px.copy(), beside.amplitude.copy(), beside.sigma_px.copy()
+    inside = np.clip(np.rint(x_px).astype(np.int64), 0, image.shape[1] - 1)
+    clipped = np.flatnonzero(image[at.row, inside] >= white)
+    if clipped.size:
+        # Half of the height that a clipped top would have is not seen: its start is too wide.
+        guess = found.quiet if found.variance is None else found.variance
+        noise = StripeNoise(guess, found.gain or 0.0, 0.0, np.full(TILES, _FIRST_CONTRAST**2))
+        even = found._replace(error=(_FLANKS_ERROR * beside.amplitude) ** 2)
+        fit = fitted(image, white, even, noise, clipped)
+        lost = fit.state == FAILED
+        x_px[clipped], sigma_px[clipped] = fit.x_px, fit.sigma_px
+        amplitude[clipped] = np.where(lost, np.nan, fit.amplitude)
+    share = model_error(
+        image,
+        float(white),
+        at.row,
+        x_px,
+        amplitude,
+        sigma_px,
+        beside.height + beside.slope * (x_px - at.x_px),
+        beside.slope,
+        beside.down,
+        beside.up,
+    )
+    variance: Floats = share * beside.amplitude**2
+    return variance
 
 
 def _sensor(frame: Frame, rounding: float) -> tuple[float | None, float | None]:
@@ -276,7 +321,10 @@ def products_of(
     from roemetry_kernels.extraction.residual_noise import residual_products
 
     peaks = found.starts.row.shape[0]
-    pick = _spread(peaks, size)
+    opaque = np.flatnonzero(found.error == 0.0)
+    if opaque.size < _OPAQUE_MIN:
+        opaque = np.arange(peaks)
+    pick = opaque[_spread(opaque.size, size)]
     row = found.starts.row[pick]
     contrast2 = noise.contrast2_at(image.shape, row, found.starts.x_px[pick])
     alone = StripeNoise(noise.variance, noise.gain, 0.0, noise.contrast2)
@@ -292,11 +340,13 @@ def products_of(
         fit.sigma_px,
         height,
         slope,
-        noise.variance,
+        noise.variance + found.error[pick],
         noise.gain,
         contrast2,
         fit.state,
     )
+    # What the model's error adds to each sum is known: the rest is noise.
+    products[:, :, 0] -= products[:, :, 1] * found.error[pick][:, None]
     return products, tile_of(image.shape, row, fit.x_px, tiles), contrast2
 
 
@@ -331,6 +381,7 @@ def fitted(image: Any, white: int, found: Found, noise: StripeNoise, pick: Integ
         beside.height[pick],
         beside.slope[pick],
         noise.variance,
+        found.error[pick],
         noise.gain,
         contrast2,
         noise.correlation,

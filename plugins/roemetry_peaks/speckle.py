@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -133,29 +134,35 @@ def _lags(correlation: float) -> NDArray[np.float64]:
 def _sensor(
     sums: Floats, lags: Floats, variance: float | None, gain: float | None, most: tuple[float, float]
 ) -> tuple[float, float]:
-    """R and g by moments; what comes out negative or too large is put right, the others solved for again."""
+    """R and g by moments: of R, g, C², those not known, the feasible ones that explain the three sums best.
+
+    A cause may be none (0), and R and g at most `most`. All such choices are tried; sums are compared in
+    shares of themselves, so that no unit decides.
+    """
     matrix = np.column_stack([sums[:3, 1:3], sums[:3, 3:] @ lags])
-    target = sums[:3, 0].copy()
-    known = {0: variance, 1: gain}
-    for cause, value in known.items():
-        if value is not None:
-            target -= matrix[:, cause] * value
-    free = [cause for cause in range(3) if known.get(cause) is None]
-    solved = {cause: value for cause, value in known.items() if value is not None}
-    while free:
-        found = np.linalg.lstsq(matrix[np.ix_(free, free)], target[free], rcond=None)[0]
-        lowest = int(np.argmin(found))
-        if found[lowest] < 0.0:
-            solved[free.pop(lowest)] = 0.0
+    scale = np.maximum(np.abs(sums[:3, 0]), 1e-300)
+    matrix, target = matrix / scale[:, None], sums[:3, 0] / scale
+    choices = [
+        (np.nan, 0.0, most[0]) if variance is None else (variance,),
+        (np.nan, 0.0, most[1]) if gain is None else (gain,),
+        (np.nan, 0.0),
+    ]
+    best, least = (0.0, 0.0), np.inf
+    for chosen in product(*choices):
+        solution = np.array(chosen)
+        free = np.isnan(solution)
+        if not np.isfinite(solution[~free]).all():
             continue
-        high = [at for at, cause in enumerate(free) if cause < len(most) and found[at] > most[cause]]
-        if not high:
-            solved |= dict(zip(free, map(float, found), strict=True))
-            break
-        cause = free.pop(high[0])
-        solved[cause] = most[cause]
-        target -= matrix[:, cause] * most[cause]
-    return solved[0], solved[1]
+        solution[free] = 0.0
+        if free.any():
+            solution[free] = np.linalg.lstsq(matrix[:, free], target - matrix @ solution, rcond=None)[0]
+        left = float(np.sum((target - matrix @ solution) ** 2))
+        possible = (solution >= 0.0).all() and (
+            solution[:2] <= np.maximum(most, solution[:2] * ~free[:2])
+        ).all()
+        if possible and left < least - 1e-12:
+            best, least = (float(solution[0]), float(solution[1])), left
+    return best
 
 
 def _correlation(left: Floats, by_own: Floats, by_next: Floats) -> float:

@@ -37,8 +37,10 @@ class Joint:
         The views that are used.
     pose
         (view,) number of the view's pose in the adjustment.
-    left_share
-        Share of the peaks on stripes that is left out before the adjustment.
+    print_share
+        Share of the boards' stripe peaks on uneven print, which are not used.
+    stray_share
+        Share of the other stripe peaks that is left out before the adjustment, far off its stripe.
     solids
         What solids on the belt gave, where the planes come from them; else None.
     measured, adjusted
@@ -52,7 +54,8 @@ class Joint:
     seen: Seen
     first: FirstCamera
     pose: np.ndarray
-    left_share: float
+    print_share: float
+    stray_share: float
     solids: OnSolids | None
     measured: Measured
     adjusted: Adjusted
@@ -132,7 +135,8 @@ def joint(
         seen,
         first,
         np.unique(pose, return_inverse=True)[1],
-        gathered.left_share,
+        gathered.print_share,
+        gathered.stray_share,
         None,
         measured,
         measured.adjusted(),
@@ -161,6 +165,7 @@ def _by_planes(observed: CalibrationSet, camera: Floats | None, planes: Floats) 
         Seen(),
         FirstCamera(camera, [], measured.start.rotation, measured.start.shift),
         np.empty(0, np.int64),
+        0.0,
         0.0,
         None,
         measured,
@@ -219,6 +224,7 @@ def _by_solids(
         seen,
         first,
         number,
+        0.0,
         found.left_share,
         found,
         found.measured,

@@ -196,8 +196,11 @@ class Gathered:
         (stripe, 3) p·X = 1, 1/mm.
     belt
         (3,) a first estimate of the belt from the empty belt's images; None without any.
-    left_share
-        Share of the peaks on stripes that is left out: on uneven print, or far off the others.
+    print_share
+        Share of the boards' peaks that is not used because the print under the stripe is uneven: a line seems
+        shifted towards the lighter side of an edge (Curless and Levoy 1995).
+    stray_share
+        Share of the others that is not used because it is far off its stripe.
     left_out
         By image, why its stripes are not used.
     strange
@@ -207,7 +210,8 @@ class Gathered:
     points: StripePoints
     planes: Floats
     belt: Floats | None
-    left_share: float
+    print_share: float
+    stray_share: float
     left_out: dict[str, str]
     strange: tuple[int, ...] = ()
 
@@ -280,7 +284,7 @@ def gather(
     numbered = number_stripes(poses, stripes, _belt_pose(first, board, belts, stripes))
     left_out |= numbered.left_out
     peaks_used: list[tuple[int, int, Peaks, Integers]] = []
-    on_stripes = 0
+    on_stripes = on_even = 0
     for view_lines, pose in zip(found, poses, strict=True):
         if pose.name in numbered.left_out:
             continue
@@ -288,6 +292,7 @@ def gather(
         for stripe, part in view_lines.near(numbered.planes, focal_px):
             on_stripes += part.size
             part = part[view_lines.even[part]]
+            on_even += part.size
             if part.size >= _PEAKS_MIN:
                 peaks_used.append((number, stripe, peaks, part))
     on_lines = sum(part.size for _, _, _, part in peaks_used)
@@ -304,7 +309,15 @@ def gather(
     )
     rows = np.concatenate([part for part, _ in parts])
     strange = tuple(one.number for one, pose in zip(found, poses, strict=True) if pose.name in numbered.moved)
-    return Gathered(_points(rows), numbered.planes, belt, 1.0 - kept / max(on_stripes, 1), left_out, strange)
+    return Gathered(
+        points=_points(rows),
+        planes=numbered.planes,
+        belt=belt,
+        print_share=1.0 - on_even / max(on_stripes, 1),
+        stray_share=1.0 - kept / max(on_even, 1),
+        left_out=left_out,
+        strange=strange,
+    )
 
 
 @dataclass(frozen=True, eq=False, slots=True)

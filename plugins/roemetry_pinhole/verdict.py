@@ -1,10 +1,17 @@
-"""What residuals and views left out in turn say of a calibration.
+"""What may be said of a calibration: limits that refuse it, figures, held-out views, a verdict in words.
 
-What the adjustment's residuals say, in figures and words; and what they forbid.
+Limits. A stripe's peaks on all surfaces lie in one plane but for noise, so the residuals of each stripe are
+limited twice: by what its extractor states of its peaks (`_STATED_FACTOR_MAX`) and by the residuals of the
+other stripes (`_PLANE_FACTOR_MAX`). The marks' residuals are noise, so neighbours in the image must not
+share them. Peaks and marks that are left out as far off are few (`_USED_MIN`). Peaks on uneven print are
+counted apart: they are not used for a known reason. A stripe of Gaussian profile that straddles an edge
+between light and dark print is seen shifted towards the light side (Curless and Levoy, ICCV 1995), by more
+than a pixel where it is some pixels wide.
 
-Views kept out of the adjustment, and what the calibration that never saw them says of them.
+Cross-validation. Each fifth view is left out in turn, and the calibration of the rest says where the stripes
+on it lie; its marks know better. That shows what residuals cannot: too few poses, poses too much alike.
 
-What speaks for a calibration: residuals, views it did not know, stripes that agree, and a verdict.
+What it cannot see: an error that all targets share (a wrong pitch, a bent board laid flat by its marks).
 """
 
 from __future__ import annotations
@@ -31,10 +38,26 @@ _SYSTEMATIC_MAX_PX = 0.4
 _SYSTEMATIC_SHARE_MAX = 0.5
 _COVERAGE_MIN = 0.4
 _PLANE_FACTOR_MAX = 5.0
+"""Residuals of one stripe over those of the median stripe. Powers and widths of stripes differ, and with them
+their noise, by 2 to 3; a reflection taken for a stripe gives 20 and more."""
+_STATED_FACTOR_MAX = 4.0
+"""Residuals of a stripe over what its extractor states. Points are means of neighbouring rows, stated as if
+rows were independent: speckle (0.8 px long) makes that too small by 1.2 to 2, uneven print left by 1.2."""
 _PLANE_RMS_MIN_PX = 0.5
+"""Residuals below this are no reason to refuse, however little is stated: half a pixel is 0.5 to 1 % of the
+height of a product in the rigs this is made for."""
+_PLANE_RMS_MAX_PX = 2.0
+"""Residuals above this are refused whatever is stated, or if nothing is: a stripe's peaks are gathered within
+2 px of one straight line on each surface, so what is above is no noise but lines that are in no plane."""
 _GRAZING_MIN = 0.02
 _USED_MIN = 0.75
+"""Share of marks, and of stripe peaks on even print, that must fit. Least squares after trimming at 4.5
+standard deviations holds up to about a third of strays."""
+_STRIPE_USED_MIN = 0.5
+"""The same of each stripe alone: with less, what is left may be the strays."""
 _SYSTEMATIC_TOLD_PX = 0.05
+_CONFLICT_LITTLE = 10.0
+"""Up to here stripes pull camera and poses off the marks by about three standard deviations in all."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -56,7 +79,7 @@ def judged(joined: Joint, *, scale_is_known: bool = True) -> Verdict:
     """
     adjusted = joined.adjusted
     _check_planes_pass_by(adjusted)
-    _check_used(adjusted)
+    _check_used(joined)
     _check_planes(adjusted, joined)
     residuals: dict[str, float] = {}
     notes: list[str] = []
@@ -69,14 +92,22 @@ def judged(joined: Joint, *, scale_is_known: bool = True) -> Verdict:
         travelled, said = _of_travel(adjusted)
         residuals, notes = residuals | travelled, [*notes, said]
     if adjusted.conflict > 1.0:
+        size = "a little" if adjusted.conflict <= _CONFLICT_LITTLE else "by more than their scatter explains"
         notes.append(
-            "stripes and marks contradict each other a little: stripes count "
-            f"{adjusted.conflict:.0f} times less than their scatter would allow"
+            f"stripes and marks contradict each other {size}: stripes count {adjusted.conflict:.0f} times "
+            "less than their scatter would allow"
+        )
+    if joined.print_share > 0.0:
+        notes.append(
+            f"{joined.print_share:.0%} of the boards' stripe peaks lie on edges of the print, where a line "
+            "seems shifted towards the light side, and are not used"
         )
     used = adjusted.stripe_used
     residuals |= {
         "stripes_rms_px": float(np.sqrt((adjusted.stripe_px[used] ** 2).mean())),
-        "stripes_left_out": 1.0 - (1.0 - joined.left_share) * float(used.mean()),
+        "stripes_over_stated": adjusted.stripe_scale,
+        "stripes_left_out": _stray_share(joined),
+        "stripes_on_uneven_print": joined.print_share,
         "stripes_correlation": adjusted.correlation,
         "poses": float(len(joined.first.views)),
     }
@@ -145,31 +176,59 @@ def _check_planes_pass_by(adjusted: Adjusted) -> None:
         )
 
 
-def _check_used(adjusted: Adjusted) -> None:
-    for what, used in (("marks", adjusted.corner_used), ("stripe peaks", adjusted.stripe_used)):
-        if used.size and used.mean() < _USED_MIN:
+def _stray_share(joined: Joint) -> float:
+    """Share of the stripe peaks that are left out as far off, those on uneven print apart."""
+    used = joined.adjusted.stripe_used
+    return 1.0 - (1.0 - joined.stray_share) * (float(used.mean()) if used.size else 1.0)
+
+
+def _check_used(joined: Joint) -> None:
+    """Refuse where too much was left out as far off."""
+    used, points = joined.adjusted.corner_used, joined.measured.points
+    marks = 1.0 - float(used.mean()) if used.size else 0.0
+    for what, left in (("marks", marks), ("stripe peaks", _stray_share(joined))):
+        if left > 1.0 - _USED_MIN:
+            raise CalibrationError(f"{left:.0%} of the {what} do not fit: {_NOT_RIGID}", hint=_LOOK_FOR_MOVES)
+    for stripe in np.unique(points.stripe):
+        left = 1.0 - float(joined.adjusted.stripe_used[points.stripe == stripe].mean())
+        if left > 1.0 - _STRIPE_USED_MIN:
             raise CalibrationError(
-                f"{1.0 - used.mean():.0%} of the {what} do not fit: what was seen is not one rigid rig",
-                hint="did the camera, the laser or the board move or bend between the images?",
+                f"{left:.0%} of the peaks of stripe {stripe + 1} do not fit: {_NOT_RIGID}",
+                hint=_LOOK_FOR_MOVES,
             )
 
 
+_NOT_RIGID = "what was seen is not one rigid rig"
+_LOOK_FOR_MOVES = "did the camera, the laser or the board move or bend between the images?"
+
+
 def _check_planes(adjusted: Adjusted, joined: Joint) -> None:
-    """Each stripe's points on all boards must lie in one plane as well as the others' do."""
+    """Refuse where a stripe's points do not lie in one plane, by the others' residuals or by those stated."""
     points = joined.measured.points
-    rms = np.array(
-        [
-            np.sqrt((adjusted.stripe_px[points.stripe == stripe] ** 2).mean())
-            for stripe in range(adjusted.geometry.stripe_count)
-        ]
-    )
-    worst = int(rms.argmax())
-    usual = float(np.median(rms)) if rms.size > 2 else adjusted.stripe_scale
-    if rms[worst] > max(_PLANE_FACTOR_MAX * usual, _PLANE_RMS_MIN_PX) and rms.size > 2:
+    stripes = np.unique(points.stripe)
+    rms_px, stated_px = np.empty(stripes.size), np.empty(stripes.size)
+    for n, stripe in enumerate(stripes):
+        mine = points.stripe == stripe
+        rms_px[n] = np.sqrt((adjusted.stripe_px[mine] ** 2).mean())
+        stated_px[n] = np.sqrt((points.std_px[mine] ** 2).mean())
+    if not stripes.size:
+        return
+    worst = int(rms_px.argmax())
+    usual = float(np.median(rms_px))
+    if stripes.size > 2 and rms_px[worst] > max(_PLANE_FACTOR_MAX * usual, _PLANE_RMS_MIN_PX):
         raise CalibrationError(
-            f"stripe {worst + 1} does not lie in one plane: its points are off by {rms[worst]:.2f} px (rms), "
-            f"those of the others by {usual:.2f} px",
+            f"stripe {stripes[worst] + 1} does not lie in one plane: its points are off by "
+            f"{rms_px[worst]:.2f} px (rms), those of the others by {usual:.2f} px",
             hint="look for a reflection, a bent board, or a laser that moved between the images",
+        )
+    limit = np.clip(_STATED_FACTOR_MAX * stated_px, _PLANE_RMS_MIN_PX, _PLANE_RMS_MAX_PX)
+    worst = int((rms_px / limit).argmax())
+    if rms_px[worst] > limit[worst]:
+        raise CalibrationError(
+            f"stripe {stripes[worst] + 1} does not lie in one plane: its points are off by "
+            f"{rms_px[worst]:.2f} px (rms), {stated_px[worst]:.2f} px is what the extractor states of them",
+            hint="is what was found the laser's line, and not a reflection or a lamp? is the board flat, its "
+            "pitch right, and did nothing move between the two images of a pose?",
         )
 
 
@@ -375,6 +434,12 @@ _STRIPES_MIN = 4
 _WORSE_MAX = 1.5
 _BIAS_SHARE_MAX = 1.0
 _COVERAGE_TOLD_MIN = 0.7
+_STRAYS_TOLD = 0.1
+"""A tenth of the peaks far off is more than noise and the odd reflection give (0 to 4 % on sound sets)."""
+_NOISE_TOLD = 2.0
+"""See `_STATED_FACTOR_MAX`: above this, the stripes have errors that the extractor does not know of."""
+_UNUSABLE = 10.0
+"""Times the limit of a thousandth of the height range: heights are off by a hundredth of the range."""
 
 
 def evidence_of(joined: Joint, calibration: Calibration) -> Evidence:
@@ -482,6 +547,20 @@ def _figures(joined: Joint, held: HeldOut, calibration: Calibration) -> dict[str
             f"{means.size} boards; at most a thousandth of the height range",
             1e-3 * _BIAS_SHARE_MAX * (high - low),
         )
+    found["strays"] = EvidenceFigure(
+        "stripe peaks left out as far off",
+        residuals["stripes_left_out"],
+        "1",
+        f"besides {joined.print_share:.0%} on edges of the board's print, which are never used",
+        _STRAYS_TOLD,
+    )
+    found["noise"] = EvidenceFigure(
+        "stripe residuals over what the extractor states",
+        residuals["stripes_over_stated"],
+        "1",
+        "rms of means over a few rows",
+        _NOISE_TOLD,
+    )
     offset = stripe_offsets(adjusted.geometry, joined.measured.points)[0]
     if offset.size:
         found["agree"] = EvidenceFigure(
@@ -497,10 +576,14 @@ def _figures(joined: Joint, held: HeldOut, calibration: Calibration) -> dict[str
 def _verdict(figures: dict[str, EvidenceFigure], held: HeldOut, calibration: Calibration) -> tuple[str, ...]:
     low, high = calibration.height_range_mm
     over = [key for key, one in figures.items() if one.value > one.limit]
-    words = [
-        f"Usable from {low:g} to {high:.1f} mm: "
-        + (f"{len(over)} of {len(figures)} tests failed, see below." if over else "it stood all tests.")
-    ]
+    range_mm = f"from {low:g} to {high:.1f} mm"
+    heights = [figures[key] for key in ("bias", "agree") if key in figures]
+    if any(one.value > _UNUSABLE * one.limit for one in heights):
+        words = [f"Not usable {range_mm}: heights are off by more than a hundredth of that range, see below."]
+    elif over:
+        words = [f"Usable {range_mm} with care: {len(over)} of {len(figures)} tests failed, see below."]
+    else:
+        words = [f"Usable {range_mm}: it stood all tests."]
     if "bias" in figures:
         words.append(
             f"On boards it did not know, heights are {1e3 * figures['heights'].value:.0f} µm off (rms of "
@@ -519,6 +602,16 @@ def _verdict(figures: dict[str, EvidenceFigure], held: HeldOut, calibration: Cal
         words.append(
             f"Stripes contradict each other by {1e3 * figures['agree'].value:.0f} µm on one surface: steps "
             "between stripes of that size are the calibration's, not the product's."
+        )
+    if "strays" in over:
+        words.append(
+            f"{figures['strays'].value:.0%} of the stripe peaks on even print are far off and not used: look "
+            "at the laser images for reflections, a lamp, or a board that moved."
+        )
+    if "noise" in over:
+        words.append(
+            f"Stripe peaks scatter {figures['noise'].value:.1f} times as much as the extractor states: what "
+            "is stated of heights by their peaks is too small by so much."
         )
     if "coverage" in over:
         words.append(

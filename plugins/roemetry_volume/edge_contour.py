@@ -17,7 +17,7 @@ from roemetry.records import Frame, Outline, StripeMap
 from roemetry.stages import Outliner, StageOptions
 from roemetry_volume.outline_edge import edge_around
 from roemetry_volume.outline_features import features_of
-from roemetry_volume.outline_image import glow, over_belt
+from roemetry_volume.outline_image import ambient, over_belt
 from roemetry_volume.outline_start import belt_stripes, cores, ring_around, seen_regions
 
 _LEAST_CONTRAST = 3.0
@@ -73,16 +73,17 @@ class EdgeContour(Outliner[EdgeContourOptions]):
         belt = _belt_of(self.options.belt, chosen)
         spacing = _spacing_px(stripes)
         if use_plain:
-            level = over_belt(chosen.pixels, belt, product)
+            level, on_stripes = over_belt(chosen.pixels, belt, product), None
         else:
-            dark = None if belt is None else glow(_one(belt), spacing)
-            level = over_belt(glow(_one(chosen.pixels), spacing), dark, product)
+            dark = None if belt is None else ambient(_one(belt), spacing)[0]
+            light, on_stripes = ambient(_one(chosen.pixels), spacing)
+            level = over_belt(light, dark, product)
         outlines = []
         for number, region in (known or cores(level)).items():
             if not _is_clear(level, region):
                 continue
-            ring, others = ring_around(region), belt_stripes(stripes, number, frame.size)
-            edge = edge_around(level, ring, others, spacing, shaded=use_plain)
+            ring, others = ring_around(region, spacing), belt_stripes(stripes, number, frame.size)
+            edge = edge_around(level, ring, others, spacing, stripes=on_stripes)
             if edge is None:
                 continue
             outlines.append(

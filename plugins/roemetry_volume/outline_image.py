@@ -7,10 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from roemetry.arrays import Floats
+from roemetry.arrays import Flags, Floats
 
 _SMOOTH_PX = 5.0
-_GLOW_SMOOTH_PX = 2.5
+SMOOTHED_PX = 2.5
+"""Ambient light is dim: a grey level or two of noise would hide the body's edge otherwise."""
+_STRIPE = 6.0
+"""Times the noise: what the opening takes away that much is a stripe."""
 _GRID_PX = 8
 _ROUNDS = 6
 _RIDGE = 1e-10
@@ -82,14 +85,32 @@ def _contrast(plane: Floats, product: NDArray[np.bool_]) -> float:
     return abs(float(np.median(inside) - np.median(outside))) / (float(outside.std()) + 1e-6)
 
 
-def glow(pixels: NDArray[Any], spacing_px: float) -> NDArray[Any]:
-    """Take the stripes out of a laser image: what is left is ambient light, and shadow.
+def ambient(pixels: NDArray[Any], spacing_px: float) -> tuple[NDArray[Any], Flags]:
+    """Take the stripes out of a laser image.
 
-    Grey opening along the rows by more than a stripe is wide, less than stripes are apart; then smoothing.
+    Parameters
+    ----------
+    pixels
+        (row, column) grey levels.
+    spacing_px
+        Distance of neighbouring stripes.
+
+    Returns
+    -------
+    light : ndarray
+        Ambient light in 64ths of a grey level: grey opening along the rows by more than a stripe is wide and
+        less than stripes are apart, then smoothed by `SMOOTHED_PX` against noise.
+    stripes : ndarray of bool
+        Where a stripe was taken out. What stands there comes from beside it.
     """
     import cv2
 
     width = max(int(0.6 * spacing_px) | 1, 9)
     opened = cv2.morphologyEx(pixels, cv2.MORPH_OPEN, np.ones((1, width), np.uint8))
-    smooth = cv2.GaussianBlur(opened.astype(np.float32), (0, 0), _GLOW_SMOOTH_PX)
-    return np.asarray(np.rint(64.0 * smooth).astype(np.uint16))
+    taken = pixels.astype(np.float64) - opened
+    usual = float(np.median(taken))
+    noise = 1.4826 * float(np.median(np.abs(taken - usual)))
+    on = (taken > usual + _STRIPE * max(noise, 0.5)).astype(np.uint8)
+    on = cv2.morphologyEx(on, cv2.MORPH_OPEN, np.ones((3, 1), np.uint8))  # single pixels are noise
+    smooth = cv2.GaussianBlur(opened.astype(np.float32), (0, 0), SMOOTHED_PX)
+    return np.asarray(np.rint(64.0 * smooth).astype(np.uint16)), on.astype(np.bool_)

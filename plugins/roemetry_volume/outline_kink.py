@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roemetry.arrays import Floats
+from roemetry.arrays import Flags, Floats
 from roemetry_volume.silhouette import area_of, evenly
 
 _REACH_PX = 5.0
@@ -19,6 +19,8 @@ _NEIGHBOURS = 1.0
 _ROUND_OFF = 1.5
 _BEND = 0.3
 _TERMS = 6
+_FREE_LEAST = 0.2
+"""Of the ring: with less of it between the stripes there is nothing to follow."""
 _ALIKE_PX = 6.0  # along the contour: texture of belt and product, and what is smoothed over
 
 
@@ -43,7 +45,7 @@ class Kinked(NamedTuple):
     scatter_px: float
 
 
-def kinked(level: Floats, ring: Floats, blur_px: float) -> Kinked:
+def kinked(level: Floats, ring: Floats, blur_px: float, stripes: Flags | None = None) -> Kinked:
     """Move a ring to where the brightness has its kink.
 
     Inside, brightness is a + b·√d + c·d in the distance d from the edge (a round body turns away from the
@@ -58,6 +60,8 @@ def kinked(level: Floats, ring: Floats, blur_px: float) -> Kinked:
         The outline to about two pixels.
     blur_px
         Standard deviation of the image's blur, px.
+    stripes
+        (row, column) True where the image tells nothing: normals that begin there follow their neighbours.
     """
     from roemetry_kernels.volume.closed_contour import closed_path
 
@@ -65,7 +69,9 @@ def kinked(level: Floats, ring: Floats, blur_px: float) -> Kinked:
     off, places, residual = _model(blur_px)
     seen = rounded(along_normals(level, ring, normal, off), _NEIGHBOURS)
     cost = np.stack([((seen @ left) ** 2).sum(axis=1) for left in residual], axis=1)
-    usual = float(np.median(cost.max(axis=1) - cost.min(axis=1))) or 1.0
+    told = beside(stripes, ring, normal)
+    usual = float(np.median((cost.max(axis=1) - cost.min(axis=1))[told])) or 1.0
+    cost[~told] = 0.0
     path = closed_path(cost / usual, _BEND, 2)
     row = np.arange(ring.shape[0])
     inner = np.clip(path, 1, places.size - 2)
@@ -75,12 +81,12 @@ def kinked(level: Floats, ring: Floats, blur_px: float) -> Kinked:
         part = np.where(curve > 0.0, np.clip(0.5 * (before - after) / curve, -0.75, 0.75), 0.0)
     exact = places[path] + _SEARCH_STEP_PX * np.where(inner == path, part, 0.0)
     even = rounded(exact[:, None], _ROUND_OFF)
-    clear = curve > 0.0
+    clear = (curve > 0.0) & told
     noise = here[clear] / (off.size - _TERMS)
     each = 2.0 * noise * _SEARCH_STEP_PX**2 / curve[clear]
     length = float(np.hypot(*(np.roll(ring, -1, axis=0) - ring).T).sum())
     std = math.sqrt(float(np.median(each)) * _ALIKE_PX / length) if clear.any() else math.inf
-    scatter = float((places[cost.argmin(axis=1)] - even[:, 0]).std())
+    scatter = float((places[cost.argmin(axis=1)] - even[:, 0])[told].std())
     return Kinked(evenly(ring + even * normal, ring.shape[0]), std, scatter)
 
 
@@ -111,6 +117,15 @@ def along_normals(image: Floats, ring: Floats, normal: Floats, off_px: Floats) -
     at = ring[:, None, :] + off_px[None, :, None] * normal[:, None, :]
     x, y = at[..., 0].astype(np.float32), at[..., 1].astype(np.float32)
     return np.asarray(cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
+
+
+def beside(stripes: Flags | None, ring: Floats, normal: Floats) -> Flags:
+    """Say which points of a ring lie beside stripes, not on them; all, where that would leave too few."""
+    if stripes is None:
+        return np.ones(ring.shape[0], np.bool_)
+    on = along_normals(stripes.astype(np.float32), ring, normal, np.array([-2.0, 0.0, 2.0])).max(axis=1)
+    free: Flags = on < 0.5
+    return free if free.mean() > _FREE_LEAST else np.ones(ring.shape[0], np.bool_)
 
 
 def rounded(values: Floats, sigma: float) -> Floats:

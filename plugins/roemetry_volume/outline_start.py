@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from roemetry.arrays import Flags, Floats
+from roemetry.arrays import Flags, Floats, Integers
 from roemetry.records import StripeMap
 from roemetry_volume.silhouette import area_of
 
@@ -15,6 +15,8 @@ _LEAST_CONTRAST = 0.08
 """Natural logarithm of brightness: with less between dark and bright there is nothing but belt."""
 _GAP_ROWS = 3
 """A stripe that is not seen for longer may have something in between."""
+_LEAST_ROWS = 5
+"""Shorter pieces beside the product are glare in its shadow as often as not; on it they are not needed."""
 
 
 def seen_regions(stripes: StripeMap, size: tuple[int, int]) -> dict[int, Flags]:
@@ -29,11 +31,14 @@ def seen_regions(stripes: StripeMap, size: tuple[int, int]) -> dict[int, Flags]:
     for number in np.unique(stripes.product[mine]).tolist():
         first, last, points = [], [], []
         for x_px, on in zip(stripes.x_px, mine & (stripes.product == number), strict=True):
-            rows = np.flatnonzero(on)
-            if rows.size:
+            pieces = [piece for piece in _pieces(on) if piece.size >= _LEAST_ROWS]
+            if pieces:
+                rows = np.concatenate(pieces)
                 first.append((x_px[rows[0]], rows[0]))
                 last.append((x_px[rows[-1]], rows[-1]))
                 points.append(np.column_stack([x_px[rows], rows]))
+        if not points:
+            continue
         # stripes are displaced on the product, so their order there is that of x, not of their numbers
         ring = sorted(first) + sorted(last, reverse=True)
         mask = np.zeros(size, np.uint8)
@@ -55,16 +60,27 @@ def cores(level: Floats) -> dict[int, Flags]:
     return _numbered(_core(smooth))
 
 
-def ring_around(region: Flags) -> Floats:
-    """Give the contour (n, 2) of a region's largest piece, px; empty where there is none."""
+def ring_around(region: Flags, spacing_px: float) -> Floats:
+    """Give a smooth ring (n, 2) around a region's largest piece, px, half a stripe spacing outside.
+
+    Notches up to two spacings wide are closed, since between neighbouring stripes nothing is known. Half a
+    spacing outside, normals fan out at the region's corners, and reach a product's tip beyond them.
+    """
     import cv2
 
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (9, 9))
-    closed = cv2.morphologyEx(region.astype(np.uint8), cv2.MORPH_CLOSE, disc)
-    found, _ = cv2.findContours(closed, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    def disc(radius_px: float) -> Flags:
+        width = 2 * round(radius_px) + 1
+        return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width, width)))
+
+    edge = 2 * round(spacing_px)
+    padded = np.pad(region.astype(np.uint8), edge)
+    wide = cv2.dilate(padded, disc(spacing_px))
+    found, _ = cv2.findContours(
+        cv2.erode(wide, disc(0.5 * spacing_px)), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE
+    )
     if not found:
         return np.empty((0, 2))
-    chains = [chain[:, 0, :].astype(np.float64) for chain in found]
+    chains = [chain[:, 0, :].astype(np.float64) - edge for chain in found]
     return max(chains, key=lambda chain: abs(area_of(chain)))
 
 
@@ -74,11 +90,16 @@ def belt_stripes(stripes: StripeMap, number: int, size: tuple[int, int]) -> Flag
 
     drawn = np.zeros(size, np.uint8)
     for x_px, on in zip(stripes.x_px, stripes.seen & (stripes.product != number), strict=True):
-        rows = np.flatnonzero(on)
-        for piece in np.split(rows, np.flatnonzero(np.diff(rows) > _GAP_ROWS) + 1):
+        for piece in _pieces(on):
             chain = np.column_stack([np.rint(x_px[piece]), piece]).astype(np.int32)
             cv2.polylines(drawn, [chain.reshape(-1, 1, 2)], isClosed=False, color=1)
     return drawn.astype(np.bool_)
+
+
+def _pieces(on: Flags) -> list[Integers]:
+    """Give the rows of each piece of a stripe that is seen without a gap."""
+    rows = np.flatnonzero(on)
+    return np.split(rows, np.flatnonzero(np.diff(rows) > _GAP_ROWS) + 1)
 
 
 def _core(smooth: Floats) -> Flags:

@@ -67,10 +67,10 @@ def calibrate(
 
 
 def _write_page(path: Path, calibration: Calibration, evidence: Evidence, name: str) -> None:
-    from roemetry.evidence import page
+    from roemetry.calibrating import evidence_page
     from roemetry.files import write_whole
     from roemetry.registry import discover
 
     registry = discover()
     triangulator = registry.load(registry.find("triangulator", calibration.method))()
-    write_whole(path, page(calibration, evidence, triangulator, name=name))
+    write_whole(path, evidence_page(calibration, evidence, triangulator, name=name))

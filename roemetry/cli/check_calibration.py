@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from roemetry.checking import Check
+    from roemetry.calibrating import Check
 
 
 def check_calibration(
@@ -49,8 +49,7 @@ def check_calibration(
     """
     from dataclasses import asdict
 
-    from roemetry.checking import Chart, block_of, check_calibration
-    from roemetry.checking.page import page
+    from roemetry.calibrating import Chart, block_of, chart_page, check_calibration
     from roemetry.errors import ConfigurationError
     from roemetry.files import write_whole
     from roemetry.json_values import json_values
@@ -69,7 +68,7 @@ def check_calibration(
     else:
         show(check)
     if report is not None and kept is not None:
-        write_whole(report, page(Chart(kept).checks(check.calibration_sha256), loaded.product))
+        write_whole(report, chart_page(Chart(kept).checks(check.calibration_sha256), loaded.product))
         typer.echo(f"{report}", err=as_json)
     if check.verdict == "out":
         raise typer.Exit(1)
@@ -77,7 +76,7 @@ def check_calibration(
 
 def show(check: Check) -> None:
     """Print a check: a line each for what was measured, then its reasons."""
-    from roemetry.checking.judging import QUANTITIES
+    from roemetry.calibrating import QUANTITIES
 
     typer.echo(f"{check.target}: {check.verdict}")
     for name in QUANTITIES:

@@ -46,7 +46,7 @@ def fit_classifier(
     Exit code: 0 written; 1 the table cannot be learned from; 2 the command line is wrong.
     """
     from roemetry.files import write_whole
-    from roemetry.fitting import read_samples
+    from roemetry.known_products import read_samples
     from roemetry.registry import discover
 
     registry = discover()

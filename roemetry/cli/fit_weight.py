@@ -36,7 +36,7 @@ def fit_weight(
     Exit code: 0 written; 1 the table cannot be learned from; 2 a cell or the command line is wrong.
     """
     from roemetry.files import write_whole
-    from roemetry.fitting import read_weighed
+    from roemetry.known_products import read_weighed
     from roemetry.registry import discover
 
     registry = discover()

@@ -16,10 +16,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from roemetry.checking import Chart, Check, Quantity, calibration_doubts
-from roemetry.checking.block_reading import find_block, read_block
-from roemetry.checking.judging import judged
-from roemetry.checking.page import page
+from roemetry.calibrating import Chart, Check, Quantity, calibration_doubts, chart_page
+from roemetry.calibrating.block_check import find_block, read_block
+from roemetry.calibrating.control_chart import judged
 from roemetry.cli.check_calibration import show
 from roemetry.cli.main import app
 from roemetry.errors import DataError, OutputError
@@ -230,12 +229,12 @@ def test_what_was_not_measured_is_said_in_words(capsys: pytest.CaptureFixture[st
 
 
 def test_checks_are_counted_in_whole_numbers() -> None:
-    assert ">1<" in page([check()], "line")
-    assert ">1.0<" not in page([check()], "line")
+    assert ">1<" in chart_page([check()], "line")
+    assert ">1.0<" not in chart_page([check()], "line")
 
 
 def test_a_page_of_many_checks_draws_them_all() -> None:
     checks = [check(12.0 + 0.01 * n) for n in range(-5, 6)]
-    text = page(checks, "line <3>")
+    text = chart_page(checks, "line <3>")
     assert text.count('class="point"') == 2 * len(checks), "height and belt; the width was not measured"
     assert "line &lt;3&gt;" in text

@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from roemetry.calibrating import evidence_page
+from roemetry.calibrating.evidence import _seen_at, correlations, coverage, height_uncertainty
 from roemetry.cli.main import app
-from roemetry.evidence import page
-from roemetry.evidence.height_uncertainty import _seen_at, height_uncertainty
-from roemetry.evidence.page import correlations, coverage
 from roemetry.records import Evidence, EvidenceFigure, Residuals
 from roemetry.testing.scenes import LinearRig
 from roemetry_paper.block_linear import BlockLinear
@@ -75,7 +74,7 @@ def test_the_page_shows_what_the_calibrator_can_show() -> None:
         figures=(EvidenceFigure("reprojection", 0.3, "px", "all boards", 0.2),),
         residuals=(residuals(held_out=True),),
     )
-    text = page(calibration(), evidence, BlockLinear(), name="line & rig")
+    text = evidence_page(calibration(), evidence, BlockLinear(), name="line & rig")
     assert "Fit for heights &lt;25 mm." in text
     assert "line &amp; rig" in text
     assert re.search(r'class="n over">0.3 px', text), "a figure over its limit is marked"

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from roemetry.assembling import assemble
-from roemetry.propagation import Chain, Scene, propagate
+from roemetry.monte_carlo import Chain, Scene, propagate
 from roemetry.records import Estimate, ProductTrace
 from roemetry.testing.scenes import LinearRig
 from roemetry_paper.block_linear import BlockLinear

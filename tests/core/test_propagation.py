@@ -12,8 +12,8 @@ import pytest
 from roemetry.assembling import assemble
 from roemetry.calibration import Calibration
 from roemetry.errors import StageError
-from roemetry.propagation import Chain, Scene, propagate
-from roemetry.propagation.drawing import moved
+from roemetry.monte_carlo import Chain, Scene, propagate
+from roemetry.monte_carlo.propagate import moved
 from roemetry.records import Estimate, Grade, Outline, ProductTrace, Shares, StripeMap, Volume, Weight
 from roemetry.stages import Classifier, StageOptions, VolumeEstimator, Weigher
 from roemetry.testing.scenes import LinearRig

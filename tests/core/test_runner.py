@@ -292,30 +292,55 @@ def test_another_extractor_than_the_calibrations_is_said(line: Callable[..., Pat
     assert "other-extractor" in [reason.code for reason in row.reasons]
 
 
-def test_no_number_is_stated_where_too_much_was_refused(
+@pytest.mark.parametrize(
+    ("coder", "code"), [("window-tracking", "undecided"), ("planes", "above-calibrated-range")]
+)
+def test_nothing_is_stated_of_a_product_above_the_calibrated_range(
+    line: Callable[..., Path], tmp_path: Path, rig, coder: str, code: str
+) -> None:
+    """The dome is 9 mm high; the calibration is meant for 3.5 mm."""
+    path = line(1)
+    replace(rig.calibration(), height_range_mm=(0.0, 3.5)).save(path.parent / "calibration.yaml")
+    run_recipe(Recipe.load(path, sets=[f"stages.coder.use={coder}"]), tmp_path / "out")
+    row = rows_of(tmp_path / "out")["p01"]
+    assert row.status == "failed"
+    assert (row.volume, row.weight, row.grade) == (None, None, None)
+    assert row.reasons[0].code == code
+
+
+def test_some_open_points_are_said_and_too_many_refuse_the_product(
     line: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from roemetry.records import AMBIGUOUS
     from roemetry_paper.window_tracking import WindowTracking
 
     real = WindowTracking.code
+    refused_rows = 0
 
     def refusing(self: WindowTracking, peaks: object, calibration: object) -> object:
-        """Refuse the product's peaks in the upper half of the image."""
+        """Refuse the product's peaks in the image's upper rows."""
         stripes = real(self, peaks, calibration)
         verdict = np.array(stripes.peak_stripe)
         own = stripes.rest_px[np.maximum(verdict, 0), peaks.row]
-        verdict[(np.abs(peaks.x_px - own) > 5.0) & (peaks.row < 120)] = AMBIGUOUS
-        return replace(stripes, peak_stripe=verdict)
+        refused = (np.abs(peaks.x_px - own) > 5.0) & (peaks.row < refused_rows) & (verdict >= 0)
+        seen, x_px, product = (np.array(part) for part in (stripes.seen, stripes.x_px, stripes.product))
+        cells = verdict[refused], peaks.row[refused]
+        seen[cells], x_px[cells], product[cells] = False, np.nan, -1
+        verdict[refused] = AMBIGUOUS
+        return replace(stripes, peak_stripe=verdict, seen=seen, x_px=x_px, product=product)
 
     monkeypatch.setattr(WindowTracking, "code", refusing)
-    outcome = run_recipe(Recipe.load(line(1)), tmp_path / "out")
-    assert outcome.counts["failed"] == 1
-    row = rows_of(tmp_path / "out")["p01"]
-    assert row.volume is None
-    assert row.grade is None
-    assert row.weight is None
-    assert row.reasons[0].code == "undecided"
+    path = line(1)
+    rows = []
+    for refused_rows in (0, 100, 140):
+        run_recipe(Recipe.load(path), tmp_path / str(refused_rows))
+        rows.append(rows_of(tmp_path / str(refused_rows))["p01"])
+    whole, partly, hardly = rows
+    assert whole.status == partly.status == "measured"
+    assert any("widens the volume's uncertainty by" in reason.text for reason in partly.reasons)
+    assert (hardly.volume, hardly.grade, hardly.weight) == (None, None, None)
+    assert hardly.status == "failed"
+    assert hardly.reasons[0].code == "undecided"
 
 
 def test_a_camera_that_has_moved_is_said_and_then_refused(

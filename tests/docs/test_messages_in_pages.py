@@ -27,7 +27,7 @@ def words_of(node: ast.AST | None) -> list[str]:
 def test_every_refusal_of_calibrating_and_of_the_papers_stages_is_told() -> None:
     text = page("rig.md") + page("reasons.md")
     refusals = []
-    for node in sources("plugins/roemetry_paper", "roemetry/calibrating.py"):
+    for node in sources("plugins/roemetry_paper", "roemetry/calibrating"):
         name = getattr(getattr(node, "func", None), "id", "")
         if isinstance(node, ast.Call) and name in ("CalibrationError", "StageError"):
             refusals.append(max(words_of(node.args[0]), key=len, default=""))

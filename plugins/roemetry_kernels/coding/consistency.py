@@ -12,7 +12,7 @@ _CLEARLY_LONGER = 3
 _MISSING_ROWS = 2
 _REACH_STRIPES = 2
 """A product hides a stripe only if it is seen within this many stripes of it."""
-_HIDING_SPACINGS = 0.15
+HIDING_SPACINGS = 0.15
 """What hides a whole stripe displaces others by so much at least."""
 
 
@@ -124,7 +124,7 @@ def refuse_unexplained_gaps(
     if on_bodies_too and stripes > 1:
         spacing_px = np.median(np.diff(rest_px, axis=0), axis=0)
         away_px = np.abs(peaks.x_px - rest_px[np.maximum(stripe, 0), peaks.row])
-        high = off_own & (away_px >= _HIDING_SPACINGS * spacing_px[peaks.row])
+        high = off_own & (away_px >= HIDING_SPACINGS * spacing_px[peaks.row])
         hiding = np.zeros((stripes, rows), np.bool_)
         hiding[stripe[high], peaks.row[high]] = True
     refused = (stripe == AMBIGUOUS) & ((line < 0) | (not on_bodies_too))
@@ -132,7 +132,7 @@ def refuse_unexplained_gaps(
     nearest = off_px.argmin(axis=0)
     body[nearest, peaks.row[refused]] = True
     if on_bodies_too and stripes > 1:
-        refused[refused] = off_px.min(axis=0) >= _HIDING_SPACINGS * spacing_px[peaks.row[refused]]
+        refused[refused] = off_px.min(axis=0) >= HIDING_SPACINGS * spacing_px[peaks.row[refused]]
         nearest = np.abs(rest_px[:, peaks.row[refused]] - peaks.x_px[refused]).argmin(axis=0)
         hiding[nearest, peaks.row[refused]] = True
     doubt = np.zeros((stripes, rows), np.bool_)

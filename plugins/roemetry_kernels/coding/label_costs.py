@@ -249,6 +249,11 @@ def steps_of(
                                 e, t, s, plane, min(z_s, z_t), left, right, hides, rising, room, u_per_px,
                                 presence, sums,
                             )  # fmt: skip
+                            # or nothing hides them: the surface goes on, and their light was lost
+                            lost = sums[e, s] - sums[e, t + 1]
+                            whole = min(step * step, 1.0)
+                            if 3.0 * whole + 4.0 * lost < 3.0 * surface[c] + 4.0 * unseen[c]:
+                                surface[c], unseen[c] = whole, lost
                         else:
                             unseen[c] = 0.0
                         c += 1

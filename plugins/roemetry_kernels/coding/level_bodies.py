@@ -68,31 +68,33 @@ def level_instead(
                     continue
                 if on_line[peak[kept[j]]] == stripe[j] or not _any_there(there, stripe[n], stripe[j]):
                     continue
-                cost, m, belts = 0.0, n, 0
-                while True:
-                    p = kept[m]
-                    belts += on_line[peak[p]] == stripe[m]
-                    k = stripe[m] + by - low[p]
-                    if k < 0 or k >= count[p]:
-                        break
-                    node = offset[p] + k
-                    if height[node] < _HIGH_SHARE * label_mm[node]:
-                        break
-                    i = m - by  # the next stripe on the other side
-                    cost += _side(
-                        m, m + by, by, by if m != n else 0, kept, stripe, size, start[e], low, count, offset,
-                        pair, pair_start[e], surface, unseen, before, after, weight_surface, weight_unseen,
-                    )  # fmt: skip
-                    ended = cost + _side(
-                        m, i, by, 0, kept, stripe, size, start[e], low, count, offset, pair, pair_start[e],
-                        surface, unseen, before, after, weight_surface, weight_unseen,
-                    )  # fmt: skip
-                    if belts > 0 and ended < dearer_max:
-                        for t in range(min(m, n), max(m, n) + 1):
-                            found[peak[kept[t]]] = True
-                    if not 0 <= i < size or (stripe[i] - stripe[m]) * -by != 1:
-                        break
-                    m = i
+                for to in range(by, stripe[j] - stripe[n], by):
+                    cost, m, belts = 0.0, n, 0
+                    while True:
+                        p = kept[m]
+                        belts += on_line[peak[p]] == stripe[m]
+                        k = stripe[m] + to - low[p]
+                        if k < 0 or k >= count[p]:
+                            break
+                        node = offset[p] + k
+                        if height[node] < _HIGH_SHARE * label_mm[node]:
+                            break
+                        i = m - by  # the next stripe on the other side
+                        cost += _side(
+                            m, m + by, to, to if m != n else 0, kept, stripe, size, start[e], low, count,
+                            offset, pair, pair_start[e], surface, unseen, before, after, weight_surface,
+                            weight_unseen,
+                        )  # fmt: skip
+                        ended = cost + _side(
+                            m, i, to, 0, kept, stripe, size, start[e], low, count, offset, pair,
+                            pair_start[e], surface, unseen, before, after, weight_surface, weight_unseen,
+                        )  # fmt: skip
+                        if belts > 0 and ended < dearer_max:
+                            for t in range(min(m, n), max(m, n) + 1):
+                                found[peak[kept[t]]] = True
+                        if not 0 <= i < size or (stripe[i] - stripe[m]) * -by != 1:
+                            break
+                        m = i
     return found
 
 
@@ -169,28 +171,28 @@ def on_end(row: Integers, piece: Integers, found: Flags, rows_min: int, rows_bet
 
 @kernel
 def _side(
-    m: int, j: int, by: int, by_other: int, kept: Integers, stripe: Integers, size: int, first: int,
+    m: int, j: int, to: int, to_other: int, kept: Integers, stripe: Integers, size: int, first: int,
     low: Integers, count: Integers, offset: Integers, pair: Integers, pair_first: int,
     surface: NDArray[np.float32], unseen: NDArray[np.float32], before: Floats, after: Floats,
     weight_surface: float, weight_unseen: float,
 ) -> float:  # fmt: skip
-    """What it changes, towards neighbour j or the image's border there, that m is moved."""
+    """What it changes, towards neighbour j or the image's border there, that m is moved to another stripe."""
     p = kept[m]
     k = stripe[m] - low[p]
     if j < 0:
-        return weight_unseen * (before[offset[p] + k + by] - before[offset[p] + k])
+        return weight_unseen * (before[offset[p] + k + to] - before[offset[p] + k])
     if j >= size:
-        return weight_unseen * (after[offset[p] + k + by] - after[offset[p] + k])
+        return weight_unseen * (after[offset[p] + k + to] - after[offset[p] + k])
     h = stripe[j] - low[kept[j]]
     if j < m:
         was = _pair(kept[j], p, h, k, first, count, pair, pair_first, surface, unseen, weight_surface,
                     weight_unseen)  # fmt: skip
-        now = _pair(kept[j], p, h + by_other, k + by, first, count, pair, pair_first, surface, unseen,
+        now = _pair(kept[j], p, h + to_other, k + to, first, count, pair, pair_first, surface, unseen,
                     weight_surface, weight_unseen)  # fmt: skip
     else:
         was = _pair(p, kept[j], k, h, first, count, pair, pair_first, surface, unseen, weight_surface,
                     weight_unseen)  # fmt: skip
-        now = _pair(p, kept[j], k + by, h + by_other, first, count, pair, pair_first, surface, unseen,
+        now = _pair(p, kept[j], k + to, h + to_other, first, count, pair, pair_first, surface, unseen,
                     weight_surface, weight_unseen)  # fmt: skip
     return now - was
 

@@ -53,7 +53,12 @@ SPREAD = 36 * LANES
 SPECKLE = 37 * LANES
 GOOD = 38 * LANES
 MOVES = 39 * LANES
-TABLE = 40 * LANES
+R = 40 * LANES
+ERROR = 41 * LANES
+RHO = 42 * LANES
+LEFT = 43 * LANES
+RIGHT = 44 * LANES
+TABLE = 45 * LANES
 _E3, _E4, _E5, _E6, _E7, _E8 = 1 / 6, 1 / 24, 1 / 120, 1 / 720, 1 / 5040, 1 / 40320
 
 
@@ -64,9 +69,7 @@ def normal_sums(
     keep: Floats,
     used: Floats,
     n: int,
-    variance: float,
     gain: float,
-    rho: float,
 ) -> None:
     """Sums of each lane's normal equations, for x0, a and ln σ; `used` are those of `keep` within LIMIT."""
     for lane in range(LANES):
@@ -83,7 +86,7 @@ def normal_sums(
             m = lanes[A + lane] * e
             b = lanes[B + lane] + lanes[SLOPE + lane] * (x - lanes[START_X + lane])
             r = grey[LANES * i + lane] - b - m
-            v = variance + gain * max(b + m, 0.0) + lanes[C2 + lane] * m * m
+            v = lanes[R + lane] + lanes[ERROR + lane] + gain * max(b + m, 0.0) + lanes[C2 + lane] * m * m
             kept = keep[LANES * i + lane] if r * r <= lanes[LIMIT + lane] * v else 0.0
             used[LANES * i + lane] = kept
             j0 = 2.0 * m * d * inverse
@@ -91,7 +94,7 @@ def normal_sums(
             # What the pixel before tells of this one by the speckle both share is taken off; what is left
             # has the variance v − c²/v'. One division serves for both variances.
             before = lanes[IV + lane]
-            c = rho * lanes[C2 + lane] * m * lanes[M + lane]
+            c = lanes[RHO + lane] * lanes[C2 + lane] * m * lanes[M + lane]
             told = c * before
             left = v - c * told
             over = kept / (v * left)
@@ -153,7 +156,7 @@ def steps(lanes: Floats, enough: float, shift_max: float, sigma_min: float, sigm
 
 
 @kernel(fastmath={"contract", "nsz"}, error_model="numpy")
-def centre_variance(lanes: Floats, used: Floats, n: int, variance: float, gain: float, rho: float) -> None:
+def centre_variance(lanes: Floats, used: Floats, n: int, gain: float, rho: float) -> None:
     """Variance of each lane's centre, of white noise (SPREAD) and of SPECKLE.
 
     H0, H1, H2 hold the centre's row of the inverse normal matrix.
@@ -163,7 +166,7 @@ def centre_variance(lanes: Floats, used: Floats, n: int, variance: float, gain: 
     """
     for lane in range(LANES):
         lanes[HALF_INVERSE + lane] = 0.5 / (lanes[S + lane] * lanes[S + lane])
-    for field in (M, IV, U, E, MU, P1, P2, P3, P4, SPREAD, SPECKLE):
+    for field in (M, IV, U, E, MU, P1, P2, P3, P4, SPREAD, SPECKLE, LEFT, RIGHT):
         for lane in range(LANES):
             lanes[field + lane] = 0.0
     r2, r3, r4 = rho**4, rho**9, rho**16
@@ -176,10 +179,10 @@ def centre_variance(lanes: Floats, used: Floats, n: int, variance: float, gain: 
             e = gauss(d * d * inverse)
             m = lanes[A + lane] * e
             mu = max(lanes[B + lane] + lanes[SLOPE + lane] * (x - lanes[START_X + lane]) + m, 0.0)
-            v = variance + gain * mu + lanes[C2 + lane] * m * m
+            v = lanes[R + lane] + lanes[ERROR + lane] + gain * mu + lanes[C2 + lane] * m * m
             j0 = 2.0 * m * d * inverse
             before = lanes[IV + lane]
-            c = rho * lanes[C2 + lane] * m * lanes[M + lane]
+            c = lanes[RHO + lane] * lanes[C2 + lane] * m * lanes[M + lane]
             told = c * before
             left = v - c * told
             over = used[LANES * i + lane] / (v * left)
@@ -190,7 +193,10 @@ def centre_variance(lanes: Floats, used: Floats, n: int, variance: float, gain: 
             near = (
                 rho * lanes[P1 + lane] + r2 * lanes[P2 + lane] + r3 * lanes[P3 + lane] + r4 * lanes[P4 + lane]
             )
-            lanes[SPREAD + lane] += q * q * (variance + gain * lanes[MU + lane])
+            before_top = x - 1.0 < lanes[X + lane]
+            lanes[LEFT + lane] += q if before_top else 0.0
+            lanes[RIGHT + lane] += 0.0 if before_top else q
+            lanes[SPREAD + lane] += q * q * (lanes[R + lane] + gain * lanes[MU + lane])
             lanes[SPECKLE + lane] += lanes[C2 + lane] * p * (p + 2.0 * near)
             lanes[P4 + lane] = lanes[P3 + lane]
             lanes[P3 + lane] = lanes[P2 + lane]
@@ -198,6 +204,10 @@ def centre_variance(lanes: Floats, used: Floats, n: int, variance: float, gain: 
             lanes[P1 + lane] = p
             lanes[M + lane], lanes[IV + lane], lanes[MU + lane] = m, left * over, mu
             lanes[U + lane], lanes[E + lane] = u, own
+    # The model errs alike in all pixels of one flank.
+    for lane in range(LANES):
+        left, right = lanes[LEFT + lane], lanes[RIGHT + lane]
+        lanes[SPREAD + lane] += lanes[ERROR + lane] * (left * left + right * right)
 
 
 @kernel(inline="always")

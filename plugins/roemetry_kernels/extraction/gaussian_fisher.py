@@ -53,6 +53,7 @@ def fit_peaks(
     height: Floats,
     slope: Floats,
     variance: float,
+    error: Floats,
     gain: float,
     contrast2: Floats,
     rho: float,
@@ -77,6 +78,10 @@ def fit_peaks(
         (peak,) light beside the stripe: grey levels at the start's `x_px`, grey levels per px.
     variance, gain
         R, grey levels²; g, grey levels.
+    error
+        (peak,) variance of the error of the profile's model, grey levels². Such an error is smooth across the
+        profile: weights that expect correlated speckle would amplify it, so where there is one, pixels are
+        weighted as if they were independent.
     contrast2
         (peak,) C².
     rho
@@ -117,7 +122,9 @@ def fit_peaks(
                         sigma_px[p],
                     )
                     lanes[at.B + lane], lanes[at.SLOPE + lane] = height[p], slope[p]
-                    lanes[at.C2 + lane] = contrast2[p]
+                    lanes[at.C2 + lane], lanes[at.R + lane] = contrast2[p], variance
+                    lanes[at.ERROR + lane] = error[p]
+                    lanes[at.RHO + lane] = 0.0 if error[p] > 0.0 else rho
                     lanes[at.START_X + lane], lanes[at.START_S + lane] = start_x[p], start_s[p]
                     lanes[at.FIRST + lane] = first
                     clipped = False
@@ -130,9 +137,9 @@ def fit_peaks(
                     used[LANES * n + lane] = 0.0
                     if clipped and phase == 1 and lane < count:
                         state[p] = CLIPPED
-                _fit_lanes(lanes, grey, keep, used, n, variance, gain, rho, phase == 1)
+                _fit_lanes(lanes, grey, keep, used, n, gain, phase == 1)
                 if phase == 1:
-                    centre_variance(lanes, used, n, variance, gain, rho)
+                    centre_variance(lanes, used, n, gain, rho)
                 for lane in range(count):
                     p = members[lane]
                     speckle = max(lanes[at.SPECKLE + lane], 0.0)
@@ -178,9 +185,7 @@ def _fit_lanes(
     keep: Floats,
     used: Floats,
     n: int,
-    variance: float,
     gain: float,
-    rho: float,
     to_the_end: bool,
 ) -> None:
     """Step until all lanes rest, then on without outliers."""
@@ -188,7 +193,7 @@ def _fit_lanes(
     lanes[at.LIMIT : at.LIMIT + LANES] = np.inf
     for step in range(_STEPS_MAX if to_the_end else _FIRST_STEPS):
         last = lanes[at.LIMIT] < np.inf
-        normal_sums(lanes, grey, keep, used, n, variance, gain, rho)
+        normal_sums(lanes, grey, keep, used, n, gain)
         steps(lanes, _ENOUGH, _SHIFT_MAX, _SIGMA_MIN_PX, _SIGMA_MAX_PX)
         rests = True
         for lane in range(LANES):

@@ -31,7 +31,7 @@ def residual_products(
     sigma_px: Floats,
     height: Floats,
     slope: Floats,
-    variance: float,
+    variance: Floats,
     gain: float,
     contrast2: Floats,
     state: Bytes,
@@ -75,7 +75,7 @@ def residual_products(
             m[i] = amplitude[p] * e
             mu[i] = max(height[p] + slope[p] * d + m[i], 0.0)
             r[i] = f[first + i] - height[p] - slope[p] * d - m[i]
-            v = variance + gain * mu[i] + contrast2[p] * m[i] * m[i]
+            v = variance[p] + gain * mu[i] + contrast2[p] * m[i] * m[i]
             w[i] = 0.0 if f[first + i] >= white else 1.0 / v
             squares += w[i] * r[i] * r[i]
             largest = max(largest, w[i] * r[i] * r[i])

@@ -11,8 +11,6 @@ from roemetry.arrays import Floats
 from roemetry.records.peaks import EDGE, SATURATED
 from roemetry_kernels.compiling import float_kernel, inlined
 from roemetry_kernels.extraction.border_tops import mirrored
-from roemetry_kernels.extraction.footing_lanes import measure_lanes
-from roemetry_kernels.extraction.lane_steps import CHUNK, WORD
 from roemetry_kernels.extraction.stripe_glare import GLARING, TOO_WIDE, take_off_glare
 from roemetry_kernels.extraction.stripe_joining import SEEN_PX, join_tops, lowest_after, lowest_before
 from roemetry_kernels.extraction.stripe_limits import limits_out_of_light
@@ -105,11 +103,6 @@ def stripes_around(
     found = tops.row[:count], tops.first[:count], tops.last[:count]
     done = np.zeros(count, np.uint8)
     sides = area.left, area.right
-    if image.dtype == np.uint8 and levels.shape[0] % WORD == 0 and levels.shape[0] >= CHUNK:
-        words = levels.view(np.uint64)
-        if words.flags.aligned:
-            feet = _FEET_FROM / FWHM_OF_SIGMA, _FEET_PX, _FEET_SHARE_MAX
-            measure_lanes(words, columns, *sides, *feet, *found, places, highs, values, done)
     limits = white, width_min_px, width_max_px, share_min, height_min
     count = _measure(levels, columns, *sides, *limits, *found, done, highs, row, places, flags, values)
     lo, hi = places[:, :count]
@@ -188,10 +181,7 @@ def _measure(
     flags: NDArray[np.uint8],
     values: Floats,
 ) -> Any:
-    """Fill the fields of `Stripes`; gives the number of those within the width limits.
-
-    What is `done` (see `roemetry_kernels.extraction.footing_lanes.measure_lanes`) is measured already.
-    """
+    """Fill the fields of `Stripes`; gives the number of those within the width limits."""
     count = row.shape[0]
     for i in range(count):
         if not done[i]:

@@ -10,10 +10,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from roemetry.recipe import Recipe
+    from roemetry_tools.compare.agreement import Terms
+    from roemetry_tools.compare.between import Beside
     from roemetry_tools.compare.comparison import Compared
+    from roemetry_tools.compare.variants import Variant
 
 
 def compare(
@@ -28,10 +31,11 @@ def compare(
         ),
     ] = None,
     data: Annotated[
-        Path | None,
+        list[Path] | None,
         typer.Option(
             "--data",
-            help="A data set with truth; all of its items are measured; left out: where the images are.",
+            help="A data set with truth; all of its items are measured; left out: where the images are; may "
+            "stand several times: their figures are set side by side.",
         ),
     ] = None,
     labels: Annotated[
@@ -88,35 +92,71 @@ def compare(
     Exit code: 0 all compared; 1 a variant could not be made or measured nothing (its row says why); 2 the
     recipe, the data set or the command line is wrong.
     """
-    from datetime import UTC, datetime
-
-    from roemetry.cli.progress import progress
-    from roemetry.fitting import read_labels
+    from roemetry.errors import ConfigurationError
+    from roemetry.files import write_whole
+    from roemetry.known_products import read_labels
     from roemetry.registry import discover
     from roemetry_tools.compare.agreement import Terms
-    from roemetry_tools.compare.comparison import compare as compared_on
-    from roemetry_tools.compare.data import Data
+    from roemetry_tools.compare.between import between, to_csv
     from roemetry_tools.compare.variants import make_variants
-    from roemetry_tools.compare.write import SUMMARY, ItemsFile, write_comparison
+    from roemetry_tools.compare.write import SUMMARY
 
-    began = datetime.now(UTC)
     variants = make_variants(recipe, vary or (), sets=sets or (), registry=discover())
     base = variants[0].recipe
     assert base is not None
-    found = Data(base, data, labels=None if labels is None else read_labels(labels))
+    true_labels = None if labels is None else read_labels(labels)
     terms = Terms(tolerance, folds, seed)
     folder = out or _next_folder(base)
+    given: list[Path | None] = list(data) if data else [None]
+    names = ["" if one is None else one.resolve().name for one in given]
+    if len(set(names)) < len(names):
+        raise ConfigurationError(f"two data sets are called {max(names, key=names.count)}", hint="rename one")
+    every: dict[str, Sequence[Compared]] = {}
+    told = {}
+    for name, one in zip(names, given, strict=True):
+        into = folder / name if len(given) > 1 else folder
+        every[name] = _one_set(variants, one, true_labels, terms, jobs, into, as_json)
+        told[name] = json.loads((into / SUMMARY).read_text("utf-8"))
+    if len(given) > 1:
+        found = between(every)
+        write_whole(folder / "between.csv", to_csv(found))
+    if as_json:
+        typer.echo(json.dumps(told if len(given) > 1 else told[names[0]], indent=2))
+    elif len(given) > 1:
+        _show_between(found, folder)
+    if any(one.failure for compared in every.values() for one in compared):
+        raise typer.Exit(1)
+
+
+def _one_set(
+    variants: Sequence[Variant],
+    data: Path | None,
+    labels: Mapping[str, str] | None,
+    terms: Terms,
+    jobs: int,
+    folder: Path,
+    as_json: bool,
+) -> Sequence[Compared]:
+    """Compare on one data set, write its files, and show them."""
+    from datetime import UTC, datetime
+
+    from roemetry.cli.progress import progress
+    from roemetry_tools.compare.comparison import compare as compared_on
+    from roemetry_tools.compare.data import Data
+    from roemetry_tools.compare.write import ItemsFile, write_comparison
+
+    began = datetime.now(UTC)
+    base = variants[0].recipe
+    assert base is not None
+    found = Data(base, data, labels=labels)
     with ItemsFile(folder) as items, progress("comparing", quiet=as_json) as on_progress:
         compared = compared_on(
             variants, found, terms=terms, jobs=jobs, on_judged=items.add, on_progress=on_progress
         )
     files = write_comparison(folder, compared, found, terms=terms, command=sys.argv[1:], began=began)
-    if as_json:
-        typer.echo(json.dumps(json.loads((folder / SUMMARY).read_text("utf-8")), indent=2))
-    else:
-        _show(base, compared, tolerance, found.without_truth, files)
-    if any(one.failure for one in compared):
-        raise typer.Exit(1)
+    if not as_json:
+        _show(base, compared, terms.tolerance_pct, found.without_truth, files)
+    return compared
 
 
 def _next_folder(recipe: Recipe) -> Path:
@@ -151,3 +191,13 @@ def _show(
         console.print(said, highlight=False, markup=False, soft_wrap=True)
     for file in files:
         console.print(f"  {file}", highlight=False, soft_wrap=True)
+
+
+def _show_between(found: Sequence[Beside], folder: Path) -> None:
+    from rich.console import Console
+
+    from roemetry_tools.verbs.compare_table import between_table
+
+    console = Console()
+    console.print(between_table(found))
+    console.print(f"  {folder / 'between.csv'}", highlight=False, soft_wrap=True)

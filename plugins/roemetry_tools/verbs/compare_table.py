@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from rich.box import SIMPLE_HEAD
@@ -9,6 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from roemetry.pages.svg import share
+from roemetry_tools.compare.between import Beside
 from roemetry_tools.compare.comparison import Compared
 from roemetry_tools.compare.tables import Value, flat
 
@@ -78,6 +80,22 @@ def _refused(one: Compared, wanted: bool) -> list[Text]:
         return []
     figures = one.figures
     return [Text("failed", "red") if figures is None else Text(f"{figures.refused}/{figures.acquisitions}")]
+
+
+def between_table(found: Sequence[Beside]) -> Table:
+    """Make the table of figures on several data sets; red: their intervals do not meet."""
+    table = Table(title="between the data sets", title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+    table.add_column("variant", overflow="fold", min_width=16)
+    table.add_column("figure")
+    for name in found[0].values if found else ():
+        table.add_column(Text(name), justify="right", no_wrap=True)
+    table.add_column("difference", justify="right", no_wrap=True)
+    for one in found:
+        cells = ["" if value is None else f"{value:.4g}" for value in one.values.values()]
+        style = "red" if one.apart else ""
+        difference = "" if math.isnan(one.difference) else f"{one.difference:.3g}"
+        table.add_row(Text(one.variant), Text(one.figure, style), *cells, Text(difference, style))
+    return table
 
 
 def verdicts_of(compared: Sequence[Compared], tolerance_pct: float | None) -> list[str]:

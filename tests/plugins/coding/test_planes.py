@@ -13,6 +13,7 @@ from roemetry_coding.margins import margin_of
 from roemetry_coding.planes import Planes, PlanesOptions
 from roemetry_kernels.coding.rest_lines import calibrated_rest_lines
 from roemetry_kernels.coding.sight_lines import sight_lines
+from roemetry_simulate.solid import Block
 
 coded = pytest.importorskip("benchmarks.coded", reason="only in a checkout")
 
@@ -84,6 +85,21 @@ def test_it_needs_a_calibration() -> None:
     linear = LinearRig()
     with pytest.raises(StageError, match="needs a calibration"):
         Planes().code(linear.peaks(linear.x_px(linear.belt())).peaks, None)
+
+
+@pytest.mark.parametrize("share", [0.9, 0.45, 0.3])
+@pytest.mark.parametrize("form", ["block", "skein"])
+def test_what_is_higher_than_the_calibrated_range_is_seen_as_that(form: str, share: float) -> None:
+    """Cut off at the range, a level top would be taken for one that is a stripe or more lower."""
+    seed = 41_000_503
+    rig = coded.easy_rig(seed)
+    made = Block(60.0, 30.0, 17.0, yaw_deg=8.0) if form == "block" else coded.skein(seed, "healthy")
+    sample = coded.sample_of(rig, made, seed=seed)
+    height_mm = sample.crossings.xyz_mm[:, 2].max()
+    asked = replace(sample.calibration, height_range_mm=(0.0, share * height_mm))
+    found = coded.score(Planes().code(sample.peaks, asked), sample)
+    assert found.wrong - found.shared == 0
+    assert found.labelled_share > 0.9
 
 
 def test_margins_grow_with_the_difference_and_stay_below_one() -> None:

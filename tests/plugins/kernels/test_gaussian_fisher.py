@@ -32,7 +32,7 @@ def fit(
     std, speckled, state = np.empty(peaks), np.empty(peaks), np.empty(peaks, np.uint8)
     fit_peaks(
         image, white, np.arange(peaks), x_px, amplitude, sigma_px, np.full(peaks, 100.0), np.zeros(peaks),
-        VARIANCE, GAIN, np.full(peaks, contrast**2), rho, std, speckled, state,
+        VARIANCE, np.zeros(peaks), GAIN, np.full(peaks, contrast**2), rho, std, speckled, state,
     )  # fmt: skip
     return np.column_stack([x_px, amplitude, sigma_px]), std, state
 
@@ -117,7 +117,7 @@ def test_expected_products_are_those_of_whole_matrices(rng: np.random.Generator)
         np.arange(6),
         *fitted.T.copy(),
         *beside,
-        VARIANCE,
+        np.full(6, VARIANCE),
         GAIN,
         np.full(6, contrast**2),
         state,

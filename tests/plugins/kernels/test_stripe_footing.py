@@ -1,4 +1,4 @@
-"""Width and background of 128 stripes at a time against those of one stripe after the other."""
+"""Width and background of stripes: the same in 8 and 16 bit, and what is left out."""
 
 import numpy as np
 import pytest
@@ -27,37 +27,20 @@ def stripes(rng, rows, columns, pitch, noise):
 
 
 @pytest.mark.parametrize(("pitch", "noise"), [(40.0, 0.0), (57.3, 0.0), (31.0, 1.5)])
-def test_many_at_a_time_measure_what_one_after_the_other_does(pitch, noise, rng):
+def test_the_same_grey_levels_in_8_and_16_bit_give_the_same_stripes(pitch, noise, rng):
     image = stripes(rng, 301, 320, pitch, noise)
-    # Each row is drawn by itself, so what is cut off at white would look like glare: nothing is white.
-    many = around(image, white=65535)
-    # 16 bit are not measured side by side
-    one = around(image.astype(np.uint16))
-    for name in ("row", "lo", "hi"):
-        np.testing.assert_array_equal(getattr(many, name), getattr(one, name))
-    # How far the lowest level is looked for differs: half height may differ by half of the noise.
-    for name, most in (("middle", 0.06), ("width", 0.15), ("background", 0.5), ("slope", 0.05)):
-        off = np.abs(getattr(many, name) - getattr(one, name))
-        assert np.mean(off > 1e-9) <= (0.0 if noise == 0.0 else 0.2), name
-        assert off.max() <= (1e-9 if noise == 0.0 else most), name
+    narrow, wide = around(image), around(image.astype(np.uint16), white=255)
+    for name in narrow._fields:
+        np.testing.assert_array_equal(getattr(narrow, name), getattr(wide, name), err_msg=name)
 
 
-def test_a_stripe_too_wide_to_be_measured_with_others_is_measured_alone(rng):
+def test_a_wide_stripe_is_measured():
     x = np.arange(400)
     image = np.tile(20.0 + 150.0 * np.exp(-0.5 * ((x - 200.3) / 12.0) ** 2), (6, 1)).round().astype(np.uint8)
     found = around(image)
     np.testing.assert_allclose(found.middle, 200.3, atol=0.1)  # px
     np.testing.assert_allclose(found.width, 28.26, atol=0.6)  # px
     np.testing.assert_allclose(found.background, 20.0, atol=0.3)
-
-
-def test_an_image_that_is_no_whole_number_of_words(rng):
-    image = stripes(rng, 61, 321, 40.0, 1.0)
-    assert image.size % 8
-    even = np.pad(image, ((0, 0), (0, 7)), mode="edge")
-    one, many = around(image), around(even)
-    inner = many.middle < 300.0
-    np.testing.assert_allclose(one.middle[one.middle < 300.0], many.middle[inner], atol=0.06)  # px
 
 
 def test_what_is_much_lower_than_the_stripes_is_left_out_if_wanted():

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from roemetry.evidence import page
+from roemetry.calibrating import evidence_page
 from roemetry.testing import LinearRig
 from roemetry_pinhole.bundle import Measured
 from roemetry_pinhole.calibrator import PinholeCalibrator
@@ -77,7 +77,7 @@ def test_the_page_of_a_calibration() -> None:
     figures = {one.title: one for one in evidence.figures}
     assert figures["heights on other views, mean of a board, rms"].value < 0.05, "mm"
     assert figures["stripes against each other on one surface, rms"].value < 0.05, "mm"
-    text = page(calibration, evidence, PinholePlane(), name="rig")
+    text = evidence_page(calibration, evidence, PinholePlane(), name="rig")
     for title in ("Coverage of the image", "Heights on other views", "Correlations of the parameters"):
         assert title in text
 

@@ -20,7 +20,7 @@ from roemetry_pinhole.verdict import judged
 RIG = SimulatedRig(1600.0, 350.0, tilt_deg=(6.0, -4.0), lens=(-0.2, 0.1, 0.0, 0.0, 0.0), stripes=5, poses=10)
 
 
-def joint_of(seen: Shown) -> Joint:
+def joint_of(seen: Shown, stray_share: float = 0.0) -> Joint:
     free = unknowns_of(seen.geometry, free_camera=np.arange(CAMERA) < 9, planes=True, belt=True, travel=False)
     measured = Measured(seen.geometry, free, seen.corners, seen.points, seen.feet, 0.03)
     views = []
@@ -34,7 +34,9 @@ def joint_of(seen: Shown) -> Joint:
     )
     pose = np.arange(len(views))
     adjusted = measured.adjusted()
-    return Joint(board, RIG.image_size, Seen(), first, pose, 0.0, None, measured, adjusted, moves=False)
+    return Joint(
+        board, RIG.image_size, Seen(), first, pose, 0.0, stray_share, None, measured, adjusted, moves=False
+    )
 
 
 def few_errors(rng: np.random.Generator, rig: SimulatedRig = RIG) -> Shown:
@@ -102,3 +104,21 @@ def test_peaks_that_are_not_one_rigid_rig(rng) -> None:
     seen = few_errors(rng)
     moved = rng.random(seen.points.pose.size) < 0.4
     refused(with_peaks(seen, moved * rng.normal(0.0, 20.0, moved.size)), "stripe peaks do not fit")
+
+
+@pytest.mark.parametrize("stripes", [1, 2, 5])
+def test_residuals_far_beyond_what_is_stated_are_refused_for_any_number_of_stripes(rng, stripes) -> None:
+    """On each board each line lies somewhere else by some pixels: not the laser's lines."""
+    seen = few_errors(rng, replace(RIG, stripes=stripes))
+    wrong = rng.uniform(-6.0, 6.0, (RIG.poses + 1, stripes))[seen.points.pose, seen.points.stripe]
+    with pytest.raises(CalibrationError, match="does not lie in one plane|do not fit"):
+        judged(joint_of(with_peaks(seen, wrong)))
+
+
+def test_peaks_left_out_beforehand_count_as_left_out(rng) -> None:
+    seen = few_errors(rng)
+    assert judged(joint_of(seen, stray_share=0.2)).residuals["stripes_left_out"] == pytest.approx(
+        0.2, abs=0.02
+    )
+    with pytest.raises(CalibrationError, match="40% of the stripe peaks do not fit"):
+        judged(joint_of(seen, stray_share=0.4))

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from roemetry.cli.main import app
 from roemetry.dataset import Dataset
 from roemetry.errors import ConfigurationError, DataError, StageError
-from roemetry.fitting import read_weighed, read_weights
+from roemetry.known_products import read_weighed, read_weights
 from roemetry.records import Samples
 from roemetry.testing.runs import volume_of
 from roemetry.testing.solids import DENSE, HALF_ELLIPSOID, product_of

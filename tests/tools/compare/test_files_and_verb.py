@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 from collections.abc import Callable
 from html.parser import HTMLParser
 from pathlib import Path
@@ -121,3 +122,32 @@ def test_exit_codes(
     assert roemetry(path, "--vary", "stages.extractor.options.threshold=-5", "--json") == 1
     assert json.loads(capsys.readouterr().out)["variants"][1]["status"] == "failed"
     assert (tmp_path / "results" / "line-compare-1" / "comparison.html").exists()
+
+
+def test_figures_on_two_data_sets_stand_side_by_side(
+    dataset: Callable[..., Path],
+    tmp_path: Path,
+    roemetry: Callable[..., int],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """The second set's products are truly a tenth larger: only its volume disagrees."""
+    path, other, out = dataset(6), tmp_path / "other", tmp_path / "out"
+    shutil.copytree(path.parent, other)
+    items = [json.loads(line) for line in (other / "items.jsonl").read_text("utf-8").splitlines()]
+    for item in items:
+        for product in item["products"]:
+            product["visible_mm3"] *= 1.1
+    (other / "items.jsonl").write_text("".join(json.dumps(item) + "\n" for item in items), "utf-8")
+    assert roemetry(path, "--data", path.parent, "--data", other, "--out", out) == 0
+    assert "between the data sets" in capsys.readouterr().out
+    rows = {
+        row["figure"]: row for row in csv.DictReader((out / "between.csv").read_text("utf-8").splitlines())
+    }
+    bias = rows["volume_visible_bias_pct"]
+    assert float(bias[path.parent.name]) == pytest.approx(100 * (1 / 1.1 - 1), abs=1e-6)
+    assert float(bias["other"]) == pytest.approx(100 * (1 / 1.21 - 1), abs=1e-6)
+    assert bias["apart"] == "true" and rows["weight_bias_pct"]["apart"] == "false"
+    assert float(rows["centre_rms_px"]["difference"]) == 0.0
+    assert (out / "other" / "comparison.html").exists()
+    assert roemetry(path, "--data", other, "--data", other, "--out", tmp_path / "twice") == 2
+    assert "two data sets are called other" in capsys.readouterr().err

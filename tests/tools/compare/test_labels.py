@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from roemetry.errors import DataError
-from roemetry.fitting import read_labels
+from roemetry.known_products import read_labels
 from roemetry.registry import discover
 from roemetry_tools.compare.comparison import compare
 from roemetry_tools.compare.data import Data, labelled

@@ -1,15 +1,15 @@
-"""The page's pictures as inline SVG: residuals over the image, correlations, height uncertainty."""
+"""Pictures of a calibration as inline SVG: residuals over the image, correlations, height uncertainty."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from markupsafe import Markup
 
 from roemetry.arrays import Floats, Integers
-from roemetry.evidence.height_uncertainty import HeightUncertainty
 from roemetry.pages.svg import Axis, box, dot, line, number, picture, plain, text
 from roemetry.records import Residuals
 
@@ -18,6 +18,24 @@ _BINS = 40
 _WARM, _COLD, _MIDDLE = (179, 38, 44), (11, 85, 120), (226, 229, 232)
 _PALE, _EMPTY = (255, 255, 255), "#f3c9c5"
 _RAMP = ((253, 246, 216), (242, 166, 94), (176, 74, 112), (58, 31, 85))
+
+
+class HeightUncertainty(NamedTuple):
+    """Standard uncertainty of heights by the calibration alone.
+
+    Attributes
+    ----------
+    height_mm
+        (level,) heights, mm.
+    row_px
+        (row,) image rows.
+    std_mm
+        (stripe, level, row) standard uncertainty, mm; NaN where the stripe is not in the image there.
+    """
+
+    height_mm: Floats
+    row_px: Floats
+    std_mm: Floats
 
 
 def residual_map(one: Residuals, image_size: tuple[int, int]) -> Markup:

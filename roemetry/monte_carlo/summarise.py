@@ -10,7 +10,6 @@ from typing import NamedTuple
 import numpy as np
 
 from roemetry.arrays import Floats
-from roemetry.propagation.repeating import VOLUME_MODEL, Result
 from roemetry.records import Estimate, ProductTrace, Reason
 
 COVERAGE = 0.95
@@ -33,6 +32,21 @@ CALIBRATION_NOT_STATED = Reason(
 )
 FAILED_SHARE_MAX = 0.05
 """With more draws than this refused, what is left is no fair sample."""
+
+
+VOLUME_MODEL, WEIGHT_MODEL = "volume model", "weight model"
+
+
+class Result(NamedTuple):
+    """One draw's outcome; NaN and "" where a stage refused."""
+
+    visible_mm3: float = math.nan
+    true_mm3: float = math.nan
+    mass_g: float = math.nan
+    label: str = ""
+    probability: float = math.nan
+    features: Mapping[str, float] = {}
+    height_max_mm: float = math.nan
 
 
 class Unstated(NamedTuple):

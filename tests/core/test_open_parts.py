@@ -1,0 +1,68 @@
+"""What is open of each product: refused peaks on it, not those on the belt or beside other products."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from roemetry.open_parts import open_parts, widened
+from roemetry.records import AMBIGUOUS, Estimate, Peaks, Shares, StripeMap, Volume
+
+REST_PX = np.linspace(50.0, 450.0, 9)[:, None] + np.zeros(200)
+"""(stripe, row) rest lines 50 px apart."""
+LIFTED_PX = 20.0
+
+
+def scene(
+    refused: tuple[tuple[int, int], ...], belt_refused: tuple[int, ...] = ()
+) -> tuple[Peaks, StripeMap]:
+    """Products on stripes 1–3 and 5–7, rows 60–139; refused: (stripe, row), and whole belt stripes."""
+    x_px = REST_PX.copy()
+    on = np.zeros(x_px.shape, np.int16)
+    for number, stripes in enumerate((slice(1, 4), slice(5, 8)), start=1):
+        x_px[stripes, 60:140] += LIFTED_PX
+        on[stripes, 60:140] = number
+    row, stripe = np.nonzero(np.ones(x_px.shape[::-1], bool))
+    verdict = stripe.astype(np.int16)
+    for one, at in refused:
+        verdict[(stripe == one) & (row == at)] = AMBIGUOUS
+    verdict[np.isin(stripe, belt_refused) & (on[stripe, row] == 0)] = AMBIGUOUS
+    place_px = x_px[stripe, row]
+    seen = np.zeros(x_px.shape, bool)
+    seen[stripe, row] = verdict >= 0
+    x_px[~seen] = np.nan
+    on[~seen] = -1
+    one = np.ones(row.size)
+    peaks = Peaks(
+        image_size=(200, 500), row=row, x_px=place_px, x_std_px=0.05 * one, amplitude=100.0 * one,
+        background=10.0 * one, width_px=4.0 * one, flags=np.zeros(row.size, np.uint8),
+    )  # fmt: skip
+    whole = np.where(seen, 1.0, np.nan)
+    return peaks, StripeMap(
+        x_px=x_px, x_std_px=0.05 * whole, product=on, seen=seen, margin=whole,
+        ambiguous=np.zeros(seen.shape, bool), rest_px=REST_PX, peak_stripe=verdict, reasons=(),
+    )  # fmt: skip
+
+
+def test_refused_belt_leaves_no_product_open() -> None:
+    found = open_parts(*scene((), belt_refused=(1, 2, 3, 4)))
+    assert [part.points for part in found.values()] == [0, 0]
+
+
+def test_each_refused_peak_counts_against_its_own_product_only() -> None:
+    lost = tuple((2, row) for row in range(90, 100))
+    first, second = open_parts(*scene(lost)).values()
+    assert (first.points, second.points) == (10, 0)
+    assert first.share == pytest.approx(10 / 240)
+    assert first.rows == (90, 99)
+    assert first.x_px == (170.0, 170.0)
+
+
+def test_open_points_widen_in_quadrature() -> None:
+    stated = Estimate(1000.0, 3.0, {"peaks": 3.0}, (994.0, 1006.0))
+    volume, _ = widened(Volume(stated, None, Shares(1.0, 0.0, 0.0)), None, 0.004)
+    assert volume.visible_mm3.std == pytest.approx(5.0)
+    assert volume.visible_mm3.budget["open points"] == pytest.approx(4.0)
+    low, high = volume.visible_mm3.interval
+    assert high - 1000.0 == pytest.approx(np.hypot(6.0, 1.959964 * 4.0))
+    assert 1000.0 - low == pytest.approx(high - 1000.0)

@@ -1,0 +1,72 @@
+"""Light from inside a product beside the stripe, and the same grey levels in 8 and 16 bit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from roemetry.records import Frame, Sensor
+from roemetry_peaks.centre_of_gravity import CentreOfGravity
+from roemetry_peaks.gaussian import Gaussian
+from roemetry_peaks.log_parabola import LogParabola
+from roemetry_peaks.maximum_likelihood import MaximumLikelihood, starts
+from roemetry_peaks.steger import Steger
+from roemetry_peaks.zero_crossing import ZeroCrossing
+
+GAIN, READ = 0.0255, 1.0  # grey levels per electron, grey levels
+
+
+def speckled(mean: np.ndarray, contrast: float, rng: np.random.Generator) -> np.ndarray:
+    """Grey levels with speckle of 0.8 px, shot and read noise, rounded to 8 bits."""
+    from scipy.ndimage import gaussian_filter
+
+    grains = gaussian_filter(rng.standard_normal(mean.shape), 0.8)
+    light = (mean - 12.0) * np.exp(contrast * grains / grains.std() - contrast**2 / 2) + 12.0
+    noisy = light + rng.standard_normal(mean.shape) * np.sqrt(GAIN * light + READ**2)
+    return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+
+
+def stripe(rng: np.random.Generator, left: float, right: float, rows: int = 500) -> tuple[np.ndarray, ...]:
+    """Profiles with a Gaussian peak, σ 1.8 px, on exponential skirts of these shares of its height."""
+    centre = 60.0 + rng.uniform(-0.5, 0.5, (rows, 1))
+    u = np.arange(120) - centre
+    # The skirt's height drifts along the stripe, as tissue does.
+    drift = 1.0 + 0.3 * np.sin(np.arange(rows)[:, None] / 40.0)
+    skirt = np.where(u < 0, left, right) * drift * np.exp(-np.hypot(u, 2.0) / 3.5)
+    return 12.0 + 180.0 * (np.exp(-0.5 * (u / 1.8) ** 2) + skirt), centre[:, 0]
+
+
+@pytest.mark.parametrize("contrast", [0.12, 0.25])
+def test_skirts_of_tissue_neither_pull_the_centre_nor_hide_in_what_is_stated(contrast, rng):
+    mean, centre = stripe(rng, 0.2, 0.2)
+    frame = Frame(pixels=speckled(mean, contrast, rng), sensor=Sensor(GAIN, READ))
+    peaks = MaximumLikelihood(MaximumLikelihood.Options()).extract(frame)
+    error = peaks.x_px - centre[peaks.row]
+    assert peaks.row.size > 490
+    assert abs(np.median(error)) < 0.12  # px
+    assert np.sqrt(np.mean(error**2)) < 0.9 * contrast + 0.1  # px
+    assert np.mean(np.abs(error) < 1.96 * peaks.x_std_px) > 0.85
+
+
+def test_an_opaque_surface_has_no_skirts(rng):
+    mean, _ = stripe(rng, 0.0, 0.0)
+    for contrast in (0.0, 0.15):
+        _, found = starts(
+            Frame(pixels=speckled(mean, contrast, rng), sensor=Sensor(GAIN, READ)),
+            MaximumLikelihood.Options(),
+        )
+        assert np.mean(found.error > 0) < 0.12
+
+
+@pytest.mark.parametrize(
+    "extractor", [LogParabola, CentreOfGravity, Gaussian, ZeroCrossing, MaximumLikelihood, Steger]
+)
+def test_8_and_16_bits_of_the_same_grey_levels_give_the_same_peaks(extractor, rng):
+    mean, _ = stripe(rng, 0.1, 0.2, rows=200)
+    image = speckled(mean, 0.15, rng)
+    narrow, wide = (
+        extractor(extractor.Options()).extract(Frame(pixels=pixels, sensor=Sensor(GAIN, READ)))
+        for pixels in (image, image.astype(np.uint16))
+    )
+    for name in ("row", "x_px", "x_std_px", "amplitude", "background", "width_px", "flags"):
+        np.testing.assert_array_equal(getattr(narrow, name), getattr(wide, name), err_msg=name)
