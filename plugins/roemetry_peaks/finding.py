@@ -23,6 +23,7 @@ from roemetry_kernels.extraction.stripe_scan import Area, stripe_tops
 from roemetry_kernels.extraction.upside_down import doubts
 from roemetry_peaks.options import PeakOptions
 from roemetry_peaks.region import searched
+from roemetry_peaks.stated_uncertainty import corrected
 
 _HEIGHT_SHARE = 0.5
 """Of the threshold, that a stripe is high above the light beside it: noise on bright ground has tops, too."""
@@ -95,8 +96,9 @@ def found(
         fields = _with_leaving(fields, levels, columns, area, frame, stripes, x_px)
     # Speckle is as long along the stripe as across it; the sensor's noise is not correlated at all.
     rows = options.speckle_length_px if speckled else 0.0
-    reasons = doubts(pixels, frame.white, fields["row"], fields["x_px"], fields["width_px"])
-    return Peaks(image_size=frame.size, correlation_rows=rows, reasons=reasons, **fields)
+    fields["x_std_px"], contradictions = corrected(pixels, **fields)
+    odd = doubts(pixels, frame.white, fields["row"], fields["x_px"], fields["width_px"])
+    return Peaks(image_size=frame.size, correlation_rows=rows, reasons=(*contradictions, *odd), **fields)
 
 
 def _with_leaving(

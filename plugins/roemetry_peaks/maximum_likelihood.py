@@ -106,6 +106,7 @@ class MaximumLikelihood(Extractor[MaximumLikelihoodOptions]):
         """Find the stripes of a frame."""
         from roemetry_kernels.extraction.gaussian_fisher import CLIPPED
         from roemetry_kernels.extraction.upside_down import doubts
+        from roemetry_peaks.stated_uncertainty import corrected
 
         image, found = starts(frame, self.options)
         noise = found.noise if found.noise is not None else estimated_noise(image, frame.white, found)
@@ -125,19 +126,24 @@ class MaximumLikelihood(Extractor[MaximumLikelihoodOptions]):
         flags = np.where(fit.state[order] == CLIPPED, SATURATED, 0)
         flags |= np.where((x_px < beyond) | (x_px > image.shape[1] - 1 - beyond), EDGE, 0)
         share = float(np.median(fit.speckled[order][::_EVERY])) if x_px.size else 0.0
+        flags = flags.astype(np.uint8)
+        row, height, width = at.row[order], found.beside.height[order], _FWHM * sigma_px
+        known = row, x_px, fit.x_std_px[order], fit.amplitude[order], height, width, flags
+        x_std_px, contradictions = corrected(image, *known, ~found.lit[order])
         return Peaks(
             image_size=frame.size,
-            row=at.row[order] + found.top,
+            row=row + found.top,
             x_px=x_px + found.left,
-            x_std_px=fit.x_std_px[order],
+            x_std_px=x_std_px,
             amplitude=fit.amplitude[order],
-            background=found.beside.height[order],
-            width_px=_FWHM * sigma_px,
-            flags=flags.astype(np.uint8),
+            background=height,
+            width_px=width,
+            flags=flags,
             correlation_rows=rows_of(share, noise.correlation),
             reasons=(
                 *(() if found.measured else (_ESTIMATED,)),
-                *doubts(image, frame.white, at.row[order], x_px, _FWHM * sigma_px),
+                *contradictions,
+                *doubts(image, frame.white, row, x_px, width),
             ),
         )
 
@@ -176,6 +182,8 @@ class Found(NamedTuple):
         Place and width of the part that is searched.
     error
         (peak,) variance of the profile model's error, grey levels² (`roemetry_peaks.scattering`).
+    lit
+        (peak,) whether that error is light that comes from inside the product.
     """
 
     starts: Starts
@@ -190,6 +198,7 @@ class Found(NamedTuple):
     left: int
     columns: int
     error: Floats
+    lit: Flags
 
 
 _ESTIMATED = Reason(
@@ -235,14 +244,14 @@ def starts(frame: Frame, options: MaximumLikelihoodOptions) -> tuple[Any, Found]
     beside = light_beside(image, where, math.sqrt(quiet), slope)
     measured = variance is not None and gain is not None
     place = area.top, area.left, image.shape[1]
-    found = Found(
-        where, beside, variance, gain, rounding, quiet, given, measured, *place, np.zeros(where.row.size)
-    )
-    return image, found._replace(error=_model_error(image, frame.white, found))
+    none = np.zeros(where.row.size), np.zeros(where.row.size, np.bool_)
+    found = Found(where, beside, variance, gain, rounding, quiet, given, measured, *place, *none)
+    error, lit = _model_error(image, frame.white, found)
+    return image, found._replace(error=error, lit=lit)
 
 
-def _model_error(image: Any, white: int, found: Found) -> Floats:
-    """(peak,) variance of the error of a Gaussian as the profile's model, grey levels²."""
+def _model_error(image: Any, white: int, found: Found) -> tuple[Floats, Flags]:
+    """(peak,) variance of the error of a Gaussian as the profile, grey levels²; whether it is light."""
     from roemetry_kernels.extraction.gaussian_fisher import FAILED
     from roemetry_peaks.scattering import model_error
 
@@ -259,7 +268,7 @@ def _model_error(image: Any, white: int, found: Found) -> Floats:
         lost = fit.state == FAILED
         x_px[clipped], sigma_px[clipped] = fit.x_px, fit.sigma_px
         amplitude[clipped] = np.where(lost, np.nan, fit.amplitude)
-    share = model_error(
+    share, lit = model_error(
         image,
         float(white),
         at.row,
@@ -271,8 +280,7 @@ def _model_error(image: Any, white: int, found: Found) -> Floats:
         beside.down,
         beside.up,
     )
-    variance: Floats = share * beside.amplitude**2
-    return variance
+    return share * beside.amplitude**2, lit
 
 
 def _sensor(frame: Frame, rounding: float) -> tuple[float | None, float | None]:

@@ -13,8 +13,9 @@ vanishes in the skirts, and the pixels that the model is worst at weigh most.
 
 d is measured before any fit, and separately from speckle: the mean light between 2 and 3.2 standard
 deviations on each side, less what a Gaussian of that width at half height has there, over a. Speckle and
-noise change from row to row and average out along a stripe; light from inside a body does not. So the excess
-is averaged over the rows within `_REACH_ROWS`, and counts as far as it is larger than its own scatter allows.
+noise change from row to row and average out along a stripe; light from inside a body does not. So the
+excess is averaged over the rows within `_REACH_ROWS`, and counts as far as it is larger than its own scatter
+allows.
 
 Assumed: neighbouring rows see the same material; width at half height is hardly changed by the skirts. Fails
 where stripes stand nearer together than about 7 σ (their skirts overlap), and where a stripe is so short that
@@ -33,7 +34,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from roemetry.arrays import Floats, Integers
+from roemetry.arrays import Flags, Floats, Integers
 from roemetry_kernels.compiling import kernel
 
 _INNER, _OUTER = 2.0, 3.2
@@ -67,7 +68,7 @@ def model_error(
     slope: Floats,
     down: Integers,
     up: Integers,
-) -> Floats:
+) -> tuple[Floats, Flags]:
     """Give d², the variance of the profile model's error over the square of the peak's height.
 
     Parameters
@@ -85,7 +86,9 @@ def model_error(
 
     Returns
     -------
-    ndarray, shape (peak,)
+    tuple
+        (peak,) d², and whether the error is light beside the peak, and not a lack of it: a profile with flat
+        top and steep flanks is no Gaussian either.
     """
     peaks, columns = row.shape[0], image.shape[1]
     excess = np.zeros((peaks, 2))
@@ -109,9 +112,9 @@ def model_error(
         # Where the border cuts a stripe off, the middle and the width that it starts from are no measure.
         if x_px[p] < _OUTER * sigma_px[p] or x_px[p] > columns - 1 - _OUTER * sigma_px[p]:
             excess[p, 0] = excess[p, 1] = np.nan
-    error2 = np.full(peaks, np.nan)
+    error2, lit = np.full(peaks, np.nan), np.zeros(peaks, np.bool_)
     for p in range(peaks):
-        known, sum2 = 0, 0.0
+        known, sum2, sum1 = 0, 0.0, 0.0
         for side in range(2):
             count, total, squares = 0, 0.0, 0.0
             for links, start in ((down, p), (up, up[p])):
@@ -130,9 +133,11 @@ def model_error(
             mean = total / count
             chance2 = _SCATTERS * _SCATTERS * max(squares / count - mean * mean, 0.0) / (count - 1)
             sum2 += max(mean * mean - chance2 - _START_ERROR * _START_ERROR, 0.0)
+            sum1 += mean
             known += 1
         if known:
             error2[p] = sum2 / known
+            lit[p] = sum2 > 0.0 and sum1 > 0.0
     # Where stripes crowd or are short, the same row's next stripes are most likely of the same material.
     filled = error2.copy()
     for p in range(peaks):
@@ -140,7 +145,7 @@ def model_error(
             filled[p] = 0.0
             for other in (p - 1, p + 1):
                 if 0 <= other < peaks and row[other] == row[p] and error2[other] > filled[p]:
-                    filled[p] = error2[other]
+                    filled[p], lit[p] = error2[other], lit[other]
         if x_px[p] < _OUTER * sigma_px[p] or x_px[p] > columns - 1 - _OUTER * sigma_px[p]:
             filled[p] = 0.0  # what the rows above and below say is not of the part that is seen
-    return _SHARE * _SHARE * filled
+    return _SHARE * _SHARE * filled, lit

@@ -13,7 +13,9 @@ pose's lines nor their position in the row decides; the planes in space do:
    that keeps the order is found by dynamic programming (Needleman and Wunsch 1970; skipping a line costs
    nothing). The best pairing over several pairs of poses is the start.
 3. Each line takes the nearest plane within a tolerance, planes are fitted again, and the tolerance shrinks to
-   the noise that is seen. Lines that are left form new planes by the same vote, until none is left.
+   the noise that is seen. Planes that most boards do not show, though they show stripes on both sides, are
+   dropped, or those that the empty belt does not show. Lines that are left form new planes by the same vote,
+   until none is left.
 4. Planes that cross or coincide with better supported ones are dropped, the rest is numbered in its order. An
    image of the empty belt counts as one more pose where the belt's place is known.
 
@@ -41,12 +43,21 @@ _TOLERANCE_LEAST_SHARE = 0.04
 _NOISE_FACTOR = 4.0
 """The tolerance shrinks to so many median distances: a normal error exceeds it once in 150."""
 _BASES = 4
-"""Poses (those with most lines) that are paired with all others; one good one is enough."""
+"""Poses (those with most lines) that are paired with all others to begin with; one good one is enough. Of
+what is left all poses are paired, for a stripe at the rim may lie on two or three boards alone."""
+_OWN_VOTE = 0.1
+"""What the two lines that a plane goes through count for it, where a line of a third board counts 1: any two
+lines nearly lie in a plane. Above 0, for a stripe may lie on two boards alone."""
 _ROUNDS = 5
 """Rounds of taking lines and fitting planes; the third changes nothing any more."""
 _CONDITION_MAX = 1e12
 _APART_SHARE = 0.4
 """Of the spacing: two planes nearer than this over the boards are one stripe, found twice."""
+_SHOWN_SHARE_MIN = 0.5
+"""A plane must have a line in this share of the poses that show stripes on both sides of it. Two lines on two
+boards always nearly lie in one plane, so false lines make planes by chance, in 2 of 10 poses, rarely 3."""
+_SHOWN_MIN = 4
+"""Or in so many poses: a faint stripe may be found on a few boards alone."""
 _WEAK_SHARE = 0.5
 """Of the weakest accepted plane's peaks: surplus planes with fewer than this are reflections."""
 _POSE_SHARE_MIN = 0.5
@@ -131,11 +142,15 @@ def number_stripes(poses: Sequence[PoseLines], stripes: int, belt: PoseLines | N
     left_out: dict[str, str] = {}
     while True:
         every = [*kept, *([belt] if belt is not None and belt.count else [])]
-        planes, numbers = _planes_of(every)
+        planes, numbers = _planes_of(every, belt_shows_all=belt is not None and belt.count == stripes)
         moved = _poses_off(kept, planes, numbers)
         if not moved:
             break
-        left_out |= {pose.name: _MOVED if pose.count > _FEW else _HIDDEN for pose in moved}
+        usual = float(np.median([pose.weight.sum() for pose in kept]))
+        left_out |= {
+            pose.name: _HIDDEN if pose.count <= _FEW or pose.weight.sum() < _FEW_SHARE * usual else _MOVED
+            for pose in moved
+        }
         kept = [pose for pose in kept if pose not in moved]
     number_of = _numbers_of(
         kept, numbers, planes, stripes, belt_shows_all=belt is not None and belt.count == stripes
@@ -161,17 +176,24 @@ _HIDDEN = (
 )
 _FEW = 2
 """Lines of a pose from which nothing can be told of the pose itself."""
+_FEW_SHARE = 0.1
+"""Of the usual pose's peaks: fewer are scraps too short to say where their lines run."""
 
 
-def _planes_of(poses: list[PoseLines]) -> tuple[Floats, list[Integers]]:
-    """Find planes (plane, 3), in order, and for each pose the (line,) plane of each line, −1 for none."""
+def _planes_of(poses: list[PoseLines], *, belt_shows_all: bool) -> tuple[Floats, list[Integers]]:
+    """Find planes (plane, 3), in order, and for each pose the (line,) plane of each line, −1 for none.
+
+    With `belt_shows_all` the last pose shows every stripe once, and nothing else.
+    """
     spacing = _spacing_mm(poses)
     tolerance = _TOLERANCE_SHARE * spacing
     free = [np.ones(pose.count, np.bool_) for pose in poses]
-    planes = _best_pairing(poses, free, tolerance)
+    planes = more = _best_pairing(poses, free, tolerance, _BASES)
     numbers: list[Integers] = [np.full(pose.count, -1) for pose in poses]
-    least = 0
-    while len(planes):
+    left = free
+    while len(more):
+        reach = tolerance
+        before = sum(int((mine >= 0).sum()) for mine in numbers)
         for _ in range(_ROUNDS):
             numbers = [_nearest(pose, planes, tolerance) for pose in poses]
             planes = _fitted(poses, numbers, len(planes))
@@ -179,22 +201,31 @@ def _planes_of(poses: list[PoseLines]) -> tuple[Floats, list[Integers]]:
             planes = _in_order(poses, planes, spacing)
             tolerance = min(tolerance, _tolerance(poses, planes, spacing))
         numbers = [_nearest(pose, planes, tolerance) for pose in poses]
-        if len(planes) <= least:
-            break
-        least = len(planes)
-        free = [mine < 0 for mine in numbers]
-        more = _best_pairing(poses, free, tolerance)
-        if not len(more):
-            break
+        if belt_shows_all:
+            planes = planes[np.isin(np.arange(len(planes)), numbers[-1])]
+        else:
+            planes = planes[_is_shown(numbers, len(planes))]
+        numbers = [_nearest(pose, planes, tolerance) for pose in poses]
+        if sum(int((mine >= 0).sum()) for mine in numbers) <= before:
+            # what these lines have in common is no stripe: each is tried once
+            tried = [(_distances(pose, more) <= reach).any(axis=1) for pose in poses]
+            free = [one & ~(mine & tries) for one, mine, tries in zip(free, left, tried, strict=True)]
+        left = [(mine < 0) & one for mine, one in zip(numbers, free, strict=True)]
+        more = _best_pairing(poses, left, tolerance, len(poses))
         planes = np.concatenate([planes, more])
     return planes, numbers
 
 
-def _best_pairing(poses: list[PoseLines], free: list[Flags], tolerance: float) -> Floats:
-    """Give the planes (plane, 3) of the pairing in order with the largest sum of votes; free lines only."""
+def _best_pairing(poses: list[PoseLines], free: list[Flags], tolerance: float, bases_max: int) -> Floats:
+    """Give the planes (plane, 3) of the pairing in order with the largest sum of votes.
+
+    Free lines only, and pairings of `bases_max` poses with all others.
+    """
     lines = [pose.ends_mm[use] for pose, use in zip(poses, free, strict=True)]
     light = [float(pose.weight[use].sum()) for pose, use in zip(poses, free, strict=True)]
-    bases = [int(one) for one in np.argsort(-np.array(light), kind="stable")[:_BASES] if light[int(one)] > 0]
+    bases = [
+        int(one) for one in np.argsort(-np.array(light), kind="stable")[:bases_max] if light[int(one)] > 0
+    ]
     best, found = 0.0, np.empty((0, 3))
     for at, base in enumerate(bases):
         for other in range(len(lines)):
@@ -216,7 +247,7 @@ def _votes(lines: list[Floats], base: int, other: int, tolerance: float) -> tupl
     solvable = np.linalg.cond(square) < _CONDITION_MAX
     planes[solvable] = np.linalg.solve(square[solvable], right[solvable][:, :, None])[:, :, 0]
     off = np.maximum(_off_mm(one, planes, "iek,ijk->ije"), _off_mm(two, planes, "jek,ijk->ije"))
-    votes = _vote(off, tolerance)
+    votes = _OWN_VOTE * _vote(off, tolerance)
     likely = votes > 0.0
     tried = planes[likely]
     gathered = votes[likely]
@@ -323,6 +354,19 @@ def _in_order(poses: list[PoseLines], planes: Floats, spacing: float) -> Floats:
         mine = _nearest(pose, found, tolerance)
         turns += int(np.sign(np.diff(mine[mine >= 0])).sum())
     return found[::-1] if turns < 0 else found
+
+
+def _is_shown(numbers: list[Integers], count: int) -> Flags:
+    """Say of each plane (plane,) whether enough of the poses show it in which its stripe must be seen.
+
+    It must be seen where stripes on both sides of it are: nothing but the board's edge ends the row of them.
+    """
+    first = np.array([mine[mine >= 0].min(initial=count) for mine in numbers])
+    last = np.array([mine.max(initial=-1) for mine in numbers])
+    plane = np.arange(count)
+    due = ((first[:, None] <= plane) & (last[:, None] >= plane)).sum(axis=0)
+    seen = np.array([np.isin(plane, mine) for mine in numbers]).sum(axis=0)
+    return np.asarray((seen >= _SHOWN_SHARE_MIN * due) | (seen >= _SHOWN_MIN))
 
 
 def _tolerance(poses: list[PoseLines], planes: Floats, spacing: float) -> float:
@@ -439,7 +483,7 @@ def _too_few(
         )
     return CalibrationError(
         f"no numbering of {stripes} stripes fits: {len(planes)} planes of light are found on two boards or "
-        f"more; {max((pose.count for pose in poses), default=0)} lines lie on one board at most",
+        f"more; the board with most lines shows {max((pose.count for pose in poses), default=0)}",
         hint="take more poses in which the board lies under all stripes; is `stripes` right?",
     )
 

@@ -100,7 +100,7 @@ def judged(joined: Joint, *, scale_is_known: bool = True) -> Verdict:
     if joined.print_share > 0.0:
         notes.append(
             f"{joined.print_share:.0%} of the boards' stripe peaks lie on edges of the print, where a line "
-            "seems shifted towards the light side, and are not used"
+            "seems shifted towards the light side: they do not count"
         )
     used = adjusted.stripe_used
     residuals |= {

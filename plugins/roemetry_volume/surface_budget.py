@@ -37,8 +37,8 @@ def budget_of(fused: Fused, view: View, outline_std_px: float) -> dict[str, floa
         "settings": math.hypot(
             _SETTINGS * (_stiffer(fused) - fused.volume_mm3), _LEAST_STD * fused.volume_mm3
         ),
-        OUTLINE: std_px * px_mm * abs(_per_mm_outwards(fused)),
-        "rim": fused.rim.std_mm * abs(_per_mm_of_rim(fused, view)),
+        OUTLINE: std_px * px_mm * abs(_per_mm_outwards(fused, np.ones(fused.height_mm.size))),
+        "rim": fused.rim.std_mm * abs(_per_mm_of_rim(fused)),
     }
 
 
@@ -62,20 +62,24 @@ def _stiffer(fused: Fused) -> float:
     return _volume(fused, plate.at(LONG_AXIS * fused.s, fused.v))
 
 
-def _per_mm_outwards(fused: Fused) -> float:
-    """Change of volume when the border moves outwards by a millimetre, mm²."""
+def _per_mm_outwards(fused: Fused, outwards: Floats) -> float:
+    """Change of volume when each point of the border moves outwards by so many times a millimetre, mm²."""
     steps = np.roll(fused.border.xy_mm, -1, axis=0) - fused.border.xy_mm
-    edge = np.hypot(steps[:, 0], steps[:, 1]) * fused.height_mm
+    edge = np.hypot(steps[:, 0], steps[:, 1]) * fused.height_mm * outwards
     rim = fused.contour[~fused.open_end]
     inner = rim - (fused.border.outward @ _turn(fused))[~fused.open_end]
-    fall = np.maximum(fused.plate.at(LONG_AXIS * inner[:, 0], inner[:, 1]), 0.0)
+    fall = np.maximum(fused.plate.at(LONG_AXIS * inner[:, 0], inner[:, 1]), 0.0) * outwards[~fused.open_end]
     change = _rim_right(fused, rim[::2], _STEP_MM * fall[::2])
     values = fused.plate.at(LONG_AXIS * fused.s, fused.v) + _moved(fused, change)
     return float(edge.sum()) + (_volume(fused, values) - fused.volume_mm3) / _STEP_MM
 
 
-def _per_mm_of_rim(fused: Fused, view: View) -> float:
-    """Change of volume when the rim is taken higher by a millimetre, and the border placed there, mm²."""
+def _per_mm_of_rim(fused: Fused) -> float:
+    """Change of volume when the rim is taken higher by a millimetre, and the border placed there, mm².
+
+    A border that is placed higher on its line of sight moves inwards by the ray's tilt; where the camera
+    sees the wall, the border is the wall's foot and stays.
+    """
     from roemetry_kernels.volume.surface_spline import add_points
 
     knots, upright = fused.knots, fused.rim.upright
@@ -86,10 +90,7 @@ def _per_mm_of_rim(fused: Fused, view: View) -> float:
     add_points(unused, change, fused.plate.grid, knots.s, knots.v, fall, knots.weight)
     values = fused.plate.at(LONG_AXIS * fused.s, fused.v) + _moved(fused, change)
     raised = (_volume(fused, values, _STEP_MM) - fused.volume_mm3) / _STEP_MM
-    if view.telecentric:
-        return raised
-    away = float(view.T_belt_camera[2, 3]) - float(np.mean(fused.height_mm))
-    return raised - 2.0 * fused.volume_mm3 / away
+    return raised + _per_mm_outwards(fused, -np.maximum(fused.border.tilt, 0.0))
 
 
 def _rim_right(fused: Fused, rim: Floats, values: Floats) -> Floats:

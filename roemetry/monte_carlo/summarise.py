@@ -27,8 +27,8 @@ _PART_ONLY = Reason(
 )
 CALIBRATION_NOT_STATED = Reason(
     "calibration-model-not-stated",
-    "the calibration's model leaves perspective out, and how far that moves a volume is not stated: "
-    "no uncertainty and no interval is given",
+    "one block tells nothing of the lens and little of the camera's tilt, and how far they move a volume "
+    "is not known: no uncertainty and no interval is given",
 )
 FAILED_SHARE_MAX = 0.05
 """With more draws than this refused, what is left is no fair sample."""

@@ -98,7 +98,7 @@ def test_an_uncertainty_of_the_model_alone_is_called_that(volume: str, draws: in
         sets=[
             "stages.extractor={use: gaussian}",
             "source.sensor={gain_grey_per_electron: 0.0255, read_noise_grey: 1.0}",
-            f"calibration={SHIPPED}/calibration_with_outline.yaml",  # the block's leaves perspective out
+            f"calibration={SHIPPED}/calibration_with_outline.yaml",  # of a block no interval is stated
             "stages.triangulator=pinhole-plane",
             f"stages.volume={volume}",
             f"draws={draws}",

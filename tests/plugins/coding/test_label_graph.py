@@ -7,13 +7,37 @@ from itertools import product
 import numpy as np
 import pytest
 
-from roemetry_kernels.coding.label_graph import OUT, _edges, shifts_of
-from roemetry_kernels.coding.label_pieces import ENDS
-from roemetry_kernels.coding.label_verdicts import ends_settled, favoured, stepped
+from roemetry_coding.planes.graph import Candidates
+from roemetry_coding.planes.pieces import ENDS, Pieces
+from roemetry_coding.planes.shifts import OUT, Runs, _edges, shift_labels, shifts_of
+from roemetry_coding.planes.solve import favour_labels
+from roemetry_coding.planes.vetoes import ends_settled
 
 RUNS, LINES = 6, 20
 DISORDER = 1e5
-NO_STRAYS = np.zeros(RUNS, np.bool_)
+NONE = np.zeros(0, np.int64)
+
+
+def pieces_of(
+    piece: np.ndarray, rest: np.ndarray, home: np.ndarray | None = None, line: np.ndarray | None = None
+) -> Pieces:
+    """Give pieces of one trace."""
+    none = np.full(piece.size, -1)
+    return Pieces(
+        np.zeros(piece.size, np.int64), piece, none if line is None else line, rest,
+        rest if home is None else home, np.zeros(rest.size, np.bool_),
+    )  # fmt: skip
+
+
+def runs_of(
+    own: np.ndarray, one: np.ndarray, other: np.ndarray, both: np.ndarray, size: np.ndarray | None = None
+) -> Runs:
+    """Give runs that all lie on all lines."""
+    first, last = np.zeros(RUNS, np.int64), np.full(RUNS, LINES - 1)
+    return Runs(
+        NONE, NONE, own, one, other, both, disordered(both), *_edges(RUNS, one, other), first, last,
+        np.full(RUNS, LINES) if size is None else size,
+    )  # fmt: skip
 
 
 def disordered(both: np.ndarray) -> np.ndarray:
@@ -21,7 +45,7 @@ def disordered(both: np.ndarray) -> np.ndarray:
     return np.where(both == DISORDER, LINES, 0)
 
 
-def chain(rng: np.random.Generator, gaps: list[int]) -> tuple[np.ndarray, ...]:
+def chain(rng: np.random.Generator, gaps: list[int]) -> Runs:
     """Give the graph of runs side by side, each with random costs, that must stay in order.
 
     `gaps` are the stripes left out between neighbours.
@@ -33,14 +57,11 @@ def chain(rng: np.random.Generator, gaps: list[int]) -> tuple[np.ndarray, ...]:
     for t, a, b in product(range(RUNS - 1), range(3), range(3)):
         if a >= b + 1 + gaps[t]:
             both[t, a, b] = DISORDER
-    start, edge = _edges(RUNS, one, other)
-    first = np.zeros(RUNS, np.int64)
-    last, size = np.full(RUNS, LINES - 1), np.full(RUNS, LINES)
-    return own, one, other, both, disordered(both), start, edge, first, last, size
+    return runs_of(own, one, other, both)
 
 
-def energy(graph: tuple[np.ndarray, ...], by: np.ndarray) -> float:
-    own, one, other, both = graph[:4]
+def energy(graph: Runs, by: np.ndarray) -> float:
+    own, one, other, both = graph.own, graph.one, graph.other, graph.both
     return float(
         own[np.arange(RUNS), by + 1].sum() + both[np.arange(RUNS - 1), by[one] + 1, by[other] + 1].sum()
     )
@@ -52,7 +73,7 @@ def test_what_is_shifted_is_cheaper_and_no_shift_is_cheaper_than_the_cheapest(
 ) -> None:
     """Against all changes of a small graph: never dearer than before, never below the least of all."""
     graph = chain(rng, list(rng.integers(0, 2, RUNS - 1)))
-    dearer, by = shifts_of(*graph, NO_STRAYS, LINES, 0.5)
+    dearer, by = shifts_of(graph, LINES, 0.5)
     before, after = energy(graph, np.zeros(RUNS, np.int64)), energy(graph, by)
     assert after <= before - 0.5 or not by.any()
     least = min(energy(graph, np.array(way)) for way in product((-1, 0, 1), repeat=RUNS))
@@ -67,9 +88,7 @@ def test_a_run_without_room_takes_its_neighbours_along() -> None:
     both = np.zeros((RUNS - 1, 4, 4))
     for a, b in product(range(3), range(3)):
         both[:, a, b] = DISORDER if a > b else 0.0
-    graph = own, one, other, both, disordered(both), *_edges(RUNS, one, other), np.zeros(RUNS, np.int64)
-    last = np.full(RUNS, LINES - 1)
-    dearer, by = shifts_of(*graph, last, np.full(RUNS, LINES), NO_STRAYS, LINES, 0.5)
+    dearer, by = shifts_of(runs_of(own, one, other, both), LINES, 0.5)
     assert not by.any()
     # one to the left takes all before it along, at 2 each; one to the right all behind it, at 3 each
     reached = np.minimum.accumulate(np.array([2.0 * (n + 1) for n in range(RUNS)])[::-1])[::-1]
@@ -85,19 +104,18 @@ def test_a_small_run_in_the_way_is_left_out() -> None:
     both = np.zeros((RUNS - 1, 4, 4))
     for a, b in product(range(3), range(3)):
         both[:, a, b] = DISORDER if a > b else 0.0
-    graph = own, one, other, both, disordered(both), *_edges(RUNS, one, other), np.zeros(RUNS, np.int64)
-    last, size = np.full(RUNS, LINES - 1), np.array([LINES] * (RUNS - 1) + [2])
-    _, by = shifts_of(*graph, last, size, NO_STRAYS, LINES, 0.5)
+    size = np.array([LINES] * (RUNS - 1) + [2])
+    _, by = shifts_of(runs_of(own, one, other, both, size), LINES, 0.5)
     np.testing.assert_array_equal(by, [1] * (RUNS - 1) + [OUT])
 
 
 def test_nodes_are_stepped_and_fall_to_none_beyond_what_is_possible() -> None:
-    count, offset = np.array([3, 2]), np.array([0, 4, 7])
+    nodes = Candidates(np.zeros(2, np.int64), np.array([3, 2]), np.array([0, 4, 7]), np.zeros(7), np.ones(7))
     best = np.array([1, 5])
-    np.testing.assert_array_equal(stepped(count, offset, best, np.array([1, 1])), [2, 6])
-    np.testing.assert_array_equal(stepped(count, offset, best, np.array([0, -1])), [1, 4])
+    np.testing.assert_array_equal(shift_labels(nodes, best, np.array([1, 1])), [2, 6])
+    np.testing.assert_array_equal(shift_labels(nodes, best, np.array([0, -1])), [1, 4])
     own = np.zeros(7)
-    np.testing.assert_array_equal(np.flatnonzero(favoured(count, offset, best, own, 6.0)), [1, 5])
+    np.testing.assert_array_equal(np.flatnonzero(favour_labels(nodes, best, own, 6.0)), [1, 5])
 
 
 @pytest.mark.parametrize(
@@ -119,10 +137,8 @@ def test_ends_are_believed_as_far_as_their_trace_speaks_for_them(
     piece = np.repeat(np.arange(3), counts)
     stripe = np.repeat([sides[0], said, -1 if sides[1] is None else sides[1]], counts)
     after = 4 if sides[1] == 4 else -1
-    found = ends_settled(
-        np.zeros(piece.size, np.int64), piece, np.array([4, ENDS, after]), np.array([4, 4, after]),
-        np.full(piece.size, -1), stripe,
-    )  # fmt: skip
+    pieces = pieces_of(piece, np.array([4, ENDS, after]), np.array([4, 4, after]))
+    found = ends_settled(pieces, stripe)
     assert (found[:10] == 1.0).all()
     assert (found[10:18] == settled).all()
 
@@ -133,8 +149,6 @@ def test_an_end_that_lies_on_the_belt_still_is_not_yet_the_product(first: int, s
     piece = np.repeat(np.arange(3), [10, 8, 10])
     stripe = np.repeat([first, 5, 5], [10, 8, 10])
     line = np.where(np.arange(28) < 14, 4, -1)
-    found = ends_settled(
-        np.zeros(28, np.int64), piece, np.array([4, ENDS, -1]), np.array([4, 4, -1]), line, stripe
-    )
+    found = ends_settled(pieces_of(piece, np.array([4, ENDS, -1]), np.array([4, 4, -1]), line), stripe)
     assert (found[10:14] == (settled if first == 4 else 1.0)).all()
     assert (found[14:18] == (0.4 if first == 4 else 1.0)).all()

@@ -9,10 +9,8 @@ import pytest
 
 from roemetry.errors import StageError
 from roemetry.testing.scenes import LinearRig, wrong_labels
-from roemetry_coding.margins import margin_of
-from roemetry_coding.planes import Planes, PlanesOptions
+from roemetry_coding.planes import Planes, PlanesOptions, epipolar_lines, margin_of
 from roemetry_kernels.coding.rest_lines import calibrated_rest_lines
-from roemetry_kernels.coding.sight_lines import sight_lines
 from roemetry_simulate.solid import Block
 
 coded = pytest.importorskip("benchmarks.coded", reason="only in a checkout")
@@ -23,32 +21,32 @@ def dense():
     return coded.sample_of(coded.dense_rig(41), coded.skein(41, "healthy"), seed=41)
 
 
-def test_heights_on_sight_lines_are_those_of_the_view(dense) -> None:
+def test_heights_on_epipolar_lines_are_those_of_the_view(dense) -> None:
     """The closed form on a line equals meeting the line of sight with the plane of light."""
     peaks, calibration = dense.peaks, dense.calibration
     rest = calibrated_rest_lines(peaks, calibration)
-    sight = sight_lines(peaks, calibration, rest.x_px)
-    on_line = np.abs(sight.line - np.rint(sight.line)) < 0.002
+    lines = epipolar_lines(peaks, calibration, rest.x_px)
+    on_line = np.abs(lines.line - np.rint(lines.line)) < 0.002
     assert on_line.sum() > 10
     xy = np.stack([peaks.x_px, peaks.row.astype(np.float64)], axis=1)[on_line]
-    line, u = np.rint(sight.line[on_line]).astype(int), sight.u[on_line]
+    line, u = np.rint(lines.line[on_line]).astype(int), lines.u[on_line]
     for stripe in (0, 10, 20):
-        alpha, beta, gamma, delta = np.moveaxis(sight.plane[line, stripe], -1, 0)
+        alpha, beta, gamma, delta = np.moveaxis(lines.plane[line, stripe], -1, 0)
         height_mm = (alpha * u + beta) / (gamma * u + delta)
         there = calibration.view.lift(xy, np.full(len(xy), stripe))[:, 2]
         near = np.abs(there) < 60.0
         np.testing.assert_allclose(height_mm[near], there[near], atol=0.02)  # mm
 
 
-def test_stripes_are_in_order_on_sight_lines(dense) -> None:
+def test_stripes_are_in_order_on_epipolar_lines(dense) -> None:
     """True stripes increase with u on every line: what the solver takes for granted."""
     peaks, calibration = dense.peaks, dense.calibration
     rest = calibrated_rest_lines(peaks, calibration)
-    sight = sight_lines(peaks, calibration, rest.x_px)
-    line = np.rint(sight.line).astype(int)
+    lines = epipolar_lines(peaks, calibration, rest.x_px)
+    line = np.rint(lines.line).astype(int)
     true = _true(dense)
     known = true >= 0
-    order = np.lexsort((sight.u[known], line[known]))
+    order = np.lexsort((lines.u[known], line[known]))
     same = np.diff(line[known][order]) == 0
     backwards = same & (np.diff(true[known][order]) < 0)
     assert backwards.sum() <= 0.001 * known.sum()
@@ -99,7 +97,8 @@ def test_what_is_higher_than_the_calibrated_range_is_seen_as_that(form: str, sha
     asked = replace(sample.calibration, height_range_mm=(0.0, share * height_mm))
     found = coded.score(Planes().code(sample.peaks, asked), sample)
     assert found.wrong - found.shared == 0
-    assert found.labelled_share > 0.9
+    if form == "skein":  # a level top may as well be lower, or belt: refused
+        assert found.labelled_share > 0.9
 
 
 def test_margins_grow_with_the_difference_and_stay_below_one() -> None:

@@ -6,6 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from roemetry.errors import CalibrationError
 from roemetry.records import Block, CalibrationSet
@@ -168,27 +170,54 @@ def test_a_known_camera_is_taken_as_it_is(observed, tmp_path) -> None:
     assert np.abs(again.covariance[:12, :12]).max() == 0.0
 
 
-def spoilt(pose: PoseLines, rng) -> tuple[PoseLines, np.ndarray]:
-    """A pose with a stripe lost in its middle and a false line between two others; and the right numbers."""
+def spoilt(pose: PoseLines, rng, *, lost: int, false: int, broken: int) -> tuple[PoseLines, np.ndarray]:
+    """A pose with lines lost, false ones between others, lines in two pieces; and the right numbers."""
     first = int(pose.name.rsplit(" ", 1)[1])
-    ends, number = pose.ends_mm, first + np.arange(pose.count)
-    lost = int(rng.integers(1, pose.count - 1))
-    ends, number = np.delete(ends, lost, axis=0), np.delete(number, lost)
-    at = int(rng.integers(1, len(ends)))
-    share = rng.uniform(0.35, 0.65, (2, 1))
-    false = share * ends[at - 1] + (1.0 - share) * ends[at]
-    return PoseLines(pose.name, np.insert(ends, at, false, axis=0)), np.insert(number, at, -1)
+    keep = np.sort(rng.permutation(pose.count)[lost:])
+    ends, number, peaks = pose.ends_mm[keep], first + keep, np.full(keep.size, 300)
+    for _ in range(broken):
+        at, share = int(rng.integers(len(ends))), rng.uniform(0.3, 0.7)
+        middle = ends[at, 0] + share * (ends[at, 1] - ends[at, 0])
+        ends = np.insert(ends, at, [ends[at, 0], middle], axis=0)
+        ends[at + 1, 0] = middle
+        number, peaks = np.insert(number, at, number[at]), np.insert(peaks, at, 100)
+    for _ in range(false):
+        at, share = int(rng.integers(1, len(ends))), rng.uniform(0.3, 0.7, (2, 1))
+        ends = np.insert(ends, at, share * ends[at - 1] + (1.0 - share) * ends[at], axis=0)
+        number, peaks = np.insert(number, at, -1), np.insert(peaks, at, 100)
+    return PoseLines(pose.name, ends, peaks), number
 
 
-def test_lost_and_false_lines_in_every_pose_change_no_number(rng) -> None:
-    """As many lines as stripes on most boards, and none of these boards shows them all."""
-    made = [spoilt(pose, rng) for pose in fan(9, 10, rng)]
-    numbered = number_stripes([pose for pose, _ in made], 9)
+@settings(max_examples=25, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    lost=st.lists(st.integers(0, 2), min_size=10, max_size=10),
+    false=st.lists(st.integers(0, 2), min_size=10, max_size=10),
+    broken=st.lists(st.integers(0, 1), min_size=10, max_size=10),
+)
+def test_lines_lost_false_or_broken_in_any_pose_change_no_number(seed, lost, false, broken) -> None:
+    """As many lines as stripes on some boards, and no board need show them all.
+
+    A false line in a pose may lie in a plane by chance, so single ones may be numbered; a stripe may not get
+    another stripe's number. What is refused is refused with a reason that is so.
+    """
+    rng = np.random.default_rng(seed)
+    made = [
+        spoilt(pose, rng, lost=lost[n], false=false[n], broken=broken[n])
+        for n, pose in enumerate(fan(9, 10, rng))
+    ]
+    shown_on = np.array([sum((right == stripe).any() for _, right in made) for stripe in range(9)])
+    try:
+        numbered = number_stripes([pose for pose, _ in made], 9)
+    except CalibrationError as refusal:
+        assert shown_on.min() < 3, f"each stripe lies on three boards or more, but: {refusal}"
+        return
     assert not numbered.left_out
     for (pose, right), found in zip(made, numbered.stripe, strict=True):
-        wrong = (found >= 0) & (found != right)
-        assert not wrong.any(), pose.name
-        assert ((found >= 0) == (right >= 0)).mean() > 0.85, pose.name
+        told = (found >= 0) & (right >= 0)
+        assert (found[told] == right[told]).all(), pose.name
+        missed = np.setdiff1d(right[right >= 0], right[told])
+        assert missed.size <= 2, pose.name
 
 
 def test_the_empty_belt_numbers_what_boards_show_in_part(rng) -> None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from roemetry_kernels.coding.level_bodies import on_end
-from roemetry_kernels.coding.lying_still import lying_still
+from roemetry_coding.planes.pieces import on_rest_line
+from roemetry_coding.planes.vetoes import on_end
 
 ROWS = 300
 OUTER = 30
@@ -21,7 +21,7 @@ def lines(beside_px: float, rng: np.random.Generator, *, moved_px: float = 0.0, 
     x_px[BODY, 1] += beside_px
     row, line = np.repeat(np.arange(ROWS), 3), np.tile(np.arange(3), ROWS)
     alone = np.where(np.abs(x_px.ravel() - rest_px[line, row]) <= TOLERANCE_PX, line, -1)
-    found = lying_still(row, x_px.ravel(), line, alone, rest_px, TOLERANCE_PX, moved_px, OUTER)
+    found = on_rest_line(row, x_px.ravel(), line, alone, rest_px, TOLERANCE_PX, moved_px, OUTER)
     return alone.reshape(ROWS, 3), found.reshape(ROWS, 3)
 
 
@@ -57,7 +57,7 @@ def test_uneven_belt_is_belt(rng: np.random.Generator) -> None:
     rest_px = np.full((1, ROWS), 100.0)
     x_px = 100.0 + waves_px + rng.normal(0.0, 0.05, ROWS)
     row, line = np.arange(ROWS), np.zeros(ROWS, np.int64)
-    found = lying_still(row, x_px, line, line, rest_px, TOLERANCE_PX, 0.0, OUTER)
+    found = on_rest_line(row, x_px, line, line, rest_px, TOLERANCE_PX, 0.0, OUTER)
     assert (found == 0).mean() > 0.95
 
 
@@ -65,7 +65,7 @@ def test_a_few_peaks_by_themselves_keep_their_line() -> None:
     """The mean of five says too little."""
     rest_px = np.full((1, ROWS), 100.0)
     row = np.arange(140, 145)
-    found = lying_still(
+    found = on_rest_line(
         row,
         np.full(5, 100.9),
         np.zeros(5, np.int64),

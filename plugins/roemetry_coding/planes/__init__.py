@@ -1,0 +1,162 @@
+"""Stripe coding by the planes of light: labels that make a surface which this camera would see like this.
+
+Model. Each peak, taken for each stripe, is a point in space: its line of sight meets the plane of light.
+Labels are chosen so that heights are possible, the surface goes on from stripe to stripe and along the
+stripes, stripes keep their order on every epipolar line, and every stripe that is not seen is hidden by
+something. In the order in which a frame passes through:
+
+    lines    the image sorted along epipolar lines, and the traces of peaks that cross them
+    pieces   where traces lie on rest lines, and where they are cut
+    graph    what each peak may be, and what labels and neighbours cost: the energy
+    solve    the cheapest labels, exact on every line, made to agree along the traces
+    shifts   whole groups of runs moved by one stripe: to lower the energy, and to ask how sure a label is
+    vetoes   what is refused although the energy prefers it
+    decide   verdicts and margins
+
+What is in doubt is refused. Source: our own; parts are cited in the files. Worth of each rule:
+docs/measurements/coding-ablation.md; what the coder is good for: docs/explanation/coding.md.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+from pydantic import Field
+
+from roemetry.arrays import Integers
+from roemetry.calibration import Calibration
+from roemetry.errors import StageError
+from roemetry.records import Peaks, Reason, StripeMap
+from roemetry.stages import Coder
+from roemetry_coding.planes.decide import decided, margin_of, verdicts_of
+from roemetry_coding.planes.lines import epipolar_lines
+from roemetry_coding.planes.solve import build_problem, solve
+from roemetry_kernels.coding.bridging import BridgingOptions, bridged
+from roemetry_kernels.coding.refusing import refuse_bare_lines, refuse_uncodable, required_calibration
+from roemetry_kernels.coding.rest_lines import RestLines, calibrated_rest_lines, missing_stripes, reasons_of
+
+__all__ = ["Planes", "PlanesOptions", "epipolar_lines", "margin_of"]
+
+_REACH = (2.0, 4.0, 8.0)
+"""Heights are looked for up to so many times the highest that the calibration is meant for: only so is a
+product that is too high seen as that, and not taken for a lower one a stripe or more off. Twice is enough
+where the next higher label was looked at, too; else the next bound is taken. It costs time on every frame."""
+_AT_BOUND_SHARE_MAX = 0.02
+"""So many body points may lie next to the bound before it is raised: false peaks do."""
+_LIVE_PEAKS_MIN = 15
+"""A stripe with fewer labels is named as missing: bodies cross its rest line in as many rows."""
+_CODED_SHARE_MIN = 0.4
+"""With fewer peaks on any possible surface, image and calibration do not belong together."""
+_OUTER_SHARE = 0.1
+"""Share of the rows, at the image's top and bottom, where belt is expected."""
+_ON_BELT_MIN = 0.3
+"""So many of the peaks there must lie on rest lines: a product may cover two stripes in three."""
+
+
+class PlanesOptions(BridgingOptions):
+    """How sure a label must be, and gaps and sizes as in other coders."""
+
+    margin_min: float = Field(
+        default=0.985, ge=0, le=1, description="peaks with a smaller margin are refused as ambiguous"
+    )
+
+
+class Planes(Coder[PlanesOptions]):
+    """Solves for all labels of a frame at once, on the lines where sight and light meet."""
+
+    Options = PlanesOptions
+
+    def code(self, peaks: Peaks, calibration: Calibration | None) -> StripeMap:
+        """Code the peaks of one frame.
+
+        Parameters
+        ----------
+        peaks
+            From any extractor.
+        calibration
+            Its view gives camera and planes; without a view, image rows and displacements are used.
+
+        Raises
+        ------
+        StageError
+            No calibration; no peak at all; peaks of another image size than the calibration's; rest lines
+            that cross, or with (nearly) nothing on them; the belt's stripes more than a pixel beside them;
+            fewer than two peaks in five on any possible surface.
+        """
+        refuse_uncodable(peaks, calibration)
+        calibration = required_calibration(calibration, "planes", "without planes a peak has no height")
+        rest = calibrated_rest_lines(peaks, calibration)
+        problem = build_problem(peaks, calibration, rest, _REACH[0])
+        verdicts = verdicts_of(problem, solve(problem), peaks.row)
+        for bound, reach in pairwise(_REACH):
+            if not _bounded(peaks, verdicts.stripe, calibration, rest, bound):
+                break
+            problem = build_problem(peaks, calibration, rest, reach)
+            verdicts = verdicts_of(problem, solve(problem), peaks.row)
+        given = np.bincount(verdicts.stripe[verdicts.stripe >= 0], minlength=problem.there.size)
+        live = np.flatnonzero((problem.there > 0.0) & (given >= _LIVE_PEAKS_MIN))
+        refuse_bare_lines(live.size > 0 and _belt_fits(peaks, rest), rest.x_px.shape[0])
+        stripe, margin, gaps = decided(
+            problem,
+            verdicts,
+            peaks,
+            calibration,
+            rest,
+            self.options.margin_min,
+            self.options.longest_gap_rows,
+        )
+        coded = (stripe >= 0).mean()
+        if coded < _CODED_SHARE_MIN:
+            raise StageError(
+                f"only {coded:.0%} of the peaks lie on a surface that can be: either they are noise, or "
+                "calibration and image do not belong together",
+                hint="look at the image; was it turned, or the camera moved?",
+            )
+        return bridged(
+            peaks,
+            stripe,
+            margin,
+            rest,
+            longest_gap_rows=self.options.longest_gap_rows,
+            smallest_product_points=self.options.smallest_product_points,
+            reasons=reasons_of(rest)
+            + missing_stripes(live, rest.x_px.shape[0])
+            + gaps
+            + _approximate(calibration),
+        )
+
+
+def _bounded(peaks: Peaks, stripe: Integers, calibration: Calibration, rest: RestLines, bound: float) -> bool:
+    """Say whether bodies might be one stripe spacing higher, had heights above the bound been looked at."""
+    if rest.x_px.shape[0] < 2:
+        return False
+    body = np.flatnonzero((stripe >= 0) & (stripe != rest.line))
+    per_mm = calibration.displacement_px_per_mm[stripe[body]]
+    height_mm = (peaks.x_px[body] - rest.x_px[stripe[body], peaks.row[body]]) / per_mm
+    label_mm = np.median(np.diff(rest.x_px, axis=0)) / np.abs(per_mm)
+    at_bound = np.count_nonzero(height_mm + label_mm > bound * calibration.height_range_mm[1])
+    return bool(at_bound > _AT_BOUND_SHARE_MAX * body.size)
+
+
+def _belt_fits(peaks: Peaks, rest: RestLines) -> bool:
+    """Say whether the peaks at the image's top and bottom lie on rest lines, at least three in ten."""
+    rows = peaks.image_size[0]
+    outer = (peaks.row < _OUTER_SHARE * rows) | (peaks.row >= (1.0 - _OUTER_SHARE) * rows)
+    if not outer.any():
+        return True
+    return bool((rest.line[outer] >= 0).mean() >= _ON_BELT_MIN)
+
+
+def _approximate(calibration: Calibration) -> list[Reason]:
+    """Say that there were no planes, only displacements."""
+    view = calibration.view
+    if view is not None and not view.telecentric:
+        return []
+    return [
+        Reason(
+            "no-planes",
+            "the calibration has no camera and planes, so image rows stood for the lines of sight and light: "
+            "right for a distant camera, more is refused or wrong under perspective",
+        )
+    ]

@@ -1,0 +1,357 @@
+"""The image sorted along epipolar lines, on which stripes keep their order; and the traces that cross them.
+
+Model. A plane through the camera's and the projector's centre cuts the image in an epipolar line, and every
+plane of light in a ray. Along that line the stripes of an opaque surface appear in their order, whatever the
+lens and the viewing angle; along an image row they do so only nearly (Hartley and Zisserman, Multiple View
+Geometry, 2nd edition, chapter 9). Let u be the cotangent of the angle between a line of sight and the base
+from camera to projector. On line e the line of sight at u meets plane of light k at the height
+
+    z = (α u + β) / (γ u + δ),        u = (δ z − β) / (α − γ z),
+
+with four numbers for each line and plane: meeting a ray with a plane is a projective map of the line. Lines
+are spaced by the angle that one image row takes up in the middle of the image, so there are about as many as
+rows.
+
+A trace (peaks joined from row to row) crosses many lines and has one entry on each: its peak nearest there.
+Entries of one trace on neighbouring lines are tied: another stripe from one line to the next costs
+`tie_whole` within a piece, `tie_cut` where the trace was cut, and up to `tie_gap` over a gap if the two ends
+point at each other.
+
+Assumes camera and planes of light in one frame, belt at z = 0. Without a projector's centre the planes'
+common point nearest to the camera stands for it; with parallel planes, a telecentric view or no view at all,
+image rows are taken, and heights from rest lines and displacements: right for a distant camera. Fails where
+the image shows the projector or a lens folds the lines: then rows are taken as well.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from roemetry.arrays import Flags, Floats, Integers
+from roemetry.calibration import Calibration
+from roemetry.records import Peaks
+from roemetry.view import View
+from roemetry_kernels.compiling import kernel
+
+_LINES_MAX_FACTOR = 4
+"""More lines than so many times the rows: the base points nearly along the view; rows are taken instead."""
+_BORDER_PX = 0.5
+"""The image ends half a pixel beyond the centres of its outermost pixels, px."""
+_PARALLEL = 1e-3
+"""Planes, or base and view, within so many radians of parallel have no stable common point."""
+_TIE_LOOSE = 1.8
+"""What even two ends that hardly point at each other are tied by: little more than a cut."""
+_END_PX = (1.5, 0.25)
+"""How far an end may point past the other, px, and how much more for each line of the gap: a trace's slope
+over six rows is known to about 0.25 px a row."""
+_SLOPE_LINES = 6
+"""Lines that an end's slope is taken over."""
+
+
+class EpipolarLines(NamedTuple):
+    """Peaks and planes of light on the epipolar lines of an image.
+
+    Attributes
+    ----------
+    line, u
+        (peak,) place across the lines, counted in lines from 0 (not rounded), and along them; u increases
+        with the stripe.
+    plane
+        (line, stripe, 4) α, β, γ, δ, see above, mm.
+    lean
+        (peak,) how far the line of sight goes towards higher stripes for each millimetre down.
+    enters, leaves
+        (stripe,) lines on which the rest lines enter and leave the image.
+    u_min, u_max
+        (line,) where each line enters and leaves the image; NaN where it does not cross it.
+    """
+
+    line: Floats
+    u: Floats
+    plane: Floats
+    lean: Floats
+    enters: Floats
+    leaves: Floats
+    u_min: Floats
+    u_max: Floats
+
+
+class Entries(NamedTuple):
+    """Peaks as they stand on the sight lines: a trace has one entry on each line it crosses.
+
+    Attributes
+    ----------
+    start
+        (line + 1,) where each line's entries begin; they are sorted by u.
+    peak, u
+        (entry,) the peak, and its place on the line.
+    before, after
+        (entry,) the entry of the same trace on the line before and after, −1 for none.
+    tie
+        (entry,) what it costs to have another stripe than the entry before.
+    """
+
+    start: Integers
+    peak: Integers
+    u: Floats
+    before: Integers
+    after: Integers
+    tie: Floats
+
+
+def epipolar_lines(peaks: Peaks, calibration: Calibration, rest_px: Floats) -> EpipolarLines:
+    """Sort peaks along epipolar lines, or along image rows where the calibration knows no centres.
+
+    Parameters
+    ----------
+    peaks
+        The frame's peaks.
+    calibration
+        Its `view` gives camera and planes; without one, or with a telecentric one, rows are taken, and
+        heights from rest lines and displacements.
+    rest_px
+        (stripe, row) rest lines, px.
+    """
+    view = calibration.view
+    if view is not None and not view.telecentric:
+        projector_mm = _projector(view)
+        if projector_mm is not None:
+            found = _epipolar(peaks, view, projector_mm, rest_px)
+            if found is not None:
+                return found
+    return _rows(peaks, calibration, rest_px)
+
+
+@kernel
+def entries_of(
+    trace: Integers, piece: Integers, loose: Flags, lines: EpipolarLines, u_per_px: float,
+    ties: tuple[float, float, float], gap_lines: int,
+) -> Entries:  # fmt: skip
+    """Put every trace once on each line that it crosses, and tie it to itself across lines.
+
+    Parameters
+    ----------
+    trace, piece
+        (peak,) trace; and which piece of the trace between cuts.
+    loose
+        (peak,) True where a piece may change its stripe from row to row.
+    lines
+        The peaks' places.
+    u_per_px
+        Change of u for a pixel.
+    ties
+        Cost of a change of stripe within a piece, at a cut, and over a gap.
+    gap_lines
+        Longest gap that is tied over, lines.
+    """
+    line, u, count_lines = lines.line, lines.u, lines.plane.shape[0]
+    peaks = trace.shape[0]
+    before, after = _neighbours(trace)
+    # each peak answers for the lines nearer to it than to its trace's neighbours
+    low = np.empty(peaks, np.int64)
+    high = np.empty(peaks, np.int64)
+    count = np.zeros(count_lines + 1, np.int64)
+    for p in range(peaks):
+        a = line[p] - 0.5 if before[p] < 0 else 0.5 * (line[p] + line[before[p]])
+        b = line[p] + 0.5 if after[p] < 0 else 0.5 * (line[p] + line[after[p]])
+        if (before[p] >= 0 and line[before[p]] > line[p]) or (after[p] >= 0 and line[after[p]] < line[p]):
+            a = line[p] + 0.5 if before[p] < 0 else a
+            b = line[p] - 0.5 if after[p] < 0 else b
+        if a > b:
+            a, b = b, a
+        low[p] = max(0, int(np.ceil(a)))
+        high[p] = min(count_lines - 1, int(np.ceil(b)) - 1)
+        for e in range(low[p], high[p] + 1):
+            count[e + 1] += 1
+    start = np.cumsum(count)
+    size = start[-1]
+    peak = np.empty(size, np.int64)
+    place = np.empty(size)
+    fill = start[:-1].copy()
+    for p in range(peaks):
+        for e in range(low[p], high[p] + 1):
+            k = fill[e]
+            while k > start[e] and place[k - 1] > u[p]:
+                place[k], peak[k] = place[k - 1], peak[k - 1]
+                k -= 1
+            place[k], peak[k] = u[p], p
+            fill[e] += 1
+    up, down, tie = _tied(start, peak, place, trace, piece, loose, u_per_px, ties, gap_lines)
+    return Entries(start, peak, place, up, down, tie)
+
+
+def _rows(peaks: Peaks, calibration: Calibration, rest_px: Floats) -> EpipolarLines:
+    rows, columns = peaks.image_size
+    per_px = np.broadcast_to(1.0 / calibration.displacement_px_per_mm[:, None], rest_px.shape).T
+    zero, one = np.zeros_like(per_px), np.ones_like(per_px)
+    plane = np.stack([per_px, -rest_px.T * per_px, zero, one], axis=2)
+    return EpipolarLines(
+        peaks.row.astype(np.float64),
+        peaks.x_px,
+        plane,
+        np.zeros(len(peaks)),
+        np.zeros(rest_px.shape[0]),
+        np.full(rest_px.shape[0], rows - 1.0),
+        np.full(rows, -_BORDER_PX),
+        np.full(rows, columns - _BORDER_PX),
+    )
+
+
+def _projector(view: View) -> Floats | None:
+    """Give where the light comes from; if only planes are known, their point nearest to the camera."""
+    if np.isfinite(view.projector_mm).all():
+        return np.asarray(view.projector_mm)
+    normal, distance = view.planes[:, :3], view.planes[:, 3]
+    size = np.linalg.svd(normal, compute_uv=False)
+    if size.size < 2 or size[1] < _PARALLEL * size[0]:
+        return None
+    away = np.linalg.lstsq(normal, distance - normal @ view.camera_mm, rcond=_PARALLEL)[0]
+    return np.asarray(view.camera_mm + away)
+
+
+def _epipolar(peaks: Peaks, view: View, projector_mm: Floats, rest_px: Floats) -> EpipolarLines | None:
+    rows, columns = peaks.image_size
+    camera = view.camera_mm
+    base = projector_mm - camera
+    base = base / np.linalg.norm(base)
+    middle = view.rays(np.array([[(columns - 1) / 2.0, (rows - 1) / 2.0]]))[1][0]
+    forward = middle - (middle @ base) * base
+    if np.linalg.norm(forward) < _PARALLEL:
+        return None
+    forward = np.asarray(forward / np.linalg.norm(forward))
+    side = np.cross(base, forward)
+
+    def placed(xy_px: Floats) -> tuple[Floats, Floats]:
+        """Give (point,) the angle about the base at which a pixel looks, rad, and a cotangent along it."""
+        way = view.rays(xy_px)[1]
+        ahead, beside = way @ forward, way @ side
+        with np.errstate(divide="ignore", invalid="ignore"):
+            u = (way @ base) / np.hypot(ahead, beside)
+        return np.arctan2(beside, ahead), u
+
+    border = _border(rows, columns)
+    angle_border, u_border = placed(border)
+    if not np.isfinite(u_border).all() or np.ptp(angle_border) > np.pi / 2:
+        return None  # the image shows the projector, or sees it through a lens that folds
+    centre = np.stack([np.full(rows, (columns - 1) / 2.0), np.arange(rows, dtype=np.float64)], axis=1)
+    step = float(np.median(np.diff(placed(centre)[0])))
+    first = float(angle_border.min() if step > 0 else angle_border.max())
+    count = int(np.ptp(angle_border) / abs(step)) + 2 if step else 0
+    if not 0 < count <= _LINES_MAX_FACTOR * rows:
+        return None
+    angle, u = placed(np.stack([peaks.x_px, peaks.row.astype(np.float64)], axis=1))
+    across = placed(np.stack([rest_px[[0, -1], rows // 2], np.full(2, rows / 2.0)], axis=1))[1]
+    sign = 1.0 if across[1] >= across[0] else -1.0
+    line_angle = first + step * np.arange(count, dtype=np.float64)
+    plane = _planes(view, base, forward, side, line_angle, sign)
+    u_min, u_max = np.full(count, np.inf), np.full(count, -np.inf)
+    at = np.clip(np.rint((angle_border - first) / step).astype(np.int64), 0, count - 1)
+    np.minimum.at(u_min, at, sign * u_border)
+    np.maximum.at(u_max, at, sign * u_border)
+    outside = ~(u_min < u_max)
+    u_min[outside] = u_max[outside] = np.nan
+    ways = view.rays(np.stack([peaks.x_px, peaks.row.astype(np.float64)], axis=1))[1]
+    towards = np.array([*view.planes[:, :2].mean(axis=0), 0.0])
+    towards *= np.sign(np.median(np.diff(view.planes[:, 3] / (view.planes @ np.array([*towards, 0.0])))))
+    lean = (ways @ towards) / (-ways[:, 2] * np.linalg.norm(towards))
+    top = placed(np.stack([rest_px[:, 0], np.zeros(len(rest_px))], axis=1))[0]
+    bottom = placed(np.stack([rest_px[:, -1], np.full(len(rest_px), rows - 1.0)], axis=1))[0]
+    enters, leaves = (top - first) / step, (bottom - first) / step
+    return EpipolarLines((angle - first) / step, sign * u, plane, lean, enters, leaves, u_min, u_max)
+
+
+def _planes(view: View, base: Floats, forward: Floats, side: Floats, angle: Floats, sign: float) -> Floats:
+    """(line, stripe, 4) numbers that give height from the place on a line."""
+    ahead = np.cos(angle)[:, None] * forward + np.sin(angle)[:, None] * side
+    normal = view.planes[:, :3]
+    along = normal @ base
+    away = ahead @ normal.T
+    reach = view.planes[:, 3] - normal @ view.camera_mm
+    camera_z = view.camera_mm[2]
+    alpha = np.broadcast_to(sign * (camera_z * along + reach * base[2]), away.shape)
+    beta = camera_z * away + reach * ahead[:, 2:]
+    gamma = np.broadcast_to(sign * along, away.shape)
+    return np.ascontiguousarray(np.stack([alpha, beta, gamma, away], axis=2))
+
+
+def _border(rows: int, columns: int) -> Floats:
+    """Places along the image's border, px, close enough that each line meets two."""
+    y = np.arange(0.0, rows, 0.25) - _BORDER_PX + 0.125
+    x = np.arange(0.0, columns, 0.25) - _BORDER_PX + 0.125
+    left, right = np.full_like(y, -_BORDER_PX), np.full_like(y, columns - _BORDER_PX)
+    top, bottom = np.full_like(x, -_BORDER_PX), np.full_like(x, rows - _BORDER_PX)
+    return np.concatenate(
+        [np.stack([left, y], 1), np.stack([right, y], 1), np.stack([x, top], 1), np.stack([x, bottom], 1)]
+    )
+
+
+@kernel
+def _neighbours(trace: Integers) -> tuple[Integers, Integers]:
+    peaks = trace.shape[0]
+    last = np.full(peaks + 1, -1, np.int64)
+    before = np.full(peaks, -1, np.int64)
+    after = np.full(peaks, -1, np.int64)
+    for p in range(peaks):
+        q = last[trace[p]]
+        before[p] = q
+        if q >= 0:
+            after[q] = p
+        last[trace[p]] = p
+    return before, after
+
+
+@kernel
+def _tied(
+    start: Integers, peak: Integers, place: Floats, trace: Integers, piece: Integers, loose: Flags,
+    u_per_px: float, ties: tuple[float, float, float], gap_lines: int,
+) -> tuple[Integers, Integers, Floats]:  # fmt: skip
+    tie_whole, tie_cut, tie_gap = ties
+    size = peak.shape[0]
+    up = np.full(size, -1, np.int64)
+    down = np.full(size, -1, np.int64)
+    tie = np.zeros(size)
+    last = np.full(trace.shape[0] + 1, -1, np.int64)
+    line_of = np.empty(size, np.int64)
+    for e in range(start.shape[0] - 1):
+        for i in range(start[e], start[e + 1]):
+            line_of[i] = e
+            j = last[trace[peak[i]]]
+            if j >= 0 and line_of[j] == e - 1 and down[j] < 0:
+                up[i], down[j] = j, i
+                whole = piece[peak[i]] == piece[peak[j]] and not loose[peak[i]]
+                tie[i] = tie_whole if whole else tie_cut
+            last[trace[peak[i]]] = i
+    # over gaps: from a beginning back to the end that points at it best
+    for e in range(start.shape[0] - 1):
+        for i in range(start[e], start[e + 1]):
+            if up[i] >= 0:
+                continue
+            best, found = 1.0, -1
+            for back in range(1, gap_lines + 1):
+                if e - back < 0:
+                    break
+                for j in range(start[e - back], start[e - back + 1]):
+                    if down[j] >= 0 or trace[peak[j]] == trace[peak[i]]:
+                        continue
+                    slope = 0.5 * (_slope(j, up, place, -1) + _slope(i, down, place, 1))
+                    off = abs(place[j] + slope * back - place[i]) / u_per_px
+                    if off / (_END_PX[0] + _END_PX[1] * back) < best:
+                        best, found = off / (_END_PX[0] + _END_PX[1] * back), j
+                if found >= 0:
+                    break
+            if found >= 0:
+                up[i], down[found] = found, i
+                tie[i] = _TIE_LOOSE + tie_gap * (1.0 - best)
+    return up, down, tie
+
+
+@kernel
+def _slope(i: int, to: Integers, place: Floats, sign: int) -> float:
+    """Change of u from line to line near an end, over up to `_SLOPE_LINES` lines."""
+    k, steps = i, 0
+    while steps < _SLOPE_LINES and to[k] >= 0:
+        k = to[k]
+        steps += 1
+    return 0.0 if steps == 0 else sign * (place[k] - place[i]) / steps

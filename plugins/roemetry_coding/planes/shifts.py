@@ -1,0 +1,531 @@
+"""Runs of peaks that are one stripe, and what it costs to move several of them to the next stripe at once.
+
+Model. On a solved frame, entries of one piece with the same stripe make a run. What two runs cost each other,
+as neighbours on epipolar lines or one behind the other along a trace, depends on their two stripes only. So
+the whole frame is a small graph of runs, on which the energy of any change is exact:
+
+    E(w) = Σ_f own_f(w_f) + Σ_(f, g touch) both_fg(w_f, w_g),   w_f: stripe − 1, 0, + 1, or none.
+
+Two kinds of change are tried. (1) The best set of runs to move by one stripe, all the same way: with two
+choices for each run it is a minimal cut, found by Dinic's algorithm (Soviet Math. Doklady 11, 1970), as in
+Boykov, Veksler and Zabih (IEEE PAMI 23, 2001). Pairs that would rather have just one of the two moved are not
+submodular; their cost is overstated in the cut, never in the energy that is compared. (2) Each run in turn,
+with all those that order forces to go along, or that had better; runs too small to count give way instead.
+
+The cost of change (2), over the number of lines that it touches, is the evidence of every run that it moves:
+the truth, if it is not the labels at hand, is most often these labels with one group shifted by one stripe.
+A run is sure only as far as every such shift that it is part of is dear.
+
+Fails where the truth differs by two stripes or by several independent shifts: the evidence is then too large.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from roemetry.arrays import Flags, Floats, Integers
+from roemetry_coding.planes.graph import Candidates, PairCosts, Weights
+from roemetry_coding.planes.lines import Entries
+from roemetry_kernels.compiling import kernel
+
+_ASIDE = 1
+"""Stripes on either side of its own that a run may move to: more would square the costs of a pair."""
+_WAYS = 2 * _ASIDE + 1
+_OUT = _WAYS
+"""What follows the ways of being a stripe: none of it."""
+OUT = 1000
+"""So many stripes on: left out."""
+_SMALL_ENTRIES, _END_ENTRIES = 4, 12
+"""A run with so few is left out before all behind it give way: to solve, and to ask what is sure."""
+_DISORDER = 40.0
+"""Cost of two neighbours out of order: more than to leave both out."""
+_IMPOSSIBLE = 20.0
+"""Cost of a stripe that an entry cannot be, and of neighbours too far apart to be compared."""
+_OVERLAP_LINES, _OVERLAP = 4, 8.0
+"""Two runs out of order on so few lines need not give way: leaving their ends out costs this, a line."""
+_GAIN_MIN = 0.5
+"""A shift is made where it lowers the energy by so much: less is no difference."""
+_SHIFTS_MAX = 24
+"""Shifts that are tried before it is given up; a few are usual."""
+_ROOM_MIN = 1e-6
+"""Less room in an arc of the cut is none."""
+
+
+class Runs(NamedTuple):
+    """Runs and their costs.
+
+    Attributes
+    ----------
+    of
+        (entry,) run, −1 where the entry is no stripe.
+    stripe
+        (run,) its stripe.
+    own
+        (run, way) cost by itself, for its stripe and the ones beside it, and for none of it.
+    one, other
+        (edge,) two runs that touch, the one to the left or above first.
+    both
+        (edge, way, way) what they cost each other.
+    disorder
+        (edge, way, way) number of sight lines on which that puts neighbours out of order.
+    start, edge
+        (run + 1,) where a run's edges begin; edges, run by run.
+    first, last
+        (run,) sight lines on which it begins and ends.
+    size
+        (run,) number of entries.
+    """
+
+    of: Integers
+    stripe: Integers
+    own: Floats
+    one: Integers
+    other: Integers
+    both: Floats
+    disorder: Integers
+    start: Integers
+    edge: Integers
+    first: Integers
+    last: Integers
+    size: Integers
+
+
+def cheapest_shifts(
+    entries: Entries, candidates: Candidates, piece: Integers, best: Integers, own: Floats, costs: PairCosts,
+    weights: Weights,
+) -> tuple[Integers, Floats, bool]:  # fmt: skip
+    """Shift runs of one stripe as long as that lowers the energy.
+
+    Parameters
+    ----------
+    entries, candidates, own, costs, weights
+        The graph.
+    piece
+        (peak,) piece of its trace: a run does not go on from piece to piece.
+    best
+        (entry,) chosen node.
+
+    Returns
+    -------
+    tuple
+        (entry,) nodes; (entry,) what the cheapest shift that an entry's run is part of would cost, a line;
+        and whether anything was shifted.
+    """
+    moved = False
+    evidence = np.zeros(best.size)
+    for _ in range(_SHIFTS_MAX):
+        runs = runs_of(entries, candidates, piece, best, own, costs, weights)
+        by, gain = _best_of_cuts(runs)
+        if gain < _GAIN_MIN:
+            dearer, by = shifts_of(runs, entries.start.size - 1, _GAIN_MIN)
+            evidence = np.where(runs.of >= 0, dearer[runs.of], np.inf)
+            if not by.any():
+                break
+        moved = True
+        best = shift_labels(candidates, best, np.where(runs.of >= 0, by[runs.of], 0))
+    return best, evidence, moved
+
+
+def evidence_without(
+    entries: Entries, candidates: Candidates, piece: Integers, best: Integers, own: Floats, costs: PairCosts,
+    weights: Weights, doubtful: Flags,
+) -> Floats:  # fmt: skip
+    """Give (peak,) evidence as it is without the (peak,) ones that are in doubt; infinite for these."""
+    left = np.where(doubtful[entries.peak], candidates.offset[1:] - 1, best)
+    runs = runs_of(entries, candidates, piece, left, own, costs, weights)
+    found = np.full(doubtful.size, np.inf)
+    if not runs.stripe.size:
+        return found
+    dearer, _ = shifts_of(runs, entries.start.size - 1, _GAIN_MIN)
+    np.minimum.at(found, entries.peak, np.where(runs.of >= 0, dearer[runs.of], np.inf))
+    return found
+
+
+def _best_of_cuts(runs: Runs) -> tuple[Integers, float]:
+    """Give (run,) how far to move it, and the gain, of the best set of runs to move up or down by one."""
+    found = [(way, *best_shift(runs, way)) for way in (1, -1)]
+    way, moved, change = min(found, key=lambda shift: shift[2])
+    return np.where(moved, way, 0), -change
+
+
+@kernel
+def runs_of(
+    entries: Entries, candidates: Candidates, piece: Integers, best: Integers, own: Floats, costs: PairCosts,
+    weights: Weights,
+) -> Runs:  # fmt: skip
+    """Make the graph of runs of a solution; see `cheapest_shifts`."""
+    start, before_entry, tie = entries.start, entries.before, entries.tie
+    low, count, offset = candidates.low, candidates.many, candidates.offset
+    pair, pair_start, surface, unseen = costs.pair, costs.pair_start, costs.surface, costs.unseen
+    before, after = costs.before, costs.after
+    of, stripe = _runs(entries, candidates, piece, best)
+    runs, lines = stripe.shape[0], start.shape[0] - 1
+    alone = np.zeros((runs, _WAYS + 1))
+    first, last_line = np.full(runs, lines, np.int64), np.full(runs, -1, np.int64)
+    size = np.zeros(runs, np.int64)
+    key = np.empty(2 * of.shape[0], np.int64)
+    keys = 0
+    for e in range(lines):
+        last = -1
+        for p in range(start[e], start[e + 1]):
+            f, q = of[p], before_entry[p]
+            if f < 0:
+                continue
+            first[f], last_line[f] = min(first[f], e), max(last_line[f], e)
+            alone[f, _OUT] += own[offset[p + 1] - 1]
+            size[f] += 1
+            if q >= 0 and of[q] >= 0 and of[q] != f:
+                key[keys] = of[q] * runs + f
+                keys += 1
+            if last >= 0 and of[last] != f:
+                key[keys] = of[last] * runs + f
+                keys += 1
+            last = p
+    key = np.unique(key[:keys])
+    both = np.zeros((key.shape[0], _WAYS + 1, _WAYS + 1))
+    disorder = np.zeros(both.shape, np.int64)
+    for e in range(lines):
+        last, n = -1, pair_start[e]
+        for p in range(start[e], start[e + 1]):
+            f, q = of[p], before_entry[p]
+            if f < 0:
+                continue
+            for a in range(_WAYS):
+                k = stripe[f] + a - _ASIDE - low[p]
+                if 0 <= k < count[p]:
+                    alone[f, a] += own[offset[p] + k]
+                    if last < 0:
+                        alone[f, a] += weights.unseen * before[offset[p] + k]
+                else:
+                    alone[f, a] += _IMPOSSIBLE
+            if q >= 0 and of[q] >= 0 and of[q] != f:
+                t = np.searchsorted(key, of[q] * runs + f)
+                for a in range(_WAYS):
+                    for b in range(_WAYS):
+                        if stripe[of[q]] + a != stripe[f] + b:
+                            both[t, a, b] += tie[p]
+            if last >= 0 and of[last] != f:
+                while n < pair_start[e + 1] and (pair[n, 1] < p or (pair[n, 1] == p and pair[n, 0] < last)):
+                    n += 1
+                near = n < pair_start[e + 1] and pair[n, 1] == p and pair[n, 0] == last
+                t = np.searchsorted(key, of[last] * runs + f)
+                for a in range(_WAYS):
+                    h = stripe[of[last]] + a - _ASIDE - low[last]
+                    for b in range(_WAYS):
+                        k = stripe[f] + b - _ASIDE - low[p]
+                        if stripe[of[last]] + a >= stripe[f] + b:
+                            both[t, a, b] += _DISORDER
+                            disorder[t, a, b] += 1
+                        elif not near:
+                            both[t, a, b] += _IMPOSSIBLE
+                        elif 0 <= k < count[p] and 0 <= h < count[last]:
+                            c = pair[n, 2] + k * count[last] + h
+                            step = weights.surface * surface[c] + weights.unseen * unseen[c]
+                            both[t, a, b] += min(step, _IMPOSSIBLE)
+            last = p
+        if last >= 0:
+            for a in range(_WAYS):
+                k = stripe[of[last]] + a - _ASIDE - low[last]
+                if 0 <= k < count[last]:
+                    alone[of[last], a] += weights.unseen * after[offset[last] + k]
+    one, other = key // runs, key % runs
+    edge_start, edge = _edges(runs, one, other)
+    return Runs(of, stripe, alone, one, other, both, disorder, edge_start, edge, first, last_line, size)
+
+
+@kernel
+def _runs(
+    entries: Entries, candidates: Candidates, piece: Integers, best: Integers
+) -> tuple[Integers, Integers]:
+    peak, before_entry = entries.peak, entries.before
+    low, count, offset = candidates.low, candidates.many, candidates.offset
+    of = np.full(peak.shape[0], -1, np.int64)
+    stripe = np.empty(peak.shape[0], np.int64)
+    runs = 0
+    for i in range(peak.shape[0]):
+        k = best[i] - offset[i]
+        if k >= count[i]:
+            continue
+        q = before_entry[i]
+        if q >= 0 and of[q] >= 0 and piece[peak[q]] == piece[peak[i]] and stripe[of[q]] == low[i] + k:
+            of[i] = of[q]
+        else:
+            of[i], stripe[runs] = runs, low[i] + k
+            runs += 1
+    return of, stripe[:runs].copy()
+
+
+@kernel
+def _edges(runs: int, one: Integers, other: Integers) -> tuple[Integers, Integers]:
+    start = np.zeros(runs + 1, np.int64)
+    for t in range(one.shape[0]):
+        start[one[t] + 1] += 1
+        start[other[t] + 1] += 1
+    start = np.cumsum(start)
+    fill = start[:-1].copy()
+    edge = np.empty(2 * one.shape[0], np.int64)
+    for t in range(one.shape[0]):
+        for f in (one[t], other[t]):
+            edge[fill[f]] = t
+            fill[f] += 1
+    return start, edge
+
+
+@kernel
+def shifts_of(runs: Runs, lines: int, gain_min: float) -> tuple[Floats, Integers]:
+    """Shift every run by one stripe either way, with all that must, or had better, go along.
+
+    Parameters
+    ----------
+    runs
+        The graph of runs.
+    lines
+        Number of epipolar lines.
+    gain_min
+        A shift that is cheaper by this much or more is made.
+
+    Returns
+    -------
+    tuple
+        (run,) cost of the cheapest shift that it is part of, over the lines that are touched; and
+        (run,) how far it is shifted by those that are cheaper, taken together; `OUT` where it is left out.
+    """
+    many, first, last = runs.own.shape[0], runs.first, runs.last
+    dearer = np.full(many, np.inf)
+    cost = np.full((many, 2), np.inf)
+    way, waiting = np.empty(many, np.int64), np.empty(many, np.int64)
+    queued = np.zeros(many, np.bool_)
+    cheap = _eased(runs)
+    touched = np.zeros(lines + 1, np.int64)
+    for f in range(many):
+        for k in range(2):
+            way[:] = _ASIDE
+            cost[f, k] = _shift(f, 2 * k - 1, _END_ENTRIES, way, cheap, waiting, queued)
+            low, high = lines, 0
+            for g in range(many):
+                if way[g] != _ASIDE:
+                    touched[first[g]] += 1
+                    touched[last[g] + 1] -= 1
+                    low, high = min(low, first[g]), max(high, last[g])
+            inside, wide = 0, 0
+            for e in range(low, high + 2):
+                inside += touched[e]
+                wide += inside > 0
+                touched[e] = 0
+            for g in range(many):
+                if way[g] != _ASIDE:
+                    dearer[g] = min(dearer[g], cost[f, k] / wide)
+    way[:] = _ASIDE
+    for n in np.argsort(cost.ravel()):
+        f, k = n // 2, n % 2
+        if cost[f, k] > -gain_min:
+            break
+        if way[f] == _ASIDE:
+            tried = way.copy()
+            again = _shift(f, 2 * k - 1, _SMALL_ENTRIES, tried, runs, waiting, queued)
+            if again <= -gain_min:
+                way = tried
+    for f in range(many):
+        way[f] = OUT if way[f] == _OUT else way[f] - _ASIDE
+    return dearer, way
+
+
+@kernel
+def _shift(f: int, by: int, small: int, way: Integers, runs: Runs, waiting: Integers, queued: Flags) -> float:
+    """Shift run f; then others the same way, as long as order asks for it or it is cheaper; give the cost.
+
+    Runs of up to `small` entries that would have to give way are left out, where that is cheaper.
+    """
+    cost = _change(f, way[f] + by, way, runs)
+    way[f] += by
+    more = _ask(f, way, runs, waiting, queued, 0)
+    while more > 0:
+        more -= 1
+        g = waiting[more]
+        queued[g] = False
+        forced = False
+        for n in range(runs.start[g], runs.start[g + 1]):
+            t = runs.edge[n]
+            forced = forced or runs.disorder[t, way[runs.one[t]], way[runs.other[t]]] > 0
+        to = way[g] + by
+        change = _change(g, to, way, runs)
+        if forced and runs.size[g] <= small:
+            left_out = _change(g, _OUT, way, runs)
+            if left_out < change:
+                to, change = _OUT, left_out
+        if forced or change < 0.0:
+            cost += change
+            way[g] = to
+            more = _ask(g, way, runs, waiting, queued, more)
+    return float(cost)
+
+
+@kernel
+def _ask(f: int, way: Integers, runs: Runs, waiting: Integers, queued: Flags, size: int) -> int:
+    """Put the runs beside one that was shifted on the waiting list; give its new length."""
+    one, other, start, edge = runs.one, runs.other, runs.start, runs.edge
+    for n in range(start[f], start[f + 1]):
+        g = other[edge[n]] if one[edge[n]] == f else one[edge[n]]
+        if way[g] == _ASIDE and not queued[g]:
+            waiting[size], queued[g] = g, True
+            size += 1
+    return size
+
+
+@kernel
+def _change(f: int, now: int, way: Integers, runs: Runs) -> float:
+    """What it costs to change one more run."""
+    own, one, other, both, start, edge = runs.own, runs.one, runs.other, runs.both, runs.start, runs.edge
+    was = way[f]
+    cost = own[f, now] - own[f, was]
+    for n in range(start[f], start[f + 1]):
+        t = edge[n]
+        if one[t] == f:
+            cost += both[t, now, way[other[t]]] - both[t, was, way[other[t]]]
+        else:
+            cost += both[t, way[one[t]], now] - both[t, way[one[t]], was]
+    return float(cost)
+
+
+@kernel
+def _eased(runs: Runs) -> Runs:
+    """Give the runs without the disorder of those that are out of order on a few lines only."""
+    both, disorder = runs.both, runs.disorder
+    eased_both, eased_disorder = both.copy(), disorder.copy()
+    for t in range(both.shape[0]):
+        for a in range(both.shape[1]):
+            for b in range(both.shape[2]):
+                if 0 < disorder[t, a, b] <= _OVERLAP_LINES:
+                    eased_both[t, a, b] -= disorder[t, a, b] * (_DISORDER - _OVERLAP)
+                    eased_disorder[t, a, b] = 0
+    return Runs(
+        runs.of, runs.stripe, runs.own, runs.one, runs.other, eased_both, eased_disorder, runs.start,
+        runs.edge, runs.first, runs.last, runs.size,
+    )  # fmt: skip
+
+
+@kernel
+def shift_labels(candidates: Candidates, best: Integers, by: Integers) -> Integers:
+    """Give (entry,) nodes some stripes further on; the one for no stripe where that cannot be."""
+    count, offset = candidates.many, candidates.offset
+    found = best.copy()
+    for i in range(count.shape[0]):
+        k = best[i] - offset[i]
+        if k < count[i] and by[i] != 0:
+            found[i] = best[i] + by[i] if 0 <= k + by[i] < count[i] else offset[i + 1] - 1
+    return found
+
+
+@kernel
+def best_shift(graph: Runs, by: int) -> tuple[Flags, float]:
+    """Give (run,) which runs to move by one stripe so that the energy is least, and its change.
+
+    Of all sets of runs the best one, but for pairs that would rather have just one of the two moved; their
+    cost is overstated. That does not happen to the cost that is given.
+
+    Parameters
+    ----------
+    graph
+        The graph of runs.
+    by
+        1 for the next stripe, −1 for the one before.
+    """
+    own, one, other, both = graph.own, graph.one, graph.other, graph.both
+    stays = _ASIDE
+    runs, pairs = own.shape[0], one.shape[0]
+    goes = stays + by
+    alone = own[:, goes] - own[:, stays]
+    # arcs in pairs, each followed by its reverse; nodes: runs, source, sink
+    source, sink = runs, runs + 1
+    head = np.empty(2 * (pairs + runs), np.int64)
+    room = np.zeros(2 * (pairs + runs))
+    arcs = 0
+    tail = np.empty(2 * (pairs + runs), np.int64)
+    for t in range(pairs):
+        f, g = one[t], other[t]
+        neither, second = both[t, stays, stays], both[t, stays, goes]
+        first, together = both[t, goes, stays], both[t, goes, goes]
+        over = max(neither + together - first - second, 0.0)
+        first, second = first + 0.5 * over, second + 0.5 * over
+        alone[f] += first - neither
+        alone[g] += together - first
+        tail[arcs], head[arcs], tail[arcs + 1], head[arcs + 1] = f, g, g, f
+        room[arcs] = max(second + first - neither - together, 0.0)
+        arcs += 2
+    for f in range(runs):
+        begin, end = (source, f) if alone[f] > 0.0 else (f, sink)
+        tail[arcs], head[arcs], tail[arcs + 1], head[arcs + 1] = begin, end, end, begin
+        room[arcs] = abs(alone[f])
+        arcs += 2
+    stays_side = _source_side(tail, head, room, runs + 2, source, sink)
+    moved = ~stays_side[:runs]
+    change = 0.0
+    for f in range(runs):
+        if moved[f]:
+            change += own[f, goes] - own[f, stays]
+    for t in range(pairs):
+        a, b = goes if moved[one[t]] else stays, goes if moved[other[t]] else stays
+        change += both[t, a, b] - both[t, stays, stays]
+    return moved, change
+
+
+@kernel
+def _source_side(tail: Integers, head: Integers, room: Floats, nodes: int, source: int, sink: int) -> Flags:
+    """Fill the network by shortest ways (Dinic); give (node,) True where the source still reaches."""
+    start = np.zeros(nodes + 1, np.int64)
+    for a in range(tail.shape[0]):
+        start[tail[a] + 1] += 1
+    start = np.cumsum(start)
+    arc, fill = np.empty(tail.shape[0], np.int64), start[:-1].copy()
+    for a in range(tail.shape[0]):
+        arc[fill[tail[a]]] = a
+        fill[tail[a]] += 1
+    level, queue = np.empty(nodes, np.int64), np.empty(nodes, np.int64)
+    at, way = np.empty(nodes, np.int64), np.empty(nodes, np.int64)
+    while True:
+        level[:] = -1
+        level[source], queue[0], first, size = 0, source, 0, 1
+        while first < size:
+            n = queue[first]
+            first += 1
+            for k in range(start[n], start[n + 1]):
+                a = arc[k]
+                if room[a] > _ROOM_MIN and level[head[a]] < 0:
+                    level[head[a]] = level[n] + 1
+                    queue[size] = head[a]
+                    size += 1
+        if level[sink] < 0:
+            return level >= 0
+        for n in range(nodes):
+            at[n] = start[n]
+        n, depth = source, 0
+        while True:
+            if n == sink:
+                least = np.inf
+                for k in range(depth):
+                    least = min(least, room[way[k]])
+                back = depth
+                for k in range(depth - 1, -1, -1):
+                    room[way[k]] -= least
+                    room[way[k] ^ 1] += least
+                    if room[way[k]] <= _ROOM_MIN:
+                        back = k
+                depth, n = back, tail[way[back]]
+                continue
+            while at[n] < start[n + 1]:
+                a = arc[at[n]]
+                if room[a] > _ROOM_MIN and level[head[a]] == level[n] + 1:
+                    break
+                at[n] += 1
+            if at[n] < start[n + 1]:
+                way[depth] = arc[at[n]]
+                n = head[way[depth]]
+                depth += 1
+            elif depth == 0:
+                break
+            else:
+                depth -= 1
+                n = tail[way[depth]]
+                at[n] += 1

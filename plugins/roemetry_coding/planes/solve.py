@@ -1,0 +1,550 @@
+"""The cheapest labels: exact on every epipolar line, made to agree along traces, then improved as a whole.
+
+Model. The energy of `graph` on one line is a chain; its least cost for every entry and label is found
+exactly, forwards and backwards (dynamic programming). Across lines only the ties couple. What a line knows is
+handed down, trace by trace, to the next line and so on to the last, and the same upwards; a line's cost is
+shared out among its entries before it is handed on, so that what is known once (all stripes are shifted by
+one) does not count once for every stripe. That is sequential tree-reweighted message passing with one sweep
+each way (Kolmogorov, IEEE PAMI 28, 2006), truncated at the tie.
+
+A piece of a trace is one stripe, so each takes the label that is cheapest for the whole of it. What such
+sweeps leave wrong are whole groups of runs, shifted by one stripe: `shifts` moves them where that lowers the
+exact energy, and the sweeps are repeated about what it found.
+
+Evidence of a label: what the cheapest shift of its run, with all that must go along, would cost on each line
+that is touched (`shifts`); for a short run of few peaks less, since its ends weigh more. Labels in doubt may
+prop up others: the evidence is taken once more without them, twice.
+
+Fails where several groups would have to move at once to lower the energy, or where shifts by two stripes are
+the alternative: those are looked for in level bodies only (`vetoes`).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roemetry.arrays import Floats, Integers
+from roemetry.calibration import Calibration
+from roemetry.records import Peaks
+from roemetry_coding.planes.graph import (
+    WEIGHTS,
+    Candidates,
+    PairCosts,
+    Weights,
+    candidates_of,
+    pair_costs_of,
+    unary_costs,
+)
+from roemetry_coding.planes.lines import Entries, EpipolarLines, entries_of, epipolar_lines
+from roemetry_coding.planes.pieces import ENDS, Pieces, between_bare, cut_ends, on_rest_line, presence_of
+from roemetry_coding.planes.shifts import cheapest_shifts
+from roemetry_kernels.coding.rest_lines import RestLines
+from roemetry_kernels.coding.tracing import cut_at_rest_lines, trace_fragments
+from roemetry_kernels.compiling import kernel
+
+_STEP_MAX_PX = 7.0
+"""Longest step of a trace from row to row, px: a surface that falls by 80 degrees along the stripe."""
+_OUTER_SHARE = 0.1
+"""Share of the image's rows, at its top and bottom, where belt is expected."""
+_BELT_ROWS_MIN = 6
+"""A trace on a rest line for fewer rows crosses it."""
+_FLICKER_ROWS = 3
+"""A trace beside its rest line for so few rows is noise, rows."""
+_BARE_ROWS = 20
+"""A rest line is bare where nothing lies on it for so many rows on end: as long a gap as coders bridge."""
+_END_ROWS = 8
+"""Cut off where a belt ends amid the image: a body may have begun within the tolerance, rows."""
+_BORDER_ROWS = 12
+"""Belt that ends this near to the image's border is taken to leave it, rows: a peak or two may be missing."""
+_PRESENT_SHARE = 0.2
+"""A stripe whose belt is seen on this share of the rows is there beyond doubt."""
+_PRESENT_ROWS_MIN = 15
+"""A stripe seen on its rest line in fewer rows is not there: bodies cross rest lines."""
+_END_LINES = 30
+"""A stripe's belt may begin or end this far from the image's border."""
+_LOST = 0.25
+"""Where it does not reach so far: how surely it is there, still."""
+_GAP_LINES = 20
+"""Longest gap along a trace that is tied over, lines."""
+_ANCHOR_ROWS = 25
+"""Belt of so many rows that reaches the image's border is belt."""
+_BELOW_TOLERANCES = 1.5
+"""How far below the belt a point may be, in tolerances of a rest line."""
+_SHIFT_GAIN = 6.0
+_ROUNDS = 2
+"""Sweeps are repeated up to twice with the labels found by shifts cheaper by as much as a false peak."""
+_EMPTY = 3.0
+"""A line with no stripe at all costs this many visible stripes left out."""
+_DEAR = 20.0
+"""Costs count up to this when a piece's lines vote: more than any wrong label costs on one line."""
+_SMALL_ENTRIES = 12
+"""A piece of so few entries gives way to a larger one."""
+
+
+class Problem(NamedTuple):
+    """A frame's graph.
+
+    Attributes
+    ----------
+    lines, pieces, entries
+        Peaks on epipolar lines, pieces of traces, and traces on the lines.
+    there
+        (stripe,) how surely a stripe is there at all, 0 to 1.
+    candidates, costs
+        What each entry may be, and what neighbours cost each other.
+    own
+        (node,) cost of a label by itself.
+    """
+
+    lines: EpipolarLines
+    pieces: Pieces
+    entries: Entries
+    there: Floats
+    candidates: Candidates
+    costs: PairCosts
+    own: Floats
+
+
+class Solved(NamedTuple):
+    """The cheapest labels.
+
+    Attributes
+    ----------
+    best, evidence
+        (entry,) chosen node, and what the cheapest shift that its run is part of would cost, a line.
+    cost
+        (node,) by how much it is dearer than its entry's cheapest node.
+    """
+
+    best: Integers
+    evidence: Floats
+    cost: Floats
+
+
+def build_problem(peaks: Peaks, calibration: Calibration, rest: RestLines, reach: float) -> Problem:
+    """Set up a frame's graph.
+
+    Parameters
+    ----------
+    peaks
+        The frame's peaks.
+    calibration
+        Gives planes (or at least displacements) and the range of heights.
+    rest
+        Its rest lines.
+    reach
+        Heights are looked for up to so many times the highest that the calibration is meant for.
+    """
+    lines = epipolar_lines(peaks, calibration, rest.x_px)
+    pieces, presence = _pieces(peaks, rest, lines)
+    u_per_px = float(np.nanmedian(lines.u_max - lines.u_min)) / peaks.image_size[1]
+    ties = WEIGHTS.tie_whole, WEIGHTS.tie_cut, WEIGHTS.tie_gap
+    loose = pieces.rest[pieces.of] == ENDS
+    entries = entries_of(pieces.trace, pieces.of, loose, lines, u_per_px, ties, _GAP_LINES)
+    slack_mm = rest.tolerance_px / np.abs(calibration.displacement_px_per_mm)
+    low_mm, high_mm = calibration.height_range_mm
+    # belt that lies on its rest line from the image's border on is no product out of range: that saves time
+    reaches = np.where(pieces.anchored[pieces.of[entries.peak]], 1.0, reach)
+    below_mm = min(low_mm, 0.0) - _BELOW_TOLERANCES * slack_mm
+    candidates = candidates_of(entries, lines.plane, below_mm, high_mm + slack_mm, reaches)
+    costs = pair_costs_of(entries, candidates, lines, presence, u_per_px, 2.0 * slack_mm, WEIGHTS)
+    there = presence.max(axis=0)
+    own = unary_costs(entries, candidates, pieces, there, WEIGHTS, _ANCHOR_ROWS)
+    return Problem(lines, pieces, entries, there, candidates, costs, own)
+
+
+def solve(problem: Problem) -> Solved:
+    """Find the cheapest labels of all entries, and the evidence for them."""
+    candidates = problem.candidates
+    cost = _min_marginals(problem, problem.own)
+    best, evidence, moved = _shifted(problem, agreed(problem.entries, candidates, problem.pieces, cost))
+    moved = moved or bool((best != argmin_labels(candidates, cost)).any())
+    for _ in range(_ROUNDS):
+        if not moved:
+            break
+        cost = _min_marginals(problem, favour_labels(candidates, best, problem.own, _SHIFT_GAIN))
+        best, evidence, moved = _shifted(problem, agreed(problem.entries, candidates, problem.pieces, cost))
+    return Solved(best, evidence, cost)
+
+
+def _pieces(peaks: Peaks, rest: RestLines, lines: EpipolarLines) -> tuple[Pieces, Floats]:
+    """Cut the traces; give them, and (line, stripe) how surely a stripe's belt is there to be seen."""
+    stripes, rows = rest.x_px.shape
+    trace, traces = trace_fragments(peaks.row_start, peaks.x_px, _STEP_MAX_PX)
+    line = on_rest_line(
+        peaks.row, peaks.x_px, trace, rest.line, rest.x_px, rest.tolerance_px, rest.offset_px,
+        math.ceil(_OUTER_SHARE * rows),
+    )  # fmt: skip
+    alone = between_bare(peaks.row, line, stripes, rows, _BARE_ROWS)
+    state = np.where(alone, line + stripes, line)
+    piece, of_piece = cut_at_rest_lines(trace, state, traces, _BELT_ROWS_MIN, _FLICKER_ROWS)
+    of_piece = np.where(of_piece >= stripes, of_piece - stripes, of_piece)
+    full = int(_PRESENT_SHARE * rows)
+    presence = presence_of(
+        lines.line, piece, of_piece, lines.enters, lines.leaves, lines.plane.shape[0], full,
+        min(_PRESENT_ROWS_MIN, full), _END_LINES, _LOST,
+    )  # fmt: skip
+    piece, of_piece, anchored, home = cut_ends(peaks.row, piece, of_piece, rows, _END_ROWS, _BORDER_ROWS)
+    return Pieces(trace, piece, line, of_piece, home, anchored), presence
+
+
+def _shifted(problem: Problem, best: Integers) -> tuple[Integers, Floats, bool]:
+    return cheapest_shifts(
+        problem.entries, problem.candidates, problem.pieces.of, best, problem.own, problem.costs, WEIGHTS
+    )
+
+
+def _min_marginals(problem: Problem, own: Floats) -> Floats:
+    """Give (node,) costs."""
+    return np.asarray(min_marginals(problem.entries, problem.candidates, own, problem.costs, WEIGHTS))
+
+
+@kernel
+def min_marginals(
+    entries: Entries, candidates: Candidates, own: Floats, costs: PairCosts, weights: Weights
+) -> Floats:
+    """Give each node its least cost in its line with what the other lines say, less the least of its entry.
+
+    Parameters
+    ----------
+    entries, candidates, costs
+        The graph.
+    own
+        (node,) cost of a label by itself.
+    weights
+        What a break of the surface, and a visible stripe left out, cost.
+    """
+    start, offset = entries.start, candidates.offset
+    size = own.shape[0]
+    from_up, from_down = np.zeros(size), np.zeros(size)
+    step = np.empty(costs.unseen.shape[0], np.float32)
+    for c in range(step.shape[0]):
+        step[c] = weights.surface * costs.surface[c] + weights.unseen * costs.unseen[c]
+    first, last = weights.unseen * costs.before, weights.unseen * costs.after
+    work = _Work(
+        costs.pair, step, first, last, np.empty(size), np.empty(size), np.empty(size), np.zeros(size)
+    )
+    cost = np.zeros(size)
+    empty = weights.unseen * _EMPTY
+    lines = start.shape[0] - 1
+    for downwards in (True, False):
+        said = from_up if downwards else from_down
+        for k in range(lines):
+            e = k if downwards else lines - 1 - k
+            if start[e] == start[e + 1]:
+                continue
+            span = _Span(start[e], start[e + 1], costs.pair_start[e], costs.pair_start[e + 1])
+            for node in range(offset[span.first], offset[span.end]):
+                work.total[node] = own[node] + said[node]
+                work.taken[node] = 0.0
+            _share_out(span, candidates.many, offset, work)
+            for i in range(span.first, span.end):
+                if downwards and entries.after[i] >= 0:
+                    j = entries.after[i]
+                    _hand_on(i, j, entries.tie[j], candidates, work.taken, from_up)
+                elif not downwards and entries.before[i] >= 0:
+                    _hand_on(i, entries.before[i], entries.tie[i], candidates, work.taken, from_down)
+    for e in range(lines):
+        if start[e] == start[e + 1]:
+            continue
+        span = _Span(start[e], start[e + 1], costs.pair_start[e], costs.pair_start[e + 1])
+        for node in range(offset[span.first], offset[span.end]):
+            work.total[node] = own[node] + from_up[node] + from_down[node]
+        _solve_line(span, candidates.many, offset, work, empty, cost)
+    return cost
+
+
+class _Span(NamedTuple):
+    """A line's entries and pairs: the first, and the one after the last."""
+
+    first: int
+    end: int
+    pair_first: int
+    pair_end: int
+
+
+class _Work(NamedTuple):
+    """What the lines' solver reads, and its room.
+
+    Attributes
+    ----------
+    pair, step
+        See `PairCosts`; (cost,) of a pair's labels.
+    first, last
+        (node,) cost of being a line's first, and last, label.
+    total
+        (node,) cost by itself, with what other lines say.
+    forward, backward
+        (node,) least cost up to, and from, a node.
+    taken
+        (node,) what a line's cost is taken apart into.
+    """
+
+    pair: Integers
+    step: NDArray[np.float32]
+    first: Floats
+    last: Floats
+    total: Floats
+    forward: Floats
+    backward: Floats
+    taken: Floats
+
+
+@kernel
+def _share_out(span: _Span, count: Integers, offset: Integers, work: _Work) -> None:
+    """Take the line's cost apart into its nodes': evenly from the left, what is left from the right."""
+    a, b = span.first, span.end
+    first, last, total, taken = work.first, work.last, work.total, work.taken
+    forward, backward = work.forward, work.backward
+    none = 0.0
+    nothing = np.empty(b - a + 1)
+    for i in range(a, b):
+        nothing[i - a] = none
+        none += total[offset[i + 1] - 1]
+    nothing[b - a] = none
+    _backwards(span, count, offset, work, nothing)
+    n = span.pair_first
+    for p in range(a, b):
+        for node in range(offset[p], offset[p] + count[p]):
+            forward[node] = nothing[p - a] + first[node]
+        n = _arrive(p, n, span, count, offset, work, nothing)
+        least = np.inf
+        for node in range(offset[p], offset[p] + count[p]):
+            forward[node] += total[node]
+            least = min(least, forward[node] + backward[node] - total[node])
+        share = 1.0 / (b - p)
+        for node in range(offset[p], offset[p] + count[p]):
+            part = share * (forward[node] + backward[node] - total[node] - least)
+            taken[node] += part
+            forward[node] -= part
+            total[node] -= part
+    n = span.pair_end - 1
+    for p in range(b - 1, a - 1, -1):
+        for node in range(offset[p], offset[p] + count[p]):
+            backward[node] = none - nothing[p + 1 - a] + last[node]
+    for p in range(b - 1, a - 1, -1):
+        least = np.inf
+        for node in range(offset[p], offset[p] + count[p]):
+            backward[node] += total[node]
+            least = min(least, forward[node] + backward[node] - total[node])
+        for node in range(offset[p], offset[p] + count[p]):
+            part = forward[node] + backward[node] - total[node] - least
+            taken[node] += part
+            backward[node] -= part
+        n = _depart(p, n, span, count, offset, work, nothing)
+
+
+@kernel
+def _backwards(span: _Span, count: Integers, offset: Integers, work: _Work, nothing: Floats) -> None:
+    """Write the least cost of the line from each node on, its own included."""
+    a, b = span.first, span.end
+    total, last, backward = work.total, work.last, work.backward
+    for p in range(a, b):
+        for node in range(offset[p], offset[p] + count[p]):
+            backward[node] = nothing[b - a] - nothing[p + 1 - a] + last[node]
+    n = span.pair_end - 1
+    for p in range(b - 1, a - 1, -1):
+        for node in range(offset[p], offset[p] + count[p]):
+            backward[node] += total[node]
+        n = _depart(p, n, span, count, offset, work, nothing)
+
+
+@kernel
+def _arrive(
+    p: int, n: int, span: _Span, count: Integers, offset: Integers, work: _Work, nothing: Floats
+) -> int:
+    """Lower the costs up to entry p by coming from the entries before it; give the next pair."""
+    a, pair, step, forward = span.first, work.pair, work.step, work.forward
+    while n < span.pair_end and pair[n, 1] == p:
+        q, c = pair[n, 0], pair[n, 2]
+        between = nothing[p - a] - nothing[q + 1 - a]
+        for s in range(count[p]):
+            least = np.inf
+            for t in range(count[q]):
+                least = min(least, forward[offset[q] + t] + step[c])
+                c += 1
+            forward[offset[p] + s] = min(forward[offset[p] + s], least + between)
+        n += 1
+    return n
+
+
+@kernel
+def _depart(
+    p: int, n: int, span: _Span, count: Integers, offset: Integers, work: _Work, nothing: Floats
+) -> int:
+    """Lower the costs of the entries before p by going on to p; give the next pair."""
+    a, pair, step, backward = span.first, work.pair, work.step, work.backward
+    while n >= span.pair_first and pair[n, 1] == p:
+        q, c = pair[n, 0], pair[n, 2]
+        between = nothing[p - a] - nothing[q + 1 - a]
+        for s in range(count[p]):
+            later = backward[offset[p] + s] + between
+            for t in range(count[q]):
+                node = offset[q] + t
+                backward[node] = min(backward[node], later + step[c])
+                c += 1
+        n -= 1
+    return n
+
+
+@kernel
+def _hand_on(i: int, j: int, tie: float, candidates: Candidates, taken: Floats, message: Floats) -> None:
+    """Write what entry i says to entry j of the next line; a change of stripe costs the tie at most."""
+    low, count, offset = candidates.low, candidates.many, candidates.offset
+    least = np.inf
+    for node in range(offset[i], offset[i] + count[i]):
+        least = min(least, taken[node])
+    for b in range(count[j]):
+        a = low[j] + b - low[i]
+        said = tie
+        if 0 <= a < count[i]:
+            said = min(tie, taken[offset[i] + a] - least)
+        message[offset[j] + b] = said
+
+
+@kernel
+def _solve_line(
+    span: _Span, count: Integers, offset: Integers, work: _Work, empty: float, cost: Floats
+) -> None:
+    """Write the least cost of the line for each of its nodes, less the least of the entry."""
+    a, b, pair, step = span.first, span.end, work.pair, work.step
+    first, last, total, forward, backward = work.first, work.last, work.total, work.forward, work.backward
+    none = 0.0
+    nothing = np.empty(b - a + 1)
+    for i in range(a, b):
+        nothing[i - a] = none
+        none += total[offset[i + 1] - 1]
+        cost[offset[i + 1] - 1] = np.inf
+    nothing[b - a] = none
+    _backwards(span, count, offset, work, nothing)
+    n = span.pair_first
+    ended = none + empty
+    for p in range(a, b):
+        for node in range(offset[p], offset[p] + count[p]):
+            forward[node] = nothing[p - a] + first[node]
+        m = _arrive(p, n, span, count, offset, work, nothing)
+        while n < m:  # entries between the two are left out
+            q, c = pair[n, 0], pair[n, 2]
+            if p - q > 1:
+                least = np.inf
+                for s in range(count[p]):
+                    for t in range(count[q]):
+                        least = min(least, forward[offset[q] + t] + step[c] + backward[offset[p] + s])
+                        c += 1
+                least += nothing[p - a] - nothing[q + 1 - a]
+                for i in range(q + 1, p):
+                    cost[offset[i + 1] - 1] = min(cost[offset[i + 1] - 1], least)
+            n += 1
+        cost[offset[p + 1] - 1] = min(cost[offset[p + 1] - 1], ended)
+        for node in range(offset[p], offset[p] + count[p]):
+            forward[node] += total[node]
+            ended = min(ended, forward[node] + none - nothing[p + 1 - a] + last[node])
+    begun = none + empty
+    for p in range(b - 1, a - 1, -1):
+        left_out = offset[p + 1] - 1
+        cost[left_out] = min(cost[left_out], begun)
+        least = cost[left_out]
+        for node in range(offset[p], offset[p] + count[p]):
+            begun = min(begun, backward[node] + nothing[p - a] + first[node])
+            cost[node] = forward[node] + backward[node] - total[node]
+            least = min(least, cost[node])
+        for node in range(offset[p], offset[p + 1]):
+            cost[node] -= least
+
+
+@kernel
+def agreed(entries: Entries, candidates: Candidates, pieces: Pieces, cost: Floats) -> Integers:
+    """Give (entry,) the node of the stripe that is cheapest for its whole piece.
+
+    Single entries that are cheapest as no stripe stay so; ends choose for themselves. Of two that stand
+    out of order on a line, the one of an end or of a small piece is no stripe.
+
+    Parameters
+    ----------
+    entries, candidates, pieces
+        The graph.
+    cost
+        (node,) costs.
+    """
+    peak, low, count, offset = entries.peak, candidates.low, candidates.many, candidates.offset
+    piece, piece_line = pieces.of, pieces.rest
+    stripes = 0
+    for i in range(peak.shape[0]):
+        stripes = max(stripes, low[i] + count[i])
+    gain = np.zeros((piece_line.shape[0], stripes))
+    best = np.empty(peak.shape[0], np.int64)
+    for i in range(peak.shape[0]):
+        best[i] = offset[i + 1] - 1
+        for k in range(count[i]):
+            node = offset[i] + k
+            gain[piece[peak[i]], low[i] + k] += _DEAR - min(cost[node], _DEAR)
+            if cost[node] < cost[best[i]]:
+                best[i] = node
+    stripe = np.empty(piece_line.shape[0], np.int64)
+    for f in range(piece_line.shape[0]):
+        stripe[f] = np.argmax(gain[f])
+    for i in range(peak.shape[0]):
+        f = piece[peak[i]]
+        k = stripe[f] - low[i]
+        if piece_line[f] != ENDS and best[i] < offset[i + 1] - 1:
+            best[i] = offset[i] + k if 0 <= k < count[i] else offset[i + 1] - 1
+    _put_in_order(entries, candidates, pieces, best)
+    return best
+
+
+@kernel
+def _put_in_order(entries: Entries, candidates: Candidates, pieces: Pieces, best: Integers) -> None:
+    start, peak = entries.start, entries.peak
+    low, count, offset = candidates.low, candidates.many, candidates.offset
+    piece, piece_line = pieces.of, pieces.rest
+    size = np.zeros(piece_line.shape[0], np.int64)
+    for i in range(peak.shape[0]):
+        size[piece[peak[i]]] += piece_line[piece[peak[i]]] != ENDS
+    for e in range(start.shape[0] - 1):
+        last = -1
+        for i in range(start[e], start[e + 1]):
+            if best[i] - offset[i] >= count[i]:
+                continue
+            while last >= 0 and low[last] + best[last] - offset[last] >= low[i] + best[i] - offset[i]:
+                before, here = size[piece[peak[last]]], size[piece[peak[i]]]
+                if here <= before and here <= _SMALL_ENTRIES:
+                    best[i] = offset[i + 1] - 1
+                    break
+                if before > _SMALL_ENTRIES:
+                    break
+                best[last] = offset[last + 1] - 1
+                last -= 1
+                while last >= start[e] and best[last] - offset[last] >= count[last]:
+                    last -= 1
+                if last < start[e]:
+                    last = -1
+            if best[i] - offset[i] < count[i]:
+                last = i
+
+
+@kernel
+def argmin_labels(candidates: Candidates, cost: Floats) -> Integers:
+    """Give (entry,) the cheapest of its nodes."""
+    count, offset = candidates.many, candidates.offset
+    best = np.empty(count.shape[0], np.int64)
+    for i in range(count.shape[0]):
+        best[i] = offset[i + 1] - 1
+        for node in range(offset[i], offset[i] + count[i]):
+            if cost[node] < cost[best[i]]:
+                best[i] = node
+    return best
+
+
+@kernel
+def favour_labels(candidates: Candidates, best: Integers, own: Floats, gain: float) -> Floats:
+    """Give (node,) own costs with the chosen stripes cheaper by a gain."""
+    count, offset = candidates.many, candidates.offset
+    found = own.copy()
+    for i in range(count.shape[0]):
+        if best[i] - offset[i] < count[i]:
+            found[best[i]] -= gain
+    return found

@@ -1,0 +1,382 @@
+"""What labels that the energy prefers are refused for all the same: vetoes, each by its name.
+
+Model. The energy compares whole configurations; its weak spot is where two of them cost nearly the same for a
+reason that it does not contain. Each veto names one such reason and marks the peaks it concerns:
+
+- `ends_settled`: where belt ends amid the image, a body may begin on the rest line; which of the two an end
+  is must be borne out by the rest of its trace on both sides.
+- `out_of_order`: labels that do not increase along an epipolar line, or occur twice in a row.
+- `claimed`: a piece that is a stripe on some lines and left out on others was left out for the sake of
+  another piece: one of the two is wrong, so its claim is put to the test of order as well.
+- `may_be_level`: a level top that is m label heights up shows its stripes on the rest lines m further on.
+  Where stripes are missing beside a body, what follows on rest lines may be more of that body: if moving it
+  by up to as many stripes as are missing costs hardly more, it is refused, and what is doubted without it.
+- unexplained gaps (`roemetry_kernels.coding.consistency`): a stripe interrupted where nothing is in sight
+  that could hide it. A level product one spacing high, each stripe on its neighbour's rest line, looks so.
+- `going_on`: that doubt does not end where the gap does; it follows the stripe and the trace over what lies
+  nearly on its rest line without reaching the image's border.
+- `left_over`: what a body is on some rows it is on the others; of a piece mostly refused none is kept.
+
+What each is worth, on which images: docs/measurements/coding-ablation.md. Vetoes refuse, they never change a
+label. They fail for bodies with level tops so low that belt's scatter covers them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from roemetry.arrays import Flags, Floats, Integers
+from roemetry.records import Peaks
+from roemetry_coding.planes.graph import Candidates, PairCosts, Weights
+from roemetry_coding.planes.lines import Entries
+from roemetry_coding.planes.pieces import ENDS, Pieces
+from roemetry_kernels.coding.consistency import HIDING_SPACINGS
+from roemetry_kernels.coding.rest_lines import RestLines
+from roemetry_kernels.compiling import kernel
+
+_ONE_SIDE = 0.4
+"""How far a trace's one side speaks for an end: one of two that are asked."""
+_LOOK_BACK = 4
+"""Entries side by side that have a cost, as in `graph`."""
+_BROKEN = 20.0
+"""Cost of neighbours too far apart for one: more than any step."""
+_HIGH_SHARE = 0.5
+"""A body that is taken into account is at least this share of a label height high."""
+_LEVEL_DEARER = 1.0
+"""A level body is believed possible if it costs less than this more on a line: a third of a break."""
+_LEVEL_ROWS = 40
+"""A level body goes on for so many rows; fewer are as many as a break along a stripe may have."""
+_FLICKER_ROWS = 3
+"""So many rows of it may be missing."""
+_CLAIM_PEAKS = 4
+"""A piece with so many peaks of one stripe claims it."""
+
+
+@kernel
+def ends_settled(pieces: Pieces, stripe: Integers) -> Floats:
+    """Give (peak,) how far the rest of its trace speaks for a peak of a cut-off end; 1 for any other peak.
+
+    1 if the trace is that stripe on both sides, less if on one, 0 if on neither.
+    Where the trace is belt on one side and another stripe's product on the other, the row at which it
+    changes is not known: 0 for what is called belt there, too, and for what is called product and still lies
+    on the belt's rest line.
+
+    Parameters
+    ----------
+    pieces
+        Of traces; peaks are sorted by row.
+    stripe
+        (peak,) stripe, below 0 for none.
+    """
+    trace, piece, piece_line = pieces.trace, pieces.of, pieces.rest
+    home, line = pieces.home, pieces.line
+    peaks = trace.shape[0]
+    votes = np.zeros(piece_line.shape[0], np.int64)
+    of_piece = np.full(piece_line.shape[0], -1, np.int64)  # what most of its peaks have
+    for p in range(peaks):
+        f = piece[p]
+        if stripe[p] < 0 or piece_line[f] == ENDS:
+            continue
+        if votes[f] == 0:
+            of_piece[f] = stripe[p]
+        votes[f] += 1 if of_piece[f] == stripe[p] else -1
+    sides = np.full((peaks, 2), -1, np.int64)
+    belt = np.zeros((peaks, 2), np.bool_)
+    last = np.full(peaks + 1, -1, np.int64)
+    for side in range(2):
+        last[:] = -1
+        for n in range(peaks):
+            p = n if side == 0 else peaks - 1 - n
+            if piece_line[piece[p]] != ENDS:
+                last[trace[p]] = piece[p]
+            elif last[trace[p]] >= 0:
+                f = last[trace[p]]
+                sides[p, side] = of_piece[f]
+                belt[p, side] = piece_line[f] == of_piece[f]
+    found = np.ones(peaks)
+    for p in range(peaks):
+        if stripe[p] < 0 or piece_line[piece[p]] != ENDS:
+            continue
+        a, b = sides[p]
+        if a >= 0 and a == b:
+            settled = 1.0 if stripe[p] == a else 0.0
+        elif a < 0 and b < 0:
+            settled = _ONE_SIDE if stripe[p] == home[piece[p]] else 0.0
+        elif a < 0 or b < 0:
+            settled = _ONE_SIDE if stripe[p] == max(a, b) else 0.0
+        else:
+            here = (stripe[p] == a and not belt[p, 0]) or (stripe[p] == b and not belt[p, 1])
+            still = (belt[p, 0] and line[p] == a) or (belt[p, 1] and line[p] == b)
+            settled = _ONE_SIDE if here and not still else 0.0
+        found[p] = settled
+    return found
+
+
+def claimed(pieces: Pieces, stripe: Integers, stripes: int) -> Integers:
+    """Give (peak,) stripes, with the one that its piece has elsewhere for peaks that are none.
+
+    A piece that is a stripe on some lines, and left out on others, was left out for the sake of another: one
+    of the two is wrong. Ends, which may hold two stripes, claim nothing.
+
+    Parameters
+    ----------
+    pieces
+        Of traces.
+    stripe
+        (peak,) stripe, below 0 for none.
+    stripes
+        Number of stripes.
+    """
+    coded = stripe >= 0
+    votes = np.bincount(pieces.of[coded] * stripes + stripe[coded], minlength=pieces.rest.size * stripes)
+    votes = votes.reshape(-1, stripes)
+    enough = (votes.max(axis=1) >= _CLAIM_PEAKS) & (pieces.rest != ENDS)
+    claim = np.where(enough, votes.argmax(axis=1), -1)
+    return np.where(coded, stripe, claim[pieces.of])
+
+
+@kernel
+def out_of_order(entries: Entries, row: Integers, on_line: Integers, stripe: Integers, stripes: int) -> Flags:
+    """Mark coded peaks that stand out of order on an epipolar line, or share a stripe with another in a row.
+
+    A stripe may be seen twice in a row, on the belt and, displaced, on the product; there is place for one,
+    so the belt's is marked.
+
+    Parameters
+    ----------
+    entries
+        On the lines.
+    row, on_line, stripe
+        (peak,) row; rest line it lies on, −1 for none; stripe, below 0 for none.
+    stripes
+        Number of stripes.
+    """
+    start, peak = entries.start, entries.peak
+    wrong = np.zeros(stripe.shape[0], np.bool_)
+    for e in range(start.shape[0] - 1):
+        last = -1
+        for i in range(start[e], start[e + 1]):
+            p = peak[i]
+            if stripe[p] < 0:
+                continue
+            if last >= 0 and last != p and stripe[last] >= stripe[p]:
+                wrong[last] = wrong[p] = True
+            last = p
+    holder = np.full(stripes, -1, np.int64)
+    for p in range(stripe.shape[0]):
+        s = stripe[p]
+        if s < 0 or wrong[p]:
+            continue
+        q = holder[s]
+        if q >= 0 and row[q] == row[p]:
+            one, other = on_line[q] == s, on_line[p] == s
+            wrong[q] = wrong[q] or one or not other
+            wrong[p] = wrong[p] or other or not one
+            if wrong[p] and not wrong[q]:
+                continue
+        holder[s] = p
+    return wrong
+
+
+def may_be_level(
+    entries: Entries, candidates: Candidates, pieces: Pieces, best: Integers, costs: PairCosts,
+    weights: Weights, there: Floats, row: Integers,
+) -> Flags:  # fmt: skip
+    """Mark (peak,) belt that may as well be a level body's, where that goes on for some rows along a piece.
+
+    Parameters
+    ----------
+    entries, candidates, pieces, costs, weights
+        The graph.
+    best
+        (entry,) chosen node.
+    there
+        (stripe,) how surely a stripe is there at all: what gives no light is no stripe that is not seen.
+    row
+        (peak,) row, sorted.
+    """
+    found = _level_instead(entries, candidates, pieces.line, best, costs, weights, there)
+    return np.asarray(on_end(row, pieces.of, found, _LEVEL_ROWS, _FLICKER_ROWS))
+
+
+def nearly_belt(peaks: Peaks, stripe: Integers, rest: RestLines) -> Flags:
+    """Mark (peak,) what lies so near its stripe's rest line that it could hide nothing."""
+    spacing_px = np.median(np.diff(rest.x_px, axis=0)) if rest.x_px.shape[0] > 1 else np.inf
+    away_px = np.abs(peaks.x_px - rest.x_px[np.maximum(stripe, 0), peaks.row])
+    return np.asarray((stripe >= 0) & (away_px < HIDING_SPACINGS * spacing_px))
+
+
+def left_over(piece: Integers, stripe: Integers, kept: Integers, share_min: float) -> Flags:
+    """Mark coded peaks of pieces of which most others were refused: the doubt is the whole piece's.
+
+    Parameters
+    ----------
+    piece
+        (peak,) piece of its trace.
+    stripe, kept
+        (peak,) stripe before and after refusing, below 0 for none.
+    share_min
+        Share of a piece's peaks that must be left.
+    """
+    before, after = np.bincount(piece, stripe >= 0), np.bincount(piece, kept >= 0)
+    return np.asarray((kept >= 0) & (after < share_min * before)[piece])
+
+
+def going_on(row: Integers, along: Integers, asked: Flags, doubted: Flags, gap_rows: int) -> Flags:
+    """Mark (peak,) those asked that go on, along a stripe or a trace, from one in doubt.
+
+    Parameters
+    ----------
+    row, along
+        (peak,) row; stripe or trace.
+    asked, doubted
+        (peak,) what may be marked; and where doubt begins.
+    gap_rows
+        Over a longer gap nothing goes on, rows.
+    """
+    which = np.flatnonzero(asked)
+    which = which[np.lexsort((row[which], along[which]))]
+    apart = (np.diff(along[which], prepend=-1) != 0) | (np.diff(row[which], prepend=0) > gap_rows + 1)
+    group = np.cumsum(apart)
+    found = np.zeros(row.size, np.bool_)
+    found[which] = np.bincount(group, weights=doubted[which])[group] > 0.0
+    return found
+
+
+@kernel
+def _level_instead(
+    entries: Entries, candidates: Candidates, on_line: Integers, best: Integers, costs: PairCosts,
+    weights: Weights, there: Floats,
+) -> Flags:  # fmt: skip
+    """Mark (peak,) belt, and what goes on from it, that could be a body's, some stripes on, hardly dearer.
+
+    Where stripes are not seen beside a body, the next ones, one or several, are taken for the neighbours'
+    stripes on a level body: those that are not seen are then on its other side. Some of them lie on their
+    rest lines, the others may be bodies already.
+    """
+    start, peak = entries.start, entries.peak
+    low, count, offset = candidates.low, candidates.many, candidates.offset
+    height, label_mm = candidates.height, candidates.label_mm
+    found = np.zeros(on_line.shape[0], np.bool_)
+    kept = np.empty(peak.shape[0], np.int64)
+    stripe = np.empty(peak.shape[0], np.int64)
+    for e in range(start.shape[0] - 1):
+        size = 0
+        for i in range(start[e], start[e + 1]):
+            k = best[i] - offset[i]
+            if k < count[i]:
+                kept[size], stripe[size] = i, low[i] + k
+                size += 1
+        for by in (-1, 1):
+            for n in range(size):
+                j = n + by  # on the side that the stripes would move to, and off the belt
+                if not 0 <= j < size or (stripe[n] - stripe[j]) * -by < 2:
+                    continue
+                if on_line[peak[kept[j]]] == stripe[j] or not _any_there(there, stripe[n], stripe[j]):
+                    continue
+                for to in range(by, stripe[j] - stripe[n], by):
+                    cost, m, belts = 0.0, n, 0
+                    while True:
+                        p = kept[m]
+                        belts += on_line[peak[p]] == stripe[m]
+                        k = stripe[m] + to - low[p]
+                        if k < 0 or k >= count[p]:
+                            break
+                        node = offset[p] + k
+                        if height[node] < _HIGH_SHARE * label_mm[node]:
+                            break
+                        i = m - by  # the next stripe on the other side
+                        other = to if m != n else 0
+                        cost += _side(
+                            e, m, m + by, to, other, kept, stripe, size, entries, candidates, costs, weights
+                        )
+                        ended = cost + _side(
+                            e, m, i, to, 0, kept, stripe, size, entries, candidates, costs, weights
+                        )
+                        if belts > 0 and ended < _LEVEL_DEARER:
+                            for t in range(min(m, n), max(m, n) + 1):
+                                found[peak[kept[t]]] = True
+                        if not 0 <= i < size or (stripe[i] - stripe[m]) * -by != 1:
+                            break
+                        m = i
+    return found
+
+
+@kernel
+def _side(
+    e: int, m: int, j: int, to: int, to_other: int, kept: Integers, stripe: Integers, size: int,
+    entries: Entries, candidates: Candidates, costs: PairCosts, weights: Weights,
+) -> float:  # fmt: skip
+    """What it changes, towards neighbour j or the image's border there, that m is moved to another stripe."""
+    low, offset, before, after = candidates.low, candidates.offset, costs.before, costs.after
+    p = kept[m]
+    k = stripe[m] - low[p]
+    if j < 0:
+        return float(weights.unseen * (before[offset[p] + k + to] - before[offset[p] + k]))
+    if j >= size:
+        return float(weights.unseen * (after[offset[p] + k + to] - after[offset[p] + k]))
+    h = stripe[j] - low[kept[j]]
+    first = entries.start[e]
+    if j < m:
+        was = _pair(e, kept[j], p, h, k, first, candidates.many, costs, weights)
+        now = _pair(e, kept[j], p, h + to_other, k + to, first, candidates.many, costs, weights)
+    else:
+        was = _pair(e, p, kept[j], k, h, first, candidates.many, costs, weights)
+        now = _pair(e, p, kept[j], k + to, h + to_other, first, candidates.many, costs, weights)
+    return float(now - was)
+
+
+@kernel
+def _pair(
+    e: int, q: int, p: int, h: int, k: int, first: int, count: Integers, costs: PairCosts, weights: Weights
+) -> float:
+    """Cost of two neighbours on line e, of their hth and kth possible stripe."""
+    if p - q > _LOOK_BACK:
+        return _BROKEN
+    n, at = costs.pair_start[e], p - first
+    whole = min(at, _LOOK_BACK)
+    n += whole * (whole - 1) // 2 + max(at - _LOOK_BACK, 0) * _LOOK_BACK
+    n += q - max(first, p - _LOOK_BACK)
+    c = costs.pair[n, 2] + k * count[q] + h
+    return float(min(weights.surface * costs.surface[c] + weights.unseen * costs.unseen[c], _BROKEN))
+
+
+@kernel
+def _any_there(there: Floats, one: int, other: int) -> bool:
+    """Say whether light of any stripe between two is there at all."""
+    return bool((there[min(one, other) + 1 : max(one, other)] > 0.0).any())
+
+
+@kernel
+def on_end(row: Integers, piece: Integers, found: Flags, rows_min: int, rows_between: int) -> Flags:
+    """Mark (peak,) what was found on so many rows of its piece on end.
+
+    Parameters
+    ----------
+    row, piece
+        (peak,) row, in increasing order; piece of its trace.
+    found
+        (peak,) what is asked.
+    rows_min
+        Fewer rows are as many as a break along a stripe may have.
+    rows_between
+        So many rows between may be missing.
+    """
+    last = np.full(piece.max() + 1, -(rows_between + 2), np.int64)
+    run_of = np.full(piece.max() + 1, -1, np.int64)
+    run, first = np.full(row.shape[0], -1, np.int64), np.empty(row.shape[0], np.int64)
+    length = np.zeros(row.shape[0], np.int64)
+    runs = 0
+    for p in range(row.shape[0]):
+        f = piece[p]
+        if not found[p]:
+            continue
+        if row[p] - last[f] > rows_between + 1:
+            run_of[f], first[runs] = runs, row[p]
+            runs += 1
+        run[p], last[f] = run_of[f], row[p]
+        length[run[p]] = row[p] - first[run[p]] + 1
+    kept = np.zeros(row.shape[0], np.bool_)
+    for p in range(row.shape[0]):
+        kept[p] = run[p] >= 0 and length[run[p]] >= rows_min
+    return kept
