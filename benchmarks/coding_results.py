@@ -18,8 +18,8 @@ from benchmarks.coded.products import in_view
 from benchmarks.coded.scoring import verdicts
 from roemetry.errors import StageError
 from roemetry.records import StripeMap
-from roemetry.registry import discover
 from roemetry.stages import Coder
+from roemetry.stages.registry import discover
 from roemetry_simulate.solid import Solid
 from roemetry_tools.compare.points import nearest
 

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from roemetry import Pipeline, Recipe
-from roemetry.dataset import Dataset
+from roemetry.config.dataset import Dataset
 from roemetry.records import ProductTruth
 from roemetry.records.trace import ProductTrace
 from roemetry_tools.compare.matching import by_place

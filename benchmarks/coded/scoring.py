@@ -7,8 +7,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from benchmarks.coded.samples import Sample
-from roemetry.arrays import Integers
 from roemetry.records import AMBIGUOUS, StripeMap
+from roemetry.records.arrays import Integers
 from roemetry_tools.compare.coding import longest_run
 from roemetry_tools.compare.points import REACH_PX, nearest
 

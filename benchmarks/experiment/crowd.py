@@ -15,7 +15,7 @@ from benchmarks.grading.words import ends, share, table
 from benchmarks.traced.causes import CAUSES
 from benchmarks.traced.shown import STRIPES
 from benchmarks.traced.tables import Row
-from roemetry.pages import svg
+from roemetry.html import plots as svg
 from roemetry_tools.compare.bootstrap import Bootstrap, mean_of
 
 KINDS = ("none", "dented", "several-dents", "bent", "s-bent", "twisted", "folded", "broken")

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from roemetry.arrays import Floats
 from roemetry.records import EDGE, SATURATED, Frame, Peaks
+from roemetry.records.arrays import Floats
 from roemetry_kernels.extraction.grey_levels import grey, plain_layout, scaled_level
 from roemetry_kernels.extraction.half_seen import middles_of_half_seen, what_is_odd
 from roemetry_kernels.extraction.image_noise import automatic_rise

@@ -10,8 +10,8 @@ from typing import ClassVar
 import numpy as np
 from pydantic import Field, field_validator
 
-from roemetry.arrays import Floats, Integers
 from roemetry.records import Reason, StripeMap
+from roemetry.records.arrays import Floats, Integers
 from roemetry.stages import Smoother, StageOptions
 
 _OF_SECOND_DIFFERENCE = 0.6745 * math.sqrt(6.0)  # median size of white noise's second differences

@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from roemetry.arrays import Floats, Integers
+from roemetry.records.arrays import Floats, Integers
 
 TILES = (4, 12)
 """Rows and columns of tiles that the image is cut into; each has a speckle contrast of its own."""

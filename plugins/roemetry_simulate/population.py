@@ -8,8 +8,8 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from roemetry.config.validation import unknown_key
 from roemetry.errors import MisfitError
-from roemetry.validation import unknown_key
 from roemetry_simulate.group import lying_together
 from roemetry_simulate.placing import check_in_view, in_reach
 from roemetry_simulate.products import PRODUCTS, Drawn, ProductFamily, ProductOptions

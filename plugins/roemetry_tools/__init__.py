@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from roemetry.hookspecs import VerbEntry, hookimpl
+from roemetry.stages.hookspecs import VerbEntry, hookimpl
 
 
 @hookimpl

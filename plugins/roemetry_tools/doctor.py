@@ -16,11 +16,11 @@ from pathlib import Path
 from typing import Literal
 
 from roemetry.errors import RoemetryError
-from roemetry.hookspecs import PROJECT
+from roemetry.io.shipped import shipped
 from roemetry.records import Measurement
-from roemetry.registry import Registry, discover
-from roemetry.runnable import Recipe
-from roemetry.shipped import shipped
+from roemetry.run.api import Recipe
+from roemetry.stages.hookspecs import PROJECT
+from roemetry.stages.registry import Registry, discover
 
 Row = tuple[float, float, float, str]
 """Visible volume (mm³), weight (g), largest height (mm), grade; NaN and "" where there is none."""

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roemetry.arrays import Floats, Integers
+from roemetry.records.arrays import Floats, Integers
 
 _LENGTH_MM = 5.0
 _HEIGHT_STD_MM = 0.1

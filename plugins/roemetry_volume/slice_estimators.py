@@ -7,9 +7,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from roemetry.arrays import Floats
 from roemetry.errors import StageError
 from roemetry.records import Estimate, Product, Shares, Volume
+from roemetry.records.arrays import Floats
 from roemetry.stages import Capabilities, VolumeEstimator
 from roemetry_volume.slice_doubts import reasons_of
 from roemetry_volume.slice_ends import Cap, cap_of

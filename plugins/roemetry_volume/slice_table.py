@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from roemetry.arrays import Floats, Integers
 from roemetry.errors import StageError
 from roemetry.records import Product, Profiles
+from roemetry.records.arrays import Floats, Integers
 from roemetry_volume.slice_kernels import slice_kernels
 
 LEAST_SLICES = 3

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roemetry.arrays import Floats
+from roemetry.records.arrays import Floats
 from roemetry_volume.rim import StripePoints
 
 _LEVEL_SHARE, _TILT_SHARE = (

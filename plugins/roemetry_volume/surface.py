@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from roemetry.arrays import Floats, Integers
+from roemetry.records.arrays import Floats, Integers
 
 CELL_MM = 2.5
 STIFFNESS = 0.1

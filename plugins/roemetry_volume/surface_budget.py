@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from roemetry.arrays import Floats
-from roemetry.view import View
+from roemetry.records.arrays import Floats
+from roemetry.records.view import View
 from roemetry_volume.fusing import LONG_AXIS, Fused
 from roemetry_volume.surface import plate_through, without_slice
 

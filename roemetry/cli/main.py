@@ -35,13 +35,13 @@ from roemetry.cli import (
 from roemetry.errors import FAULTS, PluginError, RoemetryError
 
 if TYPE_CHECKING:
-    from roemetry.hookspecs import VerbEntry
+    from roemetry.stages.hookspecs import VerbEntry
 
 
 @cache
 def plugin_verbs() -> dict[str, VerbEntry]:
     """Return what plugins add to the command line, by name; a core verb cannot be replaced."""
-    from roemetry.registry import discover
+    from roemetry.stages.registry import discover
 
     return {verb.name: verb for verb in discover().verbs}
 

@@ -19,7 +19,7 @@ from pydantic.fields import FieldInfo
 from typer.models import ArgumentInfo, OptionInfo
 
 from roemetry.cli.main import app, load_verb, plugin_verbs
-from roemetry.recipe_file import NEEDS, RecipeFile, SensorFile, SourceChoice, StageChoice, StageChoices
+from roemetry.config.recipe_file import NEEDS, RecipeFile, SensorFile, SourceChoice, StageChoice, StageChoices
 
 _BLOCK = re.compile(r"(<!-- from the code: (.+?) -->\n)(.*?)(<!-- to here -->)", flags=re.DOTALL)
 # what a help text says of a value that is left out; `--help` shows it at the end

@@ -16,15 +16,15 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from roemetry.calibrating import Chart, Check, Quantity, calibration_doubts, chart_page
-from roemetry.calibrating.block_check import find_block, read_block
-from roemetry.calibrating.control_chart import judged
+from roemetry.calibrate import Chart, Check, Quantity, calibration_doubts, chart_page
+from roemetry.calibrate.block_check import find_block, read_block
 from roemetry.cli.check_calibration import show
 from roemetry.cli.main import app
+from roemetry.config.recipe import Recipe
 from roemetry.errors import DataError, OutputError
-from roemetry.recipe import Recipe
 from roemetry.records import Block, Reason
-from roemetry.runner import run_recipe
+from roemetry.run.batch import run_recipe
+from roemetry.run.control_chart import judged
 from roemetry.testing.scenes import LinearRig
 from roemetry_paper.block_linear import BlockLinear
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from roemetry.calibrating import evidence_page
-from roemetry.calibrating.evidence import _seen_at, correlations, coverage, height_uncertainty
+from roemetry.calibrate import evidence_page
+from roemetry.calibrate.evidence import _seen_at, correlations, coverage, height_uncertainty
 from roemetry.cli.main import app
 from roemetry.records import Evidence, EvidenceFigure, Residuals
 from roemetry.testing.scenes import LinearRig

@@ -10,7 +10,7 @@ import typer
 from pydantic_core import PydanticUndefined
 
 from roemetry.cli.main import app
-from roemetry.registry import discover
+from roemetry.stages.registry import discover
 
 ROOT = Path(__file__).resolve().parents[2]
 REFERENCE = ROOT / "docs" / "reference"

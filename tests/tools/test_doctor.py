@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from roemetry.cli.main import app
-from roemetry.registry import Broken, Provider, Registry, discover
+from roemetry.stages.registry import Broken, Provider, Registry, discover
 from roemetry_tools import doctor
 from roemetry_tools.doctor import KNOWN_NUMBERS, Finding, examine
 

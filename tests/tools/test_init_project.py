@@ -13,9 +13,9 @@ from typer.testing import CliRunner
 
 from roemetry import Recipe, run_recipe
 from roemetry.cli.main import app
+from roemetry.config.rig import Rig
+from roemetry.config.scene import Scene
 from roemetry.errors import ConfigurationError, RoemetryError
-from roemetry.rig import Rig
-from roemetry.scene import Scene
 from roemetry_tools.init_project import Answers, Layout, lay_out, shipped_lines, start_like, start_own
 from roemetry_tools.init_project.folder import texts_of
 from roemetry_tools.init_project.product_lines import COPIED, copied

@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 
 from roemetry.errors import ConfigurationError, OutputError
-from roemetry.hookspecs import KINDS
-from roemetry.registry import Provider, Registered, discover
+from roemetry.io.yaml_source import parse
+from roemetry.stages.hookspecs import KINDS
+from roemetry.stages.registry import Provider, Registered, discover
 from roemetry.testing import conformance
-from roemetry.yaml_source import parse
 from roemetry_tools.init_plugin import TEMPLATES, new_plugin
 
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from roemetry.arrays import Floats
+from roemetry.records.arrays import Floats
 from roemetry_kernels.compiling import kernel
 from roemetry_kernels.extraction.local_least_squares import functional, nearest, too_much, variance_of
 from roemetry_kernels.extraction.stripe_breaks import highest_step, leave_outliers_out

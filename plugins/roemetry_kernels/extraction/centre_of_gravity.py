@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from roemetry.arrays import Floats
+from roemetry.records.arrays import Floats
 from roemetry.records.peaks import EDGE
 from roemetry_kernels.compiling import float_kernel, inlined
 from roemetry_kernels.extraction.influence import PIXELS_MAX, variance_of

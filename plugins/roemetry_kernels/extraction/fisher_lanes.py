@@ -6,7 +6,7 @@ the compiler needs to see that lanes do not depend on each other.
 
 from __future__ import annotations
 
-from roemetry.arrays import Floats
+from roemetry.records.arrays import Floats
 from roemetry_kernels.compiling import kernel
 
 LANES = 16

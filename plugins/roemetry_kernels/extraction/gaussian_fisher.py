@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from roemetry.arrays import Floats, Integers
+from roemetry.records.arrays import Floats, Integers
 from roemetry_kernels.compiling import kernel
 from roemetry_kernels.extraction import fisher_lanes as at
 from roemetry_kernels.extraction.fisher_lanes import LANES, centre_variance, normal_sums, steps

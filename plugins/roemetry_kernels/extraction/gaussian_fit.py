@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from roemetry.arrays import Floats
+from roemetry.records.arrays import Floats
 from roemetry_kernels.compiling import float_kernel, inlined
 from roemetry_kernels.extraction.influence import LAGS, PIXELS_MAX, bell, fading
 from roemetry_kernels.extraction.lane_steps import copied

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from roemetry.arrays import Floats
+from roemetry.records.arrays import Floats
 from roemetry_kernels.compiling import inlined
 from roemetry_kernels.extraction.stripe_scan import Pixels
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from roemetry.arrays import Flags, Floats
+from roemetry.records.arrays import Flags, Floats
 from roemetry_kernels.compiling import float_kernel, inlined
 from roemetry_kernels.ranking import nth_smallest
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from roemetry.arrays import Floats
+from roemetry.records.arrays import Floats
 from roemetry_kernels.compiling import kernel
 
 _CORRELATED = 4.0  # lengths beyond which errors count as independent

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from roemetry.arrays import Floats, Integers
+from roemetry.records.arrays import Floats, Integers
 from roemetry_kernels.compiling import kernel
 from roemetry_kernels.extraction.local_least_squares import functional, nearest, too_much, variance_of
 

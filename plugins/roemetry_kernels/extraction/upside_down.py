@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from roemetry.arrays import Floats
+from roemetry.records.arrays import Floats
 from roemetry.records.reasons import Reason
 from roemetry_kernels.extraction.image_noise import RISE_MIN
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from roemetry.arrays import Floats, Integers, Labels
+from roemetry.records.arrays import Floats, Integers, Labels
 from roemetry_kernels.compiling import kernel
 from roemetry_kernels.volume.slice_areas import AREA, AT, FIRST_ROW, LAST_ROW, TOP, WALL, WIDTH
 from roemetry_kernels.volume.slice_rules import short_of

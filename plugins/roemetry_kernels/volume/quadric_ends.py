@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from roemetry.arrays import Flags, Floats, Integers, Labels
+from roemetry.records.arrays import Flags, Floats, Integers, Labels
 from roemetry_kernels.compiling import float_kernel
 from roemetry_kernels.volume.quadric_shadow import shadow_of
 from roemetry_kernels.volume.slice_areas import AREA, AT, COUNT, FIRST_ROW, LAST_ROW, TOP, WIDTH

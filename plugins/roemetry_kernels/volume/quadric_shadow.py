@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from roemetry.arrays import Floats
+from roemetry.records.arrays import Floats
 from roemetry_kernels.compiling import float_kernel
 
 _LINES = 16

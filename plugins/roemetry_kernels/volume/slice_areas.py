@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from roemetry.arrays import Flags, Floats, Integers, Labels
+from roemetry.records.arrays import Flags, Floats, Integers, Labels
 from roemetry_kernels.compiling import float_kernel
 
 AT, AREA, SEEN, BRIDGED, FILLED, WIDTH, HOLE, TOP, LOW, COUNT, FIRST_ROW, LAST_ROW, CLEFT, LOOSE = range(14)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from roemetry.arrays import Floats, Integers, Labels
+from roemetry.records.arrays import Floats, Integers, Labels
 from roemetry_kernels.compiling import float_kernel
 from roemetry_kernels.volume.slice_areas import AT, FIRST_ROW, LAST_ROW, WALL, WIDTH
 

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from roemetry.arrays import Floats
-from roemetry.recipe import Recipe
+from roemetry.config.recipe import Recipe
 from roemetry.records import ProductTruth, Reason
+from roemetry.records.arrays import Floats
 from roemetry_tools.compare.agreement import Beside
 from roemetry_tools.compare.centres import CentreScore
 from roemetry_tools.compare.coding import CodingScore

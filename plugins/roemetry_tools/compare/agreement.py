@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roemetry.arrays import Floats
+from roemetry.records.arrays import Floats
 from roemetry_tools.compare.bootstrap import NO_INTERVAL, Bootstrap, Interval, mean_of
 
 EQUIVALENT, DIFFERENT, UNDECIDED = "equivalent", "different", "undecided"

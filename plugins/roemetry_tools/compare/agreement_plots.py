@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from markupsafe import Markup
 
-from roemetry.pages import svg
+from roemetry.html import plots as svg
 from roemetry_tools.compare.agreement import Agreement, Beside
 from roemetry_tools.compare.grading import Reliability
 from roemetry_tools.compare.plots import DOTS_MAX, colour

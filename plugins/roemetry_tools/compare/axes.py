@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from roemetry.config.recipe_file import RecipeFile, SourceChoice, StageChoices
+from roemetry.config.validation import unknown_key
 from roemetry.errors import ConfigurationError, PluginError
-from roemetry.recipe_file import RecipeFile, SourceChoice, StageChoices
-from roemetry.registry import Registry
-from roemetry.validation import unknown_key
+from roemetry.stages.registry import Registry
 
 KINDS = tuple(StageChoices.model_fields)
 """Kinds of stage that can be varied, in the order of the chain."""

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roemetry.arrays import Floats
+from roemetry.records.arrays import Floats
 
 RESAMPLES = 2000
 LEVEL = 0.95

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from roemetry.arrays import Flags, Floats, Integers
 from roemetry.records import Peaks, StripeTruth
+from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_tools.compare.points import REACH_PX, nearest
 
 _BINS = 3000

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from roemetry.arrays import Flags
 from roemetry.records import AMBIGUOUS, Peaks, StripeMap, StripeTruth
+from roemetry.records.arrays import Flags
 from roemetry_tools.compare.points import nearest
 
 

@@ -9,12 +9,12 @@ from dataclasses import dataclass, field
 from itertools import islice
 from multiprocessing import get_context
 
-from roemetry.dataset import Dataset
+from roemetry.config.dataset import Dataset
+from roemetry.config.recipe import Recipe
 from roemetry.errors import RoemetryError
-from roemetry.pipeline import Pipeline
-from roemetry.recipe import Recipe
 from roemetry.records import Acquisition, Reason, Truth
-from roemetry.remembering import RememberedStages, StepMemory
+from roemetry.run.pipeline import Pipeline
+from roemetry.run.stage_cache import RememberedStages, StepMemory
 from roemetry_tools.compare.aggregate import Figures, Tally
 from roemetry_tools.compare.agreement import Terms
 from roemetry_tools.compare.data import Data, Unit, as_taken, changed_file, labelled

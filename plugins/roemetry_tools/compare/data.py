@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from roemetry.dataset import DESCRIPTION, ITEMS, STRIPES, Dataset, Item
+from roemetry.config.dataset import DESCRIPTION, ITEMS, STRIPES, Dataset, Item
+from roemetry.config.recipe import Recipe
 from roemetry.errors import DataError
-from roemetry.files import sha256_of
-from roemetry.recipe import Recipe
+from roemetry.io.files import sha256_of
 from roemetry.records import Acquisition, AcquisitionReference, ProductTruth, Sensor, Truth
 
 

@@ -8,9 +8,9 @@ from typing import Any
 
 from markupsafe import Markup
 
-from roemetry.pages.svg import plain, share
-from roemetry.pages.templating import environment_of
-from roemetry.yaml_source import dump
+from roemetry.html.page import environment_of
+from roemetry.html.plots import plain, share
+from roemetry.io.yaml_source import dump
 from roemetry_tools.compare import page_agreement, plots
 from roemetry_tools.compare.aggregate import QUANTITIES
 from roemetry_tools.compare.comparison import Compared

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from markupsafe import Markup
 
-from roemetry.arrays import Floats
-from roemetry.pages import svg
+from roemetry.html import plots as svg
+from roemetry.records.arrays import Floats
 from roemetry_tools.compare.aggregate import Pairs, columns_of
 from roemetry_tools.compare.statistics import Errors, relative_pct
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from roemetry.arrays import Floats, Integers
 from roemetry.records import Frame, Reason, StripeTruth
+from roemetry.records.arrays import Floats, Integers
 
 REACH_PX = 3.0
 """Farther than this from a stripe's true centre, px, a point is not taken for a point of that stripe."""

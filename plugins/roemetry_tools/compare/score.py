@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from roemetry.measuring import measurements_of
-from roemetry.recipe import Recipe
+from roemetry.config.recipe import Recipe
 from roemetry.records import Measurement, ProductTruth, Reason, StripeTruth, Trace, Truth
-from roemetry.remembering import StepMemory
+from roemetry.run.rows import measurements_of
+from roemetry.run.stage_cache import StepMemory
 from roemetry_tools.compare.centres import CentreScore, score_centres
 from roemetry_tools.compare.coding import CodingScore, score_coding
 from roemetry_tools.compare.matching import by_place

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from roemetry.arrays import Floats
+from roemetry.records.arrays import Floats
 
 NOT_GRADED = "(none)"
 """Stands where a product has a true class, and got none."""

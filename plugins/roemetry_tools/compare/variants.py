@@ -9,11 +9,11 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+from roemetry.config.recipe import Recipe
+from roemetry.config.validation import unknown_key
 from roemetry.errors import ConfigurationError, PluginError, RoemetryError
-from roemetry.recipe import Recipe
-from roemetry.registry import Registry
 from roemetry.stages import Stage
-from roemetry.validation import unknown_key
+from roemetry.stages.registry import Registry
 from roemetry_tools.compare.axes import Axis, read_axes
 
 AS_IT_IS = "recipe"

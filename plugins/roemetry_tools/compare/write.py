@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from roemetry.errors import OutputError
-from roemetry.files import LineFile, make_folder, write_whole
+from roemetry.io.files import LineFile, make_folder, write_whole
 from roemetry_tools.compare.aggregate import Figures, estimates_of
 from roemetry_tools.compare.agreement import Terms
 from roemetry_tools.compare.bootstrap import RESAMPLES

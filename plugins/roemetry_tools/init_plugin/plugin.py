@@ -10,9 +10,9 @@ from pathlib import Path
 from string import Template
 
 from roemetry.errors import ConfigurationError, OutputError
-from roemetry.files import make_folder, write_whole
-from roemetry.hookspecs import KINDS
-from roemetry.registry import Registry
+from roemetry.io.files import make_folder, write_whole
+from roemetry.stages.hookspecs import KINDS
+from roemetry.stages.registry import Registry
 
 _HERE = Path(__file__).parent / "templates"
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from roemetry.errors import OutputError
-from roemetry.files import make_folder, write_whole
+from roemetry.io.files import make_folder, write_whole
 from roemetry_tools.init_project.answers import Answers, Layout, lay_out
 from roemetry_tools.init_project.product_lines import copied, line_of
 
@@ -170,8 +170,8 @@ def _write(folder: Path, texts: Mapping[str, str]) -> tuple[Path, ...]:
 def _simulate(
     folder: Path, items: int, views: Any, jobs: int, on_progress: Callable[[int, int], None]
 ) -> None:
-    from roemetry.scene import Scene
-    from roemetry.simulating import simulate
+    from roemetry.config.scene import Scene
+    from roemetry.run.simulate import simulate
 
     scene = Scene.load(folder)
     simulate(
@@ -186,8 +186,8 @@ def _simulate(
 
 
 def _calibrate(folder: Path) -> Path:
-    from roemetry.calibrating import calibrate, default_path
-    from roemetry.rig import Rig
+    from roemetry.calibrate import calibrate, default_path
+    from roemetry.config.rig import Rig
 
     rig = Rig.load(folder / "rig.yaml")
     path = default_path(rig)

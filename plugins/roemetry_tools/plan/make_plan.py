@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from roemetry.config.scene import Scene
 from roemetry.errors import PluginError
 from roemetry.records import Plan
-from roemetry.registry import Registry, discover
-from roemetry.scene import Scene
+from roemetry.stages.registry import Registry, discover
 
 
 def plan_of(scene: Scene, *, simulate: bool, registry: Registry | None = None) -> Plan:

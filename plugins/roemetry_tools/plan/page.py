@@ -5,11 +5,11 @@ from __future__ import annotations
 from datetime import datetime
 from importlib.metadata import version
 
-from roemetry.pages.svg import plain
-from roemetry.pages.templating import environment_of
+from roemetry.config.scene import Scene
+from roemetry.html.page import environment_of
+from roemetry.html.plots import plain
+from roemetry.io.yaml_source import dump
 from roemetry.records import Plan, PlanFigure
-from roemetry.scene import Scene
-from roemetry.yaml_source import dump
 from roemetry_tools.plan.plots import COLOURS, curves_plot, map_plot, side_view
 
 _DIGITS = {"mm/px": 3, "mm": 1, "µm": 0, "degrees": 1, "1": 0}

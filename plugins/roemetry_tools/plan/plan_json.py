@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from roemetry.arrays import Floats
 from roemetry.records import Plan, PlanColumn
+from roemetry.records.arrays import Floats
 
 
 def as_plain(plan: Plan) -> dict[str, Any]:

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 from markupsafe import Markup
 
-from roemetry.arrays import Floats
-from roemetry.pages.svg import Axis, box, dot, line, number, picture, plain, shape, text
+from roemetry.html.plots import Axis, box, dot, line, number, picture, plain, shape, text
 from roemetry.records import PlanCurves, PlanMap, PlanShape
+from roemetry.records.arrays import Floats
 
 COLOURS = ("#0d689c", "#d98a12", "#2c8a5f", "#8a6fd1")
 

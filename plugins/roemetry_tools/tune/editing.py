@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from roemetry.errors import ConfigurationError
-from roemetry.yaml_source import Step, parse
+from roemetry.io.yaml_source import Step, parse
 from roemetry_tools.tune.yaml_nodes import Entry, entries_of, node_at, scalar_spans
 
 _PLAIN = re.compile(r"[A-Za-z_./][\w./ -]*")

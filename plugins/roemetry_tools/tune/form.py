@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from roemetry.config.recipe import Recipe
+from roemetry.config.recipe_file import NEEDS, SourceChoice
 from roemetry.errors import RoemetryError
-from roemetry.recipe import Recipe
-from roemetry.recipe_file import NEEDS, SourceChoice
-from roemetry.registry import Registered, Registry
+from roemetry.stages.registry import Registered, Registry
 from roemetry_tools.tune.editing import inline
 from roemetry_tools.tune.fields import as_plain, fields_of
 from roemetry_tools.tune.request import KINDS, stages_of

@@ -10,9 +10,9 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from roemetry.config.recipe_file import SourceChoice, StageChoices
 from roemetry.errors import ConfigurationError
-from roemetry.recipe_file import SourceChoice, StageChoices
-from roemetry.yaml_source import Step, parse
+from roemetry.io.yaml_source import Step, parse
 
 KINDS = tuple(StageChoices.model_fields)
 """Kinds of stage in the order of the chain."""

@@ -12,16 +12,16 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from roemetry.calibration import Calibration
+from roemetry.config.recipe import Recipe
 from roemetry.errors import ConfigurationError, RoemetryError
-from roemetry.files import write_bytes
-from roemetry.measuring import measurements_of
-from roemetry.pipeline import Pipeline, frame_of
-from roemetry.recipe import Recipe
+from roemetry.io.files import write_bytes
+from roemetry.io.yaml_source import parse
 from roemetry.records import Acquisition, AcquisitionReference, Frame, Trace
-from roemetry.registry import Registry, discover
-from roemetry.remembering import RememberedStages, StepMemory
-from roemetry.yaml_source import parse
+from roemetry.records.calibration import Calibration
+from roemetry.run.pipeline import Pipeline, frame_of
+from roemetry.run.rows import measurements_of
+from roemetry.run.stage_cache import RememberedStages, StepMemory
+from roemetry.stages.registry import Registry, discover
 from roemetry_tools.tune.annotations import places_of
 from roemetry_tools.tune.editing import differences, edited
 from roemetry_tools.tune.form import form_of

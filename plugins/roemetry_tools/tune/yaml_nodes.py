@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from roemetry.yaml_source import Step
+from roemetry.io.yaml_source import Step
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ import typer
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from roemetry.recipe import Recipe
+    from roemetry.config.recipe import Recipe
     from roemetry_tools.compare.agreement import Terms
     from roemetry_tools.compare.between import Beside
     from roemetry_tools.compare.comparison import Compared
@@ -92,10 +92,10 @@ def compare(
     Exit code: 0 all compared; 1 a variant could not be made or measured nothing (its row says why); 2 the
     recipe, the data set or the command line is wrong.
     """
+    from roemetry.calibrate.known_products import read_labels
     from roemetry.errors import ConfigurationError
-    from roemetry.files import write_whole
-    from roemetry.known_products import read_labels
-    from roemetry.registry import discover
+    from roemetry.io.files import write_whole
+    from roemetry.stages.registry import discover
     from roemetry_tools.compare.agreement import Terms
     from roemetry_tools.compare.between import between, to_csv
     from roemetry_tools.compare.variants import make_variants

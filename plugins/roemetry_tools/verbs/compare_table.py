@@ -9,7 +9,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
-from roemetry.pages.svg import share
+from roemetry.html.plots import share
 from roemetry_tools.compare.between import Beside
 from roemetry_tools.compare.comparison import Compared
 from roemetry_tools.compare.tables import Value, flat

@@ -20,7 +20,7 @@ def new_plugin(
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
     """Write an installable plugin package: a working stage, and tests of the contract of its kind."""
-    from roemetry.registry import discover
+    from roemetry.stages.registry import discover
     from roemetry_tools.init_plugin import new_plugin as written
 
     for file in written(name, kind, out, discover()):

@@ -51,8 +51,8 @@ def plan(
     import shlex
     from datetime import UTC, datetime
 
-    from roemetry.files import make_folder, write_whole
-    from roemetry.scene import Scene
+    from roemetry.config.scene import Scene
+    from roemetry.io.files import make_folder, write_whole
     from roemetry_tools.plan.make_plan import plan_of
     from roemetry_tools.plan.page import page
     from roemetry_tools.plan.plan_json import as_plain
@@ -101,7 +101,7 @@ def _figures(name: str, plan: Plan) -> Table:
 def _table(given: PlanTable) -> Table:
     from rich.table import Table
 
-    from roemetry.pages.svg import plain
+    from roemetry.html.plots import plain
 
     table = Table(title=given.title, title_justify="left", box=None)
     shown = given.columns[:_CHECKED]

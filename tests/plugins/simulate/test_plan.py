@@ -8,9 +8,9 @@ import pytest
 from typer.testing import CliRunner
 
 from roemetry.cli.main import app
+from roemetry.config.scene import Scene
 from roemetry.errors import ConfigurationError, PluginError, StageError
-from roemetry.registry import Registry, discover
-from roemetry.scene import Scene
+from roemetry.stages.registry import Registry, discover
 from roemetry_simulate.camera import looking_down
 from roemetry_simulate.laser import fan_through
 from roemetry_simulate.plan_check import simulated_scatter

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from roemetry.records import Frame, Peaks
-from roemetry.registry import Registry, discover
+from roemetry.stages.registry import Registry, discover
 from roemetry_paper.dominant_peak import DominantPeak
 from roemetry_paper.zero_order_hold import ZeroOrderHold
 from roemetry_tools.compare.comparison import Compared, compare

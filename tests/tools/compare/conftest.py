@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 
 from roemetry.cli.main import main
-from roemetry.dataset import DatasetWriter, Description, Item, save_stripes
-from roemetry.hookspecs import StageEntry
-from roemetry.pipeline import Pipeline
-from roemetry.recipe import Recipe
+from roemetry.config.dataset import DatasetWriter, Description, Item, save_stripes
+from roemetry.config.recipe import Recipe
 from roemetry.records import Acquisition, Frame, ProductTruth, StripeTruth
-from roemetry.registry import Registered, Registry, discover
+from roemetry.run.pipeline import Pipeline
+from roemetry.stages.hookspecs import StageEntry
+from roemetry.stages.registry import Registered, Registry, discover
 
 sys.path.insert(0, str(Path(__file__).parent))
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest, t
 
-from roemetry.pages.svg import share
+from roemetry.html.plots import share
 from roemetry_tools.compare.agreement import (
     Beside,
     Terms,

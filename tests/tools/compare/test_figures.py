@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from comparing_lines import COUNT, Counting, compared
 
-from roemetry.dataset import Item
+from roemetry.config.dataset import Item
 from roemetry.records import Acquisition, Frame
-from roemetry.registry import Registry, discover
+from roemetry.stages.registry import Registry, discover
 from roemetry_tools.compare.comparison import compare
 from roemetry_tools.compare.data import Data, as_taken
 from roemetry_tools.compare.tables import flat

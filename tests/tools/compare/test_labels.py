@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from roemetry.calibrate.known_products import read_labels
 from roemetry.errors import DataError
-from roemetry.known_products import read_labels
-from roemetry.registry import discover
+from roemetry.stages.registry import discover
 from roemetry_tools.compare.comparison import compare
 from roemetry_tools.compare.data import Data, labelled
 from roemetry_tools.compare.variants import make_variants

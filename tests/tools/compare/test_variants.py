@@ -9,7 +9,7 @@ import pytest
 from comparing_lines import names
 
 from roemetry.errors import ConfigurationError
-from roemetry.registry import discover
+from roemetry.stages.registry import discover
 from roemetry_tools.compare.variants import Variant, make_variants
 
 

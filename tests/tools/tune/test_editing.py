@@ -10,7 +10,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from roemetry.errors import ConfigurationError
-from roemetry.yaml_source import parse
+from roemetry.io.yaml_source import parse
 from roemetry_tools.tune.editing import differences, edited, inline
 from roemetry_tools.tune.request import value_of
 

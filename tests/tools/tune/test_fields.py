@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import pytest
 from pydantic import BaseModel, Field
 
-from roemetry.registry import discover
+from roemetry.stages.registry import discover
 from roemetry_tools.tune.fields import as_plain, fields_of
 from roemetry_tools.tune.request import KINDS
 

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 import pytest
 
-from roemetry.yaml_source import read
+from roemetry.io.yaml_source import read
 from roemetry_tools.tune.server import LOOPBACK, app_of
 from roemetry_tools.tune.session import Session
 

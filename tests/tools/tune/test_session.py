@@ -11,11 +11,11 @@ import cv2
 import numpy as np
 import pytest
 
+from roemetry.config.recipe import Recipe
 from roemetry.errors import ConfigurationError, DataError, OutputError
-from roemetry.measuring import measurements_of
-from roemetry.pipeline import Pipeline
-from roemetry.recipe import Recipe
 from roemetry.records import AMBIGUOUS, SATURATED
+from roemetry.run.pipeline import Pipeline
+from roemetry.run.rows import measurements_of
 from roemetry_tools.tune.protocol import packed, unpacked
 from roemetry_tools.tune.request import StageWish, Wish
 from roemetry_tools.tune.session import Session
