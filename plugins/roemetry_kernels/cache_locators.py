@@ -12,7 +12,7 @@ from typing import Any
 
 from numba.core.caching import InTreeCacheLocator, UserProvidedCacheLocator, UserWideCacheLocator
 
-from roemetry_kernels.compiling import digest
+from roemetry_kernels.source_digest import digest
 
 
 class _AllSources:

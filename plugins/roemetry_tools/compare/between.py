@@ -13,7 +13,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from roemetry_tools.compare.comparison import Compared
+from roemetry_tools.compare.ranking import Compared
 from roemetry_tools.compare.tables import Value, flat
 
 FIGURES = (

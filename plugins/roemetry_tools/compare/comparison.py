@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
-from dataclasses import dataclass, field
 from itertools import islice
 from multiprocessing import get_context
 
@@ -15,40 +14,12 @@ from roemetry.errors import RoemetryError
 from roemetry.records import Acquisition, Reason, Truth
 from roemetry.run.pipeline import Pipeline
 from roemetry.run.stage_cache import RememberedStages, StepMemory
-from roemetry_tools.compare.aggregate import Figures, Tally
+from roemetry_tools.compare.aggregate import Tally
 from roemetry_tools.compare.agreement import Terms
 from roemetry_tools.compare.data import Data, Unit, as_taken, changed_file, labelled
-from roemetry_tools.compare.ranking import Standing, standing_of
+from roemetry_tools.compare.ranking import Compared, standing_of
 from roemetry_tools.compare.score import Judged, judge, unreadable
 from roemetry_tools.compare.variants import Variant
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Compared:
-    """A variant and what it came to.
-
-    Attributes
-    ----------
-    variant
-        What it is.
-    figures
-        None where it could not even be made: `Variant.fault` says why.
-    standing
-        How it agrees with the truth and with the recipe as it is.
-    """
-
-    variant: Variant
-    figures: Figures | None
-    standing: Standing = field(default_factory=Standing)
-
-    @property
-    def failure(self) -> str:
-        """Why it has nothing to show; "" where it has."""
-        if self.figures is None:
-            return self.variant.fault
-        if not self.figures.failed:
-            return ""
-        return f"no acquisition was measured: {self.figures.causes[0].text}"
 
 
 def compare(

@@ -13,7 +13,7 @@ from roemetry.html.plots import plain, share
 from roemetry.io.yaml_source import dump
 from roemetry_tools.compare import page_agreement, plots
 from roemetry_tools.compare.aggregate import QUANTITIES
-from roemetry_tools.compare.comparison import Compared
+from roemetry_tools.compare.ranking import Compared
 from roemetry_tools.compare.tables import STEPS, flat
 
 SCATTERS_MAX = 12

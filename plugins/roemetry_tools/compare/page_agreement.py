@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from roemetry_tools.compare import agreement_plots
-from roemetry_tools.compare.comparison import Compared
+from roemetry_tools.compare.ranking import Compared
 
 PLOTS_MAX = 12
 """So many variants have plots of their own."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 from roemetry_tools.compare.aggregate import QUANTITIES, Figures
 from roemetry_tools.compare.agreement import (
@@ -25,9 +24,7 @@ from roemetry_tools.compare.grading import (
     recalls_of,
     reliability_of,
 )
-
-if TYPE_CHECKING:
-    from roemetry_tools.compare.comparison import Compared
+from roemetry_tools.compare.variants import Variant
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +56,34 @@ class Standing:
     balanced_interval: Interval = NO_INTERVAL
     balanced_shift: Shift | None = None
     reliability: Reliability | None = None
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Compared:
+    """A variant and what it came to.
+
+    Attributes
+    ----------
+    variant
+        What it is.
+    figures
+        None where it could not even be made: `Variant.fault` says why.
+    standing
+        How it agrees with the truth and with the recipe as it is.
+    """
+
+    variant: Variant
+    figures: Figures | None
+    standing: Standing = field(default_factory=Standing)
+
+    @property
+    def failure(self) -> str:
+        """Why it has nothing to show; "" where it has."""
+        if self.figures is None:
+            return self.variant.fault
+        if not self.figures.failed:
+            return ""
+        return f"no acquisition was measured: {self.figures.causes[0].text}"
 
 
 def standing_of(own: Figures | None, base: Figures | None, terms: Terms) -> Standing:

@@ -13,9 +13,8 @@ from roemetry_tools.compare.agreement import Shift
 from roemetry_tools.compare.bootstrap import Interval
 from roemetry_tools.compare.centres import CentreScore
 from roemetry_tools.compare.coding import CodingScore
-from roemetry_tools.compare.comparison import Compared
 from roemetry_tools.compare.grading import Reliability
-from roemetry_tools.compare.ranking import Standing
+from roemetry_tools.compare.ranking import Compared, Standing
 from roemetry_tools.compare.statistics import Errors
 
 Value = float | int | str | None

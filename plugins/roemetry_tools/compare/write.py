@@ -18,10 +18,9 @@ from roemetry.io.files import LineFile, make_folder, write_whole
 from roemetry_tools.compare.aggregate import Figures, estimates_of
 from roemetry_tools.compare.agreement import Terms
 from roemetry_tools.compare.bootstrap import RESAMPLES
-from roemetry_tools.compare.comparison import Compared
 from roemetry_tools.compare.data import Data
 from roemetry_tools.compare.grading import Reliability
-from roemetry_tools.compare.ranking import Standing, choices_of
+from roemetry_tools.compare.ranking import Compared, Standing, choices_of
 from roemetry_tools.compare.score import Judged, Pair
 from roemetry_tools.compare.tables import GROUPS, centre_figures, coding_shares, to_csv
 from roemetry_tools.compare.variants import Variant

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from roemetry.config.recipe import Recipe
     from roemetry_tools.compare.agreement import Terms
     from roemetry_tools.compare.between import Beside
-    from roemetry_tools.compare.comparison import Compared
+    from roemetry_tools.compare.ranking import Compared
     from roemetry_tools.compare.variants import Variant
 
 

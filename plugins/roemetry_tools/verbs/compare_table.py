@@ -11,7 +11,7 @@ from rich.text import Text
 
 from roemetry.html.plots import share
 from roemetry_tools.compare.between import Beside
-from roemetry_tools.compare.comparison import Compared
+from roemetry_tools.compare.ranking import Compared
 from roemetry_tools.compare.tables import Value, flat
 
 _MEASURED = (

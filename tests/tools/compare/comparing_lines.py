@@ -9,8 +9,9 @@ from roemetry.records import Frame, Peaks
 from roemetry.stages.registry import Registry, discover
 from roemetry_paper.dominant_peak import DominantPeak
 from roemetry_paper.zero_order_hold import ZeroOrderHold
-from roemetry_tools.compare.comparison import Compared, compare
+from roemetry_tools.compare.comparison import compare
 from roemetry_tools.compare.data import Data
+from roemetry_tools.compare.ranking import Compared
 from roemetry_tools.compare.variants import Variant, make_variants
 
 COUNT = 3
