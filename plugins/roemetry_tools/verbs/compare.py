@@ -34,8 +34,8 @@ def compare(
         list[Path] | None,
         typer.Option(
             "--data",
-            help="A data set with truth; all of its items are measured; left out: where the images are; may "
-            "stand several times: their figures are set side by side.",
+            help="A data set with truth; all of its items are measured; may stand several times: their "
+            "figures are set side by side; left out: where the images are.",
         ),
     ] = None,
     labels: Annotated[
