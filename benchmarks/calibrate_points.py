@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from roemetry.arrays import Floats
+from roemetry.records.arrays import Floats
 from roemetry_pinhole.bundle import Adjusted, Problem, Weights, adjust, inverse
 from roemetry_pinhole.conformance import Shown, SimulatedRig, noisy, shown
 from roemetry_pinhole.frames import belt_pose

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from roemetry.arrays import Flags, Integers
 from roemetry.records import AMBIGUOUS, Peaks
+from roemetry.records.arrays import Flags, Integers
 from roemetry_kernels.coding.ordering import doubtful_by_order
 from roemetry_kernels.coding.tracing import cut_at_rest_lines
 

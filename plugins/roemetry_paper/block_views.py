@@ -19,9 +19,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roemetry.arrays import Flags, Floats, Integers
 from roemetry.errors import CalibrationError, StageError
 from roemetry.records import CalibrationSet, Observation, Peaks
+from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_kernels.coding.rest_lines import rest_lines_of_frame
 from roemetry_kernels.coding.tracing import trace_fragments
 from roemetry_paper.whole_pixels import centres, is_whole

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from roemetry.arrays import Floats, Integers
+from roemetry.records.arrays import Floats, Integers
 from roemetry.records.peaks import EDGE, SATURATED
 from roemetry_kernels.compiling import kernel
 from roemetry_kernels.image_levels import plain_layout

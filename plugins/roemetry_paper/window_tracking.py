@@ -20,10 +20,10 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from roemetry.arrays import Flags, Floats, Integers
-from roemetry.calibration import Calibration
 from roemetry.errors import StageError
 from roemetry.records import AMBIGUOUS, UNCODED, Peaks, Reason, StripeMap
+from roemetry.records.arrays import Flags, Floats, Integers
+from roemetry.records.calibration import Calibration
 from roemetry.stages import Coder
 from roemetry_kernels.coding.bridging import BridgingOptions, bridged
 from roemetry_kernels.coding.consistency import drop_doubles, keep_order, refuse_unexplained_gaps

@@ -17,8 +17,8 @@ from typing import ClassVar
 import numpy as np
 from pydantic import Field, field_validator
 
-from roemetry.arrays import Floats, Integers
 from roemetry.records import Reason, StripeMap
+from roemetry.records.arrays import Floats, Integers
 from roemetry.stages import Smoother, StageOptions
 from roemetry_kernels.compiling import kernel
 

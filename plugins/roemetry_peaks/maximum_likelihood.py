@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from roemetry.arrays import Flags, Floats, Integers
 from roemetry.records import EDGE, SATURATED, Frame, Peaks, Reason
+from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.stages import Capabilities, Extractor, StageOptions
 from roemetry_kernels.image_levels import grey, plain_layout, scaled_level
 from roemetry_peaks.clipped_tops import middles_of_flanks

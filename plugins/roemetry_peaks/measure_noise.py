@@ -16,9 +16,9 @@ import numpy as np
 
 from roemetry import Recipe
 from roemetry.errors import DataError, RoemetryError
-from roemetry.files import write_whole
-from roemetry.preparing import prepare
+from roemetry.io.files import write_whole
 from roemetry.records import Frame
+from roemetry.run.preprocess import prepare
 from roemetry_peaks.maximum_likelihood import (
     MaximumLikelihood,
     MaximumLikelihoodOptions,

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from roemetry.arrays import Floats
+from roemetry.records.arrays import Floats
 from roemetry_kernels.compiling import float_kernel, inlined
 from roemetry_kernels.image_levels import outshone, usual_height
 from roemetry_peaks.peak_scan import WORD, Places

@@ -39,8 +39,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from roemetry.arrays import Flags, Floats, Integers
 from roemetry.records import EDGE, SATURATED, Reason
+from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_kernels.compiling import kernel
 from roemetry_peaks.local_background import neighbours
 from roemetry_peaks.smoothed_peaks import background_noise

@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from roemetry.arrays import Flags, Floats
 from roemetry.records import Board, CalibrationSet, Frame, Observation, Peaks
+from roemetry.records.arrays import Flags, Floats
 from roemetry_pinhole.board_diagnostics import (
     NEARER,
     SHARPER,

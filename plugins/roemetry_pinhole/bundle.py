@@ -26,8 +26,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from roemetry.arrays import Flags, Floats, Integers
 from roemetry.errors import CalibrationError
+from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_kernels.compiling import kernel
 from roemetry_pinhole.equations import (
     ON_BELT,

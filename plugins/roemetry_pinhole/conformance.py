@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from roemetry.arrays import Floats
-from roemetry.calibration import Calibration
 from roemetry.records import Board, CalibrationSet, Frame, Observation, Peaks
+from roemetry.records.arrays import Floats
+from roemetry.records.calibration import Calibration
 from roemetry_pinhole.equations import (
     ON_BELT,
     Corners,

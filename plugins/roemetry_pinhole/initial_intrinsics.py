@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from roemetry.arrays import Flags, Floats
 from roemetry.errors import CalibrationError
+from roemetry.records.arrays import Flags, Floats
 from roemetry_pinhole.boards import BoardView, Seen
 from roemetry_pinhole.bundle import adjust
 from roemetry_pinhole.equations import Corners, Feet, StripePoints

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from roemetry.arrays import Floats
 from roemetry.errors import CalibrationError, DataError
 from roemetry.records import CalibrationSet
+from roemetry.records.arrays import Floats
 from roemetry_pinhole.bundle import Adjusted, Measured
 from roemetry_pinhole.equations import Corners, Feet
 from roemetry_pinhole.geometry import CAMERA, Geometry, undistort, unknowns_of

@@ -32,8 +32,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from roemetry.arrays import Flags, Floats, Integers
 from roemetry.errors import CalibrationError
+from roemetry.records.arrays import Flags, Floats, Integers
 
 _TOLERANCE_SHARE = 0.2
 """Of the spacing of neighbouring lines: distance at which a line no longer votes. A wrong plane collects

@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 
-from roemetry.arrays import Floats
-from roemetry.calibration import Calibration
 from roemetry.errors import StageError
 from roemetry.records import Profiles, StripeMap
+from roemetry.records.arrays import Floats
+from roemetry.records.calibration import Calibration
+from roemetry.records.view import View
 from roemetry.stages import Capabilities, StageOptions, Triangulator
-from roemetry.view import View
 from roemetry_kernels.compiling import float_kernel
 from roemetry_pinhole.frames import belt_pose, camera_of, planes_in_belt_frame, view_of
 

@@ -19,10 +19,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roemetry.arrays import Flags, Floats, Integers
-from roemetry.calibration import Calibration
 from roemetry.errors import CalibrationError
 from roemetry.records import EDGE, WIDE, CalibrationSet, Observation, Peaks, SpherePlate
+from roemetry.records.arrays import Flags, Floats, Integers
+from roemetry.records.calibration import Calibration
 from roemetry_pinhole.bundle import Adjusted, Measured
 from roemetry_pinhole.equations import ON_BELT, Feet, StripePoints
 from roemetry_pinhole.frames import belt_pose, camera_of, parameters_of

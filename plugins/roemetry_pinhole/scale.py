@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 
-from roemetry.arrays import Floats
-from roemetry.calibration import Calibration
 from roemetry.errors import CalibrationError
 from roemetry.records import Board, CalibrationSet, Peaks, Ruler
+from roemetry.records.arrays import Floats
+from roemetry.records.calibration import Calibration
 from roemetry_pinhole.frames import belt_pose, camera_of, lines_at_height, parameters_of
 from roemetry_pinhole.from_solids import solids_in
 from roemetry_pinhole.geometry import undistort

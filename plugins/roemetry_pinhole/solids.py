@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from roemetry.arrays import Flags, Floats, Integers
 from roemetry.errors import CalibrationError
 from roemetry.records import EDGE, WIDE, Block, Observation, Pyramid, Staircase
+from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_pinhole.frames import belt_pose
 from roemetry_pinhole.geometry import turned, undistort
 

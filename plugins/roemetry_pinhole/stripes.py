@@ -20,9 +20,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from roemetry.arrays import Flags, Floats, Integers
 from roemetry.errors import CalibrationError
 from roemetry.records import EDGE, WIDE, Board, Observation, Peaks
+from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_pinhole.boards import on_board, on_even_print
 from roemetry_pinhole.equations import ON_BELT, StripePoints
 from roemetry_pinhole.geometry import undistort

@@ -21,10 +21,10 @@ from typing import Any
 
 import numpy as np
 
-from roemetry.arrays import Floats, Integers
-from roemetry.calibration import Calibration
 from roemetry.errors import CalibrationError
 from roemetry.records import Evidence, EvidenceFigure, Residuals
+from roemetry.records.arrays import Floats, Integers
+from roemetry.records.calibration import Calibration
 from roemetry_pinhole.bundle import Adjusted, Measured, chosen
 from roemetry_pinhole.equations import ON_BELT, Feet, StripePoints, corner_residuals
 from roemetry_pinhole.frames import belt_pose

@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from roemetry.arrays import Floats, Integers
 from roemetry.errors import DataError
 from roemetry.records import Fitted, Samples
+from roemetry.records.arrays import Floats, Integers
 from roemetry_shape.good_reference import GOOD_MIN, fit_reference, lower_bound
 from roemetry_shape.learned import LEFT_OUT, VERSION, Forest, LearnedModel, temperature_scale
 from roemetry_shape.novelty import excess_norm, seen_classes

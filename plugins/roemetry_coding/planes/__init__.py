@@ -24,10 +24,10 @@ from itertools import pairwise
 import numpy as np
 from pydantic import Field
 
-from roemetry.arrays import Integers
-from roemetry.calibration import Calibration
 from roemetry.errors import StageError
 from roemetry.records import Peaks, Reason, StripeMap
+from roemetry.records.arrays import Integers
+from roemetry.records.calibration import Calibration
 from roemetry.stages import Coder
 from roemetry_coding.planes.decide import decided, margin_of, verdicts_of
 from roemetry_coding.planes.lines import epipolar_lines

@@ -27,9 +27,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from roemetry.arrays import Floats, Integers
-from roemetry.calibration import Calibration
 from roemetry.records import Peaks
+from roemetry.records.arrays import Floats, Integers
+from roemetry.records.calibration import Calibration
 from roemetry_coding.planes.graph import (
     WEIGHTS,
     Candidates,

@@ -158,7 +158,7 @@ def test_a_stripe_on_one_board_alone_is_named(rng) -> None:
 
 
 def test_a_known_camera_is_taken_as_it_is(observed, tmp_path) -> None:
-    from roemetry.camera_file import write_camera
+    from roemetry.records.camera_file import write_camera
 
     made = PinholeCalibrator().calibrate(observed)
     path = tmp_path / "camera.yaml"
