@@ -14,12 +14,12 @@ from pathlib import Path
 
 import numpy as np
 
-from roemetry.arrays import Floats
-from roemetry.calibrating import observe
+from roemetry.records.arrays import Floats
+from roemetry.calibrate import observe
 from roemetry.records import Board, Frame
-from roemetry.registry import discover
-from roemetry.rig import Rig
-from roemetry.yaml_source import dump
+from roemetry.stages.registry import discover
+from roemetry.config.rig import Rig
+from roemetry.io.yaml_source import dump
 from roemetry_pinhole.board_diagnostics import BoardNotFound
 from roemetry_pinhole.boards import BoardView, Seen, board_views, find_marks
 from roemetry_pinhole.bundle import Adjusted, adjust

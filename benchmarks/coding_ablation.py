@@ -20,8 +20,8 @@ import numpy as np
 
 from benchmarks import coded
 from benchmarks.outside.reading import Crossings, read_crossings, read_rig, rig_folders, true_calibration
-from roemetry.calibration import Calibration
-from roemetry.compare.points import nearest
+from roemetry.records.calibration import Calibration
+from roemetry_tools.compare.points import nearest
 from roemetry.errors import StageError
 from roemetry.records import Frame, Peaks
 from roemetry_coding.planes import Planes, decide, graph, shifts, solve

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from roemetry.arrays import Flags, Floats
+from roemetry.records.arrays import Flags, Floats
 from roemetry.errors import DataError
 from roemetry.records import Frame
 from roemetry.records.reasons import Reason

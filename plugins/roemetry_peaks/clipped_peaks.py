@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from roemetry.arrays import Floats
+from roemetry.records.arrays import Floats
 from roemetry.records.peaks import EDGE, SATURATED
 from roemetry_kernels.compiling import float_kernel, inlined, kernel
 from roemetry_peaks.peak_scan import Area, Pixels

@@ -10,7 +10,7 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from roemetry.arrays import Floats
+from roemetry.records.arrays import Floats
 from roemetry.records import Frame, Peaks
 from roemetry.records.peaks import EDGE
 from roemetry.stages import Capabilities, Extractor, StageOptions

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roemetry.arrays import Floats, Integers
+from roemetry.records.arrays import Floats, Integers
 from roemetry_pinhole.geometry import CAMERA, Bend, Distorted, Geometry, Unknowns, crossed, distort, undistort
 
 _BENT_ROUNDS = 3

@@ -9,16 +9,16 @@ from pathlib import Path
 
 import numpy as np
 
-from roemetry.arrays import Flags, Floats
-from roemetry.calibrating.control_chart import Chart, Check, Quantity, judge
-from roemetry.calibration import Calibration
+from roemetry.records.arrays import Flags, Floats
+from roemetry.run.control_chart import Chart, Check, Quantity, judge
+from roemetry.records.calibration import Calibration
 from roemetry.errors import ConfigurationError, DataError
-from roemetry.files import sha256_of
-from roemetry.pipeline import Pipeline
-from roemetry.recipe import Recipe
+from roemetry.io.files import sha256_of
+from roemetry.run.pipeline import Pipeline
+from roemetry.config.recipe import Recipe
 from roemetry.records import BELT, Acquisition, AcquisitionReference, Block, Profiles, Trace
-from roemetry.target_file import read_block as block_in_file
-from roemetry.view import View
+from roemetry.config.target_file import read_block as block_in_file
+from roemetry.records.view import View
 
 _REDRAWS = 100
 """A standard deviation of 100 draws is uncertain by 7 %."""
@@ -92,7 +92,7 @@ def trace_of(recipe: Recipe, image: Path) -> Trace:
 
 
 def _read(image: Path) -> Acquisition:
-    from roemetry.registry import discover
+    from roemetry.stages.registry import discover
 
     registry = discover()
     source = registry.load(registry.find("source", "image-files"))()

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from roemetry.calibrating import (
+from roemetry.calibrate import (
     Chart,
     Check,
     Quantity,
@@ -29,9 +29,9 @@ from roemetry.calibrating import (
 from roemetry.cli.check_calibration import show
 from roemetry.cli.main import app
 from roemetry.errors import DataError, OutputError
-from roemetry.recipe import Recipe
+from roemetry.config.recipe import Recipe
 from roemetry.records import Block, Reason
-from roemetry.runner import run_recipe
+from roemetry.run.batch import run_recipe
 from roemetry.testing.scenes import LinearRig
 from roemetry_paper.block_linear import BlockLinear
 
