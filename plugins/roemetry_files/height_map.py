@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from roemetry.arrays import Floats
 from roemetry.records import Profiles, Trace
+from roemetry.records.arrays import Floats
 from roemetry.stages import Run, Sink, StageOptions
 from roemetry_files.per_acquisition import write_each
 

@@ -10,9 +10,9 @@ from typing import Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from roemetry.arrays import Floats
 from roemetry.errors import RoemetryError
-from roemetry.files import make_folder, write_bytes, write_whole
+from roemetry.io.files import make_folder, write_bytes, write_whole
+from roemetry.records.arrays import Floats
 from roemetry.stages import Run, Sink
 from roemetry_open3d.meshing import Mesh, mesh_of, open3d
 from roemetry_open3d.sheet import Sheet, sheet_of

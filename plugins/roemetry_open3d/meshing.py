@@ -12,8 +12,8 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from roemetry.arrays import Floats, Integers
 from roemetry.errors import StageError
+from roemetry.records.arrays import Floats, Integers
 from roemetry_open3d.sheet import Sheet
 
 Method = Literal["poisson", "ball-pivoting", "alpha-shape"]

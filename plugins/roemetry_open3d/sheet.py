@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roemetry.arrays import Flags, Floats
 from roemetry.errors import StageError
 from roemetry.records import Product, Reason
+from roemetry.records.arrays import Flags, Floats
 
 _COLUMNS = 64
 _EDGE_PX = 0.5

@@ -9,9 +9,9 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from roemetry.arrays import Floats
 from roemetry.errors import StageError
 from roemetry.records import Estimate, Product, Reason, Shares, Volume
+from roemetry.records.arrays import Floats
 from roemetry.stages import Capabilities, StageOptions, VolumeEstimator
 from roemetry_open3d.meshing import Method, mesh_of
 from roemetry_open3d.sheet import Sheet, sheet_of

@@ -11,7 +11,6 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from roemetry.arrays import Flags, Floats
 from roemetry.records import (
     AMBIGUOUS,
     BELT,
@@ -23,8 +22,9 @@ from roemetry.records import (
     Shares,
     StripeMap,
 )
+from roemetry.records.arrays import Flags, Floats
+from roemetry.records.units import MM3_PER_CM3, NOT_STATED
 from roemetry.stages import Run
-from roemetry.units import MM3_PER_CM3, NOT_STATED
 from roemetry_report import svg
 from roemetry_report.charts import share_bar
 from roemetry_report.words import budget, interval, percent, plain, uncertainty, value

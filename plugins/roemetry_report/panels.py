@@ -11,8 +11,8 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from roemetry.arrays import Flags, Floats
 from roemetry.records import AMBIGUOUS, BELT, UNCODED, Frame, Marks, Outline, Peaks, StripeMap, Trace
+from roemetry.records.arrays import Flags, Floats
 from roemetry_report import palette, svg
 from roemetry_report.svg import Box
 from roemetry_report.words import counted

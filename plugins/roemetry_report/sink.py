@@ -9,9 +9,9 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from pydantic import Field
 
-from roemetry.files import write_whole
+from roemetry.io.files import write_whole
+from roemetry.io.yaml_source import dump
 from roemetry.stages import Run, Sink, StageOptions
-from roemetry.yaml_source import dump
 from roemetry_report.overview import CLASSES, ROWS_MAX, grade_pill, overview, row_of
 from roemetry_report.section import section
 from roemetry_report.words import breakable, clause, counted, milliseconds, when

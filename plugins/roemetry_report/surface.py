@@ -12,8 +12,8 @@ from itertools import pairwise
 import numpy as np
 from markupsafe import Markup
 
-from roemetry.arrays import Flags, Floats, Integers
 from roemetry.records import Profiles, Relief, ReliefMap, ReliefRegion
+from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_report import palette, svg
 from roemetry_report.panels import Panel
 from roemetry_report.svg import Box

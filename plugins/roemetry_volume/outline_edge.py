@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roemetry.arrays import Flags, Floats
+from roemetry.records.arrays import Flags, Floats
 from roemetry_volume.outline_image import SMOOTHED_PX
 from roemetry_volume.outline_kink import along_normals, beside, kinked, normals_of, rounded
 from roemetry_volume.silhouette import area_of, evenly
@@ -157,7 +157,7 @@ def _widely(level: Floats, ring: Floats, belt: Flags, reach_px: tuple[float, flo
     """Move a ring to the sharpest closed edge before the belt's stripes."""
     import cv2
 
-    from roemetry_kernels.volume.closed_contour import closed_path
+    from roemetry_volume.closed_contour import closed_path
 
     outwards, inwards = reach_px
     # only what lies within reach is looked at
@@ -197,7 +197,7 @@ def _narrowly(level: Floats, ring: Floats) -> Floats:
     """
     import cv2
 
-    from roemetry_kernels.volume.closed_contour import closed_path
+    from roemetry_volume.closed_contour import closed_path
 
     normal = normals_of(ring)
     off = np.arange(-_NARROW_PX, _NARROW_PX + _STEP_PX, _STEP_PX)
@@ -216,7 +216,7 @@ def _narrowly(level: Floats, ring: Floats) -> Floats:
 
 def _steepest(light: Floats, ring: Floats, stripes: Flags) -> Floats:
     """Move a ring along its normals to where light changes most."""
-    from roemetry_kernels.volume.closed_contour import closed_path
+    from roemetry_volume.closed_contour import closed_path
 
     normal = normals_of(ring)
     off = np.arange(-_NARROW_PX, _NARROW_PX + _STEP_PX, _STEP_PX)

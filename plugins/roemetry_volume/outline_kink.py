@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roemetry.arrays import Flags, Floats
+from roemetry.records.arrays import Flags, Floats
 from roemetry_volume.silhouette import area_of, evenly
 
 _REACH_PX = 5.0
@@ -63,7 +63,7 @@ def kinked(level: Floats, ring: Floats, blur_px: float, stripes: Flags | None = 
     stripes
         (row, column) True where the image tells nothing: normals that begin there follow their neighbours.
     """
-    from roemetry_kernels.volume.closed_contour import closed_path
+    from roemetry_volume.closed_contour import closed_path
 
     normal = normals_of(ring)
     off, places, residual = _model(blur_px)

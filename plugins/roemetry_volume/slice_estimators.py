@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
+from pydantic import Field
 
-from roemetry.arrays import Floats
 from roemetry.errors import StageError
-from roemetry.records import Estimate, Product, Shares, Volume
+from roemetry.records import Estimate, Product, Reason, Shares, Volume
+from roemetry.records.arrays import Floats
 from roemetry.stages import Capabilities, VolumeEstimator
-from roemetry_volume.slice_doubts import reasons_of
-from roemetry_volume.slice_ends import Cap, cap_of
-from roemetry_volume.slice_kernels import slice_kernels
-from roemetry_volume.slice_options import SliceOptions, SliceSumOptions
-from roemetry_volume.slice_table import Slices, slices_of
-from roemetry_volume.underside import estimate_of, true_volume
+from roemetry_volume import slice_rules as rules
+from roemetry_volume.common_error import common_height_std_mm
+from roemetry_volume.slice_ends import Cap, Ends, cap_of
+from roemetry_volume.slice_table import FILLED, HOLE, LOW, Slices, slices_of
+from roemetry_volume.underside import UndersideOptions, estimate_of, true_volume
 
 # chosen so that 95 % intervals hold the truth as often as they say: docs/reference/plugins/slice-pchip.md
 _BETWEEN = 0.38  # of what leaving a slice out changes: with it, the gap is half as wide
@@ -26,6 +27,24 @@ _LOOSE = 1.0 / math.sqrt(3.0)  # of what is bridged beyond a slice's seen points
 _OVER_GAP = 0.1  # of what a straight line fills: a dome rises over it by some tenth
 _Known = tuple[tuple[float, float], tuple[float, float]]
 _IN_HOLE = 1.0 / math.sqrt(3.0)  # of what a straight line over a hole would hold: it may not be empty
+
+
+class SliceOptions(UndersideOptions):
+    """Options of estimators from slices."""
+
+    ends: Ends = Field(
+        default="taper",
+        description="beyond the outer slices: by their taper, or their area held half a spacing, or nothing",
+    )
+
+
+class SliceSumOptions(SliceOptions):
+    """Options of the plain sum."""
+
+    ends: Ends = Field(
+        default="hold",
+        description="beyond the outer slices: by their taper, or their area held half a spacing, or nothing",
+    )
 
 
 class _SliceEstimator(VolumeEstimator[SliceOptions]):
@@ -52,7 +71,6 @@ class _SliceEstimator(VolumeEstimator[SliceOptions]):
         StageError
             Fewer than three stripes lie on the product, or a plane runs along X, or the sum is not positive.
         """
-        rules = slice_kernels().rules
         slices = slices_of(product)
         nan = math.nan
         caps = [cap_of(product, slices, end, self.options.ends) for end in (0, 1)]
@@ -74,6 +92,7 @@ class _SliceEstimator(VolumeEstimator[SliceOptions]):
             "slice ends": _LOOSE * float(slices.loose_mm2 @ slices.held_mm),
             "gaps": gaps_std(slices),
             "ends": math.hypot(caps[0].std_mm3, caps[1].std_mm3),
+            "common height": common_height_std_mm(product) * self._footprint_mm2(slices, caps),
         }
         if rng is not None:
             volume += sum(std * rng.standard_normal() for std in budget.values())
@@ -97,10 +116,13 @@ class _SliceEstimator(VolumeEstimator[SliceOptions]):
     ) -> Estimate | None:
         if self.options.underside == "unknown":
             return None
+        return true_volume(self.options, visible, self._footprint_mm2(slices, caps), rng)
+
+    @staticmethod
+    def _footprint_mm2(slices: Slices, caps: list[Cap]) -> float:
         # two thirds of the rectangle: the width falls at an end as a parabola does
         at_ends = sum(2.0 / 3.0 * one.length_mm * slices.width_mm[-end] for end, one in enumerate(caps))
-        footprint = float((slices.width_mm * slices.held_mm).sum()) + float(at_ends)
-        return true_volume(self.options, visible, footprint, rng)
+        return float((slices.width_mm * slices.held_mm).sum()) + float(at_ends)
 
 
 class SliceSum(_SliceEstimator):
@@ -142,7 +164,6 @@ def _between_std(t_mm: Floats, area_mm2: Floats, slope: Floats, between: float, 
 
     Part of the rule's distance from the spline, which smooth bodies follow more closely, is added.
     """
-    rules = slice_kernels().rules
     smooth: float = rules.between_slices(t_mm, area_mm2, slope, rules.SPLINE, *known)
     return math.hypot(_BETWEEN * rules.unevenness(t_mm, area_mm2), (smooth - between) / _RULES_APART)
 
@@ -159,3 +180,91 @@ def _shares(slices: Slices, caps: list[Cap]) -> Shares:
     seen, joined, assumed = slices.seen_mm3, slices.joined_mm3, slices.assumed_mm3 + beyond
     total = seen + joined + assumed
     return Shares(seen / total, joined / total, assumed / total)
+
+
+_UNSEARCHED_ROWS = 1  # at the image's top and bottom: extractors may leave them out
+_BELOW_MM = 1.0
+
+
+def reasons_of(product: Product, slices: Slices, caps: Sequence[float] = ()) -> tuple[Reason, ...]:
+    """Give the doubts that the slices raise, and what was done about each.
+
+    Parameters
+    ----------
+    product, slices
+        The product and its slices.
+    caps
+        Kinds of the caps at both ends, for estimators that have such.
+    """
+    table, calibration = slices.table, product.calibration
+    reasons = []
+    if slices.missing:
+        many = slices.missing
+        reasons.append(
+            Reason(
+                "dead-stripe",
+                f"{many} {'stripe' if many == 1 else 'stripes'} between others on the product "
+                f"{'shows' if many == 1 else 'show'} nothing; the slices beside were joined over the gap",
+            )
+        )
+    if slices.most_filled_mm2 > 0.0:
+        where = _named(slices.stripe[table[:, FILLED] > 0.0])
+        reasons.append(
+            Reason(
+                "gap-in-slice",
+                f"rows neither seen nor bridged (stripe {where}); joined by a straight line, as interpolated",
+            )
+        )
+    if slices.most_hole_mm > 0.0:
+        hole = table[:, HOLE]
+        reasons.append(
+            Reason(
+                "hole",
+                f"the surface falls away and rises again over up to {hole.max():.1f} mm (stripe "
+                f"{_named(slices.stripe[hole > 0.0])}): a hole, or two products; nothing is counted there",
+            )
+        )
+    if slices.lowest_mm < -_BELOW_MM:
+        low = table[:, LOW]
+        reasons.append(
+            Reason(
+                "below-belt",
+                f"points lie up to {-low.min():.1f} mm below the belt (stripe "
+                f"{_named(slices.stripe[low < -_BELOW_MM])}); they are counted with their sign",
+            )
+        )
+    if (waist := rules.waist(slices.area_mm2)) >= 0:
+        reasons.append(
+            Reason(
+                "waist",
+                f"the slice of stripe {slices.stripe[waist] + 1} has under {rules.WAIST:.0%} of the area on "
+                "both sides of it: perhaps two products that touch, measured as one",
+            )
+        )
+    first, last = slices.rows_px
+    if first <= _UNSEARCHED_ROWS or last >= calibration.image_size[0] - 1 - _UNSEARCHED_ROWS:
+        reasons.append(
+            Reason("cut-by-edge", "the product reaches the image's first or last row; it may go on beyond"),
+        )
+    if any(kind == rules.BLUNT for kind in caps):
+        reasons.append(
+            Reason(
+                "blunt-end",
+                "the outer slices do not taper: the end lies anywhere up to the next stripe, "
+                "and half of that way is counted",
+            )
+        )
+    if not all(slices.limited) and caps:
+        by_taper = not any(kind == rules.NO_CAP for kind in caps)
+        reasons.append(
+            Reason(
+                "beyond-outer-stripes",
+                "the product reaches beyond the outer stripes; what lies beyond "
+                + ("follows the slices' taper" if by_taper else "is not in the number"),
+            )
+        )
+    return tuple(reasons)
+
+
+def _named(stripes: np.ndarray) -> str:
+    return ", ".join(str(int(stripe) + 1) for stripe in stripes)

@@ -10,12 +10,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from roemetry.arrays import Floats
 from roemetry.records import NOTHING, Product, Volume
-from roemetry.units import mm3_to_cm3
-from roemetry_volume.fusing import points_of
+from roemetry.records.arrays import Floats
+from roemetry.records.units import mm3_to_cm3
 from roemetry_volume.rim import StripePoints, ends_of, rim_of
 from roemetry_volume.silhouette import evenly
+from roemetry_volume.surface_fit import points_of
 
 VISIBLE = "visible_cm3"
 _LEVEL = 0.8
@@ -71,7 +71,7 @@ def _by_ends(points: StripePoints) -> dict[str, float]:
 
 
 def _by_rim(product: Product, points: StripePoints, volume: Volume) -> dict[str, float]:
-    from roemetry_kernels.volume.footprint import inside_by
+    from roemetry_volume.footprint import inside_by
 
     if product.outline is None or product.view is None or not volume.visible_mm3.value > 0.0:
         return {}

@@ -13,8 +13,8 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from roemetry.config.validation import unknown_key
 from roemetry.errors import MisfitError
-from roemetry.validation import unknown_key
 from roemetry_simulate.products.artefacts import ARTEFACTS
 from roemetry_simulate.products.family import Drawn, ProductFamily, ProductOptions
 from roemetry_simulate.products.foods import BREAD_ROLL, EGG, FILLET, POTATO

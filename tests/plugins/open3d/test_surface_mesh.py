@@ -12,9 +12,9 @@ import pytest
 
 from roemetry.errors import StageError
 from roemetry.records import Outline, Product
+from roemetry.records.view import View
 from roemetry.testing.scenes import LinearRig
 from roemetry.testing.solids import HALF_CYLINDER, HALF_ELLIPSOID, SPHERICAL_CAP, product_from, product_of
-from roemetry.view import View
 from roemetry_open3d import meshing
 from roemetry_open3d.mesh_files import ASSUMED, BRIDGED, MEASURED, certainty_of, colours, ply, stl
 from roemetry_open3d.meshing import Mesh, mended, mesh_of, open_edges

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from roemetry.records import Product
-from roemetry_volume.fusing import fuse, points_of
+from roemetry_volume.surface_fit import fuse, points_of
 from tests.plugins.volume.test_surface import dome
 
 

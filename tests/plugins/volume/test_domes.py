@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from roemetry.arrays import Floats
 from roemetry.records import Product
+from roemetry.records.arrays import Floats
 from roemetry.testing import LinearRig
 from roemetry.testing.solids import Solid, product_of
-from roemetry_kernels.volume.quadric_shadow import shadow_of
-from roemetry_kernels.volume.slice_rules import PCHIP, between_slices
+from roemetry_volume.quadric_ends import shadow_of
 from roemetry_volume.slice_ends import cap_of
+from roemetry_volume.slice_rules import PCHIP, between_slices
 from roemetry_volume.slice_table import slices_of
-from roemetry_volume.surface import Knots, plate_through
+from roemetry_volume.surface_fit import Knots, plate_through
 
 RIG = LinearRig(rows=200, columns=640, stripes=11, first_px=120.0, spacing_px=40.0, px_per_mm=1.5, fan=0.0)
 

@@ -10,7 +10,7 @@ import pytest
 
 from roemetry.errors import StageError
 from roemetry.records import Frame, StripeMap
-from roemetry_kernels.volume.closed_contour import closed_path
+from roemetry_volume.closed_contour import closed_path
 from roemetry_volume.edge_contour import EdgeContour, EdgeContourOptions
 from roemetry_volume.outline_features import features_of
 

@@ -10,8 +10,8 @@ import pytest
 from roemetry.records import Product
 from roemetry.testing import LinearRig
 from roemetry.testing.solids import HALF_ELLIPSOID, product_of
-from roemetry_kernels.volume import quadric_ends as ends
-from roemetry_kernels.volume import slice_areas, slice_rules
+from roemetry_volume import quadric_ends as ends
+from roemetry_volume import slice_rules, slice_table
 from roemetry_volume.slice_ends import cap_of
 from roemetry_volume.slice_estimators import SlicePchip, SliceSimpson, SliceSpline
 from roemetry_volume.slice_table import slices_of
@@ -65,7 +65,7 @@ def test_no_quadric_closes_a_flat_end() -> None:
     assert all(np.isnan(quadric(level, 1)))
 
 
-@pytest.mark.parametrize(("column", "factor"), [(slice_areas.TOP, 0.6), (slice_areas.WIDTH, 0.3)])
+@pytest.mark.parametrize(("column", "factor"), [(slice_table.TOP, 0.6), (slice_table.WIDTH, 0.3)])
 def test_a_quadric_larger_than_the_product_is_not_taken(column: int, factor: float) -> None:
     product = ellipsoid(rim=7.0, lean=0.3, shift_mm=0.0)
     slices = slices_of(product)

@@ -13,15 +13,16 @@ from roemetry.errors import StageError
 from roemetry.records import Product
 from roemetry.testing import LinearRig
 from roemetry.testing.solids import HALF_ELLIPSOID, Solid, product_of
-from roemetry_kernels.volume import slice_areas, slice_rules
+from roemetry_volume import slice_rules, slice_table
 from roemetry_volume.slice_estimators import (
+    SliceOptions,
     SlicePchip,
     SliceSimpson,
     SliceSpline,
     SliceSum,
+    SliceSumOptions,
     SliceTrapezoid,
 )
-from roemetry_volume.slice_options import SliceOptions, SliceSumOptions
 
 ALL = (SliceSum, SliceTrapezoid, SliceSimpson, SlicePchip, SliceSpline)
 ELEVEN = LinearRig(rows=480, columns=640, stripes=11, first_px=120.0, spacing_px=40.0, px_per_mm=1.5, fan=0.0)
@@ -185,13 +186,13 @@ def test_draws_scatter_by_the_stated_uncertainty(rng: np.random.Generator) -> No
 
 def test_the_table_names_what_it_holds() -> None:
     profiles = product_of(HALF_ELLIPSOID, ELEVEN).profiles
-    table, ordered = slice_areas.slice_areas(
+    table, ordered = slice_table.slice_areas(
         profiles.xyz_mm, profiles.product, profiles.seen, profiles.row_px, profiles.plane, profiles.frame, 1
     )
     assert ordered
-    lit = table[:, slice_areas.COUNT] > 0
-    assert table[lit, slice_areas.TOP].max() == pytest.approx(np.nanmax(profiles.xyz_mm[..., 2]))
-    assert table[lit, slice_areas.SEEN] == pytest.approx(table[lit, slice_areas.AREA])
+    lit = table[:, slice_table.COUNT] > 0
+    assert table[lit, slice_table.TOP].max() == pytest.approx(np.nanmax(profiles.xyz_mm[..., 2]))
+    assert table[lit, slice_table.SEEN] == pytest.approx(table[lit, slice_table.AREA])
 
 
 def only(product: Product, slices: list[int]) -> Product:

@@ -11,11 +11,11 @@ import pytest
 
 from roemetry.errors import StageError
 from roemetry.records import Outline, Product, Profiles
+from roemetry.records.view import View
 from roemetry.testing import LinearRig
-from roemetry.view import View
 from roemetry_volume.outline_surface import OutlineSurface
 from roemetry_volume.slice_estimators import SlicePchip
-from roemetry_volume.surface import Knots, plate_through, without_slice
+from roemetry_volume.surface_fit import Knots, plate_through, without_slice
 from roemetry_volume.underside import UndersideOptions
 
 CAMERA_MM, F_PX, ROWS, COLUMNS = 320.0, 1600.0, 480, 640
@@ -139,7 +139,8 @@ def test_a_flat_end_is_seen_where_a_slice_runs_over_its_edge() -> None:
 def test_the_interval_holds_the_truth_and_names_its_causes() -> None:
     made = dome(-4.0, 6.0)
     volume = OutlineSurface().estimate(made[0])
-    assert set(volume.visible_mm3.budget) == {"between slices", "settings", "outline", "rim", "gaps", "ends"}
+    causes = {"between slices", "settings", "outline", "rim", "gaps", "ends", "common height"}
+    assert set(volume.visible_mm3.budget) == causes
     assert abs(volume.visible_mm3.value - made[1]) < 2.0 * volume.visible_mm3.std
     assert volume.visible_mm3.std < 0.01 * made[1]
     assert volume.shares.assumed == pytest.approx(0.05, abs=0.05)
@@ -327,8 +328,9 @@ def test_what_is_bridged_beyond_a_slices_end_is_no_surface() -> None:
     assert found.value == pytest.approx(plain.value, rel=1e-9)
     slices, loose = (SlicePchip().estimate(one).visible_mm3 for one in (made, bridged))
     assert slices.budget["slice ends"] == 0.0
-    assert loose.budget["slice ends"] == pytest.approx((loose.value - slices.value) / np.sqrt(3.0), rel=0.2)
-    assert abs(loose.value - slices.value) < 1.96 * loose.std
+    assert loose.budget["slice ends"] > 0.0
+    # the bridge alone holds 2 % of the volume; the dome that is followed to its rim nothing but rounding
+    assert loose.value == pytest.approx(slices.value, rel=2e-3)
 
 
 def side_by_side(apart: float, wall: float) -> Product:

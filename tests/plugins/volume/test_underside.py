@@ -7,8 +7,7 @@ import pytest
 from pydantic import ValidationError
 
 from roemetry.testing.solids import HALF_ELLIPSOID, product_of
-from roemetry_volume.slice_estimators import SlicePchip
-from roemetry_volume.slice_options import SliceOptions
+from roemetry_volume.slice_estimators import SliceOptions, SlicePchip
 from roemetry_volume.underside import fitted_share
 
 

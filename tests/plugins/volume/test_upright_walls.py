@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 
-from roemetry_volume.fusing import fuse
 from roemetry_volume.rim import StripePoints, ends_of
 from roemetry_volume.silhouette import area_of
 from roemetry_volume.slice_ends import upright_ends
 from roemetry_volume.slice_table import slices_of
+from roemetry_volume.surface_fit import fuse
 from tests.plugins.volume.test_surface import box, dome, half_cylinder
 
 
@@ -51,3 +52,12 @@ def test_no_rim_is_asked_for_at_ends_that_the_slices_show_upright() -> None:
     assert fused.volume_mm3 == pytest.approx(true_mm3, rel=0.01)
     round_ends = dome()[0]
     assert upright_ends(round_ends, slices_of(round_ends)) == (False, False)
+
+
+@pytest.mark.parametrize("lowest_mm", [0.0, 16.5])
+def test_a_wall_that_faces_the_camera_is_in_the_outline_or_too_dark_to_show(lowest_mm: float) -> None:
+    """With the wall the outline is its foot, without it the upper edge: the footprint is the same."""
+    made, true_mm3 = box(y0=17.0)
+    corners = [[i, 17.0 + j, z] for i in (-30.0, 30.0) for j in (-13.0, 13.0) for z in (lowest_mm, 16.5)]
+    hull = cv2.convexHull(made.view.project(np.array(corners)).astype(np.float32))[:, 0].astype(float)
+    assert fuse(made, made.view, hull).volume_mm3 == pytest.approx(true_mm3, rel=0.01)

@@ -1,1 +1,0 @@
-"""Slices, surfaces and outlines, and what lies beyond the outer slices."""

@@ -1,0 +1,280 @@
+"""Volume under areas at uneven places: the rules between slices, and caps beyond the outer ones."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from roemetry.records.arrays import Floats
+from roemetry_kernels.compiling import kernel
+
+SUM, TRAPEZOID, SIMPSON, PCHIP, SPLINE = range(5)
+NO_CAP, TAPERED, BLUNT = 0.0, 1.0, 2.0
+
+WAIST = 0.35
+"""A slice under that share of some on both sides of it is a waist."""
+
+_BEYOND = 1.15
+"""A cap that would reach this much further than the next stripe, which shows belt, is cut off there."""
+
+
+@kernel
+def between_slices(
+    t: Floats,
+    area: Floats,
+    slope: Floats,
+    rule: int,
+    bulge: tuple[float, float] = (0.0, 0.0),
+    trust: tuple[float, float] = (0.0, 0.0),
+) -> float:
+    """Give the volume from the first to the last slice, mm³.
+
+    Parameters
+    ----------
+    t : ndarray of float64, shape (n,)
+        Places of the slices, mm, rising.
+    area : ndarray of float64, shape (n,)
+        Their areas, mm².
+    slope : ndarray of float64, shape (2,)
+        dA/dt at the two ends where a cap gives one, else NaN; the spline alone uses it.
+    rule
+        `SUM` (the same as the trapezoid here: they differ in the caps), `TRAPEZOID`, `SIMPSON`, `PCHIP`
+        (Fritsch and Butland's slopes) or `SPLINE` (cubic, not-a-knot where no slope is given).
+    bulge, trust
+        What is known at either end to lie between the outer two slices over the straight line, mm³, and how
+        far to believe it rather than the cubics. Where both are believed the body is smooth from end to
+        end, and `PCHIP` takes the spline's slopes: its own are flat beside the largest area.
+    """
+    n = t.size
+    if rule == SIMPSON:
+        return _simpson(t, area)
+    slopes = np.zeros(n)
+    if rule == PCHIP:
+        _pchip_slopes(t, area, slopes)
+        smooth = trust[0] * trust[1]
+        if smooth > 0.0:
+            through = np.zeros(n)
+            _spline_slopes(t, area, slope, through)
+            for i in range(n):
+                slopes[i] += smooth * (through[i] - slopes[i])
+    elif rule == SPLINE:
+        _spline_slopes(t, area, slope, slopes)
+    volume = 0.0
+    for i in range(n - 1):
+        h = t[i + 1] - t[i]
+        volume += 0.5 * h * (area[i] + area[i + 1])
+        if rule >= PCHIP:
+            over = h * h * (slopes[i] - slopes[i + 1]) / 12.0
+            if i == 0:
+                over += trust[0] * (bulge[0] - over)
+            if i == n - 2:
+                over += trust[1] * (bulge[1] - over)
+            volume += over
+    return volume
+
+
+@kernel
+def cap(
+    t: Floats, area: Floats, at_end: int, reach_mm: float, limited: bool
+) -> tuple[float, float, float, float]:
+    """Give what lies beyond an outer slice by the slices' taper.
+
+    A parabola through three outer areas falls to zero at some distance ρ. The areas of an ellipsoid are such
+    a parabola. Where they fall ever less towards the end (a point) a straight line does. The three lie some
+    tenth of the product apart: of slices closer than that, noise would lead the way.
+
+    Parameters
+    ----------
+    t, area : ndarray of float64, shape (n,)
+        Places (mm, rising) and areas (mm²).
+    at_end
+        0 the first slice, 1 the last.
+    reach_mm
+        Distance to the next stripe beyond.
+    limited
+        Whether that stripe is there, and shows no product.
+
+    Returns
+    -------
+    volume, length, slope, kind : float
+        mm³; mm; dA/dt at the outer slice (mm, NaN without taper); `TAPERED`, `BLUNT` (no taper, but the next
+        stripe shows belt: half the way to it is counted) or `NO_CAP`.
+    """
+    i, j, k = three_outer(t, at_end)
+    first = area[i]
+    x1, x2 = abs(t[j] - t[i]), abs(t[k] - t[i])
+    # area inwards: first + g·x + c·x²
+    d1, d2 = (area[j] - first) / x1, (area[k] - first) / x2
+    c = (d2 - d1) / (x2 - x1)
+    g = d1 - c * x1
+    if c > 0.0:
+        c, g = 0.0, d1
+    sign = 1.0 if at_end == 0 else -1.0
+    root = np.inf
+    if c < 0.0:
+        root = (-g + np.sqrt(g * g - 4.0 * c * first)) / (-2.0 * c)
+    elif g > 0.0:
+        root = first / g
+    if root <= _BEYOND * reach_mm:
+        length = min(root, reach_mm) if limited else root
+        volume = length * (first - 0.5 * g * length + c * length * length / 3.0)
+        return volume, length, sign * g, TAPERED
+    if limited:
+        return 0.5 * reach_mm * first, 0.5 * reach_mm, np.nan, BLUNT
+    return 0.0, 0.0, np.nan, NO_CAP
+
+
+@kernel
+def short_of(t: Floats, area: Floats, at_end: int) -> tuple[float, float]:
+    """By how much an outer slice falls short of what the inner ones say, and what they say, mm².
+
+    They say the lower of the line through the next two slices and the parabola through the next three;
+    nothing where there are fewer than five slices, or where the next ones fall by over a tenth.
+    """
+    n = t.size
+    if n < 5:
+        return 0.0, 0.0
+    step = 1 if at_end == 0 else -1
+    i = 0 if at_end == 0 else n - 1
+    j, k, m = i + step, i + 2 * step, i + 3 * step
+    if area[j] < 0.9 * area[k]:
+        return 0.0, 0.0
+    slope = (area[j] - area[k]) / (t[j] - t[k])
+    bend = ((area[k] - area[m]) / (t[k] - t[m]) - slope) / (t[m] - t[j])
+    line = area[j] + slope * (t[i] - t[j])
+    expected = min(line, line + bend * (t[i] - t[j]) * (t[i] - t[k]))
+    return expected - area[i], expected
+
+
+@kernel
+def waist(area: Floats) -> int:
+    """Give the number of the smallest slice that is far smaller than some on both sides of it, or −1."""
+    n, found = area.size, -1
+    right = area.copy()
+    for k in range(n - 2, -1, -1):
+        right[k] = max(right[k], right[k + 1])
+    left = area[0]
+    for k in range(1, n - 1):
+        left = max(left, area[k])
+        if area[k] < WAIST * min(left, right[k]) and (found < 0 or area[k] < area[found]):
+            found = k
+    return found
+
+
+@kernel
+def three_outer(t: Floats, at_end: int) -> tuple[int, int, int]:
+    """Numbers of the outer slice and of the next ones that lie 0.08 and 0.17 of the whole length inwards."""
+    n = t.size
+    step = 1 if at_end == 0 else -1
+    i = 0 if at_end == 0 else n - 1
+    span = t[n - 1] - t[0]
+    j = 1
+    while j < n - 2 and abs(t[i + step * j] - t[i]) < 0.08 * span:
+        j += 1
+    k = j + 1
+    while k < n - 1 and abs(t[i + step * k] - t[i]) < 0.17 * span:
+        k += 1
+    return i, i + step * j, i + step * k
+
+
+@kernel
+def _simpson(t: Floats, area: Floats) -> float:
+    """Simpson's rule for uneven places; the last interval of an even number by the parabola before it."""
+    n = t.size
+    volume = 0.0
+    for i in range(0, n - 2, 2):
+        h, k = t[i + 1] - t[i], t[i + 2] - t[i + 1]
+        a, b, c = area[i], area[i + 1], area[i + 2]
+        volume += (h + k) / 6.0 * ((2.0 - k / h) * a + (h + k) ** 2 / (h * k) * b + (2.0 - h / k) * c)
+    if n % 2 == 0:
+        h, k = t[n - 2] - t[n - 3], t[n - 1] - t[n - 2]
+        volume += area[n - 1] * (2.0 * k * k + 3.0 * h * k) / (6.0 * (h + k))
+        volume += area[n - 2] * (k * k + 3.0 * h * k) / (6.0 * h)
+        volume -= area[n - 3] * k**3 / (6.0 * h * (h + k))
+    return volume
+
+
+@kernel
+def _pchip_slopes(t: Floats, area: Floats, slopes: Floats) -> None:
+    n = t.size
+    for i in range(1, n - 1):
+        h, k = t[i] - t[i - 1], t[i + 1] - t[i]
+        p, q = (area[i] - area[i - 1]) / h, (area[i + 1] - area[i]) / k
+        if p * q > 0.0:
+            one, two = 2.0 * k + h, k + 2.0 * h
+            slopes[i] = (one + two) / (one / p + two / q)
+    for end in range(2):
+        i, j, m = (0, 1, 2) if end == 0 else (n - 1, n - 2, n - 3)
+        h, k = t[j] - t[i], t[m] - t[j]
+        p, q = (area[j] - area[i]) / h, (area[m] - area[j]) / k
+        s = ((2.0 * h + k) * p - h * q) / (h + k)
+        if s * p <= 0.0:
+            s = 0.0
+        elif p * q <= 0.0 and abs(s) > 3.0 * abs(p):
+            s = 3.0 * p
+        slopes[i] = s
+
+
+@kernel
+def _spline_slopes(t: Floats, area: Floats, ends: Floats, slopes: Floats) -> None:
+    """Slopes of the cubic spline at its knots, by elimination down the tridiagonal system."""
+    n = t.size
+    below, middle, above, right = np.zeros(n), np.ones(n), np.zeros(n), np.zeros(n)
+    for i in range(1, n - 1):
+        h, k = t[i] - t[i - 1], t[i + 1] - t[i]
+        below[i], middle[i], above[i] = k, 2.0 * (h + k), h
+        right[i] = 3.0 * (k * (area[i] - area[i - 1]) / h + h * (area[i + 1] - area[i]) / k)
+    for end in range(2):
+        i, j, m = (0, 1, 2) if end == 0 else (n - 1, n - 2, n - 3)
+        if not np.isnan(ends[end]):
+            right[i] = ends[end]
+            continue
+        # not-a-knot; of three knots that is the parabola through them
+        h, k = t[j] - t[i], t[m] - t[j]
+        p, q = (area[j] - area[i]) / h, (area[m] - area[j]) / k
+        if n == 3:
+            right[i] = ((2.0 * h + k) * p - h * q) / (h + k)
+            continue
+        middle[i] = k
+        right[i] = ((h + 2.0 * (h + k)) * k * p + h * h * q) / (h + k)
+        if end == 0:
+            above[i] = h + k
+        else:
+            below[i] = h + k
+    for i in range(1, n):
+        share = below[i] / middle[i - 1]
+        middle[i] -= share * above[i - 1]
+        right[i] -= share * right[i - 1]
+    slopes[n - 1] = right[n - 1] / middle[n - 1]
+    for i in range(n - 2, -1, -1):
+        slopes[i] = (right[i] - above[i] * slopes[i + 1]) / middle[i]
+
+
+@kernel
+def unevenness(t: Floats, area: Floats) -> float:
+    """Give by how much volume single slices depart from the smooth course of the others, in quadrature, mm³.
+
+    Each inner slice is compared with the cubic through two slices on either side, or, beside the outer
+    ones, with the parabola through the three nearest others; of three slices with the line through two.
+    """
+    n = t.size
+    total = 0.0
+    for i in range(1, n - 1):
+        if n == 3:
+            low, high = i - 1, i + 2
+        elif n == 4:
+            low, high = 0, 4
+        else:
+            low = min(max(i - 2, 0), n - 4 if i == 1 or i == n - 2 else n - 5)
+            high = low + (4 if i == 1 or i == n - 2 else 5)
+        guess = 0.0
+        for j in range(low, high):
+            if j == i:
+                continue
+            weight = 1.0
+            for k in range(low, high):
+                if k != j and k != i:
+                    weight *= (t[i] - t[k]) / (t[j] - t[k])
+            guess += weight * area[j]
+        off = 0.5 * (t[i + 1] - t[i - 1]) * (area[i] - guess)
+        total += off * off
+    return np.sqrt(total)

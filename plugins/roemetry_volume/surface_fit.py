@@ -1,0 +1,569 @@
+"""Surface, rim and border of a product, solved together from stripes and outline."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from roemetry.records import Product
+from roemetry.records.arrays import Flags, Floats, Integers
+from roemetry.records.view import View
+from roemetry_kernels.compiling import kernel
+from roemetry_volume.rim import Rim, StripePoints, ends_of, rim_of
+from roemetry_volume.silhouette import Border, area_of, border_at, evenly
+from roemetry_volume.step_lines import Step, steps_at, steps_of
+
+LONG_AXIS = 0.4
+_POINTS = 400
+_ROUNDS = 3
+_NODES = 40, 14
+_RIM_WEIGHT = 6.0
+_OPEN_RATIO = 0.9
+_OPEN_MISS = 0.15
+_OVER_RIM = 1.0  # mm²: what is hardly over the rim ends with it, upright or not
+_FACING = 0.85
+_BELOW_RIM_MM = 0.3
+_WALL_MM = 1.5
+_PROBE_MM = 1.0
+_SETTLED_MM = 0.03
+_WALL_REACH_MM = 0.4  # two rows: a wall that shows by less is not told from its edge
+_FEW, _BELT_SHARE = 3, 0.5
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Fused:
+    """What was solved.
+
+    Attributes
+    ----------
+    points
+        The product's points, less the steps; `place` (n, 2) are theirs along and across the product, mm.
+    rim, border, plate, knots
+        See their classes.
+    contour : ndarray, shape (400, 2)
+        The border along and across the product, mm.
+    open_end : ndarray, shape (400,)
+        True where the outline is a flat end's: no rim is asked for there.
+    height_mm : ndarray, shape (400,)
+        Height of the surface over the border.
+    s, v, weight_mm2
+        Nodes and weights over the footprint.
+    steps, over_mm
+        Steps that slices cross, and how much they rise at the nodes.
+    """
+
+    points: StripePoints
+    place: Floats
+    rim: Rim
+    border: Border
+    plate: Plate
+    knots: Knots
+    contour: Floats
+    open_end: Any
+    height_mm: Floats
+    s: Floats
+    v: Floats
+    weight_mm2: Floats
+    steps: tuple[Step, ...]
+    over_mm: Floats
+
+    def heights(self, values: Floats | None = None, rim_shift_mm: float = 0.0) -> Floats:
+        """Height at the nodes, mm; `values` are the plate's there, if they are not its own."""
+        u = self.plate.at(LONG_AXIS * self.s, self.v) if values is None else values
+        heights: Floats = self.rim.at(self.s, self.v) + rim_shift_mm + _height(u, self.rim) + self.over_mm
+        return heights
+
+    @property
+    def volume_mm3(self) -> float:
+        """Visible volume."""
+        return float((self.weight_mm2 * self.heights()).sum())
+
+
+def points_of(product: Product) -> StripePoints:
+    """Give the product's points, slice after slice, down the rows.
+
+    What a coder has bridged beyond the outermost points it saw of a slice runs down to the belt beside the
+    product, and is no part of its surface: left out, as are slices of which nothing was seen.
+    """
+    profiles = product.profiles
+    mine = (profiles.product == product.number) & np.isfinite(profiles.xyz_mm[..., 2])
+    slices, index = np.nonzero(mine)
+    order = np.lexsort((profiles.row_px[slices, index], slices))
+    slices, index = slices[order], index[order]
+    seen = profiles.seen[slices, index].copy()
+    _leave_out_belt(seen, slices, profiles.xyz_mm[slices, index, 2])
+    held = _between_seen(slices, seen)
+    slices, index = slices[held], index[held]
+    _, number = np.unique(slices, return_inverse=True)
+    first = np.append(np.flatnonzero(np.diff(number, prepend=-1)), number.size)
+    return StripePoints(profiles.xyz_mm[slices, index], number, first)
+
+
+def _leave_out_belt(seen: Flags, slices: Integers, z_mm: Floats) -> None:
+    """Count up to three points at a slice's end as unseen if, behind unseen ones, the rest is far higher.
+
+    They are the belt's: beside the product's shadow its stripe is blended, and its peak lies off.
+    """
+    bounds = np.append(np.flatnonzero(np.diff(slices, prepend=-1)), slices.size)
+    for begin, stop in zip(bounds[:-1].tolist(), bounds[1:].tolist(), strict=True):
+        places = np.flatnonzero(seen[begin:stop]) + begin
+        for outermost in (places[: _FEW + 1], places[::-1][: _FEW + 1]):
+            gap = np.flatnonzero(np.abs(np.diff(outermost)) > 1)
+            if gap.size and z_mm[outermost[: gap[0] + 1]].max() < _BELT_SHARE * z_mm[outermost[gap[0] + 1]]:
+                seen[outermost[: gap[0] + 1]] = False
+
+
+def _between_seen(slices: Integers, seen: Flags) -> Flags:
+    """Say which points lie between the outermost seen ones of their slice."""
+    place = np.arange(slices.size)
+    first = np.full(int(slices.max(initial=-1)) + 1, slices.size)
+    last = np.full(first.size, -1)
+    np.minimum.at(first, slices[seen], place[seen])
+    np.maximum.at(last, slices[seen], place[seen])
+    held: Flags = (place >= first[slices]) & (place <= last[slices])
+    return held
+
+
+def fuse(
+    product: Product, view: View, contour_px: Floats, upright: tuple[bool, bool] = (False, False)
+) -> Fused:
+    """Solve surface, rim and border together.
+
+    Parameters
+    ----------
+    product, view, contour_px
+        The product; the rig's geometry; the outline in the image.
+    upright
+        Whether the slices show an upright end at low and at high X: no rim is asked for there.
+    """
+    from roemetry_volume.footprint import inside_by, nodes_within
+
+    contour_px = evenly(contour_px, _POINTS)
+    points = points_of(product)
+    xyz = points.xyz_mm
+    outermost = np.concatenate([points.first[:-1], points.first[1:] - 1])
+    height = np.full(_POINTS, 0.8 * float(np.median(xyz[outermost, 2])))
+    border = border_at(view, contour_px, np.maximum(height, 0.0))
+    centre, turn = _axes(border.xy_mm)
+    place = (xyz[:, :2] - centre) @ turn
+    ends = ends_of(points, place[:, 1])
+    steps = steps_of(points, place, _to_light(view, xyz) @ turn)
+    if (
+        steps
+        and rim_of(points, ends, place, inside_by((border.xy_mm - centre) @ turn, place[ends[0]])).upright
+    ):
+        steps = ()  # a dome's jump is a fold or a break, which runs as it likes
+    if steps:
+        xyz = xyz.copy()
+        xyz[:, 2] -= steps_at(steps, place[:, 0], place[:, 1])
+        points = points._replace(xyz_mm=xyz)
+        ends = ends_of(points, place[:, 1])
+    fall = np.zeros(_POINTS)
+    open_end = np.zeros(_POINTS, np.bool_)
+    wall_shows = _wall_shows(points, (border.xy_mm - centre) @ turn, border.tilt, place)
+    for _ in range(_ROUNDS):
+        contour = (border.xy_mm - centre) @ turn
+        coarse = contour[::2]
+        rim = rim_of(points, ends, place, inside_by(coarse, place[ends[0]]))
+        knots = _knots(points, place, rim, coarse)
+        open_end = _open_ends(knots, contour, (border.outward @ turn)[:, 0], upright)
+        plate = _plate(knots, contour, open_end)
+        height, fall = _at_border(plate, rim, contour, border, (centre, turn), open_end, wall_shows)
+        height += steps_at(steps, contour[:, 0], contour[:, 1]) * (border.tilt >= 0.0)
+        moved = border_at(view, contour_px, height, fall)
+        step = np.abs(moved.xy_mm - border.xy_mm).max()
+        border = moved
+        if step < _SETTLED_MM:
+            break
+    contour = (border.xy_mm - centre) @ turn
+    s, v, weight = nodes_within(contour, *_gauss(_NODES[0]), *_gauss(_NODES[1]))
+    weight *= abs(area_of(contour)) / weight.sum()  # corners are between nodes
+    over = steps_at(steps, s, v)
+    return Fused(
+        points, place, rim, border, plate, knots, contour, open_end, height, s, v, weight, steps, over
+    )
+
+
+def _to_light(view: View, xyz: Floats) -> Floats:
+    """How far along X and Y light comes for each millimetre that it is higher, at points."""
+    way = view.projector_mm - xyz
+    towards: Floats = way[:, :2] / way[:, 2:]
+    return towards
+
+
+def _axes(xy: Floats) -> tuple[Floats, Floats]:
+    """Middle of a polygon and the turn whose columns are its long and its short axis."""
+    centre = xy.mean(axis=0)
+    _, axes = np.linalg.eigh(np.cov((xy - centre).T))
+    long = axes[:, 1] if axes[0, 1] >= 0.0 else -axes[:, 1]
+    return centre, np.column_stack([long, [-long[1], long[0]]])
+
+
+def _knots(points: StripePoints, place: Floats, rim: Rim, contour: Floats) -> Knots:
+    from roemetry_volume.footprint import inside_by
+
+    over = points.xyz_mm[:, 2] - rim.at(place[:, 0], place[:, 1])
+    # what is seen of the wall below the rim is no part of the dome
+    dome = over > -_BELOW_RIM_MM
+    dome[~dome] = inside_by(contour, place[~dome]) > _WALL_MM
+    s, v = LONG_AXIS * place[dome, 0], place[dome, 1]
+    return grouped(s, v, _value(over, rim)[dome], points.slice[dome])
+
+
+def _value(over_mm: Floats, rim: Rim) -> Floats:
+    """What the plate goes through: the square of the height over the rim, with its sign, below a dome."""
+    return over_mm * np.abs(over_mm) if rim.upright else over_mm
+
+
+def _height(value: Floats, rim: Rim) -> Floats:
+    """Height over the rim of the plate's value."""
+    return np.sign(value) * np.sqrt(np.abs(value)) if rim.upright else value
+
+
+def _open_ends(knots: Knots, contour: Floats, outward_s: Floats, upright: tuple[bool, bool]) -> Any:
+    """Say where the outline belongs to a flat end: one towards which the slices do not fall.
+
+    Of one that the slices show to be upright it is what faces along the product.
+
+    Where the outer slice is hardly lower than the next one at the same places across the product, the plate
+    is fitted without it, once with and once without a rim beyond. A flat end it is if the rim makes the plate
+    miss the slice by far. To the end belongs what lies beyond the outer slice, and, beyond the next one, what
+    faces along the product: a slice at a slant runs over the edge.
+    """
+    is_open = np.zeros(contour.shape[0], np.bool_)
+    slices = np.unique(knots.slice)
+    if slices.size < 4:
+        return is_open
+    along = LONG_AXIS * contour[:, 0]
+    for outer, inner in ((slices[0], slices[1]), (slices[-1], slices[-2])):
+        mine, next_one = knots.slice == outer, np.flatnonzero(knots.slice == inner)
+        next_one = next_one[np.argsort(knots.v[next_one])]
+        v, s, weight = knots.v[mine], knots.s[mine], knots.weight[mine]
+        out = np.sign(s.mean() - knots.s[next_one].mean())
+        past = (along - np.interp(contour[:, 1], knots.v[next_one], knots.s[next_one])) * out
+        if upright[int(out > 0.0)] and float(knots.u[next_one].mean()) > _OVER_RIM:
+            is_open |= (outward_s * out > _FACING) & (past > 0.0)
+            continue
+        beside = (v >= knots.v[next_one[0]]) & (v <= knots.v[next_one[-1]])
+        across = float(np.ptp(knots.v[next_one]))
+        if not beside.any() or float(np.ptp(knots.s[next_one])) > LONG_AXIS * across:
+            continue
+        level = float(np.average(knots.u[mine], weights=weight))
+        before, inner_s = (np.interp(v[beside], knots.v[next_one], x[next_one]) for x in (knots.u, knots.s))
+        if level <= _OVER_RIM or float(knots.u[mine][beside].mean()) <= _OPEN_RATIO * float(before.mean()):
+            continue
+        step = float((s[beside] - inner_s).mean())
+        # the outline beyond the outer slice, which may cross the product at a slant
+        lean = np.polyfit(v, s, 1) if np.ptp(v) > 1.0 else np.array([0.0, s.mean()])
+        beyond = (along - np.polyval(lean, contour[:, 1])) * out > 0.3 * abs(step)
+        beyond |= (outward_s * out > _FACING) & (past > 0.2 * abs(step))
+        others = Knots(*(getattr(knots, name)[~mine] for name in Knots.__slots__))
+        misses = []
+        for opened in (is_open, is_open | beyond):
+            guess = _plate(others, contour, opened).at(s, v)
+            misses.append(float(np.average(guess, weights=weight)) - level)
+        if misses[0] < -_OPEN_MISS * level and abs(misses[1]) < 0.5 * abs(misses[0]):
+            is_open |= beyond
+    return is_open
+
+
+def _plate(knots: Knots, contour: Floats, open_end: Any) -> Plate:
+    rim = contour[~open_end][::2]
+    return plate_through(knots, LONG_AXIS * rim[:, 0], rim[:, 1], np.full(rim.shape[0], _RIM_WEIGHT))
+
+
+def _at_border(
+    plate: Plate,
+    rim: Rim,
+    contour: Floats,
+    border: Border,
+    frame: tuple[Floats, Floats],
+    open_end: Any,
+    wall_shows: bool,
+) -> tuple[Floats, Floats]:
+    """Height of the edge that made the outline, and how the dome falls to it (α, mm), along the border."""
+    inner = contour - _PROBE_MM * (border.outward @ frame[1])
+    dome_mm = np.maximum(_height(plate.at(LONG_AXIS * inner[:, 0], inner[:, 1]), rim), 0.0)
+    level = rim.at(contour[:, 0], contour[:, 1])
+    top = level + _height(plate.at(LONG_AXIS * contour[:, 0], contour[:, 1]), rim)
+    # A wall that the camera sees ends at the belt if there is no dome above it: it is upright then.
+    foot = level * np.clip(2.0 * dome_mm / np.maximum(level, 1e-3), 0.0, 1.0) if wall_shows else level
+    height = np.where(border.tilt < 0.0, foot, np.where(open_end, top, level))
+    fall = dome_mm**2 / _PROBE_MM if rim.upright else np.zeros_like(dome_mm)
+    return height, np.where(open_end | (border.tilt < 0.0), 0.0, fall)
+
+
+def _wall_shows(points: StripePoints, contour: Floats, tilt: Floats, place: Floats) -> bool:
+    """Say whether the outline holds the walls that face the camera, or ends at their upper edge.
+
+    A wall that faces the camera but not the lamp may be as dark as the shadow beside it. The stripes on top
+    of an upright wall end at its edge. The contour stands at the share 0.8 of their height here: if it is the
+    wall's foot they end 0.8 of tilt times height inside it, if it is the edge, 0.2 of that outside.
+    """
+    from roemetry_volume.footprint import inside_by
+
+    last = np.concatenate([points.first[:-1], points.first[1:] - 1])
+    off = np.hypot(*(place[last, None, :] - contour[None, :, :]).transpose(2, 0, 1))
+    facing = -tilt[off.argmin(axis=1)]
+    reach_mm = facing * points.xyz_mm[last, 2]
+    told = reach_mm > _WALL_REACH_MM
+    if told.sum() < _FEW:
+        return True
+    share = inside_by(contour, place[last[told]]) / reach_mm[told]
+    return bool(np.median(share) > 0.3)
+
+
+@lru_cache(maxsize=8)
+def _gauss(count: int) -> tuple[Floats, Floats]:
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    return nodes, weights
+
+
+CELL_MM = 2.5
+STIFFNESS = 0.1
+_RIDGE = 1e-6
+_BELIEF = 10.0  # a dome's quadric leaves 0.2 % of the scatter, a skein's 7 %, that of steps nearly all
+_GROUP = 5
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Knots:
+    """Points that the plate goes through: places (s scaled, v), values, weights, and the slice of each."""
+
+    s: Floats
+    v: Floats
+    u: Floats
+    weight: Floats
+    slice: Integers
+
+
+def grouped(s: Floats, v: Floats, u: Floats, slices: Integers) -> Knots:
+    """Put each five neighbouring points of a slice into one, which weighs as much as they do."""
+    start = np.flatnonzero(np.diff(slices, prepend=-1))
+    within = np.arange(slices.size) - np.repeat(start, np.diff(start, append=slices.size))
+    first = np.flatnonzero(within % _GROUP == 0)
+    count = np.diff(first, append=slices.size).astype(np.float64)
+    mean = [np.add.reduceat(values, first) / count for values in (s, v, u)]
+    return Knots(mean[0], mean[1], mean[2], count, slices[first])
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Plate:
+    """A fitted plate.
+
+    Attributes
+    ----------
+    grid
+        Of the spline, see `roemetry_volume.surface_fit.Grid`.
+    coefficients
+        Of the spline.
+    factor
+        Banded Cholesky factor of the system.
+    right
+        Right-hand side of the system.
+    """
+
+    grid: Any
+    coefficients: Floats
+    factor: Floats
+    right: Floats
+
+    def at(self, s: Floats, v: Floats) -> Floats:
+        """Value at places; s scaled."""
+        values: Floats = values_at(self.coefficients, self.grid, s, v)
+        return values
+
+    def moved_by(self, change: Floats) -> Floats:
+        """Give what coefficients change by when the right-hand side changes."""
+        from scipy.linalg import cho_solve_banded
+
+        moved: Floats = cho_solve_banded((self.factor, True), change, check_finite=False)
+        return moved
+
+
+def plate_through(
+    knots: Knots, rim_s: Floats, rim_v: Floats, rim_weight: Floats, stiffness: float = 1.0
+) -> Plate:
+    """Fit a plate through the knots and through 0 at places of the rim; `stiffness` times as stiff."""
+    from scipy.linalg import cho_solve_banded, cholesky_banded
+
+    s, v = np.concatenate([knots.s, rim_s]), np.concatenate([knots.v, rim_v])
+    low_s, low_v = float(s.min()) - 0.5, float(v.min()) - 0.5
+    cells = [
+        max(int(np.ceil((float(x.max()) + 0.5 - low) / CELL_MM)), 1) for x, low in ((s, low_s), (v, low_v))
+    ]
+    grid = (low_s, low_v, CELL_MM, cells[0], cells[1])
+    band = bending(grid, stiffness * STIFFNESS, _RIDGE)
+    right = np.zeros(band.shape[1])
+    course, off = _course(
+        grid,
+        (s, v),
+        np.concatenate([knots.u, np.zeros_like(rim_s)]),
+        np.concatenate([knots.weight, rim_weight]),
+    )
+    add_points(band, right, grid, s, v, off, np.concatenate([knots.weight, rim_weight]))
+    factor = cholesky_banded(band, overwrite_ab=True, lower=True, check_finite=False)
+    found = cho_solve_banded((factor, True), right, check_finite=False)
+    return Plate(grid, course + found, factor, right)
+
+
+def _course(grid: Any, place: tuple[Floats, Floats], u: Floats, weight: Floats) -> tuple[Floats, Floats]:
+    """Give the quadric through all points, as the spline's coefficients, and by how much each lies off it.
+
+    It is taken by a share: the more of the points' scatter it leaves, the less it says of what is between.
+    """
+    (s, v), (low_s, low_v, side, cells_s, cells_v) = place, grid
+    root = np.sqrt(weight)
+    a, b = (s - low_s) / side, (v - low_v) / side
+    design = np.column_stack([np.ones_like(a), a, b, a * a, a * b, b * b])
+    c, *_ = np.linalg.lstsq(root[:, None] * design, root * u, rcond=None)
+    # a cubic B-spline's coefficient k stands for the place k - 1; of a square it is a third less
+    i, j = np.arange(cells_s + 3)[:, None] - 1.0, np.arange(cells_v + 3)[None, :] - 1.0
+    course = (
+        c[0] + c[1] * i + c[2] * j + c[3] * (i * i - 1.0 / 3.0) + c[4] * i * j + c[5] * (j * j - 1.0 / 3.0)
+    )
+    guess = design @ c
+    left = float(
+        (weight * (u - guess) ** 2).sum() / (weight * (u - np.average(u, weights=weight)) ** 2).sum()
+    )
+    share = max(1.0 - left, 0.0) ** _BELIEF
+    return share * course.ravel(), u - share * guess
+
+
+def without_slice(plate: Plate, knots: Knots, slice_: int) -> Floats:
+    """Give the coefficients of the plate that a slice had no part in, by its leverage: without a refit."""
+    mine = knots.slice == slice_
+    numbers, parts = rows_of(plate.grid, knots.s[mine], knots.v[mine])
+    root = np.sqrt(knots.weight[mine])
+    rows = np.zeros((root.size, plate.coefficients.size))
+    np.put_along_axis(rows, numbers.astype(np.int64), root[:, None] * parts, axis=1)
+    off = root * knots.u[mine] - rows @ plate.coefficients
+    through = plate.moved_by(rows.T)
+    rest = np.eye(root.size) - rows @ through
+    changed: Floats = plate.coefficients - through @ np.linalg.solve(rest, off)
+    return changed
+
+
+Grid = tuple[float, float, float, int, int]
+"""Place of the first cell's corner along s and v, the cells' side, cells along s and along v."""
+
+
+@kernel
+def bending(grid: Grid, weight: float, ridge: float) -> Floats:
+    """Give the thin plate's bending energy, ∫ f_ss² + 2 f_sv² + f_vv², of the spline's coefficients.
+
+    Parameters
+    ----------
+    grid
+        See `Grid`; a spline on it has (cells + 3) coefficients each way, those along v running fastest.
+    weight
+        What the energy is multiplied with.
+    ridge
+        Added to the diagonal, which keeps the system solvable where no point is near.
+
+    Returns
+    -------
+    ndarray, shape (bandwidth + 1, coefficients)
+        Lower band of the matrix as `scipy.linalg.cholesky_banded` takes it.
+    """
+    _, _, side, cells_s, cells_v = grid
+    high = cells_v + 3
+    band = np.zeros((3 * high + 4, (cells_s + 3) * high))
+    band[0, :] = ridge
+    flat, slope, bend = _unit_grams()
+    for a in range(4):
+        for b in range(4):
+            for c in range(4):
+                for d in range(4):
+                    # a, c along s; b, d along v; lengths: two derivatives each way and one area
+                    part = bend[a, c] * flat[b, d] + 2.0 * slope[a, c] * slope[b, d]
+                    part = weight * (part + flat[a, c] * bend[b, d]) / (side * side)
+                    for i in range(cells_s):
+                        for j in range(cells_v):
+                            one = (i + a) * high + j + b
+                            other = (i + c) * high + j + d
+                            if one >= other:
+                                band[one - other, other] += part
+    return band
+
+
+@kernel
+def _unit_grams() -> tuple[Floats, Floats, Floats]:
+    """Integrals over one unit cell of products of the four cubics, of their slopes and of their bends."""
+    flat, slope, bend = np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((4, 4))
+    nodes = (0.069431844202973712, 0.330009478207571868, 0.669990521792428132, 0.930568155797026287)
+    weights = (0.173927422568726929, 0.326072577431273071, 0.326072577431273071, 0.173927422568726929)
+    for k in range(4):
+        x = nodes[k]
+        f = _cubics(x)
+        g = (-0.5 * (1.0 - x) ** 2, 1.5 * x * x - 2.0 * x, -1.5 * x * x + x + 0.5, 0.5 * x * x)
+        h = (1.0 - x, 3.0 * x - 2.0, 1.0 - 3.0 * x, x)
+        for a in range(4):
+            for b in range(4):
+                flat[a, b] += weights[k] * f[a] * f[b]
+                slope[a, b] += weights[k] * g[a] * g[b]
+                bend[a, b] += weights[k] * h[a] * h[b]
+    return flat, slope, bend
+
+
+@kernel
+def _cubics(x: float) -> tuple[float, float, float, float]:
+    """Give the four uniform cubic B-splines at a place 0…1 of a cell."""
+    rest = 1.0 - x
+    return (
+        rest**3 / 6.0,
+        (3.0 * x**3 - 6.0 * x * x + 4.0) / 6.0,
+        (3.0 * rest**3 - 6.0 * rest * rest + 4.0) / 6.0,
+        x**3 / 6.0,
+    )
+
+
+@kernel
+def _cell(at: float, start: float, side: float, cells: int) -> tuple[int, float]:
+    place = (at - start) / side
+    cell = min(max(int(np.floor(place)), 0), cells - 1)
+    return cell, min(max(place - cell, 0.0), 1.0)
+
+
+@kernel
+def rows_of(grid: Grid, s: Floats, v: Floats) -> tuple[Floats, Floats]:
+    """Give the 16 coefficients' numbers (as float64) and weights for each place: (n, 16) twice."""
+    numbers, weights = np.empty((s.size, 16)), np.empty((s.size, 16))
+    high = grid[4] + 3
+    for k in range(s.size):
+        i, x = _cell(s[k], grid[0], grid[2], grid[3])
+        j, y = _cell(v[k], grid[1], grid[2], grid[4])
+        f, g = _cubics(x), _cubics(y)
+        for a in range(4):
+            for b in range(4):
+                numbers[k, 4 * a + b] = (i + a) * high + j + b
+                weights[k, 4 * a + b] = f[a] * g[b]
+    return numbers, weights
+
+
+@kernel
+def add_points(
+    band: Floats, right: Floats, grid: Grid, s: Floats, v: Floats, values: Floats, weights: Floats
+) -> None:
+    """Add weighted points to the normal equations."""
+    numbers, parts = rows_of(grid, s, v)
+    for k in range(s.size):
+        for a in range(16):
+            one = int(numbers[k, a])
+            right[one] += weights[k] * parts[k, a] * values[k]
+            for b in range(a + 1):
+                band[one - int(numbers[k, b]), int(numbers[k, b])] += weights[k] * parts[k, a] * parts[k, b]
+
+
+@kernel
+def values_at(coefficients: Floats, grid: Grid, s: Floats, v: Floats) -> Floats:
+    """Evaluate the surface at places (n,)."""
+    numbers, parts = rows_of(grid, s, v)
+    out = np.zeros(s.size)
+    for k in range(s.size):
+        for a in range(16):
+            out[k] += parts[k, a] * coefficients[int(numbers[k, a])]
+    return out
