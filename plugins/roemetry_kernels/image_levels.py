@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from roemetry.records.arrays import Flags, Floats
 from roemetry.errors import DataError
 from roemetry.records import Frame
+from roemetry.records.arrays import Flags, Floats
 from roemetry.records.reasons import Reason
 from roemetry_kernels.compiling import float_kernel, inlined, kernel
 from roemetry_kernels.ranking import nth_smallest

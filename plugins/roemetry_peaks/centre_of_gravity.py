@@ -11,8 +11,8 @@ from typing import ClassVar
 import numpy as np
 from pydantic import Field
 
-from roemetry.records.arrays import Floats
 from roemetry.records import Frame, Peaks
+from roemetry.records.arrays import Floats
 from roemetry.records.peaks import EDGE
 from roemetry.stages import Capabilities, Extractor, StageOptions
 from roemetry_kernels.compiling import float_kernel, inlined

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from roemetry.records.arrays import Floats
 from roemetry.records import EDGE, SATURATED, Frame, Peaks
+from roemetry.records.arrays import Floats
 from roemetry_kernels.image_levels import SHARE_MIN, automatic_rise, doubts, grey, plain_layout, scaled_level
 from roemetry_peaks.clipped_peaks import middles_of_half_seen, what_is_odd
 from roemetry_peaks.options import PeakOptions

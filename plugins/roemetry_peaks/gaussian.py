@@ -9,8 +9,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from roemetry.records.arrays import Floats
 from roemetry.records import Frame, Peaks
+from roemetry.records.arrays import Floats
 from roemetry.stages import Capabilities, Extractor, StageOptions
 from roemetry_kernels.compiling import float_kernel, inlined
 from roemetry_peaks.options import PeakOptions

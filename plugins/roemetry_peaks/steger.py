@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from roemetry.records.arrays import Floats, Integers
 from roemetry.records import Frame, Peaks
+from roemetry.records.arrays import Floats, Integers
 from roemetry.records.peaks import EDGE, SATURATED
 from roemetry.stages import Capabilities, Extractor, StageOptions
 from roemetry_kernels.compiling import inlined, kernel

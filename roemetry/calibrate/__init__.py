@@ -1,15 +1,6 @@
 """From images to a calibration, its evidence, and its checks on a running line."""
 
 from roemetry.calibrate.block_check import block_of, check_calibration, find_block, read_block
-from roemetry.run.control_chart import (
-    QUANTITIES,
-    Chart,
-    Check,
-    Quantity,
-    calibration_doubts,
-    chart_page,
-    judge,
-)
 from roemetry.calibrate.evidence import (
     correlations,
     coverage,
@@ -19,6 +10,15 @@ from roemetry.calibrate.evidence import (
 )
 from roemetry.calibrate.from_rig import calibrate, calibrate_with_evidence, default_path, observe
 from roemetry.calibrate.penetration import fit_penetration, fit_penetration_in_one
+from roemetry.run.control_chart import (
+    QUANTITIES,
+    Chart,
+    Check,
+    Quantity,
+    calibration_doubts,
+    chart_page,
+    judge,
+)
 
 __all__ = [
     "QUANTITIES",

@@ -9,16 +9,16 @@ from pathlib import Path
 
 import numpy as np
 
-from roemetry.records.arrays import Flags, Floats
-from roemetry.run.control_chart import Chart, Check, Quantity, judge
-from roemetry.records.calibration import Calibration
+from roemetry.config.recipe import Recipe
+from roemetry.config.target_file import read_block as block_in_file
 from roemetry.errors import ConfigurationError, DataError
 from roemetry.io.files import sha256_of
-from roemetry.run.pipeline import Pipeline
-from roemetry.config.recipe import Recipe
 from roemetry.records import BELT, Acquisition, AcquisitionReference, Block, Profiles, Trace
-from roemetry.config.target_file import read_block as block_in_file
+from roemetry.records.arrays import Flags, Floats
+from roemetry.records.calibration import Calibration
 from roemetry.records.view import View
+from roemetry.run.control_chart import Chart, Check, Quantity, judge
+from roemetry.run.pipeline import Pipeline
 
 _REDRAWS = 100
 """A standard deviation of 100 draws is uncertain by 7 %."""

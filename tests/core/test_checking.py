@@ -28,8 +28,8 @@ from roemetry.calibrate import (
 )
 from roemetry.cli.check_calibration import show
 from roemetry.cli.main import app
-from roemetry.errors import DataError, OutputError
 from roemetry.config.recipe import Recipe
+from roemetry.errors import DataError, OutputError
 from roemetry.records import Block, Reason
 from roemetry.run.batch import run_recipe
 from roemetry.testing.scenes import LinearRig
