@@ -68,7 +68,7 @@ _LEFT_SHARE, _BODY_LEFT_SHARE = 0.5, 0.75
 _ABOVE_ODDS = 50.0
 """A product higher than the calibration is meant for is so many times less likely than one that is not."""
 _ABOVE_SHARE_MIN = 0.25
-"""Of a product a twentieth too high about this share of the body points lies above the range. Fewer are refused:
+"""Of a product a twentieth too high about this share of the body points lies above the range. Fewer go:
 pieces by themselves, where belt is missing, that nothing else keeps from being high."""
 _ALONE_PEAKS = 6
 """A trace of fewer peaks on another stripe's rest line is what is left of that belt at a shadow's edge."""
