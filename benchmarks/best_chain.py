@@ -19,11 +19,11 @@ import numpy as np
 
 from benchmarks.traced.tables import NAMED
 from roemetry import Measurement, Recipe, run_recipe
-from roemetry.dataset import Dataset
-from roemetry.record import RECORD, read_record
+from roemetry.config.dataset import Dataset
+from roemetry.config.scene import Scene
 from roemetry.records import Estimate, ProductTruth
-from roemetry.scene import Scene
-from roemetry.simulating import simulate
+from roemetry.run.record import RECORD, read_record
+from roemetry.run.simulate import simulate
 
 HOME = Path(__file__).resolve().parents[1] / "recipes" / "herring_roe"
 POPULATION = "simulator.options.product={family: herring-roe}"

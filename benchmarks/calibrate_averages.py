@@ -25,11 +25,11 @@ from benchmarks.calibrate_images import (
     render_targets,
     scene_of,
 )
-from roemetry.arrays import Floats
-from roemetry.calibration import Calibration
 from roemetry.records import Frame, StripeMap
 from roemetry.records import Sensor as Noise
-from roemetry.registry import discover
+from roemetry.records.arrays import Floats
+from roemetry.records.calibration import Calibration
+from roemetry.stages.registry import discover
 from roemetry_simulate.render import Rig, laser_light
 from roemetry_simulate.scene_file import RayCasterOptions
 from roemetry_simulate.scene_rig import rig_of, surface_of

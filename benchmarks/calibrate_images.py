@@ -17,13 +17,13 @@ import cv2
 import numpy as np
 
 from benchmarks.calibrate_map import over_the_image
-from roemetry.arrays import Floats
-from roemetry.calibrating import calibrate
-from roemetry.calibration import Calibration
+from roemetry.calibrate import calibrate
+from roemetry.config.rig import Rig
+from roemetry.io.yaml_source import dump
 from roemetry.records import StripeMap
-from roemetry.registry import discover
-from roemetry.rig import Rig
-from roemetry.yaml_source import dump
+from roemetry.records.arrays import Floats
+from roemetry.records.calibration import Calibration
+from roemetry.stages.registry import discover
 from roemetry_simulate.ray_caster import RayCaster
 from roemetry_simulate.scene_file import RayCasterOptions
 from roemetry_simulate.scene_rig import rig_of

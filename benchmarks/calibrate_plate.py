@@ -15,9 +15,9 @@ import numpy as np
 
 from benchmarks.calibrate_averages import frame_of, matt
 from benchmarks.calibrate_images import RIGS, calibrated, render_targets, scene_of
-from roemetry.registry import discover
-from roemetry.shipped import shipped
-from roemetry.target_file import SpherePlateFile, read_sphere_plate, read_target
+from roemetry.config.target_file import SpherePlateFile, read_sphere_plate, read_target
+from roemetry.io.shipped import shipped
+from roemetry.stages.registry import discover
 from roemetry.targets.solids import solid_triangles
 from roemetry_pinhole.plates import plate_scale
 from roemetry_simulate.products.family import Pose

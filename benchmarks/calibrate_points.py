@@ -12,11 +12,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from roemetry.arrays import Floats
+from roemetry.records.arrays import Floats
 from roemetry_pinhole.bundle import Adjusted, Problem, Weights, adjust, inverse
 from roemetry_pinhole.conformance import Shown, SimulatedRig, noisy, shown
 from roemetry_pinhole.frames import belt_pose
-from roemetry_pinhole.geometry import CAMERA, Geometry, Unknowns, straightened, unknowns_of
+from roemetry_pinhole.geometry import CAMERA, Geometry, Unknowns, undistort, unknowns_of
 
 RIGS = {
     "gentle": SimulatedRig(2000.0, 400.0),
@@ -104,7 +104,7 @@ def _chosen(exact: Shown, stripes: int) -> np.ndarray:
 def _heights(geometry: Geometry, exact: Shown, at: np.ndarray) -> Floats:
     """Heights over the belt, mm, of chosen stripe points without noise."""
     seen = np.column_stack([exact.points.x_px[at], exact.points.row_px[at]])
-    xy = straightened((seen - geometry.camera[2:4]) / geometry.camera[:2], geometry.camera[4:])
+    xy = undistort((seen - geometry.camera[2:4]) / geometry.camera[:2], geometry.camera[4:])
     ray = np.column_stack([xy, np.ones(len(xy))])
     points = ray / (ray * geometry.planes[exact.points.stripe[at]]).sum(axis=1)[:, None]
     pose = belt_pose(geometry.belt)

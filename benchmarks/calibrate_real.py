@@ -14,17 +14,17 @@ from pathlib import Path
 
 import numpy as np
 
-from roemetry.arrays import Floats
-from roemetry.calibrating import observe
+from roemetry.records.arrays import Floats
+from roemetry.calibrate import observe
 from roemetry.records import Board, Frame
-from roemetry.registry import discover
-from roemetry.rig import Rig
-from roemetry.yaml_source import dump
-from roemetry_pinhole.board_diagnostics import UnseenError
+from roemetry.stages.registry import discover
+from roemetry.config.rig import Rig
+from roemetry.io.yaml_source import dump
+from roemetry_pinhole.board_diagnostics import BoardNotFound
 from roemetry_pinhole.boards import BoardView, Seen, board_views, find_marks
 from roemetry_pinhole.bundle import Adjusted, adjust
 from roemetry_pinhole.equations import Corners, Feet, StripePoints
-from roemetry_pinhole.geometry import Geometry, straightened, unknowns_of
+from roemetry_pinhole.geometry import Geometry, undistort, unknowns_of
 from roemetry_pinhole.initial_intrinsics import FirstCamera, first_camera, free_numbers
 from roemetry_pinhole.stripes import Gathered, gather
 
@@ -121,7 +121,7 @@ def _no_feet() -> Feet:
 
 def _points_mm(geometry: Geometry, points: StripePoints) -> Floats:
     seen = np.column_stack([points.x_px, points.row_px])
-    xy = straightened((seen - geometry.camera[2:4]) / geometry.camera[:2], geometry.camera[4:])
+    xy = undistort((seen - geometry.camera[2:4]) / geometry.camera[:2], geometry.camera[4:])
     ray = np.column_stack([xy, np.ones(len(xy))])
     normal, shift = geometry.rotation[points.pose][:, :, 2], geometry.shift[points.pose]
     return np.asarray(ray * ((normal * shift).sum(axis=1) / (normal * ray).sum(axis=1))[:, None])
@@ -176,7 +176,7 @@ def _chessboard(folder: Path) -> None:
         size = frame.size
         try:
             marks = find_marks(frame, board)
-        except UnseenError as error:
+        except BoardNotFound as error:
             seen.left_out[path.name] = str(error)
             continue
         seen.views.append(BoardView(path.name, marks, None, None, on_belt=False, count=np.nan))

@@ -28,7 +28,7 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=500_000, help="first seed")
     folder = Path(tempfile.gettempdir()) / "roemetry-coding"
     parser.add_argument("--results", type=Path, default=folder, help="folder of results and of traced scenes")
-    parser.add_argument("--page", type=Path, default=Path("docs/explanation/coding.md"))
+    parser.add_argument("--page", type=Path, default=Path("docs/measurements/coding.md"))
     given = parser.parse_args()
     coders = coders_named([name for name in given.coders.split(",") if name])
     results = Results(given.results)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from markupsafe import Markup
 
-from roemetry.pages import svg
+from roemetry.html import plots as svg
 
 Points = Sequence[tuple[float, float]]
 

@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from benchmarks.coded import CodingRig, Crossings, Sample, Score, crossings_of, score
 from benchmarks.coded.products import in_view
 from benchmarks.coded.scoring import verdicts
-from roemetry.compare.points import nearest
 from roemetry.errors import StageError
 from roemetry.records import StripeMap
-from roemetry.registry import discover
 from roemetry.stages import Coder
+from roemetry.stages.registry import discover
 from roemetry_simulate.solid import Solid
+from roemetry_tools.compare.points import nearest
 
 LITERAL = "window-tracking (belt: interruption)"
 """The paper to the letter, beside its safer reading."""

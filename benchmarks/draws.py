@@ -10,9 +10,9 @@ import statistics
 import time
 from pathlib import Path
 
-from roemetry.pipeline import Pipeline
-from roemetry.recipe import Recipe
+from roemetry.config.recipe import Recipe
 from roemetry.records import Acquisition
+from roemetry.run.pipeline import Pipeline
 
 RECIPE = Path(__file__).parents[1] / "recipes" / "herring_roe" / "with_outline.yaml"
 CHAINS = {

@@ -22,9 +22,9 @@ from pathlib import Path
 import cv2
 
 from roemetry import Pipeline, Recipe
-from roemetry.measuring import measurements_of
-from roemetry.registry import discover
-from roemetry.runner import run_recipe
+from roemetry.run.batch import run_recipe
+from roemetry.run.rows import measurements_of
+from roemetry.stages.registry import discover
 
 BUDGET_MS = {
     "extractor": 0.35,

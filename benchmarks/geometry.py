@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 from markupsafe import Markup
 
-from roemetry.arrays import Floats
-from roemetry.pages import svg
-from roemetry.scene import Scene
+from roemetry.config.scene import Scene
+from roemetry.html import plots as svg
+from roemetry.records.arrays import Floats
 from roemetry_simulate.render import Rig
 from roemetry_simulate.scene_file import RayCasterOptions
 from roemetry_simulate.scene_rig import rig_of

@@ -21,8 +21,8 @@ from pathlib import Path
 from typing import Any
 
 from roemetry import Recipe
-from roemetry.measuring import measurements_of
-from roemetry.pipeline import Pipeline
+from roemetry.run.pipeline import Pipeline
+from roemetry.run.rows import measurements_of
 
 ROOT = Path(__file__).resolve().parents[1]
 GOLDEN = ROOT / "tests" / "golden"

@@ -18,10 +18,10 @@ from typing import NamedTuple
 import numpy as np
 
 from roemetry import Pipeline, Recipe
-from roemetry.dataset import Dataset
+from roemetry.config.dataset import Dataset
+from roemetry.config.scene import Scene
 from roemetry.records import StripeMap, StripeTruth, Trace
-from roemetry.scene import Scene
-from roemetry.simulating import simulate
+from roemetry.run.simulate import simulate
 from roemetry_files.dataset_source import DatasetSource
 from roemetry_paper.arc_curvature import ArcCurvature, ArcCurvatureOptions
 

@@ -26,10 +26,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from roemetry.dataset import save_bytes
+from roemetry.config.dataset import save_bytes
+from roemetry.io.shipped import shipped
+from roemetry.io.yaml_source import dump
 from roemetry.records import Frame, ProductTruth, StripeTruth
-from roemetry.shipped import shipped
-from roemetry.yaml_source import dump
 
 Floats = NDArray[np.float64]
 

@@ -15,10 +15,10 @@ import numpy as np
 from benchmarks.coded import DAMAGES, KINDS, Sample, dense_rig, easy_rig, sample_from, shape, skein
 from benchmarks.coded.crossings import crossings_of
 from benchmarks.coded.products import in_view
-from roemetry.compare.points import nearest
 from roemetry.errors import StageError
 from roemetry.records import StripeMap
 from roemetry_coding.pieces import Pieces
+from roemetry_tools.compare.points import nearest
 
 RIGS = {"easy": easy_rig, "dense": dense_rig}
 DAMAGED = ("none", "gaps", "lost-rows", "blobs", "ghosts", "dead-stripe", "belt-above")

@@ -16,10 +16,10 @@ from pathlib import Path
 import numpy as np
 
 from roemetry import Pipeline, Recipe
-from roemetry.compare.matching import by_place
-from roemetry.dataset import Dataset
+from roemetry.config.dataset import Dataset
 from roemetry.records import ProductTruth
 from roemetry.records.trace import ProductTrace
+from roemetry_tools.compare.matching import by_place
 
 HOME = Path(__file__).resolve().parents[1] / "recipes"
 LINES = ("potato", "fish_fillet", "bread_roll", "egg")

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from benchmarks.herring_roe import BEST_OPTIONS, score
 from roemetry import Pipeline, Recipe
-from roemetry.dataset import Dataset
+from roemetry.config.dataset import Dataset
 from roemetry_paper.arc_curvature import ArcCurvature, ArcCurvatureOptions
 
 FOLDER = Path("recipes/herring_roe")

@@ -12,7 +12,7 @@ import statistics
 import time
 from collections.abc import Callable
 
-from roemetry.scene import Scene
+from roemetry.config.scene import Scene
 from roemetry_simulate.population import product_of
 from roemetry_simulate.render import laser_light, render
 from roemetry_simulate.scene_rig import rig_of, surface_of

@@ -14,10 +14,10 @@ import time
 from pathlib import Path
 from typing import Any
 
-from roemetry.tuning.server import LOOPBACK, app_of
-from roemetry.tuning.session import Session
-from roemetry.tuning.wire import unpacked
-from roemetry.tuning.wishes import StageWish, Wish
+from roemetry_tools.tune.protocol import unpacked
+from roemetry_tools.tune.request import StageWish, Wish
+from roemetry_tools.tune.server import LOOPBACK, app_of
+from roemetry_tools.tune.session import Session
 
 
 def main() -> None:

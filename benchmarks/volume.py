@@ -26,7 +26,7 @@ from benchmarks.volume_images import image_rows, is_rendered
 from benchmarks.volume_page import IN_IMAGES, Pictures, Seeds, page
 from benchmarks.volume_scenes import Exact, exact_skein, thinned
 from roemetry.errors import RoemetryError
-from roemetry.files import write_whole
+from roemetry.io.files import write_whole
 from roemetry.records import Product, Volume
 from roemetry.stages import VolumeEstimator
 from roemetry_open3d.surface_mesh import MeshOptions, SurfaceMesh

@@ -13,7 +13,7 @@ import numpy as np
 from benchmarks.volume_scenes import exact, rig_of
 from benchmarks.volume_tables import K, table
 from roemetry.errors import RoemetryError
-from roemetry.files import write_whole
+from roemetry.io.files import write_whole
 from roemetry.stages import VolumeEstimator
 from roemetry_simulate.products import PRODUCTS
 from roemetry_simulate.products.family import Pose, draw_pose, random_of

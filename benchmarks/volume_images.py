@@ -11,15 +11,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks.volume_scenes import HERRING_ROE, calibration_of, skein
-from roemetry.assembling import assemble
-from roemetry.calibration import Calibration
+from roemetry.config.scene import Scene as SceneFile
 from roemetry.errors import RoemetryError
-from roemetry.files import write_whole
-from roemetry.monte_carlo import Chain, Scene
-from roemetry.monte_carlo.propagate import Drawn
-from roemetry.open_parts import SHARE_MAX, open_parts
+from roemetry.io.files import write_whole
 from roemetry.records import Frame, Outline, Product, Profiles, StripeMap, Volume
-from roemetry.scene import Scene as SceneFile
+from roemetry.records.calibration import Calibration
+from roemetry.run.monte_carlo import Chain, Scene
+from roemetry.run.monte_carlo.propagate import Drawn
+from roemetry.run.open_parts import SHARE_MAX, open_parts
+from roemetry.run.split_products import assemble
 from roemetry.stages import StageOptions, Triangulator, VolumeEstimator
 from roemetry_paper.window_tracking import WindowTracking
 from roemetry_peaks.maximum_likelihood import MaximumLikelihood

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from roemetry.calibration import Calibration
+from roemetry.config.scene import Scene
 from roemetry.records import NOTHING, Outline, Product, Profiles
-from roemetry.scene import Scene
-from roemetry.view import View
+from roemetry.records.calibration import Calibration
+from roemetry.records.view import View
 from roemetry_kernels.compiling import kernel
 from roemetry_simulate import scene_rig
 from roemetry_simulate.camera import Camera, looking_down

@@ -20,8 +20,8 @@ from benchmarks.traced.tables import NAMED
 from benchmarks.volume_images import images, measured
 from benchmarks.volume_scenes import HERRING_ROE, exact_skein
 from roemetry import Recipe
-from roemetry.compare.resampling import wilson
 from roemetry.errors import RoemetryError
+from roemetry_tools.compare.bootstrap import wilson
 
 UNKNOWN = "unknown"
 

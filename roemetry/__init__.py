@@ -9,14 +9,14 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from roemetry.calibrating import calibrate
-    from roemetry.calibration import Calibration
+    from roemetry.calibrate import calibrate
+    from roemetry.config.rig import Rig
     from roemetry.errors import RoemetryError
-    from roemetry.pipeline import Pipeline
     from roemetry.records import Measurement
-    from roemetry.rig import Rig
-    from roemetry.runnable import Recipe
-    from roemetry.runner import run_recipe
+    from roemetry.records.calibration import Calibration
+    from roemetry.run.api import Recipe
+    from roemetry.run.batch import run_recipe
+    from roemetry.run.pipeline import Pipeline
 
 __all__ = [
     "Calibration",
@@ -30,14 +30,14 @@ __all__ = [
 ]
 
 _HOMES = {
-    "Calibration": "roemetry.calibration",
+    "Calibration": "roemetry.records.calibration",
     "Measurement": "roemetry.records",
-    "Pipeline": "roemetry.pipeline",
-    "Recipe": "roemetry.runnable",
-    "Rig": "roemetry.rig",
+    "Pipeline": "roemetry.run.pipeline",
+    "Recipe": "roemetry.run.api",
+    "Rig": "roemetry.config.rig",
     "RoemetryError": "roemetry.errors",
-    "calibrate": "roemetry.calibrating",
-    "run_recipe": "roemetry.runner",
+    "calibrate": "roemetry.calibrate",
+    "run_recipe": "roemetry.run.batch",
 }
 
 

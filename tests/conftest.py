@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 
-from roemetry.calibration import Calibration
+from roemetry.records.calibration import Calibration
 
 SEED = 20260711
 # What lands must depend neither on luck nor on what else the machine does;

@@ -7,9 +7,9 @@ import tomllib
 from importlib.metadata import entry_points
 from pathlib import Path
 
-from roemetry.doctor import KNOWN_NUMBERS, known_numbers
-from roemetry.registry import discover
 from roemetry.stages import INTERFACES
+from roemetry.stages.registry import discover
+from roemetry_tools.doctor import KNOWN_NUMBERS, known_numbers
 
 LIBRARIES = {"roemetry_kernels"}
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from roemetry.calibration import Calibration
-from roemetry.view import View
+from roemetry.records.calibration import Calibration
+from roemetry.records.view import View
 from roemetry_simulate.camera import Camera, looking_down
 from roemetry_simulate.laser import LaserFan, fan_through
 

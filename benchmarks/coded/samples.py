@@ -11,8 +11,8 @@ from benchmarks.coded.crossings import Crossings, crossings_of
 from benchmarks.coded.damage import Damage, blobs_of, dead_of, false_peaks, kept
 from benchmarks.coded.products import in_view
 from benchmarks.coded.rigs import CodingRig
-from roemetry.calibration import Calibration
 from roemetry.records import Peaks
+from roemetry.records.calibration import Calibration
 from roemetry.records.peaks import SATURATED
 from roemetry_simulate.solid import Solid
 

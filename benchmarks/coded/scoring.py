@@ -7,10 +7,10 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from benchmarks.coded.samples import Sample
-from roemetry.arrays import Integers
-from roemetry.compare.coding import longest_run
-from roemetry.compare.points import REACH_PX, nearest
 from roemetry.records import AMBIGUOUS, StripeMap
+from roemetry.records.arrays import Integers
+from roemetry_tools.compare.coding import longest_run
+from roemetry_tools.compare.points import REACH_PX, nearest
 
 _TALL_MM = 1.0
 

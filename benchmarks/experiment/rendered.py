@@ -11,7 +11,7 @@ from benchmarks.grading.judges import GOOD, SHOWN_MM
 from benchmarks.grading.words import share, table
 from benchmarks.traced.tables import BEST_OPTIONS, NAMED
 from roemetry import Pipeline, Recipe
-from roemetry.dataset import Dataset
+from roemetry.config.dataset import Dataset
 from roemetry.records import Trace
 from roemetry_files.dataset_source import DatasetSource
 from roemetry_paper.arc_curvature import ArcCurvature, ArcCurvatureOptions

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from benchmarks.traced.tables import BEST_OPTIONS
 from roemetry import Pipeline, Recipe
-from roemetry.dataset import Dataset
+from roemetry.config.dataset import Dataset
 from roemetry.records import Peaks, StripeMap, Trace
 from roemetry_paper.arc_curvature import ArcCurvature, ArcCurvatureOptions
 

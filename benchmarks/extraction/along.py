@@ -13,10 +13,10 @@ from benchmarks.extraction.methods import extractors, found_in, frame_of
 from benchmarks.extraction.precision import drawn_images
 from benchmarks.extraction.scoring import Hits, hits, rms
 from benchmarks.extraction.tables import Table, number
-from roemetry.arrays import Floats
 from roemetry.records import NOTHING, StripeMap
-from roemetry.registry import discover
+from roemetry.records.arrays import Floats
 from roemetry.stages import Extractor, Smoother
+from roemetry.stages.registry import discover
 
 FED_BY = ("maximum-likelihood", "gaussian", "centre-of-gravity")
 """The extractor that feeds the filters: the first of these that is installed."""

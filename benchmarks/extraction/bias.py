@@ -10,7 +10,7 @@ from benchmarks.extraction.drawing import Drawn, Light, Stripes, draw
 from benchmarks.extraction.methods import Method
 from benchmarks.extraction.scoring import hits, rms
 from benchmarks.extraction.tables import Table, number
-from roemetry.arrays import Floats
+from roemetry.records.arrays import Floats
 
 PHASES = 10
 AMPLITUDES = (60.0, 120.0, 200.0)

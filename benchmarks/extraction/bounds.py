@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.extraction.drawing import HALF_WINDOW, SPECKLE_PX, Drawn, pixel_profile
-from roemetry.arrays import Floats
+from roemetry.records.arrays import Floats
 
 _ROUNDING = 1.0 / 12.0
 _WHITE_ABOVE = 252.0

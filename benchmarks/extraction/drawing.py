@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from scipy.special import erf
 
-from roemetry.arrays import Floats
+from roemetry.records.arrays import Floats
 
 GREY_PER_ELECTRON = 255.0 / 10_000.0
 READ_NOISE_GREY = 1.0

@@ -32,7 +32,7 @@ assert brightest(image) == 200
 FIRST = """
 import numpy as np
 from roemetry.records import Frame
-from roemetry.registry import discover
+from roemetry.stages.registry import discover
 
 image = np.zeros((480, 640), np.uint8)
 image[:, 297:306] = 20, 60, 120, 180, 200, 180, 120, 60, 20

@@ -18,8 +18,8 @@ from benchmarks.extraction import packages, peers
 from benchmarks.extraction.drawing import Light
 from benchmarks.extraction.scoring import Found
 from roemetry.records import WIDE, Frame, Peaks, Sensor
-from roemetry.registry import discover
 from roemetry.stages import Extractor
+from roemetry.stages.registry import discover
 
 TOLD = MappingProxyType(
     {

@@ -14,7 +14,7 @@ from pathlib import Path
 from markupsafe import Markup
 
 from benchmarks.extraction.tables import Table
-from roemetry.pages.svg import box, dot, line, number, text
+from roemetry.html.plots import box, dot, line, number, text
 
 PAGE = Path("docs/explanation/extraction.md")
 PLOT = Path("docs/images/extraction.svg")

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.signal import find_peaks
 
 from benchmarks.extraction.scoring import Found
-from roemetry.arrays import Floats
+from roemetry.records.arrays import Floats
 
 LEVEL = 40.0
 """Grey level between the ambient light of the images and the dimmest stripe."""

@@ -23,7 +23,7 @@ from benchmarks.extraction.drawing import (
 from benchmarks.extraction.methods import Method
 from benchmarks.extraction.scoring import hits, rms
 from benchmarks.extraction.tables import Table, number, percent
-from roemetry.arrays import Floats
+from roemetry.records.arrays import Floats
 
 SLOW_IMAGES = 2
 MATERIALS = (0.08, 0.25)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.extraction.drawing import Stripes
-from roemetry.arrays import Floats
+from roemetry.records.arrays import Floats
 
 HIT_PX = 2.0
 

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 
 from benchmarks.grading.virtual_rig import STEP_MM, Surface, surface_of_grid
-from roemetry.arrays import Floats, Integers
+from roemetry.records.arrays import Floats, Integers
 from roemetry_simulate.products import PRODUCTS
 
 MARGIN_MM = 4.0

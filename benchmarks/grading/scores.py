@@ -10,8 +10,8 @@ import numpy as np
 
 from benchmarks.grading.judges import GOOD, SHOWN_MM, Judge
 from benchmarks.traced.tables import Row
-from roemetry.compare.grading import Graded
-from roemetry.compare.resampling import Interval, wilson
+from roemetry_tools.compare.bootstrap import Interval, wilson
+from roemetry_tools.compare.grading import Graded
 
 UNKNOWN = "unknown"
 HEALTHY = "none"

@@ -17,10 +17,10 @@ from benchmarks.grading.words import share, table
 from benchmarks.made_by import made_by
 from benchmarks.traced import traced
 from benchmarks.traced.tables import SMOOTHING_MM
-from roemetry.compare.resampling import wilson
 from roemetry.errors import RoemetryError
 from roemetry_shape.features import shape_of
 from roemetry_shape.learned import Learned, LearnedOptions
+from roemetry_tools.compare.bootstrap import wilson
 
 NOT_SEEN = ("whole cylinder", "sloping block", "single step", "cap of a ball", "ball-bar")
 """Kinds that no measure was chosen with an eye on; the others had been tried, of other sizes and seeds."""

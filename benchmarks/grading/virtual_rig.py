@@ -22,8 +22,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import gaussian_filter1d, map_coordinates, rotate
 
-from roemetry.arrays import Floats
 from roemetry.records import NOTHING, Product, Profiles
+from roemetry.records.arrays import Floats
 from roemetry.testing.scenes import LinearRig
 
 STEP_MM = 0.25

@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from roemetry.arrays import Flags, Floats, Integers
-from roemetry.calibration import Calibration
-from roemetry.view import View
+from roemetry.records.arrays import Flags, Floats, Integers
+from roemetry.records.calibration import Calibration
+from roemetry.records.view import View
 
 TRUTH_VERSION = 1
 NO_SKEIN = "no skein"

@@ -21,14 +21,14 @@ from benchmarks.outside.reading import (
     true_calibration,
 )
 from roemetry import Calibration, Recipe, Rig, RoemetryError, calibrate
-from roemetry.arrays import Flags, Floats, Integers
-from roemetry.compare.points import REACH_PX, nearest
-from roemetry.measuring import measurements_of
-from roemetry.pipeline import Pipeline, frame_of
+from roemetry.io.yaml_source import read
 from roemetry.records import AMBIGUOUS, Acquisition, Estimate, Measurement, Peaks, StripeMap, Trace
-from roemetry.registry import discover
-from roemetry.remembering import RememberedStages, StepMemory
-from roemetry.yaml_source import read
+from roemetry.records.arrays import Flags, Floats, Integers
+from roemetry.run.pipeline import Pipeline, frame_of
+from roemetry.run.rows import measurements_of
+from roemetry.run.stage_cache import RememberedStages, StepMemory
+from roemetry.stages.registry import discover
+from roemetry_tools.compare.points import REACH_PX, nearest
 
 HIT_PX = 2.0
 HEIGHTS_MM = 9

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from roemetry.preparing import prepare
 from roemetry.records import WIDE, Acquisition, Frame, Peaks
+from roemetry.run.preprocess import prepare
 
 
 def folder_of(name: str) -> Path | None:

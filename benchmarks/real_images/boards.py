@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from benchmarks.extraction.tables import Table, number
 from benchmarks.real_images import folder_of, prepared, sound
 from benchmarks.real_images.overlay import overlay
-from roemetry.arrays import Floats
+from roemetry.records.arrays import Floats
 from roemetry.stages import Extractor
 
 POSES = 12

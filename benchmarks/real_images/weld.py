@@ -19,11 +19,11 @@ import numpy as np
 from benchmarks.extraction.tables import Table, number, percent
 from benchmarks.real_images import folder_of, prepared, sound
 from benchmarks.real_images.overlay import overlay
-from roemetry.arrays import Floats
 from roemetry.errors import RoemetryError
 from roemetry.records import Peaks
-from roemetry.registry import discover
+from roemetry.records.arrays import Floats
 from roemetry.stages import Extractor
+from roemetry.stages.registry import discover
 
 LINE = ((2.0, 390.0), (518.0, 385.5), (735.0, 585.0)), ((818.0, 588.0), (1042.0, 394.5), (1278.0, 400.0))
 """(x, y) of the line's corners in the image as it is, px: left flank, right flank."""

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.traced.skeins import Traced
-from roemetry.arrays import Floats
 from roemetry.errors import StageError
 from roemetry.records import Product
+from roemetry.records.arrays import Floats
 from roemetry_paper.zero_order_hold import ZeroOrderHold
 
 CAUSES = ("density", "underside", "ends", "between stripes", "points", "calibration")

@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmarks.coded import CodingRig
 from benchmarks.traced.skeins import Traced
-from roemetry.arrays import Floats
+from roemetry.records.arrays import Floats
 from roemetry_simulate.solid import Solid
 
 STRIPES = (6, 8, 11, 16, 21, 31, 41)

@@ -12,10 +12,10 @@ from benchmarks.coded import CodingRig, sample_from
 from benchmarks.coded.crossings import Crossings, crossings_of
 from benchmarks.coded.products import in_view
 from benchmarks.traced.rigs import RIGS
-from roemetry.assembling import assemble
-from roemetry.calibration import Calibration
 from roemetry.errors import StageError
 from roemetry.records import Peaks, Product, Profiles, StripeMap
+from roemetry.records.calibration import Calibration
+from roemetry.run.split_products import assemble
 from roemetry_paper.block_linear import BlockLinear
 from roemetry_paper.window_tracking import WindowTracking
 from roemetry_simulate.placing import moved_to

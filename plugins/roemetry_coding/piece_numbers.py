@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roemetry.arrays import Flags, Floats, Integers
+from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_coding.piece_sides import Pieces
 
 _SIDE_ROWS, _ALONE_ROWS = 15, 30

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from roemetry.arrays import Flags, Floats, Integers
 from roemetry.records import Peaks
+from roemetry.records.arrays import Flags, Floats, Integers
 
 SLOPE_ROWS = 12
 """Rows at an end that say where it points."""

@@ -12,9 +12,9 @@ from types import MappingProxyType
 import numpy as np
 from pydantic import Field
 
-from roemetry.calibration import Calibration
 from roemetry.errors import StageError
 from roemetry.records import AMBIGUOUS, UNCODED, Peaks, Reason, StripeMap
+from roemetry.records.calibration import Calibration
 from roemetry.stages import Capabilities, Coder, StageOptions
 from roemetry_coding.piece_numbers import numbers_of
 from roemetry_coding.piece_sides import pieces_of

@@ -10,9 +10,9 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
-from roemetry.calibration import Calibration
 from roemetry.errors import StageError
 from roemetry.records import AMBIGUOUS, Peaks, StripeMap
+from roemetry.records.calibration import Calibration
 from roemetry.stages import Coder
 from roemetry_kernels.coding.bridging import BridgingOptions, bridged
 from roemetry_kernels.coding.refusing import refuse_bare_lines, refuse_uncodable, required_calibration

@@ -11,10 +11,10 @@ from typing import ClassVar
 
 from pydantic import Field
 
-from roemetry.files import write_whole
+from roemetry.io.files import write_whole
 from roemetry.records import Estimate, Measurement
+from roemetry.records.units import NOT_STATED, mm3_to_cm3
 from roemetry.stages import Run, Sink, StageOptions
-from roemetry.units import NOT_STATED, mm3_to_cm3
 
 Cell = str | float | int
 

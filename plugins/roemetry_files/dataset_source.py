@@ -8,7 +8,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
-from roemetry.dataset import DESCRIPTION, ITEMS, Dataset
+from roemetry.config.dataset import DESCRIPTION, ITEMS, Dataset
 from roemetry.errors import DataError
 from roemetry.records import Acquisition, AcquisitionReference, Sensor
 from roemetry.stages import Source, StageOptions

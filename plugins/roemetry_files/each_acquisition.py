@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from roemetry.errors import RoemetryError
-from roemetry.files import make_folder, write_bytes
+from roemetry.io.files import make_folder, write_bytes
 from roemetry.records import Trace
 from roemetry.stages import Run
 from roemetry_files.names import file_name

@@ -11,8 +11,8 @@ from typing import ClassVar
 import numpy as np
 from pydantic import Field
 
-from roemetry.arrays import Floats
 from roemetry.records import Trace
+from roemetry.records.arrays import Floats
 from roemetry.stages import Run, Sink, StageOptions
 from roemetry_files.each_acquisition import write_each
 from roemetry_files.rastering import raster

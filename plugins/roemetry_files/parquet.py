@@ -9,9 +9,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from roemetry.files import write_bytes
+from roemetry.io.files import write_bytes
+from roemetry.records.units import NOT_STATED
 from roemetry.stages import Run, Sink, StageOptions
-from roemetry.units import NOT_STATED
 from roemetry_files.csv_table import COLUMNS, features_of, given_features
 
 

@@ -8,8 +8,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from roemetry.arrays import Floats
 from roemetry.records import Profiles
+from roemetry.records.arrays import Floats
 
 SEEN, INTERPOLATED = 1, 2
 

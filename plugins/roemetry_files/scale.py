@@ -15,8 +15,8 @@ from pydantic import Field
 
 from roemetry.errors import DataError, StageError
 from roemetry.records import Estimate, Product, Reason, Volume, Weight
+from roemetry.records.units import mm3_to_cm3
 from roemetry.stages import Capabilities, StageOptions, Weigher
-from roemetry.units import mm3_to_cm3
 
 
 class ScaleOptions(StageOptions):

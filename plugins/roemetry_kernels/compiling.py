@@ -1,26 +1,20 @@
 """The decorator of every kernel: compiled once, kept on disk, compiled anew when any source of it changes.
 
-numba keeps what it compiled beside the source and looks at the age of that one file. What a kernel takes from
-other files (kernels that are compiled into it, constants) may have changed since, unnoticed. So here the mark
-of what is kept also holds a hash of every file of ours that the kernel's file imports, at any depth.
+numba keeps what it compiled beside the source and looks at that one file. What a kernel takes from other
+files (kernels that are compiled into it, constants) may have changed since, unnoticed. So the stamp of what
+is kept also holds a hash of every file of ours that its file imports, at any depth (`cache_locators`).
+
+With ``NUMBA_DISABLE_JIT=1`` every kernel is the plain Python function: a reference that needs no compiler.
 """
 
 from __future__ import annotations
 
-import hashlib
-import re
 from collections.abc import Callable
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from roemetry_kernels.taking_turns import compiled_in_turns
-
-_IMPORT = re.compile(
-    r"^[ \t]*(?:from|import)[ \t]+(roemetry_[\w.]*)(?:[ \t]+import[ \t]+(?:([^(\n]+)|\(([^)]*)\)))?",
-    re.MULTILINE,
-)
-"""An import of ours, one to a line. Reading whole files as programs takes longest of all at the start."""
 
 _FLOATS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"reassoc", "contract", "nsz", "arcp"}}
 
@@ -54,18 +48,22 @@ def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
             f"{function.__qualname__} has a compiled function from the function around it: it would never be "
             "found again on disk; call it by a name of the module"
         )
-    from numba import njit
+    from numba import config, njit
 
-    compiled: Any = njit(cache=True, nogil=True, **options)(function)
-    kept = getattr(compiled._cache, "_cache_file", None)
-    if kept is not None:
-        if not hasattr(kept, "_source_stamp"):
-            # another numba keeps its marks elsewhere: rather compile every time than run what is outdated
-            return njit(nogil=True, **options)(function)
-        source = Path(function.__code__.co_filename)
-        kept._source_stamp = (kept._source_stamp, digest(source))
-        return compiled_in_turns(compiled, source)
-    return compiled
+    if config.DISABLE_JIT:  # numba then gives the function itself: every kernel runs as plain Python
+        return njit(**options)(function)
+    if not hasattr(config, "CACHE_LOCATOR_CLASSES"):
+        # this numba cannot be told which files to look at: compile every time, never run what is outdated
+        return njit(nogil=True, **options)(function)
+    from roemetry_kernels.cache_locators import NAMES
+
+    before = config.CACHE_LOCATOR_CLASSES
+    config.CACHE_LOCATOR_CLASSES = NAMES
+    try:
+        compiled: Any = njit(cache=True, nogil=True, **options)(function)
+    finally:
+        config.CACHE_LOCATOR_CLASSES = before  # functions of others keep the locators they had
+    return compiled_in_turns(compiled, Path(function.__code__.co_filename))
 
 
 def float_kernel(function: Callable[..., Any]) -> Any:
@@ -85,34 +83,3 @@ def inlined(function: Callable[..., Any]) -> Any:
     from numba import njit
 
     return njit(nogil=True, forceinline=True, **_FLOATS)(function)
-
-
-@cache
-def digest(file: Path) -> str:
-    """Return a hash of a source file and of every file of ours that it imports, directly or not."""
-    found: dict[Path, bytes] = {}
-    waiting = [file]
-    while waiting:
-        path = waiting.pop()
-        if path not in found:
-            found[path] = path.read_bytes()
-            waiting.extend(_imported(path))
-    summed = hashlib.sha256()
-    for path in sorted(found):
-        summed.update(path.name.encode() + b"\0" + found[path] + b"\0")
-    return summed.hexdigest()
-
-
-@cache
-def _imported(path: Path) -> tuple[Path, ...]:
-    """Give the files of our modules that a file imports, wherever in it."""
-    root = path.parent
-    while (root / "__init__.py").exists():
-        root = root.parent
-    files = []
-    for module, one_line, in_brackets in _IMPORT.findall(path.read_text("utf-8")):
-        listed = re.sub(r"#.*", "", in_brackets or one_line).split(",")
-        for name in (module, *(f"{module}.{words[0]}" for part in listed if (words := part.split()))):
-            place = root.joinpath(*name.split("."))
-            files += [file for file in (place.with_suffix(".py"), place / "__init__.py") if file.exists()]
-    return tuple(files)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from roemetry.hookspecs import StageEntry, hookimpl
+from roemetry.stages.hookspecs import StageEntry, hookimpl
 
 
 @hookimpl

@@ -28,8 +28,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError, field_validator
 
+from roemetry.config.validation import unknown_key
 from roemetry.errors import DataError, MisfitError
-from roemetry.validation import unknown_key
 from roemetry_mitsuba.bodies import Body, Faces, normals_of, read_body, settled
 from roemetry_mitsuba.scene import Part
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from roemetry.arrays import Floats, Integers
+from roemetry.records.arrays import Floats, Integers
 
 _LARGEST_LOOP = 12
 

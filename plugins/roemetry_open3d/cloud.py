@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roemetry.arrays import Floats
+from roemetry.records.arrays import Floats
 from roemetry_open3d.sheet import Sheet
 
 _MIRROR = np.array([1.0, 1.0, -1.0])

@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roemetry.arrays import Flags, Floats
 from roemetry.errors import StageError
 from roemetry.records import Product, Reason
+from roemetry.records.arrays import Flags, Floats
 
 LEAST_LINES = 3
 _LEAST_POINTS = 4

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from roemetry.arrays import Floats
+from roemetry.records.arrays import Floats
 from roemetry_open3d.meshing import Method
 from roemetry_open3d.sheet import Sheet
 

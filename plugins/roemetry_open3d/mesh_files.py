@@ -9,7 +9,7 @@ from typing import Literal
 from pydantic import Field
 
 from roemetry.errors import RoemetryError
-from roemetry.files import make_folder, write_bytes, write_whole
+from roemetry.io.files import make_folder, write_bytes, write_whole
 from roemetry.stages import Run, Sink
 from roemetry_open3d.loading import open3d
 from roemetry_open3d.mesh_formats import ply, stl

@@ -6,7 +6,7 @@ import struct
 
 import numpy as np
 
-from roemetry.arrays import Floats
+from roemetry.records.arrays import Floats
 from roemetry_open3d.meshing import Mesh
 from roemetry_open3d.vertex_uncertainty import ASSUMED, Certainty
 

@@ -7,8 +7,8 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from roemetry.arrays import Floats, Integers
 from roemetry.errors import StageError
+from roemetry.records.arrays import Floats, Integers
 from roemetry_open3d.closing import mended, open_edges
 from roemetry_open3d.cloud import Cloud, mirrored_cloud, standing_cloud
 from roemetry_open3d.loading import open3d

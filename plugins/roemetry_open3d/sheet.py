@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from roemetry.arrays import Flags, Floats
 from roemetry.errors import StageError
 from roemetry.records import Product, Reason
+from roemetry.records.arrays import Flags, Floats
 from roemetry_open3d.lines import Line, lines_of
 
 _COLUMNS = 64

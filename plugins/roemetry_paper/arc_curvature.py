@@ -9,8 +9,8 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from roemetry.arrays import Flags, Floats, Integers
 from roemetry.records import Grade, Marks, Product, Reason
+from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.stages import Classifier, StageOptions
 from roemetry_kernels.shape.arcs import BodyCurves, arc_middles, body_curves, smoothed
 

@@ -6,18 +6,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from roemetry.arrays import Flags, Integers
 from roemetry.records import AMBIGUOUS, Peaks
+from roemetry.records.arrays import Flags, Integers
 from roemetry_kernels.coding.ordering import doubtful_by_order
 from roemetry_kernels.coding.tracing import cut_at_rest_lines
 
 _END_ROWS = 12
 """Rows at the image's ends within which a belt segment must begin: a product never reaches so far."""
 _BELT_ROWS_MIN = 6
+"""Rows of a run on a rest line: a body that crosses the line stays on it for fewer."""
 _FLICKER_ROWS = 3
+"""Rows that may be missing from a run: speckle takes single peaks."""
 _DOUBTFUL_ROWS_MIN = 3
+"""Rows whose order speaks against a run before it is cut: single rows have false peaks."""
 _LIVE_ROWS_MIN = 15
+"""Rows of a run amid the image by which a stripe without ends counts as lit."""
 _PASSES_MAX = 4
+"""Passes of cutting; each finds what the one before laid bare."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from roemetry.records import Frame, Peaks
 from roemetry.stages import Capabilities, Extractor, StageOptions
-from roemetry_kernels.extraction.grey_levels import grey, scaled_level
+from roemetry_kernels.image_levels import grey, scaled_level
 from roemetry_paper.dominant_peak import as_peaks, rise_of
 
 
@@ -50,7 +50,7 @@ class BinaryThreshold(Extractor[BinaryThresholdOptions]):
     def extract(self, frame: Frame) -> Peaks:
         """Find the runs of all rows but the first and the last."""
         # numba: loaded only when something runs
-        from roemetry_kernels.extraction.peak_scans import runs_above
+        from roemetry_paper.peak_scans import runs_above
 
         stated = self.options.threshold
         threshold = level_of(frame) if stated == "auto" else math.floor(scaled_level(stated, frame))
@@ -59,6 +59,6 @@ class BinaryThreshold(Extractor[BinaryThresholdOptions]):
 
 def level_of(frame: Frame) -> int:
     """Choose a grey level between the dark and the stripes."""
-    from roemetry_kernels.extraction.local_contrast import level_between
+    from roemetry_kernels.image_levels import level_between
 
     return level_between(grey(frame), rise_of(frame))

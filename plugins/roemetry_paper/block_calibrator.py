@@ -17,10 +17,10 @@ from typing import NamedTuple
 import numpy as np
 from pydantic import Field
 
-from roemetry.arrays import Floats
-from roemetry.calibration import Calibration
 from roemetry.errors import CalibrationError
 from roemetry.records import Block, CalibrationSet, Observation
+from roemetry.records.arrays import Floats
+from roemetry.records.calibration import Calibration
 from roemetry.stages import Calibrator, Capabilities, StageOptions
 from roemetry_paper.block_geometry import block_view
 from roemetry_paper.block_views import BlockView, rest_polynomials, view_of_block

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from roemetry.arrays import Floats
-from roemetry.lens import undistorted
-from roemetry.view import View
+from roemetry.records.arrays import Floats
+from roemetry.records.camera_model import undistorted
+from roemetry.records.view import View
 
 _ABOVE_MM = 1000.0
 """Where the camera of a telecentric view is put; nothing depends on it."""

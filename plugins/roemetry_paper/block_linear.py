@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from roemetry.arrays import Floats
-from roemetry.calibration import Calibration
 from roemetry.errors import StageError
 from roemetry.records import Profiles, StripeMap
+from roemetry.records.arrays import Floats
+from roemetry.records.calibration import Calibration
+from roemetry.records.view import View
 from roemetry.stages import Capabilities, StageOptions, Triangulator
-from roemetry.view import View
 from roemetry_paper.block_geometry import block_view, light_planes
 
 

@@ -19,9 +19,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roemetry.arrays import Flags, Floats, Integers
 from roemetry.errors import CalibrationError, StageError
 from roemetry.records import CalibrationSet, Observation, Peaks
+from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_kernels.coding.rest_lines import rest_lines_of_frame
 from roemetry_kernels.coding.tracing import trace_fragments
 from roemetry_paper.whole_pixels import centres, is_whole
@@ -31,6 +31,7 @@ _BOW_ROWS_MIN = 200
 _BOW_SIGMAS = 5.0
 """A bow of fewer standard deviations is none: in a straight rig it would only add noise."""
 _LINE_ROWS_MIN = 12
+"""Rows of a line: from fewer its slope is not known to a pixel."""
 _LINE_SHARE_MIN = 0.3
 """Of the longest line's peaks: what has fewer is a reflection or the edge of something."""
 _JOIN_PX = 3.5
@@ -38,20 +39,34 @@ _JOIN_PX = 3.5
 _SURPLUS_SHARE = 0.5
 """Of the weakest stripe's peaks: more lines than stripes are tolerated where the surplus has fewer."""
 _DISPLACED_MIN_PX = 4.0
+"""A stripe on the block is displaced by more than this, px: whole-pixel peaks and speckle scatter by 1 px. A
+block of 16 mm displaces by 40 px and more."""
 _BLOCK_ROWS_MIN = 20
+"""Rows of the block's top: shorter ones give the scale to no better than 5 %."""
 _RUN_GAP_ROWS = 12
+"""Rows without a displaced peak that do not end the block: glints and dirt."""
 _TRIM = 0.1
+"""Of the top's rows at either end that are not used: edges are chamfered, and smeared by the extractor."""
 _BATCH_ROWS = 8
 """Rows that are averaged into one nearly independent value: peaks are correlated over two or three rows."""
 _BATCHES_MIN = 6
+"""Batches from which a scatter is estimated; from fewer, rows are taken as correlated over a batch."""
 _BODY_STEP_PX = 7.0
+"""A trace goes on where the next row's peak is nearer, px: half the body window of the paper."""
 _END_ROWS = 12
+"""Rows at the image's ends where only belt is."""
 _REST_RMS_MAX_PX = 1.5
+"""Scatter of peaks about straight lines or parabolas, px: whole-pixel peaks in speckle give 0.2 to 0.6; more
+is a bent belt or lens."""
 _EDGE_ROOM_MIN_PX = 0.75
+"""A block that displaces by a whole spacing puts each stripe on its neighbour's belt line; nearer than this,
+px, edges cannot be told."""
 _EDGE_GAP_ROWS = 3
 """Rows without a peak that do not end the block: speckle takes single peaks."""
 _MAD_TO_STD = 1.4826
+"""Standard deviation of a normal distribution over its median absolute deviation."""
 _ROOM_MIN_PX = 1.5
+"""Least room about a belt line, px: one and a half whole pixels."""
 _ROOM_SIGMAS = 4.0
 """A peak is on a belt line within so many of its scatter; less than 1.5 px is within whole pixels."""
 _HIDDEN_MAX = 2

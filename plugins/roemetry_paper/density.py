@@ -9,8 +9,8 @@ import numpy as np
 from pydantic import Field
 
 from roemetry.records import Estimate, Product, Reason, Volume, Weight
+from roemetry.records.units import mm3_to_cm3
 from roemetry.stages import StageOptions, Weigher
-from roemetry.units import mm3_to_cm3
 
 
 class DensityOptions(StageOptions):

@@ -12,10 +12,10 @@ from pydantic import Field
 
 from roemetry.records import Frame, Peaks
 from roemetry.stages import Capabilities, Extractor, StageOptions
-from roemetry_kernels.extraction.grey_levels import grey, plain_layout, scaled_level
+from roemetry_kernels.image_levels import grey, plain_layout, scaled_level
 
 if TYPE_CHECKING:
-    from roemetry_kernels.extraction.peak_scans import Scan
+    from roemetry_paper.peak_scans import Scan
 
 
 class DominantPeakOptions(StageOptions):
@@ -69,7 +69,7 @@ class DominantPeak(Extractor[DominantPeakOptions]):
     def extract(self, frame: Frame) -> Peaks:
         """Find the dominant peaks of all rows but the first and the last."""
         # numba: loaded only when something runs
-        from roemetry_kernels.extraction.peak_scans import dominant_peaks
+        from roemetry_paper.peak_scans import dominant_peaks
 
         stated, pixels = self.options.threshold, grey(frame)
         threshold = rise_of(frame) if stated == "auto" else math.floor(scaled_level(stated, frame))
@@ -80,7 +80,7 @@ class DominantPeak(Extractor[DominantPeakOptions]):
 
 def rise_of(frame: Frame) -> int:
     """Choose by how much a peak must rise, from the image's noise, grey levels."""
-    from roemetry_kernels.extraction.image_noise import automatic_rise
+    from roemetry_kernels.image_levels import automatic_rise
 
     rows, columns = frame.size
     return automatic_rise(plain_layout(grey(frame)), frame.white, 0, rows, 0, columns)
@@ -88,7 +88,7 @@ def rise_of(frame: Frame) -> int:
 
 def without_faint(scan: Scan) -> Scan:
     """Leave out what is low beside the image's other peaks."""
-    from roemetry_kernels.extraction.local_contrast import SHARE_MIN, faint
+    from roemetry_kernels.image_levels import SHARE_MIN, faint
 
     kept = ~faint(scan.row, scan.x_px, scan.amplitude, SHARE_MIN)
     return scan if kept.all() else type(scan)._make(values[kept] for values in scan)
@@ -96,7 +96,7 @@ def without_faint(scan: Scan) -> Scan:
 
 def as_peaks(frame: Frame, scan: Scan) -> Peaks:
     """Make the record of what a scan found in the frame; the scans do not model an uncertainty of x."""
-    from roemetry_kernels.extraction.upside_down import doubts
+    from roemetry_kernels.image_levels import doubts
 
     reasons = doubts(frame.pixels, frame.white, scan.row, scan.x_px, scan.width_px)
     unsaid = np.full(scan.row.shape[0], np.nan)

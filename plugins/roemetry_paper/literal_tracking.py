@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from roemetry.arrays import Floats, Integers
 from roemetry.records import UNCODED, Peaks
+from roemetry.records.arrays import Floats, Integers
 from roemetry_kernels.coding.tracing import trace_fragments
 
 _JOIN_ROWS = 20

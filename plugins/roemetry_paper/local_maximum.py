@@ -11,7 +11,7 @@ from pydantic import Field
 
 from roemetry.records import Frame, Peaks
 from roemetry.stages import Capabilities, Extractor, StageOptions
-from roemetry_kernels.extraction.grey_levels import grey, scaled_level
+from roemetry_kernels.image_levels import grey, scaled_level
 from roemetry_paper.binary_threshold import level_of
 from roemetry_paper.dominant_peak import as_peaks
 
@@ -48,7 +48,7 @@ class LocalMaximum(Extractor[LocalMaximumOptions]):
     def extract(self, frame: Frame) -> Peaks:
         """Find the maxima of all rows but the first and the last."""
         # numba: loaded only when something runs
-        from roemetry_kernels.extraction.peak_scans import local_maxima
+        from roemetry_paper.peak_scans import local_maxima
 
         stated = self.options.floor
         floor = level_of(frame) if stated == "auto" else math.ceil(scaled_level(stated, frame))

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from roemetry.arrays import Floats, Integers
+from roemetry.records.arrays import Floats, Integers
 
 _REACH_MAX_PX = 15
 """Pixels on either side that are looked at: stripes wider than 30 px at half height keep part of the bias."""

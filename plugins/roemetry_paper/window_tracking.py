@@ -20,10 +20,10 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from roemetry.arrays import Flags, Floats, Integers
-from roemetry.calibration import Calibration
 from roemetry.errors import StageError
 from roemetry.records import AMBIGUOUS, UNCODED, Peaks, Reason, StripeMap
+from roemetry.records.arrays import Flags, Floats, Integers
+from roemetry.records.calibration import Calibration
 from roemetry.stages import Coder
 from roemetry_kernels.coding.bridging import BridgingOptions, bridged
 from roemetry_kernels.coding.consistency import drop_doubles, keep_order, refuse_unexplained_gaps
@@ -78,16 +78,23 @@ class WindowTrackingOptions(BridgingOptions):
 _END_ROWS = 12
 """Rows at the image's ends within which a belt segment must begin: a skein never reaches so far."""
 _DARK_ROWS_MAX = 20
+"""Rows on end without a peak: as long a gap as is bridged."""
 _PIECES_MAX = 400
+"""Pieces without a belt to number them by: more is noise."""
 _PIECES_SHARE_MIN = 0.25
+"""Of all peaks: where less lies in traced pieces, it is noise."""
 _AGREEMENT_MIN = {"anywhere": 0.9, "facing-light": 0.75}
 """Of the rows that vote. Counted from the shadow's side each row that has lost a peak is off by one, and an
 extractor loses one in up to a fifth of a flank's rows. A stripe that is lost in three rows of four shifts
 those behind it, and nothing tells."""
 _VOTERS_MIN = 3
+"""Rows that vote: fewer are chance."""
 _VOTING_SHARE_MIN = 0.5
+"""Of a segment's rows: where most cannot vote, something is seen twice and something hidden."""
 _PASSES_MAX = 12
+"""Passes; each settles what the one before made certain, until nothing changes."""
 _UNBOUNDED_PX = 1e6
+"""No bound, px."""
 
 
 class WindowTracking(Coder[WindowTrackingOptions]):

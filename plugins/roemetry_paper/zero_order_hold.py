@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roemetry.arrays import Flags, Floats, Integers
 from roemetry.errors import StageError
 from roemetry.records import Estimate, Product, Profiles, Reason, Shares, Volume
+from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.stages import Capabilities, StageOptions, VolumeEstimator
 from roemetry_kernels.shape.arcs import BodyCurves, body_curves
 

@@ -19,7 +19,7 @@ def middles_of_flanks(fit: Fitted, image: Any, white: int, found: Found) -> None
     Two or three lit pixels a flank do not tell height from width, or the light is none that has a Gaussian's
     flanks. Where a flank lies, the pixels tell to one of them.
     """
-    from roemetry_kernels.extraction.gaussian_fisher import CLIPPED, FAILED
+    from roemetry_peaks.fisher_scoring import CLIPPED, FAILED
 
     lost = np.flatnonzero(fit.state == FAILED)
     x_px = found.starts.x_px[lost]

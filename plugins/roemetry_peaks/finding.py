@@ -11,18 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from roemetry.arrays import Floats
+from roemetry.records.arrays import Floats
 from roemetry.records import EDGE, SATURATED, Frame, Peaks
-from roemetry_kernels.extraction.grey_levels import grey, plain_layout, scaled_level
-from roemetry_kernels.extraction.half_seen import middles_of_half_seen, what_is_odd
-from roemetry_kernels.extraction.image_noise import automatic_rise
-from roemetry_kernels.extraction.local_contrast import SHARE_MIN
-from roemetry_kernels.extraction.speckle_along import contrasts_along
-from roemetry_kernels.extraction.stripe_footing import Stripes, stripes_around
-from roemetry_kernels.extraction.stripe_scan import Area, stripe_tops
-from roemetry_kernels.extraction.upside_down import doubts
+from roemetry_kernels.image_levels import SHARE_MIN, automatic_rise, doubts, grey, plain_layout, scaled_level
+from roemetry_peaks.clipped_peaks import middles_of_half_seen, what_is_odd
 from roemetry_peaks.options import PeakOptions
+from roemetry_peaks.peak_scan import Area, stripe_tops
+from roemetry_peaks.peak_window import Stripes, stripes_around
 from roemetry_peaks.region import searched
+from roemetry_peaks.speckle_contrast import contrasts_along
 from roemetry_peaks.stated_uncertainty import corrected
 
 _HEIGHT_SHARE = 0.5
@@ -48,7 +45,7 @@ def found(
     options
         What counts as a stripe.
     centres
-        Kernel with the parameters of `roemetry_kernels.extraction.centre_of_gravity.centres_of_gravity`.
+        Kernel with the parameters of `roemetry_peaks.centre_of_gravity.centres_of_gravity`.
     settings
         What else the kernel takes.
     weighs_speckle
@@ -96,7 +93,9 @@ def found(
         fields = _with_leaving(fields, levels, columns, area, frame, stripes, x_px)
     # Speckle is as long along the stripe as across it; the sensor's noise is not correlated at all.
     rows = options.speckle_length_px if speckled else 0.0
-    fields["x_std_px"], contradictions = corrected(pixels, **fields)
+    fields["x_std_px"], contradictions = corrected(
+        pixels, **fields, sensor=(float(noise[0]), float(noise[1]))
+    )
     odd = doubts(pixels, frame.white, fields["row"], fields["x_px"], fields["width_px"])
     return Peaks(image_size=frame.size, correlation_rows=rows, reasons=(*contradictions, *odd), **fields)
 
@@ -112,7 +111,7 @@ def _with_leaving(
 ) -> dict[str, Any]:
     """Add the rows in which overexposed stripes leave the image, to what is known of each peak."""
     # few images have any
-    from roemetry_kernels.extraction.leaving_stripes import leaving_stripes
+    from roemetry_peaks.clipped_peaks import leaving_stripes
 
     whose, row, x_px, x_std_px, width_px = leaving_stripes(levels, columns, area, frame.white, stripes, x_px)
     if not whose.size:

@@ -1,4 +1,11 @@
-"""Local polynomials along each stripe: less noise, paid for in resolution."""
+"""Local polynomials along each stripe: less noise, paid for in resolution.
+
+Local polynomials along stripes that stop at breaks and steps, compiled.
+
+Steps and outliers along a stripe, compiled.
+
+Least squares along a stripe, compiled: weights on points that give a coefficient, and what they leave.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +17,10 @@ from typing import ClassVar
 import numpy as np
 from pydantic import Field, field_validator
 
-from roemetry.arrays import Floats, Integers
 from roemetry.records import Reason, StripeMap
+from roemetry.records.arrays import Floats, Integers
 from roemetry.stages import Smoother, StageOptions
+from roemetry_kernels.compiling import kernel
 
 _OF_SECOND_DIFFERENCE = 0.6745 * math.sqrt(6.0)  # median size of white noise's second differences
 _POINTS_MIN = 3
@@ -43,8 +51,6 @@ class LocalPolynomial(Smoother[LocalPolynomialOptions]):
 
     def smooth(self, stripes: StripeMap) -> StripeMap:
         """Smooth what was seen; bridged points and labels stay as they are."""
-        from roemetry_kernels.extraction.along_stripe import smoothed_run
-
         rows = self.options.rows
         x_px, x_std_px = stripes.x_px.copy(), stripes.x_std_px.copy()
         before: list[Floats] = []
@@ -108,3 +114,361 @@ def _reach(before: Floats, after: Floats, length: float) -> float:
     own = 1.0 + 2.0 * float(np.exp(-(rows**2) / (4.0 * length**2)).sum()) if length > 0.0 else 1.0
     left = float(np.median(after**2 / before**2))
     return max(own / left / (2.0 * math.sqrt(math.pi)), length) if left < 1.0 else length
+
+
+_FEW = 3
+
+
+@kernel
+def smoothed_run(
+    row: Floats, x_px: Floats, std_px: Floats, rows: int, length: float, out_px: Floats, out_std_px: Floats
+) -> int:
+    """Smooth one unbroken piece of a stripe.
+
+    Parameters
+    ----------
+    row, x_px, std_px
+        (point,) row, increasing; position, px; its standard uncertainty, px.
+    rows
+        How many rows a line is put through.
+    length
+        Correlation of the errors along the stripe, rows, as in `Peaks.correlation_rows`.
+    out_px, out_std_px
+        (point,) become the smoothed positions, px, and their standard uncertainty, px.
+
+    Returns
+    -------
+    int
+        Number of steps that were found and kept.
+    """
+    n = row.shape[0]
+    use = np.ones(n, np.bool_)
+    leave_outliers_out(row, x_px, std_px, length, use)
+    begin = np.zeros(n, np.int64)  # where the piece between steps that a point lies in begins, and ends
+    end = np.full(n, n, np.int64)
+    steps = 0
+    for _ in range(n):
+        at = highest_step(row, x_px, std_px, length, use, begin, end)
+        if at < 0:
+            break
+        steps += 1
+        first, last = begin[at], end[at]
+        for i in range(first, at):
+            end[i] = at
+        for i in range(at, last):
+            begin[i] = at
+    weights, other = np.zeros(n), np.zeros(n)
+    for i in range(n):
+        out_px[i], out_std_px[i] = x_px[i], std_px[i]
+        for way in range(3):
+            # A line with the bend of a wider window; a parabola; a parabola over half of the rows.
+            first, last = nearest(row, begin[i], end[i], i, rows if way < 2 else rows // 2 + 1)
+            low, high = first, last
+            if way == 0:
+                low, high = nearest(row, begin[i], end[i], i, 2 * rows - 1)
+            if not _weights(row, std_px, use, i, first, last, low, high, way == 0, weights, other):
+                continue
+            if way < 2 and _misfit(row, x_px, std_px, use, i, first, last, low, high, way == 0, other):
+                continue
+            if way == 2 and not use[i]:
+                continue
+            value = 0.0
+            for j in range(low, high):
+                value += weights[j] * x_px[j]
+            out_px[i] = value
+            out_std_px[i] = math.sqrt(variance_of(row, std_px, weights, low, high, length))
+            break
+    return steps
+
+
+@kernel
+def _weights(
+    row: Floats,
+    std_px: Floats,
+    use: np.ndarray,
+    i: int,
+    first: int,
+    last: int,
+    low: int,
+    high: int,
+    line: bool,
+    weights: Floats,
+    other: Floats,
+) -> bool:
+    """Weights on the points low … high that give the position at point i."""
+    for j in range(low, high):
+        weights[j] = 0.0
+    if not line:
+        return functional(row, std_px, use, row[i], first, last, 3, -1, 0, weights)
+    if not functional(row, std_px, use, row[i], first, last, 2, -1, 0, weights):
+        return False
+    bent = 0.0
+    for j in range(first, last):
+        bent += weights[j] * (row[j] - row[i]) ** 2
+    if high - low > 2 * _FEW and functional(row, std_px, use, row[i], low, high, 3, -1, 2, other):
+        for j in range(low, high):
+            weights[j] -= bent * other[j]
+    return True
+
+
+@kernel
+def _misfit(
+    row: Floats,
+    x_px: Floats,
+    std_px: Floats,
+    use: np.ndarray,
+    i: int,
+    first: int,
+    last: int,
+    low: int,
+    high: int,
+    line: bool,
+    weights: Floats,
+) -> bool:
+    """Whether what is left of the points first … last is more than their uncertainty explains."""
+    coefficients = np.zeros(3)
+    for which in range(3):
+        begin, end = (low, high) if line and which == 2 else (first, last)
+        powers = 2 if line and which < 2 else 3
+        if not functional(row, std_px, use, row[i], begin, end, powers, -1, which, weights):
+            continue
+        for j in range(begin, end):
+            coefficients[which] += weights[j] * x_px[j]
+    if line:
+        # The line is put through what the bend leaves.
+        for which in range(2):
+            functional(row, std_px, use, row[i], first, last, 2, -1, which, weights)
+            for j in range(first, last):
+                coefficients[which] -= weights[j] * coefficients[2] * (row[j] - row[i]) ** 2
+    return too_much(row, x_px, std_px, use, row[i], first, last, coefficients)
+
+
+_STEP_REACH = 8  # rows on either side that a step is judged by
+_STEP_STDS = 4.0  # a step is one if it is so many standard deviations high
+_OUTLIER_STDS = 4.5  # a row is left out if it is so far from what its neighbours foretell
+_FEW_AT_BREAK = 3
+
+
+@kernel
+def highest_step(
+    row: Floats,
+    x_px: Floats,
+    std_px: Floats,
+    length: float,
+    use: np.ndarray,
+    begin: Integers,
+    end: Integers,
+) -> int:
+    """First point behind the most certain step, or −1: a step beside a cubic over 8 rows on both sides."""
+    best, at = _STEP_STDS, -1
+    weights = np.zeros(row.shape[0])
+    for i in range(1, row.shape[0]):
+        if begin[i] == i:
+            continue
+        first, last = i, i
+        while first > begin[i] and row[i] - row[first - 1] <= _STEP_REACH:
+            first -= 1
+        while last < end[i] and row[last] - row[i] < _STEP_REACH:
+            last += 1
+        few = min(i - first, last - i)
+        if few < _FEW_AT_BREAK:
+            continue
+        # As many on either side: so a bend, which is even, is not taken for a step, which is odd.
+        first, last = i - few, i + few
+        powers = 4 if few > _FEW_AT_BREAK + 1 else 2
+        if not functional(row, std_px, use, row[i], first, last, powers, i, powers, weights):
+            continue
+        height = 0.0
+        for j in range(first, last):
+            height += weights[j] * x_px[j]
+        variance = variance_of(row, std_px, weights, first, last, 0.0)
+        if height * height <= best * best * variance:
+            continue
+        # Correlation, which costs more to count, only makes a step less certain.
+        variance = max(variance, variance_of(row, std_px, weights, first, last, length))
+        if height * height > best * best * variance:
+            best, at = abs(height) / math.sqrt(variance), i
+    return at
+
+
+@kernel
+def leave_outliers_out(row: Floats, x_px: Floats, std_px: Floats, length: float, use: np.ndarray) -> None:
+    """Mark points that a cubic through the others does not foretell while it fits these.
+
+    A point beside a step has one neighbour that it is like; an outlier has none.
+    """
+    n = row.shape[0]
+    weights = np.zeros(n)
+    for i in range(n):
+        first, last = nearest(row, 0, n, i, 2 * _STEP_REACH + 1)
+        if last - first < 2 * _FEW_AT_BREAK + 2:
+            continue
+        use[i] = False
+        if functional(row, std_px, use, row[i], first, last, 4, -1, 0, weights):
+            foretold = 0.0
+            for j in range(first, last):
+                foretold += weights[j] * x_px[j]
+            limit = _OUTLIER_STDS * std_px[i]
+            alone = i == 0 or abs(x_px[i] - x_px[i - 1]) > 0.5 * limit
+            alone = alone and (i == n - 1 or abs(x_px[i] - x_px[i + 1]) > 0.5 * limit)
+            if (
+                alone
+                and abs(x_px[i] - foretold) > limit
+                and _fits(row, x_px, std_px, use, row[i], first, last)
+            ):
+                variance = variance_of(row, std_px, weights, first, last, length) + std_px[i] ** 2
+                if abs(x_px[i] - foretold) > _OUTLIER_STDS * math.sqrt(variance):
+                    continue
+        use[i] = True
+
+
+@kernel
+def _fits(
+    row: Floats, x_px: Floats, std_px: Floats, use: np.ndarray, centre: float, first: int, last: int
+) -> bool:
+    """Whether a cubic leaves of the points no more than their uncertainty explains."""
+    weights = np.zeros(row.shape[0])
+    coefficients = np.zeros(4)
+    for which in range(4):
+        if not functional(row, std_px, use, centre, first, last, 4, -1, which, weights):
+            return False
+        for j in range(first, last):
+            coefficients[which] += weights[j] * x_px[j]
+    return not too_much(row, x_px, std_px, use, centre, first, last, coefficients)
+
+
+_CORRELATED = 4.0  # lengths beyond which errors count as independent
+_MISFIT_STDS = 4.0  # squares are too much if they exceed their expectation by so many standard deviations
+
+
+@kernel
+def nearest(row: Floats, begin: int, end: int, i: int, rows: int) -> tuple[int, int]:
+    """Points of a window of `rows` rows around point i, moved inwards at the ends of its piece."""
+    half = rows // 2
+    top, bottom = row[i] - half, row[i] + half
+    if top < row[begin]:
+        bottom += row[begin] - top
+        top = row[begin]
+    if bottom > row[end - 1]:
+        top = max(top - (bottom - row[end - 1]), row[begin])
+        bottom = row[end - 1]
+    first, last = i, i + 1
+    while first > begin and row[first - 1] >= top:
+        first -= 1
+    while last < end and row[last] <= bottom:
+        last += 1
+    return first, last
+
+
+@kernel
+def functional(
+    row: Floats,
+    std_px: Floats,
+    use: np.ndarray,
+    centre: float,
+    first: int,
+    last: int,
+    powers: int,
+    step_at: int,
+    which: int,
+    weights: Floats,
+) -> bool:
+    """Weights on points that give one coefficient of a polynomial, with a step from point `step_at` on.
+
+    Rows are counted from `centre`. Writes ``weights[first:last]``; False where the points do not suffice.
+    """
+    size = powers + (1 if step_at >= 0 else 0)
+    scale = max(abs(row[first] - centre), abs(row[last - 1] - centre), 1.0)
+    normal = np.zeros((5, 6))
+    basis = np.empty(5)
+    count = 0
+    for j in range(first, last):
+        weights[j] = 0.0
+        if not use[j]:
+            continue
+        count += 1
+        _basis((row[j] - centre) / scale, powers, step_at >= 0, j >= step_at, basis)
+        w = 1.0 / (std_px[j] * std_px[j])
+        for k in range(size):
+            for m in range(size):
+                normal[k, m] += w * basis[k] * basis[m]
+    if count < size:
+        return False
+    normal[which, 5] = 1.0
+    for k in range(size):
+        pivot = k
+        for m in range(k + 1, size):
+            if abs(normal[m, k]) > abs(normal[pivot, k]):
+                pivot = m
+        if abs(normal[pivot, k]) < 1e-10 * abs(normal[0, 0]) or normal[pivot, k] == 0.0:
+            return False
+        for m in range(6):
+            normal[k, m], normal[pivot, m] = normal[pivot, m], normal[k, m]
+        for m in range(size):
+            if m != k:
+                factor = normal[m, k] / normal[k, k]
+                for c in range(k, 6):
+                    normal[m, c] -= factor * normal[k, c]
+    unit = scale ** (-which) if which < powers else 1.0
+    for j in range(first, last):
+        if use[j]:
+            _basis((row[j] - centre) / scale, powers, step_at >= 0, j >= step_at, basis)
+            total = 0.0
+            for k in range(size):
+                total += basis[k] * normal[k, 5] / normal[k, k]
+            weights[j] = unit * total / (std_px[j] * std_px[j])
+    return True
+
+
+@kernel
+def _basis(t: float, powers: int, stepped: bool, behind: bool, basis: Floats) -> None:
+    value = 1.0
+    for k in range(powers):
+        basis[k] = value
+        value *= t
+    if stepped:
+        basis[powers] = 1.0 if behind else 0.0
+
+
+@kernel
+def variance_of(row: Floats, std_px: Floats, weights: Floats, low: int, high: int, length: float) -> float:
+    """Variance of a weighted sum of points whose errors correlate by exp(−Δ²/(4 length²)), px²."""
+    total = 0.0
+    for j in range(low, high):
+        own = weights[j] * std_px[j]
+        total += own * own
+        if length <= 0.0:
+            continue
+        for k in range(j + 1, high):
+            off = row[k] - row[j]
+            if off > _CORRELATED * length + 1.0:
+                break
+            total += 2.0 * own * weights[k] * std_px[k] * math.exp(-off * off / (4.0 * length * length))
+    return max(total, 0.0)
+
+
+@kernel
+def too_much(
+    row: Floats,
+    x_px: Floats,
+    std_px: Floats,
+    use: np.ndarray,
+    centre: float,
+    first: int,
+    last: int,
+    coefficients: Floats,
+) -> bool:
+    """Whether what a polynomial leaves of the points is more than their uncertainty explains."""
+    squares, count = 0.0, 0
+    for j in range(first, last):
+        if use[j]:
+            t = row[j] - centre
+            off = x_px[j]
+            power = 1.0
+            for k in range(coefficients.shape[0]):
+                off -= coefficients[k] * power
+                power *= t
+            squares += (off / std_px[j]) ** 2
+            count += 1
+    free = max(count - coefficients.shape[0] + 1, 1)
+    return squares > free + _MISFIT_STDS * math.sqrt(2.0 * free)

@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from roemetry.arrays import Flags, Floats, Integers
 from roemetry.records import EDGE, SATURATED, Frame, Peaks, Reason
+from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.stages import Capabilities, Extractor, StageOptions
-from roemetry_kernels.extraction.grey_levels import grey, plain_layout, scaled_level
+from roemetry_kernels.image_levels import grey, plain_layout, scaled_level
 from roemetry_peaks.clipped_tops import middles_of_flanks
 from roemetry_peaks.noise_file import noise_of_file
 from roemetry_peaks.region import searched
-from roemetry_peaks.speckle import FINE_TILES, TILES, StripeNoise, noise_from, rows_of, tile_of
+from roemetry_peaks.speckle_noise import FINE_TILES, TILES, StripeNoise, noise_from, rows_of, tile_of
 
 if TYPE_CHECKING:
-    from roemetry_kernels.extraction.smoothed_peaks import Starts
-    from roemetry_kernels.extraction.stripe_background import Beside
+    from roemetry_peaks.local_background import Beside
+    from roemetry_peaks.smoothed_peaks import Starts
 
 _NOISES = 8.0  # of the smoothed image, that a stripe rises above both valleys
 _LEVELS_MIN = 5.0  # grey levels of 0…255 that it rises at least
@@ -104,8 +104,8 @@ class MaximumLikelihood(Extractor[MaximumLikelihoodOptions]):
 
     def extract(self, frame: Frame) -> Peaks:
         """Find the stripes of a frame."""
-        from roemetry_kernels.extraction.gaussian_fisher import CLIPPED
-        from roemetry_kernels.extraction.upside_down import doubts
+        from roemetry_kernels.image_levels import doubts
+        from roemetry_peaks.fisher_scoring import CLIPPED
         from roemetry_peaks.stated_uncertainty import corrected
 
         image, found = starts(frame, self.options)
@@ -129,7 +129,9 @@ class MaximumLikelihood(Extractor[MaximumLikelihoodOptions]):
         flags = flags.astype(np.uint8)
         row, height, width = at.row[order], found.beside.height[order], _FWHM * sigma_px
         known = row, x_px, fit.x_std_px[order], fit.amplitude[order], height, width, flags
-        x_std_px, contradictions = corrected(image, *known, ~found.lit[order])
+        x_std_px, contradictions = corrected(
+            image, *known, sensor=(noise.variance, noise.gain), asked=~found.lit[order]
+        )
         return Peaks(
             image_size=frame.size,
             row=row + found.top,
@@ -208,14 +210,14 @@ _ESTIMATED = Reason(
 
 def starts(frame: Frame, options: MaximumLikelihoodOptions) -> tuple[Any, Found]:
     """Find where to fit; gives the searched part of the image with it."""
-    from roemetry_kernels.extraction.local_contrast import SHARE_MIN, faint
-    from roemetry_kernels.extraction.smoothed_peaks import (
+    from roemetry_kernels.image_levels import SHARE_MIN, faint
+    from roemetry_peaks.local_background import light_beside
+    from roemetry_peaks.smoothed_peaks import (
         NOISE_LEFT,
         background_noise,
         rounding_variance,
         smoothed_peaks,
     )
-    from roemetry_kernels.extraction.stripe_background import light_beside
 
     area = searched(frame, options.region)
     image = plain_layout(grey(frame)[area.top : area.bottom, area.left : area.right])
@@ -252,7 +254,7 @@ def starts(frame: Frame, options: MaximumLikelihoodOptions) -> tuple[Any, Found]
 
 def _model_error(image: Any, white: int, found: Found) -> tuple[Floats, Flags]:
     """(peak,) variance of the error of a Gaussian as the profile, grey levels²; whether it is light."""
-    from roemetry_kernels.extraction.gaussian_fisher import FAILED
+    from roemetry_peaks.fisher_scoring import FAILED
     from roemetry_peaks.scattering import model_error
 
     at, beside = found.starts, found.beside
@@ -326,7 +328,7 @@ def products_of(
     image: Any, white: int, found: Found, noise: StripeNoise, size: int, tiles: tuple[int, int] = TILES
 ) -> tuple[Floats, Integers, Floats]:
     """Fit a sample of the peaks, and give their residual products, the tiles they lie in, and their C²."""
-    from roemetry_kernels.extraction.residual_noise import residual_products
+    from roemetry_peaks.speckle_noise import residual_products
 
     peaks = found.starts.row.shape[0]
     opaque = np.flatnonzero(found.error == 0.0)
@@ -368,7 +370,7 @@ def _spread(peaks: int, size: int) -> Integers:
 
 def fitted(image: Any, white: int, found: Found, noise: StripeNoise, pick: Integers) -> Fitted:
     """Fit the chosen peaks."""
-    from roemetry_kernels.extraction.gaussian_fisher import fit_peaks
+    from roemetry_peaks.fisher_scoring import fit_peaks
 
     at, beside = found.starts, found.beside
     row, x_px = at.row[pick], at.x_px[pick]

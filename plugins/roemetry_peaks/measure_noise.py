@@ -16,9 +16,9 @@ import numpy as np
 
 from roemetry import Recipe
 from roemetry.errors import DataError, RoemetryError
-from roemetry.files import write_whole
-from roemetry.preparing import prepare
+from roemetry.io.files import write_whole
 from roemetry.records import Frame
+from roemetry.run.preprocess import prepare
 from roemetry_peaks.maximum_likelihood import (
     MaximumLikelihood,
     MaximumLikelihoodOptions,
@@ -28,7 +28,7 @@ from roemetry_peaks.maximum_likelihood import (
     starts,
 )
 from roemetry_peaks.region import searched
-from roemetry_peaks.speckle import StripeNoise, noise_from
+from roemetry_peaks.speckle_noise import StripeNoise, noise_from
 
 _PEAKS = 4000  # that are looked at in each frame
 

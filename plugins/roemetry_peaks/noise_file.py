@@ -12,10 +12,10 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from roemetry.errors import StageError
 from roemetry.records import Frame
-from roemetry_peaks.speckle import TILES, StripeNoise
+from roemetry_peaks.speckle_noise import TILES, StripeNoise
 
 if TYPE_CHECKING:
-    from roemetry_kernels.extraction.stripe_scan import Area
+    from roemetry_peaks.peak_scan import Area
 
 _AGAIN = "measure again: python -m roemetry_peaks.measure_noise RECIPE --out FILE"
 

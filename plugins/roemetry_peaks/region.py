@@ -8,12 +8,12 @@ from roemetry.errors import StageError
 from roemetry.records import Frame
 
 if TYPE_CHECKING:
-    from roemetry_kernels.extraction.stripe_scan import Area
+    from roemetry_peaks.peak_scan import Area
 
 
 def searched(frame: Frame, region: tuple[int, int, int, int] | None) -> Area:
     """Give the part of the frame to search; raise StageError where it does not lie within the frame."""
-    from roemetry_kernels.extraction.stripe_scan import Area
+    from roemetry_peaks.peak_scan import Area
 
     rows, columns = frame.size
     if region is None:

@@ -39,10 +39,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from roemetry.arrays import Flags, Floats, Integers
 from roemetry.records import EDGE, SATURATED, Reason
+from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_kernels.compiling import kernel
-from roemetry_kernels.extraction.stripe_background import neighbours
+from roemetry_peaks.local_background import neighbours
+from roemetry_peaks.smoothed_peaks import background_noise
 
 _LAG = 10
 """Rows between the centres of a difference: speckle of length ℓ has the correlation exp(−100/(4 ℓ²)) there, 2
@@ -66,6 +67,11 @@ _SAMPLE = 512
 _TILES = 16
 """Parts of the sample with a mean profile each; the median of them counts, so that one body does not
 decide."""
+_TILES_MIN = 8
+"""Parts of the image below which nothing is said of the mean profile: one stripe that keeps its place in
+the pixel grid has a lopsided mean, too."""
+_CHANCE = 4.0
+"""Standard errors of the parts' mean that count as chance: speckle makes each mean profile lopsided."""
 _PEAKS_MIN = 8
 """Profiles below which a part says nothing."""
 _BINS = 41
@@ -78,6 +84,14 @@ _SHARE_MIN = 0.03
 of a quarter standard deviation and pixels of up to half a stripe's width leave."""
 _MATTERS = 0.5
 """Of the stated uncertainty, from which on lopsidedness is added to it: half as much widens it by 12 %."""
+_MORE = 2.0
+"""Uncertainty by the pixels' own residuals over the stated one, and variance of the background over the told
+one, that count as evidence: weighted fits and speckle make the former 0.4 to 1.6 where all is right."""
+_LONG = 0.08
+"""Third differences of the logarithm of the height, of neighbours over those far apart: 1 for white noise,
+0.11 for speckle of 0.8 px, 0.04 for 1 px, less for longer."""
+_CORE = 2.0
+"""Standard deviations on both sides of the centre where residuals are taken: farther out is background."""
 _FWHM = 2.3548200450309493
 
 
@@ -90,6 +104,8 @@ def corrected(
     background: Floats,
     width_px: Floats,
     flags: NDArray[np.uint8],
+    *,
+    sensor: tuple[float, float],
     asked: Flags | None = None,
 ) -> tuple[Floats, tuple[Reason, ...]]:
     """Give (peak,) the standard uncertainty that the image bears out, px, and what is to be said of it.
@@ -100,6 +116,8 @@ def corrected(
         (row, column) grey levels that the peaks were found in.
     row, x_px, x_std_px, amplitude, background, width_px, flags
         (peak,) as in `roemetry.records.Peaks`; rows and columns are the image's.
+    sensor
+        Variance of a dark pixel, grey levels², and its growth with the grey level, as told or estimated.
     asked
         (peak,) those that may tell; none: all. Saturated peaks and those at the border never do.
     """
@@ -109,6 +127,10 @@ def corrected(
     _usable(x_std_px, flags, use)
     told = use if asked is None else use & asked
     factor = _factor(row, x_px, x_std_px, told)
+    if factor > 1.0 and not _is_noise(
+        image, row, x_px, x_std_px, amplitude, background, width_px, told, sensor
+    ):
+        factor = 1.0
     std: Floats = x_std_px if factor == 1.0 else factor * x_std_px
     reasons = () if factor == 1.0 else (_scatter(factor),)
     for group in (told,) if asked is None else (told, use & ~asked):
@@ -156,17 +178,49 @@ def _factor(row: Integers, x_px: Floats, x_std_px: Floats, use: Flags) -> float:
         # Near the top and the bottom of the image, where belt is seen most likely.
         to, begin = np.searchsorted(row, [row[0] + _BAND, row[-1] - _BAND])
         bands = slice(0, to), slice(begin, None)
-        ratios = np.concatenate([_windows(row[one], x_px[one], x_std_px[one], use[one]) for one in bands])
+        ratios = np.concatenate(
+            [_windows(row[one], x_px[one], x_px[one], x_std_px[one], use[one], _LAG) for one in bands]
+        )
     if ratios.size < 2 * _WINDOWS_MIN:
-        ratios = _windows(row, x_px, x_std_px, use)
+        ratios = _windows(row, x_px, x_px, x_std_px, use, _LAG)
     if ratios.size < _WINDOWS_MIN:
         return 1.0
     factor = math.sqrt(_median(ratios) / _USUAL)
     return 1.0 if 1.0 / _TRUSTED <= factor <= _TRUSTED else max(factor, 1e-3)
 
 
+def _is_noise(
+    image: NDArray[Any],
+    row: Integers,
+    x_px: Floats,
+    x_std_px: Floats,
+    amplitude: Floats,
+    background: Floats,
+    width_px: Floats,
+    use: Flags,
+    sensor: tuple[float, float],
+) -> bool:
+    """Say whether there is evidence in the light, too, for errors larger than stated.
+
+    Without it, what scatters is the surface. The evidence is any of these: residuals of pixels that imply a
+    larger uncertainty; heights that are so alike from row to row as only long grains of speckle make them;
+    a background that is noisier than the sensor is told to be.
+    """
+    pick = np.flatnonzero(use)
+    pick = pick[:: max(1, pick.size // _SAMPLE)]
+    of_peak = row[pick], x_px[pick], amplitude[pick], background[pick], width_px[pick] / _FWHM
+    if _median(_residual_std(image, *of_peak) / x_std_px[pick]) > _MORE:
+        return True
+    height, one = np.log(np.maximum(amplitude, 1e-3)), np.ones(amplitude.size)
+    near, far = (_windows(row, x_px, height, one, use, lag) for lag in (1, _LAG))
+    if near.size and far.size and _median(near) < _LONG * _median(far):
+        return True
+    seen, (variance, gain) = background_noise(image) ** 2, sensor
+    return seen > _MORE * (variance + gain * max(_median(background[pick]), 0.0))
+
+
 @kernel
-def _windows(row: Integers, x_px: Floats, x_std_px: Floats, use: Flags) -> Floats:
+def _windows(row: Integers, x_px: Floats, values: Floats, std: Floats, use: Flags, lag: int) -> Floats:
     """Observed over stated squares of third differences, one number a window of rows of one stripe."""
     peaks = x_px.shape[0]
     up, down = neighbours(row, x_px)
@@ -182,12 +236,12 @@ def _windows(row: Integers, x_px: Floats, x_std_px: Floats, use: Flags) -> Float
             n += 1
             p = down[p]
         total, terms = 0.0, 0
-        for i in range(n - 3 * _LAG):
-            a, b, c, d = chain[i], chain[i + _LAG], chain[i + 2 * _LAG], chain[i + 3 * _LAG]
+        for i in range(n - 3 * lag):
+            a, b, c, d = chain[i], chain[i + lag], chain[i + 2 * lag], chain[i + 3 * lag]
             if not (use[a] and use[b] and use[c] and use[d]):
                 continue
-            difference = x_px[a] - x_px[d] + 3.0 * (x_px[c] - x_px[b])
-            stated = x_std_px[a] ** 2 + x_std_px[d] ** 2 + 9.0 * (x_std_px[b] ** 2 + x_std_px[c] ** 2)
+            difference = values[a] - values[d] + 3.0 * (values[c] - values[b])
+            stated = std[a] ** 2 + std[d] ** 2 + 9.0 * (std[b] ** 2 + std[c] ** 2)
             total += difference * difference / stated
             terms += 1
             if terms == _WINDOW:
@@ -210,9 +264,29 @@ def _lopsided(
     if not middles.size:
         return 0.0
     usual = np.sort(middles, axis=0)[middles.shape[0] // 2]
-    if usual.max() - usual.min() < _SHARE_MIN:
+    lean = middles[:, -1] - middles[:, 0]
+    chance = _CHANCE * float(lean.std()) / math.sqrt(lean.size)
+    if lean.size < _TILES_MIN or abs(usual[-1] - usual[0]) < max(_SHARE_MIN, chance):
         return 0.0
     return float(np.abs(usual).max())
+
+
+@kernel
+def _residual_std(
+    image: NDArray[Any], row: Integers, x_px: Floats, amplitude: Floats, background: Floats, sigma_px: Floats
+) -> Floats:
+    """(peak,) standard uncertainty of each centre that its own pixels' residuals imply, px."""
+    std = np.empty(row.shape[0])
+    for p in range(row.shape[0]):
+        first = max(math.ceil(x_px[p] - _CORE * sigma_px[p]), 0)
+        last = min(math.floor(x_px[p] + _CORE * sigma_px[p]), image.shape[1] - 1)
+        squares = 0.0
+        for x in range(first, last + 1):
+            u = (x - x_px[p]) / sigma_px[p]
+            squares += (image[row[p], x] - background[p] - amplitude[p] * math.exp(-0.5 * u * u)) ** 2
+        freedom = max(last - first + 1 - 3, 1)
+        std[p] = math.sqrt(squares / freedom * 2.0 * sigma_px[p] / math.sqrt(math.pi)) / amplitude[p]
+    return std
 
 
 @kernel
@@ -226,8 +300,9 @@ def _mean_profiles(
     middle = _BINS // 2
     for p in range(row.shape[0]):
         reach = (middle - 1) / _PER_SIGMA * sigma_px[p]
-        first = max(math.ceil(x_px[p] - reach), 0)
-        last = min(math.floor(x_px[p] + reach), image.shape[1] - 1)
+        first, last = math.ceil(x_px[p] - reach), math.floor(x_px[p] + reach)
+        if first < 0 or last >= image.shape[1]:
+            continue  # the border cuts off what the background is known from
         tile = 4 * (4 * row[p] // image.shape[0]) + min(max(int(4 * x_px[p]) // image.shape[1], 0), 3)
         count[tile] += 1
         for x in range(first, last + 1):

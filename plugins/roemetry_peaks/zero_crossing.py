@@ -1,14 +1,24 @@
-"""The zero crossing of each stripe's filtered derivative."""
+"""The zero crossing of each stripe's filtered derivative.
+
+The zero crossing of a stripe's filtered derivative (Blais and Rioux), compiled.
+"""
 
 from __future__ import annotations
 
 from typing import Annotated, ClassVar, Literal
 
+import numpy as np
 from pydantic import Field
 
+from roemetry.records.arrays import Floats
 from roemetry.records import Frame, Peaks
+from roemetry.records.peaks import EDGE
 from roemetry.stages import Capabilities, Extractor, StageOptions
+from roemetry_kernels.compiling import float_kernel, inlined
 from roemetry_peaks.options import PeakOptions
+from roemetry_peaks.peak_scan import Pixels
+from roemetry_peaks.peak_window import FWHM_OF_SIGMA, Stripes
+from roemetry_peaks.speckle_contrast import PIXELS_MAX, variance_of
 
 _BEYOND_LINEAR = 1.0  # see `roemetry_peaks.finding.found`; found by drawing
 
@@ -31,9 +41,105 @@ class ZeroCrossing(Extractor[ZeroCrossingOptions]):
 
     def extract(self, frame: Frame) -> Peaks:
         """Find the stripes of a frame."""
-        # numba: when something runs
-        from roemetry_kernels.extraction.zero_crossing import zero_crossings
         from roemetry_peaks.finding import found
 
         half_length = 0 if self.options.half_length == "auto" else self.options.half_length
         return found(frame, self.options, zero_crossings, half_length, beyond_linear=_BEYOND_LINEAR)
+
+
+_LENGTH_OF_SIGMA = 1.6
+
+
+@float_kernel
+def zero_crossings(
+    levels: Pixels,
+    columns: int,
+    s: Stripes,
+    white: int,
+    noise: Floats,
+    contrast2: Floats,
+    x_px: Floats,
+    x_std_px: Floats,
+    half_length: int,
+) -> None:
+    """Find where the sum of the pixels to the right equals the sum of those to the left.
+
+    That is the zero of the derivative, smoothed by a box of `half_length` pixels to each side (0: 1.6
+    standard deviations of the stripe; less where the border leaves less), between pixels by a straight line.
+    The background's slope is taken off. The other parameters are those of
+    `roemetry_peaks.gaussian.gaussian_centres`.
+    """
+    pull, light = np.empty(PIXELS_MAX), np.empty(PIXELS_MAX)
+    each = contrast2.shape[0] > 1
+    row, los, his, flags, middles, widths, _, backgrounds, slopes, unsures = s
+    for i in range(row.shape[0]):
+        begins = row[i] * columns
+        half = half_length
+        if half == 0:
+            half = max(1, int(np.rint(_LENGTH_OF_SIGMA * widths[i] / FWHM_OF_SIGMA)))
+        if flags[i] & EDGE:
+            here = int(np.floor(middles[i]))
+            half = max(1, min(half, min(here - los[i], his[i] - here - 1)))
+        tilt = slopes[i] * half * (half + 1)
+        lowest, highest = los[i] + half, his[i] - half
+        x_px[i] = x_std_px[i] = np.nan
+        before = int(np.floor(middles[i]))
+        if before < lowest or before + 1 > highest:
+            continue
+        left = _difference(levels, begins + before, half) - tilt
+        while left <= 0.0 and before > lowest:
+            before -= 1
+            left = _difference(levels, begins + before, half) - tilt
+        after = before + 1
+        right = _difference(levels, begins + after, half) - tilt
+        while right >= 0.0 and after < highest:
+            if right > 0.0:
+                before, left = after, right
+            after += 1
+            right = _difference(levels, begins + after, half) - tilt
+        if not (left > 0.0 > right and abs(0.5 * (before + after) - middles[i]) < widths[i]):
+            continue
+        part = left / (left - right)
+        x_px[i] = before + part * (after - before)
+        first, count = before - half, after - before + 2 * half + 1
+        if count > PIXELS_MAX:
+            continue
+        unit = (after - before) / (left - right)
+        lean = 0.0
+        for k in range(count):
+            x = first + k
+            pull[k] = unit * ((1.0 - part) * _side(x - before, half) + part * _side(x - after, half))
+            light[k] = levels[begins + x] - backgrounds[i] - slopes[i] * (x - middles[i])
+            lean += pull[k] * (x - middles[i])
+        speckle = contrast2[i if each else 0]
+        x_std_px[i] = np.sqrt(
+            variance_of(
+                levels,
+                white,
+                begins + first,
+                count,
+                pull,
+                light,
+                backgrounds[i],
+                lean,
+                unsures[i],
+                noise,
+                speckle,
+            )
+        )
+
+
+@inlined
+def _difference(levels: Pixels, place: int, half: int) -> float:
+    """Sum of the `half` pixels to the right of a pixel less the sum of those to the left."""
+    total = np.int64(0)
+    for k in range(1, half + 1):
+        total += np.int64(levels[place + k]) - np.int64(levels[place - k])
+    return float(total)
+
+
+@inlined
+def _side(off: int, half: int) -> float:
+    if off == 0 or abs(off) > half:
+        return 0.0
+    return 1.0 if off > 0 else -1.0

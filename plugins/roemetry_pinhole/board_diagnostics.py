@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from roemetry.arrays import Floats
 from roemetry.records import Board
+from roemetry.records.arrays import Floats
 
 _BLURRED_PX = 8.0
 _DICTIONARIES = ("DICT_4X4_1000", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000", "DICT_ARUCO_ORIGINAL")
@@ -27,7 +27,7 @@ _ADVICE = "; is it there, lit, in front of something that differs from it?"
 _NONE = "no board is seen" + _ADVICE
 
 
-class UnseenError(Exception):
+class BoardNotFoundError(Exception):
     """A board cannot be used; says why."""
 
 

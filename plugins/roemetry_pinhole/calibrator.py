@@ -9,10 +9,10 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from roemetry.arrays import Floats
-from roemetry.calibration import Calibration
 from roemetry.errors import CalibrationError
 from roemetry.records import CalibrationSet, Evidence
+from roemetry.records.arrays import Floats
+from roemetry.records.calibration import Calibration
 from roemetry.stages import Calibrator, Capabilities, StageOptions
 from roemetry_pinhole.frames import (
     METHOD,

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from roemetry.arrays import Floats
-from roemetry.calibration import Calibration
 from roemetry.records import Board, CalibrationSet, Frame, Observation, Peaks
+from roemetry.records.arrays import Floats
+from roemetry.records.calibration import Calibration
 from roemetry_pinhole.equations import (
     ON_BELT,
     Corners,
@@ -25,7 +25,7 @@ from roemetry_pinhole.equations import (
     stripe_residuals,
 )
 from roemetry_pinhole.frames import METHOD, displacements, rest_polynomials, view_of
-from roemetry_pinhole.geometry import Geometry, bent, turned
+from roemetry_pinhole.geometry import Geometry, distort, turned
 
 if TYPE_CHECKING:
     from roemetry.testing import LinearRig
@@ -174,7 +174,7 @@ def _points(geometry: Geometry, rig: SimulatedRig, pitch_mm: float) -> StripePoi
     for place in (*range(rig.poses), ON_BELT):
         for number, plane in enumerate(geometry.planes):
             at = _on_board(geometry, place, plane, pitch_mm) if place >= 0 else _on_belt(geometry, plane)
-            xy = bent(at[:, :2] / at[:, 2:], geometry.camera[4:]).xy
+            xy = distort(at[:, :2] / at[:, 2:], geometry.camera[4:]).xy
             xy = xy * geometry.camera[:2] + geometry.camera[2:4]
             xy = xy[np.argsort(xy[:, 1])]
             if len(xy) < 5 or (np.diff(xy[:, 1]) <= 0.0).any():

@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roemetry.arrays import Floats, Integers
-from roemetry_pinhole.geometry import CAMERA, Bend, Bent, Geometry, Unknowns, bent, crossed, straightened
+from roemetry.records.arrays import Floats, Integers
+from roemetry_pinhole.geometry import CAMERA, Bend, Distorted, Geometry, Unknowns, crossed, distort, undistort
 
 _BENT_ROUNDS = 3
 
@@ -95,7 +95,7 @@ def corner_rows(geometry: Geometry, unknowns: Unknowns, corners: Corners) -> Row
     arm, at = _placed(geometry, corners.pose, _bent_marks(geometry, corners), corners.counts)
     depth = at[:, 2]
     xy = at[:, :2] / depth[:, None]
-    lens = bent(xy, geometry.camera[4:])
+    lens = distort(xy, geometry.camera[4:])
     focal, middle = geometry.camera[:2], geometry.camera[2:4]
     residual = lens.xy * focal + middle - corners.xy_px
     by_at = np.zeros((depth.size, 2, 3))
@@ -121,7 +121,7 @@ def corner_rows(geometry: Geometry, unknowns: Unknowns, corners: Corners) -> Row
 def corner_residuals(geometry: Geometry, corners: Corners) -> Floats:
     """Give predicted − seen, px, x and y in turn, without derivatives."""
     at = _placed(geometry, corners.pose, _bent_marks(geometry, corners), corners.counts)[1]
-    seen = bent(at[:, :2] / at[:, 2:], geometry.camera[4:]).xy * geometry.camera[:2] + geometry.camera[2:4]
+    seen = distort(at[:, :2] / at[:, 2:], geometry.camera[4:]).xy * geometry.camera[:2] + geometry.camera[2:4]
     return np.ravel(seen - corners.xy_px)
 
 
@@ -204,7 +204,7 @@ class _Lines:
         on = np.flatnonzero(~self.on_belt)
         rotation, place = geometry.rotation[points.pose[on]], self.place[on]
         seen = np.column_stack([points.x_px, points.row_px])[on]
-        xy = straightened((seen - self._camera[2:4]) / self._camera[:2], self._camera[4:])
+        xy = undistort((seen - self._camera[2:4]) / self._camera[:2], self._camera[4:])
         ray = np.column_stack([xy, np.ones(len(xy))])
         normal, distance = self.normal[on], self.distance[on]
         for _ in range(_BENT_ROUNDS):
@@ -219,14 +219,14 @@ class _Lines:
         self.by_bend = np.zeros((len(self.on_belt), bend.coefficients_mm.size))
         self.by_bend[on] = own[:, 2:] * bend.by_coefficient(there)
 
-    def way_px(self, x_px: Floats) -> tuple[Floats, Floats, Bent, Floats, Floats, Floats]:
+    def way_px(self, x_px: Floats) -> tuple[Floats, Floats, Distorted, Floats, Floats, Floats]:
         """Give the way to the line along the row, px; place in the bent image, lens, ray, ∂/∂place, slope."""
         focal = self._camera[:2]
         seen = np.empty((x_px.size, 2))
         seen[:, 0] = (x_px - self._camera[2]) / focal[0]
         seen[:, 1] = (self._row_px - self._camera[3]) / focal[1]
-        xy = straightened(seen, self._camera[4:], self._straight)
-        lens = bent(xy, self._camera[4:])
+        xy = undistort(seen, self._camera[4:], self._straight)
+        lens = distort(xy, self._camera[4:])
         self._straight = xy
         ray = np.ones((x_px.size, 3))
         ray[:, :2] = xy
@@ -235,7 +235,7 @@ class _Lines:
         return (self._line * ray).sum(axis=1) / slope, seen, lens, ray, by_seen, slope
 
 
-def by_bent(line: Floats, lens: Bent) -> Floats:
+def by_bent(line: Floats, lens: Distorted) -> Floats:
     """Give (n, 2) the derivatives of line·ray by the ray's place in the bent image; line is (n, 3)."""
     a, b, c, d = (lens.by_place[:, i, j] for i in (0, 1) for j in (0, 1))
     area = a * d - b * c
@@ -343,8 +343,8 @@ def edge_rows(geometry: Geometry, unknowns: Unknowns, edges: Edges) -> Rows:
     line = to_face[:, None] * wall - to_wall[:, None] * face
     focal = geometry.camera[:2]
     seen = (edges.xy_px - geometry.camera[2:4]) / focal
-    xy = straightened(seen, geometry.camera[4:])
-    lens = bent(xy, geometry.camera[4:])
+    xy = undistort(seen, geometry.camera[4:])
+    lens = distort(xy, geometry.camera[4:])
     ray = np.column_stack([xy, np.ones(len(xy))])
     by_seen = by_bent(line, lens)
     slope = np.sqrt(((by_seen / focal) ** 2).sum(axis=1))

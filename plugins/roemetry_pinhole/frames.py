@@ -7,8 +7,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from roemetry.arrays import Floats
-from roemetry.view import View
+from roemetry.records.arrays import Floats
+from roemetry.records.view import View
 from roemetry_pinhole.equations import ON_BELT, StripePoints, stripe_rows
 from roemetry_pinhole.geometry import CAMERA, Geometry, Unknowns
 

@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from roemetry.arrays import Flags, Floats, Integers
 from roemetry.errors import CalibrationError
 from roemetry.records import CalibrationSet
+from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_pinhole.bundle import Adjusted, Measured
 from roemetry_pinhole.equations import ON_BELT, Edges, Feet, StripePoints
 from roemetry_pinhole.geometry import Geometry, unknowns_of
@@ -380,7 +380,7 @@ def _fitted(
         measured = _measured(boards, free_camera, geometry, found, shapes, first_pose)
         if last:
             break
-        geometry = measured.nearly()
+        geometry = measured.robust_prefit()
         if number < _RIGHTED_FROM:
             continue
         right = [

@@ -14,14 +14,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roemetry.arrays import Flags, Floats, Integers
+from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_kernels.compiling import float_kernel
 
 COEFFICIENTS = 8
 """k1, k2, p1, p2, k3, k4, k5, k6: OpenCV's order."""
 
 
-class Bent(NamedTuple):
+class Distorted(NamedTuple):
     """Distorted places (n, 2) on the plane at distance 1, and their derivatives.
 
     `by_place` is (n, 2, 2), `by_coefficient` (n, 2, 8).
@@ -32,18 +32,18 @@ class Bent(NamedTuple):
     by_coefficient: Floats
 
 
-def bent(xy: Floats, coefficients: Floats) -> Bent:
+def distort(xy: Floats, coefficients: Floats) -> Distorted:
     """Distort places (n, 2) by eight coefficients."""
-    return Bent(*bend(np.ascontiguousarray(xy), np.ascontiguousarray(coefficients)))
+    return Distorted(*bend(np.ascontiguousarray(xy), np.ascontiguousarray(coefficients)))
 
 
-def straightened(places: Floats, coefficients: Floats, start: Floats | None = None) -> Floats:
+def undistort(places: Floats, coefficients: Floats, start: Floats | None = None) -> Floats:
     """Undistort places (n, 2) by Newton's method."""
     if not coefficients.any():
         return places
     places = np.ascontiguousarray(places)
     begin = places if start is None else np.ascontiguousarray(start)
-    return np.asarray(straighten(places, np.ascontiguousarray(coefficients), begin))
+    return np.asarray(undistort_kernel(places, np.ascontiguousarray(coefficients), begin))
 
 
 _POWERS = np.array([(i, degree - i) for degree in (2, 3, 4) for i in range(degree, -1, -1)])
@@ -317,7 +317,7 @@ _UNDISTORT_STEP_END = 3e-8  # Newton's next step would be some 1e-15
 
 
 @float_kernel
-def straighten(places: Floats, coefficients: Floats, start: Floats) -> Floats:
+def undistort_kernel(places: Floats, coefficients: Floats, start: Floats) -> Floats:
     """Give places (n, 2) on the plane at distance 1 that the lens bends to the given ones.
 
     Parameters

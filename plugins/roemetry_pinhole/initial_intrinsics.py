@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from roemetry.arrays import Flags, Floats
 from roemetry.errors import CalibrationError
+from roemetry.records.arrays import Flags, Floats
 from roemetry_pinhole.boards import BoardView, Seen
 from roemetry_pinhole.bundle import adjust
 from roemetry_pinhole.equations import Corners, Feet, StripePoints
@@ -170,10 +170,10 @@ def _without_shift(view: BoardView, found: FirstCamera, number: int) -> BoardVie
 
 def _projected(found: FirstCamera, number: int, places: Floats) -> tuple[Floats, Floats]:
     """Give (n, 2) places in the image, px, and how large a unit of the board's area is there."""
-    from roemetry_pinhole.geometry import bent
+    from roemetry_pinhole.geometry import distort
 
     at = places @ found.rotation[number].T + found.shift[number]
-    lens = bent(at[:, :2] / at[:, 2:], found.camera[4:])
+    lens = distort(at[:, :2] / at[:, 2:], found.camera[4:])
     area = np.linalg.det(lens.by_place) / at[:, 2] ** 3
     return lens.xy * found.camera[:2] + found.camera[2:4], area
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from roemetry.arrays import Floats
 from roemetry.errors import CalibrationError
 from roemetry.records import Board, CalibrationSet
+from roemetry.records.arrays import Floats
 from roemetry_pinhole.boards import BoardView, Seen, board_views
 from roemetry_pinhole.bundle import Adjusted, Measured
 from roemetry_pinhole.equations import Corners, Feet, StripePoints

@@ -12,12 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
-from roemetry.arrays import Floats
 from roemetry.errors import CalibrationError, DataError
 from roemetry.records import CalibrationSet
+from roemetry.records.arrays import Floats
 from roemetry_pinhole.bundle import Adjusted, Measured
 from roemetry_pinhole.equations import Corners, Feet
-from roemetry_pinhole.geometry import CAMERA, Geometry, straightened, unknowns_of
+from roemetry_pinhole.geometry import CAMERA, Geometry, undistort, unknowns_of
 from roemetry_pinhole.stripes import belt_points
 
 _MATRIX = ("camera_matrix", "cameraMatrix", "Camera_Matrix", "K", "intrinsics")
@@ -209,7 +209,7 @@ def _middle(measured: Measured, geometry: Geometry, stripe: int) -> Floats:
     mine = measured.points.stripe == stripe
     seen = np.array([[measured.points.x_px[mine].mean(), measured.points.row_px[mine].mean()]])
     camera = geometry.camera
-    xy = straightened((seen - camera[2:4]) / camera[:2], camera[4:])[0]
+    xy = undistort((seen - camera[2:4]) / camera[:2], camera[4:])[0]
     ray = np.array([*xy, 1.0])
     place = ray / (ray @ geometry.belt)
     plane = geometry.planes[stripe]

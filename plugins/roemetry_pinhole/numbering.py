@@ -32,8 +32,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from roemetry.arrays import Flags, Floats, Integers
 from roemetry.errors import CalibrationError
+from roemetry.records.arrays import Flags, Floats, Integers
 
 _TOLERANCE_SHARE = 0.2
 """Of the spacing of neighbouring lines: distance at which a line no longer votes. A wrong plane collects
@@ -66,6 +66,8 @@ _OUTLYING_FACTOR = 8.0
 """Times the usual distance of a pose's lines from the planes of all others: moved or mirrored."""
 _OUTLYING_LEAST = 1e-3
 """Of the distance from the camera: what is nearer than this is never called moved."""
+_CONTRADICTING_SHARE = 0.4
+"""Of the poses: where more lie off the planes of the others, nobody can say which are right."""
 _OUTLYING_POSES_MIN = 4
 """Of fewer poses nobody could say which is wrong."""
 
@@ -152,6 +154,14 @@ def number_stripes(poses: Sequence[PoseLines], stripes: int, belt: PoseLines | N
             for pose in moved
         }
         kept = [pose for pose in kept if pose not in moved]
+    contradicting = sum(why is _MOVED for why in left_out.values())
+    if contradicting >= max(_CONTRADICTING_SHARE * len(poses), _OUTLYING_POSES_MIN):
+        raise CalibrationError(
+            f"the poses contradict each other: the stripes of {contradicting} of {len(poses)} lie on none of "
+            "the planes that the others show",
+            hint="is each laser image paired with the board it was taken of? did the board move between the "
+            "two, or the laser or the camera between the poses?",
+        )
     number_of = _numbers_of(
         kept, numbers, planes, stripes, belt_shows_all=belt is not None and belt.count == stripes
     )

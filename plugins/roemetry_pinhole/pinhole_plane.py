@@ -6,18 +6,18 @@ import math
 
 import numpy as np
 
-from roemetry.arrays import Floats
-from roemetry.calibration import Calibration
 from roemetry.errors import StageError
 from roemetry.records import Profiles, StripeMap
+from roemetry.records.arrays import Floats
+from roemetry.records.calibration import Calibration
+from roemetry.records.view import View
 from roemetry.stages import Capabilities, StageOptions, Triangulator
-from roemetry.view import View
 from roemetry_kernels.compiling import float_kernel
 from roemetry_pinhole.frames import belt_pose, camera_of, planes_in_belt_frame, view_of
 
 
 class PinholePlane(Triangulator[StageOptions]):
-    """Each peak's ray, straightened, meets its stripe's plane of light; the point goes to the belt frame.
+    """Each peak's ray, undistorted, meets its stripe's plane of light; the point goes to the belt frame.
 
     `height_std_mm` is what the peak's own noise does to Z. What the calibration contributes is common to all
     points: it is in the calibration's covariance, and a redrawn calibration moves all points together.

@@ -19,15 +19,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roemetry.arrays import Flags, Floats, Integers
-from roemetry.calibration import Calibration
 from roemetry.errors import CalibrationError
 from roemetry.records import EDGE, WIDE, CalibrationSet, Observation, Peaks, SpherePlate
+from roemetry.records.arrays import Flags, Floats, Integers
+from roemetry.records.calibration import Calibration
 from roemetry_pinhole.bundle import Adjusted, Measured
 from roemetry_pinhole.equations import ON_BELT, Feet, StripePoints
 from roemetry_pinhole.frames import belt_pose, camera_of, parameters_of
 from roemetry_pinhole.from_solids import OnSolids
-from roemetry_pinhole.geometry import Geometry, straightened, turned, unknowns_of
+from roemetry_pinhole.geometry import Geometry, turned, undistort, unknowns_of
 from roemetry_pinhole.solids import Shape, belt_lines, numbered
 
 _BELT_MM = 0.6
@@ -156,7 +156,7 @@ def _on_heights(parameters: Mapping[str, Floats], peaks: Peaks, plate: SpherePla
 def points_of(parameters: Mapping[str, Floats], stripe: Integers, x_px: Floats, row_px: Floats) -> Floats:
     """Give (point, 3) where peaks lie in the belt frame, mm."""
     camera = camera_of(parameters)
-    xy = straightened((np.column_stack([x_px, row_px]) - camera[2:4]) / camera[:2], camera[4:])
+    xy = undistort((np.column_stack([x_px, row_px]) - camera[2:4]) / camera[:2], camera[4:])
     ray = np.column_stack([xy, np.ones(len(xy))])
     pose = belt_pose(parameters["belt_per_mm"])
     with np.errstate(divide="ignore"):
@@ -431,7 +431,7 @@ def from_plate(
         plates = [_seen(geometry, view, plate) for view in views]
         _check_stripes(plates, stripes)
         measured = _measured_plate(boards, free_camera, geometry, on_belt, plates, plate, first)
-        geometry = measured.nearly() if number + 1 < _PLATE_ROUNDS else geometry
+        geometry = measured.robust_prefit() if number + 1 < _PLATE_ROUNDS else geometry
     adjusted = measured.adjusted()
     return OnSolids(
         measured,

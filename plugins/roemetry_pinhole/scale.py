@@ -17,13 +17,13 @@ from typing import Any
 
 import numpy as np
 
-from roemetry.arrays import Floats
-from roemetry.calibration import Calibration
 from roemetry.errors import CalibrationError
 from roemetry.records import Board, CalibrationSet, Peaks, Ruler
+from roemetry.records.arrays import Floats
+from roemetry.records.calibration import Calibration
 from roemetry_pinhole.frames import belt_pose, camera_of, lines_at_height, parameters_of
 from roemetry_pinhole.from_solids import solids_in
-from roemetry_pinhole.geometry import straightened
+from roemetry_pinhole.geometry import undistort
 from roemetry_pinhole.joint import Joint
 from roemetry_pinhole.plates import plate_scale
 
@@ -384,7 +384,7 @@ def _heights_of(calibration: Calibration, peaks: Peaks) -> Floats:
     """Give (stripe, peak) the height each peak would have on each plane, mm."""
     parameters = calibration.parameters
     camera = camera_of(parameters)
-    xy = straightened((np.column_stack([peaks.x_px, peaks.row]) - camera[2:4]) / camera[:2], camera[4:])
+    xy = undistort((np.column_stack([peaks.x_px, peaks.row]) - camera[2:4]) / camera[:2], camera[4:])
     ray = np.column_stack([xy, np.ones(len(xy))])
     up, origin = belt_pose(parameters["belt_per_mm"])[2, :3], belt_pose(parameters["belt_per_mm"])[2, 3]
     return np.asarray((ray @ up)[None, :] / (parameters["planes_per_mm"] @ ray.T) + origin)
@@ -405,7 +405,7 @@ def _by_parameter(calibration: Calibration, height_mm: float) -> Floats:
             drawn[name] = values[start : start + array.size].reshape(array.shape)
             start += array.size
         camera = camera_of(drawn)
-        xy = straightened((seen - camera[2:4]) / camera[:2], camera[4:])
+        xy = undistort((seen - camera[2:4]) / camera[:2], camera[4:])
         ray = np.column_stack([xy, np.ones(len(xy))])
         pose = belt_pose(drawn["belt_per_mm"])
         planes = drawn["planes_per_mm"][good]

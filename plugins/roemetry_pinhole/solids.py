@@ -14,11 +14,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from roemetry.arrays import Flags, Floats, Integers
 from roemetry.errors import CalibrationError
 from roemetry.records import EDGE, WIDE, Block, Observation, Pyramid, Staircase
+from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_pinhole.frames import belt_pose
-from roemetry_pinhole.geometry import straightened, turned
+from roemetry_pinhole.geometry import turned, undistort
 
 Solid = Block | Staircase | Pyramid
 
@@ -282,7 +282,7 @@ def numbered(view: Observation, camera: Floats, stripes: int) -> Numbered:
     whole = whole[order]
     std = peaks.x_std_px[whole]
     seen = (np.column_stack([peaks.x_px[whole], peaks.row[whole]]) - camera[2:4]) / camera[:2]
-    xy = straightened(seen, camera[4:])
+    xy = undistort(seen, camera[4:])
     return Numbered(
         view.frame.name,
         np.tile(np.arange(stripes), whole.size // stripes),

@@ -21,22 +21,29 @@ from typing import Any
 
 import numpy as np
 
-from roemetry.arrays import Floats, Integers
-from roemetry.calibration import Calibration
 from roemetry.errors import CalibrationError
 from roemetry.records import Evidence, EvidenceFigure, Residuals
+from roemetry.records.arrays import Floats, Integers
+from roemetry.records.calibration import Calibration
 from roemetry_pinhole.bundle import Adjusted, Measured, chosen
 from roemetry_pinhole.equations import ON_BELT, Feet, StripePoints, corner_residuals
 from roemetry_pinhole.frames import belt_pose
-from roemetry_pinhole.geometry import CAMERA, Bend, Geometry, straightened, unknowns_of
+from roemetry_pinhole.geometry import CAMERA, Bend, Geometry, undistort, unknowns_of
 from roemetry_pinhole.initial_intrinsics import FirstCamera
 from roemetry_pinhole.joint import Joint
 
 _CELLS = 6
+"""Cells along either side of the image in which marks are averaged; with 10 poses of 80 marks 20 fall into
+each."""
 _CELL_MARKS_MIN = 8
+"""Marks in a cell: from fewer the mean is noise."""
 _SYSTEMATIC_MAX_PX = 0.4
+"""Error that neighbouring marks share, px, by which a lens model is refused: at 1500 px focal length 0.03 %,
+that is 0.1 mm over 350 mm."""
 _SYSTEMATIC_SHARE_MAX = 0.5
+"""The same as a share of the marks' noise: less is drowned in it."""
 _COVERAGE_MIN = 0.4
+"""Of the cells: with fewer the lens is a guess outside."""
 _PLANE_FACTOR_MAX = 5.0
 """Residuals of one stripe over those of the median stripe. Powers and widths of stripes differ, and with them
 their noise, by 2 to 3; a reflection taken for a stripe gives 20 and more."""
@@ -50,12 +57,15 @@ _PLANE_RMS_MAX_PX = 2.0
 """Residuals above this are refused whatever is stated, or if nothing is: a stripe's peaks are gathered within
 2 px of one straight line on each surface, so what is above is no noise but lines that are in no plane."""
 _GRAZING_MIN = 0.02
+"""Distance of a plane of light from the camera's centre over that of the belt: 1° between light and sight; 1
+px is then 10 mm of height and more."""
 _USED_MIN = 0.75
 """Share of marks, and of stripe peaks on even print, that must fit. Least squares after trimming at 4.5
 standard deviations holds up to about a third of strays."""
 _STRIPE_USED_MIN = 0.5
 """The same of each stripe alone: with less, what is left may be the strays."""
 _SYSTEMATIC_TOLD_PX = 0.05
+"""From here on a shared error is told: half the noise of a mark."""
 _CONFLICT_LITTLE = 10.0
 """Up to here stripes pull camera and poses off the marks by about three standard deviations in all."""
 
@@ -266,11 +276,13 @@ def _height_reached(joined: Joint) -> float:
 
 
 _FOLDS = 5
+"""Views are left out in five parts: four fifths of the views still calibrate nearly as well as all."""
 _POSES_MIN = 4
+"""Poses that must be left to calibrate from."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class HeldOut:
+class CrossValidation:
     """Errors of a calibration at views it did not know.
 
     Attributes
@@ -298,7 +310,7 @@ class HeldOut:
     skipped: int
 
 
-def held_out(measured: Measured, found: Geometry) -> HeldOut:
+def cross_validate(measured: Measured, found: Geometry) -> CrossValidation:
     """Leave every fifth pose out in turn; boards that lie on the belt always stay.
 
     Parameters
@@ -333,7 +345,7 @@ def held_out(measured: Measured, found: Geometry) -> HeldOut:
     none, both, whole = np.empty(0), np.empty((0, 2)), np.empty(0, np.int64)
     mark_px, mark_at_px, mark_pose = _joined((both, both, whole), marks)
     height_mm, height_at_px, height_pose, stripe = _joined((none, both, whole, whole), heights)
-    return HeldOut(
+    return CrossValidation(
         mark_px, mark_at_px, mark_pose, height_mm, height_at_px, height_pose, stripe, skipped=skipped
     )
 
@@ -346,7 +358,7 @@ def _joined(nothing: tuple[Any, ...], parts: list[tuple[Any, ...]]) -> list[Any]
 def lifted(geometry: Geometry, points: StripePoints) -> Floats:
     """Give (point, 3) where the points' rays meet their planes of light, camera frame, mm."""
     seen = np.column_stack([points.x_px, points.row_px])
-    xy = straightened((seen - geometry.camera[2:4]) / geometry.camera[:2], geometry.camera[4:])
+    xy = undistort((seen - geometry.camera[2:4]) / geometry.camera[:2], geometry.camera[4:])
     ray = np.column_stack([xy, np.ones(len(xy))])
     return np.asarray(ray / (ray * geometry.planes[points.stripe]).sum(axis=1)[:, None])
 
@@ -429,11 +441,16 @@ def _print_off_plane(geometry: Geometry, bend: Bend, points: StripePoints, xyz: 
 
 
 _STRIPES_MIN = 4
+"""Stripes on a surface: through three a plane fits always."""
 
 
 _WORSE_MAX = 1.5
+"""Marks of other views over those used: half as large again means that the lens was fitted to noise."""
 _BIAS_SHARE_MAX = 1.0
+"""Thousandths of the height range: 20 µm of 20 mm; heights then err by less than a product's volume is asked
+for."""
 _COVERAGE_TOLD_MIN = 0.7
+"""Of the cells with marks: with fewer it is told."""
 _STRAYS_TOLD = 0.1
 """A tenth of the peaks far off is more than noise and the odd reflection give (0 to 4 % on sound sets)."""
 _NOISE_TOLD = 2.0
@@ -444,12 +461,12 @@ _UNUSABLE = 10.0
 
 def evidence_of(joined: Joint, calibration: Calibration) -> Evidence:
     """Show what speaks for a calibration, and judge it in words."""
-    held = held_out(joined.measured, joined.adjusted.geometry)
+    held = cross_validate(joined.measured, joined.adjusted.geometry)
     figures = _figures(joined, held, calibration)
     return Evidence(_verdict(figures, held, calibration), tuple(figures.values()), _residuals(joined, held))
 
 
-def _residuals(joined: Joint, held: HeldOut) -> tuple[Residuals, ...]:
+def _residuals(joined: Joint, held: CrossValidation) -> tuple[Residuals, ...]:
     adjusted, measured = joined.adjusted, joined.measured
     marks, used = measured.corners, adjusted.corner_used
     points, seen = measured.points, adjusted.stripe_used
@@ -511,7 +528,7 @@ def _residuals(joined: Joint, held: HeldOut) -> tuple[Residuals, ...]:
     return tuple(one for one in shown if len(one.error))
 
 
-def _figures(joined: Joint, held: HeldOut, calibration: Calibration) -> dict[str, EvidenceFigure]:
+def _figures(joined: Joint, held: CrossValidation, calibration: Calibration) -> dict[str, EvidenceFigure]:
     adjusted, residuals = joined.adjusted, calibration.residuals
     found = {}
     if "marks_coverage" in residuals:
@@ -573,7 +590,9 @@ def _figures(joined: Joint, held: HeldOut, calibration: Calibration) -> dict[str
     return found
 
 
-def _verdict(figures: dict[str, EvidenceFigure], held: HeldOut, calibration: Calibration) -> tuple[str, ...]:
+def _verdict(
+    figures: dict[str, EvidenceFigure], held: CrossValidation, calibration: Calibration
+) -> tuple[str, ...]:
     low, high = calibration.height_range_mm
     over = [key for key, one in figures.items() if one.value > one.limit]
     range_mm = f"from {low:g} to {high:.1f} mm"

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from markupsafe import Markup
 
-from roemetry.arrays import Flags, Floats
 from roemetry.records import Marks, StripeMap
+from roemetry.records.arrays import Flags, Floats
 from roemetry_report import palette, svg
 from roemetry_report.curves import curves
 from roemetry_report.panels import Panel

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 from markupsafe import Markup
 
-from roemetry.arrays import Flags, Floats
 from roemetry.records import BELT, StripeMap
+from roemetry.records.arrays import Flags, Floats
 from roemetry_report import palette, svg
 
 _POINTS_MAX = 6000

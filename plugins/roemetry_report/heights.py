@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from markupsafe import Markup
 
-from roemetry.arrays import Flags, Floats
 from roemetry.records import Profiles, StripeMap
+from roemetry.records.arrays import Flags, Floats
 from roemetry_report import palette, svg
 from roemetry_report.charts import ticks_to
 from roemetry_report.curves import runs

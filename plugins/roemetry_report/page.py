@@ -7,8 +7,8 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from roemetry.io.yaml_source import dump
 from roemetry.stages import Run
-from roemetry.yaml_source import dump
 from roemetry_report.rows import grade_pill, row_of
 from roemetry_report.section import section
 from roemetry_report.selection import ROWS_MAX, overview

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from markupsafe import Markup
 
-from roemetry.arrays import Flags, Floats
 from roemetry.records import AMBIGUOUS, UNCODED, Outline, Peaks, StripeMap, Trace
+from roemetry.records.arrays import Flags, Floats
 from roemetry_report import palette, svg
 from roemetry_report.base_image import BaseImage, base_image
 from roemetry_report.curves import curves, row_step

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 from markupsafe import Markup
 
-from roemetry.arrays import Flags, Floats
 from roemetry.records import Relief, ReliefMap, ReliefRegion
+from roemetry.records.arrays import Flags, Floats
 from roemetry_report import palette, svg
 from roemetry_report.panels import Panel
 from roemetry_report.svg import Box

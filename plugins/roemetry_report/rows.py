@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from markupsafe import Markup
 
 from roemetry.records import Decision, Estimate, Grade, Measurement, Reason, Shares
-from roemetry.units import MM3_PER_CM3, NOT_STATED
+from roemetry.records.units import MM3_PER_CM3, NOT_STATED
 from roemetry_report.charts import share_bar
 from roemetry_report.words import budget, interval, percent, plain, uncertainty, value
 

@@ -11,7 +11,7 @@ from markupsafe import Markup
 
 from roemetry.errors import RoemetryError
 from roemetry.records import BELT, Frame, Grade, Measurement, ProductTrace, Reason, StripeMap, Trace, Volume
-from roemetry.units import MM3_PER_CM3
+from roemetry.records.units import MM3_PER_CM3
 from roemetry_report.arcs import arc_panel
 from roemetry_report.charts import slice_chart
 from roemetry_report.heights import SmallChart, displacement_charts, height_charts

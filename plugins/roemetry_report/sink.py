@@ -7,7 +7,7 @@ from pathlib import Path
 
 from pydantic import Field
 
-from roemetry.files import write_whole
+from roemetry.io.files import write_whole
 from roemetry.stages import Run, Sink, StageOptions
 
 

@@ -12,8 +12,8 @@ from itertools import pairwise
 import numpy as np
 from markupsafe import Markup
 
-from roemetry.arrays import Floats, Integers
 from roemetry.records import Profiles
+from roemetry.records.arrays import Floats, Integers
 from roemetry_report import palette, svg
 from roemetry_report.words import plain
 

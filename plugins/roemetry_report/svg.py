@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 from markupsafe import Markup
 
-from roemetry.arrays import Floats
+from roemetry.records.arrays import Floats
 
 Box = tuple[float, float, float, float]
 """x, y, width and height of a view."""

@@ -8,8 +8,8 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from roemetry.arrays import Flags, Floats
 from roemetry.records import AMBIGUOUS, BELT, StripeMap
+from roemetry.records.arrays import Flags, Floats
 from roemetry_report import svg
 from roemetry_report.words import percent, plain
 

@@ -9,7 +9,7 @@ from datetime import datetime
 from markupsafe import Markup
 
 from roemetry.records import Estimate
-from roemetry.units import NOT_STATED
+from roemetry.records.units import NOT_STATED
 
 
 def plain(value: float, digits: int = 2) -> str:

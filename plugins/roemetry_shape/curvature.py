@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roemetry.arrays import Floats
+from roemetry.records.arrays import Floats
 from roemetry_kernels.compiling import kernel
 from roemetry_shape.sections import SAMPLES, Sections
 

@@ -26,8 +26,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roemetry.arrays import Floats
 from roemetry.records import Product, Relief
+from roemetry.records.arrays import Floats
 from roemetry_shape.curvature import surface_shape
 from roemetry_shape.outline_features import outline_features
 from roemetry_shape.product_frame import STATIONS, Frame, in_product_frame

@@ -32,8 +32,8 @@ from typing import Any
 
 import numpy as np
 
-from roemetry.arrays import Floats
 from roemetry.records import Grade, Reason
+from roemetry.records.arrays import Floats
 
 GOOD_SPREAD: Mapping[str, float] = {
     "bow_mm": 0.4,

@@ -21,8 +21,8 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from roemetry.errors import MisfitError
 from roemetry.records import Decision, Estimate, Grade, Product, Reason, Volume, Weight
+from roemetry.records.units import mm3_to_cm3
 from roemetry.stages import Capabilities, Grader, StageOptions
-from roemetry.units import mm3_to_cm3
 
 UNDECIDED = "undecided"
 

@@ -34,9 +34,9 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from roemetry.arrays import Floats, Integers
 from roemetry.errors import StageError
 from roemetry.records import Fitted, Grade, Product, Reason, Samples
+from roemetry.records.arrays import Floats, Integers
 from roemetry.stages import Capabilities, Classifier, StageOptions
 from roemetry_kernels.compiling import kernel
 from roemetry_shape.features import SMOOTHING_MM, shape_of

@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from roemetry.arrays import Floats, Integers
 from roemetry.errors import DataError
 from roemetry.records import Fitted, Samples
+from roemetry.records.arrays import Floats, Integers
 from roemetry_shape.good_reference import GOOD_MIN, fit_reference, lower_bound
 from roemetry_shape.learned import LEFT_OUT, VERSION, Forest, LearnedModel, temperature_scale
 from roemetry_shape.novelty import excess_norm, seen_classes
@@ -169,11 +169,15 @@ def _filled(values: Floats) -> tuple[Floats, Floats]:
     return np.where(np.isfinite(values), values, fill), fill
 
 
+_LEAF_SAMPLES = 8
+"""Products in a leaf at least: with 2 a forest of thousands of products takes three times the space."""
+
+
 def _trees() -> Any:
     from sklearn.ensemble import ExtraTreesClassifier
 
     return ExtraTreesClassifier(
-        TREES, min_samples_leaf=2, max_features=0.4, class_weight="balanced", random_state=_SEED
+        TREES, min_samples_leaf=_LEAF_SAMPLES, max_features=0.4, class_weight="balanced", random_state=_SEED
     )
 
 

@@ -26,7 +26,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from roemetry.arrays import Floats
+from roemetry.records.arrays import Floats
 
 SHRINKAGE = 0.2
 """Share of the uncorrelated part. 0.1 to 0.4 change the share of strangers found by less than 1 %; 0 makes

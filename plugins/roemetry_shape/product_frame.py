@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roemetry.arrays import Floats
+from roemetry.records.arrays import Floats
 from roemetry_shape.sections import SAMPLES, Sections
 
 STATIONS = 41

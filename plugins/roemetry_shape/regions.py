@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roemetry.arrays import Floats, Integers
+from roemetry.records.arrays import Floats, Integers
 from roemetry_kernels.compiling import kernel
 from roemetry_shape.sections import SAMPLES, Sections
 

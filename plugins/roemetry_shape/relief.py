@@ -6,8 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from roemetry.arrays import Floats
 from roemetry.records import Relief, ReliefMap, ReliefRegion
+from roemetry.records.arrays import Floats
 from roemetry_shape.curvature import SurfaceShape
 from roemetry_shape.regions import Region
 from roemetry_shape.sections import SAMPLES, Sections

@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roemetry.arrays import Floats, Integers
 from roemetry.records import Product
+from roemetry.records.arrays import Floats, Integers
 from roemetry_kernels.shape.arcs import body_curves, smoothed
 
 SAMPLES = 65

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from roemetry_simulate.picture_file import read_picture
 from roemetry_simulate.products import Drawn
 from roemetry_simulate.scene_file import AlbedoMapPart
 from roemetry_simulate.surface import Picture
@@ -18,17 +17,6 @@ Floats = NDArray[np.float64]
 _LUMA = np.array([0.114, 0.587, 0.299])  # ITU-R BT.601, in the order blue, green, red
 _BLUE_TO_NM, _GREEN_TO_NM = 500.0, 590.0
 _EXTENT_STEP_MM = 0.25
-
-
-def check_picture(file: Path) -> None:
-    """Raise ValueError, in words, for a file that is missing or is no image of 8 or 16 bit."""
-    if not file.is_file():
-        raise ValueError("there is no such file")
-    image = _read(file)
-    if image is None or image.dtype not in (np.uint8, np.uint16):
-        raise ValueError("not an image of 8 or 16 bit that can be read (PNG, TIFF, JPEG, …)")
-    if min(image.shape[:2]) < 2:
-        raise ValueError("an image of at least 2 × 2 pixels is needed")
 
 
 def laid_on(part: AlbedoMapPart, products: Sequence[Drawn], pitch_mm: float, wavelength_nm: float) -> Picture:
@@ -52,7 +40,7 @@ def laid_on(part: AlbedoMapPart, products: Sequence[Drawn], pitch_mm: float, wav
     Picture
         Factors of the albedo under the laser and in plain light over the belt; 1 beside the products.
     """
-    image = _read(part.file)
+    image = read_picture(part.file)
     assert image is not None, "the scene has been checked"
     white = float(np.iinfo(image.dtype).max)
     grey = part.black + (part.white - part.black) * image.astype(np.float64) / white
@@ -73,13 +61,6 @@ def laid_on(part: AlbedoMapPart, products: Sequence[Drawn], pitch_mm: float, wav
     matrix[0, 0], matrix[1, 1] = 1.0 / pitch_mm, 1.0 / pitch_mm
     matrix[:, 3] = -x[0] / pitch_mm, -y[0] / pitch_mm
     return laser, plain, matrix
-
-
-def _read(file: Path) -> NDArray[Any] | None:
-    import cv2
-
-    data = np.fromfile(file, dtype=np.uint8)
-    return None if data.size == 0 else cv2.imdecode(data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
 
 
 def _laser_channel(grey: Floats, wavelength_nm: float) -> Floats:

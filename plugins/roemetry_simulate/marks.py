@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from roemetry_simulate.products import Drawn
 from roemetry_simulate.render import Rig
+from roemetry_simulate.scene_camera import view_mm
 from roemetry_simulate.scene_file import RayCasterOptions
-from roemetry_simulate.scene_rig import view_mm
 from roemetry_simulate.surface import Surface
 
 Floats = NDArray[np.float64]

@@ -14,7 +14,7 @@ from roemetry_simulate.products import Drawn
 from roemetry_simulate.products.mesh import MeshSolid
 from roemetry_simulate.products.parts import PartsSolid
 from roemetry_simulate.render import Rig
-from roemetry_simulate.scene_rig import view_mm
+from roemetry_simulate.scene_camera import view_mm
 from roemetry_simulate.solid import Block, GriddedSolid, Solid
 
 Floats = NDArray[np.float64]

@@ -10,8 +10,8 @@ from roemetry_simulate.plan_geometry import in_view, plane_points, scale_at, ste
 from roemetry_simulate.plan_tables import mean_spacing_mm
 from roemetry_simulate.plan_uncertainty import peak_std, stripes_at
 from roemetry_simulate.plan_volume import Space
+from roemetry_simulate.scene_camera import view_mm
 from roemetry_simulate.scene_file import RayCasterOptions
-from roemetry_simulate.scene_rig import view_mm
 
 Floats = NDArray[np.float64]
 

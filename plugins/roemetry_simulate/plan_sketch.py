@@ -6,7 +6,7 @@ import numpy as np
 
 from roemetry.records import PlanShape
 from roemetry_simulate.plan_volume import Space
-from roemetry_simulate.scene_rig import view_mm
+from roemetry_simulate.scene_camera import view_mm
 
 
 def sketch(space: Space) -> tuple[PlanShape, ...]:

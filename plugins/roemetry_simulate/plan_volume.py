@@ -19,7 +19,7 @@ from roemetry_simulate.plan_geometry import (
 )
 from roemetry_simulate.plan_uncertainty import PeakStd, peak_std, stripes_at
 from roemetry_simulate.render import Rig
-from roemetry_simulate.scene_rig import view_mm
+from roemetry_simulate.scene_camera import view_mm
 
 Floats = NDArray[np.float64]
 

@@ -2,23 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
-from pydantic import ValidationError
-
-from roemetry.errors import MisfitError
-from roemetry.validation import unknown_key
+from roemetry_simulate.families import family_of, options_of
 from roemetry_simulate.group import lying_together
 from roemetry_simulate.placing import check_in_view, in_reach
-from roemetry_simulate.products import PRODUCTS, Drawn, ProductFamily, ProductOptions
+from roemetry_simulate.products import Drawn
 from roemetry_simulate.render import Rig
 from roemetry_simulate.scene_file import ProductPart
 from roemetry_simulate.side_by_side import side_by_side
 from roemetry_simulate.solid import EmptyBelt, Solid
-
-NONE = "none"
 
 _NEXT_IN_FRAME = 1_000_000_000
 """From the seed of a frame's product to that of its next, so that no other item's first has it."""
@@ -43,44 +36,6 @@ class Lying:
     def solid(self) -> Solid:
         """All of them as one solid."""
         return lying_together([one.solid for one in self.products]) if self.products else EmptyBelt()
-
-
-def family_of(name: str) -> ProductFamily | None:
-    """Return a family by name, None for `none`; raise ValueError with a close match for an unknown one."""
-    import difflib
-
-    if name == NONE:
-        return None
-    if name not in PRODUCTS:
-        close = difflib.get_close_matches(name, PRODUCTS, n=1)
-        mean = f"; did you mean `{close[0]}`?" if close else ""
-        raise ValueError(f"there is no product family `{name}`{mean} There are: none, {', '.join(PRODUCTS)}")
-    return PRODUCTS[name]
-
-
-def options_of(
-    name: str, options: Mapping[str, Any], at: tuple[str | int, ...] = ("options",)
-) -> ProductOptions | None:
-    """Check a family's options, which stand at some keys; raise MisfitError with every fault."""
-    try:
-        family = family_of(name)
-    except ValueError as error:
-        raise MisfitError((("family",), str(error))) from None
-    if family is None:
-        if options:
-            raise MisfitError((at, "family `none` has no options"))
-        return None
-    try:
-        return family.Options.model_validate(dict(options))
-    except ValidationError as error:
-        said = []
-        for detail in error.errors():
-            if detail["type"] == "extra_forbidden":
-                why = unknown_key(detail["loc"][-1], list(family.Options.model_fields))
-            else:
-                why = f"{detail['msg'][0].lower()}{detail['msg'][1:]}".removeprefix("value error, ")
-            said.append(((*at, *detail["loc"]), why))
-        raise MisfitError(*said) from None
 
 
 def product_of(part: ProductPart, rig: Rig, number: int, seed: int) -> Lying:

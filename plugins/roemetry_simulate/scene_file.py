@@ -113,7 +113,7 @@ class AlbedoMapPart(Part):
     @field_validator("file")
     @classmethod
     def _is_an_image(cls, file: Path) -> Path:
-        from roemetry_simulate.albedo_map import check_picture
+        from roemetry_simulate.picture_file import check_picture
 
         check_picture(file)
         return file
@@ -173,7 +173,7 @@ class ProductPart(Part):
 
     @model_validator(mode="after")
     def _is_known(self) -> ProductPart:
-        from roemetry_simulate.population import options_of
+        from roemetry_simulate.families import options_of
 
         options_of(self.family, self.options, ("options",))
         for number, item in enumerate(self.items):
@@ -253,7 +253,7 @@ class RayCasterOptions(StageOptions):
     @field_validator("camera")
     @classmethod
     def _sees_the_belt(cls, camera: CameraPart) -> CameraPart:
-        from roemetry_simulate.scene_rig import check_camera
+        from roemetry_simulate.scene_camera import check_camera
 
         check_camera(camera)
         return camera
@@ -261,7 +261,7 @@ class RayCasterOptions(StageOptions):
     @field_validator("laser")
     @classmethod
     def _is_in_view(cls, laser: LaserPart, info: ValidationInfo) -> LaserPart:
-        from roemetry_simulate.scene_rig import check_laser
+        from roemetry_simulate.scene_camera import check_laser
 
         if "camera" in info.data:
             check_laser(info.data["camera"], laser)

@@ -11,7 +11,7 @@ from roemetry.errors import StageError
 from roemetry_simulate.placing import moved_to
 from roemetry_simulate.products import Drawn
 from roemetry_simulate.render import Rig
-from roemetry_simulate.scene_rig import view_mm
+from roemetry_simulate.scene_camera import view_mm
 
 Flags = NDArray[np.bool_]
 

@@ -119,7 +119,7 @@ def board_poses(part: BoardPart, seed: int) -> dict[str, BoardPose]:
 def known_beforehand(scene: RayCasterOptions, rig: Rig, seed: int) -> dict[str, Any]:
     """Give the true rig and the true places of all targets, as plain values.
 
-    The rig's keys are those of `roemetry.view.View`; lengths in mm of the belt frame.
+    The rig's keys are those of `roemetry.records.view.View`; lengths in mm of the belt frame.
     """
     camera, laser, targets = rig.camera, rig.laser, scene.targets
     focal, (cx, cy) = camera.focal_length_px, camera.principal_px.tolist()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from roemetry.arrays import Floats, Integers
+from roemetry.records.arrays import Floats, Integers
 from roemetry_kernels.compiling import kernel
 
 

@@ -22,7 +22,7 @@ import math
 
 import numpy as np
 
-from roemetry.arrays import Flags, Floats, Labels
+from roemetry.records.arrays import Flags, Floats, Labels
 from roemetry.records import Product
 from roemetry_kernels.compiling import kernel
 

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from roemetry.arrays import Floats
-from roemetry.calibration import Calibration
 from roemetry.errors import StageError
 from roemetry.records import Frame, Outline, StripeMap
+from roemetry.records.arrays import Floats
+from roemetry.records.calibration import Calibration
 from roemetry.stages import Outliner, StageOptions
 from roemetry_volume.outline_edge import edge_around
 from roemetry_volume.outline_features import features_of

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from roemetry.arrays import Floats, Integers
 from roemetry.errors import DataError, StageError
 from roemetry.records import Fitted, Samples
+from roemetry.records.arrays import Floats, Integers
 from roemetry_volume.weighed_faults import check_masses, far_off
 from roemetry_volume.weight_features import VISIBLE
 from roemetry_volume.weight_model import FORMS, WeightModel

@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roemetry.arrays import Flags, Floats
+from roemetry.records.arrays import Flags, Floats
 from roemetry_volume.outline_image import SMOOTHED_PX
 from roemetry_volume.outline_kink import along_normals, beside, kinked, normals_of, rounded
 from roemetry_volume.silhouette import area_of, evenly

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from roemetry.arrays import Floats
+from roemetry.records.arrays import Floats
 from roemetry_volume.silhouette import area_of
 
 _CUTS = 41

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from roemetry.arrays import Flags, Floats
+from roemetry.records.arrays import Flags, Floats
 
 _SMOOTH_PX = 5.0
 SMOOTHED_PX = 2.5

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roemetry.arrays import Flags, Floats
+from roemetry.records.arrays import Flags, Floats
 from roemetry_volume.silhouette import area_of, evenly
 
 _REACH_PX = 5.0

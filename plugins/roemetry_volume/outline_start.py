@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from roemetry.arrays import Flags, Floats, Integers
 from roemetry.records import StripeMap
+from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_volume.silhouette import area_of
 
 _SMOOTH_PX = 2.0

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from roemetry.arrays import Flags, Floats, Integers, Labels
+from roemetry.records.arrays import Flags, Floats, Integers, Labels
 from roemetry_kernels.compiling import float_kernel
 from roemetry_volume.slice_rules import three_outer
 from roemetry_volume.slice_table import AREA, AT, COUNT, FIRST_ROW, LAST_ROW, LOOSE, TOP, WALL, WIDTH

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roemetry.arrays import Floats, Integers
+from roemetry.records.arrays import Floats, Integers
 from roemetry_kernels.compiling import kernel
 
 _LENGTH_MM = 5.0

@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roemetry.arrays import Floats
-from roemetry.view import View
+from roemetry.records.arrays import Floats
+from roemetry.records.view import View
 
 
 class Border(NamedTuple):

@@ -7,7 +7,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from roemetry.arrays import Floats, Integers, Labels
+from roemetry.records.arrays import Floats, Integers, Labels
 from roemetry.records import Product
 from roemetry_kernels.compiling import kernel
 from roemetry_volume import slice_rules as rules

@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 from pydantic import Field
 
-from roemetry.arrays import Floats
+from roemetry.records.arrays import Floats
 from roemetry.errors import StageError
 from roemetry.records import Estimate, Product, Reason, Shares, Volume
 from roemetry.stages import Capabilities, VolumeEstimator

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from roemetry.arrays import Floats
+from roemetry.records.arrays import Floats
 from roemetry_kernels.compiling import kernel
 
 SUM, TRAPEZOID, SIMPSON, PCHIP, SPLINE = range(5)

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from roemetry.arrays import Flags, Floats, Integers, Labels
+from roemetry.records.arrays import Flags, Floats, Integers, Labels
 from roemetry.errors import StageError
 from roemetry.records import Product, Profiles
 from roemetry_kernels.compiling import float_kernel, kernel

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from roemetry.arrays import Flags, Floats, Integers
+from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.records import Product
-from roemetry.view import View
+from roemetry.records.view import View
 from roemetry_kernels.compiling import kernel
 from roemetry_volume.rim import Rim, StripePoints, ends_of, rim_of
 from roemetry_volume.silhouette import Border, area_of, border_at, evenly

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from roemetry.arrays import Floats
 from roemetry.errors import DataError
+from roemetry.records.arrays import Floats
 
 DENSITY_RANGE = (0.05, 25.0)
 """Mass over visible volume, g/cm³, of anything that is weighed: from puffed food to tungsten."""

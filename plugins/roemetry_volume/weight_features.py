@@ -10,9 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from roemetry.arrays import Floats
+from roemetry.records.arrays import Floats
 from roemetry.records import NOTHING, Product, Volume
-from roemetry.units import mm3_to_cm3
+from roemetry.records.units import mm3_to_cm3
 from roemetry_volume.rim import StripePoints, ends_of, rim_of
 from roemetry_volume.silhouette import evenly
 from roemetry_volume.surface_fit import points_of

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from roemetry.arrays import Floats
 from roemetry.errors import StageError
+from roemetry.records.arrays import Floats
 
 VERSION = 1
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from roemetry.calibration import Calibration
     from roemetry.records import Evidence
+    from roemetry.records.calibration import Calibration
 
 
 def calibrate(
@@ -41,10 +41,10 @@ def calibrate(
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
     """Make a calibration from images of known things, or refuse with the reason."""
-    from roemetry.calibrating import calibrate as calibrate_rig
-    from roemetry.calibrating import calibrate_with_evidence, default_path
+    from roemetry.calibrate import calibrate as calibrate_rig
+    from roemetry.calibrate import calibrate_with_evidence, default_path
+    from roemetry.config.rig import Rig
     from roemetry.records import Evidence
-    from roemetry.rig import Rig
 
     loaded = Rig.load(rig, sets=sets or ())
     evidence = Evidence()
@@ -67,9 +67,9 @@ def calibrate(
 
 
 def _write_page(path: Path, calibration: Calibration, evidence: Evidence, name: str) -> None:
-    from roemetry.calibrating import evidence_page
-    from roemetry.files import write_whole
-    from roemetry.registry import discover
+    from roemetry.calibrate import evidence_page
+    from roemetry.io.files import write_whole
+    from roemetry.stages.registry import discover
 
     registry = discover()
     triangulator = registry.load(registry.find("triangulator", calibration.method))()

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from roemetry.calibrating import Check
+    from roemetry.calibrate import Check
 
 
 def check_calibration(
@@ -49,11 +49,11 @@ def check_calibration(
     """
     from dataclasses import asdict
 
-    from roemetry.calibrating import Chart, block_of, chart_page, check_calibration
+    from roemetry.calibrate import Chart, block_of, chart_page, check_calibration
+    from roemetry.config.recipe import Recipe
     from roemetry.errors import ConfigurationError
-    from roemetry.files import write_whole
-    from roemetry.json_values import json_values
-    from roemetry.recipe import Recipe
+    from roemetry.io.files import write_whole
+    from roemetry.io.json_values import json_values
 
     loaded = Recipe.load(recipe, sets=sets or ())
     asked = loaded.calibration_check
@@ -76,7 +76,7 @@ def check_calibration(
 
 def show(check: Check) -> None:
     """Print a check: a line each for what was measured, then its reasons."""
-    from roemetry.calibrating import QUANTITIES
+    from roemetry.calibrate import QUANTITIES
 
     typer.echo(f"{check.target}: {check.verdict}")
     for name in QUANTITIES:

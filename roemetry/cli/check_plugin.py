@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from roemetry.registry import Registered
+    from roemetry.stages.registry import Registered
     from roemetry.testing.checks import Check
     from roemetry.testing.kit import Result
 

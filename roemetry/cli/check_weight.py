@@ -24,10 +24,10 @@ def check_weight(
     Exit code: 0 they hold, or there are too few to tell; 1 fit again, or the tables cannot be compared; 2 a
     cell or the command line is wrong.
     """
-    from roemetry.json_values import json_values
-    from roemetry.known_products import read_weights
-    from roemetry.record import read_record
-    from roemetry.weight_check import WeighedPair, check_weights
+    from roemetry.calibrate.known_products import read_weights
+    from roemetry.calibrate.weight_check import WeighedPair, check_weights
+    from roemetry.io.json_values import json_values
+    from roemetry.run.record import read_record
 
     known = read_weights(scale)
     pairs = [

@@ -59,9 +59,9 @@ def fit_penetration(
 
     Exit code: 0 written; 1 the block is not found; 2 the recipe or the command line is wrong.
     """
-    from roemetry.calibrating import block_of, fit_penetration, fit_penetration_in_one
+    from roemetry.calibrate import block_of, fit_penetration, fit_penetration_in_one
+    from roemetry.config.recipe import Recipe
     from roemetry.errors import ConfigurationError
-    from roemetry.recipe import Recipe
 
     if (covered is None) == (half is None):
         raise ConfigurationError(

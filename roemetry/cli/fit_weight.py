@@ -35,9 +35,9 @@ def fit_weight(
 
     Exit code: 0 written; 1 the table cannot be learned from; 2 a cell or the command line is wrong.
     """
-    from roemetry.files import write_whole
-    from roemetry.known_products import read_weighed
-    from roemetry.registry import discover
+    from roemetry.calibrate.known_products import read_weighed
+    from roemetry.io.files import write_whole
+    from roemetry.stages.registry import discover
 
     registry = discover()
     stage = registry.load(registry.find("weigher", weigher))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from roemetry.recipe import Recipe
+    from roemetry.config.recipe import Recipe
     from roemetry.records import AcquisitionReference
 
 
@@ -26,12 +26,12 @@ def lint(
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
     """Check a recipe, a rig, calibration or scene file, or a data set; run nothing."""
-    from roemetry.calibration import Calibration
+    from roemetry.config.overrides import Overridden
+    from roemetry.config.recipe import Recipe
+    from roemetry.config.rig import Rig
     from roemetry.errors import ConfigurationError
-    from roemetry.overrides import Overridden
-    from roemetry.recipe import Recipe
-    from roemetry.rig import Rig
-    from roemetry.yaml_source import read
+    from roemetry.io.yaml_source import read
+    from roemetry.records.calibration import Calibration
 
     path = _within(file) if file.is_dir() else file
     data = read(path).data
@@ -87,7 +87,7 @@ def _within(folder: Path) -> Path:
 
 
 def _scene(path: Path, sets: Sequence[str]) -> None:
-    from roemetry.scene import Scene
+    from roemetry.config.scene import Scene
 
     scene = Scene.load(path, sets=sets)
     scene.make()
@@ -95,7 +95,7 @@ def _scene(path: Path, sets: Sequence[str]) -> None:
 
 
 def _dataset(path: Path) -> None:
-    from roemetry.dataset import Dataset
+    from roemetry.config.dataset import Dataset
     from roemetry.errors import DataError
 
     data = Dataset(path.parent)

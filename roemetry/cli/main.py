@@ -1,38 +1,105 @@
-"""The command line's entry: gathers the verbs, and turns errors into messages and exit codes."""
+"""The command line's entry: gathers the verbs, and turns errors into messages and exit codes.
+
+The core's own verbs are listed here. Those of plugins come through the hook ``roemetry_verbs``: plugins are
+asked only when the verb is none of the core's or all are listed; a verb's module is imported when it runs.
+"""
 
 from __future__ import annotations
 
+import importlib
 import sys
-from typing import Annotated
+from collections.abc import Callable
+from functools import cache
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
 from roemetry.cli import (
     calibrate,
     check_calibration,
     check_plugin,
     check_weight,
-    compare,
-    doctor,
     export,
     fit_classifier,
     fit_penetration,
     fit_weight,
-    init,
     lint,
-    new_plugin,
-    plan,
     plugins,
     report,
     run,
     schema,
     simulate,
     target,
-    tune,
 )
-from roemetry.errors import RoemetryError
+from roemetry.errors import FAULTS, PluginError, RoemetryError
+
+if TYPE_CHECKING:
+    from roemetry.stages.hookspecs import VerbEntry
+
+
+@cache
+def plugin_verbs() -> dict[str, VerbEntry]:
+    """Return what plugins add to the command line, by name; a core verb cannot be replaced."""
+    from roemetry.stages.registry import discover
+
+    return {verb.name: verb for verb in discover().verbs}
+
+
+def load_verb(entry: VerbEntry) -> Callable[..., Any]:
+    """Import the function behind a plugin's verb.
+
+    Raises
+    ------
+    PluginError
+        The module, or the function in it, cannot be imported.
+    """
+    module, _, function = entry.target.partition(":")
+    try:
+        loaded: Callable[..., Any] = getattr(importlib.import_module(module), function)
+    except FAULTS as error:
+        raise PluginError(
+            f"verb `{entry.name}`: `{entry.target}` cannot be imported: {type(error).__name__}: {error}",
+            hint="reinstall the plugin, or report this to its author",
+        ) from error
+    return loaded
+
+
+class _Verbs(TyperGroup):
+    """The core's verbs and those of plugins.
+
+    Contexts and commands are `Any`: newer releases of typer bring a click of their own.
+    """
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        own = super().list_commands(ctx)
+        return own + [name for name in plugin_verbs() if name not in own]
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """Return a core verb, or a plugin's by its summary alone: enough for a list."""
+        own = super().get_command(ctx, cmd_name)
+        if own is not None or (entry := plugin_verbs().get(cmd_name)) is None:
+            return own
+        listed = typer.Typer(add_completion=False)
+        listed.command(cmd_name, help=entry.summary)(lambda: None)
+        return typer.main.get_command(listed)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Find the verb that is to run; a plugin's is imported now."""
+        name, command, rest = super().resolve_command(ctx, args)
+        if name is not None and name not in self.commands and name in plugin_verbs():
+            single = typer.Typer(
+                add_completion=False,
+                pretty_exceptions_enable=False,
+                context_settings={"help_option_names": ["-h", "--help"]},
+            )
+            single.command(name)(load_verb(plugin_verbs()[name]))
+            command = typer.main.get_command(single)
+        return name, command, rest
+
 
 app = typer.Typer(
+    cls=_Verbs,
     name="roemetry",
     help="Calibration and metrology for laser-stripe inspection of curved products.",
     no_args_is_help=True,
@@ -71,7 +138,6 @@ def _options(
     """Calibration and metrology for laser-stripe inspection of curved products."""
 
 
-app.command()(init.init)
 app.command()(run.run)
 app.command()(calibrate.calibrate)
 app.command()(lint.lint)
@@ -79,16 +145,11 @@ app.command()(plugins.plugins)
 app.command()(report.report)
 app.command()(export.export)
 app.command()(simulate.simulate)
-app.command()(compare.compare)
 app.command()(check_plugin.check_plugin)
-app.command()(new_plugin.new_plugin)
 app.command()(check_calibration.check_calibration)
 app.command()(check_weight.check_weight)
-app.command()(plan.plan)
 app.command()(fit_classifier.fit_classifier)
 app.command()(fit_weight.fit_weight)
 app.command()(fit_penetration.fit_penetration)
 app.command()(target.target)
 app.command()(schema.schema)
-app.command()(doctor.doctor)
-app.command()(tune.tune)

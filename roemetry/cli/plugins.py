@@ -19,7 +19,7 @@ def plugins(
     ] = False,
 ) -> None:
     """List the installed stages, who provides them, and what is wrong with those that cannot be used."""
-    from roemetry.registry import discover
+    from roemetry.stages.registry import discover
 
     registry = discover()
     if as_json:

@@ -18,8 +18,8 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from typer.models import ArgumentInfo, OptionInfo
 
-from roemetry.cli.main import app
-from roemetry.recipe_file import NEEDS, RecipeFile, SensorFile, SourceChoice, StageChoice, StageChoices
+from roemetry.cli.main import app, load_verb, plugin_verbs
+from roemetry.config.recipe_file import NEEDS, RecipeFile, SensorFile, SourceChoice, StageChoice, StageChoices
 
 _BLOCK = re.compile(r"(<!-- from the code: (.+?) -->\n)(.*?)(<!-- to here -->)", flags=re.DOTALL)
 # what a help text says of a value that is left out; `--help` shows it at the end
@@ -45,7 +45,8 @@ def rewritten(page: str) -> str:
 def verbs() -> dict[str, Callable[..., Any]]:
     """Give each verb's function, in the order in which the help lists them."""
     functions = [command.callback for command in app.registered_commands if command.callback is not None]
-    return {function.__name__.replace("_", "-"): function for function in functions}
+    own = {function.__name__.replace("_", "-"): function for function in functions}
+    return own | {name: load_verb(entry) for name, entry in plugin_verbs().items() if name not in own}
 
 
 def main() -> None:

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from roemetry.recipe import Recipe
-    from roemetry.runner import Outcome
+    from roemetry.config.recipe import Recipe
+    from roemetry.run.batch import Outcome
 
 
 def run(
@@ -63,9 +63,9 @@ def run(
     the command line is wrong.
     """
     from roemetry.cli.progress import progress
+    from roemetry.config.recipe import Recipe
     from roemetry.errors import ConfigurationError, InterruptedRunError
-    from roemetry.recipe import Recipe
-    from roemetry.runner import run_recipe
+    from roemetry.run.batch import run_recipe
 
     if resume and out is None:
         raise ConfigurationError("--resume needs --out", hint="name the folder of the run that was stopped")
@@ -102,7 +102,7 @@ def _next_folder(recipe: Recipe) -> Path:
 
 
 def _described(outcome: Outcome) -> dict[str, object]:
-    from roemetry.record import RECORD, read_record
+    from roemetry.run.record import RECORD, read_record
 
     return {
         "folder": str(outcome.folder),
@@ -118,7 +118,7 @@ def _show(recipe: Recipe, outcome: Outcome) -> None:
     from rich.console import Console
 
     from roemetry.cli.table import problems_of, table_of
-    from roemetry.record import RECORD, read_record
+    from roemetry.run.record import RECORD, read_record
 
     console = Console()
     console.print(table_of(recipe.product, read_record(outcome.folder), sum(outcome.counts.values())))

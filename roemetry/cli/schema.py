@@ -17,10 +17,10 @@ def schema(
     """Write the JSON schema of a file, with the options of every installed stage, for editors."""
     from typing import get_args
 
+    from roemetry.config.schemas import FileKind, schema_of
     from roemetry.errors import ConfigurationError
-    from roemetry.files import write_whole
-    from roemetry.registry import discover
-    from roemetry.schemas import FileKind, schema_of
+    from roemetry.io.files import write_whole
+    from roemetry.stages.registry import discover
 
     known: dict[str, FileKind] = {name: name for name in get_args(FileKind)}
     if kind not in known:

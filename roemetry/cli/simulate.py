@@ -75,8 +75,8 @@ def simulate(
     stands in items.jsonl, so a set that was stopped holds no half item.
     """
     from roemetry.cli.progress import progress
-    from roemetry.scene import Scene
-    from roemetry.simulating import simulate as simulate_scene
+    from roemetry.config.scene import Scene
+    from roemetry.run.simulate import simulate as simulate_scene
 
     changes = list(sets or ())
     if product is not None:

@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from roemetry.records import Estimate, Measurement
-from roemetry.units import MM3_PER_CM3, stated
+from roemetry.records.units import MM3_PER_CM3, stated
 
 
 def problems_of(measurements: Iterable[Measurement]) -> list[str]:

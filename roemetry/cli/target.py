@@ -58,14 +58,14 @@ def target(
 
 def _shipped() -> dict[str, Path]:
     """Shipped descriptions by name: beside the installed package, or in the checkout."""
-    from roemetry.shipped import shipped
+    from roemetry.io.shipped import shipped
 
     folder = shipped("calib_targets")
     return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
 
 
 def _list_shipped() -> None:
-    from roemetry.yaml_source import read
+    from roemetry.io.yaml_source import read
 
     for name, path in _shipped().items():
         typer.echo(f"{name:32} {read(path).data['kind']}")

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from roemetry.arrays import Checker, Floats, Integers
+from roemetry.records.arrays import Checker, Floats, Integers
 
 
 @dataclass(frozen=True, slots=True)

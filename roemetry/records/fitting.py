@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from roemetry.arrays import Checker, Floats
+from roemetry.records.arrays import Checker, Floats
 
 
 @dataclass(frozen=True, eq=False, slots=True)

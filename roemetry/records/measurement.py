@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from roemetry.errors import DataError
-from roemetry.json_values import json_values
+from roemetry.io.json_values import json_values
 from roemetry.records.outcome import Decision, Estimate, Grade, Shares, Volume, Weight
 from roemetry.records.reasons import Reason
 

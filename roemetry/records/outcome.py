@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from roemetry.arrays import Checker, Flags, Floats, Integers
+from roemetry.records.arrays import Checker, Flags, Floats, Integers
 from roemetry.records.reasons import Reason
 from roemetry.records.relief import Relief
 

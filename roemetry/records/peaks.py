@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from roemetry.arrays import Checker, Floats, Integers
+from roemetry.records.arrays import Checker, Floats, Integers
 from roemetry.records.reasons import Reason
 
 SATURATED = 1

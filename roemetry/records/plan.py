@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from roemetry.arrays import Checker, Floats
+from roemetry.records.arrays import Checker, Floats
 from roemetry.records.reasons import Reason
 
 

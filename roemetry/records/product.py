@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from roemetry.arrays import Checker, Floats
-from roemetry.calibration import Calibration
+from roemetry.records.arrays import Checker, Floats
+from roemetry.records.calibration import Calibration
 from roemetry.records.profiles import Profiles
 from roemetry.records.reasons import Reason
-from roemetry.view import View
+from roemetry.records.view import View
 
 
 @dataclass(frozen=True, eq=False, slots=True)

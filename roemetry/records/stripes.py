@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from roemetry.arrays import Checker, Flags, Floats, Labels
+from roemetry.records.arrays import Checker, Flags, Floats, Labels
 from roemetry.records.reasons import Reason
 
 BELT = 0

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from roemetry.arrays import Checker, Flags, Floats, Labels
 from roemetry.records.acquisition import Frame
+from roemetry.records.arrays import Checker, Flags, Floats, Labels
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from roemetry.config.target_file import BoardFile
 from roemetry.errors import ConfigurationError
-from roemetry.target_file import BoardFile
 from roemetry.targets.sheet import Disc, Rectangle, Shape
 
 _DISC_SHARE = 0.5

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from roemetry.config.target_file import BoardFile
 from roemetry.errors import ConfigurationError
-from roemetry.target_file import BoardFile
 from roemetry.targets.boards import board_shapes, board_size_mm
 from roemetry.targets.sheet import Disc, Rectangle, Shape, Sheet, Words
 

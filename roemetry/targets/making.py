@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from roemetry.config.target_file import BoardFile, TargetFile, read_target
 from roemetry.errors import ConfigurationError
-from roemetry.files import make_folder, write_bytes, write_whole
-from roemetry.target_file import BoardFile, TargetFile, read_target
+from roemetry.io.files import make_folder, write_bytes, write_whole
 from roemetry.targets.laying import lay_out
 from roemetry.targets.sheet_files import pdf_of, svg_of
 from roemetry.targets.solids import solid_triangles

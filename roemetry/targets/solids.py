@@ -7,9 +7,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from roemetry.arrays import Floats
+from roemetry.config.target_file import BlockFile, PyramidFile, SpherePlateFile, StaircaseFile
 from roemetry.errors import ConfigurationError
-from roemetry.target_file import BlockFile, PyramidFile, SpherePlateFile, StaircaseFile
+from roemetry.records.arrays import Floats
 
 Solid = BlockFile | StaircaseFile | PyramidFile | SpherePlateFile
 

@@ -1,11 +1,11 @@
 """The conformance kit: analytic scenes, and checks that say whether a stage keeps its kind's contract."""
 
 from roemetry.testing.checks import checks_of
-from roemetry.testing.judging import NotKeptError, refused, require
 from roemetry.testing.kit import Result, conformance, stages_named
 from roemetry.testing.marks import parametrize_stages
 from roemetry.testing.scenes import LinearRig, frame_of
 from roemetry.testing.solids import Solid, product_of
+from roemetry.testing.verdict import NotKeptError, refused, require
 
 __all__ = [
     "LinearRig",

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from roemetry.errors import PluginError
-from roemetry.giving import given
 from roemetry.records import Estimate, Grade, Weight
 from roemetry.stages import (
     INTERFACES,
@@ -31,6 +30,7 @@ from roemetry.stages import (
     VolumeEstimator,
     Weigher,
 )
+from roemetry.stages.contracts import given
 from roemetry.testing.fixtures import calibration_for, calibration_set_for, readable_path
 from roemetry.testing.runs import failed, measured, run_of, volume_of
 from roemetry.testing.scenes import LinearRig, frame_of

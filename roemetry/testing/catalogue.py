@@ -12,9 +12,9 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-from roemetry.hookspecs import KINDS
-from roemetry.registry import Registry, discover
 from roemetry.stages import INTERFACES
+from roemetry.stages.hookspecs import KINDS
+from roemetry.stages.registry import Registry, discover
 from roemetry.testing.checks import ANY, OF_KIND, Check, name_of, sentence_of
 
 

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from roemetry.calibration import Calibration
-from roemetry.dataset import DatasetWriter, Description, Item
+from roemetry.config.dataset import DatasetWriter, Description, Item
 from roemetry.errors import PluginError
 from roemetry.records import Block, CalibrationSet, Observation
+from roemetry.records.calibration import Calibration
 from roemetry.stages import Calibrator, Source, Stage, Triangulator
 from roemetry.testing.scenes import SEED, LinearRig, frame_of
 

@@ -7,11 +7,11 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from roemetry.blame import place_in
-from roemetry.choosing import misfit_of
+from roemetry.config.resolve import misfit_of
 from roemetry.errors import FAULTS, PluginError
-from roemetry.registry import Registered, Registry, discover, not_installed
+from roemetry.run.stage_errors import place_in
 from roemetry.stages import Stage
+from roemetry.stages.registry import Registered, Registry, discover, not_installed
 from roemetry.testing.checks import Check, checks_of, name_of
 from roemetry.testing.fixtures import made
 

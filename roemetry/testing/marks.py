@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from roemetry.errors import PluginError
-from roemetry.registry import Registered
+from roemetry.stages.registry import Registered
 from roemetry.testing.checks import checks_of, name_of
 from roemetry.testing.kit import prepared, stages_named
 

@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from roemetry.arrays import Flags, Floats, Integers
-from roemetry.calibration import Calibration
 from roemetry.records import BELT, NOTHING, Frame, Peaks, StripeMap
-from roemetry.view import View
+from roemetry.records.arrays import Flags, Floats, Integers
+from roemetry.records.calibration import Calibration
+from roemetry.records.view import View
 
 SEED = 20260711
 _WHITE_8_BIT = 255

@@ -9,8 +9,8 @@ from typing import Literal
 
 import numpy as np
 
-from roemetry.arrays import Floats
 from roemetry.records import BELT, NOTHING, Product, Profiles
+from roemetry.records.arrays import Floats
 from roemetry.testing.scenes import LinearRig
 
 DENSE = LinearRig(rows=240, columns=480, stripes=61, first_px=59.5, spacing_px=6.0, fan=0.0)

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from roemetry.pipeline import Pipeline
-from roemetry.recipe import Recipe
+from roemetry.config.recipe import Recipe
+from roemetry.run.pipeline import Pipeline
 
 RECIPE = Path(__file__).resolve().parents[2] / "recipes" / "herring_roe" / "by_words.yaml"
 

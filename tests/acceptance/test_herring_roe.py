@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from roemetry.calibrating import calibrate
-from roemetry.calibration import Calibration
-from roemetry.dataset import Dataset
-from roemetry.pipeline import Pipeline
-from roemetry.recipe import Recipe
+from roemetry.calibrate import calibrate
+from roemetry.config.dataset import Dataset
+from roemetry.config.recipe import Recipe
+from roemetry.config.rig import Rig
 from roemetry.records import Trace, Truth
-from roemetry.rig import Rig
+from roemetry.records.calibration import Calibration
+from roemetry.run.pipeline import Pipeline
 
 
 @pytest.fixture(scope="module")

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from roemetry.calibrating import calibrate
-from roemetry.pipeline import Pipeline
-from roemetry.recipe import Recipe
-from roemetry.rig import Rig
+from roemetry.calibrate import calibrate
+from roemetry.config.recipe import Recipe
+from roemetry.config.rig import Rig
+from roemetry.run.pipeline import Pipeline
 
 HOME = Path(__file__).resolve().parents[2]
 SKEINS = ("skein_01", "skein_03", "skein_06", "skein_09")

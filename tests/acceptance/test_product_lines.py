@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from benchmarks.product_lines import LINES, Row, rows
-from roemetry.calibrating import calibrate
-from roemetry.calibration import Calibration
-from roemetry.dataset import Dataset
-from roemetry.rig import Rig
+from roemetry.calibrate import calibrate
+from roemetry.config.dataset import Dataset
+from roemetry.config.rig import Rig
+from roemetry.records.calibration import Calibration
 
 HOME = Path(__file__).resolve().parents[2] / "recipes"
 

@@ -13,7 +13,7 @@ import pytest
 
 from roemetry import Recipe
 from roemetry.records import Measurement
-from roemetry.runner import run_recipe
+from roemetry.run.batch import run_recipe
 
 HOME = Path(__file__).parents[2] / "recipes" / "herring_roe"
 CAUSES = {"peak noise", "calibration", "outline", "between slices", "settings", "rim", "gaps", "ends"}

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from roemetry.calibration import Calibration
 from roemetry.errors import RoemetryError
+from roemetry.records.calibration import Calibration
 
 
 def test_round_trip(rig, tmp_path: Path) -> None:

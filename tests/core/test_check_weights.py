@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
+from roemetry.calibrate.weight_check import WeighedPair, check_weights
 from roemetry.errors import DataError
-from roemetry.weight_check import WeighedPair, check_weights
 
 
 def pairs(line_over_scale: np.ndarray, std: float = 0.02) -> list[WeighedPair]:

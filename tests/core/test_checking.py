@@ -16,15 +16,22 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from roemetry.calibrating import Chart, Check, Quantity, calibration_doubts, chart_page
-from roemetry.calibrating.block_check import find_block, read_block
-from roemetry.calibrating.control_chart import judged
+from roemetry.calibrate import (
+    Chart,
+    Check,
+    Quantity,
+    calibration_doubts,
+    chart_page,
+    find_block,
+    judge,
+    read_block,
+)
 from roemetry.cli.check_calibration import show
 from roemetry.cli.main import app
 from roemetry.errors import DataError, OutputError
-from roemetry.recipe import Recipe
+from roemetry.config.recipe import Recipe
 from roemetry.records import Block, Reason
-from roemetry.runner import run_recipe
+from roemetry.run.batch import run_recipe
 from roemetry.testing.scenes import LinearRig
 from roemetry_paper.block_linear import BlockLinear
 
@@ -93,8 +100,8 @@ def check(height_mm: float = 12.0, *, made: datetime = NOW, sha: str = "c" * 64)
 
 
 def test_out_means_twice_the_standard_uncertainty() -> None:
-    assert judged(check(12.099), ()) == ("in order", ())
-    verdict, reasons = judged(check(12.101), ())
+    assert judge(check(12.099), ()) == ("in order", ())
+    verdict, reasons = judge(check(12.101), ())
     assert verdict == "out"
     assert "12.101 mm, expected 12.000 mm" in reasons[0].text
 
@@ -102,12 +109,12 @@ def test_out_means_twice_the_standard_uncertainty() -> None:
 def test_drift_is_seen_before_a_limit_is_passed() -> None:
     rng = np.random.default_rng(4)
     history = [check(12.0 + e) for e in rng.normal(0.0, 0.004, 8)]
-    assert judged(check(12.005), history)[0] == "in order"
-    jumped, reasons = judged(check(12.04), history)
+    assert judge(check(12.005), history)[0] == "in order"
+    jumped, reasons = judge(check(12.04), history)
     assert (jumped, reasons[0].code) == ("drifting", "calibration-drift")
-    assert judged(check(12.04), history[:7])[0] == "in order", "seven checks say nothing of their scatter"
+    assert judge(check(12.04), history[:7])[0] == "in order", "seven checks say nothing of their scatter"
     crept = [*history, *(check(12.006 + e) for e in rng.normal(0.0, 0.001, 7))]
-    assert "the last 8 checks all lie above" in judged(check(12.006), crept)[1][0].text
+    assert "the last 8 checks all lie above" in judge(check(12.006), crept)[1][0].text
 
 
 def test_chance_alone_seldom_looks_like_drift() -> None:
@@ -115,7 +122,7 @@ def test_chance_alone_seldom_looks_like_drift() -> None:
     alarms = 0
     for _ in range(200):
         history = [check(12.0 + e) for e in rng.normal(0.0, 0.01, 12)]
-        alarms += judged(check(12.0 + rng.normal(0.0, 0.01)), history)[0] == "drifting"
+        alarms += judge(check(12.0 + rng.normal(0.0, 0.01)), history)[0] == "drifting"
     assert alarms < 20
 
 

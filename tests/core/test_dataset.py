@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
-from roemetry.dataset import ITEMS, Dataset, DatasetWriter, Description, Item, save_bytes, save_stripes
+from roemetry.config.dataset import ITEMS, Dataset, DatasetWriter, Description, Item, save_bytes, save_stripes
 from roemetry.errors import DataError, OutputError
 from roemetry.records import ProductTruth, StripeTruth
 

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from roemetry.calibrating import evidence_page
-from roemetry.calibrating.evidence import _seen_at, correlations, coverage, height_uncertainty
+from roemetry.calibrate import correlations, coverage, evidence_page, height_uncertainty, level_line_px
 from roemetry.cli.main import app
 from roemetry.records import Evidence, EvidenceFigure, Residuals
 from roemetry.testing.scenes import LinearRig
@@ -43,7 +42,7 @@ def test_a_scale_known_to_one_per_cent_gives_one_per_cent_of_height(exact: bool)
 def test_stripes_are_put_where_a_level_surface_shows_them() -> None:
     row = np.arange(RIG.rows, dtype=float)
     np.testing.assert_allclose(
-        _seen_at(RIG.calibration(), row, 7.0), RIG.x_px(np.full((RIG.stripes, RIG.rows), 7.0)), atol=1e-6
+        level_line_px(RIG.calibration(), row, 7.0), RIG.x_px(np.full((RIG.stripes, RIG.rows), 7.0)), atol=1e-6
     )  # px
 
 

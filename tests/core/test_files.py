@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from roemetry.errors import OutputError
-from roemetry.files import LineFile, make_folder, write_whole
+from roemetry.io.files import LineFile, make_folder, write_whole
 
 
 def test_a_half_line_is_taken_away(tmp_path: Path) -> None:
@@ -55,7 +55,7 @@ def test_a_file_size_limit_of_the_system(tmp_path: Path) -> None:
     path = tmp_path / "record.jsonl"
     program = (
         "import sys, pathlib\n"
-        "from roemetry.files import LineFile\n"
+        "from roemetry.io.files import LineFile\n"
         "from roemetry.errors import OutputError\n"
         "try:\n"
         "    with LineFile(pathlib.Path(sys.argv[1])) as record:\n"

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from roemetry.assembling import assemble
-from roemetry.monte_carlo import Chain, Scene, propagate
 from roemetry.records import Estimate, ProductTrace
+from roemetry.run.monte_carlo import Chain, Scene, propagate
+from roemetry.run.split_products import assemble
 from roemetry.testing.scenes import LinearRig
 from roemetry_paper.block_linear import BlockLinear
 

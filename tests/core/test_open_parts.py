@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from roemetry.open_parts import open_parts, widened
 from roemetry.records import AMBIGUOUS, Estimate, Peaks, Shares, StripeMap, Volume
+from roemetry.run.open_parts import open_parts, widened
 
 REST_PX = np.linspace(50.0, 450.0, 9)[:, None] + np.zeros(200)
 """(stripe, row) rest lines 50 px apart."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from roemetry.open_parts import open_parts
 from roemetry.records import AMBIGUOUS, Peaks, StripeMap
+from roemetry.run.open_parts import open_parts
 
 SPACING_PX = 50.0
 LIFTED_PX = 20.0

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from roemetry.calibrating import fit_penetration_in_one
+from roemetry.calibrate import fit_penetration_in_one
 from roemetry.cli.main import app
+from roemetry.config.recipe import Recipe
 from roemetry.errors import CalibrationError, ConfigurationError, DataError
-from roemetry.penetration import Penetration, raised
-from roemetry.recipe import Recipe
 from roemetry.records import Block
-from roemetry.runner import run_recipe
+from roemetry.records.penetration import Penetration, raised
+from roemetry.run.batch import run_recipe
 from roemetry.testing.scenes import LinearRig
 from roemetry_paper.block_linear import BlockLinear
 

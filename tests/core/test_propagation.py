@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from roemetry.assembling import assemble
-from roemetry.calibration import Calibration
 from roemetry.errors import StageError
-from roemetry.monte_carlo import Chain, Scene, propagate
-from roemetry.monte_carlo.propagate import moved
 from roemetry.records import Estimate, Grade, Outline, ProductTrace, Shares, StripeMap, Volume, Weight
+from roemetry.records.calibration import Calibration
+from roemetry.run.monte_carlo import Chain, Scene, propagate
+from roemetry.run.monte_carlo.propagate import moved
+from roemetry.run.split_products import assemble
 from roemetry.stages import Classifier, StageOptions, VolumeEstimator, Weigher
 from roemetry.testing.scenes import LinearRig
 from roemetry_paper.block_linear import BlockLinear

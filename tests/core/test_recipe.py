@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from roemetry.config.recipe import Recipe
 from roemetry.errors import ConfigurationError
-from roemetry.recipe import Recipe
 
 GOOD = """\
 roemetry: 1

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from roemetry.errors import PluginError
-from roemetry.registry import Registry, discover, not_installed
+from roemetry.stages.registry import Registry, discover, not_installed
 
 ENTRY = """
-from roemetry.hookspecs import StageEntry, hookimpl
+from roemetry.stages.hookspecs import StageEntry, hookimpl
 
 @hookimpl
 def roemetry_stages():
@@ -71,7 +71,7 @@ def test_the_reason_is_repeated_where_its_stage_is_missed(plugins) -> None:
 
 def test_a_hook_that_raises(plugins) -> None:
     text = """
-    from roemetry.hookspecs import hookimpl
+    from roemetry.stages.hookspecs import hookimpl
     @hookimpl
     def roemetry_stages():
         raise ValueError("no licence")

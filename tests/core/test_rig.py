@@ -8,16 +8,16 @@ import cv2
 import numpy as np
 import pytest
 
-from roemetry.calibrating import calibrate, observe
-from roemetry.calibration import Calibration
+from roemetry.calibrate import calibrate, observe
+from roemetry.config.rig import Rig, pose_of
+from roemetry.config.target_file import TARGET_FILES
+from roemetry.config.validation import checked
 from roemetry.errors import CalibrationError, ConfigurationError
+from roemetry.io.shipped import shipped
+from roemetry.io.yaml_source import read
 from roemetry.records import Ruler, SpherePlate
-from roemetry.registry import discover
-from roemetry.rig import Rig, pose_of
-from roemetry.shipped import shipped
-from roemetry.target_file import TARGET_FILES
-from roemetry.validation import checked
-from roemetry.yaml_source import read
+from roemetry.records.calibration import Calibration
+from roemetry.stages.registry import discover
 
 RIG = """\
 roemetry_rig: 1

@@ -10,9 +10,9 @@ from jsonschema import Draft202012Validator
 from typer.testing import CliRunner
 
 from roemetry.cli.main import app
-from roemetry.registry import Registry, discover
-from roemetry.schemas import schema_of
-from roemetry.yaml_source import read
+from roemetry.config.schemas import schema_of
+from roemetry.io.yaml_source import read
+from roemetry.stages.registry import Registry, discover
 
 
 @pytest.fixture(scope="module")

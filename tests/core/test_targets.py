@@ -12,8 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from roemetry.cli.main import app
-from roemetry.errors import ConfigurationError
-from roemetry.target_file import (
+from roemetry.config.target_file import (
     BlockFile,
     BoardFile,
     PyramidFile,
@@ -21,6 +20,7 @@ from roemetry.target_file import (
     StaircaseFile,
     read_target,
 )
+from roemetry.errors import ConfigurationError
 from roemetry.targets.boards import board_shapes
 from roemetry.targets.laying import lay_out
 from roemetry.targets.sheet import Disc, Rectangle, Sheet, Words

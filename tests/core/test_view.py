@@ -11,9 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roemetry.errors import DataError
-from roemetry.lens import distorted, undistorted
+from roemetry.records.camera_model import distorted, undistorted
+from roemetry.records.view import View
 from roemetry.testing.scenes import LinearRig
-from roemetry.view import View
 
 LENSES = {
     "none": [],

@@ -10,13 +10,16 @@ import typer
 from pydantic_core import PydanticUndefined
 
 from roemetry.cli.main import app
-from roemetry.registry import discover
+from roemetry.stages.registry import discover
 
 ROOT = Path(__file__).resolve().parents[2]
 REFERENCE = ROOT / "docs" / "reference"
 PAGES = sorted([*REFERENCE.rglob("*.md"), *(ROOT / "docs" / "how-to").glob("*.md")])
 CLI = typer.main.get_command(app)
-VERBS: dict[str, Any] = dict(CLI.commands)  # type: ignore[attr-defined]
+VERBS: dict[str, Any] = {
+    name: CLI.resolve_command(typer.Context(CLI), [name])[1]  # type: ignore[attr-defined]
+    for name in CLI.list_commands(typer.Context(CLI))  # type: ignore[attr-defined]
+}
 STAGES = sorted({stage.entry.name for stage in discover().stages})
 
 

@@ -10,12 +10,12 @@ import pytest
 from pydantic import BaseModel
 from reference_pages import PAGES, ROOT, blocks, coded, firsts, page, section, table, text_of
 
-from roemetry.calibration import Calibration
-from roemetry.recipe import Recipe
-from roemetry.recipe_file import RecipeFile, StageChoice
-from roemetry.rig import Rig, RigFile
-from roemetry.target_file import BlockFile, BoardFile, StaircaseFile
-from roemetry.yaml_source import parse
+from roemetry.config.recipe import Recipe
+from roemetry.config.recipe_file import RecipeFile, StageChoice
+from roemetry.config.rig import Rig, RigFile
+from roemetry.config.target_file import BlockFile, BoardFile, StaircaseFile
+from roemetry.io.yaml_source import parse
+from roemetry.records.calibration import Calibration
 
 
 def keys_of(model: type[BaseModel], before: str = "") -> dict[str, Any]:

@@ -7,7 +7,7 @@ import re
 import pytest
 from reading import ROOT
 
-from roemetry.registry import discover
+from roemetry.stages.registry import discover
 
 METHODS = ("extractor", "coder", "smoother", "triangulator", "volume", "classifier")
 _OWN = [stage.entry for stage in discover().stages if stage.provider.distribution == "roemetry"]

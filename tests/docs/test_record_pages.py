@@ -13,11 +13,11 @@ import pytest
 from reference_pages import FENCE, ROOT, coded, firsts, page, section, table
 
 from roemetry import records
-from roemetry.hookspecs import KINDS
-from roemetry.recipe import Recipe
-from roemetry.record import PROVENANCE, RECORD
+from roemetry.config.recipe import Recipe
 from roemetry.records import Status
-from roemetry.runner import run_recipe
+from roemetry.run.batch import run_recipe
+from roemetry.run.record import PROVENANCE, RECORD
+from roemetry.stages.hookspecs import KINDS
 
 
 @pytest.fixture(scope="module")

@@ -8,12 +8,12 @@ from typing import Any, Literal, get_args, get_origin
 import pytest
 from reference_pages import REFERENCE, STAGES, blocks, coded, page, section, table, text_of
 
-from roemetry.hookspecs import KINDS
-from roemetry.recipe_file import RecipeFile
-from roemetry.registry import discover
+from roemetry.config.recipe_file import RecipeFile
+from roemetry.config.validation import checked
+from roemetry.io.yaml_source import parse
+from roemetry.stages.hookspecs import KINDS
+from roemetry.stages.registry import discover
 from roemetry.testing.catalogue import contract
-from roemetry.validation import checked
-from roemetry.yaml_source import parse
 
 
 @pytest.mark.parametrize("name", STAGES)

@@ -12,13 +12,13 @@ from typer.testing import CliRunner
 
 from roemetry.cli.main import app
 from roemetry.errors import PluginError
-from roemetry.hookspecs import StageEntry
 from roemetry.records import Estimate
-from roemetry.registry import Provider, Registered, discover
 from roemetry.stages import (
     INTERFACES,
     Capabilities,
 )
+from roemetry.stages.hookspecs import StageEntry
+from roemetry.stages.registry import Provider, Registered, discover
 from roemetry.testing import LinearRig, checks_of, conformance, parametrize_stages, stages_named
 from roemetry.testing.catalogue import markdown
 from roemetry.testing.checks import OF_KIND, name_of, sentence_of

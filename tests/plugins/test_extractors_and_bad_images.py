@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from roemetry.errors import DataError, RoemetryError
 from roemetry.records import EDGE, SATURATED, WIDE, Frame, Peaks
-from roemetry.registry import discover
+from roemetry.stages.registry import discover
 
 REGISTRY = discover()
 NAMES = [each.entry.name for each in REGISTRY.of_kind("extractor") if each.missing is None]

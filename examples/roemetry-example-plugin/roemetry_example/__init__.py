@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 
-from roemetry.hookspecs import StageEntry, hookimpl
+from roemetry.stages.hookspecs import StageEntry, hookimpl
 
 
 @hookimpl

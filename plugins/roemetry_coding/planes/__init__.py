@@ -24,14 +24,14 @@ from itertools import pairwise
 import numpy as np
 from pydantic import Field
 
-from roemetry.arrays import Integers
-from roemetry.calibration import Calibration
 from roemetry.errors import StageError
 from roemetry.records import Peaks, Reason, StripeMap
+from roemetry.records.arrays import Integers
+from roemetry.records.calibration import Calibration
 from roemetry.stages import Coder
 from roemetry_coding.planes.decide import decided, margin_of, verdicts_of
 from roemetry_coding.planes.lines import epipolar_lines
-from roemetry_coding.planes.solve import build_problem, solve
+from roemetry_coding.planes.solve import build_problem, cheapest_labels
 from roemetry_kernels.coding.bridging import BridgingOptions, bridged
 from roemetry_kernels.coding.refusing import refuse_bare_lines, refuse_uncodable, required_calibration
 from roemetry_kernels.coding.rest_lines import RestLines, calibrated_rest_lines, missing_stripes, reasons_of
@@ -88,12 +88,12 @@ class Planes(Coder[PlanesOptions]):
         calibration = required_calibration(calibration, "planes", "without planes a peak has no height")
         rest = calibrated_rest_lines(peaks, calibration)
         problem = build_problem(peaks, calibration, rest, _REACH[0])
-        verdicts = verdicts_of(problem, solve(problem), peaks.row)
+        verdicts = verdicts_of(problem, cheapest_labels(problem), peaks.row)
         for bound, reach in pairwise(_REACH):
             if not _bounded(peaks, verdicts.stripe, calibration, rest, bound):
                 break
             problem = build_problem(peaks, calibration, rest, reach)
-            verdicts = verdicts_of(problem, solve(problem), peaks.row)
+            verdicts = verdicts_of(problem, cheapest_labels(problem), peaks.row)
         given = np.bincount(verdicts.stripe[verdicts.stripe >= 0], minlength=problem.there.size)
         live = np.flatnonzero((problem.there > 0.0) & (given >= _LIVE_PEAKS_MIN))
         refuse_bare_lines(live.size > 0 and _belt_fits(peaks, rest), rest.x_px.shape[0])

@@ -22,9 +22,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roemetry.arrays import Flags, Floats, Integers
-from roemetry.calibration import Calibration
 from roemetry.records import AMBIGUOUS, Peaks, Reason
+from roemetry.records.arrays import Flags, Floats, Integers
+from roemetry.records.calibration import Calibration
 from roemetry_coding.planes.graph import WEIGHTS, Candidates
 from roemetry_coding.planes.lines import Entries
 from roemetry_coding.planes.pieces import ENDS, Pieces
@@ -77,6 +77,8 @@ class Verdicts(NamedTuple):
     ----------
     stripe, claims
         (peak,) stripe; stripe, or the one that its piece claims; −1 for none.
+    height_mm
+        (peak,) height as that stripe, 0 for none.
     dearer, evidence
         (peak,) by how much the next best verdict is dearer; what the cheapest shift would cost, a line.
     sure
@@ -85,6 +87,7 @@ class Verdicts(NamedTuple):
 
     stripe: Integers
     claims: Integers
+    height_mm: Floats
     dearer: Floats
     evidence: Floats
     sure: Flags
@@ -93,7 +96,7 @@ class Verdicts(NamedTuple):
 def verdicts_of(problem: Problem, solved: Solved, row: Integers) -> Verdicts:
     """Judge the labels of (peak,) peaks in sorted rows."""
     pieces, candidates, entries = problem.pieces, problem.candidates, problem.entries
-    stripe, dearer, evidence = _peak_labels(
+    stripe, height_mm, dearer, evidence = _peak_labels(
         entries, candidates, pieces, problem.lines.line, solved.cost, solved.best, solved.evidence
     )
     settled = ends_settled(pieces, stripe)
@@ -124,7 +127,8 @@ def verdicts_of(problem: Problem, solved: Solved, row: Integers) -> Verdicts:
         # belt that may be a level step is no reason to doubt the body beside it: that stands above it, too
         doubtful = (stripe >= 0) & ((evidence < _DOUBTFUL) | ~sure)
         evidence = np.where(pieces.line == stripe, np.minimum(evidence, without(doubtful)), evidence)
-    return Verdicts(stripe, claimed(pieces, stripe, problem.there.size), dearer, evidence, sure)
+    claims = claimed(pieces, stripe, problem.there.size)
+    return Verdicts(stripe, claims, height_mm, dearer, evidence, sure)
 
 
 def decided(
@@ -138,10 +142,11 @@ def decided(
 ) -> tuple[Integers, Floats, list[Reason]]:
     """Refuse what is in doubt or out of order; give (peak,) stripe or verdict, margin, and what to say."""
     pieces, stripes = problem.pieces, problem.there.size
-    margin = margin_of(verdicts.dearer, verdicts.evidence)
-    above = _heights_mm(peaks, verdicts.stripe, calibration, rest) > calibration.height_range_mm[1]
-    margin[above] = np.maximum(1.0 - _ABOVE_ODDS * (1.0 - margin[above]), 0.0)
     stripe = verdicts.stripe.copy()
+    margin = margin_of(verdicts.dearer, verdicts.evidence)
+    slack_mm = rest.tolerance_px / np.abs(calibration.displacement_px_per_mm)
+    above = verdicts.height_mm > calibration.height_range_mm[1] + slack_mm[np.maximum(stripe, 0)]
+    margin[above] = np.maximum(1.0 - _ABOVE_ODDS * (1.0 - margin[above]), 0.0)
     stripe[(stripe >= 0) & ~(verdicts.sure & (margin >= margin_min))] = AMBIGUOUS
     stripe[out_of_order(problem.entries, peaks.row, rest.line, stripe, stripes)] = AMBIGUOUS
     wrong = out_of_order(problem.entries, peaks.row, rest.line, verdicts.claims, stripes)
@@ -164,23 +169,6 @@ def decided(
             stripe[going_on(peaks.row, along, level, stripe < 0, longest_gap_rows)] = AMBIGUOUS
     stripe[left_over(pieces.of, verdicts.stripe, stripe, _LEFT_SHARE)] = AMBIGUOUS
     return stripe, margin, gaps
-
-
-def _heights_mm(peaks: Peaks, stripe: Integers, calibration: Calibration, rest: RestLines) -> Floats:
-    """Give (peak,) heights; 0 for belt and what is no stripe.
-
-    Without a view they are told by displacements alone: too large by the share of the camera's distance that
-    the height is.
-    """
-    on = np.flatnonzero((stripe >= 0) & (stripe != rest.line))
-    height_mm = np.zeros(stripe.size)
-    if calibration.view is not None:
-        place = np.column_stack([peaks.x_px[on], peaks.row[on]])
-        height_mm[on] = calibration.view.lift(place, stripe[on])[:, 2]
-    else:
-        displaced_px = peaks.x_px[on] - rest.x_px[stripe[on], peaks.row[on]]
-        height_mm[on] = displaced_px / calibration.displacement_px_per_mm[stripe[on]]
-    return height_mm
 
 
 def margin_of(dearer: Floats, evidence: Floats) -> Floats:
@@ -219,8 +207,8 @@ def _together(problem: Problem, stripe: Integers, counted: Flags) -> Integers:
 def _peak_labels(
     entries: Entries, candidates: Candidates, pieces: Pieces, line: Floats, cost: Floats, best: Integers,
     evidence: Floats,
-) -> tuple[Integers, Floats, Floats]:  # fmt: skip
-    """Give (peak,) stripe or −1, by how much the next best is dearer, and evidence; of its nearest line.
+) -> tuple[Integers, Floats, Floats, Floats]:  # fmt: skip
+    """Give (peak,) stripe or −1, height, how much dearer the next best is, and evidence; of its nearest line.
 
     A peak between two lines takes the verdict on which its neighbours in its piece agree.
     """
@@ -249,7 +237,7 @@ def _peak_labels(
         if turn == 0:
             votes[:] = 0
     stripe = np.full(peaks, -1, np.int64)
-    dearer, sure = np.zeros(peaks), np.zeros(peaks)
+    dearer, sure, height_mm = np.zeros(peaks), np.zeros(peaks), np.zeros(peaks)
     for p in range(peaks):
         i, f = entry[p], piece[p]
         if i < 0:
@@ -267,6 +255,7 @@ def _peak_labels(
         k = node - offset[i]
         stripe[p] = low[i] + k if k < count[i] else -1
         dearer[p] = max(second - cost[node], 0.0)
+        height_mm[p] = candidates.height[node]
     before = np.full(piece.shape[0], -1, np.int64)
     last = np.full(piece.shape[0], -1, np.int64)
     for p in range(peaks):
@@ -283,7 +272,8 @@ def _peak_labels(
         if one >= 0 and other >= 0 and stripe[one] == stripe[other]:
             stripe[p], dearer[p] = stripe[one], min(dearer[one], dearer[other])
             sure[p] = min(sure[one], sure[other])
-    return stripe, dearer, sure
+            height_mm[p] = 0.5 * (height_mm[one] + height_mm[other])
+    return stripe, height_mm, dearer, sure
 
 
 @kernel

@@ -37,7 +37,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from roemetry.arrays import Floats, Integers
+from roemetry.records.arrays import Floats, Integers
 from roemetry_coding.planes.lines import Entries, EpipolarLines
 from roemetry_coding.planes.pieces import ENDS, Pieces
 from roemetry_kernels.compiling import kernel

@@ -29,10 +29,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roemetry.arrays import Flags, Floats, Integers
-from roemetry.calibration import Calibration
 from roemetry.records import Peaks
-from roemetry.view import View
+from roemetry.records.arrays import Flags, Floats, Integers
+from roemetry.records.calibration import Calibration
+from roemetry.records.view import View
 from roemetry_kernels.compiling import kernel
 
 _LINES_MAX_FACTOR = 4

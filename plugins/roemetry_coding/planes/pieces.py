@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roemetry.arrays import Flags, Floats, Integers
+from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_kernels.compiling import kernel
 from roemetry_kernels.ranking import median_of
 

@@ -25,7 +25,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roemetry.arrays import Flags, Floats, Integers
+from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_coding.planes.graph import Candidates, PairCosts, Weights
 from roemetry_coding.planes.lines import Entries
 from roemetry_kernels.compiling import kernel

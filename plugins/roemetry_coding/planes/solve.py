@@ -27,9 +27,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from roemetry.arrays import Floats, Integers
-from roemetry.calibration import Calibration
 from roemetry.records import Peaks
+from roemetry.records.arrays import Floats, Integers
+from roemetry.records.calibration import Calibration
 from roemetry_coding.planes.graph import (
     WEIGHTS,
     Candidates,
@@ -157,7 +157,7 @@ def build_problem(peaks: Peaks, calibration: Calibration, rest: RestLines, reach
     return Problem(lines, pieces, entries, there, candidates, costs, own)
 
 
-def solve(problem: Problem) -> Solved:
+def cheapest_labels(problem: Problem) -> Solved:
     """Find the cheapest labels of all entries, and the evidence for them."""
     candidates = problem.candidates
     cost = _min_marginals(problem, problem.own)

@@ -25,8 +25,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from roemetry.arrays import Flags, Floats, Integers
 from roemetry.records import Peaks
+from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_coding.planes.graph import Candidates, PairCosts, Weights
 from roemetry_coding.planes.lines import Entries
 from roemetry_coding.planes.pieces import ENDS, Pieces

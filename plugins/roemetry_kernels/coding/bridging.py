@@ -7,8 +7,8 @@ import math
 import numpy as np
 from pydantic import Field
 
-from roemetry.arrays import Floats, Integers
 from roemetry.records import AMBIGUOUS, UNCODED, Peaks, Reason, StripeMap
+from roemetry.records.arrays import Floats, Integers
 from roemetry.stages import StageOptions
 from roemetry_kernels.coding.layout import Layout, laid_out
 from roemetry_kernels.coding.rest_lines import RestLines

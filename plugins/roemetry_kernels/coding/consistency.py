@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from roemetry.arrays import Flags, Floats, Integers
 from roemetry.records import AMBIGUOUS, UNCODED, Peaks, Reason
+from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_kernels.compiling import kernel
 
 _CLEARLY_LONGER = 3

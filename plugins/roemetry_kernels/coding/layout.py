@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from roemetry.arrays import Flags, Floats, Integers, Labels
+from roemetry.records.arrays import Flags, Floats, Integers, Labels
 from roemetry_kernels.compiling import kernel
 
 _PRODUCT_ROWS_MIN = 3

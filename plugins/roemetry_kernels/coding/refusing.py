@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from roemetry.calibration import Calibration
 from roemetry.errors import StageError
 from roemetry.records import Peaks
+from roemetry.records.calibration import Calibration
 
 
 def refuse_uncodable(peaks: Peaks, calibration: Calibration | None) -> None:

@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from roemetry.arrays import Floats, Integers
-from roemetry.calibration import Calibration
 from roemetry.errors import StageError
 from roemetry.records import Peaks, Reason
+from roemetry.records.arrays import Floats, Integers
+from roemetry.records.calibration import Calibration
 from roemetry_kernels.coding.tracing import nearest_rest
 from roemetry_kernels.compiling import inlined, kernel
 

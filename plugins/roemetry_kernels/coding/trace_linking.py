@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from roemetry.arrays import Flags, Floats, Integers
+from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_kernels.coding.consistency import refuse_disorder
 from roemetry_kernels.coding.ordering import vote_by_order
 from roemetry_kernels.coding.tracing import cut_in_order

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from roemetry.arrays import Floats, Integers
 from roemetry.records import Profiles
+from roemetry.records.arrays import Floats, Integers
 
 _STEP_MAX = 1.5  # rows; a larger step between neighbours means that rows are missing
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from roemetry.arrays import Flags, Floats, Integers
+from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_kernels.compiling import kernel
 
 _STRAIGHT = 1e-9  # sine of the bend below which three points lie on one line as far as float64 can tell

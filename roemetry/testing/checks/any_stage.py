@@ -14,7 +14,7 @@ from roemetry.errors import RoemetryError
 from roemetry.stages import Stage, StageOptions
 from roemetry.testing.cases import cases_for
 from roemetry.testing.comparing import difference
-from roemetry.testing.judging import NotKeptError, require
+from roemetry.testing.verdict import NotKeptError, require
 
 _THREADS = 4
 

@@ -11,8 +11,8 @@ from roemetry.errors import CalibrationError
 from roemetry.stages import Calibrator
 from roemetry.testing.comparing import difference
 from roemetry.testing.fixtures import calibration_set_for
-from roemetry.testing.judging import refused, require
 from roemetry.testing.scenes import SEED, LinearRig
+from roemetry.testing.verdict import refused, require
 
 
 def check_rest_lines_come_back(calibrator: Calibrator[Any]) -> None:

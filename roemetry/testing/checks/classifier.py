@@ -10,9 +10,9 @@ import numpy as np
 from roemetry.records import Product
 from roemetry.stages import Classifier
 from roemetry.testing.comparing import difference
-from roemetry.testing.judging import require
 from roemetry.testing.scenes import SEED
 from roemetry.testing.solids import DENSE, DENTED, HALF_ELLIPSOID, product_from, product_of, reordered
+from roemetry.testing.verdict import require
 
 _UNKNOWN = "unknown"
 

@@ -6,12 +6,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from roemetry.arrays import Flags, Floats, Integers
 from roemetry.errors import RoemetryError, StageError
 from roemetry.records import AMBIGUOUS, BELT, NOTHING, StripeMap
+from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.stages import Coder
-from roemetry.testing.judging import refused, require
 from roemetry.testing.scenes import LinearRig, wrong_labels
+from roemetry.testing.verdict import refused, require
 
 _SCATTER_PX = 0.1
 _END_ROWS = 2

@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from roemetry.arrays import Floats
 from roemetry.errors import DataError, RoemetryError
 from roemetry.records import SATURATED, Frame, Peaks
+from roemetry.records.arrays import Floats
 from roemetry.stages import Extractor
 from roemetry.testing.comparing import difference
-from roemetry.testing.judging import refused, require
 from roemetry.testing.scenes import LinearRig, frame_of, in_steps
+from roemetry.testing.verdict import refused, require
 
 _NEAR_PX = 5.0
 _EXACT_PX = 1e-6

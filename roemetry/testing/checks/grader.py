@@ -7,9 +7,9 @@ from typing import Any
 
 from roemetry.records import Decision, Estimate, Grade, Weight
 from roemetry.stages import INTERFACES, Grader
-from roemetry.testing.judging import require
 from roemetry.testing.runs import volume_of
 from roemetry.testing.solids import HALF_ELLIPSOID, product_of
+from roemetry.testing.verdict import require
 
 
 def check_every_decision_has_reasons(grader: Grader[Any]) -> None:

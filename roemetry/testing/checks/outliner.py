@@ -8,7 +8,7 @@ import numpy as np
 
 from roemetry.stages import Outliner
 from roemetry.testing.cases import cases_for
-from roemetry.testing.judging import require
+from roemetry.testing.verdict import require
 
 
 def check_contours_lie_in_the_image(outliner: Outliner[Any]) -> None:

@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from roemetry.stages import Planner
-from roemetry.testing.judging import require
+from roemetry.testing.verdict import require
 
 
 def check_every_figure_has_unit_and_basis(planner: Planner[Any]) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from roemetry.stages import Simulator
 from roemetry.testing.comparing import difference
-from roemetry.testing.judging import require
+from roemetry.testing.verdict import require
 
 
 def check_numbers_and_seeds_make_others(simulator: Simulator[Any]) -> None:

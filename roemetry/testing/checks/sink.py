@@ -10,8 +10,8 @@ from typing import Any
 from roemetry.errors import RoemetryError
 from roemetry.records import Measurement
 from roemetry.stages import Sink
-from roemetry.testing.judging import refused, require
 from roemetry.testing.runs import failed, measured, run_of
+from roemetry.testing.verdict import refused, require
 
 
 def check_it_writes_what_it_says(sink: Sink[Any]) -> None:

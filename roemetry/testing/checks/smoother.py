@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from roemetry.stages import Smoother
-from roemetry.testing.judging import require
 from roemetry.testing.scenes import SEED, LinearRig
+from roemetry.testing.verdict import require
 
 _SCATTER_PX = 0.2
 _STRAIGHT_TOLERANCE_PX = 1e-6

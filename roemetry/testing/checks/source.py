@@ -13,7 +13,7 @@ from roemetry.records import AcquisitionReference
 from roemetry.stages import Source
 from roemetry.testing.comparing import difference
 from roemetry.testing.fixtures import readable_path
-from roemetry.testing.judging import refused, require
+from roemetry.testing.verdict import refused, require
 
 
 def check_acquisitions_are_found_and_read(source: Source[Any]) -> None:

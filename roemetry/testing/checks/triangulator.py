@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from roemetry.arrays import Floats
 from roemetry.errors import StageError
 from roemetry.records import Profiles
+from roemetry.records.arrays import Floats
 from roemetry.stages import Triangulator
 from roemetry.testing.fixtures import calibration_for
-from roemetry.testing.judging import refused, require
 from roemetry.testing.scenes import LinearRig
+from roemetry.testing.verdict import refused, require
 
 
 def check_points_are_where_the_scene_is(triangulator: Triangulator[Any]) -> None:

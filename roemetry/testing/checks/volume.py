@@ -11,7 +11,6 @@ from roemetry.errors import RoemetryError
 from roemetry.records import Estimate, Shares, Volume
 from roemetry.stages import VolumeEstimator
 from roemetry.testing.comparing import difference
-from roemetry.testing.judging import NotKeptError, refused, require
 from roemetry.testing.scenes import SEED
 from roemetry.testing.solids import (
     BOX,
@@ -24,6 +23,7 @@ from roemetry.testing.solids import (
     product_of,
     reordered,
 )
+from roemetry.testing.verdict import NotKeptError, refused, require
 
 _ORDER_TOLERANCE = 1e-9
 _MIRROR_TOLERANCE = 1e-3

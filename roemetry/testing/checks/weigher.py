@@ -13,10 +13,10 @@ from roemetry.records import Estimate
 from roemetry.stages import Weigher
 from roemetry.testing.checks.volume import stated_or_nan
 from roemetry.testing.comparing import difference
-from roemetry.testing.judging import require
 from roemetry.testing.runs import volume_of
 from roemetry.testing.scenes import SEED
 from roemetry.testing.solids import HALF_ELLIPSOID, product_of
+from roemetry.testing.verdict import require
 
 _TOLERANCE = 1e-9
 

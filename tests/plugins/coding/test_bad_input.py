@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from roemetry.arrays import Floats
 from roemetry.errors import StageError
 from roemetry.records import Peaks, StripeMap
-from roemetry.registry import discover
+from roemetry.records.arrays import Floats
+from roemetry.stages.registry import discover
 from roemetry.testing import LinearRig
 
 RIG = LinearRig()

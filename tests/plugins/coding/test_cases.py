@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from roemetry.errors import StageError
-from roemetry.registry import discover
+from roemetry.stages.registry import discover
 
 cases = pytest.importorskip("benchmarks.coded.cases", reason="only in a checkout")
 from benchmarks.coded import Sample, score  # noqa: E402

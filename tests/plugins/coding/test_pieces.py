@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from roemetry.arrays import Floats, Integers
 from roemetry.errors import StageError
 from roemetry.records import AMBIGUOUS, Peaks, StripeMap
+from roemetry.records.arrays import Floats, Integers
 from roemetry.testing import LinearRig
 from roemetry_coding.pieces import Pieces, PiecesOptions
 

@@ -85,7 +85,7 @@ def test_it_needs_a_calibration() -> None:
         Planes().code(linear.peaks(linear.x_px(linear.belt())).peaks, None)
 
 
-@pytest.mark.parametrize("share", [0.9, 0.45, 0.3])
+@pytest.mark.parametrize("share", [1.005, 0.9, 0.45, 0.3])
 @pytest.mark.parametrize("form", ["block", "skein"])
 def test_what_is_higher_than_the_calibrated_range_is_seen_as_that(form: str, share: float) -> None:
     """Cut off at the range, a level top would be taken for one that is a stripe or more lower."""

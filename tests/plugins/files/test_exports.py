@@ -13,11 +13,11 @@ import pyarrow.parquet as pq
 import pytest
 import tifffile
 
-from roemetry.finished import recipe_of
-from roemetry.recipe import Recipe
-from roemetry.record import read_record
+from roemetry.config.recipe import Recipe
 from roemetry.records import Profiles
-from roemetry.runner import derive, run_recipe
+from roemetry.run.batch import derive, run_recipe
+from roemetry.run.provenance import recipe_of
+from roemetry.run.record import read_record
 from roemetry_files.rastering import INTERPOLATED, SEEN, raster
 
 

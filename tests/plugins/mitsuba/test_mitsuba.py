@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from pydantic import BaseModel
 
+from roemetry.config.scene import Scene
 from roemetry.errors import ConfigurationError, DataError, PluginError, StageError
-from roemetry.scene import Scene
-from roemetry.simulating import simulate
+from roemetry.run.simulate import simulate
 
 pytest.importorskip("mitsuba", reason='pip install "roemetry[mitsuba]"')
 drjit = pytest.importorskip("drjit")
@@ -263,7 +263,7 @@ def scene_file(tmp_path: Path) -> Path:
 
 @needs_llvm
 def test_a_data_set_is_whole_and_its_stripes_are_the_truth(scene_file: Path, tmp_path: Path) -> None:
-    from roemetry.dataset import Dataset
+    from roemetry.config.dataset import Dataset
 
     simulate(Scene.load(scene_file), tmp_path / "set", count=2, seed=3)
     made = Dataset(tmp_path / "set")
@@ -323,7 +323,7 @@ def test_a_product_larger_than_the_view_is_refused_with_sizes(scene_file: Path) 
 def test_without_llvm_the_message_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     import mitsuba as mi
 
-    from roemetry import doctor
+    from roemetry_tools import doctor
 
     monkeypatch.setattr(mi, "variant", lambda: "scalar_rgb")
     monkeypatch.setattr(drjit, "has_backend", lambda _: False)
@@ -350,12 +350,12 @@ def test_products_side_by_side_have_labels_of_their_own() -> None:
 @needs_llvm
 def test_the_shipped_recipe_measures_what_the_other_simulator_never_drew(tmp_path: Path) -> None:
     """Same rig, other light, other skeins: the shipped calibration holds, and no label is wrong."""
-    from roemetry.compare.comparing import compare
-    from roemetry.compare.data import Data
-    from roemetry.compare.tables import flat
-    from roemetry.compare.variants import make_variants
-    from roemetry.registry import discover
-    from roemetry.shipped import shipped
+    from roemetry.io.shipped import shipped
+    from roemetry.stages.registry import discover
+    from roemetry_tools.compare.comparison import compare
+    from roemetry_tools.compare.data import Data
+    from roemetry_tools.compare.tables import flat
+    from roemetry_tools.compare.variants import make_variants
 
     folder = shipped("recipes", "herring_roe")
     sets = ["simulator.use=mitsuba", "simulator.options.product={family: lofted-skein}"]

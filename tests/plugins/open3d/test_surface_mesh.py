@@ -12,9 +12,9 @@ import pytest
 
 from roemetry.errors import StageError
 from roemetry.records import Outline, Product
+from roemetry.records.view import View
 from roemetry.testing.scenes import LinearRig
 from roemetry.testing.solids import HALF_CYLINDER, HALF_ELLIPSOID, SPHERICAL_CAP, product_from, product_of
-from roemetry.view import View
 from roemetry_open3d import loading, meshing
 from roemetry_open3d.closing import mended, open_edges
 from roemetry_open3d.lines import lines_of

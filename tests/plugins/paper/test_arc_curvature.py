@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from roemetry.calibration import Calibration
 from roemetry.records import Product, Profiles
+from roemetry.records.calibration import Calibration
 from roemetry_kernels.shape.arcs import body_curves, smoothed
 from roemetry_kernels.shape.body_points import circles
 from roemetry_paper.arc_curvature import ArcCurvature, ArcCurvatureOptions

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from roemetry.calibration import Calibration
 from roemetry.records import Estimate, Product, Profiles, Shares, Volume
+from roemetry.records.calibration import Calibration
 from roemetry_paper.density import Density, DensityOptions
 
 # Table 1: real weight (g), volume as printed (headed mm³, cm³ by its own arithmetic), estimated weight (g).

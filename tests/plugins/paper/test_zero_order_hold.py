@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from roemetry.calibration import Calibration
 from roemetry.errors import StageError
 from roemetry.records import Product, Profiles
+from roemetry.records.calibration import Calibration
 from roemetry_paper.zero_order_hold import ZeroOrderHold
 
 STRIPES, ROWS, MM_PER_ROW = 11, 480, 0.1

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from roemetry.arrays import Floats
 from roemetry.records import EDGE, SATURATED, Frame, Sensor
-from roemetry.registry import discover
+from roemetry.records.arrays import Floats
+from roemetry.stages.registry import discover
 
 ROWS, COLUMNS, SIGMA_PX, GAIN = 240, 96, 2.0, 0.0255
 STATED = ("centre-of-gravity", "fir-zero-crossing", "gaussian", "log-parabola", "maximum-likelihood")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from roemetry.records import Frame, Sensor
-from roemetry.registry import discover
+from roemetry.stages.registry import discover
 
 ROWS, COLUMNS, SIGMA_PX, GAIN = 120, 260, 2.0, 0.0255
 GLARE = slice(50, 64)

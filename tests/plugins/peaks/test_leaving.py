@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from roemetry.records import EDGE, SATURATED, Frame, Sensor
-from roemetry.registry import discover
+from roemetry.stages.registry import discover
 
 ROWS, COLUMNS, SIGMA_PX, GAIN = 160, 140, 2.0, 0.0255
 NAMES = ("centre-of-gravity", "fir-zero-crossing", "gaussian", "log-parabola")

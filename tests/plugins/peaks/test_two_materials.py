@@ -7,7 +7,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from roemetry.records import Frame, Sensor
-from roemetry.registry import discover
+from roemetry.stages.registry import discover
 
 ROWS, COLUMNS, SIGMA_PX, GAIN = 480, 640, 2.0, 0.0255
 BELT, PRODUCT = 0.08, 0.25

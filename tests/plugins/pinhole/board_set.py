@@ -7,8 +7,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from roemetry.io.yaml_source import dump
 from roemetry.records import Board
-from roemetry.yaml_source import dump
 from roemetry_pinhole.boards import charuco_of
 from roemetry_pinhole.geometry import turned
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from roemetry.records import CalibrationSet, Frame, Observation, Peaks, SpherePlate
-from roemetry.view import View
+from roemetry.records.view import View
 from roemetry_pinhole.equations import ON_BELT, StripePoints, stripe_residuals
 from roemetry_pinhole.frames import belt_pose
 from roemetry_pinhole.geometry import Geometry, turned

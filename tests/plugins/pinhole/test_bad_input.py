@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 import pytest
 
-from roemetry.calibrating import calibrate
-from roemetry.calibration import Calibration
+from roemetry.calibrate import calibrate
+from roemetry.config.rig import Rig
 from roemetry.errors import CalibrationError
 from roemetry.records import Board
-from roemetry.rig import Rig
+from roemetry.records.calibration import Calibration
 from tests.plugins.pinhole.board_set import (
     CHARUCO,
     CHESS,

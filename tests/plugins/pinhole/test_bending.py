@@ -10,8 +10,8 @@ import pytest
 from roemetry_pinhole.bundle import Measured, adjust
 from roemetry_pinhole.conformance import Shown, SimulatedRig, noisy, shown
 from roemetry_pinhole.equations import ON_BELT, corner_residuals, corner_rows, stripe_residuals, stripe_rows
-from roemetry_pinhole.geometry import BENDS, CAMERA, Bend, Geometry, bent, unknowns_of
-from roemetry_pinhole.verdict import held_out, lifted, stripe_offsets
+from roemetry_pinhole.geometry import BENDS, CAMERA, Bend, Geometry, distort, unknowns_of
+from roemetry_pinhole.verdict import cross_validate, lifted, stripe_offsets
 
 RIG = SimulatedRig(1600.0, 350.0, tilt_deg=(6.0, -4.0), lens=(-0.2, 0.1, 0.0, 0.0, 0.0), stripes=5, poses=10)
 FREE = np.arange(CAMERA) < 9
@@ -30,7 +30,7 @@ def bowed(exact: Shown, bow_mm: float) -> Shown:
     print_mm[:, 2] = bow_mm * (x**2 - 0.4 * x * y + 0.2 * x * y**2)
     pose = exact.corners.pose
     at = (geometry.rotation[pose] @ print_mm[:, :, None])[:, :, 0] + geometry.shift[pose]
-    xy = bent(at[:, :2] / at[:, 2:], geometry.camera[4:]).xy * geometry.camera[:2] + geometry.camera[2:4]
+    xy = distort(at[:, :2] / at[:, 2:], geometry.camera[4:]).xy * geometry.camera[:2] + geometry.camera[2:4]
     points = exact.points
     for _ in range(4):
         points = replace(points, x_px=points.x_px - stripe_residuals(geometry, points))
@@ -111,7 +111,7 @@ def test_held_out_views_know_the_shape(rng) -> None:
     seen = noisy(exact, rng, 0.05, 0.1, 0.03)
     every = measured(seen, exact.geometry, bend=True)
     found = every.adjusted().geometry
-    held = held_out(every, found)
+    held = cross_validate(every, found)
     assert np.sqrt((held.mark_px**2).mean()) == pytest.approx(0.05, rel=0.2), "px"
     assert abs(held.height_mm.mean()) < 0.02, "mm"
     assert np.sqrt((stripe_offsets(found, seen.points)[0] ** 2).mean()) < 0.02, "mm"

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from roemetry.records import Board, Frame
-from roemetry_pinhole.board_diagnostics import UnseenError
+from roemetry_pinhole.board_diagnostics import BoardNotFoundError
 from roemetry_pinhole.boards import charuco_of, find_marks
 
 CHARUCO = Board(
@@ -116,14 +116,14 @@ def spoilt(board: Board, fault: str) -> Frame:
     ],
 )
 def test_a_board_that_cannot_be_used_is_named(board: Board, fault: str, says: str) -> None:
-    with pytest.raises(UnseenError, match=says):
+    with pytest.raises(BoardNotFoundError, match=says):
         find_marks(spoilt(board, fault), board)
 
 
 @pytest.mark.parametrize("scale", [0.12, 0.14, 0.16])
 def test_markers_that_cannot_be_read_are_called_tiny(scale: float) -> None:
     frame, _ = seen(CHARUCO, scale=scale)
-    with pytest.raises(UnseenError, match=r"the board is tiny: its markers are \d+ px wide"):
+    with pytest.raises(BoardNotFoundError, match=r"the board is tiny: its markers are \d+ px wide"):
         find_marks(frame, CHARUCO)
 
 
@@ -139,7 +139,7 @@ def test_markers_that_cannot_be_read_are_called_tiny(scale: float) -> None:
 )
 def test_another_board_is_told(board: Board, other: Board) -> None:
     frame, _ = seen(other)
-    with pytest.raises(UnseenError, match="another board"):
+    with pytest.raises(BoardNotFoundError, match="another board"):
         find_marks(frame, board)
 
 

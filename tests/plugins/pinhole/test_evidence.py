@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from roemetry.calibrating import evidence_page
+from roemetry.calibrate import evidence_page
 from roemetry.testing import LinearRig
 from roemetry_pinhole.bundle import Measured
 from roemetry_pinhole.calibrator import PinholeCalibrator
 from roemetry_pinhole.conformance import SimulatedRig, noisy, observed_of, shown
 from roemetry_pinhole.geometry import CAMERA, unknowns_of
 from roemetry_pinhole.pinhole_plane import PinholePlane
-from roemetry_pinhole.verdict import held_out, lifted, stripe_offsets
+from roemetry_pinhole.verdict import cross_validate, lifted, stripe_offsets
 
 RIG = SimulatedRig(
     1600.0, 350.0, tilt_deg=(6.0, -4.0), lens=(-0.2, 0.1, 0.001, -0.0005, 0.02), stripes=5, poses=10
@@ -30,7 +30,7 @@ def measured(seen) -> Measured:
 def test_held_out_views_fit_as_their_noise_lets_them(rng) -> None:
     seen = noisy(shown(RIG, rng), rng, MARK_PX, STRIPE_PX, 0.03)
     every = measured(seen)
-    held = held_out(every, every.adjusted().geometry)
+    held = cross_validate(every, every.adjusted().geometry)
     assert held.skipped == 0
     assert len(held.mark_px) == len(seen.corners.pose), "every view is left out once"
     assert np.sqrt((held.mark_px**2).mean()) == pytest.approx(MARK_PX, rel=0.1), "px"
@@ -44,7 +44,7 @@ def test_a_view_that_is_wrong_shows_when_it_is_held_out(rng) -> None:
     seen = noisy(shown(RIG, rng), rng, 0.02, 0.02, 0.03)
     moved = seen.points.x_px + np.where(seen.points.pose == 4, 1.0, 0.0)
     every = measured(replace(seen, points=replace(seen.points, x_px=moved)))
-    held = held_out(every, every.adjusted().geometry)
+    held = cross_validate(every, every.adjusted().geometry)
     mean = [abs(held.height_mm[held.height_pose == pose].mean()) for pose in range(RIG.poses)]
     assert int(np.argmax(mean)) == 4
     assert 0.2 < mean[4] < 0.8, "mm"

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from roemetry.calibration import Calibration
-from roemetry.camera_file import write_camera
 from roemetry.cli.main import app
 from roemetry.errors import CalibrationError, ConfigurationError, DataError
 from roemetry.records import CalibrationSet
+from roemetry.records.calibration import Calibration
+from roemetry.records.camera_file import write_camera
 from roemetry.testing import LinearRig
 from roemetry_pinhole.calibrator import PinholeCalibrator, PinholeCalibratorOptions
 from roemetry_pinhole.conformance import observed_of

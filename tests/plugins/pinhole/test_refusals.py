@@ -158,7 +158,7 @@ def test_a_stripe_on_one_board_alone_is_named(rng) -> None:
 
 
 def test_a_known_camera_is_taken_as_it_is(observed, tmp_path) -> None:
-    from roemetry.camera_file import write_camera
+    from roemetry.records.camera_file import write_camera
 
     made = PinholeCalibrator().calibrate(observed)
     path = tmp_path / "camera.yaml"
@@ -218,6 +218,18 @@ def test_lines_lost_false_or_broken_in_any_pose_change_no_number(seed, lost, fal
         assert (found[told] == right[told]).all(), pose.name
         missed = np.setdiff1d(right[right >= 0], right[told])
         assert missed.size <= 2, pose.name
+
+
+def test_exchanged_laser_images_are_named_as_such(rng) -> None:
+    """Each pose shows the lines of the next one: every stripe is seen on every board, and in no plane."""
+    poses = [pose for pose in fan(9, 30, rng) if pose.count == 9][:3] + fan(9, 9, rng)
+    boards = [np.linalg.lstsq(p.ends_mm.reshape(-1, 3), np.ones(2 * p.count), rcond=None)[0] for p in poses]
+    wrong = []
+    for pose, board in zip(poses, boards[1:] + boards[:1], strict=True):
+        ends = pose.ends_mm / (pose.ends_mm @ board)[:, :, None]
+        wrong.append(PoseLines(pose.name, ends))
+    with pytest.raises(CalibrationError, match="contradict each other|no numbering of 9"):
+        number_stripes(wrong, 9)
 
 
 def test_the_empty_belt_numbers_what_boards_show_in_part(rng) -> None:

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from roemetry.calibration import Calibration
 from roemetry.errors import CalibrationError
 from roemetry.records import Block, CalibrationSet, Frame, Observation, Ruler, SpherePlate
+from roemetry.records.calibration import Calibration
 from roemetry.testing import LinearRig
 from roemetry_pinhole.calibrator import PinholeCalibrator, PinholeCalibratorOptions
 from roemetry_pinhole.conformance import _image, _peaks, _pose, observed_of

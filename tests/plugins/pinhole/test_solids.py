@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from roemetry.camera_file import write_camera
 from roemetry.errors import CalibrationError
 from roemetry.records import Block, Pyramid, Staircase
+from roemetry.records.camera_file import write_camera
 from roemetry_pinhole.calibrator import PinholeCalibrator, PinholeCalibratorOptions
 from roemetry_pinhole.conformance import SimulatedRig, shown
 from roemetry_pinhole.equations import (

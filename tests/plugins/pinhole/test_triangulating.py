@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from roemetry.calibration import Calibration
-from roemetry.camera_file import write_camera
 from roemetry.errors import DataError
 from roemetry.records import StripeMap
+from roemetry.records.calibration import Calibration
+from roemetry.records.camera_file import write_camera
 from roemetry_pinhole.conformance import SimulatedRig, shown
 from roemetry_pinhole.frames import (
     METHOD,

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from roemetry.calibration import Calibration
 from roemetry.errors import DataError
 from roemetry.records import (
     AMBIGUOUS,
@@ -37,6 +36,7 @@ from roemetry.records import (
     Volume,
     Weight,
 )
+from roemetry.records.calibration import Calibration
 from roemetry.stages import Run
 
 ROWS, COLUMNS, STRIPES = 480, 640, 11
@@ -288,7 +288,7 @@ def _profiles(
 
 
 def _product(scene: Scene, profiles: Profiles, number: int) -> ProductTrace:
-    from roemetry.assembling import assemble
+    from roemetry.run.split_products import assemble
 
     product = next(p for p in assemble(profiles, (), _calibration(), scene.id) if p.number == number)
     z = np.nan_to_num(product.profiles.xyz_mm[:, :, 2])

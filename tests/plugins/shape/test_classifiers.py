@@ -13,9 +13,9 @@ from pydantic import ValidationError
 from scipy.stats import binom
 from typer.testing import CliRunner
 
+from roemetry.calibrate.known_products import read_samples
 from roemetry.cli.main import app
 from roemetry.errors import ConfigurationError, DataError, StageError
-from roemetry.known_products import read_samples
 from roemetry.records import Fitted, Samples
 from roemetry.testing.solids import BOX, HALF_ELLIPSOID, product_of
 from roemetry_paper.arc_curvature import ArcCurvature

@@ -14,11 +14,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
+from roemetry.config.recipe import Recipe
 from roemetry.errors import ConfigurationError
-from roemetry.recipe import Recipe
-from roemetry.record import read_record
 from roemetry.records import Decision, Estimate, Grade, Measurement, Outline, Reason, Weight
-from roemetry.runner import run_recipe
+from roemetry.run.batch import run_recipe
+from roemetry.run.record import read_record
 from roemetry.testing.runs import volume_of
 from roemetry.testing.solids import HALF_ELLIPSOID, product_of
 from roemetry_shape.grade_table import GradeTable, GradeTableOptions

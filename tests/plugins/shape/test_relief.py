@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from roemetry.records import Outline, Product
+from roemetry.records.view import View
 from roemetry.testing.solids import BOX, DENSE, DENTED, HALF_ELLIPSOID, Solid, product_from, product_of
-from roemetry.view import View
 from roemetry_paper.arc_curvature import ArcCurvature, ArcCurvatureOptions
 from roemetry_report.relief import relief_panels
 from roemetry_shape.example_model import learned_options

@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 import pytest
 
-from roemetry.dataset import Dataset
-from roemetry.scene import Scene
-from roemetry.simulating import simulate
-from roemetry.view import View
-from roemetry.yaml_source import dump
+from roemetry.config.dataset import Dataset
+from roemetry.config.scene import Scene
+from roemetry.io.yaml_source import dump
+from roemetry.records.view import View
+from roemetry.run.simulate import simulate
 
 RIGS: dict[str, dict[str, Any]] = {
     "as shipped": {},

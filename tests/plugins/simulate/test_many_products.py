@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from roemetry.scene import Scene
-from roemetry.yaml_source import dump
+from roemetry.config.scene import Scene
+from roemetry.io.yaml_source import dump
 from roemetry_simulate.camera import looking_down
 from roemetry_simulate.group import Group
 from roemetry_simulate.laser import fan_through

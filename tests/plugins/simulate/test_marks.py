@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 import pytest
 
+from roemetry.config.scene import Scene
 from roemetry.errors import ConfigurationError
+from roemetry.io.yaml_source import dump
 from roemetry.records import Simulated
-from roemetry.scene import Scene
-from roemetry.yaml_source import dump
 
 SMALL = {"width_px": 160, "height_px": 120, "pixel_size_um": 40, "read_noise_e": 0.0, "blur_sigma_px": 0.0}
 QUIET = {"speckle_contrast": 0.0}
@@ -189,7 +189,7 @@ def test_the_hash_of_a_scene_is_of_what_it_says(tmp_path: Path) -> None:
 
 
 def test_a_data_set_keeps_the_files_its_scene_names(tmp_path: Path) -> None:
-    from roemetry.simulating import simulate
+    from roemetry.run.simulate import simulate
 
     (tmp_path / "cube.obj").write_text(CUBE, encoding="utf-8")
     loaded = scene(tmp_path, product={"family": "mesh", "options": {"file": "cube.obj"}})

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from roemetry.scene import Scene
+from roemetry.config.scene import Scene
 from roemetry_simulate.bodies import Body
 from roemetry_simulate.camera import looking_down
 from roemetry_simulate.defocus import Focus, blur_sigma_px, defocused, depths_mm

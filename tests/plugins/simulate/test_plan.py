@@ -8,10 +8,9 @@ import pytest
 from typer.testing import CliRunner
 
 from roemetry.cli.main import app
+from roemetry.config.scene import Scene
 from roemetry.errors import ConfigurationError, PluginError, StageError
-from roemetry.planning.making import plan_of
-from roemetry.registry import Registry, discover
-from roemetry.scene import Scene
+from roemetry.stages.registry import Registry, discover
 from roemetry_simulate.camera import looking_down
 from roemetry_simulate.laser import fan_through
 from roemetry_simulate.plan_check import simulated_scatter
@@ -30,6 +29,7 @@ from roemetry_simulate.planner import RigPlanner, space_of
 from roemetry_simulate.scene_file import RayCasterOptions
 from roemetry_simulate.scene_rig import rig_of
 from roemetry_simulate.sensor import Sensor
+from roemetry_tools.plan.make_plan import plan_of
 
 H_MM, BESIDE_MM, FOCAL_PX, SPACING_MM = 300.0, 150.0, 1500.0, 10.0
 CAMERA = looking_down(640, 480, pixel_size_mm=0.01, focal_length_mm=15.0, distance_mm=H_MM)

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from roemetry.dataset import Dataset
-from roemetry.scene import Scene
+from roemetry.config.dataset import Dataset
+from roemetry.config.scene import Scene
 
 DATA = Path(__file__).parents[3] / "recipes" / "herring_roe"
 

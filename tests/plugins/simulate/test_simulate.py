@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 
 from roemetry.cli.main import app
-from roemetry.dataset import ITEMS, Dataset
+from roemetry.config.dataset import ITEMS, Dataset
+from roemetry.config.scene import Scene
 from roemetry.errors import ConfigurationError, OutputError, RoemetryError
 from roemetry.records import BELT
-from roemetry.scene import Scene
-from roemetry.simulating import simulate
+from roemetry.run.simulate import simulate
 from roemetry_files.dataset_source import DatasetSource
 
 SCENE = """\

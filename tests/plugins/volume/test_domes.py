@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from roemetry.arrays import Floats
 from roemetry.records import Product
+from roemetry.records.arrays import Floats
 from roemetry.testing import LinearRig
 from roemetry.testing.solids import Solid, product_of
 from roemetry_volume.quadric_ends import shadow_of

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from roemetry.calibrate.known_products import read_weighed, read_weights
 from roemetry.cli.main import app
-from roemetry.dataset import Dataset
+from roemetry.config.dataset import Dataset
 from roemetry.errors import ConfigurationError, DataError, StageError
-from roemetry.known_products import read_weighed, read_weights
 from roemetry.records import Samples
 from roemetry.testing.runs import volume_of
 from roemetry.testing.solids import DENSE, HALF_ELLIPSOID, product_of

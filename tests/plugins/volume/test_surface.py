@@ -11,8 +11,8 @@ import pytest
 
 from roemetry.errors import StageError
 from roemetry.records import Outline, Product, Profiles
+from roemetry.records.view import View
 from roemetry.testing import LinearRig
-from roemetry.view import View
 from roemetry_volume.outline_surface import OutlineSurface
 from roemetry_volume.slice_estimators import SlicePchip
 from roemetry_volume.surface_fit import Knots, plate_through, without_slice

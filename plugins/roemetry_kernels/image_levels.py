@@ -1,0 +1,315 @@
+"""What an extractor asks of a frame before it looks for stripes: one channel, levels within the bit depth.
+
+The noise of an image, estimated from the image itself, compiled.
+
+Which peaks are too faint beside what an image's stripes reach, compiled.
+
+Whether an image's stripes are darker than their surroundings: what is found then lies between them.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roemetry.records.arrays import Flags, Floats
+from roemetry.errors import DataError
+from roemetry.records import Frame
+from roemetry.records.reasons import Reason
+from roemetry_kernels.compiling import float_kernel, inlined, kernel
+from roemetry_kernels.ranking import nth_smallest
+
+_WHITE_8_BIT = 255
+
+
+def grey(frame: Frame) -> NDArray[Any]:
+    """Give the frame's (row, column) pixels.
+
+    Raises
+    ------
+    DataError
+        The frame has colours, or a pixel brighter than its bit depth allows.
+    """
+    pixels = frame.pixels
+    if pixels.ndim != 2:
+        raise DataError(
+            f"Frame {frame.name!r} has colours ({pixels.shape[2]} values a pixel), expected one channel",
+            hint="choose one by source.channel in the recipe (red, max, grey)",
+        )
+    if frame.white < np.iinfo(pixels.dtype).max and (brightest := int(pixels.max())) > frame.white:
+        raise DataError(
+            f"Frame {frame.name!r} holds grey level {brightest}, "
+            f"but its bit depth of {frame.bit_depth} ends at {frame.white}",
+            hint="set the source's bit depth to what the camera gives",
+        )
+    return pixels
+
+
+def plain_layout(pixels: NDArray[Any]) -> NDArray[Any]:
+    """Give pixels row by row and read-only: kernels are compiled for no other memory layout.
+
+    Every further one would be compiled anew, at half a second or more.
+    """
+    plain = np.ascontiguousarray(pixels).view()
+    plain.flags.writeable = False
+    return plain
+
+
+def scaled_level(level: float, frame: Frame) -> float:
+    """Scale a grey level of the 8-bit scale to the frame's own.
+
+    To compare whole grey levels: ``> floor(scaled)`` is the same as ``> scaled``, ``>= ceil`` as ``>=``.
+    """
+    return level * frame.white / _WHITE_8_BIT
+
+
+_BLOCK = 16  # pixels whose differences are looked at together
+_BLOCKS_MAX = 1024  # looked at in all: the estimate is then good to 2 %
+_NOISE_ROWS_MAX = 32  # that they lie in: memory is read along rows
+_SUMS = 4096  # sums of squares up to here are counted, not sorted
+_QUANTILE = 0.2  # of the blocks' noise: the dark ones, without stripes and texture
+_QUANTILE_OF_CHI = 0.791
+"""That quantile of the root mean square of 15 differences of white noise, over the true one; found by drawing
+ten million blocks."""
+_QUANTISATION = 1.0 / math.sqrt(12.0)
+_NOISES = 10.0  # that a stripe rises at least
+RISE_MIN = 6.0
+"""Of 255 grey levels, that a stripe rises at least."""
+_STEEP_SHARE = 0.01  # of white: noisier images are looked at across the rows as well
+
+
+def image_noise(image: NDArray[Any], top: int, bottom: int, left: int, right: int) -> float:
+    """Estimate the standard deviation of the noise in the dark parts of an image, grey levels.
+
+    From differences of neighbouring pixels in blocks of 16 (a low quantile of the blocks), along the rows;
+    where that is much, also from row to row, and the smaller counts. Never less than the rounding to whole
+    grey levels has.
+
+    Parameters
+    ----------
+    image : ndarray of uint8 or uint16, shape (rows, columns)
+        Grey levels, contiguous and read-only.
+    top, bottom, left, right
+        The part that is looked at: rows and columns from the first to the one after the last.
+    """
+    levels, columns = image.reshape(-1), image.shape[1]
+    noise = _noise_of(_low_sum(levels, columns, 1, top, bottom, left, right))
+    if noise > _STEEP_SHARE * np.iinfo(image.dtype).max and bottom - top > 1:
+        # Where stripes fill the image every block holds a slope; from row to row they hardly change.
+        noise = min(noise, _noise_of(_low_sum(levels, columns, columns, top, bottom - 1, left, right)))
+    return max(noise, _QUANTISATION)
+
+
+def automatic_rise(image: NDArray[Any], white: int, top: int, bottom: int, left: int, right: int) -> int:
+    """Choose by how much a stripe must rise: ten times the noise, at least 6 grey levels of 255.
+
+    The parameters are those of `image_noise`; `white` is the grey level that 255 stands for.
+    """
+    noise = image_noise(image, top, bottom, left, right)
+    return math.ceil(max(_NOISES * noise, RISE_MIN * white / 255.0))
+
+
+def _noise_of(low: int) -> float:
+    return math.sqrt(low / (_BLOCK - 1.0) / 2.0) / _QUANTILE_OF_CHI
+
+
+@kernel
+def _low_sum(
+    levels: NDArray[Any], columns: int, apart: int, top: int, bottom: int, left: int, right: int
+) -> int:
+    """Low quantile of the sums of 15 squared differences in blocks spread over the image; 0 without any.
+
+    The differences are those of pixels `apart` places from each other: 1 along the row, `columns` across.
+    """
+    across = (right - left) // _BLOCK
+    rows = min(bottom - top, _NOISE_ROWS_MAX)
+    if across == 0 or rows == 0:
+        return 0
+    a_row = min(across, _BLOCKS_MAX // rows)
+    sums, counts = np.empty(rows * a_row, np.int64), np.zeros(_SUMS, np.int64)
+    # Unsigned, which no index from the end can be: only then are pixels taken many at a time.
+    begins, beside = np.empty(a_row, np.uint64), np.uint64(apart)
+    for n in range(a_row):
+        begins[n] = left + _BLOCK * (n * across // a_row)
+    for r in range(rows):
+        row = np.uint64((top + (2 * r + 1) * (bottom - top) // (2 * rows)) * columns)
+        for n in range(a_row):
+            begin = row + begins[n]
+            total: Any = np.int64(0)
+            for k in range(np.uint64(_BLOCK - 1)):
+                step = np.int64(levels[begin + k + beside]) - np.int64(levels[begin + k])
+                total += step * step
+            sums[r * a_row + n] = total
+            counts[min(total, _SUMS - 1)] += 1
+    wanted = int(_QUANTILE * (sums.size - 1))
+    upto: Any = 0
+    for low in range(_SUMS - 1):
+        upto += counts[low]
+        if upto > wanted:
+            return low
+    return int(nth_smallest(sums, wanted))
+
+
+SHARE_MIN = 0.08
+"""Of a stripe beside it, that a stripe is high: the ripples of a JPEG are lower."""
+_USUAL = 0.9  # of the rows: others may show nothing but noise
+_NEAR_BY_PX = 16.0  # two blocks of a JPEG
+_CONTRAST_ROWS_MAX = 64  # that a level is chosen from
+_PART = 0.25  # of what stripes reach above the dark: where a stripe begins
+
+
+@float_kernel
+def faint(row: NDArray[Any], x_px: Floats, amplitude: Floats, share_min: float) -> Flags:
+    """Say which peaks rise by too little beside the others: ringing, glare, or what a JPEG made of noise.
+
+    Parameters
+    ----------
+    row, x_px, amplitude
+        (peak,) image row, place, px, and height, grey levels, of peaks sorted by row, then place.
+    share_min
+        Of the height of a peak within 16 px in the same row, and of what the highest one of a row reaches in
+        all but the brightest tenth of the rows.
+
+    Returns
+    -------
+    ndarray
+        (peak,) True where a peak is lower than that share.
+    """
+    count = row.shape[0]
+    out = np.zeros(count, np.bool_)
+    if count == 0:
+        return out
+    highest = 0.0
+    for i in range(count):
+        highest = max(highest, amplitude[i])
+    least = share_min * usual_height(row, amplitude)
+    for i in range(count):
+        low = amplitude[i] < share_min * highest
+        out[i] = amplitude[i] < least or (low and outshone(row, x_px, amplitude, i, share_min))
+    return out
+
+
+@inlined
+def usual_height(row: NDArray[Any], amplitude: Floats) -> float:
+    """What the highest peak reaches in all but the brightest tenth of the rows."""
+    highest = np.empty(row.shape[0])
+    rows = 0
+    best = amplitude[0]
+    for i in range(np.uint64(1), np.uint64(row.shape[0])):
+        if row[i] != row[i - np.uint64(1)]:
+            highest[rows] = best
+            rows += 1
+            best = amplitude[i]
+        best = max(best, amplitude[i])
+    highest[rows] = best
+    rows += 1
+    at = int(_USUAL * (rows - 1))
+    return float(nth_smallest(highest[:rows], at))
+
+
+@inlined
+def outshone(row: NDArray[Any], x_px: Floats, amplitude: Floats, i: int, share_min: float) -> bool:
+    """Say whether a peak of the same row near by is so much higher."""
+    least = amplitude[i] / max(share_min, 1e-9)
+    j = i - 1
+    while j >= 0 and row[j] == row[i] and x_px[i] - x_px[j] <= _NEAR_BY_PX:
+        if amplitude[j] > least:
+            return True
+        j -= 1
+    j = i + 1
+    while j < row.shape[0] and row[j] == row[i] and x_px[j] - x_px[i] <= _NEAR_BY_PX:
+        if amplitude[j] > least:
+            return True
+        j += 1
+    return False
+
+
+def level_between(image: NDArray[Any], rise: int) -> int:
+    """Choose a grey level between the dark and the stripes, for what knows one level only.
+
+    The dark is the median of up to 64 rows spread over the image. The level lies above it by a quarter of
+    what the rows' brightest pixels reach, but for the brightest tenth of the rows, and by `rise` at least.
+    """
+    some = image[:: max(1, image.shape[0] // _CONTRAST_ROWS_MAX)]
+    dark = float(np.median(some))
+    usual = float(np.quantile(some.max(axis=1), _USUAL, method="lower"))
+    return min(round(dark + max(float(rise), _PART * (usual - dark))), int(np.iinfo(image.dtype).max))
+
+
+_LOOKED_AT = 200  # pairs of neighbours
+_FEWEST = 8  # pairs, or rows, below which nothing is said
+_FILLED = 0.5  # of a row, that stripes fill at most
+_WIDTHS_PX = (1.5, 40.0)  # at half height, of what may be a line
+_DARK_ROWS_MAX = 32  # that are searched for dark lines where nothing bright is found
+_PIXELS_A_ROW = 160  # that tell of the ground
+_ODD = Reason(
+    "upside-down",
+    "what was found is wider than the gaps between: the stripes are darker than their surroundings "
+    "(then give the complement of the image), or too near to each other",
+)
+_DARK = Reason(
+    "upside-down",
+    "no bright stripe was found, but dark lines: give the complement of the image if they are meant",
+)
+
+
+def doubts(
+    image: NDArray[Any], white: int, row: NDArray[Any], x_px: Floats, width_px: Floats
+) -> tuple[Reason, ...]:
+    """Say what speaks against the peaks of an image being its stripes.
+
+    Stripes leave most of a row dark: of 8 standard deviations from one to the next, the full width at half
+    height is 0.29. Between dark lines the bright ground is the wider part. Where there are less than two
+    peaks a row, some rows of the complement are searched.
+
+    Parameters
+    ----------
+    image : ndarray of uint8 or uint16, shape (rows, columns)
+        Grey levels.
+    white
+        Grey level from which on a pixel is saturated.
+    row, x_px, width_px
+        (peak,) image row, place and full width at half height, px, sorted by row, then place.
+    """
+    step = max(1, row.shape[0] // _LOOKED_AT)
+    one, other = slice(0, max(row.shape[0] - 1, 0), step), slice(1, None, step)
+    pairs = row[one] == row[other]
+    looked_at = np.count_nonzero(pairs)
+    if looked_at >= _FEWEST:
+        filled = width_px[one] + width_px[other] > 2.0 * _FILLED * (x_px[other] - x_px[one])
+        # Half of them is more than half: without a median, which would take longer than all else.
+        if 2 * np.count_nonzero(filled & pairs) > looked_at:
+            return (_ODD,)
+    if row.shape[0] >= 2 * image.shape[0] or not _has_darker_pixels(image, white):
+        return ()
+    return (_DARK,) if _has_dark_lines(image, white, row.shape[0] / image.shape[0]) else ()
+
+
+def _has_darker_pixels(image: NDArray[Any], white: int) -> bool:
+    """Say whether rows usually hold a pixel darker than the ground by what a line needs: asked first.
+
+    On dark ground none is, so that what searches for lines need not even be loaded.
+    """
+    some = image[:: max(1, -(-image.shape[0] // _DARK_ROWS_MAX))]
+    part = some[:, :: max(1, some.shape[1] // _PIXELS_A_ROW)].reshape(-1)
+    half = max(some.shape[0] // 2 - 1, 0)
+    darkest = np.partition(some.min(axis=1), half)[half]
+    ground = np.partition(part, part.size // 2)[part.size // 2]
+    return float(ground) - float(darkest) >= RISE_MIN * white / 255.0
+
+
+def _has_dark_lines(image: NDArray[Any], white: int, bright_a_row: float) -> bool:
+    """Say whether most rows have more dark lines than bright stripes."""
+    from scipy.signal import find_peaks  # few images get here
+
+    some = image[:: max(1, -(-image.shape[0] // _DARK_ROWS_MAX))]
+    dark = plain_layout((white - np.minimum(some, white)).astype(some.dtype.newbyteorder("=")))
+    rise = automatic_rise(dark, white, 0, some.shape[0], 0, some.shape[1])
+    lines = [find_peaks(line, prominence=rise, width=_WIDTHS_PX)[1]["prominences"] for line in dark]
+    highest = max((float(one.max()) for one in lines if one.size), default=0.0)
+    count = np.array([np.count_nonzero(one >= SHARE_MIN * highest) for one in lines])
+    rows = np.count_nonzero(count)
+    return bool(rows >= max(_FEWEST, some.shape[0] // 2) and count.sum() > bright_a_row * some.shape[0])

@@ -1,0 +1,280 @@
+"""Peaks of lightly smoothed image rows, compiled: where stripes are, well enough to start a fit from."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roemetry.records.arrays import Floats, Integers
+from roemetry_kernels.compiling import kernel
+
+SMOOTHING_VARIANCE_PX2 = 1.5
+"""Variance of the smoothing across the stripes, 1 6 15 20 15 6 1, px²."""
+_WEIGHTS = 256.0  # sum of the smoothing's weights, 64 across times 4 along
+NOISE_LEFT = math.sqrt(924.0 / 4096.0 * 6.0 / 16.0)
+"""Standard deviation of white noise after smoothing, over before."""
+_SEPARATE = 0.45  # two peaks are two where the valley between is deeper than this share of the lower one
+_PEAKS_A_ROW = 32  # room made at first
+_BLOCK_PX = 8
+_QUIET_QUANTILE = 0.25
+_QUIET_SHARE = 0.5218  # that quantile of the mean square of a block of the noise filter, for white noise
+_LAPLACIAN_SQUARES = 36.0  # sum of squares of the noise filter's weights
+
+Pixels = NDArray[Any]
+
+
+class Starts(NamedTuple):
+    """Where fits can start, one element a peak, sorted by row, then x.
+
+    Attributes
+    ----------
+    row : ndarray of int64, shape (peak,)
+        Image row.
+    x_px : ndarray of float64, shape (peak,)
+        Middle of the crossings of half height, px.
+    amplitude : ndarray of float64, shape (peak,)
+        Height above the valleys, grey levels.
+    sigma_px : ndarray of float64, shape (peak,)
+        Standard deviation of the Gaussian of that width, the smoothing taken off, px.
+    level : ndarray of float64, shape (peak,)
+        Mean grey level of the two valleys.
+    """
+
+    row: Integers
+    x_px: Floats
+    amplitude: Floats
+    sigma_px: Floats
+    level: Floats
+
+
+def background_noise(image: Pixels) -> float:
+    """Estimate the noise of the quiet parts of an image, standard deviation of a pixel, grey levels.
+
+    The second difference both ways takes off what is smooth, stripes too (Immerkær 1996); blocks of 8
+    pixels are ranked by its mean square, and a low quantile of them is background.
+    """
+    if min(image.shape) < 3 or image.shape[1] < _BLOCK_PX + 2:
+        return 0.0
+    squares = _block_squares(image, max(1, image.shape[0] // 96))
+    at = int(_QUIET_QUANTILE * (squares.shape[0] - 1))
+    return float(math.sqrt(np.partition(squares, at)[at] / (_LAPLACIAN_SQUARES * _QUIET_SHARE)))
+
+
+def rounding_variance(image: Pixels) -> float:
+    """Variance of rounding to the image's own steps, grey levels²: those of 8 bits in 16 are 256 wide."""
+    return _smallest_step(image, max(1, image.shape[0] // 16)) ** 2 / 12.0
+
+
+def smoothed_peaks(image: Pixels, rise: Floats, white: int) -> Starts:
+    """Find peaks that rise above both valleys in the smoothed image.
+
+    Parameters
+    ----------
+    image : ndarray of uint8 or uint16, shape (rows, columns)
+        Grey levels, contiguous and read-only.
+    rise : ndarray of float64, shape (256,)
+        By how much a peak must rise, grey levels, from a valley in each 256th of the range.
+    white
+        Grey level from which on a pixel is saturated.
+    """
+    rows = image.shape[0]
+    room = _PEAKS_A_ROW * rows
+    rise = _WEIGHTS * rise
+    while True:
+        row = np.empty(room, np.int64)
+        x_px, amplitude, sigma_px, valley = (np.empty(room) for _ in range(4))
+        count = _find(image, rise, float(white), row, x_px, amplitude, sigma_px, valley)
+        if count <= room:
+            break
+        room = count
+    return Starts(*(values[:count].copy() for values in (row, x_px, amplitude, sigma_px, valley)))
+
+
+@kernel
+def _block_squares(image: Pixels, step: int) -> Floats:
+    rows, columns = image.shape
+    blocks = (columns - 2) // _BLOCK_PX
+    squares = np.empty(((rows - 2 + step - 1) // step) * blocks)
+    at = 0
+    for y in range(1, rows - 1, step):
+        for b in range(blocks):
+            total = 0.0
+            for x in range(1 + b * _BLOCK_PX, 1 + (b + 1) * _BLOCK_PX):
+                top = np.float64(image[y - 1, x - 1]) - 2.0 * image[y - 1, x] + image[y - 1, x + 1]
+                here = np.float64(image[y, x - 1]) - 2.0 * image[y, x] + image[y, x + 1]
+                below = np.float64(image[y + 1, x - 1]) - 2.0 * image[y + 1, x] + image[y + 1, x + 1]
+                total += (top - 2.0 * here + below) ** 2
+            squares[at] = total / _BLOCK_PX
+            at += 1
+    return squares[:at]
+
+
+@kernel
+def _smallest_step(image: Pixels, step: int) -> int:
+    seen = np.zeros(65536, np.bool_)
+    for y in range(0, image.shape[0], step):
+        for level in image[y]:
+            seen[level] = True
+    smallest, last = 65536, -1
+    for level in range(65536):
+        if seen[level]:
+            if last >= 0:
+                smallest = min(smallest, level - last)
+            last = level
+    return 1 if smallest == 65536 else smallest
+
+
+@kernel
+def _find(
+    image: Pixels,
+    rise: Floats,
+    white: float,
+    row: Integers,
+    x_px: Floats,
+    amplitude: Floats,
+    sigma_px: Floats,
+    level: Floats,
+) -> int:
+    rows, columns = image.shape
+    padded = np.empty(columns + 6, np.int32)
+    smooth = np.empty(columns, np.int32)
+    tops = np.empty(columns, np.int64)
+    valleys = np.empty(columns + 1, np.int64)
+    count = 0
+    for y in range(rows):
+        _smooth(image, y, padded, smooth)
+        found = _tops(smooth, rise, white, tops, valleys)
+        for k in range(found):
+            if count < row.shape[0]:
+                x, width, height, base = _halves(smooth, tops[k], valleys[k], valleys[k + 1], white)
+                row[count] = y
+                x_px[count] = x
+                level[count] = base / _WEIGHTS
+                amplitude[count] = height / _WEIGHTS
+                sigma_px[count] = width
+            count += 1
+    return count
+
+
+@kernel
+def _smooth(image: Pixels, y: int, padded: NDArray[np.int32], smooth: NDArray[np.int32]) -> None:
+    """One row, 1 2 1 along the stripes and 1 6 15 20 15 6 1 across, borders repeated."""
+    rows, columns = image.shape
+    above, here, below = image[max(y - 1, 0)], image[y], image[min(y + 1, rows - 1)]
+    for x in range(columns):
+        padded[x + 3] = np.int32(above[x]) + 2 * np.int32(here[x]) + np.int32(below[x])
+    for x in range(3):
+        padded[x] = padded[3]
+        padded[columns + 3 + x] = padded[columns + 2]
+    for x in range(columns):
+        smooth[x] = (
+            padded[x]
+            + padded[x + 6]
+            + 6 * (padded[x + 1] + padded[x + 5])
+            + 15 * (padded[x + 2] + padded[x + 4])
+            + 20 * padded[x + 3]
+        )
+
+
+@kernel
+def _tops(smooth: NDArray[np.int32], rise: Floats, white: float, tops: Integers, valleys: Integers) -> int:
+    """Tops with the valley before each, and the one after the last."""
+    columns = smooth.shape[0]
+    scale = 255.9 / (_WEIGHTS * white)
+    count = 0
+    base, low = 0, int(smooth[0])
+    x = 1
+    while x < columns:
+        # Up from the lowest pixel since the last peak.
+        enough = rise[min(int(low * scale), 255)]
+        need = math.floor(low + enough)
+        here = low
+        while x < columns:
+            here = int(smooth[x])
+            if here > need:
+                break
+            if here < low:
+                base, low = x, here
+                enough = rise[min(int(low * scale), 255)]
+                need = math.floor(low + enough)
+            x += 1
+        if x >= columns:
+            break
+        top, high = x, here
+        least = math.ceil(high - max(enough, _SEPARATE * (high - low)))
+        while x < columns:
+            here = int(smooth[x])
+            if here > high:
+                top, high = x, here
+                least = math.ceil(high - max(enough, _SEPARATE * (high - low)))
+            elif here < least:
+                break
+            x += 1
+        if x >= columns:
+            # Cut off by the border on its way down, as those at the other border are on their way up.
+            if top < columns - 1 and high - int(smooth[columns - 1]) > enough:
+                tops[count], valleys[count], valleys[count + 1] = top, base, columns - 1
+                count += 1
+                return count
+            break
+        # A second bump on the same stripe's slope does not stand out from both sides.
+        tops[count] = top
+        valleys[count] = base
+        count += 1
+        base, low = x, here
+        x += 1
+        while x < columns and smooth[x] <= low:
+            base, low = x, int(smooth[x])
+            x += 1
+        valleys[count] = base
+    if count:
+        # The valley after the last peak: the lowest pixel that is left.
+        for x in range(tops[count - 1], columns):
+            if smooth[x] < smooth[valleys[count]]:
+                valleys[count] = x
+    return count
+
+
+@kernel
+def _halves(
+    smooth: NDArray[np.int32], top: int, before: int, after: int, white: float
+) -> tuple[float, float, float, float]:
+    """Middle, standard deviation, height and base from where the flanks cross half height."""
+    base = 0.5 * (smooth[before] + smooth[after])
+    height = smooth[top] - base
+    left, right = _crossings(smooth, top, before, after, 0.5)
+    width = right - left
+    variance = (width / 2.3548200450309493) ** 2 - SMOOTHING_VARIANCE_PX2
+    if smooth[top] >= 0.97 * _WEIGHTS * white:
+        # A clipped top: width and height from the widths at two levels of what is left.
+        low_left, low_right = _crossings(smooth, top, before, after, 0.25)
+        high_left, high_right = _crossings(smooth, top, before, after, 0.7)
+        wide, narrow = (low_right - low_left) ** 2, (high_right - high_left) ** 2
+        spread = max((wide - narrow) / (8.0 * math.log(0.7 / 0.25)), 0.3)
+        height *= 0.25 * math.exp(min(wide / (8.0 * spread), 4.0))
+        left, right = 0.5 * (left + low_left), 0.5 * (right + low_right)
+        variance = spread - SMOOTHING_VARIANCE_PX2
+    variance = max(variance, 0.25)
+    height *= math.sqrt((variance + SMOOTHING_VARIANCE_PX2) / variance)
+    return 0.5 * (left + right), math.sqrt(variance), height, base
+
+
+@kernel
+def _crossings(
+    smooth: NDArray[np.int32], top: int, before: int, after: int, share: float
+) -> tuple[float, float]:
+    """Where the flanks cross a share of the height above the valley on either side, px."""
+    level = smooth[before] + share * (smooth[top] - smooth[before])
+    x = top
+    while smooth[x] > level:
+        x -= 1
+    left = x + (level - smooth[x]) / (smooth[x + 1] - smooth[x])
+    level = smooth[after] + share * (smooth[top] - smooth[after])
+    x = top
+    while smooth[x] > level:
+        x += 1
+    right = x - (level - smooth[x]) / (smooth[x - 1] - smooth[x])
+    return left, right

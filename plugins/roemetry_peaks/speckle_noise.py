@@ -1,0 +1,399 @@
+"""The noise of stripes, from what fits leave: read noise, shot noise, speckle's contrast by tile.
+
+What noise is left beside fitted peaks, compiled: products of residuals, and what to expect of them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cache
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roemetry.records.arrays import Floats, Integers
+from roemetry_kernels.compiling import kernel
+from roemetry_peaks.fisher_scoring import FAILED, ROOM, WINDOW
+
+TILES = (4, 12)
+"""Rows and columns of tiles that the image is cut into; each has a speckle contrast of its own."""
+FINE_TILES = (16, 12)
+"""The same where there is more than one material in the image."""
+_DIFFERENT = 0.4  # standard deviation of the tiles' C² over their mean, from which on there is
+_NEXT_TO_NONE = 0.03**2  # of C²: less is what chance makes of none
+_PEAKS_MIN = 6  # a tile with fewer has the image's contrast
+_SECOND_ORDER = 1.3  # a fit follows strong speckle further than its linear leverage tells; found by drawing
+_CORRELATIONS = np.linspace(0.0, 0.9, 181)
+_LAGS = _CORRELATIONS[:, None] ** np.array([0.0, 1.0, 4.0, 9.0])
+_ROWS = 8  # beyond which nothing is correlated along the stripe
+_USUAL, _USUAL_STD = 0.5, 0.25  # the correlation of neighbouring pixels, where the image says little
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class StripeNoise:
+    """The noise of a stripe's pixels: variance R + g μ + C² m², μ all light, m the stripe's.
+
+    Attributes
+    ----------
+    variance
+        R: read noise and rounding, grey levels².
+    gain
+        g: grey levels per electron.
+    correlation
+        Of the speckle of neighbouring pixels along a row, 0 to 0.9.
+    contrast2
+        (row, column) C² of the image's `TILES` or `FINE_TILES`.
+    """
+
+    variance: float
+    gain: float
+    correlation: float
+    contrast2: Floats
+
+    def contrast2_at(self, image_size: tuple[int, int], row: Integers, x_px: Floats) -> Floats:
+        """(peak,) C² of the tile that each peak lies in."""
+        down, across = self.contrast2.shape
+        tile: Floats = self.contrast2[
+            np.clip(row * down // image_size[0], 0, down - 1),
+            np.clip((x_px * across / image_size[1]).astype(np.int64), 0, across - 1),
+        ]
+        return tile
+
+    @property
+    def differs(self) -> bool:
+        """Whether there is more than one material in the image."""
+        spread, mean = self.contrast2.std(), self.contrast2.mean()
+        return bool(spread > _DIFFERENT * mean and self.contrast2.max() > _NEXT_TO_NONE)
+
+
+def tile_of(
+    image_size: tuple[int, int], row: Integers, x_px: Floats, tiles: tuple[int, int] = TILES
+) -> Integers:
+    """(peak,) number of the tile each peak lies in, row by row."""
+    down, across = tiles
+    column: Integers = np.clip((x_px * across / image_size[1]).astype(np.int64), 0, across - 1)
+    numbers: Integers = np.clip(row * down // image_size[0], 0, down - 1) * across + column
+    return numbers
+
+
+def noise_from(
+    products: Floats,
+    tile: Integers,
+    contrast2: Floats,
+    *,
+    variance: float | None,
+    gain: float | None,
+    rounding: float,
+    most: tuple[float, float] = (np.inf, np.inf),
+    tiles: tuple[int, int] = TILES,
+) -> StripeNoise:
+    """Solve for the noise that makes residuals what they are.
+
+    Parameters
+    ----------
+    products
+        (peak, 4, 7) from `roemetry_peaks.speckle_noise.residual_products`.
+    tile
+        (peak,) tile each peak lies in.
+    contrast2
+        (peak,) C² that the peaks were fitted with.
+    variance, gain
+        R, grey levels², and g, grey levels, where they are known; None: estimated.
+    rounding
+        Variance of rounding, grey levels²; R is no less.
+    most
+        What R and g can be at most, where they are estimated: what is no Gaussian leaves residuals, too.
+    tiles
+        Rows and columns of tiles that the numbers in `tile` are of.
+    """
+    said = products[:, 2, 2] > 0.0
+    products, tile, contrast2 = products[said], tile[said], contrast2[said]
+    if not tile.size:
+        return StripeNoise(variance or rounding, gain or 0.0, _USUAL, np.zeros(tiles))
+    correlation = _USUAL
+    for _ in range(2 if variance is None or gain is None else 1):
+        if variance is None or gain is None:
+            read, shot = _sensor(products.sum(0), _lags(correlation), variance, gain, most)
+            read = max(read, rounding)
+        else:
+            read, shot = variance, gain
+        # What R and g leave: products of a pixel with itself and with the next one, by cause.
+        own = products[:, 2, 0] - products[:, 2, 1] * read - products[:, 2, 2] * shot
+        next_ = products[:, 3, 0] - products[:, 3, 1] * read - products[:, 3, 2] * shot
+        # Products go with 1/C⁴; where there is no speckle they say nothing of its correlation.
+        share = (contrast2 / max(contrast2.max(), 1e-12))[:, None] ** 2
+        correlation = _correlation(
+            np.column_stack([next_, own]) * share, products[:, 2, 3:] * share, products[:, 3, 3:] * share
+        )
+    by_tile = _by_tile(own, products[:, 2, 3:] @ _lags(correlation), tile, tiles[0] * tiles[1])
+    by_tile = np.minimum(by_tile * (1.0 + _SECOND_ORDER * by_tile), 1.0)
+    return StripeNoise(read, shot, correlation, by_tile.reshape(tiles))
+
+
+def _lags(correlation: float) -> NDArray[np.float64]:
+    """Correlation of pixels 0, 1, 2, 3 apart, of white noise smoothed by a Gaussian."""
+    return np.asarray(correlation ** np.array([0.0, 1.0, 4.0, 9.0]))
+
+
+def _sensor(
+    sums: Floats, lags: Floats, variance: float | None, gain: float | None, most: tuple[float, float]
+) -> tuple[float, float]:
+    """R and g by moments: of R, g, C², those not known, the feasible ones that explain the three sums best.
+
+    A cause may be none (0), and R and g at most `most`. All such choices are tried; sums are compared in
+    shares of themselves, so that no unit decides.
+    """
+    matrix = np.column_stack([sums[:3, 1:3], sums[:3, 3:] @ lags])
+    scale = np.maximum(np.abs(sums[:3, 0]), 1e-300)
+    matrix, target = matrix / scale[:, None], sums[:3, 0] / scale
+    choices = [
+        (np.nan, 0.0, most[0]) if variance is None else (variance,),
+        (np.nan, 0.0, most[1]) if gain is None else (gain,),
+        (np.nan, 0.0),
+    ]
+    best, least = (0.0, 0.0), np.inf
+    for chosen in product(*choices):
+        solution = np.array(chosen)
+        free = np.isnan(solution)
+        if not np.isfinite(solution[~free]).all():
+            continue
+        solution[free] = 0.0
+        if free.any():
+            solution[free] = np.linalg.lstsq(matrix[:, free], target - matrix @ solution, rcond=None)[0]
+        left = float(np.sum((target - matrix @ solution) ** 2))
+        possible = (solution >= 0.0).all() and (
+            solution[:2] <= np.maximum(most, solution[:2] * ~free[:2])
+        ).all()
+        if possible and left < least - 1e-12:
+            best, least = (float(solution[0]), float(solution[1])), left
+    return best
+
+
+def _correlation(left: Floats, by_own: Floats, by_next: Floats) -> float:
+    """Correlation of neighbours' speckle: the one whose C² explains both kinds of product.
+
+    Of each peak `left` are the products with the next pixel and of pixels with themselves; `by_own` and
+    `by_next` are what a unit of C² adds to them, by lag.
+    """
+    unit_own, unit_next = _LAGS @ by_own.sum(0), _LAGS @ by_next.sum(0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        contrast2 = left[:, 1].sum() / unit_own
+        ratio = unit_next / unit_own
+        # What is left of each peak's products, as factors of its ten numbers, and its scatter over peaks.
+        factors = np.column_stack(
+            [np.ones(ratio.size), -ratio, -contrast2[:, None] * _LAGS, (contrast2 * ratio)[:, None] * _LAGS]
+        )
+        numbers = np.column_stack([left, by_next, by_own])
+        scatter = np.einsum("ca,ab,cb->c", factors, numbers.T @ numbers, factors)
+        doubt = (factors @ numbers.sum(0)) ** 2 / scatter + ((_CORRELATIONS - _USUAL) / _USUAL_STD) ** 2
+    doubt = np.where((contrast2 > 0.0) & (unit_own > 0.0) & np.isfinite(doubt), doubt, np.inf)
+    return float(_CORRELATIONS[int(np.argmin(doubt))]) if np.isfinite(doubt).any() else _USUAL
+
+
+def _by_tile(own: Floats, unit: Floats, tile: Integers, tiles: int) -> Floats:
+    """C² of each tile, drawn to the image's as far as the tiles' differences are no more than chance."""
+    mean = max(float(own.sum() / unit.sum()), 0.0) if unit.sum() > 0.0 else 0.0
+    count = np.bincount(tile, minlength=tiles)
+    units = np.bincount(tile, unit, tiles)
+    enough = (count >= _PEAKS_MIN) & (units > 0.0)
+    if enough.sum() < 2:
+        return np.full(tiles, mean)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        contrast2 = np.where(enough, np.bincount(tile, own, tiles) / units, mean)
+        left = own - contrast2[tile] * unit
+        scatter = np.bincount(tile, left**2, tiles) / units**2 * count / (count - 1)
+        # No less than squares of normal residuals scatter: few peaks may agree by chance.
+        chance = np.maximum(scatter, 2.0 / units)[enough]
+    found, weight = contrast2[enough], count[enough] / count[enough].sum()
+    mean = float(weight @ found)
+    true = max(float(weight @ (found - mean) ** 2 - weight @ chance), 0.0)
+    shrunk: Floats = np.full(tiles, max(mean, 0.0))
+    shrunk[enough] = np.maximum(mean + true / (true + chance) * (found - mean), 0.0)
+    return shrunk
+
+
+def rows_of(share: float, correlation: float) -> float:
+    """Give the correlation along the stripe: speckle is as long along it as across, all else independent."""
+    if share <= 0.0 or correlation <= 0.0:
+        return 0.0
+    # exp(−rows² / (4 length²)), of neighbouring rows the pixels' own correlation.
+    target = share * sum(correlation ** (row * row) for row in range(1, _ROWS))
+    return float(np.interp(target, *_sums_of_lengths()))
+
+
+@cache
+def _sums_of_lengths() -> tuple[Floats, Floats]:
+    """Sums of the correlation over rows, and the lengths they belong to, rows."""
+    lengths = np.linspace(0.1, 2.0, 200)
+    return np.exp(-(np.arange(1, _ROWS) ** 2) / (4.0 * lengths[:, None] ** 2)).sum(1), lengths
+
+
+CAUSES = 6
+"""Read noise, shot noise, speckle within a pixel, and of pixels 1, 2 and 3 apart."""
+_OUTLIER = 8.0  # times what a peak's other residuals are: it says nothing of the noise
+_PIXELS_MIN = 6
+
+Pixels = NDArray[Any]
+Bytes = NDArray[np.uint8]
+
+
+@kernel
+def residual_products(
+    image: Pixels,
+    white: float,
+    row: Integers,
+    x_px: Floats,
+    amplitude: Floats,
+    sigma_px: Floats,
+    height: Floats,
+    slope: Floats,
+    variance: Floats,
+    gain: float,
+    contrast2: Floats,
+    state: Bytes,
+) -> Floats:
+    """Sum products of each peak's residuals, and what each cause of noise is expected to add to them.
+
+    Residuals are smaller than the noise, by the leverage of the fitted parameters. With P the matrix that
+    takes pixels to residuals, the expected products are the elements of P V P', linear in what the noise's
+    covariance V is made of: a unit of R, of g μ, of C² m², and of C² m m' between pixels 1, 2, 3 apart.
+
+    Parameters
+    ----------
+    image, white, row, x_px, amplitude, sigma_px, variance, gain, contrast2, state
+        As `fit_peaks` takes and gives them; fitted without correlation.
+    height, slope
+        (peak,) light beside the stripe at the fitted centre, grey levels, grey levels per px.
+
+    Returns
+    -------
+    ndarray
+        (peak, 4, 7): products that tell of R, of g, of C² (a pixel with itself) and of the correlation (with
+        the next pixel): their sum, then what a unit of each cause adds. All 0 where a peak says nothing.
+    """
+    columns = image.shape[1]
+    out = np.zeros((row.shape[0], 4, 1 + CAUSES))
+    m, mu, w, r = np.empty(ROOM), np.empty(ROOM), np.empty(ROOM), np.empty(ROOM)
+    jac, hat, carried = np.empty((ROOM, 3)), np.empty((ROOM, 3)), np.empty((ROOM, 3))
+    weight = np.zeros((ROOM, 4))
+    for p in range(row.shape[0]):
+        if state[p] == FAILED:
+            continue
+        f = image[row[p]]
+        half = min(WINDOW * sigma_px[p], 0.5 * (ROOM - 2))
+        first = max(math.ceil(x_px[p] - half), 0)
+        n = min(math.floor(x_px[p] + half), columns - 1) - first + 1
+        squares, largest = 0.0, 0.0
+        for i in range(n):
+            d = first + i - x_px[p]
+            z = d / (sigma_px[p] * sigma_px[p])
+            e = math.exp(-0.5 * d * z)
+            m[i] = amplitude[p] * e
+            mu[i] = max(height[p] + slope[p] * d + m[i], 0.0)
+            r[i] = f[first + i] - height[p] - slope[p] * d - m[i]
+            v = variance[p] + gain * mu[i] + contrast2[p] * m[i] * m[i]
+            w[i] = 0.0 if f[first + i] >= white else 1.0 / v
+            squares += w[i] * r[i] * r[i]
+            largest = max(largest, w[i] * r[i] * r[i])
+            jac[i, 0], jac[i, 1], jac[i, 2] = m[i] * z, e, m[i] * z * d
+        # A hot pixel is unlike the others; where all are large, that is how these stripes are.
+        others = max((squares - largest) / max(n - 3.0, 1.0), 1.0)
+        good = n >= _PIXELS_MIN and largest <= _OUTLIER * _OUTLIER * others
+        if not good or not _hat(jac, w, n, hat):
+            continue
+        for i in range(n):
+            weight[i, 0] = w[i] * w[i]
+            weight[i, 1] = weight[i, 0] * mu[i]
+            weight[i, 2] = weight[i, 0] * m[i] * m[i]
+            weight[i, 3] = w[i] * w[i + 1] * m[i] * m[i + 1] if i + 1 < n else 0.0
+            for kind in range(3):
+                out[p, kind, 0] += weight[i, kind] * r[i] * r[i]
+            if i + 1 < n:
+                out[p, 3, 0] += weight[i, 3] * r[i] * r[i + 1]
+        _expected(jac, hat, weight, m, mu, n, carried, out[p])
+    return out
+
+
+@kernel
+def _hat(jac: Floats, w: Floats, n: int, hat: Floats) -> bool:
+    """(pixel, parameter) what a unit in a pixel adds to the fitted parameters: (J'WJ)⁻¹ J'W.
+
+    Gives whether the pixels below white determine the parameters at all.
+    """
+    a = np.zeros((3, 3))
+    for i in range(n):
+        for j in range(3):
+            for k in range(j + 1):
+                a[j, k] += w[i] * jac[i, j] * jac[i, k]
+    a01, a02, a12 = a[1, 0], a[2, 0], a[2, 1]
+    c00, c01, c02 = a[1, 1] * a[2, 2] - a12 * a12, a02 * a12 - a01 * a[2, 2], a01 * a12 - a02 * a[1, 1]
+    c11, c12 = a[0, 0] * a[2, 2] - a02 * a02, a01 * a02 - a[0, 0] * a12
+    c22 = a[0, 0] * a[1, 1] - a01 * a01
+    det = a[0, 0] * c00 + a01 * c01 + a02 * c02
+    if not det > 0.0:
+        return False
+    for i in range(n):
+        j0, j1, j2, s = jac[i, 0], jac[i, 1], jac[i, 2], w[i] / det
+        hat[i, 0] = s * (c00 * j0 + c01 * j1 + c02 * j2)
+        hat[i, 1] = s * (c01 * j0 + c11 * j1 + c12 * j2)
+        hat[i, 2] = s * (c02 * j0 + c12 * j1 + c22 * j2)
+    return True
+
+
+@kernel
+def _expected(
+    jac: Floats, hat: Floats, weight: Floats, m: Floats, mu: Floats, n: int, carried: Floats, out: Floats
+) -> None:
+    """Sums of weights times elements of P V P' = V − J G V − (J G V)' + J G V G' J', G the `hat`'s transpose.
+
+    Σ weight · (J K J') is the sum of the elements of K times those of Σ weight · J J', the same for every
+    cause.
+    """
+    outer = np.zeros((4, 3, 3))
+    for i in range(n):
+        for j in range(3):
+            for k in range(3):
+                t = jac[i, j] * jac[i, k]
+                for kind in range(3):
+                    outer[kind, j, k] += weight[i, kind] * t
+                if i + 1 < n:
+                    outer[3, j, k] += weight[i, 3] * jac[i, j] * jac[i + 1, k]
+    inner = np.empty((3, 3))
+    for cause in range(CAUSES):
+        lag = max(cause - 2, 0)
+        for i in range(n):
+            for j in range(3):
+                carried[i, j] = 0.0
+        for i in range(n - lag):
+            if lag:
+                t = m[i] * m[i + lag]
+                for j in range(3):
+                    carried[i, j] += hat[i + lag, j] * t
+                    carried[i + lag, j] += hat[i, j] * t
+            else:
+                t = 1.0 if cause == 0 else mu[i] if cause == 1 else m[i] * m[i]
+                for j in range(3):
+                    carried[i, j] = hat[i, j] * t
+                for kind in range(3):
+                    out[kind, 1 + cause] += weight[i, kind] * t
+        inner[:] = 0.0
+        for i in range(n):
+            both, cross = 0.0, 0.0
+            for j in range(3):
+                both += jac[i, j] * carried[i, j]
+                if i + 1 < n:
+                    cross += jac[i, j] * carried[i + 1, j] + jac[i + 1, j] * carried[i, j]
+                for k in range(3):
+                    inner[j, k] += carried[i, j] * hat[i, k]
+            for kind in range(3):
+                out[kind, 1 + cause] -= 2.0 * weight[i, kind] * both
+            if lag == 1 and i + 1 < n:
+                cross -= m[i] * m[i + 1]
+            out[3, 1 + cause] -= weight[i, 3] * cross
+        for kind in range(4):
+            for j in range(3):
+                for k in range(3):
+                    out[kind, 1 + cause] += inner[j, k] * outer[kind, j, k]

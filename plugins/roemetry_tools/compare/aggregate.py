@@ -1,0 +1,270 @@
+"""All acquisitions of one variant, added up one at a time."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from roemetry.config.recipe import Recipe
+from roemetry.records import ProductTruth, Reason
+from roemetry.records.arrays import Floats
+from roemetry_tools.compare.agreement import Beside
+from roemetry_tools.compare.centres import CentreScore
+from roemetry_tools.compare.coding import CodingScore
+from roemetry_tools.compare.grading import Graded
+from roemetry_tools.compare.score import Judged, Pair
+from roemetry_tools.compare.statistics import (
+    NOT_GRADED,
+    Classes,
+    Errors,
+    Quartiles,
+    classes_of,
+    errors_of,
+    quartiles_of,
+)
+
+Pairs = list[Beside]
+
+QUANTITIES = ("visible_mm3", "true_mm3", "mass_g")
+"""What is estimated and known: names of the fields of truth."""
+
+
+@dataclass(frozen=True, slots=True)
+class Cause:
+    """A reason and how often it was given, with the sentence of the first time."""
+
+    code: str
+    count: int
+    text: str
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Figures:
+    """What a variant came to.
+
+    Attributes
+    ----------
+    acquisitions, refused
+        How many there were; those not measured, or not wholly.
+    causes, warnings
+        Why they were refused; what stands on the rows of the others.
+    errors
+        By `QUANTITIES`, against truth; None where `absent` says why. For the true volume the estimator's
+        true volume counts, where it gives one, else its visible volume.
+    pairs
+        By `QUANTITIES`, the values of products whose truth is known.
+    values
+        By `QUANTITIES` and product, all that was measured, whether its truth is known or not.
+    graded
+        Products with a true class.
+    true_from_visible
+        For how many products the visible volume was compared with the true one.
+    classes, centres, centres_on_product, coding
+        As their names say; None where `absent` says why.
+    seconds
+        By step, and for all of them together under ``frame``; s for an acquisition.
+    absent
+        By figure, why it is missing.
+    """
+
+    acquisitions: int
+    refused: int
+    causes: tuple[Cause, ...]
+    warnings: tuple[Cause, ...]
+    errors: Mapping[str, Errors | None]
+    pairs: Mapping[str, Pairs]
+    values: Mapping[str, Mapping[str, Beside]]
+    graded: tuple[Graded, ...]
+    true_from_visible: int
+    classes: Classes | None
+    centres: CentreScore | None
+    centres_on_product: CentreScore | None
+    coding: CodingScore | None
+    seconds: Mapping[str, Quartiles]
+    absent: Mapping[str, str]
+
+    @property
+    def failed(self) -> bool:
+        """Whether nothing at all was measured wholly."""
+        return self.refused == self.acquisitions
+
+
+class Tally:
+    """Adds up one variant's acquisitions.
+
+    Parameters
+    ----------
+    recipe
+        What the variant does.
+    without_truth
+        Why nothing is known of the data; "" where something is.
+    """
+
+    def __init__(self, recipe: Recipe, without_truth: str) -> None:
+        self._recipe = recipe
+        self._without_truth = without_truth
+        self._acquisitions = 0
+        self._refused = 0
+        self._causes: Counter[str] = Counter()
+        self._warnings: Counter[str] = Counter()
+        self._texts: dict[str, str] = {}
+        self._pairs: dict[str, Pairs] = {name: [] for name in QUANTITIES}
+        self._values: dict[str, dict[str, Beside]] = {name: {} for name in QUANTITIES}
+        self._graded: list[Graded] = []
+        self._known: Counter[str] = Counter()
+        self._estimated: Counter[str] = Counter()
+        self._from_visible = 0
+        self._classes: Counter[tuple[str, str]] = Counter()
+        self._centres: list[CentreScore | None] = [None, None]
+        self._coding: CodingScore | None = None
+        self._without: dict[str, Reason] = {}
+        self._seconds: dict[str, list[float]] = {}
+        self._cold: dict[str, list[float]] = {}
+
+    def add(self, judged: Judged, *, cold: bool) -> None:
+        """Add an acquisition; `cold`: its times hold what is done once, such as compiling."""
+        self._acquisitions += 1
+        if judged.refused is not None:
+            self._refused += 1
+            self._note(self._causes, judged.refused)
+        said = {reason for pair in judged.pairs for reason in pair.reasons} - {judged.refused}
+        for reason in sorted(said):
+            self._note(self._warnings, reason)
+        for pair in judged.pairs:
+            self._add_pair(pair, f"{judged.item}#{pair.product}")
+        for place, score in enumerate((judged.centres, judged.centres_on_product)):
+            if score is not None:
+                self._centres[place] = (self._centres[place] or CentreScore()) + score
+        if judged.coding is not None:
+            self._coding = (self._coding or CodingScore()) + judged.coding
+        for name, reason in judged.without.items():
+            self._without.setdefault(name, reason)
+        if judged.seconds:
+            kept = self._cold if cold else self._seconds
+            for step, value in {**judged.seconds, "frame": sum(judged.seconds.values())}.items():
+                kept.setdefault(step, []).append(value)
+
+    def figures(self) -> Figures:
+        """Sum up."""
+        seconds = self._seconds or self._cold
+        errors = {name: errors_of(*columns_of(pairs)) for name, pairs in self._pairs.items()}
+        classes = classes_of(self._classes) if self._estimated["label"] else None
+        found: dict[str, object] = {
+            **errors,
+            "label": classes,
+            "centres": self._centres[0] if self._centres[0] and self._centres[0].true else None,
+            "coding": self._coding if self._coding and self._coding.visible else None,
+        }
+        return Figures(
+            acquisitions=self._acquisitions,
+            refused=self._refused,
+            causes=self._counted(self._causes),
+            warnings=self._counted(self._warnings),
+            errors=errors,
+            pairs=self._pairs,
+            values=self._values,
+            graded=tuple(self._graded) if self._estimated["label"] else (),
+            true_from_visible=self._from_visible,
+            classes=classes,
+            centres=self._centres[0],
+            centres_on_product=self._centres[1],
+            coding=self._coding,
+            seconds={
+                step: quartiles
+                for step, values in seconds.items()
+                if (quartiles := quartiles_of(values)) is not None
+            },
+            absent={name: self._why_not(name) for name, value in found.items() if value is None},
+        )
+
+    def _note(self, counter: Counter[str], reason: Reason) -> None:
+        counter[reason.code] += 1
+        self._texts.setdefault(reason.code, reason.text)
+
+    def _counted(self, counter: Counter[str]) -> tuple[Cause, ...]:
+        return tuple(Cause(code, count, self._texts[code]) for code, count in counter.most_common())
+
+    def _add_pair(self, pair: Pair, product: str) -> None:
+        true, specimen = pair.true, _specimen(pair.true, product)
+        estimates = estimates_of(pair)
+        for name in QUANTITIES:
+            value = estimates[name]
+            if name == "true_mm3" and value is None:
+                value = estimates["visible_mm3"]
+            known = math.nan if true is None else getattr(true, name)
+            self._estimated[name] += value is not None
+            self._known[name] += known > 0
+            if value is None or not math.isfinite(value):
+                continue
+            if known > 0 or estimates[name] is not None:
+                self._values[name][product] = Beside(value, known, product, specimen)
+            if known > 0:
+                self._pairs[name].append(Beside(value, known, product, specimen))
+                self._from_visible += name == "true_mm3" and estimates["true_mm3"] is None
+        grade = pair.measured.grade if pair.measured else None
+        label = None if grade is None else grade.label
+        self._estimated["label"] += label is not None
+        if true is not None and true.label:
+            self._known["label"] += 1
+            self._classes[true.label, label or NOT_GRADED] += 1
+            probability = math.nan if grade is None else grade.probability
+            self._graded.append(Graded(product, specimen, true.label, label or "", probability))
+
+    def _why_not(self, name: str) -> str:
+        """Say why a figure is missing."""
+        if name in ("centres", "coding"):
+            needed = {"centres": "extractor", "coding": "coder"}[name]
+            if needed not in self._recipe.stages:
+                return f"the recipe has no {needed}"
+            if self._without_truth:
+                return self._without_truth
+            why = self._without.get(name) or self._without.get("stripes")
+            return why.text if why is not None else f"nothing was given by the {needed}"
+        needed = {"mass_g": "weigher", "label": "classifier"}.get(name, "volume")
+        if needed not in self._recipe.stages:
+            return f"the recipe has no {needed}"
+        if self._without_truth:
+            return self._without_truth
+        if not self._known[name]:
+            return f"the data set knows {_WORDS[name]} of no product"
+        if not self._estimated[name]:
+            return f"nothing was given by the {needed}"
+        return "no product has both, what was measured and what is true"
+
+
+def columns_of(pairs: Pairs) -> tuple[Floats, Floats]:
+    """(product,) estimates, and (product,) true values."""
+    return np.array([pair.estimate for pair in pairs]), np.array([pair.true for pair in pairs])
+
+
+def _specimen(true: ProductTruth | None, product: str) -> str:
+    """Name the thing itself: by what the truth says of it, else every product is one of its own."""
+    figures = {} if true is None else true.figures
+    for name in ("specimen", "seed"):
+        if name in figures and math.isfinite(figures[name]):
+            return f"{name} {figures[name]:.0f} {'' if true is None else true.defect}".strip()
+    return product
+
+
+_WORDS = {
+    "visible_mm3": "the visible volume",
+    "true_mm3": "the true volume",
+    "mass_g": "the mass",
+    "label": "the class",
+}
+
+
+def estimates_of(pair: Pair) -> dict[str, float | None]:
+    """Give what was measured, by `QUANTITIES`; None where it was not."""
+    row = pair.measured
+    volume = None if row is None else row.volume
+    weight = None if row is None else row.weight
+    return {
+        "visible_mm3": None if volume is None else volume.visible_mm3.value,
+        "true_mm3": None if volume is None or volume.true_mm3 is None else volume.true_mm3.value,
+        "mass_g": None if weight is None else weight.mass_g.value,
+    }

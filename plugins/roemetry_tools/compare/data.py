@@ -1,0 +1,212 @@
+"""What variants are compared on: acquisitions, with their truth where a data set has it."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence, Set
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from roemetry.config.dataset import DESCRIPTION, ITEMS, STRIPES, Dataset, Item
+from roemetry.config.recipe import Recipe
+from roemetry.errors import DataError
+from roemetry.io.files import sha256_of
+from roemetry.records import Acquisition, AcquisitionReference, ProductTruth, Sensor, Truth
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """One acquisition and its item in the data set; None where it has none."""
+
+    reference: AcquisitionReference
+    item: Item | None
+
+
+class Data:
+    """What to compare on.
+
+    Parameters
+    ----------
+    recipe
+        Its source says where the images are.
+    folder
+        A data set to use instead: all of its items, whatever the source's path.
+    labels
+        True classes by product (``acquisition#1``), which count instead of those of the data set.
+
+    Attributes
+    ----------
+    dataset
+        The data set; None where there is none.
+    count
+        Number of acquisitions.
+    without_truth
+        Why nothing is known of the acquisitions; "" where there is a data set.
+    labels
+        Classes that count instead of the data set's, by product.
+
+    Raises
+    ------
+    ConfigurationError
+        `folder` is no data set, or its ``dataset.yaml`` is wrong.
+    DataError
+        There is nothing to compare on, or a label is of what is not there.
+    """
+
+    def __init__(
+        self, recipe: Recipe, folder: Path | None = None, *, labels: Mapping[str, str] | None = None
+    ) -> None:
+        self.without_truth = ""
+        self.labels: Mapping[str, str] = {} if labels is None else labels
+        self._references: Sequence[AcquisitionReference] | None = None
+        if folder is not None:
+            self.dataset: Dataset | None = Dataset(folder)
+            self.count = sum(1 for _ in self.dataset.items())
+            if self.count == 0:
+                raise DataError(
+                    f"{folder / ITEMS}: there is no item", hint="make the data set, or name another"
+                )
+            self._check_labels({item.id for item in self.dataset.items()})
+            return
+        self._references = recipe.source.make().references(recipe.source_path)
+        self.count = len(self._references)
+        self._check_labels({reference.id for reference in self._references})
+        found = _folder_of(recipe.source_path)
+        self.dataset = None if found is None else Dataset(found)
+        if self.dataset is None:
+            self.without_truth = (
+                f"nothing is known of the images: there is no {DESCRIPTION} beside or above them; "
+                "name a data set with --data"
+            )
+
+    def _check_labels(self, ids: Set[str]) -> None:
+        strange = sorted(
+            name
+            for name in self.labels
+            if name not in ids and not (_NUMBERED.search(name) and _NUMBERED.sub("", name) in ids)
+        )
+        if strange:
+            more = f" and {len(strange) - 1} more" if len(strange) > 1 else ""
+            raise DataError(
+                f"labels of what is not there: {strange[0]}{more}",
+                hint=f"ids are those of the acquisitions, such as {min(ids)}, or of a product, {min(ids)}#1",
+            )
+
+    def units(self) -> Iterator[Unit]:
+        """Give the acquisitions in order, one at a time."""
+        if self._references is None:
+            assert self.dataset is not None
+            for item in self.dataset.items():
+                files = {role: self.dataset.folder / name for role, name in item.files.items()}
+                yield Unit(AcquisitionReference(item.id, files), item)
+            return
+        items: dict[Path, Item] = {}
+        if self.dataset is not None:
+            for item in self.dataset.items():
+                if "laser" in item.files:
+                    items[(self.dataset.folder / item.files["laser"]).resolve()] = item
+        for reference in self._references:
+            laser = reference.files.get("laser")
+            yield Unit(reference, None if laser is None else items.get(laser.resolve()))
+
+    def described(self) -> dict[str, Any]:
+        """Everything a reader must know of the data."""
+        told: dict[str, Any] = {"acquisitions": self.count, "without_truth": self.without_truth}
+        told["labels"] = sum("#" in name for name in self.labels)
+        if self.dataset is None:
+            nothing = (
+                "name",
+                "folder",
+                "licence",
+                "made_with",
+                "made_from",
+                "notes",
+                "turn_deg",
+                "seeds",
+                "sha256",
+            )
+            return told | dict.fromkeys(nothing)
+        description, folder = self.dataset.description, self.dataset.folder
+        return told | {
+            "name": description.name,
+            "folder": str(folder),
+            "licence": description.licence,
+            "made_with": description.made_with,
+            "made_from": dict(description.made_from),
+            "notes": description.notes,
+            "turn_deg": description.turn_deg,
+            "seeds": self._seeds(),
+            "sha256": {name: sha256_of(folder / name) for name in (DESCRIPTION, ITEMS)},
+        }
+
+    def _seeds(self) -> list[int] | None:
+        """Give the lowest and the highest seed of the products, where the truth knows them."""
+        assert self.dataset is not None
+        seeds = [
+            int(seed)
+            for item in self.dataset.items()
+            for product in item.products
+            if math.isfinite(seed := product.figures.get("seed", math.nan))
+        ]
+        return [min(seeds), max(seeds)] if seeds else None
+
+
+_UNKNOWN = ("name", "folder", "licence", "made_with", "made_from", "notes", "turn_deg", "seeds", "sha256")
+
+
+def changed_file(item: Item, files: Mapping[Any, Path], folder: Path) -> str | None:
+    """Name the first file that is not the one the item was written for: an image, or the stripes' truth."""
+    every: dict[str, Path] = dict(files)
+    if item.stripes is not None:
+        every[STRIPES] = folder / item.stripes
+    for role, path in every.items():
+        if role in item.sha256 and sha256_of(path) != item.sha256[role]:
+            return str(path)
+    return None
+
+
+_NUMBERED = re.compile(r"#[1-9]\d{0,2}$")
+
+
+def labelled(truth: Truth | None, acquisition: str, labels: Mapping[str, str]) -> Truth | None:
+    """Put other classes into the truth; where nothing is known, they are all that is."""
+    if truth is None:
+        begin = f"{acquisition}#"
+        numbers = [int(name.removeprefix(begin)) for name in labels if name.startswith(begin)]
+        known = tuple(
+            ProductTruth(label=labels.get(f"{begin}{number}", ""))
+            for number in range(1, max(numbers, default=0) + 1)
+        )
+        return Truth(known) if known else None
+    if not labels:
+        return truth
+    products = tuple(
+        replace(one, label=labels.get(f"{acquisition}#{number}", ""))
+        for number, one in enumerate(truth.products, start=1)
+    )
+    return replace(truth, products=products)
+
+
+def as_taken(acquisition: Acquisition, item: Item | None, sensor: Sensor | None = None) -> Acquisition:
+    """Add what the data set knows and the image files do not say: bits in use, noise, time, place."""
+    if item is None:
+        return acquisition
+    frames = tuple(
+        replace(
+            frame,
+            bit_depth=frame.bit_depth if item.bit_depth is None else item.bit_depth,
+            sensor=frame.sensor if sensor is None else sensor,
+            time_s=frame.time_s if math.isnan(item.time_s) else item.time_s,
+            encoder_count=frame.encoder_count if math.isnan(item.encoder_count) else item.encoder_count,
+        )
+        for frame in acquisition.frames
+    )
+    return replace(acquisition, frames=frames)
+
+
+def _folder_of(path: Path) -> Path | None:
+    """Give the nearest folder at or above the images that holds a data set."""
+    near = (path, path.parent, path.parent.parent)
+    return next((folder for folder in near if (folder / DESCRIPTION).is_file()), None)

@@ -1,0 +1,235 @@
+"""The files of a comparison: items as they are judged, then JSON, CSV and the page."""
+
+from __future__ import annotations
+
+import json
+import math
+import platform
+import shlex
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, is_dataclass
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from roemetry.errors import OutputError
+from roemetry.io.files import LineFile, make_folder, write_whole
+from roemetry_tools.compare.aggregate import Figures, estimates_of
+from roemetry_tools.compare.agreement import Terms
+from roemetry_tools.compare.bootstrap import RESAMPLES
+from roemetry_tools.compare.data import Data
+from roemetry_tools.compare.grading import Reliability
+from roemetry_tools.compare.ranking import Compared, Standing, choices_of
+from roemetry_tools.compare.score import Judged, Pair
+from roemetry_tools.compare.tables import GROUPS, centre_figures, coding_shares, to_csv
+from roemetry_tools.compare.variants import Variant
+
+ITEMS, SUMMARY, TABLE, PAGE = "items.jsonl", "comparison.json", "comparison.csv", "comparison.html"
+
+
+class ItemsFile:
+    """``items.jsonl``: a line for each variant and product, written as it is judged.
+
+    Parameters
+    ----------
+    folder
+        Of the comparison; made if need be. One that holds a comparison already is refused.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        make_folder(folder)
+        path = folder / ITEMS
+        if path.exists() and path.stat().st_size:
+            raise OutputError(
+                f"{folder}: there is a comparison in this folder already",
+                hint="choose another folder with --out",
+            )
+        self._file = LineFile(path)
+
+    def __enter__(self) -> ItemsFile:
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        self._file.__exit__(*error)
+
+    def add(self, variant: Variant, judged: Judged) -> None:
+        """Write what a variant made of an acquisition."""
+        lines = [
+            json.dumps(_plain(_line(variant, judged, pair)), ensure_ascii=False, allow_nan=False)
+            for pair in judged.pairs
+        ]
+        if lines:
+            self._file.append("\n".join(lines))
+
+
+def write_comparison(
+    folder: Path,
+    compared: Sequence[Compared],
+    data: Data,
+    *,
+    terms: Terms | None = None,
+    command: Sequence[str] = (),
+    began: datetime | None = None,
+) -> tuple[Path, ...]:
+    """Write table, JSON and page; give the files.
+
+    Parameters
+    ----------
+    folder
+        Where.
+    compared
+        What there is to tell; the first is the recipe as it is.
+    data
+        What was compared on.
+    terms
+        What differences were judged by.
+    command
+        Words of the command line, without the program's name.
+    began
+        When; default: now.
+    """
+    from roemetry_tools.compare.page import page
+
+    told = described(compared, data, terms=terms, command=command, began=began)
+    write_whole(folder / SUMMARY, json.dumps(told, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
+    write_whole(folder / TABLE, to_csv(compared))
+    write_whole(folder / PAGE, page(compared, told))
+    return tuple(folder / name for name in (PAGE, TABLE, SUMMARY, ITEMS))
+
+
+def described(
+    compared: Sequence[Compared],
+    data: Data,
+    *,
+    terms: Terms | None = None,
+    command: Sequence[str] = (),
+    began: datetime | None = None,
+) -> dict[str, Any]:
+    """Tell everything as plain values, fit for JSON."""
+    terms = Terms() if terms is None else terms
+    base = compared[0].variant.recipe
+    if base is None:
+        raise AssertionError("the recipe as it is has been loaded")
+    libraries = ("numpy", "numba", "opencv-contrib-python-headless")
+    told = {
+        "roemetry_comparison": 1,
+        "roemetry_version": version("roemetry"),
+        "began": (began or datetime.now(UTC)).isoformat(timespec="seconds"),
+        "command": shlex.join(["roemetry", *command]) if command else "",
+        "recipe": str(base.path),
+        "product": base.product,
+        "sets": list(base.sets),
+        "data": data.described(),
+        "terms": {**asdict(terms), "resamples": RESAMPLES},
+        "choices": [asdict(choice) for choice in choices_of(compared, terms)],
+        "libraries": {name: version(name) for name in libraries},
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "variants": [_variant(one) for one in compared],
+    }
+    plain = _plain(told)
+    assert isinstance(plain, dict)
+    return plain
+
+
+def _variant(one: Compared) -> dict[str, Any]:
+    variant, recipe, figures = one.variant, one.variant.recipe, one.figures
+    return {
+        "variant": variant.number,
+        "name": variant.name,
+        "settings": dict(variant.settings),
+        "status": "failed" if one.failure else "compared",
+        "reason": one.failure,
+        "recipe_sha256": None if recipe is None else recipe.sha256,
+        "calibration_sha256": None
+        if recipe is None or recipe.calibration is None
+        else recipe.calibration.sha256,
+        "stages": None
+        if recipe is None
+        else {kind: chosen.described() for kind, chosen in recipe.stages.items()},
+        "figures": None if figures is None else {**_figures(figures), **_standing(one.standing)},
+    }
+
+
+def _figures(figures: Figures) -> dict[str, Any]:
+    classes = figures.classes
+    return {
+        "acquisitions": figures.acquisitions,
+        "refused": figures.refused,
+        "refused_because": [asdict(cause) for cause in figures.causes],
+        "said_of_the_others": [asdict(cause) for cause in figures.warnings],
+        **{
+            group: None if (errors := figures.errors[quantity]) is None else _errors(asdict(errors), unit)
+            for group, quantity, unit in GROUPS
+        },
+        "volume_true_from_visible_n": figures.true_from_visible,
+        "classes": None if classes is None else {"n": classes.n, **asdict(classes)},
+        "coding": None if figures.coding is None else coding_shares(figures.coding),
+        "centres": None if figures.centres is None else centre_figures("centre", figures.centres),
+        "centres_on_product": None
+        if figures.centres_on_product is None
+        else centre_figures("centre_on_product", figures.centres_on_product),
+        "seconds": {step: asdict(quartiles) for step, quartiles in figures.seconds.items()},
+        "absent": dict(figures.absent),
+    }
+
+
+def _standing(standing: Standing) -> dict[str, Any]:
+    """Tell how a variant stands beside truth and recipe; intervals as [low, high]."""
+    return {
+        "to_truth": {group: standing.truth[name] for group, name, _ in GROUPS if name in standing.truth},
+        "to_recipe": {group: standing.recipe[name] for group, name, _ in GROUPS if name in standing.recipe},
+        "nearer_pct": {
+            group: standing.nearer[name]._asdict() for group, name, _ in GROUPS if name in standing.nearer
+        },
+        "recalls": [recall._asdict() for recall in standing.recalls],
+        "balanced_interval": standing.balanced_interval,
+        "balanced_shift": None if standing.balanced_shift is None else standing.balanced_shift._asdict(),
+        "reliability": None if standing.reliability is None else _reliability(standing.reliability),
+    }
+
+
+def _reliability(found: Reliability) -> dict[str, Any]:
+    return {**asdict(found), "excess": found.excess._asdict(), "bins": [one._asdict() for one in found.bins]}
+
+
+def _errors(errors: dict[str, Any], unit: str) -> dict[str, Any]:
+    return {f"rmse_{unit}" if name == "rmse" else name: value for name, value in errors.items()}
+
+
+def _line(variant: Variant, judged: Judged, pair: Pair) -> dict[str, Any]:
+    row, true = pair.measured, pair.true
+    return {
+        "variant": variant.number,
+        "name": variant.name,
+        "item": judged.item,
+        "product": pair.product,
+        "status": "failed" if row is None else row.status,
+        "measured": None
+        if row is None
+        else {
+            **estimates_of(pair),
+            "visible_std_mm3": None if row.volume is None else row.volume.visible_mm3.std,
+            "mass_std_g": None if row.weight is None else row.weight.mass_g.std,
+            "height_max_mm": row.height_max_mm.value,
+            "height_max_std_mm": row.height_max_mm.std,
+            "label": None if row.grade is None else row.grade.label,
+            "probability": None if row.grade is None else row.grade.probability,
+        },
+        "true": None if true is None else asdict(true),
+        "reasons": [reason._asdict() for reason in pair.reasons],
+    }
+
+
+def _plain(value: Any) -> Any:
+    """Make a value fit for JSON: NaN becomes None, tuples lists, numpy's numbers Python's."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return _plain(asdict(value))
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if hasattr(value, "item") and not isinstance(value, str):
+        value = value.item()
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,168 @@
+"""The page's server: one process, this machine only, nothing from elsewhere."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pydantic import BaseModel, ValidationError
+
+from roemetry.errors import ConfigurationError, RoemetryError
+from roemetry_tools.tune.request import Wish
+from roemetry_tools.tune.session import Session
+
+if TYPE_CHECKING:
+    from starlette.applications import Starlette
+    from starlette.requests import Request
+    from starlette.responses import Response
+
+LOOPBACK = "127.0.0.1"
+_PAGE = Path(__file__).parent / "page"
+_LARGEST_WISH = 1_000_000
+
+_HEADERS = {
+    # The page may load nothing that this process does not serve, and no other page may hold it in a frame.
+    "Content-Security-Policy": "default-src 'self'; img-src 'self' blob: data:; frame-ancestors 'none'",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cache-Control": "no-store",
+}
+
+
+class SaveWish(BaseModel):
+    """What to save, and under which name."""
+
+    wish: Wish
+    name: str = ""
+
+
+def app_of(session: Session) -> Starlette:
+    """Make the application for one recipe.
+
+    Raises
+    ------
+    ConfigurationError
+        The extra ``tune`` is not installed.
+    """
+    try:
+        from starlette.applications import Starlette
+        from starlette.middleware import Middleware
+        from starlette.middleware.trustedhost import TrustedHostMiddleware
+        from starlette.responses import JSONResponse, Response
+        from starlette.routing import Mount, Route
+        from starlette.staticfiles import StaticFiles
+    except ImportError as error:
+        raise not_installed(error) from error
+
+    def page(_: Request) -> Response:
+        text = (_PAGE / "index.html").read_text(encoding="utf-8")
+        return Response(text, media_type="text/html", headers=_HEADERS)
+
+    def recipe(_: Request) -> Response:
+        return JSONResponse(session.recipe(), headers=_HEADERS)
+
+    def picture(request: Request) -> Response:
+        """Give a kept picture by its key, or 404 with a word of why."""
+        found = session.picture(request.path_params["key"])
+        if found is None:
+            return JSONResponse({"said": "this picture is not kept any more"}, 404, headers=_HEADERS)
+        kept = {**_HEADERS, "Cache-Control": "private, max-age=3600, immutable"}  # its name is its hash
+        return Response(found, media_type="image/png", headers=kept)
+
+    async def answer(request: Request) -> Response:
+        wish = await _read(request, Wish)
+        data = await _in_thread(lambda: session.answer(wish))
+        return Response(data, media_type="application/octet-stream", headers=_HEADERS)
+
+    async def save(request: Request) -> Response:
+        given = await _read(request, SaveWish)
+        saved = await _in_thread(lambda: session.save(given.wish, given.name))
+        return JSONResponse({"path": saved.path, "old": saved.old, "recipe": saved.recipe}, headers=_HEADERS)
+
+    def refused(_: Request, error: Exception) -> Response:
+        return JSONResponse({"said": str(error)}, 400, headers=_HEADERS)
+
+    return Starlette(
+        routes=[
+            Route("/", page),
+            Route("/recipe", recipe),
+            Route("/picture/{key}.png", picture),
+            Route("/answer", answer, methods=["POST"]),
+            Route("/save", save, methods=["POST"]),
+            Mount("/page", StaticFiles(directory=_PAGE)),
+        ],
+        # A page of another site can send requests here under a name of its own (DNS rebinding).
+        middleware=[Middleware(TrustedHostMiddleware, allowed_hosts=[LOOPBACK, "localhost"])],
+        exception_handlers={RoemetryError: refused},
+    )
+
+
+def serve(session: Session, port: int, on_ready: Callable[[str], None]) -> None:
+    """Serve the page until the user stops it.
+
+    Parameters
+    ----------
+    port
+        0: any that is free.
+    on_ready
+        Called with the page's address once it can be opened.
+
+    Raises
+    ------
+    ConfigurationError
+        The port is taken; the extra ``tune`` is not installed.
+    """
+    app = app_of(session)
+    try:
+        import uvicorn
+    except ImportError as error:
+        raise not_installed(error) from error
+
+    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as listening:
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            listening.bind((LOOPBACK, port))
+        except OSError as error:
+            raise ConfigurationError(
+                f"--port {port}: cannot be used: {error.strerror or error}",
+                hint="leave --port out to take any that is free",
+            ) from error
+        listening.listen()
+        on_ready(f"http://{LOOPBACK}:{listening.getsockname()[1]}/")
+        config = uvicorn.Config(app, log_level="warning", access_log=False, lifespan="off")
+        uvicorn.Server(config).run(sockets=[listening])
+
+
+def not_installed(error: ImportError) -> ConfigurationError:
+    """Say how to get what the page needs."""
+    return ConfigurationError(
+        f"the tuning page needs the module {error.name}", hint='pip install "roemetry[tune]"'
+    )
+
+
+async def _read(request: Request, model: type[Any]) -> Any:
+    """Read a request's body.
+
+    A page of another site cannot send this content type without asking first, and nobody answers it.
+    """
+    kind = request.headers.get("content-type", "").partition(";")[0].strip()
+    if kind != "application/json":
+        raise RoemetryError("expected content of the type application/json")
+    body = bytearray()
+    async for part in request.stream():
+        body += part
+        if len(body) > _LARGEST_WISH:
+            raise RoemetryError(f"more than {_LARGEST_WISH} bytes were sent")
+    try:
+        return model.model_validate_json(bytes(body))
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise RoemetryError(f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from error
+
+
+async def _in_thread(work: Callable[[], Any]) -> Any:
+    from starlette.concurrency import run_in_threadpool
+
+    return await run_in_threadpool(work)

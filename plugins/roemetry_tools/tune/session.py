@@ -1,0 +1,285 @@
+"""One recipe on the bench: what the page may ask, answered without a network."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from roemetry.config.recipe import Recipe
+from roemetry.errors import ConfigurationError, RoemetryError
+from roemetry.io.files import write_bytes
+from roemetry.io.yaml_source import parse
+from roemetry.records import Acquisition, AcquisitionReference, Frame, Trace
+from roemetry.records.calibration import Calibration
+from roemetry.run.pipeline import Pipeline, frame_of
+from roemetry.run.rows import measurements_of
+from roemetry.run.stage_cache import RememberedStages, StepMemory
+from roemetry.stages.registry import Registry, discover
+from roemetry_tools.tune.annotations import places_of
+from roemetry_tools.tune.editing import differences, edited
+from roemetry_tools.tune.form import form_of
+from roemetry_tools.tune.picture import picture_of
+from roemetry_tools.tune.protocol import packed
+from roemetry_tools.tune.request import Draft, Fault, Wish, draft_of, faults_of
+
+_STEPS_KEPT = 64
+_PICTURES_KEPT = 4
+
+
+@dataclass(frozen=True)
+class Saved:
+    """A recipe that was written, and where the old one is now."""
+
+    path: str
+    old: str
+    recipe: dict[str, Any] = field(default_factory=dict)
+
+
+class Session:
+    """A recipe being tuned: its text, one frame, and the results of stages that need not run again.
+
+    Parameters
+    ----------
+    path
+        The recipe file, or a folder with a ``recipe.yaml`` in it.
+    registry
+        Stages to choose from; default: all that are installed.
+    debug
+        Let what is nobody's doubt or refusal through, with its traceback.
+
+    Raises
+    ------
+    ConfigurationError
+        The recipe is not sound as it stands.
+    DataError
+        Its source has nothing.
+    """
+
+    def __init__(self, path: Path, registry: Registry | None = None, *, debug: bool = False) -> None:
+        self._debug = debug
+        path = path / "recipe.yaml" if path.is_dir() else path
+        self.registry = registry or discover()
+        self._path = path.resolve()  # a link is followed, so that saving does not put a file in its place
+        self._lock = threading.Lock()
+        self._memory = StepMemory(most=_STEPS_KEPT)
+        self._read_calibration = lru_cache(maxsize=2)(_calibration_at)
+        self._looked_at: tuple[object, Acquisition] | None = None
+        self._listed: tuple[object, Sequence[AcquisitionReference]] | None = None
+        self._pictures: dict[str, bytes] = {}
+        self._text = _text_of(self._path)
+        self._own: bytes | None = None
+        Recipe.load(self._path, registry=self.registry)
+        self._base = parse(self._text, str(self._path)).data
+        self._references(self._recipe(Draft(self._base)))
+
+    @property
+    def path(self) -> Path:
+        """The file that is being changed."""
+        return self._path
+
+    def recipe(self) -> dict[str, Any]:
+        """Describe the recipe as it is saved, and what may be chosen instead: all that a form is made of."""
+        with self._lock:
+            return self._described()
+
+    def warm_up(self) -> None:
+        """Load kernels, or compile them, before anybody waits for a slider."""
+        self.answer(Wish())
+        self._memory.clear()  # or the page would show the times of compiling
+
+    def answer(self, wish: Wish) -> bytes:
+        """Run what the wish changes and pack what came out, or what is wrong with it.
+
+        A fault of the form is told with the path of its field; a stage that refuses, or fails, is told with
+        its reason.
+        """
+        with self._lock:
+            begin = time.perf_counter()
+            header: dict[str, Any] = {"faults": [], "changes": []}
+            arrays: dict[str, Any] = {}
+            draft = draft_of(self._base, wish)
+            header["changes"] = differences(self._base, draft.data)
+            try:
+                header |= self._evaluated(draft, wish, arrays)
+            except ConfigurationError as error:
+                header["faults"] = [asdict(fault) for fault in faults_of(draft, error)]
+            except RoemetryError as error:
+                header["faults"] = [asdict(Fault(("source", "path"), str(error)))]
+            # A fault of a plugin (or ours) must not end the page; which one it is, --debug tells.
+            except Exception as error:
+                if self._debug:
+                    raise
+                said = f"{type(error).__name__}: {error} (a plugin's fault, or ours; see --debug)"
+                header["faults"] = [asdict(Fault((), said))]
+            header["seconds_in_all"] = time.perf_counter() - begin
+            return packed(header, arrays)
+
+    def picture(self, key: str) -> bytes | None:
+        """Give the PNG of a frame that an answer named; None where it is not kept any more."""
+        return self._pictures.get(key)
+
+    def save(self, wish: Wish, name: str = "") -> Saved:
+        """Write the recipe, comments kept.
+
+        Parameters
+        ----------
+        wish
+            What it shall say.
+        name
+            Another file's name in the recipe's folder; empty: the recipe itself. What the recipe's file
+            held when it was opened is kept beside it.
+
+        Raises
+        ------
+        ConfigurationError
+            The wish is not sound; the file was changed by someone else; the other file is there already.
+        OutputError
+            It cannot be written; the old file is as it was.
+        """
+        with self._lock:
+            draft = draft_of(self._base, wish)
+            self._recipe(draft)
+            text = edited(self._text, self._path.name, draft.data)
+            target = self._target(name)
+            # Once more, from the text: what is written is what would be read.
+            Recipe.drafted(target, Draft(parse(text, target.name).data), self.registry)
+            old = self._put_aside() if target == self._path else None
+            write_bytes(target, text.encode())
+            self._path, self._text = target, text
+            self._own = text.encode()
+            self._base = parse(text, str(target)).data
+            return Saved(str(target), "" if old is None else old.name, self._described())
+
+    def _described(self) -> dict[str, Any]:
+        recipe = self._recipe(Draft(self._base))
+        return {
+            "path": str(self._path),
+            "name": self._path.name,
+            "product": recipe.product,
+            "calibrated": recipe.calibration is not None,
+            "draws": recipe.draws,
+            "acquisitions": [reference.id for reference in self._references(recipe)],
+            "broken": [str(broken) for broken in self.registry.broken],
+            **form_of(self._base, recipe, self.registry),
+        }
+
+    def _evaluated(self, draft: Draft, wish: Wish, arrays: dict[str, Any]) -> dict[str, Any]:
+        recipe = self._recipe(draft)
+        references = self._references(recipe)
+        reference = next((one for one in references if one.id == wish.acquisition), references[0])
+        acquisition = self._acquisition(recipe, reference)
+        draws = recipe.draws if wish.draws else 0
+        remembered = RememberedStages(recipe, self._memory, draws)
+        settings = recipe.source_choice.model_dump_json(exclude={"path"})
+
+        def frame(given: Acquisition) -> Frame:
+            found: Frame = self._memory.recall(("frame", settings), lambda: frame_of(recipe, given))[0]
+            return found
+
+        trace = Pipeline(recipe, stages=remembered.stages, draws=draws, frame=frame).trace(acquisition)
+        rows = measurements_of(trace, recipe, {})
+        places = places_of(trace, arrays)
+        return {
+            "acquisition": reference.id,
+            "acquisitions": [one.id for one in references],
+            "image": self._pictured(trace, recipe, reference),
+            "absent": {kind: reason.text for kind, reason in trace.absent.items()},
+            "rows": [json.loads(row.to_json()) for row in rows],
+            "places": places,
+            "drawn": draws,
+            "seconds": dict(trace.seconds),
+            "seconds_fresh": {**trace.seconds, **remembered.seconds},
+        }
+
+    def _recipe(self, draft: Draft) -> Recipe:
+        recipe = Recipe.drafted(self._path, draft, self.registry, read_calibration=self._calibration)
+        if draft.faults:
+            raise ConfigurationError([f"{draft.place(fault.path)}: {fault.said}" for fault in draft.faults])
+        return recipe
+
+    def _calibration(self, path: Path) -> Calibration:
+        try:
+            changed = path.stat().st_mtime_ns
+        except OSError:
+            return Calibration.load(path)  # says what is wrong
+        return self._read_calibration(path, changed)
+
+    def _references(self, recipe: Recipe) -> Sequence[AcquisitionReference]:
+        key = _source_key(recipe)
+        if self._listed is None or self._listed[0] != key:
+            self._listed = key, recipe.source.make().references(recipe.source_path)
+        return self._listed[1]
+
+    def _acquisition(self, recipe: Recipe, reference: AcquisitionReference) -> Acquisition:
+        key = (_source_key(recipe), reference.id)
+        if self._looked_at is None or self._looked_at[0] != key:
+            self._looked_at = key, recipe.source.make().read(reference)
+            self._memory.clear()
+        return self._looked_at[1]
+
+    def _pictured(self, trace: Trace, recipe: Recipe, reference: AcquisitionReference) -> dict[str, Any]:
+        if trace.frame is None:
+            return {}
+        deciding = [*_source_key(recipe), reference.id, recipe.source_choice.model_dump(mode="json")]
+        key = hashlib.sha256(json.dumps(deciding).encode()).hexdigest()[:24]
+        if key not in self._pictures:
+            while len(self._pictures) >= _PICTURES_KEPT:
+                del self._pictures[next(iter(self._pictures))]
+            self._pictures[key] = picture_of(trace.frame)
+        rows, columns = trace.frame.size
+        return {"key": key, "rows": rows, "columns": columns, "white": trace.frame.white}
+
+    def _target(self, name: str) -> Path:
+        if name in ("", self._path.name):
+            if _text_of(self._path) != self._text:
+                raise ConfigurationError(
+                    f"{self._path.name} was changed by someone else since it was opened here",
+                    hint="save under another name, or load the page's recipe again",
+                )
+            return self._path
+        if Path(name).name != name or name.startswith("."):
+            raise ConfigurationError(f"`{name}` is not a file name", hint="a name without a folder")
+        target = self._path.parent / (name if name.endswith((".yaml", ".yml")) else f"{name}.yaml")
+        if target.exists():
+            raise ConfigurationError(f"{target.name} is there already", hint="choose another name")
+        return target
+
+    def _put_aside(self) -> Path | None:
+        """Copy the file as someone else wrote it; what this session wrote itself is not kept again."""
+        content = self._path.read_bytes()
+        if content == self._own:
+            return None
+        number = 1
+        while (old := self._path.with_name(f"{self._path.name}.old-{number}")).exists():
+            number += 1
+        write_bytes(old, content)
+        return old
+
+
+def _calibration_at(path: Path, changed: int) -> Calibration:
+    """Read a calibration; `changed` makes a file that was written again another one."""
+    return Calibration.load(path)
+
+
+def _source_key(recipe: Recipe) -> tuple[str, str, str]:
+    described = json.dumps(recipe.source.described(), sort_keys=True)
+    return described, str(recipe.source_path), str(recipe.path.parent)
+
+
+def _text_of(path: Path) -> str:
+    try:
+        with path.open(encoding="utf-8", newline="") as file:  # line ends stay as they are
+            return file.read()
+    except UnicodeDecodeError as error:
+        raise ConfigurationError(f"{path}: not a text file (byte {error.start} is not UTF-8)") from error
+    except OSError as error:
+        raise ConfigurationError(
+            f"{path}: cannot be read: {error.strerror or error}", hint="check the path"
+        ) from error

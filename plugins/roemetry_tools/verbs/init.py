@@ -1,0 +1,193 @@
+"""``roemetry init``."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from roemetry_tools.init_project import Answers, Started
+
+
+def init(
+    folder: Annotated[Path | None, typer.Argument(help="Folder to write; empty, or not there yet.")] = None,
+    like: Annotated[
+        str | None,
+        typer.Option(
+            "--like",
+            metavar="LINE",
+            help="A product line that comes with roemetry; its recipe, rig, scene and calibration are taken.",
+        ),
+    ] = None,
+    product: Annotated[
+        str | None, typer.Option("--product", help="Own product: what lies on the belt.")
+    ] = None,
+    size: Annotated[
+        str | None,
+        typer.Option(
+            "--size",
+            metavar="LxWxH",
+            help="With --product: largest length across the stripes, width, height, mm.",
+        ),
+    ] = None,
+    image: Annotated[
+        str, typer.Option("--image", metavar="COLUMNSxROWS", help="The camera's image, px.")
+    ] = "640x480",
+    pixel_um: Annotated[float, typer.Option("--pixel-um", help="Pitch of the camera's pixels, µm.")] = 10.0,
+    focal_mm: Annotated[float, typer.Option("--focal-mm", help="Focal length of the lens, mm.")] = 16.0,
+    distance_mm: Annotated[
+        float | None,
+        typer.Option("--distance-mm", help="Camera to belt, mm; left out: as near as the product allows."),
+    ] = None,
+    stripes: Annotated[
+        int | None,
+        typer.Option(
+            "--stripes",
+            help="Stripes of light, 5 to 40; left out: up to 15, as many as leave the projector room.",
+        ),
+    ] = None,
+    measure: Annotated[
+        str, typer.Option("--measure", help="What is wanted, with commas: volume, weight, shape.")
+    ] = "volume",
+    density: Annotated[
+        float | None, typer.Option("--density", help="Of the product, g/cm³; needed for weight.")
+    ] = None,
+    plain_light: Annotated[
+        bool,
+        typer.Option(
+            "--plain-light",
+            help="A second image is taken in plain light, laser off: an outline is found, the volume "
+            "follows it.",
+        ),
+    ] = False,
+    items: Annotated[int, typer.Option("--items", min=0, help="Simulated acquisitions to try it on.")] = 3,
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+) -> None:
+    """Write a folder to begin with: recipe, rig, calibration, simulated images, the next three commands.
+
+    Asks what it needs in a terminal, unless --like or --product is given. Nothing is overwritten.
+    """
+    from roemetry.cli.progress import progress
+    from roemetry.errors import ConfigurationError
+    from roemetry_tools.init_project import Answers, start_like, start_own
+
+    asking = folder is None or (like is None and product is None)
+    if asking and not in_terminal():
+        _say_what_is_missing(folder)
+    folder = folder or Path(typer.prompt("Folder to write"))
+    jobs = os.cpu_count() or 1
+    if like is not None:
+        if product is not None:
+            raise ConfigurationError("--like and --product exclude each other", hint="leave one of both out")
+        with progress("simulating", quiet=False) as shown:
+            started = start_like(like, folder, items=items, jobs=jobs, on_progress=shown)
+    else:
+        if product is None:
+            answers = _ask()
+        else:
+            length, width, height = _numbers("--size", size, 3, "LxWxH in mm, e.g. 90x60x45")
+            columns, rows = _numbers("--image", image, 2, "COLUMNSxROWS in px, e.g. 1280x1024")
+            answers = Answers(
+                product=product,
+                size_mm=(length, width, height),
+                columns=int(columns),
+                rows=int(rows),
+                pixel_um=pixel_um,
+                focal_mm=focal_mm,
+                distance_mm=distance_mm,
+                stripes=stripes,
+                measures=tuple(word.strip() for word in measure.split(",") if word.strip()),
+                density_g_per_cm3=density,
+                plain_light=plain_light,
+            )
+        with progress("simulating", quiet=False) as shown:
+            started = start_own(answers, folder, items=items, jobs=jobs, on_progress=shown)
+    _tell(started)
+
+
+def in_terminal() -> bool:
+    """Tell whether there is somebody to ask."""
+    return sys.stdin.isatty()
+
+
+def _say_what_is_missing(folder: Path | None) -> None:
+    from roemetry.errors import ConfigurationError
+    from roemetry_tools.init_project import shipped_lines
+
+    missing = [] if folder is not None else ["the folder to write"]
+    missing += ["--like or --product with --size"]
+    raise ConfigurationError(
+        f"init: there is no terminal to ask in; {' and '.join(missing)} must be given",
+        hint=f"for example `roemetry init potatoes --like potato` (there are {', '.join(shipped_lines())}), "
+        "or `roemetry init plums --product plums --size 50x40x35`",
+    )
+
+
+def _ask() -> Answers:
+    from roemetry_tools.init_project import Answers
+
+    product = typer.prompt("Product")
+    said = typer.prompt("Largest one: length across the stripes x width x height, mm")
+    length, width, height = _numbers("--size", said, 3, "LxWxH in mm, e.g. 90x60x45")
+    columns, rows = _numbers(
+        "--image", typer.prompt("Image of the camera, px", default="640x480"), 2, "640x480"
+    )
+    pixel_um = typer.prompt("Pitch of its pixels, µm", default=10.0)
+    focal_mm = typer.prompt("Focal length, mm", default=16.0)
+    distance = typer.prompt("Camera to belt, mm (0: as near as the product allows)", default=0.0)
+    stripes = typer.prompt("Stripes of light (0: as many as fit)", default=0)
+    measure = typer.prompt("Wanted: volume, weight, shape (with commas)", default="volume")
+    measures = tuple(word.strip() for word in measure.split(",") if word.strip())
+    density = typer.prompt("Density, g/cm³", type=float) if "weight" in measures else None
+    plain = typer.confirm("Is a second image taken in plain light, laser off?", default=False)
+    return Answers(
+        product=product,
+        size_mm=(length, width, height),
+        columns=int(columns),
+        rows=int(rows),
+        pixel_um=pixel_um,
+        focal_mm=focal_mm,
+        distance_mm=distance or None,
+        stripes=stripes or None,
+        measures=measures,
+        density_g_per_cm3=density,
+        plain_light=plain,
+    )
+
+
+def _numbers(flag: str, said: str | None, count: int, expected: str) -> tuple[float, ...]:
+    from roemetry.errors import ConfigurationError
+
+    if said is None:
+        raise ConfigurationError(f"{flag}: this is missing", hint=f"give {expected}")
+    parts = said.lower().replace("×", "x").replace("mm", "").replace(" ", "").split("x")
+    try:
+        found = tuple(float(part) for part in parts)
+    except ValueError:
+        found = ()
+    if len(found) != count or not all(abs(value) < 1e9 for value in found):
+        raise ConfigurationError(f"{flag}: found `{said}`; expected {count} numbers: {expected}")
+    return found
+
+
+def _tell(started: Started) -> None:
+    if started.layout is not None:
+        rig = started.layout
+        typer.echo(
+            f"camera {rig.distance:g} mm over the belt, {rig.mm_per_px:.3f} mm a pixel; "
+            f"{rig.stripes} stripes {rig.spacing:g} mm apart; projector "
+            f"{rig.projector_x:g} mm beside, {rig.projector_z:g} mm over the belt"
+        )
+        typer.echo(f"1 mm of height displaces a stripe by {rig.px_per_mm:.2f} px")
+    typer.echo(
+        f"{started.folder}: {', '.join(path.name for path in started.files)}; "
+        f"{started.items} simulated acquisitions in data"
+    )
+    typer.echo(
+        f"next: cd {shlex.quote(str(started.folder))} && roemetry run .   (README.md says how to go on)"
+    )

@@ -1,0 +1,46 @@
+"""From images to a calibration, its evidence, and its checks on a running line."""
+
+from roemetry.calibrate.block_check import block_of, check_calibration, find_block, read_block
+from roemetry.run.control_chart import (
+    QUANTITIES,
+    Chart,
+    Check,
+    Quantity,
+    calibration_doubts,
+    chart_page,
+    judge,
+)
+from roemetry.calibrate.evidence import (
+    correlations,
+    coverage,
+    evidence_page,
+    height_uncertainty,
+    level_line_px,
+)
+from roemetry.calibrate.from_rig import calibrate, calibrate_with_evidence, default_path, observe
+from roemetry.calibrate.penetration import fit_penetration, fit_penetration_in_one
+
+__all__ = [
+    "QUANTITIES",
+    "Chart",
+    "Check",
+    "Quantity",
+    "block_of",
+    "calibrate",
+    "calibrate_with_evidence",
+    "calibration_doubts",
+    "chart_page",
+    "check_calibration",
+    "correlations",
+    "coverage",
+    "default_path",
+    "evidence_page",
+    "find_block",
+    "fit_penetration",
+    "fit_penetration_in_one",
+    "height_uncertainty",
+    "judge",
+    "level_line_px",
+    "observe",
+    "read_block",
+]

@@ -1,0 +1,354 @@
+"""A known block through a recipe's own chain: found, measured, and compared with its description."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from roemetry.records.arrays import Flags, Floats
+from roemetry.run.control_chart import Chart, Check, Quantity, judge
+from roemetry.records.calibration import Calibration
+from roemetry.errors import ConfigurationError, DataError
+from roemetry.io.files import sha256_of
+from roemetry.run.pipeline import Pipeline
+from roemetry.config.recipe import Recipe
+from roemetry.records import BELT, Acquisition, AcquisitionReference, Block, Profiles, Trace
+from roemetry.config.target_file import read_block as block_in_file
+from roemetry.records.view import View
+
+_REDRAWS = 100
+"""A standard deviation of 100 draws is uncertain by 7 %."""
+_SEED = 1
+"""Fixed: a check of the same image says the same."""
+
+
+def check_calibration(recipe: Recipe, image: Path, block: Block, chart: Path | None) -> Check:
+    """Measure a block again and say whether the calibration still holds.
+
+    Parameters
+    ----------
+    recipe
+        Its extractor, coder, triangulator and calibration are used; nothing else of it.
+    image
+        The block on the belt under the stripes.
+    block
+        Its sides and their tolerance.
+    chart
+        Where checks are kept: earlier ones are looked at, this one is added. None keeps nothing.
+
+    Raises
+    ------
+    DataError
+        The recipe has no calibration, the image cannot be read, or the block is not found in it.
+    OutputError
+        The chart cannot be written.
+    """
+    calibration = recipe.calibration
+    if calibration is None or "triangulator" not in recipe.stages:
+        raise DataError(
+            f"{recipe.path}: there is no calibration to check",
+            hint="name one in `calibration`, and a triangulator in `stages`",
+        )
+    # The block is matt: what light does in the product is not to be added to it.
+    trace = trace_of(replace(recipe, penetration=None), image)
+    profiles = profiles_in(trace, image)
+    places = find_block(profiles, block)
+    view = recipe.stages["triangulator"].make().view(calibration)
+    reading = read_block(profiles, places, view)
+    spread = _spread(recipe, trace, calibration, places)
+    height, belt, width = quantities_of(reading, block, spread, _pixel_mm(calibration, profiles, places))
+    check = Check(
+        made=datetime.now(UTC).isoformat(timespec="seconds"),
+        calibration_sha256=calibration.sha256,
+        target=block.name,
+        image=image.name,
+        image_sha256=sha256_of(image),
+        height=height,
+        belt=belt,
+        width=width,
+        stripes=reading.stripes,
+        stripe_spread_mm=reading.stripe_spread_mm,
+    )
+    history = () if chart is None else Chart(chart).checks(calibration.sha256)
+    verdict, reasons = judge(check, history)
+    check = replace(check, verdict=verdict, reasons=reasons)
+    if chart is not None:
+        Chart(chart).add(check)
+    return check
+
+
+def profiles_of(recipe: Recipe, image: Path) -> Profiles:
+    """Take one image through a recipe as far as its profiles; raise DataError where that cannot be done."""
+    return profiles_in(trace_of(recipe, image), image)
+
+
+def trace_of(recipe: Recipe, image: Path) -> Trace:
+    """Take one image through a recipe's chain, without draws; raise DataError where it cannot be read."""
+    return Pipeline(recipe, draws=0).trace(_read(image))
+
+
+def _read(image: Path) -> Acquisition:
+    from roemetry.stages.registry import discover
+
+    registry = discover()
+    source = registry.load(registry.find("source", "image-files"))()
+    acquisition: Acquisition = source.read(AcquisitionReference(image.stem, {"laser": image}))
+    return acquisition
+
+
+def profiles_in(trace: Trace, image: Path) -> Profiles:
+    """Give what a chain made of an image; raise DataError where it did not get as far as profiles."""
+    if trace.profiles is None:
+        why = "; ".join(reason.text for reason in trace.absent.values())
+        raise DataError(f"{image}: the block cannot be measured: {why}")
+    return trace.profiles
+
+
+def _spread(recipe: Recipe, trace: Trace, calibration: Calibration, places: Places) -> Reading:
+    """Standard deviation of the readings over redrawn calibrations."""
+    triangulator = recipe.stages["triangulator"].make()
+    redraws = calibration.redraws(np.random.default_rng(_SEED), triangulator.view)
+    drawn = []
+    for _ in range(_REDRAWS):
+        drawn_one = next(redraws)
+        profiles = triangulator.triangulate(trace.stripes, drawn_one)
+        drawn.append(read_block(profiles, places, drawn_one.view))
+    of = {
+        name: float(np.std([getattr(reading, name) for reading in drawn], ddof=1))
+        for name in ("height_mm", "belt_mm", "width_mm")
+    }
+    return Reading(**of, stripes=0, stripe_spread_mm=0.0)
+
+
+def _pixel_mm(calibration: Calibration, profiles: Profiles, places: Places) -> tuple[float, float]:
+    """Height for one pixel along the row, and length along Y for one row, mm."""
+    height = float(np.median(1.0 / np.abs(calibration.displacement_px_per_mm)))
+    y = np.where(places.top, profiles.xyz_mm[:, :, 1], np.nan)
+    rows = np.where(places.top, profiles.row_px, np.nan)
+    along = np.abs(np.diff(y, axis=1) / np.diff(rows, axis=1))
+    return height, float(np.nanmedian(along))
+
+
+def block_of(recipe: Recipe, target: Path | None) -> Block:
+    """Give the block described in a file, or else the one the recipe's calibration was made from.
+
+    Raises
+    ------
+    ConfigurationError
+        The file is at fault, or none is given and the calibration was made from something else.
+    """
+    if target is not None:
+        given = block_in_file(target.name, target.parent)
+        if given is not None:
+            return given
+    known = dict(recipe.calibration.target) if recipe.calibration is not None else {}
+    if known.get("kind") != "block":
+        raise ConfigurationError(
+            "no block is described: the calibration was made from something else",
+            hint="name the block's description with --target",
+        )
+    sides = ("length_mm", "width_mm", "height_mm", "tolerance_mm")
+    return Block(str(known["name"]), *(float(known[side]) for side in sides))
+
+
+def quantities_of(
+    reading: Reading, block: Block, spread: Reading, pixel_mm: tuple[float, float]
+) -> tuple[Quantity, Quantity, Quantity]:
+    """Put readings beside what they should be.
+
+    Parameters
+    ----------
+    reading
+        As measured.
+    block
+        As described; its tolerance is a rectangular distribution.
+    spread
+        Standard deviation of each reading over redrawn calibrations.
+    pixel_mm
+        Height, and length along the stripes, for one pixel, mm.
+    """
+    reference = block.tolerance_mm / math.sqrt(3.0)
+    height_px, along_px = (_PEAK_DOUBT_PX * mm for mm in pixel_mm)
+    return (
+        Quantity(reading.height_mm, block.height_mm, math.hypot(reference, spread.height_mm, height_px)),
+        Quantity(reading.belt_mm, 0.0, math.hypot(spread.belt_mm, height_px)),
+        Quantity(
+            reading.width_mm,
+            block.width_mm,
+            math.hypot(reference, spread.width_mm, _EDGE_DOUBT_PX / _PEAK_DOUBT_PX * along_px),
+        ),
+    )
+
+
+_PEAK_DOUBT_PX = 0.1
+"""What an extractor, and light that enters the surface, may shift all peaks of an image by."""
+_EDGE_DOUBT_PX = 0.5
+"""An edge lies somewhere between two rows."""
+
+
+_TOP_FROM_SHARE = 0.6
+"""A product's point higher than this share of the block's height is looked at as its top."""
+_TOP_SCATTERS = 4.0
+"""Standard deviations from the median height within which points are the top's."""
+_TOP_LEAST_SHARE = 0.02
+"""Of the block's height, the same at least: a calibration that tilts the top is to be seen, not cut."""
+_EDGE_ROWS = 3
+"""Rows next to an edge that are not used: the extractor smears it."""
+_POINTS_MIN = 10
+"""Points of a stripe on the top: from fewer the mean is a peak's noise."""
+_STRIPES_MIN = 3
+"""Stripes on the top: with fewer a reflection would pass."""
+_EDGE_GAP_ROWS = 2
+"""An edge with more dark rows than this beside it is not known well enough to measure a width."""
+_MAD_TO_STD = 1.4826
+"""Standard deviation of a normal distribution over its median absolute deviation."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Places:
+    """Where in the image block and belt were found: frozen, so that redrawn profiles are read alike.
+
+    Attributes
+    ----------
+    top, belt
+        (slice, point) points of the block's top, away from its edges, and of the bare belt.
+    edges
+        (slice, 2) index of the first and last point of the top, edges included; −1 where an edge is not seen.
+    gap_rows
+        (slice, 2) rows from there to the nearest belt point: the edge lies in the middle of it.
+    """
+
+    top: Flags
+    belt: Flags
+    edges: np.ndarray
+    gap_rows: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """A block as the chain measures it, mm.
+
+    Attributes
+    ----------
+    height_mm
+        Mean height of its top over the calibrated belt plane.
+    belt_mm
+        Mean height of the bare belt: 0 where nothing has moved.
+    width_mm
+        Its side along the stripes; NaN where its edges are not seen on three stripes.
+    stripes
+        Number of stripes on its top.
+    stripe_spread_mm
+        Standard deviation of the stripes' own mean heights.
+    """
+
+    height_mm: float
+    belt_mm: float
+    width_mm: float
+    stripes: int
+    stripe_spread_mm: float
+
+
+def find_block(profiles: Profiles, block: Block) -> Places:
+    """Find a block's top and the belt around it.
+
+    Raises
+    ------
+    DataError
+        Fewer than three stripes (or than there are) show a level top near the block's height, or no belt.
+    """
+    height = profiles.xyz_mm[:, :, 2]
+    on_product = (profiles.product > BELT) & profiles.seen
+    high = on_product & (height > _TOP_FROM_SHARE * block.height_mm)
+    needed = min(_STRIPES_MIN, profiles.slice_count)
+    if (high.sum(axis=1) >= _POINTS_MIN).sum() < needed:
+        raise DataError(
+            f"the block `{block.name}` is not seen: fewer than {needed} stripes show points above "
+            f"{_TOP_FROM_SHARE * block.height_mm:.1f} mm",
+            hint="does it lie under the stripes? is it the block of the target file? look at the coding",
+        )
+    level = float(np.median(height[high]))
+    scatter = _MAD_TO_STD * float(np.median(np.abs(height[high] - level)))
+    near = max(_TOP_SCATTERS * scatter, _TOP_LEAST_SHARE * block.height_mm)
+    whole = on_product & (np.abs(height - level) <= near)
+    top = whole.copy()
+    for shift in range(1, _EDGE_ROWS + 1):
+        top[:, shift:] &= whole[:, :-shift]
+        top[:, :-shift] &= whole[:, shift:]
+    top &= (top.sum(axis=1) >= _POINTS_MIN)[:, None]
+    if top.any(axis=1).sum() < needed:
+        raise DataError(
+            f"the block `{block.name}` has no level top: fewer than {needed} stripes show one",
+            hint="is it clean, and does it lie flat?",
+        )
+    belt = (profiles.product == BELT) & profiles.seen
+    if belt.sum() < _POINTS_MIN:
+        raise DataError("no bare belt is seen beside the block", hint="leave belt free above and below it")
+    edges, gaps = _edges(whole, belt, top)
+    return Places(top, belt, edges, gaps)
+
+
+def read_block(profiles: Profiles, places: Places, view: View | None) -> Reading:
+    """Measure at the places found: heights of top and belt, and the width between the edges.
+
+    The width is taken by the view, if there is one, at the height measured: a calibration that leaves
+    perspective out of X and Y would show its model's error there, not the line's.
+    """
+    height = profiles.xyz_mm[:, :, 2]
+    on_top = places.top.any(axis=1)
+    each = np.array([height[s][places.top[s]].mean() for s in np.flatnonzero(on_top)])
+    return Reading(
+        height_mm=float(each.mean()),
+        belt_mm=float(height[places.belt].mean()),
+        width_mm=_width(_seen_mm(profiles, view), places),
+        stripes=int(on_top.sum()),
+        stripe_spread_mm=float(each.std(ddof=1)) if each.size > 1 else float("nan"),
+    )
+
+
+def _edges(whole: Flags, belt: Flags, top: Flags) -> tuple[np.ndarray, Floats]:
+    """First and last top point of each slice with a top, and the rows to the belt beside them."""
+    edges = np.full((len(whole), 2), -1)
+    gaps = np.full((len(whole), 2), np.nan)
+    for s in np.flatnonzero(top.any(axis=1)):
+        on, bare = np.flatnonzero(whole[s]), np.flatnonzero(belt[s])
+        before, after = bare[bare < on[0]], bare[bare > on[-1]]
+        if before.size and on[0] - before[-1] <= _EDGE_GAP_ROWS:
+            edges[s, 0], gaps[s, 0] = on[0], on[0] - before[-1]
+        if after.size and after[0] - on[-1] <= _EDGE_GAP_ROWS:
+            edges[s, 1], gaps[s, 1] = on[-1], after[0] - on[-1]
+    return edges, gaps
+
+
+def _seen_mm(profiles: Profiles, view: View | None) -> Floats:
+    """(slice, point, 3) the points, mm, placed by the view where there is one."""
+    if view is None:
+        return profiles.xyz_mm
+    return view.at_height(np.stack([profiles.x_px, profiles.row_px], axis=-1), profiles.xyz_mm[:, :, 2])
+
+
+def _width(xyz_mm: Floats, places: Places) -> float:
+    """Distance between two parallel lines through the edges, mm."""
+    both = np.flatnonzero((places.edges >= 0).all(axis=1))
+    if both.size < _STRIPES_MIN:
+        return float("nan")
+    ends = []
+    for side, inwards in ((0, 1), (1, -1)):
+        at = places.edges[both, side]
+        here, within = xyz_mm[both, at], xyz_mm[both, at + inwards]
+        ends.append(here + 0.5 * places.gap_rows[both, side, None] * (here - within))
+    (x0, y0), (x1, y1) = ends[0][:, :2].T, ends[1][:, :2].T
+    # Medians: one edge taken beside a neighbour's belt line must not turn the block.
+    slope = float(np.median([*_slopes(x0, y0), *_slopes(x1, y1)]))
+    apart = np.median(y0 - slope * x0) - np.median(y1 - slope * x1)
+    return float(abs(apart) / np.hypot(1.0, slope))
+
+
+def _slopes(x: Floats, y: Floats) -> Floats:
+    """Slopes between all pairs of points (Theil and Sen)."""
+    one, other = np.triu_indices(x.size, 1)
+    return np.asarray((y[other] - y[one]) / (x[other] - x[one]))

@@ -1,0 +1,185 @@
+"""From a rig file to a calibration."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from roemetry.config.rig import Rig, pose_of
+from roemetry.errors import CalibrationError
+from roemetry.io.files import sha256_of
+from roemetry.records import (
+    Acquisition,
+    AcquisitionReference,
+    CalibrationSet,
+    Evidence,
+    Frame,
+    Observation,
+    Peaks,
+)
+from roemetry.records.calibration import Calibration
+from roemetry.run.preprocess import prepare
+from roemetry.run.stage_errors import blamed
+from roemetry.stages.contracts import given
+from roemetry.stages.registry import Registry, discover
+
+
+def calibrate(rig: Rig, *, registry: Registry | None = None) -> Calibration:
+    """Run the rig's extractor over its images and hand the peaks to its calibrator.
+
+    Raises
+    ------
+    CalibrationError
+        The images differ in size, or the calibrator refuses; with the reason and what to do.
+    DataError
+        An image cannot be read.
+    """
+    observed, hashes = observe(rig, registry or discover())
+    return _calibrated(rig, observed, hashes)
+
+
+def calibrate_with_evidence(rig: Rig, *, registry: Registry | None = None) -> tuple[Calibration, Evidence]:
+    """Calibrate, and give what the calibrator can show for it; raises as `calibrate`."""
+    observed, hashes = observe(rig, registry or discover())
+    calibration = _calibrated(rig, observed, hashes)
+    return calibration, rig.calibrator.make().evidence(observed, calibration)
+
+
+def _calibrated(rig: Rig, observed: CalibrationSet, hashes: dict[str, str]) -> Calibration:
+    with blamed("calibrator", rig.calibrator):
+        calibration: Calibration = given("calibrator", rig.calibrator.make().calibrate(observed))
+    return replace(calibration, image_sha256=hashes, made=datetime.now(UTC).isoformat(timespec="seconds"))
+
+
+def observe(rig: Rig, registry: Registry) -> tuple[CalibrationSet, dict[str, str]]:
+    """Read a rig's images and find their peaks; give what the calibrator receives, and the images' hashes.
+
+    A laser image of a board has its peaks from the difference to its laser-off partner, where there is one
+    in the same light.
+
+    Raises
+    ------
+    CalibrationError
+        There is no image, an image stands there twice, or sizes differ.
+    DataError
+        An image cannot be read.
+    """
+    source = registry.load(registry.find("source", "image-files"))()
+    extractor = rig.extractor.make()
+    observations: list[Observation] = []
+    hashes: dict[str, str] = {}
+    plain: dict[tuple[str, str], Frame] = {}
+    first: Frame | None = None
+    for shows, paths in rig.images.items():
+        target = shows.removesuffix("_laser")
+        on_board = target in ("board", "board_on_belt")
+        lit = not on_board or target != shows
+        for index, path in enumerate(paths):
+            read: Frame = source.read(AcquisitionReference(path.stem, {"laser": path})).frames[0]
+            first = first or read
+            _same_size(first, read)
+            found = sha256_of(path)
+            if found in hashes.values():
+                raise CalibrationError(
+                    f"{path} is the same image as another one",
+                    hint="name each image once: twice tells no more",
+                )
+            hashes[f"{shows}/{path.name}"] = found
+            pose = pose_of(path) if on_board else ""
+            frame = _prepared(read, None, rig)
+            if not lit:
+                if shows == "board_on_belt" and rig.file.encoder_counts:
+                    frame = replace(frame, encoder_count=rig.file.encoder_counts[index])
+                plain[target, pose] = read
+                observations.append(Observation(target, replace(frame, role="plain"), _none(frame), pose))
+                continue
+            partner = plain.get((target, pose))
+            if partner is not None and _brighter_light(partner, read):
+                partner = (
+                    None  # in other light than the laser image: it shows the board, not what to subtract
+                )
+            light = frame if partner is None else _prepared(read, partner, rig)
+            with blamed("extractor", rig.extractor):
+                peaks = given("extractor", extractor.extract(light))
+            observations.append(Observation(target, frame, peaks, pose))
+    if not observations:
+        raise CalibrationError(
+            f"{rig.path}: there are no images to calibrate from", hint="name them in `images`"
+        )
+    observed = CalibrationSet(
+        observations=tuple(observations),
+        stripe_count=rig.file.stripes,
+        block=rig.block,
+        working_distance_mm=rig.file.working_distance_mm,
+        extractor=rig.extractor.described(),
+        board=rig.board,
+        staircase=rig.staircase,
+        pyramid=rig.pyramid,
+        mm_per_count=_per_count(rig),
+        sphere_plate=rig.sphere_plate,
+        ruler=rig.ruler,
+    )
+    return observed, hashes
+
+
+def _per_count(rig: Rig) -> tuple[float, float] | None:
+    known_mm = rig.file.encoder_mm_per_count
+    return None if known_mm is None else (known_mm, rig.file.encoder_mm_per_count_std)
+
+
+def default_path(rig: Rig) -> Path:
+    """Where the calibration goes if nobody says otherwise: beside the rig file."""
+    return rig.path.with_name("calibration.yaml")
+
+
+def _prepared(laser: Frame, partner: Frame | None, rig: Rig) -> Frame:
+    """One channel, turned; the light of the laser alone where there is a laser-off partner."""
+    frames = (laser,) if partner is None else (laser, replace(partner, role="dark"))
+    options: dict[str, Any] = {
+        "channel": rig.file.channel,
+        "turn_deg": rig.file.turn_deg,
+        "bit_depth": rig.file.bit_depth,
+        "subtract": "none" if partner is None else "dark",
+        "sensor": rig.sensor,
+    }
+    return prepare(Acquisition(laser.name, frames), **options)
+
+
+def _brighter_light(plain: Frame, laser: Frame) -> bool:
+    """Say whether much more than stripes is brighter in the laser-off image: it was taken in plain light."""
+    step = _BRIGHTER_GREY * laser.white
+    brighter = plain.pixels.astype(np.float32) - laser.pixels > step
+    return bool(brighter.mean() > _BRIGHTER_SHARE_MAX)
+
+
+_BRIGHTER_GREY = 0.02
+"""Of white: more than noise of two images differs by."""
+_BRIGHTER_SHARE_MAX = 0.25
+"""Of the image: stripes and their glow cover less."""
+
+
+def _none(frame: Frame) -> Peaks:
+    nothing = np.empty(0)
+    return Peaks(
+        image_size=frame.size,
+        row=np.empty(0, np.int64),
+        x_px=nothing,
+        x_std_px=nothing,
+        amplitude=nothing,
+        background=nothing,
+        width_px=nothing,
+        flags=np.empty(0, np.uint8),
+    )
+
+
+def _same_size(first: Frame, frame: Frame) -> None:
+    if frame.size != first.size:
+        raise CalibrationError(
+            f"{frame.name} is {frame.size[1]} × {frame.size[0]} pixels, "
+            f"{first.name} is {first.size[1]} × {first.size[0]}",
+            hint="take all images with one camera and one region of interest",
+        )

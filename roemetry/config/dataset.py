@@ -1,0 +1,318 @@
+"""Data sets: images by role with what is known of them, in an open folder format.
+
+A data set is a folder with
+
+* ``dataset.yaml``: name, licence, the command that made it, folders of calibration data;
+* ``calibration.sha256``: hashes of the calibration data, as ``sha256sum`` writes them;
+* ``truth/calibration.yaml``: what is true of the rig and of the calibration targets, where that is known;
+* ``items.jsonl``: a line an item: its id, its files by role with their hashes, the truth of its products, and
+  the file that holds the truth of its stripes;
+* the files themselves, wherever the lines say (by habit ``images/``, ``truth/``).
+
+An item counts only once its line stands in ``items.jsonl``, and its line is written last. So a set that was
+interrupted holds no half item, and can be gone on with.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import math
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from roemetry.config.recipe_file import SensorFile
+from roemetry.config.validation import checked
+from roemetry.errors import ConfigurationError, DataError, OutputError
+from roemetry.io.files import LineFile, make_folder, sha256_of, write_whole
+from roemetry.io.json_values import json_values
+from roemetry.io.yaml_source import dump, read
+from roemetry.records import ProductTruth, Role, Sensor, StripeTruth, Truth
+
+DESCRIPTION = "dataset.yaml"
+ITEMS = "items.jsonl"
+HASHES = "calibration.sha256"
+STRIPES = "stripes"
+CALIBRATION_TRUTH = "truth/calibration.yaml"
+
+_LASTING = ("roemetry_dataset", "name", "licence", "made_from", "turn_deg")
+
+
+class Description(BaseModel):
+    """What ``dataset.yaml`` says."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    roemetry_dataset: Literal[1] = Field(description="version of the format")
+    name: str = Field(min_length=1, description="what to call it")
+    licence: str = Field(description="under which licence it may be used (SPDX identifier)")
+    made_with: str = Field(default="", description="the command that makes it again")
+    made_from: dict[str, str | int] = Field(
+        default_factory=dict, description="what decides its bytes: seed, hash of the scene, versions"
+    )
+    turn_deg: Literal[0, 90, 180, 270] = Field(default=0, description="turn that recipes apply, degrees")
+    sensor: SensorFile | None = Field(default=None, description="the camera's noise, as in the recipe")
+    calibration: dict[str, str] = Field(
+        default_factory=dict, description="calibration data by kind: folder or file, relative to this file"
+    )
+    notes: str = Field(default="", description="what a user must know, in words")
+
+
+@dataclass(frozen=True, slots=True)
+class Item:
+    """One acquisition of a data set.
+
+    Attributes
+    ----------
+    id
+        Unique in the set.
+    files
+        By role, the image's path relative to the set.
+    sha256
+        By role, the image's hash.
+    products
+        Truth of its products.
+    stripes
+        File (.npz) with the truth of its stripes, relative to the set; None where there is none.
+    time_s, encoder_count
+        When and where on the belt it was taken; NaN where not known.
+    bit_depth
+        Bits in use of its images; None is all that the files' pixels have.
+    """
+
+    id: str
+    files: Mapping[Role, str]
+    sha256: Mapping[str, str] = field(default_factory=dict)
+    products: tuple[ProductTruth, ...] = ()
+    stripes: str | None = None
+    time_s: float = math.nan
+    encoder_count: float = math.nan
+    bit_depth: int | None = None
+
+
+class Dataset:
+    """A data set to read. Items are read one at a time, so that a long set needs no memory.
+
+    Parameters
+    ----------
+    folder
+        The set's folder.
+
+    Raises
+    ------
+    ConfigurationError
+        There is no ``dataset.yaml``, or it is wrong; every fault with its place.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        document = read(folder / DESCRIPTION)
+        description, faults = checked(Description, document.data, document.place)
+        if description is None:
+            raise ConfigurationError(faults)
+        self.folder = folder
+        self.description: Description = description
+
+    @property
+    def sensor(self) -> Sensor | None:
+        """The camera's noise; None where the set does not say it."""
+        said = self.description.sensor
+        return None if said is None else Sensor(**said.model_dump())
+
+    def calibration_truth(self) -> dict[str, Any]:
+        """Read what is true of the rig and of the calibration targets; empty where the set does not know."""
+        path = self.folder / CALIBRATION_TRUTH
+        return dict(read(path).data) if path.exists() else {}
+
+    def items(self) -> Iterator[Item]:
+        """Give the items in order."""
+        path = self.folder / ITEMS
+        try:
+            with path.open(encoding="utf-8") as file:
+                for number, line in enumerate(file, start=1):
+                    yield _item(line, f"{path}:{number}")
+        except OSError as error:
+            raise DataError(f"{path}: cannot be read: {error.strerror or error}") from error
+
+    def truth(self, item: Item) -> Truth:
+        """Read what is known of an item."""
+        if item.stripes is None:
+            return Truth(item.products)
+        path = self.folder / item.stripes
+        try:
+            with np.load(path) as kept:
+                fields = ("x_px", "on_product", "xyz_mm", *(("product",) if "product" in kept else ()))
+                stripes = StripeTruth(**{name: kept[name] for name in fields})
+        except (OSError, KeyError, ValueError) as error:
+            raise DataError(f"{path}: not the truth of stripes: {error}") from error
+        return Truth(item.products, stripes)
+
+    def faults(self) -> Iterator[str]:
+        """Check every file against its hash; give a sentence for each fault, one at a time."""
+        seen: set[int] = set()
+        try:
+            for item in self.items():
+                # of a long set the hashes of the ids take less memory than the ids
+                mark = hash(item.id)
+                if mark in seen:
+                    yield f"{self.folder / ITEMS}: the id `{item.id}` stands twice"
+                seen.add(mark)
+                yield from self._item_faults(item)
+        except DataError as error:
+            yield str(error)
+        for kind, name in self.description.calibration.items():
+            if not (self.folder / name).exists():
+                yield f"{self.folder / name}: is missing (calibration, {kind})"
+        for name, stored in _calibration_hashes(self.folder):
+            yield from self._file_faults(name, stored, "calibration")
+
+    def _item_faults(self, item: Item) -> Iterator[str]:
+        for role, name in item.files.items():
+            yield from self._file_faults(name, item.sha256.get(role), f"{item.id}, {role}")
+        if item.stripes is None:
+            return
+        faults = list(self._file_faults(item.stripes, item.sha256.get(STRIPES), f"{item.id}, truth"))
+        yield from faults
+        if not faults:
+            try:
+                self.truth(item)
+            except DataError as error:
+                yield str(error)
+
+    def _file_faults(self, name: str, stored: str | None, what: str) -> Iterator[str]:
+        path = self.folder / name
+        if not path.is_file():
+            yield f"{path}: is missing ({what})"
+        elif stored is not None and sha256_of(path) != stored:
+            yield f"{path}: has changed since the set was made ({what})"
+
+
+class DatasetWriter:
+    """A data set to write, or to go on with.
+
+    Parameters
+    ----------
+    folder
+        Where; made if need be.
+    description
+        What ``dataset.yaml`` will say. A set that is gone on with must be of the same name, licence, turn and
+        origin; the command that makes it and its calibration data may change as it grows.
+
+    Attributes
+    ----------
+    done
+        Ids of the items that are there.
+    """
+
+    def __init__(self, folder: Path, description: Description) -> None:
+        make_folder(folder)
+        self.folder = folder
+        path = folder / DESCRIPTION
+        old = Dataset(folder).description if path.exists() else description
+        if any(getattr(old, name) != getattr(description, name) for name in _LASTING):
+            raise OutputError(
+                f"{folder}: holds another data set", hint="choose another folder, or empty this one"
+            )
+        if old != description or not path.exists():
+            write_whole(path, dump(description.model_dump(mode="json")))
+        self._items = LineFile(folder / ITEMS)
+        self.done = frozenset(item.id for item in Dataset(folder).items())
+
+    def add(self, item: Item) -> None:
+        """Write an item's line; its files must be there, and their hashes are taken from them."""
+        hashes: dict[str, str] = {role: sha256_of(self.folder / name) for role, name in item.files.items()}
+        if item.stripes is not None:
+            hashes[STRIPES] = sha256_of(self.folder / item.stripes)
+        row = asdict(item) | {"sha256": hashes}
+        self._items.append(json.dumps(json_values(row), ensure_ascii=False))
+
+    def close(self) -> None:
+        """Close the list of items."""
+        self._items.__exit__(None, None, None)
+
+    def __enter__(self) -> DatasetWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def save_stripes(path: Path, stripes: StripeTruth) -> None:
+    """Write the truth of stripes, compressed, in float32 (a ten-thousandth of a pixel at 1,000 px)."""
+    buffer = io.BytesIO()
+    np.savez_compressed(
+        buffer,
+        x_px=stripes.x_px.astype(np.float32),
+        on_product=stripes.on_product,
+        product=stripes.product,
+        xyz_mm=stripes.xyz_mm.astype(np.float32),
+    )
+    save_bytes(path, buffer.getvalue())
+
+
+def save_bytes(path: Path, data: bytes) -> None:
+    """Write a file whole or not at all, and its folder if need be; raise OutputError where that fails."""
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    make_folder(path.parent)
+    try:
+        part.write_bytes(data)
+        part.replace(path)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            part.unlink()
+        raise OutputError(
+            f"{path}: cannot be written: {error.strerror or error}",
+            hint="free some space; what was written before is whole, and `--resume` goes on from there",
+        ) from error
+
+
+def save_calibration_truth(folder: Path, truth: Mapping[str, Any]) -> str:
+    """Write what is true of rig and targets; give the file's name in the set."""
+    make_folder((folder / CALIBRATION_TRUTH).parent)
+    write_whole(folder / CALIBRATION_TRUTH, dump(dict(truth)))
+    return CALIBRATION_TRUTH
+
+
+def save_calibration_hashes(folder: Path, names: Sequence[str]) -> None:
+    """Write the hashes of a set's calibration files, given relative to it."""
+    if names:
+        lines = [f"{sha256_of(folder / name)}  {name}\n" for name in names]
+        write_whole(folder / HASHES, "".join(lines))
+
+
+def _calibration_hashes(folder: Path) -> Iterator[tuple[str, str]]:
+    path = folder / HASHES
+    if path.exists():
+        for line in path.read_text(encoding="utf-8").splitlines():
+            stored, _, name = line.partition("  ")
+            yield name, stored
+
+
+def _item(line: str, place: str) -> Item:
+    try:
+        row: dict[str, Any] = json.loads(line)
+        products = tuple(_product(product) for product in row["products"])
+        time_s, encoder_count = (
+            math.nan if row.get(name) is None else float(row[name]) for name in ("time_s", "encoder_count")
+        )
+        return Item(
+            str(row["id"]), row["files"], row["sha256"], products, row["stripes"],
+            time_s, encoder_count, row.get("bit_depth"),
+        )  # fmt: skip
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise DataError(f"{place}: not an item of a data set ({type(error).__name__}: {error})") from error
+
+
+def _product(row: dict[str, Any]) -> ProductTruth:
+    numbers: dict[str, Any] = {name: math.nan if value is None else value for name, value in row.items()}
+    numbers["figures"] = {name: math.nan if v is None else v for name, v in row["figures"].items()}
+    return ProductTruth(**numbers)

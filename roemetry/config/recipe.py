@@ -1,0 +1,287 @@
+"""A recipe: which stages, with which options, on what; read in two phases.
+
+First the names, against the registry; then only the chosen stages' options. So one recipe imports only what
+it uses, and every fault of the file is told at once, each with its place.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Protocol, Self
+
+from roemetry.config.overrides import Overridden
+from roemetry.config.recipe_file import NEEDS, CalibrationCheck, RecipeFile, SourceChoice
+from roemetry.config.resolve import Chooser, Chosen
+from roemetry.config.validation import checked
+from roemetry.errors import ConfigurationError, RoemetryError
+from roemetry.io.yaml_source import Document, Step, read
+from roemetry.records import Sensor
+from roemetry.records.calibration import Calibration
+from roemetry.records.penetration import Penetration
+from roemetry.stages.registry import Registry, discover
+
+
+class Content(Protocol):
+    """A recipe file's values, and the way back to where each stands."""
+
+    data: Any
+    sets: list[str]
+
+    def place(self, path: Sequence[Step]) -> str:
+        """Say where the value at a path comes from."""
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """A checked recipe, with its calibration read and its classes imported.
+
+    Attributes
+    ----------
+    path, sets
+        The recipe file, and the changes made to it.
+    product
+        What is measured, in words.
+    source_choice, source
+        Where images come from and how they are made ready; the source stage.
+    source_path
+        What the source reads.
+    calibration_path, calibration
+        None where the recipe has none: results are then in pixels.
+    penetration
+        What is added to heights because light enters the product; None: nothing.
+    calibration_check
+        What is asked of the calibration; None: nothing.
+    stages
+        By kind, in the order of the chain.
+    draws
+        Monte Carlo draws for the uncertainty of the results; 0: none.
+    sinks
+        What is derived from the record at the end.
+    """
+
+    path: Path
+    sets: tuple[str, ...]
+    product: str
+    source_choice: SourceChoice
+    source: Chosen
+    source_path: Path
+    calibration_path: Path | None
+    calibration: Calibration | None
+    penetration: Penetration | None
+    calibration_check: CalibrationCheck | None
+    stages: Mapping[str, Chosen]
+    draws: int
+    sinks: tuple[Chosen, ...]
+
+    @classmethod
+    def load(cls, path: Path | str, *, sets: Sequence[str] = (), registry: Registry | None = None) -> Self:
+        """Read and check a recipe.
+
+        Parameters
+        ----------
+        path
+            The recipe file, or a folder with a ``recipe.yaml`` in it.
+        sets
+            Changes of the form ``stages.extractor.options.threshold=80``.
+        registry
+            Stages to choose from; default: all that are installed.
+
+        Raises
+        ------
+        ConfigurationError
+            With every fault of the file, each with its place.
+        """
+        path = Path(path)
+        path = path / "recipe.yaml" if path.is_dir() else path
+        return cls(**_resolved(path, Overridden(read(path), sets), registry or discover()))
+
+    @classmethod
+    def of(
+        cls, data: Mapping[str, Any], *, folder: Path | str = ".", registry: Registry | None = None
+    ) -> Self:
+        """Check a recipe that is in memory.
+
+        Parameters
+        ----------
+        data
+            What a recipe file says, as plain dictionaries, lists, words and numbers.
+        folder
+            Where the relative paths in it begin.
+        registry
+            Stages to choose from; default: all that are installed.
+
+        Raises
+        ------
+        ConfigurationError
+            With every fault, each with its keys.
+        """
+        document = Overridden(Document("the recipe", data), ())
+        return cls(**_resolved(Path(folder) / "recipe.yaml", document, registry or discover()))
+
+    @classmethod
+    def drafted(
+        cls,
+        path: Path,
+        content: Content,
+        registry: Registry,
+        *,
+        read_calibration: Callable[[Path], Calibration] = Calibration.load,
+    ) -> Self:
+        """Check what a recipe file would say if it were saved.
+
+        Parameters
+        ----------
+        path
+            The recipe file: relative paths in it begin at its folder.
+        content
+            Its values; `content.place` gives what stands before each fault.
+        registry
+            Stages to choose from.
+        read_calibration
+            Reads a calibration file, or remembers it.
+
+        Raises
+        ------
+        ConfigurationError
+            With every fault, each with its place.
+        """
+        return cls(**_resolved(path, content, registry, read_calibration))
+
+    def resolved(self) -> dict[str, Any]:
+        """Everything that decides a result, with defaults filled in, as plain values."""
+        source = self.source_choice.model_dump(mode="json")
+        source["options"] = self.source.options.model_dump(mode="json")
+        return {
+            "roemetry": 1,
+            "product": self.product,
+            "source": source,
+            "calibration": None if self.calibration is None else self.calibration.sha256,
+            "stages": {kind: chosen.described() for kind, chosen in self.stages.items()},
+            "penetration": None if self.penetration is None else self.penetration.sha256,
+            "draws": self.draws,
+            "sinks": [sink.described() for sink in self.sinks],
+        }
+
+    @property
+    def sensor(self) -> Sensor | None:
+        """The camera's noise, where the recipe states it."""
+        stated = self.source_choice.sensor
+        return None if stated is None else Sensor(**stated.model_dump())
+
+    @property
+    def hashes(self) -> dict[str, str]:
+        """What stands on every row of the record: which recipe and which calibration made it."""
+        made = {"recipe_sha256": self.sha256}
+        return made if self.calibration is None else made | {"calibration_sha256": self.calibration.sha256}
+
+    @cached_property
+    def sha256(self) -> str:
+        """Hash of all that decides a number: not the path of the images, not the sinks."""
+        deciding = self.resolved()
+        del deciding["sinks"], deciding["source"]["path"]
+        return hashlib.sha256(json.dumps(deciding, sort_keys=True).encode()).hexdigest()
+
+
+def _resolved(
+    path: Path,
+    document: Content,
+    registry: Registry,
+    read_calibration: Callable[[Path], Calibration] = Calibration.load,
+) -> dict[str, Any]:
+    """Check a document and give the attributes of the recipe it describes."""
+    file, faults = checked(RecipeFile, document.data, document.place)
+    if file is None:
+        raise ConfigurationError(faults)
+    chooser = Chooser(registry, document.place, path.parent)
+    source = chooser.choose("source", file.source, "source")
+    stages: dict[str, Chosen] = {}
+    for kind in type(file.stages).model_fields:
+        choice = getattr(file.stages, kind)
+        if choice is None:
+            continue
+        needed = NEEDS.get(kind)
+        if needed is not None and getattr(file.stages, needed) is None:
+            chooser.fault(f"it works on the result of the {needed}; add one", "stages", kind)
+        chosen = chooser.choose(kind, choice, "stages", kind)
+        if chosen is not None:
+            stages[kind] = chosen
+    _check_needs(stages, file, chooser)
+    sinks = [chooser.choose("sink", choice, "sinks", index) for index, choice in enumerate(file.sinks)]
+    calibration_path = None if file.calibration is None else path.parent / file.calibration
+    calibration = None
+    if calibration_path is not None:
+        try:
+            calibration = read_calibration(calibration_path)
+        except RoemetryError as error:
+            chooser.fault(str(error), "calibration")
+        else:
+            _check_method(calibration, stages.get("triangulator"), chooser)
+            _check_count(calibration, stages, chooser)
+            if calibration.turn_deg != file.source.turn_deg:
+                chooser.fault(
+                    f"{file.source.turn_deg}°, but the calibration was made at {calibration.turn_deg}°; "
+                    "turn images and rig alike",
+                    "source",
+                    "turn_deg",
+                )
+    penetration = None
+    if file.penetration is not None:
+        try:
+            penetration = Penetration.load(path.parent / file.penetration)
+        except RoemetryError as error:
+            chooser.fault(str(error), "penetration")
+    if chooser.faults or source is None:
+        raise ConfigurationError(chooser.faults)
+    return {
+        "path": path,
+        "sets": tuple(document.sets),
+        "product": file.product,
+        "source_choice": file.source,
+        "source": source,
+        "source_path": path.parent / file.source.path,
+        "calibration_path": calibration_path,
+        "calibration": calibration,
+        "penetration": penetration,
+        "calibration_check": file.calibration_check,
+        "stages": stages,
+        "draws": file.draws,
+        "sinks": tuple(sink for sink in sinks if sink is not None),
+    }
+
+
+def _check_needs(stages: Mapping[str, Chosen], file: RecipeFile, chooser: Chooser) -> None:
+    """Note a fault where the grader asks for the result of a stage that the recipe has not."""
+    grader = stages.get("grader")
+    if grader is None:
+        return
+    for kind in sorted(grader.make().needs()):
+        if getattr(file.stages, kind) is None:
+            chooser.fault(f"it works on the result of the {kind}; add one", "stages", "grader")
+
+
+def _check_count(calibration: Calibration, stages: Mapping[str, Chosen], chooser: Chooser) -> None:
+    """Note a fault where a stage is told of another number of stripes than was calibrated."""
+    for kind, chosen in stages.items():
+        count = getattr(chosen.options, "stripe_count", None)
+        if count is not None and count != calibration.stripe_count:
+            chooser.fault(
+                f"{count}, but the calibration has {calibration.stripe_count} stripes",
+                "stages", kind, "options", "stripe_count",
+            )  # fmt: skip
+
+
+def _check_method(calibration: Calibration, triangulator: Chosen | None, chooser: Chooser) -> None:
+    """Note a fault where the triangulator does not understand the calibration."""
+    if triangulator is None or triangulator.registered.entry.name == calibration.method:
+        return
+    name = triangulator.registered.entry.name
+    chooser.fault(
+        f"made by `{calibration.method}`, but the triangulator is `{name}`; "
+        f"use `{calibration.method}`, or calibrate with `{name}`",
+        "calibration",
+    )

@@ -1,0 +1,120 @@
+"""Stages chosen by a file: names first, against the registry, then the chosen stages' options."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Protocol, get_args
+
+from roemetry.config.validation import Place, checked
+from roemetry.errors import RoemetryError
+from roemetry.io.files import sha256_of
+from roemetry.io.yaml_source import Step
+from roemetry.stages import INTERFACES, Stage, StageOptions
+from roemetry.stages.registry import Registered, Registry
+
+
+class Choice(Protocol):
+    """What a file says of a stage."""
+
+    use: str
+    options: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """A stage that was chosen: who provides it, its class, its checked options."""
+
+    registered: Registered
+    stage: type[Stage[Any]]
+    options: StageOptions
+
+    def make(self) -> Any:
+        """Make the stage."""
+        return self.stage(self.options)
+
+    def described(self) -> dict[str, Any]:
+        """Name, provider with version, and every option with its value; of a file its name and its hash."""
+        return dict(self._described)
+
+    @cached_property
+    def _described(self) -> dict[str, Any]:
+        """Made once: every row of a run asks, and files are hashed for it."""
+        options = self.options.model_dump(mode="json")
+        for name, path in _paths(self.options).items():
+            options[name] = f"{path.name} sha256 {sha256_of(path)}"
+        return {
+            "use": self.registered.entry.name,
+            "provider": str(self.registered.provider),
+            "options": options,
+        }
+
+
+class Chooser:
+    """Resolves a file's choices and collects every fault.
+
+    Parameters
+    ----------
+    registry
+        What is installed.
+    place
+        Gives ``file:line:column`` of a path in the file.
+    folder
+        Where relative paths in stages' options begin.
+    """
+
+    def __init__(self, registry: Registry, place: Place, folder: Path) -> None:
+        self.faults: list[str] = []
+        self._registry = registry
+        self._place = place
+        self._folder = folder
+
+    def choose(self, kind: str, choice: Choice, *at: Step) -> Chosen | None:
+        """Find, import and configure a stage that stands at a path of the file; None where that fails."""
+        try:
+            registered = self._registry.find(kind, choice.use)
+            stage = self._registry.load(registered)
+        except RoemetryError as error:
+            self.fault(str(error), *at, "use")
+            return None
+        misfit = misfit_of(stage, kind)
+        if misfit is not None:
+            self.fault(f"{choice.use} of {registered.provider} cannot be used: {misfit}", *at)
+            return None
+        options, wrong = checked(stage.Options, choice.options, self._place, (*at, "options"))
+        self.faults += wrong
+        if options is None:
+            return None
+        files = {name: self._folder / path for name, path in _paths(options).items()}
+        for name, path in files.items():
+            if not path.is_file():
+                self.fault(f"there is no file {path}", *at, "options", name)
+        return Chosen(registered, stage, options.model_copy(update=files) if files else options)
+
+    def fault(self, sentence: str, *at: Step) -> None:
+        """Note a fault at a path of the file."""
+        self.faults.append(f"{self._place(at)}: {'.'.join(map(str, at))}: {sentence}")
+
+
+def misfit_of(stage: type[Any], kind: str) -> str | None:
+    """Say why a class cannot be a stage of a kind, and what its author has to do; None if it can."""
+    interface = INTERFACES[kind]
+    if not issubclass(stage, interface):
+        return f"class {stage.__name__} does not inherit from `roemetry.stages.{interface.__name__}`"
+    if stage.__abstractmethods__:
+        lacking = ", ".join(f"`{name}`" for name in sorted(stage.__abstractmethods__))
+        return f"class {stage.__name__} does not define {lacking}"
+    for base in stage.__dict__.get("__orig_bases__", ()):
+        for model in get_args(base):
+            if isinstance(model, type) and not issubclass(stage.Options, model):
+                return (
+                    f"class {stage.__name__} has no options: write `Options = {model.__name__}` in its body"
+                )
+    return None
+
+
+def _paths(options: StageOptions) -> dict[str, Path]:
+    """Options that name files: those whose values are paths."""
+    given = {name: getattr(options, name) for name in type(options).model_fields}
+    return {name: value for name, value in given.items() if isinstance(value, Path)}

@@ -1,0 +1,212 @@
+"""The rig file: what `roemetry calibrate` looks at."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, TypeVar
+
+from pydantic import Field
+
+from roemetry.config.overrides import Overridden
+from roemetry.config.recipe_file import Channel, Choice, Section, SensorFile, StageChoice, Turn
+from roemetry.config.resolve import Chooser, Chosen
+from roemetry.config.target_file import (
+    BlockFile,
+    BoardFile,
+    PyramidFile,
+    SpherePlateFile,
+    StaircaseFile,
+    read_block,
+    read_board,
+    read_pyramid,
+    read_sphere_plate,
+    read_staircase,
+)
+from roemetry.config.validation import checked
+from roemetry.errors import ConfigurationError, RoemetryError
+from roemetry.io.yaml_source import read
+from roemetry.records import Block, Board, Pyramid, Ruler, Sensor, SpherePlate, Staircase
+from roemetry.stages.registry import Registry, discover
+
+_Target = TypeVar("_Target")
+
+
+class CalibrationImages(Section):
+    """Images by what lies on the belt; paths or patterns relative to the rig file."""
+
+    block: list[str] = Field(default_factory=list, description="the block under the stripes")
+    belt: list[str] = Field(default_factory=list, description="the empty belt")
+    staircase: list[str] = Field(default_factory=list, description="the staircase under the stripes")
+    pyramid: list[str] = Field(default_factory=list, description="the truncated pyramid under the stripes")
+    sphere_plate: list[str] = Field(default_factory=list, description="the sphere plate under the stripes")
+    board: list[str] = Field(default_factory=list, description="the board in many poses, laser off")
+    board_laser: list[str] = Field(default_factory=list, description="the board in these poses, laser on")
+    board_on_belt: list[str] = Field(
+        default_factory=list, description="the board lying on the belt, laser off"
+    )
+    board_on_belt_laser: list[str] = Field(
+        default_factory=list, description="the board lying on the belt, laser on"
+    )
+
+
+class RulerFile(Section):
+    """A length of the board's sheet, as it should be and as it is."""
+
+    printed_mm: float = Field(gt=0, description="what it should be, e.g. that of the sheet's own ruler, mm")
+    measured_mm: float = Field(gt=0, description="what a steel ruler or a calliper measures, mm")
+    std_mm: float = Field(default=0.2, gt=0, description="standard uncertainty of that, mm")
+
+
+class RigFile(Section):
+    """What is calibrated, from what."""
+
+    roemetry_rig: Literal[1] = Field(description="version of the rig format")
+    name: str = Field(min_length=1, description="what to call the rig")
+    stripes: int = Field(ge=1, le=200, description="number of stripes the laser projects")
+    channel: Channel = Field(default="grey", description="what to make of a colour image")
+    turn_deg: Turn = Field(default=0, description="counter-clockwise turn, degrees, as in the recipe")
+    bit_depth: int | None = Field(
+        default=None, ge=1, le=16, description="bits in use; default: all that the files' pixels have"
+    )
+    sensor: SensorFile | None = Field(default=None, description="the camera's noise, as in the recipe")
+    working_distance_mm: float | None = Field(
+        default=None, gt=0, description="camera (its entrance pupil) to belt, mm; leave out if unknown"
+    )
+    target: str | BlockFile | None = Field(default=None, description="a target's file, or the target itself")
+    board: str | BoardFile | None = Field(
+        default=None, description="the board's description: a file, or the board itself"
+    )
+    staircase: str | StaircaseFile | None = Field(
+        default=None, description="the staircase's description: a file, or the staircase itself"
+    )
+    pyramid: str | PyramidFile | None = Field(
+        default=None, description="the truncated pyramid's description: a file, or the pyramid itself"
+    )
+    sphere_plate: str | SpherePlateFile | None = Field(
+        default=None, description="the sphere plate's description: a file, or the plate itself"
+    )
+    ruler: RulerFile | None = Field(
+        default=None, description="a length of the board's print, measured with a ruler"
+    )
+    encoder_counts: list[float] = Field(
+        default_factory=list,
+        description="of the images in board_on_belt, in their order, if the belt carries the board along",
+    )
+    encoder_mm_per_count: float | None = Field(
+        default=None,
+        gt=0,
+        description="the belt's way per encoder count, mm, where it is known from elsewhere",
+    )
+    encoder_mm_per_count_std: float = Field(default=0.0, ge=0, description="its standard uncertainty, mm")
+    images: CalibrationImages
+    extractor: Choice
+    calibrator: Choice = Field(default_factory=lambda: StageChoice(use="block-linear"))
+
+
+@dataclass(frozen=True)
+class Rig:
+    """A checked rig file, its target read, its classes imported."""
+
+    path: Path
+    file: RigFile
+    block: Block | None
+    board: Board | None
+    staircase: Staircase | None
+    pyramid: Pyramid | None
+    sphere_plate: SpherePlate | None
+    images: dict[str, list[Path]]
+    extractor: Chosen
+    calibrator: Chosen
+
+    @property
+    def ruler(self) -> Ruler | None:
+        """What a ruler measured of the board's print, where the file states it."""
+        return None if self.file.ruler is None else Ruler(**self.file.ruler.model_dump())
+
+    @property
+    def sensor(self) -> Sensor | None:
+        """The camera's noise, where the file states it."""
+        return None if self.file.sensor is None else Sensor(**self.file.sensor.model_dump())
+
+    @classmethod
+    def load(cls, path: Path | str, *, sets: Sequence[str] = (), registry: Registry | None = None) -> Rig:
+        """Read and check a rig file; raise ConfigurationError with every fault, each with its place."""
+        path = Path(path)
+        document = Overridden(read(path), sets)
+        file, faults = checked(RigFile, document.data, document.place)
+        if file is None:
+            raise ConfigurationError(faults)
+        chooser = Chooser(registry or discover(), document.place, path.parent)
+        extractor = chooser.choose("extractor", file.extractor, "extractor")
+        calibrator = chooser.choose("calibrator", file.calibrator, "calibrator")
+        images = {
+            shows: [
+                found
+                for index, pattern in enumerate(patterns)
+                for found in _found(path.parent, pattern, chooser, shows, index)
+            ]
+            for shows, patterns in file.images.model_dump().items()
+        }
+        folder = path.parent
+        block = _asked(chooser, "target", lambda: read_block(file.target, folder))
+        board = _asked(chooser, "board", lambda: read_board(file.board, folder))
+        staircase = _asked(chooser, "staircase", lambda: read_staircase(file.staircase, folder))
+        pyramid = _asked(chooser, "pyramid", lambda: read_pyramid(file.pyramid, folder))
+        spheres = _asked(chooser, "sphere_plate", lambda: read_sphere_plate(file.sphere_plate, folder))
+        for shows in ("board", "board_laser", "board_on_belt", "board_on_belt_laser"):
+            _poses_differ(images[shows], shows, chooser)
+        counts = file.encoder_counts
+        if counts and len(counts) != len(images["board_on_belt"]):
+            chooser.fault(
+                f"{len(counts)} counts for {len(images['board_on_belt'])} images in images.board_on_belt",
+                "encoder_counts",
+            )
+        if chooser.faults or extractor is None or calibrator is None:
+            raise ConfigurationError(chooser.faults)
+        return cls(path, file, block, board, staircase, pyramid, spheres, images, extractor, calibrator)
+
+
+def _found(folder: Path, pattern: str, chooser: Chooser, shows: str, index: int) -> list[Path]:
+    found = (
+        sorted(folder.glob(pattern), key=_in_order) if not Path(pattern).is_absolute() else [Path(pattern)]
+    )
+    found = [file for file in found if file.is_file()]
+    if not found:
+        chooser.fault(f"there is no file {folder / pattern}", "images", shows, index)
+    return found
+
+
+def pose_of(path: Path) -> str:
+    """Tell a board's pose by the numbers in its file's name: ``calib07.png``, ``light_7.png`` show one."""
+    numbers = re.findall(r"\d+", path.stem)
+    return "-".join(str(int(number)) for number in numbers) or path.stem
+
+
+def _in_order(path: Path) -> tuple[tuple[int, str], ...]:
+    """By name, with numbers in it taken as numbers: 2 before 10."""
+    parts = re.split(r"(\d+)", path.name)
+    return tuple((int(part), "") if part.isdigit() else (-1, part) for part in parts)
+
+
+def _poses_differ(paths: list[Path], shows: str, chooser: Chooser) -> None:
+    seen: dict[str, Path] = {}
+    for path in paths:
+        other = seen.setdefault(pose_of(path), path)
+        if other != path:
+            chooser.fault(
+                f"{other.name} and {path.name} hold the same numbers: the number in a file's name tells "
+                "the pose, which pairs images with the laser on and off",
+                "images",
+                shows,
+            )
+
+
+def _asked(chooser: Chooser, key: str, read_it: Callable[[], _Target]) -> _Target | None:
+    try:
+        return read_it()
+    except RoemetryError as error:
+        chooser.fault(str(error), key)
+        return None

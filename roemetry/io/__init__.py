@@ -1,0 +1,1 @@
+"""Files, YAML with places, JSON values: nothing here knows what it holds."""

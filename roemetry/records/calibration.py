@@ -1,0 +1,227 @@
+"""The calibration: how pixels become millimetres, how sure that is, and what it was made from."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from roemetry.errors import CalibrationError, DataError
+from roemetry.io.files import write_whole
+from roemetry.io.yaml_source import dump, read
+from roemetry.records.arrays import Checker, Floats
+from roemetry.records.view import View
+
+VERSION = 1
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Calibration:
+    """What a calibrator found.
+
+    Attributes
+    ----------
+    method
+        Name of the calibrator; the triangulator of the same name understands `parameters`.
+    image_size, turn_deg
+        Rows and columns of the (turned) images it was made from, and their turn.
+    rest_px
+        (stripe, coefficient) each stripe's rest line: its x on the bare belt, px, as a polynomial in the
+        row counted from the image's middle row, lowest power first.
+    displacement_px_per_mm
+        (stripe,) shift of the stripe's peak along +x for each millimetre of height at belt level, px/mm.
+        Its sign says on which side the laser stands.
+    height_range_mm
+        Lowest and highest height the calibration is meant for, mm.
+    parameters
+        The method's own parameters by name, units in the names.
+    covariance
+        (n, n) of the parameters, in the order of `parameters`, each array flattened: what is common to
+        all points measured with this calibration.
+    residuals
+        Figures that say how well the model fits what was observed, units in the names.
+    target, extractor
+        What was looked at, and which extractor with which options found the peaks.
+    image_sha256
+        Hash of each image used, by file name.
+    made
+        Date and time, ISO 8601.
+    notes
+        What the calibrator has to say in words.
+    view
+        Camera and planes of light in the belt frame, as coders and outlines need them whatever the method;
+        None where the method gives none.
+    """
+
+    method: str
+    image_size: tuple[int, int]
+    turn_deg: int
+    rest_px: Floats
+    displacement_px_per_mm: Floats
+    height_range_mm: tuple[float, float]
+    parameters: Mapping[str, Floats]
+    covariance: Floats
+    residuals: Mapping[str, float] = field(default_factory=dict)
+    target: Mapping[str, Any] = field(default_factory=dict)
+    extractor: Mapping[str, Any] = field(default_factory=dict)
+    image_sha256: Mapping[str, str] = field(default_factory=dict)
+    made: str = ""
+    notes: tuple[str, ...] = ()
+    view: View | None = None
+
+    def __post_init__(self) -> None:
+        check = Checker(self)
+        stripes = check.array("rest_px", np.float64, (None, None)).shape[0]
+        check.array("displacement_px_per_mm", np.float64, (stripes,))
+        arrays = {name: np.array(value, np.float64) for name, value in self.parameters.items()}
+        for array in arrays.values():
+            array.flags.writeable = False
+        object.__setattr__(self, "parameters", arrays)
+        size = sum(array.size for array in arrays.values())
+        check.array("covariance", np.float64, (size, size))
+        check.finish()
+
+    @property
+    def stripe_count(self) -> int:
+        """Number of stripes."""
+        return int(self.rest_px.shape[0])
+
+    @property
+    def sha256(self) -> str:
+        """Hash of everything in it but the date."""
+        content = self.to_dict()
+        del content["made"]
+        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+    def rest_line_px(self, row_px: Floats) -> Floats:
+        """Rest x of every stripe at the given rows: (stripe, row) px."""
+        from_middle = np.asarray(row_px, np.float64) - (self.image_size[0] - 1) / 2.0
+        powers = from_middle[None, :] ** np.arange(self.rest_px.shape[1])[:, None]
+        return self.rest_px @ powers
+
+    def redraw(
+        self, rng: np.random.Generator, view_of: Callable[[Calibration], View | None] | None = None
+    ) -> Calibration:
+        """Give a calibration whose parameters are drawn from their joint distribution (JCGM 101, 6.4.8)."""
+        return next(self.redraws(rng, view_of))
+
+    def redraws(
+        self, rng: np.random.Generator, view_of: Callable[[Calibration], View | None] | None = None
+    ) -> Iterator[Calibration]:
+        """Give drawn calibrations without end; the covariance is taken apart once for all of them.
+
+        Parameters
+        ----------
+        rng
+            Where chance comes from.
+        view_of
+            What gives the view of drawn parameters: `Triangulator.view` of the method's triangulator.
+            Without it a drawn calibration has no view, for this one's would belong to other parameters.
+            `rest_px` and `displacement_px_per_mm`, by which frames are coded, stay as they are.
+        """
+        mean = np.concatenate([array.ravel() for array in self.parameters.values()])
+        # parameters of different units differ by ten powers of ten: taken apart in their own sizes
+        own = np.sqrt(np.diag(self.covariance))
+        scale = np.where(own > 0.0, own, 1.0)
+        size, turned = np.linalg.eigh(self.covariance / scale[:, None] / scale[None, :])
+        factor = scale[:, None] * turned * np.sqrt(np.maximum(size, 0.0))
+        while True:
+            drawn = mean + factor @ rng.standard_normal(mean.size)
+            parameters, start = {}, 0
+            for name, array in self.parameters.items():
+                parameters[name] = drawn[start : start + array.size].reshape(array.shape)
+                start += array.size
+            moved = replace(self, parameters=parameters)
+            yield replace(moved, view=None if view_of is None else view_of(moved))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers, lists and words, as they stand in the file."""
+        return {
+            "roemetry_calibration": VERSION,
+            "method": self.method,
+            "made": self.made,
+            "image_size": {"rows": self.image_size[0], "columns": self.image_size[1]},
+            "turn_deg": self.turn_deg,
+            "stripes": self.stripe_count,
+            "height_range_mm": list(self.height_range_mm),
+            "rest_px": self.rest_px.tolist(),
+            "displacement_px_per_mm": self.displacement_px_per_mm.tolist(),
+            "parameters": {name: array.tolist() for name, array in self.parameters.items()},
+            "covariance": self.covariance.tolist(),
+            "residuals": dict(self.residuals),
+            "target": dict(self.target),
+            "extractor": dict(self.extractor),
+            "image_sha256": dict(self.image_sha256),
+            "notes": list(self.notes),
+            "view": None if self.view is None else self.view.to_dict(),
+        }
+
+    def save(self, path: Path) -> None:
+        """Write the calibration as a YAML file that people can read."""
+        write_whole(path, _HEADER + dump(self.to_dict()))
+
+    @classmethod
+    def load(cls, path: Path) -> Calibration:
+        """Read a calibration file.
+
+        Raises
+        ------
+        CalibrationError
+            There is no such file, or it is no calibration, or numbers in it are missing or not numbers.
+        """
+        data = read(path).data
+        if not isinstance(data, dict) or "roemetry_calibration" not in data:
+            raise CalibrationError(
+                f"{path}: not a calibration file (no `roemetry_calibration` in it)",
+                hint="make one with `roemetry calibrate rig.yaml`",
+            )
+        if data["roemetry_calibration"] != VERSION:
+            raise CalibrationError(
+                f"{path}: calibration format {data['roemetry_calibration']}, this program reads {VERSION}",
+                hint="calibrate again with `roemetry calibrate`",
+            )
+        try:
+            size = int(data["image_size"]["rows"]), int(data["image_size"]["columns"])
+            calibration = cls(
+                method=str(data["method"]),
+                image_size=size,
+                turn_deg=int(data["turn_deg"]),
+                rest_px=np.array(data["rest_px"], np.float64),
+                displacement_px_per_mm=np.array(data["displacement_px_per_mm"], np.float64),
+                height_range_mm=(float(data["height_range_mm"][0]), float(data["height_range_mm"][1])),
+                parameters={n: np.array(v, np.float64) for n, v in data["parameters"].items()},
+                covariance=np.array(data["covariance"], np.float64),
+                residuals={n: float(v) for n, v in data["residuals"].items()},
+                target=data["target"],
+                extractor=data["extractor"],
+                image_sha256=data["image_sha256"],
+                made=str(data["made"]),
+                notes=tuple(data["notes"]),
+                view=None if data.get("view") is None else View.from_dict(data["view"], size),
+            )
+        except (KeyError, TypeError, ValueError, IndexError, AttributeError, DataError) as error:
+            what = f"{error} is missing" if isinstance(error, KeyError) else str(error)
+            raise CalibrationError(
+                f"{path}: the calibration is damaged: {what}",
+                hint="restore the file or make it again with `roemetry calibrate`",
+            ) from error
+        decisive = {
+            "displacement_px_per_mm": calibration.displacement_px_per_mm,
+            **{f"parameters.{name}": array for name, array in calibration.parameters.items()},
+            "covariance": calibration.covariance,
+        }
+        for name, numbers in decisive.items():
+            if not np.isfinite(numbers).all():
+                raise CalibrationError(f"{path}: {name} holds a number that is not finite")
+        return calibration
+
+
+_HEADER = """\
+# Made by `roemetry calibrate`. rest_px: polynomials in (row − middle row), px, lowest power first.
+# covariance: of all parameters in the order in which they stand, each list flattened.
+"""

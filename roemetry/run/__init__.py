@@ -1,0 +1,1 @@
+"""From a checked recipe to the record: one image through the stages, many images, uncertainty."""

@@ -1,0 +1,294 @@
+"""Run a recipe over its source: the record grows line by line, everything else is derived from it."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import statistics
+import sys
+import threading
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from roemetry.config.recipe import Recipe
+from roemetry.errors import FAULTS, DataError, InterruptedRunError, RoemetryError
+from roemetry.io.files import LineFile, make_folder, sha256_of, write_whole
+from roemetry.records import AcquisitionReference, Reason, Trace
+from roemetry.run.pipeline import Pipeline
+from roemetry.run.record import PROVENANCE, RECORD, acquisitions_to_keep, count_rows, read_record
+from roemetry.run.rows import failed, measurements_of
+from roemetry.stages import Run
+
+if TYPE_CHECKING:
+    from concurrent.futures import Future
+
+Measured = tuple[list[str], Mapping[str, float]]
+"""An acquisition's lines of the record, and the seconds its stages took."""
+
+_CHUNK_S = 0.03
+"""Work that is handed to a worker process at once, s: long beside the handing over, too short to notice."""
+_TOGETHER_MAX = 16
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What a run came to.
+
+    Attributes
+    ----------
+    folder
+        Where everything is.
+    counts
+        Rows by status: measured, empty, failed.
+    files
+        What the sinks wrote.
+    sink_faults
+        What sinks could not write, in words.
+    """
+
+    folder: Path
+    counts: Mapping[str, int]
+    files: tuple[Path, ...]
+    sink_faults: tuple[str, ...]
+
+
+def run_recipe(
+    recipe: Recipe,
+    folder: Path,
+    *,
+    jobs: int = 1,
+    resume: bool = False,
+    debug: bool = False,
+    on_progress: Callable[[int, int], None] = lambda done, of: None,
+) -> Outcome:
+    """Measure everything a recipe's source has.
+
+    Parameters
+    ----------
+    recipe
+        What to do.
+    folder
+        Where to write; made if need be.
+    jobs
+        Worker processes; results are the same, and in the same order, for any number.
+    resume
+        Go on with a run of the same recipe that was stopped; what is measured stays as it is.
+    debug
+        Let every exception through.
+    on_progress
+        Called with (acquisitions done, of how many).
+
+    Raises
+    ------
+    OutputError
+        The folder cannot be written, or already holds a run; what was written before stays whole.
+    DataError
+        The source has nothing.
+    """
+    references = recipe.source.make().references(recipe.source_path)
+    make_folder(folder)
+    done = acquisitions_to_keep(recipe, folder, references, resume=resume)
+    provenance = _provenance(recipe, references)
+    write_whole(folder / PROVENANCE, json.dumps(provenance, indent=2) + "\n")
+    to_do = [reference for reference in references if reference.id not in done]
+    seconds: dict[str, list[float]] = {}
+    finished = len(references) - len(to_do)
+    on_progress(finished, len(references))
+    with LineFile(folder / RECORD) as record:
+        for lines, took in measured(recipe, to_do, jobs, debug):
+            record.append("\n".join(lines))
+            finished += 1
+            for stage, value in took.items():
+                seconds.setdefault(stage, []).append(value)
+            on_progress(finished, len(references))
+    counts = count_rows(folder)
+    provenance |= {
+        "finished": _now(),
+        "counts": counts,
+        "seconds_median": _medians(seconds),
+    }
+    write_whole(folder / PROVENANCE, json.dumps(provenance, indent=2) + "\n")
+    files, faults = derive(recipe, folder, provenance, debug=debug)
+    return Outcome(folder, counts, files, faults)
+
+
+def derive(
+    recipe: Recipe, folder: Path, provenance: Mapping[str, Any], *, debug: bool = False
+) -> tuple[tuple[Path, ...], tuple[str, ...]]:
+    """Let each sink derive its files from the record; a sink that fails does not stop the others."""
+    # The record has the uncertainties; the replay is for pictures.
+    source, pipeline = recipe.source.make(), Pipeline(recipe, draws=0)
+    references: dict[str, AcquisitionReference] = {}
+
+    def replay(acquisition_id: str) -> Trace:
+        if not references:
+            references.update({found.id: found for found in source.references(recipe.source_path)})
+        if acquisition_id not in references:
+            raise DataError(f"{acquisition_id}: the images are no longer there")
+        return pipeline.trace(source.read(references[acquisition_id]))
+
+    run = Run(folder, recipe.product, lambda: read_record(folder), replay, provenance)
+    files: list[Path] = []
+    faults: list[str] = []
+    for chosen in recipe.sinks:
+        try:
+            files += chosen.make().write(run)
+        except RoemetryError as error:
+            faults.append(f"sink {chosen.registered.entry.name}: {error}")
+        # A fault in one sink must not take the others' files away.
+        except FAULTS as error:
+            if debug:
+                raise
+            faults.append(
+                f"sink {chosen.registered.entry.name}: failed with {type(error).__name__}: {error} "
+                "(a plugin's fault; see --debug)"
+            )
+    return tuple(files), tuple(faults)
+
+
+def measured(
+    recipe: Recipe, references: Sequence[AcquisitionReference], jobs: int, debug: bool
+) -> Iterator[Measured]:
+    """Give each acquisition's lines, in the order of the source, with the seconds its stages took.
+
+    Raises
+    ------
+    InterruptedRunError
+        A worker process died.
+    """
+    if jobs == 1 or len(references) < 2:
+        worker = _Worker(recipe, debug)
+        for reference in references:
+            yield worker(reference)
+        return
+    from concurrent.futures import ProcessPoolExecutor
+    from concurrent.futures.process import BrokenProcessPool
+    from multiprocessing import get_context
+
+    # Spawned, not forked: a forked copy of numba's or OpenCV's threads can hang.
+    with ProcessPoolExecutor(
+        min(jobs, len(references)), get_context("spawn"), _start_worker, (recipe, debug)
+    ) as pool:
+        waiting: deque[Future[list[Measured]]] = deque()
+        coming = iter(references)
+        together = 1
+        try:
+            while True:
+                while len(waiting) < 4 * jobs and (chunk := list(islice(coming, together))):
+                    waiting.append(pool.submit(_work, chunk))
+                if not waiting:
+                    return
+                for lines, took in waiting.popleft().result():
+                    together = min(_TOGETHER_MAX, 1 + int(_CHUNK_S / max(sum(took.values()), 1e-6)))
+                    yield lines, took
+        except BrokenProcessPool as error:
+            raise InterruptedRunError(
+                "a worker process died (killed by the system, perhaps for want of memory)",
+                hint="what was measured is whole; go on with --resume and fewer --jobs",
+            ) from error
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+class _Worker:
+    """Reads, traces and writes down one acquisition at a time."""
+
+    def __init__(self, recipe: Recipe, debug: bool) -> None:
+        self._recipe = recipe
+        self._source = recipe.source.make()
+        self._pipeline = Pipeline(recipe, debug=debug)
+        self._debug = debug
+        self._hashes = recipe.hashes
+        self._doubts = _doubts_of(recipe)
+
+    def __call__(self, reference: AcquisitionReference) -> Measured:
+        try:
+            acquisition = self._source.read(reference)
+            hashes = {f"{role}_sha256": sha256_of(path) for role, path in reference.files.items()}
+        # Whatever a source raises, the batch goes on.
+        except FAULTS as error:
+            if self._debug:
+                raise
+            ours = isinstance(error, RoemetryError | OSError)
+            said = str(error) if ours else f"the source failed with {type(error).__name__}: {error}"
+            why = Reason("unreadable", said)
+            return [failed(reference.id, "source", why, self._hashes).to_json()], {}
+        trace = self._pipeline.trace(acquisition)
+        rows = measurements_of(trace, self._recipe, self._hashes | hashes, self._doubts)
+        return [row.to_json() for row in rows], trace.seconds
+
+
+def _doubts_of(recipe: Recipe) -> tuple[Reason, ...]:
+    if recipe.calibration_check is None:
+        return ()
+    from roemetry.run.control_chart import calibration_doubts
+
+    return calibration_doubts(recipe)
+
+
+_worker: _Worker | None = None
+
+
+def _start_worker(recipe: Recipe, debug: bool) -> None:
+    global _worker
+    _worker = _Worker(recipe, debug)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    """End this worker when its parent is gone, however that was ended."""
+    from multiprocessing import parent_process
+    from multiprocessing.connection import wait
+
+    parent = parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        os._exit(1)
+
+
+def _work(references: Sequence[AcquisitionReference]) -> list[Measured]:
+    if _worker is None:
+        raise AssertionError("a worker process was not started by _start_worker")
+    return [_worker(reference) for reference in references]
+
+
+def _provenance(recipe: Recipe, references: Sequence[AcquisitionReference]) -> dict[str, Any]:
+    from importlib.metadata import version
+
+    stages = {"source": recipe.source, **recipe.stages}
+    return {
+        "roemetry_version": version("roemetry"),
+        "started": _now(),
+        "finished": None,
+        "command": sys.argv[1:],
+        "recipe": str(recipe.path.absolute()),
+        "sets": list(recipe.sets),
+        "recipe_sha256": recipe.sha256,
+        "calibration": None if recipe.calibration_path is None else str(recipe.calibration_path.absolute()),
+        "calibration_sha256": None if recipe.calibration is None else recipe.calibration.sha256,
+        "plugins": {
+            f"{kind} {chosen.registered.entry.name}": str(chosen.registered.provider)
+            for kind, chosen in stages.items()
+        },
+        "libraries": {name: version(name) for name in ("numpy", "numba", "opencv-contrib-python-headless")},
+        "python": platform.python_version(),
+        # Not platform.platform(): that asks another process for the processor's name.
+        "platform": "-".join((platform.system(), platform.release(), platform.machine())),
+        "acquisitions": len(references),
+        "resolved_recipe": recipe.resolved(),
+    }
+
+
+def _medians(seconds: Mapping[str, list[float]]) -> dict[str, float]:
+    """Median time of each stage; the first acquisition, in which kernels are loaded, is left out."""
+    return {stage: statistics.median(values[1:]) for stage, values in seconds.items() if len(values) > 1}
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")

@@ -1,0 +1,338 @@
+"""The control chart of a calibration: checks with a known block, whether they agree, and whether they drift.
+
+A check compares lengths of a known block with what the line measures, each against its standard uncertainty
+(Eₙ of ISO/IEC 17043: |error| over twice that; above 1 is out). Earlier checks of the same calibration make a
+chart of single values (Shewhart): a value beyond three standard deviations of the first eight, or eight in a
+row on one side, is drift, long before a limit is passed. Checks are kept in a small SQLite file.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sqlite3
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from markupsafe import Markup
+
+from roemetry.config.recipe import Recipe
+from roemetry.errors import DataError, OutputError
+from roemetry.html.plots import Axis, dot, line, number, picture, plain, text
+from roemetry.io.json_values import json_values
+from roemetry.records import Reason
+
+Verdict = Literal["in order", "drifting", "out"]
+QUANTITIES = ("height_mm", "belt_mm", "width_mm")
+
+_HISTORY_MIN = 8
+"""Checks from which centre and scatter of a chart are taken: the scatter is then known to 25 %."""
+_ONE_SIDE_RUN = 8
+"""Checks in a row on one side: by chance once in 128."""
+_SIGMAS = 3.0
+"""Standard deviations of a chart's limits (Shewhart): by chance once in 370."""
+_MOVING_RANGE_TO_STD = 1.128
+"""Mean range of two draws from a normal distribution, in standard deviations (d₂ of control charts)."""
+WORDS = {"height_mm": "height of the block", "belt_mm": "belt's zero", "width_mm": "width of the block"}
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """One length that was checked, mm.
+
+    Attributes
+    ----------
+    value, expected
+        As measured, and as the block's description says.
+    std
+        Standard uncertainty of their difference: the block's tolerance, the calibration's own, and a tenth
+        of a pixel for what extractor and surface do to a peak.
+    error_over_limit
+        |value − expected| over twice `std` (Eₙ of ISO/IEC 17043); above 1 is out. NaN where not measured.
+    """
+
+    value: float
+    expected: float
+    std: float
+
+    @property
+    def error_over_limit(self) -> float:
+        """Eₙ."""
+        return abs(self.value - self.expected) / (2.0 * self.std) if self.std > 0 else math.nan
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One check of a calibration.
+
+    Attributes
+    ----------
+    made
+        Date and time, ISO 8601, UTC.
+    calibration_sha256, target, image, image_sha256
+        What was checked, by what, in which image.
+    height, belt, width
+        The lengths.
+    stripes, stripe_spread_mm
+        Stripes on the block's top, and how far their own heights spread.
+    verdict
+        ``in order``; ``drifting``: within its limits, but the chart shows that something moves; ``out``.
+    reasons
+        Why, in words.
+    """
+
+    made: str
+    calibration_sha256: str
+    target: str
+    image: str
+    image_sha256: str
+    height: Quantity
+    belt: Quantity
+    width: Quantity
+    stripes: int
+    stripe_spread_mm: float
+    verdict: Verdict = "in order"
+    reasons: tuple[Reason, ...] = ()
+
+    def quantity(self, name: str) -> Quantity:
+        """Give a length by its name in `QUANTITIES`."""
+        found: Quantity = getattr(self, name.removesuffix("_mm"))
+        return found
+
+
+def judge(check: Check, history: Sequence[Check]) -> tuple[Verdict, tuple[Reason, ...]]:
+    """Give verdict and reasons; `history` holds earlier checks of the same calibration, oldest first."""
+    out, drifting = [], []
+    for name in QUANTITIES:
+        now = check.quantity(name)
+        if now.error_over_limit > 1.0:
+            out.append(
+                Reason(
+                    "calibration-out",
+                    f"{WORDS[name]}: {now.value:.3f} mm, expected {now.expected:.3f} mm; the difference of "
+                    f"{now.value - now.expected:+.3f} mm is {now.error_over_limit:.1f} times its limit of "
+                    f"{2 * now.std:.3f} mm",
+                )
+            )
+        said = _drift(name, now, [earlier.quantity(name).value for earlier in history])
+        if said:
+            drifting.append(Reason("calibration-drift", said))
+    verdict: Verdict = "out" if out else "drifting" if drifting else "in order"
+    return verdict, (*out, *drifting)
+
+
+def _drift(name: str, now: Quantity, before: Sequence[float]) -> str:
+    """Say what a control chart of single values (Shewhart) sees, or nothing."""
+    known = np.array([value for value in before if math.isfinite(value)])
+    if known.size < _HISTORY_MIN or not math.isfinite(now.value):
+        return ""
+    # The line's own scatter from step to step: a slow drift does not widen it.
+    scatter = float(np.abs(np.diff(known)).mean()) / _MOVING_RANGE_TO_STD
+    centre = float(known[:_HISTORY_MIN].mean())
+    if abs(now.value - centre) > _SIGMAS * max(scatter, 1e-6):
+        return (
+            f"{WORDS[name]}: {now.value:.3f} mm lies more than 3 standard deviations ({scatter:.4f} mm) "
+            f"from the {centre:.3f} mm of the first {_HISTORY_MIN} checks"
+        )
+    last = np.append(known, now.value)[-_ONE_SIDE_RUN:] - centre
+    if known.size + 1 >= _HISTORY_MIN + _ONE_SIDE_RUN and (np.all(last > 0) or np.all(last < 0)):
+        side = "above" if last[-1] > 0 else "below"
+        began = f"the {centre:.3f} mm it began with"
+        return f"{WORDS[name]}: the last {_ONE_SIDE_RUN} checks all lie {side} {began}"
+    return ""
+
+
+_FORMAT = 1
+"""Of the file."""
+_TABLE = """
+CREATE TABLE IF NOT EXISTS checks
+(made TEXT NOT NULL, calibration_sha256 TEXT NOT NULL, content TEXT NOT NULL)
+"""
+
+
+class Chart:
+    """A file of checks; each is written whole or not at all.
+
+    Parameters
+    ----------
+    path
+        The file; made at the first check.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def add(self, check: Check) -> None:
+        """Write a check down; raise OutputError where the file cannot be written."""
+        row = (check.made, check.calibration_sha256, json.dumps(json_values(asdict(check))))
+        try:
+            with self._opened() as base:
+                base.execute(_TABLE)
+                base.execute(f"PRAGMA user_version = {_FORMAT}")
+                base.execute("INSERT INTO checks VALUES (?, ?, ?)", row)
+                base.commit()
+        except sqlite3.OperationalError as error:
+            raise OutputError(
+                f"{self._path}: the check cannot be written: {error}",
+                hint="can the folder be written, and is the disk not full? earlier checks are as they were",
+            ) from error
+        except sqlite3.DatabaseError as error:
+            raise self._damaged(error) from error
+
+    def checks(self, calibration_sha256: str | None = None) -> tuple[Check, ...]:
+        """Give the checks, oldest first: of one calibration, or of all; none where there is no file."""
+        if not self._path.is_file():
+            return ()
+        query = "SELECT content FROM checks"
+        try:
+            with self._opened() as base:
+                if calibration_sha256 is None:
+                    rows = base.execute(f"{query} ORDER BY made, rowid").fetchall()
+                else:
+                    wanted = f"{query} WHERE calibration_sha256 = ? ORDER BY made, rowid"
+                    rows = base.execute(wanted, (calibration_sha256,)).fetchall()
+            return tuple(_check(json.loads(content)) for (content,) in rows)
+        except (sqlite3.DatabaseError, ValueError, KeyError, TypeError) as error:
+            raise self._damaged(error) from error
+
+    @contextmanager
+    def _opened(self) -> Iterator[sqlite3.Connection]:
+        with closing(sqlite3.connect(self._path, timeout=10.0)) as base:
+            yield base
+
+    def _damaged(self, error: Exception) -> DataError:
+        return DataError(
+            f"{self._path}: this is no control chart, or it is damaged: {error}",
+            hint="name another file; the checks begin anew there",
+        )
+
+
+def _check(data: dict[str, Any]) -> Check:
+    lengths = {name: Quantity(**_numbers(data[name])) for name in ("height", "belt", "width")}
+    reasons = tuple(Reason._make(reason) for reason in data["reasons"])
+    return Check(**{**_numbers(data), **lengths, "reasons": reasons})
+
+
+def _numbers(data: dict[str, Any]) -> dict[str, Any]:
+    return {name: math.nan if value is None else value for name, value in data.items()}
+
+
+_SECONDS_PER_DAY = 86400.0
+
+
+def calibration_doubts(recipe: Recipe, now: datetime | None = None) -> tuple[Reason, ...]:
+    """Give what the recipe's demands on its calibration find wanting.
+
+    Parameters
+    ----------
+    recipe
+        With its calibration and, maybe, demands on it.
+    now
+        None: this moment.
+
+    Raises
+    ------
+    DataError
+        The chart that is named is no chart.
+    """
+    asked, calibration = recipe.calibration_check, recipe.calibration
+    if asked is None or calibration is None:
+        return ()
+    now = now or datetime.now(UTC)
+    reasons = []
+    old = _days_since(calibration.made, now)
+    if asked.valid_days is not None and not old <= asked.valid_days:
+        reasons.append(
+            Reason(
+                "calibration-expired",
+                f"the calibration is of {calibration.made or 'an unknown date'}; "
+                f"it may be {asked.valid_days:g} days old: calibrate again",
+            )
+        )
+    if asked.chart is None:
+        return tuple(reasons)
+    chart = recipe.path.parent / asked.chart
+    checks = Chart(chart).checks(calibration.sha256)
+    if not checks:
+        words = f"{chart.name} holds no check of this calibration: run `roemetry check-calibration`"
+        return (*reasons, Reason("calibration-unchecked", words))
+    last = checks[-1]
+    if last.verdict != "in order":
+        reasons += last.reasons
+    since = _days_since(last.made, now)
+    if asked.max_age_days is not None and since > asked.max_age_days:
+        reasons.append(
+            Reason(
+                "calibration-overdue",
+                f"the calibration was last checked {since:.1f} days ago; {asked.max_age_days:g} are allowed",
+            )
+        )
+    return tuple(reasons)
+
+
+def _days_since(moment: str, now: datetime) -> float:
+    try:
+        return (now - datetime.fromisoformat(moment)).total_seconds() / _SECONDS_PER_DAY
+    except ValueError:
+        return float("nan")
+
+
+_COLOURS = {"in order": "#0d689c", "drifting": "#c77700", "out": "#c8202a"}
+_WIDTH = 900.0
+
+
+def chart_page(checks: Sequence[Check], title: str) -> str:
+    """Write the page of one calibration's checks, oldest first; there is at least one."""
+    from roemetry.html.page import environment_of  # jinja2 takes 50 ms; runs do without
+
+    return (
+        environment_of("roemetry.run")
+        .get_template("chart.html.j2")
+        .render(
+            title=title,
+            checks=list(reversed(checks)),
+            last=checks[-1],
+            plots=[(WORDS[name], chart_plot(checks, name)) for name in QUANTITIES],
+            quantities=QUANTITIES,
+            colours=_COLOURS,
+            version=version("roemetry"),
+        )
+    )
+
+
+def chart_plot(checks: Sequence[Check], name: str) -> Markup:
+    """Draw one length over the checks: what it should be, its limits, and what was measured."""
+    known = [(n, check, check.quantity(name)) for n, check in enumerate(checks, start=1)]
+    known = [item for item in known if item[2].value == item[2].value]
+    if not known:
+        return Markup("<p>not measured</p>")
+    ends = [known[-1][2].expected + side * 2 * max(q.std for _, _, q in known) for side in (-1, 1)]
+    values = [*ends, *(q.value for _, _, q in known)]
+    left, right, top, bottom = 70.0, _WIDTH - 20.0, 16.0, 170.0
+    room = 0.06 * (max(values) - min(values))
+    y_axis = Axis.over(min(values) - room, max(values) + room, bottom, top)
+    x_axis = Axis.over(0.5, len(checks) + 0.5, left, right)
+    body = []
+    for value, words in y_axis.ticks(5):
+        body += [line(left, y_axis(value), right, y_axis(value), "grid")]
+        body += [text(left - 6, y_axis(value) + 4, words, "end")]
+    expected = known[-1][2].expected
+    body += [line(left, y_axis(expected), right, y_axis(expected), "zero")]
+    for side in (-1, 1):
+        ways = [(x_axis(n), y_axis(q.expected + side * 2 * q.std)) for n, _, q in known]
+        ways = [(left, ways[0][1]), *ways, (right, ways[-1][1])]
+        path = "L".join(f"{number(x)} {number(y)}" for x, y in ways)
+        body.append(Markup('<path class="limit" d="M{}"/>').format(path))
+    for n, check, found in known:
+        words = f"{check.made}: {plain(found.value, 3)} mm, {check.verdict}"
+        body.append(dot(x_axis(n), y_axis(found.value), "point", words, _COLOURS[check.verdict], 4.0))
+    ticks = [n for n, _ in x_axis.ticks(10) if n == round(n)]
+    body += [text(x_axis(n), bottom + 16, f"{n:.0f}") for n in ticks]
+    body += [text(right, bottom + 32, "check number", "end"), text(left - 6, top - 4, "mm", "end")]
+    return picture(body, bottom + 38, f"{WORDS[name]} over the checks", _WIDTH)

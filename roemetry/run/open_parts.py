@@ -1,0 +1,193 @@
+"""Which part of each product is open: peaks on it that no coder could give to a stripe with certainty.
+
+Refused peaks on the bare belt, and false ones beside the products, leave nothing of a product open: only
+what lies within its reach in the image does. That is, row by row, what lies between its outermost points,
+and off the rest lines what lies up to one and a half stripe spacings beside them, or beside what is open
+already.
+
+What an open point hides lies between the belt and the product's neighbouring heights. If its height is
+taken as equally likely anywhere between, a share q of the points leaves the volume uncertain by
+q · (h_max / h_mean) / √12, relative, whatever an estimator put there; h are the heights of the points that
+are sure.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from roemetry.records import AMBIGUOUS, Estimate, Peaks, Product, Reason, StripeMap, Volume, Weight
+from roemetry.records.arrays import Flags, Floats, Integers
+
+SHARE_MAX = 0.5
+"""With more than half of its points open, a product's number would rest on what is not known."""
+
+_REACH_SPACINGS = 1.5
+"""An open stripe lies next to a sure one: one spacing off on flat ground, half as much again on a flank."""
+_REACH_ROWS = 20
+"""A product goes on over so many rows without a point: as long a gap as coders bridge."""
+_REST_SPACINGS = 0.1
+"""Nearer than this to a rest line, beside the product, a peak is belt."""
+_COVERAGE_FACTOR = 1.959964
+"""Half width of a 95 % interval in standard deviations."""
+
+
+class OpenPart(NamedTuple):
+    """What is open of one product.
+
+    Attributes
+    ----------
+    points, sure
+        Number of refused peaks on it, and of its points with a certain stripe.
+    rows, x_px
+        Where they are: first and last row, smallest and largest x; zeros where there is none.
+    """
+
+    points: int
+    sure: int
+    rows: tuple[int, int] = (0, 0)
+    x_px: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def share(self) -> float:
+        """Share of the product's points that is open."""
+        return self.points / max(self.points + self.sure, 1)
+
+
+def open_parts(peaks: Peaks, stripes: StripeMap) -> Mapping[int, OpenPart]:
+    """Give, by product, what of it is open.
+
+    A refused peak within reach of several products counts for each of them: it may be of any, and they may be
+    pieces of one body that only what is open holds together.
+    """
+    refused = np.flatnonzero(stripes.peak_stripe == AMBIGUOUS)
+    row, x_px = peaks.row[refused], peaks.x_px[refused]
+    spacing_px = _spacing_px(stripes)
+    beside_px = np.full(refused.size, np.inf)
+    if np.isfinite(stripes.rest_px).any():
+        distance = np.abs(stripes.rest_px[:, row] - x_px)
+        beside_px = np.where(np.isnan(distance), np.inf, distance).min(axis=0, initial=np.inf)
+    off_belt = beside_px > _REST_SPACINGS * spacing_px
+    found = {}
+    for number in range(1, int(stripes.product.max(initial=0)) + 1):
+        mine = (stripes.product == number) & stripes.seen
+        if not mine.any():
+            continue
+        part = _within(mine, stripes.x_px, row, x_px, off_belt, spacing_px)
+        sure = int(np.count_nonzero(mine))
+        if part.any():
+            at, place = row[part], x_px[part]
+            where = (int(at.min()), int(at.max())), (float(place.min()), float(place.max()))
+            found[number] = OpenPart(int(np.count_nonzero(part)), sure, *where)
+        else:
+            found[number] = OpenPart(0, sure)
+    return found
+
+
+def said_of(part: OpenPart, product: Product) -> Reason | None:
+    """Say how much of a product is open, where, and what that does to its number; None where nothing is."""
+    if not part.points:
+        return None
+    where = (
+        f"{part.share:.1%} of the product's points ({part.points} of {part.points + part.sure}; rows "
+        f"{part.rows[0]}–{part.rows[1]}, x {part.x_px[0]:.0f}–{part.x_px[1]:.0f} px) could not be given to a "
+        "stripe with certainty and are left out"
+    )
+    if part.share > SHARE_MAX:
+        return Reason("undecided", f"{where}: no number would be honest")
+    return Reason(
+        "ambiguous", f"{where}; that widens the volume's uncertainty by {widened_by(part, product):.1%}"
+    )
+
+
+def widened_by(part: OpenPart, product: Product) -> float:
+    """Give the relative standard uncertainty of the volume that comes from what is open."""
+    heights = product.profiles.xyz_mm[:, :, 2]
+    heights = heights[np.isfinite(heights)]
+    mean_mm = float(heights.mean()) if heights.size else 0.0
+    if mean_mm <= 0.0:
+        return math.inf
+    return part.share * float(heights.max()) / mean_mm / math.sqrt(12.0)
+
+
+def widened(
+    volume: Volume | None, weight: Weight | None, relative: float
+) -> tuple[Volume | None, Weight | None]:
+    """Widen the uncertainties of volume and weight by a relative standard uncertainty from open points."""
+    if volume is not None:
+        true = volume.true_mm3
+        volume = replace(
+            volume,
+            visible_mm3=_widened(volume.visible_mm3, relative),
+            true_mm3=None if true is None else _widened(true, relative),
+        )
+    if weight is not None:
+        weight = replace(weight, mass_g=_widened(weight.mass_g, relative))
+    return volume, weight
+
+
+def _widened(estimate: Estimate, relative: float) -> Estimate:
+    """Add in quadrature; an uncertainty that is not stated stays so."""
+    added = relative * abs(estimate.value)
+    low, high = estimate.interval
+    reach = _COVERAGE_FACTOR * added
+    return replace(
+        estimate,
+        std=math.hypot(estimate.std, added),
+        budget={**estimate.budget, "open points": added},
+        interval=(
+            estimate.value - math.hypot(estimate.value - low, reach),
+            estimate.value + math.hypot(high - estimate.value, reach),
+        ),
+    )
+
+
+def _spacing_px(stripes: StripeMap) -> float:
+    """Median distance of rest lines, px; of the stripes themselves where no rest line is known."""
+    for lines in (stripes.rest_px, stripes.x_px):
+        apart = np.diff(lines, axis=0)
+        apart = apart[np.isfinite(apart)]
+        if apart.size:
+            return float(np.median(apart))
+    return 1e9  # a single stripe; finite, for the edges of rows without a product are infinite
+
+
+def _within(
+    mine: Flags,
+    x_px: Floats,
+    row: Integers,
+    place_px: Floats,
+    off_belt: Flags,
+    spacing_px: float,
+) -> Flags:
+    """Mark the refused peaks within a product's reach, which grows by those that were found."""
+    rows = mine.shape[1]
+    low = np.where(mine, x_px, np.inf).min(axis=0)
+    high = np.where(mine, x_px, -np.inf).max(axis=0)
+    found = np.zeros(row.size, np.bool_)
+    for _ in range(mine.shape[0]):
+        near_low, near_high = _filled(low, np.inf, rows), _filled(high, -np.inf, rows)
+        reach = _REACH_SPACINGS * spacing_px
+        inside = (place_px >= low[row]) & (place_px <= high[row])
+        beside = (place_px >= near_low[row] - reach) & (place_px <= near_high[row] + reach) & off_belt
+        more = (inside | beside) & ~found
+        if not more.any():
+            break
+        found |= more
+        np.minimum.at(low, row[more], place_px[more])
+        np.maximum.at(high, row[more], place_px[more])
+    return found
+
+
+def _filled(edge: Floats, empty: float, rows: int) -> Floats:
+    """Carry an edge on over rows without a point, from the nearest row with one."""
+    known = np.flatnonzero(edge != empty)
+    at = np.arange(rows)
+    after = np.clip(np.searchsorted(known, at), 0, known.size - 1)
+    before = np.maximum(after - 1, 0)
+    nearest = np.where(np.abs(known[before] - at) <= np.abs(known[after] - at), known[before], known[after])
+    return np.where(np.abs(nearest - at) <= _REACH_ROWS, edge[nearest], empty)

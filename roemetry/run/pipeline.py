@@ -1,0 +1,321 @@
+"""One acquisition through the stages of a recipe, one way and without state."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import partial
+from typing import Any, TypeVar
+
+import numpy as np
+
+from roemetry.config.recipe import Recipe
+from roemetry.config.resolve import Chosen
+from roemetry.errors import FAULTS
+from roemetry.records import (
+    Acquisition,
+    Decision,
+    Frame,
+    Grade,
+    Outline,
+    Peaks,
+    Product,
+    ProductTrace,
+    Profiles,
+    Reason,
+    StripeMap,
+    Trace,
+    Volume,
+    Weight,
+)
+from roemetry.records.calibration import Calibration
+from roemetry.records.penetration import raised
+from roemetry.records.view import View
+from roemetry.run.monte_carlo import Chain, Scene, propagate, without_draws
+from roemetry.run.open_parts import OpenPart, open_parts, said_of, widened, widened_by
+from roemetry.run.preprocess import prepare, prepare_plain
+from roemetry.run.split_products import assemble
+from roemetry.run.stage_errors import failure, refuses
+from roemetry.stages.contracts import given
+
+T = TypeVar("T")
+
+_HEIGHT_SLACK_MM = 0.5
+"""Noise may lift a point by so much above the calibrated range."""
+
+_TOO_HIGH_SHARE_MAX = 0.01
+"""A hundredth of a product's points above the calibrated range may be false peaks; more is the product."""
+
+_NO_VOLUME = Reason("no-volume", "there is no volume to weigh")
+
+_EDGE_ROWS = 2
+"""Rows at the image's ends in which a product counts as cut; extractors may leave the very first out."""
+
+UNCALIBRATED = Reason("uncalibrated", "no calibration: results are in pixels")
+
+
+class Pipeline:
+    """The stages of a recipe, made once and used for every acquisition; safe to call from several threads.
+
+    Parameters
+    ----------
+    recipe
+        What to do.
+    debug
+        Let every exception through instead of noting it on the trace.
+    stages
+        By kind, stages to use instead of those the recipe would make: objects with the kind's verb.
+    draws
+        Monte Carlo draws; None: as many as the recipe says.
+    frame
+        Makes an acquisition's frame ready, or remembers it; None: `frame_of` does.
+    """
+
+    def __init__(
+        self,
+        recipe: Recipe,
+        *,
+        debug: bool = False,
+        stages: Mapping[str, Any] | None = None,
+        draws: int | None = None,
+        frame: Callable[[Acquisition], Frame] | None = None,
+    ) -> None:
+        self.recipe = recipe
+        self._frame = frame or partial(frame_of, recipe)
+        self._stages: Mapping[str, Any] = (
+            {kind: chosen.make() for kind, chosen in recipe.stages.items()} if stages is None else stages
+        )
+        self._debug = debug
+        self._view: View | None = None
+        self._draws = recipe.draws if draws is None else draws
+        # Draws must not meet a stage that remembers: each is another scene.
+        self._chain = Chain(
+            *(
+                recipe.stages[kind].make() if kind in recipe.stages and self._draws else None
+                for kind in ("triangulator", "volume", "weigher", "classifier")
+            )
+        )
+
+    def trace(self, acquisition: Acquisition) -> Trace:
+        """Take one acquisition through the chain; whatever goes wrong stands in `Trace.absent`."""
+        steps = _Steps(self.recipe.stages, self._debug)
+        source = self.recipe.source_choice
+        frame = steps.do("source", lambda: self._frame(acquisition))
+        peaks: Peaks | None = None
+        stripes: StripeMap | None = None
+        outlines: tuple[Outline, ...] = ()
+        profiles: Profiles | None = None
+        products: tuple[ProductTrace, ...] = ()
+        calibration = self.recipe.calibration
+        if frame is not None:
+            peaks = steps.do("extractor", lambda: self._stages["extractor"].extract(frame))
+        if peaks is not None and "coder" in self._stages and steps.allow("coder", _unfit(frame, calibration)):
+            stripes = steps.do("coder", lambda: self._stages["coder"].code(peaks, calibration))
+        if stripes is not None and peaks is not None and peaks.reasons:
+            stripes = replace(stripes, reasons=peaks.reasons + stripes.reasons)
+        if stripes is not None and "smoother" in self._stages:
+            stripes = steps.do("smoother", lambda: self._stages["smoother"].smooth(stripes))
+        if stripes is not None and "outliner" in self._stages:
+            plain = prepare_plain(acquisition, turn_deg=source.turn_deg)
+            outlines = (
+                steps.do(
+                    "outliner", lambda: self._stages["outliner"].outline(frame, plain, stripes, calibration)
+                )
+                or ()
+            )
+        if (
+            stripes is not None
+            and "triangulator" in self._stages
+            and steps.allow("triangulator", UNCALIBRATED if calibration is None else None)
+        ):
+            profiles = steps.do(
+                "triangulator", lambda: self._stages["triangulator"].triangulate(stripes, calibration)
+            )
+        penetration = self.recipe.penetration
+        if profiles is not None and penetration is not None:
+            profiles = raised(profiles, penetration.offset_mm)
+        if profiles is not None and stripes is not None and calibration is not None:
+            if self._view is None:  # the calibration never changes: neither does this
+                self._view = self._stages["triangulator"].view(calibration)
+            assembled = assemble(profiles, outlines, calibration, acquisition.id, stripes.reasons, self._view)
+            opened = open_parts(peaks, stripes) if peaks is not None else {}
+            assembled = tuple(_with_open_part(product, opened.get(product.number)) for product in assembled)
+            doubts = {
+                product.number: _undecided(product) or _too_high(product) or _cut_off(stripes, product.number)
+                for product in assembled
+            }
+            products = tuple(
+                self._outcome(product, doubts[product.number], steps.seconds) for product in assembled
+            )
+            scene = Scene(acquisition.id, stripes, outlines, calibration, penetration)
+            products = self._drawn(products, scene, steps)
+            products = tuple(_with_open_points(found, opened) for found in products)
+            if "grader" in self._stages:
+                products = tuple(
+                    self._decided(found, doubts[found.product.number], steps.seconds) for found in products
+                )
+        return Trace(
+            acquisition_id=acquisition.id,
+            acquisition=acquisition,
+            frame=frame,
+            peaks=peaks,
+            stripes=stripes,
+            outlines=outlines,
+            profiles=profiles,
+            products=products,
+            absent=steps.absent,
+            seconds=steps.seconds,
+        )
+
+    def _drawn(
+        self, products: tuple[ProductTrace, ...], scene: Scene, steps: _Steps
+    ) -> tuple[ProductTrace, ...]:
+        """Give the products with their uncertainties; without draws, name what is a part only."""
+        if not self._draws:
+            view = scene.calibration.view
+            approximate = view is not None and not view.exact
+            return tuple(without_draws(found, approximate=approximate) for found in products)
+        return (
+            steps.do("draws", lambda: propagate(products, scene, self._chain, draws=self._draws)) or products
+        )
+
+    def _outcome(self, product: Product, doubt: Reason | None, seconds: dict[str, float]) -> ProductTrace:
+        steps = _Steps(self.recipe.stages, self._debug, seconds)
+        volume: Volume | None = None
+        weight: Weight | None = None
+        grade: Grade | None = None
+        if "volume" in self._stages and steps.allow("volume", doubt):
+            volume = steps.do("volume", lambda: self._stages["volume"].estimate(product))
+        if "weigher" in self._stages and steps.allow(
+            "weigher",
+            doubt or (_NO_VOLUME if volume is None else None),
+        ):
+            weight = steps.do("weigher", lambda: self._stages["weigher"].weigh(product, volume))
+        if "classifier" in self._stages and steps.allow("classifier", doubt):
+            grade = steps.do("classifier", lambda: self._stages["classifier"].classify(product))
+        return ProductTrace(product, volume, weight, grade, steps.absent)
+
+    def _decided(self, found: ProductTrace, doubt: Reason | None, seconds: dict[str, float]) -> ProductTrace:
+        """Let the grader decide, on results that have their uncertainties."""
+        steps = _Steps(self.recipe.stages, self._debug, seconds)
+        decision: Decision | None = None
+        if steps.allow("grader", doubt):
+            decision = steps.do(
+                "grader",
+                lambda: self._stages["grader"].decide(found.product, found.volume, found.weight, found.grade),
+            )
+        return replace(found, decision=decision, absent={**found.absent, **steps.absent})
+
+
+def frame_of(recipe: Recipe, acquisition: Acquisition) -> Frame:
+    """Make the laser frame ready as the recipe's source says; see `roemetry.run.preprocess.prepare`."""
+    source = recipe.source_choice
+    return prepare(
+        acquisition,
+        channel=source.channel,
+        turn_deg=source.turn_deg,
+        subtract=source.subtract,
+        bit_depth=source.bit_depth,
+        sensor=recipe.sensor,
+    )
+
+
+class _Steps:
+    """Runs steps, takes their time, and notes why a result is missing."""
+
+    def __init__(
+        self, chosen: Mapping[str, Chosen], debug: bool, seconds: dict[str, float] | None = None
+    ) -> None:
+        self.absent: dict[str, Reason] = {}
+        self.seconds: dict[str, float] = {} if seconds is None else seconds
+        self._chosen = chosen
+        self._debug = debug
+
+    def do(self, kind: str, step: Callable[[], T]) -> T | None:
+        """Run a step; None if it could not be done."""
+        begin = time.perf_counter()
+        try:
+            return given(kind, step())
+        # A fault in one plugin must not end a batch; the row says whose fault it is.
+        except FAULTS as error:
+            if self._debug:
+                raise
+            if refuses(error):
+                self.absent[kind] = Reason(f"{kind}-refused", str(error))
+            else:
+                self.absent[kind] = Reason(f"{kind}-fault", failure(error, kind, self._chosen.get(kind)))
+        finally:
+            self.seconds[kind] = self.seconds.get(kind, 0.0) + time.perf_counter() - begin
+        return None
+
+    def allow(self, kind: str, why_not: Reason | None) -> bool:
+        """Say whether a step may be tried; if not, note why."""
+        if why_not is not None:
+            self.absent[kind] = why_not
+        return why_not is None
+
+
+def _with_open_part(product: Product, part: OpenPart | None) -> Product:
+    """Say of a product what of it is open, instead of what was refused in the whole frame."""
+    said = tuple(reason for reason in product.reasons if reason.code != "ambiguous")
+    own = said_of(part, product) if part is not None else None
+    return replace(product, reasons=said if own is None else (own, *said))
+
+
+def _undecided(product: Product) -> Reason | None:
+    """Say why nothing can be stated of a product: most of it is open."""
+    return next((reason for reason in product.reasons if reason.code == "undecided"), None)
+
+
+def _with_open_points(found: ProductTrace, opened: Mapping[int, OpenPart]) -> ProductTrace:
+    """Widen what is stated of a product by what is open of it."""
+    part = opened.get(found.product.number)
+    if part is None or not part.points:
+        return found
+    volume, weight = widened(found.volume, found.weight, widened_by(part, found.product))
+    return replace(found, volume=volume, weight=weight)
+
+
+def _too_high(product: Product) -> Reason | None:
+    """Say why nothing can be stated of a product that is higher than the calibration was made for."""
+    high_mm = product.calibration.height_range_mm[1]
+    heights = product.profiles.xyz_mm[:, :, 2]
+    heights = heights[np.isfinite(heights)]
+    beyond = int(np.count_nonzero(heights > high_mm + _HEIGHT_SLACK_MM))
+    if beyond <= _TOO_HIGH_SHARE_MAX * heights.size:
+        return None
+    return Reason(
+        "above-calibrated-range",
+        f"the product reaches {heights.max():.1f} mm, and {beyond / heights.size:.0%} of its points lie "
+        f"above the {high_mm:.1f} mm that the calibration is meant for: calibrate for greater heights",
+    )
+
+
+def _cut_off(stripes: StripeMap, number: int) -> Reason | None:
+    """Say why nothing can be stated of a product that runs out of the image."""
+    product = stripes.product
+    if not any((rows == number).any() for rows in (product[:, :_EDGE_ROWS], product[:, -_EDGE_ROWS:])):
+        return None
+    return Reason("cut-by-edge", "the product reaches the image's first or last row: a part is not seen")
+
+
+def _unfit(frame: Frame | None, calibration: Calibration | None) -> Reason | None:
+    """Say why an image cannot be used with the calibration."""
+    if calibration is None or frame is None:
+        return None
+    if frame.turn_deg != calibration.turn_deg:
+        return Reason(
+            "other-turn",
+            f"the image is turned by {frame.turn_deg}°, the calibration was made at {calibration.turn_deg}°; "
+            "set source.turn_deg as in the rig file",
+        )
+    if frame.size != calibration.image_size:
+        rows, columns = frame.size
+        made_rows, made_columns = calibration.image_size
+        return Reason(
+            "other-camera",
+            f"the image is {columns} × {rows} pixels, the calibration was made with "
+            f"{made_columns} × {made_rows}: another camera or region of interest; calibrate this one",
+        )
+    return None

@@ -1,0 +1,91 @@
+"""The record of a run: ``measurements.jsonl``, a line a product; everything else is derived from it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from roemetry.config.recipe import Recipe
+from roemetry.errors import DataError, OutputError
+from roemetry.io.files import LineFile, sha256_of, write_whole
+from roemetry.records import AcquisitionReference, Measurement
+
+RECORD = "measurements.jsonl"
+PROVENANCE = "provenance.json"
+
+
+def read_record(folder: Path) -> Iterator[Measurement]:
+    """Give the measurements of a run, one at a time."""
+    path = folder / RECORD
+    try:
+        with path.open(encoding="utf-8") as file:
+            for number, line in enumerate(file, start=1):
+                try:
+                    yield Measurement.from_json(line)
+                except DataError as error:
+                    if not line.endswith("\n"):
+                        raise DataError(
+                            f"{path}:{number}: the last line is cut off: the run was stopped in it",
+                            hint="`roemetry run` with --resume takes it away and goes on",
+                        ) from error
+                    raise DataError(f"{path}:{number}: {error.message}", hint=error.hint) from error
+    except UnicodeDecodeError as error:
+        raise DataError(f"{path}: damaged: byte {error.start} of a block is not UTF-8") from error
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be read: {error.strerror or error}") from error
+
+
+def acquisitions_to_keep(
+    recipe: Recipe, folder: Path, references: Sequence[AcquisitionReference], *, resume: bool
+) -> set[str]:
+    """Give the ids of the acquisitions whose rows are all there, and take the others' rows away.
+
+    Raises
+    ------
+    OutputError
+        There is a run and it may not be gone on with: `resume` is not wanted, or it is another recipe's.
+    """
+    path = folder / RECORD
+    if not path.exists() or path.stat().st_size == 0:
+        return set()
+    if not resume:
+        raise OutputError(
+            f"{folder}: there is a run in this folder already",
+            hint="go on with it by --resume, or choose another folder with --out",
+        )
+    with LineFile(path):
+        pass  # opening it takes a half line away
+    by_id = {reference.id: reference for reference in references}
+    rows: dict[str, list[Measurement]] = {}
+    for row in read_record(folder):
+        if row.provenance.get("recipe_sha256") != recipe.sha256:
+            raise OutputError(
+                f"{folder}: the run in this folder was made with another recipe, calibration or plugin",
+                hint="choose another folder with --out",
+            )
+        _check_images(row, by_id.get(row.acquisition))
+        rows.setdefault(row.acquisition, []).append(row)
+    whole = {name for name, found in rows.items() if len(found) == found[0].products}
+    if len(whole) < len(rows):
+        kept = [row.to_json() + "\n" for name in rows if name in whole for row in rows[name]]
+        write_whole(path, "".join(kept))
+    return whole
+
+
+def _check_images(row: Measurement, reference: AcquisitionReference | None) -> None:
+    """Refuse to go on with rows of other images than those that are there now."""
+    for role, path in ({} if reference is None else reference.files).items():
+        measured = row.provenance.get(f"{role}_sha256")
+        if measured is not None and path.is_file() and sha256_of(path) != measured:
+            raise OutputError(
+                f"{path}: another image than the one that was measured as {row.acquisition}",
+                hint="choose another folder with --out",
+            )
+
+
+def count_rows(folder: Path) -> dict[str, int]:
+    """Count the rows by status."""
+    counts = {"measured": 0, "empty": 0, "failed": 0}
+    for row in read_record(folder):
+        counts[row.status] += 1
+    return counts

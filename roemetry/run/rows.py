@@ -1,0 +1,271 @@
+"""From a trace to rows of the record."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from roemetry.config.recipe import Recipe
+from roemetry.records import (
+    AMBIGUOUS,
+    BELT,
+    NOTHING,
+    SATURATED,
+    UNCODED,
+    Coding,
+    Estimate,
+    Measurement,
+    Peaks,
+    ProductTrace,
+    Reason,
+    Status,
+    StripeMap,
+    Trace,
+)
+from roemetry.records.calibration import Calibration
+from roemetry.run.open_parts import open_parts
+from roemetry.run.pipeline import UNCALIBRATED
+
+_STAGES_BEFORE_PRODUCTS = ("source", "extractor", "coder", "smoother", "triangulator")
+
+
+def measurements_of(
+    trace: Trace, recipe: Recipe, provenance: Mapping[str, str], doubts: tuple[Reason, ...] = ()
+) -> tuple[Measurement, ...]:
+    """Write the rows of one acquisition: one for each product, or one that says why there is none.
+
+    Parameters
+    ----------
+    trace
+        What happened.
+    recipe
+        What was asked for.
+    provenance
+        Hashes that stand on every row.
+    doubts
+        Doubts about the calibration, which stand on every row.
+    """
+    given = dict(provenance)
+    warnings = (*_warnings(recipe), *doubts)
+    if trace.stripes is None:
+        return (_without_product(trace, recipe, warnings, given),)
+    if trace.profiles is None and (trace.stripes.product > 0).any():
+        return _in_pixels(trace, warnings, given)
+    if not trace.products:
+        return (_without_product(trace, recipe, warnings, given),)
+    return tuple(
+        _calibrated(trace, product, number_of=len(trace.products), warnings=warnings, provenance=given)
+        for product in trace.products
+    )
+
+
+def failed(acquisition_id: str, kind: str, why: Reason, provenance: Mapping[str, str]) -> Measurement:
+    """Write the row of an acquisition that could not even be read."""
+    return Measurement(
+        id=f"{acquisition_id}#0",
+        acquisition=acquisition_id,
+        product=0,
+        status="failed",
+        absent={kind: why},
+        reasons=(why,),
+        provenance=dict(provenance),
+    )
+
+
+def _calibrated(
+    trace: Trace,
+    product: ProductTrace,
+    *,
+    number_of: int,
+    warnings: tuple[Reason, ...],
+    provenance: Mapping[str, str],
+) -> Measurement:
+    profiles = product.product.profiles
+    heights = np.ascontiguousarray(profiles.xyz_mm[:, :, 2])
+    height_max = product.height_max_mm or Estimate(product.product.height_max_mm)
+    low, high = product.product.calibration.height_range_mm
+    reasons = [*product.absent.values(), *warnings, *product.product.reasons]
+    height_min = float(np.fmin.reduce(heights, axis=None, initial=math.nan))
+    for reached in (height_max.value, height_min):
+        if reached > high + _HEIGHT_SLACK_MM or reached < low - _HEIGHT_SLACK_MM:
+            reasons.append(
+                Reason(
+                    "out-of-calibrated-range",
+                    f"heights reach {reached:.1f} mm; the calibration is meant for {low:.1f} to {high:.1f}",
+                )
+            )
+    absent = {**trace.absent, **product.absent}
+    coding = _coding(trace, product.product.number)
+    return Measurement(
+        id=f"{trace.acquisition_id}#{product.product.number}",
+        acquisition=trace.acquisition_id,
+        product=product.product.number,
+        products=number_of,
+        status="failed" if product.absent else "measured",
+        coding=coding,
+        height_max_mm=height_max,
+        volume=product.volume,
+        weight=product.weight,
+        grade=product.grade,
+        decision=product.decision,
+        absent=absent,
+        reasons=_once([*reasons, *_saturation(coding)]),
+        provenance=provenance,
+    )
+
+
+def _in_pixels(
+    trace: Trace, warnings: tuple[Reason, ...], provenance: Mapping[str, str]
+) -> tuple[Measurement, ...]:
+    """Rows of a trace that was coded and not triangulated."""
+    stripes = _stripes(trace)
+    numbers = [int(number) for number in np.unique(stripes.product) if number > 0] or [0]
+    fault = trace.absent.get("triangulator")
+    wanted = fault is not None and fault != UNCALIBRATED
+    status: Status = "failed" if wanted else "measured" if numbers != [0] else "empty"
+    codings = [_coding(trace, number) for number in numbers]
+    return tuple(
+        Measurement(
+            id=f"{trace.acquisition_id}#{number}",
+            acquisition=trace.acquisition_id,
+            product=number,
+            products=len(numbers),
+            status=status,
+            coding=coding,
+            absent=dict(trace.absent),
+            reasons=_once(
+                [*warnings, *stripes.reasons, *_saturation(coding), *([fault] if fault and wanted else [])]
+            ),
+            provenance=provenance,
+        )
+        for number, coding in zip(numbers, codings, strict=True)
+    )
+
+
+def _without_product(
+    trace: Trace, recipe: Recipe, warnings: tuple[Reason, ...], provenance: Mapping[str, str]
+) -> Measurement:
+    faults = [
+        trace.absent[kind]
+        for kind in _STAGES_BEFORE_PRODUCTS
+        if kind in trace.absent and trace.absent[kind] != UNCALIBRATED
+    ]
+    reasons = list(trace.stripes.reasons) if trace.stripes is not None else []
+    only_peaks_wanted = "coder" not in recipe.stages and trace.peaks is not None
+    coding = _coding(trace, 0)
+    if not faults and not only_peaks_wanted:
+        if coding is not None and coding.ambiguous > _EMPTY_REFUSED_SHARE_MAX * coding.peaks:
+            faults.append(
+                Reason("undecided", f"{coding.ambiguous} peaks were refused, and the others show no product")
+            )
+        else:
+            reasons.insert(0, Reason("no-product", "every stripe lies on the belt: there is no product"))
+    status: Status = "failed" if faults else "measured" if only_peaks_wanted else "empty"
+    return Measurement(
+        id=f"{trace.acquisition_id}#0",
+        acquisition=trace.acquisition_id,
+        product=0,
+        status=status,
+        coding=coding,
+        absent=dict(trace.absent),
+        reasons=_once([*faults, *reasons, *warnings]),
+        provenance=provenance,
+    )
+
+
+def _open(peaks: Peaks, stripes: StripeMap, number: int) -> int:
+    part = open_parts(peaks, stripes).get(number)
+    return part.points if part is not None else 0
+
+
+def _coding(trace: Trace, number: int) -> Coding | None:
+    peaks, stripes = trace.peaks, trace.stripes
+    if peaks is None:
+        return None
+    if stripes is None:
+        return Coding(0, 0, len(peaks), 0, 0, len(peaks), 0, 0)
+    verdicts = np.bincount(stripes.peak_stripe - AMBIGUOUS, minlength=-AMBIGUOUS)
+    of_stripe = verdicts[-AMBIGUOUS:]
+    mine = stripes.product == number if number else (stripes.product != BELT) & (stripes.product != NOTHING)
+    rows, seen = np.count_nonzero(mine), np.count_nonzero(mine & stripes.seen)
+    return Coding(
+        stripes=stripes.stripe_count,
+        stripes_seen=int(np.count_nonzero(of_stripe)),
+        peaks=len(peaks),
+        coded=int(of_stripe.sum()),
+        ambiguous=_open(peaks, stripes, number) if number else int(verdicts[0]),
+        uncoded=int(verdicts[UNCODED - AMBIGUOUS]),
+        rows_seen=int(seen),
+        rows_interpolated=int(rows - seen),
+        saturated_share=_saturated_share(peaks, stripes),
+        displacement_max_px=_displacement_max(stripes, mine),
+    )
+
+
+def _displacement_max(stripes: StripeMap, mine: np.ndarray) -> float:
+    displacement = stripes.x_px[mine] - stripes.rest_px[mine]
+    known = displacement[np.isfinite(displacement)]
+    return float(known[np.abs(known).argmax()]) if known.size else math.nan
+
+
+def _saturated_share(peaks: Peaks, stripes: StripeMap) -> float:
+    coded = stripes.peak_stripe >= 0
+    many = np.count_nonzero(coded)
+    return np.count_nonzero((peaks.flags & SATURATED > 0) & coded) / many if many else math.nan
+
+
+def _saturation(coding: Coding | None) -> list[Reason]:
+    share = math.nan if coding is None else coding.saturated_share
+    if not share > _SATURATED_SHARE_MAX:
+        return []
+    return [Reason("saturated", f"{share:.0%} of the stripe points are saturated: lower the exposure")]
+
+
+_HEIGHT_SLACK_MM = 1.0
+"""So much beyond the calibrated range is noise about the belt, not a product."""
+_EMPTY_REFUSED_SHARE_MAX = 0.01
+"""An image with more refused peaks than this is not believed to be empty."""
+_SATURATED_SHARE_MAX = 0.2
+"""Above this share of saturated points the reader is told: their centres depend on how the plateau is cut."""
+
+
+def _warnings(recipe: Recipe) -> tuple[Reason, ...]:
+    """What must be said of every number of this recipe."""
+    calibration = recipe.calibration
+    if calibration is None:
+        return (UNCALIBRATED,)
+    light = recipe.penetration
+    if light is not None and light.calibration_sha256 != calibration.sha256:
+        return (
+            Reason(
+                "penetration-other-calibration",
+                f"the penetration offset of {light.offset_mm:.3f} mm was measured with another calibration",
+            ),
+            *_other_extractor(recipe, calibration),
+        )
+    return _other_extractor(recipe, calibration)
+
+
+def _other_extractor(recipe: Recipe, calibration: Calibration) -> tuple[Reason, ...]:
+    made_with, now = calibration.extractor, recipe.stages["extractor"].described()
+    if not made_with or all(made_with.get(key) == now[key] for key in ("use", "options")):
+        return ()
+    return (
+        Reason(
+            "other-extractor",
+            f"calibrated with the extractor `{made_with.get('use')}` {made_with.get('options', {})}, "
+            f"measured with `{now['use']}` {now['options']}: their peaks may differ by a part of a pixel",
+        ),
+    )
+
+
+def _stripes(trace: Trace) -> StripeMap:
+    if trace.stripes is None:
+        raise AssertionError("a trace without stripes has no rows in pixels")
+    return trace.stripes
+
+
+def _once(reasons: list[Reason]) -> tuple[Reason, ...]:
+    return tuple(dict.fromkeys(reasons))

@@ -1,0 +1,300 @@
+"""Make a data set from a scene: images, calibration images and their truth, on as many processes as wanted.
+
+An item is a pure function of scene, seed and number, so any number of processes makes the same bytes. Its
+files are written whole, each under another name first; its line, which makes it count, comes last, in order.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from dataclasses import asdict, dataclass
+from itertools import islice
+from multiprocessing import get_context, parent_process
+from pathlib import Path
+from typing import Any, Literal
+
+from roemetry.config.dataset import (
+    ITEMS,
+    DatasetWriter,
+    Description,
+    Item,
+    save_bytes,
+    save_calibration_hashes,
+    save_calibration_truth,
+    save_stripes,
+)
+from roemetry.config.recipe_file import SensorFile
+from roemetry.config.scene import Scene
+from roemetry.errors import OutputError
+from roemetry.io.files import make_folder, write_whole
+from roemetry.io.yaml_source import dump
+from roemetry.records import Frame, Role
+from roemetry.stages import Simulator
+
+Calibration = Literal["none", "basic", "charuco", "all"]
+BASIC = ("block", "belt")
+KINDS: dict[Calibration, tuple[str, ...]] = {"basic": BASIC, "charuco": (*BASIC, "charuco")}
+FOLDERS: dict[Role, str] = {"laser": "images", "plain": "images_plain", "dark": "images_dark"}
+
+_SCENE = "scene.yaml"
+
+
+@dataclass(frozen=True, slots=True)
+class Made:
+    """What a simulation came to.
+
+    Attributes
+    ----------
+    folder
+        The data set.
+    items, kept
+        How many items it has, and how many of them were there before.
+    views
+        How many calibration images it has.
+    """
+
+    folder: Path
+    items: int
+    kept: int
+    views: int
+
+
+@dataclass(frozen=True, slots=True)
+class _View:
+    """A calibration image to make."""
+
+    kind: str
+    name: str
+    path: str
+
+
+_Task = int | _View
+
+
+def simulate(
+    scene: Scene,
+    folder: Path,
+    *,
+    count: int,
+    seed: int = 1,
+    jobs: int = 1,
+    resume: bool = False,
+    calibration: Calibration = "basic",
+    on_progress: Callable[[int, int], None] = lambda done, of: None,
+) -> Made:
+    """Make a data set, or go on with one.
+
+    Parameters
+    ----------
+    scene
+        What to make images of.
+    folder
+        Where; made if need be.
+    count
+        Number of items.
+    seed
+        The same scene, seed and number give the same bytes.
+    jobs
+        Worker processes; the same bytes for any number.
+    resume
+        Go on with a set of the same scene and seed; it may also become longer.
+    calibration
+        Calibration images: none, block and empty belt, these and the ChArUco board, or every kind the
+        simulator has.
+    on_progress
+        Called with (images done, of how many).
+
+    Raises
+    ------
+    OutputError
+        The folder cannot be written, or holds another data set; what was written before stays whole.
+    StageError
+        The simulator cannot make an item, with the reason.
+    """
+    make_folder(folder)
+    if not resume and (folder / ITEMS).exists() and (folder / ITEMS).stat().st_size:
+        raise OutputError(
+            f"{folder}: there is a data set in this folder already",
+            hint="go on with it by --resume, or choose another folder with --out",
+        )
+    simulator = scene.make()
+    views = _views(simulator, seed, calibration)
+    told = _description(scene, simulator, seed, count, calibration, views)
+    writer = DatasetWriter(folder, told)
+    with writer:
+        _keep_scene(scene, folder)
+        names = [scene.file.item.format(number=number + 1) for number in range(count)]
+        tasks: list[_Task] = [view for view in views if not (folder / view.path).exists()]
+        tasks += [number for number, name in enumerate(names) if name not in writer.done]
+        kept = sum(name in writer.done for name in names)
+        total = len(views) + count
+        done = total - len(tasks)
+        on_progress(done, total)
+        for item in _made(scene, folder, seed, tasks, jobs):
+            if item is not None:
+                writer.add(item)
+            done += 1
+            on_progress(done, total)
+    known = [view.path for view in views]
+    if calibration != "none" and (truth := simulator.calibration_truth(seed)):
+        known.append(save_calibration_truth(folder, truth))
+    save_calibration_hashes(folder, known)
+    return Made(folder, count, kept, len(views))
+
+
+def _views(simulator: Simulator[Any], seed: int, calibration: Calibration) -> list[_View]:
+    """List the calibration images; of a kind with one image the file lies beside the others' folders."""
+    if calibration == "none":
+        return []
+    found = []
+    for kind, frames in simulator.calibration_frames(seed).items():
+        if kind not in KINDS.get(calibration, (kind,)):
+            continue
+        names = list(frames)
+        for name in names:
+            path = f"calibration/{kind}.png" if len(names) == 1 else f"calibration/{kind}/{name}.png"
+            found.append(_View(kind, name, path))
+    return found
+
+
+def _description(
+    scene: Scene,
+    simulator: Simulator[Any],
+    seed: int,
+    count: int,
+    calibration: Calibration,
+    views: Sequence[_View],
+) -> Description:
+    folders: dict[str, str] = {}
+    for view in views:
+        alone = view.path == f"calibration/{view.kind}.png"
+        folders[view.kind] = view.path if alone else f"calibration/{view.kind}"
+    sensor = simulator.sensor()
+    more = "" if calibration == "basic" else f" --calibration {calibration}"
+    return Description(
+        roemetry_dataset=1,
+        name=scene.file.name,
+        licence=scene.file.licence,
+        made_with=f"roemetry simulate {_SCENE} --count {count} --seed {seed}{more} --out OUT",
+        made_from={
+            "simulator": scene.simulator.registered.entry.name,
+            "provider": str(scene.simulator.registered.provider),
+            "seed": seed,
+            "scene_sha256": scene.sha256,
+        },
+        turn_deg=simulator.turn_deg(),
+        sensor=None if sensor is None else SensorFile(**asdict(sensor)),
+        calibration=folders,
+    )
+
+
+def _keep_scene(scene: Scene, folder: Path) -> None:
+    """Put the scene, whole, beside what it made; a scene that lies there already stays as it is."""
+    path = folder / _SCENE
+    if path.exists():
+        if path.resolve() == scene.path.resolve() or Scene.load(path).sha256 == scene.sha256:
+            return
+        raise OutputError(f"{path}: there is another scene here", hint="choose another folder with --out")
+    told, files = scene.kept()
+    for name, file in files.items():
+        save_bytes(folder / name, file.read_bytes())
+    write_whole(path, dump(told))
+
+
+def _made(scene: Scene, folder: Path, seed: int, tasks: Sequence[_Task], jobs: int) -> Iterator[Item | None]:
+    """Make images and give the items in order; None stands for a calibration image."""
+    if jobs == 1 or len(tasks) < 2:
+        worker = _Worker(scene, folder, seed)
+        for task in tasks:
+            yield worker(task)
+        return
+    # Spawned, not forked: a forked copy of numba's or OpenCV's threads can hang.
+    with ProcessPoolExecutor(
+        min(jobs, len(tasks)), get_context("spawn"), _start_worker, (scene, folder, seed)
+    ) as pool:
+        waiting: deque[Future[Item | None]] = deque()
+        coming = iter(tasks)
+        try:
+            while True:
+                for task in islice(coming, 3 * jobs - len(waiting)):
+                    waiting.append(pool.submit(_work, task))
+                if not waiting:
+                    return
+                yield waiting.popleft().result()
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+class _Worker:
+    """Makes one item or calibration image at a time, and writes its files."""
+
+    def __init__(self, scene: Scene, folder: Path, seed: int) -> None:
+        self._scene, self._folder, self._seed = scene, folder, seed
+        self._simulator = scene.make()
+
+    def __call__(self, task: _Task) -> Item | None:
+        if isinstance(task, int):
+            return self._item(task)
+        frame = self._simulator.calibration_frames(self._seed)[task.kind][task.name]
+        save_bytes(self._folder / task.path, _png(frame))
+        return None
+
+    def _item(self, number: int) -> Item:
+        name = self._scene.file.item.format(number=number + 1)
+        made = self._simulator.simulate(number, self._seed)
+        files: dict[Role, str] = {}
+        for frame in made.frames:
+            files[frame.role] = f"{FOLDERS[frame.role]}/{name}.png"
+            save_bytes(self._folder / files[frame.role], _png(frame))
+        stripes = None
+        if made.truth.stripes is not None:
+            stripes = f"truth/{name}.npz"
+            save_stripes(self._folder / stripes, made.truth.stripes)
+        first = made.frames[0]
+        return Item(
+            id=name,
+            files=files,
+            products=made.truth.products,
+            stripes=stripes,
+            time_s=first.time_s,
+            encoder_count=first.encoder_count,
+            bit_depth=first.bit_depth,
+        )
+
+
+_worker: _Worker | None = None
+
+
+def _start_worker(scene: Scene, folder: Path, seed: int) -> None:
+    global _worker
+    # ^C is the parent's to handle; and a worker whose parent is gone has nothing left to do
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    _worker = _Worker(scene, folder, seed)
+
+
+def _end_with_parent() -> None:
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+def _work(task: _Task) -> Item | None:
+    if _worker is None:
+        raise AssertionError("a worker process was not started by _start_worker")
+    return _worker(task)
+
+
+def _png(frame: Frame) -> bytes:
+    import cv2
+
+    good, data = cv2.imencode(".png", frame.pixels, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+    if not good:
+        raise OutputError(f"{frame.name}: the image could not be encoded as PNG")
+    return bytes(data.tobytes())

@@ -1,0 +1,165 @@
+"""Steps are done once: each result of an acquisition is remembered by all that decides it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from collections.abc import Callable, Mapping
+from types import TracebackType
+from typing import Any, NamedTuple
+
+from roemetry.config.recipe import Recipe
+from roemetry.errors import FAULTS
+from roemetry.records import Product
+
+_VERBS = {
+    "extractor": "extract",
+    "coder": "code",
+    "smoother": "smooth",
+    "outliner": "outline",
+    "triangulator": "triangulate",
+    "volume": "estimate",
+    "weigher": "weigh",
+    "classifier": "classify",
+    "grader": "decide",
+}
+_BEFORE: Mapping[str, tuple[str, ...]] = {
+    "extractor": (),
+    "coder": ("extractor",),
+    "smoother": ("coder",),
+    "outliner": ("smoother", "coder"),
+    "triangulator": ("smoother", "coder"),
+    "volume": ("triangulator", "outliner"),
+    "weigher": ("volume",),
+    "classifier": ("triangulator", "outliner"),
+    "grader": ("triangulator", "outliner", "volume", "weigher", "classifier"),
+}
+
+
+class _Fault(NamedTuple):
+    error: Exception | SystemExit
+    raised_at: TracebackType | None
+
+
+class StepMemory:
+    """Results of the steps of one acquisition, with the time each took; cleared between acquisitions.
+
+    Parameters
+    ----------
+    most
+        So many results are kept; beyond that the one that was used longest ago is forgotten. None: all.
+    """
+
+    def __init__(self, most: int | None = None) -> None:
+        self._kept: dict[object, tuple[Any, _Fault | None, float]] = {}
+        self._most = most
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self._kept.clear()
+
+    def recall(self, key: object, step: Callable[[], Any]) -> tuple[Any, float]:
+        """Give a step's result and the seconds it took when it was done; what it raised is raised again."""
+        if key not in self._kept:
+            result, fault = None, None
+            begin = time.perf_counter()
+            try:
+                result = step()
+            # Kept, not swallowed: it is raised below, here and for every variant that shares the step.
+            except FAULTS as error:
+                fault = _Fault(error, error.__traceback__)
+            self._kept[key] = (result, fault, time.perf_counter() - begin)
+            if self._most is not None and len(self._kept) > self._most:
+                del self._kept[next(iter(self._kept))]
+        elif self._most is not None:
+            self._kept[key] = self._kept.pop(key)  # used last, forgotten last
+        result, fault, seconds = self._kept[key]
+        if fault is not None:
+            # where it was raised is told to the plugin's author; each time anew, so that it does not grow
+            raise fault.error.with_traceback(fault.raised_at)
+        return result, seconds
+
+
+class RememberedStages:
+    """A recipe's stages, for a pipeline, sharing a memory with other recipes' stages.
+
+    Parameters
+    ----------
+    recipe
+        What to do.
+    memory
+        Where results are kept; the same one for all recipes compared.
+    draws
+        Monte Carlo draws; None: as many as the recipe says.
+
+    Attributes
+    ----------
+    stages
+        By kind, an object with the kind's verb.
+    keys
+        By kind, the hash of all that decides the stage's result on an acquisition.
+    seconds
+        By kind, the time its steps took where they were done, s; add up until `start`.
+    """
+
+    def __init__(self, recipe: Recipe, memory: StepMemory, draws: int | None = None) -> None:
+        self.keys = step_keys(recipe, recipe.draws if draws is None else draws)
+        self.seconds: dict[str, float] = {}
+        self.stages: dict[str, Any] = {
+            kind: _RememberedStage(kind, chosen.make(), self.keys[kind], memory, self.seconds)
+            for kind, chosen in recipe.stages.items()
+        }
+
+    def start(self) -> None:
+        """Begin to count the time of another acquisition."""
+        self.seconds.clear()
+
+
+def step_keys(recipe: Recipe, draws: int) -> dict[str, str]:
+    """Hash, by kind of stage, all that decides its result: its options, and every step before it.
+
+    A grader looks at uncertainties, so the number of draws decides its result as well.
+    """
+    source = recipe.source_choice
+    keys: dict[str, str] = {}
+
+    def key_of(kind: str) -> str:
+        if kind not in keys:
+            chosen = recipe.stages[kind]
+            calibrated = recipe.calibration is not None and kind != "extractor"
+            decided_by = [
+                chosen.described(),
+                [key_of(before) for before in _BEFORE[kind] if before in recipe.stages],
+                None if recipe.penetration is None else recipe.penetration.sha256,
+                recipe.calibration.sha256 if calibrated and recipe.calibration is not None else None,
+                source.model_dump(mode="json", exclude={"path"}),
+                draws if kind == "grader" else None,
+            ]
+            keys[kind] = hashlib.sha256(json.dumps(decided_by, sort_keys=True).encode()).hexdigest()
+        return keys[kind]
+
+    for kind in recipe.stages:
+        key_of(kind)
+    return keys
+
+
+class _RememberedStage:
+    """One stage with its kind's verb, which does the work only if nobody has done it."""
+
+    def __init__(
+        self, kind: str, stage: Any, key: str, memory: StepMemory, seconds: dict[str, float]
+    ) -> None:
+        verb = _VERBS[kind]
+        work = getattr(stage, verb)
+
+        def remembered(*inputs: Any) -> Any:
+            """Give what the stage gives, from memory if it has done this before; its time is added up."""
+            number = next((given.number for given in inputs if isinstance(given, Product)), 0)
+            result, took = memory.recall((kind, key, number), lambda: work(*inputs))
+            seconds[kind] = seconds.get(kind, 0.0) + took
+            return result
+
+        setattr(self, verb, remembered)
+        if kind == "triangulator":
+            self.view = stage.view

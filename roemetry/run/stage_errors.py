@@ -1,0 +1,68 @@
+"""Whose fault it was: a stage that broke is named, with the line of its code."""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from roemetry.config.resolve import Chosen
+from roemetry.errors import FAULTS, PluginError, RecordError, RoemetryError
+
+
+def failure(error: BaseException, kind: str, chosen: Chosen | None) -> str:
+    """Say which stage failed, with what, and where in its code.
+
+    Parameters
+    ----------
+    error
+        What the stage raised; no `RoemetryError`, by which a stage refuses.
+    kind
+        Kind of the stage.
+    chosen
+        The stage; None where it is not one of a recipe's.
+    """
+    whose = f"the {kind}" if chosen is None else f"the {kind} `{chosen.registered.entry.name}`"
+    place = None if chosen is None else place_in(error, chosen.stage.__module__)
+    where = "" if place is None else f", at {place}"
+    return f"{whose} failed with {type(error).__name__}: {error} (a plugin's fault{where}; see --debug)"
+
+
+@contextmanager
+def blamed(kind: str, chosen: Chosen) -> Iterator[None]:
+    """Turn what a stage raises, unless it refuses, into a `PluginError` that names the stage."""
+    try:
+        yield
+    except FAULTS as error:
+        if refuses(error):
+            raise
+        raise PluginError(failure(error, kind, chosen)) from error
+
+
+def refuses(error: BaseException) -> bool:
+    """Tell a stage that says why it cannot do its work from one that is broken."""
+    return isinstance(error, RoemetryError) and not isinstance(error, RecordError)
+
+
+def place_in(error: BaseException, module: str) -> str | None:
+    """Give file and line of the innermost call in a plugin's package that an error came through.
+
+    Parameters
+    ----------
+    error
+        What was raised, with its traceback.
+    module
+        A module of the package, such as that of a stage's class.
+
+    Returns
+    -------
+    str or None
+        ``extractor.py:33``; None where the error did not pass through the package.
+    """
+    package = module.partition(".")[0]
+    place = None
+    for frame, line in traceback.walk_tb(error.__traceback__):
+        if str(frame.f_globals.get("__name__")).partition(".")[0] == package:
+            place = f"{Path(frame.f_code.co_filename).name}:{line}"
+    return place

@@ -1,0 +1,121 @@
+"""The hooks a plugin may implement, and the records they yield.
+
+A plugin package looks like this, whole::
+
+    # my_plugin/__init__.py
+    from roemetry.stages.hookspecs import StageEntry, hookimpl
+
+    @hookimpl
+    def roemetry_stages():
+        yield StageEntry(
+            kind="extractor",
+            name="my-peaks",
+            target="my_plugin.peaks:MyPeaks",
+            summary="Centre of the brightest third",
+            reference="our own",
+        )
+
+and in its pyproject.toml::
+
+    [project.entry-points.roemetry]
+    my-plugin = "my_plugin"
+
+A hook registers and does nothing else: `target` is a word, and the class behind it is imported only when
+a recipe uses it, so listing plugins stays cheap. A plugin that adds a command to ``roemetry`` yields a
+`VerbEntry` from ``roemetry_verbs`` in the same way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import pluggy
+
+PROJECT = "roemetry"
+API = 1
+
+KINDS = (
+    "source",
+    "extractor",
+    "coder",
+    "smoother",
+    "calibrator",
+    "triangulator",
+    "outliner",
+    "volume",
+    "weigher",
+    "classifier",
+    "grader",
+    "sink",
+    "simulator",
+    "planner",
+)
+
+hookspec = pluggy.HookspecMarker(PROJECT)
+hookimpl = pluggy.HookimplMarker(PROJECT)
+
+
+@dataclass(frozen=True, slots=True)
+class StageEntry:
+    """One stage that a plugin offers.
+
+    Attributes
+    ----------
+    kind
+        One of `KINDS`.
+    name
+        Kebab-case name that recipes use.
+    target
+        ``package.module:Class``.
+    summary
+        What it does, in one line.
+    reference
+        Where the method comes from: a paper, an equation, "our own".
+    requires
+        Modules it needs beyond the core's, each with the line that installs it.
+    api
+        The version of this interface it was written for.
+    """
+
+    kind: str
+    name: str
+    target: str
+    summary: str
+    reference: str
+    requires: tuple[tuple[str, str], ...] = ()
+    api: int = API
+
+
+@dataclass(frozen=True, slots=True)
+class VerbEntry:
+    """One command that a plugin adds to the command line: ``roemetry NAME``.
+
+    Attributes
+    ----------
+    name
+        Kebab-case name.
+    target
+        ``package.module:function``; the function's parameters are annotated as for `typer.Typer.command`.
+    summary
+        What it does, in one line: what ``roemetry --help`` lists. The function's docstring is the help of the
+        command itself.
+    """
+
+    name: str
+    target: str
+    summary: str
+
+
+class Hooks:
+    """The hooks a plugin may implement."""
+
+    @hookspec
+    def roemetry_stages(self) -> Iterable[StageEntry]:
+        """Yield an entry for each stage the plugin offers."""
+        raise NotImplementedError  # pragma: no cover - a specification is never called
+
+    @hookspec
+    def roemetry_verbs(self) -> Iterable[VerbEntry]:
+        """Yield an entry for each command the plugin adds to the command line."""
+        raise NotImplementedError  # pragma: no cover - a specification is never called

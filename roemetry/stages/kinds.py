@@ -1,0 +1,349 @@
+"""The kinds of stage: a small abstract class each, with one verb.
+
+A stage is a pure function of its input, its options and (from the coder on) the calibration. It keeps no
+state between calls, changes no input, and may be called from several threads.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from roemetry.errors import StageError
+from roemetry.records import (
+    Acquisition,
+    AcquisitionReference,
+    CalibrationSet,
+    Decision,
+    Evidence,
+    Fitted,
+    Frame,
+    Grade,
+    Measurement,
+    Outline,
+    Peaks,
+    Plan,
+    Product,
+    Profiles,
+    Samples,
+    Sensor,
+    Simulated,
+    StripeMap,
+    Trace,
+    Volume,
+    Weight,
+)
+from roemetry.records.calibration import Calibration
+from roemetry.records.view import View
+from roemetry.stages.base import Capabilities, OptionsT, Stage, StageOptions
+
+__all__ = [
+    "INTERFACES",
+    "Calibrator",
+    "Capabilities",
+    "Classifier",
+    "Coder",
+    "Extractor",
+    "Grader",
+    "Outliner",
+    "Planner",
+    "Run",
+    "Simulator",
+    "Sink",
+    "Smoother",
+    "Source",
+    "Stage",
+    "StageOptions",
+    "Triangulator",
+    "Turn",
+    "VolumeEstimator",
+    "Weigher",
+]
+
+Turn = Literal[0, 90, 180, 270]
+
+
+class Source(Stage[OptionsT]):
+    """Knows where acquisitions are, and reads them."""
+
+    @abstractmethod
+    def references(self, path: Path) -> Sequence[AcquisitionReference]:
+        """List what there is, in order, without reading images; raise DataError where there is nothing."""
+
+    @abstractmethod
+    def read(self, reference: AcquisitionReference) -> Acquisition:
+        """Read one acquisition; raise DataError, with the file's name, where that cannot be done."""
+
+
+class Extractor(Stage[OptionsT]):
+    """Finds where stripes cross image rows."""
+
+    @abstractmethod
+    def extract(self, frame: Frame) -> Peaks:
+        """Find the peaks of a frame of one channel."""
+
+
+class Coder(Stage[OptionsT]):
+    """Says which stripe each peak belongs to, and whether it lies on the belt or on a product."""
+
+    @abstractmethod
+    def code(self, peaks: Peaks, calibration: Calibration | None) -> StripeMap:
+        """Code the peaks; refuse single peaks as ambiguous, or everything by a StageError with the reason."""
+
+
+class Smoother(Stage[OptionsT]):
+    """Filters coded stripes along themselves, and says what resolution that costs."""
+
+    @abstractmethod
+    def smooth(self, stripes: StripeMap) -> StripeMap:
+        """Give the same stripes with less noise: nothing coded anew, breaks kept as breaks."""
+
+
+class Calibrator(Stage[OptionsT]):
+    """Makes a calibration from images of known things."""
+
+    @abstractmethod
+    def calibrate(self, observed: CalibrationSet) -> Calibration:
+        """Calibrate, or refuse by a CalibrationError that says why and what to do."""
+
+    def evidence(self, observed: CalibrationSet, calibration: Calibration) -> Evidence:
+        """Show what speaks for a calibration that was made from these observations: for its page."""
+        return Evidence()
+
+
+class Triangulator(Stage[OptionsT]):
+    """Turns coded stripes into points in millimetres."""
+
+    @abstractmethod
+    def triangulate(self, stripes: StripeMap, calibration: Calibration) -> Profiles:
+        """Give calibrated slices in the belt frame."""
+
+    def view(self, calibration: Calibration) -> View | None:
+        """Give the rig's geometry by the calibration's parameters, which a redraw has moved."""
+        return calibration.view
+
+
+class Outliner(Stage[OptionsT]):
+    """Finds the products' contours in the image."""
+
+    @abstractmethod
+    def outline(
+        self, frame: Frame, plain: Frame | None, stripes: StripeMap, calibration: Calibration | None
+    ) -> tuple[Outline, ...]:
+        """Give one outline for each product that was found.
+
+        Parameters
+        ----------
+        frame
+            The laser image as the extractor saw it.
+        plain
+            The image in plain light, turned alike, in colour if it was taken so; None where there is none.
+        stripes
+            The coded stripes.
+        calibration
+            None where the recipe has none.
+        """
+
+
+class VolumeEstimator(Stage[OptionsT]):
+    """Estimates a product's volume."""
+
+    @property
+    def states_model_error(self) -> bool:
+        """True if, given `rng`, all of the stage's own model's error is drawn; else no interval is given."""
+        return False
+
+    @abstractmethod
+    def estimate(self, product: Product, *, rng: np.random.Generator | None = None) -> Volume:
+        """Estimate the volume; given `rng`, draw the estimator's own model error as well."""
+
+    def redraw(self, product: Product, found: Volume, *, rng: np.random.Generator | None = None) -> Volume:
+        """Estimate the volume of a product of which noise was drawn.
+
+        An estimator that takes long over its budget may draw by the one it has found: it hardly depends on
+        the noise. Of the result only the values are used.
+
+        Parameters
+        ----------
+        product
+            As it was drawn.
+        found
+            What `estimate` gave of the product as it was seen.
+        rng
+            As in `estimate`.
+        """
+        del found
+        return self.estimate(product, rng=rng)
+
+
+class Weigher(Stage[OptionsT]):
+    """Turns volume (and what else is known) into mass."""
+
+    @property
+    def states_model_error(self) -> bool:
+        """True if, given `rng`, all of the stage's own model's error is drawn; else no interval is given."""
+        return False
+
+    @abstractmethod
+    def weigh(self, product: Product, volume: Volume, *, rng: np.random.Generator | None = None) -> Weight:
+        """Estimate the mass; given `rng`, draw the weigher's own model error as well."""
+
+    @classmethod
+    def fit(cls, samples: Samples, *, form: str = "auto") -> Fitted:
+        """Learn from weighed products.
+
+        Parameters
+        ----------
+        samples
+            With masses.
+        form
+            Name of one of the weigher's models; ``auto``: the one that does best on held-out products.
+
+        Raises
+        ------
+        StageError
+            This weigher does not learn, or knows no such model.
+        DataError
+            The samples cannot be learned from.
+        """
+        raise StageError(f"{cls.__name__} does not learn", hint="the weigher `fitted` does")
+
+
+class Classifier(Stage[OptionsT]):
+    """Judges a product's shape."""
+
+    @abstractmethod
+    def classify(self, product: Product, *, rng: np.random.Generator | None = None) -> Grade:
+        """Give the class with reasons; ``unknown`` is a legal answer."""
+
+    @classmethod
+    def fit(cls, samples: Samples, *, good: str = "", smoothing_mm: float = 3.0) -> Fitted:
+        """Learn from labelled products.
+
+        Parameters
+        ----------
+        samples
+            With labels.
+        good
+            The class of good products; "" where there is none.
+        smoothing_mm
+            Window the features were measured with, mm.
+
+        Raises
+        ------
+        StageError
+            This classifier does not learn.
+        DataError
+            The samples cannot be learned from.
+        """
+        raise StageError(f"{cls.__name__} does not learn", hint="the classifier `learned` does")
+
+
+class Grader(Stage[OptionsT]):
+    """Decides what is to be done with a product, by all that was found of it."""
+
+    def needs(self) -> frozenset[str]:
+        """Name the kinds of stage whose results it asks for; a recipe without one of them is refused."""
+        return frozenset()
+
+    @abstractmethod
+    def decide(
+        self, product: Product, volume: Volume | None, weight: Weight | None, grade: Grade | None
+    ) -> Decision:
+        """Give the class with reasons; ``undecided`` is a legal answer.
+
+        Parameters
+        ----------
+        product
+            With its outline, where there is one.
+        volume, weight, grade
+            With their uncertainties; None where a stage was not asked for or could not say.
+        """
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """A finished (or stopped) run, as sinks receive it.
+
+    Attributes
+    ----------
+    folder
+        Where to write.
+    title
+        What was measured.
+    measurements
+        Gives all measurements anew at each call, one at a time.
+    replay
+        Makes an acquisition's whole trace again from its id; raises DataError where the image is gone.
+    provenance
+        Contents of ``provenance.json``.
+    """
+
+    folder: Path
+    title: str
+    measurements: Callable[[], Iterator[Measurement]]
+    replay: Callable[[str], Trace]
+    provenance: Mapping[str, Any]
+
+
+class Sink(Stage[OptionsT]):
+    """Derives something for people or other programs from a run's record."""
+
+    @abstractmethod
+    def write(self, run: Run) -> Sequence[Path]:
+        """Write, and give the files written."""
+
+
+class Simulator(Stage[OptionsT]):
+    """Makes images whose answer is known. Its options are the scene file: rig, belt, light, products."""
+
+    @abstractmethod
+    def simulate(self, number: int, seed: int) -> Simulated:
+        """Make the population's acquisition of this number: a pure function of options, number, seed."""
+
+    @abstractmethod
+    def calibration_frames(self, seed: int) -> Mapping[str, Mapping[str, Frame]]:
+        """Make calibration images: by kind (``block``, ``belt``, …), by file name without suffix."""
+
+    def turn_deg(self) -> Turn:
+        """Give the counter-clockwise turn that rights its images; its truth is of the turned image."""
+        return 0
+
+    def sensor(self) -> Sensor | None:
+        """Give the noise of the camera it makes images of; None where that is not told."""
+        return None
+
+    def calibration_truth(self, seed: int) -> Mapping[str, Any]:
+        """Give what is true of rig and targets, as plain values for a file; empty where nothing is told."""
+        return {}
+
+
+class Planner(Stage[OptionsT]):
+    """Says what a rig will give before it is built. Its options are a simulator's: the scene file."""
+
+    @abstractmethod
+    def plan(self, *, simulate: bool) -> Plan:
+        """Work the rig out, with short simulations beside it if wanted; raise StageError where that fails."""
+
+
+INTERFACES: Mapping[str, type[Stage[Any]]] = {
+    "source": Source,
+    "extractor": Extractor,
+    "coder": Coder,
+    "smoother": Smoother,
+    "calibrator": Calibrator,
+    "triangulator": Triangulator,
+    "outliner": Outliner,
+    "volume": VolumeEstimator,
+    "weigher": Weigher,
+    "classifier": Classifier,
+    "grader": Grader,
+    "sink": Sink,
+    "simulator": Simulator,
+    "planner": Planner,
+}

@@ -1,0 +1,132 @@
+"""A recipe in a program: over files, over arrays, given as a dictionary."""
+
+from __future__ import annotations
+
+import json
+import math
+import pickle
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from roemetry import Recipe, RoemetryError, run_recipe
+from roemetry.errors import ConfigurationError, DataError
+from roemetry.io.yaml_source import read
+from roemetry.run.record import read_record
+
+SHIPPED = Path(__file__).resolve().parents[2] / "recipes" / "herring_roe"
+
+
+def test_running_gives_the_rows_of_the_record(line: Callable[..., Path], tmp_path: Path) -> None:
+    recipe = Recipe.load(line())
+    run_recipe(recipe, tmp_path / "out")
+    rows = list(recipe.run())
+    assert rows
+    assert [row.to_json() for row in rows] == [row.to_json() for row in read_record(tmp_path / "out")]
+
+
+def test_more_processes_give_the_same(line: Callable[..., Path]) -> None:
+    recipe = Recipe.load(line())
+    assert [row.to_json() for row in recipe.run(jobs=2)] == [row.to_json() for row in recipe.run()]
+
+
+def test_an_array_measures_as_its_file_does(line: Callable[..., Path]) -> None:
+    recipe = Recipe.load(line())
+    by_acquisition = {row.acquisition: row for row in recipe.run()}
+    paths = sorted(recipe.source_path.glob("*.png"))
+    assert paths
+    for path in paths:
+        found = recipe.measure(cv2.imread(str(path), cv2.IMREAD_UNCHANGED), name=path.stem)
+        (row,) = (json.loads(row.to_json()) for row in found)
+        expected = json.loads(by_acquisition[path.stem].to_json())
+        of_files = expected.pop("provenance")
+        assert row.pop("provenance").items() <= of_files.items()
+        assert row == expected
+
+
+def test_a_trace_has_every_step(line: Callable[..., Path]) -> None:
+    recipe = Recipe.load(line())
+    pixels = cv2.imread(str(sorted(recipe.source_path.glob("*.png"))[0]), cv2.IMREAD_UNCHANGED)
+    trace = recipe.trace(pixels, name="first")
+    assert trace.acquisition_id == "first"
+    assert trace.peaks is not None
+    assert trace.profiles is not None
+    assert pickle.loads(pickle.dumps(recipe)).sha256 == recipe.sha256
+
+
+def test_what_is_no_image_is_refused(line: Callable[..., Path]) -> None:
+    recipe = Recipe.load(line())
+    with pytest.raises(DataError, match="int64, expected uint8 or uint16"):
+        recipe.measure([[1, 2], [3, 4]])  # type: ignore[arg-type]
+    with pytest.raises(DataError, match="the laser image is no array"):
+        recipe.measure([[1, 2], [3]])  # type: ignore[arg-type]
+    with pytest.raises(DataError, match="float64, expected uint8 or uint16"):
+        recipe.measure(np.zeros((240, 320)))
+    with pytest.raises(DataError, match="empty"):
+        recipe.measure(np.zeros((0, 320), dtype=np.uint8))
+
+
+def test_another_size_is_a_row_with_the_reason(line: Callable[..., Path]) -> None:
+    (row,) = Recipe.load(line()).measure(np.zeros((24, 32), dtype=np.uint8))
+    assert row.status == "failed"
+    assert any(reason.code == "other-camera" for reason in row.reasons)
+
+
+def test_a_recipe_given_as_a_dictionary_is_the_same(line: Callable[..., Path]) -> None:
+    path = line()
+    given = Recipe.of(read(path).data, folder=path.parent)
+    assert given.sha256 == Recipe.load(path).sha256
+    assert [row.id for row in given.run()] == [row.id for row in Recipe.load(path).run()]
+
+
+def test_a_fault_of_a_dictionary_names_its_keys() -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        Recipe.of(
+            {"roemetry": 1, "product": "x", "source": {"path": "."}, "stages": {"extractor": "no-such"}}
+        )
+    assert isinstance(caught.value, RoemetryError)
+    assert str(caught.value).startswith("the recipe: stages.extractor.use: there is no extractor `no-such`")
+
+
+@pytest.mark.parametrize(("volume", "draws", "said"), [("slice-pchip", 0, True), ("slice-pchip", 40, False)])
+def test_an_uncertainty_of_the_model_alone_is_called_that(volume: str, draws: int, said: bool) -> None:
+    recipe = Recipe.load(
+        SHIPPED,
+        sets=[
+            "stages.extractor={use: gaussian}",
+            "source.sensor={gain_grey_per_electron: 0.0255, read_noise_grey: 1.0}",
+            f"calibration={SHIPPED}/calibration_with_outline.yaml",  # of a block no interval is stated
+            "stages.triangulator=pinhole-plane",
+            f"stages.volume={volume}",
+            f"draws={draws}",
+            f"source.path={SHIPPED}/images/skein_01.png",
+        ],
+    )
+    (row,) = recipe.run()
+    assert row.volume is not None
+    assert math.isfinite(row.volume.visible_mm3.std)
+    assert math.isfinite(row.volume.visible_mm3.interval[0]) is not said
+    assert ("model-error-only" in [reason.code for reason in row.volume.reasons]) is said
+
+
+def test_on_an_approximate_calibration_no_part_stands_for_the_whole() -> None:
+    """A guard band would be made of it, and the block's scale is off by more than all parts together."""
+    sets = ["stages.volume=slice-pchip", f"source.path={SHIPPED}/images/skein_01.png"]
+    (row,) = Recipe.load(SHIPPED, sets=sets).run()
+    assert row.volume is not None
+    assert math.isnan(row.volume.visible_mm3.std)
+    assert row.volume.visible_mm3.budget
+    assert "calibration-model-not-stated" in [reason.code for reason in row.volume.reasons]
+
+
+def test_where_no_uncertainty_is_stated_there_is_no_part_of_one_either() -> None:
+    recipe = Recipe.load(
+        SHIPPED, sets=["stages.volume=zero-order-hold", f"source.path={SHIPPED}/images/skein_01.png"]
+    )
+    (row,) = recipe.run()
+    assert row.volume is not None
+    assert math.isnan(row.volume.visible_mm3.std)
+    assert "model-error-only" not in [reason.code for reason in row.volume.reasons]

@@ -1,0 +1,431 @@
+"""Runs: the batch goes on, the record is whole at every moment, any number of jobs gives the same."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from roemetry.config.recipe import Recipe
+from roemetry.errors import DataError, OutputError
+from roemetry.run.batch import derive, run_recipe
+from roemetry.run.record import RECORD, read_record
+
+
+def rows_of(folder: Path) -> dict[str, object]:
+    return {row.acquisition: row for row in read_record(folder)}
+
+
+def test_everything_is_measured_and_derived(line: Callable[..., Path], tmp_path: Path) -> None:
+    outcome = run_recipe(Recipe.load(line(3)), tmp_path / "out")
+    assert outcome.counts == {"measured": 3, "empty": 0, "failed": 0}
+    assert outcome.sink_faults == ()
+    provenance = json.loads((tmp_path / "out" / "provenance.json").read_text(encoding="utf-8"))
+    assert provenance["finished"] is not None
+    assert provenance["resolved_recipe"]["stages"]["extractor"]["options"]["threshold"] == 60
+    headings = (tmp_path / "out" / "results.csv").read_text(encoding="utf-8").splitlines()[0]
+    assert "weight (g)" in headings
+    volumes = [row.volume.visible_mm3.value for row in read_record(tmp_path / "out") if row.volume]
+    assert volumes == sorted(volumes), "higher domes have larger volumes"
+
+
+def test_more_jobs_give_the_same_bytes(line: Callable[..., Path], tmp_path: Path) -> None:
+    recipe = Recipe.load(line(5))
+    run_recipe(recipe, tmp_path / "one")
+    run_recipe(recipe, tmp_path / "two", jobs=2)
+    assert (tmp_path / "one" / RECORD).read_bytes() == (tmp_path / "two" / RECORD).read_bytes()
+
+
+def test_bad_images_are_rows_and_the_batch_goes_on(line: Callable[..., Path], tmp_path: Path, rig) -> None:
+    path = line(2)
+    images = path.parent / "images"
+    whole = (images / "p01.png").read_bytes()
+    (images / "a_truncated.png").write_bytes(whole[: len(whole) // 2])
+    (images / "b_empty.png").write_bytes(b"")
+    (images / "c_text.png").write_text("not an image", encoding="utf-8")
+    cv2.imwrite(str(images / "d_black.png"), np.zeros((rig.rows, rig.columns), np.uint8))
+    cv2.imwrite(str(images / "e_white.png"), np.full((rig.rows, rig.columns), 255, np.uint8))
+    cv2.imwrite(str(images / "f_belt.png"), rig.image(rig.x_px(np.zeros((rig.stripes, rig.rows)))))
+    cv2.imwrite(str(images / "g_small.png"), np.zeros((100, 100), np.uint8))
+    deep = rig.image(rig.x_px(rig.dome())).astype(np.uint16) * 257
+    cv2.imwrite(str(images / "h_16bit.png"), deep)
+    cv2.imwrite(str(images / "i_colour.png"), cv2.merge([rig.image(rig.x_px(rig.dome()))] * 3))
+    outcome = run_recipe(Recipe.load(path), tmp_path / "out")
+    rows = rows_of(tmp_path / "out")
+    assert outcome.counts == {"measured": 4, "empty": 1, "failed": 6}
+    says = {
+        "a_truncated": "cut off",
+        "b_empty": "empty",
+        "c_text": "not an image",
+        "d_black": "no stripe was found",
+        "e_white": "no stripe was found",
+        "f_belt": "there is no product",
+        "g_small": "another camera",
+    }
+    for name, words in says.items():
+        assert words in rows[name].reasons[0].text, name
+    assert rows["f_belt"].status == "empty"
+    assert rows["h_16bit"].volume.visible_mm3.value == pytest.approx(
+        rows["i_colour"].volume.visible_mm3.value, rel=0.02
+    )
+
+
+def test_missing_stripes_are_named(line: Callable[..., Path], tmp_path: Path, rig) -> None:
+    path = line(1)
+    x_px = rig.x_px(rig.dome())
+    x_px[[2, 5]] = np.nan
+    cv2.imwrite(str(path.parent / "images" / "p01.png"), rig.image(x_px))
+    run_recipe(Recipe.load(path), tmp_path / "out")
+    row = rows_of(tmp_path / "out")["p01"]
+    reason = next(reason for reason in row.reasons if reason.code == "stripe-missing")
+    assert "7 stripes are expected and 5 are seen" in reason.text
+    assert "3, 6" in reason.text
+    assert row.coding.stripes_seen == 5
+
+
+def test_uncalibrated_is_legal_and_said_on_every_row(line: Callable[..., Path], tmp_path: Path) -> None:
+    outcome = run_recipe(Recipe.load(line(2, calibrated=False)), tmp_path / "out")
+    assert outcome.counts["measured"] == 2
+    for row in read_record(tmp_path / "out"):
+        assert row.volume is None
+        assert any(reason.code == "uncalibrated" for reason in row.reasons)
+        assert row.coding is not None
+        assert row.coding.displacement_max_px == pytest.approx(2.0 * 9.0, abs=3.0)
+
+
+def test_a_fault_in_a_plugin_is_a_row(
+    line: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from roemetry_paper.zero_order_hold import ZeroOrderHold
+
+    def broken(self: object, product: object, *, rng: object = None) -> None:
+        raise ZeroDivisionError("oh")
+
+    monkeypatch.setattr(ZeroOrderHold, "estimate", broken)
+    outcome = run_recipe(Recipe.load(line(2)), tmp_path / "out")
+    assert outcome.counts["failed"] == 2
+    row = rows_of(tmp_path / "out")["p01"]
+    assert "ZeroDivisionError" in row.absent["volume"].text
+    assert row.grade is not None, "what does not need the volume is still there"
+    with pytest.raises(ZeroDivisionError):
+        run_recipe(Recipe.load(tmp_path / "line"), tmp_path / "debug", debug=True)
+
+
+def test_a_plugin_that_ends_the_program_ends_its_row_only(
+    line: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from roemetry_paper.zero_order_hold import ZeroOrderHold
+
+    monkeypatch.setattr(ZeroOrderHold, "estimate", lambda *_, **__: sys.exit(0))
+    outcome = run_recipe(Recipe.load(line(2)), tmp_path / "out")
+    assert outcome.counts["failed"] == 2
+    assert (
+        "`zero-order-hold` failed with SystemExit: 0"
+        in rows_of(tmp_path / "out")["p01"].absent["volume"].text
+    )
+
+
+def test_a_stage_that_gives_nothing_is_no_empty_belt(
+    line: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from roemetry_paper.dominant_peak import DominantPeak
+
+    monkeypatch.setattr(DominantPeak, "extract", lambda self, frame: None)
+    outcome = run_recipe(Recipe.load(line(2)), tmp_path / "out")
+    assert outcome.counts["failed"] == 2
+    why = rows_of(tmp_path / "out")["p01"].absent["extractor"]
+    assert why.code == "extractor-fault"
+    assert "the extractor `dominant-peak` failed" in why.text
+    assert "gave nothing (None), expected Peaks" in why.text
+
+
+def test_a_run_is_not_written_over(line: Callable[..., Path], tmp_path: Path) -> None:
+    recipe = Recipe.load(line(1))
+    run_recipe(recipe, tmp_path / "out")
+    with pytest.raises(OutputError, match="--resume"):
+        run_recipe(recipe, tmp_path / "out")
+    other = Recipe.load(recipe.path, sets=["stages.extractor.options.threshold=61"])
+    with pytest.raises(OutputError, match="another recipe"):
+        run_recipe(other, tmp_path / "out", resume=True)
+
+
+def test_resume_measures_what_is_missing_and_mends_half_a_line(
+    line: Callable[..., Path], tmp_path: Path
+) -> None:
+    recipe = Recipe.load(line(4))
+    run_recipe(recipe, tmp_path / "whole")
+    whole = (tmp_path / "whole" / RECORD).read_bytes()
+    out = tmp_path / "out"
+    out.mkdir()
+    lines = whole.splitlines(keepends=True)
+    (out / RECORD).write_bytes(lines[0] + lines[1][:40])
+    run_recipe(recipe, out, resume=True)
+    assert (out / RECORD).read_bytes() == whole
+
+
+def test_resume_measures_an_acquisition_again_of_which_a_row_is_missing(
+    line: Callable[..., Path], tmp_path: Path
+) -> None:
+    recipe = Recipe.load(line(2))
+    run_recipe(recipe, tmp_path / "out")
+    path = tmp_path / "out" / RECORD
+    first, second = path.read_text(encoding="utf-8").splitlines(keepends=True)
+    path.write_text(first + second.replace('"products": 1', '"products": 2'), encoding="utf-8")
+    run_recipe(recipe, tmp_path / "out", resume=True)
+    assert path.read_text(encoding="utf-8") == first + second
+
+
+def test_killed_at_any_moment_all_but_the_last_line_is_whole(
+    line: Callable[..., Path], tmp_path: Path
+) -> None:
+    path = line(60)
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "roemetry", "run", str(path), "--out", str(out), "--json"]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    record = out / RECORD
+    deadline = time.monotonic() + 60
+    while time.monotonic() < deadline and not (record.exists() and record.stat().st_size > 3000):
+        time.sleep(0.002)
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    written = record.read_text(encoding="utf-8")
+    whole = written[: written.rfind("\n") + 1]  # the system may stop in the middle of a write
+    assert all(json.loads(row)["status"] == "measured" for row in whole.splitlines())
+    recipe = Recipe.load(path)
+    run_recipe(recipe, out, resume=True)
+    assert record.read_text(encoding="utf-8").startswith(whole)
+    assert [row.acquisition for row in read_record(out)] == [f"p{n:02d}" for n in range(1, 61)]
+
+
+def test_disk_full_in_the_middle_keeps_what_was_measured(
+    line: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recipe = Recipe.load(line(3))
+    real, calls = os.write, []
+
+    def full_at_the_second(descriptor: int, data: bytes) -> int:
+        if data.startswith(b'{"id"'):
+            calls.append(data)
+            if len(calls) == 2:
+                raise OSError(28, "No space left on device")
+        return real(descriptor, data)
+
+    monkeypatch.setattr(os, "write", full_at_the_second)
+    with pytest.raises(OutputError, match="No space left"):
+        run_recipe(recipe, tmp_path / "out")
+    monkeypatch.setattr(os, "write", real)
+    assert [row.acquisition for row in read_record(tmp_path / "out")] == ["p01"]
+    run_recipe(recipe, tmp_path / "out", resume=True)
+    assert [row.acquisition for row in read_record(tmp_path / "out")] == ["p01", "p02", "p03"]
+
+
+def test_a_sink_that_fails_does_not_take_the_others_away(
+    line: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from roemetry_files.csv_table import CsvTable
+
+    def broken(self: object, run: object) -> None:
+        raise TypeError("oh")
+
+    path = line(1)
+    path.write_text(path.read_text("utf-8").replace("sinks: [csv]", "sinks: [csv, points]"), "utf-8")
+    monkeypatch.setattr(CsvTable, "write", broken)
+    outcome = run_recipe(Recipe.load(path), tmp_path / "out")
+    assert [file.name for file in outcome.files] == ["p01.csv"]
+    assert "csv: failed with TypeError: oh" in outcome.sink_faults[0]
+
+
+def test_tables_can_be_derived_when_the_images_are_gone(line: Callable[..., Path], tmp_path: Path) -> None:
+    recipe = Recipe.load(line(2))
+    run_recipe(recipe, tmp_path / "out")
+    before = (tmp_path / "out" / "results.csv").read_bytes()
+    shutil.rmtree(recipe.source_path)
+    (tmp_path / "out" / "results.csv").unlink()
+    files, faults = derive(recipe, tmp_path / "out", {})
+    assert faults == ()
+    assert files[0].read_bytes() == before
+
+
+def test_a_flat_top_of_one_spacing_is_measured_or_refused_but_never_empty(
+    line: Callable[..., Path], tmp_path: Path, rig
+) -> None:
+    path = line(1)
+    heights = np.zeros((rig.stripes, rig.rows))
+    heights[1:5, 80:160] = 20.0
+    x_px = rig.x_px(heights)
+    x_px[5, 80:160] = np.nan
+    cv2.imwrite(str(path.parent / "images" / "p01.png"), rig.image(x_px))
+    run_recipe(Recipe.load(path), tmp_path / "out")
+    row = rows_of(tmp_path / "out")["p01"]
+    assert row.status == "failed"
+    assert row.reasons[0].code == "undecided"
+
+
+def test_bits_in_use(line: Callable[..., Path], tmp_path: Path, rig) -> None:
+    """A 12-bit image in a 16-bit file is measured as the 8-bit one, once its bit depth is told."""
+    path = line(1)
+    run_recipe(Recipe.load(path), tmp_path / "eight")
+    deep = cv2.imread(str(path.parent / "images" / "p01.png"), cv2.IMREAD_UNCHANGED).astype(np.uint16) * 16
+    cv2.imwrite(str(path.parent / "images" / "p01.png"), deep)
+    run_recipe(Recipe.load(path, sets=["source.bit_depth=12"]), tmp_path / "twelve")
+    eight, twelve = rows_of(tmp_path / "eight")["p01"], rows_of(tmp_path / "twelve")["p01"]
+    assert twelve.volume.visible_mm3.value == pytest.approx(eight.volume.visible_mm3.value, rel=1e-3)
+
+
+def test_another_extractor_than_the_calibrations_is_said(line: Callable[..., Path], tmp_path: Path) -> None:
+    run_recipe(
+        Recipe.load(line(1), sets=["stages.extractor.use=local-maximum", "stages.extractor.options={}"]),
+        tmp_path / "out",
+    )
+    row = rows_of(tmp_path / "out")["p01"]
+    assert "other-extractor" in [reason.code for reason in row.reasons]
+
+
+@pytest.mark.parametrize(
+    ("coder", "code"), [("window-tracking", "undecided"), ("planes", "above-calibrated-range")]
+)
+def test_nothing_is_stated_of_a_product_above_the_calibrated_range(
+    line: Callable[..., Path], tmp_path: Path, rig, coder: str, code: str
+) -> None:
+    """The dome is 9 mm high; the calibration is meant for 3.5 mm."""
+    path = line(1)
+    replace(rig.calibration(), height_range_mm=(0.0, 3.5)).save(path.parent / "calibration.yaml")
+    run_recipe(Recipe.load(path, sets=[f"stages.coder.use={coder}"]), tmp_path / "out")
+    row = rows_of(tmp_path / "out")["p01"]
+    assert row.status == "failed"
+    assert (row.volume, row.weight, row.grade) == (None, None, None)
+    assert row.reasons[0].code == code
+
+
+def test_some_open_points_are_said_and_too_many_refuse_the_product(
+    line: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from roemetry.records import AMBIGUOUS
+    from roemetry_paper.window_tracking import WindowTracking
+
+    real = WindowTracking.code
+    refused_rows = 0
+
+    def refusing(self: WindowTracking, peaks: object, calibration: object) -> object:
+        """Refuse the product's peaks in the image's upper rows."""
+        stripes = real(self, peaks, calibration)
+        verdict = np.array(stripes.peak_stripe)
+        own = stripes.rest_px[np.maximum(verdict, 0), peaks.row]
+        refused = (np.abs(peaks.x_px - own) > 5.0) & (peaks.row < refused_rows) & (verdict >= 0)
+        seen, x_px, product = (np.array(part) for part in (stripes.seen, stripes.x_px, stripes.product))
+        cells = verdict[refused], peaks.row[refused]
+        seen[cells], x_px[cells], product[cells] = False, np.nan, -1
+        verdict[refused] = AMBIGUOUS
+        return replace(stripes, peak_stripe=verdict, seen=seen, x_px=x_px, product=product)
+
+    monkeypatch.setattr(WindowTracking, "code", refusing)
+    path = line(1)
+    rows = []
+    for refused_rows in (0, 100, 140):
+        run_recipe(Recipe.load(path), tmp_path / str(refused_rows))
+        rows.append(rows_of(tmp_path / str(refused_rows))["p01"])
+    whole, partly, hardly = rows
+    assert whole.status == partly.status == "measured"
+    assert any("widens the volume's uncertainty by" in reason.text for reason in partly.reasons)
+    assert (hardly.volume, hardly.grade, hardly.weight) == (None, None, None)
+    assert hardly.status == "failed"
+    assert hardly.reasons[0].code == "undecided"
+
+
+def test_a_camera_that_has_moved_is_said_and_then_refused(
+    line: Callable[..., Path], tmp_path: Path, rig
+) -> None:
+    path = line(3)
+    for number, shift in enumerate((0.0, 0.5, 1.4), start=1):
+        image = rig.image(rig.x_px(rig.dome()) + shift + np.linspace(-0.4, 0.4, rig.rows))
+        cv2.imwrite(str(path.parent / "images" / f"p{number:02d}.png"), image)
+    run_recipe(Recipe.load(path), tmp_path / "out")
+    rows = rows_of(tmp_path / "out")
+    codes = {name: [reason.code for reason in row.reasons] for name, row in rows.items()}
+    assert "moved" not in codes["p01"]
+    assert "moved" in codes["p02"]
+    assert rows["p03"].status == "failed"
+    assert "has moved" in rows["p03"].reasons[0].text
+
+
+def test_a_lost_block_of_rows_is_refused(line: Callable[..., Path], tmp_path: Path, rig) -> None:
+    path = line(2)
+    image = rig.image(rig.x_px(rig.dome()))
+    image[150:190] = 0
+    cv2.imwrite(str(path.parent / "images" / "p01.png"), image)
+    image = rig.image(rig.x_px(rig.dome()))
+    image[120:] = 0
+    cv2.imwrite(str(path.parent / "images" / "p02.png"), image)
+    run_recipe(Recipe.load(path), tmp_path / "out")
+    for row in rows_of(tmp_path / "out").values():
+        assert row.status == "failed"
+        assert "rows on end show no stripe" in row.reasons[0].text
+
+
+def test_a_product_that_runs_out_of_the_image_has_no_numbers(
+    line: Callable[..., Path], tmp_path: Path, rig
+) -> None:
+    path = line(1)
+    image = rig.image(rig.x_px(rig.dome(first=-60, last=60)))
+    cv2.imwrite(str(path.parent / "images" / "p01.png"), image)
+    run_recipe(Recipe.load(path), tmp_path / "out")
+    row = rows_of(tmp_path / "out")["p01"]
+    assert row.status == "failed"
+    assert row.volume is None
+    assert row.grade is None
+
+
+def test_resume_does_not_mix_two_sets_of_images(line: Callable[..., Path], tmp_path: Path, rig) -> None:
+    path = line(2)
+    run_recipe(Recipe.load(path), tmp_path / "out")
+    cv2.imwrite(str(path.parent / "images" / "p01.png"), rig.image(rig.x_px(rig.dome(5.0))))
+    with pytest.raises(OutputError, match="another image than the one that was measured as p01"):
+        run_recipe(Recipe.load(path), tmp_path / "out", resume=True)
+
+
+def test_noise_without_a_calibration_is_neither_empty_nor_measured(
+    line: Callable[..., Path], tmp_path: Path, rng: np.random.Generator
+) -> None:
+    path = line(1, calibrated=False)
+    noise = rng.integers(0, 256, (600, 800), np.uint8)
+    cv2.imwrite(str(path.parent / "images" / "p01.png"), noise)
+    outcome = run_recipe(Recipe.load(path), tmp_path / "out")
+    assert outcome.counts["failed"] == 1
+
+
+def test_an_empty_belt_without_a_calibration_is_empty(line: Callable[..., Path], tmp_path: Path, rig) -> None:
+    path = line(1, calibrated=False)
+    belt = rig.image(rig.x_px(np.zeros((rig.stripes, rig.rows))))
+    cv2.imwrite(str(path.parent / "images" / "p01.png"), belt)
+    run_recipe(Recipe.load(path), tmp_path / "out")
+    row = rows_of(tmp_path / "out")["p01"]
+    assert row.status == "empty"
+    assert row.reasons[0].code == "no-product"
+    assert "uncalibrated" in [reason.code for reason in row.reasons]
+
+
+def test_a_damaged_record_is_named_with_its_line(line: Callable[..., Path], tmp_path: Path) -> None:
+    recipe = Recipe.load(line(2))
+    run_recipe(recipe, tmp_path / "out")
+    record = tmp_path / "out" / RECORD
+    first = record.read_bytes().splitlines(keepends=True)[0]
+    record.write_bytes(first + b'{"a": 1}\n')
+    with pytest.raises(DataError, match=r"measurements\.jsonl:2: not a measurement"):
+        run_recipe(recipe, tmp_path / "out", resume=True)
+    record.write_bytes(first + first[:40])
+    with pytest.raises(DataError, match=r"measurements\.jsonl:2: the last line is cut off"):
+        list(read_record(tmp_path / "out"))
+    record.write_bytes(first + b"\xff\xfe\n")
+    with pytest.raises(DataError, match="not UTF-8"):
+        run_recipe(recipe, tmp_path / "out", resume=True)

@@ -1,0 +1,206 @@
+"""Intervals, limits of agreement, verdicts, recalls, probabilities and folds, each against an oracle."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.stats import binomtest, t
+
+from roemetry.html.plots import share
+from roemetry_tools.compare.agreement import (
+    Beside,
+    Terms,
+    against_each_other,
+    against_truth,
+    agreement_of,
+    nearer,
+)
+from roemetry_tools.compare.bootstrap import Bootstrap, mean_of, wilson
+from roemetry_tools.compare.cross_validation import choose_by_class, choose_by_error
+from roemetry_tools.compare.grading import (
+    Graded,
+    balanced_interval,
+    balanced_shift,
+    recalls_of,
+    reliability_of,
+)
+
+
+def values(estimates: list[float], true: float | None, each: int = 1) -> dict[str, Beside]:
+    """One product an estimate, `each` estimates a specimen."""
+    known = math.nan if true is None else true
+    return {
+        f"p{k}": Beside(estimate, known, f"p{k}", f"s{k // each}") for k, estimate in enumerate(estimates)
+    }
+
+
+def test_the_interval_of_a_mean_is_students(rng: np.random.Generator) -> None:
+    drawn = rng.normal(3.0, 2.0, 400)
+    low, high = Bootstrap([str(k) for k in range(400)], 1).interval(drawn[:, None], mean_of)
+    half = t.ppf(0.975, 399) * drawn.std(ddof=1) / 20.0
+    assert (low, high) == pytest.approx((drawn.mean() - half, drawn.mean() + half), abs=0.03)
+
+
+def test_intervals_hold_the_truth_as_often_as_they_say(rng: np.random.Generator) -> None:
+    """With few specimens too, each measured three times over with nearly the same result."""
+    held = 0
+    for seed in range(200):
+        each = np.repeat(rng.normal(0.0, 1.0, 8), 3) + rng.normal(0.0, 0.05, 24)
+        low, high = Bootstrap([str(k // 3) for k in range(24)], seed).interval(each[:, None], mean_of)
+        held += low <= 0.0 <= high
+    assert 0.89 <= held / 200 <= 0.99
+
+
+def test_measuring_the_same_products_again_makes_no_interval_narrower() -> None:
+    once = np.arange(12.0)
+    alone = Bootstrap([str(k) for k in range(12)], 5).interval(once[:, None], mean_of)
+    thrice = Bootstrap([str(k // 3) for k in range(36)], 5).interval(np.repeat(once, 3)[:, None], mean_of)
+    assert thrice == pytest.approx(alone, abs=1e-12)
+
+
+def test_the_same_seed_gives_the_same_interval_and_one_specimen_none() -> None:
+    column = np.array([[1.0], [2.0], [4.0]])
+    assert Bootstrap("abc", 3).interval(column, mean_of) == Bootstrap("abc", 3).interval(column, mean_of)
+    assert all(map(math.isnan, Bootstrap("aaa", 3).interval(column, mean_of)))
+
+
+@pytest.mark.parametrize(("right", "n"), [(0, 9), (9, 9), (31, 40), (1, 2)])
+def test_shares_have_wilsons_interval(right: int, n: int) -> None:
+    expected = binomtest(right, n).proportion_ci(0.95, "wilson")
+    assert wilson(right, n) == pytest.approx((expected.low, expected.high), abs=1e-12)
+
+
+def test_limits_of_agreement_are_bland_and_altmans(rng: np.random.Generator) -> None:
+    differences = rng.normal(1.0, 2.0, 300)
+    found = agreement_of(differences, [str(k) for k in range(300)], Terms())
+    assert found is not None
+    spread = differences.std(ddof=1)
+    assert found.limits_pct == pytest.approx(
+        (differences.mean() - 1.96 * spread, differences.mean() + 1.96 * spread), abs=1e-9
+    )
+    # Bland and Altman's own approximation: the standard error of a limit is about √(3/n) · s
+    half = 1.96 * math.sqrt(3.0 / 300) * spread
+    low, high = found.high_limit_interval_pct
+    assert 0.5 * (high - low) == pytest.approx(half, rel=0.2)
+    assert found.verdict == ""
+
+
+@pytest.mark.parametrize(
+    ("shift", "tolerance", "verdict"),
+    [(0.0, 1.0, "equivalent"), (3.0, 1.0, "different"), (-3.0, 1.0, "different"), (1.0, 1.0, "undecided")],
+)
+def test_the_verdict_is_that_of_two_one_sided_tests(
+    rng: np.random.Generator, shift: float, tolerance: float, verdict: str
+) -> None:
+    noise = rng.normal(0.0, 1.0, 50)
+    differences = shift + noise - noise.mean()
+    found = agreement_of(differences, [str(k) for k in range(50)], Terms(tolerance))
+    assert found is not None
+    assert found.verdict == verdict
+    half = t.ppf(0.95, 49) * differences.std(ddof=1) / math.sqrt(50)
+    assert found.verdict_interval_pct == pytest.approx((shift - half, shift + half), abs=0.05)
+
+
+def test_fewer_than_five_products_decide_nothing() -> None:
+    found = agreement_of(np.zeros(4), list("abcd"), Terms(50.0))
+    assert found is not None
+    assert found.verdict == "undecided"
+
+
+def test_variants_are_compared_on_the_same_products_with_or_without_truth() -> None:
+    mine, others = values([110.0, 220.0, 330.0], None), values([100.0, 200.0], None)
+    found = against_each_other(mine, others, Terms())
+    assert found is not None
+    assert (found.n, found.mean_pct) == (2, pytest.approx(200.0 * 10.0 / 210.0))
+    assert against_truth(mine, Terms()) is None
+    assert nearer(mine, others, Terms()) is None
+    shift = nearer(values([102.0, 103.0], 100.0), values([105.0, 95.0], 100.0), Terms())
+    assert shift is not None
+    assert shift.value == pytest.approx(-2.5)
+
+
+def graded(table: list[tuple[str, str, float]], each: int = 1) -> list[Graded]:
+    """(true, given, probability) as products."""
+    return [Graded(f"p{k}", f"s{k // each}", *row) for k, row in enumerate(table)]
+
+
+def test_recall_and_precision_are_counted_by_class() -> None:
+    found = graded([("a", "a", 0.9), ("a", "b", 0.6), ("b", "b", 0.8), ("b", "", math.nan)])
+    first, second = recalls_of(found)
+    assert (first.name, first.n, first.recall, first.called, first.precision) == ("a", 2, 0.5, 1, 1.0)
+    assert (second.recall, second.called, second.precision) == (0.5, 2, 0.5)
+    low, high = balanced_interval(found * 10, Terms())
+    assert low < 0.5 < high
+
+
+def test_the_shift_of_balanced_accuracy_is_paired() -> None:
+    """Where one is right on one more product of each class, the shift is that, whatever the rest does."""
+    base = graded([("a", "a" if k else "b", 1.0) for k in range(10)] + [("b", "b", 1.0)] * 10)
+    same = {one.product: one for one in base}
+    better = [one._replace(given=one.true) for one in base]
+    shift = balanced_shift(better, same, Terms())
+    assert shift is not None
+    assert shift.value == pytest.approx(0.05)
+    none = balanced_shift(base, same, Terms())
+    assert none is not None
+    assert (none.value, *none.interval) == (0.0, 0.0, 0.0)
+
+
+def test_probabilities_that_mean_what_they_say_lie_on_the_line(rng: np.random.Generator) -> None:
+    stated = rng.uniform(0.3, 1.0, 4000)
+    right = rng.random(4000) < stated
+    made = graded([("a", "a" if hit else "b", float(p)) for p, hit in zip(stated, right, strict=True)])
+    found = reliability_of(made, Terms())
+    assert found is not None
+    assert found.n == 4000
+    assert found.excess.interval.low < 0.0 < found.excess.interval.high
+    assert found.calibration_error < 0.03
+    assert sum(one.right_interval.low <= one.stated <= one.right_interval.high for one in found.bins) >= 6
+    sure = reliability_of([one._replace(probability=1.0) for one in made], Terms())
+    assert sure is not None
+    assert sure.excess.interval.low > 0.3
+    assert sure.brier == pytest.approx(1.0 - right.mean())
+
+
+def test_no_stated_probability_gives_no_curve() -> None:
+    assert reliability_of(graded([("a", "a", math.nan)]), Terms()) is None
+
+
+def test_the_choice_among_like_variants_flatters(rng: np.random.Generator) -> None:
+    """Twenty variants of pure chance: the best looks better than what it does on products held out."""
+    made = {k: values(list(100.0 + rng.normal(0.0, 5.0, 40)), 100.0) for k in range(20)}
+    found = choose_by_error("mass_g", made, Terms(folds=5, seed=2))
+    assert found is not None
+    assert len(found.chosen) == 5
+    assert found.held_out > found.seen
+    assert choose_by_error("mass_g", {0: made[0]}, Terms()) is None
+    assert choose_by_error("mass_g", made, Terms(folds=21)) is None
+
+
+def test_all_of_a_specimen_is_in_one_fold() -> None:
+    """A variant that is right on even specimens alone is never chosen by what it then is judged on."""
+    table = [("a" if k // 4 % 2 else "b", "a", 1.0) for k in range(80)]
+    one, other = graded(table, 4), [g._replace(given="b") for g in graded(table, 4)]
+    found = choose_by_class({3: one, 7: other}, Terms(folds=4))
+    assert found is not None
+    assert found.best in (3, 7)
+    assert found.seen == 0.5
+    assert set(found.chosen) <= {3, 7}
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [(0.0, "0.00"), (0.001, "<0.01"), (0.006, "0.01"), (99.999, ">99.99"), (100.0, "100.00"), (None, "–")],
+)
+def test_only_nothing_reads_as_nothing(value: float | None, words: str) -> None:
+    assert share(value) == words
+
+
+@pytest.mark.filterwarnings("error")
+def test_one_specimen_measured_often_has_no_interval() -> None:
+    found = agreement_of(np.array([1.0, 2.0, 3.0]), ["a", "a", "a"], Terms(tolerance_pct=5.0))
+    assert found is not None
+    assert (found.n, found.specimens, found.mean_pct, found.verdict) == (3, 1, 2.0, "undecided")
+    assert math.isnan(found.mean_interval_pct.low) and math.isnan(found.high_limit_interval_pct.high)

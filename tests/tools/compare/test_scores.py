@@ -1,0 +1,201 @@
+"""The judges of `compare`, on maps and peaks made by hand."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from roemetry.records import AMBIGUOUS, UNCODED, Frame, Peaks, Reason, StripeMap, StripeTruth
+from roemetry_tools.compare.centres import score_centres
+from roemetry_tools.compare.coding import longest_run, score_coding
+from roemetry_tools.compare.matching import by_place
+from roemetry_tools.compare.points import nearest, truth_in
+from roemetry_tools.compare.statistics import NOT_GRADED, classes_of, errors_of
+
+ROWS, COLUMNS = 40, 100
+
+
+def truth(x_px: np.ndarray, on_product: np.ndarray | None = None) -> StripeTruth:
+    on = np.isfinite(x_px) if on_product is None else on_product
+    return StripeTruth(x_px, on, np.full((*x_px.shape, 3), np.nan))
+
+
+def peaks(row: np.ndarray, x_px: np.ndarray) -> Peaks:
+    order = np.lexsort((x_px, row))
+    n = row.size
+    nan = np.full(n, np.nan)
+    return Peaks((ROWS, COLUMNS), row[order], x_px[order], nan, nan, nan, nan, np.zeros(n, np.uint8))
+
+
+def of_map(x_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    stripe, row = np.nonzero(np.isfinite(x_px))
+    return row, x_px[stripe, row]
+
+
+def stripe_map(x_px: np.ndarray, peak_stripe: np.ndarray) -> StripeMap:
+    seen = np.isfinite(x_px)
+    nan = np.full(x_px.shape, np.nan)
+    return StripeMap(x_px, nan, np.where(seen, 1, -1), seen, nan, np.zeros_like(seen), nan, peak_stripe)
+
+
+@pytest.fixture
+def lines() -> np.ndarray:
+    """(stripe, row) four stripes 20 px apart, slightly slanted."""
+    return 20.0 + 20.0 * np.arange(4)[:, None] + 0.05 * np.arange(ROWS)[None, :]
+
+
+def test_shifted_peaks_have_the_shift_as_their_bias(lines: np.ndarray) -> None:
+    score, on_product = score_centres(peaks(*of_map(lines + 0.3)), truth(lines))
+    assert score.true == score.matched == score.peaks == lines.size
+    assert score.sum_px / score.matched == pytest.approx(0.3, abs=1e-12)
+    assert math.sqrt(score.sum_px2 / score.matched) == pytest.approx(0.3, abs=1e-12)
+    assert score.quantile_px(0.5) == pytest.approx(0.3, abs=0.002)
+    assert on_product.matched == lines.size
+
+
+def test_missed_and_false_are_counted(lines: np.ndarray) -> None:
+    found = lines.copy()
+    found[1, 10:20] = np.nan  # not found
+    found[2, 5] += 3.5  # found, but too far away: missed and false
+    row, x_px = of_map(found)
+    score, on_product = score_centres(
+        peaks(np.append(row, [0, 0]), np.append(x_px, [5.0, 41.0])),  # 41.0 lies beside another peak
+        truth(lines, np.arange(4)[:, None] * np.ones((1, ROWS)) == 1),
+    )
+    assert score.matched == lines.size - 11
+    assert score.peaks - score.matched == 3
+    assert (on_product.true, on_product.matched, on_product.peaks) == (40, 30, 30)
+
+
+def test_quantiles_are_those_of_the_errors(rng: np.random.Generator) -> None:
+    lines = 20.0 + 20.0 * np.arange(4)[:, None] + np.zeros((1, ROWS))
+    error = np.clip(rng.normal(0.1, 0.3, lines.shape), -2, 2)
+    score, _ = score_centres(peaks(*of_map(lines + error)), truth(lines))
+    for share in (0.16, 0.5, 0.84):
+        assert score.quantile_px(share) == pytest.approx(np.quantile(error, share), abs=0.02)
+    assert (score + score).quantile_px(0.5) == pytest.approx(score.quantile_px(0.5))
+
+
+def test_nearest_stays_in_the_row_and_within_reach(rng: np.random.Generator) -> None:
+    row, other_row = rng.integers(0, 8, 200), rng.integers(0, 8, 150)
+    x_px, other_x_px = rng.uniform(0, 60, 200), rng.uniform(0, 60, 150)
+    off = np.where(row[:, None] == other_row[None, :], np.abs(x_px[:, None] - other_x_px[None, :]), np.inf)
+    want = np.where(off.min(axis=1) <= 3.0, off.argmin(axis=1), -1)
+    assert np.array_equal(nearest(row, x_px, other_row, other_x_px), want)
+    assert np.array_equal(nearest(row, x_px, other_row[:0], other_x_px[:0]), np.full(200, -1))
+
+
+def test_coding_is_scored_as_it_was_made(lines: np.ndarray) -> None:
+    coded = lines.copy()
+    coded[0, :10] = np.nan  # called ambiguous
+    coded[1, :5] = np.nan  # left out
+    coded[2, 3:11] = lines[3, 3:11]  # taken for its neighbour's: its own points and those are affected
+    coded[3, 3:11] = np.nan
+    found = lines.copy()
+    found[1, 30:36] = np.nan  # no peak there
+    coded[1, 30:36] = np.nan
+    row, x_px = of_map(found)
+    stripe = np.nonzero(np.isfinite(found))[0]
+    label = np.where((stripe == 0) & (row < 10), AMBIGUOUS, stripe)
+    label = np.where((stripe == 1) & (row < 5), UNCODED, label)
+    label = np.where((stripe == 2) & (row >= 3) & (row < 11), UNCODED, label)
+    label = np.where((stripe == 3) & (row >= 3) & (row < 11), 2, label)
+    order = np.lexsort((x_px, row))
+    score = score_coding(stripe_map(coded, label[order]), peaks(row, x_px), truth(lines))
+    assert score.visible == lines.size
+    assert score.wrong == score.wrong_points == score.longest_wrong_run == 8
+    assert score.refused == 10 + 5 + 8
+    assert score.ambiguous == 10
+    assert score.unseen == 6
+    assert score.right == lines.size - 8 - 23 - 6
+
+
+def test_only_visible_product_points_count(lines: np.ndarray) -> None:
+    on_product = np.zeros(lines.shape, np.bool_)
+    on_product[1, 10:20] = True
+    shifted = np.roll(lines, 1, axis=0)  # every label wrong, the outer ones too
+    label = np.repeat([1, 2, 3, 0], ROWS)
+    row, x_px = of_map(lines)
+    order = np.lexsort((x_px, row))
+    score = score_coding(stripe_map(shifted, label[order]), peaks(row, x_px), truth(lines, on_product))
+    assert (score.visible, score.wrong, score.right) == (10, 10, 0)
+    assert score.wrong_points == lines.size
+    assert score.longest_wrong_run == ROWS
+    total = score + score
+    assert (total.visible, total.longest_wrong_run) == (20, ROWS)
+
+
+def test_longest_run() -> None:
+    assert longest_run(np.array([], np.bool_)) == 0
+    assert longest_run(np.array([1, 0, 1, 1, 1, 0, 1], np.bool_)) == 3
+
+
+def test_products_are_matched_by_the_points_they_share(lines: np.ndarray) -> None:
+    label = np.zeros(lines.shape, np.int16)
+    label[:2, 5:15], label[2:, 5:15], label[:, 25:35] = 1, 2, 3
+    known = StripeTruth(lines, label > 0, np.full((*lines.shape, 3), np.nan), label)
+    # found: the last one as number 1, the first as number 2, nothing of the second; and one on the belt
+    found = np.where(label == 3, 1, np.where(label == 1, 2, 0)).astype(np.int16)
+    found[:, 18:22] = 3
+    made = replace(stripe_map(lines + 0.2, np.arange(lines.size) // ROWS), product=found)
+    assert by_place(made, known) == {1: 3, 2: 1}
+    # a coder that shifts every label by one stripe does not move a product
+    shifted = np.vstack([lines[1:], np.full((1, ROWS), np.nan)])
+    moved = np.vstack([found[1:], np.full((1, ROWS), -1, np.int16)])
+    assert by_place(replace(stripe_map(shifted, np.full(lines.size, -1)), product=moved), known) == {
+        1: 3,
+        2: 1,
+    }
+    nothing = replace(made, product=np.zeros_like(found))
+    assert by_place(nothing, known) == {}
+
+
+def test_half_a_turn_is_undone_and_a_quarter_refused(lines: np.ndarray) -> None:
+    def turned(turn_deg: int) -> StripeTruth | Reason:
+        return truth_in(Frame(np.zeros((ROWS, COLUMNS), np.uint8), turn_deg=turn_deg), truth(lines))
+
+    half = turned(180)
+    assert isinstance(half, StripeTruth)
+    assert half.x_px[0, 0] == COLUMNS - 1 - lines[3, ROWS - 1]
+    assert (np.diff(half.x_px, axis=0) > 0).all()
+    assert isinstance(
+        truth_in(Frame(np.zeros((ROWS, COLUMNS), np.uint8), turn_deg=90), truth(lines), 90), StripeTruth
+    )
+    quarter = turned(90)
+    assert isinstance(quarter, Reason)
+    assert "turned by 90°" in quarter.text
+    short = truth_in(Frame(np.zeros((ROWS - 1, COLUMNS), np.uint8)), truth(lines))
+    assert isinstance(short, Reason)
+
+
+def test_errors_of_a_scaled_estimate() -> None:
+    true = np.array([100.0, 200.0, 400.0])
+    sums = errors_of(true / 1.1, true)
+    assert sums is not None
+    assert sums.bias_pct == sums.median_pct == pytest.approx(-100 / 11)
+    assert sums.mean_absolute_pct == pytest.approx(100 / 11)
+    assert sums.spread_pct == pytest.approx(0.0, abs=1e-9)
+    assert sums.rmse == pytest.approx(math.sqrt(((true / 11) ** 2).mean()))
+    assert errors_of(true[:0], true[:0]) is None
+    one = errors_of(true[:1], true[:1])
+    assert one is not None
+    assert math.isnan(one.spread_pct)
+
+
+def test_classes_are_counted_and_none_is_not_right() -> None:
+    classes = classes_of({
+        ("good", "good"): 8, ("good", "henkei"): 2, ("henkei", "henkei"): 1,
+        ("henkei", "unknown"): 1, ("henkei", NOT_GRADED): 2,
+    })  # fmt: skip
+    assert classes is not None
+    assert classes.true == ("good", "henkei")
+    assert classes.given == ("good", "henkei", "unknown", NOT_GRADED)
+    assert classes.counts == ((8, 2, 0, 0), (0, 1, 1, 2))
+    assert classes.accuracy == pytest.approx(9 / 14)
+    assert classes.balanced_accuracy == pytest.approx((0.8 + 0.25) / 2)
+    only = classes_of({("good", "good"): 3})
+    assert only is not None
+    assert math.isnan(only.balanced_accuracy)

@@ -1,0 +1,239 @@
+"""A YAML text is changed where it is wanted and nowhere else."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from roemetry.errors import ConfigurationError
+from roemetry.io.yaml_source import parse
+from roemetry_tools.tune.editing import differences, edited, inline
+from roemetry_tools.tune.request import value_of
+
+TEXT = """\
+# what this is for
+roemetry: 1
+product:   "eel"      # odd blanks and quotes stay
+source: {path: images, turn_deg: 90}   # one line
+
+stages:
+  # first of all
+  extractor:
+    use: dominant-peak   # the paper's
+    options:
+      threshold: 15      # grey levels
+      start: lowest
+  # between two stages
+  coder: window-tracking   # short form
+  weigher:
+    use: density
+    options: {density_g_per_cm3: 1.1}
+sinks:
+- csv     # a list at the key's own indent
+- report
+"""
+BASE = parse(TEXT, "recipe.yaml").data
+
+
+def changed(**paths: Any) -> Any:
+    """Give the base with values set at paths whose steps are joined by two underscores."""
+    data = copy.deepcopy(BASE)
+    for path, value in paths.items():
+        *steps, last = path.split("__")
+        node = data
+        for step in steps:
+            node = node[step]
+        if value is ...:
+            del node[last]
+        else:
+            node[last] = value
+    return data
+
+
+def lines_that_differ(text: str) -> tuple[list[str], list[str]]:
+    """Give the lines of the old text that are gone, and those of the new one that are new."""
+    old, new = TEXT.splitlines(), text.splitlines()
+    return [line for line in old if line not in new], [line for line in new if line not in old]
+
+
+def test_nothing_wanted_changes_not_a_byte() -> None:
+    assert edited(TEXT, "recipe.yaml", copy.deepcopy(BASE)) == TEXT
+
+
+CASES = {
+    "a number": (
+        {"stages__extractor__options__threshold": 22.5},
+        ["      threshold: 15      # grey levels"],
+        ["      threshold: 22.5      # grey levels"],
+    ),
+    "a value on one line": (
+        {"source__turn_deg": 0},
+        ["source: {path: images, turn_deg: 90}   # one line"],
+        ["source: {path: images, turn_deg: 0}   # one line"],
+    ),
+    "a quoted word": (
+        {"product": "a: b"},
+        ['product:   "eel"      # odd blanks and quotes stay'],
+        ['product:   "a: b"      # odd blanks and quotes stay'],
+    ),
+    "a new option behind the others": (
+        {"stages__extractor__options__region": [0, 480, 0, 640]},
+        [],
+        ["      region: [0, 480, 0, 640]"],
+    ),
+    "a new option within braces": (
+        {"stages__weigher__options__density_std_g_per_cm3": 0.02},
+        ["    options: {density_g_per_cm3: 1.1}"],
+        ["    options: {density_g_per_cm3: 1.1, density_std_g_per_cm3: 0.02}"],
+    ),
+    "an option of a stage in its short form": (
+        {"stages__coder": {"use": "window-tracking", "options": {"margin_min": 0.3}}},
+        ["  coder: window-tracking   # short form"],
+        ["  coder: {use: window-tracking, options: {margin_min: 0.3}}   # short form"],
+    ),
+    "an option taken away, nothing said of it": (
+        {"stages__extractor__options__start": ...},
+        ["      start: lowest"],
+        [],
+    ),
+    "an option taken away with what was said of it": (
+        {"stages__extractor__options__threshold": ...},
+        ["      threshold: 15      # grey levels"],
+        ["      # threshold: 15      # grey levels"],
+    ),
+    "all options taken away": (
+        {"stages__extractor": {"use": "steger"}},
+        [
+            "    use: dominant-peak   # the paper's",
+            "    options:",
+            "      threshold: 15      # grey levels",
+            "      start: lowest",
+        ],
+        [
+            "    use: steger   # the paper's",
+            "    # options:",
+            "    #   threshold: 15      # grey levels",
+            "    #   start: lowest",
+        ],
+    ),
+    "the only option within braces": (
+        {"stages__weigher__options": {}},
+        ["    options: {density_g_per_cm3: 1.1}"],
+        ["    options: {}"],
+    ),
+    "a stage taken away": (
+        {"stages__weigher": ...},
+        ["  weigher:", "    use: density", "    options: {density_g_per_cm3: 1.1}"],
+        [],
+    ),
+    "a list with comments in it": (
+        {"sinks": ["csv"]},
+        ["sinks:", "- csv     # a list at the key's own indent", "- report"],
+        ["# a list at the key's own indent", "sinks: [csv]"],
+    ),
+    "a new key at the end": ({"draws": 200}, [], ["draws: 200"]),
+}
+
+
+@pytest.mark.parametrize("case", CASES.values(), ids=list(CASES))
+def test_only_the_lines_that_are_wanted_change(case: tuple[dict[str, Any], list[str], list[str]]) -> None:
+    paths, gone, new = case
+    wanted = changed(**paths)
+    text = edited(TEXT, "recipe.yaml", wanted)
+    assert parse(text, "recipe.yaml").data == wanted
+    assert lines_that_differ(text) == (gone, new)
+
+
+def test_a_new_stage_stands_in_the_order_of_the_chain() -> None:
+    stages = {**BASE["stages"]}
+    after = {
+        "extractor": stages.pop("extractor"),
+        "coder": stages.pop("coder"),
+        "smoother": "local-polynomial",
+    }
+    text = edited(TEXT, "recipe.yaml", {**BASE, "stages": after | stages})
+    lines = text.splitlines()
+    assert lines[lines.index("  smoother: local-polynomial") - 1] == "  coder: window-tracking   # short form"
+
+
+def test_line_ends_of_another_system_stay() -> None:
+    text = TEXT.replace("\n", "\r\n")
+    wanted = changed(stages__extractor__options__threshold=22)
+    assert edited(text, "r", wanted) == text.replace("threshold: 15 ", "threshold: 22 ")
+
+
+def test_a_text_without_a_last_line_end_can_grow() -> None:
+    assert edited("a: 1", "r", {"a": 1, "b": 2}) == "a: 1\nb: 2\n"
+
+
+def test_truth_is_not_one() -> None:
+    assert edited("a: 1\n", "r", {"a": True}) == "a: true\n"
+
+
+@pytest.mark.parametrize(
+    "text", ["a: &x 1\nb: *x\n", "a: &x {c: 1}\nb: *x\n", "base: &x {c: 1}\nb:\n  <<: *x\n"]
+)
+def test_what_comes_from_an_anchor_is_refused_and_not_spoilt(text: str) -> None:
+    data = parse(text, "r").data
+    wanted = copy.deepcopy(data)
+    wanted["b"] = 7 if isinstance(wanted["b"], int) else {"c": 7}
+    try:
+        assert parse(edited(text, "r", wanted), "r").data == wanted
+    except ConfigurationError as error:
+        assert "by hand" in str(error)
+
+
+def test_differences_are_told_with_both_values() -> None:
+    wanted = changed(stages__extractor__options__threshold=20, draws=5, sinks=...)
+    assert differences(BASE, wanted) == [
+        ("stages.extractor.options.threshold", "15", "20"),
+        ("draws", "", "5"),
+        ("sinks", "[csv, report]", ""),
+    ]
+
+
+WORDS = st.text(st.characters(codec="utf-8", exclude_categories=["Cs", "Cc", "Zl", "Zp"]), max_size=12)
+SCALARS = (
+    st.none()
+    | st.booleans()
+    | st.integers(-(10**9), 10**9)
+    | st.floats(allow_nan=False, allow_infinity=False)
+) | WORDS
+VALUES = st.recursive(
+    SCALARS,
+    lambda inner: (
+        st.lists(inner, max_size=3)
+        | st.dictionaries(st.from_regex(r"[a-z_]{1,6}", fullmatch=True), inner, max_size=3)
+    ),
+    max_leaves=6,
+)
+
+
+@example("NULL")
+@example(["~", "no", "1e3", "a: b"])
+@settings(deadline=None, max_examples=60)
+@given(VALUES)
+def test_a_value_on_one_line_is_read_as_what_it_was(value: Any) -> None:
+    assert parse(f"a: {inline(value)}\n", "r").data == {"a": value}
+
+
+@settings(deadline=None, max_examples=60)
+@given(SCALARS)
+def test_a_field_reads_what_a_recipe_has(value: Any) -> None:
+    assert value_of(inline(value)) == value
+
+
+@settings(deadline=None, max_examples=60)
+@given(
+    st.dictionaries(st.sampled_from(["extractor", "coder", "weigher", "volume"]), VALUES, max_size=4), VALUES
+)
+def test_any_wanted_values_come_out_and_full_lines_of_comment_stay(stages: Any, draws: Any) -> None:
+    wanted = {**BASE, "stages": {"extractor": "x", **stages}, "draws": draws}
+    text = edited(TEXT, "recipe.yaml", wanted)
+    assert parse(text, "recipe.yaml").data == wanted
+    for comment in ("# what this is for", "# odd blanks and quotes stay", "# one line", "# first of all"):
+        assert comment in text

@@ -1,0 +1,254 @@
+"""The page in a real browser: what a user does, and what is to be seen of it."""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from roemetry.io.yaml_source import read
+from roemetry_tools.tune.server import LOOPBACK, app_of
+from roemetry_tools.tune.session import Session
+
+NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+BROWSER = next(filter(None, map(shutil.which, NAMES)), None)
+
+if BROWSER is None:
+    pytest.skip(f"no browser on this machine: none of {', '.join(NAMES)}", allow_module_level=True)
+pytest.importorskip("uvicorn", reason="the extra `tune` is not installed")
+playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with playwright.sync_playwright() as driver:
+        found = driver.chromium.launch(
+            executable_path=BROWSER,
+            # in a container there is no sandbox to be had; the rest keeps the browser itself offline
+            args=["--no-sandbox", "--disable-background-networking", "--disable-component-update"],
+        )
+        yield found
+        found.close()
+
+
+@contextlib.contextmanager
+def served(recipe: Path) -> Iterator[str]:
+    """Serve a recipe's page from this process, on a port of its own."""
+    import uvicorn
+
+    session = Session(recipe)
+    session.warm_up()
+    with socket.socket() as listening:
+        listening.bind((LOOPBACK, 0))
+        listening.listen()
+        server = uvicorn.Server(uvicorn.Config(app_of(session), log_level="warning", lifespan="off"))
+        thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]})
+        thread.start()
+        try:
+            yield f"http://{LOOPBACK}:{listening.getsockname()[1]}/"
+        finally:
+            server.should_exit = server.force_exit = True
+            thread.join(20)
+
+
+class Bench:
+    """A page on a recipe; keeps what went wrong in it and what it asked for."""
+
+    def __init__(self, browser: Any, address: str, width: int = 1440) -> None:
+        self.address = address
+        self.faults: list[str] = []
+        self.requests: list[str] = []
+        self.page = browser.new_page(viewport={"width": width, "height": 900})
+        self.page.set_default_timeout(20_000)
+        self.page.on("pageerror", lambda error: self.faults.append(str(error)))
+        self.page.on("console", lambda said: said.type == "error" and self.faults.append(said.text))
+        self.page.on("request", lambda request: self.requests.append(request.url))
+        self.page.goto(address)
+        self.page.wait_for_selector("body[data-took]")
+
+    def after(self, action: Callable[[], Any]) -> None:
+        """Do something and wait until it is answered."""
+        answered = int(self.page.get_attribute("body", "data-answers"))
+        action()
+        for _ in range(2400):  # kernels that were never compiled here take their time
+            if int(self.page.get_attribute("body", "data-answers")) > answered:
+                self.page.wait_for_timeout(80)  # frames are drawn
+                return
+            self.page.wait_for_timeout(25)
+        raise AssertionError("no answer")
+
+    def number(self, label: str, column: int = 1) -> str:
+        """Give a value of the table of numbers: column 1 is now, 2 as saved."""
+        row = self.page.locator(".values tr", has_text=label).first
+        return str(row.locator("td").nth(column - 1).inner_text())
+
+    def picture(self) -> np.ndarray:
+        data = self.page.locator("#picture").screenshot()
+        return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+
+
+@pytest.fixture
+def recipe(line: Callable[..., Path]) -> Path:
+    path = line()
+    path.write_text("# ours\n" + path.read_text("utf-8"), "utf-8")
+    return path
+
+
+@pytest.fixture
+def bench(browser: Any, recipe: Path) -> Iterator[Bench]:
+    with served(recipe) as address:
+        made = Bench(browser, address)
+        yield made
+        assert made.faults == []
+        assert all(url.startswith(address) for url in made.requests), "something came from elsewhere"
+        made.page.close()
+
+
+def test_a_moved_slider_changes_picture_numbers_and_profiles(bench: Bench) -> None:
+    page = bench.page
+    before, volume = bench.picture(), bench.number("visible volume")
+    profiles = page.locator("#profiles").screenshot()
+    slider = page.locator("[data-kind=extractor] input[type=range]").first
+    slider.focus()
+    bench.after(lambda: page.keyboard.press("End"))
+    assert page.locator("#extractor-threshold").input_value() == "255"
+    assert bench.picture().tobytes() != before.tobytes()
+    assert page.locator("#profiles").screenshot() != profiles
+    assert page.locator("text=no peaks at all").count() == 1
+    bench.after(lambda: page.get_by_label("threshold: as the recipe has it").click())
+    assert page.locator("#extractor-threshold").input_value() == "60"
+    assert bench.number("visible volume") == volume
+    assert page.locator("#save").is_disabled()
+
+
+def test_another_plugin_brings_its_own_fields_and_what_was_set_comes_back(bench: Bench) -> None:
+    page = bench.page
+    bench.after(lambda: page.locator("#extractor-threshold").fill("70"))
+    plugin = page.get_by_label("extractor: plugin")
+    bench.after(lambda: plugin.select_option("log-parabola"))
+    assert page.locator("#extractor-points").input_value() == "five"
+    assert page.get_by_role("button", name="auto").first.get_attribute("aria-pressed") == "true"
+    bench.after(lambda: plugin.select_option("dominant-peak"))
+    assert page.locator("#extractor-threshold").input_value() == "70"
+    assert bench.number("visible volume", 2) != ""
+
+
+def test_a_wrong_value_is_told_at_its_field_and_nothing_else_is_lost(bench: Bench) -> None:
+    page = bench.page
+    volume = bench.number("visible volume")
+    bench.after(lambda: page.locator("#extractor-threshold").fill("abc"))
+    fault = page.locator("#extractor-threshold-fault")
+    assert "number" in fault.inner_text()
+    assert page.locator("#extractor-threshold").get_attribute("aria-invalid") == "true"
+    assert page.locator("#stale").is_visible()
+    assert page.locator("#save").is_disabled()
+    assert bench.number("visible volume") == volume
+    bench.after(lambda: page.locator("#extractor-threshold").fill("60"))
+    assert fault.is_hidden()
+    assert page.locator("#stale").is_hidden()
+
+
+def test_a_stage_that_is_left_out_is_missed_by_those_that_need_it(bench: Bench) -> None:
+    page = bench.page
+    bench.after(lambda: page.get_by_label("triangulator: plugin").select_option(""))
+    said = page.locator("[data-kind=volume] > .fault").inner_text()
+    assert said == "it works on the result of the triangulator; add one"
+
+
+def test_problem_places_are_marked_where_they_are(bench: Bench, recipe: Path) -> None:
+    """Peaks at the white level are magenta at their own place; unticked, they are not."""
+    page = bench.page
+    file = recipe.parent / "images" / "p02.png"
+    image = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+    image[20:30, 79:82] = 255  # saturated light on the second stripe, which rests at x 80
+    cv2.imwrite(str(file), image)
+    bench.after(lambda: page.keyboard.press("n"))
+    assert page.locator("#acquisition").input_value() == "p02"
+
+    def magenta() -> np.ndarray:
+        shown = bench.picture().astype(int)
+        return np.argwhere((shown[..., 2] > 200) & (shown[..., 0] > 200) & (shown[..., 1] < 150))
+
+    marked = magenta()
+    assert len(marked) > 10
+    box = page.locator("#picture").bounding_box()
+    scale = min(box["width"] / 320, box["height"] / 240)
+    left, top = (box["width"] - 320 * scale) / 2, (box["height"] - 240 * scale) / 2
+    x, row = (marked[:, 1].mean() - left) / scale - 0.5, (marked[:, 0].mean() - top) / scale - 0.5
+    assert abs(x - 80.0) < 5.0
+    assert abs(row - 24.5) < 3.0
+    page.locator("#layer-saturated").uncheck()
+    page.wait_for_timeout(150)
+    assert len(magenta()) == 0
+    page.locator("#layer-saturated").check()
+    page.locator("button.show.saturated").click()
+    page.wait_for_timeout(150)
+    assert len(magenta()) > len(marked), "shown large"
+
+
+def test_keys_choose_a_row_and_zoom(bench: Bench) -> None:
+    page = bench.page
+    page.locator("#picture").focus()
+    assert "row 120" in page.locator("#row-title").inner_text()
+    page.keyboard.press("ArrowDown")
+    page.keyboard.press("Shift+ArrowDown")
+    assert "row 131" in page.locator("#row-title").inner_text()
+    before = bench.picture()
+    page.keyboard.press("+")
+    page.wait_for_timeout(150)
+    assert bench.picture().tobytes() != before.tobytes()
+    page.keyboard.press("0")
+    page.wait_for_timeout(150)
+    assert bench.picture().tobytes() == before.tobytes()
+
+
+def test_saving_shows_the_changes_and_writes_them(bench: Bench, recipe: Path) -> None:
+    page = bench.page
+    before = recipe.read_text("utf-8")
+    bench.after(lambda: page.locator("#extractor-threshold").fill("75"))
+    page.locator("#save").click()
+    assert page.locator("#changes").inner_text().split() == [
+        "stages.extractor.options.threshold", "60", "→", "75",
+    ]  # fmt: skip
+    bench.after(lambda: page.locator("#save-now").click())
+    assert recipe.read_text("utf-8") == before.replace("threshold: 60", "threshold: 75")
+    assert "recipe.yaml.old-1" in page.locator("#file").inner_text()
+    assert (recipe.parent / "recipe.yaml.old-1").read_text("utf-8") == before
+    assert page.locator("#save").is_disabled()
+
+
+def test_what_cannot_be_saved_is_told_in_the_dialog(bench: Bench, recipe: Path) -> None:
+    page = bench.page
+    bench.after(lambda: page.locator("#extractor-threshold").fill("75"))
+    recipe.write_text(recipe.read_text("utf-8") + "# mine\n", "utf-8")
+    page.locator("#save").click()
+    page.locator("#save-now").click()
+    page.wait_for_selector("#save-fault:not([hidden])")
+    assert "changed by someone else" in page.locator("#save-fault").inner_text()
+    page.locator("#save-name").fill("another.yaml")
+    bench.after(lambda: page.locator("#save-now").click())
+    saved = read(recipe.parent / "another.yaml").data
+    assert saved["stages"]["extractor"]["options"]["threshold"] == 75
+    bench.faults.clear()  # the browser itself notes that a request was refused
+
+
+def test_an_uncalibrated_recipe_on_a_narrow_page(browser: Any, line: Callable[..., Path]) -> None:
+    text = line(calibrated=False)
+    recipe = text.read_text("utf-8")
+    keep = recipe[: recipe.index("  triangulator")] + "sinks: [csv]\n"
+    text.write_text(keep, "utf-8")
+    with served(text) as address:
+        bench = Bench(browser, address, width=420)
+        assert "px" in bench.page.locator("#profiles-title").inner_text()
+        wide = bench.page.evaluate("document.documentElement.scrollWidth")
+        assert wide <= 420
+        assert bench.faults == []
+        bench.page.close()

@@ -1,0 +1,379 @@
+"""A session answers as the pipeline would, runs no stage twice, and never loses a recipe."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from roemetry.config.recipe import Recipe
+from roemetry.errors import ConfigurationError, DataError, OutputError
+from roemetry.records import AMBIGUOUS, SATURATED
+from roemetry.run.pipeline import Pipeline
+from roemetry.run.rows import measurements_of
+from roemetry_tools.tune.protocol import packed, unpacked
+from roemetry_tools.tune.request import StageWish, Wish
+from roemetry_tools.tune.session import Session
+
+DOME = StageWish(use="dominant-peak", options={"threshold": "60"})
+
+
+def wish(session: Session, acquisition: str = "", **stages: StageWish | None) -> Wish:
+    """Wish for what the recipe says, but for some stages."""
+    recipe = session.recipe()
+    said = {
+        kind["kind"]: None if kind["chosen"] is None else StageWish(**kind["chosen"])
+        for kind in recipe["stages"]
+    }
+    return Wish(acquisition=acquisition, source=recipe["source"]["stated"], stages={**said, **stages})
+
+
+def ask(session: Session, asked: Wish) -> tuple[dict[str, Any], dict[str, Any]]:
+    return unpacked(session.answer(asked))
+
+
+def test_the_answer_is_what_the_pipeline_gives(line: Callable[..., Path]) -> None:
+    path = line()
+    session = Session(path)
+    for threshold in (60, 90, 60):
+        changed = StageWish(use="dominant-peak", options={"threshold": str(threshold)})
+        header, arrays = ask(session, wish(session, "p02", extractor=changed))
+        recipe = Recipe.load(path, sets=[f"stages.extractor.options.threshold={threshold}"])
+        source = recipe.source.make()
+        trace = Pipeline(recipe).trace(source.read(source.references(recipe.source_path)[1]))
+        assert [row["id"] for row in header["rows"]] == [r.id for r in measurements_of(trace, recipe, {})]
+        volume = trace.products[0].volume
+        assert volume is not None
+        assert header["rows"][0]["volume"]["visible_mm3"]["value"] == volume.visible_mm3.value
+        assert trace.peaks is not None and trace.stripes is not None and trace.profiles is not None
+        assert np.array_equal(arrays["peaks.x_px"], trace.peaks.x_px.astype(np.float32))
+        assert np.array_equal(arrays["peaks.stripe"], trace.stripes.peak_stripe)
+        assert arrays["profiles.xyz_mm"].shape == trace.profiles.xyz_mm.shape
+        places = header["places"]
+        assert places["saturated"] == np.count_nonzero(trace.peaks.flags & SATURATED)
+        assert places["ambiguous"] == np.count_nonzero(trace.stripes.peak_stripe == AMBIGUOUS)
+        assert header["acquisition"] == "p02"
+
+
+def test_only_stages_after_the_changed_one_run_again(
+    line: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from roemetry_paper.density import Density
+    from roemetry_paper.dominant_peak import DominantPeak
+
+    ran: list[str] = []
+    for stage, verb in ((DominantPeak, "extract"), (Density, "weigh")):
+        real = getattr(stage, verb)
+
+        def noted(self: Any, *given: Any, _real: Any = real, _verb: str = verb) -> Any:
+            ran.append(_verb)
+            return _real(self, *given)
+
+        monkeypatch.setattr(stage, verb, noted)
+    session = Session(line())
+    first, _ = ask(session, wish(session))
+    assert ran == ["extract", "weigh"]
+    heavier = StageWish(use="density", options={"density_g_per_cm3": "2.2"})
+    second, _ = ask(session, wish(session, weigher=heavier))
+    assert ran == ["extract", "weigh", "weigh"]
+    ask(session, wish(session))
+    assert len(ran) == 3, "going back runs nothing"
+    ask(session, wish(session, "p02"))
+    assert ran[3:] == ["extract", "weigh"], "another frame runs everything"
+    volume_cm3 = second["rows"][0]["volume"]["visible_mm3"]["value"] / 1000.0
+    assert second["rows"][0]["weight"]["mass_g"]["value"] == pytest.approx(2.2 * volume_cm3, rel=1e-12)
+    assert first["rows"][0]["volume"] == second["rows"][0]["volume"]
+
+
+def test_results_are_forgotten_in_time(line: Callable[..., Path]) -> None:
+    session = Session(line())
+    for threshold in range(20, 34):  # seven stages each
+        ask(
+            session,
+            wish(session, extractor=StageWish(use="dominant-peak", options={"threshold": str(threshold)})),
+        )
+    assert len(session._memory._kept) <= 64
+
+
+WRONG: dict[str, tuple[dict[str, StageWish | None], tuple[Any, ...], str]] = {
+    "no number": (
+        {"extractor": StageWish(use="dominant-peak", options={"threshold": "abc"})},
+        ("stages", "extractor", "options", "threshold"),
+        "number",
+    ),
+    "out of bounds": (
+        {"extractor": StageWish(use="dominant-peak", options={"threshold": "256"})},
+        ("stages", "extractor", "options", "threshold"),
+        "255",
+    ),
+    "not YAML": (
+        {"extractor": StageWish(use="steger", options={"region": "[0, 1"})},
+        ("stages", "extractor", "options", "region"),
+        "not YAML",
+    ),
+    "an unknown option": (
+        {"extractor": StageWish(use="dominant-peak", options={"treshold": "20"})},
+        ("stages", "extractor", "options", "treshold"),
+        "did you mean `threshold`?",
+    ),
+    "an unknown plugin": (
+        {"extractor": StageWish(use="dominant-pek")},
+        ("stages", "extractor", "use"),
+        "did you mean `dominant-peak`?",
+    ),
+    "a stage another one needs": (
+        {"triangulator": None},
+        ("stages", "volume"),
+        "it works on the result of the triangulator",
+    ),
+    "a file that is not there": (
+        {"outliner": StageWish(use="edge-contour", options={"belt": "none.png"})},
+        ("stages", "outliner", "options", "belt"),
+        "there is no file",
+    ),
+    "a stage that is missing what it needs": (
+        {"classifier": StageWish(use="learned")},
+        ("stages", "classifier", "options", "model"),
+        "missing",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", WRONG.values(), ids=list(WRONG))
+def test_what_is_wrong_is_told_at_its_field(
+    case: tuple[dict[str, StageWish | None], tuple[Any, ...], str], line: Callable[..., Path]
+) -> None:
+    stages, path, said = case
+    session = Session(line())
+    header, arrays = ask(session, wish(session, **stages))
+    assert not arrays
+    told = {tuple(fault["path"]): fault["said"] for fault in header["faults"]}
+    assert said in told[path]
+    with pytest.raises(ConfigurationError):
+        session.save(wish(session, **stages))
+
+
+def test_several_faults_are_told_at_once(line: Callable[..., Path]) -> None:
+    session = Session(line())
+    bad = StageWish(use="dominant-peak", options={"threshold": "[1", "start": "sideways"})
+    header, _ = ask(session, wish(session, extractor=bad))
+    assert {fault["path"][-1] for fault in header["faults"]} == {"threshold", "start"}
+
+
+def test_a_source_without_images_is_told_at_its_path(line: Callable[..., Path]) -> None:
+    session = Session(line())
+    header, _ = ask(session, Wish(source={"path": "nowhere"}))
+    assert header["faults"][0]["path"] == ["source", "path"]
+    assert "there is no image here" in header["faults"][0]["said"]
+
+
+def test_a_stage_that_refuses_gives_its_reason_and_the_rest_stands(line: Callable[..., Path]) -> None:
+    session = Session(line())
+    blind = StageWish(use="dominant-peak", options={"threshold": "250"})
+    header, arrays = ask(session, wish(session, extractor=blind))
+    assert not header["faults"]
+    assert header["absent"] or header["rows"][0]["reasons"]
+    assert header["places"]["peaks"] == arrays["peaks.row"].size == 0
+
+
+def test_a_damaged_frame_is_told_and_the_others_can_be_looked_at(line: Callable[..., Path]) -> None:
+    path = line()
+    (path.parent / "images" / "p02.png").write_bytes(b"not an image")
+    session = Session(path)
+    broken, _ = ask(session, wish(session, "p02"))
+    assert "p02.png" in broken["faults"][0]["said"]
+    assert ask(session, wish(session, "p03"))[0]["acquisition"] == "p03"
+
+
+def test_gaps_are_those_that_were_cut(line: Callable[..., Path]) -> None:
+    path = line(count=1)
+    file = path.parent / "images" / "p01.png"
+    image = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+    image[116:122, 110:190] = 12  # stripes 3 to 5 of the dome's top: six rows without light
+    cv2.imwrite(str(file), image)
+    session = Session(path)
+    header, _ = ask(session, wish(session))
+    gaps = [gap for gap in header["places"]["gap_list"] if (gap["first"], gap["last"]) == (116, 121)]
+    assert {gap["stripe"] for gap in gaps} >= {2, 3}
+    assert all(gap["bridged"] for gap in gaps)
+
+
+def test_a_deep_image_is_shown_in_eight_bits(line: Callable[..., Path]) -> None:
+    path = line(count=1)
+    file = path.parent / "images" / "p01.png"
+    image = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+    cv2.imwrite(str(file), image.astype(np.uint16) * 257)
+    session = Session(path)
+    header, _ = ask(session, wish(session))
+    assert header["image"]["white"] == 65535
+    png = session.picture(header["image"]["key"])
+    assert png is not None
+    assert np.array_equal(cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_UNCHANGED), image)
+    assert session.picture("0" * 24) is None
+
+
+def test_saving_changes_the_value_keeps_comments_and_the_old_file(line: Callable[..., Path]) -> None:
+    path = line()
+    before = "# ours\n" + path.read_text("utf-8").replace("window-tracking", "window-tracking  # by order")
+    path.write_text(before, "utf-8")
+    session = Session(path)
+    changed = StageWish(use="dominant-peak", options={"threshold": "75"})
+    saved = session.save(wish(session, extractor=changed))
+    after = path.read_text("utf-8")
+    assert after == before.replace("threshold: 60", "threshold: 75")
+    assert path.with_name(saved.old).read_text("utf-8") == before
+    assert Recipe.load(path).stages["extractor"].options.threshold == 75  # type: ignore[attr-defined]
+    assert ask(session, wish(session))[0]["changes"] == []
+    again = session.save(wish(session, extractor=DOME))
+    assert again.old == "", "what this session wrote itself is not kept again"
+    assert path.read_text("utf-8") == before
+    third = Session(path)
+    assert third.save(wish(third, extractor=changed)).old == "recipe.yaml.old-2"
+
+
+def test_saving_under_another_name_leaves_the_recipe_alone(line: Callable[..., Path]) -> None:
+    path = line()
+    before = path.read_text("utf-8")
+    session = Session(path)
+    saved = session.save(wish(session, extractor=StageWish(use="dominant-peak")), "softer")
+    assert (Path(saved.path).name, saved.old) == ("softer.yaml", "")
+    assert path.read_text("utf-8") == before
+    assert session.recipe()["name"] == "softer.yaml"
+    with pytest.raises(ConfigurationError, match="there already"):
+        session.save(wish(session), "recipe.yaml")
+
+
+@pytest.mark.parametrize("name", ["../elsewhere.yaml", "/tmp/x.yaml", ".hidden", ".."])
+def test_a_name_that_leads_elsewhere_is_refused(name: str, line: Callable[..., Path]) -> None:
+    session = Session(line())
+    with pytest.raises(ConfigurationError, match="not a file name"):
+        session.save(wish(session), name)
+
+
+def test_a_file_changed_by_someone_else_is_not_overwritten(line: Callable[..., Path]) -> None:
+    path = line()
+    session = Session(path)
+    path.write_text(path.read_text("utf-8") + "# mine\n", "utf-8")
+    with pytest.raises(ConfigurationError, match="changed by someone else"):
+        session.save(wish(session, extractor=StageWish(use="dominant-peak")))
+    assert path.read_text("utf-8").endswith("# mine\n")
+
+
+def test_a_full_disk_leaves_the_recipe_as_it_was(
+    line: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = line()
+    before = path.read_bytes()
+    session = Session(path)
+    asked = wish(session, extractor=StageWish(use="dominant-peak"))
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fdopen", full)
+    with pytest.raises(OutputError, match="No space left"):
+        session.save(asked)
+    monkeypatch.undo()
+    assert path.read_bytes() == before
+    assert [file.name for file in path.parent.iterdir() if ".old" in file.name] == []
+    session.save(asked)
+    assert path.read_bytes() != before
+
+
+def test_a_link_stays_a_link(line: Callable[..., Path], tmp_path: Path) -> None:
+    path = line()
+    link = tmp_path / "link.yaml"
+    link.symlink_to(path)
+    session = Session(link)
+    session.save(wish(session, extractor=StageWish(use="dominant-peak")))
+    assert link.is_symlink()
+    assert "threshold" not in path.read_text("utf-8")
+
+
+def test_an_unsound_recipe_is_refused_at_once(line: Callable[..., Path]) -> None:
+    path = line()
+    path.write_text(path.read_text("utf-8").replace("dominant-peak", "dominant-pek"), "utf-8")
+    with pytest.raises(ConfigurationError, match="did you mean"):
+        Session(path)
+    with pytest.raises(ConfigurationError, match="cannot be read"):
+        Session(path.parent / "none.yaml")
+
+
+def test_a_recipe_without_frames_is_refused_at_once(line: Callable[..., Path]) -> None:
+    path = line()
+    for file in (path.parent / "images").iterdir():
+        file.unlink()
+    with pytest.raises(DataError, match="there is no image here"):
+        Session(path)
+
+
+def test_what_is_packed_comes_out_again(rng: np.random.Generator) -> None:
+    arrays = {
+        "a": rng.normal(size=(3, 5)).astype(np.float32),
+        "b": rng.integers(-9, 9, 7).astype(np.int16),
+        "c": np.array([True, False, True]),
+        "none": np.empty((0, 3), np.float32),
+    }
+    header, found = unpacked(packed({"x": float("nan"), "y": [1, {"ü": float("inf")}]}, arrays))
+    assert header == {"x": None, "y": [1, {"ü": None}]}
+    assert list(found) == list(arrays)
+    for name, array in arrays.items():
+        assert np.array_equal(found[name], array)
+        assert found[name].ctypes.data % 4 == 0
+
+
+def test_uncertainties_are_drawn_when_they_are_wished_for(line: Callable[..., Path]) -> None:
+    path = line()
+    path.write_text(path.read_text("utf-8") + "draws: 20\n", "utf-8")
+    session = Session(path)
+    quick, drawn = (
+        ask(session, wish(session).model_copy(update={"draws": wanted}))[0] for wanted in (False, True)
+    )
+    assert (quick["drawn"], drawn["drawn"]) == (0, 20)
+    recipe = Recipe.load(path)
+    source = recipe.source.make()
+    trace = Pipeline(recipe).trace(source.read(source.references(recipe.source_path)[0]))
+    volume = trace.products[0].volume
+    assert volume is not None
+    told = drawn["rows"][0]["volume"]["visible_mm3"]["std"]
+    assert told is None if np.isnan(volume.visible_mm3.std) else told == volume.visible_mm3.std
+    assert quick["rows"][0]["volume"]["visible_mm3"]["std"] is None
+
+
+def test_a_plugins_fault_is_told_and_does_not_end_the_page(
+    line: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from roemetry_files.image_files import ImageFiles
+
+    path = line()
+    session, open_session = Session(path), Session(path, debug=True)
+    asked = wish(session, "p02")
+
+    def broken(*_: object) -> None:
+        raise IndexError("off by one")
+
+    monkeypatch.setattr(ImageFiles, "read", broken)
+    header, _ = ask(session, asked)
+    assert "IndexError: off by one" in header["faults"][0]["said"]
+    with pytest.raises(IndexError):
+        open_session.answer(asked)
+
+
+def test_a_stages_fault_is_told_on_its_card(
+    line: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from roemetry_paper.window_tracking import WindowTracking
+
+    def broken(*_: object) -> None:
+        raise IndexError("off by one")
+
+    session = Session(line())
+    monkeypatch.setattr(WindowTracking, "code", broken)
+    header, arrays = ask(session, wish(session))
+    assert "IndexError: off by one" in header["absent"]["coder"]
+    assert "peaks.x_px" in arrays and "stripes.x_px" not in arrays
