@@ -16,9 +16,8 @@ from roemetry.records import Measurement
 from roemetry.run.batch import run_recipe
 
 HOME = Path(__file__).parents[2] / "recipes" / "herring_roe"
-CAUSES = {
-    "peak noise", "calibration", "outline", "between slices", "settings", "rim", "gaps", "ends", "common height"
-}  # fmt: skip
+CAUSES = {"peak noise", "calibration", "outline", "between slices", "settings", "rim", "gaps", "ends"}
+CAUSES |= {"common height"}
 
 
 @pytest.fixture(scope="module")
