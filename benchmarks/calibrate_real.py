@@ -14,12 +14,12 @@ from pathlib import Path
 
 import numpy as np
 
-from roemetry.records.arrays import Floats
 from roemetry.calibrate import observe
-from roemetry.records import Board, Frame
-from roemetry.stages.registry import discover
 from roemetry.config.rig import Rig
 from roemetry.io.yaml_source import dump
+from roemetry.records import Board, Frame
+from roemetry.records.arrays import Floats
+from roemetry.stages.registry import discover
 from roemetry_pinhole.board_diagnostics import BoardNotFound
 from roemetry_pinhole.boards import BoardView, Seen, board_views, find_marks
 from roemetry_pinhole.bundle import Adjusted, adjust

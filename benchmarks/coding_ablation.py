@@ -20,12 +20,12 @@ import numpy as np
 
 from benchmarks import coded
 from benchmarks.outside.reading import Crossings, read_crossings, read_rig, rig_folders, true_calibration
-from roemetry.records.calibration import Calibration
-from roemetry_tools.compare.points import nearest
 from roemetry.errors import StageError
 from roemetry.records import Frame, Peaks
+from roemetry.records.calibration import Calibration
 from roemetry_coding.planes import Planes, decide, graph, shifts, solve
 from roemetry_peaks.maximum_likelihood import MaximumLikelihood
+from roemetry_tools.compare.points import nearest
 
 SEED = 41_000_000
 HEIGHT_MAX_MM = 45.0

@@ -22,8 +22,8 @@ import math
 
 import numpy as np
 
-from roemetry.records.arrays import Flags, Floats, Labels
 from roemetry.records import Product
+from roemetry.records.arrays import Flags, Floats, Labels
 from roemetry_kernels.compiling import kernel
 
 _SHARED = 0.5

@@ -8,11 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from roemetry.records.arrays import Floats
 from roemetry.errors import StageError
 from roemetry.records import Product, Reason, Shares, Volume
-from roemetry.stages import Capabilities, VolumeEstimator
+from roemetry.records.arrays import Floats
 from roemetry.records.view import View
+from roemetry.stages import Capabilities, VolumeEstimator
 from roemetry_volume.common_error import common_height_std_mm
 from roemetry_volume.slice_ends import upright_ends
 from roemetry_volume.slice_estimators import SliceOptions, SlicePchip, gaps_std, reasons_of

@@ -7,8 +7,8 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from roemetry.records.arrays import Floats, Integers, Labels
 from roemetry.records import Product
+from roemetry.records.arrays import Floats, Integers, Labels
 from roemetry_kernels.compiling import kernel
 from roemetry_volume import slice_rules as rules
 from roemetry_volume.quadric_ends import edges_missed, quadric_end

@@ -9,9 +9,9 @@ from typing import ClassVar
 import numpy as np
 from pydantic import Field
 
-from roemetry.records.arrays import Floats
 from roemetry.errors import StageError
 from roemetry.records import Estimate, Product, Reason, Shares, Volume
+from roemetry.records.arrays import Floats
 from roemetry.stages import Capabilities, VolumeEstimator
 from roemetry_volume import slice_rules as rules
 from roemetry_volume.common_error import common_height_std_mm

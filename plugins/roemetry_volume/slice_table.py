@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from roemetry.records.arrays import Flags, Floats, Integers, Labels
 from roemetry.errors import StageError
 from roemetry.records import Product, Profiles
+from roemetry.records.arrays import Flags, Floats, Integers, Labels
 from roemetry_kernels.compiling import float_kernel, kernel
 
 LEAST_SLICES = 3

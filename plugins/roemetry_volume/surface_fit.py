@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.records import Product
+from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.records.view import View
 from roemetry_kernels.compiling import kernel
 from roemetry_volume.rim import Rim, StripePoints, ends_of, rim_of

@@ -10,8 +10,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from roemetry.records.arrays import Floats
 from roemetry.records import NOTHING, Product, Volume
+from roemetry.records.arrays import Floats
 from roemetry.records.units import mm3_to_cm3
 from roemetry_volume.rim import StripePoints, ends_of, rim_of
 from roemetry_volume.silhouette import evenly
