@@ -1,4 +1,4 @@
-"""Error of every volume estimator on simulated skeins; writes docs/explanation/volume.md.
+"""Error of every volume estimator on simulated skeins; writes docs/measurements/volume.md.
 
 ``python -m benchmarks volume [--first 80000] [--count 500] [--meshes 20] [--images 100] [--page FILE]``
 
@@ -92,7 +92,7 @@ def main() -> None:
     parser.add_argument("--bodies", type=int, default=99001, help="first seed of the known bodies' rigs")
     parser.add_argument("--no-render", action="store_true", help="only those images that the cache holds")
     parser.add_argument("--cache", type=Path, default=Path(tempfile.gettempdir()) / "roemetry-volume")
-    parser.add_argument("--page", type=Path, default=Path("docs/explanation/volume.md"))
+    parser.add_argument("--page", type=Path, default=Path("docs/measurements/volume.md"))
     given = parser.parse_args()
     code = code_hash()
     rows = [

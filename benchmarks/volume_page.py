@@ -1,4 +1,4 @@
-"""The page docs/explanation/volume.md, made of what `python -m benchmarks volume` measured."""
+"""The page docs/measurements/volume.md, made of what `python -m benchmarks volume` measured."""
 
 from __future__ import annotations
 
@@ -175,7 +175,7 @@ def _refused(refusals: Sequence[str]) -> str:
 _PLOT = "![Error over {what}](../images/volume-{name}.svg)\n"
 
 _HEAD = """\
-# Volume: what was seen, what was assumed
+# Volume estimators, measured
 
 Made by
 

@@ -16,7 +16,7 @@ from markupsafe import Markup
 from benchmarks.extraction.tables import Table
 from roemetry.html.plots import box, dot, line, number, text
 
-PAGE = Path("docs/explanation/extraction.md")
+PAGE = Path("docs/measurements/extraction.md")
 PLOT = Path("docs/images/extraction.svg")
 BEGIN = "<!-- figures: python -m benchmarks {} --page -->"
 END = "<!-- end of figures -->"

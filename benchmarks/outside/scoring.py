@@ -382,7 +382,7 @@ def _acquisitions(
 
 
 def _tallest_mm(rig: RenderedRig) -> float:
-    heights_mm = [float(one.get("max_height_mm", 0.0)) for one in rig.truth["objects"].values()]
+    heights_mm = [float(one.get("max_height_mm") or 0.0) for one in rig.truth["objects"].values()]
     return max(40.0, *heights_mm)
 
 

@@ -131,7 +131,7 @@ def _miss(even: Floats) -> float:
 
 def _border(product: Product, lines: tuple[Line, ...]) -> tuple[Floats | None, Reason | None]:
     """Place the outline at the height of the nearest lines' ends: (n, 3), or why there is none."""
-    from roemetry_kernels.volume.footprint import inside_by
+    import cv2
 
     outline, view = product.outline, product.view
     if outline is None or view is None:
@@ -149,7 +149,8 @@ def _border(product: Product, lines: tuple[Line, ...]) -> tuple[Floats | None, R
         off = np.linalg.norm(border[:, None, :2] - ends[None, :, :2], axis=2)
         weight = 1.0 / (1.0 + off) ** 2
         border = view.at_height(xy, (weight * ends[:, 2]).sum(axis=1) / weight.sum(axis=1))
-    inside = inside_by(np.ascontiguousarray(border[:, :2]), np.ascontiguousarray(ends[:, :2]))
+    ring = border[:, None, :2].astype(np.float32)
+    inside = [cv2.pointPolygonTest(ring, (float(x), float(y)), True) for x, y in ends[:, :2]]
     if float(np.median(inside)) > _FAR_MM or float(np.median(inside)) < -1.0:
         return None, Reason(
             "outline-disagrees",

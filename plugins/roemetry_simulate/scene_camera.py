@@ -122,7 +122,7 @@ def _border_points(camera: Camera, height_mm: float) -> Floats:
 
 def _check_distortion(camera: Camera, x: Floats, y: Floats) -> None:
     """Raise MisfitError where going out from the optical axis does not go out in the image all the way."""
-    from roemetry_simulate.lens import undistorted
+    from roemetry_simulate.camera import undistorted
 
     f, (cx, cy) = camera.focal_length_px, camera.principal_px
     lens = np.array(camera.distortion)

@@ -6,7 +6,10 @@ by nearly the same in all rows (Farrell, Patterson, Wilson 1992, Medical Physics
 out over thousands of points; the rest does not. Noise shows: the second differences of heights along a stripe
 scatter by √6 n, n its standard deviation, on any surface that is smooth over three rows. So
 
-    common² = median(s)² − median|z₋₁ − 2 z₀ + z₊₁|² · (1.4826² / 6), not less than 0.
+    common² = ½ (median(s)² − median|z₋₁ − 2 z₀ + z₊₁|² · (1.4826² / 6)), not less than 0.
+
+Half of the variance, since tissue differs over some millimetres, which averages out over a product and not
+over three rows.
 
 Assumed: noise of neighbouring rows is independent (an extractor that smooths along the stripe shows less
 noise than it has, and counts as surer than it is of nothing: the interval is too wide), and the stated
@@ -23,6 +26,10 @@ from roemetry.records import Product
 from roemetry.records.arrays import Flags, Floats, Labels
 from roemetry_kernels.compiling import kernel
 
+_SHARED = 0.5
+"""Of the variance that does not scatter from row to row. On 23 skeins on five rigs of two renderers with
+tissue the mean height was off by 0.0 to 1.5 of its root, 0.8 root mean square; with 0.5 all their intervals
+hold (plain-light outline), with 1 they are up to a quarter wider."""
 _EVERY = 3
 """Points of which one is looked at: medians of some hundreds are within 5 %, and take a few microseconds."""
 _POINTS_MIN = 30
@@ -66,4 +73,4 @@ def _common_std_mm(
     if count < _POINTS_MIN:
         return 0.0
     noise = 1.4826 * np.median(second[:count])
-    return math.sqrt(max(np.median(stated[:count]) ** 2 - noise * noise / 6.0, 0.0))
+    return math.sqrt(_SHARED * max(np.median(stated[:count]) ** 2 - noise * noise / 6.0, 0.0))

@@ -49,6 +49,8 @@ _SHIFTED = (
 """Evidence, and how often a label with it was wrong: the more, the less often."""
 _ALONE = ((0.0, 0.03), (2.0, 0.02), (3.0, 8e-3), (4.0, 5e-3), (6.0, 5e-4), (10.0, 1e-4))
 """By how much the second best is dearer, and how often a label was wrong whose evidence was large."""
+_FEW_PEAKS, _FEW_COUNT = 4, 0.5
+"""A piece of fewer peaks has hardly anything that bears it out: its difference counts for half."""
 _LONG_PEAKS, _SMALL_COUNT = 30, 0.4
 """Evidence counts in full for a trace with so many labels of a stripe, and down to this share for fewer: the
 ends of a run, where its costs are least known, are more of a short one."""
@@ -65,6 +67,11 @@ _LEFT_SHARE, _BODY_LEFT_SHARE = 0.5, 0.75
 """Of a piece with fewer of its labels left, none is kept; of a body where a gap is unexplained."""
 _ABOVE_ODDS = 50.0
 """A product higher than the calibration is meant for is so many times less likely than one that is not."""
+_ABOVE_SHARE_MIN = 0.25
+"""Of a product a twentieth too high about this share of the body points lies above the range. Fewer go:
+pieces by themselves, where belt is missing, that nothing else keeps from being high."""
+_ALONE_PEAKS = 6
+"""A trace of fewer peaks on another stripe's rest line is what is left of that belt at a shadow's edge."""
 _CONTESTED_PEAKS = 4
 """Order must speak against so many peaks of a piece before the piece is contested: at a body's edge its
 stripe may be seen twice for a row or two."""
@@ -101,7 +108,10 @@ def verdicts_of(problem: Problem, solved: Solved, row: Integers) -> Verdicts:
     )
     settled = ends_settled(pieces, stripe)
     dearer *= settled
+    dearer[np.bincount(pieces.of)[pieces.of] < _FEW_PEAKS] *= _FEW_COUNT
     sure = settled > 0.0
+    alone = np.bincount(pieces.trace)[pieces.trace] < _ALONE_PEAKS
+    sure &= ~(alone & (pieces.line >= 0) & (pieces.line != stripe))
     short = np.clip(
         _together(problem, stripe, np.ones(stripe.size, np.bool_)) / _LONG_PEAKS, _SMALL_COUNT, 1.0
     )
@@ -147,6 +157,8 @@ def decided(
     slack_mm = rest.tolerance_px / np.abs(calibration.displacement_px_per_mm)
     above = verdicts.height_mm > calibration.height_range_mm[1] + slack_mm[np.maximum(stripe, 0)]
     margin[above] = np.maximum(1.0 - _ABOVE_ODDS * (1.0 - margin[above]), 0.0)
+    if np.count_nonzero(above) <= _ABOVE_SHARE_MIN * np.count_nonzero((stripe >= 0) & (stripe != rest.line)):
+        stripe[above] = AMBIGUOUS
     stripe[(stripe >= 0) & ~(verdicts.sure & (margin >= margin_min))] = AMBIGUOUS
     stripe[out_of_order(problem.entries, peaks.row, rest.line, stripe, stripes)] = AMBIGUOUS
     wrong = out_of_order(problem.entries, peaks.row, rest.line, verdicts.claims, stripes)
