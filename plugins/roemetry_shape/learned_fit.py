@@ -169,8 +169,9 @@ def _filled(values: Floats) -> tuple[Floats, Floats]:
     return np.where(np.isfinite(values), values, fill), fill
 
 
-_LEAF_SAMPLES = 8
-"""Products in a leaf at least: with 2 a forest of thousands of products takes three times the space."""
+_LEAF_SAMPLES = 2
+"""Products in a leaf at least: 16 make the file a quarter as large, and good skeins of rigs never seen are kept
+at 85 instead of 92 % (of our own), 14 instead of 61 % (of the rendered set)."""
 
 
 def _trees() -> Any:
