@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 
 from benchmarks.calibrate_map import over_the_image
-from roemetry.calibrate import calibrate
+from roemetry.calibrating import calibrate
 from roemetry.config.rig import Rig
 from roemetry.io.yaml_source import dump
 from roemetry.records import StripeMap

@@ -14,13 +14,13 @@ from pathlib import Path
 
 import numpy as np
 
-from roemetry.calibrate import observe
+from roemetry.calibrating import observe
 from roemetry.config.rig import Rig
 from roemetry.io.yaml_source import dump
 from roemetry.records import Board, Frame
 from roemetry.records.arrays import Floats
 from roemetry.stages.registry import discover
-from roemetry_pinhole.board_diagnostics import BoardNotFound
+from roemetry_pinhole.board_diagnostics import BoardNotFoundError
 from roemetry_pinhole.boards import BoardView, Seen, board_views, find_marks
 from roemetry_pinhole.bundle import Adjusted, adjust
 from roemetry_pinhole.equations import Corners, Feet, StripePoints
@@ -176,7 +176,7 @@ def _chessboard(folder: Path) -> None:
         size = frame.size
         try:
             marks = find_marks(frame, board)
-        except BoardNotFound as error:
+        except BoardNotFoundError as error:
             seen.left_out[path.name] = str(error)
             continue
         seen.views.append(BoardView(path.name, marks, None, None, on_belt=False, count=np.nan))

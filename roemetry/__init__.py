@@ -9,7 +9,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from roemetry.calibrate import calibrate
+    from roemetry.calibrating import calibrate
     from roemetry.config.rig import Rig
     from roemetry.errors import RoemetryError
     from roemetry.records import Measurement
@@ -36,7 +36,7 @@ _HOMES = {
     "Recipe": "roemetry.run.api",
     "Rig": "roemetry.config.rig",
     "RoemetryError": "roemetry.errors",
-    "calibrate": "roemetry.calibrate",
+    "calibrate": "roemetry.calibrating",
     "run_recipe": "roemetry.run.batch",
 }
 

@@ -170,8 +170,8 @@ def _filled(values: Floats) -> tuple[Floats, Floats]:
 
 
 _LEAF_SAMPLES = 2
-"""Products in a leaf at least: 16 make the file a quarter as large, and good skeins of rigs never seen are kept
-at 85 instead of 92 % (of our own), 14 instead of 61 % (of the rendered set)."""
+"""Products in a leaf at least: 16 make the file a quarter as large, and good skeins of rigs never seen are
+kept at 85 instead of 92 % (of our own), 14 instead of 61 % (of the rendered set)."""
 
 
 def _trees() -> Any:

@@ -41,8 +41,8 @@ def calibrate(
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
     """Make a calibration from images of known things, or refuse with the reason."""
-    from roemetry.calibrate import calibrate as calibrate_rig
-    from roemetry.calibrate import calibrate_with_evidence, default_path
+    from roemetry.calibrating import calibrate as calibrate_rig
+    from roemetry.calibrating import calibrate_with_evidence, default_path
     from roemetry.config.rig import Rig
     from roemetry.records import Evidence
 
@@ -67,7 +67,7 @@ def calibrate(
 
 
 def _write_page(path: Path, calibration: Calibration, evidence: Evidence, name: str) -> None:
-    from roemetry.calibrate import evidence_page
+    from roemetry.calibrating import evidence_page
     from roemetry.io.files import write_whole
     from roemetry.stages.registry import discover
 

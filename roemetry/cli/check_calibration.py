@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from roemetry.calibrate import Check
+    from roemetry.calibrating import Check
 
 
 def check_calibration(
@@ -49,7 +49,7 @@ def check_calibration(
     """
     from dataclasses import asdict
 
-    from roemetry.calibrate import Chart, block_of, chart_page, check_calibration
+    from roemetry.calibrating import Chart, block_of, chart_page, check_calibration
     from roemetry.config.recipe import Recipe
     from roemetry.errors import ConfigurationError
     from roemetry.io.files import write_whole
@@ -76,7 +76,7 @@ def check_calibration(
 
 def show(check: Check) -> None:
     """Print a check: a line each for what was measured, then its reasons."""
-    from roemetry.calibrate import QUANTITIES
+    from roemetry.calibrating import QUANTITIES
 
     typer.echo(f"{check.target}: {check.verdict}")
     for name in QUANTITIES:

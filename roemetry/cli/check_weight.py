@@ -24,8 +24,8 @@ def check_weight(
     Exit code: 0 they hold, or there are too few to tell; 1 fit again, or the tables cannot be compared; 2 a
     cell or the command line is wrong.
     """
-    from roemetry.calibrate.known_products import read_weights
-    from roemetry.calibrate.weight_check import WeighedPair, check_weights
+    from roemetry.calibrating.known_products import read_weights
+    from roemetry.calibrating.weight_check import WeighedPair, check_weights
     from roemetry.io.json_values import json_values
     from roemetry.run.record import read_record
 

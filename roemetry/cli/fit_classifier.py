@@ -45,7 +45,7 @@ def fit_classifier(
 
     Exit code: 0 written; 1 the table cannot be learned from; 2 the command line is wrong.
     """
-    from roemetry.calibrate.known_products import read_samples
+    from roemetry.calibrating.known_products import read_samples
     from roemetry.io.files import write_whole
     from roemetry.stages.registry import discover
 

@@ -59,7 +59,7 @@ def fit_penetration(
 
     Exit code: 0 written; 1 the block is not found; 2 the recipe or the command line is wrong.
     """
-    from roemetry.calibrate import block_of, fit_penetration, fit_penetration_in_one
+    from roemetry.calibrating import block_of, fit_penetration, fit_penetration_in_one
     from roemetry.config.recipe import Recipe
     from roemetry.errors import ConfigurationError
 

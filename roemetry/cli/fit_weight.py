@@ -35,7 +35,7 @@ def fit_weight(
 
     Exit code: 0 written; 1 the table cannot be learned from; 2 a cell or the command line is wrong.
     """
-    from roemetry.calibrate.known_products import read_weighed
+    from roemetry.calibrating.known_products import read_weighed
     from roemetry.io.files import write_whole
     from roemetry.stages.registry import discover
 

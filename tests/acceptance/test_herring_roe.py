@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from roemetry.calibrate import calibrate
+from roemetry.calibrating import calibrate
 from roemetry.config.dataset import Dataset
 from roemetry.config.recipe import Recipe
 from roemetry.config.rig import Rig

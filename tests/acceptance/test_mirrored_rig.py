@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from roemetry.calibrate import calibrate
+from roemetry.calibrating import calibrate
 from roemetry.config.recipe import Recipe
 from roemetry.config.rig import Rig
 from roemetry.run.pipeline import Pipeline

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.product_lines import LINES, Row, rows
-from roemetry.calibrate import calibrate
+from roemetry.calibrating import calibrate
 from roemetry.config.dataset import Dataset
 from roemetry.config.rig import Rig
 from roemetry.records.calibration import Calibration

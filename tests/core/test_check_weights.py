@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from roemetry.calibrate.weight_check import WeighedPair, check_weights
+from roemetry.calibrating.weight_check import WeighedPair, check_weights
 from roemetry.errors import DataError
 
 

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from roemetry.calibrate import (
+from roemetry.calibrating import (
     Chart,
     Check,
     Quantity,

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from roemetry.calibrate import correlations, coverage, evidence_page, height_uncertainty, level_line_px
+from roemetry.calibrating import correlations, coverage, evidence_page, height_uncertainty, level_line_px
 from roemetry.cli.main import app
 from roemetry.records import Evidence, EvidenceFigure, Residuals
 from roemetry.testing.scenes import LinearRig

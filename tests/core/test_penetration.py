@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from roemetry.calibrate import fit_penetration_in_one
+from roemetry.calibrating import fit_penetration_in_one
 from roemetry.cli.main import app
 from roemetry.config.recipe import Recipe
 from roemetry.errors import CalibrationError, ConfigurationError, DataError

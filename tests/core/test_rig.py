@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from roemetry.calibrate import calibrate, observe
+from roemetry.calibrating import calibrate, observe
 from roemetry.config.rig import Rig, pose_of
 from roemetry.config.target_file import TARGET_FILES
 from roemetry.config.validation import checked

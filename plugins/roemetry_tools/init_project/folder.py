@@ -186,7 +186,7 @@ def _simulate(
 
 
 def _calibrate(folder: Path) -> Path:
-    from roemetry.calibrate import calibrate, default_path
+    from roemetry.calibrating import calibrate, default_path
     from roemetry.config.rig import Rig
 
     rig = Rig.load(folder / "rig.yaml")

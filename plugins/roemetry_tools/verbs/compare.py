@@ -92,7 +92,7 @@ def compare(
     Exit code: 0 all compared; 1 a variant could not be made or measured nothing (its row says why); 2 the
     recipe, the data set or the command line is wrong.
     """
-    from roemetry.calibrate.known_products import read_labels
+    from roemetry.calibrating.known_products import read_labels
     from roemetry.errors import ConfigurationError
     from roemetry.io.files import write_whole
     from roemetry.stages.registry import discover

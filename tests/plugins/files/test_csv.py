@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from roemetry.calibrate.known_products import features_in
+from roemetry.calibrating.known_products import features_in
 from roemetry_files.csv_table import COLUMNS, rounded
 
 

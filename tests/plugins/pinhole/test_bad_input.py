@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from roemetry.calibrate import calibrate
+from roemetry.calibrating import calibrate
 from roemetry.config.rig import Rig
 from roemetry.errors import CalibrationError
 from roemetry.records import Board

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from roemetry.calibrate import evidence_page
+from roemetry.calibrating import evidence_page
 from roemetry.testing import LinearRig
 from roemetry_pinhole.bundle import Measured
 from roemetry_pinhole.calibrator import PinholeCalibrator

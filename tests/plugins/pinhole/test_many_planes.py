@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from roemetry.calibrate import calibrate
+from roemetry.calibrating import calibrate
 from roemetry.config.rig import Rig
 from tests.plugins.pinhole.board_set import FOCAL_PX, NEAR_MM, planes, written
 

@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from scipy.stats import binom
 from typer.testing import CliRunner
 
-from roemetry.calibrate.known_products import read_samples
+from roemetry.calibrating.known_products import read_samples
 from roemetry.cli.main import app
 from roemetry.errors import ConfigurationError, DataError, StageError
 from roemetry.records import Fitted, Samples

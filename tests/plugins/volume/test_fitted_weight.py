@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from roemetry.calibrate.known_products import read_weighed, read_weights
+from roemetry.calibrating.known_products import read_weighed, read_weights
 from roemetry.cli.main import app
 from roemetry.config.dataset import Dataset
 from roemetry.errors import ConfigurationError, DataError, StageError

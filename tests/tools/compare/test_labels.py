@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from roemetry.calibrate.known_products import read_labels
+from roemetry.calibrating.known_products import read_labels
 from roemetry.errors import DataError
 from roemetry.stages.registry import discover
 from roemetry_tools.compare.comparison import compare

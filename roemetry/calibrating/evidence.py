@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from markupsafe import Markup
 
-from roemetry.calibrate.evidence_plots import (
+from roemetry.calibrating.evidence_plots import (
     HeightUncertainty,
     correlation_map,
     coverage_map,
@@ -51,7 +51,7 @@ def evidence_page(
     correlation, names = correlations(calibration)
     shown = 1 < len(names) <= _SHOWN_PARAMETERS_MAX
     return (
-        environment_of("roemetry.calibrate")
+        environment_of("roemetry.calibrating")
         .get_template("calibration.html.j2")
         .render(
             name=name,

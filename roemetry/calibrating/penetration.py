@@ -14,7 +14,7 @@ from typing import Literal
 
 import numpy as np
 
-from roemetry.calibrate.block_check import (
+from roemetry.calibrating.block_check import (
     Reading,
     find_block,
     profiles_in,

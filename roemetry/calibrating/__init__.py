@@ -1,15 +1,15 @@
 """From images to a calibration, its evidence, and its checks on a running line."""
 
-from roemetry.calibrate.block_check import block_of, check_calibration, find_block, read_block
-from roemetry.calibrate.evidence import (
+from roemetry.calibrating.block_check import block_of, check_calibration, find_block, read_block
+from roemetry.calibrating.evidence import (
     correlations,
     coverage,
     evidence_page,
     height_uncertainty,
     level_line_px,
 )
-from roemetry.calibrate.from_rig import calibrate, calibrate_with_evidence, default_path, observe
-from roemetry.calibrate.penetration import fit_penetration, fit_penetration_in_one
+from roemetry.calibrating.from_rig import calibrate, calibrate_with_evidence, default_path, observe
+from roemetry.calibrating.penetration import fit_penetration, fit_penetration_in_one
 from roemetry.run.control_chart import (
     QUANTITIES,
     Chart,
