@@ -7,7 +7,7 @@ import math
 from pathlib import Path
 
 import pytest
-from hypothesis import assume, given
+from hypothesis import assume, example, given
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
@@ -41,6 +41,7 @@ def displaced_mm(rig: Layout, x_mm: float, height_mm: float) -> float:
     focal_mm=st.sampled_from([8.0, 16.0, 35.0]),
     columns=st.sampled_from([640, 1280, 2048]),
 )
+@example(length=10.0, width=1.0, height=0.625, stripes=16, focal_mm=8.0, columns=2048)
 def test_a_rig_that_is_laid_out_can_measure_the_product(
     length: float, width: float, height: float, stripes: int | None, focal_mm: float, columns: int
 ) -> None:

@@ -149,7 +149,8 @@ def lay_out(answers: Answers) -> Layout:
         view=view,
         spacing=spacing,
         line_width=_rounded(min(5.0 * mm_per_px, 0.3 * spacing), 0.05),
-        projector_x=_rounded(tangent * high, 1.0),
+        # near the camera a whole millimetre would be a tenth of the displacement
+        projector_x=_rounded(tangent * high, 1.0 if tangent * high >= 20.0 else 0.1),
         projector_z=high,
         px_per_mm=tangent / mm_per_px,
         spacings=height * grows * tangent / spacing,
