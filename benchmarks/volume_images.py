@@ -188,7 +188,7 @@ def coded(
     peaks = MaximumLikelihood().extract(laser)
     stripes = WindowTracking().code(peaks, calibration)
     if any(part.share > SHARE_MAX for part in open_parts(peaks, stripes).values()):  # as a run has it
-        raise RoemetryError("more than half of the product's points could not be given to a stripe")
+        raise RoemetryError("more than a third of the product's points could not be given to a stripe")
     outliner = EdgeContour(EdgeContourOptions(light="plain" if outline == "plain" else "laser"))
     return stripes, outliner.outline(laser, plain, stripes, calibration)
 

@@ -23,8 +23,9 @@ import numpy as np
 from roemetry.records import AMBIGUOUS, Estimate, Peaks, Product, Reason, StripeMap, Volume, Weight
 from roemetry.records.arrays import Flags, Floats, Integers
 
-SHARE_MAX = 0.5
-"""With more than half of its points open, a product's number would rest on what is not known."""
+SHARE_MAX = 1.0 / 3.0
+"""With more than a third of its points open, what is open may be half as large as what is sure, and a surface
+or an outline may end where the sure points do: no interval from the sure points alone would hold."""
 
 _REACH_SPACINGS = 1.5
 """An open stripe lies next to a sure one: one spacing off on flat ground, half as much again on a flank."""
