@@ -11,6 +11,13 @@ from roemetry.stages.hookspecs import StageEntry, hookimpl
 def roemetry_stages() -> Iterable[StageEntry]:
     """Name the coders, from the fastest to the most careful."""
     yield StageEntry(
+        kind="aligner",
+        name="belt-lines",
+        target="roemetry_coding.belt_lines:BeltLines",
+        summary="Fits shift, roll, zoom and tilt of the camera to the belt's stripes, and corrects them",
+        reference="our own; robust regression: Huber & Ronchetti 2009, chapter 7",
+    )
+    yield StageEntry(
         kind="coder",
         name="ordered",
         target="roemetry_coding.ordered:Ordered",

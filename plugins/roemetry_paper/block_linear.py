@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from roemetry.errors import StageError
 from roemetry.records import Profiles, StripeMap
 from roemetry.records.arrays import Floats
+from roemetry.records.alignment import Alignment
 from roemetry.records.calibration import Calibration
 from roemetry.records.view import View
 from roemetry.stages import Capabilities, StageOptions, Triangulator
@@ -72,6 +75,46 @@ class BlockLinear(Triangulator[StageOptions]):
             plane=light_planes(rest_px, omega, scale, (columns - 1) / 2.0, per_distance),
         )
 
+    def moved(self, calibration: Calibration, alignment: Alignment) -> Calibration:
+        """Give the calibration of a camera that has moved: rest lines, scale and millimetres per pixel.
+
+        The covariance of the motion is added to that of the parameters, by their numerical derivatives.
+        """
+        rest_px = _turned_lines(calibration, alignment.motion)
+        zoom = alignment.motion[2]
+        parameters = {
+            name: value / (1.0 + zoom) if name in _GROW else value
+            for name, value in calibration.parameters.items()
+        }
+        covariance = calibration.covariance
+        if alignment.covariance.any() and "rest_error_px" in parameters:
+            of_rest = [
+                (_turned_lines(calibration, step * np.eye(4)[k]) - calibration.rest_px) / step
+                for k, step in enumerate(_MOTION_STEPS)
+            ]
+            derivatives = np.stack(
+                [
+                    np.concatenate(
+                        [
+                            np.ravel(of_rest[k][:, : value.shape[1]])
+                            if name == "rest_error_px"
+                            else np.ravel(-value if name in _GROW and k == 2 else np.zeros(value.shape))
+                            for name, value in calibration.parameters.items()
+                        ]
+                    )
+                    for k in range(4)
+                ]
+            )
+            covariance = covariance + derivatives.T @ alignment.covariance @ derivatives
+        found = replace(
+            calibration,
+            rest_px=rest_px,
+            displacement_px_per_mm=calibration.displacement_px_per_mm * (1.0 + zoom),
+            parameters=parameters,
+            covariance=covariance,
+        )
+        return replace(found, view=self.view(found))
+
     def view(self, calibration: Calibration) -> View | None:
         """Give the view of the calibration's parameters; the camera's distance is the calibration's own."""
         known = calibration.view
@@ -84,6 +127,29 @@ class BlockLinear(Triangulator[StageOptions]):
             float(calibration.parameters["mm_per_px"][0]),
             None if not _per_distance(calibration) else 1.0 / _per_distance(calibration),
         )
+
+
+_GROW = ("omega_mm_per_px", "mm_per_px")
+"""Parameters in mm/px, which shrink as the image grows."""
+_MOTION_STEPS = (1e-2, 1e-5, 1e-5, 1e-5)
+"""Steps of numerical derivatives for shift (px), roll (rad), zoom and tilt (rad): all some 0.01 px."""
+
+
+def _turned_lines(calibration: Calibration, motion: Floats) -> Floats:
+    """Give the rest lines' polynomials after a small motion of the camera (`Alignment`), to first order."""
+    pan_px, roll, zoom, tilt = motion
+    rows, columns = calibration.image_size
+    y = np.linspace(-(rows - 1) / 2.0, (rows - 1) / 2.0, 33)
+    known = calibration.rest_px
+    x = np.polynomial.polynomial.polyval(y, known.T)
+    slope = np.polynomial.polynomial.polyval(y, np.polynomial.polynomial.polyder(known.T))
+    away = x - (columns - 1) / 2.0
+    per_px = _per_distance(calibration) * float(calibration.parameters["mm_per_px"][0])
+    along = roll * away + zoom * y - tilt * (y * y * per_px + (1.0 / per_px if per_px else 0.0))
+    moved = pan_px * (1.0 + (away * per_px) ** 2) - roll * y + zoom * away - tilt * away * y * per_px
+    degree = max(known.shape[1] - 1, 1)
+    powers = y[:, None] ** np.arange(degree + 1)
+    return np.linalg.lstsq(powers, (x + moved - slope * along).T, rcond=None)[0].T
 
 
 def _per_distance(calibration: Calibration) -> float:

@@ -3,17 +3,28 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from dataclasses import replace
 
+import cv2
 import numpy as np
 
 from roemetry.errors import StageError
 from roemetry.records import Profiles, StripeMap
 from roemetry.records.arrays import Floats
+from roemetry.records.alignment import Alignment
 from roemetry.records.calibration import Calibration
 from roemetry.records.view import View
 from roemetry.stages import Capabilities, StageOptions, Triangulator
 from roemetry_kernels.compiling import float_kernel
-from roemetry_pinhole.frames import belt_pose, camera_of, planes_in_belt_frame, view_of
+from roemetry_pinhole.frames import (
+    belt_pose,
+    camera_of,
+    displacements,
+    planes_in_belt_frame,
+    rest_polynomials,
+    view_of,
+)
 
 
 class PinholePlane(Triangulator[StageOptions]):
@@ -66,9 +77,59 @@ class PinholePlane(Triangulator[StageOptions]):
             plane=planes_in_belt_frame(planes, pose),
         )
 
+    def moved(self, calibration: Calibration, alignment: Alignment) -> Calibration:
+        """Give the calibration of a camera turned and zoomed; the lens stays what it is.
+
+        In the camera's frame, points turn by R: planes p·X = 1 become R p. To the covariance is added that of
+        the motion, by the parameters' numerical derivatives.
+        """
+        parameters = _turned(calibration.parameters, alignment.motion)
+        covariance = calibration.covariance
+        if alignment.covariance.any():
+            derivatives = np.stack(
+                [
+                    (_flat(_turned(calibration.parameters, step * np.eye(4)[k])) - _flat(calibration.parameters))
+                    / step
+                    for k, step in enumerate(_MOTION_STEPS)
+                ]
+            )
+            covariance = covariance + derivatives.T @ alignment.covariance @ derivatives
+        size = calibration.image_size
+        return replace(
+            calibration,
+            parameters=parameters,
+            covariance=covariance,
+            rest_px=rest_polynomials(parameters, size),
+            displacement_px_per_mm=displacements(parameters, size),
+            view=view_of(parameters, size),
+        )
+
     def view(self, calibration: Calibration) -> View | None:
         """Give the view of the calibration's own parameters, so that a redrawn one moves it."""
         return view_of(calibration.parameters, calibration.image_size)
+
+
+_MOTION_STEPS = (1e-2, 1e-5, 1e-5, 1e-5)
+"""Steps of numerical derivatives for shift (px), roll (rad), zoom and tilt (rad): all some 0.01 px."""
+
+
+def _turned(parameters: Mapping[str, Floats], motion: Floats) -> dict[str, Floats]:
+    """Give the parameters of a camera that has moved; `motion` as in `Alignment`."""
+    pan_px, roll, zoom, tilt = motion
+    focal = parameters["focal_px"]
+    rotation = cv2.Rodrigues(np.array([tilt, pan_px / focal[0], roll]))[0]
+    return {
+        **parameters,
+        "focal_px": focal * (1.0 + zoom),
+        "planes_per_mm": parameters["planes_per_mm"] @ rotation.T,
+        "belt_per_mm": rotation @ parameters["belt_per_mm"],
+        **({"travel_mm_per_count": rotation @ parameters["travel_mm_per_count"]}
+           if "travel_mm_per_count" in parameters else {}),
+    }  # fmt: skip
+
+
+def _flat(parameters: Mapping[str, Floats]) -> Floats:
+    return np.concatenate([array.ravel() for array in parameters.values()])
 
 
 _STEPS_MAX = 20

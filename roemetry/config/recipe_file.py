@@ -68,6 +68,9 @@ class StageChoices(Section):
     """The chain; a recipe may end after any stage."""
 
     extractor: Choice = Field(description="finds peaks in the frame")
+    aligner: Choice | None = Field(
+        default=None, description="compares each frame's belt with the calibration, and corrects small motion"
+    )
     coder: Choice | None = Field(default=None, description="says which stripe each peak belongs to")
     smoother: Choice | None = Field(
         default=None, description="smooths stripes along their rows, and says what resolution that costs"
@@ -134,6 +137,7 @@ class RecipeFile(Section):
 
 
 NEEDS: dict[str, str] = {
+    "aligner": "triangulator",
     "coder": "extractor",
     "smoother": "coder",
     "triangulator": "coder",

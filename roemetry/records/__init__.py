@@ -1,6 +1,7 @@
 """The records that go from stage to stage: frozen, checked when made, arrays read-only, invalid is NaN."""
 
 from roemetry.records.acquisition import Acquisition, AcquisitionReference, Frame, Role, Sensor
+from roemetry.records.alignment import Alignment
 from roemetry.records.evidence import Evidence, EvidenceFigure, Residuals
 from roemetry.records.fitting import Fitted, Samples
 from roemetry.records.measurement import Coding, Measurement, Status
@@ -42,6 +43,7 @@ __all__ = [
     "UNCODED",
     "WIDE",
     "Acquisition",
+    "Alignment",
     "AcquisitionReference",
     "Block",
     "Board",

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from roemetry.records.acquisition import Acquisition, Frame
+from roemetry.records.alignment import Alignment
 from roemetry.records.outcome import Decision, Estimate, Grade, Volume, Weight
 from roemetry.records.peaks import Peaks
 from roemetry.records.product import Outline, Product
@@ -40,7 +41,7 @@ class Trace:
         As it was read; None where reading failed.
     frame
         The laser frame as the extractor saw it: one channel, turned, subtracted.
-    peaks, stripes, outlines, profiles, products
+    peaks, alignment, stripes, outlines, profiles, products
         What each stage gave; None (or empty) where it was not asked for or not possible.
     absent
         By stage kind, why its result is missing.
@@ -52,6 +53,7 @@ class Trace:
     acquisition: Acquisition | None = None
     frame: Frame | None = None
     peaks: Peaks | None = None
+    alignment: Alignment | None = None
     stripes: StripeMap | None = None
     outlines: tuple[Outline, ...] = ()
     profiles: Profiles | None = None

@@ -29,6 +29,7 @@ from roemetry.records import (
     Volume,
     Weight,
 )
+from roemetry.records.alignment import Alignment
 from roemetry.records.calibration import Calibration
 from roemetry.records.penetration import raised
 from roemetry.records.view import View
@@ -110,10 +111,20 @@ class Pipeline:
         calibration = self.recipe.calibration
         if frame is not None:
             peaks = steps.do("extractor", lambda: self._stages["extractor"].extract(frame))
-        if peaks is not None and "coder" in self._stages and steps.allow("coder", _unfit(frame, calibration)):
+        fit = _unfit(frame, calibration)
+        alignment: Alignment | None = None
+        if peaks is not None and calibration is not None and "aligner" in self._stages and fit is None:
+            made, own = calibration, self._stages["triangulator"]
+            alignment = steps.do("aligner", lambda: self._stages["aligner"].align(peaks, made, own.moved))
+            if alignment is None:
+                fit = steps.absent["aligner"]
+            elif alignment.moved:
+                calibration = own.moved(made, alignment)
+        if peaks is not None and "coder" in self._stages and steps.allow("coder", fit):
             stripes = steps.do("coder", lambda: self._stages["coder"].code(peaks, calibration))
-        if stripes is not None and peaks is not None and peaks.reasons:
-            stripes = replace(stripes, reasons=peaks.reasons + stripes.reasons)
+        said = (() if peaks is None else peaks.reasons) + (() if alignment is None else alignment.reasons)
+        if stripes is not None and said:
+            stripes = replace(stripes, reasons=said + stripes.reasons)
         if stripes is not None and "smoother" in self._stages:
             stripes = steps.do("smoother", lambda: self._stages["smoother"].smooth(stripes))
         if stripes is not None and "outliner" in self._stages:
@@ -136,9 +147,8 @@ class Pipeline:
         if profiles is not None and penetration is not None:
             profiles = raised(profiles, penetration.offset_mm)
         if profiles is not None and stripes is not None and calibration is not None:
-            if self._view is None:  # the calibration never changes: neither does this
-                self._view = self._stages["triangulator"].view(calibration)
-            assembled = assemble(profiles, outlines, calibration, acquisition.id, stripes.reasons, self._view)
+            view = self._view_of(calibration)
+            assembled = assemble(profiles, outlines, calibration, acquisition.id, stripes.reasons, view)
             opened = open_parts(peaks, stripes) if peaks is not None else {}
             assembled = tuple(_with_open_part(product, opened.get(product.number)) for product in assembled)
             doubts = {
@@ -160,6 +170,7 @@ class Pipeline:
             acquisition=acquisition,
             frame=frame,
             peaks=peaks,
+            alignment=alignment,
             stripes=stripes,
             outlines=outlines,
             profiles=profiles,
@@ -167,6 +178,14 @@ class Pipeline:
             absent=steps.absent,
             seconds=steps.seconds,
         )
+
+    def _view_of(self, calibration: Calibration) -> View | None:
+        """Give the view of a calibration; the recipe's own never changes, and neither does its view."""
+        if calibration is not self.recipe.calibration:
+            return calibration.view
+        if self._view is None:
+            self._view = self._stages["triangulator"].view(calibration)
+        return self._view
 
     def _drawn(
         self, products: tuple[ProductTrace, ...], scene: Scene, steps: _Steps

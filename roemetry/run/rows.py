@@ -28,7 +28,7 @@ from roemetry.records.calibration import Calibration
 from roemetry.run.open_parts import open_parts
 from roemetry.run.pipeline import UNCALIBRATED
 
-_STAGES_BEFORE_PRODUCTS = ("source", "extractor", "coder", "smoother", "triangulator")
+_STAGES_BEFORE_PRODUCTS = ("source", "extractor", "aligner", "coder", "smoother", "triangulator")
 
 
 def measurements_of(

@@ -15,6 +15,7 @@ from roemetry.records import Product
 
 _VERBS = {
     "extractor": "extract",
+    "aligner": "align",
     "coder": "code",
     "smoother": "smooth",
     "outliner": "outline",
@@ -26,7 +27,8 @@ _VERBS = {
 }
 _BEFORE: Mapping[str, tuple[str, ...]] = {
     "extractor": (),
-    "coder": ("extractor",),
+    "aligner": ("extractor",),
+    "coder": ("extractor", "aligner"),
     "smoother": ("coder",),
     "outliner": ("smoother", "coder"),
     "triangulator": ("smoother", "coder"),
@@ -163,3 +165,4 @@ class _RememberedStage:
         setattr(self, verb, remembered)
         if kind == "triangulator":
             self.view = stage.view
+            self.moved = stage.moved

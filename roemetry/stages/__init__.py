@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from roemetry.stages.kinds import (
         INTERFACES,
+        Aligner,
         Calibrator,
         Capabilities,
         Classifier,
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "INTERFACES",
+    "Aligner",
     "Calibrator",
     "Capabilities",
     "Classifier",

@@ -6,12 +6,14 @@ from collections.abc import Mapping
 from typing import TypeVar
 
 from roemetry.records import Decision, Grade, Peaks, Profiles, StripeMap, Volume, Weight
+from roemetry.records.alignment import Alignment
 from roemetry.records.calibration import Calibration
 
 T = TypeVar("T")
 
 _GIVES: Mapping[str, type] = {
     "extractor": Peaks,
+    "aligner": Alignment,
     "coder": StripeMap,
     "smoother": StripeMap,
     "outliner": tuple,

@@ -38,6 +38,7 @@ API = 1
 KINDS = (
     "source",
     "extractor",
+    "aligner",
     "coder",
     "smoother",
     "calibrator",

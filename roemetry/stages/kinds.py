@@ -38,12 +38,14 @@ from roemetry.records import (
     Volume,
     Weight,
 )
+from roemetry.records.alignment import Alignment
 from roemetry.records.calibration import Calibration
 from roemetry.records.view import View
 from roemetry.stages.base import Capabilities, OptionsT, Stage, StageOptions
 
 __all__ = [
     "INTERFACES",
+    "Aligner",
     "Calibrator",
     "Capabilities",
     "Classifier",
@@ -88,6 +90,31 @@ class Extractor(Stage[OptionsT]):
         """Find the peaks of a frame of one channel."""
 
 
+class Aligner(Stage[OptionsT]):
+    """Compares a frame's belt with the calibration: have camera, laser or belt moved since?"""
+
+    @abstractmethod
+    def align(
+        self, peaks: Peaks, calibration: Calibration, moved: Callable[[Calibration, Alignment], Calibration]
+    ) -> Alignment:
+        """Give the small motion that takes the calibrated rest lines to where this frame shows them.
+
+        Parameters
+        ----------
+        peaks
+            Of the whole frame.
+        calibration
+            As it was made.
+        moved
+            Gives the calibration of a camera that has moved: `Triangulator.moved` of the recipe's.
+
+        Raises
+        ------
+        StageError
+            What has moved cannot be corrected; the frame is then refused.
+        """
+
+
 class Coder(Stage[OptionsT]):
     """Says which stripe each peak belongs to, and whether it lies on the belt or on a product."""
 
@@ -126,6 +153,19 @@ class Triangulator(Stage[OptionsT]):
     def view(self, calibration: Calibration) -> View | None:
         """Give the rig's geometry by the calibration's parameters, which a redraw has moved."""
         return calibration.view
+
+    def moved(self, calibration: Calibration, alignment: Alignment) -> Calibration:
+        """Give the calibration of a camera that has moved: parameters, covariance, rest lines and view.
+
+        Raises
+        ------
+        StageError
+            This triangulator cannot; a recipe with an aligner is then refused.
+        """
+        raise StageError(
+            f"{type(self).__name__} cannot correct a calibration for a camera that has moved",
+            hint="leave stages.aligner out; frames are then only refused where the belt lies elsewhere",
+        )
 
 
 class Outliner(Stage[OptionsT]):
@@ -334,6 +374,7 @@ class Planner(Stage[OptionsT]):
 INTERFACES: Mapping[str, type[Stage[Any]]] = {
     "source": Source,
     "extractor": Extractor,
+    "aligner": Aligner,
     "coder": Coder,
     "smoother": Smoother,
     "calibrator": Calibrator,

@@ -1,0 +1,347 @@
+"""Alignment by the belt's stripes: how far the camera has moved since the calibration, from one frame.
+
+Model. The calibration says where each stripe lies on the bare belt: x = u_s(row). A camera that has been moved
+a little shows the line at u_s(row) + Σ_k θ_k b_ks(row), where θ are shift, roll, zoom and tilt
+(`roemetry.records.alignment`) and b_ks is how the line answers to θ_k: the difference of the rest lines of two
+calibrations that the triangulator has moved by ± a step. So the model holds for any lens and any method of
+calibration that can be moved.
+
+Every few rows, each peak is compared with the rest line nearest to it. Most peaks lie on the belt; those of a
+product lie anywhere. θ is the robust least-squares fit (Tukey's biweight, its width narrowed in steps to four
+standard deviations: Huber & Ronchetti, Robust Statistics, 2nd ed., chapter 7). Its covariance is clustered
+(White's sandwich over blocks of a stripe and an eighth of the rows), for errors of neighbouring rows are not
+independent. A shift may come from the camera, the laser or the belt; at the height h they differ by the shift
+times h over their distance: that much of the zoom is not known, and stands in its variance.
+
+Assumes that belt is seen at the ends of the image, and that nothing has moved by more than a few pixels. It
+fails, and says so, where the belt is hidden or where lines that fit no small motion are seen.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from pydantic import Field
+
+from roemetry.errors import StageError
+from roemetry.records import Peaks, Reason
+from roemetry.records.alignment import PARAMETERS, Alignment
+from roemetry.records.arrays import Floats, Integers
+from roemetry.records.calibration import Calibration
+from roemetry.stages import Aligner, StageOptions
+from roemetry_kernels.compiling import kernel
+
+_STEPS = np.array([2.0, 5e-3, 5e-3, 2e-2])
+"""Steps of the numerical derivatives, units of `PARAMETERS`: each moves a usual image's edge by one or two
+pixels, far more than the 0.002 px to which rest lines are approximated, and far less than what bends."""
+_SEARCH_PX = 6.0
+"""Peaks farther from every line are no belt; twice what can be corrected."""
+_SEARCH_SPACING = 0.3
+"""The same as a share of the lines' smallest distance: beyond it the next line is as near."""
+_WIDTHS = (1.0, 0.7, 0.45, 0.3, 0.2)
+"""Widths of the biweight over the search, one a round: a product's peaks lie anywhere within the search, the
+belt's crowd, so narrowing finds the crowd. Fewer rounds may stop at a product's edge."""
+_LAST_ROUNDS = 4
+_SIGMAS = 4.0
+"""Width of the biweight in the last rounds, standard deviations: 92 % efficient for normal noise."""
+_SIGMA_MIN_PX = 0.05
+"""Less scatter than this says more of rounding than of the belt."""
+_ROWS_USED = 160
+"""Rows compared: the fit is then known to some 0.01 px, and takes less than 0.1 ms."""
+_BLOCKS = 8
+"""Blocks of rows a stripe, taken as independent: no speckle or texture is correlated over so many rows."""
+_PEAKS_MIN = 30
+"""Belt peaks that must fit: less are a few rows, which any noise could bring together."""
+_CHECKED_STD_PX = 0.25
+"""With lines less sure than this, motion that matters could not be seen."""
+_QUANTUM_PX = 0.005
+"""Steps to which the correction is rounded at the image's edge, so that frames of one state of the rig share
+one corrected calibration. A tenth of the smallest correction."""
+_SIGNIFICANT = 3.0
+"""Standard deviations from which a motion is taken for real."""
+_STRIPE_MOVED_PX = 0.25
+_STRIPE_PEAKS_MIN = 15
+"""A stripe's own distance is stated from so many peaks on the belt."""
+_OUTER_SHARE = 0.1
+_OUTER_FIT_MIN = 0.3
+"""Of the peaks in the image's first and last tenth so many must lie on the moved lines: a product may cover
+two stripes in three there; lines that fit by chance hold a seventh."""
+
+
+class BeltLinesOptions(StageOptions):
+    """From which motion on a frame is corrected, and from which it is refused."""
+
+    correct_from_px: float = Field(
+        default=0.05, gt=0, description="motion of a rest line from which the calibration is corrected, px"
+    )
+    refuse_from_px: float = Field(
+        default=3.0, gt=0, description="motion of a rest line from which the frame is refused, px"
+    )
+
+
+class BeltLines(Aligner[BeltLinesOptions]):
+    """Fits a small motion of the camera to the belt's stripes."""
+
+    Options = BeltLinesOptions
+
+    def align(
+        self, peaks: Peaks, calibration: Calibration, moved: Callable[[Calibration, Alignment], Calibration]
+    ) -> Alignment:
+        """Compare a frame's belt with the calibration.
+
+        Parameters
+        ----------
+        peaks
+            Of the whole frame.
+        calibration
+            As it was made.
+        moved
+            Gives the calibration of a camera that has moved.
+
+        Raises
+        ------
+        StageError
+            The lines have moved by more than `refuse_from_px`, or too little belt fits any small motion.
+        """
+        model = _model_of(calibration, moved)
+        search_px = min(_SEARCH_PX, _SEARCH_SPACING * model.spacing_px)
+        every = max(1, calibration.image_size[0] // _ROWS_USED)
+        widths = np.array(_WIDTHS) * search_px
+        fit = _Fit(*_fitted(
+            peaks.row_start, peaks.x_px, model.lines, model.answer, every, search_px, widths,
+            _LAST_ROUNDS, _SIGMAS, _SIGMA_MIN_PX, _BLOCKS, _OUTER_SHARE,
+        ))  # fmt: skip
+        if fit.used < _PEAKS_MIN:
+            return Alignment(
+                np.zeros(4),
+                np.zeros((4, 4)),
+                reasons=(
+                    Reason(
+                        "belt-not-seen",
+                        "too little of the bare belt is seen to compare it with the calibration: whether camera, "
+                        "laser or belt have moved is not known",
+                    ),
+                ),
+            )
+        answer = model.edges  # (place, 4)
+        off_px = answer @ fit.motion
+        worst = int(np.abs(off_px).argmax())
+        std_px = np.sqrt(np.einsum("ki,ij,kj->k", answer, fit.covariance, answer))
+        largest, largest_std = float(abs(off_px[worst])), float(std_px[worst])
+        if fit.outer_peaks and fit.outer_fit < _OUTER_FIT_MIN * fit.outer_peaks:
+            raise StageError(
+                f"of the stripes at the image's top and bottom only {fit.outer_fit / fit.outer_peaks:.0%} lie "
+                f"within a pixel or so of the calibrated rest lines, however a camera is moved a little",
+                hint="camera, laser or belt have moved far, or the calibration is of another rig: calibrate again",
+            )
+        natural = fit.motion * model.scale
+        if largest > self.options.refuse_from_px + 2.0 * largest_std:
+            raise StageError(
+                f"the belt's stripes lie up to {largest:.1f} px beside the calibrated rest lines "
+                f"({_in_words(natural, calibration)}): too far to be corrected",
+                hint="fasten camera and laser, and calibrate again",
+            )
+        reasons = []
+        corrected = largest > max(self.options.correct_from_px, _SIGNIFICANT * largest_std)
+        if corrected:
+            reasons.append(
+                Reason(
+                    "moved",
+                    f"the belt's stripes lie up to {largest:.2f} px beside the calibrated rest lines "
+                    f"({_in_words(natural, calibration)}): corrected, with its uncertainty",
+                )
+            )
+        elif largest_std > _CHECKED_STD_PX:
+            reasons.append(
+                Reason(
+                    "belt-not-seen",
+                    f"too little of the bare belt is seen to say better than to {2 * largest_std:.1f} px whether "
+                    "camera, laser or belt have moved",
+                )
+            )
+        stripe_px = np.where(fit.of_stripe >= _STRIPE_PEAKS_MIN, fit.stripe_px, np.nan)
+        reasons += _stripes_that_moved(stripe_px, fit.sigma_px)
+        motion = np.round(fit.motion / _QUANTUM_PX) * _QUANTUM_PX * model.scale
+        covariance = fit.covariance * np.outer(model.scale, model.scale)
+        focal_px = _focal_px(calibration)
+        covariance[2, 2] += (natural[0] / focal_px) ** 2  # what has moved is not known: see above
+        return Alignment(
+            motion=motion if corrected else np.zeros(4),
+            covariance=covariance,
+            largest_px=largest,
+            largest_std_px=largest_std,
+            stripe_px=stripe_px,
+            reasons=tuple(reasons),
+        )
+
+
+class _Model(NamedTuple):
+    """What a calibration says of the belt's lines.
+
+    `lines` (row, stripe) px; `answer` (row, stripe, 4) their change for a motion that moves some place of the
+    image by a pixel; `edges` (place, 4) the same at both ends of every line; `scale` (4,) that motion in the
+    units of `PARAMETERS`; `spacing_px` the smallest distance of two lines.
+    """
+
+    lines: Floats
+    answer: Floats
+    edges: Floats
+    scale: Floats
+    spacing_px: float
+
+
+class _Fit(NamedTuple):
+    """What `_fitted` gives; the motion in the units of `_Model.answer`."""
+
+    motion: Floats
+    covariance: Floats
+    used: int
+    sigma_px: float
+    stripe_px: Floats
+    of_stripe: Integers
+    outer_peaks: int
+    outer_fit: int
+
+
+@lru_cache(maxsize=8)
+def _model_of(calibration: Calibration, moved: Callable[[Calibration, Alignment], Calibration]) -> _Model:
+    """Move the calibration to and fro by each parameter; done once for all frames of a calibration."""
+    rows = np.arange(calibration.image_size[0], dtype=np.float64)
+    lines = calibration.rest_line_px(rows)
+    none = np.zeros((4, 4))
+    answer = np.empty((*lines.shape, 4))
+    for k, step in enumerate(_STEPS):
+        there, back = (
+            moved(calibration, Alignment(np.eye(4)[k] * sign * step, none)).rest_line_px(rows) for sign in (1.0, -1.0)
+        )
+        answer[..., k] = (there - back) / (2.0 * step)
+    inside = (lines >= 0.0) & (lines < calibration.image_size[1])
+    largest = np.array([np.nanmax(np.abs(answer[..., k][inside]), initial=0.0) for k in range(4)])
+    scale = np.where(largest > 0.0, 1.0 / np.maximum(largest, 1e-12), 0.0)
+    answer = answer * scale
+    ends = answer[:, [0, -1]].reshape(-1, 4)
+    spacing = np.diff(lines, axis=0)
+    return _Model(
+        lines=np.ascontiguousarray(lines.T),
+        answer=np.ascontiguousarray(answer.transpose(1, 0, 2)),
+        edges=ends[np.isfinite(ends).all(axis=1)],
+        scale=scale,
+        spacing_px=float(np.nanmin(spacing)) if spacing.size else math.inf,
+    )
+
+
+def _focal_px(calibration: Calibration) -> float:
+    """Focal length, px; of a telecentric camera, or where none is known, as good as infinite."""
+    view = calibration.view
+    return math.inf if view is None or view.telecentric else float(view.camera_matrix[0, 0])
+
+
+def _in_words(motion: Floats, calibration: Calibration) -> str:
+    """Say in which way and by how much the image has moved."""
+    columns = calibration.image_size[1]
+    pan, roll, zoom, tilt = motion
+    turn = "clockwise" if roll > 0 else "counter-clockwise"
+    words = [f"image shifted by {pan:+.2f} px along x", f"turned by {math.degrees(abs(roll)):.2f}° {turn}"]
+    if abs(zoom) * columns / 2.0 > 0.1:
+        words.append(f"grown by {zoom:+.2%}")
+    if abs(tilt) > math.radians(0.5):
+        words.append(f"camera tilted by {math.degrees(tilt):+.1f}° about its x axis")
+    return ", ".join(words)
+
+
+def _stripes_that_moved(stripe_px: Floats, sigma_px: float) -> list[Reason]:
+    """Name the stripes whose own plane has moved against the others'."""
+    limit = max(_STRIPE_MOVED_PX, _SIGNIFICANT * sigma_px / math.sqrt(_BLOCKS))
+    far = np.flatnonzero(np.abs(stripe_px) > limit)  # NaN is not
+    if not far.size:
+        return []
+    which = ", ".join(f"{s + 1} ({stripe_px[s]:+.2f} px)" for s in far)
+    return [Reason("stripe-moved", f"stripes have moved against the others on the belt: {which}; calibrate again")]
+
+
+@kernel
+def _fitted(
+    row_start: Integers, x_px: Floats, lines: Floats, answer: Floats, every: int, search_px: float,
+    widths: Floats, last_rounds: int, sigmas: float, sigma_min_px: float, blocks: int, outer_share: float,
+) -> tuple[Floats, Floats, int, float, Floats, Integers, int, int]:  # fmt: skip
+    """Fit the motion; see `_Fit` and the model above. `lines` and `answer` as in `_Model`."""
+    rows, stripes = lines.shape
+    count = 0
+    most = 0
+    for row in range(0, rows, every):
+        most += row_start[row + 1] - row_start[row]
+    off, weight = np.empty(most), np.empty(most)
+    at = np.empty((most, 2), np.int64)
+    for row in range(every // 2, rows, every):
+        nearest = 0
+        for p in range(row_start[row], row_start[row + 1]):
+            if count >= most:
+                break
+            while nearest < stripes - 1 and abs(x_px[p] - lines[row, nearest + 1]) < abs(x_px[p] - lines[row, nearest]):
+                nearest += 1
+            distance = x_px[p] - lines[row, nearest]
+            if abs(distance) <= search_px:
+                off[count], at[count, 0], at[count, 1] = distance, row, nearest
+                count += 1
+    theta = np.zeros(4)
+    covariance = np.zeros((4, 4))
+    sigma = search_px
+    rounds = widths.size + last_rounds
+    normal = np.zeros((4, 4))
+    for turn in range(rounds):
+        width = widths[turn] if turn < widths.size else sigmas * sigma
+        normal[:] = 0.0
+        right = np.zeros(4)
+        for i in range(count):
+            b = answer[at[i, 0], at[i, 1]]
+            left = off[i]
+            for k in range(4):
+                left -= theta[k] * b[k]
+            share = left / width
+            weight[i] = (1.0 - share * share) ** 2 if abs(share) < 1.0 else 0.0
+            for k in range(4):
+                right[k] += weight[i] * b[k] * off[i]
+                for j in range(4):
+                    normal[k, j] += weight[i] * b[k] * b[j]
+        for k in range(4):
+            normal[k, k] += 1e-6 * (1.0 + count)  # a motion that nothing shows stays nothing
+        theta = np.linalg.solve(normal, right)
+        total, sum_weight = 0.0, 0.0
+        for i in range(count):
+            b = answer[at[i, 0], at[i, 1]]
+            left = off[i]
+            for k in range(4):
+                left -= theta[k] * b[k]
+            total += weight[i] * left * left
+            sum_weight += weight[i]
+        sigma = max(sigma_min_px, math.sqrt(total / max(sum_weight, 1.0)))
+    # what is left: of each block, of each stripe, of the image's ends
+    slope = np.zeros((stripes * blocks, 4))
+    stripe_sum, of_stripe = np.zeros(stripes), np.zeros(stripes, np.int64)
+    used, outer, outer_fit = 0, 0, 0
+    width = max(sigmas * sigma, 1.0)
+    for i in range(count):
+        row, stripe = at[i, 0], at[i, 1]
+        left = off[i]
+        for k in range(4):
+            left -= theta[k] * answer[row, stripe, k]
+        block = stripe * blocks + row * blocks // rows
+        for k in range(4):
+            slope[block, k] += weight[i] * left * answer[row, stripe, k]
+        if abs(left) < width:
+            used += 1
+            stripe_sum[stripe] += left
+            of_stripe[stripe] += 1
+            outer_fit += row < outer_share * rows or row >= (1.0 - outer_share) * rows
+    for row in range(every // 2, rows, every):
+        if row < outer_share * rows or row >= (1.0 - outer_share) * rows:
+            outer += row_start[row + 1] - row_start[row]
+    inverse = np.linalg.inv(normal)
+    covariance = inverse @ (slope.T @ slope) @ inverse
+    for s in range(stripes):
+        stripe_sum[s] /= max(of_stripe[s], 1)
+    return theta, covariance, used, sigma, stripe_sum, of_stripe, outer, outer_fit
