@@ -8,8 +8,8 @@ import numpy as np
 
 from roemetry.errors import StageError
 from roemetry.records import Profiles, StripeMap
-from roemetry.records.arrays import Floats
 from roemetry.records.alignment import Alignment
+from roemetry.records.arrays import Floats
 from roemetry.records.calibration import Calibration
 from roemetry.records.view import View
 from roemetry.stages import Capabilities, StageOptions, Triangulator
@@ -149,7 +149,8 @@ def _turned_lines(calibration: Calibration, motion: Floats) -> Floats:
     moved = pan_px * (1.0 + (away * per_px) ** 2) - roll * y + zoom * away - tilt * away * y * per_px
     degree = max(known.shape[1] - 1, 1)
     powers = y[:, None] ** np.arange(degree + 1)
-    return np.linalg.lstsq(powers, (x + moved - slope * along).T, rcond=None)[0].T
+    lines: Floats = np.linalg.lstsq(powers, (x + moved - slope * along).T, rcond=None)[0].T
+    return lines
 
 
 def _per_distance(calibration: Calibration) -> float:

@@ -23,9 +23,9 @@ class Alignment:
     Attributes
     ----------
     motion
-        (4,) what the image has done: shifted along +x at its principal point, px; turned about it, from +x to
-        +y (clockwise as one looks at it), rad; grown, relative; turned about the camera's x axis (positive moves
-        the image up), rad.
+        (4,) what the image has done: shifted along +x at its principal point, px; turned about it, from +x
+        to +y (clockwise as one looks at it), rad; grown, relative; turned about the camera's x axis (positive
+        moves the image up), rad.
     covariance
         (4, 4) of the motion.
     largest_px, largest_std_px

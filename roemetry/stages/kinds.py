@@ -91,7 +91,7 @@ class Extractor(Stage[OptionsT]):
 
 
 class Aligner(Stage[OptionsT]):
-    """Compares a frame's belt with the calibration: have camera, laser or belt moved since?"""
+    """Compares a frame's belt with the calibration, to see whether camera, laser or belt have moved."""
 
     @abstractmethod
     def align(

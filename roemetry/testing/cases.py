@@ -14,6 +14,7 @@ from roemetry.errors import PluginError
 from roemetry.records import Estimate, Grade, Weight
 from roemetry.stages import (
     INTERFACES,
+    Aligner,
     Calibrator,
     Classifier,
     Coder,
@@ -33,7 +34,7 @@ from roemetry.stages import (
 from roemetry.stages.contracts import given
 from roemetry.testing.fixtures import calibration_for, calibration_set_for, readable_path
 from roemetry.testing.runs import failed, measured, run_of, volume_of
-from roemetry.testing.scenes import LinearRig, frame_of
+from roemetry.testing.scenes import LinearRig, frame_of, moved_rig
 from roemetry.testing.solids import BOX, HALF_ELLIPSOID, product_from, product_of
 
 
@@ -108,6 +109,23 @@ def _extractor(stage: Extractor[Any]) -> Cases:
         Case((frame,), lambda extractor: extractor.extract(frame)),
         Case((other,), lambda extractor: extractor.extract(other)),
         Case((dark,), lambda extractor: extractor.extract(dark), lambda peaks: len(peaks) == 0),
+    )
+
+
+def _aligner(stage: Aligner[Any]) -> Cases:
+    rig = LinearRig()
+
+    def case(x_px: Any) -> Case:
+        """Give the alignment of peaks at (stripe, row) places, px; NaN everywhere is an empty image."""
+        inputs = rig.peaks(x_px, scatter_px=0.1).peaks, rig.calibration()
+        return Case(
+            inputs, lambda aligner: aligner.align(*inputs, moved_rig), lambda alignment: not alignment.moved
+        )
+
+    return Cases(
+        case(rig.x_px(rig.dome()) + 0.8),
+        case(rig.x_px(rig.belt())),
+        case(np.full((rig.stripes, rig.rows), np.nan)),
     )
 
 
@@ -272,6 +290,7 @@ _NOTHING = product_from(np.full((61, 240), np.nan))
 _MAKERS: dict[type[Any], Callable[[Any], Cases]] = {
     Source: _source,
     Extractor: _extractor,
+    Aligner: _aligner,
     Coder: _coder,
     Smoother: _smoother,
     Calibrator: _calibrator,

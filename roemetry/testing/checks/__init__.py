@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from roemetry.testing.checks import (
+    aligner,
     any_stage,
     calibrator,
     classifier,
@@ -29,6 +30,7 @@ ANY: tuple[Check, ...] = any_stage.CHECKS
 OF_KIND: Mapping[str, tuple[Check, ...]] = {
     "source": source.CHECKS,
     "extractor": extractor.CHECKS,
+    "aligner": aligner.CHECKS,
     "coder": coder.CHECKS,
     "smoother": smoother.CHECKS,
     "calibrator": calibrator.CHECKS,
