@@ -53,8 +53,6 @@ def syntax_fault(text: str, error: Any) -> tuple[int, int, str]:
     if "escape" in problem:
         backslash = max(line.rfind("\\", 0, at[1] + 1), 0)
         return at[0], backslash, "a backslash begins an escape between \" quotes; use ' quotes, or / in paths"
-    if "undefined alias" in problem:
-        return *at, f"`*` begins a reference to something named above; {_QUOTED}"
     if "cannot start any token" in problem:
         return *at, f"a word cannot begin with `{line[at[1] : at[1] + 1]}`; {_QUOTED}"
     if "another document" in problem:
