@@ -44,11 +44,14 @@ def prepare(
     Raises
     ------
     DataError
-        There is no laser frame, or no dark one where it is to be subtracted, or their sizes differ.
+        There is no laser frame, or no dark one where it is to be subtracted, or their sizes differ; or a
+        16-bit image that uses 12 bits, and nobody said so.
     """
     laser = acquisition.frame("laser")
     if laser is None:
         raise DataError(f"{acquisition.id}: there is no laser image")
+    if bit_depth is None and laser.bit_depth == 16:
+        _check_bits_in_use(laser)
     pixels = _one_channel(laser.pixels, channel)
     if subtract == "dark":
         dark = acquisition.frame("dark")
@@ -79,6 +82,22 @@ def prepare_plain(acquisition: Acquisition, *, turn_deg: int) -> Frame | None:
     if plain is None:
         return None
     return replace(plain, pixels=_turned(plain.pixels, turn_deg), turn_deg=(plain.turn_deg + turn_deg) % 360)
+
+
+_USUAL_BITS = (10, 12, 14)
+
+
+def _check_bits_in_use(laser: Frame) -> None:
+    """Refuse a 16-bit image that ends where a camera of fewer bits does: its white level is not known."""
+    top = int(laser.pixels.max())
+    clipped = next((bits for bits in _USUAL_BITS if top == 2**bits - 1), None)
+    if clipped is None and not 0 < top < 2**12 - 1:
+        return
+    bits = clipped or next(bits for bits in _USUAL_BITS if top < 2**bits)
+    raise DataError(
+        f"{laser.name}: a 16-bit image whose brightest pixel is {top}: does the camera give {bits} bits?",
+        hint=f"state `source.bit_depth: {bits}`, or 16 if all 16 bits are in use",
+    )
 
 
 def _turned(pixels: NDArray[Any], turn_deg: int) -> NDArray[Any]:
