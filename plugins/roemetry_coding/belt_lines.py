@@ -34,6 +34,7 @@ from roemetry.records.alignment import Alignment
 from roemetry.records.arrays import Floats, Integers
 from roemetry.records.calibration import Calibration
 from roemetry.stages import Aligner, StageOptions
+from roemetry_coding.torn_frames import tear_of
 from roemetry_kernels.compiling import float_kernel
 
 _STEPS = np.array([2.0, 5e-3, 5e-3, 2e-2])
@@ -111,10 +112,18 @@ class BeltLines(Aligner[BeltLinesOptions]):
         Raises
         ------
         StageError
-            The lines have moved by more than `refuse_from_px`, or too little belt fits any small motion.
+            The lines have moved by more than `refuse_from_px`, or too little belt fits any small motion; or
+            the frame is torn (`roemetry_coding.torn_frames`).
         """
         model = _model_of(calibration, moved)
         search_px = min(_SEARCH_PX, _SEARCH_SPACING * model.spacing_px)
+        tear = tear_of(peaks.row_start, peaks.x_px, model.lines, model.spacing_px)
+        if tear is not None:
+            raise StageError(
+                f"all stripes on the product jump at once, by {tear.jump_px:.1f} px, between the rows "
+                f"{tear.row} and {tear.row + 1}: rows were lost there, or what is below is another frame's",
+                hint="look at the image; take it again, and look at cable and frame grabber",
+            )
         every = max(1, calibration.image_size[0] // _ROWS_USED)
         widths = np.array(_WIDTHS) * search_px
         fit = _Fit(*_fitted(

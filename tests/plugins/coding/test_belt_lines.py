@@ -89,3 +89,22 @@ def _volume(recipe: roemetry.Recipe, turn_deg: float, scale: float):
             )
         )
     return recipe.measure(images[0], plain=images[1], name="skein")[0]
+
+
+@pytest.mark.parametrize("lost_rows", [4, 20])
+def test_a_frame_that_lost_rows_is_refused_and_says_where(lost_rows: int, rng: np.random.Generator) -> None:
+    rig = LinearRig()
+    x_px = rig.x_px(rig.dome(16.0)) + rng.normal(0.0, 0.05, (rig.stripes, rig.rows))
+    torn = np.concatenate([x_px[:, :70], x_px[:, 70 + lost_rows :], x_px[:, -lost_rows:]], axis=1)
+    BeltLines().align(rig.peaks(x_px).peaks, rig.calibration(), moved_rig)
+    with pytest.raises(StageError, match="between the rows 69 and 70"):
+        BeltLines().align(rig.peaks(torn).peaks, rig.calibration(), moved_rig)
+
+
+def test_a_step_that_the_stripes_cross_one_after_another_is_no_tear(rng: np.random.Generator) -> None:
+    rig = LinearRig()
+    height = rig.dome(4.0)
+    for stripe in range(1, rig.stripes - 1):
+        height[stripe, 70 + stripe : 130] += 5.0
+    x_px = rig.x_px(height) + rng.normal(0.0, 0.05, height.shape)
+    BeltLines().align(rig.peaks(x_px).peaks, rig.calibration(), moved_rig)

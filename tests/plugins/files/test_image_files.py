@@ -1,4 +1,4 @@
-"""Images as files: damaged ones are refused, whatever the decoder makes of them; odd names do not end a batch."""
+"""Images as files: damaged ones are refused, whatever the decoder says; odd names do not end a batch."""
 
 from __future__ import annotations
 
