@@ -52,8 +52,7 @@ def check_calibration(
     from roemetry.calibrating import Chart, block_of, chart_page, check_calibration
     from roemetry.config.recipe import Recipe
     from roemetry.errors import ConfigurationError
-    from roemetry.io.files import write_whole
-    from roemetry.io.json_values import json_values
+    from roemetry.io.files import json_values, write_whole
 
     loaded = Recipe.load(recipe, sets=sets or ())
     asked = loaded.calibration_check

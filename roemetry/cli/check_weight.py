@@ -26,7 +26,7 @@ def check_weight(
     """
     from roemetry.calibrating.known_products import read_weights
     from roemetry.calibrating.weight_check import WeighedPair, check_weights
-    from roemetry.io.json_values import json_values
+    from roemetry.io.files import json_values
     from roemetry.run.record import read_record
 
     known = read_weights(scale)

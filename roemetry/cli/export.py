@@ -35,7 +35,7 @@ def export(
     """Write a finished run, or a calibration's camera, for other programs; nothing is measured again."""
     from roemetry.errors import ConfigurationError, OutputError
     from roemetry.run.batch import derive
-    from roemetry.run.provenance import recipe_of
+    from roemetry.run.record import recipe_of
 
     if folder.is_file():
         typer.echo(str(_camera(folder, sink, out)))
@@ -66,7 +66,7 @@ def _camera(path: Path, form: str, out: Path | None) -> Path:
     """Write a calibration's camera and planes as OpenCV's file."""
     from roemetry.errors import CalibrationError, ConfigurationError
     from roemetry.records.calibration import Calibration
-    from roemetry.records.camera_file import write_camera
+    from roemetry.records.view import write_camera
 
     if form != "opencv":
         raise ConfigurationError(

@@ -15,7 +15,7 @@ def report(
     """Derive the tables and the report of a run again from its record."""
     from roemetry.errors import OutputError
     from roemetry.run.batch import derive
-    from roemetry.run.provenance import recipe_of
+    from roemetry.run.record import recipe_of
 
     recipe, provenance = recipe_of(folder)
     files, faults = derive(recipe, folder, provenance, debug=debug)

@@ -58,7 +58,7 @@ def target(
 
 def _shipped() -> dict[str, Path]:
     """Shipped descriptions by name: beside the installed package, or in the checkout."""
-    from roemetry.io.shipped import shipped
+    from roemetry.io.files import shipped
 
     folder = shipped("calib_targets")
     return {path.stem: path for path in sorted(folder.glob("*.yaml"))}

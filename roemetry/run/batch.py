@@ -38,24 +38,16 @@ _TOGETHER_MAX = 16
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What a run came to.
-
-    Attributes
-    ----------
-    folder
-        Where everything is.
-    counts
-        Rows by status: measured, empty, failed.
-    files
-        What the sinks wrote.
-    sink_faults
-        What sinks could not write, in words.
-    """
+    """What a run came to."""
 
     folder: Path
+    """Where everything is."""
     counts: Mapping[str, int]
+    """Rows by status: measured, empty, failed."""
     files: tuple[Path, ...]
+    """What the sinks wrote."""
     sink_faults: tuple[str, ...]
+    """What sinks could not write, in words."""
 
 
 def run_recipe(

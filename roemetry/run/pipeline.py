@@ -29,8 +29,7 @@ from roemetry.records import (
     Volume,
     Weight,
 )
-from roemetry.records.alignment import Alignment
-from roemetry.records.calibration import Calibration
+from roemetry.records.calibration import Alignment, Calibration
 from roemetry.records.penetration import raised
 from roemetry.records.view import View
 from roemetry.run.monte_carlo import Chain, Scene, propagate, without_draws

@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from typing import TypeVar
 
 from roemetry.records import Decision, Grade, Peaks, Profiles, StripeMap, Volume, Weight
-from roemetry.records.alignment import Alignment
-from roemetry.records.calibration import Calibration
+from roemetry.records.calibration import Alignment, Calibration
 
 T = TypeVar("T")
 

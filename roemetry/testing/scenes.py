@@ -33,37 +33,27 @@ class LinearRig:
     top at the same scale. Stripe i rests at ``first_px + i · spacing_px`` in the middle row and leans by
     ``fan · (i − middle stripe)`` px per row. So each stripe is a plane of light, and a body's volume, a
     point's place and a stripe's centre have closed forms.
-
-    Attributes
-    ----------
-    rows, columns
-        Image size, px.
-    stripes
-        Number of stripes.
-    first_px, spacing_px
-        Rest x of the first stripe, and from each stripe to the next, in the middle row, px.
-    fan
-        Lean of a rest line against its neighbour's, px per row.
-    px_per_mm
-        Displacement along +x per height, px/mm; negative for a laser on the other side.
-    mm_per_px
-        Scale, mm/px.
-    sigma_px
-        Standard deviation of a stripe's Gaussian profile, px.
-    background
-        Grey level (of 0…255) beside the stripes.
     """
 
     rows: int = 200
     columns: int = 320
+    """rows, columns: image size, px."""
     stripes: int = 7
+    """Number of stripes."""
     first_px: float = 38.0
     spacing_px: float = 40.0
+    """first_px, spacing_px: rest x of the first stripe, and from each stripe to the next, in the middle row,
+    px."""
     fan: float = 0.01
+    """Lean of a rest line against its neighbour's, px per row."""
     px_per_mm: float = 2.0
+    """Displacement along +x per height, px/mm; negative for a laser on the other side."""
     mm_per_px: float = 0.25
+    """Scale, mm/px."""
     sigma_px: float = 1.6
+    """Standard deviation of a stripe's Gaussian profile, px."""
     background: float = 10.0
+    """Grey level (of 0…255) beside the stripes."""
 
     @property
     def middle_row(self) -> float:
