@@ -31,13 +31,7 @@ def plugin_verbs() -> dict[str, VerbEntry]:
 
 
 def load_verb(entry: VerbEntry) -> Callable[..., Any]:
-    """Import the function behind a plugin's verb.
-
-    Raises
-    ------
-    PluginError
-        The module, or the function in it, cannot be imported.
-    """
+    """Import the function behind a plugin's verb; raise PluginError where it cannot be imported."""
     module, _, function = entry.target.partition(":")
     try:
         loaded: Callable[..., Any] = getattr(importlib.import_module(module), function)

@@ -87,17 +87,9 @@ class Item:
 
 
 class Dataset:
-    """A data set to read. Items are read one at a time, so that a long set needs no memory.
+    """A data set to read, item by item, so that a long set needs no memory.
 
-    Parameters
-    ----------
-    folder
-        The set's folder.
-
-    Raises
-    ------
-    ConfigurationError
-        There is no ``dataset.yaml``, or it is wrong; every fault with its place.
+    Where there is no ``dataset.yaml`` in its folder, or it is wrong, ConfigurationError names every fault.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -183,20 +175,10 @@ class Dataset:
 
 
 class DatasetWriter:
-    """A data set to write, or to go on with.
+    """A data set to write, or to go on with; `done` holds the ids of the items that are there.
 
-    Parameters
-    ----------
-    folder
-        Where; made if need be.
-    description
-        What ``dataset.yaml`` will say. A set that is gone on with must be of the same name, licence, turn and
-        origin; the command that makes it and its calibration data may change as it grows.
-
-    Attributes
-    ----------
-    done
-        Ids of the items that are there.
+    A set that is gone on with must be of the same name, licence, turn and origin; the command that makes it
+    and its calibration data may change as it grows.
     """
 
     def __init__(self, folder: Path, description: Description) -> None:

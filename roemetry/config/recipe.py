@@ -66,12 +66,10 @@ class Recipe:
 
     @classmethod
     def load(cls, path: Path | str, *, sets: Sequence[str] = (), registry: Registry | None = None) -> Self:
-        """Read and check a recipe.
+        """Read and check a recipe file, or the ``recipe.yaml`` in a folder.
 
         Parameters
         ----------
-        path
-            The recipe file, or a folder with a ``recipe.yaml`` in it.
         sets
             Changes of the form ``stages.extractor.options.threshold=80``.
         registry
@@ -90,21 +88,9 @@ class Recipe:
     def of(
         cls, data: Mapping[str, Any], *, folder: Path | str = ".", registry: Registry | None = None
     ) -> Self:
-        """Check a recipe that is in memory.
+        """Check a recipe in memory: what a file says, as plain dictionaries, lists, words and numbers.
 
-        Parameters
-        ----------
-        data
-            What a recipe file says, as plain dictionaries, lists, words and numbers.
-        folder
-            Where the relative paths in it begin.
-        registry
-            Stages to choose from; default: all that are installed.
-
-        Raises
-        ------
-        ConfigurationError
-            With every fault, each with its keys.
+        Relative paths in it begin at `folder`; ConfigurationError names every fault with its keys.
         """
         document = Overridden(Document("the recipe", data), ())
         return cls(**_resolved(Path(folder) / "recipe.yaml", document, registry or discover()))
@@ -118,23 +104,9 @@ class Recipe:
         *,
         read_calibration: Callable[[Path], Calibration] = Calibration.load,
     ) -> Self:
-        """Check what a recipe file would say if it were saved.
+        """Check what a recipe file at `path`, where relative paths begin, would say if it held `content`.
 
-        Parameters
-        ----------
-        path
-            The recipe file: relative paths in it begin at its folder.
-        content
-            Its values; `content.place` gives what stands before each fault.
-        registry
-            Stages to choose from.
-        read_calibration
-            Reads a calibration file, or remembers it.
-
-        Raises
-        ------
-        ConfigurationError
-            With every fault, each with its place.
+        `read_calibration` reads a calibration file, or remembers it. ConfigurationError names every fault.
         """
         return cls(**_resolved(path, content, registry, read_calibration))
 

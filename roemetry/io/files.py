@@ -30,10 +30,7 @@ def write_whole(path: Path, text: str) -> None:
 def write_bytes(path: Path, content: bytes) -> None:
     """Write a file so that a reader sees the old one or the whole new one, never a part.
 
-    Raises
-    ------
-    OutputError
-        The folder cannot be written or the disk is full; an old file of this name is left as it was.
+    Where that fails, OutputError says why, and an old file of this name is left as it was.
     """
     temporary: str | None = None
     try:
@@ -136,17 +133,9 @@ def json_values(value: Any) -> Any:
 
 
 def shipped(*parts: str) -> Path:
-    """Give the path of a shipped file or folder.
+    """Give the path of a shipped file or folder, as ``"recipes", "herring_roe"``, from the project's top.
 
-    Parameters
-    ----------
-    parts
-        From the top of the project, e.g. ``"recipes", "herring_roe"``.
-
-    Raises
-    ------
-    ConfigurationError
-        It is not there: the installation is damaged.
+    It lies inside the installed package or beside it in a checkout; ConfigurationError where it does not.
     """
     package = Path(__file__).parents[1]
     for home in (package, package.parent):

@@ -20,19 +20,9 @@ _QUOTED = "write it in quotes"
 
 
 def syntax_fault(text: str, error: Any) -> tuple[int, int, str]:
-    """Say what is wrong with a text that ruamel.yaml refused.
+    """Say what is wrong with a text that ruamel.yaml refused with a MarkedYAMLError.
 
-    Parameters
-    ----------
-    text
-        The file.
-    error
-        ruamel.yaml's MarkedYAMLError.
-
-    Returns
-    -------
-    tuple
-        Line and column from 0, and a sentence that ends with what to write.
+    Gives line and column from 0, and a sentence that ends with what to write.
     """
     lines = text.splitlines() or [""]
     noticed = error.problem_mark or error.context_mark
@@ -135,10 +125,8 @@ class Document:
 def read(path: Path, name: str | None = None) -> Document:
     """Read a YAML file.
 
-    Raises
-    ------
-    ConfigurationError
-        There is no such file, or it is empty, or not YAML, or a key stands twice; with the place.
+    ConfigurationError, with the place, where there is none, or it is empty or not YAML, or a key stands
+    twice.
     """
     called = name or str(path)
     try:

@@ -99,14 +99,9 @@ class Calibration:
     ) -> Iterator[Calibration]:
         """Give drawn calibrations without end; the covariance is taken apart once for all of them.
 
-        Parameters
-        ----------
-        rng
-            Where chance comes from.
-        view_of
-            What gives the view of drawn parameters: `Triangulator.view` of the method's triangulator.
-            Without it a drawn calibration has no view, for this one's would belong to other parameters.
-            `rest_px` and `displacement_px_per_mm`, by which frames are coded, stay as they are.
+        `view_of` gives the view of drawn parameters (`Triangulator.view` of the method's triangulator).
+        Without it a drawn calibration has no view, for this one's would belong to other parameters. `rest_px`
+        and `displacement_px_per_mm`, by which frames are coded, stay as they are.
         """
         mean = np.concatenate([array.ravel() for array in self.parameters.values()])
         # parameters of different units differ by ten powers of ten: taken apart in their own sizes
@@ -153,10 +148,7 @@ class Calibration:
     def load(cls, path: Path) -> Calibration:
         """Read a calibration file.
 
-        Raises
-        ------
-        CalibrationError
-            There is no such file, or it is no calibration, or numbers in it are missing or not numbers.
+        CalibrationError where there is none, or it is none, or numbers in it are missing or not numbers.
         """
         data = read(path).data
         if not isinstance(data, dict) or "roemetry_calibration" not in data:

@@ -19,14 +19,9 @@ from roemetry.records.arrays import Checker, Floats
 
 
 def distorted(xy: Floats, distortion: Floats) -> Floats:
-    """Bend places on the plane at distance 1 as the lens does.
+    """Distort places (n, 2) on the plane at distance 1 as the lens does.
 
-    Parameters
-    ----------
-    xy
-        (n, 2) without distortion.
-    distortion
-        (k,) in OpenCV's order k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, τx, τy.
+    `distortion` (k,) stands in OpenCV's order k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, τx, τy.
     """
     if not distortion.any():
         return np.asarray(xy, np.float64)
@@ -159,17 +154,9 @@ class View:
         return np.asarray(self.T_belt_camera[:3, 3])
 
     def rays(self, xy_px: Floats) -> tuple[Floats, Floats]:
-        """Give the lines of sight.
+        """Give the lines of sight through (…, 2) places in the image, px.
 
-        Parameters
-        ----------
-        xy_px
-            (…, 2) places in the image, px.
-
-        Returns
-        -------
-        origin_mm, direction
-            (…, 3) a point of each ray, mm, and its direction (length 1), belt frame. NaN in, NaN out.
+        Of each: a point, mm, and the direction (length 1), both (…, 3) in the belt frame. NaN in, NaN out.
         """
         xy = np.asarray(xy_px, np.float64)
         turn, shift = self.T_belt_camera[:3, :3], self.T_belt_camera[:3, 3]
@@ -255,14 +242,8 @@ def write_camera(path: Path, view: View) -> None:
     """Write a view's camera as OpenCV's `FileStorage` does: camera_matrix, distortion_coefficients, size.
 
     Planes of light are `laser_planes`, rows A, B, C, D of Ax + By + Cz + D = 0 in the camera's frame, mm;
-    `T_belt_camera` takes places from the camera's frame to the belt's.
-
-    Raises
-    ------
-    CalibrationError
-        The view is no camera that was calibrated.
-    DataError
-        The file cannot be written.
+    `T_belt_camera` takes places from the camera's frame to the belt's. CalibrationError where the view is no
+    camera that was calibrated, DataError where the file cannot be written.
     """
     if view.telecentric or not view.exact:
         raise CalibrationError(

@@ -147,13 +147,7 @@ def derive(
 def measured(
     recipe: Recipe, references: Sequence[AcquisitionReference], jobs: int, debug: bool
 ) -> Iterator[Measured]:
-    """Give each acquisition's lines, in the order of the source, with the seconds its stages took.
-
-    Raises
-    ------
-    InterruptedRunError
-        A worker process died.
-    """
+    """Give each acquisition's lines, in the order of the source, with the seconds its stages took."""
     if jobs == 1 or len(references) < 2:
         worker = _Worker(recipe, debug)
         for reference in references:

@@ -147,13 +147,7 @@ CREATE TABLE IF NOT EXISTS checks
 
 
 class Chart:
-    """A file of checks; each is written whole or not at all.
-
-    Parameters
-    ----------
-    path
-        The file; made at the first check.
-    """
+    """A file of checks, made at the first one; each is written whole or not at all."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -217,19 +211,9 @@ _SECONDS_PER_DAY = 86400.0
 
 
 def calibration_doubts(recipe: Recipe, now: datetime | None = None) -> tuple[Reason, ...]:
-    """Give what the recipe's demands on its calibration find wanting.
+    """Give what the recipe's demands on its calibration find wanting `now` (None: this moment).
 
-    Parameters
-    ----------
-    recipe
-        With its calibration and, maybe, demands on it.
-    now
-        None: this moment.
-
-    Raises
-    ------
-    DataError
-        The chart that is named is no chart.
+    DataError where the chart that is named is no chart.
     """
     asked, calibration = recipe.calibration_check, recipe.calibration
     if asked is None or calibration is None:

@@ -86,20 +86,10 @@ def with_uncertainty(
     models: Mapping[str, list[Result]],
     unstated: Unstated,
 ) -> ProductTrace:
-    """Put what was drawn on a product's results.
+    """Put what was drawn on a product's results, found without draws.
 
-    Parameters
-    ----------
-    trace
-        As it was found, without draws.
-    together
-        Results with all causes drawn at once.
-    alone
-        By cause, results with that one drawn; of what goes before the volume.
-    models
-        The same of the volume's and the weigher's own models.
-    unstated
-        What keeps an uncertainty from being stated.
+    `together` are results with all causes drawn at once; `alone`, by cause, with that one drawn, of what goes
+    before the volume; `models` the same of the volume's and the weigher's own models.
     """
     volume, weight, grade = trace.volume, trace.weight, trace.grade
     height = _largest(trace.product.height_max_mm, together, alone, stated=not unstated.points)
@@ -285,21 +275,10 @@ class Scene:
 def propagate(
     products: tuple[ProductTrace, ...], scene: Scene, chain: Chain, *, draws: int
 ) -> tuple[ProductTrace, ...]:
-    """Give the products with uncertainties, budgets, intervals and probabilities.
+    """Give the products, found without draws, with uncertainties, budgets, intervals and probabilities.
 
-    Parameters
-    ----------
-    products
-        As they were found, without draws.
-    scene, chain
-        What they were found from, by which stages.
-    draws
-        Number of draws with all causes together; each cause alone gets a quarter of it, at least 50
-        if there are as many.
-
-    Notes
-    -----
-    The seed comes from the acquisition's id: results are the same for any number of workers.
+    `draws` counts those with all causes together; each cause alone gets a quarter of it, at least 50 if there
+    are as many. The seed comes from the acquisition's id: results are the same for any number of workers.
     """
     seed = int.from_bytes(hashlib.sha256(scene.acquisition_id.encode()).digest()[:8], "little")
     rng = np.random.default_rng(seed)

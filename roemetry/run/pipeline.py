@@ -60,12 +60,10 @@ class Pipeline:
 
     Parameters
     ----------
-    recipe
-        What to do.
     debug
         Let every exception through instead of noting it on the trace.
     stages
-        By kind, stages to use instead of those the recipe would make: objects with the kind's verb.
+        By kind, stages to use instead of those the recipe would make: objects with the kind's method.
     draws
         Monte Carlo draws; None: as many as the recipe says.
     frame

@@ -42,10 +42,8 @@ def acquisitions_to_keep(
 ) -> set[str]:
     """Give the ids of the acquisitions whose rows are all there, and take the others' rows away.
 
-    Raises
-    ------
-    OutputError
-        There is a run and it may not be gone on with: `resume` is not wanted, or it is another recipe's.
+    OutputError where there is a run that may not be gone on with: `resume` is not wanted, or the run is
+    another recipe's.
     """
     path = folder / RECORD
     if not path.exists() or path.stat().st_size == 0:
@@ -94,24 +92,10 @@ def count_rows(folder: Path) -> dict[str, int]:
 
 
 def recipe_of(folder: Path, *, sets: Sequence[str] = ()) -> tuple[Recipe, dict[str, Any]]:
-    """Load the recipe of a run again.
+    """Load the recipe of a run again, and the run's provenance.
 
-    Parameters
-    ----------
-    folder
-        The run's folder.
-    sets
-        Further changes to the recipe, of what decides no number (its sinks).
-
-    Returns
-    -------
-    tuple
-        The recipe, and the run's provenance.
-
-    Raises
-    ------
-    OutputError
-        It is no folder of a run, or what decides its numbers has changed since.
+    `sets` are further changes of what decides no number (its sinks). OutputError where the folder holds no
+    run, or what decides its numbers has changed since.
     """
     path = folder / PROVENANCE
     try:

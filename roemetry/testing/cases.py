@@ -51,13 +51,7 @@ def made(cls: type[Stage[Any]], options: Mapping[str, Any] | None = None) -> Sta
 
 
 def fixture_of(cls: type[Stage[Any]]) -> Callable[..., Any] | None:
-    """Import the function that a stage's capabilities name; None where they name none.
-
-    Raises
-    ------
-    PluginError
-        There is no such function.
-    """
+    """Import the function that a stage's capabilities name; None where they name none."""
     target = cls.capabilities.fixture
     if not target:
         return None

@@ -41,21 +41,14 @@ def conformance(
     expected_failures: Mapping[str, str] | None = None,
     options: Mapping[str, Any] | None = None,
 ) -> Iterator[tuple[Check, Result]]:
-    """Hold a stage to every check of its kind.
+    """Hold a stage to every check of its kind; give each check with what it found.
 
     Parameters
     ----------
-    registered
-        The stage.
     expected_failures
         Checks that it fails by its method, with the reason, besides those its class declares.
     options
         The options to make it with; not given: those its fixture gives, else its default ones.
-
-    Yields
-    ------
-    tuple
-        The check, and what it found.
 
     Raises
     ------
@@ -124,20 +117,10 @@ def prepared(
 
 
 def stages_named(name: str, registry: Registry | None = None) -> tuple[Registered, ...]:
-    """Give the installed stages of a name.
+    """Give the installed stages of a name, or raise PluginError with a close match.
 
-    Parameters
-    ----------
-    name
-        A stage (``dominant-peak``, ``extractor/dominant-peak``, ``paper/dominant-peak``), or whose stages:
-        an entry point or a distribution.
-    registry
-        What is installed.
-
-    Raises
-    ------
-    PluginError
-        There is no such stage or plugin (with a close match), or the plugin is broken.
+    A stage (``dominant-peak``, ``extractor/dominant-peak``, ``paper/dominant-peak``), or whose stages: an
+    entry point or a distribution.
     """
     registry = discover() if registry is None else registry
     found = tuple(stage for stage in registry.stages if name in _names(stage))

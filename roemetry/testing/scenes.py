@@ -100,12 +100,8 @@ class LinearRig:
     def light(self, x_px: Floats, amplitude: float | Floats = 160.0) -> Floats:
         """Give (row, column) grey levels of 0…255, not rounded and not clipped; NaN in `x_px` draws nothing.
 
-        Parameters
-        ----------
-        x_px
-            (stripe, row) centres, px.
-        amplitude
-            Height of the stripes above the background, grey levels: one, or one a stripe.
+        `x_px` are (stripe, row) centres, px; `amplitude` is the stripes' height above the background, grey
+        levels: one, or one a stripe.
         """
         columns = np.arange(self.columns)
         light = np.full((self.rows, self.columns), self.background)
@@ -117,12 +113,7 @@ class LinearRig:
     def peaks(self, x_px: Floats, scatter_px: float = 0.0) -> ScenePeaks:
         """Give the peaks of a perfect extractor, with the stripe of each, sorted by row, then x.
 
-        Parameters
-        ----------
-        x_px
-            (stripe, row) centres, px; NaN gives no peak.
-        scatter_px
-            Standard deviation of the noise that is added to the centres, px.
+        `x_px` are (stripe, row) centres, px, NaN gives no peak; noise of std `scatter_px` is added to them.
         """
         noise = np.random.default_rng(SEED).normal(0.0, scatter_px, x_px.shape) if scatter_px else 0.0
         noisy = x_px + noise
@@ -216,16 +207,9 @@ class LinearRig:
 
 
 def frame_of(light: Floats, *, bit_depth: int = 8, noise: float = 0.0) -> Frame:
-    """Make a frame of grey levels 0…255: noise added, scaled to the bit depth, rounded, clipped.
+    """Make a frame of (row, column) grey levels 0…255: noise added, scaled to the depth, rounded, clipped.
 
-    Parameters
-    ----------
-    light
-        (row, column) grey levels of the 8-bit scale.
-    bit_depth
-        8, or up to 16.
-    noise
-        Standard deviation of the sensor's noise, grey levels of the 8-bit scale.
+    `noise` is the sensor's standard deviation in grey levels of the 8-bit scale.
     """
     white = 2**bit_depth - 1
     if noise:

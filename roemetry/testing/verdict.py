@@ -26,15 +26,7 @@ def require(condition: bool | object, found: str) -> None:
 
 @contextmanager
 def refused(what: str, *kinds: type[RoemetryError]) -> Iterator[list[RoemetryError]]:
-    """Require that the block raises one of these errors; gives a list that then holds it.
-
-    Parameters
-    ----------
-    what
-        What is to be refused, for the message.
-    kinds
-        Kinds of `RoemetryError`; none means any.
-    """
+    """Require that the block raises one of these errors (none named: any); give a list that holds it."""
     wanted = kinds or (RoemetryError,)
     caught: list[RoemetryError] = []
     try:
@@ -54,12 +46,8 @@ def _names(kinds: tuple[type[RoemetryError], ...]) -> str:
 def difference(one: Any, other: Any, at: str = "") -> str | None:
     """Say where two records first differ; None where they are alike to the last bit (NaN equals NaN).
 
-    Parameters
-    ----------
-    one, other
-        Records, arrays, numbers, words, or mappings and sequences of these. Functions are not compared.
-    at
-        Where they stand, for the sentence.
+    They may be records, arrays, numbers, words, or mappings and sequences of these; functions are not
+    compared. `at` says where they stand, for the sentence.
     """
     if isinstance(one, BaseModel):
         one, other = one.model_dump(), other.model_dump() if isinstance(other, BaseModel) else other
