@@ -16,8 +16,7 @@ from roemetry.errors import RoemetryError
 from roemetry.io.files import write_whole
 from roemetry.records import Frame, Outline, Product, Profiles, StripeMap, Volume
 from roemetry.records.calibration import Calibration
-from roemetry.run.monte_carlo import Chain, Scene
-from roemetry.run.monte_carlo.propagate import Drawn
+from roemetry.run.monte_carlo import Chain, Drawn, Scene
 from roemetry.run.open_parts import SHARE_MAX, open_parts
 from roemetry.run.split_products import assemble
 from roemetry.stages import StageOptions, Triangulator, VolumeEstimator

@@ -10,16 +10,9 @@ from collections.abc import Sequence
 
 
 class RoemetryError(Exception):
-    """A fault the user can mend.
+    """A fault the user can mend: `message` says what is wrong and where, `hint` what to do about it.
 
-    Parameters
-    ----------
-    message
-        What is wrong, where, what was found and what was expected.
-    hint
-        What to do about it.
-    at
-        Keys, below the options of the stage that raises it, of what is at fault.
+    `at` holds the keys, below the options of the stage that raises it, of what is at fault.
     """
 
     exit_code = 1
@@ -50,10 +43,7 @@ class ConfigurationError(RoemetryError):
 class MisfitError(ValueError):
     """Values that may each stand alone and do not go together, for the validators of options.
 
-    Parameters
-    ----------
-    faults
-        For each, the keys that lead to it from where the validator stands, and what is wrong.
+    For each fault: the keys that lead to it from where the validator stands, and what is wrong.
     """
 
     def __init__(self, *faults: tuple[Sequence[str | int], str]) -> None:

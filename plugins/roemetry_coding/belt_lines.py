@@ -30,9 +30,8 @@ from pydantic import Field
 
 from roemetry.errors import StageError
 from roemetry.records import Peaks, Reason
-from roemetry.records.alignment import Alignment
 from roemetry.records.arrays import Floats, Integers
-from roemetry.records.calibration import Calibration
+from roemetry.records.calibration import Alignment, Calibration
 from roemetry.stages import Aligner, StageOptions
 from roemetry_coding.torn_frames import tear_of
 from roemetry_kernels.compiling import float_kernel

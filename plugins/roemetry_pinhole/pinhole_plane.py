@@ -10,9 +10,8 @@ import numpy as np
 
 from roemetry.errors import StageError
 from roemetry.records import Profiles, StripeMap
-from roemetry.records.alignment import Alignment
 from roemetry.records.arrays import Floats
-from roemetry.records.calibration import Calibration
+from roemetry.records.calibration import Alignment, Calibration
 from roemetry.records.view import View
 from roemetry.stages import Capabilities, StageOptions, Triangulator
 from roemetry_kernels.compiling import float_kernel

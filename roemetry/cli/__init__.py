@@ -1,1 +1,1 @@
-"""The command line: a module a verb; heavy imports stand inside the verbs, so that --help is fast."""
+"""The command line: related verbs in one module; heavy imports stand inside them, so that --help is fast."""

@@ -16,23 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from roemetry.cli import (
-    calibrate,
-    check_calibration,
-    check_plugin,
-    check_weight,
-    export,
-    fit_classifier,
-    fit_penetration,
-    fit_weight,
-    lint,
-    plugins,
-    report,
-    run,
-    schema,
-    simulate,
-    target,
-)
+from roemetry.cli import calibration, files, learning, plugins, run
 from roemetry.errors import FAULTS, PluginError, RoemetryError
 
 if TYPE_CHECKING:
@@ -48,13 +32,7 @@ def plugin_verbs() -> dict[str, VerbEntry]:
 
 
 def load_verb(entry: VerbEntry) -> Callable[..., Any]:
-    """Import the function behind a plugin's verb.
-
-    Raises
-    ------
-    PluginError
-        The module, or the function in it, cannot be imported.
-    """
+    """Import the function behind a plugin's verb; raise PluginError where it cannot be imported."""
     module, _, function = entry.target.partition(":")
     try:
         loaded: Callable[..., Any] = getattr(importlib.import_module(module), function)
@@ -143,18 +121,21 @@ def _options(
     """Calibration and metrology for laser-stripe inspection of curved products."""
 
 
-app.command()(run.run)
-app.command()(calibrate.calibrate)
-app.command()(lint.lint)
-app.command()(plugins.plugins)
-app.command()(report.report)
-app.command()(export.export)
-app.command()(simulate.simulate)
-app.command()(check_plugin.check_plugin)
-app.command()(check_calibration.check_calibration)
-app.command()(check_weight.check_weight)
-app.command()(fit_classifier.fit_classifier)
-app.command()(fit_weight.fit_weight)
-app.command()(fit_penetration.fit_penetration)
-app.command()(target.target)
-app.command()(schema.schema)
+for _verb in (
+    run.run,
+    calibration.calibrate,
+    files.lint,
+    plugins.plugins,
+    run.report,
+    run.export,
+    files.simulate,
+    plugins.check_plugin,
+    calibration.check_calibration,
+    learning.check_weight,
+    learning.fit_classifier,
+    learning.fit_weight,
+    calibration.fit_penetration,
+    calibration.target,
+    plugins.schema,
+):
+    app.command()(_verb)

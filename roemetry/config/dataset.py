@@ -32,8 +32,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from roemetry.config.recipe_file import SensorFile
 from roemetry.config.validation import checked
 from roemetry.errors import ConfigurationError, DataError, OutputError
-from roemetry.io.files import LineFile, make_folder, sha256_of, write_whole
-from roemetry.io.json_values import json_values
+from roemetry.io.files import LineFile, json_values, make_folder, sha256_of, write_whole
 from roemetry.io.yaml_source import dump, read
 from roemetry.records import ProductTruth, Role, Sensor, StripeTruth, Truth
 
@@ -68,48 +67,29 @@ class Description(BaseModel):
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """One acquisition of a data set.
-
-    Attributes
-    ----------
-    id
-        Unique in the set.
-    files
-        By role, the image's path relative to the set.
-    sha256
-        By role, the image's hash.
-    products
-        Truth of its products.
-    stripes
-        File (.npz) with the truth of its stripes, relative to the set; None where there is none.
-    time_s, encoder_count
-        When and where on the belt it was taken; NaN where not known.
-    bit_depth
-        Bits in use of its images; None is all that the files' pixels have.
-    """
+    """One acquisition of a data set."""
 
     id: str
+    """Unique in the set."""
     files: Mapping[Role, str]
+    """By role, the image's path relative to the set."""
     sha256: Mapping[str, str] = field(default_factory=dict)
+    """By role, the image's hash."""
     products: tuple[ProductTruth, ...] = ()
+    """Truth of its products."""
     stripes: str | None = None
+    """File (.npz) with the truth of its stripes, relative to the set; None where there is none."""
     time_s: float = math.nan
     encoder_count: float = math.nan
+    """time_s, encoder_count: when and where on the belt it was taken; NaN where not known."""
     bit_depth: int | None = None
+    """Bits in use of its images; None is all that the files' pixels have."""
 
 
 class Dataset:
-    """A data set to read. Items are read one at a time, so that a long set needs no memory.
+    """A data set to read, item by item, so that a long set needs no memory.
 
-    Parameters
-    ----------
-    folder
-        The set's folder.
-
-    Raises
-    ------
-    ConfigurationError
-        There is no ``dataset.yaml``, or it is wrong; every fault with its place.
+    Where there is no ``dataset.yaml`` in its folder, or it is wrong, ConfigurationError names every fault.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -195,20 +175,10 @@ class Dataset:
 
 
 class DatasetWriter:
-    """A data set to write, or to go on with.
+    """A data set to write, or to go on with; `done` holds the ids of the items that are there.
 
-    Parameters
-    ----------
-    folder
-        Where; made if need be.
-    description
-        What ``dataset.yaml`` will say. A set that is gone on with must be of the same name, licence, turn and
-        origin; the command that makes it and its calibration data may change as it grows.
-
-    Attributes
-    ----------
-    done
-        Ids of the items that are there.
+    A set that is gone on with must be of the same name, licence, turn and origin; the command that makes it
+    and its calibration data may change as it grows.
     """
 
     def __init__(self, folder: Path, description: Description) -> None:

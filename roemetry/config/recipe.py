@@ -38,54 +38,38 @@ class Content(Protocol):
 
 @dataclass(frozen=True)
 class Recipe:
-    """A checked recipe, with its calibration read and its classes imported.
-
-    Attributes
-    ----------
-    path, sets
-        The recipe file, and the changes made to it.
-    product
-        What is measured, in words.
-    source_choice, source
-        Where images come from and how they are made ready; the source stage.
-    source_path
-        What the source reads.
-    calibration_path, calibration
-        None where the recipe has none: results are then in pixels.
-    penetration
-        What is added to heights because light enters the product; None: nothing.
-    calibration_check
-        What is asked of the calibration; None: nothing.
-    stages
-        By kind, in the order of the chain.
-    draws
-        Monte Carlo draws for the uncertainty of the results; 0: none.
-    sinks
-        What is derived from the record at the end.
-    """
+    """A checked recipe, with its calibration read and its classes imported."""
 
     path: Path
     sets: tuple[str, ...]
+    """path, sets: the recipe file, and the changes made to it."""
     product: str
+    """What is measured, in words."""
     source_choice: SourceChoice
     source: Chosen
+    """source_choice, source: where images come from and how they are made ready; the source stage."""
     source_path: Path
+    """What the source reads."""
     calibration_path: Path | None
     calibration: Calibration | None
+    """calibration_path, calibration: none where the recipe has none: results are then in pixels."""
     penetration: Penetration | None
+    """What is added to heights because light enters the product; None: nothing."""
     calibration_check: CalibrationCheck | None
+    """What is asked of the calibration; None: nothing."""
     stages: Mapping[str, Chosen]
+    """By kind, in the order of the chain."""
     draws: int
+    """Monte Carlo draws for the uncertainty of the results; 0: none."""
     sinks: tuple[Chosen, ...]
+    """What is derived from the record at the end."""
 
     @classmethod
     def load(cls, path: Path | str, *, sets: Sequence[str] = (), registry: Registry | None = None) -> Self:
-        """Read and check a recipe.
+        """Read and check a recipe file, or the ``recipe.yaml`` in a folder.
 
         Parameters
         ----------
-        path
-            The recipe file, or a folder with a ``recipe.yaml`` in it.
         sets
             Changes of the form ``stages.extractor.options.threshold=80``.
         registry
@@ -104,21 +88,9 @@ class Recipe:
     def of(
         cls, data: Mapping[str, Any], *, folder: Path | str = ".", registry: Registry | None = None
     ) -> Self:
-        """Check a recipe that is in memory.
+        """Check a recipe in memory: what a file says, as plain dictionaries, lists, words and numbers.
 
-        Parameters
-        ----------
-        data
-            What a recipe file says, as plain dictionaries, lists, words and numbers.
-        folder
-            Where the relative paths in it begin.
-        registry
-            Stages to choose from; default: all that are installed.
-
-        Raises
-        ------
-        ConfigurationError
-            With every fault, each with its keys.
+        Relative paths in it begin at `folder`; ConfigurationError names every fault with its keys.
         """
         document = Overridden(Document("the recipe", data), ())
         return cls(**_resolved(Path(folder) / "recipe.yaml", document, registry or discover()))
@@ -132,23 +104,9 @@ class Recipe:
         *,
         read_calibration: Callable[[Path], Calibration] = Calibration.load,
     ) -> Self:
-        """Check what a recipe file would say if it were saved.
+        """Check what a recipe file at `path`, where relative paths begin, would say if it held `content`.
 
-        Parameters
-        ----------
-        path
-            The recipe file: relative paths in it begin at its folder.
-        content
-            Its values; `content.place` gives what stands before each fault.
-        registry
-            Stages to choose from.
-        read_calibration
-            Reads a calibration file, or remembers it.
-
-        Raises
-        ------
-        ConfigurationError
-            With every fault, each with its place.
+        `read_calibration` reads a calibration file, or remembers it. ConfigurationError names every fault.
         """
         return cls(**_resolved(path, content, registry, read_calibration))
 

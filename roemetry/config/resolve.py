@@ -54,14 +54,7 @@ class Chosen:
 class Chooser:
     """Resolves a file's choices and collects every fault.
 
-    Parameters
-    ----------
-    registry
-        What is installed.
-    place
-        Gives ``file:line:column`` of a path in the file.
-    folder
-        Where relative paths in stages' options begin.
+    `place` gives ``file:line:column`` of a path in the file; relative paths in options begin at `folder`.
     """
 
     def __init__(self, registry: Registry, place: Place, folder: Path) -> None:

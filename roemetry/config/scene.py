@@ -53,22 +53,15 @@ class SceneFile(Section):
 
 @dataclass(frozen=True)
 class Scene:
-    """A checked scene file, its simulator imported.
-
-    Attributes
-    ----------
-    path, sets
-        The file, and the changes made to it.
-    file
-        What it says.
-    simulator
-        The chosen simulator and its options.
-    """
+    """A checked scene file, its simulator imported."""
 
     path: Path
     sets: tuple[str, ...]
+    """path, sets: the file, and the changes made to it."""
     file: SceneFile
+    """What it says."""
     simulator: Chosen
+    """The chosen simulator and its options."""
 
     @classmethod
     def load(cls, path: Path | str, *, sets: Sequence[str] = (), registry: Registry | None = None) -> Scene:

@@ -20,19 +20,10 @@ _DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
 
 def schema_of(kind: FileKind, registry: Registry) -> dict[str, Any]:
-    """Give the schema of a kind of file.
+    """Give the JSON schema (draft 2020-12) of a kind of file.
 
-    Parameters
-    ----------
-    kind
-        Which file.
-    registry
-        What is installed; a stage that cannot be imported here is known by its name only.
-
-    Returns
-    -------
-    dict
-        JSON schema, draft 2020-12. What one option demands of another stays for `roemetry lint` to say.
+    A stage that cannot be imported here is known by its name only. What one option demands of another stays
+    for `roemetry lint` to say.
     """
     model = _FILES[kind]
     schema: dict[str, Any] = {"$schema": _DIALECT, "title": f"roemetry {kind}"}

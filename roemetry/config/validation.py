@@ -19,23 +19,9 @@ Place = Callable[[Sequence[Step]], str]
 def checked(
     model: type[BaseModel], data: object, place: Place, at: tuple[Step, ...] = ()
 ) -> tuple[Any, list[str]]:
-    """Check data against a model.
+    """Check plain values from a file, which stand at the path `at` in it, against a model.
 
-    Parameters
-    ----------
-    model
-        What the data must be.
-    data
-        Plain values from a file.
-    place
-        Gives ``file:line:column`` of a path in the file.
-    at
-        Path of `data` in the file.
-
-    Returns
-    -------
-    tuple
-        The model's instance (None if there are faults), and every fault as a sentence with its place.
+    Gives the model's instance (None if there are faults), and every fault as a sentence with its place.
     """
     try:
         return model.model_validate(data), []

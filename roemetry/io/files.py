@@ -1,15 +1,19 @@
-"""Writing that survives: whole files or the old ones, whole lines or none."""
+"""Files that survive: whole ones or the old ones, whole lines or none; JSON's values; what is shipped."""
 
 from __future__ import annotations
 
 import contextlib
 import hashlib
+import math
 import os
 import tempfile
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
-from roemetry.errors import OutputError
+import numpy as np
+
+from roemetry.errors import ConfigurationError, OutputError
 
 
 def sha256_of(path: Path) -> str:
@@ -26,10 +30,7 @@ def write_whole(path: Path, text: str) -> None:
 def write_bytes(path: Path, content: bytes) -> None:
     """Write a file so that a reader sees the old one or the whole new one, never a part.
 
-    Raises
-    ------
-    OutputError
-        The folder cannot be written or the disk is full; an old file of this name is left as it was.
+    Where that fails, OutputError says why, and an old file of this name is left as it was.
     """
     temporary: str | None = None
     try:
@@ -123,4 +124,31 @@ def _cannot_write(path: Path, error: OSError) -> OutputError:
         f"{path}: cannot be written: {why}",
         hint="free some space or choose another folder with --out; what was written before is whole, "
         "and `--resume` goes on from there",
+    )
+
+
+def json_values(value: Any) -> Any:
+    """Make a value, and all it holds, fit for JSON: NaN and infinity become None, numpy numbers Python's."""
+    if isinstance(value, dict):
+        return {key: json_values(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [json_values(item) for item in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def shipped(*parts: str) -> Path:
+    """Give the path of a shipped file or folder, as ``"recipes", "herring_roe"``, from the project's top.
+
+    It lies inside the installed package or beside it in a checkout; ConfigurationError where it does not.
+    """
+    package = Path(__file__).parents[1]
+    for home in (package, package.parent):
+        path = home.joinpath(*parts)
+        if path.exists():
+            return path
+    raise ConfigurationError(
+        f"{'/'.join(parts)} does not lie where roemetry is installed ({package})",
+        hint="install roemetry again",
     )

@@ -1,22 +1,35 @@
 """The records that go from stage to stage: frozen, checked when made, arrays read-only, invalid is NaN."""
 
 from roemetry.records.acquisition import Acquisition, AcquisitionReference, Frame, Role, Sensor
-from roemetry.records.alignment import Alignment
-from roemetry.records.evidence import Evidence, EvidenceFigure, Residuals
-from roemetry.records.fitting import Fitted, Samples
+from roemetry.records.calibration import Alignment
 from roemetry.records.measurement import Coding, Measurement, Status
 from roemetry.records.observations import (
     Block,
     Board,
     CalibrationSet,
+    Evidence,
+    EvidenceFigure,
+    Fitted,
     Observation,
     Pyramid,
+    Residuals,
     Ruler,
+    Samples,
     SpherePlate,
     Staircase,
 )
-from roemetry.records.outcome import Decision, Estimate, Grade, Marks, Shares, Volume, Weight
-from roemetry.records.peaks import EDGE, SATURATED, WIDE, Peaks
+from roemetry.records.outcome import (
+    Decision,
+    Estimate,
+    Grade,
+    Marks,
+    Relief,
+    ReliefMap,
+    ReliefRegion,
+    Shares,
+    Volume,
+    Weight,
+)
 from roemetry.records.plan import (
     Plan,
     PlanColumn,
@@ -26,11 +39,19 @@ from roemetry.records.plan import (
     PlanShape,
     PlanTable,
 )
-from roemetry.records.product import Outline, Product
-from roemetry.records.profiles import Profiles
+from roemetry.records.product import Outline, Product, Profiles
 from roemetry.records.reasons import Reason
-from roemetry.records.relief import Relief, ReliefMap, ReliefRegion
-from roemetry.records.stripes import AMBIGUOUS, BELT, NOTHING, UNCODED, StripeMap
+from roemetry.records.stripes import (
+    AMBIGUOUS,
+    BELT,
+    EDGE,
+    NOTHING,
+    SATURATED,
+    UNCODED,
+    WIDE,
+    Peaks,
+    StripeMap,
+)
 from roemetry.records.trace import ProductTrace, Trace
 from roemetry.records.truth import ProductTruth, Simulated, StripeTruth, Truth
 

@@ -21,17 +21,12 @@ class Sensor:
     """What is known of the camera's noise; NaN where it is not known.
 
     A pixel that shows g grey levels above black has a variance of ``gain · g + read_noise²``.
-
-    Attributes
-    ----------
-    gain_grey_per_electron
-        Grey levels for each electron.
-    read_noise_grey
-        Standard deviation of a dark pixel, grey levels.
     """
 
     gain_grey_per_electron: float = math.nan
+    """Grey levels for each electron."""
     read_noise_grey: float = math.nan
+    """Standard deviation of a dark pixel, grey levels."""
 
     def __post_init__(self) -> None:
         if self.gain_grey_per_electron <= 0 or self.read_noise_grey < 0:
@@ -43,36 +38,25 @@ class Sensor:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Frame:
-    """One image.
-
-    Attributes
-    ----------
-    pixels
-        (row, column) or, at the source only, (row, column, colour in the order blue, green, red);
-        8 or 16 bit unsigned, grey levels. Pixel centres are whole numbers; (0, 0) is the centre of
-        the top-left pixel, x to the right, y down.
-    role
-        What lit the scene: ``laser``, ``plain`` light, or ``dark`` (laser off, as for the laser frame).
-    name
-        Where it came from, for messages.
-    bit_depth
-        Bits in use; the white level is ``2**bit_depth - 1``.
-    turn_deg
-        Counter-clockwise turn that has been applied to the image as acquired: 0, 90, 180 or 270.
-    time_s, encoder_count
-        When and where on the belt it was taken; NaN where not known.
-    sensor
-        The camera's noise, or None where nothing is known of it.
-    """
+    """One image."""
 
     pixels: NDArray[Any]
+    """(row, column) or, at the source only, (row, column, colour in the order blue, green, red); 8 or 16 bit
+    unsigned, grey levels. Pixel centres are whole numbers; (0, 0) is the centre of the top-left pixel, x
+    to the right, y down."""
     role: Role = "laser"
+    """What lit the scene: ``laser``, ``plain`` light, or ``dark`` (laser off, as for the laser frame)."""
     name: str = ""
+    """Where it came from, for messages."""
     bit_depth: int = 8
+    """Bits in use; the white level is ``2**bit_depth - 1``."""
     turn_deg: int = 0
+    """Counter-clockwise turn that has been applied to the image as acquired: 0, 90, 180 or 270."""
     time_s: float = math.nan
     encoder_count: float = math.nan
+    """time_s, encoder_count: when and where on the belt it was taken; NaN where not known."""
     sensor: Sensor | None = None
+    """The camera's noise, or None where nothing is known of it."""
 
     def __post_init__(self) -> None:
         pixels = np.asarray(self.pixels)

@@ -1,4 +1,4 @@
-"""The calibration: how pixels become millimetres, how sure that is, and what it was made from."""
+"""The calibration: how pixels become millimetres and how sure that is; and how far a rig has moved since."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from roemetry.errors import CalibrationError, DataError
 from roemetry.io.files import write_whole
 from roemetry.io.yaml_source import dump, read
 from roemetry.records.arrays import Checker, Floats
+from roemetry.records.reasons import Reason
 from roemetry.records.view import View
 
 VERSION = 1
@@ -22,57 +23,40 @@ VERSION = 1
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Calibration:
-    """What a calibrator found.
-
-    Attributes
-    ----------
-    method
-        Name of the calibrator; the triangulator of the same name understands `parameters`.
-    image_size, turn_deg
-        Rows and columns of the (turned) images it was made from, and their turn.
-    rest_px
-        (stripe, coefficient) each stripe's rest line: its x on the bare belt, px, as a polynomial in the
-        row counted from the image's middle row, lowest power first.
-    displacement_px_per_mm
-        (stripe,) shift of the stripe's peak along +x for each millimetre of height at belt level, px/mm.
-        Its sign says on which side the laser stands.
-    height_range_mm
-        Lowest and highest height the calibration is meant for, mm.
-    parameters
-        The method's own parameters by name, units in the names.
-    covariance
-        (n, n) of the parameters, in the order of `parameters`, each array flattened: what is common to
-        all points measured with this calibration.
-    residuals
-        Figures that say how well the model fits what was observed, units in the names.
-    target, extractor
-        What was looked at, and which extractor with which options found the peaks.
-    image_sha256
-        Hash of each image used, by file name.
-    made
-        Date and time, ISO 8601.
-    notes
-        What the calibrator has to say in words.
-    view
-        Camera and planes of light in the belt frame, as coders and outlines need them whatever the method;
-        None where the method gives none.
-    """
+    """What a calibrator found."""
 
     method: str
+    """Name of the calibrator; the triangulator of the same name understands `parameters`."""
     image_size: tuple[int, int]
     turn_deg: int
+    """image_size, turn_deg: rows and columns of the (turned) images it was made from, and their turn."""
     rest_px: Floats
+    """(stripe, coefficient) each stripe's rest line: its x on the bare belt, px, as a polynomial in the row
+    counted from the image's middle row, lowest power first."""
     displacement_px_per_mm: Floats
+    """(stripe,) shift of the stripe's peak along +x for each millimetre of height at belt level, px/mm. Its
+    sign says on which side the laser stands."""
     height_range_mm: tuple[float, float]
+    """Lowest and highest height the calibration is meant for, mm."""
     parameters: Mapping[str, Floats]
+    """The method's own parameters by name, units in the names."""
     covariance: Floats
+    """(n, n) of the parameters, in the order of `parameters`, each array flattened: what is common to all
+    points measured with this calibration."""
     residuals: Mapping[str, float] = field(default_factory=dict)
+    """Figures that say how well the model fits what was observed, units in the names."""
     target: Mapping[str, Any] = field(default_factory=dict)
     extractor: Mapping[str, Any] = field(default_factory=dict)
+    """target, extractor: what was looked at, and which extractor with which options found the peaks."""
     image_sha256: Mapping[str, str] = field(default_factory=dict)
+    """Hash of each image used, by file name."""
     made: str = ""
+    """Date and time, ISO 8601."""
     notes: tuple[str, ...] = ()
+    """What the calibrator has to say in words."""
     view: View | None = None
+    """Camera and planes of light in the belt frame, as coders and outlines need them whatever the method;
+    None where the method gives none."""
 
     def __post_init__(self) -> None:
         check = Checker(self)
@@ -115,14 +99,9 @@ class Calibration:
     ) -> Iterator[Calibration]:
         """Give drawn calibrations without end; the covariance is taken apart once for all of them.
 
-        Parameters
-        ----------
-        rng
-            Where chance comes from.
-        view_of
-            What gives the view of drawn parameters: `Triangulator.view` of the method's triangulator.
-            Without it a drawn calibration has no view, for this one's would belong to other parameters.
-            `rest_px` and `displacement_px_per_mm`, by which frames are coded, stay as they are.
+        `view_of` gives the view of drawn parameters (`Triangulator.view` of the method's triangulator).
+        Without it a drawn calibration has no view, for this one's would belong to other parameters. `rest_px`
+        and `displacement_px_per_mm`, by which frames are coded, stay as they are.
         """
         mean = np.concatenate([array.ravel() for array in self.parameters.values()])
         # parameters of different units differ by ten powers of ten: taken apart in their own sizes
@@ -169,10 +148,7 @@ class Calibration:
     def load(cls, path: Path) -> Calibration:
         """Read a calibration file.
 
-        Raises
-        ------
-        CalibrationError
-            There is no such file, or it is no calibration, or numbers in it are missing or not numbers.
+        CalibrationError where there is none, or it is none, or numbers in it are missing or not numbers.
         """
         data = read(path).data
         if not isinstance(data, dict) or "roemetry_calibration" not in data:
@@ -225,3 +201,45 @@ _HEADER = """\
 # Made by `roemetry calibrate`. rest_px: polynomials in (row − middle row), px, lowest power first.
 # covariance: of all parameters in the order in which they stand, each list flattened.
 """
+
+
+PARAMETERS = ("pan_px", "roll_rad", "zoom", "tilt_rad")
+"""Names and units of `Alignment.motion`."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Alignment:
+    """A small motion of the camera that takes the calibrated rest lines to where a frame shows them.
+
+    What has really moved (camera, laser or belt) cannot be told from the belt alone, and hardly matters: near
+    the belt they do the same to heights. What differs is in the covariance.
+    """
+
+    motion: Floats
+    """(4,) what the image has done: shifted along +x at its principal point, px; turned about it, from +x to
+    +y (clockwise as one looks at it), rad; grown, relative; turned about the camera's x axis (positive
+    moves the image up), rad."""
+    covariance: Floats
+    """(4, 4) of the motion."""
+    largest_px: float = 0.0
+    largest_std_px: float = 0.0
+    """largest_px, largest_std_px: largest distance along x between where the rest lines are and where the
+    calibration has them, px, and its standard uncertainty."""
+    stripe_px: Floats = field(default_factory=lambda: np.empty(0))
+    """(stripe,) what is left of each stripe's mean distance when the motion is taken out, px; NaN for stripes
+    of which no belt is seen."""
+    reasons: tuple[Reason, ...] = ()
+    """What is to be said of every product of the frame."""
+
+    def __post_init__(self) -> None:
+        check = Checker(self)
+        motion = check.array("motion", np.float64, (len(PARAMETERS),))
+        check.array("covariance", np.float64, (len(PARAMETERS), len(PARAMETERS)))
+        check.array("stripe_px", np.float64, (None,))
+        check.require(bool(np.isfinite(motion).all()), "the motion is not finite")
+        check.finish()
+
+    @property
+    def moved(self) -> bool:
+        """Whether the calibration is to be corrected for this frame."""
+        return bool(self.motion.any())

@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from roemetry.errors import DataError
-from roemetry.io.json_values import json_values
+from roemetry.io.files import json_values
 from roemetry.records.outcome import Decision, Estimate, Grade, Shares, Volume, Weight
 from roemetry.records.reasons import Reason
 
@@ -21,82 +21,58 @@ _UNKNOWN = Estimate(math.nan)
 
 @dataclass(frozen=True, slots=True)
 class Coding:
-    """How well the stripes of the acquisition were found and coded.
-
-    Attributes
-    ----------
-    stripes
-        Number of stripes coded for.
-    stripes_seen
-        Number of stripes with at least one peak.
-    peaks, coded, ambiguous, uncoded
-        Peaks extracted; of them with a stripe; with several possible stripes; with none.
-    rows_seen, rows_interpolated
-        (stripe, row) cells on this product with a seen point and with a bridged one. Without a product
-        (an uncalibrated run, an empty belt) those of everything that is not belt.
-    saturated_share
-        Share of the coded peaks that are saturated.
-    displacement_max_px
-        Largest displacement from the rest line on the product, px, with its sign; NaN where unknown.
-    """
+    """How well the stripes of the acquisition were found and coded."""
 
     stripes: int
+    """Number of stripes coded for."""
     stripes_seen: int
+    """Number of stripes with at least one peak."""
     peaks: int
     coded: int
     ambiguous: int
     uncoded: int
+    """peaks, coded, ambiguous, uncoded: peaks extracted; of them with a stripe; with several possible
+    stripes; with none."""
     rows_seen: int
     rows_interpolated: int
+    """rows_seen, rows_interpolated: (stripe, row) cells on this product with a seen point and with a bridged
+    one. Without a product (an uncalibrated run, an empty belt) those of everything that is not belt."""
     saturated_share: float = math.nan
+    """Share of the coded peaks that are saturated."""
     displacement_max_px: float = math.nan
+    """Largest displacement from the rest line on the product, px, with its sign; NaN where unknown."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Measurement:
-    """All that was found of one product.
-
-    Attributes
-    ----------
-    id
-        ``<acquisition>#<product>``; ``#0`` where the acquisition gave no product.
-    acquisition, product
-        Id of the acquisition; number of the product, 0 for none.
-    products
-        Number of rows this acquisition has in the record.
-    status
-        ``measured``: what the recipe asked for is there, or stands in `absent` with a reason.
-        ``empty``: the image was read and coded, and shows no product. ``failed``: it could not be measured.
-    coding
-        How the stripes were found; None where extraction or coding failed.
-    height_max_mm
-        Largest height of a point above the belt, mm; its value is NaN where unknown.
-    volume, weight, grade
-        None where absent.
-    absent
-        By stage kind, why its result is missing.
-    reasons
-        What must be known to believe the numbers.
-    provenance
-        Hashes of recipe, calibration and image, and version of every plugin that had a part.
-    decision
-        What the grader made of it; None where absent.
-    """
+    """All that was found of one product."""
 
     id: str
+    """``<acquisition>#<product>``; ``#0`` where the acquisition gave no product."""
     acquisition: str
     product: int
+    """acquisition, product: id of the acquisition; number of the product, 0 for none."""
     status: Status
+    """``measured``: what the recipe asked for is there, or stands in `absent` with a reason. ``empty``: the
+    image was read and coded, and shows no product. ``failed``: it could not be measured."""
     products: int = 1
+    """Number of rows this acquisition has in the record."""
     coding: Coding | None = None
+    """How the stripes were found; None where extraction or coding failed."""
     height_max_mm: Estimate = _UNKNOWN
+    """Largest height of a point above the belt, mm; its value is NaN where unknown."""
     volume: Volume | None = None
     weight: Weight | None = None
     grade: Grade | None = None
+    """volume, weight, grade: none where absent."""
     absent: Mapping[str, Reason] = field(default_factory=dict)
+    """By stage kind, why its result is missing."""
     reasons: tuple[Reason, ...] = ()
+    """What must be known to believe the numbers."""
     provenance: Mapping[str, str] = field(default_factory=dict)
+    """Hashes of recipe, calibration and image, and version of every plugin that had a part."""
     decision: Decision | None = None
+    """What the grader made of it; None where absent."""
 
     @property
     def all_reasons(self) -> tuple[Reason, ...]:

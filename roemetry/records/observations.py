@@ -1,12 +1,16 @@
-"""What a calibrator receives: targets and the peaks seen on them."""
+"""What a calibrator receives and shows: targets, the peaks on them, residuals; and what is learned from."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+
+import numpy as np
 
 from roemetry.records.acquisition import Frame
-from roemetry.records.peaks import Peaks
+from roemetry.records.arrays import Checker, Floats, Integers
+from roemetry.records.stripes import Peaks
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,38 +29,27 @@ class Block:
 
 @dataclass(frozen=True, slots=True)
 class Board:
-    """A flat board with a printed pattern.
-
-    Attributes
-    ----------
-    kind
-        ``charuco``, ``chessboard`` or ``circle-grid``.
-    columns, rows
-        Squares along the board's x and y; of a grid, circles.
-    pitch_mm
-        Side of a square, or from circle to circle, mm.
-    marker_mm, dictionary, layout
-        Of a ChArUco board: its markers' side and OpenCV's name of them, and the layout: ``new`` (OpenCV from
-        4.6 on), ``old``, or ``auto`` where it is to be found out.
-    tolerance_mm
-        Half width of the longer side's tolerance, mm.
-    flatness_mm
-        Largest distance of the print from a plane, mm.
-    thickness_mm
-        From the print to what the board lies on, mm.
-    """
+    """A flat board with a printed pattern."""
 
     name: str
     kind: str
+    """``charuco``, ``chessboard`` or ``circle-grid``."""
     columns: int
     rows: int
+    """columns, rows: squares along the board's x and y; of a grid, circles."""
     pitch_mm: float
+    """Side of a square, or from circle to circle, mm."""
     marker_mm: float | None = None
     dictionary: str | None = None
     layout: str = "auto"
+    """marker_mm, dictionary, layout: of a ChArUco board: its markers' side and OpenCV's name of them, and the
+    layout: ``new`` (OpenCV from 4.6 on), ``old``, or ``auto`` where it is to be found out."""
     tolerance_mm: float = 0.1
+    """Half width of the longer side's tolerance, mm."""
     flatness_mm: float = 0.1
+    """Largest distance of the print from a plane, mm."""
     thickness_mm: float = 0.0
+    """From the print to what the board lies on, mm."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,66 +102,142 @@ class Ruler:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Observation:
-    """One image of a target, and the peaks the recipe's extractor found in it.
-
-    Attributes
-    ----------
-    shows
-        What is seen: ``belt`` (the empty one), ``block``, ``staircase``, ``pyramid``, ``sphere_plate``,
-        ``board`` (held in any pose) or ``board_on_belt`` (the same board lying on the belt).
-    frame
-        The image; its role says whether the laser was on (``laser``) or off (``plain``).
-    peaks
-        Of a laser image. Where the same pose was also seen with the laser off, they come from the
-        difference of the two. A plain image has none.
-    pose
-        Of a board: observations with the same `shows` and `pose` show it in the same place.
-    """
+    """One image of a target, and the peaks the recipe's extractor found in it."""
 
     shows: str
+    """What is seen: ``belt`` (the empty one), ``block``, ``staircase``, ``pyramid``, ``sphere_plate``,
+    ``board`` (held in any pose) or ``board_on_belt`` (the same board lying on the belt)."""
     frame: Frame
+    """The image; its role says whether the laser was on (``laser``) or off (``plain``)."""
     peaks: Peaks
+    """Of a laser image. Where the same pose was also seen with the laser off, they come from the difference
+    of the two. A plain image has none."""
     pose: str = ""
+    """Of a board: observations with the same `shows` and `pose` show it in the same place."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class CalibrationSet:
-    """Everything a calibrator may use.
-
-    Attributes
-    ----------
-    observations
-        The images, prepared alike (channel, turn) and run through one extractor.
-    stripe_count
-        Number of stripes the rig projects.
-    block
-        The block in the ``block`` images, or None where none was described.
-    working_distance_mm
-        Camera (its centre of projection) to belt, mm; None where it is not known.
-    extractor
-        Name and version of the extractor the peaks come from, with its options.
-    board, staircase, pyramid, sphere_plate
-        What the images of a board, of a staircase, of a truncated pyramid and of a sphere plate show; None
-        where it was not described.
-    mm_per_count
-        Way of the belt per encoder count and its standard uncertainty, mm, where they are known from
-        elsewhere; else None.
-    ruler
-        A length of the board's print that was measured with a ruler; None where none was.
-    """
+    """Everything a calibrator may use."""
 
     observations: tuple[Observation, ...]
+    """The images, prepared alike (channel, turn) and run through one extractor."""
     stripe_count: int
+    """Number of stripes the rig projects."""
     block: Block | None
+    """The block in the ``block`` images, or None where none was described."""
     working_distance_mm: float | None
+    """Camera (its centre of projection) to belt, mm; None where it is not known."""
     extractor: Mapping[str, object]
+    """Name and version of the extractor the peaks come from, with its options."""
     board: Board | None = None
     staircase: Staircase | None = None
     pyramid: Pyramid | None = None
     mm_per_count: tuple[float, float] | None = None
+    """Way of the belt per encoder count and its standard uncertainty, mm, where they are known from
+    elsewhere; else None."""
     sphere_plate: SpherePlate | None = None
+    """board, staircase, pyramid, sphere_plate: what the images of a board, of a staircase, of a truncated
+    pyramid and of a sphere plate show; None where it was not described."""
     ruler: Ruler | None = None
+    """A length of the board's print that was measured with a ruler; None where none was."""
 
     def showing(self, what: str) -> tuple[Observation, ...]:
         """Give the observations of one kind of target."""
         return tuple(observation for observation in self.observations if observation.shows == what)
+
+
+@dataclass(frozen=True, slots=True)
+class EvidenceFigure:
+    """One number that speaks for or against a calibration."""
+
+    title: str
+    """For people."""
+    value: float
+    unit: str
+    """``mm``, ``px``, ``1`` for a pure number, …"""
+    basis: str
+    """What it was found from, and how."""
+    limit: float = math.nan
+    """value, limit: what was found, and what it may be at most; NaN where there is no limit."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Residuals:
+    """Differences between what was observed and what the model says, each at its place in the image."""
+
+    title: str
+    """For people."""
+    unit: str
+    """Of `error`."""
+    xy_px: Floats
+    """(n, 2) where in the (turned) image, px."""
+    error: Floats
+    """(n,) signed difference, observed less modelled."""
+    group: Integers
+    """(n,) number of the view or stripe it belongs to."""
+    basis: str
+    """What was observed, and what is drawn."""
+    held_out: bool = False
+    """True where the model did not know these observations."""
+
+    def __post_init__(self) -> None:
+        check = Checker(self)
+        count = check.array("xy_px", np.float64, (None, 2)).shape[0]
+        check.array("error", np.float64, (count,))
+        check.array("group", np.int64, (count,))
+        check.finish()
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Evidence:
+    """All that a calibrator can show."""
+
+    verdict: tuple[str, ...] = ()
+    """In a few sentences: whether, and for what, the calibration may be used."""
+    figures: tuple[EvidenceFigure, ...] = ()
+    residuals: tuple[Residuals, ...] = ()
+    """figures, residuals: what the verdict rests on."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Samples:
+    """Products of known class or mass, with their measured features."""
+
+    ids: tuple[str, ...]
+    """(sample,) of the products."""
+    groups: tuple[str, ...]
+    """(sample,) what belongs together: samples of one group are never on both sides of a fold."""
+    features: tuple[str, ...]
+    """Names, units in them."""
+    values: Floats
+    """(sample, feature) measured; NaN where a feature is missing."""
+    labels: tuple[str, ...] = ()
+    """(sample,) true classes; empty where masses are learned."""
+    mass_g: Floats = field(default_factory=lambda: np.empty(0))
+    mass_std_g: Floats = field(default_factory=lambda: np.empty(0))
+    """mass_g, mass_std_g: (sample,) true masses, grams, and the scale's standard uncertainty; empty where
+    classes are."""
+
+    def __post_init__(self) -> None:
+        check = Checker(self)
+        count = len(self.ids)
+        check.array("values", np.float64, (count, len(self.features)))
+        check.require(len(self.groups) == count, "groups and ids differ in number")
+        check.require(len(self.labels) in (0, count), "labels and ids differ in number")
+        for name in ("mass_g", "mass_std_g"):
+            array = check.array(name, np.float64, (None,))
+            check.require(array.size in (0, count), f"{name} and ids differ in number")
+        check.finish()
+
+
+@dataclass(frozen=True, slots=True)
+class Fitted:
+    """What a stage has learned."""
+
+    content: str
+    """Text of the file that the stage's options name."""
+    figures: Mapping[str, float]
+    """How well it did on folds it had not seen, units in the names."""
+    words: tuple[str, ...] = ()
+    """What the user must know, in sentences."""

@@ -1,4 +1,4 @@
-"""What a product is found to be: volume, weight, grade, each with what it owes its reader."""
+"""What a product is found to be: volume, weight, grade with its evidence to draw, decision."""
 
 from __future__ import annotations
 
@@ -10,7 +10,66 @@ import numpy as np
 
 from roemetry.records.arrays import Checker, Flags, Floats, Integers
 from roemetry.records.reasons import Reason
-from roemetry.records.relief import Relief
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class ReliefMap:
+    """One number at each place of a relief."""
+
+    title: str
+    unit: str
+    """title, unit: what it is; unit "" for a pure number."""
+    values: Floats
+    """(section, sample) NaN where it is not known."""
+    about_zero: bool = False
+    """Whether its sign matters: colours then part at zero."""
+    full_scale: float = 0.0
+    """Colours reach at least so far: what is small beside it looks pale."""
+    arrows: Floats | None = None
+    """(section, sample, 2) a direction at each place, of length 1 at most, belt frame: for a normal what it
+    has along X and Y. None: there is none to draw."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class ReliefRegion:
+    """A dent or a hump."""
+
+    kind: str
+    """``dent`` or ``hump``."""
+    depth_mm: float
+    """Largest depth, or height, mm."""
+    area_mm2: float
+    """Area on the belt, mm²."""
+    xy_mm: Floats
+    """(2,) where it is deepest, belt frame, mm."""
+    cells: Integers
+    """(cell, 2) section and sample of the relief's places in it."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Relief:
+    """A product's surface over the belt, in sections from edge to edge."""
+
+    xy_mm: Floats
+    """(section, sample, 2) places, belt frame, mm."""
+    middle_mm: Floats
+    """(section, 2) middle of each section: the mid-line, mm."""
+    maps: tuple[ReliefMap, ...] = ()
+    regions: tuple[ReliefRegion, ...] = ()
+    """maps, regions: what there is to show."""
+    figures: Mapping[str, float] = field(default_factory=dict)
+    """Sizes to write beside it, by name, units in the names."""
+
+    def __post_init__(self) -> None:
+        check = Checker(self)
+        sections, samples, _ = check.array("xy_mm", np.float64, (None, None, 2)).shape
+        check.array("middle_mm", np.float64, (sections, 2))
+        for shown in self.maps:
+            fits = shown.values.shape == (sections, samples)
+            check.require(fits, f"the map {shown.title} has another shape")
+            fits = shown.arrows is None or shown.arrows.shape == (sections, samples, 2)
+            check.require(fits, f"the arrows of the map {shown.title} have another shape")
+        check.finish()
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,50 +88,34 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class Shares:
-    """Shares of a volume, adding up to 1.
-
-    Attributes
-    ----------
-    seen
-        Carried by points at which a stripe was seen.
-    interpolated
-        Carried by points bridged between seen ones of the same stripe.
-    assumed
-        Carried by no point of the stripe it is reckoned for: an end cap, a dead stripe, an underside.
-    """
+    """Shares of a volume, adding up to 1."""
 
     seen: float
+    """Carried by points at which a stripe was seen."""
     interpolated: float
+    """Carried by points bridged between seen ones of the same stripe."""
     assumed: float
+    """Carried by no point of the stripe it is reckoned for: an end cap, a dead stripe, an underside."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Volume:
-    """Volume of one product.
-
-    Attributes
-    ----------
-    visible_mm3
-        Integral of the top surface's height over the vertical footprint on the belt, mm³ (undercuts and
-        air below count as filled).
-    true_mm3
-        Volume of the closed body, mm³, or None where the estimator cannot know it.
-    shares
-        What of the visible volume was seen, interpolated and assumed.
-    slice_stripe, slice_area_mm2, slice_spacing_mm
-        (slice,) the slices the estimator summed, where it did: stripe, area of the cross-section, and
-        the distance the area was held over.
-    reasons
-        What a reader of the number must know.
-    """
+    """Volume of one product."""
 
     visible_mm3: Estimate
+    """Integral of the top surface's height over the vertical footprint on the belt, mm³ (undercuts and air
+    below count as filled)."""
     true_mm3: Estimate | None
+    """Volume of the closed body, mm³, or None where the estimator cannot know it."""
     shares: Shares
+    """What of the visible volume was seen, interpolated and assumed."""
     slice_stripe: Integers = field(default_factory=lambda: np.empty(0, np.int64))
     slice_area_mm2: Floats = field(default_factory=lambda: np.empty(0))
     slice_spacing_mm: Floats = field(default_factory=lambda: np.empty(0))
+    """slice_stripe, slice_area_mm2, slice_spacing_mm: (slice,) the slices the estimator summed, where it did:
+    stripe, area of the cross-section, and the distance the area was held over."""
     reasons: tuple[Reason, ...] = ()
+    """What a reader of the number must know."""
 
     def __post_init__(self) -> None:
         check = Checker(self)
@@ -96,29 +139,20 @@ class Weight:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Marks:
-    """Evidence that can be drawn over the image: arrows from a place to a place, px in the turned image.
-
-    Attributes
-    ----------
-    kind
-        What an arrow is, in words, e.g. ``centre of arc``.
-    stripe
-        (mark,) stripe the evidence lies on.
-    from_px, to_px
-        (mark, 2) x and y of the arrow's ends.
-    value
-        (mark,) the number behind the arrow; its unit stands in `unit`.
-    flagged
-        (mark,) True where this piece of evidence speaks against the product.
-    """
+    """Evidence that can be drawn over the image: arrows from a place to a place, px in the turned image."""
 
     kind: str
+    """What an arrow is, in words, e.g. ``centre of arc``."""
     unit: str
     stripe: Integers
+    """(mark,) stripe the evidence lies on."""
     from_px: Floats
     to_px: Floats
+    """from_px, to_px: (mark, 2) x and y of the arrow's ends."""
     value: Floats
+    """(mark,) the number behind the arrow; its unit stands in `unit`."""
     flagged: Flags
+    """(mark,) True where this piece of evidence speaks against the product."""
 
     def __post_init__(self) -> None:
         check = Checker(self)
@@ -132,52 +166,33 @@ class Marks:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Grade:
-    """Class of one product.
-
-    Attributes
-    ----------
-    label
-        The class, or ``unknown``: an answer every classifier may give.
-    probability
-        That the label is right, 0…1; NaN where it is not modelled.
-    features
-        The numbers the decision rests on, each with its unit in the name.
-    reasons
-        Why, in words.
-    marks
-        Evidence to draw.
-    features_std
-        Standard uncertainties of features, by name; a feature that is not in it has none stated.
-    relief
-        The surface to draw; like marks, not in the record of a run.
-    """
+    """Class of one product."""
 
     label: str
+    """The class, or ``unknown``: an answer every classifier may give."""
     probability: float = math.nan
+    """That the label is right, 0…1; NaN where it is not modelled."""
     features: Mapping[str, float] = field(default_factory=dict)
+    """The numbers the decision rests on, each with its unit in the name."""
     reasons: tuple[Reason, ...] = ()
+    """Why, in words."""
     marks: Marks | None = None
+    """Evidence to draw."""
     features_std: Mapping[str, float] = field(default_factory=dict)
+    """Standard uncertainties of features, by name; a feature that is not in it has none stated."""
     relief: Relief | None = None
+    """The surface to draw; like marks, not in the record of a run."""
 
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """What is to be done with one product.
-
-    Attributes
-    ----------
-    label
-        The buyer's class, or ``undecided`` where the uncertainty leaves several.
-    lane
-        Where the product is to go: a belt, a bin; "" where the table does not say.
-    possible
-        The classes it may be of; one where it is decided.
-    reasons
-        Why, a code and a sentence for each class that was asked about.
-    """
+    """What is to be done with one product."""
 
     label: str
+    """The buyer's class, or ``undecided`` where the uncertainty leaves several."""
     lane: str = ""
+    """Where the product is to go: a belt, a bin; "" where the table does not say."""
     possible: tuple[str, ...] = ()
+    """The classes it may be of; one where it is decided."""
     reasons: tuple[Reason, ...] = ()
+    """Why, a code and a sentence for each class that was asked about."""

@@ -20,28 +20,19 @@ VERSION = 1
 
 @dataclass(frozen=True, slots=True)
 class Penetration:
-    """What has to be added to the heights of one product's surface.
-
-    Attributes
-    ----------
-    product
-        What it holds for, in words.
-    offset_mm
-        How much lower the surface is measured than it is, mm.
-    std_mm
-        Its standard uncertainty, mm: common to all points.
-    calibration_sha256
-        The calibration it was measured with.
-    target, made
-        What was looked at, and when (ISO 8601).
-    """
+    """What has to be added to the heights of one product's surface."""
 
     product: str
+    """What it holds for, in words."""
     offset_mm: float
+    """How much lower the surface is measured than it is, mm."""
     std_mm: float
+    """Its standard uncertainty, mm: common to all points."""
     calibration_sha256: str
+    """The calibration it was measured with."""
     target: str
     made: str
+    """target, made: what was looked at, and when (ISO 8601)."""
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.offset_mm) and math.isfinite(self.std_mm) and self.std_mm >= 0):

@@ -12,51 +12,34 @@ from roemetry.records.reasons import Reason
 
 @dataclass(frozen=True, slots=True)
 class PlanFigure:
-    """One number.
-
-    Attributes
-    ----------
-    name
-        Kebab-case, for programs.
-    title
-        For people.
-    value
-        NaN where it cannot be said; then a reason of the plan says why.
-    unit
-        ``mm``, ``px``, ``degrees``, ``1`` for a count, …
-    basis
-        The formula or the source, and where it holds.
-    key
-        Whether it belongs among the first to be read.
-    """
+    """One number."""
 
     name: str
+    """Kebab-case, for programs."""
     title: str
+    """For people."""
     value: float
+    """NaN where it cannot be said; then a reason of the plan says why."""
     unit: str
+    """``mm``, ``px``, ``degrees``, ``1`` for a count, …"""
     basis: str
+    """The formula or the source, and where it holds."""
     key: bool = False
+    """Whether it belongs among the first to be read."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PlanColumn:
-    """Named numbers with a unit: a table's column, a curve, or what curves are drawn over.
-
-    Attributes
-    ----------
-    name, title, unit
-        As of a figure.
-    values
-        (n,) NaN where there is none.
-    digits
-        Decimal places to print.
-    """
+    """Named numbers with a unit: a table's column, a curve, or what curves are drawn over."""
 
     name: str
     title: str
     unit: str
+    """name, title, unit: as of a figure."""
     values: Floats
+    """(n,) NaN where there is none."""
     digits: int = 1
+    """Decimal places to print."""
 
     def __post_init__(self) -> None:
         check = Checker(self)
@@ -66,20 +49,14 @@ class PlanColumn:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PlanTable:
-    """Columns of one length; the first says what a row is about.
-
-    Attributes
-    ----------
-    name, title, basis
-        As of a figure.
-    columns
-        All of one length.
-    """
+    """Columns of one length; the first says what a row is about."""
 
     name: str
     title: str
     columns: tuple[PlanColumn, ...]
+    """All of one length."""
     basis: str
+    """name, title, basis: as of a figure."""
 
     def __post_init__(self) -> None:
         check = Checker(self)
@@ -89,29 +66,20 @@ class PlanTable:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PlanCurves:
-    """Curves over one quantity.
-
-    Attributes
-    ----------
-    name, title, basis
-        As of a figure.
-    over
-        What they are drawn over.
-    lines
-        Each as long as `over`, of one unit.
-    marked
-        A value of `over` to point out: where the rig stands. NaN: none.
-    logarithmic
-        Whether their scale is logarithmic.
-    """
+    """Curves over one quantity."""
 
     name: str
     title: str
     over: PlanColumn
+    """What they are drawn over."""
     lines: tuple[PlanColumn, ...]
+    """Each as long as `over`, of one unit."""
     basis: str
+    """name, title, basis: as of a figure."""
     marked: float = float("nan")
+    """A value of `over` to point out: where the rig stands. NaN: none."""
     logarithmic: bool = False
+    """Whether their scale is logarithmic."""
 
     def __post_init__(self) -> None:
         check = Checker(self)
@@ -122,25 +90,18 @@ class PlanCurves:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PlanMap:
-    """A quantity over belt X and Z, at one Y.
-
-    Attributes
-    ----------
-    name, title, unit, basis
-        As of a figure.
-    x_mm, z_mm
-        (n,), (m,) evenly spaced, increasing, belt frame, mm.
-    values
-        (m, n) NaN where the camera does not see.
-    """
+    """A quantity over belt X and Z, at one Y."""
 
     name: str
     title: str
     unit: str
     x_mm: Floats
     z_mm: Floats
+    """x_mm, z_mm: (n,), (m,) evenly spaced, increasing, belt frame, mm."""
     values: Floats
+    """(m, n) NaN where the camera does not see."""
     basis: str
+    """name, title, unit, basis: as of a figure."""
     digits: int = 2
 
     def __post_init__(self) -> None:
@@ -153,22 +114,15 @@ class PlanMap:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PlanShape:
-    """A part of the side view, to scale.
-
-    Attributes
-    ----------
-    kind
-        ``camera``, ``projector`` (a point), ``view`` (a closed shape), ``axis``, ``plane``, ``belt``,
-        ``level`` (lines).
-    points_mm
-        (n, 2) X and Z in the belt frame, mm.
-    label
-        Words beside it; may be empty.
-    """
+    """A part of the side view, to scale."""
 
     kind: str
+    """``camera``, ``projector`` (a point), ``view`` (a closed shape), ``axis``, ``plane``, ``belt``,
+    ``level`` (lines)."""
     points_mm: Floats
+    """(n, 2) X and Z in the belt frame, mm."""
     label: str = ""
+    """Words beside it; may be empty."""
 
     def __post_init__(self) -> None:
         check = Checker(self)
@@ -178,24 +132,17 @@ class PlanShape:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Plan:
-    """All that can be said of a rig before it is built.
-
-    Attributes
-    ----------
-    figures, maps, tables, curves
-        What is predicted, and with a simulation what was found beside it.
-    sketch
-        The rig from the side.
-    reasons
-        What is missing or doubtful, and why.
-    """
+    """All that can be said of a rig before it is built."""
 
     figures: tuple[PlanFigure, ...]
     maps: tuple[PlanMap, ...] = ()
     tables: tuple[PlanTable, ...] = ()
     curves: tuple[PlanCurves, ...] = ()
+    """figures, maps, tables, curves: what is predicted, and with a simulation what was found beside it."""
     sketch: tuple[PlanShape, ...] = ()
+    """The rig from the side."""
     reasons: tuple[Reason, ...] = field(default=())
+    """What is missing or doubtful, and why."""
 
     def value(self, name: str) -> float:
         """Give the value of a figure; raise KeyError where there is none of that name."""

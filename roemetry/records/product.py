@@ -1,4 +1,4 @@
-"""One product, as volume, weigher and classifier receive it."""
+"""Calibrated slices through the scene, and one product as volume, weigher and classifier receive it."""
 
 from __future__ import annotations
 
@@ -8,33 +8,72 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from roemetry.records.arrays import Checker, Floats
+from roemetry.records.arrays import Checker, Flags, Floats, Integers, Labels
 from roemetry.records.calibration import Calibration
-from roemetry.records.profiles import Profiles
 from roemetry.records.reasons import Reason
 from roemetry.records.view import View
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Outline:
-    """A product's contour in the image.
+class Profiles:
+    """Slices in the belt frame. Not assumed: that slices are in order, parallel, or share their points' Y."""
 
-    Attributes
-    ----------
-    product
-        Number of the product, 1…n.
-    xy_px
-        (point, 2) closed contour in the turned image, px, the last point is not the first again.
-    xy_std_px
-        Standard uncertainty of the contour across itself, px; NaN where it is not modelled.
-    features
-        Further numbers read off the image inside the contour, units in the names.
-    """
+    xyz_mm: Floats
+    """(slice, point, 3) position in the belt frame, mm: X along image x, Y towards the image's top, Z up. NaN
+    where nothing is known."""
+    product: Labels
+    """(slice, point) 0 belt, 1…n product, −1 nothing."""
+    seen: Flags
+    """(slice, point) False where the point was bridged or is NaN."""
+    x_px: Floats
+    row_px: Floats
+    """x_px, row_px: (slice, point) where in the (turned) image the point was seen, px."""
+    height_std_mm: Floats
+    """(slice, point) random part of the standard uncertainty of Z, mm; NaN where it is not modelled. What the
+    calibration contributes is common to all points and is not in here."""
+    stripe: Integers
+    frame: Integers
+    """stripe, frame: (slice,) stripe index and index of the frame in the acquisition that the slice came
+    from."""
+    plane: Floats
+    """(slice, 4) the slice's plane in the belt frame: nx, ny, nz, d with n·X = d (mm), n of length 1."""
+    reasons: tuple[Reason, ...] = ()
+    """What a reader of the numbers must know about these points."""
+
+    def __post_init__(self) -> None:
+        check = Checker(self)
+        xyz = check.array("xyz_mm", np.float64, (None, None, 3))
+        slices, points = xyz.shape[:2] if xyz.ndim == 3 else (0, 0)
+        check.array("product", np.int16, (slices, points))
+        check.array("seen", np.bool_, (slices, points))
+        for name in ("x_px", "row_px", "height_std_mm"):
+            check.array(name, np.float64, (slices, points))
+        for name in ("stripe", "frame"):
+            check.array(name, np.int64, (slices,))
+        plane = check.array("plane", np.float64, (slices, 4))
+        if plane.shape == (slices, 4) and slices:
+            length = np.sqrt((plane[:, :3] ** 2).sum(axis=1))
+            check.require(bool(np.abs(length - 1.0).max() < 1e-6), "plane normals are not of length 1")
+        check.finish()
+
+    @property
+    def slice_count(self) -> int:
+        """Number of slices."""
+        return int(self.xyz_mm.shape[0])
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Outline:
+    """A product's contour in the image."""
 
     product: int
+    """Number of the product, 1…n."""
     xy_px: Floats
+    """(point, 2) closed contour in the turned image, px, the last point is not the first again."""
     xy_std_px: float = math.nan
+    """Standard uncertainty of the contour across itself, px; NaN where it is not modelled."""
     features: Mapping[str, float] = field(default_factory=dict)
+    """Further numbers read off the image inside the contour, units in the names."""
 
     def __post_init__(self) -> None:
         check = Checker(self)
@@ -44,33 +83,22 @@ class Outline:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Product:
-    """The slices of one product.
-
-    Attributes
-    ----------
-    number
-        1…n within its acquisition.
-    profiles
-        All slices of the acquisition; points that are not this product's are NaN, with product −1.
-    calibration
-        The calibration the slices were made with.
-    acquisition_ids
-        Where the slices came from.
-    outline
-        The contour in the image, where an outliner was asked for and found one.
-    reasons
-        What the stages before had to say.
-    view
-        The rig's geometry as it was used for these slices; None where the calibration gives none.
-    """
+    """The slices of one product."""
 
     number: int
+    """1…n within its acquisition."""
     profiles: Profiles
+    """All slices of the acquisition; points that are not this product's are NaN, with product −1."""
     calibration: Calibration
+    """The calibration the slices were made with."""
     acquisition_ids: tuple[str, ...]
+    """Where the slices came from."""
     outline: Outline | None = None
+    """The contour in the image, where an outliner was asked for and found one."""
     reasons: tuple[Reason, ...] = ()
+    """What the stages before had to say."""
     view: View | None = None
+    """The rig's geometry as it was used for these slices; None where the calibration gives none."""
 
     @property
     def height_max_mm(self) -> float:

@@ -6,15 +6,9 @@ from typing import NamedTuple
 
 
 class Reason(NamedTuple):
-    """Why a number is missing, doubtful or as it is.
-
-    Attributes
-    ----------
-    code
-        Short kebab-case name, the same for the same cause, for filters and statistics.
-    text
-        A sentence for people.
-    """
+    """Why a number is missing, doubtful or as it is."""
 
     code: str
+    """Short kebab-case name, the same for the same cause, for filters and statistics."""
     text: str
+    """A sentence for people."""

@@ -1,13 +1,76 @@
-"""Coded stripes: which plane of light made each peak, and whether it lies on belt or product."""
+"""Where stripes cross image rows, and which plane of light made each crossing, on belt or product."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
-from roemetry.records.arrays import Checker, Flags, Floats, Labels
+from roemetry.records.arrays import Checker, Flags, Floats, Integers, Labels
 from roemetry.records.reasons import Reason
+
+SATURATED = 1
+EDGE = 2
+WIDE = 4
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Peaks:
+    """Where stripes cross image rows, sorted by row, then by x."""
+
+    image_size: tuple[int, int]
+    """Rows and columns of the frame."""
+    row: Integers
+    """(peak,) image row."""
+    x_px: Floats
+    """(peak,) position along the row, px, pixel centres are whole numbers."""
+    x_std_px: Floats
+    """(peak,) standard uncertainty of `x_px`, px; NaN where it is not modelled."""
+    amplitude: Floats
+    """(peak,) height above the background, grey levels."""
+    background: Floats
+    """(peak,) grey level beside the stripe."""
+    width_px: Floats
+    """(peak,) full width at half of the amplitude, px."""
+    flags: NDArray[np.uint8]
+    """(peak,) sum of `SATURATED`, `EDGE` (too near the image border), `WIDE` (wider than a stripe is)."""
+    correlation_rows: float = 0.0
+    """How far the errors of `x_px` reach along a stripe: the standard deviation, rows, of the Gaussian that
+    white noise would have to be smoothed with to have their autocorrelation exp(−Δ²/(4ℓ²)); 0 where rows
+    err independently."""
+    reasons: tuple[Reason, ...] = ()
+    """What a reader of the numbers must know about the extraction."""
+    row_start: Integers = field(init=False)
+    """(row + 1,) where each row's peaks begin: those of row r are ``row_start[r]:row_start[r + 1]``."""
+
+    def __post_init__(self) -> None:
+        check = Checker(self)
+        row = check.array("row", np.int64, (None,))
+        n = row.shape[0] if row.ndim == 1 else 0
+        x_px = check.array("x_px", np.float64, (n,))
+        for name in ("x_std_px", "amplitude", "background", "width_px"):
+            check.array(name, np.float64, (n,))
+        check.array("flags", np.uint8, (n,))
+        check.require(self.correlation_rows >= 0, "correlation_rows is negative")
+        rows, columns = self.image_size
+        if row.ndim == 1 and x_px.shape == row.shape and n:
+            check.require(bool(row[0] >= 0 and row[-1] < rows), f"row is outside 0…{rows - 1}")
+            before, after = row[:-1], row[1:]
+            in_order = (after > before) | ((after == before) & (x_px[1:] > x_px[:-1]))
+            check.require(bool(in_order.all()), "peaks are not sorted by row, then x")
+            check.require(
+                bool(x_px.min() >= -0.5 and x_px.max() <= columns - 0.5),
+                f"x_px is outside −0.5…{columns - 0.5}, or not a number",
+            )
+        check.finish()
+        start = np.searchsorted(row, np.arange(rows + 1))
+        start.flags.writeable = False
+        object.__setattr__(self, "row_start", start)
+
+    def __len__(self) -> int:
+        return int(self.row.shape[0])
+
 
 BELT = 0
 NOTHING = -1
@@ -18,47 +81,33 @@ AMBIGUOUS = -2
 
 @dataclass(frozen=True, eq=False, slots=True)
 class StripeMap:
-    """Peaks with their stripe, dense over (stripe, row); stripes count from 0, left to right on the belt.
-
-    Attributes
-    ----------
-    x_px
-        (stripe, row) position along the row, px; NaN where nothing is known.
-    x_std_px
-        (stripe, row) standard uncertainty of `x_px`, px; NaN where it is not modelled.
-    product
-        (stripe, row) `BELT` (0), a product's number (1…n), or `NOTHING` (−1) where `x_px` is NaN.
-    seen
-        (stripe, row) True where a peak was seen, False where `x_px` is bridged or NaN.
-    margin
-        (stripe, row) how much better this label is than the second best, 0 (no better) to 1 (no other is
-        possible); NaN where it is not modelled.
-    ambiguous
-        (stripe, row) True where a peak may belong to this stripe but may as well belong to another: `x_px`
-        is NaN there unless the stripe has another, certain peak in that row.
-    rest_px
-        (stripe, row) where the stripe would lie on the bare belt, px; NaN where no rest line is known.
-    peak_stripe
-        (peak,) stripe of each peak of the `Peaks` this was made from; `UNCODED` (−1) for what is no stripe,
-        `AMBIGUOUS` (−2) for what may be several.
-    reasons
-        What a reader of the numbers must know about the coding.
-    correlation_rows
-        How far the errors of `x_px` reach along a stripe: the standard deviation, rows, of the Gaussian that
-        white noise would have to be smoothed with to have their autocorrelation exp(−Δ²/(4ℓ²)); 0 where
-        rows err independently.
-    """
+    """Peaks with their stripe, dense over (stripe, row); stripes count from 0, left to right on the belt."""
 
     x_px: Floats
+    """(stripe, row) position along the row, px; NaN where nothing is known."""
     x_std_px: Floats
+    """(stripe, row) standard uncertainty of `x_px`, px; NaN where it is not modelled."""
     product: Labels
+    """(stripe, row) `BELT` (0), a product's number (1…n), or `NOTHING` (−1) where `x_px` is NaN."""
     seen: Flags
+    """(stripe, row) True where a peak was seen, False where `x_px` is bridged or NaN."""
     margin: Floats
+    """(stripe, row) how much better this label is than the second best, 0 (no better) to 1 (no other is
+    possible); NaN where it is not modelled."""
     ambiguous: Flags
+    """(stripe, row) True where a peak may belong to this stripe but may as well belong to another: `x_px` is
+    NaN there unless the stripe has another, certain peak in that row."""
     rest_px: Floats
+    """(stripe, row) where the stripe would lie on the bare belt, px; NaN where no rest line is known."""
     peak_stripe: Labels
+    """(peak,) stripe of each peak of the `Peaks` this was made from; `UNCODED` (−1) for what is no stripe,
+    `AMBIGUOUS` (−2) for what may be several."""
     reasons: tuple[Reason, ...] = ()
+    """What a reader of the numbers must know about the coding."""
     correlation_rows: float = 0.0
+    """How far the errors of `x_px` reach along a stripe: the standard deviation, rows, of the Gaussian that
+    white noise would have to be smoothed with to have their autocorrelation exp(−Δ²/(4ℓ²)); 0 where rows
+    err independently."""
 
     def __post_init__(self) -> None:
         check = Checker(self)

@@ -6,13 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from roemetry.records.acquisition import Acquisition, Frame
-from roemetry.records.alignment import Alignment
+from roemetry.records.calibration import Alignment
 from roemetry.records.outcome import Decision, Estimate, Grade, Volume, Weight
-from roemetry.records.peaks import Peaks
-from roemetry.records.product import Outline, Product
-from roemetry.records.profiles import Profiles
+from roemetry.records.product import Outline, Product, Profiles
 from roemetry.records.reasons import Reason
-from roemetry.records.stripes import StripeMap
+from roemetry.records.stripes import Peaks, StripeMap
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -33,30 +31,22 @@ class ProductTrace:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Trace:
-    """One acquisition's way through the stages.
-
-    Attributes
-    ----------
-    acquisition
-        As it was read; None where reading failed.
-    frame
-        The laser frame as the extractor saw it: one channel, turned, subtracted.
-    peaks, alignment, stripes, outlines, profiles, products
-        What each stage gave; None (or empty) where it was not asked for or not possible.
-    absent
-        By stage kind, why its result is missing.
-    seconds
-        By stage kind, the time it took, s.
-    """
+    """One acquisition's way through the stages."""
 
     acquisition_id: str
     acquisition: Acquisition | None = None
+    """As it was read; None where reading failed."""
     frame: Frame | None = None
+    """The laser frame as the extractor saw it: one channel, turned, subtracted."""
     peaks: Peaks | None = None
     alignment: Alignment | None = None
     stripes: StripeMap | None = None
     outlines: tuple[Outline, ...] = ()
     profiles: Profiles | None = None
     products: tuple[ProductTrace, ...] = ()
+    """peaks, alignment, stripes, outlines, profiles, products: what each stage gave; None (or empty) where it
+    was not asked for or not possible."""
     absent: Mapping[str, Reason] = field(default_factory=dict)
+    """By stage kind, why its result is missing."""
     seconds: Mapping[str, float] = field(default_factory=dict)
+    """By stage kind, the time it took, s."""

@@ -14,26 +14,18 @@ from roemetry.records.arrays import Checker, Flags, Floats, Labels
 
 @dataclass(frozen=True, eq=False, slots=True)
 class StripeTruth:
-    """Where each stripe truly is, stripes counted from 0, left to right on the belt.
-
-    Attributes
-    ----------
-    x_px
-        (stripe, row) where the middle of the light plane, lit and seen, crosses the middle of the image
-        row, px in the image as it was taken; NaN where nothing is lit and seen.
-    on_product
-        (stripe, row) True where that point lies on a product.
-    xyz_mm
-        (stripe, row, 3) the point in the belt frame, mm; NaN where there is none.
-    product
-        (stripe, row) on which product it lies, 1 the first of the truth's products; 0 belt, -1 nothing.
-        Left out (empty): there is one product at most.
-    """
+    """Where each stripe truly is, stripes counted from 0, left to right on the belt."""
 
     x_px: Floats
+    """(stripe, row) where the middle of the light plane, lit and seen, crosses the middle of the image row,
+    px in the image as it was taken; NaN where nothing is lit and seen."""
     on_product: Flags
+    """(stripe, row) True where that point lies on a product."""
     xyz_mm: Floats
+    """(stripe, row, 3) the point in the belt frame, mm; NaN where there is none."""
     product: Labels = field(default_factory=lambda: np.empty((0, 0), np.int16))
+    """(stripe, row) on which product it lies, 1 the first of the truth's products; 0 belt, -1 nothing. Left
+    out (empty): there is one product at most."""
 
     def __post_init__(self) -> None:
         check = Checker(self)
@@ -52,57 +44,36 @@ class StripeTruth:
 
 @dataclass(frozen=True, slots=True)
 class ProductTruth:
-    """What is true of one product; NaN and "" where it is not known.
-
-    Attributes
-    ----------
-    label
-        Class, in the words the classifiers use (``good``, ``henkei``).
-    defect
-        What is wrong with it (``dented``, ``bent``, …), or ``none``.
-    visible_mm3, true_mm3
-        Volumes as the conventions define them, mm³.
-    mass_g
-        Mass, g.
-    figures
-        Further numbers by name, units in the names: sizes, and how much of a defect a lit stripe shows.
-    """
+    """What is true of one product; NaN and "" where it is not known."""
 
     label: str = ""
+    """Class, in the words the classifiers use (``good``, ``henkei``)."""
     defect: str = ""
+    """What is wrong with it (``dented``, ``bent``, …), or ``none``."""
     visible_mm3: float = math.nan
     true_mm3: float = math.nan
+    """visible_mm3, true_mm3: volumes as the conventions define them, mm³."""
     mass_g: float = math.nan
+    """Mass, g."""
     figures: Mapping[str, float] = field(default_factory=dict)
+    """Further numbers by name, units in the names: sizes, and how much of a defect a lit stripe shows."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Truth:
-    """What is true of one acquisition.
-
-    Attributes
-    ----------
-    products
-        Its products, from left to right.
-    stripes
-        Where the stripes are; None where that is not known.
-    """
+    """What is true of one acquisition."""
 
     products: tuple[ProductTruth, ...] = ()
+    """Its products, from left to right."""
     stripes: StripeTruth | None = None
+    """Where the stripes are; None where that is not known."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Simulated:
-    """An acquisition that was made, not taken, with its truth.
-
-    Attributes
-    ----------
-    frames
-        Its images, by role one at most.
-    truth
-        What is true of it.
-    """
+    """An acquisition that was made, not taken, with its truth."""
 
     frames: tuple[Frame, ...]
+    """Its images, by role one at most."""
     truth: Truth
+    """What is true of it."""

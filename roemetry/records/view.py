@@ -1,49 +1,132 @@
-"""The geometry of a calibrated rig: how the camera sees the belt, and where the planes of light stand."""
+"""The geometry of a calibrated rig: how the camera sees the belt, and where the planes of light stand.
+
+A pinhole (or telecentric) camera with OpenCV's lens distortion: x′ = radial · x + tangential + thin prism,
+then the sensor's tilt. Its inverse is found by Newton's method; beyond the fold of a strong distortion there
+is none.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from roemetry.errors import CalibrationError, DataError
 from roemetry.records.arrays import Checker, Floats
-from roemetry.records.camera_model import distorted, undistorted
+
+
+def distorted(xy: Floats, distortion: Floats) -> Floats:
+    """Distort places (n, 2) on the plane at distance 1 as the lens does.
+
+    `distortion` (k,) stands in OpenCV's order k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, τx, τy.
+    """
+    if not distortion.any():
+        return np.asarray(xy, np.float64)
+    k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, tau_x, tau_y = _all(distortion)
+    x, y = xy[:, 0], xy[:, 1]
+    r2 = x * x + y * y
+    radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
+    bent = np.column_stack(
+        [
+            x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x) + r2 * (s1 + r2 * s2),
+            y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y + r2 * (s3 + r2 * s4),
+        ]
+    )
+    if tau_x == 0 and tau_y == 0:
+        return bent
+    tilted = np.column_stack([bent, np.ones(len(bent))]) @ _tilt(tau_x, tau_y).T
+    return np.asarray(tilted[:, :2] / tilted[:, 2:])
+
+
+def undistorted(xy: Floats, distortion: Floats) -> Floats:
+    """Take the lens's distortion out: the inverse of `distorted`, by Newton's method to 1e-13.
+
+    Places beyond the fold of a strong distortion have no inverse and come back NaN.
+    """
+    bent = np.asarray(xy, np.float64)
+    if not distortion.any():
+        return bent
+    straight = bent.copy()
+    for step in range(_NEWTON_STEPS + 1):
+        wrong = distorted(straight, distortion) - bent
+        a, b, c, d = slopes(straight, distortion)
+        determinant = a * d - b * c
+        if step == _NEWTON_STEPS or not np.nanmax(np.abs(wrong), initial=0.0) > _NEWTON_RESIDUAL:
+            break
+        with np.errstate(divide="ignore", invalid="ignore"):
+            straight[:, 0] -= (d * wrong[:, 0] - b * wrong[:, 1]) / determinant
+            straight[:, 1] -= (a * wrong[:, 1] - c * wrong[:, 0]) / determinant
+    missed = np.abs(wrong).max(axis=1)
+    # Beyond the fold the image is turned over: a root there fits, but no light takes that way.
+    proper = (determinant > 0) & (a + d > 0)
+    straight[~((missed < _MISSED_MAX) & proper)] = np.nan
+    return straight
+
+
+def slopes(xy: Floats, distortion: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """Give ∂x′/∂x, ∂x′/∂y, ∂y′/∂x, ∂y′/∂y of `distorted` at places (n, 2), each (n,)."""
+    k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, tau_x, tau_y = _all(distortion)
+    x, y = xy[:, 0], xy[:, 1]
+    r2 = x * x + y * y
+    above, below = 1 + r2 * (k1 + r2 * (k2 + r2 * k3)), 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
+    radial = above / below
+    rising = (k1 + r2 * (2 * k2 + 3 * r2 * k3) - radial * (k4 + r2 * (2 * k5 + 3 * r2 * k6))) / below
+    cross = 2 * (x * y * rising + p1 * x + p2 * y)
+    prism_x, prism_y = 2 * (s1 + 2 * r2 * s2), 2 * (s3 + 2 * r2 * s4)
+    by_x = np.stack([radial + 2 * (x * x * rising + p1 * y + 3 * p2 * x) + prism_x * x, cross + prism_y * x])
+    by_y = np.stack([cross + prism_x * y, radial + 2 * (y * y * rising + 3 * p1 * y + p2 * x) + prism_y * y])
+    if tau_x or tau_y:
+        turn = _tilt(tau_x, tau_y)
+        bent = distorted(xy, np.concatenate([distortion[:12], np.zeros(2)])).T
+        ahead = turn[2, :2] @ bent + turn[2, 2]
+        place = (turn[:2, :2] @ bent + turn[:2, 2:]) / ahead
+        by_x, by_y = ((turn[:2, :2] @ by - place * (turn[2, :2] @ by)) / ahead for by in (by_x, by_y))
+    return by_x[0], by_y[0], by_x[1], by_y[1]
+
+
+_NEWTON_STEPS = 30
+_NEWTON_RESIDUAL = 1e-13
+_MISSED_MAX = 1e-9
+
+
+def _all(distortion: Floats) -> list[float]:
+    return [*map(float, distortion), *[0.0] * (14 - distortion.size)]
+
+
+def _tilt(tau_x: float, tau_y: float) -> Floats:
+    """Homography of a tilted sensor (OpenCV's model, τ in radians)."""
+    cx, sx, cy, sy = np.cos(tau_x), np.sin(tau_x), np.cos(tau_y), np.sin(tau_y)
+    about_x = np.array([[1, 0, 0], [0, cx, sx], [0, -sx, cx]])
+    about_y = np.array([[cy, 0, -sy], [0, 1, 0], [sy, 0, cy]])
+    turn = about_y @ about_x
+    return np.asarray(
+        np.array([[turn[2, 2], 0, -turn[0, 2]], [0, turn[2, 2], -turn[1, 2]], [0, 0, 1]]) @ turn
+    )
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class View:
-    """Camera and planes of light in the belt frame; what coder and outline need of any calibration.
-
-    Attributes
-    ----------
-    image_size
-        Rows and columns of the (turned) image.
-    camera_matrix
-        (3, 3) fx, 0, cx; 0, fy, cy; 0, 0, 1 in px; of a telecentric camera fx and fy are px/mm.
-    T_belt_camera
-        (4, 4) to the belt frame from the camera's (z forward, x right, y down), mm.
-    planes
-        (stripe, 4) nx, ny, nz, d with n·X = d (mm) in the belt frame, n of length 1.
-    distortion
-        (k,) lens distortion in OpenCV's model and order: none, 4, 5, 8, 12 or 14 numbers.
-    projector_mm
-        (3,) where the light comes from, belt frame, mm; NaN where that is not known.
-    telecentric
-        True where all rays are parallel to the camera's z.
-    exact
-        False where it is an approximation made for coding and outlines, not for measuring.
-    """
+    """Camera and planes of light in the belt frame; what coder and outline need of any calibration."""
 
     image_size: tuple[int, int]
+    """Rows and columns of the (turned) image."""
     camera_matrix: Floats
+    """(3, 3) fx, 0, cx; 0, fy, cy; 0, 0, 1 in px; of a telecentric camera fx and fy are px/mm."""
     T_belt_camera: Floats
+    """(4, 4) to the belt frame from the camera's (z forward, x right, y down), mm."""
     planes: Floats
+    """(stripe, 4) nx, ny, nz, d with n·X = d (mm) in the belt frame, n of length 1."""
     distortion: Floats = field(default_factory=lambda: np.empty(0))
+    """(k,) lens distortion in OpenCV's model and order: none, 4, 5, 8, 12 or 14 numbers."""
     projector_mm: Floats = field(default_factory=lambda: np.full(3, np.nan))
+    """(3,) where the light comes from, belt frame, mm; NaN where that is not known."""
     telecentric: bool = False
+    """True where all rays are parallel to the camera's z."""
     exact: bool = True
+    """False where it is an approximation made for coding and outlines, not for measuring."""
 
     def __post_init__(self) -> None:
         check = Checker(self)
@@ -71,17 +154,9 @@ class View:
         return np.asarray(self.T_belt_camera[:3, 3])
 
     def rays(self, xy_px: Floats) -> tuple[Floats, Floats]:
-        """Give the lines of sight.
+        """Give the lines of sight through (…, 2) places in the image, px.
 
-        Parameters
-        ----------
-        xy_px
-            (…, 2) places in the image, px.
-
-        Returns
-        -------
-        origin_mm, direction
-            (…, 3) a point of each ray, mm, and its direction (length 1), belt frame. NaN in, NaN out.
+        Of each: a point, mm, and the direction (length 1), both (…, 3) in the belt frame. NaN in, NaN out.
         """
         xy = np.asarray(xy_px, np.float64)
         turn, shift = self.T_belt_camera[:3, :3], self.T_belt_camera[:3, 3]
@@ -157,3 +232,39 @@ class View:
         focal = np.diag(self.camera_matrix)[:2]
         seen = (xy_px - self.camera_matrix[:2, 2]) / focal
         return undistorted(seen, self.distortion)
+
+
+SUFFIXES = (".yaml", ".yml", ".json", ".xml")
+"""By them OpenCV knows what to write."""
+
+
+def write_camera(path: Path, view: View) -> None:
+    """Write a view's camera as OpenCV's `FileStorage` does: camera_matrix, distortion_coefficients, size.
+
+    Planes of light are `laser_planes`, rows A, B, C, D of Ax + By + Cz + D = 0 in the camera's frame, mm;
+    `T_belt_camera` takes places from the camera's frame to the belt's. CalibrationError where the view is no
+    camera that was calibrated, DataError where the file cannot be written.
+    """
+    if view.telecentric or not view.exact:
+        raise CalibrationError(
+            "this calibration knows no camera: its view is enough for coding, not for other programs",
+            hint="calibrate with pinhole-plane",
+        )
+    import cv2
+
+    storage = cv2.FileStorage()
+    opened = path.suffix.lower() in SUFFIXES and path.parent.is_dir()
+    if not (opened and storage.open(str(path), cv2.FILE_STORAGE_WRITE)):
+        raise DataError(
+            f"{path}: the file cannot be written",
+            hint=f"a name in a folder that is there, that ends in {', '.join(SUFFIXES)}",
+        )
+    storage.write("image_width", int(view.image_size[1]))
+    storage.write("image_height", int(view.image_size[0]))
+    storage.write("camera_matrix", np.array(view.camera_matrix))
+    storage.write("distortion_coefficients", np.array(view.distortion).reshape(1, -1))
+    storage.write("T_belt_camera", np.array(view.T_belt_camera))
+    pose, planes = np.array(view.T_belt_camera), np.array(view.planes)
+    rows = np.column_stack([planes[:, :3] @ pose[:3, :3], planes[:, :3] @ pose[:3, 3] - planes[:, 3]])
+    storage.write("laser_planes", rows)
+    storage.release()

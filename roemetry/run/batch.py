@@ -38,24 +38,16 @@ _TOGETHER_MAX = 16
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What a run came to.
-
-    Attributes
-    ----------
-    folder
-        Where everything is.
-    counts
-        Rows by status: measured, empty, failed.
-    files
-        What the sinks wrote.
-    sink_faults
-        What sinks could not write, in words.
-    """
+    """What a run came to."""
 
     folder: Path
+    """Where everything is."""
     counts: Mapping[str, int]
+    """Rows by status: measured, empty, failed."""
     files: tuple[Path, ...]
+    """What the sinks wrote."""
     sink_faults: tuple[str, ...]
+    """What sinks could not write, in words."""
 
 
 def run_recipe(
@@ -155,13 +147,7 @@ def derive(
 def measured(
     recipe: Recipe, references: Sequence[AcquisitionReference], jobs: int, debug: bool
 ) -> Iterator[Measured]:
-    """Give each acquisition's lines, in the order of the source, with the seconds its stages took.
-
-    Raises
-    ------
-    InterruptedRunError
-        A worker process died.
-    """
+    """Give each acquisition's lines, in the order of the source, with the seconds its stages took."""
     if jobs == 1 or len(references) < 2:
         worker = _Worker(recipe, debug)
         for reference in references:

@@ -25,7 +25,7 @@ from markupsafe import Markup
 from roemetry.config.recipe import Recipe
 from roemetry.errors import DataError, OutputError
 from roemetry.html.plots import Axis, dot, line, number, picture, plain, text
-from roemetry.io.json_values import json_values
+from roemetry.io.files import json_values
 from roemetry.records import Reason
 
 Verdict = Literal["in order", "drifting", "out"]
@@ -69,36 +69,26 @@ class Quantity:
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One check of a calibration.
-
-    Attributes
-    ----------
-    made
-        Date and time, ISO 8601, UTC.
-    calibration_sha256, target, image, image_sha256
-        What was checked, by what, in which image.
-    height, belt, width
-        The lengths.
-    stripes, stripe_spread_mm
-        Stripes on the block's top, and how far their own heights spread.
-    verdict
-        ``in order``; ``drifting``: within its limits, but the chart shows that something moves; ``out``.
-    reasons
-        Why, in words.
-    """
+    """One check of a calibration."""
 
     made: str
+    """Date and time, ISO 8601, UTC."""
     calibration_sha256: str
     target: str
     image: str
     image_sha256: str
+    """calibration_sha256, target, image, image_sha256: what was checked, by what, in which image."""
     height: Quantity
     belt: Quantity
     width: Quantity
+    """height, belt, width: the lengths."""
     stripes: int
     stripe_spread_mm: float
+    """stripes, stripe_spread_mm: stripes on the block's top, and how far their own heights spread."""
     verdict: Verdict = "in order"
+    """``in order``; ``drifting``: within its limits, but the chart shows that something moves; ``out``."""
     reasons: tuple[Reason, ...] = ()
+    """Why, in words."""
 
     def quantity(self, name: str) -> Quantity:
         """Give a length by its name in `QUANTITIES`."""
@@ -157,13 +147,7 @@ CREATE TABLE IF NOT EXISTS checks
 
 
 class Chart:
-    """A file of checks; each is written whole or not at all.
-
-    Parameters
-    ----------
-    path
-        The file; made at the first check.
-    """
+    """A file of checks, made at the first one; each is written whole or not at all."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -227,19 +211,9 @@ _SECONDS_PER_DAY = 86400.0
 
 
 def calibration_doubts(recipe: Recipe, now: datetime | None = None) -> tuple[Reason, ...]:
-    """Give what the recipe's demands on its calibration find wanting.
+    """Give what the recipe's demands on its calibration find wanting `now` (None: this moment).
 
-    Parameters
-    ----------
-    recipe
-        With its calibration and, maybe, demands on it.
-    now
-        None: this moment.
-
-    Raises
-    ------
-    DataError
-        The chart that is named is no chart.
+    DataError where the chart that is named is no chart.
     """
     asked, calibration = recipe.calibration_check, recipe.calibration
     if asked is None or calibration is None:

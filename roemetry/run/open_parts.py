@@ -38,20 +38,14 @@ _COVERAGE_FACTOR = 1.959964
 
 
 class OpenPart(NamedTuple):
-    """What is open of one product.
-
-    Attributes
-    ----------
-    points, sure
-        Number of refused peaks on it, and of its points with a certain stripe.
-    rows, x_px
-        Where they are: first and last row, smallest and largest x; zeros where there is none.
-    """
+    """What is open of one product."""
 
     points: int
     sure: int
+    """points, sure: number of refused peaks on it, and of its points with a certain stripe."""
     rows: tuple[int, int] = (0, 0)
     x_px: tuple[float, float] = (0.0, 0.0)
+    """rows, x_px: where they are: first and last row, smallest and largest x; zeros where there is none."""
 
     @property
     def share(self) -> float:

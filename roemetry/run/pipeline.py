@@ -29,8 +29,7 @@ from roemetry.records import (
     Volume,
     Weight,
 )
-from roemetry.records.alignment import Alignment
-from roemetry.records.calibration import Calibration
+from roemetry.records.calibration import Alignment, Calibration
 from roemetry.records.penetration import raised
 from roemetry.records.view import View
 from roemetry.run.monte_carlo import Chain, Scene, propagate, without_draws
@@ -61,12 +60,10 @@ class Pipeline:
 
     Parameters
     ----------
-    recipe
-        What to do.
     debug
         Let every exception through instead of noting it on the trace.
     stages
-        By kind, stages to use instead of those the recipe would make: objects with the kind's verb.
+        By kind, stages to use instead of those the recipe would make: objects with the kind's method.
     draws
         Monte Carlo draws; None: as many as the recipe says.
     frame

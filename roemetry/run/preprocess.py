@@ -24,28 +24,18 @@ def prepare(
     bit_depth: int | None = None,
     sensor: Sensor | None = None,
 ) -> Frame:
-    """Make the laser frame ready.
+    """Make the laser frame ready; DataError where a frame is missing, sizes differ, or bits are in doubt.
 
     Parameters
     ----------
-    acquisition
-        As the source read it.
     channel
         ``grey``, ``red``, ``green``, ``blue`` or ``max``: what to make of a colour image.
     turn_deg
         Counter-clockwise turn: a rotation, never a transpose, which would mirror the scene.
     subtract
         ``dark`` takes the laser-off partner away, grey level by grey level, cut off at 0; or ``none``.
-    bit_depth
-        Bits in use; None leaves what the source said.
-    sensor
-        The camera's noise; None leaves what the source knows of it.
-
-    Raises
-    ------
-    DataError
-        There is no laser frame, or no dark one where it is to be subtracted, or their sizes differ; or a
-        16-bit image that uses 12 bits, and nobody said so.
+    bit_depth, sensor
+        Bits in use, and the camera's noise; None leaves what the source said.
     """
     laser = acquisition.frame("laser")
     if laser is None:

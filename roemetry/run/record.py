@@ -1,9 +1,11 @@
-"""The record of a run: ``measurements.jsonl``, a line a product; everything else is derived from it."""
+"""The record of a run: ``measurements.jsonl``, a line a product; and what the run was made with."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 from roemetry.config.recipe import Recipe
 from roemetry.errors import DataError, OutputError
@@ -40,10 +42,8 @@ def acquisitions_to_keep(
 ) -> set[str]:
     """Give the ids of the acquisitions whose rows are all there, and take the others' rows away.
 
-    Raises
-    ------
-    OutputError
-        There is a run and it may not be gone on with: `resume` is not wanted, or it is another recipe's.
+    OutputError where there is a run that may not be gone on with: `resume` is not wanted, or the run is
+    another recipe's.
     """
     path = folder / RECORD
     if not path.exists() or path.stat().st_size == 0:
@@ -89,3 +89,29 @@ def count_rows(folder: Path) -> dict[str, int]:
     for row in read_record(folder):
         counts[row.status] += 1
     return counts
+
+
+def recipe_of(folder: Path, *, sets: Sequence[str] = ()) -> tuple[Recipe, dict[str, Any]]:
+    """Load the recipe of a run again, and the run's provenance.
+
+    `sets` are further changes of what decides no number (its sinks). OutputError where the folder holds no
+    run, or what decides its numbers has changed since.
+    """
+    path = folder / PROVENANCE
+    try:
+        provenance = json.loads(path.read_text(encoding="utf-8"))
+        recipe_path, made_with = provenance["recipe"], provenance["sets"]
+        recipe_sha256 = provenance["recipe_sha256"]
+    except OSError as error:
+        raise OutputError(
+            f"{path}: cannot be read: {error.strerror or error}", hint="name the folder of a run"
+        ) from error
+    except (ValueError, KeyError, TypeError) as error:
+        raise OutputError(f"{path}: damaged ({error})", hint="name the folder of a run") from error
+    recipe = Recipe.load(recipe_path, sets=[*made_with, *sets])
+    if recipe.sha256 != recipe_sha256:
+        raise OutputError(
+            f"{folder}: the recipe, calibration or a plugin has changed since the run",
+            hint="the pictures would show something else than was measured; run again",
+        )
+    return recipe, provenance

@@ -36,16 +36,7 @@ def measurements_of(
 ) -> tuple[Measurement, ...]:
     """Write the rows of one acquisition: one for each product, or one that says why there is none.
 
-    Parameters
-    ----------
-    trace
-        What happened.
-    recipe
-        What was asked for.
-    provenance
-        Hashes that stand on every row.
-    doubts
-        Doubts about the calibration, which stand on every row.
+    `provenance` (hashes) and `doubts` about the calibration stand on every row.
     """
     given = dict(provenance)
     warnings = (*_warnings(recipe), *doubts)

@@ -46,22 +46,15 @@ _SCENE = "scene.yaml"
 
 @dataclass(frozen=True, slots=True)
 class Made:
-    """What a simulation came to.
-
-    Attributes
-    ----------
-    folder
-        The data set.
-    items, kept
-        How many items it has, and how many of them were there before.
-    views
-        How many calibration images it has.
-    """
+    """What a simulation came to."""
 
     folder: Path
+    """The data set."""
     items: int
     kept: int
+    """items, kept: how many items it has, and how many of them were there before."""
     views: int
+    """How many calibration images it has."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -47,10 +47,7 @@ class _Fault(NamedTuple):
 class StepMemory:
     """Results of the steps of one acquisition, with the time each took; cleared between acquisitions.
 
-    Parameters
-    ----------
-    most
-        So many results are kept; beyond that the one that was used longest ago is forgotten. None: all.
+    Of more than `most` results the one that was used longest ago is forgotten; None keeps all.
     """
 
     def __init__(self, most: int | None = None) -> None:
@@ -84,21 +81,12 @@ class StepMemory:
 
 
 class RememberedStages:
-    """A recipe's stages, for a pipeline, sharing a memory with other recipes' stages.
-
-    Parameters
-    ----------
-    recipe
-        What to do.
-    memory
-        Where results are kept; the same one for all recipes compared.
-    draws
-        Monte Carlo draws; None: as many as the recipe says.
+    """A recipe's stages, for a pipeline, sharing a memory with the stages of all recipes compared.
 
     Attributes
     ----------
     stages
-        By kind, an object with the kind's verb.
+        By kind, an object with the kind's method.
     keys
         By kind, the hash of all that decides the stage's result on an acquisition.
     seconds

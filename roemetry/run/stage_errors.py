@@ -12,16 +12,9 @@ from roemetry.errors import FAULTS, PluginError, RecordError, RoemetryError
 
 
 def failure(error: BaseException, kind: str, chosen: Chosen | None) -> str:
-    """Say which stage failed, with what, and where in its code.
+    """Say which stage (None: none of a recipe's) failed, with what, and where in its code.
 
-    Parameters
-    ----------
-    error
-        What the stage raised; no `RoemetryError`, by which a stage refuses.
-    kind
-        Kind of the stage.
-    chosen
-        The stage; None where it is not one of a recipe's.
+    `error` is no `RoemetryError`: by these a stage refuses.
     """
     whose = f"the {kind}" if chosen is None else f"the {kind} `{chosen.registered.entry.name}`"
     place = None if chosen is None else place_in(error, chosen.stage.__module__)
@@ -46,19 +39,9 @@ def refuses(error: BaseException) -> bool:
 
 
 def place_in(error: BaseException, module: str) -> str | None:
-    """Give file and line of the innermost call in a plugin's package that an error came through.
+    """Give file and line, ``extractor.py:33``, of the innermost call in a plugin that an error came through.
 
-    Parameters
-    ----------
-    error
-        What was raised, with its traceback.
-    module
-        A module of the package, such as that of a stage's class.
-
-    Returns
-    -------
-    str or None
-        ``extractor.py:33``; None where the error did not pass through the package.
+    The plugin's package is that of `module`; None where the error did not pass through it.
     """
     package = module.partition(".")[0]
     place = None

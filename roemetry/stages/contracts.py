@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from typing import TypeVar
 
 from roemetry.records import Decision, Grade, Peaks, Profiles, StripeMap, Volume, Weight
-from roemetry.records.alignment import Alignment
-from roemetry.records.calibration import Calibration
+from roemetry.records.calibration import Alignment, Calibration
 
 T = TypeVar("T")
 
@@ -27,14 +26,10 @@ _GIVES: Mapping[str, type] = {
 
 
 def given(kind: str, result: T) -> T:
-    """Give a verb's result on, if it is the record of its kind or the kind is free to give what it likes.
+    """Give a result on, if it is the record of its kind or the kind is free to give what it likes.
 
-    ``None`` would otherwise pass for a step that was not wanted, and a belt without a product be reported.
-
-    Raises
-    ------
-    TypeError
-        It is something else; with what was expected.
+    Else TypeError says what was expected: ``None`` would pass for a step that was not wanted, and a belt
+    without a product be reported.
     """
     wanted = _GIVES.get(kind)
     if wanted is not None and not isinstance(result, wanted):

@@ -59,53 +59,35 @@ hookimpl = pluggy.HookimplMarker(PROJECT)
 
 @dataclass(frozen=True, slots=True)
 class StageEntry:
-    """One stage that a plugin offers.
-
-    Attributes
-    ----------
-    kind
-        One of `KINDS`.
-    name
-        Kebab-case name that recipes use.
-    target
-        ``package.module:Class``.
-    summary
-        What it does, in one line.
-    reference
-        Where the method comes from: a paper, an equation, "our own".
-    requires
-        Modules it needs beyond the core's, each with the line that installs it.
-    api
-        The version of this interface it was written for.
-    """
+    """One stage that a plugin offers."""
 
     kind: str
+    """One of `KINDS`."""
     name: str
+    """Kebab-case name that recipes use."""
     target: str
+    """``package.module:Class``."""
     summary: str
+    """What it does, in one line."""
     reference: str
+    """Where the method comes from: a paper, an equation, "our own"."""
     requires: tuple[tuple[str, str], ...] = ()
+    """Modules it needs beyond the core's, each with the line that installs it."""
     api: int = API
+    """The version of this interface it was written for."""
 
 
 @dataclass(frozen=True, slots=True)
 class VerbEntry:
-    """One command that a plugin adds to the command line: ``roemetry NAME``.
-
-    Attributes
-    ----------
-    name
-        Kebab-case name.
-    target
-        ``package.module:function``; the function's parameters are annotated as for `typer.Typer.command`.
-    summary
-        What it does, in one line: what ``roemetry --help`` lists. The function's docstring is the help of the
-        command itself.
-    """
+    """One command that a plugin adds to the command line: ``roemetry NAME``."""
 
     name: str
+    """Kebab-case name."""
     target: str
+    """``package.module:function``; the function's parameters are annotated as for `typer.Typer.command`."""
     summary: str
+    """What it does, in one line: what ``roemetry --help`` lists. The function's docstring is the help of the
+    command itself."""
 
 
 class Hooks:

@@ -83,10 +83,8 @@ class Registry:
     def find(self, kind: str, use: str) -> Registered:
         """Find the stage that a recipe means by ``name`` or ``provider/name``.
 
-        Raises
-        ------
-        PluginError
-            No such name (with a close match), two providers, or something it needs is missing.
+        PluginError where there is no such name (with a close match) or two providers, or something it needs
+        is missing.
         """
         wanted_provider, _, name = use.rpartition("/")
         found = [
@@ -106,13 +104,7 @@ class Registry:
         return found[0]
 
     def load(self, stage: Registered) -> type[Any]:
-        """Import the class behind a stage.
-
-        Raises
-        ------
-        PluginError
-            The module or the class in it cannot be imported; the reason is repeated.
-        """
+        """Import the class behind a stage; PluginError repeats the reason where that cannot be done."""
         module_name, _, class_name = stage.entry.target.partition(":")
         try:
             found = getattr(importlib.import_module(module_name), class_name)
@@ -143,15 +135,10 @@ class Registry:
 
 
 def discover(found: Iterable[EntryPoint] | None = None) -> Registry:
-    """Ask every installed plugin for its stages.
+    """Ask every installed plugin (or these entry points) for its stages.
 
     ``ROEMETRY_PLUGINS=""`` in the environment leaves out what does not come with roemetry itself;
     ``ROEMETRY_STRICT=1`` makes a broken plugin an error.
-
-    Parameters
-    ----------
-    found
-        Entry points to use instead of the installed ones.
     """
     points = entry_points(group=PROJECT) if found is None else found
     only_built_in = os.environ.get("ROEMETRY_PLUGINS") == ""

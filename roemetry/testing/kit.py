@@ -1,37 +1,34 @@
-"""The kit: every check of a stage's kind against the stage, with what it is expected to fail."""
+"""The kit: every check of a kind against a stage, with what it is expected to fail; in pytest too."""
 
 from __future__ import annotations
 
 import difflib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from roemetry.config.resolve import misfit_of
 from roemetry.errors import FAULTS, PluginError
 from roemetry.run.stage_errors import place_in
 from roemetry.stages import Stage
 from roemetry.stages.registry import Registered, Registry, discover, not_installed
+from roemetry.testing.cases import made
 from roemetry.testing.checks import Check, checks_of, name_of
-from roemetry.testing.fixtures import made
+
+if TYPE_CHECKING:
+    import pytest
 
 Outcome = Literal["passed", "failed", "expected failure", "unexpectedly passed"]
 
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """What a check found.
-
-    Attributes
-    ----------
-    outcome
-        ``unexpectedly passed``: the stage declares that it fails, and it does not.
-    message
-        What was found; of an expected failure the declared reason.
-    """
+    """What a check found."""
 
     outcome: Outcome
+    """``unexpectedly passed``: the stage declares that it fails, and it does not."""
     message: str = ""
+    """What was found; of an expected failure the declared reason."""
 
     @property
     def as_declared(self) -> bool:
@@ -44,21 +41,14 @@ def conformance(
     expected_failures: Mapping[str, str] | None = None,
     options: Mapping[str, Any] | None = None,
 ) -> Iterator[tuple[Check, Result]]:
-    """Hold a stage to every check of its kind.
+    """Hold a stage to every check of its kind; give each check with what it found.
 
     Parameters
     ----------
-    registered
-        The stage.
     expected_failures
         Checks that it fails by its method, with the reason, besides those its class declares.
     options
         The options to make it with; not given: those its fixture gives, else its default ones.
-
-    Yields
-    ------
-    tuple
-        The check, and what it found.
 
     Raises
     ------
@@ -127,20 +117,10 @@ def prepared(
 
 
 def stages_named(name: str, registry: Registry | None = None) -> tuple[Registered, ...]:
-    """Give the installed stages of a name.
+    """Give the installed stages of a name, or raise PluginError with a close match.
 
-    Parameters
-    ----------
-    name
-        A stage (``dominant-peak``, ``extractor/dominant-peak``, ``paper/dominant-peak``), or whose stages:
-        an entry point or a distribution.
-    registry
-        What is installed.
-
-    Raises
-    ------
-    PluginError
-        There is no such stage or plugin (with a close match), or the plugin is broken.
+    A stage (``dominant-peak``, ``extractor/dominant-peak``, ``paper/dominant-peak``), or whose stages: an
+    entry point or a distribution.
     """
     registry = discover() if registry is None else registry
     found = tuple(stage for stage in registry.stages if name in _names(stage))
@@ -170,3 +150,83 @@ def _names(stage: Registered) -> tuple[str, ...]:
         provider.entry_point,
         provider.distribution,
     )
+
+
+def parametrize_stages(
+    name: str,
+    expected_failures: Mapping[str, str] | None = None,
+    options: Mapping[str, Mapping[str, Any]] | None = None,
+) -> pytest.MarkDecorator:
+    """Parametrize a test over a plugin's stages and every check of their kinds.
+
+    A plugin author's whole test file::
+
+        from roemetry.testing import parametrize_stages
+
+        @parametrize_stages("my-plugin", expected_failures={"check_dark_rows_give_nothing": "why"})
+        def test_contract(stage, check):
+            check(stage)
+
+    Parameters
+    ----------
+    name
+        A distribution, an entry point, or a stage, as for `roemetry check-plugin`.
+    expected_failures
+        Check name → reason, for every stage of the plugin that has the check; ``stage/check`` for one of
+        them. They are added to what the stages declare themselves. A check that passes in spite of it fails.
+    options
+        Stage name → options to make the stage with; the others are made as `conformance` says.
+
+    Raises
+    ------
+    PluginError
+        There is no such plugin, a stage of it cannot be made, or a declared check is not there.
+    """
+    return parametrized(stages_named(name), expected_failures, options)
+
+
+def parametrized(
+    stages: tuple[Registered, ...],
+    expected_failures: Mapping[str, str] | None = None,
+    options: Mapping[str, Mapping[str, Any]] | None = None,
+) -> pytest.MarkDecorator:
+    """Parametrize a test over these stages; one whose requirements are missing is skipped with the reason."""
+    import pytest
+
+    _refuse_unknown(expected_failures or {}, stages)
+    cases = []
+    for registered in stages:
+        entry = registered.entry
+        of_stage = f"{entry.kind}/{entry.name}"
+        if registered.missing is not None:
+            skip = pytest.mark.skip(reason=f"{of_stage} {registered.missing}")
+            cases.append(pytest.param(None, None, id=of_stage, marks=skip))
+            continue
+        mine = {
+            key.rpartition("/")[2]: reason
+            for key, reason in (expected_failures or {}).items()
+            if key in _keys(registered)
+        }
+        stage, expected = prepared(registered, mine, (options or {}).get(entry.name))
+        for check in checks_of(entry.kind):
+            reason = expected.get(name_of(check))
+            marks = () if reason is None else pytest.mark.xfail(strict=True, reason=reason)
+            cases.append(pytest.param(stage, check, id=f"{of_stage}-{name_of(check)}", marks=marks))
+    return pytest.mark.parametrize(("stage", "check"), cases)
+
+
+def _keys(registered: Registered) -> set[str]:
+    """Give the names by which a failure of a check of this stage may be declared."""
+    names = {name_of(check) for check in checks_of(registered.entry.kind)}
+    return names | {f"{registered.entry.name}/{name}" for name in names}
+
+
+def _refuse_unknown(expected_failures: Mapping[str, str], stages: tuple[Registered, ...]) -> None:
+    known = set().union(*(_keys(registered) for registered in stages))
+    for key in expected_failures:
+        if key not in known:
+            close = difflib.get_close_matches(key, known, n=1)
+            raise PluginError(
+                f"`{key}` is no check of any of these stages",
+                hint=f"did you mean `{close[0]}`?" if close else "docs/reference/conformance.md lists them",
+            )

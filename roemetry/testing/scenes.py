@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roemetry.records import BELT, NOTHING, Frame, Peaks, StripeMap
-from roemetry.records.alignment import Alignment
 from roemetry.records.arrays import Flags, Floats, Integers
-from roemetry.records.calibration import Calibration
+from roemetry.records.calibration import Alignment, Calibration
 from roemetry.records.view import View
 
 SEED = 20260711
@@ -34,37 +33,27 @@ class LinearRig:
     top at the same scale. Stripe i rests at ``first_px + i · spacing_px`` in the middle row and leans by
     ``fan · (i − middle stripe)`` px per row. So each stripe is a plane of light, and a body's volume, a
     point's place and a stripe's centre have closed forms.
-
-    Attributes
-    ----------
-    rows, columns
-        Image size, px.
-    stripes
-        Number of stripes.
-    first_px, spacing_px
-        Rest x of the first stripe, and from each stripe to the next, in the middle row, px.
-    fan
-        Lean of a rest line against its neighbour's, px per row.
-    px_per_mm
-        Displacement along +x per height, px/mm; negative for a laser on the other side.
-    mm_per_px
-        Scale, mm/px.
-    sigma_px
-        Standard deviation of a stripe's Gaussian profile, px.
-    background
-        Grey level (of 0…255) beside the stripes.
     """
 
     rows: int = 200
     columns: int = 320
+    """rows, columns: image size, px."""
     stripes: int = 7
+    """Number of stripes."""
     first_px: float = 38.0
     spacing_px: float = 40.0
+    """first_px, spacing_px: rest x of the first stripe, and from each stripe to the next, in the middle row,
+    px."""
     fan: float = 0.01
+    """Lean of a rest line against its neighbour's, px per row."""
     px_per_mm: float = 2.0
+    """Displacement along +x per height, px/mm; negative for a laser on the other side."""
     mm_per_px: float = 0.25
+    """Scale, mm/px."""
     sigma_px: float = 1.6
+    """Standard deviation of a stripe's Gaussian profile, px."""
     background: float = 10.0
+    """Grey level (of 0…255) beside the stripes."""
 
     @property
     def middle_row(self) -> float:
@@ -111,12 +100,8 @@ class LinearRig:
     def light(self, x_px: Floats, amplitude: float | Floats = 160.0) -> Floats:
         """Give (row, column) grey levels of 0…255, not rounded and not clipped; NaN in `x_px` draws nothing.
 
-        Parameters
-        ----------
-        x_px
-            (stripe, row) centres, px.
-        amplitude
-            Height of the stripes above the background, grey levels: one, or one a stripe.
+        `x_px` are (stripe, row) centres, px; `amplitude` is the stripes' height above the background, grey
+        levels: one, or one a stripe.
         """
         columns = np.arange(self.columns)
         light = np.full((self.rows, self.columns), self.background)
@@ -128,12 +113,7 @@ class LinearRig:
     def peaks(self, x_px: Floats, scatter_px: float = 0.0) -> ScenePeaks:
         """Give the peaks of a perfect extractor, with the stripe of each, sorted by row, then x.
 
-        Parameters
-        ----------
-        x_px
-            (stripe, row) centres, px; NaN gives no peak.
-        scatter_px
-            Standard deviation of the noise that is added to the centres, px.
+        `x_px` are (stripe, row) centres, px, NaN gives no peak; noise of std `scatter_px` is added to them.
         """
         noise = np.random.default_rng(SEED).normal(0.0, scatter_px, x_px.shape) if scatter_px else 0.0
         noisy = x_px + noise
@@ -239,16 +219,9 @@ def moved_rig(calibration: Calibration, alignment: Alignment) -> Calibration:
 
 
 def frame_of(light: Floats, *, bit_depth: int = 8, noise: float = 0.0) -> Frame:
-    """Make a frame of grey levels 0…255: noise added, scaled to the bit depth, rounded, clipped.
+    """Make a frame of (row, column) grey levels 0…255: noise added, scaled to the depth, rounded, clipped.
 
-    Parameters
-    ----------
-    light
-        (row, column) grey levels of the 8-bit scale.
-    bit_depth
-        8, or up to 16.
-    noise
-        Standard deviation of the sensor's noise, grey levels of the 8-bit scale.
+    `noise` is the sensor's standard deviation in grey levels of the 8-bit scale.
     """
     white = 2**bit_depth - 1
     if noise:

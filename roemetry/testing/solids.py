@@ -23,30 +23,21 @@ _ON_SURFACE_MM = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Solid:
-    """A body on the belt, its middle at X = Y = 0, mm.
-
-    Attributes
-    ----------
-    shape
-        ``box``; ``half-cylinder`` (its axis on the belt along X, `width_mm` its diameter); ``spherical-cap``
-        (`length_mm` the diameter of its foot); ``half-ellipsoid`` (with dents, if any).
-    length_mm, width_mm, height_mm
-        Extent along X, Y and Z.
-    skew
-        Makes the left half of a half-ellipsoid shorter and the right one longer by this share.
-    dent_mm
-        Depth of a trough across the ridge of a half-ellipsoid, mm. With one, its volume is not known.
-    flipped
-        Left and right exchanged.
-    """
+    """A body on the belt, its middle at X = Y = 0, mm."""
 
     shape: Literal["box", "half-cylinder", "spherical-cap", "half-ellipsoid"]
+    """``box``; ``half-cylinder`` (its axis on the belt along X, `width_mm` its diameter); ``spherical-cap``
+    (`length_mm` the diameter of its foot); ``half-ellipsoid`` (with dents, if any)."""
     length_mm: float
     width_mm: float
     height_mm: float
+    """length_mm, width_mm, height_mm: extent along X, Y and Z."""
     skew: float = 0.0
+    """Makes the left half of a half-ellipsoid shorter and the right one longer by this share."""
     dent_mm: float = 0.0
+    """Depth of a trough across the ridge of a half-ellipsoid, mm. With one, its volume is not known."""
     flipped: bool = False
+    """Left and right exchanged."""
 
     @property
     def volume_mm3(self) -> float:

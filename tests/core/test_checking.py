@@ -26,7 +26,7 @@ from roemetry.calibrating import (
     judge,
     read_block,
 )
-from roemetry.cli.check_calibration import show
+from roemetry.cli.calibration import show
 from roemetry.cli.main import app
 from roemetry.config.recipe import Recipe
 from roemetry.errors import DataError, OutputError

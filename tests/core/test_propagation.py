@@ -12,8 +12,7 @@ import pytest
 from roemetry.errors import StageError
 from roemetry.records import Estimate, Grade, Outline, ProductTrace, Shares, StripeMap, Volume, Weight
 from roemetry.records.calibration import Calibration
-from roemetry.run.monte_carlo import Chain, Scene, propagate
-from roemetry.run.monte_carlo.propagate import moved
+from roemetry.run.monte_carlo import Chain, Scene, moved, propagate
 from roemetry.run.split_products import assemble
 from roemetry.stages import Classifier, StageOptions, VolumeEstimator, Weigher
 from roemetry.testing.scenes import LinearRig

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from reference_pages import CLI, PAGES, VERBS, blocks, coded, firsts, page, section, table
 
-from roemetry.cli.reference_tables import rewritten
+from docs.reference_tables import rewritten
 
 
 def options_of(command: Any) -> set[str]:
@@ -30,7 +30,7 @@ def test_the_tables_of_the_command_line_are_the_options(verb: str) -> None:
 @pytest.mark.parametrize("name", ["command-line.md", "recipe.md"])
 def test_what_a_page_takes_from_the_code_is_what_the_code_says(name: str) -> None:
     again = rewritten(page(name))
-    assert again == page(name), "write them again: python -m roemetry.cli.reference_tables docs/reference"
+    assert again == page(name), "write them again: python -m docs.reference_tables docs/reference"
     assert again.count("<!-- from the code:") == again.count("<!-- to here -->") > 3
 
 

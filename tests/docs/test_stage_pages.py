@@ -8,12 +8,12 @@ from typing import Any, Literal, get_args, get_origin
 import pytest
 from reference_pages import REFERENCE, STAGES, blocks, coded, page, section, table, text_of
 
+from docs.reference_tables import contract
 from roemetry.config.recipe_file import RecipeFile
 from roemetry.config.validation import checked
 from roemetry.io.yaml_source import parse
 from roemetry.stages.hookspecs import KINDS
 from roemetry.stages.registry import discover
-from roemetry.testing.catalogue import contract
 
 
 @pytest.mark.parametrize("name", STAGES)
@@ -78,5 +78,5 @@ def test_the_example_of_a_stage_is_legal_and_uses_it(name: str) -> None:
 def test_the_contract_of_a_kind_is_what_the_code_says(kind: str) -> None:
     path = REFERENCE / "contracts" / f"{kind}.md"
     written = path.read_text("utf-8") if path.exists() else ""
-    again = "write them again: python -m roemetry.testing.catalogue docs/reference/contracts"
+    again = "write them again: python -m docs.reference_tables docs/reference"
     assert written == contract(kind, discover()), again

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from docs.reference_tables import markdown
 from roemetry.cli.main import app
 from roemetry.errors import PluginError
 from roemetry.records import Estimate
@@ -20,7 +21,6 @@ from roemetry.stages import (
 from roemetry.stages.hookspecs import StageEntry
 from roemetry.stages.registry import Provider, Registered, discover
 from roemetry.testing import LinearRig, checks_of, conformance, parametrize_stages, stages_named
-from roemetry.testing.catalogue import markdown
 from roemetry.testing.checks import OF_KIND, name_of, sentence_of
 from roemetry.testing.comparing import difference
 from roemetry.testing.kit import judged

@@ -1,48 +1,43 @@
-"""The checks: small functions, a module a kind; each function's docstring is what a stage must keep."""
+"""The checks: functions whose parameter names a kind and whose docstring says what its stages must keep."""
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from roemetry.stages.hookspecs import KINDS
 from roemetry.testing.checks import (
     aligner,
     any_stage,
-    calibrator,
-    classifier,
-    coder,
+    classes,
     extractor,
-    grader,
-    outliner,
-    planner,
-    simulator,
-    sink,
-    smoother,
-    source,
-    triangulator,
+    files,
+    points,
+    rigs,
+    stripes,
     volume,
     weigher,
 )
 
 Check = Callable[[Any], None]
 
+_MODULES = (extractor, aligner, stripes, points, volume, weigher, classes, files, rigs)
+_CALLED = {"estimator": "volume"}
+
+
+def _kind_of(check: Check) -> str:
+    """Give the kind a check holds for: its only parameter is named for it."""
+    called = inspect.getfullargspec(check).args[0]
+    return _CALLED.get(called, called)
+
+
+_CHECKS: tuple[Check, ...] = tuple(
+    check for module in _MODULES for name, check in vars(module).items() if name.startswith("check_")
+)
 ANY: tuple[Check, ...] = any_stage.CHECKS
 OF_KIND: Mapping[str, tuple[Check, ...]] = {
-    "source": source.CHECKS,
-    "extractor": extractor.CHECKS,
-    "aligner": aligner.CHECKS,
-    "coder": coder.CHECKS,
-    "smoother": smoother.CHECKS,
-    "calibrator": calibrator.CHECKS,
-    "triangulator": triangulator.CHECKS,
-    "outliner": outliner.CHECKS,
-    "volume": volume.CHECKS,
-    "weigher": weigher.CHECKS,
-    "classifier": classifier.CHECKS,
-    "grader": grader.CHECKS,
-    "sink": sink.CHECKS,
-    "simulator": simulator.CHECKS,
-    "planner": planner.CHECKS,
+    kind: found for kind in KINDS if (found := tuple(check for check in _CHECKS if _kind_of(check) == kind))
 }
 
 

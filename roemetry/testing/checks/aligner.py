@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from roemetry.errors import StageError
-from roemetry.records.alignment import Alignment
 from roemetry.records.arrays import Floats
+from roemetry.records.calibration import Alignment
 from roemetry.stages import Aligner
 from roemetry.testing.scenes import LinearRig, moved_rig
 from roemetry.testing.verdict import refused, require
@@ -56,16 +56,6 @@ def check_an_unseen_belt_is_told(aligner: Aligner[Any]) -> None:
         return
     require(not found.moved, "it corrects by a belt that is not seen")
     require(bool(found.reasons), "it says nothing of a belt that is not seen")
-
-
-CHECKS = (
-    check_a_camera_at_rest_is_left_alone,
-    check_a_small_shift_is_taken_out,
-    check_a_small_turn_is_taken_out,
-    check_a_small_zoom_is_taken_out,
-    check_a_far_motion_is_refused,
-    check_an_unseen_belt_is_told,
-)
 
 
 def _align(aligner: Aligner[Any], rig: LinearRig, x_px: Floats) -> Alignment:

@@ -13,8 +13,7 @@ from pydantic import ValidationError
 from roemetry.errors import RoemetryError
 from roemetry.stages import Stage, StageOptions
 from roemetry.testing.cases import cases_for
-from roemetry.testing.comparing import difference
-from roemetry.testing.verdict import NotKeptError, require
+from roemetry.testing.verdict import NotKeptError, difference, require
 
 _THREADS = 4
 

@@ -10,9 +10,8 @@ from roemetry.errors import DataError, RoemetryError
 from roemetry.records import SATURATED, Frame, Peaks
 from roemetry.records.arrays import Floats
 from roemetry.stages import Extractor
-from roemetry.testing.comparing import difference
 from roemetry.testing.scenes import LinearRig, frame_of, in_steps
-from roemetry.testing.verdict import refused, require
+from roemetry.testing.verdict import difference, refused, require
 
 _NEAR_PX = 5.0
 _EXACT_PX = 1e-6
@@ -162,24 +161,6 @@ def check_the_smallest_frames_are_taken(extractor: Extractor[Any]) -> None:
         except RoemetryError:
             continue
         require(len(peaks) == 0, f"{len(peaks)} peaks in an even frame of {shape[0]} × {shape[1]} pixels")
-
-
-CHECKS = (
-    check_centres_are_right,
-    check_centres_are_not_biased,
-    check_one_stripe_gives_one_peak,
-    check_a_shifted_image_shifts_the_peaks,
-    check_brightness_does_not_matter,
-    check_bit_depth_does_not_matter,
-    check_dark_rows_give_nothing,
-    check_saturated_stripes_are_found,
-    check_saturated_peaks_are_flagged,
-    check_two_near_stripes_stay_two,
-    check_memory_layout_does_not_matter,
-    check_uncertainty_is_positive_or_not_stated,
-    check_a_colour_frame_is_refused,
-    check_the_smallest_frames_are_taken,
-)
 
 
 def _errors_px(peaks: Peaks, x_px: Floats) -> Floats:

@@ -10,7 +10,6 @@ import numpy as np
 from roemetry.errors import RoemetryError
 from roemetry.records import Estimate, Shares, Volume
 from roemetry.stages import VolumeEstimator
-from roemetry.testing.comparing import difference
 from roemetry.testing.scenes import SEED
 from roemetry.testing.solids import (
     BOX,
@@ -23,7 +22,7 @@ from roemetry.testing.solids import (
     product_of,
     reordered,
 )
-from roemetry.testing.verdict import NotKeptError, refused, require
+from roemetry.testing.verdict import NotKeptError, difference, refused, require
 
 _ORDER_TOLERANCE = 1e-9
 _MIRROR_TOLERANCE = 1e-3
@@ -125,22 +124,6 @@ def check_no_point_is_no_number(estimator: VolumeEstimator[Any]) -> None:
     """A product without any point is refused by a `RoemetryError`; no number is invented for it."""
     with refused("a product without points"):
         estimator.estimate(product_from(np.full((DENSE.stripes, DENSE.rows), np.nan)))
-
-
-CHECKS = (
-    check_a_box,
-    check_a_half_cylinder,
-    check_a_spherical_cap,
-    check_a_half_ellipsoid,
-    check_volume_grows_with_the_cube,
-    check_order_of_slices_does_not_matter,
-    check_a_mirrored_scene_has_the_same_volume,
-    check_shares_add_up,
-    check_a_dead_stripe_does_not_make_a_hole,
-    check_uncertainty_is_positive_or_not_stated,
-    check_one_seed_gives_one_draw,
-    check_no_point_is_no_number,
-)
 
 
 def stated_or_nan(estimate: Estimate) -> None:

@@ -12,11 +12,10 @@ from roemetry.errors import RoemetryError
 from roemetry.records import Estimate
 from roemetry.stages import Weigher
 from roemetry.testing.checks.volume import stated_or_nan
-from roemetry.testing.comparing import difference
 from roemetry.testing.runs import volume_of
 from roemetry.testing.scenes import SEED
 from roemetry.testing.solids import HALF_ELLIPSOID, product_of
-from roemetry.testing.verdict import require
+from roemetry.testing.verdict import difference, require
 
 _TOLERANCE = 1e-9
 
@@ -62,15 +61,6 @@ def check_one_seed_gives_one_draw(weigher: Weigher[Any]) -> None:
     one, other = (weigher.weigh(product, volume, rng=np.random.default_rng(SEED)) for _ in range(2))
     found = difference(one, other)
     require(found is None, f"with the same seed {found}")
-
-
-CHECKS = (
-    check_mass_is_proportional_to_volume,
-    check_the_mass_is_one_of_this_world,
-    check_uncertainty_is_positive_or_not_stated,
-    check_an_unknown_volume_has_no_mass,
-    check_one_seed_gives_one_draw,
-)
 
 
 def _mass_g(weigher: Weigher[Any], volume_mm3: float) -> float:

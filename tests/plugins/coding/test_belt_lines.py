@@ -10,7 +10,7 @@ import pytest
 
 import roemetry
 from roemetry.errors import StageError
-from roemetry.records.alignment import Alignment
+from roemetry.records.calibration import Alignment
 from roemetry.testing.scenes import LinearRig, moved_rig
 from roemetry_coding.belt_lines import BeltLines
 

@@ -1,7 +1,8 @@
-"""What every coder keeps: right, or refused; never silently wrong."""
+"""What every coder, smoother and outliner keeps: labels right or refused, never silently wrong."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,8 +10,9 @@ import numpy as np
 from roemetry.errors import RoemetryError, StageError
 from roemetry.records import AMBIGUOUS, BELT, NOTHING, StripeMap
 from roemetry.records.arrays import Flags, Floats, Integers
-from roemetry.stages import Coder
-from roemetry.testing.scenes import LinearRig, wrong_labels
+from roemetry.stages import Coder, Outliner, Smoother
+from roemetry.testing.cases import cases_for
+from roemetry.testing.scenes import SEED, LinearRig, wrong_labels
 from roemetry.testing.verdict import refused, require
 
 _SCATTER_PX = 0.1
@@ -184,26 +186,6 @@ def check_another_image_size_is_refused(coder: Coder[Any]) -> None:
         coder.code(other.peaks(other.x_px(other.belt())).peaks, rig.calibration())
 
 
-CHECKS = (
-    check_a_dome_is_coded_whole,
-    check_a_mirrored_rig_is_coded_alike,
-    check_a_missing_stripe_shifts_nothing,
-    check_a_hidden_body_shifts_nothing,
-    check_a_stripe_hidden_at_both_ends_shifts_nothing,
-    check_gaps_shift_nothing,
-    check_a_body_past_its_neighbours_rest_line_is_not_mistaken,
-    check_an_untouched_stripe_is_belt,
-    check_a_bare_belt_has_no_product,
-    check_a_smooth_wedge_is_product,
-    check_a_grazed_tail_is_product,
-    check_every_peak_gets_a_verdict,
-    check_coded_points_are_peaks,
-    check_what_is_not_seen_is_marked,
-    check_rest_lines_are_the_calibrations,
-    check_another_image_size_is_refused,
-)
-
-
 class _Coded(NamedTuple):
     """A coded scene: the map, each peak's true stripe, row and x, and the true (stripe, row) centres."""
 
@@ -259,3 +241,80 @@ def _is_product(coded: _Coded, wanted: Flags, what: str) -> None:
         share >= _CODED_MIN,
         f"only {share:.1%} of {what} is product; belt {belt:.1%}, not coded {nothing:.1%}",
     )
+
+
+_ROUGH_PX = 0.2
+_STRAIGHT_TOLERANCE_PX = 1e-6
+_STEP_ROWS = 2
+
+
+def check_straight_stripes_stay(smoother: Smoother[Any]) -> None:
+    """Stripes without noise that run straight stay where they are, to 1e-6 px."""
+    rig = LinearRig()
+    given = rig.stripe_map(rig.belt())
+    found = smoother.smooth(given)
+    off = float(np.abs(found.x_px - given.x_px).max())
+    require(off <= _STRAIGHT_TOLERANCE_PX, f"a straight stripe moves by {off:.2g} px")
+
+
+def check_scatter_becomes_less(smoother: Smoother[Any]) -> None:
+    """On straight stripes the scatter becomes less, and the stated uncertainty with it."""
+    rig = LinearRig()
+    true = rig.stripe_map(rig.belt())
+    noise = np.random.default_rng(SEED).normal(0.0, _ROUGH_PX, true.x_px.shape)
+    given = replace(true, x_px=true.x_px + noise, x_std_px=np.full(noise.shape, _ROUGH_PX))
+    found = smoother.smooth(given)
+    scatter = float(np.std(found.x_px - true.x_px))
+    require(scatter < 0.8 * _ROUGH_PX, f"a scatter of {_ROUGH_PX} px becomes {scatter:.3f} px")
+    stated = float(np.median(found.x_std_px))
+    require(0.8 < stated / scatter < 1.25, f"the scatter is {scatter:.3f} px, {stated:.3f} px are stated")
+    require(
+        found.correlation_rows > given.correlation_rows, "errors of neighbours are still called independent"
+    )
+
+
+def check_labels_and_gaps_stay(smoother: Smoother[Any]) -> None:
+    """Nothing is coded anew: labels, gaps, what was seen and what was refused stay as they are."""
+    rig = LinearRig()
+    given = rig.stripe_map(rig.dome())
+    x_px = given.x_px.copy()
+    x_px[2, 90:110] = np.nan
+    gap = np.isnan(x_px)
+    given = replace(
+        given,
+        x_px=x_px,
+        seen=~gap,
+        product=np.where(gap, -1, given.product),
+        x_std_px=np.where(gap, np.nan, 0.1),
+    )
+    found = smoother.smooth(given)
+    for field in ("product", "seen", "ambiguous", "peak_stripe", "rest_px"):
+        same = np.array_equal(getattr(found, field), getattr(given, field), equal_nan=field == "rest_px")
+        require(same, f"{field} is changed")
+    require(bool((np.isnan(found.x_px) == gap).all()), "a gap is filled, or a point is lost")
+
+
+def check_a_step_stays_a_step(smoother: Smoother[Any]) -> None:
+    """A step of many scatters along a stripe stays within two rows of its place."""
+    rig = LinearRig()
+    heights = rig.belt()
+    heights[3, 100:] = 5.0
+    given = rig.stripe_map(heights)
+    found = smoother.smooth(given)
+    off = np.abs(found.x_px - given.x_px)[3]
+    far = np.abs(np.arange(rig.rows) - 99.5) > _STEP_ROWS
+    require(float(off[far].max()) < 0.1, f"a step of 10 px is smeared: {off[far].max():.2f} px beside it")
+
+
+def check_contours_lie_in_the_image(outliner: Outliner[Any]) -> None:
+    """Contours have at least three points, lie within the image, and are numbered from 1, each once."""
+    case = cases_for(outliner).ordinary
+    rows, columns = case.inputs[0].size
+    outlines = case.call(outliner)
+    require(outlines, "a bright product on a dark belt is not found")
+    numbers = [outline.product for outline in outlines]
+    require(len(set(numbers)) == len(numbers) and min(numbers) >= 1, f"they are numbered {numbers}")
+    for outline in outlines:
+        require(outline.xy_px.shape[0] >= 3, f"a contour of {outline.xy_px.shape[0]} points")
+        inside = (outline.xy_px >= -0.5) & (outline.xy_px <= np.array([columns, rows]) - 0.5)
+        require(bool(inside.all()), "a contour leaves the image")

@@ -1,12 +1,34 @@
-"""What every planner keeps."""
+"""What every simulator and planner keeps."""
 
 from __future__ import annotations
 
 import math
 from typing import Any
 
-from roemetry.stages import Planner
-from roemetry.testing.verdict import require
+import numpy as np
+
+from roemetry.stages import Planner, Simulator
+from roemetry.testing.verdict import difference, require
+
+
+def check_numbers_and_seeds_make_others(simulator: Simulator[Any]) -> None:
+    """Another number and another seed make another image."""
+    one, number, seed = (simulator.simulate(*which) for which in ((0, 1), (1, 1), (0, 2)))
+    require(difference(one.frames, number.frames) is not None, "numbers 0 and 1 are the same image")
+    require(difference(one.frames, seed.frames) is not None, "seeds 1 and 2 make the same image")
+
+
+def check_truth_fits_the_image(simulator: Simulator[Any]) -> None:
+    """True stripe centres have a row for each row of the laser frame and lie within it."""
+    made = simulator.simulate(0, 1)
+    frame = next((frame for frame in made.frames if frame.role == "laser"), None)
+    require(frame is not None, "there is no laser frame")
+    if frame is None or made.truth.stripes is None:
+        return
+    x_px = made.truth.stripes.x_px
+    require(x_px.shape[1] == frame.size[0], f"truth of {x_px.shape[1]} rows for {frame.size[0]} rows")
+    known = x_px[np.isfinite(x_px)]
+    require(bool(((known >= -0.5) & (known <= frame.size[1] - 0.5)).all()), "true centres lie outside")
 
 
 def check_every_figure_has_unit_and_basis(planner: Planner[Any]) -> None:
@@ -33,6 +55,3 @@ def check_what_is_missing_has_a_reason(planner: Planner[Any]) -> None:
     plan = planner.plan(simulate=False)
     missing = [one.name for one in plan.figures if math.isnan(one.value)]
     require(not missing or bool(plan.reasons), f"{', '.join(missing)}: no reason is given")
-
-
-CHECKS = (check_every_figure_has_unit_and_basis, check_what_is_missing_has_a_reason)

@@ -1,6 +1,7 @@
-"""Tables of the reference pages that the code itself gives: options of every verb, keys of a recipe.
+"""Tables of the reference pages that the code itself gives: verbs, keys of a recipe, contracts of stages.
 
-``python -m roemetry.cli.reference_tables docs/reference`` writes them anew, between the marks in the pages.
+``python -m docs.reference_tables docs/reference`` writes them anew: between the marks in the pages, and the
+pages of the kinds whole.
 """
 
 from __future__ import annotations
@@ -20,6 +21,10 @@ from typer.models import ArgumentInfo, OptionInfo
 
 from roemetry.cli.main import app, load_verb, plugin_verbs
 from roemetry.config.recipe_file import NEEDS, RecipeFile, SensorFile, SourceChoice, StageChoice, StageChoices
+from roemetry.stages import INTERFACES
+from roemetry.stages.hookspecs import KINDS
+from roemetry.stages.registry import Registry, discover
+from roemetry.testing.checks import ANY, OF_KIND, Check, name_of, sentence_of
 
 _BLOCK = re.compile(r"(<!-- from the code: (.+?) -->\n)(.*?)(<!-- to here -->)", flags=re.DOTALL)
 # what a help text says of a value that is left out; `--help` shows it at the end
@@ -55,6 +60,10 @@ def main() -> None:
         text = path.read_text("utf-8")
         if _BLOCK.search(text):
             path.write_text(rewritten(text), encoding="utf-8")
+    registry = discover()
+    for kind in KINDS:
+        page = Path(sys.argv[1]) / "contracts" / f"{kind}.md"
+        page.write_text(contract(kind, registry), encoding="utf-8")
 
 
 def _made(what: str) -> str:
@@ -203,6 +212,93 @@ def _plain(text: str) -> str:
     text = " ".join(text.split()).rstrip(".")
     begins_with_a_name = text[1:2].isupper() or text.startswith(("Monte Carlo", "`"))
     return text if begins_with_a_name else text[:1].lower() + text[1:]
+
+
+def markdown() -> str:
+    """Write a heading and a table for the checks of every stage, and of each kind."""
+    parts = [_checks("Every stage", ANY)]
+    parts += [_checks(kind.capitalize(), checks) for kind, checks in OF_KIND.items()]
+    return "\n".join(parts)
+
+
+def contract(kind: str, registry: Registry) -> str:
+    """Write the page of a kind: its class, its verbs, what it must keep, and who keeps it."""
+    interface = INTERFACES[kind]
+    methods = [
+        member
+        for name, member in vars(interface).items()
+        if not name.startswith("_") and callable(getattr(interface, name))
+    ]
+    # only what comes with roemetry: a page must not depend on what else is installed
+    own = [stage for stage in registry.of_kind(kind) if stage.provider.distribution == "roemetry"]
+    stages = [
+        f"| [`{stage.entry.name}`](../plugins/{stage.entry.name}.md) | {stage.entry.summary} |"
+        for stage in own
+    ]
+    parts = [
+        f"# Contract: {kind}",
+        "",
+        f"{inspect.getdoc(interface)}",
+        "",
+        f"Class: `roemetry.stages.{interface.__name__}`. What is true of every stage stands under "
+        "[Conformance](../conformance.md); the records under [Records](../records.md).",
+        "",
+        "## Verbs",
+        "",
+        *(line for one in methods for line in _method(one)),
+        "## What it must keep",
+        "",
+        "Each line is a check of `roemetry check-plugin`.",
+        "",
+        "| check | what a stage must keep |",
+        "|---|---|",
+        *(f"| `{name_of(check)}` | {sentence_of(check)} |" for check in OF_KIND.get(kind, ())),
+        "",
+        "## Stages that come with roemetry",
+        "",
+        "| stage | what it does |",
+        "|---|---|",
+        *stages,
+        "",
+    ]
+    return "\n".join(parts)
+
+
+def _method(member: Any) -> list[str]:
+    function: Callable[..., Any] = getattr(member, "__func__", member)
+    must = "must be written" if getattr(function, "__isabstractmethod__", False) else "may be written anew"
+    parameters = re.sub(r"(: |-> )'([^']+)'", r"\1\2", str(inspect.signature(function)))
+    return [
+        f"### `{function.__name__}`, {must}",
+        "",
+        "```text",
+        f"def {function.__name__}{parameters}",
+        "```",
+        "",
+        _prose(inspect.getdoc(function) or ""),
+        "",
+    ]
+
+
+def _prose(text: str) -> str:
+    """Turn a docstring's sections into Markdown."""
+    lines: list[str] = []
+    given = text.splitlines()
+    for line, following in zip(given, [*given[1:], ""], strict=True):
+        if re.fullmatch(r"-{3,}", line):
+            lines[-1] = f"{lines[-1]}:\n"
+        elif line.startswith("    "):
+            lines.append(f"    {line.strip()}" if lines[-1].startswith("    ") else f"  {line.strip()}")
+        elif following.startswith("    "):
+            lines.append(f"- `{line}`:")
+        else:
+            lines.append(line)
+    return "\n".join(lines)
+
+
+def _checks(title: str, checks: Iterable[Check]) -> str:
+    rows = [f"| `{name_of(check)}` | {sentence_of(check)} |" for check in checks]
+    return "\n".join([f"### {title}", "", "| check | what a stage must keep |", "|---|---|", *rows, ""])
 
 
 if __name__ == "__main__":

@@ -1,0 +1,315 @@
+"""``roemetry calibrate``, ``check-calibration``, ``fit-penetration`` and ``target``."""
+
+from __future__ import annotations
+
+import json
+import math
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from roemetry.calibrating import Check
+    from roemetry.records import Evidence
+    from roemetry.records.calibration import Calibration
+
+
+def calibrate(
+    rig: Annotated[Path, typer.Argument(help="A rig file: which images, which target, how many stripes.")],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            "-o",
+            help="The calibration file; an old one is replaced; left out: calibration.yaml beside the rig.",
+        ),
+    ] = None,
+    sets: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="KEY=VALUE",
+            help="Change the rig, e.g. working_distance_mm=320; may stand several times.",
+        ),
+    ] = None,
+    report: Annotated[
+        Path | None,
+        typer.Option(
+            "--report",
+            help="Write a page (HTML) about the calibration to this file: verdict, figures, "
+            "residuals, coverage, height uncertainty.",
+        ),
+    ] = None,
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+) -> None:
+    """Make a calibration from images of known things, or refuse with the reason."""
+    from roemetry.calibrating import calibrate as calibrate_rig
+    from roemetry.calibrating import calibrate_with_evidence, default_path
+    from roemetry.config.rig import Rig
+    from roemetry.records import Evidence
+
+    loaded = Rig.load(rig, sets=sets or ())
+    evidence = Evidence()
+    if report is None:
+        calibration = calibrate_rig(loaded)
+    else:
+        calibration, evidence = calibrate_with_evidence(loaded)
+    path = out or default_path(loaded)
+    calibration.save(path)
+    typer.echo(f"{path}: {calibration.method}, {calibration.stripe_count} stripes")
+    for name, value in calibration.residuals.items():
+        typer.echo(f"  {name}: {value:.4g}")
+    for note in calibration.notes:
+        typer.echo(f"  {note}")
+    for sentence in evidence.verdict:
+        typer.echo(f"  {sentence}")
+    if report is not None:
+        _write_page(report, calibration, evidence, loaded.file.name)
+        typer.echo(f"{report}")
+
+
+def _write_page(path: Path, calibration: Calibration, evidence: Evidence, name: str) -> None:
+    from roemetry.calibrating import evidence_page
+    from roemetry.io.files import write_whole
+    from roemetry.stages.registry import discover
+
+    registry = discover()
+    triangulator = registry.load(registry.find("triangulator", calibration.method))()
+    write_whole(path, evidence_page(calibration, evidence, triangulator, name=name))
+
+
+def check_calibration(
+    recipe: Annotated[Path, typer.Argument(help="The line's recipe file, or its folder.")],
+    image: Annotated[Path, typer.Argument(help="The block on the belt under the stripes.")],
+    target: Annotated[
+        Path | None,
+        typer.Option(
+            "--target", help="The block's description; left out: the block the calibration was made from."
+        ),
+    ] = None,
+    chart: Annotated[
+        Path | None,
+        typer.Option(
+            "--chart",
+            help="Control chart (SQLite): earlier checks are looked at, this one is added; left "
+            "out: the recipe's `calibration_check.chart`, else nothing is kept.",
+        ),
+    ] = None,
+    report: Annotated[
+        Path | None,
+        typer.Option("--report", help="Write the chart of this calibration as a page (HTML) to this file."),
+    ] = None,
+    sets: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", metavar="KEY=VALUE", help="Change the recipe for this check; may stand several times."
+        ),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the check as JSON.")] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+) -> None:
+    """Measure a known block again and say whether the line's calibration still holds.
+
+    Exit code: 0 in order, or drifting within its limits; 1 out; 2 the recipe or the command line is wrong.
+    """
+    from dataclasses import asdict
+
+    from roemetry.calibrating import Chart, block_of, chart_page, check_calibration
+    from roemetry.config.recipe import Recipe
+    from roemetry.errors import ConfigurationError
+    from roemetry.io.files import json_values, write_whole
+
+    loaded = Recipe.load(recipe, sets=sets or ())
+    asked = loaded.calibration_check
+    kept = chart or (loaded.path.parent / asked.chart if asked is not None and asked.chart else None)
+    if report is not None and kept is None:
+        raise ConfigurationError(
+            "there is no chart to write a page of", hint="name one with --chart, or calibration_check.chart"
+        )
+    check = check_calibration(loaded, image, block_of(loaded, target), kept)
+    if as_json:
+        typer.echo(json.dumps(json_values(asdict(check)), indent=2))
+    else:
+        show(check)
+    if report is not None and kept is not None:
+        write_whole(report, chart_page(Chart(kept).checks(check.calibration_sha256), loaded.product))
+        typer.echo(f"{report}", err=as_json)
+    if check.verdict == "out":
+        raise typer.Exit(1)
+
+
+def show(check: Check) -> None:
+    """Print a check: a line each for what was measured, then its reasons."""
+    from roemetry.calibrating import QUANTITIES
+
+    typer.echo(f"{check.target}: {check.verdict}")
+    for name in QUANTITIES:
+        found = check.quantity(name)
+        if math.isnan(found.value):
+            typer.echo(f"  {name:10} not measured")
+            continue
+        difference = found.value - found.expected
+        typer.echo(
+            f"  {name:10} {found.value:9.3f}  expected {found.expected:9.3f}  "
+            f"difference {difference:+.3f}  limit {2 * found.std:.3f}"
+        )
+    typer.echo(
+        f"  {check.stripes} stripes on the block, their heights spread by {check.stripe_spread_mm:.3f} mm"
+    )
+    for reason in check.reasons:
+        typer.echo(f"  {reason.text}")
+
+
+class HalfName(StrEnum):
+    """Half of a block in the image."""
+
+    top = "top"
+    bottom = "bottom"
+
+
+def fit_penetration(
+    recipe: Annotated[Path, typer.Argument(help="The line's recipe file, or its folder.")],
+    bare: Annotated[
+        Path,
+        typer.Argument(help="Image of the block as it is, matt and opaque; or of both halves, with --half."),
+    ],
+    film: Annotated[
+        float,
+        typer.Option(
+            "--film", min=0, help="Thickness of the cover, mm; 0 for paint of the product's colour."
+        ),
+    ],
+    covered: Annotated[
+        Path | None,
+        typer.Argument(help="Image of the block under the product's own material; not with --half."),
+    ] = None,
+    half: Annotated[
+        HalfName | None,
+        typer.Option("--half", help="One image: which half of the block in it is covered or painted."),
+    ] = None,
+    film_std: Annotated[
+        float, typer.Option("--film-std", min=0, help="Standard uncertainty of that thickness, mm.")
+    ] = 0.0,
+    target: Annotated[
+        Path | None,
+        typer.Option(
+            "--target", help="The block's description; left out: the block the calibration was made from."
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", help="File to write; left out: penetration.yaml beside the recipe."),
+    ] = None,
+    sets: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="Change the recipe; may stand several times."),
+    ] = None,
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+) -> None:
+    """Measure how much lower a product is seen than it is, because light enters it.
+
+    Exit code: 0 written; 1 the block is not found; 2 the recipe or the command line is wrong.
+    """
+    from roemetry.calibrating import block_of, fit_penetration, fit_penetration_in_one
+    from roemetry.config.recipe import Recipe
+    from roemetry.errors import ConfigurationError
+
+    if (covered is None) == (half is None):
+        raise ConfigurationError(
+            "expected a second image or --half",
+            hint="BARE COVERED: two images of one block; BARE --half top: one image of a block whose half "
+            "towards the image's top is covered",
+        )
+
+    loaded = Recipe.load(recipe, sets=[*(sets or ()), "penetration="])
+    block = block_of(loaded, target)
+    if covered is not None:
+        found = fit_penetration(loaded, bare, covered, block, film_mm=film, film_std_mm=film_std)
+    elif half is not None:
+        found = fit_penetration_in_one(loaded, bare, block, half.value, film_mm=film, film_std_mm=film_std)
+    path = out or loaded.path.with_name("penetration.yaml")
+    found.save(path)
+    typer.echo(f"{path}: {found.product} is seen {found.offset_mm:.3f} mm too low, ± {found.std_mm:.3f} mm")
+    if abs(found.offset_mm) < 2.0 * found.std_mm:
+        typer.echo("  that is not told from nothing by this measurement")
+
+
+class SheetFormat(StrEnum):
+    """File formats of a printed sheet."""
+
+    SVG = "svg"
+    PDF = "pdf"
+
+
+def target(
+    targets: Annotated[
+        list[Path] | None,
+        typer.Argument(help="Target files, or names of shipped ones; left out: list the shipped ones."),
+    ] = None,
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out", "-o", help="Folder to write to, made if need be; left out: the working directory."
+        ),
+    ] = Path(),
+    sheet_format: Annotated[
+        SheetFormat,
+        typer.Option("--format", help="Of a printed sheet; PDF needs the extra `targets`."),
+    ] = SheetFormat.SVG,
+    page: Annotated[
+        str | None,
+        typer.Option(
+            "--page",
+            help="Page size of a printed sheet: a4, letter, a3, a2, a1, a0; left out: the smallest "
+            "of A4 to A0 that fits.",
+        ),
+    ] = None,
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+) -> None:
+    """Make calibration targets: flat ones as sheets to print at true scale, solid ones as STL.
+
+    Exit code: 0 made; 2 a description or the command line is wrong.
+    """
+    from roemetry.targets import make_target
+
+    if not targets:
+        _list_shipped()
+        return
+    for given in targets:
+        made = make_target(_found(given), out, sheet_format=sheet_format.value, page=page)
+        size = " × ".join(f"{side:g}" for side in made.size_mm)
+        typer.echo(f"{made.file}  ({size} mm, id {made.identity})")
+
+
+def _shipped() -> dict[str, Path]:
+    """Shipped descriptions by name: beside the installed package, or in the checkout."""
+    from roemetry.io.files import shipped
+
+    folder = shipped("calib_targets")
+    return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
+
+
+def _list_shipped() -> None:
+    from roemetry.io.yaml_source import read
+
+    for name, path in _shipped().items():
+        typer.echo(f"{name:32} {read(path).data['kind']}")
+
+
+def _found(given: Path) -> Path:
+    import difflib
+
+    from roemetry.errors import ConfigurationError
+
+    if given.is_file():
+        return given
+    shipped = _shipped()
+    if given.name in shipped and given.parent == Path():
+        return shipped[given.name]
+    close = difflib.get_close_matches(given.name, shipped, n=1)
+    raise ConfigurationError(
+        f"there is no file {given}, and no shipped target of that name",
+        hint=f"did you mean `{close[0]}`?" if close else "`roemetry target` lists the shipped ones",
+    )
