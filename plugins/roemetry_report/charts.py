@@ -112,7 +112,7 @@ def _rule(left: float, right: float, y: float, text: str) -> Markup:
 
 
 _SMALL_WIDTH, _SMALL_HEIGHT = 220.0, 112.0
-_SMALL_LEFT, _SMALL_RIGHT, _SMALL_TOP, _SMALL_BOTTOM = 26.0, 6.0, 8.0, 16.0
+_SMALL_LEFT, _SMALL_RIGHT, _SMALL_TOP, _SMALL_BOTTOM = 33.0, 6.0, 8.0, 16.0
 """The same of a chart of heights along one stripe, many of which stand side by side."""
 _POINTS_MAX = 2400
 

@@ -57,15 +57,15 @@ def strips(variants: Sequence[Estimates], what: str) -> Markup:
 
 def scatter(variant: Estimates, low: float, high: float, unit: str) -> Markup:
     """Draw estimates over true values; on the line both are equal."""
-    size, left, floor = 250.0, 56.0, 212.0
-    across = svg.Axis.over(low, high, left, size - 8.0)
+    size, left, right, floor = 260.0, 60.0, 232.0, 188.0  # beside the axes: room for a tick's whole number
+    across = svg.Axis.over(low, high, left, right)
     up = svg.Axis.over(low, high, floor, 8.0)
     parts = []
     for value, written in across.ticks(4):
         parts += [
             svg.line(across(value), 8.0, across(value), floor, "grid"),
             svg.text(across(value), floor + 15.0, written),
-            svg.line(left, up(value), size - 8.0, up(value), "grid"),
+            svg.line(left, up(value), right, up(value), "grid"),
             svg.text(left - 5.0, up(value) + 4.0, written, "end"),
         ]
     parts.append(svg.line(across(low), up(low), across(high), up(high), "equal"))
@@ -73,7 +73,7 @@ def scatter(variant: Estimates, low: float, high: float, unit: str) -> Markup:
         title = f"{pair.product}: {svg.plain(pair.estimate, 1)} for {svg.plain(pair.true, 1)} {unit}"
         parts.append(svg.dot(across(pair.true), up(pair.estimate), "point", title, colour(variant.number)))
     parts += [
-        svg.text((left + size - 8.0) / 2, floor + 32.0, f"true, {unit}"),
+        svg.text((left + right) / 2, floor + 32.0, f"true, {unit}"),
         svg.text(left + 4.0, 19.0, f"estimated, {unit}", "start"),
     ]
     label = f"{variant.name}: {variant.errors.n} estimates over true values, {unit}"
