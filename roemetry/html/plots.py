@@ -46,9 +46,11 @@ def picture(body: Iterable[Markup], height: float, label: str, width: float = WI
     return view(body, (0.0, 0.0, width, height), label, "plot")
 
 
-def text(x: float, y: float, words: str, kind: str = "") -> Markup:
-    """Make a text element; `words` are escaped."""
-    return Markup('<text class="{}" x="{}" y="{}">{}</text>').format(kind, number(x), number(y), words)
+def text(x: float, y: float, words: str, kind: str = "", size: float = 0.0, fill: str = "") -> Markup:
+    """Make a text element; `words` are escaped. Size and fill are the class's where they are not given."""
+    own = Markup(' font-size="{}"').format(number(size)) if size else Markup("")
+    own += Markup(' fill="{}"').format(fill) if fill else Markup("")
+    return Markup('<text class="{}" x="{}" y="{}"{}>{}</text>').format(kind, number(x), number(y), own, words)
 
 
 def path(kind: str, data: str, *, fill: str = "", stroke: str = "", title: str = "") -> Markup:
