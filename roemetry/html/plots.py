@@ -9,8 +9,9 @@ from functools import lru_cache
 
 import numpy as np
 from markupsafe import Markup
+from numpy.typing import NDArray
 
-from roemetry.records.arrays import Floats
+Floats = NDArray[np.float64]
 
 WIDTH = 440.0
 """Width of a plot's view: about as wide as it is shown, so that letters keep their size."""
