@@ -1,8 +1,9 @@
 """An answer to the page: the frame as a picture, arrays to draw over it, and places that want a look.
 
-It is a header of JSON, then arrays that a browser uses without copying them. The header's length stands first, 4
-bytes, little-endian. The header is padded with blanks, each array with zeros, to a multiple of 8 bytes. `arrays`
-in the header says for each: its type, its shape, and where it begins, counted from the end of the header.
+It is a header of JSON, then arrays that a browser uses without copying them. The header's length stands
+first, 4 bytes, little-endian. The header is padded with blanks, each array with zeros, to a multiple of 8
+bytes. `arrays` in the header says for each: its type, its shape, and where it begins, counted from the end of
+the header.
 """
 
 from __future__ import annotations
@@ -25,8 +26,8 @@ _GAPS_TOLD = 40
 def places_of(trace: Trace, arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
     """Fill the arrays to draw, and count the places that want a look.
 
-    Arrays are ``peaks.…``, ``stripes.…``, ``profiles.…`` and ``outline.N``. Of gaps the longest are told: stripe,
-    first and last row, x at both ends, px, and whether they were bridged.
+    Arrays are ``peaks.…``, ``stripes.…``, ``profiles.…`` and ``outline.N``. Of gaps the longest are told:
+    stripe, first and last row, x at both ends, px, and whether they were bridged.
     """
     told: dict[str, Any] = {}
     if trace.peaks is not None:
