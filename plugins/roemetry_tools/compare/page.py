@@ -11,13 +11,13 @@ from markupsafe import Markup
 from roemetry.html.page import environment_of
 from roemetry.html.plots import plain, share
 from roemetry.io.yaml_source import dump
-from roemetry_tools.compare import page_agreement, plots
+from roemetry_tools.compare import plots
 from roemetry_tools.compare.aggregate import QUANTITIES
 from roemetry_tools.compare.ranking import Compared
 from roemetry_tools.compare.tables import STEPS, flat
 
-SCATTERS_MAX = 12
-"""So many variants have an estimated-over-true plot of their own."""
+PLOTS_MAX = 12
+"""So many variants have plots of their own: more than a screen of them nobody compares."""
 
 _TITLES = {
     "visible_mm3": ("Visible volume", "mm³"),
@@ -28,15 +28,7 @@ _CODED = (("right", "right"), ("wrong", "wrong"), ("refused", "refused"), ("unse
 
 
 def page(compared: Sequence[Compared], told: Mapping[str, Any]) -> str:
-    """Write the whole page as one text.
-
-    Parameters
-    ----------
-    compared
-        The variants; the first is the recipe as it is.
-    told
-        The contents of ``comparison.json``.
-    """
+    """Write the whole page as one text; `told` is what ``comparison.json`` holds."""
     rows = [flat(one) for one in compared]
     environment = environment_of("roemetry_tools.compare")
     return environment.get_template("comparison.html.j2").render(
@@ -45,8 +37,8 @@ def page(compared: Sequence[Compared], told: Mapping[str, Any]) -> str:
         began=_when(told["began"]),
         quantities=[_quantity(name, compared, told["terms"]["tolerance_pct"]) for name in QUANTITIES],
         classes=[(one, one.figures.classes) for one in compared if one.figures and one.figures.classes],
-        probabilities=page_agreement.probabilities(compared),
-        choices=page_agreement.choices(compared, told["choices"]),
+        probabilities=probabilities(compared),
+        choices=choices(compared, told["choices"]),
         coding=_coding(compared, rows),
         centres=_centres(compared, rows, "centre"),
         centres_on_product=_centres(compared, rows, "centre_on_product"),
@@ -71,7 +63,7 @@ def _quantity(name: str, compared: Sequence[Compared], tolerance_pct: float | No
     ]
     values = [value for v in variants for pair in v.pairs for value in (pair.estimate, pair.true)]
     room = 0.05 * (max(values) - min(values)) if values else 0.0
-    shown = variants[:SCATTERS_MAX]
+    shown = variants[:PLOTS_MAX]
     by_visible = [
         (one.variant.name, one.figures.true_from_visible)
         for one in compared
@@ -87,8 +79,8 @@ def _quantity(name: str, compared: Sequence[Compared], tolerance_pct: float | No
         "more": len(variants) - len(shown),
         "capped": any(len(v.pairs) > plots.DOTS_MAX for v in variants),
         "by_visible": by_visible,
-        "truth": page_agreement.agreement_with_truth(name, unit, compared, tolerance_pct),
-        "recipe": page_agreement.agreement_with_recipe(name, unit, compared, tolerance_pct),
+        "truth": agreement_with_truth(name, unit, compared, tolerance_pct),
+        "recipe": agreement_with_recipe(name, unit, compared, tolerance_pct),
     }
 
 
@@ -192,3 +184,86 @@ def _stages(one: Compared) -> Any:
     if recipe is None:
         return one.variant.fault
     return {kind: chosen.described() for kind, chosen in recipe.stages.items()}
+
+
+_FIGURES = {
+    "visible_mm3": ("mean absolute error of the visible volume, %", 2),
+    "true_mm3": ("mean absolute error of the true volume, %", 2),
+    "mass_g": ("mean absolute error of the weight, %", 2),
+    "label": ("balanced accuracy of the classes", 3),
+}
+
+
+def agreement_with_truth(
+    name: str, unit: str, compared: Sequence[Compared], tolerance_pct: float | None
+) -> dict[str, Any]:
+    """Gather table and plots of a quantity beside what is true."""
+    lines, drawn = [], []
+    for one in compared:
+        found = one.standing.truth.get(name)
+        if found is None or one.figures is None:
+            continue
+        lines.append((one, found))
+        points = plots.over_truth(list(one.figures.values[name].values()))
+        drawn.append((one.variant, points, found))
+    return {"lines": lines, "plots": _drawn(drawn, f"true, {unit}", tolerance_pct)}
+
+
+def agreement_with_recipe(
+    name: str, unit: str, compared: Sequence[Compared], tolerance_pct: float | None
+) -> dict[str, Any]:
+    """Gather the same for every other variant beside the recipe as it is."""
+    base = compared[0].figures
+    lines, drawn = [], []
+    for one in compared[1:]:
+        found = one.standing.recipe.get(name)
+        if found is None or one.figures is None or base is None:
+            continue
+        lines.append((one, found, one.standing.nearer.get(name)))
+        mine, others = one.figures.values[name], base.values[name]
+        pairs = [(value, others[key]) for key, value in mine.items() if key in others]
+        drawn.append((one.variant, plots.over_mean(pairs), found))
+    return {"lines": lines, "plots": _drawn(drawn, f"mean of both, {unit}", tolerance_pct)}
+
+
+def probabilities(compared: Sequence[Compared]) -> list[dict[str, Any]]:
+    """Gather the calibration curve of each variant that states probabilities."""
+    found = []
+    for one in compared:
+        curve = one.standing.reliability
+        if curve is not None:
+            drawing = plots.reliability(one.variant.number, one.variant.name, curve)
+            found.append({"name": one.variant.name, "curve": curve, "drawing": drawing})
+    return found
+
+
+def choices(compared: Sequence[Compared], told: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Put the choices among variants into words."""
+    names = {one.variant.number: one.variant.name for one in compared}
+    lines = []
+    for choice in told:
+        words, digits = _FIGURES[choice["figure"]]
+        chosen = list(choice["chosen"])
+        counted = sorted({number: chosen.count(number) for number in chosen}.items(), key=lambda x: -x[1])
+        lines.append(
+            {
+                "words": words,
+                "digits": digits,
+                "best": names[choice["best"]],
+                "seen": choice["seen"],
+                "held_out": choice["held_out"],
+                "n": choice["n"],
+                "chosen": [(names[number], count) for number, count in counted],
+                "folds": len(chosen),
+            }
+        )
+    return lines
+
+
+def _drawn(drawn: Sequence[Any], size_words: str, tolerance_pct: float | None) -> list[tuple[str, Any]]:
+    """Draw the first few; where nothing differs there is nothing to draw."""
+    differing = [one for one in drawn if any(point[1] for point in one[1])][:PLOTS_MAX]
+    return [
+        (one.name, plots.bland_altman(one.number, one.name, points, found, size_words, tolerance_pct))
+        for one, points, found in differing
+    ]

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 
     from roemetry.config.recipe import Recipe
     from roemetry_tools.compare.agreement import Terms
-    from roemetry_tools.compare.between import Beside
     from roemetry_tools.compare.ranking import Compared
+    from roemetry_tools.compare.tables import AcrossSets
     from roemetry_tools.compare.variants import Variant
 
 
@@ -97,7 +97,7 @@ def compare(
     from roemetry.io.files import write_whole
     from roemetry.stages.registry import discover
     from roemetry_tools.compare.agreement import Terms
-    from roemetry_tools.compare.between import between, to_csv
+    from roemetry_tools.compare.tables import across_sets, across_to_csv
     from roemetry_tools.compare.variants import make_variants
     from roemetry_tools.compare.write import SUMMARY
 
@@ -118,8 +118,8 @@ def compare(
         every[name] = _one_set(variants, one, true_labels, terms, jobs, into, as_json)
         told[name] = json.loads((into / SUMMARY).read_text("utf-8"))
     if len(given) > 1:
-        found = between(every)
-        write_whole(folder / "between.csv", to_csv(found))
+        found = across_sets(every)
+        write_whole(folder / "between.csv", across_to_csv(found))
     if as_json:
         typer.echo(json.dumps(told if len(given) > 1 else told[names[0]], indent=2))
     elif len(given) > 1:
@@ -178,7 +178,7 @@ def _show(
 ) -> None:
     from rich.console import Console
 
-    from roemetry_tools.verbs.compare_table import problems_of, tables_of, verdicts_of
+    from roemetry_tools.compare.tables import problems_of, tables_of, verdicts_of
 
     console = Console()
     for table in tables_of(recipe.product, compared):
@@ -193,11 +193,11 @@ def _show(
         console.print(f"  {file}", highlight=False, soft_wrap=True)
 
 
-def _show_between(found: Sequence[Beside], folder: Path) -> None:
+def _show_between(found: Sequence[AcrossSets], folder: Path) -> None:
     from rich.console import Console
 
-    from roemetry_tools.verbs.compare_table import between_table
+    from roemetry_tools.compare.tables import across_table
 
     console = Console()
-    console.print(between_table(found))
+    console.print(across_table(found))
     console.print(f"  {folder / 'between.csv'}", highlight=False, soft_wrap=True)

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from roemetry_tools.init_project import Answers, Started
+    from roemetry_tools.init_project import Started
+    from roemetry_tools.init_project.layout import Answers
 
 
 def init(
@@ -74,7 +75,8 @@ def init(
     """
     from roemetry.cli.progress import progress
     from roemetry.errors import ConfigurationError
-    from roemetry_tools.init_project import Answers, start_like, start_own
+    from roemetry_tools.init_project import start_like, start_own
+    from roemetry_tools.init_project.layout import Answers
 
     asking = folder is None or (like is None and product is None)
     if asking and not in_terminal():
@@ -129,7 +131,7 @@ def _say_what_is_missing(folder: Path | None) -> None:
 
 
 def _ask() -> Answers:
-    from roemetry_tools.init_project import Answers
+    from roemetry_tools.init_project.layout import Answers
 
     product = typer.prompt("Product")
     said = typer.prompt("Largest one: length across the stripes x width x height, mm")

@@ -323,7 +323,7 @@ def test_a_product_larger_than_the_view_is_refused_with_sizes(scene_file: Path) 
 def test_without_llvm_the_message_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     import mitsuba as mi
 
-    from roemetry_tools import doctor
+    from roemetry_tools.verbs import doctor
 
     monkeypatch.setattr(mi, "variant", lambda: "scalar_rgb")
     monkeypatch.setattr(drjit, "has_backend", lambda _: False)

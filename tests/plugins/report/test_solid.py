@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import json
 import re
-import shutil
 import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
 from pathlib import Path
@@ -19,8 +18,7 @@ from roemetry.records import Profiles
 from roemetry_report.palette import height_colour
 from roemetry_report.sink import Report
 from roemetry_report.surface import Solid, solid
-
-NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+from tests.browser import opened
 
 
 def read(given: Solid) -> tuple[dict[str, Any], np.ndarray, np.ndarray, np.ndarray]:
@@ -153,19 +151,10 @@ def report(synthetic: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("scripts", [True, False], ids=["with scripts", "without scripts"])
-def test_it_turns_in_a_browser_and_is_a_picture_without_scripts(report: Path, scripts: bool) -> None:
-    browser = next(filter(None, map(shutil.which, NAMES)), None)
-    if browser is None:
-        pytest.skip(f"no browser on this machine: none of {', '.join(NAMES)}")
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    with playwright.sync_playwright() as driver:
-        opened = driver.chromium.launch(executable_path=browser, args=["--no-sandbox"])
-        context = opened.new_context(viewport={"width": 1300, "height": 900}, java_script_enabled=scripts)
-        page = context.new_page()
-        faults: list[str] = []
-        page.on("pageerror", lambda error: faults.append(str(error)))
-        page.on("request", lambda request: request.url.startswith("http") and faults.append(request.url))
-        page.goto(report.as_uri())
+def test_it_turns_in_a_browser_and_is_a_picture_without_scripts(
+    browser: Any, report: Path, scripts: bool
+) -> None:
+    with opened(browser, report.as_uri(), scripts=scripts) as page:
         figure = page.locator("figure.solid").first
         figure.scroll_into_view_if_needed()
 
@@ -202,5 +191,3 @@ def test_it_turns_in_a_browser_and_is_a_picture_without_scripts(report: Path, sc
             page.keyboard.press("0")
             page.get_by_role("button", name="What was seen").first.click()
             assert coloured(shown()) < coloured(above), "the surface between stripes is grey"
-        assert faults == []
-        opened.close()

@@ -21,7 +21,7 @@ def test_plain_numbers(value, digits, text):
     [
         (Estimate(20.6412), "20.64", "not stated"),
         (Estimate(20.6412, 0.0312), "20.641", "0.031"),
-        (Estimate(2064.12, 31.2), "2064", "31"),
+        (Estimate(2064.12, 31.2), "2\u202f064", "31"),
         (Estimate(20.64, 0.0), "20.64", "0.00"),
         (Estimate(math.nan, math.nan), "–", "not stated"),
     ],
@@ -39,7 +39,7 @@ def test_a_value_is_written_to_the_place_its_uncertainty_supports(estimate, valu
         (0.0213, "2.1 %"),
         (0.5, "50 %"),
         (0.9921, "99.2 %"),
-        (0.9999, "100 %"),
+        (0.9999, ">99.9 %"),
     ],
 )
 def test_shares(share, text):

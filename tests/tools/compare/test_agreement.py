@@ -11,14 +11,15 @@ from scipy.stats import binomtest, t
 from roemetry.html.plots import share
 from roemetry_tools.compare.agreement import (
     Beside,
+    Bootstrap,
     Terms,
     against_each_other,
     against_truth,
     agreement_of,
+    mean_of,
     nearer,
+    wilson,
 )
-from roemetry_tools.compare.bootstrap import Bootstrap, mean_of, wilson
-from roemetry_tools.compare.cross_validation import choose_by_class, choose_by_error
 from roemetry_tools.compare.grading import (
     Graded,
     balanced_interval,
@@ -26,6 +27,7 @@ from roemetry_tools.compare.grading import (
     recalls_of,
     reliability_of,
 )
+from roemetry_tools.compare.ranking import choose_by_class, choose_by_error
 
 
 def values(estimates: list[float], true: float | None, each: int = 1) -> dict[str, Beside]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from datetime import UTC, datetime
 from pathlib import Path
 
 import cv2
@@ -13,6 +14,7 @@ from comparing_lines import COUNT, Counting, compared
 from roemetry.config.dataset import Item
 from roemetry.records import Acquisition, Frame
 from roemetry.stages.registry import Registry, discover
+from roemetry_tools.compare.agreement import Terms
 from roemetry_tools.compare.comparison import compare
 from roemetry_tools.compare.data import Data, as_taken
 from roemetry_tools.compare.tables import flat
@@ -155,7 +157,7 @@ def test_without_a_data_set_there_are_times_and_a_reason(line: Callable[..., Pat
     data = Data(variants[0].recipe)
     with ItemsFile(tmp_path / "out") as file:
         found = compare(variants, data, on_judged=file.add)
-    write_comparison(tmp_path / "out", found, data)
+    write_comparison(tmp_path / "out", found, data, terms=Terms(), began=datetime.now(UTC))
     assert found[0].figures is not None
     assert set(found[0].figures.absent) == {"visible_mm3", "true_mm3", "mass_g", "label", "centres", "coding"}
     assert "there is no dataset.yaml" in found[0].figures.absent["visible_mm3"]

@@ -9,7 +9,7 @@ import pytest
 from pydantic import BaseModel, Field
 
 from roemetry.stages.registry import discover
-from roemetry_tools.tune.fields import as_plain, fields_of
+from roemetry_tools.tune.form import as_plain, fields_of
 from roemetry_tools.tune.request import KINDS
 
 REGISTRY = discover()

@@ -16,7 +16,7 @@ from roemetry.errors import ConfigurationError, DataError, OutputError
 from roemetry.records import AMBIGUOUS, SATURATED
 from roemetry.run.pipeline import Pipeline
 from roemetry.run.rows import measurements_of
-from roemetry_tools.tune.protocol import packed, unpacked
+from roemetry_tools.tune.answer import packed, unpacked
 from roemetry_tools.tune.request import StageWish, Wish
 from roemetry_tools.tune.session import Session
 

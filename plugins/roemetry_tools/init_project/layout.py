@@ -33,26 +33,12 @@ _BESIDE_MM = 8.0
 
 @dataclass(frozen=True, slots=True)
 class Answers:
-    """What `roemetry init` asks.
+    """What `roemetry init` asks of the product and the camera.
 
-    Attributes
-    ----------
-    product
-        Its name.
-    size_mm
-        Of the largest one: length across the stripes, width along them, height.
-    columns, rows, pixel_um, focal_mm
-        Of the camera: image size, px; pitch of the pixels, µm; focal length, mm.
-    distance_mm
-        Camera to belt; None: as near as the product allows.
-    stripes
-        How many the laser projects; None: as many as leave the projector room beside the camera.
-    measures
-        Some of `MEASURES`.
-    density_g_per_cm3
-        For the weight.
-    plain_light
-        A second image is taken in plain light, laser off.
+    The size is that of the largest product: length across the stripes, width along them, height. Without a
+    distance of camera and belt it is as near as the product allows; without a number of stripes there are as
+    many as leave the projector room beside the camera. `measures` are some of `MEASURES`; with `plain_light`
+    a second image is taken, laser off.
     """
 
     product: str
@@ -72,22 +58,10 @@ class Answers:
 class Layout:
     """A rig that measures the product; lengths in mm, rounded as one would build it.
 
-    Attributes
-    ----------
-    stripes
-        How many.
-    distance, mm_per_px, view
-        Camera to belt; a pixel on the belt; what the image shows of the belt, across and along.
-    spacing, line_width, projector_x, projector_z
-        Of the stripes on the belt; where the light comes from.
-    px_per_mm
-        Displacement for each millimetre of height, px.
-    spacings
-        Displacement at the greatest height, stripe spacings.
-    block
-        Of a block to check the calibration with: length, width, height.
-    board_square
-        Side of a square of the calibration board, which has 11 × 8 of them.
+    `distance` is from camera to belt, `view` what the image shows of the belt, across and along, `spacing`
+    that of the stripes on it. 1 mm of height displaces a stripe by `px_per_mm`, the greatest height by
+    `spacings` of them. `block` (length, width, height) checks the calibration; the board has 11 × 8 squares
+    of side `board_square`.
     """
 
     stripes: int
