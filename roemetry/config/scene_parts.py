@@ -253,8 +253,8 @@ class AlbedoMapPart(Part):
         image = read_picture(self.file)
         if image is None:
             raise MisfitError((("surface", "albedo_map", "file"), "cannot be read any more"))
-        share = image.astype(np.float64) / float(np.iinfo(image.dtype).max)
-        return np.asarray(self.black + (self.white - self.black) * share, np.float64)
+        level = float(np.iinfo(image.dtype).max)
+        return np.asarray(self.black + (self.white - self.black) * image.astype(np.float64) / level)
 
 
 def read_picture(file: Path) -> NDArray[Any] | None:
