@@ -22,7 +22,7 @@ from roemetry.run.split_products import assemble
 from roemetry.stages import StageOptions, Triangulator, VolumeEstimator
 from roemetry_paper.window_tracking import WindowTracking
 from roemetry_peaks.maximum_likelihood import MaximumLikelihood
-from roemetry_simulate import scene_rig
+from roemetry_simulate import scene as scene_rig
 from roemetry_simulate.render import render
 from roemetry_volume.edge_contour import EdgeContour, EdgeContourOptions
 

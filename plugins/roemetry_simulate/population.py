@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from roemetry.config.scene_parts import ProductPart
 from roemetry.errors import StageError
+from roemetry_simulate.optics import view_mm
 from roemetry_simulate.products import Drawn, family_of, options_of
 from roemetry_simulate.products.family import Pose
 from roemetry_simulate.products.mesh import MeshSolid
 from roemetry_simulate.products.parts import PartsSolid, box, placed
 from roemetry_simulate.render import Rig
-from roemetry_simulate.scene_file import ProductPart
-from roemetry_simulate.scene_optics import view_mm
 from roemetry_simulate.solid import (
     FIELDS,
     PARTS,

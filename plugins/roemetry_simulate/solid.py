@@ -52,7 +52,7 @@ class ExactBody(NamedTuple):
     """A body of exact surfaces in the form the kernels take.
 
     PARTS takes `surfaces` (see `roemetry_simulate.products.parts`); MESH takes `triangles`, `boxes` and
-    `links` (see `roemetry_simulate.products.triangles`). It is a type of its own since every array that a
+    `links` (see `roemetry_simulate.products.mesh`). It is a type of its own since every array that a
     kernel hands on costs time; the kernels are compiled for both.
     """
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -131,22 +130,3 @@ def smooth_noise(rng: np.random.Generator, shape: tuple[int, int], sigma_nodes: 
     smooth = gaussian_filter(white, sigma_nodes, mode="wrap")[pad : pad + shape[0], pad : pad + shape[1]]
     noise: Floats = (smooth - smooth.mean()) / max(float(smooth.std()), 1e-12)
     return noise
-
-
-def check_picture(file: Path) -> None:
-    """Raise ValueError, in words, for a file that is missing or is no image of 8 or 16 bit."""
-    if not file.is_file():
-        raise ValueError("there is no such file")
-    image = read_picture(file)
-    if image is None or image.dtype not in (np.uint8, np.uint16):
-        raise ValueError("not an image of 8 or 16 bit that can be read (PNG, TIFF, JPEG, …)")
-    if min(image.shape[:2]) < 2:
-        raise ValueError("an image of at least 2 × 2 pixels is needed")
-
-
-def read_picture(file: Path) -> NDArray[Any] | None:
-    """Read an image of any depth, grey or colour in the order blue, green, red; None where it is none."""
-    import cv2
-
-    data = np.fromfile(file, dtype=np.uint8)
-    return None if data.size == 0 else cv2.imdecode(data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)

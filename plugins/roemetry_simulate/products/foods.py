@@ -16,13 +16,13 @@ from roemetry_simulate.products.family import (
     Pose,
     ProductFamily,
     ProductOptions,
+    changed,
     check_shares,
     describe,
     draw_pose,
     pick,
     random_of,
 )
-from roemetry_simulate.skein import changed
 from roemetry_simulate.solid import GriddedSolid
 from roemetry_simulate.surface import smooth_noise
 
