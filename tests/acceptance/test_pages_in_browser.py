@@ -11,7 +11,7 @@ import pytest
 import typer
 
 from roemetry import Recipe, run_recipe
-from roemetry.cli.calibrate import calibrate
+from roemetry.cli.calibration import calibrate
 from roemetry_tools.verbs.compare import compare
 from tests.browser import opened, served
 
