@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from roemetry.config.recipe import Recipe
+from roemetry import Recipe
 from roemetry.errors import ConfigurationError
 from roemetry.records import Decision, Estimate, Grade, Measurement, Outline, Reason, Weight
 from roemetry.run.batch import run_recipe
@@ -256,7 +256,7 @@ sinks: [csv]
 """
 
 
-TABLE = "stages.grader.options"
+OPTIONS = "stages.grader.options"
 
 
 def recipe(folder: Path, weigher: str = "  weigher: density\n", limit: str = "1.0") -> Path:
@@ -266,7 +266,7 @@ def recipe(folder: Path, weigher: str = "  weigher: density\n", limit: str = "1.
 
 
 def test_a_run_records_what_was_decided(tmp_path: Path) -> None:
-    run_recipe(Recipe.load(recipe(tmp_path), sets=[f"{TABLE}.std={{weight_g: 0.5}}"]), tmp_path / "out")
+    run_recipe(Recipe.load(recipe(tmp_path), sets=[f"{OPTIONS}.std={{weight_g: 0.5}}"]), tmp_path / "out")
     (row,) = read_record(tmp_path / "out")
     assert row.decision is not None
     assert (row.decision.label, row.decision.lane) == ("heavy", "belt 1")
@@ -284,7 +284,7 @@ def test_a_part_of_an_uncertainty_proves_nothing(tmp_path: Path, draws: int) -> 
     assert found.decision is not None
     assert found.decision.label == "undecided"
     assert "or more: its uncertainty is not stated in full" in found.decision.reasons[0].text
-    (found,) = Recipe.load(recipe(tmp_path), sets=[f"{TABLE}.guard_factor=0"]).run()
+    (found,) = Recipe.load(recipe(tmp_path), sets=[f"{OPTIONS}.guard_factor=0"]).run()
     assert found.decision is not None and found.decision.label == "heavy", "no guard band was asked for"
 
 
