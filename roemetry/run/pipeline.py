@@ -37,7 +37,7 @@ from roemetry.run.open_parts import OpenPart, open_parts, said_of, widened, wide
 from roemetry.run.preprocess import prepare, prepare_plain
 from roemetry.run.split_products import assemble
 from roemetry.run.stage_errors import failure, refuses
-from roemetry.stages.contracts import given
+from roemetry.stages.kinds import given
 
 T = TypeVar("T")
 
