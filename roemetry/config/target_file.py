@@ -90,13 +90,7 @@ class SpherePlateFile(Section):
     tolerance_mm: float = Field(default=0.02, ge=0, description="half width of each length's tolerance, mm")
 
 
-TARGET_FILES: tuple[type[Section], ...] = (
-    BlockFile,
-    BoardFile,
-    StaircaseFile,
-    PyramidFile,
-    SpherePlateFile,
-)
+TARGET_FILES: tuple[type[Section], ...] = (BlockFile, BoardFile, StaircaseFile, PyramidFile, SpherePlateFile)
 """Every kind of target that can be described."""
 
 TargetFile = BlockFile | BoardFile | StaircaseFile | PyramidFile | SpherePlateFile

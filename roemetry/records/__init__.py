@@ -30,15 +30,7 @@ from roemetry.records.outcome import (
     Volume,
     Weight,
 )
-from roemetry.records.plan import (
-    Plan,
-    PlanColumn,
-    PlanCurves,
-    PlanFigure,
-    PlanMap,
-    PlanShape,
-    PlanTable,
-)
+from roemetry.records.plan import Plan, PlanColumn, PlanCurves, PlanFigure, PlanMap, PlanShape, PlanTable
 from roemetry.records.product import Outline, Product, Profiles
 from roemetry.records.reasons import Reason
 from roemetry.records.stripes import (

@@ -107,11 +107,7 @@ def _run(
                 seconds.setdefault(stage, []).append(value)
             on_progress(finished, len(references))
     counts = count_rows(folder)
-    provenance |= {
-        "finished": _now(),
-        "counts": counts,
-        "seconds_median": _medians(seconds),
-    }
+    provenance |= {"finished": _now(), "counts": counts, "seconds_median": _medians(seconds)}
     write_whole(folder / PROVENANCE, json.dumps(provenance, indent=2) + "\n")
     files, faults = derive(recipe, folder, provenance, debug=debug)
     return Outcome(folder, counts, files, faults)

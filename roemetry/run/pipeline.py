@@ -204,8 +204,7 @@ class Pipeline:
         if "volume" in self._stages and steps.allow("volume", doubt):
             volume = steps.do("volume", lambda: self._stages["volume"].estimate(product))
         if "weigher" in self._stages and steps.allow(
-            "weigher",
-            doubt or (_NO_VOLUME if volume is None else None),
+            "weigher", doubt or (_NO_VOLUME if volume is None else None)
         ):
             weight = steps.do("weigher", lambda: self._stages["weigher"].weigh(product, volume))
         if "classifier" in self._stages and steps.allow("classifier", doubt):
