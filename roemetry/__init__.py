@@ -30,18 +30,18 @@ __all__ = [
 ]
 
 _HOMES = {
-    "Calibration": "roemetry.records.calibration",
-    "Measurement": "roemetry.records",
-    "Pipeline": "roemetry.run.pipeline",
-    "Recipe": "roemetry.run.api",
-    "Rig": "roemetry.config.rig",
-    "RoemetryError": "roemetry.errors",
-    "calibrate": "roemetry.calibrating",
-    "run_recipe": "roemetry.run.batch",
+    "Calibration": "records.calibration",
+    "Measurement": "records",
+    "Pipeline": "run.pipeline",
+    "Recipe": "run.api",
+    "Rig": "config.rig",
+    "RoemetryError": "errors",
+    "calibrate": "calibrating",
+    "run_recipe": "run.batch",
 }
 
 
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module 'roemetry' has no attribute {name!r}")
-    return getattr(import_module(_HOMES[name]), name)
+    return getattr(import_module(f"roemetry.{_HOMES[name]}"), name)

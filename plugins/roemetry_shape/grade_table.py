@@ -2,7 +2,8 @@
 
 Model. A table is a list of classes, each with half-open ranges of quantities and the shapes it takes. Going
 down it, a limit is kept or broken only if the value lies off it by more than the guard band, `guard_factor`
-standard uncertainties (the decision rule of ISO 14253-1, at every limit alike); between, it is open. A
+standard uncertainties (the decision rule of ISO 14253-1, at every limit alike); between, it is open. So is
+every limit on a volume or weight whose uncertainty is not stated in full: a part of it proves nothing. A
 product is of the first class that is kept, if every class before it is broken. A table is looked through
 before it is used: between all its limits lie cells, and each cell must belong to a class, each class to a
 cell, and two classes may share cells only if one holds the other. More than `CELLS_MAX` cells are refused,
@@ -212,6 +213,8 @@ def _limit(name: str, limits: Limits, found: Quantities, factor: float) -> tuple
     value, std = found.value(name), found.std(name)
     if math.isnan(value):
         return "open", found.why_missing(name)
+    if factor > 0.0 and math.isnan(std) and (known := found.known_part(name)) is not None:
+        return "open", f"{name} is {value:.4g} ± {known:.2g} or more: its uncertainty is not stated in full"
     guard = 0.0 if math.isnan(std) else factor * std
     at_least = -math.inf if limits.at_least is None else limits.at_least
     below = math.inf if limits.below is None else limits.below
@@ -289,6 +292,11 @@ class Quantities:
             self.without_std.append(name)
         return found
 
+    def known_part(self, name: str) -> float | None:
+        """Give what the run knows of the uncertainty of a volume or weight; None of any other quantity."""
+        estimate = self._estimates.get(name)
+        return None if estimate is None else math.hypot(*estimate.budget.values())
+
     def why_missing(self, name: str) -> str:
         """Say that a quantity is not there, and what is."""
         if needed_for(name) or name in self._features:
@@ -309,7 +317,8 @@ def _estimates(volume: Volume | None, weight: Weight | None) -> dict[str, Estima
 
 
 def _in_cm3(estimate: Estimate) -> Estimate:
-    return Estimate(mm3_to_cm3(estimate.value), mm3_to_cm3(estimate.std))
+    budget = {cause: mm3_to_cm3(part) for cause, part in estimate.budget.items()}
+    return Estimate(mm3_to_cm3(estimate.value), mm3_to_cm3(estimate.std), budget)
 
 
 Range = tuple[float, float]

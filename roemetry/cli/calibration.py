@@ -255,8 +255,7 @@ def target(
         ),
     ] = Path(),
     sheet_format: Annotated[
-        SheetFormat,
-        typer.Option("--format", help="Of a printed sheet; PDF needs the extra `targets`."),
+        SheetFormat, typer.Option("--format", help="Of a printed sheet; PDF needs the extra `targets`.")
     ] = SheetFormat.SVG,
     page: Annotated[
         str | None,

@@ -15,11 +15,9 @@ interrupted holds no half item, and can be gone on with.
 
 from __future__ import annotations
 
-import contextlib
 import io
 import json
 import math
-import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -32,7 +30,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from roemetry.config.recipe_file import SensorFile
 from roemetry.config.validation import checked
 from roemetry.errors import ConfigurationError, DataError, OutputError
-from roemetry.io.files import LineFile, json_values, make_folder, sha256_of, write_whole
+from roemetry.io.files import LineFile, json_values, make_folder, sha256_of, write_bytes, write_whole
 from roemetry.io.yaml_source import dump, read
 from roemetry.records import ProductTruth, Role, Sensor, StripeTruth, Truth
 
@@ -231,18 +229,8 @@ def save_stripes(path: Path, stripes: StripeTruth) -> None:
 
 def save_bytes(path: Path, data: bytes) -> None:
     """Write a file whole or not at all, and its folder if need be; raise OutputError where that fails."""
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
     make_folder(path.parent)
-    try:
-        part.write_bytes(data)
-        part.replace(path)
-    except OSError as error:
-        with contextlib.suppress(OSError):
-            part.unlink()
-        raise OutputError(
-            f"{path}: cannot be written: {error.strerror or error}",
-            hint="free some space; what was written before is whole, and `--resume` goes on from there",
-        ) from error
+    write_bytes(path, data)
 
 
 def save_calibration_truth(folder: Path, truth: Mapping[str, Any]) -> str:

@@ -54,8 +54,7 @@ class SourceChoice(Section):
         default=None, ge=1, le=16, description="bits in use; none: all that the file's pixels have"
     )
     subtract: Literal["none", "dark"] = Field(
-        default="none",
-        description="`dark`: subtract the laser-off partner of each image, cut off at 0",
+        default="none", description="`dark`: subtract the laser-off partner of each image, cut off at 0"
     )
     sensor: SensorFile | None = Field(
         default=None,

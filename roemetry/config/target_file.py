@@ -90,13 +90,7 @@ class SpherePlateFile(Section):
     tolerance_mm: float = Field(default=0.02, ge=0, description="half width of each length's tolerance, mm")
 
 
-TARGET_FILES: tuple[type[Section], ...] = (
-    BlockFile,
-    BoardFile,
-    StaircaseFile,
-    PyramidFile,
-    SpherePlateFile,
-)
+TARGET_FILES: tuple[type[Section], ...] = (BlockFile, BoardFile, StaircaseFile, PyramidFile, SpherePlateFile)
 """Every kind of target that can be described."""
 
 TargetFile = BlockFile | BoardFile | StaircaseFile | PyramidFile | SpherePlateFile
@@ -127,27 +121,24 @@ def read_block(given: str | BlockFile | None, folder: Path) -> Block | None:
     found = _described(given, folder, BlockFile)
     if found is None:
         return None
-    sides = (found.length_mm, found.width_mm, found.height_mm)
-    unknown = [
-        name for name, side in zip(("length_mm", "width_mm", "height_mm"), sides, strict=True) if side is None
-    ]
+    sides = {name: getattr(found, name) for name in ("length_mm", "width_mm", "height_mm")}
+    unknown = [name for name, side in sides.items() if side is None]
     if unknown:
         raise ConfigurationError(
             f"the block `{found.name}` has no {' and no '.join(unknown)}",
             hint="measure it with a calliper: the height gives heights, the other two the scale",
         )
-    length_mm, width_mm, height_mm = (float(side) for side in sides if side is not None)
-    return Block(found.name, length_mm, width_mm, height_mm, found.tolerance_mm)
+    return Block(found.name, **sides, tolerance_mm=found.tolerance_mm)
 
 
 def read_board(given: str | BoardFile | None, folder: Path) -> Board | None:
-    """Give the board; raise ConfigurationError where its file is at fault."""
+    """Give the board; raise ConfigurationError where its file is at fault, as of the targets below."""
     found = _described(given, folder, BoardFile)
     return None if found is None else Board(**found.model_dump())
 
 
 def read_staircase(given: str | StaircaseFile | None, folder: Path) -> Staircase | None:
-    """Give the staircase; raise ConfigurationError where its file is at fault."""
+    """Give the staircase."""
     found = _described(given, folder, StaircaseFile)
     if found is None:
         return None
@@ -155,25 +146,21 @@ def read_staircase(given: str | StaircaseFile | None, folder: Path) -> Staircase
 
 
 def read_pyramid(given: str | PyramidFile | None, folder: Path) -> Pyramid | None:
-    """Give the truncated pyramid; raise ConfigurationError where its file is at fault."""
+    """Give the truncated pyramid."""
     found = _described(given, folder, PyramidFile)
-    if found is None:
-        return None
-    if found.top_mm >= found.base_mm:
+    if found is not None and found.top_mm >= found.base_mm:
         raise ConfigurationError(f"`{found.name}`: its top is no smaller than its base")
-    return Pyramid(found.name, found.base_mm, found.top_mm, found.height_mm, found.tolerance_mm)
+    return None if found is None else Pyramid(**found.model_dump(exclude={"kind"}))
 
 
 def read_sphere_plate(given: str | SpherePlateFile | None, folder: Path) -> SpherePlate | None:
-    """Give the sphere plate; raise ConfigurationError where its file is at fault or its balls meet."""
+    """Give the sphere plate."""
     found = _described(given, folder, SpherePlateFile)
-    if found is None:
-        return None
-    if found.columns * found.rows > 1 and found.diameter_mm >= found.pitch_mm:
+    if found is not None and found.columns * found.rows > 1 and found.diameter_mm >= found.pitch_mm:
         raise ConfigurationError(
             f"`{found.name}`: its balls touch each other: diameter_mm is not below pitch_mm"
         )
-    return SpherePlate(**found.model_dump(exclude={"kind"}))
+    return None if found is None else SpherePlate(**found.model_dump(exclude={"kind"}))
 
 
 def _described(given: str | _File | None, folder: Path, model: type[_File]) -> _File | None:
@@ -181,8 +168,7 @@ def _described(given: str | _File | None, folder: Path, model: type[_File]) -> _
     if not isinstance(given, str):
         return given
     document = read(folder / given)
-    target: _File | None
     target, faults = checked(model, document.data, document.place)
     if target is None:
         raise ConfigurationError(faults)
-    return target
+    return cast(_File, target)

@@ -6,7 +6,10 @@ import contextlib
 import hashlib
 import math
 import os
+import platform
 import tempfile
+from collections.abc import Iterator
+from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -60,6 +63,39 @@ def printable(name: str) -> str:
     """Give a file's name as text that can be shown: other bytes and control characters as escapes."""
     text = os.fsencode(name).decode("utf-8", "backslashreplace")
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
+@contextlib.contextmanager
+def exclusive(folder: Path) -> Iterator[None]:
+    """Keep a folder to this process while the block runs; OutputError says who has it already.
+
+    The system takes the lock from a process that died, so there is none to be taken away by hand.
+    """
+    import fcntl
+
+    path = folder / ".lock"
+    while True:
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            owner = os.pread(descriptor, 200, 0).decode() or "another process"
+            os.close(descriptor)
+            raise OutputError(
+                f"{folder}: {owner} is writing into this folder",
+                hint="wait until it is done, or choose another folder with --out",
+            ) from error
+        # Its last owner may have taken the file away between our opening and our locking it.
+        if path.exists() and os.path.samestat(os.fstat(descriptor), path.stat()):
+            break
+        os.close(descriptor)
+    try:
+        since = datetime.now(UTC).isoformat(timespec="seconds")
+        os.write(descriptor, f"process {os.getpid()} on {platform.node()}, since {since},".encode())
+        yield
+    finally:
+        path.unlink(missing_ok=True)
+        os.close(descriptor)
 
 
 class LineFile:

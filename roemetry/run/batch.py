@@ -3,37 +3,30 @@
 from __future__ import annotations
 
 import json
-import os
 import platform
 import statistics
 import sys
-import threading
-from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from roemetry.config.recipe import Recipe
-from roemetry.errors import FAULTS, DataError, InterruptedRunError, RoemetryError
-from roemetry.io.files import LineFile, make_folder, sha256_of, write_whole
+from roemetry.errors import FAULTS, DataError, RoemetryError
+from roemetry.io.files import LineFile, exclusive, make_folder, sha256_of, write_whole
 from roemetry.records import AcquisitionReference, Reason, Trace
 from roemetry.run.pipeline import Pipeline
 from roemetry.run.record import PROVENANCE, RECORD, acquisitions_to_keep, count_rows, read_record
 from roemetry.run.rows import failed, measurements_of
+from roemetry.run.workers import in_order
 from roemetry.stages import Run
 
 if TYPE_CHECKING:
-    from concurrent.futures import Future
+    pass
 
 Measured = tuple[list[str], Mapping[str, float]]
 """An acquisition's lines of the record, and the seconds its stages took."""
-
-_CHUNK_S = 0.03
-"""Work that is handed to a worker process at once, s: long beside the handing over, too short to notice."""
-_TOGETHER_MAX = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,12 +72,26 @@ def run_recipe(
     Raises
     ------
     OutputError
-        The folder cannot be written, or already holds a run; what was written before stays whole.
+        The folder cannot be written, already holds a run, or another process is writing into it; what was
+        written before stays whole.
     DataError
         The source has nothing.
     """
     references = recipe.source.make().references(recipe.source_path)
     make_folder(folder)
+    with exclusive(folder):
+        return _run(recipe, folder, references, jobs, resume, debug, on_progress)
+
+
+def _run(
+    recipe: Recipe,
+    folder: Path,
+    references: Sequence[AcquisitionReference],
+    jobs: int,
+    resume: bool,
+    debug: bool,
+    on_progress: Callable[[int, int], None],
+) -> Outcome:
     done = acquisitions_to_keep(recipe, folder, references, resume=resume)
     provenance = _provenance(recipe, references)
     write_whole(folder / PROVENANCE, json.dumps(provenance, indent=2) + "\n")
@@ -100,11 +107,7 @@ def run_recipe(
                 seconds.setdefault(stage, []).append(value)
             on_progress(finished, len(references))
     counts = count_rows(folder)
-    provenance |= {
-        "finished": _now(),
-        "counts": counts,
-        "seconds_median": _medians(seconds),
-    }
+    provenance |= {"finished": _now(), "counts": counts, "seconds_median": _medians(seconds)}
     write_whole(folder / PROVENANCE, json.dumps(provenance, indent=2) + "\n")
     files, faults = derive(recipe, folder, provenance, debug=debug)
     return Outcome(folder, counts, files, faults)
@@ -148,38 +151,7 @@ def measured(
     recipe: Recipe, references: Sequence[AcquisitionReference], jobs: int, debug: bool
 ) -> Iterator[Measured]:
     """Give each acquisition's lines, in the order of the source, with the seconds its stages took."""
-    if jobs == 1 or len(references) < 2:
-        worker = _Worker(recipe, debug)
-        for reference in references:
-            yield worker(reference)
-        return
-    from concurrent.futures import ProcessPoolExecutor
-    from concurrent.futures.process import BrokenProcessPool
-    from multiprocessing import get_context
-
-    # Spawned, not forked: a forked copy of numba's or OpenCV's threads can hang.
-    with ProcessPoolExecutor(
-        min(jobs, len(references)), get_context("spawn"), _start_worker, (recipe, debug)
-    ) as pool:
-        waiting: deque[Future[list[Measured]]] = deque()
-        coming = iter(references)
-        together = 1
-        try:
-            while True:
-                while len(waiting) < 4 * jobs and (chunk := list(islice(coming, together))):
-                    waiting.append(pool.submit(_work, chunk))
-                if not waiting:
-                    return
-                for lines, took in waiting.popleft().result():
-                    together = min(_TOGETHER_MAX, 1 + int(_CHUNK_S / max(sum(took.values()), 1e-6)))
-                    yield lines, took
-        except BrokenProcessPool as error:
-            raise InterruptedRunError(
-                "a worker process died (killed by the system, perhaps for want of memory)",
-                hint="what was measured is whole; go on with --resume and fewer --jobs",
-            ) from error
-        finally:
-            pool.shutdown(cancel_futures=True)
+    yield from in_order(_Worker, (recipe, debug), references, jobs)
 
 
 class _Worker:
@@ -216,32 +188,6 @@ def _doubts_of(recipe: Recipe) -> tuple[Reason, ...]:
     from roemetry.run.control_chart import calibration_doubts
 
     return calibration_doubts(recipe)
-
-
-_worker: _Worker | None = None
-
-
-def _start_worker(recipe: Recipe, debug: bool) -> None:
-    global _worker
-    _worker = _Worker(recipe, debug)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-
-
-def _end_with_parent() -> None:
-    """End this worker when its parent is gone, however that was ended."""
-    from multiprocessing import parent_process
-    from multiprocessing.connection import wait
-
-    parent = parent_process()
-    if parent is not None:
-        wait([parent.sentinel])
-        os._exit(1)
-
-
-def _work(references: Sequence[AcquisitionReference]) -> list[Measured]:
-    if _worker is None:
-        raise AssertionError("a worker process was not started by _start_worker")
-    return [_worker(reference) for reference in references]
 
 
 def _provenance(recipe: Recipe, references: Sequence[AcquisitionReference]) -> dict[str, Any]:

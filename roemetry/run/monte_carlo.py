@@ -190,12 +190,7 @@ def _features_std(features: Mapping[str, float], together: list[Result]) -> dict
 
 
 def _estimate(
-    found: Estimate,
-    field: str,
-    together: list[Result],
-    causes: Mapping[str, list[Result]],
-    *,
-    stated: bool,
+    found: Estimate, field: str, together: list[Result], causes: Mapping[str, list[Result]], *, stated: bool
 ) -> tuple[Estimate, tuple[Reason, ...]]:
     """Give the estimate with std, budget and interval, and what is to be said of the draws."""
     parts = {cause: _spread(results, field) for cause, results in causes.items()}

@@ -152,12 +152,7 @@ def _spacing_px(stripes: StripeMap) -> float:
 
 
 def _within(
-    mine: Flags,
-    x_px: Floats,
-    row: Integers,
-    place_px: Floats,
-    off_belt: Flags,
-    spacing_px: float,
+    mine: Flags, x_px: Floats, row: Integers, place_px: Floats, off_belt: Flags, spacing_px: float
 ) -> Flags:
     """Mark the refused peaks within a product's reach, which grows by those that were found."""
     rows = mine.shape[1]

@@ -37,7 +37,7 @@ from roemetry.run.open_parts import OpenPart, open_parts, said_of, widened, wide
 from roemetry.run.preprocess import prepare, prepare_plain
 from roemetry.run.split_products import assemble
 from roemetry.run.stage_errors import failure, refuses
-from roemetry.stages.contracts import given
+from roemetry.stages.kinds import given
 
 T = TypeVar("T")
 
@@ -204,8 +204,7 @@ class Pipeline:
         if "volume" in self._stages and steps.allow("volume", doubt):
             volume = steps.do("volume", lambda: self._stages["volume"].estimate(product))
         if "weigher" in self._stages and steps.allow(
-            "weigher",
-            doubt or (_NO_VOLUME if volume is None else None),
+            "weigher", doubt or (_NO_VOLUME if volume is None else None)
         ):
             weight = steps.do("weigher", lambda: self._stages["weigher"].weigh(product, volume))
         if "classifier" in self._stages and steps.allow("classifier", doubt):

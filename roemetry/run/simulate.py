@@ -6,15 +6,8 @@ files are written whole, each under another name first; its line, which makes it
 
 from __future__ import annotations
 
-import os
-import signal
-import threading
-from collections import deque
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from itertools import islice
-from multiprocessing import get_context, parent_process
 from pathlib import Path
 from typing import Any, Literal
 
@@ -31,9 +24,10 @@ from roemetry.config.dataset import (
 from roemetry.config.recipe_file import SensorFile
 from roemetry.config.scene import Scene
 from roemetry.errors import OutputError
-from roemetry.io.files import make_folder, write_whole
+from roemetry.io.files import exclusive, make_folder, write_whole
 from roemetry.io.yaml_source import dump
 from roemetry.records import Frame, Role
+from roemetry.run.workers import in_order
 from roemetry.stages import Simulator
 
 Calibration = Literal["none", "basic", "charuco", "all"]
@@ -118,8 +112,7 @@ def simulate(
     simulator = scene.make()
     views = _views(simulator, seed, calibration)
     told = _description(scene, simulator, seed, count, calibration, views)
-    writer = DatasetWriter(folder, told)
-    with writer:
+    with exclusive(folder), DatasetWriter(folder, told) as writer:
         _keep_scene(scene, folder)
         names = [scene.file.item.format(number=number + 1) for number in range(count)]
         tasks: list[_Task] = [view for view in views if not (folder / view.path).exists()]
@@ -128,7 +121,7 @@ def simulate(
         total = len(views) + count
         done = total - len(tasks)
         on_progress(done, total)
-        for item in _made(scene, folder, seed, tasks, jobs):
+        for item in in_order(_Worker, (scene, folder, seed), tasks, jobs):
             if item is not None:
                 writer.add(item)
             done += 1
@@ -199,30 +192,6 @@ def _keep_scene(scene: Scene, folder: Path) -> None:
     write_whole(path, dump(told))
 
 
-def _made(scene: Scene, folder: Path, seed: int, tasks: Sequence[_Task], jobs: int) -> Iterator[Item | None]:
-    """Make images and give the items in order; None stands for a calibration image."""
-    if jobs == 1 or len(tasks) < 2:
-        worker = _Worker(scene, folder, seed)
-        for task in tasks:
-            yield worker(task)
-        return
-    # Spawned, not forked: a forked copy of numba's or OpenCV's threads can hang.
-    with ProcessPoolExecutor(
-        min(jobs, len(tasks)), get_context("spawn"), _start_worker, (scene, folder, seed)
-    ) as pool:
-        waiting: deque[Future[Item | None]] = deque()
-        coming = iter(tasks)
-        try:
-            while True:
-                for task in islice(coming, 3 * jobs - len(waiting)):
-                    waiting.append(pool.submit(_work, task))
-                if not waiting:
-                    return
-                yield waiting.popleft().result()
-        finally:
-            pool.shutdown(cancel_futures=True)
-
-
 class _Worker:
     """Makes one item or calibration image at a time, and writes its files."""
 
@@ -258,30 +227,6 @@ class _Worker:
             encoder_count=first.encoder_count,
             bit_depth=first.bit_depth,
         )
-
-
-_worker: _Worker | None = None
-
-
-def _start_worker(scene: Scene, folder: Path, seed: int) -> None:
-    global _worker
-    # ^C is the parent's to handle; and a worker whose parent is gone has nothing left to do
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-    _worker = _Worker(scene, folder, seed)
-
-
-def _end_with_parent() -> None:
-    parent = parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
-
-
-def _work(task: _Task) -> Item | None:
-    if _worker is None:
-        raise AssertionError("a worker process was not started by _start_worker")
-    return _worker(task)
 
 
 def _png(frame: Frame) -> bytes:

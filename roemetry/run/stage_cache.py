@@ -12,19 +12,8 @@ from typing import Any, NamedTuple
 from roemetry.config.recipe import Recipe
 from roemetry.errors import FAULTS
 from roemetry.records import Product
+from roemetry.stages import INTERFACES
 
-_VERBS = {
-    "extractor": "extract",
-    "aligner": "align",
-    "coder": "code",
-    "smoother": "smooth",
-    "outliner": "outline",
-    "triangulator": "triangulate",
-    "volume": "estimate",
-    "weigher": "weigh",
-    "classifier": "classify",
-    "grader": "decide",
-}
 _BEFORE: Mapping[str, tuple[str, ...]] = {
     "extractor": (),
     "aligner": ("extractor",),
@@ -140,7 +129,7 @@ class _RememberedStage:
     def __init__(
         self, kind: str, stage: Any, key: str, memory: StepMemory, seconds: dict[str, float]
     ) -> None:
-        verb = _VERBS[kind]
+        (verb,) = INTERFACES[kind].__abstractmethods__
         work = getattr(stage, verb)
 
         def remembered(*inputs: Any) -> Any:

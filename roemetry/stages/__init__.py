@@ -9,29 +9,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from roemetry.stages.kinds import (
-        INTERFACES,
-        Aligner,
-        Calibrator,
-        Capabilities,
-        Classifier,
-        Coder,
-        Extractor,
-        Grader,
-        Outliner,
-        Planner,
-        Run,
-        Simulator,
-        Sink,
-        Smoother,
-        Source,
-        Stage,
-        StageOptions,
-        Triangulator,
-        Turn,
-        VolumeEstimator,
-        Weigher,
-    )
+    from roemetry.stages.kinds import *
 
 __all__ = [
     "INTERFACES",

@@ -34,7 +34,7 @@ from roemetry.stages import (
     VolumeEstimator,
     Weigher,
 )
-from roemetry.stages.contracts import given
+from roemetry.stages.kinds import given
 from roemetry.testing.runs import failed, measured, run_of, volume_of
 from roemetry.testing.scenes import SEED, LinearRig, frame_of, moved_rig
 from roemetry.testing.solids import BOX, HALF_ELLIPSOID, product_from, product_of

@@ -109,20 +109,7 @@ def product_of(solid: Solid, rig: LinearRig = DENSE) -> Product:
 
 def product_from(height_mm: Floats, rig: LinearRig = DENSE) -> Product:
     """Make product 1 from (stripe, row) heights, mm; belt (0) and what is not seen (NaN) are not in it."""
-    on_product = height_mm > 1e-9
-    mine = np.where(on_product, height_mm, np.nan)
-    rows = np.broadcast_to(np.arange(rig.rows, dtype=np.float64), mine.shape)
-    profiles = Profiles(
-        xyz_mm=rig.xyz_mm(mine),
-        product=np.where(on_product, 1, NOTHING),
-        seen=on_product,
-        x_px=rig.x_px(mine),
-        row_px=np.where(on_product, rows, np.nan),
-        height_std_mm=np.full(mine.shape, np.nan),
-        stripe=np.arange(rig.stripes),
-        frame=np.zeros(rig.stripes, np.int64),
-        plane=rig.planes(),
-    )
+    profiles = profiles_with_belt(np.where(height_mm > 1e-9, height_mm, np.nan), rig)
     return Product(1, profiles, rig.calibration(), ("scene",))
 
 
@@ -135,7 +122,7 @@ def profiles_with_belt(height_mm: Floats, rig: LinearRig) -> Profiles:
         product=np.where(seen, np.where(height_mm > 0.0, 1, BELT), NOTHING),
         seen=seen,
         x_px=x_px,
-        row_px=np.broadcast_to(np.arange(rig.rows, dtype=np.float64), x_px.shape),
+        row_px=np.where(seen, np.arange(rig.rows, dtype=np.float64), np.nan),
         height_std_mm=np.full(x_px.shape, np.nan),
         stripe=np.arange(rig.stripes),
         frame=np.zeros(rig.stripes, np.int64),

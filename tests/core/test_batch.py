@@ -19,6 +19,7 @@ import pytest
 
 from roemetry.config.recipe import Recipe
 from roemetry.errors import DataError, OutputError
+from roemetry.io.files import exclusive
 from roemetry.run.batch import derive, run_recipe
 from roemetry.run.record import RECORD, read_record
 
@@ -158,6 +159,16 @@ def test_a_run_is_not_written_over(line: Callable[..., Path], tmp_path: Path) ->
     other = Recipe.load(recipe.path, sets=["stages.extractor.options.threshold=61"])
     with pytest.raises(OutputError, match="another recipe"):
         run_recipe(other, tmp_path / "out", resume=True)
+
+
+def test_two_runs_do_not_write_into_one_folder(line: Callable[..., Path], tmp_path: Path) -> None:
+    recipe, out = Recipe.load(line(1)), tmp_path / "out"
+    out.mkdir()
+    with exclusive(out), pytest.raises(OutputError, match=f"process {os.getpid()} on .* is writing into"):
+        run_recipe(recipe, out)
+    (out / ".lock").write_text("process 1 on a machine that lost its power")
+    assert run_recipe(recipe, out).counts["measured"] == 1, "a lock whose owner has died is none"
+    assert not (out / ".lock").exists()
 
 
 def test_resume_measures_what_is_missing_and_mends_half_a_line(

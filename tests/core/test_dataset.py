@@ -96,13 +96,11 @@ def test_faults_are_told_with_file_and_item(tmp_path: Path) -> None:
 def test_a_full_disk_leaves_nothing_half(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write(tmp_path, ["a"])
 
-    def full(path: Path, data: bytes) -> int:
-        with path.open("wb") as file:
-            file.write(data[:5])
+    def full(path: Path, target: Path) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     with monkeypatch.context() as patch:
-        patch.setattr(Path, "write_bytes", full)
+        patch.setattr(Path, "replace", full)
         with pytest.raises(OutputError, match="No space left"):
             write(tmp_path, ["a", "b"])
     assert sorted(file.name for file in (tmp_path / "images").iterdir()) == ["a.png"]

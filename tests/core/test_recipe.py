@@ -96,12 +96,7 @@ MISTAKES = [
         "did you mean `dominant-peak`?",
     ),
     ("misspelt short form", GOOD.replace("window-tracking", "window-traking"), ":10:3:", "window-tracking"),
-    (
-        "unknown option",
-        GOOD.replace("threshold: 60", "treshold: 60"),
-        ":9:7:",
-        "did you mean `threshold`?",
-    ),
+    ("unknown option", GOOD.replace("threshold: 60", "treshold: 60"), ":9:7:", "did you mean `threshold`?"),
     (
         "neither a number nor the word",
         GOOD.replace("threshold: 60", "threshold: autp"),

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from roemetry.config.recipe import Recipe
+from roemetry import Recipe
 from roemetry.errors import ConfigurationError
 from roemetry.records import Decision, Estimate, Grade, Measurement, Outline, Reason, Weight
 from roemetry.run.batch import run_recipe
@@ -256,6 +256,9 @@ sinks: [csv]
 """
 
 
+OPTIONS = "stages.grader.options"
+
+
 def recipe(folder: Path, weigher: str = "  weigher: density\n", limit: str = "1.0") -> Path:
     path = folder / "recipe.yaml"
     path.write_text(RECIPE.format(home=HOME, weigher=weigher, limit=limit), encoding="utf-8")
@@ -263,7 +266,7 @@ def recipe(folder: Path, weigher: str = "  weigher: density\n", limit: str = "1.
 
 
 def test_a_run_records_what_was_decided(tmp_path: Path) -> None:
-    run_recipe(Recipe.load(recipe(tmp_path)), tmp_path / "out")
+    run_recipe(Recipe.load(recipe(tmp_path), sets=[f"{OPTIONS}.std={{weight_g: 0.5}}"]), tmp_path / "out")
     (row,) = read_record(tmp_path / "out")
     assert row.decision is not None
     assert (row.decision.label, row.decision.lane) == ("heavy", "belt 1")
@@ -272,6 +275,17 @@ def test_a_run_records_what_was_decided(tmp_path: Path) -> None:
     header, line = (tmp_path / "out" / "results.csv").read_text("utf-8").splitlines()
     cells = dict(zip(header.split(","), line.split(","), strict=False))
     assert (cells["decision"], cells["lane"]) == ("heavy", "belt 1")
+
+
+@pytest.mark.parametrize("draws", [0, 3])
+def test_a_part_of_an_uncertainty_proves_nothing(tmp_path: Path, draws: int) -> None:
+    """Draws know the calibration's part, but neither the peaks' noise nor the density's."""
+    (found,) = Recipe.load(recipe(tmp_path), sets=[f"draws={draws}"]).run()
+    assert found.decision is not None
+    assert found.decision.label == "undecided"
+    assert "or more: its uncertainty is not stated in full" in found.decision.reasons[0].text
+    (found,) = Recipe.load(recipe(tmp_path), sets=[f"{OPTIONS}.guard_factor=0"]).run()
+    assert found.decision is not None and found.decision.label == "heavy", "no guard band was asked for"
 
 
 def test_faults_have_their_line(tmp_path: Path) -> None:

@@ -1,0 +1,99 @@
+"""Work that processes share out: the results are the same, and in the same order, for any number of them."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from itertools import islice
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from roemetry.errors import InterruptedRunError
+
+if TYPE_CHECKING:
+    from concurrent.futures import Future
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+_CHUNK_S = 0.03
+"""Work that is handed to a process at once, s: long beside the handing over, too short to notice."""
+_CHUNK_MAX = 16
+"""Tasks at once, at most: what a broken process loses, and what waits for the slowest."""
+_WAITING_PER_JOB = 4
+"""Chunks that wait for each process: none stands idle while the results are written down."""
+
+
+def in_order(
+    make: Callable[..., Callable[[Task], Result]], given: tuple[Any, ...], tasks: Sequence[Task], jobs: int
+) -> Iterator[Result]:
+    """Give ``make(*given)(task)`` for each task, in order; every process makes its own worker once.
+
+    InterruptedRunError where a process died.
+    """
+    if jobs == 1 or len(tasks) < 2:
+        worker = make(*given)
+        for task in tasks:
+            yield worker(task)
+        return
+    from concurrent.futures import ProcessPoolExecutor
+    from concurrent.futures.process import BrokenProcessPool
+    from multiprocessing import get_context
+
+    # Spawned, not forked: a forked copy of numba's or OpenCV's threads can hang.
+    with ProcessPoolExecutor(min(jobs, len(tasks)), get_context("spawn"), _start, (make, given)) as pool:
+        waiting: deque[Future[tuple[list[Any], float]]] = deque()
+        coming = iter(tasks)
+        together = 1
+        try:
+            while True:
+                while len(waiting) < _WAITING_PER_JOB * jobs and (chunk := list(islice(coming, together))):
+                    waiting.append(pool.submit(_work, chunk))
+                if not waiting:
+                    return
+                results, slowest_s = waiting.popleft().result()
+                together = min(_CHUNK_MAX, 1 + int(_CHUNK_S / max(slowest_s, 1e-6)))
+                yield from results
+        except BrokenProcessPool as error:
+            raise InterruptedRunError(
+                "a worker process died (killed by the system, perhaps for want of memory)",
+                hint="what was measured is whole; go on with --resume and fewer --jobs",
+            ) from error
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+_worker: Callable[[Any], Any] | None = None
+"""What this process does its tasks with; the parent has none."""
+
+
+def _start(make: Callable[..., Callable[[Any], Any]], given: tuple[Any, ...]) -> None:
+    global _worker
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # ^C is the parent's to handle
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    _worker = make(*given)
+
+
+def _end_with_parent() -> None:
+    """End this process when its parent is gone, however that was ended: nothing is left to do."""
+    from multiprocessing import parent_process
+
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+def _work(tasks: list[Any]) -> tuple[list[Any], float]:
+    """Give the tasks' results, and the time of the slowest, s."""
+    if _worker is None:
+        raise AssertionError("a worker process was not started by _start")
+    results, slowest_s = [], 0.0
+    for task in tasks:
+        begin = time.perf_counter()
+        results.append(_worker(task))
+        slowest_s = max(slowest_s, time.perf_counter() - begin)
+    return results, slowest_s
