@@ -19,8 +19,8 @@ from roemetry.records import Profiles
 from roemetry.run.batch import derive, run_recipe
 from roemetry.run.provenance import recipe_of
 from roemetry.run.record import read_record
-from roemetry_files.csv_table import COLUMNS, rounded
 from roemetry_files.height_map import INTERPOLATED, SEEN, raster
+from roemetry_files.product_table import COLUMNS, rounded
 
 
 @pytest.fixture
