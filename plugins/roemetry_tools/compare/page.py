@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 from typing import Any
@@ -13,6 +14,7 @@ from roemetry.html.plots import plain, share
 from roemetry.io.yaml_source import dump
 from roemetry_tools.compare import plots
 from roemetry_tools.compare.aggregate import QUANTITIES
+from roemetry_tools.compare.agreement import Agreement
 from roemetry_tools.compare.ranking import Compared
 from roemetry_tools.compare.tables import STEPS, flat
 
@@ -24,27 +26,26 @@ _TITLES = {
     "true_mm3": ("True volume", "mm³"),
     "mass_g": ("Weight", "g"),
 }
-_CODED = (("right", "right"), ("wrong", "wrong"), ("refused", "refused"), ("unseen", "unseen"))
 
 
 def page(compared: Sequence[Compared], told: Mapping[str, Any]) -> str:
     """Write the whole page as one text; `told` is what ``comparison.json`` holds."""
-    rows = [flat(one) for one in compared]
+    rows = [(one, flat(one)) for one in compared]
     environment = environment_of("roemetry_tools.compare")
     return environment.get_template("comparison.html.j2").render(
         told=told,
-        variants=list(zip(compared, rows, strict=True)),
+        variants=rows,
         began=_when(told["began"]),
         quantities=[_quantity(name, compared, told["terms"]["tolerance_pct"]) for name in QUANTITIES],
         classes=[(one, one.figures.classes) for one in compared if one.figures and one.figures.classes],
-        probabilities=probabilities(compared),
-        choices=choices(compared, told["choices"]),
-        coding=_coding(compared, rows),
-        centres=_centres(compared, rows, "centre"),
-        centres_on_product=_centres(compared, rows, "centre_on_product"),
-        found=_found(compared, rows),
-        times=_times(compared, rows),
-        steps=[step for step in STEPS if any(row[f"time_{step}_median_ms"] is not None for row in rows)],
+        probabilities=_probabilities(compared),
+        choices=_choices(compared, told["choices"]),
+        coding=_coding(rows),
+        centres=_centres(rows, "centre"),
+        centres_on_product=_centres(rows, "centre_on_product"),
+        found=_found(rows),
+        times=_times(rows),
+        steps=[step for step in STEPS if any(row[f"time_{step}_median_ms"] is not None for _, row in rows)],
         absent=_absent(compared),
         reasons=_reasons(compared),
         colour=plots.colour,
@@ -79,73 +80,64 @@ def _quantity(name: str, compared: Sequence[Compared], tolerance_pct: float | No
         "more": len(variants) - len(shown),
         "capped": any(len(v.pairs) > plots.DOTS_MAX for v in variants),
         "by_visible": by_visible,
-        "truth": agreement_with_truth(name, unit, compared, tolerance_pct),
-        "recipe": agreement_with_recipe(name, unit, compared, tolerance_pct),
+        **_agreements(name, unit, compared, tolerance_pct),
     }
 
 
-def _coding(compared: Sequence[Compared], rows: Sequence[Mapping[str, Any]]) -> Markup | None:
+Rows = Sequence[tuple[Compared, Mapping[str, Any]]]
+
+
+def _coding(rows: Rows) -> Markup | None:
     """Draw what was wrong or left; the rest to 100 % is right, and would hide it."""
-    bars = []
-    for one, row in zip(compared, rows, strict=True):
-        if row["coding_points"] is None:
-            continue
-        values = [(part, row[f"coding_{part}_pct"], kind) for part, kind in _CODED if part != "right"]
-        bars.append((one.variant.name, values, f"right {share(row['coding_right_pct'])} %"))
-    top = max((sum(value for _, value, _ in values) for _, values, _ in bars), default=0.0)
-    return plots.stacked(bars, 1.05 * top or 1.0, "% of the visible points on products") if bars else None
-
-
-def _centres(compared: Sequence[Compared], rows: Sequence[Mapping[str, Any]], group: str) -> Markup | None:
     bars = [
         (
-            one.variant.number,
             one.variant.name,
-            row[f"{group}_bias_px"],
-            row[f"{group}_robust_std_px"],
-            row[f"{group}_rms_px"],
-            f"bias {plain(row[f'{group}_bias_px'], 3, True)}, RMS {plain(row[f'{group}_rms_px'], 3)} px",
+            [(part, row[f"coding_{part}_pct"], part) for part in ("wrong", "refused", "unseen")],
+            f"right {share(row['coding_right_pct'])} %",
         )
-        for one, row in zip(compared, rows, strict=True)
-        if row[f"{group}_bias_px"] is not None
+        for one, row in rows
+        if row["coding_points"] is not None
     ]
+    return plots.stacked(bars, "% of the visible points on products") if bars else None
+
+
+def _centres(rows: Rows, group: str) -> Markup | None:
+    bars = []
+    for one, row in rows:
+        bias, spread, rms = (row[f"{group}_{name}_px"] for name in ("bias", "robust_std", "rms"))
+        if bias is not None:
+            words = f"bias {plain(bias, 3, True)}, RMS {plain(rms, 3)} px"
+            bars.append((one.variant.number, one.variant.name, bias, spread, rms, words))
     return plots.centres(bars) if bars else None
 
 
-def _found(compared: Sequence[Compared], rows: Sequence[Mapping[str, Any]]) -> Markup | None:
+def _found(rows: Rows) -> Markup | None:
     bars = []
-    for one, row in zip(compared, rows, strict=True):
+    for one, row in rows:
         missed, false = row["centre_missed_pct"], row["centre_false_pct"]
         if missed is not None:
             values = [("missed", missed, "unseen"), ("false", false or 0.0, "wrong")]
-            words = f"missed {share(missed)} %, false {share(false)} %"
-            bars.append((one.variant.name, values, words))
-    top = max((value for _, values, _ in bars for _, value, _ in values), default=0.0)
-    if not bars:
-        return None
-    return plots.stacked(bars, 1.05 * top or 1.0, "% of the true centres; % of the peaks", beside=True)
+            bars.append((one.variant.name, values, f"missed {share(missed)} %, false {share(false)} %"))
+    return plots.stacked(bars, "% of the true centres; % of the peaks", beside=True) if bars else None
 
 
-def _times(compared: Sequence[Compared], rows: Sequence[Mapping[str, Any]]) -> Markup | None:
+def _times(rows: Rows) -> Markup | None:
     bars = []
-    for one, row in zip(compared, rows, strict=True):
-        if row["time_frame_median_ms"] is None:
-            continue
+    for one, row in rows:
+        every, low, high = (
+            row[f"time_frame_{end}_ms"] for end in ("median", "low_quartile", "high_quartile")
+        )
         values = [(s, value, f"step-{s}") for s in STEPS if (value := row[f"time_{s}_median_ms"]) is not None]
-        low, high = row["time_frame_low_quartile_ms"], row["time_frame_high_quartile_ms"]
-        words = f"{plain(row['time_frame_median_ms'], 2)} ms ({plain(low, 2)} to {plain(high, 2)})"
-        bars.append((one.variant.name, values, words))
-    top = max((sum(value for _, value, _ in values) for _, values, _ in bars), default=0.0)
-    return plots.stacked(bars, 1.05 * top, "ms for an acquisition, medians of the steps") if top else None
+        if every is not None:
+            words = f"{plain(every, 2)} ms ({plain(low, 2)} to {plain(high, 2)})"
+            bars.append((one.variant.name, values, words))
+    return plots.stacked(bars, "ms for an acquisition, medians of the steps") if bars else None
 
 
 def _absent(compared: Sequence[Compared]) -> list[tuple[str, str]]:
     """Say what is missing, and why, once for all variants that say the same."""
-    words = {name: title for name, (title, _) in _TITLES.items()} | {
-        "label": "Classes",
-        "centres": "Stripe centres",
-        "coding": "Coding of stripes",
-    }
+    words = {"label": "Classes", "centres": "Stripe centres", "coding": "Coding of stripes"}
+    words |= {name: title for name, (title, _) in _TITLES.items()}
     said: dict[tuple[str, str], list[str]] = {}
     whole = [one for one in compared if one.figures is not None and not one.failure]
     for one in whole:
@@ -194,76 +186,61 @@ _FIGURES = {
 }
 
 
-def agreement_with_truth(
+def _agreements(
     name: str, unit: str, compared: Sequence[Compared], tolerance_pct: float | None
-) -> dict[str, Any]:
-    """Gather table and plots of a quantity beside what is true."""
-    lines, drawn = [], []
+) -> dict[str, dict[str, Any]]:
+    """Gather tables and plots of a quantity beside what is true, and beside the recipe as it is."""
+    truth, recipe = [], []
+    base = {} if compared[0].figures is None else compared[0].figures.values[name]
     for one in compared:
-        found = one.standing.truth.get(name)
-        if found is None or one.figures is None:
-            continue
-        lines.append((one, found))
-        points = plots.over_truth(list(one.figures.values[name].values()))
-        drawn.append((one.variant, points, found))
-    return {"lines": lines, "plots": _drawn(drawn, f"true, {unit}", tolerance_pct)}
+        values = {} if one.figures is None else one.figures.values[name]
+        if (found := one.standing.truth.get(name)) is not None:
+            truth.append((one, plots.over_truth(list(values.values())), found))
+        if (found := one.standing.recipe.get(name)) is not None:
+            pairs = [(value, base[key]) for key, value in values.items() if key in base]
+            recipe.append((one, plots.over_mean(pairs), found))
+    return {
+        "truth": {
+            "lines": [(one, found) for one, _, found in truth],
+            "plots": _drawn(truth, f"true, {unit}", tolerance_pct),
+        },
+        "recipe": {
+            "lines": [(one, found, one.standing.nearer.get(name)) for one, _, found in recipe],
+            "plots": _drawn(recipe, f"mean of both, {unit}", tolerance_pct),
+        },
+    }
 
 
-def agreement_with_recipe(
-    name: str, unit: str, compared: Sequence[Compared], tolerance_pct: float | None
-) -> dict[str, Any]:
-    """Gather the same for every other variant beside the recipe as it is."""
-    base = compared[0].figures
-    lines, drawn = [], []
-    for one in compared[1:]:
-        found = one.standing.recipe.get(name)
-        if found is None or one.figures is None or base is None:
-            continue
-        lines.append((one, found, one.standing.nearer.get(name)))
-        mine, others = one.figures.values[name], base.values[name]
-        pairs = [(value, others[key]) for key, value in mine.items() if key in others]
-        drawn.append((one.variant, plots.over_mean(pairs), found))
-    return {"lines": lines, "plots": _drawn(drawn, f"mean of both, {unit}", tolerance_pct)}
-
-
-def probabilities(compared: Sequence[Compared]) -> list[dict[str, Any]]:
+def _probabilities(compared: Sequence[Compared]) -> list[dict[str, Any]]:
     """Gather the calibration curve of each variant that states probabilities."""
-    found = []
-    for one in compared:
-        curve = one.standing.reliability
-        if curve is not None:
-            drawing = plots.reliability(one.variant.number, one.variant.name, curve)
-            found.append({"name": one.variant.name, "curve": curve, "drawing": drawing})
-    return found
+    return [
+        {"name": one.variant.name, "curve": curve, "drawing": plots.reliability(one.variant, curve)}
+        for one in compared
+        if (curve := one.standing.reliability) is not None
+    ]
 
 
-def choices(compared: Sequence[Compared], told: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+def _choices(compared: Sequence[Compared], told: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Put the choices among variants into words."""
     names = {one.variant.number: one.variant.name for one in compared}
     lines = []
     for choice in told:
         words, digits = _FIGURES[choice["figure"]]
-        chosen = list(choice["chosen"])
-        counted = sorted({number: chosen.count(number) for number in chosen}.items(), key=lambda x: -x[1])
-        lines.append(
-            {
-                "words": words,
-                "digits": digits,
-                "best": names[choice["best"]],
-                "seen": choice["seen"],
-                "held_out": choice["held_out"],
-                "n": choice["n"],
-                "chosen": [(names[number], count) for number, count in counted],
-                "folds": len(chosen),
-            }
-        )
+        counted = Counter(choice["chosen"]).most_common()
+        chosen = [(names[number], count) for number, count in counted]
+        own = {"words": words, "digits": digits, "folds": len(choice["chosen"])}
+        lines.append({**choice, **own, "best": names[choice["best"]], "chosen": chosen})
     return lines
 
 
-def _drawn(drawn: Sequence[Any], size_words: str, tolerance_pct: float | None) -> list[tuple[str, Any]]:
+def _drawn(
+    drawn: Sequence[tuple[Compared, Sequence[plots.Point], Agreement]],
+    size_words: str,
+    tolerance_pct: float | None,
+) -> list[tuple[str, Any]]:
     """Draw the first few; where nothing differs there is nothing to draw."""
     differing = [one for one in drawn if any(point[1] for point in one[1])][:PLOTS_MAX]
     return [
-        (one.name, plots.bland_altman(one.number, one.name, points, found, size_words, tolerance_pct))
+        (one.variant.name, plots.bland_altman(one.variant, points, found, size_words, tolerance_pct))
         for one, points, found in differing
     ]

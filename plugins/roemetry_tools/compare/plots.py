@@ -15,6 +15,7 @@ from roemetry.records.arrays import Floats
 from roemetry_tools.compare.aggregate import Errors, Pairs, columns_of, relative_pct
 from roemetry_tools.compare.agreement import Agreement, Beside
 from roemetry_tools.compare.grading import Reliability
+from roemetry_tools.compare.variants import Variant
 
 T = TypeVar("T")
 
@@ -76,7 +77,6 @@ def scatter(variant: Estimates, low: float, high: float, unit: str) -> Markup:
 
 def stacked(
     rows: Sequence[tuple[str, Sequence[tuple[str, float, str]], str]],
-    top_value: float,
     axis_words: str,
     *,
     beside: bool = False,
@@ -85,7 +85,8 @@ def stacked(
 
     With `beside`, each value has a bar of its own, one below the other.
     """
-    axis = svg.Axis.over(0.0, top_value, _LEFT, _RIGHT)
+    longest = max((max if beside else sum)(value for _, value, _ in values) for _, values, _ in rows)
+    axis = svg.Axis.over(0.0, 1.05 * longest or 1.0, _LEFT, _RIGHT)
     floor = 8.0 + 44.0 * len(rows)
     parts = axis.upright(8.0, floor, axis_words)
     said = []
@@ -220,8 +221,7 @@ def over_mean(pairs: Sequence[tuple[Beside, Beside]]) -> list[Point]:
 
 
 def bland_altman(
-    number: int,
-    name: str,
+    variant: Variant,
     points: Sequence[Point],
     agreement: Agreement,
     size_words: str,
@@ -241,7 +241,7 @@ def bland_altman(
         parts.append(svg.box(_LEFT, up(tolerance_pct), right - _LEFT, band, "tolerance", "the tolerance"))
     parts += up.level(_LEFT, right)
     parts += [svg.text(across(value), _FLOOR + 15.0, written) for value, written in across.ticks(3)]
-    paint = colour(number)
+    paint = colour(variant.number)
     low, high = agreement.limits_pct
     drawn = [
         (value, interval, kind)
@@ -268,7 +268,7 @@ def bland_altman(
         svg.text(_LEFT, _FLOOR + 31.0, "%", "end"),
     ]
     label = (
-        f"{name}: mean difference {svg.plain(agreement.mean_pct, 2, True)} %, limits of agreement "
+        f"{variant.name}: mean difference {svg.plain(agreement.mean_pct, 2, True)} %, limits of agreement "
         f"{svg.plain(low, 2, True)} to {svg.plain(high, 2, True)} %, {agreement.n} products"
     )
     return svg.picture(parts, _FLOOR + 38.0, label, width=_WIDTH)
@@ -282,7 +282,7 @@ def _apart(places: Sequence[float]) -> list[float]:
     return moved
 
 
-def reliability(number: int, name: str, found: Reliability) -> Markup:
+def reliability(variant: Variant, found: Reliability) -> Markup:
     """Draw the share that was right over the stated probability; on the line they are equal."""
     across, up = svg.Axis(0.0, 1.0, _LEFT, _WIDTH - 60.0), svg.Axis(0.0, 1.0, _FLOOR, 8.0)
     parts = [*across.upright(8.0, _FLOOR, "stated probability", 4), *up.level(_LEFT, across.end, 4)]
@@ -297,8 +297,8 @@ def reliability(number: int, name: str, found: Reliability) -> Markup:
         radius = 2.5 + 4.5 * (one.n / most) ** 0.5
         parts += [
             svg.line(x, low, x, high, "whisker"),
-            svg.dot(x, up(one.right), "point", title, colour(number), radius),
+            svg.dot(x, up(one.right), "point", title, colour(variant.number), radius),
         ]
     parts.append(svg.text(_LEFT + 5.0, 20.0, "share right", "start"))
     bins = "; ".join(f"stated {svg.plain(b.stated, 2)}, right {svg.plain(b.right, 2)}" for b in found.bins)
-    return svg.picture(parts, _FLOOR + 38.0, f"{name}: {bins}", width=_WIDTH)
+    return svg.picture(parts, _FLOOR + 38.0, f"{variant.name}: {bins}", width=_WIDTH)

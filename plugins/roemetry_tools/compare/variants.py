@@ -98,12 +98,9 @@ def make_variants(
     variants = [Variant(0, AS_IT_IS, own, base)]
     known: set[object] = {base.sha256}
     for values in product(*(axis.values for axis in axes)):
-        uses = {axis.key: value for axis, value in zip(axes, values, strict=True) if axis.is_stage}
-        chosen = [
-            (axis, value)
-            for axis, value in zip(axes, values, strict=True)
-            if _applies(axis, uses, base, registry)
-        ]
+        every = list(zip(axes, values, strict=True))
+        uses = {axis.key: value for axis, value in every if axis.is_stage}
+        chosen = [(axis, value) for axis, value in every if _applies(axis, uses, base, registry)]
         changed = [(axis, value) for axis, value in chosen if not _is_own(axis, value, base, registry)]
         kept = [text for axis, value in changed for text in _kept(axis, value, base, registry)]
         variant = _variant(path, sets, chosen, changed, kept, registry)
@@ -198,10 +195,8 @@ def _check_options(axes: Sequence[Axis], base: Recipe, registry: Registry) -> No
         if axis.is_stage or axis.path[0] != "stages":
             continue
         kind, option = axis.path[1], axis.path[3]
-        stages: list[type[Stage[Any]]] = []
-        for other in axes:
-            if other.is_stage and other.key == kind:
-                stages += _classes(kind, other.values, registry)
+        uses = [use for other in axes if other.key == kind for use in other.values]
+        stages = _classes(kind, uses, registry)
         if kind in base.stages:
             stages.append(base.stages[kind].stage)
         elif not stages:
@@ -275,25 +270,24 @@ def _fault(axis: Axis, has_equals: bool, registry: Registry) -> str | None:
 
 def _key_fault(path: tuple[str, ...]) -> str | None:
     """Say what is wrong with the path of a value; options are checked with the stage that has them."""
+    keys = [name for name in RecipeFile.model_fields if name != "roemetry"]
     if path[0] not in RecipeFile.model_fields:
-        return unknown_key(
-            path[0], [*KINDS, *(name for name in RecipeFile.model_fields if name != "roemetry")]
-        )
+        return unknown_key(path[0], [*KINDS, *keys])
     for length in (1, 2):
         if path[:length] in _UNVARIED:
             return f"`{'.'.join(path[:length])}` cannot be varied: {_UNVARIED[path[:length]]}"
-    if path[0] == "calibration":
-        return None if len(path) == 1 else unknown_key(path[1], ["calibration"])
+    if path[0] not in ("source", "stages"):
+        return None if len(path) == 1 else unknown_key(path[1], [path[0]])
     known = tuple(SourceChoice.model_fields) if path[0] == "source" else KINDS
-    if len(path) == 1 or path[1] not in known:
-        return unknown_key(path[1], known) if len(path) > 1 else f"say which: {', '.join(known)}"
+    if len(path) == 1:
+        return f"say which: {', '.join(known)}"
+    if path[1] not in known:
+        return unknown_key(path[1], known)
     if path[0] == "source":
         return None if len(path) == 2 else unknown_key(path[2], [])
     if len(path) == 2:
         return f"write `{path[1]}=…` to exchange the whole stage"
-    if path[2] != "options":
-        return unknown_key(path[2], ["options"])
-    return None if len(path) > 3 else "say which option"
+    return unknown_key(path[2], ["options"]) if path[2] != "options" or len(path) == 3 else None
 
 
 def _name_fault(kind: str, use: str, registry: Registry) -> str | None:

@@ -4,8 +4,9 @@ import math
 
 import pytest
 
-from roemetry.records import Estimate
+from roemetry.records import Decision, Estimate
 from roemetry_report import words
+from roemetry_report.overview import decision_pill
 
 
 @pytest.mark.parametrize(
@@ -67,3 +68,16 @@ def test_a_long_sentence_is_cut_at_its_first_clause():
 def test_a_feature_carries_its_unit():
     assert words.feature("radius_min_px", 45.371) == ("radius min (px)", "45.37")
     assert words.feature("arcs", 12.0) == ("arcs", "12")
+
+
+@pytest.mark.parametrize(
+    ("decision", "words", "tone"),
+    [
+        (Decision("large", "belt 1", ("large",)), "large", "plain"),
+        (Decision("undecided", "", ("large", "small")), "undecided: large or small", "warn"),
+        (Decision("undecided", "", ()), "undecided: fits no class", "warn"),
+    ],
+)
+def test_a_decision_is_said_in_words(decision: Decision, words: str, tone: str) -> None:
+    pill = decision_pill(decision)
+    assert (pill.words, pill.tone) == (words, tone)

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from scipy.stats import binomtest, t
+from scipy.stats import t
 
 from roemetry.html.plots import share
 from roemetry_tools.compare.agreement import (
@@ -18,7 +18,6 @@ from roemetry_tools.compare.agreement import (
     agreement_of,
     mean_of,
     nearer,
-    wilson,
 )
 from roemetry_tools.compare.grading import (
     Graded,
@@ -66,12 +65,6 @@ def test_the_same_seed_gives_the_same_interval_and_one_specimen_none() -> None:
     column = np.array([[1.0], [2.0], [4.0]])
     assert Bootstrap("abc", 3).interval(column, mean_of) == Bootstrap("abc", 3).interval(column, mean_of)
     assert all(map(math.isnan, Bootstrap("aaa", 3).interval(column, mean_of)))
-
-
-@pytest.mark.parametrize(("right", "n"), [(0, 9), (9, 9), (31, 40), (1, 2)])
-def test_shares_have_wilsons_interval(right: int, n: int) -> None:
-    expected = binomtest(right, n).proportion_ci(0.95, "wilson")
-    assert wilson(right, n) == pytest.approx((expected.low, expected.high), abs=1e-12)
 
 
 def test_limits_of_agreement_are_bland_and_altmans(rng: np.random.Generator) -> None:

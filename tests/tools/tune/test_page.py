@@ -181,14 +181,3 @@ def test_what_cannot_be_saved_is_told_in_the_dialog(bench: Bench, recipe: Path) 
     saved = read(recipe.parent / "another.yaml").data
     assert saved["stages"]["extractor"]["options"]["threshold"] == 75
     page.faults.clear()  # the browser itself notes that a request was refused
-
-
-def test_an_uncalibrated_recipe_on_a_narrow_page(browser: Any, line: Callable[..., Path]) -> None:
-    text = line(calibrated=False)
-    recipe = text.read_text("utf-8")
-    keep = recipe[: recipe.index("  triangulator")] + "sinks: [csv]\n"
-    text.write_text(keep, "utf-8")
-    with served(text) as address, opened(browser, address, width=420) as page:
-        bench = Bench(page)
-        assert "px" in bench.page.locator("#profiles-title").inner_text()
-        assert page.evaluate("document.documentElement.scrollWidth") <= 420
