@@ -32,7 +32,7 @@ _BIN_MM = 1.0
 _MARGIN = 3e-7
 """Of the distance to the light: a face nearer than this to its own point does not shadow it (0.1 µm)."""
 _BELT_STEP_MM = 2.0
-"""Pieces of a line on the belt; in one the row's ray sheet is bent by less than Newton's method bears."""
+"""Pieces of a line on the belt, so short that a row crosses a piece once."""
 
 
 @dataclass(frozen=True, eq=False)
