@@ -107,18 +107,7 @@ class Camera:
         )
 
     def ray(self, x_px: ArrayLike, y_px: ArrayLike) -> Floats:
-        """Directions of the rays through pixels.
-
-        Parameters
-        ----------
-        x_px, y_px : array_like
-            Image points, pixels; they broadcast to a common shape S.
-
-        Returns
-        -------
-        ndarray, shape S + (3,)
-            Unit directions in the belt frame, away from the pinhole.
-        """
+        """Unit directions in the belt frame, S + (3,), of the rays through image points (px) of shape S."""
         x, y = np.broadcast_arrays(np.asarray(x_px, dtype=np.float64), np.asarray(y_px, dtype=np.float64))
         cx, cy = self.principal_px
         x, y = (x - cx) / self.focal_length_px, (y - cy) / self.focal_length_px
@@ -130,18 +119,7 @@ class Camera:
         return unit
 
     def project(self, points_mm: ArrayLike) -> Floats:
-        """Image points of belt-frame points.
-
-        Parameters
-        ----------
-        points_mm : array_like, shape (..., 3)
-            Belt frame, millimetres.
-
-        Returns
-        -------
-        ndarray, shape (..., 2)
-            (x, y) in pixels; NaN for points behind the camera.
-        """
+        """Image points (px), shape (..., 2), of belt points (mm), shape (..., 3); NaN behind the camera."""
         points = (np.asarray(points_mm, dtype=np.float64) - self.centre_mm) @ self.rotation
         depth = np.where(points[..., 2:] > 0.0, points[..., 2:], np.nan)
         plane = points[..., :2] / depth
@@ -178,21 +156,8 @@ def looking_down(
 ) -> Camera:
     """Return a camera above the belt whose optical axis meets the belt at the origin.
 
-    Parameters
-    ----------
-    width_px, height_px : int
-        Image size.
-    pixel_size_mm, focal_length_mm : float
-        Sensor pitch and focal length.
-    distance_mm : float
-        From the pinhole to the belt along the optical axis.
-    tilt_x_deg, tilt_y_deg : float
-        Turn about the camera's own x axis, then about its own y axis. Zero looks straight down.
-
-    Returns
-    -------
-    Camera
-        With image x along belt X and image y against belt Y.
+    The tilts turn it about its own x axis, then about its own y axis; zero looks straight down, with image
+    x along belt X and image y against belt Y.
     """
     down = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
     ax, ay = np.deg2rad([tilt_x_deg, tilt_y_deg])
@@ -268,34 +233,12 @@ class LaserFan:
         return len(self.normals)
 
     def distance_mm(self, points_mm: ArrayLike) -> Floats:
-        """Signed distances of points to all planes.
-
-        Parameters
-        ----------
-        points_mm : array_like, shape (..., 3)
-            Belt frame, millimetres.
-
-        Returns
-        -------
-        ndarray, shape (..., N)
-            n·X - d, millimetres.
-        """
+        """Signed distances n·X − d (mm), shape (..., N), of belt points, shape (..., 3), to all planes."""
         distances: Floats = np.asarray(points_mm, dtype=np.float64) @ self.normals.T - self.offsets_mm
         return distances
 
     def x_mm(self, y_mm: ArrayLike, z_mm: ArrayLike) -> Floats:
-        """Where the planes are at given Y and Z.
-
-        Parameters
-        ----------
-        y_mm, z_mm : array_like
-            Belt frame, millimetres; they broadcast to a common shape S.
-
-        Returns
-        -------
-        ndarray, shape S + (N,)
-            X of each plane, millimetres.
-        """
+        """X of each plane (mm), shape S + (N,), at belt Y and Z (mm) that broadcast to one shape S."""
         y, z = np.broadcast_arrays(np.asarray(y_mm, dtype=np.float64), np.asarray(z_mm, dtype=np.float64))
         rest = self.offsets_mm - y[..., None] * self.normals[:, 1] - z[..., None] * self.normals[:, 2]
         x: Floats = rest / self.normals[:, 0]
@@ -312,25 +255,11 @@ def fan_through(
     peak_grey: ArrayLike,
     line_sigma_deg: float = 25.0,
 ) -> LaserFan:
-    """Return the fan whose planes meet the belt's X axis at given places.
+    """Return the fan whose planes meet the belt's X axis at given places, increasing.
 
-    Parameters
-    ----------
-    projector_mm : array_like, shape (3,)
-        Projector point, belt frame, millimetres.
-    belt_x_mm : array_like, shape (N,)
-        X of each stripe at Y = 0, Z = 0, increasing, millimetres.
-    yaw_deg : float
-        Turn of the lines about Z, counter-clockwise seen from above; 0 is parallel to Y.
-    pitch_deg : float
-        Rise of the lines' common direction out of the belt plane.
-    sigma_mm, peak_grey, line_sigma_deg
-        See `LaserFan`; a single `peak_grey` serves all planes.
-
-    Returns
-    -------
-    LaserFan
-        Normals point towards +X.
+    The yaw turns the lines about Z, counter-clockwise seen from above (0 is parallel to Y), the pitch lifts
+    their common direction out of the belt plane. Normals point towards +X; one `peak_grey` serves all
+    planes.
     """
     projector = np.asarray(projector_mm, dtype=np.float64)
     feet = np.atleast_1d(np.asarray(belt_x_mm, dtype=np.float64))
@@ -370,37 +299,14 @@ def border_points_mm(camera: Camera, height_mm: float) -> Floats:
 
 @dataclass(frozen=True)
 class Focus:
-    """Where the lens is focused, and how wide it is open.
-
-    Attributes
-    ----------
-    distance_mm : float
-        From the pinhole along the optical axis.
-    f_number : float
-        Focal length over the aperture's diameter.
-    """
+    """Where the lens is focused (mm from the pinhole along the axis), and focal length over aperture."""
 
     distance_mm: float
     f_number: float
 
 
 def blur_sigma_px(camera: Camera, focus: Focus, depth_mm: Floats) -> Floats:
-    """Return the standard deviation of the blur of points at given depths.
-
-    Parameters
-    ----------
-    camera : Camera
-        Its focal length and pixel size count.
-    focus : Focus
-        Of its lens.
-    depth_mm : ndarray
-        Distance along the optical axis.
-
-    Returns
-    -------
-    ndarray, same shape
-        A quarter of the thin lens's circle of confusion, px (the deviation of an evenly lit disc).
-    """
+    """Return the blur (deviation, px) at depths along the axis: a quarter of the disc's diameter."""
     f = camera.focal_length_mm
     circle_mm = f / focus.f_number * f / (focus.distance_mm - f) * np.abs(depth_mm / focus.distance_mm - 1.0)
     sigma: Floats = 0.25 * circle_mm * (focus.distance_mm / depth_mm) / camera.pixel_size_mm
@@ -408,21 +314,9 @@ def blur_sigma_px(camera: Camera, focus: Focus, depth_mm: Floats) -> Floats:
 
 
 def defocused(light: Floats, camera: Camera, focus: Focus, depth_mm: Floats) -> Floats:
-    """Blur an image as its depths ask for.
+    """Blur an image, shape (height, width), as its depths of the same shape ask for.
 
-    Parameters
-    ----------
-    light : ndarray, shape (height, width)
-        Light on the sensor of a lens that is sharp everywhere.
-    camera, focus
-        See `blur_sigma_px`.
-    depth_mm : ndarray, shape (height, width)
-        What `depths_mm` gives.
-
-    Returns
-    -------
-    ndarray, shape (height, width)
-        Each pixel from images blurred by the two nearest of eight amounts.
+    Each pixel comes from images blurred by the two nearest of eight amounts.
     """
     sigma = blur_sigma_px(camera, focus, depth_mm)
     low, high = float(sigma.min()), float(sigma.max())
@@ -458,20 +352,7 @@ def blurred(light: Floats, sigma_px: float) -> Floats:
 
 
 def undistorted(lens: Floats, x: Floats, y: Floats) -> tuple[Floats, Floats]:
-    """Take the distortion out of normalised image points.
-
-    Parameters
-    ----------
-    lens : ndarray, shape (5,)
-        k1, k2, p1, p2, k3 as OpenCV defines them.
-    x, y : ndarray
-        Distorted points, (pixel − principal point) / focal length; one shape.
-
-    Returns
-    -------
-    x, y : ndarray
-        Undistorted points, of the same shape.
-    """
+    """Take the distortion (k1, k2, p1, p2, k3) out of points (pixel − principal point) / focal length."""
     flat_x, flat_y = np.ravel(x).astype(np.float64), np.ravel(y).astype(np.float64)
     _undistort_all(lens, flat_x, flat_y)
     return flat_x.reshape(np.shape(x)), flat_y.reshape(np.shape(y))

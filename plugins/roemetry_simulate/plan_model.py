@@ -21,7 +21,7 @@ from roemetry_simulate.render import Rig, Sensor
 Floats = NDArray[np.float64]
 
 _RELATIVE_STEP = 3e-5
-"""Of the depth: half of the central differences, where rounding and curvature err alike (1e-9)."""
+"""Of the depth: half of the central differences, whose error is about its square, 1e-9."""
 _RANGE_STEPS = 4001
 """Heights that are tried: the highest in view is right to 1/4000."""
 
@@ -47,25 +47,13 @@ class Scale:
 
 
 def scale_at(camera: Camera, fan: LaserFan, points_mm: Floats) -> Scale:
-    """Return the local scales of projection.
+    """Return the local scales of projection at belt-frame points (mm), shape S + (3,).
 
     From central differences of the camera's full model (distortion too). With (u, v) the image point and n
     the light plane's normal, a step dz within the plane and within the row (dv = 0) moves the stripe by
     du/dz = U_z − U_y V_z / V_y, where U and V are derivatives along the plane. For a camera that looks
     straight down from height H with focal length f (px) and a projector at the same height and distance B
     beside it, this is f B / (H − z)².
-
-    Parameters
-    ----------
-    camera, fan
-        The rig.
-    points_mm : ndarray, shape S + (3,)
-        Belt frame.
-
-    Returns
-    -------
-    Scale
-        Of shape S.
     """
     depth = (points_mm - camera.centre_mm) @ camera.rotation[:, 2]
     step = _RELATIVE_STEP * depth[..., None]
@@ -102,22 +90,7 @@ def middle_y_mm(camera: Camera) -> float:
 
 
 def plane_points(fan: LaserFan, y_mm: float, z_mm: Floats) -> Floats:
-    """Return where every plane is at one Y and some heights.
-
-    Parameters
-    ----------
-    fan : LaserFan
-        N planes.
-    y_mm : float
-        Belt Y.
-    z_mm : ndarray, shape (M,)
-        Heights.
-
-    Returns
-    -------
-    ndarray, shape (M, N, 3)
-        Belt frame, mm.
-    """
+    """Return where N planes are at one belt Y and M heights, shape (M, N, 3), mm."""
     x = fan.x_mm(y_mm, z_mm)
     return np.stack([x, np.full_like(x, y_mm), np.broadcast_to(z_mm[:, None], x.shape)], axis=-1)
 
@@ -132,20 +105,9 @@ def in_view(camera: Camera, points_mm: Floats) -> NDArray[np.bool_]:
 
 
 def highest_in_view_mm(camera: Camera, fan: LaserFan, y_mm: float) -> Floats:
-    """Return for each plane the height up to which it stays in the image.
+    """Return for each plane the height (mm) up to which it stays in the image; NaN if not on the belt.
 
-    Parameters
-    ----------
-    camera, fan
-        The rig.
-    y_mm : float
-        Belt Y.
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        mm; NaN for a plane that is not in view on the belt. At most 95 % of the way up to the lower one of
-        camera and projector; found to 1/4000 of that.
+    At most 95 % of the way up to the lower one of camera and projector; found to 1/4000 of that.
     """
     ceiling = 0.95 * min(float(camera.centre_mm[2]), float(fan.projector_mm[2]))
     heights = np.linspace(0.0, ceiling, _RANGE_STEPS)
@@ -157,25 +119,12 @@ def highest_in_view_mm(camera: Camera, fan: LaserFan, y_mm: float) -> Floats:
 def meeting_height_mm(
     camera: Camera, fan: LaserFan, own_x_mm: Floats, other_x_mm: Floats, y_mm: float
 ) -> Floats:
-    """Return the height at which a stripe appears where another one lies on the belt.
+    """Return the height (mm) at which a stripe appears where another one lies on the belt.
 
-    The camera's ray through the other stripe's place on the belt meets the stripe's own plane there. For a
-    camera straight above and a projector beside it at the same height H and distance B, two stripes a
-    spacing s apart on the belt: s H / (B + s).
-
-    Parameters
-    ----------
-    camera, fan
-        The rig.
-    own_x_mm, other_x_mm : ndarray, shape S
-        Belt X of both at `y_mm`.
-    y_mm : float
-        Belt Y.
-
-    Returns
-    -------
-    ndarray, shape S
-        mm; NaN where they meet nowhere between belt and camera.
+    The camera's ray through the other stripe's place on the belt (its X at `y_mm`) meets the stripe's own
+    plane there. For a camera straight above and a projector beside it at the same height H and distance B,
+    two stripes a spacing s apart on the belt: s H / (B + s). NaN where they meet nowhere between belt and
+    camera.
     """
     own, other = (np.stack([x, np.full_like(x, y_mm), np.zeros_like(x)], -1) for x in (own_x_mm, other_x_mm))
     normals = plane_normals(fan, own)
@@ -203,24 +152,13 @@ def spacing_heights_mm(camera: Camera, fan: LaserFan, y_mm: float) -> Floats:
 
 
 def steepest_slopes_deg(camera: Camera, fan: LaserFan, points_mm: Floats) -> Floats:
-    """Return the steepest slopes that are still lit and still seen.
+    """Return the steepest slopes (degrees) still lit and seen at points, shape S + (3,): shape S + (4,).
 
-    A surface that rises by the angle α towards a unit direction e on the belt has the normal
-    (−e sin α, cos α); it faces a place that lies in the direction (h, z) from it while
-    tan α < z / (h · e), and always where h · e ≤ 0. Both the projector and the camera must be faced. Holds
-    for a slope by itself; what stands beside it may shade it as well.
-
-    Parameters
-    ----------
-    camera, fan
-        The rig.
-    points_mm : ndarray, shape S + (3,)
-        Belt frame.
-
-    Returns
-    -------
-    ndarray, shape S + (4,)
-        Degrees for surfaces that rise towards +X, −X, +Y, −Y; 90 where a wall is lit and seen.
+    For surfaces that rise towards +X, −X, +Y, −Y; 90 where a wall is lit and seen. A surface that rises by
+    the angle α towards a unit direction e on the belt has the normal (−e sin α, cos α); it faces a place
+    that lies in the direction (h, z) from it while tan α < z / (h · e), and always where h · e ≤ 0. Both
+    the projector and the camera must be faced. Holds for a slope by itself; what stands beside it may shade
+    it as well.
     """
     limits = []
     for place in (camera.centre_mm, fan.projector_mm):
@@ -293,28 +231,12 @@ class PeakStd:
 
 
 def stripes_at(rig: Rig, points_mm: Floats, albedo: float, peak_grey: Floats) -> list[Stripe]:
-    """Return the stripes that level, matt surfaces show.
+    """Return the stripes that level, matt surfaces of an albedo show at belt-frame points, shape (n, 3), mm.
 
     The light's width on the sensor is its width across the plane over the millimetres across the plane that
-    a pixel steps; its brightness falls with its growth in width, with the angle along the line and with the
-    cosine at which it comes in. This is the simulator's own model of light; gloss and light from below the
-    surface are left out.
-
-    Parameters
-    ----------
-    rig : Rig
-        The rig.
-    points_mm : ndarray, shape (n, 3)
-        Belt frame.
-    albedo : float
-        Share of the laser's light that comes back.
-    peak_grey : ndarray, shape (n,)
-        Of the plane, as `LaserFan` has it.
-
-    Returns
-    -------
-    list of Stripe
-        One for each point.
+    a pixel steps; its brightness (`peak_grey`, shape (n,), as `LaserFan` has it) falls with its growth in
+    width, with the angle along the line and with the cosine at which it comes in. This is the simulator's
+    own model of light; gloss and light from below the surface are left out.
     """
     fan = rig.laser
     beam = fan.projector_mm - points_mm
@@ -338,31 +260,18 @@ def defocus_px(rig: Rig, points_mm: Floats) -> Floats:
 
 
 def peak_std(stripe: Stripe, sensor: Sensor, phase_px: float = 0.2) -> PeakStd:
-    """Return how well one row tells a stripe's place.
+    """Return how well one row tells a stripe's place, its middle `phase_px` off a pixel's.
 
     The mean image is a pixel-integrated Gaussian, blurred as the sensor blurs it; unknown are its centre,
     height, width and background. With J the derivatives by these four and Σ the covariance of the pixels,
-    the bound is the root of the first element of (Jᵀ Σ⁻¹ J)⁻¹ (Cramér-Rao). Σ holds shot noise
-    (gain · light), read noise, rounding (1/12) and speckle: contrast² · m mᵀ times the correlation of the
-    grain, blurred along the row and averaged over the rows the blur mixes. The centre of gravity over
-    ± 3 standard deviations, background known, has the variance wᵀ Σ w with w = (position − centre) / sum of
-    light. Saturated pixels carry no information to the bound, and no noise to the centre of gravity.
+    the bound is the root of the first element of (Jᵀ Σ⁻¹ J)⁻¹ (Cramér-Rao). Σ holds shot noise (gain ·
+    light), read noise, rounding (1/12) and speckle: contrast² · m mᵀ times the correlation of the grain,
+    blurred along the row and averaged over the rows the blur mixes. The centre of gravity over ± 3 standard
+    deviations, background known, has the variance wᵀ Σ w with w = (position − centre) / sum of light.
+    Saturated pixels carry no information to the bound, and no noise to the centre of gravity. Neighbouring
+    rows share speckle grains, so the mean of n rows gains less than √n.
 
-    Holds for one row; neighbouring rows share speckle grains, so the mean of n rows gains less than √n.
-
-    Parameters
-    ----------
-    stripe : Stripe
-        What is seen.
-    sensor : Sensor
-        Gain, noise, blur and speckle.
-    phase_px : float
-        Place of the stripe's middle within its pixel.
-
-    Returns
-    -------
-    PeakStd
-        NaN for a stripe whose pixels do not tell four unknowns, that is wider than 100 px, or dead.
+    NaN for a stripe whose pixels do not tell four unknowns, that is wider than 100 px, or dead.
     """
     width = stripe.width_px(sensor)
     if not (width < _WIDEST_PX and stripe.peak_grey > 0.0):

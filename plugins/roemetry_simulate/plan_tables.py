@@ -354,32 +354,21 @@ def _errors(area: Callable[[Floats], Floats], stripes: NDArray[Any]) -> Floats:
 
 
 _PHASES = 512
-"""Places of the body under the stripes; the RMS over them changes by less than 1e-4 of itself with more."""
+"""Places of the body under the stripes that the RMS is taken over, even over one spacing."""
 _EXACT = 200_001
-"""Sections of the exact volume, by the midpoint rule (right to 1e-9)."""
+"""Sections of the exact volume, by the midpoint rule."""
 THICK_END, TAPER, BLUNTNESS, RIM = 0.13, 0.40, 2.6, 0.33
 """Middles of the ranges that the simulator draws skeins from (`roemetry_simulate.products.herring`)."""
 
 
 def slice_error_pct(area: Callable[[Floats], Floats], stripes: float) -> float:
-    """Return the error of spacing × sum of slice areas, RMS over where the body lies under the stripes.
+    """Return the error of spacing × sum of slice areas, per cent RMS over where the body lies.
 
-    The body's length is `stripes` spacings and its place is even over one spacing; the slices are exact, so
-    this is the error of sampling alone. An ellipsoid's areas are a parabola along it, and its error has the
-    closed form 1 / (√5 N²) for a whole N, which
-    is the worst case: both ends err alike. Bodies with blunter ends do worse: their areas rise steeper there.
-
-    Parameters
-    ----------
-    area : callable
-        Area of the section at t, −1…1 along the body and 0 beyond, in any unit.
-    stripes : float
-        N, spacings over the length; need not be whole.
-
-    Returns
-    -------
-    float
-        Per cent of the volume.
+    The body's length is `stripes` spacings (not always whole) and its place is even over one spacing;
+    `area` is that of the section at t, −1…1 along the body and 0 beyond. The slices are exact, so this is
+    the error of sampling alone. An ellipsoid's areas are a parabola along it, and its error has the closed
+    form 1 / (√5 N²) for a whole N, which is the worst case: both ends err alike. Bodies with blunter ends
+    do worse: their areas rise steeper there.
     """
     t = -1.0 + 2.0 * (np.arange(_EXACT) + 0.5) / _EXACT
     exact = 2.0 * float(area(t).mean())

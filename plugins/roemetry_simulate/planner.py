@@ -44,7 +44,7 @@ _LEAST_PX_PER_MM = 1e-3
 _LEAN_MOST = 6.0
 """Columns over rows of a stripe's run beyond which it lies along the rows (10 degrees off them)."""
 _SEEN_SIGMAS = 5.0
-"""Light over noise below which a stripe is called dark: false peaks of noise are then one in a million."""
+"""Light over noise below which a stripe is called dark: noise alone reaches it once in 3 million pixels."""
 _MOST_CONTRAST = 0.4
 """Speckle beyond which it is no small noise about a mean: its intensity is then markedly skewed."""
 _NARROW_PX = 0.7
@@ -393,19 +393,8 @@ def _check_table(space: Space) -> PlanTable:
 def simulated_scatter(space: Space, height_mm: float, seed: int = 5) -> Scatter:
     """Render a plate and measure how its stripes' centres of gravity scatter.
 
-    Parameters
-    ----------
-    space : Space
-        The rig.
-    height_mm : float
-        Of the plate; 0 is a belt of the product's albedo.
-    seed : int
-        Of noise and speckle.
-
-    Returns
-    -------
-    Scatter
-        Of stripes that lie in the image with room for the window; NaN where there is none.
+    A height of 0 is a belt of the product's albedo. Of stripes that lie in the image with room for the
+    window; NaN where there is none.
     """
     rig = replace(space.rig, camera=_strip(space.rig.camera))
     plate = Block(_PLATE_MM, _PLATE_MM, height_mm, 0.0, space.y_mm) if height_mm > 0.0 else EmptyBelt()

@@ -100,20 +100,7 @@ class Rig:
 
 
 def laser_light(rig: Rig, solid: Solid, surface: Surface, samples: int = 4) -> tuple[Floats, Floats]:
-    """Light that reaches the sensor with laser and stray light on, without noise, blur or clipping.
-
-    Parameters
-    ----------
-    rig, solid, surface
-        The scene.
-    samples : int
-        Samples along each side of a pixel.
-
-    Returns
-    -------
-    laser, steady : ndarray, shape (height, width)
-        Grey levels over black of the laser's light and of everything else's.
-    """
+    """Light of the laser and of all else, grey levels over black, without noise, blur or clipping."""
     image = _light(rig, solid, surface, samples)
     return image[..., 0], rig.ambient_grey * image[..., 1] + rig.stray_grey * image[..., 2]
 
@@ -133,20 +120,10 @@ def _light(rig: Rig, solid: Solid, surface: Surface, samples: int) -> Floats:
 
 
 def plain_light(rig: Rig, solid: Solid, surface: Surface, samples: int = 4) -> Floats:
-    """Light that reaches the sensor under the plain light, without noise, blur, black level or clipping.
+    """Light of an image under the plain light, grey levels, without noise, blur, black level or clipping.
 
-    Parameters
-    ----------
-    rig, solid, surface
-        The scene.
-    samples : int
-        Samples along each side of a pixel; each sample of a pixel sees another lamp of the ring, and the
-        four pixels of a square see the lamps between.
-
-    Returns
-    -------
-    ndarray, shape (height, width)
-        Grey levels.
+    Each sample of a pixel sees another lamp of the ring, and the four pixels of a square see the lamps
+    between.
     """
     camera = rig.camera
     count = 4 * samples * samples
@@ -175,23 +152,10 @@ def plain_light(rig: Rig, solid: Solid, surface: Surface, samples: int = 4) -> F
 def render(
     rig: Rig, solid: Solid, surface: Surface, *, seed: int, plain: bool = False, samples: int = 4
 ) -> NDArray[Any]:
-    """Take one image of a scene.
+    """Take one image of a scene: uint8, or uint16 over 8 bits; the same arguments give the same bytes.
 
-    Parameters
-    ----------
-    rig, solid, surface
-        The scene.
-    seed : int
-        Of speckle and noise.
-    plain : bool
-        Laser off and plain light on.
-    samples : int
-        Samples along each side of a pixel.
-
-    Returns
-    -------
-    ndarray of uint8 (uint16 over 8 bits), shape (height, width)
-        The image; the same arguments give the same bytes.
+    The seed is that of speckle and noise; `plain` is laser off and plain light on; `samples` stand along
+    each side of a pixel.
     """
     lens = _lens(rig, solid)
     if plain:
@@ -226,23 +190,9 @@ def _albedo(surface: Surface, mean: tuple[float, float]) -> Floats:
 def expose(
     laser: Floats, steady: Floats, sensor: Sensor, seed: int, lens: Callable[[Floats], Floats] | None = None
 ) -> NDArray[Any]:
-    """Take a picture.
+    """Take a picture of light in grey levels without noise: uint8, or uint16 over 8 bits.
 
-    Parameters
-    ----------
-    laser, steady : ndarray, shape (height, width)
-        Light from the laser and from everything else, grey levels without noise.
-    sensor : Sensor
-        The camera's sensor.
-    seed : int
-        The same seed gives the same bytes.
-    lens : callable or None
-        Blurs the image before the sensor's own blur.
-
-    Returns
-    -------
-    ndarray of uint8, shape (height, width)
-        The image; of uint16 where the sensor gives more than 8 bits.
+    The same seed gives the same bytes; `lens` blurs the image before the sensor's own blur.
     """
     rng = np.random.default_rng([seed, 29])
     grain = _speckle(rng, laser.shape, sensor) if sensor.speckle_contrast > 0.0 else np.ones(laser.shape)

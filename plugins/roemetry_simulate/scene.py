@@ -92,18 +92,7 @@ class RayCasterOptions(StageOptions):
 
 
 def rig_of(scene: RayCasterOptions) -> Rig:
-    """Return the rig that a scene describes.
-
-    Parameters
-    ----------
-    scene : RayCasterOptions
-        The scene.
-
-    Returns
-    -------
-    Rig
-        Light in grey levels of the scene's exposure and gain.
-    """
+    """Return the rig that a scene describes, its light in grey levels of the exposure and gain."""
     camera, laser, light = scene.camera, scene.laser, scene.light
     grey = camera.exposure_ms * camera.gain_dn_per_e
     focus = camera.focus
@@ -254,25 +243,10 @@ def _check_distortion(camera: Camera, x: Floats, y: Floats) -> None:
 def marked(
     surface: Surface, scene: RayCasterOptions, rig: Rig, products: Sequence[Drawn], seed: int
 ) -> Surface:
-    """Put the scene's marks on belt and products.
+    """Put the scene's dirt and patches on the belt, and wet places and picture on the products.
 
-    Parameters
-    ----------
-    surface : Surface
-        Clean belt and product.
-    scene : RayCasterOptions
-        Says what there is: `belt.dirt`, `belt.patches`, `surface.wet`, `surface.albedo_map`.
-    rig : Rig
-        Dirt lies anywhere in its view.
-    products : sequence of Drawn
-        Wet places lie over their footprints' extents, and so does the picture.
-    seed : int
-        Of the places and sizes.
-
-    Returns
-    -------
-    Surface
-        The same where the scene names none.
+    Dirt lies anywhere in the view, wet places and picture over the footprints' extents; places and sizes
+    are drawn from the seed. The surface comes back as it is where the scene names none.
     """
     dirt, wet, patches = scene.belt.dirt, scene.surface.wet, scene.belt.patches
     texture = surface.texture
@@ -341,25 +315,11 @@ _EXTENT_STEP_MM = 0.25
 
 
 def laid_on(part: AlbedoMapPart, products: Sequence[Drawn], pitch_mm: float, wavelength_nm: float) -> Picture:
-    """Lay the picture on every product.
+    """Lay the picture on every product: its factors under the laser and in plain light, 1 beside.
 
-    Parameters
-    ----------
-    part : AlbedoMapPart
-        The file, and what black and white mean.
-    products : sequence of Drawn
-        What lies on the belt, at least one. The picture's left edge lies at the smallest, its right edge at
-        the largest place of the footprint along the product's own x axis (belt X turned by the product's
-        yaw), its bottom and top edges likewise along its own y axis.
-    pitch_mm : float
-        Of the raster that is handed to the renderer.
-    wavelength_nm : float
-        The laser sees the picture's blue, green or red, whichever is its own.
-
-    Returns
-    -------
-    Picture
-        Factors of the albedo under the laser and in plain light over the belt; 1 beside the products.
+    The picture's left edge lies at the smallest, its right edge at the largest place of the footprint along
+    the product's own x axis (belt X turned by the product's yaw), its bottom and top edges likewise along
+    its own y axis. The laser sees the picture's blue, green or red, whichever is its own.
     """
     grey = part.factors()
     ends = np.array([one.solid.footprint_extent_mm() for one in products])

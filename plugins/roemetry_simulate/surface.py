@@ -71,23 +71,10 @@ def textured(
     product_std: float = 0.09,
     gloss: tuple[float, float] = (0.0, 0.0),
 ) -> Surface:
-    """Return maps with blotches of a few millimetres and finer grain.
+    """Return maps with blotches of a few millimetres and finer grain, drawn from a seed.
 
-    Parameters
-    ----------
-    seed : int
-        The same seed gives the same maps.
-    view_mm : tuple of float or None
-        Smallest and largest X, smallest and largest Y that must be covered.
-    laser_albedo, plain_albedo, gloss : tuple of float
-        See `Surface`.
-    belt_std, product_std : float
-        Relative standard deviation of the texture.
-
-    Returns
-    -------
-    Surface
-        Covering X within ±90 mm and Y within ±70 mm, and the view where that is larger.
+    They cover X within ±90 mm and Y within ±70 mm, and the view (X, then Y, from to) where that is larger;
+    the deviations are relative. Albedos and gloss: see `Surface`.
     """
     half_x_mm, half_y_mm = 90.0, 70.0
     if view_mm is not None:
@@ -107,22 +94,7 @@ def textured(
 
 
 def smooth_noise(rng: np.random.Generator, shape: tuple[int, int], sigma_nodes: float) -> Floats:
-    """Return Gaussian-filtered white noise of mean 0 and standard deviation 1.
-
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Where the noise comes from.
-    shape : tuple of int
-        Rows, columns.
-    sigma_nodes : float
-        Standard deviation of the filter, in nodes.
-
-    Returns
-    -------
-    ndarray, shape `shape`
-        The noise field.
-    """
+    """Return Gaussian-filtered white noise of mean 0 and deviation 1; the filter's deviation is in nodes."""
     from scipy.ndimage import gaussian_filter
 
     pad = int(np.ceil(3 * sigma_nodes))

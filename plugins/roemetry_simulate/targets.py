@@ -34,14 +34,7 @@ ON_BELT = "on_belt"
 class TargetViews(Mapping[str, Mapping[str, Frame]]):
     """All calibration images by kind, then name; an image is made when it is asked for.
 
-    Parameters
-    ----------
-    scene : RayCasterOptions
-        Its `targets` say what is seen.
-    rig : Rig
-        The scene's rig.
-    seed : int
-        Of noise, texture and the boards' poses.
+    The seed is that of noise, texture and the boards' poses.
     """
 
     def __init__(self, scene: RayCasterOptions, rig: Rig, seed: int) -> None:

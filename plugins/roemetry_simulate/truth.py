@@ -44,19 +44,10 @@ class StripeTruth:
 
 
 def stripe_centres(camera: Camera, laser: LaserFan, solid: Solid, *, step_px: float = 0.125) -> StripeTruth:
-    """Find all stripe centres.
+    """Find all stripe centres to better than 1e-6 px.
 
-    Parameters
-    ----------
-    camera, laser, solid
-        The scene.
-    step_px : float
-        Pitch at which a row is searched for changes of side; two crossings closer than this may be missed.
-
-    Returns
-    -------
-    StripeTruth
-        Centres refined to better than 1e-6 px.
+    A row is searched for changes of side at a pitch of `step_px`; two crossings closer than this may be
+    missed.
     """
     # a dead plane lights nothing
     planes = np.column_stack([laser.normals, laser.offsets_mm, laser.peak_grey])
@@ -154,28 +145,14 @@ def _search(
 def stripes_show(
     solid: Solid, reference: Solid | None, truth: StripeTruth, *, step_mm: float = 0.25
 ) -> dict[str, float]:
-    """Find what the stripes show of a product, and how much of its defect.
+    """Find what the stripes show of a product, and how much of its defect, which a reference lacks.
 
-    Parameters
-    ----------
-    solid : Solid
-        The product.
-    reference : Solid or None
-        The same product without its defect.
-    truth : StripeTruth
-        Its stripes.
-    step_mm : float
-        Pitch of the places at which the depth is searched.
-
-    Returns
-    -------
-    dict of float
-        `left_stripe`, `right_stripe`: outermost stripes (1 is leftmost) with lit and seen points on the
-        product, 0 where there is none; `overhang_left_mm`, `overhang_right_mm`: belt X from the outermost lit
-        stripe (median of its points) to the end of the footprint; `defect_depth_mm`: largest height missing
-        from the reference anywhere on the footprint, 0 without a reference; `defect_seen_mm`: the same at the
-        lit and seen points alone; `hollow_seen_mm`: largest depth of a lit stripe's height over Y below its
-        own upper convex hull. NaN where no stripe lies on the product.
+    `left_stripe`, `right_stripe`: outermost stripes (1 is leftmost) with lit and seen points on the
+    product, 0 where there is none; `overhang_left_mm`, `overhang_right_mm`: belt X from the outermost lit
+    stripe (median of its points) to the end of the footprint; `defect_depth_mm`: largest height missing
+    from the reference anywhere on the footprint, looked for `step_mm` apart, 0 without a reference;
+    `defect_seen_mm`: the same at the lit and seen points alone; `hollow_seen_mm`: largest depth of a lit
+    stripe's height over Y below its own upper convex hull. NaN where no stripe lies on the product.
     """
     x_min, x_max, y_min, y_max = solid.footprint_extent_mm()
     depth = 0.0

@@ -1,9 +1,9 @@
 """The parts of a scene file that every simulator reads alike: rig, belt, light, product, surface, targets.
 
-A simulator's options are made of these models; one that knows more derives from them and adds fields, so
-that one scene file serves all. The defaults are the herring roe rig. Lengths are in millimetres of the belt
-frame: X along image x, Y towards the image's top, Z up from the belt. Angles are in degrees. What physics a
-simulator makes of a part (of gloss, say, or of light below the surface) stands on its own page.
+A simulator's options are made of these models; one that knows more derives from them and adds fields, so that
+one scene file serves all. The defaults are the herring roe rig. Lengths are in millimetres of the belt frame
+(X along image x, Y towards the image's top, Z up from the belt), angles in degrees. What physics a simulator
+makes of a part (of gloss, or of light below the surface) stands on its own page.
 """
 
 from __future__ import annotations

@@ -12,19 +12,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from roemetry_simulate.products.family import (
     Drawn,
+    PopulationOptions,
     ProductFamily,
-    ProductOptions,
     changed,
-    check_shares,
     describe,
+    kind_shares,
     pick,
     random_of,
 )
@@ -123,16 +122,9 @@ GRID_STEP_MM = 0.125
 
 @dataclass(frozen=True, eq=False)
 class Skein:
-    """One skein on the belt.
+    """A skein on the belt: its parameters, its solid, and the same skein without its defect.
 
-    Attributes
-    ----------
-    record : SkeinRecord
-        The parameters it was made from.
-    solid : GriddedSolid
-        The skein.
-    reference : GriddedSolid
-        The same skein without its defect (for a bent or s-bent one: bent, but without the creases).
+    The reference of a bent or s-bent one is bent, but without the creases.
     """
 
     record: SkeinRecord
@@ -141,20 +133,7 @@ class Skein:
 
 
 def build(record: SkeinRecord, step_mm: float = GRID_STEP_MM) -> Skein:
-    """Shape a skein from its parameters.
-
-    Parameters
-    ----------
-    record : SkeinRecord
-        All its parameters; nothing else is random but the fine relief, which has the record's seed.
-    step_mm : float
-        Grid pitch.
-
-    Returns
-    -------
-    Skein
-        In the belt frame.
-    """
+    """Shape a skein on a grid in the belt frame; nothing is random but the relief, by the record's seed."""
     x, y = _grid(record, step_mm)
     a, v = mid_line_coordinates(record, x, y)
     inner = np.clip(a, -1.0, 1.0)
@@ -189,19 +168,9 @@ def build(record: SkeinRecord, step_mm: float = GRID_STEP_MM) -> Skein:
 
 
 def mid_line_coordinates(record: SkeinRecord, x_mm: Floats, y_mm: Floats) -> tuple[Floats, Floats]:
-    """Place of belt positions along and across the mid-line.
+    """Place of belt positions (mm) along and across the mid-line.
 
-    Parameters
-    ----------
-    record : SkeinRecord
-        Position, yaw, length and bend.
-    x_mm, y_mm : ndarray
-        Belt frame, millimetres, one shape.
-
-    Returns
-    -------
-    a, v_mm : ndarray
-        -1…1 from the skein's own left end to its right end; millimetres to its left-hand side.
+    Returns a, −1…1 from the skein's own left end to its right end, and v, mm to its left-hand side.
     """
     c, s = np.cos(np.deg2rad(record.yaw_deg)), np.sin(np.deg2rad(record.yaw_deg))
     along = c * (x_mm - record.centre_x_mm) + s * (y_mm - record.centre_y_mm)
@@ -256,25 +225,11 @@ def _grid(record: SkeinRecord, step_mm: float) -> tuple[Floats, Floats]:
 def deform(
     record: SkeinRecord, height_mm: Floats, inside: Floats, a: Floats, v_mm: Floats
 ) -> tuple[Floats, Floats | None]:
-    """Apply a skein's defect.
+    """Apply a skein's defect to its dome without it (mm over the rim).
 
-    Parameters
-    ----------
-    record : SkeinRecord
-        Says which defect, where and how deep.
-    height_mm : ndarray, shape (rows, columns)
-        Dome over the rim without the defect.
-    inside : ndarray, shape (rows, columns)
-        q clipped to 0…1: 1 on the ridge, 0 at the rim and beyond.
-    a, v_mm : ndarray, shape (rows, columns)
-        Mid-line coordinates (see `roemetry_simulate.products.herring`).
-
-    Returns
-    -------
-    height_mm : ndarray, shape (rows, columns)
-        Dome with the defect.
-    wall : ndarray or None
-        For a broken skein the square (mm²) that ends it, positive on the side that is left.
+    `inside` is q clipped to 0…1: 1 on the ridge, 0 at the rim and beyond; a and v are mid-line coordinates.
+    Returns the dome with the defect and, for a broken skein, the square (mm²) that ends it, positive on the
+    side that is left.
     """
     changes = {
         "dented": _dent,
@@ -393,20 +348,7 @@ def _break(record: SkeinRecord, a: Floats, v_mm: Floats) -> Floats:
 
 
 def draw(seed: int, kind: str | None = None) -> SkeinRecord:
-    """Draw a skein.
-
-    Parameters
-    ----------
-    seed : int
-        The same seed (and kind) gives the same skein.
-    kind : str or None
-        One of `KINDS` or `FURTHER_KINDS`; None draws one of `KINDS`, too, in the shares `KIND_SHARES`.
-
-    Returns
-    -------
-    SkeinRecord
-        Its parameters.
-    """
+    """Draw a skein's parameters; without a kind, one of `KINDS`, too, in the shares `KIND_SHARES`."""
     if kind is not None and kind not in KINDS + FURTHER_KINDS:
         known = ", ".join(KINDS + FURTHER_KINDS)
         raise ValueError(f"no kind of skein is called {kind!r}; there are {known}")
@@ -469,41 +411,23 @@ def draw(seed: int, kind: str | None = None) -> SkeinRecord:
 
 
 _LEAST_LOST, _MOST_LOST = 0.05, 0.25
+"""Share of the visible volume that an underside may take away."""
 _COARSE_MM = 0.5
+"""Pitch of the grid on which that share is found, for speed; a margin of 0.001 covers the difference."""
 _SHARES = {
-    "healthy": 0.32,
-    "dented": 0.13,
-    "bent": 0.12,
-    "s-bent": 0.08,
-    "twisted": 0.11,
-    "folded": 0.11,
-    "broken": 0.06,
-    "several-dents": 0.07,
-}
+    "healthy": 0.32, "dented": 0.13, "bent": 0.12, "s-bent": 0.08, "twisted": 0.11, "folded": 0.11,
+    "broken": 0.06, "several-dents": 0.07,
+}  # fmt: skip
 _DRAWN_TURN_DEG, _DRAWN_X_MM, _DRAWN_Y_MM = 15.0, 5.0, 6.0
+"""Ranges that `draw` draws poses from, either way; the options scale them."""
 
 
-class HerringRoeOptions(ProductOptions):
+class HerringRoeOptions(PopulationOptions):
     """Options of `herring-roe`."""
 
     density_g_per_cm3: float = Field(default=1.10, gt=0, le=25, description="density, g/cm³")
-    kinds: Mapping[str, float] = Field(
-        default_factory=lambda: dict(_SHARES),
-        description="kinds that are drawn, each with its share; need not sum to 1",
-    )
-    turn_range_deg: float = Field(default=15.0, ge=0, le=180, description="turned by up to this, degrees")
-    offset_range_x_mm: float = Field(
-        default=5.0, ge=0, le=5000, description="off centre along X by up to, mm"
-    )
-    offset_range_y_mm: float = Field(
-        default=6.0, ge=0, le=5000, description="off centre along Y by up to, mm"
-    )
+    kinds: Mapping[str, float] = kind_shares(_SHARES)
     grid_step_mm: float = Field(default=0.125, ge=0.02, le=1, description="pitch of the body's grid, mm")
-
-    @model_validator(mode="after")
-    def _kinds_are_known(self) -> Self:
-        check_shares(self.kinds, KINDS + FURTHER_KINDS)
-        return self
 
 
 def _make(seed: int, options: HerringRoeOptions) -> Drawn:

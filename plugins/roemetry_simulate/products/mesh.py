@@ -90,18 +90,7 @@ class Tree(NamedTuple):
 
 
 def build_tree(corners_mm: Floats) -> Tree:
-    """Sort triangles into a tree of boxes.
-
-    Parameters
-    ----------
-    corners_mm : ndarray, shape (T, 3, 3)
-        Triangle, corner, (x, y, z).
-
-    Returns
-    -------
-    Tree
-        Read-only, for `hit_triangles` and `triangles_normal`.
-    """
+    """Sort triangles, shape (T, 3, 3): triangle, corner, (x, y, z), into a read-only tree of boxes."""
     order, boxes, links = _sort(np.ascontiguousarray(corners_mm, dtype=np.float64))
     sorted_mm = corners_mm[order]
     first = sorted_mm[:, 0]
@@ -152,28 +141,11 @@ class MeshSolid:
 
 
 def close(mesh: Triangles, mm_per_unit: float = 1.0, up: str = "z", name: str = "mesh") -> ClosedMesh:
-    """Check that a mesh is closed, and lay it down.
+    """Check that a mesh is closed, scale it, turn its axis `up` to +z, and lay it down.
 
-    Parameters
-    ----------
-    mesh : Triangles
-        Points at exactly the same place are one, and faces without area are left out.
-    mm_per_unit : float
-        Scale.
-    up : str
-        Axis of the file that points up: x, y, z, or one of them after a minus sign.
-    name : str
-        What to call it in a refusal.
-
-    Returns
-    -------
-    ClosedMesh
-        Turned inside out if all its faces looked inwards.
-
-    Raises
-    ------
-    DataError
-        If edges are open, or faces are turned against their neighbours.
+    Points at exactly the same place are one, faces without area are left out, and a mesh whose faces all
+    looked inwards is turned inside out. Raises DataError, which begins with the name, where edges are open
+    or faces are turned against their neighbours.
     """
     points, which = np.unique(mesh.points, axis=0, return_inverse=True)
     faces = which.reshape(-1)[mesh.faces]
@@ -300,22 +272,9 @@ class Triangles(NamedTuple):
 
 
 def read_mesh(path: Path) -> Triangles:
-    """Read a mesh; faces of more than three corners are cut into fans.
+    """Read an .obj, .stl or .ply file as it stands; faces of more corners are cut into fans.
 
-    Parameters
-    ----------
-    path : Path
-        Its ending says the format: .obj, .stl or .ply.
-
-    Returns
-    -------
-    Triangles
-        As they stand in the file.
-
-    Raises
-    ------
-    DataError
-        With the file's name and the reason, where it cannot be read.
+    Raises DataError with the file's name and the reason, where it cannot be read.
     """
     readers = {".obj": _read_obj, ".stl": _read_stl, ".ply": _read_ply}
     reader = readers.get(path.suffix.lower())
@@ -462,17 +421,7 @@ def _fans(faces: Iterable[Sequence[int]]) -> Integers:
 def hit_triangles(
     triangles: Floats, boxes: Floats, links: Integers, o: Floats, d: Floats, t_max: float
 ) -> float:
-    """Distance from o along d to the first triangle, from either side, or MISS.
-
-    Parameters
-    ----------
-    triangles, boxes, links : ndarray
-        `ExactBody.triangles`, `ExactBody.boxes`, `ExactBody.links`.
-    o, d : ndarray, shape (3,)
-        Start and direction.
-    t_max : float
-        Hits beyond it do not count.
-    """
+    """Distance (mm) from o along d to the first triangle, from either side and within t_max, or MISS."""
     best, found = t_max, MISS
     ix, iy, iz = _inverse(d[0]), _inverse(d[1]), _inverse(d[2])
     node = 0
