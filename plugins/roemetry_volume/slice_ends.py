@@ -234,7 +234,7 @@ _LOW = 0.75  # of the next slice's highest point: the product falls
 _SKEW = 0.58  # an edge turned by 30 degrees
 _ROUNDED = 0.3  # of what leaning light passes over: the edge may be rounded off
 _ROUND, _TOLD_SLICES = 1.0 / math.sqrt(3.0), 5
-"""The same with fewer slices, which do not tell a level top from a ball's: all of it may be product, or none."""
+"""The same with fewer slices, which do not tell a level top from a ball's: all may be product, or none."""
 
 
 @kernel
