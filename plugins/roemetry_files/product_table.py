@@ -72,7 +72,12 @@ def given_features(row: Measurement) -> Mapping[str, float]:
 def _cell(value: Cell | None) -> Cell:
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return ""
+    if isinstance(value, str) and value.startswith(_FORMULA):
+        return f"'{value}"  # a spreadsheet would reckon it
     return rounded(value) if isinstance(value, float) else value
+
+
+_FORMULA = ("=", "+", "-", "@", "\t")
 
 
 def rounded(value: float) -> float:
