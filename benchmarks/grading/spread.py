@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmarks.grading.virtual_rows import make_body, rendered_bodies, rows_of_body
 from benchmarks.grading.words import table
-from roemetry_shape.good_reference import GOOD_SPREAD
+from roemetry_shape.novelty import GOOD_SPREAD
 
 SEED, RIGS = 91000, 12
 CLASSES = ("good", "dent", "bend", "twist", "fold", "broken")

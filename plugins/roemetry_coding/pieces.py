@@ -16,11 +16,9 @@ from roemetry.errors import StageError
 from roemetry.records import AMBIGUOUS, UNCODED, Peaks, Reason, StripeMap
 from roemetry.records.calibration import Calibration
 from roemetry.stages import Capabilities, Coder, StageOptions
-from roemetry_coding.piece_numbers import numbers_of
-from roemetry_coding.piece_sides import pieces_of
+from roemetry_coding.piece_numbers import numbers_of, pieces_of
 from roemetry_kernels.coding.bridging import bridged
-from roemetry_kernels.coding.consistency import keep_order
-from roemetry_kernels.coding.refusing import refuse_uncodable
+from roemetry_kernels.coding.consistency import keep_order, refuse_uncodable
 from roemetry_kernels.coding.rest_lines import unknown_rest_lines
 from roemetry_kernels.coding.tracing import trace_fragments
 

@@ -15,7 +15,7 @@ from roemetry.records import AMBIGUOUS, Peaks, StripeMap
 from roemetry.records.calibration import Calibration
 from roemetry.stages import Coder
 from roemetry_kernels.coding.bridging import BridgingOptions, bridged
-from roemetry_kernels.coding.refusing import refuse_bare_lines, refuse_uncodable, required_calibration
+from roemetry_kernels.coding.consistency import refuse_bare_lines, refuse_uncodable, required_calibration
 from roemetry_kernels.coding.rest_lines import calibrated_rest_lines, missing_stripes, reasons_of
 from roemetry_kernels.coding.trace_linking import coded_traces
 

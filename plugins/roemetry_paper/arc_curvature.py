@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 from roemetry.records import Grade, Marks, Product, Reason
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.stages import Classifier, StageOptions
-from roemetry_kernels.shape.arcs import BodyCurves, arc_middles, body_curves, smoothed
+from roemetry_kernels.slices import BodyCurves, arc_middles, body_curves, smoothed
 
 GOOD, HENKEI, UNKNOWN = "good", "henkei", "unknown"
 
@@ -155,7 +155,7 @@ class _Arcs:
 def _arcs(
     product: Product, curves: BodyCurves, middle: Integers, options: ArcCurvatureOptions, mm_per_px: float
 ) -> _Arcs:
-    from roemetry_kernels.shape.body_points import circles, pairs_in_line
+    from roemetry_kernels.slices import circles, pairs_in_line
 
     profiles, delta = product.profiles, options.delta_samples
     x_row = pairs_in_line(profiles.x_px, profiles.row_px, curves.slice, curves.point)

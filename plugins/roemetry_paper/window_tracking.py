@@ -11,10 +11,16 @@ is hidden shifts the number of every body to its right. So here, by default,
   that its rows agree on. Where they leave a choice, its peaks are refused as ambiguous.
 
 ``belt: interruption`` does it the paper's way, to show what that gives.
+
+The letter of the paper, kept to show what it does: (a) Follow each line from the top row down with a 3 × 3
+window until it ends; number the lines from left to right; remove them. (b) The same from the bottom row up.
+(c) Follow what is left with a window 3 rows high and 14 pixels wide, drop small areas, and give the bodies,
+in order, to the stripes that were interrupted.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -26,21 +32,25 @@ from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.records.calibration import Calibration
 from roemetry.stages import Coder
 from roemetry_kernels.coding.bridging import BridgingOptions, bridged
-from roemetry_kernels.coding.consistency import drop_doubles, keep_order, refuse_unexplained_gaps
-from roemetry_kernels.coding.ordering import vote_by_order
-from roemetry_kernels.coding.refusing import refuse_bare_lines, refuse_uncodable
+from roemetry_kernels.coding.consistency import (
+    drop_doubles,
+    keep_order,
+    refuse_bare_lines,
+    refuse_uncodable,
+    refuse_unexplained_gaps,
+)
 from roemetry_kernels.coding.rest_lines import (
     RestLines,
     calibrated_rest_lines,
+    doubtful_by_order,
     missing_stripes,
     reasons_of,
     rest_lines_of_frame,
     unknown_rest_lines,
+    vote_by_order,
 )
-from roemetry_kernels.coding.tracing import trace_fragments
+from roemetry_kernels.coding.tracing import cut_at_rest_lines, trace_fragments
 from roemetry_kernels.compiling import kernel
-from roemetry_paper.belt import Belt, belt_of
-from roemetry_paper.literal_tracking import literal_codes
 
 
 class WindowTrackingOptions(BridgingOptions):
@@ -363,3 +373,216 @@ def _displacements(rest: RestLines, live: Integers, calibration: Calibration | N
     near = 0.0 if view is None or view.telecentric else 1.0 / float(view.camera_mm[2])
     ends = np.stack([per_mm * height / (1.0 - height * near) for height in calibration.height_range_mm])
     return ends.min(axis=0) - rest.tolerance_px, ends.max(axis=0) + rest.tolerance_px
+
+
+_JOIN_ROWS = 20
+
+
+def literal_codes(
+    peaks: Peaks, rest_px: Floats, belt_window_px: int, body_window_px: int, smallest_area_px: int
+) -> tuple[Integers, Floats]:
+    """Code by interruption and order.
+
+    Parameters
+    ----------
+    peaks
+        The frame's peaks.
+    rest_px
+        (stripe, row) rest lines; only their number is used.
+    belt_window_px, body_window_px
+        Widths of the windows, px.
+    smallest_area_px
+        Bodies with fewer peaks are noise.
+
+    Returns
+    -------
+    tuple
+        (peak,) stripe or `UNCODED`, and (peak,) NaN: this way of coding has no margin.
+    """
+    stripes, rows = rest_px.shape
+    stripe = np.full(len(peaks), UNCODED, np.int64)
+    fragment, _ = trace_fragments(peaks.row_start, peaks.x_px, (belt_window_px - 1) / 2)
+    present = np.flatnonzero(np.diff(peaks.row_start))
+    first, last = present[0], present[-1]
+    top = fragment[peaks.row_start[first] : peaks.row_start[first + 1]]
+    bottom = fragment[peaks.row_start[last] : peaks.row_start[last + 1]]
+    for number, line in enumerate(top[:stripes]):
+        stripe[fragment == line] = number
+    for number, line in enumerate(bottom[:stripes]):
+        stripe[(fragment == line) & (stripe == UNCODED)] = number
+    whole = set(top[:stripes]) & set(bottom[:stripes])
+    interrupted = [number for number, line in enumerate(top[:stripes]) if line not in whole]
+
+    left = np.flatnonzero(stripe == UNCODED)
+    start = np.searchsorted(peaks.row[left], np.arange(rows + 1))
+    body, bodies = trace_fragments(start, peaks.x_px[left], body_window_px / 2)
+    areas = [np.flatnonzero(body == number) for number in range(bodies)]
+    chains = _chains([left[area] for area in areas if area.size >= smallest_area_px], peaks, body_window_px)
+    for number, chain in zip(interrupted, chains, strict=False):
+        stripe[chain] = number
+    return stripe, np.full(len(peaks), np.nan)
+
+
+def _chains(bodies: list[Integers], peaks: Peaks, window_px: int) -> list[Integers]:
+    """Join bodies that continue one another over a short gap; give them from left to right."""
+    chains: list[Integers] = []
+    for body in sorted(bodies, key=lambda area: int(peaks.row[area[0]])):
+        for index, chain in enumerate(chains):
+            gap = peaks.row[body[0]] - peaks.row[chain[-1]]
+            if 0 < gap <= _JOIN_ROWS and abs(peaks.x_px[body[0]] - peaks.x_px[chain[-1]]) <= window_px:
+                chains[index] = np.concatenate([chain, body])
+                break
+        else:
+            chains.append(body)
+    return sorted(chains, key=lambda chain: float(peaks.x_px[chain].mean()))
+
+
+_BELT_END_ROWS = 12
+"""Rows at the image's ends within which a belt segment must begin: a product never reaches so far."""
+_BELT_ROWS_MIN = 6
+"""Rows of a run on a rest line: a body that crosses the line stays on it for fewer."""
+_FLICKER_ROWS = 3
+"""Rows that may be missing from a run: speckle takes single peaks."""
+_DOUBTFUL_ROWS_MIN = 3
+"""Rows whose order speaks against a run before it is cut: single rows have false peaks."""
+_LIVE_ROWS_MIN = 15
+"""Rows of a run amid the image by which a stripe without ends counts as lit."""
+_BELT_PASSES_MAX = 4
+"""Passes of cutting; each finds what the one before laid bare."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Belt:
+    """Traces cut into segments where they join or leave a rest line.
+
+    Attributes
+    ----------
+    segment
+        (peak,) segment of each peak. Segments of one trace are numbered in the order of its rows.
+    fragment, rows
+        (segment,) the trace a segment is a piece of; its length, rows.
+    anchored
+        (segment,) True for belt beyond doubt.
+    on_line
+        (segment,) True for a piece that lies on some rest line.
+    live
+        (live,) stripes that have belt, or may have; the others are dead.
+    known
+        (segment,) index into `live` of an anchored segment's stripe, −1 for the others.
+    """
+
+    segment: Integers
+    fragment: Integers
+    rows: Integers
+    anchored: Flags
+    on_line: Flags
+    live: Integers
+    known: Integers
+
+    def continued(self, label: Integers) -> Integers:
+        """Settle pieces on a rest line amid the image by what their trace is before and after them.
+
+        Parameters
+        ----------
+        label
+            (segment,) index into `live`, −1 unknown, `AMBIGUOUS` given up.
+
+        Returns
+        -------
+        ndarray
+            (segment,) labels. A piece between two pieces of one stripe is that stripe: the trace crosses
+            the rest line of another. A piece whose trace is another stripe on the one side it is known is
+            given up: it may be either.
+        """
+        found = label.copy()
+        for k in np.flatnonzero(self.on_line & ~self.anchored):
+            before = self._neighbour(label, int(k), int(k) - 1)
+            after = self._neighbour(label, int(k), int(k) + 1)
+            if before >= 0 and before == after:
+                found[k] = before
+            elif label[k] >= 0 and max(before, after) >= 0 and label[k] not in (before, after):
+                found[k] = AMBIGUOUS
+        return found
+
+    def _neighbour(self, label: Integers, here: int, there: int) -> int:
+        inside = 0 <= there < label.size and self.fragment[there] == self.fragment[here]
+        return int(label[there]) if inside else -1
+
+
+def belt_of(peaks: Peaks, fragment: Integers, fragments: int, line: Integers, stripes: int) -> Belt:
+    """Cut traces at rest lines and find the belt.
+
+    A run on a rest line is belt beyond doubt if it reaches the image's top or bottom and no row speaks
+    against it. A body at a displacement of one stripe spacing lies on its neighbour's rest line, often right
+    where that neighbour's belt ends; then its rows show a peak too many on one side and one too few on the
+    other, and there the run is cut.
+
+    Parameters
+    ----------
+    peaks
+        The frame's peaks.
+    fragment, fragments
+        (peak,) trace of each peak, and their number.
+    line
+        (peak,) rest line each peak lies on, −1 for none.
+    stripes
+        Number of rest lines.
+    """
+    doubted = np.zeros(len(peaks), np.bool_)
+    for _ in range(_BELT_PASSES_MAX):
+        # a doubted peak is cut from its run by a line number that no anchor can have
+        cut_line = np.where(doubted & (line >= 0), line + stripes, line)
+        segment, segment_line = cut_at_rest_lines(
+            fragment, cut_line, fragments, _BELT_ROWS_MIN, _FLICKER_ROWS
+        )
+        rows = np.bincount(segment, minlength=segment_line.size)
+        anchored = _anchored(peaks, segment, np.where(segment_line < stripes, segment_line, -1))
+        live = _live(segment_line, anchored, rows, stripes)
+        known = np.where(anchored, np.searchsorted(live, segment_line), -1)
+        doubtful = doubtful_by_order(peaks.row_start, segment, known, live.size) & ~doubted
+        often = np.bincount(segment[doubtful], minlength=rows.size) >= _DOUBTFUL_ROWS_MIN
+        doubtful &= often[segment]
+        if not doubtful.any():
+            break
+        doubted |= doubtful
+    of = np.empty(rows.size, np.int64)
+    of[segment] = fragment
+    return Belt(segment, of, rows, anchored, segment_line >= 0, live, known)
+
+
+def _live(segment_line: Integers, anchored: Flags, rows: Integers, stripes: int) -> Integers:
+    """Give the stripes that may be lit: with belt, or with a longer run on their rest line amid the image.
+
+    Such a run may be another's body; but a stripe whose ends are missing must not be given to another.
+    """
+    if not anchored.any():
+        return np.empty(0, np.int64)
+    line = segment_line % stripes
+    mine = (segment_line >= 0) & (anchored | (rows >= _LIVE_ROWS_MIN))
+    return np.unique(line[mine])
+
+
+def _anchored(peaks: Peaks, segment: Integers, line: Integers) -> Flags:
+    """Say which segments on a rest line reach the image's top or bottom, if need be over a flicker."""
+    count = line.size
+    first = np.full(count, peaks.image_size[0], np.int64)
+    last = np.full(count, -1, np.int64)
+    np.minimum.at(first, segment, peaks.row)
+    np.maximum.at(last, segment, peaks.row)
+    anchored = np.zeros(count, np.bool_)
+    for number in np.unique(line[line >= 0]):
+        mine = np.flatnonzero(line == number)
+        downwards = mine[np.argsort(first[mine])]
+        reached = _BELT_END_ROWS
+        for k in downwards:
+            if first[k] > reached:
+                break
+            anchored[k] = True
+            reached = last[k] + _FLICKER_ROWS + 1
+        reached = peaks.image_size[0] - 1 - _BELT_END_ROWS
+        for k in downwards[::-1]:
+            if last[k] < reached:
+                break
+            anchored[k] = True
+            reached = first[k] - _FLICKER_ROWS - 1
+    return anchored

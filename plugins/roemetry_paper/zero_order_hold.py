@@ -10,7 +10,7 @@ from roemetry.errors import StageError
 from roemetry.records import Estimate, Product, Profiles, Reason, Shares, Volume
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.stages import Capabilities, StageOptions, VolumeEstimator
-from roemetry_kernels.shape.arcs import BodyCurves, body_curves
+from roemetry_kernels.slices import BodyCurves, body_curves
 
 _UNSEARCHED_ROWS = 1  # at the image's top and bottom: the paper's extractors leave them out
 
@@ -87,7 +87,7 @@ class _Slices(NamedTuple):
 
 
 def _slices(profiles: Profiles, curves: BodyCurves) -> _Slices:
-    from roemetry_kernels.shape.body_points import held_over, slice_sums
+    from roemetry_kernels.slices import held_over, slice_sums
 
     count = profiles.slice_count
     alone = bool((curves.size == 1).any())
@@ -160,7 +160,7 @@ def _no_volume(slices: _Slices, volume_mm3: float) -> str:
 
 
 def _reasons(product: Product, curves: BodyCurves, slices: _Slices) -> tuple[Reason, ...]:
-    from roemetry_kernels.shape.body_points import rows_reached
+    from roemetry_kernels.slices import rows_reached
 
     profiles, calibration = product.profiles, product.calibration
     reasons = []

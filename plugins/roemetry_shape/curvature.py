@@ -14,7 +14,7 @@ import numpy as np
 
 from roemetry.records.arrays import Floats
 from roemetry_kernels.compiling import kernel
-from roemetry_shape.sections import SAMPLES, Sections
+from roemetry_shape.product_frame import SAMPLES, Sections
 
 _REACH = 6
 """Samples to either side that a local quadric is fitted to, of every second sample."""

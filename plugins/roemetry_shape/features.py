@@ -29,8 +29,15 @@ import numpy as np
 from roemetry.records import Product, Relief
 from roemetry.records.arrays import Floats
 from roemetry_shape.curvature import surface_shape
-from roemetry_shape.outline_features import outline_features
-from roemetry_shape.product_frame import STATIONS, Frame, in_product_frame
+from roemetry_shape.product_frame import (
+    SAMPLES,
+    STATIONS,
+    Frame,
+    Sections,
+    in_product_frame,
+    outline_features,
+    sections_of,
+)
 from roemetry_shape.regions import (
     DENT_LEAST_MM,
     Region,
@@ -39,9 +46,8 @@ from roemetry_shape.regions import (
     hollows_of,
     humps_of,
     regions_of,
+    relief_of,
 )
-from roemetry_shape.relief import relief_of
-from roemetry_shape.sections import SAMPLES, Sections, sections_of
 
 SECTIONS_MIN = 3
 """With fewer sections a product has no shape to speak of."""

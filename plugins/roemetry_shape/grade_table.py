@@ -124,7 +124,7 @@ class GradeTable(Grader[GradeTableOptions]):
     """
 
     Options: ClassVar[type[StageOptions]] = GradeTableOptions
-    capabilities = Capabilities(fixture="roemetry_shape.example_table:table_options")
+    capabilities = Capabilities(fixture="roemetry_shape.examples:table_options")
 
     def needs(self) -> frozenset[str]:
         """Name the stages whose results the table asks for."""

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from roemetry.records import AMBIGUOUS, UNCODED, Peaks, Reason, StripeMap
-from roemetry.records.arrays import Floats, Integers
+from roemetry.records.arrays import Flags, Floats, Integers, Labels
 from roemetry.stages import StageOptions
-from roemetry_kernels.coding.layout import Layout, laid_out
 from roemetry_kernels.coding.rest_lines import RestLines
+from roemetry_kernels.compiling import kernel
 
 
 class BridgingOptions(StageOptions):
@@ -95,3 +97,288 @@ def bridged(
         peak_stripe=laid.peak_stripe,
         reasons=tuple(said),
     )
+
+
+_PRODUCT_ROWS_MIN = 3
+
+
+class Layout(NamedTuple):
+    """Coded points over (stripe, row).
+
+    Attributes
+    ----------
+    x_px, x_std_px, margin
+        (stripe, row) what is known of each point, gaps bridged; NaN where there is none.
+    seen
+        (stripe, row) True where there is a peak.
+    peak_stripe
+        (peak,) stripe in few bits.
+    product
+        (stripe, row) product's number, 0 on the belt, −1 where nothing is known and for dirt.
+    dirt
+        (stripe, row) True for what lies off the belt and is too small for a product.
+    between, refused
+        (stripe, row) True where a refused peak may belong; and the number of those peaks.
+    """
+
+    x_px: Floats
+    x_std_px: Floats
+    margin: Floats
+    seen: Flags
+    peak_stripe: Labels
+    product: Labels
+    dirt: Flags
+    between: Flags
+    refused: int
+
+
+@kernel
+def laid_out(
+    row: Integers, x_px: Floats, x_std_px: Floats, stripe: Integers, margin: Floats, refused: int,
+    rest_px: Floats, tolerance_px: float, reach_px: float, longest_gap_rows: int, smallest: int,
+) -> tuple[Floats, Floats, Floats, Flags, Labels, Labels, Flags, Flags, int]:  # fmt: skip
+    """Lay coded peaks out over (stripe, row); of two in one cell the last one counts.
+
+    Parameters
+    ----------
+    row, x_px, x_std_px, stripe, margin
+        (peak,) what is known of each; `stripe` below 0 is not coded, `refused` is refused.
+    refused
+        See above.
+    rest_px, tolerance_px, reach_px, longest_gap_rows
+        See `off_belt_and_bridged`.
+    smallest
+        See `numbered`.
+
+    Returns
+    -------
+    tuple
+        The fields of `Layout`.
+    """
+    shape = rest_px.shape
+    laid_x_px, laid_std_px, laid_margin = np.empty(shape), np.empty(shape), np.empty(shape)
+    seen = np.zeros(shape, np.bool_)
+    peak_stripe = np.empty(row.size, np.int16)
+    laid_x_px[:] = laid_std_px[:] = laid_margin[:] = np.nan
+    for p in range(row.shape[0]):
+        s, r = stripe[p], row[p]
+        peak_stripe[p] = s
+        if s >= 0:
+            laid_x_px[s, r], laid_std_px[s, r] = x_px[p], x_std_px[p]
+            laid_margin[s, r], seen[s, r] = margin[p], True
+    off_belt = off_belt_and_bridged(laid_x_px, rest_px, tolerance_px, reach_px, longest_gap_rows)
+    product, dirt = numbered(laid_x_px, off_belt, smallest)
+    between, count = cells_between(row, x_px, stripe, refused, rest_px)
+    return laid_x_px, laid_std_px, laid_margin, seen, peak_stripe, product, dirt, between, count
+
+
+@kernel
+def off_belt_and_bridged(
+    x_px: Floats, rest_px: Floats, tolerance_px: float, reach_px: float, longest_gap_rows: int
+) -> Flags:
+    """Say which points lie off the belt, and bridge short gaps by straight lines, in place.
+
+    A run off the belt that is too short or nowhere far from it is taken back to the belt: where a product's
+    shadow cuts a belt stripe lengthwise, its peak shifts by a pixel or two. A gap beside a product is its.
+
+    Parameters
+    ----------
+    x_px
+        (stripe, row) seen points, NaN elsewhere; bridged ones are filled in.
+    rest_px
+        (stripe, row) rest lines; NaN where none is known: then every point is off the belt.
+    tolerance_px
+        How far from its rest line a point still lies on the belt, px.
+    reach_px
+        How far a run must get away from its rest line to be product, px.
+    longest_gap_rows
+        Longer gaps stay empty, rows.
+
+    Returns
+    -------
+    ndarray
+        (stripe, row) True off the belt.
+    """
+    stripes, rows = x_px.shape
+    off_belt = np.zeros((stripes, rows), np.bool_)
+    seen = np.empty(rows, np.int64)
+    for s in range(stripes):
+        count = 0
+        for row in range(rows):
+            if not np.isnan(x_px[s, row]):
+                seen[count] = row
+                count += 1
+                off_belt[s, row] = not abs(x_px[s, row] - rest_px[s, row]) <= tolerance_px
+        begin = 0
+        while begin < count:
+            if not off_belt[s, seen[begin]]:
+                begin += 1
+                continue
+            end, farthest = begin, 0.0
+            while end < count and off_belt[s, seen[end]]:
+                away = abs(x_px[s, seen[end]] - rest_px[s, seen[end]])
+                farthest = max(farthest, np.inf if np.isnan(away) else away)
+                end += 1
+            if end - begin < _PRODUCT_ROWS_MIN or farthest < reach_px:
+                for k in range(begin, end):
+                    off_belt[s, seen[k]] = False
+            begin = end
+        whole = count == 0 or seen[count - 1] - seen[0] == count - 1
+        for k in range(0 if whole else count - 1):
+            before, after = seen[k], seen[k + 1]
+            if not 1 < after - before <= longest_gap_rows + 1:
+                continue
+            slope = (x_px[s, after] - x_px[s, before]) / (after - before)
+            for row in range(before + 1, after):
+                x_px[s, row] = x_px[s, before] + slope * (row - before)
+                off_belt[s, row] = off_belt[s, before] or off_belt[s, after]
+    return off_belt
+
+
+@kernel
+def numbered(x_px: Floats, off_belt: Flags, smallest: int) -> tuple[NDArray[np.int16], Flags]:
+    """Number connected points off the belt 1…n from left to right.
+
+    Neighbours are the same stripe's next row and the next stripe's same row. What is not seen joins what
+    lies off the belt on both sides of it, along the stripe or across.
+
+    Parameters
+    ----------
+    x_px
+        (stripe, row) points, NaN where nothing is known.
+    off_belt
+        (stripe, row) True off the belt.
+    smallest
+        Groups of fewer points are dirt.
+
+    Returns
+    -------
+    tuple
+        (stripe, row) product's number, 0 on the belt, −1 where nothing is known and for dirt; and
+        (stripe, row) True for dirt.
+    """
+    stripes, rows = x_px.shape
+    product = np.empty((stripes, rows), np.int16)
+    dirt = np.zeros((stripes, rows), np.bool_)
+    stripe, begin, end = _runs(_joined(x_px, off_belt))
+    runs = begin.size
+    parent = np.arange(runs)
+    # Runs of a stripe and of the next that have a row in common hang together.
+    one = other = 0
+    while one < runs and other < runs:
+        if stripe[other] <= stripe[one]:
+            other += 1
+        elif stripe[other] > stripe[one] + 1 or end[one] <= begin[other]:
+            one += 1
+        else:
+            if begin[one] < end[other]:
+                _join(parent, one, other)
+            if end[one] < end[other]:
+                one += 1
+            else:
+                other += 1
+    points, cells, place = np.zeros(runs, np.int64), np.zeros(runs, np.int64), np.zeros(runs)
+    for k in range(runs):
+        root = _root(parent, k)
+        for row in range(begin[k], end[k]):
+            points[root] += off_belt[stripe[k], row]
+        cells[root] += end[k] - begin[k]
+        place[root] += stripe[k] * (end[k] - begin[k])
+    number = np.zeros(runs, np.int16)
+    big = np.flatnonzero(points >= max(smallest, 1))
+    order = np.argsort(place[big] / cells[big], kind="mergesort")
+    for k in range(big.size):
+        number[big[order[k]]] = k + 1
+    for s in range(stripes):
+        for row in range(rows):
+            product[s, row] = -1 if np.isnan(x_px[s, row]) else 0
+    for k in range(runs):
+        mine, s = number[_root(parent, k)], stripe[k]
+        for row in range(begin[k], end[k]):
+            if off_belt[s, row]:
+                product[s, row] = mine if mine > 0 else -1
+                dirt[s, row] = mine == 0
+    return product, dirt
+
+
+@kernel
+def _runs(filled: Flags) -> tuple[Integers, Integers, Integers]:
+    """Give stripe, first row and row after the last of each run along a stripe."""
+    stripes, rows = filled.shape
+    room = stripes * (rows // 2 + 1)
+    stripe, begin, end = np.empty(room, np.int64), np.empty(room, np.int64), np.empty(room, np.int64)
+    count = 0
+    for s in range(stripes):
+        row = 0
+        while row < rows:
+            if not filled[s, row]:
+                row += 1
+                continue
+            stripe[count], begin[count] = s, row
+            while row < rows and filled[s, row]:
+                row += 1
+            end[count] = row
+            count += 1
+    return stripe[:count], begin[:count], end[:count]
+
+
+@kernel
+def cells_between(
+    row: Integers, x_px: Floats, stripe: Integers, refused: int, rest_px: Floats
+) -> tuple[Flags, int]:
+    """Mark the cells a refused peak may belong to: the stripes whose rest lines are its nearest two.
+
+    Gives (stripe, row) flags and the number of refused peaks.
+    """
+    stripes, rows = rest_px.shape
+    cells = np.zeros((stripes, rows), np.bool_)
+    count = 0
+    for p in range(row.shape[0]):
+        if stripe[p] != refused:
+            continue
+        count += 1
+        right = 0
+        for s in range(stripes):
+            right += rest_px[s, row[p]] < x_px[p]
+        if right > 0:
+            cells[right - 1, row[p]] = True
+        if right < stripes and not np.isnan(rest_px[right, row[p]]):
+            cells[right, row[p]] = True
+    return cells, count
+
+
+@kernel
+def _joined(x_px: Floats, off_belt: Flags) -> Flags:
+    """Give what lies off the belt, with what is not seen between it."""
+    stripes, rows = x_px.shape
+    filled = off_belt.copy()
+    for s in range(1, stripes - 1):
+        for row in range(rows):
+            if np.isnan(x_px[s, row]) and off_belt[s - 1, row] and off_belt[s + 1, row]:
+                filled[s, row] = True
+    for s in range(stripes):
+        last = -1
+        for row in range(rows):
+            if np.isnan(x_px[s, row]):
+                continue
+            if 0 <= last < row - 1 and off_belt[s, last] and off_belt[s, row]:
+                filled[s, last:row] = True
+            last = row
+    return filled
+
+
+@kernel
+def _root(parent: Integers, cell: int) -> int:
+    while parent[cell] != cell:
+        parent[cell] = parent[parent[cell]]
+        cell = parent[cell]
+    return cell
+
+
+@kernel
+def _join(parent: Integers, one: int, other: int) -> None:
+    a, b = _root(parent, one), _root(parent, other)
+    if a < b:
+        parent[b] = a
+    else:
+        parent[a] = b

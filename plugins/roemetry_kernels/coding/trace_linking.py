@@ -6,7 +6,7 @@ import numpy as np
 
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_kernels.coding.consistency import refuse_disorder
-from roemetry_kernels.coding.ordering import vote_by_order
+from roemetry_kernels.coding.rest_lines import vote_by_order
 from roemetry_kernels.coding.tracing import cut_in_order
 from roemetry_kernels.compiling import kernel
 

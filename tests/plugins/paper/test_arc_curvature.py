@@ -9,8 +9,7 @@ from pydantic import ValidationError
 
 from roemetry.records import Product, Profiles
 from roemetry.records.calibration import Calibration
-from roemetry_kernels.shape.arcs import body_curves, smoothed
-from roemetry_kernels.shape.body_points import circles
+from roemetry_kernels.slices import body_curves, circles, smoothed
 from roemetry_paper.arc_curvature import ArcCurvature, ArcCurvatureOptions
 
 ROWS = 480

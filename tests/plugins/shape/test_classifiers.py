@@ -20,16 +20,16 @@ from roemetry.records import Fitted, Samples
 from roemetry.testing.solids import BOX, HALF_ELLIPSOID, product_of
 from roemetry_paper.arc_curvature import ArcCurvature
 from roemetry_shape.fuzzy_rules import FuzzyRules, FuzzyRulesOptions
-from roemetry_shape.good_reference import GOOD_SPREAD, lower_bound
 from roemetry_shape.learned import (
     Learned,
     LearnedOptions,
+    fit_classifier,
     load_model,
     pack_forest,
     temperature_scale,
     unpack_forest,
 )
-from roemetry_shape.learned_fit import fit_classifier
+from roemetry_shape.novelty import GOOD_SPREAD, lower_bound
 from roemetry_shape.shape_limits import ShapeLimits, ShapeLimitsOptions
 
 DOME, SLAB = product_of(HALF_ELLIPSOID), product_of(BOX)
@@ -112,7 +112,7 @@ def test_what_is_learned_is_right_and_says_how_sure_it_is(rng: np.random.Generat
 
 
 def test_the_stored_forest_is_sklearns_own(rng: np.random.Generator, tmp_path: Path) -> None:
-    from roemetry_shape.learned_fit import _trees
+    from roemetry_shape.learned import _trees
 
     given = samples(rng)
     fitted = fit_classifier(given, good="", smoothing_mm=3.0)

@@ -19,8 +19,8 @@ from roemetry.testing.solids import (
 )
 from roemetry_shape.curvature import local_quadrics, surface_shape
 from roemetry_shape.features import features_of, shape_features
+from roemetry_shape.product_frame import SAMPLES, Sections, sections_of
 from roemetry_shape.regions import hollow_depth, hollows_of
-from roemetry_shape.sections import SAMPLES, Sections, sections_of
 
 
 @settings(deadline=None)  # the first example may compile a kernel

@@ -1,14 +1,107 @@
-"""A product's points in a line, the length each stands for, and circles through them: one pass each."""
+"""Slices of a product as arrays: their points by product, and the arcs of their profiles."""
 
 from __future__ import annotations
 
 import math
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
+from roemetry.records import Profiles
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_kernels.compiling import kernel
+
+_STEP_MAX = 1.5  # rows; a larger step between neighbours means that rows are missing
+
+
+class BodyCurves(NamedTuple):
+    """A product's points in a line: slice after slice, down the rows, cut where rows are missing.
+
+    Attributes
+    ----------
+    slice, point : ndarray of int64, shape (n,)
+        Where each point stands in `Profiles`.
+    first : ndarray of int64, shape (curve,)
+        Index of each curve's first point in the above.
+    size : ndarray of int64, shape (curve,)
+        Number of points of each curve.
+    """
+
+    slice: Integers
+    point: Integers
+    first: Integers
+    size: Integers
+
+
+def body_curves(profiles: Profiles, number: int) -> BodyCurves:
+    """Give the curves of one product, seen and bridged points alike; those without a height are left out."""
+    slices, points, first, in_order = points_in_line(
+        profiles.product, number, profiles.xyz_mm, profiles.row_px, _STEP_MAX
+    )
+    if not in_order:
+        # Points of a slice may stand in any order; a curve is followed down the rows.
+        row_px = profiles.row_px[slices, points]
+        order = np.lexsort((row_px, slices))
+        slices, points, row_px = slices[order], points[order], row_px[order]
+        begins = (np.diff(slices) != 0) | (np.diff(row_px) > _STEP_MAX)
+        first = np.flatnonzero(np.concatenate([[slices.size > 0], begins]))
+    size = np.empty_like(first)
+    size[:-1] = first[1:] - first[:-1]
+    size[-1:] = slices.size - first[-1:]
+    return BodyCurves(slices, points, first, size)
+
+
+def smoothed(curves: BodyCurves, values: Floats, window: int) -> Floats:
+    """Smooth along each curve by a local quadratic over `window` points (Savitzky and Golay 1964).
+
+    Points nearer to a curve's end than half the window take the value of the end's own quadratic. A curve
+    shorter than the window gets the longest odd window that fits; one of fewer than 3 points stays.
+
+    Parameters
+    ----------
+    curves
+        As `body_curves` gave them.
+    values : ndarray of float64, shape (n, k)
+        Coordinates of the curves' points.
+    window
+        Odd number of points; below 3 means no smoothing.
+    """
+    out = values.copy()
+    for first, size in zip(curves.first.tolist(), curves.size.tolist(), strict=True):
+        odd = min(window, size - (size + 1) % 2)
+        if odd < 3:
+            continue
+        half = odd // 2
+        hat = _quadratic_hat(odd)
+        curve = values[first : first + size]
+        smooth = out[first : first + size]
+        smooth[half : size - half] = sliding_window_view(curve, odd, axis=0) @ hat[half]
+        smooth[:half] = hat[:half] @ curve[:odd]
+        smooth[size - half :] = hat[half + 1 :] @ curve[-odd:]
+    return out
+
+
+@lru_cache(maxsize=64)
+def _quadratic_hat(window: int) -> Floats:
+    """(window, window) matrix that takes equally spaced values to their least-squares quadratic."""
+    powers = np.linspace(-1.0, 1.0, window)[:, None] ** np.arange(3)
+    q, _ = np.linalg.qr(powers)
+    hat: Floats = q @ q.T
+    hat.flags.writeable = False
+    return hat
+
+
+def arc_middles(curves: BodyCurves, delta: int) -> Integers:
+    """Index of the middle point of each three that are `delta` samples apart, from each curve's first on.
+
+    N points give floor((N − 1) / delta) − 1 of them.
+    """
+    middles: Integers = middles_in_line(curves.first, curves.size, delta)
+    return middles
+
 
 _STRAIGHT = 1e-9  # sine of the bend below which three points lie on one line as far as float64 can tell
 

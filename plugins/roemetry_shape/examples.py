@@ -1,4 +1,4 @@
-"""A model of one decision, for the checks of the learned classifier."""
+"""A model and a table for the conformance checks."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from roemetry_shape.grade_table import GradeClass, GradeTableOptions, Limits
 from roemetry_shape.learned import Forest, LearnedModel, LearnedOptions
 from roemetry_shape.novelty import SeenClasses
 
@@ -37,3 +38,14 @@ def learned_options() -> LearnedOptions:
     path = Path(tempfile.mkdtemp()) / "one_decision.json"
     path.write_text(model.to_json({"samples": {}}), encoding="utf-8")
     return LearnedOptions(model=path)
+
+
+def table_options() -> GradeTableOptions:
+    """Give a table over weight: heavy, light, and the rest."""
+    return GradeTableOptions(
+        classes=(
+            GradeClass(label="heavy", lane="1", limits={"weight_g": Limits(at_least=15.0)}),
+            GradeClass(label="light", lane="2", limits={"weight_g": Limits(at_least=5.0)}),
+            GradeClass(label="rest", lane="3"),
+        )
+    )
