@@ -44,7 +44,7 @@ WANTED = {
     },
     "careful": {
         "extractor": ("maximum-likelihood", "centre-of-gravity", "dominant-peak"),
-        "coder": ("planes", "tracing", "window-tracking"),
+        "coder": ("planes", "window-tracking"),
     },
     "recipe": {},
 }

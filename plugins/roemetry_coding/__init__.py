@@ -1,4 +1,4 @@
-"""Coders that say how sure they are: by order, by tracing, by the planes of light, by joining pieces."""
+"""Coders that say how sure they are: by order, by the planes of light, by joining pieces."""
 
 from __future__ import annotations
 
@@ -22,13 +22,6 @@ def roemetry_stages() -> Iterable[StageEntry]:
         name="ordered",
         target="roemetry_coding.ordered:Ordered",
         summary="Each row's peaks in order, with stripes missing and peaks too many allowed for",
-        reference="our own",
-    )
-    yield StageEntry(
-        kind="coder",
-        name="tracing",
-        target="roemetry_coding.tracing:Tracing",
-        summary="Follows stripes from the belt by direction and curvature, over gaps",
         reference="our own",
     )
     yield StageEntry(

@@ -26,9 +26,6 @@ FAILURES = {
             "a_step_of_one_spacing",
         )
     },
-    ("tracing", "on_the_neighbour"): "a body on the next rest line is taken for that stripe's belt",
-    ("tracing", "dense_and_displaced"): "order in rows has no height: 2 spacings are too much for it",
-    ("tracing", "a_step_of_one_spacing"): "a body on the next rest line is taken for that stripe's belt",
     ("window-tracking", "on_the_neighbour"): "it takes a body on the next rest line for that stripe's belt",
     ("window-tracking", "dense_and_displaced"): "order in rows has no height: 2 spacings are too much for it",
     ("window-tracking", "a_step_of_one_spacing"): "where a body lies on the next rest line it cuts too late",
