@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from roemetry.records.arrays import Checker, Flags, Floats, Integers
+from roemetry.records.arrays import Checker, Flags, Floats, Integers, Number
 from roemetry.records.reasons import Reason
 
 
@@ -80,21 +80,21 @@ class Estimate:
     `interval` holds the true value in 95 % of cases; NaN where the uncertainty is not stated.
     """
 
-    value: float
-    std: float = math.nan
-    budget: Mapping[str, float] = field(default_factory=dict)
-    interval: tuple[float, float] = (math.nan, math.nan)
+    value: Number
+    std: Number = math.nan
+    budget: Mapping[str, Number] = field(default_factory=dict)
+    interval: tuple[Number, Number] = (math.nan, math.nan)
 
 
 @dataclass(frozen=True, slots=True)
 class Shares:
     """Shares of a volume, adding up to 1."""
 
-    seen: float
+    seen: Number
     """Carried by points at which a stripe was seen."""
-    interpolated: float
+    interpolated: Number
     """Carried by points bridged between seen ones of the same stripe."""
-    assumed: float
+    assumed: Number
     """Carried by no point of the stripe it is reckoned for: an end cap, a dead stripe, an underside."""
 
 
@@ -134,7 +134,7 @@ class Weight:
 
     mass_g: Estimate
     reasons: tuple[Reason, ...] = ()
-    features: Mapping[str, float] = field(default_factory=dict)
+    features: Mapping[str, Number] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -170,15 +170,15 @@ class Grade:
 
     label: str
     """The class, or ``unknown``: an answer every classifier may give."""
-    probability: float = math.nan
+    probability: Number = math.nan
     """That the label is right, 0…1; NaN where it is not modelled."""
-    features: Mapping[str, float] = field(default_factory=dict)
+    features: Mapping[str, Number] = field(default_factory=dict)
     """The numbers the decision rests on, each with its unit in the name."""
     reasons: tuple[Reason, ...] = ()
     """Why, in words."""
     marks: Marks | None = None
     """Evidence to draw."""
-    features_std: Mapping[str, float] = field(default_factory=dict)
+    features_std: Mapping[str, Number] = field(default_factory=dict)
     """Standard uncertainties of features, by name; a feature that is not in it has none stated."""
     relief: Relief | None = None
     """The surface to draw; like marks, not in the record of a run."""
