@@ -46,8 +46,8 @@ def made(cls: type[Stage[Any]], options: Mapping[str, Any] | None = None) -> Sta
     """Make a stage with these options, else with those its fixture gives, else with its default ones."""
     if options is not None:
         return cls(cls.Options.model_validate(options))
-    given = fixture_of(cls)
-    return cls() if given is None or issubclass(cls, SUITED) else cls(given())
+    fixture = fixture_of(cls)
+    return cls() if fixture is None or issubclass(cls, SUITED) else cls(fixture())
 
 
 def fixture_of(cls: type[Stage[Any]]) -> Callable[..., Any] | None:
@@ -65,15 +65,15 @@ def fixture_of(cls: type[Stage[Any]]) -> Callable[..., Any] | None:
 
 def calibration_for(triangulator: Triangulator[Any], rig: LinearRig) -> Calibration:
     """Give the rig's calibration in the form the triangulator understands."""
-    given = fixture_of(type(triangulator))
-    calibration: Calibration = rig.calibration() if given is None else given(rig)
+    fixture = fixture_of(type(triangulator))
+    calibration: Calibration = rig.calibration() if fixture is None else fixture(rig)
     return calibration
 
 
 def calibration_set_for(calibrator: Calibrator[Any], rig: LinearRig) -> CalibrationSet:
     """Give observations of the rig that suit the calibrator: by default an empty belt and a block."""
-    given = fixture_of(type(calibrator))
-    observed: CalibrationSet = block_set(rig) if given is None else given(rig)
+    fixture = fixture_of(type(calibrator))
+    observed: CalibrationSet = block_set(rig) if fixture is None else fixture(rig)
     return observed
 
 
@@ -97,9 +97,9 @@ def readable_path(source: Source[Any], folder: Path) -> Path:
 
     By default the folder is a data set whose images lie in it, so that it is a folder of images, too.
     """
-    given = fixture_of(type(source))
-    if given is not None:
-        path: Path = given(folder)
+    fixture = fixture_of(type(source))
+    if fixture is not None:
+        path: Path = fixture(folder)
         return path
     description = Description(roemetry_dataset=1, name="kit", licence="CC0-1.0")
     with DatasetWriter(folder, description) as kept:
