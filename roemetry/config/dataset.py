@@ -77,13 +77,10 @@ class Item:
     """One acquisition of a data set."""
 
     id: str
-    """Unique in the set."""
     files: Mapping[Role, str]
     """By role, the image's path relative to the set."""
     sha256: Mapping[str, str] = field(default_factory=dict)
-    """By role, the image's hash."""
     products: tuple[ProductTruth, ...] = ()
-    """Truth of its products."""
     stripes: str | None = None
     """File (.npz) with the truth of its stripes, relative to the set; None where there is none."""
     time_s: Number = math.nan

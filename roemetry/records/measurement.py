@@ -31,7 +31,6 @@ class Coding:
     """How well the stripes of the acquisition were found and coded."""
 
     stripes: int
-    """Number of stripes coded for."""
     stripes_seen: int
     """Number of stripes with at least one peak."""
     peaks: int
@@ -45,7 +44,6 @@ class Coding:
     """rows_seen, rows_interpolated: (stripe, row) cells on this product with a seen point and with a bridged
     one. Without a product (an uncalibrated run, an empty belt) those of everything that is not belt."""
     saturated_share: Number = math.nan
-    """Share of the coded peaks that are saturated."""
     displacement_max_px: Number = math.nan
     """Largest displacement from the rest line on the product, px, with its sign; NaN where unknown."""
 
@@ -71,7 +69,6 @@ class Measurement:
     volume: Volume | None = None
     weight: Weight | None = None
     grade: Grade | None = None
-    """volume, weight, grade: none where absent."""
     absent: Mapping[str, Reason] = field(default_factory=dict)
     """By stage kind, why its result is missing."""
     reasons: tuple[Reason, ...] = ()
@@ -79,7 +76,6 @@ class Measurement:
     provenance: Mapping[str, str] = field(default_factory=dict)
     """Hashes of recipe, calibration and image, and version of every plugin that had a part."""
     decision: Decision | None = None
-    """What the grader made of it; None where absent."""
 
     @property
     def all_reasons(self) -> tuple[Reason, ...]:

@@ -35,11 +35,8 @@ class ReliefRegion:
     """A dent or a hump."""
 
     kind: str
-    """``dent`` or ``hump``."""
     depth_mm: float
-    """Largest depth, or height, mm."""
     area_mm2: float
-    """Area on the belt, mm²."""
     xy_mm: Floats
     """(2,) where it is deepest, belt frame, mm."""
     cells: Integers
@@ -56,7 +53,6 @@ class Relief:
     """(section, 2) middle of each section: the mid-line, mm."""
     maps: tuple[ReliefMap, ...] = ()
     regions: tuple[ReliefRegion, ...] = ()
-    """maps, regions: what there is to show."""
     figures: Mapping[str, float] = field(default_factory=dict)
     """Sizes to write beside it, by name, units in the names."""
 
@@ -115,7 +111,6 @@ class Volume:
     """slice_stripe, slice_area_mm2, slice_spacing_mm: (slice,) the slices the estimator summed, where it did:
     stripe, area of the cross-section, and the distance the area was held over."""
     reasons: tuple[Reason, ...] = ()
-    """What a reader of the number must know."""
 
     def __post_init__(self) -> None:
         check = Checker(self)
@@ -175,9 +170,7 @@ class Grade:
     features: Mapping[str, Number] = field(default_factory=dict)
     """The numbers the decision rests on, each with its unit in the name."""
     reasons: tuple[Reason, ...] = ()
-    """Why, in words."""
     marks: Marks | None = None
-    """Evidence to draw."""
     features_std: Mapping[str, Number] = field(default_factory=dict)
     """Standard uncertainties of features, by name; a feature that is not in it has none stated."""
     relief: Relief | None = None

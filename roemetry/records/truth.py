@@ -54,7 +54,6 @@ class ProductTruth:
     true_mm3: Number = math.nan
     """visible_mm3, true_mm3: volumes as the conventions define them, mm³."""
     mass_g: Number = math.nan
-    """Mass, g."""
     figures: Mapping[str, Number] = field(default_factory=dict)
     """Further numbers by name, units in the names: sizes, and how much of a defect a lit stripe shows."""
 
@@ -64,9 +63,7 @@ class Truth:
     """What is true of one acquisition."""
 
     products: tuple[ProductTruth, ...] = ()
-    """Its products, from left to right."""
     stripes: StripeTruth | None = None
-    """Where the stripes are; None where that is not known."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -76,4 +73,3 @@ class Simulated:
     frames: tuple[Frame, ...]
     """Its images, by role one at most."""
     truth: Truth
-    """What is true of it."""

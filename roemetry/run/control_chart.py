@@ -74,23 +74,18 @@ class Check:
     """One check of a calibration."""
 
     made: str
-    """Date and time, ISO 8601, UTC."""
     calibration_sha256: str
     target: str
     image: str
     image_sha256: str
-    """calibration_sha256, target, image, image_sha256: what was checked, by what, in which image."""
     height: Quantity
     belt: Quantity
     width: Quantity
-    """height, belt, width: the lengths."""
     stripes: int
     stripe_spread_mm: Number
-    """stripes, stripe_spread_mm: stripes on the block's top, and how far their own heights spread."""
     verdict: Verdict = "in order"
     """``in order``; ``drifting``: within its limits, but the chart shows that something moves; ``out``."""
     reasons: tuple[Reason, ...] = ()
-    """Why, in words."""
 
     def quantity(self, name: str) -> Quantity:
         """Give a length by its name in `QUANTITIES`."""

@@ -122,11 +122,8 @@ class Case:
     """A call of a stage's verb."""
 
     inputs: tuple[Any, ...]
-    """What goes in."""
     call: Callable[[Any], Any]
-    """Calls the stage's verb with these inputs."""
     is_empty: Callable[[Any], bool] = lambda _: True
-    """Says whether a result of it holds nothing."""
 
 
 @dataclass(frozen=True, slots=True)
