@@ -17,6 +17,7 @@ BENCHMARKS = {
     "draws": "time of a frame with Monte Carlo draws over that without",
     "extract": "precision, speed and bias of extractors against the physical bound and against peers",
     "extract_real": "the same on real camera images: matches, reflections, a line across a printed board",
+    "faults": "disturbed images: held, outside the stated interval, refused",
     "frame": "time from an array to a measurement, by stage",
     "geometry": "displacement and height of one stripe, the linear model beside it, and the picture of it",
     "startup": "time of `roemetry --help` over that of a two-command Typer program",

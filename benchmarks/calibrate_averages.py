@@ -30,10 +30,8 @@ from roemetry.records import Sensor as Noise
 from roemetry.records.arrays import Floats
 from roemetry.records.calibration import Calibration
 from roemetry.stages.registry import discover
-from roemetry_simulate.render import Rig, laser_light
-from roemetry_simulate.scene_file import RayCasterOptions
-from roemetry_simulate.scene_rig import rig_of, surface_of
-from roemetry_simulate.sensor import expose
+from roemetry_simulate.render import Rig, expose, laser_light
+from roemetry_simulate.scene import RayCasterOptions, rig_of, surface_of
 from roemetry_simulate.solid import Block
 from roemetry_simulate.surface import Surface
 

@@ -25,8 +25,7 @@ from roemetry.records.arrays import Floats
 from roemetry.records.calibration import Calibration
 from roemetry.stages.registry import discover
 from roemetry_simulate.ray_caster import RayCaster
-from roemetry_simulate.scene_file import RayCasterOptions
-from roemetry_simulate.scene_rig import rig_of
+from roemetry_simulate.scene import RayCasterOptions, rig_of
 
 RIGS: dict[str, dict[str, object]] = {
     "narrow": {

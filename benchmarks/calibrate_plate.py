@@ -23,7 +23,7 @@ from roemetry_pinhole.plates import plate_scale
 from roemetry_simulate.products.family import Pose
 from roemetry_simulate.products.mesh import Triangles, close, lay
 from roemetry_simulate.render import render
-from roemetry_simulate.scene_rig import rig_of
+from roemetry_simulate.scene import rig_of
 
 
 def main() -> None:

@@ -25,7 +25,7 @@ from roemetry.records import Frame, Peaks
 from roemetry.records.calibration import Calibration
 from roemetry_coding.planes import Planes, decide, graph, shifts, solve
 from roemetry_peaks.maximum_likelihood import MaximumLikelihood
-from roemetry_tools.compare.points import nearest
+from roemetry_tools.compare.stripes import nearest
 
 SEED = 41_000_000
 HEIGHT_MAX_MM = 45.0

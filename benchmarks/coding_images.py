@@ -15,8 +15,7 @@ from benchmarks.coded.products import in_view
 from benchmarks.coding_results import Coders, Results, Tally
 from roemetry.records import Frame
 from roemetry_paper.dominant_peak import DominantPeak, DominantPeakOptions
-from roemetry_simulate.render import Rig, render
-from roemetry_simulate.sensor import Sensor
+from roemetry_simulate.render import Rig, Sensor, render
 from roemetry_simulate.surface import textured
 
 SPECKLE = {"easy": 0.10, "dense": 0.20}

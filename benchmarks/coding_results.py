@@ -21,7 +21,7 @@ from roemetry.records import StripeMap
 from roemetry.stages import Coder
 from roemetry.stages.registry import discover
 from roemetry_simulate.solid import Solid
-from roemetry_tools.compare.points import nearest
+from roemetry_tools.compare.stripes import nearest
 
 LITERAL = "window-tracking (belt: interruption)"
 """The paper to the letter, beside its safer reading."""

@@ -15,8 +15,7 @@ from roemetry.config.scene import Scene
 from roemetry.html import plots as svg
 from roemetry.records.arrays import Floats
 from roemetry_simulate.render import Rig
-from roemetry_simulate.scene_file import RayCasterOptions
-from roemetry_simulate.scene_rig import rig_of
+from roemetry_simulate.scene import RayCasterOptions, rig_of
 
 _STYLE = Markup(
     "<style>text{font:12px system-ui,sans-serif;fill:#3c434c;text-anchor:middle}"

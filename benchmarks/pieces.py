@@ -18,7 +18,7 @@ from benchmarks.coded.products import in_view
 from roemetry.errors import StageError
 from roemetry.records import StripeMap
 from roemetry_coding.pieces import Pieces
-from roemetry_tools.compare.points import nearest
+from roemetry_tools.compare.stripes import nearest
 
 RIGS = {"easy": easy_rig, "dense": dense_rig}
 DAMAGED = ("none", "gaps", "lost-rows", "blobs", "ghosts", "dead-stripe", "belt-above")

@@ -19,7 +19,7 @@ from roemetry import Pipeline, Recipe
 from roemetry.config.dataset import Dataset
 from roemetry.records import ProductTruth
 from roemetry.records.trace import ProductTrace
-from roemetry_tools.compare.matching import by_place
+from roemetry_tools.compare.stripes import by_place
 
 HOME = Path(__file__).resolve().parents[1] / "recipes"
 LINES = ("potato", "fish_fillet", "bread_roll", "egg")

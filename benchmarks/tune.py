@@ -14,7 +14,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from roemetry_tools.tune.protocol import unpacked
+from roemetry_tools.tune.answer import unpacked
 from roemetry_tools.tune.request import StageWish, Wish
 from roemetry_tools.tune.server import LOOPBACK, app_of
 from roemetry_tools.tune.session import Session

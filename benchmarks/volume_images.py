@@ -16,14 +16,13 @@ from roemetry.errors import RoemetryError
 from roemetry.io.files import write_whole
 from roemetry.records import Frame, Outline, Product, Profiles, StripeMap, Volume
 from roemetry.records.calibration import Calibration
-from roemetry.run.monte_carlo import Chain, Scene
-from roemetry.run.monte_carlo import Drawn
+from roemetry.run.monte_carlo import Chain, Drawn, Scene
 from roemetry.run.open_parts import SHARE_MAX, open_parts
 from roemetry.run.split_products import assemble
 from roemetry.stages import StageOptions, Triangulator, VolumeEstimator
 from roemetry_paper.window_tracking import WindowTracking
 from roemetry_peaks.maximum_likelihood import MaximumLikelihood
-from roemetry_simulate import scene_rig
+from roemetry_simulate import scene as scene_rig
 from roemetry_simulate.render import render
 from roemetry_volume.edge_contour import EdgeContour, EdgeContourOptions
 

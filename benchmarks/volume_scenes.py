@@ -14,14 +14,12 @@ from roemetry.records import NOTHING, Outline, Product, Profiles
 from roemetry.records.calibration import Calibration
 from roemetry.records.view import View
 from roemetry_kernels.compiling import kernel
-from roemetry_simulate import scene_rig
-from roemetry_simulate.camera import Camera, camera_ray, looking_down
-from roemetry_simulate.laser import LaserFan, fan_through
+from roemetry_simulate import scene as scene_rig
+from roemetry_simulate.optics import Camera, LaserFan, camera_ray, fan_through, looking_down
 from roemetry_simulate.population import in_reach
 from roemetry_simulate.products import PRODUCTS, Drawn
 from roemetry_simulate.raycast import hit_body
-from roemetry_simulate.render import Rig
-from roemetry_simulate.sensor import Sensor
+from roemetry_simulate.render import Rig, Sensor
 from roemetry_simulate.solid import Solid
 from roemetry_simulate.truth import StripeTruth, stripe_centres
 

@@ -21,7 +21,7 @@ from benchmarks.volume_images import images, measured
 from benchmarks.volume_scenes import HERRING_ROE, exact_skein
 from roemetry import Recipe
 from roemetry.errors import RoemetryError
-from roemetry_tools.compare.bootstrap import wilson
+from roemetry_tools.compare.agreement import wilson
 
 UNKNOWN = "unknown"
 

@@ -14,6 +14,9 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from roemetry.records.calibration import Calibration
+from tests.browser import browser
+
+__all__ = ["browser"]
 
 SEED = 20260711
 # What lands must depend neither on luck nor on what else the machine does;

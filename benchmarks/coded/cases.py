@@ -15,7 +15,7 @@ from benchmarks.coded.rigs import CodingRig, dense_rig, easy_rig
 from benchmarks.coded.samples import Sample, sample_from
 from roemetry_simulate.products.artefacts import SphereOptions, WedgeOptions, sphere, wedge
 from roemetry_simulate.products.family import Pose
-from roemetry_simulate.skein import build, draw
+from roemetry_simulate.products.herring import build, draw
 from roemetry_simulate.solid import Block, GriddedSolid, Solid
 
 _SEED = 424242

@@ -8,8 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from roemetry_simulate.camera import Camera, camera_ray
-from roemetry_simulate.laser import LaserFan
+from roemetry_simulate.optics import Camera, LaserFan, camera_ray
 from roemetry_simulate.raycast import first_hit, normal_at, sees
 from roemetry_simulate.solid import Body, Solid
 

@@ -10,8 +10,8 @@ import numpy as np
 from benchmarks.coded.rigs import CodingRig
 from roemetry_simulate.population import moved
 from roemetry_simulate.products import PRODUCTS
-from roemetry_simulate.skein import FURTHER_KINDS, build, draw
-from roemetry_simulate.skein import KINDS as DRAWN_KINDS
+from roemetry_simulate.products.herring import FURTHER_KINDS, build, draw
+from roemetry_simulate.products.herring import KINDS as DRAWN_KINDS
 from roemetry_simulate.solid import GriddedSolid, Solid
 
 KINDS = DRAWN_KINDS + FURTHER_KINDS

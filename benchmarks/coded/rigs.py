@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from roemetry.records.calibration import Calibration
 from roemetry.records.view import View
-from roemetry_simulate.camera import Camera, looking_down
-from roemetry_simulate.laser import LaserFan, fan_through
+from roemetry_simulate.optics import Camera, LaserFan, fan_through, looking_down
 
 Floats = NDArray[np.float64]
 

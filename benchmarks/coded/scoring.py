@@ -9,8 +9,7 @@ import numpy as np
 from benchmarks.coded.samples import Sample
 from roemetry.records import AMBIGUOUS, StripeMap
 from roemetry.records.arrays import Integers
-from roemetry_tools.compare.coding import longest_run
-from roemetry_tools.compare.points import REACH_PX, nearest
+from roemetry_tools.compare.stripes import REACH_PX, longest_run, nearest
 
 _TALL_MM = 1.0
 

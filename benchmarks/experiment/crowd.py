@@ -16,7 +16,7 @@ from benchmarks.traced.causes import CAUSES
 from benchmarks.traced.shown import STRIPES
 from benchmarks.traced.tables import Row
 from roemetry.html import plots as svg
-from roemetry_tools.compare.bootstrap import Bootstrap, mean_of
+from roemetry_tools.compare.agreement import Bootstrap, mean_of
 
 KINDS = ("none", "dented", "several-dents", "bent", "s-bent", "twisted", "folded", "broken")
 _DRAWN = ("paper's rule", "paper's rule, best options", "`learned`")

@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmarks.grading.judges import GOOD, SHOWN_MM, Judge
 from benchmarks.traced.tables import Row
-from roemetry_tools.compare.bootstrap import Interval, wilson
+from roemetry_tools.compare.agreement import Interval, wilson
 from roemetry_tools.compare.grading import Graded
 
 UNKNOWN = "unknown"

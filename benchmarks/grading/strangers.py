@@ -20,7 +20,7 @@ from benchmarks.traced.tables import SMOOTHING_MM
 from roemetry.errors import RoemetryError
 from roemetry_shape.features import shape_of
 from roemetry_shape.learned import Learned, LearnedOptions
-from roemetry_tools.compare.bootstrap import wilson
+from roemetry_tools.compare.agreement import wilson
 
 NOT_SEEN = ("whole cylinder", "sloping block", "single step", "cap of a ball", "ball-bar")
 """Kinds that no measure was chosen with an eye on; the others had been tried, of other sizes and seeds."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 
-from roemetry_tools.compare.bootstrap import Interval
+from roemetry_tools.compare.agreement import Interval
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

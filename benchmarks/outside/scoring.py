@@ -28,7 +28,7 @@ from roemetry.run.pipeline import Pipeline, frame_of
 from roemetry.run.rows import measurements_of
 from roemetry.run.stage_cache import RememberedStages, StepMemory
 from roemetry.stages.registry import discover
-from roemetry_tools.compare.points import REACH_PX, nearest
+from roemetry_tools.compare.stripes import REACH_PX, nearest
 
 HIT_PX = 2.0
 HEIGHTS_MM = 9

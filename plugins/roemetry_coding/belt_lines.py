@@ -1,17 +1,18 @@
 """Alignment by the belt's stripes: how far the camera has moved since the calibration, from one frame.
 
-Model. The calibration says where each stripe lies on the bare belt: x = u_s(row). A camera that has been moved
-a little shows the line at u_s(row) + Σ_k θ_k b_ks(row), where θ are shift, roll, zoom and tilt
-(`roemetry.records.alignment`) and b_ks is how the line answers to θ_k: the difference of the rest lines of two
-calibrations that the triangulator has moved by ± a step. So the model holds for any lens and any method of
-calibration that can be moved.
+Model. The calibration says where each stripe lies on the bare belt: x = u_s(row). A camera that has been
+moved a little shows the line at u_s(row) + Σ_k θ_k b_ks(row), where θ are shift, roll, zoom and tilt
+(`roemetry.records.alignment`) and b_ks is how the line answers to θ_k: the difference of the rest lines of
+two calibrations that the triangulator has moved by ± a step. So the model holds for any lens and any method
+of calibration that can be moved.
 
 Every few rows, each peak is compared with the rest line nearest to it. Most peaks lie on the belt; those of a
 product lie anywhere. θ is the robust least-squares fit (Tukey's biweight, its width narrowed in steps to four
-standard deviations: Huber & Ronchetti, Robust Statistics, 2nd ed., chapter 7). Its covariance is clustered
-(White's sandwich over blocks of a stripe and an eighth of the rows), for errors of neighbouring rows are not
-independent. A shift may come from the camera, the laser or the belt; at the height h they differ by the shift
-times h over their distance: that much of the zoom is not known, and stands in its variance.
+standard deviations: Huber & Ronchetti, Robust Statistics, 2nd ed., chapter 7). Its covariance is White's
+sandwich, clustered by stripe and by eighths of the rows, the two added: each calibrated line has an error of
+its own, and errors of neighbouring rows are alike. A shift may come from the camera, the laser or the belt;
+at the height h they differ by the shift times h over their distance: that much of the zoom is not known, and
+stands in its variance.
 
 Assumes that belt is seen at the ends of the image, and that nothing has moved by more than a few pixels. It
 fails, and says so, where the belt is hidden or where lines that fit no small motion are seen.
@@ -29,10 +30,10 @@ from pydantic import Field
 
 from roemetry.errors import StageError
 from roemetry.records import Peaks, Reason
-from roemetry.records.alignment import PARAMETERS, Alignment
 from roemetry.records.arrays import Floats, Integers
-from roemetry.records.calibration import Calibration
+from roemetry.records.calibration import Alignment, Calibration
 from roemetry.stages import Aligner, StageOptions
+from roemetry_coding.torn_frames import tear_of
 from roemetry_kernels.compiling import float_kernel
 
 _STEPS = np.array([2.0, 5e-3, 5e-3, 2e-2])
@@ -55,7 +56,7 @@ _SIGMA_MIN_PX = 0.05
 _ROWS_USED = 80
 """Rows compared: the fit is then known to some 0.01 px, and takes less than 0.1 ms."""
 _BLOCKS = 8
-"""Blocks of rows a stripe, taken as independent: no speckle or texture is correlated over so many rows."""
+"""Blocks of rows taken as independent: no speckle or texture is correlated over so many rows."""
 _PEAKS_MIN = 30
 """Belt peaks that must fit: less are a few rows, which any noise could bring together."""
 _CHECKED_STD_PX = 0.25
@@ -65,7 +66,10 @@ _QUANTUM_PX = 0.005
 one corrected calibration. A tenth of the smallest correction."""
 _SIGNIFICANT = 3.0
 """Standard deviations from which a motion is taken for real."""
+_TOLD_SHARE = 0.15
+"""A part of the motion that does less at the image's edge than this share of the largest is not told."""
 _STRIPE_MOVED_PX = 0.25
+"""A light plane that has moved by less costs less than the paper's whole-pixel peaks do."""
 _STRIPE_PEAKS_MIN = 15
 """A stripe's own distance is stated from so many peaks on the belt."""
 _OUTER_SHARE = 0.1
@@ -107,10 +111,18 @@ class BeltLines(Aligner[BeltLinesOptions]):
         Raises
         ------
         StageError
-            The lines have moved by more than `refuse_from_px`, or too little belt fits any small motion.
+            The lines have moved by more than `refuse_from_px`, or too little belt fits any small motion; or
+            the frame is torn (`roemetry_coding.torn_frames`).
         """
         model = _model_of(calibration, moved)
         search_px = min(_SEARCH_PX, _SEARCH_SPACING * model.spacing_px)
+        tear = tear_of(peaks.row_start, peaks.x_px, model.lines, model.spacing_px)
+        if tear is not None:
+            raise StageError(
+                f"all stripes on the product jump at once, by {tear.jump_px:.1f} px, between the rows "
+                f"{tear.row} and {tear.row + 1}: rows were lost there, or what is below is another frame's",
+                hint="look at the image; take it again, and look at cable and frame grabber",
+            )
         every = max(1, calibration.image_size[0] // _ROWS_USED)
         widths = np.array(_WIDTHS) * search_px
         fit = _Fit(*_fitted(
@@ -124,8 +136,8 @@ class BeltLines(Aligner[BeltLinesOptions]):
                 reasons=(
                     Reason(
                         "belt-not-seen",
-                        "too little of the bare belt is seen to compare it with the calibration: whether camera, "
-                        "laser or belt have moved is not known",
+                        "too little of the bare belt is seen to compare it with the calibration: whether "
+                        "camera, laser or belt have moved is not known",
                     ),
                 ),
             )
@@ -136,15 +148,16 @@ class BeltLines(Aligner[BeltLinesOptions]):
         largest, largest_std = float(abs(off_px[worst])), float(std_px[worst])
         if fit.outer_peaks and fit.outer_fit < _OUTER_FIT_MIN * fit.outer_peaks:
             raise StageError(
-                f"of the stripes at the image's top and bottom only {fit.outer_fit / fit.outer_peaks:.0%} lie "
-                f"within a pixel or so of the calibrated rest lines, however a camera is moved a little",
-                hint="camera, laser or belt have moved far, or the calibration is of another rig: calibrate again",
+                f"of the stripes at the image's top and bottom only {fit.outer_fit / fit.outer_peaks:.0%} "
+                "lie within a pixel or so of the calibrated rest lines, however a camera is moved a little",
+                hint="camera, laser or belt have moved far, or the calibration is of another rig: "
+                "calibrate again",
             )
         natural = fit.motion * model.scale
         if largest > self.options.refuse_from_px + 2.0 * largest_std:
             raise StageError(
                 f"the belt's stripes lie up to {largest:.1f} px beside the calibrated rest lines "
-                f"({_in_words(natural, calibration)}): too far to be corrected",
+                f"({_in_words(natural, fit.motion)}): too far to be corrected",
                 hint="fasten camera and laser, and calibrate again",
             )
         reasons = []
@@ -154,15 +167,15 @@ class BeltLines(Aligner[BeltLinesOptions]):
                 Reason(
                     "moved",
                     f"the belt's stripes lie up to {largest:.2f} px beside the calibrated rest lines "
-                    f"({_in_words(natural, calibration)}): corrected, with its uncertainty",
+                    f"({_in_words(natural, fit.motion)}): corrected, with its uncertainty",
                 )
             )
         elif largest_std > _CHECKED_STD_PX:
             reasons.append(
                 Reason(
                     "belt-not-seen",
-                    f"too little of the bare belt is seen to say better than to {2 * largest_std:.1f} px whether "
-                    "camera, laser or belt have moved",
+                    "too little of the bare belt is seen to say better than to "
+                    f"{2 * largest_std:.1f} px whether camera, laser or belt have moved",
                 )
             )
         stripe_px = np.where(fit.of_stripe >= _STRIPE_PEAKS_MIN, fit.stripe_px, np.nan)
@@ -218,7 +231,8 @@ def _model_of(calibration: Calibration, moved: Callable[[Calibration, Alignment]
     answer = np.empty((*lines.shape, 4))
     for k, step in enumerate(_STEPS):
         there, back = (
-            moved(calibration, Alignment(np.eye(4)[k] * sign * step, none)).rest_line_px(rows) for sign in (1.0, -1.0)
+            moved(calibration, Alignment(np.eye(4)[k] * sign * step, none)).rest_line_px(rows)
+            for sign in (1.0, -1.0)
         )
         answer[..., k] = (there - back) / (2.0 * step)
     inside = (lines >= 0.0) & (lines < calibration.image_size[1])
@@ -242,17 +256,21 @@ def _focal_px(calibration: Calibration) -> float:
     return math.inf if view is None or view.telecentric else float(view.camera_matrix[0, 0])
 
 
-def _in_words(motion: Floats, calibration: Calibration) -> str:
-    """Say in which way and by how much the image has moved."""
-    columns = calibration.image_size[1]
+def _in_words(motion: Floats, edge_px: Floats) -> str:
+    """Say in which way and by how much the image has moved; what moves its edge by little is left out.
+
+    `motion` in the units of `PARAMETERS`, `edge_px` what each does at the image's edge.
+    """
     pan, roll, zoom, tilt = motion
     turn = "clockwise" if roll > 0 else "counter-clockwise"
-    words = [f"image shifted by {pan:+.2f} px along x", f"turned by {math.degrees(abs(roll)):.2f}° {turn}"]
-    if abs(zoom) * columns / 2.0 > 0.1:
-        words.append(f"grown by {zoom:+.2%}")
-    if abs(tilt) > math.radians(0.5):
-        words.append(f"camera tilted by {math.degrees(tilt):+.1f}° about its x axis")
-    return ", ".join(words)
+    words = (
+        f"image shifted by {pan:+.2f} px along x",
+        f"turned by {math.degrees(abs(roll)):.2f}° {turn}",
+        f"grown by {zoom:+.2%}" if zoom > 0 else f"shrunk by {-zoom:.2%}",
+        f"camera tilted by {math.degrees(tilt):+.2f}° about its x axis",
+    )
+    told = np.abs(edge_px) >= _TOLD_SHARE * np.abs(edge_px).max()
+    return ", ".join(word for word, tell in zip(words, told, strict=True) if tell)
 
 
 def _stripes_that_moved(stripe_px: Floats, sigma_px: float) -> list[Reason]:
@@ -262,7 +280,9 @@ def _stripes_that_moved(stripe_px: Floats, sigma_px: float) -> list[Reason]:
     if not far.size:
         return []
     which = ", ".join(f"{s + 1} ({stripe_px[s]:+.2f} px)" for s in far)
-    return [Reason("stripe-moved", f"stripes have moved against the others on the belt: {which}; calibrate again")]
+    return [
+        Reason("stripe-moved", f"stripes have moved against the others on the belt: {which}; calibrate again")
+    ]
 
 
 @float_kernel
@@ -284,13 +304,15 @@ def _fitted(
         for p in range(row_start[row], row_start[row + 1]):
             if count >= most:
                 break
-            while nearest < stripes - 1 and abs(x_px[p] - lines[row, nearest + 1]) < abs(x_px[p] - lines[row, nearest]):
+            while nearest < stripes - 1 and abs(x_px[p] - lines[row, nearest + 1]) < abs(
+                x_px[p] - lines[row, nearest]
+            ):
                 nearest += 1
             distance = x_px[p] - lines[row, nearest]
             if abs(distance) <= search_px:
                 off[count], at[count, 0], at[count, 1] = distance, row, nearest
                 count += 1
-    theta = np.zeros(4)
+    theta: Floats = np.zeros(4)
     normal, right = np.zeros((4, 4)), np.zeros(4)
     sigma = search_px
     for turn in range(widths.size + last_rounds):
@@ -325,13 +347,13 @@ def _fitted(
             normal[k, k] += 1e-6 * (1.0 + count)  # a motion that nothing shows stays nothing
             for j in range(k):
                 normal[k, j] = normal[j, k]
-        before = theta
-        theta = np.linalg.solve(normal, right)
+        before = theta.copy()
+        theta[:] = np.linalg.solve(normal, right)
         sigma = max(sigma_min_px, math.sqrt(total / max(sum_weight, 1.0)))
         if turn >= widths.size and np.abs(theta - before).max() < settled_px:
             break
     # what is left: of each block, of each stripe, of the image's ends
-    slope = np.zeros((stripes * blocks, 4))
+    slope = np.zeros((stripes + blocks, 4))
     stripe_sum, of_stripe = np.zeros(stripes), np.zeros(stripes, np.int64)
     used, outer, outer_fit = 0, 0, 0
     width = max(sigmas * sigma, 1.0)
@@ -340,9 +362,11 @@ def _fitted(
         left = off[i]
         for k in range(4):
             left -= theta[k] * answer[row, stripe, k]
-        block = stripe * blocks + row * blocks // rows
+        block = stripes + row * blocks // rows
         for k in range(4):
-            slope[block, k] += weight[i] * left * answer[row, stripe, k]
+            pull = weight[i] * left * answer[row, stripe, k]
+            slope[stripe, k] += pull
+            slope[block, k] += pull
         if abs(left) < width:
             used += 1
             stripe_sum[stripe] += left

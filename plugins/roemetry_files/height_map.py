@@ -17,7 +17,7 @@ from pydantic import Field
 from roemetry.records import Profiles, Trace
 from roemetry.records.arrays import Floats
 from roemetry.stages import Run, Sink, StageOptions
-from roemetry_files.per_acquisition import write_each
+from roemetry_files.points import write_each
 
 _LEVELS = 65535
 

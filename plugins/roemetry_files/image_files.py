@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import struct
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from roemetry.errors import DataError
+from roemetry.io.files import printable
 from roemetry.records import Acquisition, AcquisitionReference, Frame, Role
 from roemetry.stages import Source, StageOptions
 
@@ -45,7 +49,10 @@ class ImageFiles(Source[ImageFilesOptions]):
                 hint=f"source.path is a file, a folder or a pattern of {', '.join(SUFFIXES)}",
             )
         stems = Counter(file.stem for file in files)
-        return [self._reference(file, file.stem if stems[file.stem] == 1 else file.name) for file in files]
+        return [
+            self._reference(file, printable(file.stem if stems[file.stem] == 1 else file.name))
+            for file in files
+        ]
 
     def read(self, reference: AcquisitionReference) -> Acquisition:
         """Decode the files of one acquisition; raise DataError for one that is missing or damaged."""
@@ -62,50 +69,81 @@ class ImageFiles(Source[ImageFilesOptions]):
         return AcquisitionReference(name, files)
 
 
+PIXELS_MAX = 2**28
+"""Largest image that is read, pixels: four times a 64-megapixel camera. A file of a megabyte can ask for more
+memory than there is."""
+
+
 def read_image(path: Path, role: Role = "laser") -> Frame:
-    """Decode one image file.
+    """Decode one image file, as the sensor gave it: no orientation that a file asks viewers for is applied.
 
     Raises
     ------
     DataError
-        The file is missing, cut off, or no image; or its pixels are neither 8 nor 16 bit.
+        The file is missing, cut off, damaged, too large, or no image; or its pixels are neither 8 nor 16 bit.
     """
-    import cv2
-
+    shown = printable(str(path))
     try:
-        data = np.fromfile(path, np.uint8)
+        if path.exists() and not path.is_file():
+            raise DataError(f"{shown}: not a file", hint="a folder, a pipe or a device has an image's name")
+        data = path.read_bytes()
     except OSError as error:
         raise DataError(
-            f"{path}: the {role} image cannot be read: {error.strerror or error}",
+            f"{shown}: the {role} image cannot be read: {error.strerror or error}",
             hint="partner images are named in source.options" if role != "laser" else "check the file",
         ) from error
-    if data.size == 0:
-        raise DataError(f"{path}: the file is empty")
-    if _cut_off(data):
-        raise DataError(f"{path}: the file is cut off", hint="copy it again")
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # we say what is wrong, with the file
-    try:
-        pixels = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
-    except cv2.error:
-        pixels = None
-    if pixels is None:
-        raise DataError(f"{path}: not an image that can be read, or damaged", hint="open it in a viewer")
+    if not data:
+        raise DataError(f"{shown}: the file is empty")
+    pixels = _jpeg(data, shown) if data.startswith(_JPEG) else _by_opencv(data, shown)
     if pixels.ndim == 3 and pixels.shape[2] == 4:
         pixels = pixels[:, :, :3]
     if pixels.dtype not in (np.uint8, np.uint16):
-        raise DataError(f"{path}: pixels are {pixels.dtype}; 8 or 16 bit unsigned are read")
-    return Frame(pixels, role=role, name=path.name, bit_depth=8 * pixels.dtype.itemsize)
+        raise DataError(f"{shown}: pixels are {pixels.dtype}; 8 or 16 bit unsigned are read")
+    return Frame(pixels, role=role, name=printable(path.name), bit_depth=8 * pixels.dtype.itemsize)
 
 
-def _cut_off(data: np.ndarray) -> bool:
-    """Tell a PNG or JPEG without its end: decoders fill such images with grey and say nothing."""
-    head = bytes(data[:8])
-    tail = bytes(data[-4096:]).rstrip(b"\0")[-64:]  # some cameras pad their files
-    if head.startswith(b"\x89PNG"):
-        return b"IEND" not in tail
-    if head.startswith(b"\xff\xd8"):
-        return b"\xff\xd9" not in tail
-    return False
+_JPEG = b"\xff\xd8"
+_PNG = b"\x89PNG\r\n\x1a\n"
+
+
+def _jpeg(data: bytes, shown: str) -> NDArray[Any]:
+    """Decode a JPEG file strictly: OpenCV fills what is missing with grey, and goes on."""
+    import simplejpeg
+
+    try:
+        rows, columns, space, _ = simplejpeg.decode_jpeg_header(data)
+        _check_size(rows, columns, shown)
+        grey = space == "Gray"
+        pixels = simplejpeg.decode_jpeg(data, colorspace="GRAY" if grey else "BGR")
+    except ValueError as error:
+        raise DataError(f"{shown}: the file is cut off or damaged: {error}", hint="copy it again") from error
+    return np.asarray(pixels[:, :, 0] if grey else pixels)
+
+
+def _by_opencv(data: bytes, shown: str) -> NDArray[Any]:
+    import cv2
+
+    if data.startswith(_PNG):
+        if b"IEND" not in data[-4096:].rstrip(b"\0")[-64:]:  # some cameras pad their files
+            raise DataError(f"{shown}: the file is cut off", hint="copy it again")
+        columns, rows = struct.unpack(">II", data[16:24])
+        _check_size(rows, columns, shown)
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # we say what is wrong, with the file
+    try:
+        pixels: NDArray[Any] | None = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        pixels = None
+    if pixels is None:
+        raise DataError(f"{shown}: not an image that can be read, or damaged", hint="open it in a viewer")
+    return pixels
+
+
+def _check_size(rows: int, columns: int, shown: str) -> None:
+    if rows * columns > PIXELS_MAX:
+        raise DataError(
+            f"{shown}: {columns} × {rows} pixels; at most {PIXELS_MAX // 10**6} million are read",
+            hint="if the image is really so large, cut it into frames",
+        )
 
 
 def _files(path: Path) -> list[Path]:
@@ -115,7 +153,7 @@ def _files(path: Path) -> list[Path]:
         found = list(path.parent.glob(path.name))
     else:
         found = [path] if path.is_file() else []
-    return sorted(file for file in found if file.is_file())
+    return sorted(found)
 
 
 def _is_pattern(path: Path) -> bool:

@@ -1,20 +1,45 @@
-"""The sinks `points` (CSV) and `point-cloud` (PLY): every coded point of an acquisition."""
+"""The sinks `points` (CSV) and `point-cloud` (PLY): a file of every coded point for each acquisition."""
 
 from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 
+from roemetry.errors import RoemetryError
+from roemetry.io.files import make_folder, write_bytes
 from roemetry.records import Trace
 from roemetry.stages import Run, Sink, StageOptions
-from roemetry_files.per_acquisition import write_each
 
 _PIXELS = ["stripe", "row (px)", "x (px)", "x standard uncertainty (px)", "rest x (px)", "product", "seen"]
 _MILLIMETRES = ["X (mm)", "Y (mm)", "Z (mm)", "random part of Z standard uncertainty (mm)"]
+
+
+def write_each(
+    run: Run, folder: str, ending: str, content: Callable[[Trace], bytes | None]
+) -> Sequence[Path]:
+    """Write ``folder/<acquisition>ending`` for each acquisition of which `content` gives anything.
+
+    What cannot be read again is passed over: its row in the record says why.
+    """
+    place = run.folder / folder
+    make_folder(place)
+    written = []
+    for name in dict.fromkeys(row.acquisition for row in run.measurements()):
+        try:
+            made = content(run.replay(name))
+        except RoemetryError:
+            continue
+        if made is None:
+            continue
+        # whatever a source calls its acquisitions, the file stays in its folder
+        path = place / f"{name.replace('/', '_').replace(chr(92), '_')}{ending}"
+        write_bytes(path, made)
+        written.append(path)
+    return written
 
 
 class Points(Sink[StageOptions]):

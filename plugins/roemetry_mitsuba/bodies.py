@@ -9,14 +9,16 @@ midpoint rule at an edge of random phase).
 from __future__ import annotations
 
 import math
+import multiprocessing
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from roemetry.errors import DataError
+from roemetry.errors import DataError, PluginError
 from roemetry_kernels.compiling import kernel
 
 Floats = NDArray[np.float64]
@@ -26,6 +28,8 @@ RASTER_MM = 0.1
 """Pitch of the height map; a quarter of the smallest detail a family makes."""
 
 _FILES = (".obj", ".ply", ".stl")
+VARIANT = "llvm_ad_mono"
+"""Of Mitsuba: rays vectorised by LLVM on the processor, one colour."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,10 +199,32 @@ def read_body(path: Path, mm_per_unit: float, up: str) -> Body:
     return settled(size, faces, _is_smooth(size, faces, edges))
 
 
+def mitsuba() -> Any:
+    """Import Mitsuba in the variant used here; raise PluginError that says what to install."""
+    try:
+        import drjit as dr
+        import mitsuba as mi
+    except ImportError as error:
+        raise PluginError(
+            f"simulator `mitsuba` needs the module mitsuba ({error})", hint='pip install "roemetry[mitsuba]"'
+        ) from error
+    if mi.variant() == VARIANT:
+        return mi
+    if not dr.has_backend(dr.JitBackend.LLVM):
+        raise PluginError(
+            "simulator `mitsuba` does not find the LLVM library, by which it compiles its kernels",
+            hint="install LLVM (Debian, Ubuntu: apt install libllvm15), or say where it is by the "
+            "environment variable DRJIT_LIBLLVM_PATH",
+        )
+    mi.set_variant(VARIANT)
+    mi.set_log_level(mi.LogLevel.Error)
+    if multiprocessing.parent_process() is not None:
+        dr.set_thread_count(1)  # one of several worker processes: they share the processors between them
+    return mi
+
+
 def _by_mitsuba(path: Path) -> Floats:
     """Corners of all faces, shape (3 F, 3), of a PLY or OBJ file."""
-    from roemetry_mitsuba.light import mitsuba
-
     mi = mitsuba()
     mesh = mi.load_dict({"type": path.suffix[1:].lower(), "filename": str(path), "face_normals": True})
     told = mi.traverse(mesh)

@@ -1,4 +1,4 @@
-"""Light of an image, by Mitsuba 3: which rays are cast, and what each adds.
+"""Light of an image, by Mitsuba 3: which rays are cast, what each adds, and what the sensor makes of it.
 
 Mitsuba's `llvm_ad_mono` variant holds meshes and textures and casts all rays; how a surface sends light on
 is in `roemetry_mitsuba.materials`. What reaches a pixel is summed from
@@ -9,7 +9,7 @@ is in `roemetry_mitsuba.materials`. What reaches a pixel is summed from
    no Monte Carlo noise;
 2. *mirrored light*: one ray a camera ray, drawn from the product's glossy lobe, that brings back what it
    meets: false stripes of the belt in a wet side, lamps, the sky;
-3. *light scattered inside* the product, gathered from beams of the projector: `roemetry_mitsuba.scattering`;
+3. *light scattered inside* the product, gathered from beams of the projector (the dipole of `materials`);
 4. *diffuse interreflection and sky*: path tracing with one further bounce from nodes four pixels apart,
    `bounce_rays` rays each, smoothed over neighbouring nodes of the same plane and spread to the pixels. It
    varies over millimetres, so this bias is far below its noise at one sample a pixel.
@@ -17,12 +17,17 @@ is in `roemetry_mitsuba.materials`. What reaches a pixel is summed from
 Grey levels over black throughout: a white (albedo 1) diffuse surface under irradiance E shows E. Left out:
 more than two bounces, caustics sharper than the nodes, polarisation. Rays are float32, so a point is right
 to about 0.02 µm; truth never comes from here, see `roemetry_mitsuba.truth`.
+
+The sensor (`expose`) adds vignetting, speckle, PSF, pixel gains, shot noise, full well, read noise, steps.
+Speckle multiplies the laser's light. Its intensity is drawn as that of fully developed speckle averaged over
+M = 1/C² independent patterns, which is gamma distributed with mean 1 and contrast C (Goodman 2007), from a
+Gaussian field of the told grain by a table of quantiles. So it is skewed as real speckle is: bright grains
+are brighter than dark ones are dark.
 """
 
 from __future__ import annotations
 
 import math
-import multiprocessing
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -31,16 +36,25 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from roemetry.errors import PluginError, StageError
-from roemetry_mitsuba.bodies import Body
-from roemetry_mitsuba.materials import METALS, Surface, diffuse, glossy, mirrored
-from roemetry_mitsuba.rig import Camera, Fan
-from roemetry_mitsuba.scattering import STEP_MM, Beams, Dipole, entered, gathered
+from roemetry.errors import StageError
+from roemetry_mitsuba.bodies import Body, mitsuba
+from roemetry_mitsuba.materials import (
+    METALS,
+    STEP_MM,
+    Beams,
+    Dipole,
+    Surface,
+    diffuse,
+    entered,
+    gathered,
+    glossy,
+    mirrored,
+)
+from roemetry_mitsuba.scene import Camera, Fan
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 
-VARIANT = "llvm_ad_mono"
 NODE_PX = 4
 """Distance of the nodes of indirect light; 0.7 mm at 0.17 mm a pixel, below the 2 mm it varies over."""
 DOME_SHARE = 0.2
@@ -106,30 +120,6 @@ class _Look(NamedTuple):
     gloss: Any
     roughness: Any
     wet: Any
-
-
-def mitsuba() -> Any:
-    """Import Mitsuba in the variant used here; raise PluginError that says what to install."""
-    try:
-        import drjit as dr
-        import mitsuba as mi
-    except ImportError as error:
-        raise PluginError(
-            f"simulator `mitsuba` needs the module mitsuba ({error})", hint='pip install "roemetry[mitsuba]"'
-        ) from error
-    if mi.variant() == VARIANT:
-        return mi
-    if not dr.has_backend(dr.JitBackend.LLVM):
-        raise PluginError(
-            "simulator `mitsuba` does not find the LLVM library, by which it compiles its kernels",
-            hint="install LLVM (Debian, Ubuntu: apt install libllvm15), or say where it is by the "
-            "environment variable DRJIT_LIBLLVM_PATH",
-        )
-    mi.set_variant(VARIANT)
-    mi.set_log_level(mi.LogLevel.Error)
-    if multiprocessing.parent_process() is not None:
-        dr.set_thread_count(1)  # one of several worker processes: they share the processors between them
-    return mi
 
 
 class Tracer:
@@ -567,3 +557,76 @@ def _spread(maps: Floats, first: int, shape: tuple[int, int]) -> Floats:
     columns = np.clip((np.arange(shape[1]) - first) / NODE_PX, 0, maps.shape[1] - 1)
     at = np.meshgrid(rows, columns, indexing="ij")
     return np.stack([map_coordinates(maps[..., k], at, order=1) for k in range(maps.shape[-1])], axis=-1)
+
+
+_FIXED_PATTERN_SEED = 915
+"""Of the pixels' gains: they belong to the camera, so they are the same in every image of every set."""
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """What the camera does to light: see the scene's camera part; all levels in grey levels."""
+
+    grey_per_electron: float
+    read_noise_grey: float
+    black_level_grey: float
+    psf_sigma_px: float
+    full_well_e: float
+    bit_depth: int
+    vignetting: float
+    prnu: float
+    speckle_contrast: float
+    speckle_sigma_px: float
+
+
+def expose(laser: Floats, other: Floats, camera: Camera, sensor: Sensor, seed: int) -> NDArray[Any]:
+    """Take a picture of light in grey levels over black; uint8, or uint16 where there are more bits."""
+    from scipy.ndimage import gaussian_filter
+
+    rng = np.random.default_rng([seed, 57])
+    light = other + (laser * _speckle(rng, laser.shape, sensor) if laser.any() else 0.0)
+    light = light * _falloff(camera, sensor.vignetting)
+    if sensor.psf_sigma_px > 0.0:
+        light = gaussian_filter(light, sensor.psf_sigma_px, mode="nearest")
+    if sensor.prnu > 0.0:
+        gains = np.random.default_rng(_FIXED_PATTERN_SEED).standard_normal(light.shape)
+        light = light * (1.0 + sensor.prnu * gains)
+    electrons = rng.poisson(np.maximum(light, 0.0) / sensor.grey_per_electron).astype(np.float64)
+    electrons = np.minimum(electrons, sensor.full_well_e)
+    grey = electrons * sensor.grey_per_electron + sensor.black_level_grey
+    grey += sensor.read_noise_grey * rng.standard_normal(light.shape)
+    white = 2**sensor.bit_depth - 1
+    return np.clip(np.rint(grey), 0, white).astype(np.uint8 if sensor.bit_depth <= 8 else np.uint16)
+
+
+def _falloff(camera: Camera, strength: float) -> Floats:
+    """Relative brightness over the image."""
+    x = (np.arange(camera.width_px) - camera.principal_px[0]) / camera.focal_px
+    y = (np.arange(camera.height_px) - camera.principal_px[1]) / camera.focal_px
+    fall: Floats = 1.0 / (1.0 + strength * np.add.outer(y * y, x * x)) ** 2
+    return fall
+
+
+def _speckle(rng: np.random.Generator, shape: tuple[int, ...], sensor: Sensor) -> Floats:
+    """Draw a gamma field of mean 1 with the sensor's contrast and grain."""
+    if sensor.speckle_contrast <= 0.0:
+        return np.ones(shape)
+    from scipy.ndimage import gaussian_filter
+    from scipy.stats import gamma, norm
+
+    field = rng.standard_normal(shape)
+    if sensor.speckle_sigma_px > 0.0:
+        field = gaussian_filter(field, sensor.speckle_sigma_px, mode="wrap")
+        field /= field.std()
+    count = 1.0 / sensor.speckle_contrast**2
+    at = np.linspace(-5.5, 5.5, 1101)
+    return np.asarray(np.interp(field, at, gamma.ppf(norm.cdf(at), count) / count))
+
+
+def diffraction_grain_px(
+    wavelength_nm: float, f_number: float, focal_mm: float, distance_mm: float, pixel_um: float
+) -> float:
+    """Deviation of the grain that diffraction at the aperture gives: λ N (1 + m) wide at half height."""
+    magnification = focal_mm / max(distance_mm - focal_mm, 1.0)
+    width_um = 1e-3 * wavelength_nm * f_number * (1.0 + magnification)
+    return width_um / pixel_um / (2.0 * math.sqrt(2.0 * math.log(2.0)))

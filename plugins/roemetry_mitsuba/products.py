@@ -28,10 +28,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError, field_validator
 
+from roemetry.config.scene_parts import Part
 from roemetry.config.validation import unknown_key
 from roemetry.errors import DataError, MisfitError
 from roemetry_mitsuba.bodies import Body, Faces, normals_of, read_body, settled
-from roemetry_mitsuba.scene import Part
 
 Floats = NDArray[np.float64]
 Length = Annotated[float, Field(gt=0, le=2000)]

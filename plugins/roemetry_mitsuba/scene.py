@@ -1,78 +1,44 @@
-"""What a scene file says to this simulator: camera, projector, belt, light, product, surface, targets.
+"""What a scene file says to this simulator, and the camera and projector that it describes, in float64.
 
-Every key that the plugin `simulate` reads is read here too, with the same meaning and default, so that one
-file serves both; what only this simulator knows (vignetting, pixel gains, lamp size, conductors) has defaults
-that leave an ordinary industrial camera. Lengths are in mm of the belt frame, angles in degrees.
+The parts of a scene are the core's (`roemetry.config.scene_parts`), so one file serves both simulators; what
+only this one knows (vignetting, pixel gains, lamp size, conductors) has defaults that leave an ordinary
+industrial camera. The camera is a pinhole with OpenCV's distortion, the projector a fan of planes n·X = d
+through one point. Lengths are in mm of the belt frame, angles in degrees. Of `surface.below`, `share` is
+that of the diffuse light that was scattered inside, `depth_mm` the transport mean free path and `blur_mm`
+the deviation of a thin line's image.
 """
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Annotated, Any, Literal
+import math
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
 
+from roemetry.config.scene_parts import (
+    BeltPart,
+    CameraPart,
+    LaserPart,
+    LightPart,
+    ProductPart,
+    Share,
+    StrayPart,
+    SurfacePart,
+    TargetsPart,
+)
 from roemetry.errors import MisfitError
 from roemetry.stages import StageOptions
+from roemetry_mitsuba.products import options_of
 
-Place = Annotated[float, Field(ge=-1e5, le=1e5)]
-Point = tuple[Place, Place, Place]
-Row = tuple[Place, Place, Place, Place]
-Share = Annotated[float, Field(ge=0, le=1)]
-Sizes = tuple[Annotated[float, Field(gt=0, le=1e4)], Annotated[float, Field(gt=0, le=1e4)]]
+Floats = NDArray[np.float64]
 
 
-class Part(BaseModel):
-    """A part of the scene: unknown keys are faults."""
+class MitsubaCamera(CameraPart):
+    """The camera: sensor, lens, pose, exposure; rays are spread over the aperture of a lens with a focus."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class DistortionPart(Part):
-    """Lens distortion in OpenCV's model, on (x, y) = (pixel − principal point) / focal length."""
-
-    k1: float = Field(default=0.0, ge=-5, le=5, description="radial, second order")
-    k2: float = Field(default=0.0, ge=-50, le=50, description="radial, fourth order")
-    p1: float = Field(default=0.0, ge=-1, le=1, description="tangential")
-    p2: float = Field(default=0.0, ge=-1, le=1, description="tangential")
-    k3: float = Field(default=0.0, ge=-500, le=500, description="radial, sixth order")
-
-
-class FocusPart(Part):
-    """Distance in focus; the lens is a thin one whose aperture the rays are spread over."""
-
-    distance_mm: float = Field(gt=0, le=1e5, description="distance in focus along the optical axis, mm")
-    f_number: float = Field(gt=0.5, le=64, description="focal length over the aperture's diameter")
-
-
-class CameraPart(Part):
-    """The camera: sensor, lens, pose, exposure."""
-
-    width_px: int = Field(default=640, ge=8, le=8192, description="image width, px")
-    height_px: int = Field(default=480, ge=8, le=8192, description="image height, px")
-    pixel_size_um: float = Field(default=10.0, gt=0.3, le=100, description="pitch of the square pixels, µm")
-    focal_length_mm: float = Field(default=16.0, gt=0.5, le=1000, description="pinhole to sensor, mm")
-    principal_point_px: tuple[Place, Place] | None = Field(
-        default=None, description="where the optical axis meets the image, px; default: the image's centre"
-    )
-    distance_mm: float = Field(default=320.0, gt=1, le=1e5, description="pinhole to belt along the axis, mm")
-    tilt_x_deg: float = Field(default=1.0, gt=-80, lt=80, description="turn about the camera's x axis")
-    tilt_y_deg: float = Field(default=-0.4, gt=-80, lt=80, description="turn about the camera's y axis")
-    T_belt_camera: tuple[Row, Row, Row, Row] | None = Field(
-        default=None, description="full pose, to belt from camera, mm; replaces distance and tilts"
-    )
-    distortion: DistortionPart = Field(default_factory=DistortionPart, description="of the lens")
-    focus: FocusPart | None = Field(default=None, description="focus; default: sharp everywhere")
-    blur_sigma_px: float = Field(
-        default=0.5, ge=0, le=20, description="Gaussian PSF of the lens in focus, px"
-    )
-    exposure_ms: float = Field(default=10.0, gt=0, le=1e4, description="exposure time, ms")
-    gain_dn_per_e: float = Field(default=0.0255, gt=0, le=100, description="grey levels per electron")
-    full_well_e: float | None = Field(default=None, gt=0, le=1e7, description="electrons a pixel holds")
-    read_noise_e: float = Field(default=39.2156862745098, ge=0, le=1e4, description="read noise, electrons")
-    black_level_dn: float = Field(default=4.0, ge=0, le=10000, description="grey level without light")
-    bit_depth: int = Field(default=8, ge=8, le=16, description="bits of a grey level")
     vignetting: float = Field(
         default=1.0, ge=0, le=5, description="v of 1/(1 + v·tan²)², tan of the field angle; 1 is cos⁴"
     )
@@ -80,292 +46,58 @@ class CameraPart(Part):
         default=0.005,
         ge=0,
         le=0.2,
-        description="relative deviation of the pixels' gains, the same each image",
+        description="relative deviation of the pixels' gains, which stay",
     )
 
-    @field_validator("T_belt_camera")
-    @classmethod
-    def _is_a_pose(cls, pose: Any) -> Any:
-        if pose is None:
-            return pose
-        rotation = np.array(pose)[:3, :3]
-        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6) or np.linalg.det(rotation) < 0:
-            raise ValueError("its 3 × 3 part is not a rotation")
-        if pose[2][3] <= 0.0:
-            raise ValueError("the camera is not above the belt (its Z is not positive)")
-        return pose
 
-
-class LaserPart(Part):
-    """The projector: a fan of planes of light from one point."""
-
-    projector_mm: Point = Field(default=(160.0, -4.0, 300.0), description="where the light comes from, mm")
-    planes: int = Field(default=11, ge=1, le=200, description="number of planes")
-    spacing_mm: float = Field(default=8.75, gt=0, le=1000, description="between planes on the belt, mm")
-    centre_x_mm: Place = Field(default=-3.0, description="X of the middle of the fan on the belt, mm")
-    belt_x_mm: list[Place] | None = Field(
-        default=None, min_length=1, max_length=200,
-        description="X of each plane at Y = 0, Z = 0, mm; replaces planes, spacing and centre",
-    )  # fmt: skip
-    yaw_deg: float = Field(default=0.6, gt=-80, lt=80, description="turn of the lines from belt Y, degrees")
-    pitch_deg: float = Field(default=0.3, gt=-45, lt=45, description="rise of the lines' direction, degrees")
-    line_width_mm: float = Field(default=1.24, gt=0, le=100, description="1/e² width at the waist, mm")
-    waist_distance_mm: float = Field(default=336.0, ge=0, le=1e5, description="waist, from the projector, mm")
-    divergence_mrad: float = Field(
-        default=0.0, ge=0, le=500, description="growth of half the 1/e² width away from the waist, mrad"
-    )
-    peak_e_per_ms: float = Field(
-        default=1450.980392156863, gt=0, le=1e9,
-        description="light in a line's middle on white that faces the projector, electrons a pixel a ms",
-    )  # fmt: skip
-    power: list[Annotated[float, Field(ge=0, le=10)]] | None = Field(
-        default=None, description="of each plane, relative to peak_e_per_ms; default: all 1"
-    )
-    fall_deg: float = Field(
-        default=25.0, gt=0, le=1000, description="deviation of the power along the line over the angle"
-    )
-    wavelength_nm: float = Field(default=660.0, ge=200, le=2000, description="wavelength, nm")
-    speckle_contrast: float = Field(
-        default=0.10, ge=0, le=1, description="deviation over mean of the speckle"
-    )
-    speckle_sigma_px: float | None = Field(
-        default=0.7, ge=0, le=50,
-        description="grain of the speckle, px (deviation); null: from wavelength, f-number and distance",
-    )  # fmt: skip
-
-    @model_validator(mode="after")
-    def _fits(self) -> LaserPart:
-        faults: list[tuple[tuple[str, ...], str]] = []
-        if self.belt_x_mm is not None and np.any(np.diff(self.belt_x_mm) <= 0):
-            faults.append((("belt_x_mm",), "must increase"))
-        if self.power is not None and len(self.power) != self.count:
-            faults.append((("power",), f"has {len(self.power)} entries for {self.count} planes"))
-        elif self.power is not None and not any(self.power):
-            faults.append((("power",), "every plane is dead; at least one must be above 0"))
-        if self.projector_mm[2] <= 0.0:
-            faults.append((("projector_mm",), "the projector is not above the belt (Z is not positive)"))
-        if faults:
-            raise MisfitError(*faults)
-        return self
-
-    @property
-    def count(self) -> int:
-        """Number of planes."""
-        return self.planes if self.belt_x_mm is None else len(self.belt_x_mm)
-
-
-class DirtPart(Part):
-    """Dirt on the belt: round spots, drawn anew for each item."""
-
-    count: int = Field(default=0, ge=0, le=100000, description="spots in view")
-    diameter_mm: Sizes = Field(default=(2.0, 8.0), description="smallest and largest diameter, mm")
-    albedo: Share = Field(default=0.3, description="albedo over the clean belt's")
-
-
-class PatchPart(Part):
-    """A rectangle of belt of another albedo."""
-
-    x_mm: tuple[Place, Place] = Field(description="from X to X, mm")
-    y_mm: tuple[Place, Place] = Field(description="from Y to Y, mm")
-    albedo: Share = Field(default=0.0, description="albedo over the clean belt's")
-
-    @model_validator(mode="after")
-    def _has_a_size(self) -> PatchPart:
-        for name in ("x_mm", "y_mm"):
-            low, high = getattr(self, name)
-            if not low < high:
-                raise MisfitError(((name,), "goes from a smaller to a larger number"))
-        return self
-
-
-class BeltPart(Part):
-    """The belt and how it runs."""
-
-    albedo_laser: Share = Field(default=0.66, description="albedo for the laser's light")
-    albedo_plain: Share = Field(default=0.34, description="albedo for the plain light")
-    texture: Share = Field(default=0.04, description="relative deviation of the albedo")
-    gloss: Share = Field(default=0.0, description="share of mirror-like light")
-    dirt: DirtPart = Field(default_factory=DirtPart, description="spots of dirt")
-    patches: list[PatchPart] = Field(default_factory=list, description="dark rectangles, the last one counts")
-    speed_mm_per_s: float = Field(default=200.0, ge=0, le=1e5, description="speed, mm/s")
-    encoder_step_mm: float = Field(default=0.1, gt=0, le=1000, description="belt travel per count, mm")
-    pitch_mm: float = Field(default=150.0, gt=0, le=1e5, description="belt travel between items, mm")
-
-
-class StrayPart(Part):
+class MitsubaStray(StrayPart):
     """A lamp that is on in all images."""
 
-    position_mm: Point = Field(description="where it is, mm")
-    e_per_ms: float = Field(gt=0, le=1e9, description="on white that faces it, electrons a pixel a ms")
     radius_mm: float = Field(default=15.0, ge=0, le=1000, description="radius of its disc, mm")
 
 
-class LightPart(Part):
+class MitsubaLight(LightPart):
     """All light but the laser's, and which images are taken."""
 
-    ambient_e_per_ms: float = Field(
-        default=54.90196078431373, ge=0, le=1e7, description="sky on level white, electrons a pixel a ms"
-    )
-    plain_e_per_ms: float = Field(
-        default=823.5294117647059, ge=0, le=1e7,
-        description="plain light on level white, laser off, electrons a pixel a ms",
-    )  # fmt: skip
-    lamp_height_mm: float = Field(default=260.0, gt=0, le=1e5, description="ring of lamps over the belt, mm")
-    lamp_radius_mm: float = Field(default=130.0, ge=0, le=1e5, description="radius of the ring, mm")
-    stray: StrayPart | None = Field(default=None, description="a lamp that is always on; default: none")
-    images: tuple[Literal["laser", "plain", "dark"], ...] = Field(
-        default=("laser",), min_length=1, description="images of each item: laser, plain, dark (both off)"
-    )
+    stray: MitsubaStray | None = Field(default=None, description="a lamp that is always on; default: none")
 
 
-class BelowPart(Part):
-    """Scattering inside the product, by a dipole: see `roemetry_mitsuba.scattering`."""
-
-    share: Share = Field(default=0.0, description="share of the diffuse light that was scattered inside")
-    depth_mm: float = Field(default=0.0, ge=0, le=50, description="transport mean free path, mm")
-    blur_mm: float = Field(default=0.0, ge=0, le=100, description="deviation of a thin line's image, mm")
-
-
-class AlbedoMapPart(Part):
-    """A picture that is laid on the product from straight above, over its footprint's extent."""
-
-    file: Path = Field(description="image file of 8 or 16 bit, grey or colour; relative to the scene")
-    black: float = Field(default=0.0, ge=0, le=10, description="factor of the albedo where it is black")
-    white: float = Field(default=1.0, ge=0, le=10, description="factor of the albedo where it is white")
-
-    @field_validator("file")
-    @classmethod
-    def _is_an_image(cls, file: Path) -> Path:
-        import cv2
-
-        if not file.is_file():
-            raise ValueError(f"{file} is not there")
-        if cv2.imread(str(file), cv2.IMREAD_UNCHANGED) is None:
-            raise ValueError(f"{file} is not an image")
-        return file
-
-
-class WetPart(Part):
-    """Wet places on the product: round, and smooth."""
-
-    count: int = Field(default=0, ge=0, le=100000, description="places on a product's extent")
-    diameter_mm: Sizes = Field(default=(2.0, 6.0), description="smallest and largest diameter, mm")
-    gloss: Share = Field(default=0.8, description="share of mirror-like light")
-
-
-class SurfacePart(Part):
+class MitsubaSurface(SurfacePart):
     """What the product looks like."""
 
-    albedo_laser: Share = Field(default=0.53, description="albedo for the laser's light")
-    albedo_plain: Share = Field(default=0.62, description="albedo for the plain light")
-    texture: Share = Field(default=0.09, description="relative deviation of the albedo (blotches and grain)")
     gloss: Share = Field(
         default=0.10, description="0.1 and more: the full Fresnel reflection of a wet film; less: scaled"
     )
     gloss_exponent: float = Field(
         default=25.0, ge=1, le=10000, description="sharpness n of the gloss; GGX roughness √(2/(n + 2))"
     )
-    below: BelowPart = Field(default_factory=BelowPart, description="light below the surface")
-    albedo_map: AlbedoMapPart | None = Field(default=None, description="a picture on the product")
-    wet: WetPart = Field(default_factory=WetPart, description="wet places")
     metal: Literal["none", "Al", "Cr", "Cu", "Au", "Ag"] = Field(
         default="none", description="a rough conductor of this metal instead of food"
     )
 
 
-class ItemPart(Part):
-    """One product that was chosen, not counted up to."""
-
-    seed: int = Field(ge=0, description="its seed")
-    options: dict[str, Any] = Field(default_factory=dict, description="options set otherwise for it")
-
-
-class ProductPart(Part):
-    """What lies on the belt: a family of products and its options."""
+class MitsubaProduct(ProductPart):
+    """What lies on the belt: a family of products and its options; several lie in a row along Y."""
 
     family: str = Field(default="lofted-skein", description="name of a family of products, or `none`")
-    options: dict[str, Any] = Field(default_factory=dict, description="the family's own options")
-    items: list[ItemPart] = Field(
-        default_factory=list, description="the first products, by their seeds; then seeds are counted up"
-    )
-    in_frame: int = Field(default=1, ge=1, le=50, description="products in one frame, in a row along Y")
-    gap_mm: float = Field(default=3.0, ge=0, le=1000, description="least gap between two of a frame, mm")
-    keep_in_reach: bool = Field(
-        default=True, description="move a product along X so that the stripes and the view cover it"
-    )
-    most_overhang_spacings: float = Field(
-        default=1.2, ge=0, le=100, description="how far it may reach beyond the outer stripes, in spacings"
-    )
 
     @model_validator(mode="after")
-    def _is_known(self) -> ProductPart:
-        from roemetry_mitsuba.products import options_of
-
+    def _is_known(self) -> MitsubaProduct:
         options_of(self.family, self.options, ("options",))
         for number, item in enumerate(self.items):
             options_of(self.family, self.options | item.options, ("items", number, "options"))
         return self
 
 
-class BlockPart(Part):
-    """The calibration block as it lies on the belt."""
-
-    length_mm: float = Field(default=105.0, gt=0, le=5000, description="side across the stripes, mm")
-    width_mm: float = Field(default=40.0, gt=0, le=5000, description="side along the stripes, mm")
-    height_mm: float = Field(default=16.5, gt=0, le=2000, description="height, mm")
-    centre_x_mm: Place = Field(default=1.5, description="X of its middle, mm")
-    centre_y_mm: Place = Field(default=-1.0, description="Y of its middle, mm")
-    yaw_deg: float = Field(default=0.9, ge=-180, le=180, description="turned from belt X, degrees")
-
-
-class StaircasePart(Part):
-    """The staircase, at the block's place: level steps that rise along the stripes."""
-
-    steps: int = Field(default=4, ge=1, le=20, description="number of steps")
-    tread_mm: float = Field(default=15.0, gt=0, le=1000, description="extent of a step along the stripes, mm")
-    riser_mm: float = Field(default=4.0, gt=0, le=500, description="height from one step to the next, mm")
-    width_mm: float = Field(default=105.0, gt=0, le=5000, description="side across the stripes, mm")
-
-
-class BoardPart(Part):
-    """The flat boards: a ChArUco board and a chessboard in several poses."""
-
-    columns: int = Field(default=11, ge=3, le=50, description="squares along x")
-    rows: int = Field(default=8, ge=3, le=50, description="squares along y")
-    square_mm: float = Field(default=8.0, gt=0.1, le=500, description="side of a square, mm")
-    marker_mm: float = Field(default=6.0, gt=0.05, le=500, description="side of a ChArUco marker, mm")
-    dictionary: Literal["DICT_4X4_250", "DICT_5X5_250", "DICT_6X6_250"] = Field(
-        default="DICT_4X4_250", description="OpenCV's name of the markers"
-    )
-    poses: int = Field(default=10, ge=1, le=100, description="poses of each board")
-    thickness_mm: float = Field(default=2.0, gt=0, le=100, description="of the plate, mm")
-    tilt_max_deg: float = Field(default=18.0, ge=0, lt=60, description="largest tilt, degrees")
-    height_mm: tuple[Place, Place] = Field(default=(0.0, 20.0), description="lowest and highest middle, mm")
-
-    @model_validator(mode="after")
-    def _fits(self) -> BoardPart:
-        if self.marker_mm >= self.square_mm:
-            raise MisfitError((("marker_mm",), f"must be less than square_mm, {self.square_mm:g}"))
-        return self
-
-
-class TargetsPart(Part):
-    """What is seen for calibration."""
-
-    block: BlockPart = Field(default_factory=BlockPart, description="the block")
-    staircase: StaircasePart = Field(default_factory=StaircasePart, description="the staircase")
-    board: BoardPart = Field(default_factory=BoardPart, description="the flat boards")
-
-
 class MitsubaOptions(StageOptions):
     """A scene: the rig, the belt, the light, the product. The defaults are the herring roe rig."""
 
-    camera: CameraPart = Field(default_factory=CameraPart, description="the camera")
+    camera: MitsubaCamera = Field(default_factory=MitsubaCamera, description="the camera")
     laser: LaserPart = Field(default_factory=LaserPart, description="the projector")
     belt: BeltPart = Field(default_factory=BeltPart, description="the belt")
-    light: LightPart = Field(default_factory=LightPart, description="all other light")
-    product: ProductPart = Field(default_factory=ProductPart, description="what lies on the belt")
-    surface: SurfacePart = Field(default_factory=SurfacePart, description="what the product looks like")
+    light: MitsubaLight = Field(default_factory=MitsubaLight, description="all other light")
+    product: MitsubaProduct = Field(default_factory=MitsubaProduct, description="what lies on the belt")
+    surface: MitsubaSurface = Field(default_factory=MitsubaSurface, description="what the product looks like")
     targets: TargetsPart = Field(default_factory=TargetsPart, description="what is seen for calibration")
     turn_deg: Literal[0, 90, 180, 270] = Field(
         default=0, description="counter-clockwise turn that rights the images, which are stored turned back"
@@ -377,7 +109,193 @@ class MitsubaOptions(StageOptions):
 
     @model_validator(mode="after")
     def _can_be_seen(self) -> MitsubaOptions:
-        from roemetry_mitsuba.rig import check_rig
-
         check_rig(self.camera, self.laser)
         return self
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A pinhole camera with distortion.
+
+    Attributes
+    ----------
+    width_px, height_px
+        Image size.
+    focal_px
+        Focal length, px.
+    principal_px
+        Principal point, px, shape (2,).
+    distortion
+        k1, k2, p1, p2, k3, shape (5,).
+    rotation
+        To belt from camera, shape (3, 3).
+    centre_mm
+        Pinhole, belt frame, shape (3,), mm.
+    """
+
+    width_px: int
+    height_px: int
+    focal_px: float
+    principal_px: Floats
+    distortion: Floats
+    rotation: Floats
+    centre_mm: Floats
+
+    def project(self, points_mm: Floats) -> Floats:
+        """Give the pixels, shape (..., 2), of belt points, shape (..., 3)."""
+        seen = (points_mm - self.centre_mm) @ self.rotation
+        x, y = seen[..., 0] / seen[..., 2], seen[..., 1] / seen[..., 2]
+        return self.focal_px * self._distorted(x, y) + self.principal_px
+
+    def directions(self, x_px: Floats, y_px: Floats) -> Floats:
+        """Give directions in the belt frame, shape (..., 3), camera z component 1, of pixels."""
+        x, y = self.undistorted(x_px, y_px)
+        turned: Floats = np.stack([x, y, np.ones_like(x)], axis=-1) @ self.rotation.T
+        return turned
+
+    def undistorted(self, x_px: Floats, y_px: Floats) -> tuple[Floats, Floats]:
+        """Give pinhole coordinates of pixels by Newton's method on the distortion."""
+        goal_x = (np.asarray(x_px, np.float64) - self.principal_px[0]) / self.focal_px
+        goal_y = (np.asarray(y_px, np.float64) - self.principal_px[1]) / self.focal_px
+        x, y = np.array(goal_x), np.array(goal_y)
+        step = 1e-6
+        for _ in range(20):
+            at = self._distorted(x, y)
+            off_x, off_y = at[..., 0] - goal_x, at[..., 1] - goal_y
+            if max(np.abs(off_x).max(initial=0.0), np.abs(off_y).max(initial=0.0)) < 1e-13:
+                break
+            by_x = (self._distorted(x + step, y) - at) / step
+            by_y = (self._distorted(x, y + step) - at) / step
+            det = by_x[..., 0] * by_y[..., 1] - by_x[..., 1] * by_y[..., 0]
+            x = x - (by_y[..., 1] * off_x - by_y[..., 0] * off_y) / det
+            y = y - (by_x[..., 0] * off_y - by_x[..., 1] * off_x) / det
+        return x, y
+
+    def border_on(self, height_mm: float) -> Floats:
+        """Give where the rays of the image's border meet a level, shape (N, 3), mm."""
+        along = np.linspace(0.0, 1.0, 17)
+        x, y = along * self.width_px - 0.5, along * self.height_px - 0.5
+        ends_x, ends_y = np.repeat(x[[0, -1]], 17), np.repeat(y[[0, -1]], 17)
+        rays = self.directions(np.concatenate([ends_x, x, x]), np.concatenate([y, y, ends_y]))
+        reach = (height_mm - self.centre_mm[2]) / rays[:, 2]
+        points: Floats = self.centre_mm + reach[:, None] * rays
+        return points
+
+    def view_on(self, height_mm: float) -> tuple[float, float, float, float]:
+        """Give x_min, x_max, y_min, y_max (mm) of the largest upright rectangle's bounds of the view."""
+        at = self.border_on(height_mm)
+        left, right, top, bottom = at[:17], at[17:34], at[34:51], at[51:]
+        y = sorted([float(np.median(top[:, 1])), float(np.median(bottom[:, 1]))])
+        return float(left[:, 0].max()), float(right[:, 0].min()), y[0], y[1]
+
+    def _distorted(self, x: Floats, y: Floats) -> Floats:
+        k1, k2, p1, p2, k3 = self.distortion
+        r2 = x * x + y * y
+        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        return np.stack(
+            [
+                x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
+                y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
+            ],
+            axis=-1,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Fan:
+    """The projector's planes n·X = d, ordered along belt X.
+
+    Attributes
+    ----------
+    origin_mm
+        The projector's point, shape (3,).
+    normals, offsets_mm
+        Unit n with n_x > 0, shape (N, 3), and d, shape (N,).
+    axis
+        Unit direction that all planes share, shape (3,).
+    peak_grey
+        Of each plane, on white that faces the projector, grey levels, shape (N,).
+    sigma_mm, waist_mm, divergence_rad
+        Gaussian width across at the waist, the waist's distance, growth of the width away from it.
+    fall_rad
+        Gaussian fall of the power over the angle along the line.
+    """
+
+    origin_mm: Floats
+    normals: Floats
+    offsets_mm: Floats
+    axis: Floats
+    peak_grey: Floats
+    sigma_mm: float
+    waist_mm: float
+    divergence_rad: float
+    fall_rad: float
+
+    def x_mm(self, y_mm: float, z_mm: float) -> Floats:
+        """Give X of each plane at a Y and Z."""
+        rest = self.offsets_mm - y_mm * self.normals[:, 1] - z_mm * self.normals[:, 2]
+        x: Floats = rest / self.normals[:, 0]
+        return x
+
+
+def camera_of(part: CameraPart) -> Camera:
+    """Make the camera that a scene describes."""
+    if part.T_belt_camera is not None:
+        pose = np.array(part.T_belt_camera, dtype=np.float64)
+        rotation, centre = pose[:3, :3], pose[:3, 3]
+    else:
+        a, b = math.radians(part.tilt_x_deg), math.radians(part.tilt_y_deg)
+        about_x = np.array([[1, 0, 0], [0, math.cos(a), -math.sin(a)], [0, math.sin(a), math.cos(a)]])
+        about_y = np.array([[math.cos(b), 0, math.sin(b)], [0, 1, 0], [-math.sin(b), 0, math.cos(b)]])
+        rotation = np.diag([1.0, -1.0, -1.0]) @ about_x @ about_y
+        centre = -part.distance_mm * rotation[:, 2]
+    lens = part.distortion
+    middle = part.principal_point_px or (0.5 * (part.width_px - 1), 0.5 * (part.height_px - 1))
+    return Camera(
+        part.width_px,
+        part.height_px,
+        1e3 * part.focal_length_mm / part.pixel_size_um,
+        np.array(middle, dtype=np.float64),
+        np.array([lens.k1, lens.k2, lens.p1, lens.p2, lens.k3]),
+        rotation,
+        centre,
+    )
+
+
+def fan_of(part: LaserPart, grey_per_e_per_ms: float) -> Fan:
+    """Make the fan that a scene describes; the second number turns its light into grey levels."""
+    feet_x = part.feet_mm
+    yaw, pitch = math.radians(part.yaw_deg), math.radians(part.pitch_deg)
+    axis = np.array([-math.sin(yaw) * math.cos(pitch), math.cos(yaw) * math.cos(pitch), math.sin(pitch)])
+    origin = np.array(part.projector_mm, dtype=np.float64)
+    towards = np.stack([feet_x, 0 * feet_x, 0 * feet_x], axis=-1) - origin
+    normals = np.cross(towards, axis)
+    normals *= np.sign(normals[:, :1]) / np.linalg.norm(normals, axis=1, keepdims=True)
+    power = np.ones(part.count) if part.power is None else np.array(part.power, dtype=np.float64)
+    return Fan(
+        origin, normals, normals @ origin, axis, part.peak_e_per_ms * grey_per_e_per_ms * power,
+        0.25 * part.line_width_mm, part.waist_distance_mm, 5e-4 * part.divergence_mrad,
+        math.radians(part.fall_deg),
+    )  # fmt: skip
+
+
+def check_rig(camera_part: CameraPart, laser_part: LaserPart) -> None:
+    """Raise MisfitError for a camera that does not see the belt, or a laser that misses the view."""
+    camera, fan = camera_of(camera_part), fan_of(laser_part, 1.0)
+    along = np.linspace(0.0, 1.0, 33)
+    x, y = np.meshgrid(along * camera.width_px - 0.5, along * camera.height_px - 0.5)
+    rays = camera.directions(x, y)
+    back = camera.project(camera.centre_mm + 100.0 * rays)
+    if not np.abs(back - np.stack([x, y], axis=-1)).max() < 1e-6:
+        raise MisfitError((("camera", "distortion"), "it folds the image over within the view"))
+    if (rays[..., 2] >= -1e-3).any():
+        raise MisfitError((("camera",), "a part of the image does not see the belt: it is tilted too far"))
+    sides = camera.border_on(0.0) @ fan.normals.T - fan.offsets_mm
+    lit = fan.peak_grey > 0.0
+    if not ((sides.min(axis=0) < 0.0) & (sides.max(axis=0) > 0.0) & lit).any():
+        feet, view = fan.x_mm(0.0, 0.0)[lit], camera.view_on(0.0)
+        why = (
+            f"the laser misses the view: its planes meet the belt at X = {feet.min():.1f} to "
+            f"{feet.max():.1f} mm, the camera sees X = {view[0]:.1f} to {view[1]:.1f} mm"
+        )
+        raise MisfitError((("laser", "centre_x_mm" if laser_part.belt_x_mm is None else "belt_x_mm"), why))

@@ -15,17 +15,25 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from roemetry.config.scene_parts import BoardPart
 from roemetry.errors import StageError
 from roemetry.records import Frame, ProductTruth, Role, Simulated, Truth
 from roemetry.records import Sensor as Noise
 from roemetry.stages import Simulator, Turn
-from roemetry_mitsuba.bodies import Body
-from roemetry_mitsuba.light import DOME_SHARE, Lamps, Lens, Material, Tracer, mitsuba
+from roemetry_mitsuba.bodies import Body, mitsuba
+from roemetry_mitsuba.light import (
+    DOME_SHARE,
+    Lamps,
+    Lens,
+    Material,
+    Sensor,
+    Tracer,
+    diffraction_grain_px,
+    expose,
+)
+from roemetry_mitsuba.materials import Dipole, dipole_of
 from roemetry_mitsuba.products import FAMILIES, NONE, Drawn, block, options_of, stairs
-from roemetry_mitsuba.rig import Camera, Fan, camera_of, fan_of
-from roemetry_mitsuba.scattering import Dipole, dipole_of
-from roemetry_mitsuba.scene import BoardPart, MitsubaOptions
-from roemetry_mitsuba.sensor import Sensor, diffraction_grain_px, expose
+from roemetry_mitsuba.scene import Camera, Fan, MitsubaOptions, camera_of, fan_of
 from roemetry_mitsuba.truth import Crossings, crossings
 
 Floats = NDArray[np.float64]
@@ -340,13 +348,9 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
 
         part = self.options.surface.albedo_map
         assert part is not None
-        picture = cv2.imread(str(part.file), cv2.IMREAD_UNCHANGED)
-        if picture is None:
-            raise StageError(f"{part.file}: cannot be read as an image", at=("surface", "albedo_map", "file"))
-        white = float(np.iinfo(picture.dtype).max)
-        grey = picture[..., :3].mean(axis=-1) if picture.ndim == 3 else picture
-        sized = cv2.resize(grey.astype(np.float64) / white, shape[::-1], interpolation=cv2.INTER_AREA)
-        return np.asarray(part.black + (part.white - part.black) * sized[::-1])
+        factors = part.factors()
+        grey = factors[..., :3].mean(axis=-1) if factors.ndim == 3 else factors
+        return np.asarray(cv2.resize(grey, shape[::-1], interpolation=cv2.INTER_AREA)[::-1])
 
     def _reached(self, one: Placed) -> Placed:
         """Move a product along X by as little as brings its ends near the outer stripes and into the view."""
@@ -514,17 +518,7 @@ def _over(low: Floats, high: Floats, shear: float) -> Floats:
 
 def _printed(part: BoardPart, kind: str, pose: Floats) -> Material:
     """A board's print, half a square of white about it."""
-    import cv2
-
-    if kind == "charuco":
-        dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, part.dictionary))
-        made = cv2.aruco.CharucoBoard((part.columns, part.rows), part.square_mm, part.marker_mm, dictionary)
-        size = ((part.columns + 1) * _PX_PER_SQUARE, (part.rows + 1) * _PX_PER_SQUARE)
-        print_ = made.generateImage(size, marginSize=_PX_PER_SQUARE // 2) / 255.0
-    else:
-        squares = np.add.outer(np.arange(part.rows), np.arange(part.columns)) % 2
-        cells = np.kron(squares, np.ones((_PX_PER_SQUARE, _PX_PER_SQUARE)))
-        print_ = np.pad(cells, _PX_PER_SQUARE // 2, constant_values=1.0)
+    print_ = part.print_picture(kind, _PX_PER_SQUARE)
     to_board = np.linalg.inv(pose)[:2]
     uv = to_board / (part.square_mm * np.array([[part.columns + 1.0], [part.rows + 1.0]]))
     uv[:, 3] += 0.5 / np.array([part.columns + 1.0, part.rows + 1.0])

@@ -22,14 +22,17 @@ from numpy.typing import NDArray
 from roemetry.records import StripeTruth
 from roemetry_kernels.compiling import kernel
 from roemetry_mitsuba.bodies import Body
-from roemetry_mitsuba.rig import Camera, Fan
+from roemetry_mitsuba.scene import Camera, Fan
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 _BIN_MM = 1.0
+"""Side of the bins that faces are sorted into: about a face's size, so that a bin holds few."""
 _MARGIN = 3e-7
+"""Of the distance to the light: a face nearer than this to its own point does not shadow it (0.1 µm)."""
 _BELT_STEP_MM = 2.0
+"""Pieces of a line on the belt, so short that a row crosses a piece once."""
 
 
 @dataclass(frozen=True, eq=False)

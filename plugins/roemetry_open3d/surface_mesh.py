@@ -93,21 +93,8 @@ _FEW_LINES = 0.1  # of the volume, where lines are too few to leave one out
 def budget_of(sheet: Sheet, method: Method, volume_mm3: float, assumed: float) -> dict[str, float]:
     """Give standard uncertainties by cause, mm³: facets, between lines, ends.
 
-    Parameters
-    ----------
-    sheet
-        What the mesh goes through.
-    method
-        How the mesh was laid.
-    volume_mm3
-        The number.
-    assumed
-        Share of it beyond the outer lines.
-
-    Notes
-    -----
-    Where the sheet ends at an outer line, the product may go on to the next stripe: anything up to that
-    line's area times the spacing is missing.
+    `assumed` is the share of the volume beyond the outer lines. Where the sheet ends at an outer line, the
+    product may go on to the next stripe: anything up to that line's area times the spacing is missing.
     """
     missing = [
         sheet.spacing_mm * _area_mm2(line.xyz_mm) / math.sqrt(3.0)

@@ -23,7 +23,7 @@ from roemetry.records.arrays import Floats
 from roemetry.records.calibration import Calibration
 from roemetry.stages import Calibrator, Capabilities, StageOptions
 from roemetry_paper.block_geometry import block_view
-from roemetry_paper.block_views import BlockView, rest_polynomials, view_of_block
+from roemetry_paper.block_views import BlockView, RestFit, rest_polynomials, view_of_block
 
 
 class BlockCalibratorOptions(StageOptions):
@@ -73,9 +73,8 @@ class BlockCalibrator(Calibrator[BlockCalibratorOptions]):
             raise CalibrationError("there is no image of the block", hint="name it in images.block")
         rest = rest_polynomials(observed)
         rest_px = rest.lines_px
-        seen = [view_of_block(view, rest_px, rest.rms_px) for view in views]
-        offset_px, offset_std_px, row_px = _offsets(seen, views, observed.stripe_count)
-        offset_px, offset_std_px, row_px, fan, said = _filled(offset_px, offset_std_px, row_px, rest_px)
+        seen = [view_of_block(view, rest) for view in views]
+        read, fan, said = _filled(_offsets(seen, views, observed.stripe_count), rest_px)
         if observed.working_distance_mm is not None and observed.working_distance_mm <= 2 * block.height_mm:
             raise CalibrationError(
                 f"working_distance_mm is {observed.working_distance_mm:g}, the block is "
@@ -84,8 +83,8 @@ class BlockCalibrator(Calibrator[BlockCalibratorOptions]):
             )
         per_distance = 0.0 if observed.working_distance_mm is None else 1.0 / observed.working_distance_mm
         growth, growth_std = _growth(seen)
-        omega = block.height_mm / (1.0 - block.height_mm * per_distance) / offset_px
-        omega = omega * (1.0 + growth * row_px)
+        omega = block.height_mm / (1.0 - block.height_mm * per_distance) / read.offset_px
+        omega = omega * (1.0 + growth * read.row_px)
         scale = _scale(seen, block, observed.working_distance_mm)
         size = views[0].frame.size
         return Calibration(
@@ -101,18 +100,9 @@ class BlockCalibrator(Calibrator[BlockCalibratorOptions]):
                 "rest_error_px": np.zeros(rest_px.shape),
                 "inverse_distance_per_mm": np.array([per_distance]),
                 "growth_per_px": np.array([growth]),
+                "bow_per_px2": np.array([rest.bow_per_px2]),
             },
-            covariance=_covariance(
-                omega,
-                offset_px,
-                offset_std_px,
-                block,
-                scale,
-                rest.covariance,
-                row_px,
-                growth_std,
-                per_distance,
-            ),
+            covariance=_covariance(omega, read, block, scale, rest, growth_std, per_distance),
             residuals={
                 "rest_line_rms_px": rest.rms_px,
                 "block_top_rms_px": float(np.sqrt(np.nanmean([view.scatter_px**2 for view in seen]))),
@@ -131,7 +121,9 @@ class BlockCalibrator(Calibrator[BlockCalibratorOptions]):
             },
             extractor=dict(observed.extractor),
             notes=scale.notes + said,
-            view=block_view(size, rest_px, omega, scale.mm_per_px, observed.working_distance_mm),
+            view=block_view(
+                size, rest_px, omega, scale.mm_per_px, observed.working_distance_mm, rest.bow_per_px2
+            ),
         )
 
 
@@ -141,10 +133,21 @@ class _Scale(NamedTuple):
     notes: tuple[str, ...]
 
 
-def _offsets(
-    seen: list[BlockView], views: tuple[Observation, ...], stripes: int
-) -> tuple[Floats, Floats, Floats]:
-    """Give (stripe,) displacement on the block, its standard uncertainty, px, and row, from the best view."""
+class _Read(NamedTuple):
+    """Each stripe's displacement on the block, without the lens's distortion.
+
+    `offset_px` (stripe,), `std_px` its standard uncertainty, `row_px` the row it is read in, from the middle
+    one, `per_bow` its derivative by the lens's distortion, px³.
+    """
+
+    offset_px: Floats
+    std_px: Floats
+    row_px: Floats
+    per_bow: Floats
+
+
+def _offsets(seen: list[BlockView], views: tuple[Observation, ...], stripes: int) -> _Read:
+    """Give each stripe's displacement from the view that says it best."""
     offsets = np.stack([view.offset_px for view in seen])
     stds = np.where(np.isfinite(offsets), np.stack([view.offset_std_px for view in seen]), np.inf)
     best = stds.argmin(axis=0)
@@ -169,8 +172,10 @@ def _offsets(
             f"stripes {names} are displaced to the right on the block and the others to the left",
             hint="all light must come from one side; check the number of stripes and turn_deg",
         )
-    rows = np.stack([view.row_px for view in seen])
-    return offset, stds[best, np.arange(stripes)], rows[best, np.arange(stripes)]
+    number = np.arange(stripes)
+    row = np.stack([view.row_px for view in seen])[best, number]
+    per_bow = np.stack([view.offset_per_bow for view in seen])[best, number]
+    return _Read(offset, stds[best, number], row, per_bow)
 
 
 def _growth(seen: list[BlockView]) -> tuple[float, float]:
@@ -186,18 +191,17 @@ def _growth(seen: list[BlockView]) -> tuple[float, float]:
     return float(growth[known].mean()), max(stated, seen_std) / float(np.sqrt(known.sum()))
 
 
-def _filled(
-    offset_px: Floats, offset_std_px: Floats, row_px: Floats, rest_px: Floats
-) -> tuple[Floats, Floats, Floats, float, tuple[str, ...]]:
+def _filled(read: _Read, rest_px: Floats) -> tuple[_Read, float, tuple[str, ...]]:
     """Check displacements by the fan of all, and take those of outer stripes that miss the block from it.
 
     Planes that fan out from one projector are displaced, seen from above, by an amount that is linear in the
-    rest line's place; tilt and lens bend that a little, hence a parabola. Gives displacements, standard
-    uncertainties and rows without gaps, the largest deviation from the fan, and a note.
+    rest line's place; tilt bends that a little, hence a parabola. Gives displacements without gaps, the
+    largest deviation from the fan, and a note.
     """
+    offset_px = read.offset_px
     known = np.isfinite(offset_px)
     if known.sum() < _FAN_MIN:
-        return offset_px, offset_std_px, row_px, 0.0, ()
+        return read, 0.0, ()
     place = (rest_px[:, 0] - rest_px[:, 0].mean()) / max(float(np.ptp(rest_px[:, 0])), 1.0)
     powers = np.polynomial.polynomial.polyvander(place, 2)
     inverse = np.linalg.pinv(powers[known])
@@ -211,19 +215,19 @@ def _filled(
             hint="look at the block image: dirt, a reflection, or a stripe taken for its neighbour",
         )
     if known.all():
-        return offset_px, offset_std_px, row_px, float(deviation[worst]), ()
+        return read, float(deviation[worst]), ()
     left = (offset_px - fan_px)[known]
     scatter_px = float(np.sqrt((left**2).sum() / max(known.sum() - 3, 1)))
     lever = np.sqrt(1.0 + ((powers @ inverse) ** 2).sum(axis=1))
     names = ", ".join(str(stripe + 1) for stripe in np.flatnonzero(~known))
     said = f"stripe {names} misses the block: its displacement is extrapolated from the fan of the others"
-    return (
+    filled = _Read(
         np.where(known, offset_px, fan_px),
-        np.where(known, offset_std_px, scatter_px * lever),
-        np.where(known, row_px, float(np.nanmean(row_px))),
-        float(deviation[worst]),
-        (said,),
+        np.where(known, read.std_px, scatter_px * lever),
+        np.where(known, read.row_px, float(np.nanmean(read.row_px))),
+        powers @ (inverse @ read.per_bow[known]),
     )
+    return filled, float(deviation[worst]), (said,)
 
 
 def _scale(seen: list[BlockView], block: Block, working_distance_mm: float | None) -> _Scale:
@@ -264,37 +268,40 @@ def _scale(seen: list[BlockView], block: Block, working_distance_mm: float | Non
 
 def _covariance(
     omega: Floats,
-    offset_px: Floats,
-    offset_std_px: Floats,
+    read: _Read,
     block: Block,
     scale: _Scale,
-    rest: Floats,
-    row_px: Floats,
+    rest: RestFit,
     growth_std: float,
     per_distance: float,
 ) -> Floats:
-    """Of (Ω…, mm/px, rest lines' errors): each stripe's own reading, and the block's height common to all.
+    """Of (Ω…, mm/px, rest lines' errors, 1/distance, growth, bow), in the order of the parameters.
 
-    Where the true rest line lies e px further, the displacement on the block is e too large and Ω too small
-    by e over it: at the block's height the two cancel, on the belt the line's error stands alone.
+    Each stripe has its own reading; the block's height, the distance, the camera's tilt and the lens are
+    common to all. Where the true rest line lies e px further, the displacement on the block is e too large
+    and Ω too small by e over it: at the block's height the two cancel, on the belt the line's error stands
+    alone. The lens cancels likewise where the block lies, and stands alone away from it.
     """
-    n, k = omega.size, rest.shape[1]
-    size = n + 1 + k * n + 2  # the last two: the distance, which the rig file gives, and the growth
+    n, k = omega.size, rest.covariance.shape[1]
+    size = n + 1 + k * n + 3  # the last three: the distance, which the rig file gives, growth and bow
     covariance = np.zeros((size, size))
-    by_growth = np.concatenate([omega * row_px, np.zeros(size - n - 1), [1.0]])
-    covariance += growth_std**2 * np.outer(by_growth, by_growth)
-    by_distance = np.zeros(size)
-    by_distance[:n] = omega * block.height_mm / (1.0 - block.height_mm * per_distance)
-    by_distance[-2] = 1.0
-    covariance += (_TILT_MAX * per_distance) ** 2 / 3.0 * np.outer(by_distance, by_distance)
+    distance, growth, bow = size - 3, size - 2, size - 1
+    common = np.zeros((3, size))
+    common[0, :n], common[0, growth] = omega * read.row_px, 1.0
+    common[1, :n] = omega * block.height_mm / (1.0 - block.height_mm * per_distance)
+    common[1, distance] = 1.0
+    common[2, :n], common[2, bow] = -omega / read.offset_px * read.per_bow, 1.0
+    variances = (growth_std**2, (_TILT_MAX * per_distance) ** 2 / 3.0, rest.bow_std_per_px2**2)
+    for by, variance in zip(common, variances, strict=True):
+        covariance += variance * np.outer(by, by)
     height_relative = block.tolerance_mm / np.sqrt(3.0) / block.height_mm
-    covariance[:n, :n] += np.diag((omega * offset_std_px / offset_px) ** 2)
+    covariance[:n, :n] += np.diag((omega * read.std_px / read.offset_px) ** 2)
     covariance[:n, :n] += height_relative**2 * np.outer(omega, omega)
     covariance[n, n] = (scale.mm_per_px * scale.relative_std) ** 2
     for stripe in range(n):
         own = slice(n + 1 + k * stripe, n + 1 + k * (stripe + 1))
-        by_rest = omega[stripe] / offset_px[stripe] * row_px[stripe] ** np.arange(k)
-        covariance[own, own] = rest[stripe]
-        covariance[stripe, own] = covariance[own, stripe] = rest[stripe] @ by_rest
-        covariance[stripe, stripe] += by_rest @ rest[stripe] @ by_rest
+        by_rest = omega[stripe] / read.offset_px[stripe] * read.row_px[stripe] ** np.arange(k)
+        covariance[own, own] = rest.covariance[stripe]
+        covariance[stripe, own] = covariance[own, stripe] = rest.covariance[stripe] @ by_rest
+        covariance[stripe, stripe] += by_rest @ rest.covariance[stripe] @ by_rest
     return covariance

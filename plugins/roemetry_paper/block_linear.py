@@ -9,11 +9,10 @@ import numpy as np
 from roemetry.errors import StageError
 from roemetry.records import Profiles, StripeMap
 from roemetry.records.arrays import Floats
-from roemetry.records.alignment import Alignment
-from roemetry.records.calibration import Calibration
+from roemetry.records.calibration import Alignment, Calibration
 from roemetry.records.view import View
 from roemetry.stages import Capabilities, StageOptions, Triangulator
-from roemetry_paper.block_geometry import block_view, light_planes
+from roemetry_paper.block_geometry import block_view, displacements, light_planes
 
 
 class BlockLinear(Triangulator[StageOptions]):
@@ -22,7 +21,8 @@ class BlockLinear(Triangulator[StageOptions]):
     Where the calibration knows the camera's distance W from the belt, perspective is taken out: H =
     Ω D2 / (1 + Ω D2 / W), and X and Y, at belt level mm/px times pixels from the image's centre, shrink by
     1 − H/W. Without it both are the paper's: higher things look larger. The camera is taken to look straight
-    down. The origin is the belt point at the image's centre.
+    down. The origin is the belt point at the image's centre. Where the calibration saw the lens bow the
+    belt's lines, places in the image are undistorted first.
     """
 
     capabilities = Capabilities(height_tolerance_mm=1e-9)
@@ -49,19 +49,26 @@ class BlockLinear(Triangulator[StageOptions]):
         count = stripes.stripe_count
         row_px = np.broadcast_to(np.arange(rows, dtype=np.float64), (count, rows))
         xyz_mm = np.empty((count, rows, 3))
-        away_px = stripes.x_px - stripes.rest_px
-        rest_px = _rest_px(calibration)
-        if rest_px is not calibration.rest_px:
-            from_middle = np.arange(rows) - (rows - 1) / 2.0
-            off = (rest_px - calibration.rest_px).T
-            away_px = away_px - np.polynomial.polynomial.polyval(from_middle, off)
+        from_middle = np.arange(rows, dtype=np.float64) - (rows - 1) / 2.0
+        rest_px, bow = _rest_px(calibration), bow_per_px2(calibration)
+        if bow or rest_px is not calibration.rest_px:
+            away_px, straight = displacements(
+                stripes.x_px, from_middle, rest_px.T[:, :, None], (columns - 1) / 2.0, bow
+            )
+            x_px, down_px = straight[..., 0], straight[..., 1]
+        else:
+            away_px, x_px, down_px = (
+                stripes.x_px - stripes.rest_px,
+                stripes.x_px - (columns - 1) / 2.0,
+                from_middle,
+            )
         per_distance = _per_distance(calibration)
         growth = calibration.parameters.get("growth_per_px", np.zeros(1))[0]
-        height_mm = omega[:, None] * away_px / (1.0 + growth * (np.arange(rows) - (rows - 1) / 2.0))
+        height_mm = omega[:, None] * away_px / (1.0 + growth * down_px)
         height_mm /= 1.0 + per_distance * height_mm
         shrunk = 1.0 - per_distance * height_mm
-        xyz_mm[:, :, 0] = (stripes.x_px - (columns - 1) / 2.0) * scale * shrunk
-        xyz_mm[:, :, 1] = ((rows - 1) / 2.0 - row_px) * scale * shrunk
+        xyz_mm[:, :, 0] = x_px * scale * shrunk
+        xyz_mm[:, :, 1] = -down_px * scale * shrunk
         xyz_mm[:, :, 2] = height_mm
         return Profiles(
             xyz_mm=xyz_mm,
@@ -126,6 +133,7 @@ class BlockLinear(Triangulator[StageOptions]):
             calibration.parameters["omega_mm_per_px"],
             float(calibration.parameters["mm_per_px"][0]),
             None if not _per_distance(calibration) else 1.0 / _per_distance(calibration),
+            bow_per_px2(calibration),
         )
 
 
@@ -149,12 +157,19 @@ def _turned_lines(calibration: Calibration, motion: Floats) -> Floats:
     moved = pan_px * (1.0 + (away * per_px) ** 2) - roll * y + zoom * away - tilt * away * y * per_px
     degree = max(known.shape[1] - 1, 1)
     powers = y[:, None] ** np.arange(degree + 1)
-    return np.linalg.lstsq(powers, (x + moved - slope * along).T, rcond=None)[0].T
+    lines: Floats = np.linalg.lstsq(powers, (x + moved - slope * along).T, rcond=None)[0].T
+    return lines
 
 
 def _per_distance(calibration: Calibration) -> float:
     """1/W, 1/mm; 0 where the distance is not known, and of calibrations made before it was told."""
     known = calibration.parameters.get("inverse_distance_per_mm")
+    return 0.0 if known is None else float(known[0])
+
+
+def bow_per_px2(calibration: Calibration) -> float:
+    """First radial distortion, px⁻²; 0 of calibrations made before it was told."""
+    known = calibration.parameters.get("bow_per_px2")
     return 0.0 if known is None else float(known[0])
 
 

@@ -20,14 +20,17 @@ from typing import NamedTuple
 import numpy as np
 
 from roemetry.errors import CalibrationError, StageError
-from roemetry.records import CalibrationSet, Observation, Peaks
+from roemetry.records import CalibrationSet, Frame, Observation, Peaks
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_kernels.coding.rest_lines import rest_lines_of_frame
 from roemetry_kernels.coding.tracing import trace_fragments
+from roemetry_paper.block_geometry import displacements
 from roemetry_paper.whole_pixels import centres, is_whole
 
 _BOW_ROWS_MIN = 200
 """Rows of belt from which a parabola is determined better than a pixel's rounding; below, a straight line."""
+_UNSEEN_DISTORTION = 0.01
+"""Share of the image's half diagonal by which a lens for measuring may distort its corners."""
 _BOW_SIGMAS = 5.0
 """A bow of fewer standard deviations is none: in a straight rig it would only add noise."""
 _LINE_ROWS_MIN = 12
@@ -98,6 +101,8 @@ class BlockView:
     growth_per_px, growth_std_per_px
         (stripe,) relative growth of the displacement from row to row, 1/px, and its standard uncertainty: a
         camera that is tilted along the stripes sees nearer rows displaced further.
+    offset_per_bow
+        (stripe,) derivative of `offset_px` by the lens's distortion κ, px³.
     """
 
     offset_px: Floats
@@ -111,6 +116,7 @@ class BlockView:
     row_px: Floats
     growth_per_px: Floats
     growth_std_per_px: Floats
+    offset_per_bow: Floats
 
 
 class RestFit(NamedTuple):
@@ -124,11 +130,16 @@ class RestFit(NamedTuple):
         Rms distance of the peaks from them.
     covariance
         (stripe, k, k) of each line.
+    bow_per_px2, bow_std_per_px2
+        First radial distortion of the lens about the image's middle, and its standard uncertainty, px⁻²: a
+        straight line x = a is seen as a (1 + κ (a² + y²)), so its bow is κ a (plumb lines: Brown 1971).
     """
 
     lines_px: Floats
     rms_px: float
     covariance: Floats
+    bow_per_px2: float
+    bow_std_per_px2: float
 
 
 def rest_polynomials(observed: CalibrationSet) -> RestFit:
@@ -162,17 +173,20 @@ def rest_polynomials(observed: CalibrationSet) -> RestFit:
             stripe = np.concatenate([stripe, np.full(row.size, number)])
             from_middle = np.concatenate([from_middle, row - middle])
             x_px = np.concatenate([x_px, x])
-    return _fitted(stripe, from_middle, x_px, observed.stripe_count, belts[0].frame.name)
+    return _fitted(stripe, from_middle, x_px, observed.stripe_count, belts[0].frame)
 
 
-def view_of_block(view: Observation, rest_px: Floats, rest_rms_px: float) -> BlockView:
-    """Measure displacements and edges of the block in one image."""
+def view_of_block(view: Observation, fit: RestFit) -> BlockView:
+    """Measure displacements and edges of the block in one image, without the lens's distortion."""
+    rest_px = fit.lines_px
     stripes = rest_px.shape[0]
     peaks = _centred(view)
     from_middle = np.arange(peaks.image_size[0]) - (peaks.image_size[0] - 1) / 2.0
     rest = np.polynomial.polynomial.polyval(from_middle, rest_px.T)
-    mean, std, first, last, place, scatter, at_row, growth, growth_std = np.full((9, stripes), np.nan)
-    for stripe, line in _on_the_block(peaks, rest, max(_ROOM_MIN_PX, _ROOM_SIGMAS * rest_rms_px)).items():
+    middle_px, bow = (peaks.image_size[1] - 1) / 2.0, fit.bow_per_px2
+    mean, std, scatter, at_row, growth, growth_std, by_bow = np.full((7, stripes), np.nan)
+    first, last = np.full((2, stripes, 2), np.nan)
+    for stripe, line in _on_the_block(peaks, rest, max(_ROOM_MIN_PX, _ROOM_SIGMAS * fit.rms_px)).items():
         row, x = _one_a_row(peaks, line)
         offset = x - rest[stripe, row]
         run = _longest_run(row, np.abs(offset) > _DISPLACED_MIN_PX)
@@ -181,22 +195,31 @@ def view_of_block(view: Observation, rest_px: Floats, rest_rms_px: float) -> Blo
         trim = int(_TRIM * run.size)
         inside = run[trim : run.size - trim]
         inside = inside[np.abs(offset[inside] - np.median(offset[inside])) < _DISPLACED_MIN_PX]
-        inner, off_middle = offset[inside], from_middle[row[inside]]
+        own = row[inside]
+        inner, straight = displacements(x[inside], from_middle[own], rest_px[stripe], middle_px, bow)
+        off_middle = straight[:, 1]
         mean[stripe], std[stripe] = inner.mean(), _std_of_mean(inner)
         scatter[stripe] = inner.std()
         at_row[stripe] = off_middle.mean()
         grown, of_line, _ = _line(off_middle - off_middle.mean(), inner, 1)
         growth[stripe] = grown[1] / grown[0]
         growth_std[stripe] = np.sqrt(of_line[1, 1]) / abs(grown[0])
-        edges = _edges(peaks, rest, stripe, mean[stripe], int(row[run[run.size // 2]]))
+        # a place r from the middle is seen at r + κ r³: what one unit of κ takes off the displacement
+        at_rest = np.column_stack([straight[:, 0] - inner, straight[:, 1]])
+        by_bow[stripe] = np.mean(
+            at_rest[:, 0] * (at_rest**2).sum(axis=1) - straight[:, 0] * (straight**2).sum(axis=1)
+        )
+        edges = _edges(peaks, rest, stripe, float(offset[inside].mean()), int(row[run[run.size // 2]]))
         if edges is not None:
-            first[stripe], last[stripe] = edges
-            place[stripe] = x[run].mean()
-    width, width_std, edge_rms, yaw = _width(place, first, last)
+            ends = np.array(edges) - (peaks.image_size[0] - 1) / 2.0
+            at_edges = np.full(2, x[run].mean())
+            first[stripe], last[stripe] = displacements(at_edges, ends, rest_px[stripe], middle_px, bow)[1]
+    place = 0.5 * (first[:, 0] + last[:, 0])
+    width, width_std, edge_rms, yaw = _width(place, first[:, 1], last[:, 1])
     scatter_px = float(np.nanmean(scatter)) if np.isfinite(scatter).any() else np.nan
     span_px = float(np.nanmax(place) - np.nanmin(place)) if np.isfinite(place).any() else np.nan
     return BlockView(
-        mean, std, scatter_px, width, width_std, edge_rms, yaw, span_px, at_row, growth, growth_std
+        mean, std, scatter_px, width, width_std, edge_rms, yaw, span_px, at_row, growth, growth_std, by_bow
     )
 
 
@@ -390,20 +413,39 @@ _SMOOTH_ROWS = 9
 """Rows that are looked at together: speckle takes a peak in thirty."""
 
 
-def _fitted(stripe: Floats, from_middle: Floats, x_px: Floats, stripes: int, name: str) -> RestFit:
-    """Fit a line to each stripe, or a parabola to all where their bow is seen."""
+def _fitted(stripe: Floats, from_middle: Floats, x_px: Floats, stripes: int, frame: Frame) -> RestFit:
+    """Fit a line to each stripe, or a parabola to all where their bow is seen; and the lens's distortion."""
     straight = [_line(from_middle[stripe == one], x_px[stripe == one], 1) for one in range(stripes)]
     bowed = [_line(from_middle[stripe == one], x_px[stripe == one], 2) for one in range(stripes)]
-    bow = [abs(line[2]) / np.sqrt(covariance[2, 2]) for line, covariance, _ in bowed]
+    bow = np.array([line[2] for line, *_ in bowed])
+    bow_std = np.sqrt([covariance[2, 2] for _, covariance, _ in bowed])
     many = np.ptp(from_middle) >= _BOW_ROWS_MIN
-    found = bowed if many and float(np.max(bow)) > _BOW_SIGMAS else straight
+    seen = many and float(np.max(np.abs(bow) / bow_std)) > _BOW_SIGMAS
+    found = bowed if seen else straight
     rms = float(np.sqrt(np.mean(np.concatenate([off**2 for *_, off in found]))))
     if rms > _REST_RMS_MAX_PX:
         raise CalibrationError(
-            f"{name}: the stripes on the belt are not straight (rms {rms:.2f} px)",
+            f"{frame.name}: the stripes on the belt are not straight (rms {rms:.2f} px)",
             hint="is the belt flat and empty? a strongly distorting lens needs a full camera calibration",
         )
-    return RestFit(np.stack([line for line, *_ in found]), rms, np.stack([one for _, one, _ in found]))
+    lines, covariance = (np.stack([one[part] for one in found]) for part in (0, 1))
+    place = np.array([line[0] for line, *_ in bowed]) - (frame.size[1] - 1) / 2.0
+    weight = place / max(float((place**2).sum()), 1.0)
+    kappa = float(weight @ bow)
+    # Birge's ratio: where stripes bow otherwise than a radial lens says (k2, tilt), what they show counts
+    birge = float(np.sqrt((((bow - kappa * place) / bow_std) ** 2).sum() / max(stripes - 1, 1)))
+    kappa_std = max(birge, 1.0) * float(np.sqrt(weight**2 @ bow_std**2))
+    if not many:
+        return RestFit(lines, rms, covariance, 0.0, _unseen_bow(frame))
+    if not seen:
+        # taken for none, it may be as large as what was found by chance
+        return RestFit(lines, rms, covariance, 0.0, float(np.hypot(kappa, kappa_std)))
+    return RestFit(lines, rms, covariance, kappa, kappa_std)
+
+
+def _unseen_bow(frame: Frame) -> float:
+    """Give the standard uncertainty of a distortion nothing is known of, px⁻²."""
+    return float(_UNSEEN_DISTORTION / np.sqrt(3.0) / (0.25 * (frame.size[0] ** 2 + frame.size[1] ** 2)))
 
 
 def _line(from_middle: Floats, x: Floats, degree: int) -> tuple[Floats, Floats, Floats]:
@@ -446,7 +488,7 @@ def _from_block_image(view: Observation, stripes: int) -> RestFit:
     # the belt above and below the block: at least the image's ends
     ends = np.concatenate([rows[:_END_ROWS], rows[-_END_ROWS:]])
     covariance = _of_line(ends, np.full(ends.size, rms))
-    return RestFit(rest, rms, np.repeat(covariance[None], stripes, axis=0))
+    return RestFit(rest, rms, np.repeat(covariance[None], stripes, axis=0), 0.0, _unseen_bow(view.frame))
 
 
 def _longest_run(rows: Integers, displaced: np.ndarray) -> np.ndarray:

@@ -211,7 +211,8 @@ def _scan_made(kind: type[np.unsignedinteger[Any]]) -> Any:
                                 found += ends
                                 bits >>= bits_a_pixel
                 for k in range(LANES):
-                    top_before[k] = left + x + top_here[k] - 2 if top_here[k] > 1 else top_before[k]
+                    # int64: without the compiler a sum with an 8-bit number would not fit
+                    top_before[k] = left + x + np.int64(top_here[k]) - 2 if top_here[k] > 1 else top_before[k]
             for k in range(LANES):
                 start[k + 1] += start[k]
             for p in range(found):
@@ -220,7 +221,7 @@ def _scan_made(kind: type[np.unsignedinteger[Any]]) -> Any:
                 if to < row.shape[0]:
                     row[to], first[to] = y + lane[p], tops[p]
                     # Unsigned, which no index from the end can be.
-                    at = np.uint64((y + lane[p]) * length + tops[p])
+                    at = np.uint64((y + np.int64(lane[p])) * length + tops[p])
                     end = at + np.uint64(1)
                     while pixels[end] == pixels[at]:
                         end += np.uint64(1)

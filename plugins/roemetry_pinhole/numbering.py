@@ -68,6 +68,8 @@ _OUTLYING_LEAST = 1e-3
 """Of the distance from the camera: what is nearer than this is never called moved."""
 _CONTRADICTING_SHARE = 0.4
 """Of the poses: where more lie off the planes of the others, nobody can say which are right."""
+_CONTRADICTING_MIN = 2
+"""One pose that moved among three or four is named by the others; two are as good as they."""
 _OUTLYING_POSES_MIN = 4
 """Of fewer poses nobody could say which is wrong."""
 
@@ -149,13 +151,14 @@ def number_stripes(poses: Sequence[PoseLines], stripes: int, belt: PoseLines | N
         if not moved:
             break
         usual = float(np.median([pose.weight.sum() for pose in kept]))
+        few = min(_FEW, stripes - 1)  # a pose that shows all of one or two stripes hides nothing
         left_out |= {
-            pose.name: _HIDDEN if pose.count <= _FEW or pose.weight.sum() < _FEW_SHARE * usual else _MOVED
+            pose.name: _HIDDEN if pose.count <= few or pose.weight.sum() < _FEW_SHARE * usual else _MOVED
             for pose in moved
         }
         kept = [pose for pose in kept if pose not in moved]
     contradicting = sum(why is _MOVED for why in left_out.values())
-    if contradicting >= max(_CONTRADICTING_SHARE * len(poses), _OUTLYING_POSES_MIN):
+    if contradicting >= max(_CONTRADICTING_SHARE * len(poses), _CONTRADICTING_MIN):
         raise CalibrationError(
             f"the poses contradict each other: the stripes of {contradicting} of {len(poses)} lie on none of "
             "the planes that the others show",

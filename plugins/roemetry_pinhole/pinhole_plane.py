@@ -6,14 +6,12 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 
-import cv2
 import numpy as np
 
 from roemetry.errors import StageError
 from roemetry.records import Profiles, StripeMap
 from roemetry.records.arrays import Floats
-from roemetry.records.alignment import Alignment
-from roemetry.records.calibration import Calibration
+from roemetry.records.calibration import Alignment, Calibration
 from roemetry.records.view import View
 from roemetry.stages import Capabilities, StageOptions, Triangulator
 from roemetry_kernels.compiling import float_kernel
@@ -88,7 +86,10 @@ class PinholePlane(Triangulator[StageOptions]):
         if alignment.covariance.any():
             derivatives = np.stack(
                 [
-                    (_flat(_turned(calibration.parameters, step * np.eye(4)[k])) - _flat(calibration.parameters))
+                    (
+                        _flat(_turned(calibration.parameters, step * np.eye(4)[k]))
+                        - _flat(calibration.parameters)
+                    )
                     / step
                     for k, step in enumerate(_MOTION_STEPS)
                 ]
@@ -115,9 +116,11 @@ _MOTION_STEPS = (1e-2, 1e-5, 1e-5, 1e-5)
 
 def _turned(parameters: Mapping[str, Floats], motion: Floats) -> dict[str, Floats]:
     """Give the parameters of a camera that has moved; `motion` as in `Alignment`."""
+    import cv2
+
     pan_px, roll, zoom, tilt = motion
     focal = parameters["focal_px"]
-    rotation = cv2.Rodrigues(np.array([tilt, pan_px / focal[0], roll]))[0]
+    rotation = np.asarray(cv2.Rodrigues(np.array([tilt, pan_px / focal[0], roll]))[0], np.float64)
     return {
         **parameters,
         "focal_px": focal * (1.0 + zoom),

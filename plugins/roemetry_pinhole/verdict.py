@@ -68,6 +68,9 @@ _SYSTEMATIC_TOLD_PX = 0.05
 """From here on a shared error is told: half the noise of a mark."""
 _CONFLICT_LITTLE = 10.0
 """Up to here stripes pull camera and poses off the marks by about three standard deviations in all."""
+_CONFLICT_MAX = 100.0
+"""Beyond, by ten: no bow or bleeding light of a sound rig does that (1 on sound sets), a wrong pairing of
+images, another camera or a board that moved does."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -91,6 +94,13 @@ def judged(joined: Joint, *, scale_is_known: bool = True) -> Verdict:
     _check_planes_pass_by(adjusted)
     _check_used(joined)
     _check_planes(adjusted, joined)
+    if adjusted.conflict > _CONFLICT_MAX:
+        raise CalibrationError(
+            f"stripes and marks contradict each other: for both to hold, stripes would have to err "
+            f"{np.sqrt(adjusted.conflict):.0f} times as much as they scatter",
+            hint="is each laser image paired with the board it was taken of, by one camera? did nothing move "
+            "between the two images of a pose? is the board flat?",
+        )
     residuals: dict[str, float] = {}
     notes: list[str] = []
     if adjusted.corner_used.size:

@@ -8,11 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from markupsafe import Markup
 
+from roemetry.html import plots as svg
+from roemetry.html.plots import Axis, plain
 from roemetry.records import Profiles, Shares, StripeMap, Volume
 from roemetry.records.arrays import Flags, Floats
-from roemetry_report import palette, svg
+from roemetry_report import palette
 from roemetry_report.panels import runs
-from roemetry_report.words import percent, plain
+from roemetry_report.words import percent
 
 _WIDTH, _HEIGHT = 520.0, 250.0
 _LEFT, _RIGHT, _TOP, _BOTTOM = 46.0, 8.0, 16.0, 50.0
@@ -33,31 +35,22 @@ def slice_chart(volume: Volume) -> Markup | None:
     if total <= 0:
         wide, total = np.ones_like(wide), float(wide.size)
     ticks = ticks_to(float(np.nanmax(area)))
-    across, up = (_WIDTH - _LEFT - _RIGHT) / total, (_HEIGHT - _TOP - _BOTTOM) / ticks[-1]
-    floor = _HEIGHT - _BOTTOM
-    parts = [_rule(_LEFT, _WIDTH - _RIGHT, floor - tick * up, plain(tick, _places(ticks))) for tick in ticks]
+    across = (_WIDTH - _LEFT - _RIGHT) / total
+    up = Axis(0.0, ticks[-1], _HEIGHT - _BOTTOM, _TOP)
+    floor, decimals = up.start, _places(ticks)
+    parts = [
+        part for tick in ticks for part in _rule(_LEFT, _WIDTH - _RIGHT, up(tick), plain(tick, decimals))
+    ]
     x = _LEFT
     for stripe, a, s, w in zip(volume.slice_stripe[order].tolist(), area, spacing, wide, strict=True):
-        width, height = float(w) * across, max(0.0, float(np.nan_to_num(a))) * up
-        parts.append(
-            Markup(
-                '<rect class="bar" fill="{}" x="{}" y="{}" width="{}" height="{}">'
-                "<title>Stripe {}: {} mm², held over {} mm</title></rect>"
-            ).format(
-                palette.stripe_colour_on_paper(stripe),
-                svg.number(x + 0.75),
-                svg.number(floor - height),
-                svg.number(max(width - 1.5, 0.5)),
-                svg.number(height),
-                stripe + 1,
-                plain(float(a), 1),
-                plain(float(s), 2),
-            )
-        )
-        if width >= 17:
+        width, top = float(w) * across, up(float(np.nan_to_num(a)))
+        title = f"Stripe {stripe + 1}: {plain(float(a), 1)} mm², held over {plain(float(s), 2)} mm"
+        colour = palette.stripe_colour_on_paper(stripe)
+        parts.append(svg.box(x + 0.75, top, max(width - 1.5, 0.5), floor - top, "bar", title, colour))
+        if width >= 17:  # narrower bars leave no room for figures
             middle = x + width / 2
             parts += [
-                svg.text(middle, floor - height - 4, plain(float(a), 0), "value"),
+                svg.text(middle, top - 4, plain(float(a), 0), "value"),
                 svg.text(middle, floor + 14, str(stripe + 1), "tick strong"),
                 svg.text(middle, floor + 27, plain(float(s), 1), "tick"),
             ]
@@ -69,7 +62,7 @@ def slice_chart(volume: Volume) -> Markup | None:
         svg.text((_LEFT + _WIDTH - _RIGHT) / 2, _HEIGHT - 5, "spacing (width of the bar), mm", "tick"),
     ]
     label = f"Bar chart of the areas of {len(area)} slices over their spacing; the figures are in the table"
-    return svg.picture(parts, box=(0, 0, _WIDTH, _HEIGHT), label=label, kind="chart")
+    return svg.view(parts, (0, 0, _WIDTH, _HEIGHT), label, "chart")
 
 
 def share_bar(shares: Shares) -> Markup | None:
@@ -81,14 +74,10 @@ def share_bar(shares: Shares) -> Markup | None:
     for part, kind in zip(parts, ("seen", "interpolated", "assumed"), strict=True):
         width = 100 * part / sum(parts)
         if width > 0:
-            body.append(
-                Markup('<rect class="{}" x="{}" y="0" width="{}" height="10"/>').format(
-                    kind, svg.number(x), svg.number(width)
-                )
-            )
+            body.append(svg.box(x, 0.0, width, 10.0, kind))
         x += width
     label = f"seen {percent(parts[0])}, interpolated {percent(parts[1])}, assumed {percent(parts[2])}"
-    return svg.picture(body, box=(0, 0, 100, 10), label=label, kind="shares", stretch=True)
+    return svg.view(body, (0, 0, 100, 10), label, "shares", stretch=True)
 
 
 def ticks_to(top: float, count: int = 4) -> list[float]:
@@ -105,16 +94,15 @@ def _places(ticks: list[float]) -> int:
     return max(0, -math.floor(math.log10(ticks[1]))) if ticks[1] < 1 else int(ticks[1] % 1 > 0)
 
 
-def _rule(left: float, right: float, y: float, text: str) -> Markup:
-    return Markup('<path class="rule" d="M{} {}H{}"/>').format(
-        svg.number(left), svg.number(y), svg.number(right)
-    ) + svg.text(left - 6, y + 3.5, text, "tick end")
+def _rule(left: float, right: float, y: float, words: str, kind: str = "rule") -> tuple[Markup, Markup]:
+    return svg.line(left, y, right, y, kind), svg.text(left - 5, y + 3.5, words, "tick end")
 
 
 _SMALL_WIDTH, _SMALL_HEIGHT = 220.0, 112.0
-_SMALL_LEFT, _SMALL_RIGHT, _SMALL_TOP, _SMALL_BOTTOM = 26.0, 6.0, 8.0, 16.0
+_SMALL_LEFT, _SMALL_RIGHT, _SMALL_TOP, _SMALL_BOTTOM = 33.0, 6.0, 8.0, 16.0
 """The same of a chart of heights along one stripe, many of which stand side by side."""
 _POINTS_MAX = 2400
+"""Of all small charts together: thinned out beyond, or a section would grow past a quarter of a megabyte."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,69 +153,42 @@ def _multiples(slices: list[_Slice], what: str) -> tuple[SmallChart, ...]:
     step = max(1, -(-up.size // _POINTS_MAX))
     below = -ticks_to(-float(up.min()), 2)[-1] if up.min() < -0.02 * np.ptp(up) and up.min() < 0 else 0.0
     above = ticks_to(float(up.max()), 2)[-1] if up.max() > 0 else 0.0
-    frame = _Frame(float(along.min()), float(along.max()), below, above)
+    across = Axis.over(float(along.min()), float(along.max()), _SMALL_LEFT, _SMALL_WIDTH - _SMALL_RIGHT)
+    upwards = Axis.over(below, above, _SMALL_HEIGHT - _SMALL_BOTTOM, _SMALL_TOP)
     return tuple(
-        SmallChart(f"Stripe {s.stripe + 1}", _drawing(s, k, frame, step, what))
+        SmallChart(f"Stripe {s.stripe + 1}", _drawing(s, k, across, upwards, step, what))
         for s, k in zip(slices, known, strict=True)
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _Frame:
-    """Limits of the axes, and the way from values to the drawing."""
-
-    left: float
-    right: float
-    below: float
-    above: float
-
-    def x(self, along: Floats) -> Floats:
-        span = max(self.right - self.left, 1e-9)
-        return np.asarray(
-            _SMALL_LEFT + (along - self.left) / span * (_SMALL_WIDTH - _SMALL_LEFT - _SMALL_RIGHT), np.float64
-        )
-
-    def y(self, up: Floats) -> Floats:
-        span = max(self.above - self.below, 1e-9)
-        return np.asarray(
-            _SMALL_TOP + (self.above - up) / span * (_SMALL_HEIGHT - _SMALL_TOP - _SMALL_BOTTOM), np.float64
-        )
-
-
-def _drawing(given: _Slice, known: Flags, frame: _Frame, step: int, what: str) -> Markup:
-    parts = []
-    for level in sorted({frame.below, 0.0, (frame.below + frame.above) / 2, frame.above}):
-        y = float(frame.y(np.array([level]))[0])
-        parts.append(
-            Markup('<path class="{}" d="M{} {}H{}"/>').format(
-                "rule zero" if level == 0 else "rule",
-                svg.number(_SMALL_LEFT),
-                svg.number(y),
-                svg.number(_SMALL_WIDTH - _SMALL_RIGHT),
-            )
-        )
-        text = plain(level, 0 if level == int(level) else 1)
-        parts.append(svg.text(_SMALL_LEFT - 4, y + 3.5, text, "tick end"))
-    for value, where in ((frame.left, "start"), (frame.right, "end")):
-        x = _SMALL_LEFT if where == "start" else _SMALL_WIDTH - _SMALL_RIGHT
-        parts.append(svg.text(x, _SMALL_HEIGHT - 4, plain(value, 0), f"tick {where}"))
+def _drawing(given: _Slice, known: Flags, across: Axis, upwards: Axis, step: int, what: str) -> Markup:
+    parts: list[Markup] = []
+    for level in sorted({upwards.low, 0.0, (upwards.low + upwards.high) / 2, upwards.high}):
+        words = plain(level, 0 if level == int(level) else 1)
+        kind = "rule zero" if level == 0 else "rule"
+        parts += _rule(_SMALL_LEFT, _SMALL_WIDTH - _SMALL_RIGHT, upwards(level), words, kind)
+    for value, end in ((across.low, "start"), (across.high, "end")):
+        parts.append(svg.text(across(value), _SMALL_HEIGHT - 4, plain(value, 0), f"tick {end}"))
     colour = palette.stripe_colour_on_paper(given.stripe)
-    across, upward = frame.x(given.along), frame.y(given.up)
+    x, y = _placed(across, given.along), _placed(upwards, given.up)
     for mask, kind, join in ((known & given.seen, "seen", False), (known & ~given.seen, "bridged", True)):
-        data = "".join(_line(across, upward, known, begin, end, step, join) for begin, end in runs(mask))
+        data = "".join(_line(x, y, known, begin, end, step, join) for begin, end in runs(mask))
         if data:
-            parts.append(Markup('<path class="{}" stroke="{}" d="{}"/>').format(kind, colour, data))
+            parts.append(svg.path(kind, data, stroke=colour))
     top = float(given.up[known][np.abs(given.up[known]).argmax()])
-    span = f"from {plain(frame.left, 0)} to {plain(frame.right, 0)}, largest {plain(top, 1)}"
+    span = f"from {plain(across.low, 0)} to {plain(across.high, 0)}, largest {plain(top, 1)}"
     label = f"Stripe {given.stripe + 1}: {what}; {span}"
-    return svg.picture(parts, box=(0, 0, _SMALL_WIDTH, _SMALL_HEIGHT), label=label, kind="chart small")
+    return svg.view(parts, (0, 0, _SMALL_WIDTH, _SMALL_HEIGHT), label, "chart small")
+
+
+def _placed(axis: Axis, values: Floats) -> Floats:
+    share = (values - axis.low) / (axis.high - axis.low)
+    # A tenth of a unit is a hundredth of a millimetre of paper: enough for a chart.
+    return np.round(axis.start + share * (axis.end - axis.start), 1)
 
 
 def _line(x: Floats, y: Floats, known: Flags, begin: int, end: int, step: int, join: bool) -> str:
     first = begin - 1 if join and begin > 0 and known[begin - 1] else begin
     last = end if join and end < len(known) and known[end] else end - 1
-    points = np.arange(first, last + 1, step)
-    if points[-1] != last:
-        points = np.append(points, last)
-    # A tenth of a unit is a hundredth of a millimetre of paper: enough for a chart.
-    return svg.line(np.round(x[points], 1), np.round(y[points], 1))
+    points = np.unique(np.append(np.arange(first, last + 1, step), last))
+    return svg.polyline(x[points], y[points])

@@ -11,6 +11,8 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
+from roemetry.html import plots as svg
+from roemetry.html.plots import plain
 from roemetry.records import (
     AMBIGUOUS,
     BELT,
@@ -25,15 +27,14 @@ from roemetry.records import (
 from roemetry.records.arrays import Flags, Floats
 from roemetry.records.units import MM3_PER_CM3, NOT_STATED
 from roemetry.stages import Run
-from roemetry_report import svg
 from roemetry_report.charts import share_bar
-from roemetry_report.words import budget, interval, percent, plain, uncertainty, value
+from roemetry_report.words import budget, interval, percent, uncertainty, value
 
 ROWS_MAX = 2000
 """Rows of the summary table; a page with more is no help to anyone."""
 
 _SUSPECTS_PER_PLACE = 64
-"""So many rows are kept in mind for each place among the worst: an acquisition may have many rows."""
+"""Rows remembered for each place among the worst: an acquisition may have many."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,22 +48,9 @@ class Shown:
 
 @dataclass(frozen=True, slots=True)
 class Overview:
-    """A run at a glance.
+    """A run at a glance: `rows` are the first ones, for the table; `shown` acquisitions get a section.
 
-    Attributes
-    ----------
-    total
-        Number of rows of the record.
-    statuses, grades
-        How many rows have each status, how many products each grade.
-    rows
-        The first rows, for the table.
-    common
-        Reasons that stand on every measured row: said once.
-    shown
-        Acquisitions that get a section.
-    calibrated
-        Whether any number is in millimetres or grams.
+    `common` reasons stand on every measured row and are said once. `calibrated`: a number is in mm or g.
     """
 
     total: int
@@ -75,17 +63,7 @@ class Overview:
 
 
 def overview(run: Run, products_max: int, worst_max: int) -> Overview:
-    """Look through the record.
-
-    Parameters
-    ----------
-    run
-        What was measured.
-    products_max
-        So many rows from the first on are shown.
-    worst_max
-        So many more are shown from among the others: failed, most ambiguous or least seen.
-    """
+    """Look through the record; show the first `products_max` rows, and so many of the worst others."""
     statuses: Counter[str] = Counter()
     grades: Counter[str] = Counter()
     rows: list[Measurement] = []
@@ -182,14 +160,8 @@ class Pill:
 class Row:
     """One measurement in words.
 
-    Attributes
-    ----------
-    shares_of
-        What the shares are shares of: the volume, or (without one) the points.
-    main
-        What matters most for this row: why it failed, or the first reason of its grade.
-    further
-        The other reasons, for which a code is enough.
+    The shares are `shares_of` the volume, or without one of the points. `main` reasons matter most: why the
+    row failed, or the first one of its grade; of the `further` ones a code is enough.
     """
 
     id: str
@@ -255,13 +227,8 @@ def row_of(measurement: Measurement, common: Collection[Reason] = ()) -> Row:
 
 
 def _figure(estimate: Estimate, per: float = 1.0, digits: int = 2) -> Figure:
-    return Figure(
-        value(estimate, per, digits),
-        uncertainty(estimate, per, digits),
-        _sortable(estimate.value),
-        interval(estimate, per),
-        budget(estimate, per),
-    )
+    written = value(estimate, per, digits), uncertainty(estimate, per, digits)
+    return Figure(*written, _sortable(estimate.value), interval(estimate, per), budget(estimate, per))
 
 
 def probability_of(grade: Grade | None) -> str:
@@ -401,17 +368,13 @@ def _band(kind: NDArray[np.int64], tall: Flags, margin: Floats, stripe: int | No
         data = f"M{begin} {svg.number(0.5 * (_TALL - high))}h{end - begin}v{svg.number(high)}h-{end - begin}z"
         if which >= _TOLD_FROM:
             told.append(
-                Markup('<path class="t-{}" d="{}"><title>{}</title></path>').format(
-                    _KINDS[which], data, _told(which, begin, end, margin[begin:end])
-                )
+                svg.path(f"t-{_KINDS[which]}", data, title=_told(which, begin, end, margin[begin:end]))
             )
         else:
             quiet.setdefault(_KINDS[which], []).append(data)
-    body = [Markup('<path class="t-{}" d="{}"/>').format(name, "".join(d)) for name, d in quiet.items()]
+    body = [svg.path(f"t-{name}", "".join(data)) for name, data in quiet.items()]
     name = "Least margin of any stripe on the product" if stripe is None else f"Margin of stripe {stripe}"
-    return svg.picture(
-        [*body, *told], box=(0, 0, kind.size, _TALL), label=f"{name}, row by row", kind="strip", stretch=True
-    )
+    return svg.view([*body, *told], (0, 0, kind.size, _TALL), f"{name}, row by row", "strip", stretch=True)
 
 
 def _told(which: int, begin: int, end: int, margin: Floats) -> str:

@@ -25,44 +25,22 @@ def height_colour(share: float) -> str:
 HEIGHTS = ("#26456e", "#3f6b8c", "#5f8f98", "#8eb08f", "#c6c97c", "#f3dc78")
 """Heights from low to high; lightness grows steadily."""
 
+# fmt: off
 ON_DARK = (
-    "#E78AC3",
-    "#8FA2FF",
-    "#2FB592",
-    "#F0E442",
-    "#B8A22E",
-    "#56B4E9",
-    "#D9F2FF",
-    "#FFB14A",
-    "#C9A0FF",
-    "#5FD8D8",
-    "#F2D6B3",
-    "#9AD14B",
+    "#E78AC3", "#8FA2FF", "#2FB592", "#F0E442", "#B8A22E", "#56B4E9",
+    "#D9F2FF", "#FFB14A", "#C9A0FF", "#5FD8D8", "#F2D6B3", "#9AD14B",
 )
 """Twelve colours, ordered so that the least CIE 1976 difference of neighbours is 22 for normal eyes and for
 full protan, deutan and tritan vision. More stripes begin again: the number at the top tells them apart."""
 
 ON_PAPER = (
-    "#B71D7C",
-    "#3F5BE0",
-    "#187059",
-    "#7A7000",
-    "#726317",
-    "#0D689C",
-    "#2F6E8C",
-    "#A65A00",
-    "#7E3FD0",
-    "#166E6E",
-    "#8E5612",
-    "#4A6E17",
+    "#B71D7C", "#3F5BE0", "#187059", "#7A7000", "#726317", "#0D689C",
+    "#2F6E8C", "#A65A00", "#7E3FD0", "#166E6E", "#8E5612", "#4A6E17",
 )
+# fmt: on
 
-BELT = "#8A97A3"
-PEAK = "#F4F7FA"
-AMBIGUOUS = "#FF4D4D"
-UNCODED = "#9AA5B0"
-MARK = "#A9B4BE"
-OUTLINE = "#FFFFFF"
+BELT, PEAK, OUTLINE = "#8A97A3", "#F4F7FA", "#FFFFFF"
+AMBIGUOUS, UNCODED, MARK = "#FF4D4D", "#9AA5B0", "#A9B4BE"
 RISING = ("#F4F6E8", "#DCE8C2", "#BBD8A5", "#8FC495", "#5FAE8C", "#389383", "#237676", "#1D5A66", "#183F55")
 """From little to much, lightness falls evenly."""
 

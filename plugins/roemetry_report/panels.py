@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,14 +11,15 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
+from roemetry.html import plots as svg
+from roemetry.html.plots import Box
 from roemetry.records import AMBIGUOUS, BELT, UNCODED, Frame, Marks, Outline, Peaks, StripeMap, Trace
 from roemetry.records.arrays import Flags, Floats
-from roemetry_report import palette, svg
-from roemetry_report.svg import Box
+from roemetry_report import palette
 from roemetry_report.words import counted
 
-_DOTS_MAX = 7500
-_MARKS_MAX = 1500
+_DOTS_MAX, _MARKS_MAX = 7500, 1500
+"""Peaks drawn as dots, and as marks of one kind: a section stays below 250 kB with them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,15 +33,9 @@ class Panel:
 
 
 def panels(trace: Trace, key: str) -> tuple[Panel, ...]:
-    """Draw what there is of a trace.
+    """Draw what there is of a trace; `key`, unique in the page, is what the ids of the drawings begin with.
 
-    Parameters
-    ----------
-    trace
-        An acquisition's way through the stages.
-    key
-        What the ids of the drawings begin with; unique in the page. The picture is ``<key>-image``: it
-        stands in the page once and is used wherever it is needed.
+    The picture is ``<key>-image``: it stands in the page once and is used wherever it is needed.
     """
     base = base_image(trace)
     if base is None:
@@ -54,11 +49,6 @@ def panels(trace: Trace, key: str) -> tuple[Panel, ...]:
     return tuple(given)
 
 
-def view(rows: int, columns: int) -> svg.Box:
-    """View of a whole image: its pixels' centres are whole numbers."""
-    return (-0.5, -0.5, float(columns), float(rows))
-
-
 def _original(base: BaseImage, key: str) -> Panel:
     image = Markup(
         '<image id="{}-image" href="{}" x="-.5" y="-.5" width="{}" height="{}" preserveAspectRatio="none"/>'
@@ -70,23 +60,22 @@ def _original(base: BaseImage, key: str) -> Panel:
 def _dominant(base: BaseImage, peaks: Peaks, key: str) -> Panel:
     step = max(1, -(-len(peaks) // _DOTS_MAX))
     drawn = peaks.row % step == 0
-    order = np.lexsort((peaks.row[drawn], _column_of(peaks)[drawn]))
+    rank = (
+        np.arange(len(peaks)) - peaks.row_start[peaks.row]
+    )  # in its row: down the stripes the path is short
+    order = np.lexsort((peaks.row[drawn], rank[drawn]))
     x, y = peaks.x_px[drawn][order], peaks.row[drawn][order].astype(np.float64)
-    body = Markup('<path id="{}-peaks" class="c c-dot" stroke="{}" d="{}"/>').format(
-        key, palette.PEAK, svg.dots(x, y)
-    )
+    dots = svg.path("c c-dot", svg.dots(x, y), stroke=palette.PEAK)
+    body = Markup('<g id="{}-peaks">{}</g>').format(key, dots)
     label = f"{len(peaks)} peaks as dots on black"
     return Panel("b", "Peaks", _screen(base, [body], label), (f"{len(peaks)} peaks", *_thinned(step)))
 
 
 def _superimposed(base: BaseImage, trace: Trace, key: str) -> Panel:
     over = "peaks" if trace.stripes is None else "curves"
-    body = [
-        Markup('<use href="#{}-image"/>').format(key),
-        Markup('<g class="over"><use href="#{}-{}"/></g>').format(key, over),
-    ]
+    body = Markup('<use href="#{0}-image"/><g class="over"><use href="#{0}-{1}"/></g>').format(key, over)
     title = "Coded peaks on the image" if trace.stripes is not None else "Peaks on the image"
-    return Panel("c", title, _screen(base, body, title))
+    return Panel("c", title, _screen(base, [body], title))
 
 
 def _connected(
@@ -96,7 +85,11 @@ def _connected(
     arm = max(base.columns, base.rows) / 220
     body = [
         Markup('<g id="{}-curves">{}</g>').format(key, curves(stripes)),
-        *_outlines(outlines),
+        *(
+            svg.path("c c-outline", svg.polyline(*outline.xy_px.T) + "z", stroke=palette.OUTLINE)
+            for outline in outlines
+            if len(outline.xy_px) > 2
+        ),
         *_marks(peaks, uncoded, "uncoded", svg.crosses, arm),
         *_marks(peaks, ambiguous, "ambiguous", svg.diamonds, 1.4 * arm),
         *_numbers(stripes, base),
@@ -113,27 +106,19 @@ def _connected(
 
 
 def _screen(base: BaseImage, body: Iterable[Markup], label: str) -> Markup:
-    return svg.picture(body, box=view(base.rows, base.columns), label=label, kind="screen")
+    return svg.view(body, (-0.5, -0.5, float(base.columns), float(base.rows)), label, "screen")
 
 
-def _marks(peaks: Peaks, which: Flags, kind: str, shape: object, arm: float) -> list[Markup]:
+def _marks(
+    peaks: Peaks, which: Flags, kind: str, shape: Callable[[Floats, Floats, float], str], arm: float
+) -> list[Markup]:
     chosen = np.flatnonzero(which)
-    if not chosen.size or not callable(shape):
+    if not chosen.size:
         return []
     chosen = chosen[:: -(-chosen.size // _MARKS_MAX)]
     data = shape(peaks.x_px[chosen], peaks.row[chosen].astype(np.float64), arm)
     colour = palette.AMBIGUOUS if kind == "ambiguous" else palette.UNCODED
-    return [Markup('<path class="c c-{}" stroke="{}" d="{}"/>').format(kind, colour, data)]
-
-
-def _outlines(outlines: Iterable[Outline]) -> list[Markup]:
-    return [
-        Markup('<path class="c c-outline" stroke="{}" d="{}z"/>').format(
-            palette.OUTLINE, svg.line(outline.xy_px[:, 0], outline.xy_px[:, 1])
-        )
-        for outline in outlines
-        if len(outline.xy_px) > 2
-    ]
+    return [svg.path(f"c c-{kind}", data, stroke=colour)]
 
 
 def _numbers(stripes: StripeMap, base: BaseImage) -> list[Markup]:
@@ -144,12 +129,13 @@ def _numbers(stripes: StripeMap, base: BaseImage) -> list[Markup]:
     apart = float(np.median(np.abs(np.diff(where)))) if where.size > 1 else np.inf
     step = max(1, int(np.ceil(1.3 * size / max(apart, 1e-3)))) if where.size > 1 else 1
     return [
-        Markup('<text class="number" x="{}" y="{}" font-size="{}" fill="{}">{}</text>').format(
-            svg.number(min(max(top[0], size * 0.7), base.columns - size * 0.7)),
-            svg.number(min(max(top[1], 0) + size, base.rows - 2.0)),
-            svg.number(size),
+        svg.text(
+            min(max(top[0], size * 0.7), base.columns - size * 0.7),
+            min(max(top[1], 0) + size, base.rows - 2.0),
+            str(index + 1),
+            "number",
+            size,
             palette.stripe_colour(index),
-            index + 1,
         )
         for index, top in enumerate(tops)
         if top is not None and index % step == 0
@@ -166,11 +152,7 @@ def _product_numbers(stripes: StripeMap, base: BaseImage) -> list[Markup]:
     for product in found:
         mine = stripes.product == product
         x, y = float(np.median(stripes.x_px[mine])), float(np.median(np.nonzero(mine)[1]))
-        parts.append(
-            Markup('<text class="product" x="{}" y="{}" font-size="{}">{}</text>').format(
-                svg.number(x), svg.number(y + size / 3), svg.number(size), product
-            )
-        )
+        parts.append(svg.text(x, y + size / 3, str(product), "product", size))
     return parts
 
 
@@ -179,35 +161,21 @@ def _top(x: Floats) -> tuple[float, float] | None:
     return (float(x[rows[0]]), float(rows[0])) if rows.size else None
 
 
-def _column_of(peaks: Peaks) -> Floats:
-    """Rank of each peak in its row: draws dots down the stripes, which makes the path short."""
-    return np.arange(len(peaks), dtype=np.float64) - peaks.row_start[peaks.row]
-
-
 def _thinned(step: int) -> tuple[str, ...]:
-    return (f"every {step}{_ORDINAL.get(step, 'th')} row is drawn",) if step > 1 else ()
-
-
-_ORDINAL = {2: "nd", 3: "rd"}
+    return (f"one row in {step} is drawn",) if step > 1 else ()
 
 
 _BYTES_MAX = 72_000
+"""Of a picture: fifty sections then make a page of 10 MB, which still opens at once."""
 _TRIES = ((1280, 85), (1280, 70), (960, 70), (720, 65), (640, 50), (480, 40))
 """Longest side (px) and JPEG quality, from best to least."""
 
 
 @dataclass(frozen=True, slots=True)
 class BaseImage:
-    """A picture to draw on.
+    """A picture to draw on, as a ``data:`` address, and what was done to it for display.
 
-    Attributes
-    ----------
-    rows, columns
-        Size of the frame that the overlays' coordinates belong to.
-    uri
-        The picture as a ``data:`` address.
-    notes
-        What was done to it for display, in words.
+    Rows and columns are those of the frame that the overlays' coordinates belong to.
     """
 
     rows: int
@@ -282,12 +250,7 @@ _POINTS_MAX = 6000
 def curves(stripes: StripeMap, *, product: int | None = None) -> Markup:
     """Draw every stripe: on the belt thin and grey, on a product thick and coloured, bridged dashed.
 
-    Parameters
-    ----------
-    stripes
-        What the coder gave.
-    product
-        Draw this product's points only; None draws all products and the belt.
+    With `product`, that product's points alone.
     """
     step = row_step(stripes)
     parts = []
@@ -323,10 +286,8 @@ def _path(x: Floats, mask: Flags, step: int, kind: str, colour: str, *, join: bo
         rows = np.arange(first, last + 1, step)
         if rows[-1] != last:
             rows = np.append(rows, last)
-        data.append(svg.line(x[rows], rows.astype(np.float64)))
-    if not data:
-        return []
-    return [Markup('<path class="c {}" stroke="{}" d="{}"/>').format(kind, colour, "".join(data))]
+        data.append(svg.polyline(x[rows], rows.astype(np.float64)))
+    return [svg.path(f"c {kind}", "".join(data), stroke=colour)] if data else []
 
 
 _FAR_HEIGHTS = 1.5
@@ -338,18 +299,7 @@ def arc_panel(
 ) -> Panel | None:
     """Draw a product's evidence over its curves, zoomed to the product; None where there is nothing to draw.
 
-    Parameters
-    ----------
-    marks
-        The classifier's evidence.
-    stripes
-        What the coder gave.
-    product
-        The product's number.
-    size
-        Rows and columns of the image.
-    key
-        What the ids of the section's drawings begin with: the dimmed picture lies below.
+    Below lies the dimmed picture ``<key>-image``, which has `size` rows and columns.
     """
     box = _zoom(marks, stripes, product, size)
     if box is None:
@@ -377,7 +327,7 @@ def arc_panel(
         notes.append(f"{int(leaving.sum())} {'lead' if leaving.sum() > 1 else 'leads'} out of the picture")
     title = f"Body curves, an arrow to each {marks.kind}"
     label = f"Body curves of product {product} with arrows ({marks.kind}); {'; '.join(notes)}"
-    return Panel("g", title, svg.picture(body, box=box, label=label, kind="screen zoomed"), tuple(notes))
+    return Panel("g", title, svg.view(body, box, label, "screen zoomed"), tuple(notes))
 
 
 def _zoom(marks: Marks, stripes: StripeMap, product: int, size: tuple[int, int]) -> Box | None:
@@ -408,5 +358,5 @@ def _arrows(marks: Marks, which: Flags, *, flagged: bool) -> Markup:
     kind, colour = ("flagged", palette.AMBIGUOUS) if flagged else ("mark", palette.MARK)
     ends = np.stack([marks.from_px[which], marks.to_px[which]], axis=1)
     # An arrow head stands at the last point of a path only, so each arrow is a path of its own.
-    paths = (Markup('<path class="c" d="{}"/>').format(svg.line(end[:, 0], end[:, 1])) for end in ends)
+    paths = (svg.path("c", svg.polyline(*end.T)) for end in ends)
     return Markup('<g class="{}" stroke="{}">{}</g>').format(kind, colour, Markup("").join(paths))

@@ -1,20 +1,28 @@
-"""The sink `report`: everything brought together by a template into one page."""
+"""The sink `report`: the pictures of each acquisition once, then each of its products, as one page."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from pydantic import Field
 
+from roemetry.errors import RoemetryError
+from roemetry.html.plots import number, plain
 from roemetry.io.files import write_whole
 from roemetry.io.yaml_source import dump
+from roemetry.records import BELT, Frame, Grade, Measurement, ProductTrace, StripeMap, Trace, Volume
+from roemetry.records.units import MM3_PER_CM3
 from roemetry.stages import Run, Sink, StageOptions
-from roemetry_report.overview import CLASSES, ROWS_MAX, grade_pill, overview, row_of
-from roemetry_report.section import section
-from roemetry_report.words import breakable, clause, counted, milliseconds, when
+from roemetry_report.charts import SmallChart, displacement_charts, height_charts, slice_chart
+from roemetry_report.overview import CLASSES, ROWS_MAX, Shown, grade_pill, overview, row_of, trust
+from roemetry_report.panels import Panel, arc_panel, panels
+from roemetry_report.surface import relief_panels, solid
+from roemetry_report.words import breakable, clause, counted, feature, milliseconds, percent, when
 
 
 class ReportOptions(StageOptions):
@@ -54,20 +62,10 @@ class Report(Sink[ReportOptions]):
 
 
 def page(run: Run, products_max: int, worst_max: int) -> str:
-    """Write the whole page as one text.
-
-    Parameters
-    ----------
-    run
-        What was measured.
-    products_max
-        So many products, from the first on, are shown with pictures.
-    worst_max
-        So many acquisitions are shown besides, the worst ones.
-    """
+    """Write the whole page as one text, options as of `ReportOptions`."""
     seen = overview(run, products_max, worst_max)
     sections = [section(shown, run.replay, f"a{i + 1}") for i, shown in enumerate(seen.shown)]
-    anchors = {p.row.id: (s, p.key) for s in sections for p in s.products}
+    anchors = {p["row"].id: (s, p["key"]) for s in sections for p in s["products"]}
     # Not autoescape=select_autoescape(): the template's name ends in j2, and everything here is HTML.
     environment = Environment(
         loader=PackageLoader("roemetry_report", "templates"),
@@ -101,24 +99,17 @@ def page(run: Run, products_max: int, worst_max: int) -> str:
 
 def _facts(provenance: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     """Where the numbers come from: what, name, hash."""
-    facts = [("roemetry", str(provenance.get("roemetry_version") or "version not recorded"), "")]
-    facts.append(
-        ("recipe", str(provenance.get("recipe") or "not recorded"), _hash(provenance, "recipe_sha256"))
-    )
-    calibration = provenance.get("calibration")
-    if calibration or provenance.get("calibration_sha256"):
-        facts.append(("calibration", str(calibration or ""), _hash(provenance, "calibration_sha256")))
-    else:
-        facts.append(("calibration", "none", ""))
-    if provenance.get("started"):
-        facts.append(("started", when(provenance["started"]), ""))
-    if provenance.get("finished"):
-        facts.append(("finished", when(provenance["finished"]), ""))
-    return facts
 
+    def given(key: str, otherwise: str = "") -> str:
+        return str(provenance.get(key) or otherwise)
 
-def _hash(provenance: Mapping[str, Any], key: str) -> str:
-    return str(provenance.get(key) or "")
+    hashed = given("calibration_sha256")
+    return [
+        ("roemetry", given("roemetry_version", "version not recorded"), ""),
+        ("recipe", given("recipe", "not recorded"), given("recipe_sha256")),
+        ("calibration", given("calibration", "" if hashed else "none"), hashed),
+        *((name, when(provenance[name]), "") for name in ("started", "finished") if provenance.get(name)),
+    ]
 
 
 def _recipe(provenance: Mapping[str, Any]) -> str:
@@ -129,3 +120,140 @@ def _recipe(provenance: Mapping[str, Any]) -> str:
 def _mapping(provenance: Mapping[str, Any], key: str) -> Mapping[str, Any]:
     given = provenance.get(key)
     return given if isinstance(given, Mapping) else {}
+
+
+_DIFFERS = 1e-6
+"""A replay whose volume differs by more than this share does not show what was measured."""
+
+
+def section(shown: Shown, replay: Callable[[str], Trace], key: str) -> dict[str, Any]:
+    """Gather what the template says of an acquisition, from its rows and its trace made again.
+
+    All ids in the section begin with `key`. `thumbnail` is the view box of the picture in the table.
+    """
+    trace: Trace | None = None
+    no_pictures = ""
+    try:
+        trace = replay(shown.acquisition)
+    except RoemetryError as error:
+        no_pictures = str(error)
+    drawn = () if trace is None else panels(trace, key)
+    if trace is not None and not drawn:
+        why = next(iter(trace.absent.values()), None)
+        no_pictures = why.text if why is not None else "there is no laser image"
+    seconds = {} if trace is None else trace.seconds
+    return {
+        "key": key,
+        "acquisition": shown.acquisition,
+        "worst": shown.worst,
+        "panels": drawn,
+        "no_pictures": no_pictures,
+        "products": tuple(_product(row, trace, f"{key}-p{row.product}", key) for row in shown.rows),
+        "coding": _coding(shown.rows[0]) if shown.rows else (),
+        "seconds": tuple((stage, milliseconds(value)) for stage, value in seconds.items()),
+        "seconds_total": milliseconds(sum(seconds.values())) if seconds else "",
+        "thumbnail": "" if trace is None or trace.frame is None else _thumbnail(trace.frame, trace.stripes),
+        "has_curves": any(panel.letter == "d" for panel in drawn),
+        "trust": None if trace is None or trace.stripes is None else trust(trace.stripes),
+        "solid": None if trace is None or trace.profiles is None else solid(trace.profiles),
+    }
+
+
+def _product(row: Measurement, trace: Trace | None, key: str, section_key: str) -> dict[str, Any]:
+    traced = _traced(row, trace)
+    grade = row.grade
+    arcs: Panel | None = None
+    relief: tuple[Panel, ...] = ()
+    profiles: tuple[SmallChart, ...] = ()
+    words = ""
+    if trace is not None and trace.stripes is not None and trace.frame is not None:
+        if traced is not None and traced.grade is not None and traced.grade.marks is not None:
+            arcs = arc_panel(traced.grade.marks, trace.stripes, row.product, trace.frame.size, section_key)
+        if traced is not None and traced.grade is not None and traced.grade.relief is not None:
+            relief = relief_panels(traced.grade.relief)
+        if traced is not None:
+            profiles = height_charts(traced.product.profiles, row.product)
+            words = "Height Z over Y, mm, for each slice that carries the product"
+        elif row.product > 0:
+            profiles = displacement_charts(trace.stripes, row.product)
+            words = "Displacement from the rest line over the image row, px, for each stripe on the product"
+    decided = () if row.decision is None else row.decision.reasons
+    said = {*row.absent.values(), *(() if grade is None else grade.reasons), *decided}
+    return {
+        "key": key,
+        "number": row.product,
+        "row": row_of(row),
+        "grade_reasons": () if grade is None else grade.reasons,
+        "decision_reasons": decided,
+        "features": () if grade is None else _features(grade),
+        "reasons": tuple(r for r in row.all_reasons if r not in said),
+        "absent": row.absent,
+        "slices": () if row.volume is None else _slices(row.volume),
+        "slice_chart": None if row.volume is None else slice_chart(row.volume),
+        "arcs": arcs,
+        "relief": relief,
+        "profiles": profiles,
+        "profile_words": words,
+        "changed": _changed(row, traced),
+    }
+
+
+def _traced(row: Measurement, trace: Trace | None) -> ProductTrace | None:
+    products = () if trace is None else trace.products
+    return next((found for found in products if found.product.number == row.product), None)
+
+
+def _changed(row: Measurement, traced: ProductTrace | None) -> bool:
+    if row.volume is None or traced is None or traced.volume is None:
+        return False
+    then, now = row.volume.visible_mm3.value, traced.volume.visible_mm3.value
+    return math.isfinite(then + now) and abs(now - then) > _DIFFERS * max(abs(then), abs(now))
+
+
+def _slices(volume: Volume) -> tuple[dict[str, Any], ...]:
+    columns = (volume.slice_stripe, volume.slice_area_mm2, volume.slice_spacing_mm)
+    return tuple(
+        {
+            "stripe": stripe + 1,
+            "area": plain(a, 1),
+            "spacing": plain(s, 2),
+            "contribution": plain(a * s / MM3_PER_CM3, 2),
+        }
+        for stripe, a, s in sorted(zip(*(column.tolist() for column in columns), strict=True))
+    )
+
+
+def _coding(row: Measurement) -> tuple[tuple[str, str], ...]:
+    coding = row.coding
+    if coding is None:
+        return ()
+    return (
+        ("stripes seen", f"{coding.stripes_seen} of {coding.stripes}"),
+        ("peaks", str(coding.peaks)),
+        ("coded", _of(coding.coded, coding.peaks)),
+        ("ambiguous", _of(coding.ambiguous, coding.peaks)),
+        ("uncoded (noise)", _of(coding.uncoded, coding.peaks)),
+        ("saturated", percent(coding.saturated_share) + (" of the coded" if coding.coded else "")),
+    )
+
+
+def _of(part: int, whole: int) -> str:
+    return f"{part} ({percent(part / whole)})" if whole else str(part)
+
+
+def _thumbnail(frame: Frame, stripes: StripeMap | None) -> str:
+    """View box of 4 : 3 about the products; of the whole image where there are none."""
+    rows, columns = frame.size
+    if stripes is None or not (stripes.product > BELT).any():
+        return f"-.5 -.5 {columns} {rows}"
+    stripe, row = np.nonzero(stripes.product > BELT)
+    x = stripes.x_px[stripe, row]
+    height = max(float(np.ptp(row)), 0.75 * float(np.ptp(x)), 0.1 * rows) * 1.15
+    left = (float(x.min() + x.max()) - height * 4 / 3) / 2
+    top = (float(row.min() + row.max()) - height) / 2
+    return " ".join(number(value) for value in (left, top, height * 4 / 3, height))
+
+
+def _features(grade: Grade) -> tuple[tuple[str, str], ...]:
+    std = grade.features_std
+    return tuple(feature(name, figure, std.get(name, math.nan)) for name, figure in grade.features.items())

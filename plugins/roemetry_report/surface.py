@@ -12,12 +12,13 @@ from itertools import pairwise
 import numpy as np
 from markupsafe import Markup
 
+from roemetry.html import plots as svg
+from roemetry.html.plots import Box, plain
 from roemetry.records import Profiles, Relief, ReliefMap, ReliefRegion
 from roemetry.records.arrays import Flags, Floats, Integers
-from roemetry_report import palette, svg
+from roemetry_report import palette
 from roemetry_report.panels import Panel
-from roemetry_report.svg import Box
-from roemetry_report.words import counted, plain
+from roemetry_report.words import counted
 
 _MARGIN_MM = 9.0
 _LEGEND_MM = 11.0
@@ -42,47 +43,42 @@ def relief_panels(relief: Relief) -> tuple[Panel, ...]:
 
 def _plan(relief: Relief) -> Panel:
     box = _box(relief, legend=False)
-    edges = np.concatenate([relief.xy_mm[:, 0], relief.xy_mm[::-1, -1]])
+    middle = relief.middle_mm
     body = [
-        Markup('<path class="plan-body" d="{}z"/>').format(svg.line(edges[:, 0], -edges[:, 1])),
-        *(
-            Markup('<path class="plan-section" d="{}"/>').format(svg.line(row[[0, -1], 0], -row[[0, -1], 1]))
-            for row in relief.xy_mm
-        ),
+        _edge(relief, "plan-body"),
+        *(svg.path("plan-section", _over(row[[0, -1]])) for row in relief.xy_mm),
         *(_region(region, relief) for region in relief.regions),
-        *_mid_line(relief),
+        svg.path("plan-chord", _over(middle[[0, -1]])),
+        svg.path("plan-middle", _over(middle)),
         *_sizes(relief),
         *(_numbered(region, number) for number, region in enumerate(relief.regions, start=1)),
     ]
     kinds = [region.kind for region in relief.regions]
     counts = [counted(kinds.count(kind), kind) for kind in ("dent", "hump")]
-    notes = [*counts, *_regions(relief), *_figures(relief)]
+    notes = [*counts, *_in_words(relief)]
     label = f"Plan of the product with its mid-line; {'; '.join(notes)}"
-    return Panel(
-        "j", "Shape from above, mm", svg.picture(body, box=box, label=label, kind="plan"), tuple(notes)
-    )
+    return Panel("j", "Shape from above, mm", svg.view(body, box, label, "plan"), tuple(notes))
+
+
+def _over(xy_mm: Floats) -> str:
+    """Path data of a line on the belt, seen from above: Y points upwards."""
+    return svg.polyline(xy_mm[:, 0], -xy_mm[:, 1])
+
+
+def _edge(relief: Relief, kind: str) -> Markup:
+    return svg.path(kind, _over(np.concatenate([relief.xy_mm[:, 0], relief.xy_mm[::-1, -1]])) + "z")
 
 
 def _region(region: ReliefRegion, relief: Relief) -> Markup:
-    inside = np.zeros(relief.xy_mm.shape[:2])
-    inside[tuple(region.cells.T)] = 1.0
-    return Markup('<path class="plan-{}" d="{}"/>').format(region.kind, _cells(relief, inside > 0.5))
+    inside = np.zeros(relief.xy_mm.shape[:2], np.bool_)
+    inside[tuple(region.cells.T)] = True
+    return svg.path(f"plan-{region.kind}", _cells(relief, inside))
 
 
 def _numbered(region: ReliefRegion, number: int) -> Markup:
     x, y = region.xy_mm.tolist()
-    return Markup('<path class="plan-place" d="{}"/>').format(
-        svg.crosses(np.array([x]), np.array([-y]), 1.2)
-    ) + svg.text(x, -y - 2.2, str(number), "plan-words")
-
-
-def _mid_line(relief: Relief) -> list[Markup]:
-    x, y = relief.middle_mm.T
-    chord = svg.line(x[[0, -1]], -y[[0, -1]])
-    return [
-        Markup('<path class="plan-chord" d="{}"/>').format(chord),
-        Markup('<path class="plan-middle" d="{}"/>').format(svg.line(x, -y)),
-    ]
+    place = svg.path("plan-place", svg.crosses(np.array([x]), np.array([-y]), 1.2))
+    return place + svg.text(x, -y - 2.2, str(number), "plan-words")
 
 
 def _sizes(relief: Relief) -> list[Markup]:
@@ -93,12 +89,8 @@ def _sizes(relief: Relief) -> list[Markup]:
     widest = int(np.argmax(np.abs(y[:, -1] - y[:, 0])))
     at, top, bottom = float(x[widest, 0]), float(y[widest].min()), float(y[widest].max())
     found = [
-        Markup('<path class="plan-size" d="M{} {}H{}"/>').format(
-            svg.number(left), svg.number(below), svg.number(right)
-        ),
-        Markup('<path class="plan-size" d="M{} {}V{}"/>').format(
-            svg.number(at), svg.number(top), svg.number(bottom)
-        ),
+        svg.line(left, below, right, below, "plan-size"),
+        svg.line(at, top, at, bottom, "plan-size"),
     ]
     figures = relief.figures
     if "length_seen_mm" in figures:
@@ -109,18 +101,14 @@ def _sizes(relief: Relief) -> list[Markup]:
     return found
 
 
-def _regions(relief: Relief) -> list[str]:
-    """The first regions in words, by the numbers they have in the plan."""
+def _in_words(relief: Relief) -> list[str]:
+    """The first regions in words, by the numbers they have in the plan, and the sizes."""
     shown = list(enumerate(relief.regions, start=1))[:_NAMED_MAX]
     said = [
         f"{number}: {region.kind} of {plain(region.depth_mm, 1)} mm over {plain(region.area_mm2, 0)} mm²"
         for number, region in shown
     ]
-    return said + (["and more"] if len(relief.regions) > _NAMED_MAX else [])
-
-
-def _figures(relief: Relief) -> list[str]:
-    """The sizes in words."""
+    said += ["and more"] if len(relief.regions) > _NAMED_MAX else []
     words = {
         "length_mm": "length {} mm by the outline",
         "thickness_mm": "thickness {} mm",
@@ -128,7 +116,9 @@ def _figures(relief: Relief) -> list[str]:
         "turn_net_deg": "turns by {}°",
         "lean_range_deg": "lean varies by {}°",
     }
-    return [said.format(plain(relief.figures[n], 1)) for n, said in words.items() if n in relief.figures]
+    return said + [
+        word.format(plain(relief.figures[n], 1)) for n, word in words.items() if n in relief.figures
+    ]
 
 
 def _map(shown: ReliefMap, relief: Relief, letter: str) -> Panel:
@@ -143,9 +133,8 @@ def _map(shown: ReliefMap, relief: Relief, letter: str) -> Panel:
         with np.errstate(invalid="ignore"):
             which = np.isfinite(values) & (np.floor(number) == k)
         if which.any():
-            body.append(Markup('<path fill="{}" d="{}"/>').format(colour, _cells(relief, which)))
-    edges = np.concatenate([relief.xy_mm[:, 0], relief.xy_mm[::-1, -1]])
-    body.append(Markup('<path class="map-edge" d="{}z"/>').format(svg.line(edges[:, 0], -edges[:, 1])))
+            body.append(svg.path("", _cells(relief, which), fill=colour))
+    body.append(_edge(relief, "map-edge"))
     if shown.arrows is not None:
         body.append(_arrows(shown.arrows, relief))
     body += _legend(relief, colours, (low, size))
@@ -154,7 +143,7 @@ def _map(shown: ReliefMap, relief: Relief, letter: str) -> Panel:
     digits = 3 if size < 0.5 else 1 if size < 20 else 0
     note = f"from {plain(least, digits)} to {plain(most, digits)}"
     label = f"Map of {shown.title}{unit} over the product; {note}"
-    drawing = svg.picture(body, box=_box(relief, legend=True), label=label, kind="plan")
+    drawing = svg.view(body, _box(relief, legend=True), label, "plan")
     return Panel(letter, f"{shown.title}{unit}", drawing, (note,))
 
 
@@ -168,7 +157,7 @@ def _arrows(arrows: Floats, relief: Relief) -> Markup:
         f"M{_tenth(x)} {_tenth(-y)}h.01M{_tenth(x)} {_tenth(-y)}l{_tenth(across)} {_tenth(-up)}"
         for (x, y), (across, up) in zip(places.tolist(), steps.tolist(), strict=True)
     )
-    return Markup('<path class="map-arrows" d="{}"/>').format(data)
+    return svg.path("map-arrows", data)
 
 
 def _legend(relief: Relief, colours: Sequence[str], ends: tuple[float, float]) -> list[Markup]:
@@ -176,10 +165,7 @@ def _legend(relief: Relief, colours: Sequence[str], ends: tuple[float, float]) -
     y = -float(relief.xy_mm[..., 1].min()) + 4.0
     left, step = x0 + 0.25 * width, 0.5 * width / len(colours)
     parts = [
-        Markup('<rect fill="{}" x="{}" y="{}" width="{}" height="2.6"/>').format(
-            colour, svg.number(left + k * step), svg.number(y), svg.number(step + 0.05)
-        )
-        for k, colour in enumerate(colours)
+        svg.box(left + k * step, y, step + 0.05, 2.6, "", fill=colour) for k, colour in enumerate(colours)
     ]
     digits = 3 if ends[1] < 0.5 else 1 if ends[1] < 20 else 0
     for at, value in ((left, ends[0]), (left + 0.5 * width, ends[1])):
@@ -235,20 +221,12 @@ _WIDTH, _HEIGHT = 760.0, 400.0
 
 @dataclass(frozen=True, slots=True)
 class Solid:
-    """What the page shows of a scene in belt coordinates.
+    """What the page shows of a scene in belt coordinates; `still` is for paper, and where no script runs.
 
-    Attributes
-    ----------
-    still
-        A picture from a fixed place: for paper, and where no script runs.
-    head
-        JSON: each slice's stripe, product and number of points; step and origin, mm; the largest stated
-        uncertainty, mm (0: none is stated).
-    points
-        Base64 of x, y, z as 16-bit steps from the origin, then a byte of flags (1 seen, 2 joined to the
-        point before) and a byte of uncertainty (share of the largest in 254ths, 255: not stated) for each.
-    notes
-        What a reader must know of the drawing.
+    `head` is JSON: each slice's stripe, product and number of points; step and origin, mm; the largest stated
+    uncertainty, mm (0: none is stated). `points` is base64 of x, y, z as 16-bit steps from the origin, then a
+    byte of flags (1 seen, 2 joined to the point before) and a byte of uncertainty (share of the largest in
+    254ths, 255: not stated) for each.
     """
 
     still: Markup
@@ -366,20 +344,17 @@ def _still(slices: list[_Slice], low: Floats, high: Floats) -> Markup:
     view = _View(low, high)
     (x0, x1), (y0, y1) = _ends(low, high, 0), _ends(low, high, 1)
     belt = np.array([[x0, y0, 0.0], [x1, y0, 0.0], [x1, y1, 0.0], [x0, y1, 0.0]])
-    parts = [Markup('<path class="solid-belt" d="{}z"/>').format(svg.line(*_tenths(view.drawn(belt))))]
+    parts = [svg.path("solid-belt", _outline(view, belt) + "z")]
     cells = [cell for pair in pairwise(slices) for cell in _solid_cells(*pair)]
     for cell in sorted(cells, key=view.nearness):
-        share = float(cell[:, 2].mean() / high[2])
-        shape = svg.line(*_tenths(view.drawn(cell)))
-        colour = palette.height_colour(share)
-        parts.append(Markup('<path class="solid-cell" fill="{}" d="{}z"/>').format(colour, shape))
-    for one in slices if not cells else ():
-        parts.append(Markup('<path class="solid-line" d="{}"/>').format(_line(view, one)))
+        colour = palette.height_colour(float(cell[:, 2].mean() / high[2]))
+        parts.append(svg.path("solid-cell", _outline(view, cell) + "z", fill=colour))
+    parts += [svg.path("solid-line", _outline(view, one.xyz_mm)) for one in slices if not cells]
     label = (
         f"The surface over the belt, seen from the front and above: {plain(high[0] - low[0], 0)} by "
         f"{plain(high[1] - low[1], 0)} mm, {plain(high[2], 1)} mm high"
     )
-    return svg.picture(parts, box=(0, 0, _WIDTH, _HEIGHT), label=label, kind="still")
+    return svg.view(parts, (0, 0, _WIDTH, _HEIGHT), label, "still")
 
 
 def _solid_cells(one: _Slice, other: _Slice) -> Iterator[Floats]:
@@ -396,10 +371,7 @@ def _solid_cells(one: _Slice, other: _Slice) -> Iterator[Floats]:
         yield np.array([edges[0][k], edges[0][k + 1], edges[1][k + 1], edges[1][k]])
 
 
-def _line(view: _View, given: _Slice) -> str:
-    return svg.line(*_tenths(view.drawn(given.xyz_mm)))
-
-
-def _tenths(places: tuple[Floats, Floats]) -> tuple[Floats, Floats]:
-    """Round to a tenth of a unit: a still picture needs no more."""
-    return np.round(places[0], 1), np.round(places[1], 1)
+def _outline(view: _View, xyz_mm: Floats) -> str:
+    """Path data of points, to a tenth of a unit: a still picture needs no more."""
+    across, upward = view.drawn(xyz_mm)
+    return svg.polyline(np.round(across, 1), np.round(upward, 1))

@@ -8,16 +8,10 @@ from datetime import datetime
 
 from markupsafe import Markup
 
+from roemetry.html.plots import plain
+from roemetry.html.plots import share as share_of_100
 from roemetry.records import Estimate
 from roemetry.records.units import NOT_STATED
-
-
-def plain(value: float, digits: int = 2) -> str:
-    """Write a number with so many decimals; what is not known is a dash."""
-    if not math.isfinite(value):
-        return "–"
-    text = f"{value:.{digits}f}"
-    return text.replace("-", "−") if float(text) else f"{0:.{digits}f}"
 
 
 def value(estimate: Estimate, per: float = 1.0, digits: int = 2) -> str:
@@ -51,10 +45,8 @@ def percent(share: float) -> str:
     """Write a share in per cent; a small one is never written as nothing."""
     if not math.isfinite(share):
         return "–"
-    if 0 < share < 0.001:
-        return "<0.1 %"
-    fine = 0 < share < 0.1 or 0.9 < share < 0.9995
-    return plain(100 * share, 1 if fine else 0) + " %"
+    fine = 0 < share < 0.1 or 0.9 < share < 1
+    return share_of_100(100 * share, 1 if fine else 0) + " %"
 
 
 def breakable(name: str) -> Markup:
@@ -105,6 +97,7 @@ def feature(name: str, figure: float, std: float = math.nan) -> tuple[str, str]:
 
 
 _LONG = 100
+"""Letters of a sentence that a cell of the table holds in three lines."""
 _JOINTS = re.compile(r"(?<=\w[_/.-])(?=\w)|(?=#)")
 _UNITS = {"_per_mm": "1/mm", "_px": "px", "_mm3": "mm³", "_mm2": "mm²", "_mm": "mm", "_g": "g", "_deg": "°"}
 

@@ -1,25 +1,58 @@
-"""The planner stage: a scene file's rig in, what it will give out."""
+"""The planner stage: a scene file's rig in, what it will give out; short simulations can stand beside it.
+
+Figures, tables and maps follow from the geometry of camera and projector and from the simulator's own model
+of light and sensor (`roemetry_simulate.plan_model`), along the image's middle row and for level, matt
+surfaces. The check renders flat plates and measures how the centre of gravity of each stripe scatters.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import numpy as np
+from numpy.typing import NDArray
 
 from roemetry.errors import StageError
-from roemetry.records import Plan
+from roemetry.records import Plan, PlanColumn, PlanFigure, PlanShape, PlanTable, Reason
 from roemetry.stages import Planner
 from roemetry_simulate import plan_tables
-from roemetry_simulate.plan_check import check_table
-from roemetry_simulate.plan_figures import figures
-from roemetry_simulate.plan_geometry import plane_points, scale_at
-from roemetry_simulate.plan_reasons import reasons
-from roemetry_simulate.plan_sketch import sketch
-from roemetry_simulate.plan_uncertainty import speckle_limit_px
-from roemetry_simulate.plan_volume import Space
-from roemetry_simulate.scene_file import RayCasterOptions
-from roemetry_simulate.scene_rig import rig_of
+from roemetry_simulate.optics import Camera, view_mm
+from roemetry_simulate.plan_model import (
+    WINDOW_SIGMAS,
+    PeakStd,
+    Stripe,
+    in_view,
+    peak_std,
+    plane_points,
+    scale_at,
+    speckle_limit_px,
+    steepest_slopes_deg,
+    stripes_at,
+)
+from roemetry_simulate.plan_tables import Space, mean_spacing_mm
+from roemetry_simulate.render import Rig, render
+from roemetry_simulate.scene import RayCasterOptions, rig_of
+from roemetry_simulate.solid import Block, EmptyBelt
+from roemetry_simulate.surface import even
 
+Floats = NDArray[np.float64]
+
+SHARP_SIGMA_PX = 0.5
+"""Blur that counts as sharp, px (standard deviation): that of a good lens; a circle of confusion of 2 px."""
 _LEAST_PX_PER_MM = 1e-3
+"""Displacement below which a height does not show: a pixel a metre."""
 _LEAN_MOST = 6.0
+"""Columns over rows of a stripe's run beyond which it lies along the rows (10 degrees off them)."""
+_SEEN_SIGMAS = 5.0
+"""Light over noise below which a stripe is called dark: noise alone reaches it once in 3 million pixels."""
+_MOST_CONTRAST = 0.4
+"""Speckle beyond which it is no small noise about a mean: its intensity is then markedly skewed."""
+_NARROW_PX = 0.7
+"""Deviation of a stripe below which the place within the pixel shows as a systematic error."""
+_ROWS_MAX = 64
+"""Rows of the simulated plates: enough for a scatter right to 3 % with ten stripes."""
+_PLATE_MM = 4000.0
+"""Sides of the simulated plates: beyond any view."""
 
 
 class RigPlanner(Planner[RayCasterOptions]):
@@ -49,14 +82,14 @@ class RigPlanner(Planner[RayCasterOptions]):
         if focus is not None:
             curves.append(focus)
         if simulate:
-            tables.append(check_table(space))
+            tables.append(_check_table(space))
         return Plan(
-            figures(self.options, space),
+            _figures(self.options, space),
             space.maps(),
             tuple(tables),
             tuple(curves),
-            sketch(space),
-            reasons(self.options, space),
+            _sketch(space),
+            tuple(Reason(*each) for each in _reasons(self.options, space)),
         )
 
 
@@ -101,11 +134,337 @@ def _refuse(space: Space) -> None:
             "across them",
             hint="turn the camera by 90° in T_belt_camera, or the lines by laser.yaw_deg",
         )
-    points = plane_points(rig.laser, space.y_mm, np.zeros(1))[0]
-    shown = np.abs(scale_at(rig.camera, rig.laser, points).height_px_per_mm)
+    shown = np.abs(scale_at(rig.camera, rig.laser, _feet(space)).height_px_per_mm)
     if not shown.max() > _LEAST_PX_PER_MM:
         raise StageError(
             f"simulator.options.laser.projector_mm: a height of 1 mm moves no stripe by more than "
             f"{shown.max():.1g} px: the light planes hold the camera",
             hint="move the projector aside, across the stripes",
         )
+
+
+def _feet(space: Space) -> Floats:
+    """Where the stripes lie on the belt, shape (N, 3)."""
+    return plane_points(space.rig.laser, space.y_mm, np.zeros(1))[0]
+
+
+def _figures(scene: RayCasterOptions, space: Space) -> tuple[PlanFigure, ...]:
+    """The plan's numbers; NaN where `_reasons` says why."""
+    rig, top = space.rig, space.top_mm
+    camera, y_mm = rig.camera, space.y_mm
+    index = rig.laser.count // 2
+    middle = plane_points(rig.laser, y_mm, np.array([0.0, top]))[:, index]
+    scale = scale_at(camera, rig.laser, middle)
+    stripes = stripes_at(rig, middle, space.albedo, rig.laser.peak_grey[[index] * 2])
+    belt = peak_std(stripes[0], rig.sensor)
+    per_px = 1.0 / np.abs(scale.height_px_per_mm)
+    um = 1e3 * per_px[0]
+    to_camera, to_light = camera.centre_mm - middle[0], rig.laser.projector_mm - middle[0]
+    cosine = to_camera @ to_light / np.linalg.norm(to_camera) / np.linalg.norm(to_light)
+    made = []
+    for k, (at, z) in enumerate((("belt", 0.0), ("top", top))):
+        x_low, x_high, y_low, y_high = view_mm(camera, z)
+        where, on_belt = f"Extent of the image's border on the level of {z:.1f} mm.", at == "belt"
+        level = "On a level surface at the middle stripe, along the"
+        x_px, y_px = float(scale.x_mm_per_px[k]), float(scale.y_mm_per_px[k])
+        made += [
+            (f"view-x-{at}", f"Field of view in X, {at}", x_high - x_low, "mm", where, on_belt),
+            (f"view-y-{at}", f"Field of view in Y, {at}", y_high - y_low, "mm", where, on_belt),
+            (f"x-per-px-{at}", f"X for one pixel, {at}", x_px, "mm/px", f"{level} row.", on_belt),
+            (f"y-per-px-{at}", f"Y for one pixel, {at}", y_px, "mm/px", f"{level} column.", False),
+        ]
+    stripe_count = float(in_view(camera, _feet(space)).sum())
+    slope = float(steepest_slopes_deg(camera, rig.laser, _feet(space)).min())
+    at_y, at_middle = f"At Y = {y_mm:.1f} mm.", "At the middle stripe, along its own plane."
+    row = "of one row at the middle stripe on the belt, product's albedo."
+    made += [
+        ("stripes", "Stripes in view on the belt", stripe_count, "1", at_y, True),
+        ("spacing", "Mean spacing of the stripes on the belt", mean_spacing_mm(space), "mm", at_y, False),
+        ("spacing-height", "A stripe can be taken for its neighbour above", space.spacing_height_mm, "mm",
+         "The lowest height at which a stripe appears at its neighbour's place on the belt; below it "
+         "the order in a row is enough.", True),
+        ("highest", "All stripes stay in view up to", space.highest_mm, "mm",
+         "Of the stripes seen on the belt at the plan's Y, the first to leave the image.", True),
+        ("plan-top", "The plan is made up to", top, "mm",
+         "2½ times the height of one spacing, or as far as any stripe stays in view.", False),
+        ("height-per-px-belt", "Height for one pixel, belt", per_px[0], "mm/px", at_middle, True),
+        ("height-per-px-top", "Height for one pixel, top", per_px[1], "mm/px", at_middle, False),
+        ("std-bound-belt", "Standard uncertainty of a height, best possible", um * space.best_px(belt), "µm",
+         f"Cramér-Rao bound {row}", True),
+        ("std-gravity-belt", "Standard uncertainty of a height, centre of gravity",
+         um * belt.centre_of_gravity_px, "µm", f"Centre of gravity {row}", True),
+        ("std-noise-belt", "The bound without speckle", um * belt.noise_bound_px, "µm",
+         "As the best possible, with the sensor's noise alone.", False),
+        ("speckle-limit", "Speckle limit of a height", um * space.speckle_limit_px, "µm",
+         "contrast · λ / (2π sin u) in the image (Dorsch, Häusler, Herrmann 1994), for a line as fine as "
+         "the lens resolves, times height per pixel.", False),
+        ("triangulation", "Triangulation angle", float(np.rad2deg(np.arccos(cosine))), "degrees",
+         "Between the directions to camera and projector from the middle stripe on the belt.", False),
+        ("slope", "Steepest slope lit and seen, worst", slope, "degrees",
+         "Of all stripes and the four directions of rise; see the table.", True),
+    ]  # fmt: skip
+    low, high = _sharp_mm(scene, camera, middle[0])
+    blur = (
+        f"Blur of at most {SHARP_SIGMA_PX} px (standard deviation; a circle of confusion of 2 px) by the "
+        "thin lens, above the middle stripe."
+    )
+    made += [
+        ("sharp-from", "In focus from", low, "mm", blur, False),
+        ("sharp-to", "In focus up to", high, "mm", blur, False),
+    ]
+    return tuple(PlanFigure(*each) for each in made)
+
+
+def _sharp_mm(scene: RayCasterOptions, camera: Camera, foot_mm: Floats) -> tuple[float, float]:
+    """Heights between which the lens blurs by at most half a pixel (thin lens); NaN without an aperture."""
+    part = scene.camera.focus
+    if part is None:
+        return np.nan, np.nan
+    f = camera.focal_length_mm
+    strength = 0.25 * f**2 / part.f_number / (part.distance_mm - f) / camera.pixel_size_mm
+    share = SHARP_SIGMA_PX / strength
+    far = part.distance_mm / (1.0 - share) if share < 1.0 else np.inf
+    depth = (foot_mm - camera.centre_mm) @ camera.rotation[:, 2]
+    down = -camera.rotation[2, 2]
+    return float((depth - far) * down), float((depth - part.distance_mm / (1.0 + share)) * down)
+
+
+def _dark(space: Space) -> list[str]:
+    """Number the stripes that are dead, or hardly stand above the noise somewhere along Y."""
+    rig, dark = space.rig, set(np.flatnonzero(space.rig.laser.peak_grey == 0.0).tolist())
+    for y in space.ys_mm:
+        points = plane_points(rig.laser, y, np.zeros(1))[0]
+        seen = in_view(rig.camera, points)
+        for i, one in enumerate(stripes_at(rig, points, space.albedo, rig.laser.peak_grey)):
+            gain, read = rig.sensor.grey_per_electron, rig.sensor.read_noise_grey
+            noise = np.sqrt(gain * one.background_grey + read**2 + 1.0 / 12.0)
+            # what blur leaves of the middle
+            middle = one.peak_grey * one.line_sigma_px / one.width_px(rig.sensor)
+            if seen[i] and middle < _SEEN_SIGMAS * noise:
+                dark.add(i)
+    return [str(i) for i in sorted(dark)]
+
+
+def _reasons(scene: RayCasterOptions, space: Space) -> list[tuple[str, str]]:
+    """What the plan cannot say, and what it warns of: codes and sentences."""
+    rig = space.rig
+    stripes = stripes_at(rig, _feet(space), space.albedo, rig.laser.peak_grey)
+    cut = [str(i) for i, one in enumerate(stripes) if peak_std(one, rig.sensor).is_saturated]
+    out, dark = [str(i) for i in np.flatnonzero(np.isnan(space.in_view_mm))], _dark(space)
+    widths = [stripe.width_px(rig.sensor) for stripe in stripes]
+    apart = np.abs(np.diff(rig.camera.project(_feet(space))[:, 0]))
+    level = f"on a level surface of the product's albedo ({space.albedo:g}) at belt height"
+    found = []
+    if out:
+        where = f"not in the image on the belt at Y = {space.y_mm:.1f} mm"
+        found.append(("stripe-out-of-view", f"stripe {', '.join(out)}: {where}"))
+    if rig.focus is None:
+        text = (
+            "depth of field and speckle limit: the scene gives no aperture; set "
+            "simulator.options.camera.focus.distance_mm and .f_number"
+        )
+        found.append(("depth-of-field", text))
+    if rig.laser.count == 1:
+        text = "one plane: there is no neighbour to take it for, and the slices come from the belt's travel"
+        found.append(("spacing-height", text))
+    if cut:
+        found.append(("saturated", f"stripe {', '.join(cut)}: saturated {level}"))
+    if dark:
+        text = (
+            f"stripe {', '.join(dark)}: dead, or less than {_SEEN_SIGMAS:g} times the noise above its "
+            f"background {level}, somewhere in view"
+        )
+        found.append(("dark-stripe", text))
+    if scene.laser.speckle_contrast > _MOST_CONTRAST:
+        text = (
+            f"speckle of contrast {scene.laser.speckle_contrast:g}: the nearer to fully developed (1), "
+            "the less it is noise about a mean; the stated uncertainties hold up to a contrast of "
+            f"{_MOST_CONTRAST:g}"
+        )
+        found.append(("speckle", text))
+    if min(widths) < _NARROW_PX:
+        text = (
+            f"the thinnest stripe has a standard deviation of {min(widths):.2f} px: below "
+            f"{_NARROW_PX:g} px the place within the pixel shows as a systematic error that is not counted"
+        )
+        found.append(("narrow", text))
+    if apart.size and float(apart.min()) < 2.0 * WINDOW_SIGMAS * max(widths):
+        text = (
+            f"stripes come as near as {apart.min():.1f} px at a standard deviation of {max(widths):.1f} px: "
+            "they overlap, and the uncertainties of single stripes do not hold"
+        )
+        found.append(("crowded", text))
+    if scene.surface.gloss > 0.0 or scene.surface.below.share > 0.0:
+        text = (
+            "uncertainties are those of a matt surface: gloss and light from below the "
+            "surface, which the scene has, are not counted"
+        )
+        found.append(("matt", text))
+    return found
+
+
+def _sketch(space: Space) -> tuple[PlanShape, ...]:
+    """The rig seen along the belt's Y, to scale: X and Z, mm."""
+    camera, fan, top = space.rig.camera, space.rig.laser, space.top_mm
+    eye, light = camera.centre_mm[[0, 2]], fan.projector_mm[[0, 2]]
+    low, high = view_mm(camera), view_mm(camera, top)
+    feet = fan.x_mm(space.y_mm, 0.0)
+    ends = (low[0], low[1], float(light[0]), float(feet[0]), float(feet[-1]))
+    reach = 1.15 * max(abs(x) for x in ends)
+    axis = camera.ray(0.5 * (camera.width_px - 1), 0.5 * (camera.height_px - 1))
+    foot = camera.centre_mm - camera.centre_mm[2] / axis[2] * axis
+    corners = np.array([[low[0], 0.0], [low[1], 0.0], [high[1], top], [high[0], top]])
+    shapes = [
+        PlanShape("view", np.array([[low[0], 0.0], [low[1], 0.0], eye])),
+        PlanShape("range", corners, f"0 to {top:.0f} mm"),
+        PlanShape("belt", np.array([[-reach, 0.0], [reach, 0.0]]), "belt"),
+        PlanShape("axis", np.array([eye, foot[[0, 2]]])),
+        *(PlanShape("plane", np.array([light, [x, 0.0]])) for x in feet),
+    ]
+    if np.isfinite(space.spacing_height_mm):
+        z = space.spacing_height_mm
+        shapes.append(PlanShape("level", np.array([[low[0], z], [low[1], z]]), f"one spacing: {z:.1f} mm"))
+    return (
+        *shapes,
+        PlanShape("camera", eye[None], "camera"),
+        PlanShape("projector", light[None], "projector"),
+    )
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """What a simulated plate showed, over all stripes and rows, and what was predicted of it.
+
+    Attributes
+    ----------
+    height_mm : float
+        Of the plate.
+    centres : int
+        Stripe centres that were measured.
+    measured_px, predicted_px : float
+        Root mean square scatter of the centre of gravity about its mean along each stripe.
+    bound_px : float
+        Cramér-Rao bound.
+    offset_px : float
+        Mean difference from the true place.
+    measured_um, predicted_um : float
+        The scatter as heights.
+    """
+
+    height_mm: float
+    centres: int
+    measured_px: float
+    predicted_px: float
+    bound_px: float
+    offset_px: float
+    measured_um: float
+    predicted_um: float
+
+
+def _check_table(space: Space) -> PlanTable:
+    """Simulate plates at belt, middle and top, and put their scatter beside the prediction."""
+    found = [simulated_scatter(space, z) for z in (0.0, 0.5 * space.top_mm, space.top_mm)]
+
+    def column(name: str, title: str, unit: str, digits: int) -> PlanColumn:
+        values = np.array([float(getattr(one, name)) for one in found])
+        return PlanColumn(name.replace("_", "-"), title, unit, values, digits)
+
+    ratio = np.array([one.measured_um / one.predicted_um for one in found])
+    return PlanTable(
+        "check",
+        "Predicted and simulated",
+        (
+            column("height_mm", "plate at", "mm", 1),
+            column("centres", "centres", "1", 0),
+            column("predicted_um", "predicted", "µm", 1),
+            column("measured_um", "simulated", "µm", 1),
+            PlanColumn("ratio", "simulated / predicted", "1", ratio, 3),
+            column("predicted_px", "predicted", "px", 4),
+            column("measured_px", "simulated", "px", 4),
+            column("bound_px", "best possible", "px", 4),
+            column("offset_px", "mean offset", "px", 4),
+        ),
+        f"Images of {min(_ROWS_MAX, space.rig.camera.height_px)} rows of matt, even plates of the product's "
+        "albedo, with noise and speckle; standard deviation of the centre of gravity from the true place, "
+        "each stripe's mean taken out.",
+    )
+
+
+def simulated_scatter(space: Space, height_mm: float, seed: int = 5) -> Scatter:
+    """Render a plate and measure how its stripes' centres of gravity scatter.
+
+    A height of 0 is a belt of the product's albedo. Of stripes that lie in the image with room for the
+    window; NaN where there is none.
+    """
+    rig = replace(space.rig, camera=_strip(space.rig.camera))
+    plate = Block(_PLATE_MM, _PLATE_MM, height_mm, 0.0, space.y_mm) if height_mm > 0.0 else EmptyBelt()
+    image = render(rig, plate, even(space.albedo), seed=seed).astype(np.float64)
+    points = _points(rig, height_mm, space.y_mm)
+    middle = points[:, rig.camera.height_px // 2]
+    stripes = stripes_at(rig, middle, space.albedo, rig.laser.peak_grey)
+    stds = [peak_std(stripe, rig.sensor) for stripe in stripes]
+    scale = np.abs(scale_at(rig.camera, rig.laser, middle).height_px_per_mm)
+    true_px = rig.camera.project(points)[..., 0]
+    kept: list[tuple[PeakStd, float, Floats]] = []
+    for i, stripe in enumerate(stripes):
+        off = _offsets(image, true_px[i], stripe, rig)
+        if off.size:
+            kept.append((stds[i], float(scale[i]), off))
+    if not kept:
+        return Scatter(height_mm, 0, *([np.nan] * 6))
+    spread = np.array([off.std(ddof=1) for _, _, off in kept])
+    expected = np.array([one.centre_of_gravity_px for one, _, _ in kept])
+    per_mm = np.array([each for _, each, _ in kept])
+    return Scatter(
+        height_mm,
+        sum(off.size for _, _, off in kept),
+        _rms(spread),
+        _rms(expected),
+        _rms(np.array([one.bound_px for one, _, _ in kept])),
+        float(np.mean([off.mean() for _, _, off in kept])),
+        1e3 * _rms(spread / per_mm),
+        1e3 * _rms(expected / per_mm),
+    )
+
+
+def _strip(camera: Camera) -> Camera:
+    """The camera's middle rows alone; the optical axis stays where it is."""
+    rows = min(_ROWS_MAX, camera.height_px)
+    first = (camera.height_px - rows) // 2
+    x, y = camera.principal_px
+    return replace(camera, height_px=rows, principal_point_px=(float(x), float(y) - first))
+
+
+def _points(rig: Rig, height_mm: float, y_mm: float) -> Floats:
+    """Where each plane meets a level in the middle of each row, shape (N, rows, 3)."""
+    fan, camera = rig.laser, rig.camera
+    rows = np.arange(camera.height_px, dtype=np.float64)
+    y = np.full((fan.count, rows.size), y_mm)
+
+    def at(y: Floats) -> Floats:
+        n = fan.normals
+        x = (fan.offsets_mm[:, None] - y * n[:, 1:2] - height_mm * n[:, 2:3]) / n[:, :1]
+        return np.stack([x, y, np.full_like(x, height_mm)], axis=-1)
+
+    for _ in range(8):  # Newton's method; rows are nearly even in Y
+        here = camera.project(at(y))[..., 1]
+        slope = (camera.project(at(y + 0.01))[..., 1] - here) / 0.01
+        y = y + (rows - here) / slope
+    return at(y)
+
+
+def _offsets(image: Floats, true_px: Floats, stripe: Stripe, rig: Rig) -> Floats:
+    """Centre of gravity minus true place for one stripe in all rows; empty where it has no room."""
+    reach = int(np.ceil(WINDOW_SIGMAS * stripe.width_px(rig.sensor)))
+    middle = np.rint(true_px).astype(np.int64)
+    if not np.isfinite(true_px).all() or middle.min() < reach or middle.max() >= image.shape[1] - reach:
+        return np.empty(0)
+    columns = middle[:, None] + np.arange(-reach, reach + 1)
+    light = image[np.arange(len(image))[:, None], columns]
+    light = light - rig.sensor.black_level_grey - stripe.background_grey
+    centres: Floats = (light * columns).sum(axis=1) / light.sum(axis=1)
+    return centres - true_px
+
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(values**2)))

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from roemetry.config.scene_parts import ProductPart
 from roemetry.errors import StageError
+from roemetry_simulate.optics import view_mm
 from roemetry_simulate.products import Drawn, family_of, options_of
 from roemetry_simulate.products.family import Pose
 from roemetry_simulate.products.mesh import MeshSolid
 from roemetry_simulate.products.parts import PartsSolid, box, placed
 from roemetry_simulate.render import Rig
-from roemetry_simulate.scene_file import ProductPart
-from roemetry_simulate.scene_optics import view_mm
 from roemetry_simulate.solid import (
     FIELDS,
     PARTS,
@@ -35,15 +35,7 @@ _NEXT_IN_FRAME = 1_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class Lying:
-    """One item's products.
-
-    Attributes
-    ----------
-    seed : int
-        What the first was drawn from.
-    products : tuple of Drawn
-        From left to right; empty for an empty belt.
-    """
+    """One item's products from left to right (none for an empty belt), and the seed of the first."""
 
     seed: int
     products: tuple[Drawn, ...]
@@ -55,23 +47,9 @@ class Lying:
 
 
 def product_of(part: ProductPart, rig: Rig, number: int, seed: int) -> Lying:
-    """Draw the products of an item.
+    """Draw the products of an item (number from 0); seeds count up from the set's.
 
-    Parameters
-    ----------
-    part : ProductPart
-        The scene's product.
-    rig : Rig
-        Where it must be seen.
-    number : int
-        The item's, from 0.
-    seed : int
-        The set's; items count up from it.
-
-    Raises
-    ------
-    StageError
-        A product is larger than the view, or there is no room for so many.
+    Raises StageError where a product is larger than the view, or there is no room for so many.
     """
     family = family_of(part.family)
     chosen = part.items[number] if number < len(part.items) else None
@@ -106,19 +84,8 @@ _MARGIN_MM = 1.0
 def in_reach(drawn: Drawn, rig: Rig, most_overhang_spacings: float) -> Drawn:
     """Move a product along X until its ends keep within the view and near the outer stripes.
 
-    Parameters
-    ----------
-    drawn : Drawn
-        The product as it was drawn.
-    rig : Rig
-        What sees it.
-    most_overhang_spacings : float
-        How far an end may lie beyond the outermost planes, in mean spacings on the belt.
-
-    Returns
-    -------
-    Drawn
-        The same product, moved by as little as need be; one that is too long is moved as far as it helps.
+    An end may lie `most_overhang_spacings` mean spacings beyond the outermost planes. Moved by as little as
+    need be; one that is too long is moved as far as it helps.
     """
     x_min, x_max, y_min, y_max = drawn.solid.footprint_extent_mm()
     height_mm = 0.25 * _top_mm(drawn.solid)
@@ -228,32 +195,11 @@ def side_by_side(
     seed: int,
     name: str,
 ) -> tuple[Drawn, ...]:
-    """Lay products where they keep off each other.
+    """Lay products where they keep off each other, and return them from left to right.
 
-    Parameters
-    ----------
-    products : sequence of Drawn
-        As they were drawn; they are moved, not turned.
-    rig : Rig
-        Footprints stay within its view of the belt.
-    gap_mm : float
-        Least gap between two footprints.
-    most_overhang_spacings : float
-        How far they may reach beyond the outermost planes, in mean spacings on the belt.
-    seed : int
-        Of the places, which are drawn uniformly and kept where they are free.
-    name : str
-        Of the item, for the message.
-
-    Returns
-    -------
-    tuple of Drawn
-        From left to right.
-
-    Raises
-    ------
-    StageError
-        There is no room for so many.
+    They are moved, not turned, to places drawn uniformly and kept where they are free: footprints within
+    the view of the belt, `gap_mm` apart, and at most `most_overhang_spacings` beyond the outermost planes.
+    Raises StageError, which begins with the item's name, where there is no room for so many.
     """
     rng = np.random.default_rng([seed, 53])
     low_x, high_x, low_y, high_y = _room(rig, most_overhang_spacings)
@@ -327,13 +273,7 @@ _NEAR_MM = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Solids that do not touch each other.
-
-    Attributes
-    ----------
-    members : tuple of Solid
-        All gridded, all of exact parts (or blocks), or all meshes.
-    """
+    """Solids that do not touch each other: all gridded, all of exact parts (or blocks), or all meshes."""
 
     members: tuple[Solid, ...]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -14,12 +14,10 @@ from numpy.typing import NDArray
 from roemetry.records import Frame, ProductTruth, Role, Simulated, StripeTruth, Truth
 from roemetry.records import Sensor as Noise
 from roemetry.stages import Simulator, Turn
-from roemetry_simulate.contamination import marked
 from roemetry_simulate.population import Group, product_of
 from roemetry_simulate.products import Drawn
 from roemetry_simulate.render import Rig, render, turned_back
-from roemetry_simulate.scene_file import RayCasterOptions
-from roemetry_simulate.scene_rig import rig_of, surface_of
+from roemetry_simulate.scene import RayCasterOptions, marked, rig_of, surface_of
 from roemetry_simulate.solid import Solid
 from roemetry_simulate.targets import TargetViews, known_beforehand
 from roemetry_simulate.truth import StripeTruth as Crossings
@@ -117,6 +115,5 @@ def _only(crossings: Crossings, on_it: NDArray[np.bool_]) -> Crossings:
 
 
 def _truth_of(one: Drawn, seed: int, crossings: Crossings) -> ProductTruth:
-    seen = asdict(stripes_show(one.solid, one.reference, crossings))
-    figures = {name: float(value) for name, value in seen.items()}
+    figures = stripes_show(one.solid, one.reference, crossings)
     return replace(one.truth, figures={"seed": float(seed), **one.truth.figures, **figures})

@@ -11,8 +11,8 @@ from numba.extending import overload
 from numpy.typing import NDArray
 
 from roemetry_kernels.compiling import kernel
+from roemetry_simulate.products.mesh import hit_triangles, triangles_normal
 from roemetry_simulate.products.parts import hit_parts, parts_normal
-from roemetry_simulate.products.triangles import hit_triangles, triangles_normal
 from roemetry_simulate.solid import BOX, FIELD, PARTS, Body, ExactBody, Fields
 
 Floats = NDArray[np.float64]

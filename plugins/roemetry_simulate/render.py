@@ -1,4 +1,16 @@
-"""Rendering: laser, plain and stray light on every sample of a pixel, and its reflection by the surface."""
+"""Rendering: light on every sample of a pixel, its reflection by the surface, and the sensor's grey levels.
+
+A pixel is the mean of `samples`² rays. Where a ray meets a surface of albedo ρ, a plane of light adds
+
+    ρ · P · exp(−a² / 2σ²) · σ₀/σ · exp(−θ² / 2f²) · cos i     if the point is lit,
+
+with a the distance from the plane, σ the light's width there (σ₀ at its waist), θ the angle along the line,
+f its fall and i the angle of incidence; a power of the half-way cosine adds gloss. Light below the surface of
+translucent food is the same at a mean depth along the normal, wider. Steady light comes from straight above,
+plain light from a ring of lamps. The sensor then multiplies the laser's light by log-normal speckle, blurs,
+draws shot noise (Poisson electrons), cuts at the full well, adds read noise and rounds. Left out: light that
+is scattered between surfaces, motion, and planes that are cones.
+"""
 
 from __future__ import annotations
 
@@ -11,15 +23,46 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roemetry_kernels.compiling import kernel
-from roemetry_simulate.camera import Camera, camera_ray
-from roemetry_simulate.defocus import Focus, defocused, depths_mm
-from roemetry_simulate.laser import LaserFan
+from roemetry_simulate.optics import Camera, Focus, LaserFan, blurred, camera_ray, defocused, depths_mm
 from roemetry_simulate.raycast import AnyBody, first_hit_in, normal_at, sees_in
-from roemetry_simulate.sensor import Sensor, expose
 from roemetry_simulate.solid import Solid
 from roemetry_simulate.surface import Surface
 
 Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """What the camera does to the light.
+
+    Attributes
+    ----------
+    grey_per_electron : float
+        Gain; shot noise has the variance `grey_per_electron` × grey level.
+    read_noise_grey : float
+        Standard deviation of the noise that is there without light.
+    black_level_grey : float
+        Grey level without light.
+    psf_sigma_px : float
+        Gaussian blur of the lens on the sensor.
+    speckle_contrast : float
+        Standard deviation over mean of the laser light's speckle as the camera sees it.
+    speckle_sigma_px : float
+        Gaussian filter that sets the grain of the speckle.
+    full_well_e : float
+        Electrons a pixel holds; what comes beyond is lost.
+    bit_depth : int
+        8 to 16: the highest grey level is 2**bit_depth − 1.
+    """
+
+    grey_per_electron: float = 0.0255
+    read_noise_grey: float = 1.0
+    black_level_grey: float = 4.0
+    psf_sigma_px: float = 0.5
+    speckle_contrast: float = 0.10
+    speckle_sigma_px: float = 0.7
+    full_well_e: float = math.inf
+    bit_depth: int = 8
 
 
 @dataclass(frozen=True)
@@ -57,20 +100,7 @@ class Rig:
 
 
 def laser_light(rig: Rig, solid: Solid, surface: Surface, samples: int = 4) -> tuple[Floats, Floats]:
-    """Light that reaches the sensor with laser and stray light on, without noise, blur or clipping.
-
-    Parameters
-    ----------
-    rig, solid, surface
-        The scene.
-    samples : int
-        Samples along each side of a pixel.
-
-    Returns
-    -------
-    laser, steady : ndarray, shape (height, width)
-        Grey levels over black of the laser's light and of everything else's.
-    """
+    """Light of the laser and of all else, grey levels over black, without noise, blur or clipping."""
     image = _light(rig, solid, surface, samples)
     return image[..., 0], rig.ambient_grey * image[..., 1] + rig.stray_grey * image[..., 2]
 
@@ -90,20 +120,10 @@ def _light(rig: Rig, solid: Solid, surface: Surface, samples: int) -> Floats:
 
 
 def plain_light(rig: Rig, solid: Solid, surface: Surface, samples: int = 4) -> Floats:
-    """Light that reaches the sensor under the plain light, without noise, blur, black level or clipping.
+    """Light of an image under the plain light, grey levels, without noise, blur, black level or clipping.
 
-    Parameters
-    ----------
-    rig, solid, surface
-        The scene.
-    samples : int
-        Samples along each side of a pixel; each sample of a pixel sees another lamp of the ring, and the
-        four pixels of a square see the lamps between.
-
-    Returns
-    -------
-    ndarray, shape (height, width)
-        Grey levels.
+    Each sample of a pixel sees another lamp of the ring, and the four pixels of a square see the lamps
+    between.
     """
     camera = rig.camera
     count = 4 * samples * samples
@@ -132,23 +152,10 @@ def plain_light(rig: Rig, solid: Solid, surface: Surface, samples: int = 4) -> F
 def render(
     rig: Rig, solid: Solid, surface: Surface, *, seed: int, plain: bool = False, samples: int = 4
 ) -> NDArray[Any]:
-    """Take one image of a scene.
+    """Take one image of a scene: uint8, or uint16 over 8 bits; the same arguments give the same bytes.
 
-    Parameters
-    ----------
-    rig, solid, surface
-        The scene.
-    seed : int
-        Of speckle and noise.
-    plain : bool
-        Laser off and plain light on.
-    samples : int
-        Samples along each side of a pixel.
-
-    Returns
-    -------
-    ndarray of uint8 (uint16 over 8 bits), shape (height, width)
-        The image; the same arguments give the same bytes.
+    The seed is that of speckle and noise; `plain` is laser off and plain light on; `samples` stand along
+    each side of a pixel.
     """
     lens = _lens(rig, solid)
     if plain:
@@ -178,6 +185,37 @@ def _maps(surface: Surface) -> Floats:
 
 def _albedo(surface: Surface, mean: tuple[float, float]) -> Floats:
     return np.array([*mean, *surface.gloss, surface.gloss_exponent])
+
+
+def expose(
+    laser: Floats, steady: Floats, sensor: Sensor, seed: int, lens: Callable[[Floats], Floats] | None = None
+) -> NDArray[Any]:
+    """Take a picture of light in grey levels without noise: uint8, or uint16 over 8 bits.
+
+    The same seed gives the same bytes; `lens` blurs the image before the sensor's own blur.
+    """
+    rng = np.random.default_rng([seed, 29])
+    grain = _speckle(rng, laser.shape, sensor) if sensor.speckle_contrast > 0.0 else np.ones(laser.shape)
+    light = laser * grain + steady
+    light = blurred(light if lens is None else lens(light), sensor.psf_sigma_px)
+    electrons = rng.poisson(np.maximum(light, 0.0) / sensor.grey_per_electron)
+    if math.isfinite(sensor.full_well_e):
+        electrons = np.minimum(electrons, int(sensor.full_well_e))
+    grey = electrons * sensor.grey_per_electron + sensor.black_level_grey
+    grey += sensor.read_noise_grey * rng.standard_normal(laser.shape)
+    white = 2**sensor.bit_depth - 1
+    return np.clip(np.floor(grey + 0.5), 0, white).astype(np.uint8 if sensor.bit_depth <= 8 else np.uint16)
+
+
+def _speckle(rng: np.random.Generator, shape: tuple[int, ...], sensor: Sensor) -> Floats:
+    """Return a positive field of mean 1 (log-normal) with the sensor's speckle contrast."""
+    noise = rng.standard_normal(shape)
+    if sensor.speckle_sigma_px > 0.0:
+        noise = blurred(noise, sensor.speckle_sigma_px)
+        noise /= noise.std()
+    spread = np.sqrt(np.log1p(sensor.speckle_contrast**2))
+    grain: Floats = np.exp(spread * noise - 0.5 * spread**2)
+    return grain
 
 
 @kernel

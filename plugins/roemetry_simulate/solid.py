@@ -52,7 +52,7 @@ class ExactBody(NamedTuple):
     """A body of exact surfaces in the form the kernels take.
 
     PARTS takes `surfaces` (see `roemetry_simulate.products.parts`); MESH takes `triangles`, `boxes` and
-    `links` (see `roemetry_simulate.products.triangles`). It is a type of its own since every array that a
+    `links` (see `roemetry_simulate.products.mesh`). It is a type of its own since every array that a
     kernel hands on costs time; the kernels are compiled for both.
     """
 
@@ -299,21 +299,9 @@ def on_grid(
     u_top: Surface,
     u_bottom: Surface,
 ) -> GriddedSolid:
-    """Sample three functions of (x, y) onto a grid.
+    """Sample mid (mm), u_top and u_bottom (mm²), functions of belt X and Y, onto a grid.
 
-    Parameters
-    ----------
-    extent_mm : tuple of float
-        (x_min, x_max, y_min, y_max) in the belt frame, with a margin around the footprint.
-    step_mm : float
-        Grid pitch.
-    mid, u_top, u_bottom : callable
-        Functions of two arrays of belt positions; millimetres and square millimetres.
-
-    Returns
-    -------
-    GriddedSolid
-        The body they bound.
+    The extent (x_min, x_max, y_min, y_max) has a margin around the footprint.
     """
     x_min, x_max, y_min, y_max = extent_mm
     x = x_min + step_mm * np.arange(int(np.ceil((x_max - x_min) / step_mm)) + 1)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,23 +71,10 @@ def textured(
     product_std: float = 0.09,
     gloss: tuple[float, float] = (0.0, 0.0),
 ) -> Surface:
-    """Return maps with blotches of a few millimetres and finer grain.
+    """Return maps with blotches of a few millimetres and finer grain, drawn from a seed.
 
-    Parameters
-    ----------
-    seed : int
-        The same seed gives the same maps.
-    view_mm : tuple of float or None
-        Smallest and largest X, smallest and largest Y that must be covered.
-    laser_albedo, plain_albedo, gloss : tuple of float
-        See `Surface`.
-    belt_std, product_std : float
-        Relative standard deviation of the texture.
-
-    Returns
-    -------
-    Surface
-        Covering X within ±90 mm and Y within ±70 mm, and the view where that is larger.
+    They cover X within ±90 mm and Y within ±70 mm, and the view (X, then Y, from to) where that is larger;
+    the deviations are relative. Albedos and gloss: see `Surface`.
     """
     half_x_mm, half_y_mm = 90.0, 70.0
     if view_mm is not None:
@@ -108,22 +94,7 @@ def textured(
 
 
 def smooth_noise(rng: np.random.Generator, shape: tuple[int, int], sigma_nodes: float) -> Floats:
-    """Return Gaussian-filtered white noise of mean 0 and standard deviation 1.
-
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Where the noise comes from.
-    shape : tuple of int
-        Rows, columns.
-    sigma_nodes : float
-        Standard deviation of the filter, in nodes.
-
-    Returns
-    -------
-    ndarray, shape `shape`
-        The noise field.
-    """
+    """Return Gaussian-filtered white noise of mean 0 and deviation 1; the filter's deviation is in nodes."""
     from scipy.ndimage import gaussian_filter
 
     pad = int(np.ceil(3 * sigma_nodes))
@@ -131,22 +102,3 @@ def smooth_noise(rng: np.random.Generator, shape: tuple[int, int], sigma_nodes: 
     smooth = gaussian_filter(white, sigma_nodes, mode="wrap")[pad : pad + shape[0], pad : pad + shape[1]]
     noise: Floats = (smooth - smooth.mean()) / max(float(smooth.std()), 1e-12)
     return noise
-
-
-def check_picture(file: Path) -> None:
-    """Raise ValueError, in words, for a file that is missing or is no image of 8 or 16 bit."""
-    if not file.is_file():
-        raise ValueError("there is no such file")
-    image = read_picture(file)
-    if image is None or image.dtype not in (np.uint8, np.uint16):
-        raise ValueError("not an image of 8 or 16 bit that can be read (PNG, TIFF, JPEG, …)")
-    if min(image.shape[:2]) < 2:
-        raise ValueError("an image of at least 2 × 2 pixels is needed")
-
-
-def read_picture(file: Path) -> NDArray[Any] | None:
-    """Read an image of any depth, grey or colour in the order blue, green, red; None where it is none."""
-    import cv2
-
-    data = np.fromfile(file, dtype=np.uint8)
-    return None if data.size == 0 else cv2.imdecode(data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)

@@ -4,21 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from roemetry.config.scene_parts import BoardPart
 from roemetry.records import Frame
 from roemetry.records import Sensor as Noise
 from roemetry_simulate.products.artefacts import StaircaseOptions, staircase
 from roemetry_simulate.products.family import Pose
 from roemetry_simulate.products.parts import PartsSolid, plane
 from roemetry_simulate.render import Rig, render, turned_back
-from roemetry_simulate.scene_file import BoardPart, RayCasterOptions
-from roemetry_simulate.scene_rig import surface_of
+from roemetry_simulate.scene import RayCasterOptions, surface_of
 from roemetry_simulate.solid import Block, EmptyBelt, Solid
 from roemetry_simulate.surface import Surface
+
+Floats = NDArray[np.float64]
+
+_PX_PER_SQUARE = 80
+"""Of the print's raster: finer than any image shows it."""
+_BLACK = 0.12
+"""Light that ink gives back, of what paper does."""
 
 BOARDS = ("charuco", "chessboard")
 ON_BELT = "on_belt"
@@ -27,14 +34,7 @@ ON_BELT = "on_belt"
 class TargetViews(Mapping[str, Mapping[str, Frame]]):
     """All calibration images by kind, then name; an image is made when it is asked for.
 
-    Parameters
-    ----------
-    scene : RayCasterOptions
-        Its `targets` say what is seen.
-    rig : Rig
-        The scene's rig.
-    seed : int
-        Of noise, texture and the boards' poses.
+    The seed is that of noise, texture and the boards' poses.
     """
 
     def __init__(self, scene: RayCasterOptions, rig: Rig, seed: int) -> None:
@@ -92,10 +92,10 @@ class TargetViews(Mapping[str, Mapping[str, Frame]]):
             return staircase(options, Pose(block.centre_x_mm, block.centre_y_mm, block.yaw_deg + 90.0))
         return EmptyBelt()
 
-    def _board(self, kind: str, pose: BoardPose) -> tuple[Solid, Surface]:
+    def _board(self, kind: str, pose: Floats) -> tuple[Solid, Surface]:
         part = self._scene.targets.board
         matt = self._matt(self._seed)
-        printed = board_picture(part, kind)
+        printed = _BLACK + (1.0 - _BLACK) * part.print_picture(kind, _PX_PER_SQUARE)
         picture = (printed, printed, picture_from(part, pose))
         even = np.stack([matt.texture[..., 0], np.ones(matt.texture.shape[:2])], axis=-1)
         return board_solid(part, pose), replace(matt, texture=even, picture=picture)
@@ -111,10 +111,32 @@ class TargetViews(Mapping[str, Mapping[str, Frame]]):
         )  # fmt: skip
 
 
-def board_poses(part: BoardPart, seed: int) -> dict[str, BoardPose]:
-    """Give every pose of a board by name: ``pose_01`` and on, and ``on_belt``."""
-    drawn = {f"pose_{number:02d}": pose for number, pose in enumerate(poses(part, seed), start=1)}
-    return {**drawn, ON_BELT: on_belt(part)}
+def board_poses(part: BoardPart, seed: int) -> dict[str, Floats]:
+    """Draw every pose of a board, T_belt_board (4, 4), mm: ``pose_01`` and on, and ``on_belt``.
+
+    The board's own frame is OpenCV's: origin at the outer corner of its first square, x along the columns, y
+    along the rows (down in the image), z away from the camera. The first pose is level, the others are tilted
+    all ways round; no point of a board lies below the belt. On the belt its middle is at the origin.
+    """
+    rng = np.random.default_rng([seed, 41])
+    size = part.square_mm * np.array([part.columns, part.rows])
+    half = 0.5 * part.square_mm * np.array([part.columns + 1.0, part.rows + 1.0])
+    found = {}
+    for number in range(part.poses):
+        share, turn, jitter, along_x, along_y, up = rng.uniform(-1.0, 1.0, 6)
+        tilt_deg = 0.0 if number == 0 else part.tilt_max_deg * (0.75 + 0.25 * share)
+        way = 2.0 * np.pi * (number + 0.3 * jitter) / max(part.poses - 1, 1)
+        rotation = _turned(tilt_deg, way) @ _about_z(8.0 * turn) @ np.diag([1.0, -1.0, -1.0])
+        low, high = part.height_mm
+        lift_mm = float(np.abs(rotation[2, :2]) @ half) + part.thickness_mm + 0.5
+        middle = np.array([4.0 * along_x, 4.0 * along_y, lift_mm + low + 0.5 * (up + 1.0) * (high - low)])
+        pose = np.eye(4)
+        pose[:3, :3] = rotation
+        pose[:3, 3] = middle - rotation[:, :2] @ (0.5 * size)
+        found[f"pose_{number + 1:02d}"] = pose
+    flat = np.diag([1.0, -1.0, -1.0, 1.0])
+    flat[:3, 3] = -0.5 * size[0], 0.5 * size[1], part.thickness_mm
+    return found | {ON_BELT: flat}
 
 
 def known_beforehand(scene: RayCasterOptions, rig: Rig, seed: int) -> dict[str, Any]:
@@ -126,7 +148,7 @@ def known_beforehand(scene: RayCasterOptions, rig: Rig, seed: int) -> dict[str, 
     focal, (cx, cy) = camera.focal_length_px, camera.principal_px.tolist()
     planes = np.column_stack([laser.normals, laser.offsets_mm])
     board = targets.board.model_dump(mode="json", exclude={"poses", "tilt_max_deg", "height_mm"})
-    lay = {name: pose.T_belt_board.tolist() for name, pose in board_poses(targets.board, seed).items()}
+    lay = {name: pose.tolist() for name, pose in board_poses(targets.board, seed).items()}
     return {
         "rig": {
             "image_size": [camera.height_px, camera.width_px],
@@ -160,116 +182,24 @@ class _Views(Mapping[str, Frame]):
         return len(self._names)
 
 
-Floats = NDArray[np.float64]
-
-_PX_PER_SQUARE = 80
-_BLACK = 0.12
-
-
-class BoardPose(NamedTuple):
-    """Where a board is: `T_belt_board`, shape (4, 4), mm.
-
-    The board's own frame is OpenCV's: origin at the outer corner of its first square, x along the columns,
-    y along the rows (down in the image), z away from the camera.
-    """
-
-    T_belt_board: Floats
-
-
-def poses(part: BoardPart, seed: int) -> list[BoardPose]:
-    """Draw a board's poses: the first lies level, the others are tilted all ways round.
-
-    Parameters
-    ----------
-    part : BoardPart
-        Sizes and ranges.
-    seed : int
-        The same seed gives the same poses.
-
-    Returns
-    -------
-    list of BoardPose
-        No point of a board lies below the belt.
-    """
-    rng = np.random.default_rng([seed, 41])
-    half = 0.5 * part.square_mm * np.array([part.columns + 1.0, part.rows + 1.0])
-    found = []
-    for number in range(part.poses):
-        share, turn, jitter, along_x, along_y, up = rng.uniform(-1.0, 1.0, 6)
-        tilt_deg = 0.0 if number == 0 else part.tilt_max_deg * (0.75 + 0.25 * share)
-        way = 2.0 * np.pi * (number + 0.3 * jitter) / max(part.poses - 1, 1)
-        rotation = _turned(tilt_deg, way) @ _about_z(8.0 * turn) @ np.diag([1.0, -1.0, -1.0])
-        low, high = part.height_mm
-        lift_mm = float(np.abs(rotation[2, :2]) @ half) + part.thickness_mm + 0.5
-        middle = np.array([4.0 * along_x, 4.0 * along_y, lift_mm + low + 0.5 * (up + 1.0) * (high - low)])
-        pose = np.eye(4)
-        pose[:3, :3] = rotation
-        size = part.square_mm * np.array([part.columns, part.rows])
-        pose[:3, 3] = middle - rotation[:, :2] @ (0.5 * size)
-        found.append(BoardPose(pose))
-    return found
-
-
-def on_belt(part: BoardPart) -> BoardPose:
-    """Return the pose of a board that lies on the belt, its middle at the origin, rows across the stripes."""
-    pose = np.diag([1.0, -1.0, -1.0, 1.0])
-    half = 0.5 * part.square_mm * np.array([part.columns, part.rows])
-    pose[:3, 3] = -half[0], half[1], part.thickness_mm
-    return BoardPose(pose)
-
-
-def board_picture(part: BoardPart, kind: str) -> Floats:
-    """Return the board's print: factors of the albedo, half a square of white around it.
-
-    Parameters
-    ----------
-    part : BoardPart
-        Squares, markers.
-    kind : str
-        ``charuco`` or ``chessboard``.
-
-    Returns
-    -------
-    ndarray, shape ((rows + 1) · 80, (columns + 1) · 80)
-        Outer corner of the first square at (39.5, 39.5).
-    """
-    import cv2
-
-    if kind == "charuco":
-        dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, part.dictionary))
-        board = cv2.aruco.CharucoBoard((part.columns, part.rows), part.square_mm, part.marker_mm, dictionary)
-        size = ((part.columns + 1) * _PX_PER_SQUARE, (part.rows + 1) * _PX_PER_SQUARE)
-        grey = board.generateImage(size, marginSize=_PX_PER_SQUARE // 2) / 255.0
-    else:
-        squares = np.add.outer(np.arange(part.rows), np.arange(part.columns)) % 2
-        grey = np.pad(
-            np.kron(squares, np.ones((_PX_PER_SQUARE, _PX_PER_SQUARE))),
-            _PX_PER_SQUARE // 2,
-            constant_values=1.0,
-        )
-    picture: Floats = np.ascontiguousarray(_BLACK + (1.0 - _BLACK) * grey, dtype=np.float64)
-    return picture
-
-
-def picture_from(part: BoardPart, pose: BoardPose) -> Floats:
+def picture_from(part: BoardPart, pose: Floats) -> Floats:
     """Return the (2, 4) matrix that takes a belt point (x, y, z, 1) to the picture's (column, row)."""
-    to_board = np.linalg.inv(pose.T_belt_board)
+    to_board = np.linalg.inv(pose)
     scale = _PX_PER_SQUARE / part.square_mm
     matrix: Floats = np.array(scale * to_board[:2], dtype=np.float64)
     matrix[:, 3] += 0.5 * _PX_PER_SQUARE - 0.5
     return np.ascontiguousarray(matrix)
 
 
-def board_solid(part: BoardPart, pose: BoardPose) -> PartsSolid:
+def board_solid(part: BoardPart, pose: Floats) -> PartsSolid:
     """Return the plate that carries the print on its upper face."""
-    at = pose.T_belt_board
-    x, y, down = at[:3, 0], at[:3, 1], at[:3, 2]
+    x, y, down = pose[:3, 0], pose[:3, 1], pose[:3, 2]
     edge = 0.5 * part.square_mm
     limits = [
         (-x, edge), (x, part.columns * part.square_mm + edge), (-y, edge),
         (y, part.rows * part.square_mm + edge), (-down, 0.0), (down, part.thickness_mm),
     ]  # fmt: skip
-    origin = at[:3, 3]
+    origin = pose[:3, 3]
     surfaces = [
         [0.0, *plane((float(n[0]), float(n[1]), float(n[2])), float(n @ origin + limit))]
         for n, limit in limits

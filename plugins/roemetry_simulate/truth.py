@@ -8,15 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roemetry_kernels.compiling import kernel
-from roemetry_simulate.camera import Camera, camera_ray
-from roemetry_simulate.laser import LaserFan
+from roemetry_simulate.optics import Camera, LaserFan, camera_ray
 from roemetry_simulate.raycast import AnyBody, Reach, first_hit_in, normal_at, sees_in
 from roemetry_simulate.solid import Solid
 
 Floats = NDArray[np.float64]
 
 _TOLERANCE_PX = 1e-7
+"""Width of the bracket at which the search for a crossing ends: far below any extractor's error."""
 _MAX_RESIDUAL_MM = 1e-4
+"""A crossing is a jump to another surface where the plane is farther than this from the point found."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,19 +44,10 @@ class StripeTruth:
 
 
 def stripe_centres(camera: Camera, laser: LaserFan, solid: Solid, *, step_px: float = 0.125) -> StripeTruth:
-    """Find all stripe centres.
+    """Find all stripe centres to better than 1e-6 px.
 
-    Parameters
-    ----------
-    camera, laser, solid
-        The scene.
-    step_px : float
-        Pitch at which a row is searched for changes of side; two crossings closer than this may be missed.
-
-    Returns
-    -------
-    StripeTruth
-        Centres refined to better than 1e-6 px.
+    A row is searched for changes of side at a pitch of `step_px`; two crossings closer than this may be
+    missed.
     """
     # a dead plane lights nothing
     planes = np.column_stack([laser.normals, laser.offsets_mm, laser.peak_grey])
@@ -150,76 +142,41 @@ def _search(
     return x_out, xyz_out, on_out, hits_out
 
 
-@dataclass(frozen=True)
-class StripesShow:
-    """What the stripes show of any product.
-
-    Attributes
-    ----------
-    left_stripe, right_stripe : int
-        Outermost stripes (1 is leftmost) with lit and seen points on the product; 0 where there is none.
-    overhang_left_mm, overhang_right_mm : float
-        Belt X from the outermost lit stripe (median of its points) to the end of the footprint; NaN alike.
-    defect_depth_mm : float
-        Largest height missing from the reference anywhere on the footprint; 0 without a reference.
-    defect_seen_mm : float
-        The same at the lit and seen points alone; NaN where no stripe lies on the product.
-    hollow_seen_mm : float
-        Largest depth of a lit stripe's height, as a function of Y, below its own upper convex hull; NaN
-        alike.
-    """
-
-    left_stripe: int
-    right_stripe: int
-    overhang_left_mm: float
-    overhang_right_mm: float
-    defect_depth_mm: float
-    defect_seen_mm: float
-    hollow_seen_mm: float
-
-
 def stripes_show(
     solid: Solid, reference: Solid | None, truth: StripeTruth, *, step_mm: float = 0.25
-) -> StripesShow:
-    """Find what the stripes show of any product, and how much of its defect.
+) -> dict[str, float]:
+    """Find what the stripes show of a product, and how much of its defect, which a reference lacks.
 
-    Parameters
-    ----------
-    solid : Solid
-        The product.
-    reference : Solid or None
-        The same product without its defect.
-    truth : StripeTruth
-        Its stripes.
-    step_mm : float
-        Pitch of the places at which the depth is searched.
-
-    Returns
-    -------
-    StripesShow
-        Belt frame, millimetres.
+    `left_stripe`, `right_stripe`: outermost stripes (1 is leftmost) with lit and seen points on the
+    product, 0 where there is none; `overhang_left_mm`, `overhang_right_mm`: belt X from the outermost lit
+    stripe (median of its points) to the end of the footprint; `defect_depth_mm`: largest height missing
+    from the reference anywhere on the footprint, looked for `step_mm` apart, 0 without a reference;
+    `defect_seen_mm`: the same at the lit and seen points alone; `hollow_seen_mm`: largest depth of a lit
+    stripe's height over Y below its own upper convex hull. NaN where no stripe lies on the product.
     """
     x_min, x_max, y_min, y_max = solid.footprint_extent_mm()
     depth = 0.0
     if reference is not None and reference is not solid:
         x, y = np.meshgrid(np.arange(x_min, x_max, step_mm), np.arange(y_min, y_max, step_mm))
         depth = _most_mm(reference.heights_mm(x, y)[0] - solid.heights_mm(x, y)[0])
+    found = dict.fromkeys(
+        ("overhang_left_mm", "overhang_right_mm", "defect_seen_mm", "hollow_seen_mm"), float("nan")
+    )
+    found |= {"left_stripe": 0.0, "right_stripe": 0.0, "defect_depth_mm": depth}
     lit = truth.on_product == 1
     stripes = np.flatnonzero(lit.any(axis=1))
     if not stripes.size:
-        return StripesShow(0, 0, np.nan, np.nan, depth, np.nan, np.nan)
-    left, right = int(stripes[0]), int(stripes[-1])
-    points = truth.xyz_mm[lit]
+        return found
+    left, right, points = int(stripes[0]), int(stripes[-1]), truth.xyz_mm[lit]
     whole = solid if reference is None else reference
-    return StripesShow(
-        left_stripe=left + 1,
-        right_stripe=right + 1,
-        overhang_left_mm=float(np.median(truth.xyz_mm[left, lit[left], 0])) - x_min,
-        overhang_right_mm=x_max - float(np.median(truth.xyz_mm[right, lit[right], 0])),
-        defect_depth_mm=depth,
-        defect_seen_mm=_most_mm(whole.heights_mm(points[:, 0], points[:, 1])[0] - points[:, 2]),
-        hollow_seen_mm=max(_hollow_mm(truth.xyz_mm[i, lit[i], 1:]) for i in stripes),
-    )
+    return found | {
+        "left_stripe": left + 1.0,
+        "right_stripe": right + 1.0,
+        "overhang_left_mm": float(np.median(truth.xyz_mm[left, lit[left], 0])) - x_min,
+        "overhang_right_mm": x_max - float(np.median(truth.xyz_mm[right, lit[right], 0])),
+        "defect_seen_mm": _most_mm(whole.heights_mm(points[:, 0], points[:, 1])[0] - points[:, 2]),
+        "hollow_seen_mm": max(_hollow_mm(truth.xyz_mm[i, lit[i], 1:]) for i in stripes),
+    }
 
 
 def _most_mm(missing_mm: Floats) -> float:

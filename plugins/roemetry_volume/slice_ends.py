@@ -233,6 +233,8 @@ _SHORT = 0.4, 0.6
 _LOW = 0.75  # of the next slice's highest point: the product falls
 _SKEW = 0.58  # an edge turned by 30 degrees
 _ROUNDED = 0.3  # of what leaning light passes over: the edge may be rounded off
+_ROUND, _TOLD_SLICES = 1.0 / math.sqrt(3.0), 5
+"""The same with fewer slices, which do not tell a level top from a ball's: all may be product, or none."""
 
 
 @kernel
@@ -363,12 +365,13 @@ def flat_end(
             whole = area
     unseen, unseen_std = _unseen(table, o, lean[at_end], reach_mm, outwards, camera_mm)
     triangle = 0.5 * lean[at_end] * square
+    rounded = _ROUNDED if n >= _TOLD_SLICES else _ROUND
     shadow = unseen * triangle - _counted(table, lean, at_end)
     return (
         volume,
         length,
         shadow,
-        math.sqrt(std * std + (_ROUNDED * unseen * triangle) ** 2 + (unseen_std * triangle) ** 2),
+        math.sqrt(std * std + (rounded * unseen * triangle) ** 2 + (unseen_std * triangle) ** 2),
         whole,
         trust,
     )

@@ -12,8 +12,8 @@ from roemetry.records import Product
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.records.view import View
 from roemetry_kernels.compiling import kernel
+from roemetry_volume.footprint import Border, area_of, border_at, evenly
 from roemetry_volume.rim import Rim, StripePoints, ends_of, rim_of
-from roemetry_volume.silhouette import Border, area_of, border_at, evenly
 from roemetry_volume.step_lines import Step, steps_at, steps_of
 
 LONG_AXIS = 0.4

@@ -13,8 +13,8 @@ import numpy as np
 from roemetry.records import NOTHING, Product, Volume
 from roemetry.records.arrays import Floats
 from roemetry.records.units import mm3_to_cm3
+from roemetry_volume.footprint import evenly
 from roemetry_volume.rim import StripePoints, ends_of, rim_of
-from roemetry_volume.silhouette import evenly
 from roemetry_volume.surface_fit import points_of
 
 VISIBLE = "visible_cm3"

@@ -54,7 +54,9 @@ def check_calibration(recipe: Recipe, image: Path, block: Block, chart: Path | N
             hint="name one in `calibration`, and a triangulator in `stages`",
         )
     # The block is matt: what light does in the product is not to be added to it.
-    trace = trace_of(replace(recipe, penetration=None), image)
+    # The calibration itself is checked: an aligner would correct what is looked for.
+    stages = {kind: chosen for kind, chosen in recipe.stages.items() if kind != "aligner"}
+    trace = trace_of(replace(recipe, penetration=None, stages=stages), image)
     profiles = profiles_in(trace, image)
     places = find_block(profiles, block)
     view = recipe.stages["triangulator"].make().view(calibration)

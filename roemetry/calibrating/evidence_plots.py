@@ -144,7 +144,7 @@ def correlation_map(correlation: Floats, names: Sequence[str]) -> Markup:
     """Draw correlations of parameters: red together, blue against each other."""
     count = len(names)
     side = min(26.0, 520.0 / count)
-    left, top = 150.0, 8.0
+    left, top = 16.0 + 6.6 * max(map(len, names)), 8.0
     body = []
     for i in range(count):
         if side >= 9:

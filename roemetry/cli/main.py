@@ -7,6 +7,7 @@ asked only when the verb is none of the core's or all are listed; a verb's modul
 from __future__ import annotations
 
 import importlib
+import io
 import sys
 from collections.abc import Callable
 from functools import cache
@@ -89,12 +90,16 @@ app = typer.Typer(
 
 def main() -> None:
     """Run the command line; a fault the user can mend is told without a traceback."""
+    for stream in (sys.stdout, sys.stderr):  # a file's name may be no text
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     try:
         app()
     except RoemetryError as error:
         if "--debug" in sys.argv:
             raise
-        sys.stderr.write(f"roemetry: {error}\n")
+        said = "".join(c if c == "\n" or c.isprintable() else repr(c)[1:-1] for c in str(error))
+        sys.stderr.write(f"roemetry: {said}\n")
         sys.exit(error.exit_code)
 
 

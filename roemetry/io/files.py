@@ -60,6 +60,12 @@ def make_folder(path: Path) -> None:
         raise OutputError(f"{path}: the folder cannot be written", hint="choose another with --out")
 
 
+def printable(name: str) -> str:
+    """Give a file's name as text that can be shown: other bytes and control characters as escapes."""
+    text = os.fsencode(name).decode("utf-8", "backslashreplace")
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
 @contextlib.contextmanager
 def exclusive(folder: Path) -> Iterator[None]:
     """Keep a folder to this process while the block runs; OutputError says who has it already.
@@ -110,7 +116,7 @@ class LineFile:
 
     def append(self, line: str) -> None:
         """Add one line; on failure nothing of it stays and OutputError is raised."""
-        data = line.encode() + b"\n"
+        data = line.encode("utf-8", "backslashreplace") + b"\n"  # in JSON an escape means the same character
         try:
             written = os.write(self._descriptor, data)
             if written < len(data):

@@ -50,8 +50,6 @@ def syntax_fault(text: str, error: Any) -> tuple[int, int, str]:
     if "escape" in problem:
         backslash = max(line.rfind("\\", 0, at[1] + 1), 0)
         return at[0], backslash, "a backslash begins an escape between \" quotes; use ' quotes, or / in paths"
-    if "undefined alias" in problem:
-        return *at, f"`*` begins a reference to something named above; {_QUOTED}"
     if "cannot start any token" in problem:
         return *at, f"a word cannot begin with `{line[at[1] : at[1] + 1]}`; {_QUOTED}"
     if "another document" in problem:
@@ -144,8 +142,10 @@ def parse(text: str, name: str) -> Document:
     from ruamel.yaml.constructor import DuplicateKeyError
     from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
+    yaml = YAML(typ="rt")
+    yaml.Composer = _composer()
     try:
-        tree = YAML(typ="rt").load(text)
+        tree = yaml.load(text)
     except DuplicateKeyError as error:
         mark = error.problem_mark
         key = str(error.problem).split('"')[1] if '"' in str(error.problem) else "a key"
@@ -160,6 +160,35 @@ def parse(text: str, name: str) -> Document:
     if tree is None:
         raise ConfigurationError(f"{name}:1:1: the file is empty", hint="start from one in `recipes/`")
     return Document(name, _plain(tree), tree)
+
+
+_DEPTH_MAX = 40
+"""Maps and lists within one another. The deepest of ours has eight; Python's own limit is met at some 300."""
+
+
+def _composer() -> Any:
+    """Give a composer that refuses what lets a small file have no end: aliases, and nesting without bound."""
+    from ruamel.yaml.composer import Composer, ComposerError
+    from ruamel.yaml.events import AliasEvent
+
+    class Bounded(Composer):
+        depth = 0
+
+        def compose_node(self, parent: Any, index: Any) -> Any:
+            event = self.parser.peek_event()
+            if isinstance(event, AliasEvent):
+                why = f"`*{event.anchor}` is an alias, which is not read; write the value out, or in quotes"
+                raise ComposerError(None, None, why, event.start_mark)
+            if self.depth > _DEPTH_MAX:
+                why = f"more than {_DEPTH_MAX} maps and lists within one another"
+                raise ComposerError(None, None, why, event.start_mark)
+            self.depth += 1
+            try:
+                return super().compose_node(parent, index)
+            finally:
+                self.depth -= 1
+
+    return Bounded
 
 
 def dump(data: Any) -> str:

@@ -81,6 +81,17 @@ class Estimate:
     budget: Mapping[str, Number] = field(default_factory=dict)
     interval: tuple[Number, Number] = (math.nan, math.nan)
 
+    def __post_init__(self) -> None:
+        check = Checker(self)
+        check.require(not math.isinf(self.value), f"the value is {self.value}, expected a number, or NaN")
+        parts = {"std": self.std, **self.budget}
+        bad = [f"{name} {part}" for name, part in parts.items() if part < 0.0 or math.isinf(part)]
+        check.require(not bad, f"uncertainties must be 0 or more, or NaN: {', '.join(bad)}")
+        check.require(
+            not self.interval[0] > self.interval[1], f"the interval {self.interval} ends before it begins"
+        )
+        check.finish()
+
 
 @dataclass(frozen=True, slots=True)
 class Shares:
@@ -92,6 +103,19 @@ class Shares:
     """Carried by points bridged between seen ones of the same stripe."""
     assumed: Number
     """Carried by no point of the stripe it is reckoned for: an end cap, a dead stripe, an underside."""
+
+    def __post_init__(self) -> None:
+        check = Checker(self)
+        parts = (self.seen, self.interpolated, self.assumed)
+        within = (
+            all(-_ROUNDING <= part <= 1.0 + _ROUNDING for part in parts)
+            and abs(sum(parts) - 1.0) <= _ROUNDING
+        )
+        check.require(within or any(map(math.isnan, parts)), f"shares {parts} do not add up to 1")
+        check.finish()
+
+
+_ROUNDING = 1e-6
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -117,6 +141,11 @@ class Volume:
         slices = check.array("slice_stripe", np.int64, (None,)).shape[0]
         check.array("slice_area_mm2", np.float64, (slices,))
         check.array("slice_spacing_mm", np.float64, (slices,))
+        for name, volume in (("visible", self.visible_mm3), ("true", self.true_mm3)):
+            if volume is not None:
+                check.require(
+                    not volume.value < 0.0, f"the {name} volume is {volume.value:g} mm³, less than nothing"
+                )
         check.finish()
 
 
@@ -130,6 +159,11 @@ class Weight:
     mass_g: Estimate
     reasons: tuple[Reason, ...] = ()
     features: Mapping[str, Number] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        check = Checker(self)
+        check.require(not self.mass_g.value < 0.0, f"the mass is {self.mass_g.value:g} g, less than nothing")
+        check.finish()
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -175,6 +209,13 @@ class Grade:
     """Standard uncertainties of features, by name; a feature that is not in it has none stated."""
     relief: Relief | None = None
     """The surface to draw; like marks, not in the record of a run."""
+
+    def __post_init__(self) -> None:
+        check = Checker(self)
+        check.require(bool(self.label.strip()), "the label is empty; a class that is not known is `unknown`")
+        within = math.isnan(self.probability) or 0.0 <= self.probability <= 1.0
+        check.require(within, f"the probability is {self.probability}, expected 0…1, or NaN")
+        check.finish()
 
 
 @dataclass(frozen=True, slots=True)

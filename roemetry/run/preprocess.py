@@ -24,7 +24,7 @@ def prepare(
     bit_depth: int | None = None,
     sensor: Sensor | None = None,
 ) -> Frame:
-    """Make the laser frame ready, or raise DataError where a frame is missing or sizes differ.
+    """Make the laser frame ready; DataError where a frame is missing, sizes differ, or bits are in doubt.
 
     Parameters
     ----------
@@ -40,6 +40,8 @@ def prepare(
     laser = acquisition.frame("laser")
     if laser is None:
         raise DataError(f"{acquisition.id}: there is no laser image")
+    if bit_depth is None and laser.bit_depth == 16:
+        _check_bits_in_use(laser)
     pixels = _one_channel(laser.pixels, channel)
     if subtract == "dark":
         dark = acquisition.frame("dark")
@@ -70,6 +72,22 @@ def prepare_plain(acquisition: Acquisition, *, turn_deg: int) -> Frame | None:
     if plain is None:
         return None
     return replace(plain, pixels=_turned(plain.pixels, turn_deg), turn_deg=(plain.turn_deg + turn_deg) % 360)
+
+
+_USUAL_BITS = (10, 12, 14)
+
+
+def _check_bits_in_use(laser: Frame) -> None:
+    """Refuse a 16-bit image that ends where a camera of fewer bits does: its white level is not known."""
+    top = int(laser.pixels.max())
+    clipped = next((bits for bits in _USUAL_BITS if top == 2**bits - 1), None)
+    if clipped is None and not 0 < top < 2**12 - 1:
+        return
+    bits = clipped or next(bits for bits in _USUAL_BITS if top < 2**bits)
+    raise DataError(
+        f"{laser.name}: a 16-bit image whose brightest pixel is {top}: does the camera give {bits} bits?",
+        hint=f"state `source.bit_depth: {bits}`, or 16 if all 16 bits are in use",
+    )
 
 
 def _turned(pixels: NDArray[Any], turn_deg: int) -> NDArray[Any]:

@@ -11,12 +11,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, ClassVar, Generic, Literal, TypeVar
+from typing import Annotated, Any, ClassVar, Generic, Literal, TypeVar, get_args, get_origin
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, model_validator
 
-from roemetry.errors import StageError
+from roemetry.errors import MisfitError, StageError
 from roemetry.records import (
     Acquisition,
     AcquisitionReference,
@@ -53,6 +53,27 @@ class StageOptions(BaseModel):
 
     about_product: ClassVar[frozenset[str]] = frozenset()
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _yes_is_no_number(cls, data: Any) -> Any:
+        """Refuse `threshold: true`, which would be read as 1."""
+        if isinstance(data, Mapping):
+            faults = [
+                ((name,), "expected a number")
+                for name, field in cls.model_fields.items()
+                if isinstance(data.get(name), bool) and _is_number(field.annotation)
+            ]
+            if faults:
+                raise MisfitError(*faults)
+        return data
+
+
+def _is_number(annotation: Any) -> bool:
+    """Tell whether a field takes a number, and not yes or no."""
+    kinds = get_args(annotation) or (annotation,)
+    plain = [get_args(kind)[0] if get_origin(kind) is Annotated else kind for kind in kinds]
+    return bool not in plain and (int in plain or float in plain)
 
 
 OptionsT = TypeVar("OptionsT", bound=StageOptions)
@@ -121,7 +142,7 @@ class Extractor(Stage[OptionsT]):
 
 
 class Aligner(Stage[OptionsT]):
-    """Compares a frame's belt with the calibration, to see whether camera, laser or belt have moved since."""
+    """Compares a frame's belt with the calibration, to see whether camera, laser or belt have moved."""
 
     @abstractmethod
     def align(

@@ -17,6 +17,7 @@ from roemetry.records import Block, CalibrationSet, Estimate, Grade, Observation
 from roemetry.records.calibration import Calibration
 from roemetry.stages import (
     INTERFACES,
+    Aligner,
     Calibrator,
     Coder,
     Extractor,
@@ -32,7 +33,7 @@ from roemetry.stages import (
 )
 from roemetry.stages.kinds import given
 from roemetry.testing.runs import failed, measured, run_of, volume_of
-from roemetry.testing.scenes import SEED, LinearRig, frame_of
+from roemetry.testing.scenes import SEED, LinearRig, frame_of, moved_rig
 from roemetry.testing.solids import BOX, HALF_ELLIPSOID, product_from, product_of
 
 BLOCK = Block("block", length_mm=100.0, width_mm=30.0, height_mm=8.0, tolerance_mm=0.05)
@@ -188,6 +189,16 @@ def _stripes(stage: Stage[Any]) -> Three:
     return one, other, nothing
 
 
+def _moved(stage: Aligner[Any]) -> Three:
+    """Peaks that lie 0.8 px beside where the calibration has them, those that do not, and none."""
+    rig = LinearRig()
+    places = rig.x_px(rig.dome()) + 0.8, rig.x_px(rig.belt()), np.full((rig.stripes, rig.rows), np.nan)
+    one, other, nothing = (
+        (rig.peaks(x_px, scatter_px=0.1).peaks, rig.calibration(), moved_rig) for x_px in places
+    )
+    return one, other, nothing
+
+
 def _observations(stage: Calibrator[Any]) -> Three:
     one, other = (calibration_set_for(stage, rig) for rig in (LinearRig(), LinearRig().mirrored()))
     return (one,), (other,), (replace(one, observations=()),)
@@ -272,6 +283,7 @@ _CALLS: dict[str, Callable[[Any], Cases]] = {
 }
 _INPUTS: dict[str, tuple[Callable[[Any], Three], Callable[[Any], bool]]] = {
     "extractor": (_frames, lambda peaks: len(peaks) == 0),
+    "aligner": (_moved, lambda alignment: not alignment.moved),
     "coder": (_peaks, lambda stripes: not np.isfinite(stripes.x_px).any()),
     "smoother": (_stripes, lambda stripes: not np.isfinite(stripes.x_px).any()),
     "calibrator": (_observations, lambda _: False),

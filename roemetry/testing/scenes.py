@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from roemetry.records import BELT, NOTHING, Frame, Peaks, StripeMap
 from roemetry.records.arrays import Flags, Floats, Integers
-from roemetry.records.calibration import Calibration
+from roemetry.records.calibration import Alignment, Calibration
 from roemetry.records.view import View
 
 SEED = 20260711
@@ -201,6 +201,18 @@ class LinearRig:
         number = np.arange(self.stripes)
         lean = self.fan * (number - (self.stripes - 1) / 2.0)
         return np.column_stack([self.first_px + self.spacing_px * number, lean])
+
+
+def moved_rig(calibration: Calibration, alignment: Alignment) -> Calibration:
+    """Give a linear rig's calibration after a small motion of its camera, to first order.
+
+    A telecentric camera that is tilted a little shows the belt's stripes where they were.
+    """
+    pan_px, roll, zoom, _ = alignment.motion
+    at, lean = calibration.rest_px.T
+    away = at - (calibration.image_size[1] - 1) / 2.0
+    rest_px = np.column_stack([at + pan_px + (zoom - lean * roll) * away, lean - roll * (1.0 + lean**2)])
+    return replace(calibration, rest_px=rest_px)
 
 
 def frame_of(light: Floats, *, bit_depth: int = 8, noise: float = 0.0) -> Frame:

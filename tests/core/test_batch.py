@@ -244,7 +244,7 @@ def test_disk_full_in_the_middle_keeps_what_was_measured(
 def test_a_sink_that_fails_does_not_take_the_others_away(
     line: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from roemetry_files.csv_table import CsvTable
+    from roemetry_files.product_table import CsvTable
 
     def broken(self: object, run: object) -> None:
         raise TypeError("oh")

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import json
 import math
+import re
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roemetry.errors import DataError
+from roemetry.errors import DataError, RecordError
 from roemetry.records import (
     Coding,
     Estimate,
@@ -104,10 +106,10 @@ def test_bit_depth_must_fit() -> None:
         Frame(np.zeros((2, 2), np.uint8), bit_depth=12)
 
 
-numbers = st.floats(allow_nan=True, allow_infinity=False, width=64)
 texts = st.text(max_size=20)
 reasons = st.lists(st.builds(Reason, texts, texts), max_size=3).map(tuple)
-estimates = st.builds(Estimate, numbers, numbers, st.dictionaries(texts, numbers, max_size=3))
+parts = st.floats(0.0, 1e300) | st.just(math.nan)
+estimates = st.builds(Estimate, parts, parts, st.dictionaries(texts, parts, max_size=3))
 
 
 @given(st.data())
@@ -131,7 +133,12 @@ def test_a_measurement_comes_back_from_its_line(data: st.DataObject) -> None:
             data.draw(reasons),
         ),
         weight=Weight(data.draw(estimates), data.draw(reasons)),
-        grade=Grade(data.draw(texts), data.draw(numbers), {"arcs": 3.0}, data.draw(reasons)),
+        grade=Grade(
+            data.draw(st.text(min_size=1).filter(str.strip)),
+            data.draw(st.floats(0.0, 1.0)),
+            {"arcs": 3.0},
+            data.draw(reasons),
+        ),
         absent=data.draw(st.dictionaries(texts, st.builds(Reason, texts, texts), max_size=2)),
         reasons=data.draw(reasons),
         provenance=data.draw(st.dictionaries(texts, texts, max_size=2)),
@@ -146,3 +153,23 @@ def test_a_measurement_comes_back_from_its_line(data: st.DataObject) -> None:
 def test_a_line_that_is_no_measurement(line: str) -> None:
     with pytest.raises(DataError, match="not a measurement"):
         Measurement.from_json(line)
+
+
+@pytest.mark.parametrize(
+    ("make", "fault"),
+    [
+        (lambda: Estimate(math.inf), "value is inf"),
+        (lambda: Estimate(1.0, -0.1), "std -0.1"),
+        (lambda: Estimate(1.0, 0.1, {"noise": math.inf}), "noise inf"),
+        (lambda: Estimate(1.0, 0.1, interval=(2.0, 1.0)), "ends before it begins"),
+        (lambda: Shares(0.9, 0.3, 0.0), "add up to 1"),
+        (lambda: Volume(Estimate(-4321.0), None, Shares(1.0, 0.0, 0.0)), "visible volume is -4321 mm³"),
+        (lambda: Volume(Estimate(1.0), Estimate(-2.0), Shares(1.0, 0.0, 0.0)), "true volume is -2 mm³"),
+        (lambda: Weight(Estimate(-7.0)), "mass is -7 g"),
+        (lambda: Grade("good", 7.0), "probability is 7.0"),
+        (lambda: Grade(" "), "label is empty"),
+    ],
+)
+def test_results_that_cannot_be_are_refused(make: Any, fault: str) -> None:
+    with pytest.raises(RecordError, match=re.escape(fault)):
+        make()

@@ -15,8 +15,8 @@ from roemetry.testing import checks_of
 from roemetry.testing.checks import name_of
 from roemetry.testing.kit import judged
 from roemetry.testing.solids import BOX, product_of
-from roemetry_files.csv_table import CsvTable
 from roemetry_files.image_files import ImageFiles
+from roemetry_files.product_table import CsvTable
 from roemetry_paper.arc_curvature import ArcCurvature
 from roemetry_paper.block_linear import BlockLinear
 from roemetry_paper.density import Density

@@ -16,10 +16,9 @@ from roemetry.cli.main import app
 from roemetry.config.rig import Rig
 from roemetry.config.scene import Scene
 from roemetry.errors import ConfigurationError, RoemetryError
-from roemetry_tools.init_project import Answers, Layout, lay_out, shipped_lines, start_like, start_own
-from roemetry_tools.init_project.folder import texts_of
-from roemetry_tools.init_project.product_lines import COPIED, copied
-from roemetry_tools.init_project.product_lines import line_of as find_line
+from roemetry_tools.init_project import COPIED, copied, shipped_lines, start_like, start_own, texts_of
+from roemetry_tools.init_project import line_of as find_line
+from roemetry_tools.init_project.layout import Answers, Layout, lay_out
 
 LINES = ("bread_roll", "egg", "fish_fillet", "herring_roe", "potato")
 
@@ -207,10 +206,8 @@ def test_what_comes_to_no_end_leaves_nothing(
     if there:
         folder.mkdir()
     for name in ("_simulate", "_calibrate"):
-        monkeypatch.setattr(
-            f"roemetry_tools.init_project.folder.{name}", lambda *_: folder / "calibration.yaml"
-        )
-    monkeypatch.setattr(f"roemetry_tools.init_project.folder.{failing}", fails)
+        monkeypatch.setattr(f"roemetry_tools.init_project.{name}", lambda *_: folder / "calibration.yaml")
+    monkeypatch.setattr(f"roemetry_tools.init_project.{failing}", fails)
     with pytest.raises(type(error)):
         start_own(Answers("p", (90, 60, 45)), folder)
     assert folder.is_dir() == there
@@ -263,7 +260,7 @@ def test_questions_are_asked_in_a_terminal(tmp_path: Path, monkeypatch: pytest.M
         asked["answers"] = answers
         return starting.Started(folder, (), 0, lay_out(answers))
 
-    monkeypatch.setattr(starting, "start_own", begun)
+    monkeypatch.setattr("roemetry_tools.verbs.init.start_own", begun)
     monkeypatch.setattr("roemetry_tools.verbs.init.in_terminal", lambda: True)
     typed = f"{tmp_path / 'new'}\nplums\n90x60x45\n1280x1024\n5\n12\n0\n12\nvolume,weight\n1.1\ny\n"
     done = CliRunner().invoke(app, ["init"], input=typed)

@@ -55,7 +55,7 @@
       button.focus({ preventScroll: true });
     }
     button.addEventListener("click", toggle);
-    figure.querySelector("svg.screen").addEventListener("click", toggle);
+    figure.querySelector("svg").addEventListener("click", toggle);
   });
   document.addEventListener("keydown", function (event) { if (event.key === "Escape") close(); });
 

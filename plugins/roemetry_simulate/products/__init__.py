@@ -17,15 +17,12 @@ from roemetry.config.validation import unknown_key
 from roemetry.errors import MisfitError
 from roemetry_simulate.products.artefacts import ARTEFACTS
 from roemetry_simulate.products.family import Drawn, ProductFamily, ProductOptions
-from roemetry_simulate.products.foods import BREAD_ROLL, EGG, FILLET, POTATO
+from roemetry_simulate.products.foods import FOODS
 from roemetry_simulate.products.herring import HERRING_ROE
 from roemetry_simulate.products.mesh import MESH_FAMILY
 
 PRODUCTS: Mapping[str, ProductFamily] = MappingProxyType(
-    {
-        family.name: family
-        for family in (HERRING_ROE, POTATO, FILLET, BREAD_ROLL, EGG, *ARTEFACTS, MESH_FAMILY)
-    }
+    {family.name: family for family in (HERRING_ROE, *FOODS, *ARTEFACTS, MESH_FAMILY)}
 )
 """Every family, by name."""
 

@@ -5,14 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from roemetry.records.truth import ProductTruth
 from roemetry_simulate.solid import Solid
+
+Floats = NDArray[np.float64]
 
 
 class ProductOptions(BaseModel):
@@ -23,24 +25,37 @@ class ProductOptions(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
-    density_g_per_cm3: float = Field(
-        default=1.0, gt=0, le=25, description="density of the closed body, g/cm³"
-    )
-    turn_range_deg: float = Field(
-        default=0.0, ge=0, le=180, description="turned from belt X by up to this, either way, degrees"
-    )
-    offset_range_x_mm: float = Field(
-        default=0.0,
-        ge=0,
-        le=5000,
-        description="middle off the belt's origin by up to this along X, either way, mm",
-    )
-    offset_range_y_mm: float = Field(
-        default=0.0,
-        ge=0,
-        le=5000,
-        description="middle off the belt's origin by up to this along Y, either way, mm",
-    )
+    density_g_per_cm3: float = Field(default=1.0, gt=0, le=25, description="of the closed body, g/cm³")
+    turn_range_deg: float = Field(default=0.0, ge=0, le=180, description="turned by up to this, degrees")
+    offset_range_x_mm: float = Field(default=0.0, ge=0, le=5000, description="off centre in X by up to, mm")
+    offset_range_y_mm: float = Field(default=0.0, ge=0, le=5000, description="off centre in Y by up to, mm")
+
+
+def kind_shares(shares: Mapping[str, float]) -> Any:
+    """Describe an option `kinds`: these are its default, and all the kinds there are."""
+    about = "kinds that are drawn, each with its share; need not sum to 1"
+    return Field(default_factory=lambda: dict(shares), description=about)
+
+
+class PopulationOptions(ProductOptions):
+    """Options that populations share: which kinds are drawn, and how they are strewn."""
+
+    kinds: Mapping[str, float] = kind_shares({"healthy": 1.0})
+    turn_range_deg: float = Field(default=15.0, ge=0, le=180, description="turned by up to this, degrees")
+    offset_range_x_mm: float = Field(default=5.0, ge=0, le=5000, description="off centre in X by up to, mm")
+    offset_range_y_mm: float = Field(default=6.0, ge=0, le=5000, description="off centre in Y by up to, mm")
+
+    @model_validator(mode="after")
+    def _kinds_are_known(self) -> Self:
+        known = type(self).model_fields["kinds"].get_default(call_default_factory=True)
+        unknown = [kind for kind in self.kinds if kind not in known]
+        if unknown:
+            raise ValueError(f"no kind is called {unknown[0]!r}; there are {', '.join(known)}")
+        if not all(math.isfinite(share) and share >= 0.0 for share in self.kinds.values()):
+            raise ValueError("a share is 0 or more")
+        if not any(share > 0.0 for share in self.kinds.values()):
+            raise ValueError("at least one kind needs a share above 0")
+        return self
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,20 +108,7 @@ class ProductFamily:
     make: Callable[[int, Any], Drawn]
 
     def draw(self, seed: int, options: ProductOptions | None = None) -> Drawn:
-        """Draw a product.
-
-        Parameters
-        ----------
-        seed : int
-            0 or more; the same seed and options give the same product.
-        options : ProductOptions or None
-            Of this family's `Options`; None is the defaults.
-
-        Returns
-        -------
-        Drawn
-            In the belt frame.
-        """
+        """Draw the product of a seed, 0 or more; the same seed and options give the same product."""
         if seed < 0:
             raise ValueError(f"a seed is 0 or more, not {seed}")
         options = self.Options() if options is None else options
@@ -137,37 +139,13 @@ def pick(rng: np.random.Generator, shares: Mapping[str, float]) -> str:
     return str(rng.choice(names, p=weights / weights.sum()))
 
 
-def check_shares(shares: Mapping[str, float], kinds: tuple[str, ...]) -> None:
-    """Refuse shares of unknown kinds, negative shares, and shares without a positive one."""
-    unknown = [kind for kind in shares if kind not in kinds]
-    if unknown:
-        raise ValueError(f"no kind is called {unknown[0]!r}; there are {', '.join(kinds)}")
-    if not all(math.isfinite(share) and share >= 0.0 for share in shares.values()):
-        raise ValueError("a share is 0 or more")
-    if not any(share > 0.0 for share in shares.values()):
-        raise ValueError("at least one kind needs a share above 0")
-
-
 def describe(
     solid: Solid, options: ProductOptions, defect: str = "none", figures: Mapping[str, float] | None = None
 ) -> ProductTruth:
-    """Write down what is true of a product.
+    """Write down what is true of a product: volumes in mm³, mass in g by the options' density.
 
-    Parameters
-    ----------
-    solid : Solid
-        The product.
-    options : ProductOptions
-        Its density is taken.
-    defect : str
-        What is wrong with it, or ``none``; that also makes the label, ``henkei`` or ``good``.
-    figures : mapping or None
-        Further numbers, after the footprint, the extent of the footprint and the greatest height.
-
-    Returns
-    -------
-    ProductTruth
-        Volumes in mm³, mass in g.
+    A defect other than ``none`` makes the label ``henkei``, else ``good``. Further figures stand after the
+    footprint and its extent.
     """
     x_min, x_max, y_min, y_max = solid.footprint_extent_mm()
     return ProductTruth(
@@ -187,52 +165,18 @@ def describe(
     )
 
 
-Floats = NDArray[np.float64]
+_LEAST_SHARE = 0.12
+"""Of a dome that the deepest defect leaves: the body stays closed over its underside."""
 
-_HALVINGS = 30
 
+def changed(height_mm: Floats, inside: Floats, change_mm: Floats) -> Floats:
+    """Add a change (mm, negative in a hollow) to a dome over the rim, within what a body can take.
 
-def outline_mm(solid: Solid, step_mm: float = 0.5) -> Floats:
-    """Find the border of a solid's footprint; of several pieces, the longest border.
-
-    Parameters
-    ----------
-    solid : Solid
-        Anything on the belt; what is thinner than a step may be missed.
-    step_mm : float
-        Distance of the places that are looked at; neighbours on the outline lie about as far apart.
-
-    Returns
-    -------
-    ndarray, shape (n, 2)
-        (x, y) in the belt frame, millimetres, counter-clockwise seen from above, not closed by a repeated
-        point. Each lies on the border to 1e-6 mm, searched at right angles to it; corners are cut by up to
-        a step. Shape (0, 2) for nothing.
+    `inside` is 1 on the ridge and 0 at the rim and beyond; all of shape (rows, columns).
     """
-    import cv2
-
-    x_min, x_max, y_min, y_max = solid.footprint_extent_mm()
-    if not np.isfinite(x_min):
-        return np.empty((0, 2))
-    x = np.arange(x_min - 3.0 * step_mm, x_max + 3.0 * step_mm, step_mm)
-    y = np.arange(y_min - 3.0 * step_mm, y_max + 3.0 * step_mm, step_mm)
-    inside = np.isfinite(solid.heights_mm(*np.meshgrid(x, y))[0])
-    contours, _ = cv2.findContours(inside.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    if not contours:
-        return np.empty((0, 2))
-    columns, rows = max(contours, key=len)[:, 0, :].T
-    soft = cv2.GaussianBlur(inside.astype(np.float64), (0, 0), 1.5)
-    down_y, down_x = (-slope[rows, columns] for slope in np.gradient(soft))
-    length = np.maximum(np.hypot(down_x, down_y), 1e-12)
-    start = np.stack([x[columns], y[rows]], axis=1)
-    away = np.stack([down_x, down_y], axis=1) / length[:, None]
-    near, far = np.zeros(len(start)), np.full(len(start), 3.0 * step_mm)
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (near + far)
-        place = start + middle[:, None] * away
-        is_in = np.isfinite(solid.heights_mm(place[:, 0], place[:, 1])[0])
-        near, far = np.where(is_in, middle, near), np.where(is_in, far, middle)
-    border: Floats = start + near[:, None] * away
-    u, v = border.T
-    turning = float(np.sum(u * np.roll(v, -1) - v * np.roll(u, -1)))
-    return border if turning >= 0.0 else np.ascontiguousarray(border[::-1])
+    # the change dies out at the rim, where the outline is
+    change = change_mm * (1.0 - (1.0 - np.clip(inside / 0.35, 0.0, 1.0)) ** 2)
+    share = 1.0 + change / np.maximum(height_mm, 1e-9) - _LEAST_SHARE
+    # no deeper than a small share of the dome, approached smoothly
+    share = _LEAST_SHARE + 0.5 * (share + np.hypot(share, 0.15))
+    return np.where(change == 0.0, height_mm, share * height_mm)

@@ -5,24 +5,24 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Self
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field
 
 from roemetry_simulate.products.family import (
     Drawn,
+    PopulationOptions,
     Pose,
     ProductFamily,
-    ProductOptions,
-    check_shares,
+    changed,
     describe,
     draw_pose,
+    kind_shares,
     pick,
     random_of,
 )
-from roemetry_simulate.skein import changed
 from roemetry_simulate.solid import GriddedSolid
 from roemetry_simulate.surface import smooth_noise
 
@@ -39,29 +39,12 @@ def _ordered(limits: tuple[float, float]) -> tuple[float, float]:
 Range = Annotated[tuple[float, float], AfterValidator(_ordered)]
 
 
-class FoodOptions(ProductOptions):
+class FoodOptions(PopulationOptions):
     """Options that all foods share."""
 
-    known_kinds: ClassVar[tuple[str, ...]] = ("healthy",)
-
-    kinds: Mapping[str, float] = Field(
-        description="kinds that are drawn, each with its share; need not sum to 1"
-    )
     length_range_mm: Range = Field(description="smallest and largest length, mm")
     width_range_mm: Range = Field(description="smallest and largest width, mm")
-    turn_range_deg: float = Field(default=15.0, ge=0, le=180, description="turned by up to this, degrees")
-    offset_range_x_mm: float = Field(
-        default=5.0, ge=0, le=5000, description="off centre along X by up to, mm"
-    )
-    offset_range_y_mm: float = Field(
-        default=6.0, ge=0, le=5000, description="off centre along Y by up to, mm"
-    )
     grid_step_mm: float = Field(default=0.25, ge=0.02, le=5, description="pitch of the body's grid, mm")
-
-    @model_validator(mode="after")
-    def _kinds_are_known(self) -> Self:
-        check_shares(self.kinds, self.known_kinds)
-        return self
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,27 +84,8 @@ def drawn(
 ) -> Drawn:  # fmt: skip
     """Shape a food, with its reference and its truth.
 
-    Parameters
-    ----------
-    form : Form
-        Its shape without a defect.
-    change : callable or None
-        Of (u, v) in mm: what the defect adds to the top, mm; None for a healthy one.
-    defect : str
-        The defect's name, or ``none``.
-    pose : Pose
-        Where it lies.
-    options : FoodOptions
-        Grid pitch and density.
-    seed : int
-        Of the relief.
-    figures : mapping or None
-        Further numbers for the truth, after the sizes.
-
-    Returns
-    -------
-    Drawn
-        The reference is the solid itself for a healthy one.
+    `change`, of (u, v) in mm, is what the defect adds to the top (mm); None for a healthy one, which is its
+    own reference. The seed is that of the relief; `figures` stand in the truth after the sizes.
     """
     reference = _shape(form, None, pose, options.grid_step_mm, seed)
     solid = reference if change is None else _shape(form, change, pose, options.grid_step_mm, seed)
@@ -215,20 +179,11 @@ def _sizes(solid: GriddedSolid, pose: Pose) -> dict[str, float]:
 class BreadRollOptions(FoodOptions):
     """Options of `bread-roll`."""
 
-    known_kinds: ClassVar[tuple[str, ...]] = ("healthy", "sunken", "split")
-
     density_g_per_cm3: float = Field(default=0.25, gt=0, le=25, description="density, g/cm³")
-    kinds: Mapping[str, float] = Field(
-        default_factory=lambda: {"healthy": 0.6, "sunken": 0.2, "split": 0.2},
-        description="kinds that are drawn, each with its share",
-    )
+    kinds: Mapping[str, float] = kind_shares({"healthy": 0.6, "sunken": 0.2, "split": 0.2})
     length_range_mm: Range = Field(default=(60.0, 95.0), description="smallest and largest length, mm")
-    width_range_mm: Range = Field(
-        default=(50.0, 75.0), description="smallest and largest width, mm; at most the length"
-    )
-    thickness_range_mm: Range = Field(
-        default=(30.0, 50.0), description="smallest and largest height, mm; at most 0.75 of the width"
-    )
+    width_range_mm: Range = Field(default=(50.0, 75.0), description="range of widths, mm; at most the length")
+    thickness_range_mm: Range = Field(default=(30.0, 50.0), description="range of heights, mm; ≤ 0.75 width")
 
 
 def _make_bread_roll(seed: int, options: BreadRollOptions) -> Drawn:
@@ -261,26 +216,13 @@ def _make_bread_roll(seed: int, options: BreadRollOptions) -> Drawn:
     return drawn(form, change, "none" if change is None else kind, pose, options, seed)
 
 
-BREAD_ROLL = ProductFamily(
-    "bread-roll", "bread rolls, healthy, sunken and split", BreadRollOptions, _make_bread_roll
-)
-"""The family."""
-
-
 class EggOptions(FoodOptions):
     """Options of `egg`."""
 
-    known_kinds: ClassVar[tuple[str, ...]] = ("healthy", "dented")
-
     density_g_per_cm3: float = Field(default=1.03, gt=0, le=25, description="density, g/cm³")
-    kinds: Mapping[str, float] = Field(
-        default_factory=lambda: {"healthy": 0.8, "dented": 0.2},
-        description="kinds that are drawn, each with its share",
-    )
+    kinds: Mapping[str, float] = kind_shares({"healthy": 0.8, "dented": 0.2})
     length_range_mm: Range = Field(default=(50.0, 64.0), description="smallest and largest length, mm")
-    width_range_mm: Range = Field(
-        default=(38.0, 47.0), description="smallest and largest width, mm; at most 0.85 of the length"
-    )
+    width_range_mm: Range = Field(default=(38.0, 47.0), description="range of widths, mm; ≤ 0.85 length")
 
 
 def _make_egg(seed: int, options: EggOptions) -> Drawn:
@@ -309,27 +251,14 @@ def _make_egg(seed: int, options: EggOptions) -> Drawn:
     return drawn(Form(a, b, q, dome, b), change, defect, pose, options, seed, figures)
 
 
-EGG = ProductFamily("egg", "eggs on their side, healthy and dented", EggOptions, _make_egg)
-"""The family."""
-
-
 class FilletOptions(FoodOptions):
     """Options of `fillet`."""
 
-    known_kinds: ClassVar[tuple[str, ...]] = ("healthy", "gaping")
-
     density_g_per_cm3: float = Field(default=1.05, gt=0, le=25, description="density, g/cm³")
-    kinds: Mapping[str, float] = Field(
-        default_factory=lambda: {"healthy": 0.7, "gaping": 0.3},
-        description="kinds that are drawn, each with its share",
-    )
+    kinds: Mapping[str, float] = kind_shares({"healthy": 0.7, "gaping": 0.3})
     length_range_mm: Range = Field(default=(75.0, 110.0), description="smallest and largest length, mm")
-    width_range_mm: Range = Field(
-        default=(30.0, 60.0), description="smallest and largest width, mm; at most 0.7 of the length"
-    )
-    thickness_range_mm: Range = Field(
-        default=(8.0, 22.0), description="smallest and largest height, mm; at most 0.5 of the width"
-    )
+    width_range_mm: Range = Field(default=(30.0, 60.0), description="range of widths, mm; ≤ 0.7 length")
+    thickness_range_mm: Range = Field(default=(8.0, 22.0), description="range of heights, mm; ≤ 0.5 width")
 
 
 def _make_fillet(seed: int, options: FilletOptions) -> Drawn:
@@ -364,26 +293,15 @@ def _make_fillet(seed: int, options: FilletOptions) -> Drawn:
     return drawn(form, change, "none" if change is None else kind, pose, options, seed)
 
 
-FILLET = ProductFamily("fillet", "fish fillets, healthy and gaping", FilletOptions, _make_fillet)
-"""The family."""
-
-
 class PotatoOptions(FoodOptions):
     """Options of `potato`."""
 
-    known_kinds: ClassVar[tuple[str, ...]] = ("healthy", "dented")
-
     density_g_per_cm3: float = Field(default=1.08, gt=0, le=25, description="density, g/cm³")
-    kinds: Mapping[str, float] = Field(
-        default_factory=lambda: {"healthy": 0.7, "dented": 0.3},
-        description="kinds that are drawn, each with its share",
-    )
+    kinds: Mapping[str, float] = kind_shares({"healthy": 0.7, "dented": 0.3})
     length_range_mm: Range = Field(default=(55.0, 105.0), description="smallest and largest length, mm")
-    width_range_mm: Range = Field(
-        default=(40.0, 70.0), description="smallest and largest width, mm; at most 0.9 of the length"
-    )
+    width_range_mm: Range = Field(default=(40.0, 70.0), description="range of widths, mm; ≤ 0.9 length")
     thickness_range_mm: Range = Field(
-        default=(30.0, 55.0), description="smallest and largest height, mm; kept within 0.6–0.95 of the width"
+        default=(30.0, 55.0), description="range of heights, mm; 0.6–0.95 width"
     )
 
 
@@ -414,18 +332,17 @@ def _make_potato(seed: int, options: PotatoOptions) -> Drawn:
         return slim
 
     form = Form(
-        1.08 * a,
-        1.08 * b,
-        q,
-        dome,
-        rim,
-        power=rng.uniform(1.0, 1.4),
-        relief_mm=rng.uniform(0.1, 0.3),
-        relief_period_mm=4.0,
-    )
+        1.08 * a, 1.08 * b, q, dome, rim, power=rng.uniform(1.0, 1.4),
+        relief_mm=rng.uniform(0.1, 0.3), relief_period_mm=4.0,
+    )  # fmt: skip
     change = dent(rng, (a, b), (2.0, 6.0), (8.0, 25.0)) if kind == "dented" else None
     return drawn(form, change, "none" if change is None else kind, pose, options, seed)
 
 
-POTATO = ProductFamily("potato", "potatoes, healthy and dented", PotatoOptions, _make_potato)
-"""The family."""
+FOODS = (
+    ProductFamily("potato", "potatoes, healthy and dented", PotatoOptions, _make_potato),
+    ProductFamily("fillet", "fish fillets, healthy and gaping", FilletOptions, _make_fillet),
+    ProductFamily("bread-roll", "bread rolls, healthy, sunken and split", BreadRollOptions, _make_bread_roll),
+    ProductFamily("egg", "eggs on their side, healthy and dented", EggOptions, _make_egg),
+)
+"""All of them, as families."""

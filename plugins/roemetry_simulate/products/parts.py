@@ -112,20 +112,7 @@ class PartsSolid:
 
 
 def placed(parts: Sequence[Sequence[Surface]], pose: Pose) -> Floats:
-    """Move parts from their own frame onto the belt.
-
-    Parameters
-    ----------
-    parts : sequence of sequences of surfaces
-        In the product's own frame: origin on the belt, z up.
-    pose : Pose
-        Where that frame lies.
-
-    Returns
-    -------
-    ndarray, shape (F, 11)
-        Surfaces in the belt frame.
-    """
+    """Move parts from their own frame (origin on the belt, z up) onto the belt: surfaces, shape (F, 11)."""
     c, s = math.cos(math.radians(pose.yaw_deg)), math.sin(math.radians(pose.yaw_deg))
     # own = turn · belt + shift
     turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
@@ -202,18 +189,9 @@ def _vertical(surfaces: Floats, x: Floats, y: Floats) -> tuple[Floats, Floats]:
 
 @kernel
 def hit_parts(surfaces: Floats, bounds: Floats, o: Floats, d: Floats, t_max: float) -> float:
-    """Distance along the ray to a body of parts, or MISS; the far side of a part the ray starts in.
+    """Distance (mm) along the ray, within t_max, to a body of parts, or MISS.
 
-    Parameters
-    ----------
-    surfaces : ndarray, shape (F, 11)
-        `ExactBody.surfaces`.
-    bounds : ndarray, shape (6,)
-        `ExactBody.boxes[0]`: smallest x, y, z, largest x, y, z.
-    o, d : ndarray, shape (3,)
-        Start and direction.
-    t_max : float
-        Hits beyond it do not count.
+    The far side of a part that the ray starts in. `bounds` holds smallest x, y, z, largest x, y, z.
     """
     near, far = 0.0, t_max
     for k in range(3):

@@ -1,11 +1,12 @@
-"""All acquisitions of one variant, added up one at a time."""
+"""All acquisitions of one variant, added up one at a time: errors against truth, classes, stripes, times."""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,19 +14,62 @@ from roemetry.config.recipe import Recipe
 from roemetry.records import ProductTruth, Reason
 from roemetry.records.arrays import Floats
 from roemetry_tools.compare.agreement import Beside
-from roemetry_tools.compare.centres import CentreScore
-from roemetry_tools.compare.coding import CodingScore
 from roemetry_tools.compare.grading import Graded
 from roemetry_tools.compare.score import Judged, Pair
-from roemetry_tools.compare.statistics import (
-    NOT_GRADED,
-    Classes,
-    Errors,
-    Quartiles,
-    classes_of,
-    errors_of,
-    quartiles_of,
-)
+from roemetry_tools.compare.stripes import CentreScore, CodingScore
+
+NOT_GRADED = "(none)"
+"""Stands where a product has a true class, and got none."""
+
+
+@dataclass(frozen=True, slots=True)
+class Errors:
+    """Errors of n estimates against what is true; relative ones are (estimate − true) / true, %.
+
+    `bias_pct` is their mean, `spread_pct` their standard deviation (NaN for one), then quartiles and ends;
+    `rmse` is in the unit of the estimate.
+    """
+
+    n: int
+    bias_pct: float
+    spread_pct: float
+    mean_absolute_pct: float
+    rmse: float
+    low_pct: float
+    median_pct: float
+    high_pct: float
+    min_pct: float
+    max_pct: float
+
+
+class Quartiles(NamedTuple):
+    """Median and quartiles of n values."""
+
+    n: int
+    low: float
+    median: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True)
+class Classes:
+    """Products counted by true and given class; one without a class stands under ``(none)``.
+
+    `accuracy` is the share with the right class, ``unknown`` and no class not right; `balanced_accuracy` the
+    mean over the true classes of the share given right, NaN where there is one class only.
+    """
+
+    true: tuple[str, ...]
+    given: tuple[str, ...]
+    counts: tuple[tuple[int, ...], ...]
+    accuracy: float
+    balanced_accuracy: float
+
+    @property
+    def n(self) -> int:
+        """Number of products."""
+        return sum(map(sum, self.counts))
+
 
 Pairs = list[Beside]
 
@@ -44,31 +88,22 @@ class Cause:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Figures:
-    """What a variant came to.
+    """What a variant came to; where a figure is None, `absent` says why.
 
     Attributes
     ----------
-    acquisitions, refused
-        How many there were; those not measured, or not wholly.
-    causes, warnings
-        Why they were refused; what stands on the rows of the others.
-    errors
-        By `QUANTITIES`, against truth; None where `absent` says why. For the true volume the estimator's
-        true volume counts, where it gives one, else its visible volume.
-    pairs
-        By `QUANTITIES`, the values of products whose truth is known.
+    refused
+        Acquisitions not measured, or not wholly; `causes` says why, `warnings` what stands on the others'
+        rows.
+    errors, pairs
+        By `QUANTITIES`, of products whose truth is known. For the true volume the estimator's true volume
+        counts, where it gives one, else its visible volume; `true_from_visible` says how often.
     values
         By `QUANTITIES` and product, all that was measured, whether its truth is known or not.
     graded
         Products with a true class.
-    true_from_visible
-        For how many products the visible volume was compared with the true one.
-    classes, centres, centres_on_product, coding
-        As their names say; None where `absent` says why.
     seconds
         By step, and for all of them together under ``frame``; s for an acquisition.
-    absent
-        By figure, why it is missing.
     """
 
     acquisitions: int
@@ -94,36 +129,26 @@ class Figures:
 
 
 class Tally:
-    """Adds up one variant's acquisitions.
-
-    Parameters
-    ----------
-    recipe
-        What the variant does.
-    without_truth
-        Why nothing is known of the data; "" where something is.
-    """
+    """Adds up one variant's acquisitions; `without_truth` says why nothing is known of the data, if so."""
 
     def __init__(self, recipe: Recipe, without_truth: str) -> None:
         self._recipe = recipe
         self._without_truth = without_truth
         self._acquisitions = 0
         self._refused = 0
-        self._causes: Counter[str] = Counter()
-        self._warnings: Counter[str] = Counter()
+        self._causes, self._warnings = Counter[str](), Counter[str]()
         self._texts: dict[str, str] = {}
         self._pairs: dict[str, Pairs] = {name: [] for name in QUANTITIES}
         self._values: dict[str, dict[str, Beside]] = {name: {} for name in QUANTITIES}
         self._graded: list[Graded] = []
-        self._known: Counter[str] = Counter()
-        self._estimated: Counter[str] = Counter()
+        self._known, self._estimated = Counter[str](), Counter[str]()
         self._from_visible = 0
         self._classes: Counter[tuple[str, str]] = Counter()
         self._centres: list[CentreScore | None] = [None, None]
         self._coding: CodingScore | None = None
         self._without: dict[str, Reason] = {}
         self._seconds: dict[str, list[float]] = {}
-        self._cold: dict[str, list[float]] = {}
+        self._cold: dict[str, list[float]] = {}  # of acquisitions that paid for what is done once
 
     def add(self, judged: Judged, *, cold: bool) -> None:
         """Add an acquisition; `cold`: its times hold what is done once, such as compiling."""
@@ -268,3 +293,57 @@ def estimates_of(pair: Pair) -> dict[str, float | None]:
         "true_mm3": None if volume is None or volume.true_mm3 is None else volume.true_mm3.value,
         "mass_g": None if weight is None else weight.mass_g.value,
     }
+
+
+def relative_pct(estimate: Floats, true: Floats) -> Floats:
+    """Relative errors, (estimate − true) / true, %."""
+    return np.asarray(100.0 * (estimate - true) / true)
+
+
+def errors_of(estimate: Floats, true: Floats) -> Errors | None:
+    """Sum up (product,) estimates and true values, all finite, true above 0; None without any."""
+    n = int(estimate.size)
+    if n == 0:
+        return None
+    relative = relative_pct(estimate, true)
+    low, median, high = np.quantile(relative, (0.25, 0.5, 0.75)).tolist()
+    return Errors(
+        n=n,
+        bias_pct=float(relative.mean()),
+        spread_pct=float(relative.std(ddof=1)) if n > 1 else math.nan,
+        mean_absolute_pct=float(np.abs(relative).mean()),
+        rmse=float(np.sqrt(((estimate - true) ** 2).mean())),
+        low_pct=low,
+        median_pct=median,
+        high_pct=high,
+        min_pct=float(relative.min()),
+        max_pct=float(relative.max()),
+    )
+
+
+def quartiles_of(values: Sequence[float]) -> Quartiles | None:
+    """Sum up values; None without any."""
+    if not values:
+        return None
+    low, median, high = np.quantile(np.array(values, np.float64), (0.25, 0.5, 0.75)).tolist()
+    return Quartiles(len(values), low, median, high)
+
+
+def classes_of(counted: Mapping[tuple[str, str], int]) -> Classes | None:
+    """Sum up products counted by (true, given) class; None without any."""
+    if not counted:
+        return None
+    true = sorted({pair[0] for pair in counted})
+    others = sorted({pair[1] for pair in counted} - {*true, NOT_GRADED})
+    last = [NOT_GRADED] if any(pair[1] == NOT_GRADED for pair in counted) else []
+    given = [*true, *others, *last]
+    counts = tuple(tuple(counted.get((t, g), 0) for g in given) for t in true)
+    right = [counted.get((name, name), 0) for name in true]
+    recalls = [r / sum(row) for r, row in zip(right, counts, strict=True)]
+    return Classes(
+        tuple(true),
+        tuple(given),
+        counts,
+        accuracy=sum(right) / sum(map(sum, counts)),
+        balanced_accuracy=sum(recalls) / len(recalls) if len(recalls) > 1 else math.nan,
+    )

@@ -31,31 +31,15 @@ def compare(
     on_judged: Callable[[Variant, Judged], None] = lambda variant, judged: None,
     on_progress: Callable[[int, int], None] = lambda done, of: None,
 ) -> tuple[Compared, ...]:
-    """Compare variants of a recipe.
+    """Compare variants of a recipe; the first is the recipe as it is.
 
-    Parameters
-    ----------
-    variants
-        What to compare; the first is the recipe as it is.
-    data
-        What to compare them on.
-    terms
-        What differences are judged by; default: no tolerance, so no verdict.
-    jobs
-        Worker processes; the figures are the same for any number, times aside.
-    on_judged
-        Called with each variant and what it made of an acquisition: acquisitions in order, and for each
-        the variants in order.
-    on_progress
-        Called with (acquisitions done, of how many).
+    `jobs` worker processes give the same figures whatever their number, times aside. `on_judged` is called
+    with each variant and what it made of an acquisition, acquisitions in order and for each the variants in
+    order; `on_progress` with (acquisitions done, of how many).
     """
-    tallies = {
-        variant.number: Tally(variant.recipe, data.without_truth)
-        for variant in variants
-        if variant.recipe is not None
-    }
-    by_number = {variant.number: variant for variant in variants}
     recipes = [(variant.number, variant.recipe) for variant in variants if variant.recipe is not None]
+    tallies = {number: Tally(recipe, data.without_truth) for number, recipe in recipes}
+    by_number = {variant.number: variant for variant in variants}
     on_progress(0, data.count)
     for done, (cold, found) in enumerate(_judged(recipes, data, jobs), start=1):
         for judged in found:
@@ -143,17 +127,10 @@ class _Worker:
             stages.start()
             trace = pipeline.trace(acquisition)
             seconds = {"source": trace.seconds.get("source", 0.0), **stages.seconds}
+            turn_deg = 0 if self._dataset is None else self._dataset.description.turn_deg
+            memory = (stages.keys, self._memory)
             found.append(
-                judge(
-                    number,
-                    trace,
-                    recipe,
-                    truth,
-                    keys=stages.keys,
-                    memory=self._memory,
-                    seconds=seconds,
-                    turn_deg=0 if self._dataset is None else self._dataset.description.turn_deg,
-                )
+                judge(number, trace, recipe, truth, memory=memory, seconds=seconds, turn_deg=turn_deg)
             )
         return found
 

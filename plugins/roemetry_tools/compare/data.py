@@ -25,27 +25,10 @@ class Unit:
 
 
 class Data:
-    """What to compare on.
+    """What to compare on: the images of the recipe's source, or all items of a data set's folder.
 
-    Parameters
-    ----------
-    recipe
-        Its source says where the images are.
-    folder
-        A data set to use instead: all of its items, whatever the source's path.
-    labels
-        True classes by product (``acquisition#1``), which count instead of those of the data set.
-
-    Attributes
-    ----------
-    dataset
-        The data set; None where there is none.
-    count
-        Number of acquisitions.
-    without_truth
-        Why nothing is known of the acquisitions; "" where there is a data set.
-    labels
-        Classes that count instead of the data set's, by product.
+    True classes of `labels`, by product (``acquisition#1``), count instead of those of the data set.
+    `dataset` is None where there is none; `without_truth` then says why nothing is known.
 
     Raises
     ------
@@ -116,18 +99,7 @@ class Data:
         told: dict[str, Any] = {"acquisitions": self.count, "without_truth": self.without_truth}
         told["labels"] = sum("#" in name for name in self.labels)
         if self.dataset is None:
-            nothing = (
-                "name",
-                "folder",
-                "licence",
-                "made_with",
-                "made_from",
-                "notes",
-                "turn_deg",
-                "seeds",
-                "sha256",
-            )
-            return told | dict.fromkeys(nothing)
+            return told | dict.fromkeys(_UNKNOWN)
         description, folder = self.dataset.description, self.dataset.folder
         return told | {
             "name": description.name,
@@ -154,6 +126,7 @@ class Data:
 
 
 _UNKNOWN = ("name", "folder", "licence", "made_with", "made_from", "notes", "turn_deg", "seeds", "sha256")
+"""What is told of a data set, and null without one."""
 
 
 def changed_file(item: Item, files: Mapping[Any, Path], folder: Path) -> str | None:

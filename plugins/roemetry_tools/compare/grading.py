@@ -10,10 +10,10 @@ from typing import NamedTuple
 import numpy as np
 
 from roemetry.records.arrays import Floats
-from roemetry_tools.compare.agreement import Shift, Terms
-from roemetry_tools.compare.bootstrap import Bootstrap, Interval, wilson
+from roemetry_tools.compare.agreement import Bootstrap, Interval, Shift, Terms, mean_of, wilson
 
 BINS = 10
+"""Tenths, as reliability diagrams are drawn (Niculescu-Mizil and Caruana 2005)."""
 
 
 class Graded(NamedTuple):
@@ -59,18 +59,14 @@ class Bin(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Reliability:
-    """Stated probabilities against the share that was right.
+    """Stated probabilities against the share that was right, over the products with a known class.
 
     Attributes
     ----------
-    n
-        Products with a probability and a known class.
     bins
         By stated probability, tenth by tenth; empty ones are left out.
-    stated, right
-        Mean of the stated probabilities; share right.
     excess
-        Stated − right, with its interval; above 0 the classifier is surer than it should be.
+        Mean stated − share right; above 0 the classifier is surer than it should be.
     brier
         Mean squared difference of probability and outcome (1 right, 0 wrong).
     calibration_error
@@ -143,7 +139,7 @@ def reliability_of(graded: Sequence[Graded], terms: Terms) -> Reliability | None
         n = int(mine.sum())
         bins.append(Bin(k / BINS, (k + 1) / BINS, n, float(p[mine].mean()), hits / n, wilson(hits, n)))
     bootstrap = Bootstrap([one.specimen for one in stated], terms.seed)
-    excess = bootstrap.interval((p - right)[:, None], lambda sums: sums[:, 0] / sums[:, -1])
+    excess = bootstrap.interval((p - right)[:, None], mean_of)
     return Reliability(
         n=len(stated),
         bins=tuple(bins),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 from typing import Any
@@ -11,48 +12,40 @@ from markupsafe import Markup
 from roemetry.html.page import environment_of
 from roemetry.html.plots import plain, share
 from roemetry.io.yaml_source import dump
-from roemetry_tools.compare import page_agreement, plots
+from roemetry_tools.compare import plots
 from roemetry_tools.compare.aggregate import QUANTITIES
+from roemetry_tools.compare.agreement import Agreement
 from roemetry_tools.compare.ranking import Compared
 from roemetry_tools.compare.tables import STEPS, flat
 
-SCATTERS_MAX = 12
-"""So many variants have an estimated-over-true plot of their own."""
+PLOTS_MAX = 12
+"""So many variants have plots of their own: more than a screen of them nobody compares."""
 
 _TITLES = {
     "visible_mm3": ("Visible volume", "mm³"),
     "true_mm3": ("True volume", "mm³"),
     "mass_g": ("Weight", "g"),
 }
-_CODED = (("right", "right"), ("wrong", "wrong"), ("refused", "refused"), ("unseen", "unseen"))
 
 
 def page(compared: Sequence[Compared], told: Mapping[str, Any]) -> str:
-    """Write the whole page as one text.
-
-    Parameters
-    ----------
-    compared
-        The variants; the first is the recipe as it is.
-    told
-        The contents of ``comparison.json``.
-    """
-    rows = [flat(one) for one in compared]
+    """Write the whole page as one text; `told` is what ``comparison.json`` holds."""
+    rows = [(one, flat(one)) for one in compared]
     environment = environment_of("roemetry_tools.compare")
     return environment.get_template("comparison.html.j2").render(
         told=told,
-        variants=list(zip(compared, rows, strict=True)),
+        variants=rows,
         began=_when(told["began"]),
         quantities=[_quantity(name, compared, told["terms"]["tolerance_pct"]) for name in QUANTITIES],
         classes=[(one, one.figures.classes) for one in compared if one.figures and one.figures.classes],
-        probabilities=page_agreement.probabilities(compared),
-        choices=page_agreement.choices(compared, told["choices"]),
-        coding=_coding(compared, rows),
-        centres=_centres(compared, rows, "centre"),
-        centres_on_product=_centres(compared, rows, "centre_on_product"),
-        found=_found(compared, rows),
-        times=_times(compared, rows),
-        steps=[step for step in STEPS if any(row[f"time_{step}_median_ms"] is not None for row in rows)],
+        probabilities=_probabilities(compared),
+        choices=_choices(compared, told["choices"]),
+        coding=_coding(rows),
+        centres=_centres(rows, "centre"),
+        centres_on_product=_centres(rows, "centre_on_product"),
+        found=_found(rows),
+        times=_times(rows),
+        steps=[step for step in STEPS if any(row[f"time_{step}_median_ms"] is not None for _, row in rows)],
         absent=_absent(compared),
         reasons=_reasons(compared),
         colour=plots.colour,
@@ -71,7 +64,7 @@ def _quantity(name: str, compared: Sequence[Compared], tolerance_pct: float | No
     ]
     values = [value for v in variants for pair in v.pairs for value in (pair.estimate, pair.true)]
     room = 0.05 * (max(values) - min(values)) if values else 0.0
-    shown = variants[:SCATTERS_MAX]
+    shown = variants[:PLOTS_MAX]
     by_visible = [
         (one.variant.name, one.figures.true_from_visible)
         for one in compared
@@ -87,73 +80,64 @@ def _quantity(name: str, compared: Sequence[Compared], tolerance_pct: float | No
         "more": len(variants) - len(shown),
         "capped": any(len(v.pairs) > plots.DOTS_MAX for v in variants),
         "by_visible": by_visible,
-        "truth": page_agreement.agreement_with_truth(name, unit, compared, tolerance_pct),
-        "recipe": page_agreement.agreement_with_recipe(name, unit, compared, tolerance_pct),
+        **_agreements(name, unit, compared, tolerance_pct),
     }
 
 
-def _coding(compared: Sequence[Compared], rows: Sequence[Mapping[str, Any]]) -> Markup | None:
+Rows = Sequence[tuple[Compared, Mapping[str, Any]]]
+
+
+def _coding(rows: Rows) -> Markup | None:
     """Draw what was wrong or left; the rest to 100 % is right, and would hide it."""
-    bars = []
-    for one, row in zip(compared, rows, strict=True):
-        if row["coding_points"] is None:
-            continue
-        values = [(part, row[f"coding_{part}_pct"], kind) for part, kind in _CODED if part != "right"]
-        bars.append((one.variant.name, values, f"right {share(row['coding_right_pct'])} %"))
-    top = max((sum(value for _, value, _ in values) for _, values, _ in bars), default=0.0)
-    return plots.stacked(bars, 1.05 * top or 1.0, "% of the visible points on products") if bars else None
-
-
-def _centres(compared: Sequence[Compared], rows: Sequence[Mapping[str, Any]], group: str) -> Markup | None:
     bars = [
         (
-            one.variant.number,
             one.variant.name,
-            row[f"{group}_bias_px"],
-            row[f"{group}_robust_std_px"],
-            row[f"{group}_rms_px"],
-            f"bias {plain(row[f'{group}_bias_px'], 3, True)}, RMS {plain(row[f'{group}_rms_px'], 3)} px",
+            [(part, row[f"coding_{part}_pct"], part) for part in ("wrong", "refused", "unseen")],
+            f"right {share(row['coding_right_pct'])} %",
         )
-        for one, row in zip(compared, rows, strict=True)
-        if row[f"{group}_bias_px"] is not None
+        for one, row in rows
+        if row["coding_points"] is not None
     ]
+    return plots.stacked(bars, "% of the visible points on products") if bars else None
+
+
+def _centres(rows: Rows, group: str) -> Markup | None:
+    bars = []
+    for one, row in rows:
+        bias, spread, rms = (row[f"{group}_{name}_px"] for name in ("bias", "robust_std", "rms"))
+        if bias is not None:
+            words = f"bias {plain(bias, 3, True)}, RMS {plain(rms, 3)} px"
+            bars.append((one.variant.number, one.variant.name, bias, spread, rms, words))
     return plots.centres(bars) if bars else None
 
 
-def _found(compared: Sequence[Compared], rows: Sequence[Mapping[str, Any]]) -> Markup | None:
+def _found(rows: Rows) -> Markup | None:
     bars = []
-    for one, row in zip(compared, rows, strict=True):
+    for one, row in rows:
         missed, false = row["centre_missed_pct"], row["centre_false_pct"]
         if missed is not None:
             values = [("missed", missed, "unseen"), ("false", false or 0.0, "wrong")]
-            words = f"missed {share(missed)} %, false {share(false)} %"
-            bars.append((one.variant.name, values, words))
-    top = max((value for _, values, _ in bars for _, value, _ in values), default=0.0)
-    if not bars:
-        return None
-    return plots.stacked(bars, 1.05 * top or 1.0, "% of the true centres; % of the peaks", beside=True)
+            bars.append((one.variant.name, values, f"missed {share(missed)} %, false {share(false)} %"))
+    return plots.stacked(bars, "% of the true centres; % of the peaks", beside=True) if bars else None
 
 
-def _times(compared: Sequence[Compared], rows: Sequence[Mapping[str, Any]]) -> Markup | None:
+def _times(rows: Rows) -> Markup | None:
     bars = []
-    for one, row in zip(compared, rows, strict=True):
-        if row["time_frame_median_ms"] is None:
-            continue
+    for one, row in rows:
+        every, low, high = (
+            row[f"time_frame_{end}_ms"] for end in ("median", "low_quartile", "high_quartile")
+        )
         values = [(s, value, f"step-{s}") for s in STEPS if (value := row[f"time_{s}_median_ms"]) is not None]
-        low, high = row["time_frame_low_quartile_ms"], row["time_frame_high_quartile_ms"]
-        words = f"{plain(row['time_frame_median_ms'], 2)} ms ({plain(low, 2)} to {plain(high, 2)})"
-        bars.append((one.variant.name, values, words))
-    top = max((sum(value for _, value, _ in values) for _, values, _ in bars), default=0.0)
-    return plots.stacked(bars, 1.05 * top, "ms for an acquisition, medians of the steps") if top else None
+        if every is not None:
+            words = f"{plain(every, 2)} ms ({plain(low, 2)} to {plain(high, 2)})"
+            bars.append((one.variant.name, values, words))
+    return plots.stacked(bars, "ms for an acquisition, medians of the steps") if bars else None
 
 
 def _absent(compared: Sequence[Compared]) -> list[tuple[str, str]]:
     """Say what is missing, and why, once for all variants that say the same."""
-    words = {name: title for name, (title, _) in _TITLES.items()} | {
-        "label": "Classes",
-        "centres": "Stripe centres",
-        "coding": "Coding of stripes",
-    }
+    words = {"label": "Classes", "centres": "Stripe centres", "coding": "Coding of stripes"}
+    words |= {name: title for name, (title, _) in _TITLES.items()}
     said: dict[tuple[str, str], list[str]] = {}
     whole = [one for one in compared if one.figures is not None and not one.failure]
     for one in whole:
@@ -192,3 +176,71 @@ def _stages(one: Compared) -> Any:
     if recipe is None:
         return one.variant.fault
     return {kind: chosen.described() for kind, chosen in recipe.stages.items()}
+
+
+_FIGURES = {
+    "visible_mm3": ("mean absolute error of the visible volume, %", 2),
+    "true_mm3": ("mean absolute error of the true volume, %", 2),
+    "mass_g": ("mean absolute error of the weight, %", 2),
+    "label": ("balanced accuracy of the classes", 3),
+}
+
+
+def _agreements(
+    name: str, unit: str, compared: Sequence[Compared], tolerance_pct: float | None
+) -> dict[str, dict[str, Any]]:
+    """Gather tables and plots of a quantity beside what is true, and beside the recipe as it is."""
+    truth, recipe = [], []
+    base = {} if compared[0].figures is None else compared[0].figures.values[name]
+    for one in compared:
+        values = {} if one.figures is None else one.figures.values[name]
+        if (found := one.standing.truth.get(name)) is not None:
+            truth.append((one, plots.over_truth(list(values.values())), found))
+        if (found := one.standing.recipe.get(name)) is not None:
+            pairs = [(value, base[key]) for key, value in values.items() if key in base]
+            recipe.append((one, plots.over_mean(pairs), found))
+    return {
+        "truth": {
+            "lines": [(one, found) for one, _, found in truth],
+            "plots": _drawn(truth, f"true, {unit}", tolerance_pct),
+        },
+        "recipe": {
+            "lines": [(one, found, one.standing.nearer.get(name)) for one, _, found in recipe],
+            "plots": _drawn(recipe, f"mean of both, {unit}", tolerance_pct),
+        },
+    }
+
+
+def _probabilities(compared: Sequence[Compared]) -> list[dict[str, Any]]:
+    """Gather the calibration curve of each variant that states probabilities."""
+    return [
+        {"name": one.variant.name, "curve": curve, "drawing": plots.reliability(one.variant, curve)}
+        for one in compared
+        if (curve := one.standing.reliability) is not None
+    ]
+
+
+def _choices(compared: Sequence[Compared], told: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Put the choices among variants into words."""
+    names = {one.variant.number: one.variant.name for one in compared}
+    lines = []
+    for choice in told:
+        words, digits = _FIGURES[choice["figure"]]
+        counted = Counter(choice["chosen"]).most_common()
+        chosen = [(names[number], count) for number, count in counted]
+        own = {"words": words, "digits": digits, "folds": len(choice["chosen"])}
+        lines.append({**choice, **own, "best": names[choice["best"]], "chosen": chosen})
+    return lines
+
+
+def _drawn(
+    drawn: Sequence[tuple[Compared, Sequence[plots.Point], Agreement]],
+    size_words: str,
+    tolerance_pct: float | None,
+) -> list[tuple[str, Any]]:
+    """Draw the first few; where nothing differs there is nothing to draw."""
+    differing = [one for one in drawn if any(point[1] for point in one[1])][:PLOTS_MAX]
+    return [
+        (one.variant.name, plots.bland_altman(one.variant, points, found, size_words, tolerance_pct))
+        for one, points, found in differing
+    ]

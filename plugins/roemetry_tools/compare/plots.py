@@ -1,18 +1,23 @@
-"""The plots of the page, as inline SVG: errors, scatter, shares, centres, times."""
+"""The plots of the page, as inline SVG: errors, scatter, shares, centres, times, agreement, probabilities."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from markupsafe import Markup
 
 from roemetry.html import plots as svg
 from roemetry.records.arrays import Floats
-from roemetry_tools.compare.aggregate import Pairs, columns_of
-from roemetry_tools.compare.statistics import Errors, relative_pct
+from roemetry_tools.compare.aggregate import Errors, Pairs, columns_of, relative_pct
+from roemetry_tools.compare.agreement import Agreement, Beside
+from roemetry_tools.compare.grading import Reliability
+from roemetry_tools.compare.variants import Variant
+
+T = TypeVar("T")
 
 DOTS_MAX = 300
 """So many dots are drawn of a variant; of more, these are taken evenly by rank."""
@@ -43,7 +48,7 @@ def strips(variants: Sequence[Estimates], what: str) -> Markup:
     relative = [relative_pct(*columns_of(pairs)) for pairs in drawn]
     axis = svg.Axis.over(*_range(relative), _LEFT, _RIGHT)
     floor = 8.0 + _ROW * len(variants)
-    parts = _scale(axis, 8.0, floor, "error, % of the true value")
+    parts = axis.upright(8.0, floor, "error, % of the true value")
     for place, (variant, pairs, errors) in enumerate(zip(variants, drawn, relative, strict=True)):
         top = 8.0 + _ROW * place
         parts += _strip(variant, pairs, errors, axis, top)
@@ -57,32 +62,21 @@ def strips(variants: Sequence[Estimates], what: str) -> Markup:
 
 def scatter(variant: Estimates, low: float, high: float, unit: str) -> Markup:
     """Draw estimates over true values; on the line both are equal."""
-    size, left, floor = 250.0, 56.0, 212.0
-    across = svg.Axis.over(low, high, left, size - 8.0)
+    size, left, right, floor = 260.0, 60.0, 232.0, 188.0  # beside the axes: room for a tick's whole number
+    across = svg.Axis.over(low, high, left, right)
     up = svg.Axis.over(low, high, floor, 8.0)
-    parts = []
-    for value, written in across.ticks(4):
-        parts += [
-            svg.line(across(value), 8.0, across(value), floor, "grid"),
-            svg.text(across(value), floor + 15.0, written),
-            svg.line(left, up(value), size - 8.0, up(value), "grid"),
-            svg.text(left - 5.0, up(value) + 4.0, written, "end"),
-        ]
+    parts = [*across.upright(8.0, floor, f"true, {unit}", 4), *up.level(left, right, 4)]
     parts.append(svg.line(across(low), up(low), across(high), up(high), "equal"))
     for pair in _evenly(variant.pairs):
         title = f"{pair.product}: {svg.plain(pair.estimate, 1)} for {svg.plain(pair.true, 1)} {unit}"
         parts.append(svg.dot(across(pair.true), up(pair.estimate), "point", title, colour(variant.number)))
-    parts += [
-        svg.text((left + size - 8.0) / 2, floor + 32.0, f"true, {unit}"),
-        svg.text(left + 4.0, 19.0, f"estimated, {unit}", "start"),
-    ]
+    parts.append(svg.text(left + 4.0, 19.0, f"estimated, {unit}", "start"))
     label = f"{variant.name}: {variant.errors.n} estimates over true values, {unit}"
     return svg.picture(parts, floor + 38.0, label, width=size)
 
 
 def stacked(
     rows: Sequence[tuple[str, Sequence[tuple[str, float, str]], str]],
-    top_value: float,
     axis_words: str,
     *,
     beside: bool = False,
@@ -91,9 +85,10 @@ def stacked(
 
     With `beside`, each value has a bar of its own, one below the other.
     """
-    axis = svg.Axis.over(0.0, top_value, _LEFT, _RIGHT)
+    longest = max((max if beside else sum)(value for _, value, _ in values) for _, values, _ in rows)
+    axis = svg.Axis.over(0.0, 1.05 * longest or 1.0, _LEFT, _RIGHT)
     floor = 8.0 + 44.0 * len(rows)
-    parts = _scale(axis, 8.0, floor, axis_words)
+    parts = axis.upright(8.0, floor, axis_words)
     said = []
     for place, (name, values, words) in enumerate(rows):
         top, x = 8.0 + 44.0 * place, axis(0.0)
@@ -114,7 +109,7 @@ def centres(rows: Sequence[tuple[int, str, float, float, float, str]]) -> Markup
     far = max(max(abs(bias) + spread, rms) for _, _, bias, spread, rms, _ in rows) or 0.01
     axis = svg.Axis.over(-1.08 * far, 1.08 * far, _LEFT, _RIGHT)
     floor = 8.0 + 44.0 * len(rows)
-    parts = _scale(axis, 8.0, floor, "found − true along the row, px")
+    parts = axis.upright(8.0, floor, "found − true along the row, px")
     said = []
     for place, (number, name, bias, spread, rms, words) in enumerate(rows):
         top = 8.0 + 44.0 * place
@@ -131,7 +126,7 @@ def centres(rows: Sequence[tuple[int, str, float, float, float, str]]) -> Markup
                 f"bias {svg.plain(bias, 3, True)} ± {svg.plain(spread, 3)} px",
                 colour(number),
             ),
-            _diamond(axis(bias), middle, 5.0, f"bias {svg.plain(bias, 3, True)} px"),
+            svg.diamond(axis(bias), middle, 5.0, "mean", f"bias {svg.plain(bias, 3, True)} px"),
         ]
         said.append(f"{name}: bias {svg.plain(bias, 3, True)} px, RMS {svg.plain(rms, 3)} px")
     return svg.picture(parts, floor + 36.0, "Error of stripe centres: " + "; ".join(said))
@@ -165,7 +160,8 @@ def _strip(variant: Estimates, pairs: Pairs, errors: Floats, axis: svg.Axis, top
             parts.append(
                 svg.shape([(x, y), (x - 7 * way, y - 3.5), (x - 7 * way, y + 3.5)], "point", paint, title)
             )
-    parts.append(_diamond(axis(sums.bias_pct), middle, 6.0, f"mean {svg.plain(sums.bias_pct, 2, True)} %"))
+    words = f"mean {svg.plain(sums.bias_pct, 2, True)} %"
+    parts.append(svg.diamond(axis(sums.bias_pct), middle, 6.0, "mean", words))
     return parts
 
 
@@ -174,22 +170,6 @@ def _headed(name: str, words: str, top: float) -> list[Markup]:
     room = int((_RIGHT - _LEFT - 6.4 * len(words)) / 7.6)
     shown = name if len(name) <= room else name[: max(room - 1, 8)] + "…"
     return [svg.text(_LEFT, top + 13.0, shown, "start name"), svg.text(_RIGHT, top + 13.0, words, "end")]
-
-
-def _diamond(x: float, y: float, arm: float, title: str) -> Markup:
-    return svg.shape([(x, y - arm), (x + arm, y), (x, y + arm), (x - arm, y)], "mean", "", title)
-
-
-def _scale(axis: svg.Axis, top: float, floor: float, words: str) -> list[Markup]:
-    parts = []
-    for value, written in axis.ticks():
-        x = axis(value)
-        if x > axis.start:  # names stand at the left edge
-            parts.append(svg.line(x, top, x, floor, "zero" if abs(value) < 1e-12 else "grid"))
-        anchor = "start" if x < _LEFT + 8.0 else "end" if x > _RIGHT - 8.0 else ""
-        parts.append(svg.text(x, floor + 14.0, written, anchor))
-    parts.append(svg.text((_LEFT + _RIGHT) / 2, floor + 30.0, words))
-    return parts
 
 
 def _range(relative: Sequence[Floats]) -> tuple[float, float]:
@@ -203,8 +183,122 @@ def _range(relative: Sequence[Floats]) -> tuple[float, float]:
 
 
 def _evenly(pairs: Pairs) -> Pairs:
-    if len(pairs) <= DOTS_MAX:
-        return pairs
-    ranked = sorted(pairs, key=lambda pair: pair.estimate / pair.true)
-    chosen = np.linspace(0, len(ranked) - 1, DOTS_MAX).round().astype(int)
-    return [ranked[place] for place in chosen.tolist()]
+    return _some(pairs, lambda pair: pair.estimate / pair.true)
+
+
+def _some(given: Sequence[T], rank: Callable[[T], float]) -> list[T]:
+    """Take at most `DOTS_MAX`, evenly by rank, so that the far ones stay."""
+    if len(given) <= DOTS_MAX:
+        return list(given)
+    ranked = sorted(given, key=rank)
+    return [ranked[place] for place in np.linspace(0, len(ranked) - 1, DOTS_MAX).round().astype(int).tolist()]
+
+
+_WIDTH, _FLOOR, _LEFT = 320.0, 196.0, 46.0
+_BESIDE, _BAR = (14.0, 8.5, 3.0), 3.5
+"""Where, right of the plot, the bars of intervals stand, and how wide; side by side, since they overlap."""
+
+_WRITING = 11.0
+"""Height of a line of writing, in units of the plot."""
+
+Point = tuple[float, float, str]
+"""Size, difference in %, and of which product."""
+
+
+def over_truth(values: Sequence[Beside]) -> list[Point]:
+    """Give a point for each product: its true size, and the relative error."""
+    return [(v.true, 100.0 * (v.estimate / v.true - 1.0), v.product) for v in values if v.true > 0]
+
+
+def over_mean(pairs: Sequence[tuple[Beside, Beside]]) -> list[Point]:
+    """Give a point for each product: the mean of both estimates, and their difference as a share of it."""
+    points = []
+    for one, other in pairs:
+        mean = 0.5 * (one.estimate + other.estimate)
+        if mean > 0:
+            points.append((mean, 100.0 * (one.estimate - other.estimate) / mean, one.product))
+    return points
+
+
+def bland_altman(
+    variant: Variant,
+    points: Sequence[Point],
+    agreement: Agreement,
+    size_words: str,
+    tolerance_pct: float | None,
+) -> Markup:
+    """Draw differences over size, their mean, limits of agreement, and the tolerance; intervals beside."""
+    ends = [*agreement.low_limit_interval_pct, *agreement.high_limit_interval_pct, *agreement.limits_pct, 0.0]
+    ends += [p[1] for p in points] + ([] if tolerance_pct is None else [-tolerance_pct, tolerance_pct])
+    known = [value for value in ends if np.isfinite(value)]
+    room = 0.06 * (max(known) - min(known)) or 1.0
+    up = svg.Axis.over(min(known) - room, max(known) + room, _FLOOR, 8.0)
+    across = svg.Axis.over(min(p[0] for p in points), max(p[0] for p in points), _LEFT + 8.0, _WIDTH - 70.0)
+    right = _WIDTH - 64.0
+    parts = []
+    if tolerance_pct is not None:
+        band = up(-tolerance_pct) - up(tolerance_pct)
+        parts.append(svg.box(_LEFT, up(tolerance_pct), right - _LEFT, band, "tolerance", "the tolerance"))
+    parts += up.level(_LEFT, right)
+    parts += [svg.text(across(value), _FLOOR + 15.0, written) for value, written in across.ticks(3)]
+    paint = colour(variant.number)
+    low, high = agreement.limits_pct
+    drawn = [
+        (value, interval, kind)
+        for value, interval, kind in (
+            (high, agreement.high_limit_interval_pct, "equal"),
+            (agreement.mean_pct, agreement.mean_interval_pct, "median"),
+            (low, agreement.low_limit_interval_pct, "equal"),
+        )
+        if np.isfinite(value)
+    ]
+    written_at = _apart([up(value) + 4.0 for value, _, _ in drawn])
+    for (value, interval, kind), at, beside in zip(drawn, written_at, _BESIDE, strict=False):
+        parts.append(svg.line(_LEFT, up(value), right, up(value), kind))
+        if np.isfinite(interval.low):
+            words = f"{svg.plain(interval.low, 2, True)} to {svg.plain(interval.high, 2, True)} %"
+            tall = up(interval.low) - up(interval.high)
+            parts.append(svg.box(right + beside, up(interval.high), _BAR, tall, "interval", words, paint))
+        parts.append(svg.text(right + 21.0, at, svg.plain(value, 1, True), "start"))
+    for size, difference, product in _some(points, lambda point: point[1]):
+        title = f"{product}: {svg.plain(difference, 2, True)} %"
+        parts.append(svg.dot(across(size), up(difference), "point", title, paint))
+    parts += [
+        svg.text((_LEFT + right) / 2, _FLOOR + 31.0, size_words),
+        svg.text(_LEFT, _FLOOR + 31.0, "%", "end"),
+    ]
+    label = (
+        f"{variant.name}: mean difference {svg.plain(agreement.mean_pct, 2, True)} %, limits of agreement "
+        f"{svg.plain(low, 2, True)} to {svg.plain(high, 2, True)} %, {agreement.n} products"
+    )
+    return svg.picture(parts, _FLOOR + 38.0, label, width=_WIDTH)
+
+
+def _apart(places: Sequence[float]) -> list[float]:
+    """Move writing that stands in falling order of value, so that no line covers the one above."""
+    moved: list[float] = []
+    for place in places:
+        moved.append(max(place, moved[-1] + _WRITING) if moved else place)
+    return moved
+
+
+def reliability(variant: Variant, found: Reliability) -> Markup:
+    """Draw the share that was right over the stated probability; on the line they are equal."""
+    across, up = svg.Axis(0.0, 1.0, _LEFT, _WIDTH - 60.0), svg.Axis(0.0, 1.0, _FLOOR, 8.0)
+    parts = [*across.upright(8.0, _FLOOR, "stated probability", 4), *up.level(_LEFT, across.end, 4)]
+    parts.append(svg.line(across(0.0), up(0.0), across(1.0), up(1.0), "equal"))
+    most = max(one.n for one in found.bins)
+    for one in found.bins:
+        x, low, high = across(one.stated), up(one.right_interval.low), up(one.right_interval.high)
+        title = (
+            f"{one.n} products stated {svg.plain(one.stated, 3)}, right {svg.plain(one.right, 3)} "
+            f"({svg.plain(one.right_interval.low, 3)} to {svg.plain(one.right_interval.high, 3)})"
+        )
+        radius = 2.5 + 4.5 * (one.n / most) ** 0.5
+        parts += [
+            svg.line(x, low, x, high, "whisker"),
+            svg.dot(x, up(one.right), "point", title, colour(variant.number), radius),
+        ]
+    parts.append(svg.text(_LEFT + 5.0, 20.0, "share right", "start"))
+    bins = "; ".join(f"stated {svg.plain(b.stated, 2)}, right {svg.plain(b.right, 2)}" for b in found.bins)
+    return svg.picture(parts, _FLOOR + 38.0, f"{variant.name}: {bins}", width=_WIDTH)

@@ -1,22 +1,32 @@
-"""Where a variant stands: beside the truth, and beside the recipe as it is."""
+"""Where a variant stands beside the truth and the recipe as it is, and which one to choose.
+
+The best of several variants looks better than it is, on the products that it was chosen on. So the choice is
+made again for each fold of the products from all the others, and judged on that fold.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+from numpy.typing import NDArray
+
+from roemetry.records.arrays import Floats, Integers
 from roemetry_tools.compare.aggregate import QUANTITIES, Figures
 from roemetry_tools.compare.agreement import (
+    NO_INTERVAL,
     Agreement,
+    Beside,
+    Interval,
     Shift,
     Terms,
     against_each_other,
     against_truth,
     nearer,
 )
-from roemetry_tools.compare.bootstrap import NO_INTERVAL, Interval
-from roemetry_tools.compare.cross_validation import Choice, choose_by_class, choose_by_error
 from roemetry_tools.compare.grading import (
+    Graded,
     Recall,
     Reliability,
     balanced_interval,
@@ -33,20 +43,14 @@ class Standing:
 
     Attributes
     ----------
-    truth
-        By quantity, agreement with what is true.
-    recipe
-        By quantity, agreement with the recipe as it is, on the same products.
+    truth, recipe
+        By quantity, agreement with what is true; with the recipe as it is, on the same products.
     nearer
         By quantity, mean absolute error less that of the recipe as it is, on the same products, %.
-    recalls
-        By true class.
     balanced_interval
         95 % interval of the balanced accuracy.
     balanced_shift
         Balanced accuracy less that of the recipe as it is; None for the recipe itself.
-    reliability
-        Of stated probabilities; None where none is stated.
     """
 
     truth: Mapping[str, Agreement] = field(default_factory=dict)
@@ -60,17 +64,7 @@ class Standing:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Compared:
-    """A variant and what it came to.
-
-    Attributes
-    ----------
-    variant
-        What it is.
-    figures
-        None where it could not even be made: `Variant.fault` says why.
-    standing
-        How it agrees with the truth and with the recipe as it is.
-    """
+    """A variant and what it came to; without figures where it could not even be made (`Variant.fault`)."""
 
     variant: Variant
     figures: Figures | None
@@ -121,3 +115,108 @@ def choices_of(compared: Sequence[Compared], terms: Terms) -> list[Choice]:
     ]
     found.append(choose_by_class({n: of.graded for n, of in whole.items() if of.graded}, terms))
     return [choice for choice in found if choice is not None]
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """The best variant by one figure.
+
+    Attributes
+    ----------
+    figure
+        ``visible_mm3``, ``true_mm3``, ``mass_g``: least mean absolute error, %; ``label``: greatest balanced
+        accuracy.
+    best
+        Number of the variant that is best on all products.
+    seen
+        Its figure on all products: flattered, since it was chosen on them.
+    held_out
+        The figure of the choice where each fold's variant was chosen on the other folds.
+    chosen
+        By fold, the number of the variant.
+    n
+        Products that all variants measured, and so took part.
+    """
+
+    figure: str
+    best: int
+    seen: float
+    held_out: float
+    chosen: tuple[int, ...]
+    n: int
+
+
+def choose_by_error(figure: str, values: Mapping[int, Mapping[str, Beside]], terms: Terms) -> Choice | None:
+    """Choose by the least mean absolute error, on the products that every variant measured.
+
+    None with fewer than two variants, or fewer products than two a fold.
+    """
+    if len(values) < 2:
+        return None
+    first = next(iter(values.values()))
+    names = [n for n, one in first.items() if one.true > 0 and all(n in other for other in values.values())]
+    errors = np.array(
+        [[100.0 * abs(of[n].estimate / of[n].true - 1.0) for n in names] for of in values.values()]
+    )
+    specimens = [first[name].specimen for name in names]
+    return _chosen(figure, list(values), errors, specimens, lambda row, _: -float(row.mean()), terms)
+
+
+def choose_by_class(graded: Mapping[int, Sequence[Graded]], terms: Terms) -> Choice | None:
+    """Choose by the greatest balanced accuracy; None as in `choose_by_error`, or with one class."""
+    if len(graded) < 2:
+        return None
+    tables = {number: {one.product: one for one in of} for number, of in graded.items()}
+    first = next(iter(tables.values()))
+    names = [name for name in first if all(name in table for table in tables.values())]
+    classes = np.array([first[name].true for name in names])
+    if len(np.unique(classes)) < 2:
+        return None
+    right = np.array([[float(table[name].right) for name in names] for table in tables.values()])
+    specimens = [first[name].specimen for name in names]
+    return _chosen(
+        "label", list(tables), right, specimens, lambda row, of: _balanced(row, classes[of]), terms
+    )
+
+
+def _chosen(
+    figure: str,
+    numbers: Sequence[int],
+    values: Floats,
+    specimens: Sequence[str],
+    merit: Callable[[Floats, Integers], float],
+    terms: Terms,
+) -> Choice | None:
+    """Choose the variant of the greatest merit of its row of (variant, product) values, then fold by fold.
+
+    `merit` takes the values of some products, and which these are; for errors it is below 0.
+    """
+    fold = _folds(specimens, terms)
+    if fold is None:
+        return None
+    every = np.arange(len(specimens))
+    chosen, held_out = [], np.empty(len(specimens))
+    for k in range(terms.folds):
+        others = every[fold != k]
+        winner = int(np.argmax([merit(row[others], others) for row in values]))
+        chosen.append(numbers[winner])
+        held_out[fold == k] = values[winner, fold == k]
+    merits = [merit(row, every) for row in values]
+    best = int(np.argmax(merits))
+    seen, unseen = abs(merits[best]), abs(merit(held_out, every))
+    return Choice(figure, numbers[best], seen, unseen, tuple(chosen), len(specimens))
+
+
+def _folds(specimens: Sequence[str], terms: Terms) -> Integers | None:
+    """(product,) fold, the same for all that is measured of one specimen; None with fewer than two a fold."""
+    names, of = np.unique(np.array(specimens, dtype=str), return_inverse=True)
+    if len(names) < 2 * terms.folds:
+        return None
+    order = np.random.default_rng([terms.seed, len(names)]).permutation(len(names))
+    fold = np.empty(len(names), np.int64)
+    fold[order] = np.arange(len(names)) % terms.folds
+    return np.asarray(fold[of])
+
+
+def _balanced(right: Floats, classes: NDArray[np.str_]) -> float:
+    return float(np.mean([right[classes == name].mean() for name in np.unique(classes)]))

@@ -12,26 +12,21 @@ from roemetry.config.recipe import Recipe
 from roemetry.records import Measurement, ProductTruth, Reason, StripeTruth, Trace, Truth
 from roemetry.run.rows import measurements_of
 from roemetry.run.stage_cache import StepMemory
-from roemetry_tools.compare.centres import CentreScore, score_centres
-from roemetry_tools.compare.coding import CodingScore, score_coding
-from roemetry_tools.compare.matching import by_place
-from roemetry_tools.compare.points import truth_in
+from roemetry_tools.compare.stripes import (
+    CentreScore,
+    CodingScore,
+    by_place,
+    score_centres,
+    score_coding,
+    truth_in,
+)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Pair:
-    """A product as measured and as it is; either may be missing.
+    """A product as measured (without provenance) and as it is; either may be missing.
 
-    Attributes
-    ----------
-    product
-        Its number, from left to right; 0 where there is no product at all.
-    measured
-        Its row, without provenance; None where it was not found.
-    true
-        None where nothing is known of it.
-    reasons
-        What must be known of it.
+    Products are numbered from left to right; 0 stands where there is none at all.
     """
 
     product: int
@@ -42,20 +37,14 @@ class Pair:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Judged:
-    """What one variant made of one acquisition.
+    """What one variant made of one acquisition (`item` is its id).
 
     Attributes
     ----------
-    variant, item
-        Number of the variant; id of the acquisition.
-    pairs
-        Its products.
     refused
         Why it was not measured, or not all of it; None where it was.
     centres, centres_on_product, coding
-        Extractor and coder against the true stripes; None where that could not be said.
-    without
-        By what is missing (``stripes``, ``coding``), why.
+        Extractor and coder against the true stripes; where None, `without` says why.
     seconds
         By step, the time it took where it was done, s.
     """
@@ -77,30 +66,16 @@ def judge(
     recipe: Recipe,
     truth: Truth | None,
     *,
-    keys: Mapping[str, str],
-    memory: StepMemory,
+    memory: tuple[Mapping[str, str], StepMemory],
     seconds: Mapping[str, float],
     turn_deg: int = 0,
 ) -> Judged:
-    """Judge a trace.
+    """Judge what a variant did with an acquisition; `truth` is None where nothing is known.
 
-    Parameters
-    ----------
-    variant
-        Number of the variant.
-    trace
-        What it did.
-    recipe
-        What it was asked for.
-    truth
-        What is true; None where nothing is known.
-    keys, memory
-        Of the variant's steps: scores are shared like steps.
-    seconds
-        Time of each step, s.
-    turn_deg
-        Of the image that the truth of its stripes is given for: the data set's.
+    Scores are shared like steps: `memory` holds them, under the keys of the variant's steps. The truth of the
+    stripes is given for the image turned by the data set's `turn_deg`.
     """
+    keys, shared = memory
     rows = measurements_of(trace, recipe, {})
     without: dict[str, Reason] = {}
     centres: CentreScore | None = None
@@ -111,7 +86,7 @@ def judge(
     if stripes is not None and trace.peaks is not None:
         peaks = trace.peaks
         key = ("centres", keys["extractor"])
-        centres, on_product = memory.recall(key, lambda: score_centres(peaks, stripes))[0]
+        centres, on_product = shared.recall(key, lambda: score_centres(peaks, stripes))[0]
         coded = trace.stripes
         if coded is not None and coded.stripe_count != stripes.x_px.shape[0]:
             without["coding"] = Reason(
@@ -120,7 +95,7 @@ def judge(
             )
         elif coded is not None:
             key = ("coding", keys["coder"])
-            coding = memory.recall(key, lambda: score_coding(coded, peaks, stripes))[0]
+            coding = shared.recall(key, lambda: score_coding(coded, peaks, stripes))[0]
     return Judged(
         variant,
         trace.acquisition_id,
@@ -172,8 +147,7 @@ def _pairs(
         why = rows[0].all_reasons
         missed = tuple(Pair(n, None, product, why) for n, product in enumerate(truth.products, start=1))
         return missed or (Pair(0, rows[0], None, why),)
-    same = len(found) == len(truth.products)
-    why = (_elsewhere() if same else _differ(len(found), len(truth.products)),)
+    why = (_differ(len(found), len(truth.products)),)
     measured = {number: row for row in found if (number := matched.get(row.product)) is not None}
     pairs = []
     for number, true in enumerate(truth.products, start=1):
@@ -221,13 +195,11 @@ def _refused(rows: Sequence[Measurement], pairs: Sequence[Pair], truth: Truth | 
 
 
 def _differ(found: int, true: int) -> Reason:
+    if found == true:
+        return Reason("products-differ", "a product was found where there is none, and one was missed")
     return Reason(
         "products-differ",
         f"{found} products were found, {true} are there"
         if true
         else f"{found} products were found where there is none",
     )
-
-
-def _elsewhere() -> Reason:
-    return Reason("products-differ", "a product was found where there is none, and one was missed")

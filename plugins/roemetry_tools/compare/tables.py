@@ -1,21 +1,29 @@
-"""Figures of the variants as flat rows: one set of names for CSV, terminal and page."""
+"""Figures of the variants as flat rows: one set of names for CSV, terminal and page; several data sets.
+
+Two simulators that render one scene share the rig but no assumption about light or bodies. A figure that
+differs between their data sets by more than its own uncertainty rests on such an assumption, and says little
+of images that neither of them made.
+"""
 
 from __future__ import annotations
 
 import csv
 import io
 import math
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
-from roemetry_tools.compare.aggregate import Figures
-from roemetry_tools.compare.agreement import Shift
-from roemetry_tools.compare.bootstrap import Interval
-from roemetry_tools.compare.centres import CentreScore
-from roemetry_tools.compare.coding import CodingScore
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+from rich.text import Text
+
+from roemetry.config.recipe_file import StageChoices
+from roemetry.html.plots import share
+from roemetry_tools.compare.aggregate import Errors
+from roemetry_tools.compare.agreement import Interval, Shift
 from roemetry_tools.compare.grading import Reliability
 from roemetry_tools.compare.ranking import Compared, Standing
-from roemetry_tools.compare.statistics import Errors
+from roemetry_tools.compare.stripes import CentreScore, CodingScore
 
 Value = float | int | str | None
 
@@ -26,18 +34,8 @@ GROUPS = (
 )
 """Name in the table, name of the quantity, unit."""
 
-STEPS = (
-    "source",
-    "extractor",
-    "coder",
-    "smoother",
-    "outliner",
-    "triangulator",
-    "volume",
-    "weigher",
-    "classifier",
-    "grader",
-)
+STEPS = ("source", *StageChoices.model_fields)
+"""Steps that are timed, in their order."""
 
 
 def to_csv(compared: Sequence[Compared]) -> str:
@@ -52,16 +50,8 @@ def to_csv(compared: Sequence[Compared]) -> str:
         variant = one.variant
         settings = [variant.settings.get(key, "") for key in axes]
         status = "failed" if one.failure else "compared"
-        writer.writerow(
-            [
-                variant.number,
-                variant.name,
-                *settings,
-                status,
-                one.failure,
-                *("" if row[name] is None else row[name] for name in filled),
-            ]
-        )
+        cells = ["" if row[name] is None else row[name] for name in filled]
+        writer.writerow([variant.number, variant.name, *settings, status, one.failure, *cells])
     return stream.getvalue()
 
 
@@ -69,19 +59,16 @@ def flat(one: Compared) -> dict[str, Value]:
     """Give every figure of a variant by name, units in the names; None for what is missing."""
     figures = one.figures
     row: dict[str, Value] = {
-        "acquisitions": None if figures is None else figures.acquisitions,
-        "refused": None if figures is None else figures.refused,
+        "acquisitions": getattr(figures, "acquisitions", None),
+        "refused": getattr(figures, "refused", None),
     }
     for group, quantity, unit in GROUPS:
         row |= _errors(group, unit, None if figures is None else figures.errors[quantity])
         row |= _agreements(group, quantity, one.standing)
-    row["volume_true_from_visible_n"] = _true_from_visible(figures)
+    from_visible = figures is not None and figures.errors["true_mm3"] is not None
+    row["volume_true_from_visible_n"] = figures.true_from_visible if figures and from_visible else None
     classes = None if figures is None else figures.classes
-    row |= {
-        "classes_n": None if classes is None else classes.n,
-        "classes_accuracy": None if classes is None else classes.accuracy,
-        "classes_balanced_accuracy": None if classes is None else classes.balanced_accuracy,
-    }
+    row |= _named("classes", classes, "n accuracy balanced_accuracy")
     row |= _ends("classes_balanced", one.standing.balanced_interval, "")
     row |= _shift("classes_balanced_shift", one.standing.balanced_shift, "")
     row |= _probabilities(one.standing.reliability)
@@ -121,24 +108,22 @@ def centre_figures(group: str, score: CentreScore | None) -> dict[str, Value]:
         f"{group}_bias_px": score.sum_px / n if n else None,
         f"{group}_rms_px": math.sqrt(score.sum_px2 / n) if n else None,
         f"{group}_median_px": score.quantile_px(0.5) if n else None,
-        f"{group}_robust_std_px": (score.quantile_px(0.84135) - score.quantile_px(0.15865)) / 2
-        if n
-        else None,
+        f"{group}_robust_std_px": score.robust_std_px if n else None,
         f"{group}_missed_pct": 100.0 * (score.true - n) / score.true,
         f"{group}_false_pct": false if group == "centre" else None,
     }
 
 
+def _named(group: str, of: object, names: str) -> dict[str, Value]:
+    """Give attributes under the group's name; all None where there is nothing."""
+    return {f"{group}_{name}": None if of is None else getattr(of, name) for name in names.split()}
+
+
 def _errors(group: str, unit: str, errors: Errors | None) -> dict[str, Value]:
     return {
-        f"{group}_n": None if errors is None else errors.n,
-        f"{group}_bias_pct": None if errors is None else errors.bias_pct,
-        f"{group}_spread_pct": None if errors is None else errors.spread_pct,
-        f"{group}_mean_absolute_pct": None if errors is None else errors.mean_absolute_pct,
+        **_named(group, errors, "n bias_pct spread_pct mean_absolute_pct"),
         f"{group}_rmse_{unit}": None if errors is None else errors.rmse,
-        f"{group}_median_pct": None if errors is None else errors.median_pct,
-        f"{group}_min_pct": None if errors is None else errors.min_pct,
-        f"{group}_max_pct": None if errors is None else errors.max_pct,
+        **_named(group, errors, "median_pct min_pct max_pct"),
     }
 
 
@@ -149,8 +134,7 @@ def _agreements(group: str, quantity: str, standing: Standing) -> dict[str, Valu
         **_ends(f"{group}_bias", None if truth is None else truth.mean_interval_pct, "_pct"),
         **_ends(f"{group}_limit", None if truth is None else truth.limits_pct, "_pct"),
         f"{group}_verdict": None if truth is None else truth.verdict or None,
-        f"{group}_to_recipe_n": None if recipe is None else recipe.n,
-        f"{group}_to_recipe_mean_pct": None if recipe is None else recipe.mean_pct,
+        **_named(f"{group}_to_recipe", recipe, "n mean_pct"),
         **_ends(f"{group}_to_recipe_mean", None if recipe is None else recipe.mean_interval_pct, "_pct"),
         **_ends(f"{group}_to_recipe_limit", None if recipe is None else recipe.limits_pct, "_pct"),
         f"{group}_to_recipe_verdict": None if recipe is None else recipe.verdict or None,
@@ -170,14 +154,207 @@ def _shift(name: str, shift: Shift | None, unit: str) -> dict[str, Value]:
 
 def _probabilities(found: Reliability | None) -> dict[str, Value]:
     return {
-        "probability_n": None if found is None else found.n,
-        "probability_stated": None if found is None else found.stated,
-        "probability_right": None if found is None else found.right,
+        **_named("probability", found, "n stated right"),
         **_shift("probability_excess", None if found is None else found.excess, ""),
-        "probability_brier": None if found is None else found.brier,
-        "probability_calibration_error": None if found is None else found.calibration_error,
+        **_named("probability", found, "brier calibration_error"),
     }
 
 
-def _true_from_visible(figures: Figures | None) -> Any:
-    return None if figures is None or figures.errors["true_mm3"] is None else figures.true_from_visible
+FIGURES = (
+    "refused",
+    "volume_visible_bias_pct",
+    "volume_visible_mean_absolute_pct",
+    "volume_true_bias_pct",
+    "weight_bias_pct",
+    "classes_balanced_accuracy",
+    "coding_right_pct",
+    "coding_wrong_pct",
+    "coding_refused_pct",
+    "centre_bias_px",
+    "centre_rms_px",
+    "centre_missed_pct",
+    "centre_false_pct",
+)
+"""Columns of ``comparison.csv`` that are set side by side."""
+
+
+@dataclass(frozen=True)
+class AcrossSets:
+    """One figure of one variant on every data set.
+
+    Attributes
+    ----------
+    variant, figure
+        The variant's name; the column of ``comparison.csv``.
+    values
+        By data set; None where it has none.
+    apart
+        Whether the 95 % intervals of two sets do not meet; None where the figure has no interval.
+    """
+
+    variant: str
+    figure: str
+    values: Mapping[str, Value]
+    apart: bool | None
+
+    @property
+    def difference(self) -> float:
+        """Largest less smallest value; NaN where fewer than two sets have one."""
+        known = [float(value) for value in self.values.values() if isinstance(value, int | float)]
+        return max(known) - min(known) if len(known) > 1 else math.nan
+
+
+def across_sets(compared: Mapping[str, Sequence[Compared]]) -> list[AcrossSets]:
+    """Set the figures of the same variants, in the same order, on several data sets side by side."""
+    found = []
+    for same in zip(*compared.values(), strict=True):
+        rows = {name: flat(one) for name, one in zip(compared, same, strict=True)}
+        for figure in FIGURES:
+            values = {name: row[figure] for name, row in rows.items()}
+            if any(value is not None for value in values.values()):
+                ends = [_interval(row, figure) for row in rows.values()]
+                known = [end for end in ends if end is not None]
+                # intervals all meet one another if and only if the last to begin does so before any ends
+                apart = (
+                    max(end[0] for end in known) > min(end[1] for end in known) if len(known) > 1 else None
+                )
+                found.append(AcrossSets(same[0].variant.name, figure, values, apart))
+    return found
+
+
+def across_to_csv(found: Sequence[AcrossSets]) -> str:
+    """Write a line for each variant and figure."""
+    stream = io.StringIO(newline="")
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(["variant", "figure", *found[0].values, "difference", "apart"] if found else ["variant"])
+    for one in found:
+        values = ["" if value is None else value for value in one.values.values()]
+        difference = "" if math.isnan(one.difference) else one.difference
+        apart = "" if one.apart is None else str(one.apart).lower()
+        writer.writerow([one.variant, one.figure, *values, difference, apart])
+    return stream.getvalue()
+
+
+def _interval(row: Mapping[str, Value], figure: str) -> tuple[float, float] | None:
+    if not figure.endswith("_bias_pct"):
+        return None
+    low, high = (row.get(figure.replace("_bias_pct", f"_bias_{end}_pct")) for end in ("low", "high"))
+    return (low, high) if isinstance(low, float) and isinstance(high, float) else None
+
+
+_MEASURED = (
+    ("visible\nbias %", "volume_visible_bias_pct", "+.1f"),
+    ("|err|\n%", "volume_visible_mean_absolute_pct", ".1f"),
+    ("RMSE\nmm³", "volume_visible_rmse_mm3", ".0f"),
+    ("true\nbias %", "volume_true_bias_pct", "+.1f"),
+    ("weight\n|err| %", "weight_mean_absolute_pct", ".1f"),
+    ("classes\nbalanced", "classes_balanced_accuracy", ".3f"),
+)
+_VERDICTS = (("visible volume", "volume_visible"), ("true volume", "volume_true"), ("weight", "weight"))
+_STRIPES = (
+    ("coded\nright %", "coding_right_pct", "share"),
+    ("wrong\n%", "coding_wrong_pct", "share"),
+    ("wrong\nrun", "coding_longest_wrong_run_rows", "d"),
+    ("centre\nbias px", "centre_bias_px", "+.3f"),
+    ("RMS\npx", "centre_rms_px", ".3f"),
+    ("missed\n%", "centre_missed_pct", "share"),
+    ("false\n%", "centre_false_pct", "share"),
+    ("time\nms", "time_frame_median_ms", ".2f"),
+)
+
+
+def tables_of(title: str, compared: Sequence[Compared]) -> list[Table]:
+    """Make two tables, a line for each variant: products against truth; stripes against truth, and time.
+
+    Columns without any figure are left out. |err| is the mean of the absolute errors.
+    """
+    rows = [flat(one) for one in compared]
+    tables: list[Table] = []
+    for heading, every in ((title, _MEASURED), ("", _STRIPES)):
+        columns = [column for column in every if any(row[column[1]] is not None for row in rows)]
+        if not columns and tables:
+            continue
+        table = _table(Text(heading) if heading else None)
+        if not tables:
+            table.add_column("refused", justify="right", no_wrap=True)
+        for words, _, _ in columns:
+            table.add_column(words, justify="right", no_wrap=True)
+        for one, row in zip(compared, rows, strict=True):
+            cells = [_cell(row[key], form) for _, key, form in columns]
+            style = "red" if one.failure else ""
+            table.add_row(Text(one.variant.name, style=style), *_refused(one, not tables), *cells)
+        tables.append(table)
+    return tables
+
+
+def _table(title: Text | None) -> Table:
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
+    table.add_column("variant", overflow="fold", min_width=16)
+    return table
+
+
+def _cell(value: Value, form: str) -> str:
+    if value is None:
+        return ""
+    if form == "share":
+        assert isinstance(value, float)
+        return share(value)
+    return format(value, form)
+
+
+def _refused(one: Compared, wanted: bool) -> list[Text]:
+    if not wanted:
+        return []
+    figures = one.figures
+    return [Text("failed", "red") if figures is None else Text(f"{figures.refused}/{figures.acquisitions}")]
+
+
+def across_table(found: Sequence[AcrossSets]) -> Table:
+    """Make the table of figures on several data sets; red: their intervals do not meet."""
+    table = _table(Text("between the data sets"))
+    table.add_column("figure")
+    for name in found[0].values if found else ():
+        table.add_column(Text(name), justify="right", no_wrap=True)
+    table.add_column("difference", justify="right", no_wrap=True)
+    for one in found:
+        cells = ["" if value is None else f"{value:.4g}" for value in one.values.values()]
+        style = "red" if one.apart else ""
+        difference = "" if math.isnan(one.difference) else f"{one.difference:.3g}"
+        table.add_row(Text(one.variant), Text(one.figure, style), *cells, Text(difference, style))
+    return table
+
+
+def verdicts_of(compared: Sequence[Compared], tolerance_pct: float | None) -> list[str]:
+    """Write a sentence for each verdict on a variant beside the recipe as it is."""
+    said = []
+    for one in compared:
+        row = flat(one)
+        for what, group in _VERDICTS:
+            if (verdict := row[f"{group}_to_recipe_verdict"]) is None:
+                continue
+            mean, low, high = (row[f"{group}_to_recipe_mean{end}_pct"] for end in ("", "_low", "_high"))
+            said.append(
+                f"{one.variant.name}: {what} beside the recipe's, tolerance {tolerance_pct:g} %: {verdict}; "
+                f"mean difference {_signed(mean)} % ({_signed(low)} to {_signed(high)}), "
+                f"{row[f'{group}_to_recipe_n']} products"
+            )
+    return said
+
+
+def _signed(value: Value) -> str:
+    return "?" if not isinstance(value, float) else f"{value:+.2f}"
+
+
+def problems_of(compared: Sequence[Compared]) -> list[str]:
+    """Write why variants failed or refused."""
+    said = []
+    for one in compared:
+        if one.failure:
+            said.append(f"{one.variant.name}: failed: {one.failure}")
+        elif one.figures is not None:
+            said += [
+                f"{one.variant.name}: {cause.count} of {one.figures.acquisitions} acquisitions refused "
+                f"({cause.code}): {cause.text}"
+                for cause in one.figures.causes
+            ]
+    return said

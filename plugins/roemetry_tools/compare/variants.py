@@ -1,4 +1,7 @@
-"""The variants of a recipe: every combination of what is varied, each loaded or with the reason why not."""
+"""The variants of a recipe: every combination of what is varied, each loaded or with the reason why not.
+
+What is varied (``--vary KEY=value,value``) is checked before anything is loaded.
+"""
 
 from __future__ import annotations
 
@@ -10,11 +13,51 @@ from pathlib import Path
 from typing import Any
 
 from roemetry.config.recipe import Recipe
+from roemetry.config.recipe_file import RecipeFile, SourceChoice, StageChoices
 from roemetry.config.validation import unknown_key
 from roemetry.errors import ConfigurationError, PluginError, RoemetryError
 from roemetry.stages import Stage
 from roemetry.stages.registry import Registry
-from roemetry_tools.compare.axes import Axis, read_axes
+
+KINDS = tuple(StageChoices.model_fields)
+"""Kinds of stage that can be varied, in the order of the chain."""
+
+_SHARED: dict[tuple[str, ...], str] = {
+    ("source", name): "all variants are compared on the same images; name them by --data or --set"
+    for name in ("use", "path", "options", "bit_depth")
+}
+_UNVARIED = _SHARED | {
+    ("roemetry",): "there is one version of the format",
+    ("product",): "it decides no number",
+    ("sinks",): "sinks decide no number",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Axis:
+    """One thing that is varied: a kind of stage, or a value by its dotted path in the recipe."""
+
+    key: str
+    values: tuple[str, ...]
+
+    @property
+    def is_stage(self) -> bool:
+        """Whether a whole stage is exchanged, not a value."""
+        return self.key in KINDS
+
+    @property
+    def path(self) -> tuple[str, ...]:
+        """Where in the recipe."""
+        return ("stages", self.key) if self.is_stage else tuple(self.key.split("."))
+
+    def change(self, value: str) -> str:
+        """Write the change to the recipe, as ``--set`` takes it."""
+        return f"{'.'.join(self.path)}={value}"
+
+    def said(self, value: str) -> str:
+        """Write the change as it was asked for."""
+        return f"--vary {self.key}={value}"
+
 
 AS_IT_IS = "recipe"
 """Name of the first variant."""
@@ -22,20 +65,10 @@ AS_IT_IS = "recipe"
 
 @dataclass(frozen=True)
 class Variant:
-    """One recipe to compare.
+    """One recipe to compare; number 0 is the recipe as it is, and `name` says what differs from it.
 
-    Attributes
-    ----------
-    number
-        0 for the recipe as it is.
-    name
-        What differs from the recipe as it is.
-    settings
-        By axis, the value it has here; an option that its stage does not have is left out.
-    recipe
-        Loaded and checked; None where that was not possible.
-    fault
-        Why not.
+    `settings` has by axis the value here; an option that its stage does not have is left out. Where the
+    recipe could not be loaded it is None, and `fault` says why.
     """
 
     number: int
@@ -50,18 +83,8 @@ def make_variants(
 ) -> tuple[Variant, ...]:
     """Make the recipe as it is, then every combination of what is varied, each once.
 
-    An option that a stage does not have is not varied with that stage.
-
-    Parameters
-    ----------
-    path
-        The recipe.
-    vary
-        Each ``KIND=name,name`` or ``key.key=value,value``.
-    sets
-        Changes to all variants alike.
-    registry
-        What is installed.
+    Each of `vary` is ``KIND=name,name`` or ``key.key=value,value``; an option that a stage does not have is
+    not varied with that stage. `sets` change all variants alike.
 
     Raises
     ------
@@ -75,7 +98,9 @@ def make_variants(
     variants = [Variant(0, AS_IT_IS, own, base)]
     known: set[object] = {base.sha256}
     for values in product(*(axis.values for axis in axes)):
-        chosen = _that_apply(list(zip(axes, values, strict=True)), base, registry)
+        every = list(zip(axes, values, strict=True))
+        uses = {axis.key: value for axis, value in every if axis.is_stage}
+        chosen = [(axis, value) for axis, value in every if _applies(axis, uses, base, registry)]
         changed = [(axis, value) for axis, value in chosen if not _is_own(axis, value, base, registry)]
         kept = [text for axis, value in changed for text in _kept(axis, value, base, registry)]
         variant = _variant(path, sets, chosen, changed, kept, registry)
@@ -84,12 +109,6 @@ def make_variants(
             known.add(same)
             variants.append(replace(variant, number=len(variants)))
     return tuple(variants)
-
-
-def _that_apply(chosen: list[tuple[Axis, str]], base: Recipe, registry: Registry) -> list[tuple[Axis, str]]:
-    """Leave out options that the chosen stage of their kind does not have."""
-    uses = {axis.key: value for axis, value in chosen if axis.is_stage}
-    return [(axis, value) for axis, value in chosen if _applies(axis, uses, base, registry)]
 
 
 def _applies(axis: Axis, uses: Mapping[str, str], base: Recipe, registry: Registry) -> bool:
@@ -176,10 +195,8 @@ def _check_options(axes: Sequence[Axis], base: Recipe, registry: Registry) -> No
         if axis.is_stage or axis.path[0] != "stages":
             continue
         kind, option = axis.path[1], axis.path[3]
-        stages: list[type[Stage[Any]]] = []
-        for other in axes:
-            if other.is_stage and other.key == kind:
-                stages += _classes(kind, other.values, registry)
+        uses = [use for other in axes if other.key == kind for use in other.values]
+        stages = _classes(kind, uses, registry)
         if kind in base.stages:
             stages.append(base.stages[kind].stage)
         elif not stages:
@@ -212,3 +229,94 @@ def _in_words_of_vary(fault: str, changed: Sequence[tuple[Axis, str]]) -> str:
             after = rest[rest.index(": ") :] if ": " in rest else ""
             fault = before + axis.said(value) + after
     return fault
+
+
+def read_axes(texts: Sequence[str], registry: Registry) -> tuple[Axis, ...]:
+    """Read what is to be varied, whole stages first; commas inside brackets or quotes do not part values.
+
+    Raises
+    ------
+    ConfigurationError
+        With every fault: a kind, a key or a stage nobody knows (with a close match), a value missing.
+    """
+    faults: list[str] = []
+    axes: list[Axis] = []
+    for text in texts:
+        key, equals, rest = text.partition("=")
+        axis = Axis(key.strip(), _parted(rest))
+        fault = _fault(axis, bool(equals), registry)
+        if fault is None and any(axis.key == other.key for other in axes):
+            fault = f"`{axis.key}` is varied twice; give all its values at once"
+        if fault is None:
+            axes.append(axis)
+        else:
+            faults.append(f"--vary {text}: {fault}")
+    if faults:
+        raise ConfigurationError(faults)
+    return tuple(sorted(axes, key=lambda axis: not axis.is_stage))
+
+
+def _fault(axis: Axis, has_equals: bool, registry: Registry) -> str | None:
+    if not has_equals or not axis.key:
+        kinds = [found.entry.kind for found in registry.stages if found.entry.name == axis.key]
+        mean = f"; did you mean `{kinds[0]}={axis.key}`?" if kinds else ""
+        return f"expected KIND=name,name or key.key=value,value{mean}"
+    if not axis.values or "" in axis.values:
+        return "a value is missing"
+    if not axis.is_stage:
+        return _key_fault(axis.path)
+    return next((fault for value in axis.values if (fault := _name_fault(axis.key, value, registry))), None)
+
+
+def _key_fault(path: tuple[str, ...]) -> str | None:
+    """Say what is wrong with the path of a value; options are checked with the stage that has them."""
+    keys = [name for name in RecipeFile.model_fields if name != "roemetry"]
+    if path[0] not in RecipeFile.model_fields:
+        return unknown_key(path[0], [*KINDS, *keys])
+    for length in (1, 2):
+        if path[:length] in _UNVARIED:
+            return f"`{'.'.join(path[:length])}` cannot be varied: {_UNVARIED[path[:length]]}"
+    if path[0] not in ("source", "stages"):
+        return None if len(path) == 1 else unknown_key(path[1], [path[0]])
+    known = tuple(SourceChoice.model_fields) if path[0] == "source" else KINDS
+    if len(path) == 1:
+        return f"say which: {', '.join(known)}"
+    if path[1] not in known:
+        return unknown_key(path[1], known)
+    if path[0] == "source":
+        return None if len(path) == 2 else unknown_key(path[2], [])
+    if len(path) == 2:
+        return f"write `{path[1]}=…` to exchange the whole stage"
+    return unknown_key(path[2], ["options"]) if path[2] != "options" or len(path) == 3 else None
+
+
+def _name_fault(kind: str, use: str, registry: Registry) -> str | None:
+    """Say what is wrong with a stage's name; one that only lacks an extra is a failing variant, no fault."""
+    try:
+        registry.find(kind, use)
+    except PluginError as error:
+        provider, _, name = use.rpartition("/")
+        found = [
+            stage
+            for stage in registry.of_kind(kind)
+            if stage.entry.name == name and provider in ("", stage.provider.name)
+        ]
+        if len(found) != 1:
+            return str(error)
+    return None
+
+
+def _parted(text: str) -> tuple[str, ...]:
+    """Part at the commas that stand outside brackets and quotes."""
+    parts, depth, quote = [""], 0, ""
+    for letter in text:
+        if quote:
+            quote = "" if letter == quote else quote
+        elif letter in "'\"":
+            quote = letter
+        depth += (letter in "[{(") - (letter in ")}]") if not quote else 0
+        if letter == "," and depth == 0 and not quote:
+            parts.append("")
+        else:
+            parts[-1] += letter
+    return tuple(part.strip() for part in parts) if text.strip() else ()

@@ -8,7 +8,7 @@ import platform
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, is_dataclass
-from datetime import UTC, datetime
+from datetime import datetime
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -16,10 +16,9 @@ from typing import Any
 from roemetry.errors import OutputError
 from roemetry.io.files import LineFile, make_folder, write_whole
 from roemetry_tools.compare.aggregate import Figures, estimates_of
-from roemetry_tools.compare.agreement import Terms
-from roemetry_tools.compare.bootstrap import RESAMPLES
+from roemetry_tools.compare.agreement import RESAMPLES, Shift, Terms
 from roemetry_tools.compare.data import Data
-from roemetry_tools.compare.grading import Reliability
+from roemetry_tools.compare.grading import Recall, Reliability
 from roemetry_tools.compare.ranking import Compared, Standing, choices_of
 from roemetry_tools.compare.score import Judged, Pair
 from roemetry_tools.compare.tables import GROUPS, centre_figures, coding_shares, to_csv
@@ -31,10 +30,7 @@ ITEMS, SUMMARY, TABLE, PAGE = "items.jsonl", "comparison.json", "comparison.csv"
 class ItemsFile:
     """``items.jsonl``: a line for each variant and product, written as it is judged.
 
-    Parameters
-    ----------
-    folder
-        Of the comparison; made if need be. One that holds a comparison already is refused.
+    The comparison's folder is made if need be; one that holds a comparison already is refused.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -68,27 +64,11 @@ def write_comparison(
     compared: Sequence[Compared],
     data: Data,
     *,
-    terms: Terms | None = None,
+    terms: Terms,
     command: Sequence[str] = (),
-    began: datetime | None = None,
+    began: datetime,
 ) -> tuple[Path, ...]:
-    """Write table, JSON and page; give the files.
-
-    Parameters
-    ----------
-    folder
-        Where.
-    compared
-        What there is to tell; the first is the recipe as it is.
-    data
-        What was compared on.
-    terms
-        What differences were judged by.
-    command
-        Words of the command line, without the program's name.
-    began
-        When; default: now.
-    """
+    """Write table, JSON and page, and give the files; `command` is without the program's name."""
     from roemetry_tools.compare.page import page
 
     told = described(compared, data, terms=terms, command=command, began=began)
@@ -99,15 +79,9 @@ def write_comparison(
 
 
 def described(
-    compared: Sequence[Compared],
-    data: Data,
-    *,
-    terms: Terms | None = None,
-    command: Sequence[str] = (),
-    began: datetime | None = None,
+    compared: Sequence[Compared], data: Data, *, terms: Terms, command: Sequence[str], began: datetime
 ) -> dict[str, Any]:
     """Tell everything as plain values, fit for JSON."""
-    terms = Terms() if terms is None else terms
     base = compared[0].variant.recipe
     if base is None:
         raise AssertionError("the recipe as it is has been loaded")
@@ -115,7 +89,7 @@ def described(
     told = {
         "roemetry_comparison": 1,
         "roemetry_version": version("roemetry"),
-        "began": (began or datetime.now(UTC)).isoformat(timespec="seconds"),
+        "began": began.isoformat(timespec="seconds"),
         "command": shlex.join(["roemetry", *command]) if command else "",
         "recipe": str(base.path),
         "product": base.product,
@@ -170,7 +144,7 @@ def _figures(figures: Figures) -> dict[str, Any]:
         "centres_on_product": None
         if figures.centres_on_product is None
         else centre_figures("centre_on_product", figures.centres_on_product),
-        "seconds": {step: asdict(quartiles) for step, quartiles in figures.seconds.items()},
+        "seconds": {step: quartiles._asdict() for step, quartiles in figures.seconds.items()},
         "absent": dict(figures.absent),
     }
 
@@ -181,17 +155,24 @@ def _standing(standing: Standing) -> dict[str, Any]:
         "to_truth": {group: standing.truth[name] for group, name, _ in GROUPS if name in standing.truth},
         "to_recipe": {group: standing.recipe[name] for group, name, _ in GROUPS if name in standing.recipe},
         "nearer_pct": {
-            group: standing.nearer[name]._asdict() for group, name, _ in GROUPS if name in standing.nearer
+            group: _named(standing.nearer[name]) for group, name, _ in GROUPS if name in standing.nearer
         },
-        "recalls": [recall._asdict() for recall in standing.recalls],
+        "recalls": [_named(recall) for recall in standing.recalls],
         "balanced_interval": standing.balanced_interval,
-        "balanced_shift": None if standing.balanced_shift is None else standing.balanced_shift._asdict(),
-        "reliability": None if standing.reliability is None else _reliability(standing.reliability),
+        "balanced_shift": None if standing.balanced_shift is None else _named(standing.balanced_shift),
+        "reliability": None if standing.reliability is None else _named(standing.reliability),
     }
 
 
-def _reliability(found: Reliability) -> dict[str, Any]:
-    return {**asdict(found), "excess": found.excess._asdict(), "bins": [one._asdict() for one in found.bins]}
+def _named(found: Shift | Recall | Reliability) -> dict[str, Any]:
+    """Give a record's fields by name, those of the records in it too; but an interval stays [low, high]."""
+    if isinstance(found, Reliability):
+        return {
+            **asdict(found),
+            "excess": _named(found.excess),
+            "bins": [one._asdict() for one in found.bins],
+        }
+    return found._asdict()
 
 
 def _errors(errors: dict[str, Any], unit: str) -> dict[str, Any]:

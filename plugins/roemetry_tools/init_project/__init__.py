@@ -1,7 +1,239 @@
-"""A folder to begin with: a shipped product line's, or one for an own product and an own rig."""
+"""A folder to begin with: a shipped product line's, or one for an own product and an own rig.
 
-from roemetry_tools.init_project.answers import Answers, Layout, lay_out
-from roemetry_tools.init_project.folder import Started, start_like, start_own
-from roemetry_tools.init_project.product_lines import shipped_lines
+It holds recipe, rig, calibration and a few simulated products to try them on.
+"""
 
-__all__ = ["Answers", "Layout", "Started", "lay_out", "shipped_lines", "start_like", "start_own"]
+from __future__ import annotations
+
+import difflib
+import json
+import re
+import shutil
+import unicodedata
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from roemetry.errors import ConfigurationError, OutputError
+from roemetry.io.files import make_folder, write_whole
+from roemetry_tools.init_project.layout import Answers, Layout, lay_out
+
+_SEED = 1
+_DATA = "data"
+
+
+@dataclass(frozen=True, slots=True)
+class Started:
+    """What was begun: files without the images, and how many simulated acquisitions to try it on.
+
+    `layout` is the rig of an own product; None where a shipped line was copied.
+    """
+
+    folder: Path
+    files: tuple[Path, ...]
+    items: int
+    layout: Layout | None
+
+
+def start_like(
+    name: str,
+    folder: Path,
+    *,
+    items: int = 3,
+    jobs: int = 1,
+    on_progress: Callable[[int, int], None] = lambda done, of: None,
+) -> Started:
+    """Begin from a shipped line: its recipe, rig, calibration and scene, and products drawn anew.
+
+    The folder must be empty or not there yet. `on_progress` is called with (images done, of how many).
+
+    Raises
+    ------
+    ConfigurationError
+        There is no such line.
+    OutputError
+        The folder holds something, or cannot be written.
+    """
+    line = line_of(name)
+    _check_empty(folder)
+    texts = dict(copied(line))
+    boards = "board:" in texts["rig.yaml"]
+    texts["README.md"] = _text(
+        "like.md.j2", line=line.name, items=items, views="charuco" if boards else "basic", boards=boards
+    )
+    with _all_or_nothing(folder):
+        written = _write(folder, texts)
+        _simulate(folder, items, "none", jobs, on_progress)
+    return Started(folder, written, items, None)
+
+
+def start_own(
+    answers: Answers,
+    folder: Path,
+    *,
+    items: int = 3,
+    jobs: int = 1,
+    on_progress: Callable[[int, int], None] = lambda done, of: None,
+) -> Started:
+    """Begin with an own product: a rig that can measure it, products like it, and a calibration of that rig.
+
+    Parameters and errors as of `start_like`; ConfigurationError where no such rig measures the product.
+    """
+    layout = lay_out(answers)
+    _check_empty(folder)
+    with _all_or_nothing(folder):
+        written = _write(folder, texts_of(answers, layout, items))
+        _simulate(folder, items, "charuco", jobs, on_progress)
+        written = (*written, _calibrate(folder))
+    return Started(folder, written, items, layout)
+
+
+def texts_of(answers: Answers, layout: Layout, items: int) -> dict[str, str]:
+    """Give the files of an own product by name."""
+    told = {"answers": asdict(answers), "rig": asdict(layout), "alike": _alike(answers), "items": items}
+    return {
+        name: _text(f"{name}.j2", **told) for name in ("scene.yaml", "rig.yaml", "recipe.yaml", "README.md")
+    }
+
+
+def _alike(answers: Answers) -> dict[str, Any]:
+    """Name the simulator's family whose proportions the product has, and what goes under its images."""
+    length, width, height = answers.size_mm
+    letters = unicodedata.normalize("NFKD", answers.product.casefold())
+    plain = "".join(letter for letter in letters if not unicodedata.combining(letter))
+    item = re.sub(r"[^a-z0-9]+", "_", plain).strip("_") or "product"
+    flat = height / width
+    family = "fillet" if flat <= 0.45 else "bread-roll" if flat <= 0.7 else "potato"
+    narrow = {"fillet": 0.7 * length, "bread-roll": length, "potato": 0.9 * length}[family]
+    return {
+        "family": family,
+        "item": item,
+        "ranges": [(round(0.85 * side, 1), side) for side in (length, min(width, narrow), height)],
+    }
+
+
+def _check_empty(folder: Path) -> None:
+    if folder.is_file():
+        raise OutputError(f"{folder}: is a file; expected a folder that is empty or not there yet")
+    if folder.is_dir() and (found := sorted(path.name for path in folder.iterdir())):
+        raise OutputError(
+            f"{folder}: the folder is not empty ({', '.join(found[:3])}{' …' if len(found) > 3 else ''}); "
+            "nothing is overwritten",
+            hint="name another folder",
+        )
+
+
+@contextmanager
+def _all_or_nothing(folder: Path) -> Iterator[None]:
+    """Empty the folder again when its writing comes to no end: half of it would only be in the way."""
+    there = folder.is_dir()
+    try:
+        yield
+    except BaseException:
+        if folder.is_dir():
+            for path in folder.iterdir():
+                if path.is_dir() and not path.is_symlink():
+                    shutil.rmtree(path, ignore_errors=True)
+                else:
+                    path.unlink(missing_ok=True)
+            if not there:
+                folder.rmdir()
+        raise
+
+
+def _write(folder: Path, texts: Mapping[str, str]) -> tuple[Path, ...]:
+    make_folder(folder)
+    for name, text in texts.items():
+        write_whole(folder / name, text)
+    return tuple(folder / name for name in texts)
+
+
+def _simulate(
+    folder: Path, items: int, views: Any, jobs: int, on_progress: Callable[[int, int], None]
+) -> None:
+    from roemetry.config.scene import Scene
+    from roemetry.run.simulate import simulate
+
+    given: dict[str, Any] = {"count": items, "seed": _SEED, "jobs": jobs, "calibration": views}
+    simulate(Scene.load(folder), folder / _DATA, **given, on_progress=on_progress)
+
+
+def _calibrate(folder: Path) -> Path:
+    from roemetry.calibrating import calibrate, default_path
+    from roemetry.config.rig import Rig
+
+    rig = Rig.load(folder / "rig.yaml")
+    path = default_path(rig)
+    calibrate(rig).save(path)
+    return path
+
+
+def _text(template: str, **told: Any) -> str:
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(
+        loader=PackageLoader("roemetry_tools.init_project", "templates"),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        autoescape=False,
+    )
+    # JSON's quotes: YAML reads them whatever the text holds
+    environment.filters |= {"quoted": partial(json.dumps, ensure_ascii=False), "number": "{:g}".format}
+    return environment.get_template(template).render(**told)
+
+
+COPIED = ("recipe.yaml", "rig.yaml", "scene.yaml", "calibration.yaml")
+"""What a line's folder must hold to be begun from."""
+
+_SHARED_TARGET = re.compile(r"\.\./\.\./calib_targets/([\w.-]+)")
+
+
+def shipped_lines() -> dict[str, Path]:
+    """Give the folders of the lines by name: in the installed package, or in the checkout."""
+    import roemetry
+
+    package = Path(roemetry.__file__).parent
+    folders = (package / "recipes", package.parent / "recipes")
+    home = next((folder for folder in folders if folder.is_dir()), folders[0])
+    return {
+        folder.name: folder
+        for folder in sorted(home.glob("*"))
+        if all((folder / name).is_file() for name in COPIED)
+    }
+
+
+def line_of(name: str) -> Path:
+    """Find a line by name; raise ConfigurationError with a close match."""
+    lines = shipped_lines()
+    plain = name.strip().lower().replace("-", "_").replace(" ", "_")
+    if plain in lines:
+        return lines[plain]
+    close = difflib.get_close_matches(plain, lines, n=1, cutoff=0.5)
+    mean = f"did you mean `{close[0]}`?; " if close else ""
+    raise ConfigurationError(
+        f"--like: there is no product line `{name}`", hint=f"{mean}there are {', '.join(lines)}"
+    )
+
+
+def copied(line: Path) -> Mapping[str, str]:
+    """Give the texts of a line by file name, with paths that hold in a folder with its images in ``data``.
+
+    A target that lines share lies in ``calib_targets``; it is laid beside the rig.
+    """
+    texts = {name: (line / name).read_text("utf-8") for name in COPIED}
+    tables = sorted([*line.glob("*.csv"), *line.glob("*.json")])
+    texts |= {path.name: path.read_text("utf-8") for path in tables if path.name in texts["recipe.yaml"]}
+    shared = line.parent.parent / "calib_targets"
+    for name in set(_SHARED_TARGET.findall(texts["rig.yaml"])):
+        texts[name] = (shared / name).read_text("utf-8")
+    texts["rig.yaml"] = _SHARED_TARGET.sub(r"\1", texts["rig.yaml"])
+    # The first line keeps its images beside its recipe, the others in `data`.
+    texts["rig.yaml"] = texts["rig.yaml"].replace("[calibration/", "[data/calibration/")
+    texts["recipe.yaml"] = re.sub(r"(?m)^(  path: )images$", r"\1data/images", texts["recipe.yaml"])
+    here = re.compile(rf"recipes/{line.name}(?=[\s/]|$)")
+    return {name: here.sub(".", text) for name, text in texts.items()}

@@ -9,23 +9,11 @@ from roemetry.stages.registry import Registry, discover
 
 
 def plan_of(scene: Scene, *, simulate: bool, registry: Registry | None = None) -> Plan:
-    """Plan the rig that a scene describes.
+    """Plan the rig of a scene by the planner that comes with its simulator, under the same name.
 
-    Parameters
-    ----------
-    scene
-        What describes the rig; the planner is the one that comes with its simulator, under the same name.
-    simulate
-        Whether short simulations shall stand beside the prediction.
-    registry
-        What is installed.
-
-    Raises
-    ------
-    PluginError
-        The simulator's plugin has no planner, or one that reads another kind of scene.
-    StageError
-        The rig cannot measure a height, with the reason.
+    With `simulate`, short simulations stand beside the prediction. Raises PluginError where the simulator's
+    plugin has no planner, or one that reads another kind of scene, and StageError, with the reason, where
+    the rig cannot measure a height.
     """
     registry = registry or discover()
     chosen = scene.simulator

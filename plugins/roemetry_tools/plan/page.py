@@ -16,19 +16,7 @@ _DIGITS = {"mm/px": 3, "mm": 1, "µm": 0, "degrees": 1, "1": 0}
 
 
 def page(plan: Plan, scene: Scene, *, command: str, made: datetime) -> str:
-    """Write the whole page as one text.
-
-    Parameters
-    ----------
-    plan
-        What is told.
-    scene
-        What it was made from.
-    command
-        How it was made.
-    made
-        When.
-    """
+    """Write the whole page as one text: the plan, its scene, the command that made it, and when."""
     environment = environment_of("roemetry_tools.plan")
     environment.filters |= {"written": written}
     planes = [one for one in plan.sketch if one.kind == "plane"]

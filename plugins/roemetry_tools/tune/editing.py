@@ -14,11 +14,11 @@ from typing import Any
 
 from roemetry.errors import ConfigurationError
 from roemetry.io.yaml_source import Step, parse
-from roemetry_tools.tune.yaml_nodes import Entry, entries_of, node_at, scalar_spans
 
 _PLAIN = re.compile(r"[A-Za-z_./][\w./ -]*")
 _GONE = object()
 _MOST_CHANGES = 500
+"""More than a recipe has values: what still changes then would never end."""
 
 
 @dataclass(frozen=True)
@@ -36,15 +36,6 @@ def edited(text: str, name: str, wanted: Any) -> str:
 
     Comments inside a list that changes, and those beside an option that is taken away, are kept as comments
     of their own.
-
-    Parameters
-    ----------
-    text
-        The file's text.
-    name
-        What to call the file in messages.
-    wanted
-        Plain values.
 
     Raises
     ------
@@ -129,8 +120,8 @@ def _at(value: Any, path: tuple[Step, ...]) -> Any:
 
 
 def _applied(text: str, change: _Change) -> str:
-    parent = node_at(text, change.path[:-1])
-    entries = entries_of(text, parent)
+    parent = _node_at(text, change.path[:-1])
+    entries = _entries_of(text, parent)
     flow = bool(parent.flow_style)
     mine = next((entry for entry in entries if entry.key == change.path[-1]), None)
     if mine is None:
@@ -149,7 +140,9 @@ def _applied(text: str, change: _Change) -> str:
     return changed[:start] + lines + changed[start:]
 
 
-def _added_inline(text: str, parent: Any, entries: list[Entry], before: Entry | None, change: _Change) -> str:
+def _added_inline(
+    text: str, parent: Any, entries: list[_Entry], before: _Entry | None, change: _Change
+) -> str:
     said = f"{inline(change.path[-1])}: {inline(change.value)}"
     if before is not None:
         return f"{text[: before.end]}, {said}{text[before.end :]}"
@@ -157,7 +150,9 @@ def _added_inline(text: str, parent: Any, entries: list[Entry], before: Entry | 
     return f"{text[:place]}{said}{', ' if entries else ''}{text[place:]}"
 
 
-def _added_below(text: str, parent: Any, entries: list[Entry], before: Entry | None, change: _Change) -> str:
+def _added_below(
+    text: str, parent: Any, entries: list[_Entry], before: _Entry | None, change: _Change
+) -> str:
     indent = entries[0].start - text.rfind("\n", 0, entries[0].start) - 1
     said = _block(change.path[-1], change.value, indent)
     if before is None:
@@ -176,7 +171,7 @@ def _block(key: Step, value: Any, indent: int) -> str:
     return f"{space}{inline(key)}: {inline(value)}\n"
 
 
-def _without_inline(text: str, entries: list[Entry], mine: Entry) -> str:
+def _without_inline(text: str, entries: list[_Entry], mine: _Entry) -> str:
     place = entries.index(mine)
     if place:
         return text[: entries[place - 1].end] + text[mine.end :]
@@ -184,7 +179,7 @@ def _without_inline(text: str, entries: list[Entry], mine: Entry) -> str:
     return text[: mine.start] + text[end:]
 
 
-def _without_lines(text: str, parent: Any, mine: Entry) -> str:
+def _without_lines(text: str, parent: Any, mine: _Entry) -> str:
     """Take lines away; where something is written beside them, turn them into comments."""
     start, end = text.rfind("\n", 0, mine.start) + 1, _line_end(text, mine.end)
     lines = text[start:end].splitlines(keepends=True)
@@ -205,10 +200,69 @@ def _line_end(text: str, place: int) -> int:
 
 def _comments(text: str, start: int, end: int) -> list[str]:
     """Give the comments that begin between two places."""
-    spans = scalar_spans(text)
+    spans = [(node.start_mark.index, node.end_mark.index) for node in _scalars(_composed(text))]
     begins = [start + found.start() for found in re.finditer(r"(?<!\S)#", text[start:end])]
     return [
         text[begin : _line_end(text, begin)].rstrip("\r\n")
         for begin in begins
         if not any(low <= begin < high for low, high in spans)
     ]
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """Where in the text a key of a map begins, where its colon ends, where its value begins and ends.
+
+    Comments behind the value do not count.
+    """
+
+    key: Step
+    start: int
+    colon: int
+    value_start: int
+    end: int
+
+
+def _node_at(text: str, path: tuple[Step, ...]) -> Any:
+    """Give the node a path leads to."""
+    node = _composed(text)
+    for step in path:
+        node = next(value for key, value in node.value if key.value == step)
+    return node
+
+
+def _entries_of(text: str, node: Any) -> list[_Entry]:
+    """Give the entries of a map's node."""
+    return [
+        _Entry(
+            key.value,
+            key.start_mark.index,
+            text.index(":", key.end_mark.index) + 1,
+            value.start_mark.index,
+            _end(value),
+        )
+        for key, value in node.value
+    ]
+
+
+def _composed(text: str) -> Any:
+    from ruamel.yaml import YAML
+
+    return YAML(typ="rt").compose(text)
+
+
+def _end(node: Any) -> int:
+    """Give where a node's last word ends; a block's own end lies behind the comments that follow it."""
+    if isinstance(node.value, str) or node.flow_style or not node.value:
+        return int(node.end_mark.index)
+    last = node.value[-1]
+    return _end(last[1] if isinstance(last, tuple) else last)
+
+
+def _scalars(node: Any) -> Iterator[Any]:
+    if isinstance(node.value, str):
+        yield node
+        return
+    for item in node.value:
+        for part in item if isinstance(item, tuple) else (item,):
+            yield from _scalars(part)

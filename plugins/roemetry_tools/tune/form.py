@@ -1,17 +1,127 @@
-"""What the form is made of: the chain as it stands, and every plugin that might stand there instead."""
+"""What the form is made of: the chain as it stands, every plugin that might stand there, and their options.
+
+An option's schema says whether it becomes a slider, a choice, a switch or a text.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+import json
+from collections.abc import Iterator, Mapping
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict
 
 from roemetry.config.recipe import Recipe
 from roemetry.config.recipe_file import NEEDS, SourceChoice
 from roemetry.errors import RoemetryError
 from roemetry.stages.registry import Registered, Registry
 from roemetry_tools.tune.editing import inline
-from roemetry_tools.tune.fields import as_plain, fields_of
 from roemetry_tools.tune.request import KINDS, stages_of
+
+Kind = Literal["number", "integer", "choice", "switch", "text", "file", "yaml"]
+
+_AS_WRITTEN = ("px", "mm", "rows", "g", "days", "samples")
+_UNITS = {name: name for name in _AS_WRITTEN} | {"mm2": "mm²", "mm3": "mm³", "cm3": "cm³", "deg": "°"}
+_UNITS |= {"sigmas": "σ", "grey": "grey levels"}
+"""By the last part of an option's name."""
+
+
+class Field(BaseModel):
+    """One field of the form; what fits no other kind, ``yaml``, is written as in the recipe, on one line.
+
+    `words` (and None) may stand in the place of a number, a text or a file. An open bound is itself not
+    legal. The default counts where the recipe says nothing; it is meaningless where `required`.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    name: str
+    kind: Kind
+    description: str
+    unit: str = ""
+    choices: tuple[str | int | float, ...] = ()
+    words: tuple[str | None, ...] = ()
+    low: float | None = None
+    high: float | None = None
+    low_open: bool = False
+    high_open: bool = False
+    required: bool = False
+    default: Any = None
+
+
+def fields_of(model: type[BaseModel], leave_out: tuple[str, ...] = ()) -> tuple[Field, ...]:
+    """Give a form's fields for a model, in the model's order."""
+    schema = model.model_json_schema()
+    required = schema.get("required", ())
+    return tuple(
+        _field(name, given, name in required)
+        for name, given in schema.get("properties", {}).items()
+        if name not in leave_out
+    )
+
+
+def _field(name: str, given: Mapping[str, Any], required: bool) -> Field:
+    said: dict[str, Any] = {
+        "name": name,
+        "description": given.get("description", ""),
+        "unit": _unit(name),
+        "required": required,
+        "default": given.get("default"),
+    }
+    open_to: list[Mapping[str, Any]] = []
+    words: list[str | None] = []
+    for option in given.get("anyOf", [given]):
+        if option.get("type") == "null":
+            words.append(None)
+        elif "const" in option and isinstance(option["const"], str):
+            words.append(option["const"])
+        else:
+            open_to.append(option)
+    if not open_to:
+        return Field(kind="choice", choices=tuple(word for word in words if word is not None), **said)
+    if len(open_to) > 1:
+        return Field(kind="yaml", **said)
+    return Field(words=tuple(words), **said, **_kind(open_to[0]))
+
+
+def _kind(option: Mapping[str, Any]) -> dict[str, Any]:
+    if "enum" in option:
+        return {"kind": "choice", "choices": tuple(option["enum"])}
+    match option.get("type"):
+        case "boolean":
+            return {"kind": "switch"}
+        case "number" | "integer" as kind:
+            return {"kind": kind, **dict(_bounds(option))}
+        case "string":
+            return {"kind": "file" if option.get("format") in ("path", "file-path") else "text"}
+        case _:
+            return {"kind": "yaml"}
+
+
+def _bounds(option: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    for key, name, is_open in (
+        ("minimum", "low", False),
+        ("maximum", "high", False),
+        ("exclusiveMinimum", "low", True),
+        ("exclusiveMaximum", "high", True),
+    ):
+        if key in option:
+            yield name, float(option[key])
+            yield f"{name}_open", is_open
+
+
+def _unit(name: str) -> str:
+    """Read the unit off an option's name."""
+    if name.endswith("_g_per_cm3"):
+        return "g/cm³"
+    return _UNITS.get(name.rpartition("_")[2], "") if "_" in name else ""
+
+
+def as_plain(fields: tuple[Field, ...]) -> list[dict[str, Any]]:
+    """Give fields as JSON holds them."""
+    plain: list[dict[str, Any]] = json.loads(json.dumps([field.model_dump(mode="json") for field in fields]))
+    return plain
+
 
 _NOT_IN_FORM = ("use", "options", "sensor")
 

@@ -28,18 +28,10 @@ class StageWish(BaseModel):
 
 
 class Wish(BaseModel):
-    """Everything the page's form says.
+    """Everything the page's form says: which frame (empty: the first), and the recipe's source and stages.
 
-    Attributes
-    ----------
-    acquisition
-        Id of the frame to look at; empty: the first.
-    source
-        Keys of the recipe's source, with its options as ``options.NAME``.
-    stages
-        By kind; None: the stage is left out. A kind that is missing stays as the recipe has it.
-    draws
-        Whether the recipe's Monte Carlo draws are made.
+    Options of the source are keys ``options.NAME``. A stage that is None is left out; a kind that is missing
+    stays as the recipe has it. With `draws`, the recipe's Monte Carlo draws are made.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)

@@ -22,14 +22,13 @@ from roemetry.run.pipeline import Pipeline, frame_of
 from roemetry.run.rows import measurements_of
 from roemetry.run.stage_cache import RememberedStages, StepMemory
 from roemetry.stages.registry import Registry, discover
-from roemetry_tools.tune.annotations import places_of
+from roemetry_tools.tune.answer import packed, picture_of, places_of
 from roemetry_tools.tune.editing import differences, edited
 from roemetry_tools.tune.form import form_of
-from roemetry_tools.tune.picture import picture_of
-from roemetry_tools.tune.protocol import packed
 from roemetry_tools.tune.request import Draft, Fault, Wish, draft_of, faults_of
 
 _STEPS_KEPT = 64
+"""Results of stages: some dozens of MB."""
 _PICTURES_KEPT = 4
 
 
@@ -45,14 +44,7 @@ class Saved:
 class Session:
     """A recipe being tuned: its text, one frame, and the results of stages that need not run again.
 
-    Parameters
-    ----------
-    path
-        The recipe file, or a folder with a ``recipe.yaml`` in it.
-    registry
-        Stages to choose from; default: all that are installed.
-    debug
-        Let what is nobody's doubt or refusal through, with its traceback.
+    With `debug`, faults of a stage that are no refusal pass through, with their traceback.
 
     Raises
     ------
@@ -126,15 +118,9 @@ class Session:
         return self._pictures.get(key)
 
     def save(self, wish: Wish, name: str = "") -> Saved:
-        """Write the recipe, comments kept.
+        """Write the recipe, comments kept, or another file of that name in its folder.
 
-        Parameters
-        ----------
-        wish
-            What it shall say.
-        name
-            Another file's name in the recipe's folder; empty: the recipe itself. What the recipe's file
-            held when it was opened is kept beside it.
+        What the recipe's file held when it was opened is kept beside it.
 
         Raises
         ------

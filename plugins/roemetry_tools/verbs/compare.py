@@ -1,22 +1,36 @@
-"""``roemetry compare``."""
+"""``roemetry compare``: variants of a recipe on one data set, or side by side on several."""
 
 from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Sequence
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
+from rich.console import Console
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from roemetry.config.recipe import Recipe
-    from roemetry_tools.compare.agreement import Terms
-    from roemetry_tools.compare.between import Beside
-    from roemetry_tools.compare.ranking import Compared
-    from roemetry_tools.compare.variants import Variant
+from roemetry.calibrating.known_products import read_labels
+from roemetry.cli.progress import progress
+from roemetry.errors import ConfigurationError
+from roemetry.io.files import write_whole
+from roemetry.stages.registry import discover
+from roemetry_tools.compare.agreement import Terms
+from roemetry_tools.compare.comparison import compare as compared_on
+from roemetry_tools.compare.data import Data
+from roemetry_tools.compare.ranking import Compared
+from roemetry_tools.compare.tables import (
+    across_sets,
+    across_table,
+    across_to_csv,
+    problems_of,
+    tables_of,
+    verdicts_of,
+)
+from roemetry_tools.compare.variants import Variant, make_variants
+from roemetry_tools.compare.write import SUMMARY, ItemsFile, write_comparison
 
 
 def compare(
@@ -92,21 +106,12 @@ def compare(
     Exit code: 0 all compared; 1 a variant could not be made or measured nothing (its row says why); 2 the
     recipe, the data set or the command line is wrong.
     """
-    from roemetry.calibrating.known_products import read_labels
-    from roemetry.errors import ConfigurationError
-    from roemetry.io.files import write_whole
-    from roemetry.stages.registry import discover
-    from roemetry_tools.compare.agreement import Terms
-    from roemetry_tools.compare.between import between, to_csv
-    from roemetry_tools.compare.variants import make_variants
-    from roemetry_tools.compare.write import SUMMARY
-
     variants = make_variants(recipe, vary or (), sets=sets or (), registry=discover())
     base = variants[0].recipe
     assert base is not None
     true_labels = None if labels is None else read_labels(labels)
     terms = Terms(tolerance, folds, seed)
-    folder = out or _next_folder(base)
+    folder = out or _next_folder(base.path.resolve())
     given: list[Path | None] = list(data) if data else [None]
     names = ["" if one is None else one.resolve().name for one in given]
     if len(set(names)) < len(names):
@@ -115,89 +120,51 @@ def compare(
     told = {}
     for name, one in zip(names, given, strict=True):
         into = folder / name if len(given) > 1 else folder
-        every[name] = _one_set(variants, one, true_labels, terms, jobs, into, as_json)
+        every[name] = _one_set(variants, Data(base, one, labels=true_labels), terms, jobs, into, as_json)
         told[name] = json.loads((into / SUMMARY).read_text("utf-8"))
+    across = across_sets(every)
     if len(given) > 1:
-        found = between(every)
-        write_whole(folder / "between.csv", to_csv(found))
+        write_whole(folder / "between.csv", across_to_csv(across))
     if as_json:
         typer.echo(json.dumps(told if len(given) > 1 else told[names[0]], indent=2))
     elif len(given) > 1:
-        _show_between(found, folder)
+        console = Console()
+        console.print(across_table(across))
+        console.print(f"  {folder / 'between.csv'}", highlight=False, soft_wrap=True)
     if any(one.failure for compared in every.values() for one in compared):
         raise typer.Exit(1)
 
 
 def _one_set(
-    variants: Sequence[Variant],
-    data: Path | None,
-    labels: Mapping[str, str] | None,
-    terms: Terms,
-    jobs: int,
-    folder: Path,
-    as_json: bool,
+    variants: Sequence[Variant], data: Data, terms: Terms, jobs: int, folder: Path, as_json: bool
 ) -> Sequence[Compared]:
     """Compare on one data set, write its files, and show them."""
-    from datetime import UTC, datetime
-
-    from roemetry.cli.progress import progress
-    from roemetry_tools.compare.comparison import compare as compared_on
-    from roemetry_tools.compare.data import Data
-    from roemetry_tools.compare.write import ItemsFile, write_comparison
-
     began = datetime.now(UTC)
-    base = variants[0].recipe
-    assert base is not None
-    found = Data(base, data, labels=labels)
-    with ItemsFile(folder) as items, progress("comparing", quiet=as_json) as on_progress:
-        compared = compared_on(
-            variants, found, terms=terms, jobs=jobs, on_judged=items.add, on_progress=on_progress
-        )
-    files = write_comparison(folder, compared, found, terms=terms, command=sys.argv[1:], began=began)
+    with ItemsFile(folder) as items, progress("comparing", quiet=as_json) as shown:
+        compared = compared_on(variants, data, terms=terms, jobs=jobs, on_judged=items.add, on_progress=shown)
+    files = write_comparison(folder, compared, data, terms=terms, command=sys.argv[1:], began=began)
     if not as_json:
-        _show(base, compared, terms.tolerance_pct, found.without_truth, files)
+        _show(compared, terms, data.without_truth, files)
     return compared
 
 
-def _next_folder(recipe: Recipe) -> Path:
+def _next_folder(recipe: Path) -> Path:
     """Give the first folder of this recipe's name that is not there yet."""
-    path = recipe.path.resolve()
-    name = path.parent.name if path.stem == "recipe" else path.stem
+    name = recipe.parent.name if recipe.stem == "recipe" else recipe.stem
     number = 1
     while (folder := Path("results") / f"{name}-compare-{number}").exists():
         number += 1
     return folder
 
 
-def _show(
-    recipe: Recipe,
-    compared: Sequence[Compared],
-    tolerance_pct: float | None,
-    without_truth: str,
-    files: Sequence[Path],
-) -> None:
-    from rich.console import Console
-
-    from roemetry_tools.verbs.compare_table import problems_of, tables_of, verdicts_of
-
+def _show(compared: Sequence[Compared], terms: Terms, without_truth: str, files: Sequence[Path]) -> None:
+    recipe = compared[0].variant.recipe
+    assert recipe is not None
     console = Console()
     for table in tables_of(recipe.product, compared):
         console.print(table)
-    for said in [
-        *verdicts_of(compared, tolerance_pct),
-        *problems_of(compared),
-        *([without_truth] if without_truth else []),
-    ]:
-        console.print(said, highlight=False, markup=False, soft_wrap=True)
+    said = [*verdicts_of(compared, terms.tolerance_pct), *problems_of(compared), without_truth]
+    for sentence in filter(None, said):
+        console.print(sentence, highlight=False, markup=False, soft_wrap=True)
     for file in files:
         console.print(f"  {file}", highlight=False, soft_wrap=True)
-
-
-def _show_between(found: Sequence[Beside], folder: Path) -> None:
-    from rich.console import Console
-
-    from roemetry_tools.verbs.compare_table import between_table
-
-    console = Console()
-    console.print(between_table(found))
-    console.print(f"  {folder / 'between.csv'}", highlight=False, soft_wrap=True)

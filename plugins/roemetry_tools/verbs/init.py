@@ -6,12 +6,14 @@ import os
 import shlex
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated, Any
 
 import typer
 
-if TYPE_CHECKING:
-    from roemetry_tools.init_project import Answers, Started
+from roemetry.cli.progress import progress
+from roemetry.errors import ConfigurationError
+from roemetry_tools.init_project import Started, shipped_lines, start_like, start_own
+from roemetry_tools.init_project.layout import Answers
 
 
 def init(
@@ -72,42 +74,32 @@ def init(
 
     Asks what it needs in a terminal, unless --like or --product is given. Nothing is overwritten.
     """
-    from roemetry.cli.progress import progress
-    from roemetry.errors import ConfigurationError
-    from roemetry_tools.init_project import Answers, start_like, start_own
-
     asking = folder is None or (like is None and product is None)
     if asking and not in_terminal():
-        _say_what_is_missing(folder)
+        lines = ", ".join(shipped_lines())
+        missing = [*([] if folder else ["the folder to write"]), "--like or --product with --size"]
+        raise ConfigurationError(
+            f"init: there is no terminal to ask in; {' and '.join(missing)} must be given",
+            hint=f"for example `roemetry init potatoes --like potato` (there are {lines}), or "
+            "`roemetry init plums --product plums --size 50x40x35`",
+        )
     folder = folder or Path(typer.prompt("Folder to write"))
-    jobs = os.cpu_count() or 1
+    if like is not None and product is not None:
+        raise ConfigurationError("--like and --product exclude each other", hint="leave one of both out")
+    given: dict[str, Any] = {"items": items, "jobs": os.cpu_count() or 1}
     if like is not None:
-        if product is not None:
-            raise ConfigurationError("--like and --product exclude each other", hint="leave one of both out")
         with progress("simulating", quiet=False) as shown:
-            started = start_like(like, folder, items=items, jobs=jobs, on_progress=shown)
+            _tell(start_like(like, folder, **given, on_progress=shown))
+        return
+    if product is None:
+        answers = _ask()
     else:
-        if product is None:
-            answers = _ask()
-        else:
-            length, width, height = _numbers("--size", size, 3, "LxWxH in mm, e.g. 90x60x45")
-            columns, rows = _numbers("--image", image, 2, "COLUMNSxROWS in px, e.g. 1280x1024")
-            answers = Answers(
-                product=product,
-                size_mm=(length, width, height),
-                columns=int(columns),
-                rows=int(rows),
-                pixel_um=pixel_um,
-                focal_mm=focal_mm,
-                distance_mm=distance_mm,
-                stripes=stripes,
-                measures=tuple(word.strip() for word in measure.split(",") if word.strip()),
-                density_g_per_cm3=density,
-                plain_light=plain_light,
-            )
-        with progress("simulating", quiet=False) as shown:
-            started = start_own(answers, folder, items=items, jobs=jobs, on_progress=shown)
-    _tell(started)
+        size_mm, columns, rows = _sizes(size, image)
+        camera = (columns, rows, pixel_um, focal_mm)
+        measures = _words(measure)
+        answers = Answers(product, size_mm, *camera, distance_mm, stripes, measures, density, plain_light)
+    with progress("simulating", quiet=False) as shown:
+        _tell(start_own(answers, folder, **given, on_progress=shown))
 
 
 def in_terminal() -> bool:
@@ -115,54 +107,34 @@ def in_terminal() -> bool:
     return sys.stdin.isatty()
 
 
-def _say_what_is_missing(folder: Path | None) -> None:
-    from roemetry.errors import ConfigurationError
-    from roemetry_tools.init_project import shipped_lines
-
-    missing = [] if folder is not None else ["the folder to write"]
-    missing += ["--like or --product with --size"]
-    raise ConfigurationError(
-        f"init: there is no terminal to ask in; {' and '.join(missing)} must be given",
-        hint=f"for example `roemetry init potatoes --like potato` (there are {', '.join(shipped_lines())}), "
-        "or `roemetry init plums --product plums --size 50x40x35`",
-    )
-
-
 def _ask() -> Answers:
-    from roemetry_tools.init_project import Answers
-
     product = typer.prompt("Product")
-    said = typer.prompt("Largest one: length across the stripes x width x height, mm")
-    length, width, height = _numbers("--size", said, 3, "LxWxH in mm, e.g. 90x60x45")
-    columns, rows = _numbers(
-        "--image", typer.prompt("Image of the camera, px", default="640x480"), 2, "640x480"
-    )
+    size = typer.prompt("Largest one: length across the stripes x width x height, mm")
+    image = typer.prompt("Image of the camera, px", default="640x480")
+    size_mm, columns, rows = _sizes(size, image)
     pixel_um = typer.prompt("Pitch of its pixels, µm", default=10.0)
     focal_mm = typer.prompt("Focal length, mm", default=16.0)
     distance = typer.prompt("Camera to belt, mm (0: as near as the product allows)", default=0.0)
     stripes = typer.prompt("Stripes of light (0: as many as fit)", default=0)
-    measure = typer.prompt("Wanted: volume, weight, shape (with commas)", default="volume")
-    measures = tuple(word.strip() for word in measure.split(",") if word.strip())
+    measures = _words(typer.prompt("Wanted: volume, weight, shape (with commas)", default="volume"))
     density = typer.prompt("Density, g/cm³", type=float) if "weight" in measures else None
     plain = typer.confirm("Is a second image taken in plain light, laser off?", default=False)
-    return Answers(
-        product=product,
-        size_mm=(length, width, height),
-        columns=int(columns),
-        rows=int(rows),
-        pixel_um=pixel_um,
-        focal_mm=focal_mm,
-        distance_mm=distance or None,
-        stripes=stripes or None,
-        measures=measures,
-        density_g_per_cm3=density,
-        plain_light=plain,
-    )
+    camera = (columns, rows, pixel_um, focal_mm)
+    return Answers(product, size_mm, *camera, distance or None, stripes or None, measures, density, plain)
+
+
+def _sizes(size: str | None, image: str) -> tuple[tuple[float, float, float], int, int]:
+    """Read the product's size, mm, and the image's, px."""
+    length, width, height = _numbers("--size", size, 3, "LxWxH in mm, e.g. 90x60x45")
+    columns, rows = _numbers("--image", image, 2, "COLUMNSxROWS in px, e.g. 1280x1024")
+    return (length, width, height), int(columns), int(rows)
+
+
+def _words(text: str) -> tuple[str, ...]:
+    return tuple(word.strip() for word in text.split(",") if word.strip())
 
 
 def _numbers(flag: str, said: str | None, count: int, expected: str) -> tuple[float, ...]:
-    from roemetry.errors import ConfigurationError
-
     if said is None:
         raise ConfigurationError(f"{flag}: this is missing", hint=f"give {expected}")
     parts = said.lower().replace("×", "x").replace("mm", "").replace(" ", "").split("x")

@@ -8,6 +8,7 @@ from typing import Any
 
 from roemetry.stages.hookspecs import KINDS
 from roemetry.testing.checks import (
+    aligner,
     any_stage,
     classes,
     extractor,
@@ -21,7 +22,7 @@ from roemetry.testing.checks import (
 
 Check = Callable[[Any], None]
 
-_MODULES = (extractor, stripes, points, volume, weigher, classes, files, rigs)
+_MODULES = (extractor, aligner, stripes, points, volume, weigher, classes, files, rigs)
 _CALLED = {"estimator": "volume"}
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from roemetry.errors import CalibrationError, StageError
 from roemetry.records import Profiles
 from roemetry.records.arrays import Floats
+from roemetry.records.calibration import Alignment
 from roemetry.stages import Calibrator, Triangulator
 from roemetry.testing.cases import calibration_for, calibration_set_for
 from roemetry.testing.scenes import SEED, LinearRig
@@ -167,6 +168,32 @@ def check_another_image_size_is_refused(triangulator: Triangulator[Any]) -> None
     rig, other = LinearRig(), LinearRig(rows=100)
     with refused("a map of 100 rows with a calibration of 200", StageError):
         triangulator.triangulate(other.stripe_map(other.dome()), calibration_for(triangulator, rig))
+
+
+def check_a_moved_camera_measures_alike(triangulator: Triangulator[Any]) -> None:
+    """By a calibration moved with the image, heights are as before to 0.05 mm; or moving it is refused."""
+    rig = LinearRig()
+    calibration = calibration_for(triangulator, rig)
+    shift = Alignment(np.array([_SHIFT_PX, 0.0, 0.0, 0.0]), np.zeros((4, 4)))
+    try:
+        moved = triangulator.moved(calibration, shift)
+    except StageError:
+        return
+    rows = np.arange(rig.rows, dtype=np.float64)
+    off_px = moved.rest_line_px(rows) - calibration.rest_line_px(rows) - _SHIFT_PX
+    require(
+        bool((np.abs(off_px) <= 0.05).all()), f"rest lines are {np.abs(off_px).max():.2g} px off the shift"
+    )
+    seen = rig.stripe_map(rig.dome())
+    profiles = triangulator.triangulate(
+        replace(seen, x_px=seen.x_px + _SHIFT_PX, rest_px=moved.rest_line_px(rows)), moved
+    )
+    before = triangulator.triangulate(seen, calibration)
+    off_mm = float(np.nanmax(np.abs(profiles.xyz_mm[..., 2] - before.xyz_mm[..., 2])))
+    require(off_mm <= 0.05, f"heights are up to {off_mm:.2g} mm off those of the camera at rest")
+
+
+_SHIFT_PX = 0.8
 
 
 def _profiles(triangulator: Triangulator[Any], rig: LinearRig, heights: Floats) -> Profiles:

@@ -10,7 +10,7 @@ import pytest
 
 cases = pytest.importorskip("benchmarks.coded.cases", reason="only in a checkout")
 from benchmarks.coded import Sample  # noqa: E402
-from roemetry_tools.compare.points import nearest  # noqa: E402
+from roemetry_tools.compare.stripes import nearest  # noqa: E402
 
 
 @cache

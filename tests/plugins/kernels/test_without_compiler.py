@@ -6,52 +6,33 @@ import json
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
-RECIPE = Path(__file__).parents[3] / "recipes" / "herring_roe" / "recipe.yaml"
+from benchmarks import golden
+
 MEASURE_FIRST = """
 import json, sys
+from itertools import islice
 from numba import config
+from benchmarks import golden
 from roemetry import Recipe
 
-recipe = Recipe.load(sys.argv[1])
-source = recipe.source.make()
-frame = source.read(next(iter(source.references(recipe.source_path)))).frames[0]
-rows = [json.loads(row.to_json()) for row in recipe.measure(frame.pixels)]
-print(json.dumps({"compiled": not config.DISABLE_JIT, "rows": rows}))
+assert config.DISABLE_JIT
+recipe = Recipe.load(sys.argv[1], sets=["draws=0", "sinks=[]"])
+print(json.dumps(list(golden._lines(recipe, 1))))
 """
 
 
-def measured(**environment: str) -> dict[str, object]:
+@pytest.mark.parametrize("name", golden.RECIPES)
+def test_a_recipe_measures_the_same_without_the_compiler(name: str) -> None:
+    """The first image of each shipped recipe, against the golden records that the compiled kernels made."""
     done = subprocess.run(
-        [sys.executable, "-c", MEASURE_FIRST, str(RECIPE)],
-        capture_output=True, text=True, check=False, env={**os.environ, **environment},
+        [sys.executable, "-c", MEASURE_FIRST, str(golden.ROOT / "recipes" / f"{name}.yaml")],
+        capture_output=True, text=True, check=False, cwd=golden.ROOT,
+        env={**os.environ, "NUMBA_DISABLE_JIT": "1"},
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    found: dict[str, object] = json.loads(done.stdout)
-    return found
-
-
-def flat(value: object, path: str = "") -> dict[str, object]:
-    """Give every value of nested JSON by its path; times, which no two runs share, are left out."""
-    if isinstance(value, dict):
-        parts = [flat(one, f"{path}.{key}") for key, one in value.items() if "time" not in key]
-    elif isinstance(value, list):
-        parts = [flat(one, f"{path}[{k}]") for k, one in enumerate(value)]
-    else:
-        return {path: value}
-    return {key: one for part in parts for key, one in part.items()}
-
-
-def test_a_recipe_measures_the_same_without_the_compiler() -> None:
-    plain, compiled = measured(NUMBA_DISABLE_JIT="1"), measured(NUMBA_DISABLE_JIT="0")
-    assert (plain.pop("compiled"), compiled.pop("compiled")) == (False, True)
-    expected = flat(compiled)
-    assert expected[".rows[0].volume.visible_mm3.value"] == pytest.approx(21839.0, abs=1.0)  # mm³
-    # the compiler may add terms in another order: the last digits of a sum
-    assert flat(plain) == {
-        path: pytest.approx(value, rel=1e-9) if isinstance(value, float) else value
-        for path, value in expected.items()
-    }
+    found = json.loads(done.stdout)
+    expected = json.loads(golden.file_of(name).read_text("utf-8"))[: len(found)]
+    assert list(golden.differences(expected, found, name)) == []

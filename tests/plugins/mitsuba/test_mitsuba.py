@@ -23,11 +23,15 @@ needs_llvm = pytest.mark.skipif(
 from roemetry_mitsuba import light as light_module  # noqa: E402
 from roemetry_mitsuba.bodies import check_closed  # noqa: E402
 from roemetry_mitsuba.light import Lamps, Lens, Material, Tracer, mitsuba  # noqa: E402
-from roemetry_mitsuba.materials import Surface, glossy, mirrored  # noqa: E402
+from roemetry_mitsuba.materials import Beams, Surface, dipole_of, gathered, glossy, mirrored  # noqa: E402  # noqa: E402
 from roemetry_mitsuba.products import DEFECTS, FAMILIES, SkeinOptions, ball, block, skein, stairs  # noqa: E402
-from roemetry_mitsuba.rig import Camera, Fan, camera_of, fan_of  # noqa: E402
-from roemetry_mitsuba.scattering import Beams, dipole_of, gathered  # noqa: E402
-from roemetry_mitsuba.scene import MitsubaOptions  # noqa: E402
+from roemetry_mitsuba.scene import (  # noqa: E402
+    Camera,
+    Fan,
+    MitsubaOptions,
+    camera_of,
+    fan_of,
+)
 from roemetry_mitsuba.simulator import MitsubaSimulator  # noqa: E402
 from roemetry_mitsuba.truth import crossings  # noqa: E402
 
@@ -56,8 +60,7 @@ def matt(albedo: float) -> Material:
 
 def test_both_simulators_find_the_same_stripe_centres_on_the_same_body(rng: np.random.Generator) -> None:
     from roemetry_simulate.products.mesh import MeshSolid
-    from roemetry_simulate.scene_file import RayCasterOptions
-    from roemetry_simulate.scene_rig import rig_of
+    from roemetry_simulate.scene import RayCasterOptions, rig_of
     from roemetry_simulate.truth import stripe_centres
 
     body = skein(rng, SkeinOptions(kinds={"folded": 1.0})).body.moved(1.3, -2.1, 7.0)
@@ -234,7 +237,7 @@ def test_the_same_seed_gives_the_same_bytes_and_another_does_not() -> None:
 
 
 def test_every_key_of_the_ray_caster_is_read_here_with_its_default() -> None:
-    from roemetry_simulate.scene_file import RayCasterOptions
+    from roemetry_simulate.scene import RayCasterOptions
 
     def compared(theirs: Any, ours: Any, at: str) -> None:
         for name, field in theirs.model_fields.items():
@@ -323,7 +326,7 @@ def test_a_product_larger_than_the_view_is_refused_with_sizes(scene_file: Path) 
 def test_without_llvm_the_message_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     import mitsuba as mi
 
-    from roemetry_tools import doctor
+    from roemetry_tools.verbs import doctor
 
     monkeypatch.setattr(mi, "variant", lambda: "scalar_rgb")
     monkeypatch.setattr(drjit, "has_backend", lambda _: False)

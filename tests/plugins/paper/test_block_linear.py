@@ -121,6 +121,35 @@ def test_heights_from_the_belt_up_scatter_as_stated(rng, belt: bool) -> None:
         assert (ratio < 1.25).all(), "how many rows of belt were used is not known: stated with the fewest"
 
 
+def test_the_lens_is_taken_out_where_it_bows_the_belts_lines(rng) -> None:
+    """A barrel that displaces the image's corners by 2.5 %: heights away from the block's rows come back."""
+    rig = LinearRig(rows=480)
+    kappa, row = -2e-7, np.arange(rig.rows, dtype=np.float64)
+    half = np.array([(rig.columns - 1) / 2.0, (rig.rows - 1) / 2.0])
+    flat = np.zeros((rig.stripes, rig.rows))
+
+    def lines(height_mm: float) -> np.ndarray:
+        straight = np.linspace(-1.2 * half[1], 1.2 * half[1], 2000)
+        found = []
+        for x_px in rig.x_px(flat + height_mm)[:, 0] - half[0]:
+            shrunk = 1.0 + kappa * (x_px**2 + straight**2)
+            found.append(np.interp(row - half[1], straight * shrunk, x_px * shrunk) + half[0])
+        return np.array(found)
+
+    def seen(x_px: np.ndarray, shows: str) -> Observation:
+        frame = Frame(np.zeros((rig.rows, rig.columns), np.uint8), name=shows)
+        return Observation(shows, frame, rig.peaks(x_px + rng.normal(0.0, 0.02, flat.shape)).peaks)
+
+    top = np.where((row >= 200) & (row < 280), lines(BLOCK.height_mm), lines(0.0))
+    exact = replace(BLOCK, tolerance_mm=0.0)
+    views = (seen(top, "block"), seen(lines(0.0), "belt"))
+    made = BlockCalibrator().calibrate(CalibrationSet(views, rig.stripes, exact, None, {"use": "exact"}))
+    for level in (0.0, 5.0, 10.0):
+        stripes = replace(rig.stripe_map(flat), x_px=lines(level), rest_px=made.rest_line_px(row))
+        found = BlockLinear().triangulate(stripes, made).xyz_mm[:, :, 2]
+        np.testing.assert_allclose(found, level, rtol=0, atol=0.03)
+
+
 @pytest.mark.parametrize(
     ("change", "says"),
     [

@@ -243,3 +243,20 @@ def test_the_empty_belt_numbers_what_boards_show_in_part(rng) -> None:
         CalibrationError, match="stripe 1 is seen on the empty belt and on fewer than two boards"
     ):
         number_stripes(cut, 7, whole)
+
+
+@pytest.mark.parametrize("moved", [1, 4])
+def test_poses_of_one_stripe_that_contradict_each_other_are_counted(moved: int) -> None:
+    """With one stripe a line off the plane is no hidden stripe: what is left out must not be forgotten."""
+    poses = []
+    for number in range(9):
+        away, lean = 300.0 + 7.0 * number, 0.02 * (number % 4 - 1.5)
+        z_mm = np.array([away, away + 60.0 * lean])
+        off_mm = 25.0 * (1 + number) * (-1) ** number if number < moved else 0.0
+        ends = np.column_stack([0.3 * z_mm - 90.0 + off_mm, np.array([-30.0, 30.0]), z_mm])
+        poses.append(PoseLines(f"pose {number}", ends[None], np.array([200])))
+    if moved > 1:
+        with pytest.raises(CalibrationError, match=f"the stripes of {moved} of 9"):
+            number_stripes(poses, 1)
+    else:
+        assert list(number_stripes(poses, 1).left_out) == ["pose 0"]

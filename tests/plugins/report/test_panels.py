@@ -9,8 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
+from roemetry.html import plots as svg
 from roemetry.records import AMBIGUOUS, Frame, Marks
-from roemetry_report import palette, svg
+from roemetry_report import palette
 from roemetry_report.charts import height_charts, share_bar, slice_chart, ticks_to
 from roemetry_report.panels import arc_panel, base_image, curves, panels, runs
 
@@ -61,7 +62,7 @@ def test_the_view_has_pixel_centres_at_whole_numbers(drawn):
 
 
 def test_every_peak_is_a_dot_where_it_was_found(trace, drawn):
-    data = drawn["b"].find("path").get("d")
+    data = drawn["b"].find("g").find("path").get("d")
     found = np.unique(np.round(points(data), 2), axis=0)
     given = np.unique(np.round(np.column_stack([trace.peaks.x_px, trace.peaks.row]), 2), axis=0)
     np.testing.assert_allclose(found, given, atol=1e-9)
@@ -114,7 +115,7 @@ def test_stripes_are_numbered_from_one_at_their_tops(drawn):
 
 def test_the_image_is_in_the_page_once(drawn):
     assert [e.get("href") for e in drawn["c"].iter("use")] == ["#k-image", "#k-curves"]
-    assert drawn["b"].find("path").get("id") == "k-peaks"
+    assert drawn["b"].find("g").get("id") == "k-peaks"
     assert drawn["d"].find("g").get("id") == "k-curves"
 
 
@@ -221,7 +222,7 @@ def test_ticks_are_round_and_reach_the_top(top, ticks):
 def test_paths_do_not_drift():
     x = np.cumsum(np.full(5000, 0.005))
     y = np.arange(5000.0)
-    np.testing.assert_allclose(points(svg.line(x, y))[:, 0], x, atol=0.0051)
+    np.testing.assert_allclose(points(svg.polyline(x, y))[:, 0], x, atol=0.0051)
 
 
 def test_runs_are_found_at_both_ends():

@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import json
 import re
-import shutil
 import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
 from pathlib import Path
@@ -19,8 +18,7 @@ from roemetry.records import Profiles
 from roemetry_report.palette import height_colour
 from roemetry_report.sink import Report
 from roemetry_report.surface import Solid, solid
-
-NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+from tests.browser import opened
 
 
 def read(given: Solid) -> tuple[dict[str, Any], np.ndarray, np.ndarray, np.ndarray]:
@@ -152,55 +150,27 @@ def report(synthetic: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return Path(path)
 
 
-@pytest.mark.parametrize("scripts", [True, False], ids=["with scripts", "without scripts"])
-def test_it_turns_in_a_browser_and_is_a_picture_without_scripts(report: Path, scripts: bool) -> None:
-    browser = next(filter(None, map(shutil.which, NAMES)), None)
-    if browser is None:
-        pytest.skip(f"no browser on this machine: none of {', '.join(NAMES)}")
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    with playwright.sync_playwright() as driver:
-        opened = driver.chromium.launch(executable_path=browser, args=["--no-sandbox"])
-        context = opened.new_context(viewport={"width": 1300, "height": 900}, java_script_enabled=scripts)
-        page = context.new_page()
-        faults: list[str] = []
-        page.on("pageerror", lambda error: faults.append(str(error)))
-        page.on("request", lambda request: request.url.startswith("http") and faults.append(request.url))
-        page.goto(report.as_uri())
-        figure = page.locator("figure.solid").first
-        figure.scroll_into_view_if_needed()
+def test_it_turns_in_a_browser_and_is_a_picture_without_scripts(browser: Any, report: Path) -> None:
+    def coloured(page: Any) -> float:
+        """Share of the picture in the colours of heights, which are neither grey nor white."""
+        page.wait_for_timeout(120)
+        data = page.locator("figure.solid .solid-stage").first.screenshot()
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+        return float((np.ptp(image.astype(int), axis=2) > 25).mean())
 
-        def shown() -> np.ndarray:
-            page.wait_for_timeout(120)
-            data = page.locator("figure.solid .solid-stage").first.screenshot()
-            return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
-
-        def coloured(image: np.ndarray) -> float:
-            """Share of the picture in the colours of heights, which are neither grey nor white."""
-            return float((np.ptp(image.astype(int), axis=2) > 25).mean())
-
-        if not scripts:
-            assert coloured(shown()) > 0.05
-            assert page.locator("figure.solid canvas").count() == 0
-        else:
-            page.wait_for_selector("figure.solid.live canvas")
-            first = shown()
-            assert coloured(first) > 0.05
-            canvas = page.locator("figure.solid canvas").first
-            canvas.focus()
-            page.keyboard.press("Shift+ArrowLeft")
-            turned = shown()
-            assert (turned != first).any(axis=2).mean() > 0.02
-            page.keyboard.press("0")
-            box = canvas.bounding_box()
-            page.mouse.move(box["x"] + 300, box["y"] + 150)
-            page.mouse.down()
-            page.mouse.move(box["x"] + 380, box["y"] + 190, steps=4)
-            page.mouse.up()
-            assert (shown() != first).any(axis=2).mean() > 0.02
-            page.get_by_role("button", name="From above").first.click()
-            above = shown()
-            page.keyboard.press("0")
-            page.get_by_role("button", name="What was seen").first.click()
-            assert coloured(shown()) < coloured(above), "the surface between stripes is grey"
-        assert faults == []
-        opened.close()
+    with opened(browser, report.as_uri(), scripts=False) as page:
+        assert coloured(page) > 0.05
+        assert page.locator("figure.solid canvas").count() == 0
+    with opened(browser, report.as_uri()) as page:
+        page.locator("figure.solid").first.scroll_into_view_if_needed()
+        page.wait_for_selector("figure.solid.live canvas")
+        before = coloured(page)
+        assert before > 0.05
+        box = page.locator("figure.solid canvas").first.bounding_box()
+        page.mouse.move(box["x"] + 300, box["y"] + 150)
+        page.mouse.down()
+        page.mouse.move(box["x"] + 380, box["y"] + 190, steps=4)
+        page.mouse.up()
+        assert coloured(page) != before, "a drag turns it"
+        page.get_by_role("button", name="What was seen").first.click()
+        assert coloured(page) < before, "the surface between stripes is grey"

@@ -4,8 +4,9 @@ import math
 
 import pytest
 
-from roemetry.records import Estimate
+from roemetry.records import Decision, Estimate
 from roemetry_report import words
+from roemetry_report.overview import decision_pill
 
 
 @pytest.mark.parametrize(
@@ -21,7 +22,7 @@ def test_plain_numbers(value, digits, text):
     [
         (Estimate(20.6412), "20.64", "not stated"),
         (Estimate(20.6412, 0.0312), "20.641", "0.031"),
-        (Estimate(2064.12, 31.2), "2064", "31"),
+        (Estimate(2064.12, 31.2), "2\u202f064", "31"),
         (Estimate(20.64, 0.0), "20.64", "0.00"),
         (Estimate(math.nan, math.nan), "–", "not stated"),
     ],
@@ -39,7 +40,7 @@ def test_a_value_is_written_to_the_place_its_uncertainty_supports(estimate, valu
         (0.0213, "2.1 %"),
         (0.5, "50 %"),
         (0.9921, "99.2 %"),
-        (0.9999, "100 %"),
+        (0.9999, ">99.9 %"),
     ],
 )
 def test_shares(share, text):
@@ -67,3 +68,16 @@ def test_a_long_sentence_is_cut_at_its_first_clause():
 def test_a_feature_carries_its_unit():
     assert words.feature("radius_min_px", 45.371) == ("radius min (px)", "45.37")
     assert words.feature("arcs", 12.0) == ("arcs", "12")
+
+
+@pytest.mark.parametrize(
+    ("decision", "words", "tone"),
+    [
+        (Decision("large", "belt 1", ("large",)), "large", "plain"),
+        (Decision("undecided", "", ("large", "small")), "undecided: large or small", "warn"),
+        (Decision("undecided", "", ()), "undecided: fits no class", "warn"),
+    ],
+)
+def test_a_decision_is_said_in_words(decision: Decision, words: str, tone: str) -> None:
+    pill = decision_pill(decision)
+    assert (pill.words, pill.tone) == (words, tone)

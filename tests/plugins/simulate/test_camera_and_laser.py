@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from roemetry_simulate.camera import Camera, looking_down
-from roemetry_simulate.laser import LaserFan, fan_through
+from roemetry_simulate.optics import Camera, LaserFan, fan_through, looking_down
 
 CAMERA = looking_down(
     640, 480, pixel_size_mm=0.01, focal_length_mm=16.0, distance_mm=320.0, tilt_x_deg=1.0, tilt_y_deg=-0.4

@@ -3,10 +3,8 @@
 import numpy as np
 import pytest
 
-from roemetry_simulate.camera import looking_down
-from roemetry_simulate.laser import fan_through
-from roemetry_simulate.render import Rig, laser_light, plain_light, render
-from roemetry_simulate.sensor import Sensor, blurred, expose
+from roemetry_simulate.optics import fan_through, looking_down
+from roemetry_simulate.render import Rig, Sensor, blurred, expose, laser_light, plain_light, render
 from roemetry_simulate.solid import Block, EmptyBelt, on_grid
 from roemetry_simulate.surface import even, textured
 from roemetry_simulate.truth import stripe_centres

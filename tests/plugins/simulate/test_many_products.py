@@ -9,8 +9,7 @@ import pytest
 
 from roemetry.config.scene import Scene
 from roemetry.io.yaml_source import dump
-from roemetry_simulate.camera import looking_down
-from roemetry_simulate.laser import fan_through
+from roemetry_simulate.optics import fan_through, looking_down
 from roemetry_simulate.population import Group, moved
 from roemetry_simulate.products.artefacts import SphereOptions, sphere
 from roemetry_simulate.products.family import Pose

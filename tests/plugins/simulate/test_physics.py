@@ -10,13 +10,9 @@ import numpy as np
 import pytest
 
 from roemetry.config.scene import Scene
-from roemetry_simulate.camera import looking_down
-from roemetry_simulate.defocus import Focus, blur_sigma_px, defocused, depths_mm
-from roemetry_simulate.laser import fan_through
-from roemetry_simulate.render import Rig, laser_light
-from roemetry_simulate.scene_file import RayCasterOptions
-from roemetry_simulate.scene_rig import rig_of
-from roemetry_simulate.sensor import Sensor, expose
+from roemetry_simulate.optics import Focus, blur_sigma_px, defocused, depths_mm, fan_through, looking_down
+from roemetry_simulate.render import Rig, Sensor, expose, laser_light
+from roemetry_simulate.scene import RayCasterOptions, rig_of
 from roemetry_simulate.solid import Block, Body, EmptyBelt
 from roemetry_simulate.surface import even
 from roemetry_simulate.truth import stripe_centres

@@ -11,24 +11,22 @@ from roemetry.cli.main import app
 from roemetry.config.scene import Scene
 from roemetry.errors import ConfigurationError, PluginError, StageError
 from roemetry.stages.registry import Registry, discover
-from roemetry_simulate.camera import looking_down
-from roemetry_simulate.laser import fan_through
-from roemetry_simulate.plan_check import simulated_scatter
-from roemetry_simulate.plan_geometry import (
+from roemetry_simulate.optics import fan_through, looking_down
+from roemetry_simulate.plan_model import (
+    Stripe,
     highest_in_view_mm,
     in_view,
     meeting_height_mm,
+    peak_std,
     plane_points,
     scale_at,
     spacing_heights_mm,
     steepest_slopes_deg,
 )
-from roemetry_simulate.plan_slices import ellipsoid, skein, slice_error_pct
-from roemetry_simulate.plan_uncertainty import Stripe, peak_std
-from roemetry_simulate.planner import RigPlanner, space_of
-from roemetry_simulate.scene_file import RayCasterOptions
-from roemetry_simulate.scene_rig import rig_of
-from roemetry_simulate.sensor import Sensor
+from roemetry_simulate.plan_tables import ellipsoid, skein, slice_error_pct
+from roemetry_simulate.planner import RigPlanner, simulated_scatter, space_of
+from roemetry_simulate.render import Sensor
+from roemetry_simulate.scene import RayCasterOptions, rig_of
 from roemetry_tools.plan.make_plan import plan_of
 
 H_MM, BESIDE_MM, FOCAL_PX, SPACING_MM = 300.0, 150.0, 1500.0, 10.0
@@ -170,7 +168,7 @@ def test_an_aperture_gives_depth_of_field_and_speckle_limit():
     focus = {"distance_mm": 310.0, "f_number": 4.0}
     plan = RigPlanner(RayCasterOptions.model_validate({"camera": {"focus": focus}})).plan(simulate=False)
     assert plan.value("sharp-from") < 10.0 < plan.value("sharp-to")
-    from roemetry_simulate.plan_uncertainty import defocus_px
+    from roemetry_simulate.plan_model import defocus_px
 
     rig = rig_of(RayCasterOptions.model_validate({"camera": {"focus": focus}}))
     ends = np.array([plan.value("sharp-from"), plan.value("sharp-to")])

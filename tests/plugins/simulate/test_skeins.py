@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from roemetry_simulate.skein import KINDS, build, draw
+from roemetry_simulate.products.herring import KINDS, build, draw
 
 
 def coarse(seed, kind):

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from roemetry_simulate.camera import looking_down
-from roemetry_simulate.laser import fan_through
+from roemetry_simulate.optics import fan_through, looking_down
 from roemetry_simulate.solid import Block, EmptyBelt, on_grid
 from roemetry_simulate.truth import stripe_centres
 

@@ -10,9 +10,8 @@ import pytest
 
 from roemetry.errors import StageError
 from roemetry.records import Frame, StripeMap
-from roemetry_volume.closed_contour import closed_path
-from roemetry_volume.edge_contour import EdgeContour, EdgeContourOptions
-from roemetry_volume.outline_features import features_of
+from roemetry_volume.contour_edge import closed_path
+from roemetry_volume.edge_contour import EdgeContour, EdgeContourOptions, features_of
 
 ROWS, COLUMNS = 240, 360
 ELLIPSE = (180.3, 118.6, 120.0, 45.0)

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
+from roemetry_volume.footprint import area_of
 from roemetry_volume.rim import StripePoints, ends_of
-from roemetry_volume.silhouette import area_of
 from roemetry_volume.slice_ends import upright_ends
 from roemetry_volume.slice_table import slices_of
 from roemetry_volume.surface_fit import fuse

@@ -6,19 +6,19 @@ import math
 
 import numpy as np
 import pytest
-from scipy.stats import binomtest, t
+from scipy.stats import t
 
 from roemetry.html.plots import share
 from roemetry_tools.compare.agreement import (
     Beside,
+    Bootstrap,
     Terms,
     against_each_other,
     against_truth,
     agreement_of,
+    mean_of,
     nearer,
 )
-from roemetry_tools.compare.bootstrap import Bootstrap, mean_of, wilson
-from roemetry_tools.compare.cross_validation import choose_by_class, choose_by_error
 from roemetry_tools.compare.grading import (
     Graded,
     balanced_interval,
@@ -26,6 +26,7 @@ from roemetry_tools.compare.grading import (
     recalls_of,
     reliability_of,
 )
+from roemetry_tools.compare.ranking import choose_by_class, choose_by_error
 
 
 def values(estimates: list[float], true: float | None, each: int = 1) -> dict[str, Beside]:
@@ -64,12 +65,6 @@ def test_the_same_seed_gives_the_same_interval_and_one_specimen_none() -> None:
     column = np.array([[1.0], [2.0], [4.0]])
     assert Bootstrap("abc", 3).interval(column, mean_of) == Bootstrap("abc", 3).interval(column, mean_of)
     assert all(map(math.isnan, Bootstrap("aaa", 3).interval(column, mean_of)))
-
-
-@pytest.mark.parametrize(("right", "n"), [(0, 9), (9, 9), (31, 40), (1, 2)])
-def test_shares_have_wilsons_interval(right: int, n: int) -> None:
-    expected = binomtest(right, n).proportion_ci(0.95, "wilson")
-    assert wilson(right, n) == pytest.approx((expected.low, expected.high), abs=1e-12)
 
 
 def test_limits_of_agreement_are_bland_and_altmans(rng: np.random.Generator) -> None:

@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
+from datetime import UTC, datetime
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-from comparing_lines import COUNT, Counting, compared
+from comparing_lines import COUNT, Counting, compared, names
 
+from roemetry.calibrating.known_products import read_labels
 from roemetry.config.dataset import Item
+from roemetry.errors import ConfigurationError, DataError
 from roemetry.records import Acquisition, Frame
 from roemetry.stages.registry import Registry, discover
+from roemetry_tools.compare.agreement import Terms
 from roemetry_tools.compare.comparison import compare
-from roemetry_tools.compare.data import Data, as_taken
+from roemetry_tools.compare.data import Data, as_taken, labelled
 from roemetry_tools.compare.tables import flat
-from roemetry_tools.compare.variants import make_variants
+from roemetry_tools.compare.variants import Variant, make_variants
 from roemetry_tools.compare.write import ItemsFile, write_comparison
 
 
@@ -155,7 +160,7 @@ def test_without_a_data_set_there_are_times_and_a_reason(line: Callable[..., Pat
     data = Data(variants[0].recipe)
     with ItemsFile(tmp_path / "out") as file:
         found = compare(variants, data, on_judged=file.add)
-    write_comparison(tmp_path / "out", found, data)
+    write_comparison(tmp_path / "out", found, data, terms=Terms(), began=datetime.now(UTC))
     assert found[0].figures is not None
     assert set(found[0].figures.absent) == {"visible_mm3", "true_mm3", "mass_g", "label", "centres", "coding"}
     assert "there is no dataset.yaml" in found[0].figures.absent["visible_mm3"]
@@ -173,3 +178,112 @@ def test_what_the_set_knows_of_an_image_counts() -> None:
     (known,) = as_taken(Acquisition("one", (frame,)), item).frames
     assert (known.white, known.time_s) == (1023, 2.0)
     assert np.isnan(known.encoder_count)
+
+
+def test_labels_count_instead_of_those_of_the_set(
+    dataset: Callable[..., Path], tmp_path: Path, roemetry: Callable[..., int]
+) -> None:
+    table = tmp_path / "labels.csv"
+    table.write_text("id,label\np01,good\np02#1,dull\n", encoding="utf-8")
+    assert roemetry(dataset(), "--labels", table, "--out", tmp_path / "out") == 0
+    told = json.loads((tmp_path / "out" / "comparison.json").read_text("utf-8"))
+    assert told["data"]["labels"] == 2
+    classes = told["variants"][0]["figures"]["classes"]
+    assert (classes["n"], classes["true"]) == (2, ["dull", "good"])
+
+
+def test_labels_make_classes_known_without_a_data_set(line: Callable[..., Path]) -> None:
+    variants = make_variants(line(2), [], registry=discover())
+    assert variants[0].recipe is not None
+    (found,) = compare(variants, Data(variants[0].recipe, labels={"p01#1": "good"}))
+    assert found.figures is not None
+    assert found.figures.classes is not None
+    assert found.figures.classes.n == 1
+    with pytest.raises(DataError, match="labels of what is not there: p77#1"):
+        Data(variants[0].recipe, labels={"p77#1": "good"})
+
+
+def test_labels_without_a_data_set_keep_the_products_numbers() -> None:
+    many = labelled(None, "a", {f"a#{number}": f"class {number}" for number in range(1, 12)})
+    assert many is not None
+    assert [one.label for one in many.products] == [f"class {number}" for number in range(1, 12)]
+    second = labelled(None, "a", {"a#2": "dull", "aa#1": "good"})
+    assert second is not None
+    assert [one.label for one in second.products] == ["", "dull"]
+    assert labelled(None, "a", {"b#1": "good"}) is None
+
+
+@pytest.mark.parametrize("name", ["p01#", "p01#x", "p01#0", "p01#1#1"])
+def test_a_label_of_no_products_number_is_told(line: Callable[..., Path], name: str) -> None:
+    recipe = make_variants(line(1), [], registry=discover())[0].recipe
+    assert recipe is not None
+    with pytest.raises(DataError, match=f"labels of what is not there: {name}"):
+        Data(recipe, labels={name: "good"})
+
+
+def test_a_product_that_is_labelled_twice_is_told(tmp_path: Path) -> None:
+    table = tmp_path / "labels.csv"
+    table.write_text("id,label\np01,good\np01,dull\n", encoding="utf-8")
+    with pytest.raises(DataError, match=r"labels.csv:3: p01 stands there a second time"):
+        read_labels(table)
+
+
+def test_every_variant_stands_once_and_the_recipe_first(line: Callable[..., Path]) -> None:
+    made = make_variants(
+        line(1),
+        ["stages.extractor.options.threshold=15,60", "extractor=local-maximum,dominant-peak"],
+        registry=discover(),
+    )
+    assert names(made) == ["recipe", "local-maximum", "threshold=15"]
+    assert made[0].settings == {"extractor": "dominant-peak", "stages.extractor.options.threshold": "60"}
+    local = made[1].recipe
+    assert local is not None
+    assert local.stages["extractor"].options == local.stages["extractor"].stage.Options()
+
+
+def test_what_is_said_of_the_product_stays_when_the_method_is_exchanged(line: Callable[..., Path]) -> None:
+    """The underside is the product's; the ends are the method's; another method's default may differ."""
+    own = (
+        "{use: slice-pchip, options: {ends: hold, underside: rounded, true_share: 0.9, true_share_std: 0.02}}"
+    )
+    path, known = line(1), discover()
+
+    def made(*vary: str) -> tuple[Variant, ...]:
+        return make_variants(path, vary, sets=[f"stages.volume={own}"], registry=known)
+
+    _, simpson, zero_order = made("volume=slice-simpson,zero-order-hold")
+    _, other, *_ = made("volume=slice-simpson", "stages.volume.options.true_share=0.8")
+    assert simpson.name == "slice-simpson"
+    assert simpson.recipe is not None
+    options = simpson.recipe.stages["volume"].options.model_dump()
+    assert options["underside"] == "rounded"
+    assert (options["true_share"], options["true_share_std"]) == (0.9, 0.02)
+    assert options["ends"] == "taper"
+    assert zero_order.fault == ""
+    assert other.recipe is not None
+    assert other.recipe.stages["volume"].options.model_dump()["true_share"] == 0.8
+
+
+@pytest.mark.parametrize(
+    ("vary", "says"),
+    [
+        ("extracter=dominant-peak", "did you mean `extractor`?"),
+        ("extractor=dominant-peek", "did you mean `dominant-peak`?"),
+        ("stages.extractor.options.treshold=1", "did you mean `threshold`?"),
+        ("stages.extracter.options.threshold=1", "did you mean `extractor`?"),
+        ("stages.extractor.option.threshold=1", "did you mean `options`?"),
+        ("source.chanel=red", "did you mean `channel`?"),
+        ("source.path=a,b", "cannot be varied"),
+        ("extractor", "expected KIND=name,name"),
+        ("gaussian", "did you mean `extractor=gaussian`?"),
+        ("extractor=", "a value is missing"),
+        ("extractor=local-maximum,", "a value is missing"),
+        ("stages.extractor=local-maximum", "write `extractor=…`"),
+        ("stages.outliner.options.x=1", "the recipe has no outliner"),
+    ],
+)
+def test_a_slip_in_vary_is_named(line: Callable[..., Path], vary: str, says: str) -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        make_variants(line(1), [vary], registry=discover())
+    assert says in str(caught.value)
+    assert str(caught.value).startswith("--vary ")

@@ -9,11 +9,15 @@ import numpy as np
 import pytest
 
 from roemetry.records import AMBIGUOUS, UNCODED, Frame, Peaks, Reason, StripeMap, StripeTruth
-from roemetry_tools.compare.centres import score_centres
-from roemetry_tools.compare.coding import longest_run, score_coding
-from roemetry_tools.compare.matching import by_place
-from roemetry_tools.compare.points import nearest, truth_in
-from roemetry_tools.compare.statistics import NOT_GRADED, classes_of, errors_of
+from roemetry_tools.compare.aggregate import NOT_GRADED, classes_of, errors_of
+from roemetry_tools.compare.stripes import (
+    by_place,
+    longest_run,
+    nearest,
+    score_centres,
+    score_coding,
+    truth_in,
+)
 
 ROWS, COLUMNS = 40, 100
 

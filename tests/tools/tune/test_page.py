@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import shutil
-import socket
-import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -15,64 +11,15 @@ import numpy as np
 import pytest
 
 from roemetry.io.yaml_source import read
-from roemetry_tools.tune.server import LOOPBACK, app_of
-from roemetry_tools.tune.session import Session
-
-NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-BROWSER = next(filter(None, map(shutil.which, NAMES)), None)
-
-if BROWSER is None:
-    pytest.skip(f"no browser on this machine: none of {', '.join(NAMES)}", allow_module_level=True)
-pytest.importorskip("uvicorn", reason="the extra `tune` is not installed")
-playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with playwright.sync_playwright() as driver:
-        found = driver.chromium.launch(
-            executable_path=BROWSER,
-            # in a container there is no sandbox to be had; the rest keeps the browser itself offline
-            args=["--no-sandbox", "--disable-background-networking", "--disable-component-update"],
-        )
-        yield found
-        found.close()
-
-
-@contextlib.contextmanager
-def served(recipe: Path) -> Iterator[str]:
-    """Serve a recipe's page from this process, on a port of its own."""
-    import uvicorn
-
-    session = Session(recipe)
-    session.warm_up()
-    with socket.socket() as listening:
-        listening.bind((LOOPBACK, 0))
-        listening.listen()
-        server = uvicorn.Server(uvicorn.Config(app_of(session), log_level="warning", lifespan="off"))
-        thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]})
-        thread.start()
-        try:
-            yield f"http://{LOOPBACK}:{listening.getsockname()[1]}/"
-        finally:
-            server.should_exit = server.force_exit = True
-            thread.join(20)
+from tests.browser import opened, served
 
 
 class Bench:
-    """A page on a recipe; keeps what went wrong in it and what it asked for."""
+    """A page on a recipe."""
 
-    def __init__(self, browser: Any, address: str, width: int = 1440) -> None:
-        self.address = address
-        self.faults: list[str] = []
-        self.requests: list[str] = []
-        self.page = browser.new_page(viewport={"width": width, "height": 900})
-        self.page.set_default_timeout(20_000)
-        self.page.on("pageerror", lambda error: self.faults.append(str(error)))
-        self.page.on("console", lambda said: said.type == "error" and self.faults.append(said.text))
-        self.page.on("request", lambda request: self.requests.append(request.url))
-        self.page.goto(address)
-        self.page.wait_for_selector("body[data-took]")
+    def __init__(self, page: Any) -> None:
+        self.page = page
+        page.wait_for_selector("body[data-took]")
 
     def after(self, action: Callable[[], Any]) -> None:
         """Do something and wait until it is answered."""
@@ -104,12 +51,8 @@ def recipe(line: Callable[..., Path]) -> Path:
 
 @pytest.fixture
 def bench(browser: Any, recipe: Path) -> Iterator[Bench]:
-    with served(recipe) as address:
-        made = Bench(browser, address)
-        yield made
-        assert made.faults == []
-        assert all(url.startswith(address) for url in made.requests), "something came from elsewhere"
-        made.page.close()
+    with served(recipe) as address, opened(browser, address, width=1440) as page:
+        yield Bench(page)
 
 
 def test_a_moved_slider_changes_picture_numbers_and_profiles(bench: Bench) -> None:
@@ -237,18 +180,4 @@ def test_what_cannot_be_saved_is_told_in_the_dialog(bench: Bench, recipe: Path) 
     bench.after(lambda: page.locator("#save-now").click())
     saved = read(recipe.parent / "another.yaml").data
     assert saved["stages"]["extractor"]["options"]["threshold"] == 75
-    bench.faults.clear()  # the browser itself notes that a request was refused
-
-
-def test_an_uncalibrated_recipe_on_a_narrow_page(browser: Any, line: Callable[..., Path]) -> None:
-    text = line(calibrated=False)
-    recipe = text.read_text("utf-8")
-    keep = recipe[: recipe.index("  triangulator")] + "sinks: [csv]\n"
-    text.write_text(keep, "utf-8")
-    with served(text) as address:
-        bench = Bench(browser, address, width=420)
-        assert "px" in bench.page.locator("#profiles-title").inner_text()
-        wide = bench.page.evaluate("document.documentElement.scrollWidth")
-        assert wide <= 420
-        assert bench.faults == []
-        bench.page.close()
+    page.faults.clear()  # the browser itself notes that a request was refused

@@ -20,7 +20,7 @@ from typer.testing import CliRunner
 from roemetry.cli.main import app
 from roemetry.errors import ConfigurationError
 from roemetry_tools.tune import server
-from roemetry_tools.tune.protocol import unpacked
+from roemetry_tools.tune.answer import unpacked
 from roemetry_tools.tune.session import Session
 
 starlette = pytest.importorskip("starlette.testclient", reason="the extra `tune` is not installed")

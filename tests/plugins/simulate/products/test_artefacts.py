@@ -10,7 +10,6 @@ from pydantic import ValidationError
 
 from roemetry_simulate.products import PRODUCTS
 from roemetry_simulate.products.artefacts import ARTEFACTS
-from roemetry_simulate.products.family import outline_mm
 from roemetry_simulate.products.parts import PartsSolid, hit_parts, parts_normal
 
 NAMES = [family.name for family in ARTEFACTS]
@@ -195,10 +194,3 @@ def test_another_family_s_options_and_a_negative_seed_are_refused():
         PRODUCTS["wedge"].draw(1, PRODUCTS["block"].Options())
     with pytest.raises(ValueError, match="-1"):
         PRODUCTS["wedge"].draw(-1)
-
-
-def test_the_outline_of_a_ball_is_its_great_circle():
-    border = outline_mm(draw("sphere", radius_mm=15.0).solid)
-    np.testing.assert_allclose(np.hypot(*border.T), 15.0, atol=1e-5)
-    u, v = border.T
-    assert 0.5 * np.sum(u * np.roll(v, -1) - v * np.roll(u, -1)) == pytest.approx(math.pi * 225.0, rel=2e-3)

@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 from roemetry.errors import DataError
 from roemetry_simulate.products import PRODUCTS
 from roemetry_simulate.products.family import Pose
-from roemetry_simulate.products.mesh import Triangles, close, lay, read_mesh
-from roemetry_simulate.products.triangles import hit_triangles, triangles_normal
+from roemetry_simulate.products.mesh import Triangles, close, hit_triangles, lay, read_mesh, triangles_normal
 
 REAL = Path(os.environ.get("ROEMETRY_REAL_DATA", "../shared/real")) / "meshes"
 

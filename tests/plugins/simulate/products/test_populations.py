@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 from roemetry_simulate.products import PRODUCTS
 from roemetry_simulate.products.family import Drawn
-from roemetry_simulate.skein import FURTHER_KINDS, KINDS, build, dents, draw
+from roemetry_simulate.products.herring import FURTHER_KINDS, KINDS, build, dents, draw
 
 SEEDS = range(50)
 

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from roemetry_simulate.camera import looking_down
-from roemetry_simulate.laser import fan_through
+from roemetry_simulate.optics import fan_through, looking_down
 from roemetry_simulate.products import PRODUCTS
 from roemetry_simulate.products.family import Pose
 from roemetry_simulate.products.mesh import Triangles, close, lay

@@ -1,0 +1,416 @@
+"""Camera, projector and lens: pixels to rays and back, planes of light, the blur beside the focus.
+
+The camera is a pinhole with OpenCV's distortion x' = x r + 2 p1 x y + p2 (r² + 2 x²), y' alike, with the
+radial factor r = 1 + k1 r² + k2 r⁴ + k3 r⁶, undone by Newton's method. The projector is a fan of planes
+n·X = d through one point; across a plane the light is a Gaussian whose width grows beside its waist. Away
+from its focus a thin lens blurs by a disc of the diameter
+
+    c(z) = f² / (N (s − f)) · |z − s| / z
+
+for the focal length f, f-number N, focus s and depth z; here a Gaussian of a quarter of it, the deviation of
+an evenly lit disc. Left out: planes that are bent, vignetting, aberrations.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from roemetry_kernels.compiling import kernel
+from roemetry_simulate.raycast import AnyBody, first_hit_in
+from roemetry_simulate.solid import Solid
+
+Floats = NDArray[np.float64]
+
+_LEVELS = 8
+"""Amounts of blur between the least and the largest of an image; between two of them it is interpolated."""
+_EDGE_STEPS = 33
+"""Points along each border of the image at which the view is looked at."""
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A pinhole camera whose lens may distort.
+
+    Attributes
+    ----------
+    width_px, height_px : int
+        Image size.
+    pixel_size_mm : float
+        Pitch of the square pixels on the sensor.
+    focal_length_mm : float
+        Distance from the pinhole to the sensor.
+    T_belt_camera : ndarray, shape (4, 4)
+        Pose "to belt from camera", millimetres. Camera axes: x right, y down, z forward.
+    principal_point_px : tuple of float or None
+        Where the optical axis meets the image; None is the image centre ((w - 1)/2, (h - 1)/2).
+    distortion : tuple of float
+        k1, k2, p1, p2, k3 of OpenCV's model; all zero is a perfect lens.
+    """
+
+    width_px: int
+    height_px: int
+    pixel_size_mm: float
+    focal_length_mm: float
+    T_belt_camera: Floats
+    principal_point_px: tuple[float, float] | None = None
+    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        if min(self.width_px, self.height_px) < 1 or min(self.pixel_size_mm, self.focal_length_mm) <= 0:
+            raise ValueError("a camera needs a positive image size, pixel size and focal length")
+        pose = np.array(self.T_belt_camera, dtype=np.float64)
+        if pose.shape != (4, 4):
+            raise ValueError(f"T_belt_camera must have shape (4, 4), not {pose.shape}")
+        if not np.allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-9):
+            raise ValueError("T_belt_camera does not hold a rotation")
+        pose.flags.writeable = False
+        object.__setattr__(self, "T_belt_camera", pose)
+        if self.principal_point_px is None:
+            centre = ((self.width_px - 1) / 2.0, (self.height_px - 1) / 2.0)
+            object.__setattr__(self, "principal_point_px", centre)
+
+    @property
+    def focal_length_px(self) -> float:
+        """Focal length in pixels."""
+        return self.focal_length_mm / self.pixel_size_mm
+
+    @property
+    def centre_mm(self) -> Floats:
+        """Pinhole in the belt frame, shape (3,), millimetres."""
+        return self.T_belt_camera[:3, 3]
+
+    @property
+    def rotation(self) -> Floats:
+        """Rotation "to belt from camera", shape (3, 3)."""
+        return self.T_belt_camera[:3, :3]
+
+    @property
+    def principal_px(self) -> Floats:
+        """Principal point, shape (2,), pixels."""
+        return np.asarray(self.principal_point_px, dtype=np.float64)
+
+    @property
+    def distorts(self) -> bool:
+        """Whether the lens distorts at all."""
+        return any(value != 0.0 for value in self.distortion)
+
+    def packed(self) -> Floats:
+        """Return what the kernels take: pinhole, principal point, focal length (px), 1 or 0, distortion."""
+        flag = 1.0 if self.distorts else 0.0
+        return np.array(
+            [*self.centre_mm, *self.principal_px, self.focal_length_px, flag, *self.distortion],
+            dtype=np.float64,
+        )
+
+    def ray(self, x_px: ArrayLike, y_px: ArrayLike) -> Floats:
+        """Unit directions in the belt frame, S + (3,), of the rays through image points (px) of shape S."""
+        x, y = np.broadcast_arrays(np.asarray(x_px, dtype=np.float64), np.asarray(y_px, dtype=np.float64))
+        cx, cy = self.principal_px
+        x, y = (x - cx) / self.focal_length_px, (y - cy) / self.focal_length_px
+        if self.distorts:
+            x, y = undistorted(np.array(self.distortion, dtype=np.float64), x, y)
+        direction = np.stack([x, y, np.ones_like(x)], axis=-1)
+        direction = direction @ self.rotation.T
+        unit: Floats = direction / np.linalg.norm(direction, axis=-1, keepdims=True)
+        return unit
+
+    def project(self, points_mm: ArrayLike) -> Floats:
+        """Image points (px), shape (..., 2), of belt points (mm), shape (..., 3); NaN behind the camera."""
+        points = (np.asarray(points_mm, dtype=np.float64) - self.centre_mm) @ self.rotation
+        depth = np.where(points[..., 2:] > 0.0, points[..., 2:], np.nan)
+        plane = points[..., :2] / depth
+        if self.distorts:
+            plane = self._bent(plane)
+        pixels: Floats = plane * self.focal_length_px + self.principal_px
+        return pixels
+
+    def _bent(self, plane: Floats) -> Floats:
+        """Distort normalised image points, shape (..., 2)."""
+        k1, k2, p1, p2, k3 = self.distortion
+        x, y = plane[..., 0], plane[..., 1]
+        r2 = x * x + y * y
+        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        bent: Floats = np.stack(
+            [
+                x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
+                y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
+            ],
+            axis=-1,
+        )
+        return bent
+
+
+def looking_down(
+    width_px: int,
+    height_px: int,
+    *,
+    pixel_size_mm: float,
+    focal_length_mm: float,
+    distance_mm: float,
+    tilt_x_deg: float = 0.0,
+    tilt_y_deg: float = 0.0,
+) -> Camera:
+    """Return a camera above the belt whose optical axis meets the belt at the origin.
+
+    The tilts turn it about its own x axis, then about its own y axis; zero looks straight down, with image
+    x along belt X and image y against belt Y.
+    """
+    down = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
+    ax, ay = np.deg2rad([tilt_x_deg, tilt_y_deg])
+    about_x = np.array([[1, 0, 0], [0, np.cos(ax), -np.sin(ax)], [0, np.sin(ax), np.cos(ax)]])
+    about_y = np.array([[np.cos(ay), 0, np.sin(ay)], [0, 1, 0], [-np.sin(ay), 0, np.cos(ay)]])
+    rotation = down @ about_x @ about_y
+    pose = np.eye(4)
+    pose[:3, :3] = rotation
+    pose[:3, 3] = -distance_mm * rotation[:, 2]
+    return Camera(width_px, height_px, pixel_size_mm, focal_length_mm, pose)
+
+
+@dataclass(frozen=True, eq=False)
+class LaserFan:
+    """N planes of light through one projector point.
+
+    Attributes
+    ----------
+    projector_mm : ndarray, shape (3,)
+        Where the light comes from, belt frame, millimetres.
+    normals : ndarray, shape (N, 3)
+        Unit normals n of the planes n·X = d in the belt frame, stripes ordered along belt X.
+    offsets_mm : ndarray, shape (N,)
+        Their d, millimetres.
+    line_axis : ndarray, shape (3,)
+        Unit direction which all planes share (the lines' run), belt frame.
+    sigma_mm : float
+        Standard deviation of the light's Gaussian profile across a plane, where it is thinnest.
+    peak_grey : ndarray, shape (N,)
+        Grey levels in a plane's middle on a white (albedo 1) surface that faces the projector.
+    line_sigma_deg : float
+        Gaussian fall of the power with the angle along the line.
+    waist_distance_mm, divergence_mrad : float
+        Where the planes are thinnest, from the projector, and how the standard deviation grows away from
+        there: sqrt(sigma² + (divergence · (distance − waist))²). A plane that is wider is less bright.
+    """
+
+    projector_mm: Floats
+    normals: Floats
+    offsets_mm: Floats
+    line_axis: Floats
+    sigma_mm: float
+    peak_grey: Floats
+    line_sigma_deg: float = 25.0
+    waist_distance_mm: float = 0.0
+    divergence_mrad: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.sigma_mm <= 0.0 or self.line_sigma_deg <= 0.0:
+            raise ValueError("a laser line needs a positive width and a positive fan angle")
+        for name in ("projector_mm", "normals", "offsets_mm", "line_axis", "peak_grey"):
+            value = np.array(getattr(self, name), dtype=np.float64)
+            value.flags.writeable = False
+            object.__setattr__(self, name, value)
+        count = len(self.normals)
+        if self.normals.shape != (count, 3) or {self.offsets_mm.shape, self.peak_grey.shape} != {(count,)}:
+            raise ValueError("normals must be (N, 3), offsets_mm and peak_grey (N,)")
+
+    def packed(self) -> Floats:
+        """Return what the kernels take: waist (mm), fall (rad), its distance (mm), divergence (rad)."""
+        return np.array(
+            [
+                self.sigma_mm,
+                np.deg2rad(self.line_sigma_deg),
+                self.waist_distance_mm,
+                1e-3 * self.divergence_mrad,
+            ]
+        )
+
+    @property
+    def count(self) -> int:
+        """Number of planes."""
+        return len(self.normals)
+
+    def distance_mm(self, points_mm: ArrayLike) -> Floats:
+        """Signed distances n·X − d (mm), shape (..., N), of belt points, shape (..., 3), to all planes."""
+        distances: Floats = np.asarray(points_mm, dtype=np.float64) @ self.normals.T - self.offsets_mm
+        return distances
+
+    def x_mm(self, y_mm: ArrayLike, z_mm: ArrayLike) -> Floats:
+        """X of each plane (mm), shape S + (N,), at belt Y and Z (mm) that broadcast to one shape S."""
+        y, z = np.broadcast_arrays(np.asarray(y_mm, dtype=np.float64), np.asarray(z_mm, dtype=np.float64))
+        rest = self.offsets_mm - y[..., None] * self.normals[:, 1] - z[..., None] * self.normals[:, 2]
+        x: Floats = rest / self.normals[:, 0]
+        return x
+
+
+def fan_through(
+    projector_mm: ArrayLike,
+    belt_x_mm: ArrayLike,
+    *,
+    yaw_deg: float = 0.0,
+    pitch_deg: float = 0.0,
+    sigma_mm: float,
+    peak_grey: ArrayLike,
+    line_sigma_deg: float = 25.0,
+) -> LaserFan:
+    """Return the fan whose planes meet the belt's X axis at given places, increasing.
+
+    The yaw turns the lines about Z, counter-clockwise seen from above (0 is parallel to Y), the pitch lifts
+    their common direction out of the belt plane. Normals point towards +X; one `peak_grey` serves all
+    planes.
+    """
+    projector = np.asarray(projector_mm, dtype=np.float64)
+    feet = np.atleast_1d(np.asarray(belt_x_mm, dtype=np.float64))
+    yaw, pitch = np.deg2rad([yaw_deg, pitch_deg])
+    axis = np.array([-np.sin(yaw) * np.cos(pitch), np.cos(yaw) * np.cos(pitch), np.sin(pitch)])
+    towards = np.stack([feet, np.zeros_like(feet), np.zeros_like(feet)], axis=-1) - projector
+    normals = np.cross(towards, axis)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    normals *= np.sign(normals[:, :1])
+    peak = np.broadcast_to(np.asarray(peak_grey, dtype=np.float64), feet.shape)
+    return LaserFan(projector, normals, normals @ projector, axis, sigma_mm, peak, line_sigma_deg)
+
+
+def view_mm(camera: Camera, height_mm: float = 0.0) -> tuple[float, float, float, float]:
+    """Return smallest and largest X, smallest and largest Y of the view at a height, along its border."""
+    points = border_points_mm(camera, height_mm)
+    x, y = points[:, 0], points[:, 1]
+    return float(x.min()), float(x.max()), float(y.min()), float(y.max())
+
+
+def border_px(camera: Camera) -> tuple[Floats, Floats]:
+    """Return x and y of points along the image's border, px, shape (4 · steps,)."""
+    along = np.linspace(0.0, 1.0, _EDGE_STEPS)
+    x, y = along * camera.width_px - 0.5, along * camera.height_px - 0.5
+    left, right = np.full_like(y, x[0]), np.full_like(y, x[-1])
+    top, bottom = np.full_like(x, y[0]), np.full_like(x, y[-1])
+    return np.concatenate([left, right, x, x]), np.concatenate([y, y, top, bottom])
+
+
+def border_points_mm(camera: Camera, height_mm: float) -> Floats:
+    """Where the rays of the image's border meet a level, shape (4 · steps, 3)."""
+    rays = camera.ray(*border_px(camera))
+    reach = (height_mm - camera.centre_mm[2]) / rays[:, 2]
+    points: Floats = camera.centre_mm + reach[:, None] * rays
+    return points
+
+
+@dataclass(frozen=True)
+class Focus:
+    """Where the lens is focused (mm from the pinhole along the axis), and focal length over aperture."""
+
+    distance_mm: float
+    f_number: float
+
+
+def blur_sigma_px(camera: Camera, focus: Focus, depth_mm: Floats) -> Floats:
+    """Return the blur (deviation, px) at depths along the axis: a quarter of the disc's diameter."""
+    f = camera.focal_length_mm
+    circle_mm = f / focus.f_number * f / (focus.distance_mm - f) * np.abs(depth_mm / focus.distance_mm - 1.0)
+    sigma: Floats = 0.25 * circle_mm * (focus.distance_mm / depth_mm) / camera.pixel_size_mm
+    return sigma
+
+
+def defocused(light: Floats, camera: Camera, focus: Focus, depth_mm: Floats) -> Floats:
+    """Blur an image, shape (height, width), as its depths of the same shape ask for.
+
+    Each pixel comes from images blurred by the two nearest of eight amounts.
+    """
+    sigma = blur_sigma_px(camera, focus, depth_mm)
+    low, high = float(sigma.min()), float(sigma.max())
+    if high <= 0.0:
+        return light
+    amounts = np.linspace(low, high, _LEVELS if high - low > 1e-3 else 1)
+    stack = np.stack([blurred(light, float(amount)) for amount in amounts])
+    if len(amounts) == 1:
+        return np.asarray(stack[0], np.float64)
+    at = (sigma - low) / (high - low) * (_LEVELS - 1)
+    level = np.minimum(at.astype(np.int64), _LEVELS - 2)
+    part = at - level
+    lower = np.take_along_axis(stack, level[None], axis=0)[0]
+    upper = np.take_along_axis(stack, level[None] + 1, axis=0)[0]
+    mixed: Floats = lower * (1.0 - part) + upper * part
+    return mixed
+
+
+def depths_mm(camera: Camera, solid: Solid) -> Floats:
+    """Return how far along the optical axis each pixel's middle sees; the belt's where it sees nothing."""
+    found: Floats = _depths(solid.body(), camera.packed(), camera.rotation, camera.height_px, camera.width_px)
+    return np.where(np.isfinite(found), found, np.nanmax(found))
+
+
+def blurred(light: Floats, sigma_px: float) -> Floats:
+    """Blur an image by a Gaussian of `sigma_px` pixels; 0 leaves it as it is."""
+    if sigma_px <= 0.0:
+        return light
+    from scipy.ndimage import gaussian_filter
+
+    soft: Floats = gaussian_filter(light, sigma_px, mode="nearest")
+    return soft
+
+
+def undistorted(lens: Floats, x: Floats, y: Floats) -> tuple[Floats, Floats]:
+    """Take the distortion (k1, k2, p1, p2, k3) out of points (pixel − principal point) / focal length."""
+    flat_x, flat_y = np.ravel(x).astype(np.float64), np.ravel(y).astype(np.float64)
+    _undistort_all(lens, flat_x, flat_y)
+    return flat_x.reshape(np.shape(x)), flat_y.reshape(np.shape(y))
+
+
+@kernel
+def undistort(lens: Floats, first: int, x_bent: float, y_bent: float) -> tuple[float, float]:
+    """Undistort one point by Newton's method; the five coefficients stand at `first` of `lens`."""
+    k1, k2, p1, p2, k3 = lens[first], lens[first + 1], lens[first + 2], lens[first + 3], lens[first + 4]
+    x, y = x_bent, y_bent
+    for _ in range(30):
+        r2 = x * x + y * y
+        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        slope = k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3)
+        off_x = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x) - x_bent
+        off_y = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y - y_bent
+        xx = radial + 2.0 * x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x
+        xy = 2.0 * x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y
+        yy = radial + 2.0 * y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x
+        determinant = xx * yy - xy * xy
+        step_x = (yy * off_x - xy * off_y) / determinant
+        step_y = (xx * off_y - xy * off_x) / determinant
+        x -= step_x
+        y -= step_y
+        if abs(step_x) + abs(step_y) < 1e-15:
+            break
+    return x, y
+
+
+@kernel
+def camera_ray(pinhole: Floats, rotation: Floats, x_px: float, y_px: float, d: Floats) -> None:
+    """Write the unit direction, belt frame, of the ray through an image point."""
+    cx = (x_px - pinhole[3]) / pinhole[5]
+    cy = (y_px - pinhole[4]) / pinhole[5]
+    if pinhole[6] != 0.0:
+        cx, cy = undistort(pinhole, 7, cx, cy)
+    length = math.sqrt(cx * cx + cy * cy + 1.0)
+    for k in range(3):
+        d[k] = (rotation[k, 0] * cx + rotation[k, 1] * cy + rotation[k, 2]) / length
+
+
+@kernel
+def _undistort_all(lens: Floats, x: Floats, y: Floats) -> None:
+    for k in range(x.size):
+        x[k], y[k] = undistort(lens, 0, x[k], y[k])
+
+
+@kernel
+def _depths(body: AnyBody, pinhole: Floats, rotation: Floats, rows: int, columns: int) -> Floats:
+    depth = np.full((rows, columns), np.nan)
+    view, point = np.zeros(3), np.zeros(3)
+    reach = body.reach
+    for row in range(rows):
+        for column in range(columns):
+            camera_ray(pinhole, rotation, column, row, view)
+            if first_hit_in(body, reach, pinhole[:3], view, 1e-3, point) < 0:
+                continue
+            depth[row, column] = 0.0
+            for k in range(3):
+                depth[row, column] += rotation[k, 2] * (point[k] - pinhole[k])
+    return depth

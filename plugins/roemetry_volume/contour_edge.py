@@ -1,0 +1,414 @@
+"""From a rough ring around a product to its outline: brightness along normals, by dynamic programming.
+
+Model. The outline is a closed path over (normal, distance from the ring); each search takes the cheapest one,
+Σ cost(normal, distance) + bend·(change of distance)² (Geiger et al. 1995), on the normals of the ring that
+the search before it found:
+
+1. wide, twice: silhouettes are sharp, brightness changes within the lens's blur; shadows of extended lamps
+   and the shading of round bodies change slowly. So what counts is by how much the gradient at a fine scale
+   exceeds what the gradient at a coarse scale explains, whatever its sign. The outline lies outside of what
+   is seen of the product's stripes, and on this side of the stripes that are seen on the belt.
+2. narrow, twice: where light changes most.
+3. to a part of a pixel, five times: a round body turns away from the light, so inside the edge brightness is
+   a + b·√d + c·d in the distance d from it; outside f + g·d, a shadow that thins out; both blurred. For each
+   place of the edge that is a linear fit, whose squared residuals are the cost.
+
+In a laser image only places beside stripes tell (normals on stripes follow their neighbours), and the edge
+is known only where it stands out: `_seen` says how much of it does not.
+
+Fails where a shadow's edge is as sharp as the body's (a lamp that is a point) and no stripe on the belt
+lies between, and where product and belt look alike over a long part of the contour: stripes that end
+elsewhere show it (`outline_surface`).
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from roemetry.records.arrays import Flags, Floats, Integers
+from roemetry_kernels.compiling import kernel
+from roemetry_volume.footprint import area_of, evenly
+
+_NORMALS = 400
+"""Of a contour of some 800 px: one every 2 px, about the image's own resolution across a blurred edge."""
+_LEAST_POINTS, _LEAST_AREA_PX2 = 3, 30.0  # a smaller ring has no inside to compare with
+_ROUND_START = 6.0
+"""Normals: the start is a polygon through stripes' ends, whose corners say nothing."""
+
+_WIDE = ((4.0, 0.8), (0.6, 0.6))
+"""Spacings of stripes, outwards and inwards, of the two wide searches. Beside the product's first stripe the
+edge is at most one spacing away, and in the laser's shadow as far as a body of one and a half spacings of
+displacement throws it; the second search has the normals of the first one's result."""
+_FINE_PX, _COARSE_PX = 1.5, 5.0
+"""Scales of the gradients: somewhat more than a lens's blur, and that of the penumbra of a near lamp."""
+_WIDE_BEND, _WIDE_STEP = 0.005, 4
+"""Bending costs little, but an edge may run no steeper than 4 px from normal to normal."""
+_OUTWARDS = 0.001
+"""Per pixel. Of two equally clear edges the outer: 100 px count a tenth of a clear edge."""
+_COHERENT = 2.0
+"""Normals, about 4 px, over which gradients are averaged along the edge: texture is shorter."""
+_WIDE_ROUND, _DIRECTION_ROUND = 3.0, 8.0
+"""Normals over which places and directions are smoothed: else normals cross at the corners of the start."""
+_LIT, _LIT_PX = 0.2, 5.0
+"""What lies outside is belt in light or in shadow: so far outside, an edge beyond which it is brighter than
+the belt by so much (natural logarithm) does not count. The seen wall of a cut end is such a case."""
+
+_NARROW_PX, _STEP_PX, _SMOOTH_PX, _NARROW_BEND, _NARROW_ROUND = 5.0, 0.5, 1.2, 0.1, 2.0
+"""Reach of the narrow search: twice what the wide one may be off by; its steps, smoothing and stiffness are
+of the order of the blur, and a half or twice as much moves volumes by less than 0.1 %."""
+
+_REACH_PX, _SEARCH_PX, _SEARCH_STEP_PX = 5.0, 2.5, 0.25
+"""Of the fit: how far it looks, how far the edge may be from the ring, and in which steps."""
+_FIT_COHERENT, _FIT_ROUND, _FIT_BEND = 1.0, 1.5, 0.3
+_FIT_ROUNDS = 5
+"""Fits, each in a window around the one before: the fifth moves the edge by less than 0.02 px."""
+_TERMS = 6  # four of the brightness and two of place and noise
+_ALIKE_PX = 6.0  # along the contour: texture of belt and product, and what is smoothed over
+_BLUR_PX = 0.6  # of a sharp lens, with the resampling of the image
+_BLUR_UNSURE = 0.33  # nobody has measured this camera's: what a third more or less would change
+_LEAST_STD_PX = 0.1
+_LASER_STD_PX = 0.3
+"""A stripe's scattered light reaches beyond where it was taken out: 0.1 to 0.4 px on six rigs."""
+_USUAL_SCATTER_PX = 0.25  # of single normals: texture, and the steps of the search
+_BIASED = 0.7  # of what they scatter beyond that: noise takes the kink to one side
+
+_FREE_LEAST = 0.2
+"""Of the ring: with less of it between the stripes there is nothing to follow."""
+_CLEAR = 3.0
+"""Standard deviations, of the same differences on the belt, from which on a step in brightness is one."""
+_CLEAR_LEAST = 0.75
+"""Of the ring beside stripes: with less that is clear the rest is a guess. On nine rigs of two renderers 0.84
+to 1.00 is where there is light enough to see the product, and 0.45 to 0.70 where there is not."""
+_DECIDED_PX = 6
+"""Where what is seen of product and belt leaves no more than that, the place is known without brightness."""
+
+
+class Edge(NamedTuple):
+    """An outline and how well it is held.
+
+    Attributes
+    ----------
+    xy_px : ndarray, shape (400, 2)
+        The contour.
+    std_px
+        Standard uncertainty of its place as a whole: what the image's noise and texture leave open, what the
+        model of the brightness across the edge may be wrong by, and how far it is not seen at all.
+    """
+
+    xy_px: Floats
+    std_px: float
+
+
+class Scene(NamedTuple):
+    """What a contour is searched in, (row, column) each.
+
+    Attributes
+    ----------
+    level
+        log(image / belt).
+    product, belt
+        True where stripes show this product; and where they show the belt or another product.
+    stripes
+        True where a laser image's stripes were taken out; None: a plain-light image.
+    blur_px
+        By how much `level` was smoothed, standard deviation.
+    spacing_px
+        Distance of neighbouring stripes.
+    """
+
+    level: Floats
+    product: Flags
+    belt: Flags
+    stripes: Flags | None
+    blur_px: float
+    spacing_px: float
+
+
+def edge_around(scene: Scene, start: Floats) -> Edge | None:
+    """Find the outline around a rough ring.
+
+    Parameters
+    ----------
+    scene
+        The image and what stripes show in it.
+    start
+        (n, 2) a closed polygon, px: through the product's outermost seen points, or around its core.
+
+    Returns
+    -------
+    Edge or None
+        None where the ring is too small to have an outline, or where too little of it is seen.
+    """
+    if start.shape[0] < _LEAST_POINTS or abs(area_of(start)) < _LEAST_AREA_PX2:
+        return None
+    scene = scene._replace(level=scene.level.astype(np.float32))
+    ring = _rounded(evenly(start, _NORMALS), _ROUND_START)
+    for outwards, inwards in _WIDE:
+        ring = _widely(scene, ring, (outwards * scene.spacing_px, inwards * scene.spacing_px))
+    for _ in range(2):
+        ring = _steepest(scene, ring)
+    blur_px = math.hypot(_BLUR_PX, scene.blur_px)
+    if scene.stripes is not None:
+        scene = scene._replace(level=np.exp(scene.level))  # light adds up, its logarithm's noise does not
+    for _ in range(_FIT_ROUNDS):
+        ring, std_px, scatter_px = _kinked(scene, ring, blur_px)
+    unsure_px = _BIASED * max(scatter_px - _USUAL_SCATTER_PX, 0.0)
+    if scene.stripes is None:
+        narrow, wide = (
+            _kinked(scene, ring, share * blur_px)[0] for share in (1 - _BLUR_UNSURE, 1 + _BLUR_UNSURE)
+        )
+        model_px = math.hypot(_LEAST_STD_PX, 0.5 * _apart(narrow, wide))
+    else:
+        clear, open_px = _seen(scene, ring)
+        if clear < _CLEAR_LEAST:
+            return None
+        model_px = math.hypot(_LASER_STD_PX, open_px)
+    rows, columns = scene.level.shape
+    inside = np.clip(ring, -0.5, np.array([columns, rows]) - 0.5)
+    return Edge(inside, math.hypot(std_px, model_px, unsure_px))
+
+
+def _widely(scene: Scene, ring: Floats, reach_px: tuple[float, float]) -> Floats:
+    """Move a ring to the sharpest closed edge between the product's stripes and the belt's."""
+    import cv2
+
+    outwards, inwards = reach_px
+    # only what lies within reach is looked at
+    low = np.maximum(np.floor(ring.min(axis=0) - outwards).astype(int) - 20, 0)
+    high = np.ceil(ring.max(axis=0) + outwards).astype(int) + 21
+    window = (slice(low[1], high[1]), slice(low[0], high[0]))
+    level, ring = scene.level[window], ring - low
+    normal = _rounded(_normals_of(ring), _DIRECTION_ROUND)
+    normal /= np.maximum(np.hypot(normal[:, 0], normal[:, 1]), 1e-9)[:, None]
+    off = np.arange(-inwards, outwards, 1.0)
+
+    def gradient(scale_px: float) -> Floats:
+        smooth = cv2.GaussianBlur(level, (0, 0), scale_px)
+        before, after = (_along(smooth, ring, normal, off + at) for at in (-scale_px, scale_px))
+        return _rounded((before - after) / (2.0 * scale_px), _COHERENT)
+
+    sharp = np.abs(gradient(_FINE_PX) - gradient(_COARSE_PX))
+    shut = _shut(scene.product[window], scene.belt[window], ring, normal, off)
+    sharp[shut] = 0.0
+    clear = max(float(np.median(sharp.max(axis=1))), 1e-9)
+    cost = -np.clip(sharp / clear, 0.0, 1.0) - _OUTWARDS * off[None]
+    lit = _along(cv2.GaussianBlur(level, (0, 0), _COARSE_PX / 2.0), ring, normal, off + _LIT_PX)
+    cost += np.clip(lit / _LIT, 0.0, 1.0)
+    cost[shut] = 1.0
+    path = closed_path(cost, _WIDE_BEND, _WIDE_STEP)
+    even = _rounded(off[path][:, None], _WIDE_ROUND)
+    return np.asarray(low + _rounded(evenly(ring + even * normal, _NORMALS), 2.0))
+
+
+def _steepest(scene: Scene, ring: Floats) -> Floats:
+    """Move a ring along its normals to where light changes most."""
+    normal = _normals_of(ring)
+    off = np.arange(-_NARROW_PX, _NARROW_PX + _STEP_PX, _STEP_PX)
+    before, after = (_along(scene.level, ring, normal, off + shift) for shift in (-_SMOOTH_PX, _SMOOTH_PX))
+    told = _beside(scene.stripes, ring, normal)
+    change = np.abs(_rounded(before - after, _COHERENT))
+    cost = -change / max(float(np.median(change[told].max(axis=1))), 1e-9)
+    cost[~told] = 0.0
+    cost[_shut(scene.product, scene.belt, ring, normal, off)] += 1.0
+    path = closed_path(cost, _NARROW_BEND, 2)
+    return evenly(ring + _rounded(off[path][:, None], _NARROW_ROUND) * normal, ring.shape[0])
+
+
+def _kinked(scene: Scene, ring: Floats, blur_px: float) -> tuple[Floats, float, float]:
+    """Move a ring to where the brightness has its kink.
+
+    Returns
+    -------
+    ring : ndarray, shape (n, 2)
+        The outline.
+    std_px : float
+        Standard uncertainty of the contour's place as a whole: that of each normal, from its fit's residual
+        and how fast it grows beside the best place, pooled over the contour, every 6 px by themselves.
+    scatter_px : float
+        How far the single normals' best places scatter about the contour, standard deviation. Beside a
+        shadow as dark as the rim noise decides where the kink is, and the residual does not show it: this
+        does.
+    """
+    normal = _normals_of(ring)
+    off, places, residual = _model(blur_px)
+    told = _beside(scene.stripes, ring, normal)
+    seen = _rounded(_along(scene.level, ring, normal, off), _FIT_COHERENT)
+    cost = np.stack([((seen @ left) ** 2).sum(axis=1) for left in residual], axis=1)
+    usual = float(np.median((cost.max(axis=1) - cost.min(axis=1))[told])) or 1.0
+    cost[~told] = 0.0
+    free = cost.copy()
+    cost[_shut(scene.product, scene.belt, ring, normal, places)] += usual
+    path = closed_path(cost / usual, _FIT_BEND, 2)
+    row = np.arange(ring.shape[0])
+    inner = np.clip(path, 1, places.size - 2)
+    before, here, after = (free[row, inner + k] for k in (-1, 0, 1))
+    curve = before - 2.0 * here + after
+    with np.errstate(divide="ignore", invalid="ignore"):
+        part = np.where(curve > 0.0, np.clip(0.5 * (before - after) / curve, -0.75, 0.75), 0.0)
+    exact = places[path] + _SEARCH_STEP_PX * np.where(inner == path, part, 0.0)
+    even = _rounded(exact[:, None], _FIT_ROUND)
+    clear = (curve > 0.0) & told
+    each = 2.0 * here[clear] / (off.size - _TERMS) * _SEARCH_STEP_PX**2 / curve[clear]
+    std = math.sqrt(float(np.median(each)) * _ALIKE_PX / _length(ring)) if clear.any() else math.inf
+    scatter = float((places[free.argmin(axis=1)] - even[:, 0])[told].std())
+    return evenly(ring + even * normal, ring.shape[0]), std, scatter
+
+
+@lru_cache(maxsize=4)
+def _model(blur_px: float) -> tuple[Floats, Floats, Floats]:
+    """Distances of samples, places of the edge, and for each the matrix that leaves what does not fit."""
+    off = np.arange(-_REACH_PX, _REACH_PX + 0.5 * _STEP_PX, _STEP_PX)
+    places = np.arange(-_SEARCH_PX, _SEARCH_PX + 0.5 * _SEARCH_STEP_PX, _SEARCH_STEP_PX)
+    reach = _REACH_PX + max(4.0, 4.0 * blur_px)
+    fine = np.arange(-reach, reach, 0.05)
+    blur = np.exp(-0.5 * ((off[:, None] - fine[None, :]) / blur_px) ** 2)
+    blur /= blur.sum(axis=1)[:, None]
+    residual = []
+    for place in places:
+        within = np.clip(place - fine, 0.0, None)
+        beyond = np.clip(fine - place, 0.0, None)
+        inside = (fine < place).astype(np.float64)
+        design = blur @ np.column_stack([np.ones_like(fine), inside, np.sqrt(within), within, beyond])
+        q, _ = np.linalg.qr(design)
+        residual.append(np.eye(off.size) - q @ q.T)
+    return off, places, np.array(residual)
+
+
+def _seen(scene: Scene, ring: Floats) -> tuple[float, float]:
+    """Say how much of an outline stands out, and how uncertain what does not makes its place as a whole.
+
+    Where the step in brightness across the ring is not clear, the edge lies anywhere (a rectangle) between
+    the product's stripes and the belt's, or within a spacing.
+
+    Returns
+    -------
+    clear : float
+        Share of what lies beside stripes whose step is three times what such steps scatter on the belt.
+    open_px : float
+        Standard uncertainty: the mean over the ring of the rectangles' half widths over √3.
+    """
+    assert scene.stripes is not None
+    normal = _normals_of(ring)
+    steps, shares = _steps(scene, ring)
+    away = [_steps(scene, ring + far * normal) for far in (10.0, 14.0, 18.0)]
+    told = [share > _FREE_LEAST for _, share in away]
+    belt = np.concatenate(
+        [step[on] * np.sqrt(share[on]) for (step, share), on in zip(away, told, strict=True)]
+    )
+    noise = 1.4826 * float(np.median(np.abs(belt))) if belt.size else math.inf
+    known = shares > 0.0
+    clear = known & (np.abs(steps) * np.sqrt(shares) > _CLEAR * noise)
+    off = np.arange(-0.6 * scene.spacing_px, scene.spacing_px, 1.0)
+    open_px = (~_shut(scene.product, scene.belt, ring, normal, off)).sum(axis=1)
+    unknown = ~clear & (open_px > _DECIDED_PX)
+    return float(clear.sum() / max(known.sum(), 1)), float((unknown * open_px).mean()) / math.sqrt(12.0)
+
+
+def _steps(scene: Scene, ring: Floats) -> tuple[Floats, Floats]:
+    """Give the mean step in light across a ring over neighbours beside stripes, and the share of these."""
+    assert scene.stripes is not None
+    normal, off = _normals_of(ring), np.arange(1.0, 5.0)
+    inside, outside = (_along(scene.level, ring, normal, sign * off).mean(axis=1) for sign in (-1.0, 1.0))
+    on = _along(scene.stripes.astype(np.float32), ring, normal, np.arange(-4.0, 5.0)).max(axis=1)
+    share = _rounded((on < 0.5).astype(np.float64)[:, None], 3.0)[:, 0]
+    share[share < 0.02] = 0.0
+    mean = _rounded(np.where(on < 0.5, inside - outside, 0.0)[:, None], 3.0)[:, 0]
+    return mean / np.maximum(share, 0.02), share
+
+
+def _shut(product: Flags, belt: Flags, ring: Floats, normal: Floats, off_px: Floats) -> Flags:
+    """Say where (normal, distance) no outline runs: within what is seen of the product, beyond the belt."""
+    within = _along(product.astype(np.float32), ring, normal, off_px) > 0.5
+    within = np.flip(np.maximum.accumulate(np.flip(within, axis=1), axis=1), axis=1)
+    beyond = _along(belt.astype(np.float32), ring, normal, off_px) > 0.3
+    shut: Flags = within | np.maximum.accumulate(beyond & ~within, axis=1)
+    return shut
+
+
+def _beside(stripes: Flags | None, ring: Floats, normal: Floats) -> Flags:
+    """Say which points of a ring lie beside stripes, not on them; all, where that would leave too few."""
+    if stripes is None:
+        return np.ones(ring.shape[0], np.bool_)
+    on = _along(stripes.astype(np.float32), ring, normal, np.array([-2.0, 0.0, 2.0])).max(axis=1)
+    free: Flags = on < 0.5
+    return free if free.mean() > _FREE_LEAST else np.ones(ring.shape[0], np.bool_)
+
+
+def _apart(one: Floats, other: Floats) -> float:
+    """Mean distance of two outlines of the same thing, px, positive where the other is larger."""
+    return (abs(area_of(other)) - abs(area_of(one))) / _length(one)
+
+
+def _length(ring: Floats) -> float:
+    return float(np.hypot(*(np.roll(ring, -1, axis=0) - ring).T).sum())
+
+
+def _along(image: Floats, ring: Floats, normal: Floats, off_px: Floats) -> Floats:
+    """Sample an image (n, m) at distances along the normals of a ring."""
+    import cv2
+
+    at = ring[:, None, :] + off_px[None, :, None] * normal[:, None, :]
+    x, y = at[..., 0].astype(np.float32), at[..., 1].astype(np.float32)
+    return np.asarray(cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
+
+
+def _rounded(values: Floats, sigma: float) -> Floats:
+    """Smooth (n, k) values around the ring."""
+    from scipy.ndimage import gaussian_filter1d
+
+    return np.asarray(gaussian_filter1d(values, sigma, axis=0, mode="wrap"))
+
+
+def _normals_of(ring: Floats) -> Floats:
+    """Give the outward unit normals (n, 2) of a ring."""
+    along = np.roll(ring, -3, axis=0) - np.roll(ring, 3, axis=0)
+    length = np.hypot(along[:, 0], along[:, 1])
+    normal = np.column_stack([along[:, 1], -along[:, 0]]) * (np.sign(area_of(ring)) or 1.0)
+    return np.asarray(normal / np.where(length > 0.0, length, 1.0)[:, None])
+
+
+@kernel
+def closed_path(cost: Floats, bend: float, most: int) -> Integers:
+    """Find the path of least cost once around.
+
+    Parameters
+    ----------
+    cost : ndarray, shape (n, m)
+        Cost of each of m places on each of n rays; the last ray lies beside the first.
+    bend
+        Cost of a step from ray to ray, times its square.
+    most
+        Largest step, places.
+
+    Returns
+    -------
+    ndarray of int64, shape (n,)
+        Place on each ray. The path is followed twice around and the middle of it taken, whose ends meet
+        unless two paths cost alike; then they differ by at most `most` places.
+    """
+    n, m = cost.shape
+    total = np.empty((2 * n, m))
+    came = np.zeros((2 * n, m), np.int64)
+    total[0] = cost[0]
+    for k in range(1, 2 * n):
+        for j in range(m):
+            best, place = np.inf, j
+            for i in range(max(j - most, 0), min(j + most, m - 1) + 1):
+                way = total[k - 1, i] + bend * (i - j) ** 2
+                if way < best:
+                    best, place = way, i
+            total[k, j] = best + cost[k % n, j]
+            came[k, j] = place
+    path = np.empty(2 * n, np.int64)
+    path[2 * n - 1] = np.argmin(total[2 * n - 1])
+    for k in range(2 * n - 1, 0, -1):
+        path[k - 1] = came[k, path[k]]
+    half = n // 2
+    out = np.empty(n, np.int64)
+    for k in range(n):
+        out[k] = path[k + n] if k < half else path[k]
+    return out

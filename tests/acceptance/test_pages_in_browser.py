@@ -1,0 +1,140 @@
+"""Every kind of page of every shipped recipe, in a real browser: no script error, nothing overflows."""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+
+from roemetry import Recipe, run_recipe
+from roemetry.cli.calibration import calibrate
+from roemetry_tools.verbs.compare import compare
+from tests.browser import opened, served
+
+HOME = Path(__file__).resolve().parents[2] / "recipes"
+RECIPES = ["bread_roll", "egg", "fish_fillet", "potato", "weld_groove", "herring_roe"]
+RECIPES += ["herring_roe/by_words.yaml", "herring_roe/with_outline.yaml"]
+RIGS = ["bread_roll/rig.yaml", "egg/rig.yaml", "herring_roe/boards.yaml"]
+"""One for each way to calibrate."""
+
+PRODUCTS = 2
+WIDTHS = (1300, 420)
+"""A desk's and a telephone's, px."""
+
+OVERFLOW = """() => {
+  const wide = document.documentElement.clientWidth, found = [];
+  const scrolled = document.documentElement.scrollWidth;
+  if (scrolled > wide) found.push(`the page is ${scrolled} px wide`);
+  for (const node of document.querySelectorAll("body *")) {
+    const box = node.getBoundingClientRect(), style = getComputedStyle(node);
+    if (!box.width || !box.height || node.closest(".scroll, .defs, [hidden]") !== null) continue;
+    if (style.visibility === "hidden" || style.clipPath !== "none") continue;
+    if (!node.ownerSVGElement && (box.right > wide + 1 || box.left < -1))
+      found.push(`${node.tagName} .${node.className.baseVal ?? node.className}`);
+    if (node.tagName !== "text") continue;
+    const room = node.ownerSVGElement.getBoundingClientRect();
+    const beside = Math.max(room.left - box.left, box.right - room.right);
+    const out = Math.max(beside, room.top - box.top, box.bottom - room.bottom);
+    if (out > 2) found.push(`"${node.textContent}" leaves "${node.ownerSVGElement.ariaLabel}" by ${out} px`);
+  }
+  if (wide > 1000) for (const node of document.querySelectorAll(".scroll:has(.rows)"))
+    if (node.scrollWidth > node.clientWidth + 1)
+      found.push(`"${node.ariaLabel}" is cut off: ${node.scrollWidth} of ${node.clientWidth} px`);
+  return found;
+}"""
+"""What is wider than the page, text that leaves its picture, and, on a wide page, tables that are cut off."""
+
+
+@pytest.fixture(scope="module", params=RECIPES)
+def recipe(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A shipped recipe with few products."""
+    line, _, name = request.param.partition("/")
+    folder = tmp_path_factory.mktemp("pages") / line
+    shutil.copytree(HOME / line, folder, ignore=shutil.ignore_patterns("comparison"))
+    if (items := folder / "data" / "items.jsonl").exists():
+        items.write_text("".join(items.read_text("utf-8").splitlines(keepends=True)[:PRODUCTS]), "utf-8")
+    for images in folder.glob("images*"):
+        for image in sorted(images.iterdir())[PRODUCTS:]:
+            image.unlink()
+    if (items := folder / "items.jsonl").exists():
+        items.write_text("".join(items.read_text("utf-8").splitlines(keepends=True)[:PRODUCTS]), "utf-8")
+    return folder / (name or "recipe.yaml")
+
+
+def assert_fits(page: Any, address: str) -> None:
+    found = page.evaluate(OVERFLOW)
+    assert found == [], f"{address}: {found[:5]}"
+
+
+@pytest.fixture(scope="module")
+def report(recipe: Path) -> str:
+    run_recipe(Recipe.load(recipe, sets=["sinks=[report]", "draws=0"]), recipe.parent / "run")
+    return (recipe.parent / "run" / "report.html").as_uri()
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_a_report_turns_enlarges_and_prints(browser: Any, report: str, width: int) -> None:
+    with opened(browser, report, width=width) as page:
+        assert_fits(page, report)
+        panels = page.locator("figure.panel")
+        assert panels.count() >= 4
+        assert page.locator("figure.panel .enlarge").count() == panels.count()
+        for panel in (panels.first, panels.last):
+            small = panel.locator("svg").first.bounding_box()
+            panel.locator(".enlarge").click()
+            large = panel.locator("svg").first.bounding_box()
+            assert large["width"] * large["height"] > 1.1 * small["width"] * small["height"]
+            assert large["x"] >= 0 and large["x"] + large["width"] <= width
+            page.keyboard.press("Escape")
+            assert page.locator(".large").count() == 0
+        for solid in page.locator("figure.solid").all()[:1]:
+            solid.scroll_into_view_if_needed()
+            page.wait_for_selector("figure.solid.live canvas")
+            before = solid.locator("canvas").screenshot()
+            solid.locator("canvas").focus()
+            page.keyboard.press("Shift+ArrowLeft")
+            page.wait_for_timeout(100)
+            assert solid.locator("canvas").screenshot() != before
+            assert_fits(page, report)
+        page.evaluate("window.dispatchEvent(new Event('beforeprint'))")
+        assert page.locator("details:not([open])").count() == 0
+        assert len(page.pdf()) > 10_000
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_a_comparison_prints(browser: Any, recipe: Path, width: int) -> None:
+    out = recipe.parent / "compared"
+    if not out.exists():
+        with contextlib.suppress(typer.Exit):
+            compare(recipe, vary=["extractor=centre-of-gravity,dominant-peak"], sets=["draws=0"], out=out)
+    address = (out / "comparison.html").as_uri()
+    with opened(browser, address, width=width) as page:
+        assert_fits(page, address)
+        assert len(page.pdf()) > 10_000
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_a_tuning_page_answers(browser: Any, recipe: Path, width: int) -> None:
+    with served(recipe) as address, opened(browser, address, width=width) as page:
+        page.wait_for_selector("body[data-took]")
+        assert_fits(page, address)
+        answers = page.get_attribute("body", "data-answers")
+        extractor = page.get_by_label("extractor: plugin")
+        another = "gaussian" if extractor.input_value() == "centre-of-gravity" else "centre-of-gravity"
+        extractor.select_option(another)
+        page.wait_for_selector(f'body:not([data-answers="{answers}"])')
+        assert_fits(page, address)
+
+
+@pytest.mark.parametrize("rig", RIGS)
+def test_a_calibration_page_prints(browser: Any, tmp_path: Path, rig: str) -> None:
+    path = tmp_path / "calibration.html"
+    calibrate(HOME / rig, out=tmp_path / "calibration.yaml", report=path)
+    for width in WIDTHS:
+        with opened(browser, path.as_uri(), width=width) as page:
+            assert_fits(page, rig)
+            assert len(page.pdf()) > 10_000

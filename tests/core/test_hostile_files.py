@@ -1,0 +1,71 @@
+"""Files that nobody means well with: whatever stands in them, only our own error comes out, and soon."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from roemetry.config.recipe import Recipe
+from roemetry.errors import RoemetryError
+from roemetry.io.yaml_source import parse
+
+HOME = Path(__file__).parents[2] / "recipes"
+TEXTS = [path.read_bytes() for path in sorted(HOME.glob("*/*.yaml")) if path.stat().st_size < 4000]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a: &a [*a]",
+        "a: &a [x, x]\n" + "".join(f"b{i}: &b{i} [{', '.join(['*a'] * 9)}]\n" for i in range(9)),
+        "[" * 3000 + "]" * 3000,
+        "".join(" " * depth + "a:\n" for depth in range(2000)),
+        "a: \0",
+        "a: \ud800",
+        "a: " + "9" * 10_000,
+    ],
+    ids=[
+        "recursive",
+        "a billion laughs",
+        "3000 lists",
+        "2000 maps",
+        "NUL",
+        "half a surrogate",
+        "10,000 digits",
+    ],
+)
+def test_a_text_that_would_never_end_is_refused_at_once(text: str) -> None:
+    begun = time.perf_counter()
+    with pytest.raises(RoemetryError, match="f:"):
+        parse(text, "f")
+    assert time.perf_counter() - begun < 2.0
+
+
+@given(data=st.data())
+@settings(max_examples=300)
+def test_a_recipe_with_any_bytes_changed_is_read_or_refused(data: st.DataObject, tmp_path_factory) -> None:
+    raw = bytearray(data.draw(st.sampled_from(TEXTS)))
+    for _ in range(data.draw(st.integers(1, 6))):
+        at = data.draw(st.integers(0, len(raw) - 1))
+        new = data.draw(
+            st.binary(max_size=4) | st.sampled_from([b"*", b"&a ", b"[", b"{", b": ", b"\n", b"true"])
+        )
+        raw[at : at + data.draw(st.integers(0, 4))] = new
+    path = tmp_path_factory.getbasetemp() / "mutated.yaml"
+    path.write_bytes(bytes(raw))
+    try:
+        Recipe.load(path)
+    except RoemetryError as error:
+        assert error.message.strip()
+
+
+def test_yes_is_no_number(tmp_path: Path) -> None:
+    path = tmp_path / "recipe.yaml"
+    extractor = "{use: gaussian, options: {threshold: true}}"
+    path.write_text(f"roemetry: 1\nproduct: roe\nstages:\n  extractor: {extractor}\nsource: {{path: .}}\n")
+    with pytest.raises(RoemetryError, match=r"recipe\.yaml:4:\d+: .*threshold"):
+        Recipe.load(path)

@@ -1,0 +1,110 @@
+"""A camera that has moved a little is corrected; its uncertainty is what it says; more is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+import roemetry
+from roemetry.errors import StageError
+from roemetry.records.calibration import Alignment
+from roemetry.testing.scenes import LinearRig, moved_rig
+from roemetry_coding.belt_lines import BeltLines
+
+HOME = Path(__file__).parents[3] / "recipes" / "herring_roe"
+NOTHING = np.zeros((4, 4))
+
+
+def seen_by(rig: LinearRig, motion: tuple[float, ...], rng: np.random.Generator, noise_px: float = 0.2):
+    """Peaks of a dome whose camera has moved by `motion` since the rig was calibrated."""
+    moved = moved_rig(rig.calibration(), Alignment(np.array(motion), NOTHING))
+    rest = moved.rest_line_px(np.arange(rig.rows, dtype=np.float64))
+    x_px = rest + rig.px_per_mm * rig.dome() + rng.normal(0.0, noise_px, rest.shape)
+    return rig.peaks(x_px).peaks
+
+
+def test_what_is_found_is_as_sure_as_it_is_stated(rng: np.random.Generator) -> None:
+    rig, motion = LinearRig(), (0.4, 0.004, -0.003, 0.0)
+    found = [BeltLines().align(seen_by(rig, motion, rng), rig.calibration(), moved_rig) for _ in range(60)]
+    off = np.array([(one.motion - motion)[:2] for one in found])
+    stated = np.sqrt(np.mean([np.diag(one.covariance)[:2] for one in found], axis=0))
+    ratio = np.sqrt((off**2).mean(axis=0)) / stated
+    assert (ratio > 0.3).all() and (ratio < 1.5).all(), ratio  # two ways of clustering are added
+
+
+def test_a_plane_that_moved_alone_is_named(rng: np.random.Generator) -> None:
+    rig = LinearRig()
+    x_px = rig.rest_px() + rng.normal(0.0, 0.1, (rig.stripes, rig.rows))
+    x_px[4] += 0.9
+    found = BeltLines().align(rig.peaks(x_px).peaks, rig.calibration(), moved_rig)
+    said = [reason.text for reason in found.reasons if reason.code == "stripe-moved"]
+    assert len(said) == 1 and "5 (+0." in said[0]
+
+
+def test_a_rig_of_another_calibration_is_refused(rng: np.random.Generator) -> None:
+    other = LinearRig(first_px=52.0, fan=0.06)
+    with pytest.raises(StageError, match="calibrat"):
+        BeltLines().align(other.peaks(other.rest_px()).peaks, LinearRig().calibration(), moved_rig)
+
+
+@pytest.mark.parametrize(
+    ("turn_deg", "scale", "said"),
+    [(0.4, 1.0, "turned by 0.4"), (0.0, 0.995, "shrunk by 0.5"), (0.15, 1.001, "turned by 0.15")],
+)
+def test_a_skeins_volume_stays_when_the_camera_turns_or_zooms(
+    turn_deg: float, scale: float, said: str
+) -> None:
+    recipe = roemetry.Recipe.load(HOME / "with_outline.yaml", sets=["draws=0"])
+    still, moved = (_volume(recipe, *how) for how in ((0.0, 1.0), (turn_deg, scale)))
+    assert [reason.code for reason in still.reasons if reason.code == "moved"] == []
+    texts = [reason.text for reason in moved.reasons if reason.code == "moved"]
+    assert len(texts) == 1 and said in texts[0]
+    before, after = (one.volume.visible_mm3.value for one in (still, moved))
+    assert abs(after / before - 1.0) < 0.004
+
+
+@pytest.mark.parametrize(
+    ("turn_deg", "scale", "said"), [(1.0, 1.0, "turned by 1.0"), (0.0, 0.985, "shrunk by 1.5")]
+)
+def test_a_camera_that_moved_far_is_refused_with_what_moved(turn_deg: float, scale: float, said: str) -> None:
+    recipe = roemetry.Recipe.load(HOME / "with_outline.yaml", sets=["draws=0"])
+    row = _volume(recipe, turn_deg, scale)
+    assert row.status == "failed" and row.volume is None
+    assert any(said in reason.text for reason in row.reasons)
+
+
+def _volume(recipe: roemetry.Recipe, turn_deg: float, scale: float):
+    """Measure the first skein, its images turned clockwise about their middle and scaled."""
+    images = []
+    for folder in ("images", "images_plain"):
+        image = cv2.imread(str(next(iter(sorted((HOME / folder).glob("*01*.png"))))), cv2.IMREAD_UNCHANGED)
+        rows, columns = image.shape[:2]
+        turn = cv2.getRotationMatrix2D(((columns - 1) / 2, (rows - 1) / 2), -turn_deg, scale)
+        images.append(
+            cv2.warpAffine(
+                image, turn, (columns, rows), flags=cv2.INTER_LANCZOS4, borderMode=cv2.BORDER_REFLECT
+            )
+        )
+    return recipe.measure(images[0], plain=images[1], name="skein")[0]
+
+
+@pytest.mark.parametrize("lost_rows", [4, 20])
+def test_a_frame_that_lost_rows_is_refused_and_says_where(lost_rows: int, rng: np.random.Generator) -> None:
+    rig = LinearRig()
+    x_px = rig.x_px(rig.dome(16.0)) + rng.normal(0.0, 0.05, (rig.stripes, rig.rows))
+    torn = np.concatenate([x_px[:, :70], x_px[:, 70 + lost_rows :], x_px[:, -lost_rows:]], axis=1)
+    BeltLines().align(rig.peaks(x_px).peaks, rig.calibration(), moved_rig)
+    with pytest.raises(StageError, match="between the rows 69 and 70"):
+        BeltLines().align(rig.peaks(torn).peaks, rig.calibration(), moved_rig)
+
+
+def test_a_step_that_the_stripes_cross_one_after_another_is_no_tear(rng: np.random.Generator) -> None:
+    rig = LinearRig()
+    height = rig.dome(4.0)
+    for stripe in range(1, rig.stripes - 1):
+        height[stripe, 70 + stripe : 130] += 5.0
+    x_px = rig.x_px(height) + rng.normal(0.0, 0.05, height.shape)
+    BeltLines().align(rig.peaks(x_px).peaks, rig.calibration(), moved_rig)
