@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from roemetry.cli.options import out_option, set_option
+
 if TYPE_CHECKING:
     from roemetry.calibrating import Check
     from roemetry.records import Evidence
@@ -20,20 +22,11 @@ def calibrate(
     rig: Annotated[Path, typer.Argument(help="A rig file: which images, which target, how many stripes.")],
     out: Annotated[
         Path | None,
-        typer.Option(
-            "--out",
-            "-o",
-            help="The calibration file; an old one is replaced; left out: calibration.yaml beside the rig.",
+        out_option(
+            "The calibration file; an old one is replaced; left out: calibration.yaml beside the rig."
         ),
     ] = None,
-    sets: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="KEY=VALUE",
-            help="Change the rig, e.g. working_distance_mm=320; may stand several times.",
-        ),
-    ] = None,
+    sets: Annotated[list[str] | None, set_option("Change the rig, e.g. working_distance_mm=320")] = None,
     report: Annotated[
         Path | None,
         typer.Option(
@@ -101,12 +94,7 @@ def check_calibration(
         Path | None,
         typer.Option("--report", help="Write the chart of this calibration as a page (HTML) to this file."),
     ] = None,
-    sets: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set", metavar="KEY=VALUE", help="Change the recipe for this check; may stand several times."
-        ),
-    ] = None,
+    sets: Annotated[list[str] | None, set_option("Change the recipe for this check")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the check as JSON.")] = False,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
@@ -199,13 +187,9 @@ def fit_penetration(
         ),
     ] = None,
     out: Annotated[
-        Path | None,
-        typer.Option("--out", "-o", help="File to write; left out: penetration.yaml beside the recipe."),
+        Path | None, out_option("File to write; left out: penetration.yaml beside the recipe.")
     ] = None,
-    sets: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="Change the recipe; may stand several times."),
-    ] = None,
+    sets: Annotated[list[str] | None, set_option("Change the recipe")] = None,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
     """Measure how much lower a product is seen than it is, because light enters it.
@@ -249,10 +233,7 @@ def target(
         typer.Argument(help="Target files, or names of shipped ones; left out: list the shipped ones."),
     ] = None,
     out: Annotated[
-        Path,
-        typer.Option(
-            "--out", "-o", help="Folder to write to, made if need be; left out: the working directory."
-        ),
+        Path, out_option("Folder to write to, made if need be; left out: the working directory.")
     ] = Path(),
     sheet_format: Annotated[
         SheetFormat, typer.Option("--format", help="Of a printed sheet; PDF needs the extra `targets`.")

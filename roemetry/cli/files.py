@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from roemetry.cli.options import out_option, set_option
+
 if TYPE_CHECKING:
     from roemetry.config.recipe import Recipe
     from roemetry.records import AcquisitionReference
@@ -17,14 +19,7 @@ if TYPE_CHECKING:
 
 def lint(
     file: Annotated[Path, typer.Argument(help="A recipe, a rig, calibration or scene file, or a data set.")],
-    sets: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="KEY=VALUE",
-            help="Check the recipe or the rig with this change; may stand several times.",
-        ),
-    ] = None,
+    sets: Annotated[list[str] | None, set_option("Check the recipe or the rig with this change")] = None,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
     """Check a recipe, a rig, calibration or scene file, or a data set; run nothing."""
@@ -122,7 +117,7 @@ class CalibrationImages(StrEnum):
 
 def simulate(
     scene: Annotated[Path, typer.Argument(help="A scene file, or a folder with a scene.yaml in it.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder of the data set, made if need be.")],
+    out: Annotated[Path, out_option("Folder of the data set, made if need be.")],
     count: Annotated[int, typer.Option("--count", "-n", min=0, help="Number of items.")] = 10,
     seed: Annotated[
         int,
@@ -161,12 +156,7 @@ def simulate(
         bool, typer.Option("--resume", help="Go on with a set that was stopped, or make it longer.")
     ] = False,
     sets: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="KEY=VALUE",
-            help="Change the scene, e.g. simulator.options.samples=5; may stand several times.",
-        ),
+        list[str] | None, set_option("Change the scene, e.g. simulator.options.samples=5")
     ] = None,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from roemetry.cli.options import out_option
+
 if TYPE_CHECKING:
     from roemetry.records import Fitted
 import json
@@ -23,9 +25,9 @@ def fit_weight(
             "named there are taken; left out: DATA's column `mass_g`.",
         ),
     ] = None,
-    out: Annotated[
-        Path, typer.Option("--out", "-o", help="File to write; the weigher's option `model` names it.")
-    ] = Path("weight.json"),
+    out: Annotated[Path, out_option("File to write; the weigher's option `model` names it.")] = Path(
+        "weight.json"
+    ),
     form: Annotated[
         str,
         typer.Option(
@@ -66,9 +68,9 @@ def fit_classifier(
             help="The class of good products: a limit for its probability is chosen on held-out products.",
         ),
     ] = "",
-    out: Annotated[
-        Path, typer.Option("--out", "-o", help="File to write; the classifier's option `model` names it.")
-    ] = Path("classifier.json"),
+    out: Annotated[Path, out_option("File to write; the classifier's option `model` names it.")] = Path(
+        "classifier.json"
+    ),
     classifier: Annotated[
         str, typer.Option("--classifier", help="Name of the classifier that learns.")
     ] = "learned",

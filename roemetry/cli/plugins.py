@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from roemetry.cli.options import out_option
+
 if TYPE_CHECKING:
     from roemetry.stages.registry import Registered
     from roemetry.testing.checks import Check
@@ -154,7 +156,7 @@ def _show(rows: list[Row]) -> None:
 
 def schema(
     kind: Annotated[str, typer.Argument(help="Of which file: recipe, rig or scene.")] = "recipe",
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="File to write; left out: printed.")] = None,
+    out: Annotated[Path | None, out_option("File to write; left out: printed.")] = None,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
     """Write the JSON schema of a file, with the options of every installed stage, for editors."""

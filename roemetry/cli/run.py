@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from roemetry.cli.options import out_option, set_option
+
 if TYPE_CHECKING:
     from roemetry.config.recipe import Recipe
     from roemetry.run.batch import Outcome
@@ -18,11 +20,7 @@ def run(
     recipe: Annotated[Path, typer.Argument(help="A recipe file, or a folder with a recipe.yaml in it.")],
     out: Annotated[
         Path | None,
-        typer.Option(
-            "--out",
-            "-o",
-            help="Folder for the results, made if need be; left out: results/NAME-1, then -2, …",
-        ),
+        out_option("Folder for the results, made if need be; left out: results/NAME-1, then -2, …"),
     ] = None,
     jobs: Annotated[
         int,
@@ -34,12 +32,7 @@ def run(
         ),
     ] = 1,
     sets: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="KEY=VALUE",
-            help="Change the recipe for this run, e.g. source.path=images; may stand several times.",
-        ),
+        list[str] | None, set_option("Change the recipe for this run, e.g. source.path=images")
     ] = None,
     draws: Annotated[
         int | None,
@@ -156,17 +149,12 @@ def export(
             "of a calibration: opencv."
         ),
     ],
-    sets: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="An option of the sink; may stand several times."),
-    ] = None,
+    sets: Annotated[list[str] | None, set_option("An option of the sink")] = None,
     out: Annotated[
         Path | None,
-        typer.Option(
-            "--out",
-            "-o",
-            help="Of a calibration: file to write, .yaml, .json or .xml; "
-            "left out: NAME-opencv.yaml beside NAME.yaml.",
+        out_option(
+            "Of a calibration: file to write, .yaml, .json or .xml; "
+            "left out: NAME-opencv.yaml beside NAME.yaml."
         ),
     ] = None,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,

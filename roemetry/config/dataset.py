@@ -25,14 +25,23 @@ from types import TracebackType
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 
 from roemetry.config.recipe_file import SensorFile
 from roemetry.config.validation import checked
 from roemetry.errors import ConfigurationError, DataError, OutputError
-from roemetry.io.files import LineFile, json_values, make_folder, sha256_of, write_bytes, write_whole
+from roemetry.io.files import (
+    LineFile,
+    first_fault,
+    json_values,
+    make_folder,
+    sha256_of,
+    write_bytes,
+    write_whole,
+)
 from roemetry.io.yaml_source import dump, read
 from roemetry.records import ProductTruth, Role, Sensor, StripeTruth, Truth
+from roemetry.records.arrays import Number
 
 DESCRIPTION = "dataset.yaml"
 ITEMS = "items.jsonl"
@@ -68,20 +77,20 @@ class Item:
     """One acquisition of a data set."""
 
     id: str
-    """Unique in the set."""
     files: Mapping[Role, str]
     """By role, the image's path relative to the set."""
     sha256: Mapping[str, str] = field(default_factory=dict)
-    """By role, the image's hash."""
     products: tuple[ProductTruth, ...] = ()
-    """Truth of its products."""
     stripes: str | None = None
     """File (.npz) with the truth of its stripes, relative to the set; None where there is none."""
-    time_s: float = math.nan
-    encoder_count: float = math.nan
+    time_s: Number = math.nan
+    encoder_count: Number = math.nan
     """time_s, encoder_count: when and where on the belt it was taken; NaN where not known."""
     bit_depth: int | None = None
     """Bits in use of its images; None is all that the files' pixels have."""
+
+
+_ITEM = TypeAdapter(Item)
 
 
 class Dataset:
@@ -257,20 +266,7 @@ def _calibration_hashes(folder: Path) -> Iterator[tuple[str, str]]:
 
 def _item(line: str, place: str) -> Item:
     try:
-        row: dict[str, Any] = json.loads(line)
-        products = tuple(_product(product) for product in row["products"])
-        time_s, encoder_count = (
-            math.nan if row.get(name) is None else float(row[name]) for name in ("time_s", "encoder_count")
-        )
-        return Item(
-            str(row["id"]), row["files"], row["sha256"], products, row["stripes"],
-            time_s, encoder_count, row.get("bit_depth"),
-        )  # fmt: skip
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise DataError(f"{place}: not an item of a data set ({type(error).__name__}: {error})") from error
-
-
-def _product(row: dict[str, Any]) -> ProductTruth:
-    numbers: dict[str, Any] = {name: math.nan if value is None else value for name, value in row.items()}
-    numbers["figures"] = {name: math.nan if v is None else v for name, v in row["figures"].items()}
-    return ProductTruth(**numbers)
+        found: Item = _ITEM.validate_json(line)
+    except ValueError as error:
+        raise DataError(f"{place}: not an item of a data set ({first_fault(error)})") from error
+    return found

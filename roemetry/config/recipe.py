@@ -42,14 +42,11 @@ class Recipe:
 
     path: Path
     sets: tuple[str, ...]
-    """path, sets: the recipe file, and the changes made to it."""
     product: str
-    """What is measured, in words."""
     source_choice: SourceChoice
     source: Chosen
     """source_choice, source: where images come from and how they are made ready; the source stage."""
     source_path: Path
-    """What the source reads."""
     calibration_path: Path | None
     calibration: Calibration | None
     """calibration_path, calibration: none where the recipe has none: results are then in pixels."""
@@ -58,11 +55,9 @@ class Recipe:
     calibration_check: CalibrationCheck | None
     """What is asked of the calibration; None: nothing."""
     stages: Mapping[str, Chosen]
-    """By kind, in the order of the chain."""
     draws: int
     """Monte Carlo draws for the uncertainty of the results; 0: none."""
     sinks: tuple[Chosen, ...]
-    """What is derived from the record at the end."""
 
     @classmethod
     def load(cls, path: Path | str, *, sets: Sequence[str] = (), registry: Registry | None = None) -> Self:

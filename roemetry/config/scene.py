@@ -57,11 +57,8 @@ class Scene:
 
     path: Path
     sets: tuple[str, ...]
-    """path, sets: the file, and the changes made to it."""
     file: SceneFile
-    """What it says."""
     simulator: Chosen
-    """The chosen simulator and its options."""
 
     @classmethod
     def load(cls, path: Path | str, *, sets: Sequence[str] = (), registry: Registry | None = None) -> Scene:

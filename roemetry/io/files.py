@@ -15,6 +15,7 @@ from types import TracebackType
 from typing import Any
 
 import numpy as np
+from pydantic import ValidationError
 
 from roemetry.errors import ConfigurationError, OutputError
 
@@ -188,3 +189,11 @@ def shipped(*parts: str) -> Path:
         f"{'/'.join(parts)} does not lie where roemetry is installed ({package})",
         hint="install roemetry again",
     )
+
+
+def first_fault(error: Exception) -> str:
+    """Say in one line what is wrong with a line of a file that pydantic, or Python, refused."""
+    if isinstance(error, ValidationError):
+        told = error.errors()[0]
+        return f"{'.'.join(map(str, told['loc']))}: {told['msg']}"
+    return f"{type(error).__name__}: {error}"

@@ -102,7 +102,6 @@ class Document:
     name: str
     """What to call the file in messages."""
     data: Any
-    """Dictionaries, lists, words, numbers."""
     _tree: Any = None
 
     def place(self, path: Sequence[Step]) -> str:

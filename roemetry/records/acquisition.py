@@ -47,7 +47,6 @@ class Frame:
     role: Role = "laser"
     """What lit the scene: ``laser``, ``plain`` light, or ``dark`` (laser off, as for the laser frame)."""
     name: str = ""
-    """Where it came from, for messages."""
     bit_depth: int = 8
     """Bits in use; the white level is ``2**bit_depth - 1``."""
     turn_deg: int = 0

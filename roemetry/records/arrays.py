@@ -2,17 +2,31 @@
 
 from __future__ import annotations
 
-from typing import Any, TypeGuard
+import math
+from typing import Annotated, Any, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BeforeValidator, GetPydanticSchema
 
 from roemetry.errors import RecordError
 
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
-Labels = NDArray[np.int16]
-Flags = NDArray[np.bool_]
+
+def _any_schema(source: Any, handler: Any) -> Any:
+    """Let pydantic take any value: the record that holds the array makes it one, and checks it."""
+    from pydantic_core import core_schema
+
+    return core_schema.any_schema()
+
+
+_Array = GetPydanticSchema(_any_schema)
+
+Floats = Annotated[NDArray[np.float64], _Array]
+Integers = Annotated[NDArray[np.int64], _Array]
+Labels = Annotated[NDArray[np.int16], _Array]
+Flags = Annotated[NDArray[np.bool_], _Array]
+Number = Annotated[float, BeforeValidator(lambda value: math.nan if value is None else value)]
+"""A number of a record's file: NaN, which JSON does not know, stands there as null."""
 
 
 class Checker:

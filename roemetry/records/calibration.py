@@ -49,11 +49,9 @@ class Calibration:
     extractor: Mapping[str, Any] = field(default_factory=dict)
     """target, extractor: what was looked at, and which extractor with which options found the peaks."""
     image_sha256: Mapping[str, str] = field(default_factory=dict)
-    """Hash of each image used, by file name."""
     made: str = ""
     """Date and time, ISO 8601."""
     notes: tuple[str, ...] = ()
-    """What the calibrator has to say in words."""
     view: View | None = None
     """Camera and planes of light in the belt frame, as coders and outlines need them whatever the method;
     None where the method gives none."""
@@ -220,7 +218,6 @@ class Alignment:
     +y (clockwise as one looks at it), rad; grown, relative; turned about the camera's x axis (positive
     moves the image up), rad."""
     covariance: Floats
-    """(4, 4) of the motion."""
     largest_px: float = 0.0
     largest_std_px: float = 0.0
     """largest_px, largest_std_px: largest distance along x between where the rest lines are and where the

@@ -123,7 +123,6 @@ class CalibrationSet:
     observations: tuple[Observation, ...]
     """The images, prepared alike (channel, turn) and run through one extractor."""
     stripe_count: int
-    """Number of stripes the rig projects."""
     block: Block | None
     """The block in the ``block`` images, or None where none was described."""
     working_distance_mm: float | None
@@ -152,12 +151,10 @@ class EvidenceFigure:
     """One number that speaks for or against a calibration."""
 
     title: str
-    """For people."""
     value: float
     unit: str
     """``mm``, ``px``, ``1`` for a pure number, …"""
     basis: str
-    """What it was found from, and how."""
     limit: float = math.nan
     """value, limit: what was found, and what it may be at most; NaN where there is no limit."""
 
@@ -167,13 +164,10 @@ class Residuals:
     """Differences between what was observed and what the model says, each at its place in the image."""
 
     title: str
-    """For people."""
     unit: str
-    """Of `error`."""
     xy_px: Floats
     """(n, 2) where in the (turned) image, px."""
     error: Floats
-    """(n,) signed difference, observed less modelled."""
     group: Integers
     """(n,) number of the view or stripe it belongs to."""
     basis: str
@@ -205,11 +199,9 @@ class Samples:
     """Products of known class or mass, with their measured features."""
 
     ids: tuple[str, ...]
-    """(sample,) of the products."""
     groups: tuple[str, ...]
     """(sample,) what belongs together: samples of one group are never on both sides of a fold."""
     features: tuple[str, ...]
-    """Names, units in them."""
     values: Floats
     """(sample, feature) measured; NaN where a feature is missing."""
     labels: tuple[str, ...] = ()

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from roemetry.records.arrays import Checker, Flags, Floats, Integers
+from roemetry.records.arrays import Checker, Flags, Floats, Integers, Number
 from roemetry.records.reasons import Reason
 
 
@@ -35,11 +35,8 @@ class ReliefRegion:
     """A dent or a hump."""
 
     kind: str
-    """``dent`` or ``hump``."""
     depth_mm: float
-    """Largest depth, or height, mm."""
     area_mm2: float
-    """Area on the belt, mm²."""
     xy_mm: Floats
     """(2,) where it is deepest, belt frame, mm."""
     cells: Integers
@@ -56,7 +53,6 @@ class Relief:
     """(section, 2) middle of each section: the mid-line, mm."""
     maps: tuple[ReliefMap, ...] = ()
     regions: tuple[ReliefRegion, ...] = ()
-    """maps, regions: what there is to show."""
     figures: Mapping[str, float] = field(default_factory=dict)
     """Sizes to write beside it, by name, units in the names."""
 
@@ -80,10 +76,10 @@ class Estimate:
     `interval` holds the true value in 95 % of cases; NaN where the uncertainty is not stated.
     """
 
-    value: float
-    std: float = math.nan
-    budget: Mapping[str, float] = field(default_factory=dict)
-    interval: tuple[float, float] = (math.nan, math.nan)
+    value: Number
+    std: Number = math.nan
+    budget: Mapping[str, Number] = field(default_factory=dict)
+    interval: tuple[Number, Number] = (math.nan, math.nan)
 
     def __post_init__(self) -> None:
         check = Checker(self)
@@ -101,11 +97,11 @@ class Estimate:
 class Shares:
     """Shares of a volume, adding up to 1."""
 
-    seen: float
+    seen: Number
     """Carried by points at which a stripe was seen."""
-    interpolated: float
+    interpolated: Number
     """Carried by points bridged between seen ones of the same stripe."""
-    assumed: float
+    assumed: Number
     """Carried by no point of the stripe it is reckoned for: an end cap, a dead stripe, an underside."""
 
     def __post_init__(self) -> None:
@@ -139,7 +135,6 @@ class Volume:
     """slice_stripe, slice_area_mm2, slice_spacing_mm: (slice,) the slices the estimator summed, where it did:
     stripe, area of the cross-section, and the distance the area was held over."""
     reasons: tuple[Reason, ...] = ()
-    """What a reader of the number must know."""
 
     def __post_init__(self) -> None:
         check = Checker(self)
@@ -163,7 +158,7 @@ class Weight:
 
     mass_g: Estimate
     reasons: tuple[Reason, ...] = ()
-    features: Mapping[str, float] = field(default_factory=dict)
+    features: Mapping[str, Number] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check = Checker(self)
@@ -204,15 +199,13 @@ class Grade:
 
     label: str
     """The class, or ``unknown``: an answer every classifier may give."""
-    probability: float = math.nan
+    probability: Number = math.nan
     """That the label is right, 0…1; NaN where it is not modelled."""
-    features: Mapping[str, float] = field(default_factory=dict)
+    features: Mapping[str, Number] = field(default_factory=dict)
     """The numbers the decision rests on, each with its unit in the name."""
     reasons: tuple[Reason, ...] = ()
-    """Why, in words."""
     marks: Marks | None = None
-    """Evidence to draw."""
-    features_std: Mapping[str, float] = field(default_factory=dict)
+    features_std: Mapping[str, Number] = field(default_factory=dict)
     """Standard uncertainties of features, by name; a feature that is not in it has none stated."""
     relief: Relief | None = None
     """The surface to draw; like marks, not in the record of a run."""

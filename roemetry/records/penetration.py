@@ -23,13 +23,11 @@ class Penetration:
     """What has to be added to the heights of one product's surface."""
 
     product: str
-    """What it holds for, in words."""
     offset_mm: float
     """How much lower the surface is measured than it is, mm."""
     std_mm: float
     """Its standard uncertainty, mm: common to all points."""
     calibration_sha256: str
-    """The calibration it was measured with."""
     target: str
     made: str
     """target, made: what was looked at, and when (ISO 8601)."""

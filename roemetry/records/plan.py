@@ -15,9 +15,7 @@ class PlanFigure:
     """One number."""
 
     name: str
-    """Kebab-case, for programs."""
     title: str
-    """For people."""
     value: float
     """NaN where it cannot be said; then a reason of the plan says why."""
     unit: str
@@ -35,11 +33,9 @@ class PlanColumn:
     name: str
     title: str
     unit: str
-    """name, title, unit: as of a figure."""
     values: Floats
     """(n,) NaN where there is none."""
     digits: int = 1
-    """Decimal places to print."""
 
     def __post_init__(self) -> None:
         check = Checker(self)
@@ -54,9 +50,7 @@ class PlanTable:
     name: str
     title: str
     columns: tuple[PlanColumn, ...]
-    """All of one length."""
     basis: str
-    """name, title, basis: as of a figure."""
 
     def __post_init__(self) -> None:
         check = Checker(self)
@@ -71,11 +65,9 @@ class PlanCurves:
     name: str
     title: str
     over: PlanColumn
-    """What they are drawn over."""
     lines: tuple[PlanColumn, ...]
     """Each as long as `over`, of one unit."""
     basis: str
-    """name, title, basis: as of a figure."""
     marked: float = float("nan")
     """A value of `over` to point out: where the rig stands. NaN: none."""
     logarithmic: bool = False
@@ -101,7 +93,6 @@ class PlanMap:
     values: Floats
     """(m, n) NaN where the camera does not see."""
     basis: str
-    """name, title, unit, basis: as of a figure."""
     digits: int = 2
 
     def __post_init__(self) -> None:
@@ -140,9 +131,7 @@ class Plan:
     curves: tuple[PlanCurves, ...] = ()
     """figures, maps, tables, curves: what is predicted, and with a simulation what was found beside it."""
     sketch: tuple[PlanShape, ...] = ()
-    """The rig from the side."""
     reasons: tuple[Reason, ...] = field(default=())
-    """What is missing or doubtful, and why."""
 
     def value(self, name: str) -> float:
         """Give the value of a figure; raise KeyError where there is none of that name."""

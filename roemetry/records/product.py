@@ -38,7 +38,6 @@ class Profiles:
     plane: Floats
     """(slice, 4) the slice's plane in the belt frame: nx, ny, nz, d with n·X = d (mm), n of length 1."""
     reasons: tuple[Reason, ...] = ()
-    """What a reader of the numbers must know about these points."""
 
     def __post_init__(self) -> None:
         check = Checker(self)
@@ -67,7 +66,6 @@ class Outline:
     """A product's contour in the image."""
 
     product: int
-    """Number of the product, 1…n."""
     xy_px: Floats
     """(point, 2) closed contour in the turned image, px, the last point is not the first again."""
     xy_std_px: float = math.nan
@@ -90,9 +88,7 @@ class Product:
     profiles: Profiles
     """All slices of the acquisition; points that are not this product's are NaN, with product −1."""
     calibration: Calibration
-    """The calibration the slices were made with."""
     acquisition_ids: tuple[str, ...]
-    """Where the slices came from."""
     outline: Outline | None = None
     """The contour in the image, where an outliner was asked for and found one."""
     reasons: tuple[Reason, ...] = ()

@@ -11,4 +11,3 @@ class Reason(NamedTuple):
     code: str
     """Short kebab-case name, the same for the same cause, for filters and statistics."""
     text: str
-    """A sentence for people."""

@@ -20,9 +20,7 @@ class Peaks:
     """Where stripes cross image rows, sorted by row, then by x."""
 
     image_size: tuple[int, int]
-    """Rows and columns of the frame."""
     row: Integers
-    """(peak,) image row."""
     x_px: Floats
     """(peak,) position along the row, px, pixel centres are whole numbers."""
     x_std_px: Floats
@@ -103,7 +101,6 @@ class StripeMap:
     """(peak,) stripe of each peak of the `Peaks` this was made from; `UNCODED` (−1) for what is no stripe,
     `AMBIGUOUS` (−2) for what may be several."""
     reasons: tuple[Reason, ...] = ()
-    """What a reader of the numbers must know about the coding."""
     correlation_rows: float = 0.0
     """How far the errors of `x_px` reach along a stripe: the standard deviation, rows, of the Gaussian that
     white noise would have to be smoothed with to have their autocorrelation exp(−Δ²/(4ℓ²)); 0 where rows

@@ -35,7 +35,6 @@ class Trace:
 
     acquisition_id: str
     acquisition: Acquisition | None = None
-    """As it was read; None where reading failed."""
     frame: Frame | None = None
     """The laser frame as the extractor saw it: one channel, turned, subtracted."""
     peaks: Peaks | None = None

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from roemetry.records.acquisition import Frame
-from roemetry.records.arrays import Checker, Flags, Floats, Labels
+from roemetry.records.arrays import Checker, Flags, Floats, Labels, Number
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -50,12 +50,11 @@ class ProductTruth:
     """Class, in the words the classifiers use (``good``, ``henkei``)."""
     defect: str = ""
     """What is wrong with it (``dented``, ``bent``, …), or ``none``."""
-    visible_mm3: float = math.nan
-    true_mm3: float = math.nan
+    visible_mm3: Number = math.nan
+    true_mm3: Number = math.nan
     """visible_mm3, true_mm3: volumes as the conventions define them, mm³."""
-    mass_g: float = math.nan
-    """Mass, g."""
-    figures: Mapping[str, float] = field(default_factory=dict)
+    mass_g: Number = math.nan
+    figures: Mapping[str, Number] = field(default_factory=dict)
     """Further numbers by name, units in the names: sizes, and how much of a defect a lit stripe shows."""
 
 
@@ -64,9 +63,7 @@ class Truth:
     """What is true of one acquisition."""
 
     products: tuple[ProductTruth, ...] = ()
-    """Its products, from left to right."""
     stripes: StripeTruth | None = None
-    """Where the stripes are; None where that is not known."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -76,4 +73,3 @@ class Simulated:
     frames: tuple[Frame, ...]
     """Its images, by role one at most."""
     truth: Truth
-    """What is true of it."""

@@ -34,13 +34,10 @@ class Outcome:
     """What a run came to."""
 
     folder: Path
-    """Where everything is."""
     counts: Mapping[str, int]
     """Rows by status: measured, empty, failed."""
     files: tuple[Path, ...]
-    """What the sinks wrote."""
     sink_faults: tuple[str, ...]
-    """What sinks could not write, in words."""
 
 
 def run_recipe(

@@ -17,16 +17,18 @@ from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from markupsafe import Markup
+from pydantic import TypeAdapter
 
 from roemetry.config.recipe import Recipe
 from roemetry.errors import DataError, OutputError
 from roemetry.html.plots import Axis, dot, line, number, picture, plain, text
 from roemetry.io.files import json_values
 from roemetry.records import Reason
+from roemetry.records.arrays import Number
 
 Verdict = Literal["in order", "drifting", "out"]
 QUANTITIES = ("height_mm", "belt_mm", "width_mm")
@@ -57,9 +59,9 @@ class Quantity:
         |value − expected| over twice `std` (Eₙ of ISO/IEC 17043); above 1 is out. NaN where not measured.
     """
 
-    value: float
-    expected: float
-    std: float
+    value: Number
+    expected: Number
+    std: Number
 
     @property
     def error_over_limit(self) -> float:
@@ -72,28 +74,26 @@ class Check:
     """One check of a calibration."""
 
     made: str
-    """Date and time, ISO 8601, UTC."""
     calibration_sha256: str
     target: str
     image: str
     image_sha256: str
-    """calibration_sha256, target, image, image_sha256: what was checked, by what, in which image."""
     height: Quantity
     belt: Quantity
     width: Quantity
-    """height, belt, width: the lengths."""
     stripes: int
-    stripe_spread_mm: float
-    """stripes, stripe_spread_mm: stripes on the block's top, and how far their own heights spread."""
+    stripe_spread_mm: Number
     verdict: Verdict = "in order"
     """``in order``; ``drifting``: within its limits, but the chart shows that something moves; ``out``."""
     reasons: tuple[Reason, ...] = ()
-    """Why, in words."""
 
     def quantity(self, name: str) -> Quantity:
         """Give a length by its name in `QUANTITIES`."""
         found: Quantity = getattr(self, name.removesuffix("_mm"))
         return found
+
+
+_CHECK = TypeAdapter(Check)
 
 
 def judge(check: Check, history: Sequence[Check]) -> tuple[Verdict, tuple[Reason, ...]]:
@@ -181,7 +181,7 @@ class Chart:
                 else:
                     wanted = f"{query} WHERE calibration_sha256 = ? ORDER BY made, rowid"
                     rows = base.execute(wanted, (calibration_sha256,)).fetchall()
-            return tuple(_check(json.loads(content)) for (content,) in rows)
+            return tuple(_CHECK.validate_json(content) for (content,) in rows)
         except (sqlite3.DatabaseError, ValueError, KeyError, TypeError) as error:
             raise self._damaged(error) from error
 
@@ -195,16 +195,6 @@ class Chart:
             f"{self._path}: this is no control chart, or it is damaged: {error}",
             hint="name another file; the checks begin anew there",
         )
-
-
-def _check(data: dict[str, Any]) -> Check:
-    lengths = {name: Quantity(**_numbers(data[name])) for name in ("height", "belt", "width")}
-    reasons = tuple(Reason._make(reason) for reason in data["reasons"])
-    return Check(**{**_numbers(data), **lengths, "reasons": reasons})
-
-
-def _numbers(data: dict[str, Any]) -> dict[str, Any]:
-    return {name: math.nan if value is None else value for name, value in data.items()}
 
 
 _SECONDS_PER_DAY = 86400.0

@@ -170,9 +170,8 @@ def _largest(
 
 def _distance(found_mm: float, results: list[Result]) -> float:
     """Give the scatter of drawn largest heights with the lift of what was found, mm; NaN where too few."""
-    drawn = np.array([result.height_max_mm for result in results])
-    good = drawn[np.isfinite(drawn)]
-    if good.size < max(2.0, (1.0 - FAILED_SHARE_MAX) * drawn.size):
+    good = _sound([result.height_max_mm for result in results])
+    if good is None:
         return math.nan
     mean, std = _mean_and_std(good)
     return math.hypot(std, max(0.0, mean - found_mm) / (math.sqrt(2.0) - 1.0))
@@ -180,13 +179,15 @@ def _distance(found_mm: float, results: list[Result]) -> float:
 
 def _features_std(features: Mapping[str, float], together: list[Result]) -> dict[str, float]:
     """Give the standard deviation of each feature over the draws; of one that draws lack, none."""
-    found = {}
-    for name in features:
-        values = np.array([result.features.get(name, math.nan) for result in together])
-        good = values[np.isfinite(values)]
-        if good.size >= max(2.0, (1.0 - FAILED_SHARE_MAX) * values.size):
-            found[name] = _mean_and_std(good)[1]
-    return found
+    drawn = {name: _sound([result.features.get(name, math.nan) for result in together]) for name in features}
+    return {name: _mean_and_std(good)[1] for name, good in drawn.items() if good is not None}
+
+
+def _sound(drawn: list[float]) -> Floats | None:
+    """Give what could be measured of the draws; None where that is too little for a fair sample."""
+    values = np.array(drawn)
+    good = values[np.isfinite(values)]
+    return good if good.size >= max(2.0, (1.0 - FAILED_SHARE_MAX) * values.size) else None
 
 
 def _estimate(
@@ -199,17 +200,13 @@ def _estimate(
         # The estimator knows its model's parts better than one number for all of them.
         del budget[VOLUME_MODEL]
         budget |= found.budget
-    values = np.array([getattr(result, field) for result in together])
-    good = values[np.isfinite(values)]
-    if good.size < (1.0 - FAILED_SHARE_MAX) * values.size or good.size < 2:
-        lost_count = values.size - good.size
-        why = (
-            f"{lost_count} of {values.size} draws could not be measured"
-            if lost_count
-            else "one draw has no scatter"
-        )
-        lost = (Reason("draws-refused", f"{why}: the uncertainty is not stated"),)
-        return replace(_unstated(found), budget=budget), lost
+    values = [getattr(result, field) for result in together]
+    good = _sound(values)
+    if good is None:
+        lost = sum(not math.isfinite(value) for value in values)
+        why = f"{lost} of {len(values)} draws could not be measured" if lost else "one draw has no scatter"
+        said = (Reason("draws-refused", f"{why}: the uncertainty is not stated"),)
+        return replace(_unstated(found), budget=budget), said
     if not stated:
         return replace(_unstated(found), budget=budget), ()
     std = _mean_and_std(good)[1]
@@ -487,19 +484,11 @@ def again(
         return Result()
     own = rng if model else None
     volume = done(lambda: _estimated(chain, trace, product, own)) if chain.volume else None
-    weight = None
-    if chain.weigher and volume is not None:
-        weight = done(lambda: chain.weigher.weigh(product, volume, rng=own))
+    found = _weighed(chain, product, volume, own)._replace(height_max_mm=product.height_max_mm)
     grade = done(lambda: chain.classifier.classify(product, rng=own)) if chain.classifier and graded else None
-    return Result(
-        visible_mm3=math.nan if volume is None else volume.visible_mm3.value,
-        true_mm3=math.nan if volume is None or volume.true_mm3 is None else volume.true_mm3.value,
-        mass_g=math.nan if weight is None else weight.mass_g.value,
-        label="" if grade is None else grade.label,
-        probability=math.nan if grade is None else grade.probability,
-        features={} if grade is None else grade.features,
-        height_max_mm=product.height_max_mm,
-    )
+    if grade is None:
+        return found
+    return found._replace(label=grade.label, probability=grade.probability, features=grade.features)
 
 
 def _estimated(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -43,13 +44,10 @@ def measurements_of(
     if trace.stripes is None:
         return (_without_product(trace, recipe, warnings, given),)
     if trace.profiles is None and (trace.stripes.product > 0).any():
-        return _in_pixels(trace, warnings, given)
+        return _in_pixels(trace, trace.stripes, warnings, given)
     if not trace.products:
         return (_without_product(trace, recipe, warnings, given),)
-    return tuple(
-        _calibrated(trace, product, number_of=len(trace.products), warnings=warnings, provenance=given)
-        for product in trace.products
-    )
+    return tuple(_calibrated(trace, product, warnings, given) for product in trace.products)
 
 
 def failed(acquisition_id: str, kind: str, why: Reason, provenance: Mapping[str, str]) -> Measurement:
@@ -65,19 +63,32 @@ def failed(acquisition_id: str, kind: str, why: Reason, provenance: Mapping[str,
     )
 
 
+def _row(
+    trace: Trace, number: int, of: int, status: Status, reasons: list[Reason], hashes: Mapping[str, str],
+    **found: Any,
+) -> Measurement:  # fmt: skip
+    coding = _coding(trace, number)
+    return Measurement(
+        id=f"{trace.acquisition_id}#{number}",
+        acquisition=trace.acquisition_id,
+        product=number,
+        products=of,
+        status=status,
+        coding=coding,
+        reasons=_once([*reasons, *(_saturation(coding) if number else [])]),
+        provenance=hashes,
+        **found,
+    )
+
+
 def _calibrated(
-    trace: Trace,
-    product: ProductTrace,
-    *,
-    number_of: int,
-    warnings: tuple[Reason, ...],
-    provenance: Mapping[str, str],
+    trace: Trace, found: ProductTrace, warnings: tuple[Reason, ...], hashes: Mapping[str, str]
 ) -> Measurement:
-    profiles = product.product.profiles
-    heights = np.ascontiguousarray(profiles.xyz_mm[:, :, 2])
-    height_max = product.height_max_mm or Estimate(product.product.height_max_mm)
-    low, high = product.product.calibration.height_range_mm
-    reasons = [*product.absent.values(), *warnings, *product.product.reasons]
+    product = found.product
+    heights = np.ascontiguousarray(product.profiles.xyz_mm[:, :, 2])
+    height_max = found.height_max_mm or Estimate(product.height_max_mm)
+    low, high = product.calibration.height_range_mm
+    reasons = [*found.absent.values(), *warnings, *product.reasons]
     height_min = float(np.fmin.reduce(heights, axis=None, initial=math.nan))
     for reached in (height_max.value, height_min):
         if reached > high + _HEIGHT_SLACK_MM or reached < low - _HEIGHT_SLACK_MM:
@@ -87,52 +98,28 @@ def _calibrated(
                     f"heights reach {reached:.1f} mm; the calibration is meant for {low:.1f} to {high:.1f}",
                 )
             )
-    absent = {**trace.absent, **product.absent}
-    coding = _coding(trace, product.product.number)
-    return Measurement(
-        id=f"{trace.acquisition_id}#{product.product.number}",
-        acquisition=trace.acquisition_id,
-        product=product.product.number,
-        products=number_of,
-        status="failed" if product.absent else "measured",
-        coding=coding,
-        height_max_mm=height_max,
-        volume=product.volume,
-        weight=product.weight,
-        grade=product.grade,
-        decision=product.decision,
-        absent=absent,
-        reasons=_once([*reasons, *_saturation(coding)]),
-        provenance=provenance,
-    )
+    status: Status = "failed" if found.absent else "measured"
+    return _row(
+        trace, product.number, len(trace.products), status, reasons, hashes,
+        height_max_mm=height_max, volume=found.volume, weight=found.weight, grade=found.grade,
+        decision=found.decision, absent={**trace.absent, **found.absent},
+    )  # fmt: skip
 
 
 def _in_pixels(
-    trace: Trace, warnings: tuple[Reason, ...], provenance: Mapping[str, str]
+    trace: Trace, stripes: StripeMap, warnings: tuple[Reason, ...], hashes: Mapping[str, str]
 ) -> tuple[Measurement, ...]:
-    """Rows of a trace that was coded and not triangulated."""
-    stripes = _stripes(trace)
-    numbers = [int(number) for number in np.unique(stripes.product) if number > 0] or [0]
+    """Rows of a trace with products that was coded and not triangulated."""
+    numbers = [int(number) for number in np.unique(stripes.product) if number > 0]
     fault = trace.absent.get("triangulator")
-    wanted = fault is not None and fault != UNCALIBRATED
-    status: Status = "failed" if wanted else "measured" if numbers != [0] else "empty"
-    codings = [_coding(trace, number) for number in numbers]
+    faults = [] if fault is None or fault == UNCALIBRATED else [fault]
     return tuple(
-        Measurement(
-            id=f"{trace.acquisition_id}#{number}",
-            acquisition=trace.acquisition_id,
-            product=number,
-            products=len(numbers),
-            status=status,
-            coding=coding,
-            absent=dict(trace.absent),
-            reasons=_once(
-                [*warnings, *stripes.reasons, *_saturation(coding), *([fault] if fault and wanted else [])]
-            ),
-            provenance=provenance,
+        _row(
+            trace, number, len(numbers), "failed" if faults else "measured",
+            [*warnings, *stripes.reasons, *faults], hashes, absent=dict(trace.absent),
         )
-        for number, coding in zip(numbers, codings, strict=True)
-    )
+        for number in numbers
+    )  # fmt: skip
 
 
 def _without_product(
@@ -154,19 +141,11 @@ def _without_product(
         else:
             reasons.insert(0, Reason("no-product", "every stripe lies on the belt: there is no product"))
     status: Status = "failed" if faults else "measured" if only_peaks_wanted else "empty"
-    return Measurement(
-        id=f"{trace.acquisition_id}#0",
-        acquisition=trace.acquisition_id,
-        product=0,
-        status=status,
-        coding=coding,
-        absent=dict(trace.absent),
-        reasons=_once([*faults, *reasons, *warnings]),
-        provenance=provenance,
-    )
+    said = [*faults, *reasons, *warnings]
+    return _row(trace, 0, 1, status, said, provenance, absent=dict(trace.absent))
 
 
-def _open(peaks: Peaks, stripes: StripeMap, number: int) -> int:
+def _open_points(peaks: Peaks, stripes: StripeMap, number: int) -> int:
     part = open_parts(peaks, stripes).get(number)
     return part.points if part is not None else 0
 
@@ -186,7 +165,7 @@ def _coding(trace: Trace, number: int) -> Coding | None:
         stripes_seen=int(np.count_nonzero(of_stripe)),
         peaks=len(peaks),
         coded=int(of_stripe.sum()),
-        ambiguous=_open(peaks, stripes, number) if number else int(verdicts[0]),
+        ambiguous=_open_points(peaks, stripes, number) if number else int(verdicts[0]),
         uncoded=int(verdicts[UNCODED - AMBIGUOUS]),
         rows_seen=int(seen),
         rows_interpolated=int(rows - seen),
@@ -250,12 +229,6 @@ def _other_extractor(recipe: Recipe, calibration: Calibration) -> tuple[Reason, 
             f"measured with `{now['use']}` {now['options']}: their peaks may differ by a part of a pixel",
         ),
     )
-
-
-def _stripes(trace: Trace) -> StripeMap:
-    if trace.stripes is None:
-        raise AssertionError("a trace without stripes has no rows in pixels")
-    return trace.stripes
 
 
 def _once(reasons: list[Reason]) -> tuple[Reason, ...]:

@@ -43,12 +43,10 @@ class Made:
     """What a simulation came to."""
 
     folder: Path
-    """The data set."""
     items: int
     kept: int
     """items, kept: how many items it has, and how many of them were there before."""
     views: int
-    """How many calibration images it has."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -68,7 +68,6 @@ class StageEntry:
     target: str
     """``package.module:Class``."""
     summary: str
-    """What it does, in one line."""
     reference: str
     """Where the method comes from: a paper, an equation, "our own"."""
     requires: tuple[tuple[str, str], ...] = ()
@@ -82,7 +81,6 @@ class VerbEntry:
     """One command that a plugin adds to the command line: ``roemetry NAME``."""
 
     name: str
-    """Kebab-case name."""
     target: str
     """``package.module:function``; the function's parameters are annotated as for `typer.Typer.command`."""
     summary: str

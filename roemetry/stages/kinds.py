@@ -362,15 +362,12 @@ class Run:
     """A finished (or stopped) run, as sinks receive it."""
 
     folder: Path
-    """Where to write."""
     title: str
-    """What was measured."""
     measurements: Callable[[], Iterator[Measurement]]
     """Gives all measurements anew at each call, one at a time."""
     replay: Callable[[str], Trace]
     """Makes an acquisition's whole trace again from its id; raises DataError where the image is gone."""
     provenance: Mapping[str, Any]
-    """Contents of ``provenance.json``."""
 
 
 class Sink(Stage[OptionsT]):

@@ -19,7 +19,6 @@ from roemetry.stages import (
     INTERFACES,
     Aligner,
     Calibrator,
-    Classifier,
     Coder,
     Extractor,
     Grader,
@@ -27,11 +26,9 @@ from roemetry.stages import (
     Planner,
     Simulator,
     Sink,
-    Smoother,
     Source,
     Stage,
     Triangulator,
-    VolumeEstimator,
     Weigher,
 )
 from roemetry.stages.kinds import given
@@ -47,8 +44,8 @@ def made(cls: type[Stage[Any]], options: Mapping[str, Any] | None = None) -> Sta
     """Make a stage with these options, else with those its fixture gives, else with its default ones."""
     if options is not None:
         return cls(cls.Options.model_validate(options))
-    given = fixture_of(cls)
-    return cls() if given is None or issubclass(cls, SUITED) else cls(given())
+    fixture = fixture_of(cls)
+    return cls() if fixture is None or issubclass(cls, SUITED) else cls(fixture())
 
 
 def fixture_of(cls: type[Stage[Any]]) -> Callable[..., Any] | None:
@@ -66,15 +63,15 @@ def fixture_of(cls: type[Stage[Any]]) -> Callable[..., Any] | None:
 
 def calibration_for(triangulator: Triangulator[Any], rig: LinearRig) -> Calibration:
     """Give the rig's calibration in the form the triangulator understands."""
-    given = fixture_of(type(triangulator))
-    calibration: Calibration = rig.calibration() if given is None else given(rig)
+    fixture = fixture_of(type(triangulator))
+    calibration: Calibration = rig.calibration() if fixture is None else fixture(rig)
     return calibration
 
 
 def calibration_set_for(calibrator: Calibrator[Any], rig: LinearRig) -> CalibrationSet:
     """Give observations of the rig that suit the calibrator: by default an empty belt and a block."""
-    given = fixture_of(type(calibrator))
-    observed: CalibrationSet = block_set(rig) if given is None else given(rig)
+    fixture = fixture_of(type(calibrator))
+    observed: CalibrationSet = block_set(rig) if fixture is None else fixture(rig)
     return observed
 
 
@@ -98,9 +95,9 @@ def readable_path(source: Source[Any], folder: Path) -> Path:
 
     By default the folder is a data set whose images lie in it, so that it is a folder of images, too.
     """
-    given = fixture_of(type(source))
-    if given is not None:
-        path: Path = given(folder)
+    fixture = fixture_of(type(source))
+    if fixture is not None:
+        path: Path = fixture(folder)
         return path
     description = Description(roemetry_dataset=1, name="kit", licence="CC0-1.0")
     with DatasetWriter(folder, description) as kept:
@@ -120,14 +117,11 @@ def write_image(path: Path, number: int) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """A call of a stage's verb."""
+    """A call of a stage's verb; `is_empty` says whether a result of it holds nothing."""
 
     inputs: tuple[Any, ...]
-    """What goes in."""
     call: Callable[[Any], Any]
-    """Calls the stage's verb with these inputs."""
     is_empty: Callable[[Any], bool] = lambda _: True
-    """Says whether a result of it holds nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,19 +135,103 @@ class Cases:
 
 def cases_for(stage: Stage[Any]) -> Cases:
     """Make the cases for a stage of any kind, anew at each call."""
-    for kind, make in _MAKERS.items():
-        if isinstance(stage, kind):
-            cases = make(stage)
-            empty = None if cases.empty is None else _typed(cases.empty, stage)
-            return Cases(_typed(cases.ordinary, stage), _typed(cases.other, stage), empty)
-    raise PluginError(f"{type(stage).__name__} is of no kind that has checks")
+    kind = next((kind for kind, interface in INTERFACES.items() if isinstance(stage, interface)), "")
+    if kind in _CALLS:
+        found = _CALLS[kind](stage)
+    elif kind in _INPUTS:
+        (verb,) = INTERFACES[kind].__abstractmethods__
+        make, is_empty = _INPUTS[kind]
+        found = Cases(*(Case(inputs, _calling(verb, inputs), is_empty) for inputs in make(stage)))
+    else:
+        raise PluginError(f"{type(stage).__name__} is of no kind that has checks")
+    empty = None if found.empty is None else _typed(found.empty, kind)
+    return Cases(_typed(found.ordinary, kind), _typed(found.other, kind), empty)
 
 
-def _typed(case: Case, stage: Stage[Any]) -> Case:
+def _calling(verb: str, inputs: tuple[Any, ...]) -> Callable[[Any], Any]:
+    return lambda stage: getattr(stage, verb)(*inputs)
+
+
+def _typed(case: Case, kind: str) -> Case:
     """Let a call say so if the stage does not give the record of its kind."""
-    kind = next(kind for kind, interface in INTERFACES.items() if isinstance(stage, interface))
-
     return replace(case, call=lambda called: given(kind, case.call(called)))
+
+
+Three = tuple[tuple[Any, ...], tuple[Any, ...], tuple[Any, ...]]
+"""Inputs of an ordinary call, of another one, and of one with nothing in it."""
+
+
+def _frames(stage: Extractor[Any]) -> Three:
+    rig = LinearRig()
+    dome = frame_of(rig.light(rig.x_px(rig.dome())), noise=2.0)
+    belt = frame_of(rig.light(rig.x_px(rig.belt())))
+    return (dome,), (belt,), (frame_of(np.full((rig.rows, rig.columns), rig.background)),)
+
+
+def _peaks(stage: Coder[Any]) -> Three:
+    def seen(rig: LinearRig, x_px: Any) -> tuple[Any, ...]:
+        """Give peaks at (stripe, row) places, px; NaN everywhere is an empty image."""
+        calibration = None if stage.capabilities.relative_numbers else rig.calibration()
+        return rig.peaks(x_px, scatter_px=0.1).peaks, calibration
+
+    rig = LinearRig()
+    mirrored = rig.mirrored()
+    nothing = seen(rig, np.full((rig.stripes, rig.rows), np.nan))
+    return seen(rig, rig.x_px(rig.dome())), seen(mirrored, mirrored.x_px(mirrored.dome(6.0))), nothing
+
+
+def _stripes(stage: Stage[Any]) -> Three:
+    """Two domes, and stripes of which nothing is seen; a triangulator has its calibration beside them."""
+    rig = LinearRig()
+    beside = (calibration_for(stage, rig),) if isinstance(stage, Triangulator) else ()
+    heights = rig.dome(), rig.dome(4.0), np.full((rig.stripes, rig.rows), np.nan)
+    one, other, nothing = ((rig.stripe_map(height_mm), *beside) for height_mm in heights)
+    return one, other, nothing
+
+
+def _moved(stage: Aligner[Any]) -> Three:
+    """Peaks that lie 0.8 px beside where the calibration has them, those that do not, and none."""
+    rig = LinearRig()
+    places = rig.x_px(rig.dome()) + 0.8, rig.x_px(rig.belt()), np.full((rig.stripes, rig.rows), np.nan)
+    one, other, nothing = (
+        (rig.peaks(x_px, scatter_px=0.1).peaks, rig.calibration(), moved_rig) for x_px in places
+    )
+    return one, other, nothing
+
+
+def _observations(stage: Calibrator[Any]) -> Three:
+    one, other = (calibration_set_for(stage, rig) for rig in (LinearRig(), LinearRig().mirrored()))
+    return (one,), (other,), (replace(one, observations=()),)
+
+
+def _images(stage: Outliner[Any]) -> Three:
+    rig = LinearRig()
+    row, column = np.mgrid[: rig.rows, : rig.columns]
+    ellipse = np.hypot((row - rig.middle_row) / 45.0, (column - rig.middle_column) / 100.0) < 1.0
+
+    def seen(height_mm: Any, *, lit: bool = True) -> tuple[Any, ...]:
+        """Give an ellipse over (stripe, row) heights, mm; without light there is none."""
+        plain = frame_of(np.where(ellipse & lit, 180.0, 40.0))
+        laser = frame_of(rig.light(rig.x_px(height_mm)))
+        return laser, replace(plain, role="plain"), rig.stripe_map(height_mm), None
+
+    return seen(rig.dome()), seen(rig.dome(5.0)), seen(rig.belt(), lit=False)
+
+
+def _products(stage: Stage[Any]) -> Three:
+    nothing = product_from(np.full((61, 240), np.nan))
+    return (product_of(HALF_ELLIPSOID),), (product_of(BOX),), (nothing,)
+
+
+def _volumes(stage: Weigher[Any]) -> Three:
+    product = product_of(HALF_ELLIPSOID)
+    return (product, volume_of(9000.0)), (product, volume_of(20000.0)), (product, volume_of(0.0))
+
+
+def _results(stage: Grader[Any]) -> Three:
+    product, volume, grade = product_of(HALF_ELLIPSOID), volume_of(9000.0), Grade("good", 0.99)
+    light, heavy = (Weight(Estimate(mass_g, 0.1)) for mass_g in (9.9, 20.0))
+    return (product, volume, light, grade), (product, volume, heavy, grade), (product, None, None, None)
 
 
 def _source(stage: Source[Any]) -> Cases:
@@ -173,164 +251,6 @@ def _source(stage: Source[Any]) -> Cases:
     )
 
 
-def _extractor(stage: Extractor[Any]) -> Cases:
-    rig = LinearRig()
-    frame = frame_of(rig.light(rig.x_px(rig.dome())), noise=2.0)
-    other = frame_of(rig.light(rig.x_px(rig.belt())))
-    dark = frame_of(np.full((rig.rows, rig.columns), rig.background))
-    return Cases(
-        Case((frame,), lambda extractor: extractor.extract(frame)),
-        Case((other,), lambda extractor: extractor.extract(other)),
-        Case((dark,), lambda extractor: extractor.extract(dark), lambda peaks: len(peaks) == 0),
-    )
-
-
-def _aligner(stage: Aligner[Any]) -> Cases:
-    rig = LinearRig()
-
-    def case(x_px: Any) -> Case:
-        """Give the alignment of peaks at (stripe, row) places, px; NaN everywhere is an empty image."""
-        inputs = rig.peaks(x_px, scatter_px=0.1).peaks, rig.calibration()
-        return Case(
-            inputs, lambda aligner: aligner.align(*inputs, moved_rig), lambda alignment: not alignment.moved
-        )
-
-    return Cases(
-        case(rig.x_px(rig.dome()) + 0.8),
-        case(rig.x_px(rig.belt())),
-        case(np.full((rig.stripes, rig.rows), np.nan)),
-    )
-
-
-def _coder(stage: Coder[Any]) -> Cases:
-    def case(rig: LinearRig, x_px: Any) -> Case:
-        """Give the coding of peaks at (stripe, row) places, px; NaN everywhere is an empty image."""
-        calibration = None if stage.capabilities.relative_numbers else rig.calibration()
-        inputs = rig.peaks(x_px, scatter_px=0.1).peaks, calibration
-        return Case(
-            inputs, lambda coder: coder.code(*inputs), lambda stripes: not np.isfinite(stripes.x_px).any()
-        )
-
-    rig = LinearRig()
-    mirrored = rig.mirrored()
-    return Cases(
-        case(rig, rig.x_px(rig.dome())),
-        case(mirrored, mirrored.x_px(mirrored.dome(6.0))),
-        case(rig, np.full((rig.stripes, rig.rows), np.nan)),
-    )
-
-
-def _smoother(stage: Smoother[Any]) -> Cases:
-    rig = LinearRig()
-
-    def case(height_mm: Any) -> Case:
-        """Give the smoothing of stripes over (stripe, row) heights, mm; NaN is not seen."""
-        inputs = rig.stripe_map(height_mm)
-        return Case(
-            (inputs,),
-            lambda smoother: smoother.smooth(inputs),
-            lambda stripes: not np.isfinite(stripes.x_px).any(),
-        )
-
-    return Cases(case(rig.dome()), case(rig.dome(4.0)), case(np.full((rig.stripes, rig.rows), np.nan)))
-
-
-def _calibrator(stage: Calibrator[Any]) -> Cases:
-    def case(rig: LinearRig) -> Case:
-        """Give the calibration of a rig from images of the targets that the stage takes."""
-        observed = calibration_set_for(stage, rig)
-        return Case((observed,), lambda calibrator: calibrator.calibrate(observed))
-
-    nothing = replace(calibration_set_for(stage, LinearRig()), observations=())
-    return Cases(
-        case(LinearRig()),
-        case(LinearRig().mirrored()),
-        Case((nothing,), lambda calibrator: calibrator.calibrate(nothing), lambda _: False),
-    )
-
-
-def _triangulator(stage: Triangulator[Any]) -> Cases:
-    rig = LinearRig()
-    calibration = calibration_for(stage, rig)
-
-    def case(height_mm: Any) -> Case:
-        """Give the triangulation of stripes over (stripe, row) heights, mm; NaN is not seen."""
-        inputs = rig.stripe_map(height_mm), calibration
-        return Case(
-            inputs,
-            lambda triangulator: triangulator.triangulate(*inputs),
-            lambda profiles: not np.isfinite(profiles.xyz_mm).any(),
-        )
-
-    return Cases(case(rig.dome()), case(rig.dome(4.0)), case(np.full((rig.stripes, rig.rows), np.nan)))
-
-
-def _outliner(stage: Outliner[Any]) -> Cases:
-    rig = LinearRig()
-
-    def case(height_mm: Any, *, lit: bool = True) -> Case:
-        """Give the outlining of an ellipse over (stripe, row) heights, mm; without light there is none."""
-        row, column = np.mgrid[: rig.rows, : rig.columns]
-        inside = np.hypot((row - rig.middle_row) / 45.0, (column - rig.middle_column) / 100.0) < 1.0
-        plain = frame_of(np.where(inside, 180.0, 40.0) if lit else np.full(inside.shape, 40.0))
-        laser = frame_of(rig.light(rig.x_px(height_mm)))
-        inputs = laser, replace(plain, role="plain"), rig.stripe_map(height_mm), None
-        return Case(inputs, lambda outliner: outliner.outline(*inputs), lambda found: len(found) == 0)
-
-    return Cases(case(rig.dome()), case(rig.dome(5.0)), case(rig.belt(), lit=False))
-
-
-def _volume(stage: VolumeEstimator[Any]) -> Cases:
-    def case(product: Any) -> Case:
-        """Give the estimate of a product's volume."""
-        return Case(
-            (product,),
-            lambda estimator: estimator.estimate(product),
-            lambda volume: not volume.visible_mm3.value > 0.0,
-        )
-
-    return Cases(case(product_of(HALF_ELLIPSOID)), case(product_of(BOX)), case(_NOTHING))
-
-
-def _weigher(stage: Weigher[Any]) -> Cases:
-    product = product_of(HALF_ELLIPSOID)
-
-    def case(volume_mm3: float) -> Case:
-        """Give the weighing of a volume, mm³."""
-        inputs = product, volume_of(volume_mm3)
-        return Case(
-            inputs, lambda weigher: weigher.weigh(*inputs), lambda weight: not weight.mass_g.value > 0.0
-        )
-
-    return Cases(case(9000.0), case(20000.0), case(0.0))
-
-
-def _classifier(stage: Classifier[Any]) -> Cases:
-    def case(product: Any) -> Case:
-        """Give the classification of a product."""
-        return Case(
-            (product,),
-            lambda classifier: classifier.classify(product),
-            lambda grade: grade.label == "unknown",
-        )
-
-    return Cases(case(product_of(HALF_ELLIPSOID)), case(product_of(BOX)), case(_NOTHING))
-
-
-def _grader(stage: Grader[Any]) -> Cases:
-    def case(mass_g: float) -> Case:
-        """Give the decision on a product of a mass, g; at 0 nothing is known of it."""
-        weight = None if mass_g == 0.0 else Weight(Estimate(mass_g, 0.1))
-        grade = None if mass_g == 0.0 else Grade("good", 0.99)
-        volume = None if mass_g == 0.0 else volume_of(9000.0)
-        inputs = product_of(HALF_ELLIPSOID), volume, weight, grade
-        return Case(
-            inputs, lambda grader: grader.decide(*inputs), lambda decision: decision.label == "undecided"
-        )
-
-    return Cases(case(9.9), case(20.0), case(0.0))
-
-
 def _sink(stage: Sink[Any]) -> Cases:
     def case(*rows: Any) -> Case:
         """Give what is written of rows of the record: file by file, its bytes."""
@@ -346,11 +266,8 @@ def _sink(stage: Sink[Any]) -> Cases:
 
 
 def _simulator(stage: Simulator[Any]) -> Cases:
-    return Cases(
-        Case((), lambda simulator: simulator.simulate(0, 1)),
-        Case((), lambda simulator: simulator.simulate(1, 1)),
-        None,
-    )
+    one = Case((), lambda simulator: simulator.simulate(0, 1))
+    return Cases(one, Case((), lambda simulator: simulator.simulate(1, 1)), None)
 
 
 def _planner(stage: Planner[Any]) -> Cases:
@@ -358,22 +275,23 @@ def _planner(stage: Planner[Any]) -> Cases:
     return Cases(case, case, None)
 
 
-_NOTHING = product_from(np.full((61, 240), np.nan))
-
-_MAKERS: dict[type[Any], Callable[[Any], Cases]] = {
-    Source: _source,
-    Extractor: _extractor,
-    Aligner: _aligner,
-    Coder: _coder,
-    Smoother: _smoother,
-    Calibrator: _calibrator,
-    Triangulator: _triangulator,
-    Outliner: _outliner,
-    VolumeEstimator: _volume,
-    Weigher: _weigher,
-    Classifier: _classifier,
-    Grader: _grader,
-    Sink: _sink,
-    Simulator: _simulator,
-    Planner: _planner,
+_CALLS: dict[str, Callable[[Any], Cases]] = {
+    "source": _source,
+    "sink": _sink,
+    "simulator": _simulator,
+    "planner": _planner,
 }
+_INPUTS: dict[str, tuple[Callable[[Any], Three], Callable[[Any], bool]]] = {
+    "extractor": (_frames, lambda peaks: len(peaks) == 0),
+    "aligner": (_moved, lambda alignment: not alignment.moved),
+    "coder": (_peaks, lambda stripes: not np.isfinite(stripes.x_px).any()),
+    "smoother": (_stripes, lambda stripes: not np.isfinite(stripes.x_px).any()),
+    "calibrator": (_observations, lambda _: False),
+    "triangulator": (_stripes, lambda profiles: not np.isfinite(profiles.xyz_mm).any()),
+    "outliner": (_images, lambda outlines: len(outlines) == 0),
+    "volume": (_products, lambda volume: not volume.visible_mm3.value > 0.0),
+    "weigher": (_volumes, lambda weight: not weight.mass_g.value > 0.0),
+    "classifier": (_products, lambda grade: grade.label == "unknown"),
+    "grader": (_results, lambda decision: decision.label == "undecided"),
+}
+"""By kind, the inputs of its verb, and whether a result holds nothing."""

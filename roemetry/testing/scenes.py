@@ -37,9 +37,7 @@ class LinearRig:
 
     rows: int = 200
     columns: int = 320
-    """rows, columns: image size, px."""
     stripes: int = 7
-    """Number of stripes."""
     first_px: float = 38.0
     spacing_px: float = 40.0
     """first_px, spacing_px: rest x of the first stripe, and from each stripe to the next, in the middle row,
@@ -49,7 +47,6 @@ class LinearRig:
     px_per_mm: float = 2.0
     """Displacement along +x per height, px/mm; negative for a laser on the other side."""
     mm_per_px: float = 0.25
-    """Scale, mm/px."""
     sigma_px: float = 1.6
     """Standard deviation of a stripe's Gaussian profile, px."""
     background: float = 10.0

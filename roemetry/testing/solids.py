@@ -37,7 +37,6 @@ class Solid:
     dent_mm: float = 0.0
     """Depth of a trough across the ridge of a half-ellipsoid, mm. With one, its volume is not known."""
     flipped: bool = False
-    """Left and right exchanged."""
 
     @property
     def volume_mm3(self) -> float:

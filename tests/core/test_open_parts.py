@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
 import numpy as np
 import pytest
 
+from roemetry import Recipe
 from roemetry.records import AMBIGUOUS, Estimate, Peaks, Shares, StripeMap, Volume
 from roemetry.run.open_parts import open_parts, widened
 
@@ -66,3 +71,47 @@ def test_open_points_widen_in_quadrature() -> None:
     low, high = volume.visible_mm3.interval
     assert high - 1000.0 == pytest.approx(np.hypot(6.0, 1.959964 * 4.0))
     assert 1000.0 - low == pytest.approx(high - 1000.0)
+
+
+def test_what_is_open_between_two_pieces_counts_for_both() -> None:
+    """Nine stripes; a body on stripes 1 to 7, of which 3 to 5 are refused: its two ends are no products."""
+    rest_px = np.linspace(50.0, 450.0, 9)[:, None] + np.zeros(200)
+    x_px, product = rest_px.copy(), np.zeros(rest_px.shape, np.int16)
+    body = np.s_[60:140]
+    x_px[1:8, body] += LIFTED_PX
+    product[1:3, body], product[6:8, body] = 1, 2
+    row, stripe = np.nonzero(np.ones(x_px.shape[::-1], bool))
+    verdict = stripe.astype(np.int16)
+    verdict[(stripe >= 3) & (stripe <= 5) & (row >= 60) & (row < 140)] = AMBIGUOUS
+    one = np.ones(row.size)
+    peaks = Peaks(
+        image_size=(200, 500), row=row, x_px=x_px[stripe, row], x_std_px=0.05 * one, amplitude=100.0 * one,
+        background=10.0 * one, width_px=4.0 * one, flags=np.zeros(row.size, np.uint8),
+    )  # fmt: skip
+    seen = np.zeros(x_px.shape, bool)
+    seen[stripe, row] = verdict >= 0
+    whole = np.where(seen, 1.0, np.nan)
+    stripes = StripeMap(
+        x_px=np.where(seen, x_px, np.nan), x_std_px=0.05 * whole, product=np.where(seen, product, -1),
+        seen=seen, margin=whole, ambiguous=np.zeros(seen.shape, bool), rest_px=rest_px, peak_stripe=verdict,
+        reasons=(),
+    )  # fmt: skip
+    found = open_parts(peaks, stripes)
+    assert [part.points for part in found.values()] == [240, 240]
+
+
+ANY = "stages.grader={use: grade-table, options: {classes: [{label: any}]}}"
+ALONE = ("stages.volume=null", "stages.weigher=null", "stages.classifier=null")
+
+
+@pytest.mark.parametrize("sets", [(), ALONE], ids=["with other stages", "the only stage"])
+def test_a_product_that_is_cut_by_the_images_edge_is_not_decided_upon(
+    line: Callable[..., Path], rig, sets: tuple[str, ...]
+) -> None:
+    path = line(count=1)
+    cut = rig.image(rig.x_px(rig.dome(first=170, last=270)))
+    cv2.imwrite(str(path.parent / "images" / "p02.png"), cut)
+    whole, at_the_edge = Recipe.load(path, sets=[ANY, *sets]).run()
+    assert whole.decision is not None and whole.decision.label == "any"
+    assert at_the_edge.decision is None
+    assert at_the_edge.absent["grader"].code == "cut-by-edge"

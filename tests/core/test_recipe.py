@@ -1,15 +1,29 @@
-"""Recipes: every mistake is named with its place; a right one resolves to the same thing twice."""
+"""Recipes: every mistake is named with its place, in file and schema; a right one resolves twice."""
 
 from __future__ import annotations
 
 import pickle
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
+from jsonschema import Draft202012Validator
+from pydantic import Field
+from typer.testing import CliRunner
 
+from roemetry.cli.main import app
 from roemetry.config.recipe import Recipe
+from roemetry.config.recipe_file import StageChoice
+from roemetry.config.resolve import Chooser, misfit_of
+from roemetry.config.schemas import schema_of
 from roemetry.errors import ConfigurationError
+from roemetry.io.files import sha256_of
+from roemetry.io.yaml_source import read
+from roemetry.records import Product, Volume, Weight
+from roemetry.stages import StageOptions, Weigher
+from roemetry.stages.hookspecs import StageEntry
+from roemetry.stages.registry import Provider, Registered, Registry, discover
 
 GOOD = """\
 roemetry: 1
@@ -191,3 +205,178 @@ def test_a_calibration_of_another_method_is_refused(line: Callable[..., Path]) -
     )
     with pytest.raises(ConfigurationError, match="made by `pinhole-plane`"):
         Recipe.load(path)
+
+
+class TableOptions(StageOptions):
+    table: Path = Field(description="weighed samples")
+
+
+class FromTable(Weigher[TableOptions]):
+    Options = TableOptions
+
+    def weigh(self, product: Product, volume: Volume, *, rng: object = None) -> Weight:
+        raise NotImplementedError
+
+
+class OneStage:
+    """A registry with one stage."""
+
+    def find(self, kind: str, name: str) -> Registered:
+        entry = StageEntry(kind, name, "somewhere:FromTable", "by a table", "our own")
+        return Registered(entry, Provider("test", "1", "test"))
+
+    def load(self, registered: Registered) -> type[FromTable]:
+        return FromTable
+
+
+def chooser(folder: Path) -> Chooser:
+    return Chooser(OneStage(), lambda at: "recipe.yaml:3:5", folder)  # type: ignore[arg-type]
+
+
+def test_a_file_is_looked_for_beside_the_recipe(tmp_path: Path) -> None:
+    (tmp_path / "weighed.csv").write_text("a,b\n", encoding="utf-8")
+    choice = StageChoice(use="from-table", options={"table": "weighed.csv"})
+    chosen = chooser(tmp_path).choose("weigher", choice, "stages", "weigher")
+    assert chosen is not None
+    assert chosen.make().options.table == tmp_path / "weighed.csv"
+    told = chosen.described()["options"]["table"]
+    assert told == f"weighed.csv sha256 {sha256_of(tmp_path / 'weighed.csv')}"
+    assert str(tmp_path) not in str(chosen.described())
+
+
+def test_a_missing_file_is_a_fault_with_its_place(tmp_path: Path) -> None:
+    asked = chooser(tmp_path)
+    asked.choose("weigher", StageChoice(use="from-table", options={"table": "no.csv"}), "stages", "weigher")
+    (fault,) = asked.faults
+    assert fault.startswith("recipe.yaml:3:5: stages.weigher.options.table: there is no file")
+    assert fault.endswith("no.csv")
+
+
+class NoVerb(Weigher[TableOptions]):
+    Options = TableOptions
+
+
+class NoOptions(Weigher[TableOptions]):
+    def weigh(self, product: Product, volume: Volume, *, rng: object = None) -> Weight:
+        raise NotImplementedError
+
+
+@pytest.mark.parametrize(
+    ("cls", "kind", "says"),
+    [
+        (FromTable, "extractor", "class FromTable does not inherit from `roemetry.stages.Extractor`"),
+        (int, "volume", "class int does not inherit from `roemetry.stages.VolumeEstimator`"),
+        (NoVerb, "weigher", "class NoVerb does not define `weigh`"),
+        (NoOptions, "weigher", "class NoOptions has no options: write `Options = TableOptions` in its body"),
+    ],
+)
+def test_a_class_that_cannot_be_a_stage_is_told_why(cls: type, kind: str, says: str) -> None:
+    assert misfit_of(cls, kind) == says
+
+
+def test_a_class_that_can_be_a_stage() -> None:
+    assert misfit_of(FromTable, "weigher") is None
+    assert misfit_of(type("Inherits", (FromTable,), {}), "weigher") is None
+
+
+def test_a_class_without_its_verb_is_a_fault_of_the_recipe(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(OneStage, "load", lambda self, registered: NoVerb)
+    asked = chooser(tmp_path)
+    assert asked.choose("weigher", StageChoice(use="from-table"), "stages", "weigher") is None
+    (fault,) = asked.faults
+    assert fault.endswith("from-table of test 1 (test) cannot be used: class NoVerb does not define `weigh`")
+
+
+@pytest.fixture(scope="module")
+def recipe() -> Draft202012Validator:
+    schema = schema_of("recipe", discover())
+    Draft202012Validator.check_schema(schema)
+    return Draft202012Validator(schema)
+
+
+def good() -> dict[str, Any]:
+    return {
+        "roemetry": 1,
+        "product": "dome",
+        "source": {"path": "images", "options": {"dark": "{name}_dark.png"}},
+        "stages": {
+            "extractor": {"use": "dominant-peak", "options": {"threshold": 60}},
+            "coder": "window-tracking",
+        },
+        "sinks": ["csv", {"use": "report"}],
+    }
+
+
+def changed(*path: str | int, to: Any) -> dict[str, Any]:
+    data: Any = good()
+    node = data
+    for step in path[:-1]:
+        node = node[step]
+    node[path[-1]] = to
+    return dict(data)
+
+
+def test_a_good_recipe_is_valid(recipe: Draft202012Validator) -> None:
+    assert not list(recipe.iter_errors(good()))
+    assert not list(recipe.iter_errors(changed("stages", "coder", to="somebody/their-coder")))
+    assert not list(recipe.iter_errors(changed("stages", "coder", to=None)))
+
+
+SHIPPED = sorted((Path(__file__).parents[2] / "recipes").rglob("*.yaml"))
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: f"{path.parent.name}/{path.name}")
+def test_every_shipped_file_is_valid(path: Path) -> None:
+    data = read(path).data
+    kinds = {"roemetry": "recipe", "roemetry_rig": "rig", "roemetry_scene": "scene"}
+    kind = next((kinds[key] for key in data if key in kinds), None)
+    if kind is None:
+        pytest.skip("another kind of file")
+    errors = list(Draft202012Validator(schema_of(kind, discover())).iter_errors(data))  # type: ignore[arg-type]
+    assert not errors
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        changed("prodcut", to="x"),
+        changed("stages", "extractor", "use", to="dominant-paek"),
+        changed("stages", "extractor", "options", "threshold", to=-4),
+        changed("stages", "extractor", "options", "threshold", to="high"),
+        changed("stages", "extractor", "options", "treshold", to=60),
+        changed("stages", "coder", to="dominant-peak"),
+        changed("stages", "extractor", to=None),
+        changed("source", "options", "drak", to="x"),
+        changed("source", "turn_deg", to=45),
+        changed("sinks", to=["no-such-sink"]),
+    ],
+    ids=str,
+)
+def test_a_wrong_recipe_is_marked(recipe: Draft202012Validator, wrong: dict[str, Any]) -> None:
+    assert list(recipe.iter_errors(wrong))
+
+
+def test_a_stage_that_cannot_be_imported_is_known_by_name() -> None:
+    registry = discover()
+    broken = [
+        type(stage)(
+            type(stage.entry)(stage.entry.kind, stage.entry.name, "no_such_module:Nothing", "gone", "none"),
+            stage.provider,
+        )
+        for stage in registry.of_kind("extractor")
+    ]
+    others = [stage for stage in registry.stages if stage.entry.kind != "extractor"]
+    schema = schema_of("recipe", Registry((*others, *broken), ()))
+    data = changed("stages", "extractor", "options", "anything", to=3)
+    assert not list(Draft202012Validator(schema).iter_errors(data))
+
+
+def test_the_verb_writes_a_file_and_names_what_it_knows(tmp_path: Path) -> None:
+    file = tmp_path / "recipe.schema.json"
+    assert CliRunner().invoke(app, ["schema", "recipe", "--out", str(file)]).exit_code == 0
+    assert "Draft202012" in repr(Draft202012Validator(read(file).data))
+    refused = CliRunner().invoke(app, ["schema", "recipes"])
+    assert refused.exception is not None
+    assert "recipe, rig, scene" in str(refused.exception)
