@@ -13,7 +13,7 @@ from markupsafe import Markup
 from roemetry.html import plots as svg
 from roemetry.records.arrays import Floats
 from roemetry_tools.compare.aggregate import Errors, Pairs, columns_of, relative_pct
-from roemetry_tools.compare.agreement import Agreement, Beside
+from roemetry_tools.compare.agreement import Agreement, PairedValue
 from roemetry_tools.compare.grading import Reliability
 from roemetry_tools.compare.variants import Variant
 
@@ -205,12 +205,12 @@ Point = tuple[float, float, str]
 """Size, difference in %, and of which product."""
 
 
-def over_truth(values: Sequence[Beside]) -> list[Point]:
+def over_truth(values: Sequence[PairedValue]) -> list[Point]:
     """Give a point for each product: its true size, and the relative error."""
     return [(v.true, 100.0 * (v.estimate / v.true - 1.0), v.product) for v in values if v.true > 0]
 
 
-def over_mean(pairs: Sequence[tuple[Beside, Beside]]) -> list[Point]:
+def over_mean(pairs: Sequence[tuple[PairedValue, PairedValue]]) -> list[Point]:
     """Give a point for each product: the mean of both estimates, and their difference as a share of it."""
     points = []
     for one, other in pairs:

@@ -1,4 +1,4 @@
-"""The files of a comparison: items as they are judged, then JSON, CSV and the page."""
+"""The files of a comparison: items as they are scored, then JSON, CSV and the page."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from roemetry_tools.compare.agreement import RESAMPLES, Shift, Terms
 from roemetry_tools.compare.data import Data
 from roemetry_tools.compare.grading import Recall, Reliability
 from roemetry_tools.compare.ranking import Compared, Standing, choices_of
-from roemetry_tools.compare.score import Judged, Pair
+from roemetry_tools.compare.score import Pair, Scored
 from roemetry_tools.compare.tables import GROUPS, centre_figures, coding_shares, to_csv
 from roemetry_tools.compare.variants import Variant
 
@@ -28,7 +28,7 @@ ITEMS, SUMMARY, TABLE, PAGE = "items.jsonl", "comparison.json", "comparison.csv"
 
 
 class ItemsFile:
-    """``items.jsonl``: a line for each variant and product, written as it is judged.
+    """``items.jsonl``: a line for each variant and product, written as it is scored.
 
     The comparison's folder is made if need be; one that holds a comparison already is refused.
     """
@@ -49,11 +49,11 @@ class ItemsFile:
     def __exit__(self, *error: Any) -> None:
         self._file.__exit__(*error)
 
-    def add(self, variant: Variant, judged: Judged) -> None:
+    def add(self, variant: Variant, scored: Scored) -> None:
         """Write what a variant made of an acquisition."""
         lines = [
-            json.dumps(_plain(_line(variant, judged, pair)), ensure_ascii=False, allow_nan=False)
-            for pair in judged.pairs
+            json.dumps(_plain(_line(variant, scored, pair)), ensure_ascii=False, allow_nan=False)
+            for pair in scored.pairs
         ]
         if lines:
             self._file.append("\n".join(lines))
@@ -179,12 +179,12 @@ def _errors(errors: dict[str, Any], unit: str) -> dict[str, Any]:
     return {f"rmse_{unit}" if name == "rmse" else name: value for name, value in errors.items()}
 
 
-def _line(variant: Variant, judged: Judged, pair: Pair) -> dict[str, Any]:
+def _line(variant: Variant, scored: Scored, pair: Pair) -> dict[str, Any]:
     row, true = pair.measured, pair.true
     return {
         "variant": variant.number,
         "name": variant.name,
-        "item": judged.item,
+        "item": scored.item,
         "product": pair.product,
         "status": "failed" if row is None else row.status,
         "measured": None

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from pydantic import BaseModel, ValidationError
 
 from roemetry.errors import ConfigurationError, RoemetryError
-from roemetry_tools.tune.request import Wish
+from roemetry_tools.tune.request import TuneRequest
 from roemetry_tools.tune.session import Session
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 LOOPBACK = "127.0.0.1"
 _PAGE = Path(__file__).parent / "page"
-_LARGEST_WISH = 1_000_000
+_LARGEST_REQUEST = 1_000_000
 
 _HEADERS = {
     # The page may load nothing that this process does not serve, and no other page may hold it in a frame.
@@ -31,10 +31,10 @@ _HEADERS = {
 }
 
 
-class SaveWish(BaseModel):
+class SaveRequest(BaseModel):
     """What to save, and under which name."""
 
-    wish: Wish
+    wish: TuneRequest
     name: str = ""
 
 
@@ -72,12 +72,12 @@ def app_of(session: Session) -> Starlette:
         return Response(found, media_type="image/png", headers=kept)
 
     async def answer(request: Request) -> Response:
-        wish = await _read(request, Wish)
+        wish = await _read(request, TuneRequest)
         data = await _in_thread(lambda: session.answer(wish))
         return Response(data, media_type="application/octet-stream", headers=_HEADERS)
 
     async def save(request: Request) -> Response:
-        given = await _read(request, SaveWish)
+        given = await _read(request, SaveRequest)
         saved = await _in_thread(lambda: session.save(given.wish, given.name))
         return JSONResponse({"path": saved.path, "old": saved.old, "recipe": saved.recipe}, headers=_HEADERS)
 
@@ -153,8 +153,8 @@ async def _read(request: Request, model: type[Any]) -> Any:
     body = bytearray()
     async for part in request.stream():
         body += part
-        if len(body) > _LARGEST_WISH:
-            raise RoemetryError(f"more than {_LARGEST_WISH} bytes were sent")
+        if len(body) > _LARGEST_REQUEST:
+            raise RoemetryError(f"more than {_LARGEST_REQUEST} bytes were sent")
     try:
         return model.model_validate_json(bytes(body))
     except ValidationError as error:

@@ -25,7 +25,7 @@ from roemetry.stages.registry import Registry, discover
 from roemetry_tools.tune.answer import packed, picture_of, places_of
 from roemetry_tools.tune.editing import differences, edited
 from roemetry_tools.tune.form import form_of
-from roemetry_tools.tune.request import Draft, Fault, Wish, draft_of, faults_of
+from roemetry_tools.tune.request import Draft, Fault, TuneRequest, draft_of, faults_of
 
 _STEPS_KEPT = 64
 """Results of stages: some dozens of MB."""
@@ -83,10 +83,10 @@ class Session:
 
     def warm_up(self) -> None:
         """Load kernels, or compile them, before anybody waits for a slider."""
-        self.answer(Wish())
+        self.answer(TuneRequest())
         self._memory.clear()  # or the page would show the times of compiling
 
-    def answer(self, wish: Wish) -> bytes:
+    def answer(self, wish: TuneRequest) -> bytes:
         """Run what the wish changes and pack what came out, or what is wrong with it.
 
         A fault of the form is told with the path of its field; a stage that refuses, or fails, is told with
@@ -117,7 +117,7 @@ class Session:
         """Give the PNG of a frame that an answer named; None where it is not kept any more."""
         return self._pictures.get(key)
 
-    def save(self, wish: Wish, name: str = "") -> Saved:
+    def save(self, wish: TuneRequest, name: str = "") -> Saved:
         """Write the recipe, comments kept, or another file of that name in its folder.
 
         What the recipe's file held when it was opened is kept beside it.
@@ -156,7 +156,7 @@ class Session:
             **form_of(self._base, recipe, self.registry),
         }
 
-    def _evaluated(self, draft: Draft, wish: Wish, arrays: dict[str, Any]) -> dict[str, Any]:
+    def _evaluated(self, draft: Draft, wish: TuneRequest, arrays: dict[str, Any]) -> dict[str, Any]:
         recipe = self._recipe(draft)
         references = self._references(recipe)
         reference = next((one for one in references if one.id == wish.acquisition), references[0])
