@@ -65,7 +65,7 @@ def page(run: Run, products_max: int, worst_max: int) -> str:
     """Write the whole page as one text, options as of `ReportOptions`."""
     seen = overview(run, products_max, worst_max)
     sections = [section(shown, run.replay, f"a{i + 1}") for i, shown in enumerate(seen.shown)]
-    anchors = {p["row"].id: (s, p["key"]) for s in sections for p in s["products"]}
+    anchors = {p["row"]["id"]: (s, p["key"]) for s in sections for p in s["products"]}
     # Not autoescape=select_autoescape(): the template's name ends in j2, and everything here is HTML.
     environment = Environment(
         loader=PackageLoader("roemetry_report", "templates"),
