@@ -65,7 +65,7 @@ def scatter(variant: Estimates, low: float, high: float, unit: str) -> Markup:
     size, left, right, floor = 260.0, 60.0, 232.0, 188.0  # beside the axes: room for a tick's whole number
     across = svg.Axis.over(low, high, left, right)
     up = svg.Axis.over(low, high, floor, 8.0)
-    parts = [*across.upright(8.0, floor, f"true, {unit}", 4), *up.level(left, right, 4)]
+    parts = [*across.upright(8.0, floor, f"true, {unit}", 3, size), *up.level(left, right, 4)]
     parts.append(svg.line(across(low), up(low), across(high), up(high), "equal"))
     for pair in _evenly(variant.pairs):
         title = f"{pair.product}: {svg.plain(pair.estimate, 1)} for {svg.plain(pair.true, 1)} {unit}"
@@ -285,7 +285,7 @@ def _apart(places: Sequence[float]) -> list[float]:
 def reliability(variant: Variant, found: Reliability) -> Markup:
     """Draw the share that was right over the stated probability; on the line they are equal."""
     across, up = svg.Axis(0.0, 1.0, _LEFT, _WIDTH - 60.0), svg.Axis(0.0, 1.0, _FLOOR, 8.0)
-    parts = [*across.upright(8.0, _FLOOR, "stated probability", 4), *up.level(_LEFT, across.end, 4)]
+    parts = [*across.upright(8.0, _FLOOR, "stated probability", 4, _WIDTH), *up.level(_LEFT, across.end, 4)]
     parts.append(svg.line(across(0.0), up(0.0), across(1.0), up(1.0), "equal"))
     most = max(one.n for one in found.bins)
     for one in found.bins:
