@@ -16,8 +16,8 @@ from roemetry_report import palette
 from roemetry_report.panels import broken_line
 from roemetry_report.words import percent
 
-_WIDTH, _HEIGHT = 520.0, 250.0
-_LEFT, _RIGHT, _TOP, _BOTTOM = 46.0, 8.0, 16.0, 50.0
+_WIDTH, _HEIGHT = 520.0, 264.0
+_LEFT, _RIGHT, _TOP, _BOTTOM = 46.0, 8.0, 30.0, 50.0
 """View and margins of the chart of slices, in units of its SVG; the margins hold the tick labels."""
 
 
@@ -160,6 +160,8 @@ def _multiples(slices: list[_Slice], what: str) -> tuple[SmallChart, ...]:
 def _drawing(given: _Slice, known: Flags, across: Axis, upwards: Axis, step: int, what: str) -> Markup:
     parts: list[Markup] = []
     for level in sorted({upwards.low, 0.0, (upwards.low + upwards.high) / 2, upwards.high}):
+        if level and abs(upwards(level) - upwards(0.0)) < 12.0:
+            continue  # its value would cover that of 0
         words = plain(level, 0 if level == int(level) else 1)
         kind = "rule zero" if level == 0 else "rule"
         parts += _rule(_SMALL_LEFT, _SMALL_WIDTH - _SMALL_RIGHT, upwards(level), words, kind)
