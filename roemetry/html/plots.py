@@ -1,10 +1,11 @@
-"""SVG as text: the elements, path data and axes that every picture of the project is made of."""
+"""SVG as text: the elements, path data and axes that every picture is made of; numbers and dates in words."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from functools import lru_cache
 
 import numpy as np
@@ -236,3 +237,15 @@ def share(value: float | None, digits: int = 2) -> str:
     if 100.0 - 0.5 * least < value < 100.0:
         return f">{plain(100.0 - least, digits)}"
     return plain(value, digits)
+
+
+def when(text: object) -> str:
+    """Write an ISO 8601 time for people; anything else stays as it is."""
+    if not text:
+        return ""
+    try:
+        moment = datetime.fromisoformat(str(text))
+    except ValueError:
+        return str(text)
+    zone = f" {moment.tzname()}" if moment.tzinfo else ""
+    return f"{moment.day} {moment:%B %Y, %H:%M}{zone}"

@@ -48,6 +48,7 @@ def app_of(session: Session) -> Starlette:
     """
     try:
         from starlette.applications import Starlette
+        from starlette.concurrency import run_in_threadpool
         from starlette.middleware import Middleware
         from starlette.middleware.trustedhost import TrustedHostMiddleware
         from starlette.responses import JSONResponse, Response
@@ -73,12 +74,12 @@ def app_of(session: Session) -> Starlette:
 
     async def answer(request: Request) -> Response:
         wish = await _read(request, TuneRequest)
-        data = await _in_thread(lambda: session.answer(wish))
+        data = await run_in_threadpool(session.answer, wish)
         return Response(data, media_type="application/octet-stream", headers=_HEADERS)
 
     async def save(request: Request) -> Response:
         given = await _read(request, SaveRequest)
-        saved = await _in_thread(lambda: session.save(given.wish, given.name))
+        saved = await run_in_threadpool(session.save, given.wish, given.name)
         return JSONResponse({"path": saved.path, "old": saved.old, "recipe": saved.recipe}, headers=_HEADERS)
 
     def refused(_: Request, error: Exception) -> Response:
@@ -160,9 +161,3 @@ async def _read(request: Request, model: type[Any]) -> Any:
     except ValidationError as error:
         first = error.errors()[0]
         raise RoemetryError(f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from error
-
-
-async def _in_thread(work: Callable[[], Any]) -> Any:
-    from starlette.concurrency import run_in_threadpool
-
-    return await run_in_threadpool(work)
