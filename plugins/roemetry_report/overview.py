@@ -135,6 +135,7 @@ def _calibrated(provenance: Mapping[str, object], finite: bool) -> bool:
 
 
 _FULL_REASONS = 3
+"""Sentences in a cell of the table before it is higher than its picture."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -272,6 +273,7 @@ CLASSES = (
 _NOT_STATED, _REFUSED, _EMPTY = len(CLASSES), len(CLASSES) + 1, len(CLASSES) + 2
 _KINDS = (*(name for name, _, _ in CLASSES), "unstated", "refused")
 _TALL = 10.0
+"""Height of a band of the strip, in units of its view."""
 _TOLD_FROM = 2
 """Runs of this class and below say what they are when they are pointed at."""
 

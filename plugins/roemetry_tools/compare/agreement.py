@@ -20,6 +20,7 @@ from roemetry.records.arrays import Floats
 RESAMPLES = 2000
 """Draws: the ends of a 95 % interval then wander by 3 % of its half width from seed to seed."""
 LEVEL = 0.95
+"""Of all intervals that are stated, as in the reports of a run."""
 _AT_ONCE = 2_000_000
 """Counts drawn at a time: 16 MB, however many products there are."""
 

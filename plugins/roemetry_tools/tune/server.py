@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 LOOPBACK = "127.0.0.1"
 _PAGE = Path(__file__).parent / "page"
 _LARGEST_REQUEST = 1_000_000
+"""Bytes; a whole recipe has some thousand."""
 
 _HEADERS = {
     # The page may load nothing that this process does not serve, and no other page may hold it in a frame.

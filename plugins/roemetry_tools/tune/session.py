@@ -30,6 +30,7 @@ from roemetry_tools.tune.request import Draft, Fault, TuneRequest, draft_of, fau
 _STEPS_KEPT = 64
 """Results of stages: some dozens of MB."""
 _PICTURES_KEPT = 4
+"""Frames between which one goes back and forth."""
 
 
 @dataclass(frozen=True)
