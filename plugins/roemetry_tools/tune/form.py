@@ -26,9 +26,9 @@ _UNITS |= {"sigmas": "σ", "grey": "grey levels"}
 Field = dict[str, Any]
 """One field of the form, as JSON has it.
 
-What fits no other kind, ``yaml``, is written as in the recipe, on one line. `words` (and null) may stand in
-the place of a number, a text or a file. An open bound is itself not legal. The default counts where the recipe
-says nothing; it is meaningless where `required`.
+What fits no other kind, ``yaml``, is written as in the recipe, on one line. `words` (and null) may replace a
+number, a text or a file. An open bound is itself not legal. The default counts where the recipe says nothing;
+it is meaningless where `required`.
 """
 
 

@@ -81,7 +81,7 @@ def app_of(session: Session) -> Starlette:
     async def save(request: Request) -> Response:
         given = await _read(request, SaveRequest)
         saved = await run_in_threadpool(session.save, given.wish, given.name)
-        return JSONResponse({"path": saved.path, "old": saved.old, "recipe": saved.recipe}, headers=_HEADERS)
+        return JSONResponse(saved, headers=_HEADERS)
 
     def refused(_: Request, error: Exception) -> Response:
         return JSONResponse({"said": str(error)}, 400, headers=_HEADERS)

@@ -7,7 +7,7 @@ import json
 import threading
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -31,15 +31,6 @@ _STEPS_KEPT = 64
 """Results of stages: some dozens of MB."""
 _PICTURES_KEPT = 4
 """Frames between which one goes back and forth."""
-
-
-@dataclass(frozen=True)
-class Saved:
-    """A recipe that was written, and where the old one is now."""
-
-    path: str
-    old: str
-    recipe: dict[str, Any] = field(default_factory=dict)
 
 
 class Session:
@@ -118,10 +109,10 @@ class Session:
         """Give the PNG of a frame that an answer named; None where it is not kept any more."""
         return self._pictures.get(key)
 
-    def save(self, wish: TuneRequest, name: str = "") -> Saved:
+    def save(self, wish: TuneRequest, name: str = "") -> dict[str, Any]:
         """Write the recipe, comments kept, or another file of that name in its folder.
 
-        What the recipe's file held when it was opened is kept beside it.
+        What the recipe's file held when it was opened is kept beside it; gives where, and the recipe anew.
 
         Raises
         ------
@@ -142,7 +133,11 @@ class Session:
             self._path, self._text = target, text
             self._own = text.encode()
             self._base = parse(text, str(target)).data
-            return Saved(str(target), "" if old is None else old.name, self._described())
+            return {
+                "path": str(target),
+                "old": "" if old is None else old.name,
+                "recipe": self._described(),
+            }
 
     def _described(self) -> dict[str, Any]:
         recipe = self._recipe(Draft(self._base))

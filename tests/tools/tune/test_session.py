@@ -229,14 +229,14 @@ def test_saving_changes_the_value_keeps_comments_and_the_old_file(line: Callable
     saved = session.save(wish(session, extractor=changed))
     after = path.read_text("utf-8")
     assert after == before.replace("threshold: 60", "threshold: 75")
-    assert path.with_name(saved.old).read_text("utf-8") == before
+    assert path.with_name(saved["old"]).read_text("utf-8") == before
     assert Recipe.load(path).stages["extractor"].options.threshold == 75  # type: ignore[attr-defined]
     assert ask(session, wish(session))[0]["changes"] == []
     again = session.save(wish(session, extractor=DOME))
-    assert again.old == "", "what this session wrote itself is not kept again"
+    assert again["old"] == "", "what this session wrote itself is not kept again"
     assert path.read_text("utf-8") == before
     third = Session(path)
-    assert third.save(wish(third, extractor=changed)).old == "recipe.yaml.old-2"
+    assert third.save(wish(third, extractor=changed))["old"] == "recipe.yaml.old-2"
 
 
 def test_saving_under_another_name_leaves_the_recipe_alone(line: Callable[..., Path]) -> None:
@@ -244,7 +244,7 @@ def test_saving_under_another_name_leaves_the_recipe_alone(line: Callable[..., P
     before = path.read_text("utf-8")
     session = Session(path)
     saved = session.save(wish(session, extractor=StageRequest(use="dominant-peak")), "softer")
-    assert (Path(saved.path).name, saved.old) == ("softer.yaml", "")
+    assert (Path(saved["path"]).name, saved["old"]) == ("softer.yaml", "")
     assert path.read_text("utf-8") == before
     assert session.recipe()["name"] == "softer.yaml"
     with pytest.raises(ConfigurationError, match="there already"):
