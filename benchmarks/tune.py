@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from roemetry_tools.tune.answer import unpacked
-from roemetry_tools.tune.request import StageWish, Wish
+from roemetry_tools.tune.request import StageRequest, TuneRequest
 from roemetry_tools.tune.server import LOOPBACK, app_of
 from roemetry_tools.tune.session import Session
 
@@ -55,7 +55,7 @@ def _moved(session: Session, kind: str, turn: int) -> float:
     usual = float(stage["chosen"]["options"].get(field["name"], field["default"]))
     value = usual + turn + 1 if field["kind"] == "integer" else usual * (1.0 + 0.01 * (turn + 1))
     options = {**stage["chosen"]["options"], field["name"]: f"{min(value, field['high']):g}"}
-    wish = Wish(stages={kind: StageWish(use=stage["chosen"]["use"], options=options)})
+    wish = TuneRequest(stages={kind: StageRequest(use=stage["chosen"]["use"], options=options)})
     begin = time.perf_counter()
     data = session.answer(wish)
     took = time.perf_counter() - begin

@@ -19,7 +19,7 @@ from roemetry.records.arrays import Floats
 from roemetry.stages import Run, Sink, StageOptions
 from roemetry_files.points import write_each
 
-_LEVELS = 65535
+_LEVELS = 65535  # of 16 bits; 0 is where nothing is known
 
 
 class HeightMapOptions(StageOptions):

@@ -13,11 +13,11 @@ from roemetry.html.plots import Axis, plain
 from roemetry.records import Profiles, Shares, StripeMap, Volume
 from roemetry.records.arrays import Flags, Floats
 from roemetry_report import palette
-from roemetry_report.panels import runs
+from roemetry_report.panels import broken_line
 from roemetry_report.words import percent
 
-_WIDTH, _HEIGHT = 520.0, 250.0
-_LEFT, _RIGHT, _TOP, _BOTTOM = 46.0, 8.0, 16.0, 50.0
+_WIDTH, _HEIGHT = 520.0, 264.0
+_LEFT, _RIGHT, _TOP, _BOTTOM = 46.0, 8.0, 30.0, 50.0
 """View and margins of the chart of slices, in units of its SVG; the margins hold the tick labels."""
 
 
@@ -123,23 +123,19 @@ class _Slice:
 
 def height_charts(profiles: Profiles, product: int) -> tuple[SmallChart, ...]:
     """Draw Z over Y, mm, for each slice that carries the product; all on the same scales."""
-    slices = []
-    for index in range(profiles.slice_count):
-        z = np.where(profiles.product[index] == product, profiles.xyz_mm[index, :, 2], np.nan)
-        slices.append(
-            _Slice(int(profiles.stripe[index]), profiles.xyz_mm[index, :, 1], z, profiles.seen[index])
-        )
+    z = np.where(profiles.product == product, profiles.xyz_mm[..., 2], np.nan)
+    slices = [
+        _Slice(int(profiles.stripe[index]), profiles.xyz_mm[index, :, 1], z[index], profiles.seen[index])
+        for index in range(profiles.slice_count)
+    ]
     return _multiples(slices, "height over the belt along the stripe, mm")
 
 
 def displacement_charts(stripes: StripeMap, product: int) -> tuple[SmallChart, ...]:
     """Draw the displacement from the rest line over the image row, px, for each stripe on the product."""
     rows = np.arange(stripes.rows, dtype=np.float64)
-    slices = []
-    for index in range(stripes.stripe_count):
-        shift = stripes.x_px[index] - stripes.rest_px[index]
-        up = np.where(stripes.product[index] == product, shift, np.nan)
-        slices.append(_Slice(index, rows, up, stripes.seen[index]))
+    shift = np.where(stripes.product == product, stripes.x_px - stripes.rest_px, np.nan)
+    slices = [_Slice(index, rows, shift[index], stripes.seen[index]) for index in range(len(shift))]
     return _multiples(slices, "displacement from the rest line along the image rows, px")
 
 
@@ -164,6 +160,8 @@ def _multiples(slices: list[_Slice], what: str) -> tuple[SmallChart, ...]:
 def _drawing(given: _Slice, known: Flags, across: Axis, upwards: Axis, step: int, what: str) -> Markup:
     parts: list[Markup] = []
     for level in sorted({upwards.low, 0.0, (upwards.low + upwards.high) / 2, upwards.high}):
+        if level and abs(upwards(level) - upwards(0.0)) < 12.0:
+            continue  # its value would cover that of 0
         words = plain(level, 0 if level == int(level) else 1)
         kind = "rule zero" if level == 0 else "rule"
         parts += _rule(_SMALL_LEFT, _SMALL_WIDTH - _SMALL_RIGHT, upwards(level), words, kind)
@@ -172,8 +170,7 @@ def _drawing(given: _Slice, known: Flags, across: Axis, upwards: Axis, step: int
     colour = palette.stripe_colour_on_paper(given.stripe)
     x, y = _placed(across, given.along), _placed(upwards, given.up)
     for mask, kind, join in ((known & given.seen, "seen", False), (known & ~given.seen, "bridged", True)):
-        data = "".join(_line(x, y, known, begin, end, step, join) for begin, end in runs(mask))
-        if data:
+        if data := broken_line(x, y, mask, step, join=join):
             parts.append(svg.path(kind, data, stroke=colour))
     top = float(given.up[known][np.abs(given.up[known]).argmax()])
     span = f"from {plain(across.low, 0)} to {plain(across.high, 0)}, largest {plain(top, 1)}"
@@ -185,10 +182,3 @@ def _placed(axis: Axis, values: Floats) -> Floats:
     share = (values - axis.low) / (axis.high - axis.low)
     # A tenth of a unit is a hundredth of a millimetre of paper: enough for a chart.
     return np.round(axis.start + share * (axis.end - axis.start), 1)
-
-
-def _line(x: Floats, y: Floats, known: Flags, begin: int, end: int, step: int, join: bool) -> str:
-    first = begin - 1 if join and begin > 0 and known[begin - 1] else begin
-    last = end if join and end < len(known) and known[end] else end - 1
-    points = np.unique(np.append(np.arange(first, last + 1, step), last))
-    return svg.polyline(x[points], y[points])

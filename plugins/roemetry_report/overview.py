@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from markupsafe import Markup
@@ -134,6 +135,7 @@ def _calibrated(provenance: Mapping[str, object], finite: bool) -> bool:
 
 
 _FULL_REASONS = 3
+"""Sentences in a cell of the table before it is higher than its picture."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,74 +158,47 @@ class Pill:
     tone: str
 
 
-@dataclass(frozen=True, slots=True)
-class Row:
-    """One measurement in words.
+def row_of(measurement: Measurement, common: Collection[Reason] = ()) -> dict[str, Any]:
+    """Write a measurement for people; reasons in `common` are said elsewhere.
 
     The shares are `shares_of` the volume, or without one of the points. `main` reasons matter most: why the
     row failed, or the first one of its grade; of the `further` ones a code is enough.
     """
-
-    id: str
-    status: Pill
-    grade: Pill | None
-    probability: str
-    decision: Pill | None
-    lane: str
-    weight: Figure
-    volume: Figure
-    true_volume: Figure | None
-    height: Figure
-    displacement: Figure
-    share_bar: Markup | None
-    share_words: tuple[str, str, str] | None
-    share_sort: float | None
-    shares_of: str
-    stripes: str
-    stripes_sort: int | None
-    ambiguous: str
-    ambiguous_sort: int | None
-    main: tuple[Reason, ...]
-    further: tuple[Reason, ...]
-
-
-def row_of(measurement: Measurement, common: Collection[Reason] = ()) -> Row:
-    """Write a measurement for people; reasons in `common` are said elsewhere."""
     coding, volume = measurement.coding, measurement.volume
     shares, shares_of = _shares(measurement)
     reasons = [reason for reason in _by_weight(measurement) if reason not in common]
     known = shares is not None and math.isfinite(shares.seen + shares.interpolated + shares.assumed)
-    return Row(
-        id=measurement.id,
-        status=status_pill(measurement.status),
-        grade=None if measurement.grade is None else grade_pill(measurement.grade.label),
-        probability=probability_of(measurement.grade),
-        decision=None if measurement.decision is None else decision_pill(measurement.decision),
-        lane="" if measurement.decision is None else measurement.decision.lane,
-        weight=_NONE if measurement.weight is None else _figure(measurement.weight.mass_g, digits=1),
-        volume=_NONE if volume is None else _figure(volume.visible_mm3, MM3_PER_CM3),
-        true_volume=None
+    return {
+        "id": measurement.id,
+        "status": status_pill(measurement.status),
+        "grade": None if measurement.grade is None else grade_pill(measurement.grade.label),
+        "probability": probability_of(measurement.grade),
+        "decision": None if measurement.decision is None else decision_pill(measurement.decision),
+        "lane": "" if measurement.decision is None else measurement.decision.lane,
+        "weight": _NONE if measurement.weight is None else _figure(measurement.weight.mass_g, digits=1),
+        "volume": _NONE if volume is None else _figure(volume.visible_mm3, MM3_PER_CM3),
+        "true_volume": None
         if volume is None or volume.true_mm3 is None
         else _figure(volume.true_mm3, MM3_PER_CM3),
-        height=_figure(measurement.height_max_mm, digits=1),
-        displacement=_NONE
+        "height": _figure(measurement.height_max_mm, digits=1),
+        "displacement": _NONE
         if coding is None
         else Figure(
             plain(coding.displacement_max_px, 1), NOT_STATED, _sortable(abs(coding.displacement_max_px))
         ),
-        share_bar=None if shares is None else share_bar(shares),
-        share_words=(percent(shares.seen), percent(shares.interpolated), percent(shares.assumed))
+        "share_bar": None if shares is None else share_bar(shares),
+        "share_words": (percent(shares.seen), percent(shares.interpolated), percent(shares.assumed))
         if shares is not None and known
         else None,
-        share_sort=_sortable(shares.seen) if shares is not None else None,
-        shares_of=shares_of,
-        stripes="–" if coding is None else f"{coding.stripes_seen} of {coding.stripes}",
-        stripes_sort=None if coding is None else coding.stripes_seen,
-        ambiguous="–" if coding is None else str(coding.ambiguous),
-        ambiguous_sort=None if coding is None else coding.ambiguous,
-        main=tuple(reasons[:1] if measurement.status != "failed" else reasons[:_FULL_REASONS]),
-        further=tuple(reasons[1 if measurement.status != "failed" else _FULL_REASONS :]),
-    )
+        "share_sort": _sortable(shares.seen) if shares is not None else None,
+        "shares_of": shares_of,
+        "stripes": "–" if coding is None else f"{coding.stripes_seen} of {coding.stripes}",
+        "stripes_sort": None if coding is None else coding.stripes_seen,
+        "ambiguous": "–" if coding is None else str(coding.ambiguous),
+        "ambiguous_sort": None if coding is None else coding.ambiguous,
+        "main": tuple(reasons[:1] if measurement.status != "failed" else reasons[:_FULL_REASONS]),
+        "further": tuple(reasons[1 if measurement.status != "failed" else _FULL_REASONS :]),
+    }
 
 
 def _figure(estimate: Estimate, per: float = 1.0, digits: int = 2) -> Figure:
@@ -298,6 +273,7 @@ CLASSES = (
 _NOT_STATED, _REFUSED, _EMPTY = len(CLASSES), len(CLASSES) + 1, len(CLASSES) + 2
 _KINDS = (*(name for name, _, _ in CLASSES), "unstated", "refused")
 _TALL = 10.0
+"""Height of a band of the strip, in units of its view."""
 _TOLD_FROM = 2
 """Runs of this class and below say what they are when they are pointed at."""
 

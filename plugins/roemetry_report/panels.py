@@ -277,17 +277,23 @@ def runs(mask: Flags) -> Iterator[tuple[int, int]]:
     yield from zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
 
 
-def _path(x: Floats, mask: Flags, step: int, kind: str, colour: str, *, join: bool = False) -> list[Markup]:
-    """Give one path for all runs; `join` draws from the known point before to the one after each run."""
-    data = []
+def broken_line(x: Floats, y: Floats, mask: Flags, step: int, *, join: bool = False) -> str:
+    """Path data of all runs of a mask, every `step`-th point and both ends.
+
+    With `join`, from the known point before to the one after each run.
+    """
+    known, data = np.isfinite(x + y), []
     for begin, end in runs(mask):
-        first = begin - 1 if join and begin > 0 and np.isfinite(x[begin - 1]) else begin
-        last = end if join and end < len(x) and np.isfinite(x[end]) else end - 1
-        rows = np.arange(first, last + 1, step)
-        if rows[-1] != last:
-            rows = np.append(rows, last)
-        data.append(svg.polyline(x[rows], rows.astype(np.float64)))
-    return [svg.path(f"c {kind}", "".join(data), stroke=colour)] if data else []
+        first = begin - 1 if join and begin > 0 and known[begin - 1] else begin
+        last = end if join and end < len(x) and known[end] else end - 1
+        points = np.unique(np.append(np.arange(first, last + 1, step), last))
+        data.append(svg.polyline(x[points], y[points]))
+    return "".join(data)
+
+
+def _path(x: Floats, mask: Flags, step: int, kind: str, colour: str, *, join: bool = False) -> list[Markup]:
+    data = broken_line(x, np.arange(len(x), dtype=np.float64), mask, step, join=join)
+    return [svg.path(f"c {kind}", data, stroke=colour)] if data else []
 
 
 _FAR_HEIGHTS = 1.5

@@ -12,7 +12,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from pydantic import Field
 
 from roemetry.errors import RoemetryError
-from roemetry.html.plots import number, plain
+from roemetry.html.plots import number, plain, when
 from roemetry.io.files import write_whole
 from roemetry.io.yaml_source import dump
 from roemetry.records import BELT, Frame, Grade, Measurement, ProductTrace, StripeMap, Trace, Volume
@@ -22,7 +22,7 @@ from roemetry_report.charts import SmallChart, displacement_charts, height_chart
 from roemetry_report.overview import CLASSES, ROWS_MAX, Shown, grade_pill, overview, row_of, trust
 from roemetry_report.panels import Panel, arc_panel, panels
 from roemetry_report.surface import relief_panels, solid
-from roemetry_report.words import breakable, clause, counted, feature, milliseconds, percent, when
+from roemetry_report.words import breakable, clause, counted, feature, milliseconds, percent
 
 
 class ReportOptions(StageOptions):
@@ -65,7 +65,7 @@ def page(run: Run, products_max: int, worst_max: int) -> str:
     """Write the whole page as one text, options as of `ReportOptions`."""
     seen = overview(run, products_max, worst_max)
     sections = [section(shown, run.replay, f"a{i + 1}") for i, shown in enumerate(seen.shown)]
-    anchors = {p["row"].id: (s, p["key"]) for s in sections for p in s["products"]}
+    anchors = {p["row"]["id"]: (s, p["key"]) for s in sections for p in s["products"]}
     # Not autoescape=select_autoescape(): the template's name ends in j2, and everything here is HTML.
     environment = Environment(
         loader=PackageLoader("roemetry_report", "templates"),

@@ -20,16 +20,19 @@ from roemetry_report import palette
 from roemetry_report.panels import Panel
 from roemetry_report.words import counted
 
-_MARGIN_MM = 9.0
-_LEGEND_MM = 11.0
+_MARGIN_MM, _LEGEND_MM = 9.0, 11.0
+"""Room about the body for numbers and sizes, and below it for the legend."""
 _QUANTILE = 0.98
 """Of the values' sizes: what lies beyond has the colour of the end."""
 
 _ARROW_MM = 5.0
 """How long a direction that lies flat is drawn."""
 _ARROW_EVERY = 3
+"""Samples: closer arrows cover each other."""
 _TEXT_MM = 3.2
+"""Height of letters, as the style has it."""
 _NAMED_MAX = 5
+"""Dents and humps named below the plan; all stand in it."""
 
 
 def relief_panels(relief: Relief) -> tuple[Panel, ...]:
@@ -210,13 +213,16 @@ def _box(relief: Relief, *, legend: bool) -> Box:
 
 
 _POINTS_MAX = 720
+"""Of all slices: 8 kB of the page."""
 _STEP_MM = 0.01
 """Coordinates are sent in whole steps: 1/100 mm, coarser where the scene is more than 600 mm long."""
 
 _SEEN, _JOINED = 1, 2
 _ACROSS = 8
+"""Points across a slice of the still picture: enough for its size on paper."""
 _YAW_DEG, _RISE_DEG = -28.0, 34.0
 _WIDTH, _HEIGHT = 760.0, 400.0
+"""Where the scene is first seen from, and the view's size; the viewer's script begins with the same."""
 
 
 @dataclass(frozen=True, slots=True)

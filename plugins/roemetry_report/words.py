@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from datetime import datetime
 
 from markupsafe import Markup
 
@@ -52,18 +51,6 @@ def percent(share: float) -> str:
 def breakable(name: str) -> Markup:
     """Let a long name break where its parts meet, and before its product's number."""
     return Markup("<wbr>").join(part for part in _JOINTS.split(name) if part)
-
-
-def when(text: object) -> str:
-    """Write an ISO 8601 time for people; anything else stays as it is."""
-    if not text:
-        return ""
-    try:
-        moment = datetime.fromisoformat(str(text))
-    except ValueError:
-        return str(text)
-    zone = f" {moment.tzname()}" if moment.tzinfo else ""
-    return f"{moment.day} {moment:%B %Y, %H:%M}{zone}"
 
 
 def clause(text: str) -> str:

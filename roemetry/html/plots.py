@@ -1,10 +1,11 @@
-"""SVG as text: the elements, path data and axes that every picture of the project is made of."""
+"""SVG as text: the elements, path data and axes that every picture is made of; numbers and dates in words."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from functools import lru_cache
 
 import numpy as np
@@ -189,16 +190,18 @@ class Axis:
         last = math.floor(self.high / step + 1e-9)
         return [(i * step, plain(i * step, digits)) for i in range(first, last + 1)]
 
-    def upright(self, top: float, floor: float, words: str = "", count: int = 5) -> list[Markup]:
+    def upright(
+        self, top: float, floor: float, words: str = "", count: int = 5, width: float = WIDTH
+    ) -> list[Markup]:
         """Draw an axis across: an upright line at each tick, its value below, and what it is of."""
         parts = []
         for value, written in self.ticks(count):
             x = self(value)
             if x > self.start:
                 parts.append(line(x, top, x, floor, "zero" if abs(value) < 1e-12 else "grid"))
-            # words about a tick at either end would leave the picture
-            anchor = "start" if x < self.start + 8.0 else "end" if x > self.end - 8.0 else ""
-            parts.append(text(x, floor + 14.0, written, anchor))
+            # a value about a tick near the picture's edge would leave it
+            half = 3.5 * len(written)
+            parts.append(text(min(max(x, half), width - half), floor + 14.0, written))
         if words:
             parts.append(text((self.start + self.end) / 2, floor + 30.0, words))
         return parts
@@ -234,3 +237,15 @@ def share(value: float | None, digits: int = 2) -> str:
     if 100.0 - 0.5 * least < value < 100.0:
         return f">{plain(100.0 - least, digits)}"
     return plain(value, digits)
+
+
+def when(text: object) -> str:
+    """Write an ISO 8601 time for people; anything else stays as it is."""
+    if not text:
+        return ""
+    try:
+        moment = datetime.fromisoformat(str(text))
+    except ValueError:
+        return str(text)
+    zone = f" {moment.tzname()}" if moment.tzinfo else ""
+    return f"{moment.day} {moment:%B %Y, %H:%M}{zone}"

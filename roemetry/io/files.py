@@ -8,7 +8,7 @@ import math
 import os
 import platform
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
@@ -166,7 +166,7 @@ def _cannot_write(path: Path, error: OSError) -> OutputError:
 
 def json_values(value: Any) -> Any:
     """Make a value, and all it holds, fit for JSON: NaN and infinity become None, numpy numbers Python's."""
-    if isinstance(value, dict):
+    if isinstance(value, Mapping):
         return {key: json_values(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [json_values(item) for item in value]

@@ -41,12 +41,21 @@ OVERFLOW = """() => {
     const out = Math.max(beside, room.top - box.top, box.bottom - room.bottom);
     if (out > 2) found.push(`"${node.textContent}" leaves "${node.ownerSVGElement.ariaLabel}" by ${out} px`);
   }
+  for (const plot of document.querySelectorAll("svg.plot, svg.chart")) {
+    const texts = Array.from(plot.querySelectorAll("text"));
+    const boxes = texts.map((text) => [text.getBoundingClientRect(), text.textContent]);
+    boxes.forEach(([a, one], k) => boxes.slice(k + 1).forEach(([b, other]) => {
+      const across = Math.min(a.right, b.right) - Math.max(a.left, b.left);
+      const along = Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top);
+      if (across > 2 && along > 4) found.push(`"${one}" and "${other}" overlap in "${plot.ariaLabel}"`);
+    }));
+  }
   if (wide > 1000) for (const node of document.querySelectorAll(".scroll:has(.rows)"))
     if (node.scrollWidth > node.clientWidth + 1)
       found.push(`"${node.ariaLabel}" is cut off: ${node.scrollWidth} of ${node.clientWidth} px`);
   return found;
 }"""
-"""What is wider than the page, text that leaves its picture, and, on a wide page, tables that are cut off."""
+"""What is wider than the page, text that leaves its picture or covers other text, tables that are cut off."""
 
 
 @pytest.fixture(scope="module", params=RECIPES)

@@ -13,9 +13,9 @@ import numpy as np
 from roemetry.config.recipe import Recipe
 from roemetry.records import ProductTruth, Reason
 from roemetry.records.arrays import Floats
-from roemetry_tools.compare.agreement import Beside
+from roemetry_tools.compare.agreement import PairedValue
 from roemetry_tools.compare.grading import Graded
-from roemetry_tools.compare.score import Judged, Pair
+from roemetry_tools.compare.score import Pair, Scored
 from roemetry_tools.compare.stripes import CentreScore, CodingScore
 
 NOT_GRADED = "(none)"
@@ -71,7 +71,7 @@ class Classes:
         return sum(map(sum, self.counts))
 
 
-Pairs = list[Beside]
+Pairs = list[PairedValue]
 
 QUANTITIES = ("visible_mm3", "true_mm3", "mass_g")
 """What is estimated and known: names of the fields of truth."""
@@ -112,7 +112,7 @@ class Figures:
     warnings: tuple[Cause, ...]
     errors: Mapping[str, Errors | None]
     pairs: Mapping[str, Pairs]
-    values: Mapping[str, Mapping[str, Beside]]
+    values: Mapping[str, Mapping[str, PairedValue]]
     graded: tuple[Graded, ...]
     true_from_visible: int
     classes: Classes | None
@@ -128,7 +128,7 @@ class Figures:
         return self.refused == self.acquisitions
 
 
-class Tally:
+class Aggregate:
     """Adds up one variant's acquisitions; `without_truth` says why nothing is known of the data, if so."""
 
     def __init__(self, recipe: Recipe, without_truth: str) -> None:
@@ -139,7 +139,7 @@ class Tally:
         self._causes, self._warnings = Counter[str](), Counter[str]()
         self._texts: dict[str, str] = {}
         self._pairs: dict[str, Pairs] = {name: [] for name in QUANTITIES}
-        self._values: dict[str, dict[str, Beside]] = {name: {} for name in QUANTITIES}
+        self._values: dict[str, dict[str, PairedValue]] = {name: {} for name in QUANTITIES}
         self._graded: list[Graded] = []
         self._known, self._estimated = Counter[str](), Counter[str]()
         self._from_visible = 0
@@ -150,27 +150,27 @@ class Tally:
         self._seconds: dict[str, list[float]] = {}
         self._cold: dict[str, list[float]] = {}  # of acquisitions that paid for what is done once
 
-    def add(self, judged: Judged, *, cold: bool) -> None:
+    def add(self, scored: Scored, *, cold: bool) -> None:
         """Add an acquisition; `cold`: its times hold what is done once, such as compiling."""
         self._acquisitions += 1
-        if judged.refused is not None:
+        if scored.refused is not None:
             self._refused += 1
-            self._note(self._causes, judged.refused)
-        said = {reason for pair in judged.pairs for reason in pair.reasons} - {judged.refused}
+            self._note(self._causes, scored.refused)
+        said = {reason for pair in scored.pairs for reason in pair.reasons} - {scored.refused}
         for reason in sorted(said):
             self._note(self._warnings, reason)
-        for pair in judged.pairs:
-            self._add_pair(pair, f"{judged.item}#{pair.product}")
-        for place, score in enumerate((judged.centres, judged.centres_on_product)):
+        for pair in scored.pairs:
+            self._add_pair(pair, f"{scored.item}#{pair.product}")
+        for place, score in enumerate((scored.centres, scored.centres_on_product)):
             if score is not None:
                 self._centres[place] = (self._centres[place] or CentreScore()) + score
-        if judged.coding is not None:
-            self._coding = (self._coding or CodingScore()) + judged.coding
-        for name, reason in judged.without.items():
+        if scored.coding is not None:
+            self._coding = (self._coding or CodingScore()) + scored.coding
+        for name, reason in scored.without.items():
             self._without.setdefault(name, reason)
-        if judged.seconds:
+        if scored.seconds:
             kept = self._cold if cold else self._seconds
-            for step, value in {**judged.seconds, "frame": sum(judged.seconds.values())}.items():
+            for step, value in {**scored.seconds, "frame": sum(scored.seconds.values())}.items():
                 kept.setdefault(step, []).append(value)
 
     def figures(self) -> Figures:
@@ -226,9 +226,9 @@ class Tally:
             if value is None or not math.isfinite(value):
                 continue
             if known > 0 or estimates[name] is not None:
-                self._values[name][product] = Beside(value, known, product, specimen)
+                self._values[name][product] = PairedValue(value, known, product, specimen)
             if known > 0:
-                self._pairs[name].append(Beside(value, known, product, specimen))
+                self._pairs[name].append(PairedValue(value, known, product, specimen))
                 self._from_visible += name == "true_mm3" and estimates["true_mm3"] is None
         grade = pair.measured.grade if pair.measured else None
         label = None if grade is None else grade.label

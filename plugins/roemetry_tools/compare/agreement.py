@@ -20,6 +20,7 @@ from roemetry.records.arrays import Floats
 RESAMPLES = 2000
 """Draws: the ends of a 95 % interval then wander by 3 % of its half width from seed to seed."""
 LEVEL = 0.95
+"""Of all intervals that are stated, as in the reports of a run."""
 _AT_ONCE = 2_000_000
 """Counts drawn at a time: 16 MB, however many products there are."""
 
@@ -118,7 +119,7 @@ _LIMITS = 1.96
 """Standard deviations that hold 95 % of normally distributed differences."""
 
 
-class Beside(NamedTuple):
+class PairedValue(NamedTuple):
     """An estimate beside what is true (NaN where not known), both in the unit of the quantity.
 
     `product` is its acquisition's id and its number there; one thing measured several times is one
@@ -186,7 +187,7 @@ class Agreement:
     verdict_interval_pct: Interval
 
 
-def against_truth(values: Mapping[str, Beside], terms: Terms) -> Agreement | None:
+def against_truth(values: Mapping[str, PairedValue], terms: Terms) -> Agreement | None:
     """Compare estimates with what is true; None where nothing is known."""
     known = [one for one in values.values() if one.true > 0]
     differences = np.array([100.0 * (one.estimate / one.true - 1.0) for one in known])
@@ -194,14 +195,16 @@ def against_truth(values: Mapping[str, Beside], terms: Terms) -> Agreement | Non
 
 
 def against_each_other(
-    values: Mapping[str, Beside], others: Mapping[str, Beside], terms: Terms
+    values: Mapping[str, PairedValue], others: Mapping[str, PairedValue], terms: Terms
 ) -> Agreement | None:
     """Compare estimates of the same products, as shares of the mean of both; None without common ones."""
     differences, specimens = differences_of(values, others)
     return agreement_of(differences, specimens, terms)
 
 
-def differences_of(values: Mapping[str, Beside], others: Mapping[str, Beside]) -> tuple[Floats, list[str]]:
+def differences_of(
+    values: Mapping[str, PairedValue], others: Mapping[str, PairedValue]
+) -> tuple[Floats, list[str]]:
     """(product,) differences in % of the mean of both, and of which specimen each is."""
     both = [(one, others[name]) for name, one in values.items() if name in others]
     both = [(one, other) for one, other in both if one.estimate + other.estimate > 0]
@@ -209,7 +212,9 @@ def differences_of(values: Mapping[str, Beside], others: Mapping[str, Beside]) -
     return np.array(differences), [one.specimen for one, _ in both]
 
 
-def nearer(values: Mapping[str, Beside], others: Mapping[str, Beside], terms: Terms) -> Shift | None:
+def nearer(
+    values: Mapping[str, PairedValue], others: Mapping[str, PairedValue], terms: Terms
+) -> Shift | None:
     """Say by how much the absolute errors differ on the same products, %; below 0: `values` are nearer."""
     both = [(one, others[name]) for name, one in values.items() if name in others and one.true > 0]
     if not both:

@@ -14,11 +14,11 @@ from roemetry.errors import RoemetryError
 from roemetry.records import Acquisition, Reason, Truth
 from roemetry.run.pipeline import Pipeline
 from roemetry.run.stage_cache import RememberedStages, StepMemory
-from roemetry_tools.compare.aggregate import Tally
+from roemetry_tools.compare.aggregate import Aggregate
 from roemetry_tools.compare.agreement import Terms
 from roemetry_tools.compare.data import Data, Unit, as_taken, changed_file, labelled
-from roemetry_tools.compare.ranking import Compared, standing_of
-from roemetry_tools.compare.score import Judged, judge, unreadable
+from roemetry_tools.compare.ranking import Compared, rank_against
+from roemetry_tools.compare.score import Scored, score, unreadable
 from roemetry_tools.compare.variants import Variant
 
 
@@ -28,35 +28,35 @@ def compare(
     *,
     terms: Terms | None = None,
     jobs: int = 1,
-    on_judged: Callable[[Variant, Judged], None] = lambda variant, judged: None,
+    on_scored: Callable[[Variant, Scored], None] = lambda variant, scored: None,
     on_progress: Callable[[int, int], None] = lambda done, of: None,
 ) -> tuple[Compared, ...]:
     """Compare variants of a recipe; the first is the recipe as it is.
 
-    `jobs` worker processes give the same figures whatever their number, times aside. `on_judged` is called
+    `jobs` worker processes give the same figures whatever their number, times aside. `on_scored` is called
     with each variant and what it made of an acquisition, acquisitions in order and for each the variants in
     order; `on_progress` with (acquisitions done, of how many).
     """
     recipes = [(variant.number, variant.recipe) for variant in variants if variant.recipe is not None]
-    tallies = {number: Tally(recipe, data.without_truth) for number, recipe in recipes}
+    aggregates = {number: Aggregate(recipe, data.without_truth) for number, recipe in recipes}
     by_number = {variant.number: variant for variant in variants}
     on_progress(0, data.count)
     for done, (cold, found) in enumerate(_judged(recipes, data, jobs), start=1):
-        for judged in found:
-            tallies[judged.variant].add(judged, cold=cold)
-            on_judged(by_number[judged.variant], judged)
+        for scored in found:
+            aggregates[scored.variant].add(scored, cold=cold)
+            on_scored(by_number[scored.variant], scored)
         on_progress(done, data.count)
     terms = Terms() if terms is None else terms
-    figures = {number: tally.figures() for number, tally in tallies.items()}
+    figures = {number: aggregate.figures() for number, aggregate in aggregates.items()}
     base = figures.get(variants[0].number)
     return tuple(
-        Compared(variant, own, standing_of(own, None if variant is variants[0] else base, terms))
+        Compared(variant, own, rank_against(own, None if variant is variants[0] else base, terms))
         for variant in variants
         for own in (figures.get(variant.number),)
     )
 
 
-Found = tuple[bool, list[Judged]]
+Found = tuple[bool, list[Scored]]
 
 
 def _judged(recipes: Sequence[tuple[int, Recipe]], data: Data, jobs: int) -> Iterator[Found]:
@@ -117,10 +117,10 @@ class _Worker:
             return cold, self._refuse(unit, Reason("unreadable", str(error)), truth)
         return cold, self._judge(acquisition, truth)
 
-    def _refuse(self, unit: Unit, why: Reason, truth: Truth | None) -> list[Judged]:
+    def _refuse(self, unit: Unit, why: Reason, truth: Truth | None) -> list[Scored]:
         return [unreadable(number, unit.reference.id, why, truth) for number, *_ in self._ways]
 
-    def _judge(self, acquisition: Acquisition, truth: Truth | None) -> list[Judged]:
+    def _judge(self, acquisition: Acquisition, truth: Truth | None) -> list[Scored]:
         self._memory.clear()
         found = []
         for number, recipe, stages, pipeline in self._ways:
@@ -130,7 +130,7 @@ class _Worker:
             turn_deg = 0 if self._dataset is None else self._dataset.description.turn_deg
             memory = (stages.keys, self._memory)
             found.append(
-                judge(number, trace, recipe, truth, memory=memory, seconds=seconds, turn_deg=turn_deg)
+                score(number, trace, recipe, truth, memory=memory, seconds=seconds, turn_deg=turn_deg)
             )
         return found
 

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from datetime import datetime
 from typing import Any
 
 from markupsafe import Markup
 
 from roemetry.html.page import environment_of
-from roemetry.html.plots import plain, share
+from roemetry.html.plots import plain, share, when
 from roemetry.io.yaml_source import dump
 from roemetry_tools.compare import plots
 from roemetry_tools.compare.aggregate import QUANTITIES
@@ -35,7 +34,7 @@ def page(compared: Sequence[Compared], told: Mapping[str, Any]) -> str:
     return environment.get_template("comparison.html.j2").render(
         told=told,
         variants=rows,
-        began=_when(told["began"]),
+        began=when(told["began"]),
         quantities=[_quantity(name, compared, told["terms"]["tolerance_pct"]) for name in QUANTITIES],
         classes=[(one, one.figures.classes) for one in compared if one.figures and one.figures.classes],
         probabilities=_probabilities(compared),
@@ -164,11 +163,6 @@ def _reasons(compared: Sequence[Compared]) -> list[tuple[str, str, str, list[tup
     order = ("not made", "refused", "said")
     rows = [(k, "" if k == order[0] else code, text, of) for (k, code), (text, of) in found.items()]
     return sorted(rows, key=lambda row: order.index(row[0]))
-
-
-def _when(iso: str) -> str:
-    moment = datetime.fromisoformat(iso)
-    return f"{moment.day} {moment:%B %Y, %H:%M} {moment.tzname()}"
 
 
 def _stages(one: Compared) -> Any:

@@ -13,7 +13,7 @@ from markupsafe import Markup
 from roemetry.html import plots as svg
 from roemetry.records.arrays import Floats
 from roemetry_tools.compare.aggregate import Errors, Pairs, columns_of, relative_pct
-from roemetry_tools.compare.agreement import Agreement, Beside
+from roemetry_tools.compare.agreement import Agreement, PairedValue
 from roemetry_tools.compare.grading import Reliability
 from roemetry_tools.compare.variants import Variant
 
@@ -25,6 +25,7 @@ DOTS_MAX = 300
 _COLOURS = ("#0d689c", "#a65a00", "#187059", "#b71d7c", "#5a4fcf", "#726317", "#7a3b1d", "#44525f")
 _LEFT, _RIGHT = 12.0, 428.0
 _ROW = 50.0
+"""Ends of a row of a plot, and its height: name and words above, dots or bars below."""
 
 
 def colour(number: int) -> str:
@@ -65,7 +66,7 @@ def scatter(variant: Estimates, low: float, high: float, unit: str) -> Markup:
     size, left, right, floor = 260.0, 60.0, 232.0, 188.0  # beside the axes: room for a tick's whole number
     across = svg.Axis.over(low, high, left, right)
     up = svg.Axis.over(low, high, floor, 8.0)
-    parts = [*across.upright(8.0, floor, f"true, {unit}", 4), *up.level(left, right, 4)]
+    parts = [*across.upright(8.0, floor, f"true, {unit}", 3, size), *up.level(left, right, 4)]
     parts.append(svg.line(across(low), up(low), across(high), up(high), "equal"))
     for pair in _evenly(variant.pairs):
         title = f"{pair.product}: {svg.plain(pair.estimate, 1)} for {svg.plain(pair.true, 1)} {unit}"
@@ -194,7 +195,9 @@ def _some(given: Sequence[T], rank: Callable[[T], float]) -> list[T]:
     return [ranked[place] for place in np.linspace(0, len(ranked) - 1, DOTS_MAX).round().astype(int).tolist()]
 
 
-_WIDTH, _FLOOR, _LEFT = 320.0, 196.0, 46.0
+_WIDTH, _FLOOR, _AXIS = 320.0, 196.0, 46.0
+"""Of the smaller plots of agreement and probabilities: width, level of the lower axis, place of the left
+one."""
 _BESIDE, _BAR = (14.0, 8.5, 3.0), 3.5
 """Where, right of the plot, the bars of intervals stand, and how wide; side by side, since they overlap."""
 
@@ -205,12 +208,12 @@ Point = tuple[float, float, str]
 """Size, difference in %, and of which product."""
 
 
-def over_truth(values: Sequence[Beside]) -> list[Point]:
+def over_truth(values: Sequence[PairedValue]) -> list[Point]:
     """Give a point for each product: its true size, and the relative error."""
     return [(v.true, 100.0 * (v.estimate / v.true - 1.0), v.product) for v in values if v.true > 0]
 
 
-def over_mean(pairs: Sequence[tuple[Beside, Beside]]) -> list[Point]:
+def over_mean(pairs: Sequence[tuple[PairedValue, PairedValue]]) -> list[Point]:
     """Give a point for each product: the mean of both estimates, and their difference as a share of it."""
     points = []
     for one, other in pairs:
@@ -233,13 +236,13 @@ def bland_altman(
     known = [value for value in ends if np.isfinite(value)]
     room = 0.06 * (max(known) - min(known)) or 1.0
     up = svg.Axis.over(min(known) - room, max(known) + room, _FLOOR, 8.0)
-    across = svg.Axis.over(min(p[0] for p in points), max(p[0] for p in points), _LEFT + 8.0, _WIDTH - 70.0)
+    across = svg.Axis.over(min(p[0] for p in points), max(p[0] for p in points), _AXIS + 8.0, _WIDTH - 70.0)
     right = _WIDTH - 64.0
     parts = []
     if tolerance_pct is not None:
         band = up(-tolerance_pct) - up(tolerance_pct)
-        parts.append(svg.box(_LEFT, up(tolerance_pct), right - _LEFT, band, "tolerance", "the tolerance"))
-    parts += up.level(_LEFT, right)
+        parts.append(svg.box(_AXIS, up(tolerance_pct), right - _AXIS, band, "tolerance", "the tolerance"))
+    parts += up.level(_AXIS, right)
     parts += [svg.text(across(value), _FLOOR + 15.0, written) for value, written in across.ticks(3)]
     paint = colour(variant.number)
     low, high = agreement.limits_pct
@@ -254,7 +257,7 @@ def bland_altman(
     ]
     written_at = _apart([up(value) + 4.0 for value, _, _ in drawn])
     for (value, interval, kind), at, beside in zip(drawn, written_at, _BESIDE, strict=False):
-        parts.append(svg.line(_LEFT, up(value), right, up(value), kind))
+        parts.append(svg.line(_AXIS, up(value), right, up(value), kind))
         if np.isfinite(interval.low):
             words = f"{svg.plain(interval.low, 2, True)} to {svg.plain(interval.high, 2, True)} %"
             tall = up(interval.low) - up(interval.high)
@@ -264,8 +267,8 @@ def bland_altman(
         title = f"{product}: {svg.plain(difference, 2, True)} %"
         parts.append(svg.dot(across(size), up(difference), "point", title, paint))
     parts += [
-        svg.text((_LEFT + right) / 2, _FLOOR + 31.0, size_words),
-        svg.text(_LEFT, _FLOOR + 31.0, "%", "end"),
+        svg.text((_AXIS + right) / 2, _FLOOR + 31.0, size_words),
+        svg.text(_AXIS, _FLOOR + 31.0, "%", "end"),
     ]
     label = (
         f"{variant.name}: mean difference {svg.plain(agreement.mean_pct, 2, True)} %, limits of agreement "
@@ -284,8 +287,8 @@ def _apart(places: Sequence[float]) -> list[float]:
 
 def reliability(variant: Variant, found: Reliability) -> Markup:
     """Draw the share that was right over the stated probability; on the line they are equal."""
-    across, up = svg.Axis(0.0, 1.0, _LEFT, _WIDTH - 60.0), svg.Axis(0.0, 1.0, _FLOOR, 8.0)
-    parts = [*across.upright(8.0, _FLOOR, "stated probability", 4), *up.level(_LEFT, across.end, 4)]
+    across, up = svg.Axis(0.0, 1.0, _AXIS, _WIDTH - 60.0), svg.Axis(0.0, 1.0, _FLOOR, 8.0)
+    parts = [*across.upright(8.0, _FLOOR, "stated probability", 4, _WIDTH), *up.level(_AXIS, across.end, 4)]
     parts.append(svg.line(across(0.0), up(0.0), across(1.0), up(1.0), "equal"))
     most = max(one.n for one in found.bins)
     for one in found.bins:
@@ -299,6 +302,6 @@ def reliability(variant: Variant, found: Reliability) -> Markup:
             svg.line(x, low, x, high, "whisker"),
             svg.dot(x, up(one.right), "point", title, colour(variant.number), radius),
         ]
-    parts.append(svg.text(_LEFT + 5.0, 20.0, "share right", "start"))
+    parts.append(svg.text(_AXIS + 5.0, 20.0, "share right", "start"))
     bins = "; ".join(f"stated {svg.plain(b.stated, 2)}, right {svg.plain(b.right, 2)}" for b in found.bins)
     return svg.picture(parts, _FLOOR + 38.0, f"{variant.name}: {bins}", width=_WIDTH)

@@ -17,8 +17,8 @@ from roemetry_tools.compare.aggregate import QUANTITIES, Figures
 from roemetry_tools.compare.agreement import (
     NO_INTERVAL,
     Agreement,
-    Beside,
     Interval,
+    PairedValue,
     Shift,
     Terms,
     against_each_other,
@@ -80,7 +80,7 @@ class Compared:
         return f"no acquisition was measured: {self.figures.causes[0].text}"
 
 
-def standing_of(own: Figures | None, base: Figures | None, terms: Terms) -> Standing:
+def rank_against(own: Figures | None, base: Figures | None, terms: Terms) -> Standing:
     """Hold a variant against the truth and, where it is another, the recipe as it is."""
     if own is None:
         return Standing()
@@ -146,7 +146,9 @@ class Choice:
     n: int
 
 
-def choose_by_error(figure: str, values: Mapping[int, Mapping[str, Beside]], terms: Terms) -> Choice | None:
+def choose_by_error(
+    figure: str, values: Mapping[int, Mapping[str, PairedValue]], terms: Terms
+) -> Choice | None:
     """Choose by the least mean absolute error, on the products that every variant measured.
 
     None with fewer than two variants, or fewer products than two a fold.

@@ -36,7 +36,7 @@ class Pair:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Judged:
+class Scored:
     """What one variant made of one acquisition (`item` is its id).
 
     Attributes
@@ -60,7 +60,7 @@ class Judged:
     seconds: Mapping[str, float] = field(default_factory=dict)
 
 
-def judge(
+def score(
     variant: int,
     trace: Trace,
     recipe: Recipe,
@@ -69,7 +69,7 @@ def judge(
     memory: tuple[Mapping[str, str], StepMemory],
     seconds: Mapping[str, float],
     turn_deg: int = 0,
-) -> Judged:
+) -> Scored:
     """Judge what a variant did with an acquisition; `truth` is None where nothing is known.
 
     Scores are shared like steps: `memory` holds them, under the keys of the variant's steps. The truth of the
@@ -96,7 +96,7 @@ def judge(
         elif coded is not None:
             key = ("coding", keys["coder"])
             coding = shared.recall(key, lambda: score_coding(coded, peaks, stripes))[0]
-    return Judged(
+    return Scored(
         variant,
         trace.acquisition_id,
         pairs,
@@ -109,11 +109,11 @@ def judge(
     )
 
 
-def unreadable(variant: int, item: str, why: Reason, truth: Truth | None) -> Judged:
+def unreadable(variant: int, item: str, why: Reason, truth: Truth | None) -> Scored:
     """Judge an acquisition that could not be read."""
     products = () if truth is None else truth.products
     pairs = tuple(Pair(number, None, true, (why,)) for number, true in enumerate(products, start=1))
-    return Judged(variant, item, pairs or (Pair(0, None, None, (why,)),), why)
+    return Scored(variant, item, pairs or (Pair(0, None, None, (why,)),), why)
 
 
 def _stripes(

@@ -1,13 +1,12 @@
-"""The files of a comparison: items as they are judged, then JSON, CSV and the page."""
+"""The files of a comparison: items as they are scored, then JSON, CSV and the page."""
 
 from __future__ import annotations
 
 import json
-import math
 import platform
 import shlex
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, is_dataclass
+from collections.abc import Sequence
+from dataclasses import asdict
 from datetime import datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -15,12 +14,13 @@ from typing import Any
 
 from roemetry.errors import OutputError
 from roemetry.io.files import LineFile, make_folder, write_whole
+from roemetry.io.files import json_values
 from roemetry_tools.compare.aggregate import Figures, estimates_of
 from roemetry_tools.compare.agreement import RESAMPLES, Shift, Terms
 from roemetry_tools.compare.data import Data
 from roemetry_tools.compare.grading import Recall, Reliability
 from roemetry_tools.compare.ranking import Compared, Standing, choices_of
-from roemetry_tools.compare.score import Judged, Pair
+from roemetry_tools.compare.score import Pair, Scored
 from roemetry_tools.compare.tables import GROUPS, centre_figures, coding_shares, to_csv
 from roemetry_tools.compare.variants import Variant
 
@@ -28,7 +28,7 @@ ITEMS, SUMMARY, TABLE, PAGE = "items.jsonl", "comparison.json", "comparison.csv"
 
 
 class ItemsFile:
-    """``items.jsonl``: a line for each variant and product, written as it is judged.
+    """``items.jsonl``: a line for each variant and product, written as it is scored.
 
     The comparison's folder is made if need be; one that holds a comparison already is refused.
     """
@@ -49,11 +49,11 @@ class ItemsFile:
     def __exit__(self, *error: Any) -> None:
         self._file.__exit__(*error)
 
-    def add(self, variant: Variant, judged: Judged) -> None:
+    def add(self, variant: Variant, scored: Scored) -> None:
         """Write what a variant made of an acquisition."""
         lines = [
-            json.dumps(_plain(_line(variant, judged, pair)), ensure_ascii=False, allow_nan=False)
-            for pair in judged.pairs
+            json.dumps(json_values(_line(variant, scored, pair)), ensure_ascii=False, allow_nan=False)
+            for pair in scored.pairs
         ]
         if lines:
             self._file.append("\n".join(lines))
@@ -83,8 +83,7 @@ def described(
 ) -> dict[str, Any]:
     """Tell everything as plain values, fit for JSON."""
     base = compared[0].variant.recipe
-    if base is None:
-        raise AssertionError("the recipe as it is has been loaded")
+    assert base is not None
     libraries = ("numpy", "numba", "opencv-contrib-python-headless")
     told = {
         "roemetry_comparison": 1,
@@ -102,8 +101,7 @@ def described(
         "platform": platform.platform(),
         "variants": [_variant(one) for one in compared],
     }
-    plain = _plain(told)
-    assert isinstance(plain, dict)
+    plain: dict[str, Any] = json_values(told)
     return plain
 
 
@@ -152,8 +150,12 @@ def _figures(figures: Figures) -> dict[str, Any]:
 def _standing(standing: Standing) -> dict[str, Any]:
     """Tell how a variant stands beside truth and recipe; intervals as [low, high]."""
     return {
-        "to_truth": {group: standing.truth[name] for group, name, _ in GROUPS if name in standing.truth},
-        "to_recipe": {group: standing.recipe[name] for group, name, _ in GROUPS if name in standing.recipe},
+        "to_truth": {
+            group: asdict(standing.truth[name]) for group, name, _ in GROUPS if name in standing.truth
+        },
+        "to_recipe": {
+            group: asdict(standing.recipe[name]) for group, name, _ in GROUPS if name in standing.recipe
+        },
         "nearer_pct": {
             group: _named(standing.nearer[name]) for group, name, _ in GROUPS if name in standing.nearer
         },
@@ -167,11 +169,8 @@ def _standing(standing: Standing) -> dict[str, Any]:
 def _named(found: Shift | Recall | Reliability) -> dict[str, Any]:
     """Give a record's fields by name, those of the records in it too; but an interval stays [low, high]."""
     if isinstance(found, Reliability):
-        return {
-            **asdict(found),
-            "excess": _named(found.excess),
-            "bins": [one._asdict() for one in found.bins],
-        }
+        bins = [one._asdict() for one in found.bins]
+        return {**asdict(found), "excess": _named(found.excess), "bins": bins}
     return found._asdict()
 
 
@@ -179,12 +178,12 @@ def _errors(errors: dict[str, Any], unit: str) -> dict[str, Any]:
     return {f"rmse_{unit}" if name == "rmse" else name: value for name, value in errors.items()}
 
 
-def _line(variant: Variant, judged: Judged, pair: Pair) -> dict[str, Any]:
+def _line(variant: Variant, scored: Scored, pair: Pair) -> dict[str, Any]:
     row, true = pair.measured, pair.true
     return {
         "variant": variant.number,
         "name": variant.name,
-        "item": judged.item,
+        "item": scored.item,
         "product": pair.product,
         "status": "failed" if row is None else row.status,
         "measured": None
@@ -201,16 +200,3 @@ def _line(variant: Variant, judged: Judged, pair: Pair) -> dict[str, Any]:
         "true": None if true is None else asdict(true),
         "reasons": [reason._asdict() for reason in pair.reasons],
     }
-
-
-def _plain(value: Any) -> Any:
-    """Make a value fit for JSON: NaN becomes None, tuples lists, numpy's numbers Python's."""
-    if is_dataclass(value) and not isinstance(value, type):
-        return _plain(asdict(value))
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if hasattr(value, "item") and not isinstance(value, str):
-        value = value.item()
-    return None if isinstance(value, float) and not math.isfinite(value) else value

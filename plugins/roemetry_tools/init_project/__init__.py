@@ -21,7 +21,7 @@ from roemetry.errors import ConfigurationError, OutputError
 from roemetry.io.files import make_folder, write_whole
 from roemetry_tools.init_project.layout import Answers, Layout, lay_out
 
-_SEED = 1
+_SEED = 1  # any: the same folder each time
 _DATA = "data"
 
 

@@ -19,16 +19,23 @@ MEASURES = ("volume", "weight", "shape")
 """What may be asked for; weight needs the volume."""
 
 STRIPES_LEAST, STRIPES_CHOSEN_MOST, STRIPES_MOST = 5, 15, 40
+"""Fewer leave a volume to its ends; more than 15 cost angle and gain little; 40 is the most that are
+coded."""
 
 _SHARE_OF_SPACING = 0.7
+"""Of a spacing that the greatest height displaces a stripe: the rest is for flanks seen a little aside."""
 _FAN = 1.1
+"""Width of all stripes over the product's length: one stripe stands beside each end."""
 _FREE = _SHARE_OF_SPACING * _FAN
 _STEEPEST, _GOOD, _FLATTEST = 0.5, 0.12, 0.06
 """Tangents of the laser's angle at the belt: the largest, the least to choose, the least to accept."""
 
 _SPACING_LEAST_PX = 14.0
+"""About three widths of a stripe, which is 4 to 5 px wide in focus."""
 _TURNED_DEG = 10.0
+"""Products are laid down by hand or by a chute, so straight at best."""
 _BESIDE_MM = 8.0
+"""Bare belt beside the block, for rest lines."""
 
 
 @dataclass(frozen=True, slots=True)

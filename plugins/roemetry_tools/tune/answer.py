@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from roemetry.io.files import json_values
 from roemetry.records import AMBIGUOUS, EDGE, SATURATED, UNCODED, WIDE, Frame, Peaks, StripeMap, Trace
 
 _GAPS_TOLD = 40
@@ -114,7 +115,7 @@ def packed(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> byt
         told[name] = {"type": kind, "shape": list(array.shape), "at": place}
         parts.append(data + bytes(-len(data) % 8))
         place += len(parts[-1])
-    text = json.dumps(_sound({**header, "arrays": told}), allow_nan=False).encode()
+    text = json.dumps(json_values({**header, "arrays": told}), allow_nan=False).encode()
     text += b" " * (-(len(text) + 4) % 8)
     return struct.pack("<I", len(text)) + text + b"".join(parts)
 
@@ -129,14 +130,3 @@ def unpacked(data: bytes) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         found = np.frombuffer(data, np.dtype(told["type"]).newbyteorder("<"), count, 4 + length + told["at"])
         arrays[name] = found.reshape(told["shape"])
     return header, arrays
-
-
-def _sound(value: Any) -> Any:
-    """Put null for what JSON has no word for."""
-    if isinstance(value, Mapping):
-        return {str(key): _sound(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_sound(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

@@ -5,11 +5,10 @@ An option's schema says whether it becomes a slider, a choice, a switch or a tex
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping
-from typing import Any, Literal
+from typing import Any
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel
 
 from roemetry.config.recipe import Recipe
 from roemetry.config.recipe_file import NEEDS, SourceChoice
@@ -18,75 +17,60 @@ from roemetry.stages.registry import Registered, Registry
 from roemetry_tools.tune.editing import inline
 from roemetry_tools.tune.request import KINDS, stages_of
 
-Kind = Literal["number", "integer", "choice", "switch", "text", "file", "yaml"]
-
 _AS_WRITTEN = ("px", "mm", "rows", "g", "days", "samples")
 _UNITS = {name: name for name in _AS_WRITTEN} | {"mm2": "mm²", "mm3": "mm³", "cm3": "cm³", "deg": "°"}
 _UNITS |= {"sigmas": "σ", "grey": "grey levels"}
 """By the last part of an option's name."""
 
 
-class Field(BaseModel):
-    """One field of the form; what fits no other kind, ``yaml``, is written as in the recipe, on one line.
+Field = dict[str, Any]
+"""One field of the form, as JSON has it.
 
-    `words` (and None) may stand in the place of a number, a text or a file. An open bound is itself not
-    legal. The default counts where the recipe says nothing; it is meaningless where `required`.
-    """
-
-    model_config = ConfigDict(frozen=True)
-
-    name: str
-    kind: Kind
-    description: str
-    unit: str = ""
-    choices: tuple[str | int | float, ...] = ()
-    words: tuple[str | None, ...] = ()
-    low: float | None = None
-    high: float | None = None
-    low_open: bool = False
-    high_open: bool = False
-    required: bool = False
-    default: Any = None
+What fits no other kind, ``yaml``, is written as in the recipe, on one line. `words` (and null) may replace a
+number, a text or a file. An open bound is itself not legal. The default counts where the recipe says nothing;
+it is meaningless where `required`.
+"""
 
 
-def fields_of(model: type[BaseModel], leave_out: tuple[str, ...] = ()) -> tuple[Field, ...]:
+def fields_of(model: type[BaseModel], leave_out: tuple[str, ...] = ()) -> list[Field]:
     """Give a form's fields for a model, in the model's order."""
     schema = model.model_json_schema()
     required = schema.get("required", ())
-    return tuple(
+    return [
         _field(name, given, name in required)
         for name, given in schema.get("properties", {}).items()
         if name not in leave_out
-    )
+    ]
 
 
 def _field(name: str, given: Mapping[str, Any], required: bool) -> Field:
-    said: dict[str, Any] = {
+    options = given.get("anyOf", [given])
+    words = [option.get("const") for option in options if _is_word(option)]
+    open_to = [option for option in options if not _is_word(option)]
+    field = {
         "name": name,
         "description": given.get("description", ""),
         "unit": _unit(name),
         "required": required,
-        "default": given.get("default"),
     }
-    open_to: list[Mapping[str, Any]] = []
-    words: list[str | None] = []
-    for option in given.get("anyOf", [given]):
-        if option.get("type") == "null":
-            words.append(None)
-        elif "const" in option and isinstance(option["const"], str):
-            words.append(option["const"])
-        else:
-            open_to.append(option)
+    field |= {"default": given.get("default"), "choices": [], "words": words}
+    field |= {"low": None, "high": None, "low_open": False, "high_open": False}
     if not open_to:
-        return Field(kind="choice", choices=tuple(word for word in words if word is not None), **said)
-    if len(open_to) > 1:
-        return Field(kind="yaml", **said)
-    return Field(words=tuple(words), **said, **_kind(open_to[0]))
+        return field | {
+            "kind": "choice",
+            "choices": [word for word in words if word is not None],
+            "words": [],
+        }
+    return field | ({"kind": "yaml", "words": []} if len(open_to) > 1 else _kind(open_to[0]))
+
+
+def _is_word(option: Mapping[str, Any]) -> bool:
+    return option.get("type") == "null" or isinstance(option.get("const"), str)
 
 
 def _kind(option: Mapping[str, Any]) -> dict[str, Any]:
     if "enum" in option:
-        return {"kind": "choice", "choices": tuple(option["enum"])}
+        return {"kind": "choice", "choices": option["enum"]}
     match option.get("type"):
         case "boolean":
             return {"kind": "switch"}
@@ -117,12 +101,6 @@ def _unit(name: str) -> str:
     return _UNITS.get(name.rpartition("_")[2], "") if "_" in name else ""
 
 
-def as_plain(fields: tuple[Field, ...]) -> list[dict[str, Any]]:
-    """Give fields as JSON holds them."""
-    plain: list[dict[str, Any]] = json.loads(json.dumps([field.model_dump(mode="json") for field in fields]))
-    return plain
-
-
 _NOT_IN_FORM = ("use", "options", "sensor")
 
 
@@ -130,8 +108,8 @@ def form_of(base: Any, recipe: Recipe, registry: Registry) -> dict[str, Any]:
     """Describe a form for a recipe's values: its source, its stages, and all that may be chosen."""
     chosen = stages_of(base)
     said = base.get("source", {})
-    source_fields = as_plain(fields_of(SourceChoice, _NOT_IN_FORM))
-    options = as_plain(fields_of(recipe.source.stage.Options))
+    source_fields = fields_of(SourceChoice, _NOT_IN_FORM)
+    options = fields_of(recipe.source.stage.Options)
     for option in options:
         option["name"] = f"options.{option['name']}"
     return {
@@ -185,6 +163,6 @@ def _options_of(one: Registered, registry: Registry) -> dict[str, Any]:
     if one.missing is not None:
         return {"fields": [], "missing": one.missing}
     try:
-        return {"fields": as_plain(fields_of(registry.load(one).Options)), "missing": ""}
+        return {"fields": fields_of(registry.load(one).Options), "missing": ""}
     except RoemetryError as error:
         return {"fields": [], "missing": str(error)}

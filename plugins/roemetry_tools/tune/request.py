@@ -18,7 +18,7 @@ KINDS = tuple(StageChoices.model_fields)
 """Kinds of stage in the order of the chain."""
 
 
-class StageWish(BaseModel):
+class StageRequest(BaseModel):
     """A stage and the options that are said of it; each value is written as a recipe would have it."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -27,7 +27,7 @@ class StageWish(BaseModel):
     options: dict[str, str] = Field(default_factory=dict)
 
 
-class Wish(BaseModel):
+class TuneRequest(BaseModel):
     """Everything the page's form says: which frame (empty: the first), and the recipe's source and stages.
 
     Options of the source are keys ``options.NAME``. A stage that is None is left out; a kind that is missing
@@ -38,7 +38,7 @@ class Wish(BaseModel):
 
     acquisition: str = ""
     source: dict[str, str] = Field(default_factory=dict)
-    stages: dict[str, StageWish | None] = Field(default_factory=dict)
+    stages: dict[str, StageRequest | None] = Field(default_factory=dict)
     draws: bool = False
 
 
@@ -63,7 +63,7 @@ class Draft:
         return json.dumps(list(path))
 
 
-def draft_of(base: Any, wish: Wish) -> Draft:
+def draft_of(base: Any, wish: TuneRequest) -> Draft:
     """Change a recipe's values by what is wished; what is wished as it was keeps its form."""
     draft = Draft(copy.deepcopy(base))
     if not isinstance(draft.data, dict):

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from pydantic import BaseModel, ValidationError
 
 from roemetry.errors import ConfigurationError, RoemetryError
-from roemetry_tools.tune.request import Wish
+from roemetry_tools.tune.request import TuneRequest
 from roemetry_tools.tune.session import Session
 
 if TYPE_CHECKING:
@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 
 LOOPBACK = "127.0.0.1"
 _PAGE = Path(__file__).parent / "page"
-_LARGEST_WISH = 1_000_000
+_LARGEST_REQUEST = 1_000_000
+"""Bytes; a whole recipe has some thousand."""
 
 _HEADERS = {
     # The page may load nothing that this process does not serve, and no other page may hold it in a frame.
@@ -31,10 +32,10 @@ _HEADERS = {
 }
 
 
-class SaveWish(BaseModel):
+class SaveRequest(BaseModel):
     """What to save, and under which name."""
 
-    wish: Wish
+    wish: TuneRequest
     name: str = ""
 
 
@@ -48,6 +49,7 @@ def app_of(session: Session) -> Starlette:
     """
     try:
         from starlette.applications import Starlette
+        from starlette.concurrency import run_in_threadpool
         from starlette.middleware import Middleware
         from starlette.middleware.trustedhost import TrustedHostMiddleware
         from starlette.responses import JSONResponse, Response
@@ -72,14 +74,14 @@ def app_of(session: Session) -> Starlette:
         return Response(found, media_type="image/png", headers=kept)
 
     async def answer(request: Request) -> Response:
-        wish = await _read(request, Wish)
-        data = await _in_thread(lambda: session.answer(wish))
+        wish = await _read(request, TuneRequest)
+        data = await run_in_threadpool(session.answer, wish)
         return Response(data, media_type="application/octet-stream", headers=_HEADERS)
 
     async def save(request: Request) -> Response:
-        given = await _read(request, SaveWish)
-        saved = await _in_thread(lambda: session.save(given.wish, given.name))
-        return JSONResponse({"path": saved.path, "old": saved.old, "recipe": saved.recipe}, headers=_HEADERS)
+        given = await _read(request, SaveRequest)
+        saved = await run_in_threadpool(session.save, given.wish, given.name)
+        return JSONResponse(saved, headers=_HEADERS)
 
     def refused(_: Request, error: Exception) -> Response:
         return JSONResponse({"said": str(error)}, 400, headers=_HEADERS)
@@ -153,16 +155,10 @@ async def _read(request: Request, model: type[Any]) -> Any:
     body = bytearray()
     async for part in request.stream():
         body += part
-        if len(body) > _LARGEST_WISH:
-            raise RoemetryError(f"more than {_LARGEST_WISH} bytes were sent")
+        if len(body) > _LARGEST_REQUEST:
+            raise RoemetryError(f"more than {_LARGEST_REQUEST} bytes were sent")
     try:
         return model.model_validate_json(bytes(body))
     except ValidationError as error:
         first = error.errors()[0]
         raise RoemetryError(f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from error
-
-
-async def _in_thread(work: Callable[[], Any]) -> Any:
-    from starlette.concurrency import run_in_threadpool
-
-    return await run_in_threadpool(work)

@@ -7,7 +7,7 @@ import json
 import threading
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -25,20 +25,12 @@ from roemetry.stages.registry import Registry, discover
 from roemetry_tools.tune.answer import packed, picture_of, places_of
 from roemetry_tools.tune.editing import differences, edited
 from roemetry_tools.tune.form import form_of
-from roemetry_tools.tune.request import Draft, Fault, Wish, draft_of, faults_of
+from roemetry_tools.tune.request import Draft, Fault, TuneRequest, draft_of, faults_of
 
 _STEPS_KEPT = 64
 """Results of stages: some dozens of MB."""
 _PICTURES_KEPT = 4
-
-
-@dataclass(frozen=True)
-class Saved:
-    """A recipe that was written, and where the old one is now."""
-
-    path: str
-    old: str
-    recipe: dict[str, Any] = field(default_factory=dict)
+"""Frames between which one goes back and forth."""
 
 
 class Session:
@@ -83,10 +75,10 @@ class Session:
 
     def warm_up(self) -> None:
         """Load kernels, or compile them, before anybody waits for a slider."""
-        self.answer(Wish())
+        self.answer(TuneRequest())
         self._memory.clear()  # or the page would show the times of compiling
 
-    def answer(self, wish: Wish) -> bytes:
+    def answer(self, wish: TuneRequest) -> bytes:
         """Run what the wish changes and pack what came out, or what is wrong with it.
 
         A fault of the form is told with the path of its field; a stage that refuses, or fails, is told with
@@ -117,10 +109,10 @@ class Session:
         """Give the PNG of a frame that an answer named; None where it is not kept any more."""
         return self._pictures.get(key)
 
-    def save(self, wish: Wish, name: str = "") -> Saved:
+    def save(self, wish: TuneRequest, name: str = "") -> dict[str, Any]:
         """Write the recipe, comments kept, or another file of that name in its folder.
 
-        What the recipe's file held when it was opened is kept beside it.
+        What the recipe's file held when it was opened is kept beside it; gives where, and the recipe anew.
 
         Raises
         ------
@@ -141,7 +133,11 @@ class Session:
             self._path, self._text = target, text
             self._own = text.encode()
             self._base = parse(text, str(target)).data
-            return Saved(str(target), "" if old is None else old.name, self._described())
+            return {
+                "path": str(target),
+                "old": "" if old is None else old.name,
+                "recipe": self._described(),
+            }
 
     def _described(self) -> dict[str, Any]:
         recipe = self._recipe(Draft(self._base))
@@ -156,7 +152,7 @@ class Session:
             **form_of(self._base, recipe, self.registry),
         }
 
-    def _evaluated(self, draft: Draft, wish: Wish, arrays: dict[str, Any]) -> dict[str, Any]:
+    def _evaluated(self, draft: Draft, wish: TuneRequest, arrays: dict[str, Any]) -> dict[str, Any]:
         recipe = self._recipe(draft)
         references = self._references(recipe)
         reference = next((one for one in references if one.id == wish.acquisition), references[0])

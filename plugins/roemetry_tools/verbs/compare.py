@@ -141,7 +141,7 @@ def _one_set(
     """Compare on one data set, write its files, and show them."""
     began = datetime.now(UTC)
     with ItemsFile(folder) as items, progress("comparing", quiet=as_json) as shown:
-        compared = compared_on(variants, data, terms=terms, jobs=jobs, on_judged=items.add, on_progress=shown)
+        compared = compared_on(variants, data, terms=terms, jobs=jobs, on_scored=items.add, on_progress=shown)
     files = write_comparison(folder, compared, data, terms=terms, command=sys.argv[1:], began=began)
     if not as_json:
         _show(compared, terms, data.without_truth, files)

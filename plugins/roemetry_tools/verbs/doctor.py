@@ -8,6 +8,7 @@ import math
 import os
 import platform
 import re
+import sys
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
@@ -134,10 +135,7 @@ def _libraries() -> Iterator[Finding]:
 def _for_this_machine(line: str) -> bool:
     """Leave out what a requirement's marker says is for other systems."""
     wanted = re.search(r"sys_platform\s*(==|!=)\s*['\"](\w+)['\"]", line)
-    if wanted is None:
-        return True
-    here = {"Linux": "linux", "Darwin": "darwin", "Windows": "win32"}.get(platform.system(), "")
-    return (here == wanted.group(2)) == (wanted.group(1) == "==")
+    return wanted is None or (sys.platform == wanted.group(2)) == (wanted.group(1) == "==")
 
 
 def _version(name: str) -> str | None:

@@ -4,6 +4,7 @@ import math
 
 import pytest
 
+from roemetry.html.plots import when
 from roemetry.records import Decision, Estimate
 from roemetry_report import words
 from roemetry_report.overview import decision_pill
@@ -48,9 +49,9 @@ def test_shares(share, text):
 
 
 def test_times():
-    assert words.when("2025-11-21T05:50:03+00:00") == "21 November 2025, 05:50 UTC"
-    assert words.when("noon") == "noon"
-    assert words.when(None) == ""
+    assert when("2025-11-21T05:50:03+00:00") == "21 November 2025, 05:50 UTC"
+    assert when("noon") == "noon"
+    assert when(None) == ""
 
 
 def test_a_long_name_breaks_at_its_joints_and_stays_escaped():

@@ -10,8 +10,8 @@ from scipy.stats import t
 
 from roemetry.html.plots import share
 from roemetry_tools.compare.agreement import (
-    Beside,
     Bootstrap,
+    PairedValue,
     Terms,
     against_each_other,
     against_truth,
@@ -29,11 +29,12 @@ from roemetry_tools.compare.grading import (
 from roemetry_tools.compare.ranking import choose_by_class, choose_by_error
 
 
-def values(estimates: list[float], true: float | None, each: int = 1) -> dict[str, Beside]:
+def values(estimates: list[float], true: float | None, each: int = 1) -> dict[str, PairedValue]:
     """One product an estimate, `each` estimates a specimen."""
     known = math.nan if true is None else true
     return {
-        f"p{k}": Beside(estimate, known, f"p{k}", f"s{k // each}") for k, estimate in enumerate(estimates)
+        f"p{k}": PairedValue(estimate, known, f"p{k}", f"s{k // each}")
+        for k, estimate in enumerate(estimates)
     }
 
 
@@ -175,7 +176,7 @@ def test_the_choice_among_like_variants_flatters(rng: np.random.Generator) -> No
 
 
 def test_all_of_a_specimen_is_in_one_fold() -> None:
-    """A variant that is right on even specimens alone is never chosen by what it then is judged on."""
+    """A variant that is right on even specimens alone is never chosen by what it then is scored on."""
     table = [("a" if k // 4 % 2 else "b", "a", 1.0) for k in range(80)]
     one, other = graded(table, 4), [g._replace(given="b") for g in graded(table, 4)]
     found = choose_by_class({3: one, 7: other}, Terms(folds=4))

@@ -112,7 +112,7 @@ def test_numbers_are_the_same_for_any_number_of_processes(
         variants = make_variants(path, ["extractor=local-maximum"], registry=discover())
         assert variants[0].recipe is not None
         with ItemsFile(tmp_path / f"out{jobs}") as file:
-            found = compare(variants, Data(variants[0].recipe), jobs=jobs, on_judged=file.add)
+            found = compare(variants, Data(variants[0].recipe), jobs=jobs, on_scored=file.add)
         rows.append([{k: v for k, v in flat(one).items() if not k.startswith("time_")} for one in found])
         items.append((tmp_path / f"out{jobs}" / "items.jsonl").read_text("utf-8"))
     assert items[0] == items[1]
@@ -159,7 +159,7 @@ def test_without_a_data_set_there_are_times_and_a_reason(line: Callable[..., Pat
     assert variants[0].recipe is not None
     data = Data(variants[0].recipe)
     with ItemsFile(tmp_path / "out") as file:
-        found = compare(variants, data, on_judged=file.add)
+        found = compare(variants, data, on_scored=file.add)
     write_comparison(tmp_path / "out", found, data, terms=Terms(), began=datetime.now(UTC))
     assert found[0].figures is not None
     assert set(found[0].figures.absent) == {"visible_mm3", "true_mm3", "mass_g", "label", "centres", "coding"}

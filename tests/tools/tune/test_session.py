@@ -19,24 +19,24 @@ from roemetry.run.pipeline import Pipeline
 from roemetry.run.rows import measurements_of
 from roemetry.stages.registry import discover
 from roemetry_tools.tune.answer import packed, unpacked
-from roemetry_tools.tune.form import as_plain, fields_of
-from roemetry_tools.tune.request import KINDS, StageWish, Wish
+from roemetry_tools.tune.form import fields_of
+from roemetry_tools.tune.request import KINDS, StageRequest, TuneRequest
 from roemetry_tools.tune.session import Session
 
-DOME = StageWish(use="dominant-peak", options={"threshold": "60"})
+DOME = StageRequest(use="dominant-peak", options={"threshold": "60"})
 
 
-def wish(session: Session, acquisition: str = "", **stages: StageWish | None) -> Wish:
-    """Wish for what the recipe says, but for some stages."""
+def wish(session: Session, acquisition: str = "", **stages: StageRequest | None) -> TuneRequest:
+    """TuneRequest for what the recipe says, but for some stages."""
     recipe = session.recipe()
     said = {
-        kind["kind"]: None if kind["chosen"] is None else StageWish(**kind["chosen"])
+        kind["kind"]: None if kind["chosen"] is None else StageRequest(**kind["chosen"])
         for kind in recipe["stages"]
     }
-    return Wish(acquisition=acquisition, source=recipe["source"]["stated"], stages={**said, **stages})
+    return TuneRequest(acquisition=acquisition, source=recipe["source"]["stated"], stages={**said, **stages})
 
 
-def ask(session: Session, asked: Wish) -> tuple[dict[str, Any], dict[str, Any]]:
+def ask(session: Session, asked: TuneRequest) -> tuple[dict[str, Any], dict[str, Any]]:
     return unpacked(session.answer(asked))
 
 
@@ -44,7 +44,7 @@ def test_the_answer_is_what_the_pipeline_gives(line: Callable[..., Path]) -> Non
     path = line()
     session = Session(path)
     for threshold in (60, 90, 60):
-        changed = StageWish(use="dominant-peak", options={"threshold": str(threshold)})
+        changed = StageRequest(use="dominant-peak", options={"threshold": str(threshold)})
         header, arrays = ask(session, wish(session, "p02", extractor=changed))
         recipe = Recipe.load(path, sets=[f"stages.extractor.options.threshold={threshold}"])
         source = recipe.source.make()
@@ -81,7 +81,7 @@ def test_only_stages_after_the_changed_one_run_again(
     session = Session(line())
     first, _ = ask(session, wish(session))
     assert ran == ["extract", "weigh"]
-    heavier = StageWish(use="density", options={"density_g_per_cm3": "2.2"})
+    heavier = StageRequest(use="density", options={"density_g_per_cm3": "2.2"})
     second, _ = ask(session, wish(session, weigher=heavier))
     assert ran == ["extract", "weigh", "weigh"]
     ask(session, wish(session))
@@ -98,34 +98,34 @@ def test_results_are_forgotten_in_time(line: Callable[..., Path]) -> None:
     for threshold in range(20, 34):  # seven stages each
         ask(
             session,
-            wish(session, extractor=StageWish(use="dominant-peak", options={"threshold": str(threshold)})),
+            wish(session, extractor=StageRequest(use="dominant-peak", options={"threshold": str(threshold)})),
         )
     assert len(session._memory._kept) <= 64
 
 
-WRONG: dict[str, tuple[dict[str, StageWish | None], tuple[Any, ...], str]] = {
+WRONG: dict[str, tuple[dict[str, StageRequest | None], tuple[Any, ...], str]] = {
     "no number": (
-        {"extractor": StageWish(use="dominant-peak", options={"threshold": "abc"})},
+        {"extractor": StageRequest(use="dominant-peak", options={"threshold": "abc"})},
         ("stages", "extractor", "options", "threshold"),
         "number",
     ),
     "out of bounds": (
-        {"extractor": StageWish(use="dominant-peak", options={"threshold": "256"})},
+        {"extractor": StageRequest(use="dominant-peak", options={"threshold": "256"})},
         ("stages", "extractor", "options", "threshold"),
         "255",
     ),
     "not YAML": (
-        {"extractor": StageWish(use="steger", options={"region": "[0, 1"})},
+        {"extractor": StageRequest(use="steger", options={"region": "[0, 1"})},
         ("stages", "extractor", "options", "region"),
         "not YAML",
     ),
     "an unknown option": (
-        {"extractor": StageWish(use="dominant-peak", options={"treshold": "20"})},
+        {"extractor": StageRequest(use="dominant-peak", options={"treshold": "20"})},
         ("stages", "extractor", "options", "treshold"),
         "did you mean `threshold`?",
     ),
     "an unknown plugin": (
-        {"extractor": StageWish(use="dominant-pek")},
+        {"extractor": StageRequest(use="dominant-pek")},
         ("stages", "extractor", "use"),
         "did you mean `dominant-peak`?",
     ),
@@ -135,12 +135,12 @@ WRONG: dict[str, tuple[dict[str, StageWish | None], tuple[Any, ...], str]] = {
         "it works on the result of the triangulator",
     ),
     "a file that is not there": (
-        {"outliner": StageWish(use="edge-contour", options={"belt": "none.png"})},
+        {"outliner": StageRequest(use="edge-contour", options={"belt": "none.png"})},
         ("stages", "outliner", "options", "belt"),
         "there is no file",
     ),
     "a stage that is missing what it needs": (
-        {"classifier": StageWish(use="learned")},
+        {"classifier": StageRequest(use="learned")},
         ("stages", "classifier", "options", "model"),
         "missing",
     ),
@@ -149,7 +149,7 @@ WRONG: dict[str, tuple[dict[str, StageWish | None], tuple[Any, ...], str]] = {
 
 @pytest.mark.parametrize("case", WRONG.values(), ids=list(WRONG))
 def test_what_is_wrong_is_told_at_its_field(
-    case: tuple[dict[str, StageWish | None], tuple[Any, ...], str], line: Callable[..., Path]
+    case: tuple[dict[str, StageRequest | None], tuple[Any, ...], str], line: Callable[..., Path]
 ) -> None:
     stages, path, said = case
     session = Session(line())
@@ -163,21 +163,21 @@ def test_what_is_wrong_is_told_at_its_field(
 
 def test_several_faults_are_told_at_once(line: Callable[..., Path]) -> None:
     session = Session(line())
-    bad = StageWish(use="dominant-peak", options={"threshold": "[1", "start": "sideways"})
+    bad = StageRequest(use="dominant-peak", options={"threshold": "[1", "start": "sideways"})
     header, _ = ask(session, wish(session, extractor=bad))
     assert {fault["path"][-1] for fault in header["faults"]} == {"threshold", "start"}
 
 
 def test_a_source_without_images_is_told_at_its_path(line: Callable[..., Path]) -> None:
     session = Session(line())
-    header, _ = ask(session, Wish(source={"path": "nowhere"}))
+    header, _ = ask(session, TuneRequest(source={"path": "nowhere"}))
     assert header["faults"][0]["path"] == ["source", "path"]
     assert "there is no image here" in header["faults"][0]["said"]
 
 
 def test_a_stage_that_refuses_gives_its_reason_and_the_rest_stands(line: Callable[..., Path]) -> None:
     session = Session(line())
-    blind = StageWish(use="dominant-peak", options={"threshold": "250"})
+    blind = StageRequest(use="dominant-peak", options={"threshold": "250"})
     header, arrays = ask(session, wish(session, extractor=blind))
     assert not header["faults"]
     assert header["absent"] or header["rows"][0]["reasons"]
@@ -225,26 +225,26 @@ def test_saving_changes_the_value_keeps_comments_and_the_old_file(line: Callable
     before = "# ours\n" + path.read_text("utf-8").replace("window-tracking", "window-tracking  # by order")
     path.write_text(before, "utf-8")
     session = Session(path)
-    changed = StageWish(use="dominant-peak", options={"threshold": "75"})
+    changed = StageRequest(use="dominant-peak", options={"threshold": "75"})
     saved = session.save(wish(session, extractor=changed))
     after = path.read_text("utf-8")
     assert after == before.replace("threshold: 60", "threshold: 75")
-    assert path.with_name(saved.old).read_text("utf-8") == before
+    assert path.with_name(saved["old"]).read_text("utf-8") == before
     assert Recipe.load(path).stages["extractor"].options.threshold == 75  # type: ignore[attr-defined]
     assert ask(session, wish(session))[0]["changes"] == []
     again = session.save(wish(session, extractor=DOME))
-    assert again.old == "", "what this session wrote itself is not kept again"
+    assert again["old"] == "", "what this session wrote itself is not kept again"
     assert path.read_text("utf-8") == before
     third = Session(path)
-    assert third.save(wish(third, extractor=changed)).old == "recipe.yaml.old-2"
+    assert third.save(wish(third, extractor=changed))["old"] == "recipe.yaml.old-2"
 
 
 def test_saving_under_another_name_leaves_the_recipe_alone(line: Callable[..., Path]) -> None:
     path = line()
     before = path.read_text("utf-8")
     session = Session(path)
-    saved = session.save(wish(session, extractor=StageWish(use="dominant-peak")), "softer")
-    assert (Path(saved.path).name, saved.old) == ("softer.yaml", "")
+    saved = session.save(wish(session, extractor=StageRequest(use="dominant-peak")), "softer")
+    assert (Path(saved["path"]).name, saved["old"]) == ("softer.yaml", "")
     assert path.read_text("utf-8") == before
     assert session.recipe()["name"] == "softer.yaml"
     with pytest.raises(ConfigurationError, match="there already"):
@@ -263,7 +263,7 @@ def test_a_file_changed_by_someone_else_is_not_overwritten(line: Callable[..., P
     session = Session(path)
     path.write_text(path.read_text("utf-8") + "# mine\n", "utf-8")
     with pytest.raises(ConfigurationError, match="changed by someone else"):
-        session.save(wish(session, extractor=StageWish(use="dominant-peak")))
+        session.save(wish(session, extractor=StageRequest(use="dominant-peak")))
     assert path.read_text("utf-8").endswith("# mine\n")
 
 
@@ -273,7 +273,7 @@ def test_a_full_disk_leaves_the_recipe_as_it_was(
     path = line()
     before = path.read_bytes()
     session = Session(path)
-    asked = wish(session, extractor=StageWish(use="dominant-peak"))
+    asked = wish(session, extractor=StageRequest(use="dominant-peak"))
 
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
@@ -293,7 +293,7 @@ def test_a_link_stays_a_link(line: Callable[..., Path], tmp_path: Path) -> None:
     link = tmp_path / "link.yaml"
     link.symlink_to(path)
     session = Session(link)
-    session.save(wish(session, extractor=StageWish(use="dominant-peak")))
+    session.save(wish(session, extractor=StageRequest(use="dominant-peak")))
     assert link.is_symlink()
     assert "threshold" not in path.read_text("utf-8")
 
@@ -402,38 +402,29 @@ class Options(BaseModel):
 
 
 def test_each_kind_of_option_becomes_its_kind_of_field() -> None:
-    fields = {field.name: field for field in fields_of(Options)}
-    assert {name: field.kind for name, field in fields.items()} == {
-        "number_px": "number",
-        "count": "integer",
-        "either": "number",
-        "maybe": "number",
-        "word": "choice",
-        "single": "choice",
-        "yes": "switch",
-        "text": "text",
-        "file": "file",
-        "region": "yaml",
-        "several": "yaml",
-        "needed": "number",
-    }
-    number = fields["number_px"]
-    assert (number.low, number.low_open, number.high, number.high_open) == (0.0, True, 9.0, False)
-    assert (number.unit, number.default, number.description) == ("px", 2.0, "a number")
-    assert (fields["count"].low, fields["count"].high) == (1.0, None)
-    assert (fields["either"].words, fields["either"].high) == (("auto",), 255.0)
-    assert (fields["maybe"].words, fields["maybe"].high_open) == ((None,), True)
-    assert fields["word"].choices == ("one", "two")
-    assert fields["single"].choices == ("only",)
-    assert fields["file"].words == (None,)
-    assert [name for name, field in fields.items() if field.required] == ["needed"]
-    assert "text" not in {field.name for field in fields_of(Options, ("text",))}
+    fields = {field["name"]: field for field in fields_of(Options)}
+    kinds = "number integer number number choice choice switch text file yaml yaml number"
+    assert [field["kind"] for field in fields.values()] == kinds.split()
+
+    def said(name: str, *keys: str) -> list[Any]:
+        return [fields[name][key] for key in keys]
+
+    assert said("number_px", "low", "low_open", "high", "high_open") == [0.0, True, 9.0, False]
+    assert said("number_px", "unit", "default", "description") == ["px", 2.0, "a number"]
+    assert said("count", "low", "high") == [1.0, None]
+    assert said("either", "words", "high") == [["auto"], 255.0]
+    assert said("maybe", "words", "high_open") == [[None], True]
+    assert said("word", "choices", "words") == [["one", "two"], []]
+    assert fields["single"]["choices"] == ["only"]
+    assert fields["file"]["words"] == [None]
+    assert [name for name, field in fields.items() if field["required"]] == ["needed"]
+    assert "text" not in {field["name"] for field in fields_of(Options, ("text",))}
 
 
 @pytest.mark.parametrize("stage", STAGES, ids=lambda stage: f"{stage.entry.kind}-{stage.entry.name}")
 def test_every_option_of_every_stage_has_a_field_that_explains_itself(stage: object) -> None:
     options = REGISTRY.load(stage).Options  # type: ignore[arg-type]
-    fields = as_plain(fields_of(options))
+    fields = fields_of(options)
     assert [field["name"] for field in fields] == list(options.model_fields)
     for field in fields:
         assert len(field["description"]) > 10
