@@ -300,7 +300,8 @@ def score_rig(
     truths: dict[str, Crossings] = {}
     for body in rig.bodies:
         try:
-            truths[body.name] = read_crossings(rig.folder / body.truth, rig.image_size)
+            planes = len(rig.truth["laser"]["planes_belt"])
+            truths[body.name] = read_crossings(rig.folder / body.truth, rig.image_size, planes)
         except RigError as fault:
             faults.append(f"{body.name}: {fault}; the body is left out")
     usual = next((one for one in recipes.values() if isinstance(one, Recipe)), None)

@@ -8,14 +8,14 @@ processor (float32 sums may differ in their last digits between vector widths).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
-from functools import cached_property
+from collections.abc import Mapping
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from roemetry.config.scene_parts import BoardPart
+from roemetry.config.scene_parts import BOARDS, ON_BELT, BoardPart
 from roemetry.errors import StageError
 from roemetry.records import Frame, ProductTruth, Role, Simulated, Truth
 from roemetry.records import Sensor as Noise
@@ -38,8 +38,6 @@ from roemetry_mitsuba.truth import Crossings, crossings
 
 Floats = NDArray[np.float64]
 
-BOARDS = ("charuco", "chessboard")
-ON_BELT = "on_belt"
 _NEXT_IN_FRAME = 1_000_003
 """Between the seeds of a frame's products, so that no other item's product has them."""
 _TEXEL_MM = 0.15
@@ -109,18 +107,7 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
 
     def calibration_frames(self, seed: int) -> Mapping[str, Mapping[str, Frame]]:
         """Give the calibration images, by kind and name; each is made when it is asked for."""
-        boards = [f"pose_{k:02d}" for k in range(1, self.options.targets.board.poses + 1)] + [ON_BELT]
-        lit = [f"{name}_{light}" for name in boards for light in ("plain", "laser")]
-        names = {
-            "block": ["block"],
-            "belt": ["belt"],
-            "staircase": ["staircase"],
-            **dict.fromkeys(BOARDS, lit),
-        }
-        return {
-            kind: _Asked(listed, lambda name, kind=kind: self._target(kind, name, seed))  # type: ignore[misc]
-            for kind, listed in names.items()
-        }
+        return self.options.targets.views(partial(self._target, seed))
 
     def target_bodies(self, kind: str, name: str, seed: int) -> list[Body]:
         """Give what lies on the belt in a calibration image."""
@@ -173,9 +160,7 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
 
     def calibration_truth(self, seed: int) -> Mapping[str, Any]:
         """Give the true rig, and where each target lay; planes are n·X = d in the belt frame, mm."""
-        camera, targets = self.camera, self.options.targets
-        board = targets.board.model_dump(mode="json", exclude={"poses", "tilt_max_deg", "height_mm"})
-        lay = {name: pose.tolist() for name, pose in self.board_poses(seed).items()}
+        camera = self.camera
         cx, cy = camera.principal_px.tolist()
         return {
             "rig": {
@@ -186,9 +171,7 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
                 "planes": np.column_stack([self.fan.normals, self.fan.offsets_mm]).tolist(),
                 "projector_mm": self.fan.origin_mm.tolist(),
             },
-            "block": targets.block.model_dump(mode="json"),
-            "staircase": targets.staircase.model_dump(mode="json"),
-            **{kind: {**board, "T_belt_board": lay} for kind in BOARDS},
+            **self.options.targets.truth(self.board_poses(seed)),
         }
 
     @cached_property
@@ -269,7 +252,7 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
             encoder_count=float(math.floor(travel_mm / belt.encoder_step_mm + 1e-9)),
         )
 
-    def _target(self, kind: str, name: str, seed: int) -> Frame:
+    def _target(self, seed: int, kind: str, name: str) -> Frame:
         role: Role = "plain" if name.endswith("_plain") else "laser"
         bodies = self.target_bodies(kind, name, seed)
         number = sum(name.encode()) + 1000 * ("block", "belt", "staircase", *BOARDS).index(kind)
@@ -383,24 +366,6 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
                 hint="make the product smaller, or let the camera see more",
                 at=("product",),
             )
-
-
-class _Asked(Mapping[str, Frame]):
-    """Images by name, each made when it is asked for."""
-
-    def __init__(self, names: list[str], make: Callable[[str], Frame]) -> None:
-        self._names, self._make = names, make
-
-    def __getitem__(self, name: str) -> Frame:
-        if name not in self._names:
-            raise KeyError(name)
-        return self._make(name)
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._names)
-
-    def __len__(self) -> int:
-        return len(self._names)
 
 
 def _lay(drawn: Drawn, at: tuple[float, float, float], density: float) -> Placed:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ from roemetry_simulate.products import Drawn
 from roemetry_simulate.render import Rig, render, turned_back
 from roemetry_simulate.scene import RayCasterOptions, marked, rig_of, surface_of
 from roemetry_simulate.solid import Solid
-from roemetry_simulate.targets import TargetViews, known_beforehand
+from roemetry_simulate.targets import known_beforehand, take_target
 from roemetry_simulate.truth import StripeTruth as Crossings
 from roemetry_simulate.truth import stripe_centres, stripes_show
 
@@ -64,7 +64,7 @@ class RayCaster(Simulator[RayCasterOptions]):
 
     def calibration_frames(self, seed: int) -> Mapping[str, Mapping[str, Frame]]:
         """Give the calibration images, by kind and name; each is made when it is asked for."""
-        return TargetViews(self.options, self._rig, seed)
+        return self.options.targets.views(partial(take_target, self.options, self._rig, seed))
 
     def turn_deg(self) -> Turn:
         """Give the turn that rights its images."""

@@ -8,14 +8,22 @@ makes of a part (of gloss, or of light below the surface) stands on its own page
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from roemetry.errors import MisfitError
+
+Value = TypeVar("Value")
+
+BOARDS = ("charuco", "chessboard")
+ON_BELT = "on_belt"
+"""Pose of a board that lies on the belt."""
 
 Place = Annotated[float, Field(ge=-1e5, le=1e5)]
 Point = tuple[Place, Place, Place]
@@ -380,3 +388,38 @@ class TargetsPart(Part):
     block: BlockPart = Field(default_factory=BlockPart, description="the block")
     staircase: StaircasePart = Field(default_factory=StaircasePart, description="the staircase")
     board: BoardPart = Field(default_factory=BoardPart, description="the flat boards")
+
+    def truth(self, poses: Mapping[str, NDArray[np.float64]]) -> dict[str, Any]:
+        """Give what is true of the targets, as plain values, with the poses T_belt_board (4, 4), mm."""
+        board = self.board.model_dump(mode="json", exclude={"poses", "tilt_max_deg", "height_mm"})
+        board["T_belt_board"] = {name: pose.tolist() for name, pose in poses.items()}
+        return {
+            "block": self.block.model_dump(mode="json"),
+            "staircase": self.staircase.model_dump(mode="json"),
+            **dict.fromkeys(BOARDS, board),
+        }
+
+    def views(self, take: Callable[[str, str], Value]) -> Mapping[str, Mapping[str, Value]]:
+        """Give all calibration images by kind, then name; `take`, of both, makes one when it is asked for."""
+        boards = [*(f"pose_{number:02d}" for number in range(1, self.board.poses + 1)), ON_BELT]
+        lit = [f"{name}_{light}" for name in boards for light in ("plain", "laser")]
+        names = {name: [name] for name in ("block", "belt", "staircase")} | dict.fromkeys(BOARDS, lit)
+        return {kind: OnDemand(listed, partial(take, kind)) for kind, listed in names.items()}
+
+
+class OnDemand(Mapping[str, Value]):
+    """Values by name, each made when it is asked for."""
+
+    def __init__(self, names: Sequence[str], make: Callable[[str], Value]) -> None:
+        self._names, self._make = names, make
+
+    def __getitem__(self, name: str) -> Value:
+        if name not in self._names:
+            raise KeyError(name)
+        return self._make(name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)

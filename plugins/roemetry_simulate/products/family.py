@@ -26,9 +26,7 @@ class ProductOptions(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     density_g_per_cm3: float = Field(default=1.0, gt=0, le=25, description="of the closed body, g/cm³")
-    turn_range_deg: float = Field(
-        default=0.0, ge=0, le=180, description="turned by up to this, degrees"
-    )
+    turn_range_deg: float = Field(default=0.0, ge=0, le=180, description="turned by up to this, degrees")
     offset_range_x_mm: float = Field(default=0.0, ge=0, le=5000, description="off centre in X by up to, mm")
     offset_range_y_mm: float = Field(default=0.0, ge=0, le=5000, description="off centre in Y by up to, mm")
 

@@ -12,6 +12,7 @@ from pydantic import BaseModel
 
 from roemetry.config.scene import Scene
 from roemetry.errors import ConfigurationError, DataError, PluginError, StageError
+from roemetry.io.meshes import Triangles, check_closed
 from roemetry.run.simulate import simulate
 
 pytest.importorskip("mitsuba", reason='pip install "roemetry[mitsuba]"')
@@ -21,9 +22,8 @@ needs_llvm = pytest.mark.skipif(
 )
 
 from roemetry_mitsuba import light as light_module  # noqa: E402
-from roemetry_mitsuba.bodies import check_closed  # noqa: E402
 from roemetry_mitsuba.light import Lamps, Lens, Material, Tracer, mitsuba  # noqa: E402
-from roemetry_mitsuba.materials import Beams, Surface, dipole_of, gathered, glossy, mirrored  # noqa: E402  # noqa: E402
+from roemetry_mitsuba.materials import Beams, Surface, dipole_of, gathered, glossy, mirrored  # noqa: E402
 from roemetry_mitsuba.products import DEFECTS, FAMILIES, SkeinOptions, ball, block, skein, stairs  # noqa: E402
 from roemetry_mitsuba.scene import (  # noqa: E402
     Camera,
@@ -94,7 +94,7 @@ def test_volumes_of_shapes_with_a_formula(rng: np.random.Generator) -> None:
     assert brick.true_mm3 == pytest.approx(12000.0, rel=1e-12)
     assert brick.visible_mm3 == pytest.approx(12000.0, rel=1e-12)
     steps = stairs(4, 15.0, 4.0, 100.0)
-    check_closed(steps.points_mm, steps.faces, "stairs")
+    check_closed(Triangles(steps.points_mm, steps.faces), "stairs")
     assert steps.true_mm3 == pytest.approx(60000.0, rel=1e-12)
     sphere = ball(rng, FAMILIES["ball"].Options()).body
     r = 0.5 * sphere.height_mm
@@ -110,7 +110,7 @@ def test_a_family_draws_closed_bodies_that_stand_on_the_belt(family: str) -> Non
             FAMILIES[family].make(np.random.default_rng(seed), FAMILIES[family].Options()) for _ in range(2)
         ]
         body = made[0].body
-        check_closed(body.points_mm, body.faces, family)
+        check_closed(Triangles(body.points_mm, body.faces), family)
         assert body.points_mm[:, 2].min() == pytest.approx(0.0, abs=1e-12)
         assert 0.0 < body.true_mm3 < 1.002 * body.visible_mm3
         assert np.array_equal(body.points_mm, made[1].body.points_mm)
@@ -120,7 +120,7 @@ def test_a_family_draws_closed_bodies_that_stand_on_the_belt(family: str) -> Non
 def test_a_defect_changes_the_skein_where_it_is(kind: str, rng: np.random.Generator) -> None:
     drawn = skein(rng, SkeinOptions(kinds={kind: 1.0}))
     assert drawn.reference is not None
-    check_closed(drawn.body.points_mm, drawn.body.faces, kind)
+    check_closed(Triangles(drawn.body.points_mm, drawn.body.faces), kind)
     x, y = np.meshgrid(np.arange(-45.0, 45.0, 0.5), np.arange(-20.0, 20.0, 0.5))
     missing = np.nan_to_num(drawn.reference.heights.at(x, y)) - np.nan_to_num(drawn.body.heights.at(x, y))
     assert missing.max() > 1.5
@@ -304,8 +304,8 @@ def test_meshes_that_cannot_be_are_refused_by_name(scene_file: Path, tmp_path: P
     for name, text in files.items():
         (tmp_path / name).write_text(text, "utf-8")
     for name, says in [
-        ("open.obj", "not watertight"), ("turned.obj", "turned against"), ("no.ply", "not a mesh"),
-        ("no.stl", "neither"), ("missing.obj", "no such mesh file"), ("body.step", "ends in"),
+        ("open.obj", "not watertight"), ("turned.obj", "turned against"), ("no.ply", "not a readable"),
+        ("no.stl", "not a readable"), ("missing.obj", "No such file"), ("body.step", "ends in"),
     ]:  # fmt: skip
         sets = [f"simulator.options.product={{family: mesh, options: {{file: {tmp_path / name}}}}}"]
         with pytest.raises((ConfigurationError, DataError), match=says):

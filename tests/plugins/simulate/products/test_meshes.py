@@ -11,9 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from roemetry.errors import DataError
+from roemetry.io.meshes import Triangles, read_mesh
 from roemetry_simulate.products import PRODUCTS
 from roemetry_simulate.products.family import Pose
-from roemetry_simulate.products.mesh import Triangles, close, hit_triangles, lay, read_mesh, triangles_normal
+from roemetry_simulate.products.mesh import close, hit_triangles, lay, triangles_normal
 
 REAL = Path(os.environ.get("ROEMETRY_REAL_DATA", "../shared/real")) / "meshes"
 
@@ -112,7 +113,7 @@ def test_a_mesh_that_looks_inwards_is_turned_inside_out():
 
 def test_an_open_mesh_is_refused_with_the_number_of_open_edges():
     mesh = cube()
-    with pytest.raises(DataError, match=r"lid\.stl: the mesh is not closed: 3 of 18 edges are open"):
+    with pytest.raises(DataError, match=r"lid\.stl: the mesh is not watertight: 3 of 18 edges are open"):
         close(Triangles(mesh.points, mesh.faces[1:]), name="lid.stl")
 
 

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
+from roemetry.io.meshes import Triangles
 from roemetry_simulate.optics import fan_through, looking_down
 from roemetry_simulate.products import PRODUCTS
 from roemetry_simulate.products.family import Pose
-from roemetry_simulate.products.mesh import Triangles, close, lay
+from roemetry_simulate.products.mesh import close, lay
 from roemetry_simulate.truth import stripe_centres
 
 CAMERA = looking_down(
