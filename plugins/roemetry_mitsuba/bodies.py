@@ -34,16 +34,9 @@ VARIANT = "llvm_ad_mono"
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A closed mesh.
+    """A closed mesh: corners (V, 3), belt frame, and faces (F, 3), counter-clockwise from outside.
 
-    Attributes
-    ----------
-    points_mm
-        Corners, belt frame, shape (V, 3).
-    faces
-        Indices of corners, counter-clockwise from outside, shape (F, 3).
-    smooth
-        Whether light sees interpolated normals (curved bodies) or the faces' own (blocks).
+    Light sees interpolated normals where it is `smooth` (curved bodies), else the faces' own (blocks).
     """
 
     points_mm: Floats

@@ -67,20 +67,10 @@ _FAINTEST = 1e-3
 class Material:
     """What a surface is made of.
 
-    Attributes
-    ----------
-    albedo
-        Texture, shape (rows, columns), row 0 at v = 0.
-    uv
-        From (x, y, z, 1) of the belt frame, mm, to texture coordinates in 0…1, shape (2, 4).
-    gloss
-        Scale of the Fresnel reflection; 0 is a matt surface.
-    roughness
-        GGX α.
-    metal
-        Name of a metal: a rough conductor instead; "none" otherwise.
-    wet
-        Weights of a smoother film, of the shape of `albedo`; None is none.
+    `albedo` is a texture (rows, columns), row 0 at v = 0, and `uv`, shape (2, 4), takes (x, y, z, 1) of the
+    belt frame, mm, to its coordinates in 0…1. `gloss` scales the Fresnel reflection (0 is matt),
+    `roughness` is GGX α; a `metal` is a rough conductor instead. `wet` holds weights of a smoother film, of
+    the albedo's shape.
     """
 
     albedo: Floats
@@ -123,20 +113,10 @@ class _Look(NamedTuple):
 
 
 class Tracer:
-    """A scene in Mitsuba's hands: belt, bodies, camera, projector.
+    """A scene in Mitsuba's hands: camera, lens, fan, belt at z = 0, bodies (all of one material).
 
-    Parameters
-    ----------
-    camera, lens, fan
-        The rig.
-    belt
-        Material of the level z = 0.
-    bodies, material
-        What lies on it, all of one material; may be empty.
-    below
-        Dipole and share of the diffuse light that it scatters; None is none.
-    samples
-        Camera rays along each side of a pixel.
+    `below` is the dipole and the share of the diffuse light that it scatters; `samples` camera rays stand
+    along each side of a pixel.
     """
 
     def __init__(

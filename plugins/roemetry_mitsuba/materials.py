@@ -131,8 +131,8 @@ def _fresnel(dr: Any, surface: Surface, cosine: Any) -> Any:
 
 STEP_MM = 0.15
 """Distance of beams along a plane: a third of the least ℓ, below which their grain would show."""
-_LEAST_MFP_MM = 0.25
-_BINS = 4096
+_LEAST_MFP_MM = 0.25  # a shorter free path would need beams closer than STEP_MM
+_BINS = 4096  # of the dipole's table over d², interpolated linearly
 
 
 class Dipole(NamedTuple):

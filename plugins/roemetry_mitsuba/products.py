@@ -26,18 +26,16 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, ValidationError, field_validator
+from pydantic import Field, field_validator
 
-from roemetry.config.scene_parts import Part
-from roemetry.config.validation import unknown_key
-from roemetry.errors import DataError, MisfitError
+from roemetry.config.scene_parts import NONE, Part
+from roemetry.errors import DataError
 from roemetry_mitsuba.bodies import Body, Faces, normals_of, read_body, settled
 
 Floats = NDArray[np.float64]
 Length = Annotated[float, Field(gt=0, le=2000)]
 Range = tuple[Length, Length]
 
-NONE = "none"
 DEFECTS = ("none", "dented", "bent", "twisted", "folded", "broken")
 
 _STATIONS, _AROUND = 181, 88
@@ -50,12 +48,8 @@ class FamilyOptions(Part):
 
     density_g_per_cm3: float = Field(default=1.0, gt=0, le=25, description="density, g/cm³")
     turn_range_deg: float = Field(default=10.0, ge=0, le=180, description="turned by up to this, degrees")
-    offset_range_x_mm: float = Field(
-        default=2.0, ge=0, le=5000, description="off centre along X by up to, mm"
-    )
-    offset_range_y_mm: float = Field(
-        default=3.0, ge=0, le=5000, description="off centre along Y by up to, mm"
-    )
+    offset_range_x_mm: float = Field(default=2.0, ge=0, le=5000, description="off centre in X by up to, mm")
+    offset_range_y_mm: float = Field(default=3.0, ge=0, le=5000, description="off centre in Y by up to, mm")
 
 
 class SkeinOptions(FamilyOptions):
@@ -127,12 +121,8 @@ class MeshOptions(FamilyOptions):
     """Options of `mesh`."""
 
     turn_range_deg: float = Field(default=0.0, ge=0, le=180, description="turned by up to this, degrees")
-    offset_range_x_mm: float = Field(
-        default=0.0, ge=0, le=5000, description="off centre along X by up to, mm"
-    )
-    offset_range_y_mm: float = Field(
-        default=0.0, ge=0, le=5000, description="off centre along Y by up to, mm"
-    )
+    offset_range_x_mm: float = Field(default=0.0, ge=0, le=5000, description="off centre in X by up to, mm")
+    offset_range_y_mm: float = Field(default=0.0, ge=0, le=5000, description="off centre in Y by up to, mm")
     file: Path = Field(description="mesh file, .obj, .stl or .ply")
     mm_per_unit: float = Field(default=1.0, gt=0, le=1e6, description="millimetres in one unit of the file")
     up: Literal["x", "-x", "y", "-y", "z", "-z"] = Field(default="z", description="axis that points up")
@@ -155,30 +145,6 @@ class Family:
     make: Callable[[np.random.Generator, Any], Drawn]
 
 
-def options_of(family: str, options: Mapping[str, Any], at: tuple[str | int, ...]) -> FamilyOptions | None:
-    """Check a family's options, which stand at some keys; raise MisfitError with every fault."""
-    if family == NONE:
-        if options:
-            raise MisfitError((at, "family `none` has no options"))
-        return None
-    if family not in FAMILIES:
-        known = ", ".join((NONE, *FAMILIES))
-        raise MisfitError(
-            (("family",), f"simulator mitsuba has no product family `{family}`; it has {known}")
-        )
-    kind = FAMILIES[family].Options
-    try:
-        return kind.model_validate(dict(options))
-    except ValidationError as error:
-        said = []
-        for detail in error.errors():
-            why = detail["msg"].removeprefix("Value error, ")
-            if detail["type"] == "extra_forbidden":
-                why = unknown_key(detail["loc"][-1], list(kind.model_fields))
-            said.append(((*at, *detail["loc"]), why))
-        raise MisfitError(*said) from None
-
-
 def skein(rng: np.random.Generator, options: SkeinOptions) -> Drawn:
     """Draw a lofted skein, and the same one without its defect."""
     kinds = [kind for kind, share in options.kinds.items() if share > 0.0]
@@ -188,9 +154,8 @@ def skein(rng: np.random.Generator, options: SkeinOptions) -> Drawn:
     sound = _loft(np.random.default_rng([seed, 1]), options, NONE, None)
     if kind == NONE:
         return Drawn(sound)
-    return Drawn(
-        _loft(np.random.default_rng([seed, 1]), options, kind, np.random.default_rng([seed, 2])), kind, sound
-    )
+    defect = np.random.default_rng([seed, 2])
+    return Drawn(_loft(np.random.default_rng([seed, 1]), options, kind, defect), kind, sound)
 
 
 def _loft(
@@ -425,6 +390,9 @@ FAMILIES: Mapping[str, Family] = {
     "mesh": Family(MeshOptions, from_file),
 }
 """Every family, by name."""
+
+MODELS = {name: family.Options for name, family in FAMILIES.items()}
+"""The options of every family."""
 
 
 def _spline(rng: np.random.Generator, s: Floats, count: int, deviation: float) -> Floats:

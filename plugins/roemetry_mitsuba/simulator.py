@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from roemetry.config.scene_parts import BOARDS, ON_BELT, BoardPart
+from roemetry.config.scene_parts import BOARDS, NONE, ON_BELT, BoardPart, family_options
 from roemetry.errors import StageError
 from roemetry.records import Frame, ProductTruth, Role, Simulated, Truth
 from roemetry.records import Sensor as Noise
@@ -32,7 +33,7 @@ from roemetry_mitsuba.light import (
     expose,
 )
 from roemetry_mitsuba.materials import Dipole, dipole_of
-from roemetry_mitsuba.products import FAMILIES, NONE, Drawn, block, options_of, stairs
+from roemetry_mitsuba.products import FAMILIES, MODELS, Drawn, block, stairs
 from roemetry_mitsuba.scene import Camera, Fan, MitsubaOptions, camera_of, fan_of
 from roemetry_mitsuba.truth import Crossings, crossings
 
@@ -44,7 +45,7 @@ _TEXEL_MM = 0.15
 """Pitch of the textures: about a pixel."""
 _WHITE, _BLACK = 0.62, 0.08
 """Albedo of a board's paper and ink, and of the matt paint of block and staircase (`_WHITE`)."""
-_PX_PER_SQUARE = 64
+_PX_PER_SQUARE = 64  # of a board's print: finer than any image shows it
 _EDGE_MM = 1.0
 """What is left between a product that was moved into reach and the border of the view."""
 
@@ -87,8 +88,8 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
             return ()
         chosen = part.items[number] if number < len(part.items) else None
         item_seed = seed + number - len(part.items) if chosen is None else chosen.seed
-        options = options_of(part.family, part.options | ({} if chosen is None else chosen.options), ())
-        assert options is not None
+        own = {} if chosen is None else chosen.options
+        options = family_options(part.family, part.options | own, MODELS)
         laid = []
         for k in range(part.in_frame):
             rng = np.random.default_rng([item_seed + k * _NEXT_IN_FRAME, *part.family.encode()])
@@ -196,12 +197,9 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
         if grain is None:
             f_number = 8.0 if camera.focus is None else camera.focus.f_number
             grain = diffraction_grain_px(
-                laser.wavelength_nm,
-                f_number,
-                camera.focal_length_mm,
-                camera.distance_mm,
+                laser.wavelength_nm, f_number, camera.focal_length_mm, camera.distance_mm,
                 camera.pixel_size_um,
-            )
+            )  # fmt: skip
         return Sensor(
             camera.gain_dn_per_e, camera.read_noise_e * camera.gain_dn_per_e, camera.black_level_dn,
             camera.blur_sigma_px, math.inf if camera.full_well_e is None else camera.full_well_e,
@@ -221,18 +219,15 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
         return dipole_of(below.depth_mm, below.blur_mm)
 
     def _lamps(self, role: Role) -> Lamps:
-        light = self.options.light
+        light, grey = self.options.light, self._grey
         sky, ring = light.ambient_e_per_ms, 0.0
         if role == "plain":
             sky, ring = DOME_SHARE * light.plain_e_per_ms, (1.0 - DOME_SHARE) * light.plain_e_per_ms
-        lamps = Lamps(sky * self._grey, ring * self._grey, light.lamp_height_mm, light.lamp_radius_mm)
+        lamps = Lamps(sky * grey, ring * grey, light.lamp_height_mm, light.lamp_radius_mm)
         if light.stray is None:
             return lamps
-        stray = light.stray
-        return Lamps(
-            lamps.sky_grey, lamps.ring_grey, lamps.ring_height_mm, lamps.ring_radius_mm,
-            stray.e_per_ms * self._grey, stray.position_mm, stray.radius_mm,
-        )  # fmt: skip
+        at, radius = light.stray.position_mm, light.stray.radius_mm
+        return replace(lamps, stray_grey=light.stray.e_per_ms * grey, stray_mm=at, stray_radius_mm=radius)
 
     def _item_frame(self, role: Role, bodies: list[Body], seed: int, number: int) -> Frame:
         surface = self.options.surface
@@ -427,8 +422,7 @@ def _with_figures(one: Placed, found: Crossings, label: int, seed: int) -> Produ
             "defect_seen_mm": _most(seen) if one.truth.defect != NONE else 0.0,
             "hollow_seen_mm": max(_hollow(points[stripes == i, 1:]) for i in np.unique(stripes)),
         }
-    told = one.truth
-    return ProductTruth(told.label, told.defect, told.visible_mm3, told.true_mm3, told.mass_g, figures)
+    return replace(one.truth, figures=figures)
 
 
 def _most(values: Floats) -> float:

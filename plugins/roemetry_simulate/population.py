@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from roemetry.config.scene_parts import ProductPart
+from roemetry.config.scene_parts import NONE, ProductPart, family_options
 from roemetry.errors import StageError
 from roemetry_simulate.optics import view_mm
-from roemetry_simulate.products import Drawn, family_of, options_of
+from roemetry_simulate.products import MODELS, PRODUCTS, Drawn
 from roemetry_simulate.products.family import Pose
 from roemetry_simulate.products.mesh import MeshSolid
 from roemetry_simulate.products.parts import PartsSolid, box, placed
@@ -51,12 +51,12 @@ def product_of(part: ProductPart, rig: Rig, number: int, seed: int) -> Lying:
 
     Raises StageError where a product is larger than the view, or there is no room for so many.
     """
-    family = family_of(part.family)
     chosen = part.items[number] if number < len(part.items) else None
     item_seed = seed + number - len(part.items) if chosen is None else chosen.seed
-    if family is None:
+    if part.family == NONE:
         return Lying(item_seed, ())
-    options = options_of(part.family, part.options | ({} if chosen is None else chosen.options))
+    family = PRODUCTS[part.family]
+    options = family_options(part.family, part.options | ({} if chosen is None else chosen.options), MODELS)
     name = f"item {number + 1}, {part.family} of seed {item_seed}"
     if part.in_frame > 1:
         drawn = [family.draw(item_seed + _NEXT_IN_FRAME * k, options) for k in range(part.in_frame)]
@@ -78,7 +78,7 @@ def product_of(part: ProductPart, rig: Rig, number: int, seed: int) -> Lying:
 
 Floats = NDArray[np.float64]
 
-_MARGIN_MM = 1.0
+_MARGIN_MM = 1.0  # kept free at the view's border, so that an outline stays whole in the image
 
 
 def in_reach(drawn: Drawn, rig: Rig, most_overhang_spacings: float) -> Drawn:
@@ -182,8 +182,8 @@ def _view_at(rig: Rig, height_mm: float) -> tuple[float, float, float, float]:
 
 Flags = NDArray[np.bool_]
 
-_CELL_MM = 0.5
-_TRIES, _STARTS = 200, 20
+_CELL_MM = 0.5  # of the grid that places are looked for on: gaps are kept to half a millimetre
+_TRIES, _STARTS = 200, 20  # places that are tried for a product, and beginnings with an empty belt
 
 
 def side_by_side(
@@ -268,7 +268,7 @@ def _grown(taken: Flags, mask: Flags, at: tuple[int, int], gap_mm: float) -> Fla
     return taken | near
 
 
-_NEAR_MM = 0.5
+_NEAR_MM = 0.5  # a point of a skin lies within this of its own footprint, but on walls that lean out
 
 
 @dataclass(frozen=True, eq=False)

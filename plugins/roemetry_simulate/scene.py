@@ -38,7 +38,7 @@ from roemetry_simulate.optics import (
     undistorted,
     view_mm,
 )
-from roemetry_simulate.products import Drawn, options_of
+from roemetry_simulate.products import MODELS, Drawn
 from roemetry_simulate.render import Rig, Sensor
 from roemetry_simulate.surface import Picture, Surface, textured
 
@@ -52,9 +52,7 @@ class RayCasterProduct(ProductPart):
 
     @model_validator(mode="after")
     def _is_known(self) -> RayCasterProduct:
-        options_of(self.family, self.options, ("options",))
-        for number, item in enumerate(self.items):
-            options_of(self.family, self.options | item.options, ("items", number, "options"))
+        self.check_families(MODELS)
         if self.items and self.in_frame > 1:
             raise MisfitError(
                 (("in_frame",), "items that were chosen by seed lie alone: leave one of both out")
@@ -310,8 +308,8 @@ def _covered(spots: Floats, x: Floats, y: Floats, step_mm: float) -> Floats:
 
 
 _LUMA = np.array([0.114, 0.587, 0.299])  # ITU-R BT.601, in the order blue, green, red
-_BLUE_TO_NM, _GREEN_TO_NM = 500.0, 590.0
-_EXTENT_STEP_MM = 0.25
+_BLUE_TO_NM, _GREEN_TO_NM = 500.0, 590.0  # where the filters of a colour camera take turns
+_EXTENT_STEP_MM = 0.25  # at which a footprint's extent along its own axes is looked for
 
 
 def laid_on(part: AlbedoMapPart, products: Sequence[Drawn], pitch_mm: float, wavelength_nm: float) -> Picture:

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pydantic import BaseModel
 
 from roemetry.config.scene import Scene
 from roemetry.errors import ConfigurationError, DataError, PluginError, StageError
@@ -236,22 +235,6 @@ def test_the_same_seed_gives_the_same_bytes_and_another_does_not() -> None:
     assert not np.array_equal(first, other)
 
 
-def test_every_key_of_the_ray_caster_is_read_here_with_its_default() -> None:
-    from roemetry_simulate.scene import RayCasterOptions
-
-    def compared(theirs: Any, ours: Any, at: str) -> None:
-        for name, field in theirs.model_fields.items():
-            assert name in ours.model_fields, f"{at}.{name}"
-            inner = field.get_default(call_default_factory=True)
-            mine = ours.model_fields[name].get_default(call_default_factory=True)
-            if isinstance(inner, BaseModel):
-                compared(type(inner), type(mine), f"{at}.{name}")
-            elif (at, name) != (".product", "family"):
-                assert inner == mine, f"{at}.{name}"
-
-    compared(RayCasterOptions, MitsubaOptions, "")
-
-
 @pytest.fixture
 def scene_file(tmp_path: Path) -> Path:
     path = tmp_path / "scene.yaml"
@@ -294,32 +277,19 @@ def test_a_scene_that_cannot_be_is_refused_by_place(scene_file: Path, change: st
 
 
 @needs_llvm
-def test_meshes_that_cannot_be_are_refused_by_name(scene_file: Path, tmp_path: Path) -> None:
-    corners = "v 0 0 0\nv 9 0 0\nv 0 9 0\nv 0 0 9\n"
-    closed = "f 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
-    files = {
-        "open.obj": corners + closed[:-8], "turned.obj": corners + closed.replace("1 3 2", "1 2 3"),
-        "no.ply": "this is no mesh", "no.stl": "nor this",
-    }  # fmt: skip
-    for name, text in files.items():
-        (tmp_path / name).write_text(text, "utf-8")
-    for name, says in [
-        ("open.obj", "not watertight"), ("turned.obj", "turned against"), ("no.ply", "not a readable"),
-        ("no.stl", "not a readable"), ("missing.obj", "No such file"), ("body.step", "ends in"),
-    ]:  # fmt: skip
-        sets = [f"simulator.options.product={{family: mesh, options: {{file: {tmp_path / name}}}}}"]
-        with pytest.raises((ConfigurationError, DataError), match=says):
-            Scene.load(scene_file, sets=sets).make()
-    (tmp_path / "good.obj").write_text(corners + closed, "utf-8")
-    sets = [f"simulator.options.product={{family: mesh, options: {{file: {tmp_path / 'good.obj'}}}}}"]
-    body = Scene.load(scene_file, sets=sets).make().placed(0, 1)[0]  # type: ignore[attr-defined]
-    assert body.truth.true_mm3 == pytest.approx(121.5, rel=1e-6)
-
-
-@needs_llvm
-def test_a_product_larger_than_the_view_is_refused_with_sizes(scene_file: Path) -> None:
-    sets = ["simulator.options.product={family: box, options: {length_mm: [400, 401]}}"]
-    with pytest.raises((ConfigurationError, StageError), match="the view is X"):
+@pytest.mark.parametrize(
+    ("product", "says"),
+    [
+        ("{{family: mesh, options: {{file: {folder}/open.obj}}}}", r"open\.obj: the mesh is not watertight"),
+        ("{{family: box, options: {{length_mm: [400, 401]}}}}", "the view is X"),
+    ],
+)
+def test_a_product_that_cannot_be_is_refused(
+    scene_file: Path, tmp_path: Path, product: str, says: str
+) -> None:
+    (tmp_path / "open.obj").write_text("v 0 0 0\nv 9 0 0\nv 0 9 0\nv 0 0 9\nf 1 3 2\nf 1 2 4\n", "utf-8")
+    sets = [f"simulator.options.product={product.format(folder=tmp_path)}"]
+    with pytest.raises((ConfigurationError, DataError, StageError), match=says):
         Scene.load(scene_file, sets=sets).make()
 
 
