@@ -66,12 +66,8 @@ def main() -> None:
     parser.add_argument("--kinds", default=",".join(KINDS), help="kinds that take turns, with commas between")
     parser.add_argument("--bodies", type=int, default=10, help="products of each")
     parser.add_argument("--boards", type=int, default=9, help="tilted poses of the board")
-    parser.add_argument(
-        "--samples", type=int, default=3, help="camera rays along each side of a pixel (mitsuba)"
-    )
-    parser.add_argument(
-        "--scale", type=float, default=1.0, help="image size over the rig's, for short trials"
-    )
+    parser.add_argument("--samples", type=int, default=3, help="rays along a pixel's side (mitsuba)")
+    parser.add_argument("--scale", type=float, default=1.0, help="image size over the rig's, for trials")
     parser.add_argument("--out", type=Path, required=True)
     told = parser.parse_args()
     kinds = told.kinds.split(",")

@@ -34,20 +34,11 @@ class RigError(DataError):
 
 @dataclass(frozen=True, eq=False)
 class Crossings:
-    """True crossings of stripes and image rows that are lit and seen by the camera.
+    """True crossings of stripes (0 at the smallest belt x) and image rows that are lit and seen.
 
-    Attributes
-    ----------
-    row, stripe
-        (crossing,) image row; stripe, 0 at the smallest belt x.
-    x_px
-        (crossing,) exact column.
-    z_mm
-        (crossing,) height above the belt, mm; NaN where the truth does not give it.
-    on_body
-        (crossing,) on the body, not on the belt.
-    sure
-        (crossing,) neither an end of a run of rows (an edge pixel) nor beside the image's border.
+    `x_px` is the exact column, `z_mm` the height above the belt (NaN where the truth does not give it);
+    `on_body`, not on the belt; `sure`, neither an end of a run of rows (an edge pixel) nor beside the image's
+    border. All of shape (crossing,).
     """
 
     row: Integers
@@ -97,13 +88,7 @@ def rig_folders(folders: Iterable[Path]) -> list[Path]:
 
 
 def read_rig(folder: Path) -> RenderedRig:
-    """Read ``truth.json`` and see which bodies can be scored.
-
-    Raises
-    ------
-    RigError
-        There is no truth, it cannot be read, it is of another version, or something in it is missing.
-    """
+    """Read ``truth.json`` and see which bodies can be scored; raise RigError where it is no truth."""
     path = folder / "truth.json"
     try:
         truth = json.loads(path.read_text("utf-8"))
@@ -148,10 +133,7 @@ def read_rig(folder: Path) -> RenderedRig:
 def read_crossings(path: Path, image_size: tuple[int, int], stripes: int | None = None) -> Crossings:
     """Read one image's true crossings of so many stripes (None: any number).
 
-    Raises
-    ------
-    RigError
-        The file is no npz, arrays are missing, or their shapes do not fit the image.
+    Raises RigError where the file is no npz, arrays are missing, or their shapes contradict the rig's.
     """
     try:
         with np.load(path, allow_pickle=False) as data:
