@@ -43,10 +43,7 @@ class MitsubaCamera(CameraPart):
         default=1.0, ge=0, le=5, description="v of 1/(1 + v·tan²)², tan of the field angle; 1 is cos⁴"
     )
     prnu: float = Field(
-        default=0.005,
-        ge=0,
-        le=0.2,
-        description="relative deviation of the pixels' gains, which stay",
+        default=0.005, ge=0, le=0.2, description="relative deviation of the pixels' gains, which stay"
     )
 
 

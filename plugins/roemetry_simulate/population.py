@@ -187,13 +187,7 @@ _TRIES, _STARTS = 200, 20  # places that are tried for a product, and beginnings
 
 
 def side_by_side(
-    products: Sequence[Drawn],
-    rig: Rig,
-    *,
-    gap_mm: float,
-    most_overhang_spacings: float,
-    seed: int,
-    name: str,
+    products: Sequence[Drawn], rig: Rig, *, gap_mm: float, most_overhang_spacings: float, seed: int, name: str
 ) -> tuple[Drawn, ...]:
     """Lay products where they keep off each other, and return them from left to right.
 

@@ -131,9 +131,7 @@ def surface_of(scene: RayCasterOptions, seed: int) -> Surface:
     )
     below = product.below
     return replace(
-        drawn,
-        gloss_exponent=product.gloss_exponent,
-        below=(below.share, below.depth_mm, below.blur_mm),
+        drawn, gloss_exponent=product.gloss_exponent, below=(below.share, below.depth_mm, below.blur_mm)
     )
 
 

@@ -60,11 +60,7 @@ def test_heights_between_nodes_and_outside():
 
 @pytest.mark.parametrize(
     ("grid", "message"),
-    [
-        (np.zeros((4, 4)), "shape"),
-        (np.full((4, 4, 3), np.nan), "NaN"),
-        (np.ones((4, 4, 3)), "border"),
-    ],
+    [(np.zeros((4, 4)), "shape"), (np.full((4, 4, 3), np.nan), "NaN"), (np.ones((4, 4, 3)), "border")],
 )
 def test_a_grid_that_is_no_body_is_refused(grid, message):
     with pytest.raises(ValueError, match=message):
