@@ -79,7 +79,7 @@ class Body:
         # a whole number of cells over the extent: the sum over a block that lies straight is exact
         step = (x_max - x_min) / columns, (y_max - y_min) / rows
         top = np.full((rows, columns), -1.0)
-        _raise(top, np.ascontiguousarray(self.corners_mm), x_min, y_min, *step)
+        _rasterise(top, np.ascontiguousarray(self.corners_mm), x_min, y_min, *step)
         top[top < 0.0] = np.nan
         return HeightMap(top, (x_min, y_min), step)
 
@@ -131,7 +131,7 @@ def normals_of(points_mm: Floats, faces: Faces) -> Floats:
     return unit
 
 
-def settled(points_mm: Floats, faces: Faces, smooth: bool = True) -> Body:
+def rest_on_belt(points_mm: Floats, faces: Faces, smooth: bool = True) -> Body:
     """Give a body whose lowest point touches the belt, the middle of its bounds over the origin."""
     low, high = points_mm.min(axis=0), points_mm.max(axis=0)
     middle = np.array([0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), low[2]])
@@ -144,7 +144,7 @@ def read_body(path: Path, mm_per_unit: float, up: str) -> Body:
     points, faces = check_closed(read_mesh(path), str(path))
     size = mm_per_unit * points @ _upright(up).T
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    return settled(size, faces, _is_smooth(size, faces, edges))
+    return rest_on_belt(size, faces, _is_smooth(size, faces, edges))
 
 
 def mitsuba() -> Any:
@@ -191,7 +191,7 @@ def _is_smooth(points: Floats, faces: Faces, edges: Faces) -> bool:
 
 
 @kernel
-def _raise(top: Floats, corners: Floats, x0: float, y0: float, step_x: float, step_y: float) -> None:
+def _rasterise(top: Floats, corners: Floats, x0: float, y0: float, step_x: float, step_y: float) -> None:
     """Raise each cell of a grid to the highest face over its middle."""
     rows, columns = top.shape
     for k in range(corners.shape[0]):

@@ -30,7 +30,7 @@ from pydantic import Field, field_validator
 
 from roemetry.config.scene_parts import NONE, Part
 from roemetry.errors import DataError
-from roemetry_mitsuba.bodies import Body, Faces, normals_of, read_body, settled
+from roemetry_mitsuba.bodies import Body, Faces, normals_of, read_body, rest_on_belt
 
 Floats = NDArray[np.float64]
 Length = Annotated[float, Field(gt=0, le=2000)]
@@ -244,7 +244,7 @@ def _loft(
     low = points_mm[:, 2].min()
     z = points_mm[:, 2] - low - ramp
     points_mm[:, 2] = 0.5 * (z + np.sqrt(z * z + 0.5**2))  # sags onto the belt, rounded over half a mm
-    return settled(points_mm, faces)
+    return rest_on_belt(points_mm, faces)
 
 
 def _pressed(
@@ -303,7 +303,7 @@ def supershape(rng: np.random.Generator, options: SupershapeOptions) -> Drawn:
     y = half[1] * level * upright * np.cos(u) * np.sin(v)
     body = _closed_sphere(x, y, half[2] * upright * np.sin(u))
     points = body.points_mm + _waves(rng, (14.0, 40.0), 0.5)(body.points_mm)[:, None] * body.normals
-    return Drawn(settled(points, body.faces))
+    return Drawn(rest_on_belt(points, body.faces))
 
 
 def ball(rng: np.random.Generator, options: BallOptions) -> Drawn:
@@ -321,7 +321,7 @@ def rod(rng: np.random.Generator, options: RodOptions) -> Drawn:
     side = np.array([0.5 * length, 0.0, 0.0])
     points = np.concatenate([[-side], ring - side, ring + side, [side]])
     # flat faces: interpolated normals would round the edges of its ends; 256 faces are flat to 1 µm
-    return Drawn(settled(points, _tube(2, 256), smooth=False))
+    return Drawn(rest_on_belt(points, _tube(2, 256), smooth=False))
 
 
 def box(rng: np.random.Generator, options: BoxOptions) -> Drawn:
@@ -444,7 +444,7 @@ def _closed_sphere(x: Floats, y: Floats, z: Floats) -> Body:
     poles = [grid[k].mean(axis=0) for k in (0, -1)]
     step = 0.3 * (poles[1] - grid[-2].mean(axis=0))
     points = np.concatenate([[poles[0] - step], grid.reshape(-1, 3), [poles[1] + step]])
-    return settled(points, _tube(rings, around))
+    return rest_on_belt(points, _tube(rings, around))
 
 
 def _tube(rings: int, around: int) -> Faces:

@@ -101,7 +101,7 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
         if part.in_frame > 1:
             laid = _in_a_row(laid, part.gap_mm)
         name = f"item {number + 1}, {part.family} of seed {item_seed}"
-        found = [self._reached(one) if part.keep_in_reach else one for one in laid]
+        found = [self._move_into_reach(one) if part.keep_in_reach else one for one in laid]
         for one in found:
             self._check_in_view(one.body, name)
         return tuple(sorted(found, key=lambda one: sum(one.body.extent_mm[:2])))
@@ -235,7 +235,9 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
         if surface.below.share > 0.0 and surface.metal == "none":
             below = self._dipole, surface.below.share
         ground = self._belt_material(role, seed, clean=False)
-        pixels = self._taken(role, ground, bodies, self._product_material(role, bodies, seed), below, seed)
+        pixels = self._take_image(
+            role, ground, bodies, self._product_material(role, bodies, seed), below, seed
+        )
         belt = self.options.belt
         travel_mm = number * belt.pitch_mm
         return Frame(
@@ -259,12 +261,12 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
             material = Material(np.full((2, 2), _WHITE), np.zeros((2, 4)))
         seed += 7919 * number
         ground = self._belt_material(role, seed, clean=True)
-        pixels = self._taken(role, ground, bodies, material, None, seed)
+        pixels = self._take_image(role, ground, bodies, material, None, seed)
         return Frame(
             pixels, role=role, name=name, bit_depth=self.options.camera.bit_depth, sensor=self.sensor()
         )
 
-    def _taken(
+    def _take_image(
         self, role: Role, ground: Material, bodies: list[Body], material: Material,
         below: tuple[Dipole, float] | None, seed: int,
     ) -> NDArray[Any]:  # fmt: skip
@@ -330,7 +332,7 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
         grey = factors[..., :3].mean(axis=-1) if factors.ndim == 3 else factors
         return np.asarray(cv2.resize(grey, shape[::-1], interpolation=cv2.INTER_AREA)[::-1])
 
-    def _reached(self, one: Placed) -> Placed:
+    def _move_into_reach(self, one: Placed) -> Placed:
         """Move a product along X by as little as brings its ends near the outer stripes and into the view."""
         x_min, x_max, y_min, y_max = one.body.extent_mm
         height = 0.25 * one.body.height_mm

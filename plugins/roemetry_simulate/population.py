@@ -34,7 +34,7 @@ _NEXT_IN_FRAME = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
-class Lying:
+class ItemProducts:
     """One item's products from left to right (none for an empty belt), and the seed of the first."""
 
     seed: int
@@ -43,10 +43,10 @@ class Lying:
     @property
     def solid(self) -> Solid:
         """All of them as one solid."""
-        return lying_together([one.solid for one in self.products]) if self.products else EmptyBelt()
+        return as_one_solid([one.solid for one in self.products]) if self.products else EmptyBelt()
 
 
-def product_of(part: ProductPart, rig: Rig, number: int, seed: int) -> Lying:
+def draw_item(part: ProductPart, rig: Rig, number: int, seed: int) -> ItemProducts:
     """Draw the products of an item (number from 0); seeds count up from the set's.
 
     Raises StageError where a product is larger than the view, or there is no room for so many.
@@ -54,7 +54,7 @@ def product_of(part: ProductPart, rig: Rig, number: int, seed: int) -> Lying:
     chosen = part.items[number] if number < len(part.items) else None
     item_seed = seed + number - len(part.items) if chosen is None else chosen.seed
     if part.family == NONE:
-        return Lying(item_seed, ())
+        return ItemProducts(item_seed, ())
     family = PRODUCTS[part.family]
     options = family_options(part.family, part.options | ({} if chosen is None else chosen.options), MODELS)
     name = f"item {number + 1}, {part.family} of seed {item_seed}"
@@ -68,12 +68,12 @@ def product_of(part: ProductPart, rig: Rig, number: int, seed: int) -> Lying:
             seed=item_seed,
             name=name,
         )
-        return Lying(item_seed, laid)
+        return ItemProducts(item_seed, laid)
     one = family.draw(item_seed, options)
     if part.keep_in_reach:
         one = in_reach(one, rig, part.most_overhang_spacings)
     check_in_view(one, rig, name)
-    return Lying(item_seed, (one,))
+    return ItemProducts(item_seed, (one,))
 
 
 Floats = NDArray[np.float64]
@@ -343,7 +343,7 @@ class Group:
         return label
 
 
-def lying_together(solids: Sequence[Solid]) -> Solid:
+def as_one_solid(solids: Sequence[Solid]) -> Solid:
     """Return one solid for the kernels: the only one itself, or a group."""
     return solids[0] if len(solids) == 1 else Group(tuple(solids))
 

@@ -14,7 +14,7 @@ from roemetry.records import Sensor as Noise
 from roemetry_simulate.products.artefacts import StaircaseOptions, staircase
 from roemetry_simulate.products.family import Pose
 from roemetry_simulate.products.parts import PartsSolid, plane
-from roemetry_simulate.render import Rig, render, turned_back
+from roemetry_simulate.render import Rig, as_stored, render
 from roemetry_simulate.scene import RayCasterOptions, surface_of
 from roemetry_simulate.solid import Block, EmptyBelt, Solid
 from roemetry_simulate.surface import Surface
@@ -41,7 +41,7 @@ def take_target(scene: RayCasterOptions, rig: Rig, seed: int, kind: str, name: s
     solid = target_solid(scene, kind, name.rsplit("_", 1)[0], seed)
     pixels = render(rig, solid, surface, seed=noise_seed, plain=plain, samples=scene.samples)
     return Frame(
-        turned_back(pixels, scene.turn_deg),
+        as_stored(pixels, scene.turn_deg),
         role="plain" if plain else "laser",
         name=name,
         bit_depth=scene.camera.bit_depth,
@@ -111,7 +111,7 @@ def board_poses(part: BoardPart, seed: int) -> dict[str, Floats]:
     return found | {ON_BELT: flat}
 
 
-def known_beforehand(scene: RayCasterOptions, rig: Rig, seed: int) -> dict[str, Any]:
+def calibration_truth_of(scene: RayCasterOptions, rig: Rig, seed: int) -> dict[str, Any]:
     """Give the true rig and the true places of all targets, as plain values.
 
     The rig's keys are those of `roemetry.records.view.View`; lengths in mm of the belt frame.

@@ -176,13 +176,13 @@ def _visible(corners_mm: Floats) -> tuple[float, float]:
     columns, rows = (max(math.ceil(side / step), 1) for side in size)
     step_x, step_y = size[0] / columns, size[1] / rows
     top = np.full((rows, columns), -1.0)
-    _raise(top, np.ascontiguousarray(corners_mm), low[0], low[1], step_x, step_y)
+    _rasterise(top, np.ascontiguousarray(corners_mm), low[0], low[1], step_x, step_y)
     cell = float(step_x * step_y)
     return float(top[top > 0.0].sum()) * cell, float((top >= 0.0).sum()) * cell
 
 
 @kernel
-def _raise(top: Floats, corners: Floats, x0: float, y0: float, step_x: float, step_y: float) -> None:
+def _rasterise(top: Floats, corners: Floats, x0: float, y0: float, step_x: float, step_y: float) -> None:
     """Raise each node of a grid to the highest triangle over its middle."""
     rows, columns = top.shape
     for k in range(corners.shape[0]):

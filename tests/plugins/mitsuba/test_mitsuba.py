@@ -22,7 +22,7 @@ needs_llvm = pytest.mark.skipif(
 
 from roemetry_mitsuba import light as light_module  # noqa: E402
 from roemetry_mitsuba.light import Lamps, Lens, Material, Tracer, mitsuba  # noqa: E402
-from roemetry_mitsuba.materials import Beams, Surface, dipole_of, gathered, glossy, mirrored  # noqa: E402
+from roemetry_mitsuba.materials import Beams, Surface, dipole_of, gather_scattered, glossy, sample_glossy  # noqa: E402
 from roemetry_mitsuba.products import DEFECTS, FAMILIES, SkeinOptions, ball, block, skein, stairs  # noqa: E402
 from roemetry_mitsuba.scene import (  # noqa: E402
     Camera,
@@ -192,14 +192,14 @@ def test_gloss_drawn_and_gloss_evaluated_are_the_same_light() -> None:
     u, v = (mi.Float(rng.random(n, dtype=np.float32)) for _ in range(2))
     surface = Surface(mi.Float(0.5), mi.Float(1.0), mi.Float(0.3), None, mi.Bool(False))
     seen = dr.normalize(mi.Vector3f(0.5, 0.2, 0.8))
-    _, weight = mirrored(mi, surface, seen, u, v)
+    _, weight = sample_glossy(mi, surface, seen, u, v)
     assert float(dr.max(weight)[0]) <= 1.0
     z, turn = mi.Float(rng.random(n, dtype=np.float32)), 2 * dr.pi * u
     lit = mi.Vector3f(dr.sqrt(1 - z * z) * dr.cos(turn), dr.sqrt(1 - z * z) * dr.sin(turn), z)
     whole = 2.0 * float(dr.mean(glossy(dr, surface, seen, lit))[0])  # ∫ f cos dω, even over the half sphere
     assert float(dr.mean(weight)[0]) == pytest.approx(whole, rel=0.02)
     down = mi.Vector3f(0.0, 0.0, 1.0)
-    _, straight = mirrored(mi, surface._replace(roughness=mi.Float(1e-3)), down, u, v)
+    _, straight = sample_glossy(mi, surface._replace(roughness=mi.Float(1e-3)), down, u, v)
     assert float(dr.mean(straight)[0]) == pytest.approx(((1.38 - 1) / (1.38 + 1)) ** 2, rel=1e-3)
 
 
@@ -217,7 +217,7 @@ def test_scattering_gives_back_what_entered_with_the_spread_that_was_told() -> N
     flux = np.gradient(y)[None, :, None]
     x = np.arange(-12.0, 12.0, 0.02)
     points = np.stack([x, 0 * x, 0 * x], axis=-1)
-    found = gathered(points, fan, Beams(source, image, flux, first, step), dipole)
+    found = gather_scattered(points, fan, Beams(source, image, flux, first, step), dipole)
     total = found.sum() * 0.02
     assert total == pytest.approx(1.0, rel=0.04)  # what lies beyond the reach of the gathering is lost
     assert math.sqrt((found * x**2).sum() / found.sum()) == pytest.approx(0.8, rel=0.12)
