@@ -29,7 +29,8 @@ from numpy.typing import NDArray
 from roemetry.config.dataset import save_bytes
 from roemetry.io.shipped import shipped
 from roemetry.io.yaml_source import dump
-from roemetry.records import Frame, ProductTruth, StripeTruth
+from roemetry.records import Frame, ProductTruth
+from roemetry.stages.registry import discover
 
 Floats = NDArray[np.float64]
 
@@ -65,12 +66,8 @@ def main() -> None:
     parser.add_argument("--kinds", default=",".join(KINDS), help="kinds that take turns, with commas between")
     parser.add_argument("--bodies", type=int, default=10, help="products of each")
     parser.add_argument("--boards", type=int, default=9, help="tilted poses of the board")
-    parser.add_argument(
-        "--samples", type=int, default=3, help="camera rays along each side of a pixel (mitsuba)"
-    )
-    parser.add_argument(
-        "--scale", type=float, default=1.0, help="image size over the rig's, for short trials"
-    )
+    parser.add_argument("--samples", type=int, default=3, help="rays along a pixel's side (mitsuba)")
+    parser.add_argument("--scale", type=float, default=1.0, help="image size over the rig's, for trials")
     parser.add_argument("--out", type=Path, required=True)
     told = parser.parse_args()
     kinds = told.kinds.split(",")
@@ -82,7 +79,7 @@ def main() -> None:
         rng = np.random.default_rng([told.seed, number, *told.simulator.encode()])
         scene = draw_rig(rng, kind, boards=told.boards, scale=told.scale)
         bodies = draw_bodies(rng, told.simulator, told.bodies, scene)
-        maker = _Mitsuba(scene, told.samples) if told.simulator == "mitsuba" else _RayCaster(scene)
+        maker = _Maker(told.simulator, scene, told.samples)
         write_rig(told.out / name, name, scene, bodies, maker, int(rng.integers(2**31)))
 
 
@@ -114,20 +111,12 @@ def draw_rig(rng: np.random.Generator, kind: str, *, boards: int, scale: float =
     white = between((420.0, 600.0), (700.0, 1000.0))  # grey level of white in a stripe: over 255 saturates
     plain_belt = float(rng.uniform(0.22, 0.36))
     grey = gain * exposure
-    belt = [
-        float(x)
-        for x in np.round(
-            spacing * (np.arange(stripes) - 0.5 * (stripes - 1)) + rng.normal(0, 0.06, stripes), 4
-        )
-    ]
+    even = spacing * (np.arange(stripes) - 0.5 * (stripes - 1))
+    belt = np.round(even + rng.normal(0, 0.06, stripes), 4).tolist()
     stray = None
     if hard > 0.5:
-        place = [
-            float(v)
-            for v in np.round(
-                [*rng.uniform(60.0, 130.0, 2) * rng.choice([-1, 1], 2), rng.uniform(150.0, 260.0)], 1
-            )
-        ]
+        aside = rng.uniform(60.0, 130.0, 2) * rng.choice([-1, 1], 2)
+        place = np.round([*aside, rng.uniform(150.0, 260.0)], 1).tolist()
         stray = {"position_mm": place, "e_per_ms": float(rng.uniform(12.0, 40.0)) / grey}
     # the board reaches beyond the outer stripes, so that each of them lies on it in most poses
     columns, rows = math.ceil((belt[-1] - belt[0] + 2.0) / 8.0), round(0.72 * view_mm * height / width / 8.0)
@@ -204,25 +193,13 @@ def draw_bodies(rng: np.random.Generator, maker: str, count: int, scene: Mapping
     if maker == "mitsuba":
         defects = [str(d) for d in rng.permutation(["dented", "bent", "twisted", "folded", "broken"])]
         good, skein = "none", "lofted-skein"
-        others = [
-            ("ball", "reference"),
-            ("supershape", "potato"),
-            ("box", "reference"),
-            ("superquadric", "reference"),
-            ("rod", "reference"),
-        ]
+        others = ["ball", "supershape", "box", "superquadric", "rod"]
         sizes: dict[str, Any] = {"length_mm": long}
         more: dict[str, dict[str, Any]] = {}
     else:
         defects = [str(d) for d in rng.permutation(["dented", "bent", "twisted", "folded", "s-bent"])]
         good, skein = "healthy", "herring-roe"
-        others = [
-            ("sphere", "reference"),
-            ("potato", "potato"),
-            ("block", "reference"),
-            ("egg", "reference"),
-            ("cylinder", "reference"),
-        ]
+        others = ["sphere", "potato", "block", "egg", "cylinder"]
         sizes = {}
         more = {
             "sphere": {"radius_mm": float(rng.uniform(10.0, 14.0))},
@@ -241,7 +218,8 @@ def draw_bodies(rng: np.random.Generator, maker: str, count: int, scene: Mapping
         what = order[len(found) % len(order)]
         number = len(found) + 1
         if what == "o":
-            family, cls = others[sum(b.family != skein for b in found) % len(others)]
+            family = others[sum(b.family != skein for b in found) % len(others)]
+            cls = "potato" if family in ("potato", "supershape") else "reference"
             found.append(Body(f"{family}_{number:02d}", family, more.get(family, {}), cls))
         else:
             kind = good if what == "g" else defects[sum(b.cls == "defective" for b in found) % len(defects)]
@@ -257,32 +235,19 @@ def write_rig(
     folder.mkdir(parents=True, exist_ok=True)
     begin = time.perf_counter()
     boards = scene["targets"]["board"]["poses"]
-    calibration = [
-        ("empty", "belt", "belt"),
-        ("block", "block", "block"),
-        ("stair", "staircase", "staircase"),
-    ]
-    calibration += [
-        (f"board_{k:02d}", "charuco", f"pose_{k:02d}" if k else "on_belt") for k in range(boards + 1)
-    ]
+    targets = [("empty", "belt", "belt"), ("block", "block", "block"), ("stair", "staircase", "staircase")]
+    targets += [(f"board_{k:02d}", "charuco", f"pose_{k:02d}" if k else "on_belt") for k in range(boards + 1)]
     images: dict[str, Any] = {}
-    for label, kind, pose in calibration:
-        lights = ("laser", "plain") if kind in ("charuco",) else ("laser",)
+    for label, kind, pose in targets:
+        lights = ("laser", "plain") if kind == "charuco" else ("laser",)
+        images[label] = {"kind": kind, "truth": f"truth/{label}.npz"}
         for light in lights:
-            path = folder / f"calibration/{label}_{light}.png"
+            images[label][light] = f"calibration/{label}_{light}.png"
+            path = folder / images[label][light]
             if not path.exists():
                 view = f"{pose}_{light}" if kind == "charuco" else pose
-                _save(
-                    path,
-                    maker.calibration_frame(kind, view, seed, bright=light == "laser" and kind != "belt"),
-                )
-        images[label] = {
-            "kind": kind,
-            "laser": f"calibration/{label}_laser.png",
-            "truth": f"truth/{label}.npz",
-        }
-        if kind == "charuco":
-            images[label]["plain"] = f"calibration/{label}_plain.png"
+                bright = light == "laser" and kind != "belt"
+                _save(path, maker.calibration_frame(kind, view, seed, bright=bright))
         if not (folder / f"truth/{label}.npz").exists():
             _save_truth(folder / f"truth/{label}.npz", maker.calibration_truth(kind, pose, seed))
     objects: dict[str, Any] = {}
@@ -297,7 +262,7 @@ def write_rig(
             "plain": f"images_plain/{body.name}.png", "truth": f"truth/{body.name}.npz",
         }  # fmt: skip
         print(f"{name}: {body.name}, {time.perf_counter() - begin:.0f} s", flush=True)
-    told = maker.rig_truth(seed)
+    told = maker.whole.calibration_truth(seed)
     truth = _truth_json(name, scene, told, images, objects, maker.name, seed)
     (folder / "truth.json").write_text(json.dumps(truth, indent=1), encoding="utf-8")
     _write_yaml(folder, name, scene, bodies)
@@ -307,113 +272,66 @@ def write_rig(
 class _Maker:
     """What a rig is made by: its images, and their truth as columns of a `truth/*.npz` file."""
 
-    name = ""
-
-    def __init__(self, scene: dict[str, Any]) -> None:
-        self.scene = scene
+    def __init__(self, name: str, scene: dict[str, Any], samples: int) -> None:
+        self.name, self.scene, self.samples = name, scene, samples
+        self._stage = discover().load(discover().find("simulator", name))
         laser, camera = scene["laser"], scene["camera"]
         white = laser["peak_e_per_ms"] * camera["exposure_ms"] * camera["gain_dn_per_e"] * max(laser["power"])
-        dimmed = camera["exposure_ms"] * min(1.0, _EXPOSED_GREY / (_BOARD_WHITE * white))
-        self.whole = self.make(scene | {"product": {"family": "none"}})
-        self.dimmed = self.make(
-            scene | {"product": {"family": "none"}, "camera": {**camera, "exposure_ms": dimmed}}
-        )
+        exposure_ms = camera["exposure_ms"] * min(1.0, _EXPOSED_GREY / (_BOARD_WHITE * white))
+        none = {"product": {"family": "none"}}
+        self.whole = self.make(none)
+        self.dimmed = self.make(none | {"camera": {**camera, "exposure_ms": exposure_ms}})
 
-    def make(self, options: dict[str, Any]) -> Any:
-        """Make the simulator."""
-        raise NotImplementedError
+    def make(self, change: dict[str, Any]) -> Any:
+        """Make the simulator of the scene, changed."""
+        options = self.scene | change
+        if self.name == "mitsuba":
+            return self._stage(self._stage.Options.model_validate(options | {"samples": self.samples}))
+        for part, own in _OWN_KEYS.items():
+            options[part] = {key: value for key, value in options[part].items() if key not in own}
+        return self._stage(self._stage.Options.model_validate(options))
 
     def calibration_truth(self, kind: str, pose: str, seed: int) -> dict[str, Any]:
         """Give the columns of a calibration image's truth."""
-        raise NotImplementedError
-
-    def calibration_frame(self, kind: str, view: str, seed: int, *, bright: bool) -> Frame:
-        """Take a calibration image; white targets under the laser with a shorter exposure, as users do."""
-        maker = self.dimmed if bright else self.whole
-        frame: Frame = maker.calibration_frames(seed)[kind][view]
-        return frame
-
-    def body(self, body: Body, seed: int) -> tuple[tuple[Frame, ...], ProductTruth, dict[str, Any]]:
-        """Take a product's images; give them with its truth."""
-        options = dict(body.options)
-        made = self.make(self.scene | {"product": {"family": body.family, "options": options}})
-        taken = made.simulate(0, seed)
-        return taken.frames, taken.truth.products[0], self.body_truth(made, taken.truth.stripes, seed)
-
-    def body_truth(self, made: Any, stripes: StripeTruth, seed: int) -> dict[str, Any]:
-        """Give the columns of a product's truth."""
-        raise NotImplementedError
-
-    def rig_truth(self, seed: int) -> Mapping[str, Any]:
-        """Give what is true of the rig."""
-        told: Mapping[str, Any] = self.whole.calibration_truth(seed)
-        return told
-
-
-class _Mitsuba(_Maker):
-    name = "mitsuba"
-
-    def __init__(self, scene: dict[str, Any], samples: int) -> None:
-        self.samples = samples
-        super().__init__(scene)
-
-    def make(self, options: dict[str, Any]) -> Any:
-        from roemetry_mitsuba.simulator import MitsubaSimulator
-
-        return MitsubaSimulator(MitsubaSimulator.Options.model_validate(options | {"samples": self.samples}))
-
-    def calibration_truth(self, kind: str, pose: str, seed: int) -> dict[str, Any]:
-        from roemetry_mitsuba.truth import crossings
-
-        maker = self.whole
-        return _columns(crossings(maker.camera, maker.fan, maker.target_bodies(kind, f"{pose}_laser", seed)))
-
-    def body_truth(self, made: Any, stripes: StripeTruth, seed: int) -> dict[str, Any]:
-        from roemetry_mitsuba.truth import crossings
-
-        return _columns(crossings(made.camera, made.fan, [one.body for one in made.placed(0, seed)]))
-
-
-class _RayCaster(_Maker):
-    name = "ray-caster"
-
-    def make(self, options: dict[str, Any]) -> Any:
-        from roemetry_simulate.ray_caster import RayCaster
-
-        known = {}
-        for part, value in options.items():
-            own = _OWN_KEYS.get(part, ())
-            known[part] = {k: v for k, v in value.items() if k not in own} if own else value
-        return RayCaster(RayCaster.Options.model_validate(known))
-
-    def calibration_truth(self, kind: str, pose: str, seed: int) -> dict[str, Any]:
+        if self.name == "mitsuba":
+            bodies = self.whole.target_bodies(kind, f"{pose}_laser", seed)
+            return _columns(self.whole.camera, self.whole.fan, bodies)
+        from roemetry_simulate.scene import rig_of
+        from roemetry_simulate.targets import target_solid
         from roemetry_simulate.truth import stripe_centres
 
-        views = self.whole.calibration_frames(seed)
-        if kind == "charuco":
-            from roemetry_simulate.targets import board_poses
-
-            solid, _ = views._board(kind, board_poses(self.whole.options.targets.board, seed)[pose])
-        else:
-            solid = views._lying(kind)
-        rig = views._rig
+        rig = rig_of(self.whole.options)
+        solid = target_solid(self.whole.options, kind, pose, seed)
         found = stripe_centres(rig.camera, rig.laser, solid)
         return _flat(found.x_px, found.xyz_mm, found.on_product, found.hits)
 
-    def body_truth(self, made: Any, stripes: StripeTruth, seed: int) -> dict[str, Any]:
-        label = np.where(np.isfinite(stripes.x_px), stripes.on_product.astype(np.int8), np.int8(-1))
-        return _flat(stripes.x_px, stripes.xyz_mm, label, np.isfinite(stripes.x_px).astype(np.int8))
+    def calibration_frame(self, kind: str, view: str, seed: int, *, bright: bool) -> Frame:
+        """Take a calibration image; white targets under the laser with a shorter exposure, as users do."""
+        frame: Frame = (self.dimmed if bright else self.whole).calibration_frames(seed)[kind][view]
+        return frame
+
+    def body(self, body: Body, seed: int) -> tuple[tuple[Frame, ...], ProductTruth, dict[str, Any]]:
+        """Take a product's images; give them with its truth and the columns of its stripes."""
+        made = self.make({"product": {"family": body.family, "options": dict(body.options)}})
+        taken = made.simulate(0, seed)
+        if self.name == "mitsuba":
+            columns = _columns(made.camera, made.fan, [one.body for one in made.placed(0, seed)])
+        else:
+            x, seen = taken.truth.stripes.x_px, np.isfinite(taken.truth.stripes.x_px)
+            label = np.where(seen, taken.truth.stripes.on_product, -1)
+            columns = _flat(x, taken.truth.stripes.xyz_mm, label, seen)
+        return taken.frames, taken.truth.products[0], columns
 
 
-def _columns(found: Any) -> dict[str, Any]:
+def _columns(camera: Any, fan: Any, bodies: list[Any]) -> dict[str, Any]:
     """The truth of `roemetry_mitsuba.truth`, further solutions of a row beside the first."""
-    stripes, rows = found.shape
-    first = found.first()
-    record = found.record()
-    nsol = np.zeros((stripes, rows), dtype=np.uint8)
+    from roemetry_mitsuba.truth import crossings
+
+    found = crossings(camera, fan, bodies)
+    record, rest = found.record(), ~found.first()
+    nsol = np.zeros(found.shape, dtype=np.uint8)
     np.add.at(nsol, (found.stripe, found.row), 1)
     columns = _flat(record.x_px, record.xyz_mm, np.minimum(record.product, 1), nsol)
-    rest = ~first
     return columns | {
         "extra_row": found.row[rest].astype(np.int16), "extra_stripe": found.stripe[rest].astype(np.int16),
         "extra_x": found.x_px[rest], "extra_X": found.xyz_mm[rest].astype(np.float32),
@@ -422,18 +340,13 @@ def _columns(found: Any) -> dict[str, Any]:
 
 
 def _flat(x: Floats, xyz: Floats, label: Any, nsol: Any) -> dict[str, Any]:
-    """Columns by (row, stripe)."""
-    empty: dict[str, Any] = {f"extra_{n}": np.zeros(0, np.int16) for n in ("row", "stripe")}
-    empty |= {
-        "extra_x": np.zeros(0),
-        "extra_X": np.zeros((0, 3), np.float32),
-        "extra_label": np.zeros(0, np.int8),
-    }
+    """Columns by (row, stripe), without further solutions."""
     return {
         "x": np.ascontiguousarray(x.T), "X": np.ascontiguousarray(xyz.transpose(1, 0, 2), dtype=np.float32),
-        "label": np.ascontiguousarray(label.T, dtype=np.int8), "nsol": np.ascontiguousarray(nsol.T,
-        dtype=np.uint8),
-        **empty,
+        "label": np.ascontiguousarray(label.T, dtype=np.int8),
+        "nsol": np.ascontiguousarray(nsol.T, dtype=np.uint8),
+        "extra_row": np.zeros(0, np.int16), "extra_stripe": np.zeros(0, np.int16), "extra_x": np.zeros(0),
+        "extra_X": np.zeros((0, 3), np.float32), "extra_label": np.zeros(0, np.int8),
     }  # fmt: skip
 
 
@@ -452,11 +365,10 @@ def _object(body: Body, product: ProductTruth) -> dict[str, Any]:
 
 
 def _truth_json(
-    name: str, scene: Mapping[str, Any], told: Mapping[str, Any], images: dict[str, Any], objects: dict[str,
-    Any],
-    maker: str, seed: int,
+    name: str, scene: Mapping[str, Any], told: Mapping[str, Any], images: dict[str, Any],
+    objects: dict[str, Any], maker: str, seed: int,
 ) -> dict[str, Any]:  # fmt: skip
-    rig, camera, laser, board = told["rig"], scene["camera"], scene["laser"], scene["targets"]["board"]
+    rig, camera, laser = told["rig"], scene["camera"], scene["laser"]
     to_belt = np.array(rig["T_belt_camera"])
     rotation, centre = to_belt[:3, :3].T, to_belt[:3, 3]
     planes = np.array(rig["planes"]) * [1.0, 1.0, 1.0, -1.0]
@@ -464,11 +376,8 @@ def _truth_json(
     for label, image in images.items():
         if image["kind"] == "charuco":
             image["kind"] = "board"
-            pose = np.array(
-                told["charuco"]["T_belt_board"][
-                    "on_belt" if label == "board_00" else label.replace("board", "pose")
-                ]
-            )
+            name_there = "on_belt" if label == "board_00" else label.replace("board", "pose")
+            pose = np.array(told["charuco"]["T_belt_board"][name_there])
             image |= {"R_board_to_belt": pose[:3, :3].tolist(), "t_board_to_belt": pose[:3, 3].tolist()}
     return {
         "rig": name, "units": "mm", "maker": maker, "seed": seed,
@@ -491,18 +400,6 @@ def _truth_json(
             "relative_power": laser["power"],
             "angle_to_vertical_deg": np.degrees(np.arctan(-planes[:, 2] / planes[:, 0])).tolist(),
             "order": "index 0 = smallest belt x",
-        },
-        "sensor": {
-            "gain_grey_per_electron": camera["gain_dn_per_e"],
-            "read_DN": camera["read_noise_e"] * camera["gain_dn_per_e"],
-            "black": camera["black_level_dn"], "speckle": laser["speckle_contrast"],
-            "speckle_px": laser["speckle_sigma_px"],
-        },
-        "board": {
-            "type": "ChArUco", "dictionary": "DICT_4X4_250", "squares_x": board["columns"],
-            "squares_y": board["rows"],
-            "square_mm": board["square_mm"], "marker_mm": board["marker_mm"],
-            "thickness_mm": board["thickness_mm"],
         },
         "block": dict(told["block"]), "staircase": dict(told["staircase"]), "images": images,
         "objects": objects,

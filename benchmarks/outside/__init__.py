@@ -92,11 +92,8 @@ def main() -> None:
         raise SystemExit(f"no rig folder in {', '.join(map(str, given.folders or [default]))}")
     jobs = [(folder, given.draws, given.extractors, given.chains) for folder in folders]
     begin = time.monotonic()
-    if given.jobs > 1:
-        with ProcessPoolExecutor(given.jobs) as pool:
-            results = list(pool.map(_scored, jobs))
-    else:
-        results = [_scored(job) for job in jobs]
+    with ProcessPoolExecutor(given.jobs) as pool:
+        results = list((pool.map if given.jobs > 1 else map)(_scored, jobs))
     _write(results, {given.draws}, given.out)
     print(f"{time.monotonic() - begin:.0f} s")
 

@@ -15,6 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from roemetry.errors import DataError, RoemetryError
+from roemetry.io.meshes import check_closed, read_mesh
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.records.calibration import Calibration
 from roemetry.records.view import View
@@ -26,26 +28,17 @@ EDGE_PX = 3.0
 """Crossings nearer than this to the image's left or right border are not scored: half a stripe is outside."""
 
 
-class RigError(Exception):
+class RigError(DataError):
     """What is wrong with a rendered set: one sentence that names the file."""
 
 
 @dataclass(frozen=True, eq=False)
 class Crossings:
-    """True crossings of stripes and image rows that are lit and seen by the camera.
+    """True crossings of stripes (0 at the smallest belt x) and image rows that are lit and seen.
 
-    Attributes
-    ----------
-    row, stripe
-        (crossing,) image row; stripe, 0 at the smallest belt x.
-    x_px
-        (crossing,) exact column.
-    z_mm
-        (crossing,) height above the belt, mm; NaN where the truth does not give it.
-    on_body
-        (crossing,) on the body, not on the belt.
-    sure
-        (crossing,) neither an end of a run of rows (an edge pixel) nor beside the image's border.
+    `x_px` is the exact column, `z_mm` the height above the belt (NaN where the truth does not give it);
+    `on_body`, not on the belt; `sure`, neither an end of a run of rows (an edge pixel) nor beside the image's
+    border. All of shape (crossing,).
     """
 
     row: Integers
@@ -95,13 +88,7 @@ def rig_folders(folders: Iterable[Path]) -> list[Path]:
 
 
 def read_rig(folder: Path) -> RenderedRig:
-    """Read ``truth.json`` and see which bodies can be scored.
-
-    Raises
-    ------
-    RigError
-        There is no truth, it cannot be read, it is of another version, or something in it is missing.
-    """
+    """Read ``truth.json`` and see which bodies can be scored; raise RigError where it is no truth."""
     path = folder / "truth.json"
     try:
         truth = json.loads(path.read_text("utf-8"))
@@ -135,7 +122,7 @@ def read_rig(folder: Path) -> RenderedRig:
             topview = float(about["topview_volume_mm3"])
             plain = one.get("plain", "")
             bodies.append(Body(name, one["laser"], plain, one["truth"], topview, volume, grade))
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, RoemetryError) as error:
         what = f"{error} is missing" if isinstance(error, KeyError) else str(error)
         raise RigError(f"{path}: {what}") from None
     if not bodies:
@@ -143,13 +130,10 @@ def read_rig(folder: Path) -> RenderedRig:
     return RenderedRig(str(truth.get("rig", folder.name)), folder, truth, tuple(bodies), tuple(faults))
 
 
-def read_crossings(path: Path, image_size: tuple[int, int]) -> Crossings:
-    """Read one image's true crossings.
+def read_crossings(path: Path, image_size: tuple[int, int], stripes: int | None = None) -> Crossings:
+    """Read one image's true crossings of so many stripes (None: any number).
 
-    Raises
-    ------
-    RigError
-        The file is no npz, arrays are missing, or their shapes do not fit the image.
+    Raises RigError where the file is no npz, arrays are missing, or their shapes contradict the rig's.
     """
     try:
         with np.load(path, allow_pickle=False) as data:
@@ -159,8 +143,13 @@ def read_crossings(path: Path, image_size: tuple[int, int]) -> Crossings:
     missing = [name for name in ("x", "label") if name not in arrays]
     if missing:
         raise RigError(f"{path}: {' and '.join(missing)} missing")
-    x, label = np.asarray(arrays["x"], np.float64), arrays["label"]
+    try:
+        x, label = (np.asarray(arrays[name], np.float64) for name in ("x", "label"))
+    except (TypeError, ValueError) as error:
+        raise RigError(f"{path}: x and label are not numbers: {error}") from None
     rows, columns = image_size
+    if stripes is not None and x.ndim == 2 and x.shape[1] != stripes:
+        raise RigError(f"{path}: x is of {x.shape[1]} stripes; truth.json has {stripes} planes")
     if x.ndim != 2 or x.shape[0] != rows or label.shape != x.shape:
         raise RigError(f"{path}: x is {x.shape} and label {label.shape}; the image has {rows} rows")
     place = arrays.get("X")
@@ -268,62 +257,12 @@ def _open_mesh(folder: Path, about: Mapping[str, Any]) -> str:
     """Say why a body's mesh has no volume; "" where nothing speaks against it."""
     if about.get("watertight") is False:
         return "its mesh is not watertight (truth.json says so)"
-    if "mesh" not in about:
-        return ""
-    path = folder / about["mesh"]
+    path = folder / str(about.get("mesh", ""))
     if not path.is_file():  # the volume stands in truth.json: the mesh is a check only
         return ""
     try:
-        vertices, faces = read_ply(path)
-    except (OSError, ValueError, KeyError, IndexError) as error:
-        return f"{path.name} is no mesh that can be read ({error})"
-    _, same = np.unique(np.round(vertices, 6), axis=0, return_inverse=True)
-    corners = same.reshape(-1)[faces]
-    edges = np.sort(np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]]), axis=1)
-    _, uses = np.unique(edges[edges[:, 0] != edges[:, 1]], axis=0, return_counts=True)
-    loose = int((uses % 2 == 1).sum())
-    return f"its mesh is not watertight: {loose} edges with an odd number of faces" if loose else ""
-
-
-_PLY_TYPES = {
-    "float": "<f4", "float32": "<f4", "double": "<f8", "float64": "<f8", "uchar": "u1", "uint8": "u1",
-    "ushort": "<u2", "uint16": "<u2", "int": "<i4", "int32": "<i4", "uint": "<u4", "uint32": "<u4",
-}  # fmt: skip
-
-
-def read_ply(path: Path) -> tuple[Floats, Integers]:
-    """Read a triangle mesh, ASCII or little-endian PLY: (vertex, 3) and (face, 3).
-
-    Raises
-    ------
-    ValueError
-        Another kind of PLY, or faces that are no triangles.
-    """
-    content = path.read_bytes()
-    head, mark, body = content.partition(b"end_header\n")
-    lines = [line.split() for line in head.decode("ascii", "replace").splitlines()]
-    if not mark or not lines or lines[0] != ["ply"]:
-        raise ValueError("no PLY header")
-    count = {line[1]: int(line[2]) for line in lines if line[:1] == ["element"]}
-    names, faces_begun, index = [], False, "<i4"
-    for line in lines:
-        faces_begun |= line[:2] == ["element", "face"]
-        if line[:1] == ["property"] and not faces_begun:
-            names.append((line[2], _PLY_TYPES[line[1]]))
-        elif line[:2] == ["property", "list"]:
-            index = _PLY_TYPES[line[3]]
-    if ["format", "ascii", "1.0"] in lines:
-        text = body.decode("ascii").splitlines()
-        vertices = np.array([line.split()[:3] for line in text[: count["vertex"]]], np.float64)
-        rows = text[count["vertex"] : count["vertex"] + count["face"]]
-        table = np.array([line.split()[:4] for line in rows], np.int64)
-    else:
-        kind = np.dtype([(name, form) for name, form in names])
-        corners = np.dtype([("n", "u1"), ("at", index, (3,))])
-        read = np.frombuffer(body, kind, count["vertex"])
-        vertices = np.column_stack([read[axis] for axis in "xyz"]).astype(np.float64)
-        found = np.frombuffer(body, corners, count["face"], offset=kind.itemsize * count["vertex"])
-        table = np.column_stack([found["n"], found["at"]]).astype(np.int64)
-    if (table[:, 0] != 3).any():
-        raise ValueError("faces that are no triangles")
-    return vertices, table[:, 1:]
+        mesh = read_mesh(path)
+        check_closed(mesh._replace(points=np.round(mesh.points, 6)), path.name)
+    except DataError as error:
+        return error.message
+    return ""

@@ -62,10 +62,8 @@ def heights(calibration: Calibration, rig: RenderedRig) -> Row:
     rows, columns = true.image_size
     count = len(true.planes)
     if (count, true.image_size) != (calibration.stripe_count, calibration.image_size):
-        return {
-            "refused": f"calibrated are {calibration.stripe_count} stripes in {calibration.image_size}; "
-            f"the truth has {count} in {true.image_size}"
-        }
+        made = f"calibrated are {calibration.stripe_count} stripes in {calibration.image_size}"
+        return {"refused": f"{made}; the truth has {count} in {true.image_size}"}
     low, high = calibration.height_range_mm
     levels, maps = np.linspace(low, high, HEIGHTS_MM), []
     row_px = np.arange(rows, dtype=np.float64)
@@ -235,8 +233,7 @@ def recipes_of(
         true_calibration(rig.truth, _tallest_mm(rig)).save(folder / "calibration.yaml")
     else:
         boards.save(folder / "calibration.yaml")
-    files = {"plain outline": "with_outline.yaml", "laser outline": "laser_outline.yaml"}
-    files["no outline"] = "with_outline.yaml"
+    files = dict.fromkeys(CHAINS, "with_outline.yaml") | {"laser outline": "laser_outline.yaml"}
     made: dict[str, Recipe | str] = {}
     for chain in CHAINS:
         try:
@@ -270,20 +267,10 @@ def recipes_of(
 def score_rig(
     rig: RenderedRig, folder: Path, draws: int, extractors: Sequence[str], chains: Sequence[str]
 ) -> Row:
-    """Take one rig through everything.
+    """Take one rig through everything, in a copy of its folder that may be written into.
 
-    Parameters
-    ----------
-    rig
-        Its truth.
-    folder
-        A copy of the rig's folder that may be written into.
-    draws
-        Monte Carlo draws of the recipes with an outline.
-    extractors
-        Extractors to compare on every body's image.
-    chains
-        Which of `CHAINS` to run.
+    `draws` are those of the recipes with an outline; the extractors are compared on every body's image; of
+    `CHAINS` the given ones are run.
     """
     faults = list(rig.faults)
     boards, by_boards = calibrated(rig, folder, "boards.yaml")
@@ -300,7 +287,8 @@ def score_rig(
     truths: dict[str, Crossings] = {}
     for body in rig.bodies:
         try:
-            truths[body.name] = read_crossings(rig.folder / body.truth, rig.image_size)
+            planes = len(rig.truth["laser"]["planes_belt"])
+            truths[body.name] = read_crossings(rig.folder / body.truth, rig.image_size, planes)
         except RigError as fault:
             faults.append(f"{body.name}: {fault}; the body is left out")
     usual = next((one for one in recipes.values() if isinstance(one, Recipe)), None)

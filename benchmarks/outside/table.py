@@ -14,20 +14,15 @@ from benchmarks.outside.scoring import CHAINS
 
 Row = Mapping[str, Any]
 
+VERDICTS = ("right", "wrong", "unknown", "none")
 DEFECTIVE = "henkei"
 """What the paper's rule and the fuzzy rules call a skein with any defect."""
 
 
 def tables(results: Sequence[Row]) -> list[Table]:
     """Give a line for each rig, the worst volume first; then everything of each rig; then every body."""
-    rows: list[list[str]] = []
-    for one in results:
-        rows += _rig_rows(one)
-    return [
-        _summary(results),
-        Table("Everything", ["rig", "what", "by", "result"], rows),
-        _bodies(results),
-    ]
+    rows = [row for one in results for row in _rig_rows(one)]
+    return [_summary(results), Table("Everything", ["rig", "what", "by", "result"], rows), _bodies(results)]
 
 
 def _summary(results: Sequence[Row]) -> Table:
@@ -45,19 +40,15 @@ def _summary(results: Sequence[Row]) -> Table:
     lines.sort(key=lambda line: -line[0])
     if len(lines) > 1:
         lines.append(_line("all", "", pooled))
-    columns = ["rig", "heights rms, mm", "labels: skeins", "shapes"]
-    columns += [
-        "skeins: plain outline",
-        "shapes",
-        "skeins: laser outline",
-        "no outline",
-        "the paper's recipe",
-    ]
+    columns = [
+        "rig", "heights rms, mm", "labels: skeins", "shapes", "skeins: plain outline", "shapes",
+        "skeins: laser outline", "no outline", "the paper's recipe", "grades: skeins", "shapes",
+    ]  # fmt: skip
     title = (
         "Rigs, the worst first. Labels: right, wrong. Volume: measured of all, mean absolute error of the "
         "visible volume, intervals that hold, their median width. Grades: right / wrong / unknown / none"
     )
-    return Table(title, [*columns, "grades: skeins", "shapes"], [cells for _, cells in lines])
+    return Table(title, columns, [cells for _, cells in lines])
 
 
 def _line(name: str, heights: str, chains: Row) -> tuple[float, list[str]]:
@@ -74,8 +65,7 @@ def _line(name: str, heights: str, chains: Row) -> tuple[float, list[str]]:
     cells += [_short_volume(kinds.get(chain, {}).get("skeins", [])) for chain in CHAINS[1:]]
     for kind in ("skeins", "shapes"):
         judged = [grade_of(body["grade"]["said"], body["grade"]["true"]) for body in usual.get(kind, [])]
-        counts = [judged.count(word) for word in ("right", "wrong", "unknown", "none")]
-        cells.append(" / ".join(map(str, counts)) if judged else "–")
+        cells.append(" / ".join(str(judged.count(word)) for word in VERDICTS) if judged else "–")
     return _mean_absolute(usual.get("skeins", [])), cells
 
 
@@ -195,19 +185,18 @@ def _summed(bodies: Iterable[Row]) -> dict[str, float]:
     return total
 
 
-def _volume(bodies: Iterable[Row], which: str) -> str:
-    bodies = list(bodies)
+def _volume(bodies: Sequence[Row], which: str) -> str:
     known = [body[which] for body in bodies if which in body and math.isfinite(body[which]["error"])]
     split = sum(body["products"] > 1 for body in bodies)
     parts = f", {split} split" if split else ""
     if not known:
         return f"0 of {len(bodies)} measured{parts}"
     off = np.array([one["error"] for one in known])
-    held = [one["holds"] for one in known if one["holds"] is not None]
-    widths = [one["width"] for one in known if one["holds"] is not None]
+    stated = [one for one in known if one["holds"] is not None]
     interval = "no interval stated"
-    if held:
-        interval = f"{sum(held)} of {len(held)} intervals hold, median width {np.median(widths):.2%}"
+    if stated:
+        width, held = np.median([one["width"] for one in stated]), sum(one["holds"] for one in stated)
+        interval = f"{held} of {len(stated)} intervals hold, median width {width:.2%}"
     return (
         f"{len(known)} of {len(bodies)} measured{parts}; mean {off.mean():+.2%}, mean absolute "
         f"{np.abs(off).mean():.2%}, largest {np.abs(off).max():.2%}; {interval}"
@@ -230,7 +219,7 @@ def grade_of(said: str | None, true: str) -> str:
 def _grades(bodies: Iterable[Row]) -> str:
     said = [(body["grade"]["said"], body["grade"]["true"]) for body in bodies]
     judged = [grade_of(*one) for one in said]
-    counts = ", ".join(f"{judged.count(name)} {name}" for name in ("right", "wrong", "unknown", "none"))
+    counts = ", ".join(f"{judged.count(name)} {name}" for name in VERDICTS)
     good = [one for one, true in said if true == "good"]
     bad = [one for one, true in said if true not in ("good", NO_SKEIN)]
     if not good and not bad:

@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from roemetry.errors import DataError, PluginError
+from roemetry.errors import PluginError
+from roemetry.io.meshes import check_closed, read_mesh
 from roemetry_kernels.compiling import kernel
 
 Floats = NDArray[np.float64]
@@ -27,23 +28,15 @@ Faces = NDArray[np.int64]
 RASTER_MM = 0.1
 """Pitch of the height map; a quarter of the smallest detail a family makes."""
 
-_FILES = (".obj", ".ply", ".stl")
 VARIANT = "llvm_ad_mono"
 """Of Mitsuba: rays vectorised by LLVM on the processor, one colour."""
 
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A closed mesh.
+    """A closed mesh: corners (V, 3), belt frame, and faces (F, 3), counter-clockwise from outside.
 
-    Attributes
-    ----------
-    points_mm
-        Corners, belt frame, shape (V, 3).
-    faces
-        Indices of corners, counter-clockwise from outside, shape (F, 3).
-    smooth
-        Whether light sees interpolated normals (curved bodies) or the faces' own (blocks).
+    Light sees interpolated normals where it is `smooth` (curved bodies), else the faces' own (blocks).
     """
 
     points_mm: Floats
@@ -86,7 +79,7 @@ class Body:
         # a whole number of cells over the extent: the sum over a block that lies straight is exact
         step = (x_max - x_min) / columns, (y_max - y_min) / rows
         top = np.full((rows, columns), -1.0)
-        _raise(top, np.ascontiguousarray(self.corners_mm), x_min, y_min, *step)
+        _rasterise(top, np.ascontiguousarray(self.corners_mm), x_min, y_min, *step)
         top[top < 0.0] = np.nan
         return HeightMap(top, (x_min, y_min), step)
 
@@ -138,7 +131,7 @@ def normals_of(points_mm: Floats, faces: Faces) -> Floats:
     return unit
 
 
-def settled(points_mm: Floats, faces: Faces, smooth: bool = True) -> Body:
+def rest_on_belt(points_mm: Floats, faces: Faces, smooth: bool = True) -> Body:
     """Give a body whose lowest point touches the belt, the middle of its bounds over the origin."""
     low, high = points_mm.min(axis=0), points_mm.max(axis=0)
     middle = np.array([0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), low[2]])
@@ -146,57 +139,12 @@ def settled(points_mm: Floats, faces: Faces, smooth: bool = True) -> Body:
     return body if body.true_mm3 > 0.0 else replace(body, faces=np.ascontiguousarray(faces[:, ::-1]))
 
 
-def check_closed(points_mm: Floats, faces: Faces, name: str) -> None:
-    """Raise DataError for a mesh with open edges, with turned faces, or without a volume."""
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    way = np.where(edges[:, 0] < edges[:, 1], 1, -1)
-    _, which, counts = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True, return_counts=True)
-    gaps = int((counts % 2).sum())
-    if gaps:
-        raise DataError(
-            f"{name}: the mesh is not watertight: {gaps} of {len(counts)} edges are open",
-            hint="close its holes first; the volume of an open mesh is not defined",
-        )
-    if np.bincount(which.reshape(-1), weights=way).any():
-        raise DataError(
-            f"{name}: neighbouring faces of the mesh are turned against each other",
-            hint="make the order of the faces' corners agree, so that all look outwards",
-        )
-    extent = np.ptp(points_mm, axis=0)
-    a, b, c = np.moveaxis(points_mm[faces], 1, 0)
-    if abs(np.einsum("ti,ti->", a, np.cross(b, c)) / 6.0) <= 1e-9 * float(np.prod(extent)):
-        raise DataError(f"{name}: the mesh encloses no volume")
-
-
 def read_body(path: Path, mm_per_unit: float, up: str) -> Body:
-    """Read a mesh file by Mitsuba (STL: here) and lay it on the belt.
-
-    Raises
-    ------
-    DataError
-        The file is missing, not a mesh, or not watertight; with the file's name.
-    """
-    if path.suffix.lower() not in _FILES:
-        raise DataError(f"{path}: a mesh file ends in {', '.join(_FILES)}, not `{path.suffix}`")
-    if not path.is_file():
-        raise DataError(f"{path}: there is no such mesh file")
-    try:
-        points = _stl(path) if path.suffix.lower() == ".stl" else _by_mitsuba(path)
-    except (RuntimeError, ValueError) as error:
-        said = str(error).strip().splitlines()[-1] if str(error).strip() else type(error).__name__
-        raise DataError(f"{path}: not a mesh that can be read: {said}") from error
-    if not len(points):
-        raise DataError(f"{path}: the mesh has no faces")
-    if not np.isfinite(points).all():
-        raise DataError(f"{path}: the mesh has corners that are NaN or infinite")
-    merged, which = np.unique(points, axis=0, return_inverse=True)
-    faces = which.reshape(-1, 3)
-    a, b, c = faces.T
-    faces = faces[(a != b) & (b != c) & (c != a)]
-    check_closed(merged, faces, str(path))
-    size = mm_per_unit * merged @ _upright(up).T
+    """Read a mesh file and lay it on the belt; raise DataError, with its name, for what is no closed mesh."""
+    points, faces = check_closed(read_mesh(path), str(path))
+    size = mm_per_unit * points @ _upright(up).T
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    return settled(size, faces, _is_smooth(size, faces, edges))
+    return rest_on_belt(size, faces, _is_smooth(size, faces, edges))
 
 
 def mitsuba() -> Any:
@@ -223,34 +171,6 @@ def mitsuba() -> Any:
     return mi
 
 
-def _by_mitsuba(path: Path) -> Floats:
-    """Corners of all faces, shape (3 F, 3), of a PLY or OBJ file."""
-    mi = mitsuba()
-    mesh = mi.load_dict({"type": path.suffix[1:].lower(), "filename": str(path), "face_normals": True})
-    told = mi.traverse(mesh)
-    points = np.array(told["vertex_positions"], dtype=np.float64).reshape(-1, 3)
-    faces = np.array(told["faces"], dtype=np.int64).reshape(-1, 3)
-    if faces.size and faces.max() >= len(points):
-        raise ValueError(f"a face names a point that is not there ({len(points)} points)")
-    corners: Floats = points[faces].reshape(-1, 3)
-    return corners
-
-
-def _stl(path: Path) -> Floats:
-    """Corners of all faces, shape (3 F, 3), of an STL file."""
-    data = path.read_bytes()
-    count = int.from_bytes(data[80:84], "little")
-    if len(data) == 84 + 50 * count and len(data) > 84:
-        row = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-        corners = np.frombuffer(data, row, count, 84)["corners"].astype(np.float64)
-        return corners.reshape(-1, 3)
-    words = data.decode("ascii", errors="replace").split()
-    at = [k for k, word in enumerate(words) if word == "vertex"]
-    if words[:1] != ["solid"] or len(at) % 3:
-        raise ValueError("neither a binary nor a text STL file")
-    return np.array([words[k + 1 : k + 4] for k in at], dtype=np.float64).reshape(-1, 3)
-
-
 def _upright(up: str) -> Floats:
     """Give a rotation that turns an axis (x, -y, …) to +z."""
     order = {"x": [1, 2, 0], "y": [2, 0, 1], "z": [0, 1, 2]}[up[-1]]
@@ -271,7 +191,7 @@ def _is_smooth(points: Floats, faces: Faces, edges: Faces) -> bool:
 
 
 @kernel
-def _raise(top: Floats, corners: Floats, x0: float, y0: float, step_x: float, step_y: float) -> None:
+def _rasterise(top: Floats, corners: Floats, x0: float, y0: float, step_x: float, step_y: float) -> None:
     """Raise each cell of a grid to the highest face over its middle."""
     rows, columns = top.shape
     for k in range(corners.shape[0]):

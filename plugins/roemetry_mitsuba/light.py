@@ -45,10 +45,10 @@ from roemetry_mitsuba.materials import (
     Dipole,
     Surface,
     diffuse,
-    entered,
-    gathered,
+    enter_tissue,
+    gather_scattered,
     glossy,
-    mirrored,
+    sample_glossy,
 )
 from roemetry_mitsuba.scene import Camera, Fan
 
@@ -67,20 +67,10 @@ _FAINTEST = 1e-3
 class Material:
     """What a surface is made of.
 
-    Attributes
-    ----------
-    albedo
-        Texture, shape (rows, columns), row 0 at v = 0.
-    uv
-        From (x, y, z, 1) of the belt frame, mm, to texture coordinates in 0…1, shape (2, 4).
-    gloss
-        Scale of the Fresnel reflection; 0 is a matt surface.
-    roughness
-        GGX α.
-    metal
-        Name of a metal: a rough conductor instead; "none" otherwise.
-    wet
-        Weights of a smoother film, of the shape of `albedo`; None is none.
+    `albedo` is a texture (rows, columns), row 0 at v = 0, and `uv`, shape (2, 4), takes (x, y, z, 1) of the
+    belt frame, mm, to its coordinates in 0…1. `gloss` scales the Fresnel reflection (0 is matt),
+    `roughness` is GGX α; a `metal` is a rough conductor instead. `wet` holds weights of a smoother film, of
+    the albedo's shape.
     """
 
     albedo: Floats
@@ -123,20 +113,10 @@ class _Look(NamedTuple):
 
 
 class Tracer:
-    """A scene in Mitsuba's hands: belt, bodies, camera, projector.
+    """A scene in Mitsuba's hands: camera, lens, fan, belt at z = 0, bodies (all of one material).
 
-    Parameters
-    ----------
-    camera, lens, fan
-        The rig.
-    belt
-        Material of the level z = 0.
-    bodies, material
-        What lies on it, all of one material; may be empty.
-    below
-        Dipole and share of the diffuse light that it scatters; None is none.
-    samples
-        Camera rays along each side of a pixel.
+    `below` is the dipole and the share of the diffuse light that it scatters; `samples` camera rays stand
+    along each side of a pixel.
     """
 
     def __init__(
@@ -151,7 +131,7 @@ class Tracer:
         self._below, self._samples, self._bodies = below, samples, tuple(bodies)
         self._seed, self._material = seed, material
         try:
-            self._scene = self._made()
+            self._scene = self._build_scene()
         except RuntimeError as error:
             said = (str(error).strip().splitlines() or ["no reason given"])[-1]
             raise StageError(f"Mitsuba cannot take this scene: {said}", at=("product",)) from error
@@ -167,7 +147,7 @@ class Tracer:
             np.linalg.norm(fan.origin_mm - np.array([fan.x_mm(0.0, 0.0).mean(), y, z]))
         )
         opaque.append(self._reference_mm + x)
-        self._told = [drjit.opaque(mi.Float, float(value)) for value in opaque]
+        self._constants = [drjit.opaque(mi.Float, float(value)) for value in opaque]
         self._planes = mi.Float(np.column_stack([fan.normals, fan.peak_grey]).ravel().astype(np.float32))
 
     def image(self, lamps: Lamps, *, laser: bool, bounce_rays: int) -> tuple[Floats, Floats]:
@@ -259,17 +239,17 @@ class Tracer:
             light += dr.select(lit, e * given, 0.0)
         other += self._lamps(si, surface, lamps, spin, disc, active)
         if self._has_gloss:
-            wo, weight = mirrored(mi, surface, seen, mi.Float(u[0]), mi.Float(u[1]))
+            wo, weight = sample_glossy(mi, surface, seen, mi.Float(u[0]), mi.Float(u[1]))
             ahead = active & (weight > 0.0)
-            a, b = self._met(si.spawn_ray(si.to_world(wo)), lamps, laser, spin, disc, ahead)
+            a, b = self._trace_bounce(si.spawn_ray(si.to_world(wo)), lamps, laser, spin, disc, ahead)
             light += dr.select(ahead, weight * a, 0.0)
             other += dr.select(ahead, weight * b, 0.0)
         covered = dr.select(on_body, mi.Float(1.0), mi.Float(0.0))
         dr.eval(light, other, albedo, covered)
         body = albedo * covered
-        return [self._whole(part, len(ring)) for part in (light, other, albedo, body, covered)]
+        return [self._as_array(part, len(ring)) for part in (light, other, albedo, body, covered)]
 
-    def _met(
+    def _trace_bounce(
         self, ray: Any, lamps: Lamps, laser: bool, spin: Any, disc: float, active: Any
     ) -> tuple[Any, Any]:
         """What rays that left a surface meet: its laser light, and its other light or the sky's."""
@@ -325,7 +305,7 @@ class Tracer:
     def _laser(self, si: Any, active: Any) -> tuple[Any, Any, Any]:
         """Irradiance by the laser's sheets before the cosine, its direction (local), where it is not 0."""
         mi, dr = self._mi, self._dr
-        ox, oy, oz, ax, ay, az, sigma, waist, divergence, fall, reference = self._told
+        ox, oy, oz, ax, ay, az, sigma, waist, divergence, fall, reference = self._constants
         beam = si.p - mi.Point3f(ox, oy, oz)
         away = dr.norm(beam)
         way = beam / away
@@ -402,9 +382,11 @@ class Tracer:
         active = mi.Bool(np.repeat(there.ravel(), rays))
         ray = mi.Ray3f(self._vector(start, point=True), self._vector(way))
         spin = mi.Float(rng.random(count * rays, dtype=np.float32))
-        light, other = self._met(ray, lamps, laser, spin, 0.5, active)
+        light, other = self._trace_bounce(ray, lamps, laser, spin, 0.5, active)
         dr.eval(light, other)
-        found = [self._whole(part, count * rays).reshape(count, rays).mean(axis=1) for part in (light, other)]
+        found = [
+            self._as_array(part, count * rays).reshape(count, rays).mean(axis=1) for part in (light, other)
+        ]
         maps = np.stack(found, axis=-1).reshape(*there.shape, 2).astype(np.float64)
         maps = _smoothed(maps, p, n, there, body[coarse])
         full = _spread(maps, first, valid.shape)
@@ -417,7 +399,7 @@ class Tracer:
         beams = self._beams(dipole)
         points, _, _, body = self._centres
         found = np.zeros(body.shape)
-        found[body] = gathered(points[body], self._fan, beams, dipole)
+        found[body] = gather_scattered(points[body], self._fan, beams, dipole)
         # pixels whose centre misses the body, and which its edge still crosses, take from their neighbours
         weight = np.pad(body.astype(np.float64), 1)
         padded = np.pad(found, 1)
@@ -457,10 +439,10 @@ class Tracer:
         # a Gaussian sheet of peak E carries E σ √(2π) per length along the line; 1/distance thins it out
         flux = fan.peak_grey[:, None] * fall * fan.sigma_mm * math.sqrt(2.0 * math.pi) * step
         power = flux[..., None] * weights * t * (self._reference_mm / t)
-        source, image, entering = entered(hit, normal, on_body, way, power, dipole)
+        source, image, entering = enter_tissue(hit, normal, on_body, way, power, dipole)
         return Beams(source, image, entering, first, step)
 
-    def _made(self) -> Any:
+    def _build_scene(self) -> Any:
         mi = self._mi
         far = 1500.0  # the belt's edge: far outside of any view, in mm
         level = np.array([[-far, -far, 0.0], [far, -far, 0.0], [far, far, 0.0], [-far, far, 0.0]])
@@ -497,7 +479,7 @@ class Tracer:
         return self._mi.Point3f(*(self._dr.opaque(self._mi.Float, float(value)) for value in values))
 
     @staticmethod
-    def _whole(part: Any, count: int) -> Singles:
+    def _as_array(part: Any, count: int) -> Singles:
         found = np.array(part, dtype=np.float32)
         return np.broadcast_to(found, (count,)) if found.size == 1 else found
 

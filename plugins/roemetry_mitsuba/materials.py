@@ -79,7 +79,7 @@ def glossy(dr: Any, surface: Surface, seen: Any, lit: Any) -> Any:
     return dr.select((seen.z > 0.0) & (lit.z > 0.0) & (facing > 0.0), found, 0.0)
 
 
-def mirrored(mi: Any, surface: Surface, seen: Any, u: Any, v: Any) -> tuple[Any, Any]:
+def sample_glossy(mi: Any, surface: Surface, seen: Any, u: Any, v: Any) -> tuple[Any, Any]:
     """Draw a glossy direction (local) for the eye's; also give its weight."""
     import drjit as dr
 
@@ -131,8 +131,8 @@ def _fresnel(dr: Any, surface: Surface, cosine: Any) -> Any:
 
 STEP_MM = 0.15
 """Distance of beams along a plane: a third of the least ℓ, below which their grain would show."""
-_LEAST_MFP_MM = 0.25
-_BINS = 4096
+_LEAST_MFP_MM = 0.25  # a shorter free path would need beams closer than STEP_MM
+_BINS = 4096  # of the dipole's table over d², interpolated linearly
 
 
 class Dipole(NamedTuple):
@@ -196,7 +196,7 @@ def _sum(values: Floats, at: Floats) -> float:
     return float((0.5 * (values[1:] + values[:-1]) * np.diff(at)).sum())
 
 
-def entered(
+def enter_tissue(
     hit_mm: Floats, normal: Floats, on_body: NDArray[np.bool_], way: Floats, flux: Floats, dipole: Dipole
 ) -> tuple[Floats, Floats, Floats]:
     """Give sources, images and flux of beams that met a surface; arrays (..., 3), flux (...,)."""
@@ -213,7 +213,7 @@ def entered(
     return source, image, np.where(on_body & (cosine > 0.01), flux * passed, 0.0)
 
 
-def gathered(points_mm: Floats, fan: Fan, beams: Beams, dipole: Dipole) -> Floats:
+def gather_scattered(points_mm: Floats, fan: Fan, beams: Beams, dipole: Dipole) -> Floats:
     """Give the scattered light that leaves points of the product, shape (N, 3), grey levels on white."""
     planes = np.column_stack([fan.normals, fan.offsets_mm])
     found: Floats = _gather(

@@ -26,18 +26,16 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, ValidationError, field_validator
+from pydantic import Field, field_validator
 
-from roemetry.config.scene_parts import Part
-from roemetry.config.validation import unknown_key
-from roemetry.errors import DataError, MisfitError
-from roemetry_mitsuba.bodies import Body, Faces, normals_of, read_body, settled
+from roemetry.config.scene_parts import NONE, Part
+from roemetry.errors import DataError
+from roemetry_mitsuba.bodies import Body, Faces, normals_of, read_body, rest_on_belt
 
 Floats = NDArray[np.float64]
 Length = Annotated[float, Field(gt=0, le=2000)]
 Range = tuple[Length, Length]
 
-NONE = "none"
 DEFECTS = ("none", "dented", "bent", "twisted", "folded", "broken")
 
 _STATIONS, _AROUND = 181, 88
@@ -50,12 +48,8 @@ class FamilyOptions(Part):
 
     density_g_per_cm3: float = Field(default=1.0, gt=0, le=25, description="density, g/cm³")
     turn_range_deg: float = Field(default=10.0, ge=0, le=180, description="turned by up to this, degrees")
-    offset_range_x_mm: float = Field(
-        default=2.0, ge=0, le=5000, description="off centre along X by up to, mm"
-    )
-    offset_range_y_mm: float = Field(
-        default=3.0, ge=0, le=5000, description="off centre along Y by up to, mm"
-    )
+    offset_range_x_mm: float = Field(default=2.0, ge=0, le=5000, description="off centre in X by up to, mm")
+    offset_range_y_mm: float = Field(default=3.0, ge=0, le=5000, description="off centre in Y by up to, mm")
 
 
 class SkeinOptions(FamilyOptions):
@@ -127,12 +121,8 @@ class MeshOptions(FamilyOptions):
     """Options of `mesh`."""
 
     turn_range_deg: float = Field(default=0.0, ge=0, le=180, description="turned by up to this, degrees")
-    offset_range_x_mm: float = Field(
-        default=0.0, ge=0, le=5000, description="off centre along X by up to, mm"
-    )
-    offset_range_y_mm: float = Field(
-        default=0.0, ge=0, le=5000, description="off centre along Y by up to, mm"
-    )
+    offset_range_x_mm: float = Field(default=0.0, ge=0, le=5000, description="off centre in X by up to, mm")
+    offset_range_y_mm: float = Field(default=0.0, ge=0, le=5000, description="off centre in Y by up to, mm")
     file: Path = Field(description="mesh file, .obj, .stl or .ply")
     mm_per_unit: float = Field(default=1.0, gt=0, le=1e6, description="millimetres in one unit of the file")
     up: Literal["x", "-x", "y", "-y", "z", "-z"] = Field(default="z", description="axis that points up")
@@ -155,30 +145,6 @@ class Family:
     make: Callable[[np.random.Generator, Any], Drawn]
 
 
-def options_of(family: str, options: Mapping[str, Any], at: tuple[str | int, ...]) -> FamilyOptions | None:
-    """Check a family's options, which stand at some keys; raise MisfitError with every fault."""
-    if family == NONE:
-        if options:
-            raise MisfitError((at, "family `none` has no options"))
-        return None
-    if family not in FAMILIES:
-        known = ", ".join((NONE, *FAMILIES))
-        raise MisfitError(
-            (("family",), f"simulator mitsuba has no product family `{family}`; it has {known}")
-        )
-    kind = FAMILIES[family].Options
-    try:
-        return kind.model_validate(dict(options))
-    except ValidationError as error:
-        said = []
-        for detail in error.errors():
-            why = detail["msg"].removeprefix("Value error, ")
-            if detail["type"] == "extra_forbidden":
-                why = unknown_key(detail["loc"][-1], list(kind.model_fields))
-            said.append(((*at, *detail["loc"]), why))
-        raise MisfitError(*said) from None
-
-
 def skein(rng: np.random.Generator, options: SkeinOptions) -> Drawn:
     """Draw a lofted skein, and the same one without its defect."""
     kinds = [kind for kind, share in options.kinds.items() if share > 0.0]
@@ -188,9 +154,8 @@ def skein(rng: np.random.Generator, options: SkeinOptions) -> Drawn:
     sound = _loft(np.random.default_rng([seed, 1]), options, NONE, None)
     if kind == NONE:
         return Drawn(sound)
-    return Drawn(
-        _loft(np.random.default_rng([seed, 1]), options, kind, np.random.default_rng([seed, 2])), kind, sound
-    )
+    defect = np.random.default_rng([seed, 2])
+    return Drawn(_loft(np.random.default_rng([seed, 1]), options, kind, defect), kind, sound)
 
 
 def _loft(
@@ -279,7 +244,7 @@ def _loft(
     low = points_mm[:, 2].min()
     z = points_mm[:, 2] - low - ramp
     points_mm[:, 2] = 0.5 * (z + np.sqrt(z * z + 0.5**2))  # sags onto the belt, rounded over half a mm
-    return settled(points_mm, faces)
+    return rest_on_belt(points_mm, faces)
 
 
 def _pressed(
@@ -338,7 +303,7 @@ def supershape(rng: np.random.Generator, options: SupershapeOptions) -> Drawn:
     y = half[1] * level * upright * np.cos(u) * np.sin(v)
     body = _closed_sphere(x, y, half[2] * upright * np.sin(u))
     points = body.points_mm + _waves(rng, (14.0, 40.0), 0.5)(body.points_mm)[:, None] * body.normals
-    return Drawn(settled(points, body.faces))
+    return Drawn(rest_on_belt(points, body.faces))
 
 
 def ball(rng: np.random.Generator, options: BallOptions) -> Drawn:
@@ -356,7 +321,7 @@ def rod(rng: np.random.Generator, options: RodOptions) -> Drawn:
     side = np.array([0.5 * length, 0.0, 0.0])
     points = np.concatenate([[-side], ring - side, ring + side, [side]])
     # flat faces: interpolated normals would round the edges of its ends; 256 faces are flat to 1 µm
-    return Drawn(settled(points, _tube(2, 256), smooth=False))
+    return Drawn(rest_on_belt(points, _tube(2, 256), smooth=False))
 
 
 def box(rng: np.random.Generator, options: BoxOptions) -> Drawn:
@@ -426,6 +391,9 @@ FAMILIES: Mapping[str, Family] = {
 }
 """Every family, by name."""
 
+MODELS = {name: family.Options for name, family in FAMILIES.items()}
+"""The options of every family."""
+
 
 def _spline(rng: np.random.Generator, s: Floats, count: int, deviation: float) -> Floats:
     """Give a cubic spline through random values at even places, at s."""
@@ -476,7 +444,7 @@ def _closed_sphere(x: Floats, y: Floats, z: Floats) -> Body:
     poles = [grid[k].mean(axis=0) for k in (0, -1)]
     step = 0.3 * (poles[1] - grid[-2].mean(axis=0))
     points = np.concatenate([[poles[0] - step], grid.reshape(-1, 3), [poles[1] + step]])
-    return settled(points, _tube(rings, around))
+    return rest_on_belt(points, _tube(rings, around))
 
 
 def _tube(rings: int, around: int) -> Faces:

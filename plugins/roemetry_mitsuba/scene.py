@@ -31,7 +31,7 @@ from roemetry.config.scene_parts import (
 )
 from roemetry.errors import MisfitError
 from roemetry.stages import StageOptions
-from roemetry_mitsuba.products import options_of
+from roemetry_mitsuba.products import MODELS
 
 Floats = NDArray[np.float64]
 
@@ -43,10 +43,7 @@ class MitsubaCamera(CameraPart):
         default=1.0, ge=0, le=5, description="v of 1/(1 + v·tan²)², tan of the field angle; 1 is cos⁴"
     )
     prnu: float = Field(
-        default=0.005,
-        ge=0,
-        le=0.2,
-        description="relative deviation of the pixels' gains, which stay",
+        default=0.005, ge=0, le=0.2, description="relative deviation of the pixels' gains, which stay"
     )
 
 
@@ -83,9 +80,7 @@ class MitsubaProduct(ProductPart):
 
     @model_validator(mode="after")
     def _is_known(self) -> MitsubaProduct:
-        options_of(self.family, self.options, ("options",))
-        for number, item in enumerate(self.items):
-            options_of(self.family, self.options | item.options, ("items", number, "options"))
+        self.check_families(MODELS)
         return self
 
 
@@ -115,23 +110,7 @@ class MitsubaOptions(StageOptions):
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A pinhole camera with distortion.
-
-    Attributes
-    ----------
-    width_px, height_px
-        Image size.
-    focal_px
-        Focal length, px.
-    principal_px
-        Principal point, px, shape (2,).
-    distortion
-        k1, k2, p1, p2, k3, shape (5,).
-    rotation
-        To belt from camera, shape (3, 3).
-    centre_mm
-        Pinhole, belt frame, shape (3,), mm.
-    """
+    """A pinhole camera with distortion k1, k2, p1, p2, k3; rotation "to belt from camera", lengths in mm."""
 
     width_px: int
     height_px: int
@@ -203,22 +182,11 @@ class Camera:
 
 @dataclass(frozen=True, eq=False)
 class Fan:
-    """The projector's planes n·X = d, ordered along belt X.
+    """The projector's planes n·X = d (n_x > 0) from one point, ordered along belt X, with one shared axis.
 
-    Attributes
-    ----------
-    origin_mm
-        The projector's point, shape (3,).
-    normals, offsets_mm
-        Unit n with n_x > 0, shape (N, 3), and d, shape (N,).
-    axis
-        Unit direction that all planes share, shape (3,).
-    peak_grey
-        Of each plane, on white that faces the projector, grey levels, shape (N,).
-    sigma_mm, waist_mm, divergence_rad
-        Gaussian width across at the waist, the waist's distance, growth of the width away from it.
-    fall_rad
-        Gaussian fall of the power over the angle along the line.
+    `peak_grey` is the light of each on white that faces the projector, grey levels; it falls off as a
+    Gaussian across (`sigma_mm` at the waist's distance, growing by the divergence) and over the angle along
+    the line.
     """
 
     origin_mm: Floats

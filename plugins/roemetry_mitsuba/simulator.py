@@ -8,14 +8,15 @@ processor (float32 sums may differ in their last digits between vector widths).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
-from functools import cached_property
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from roemetry.config.scene_parts import BoardPart
+from roemetry.config.scene_parts import BOARDS, NONE, ON_BELT, BoardPart, family_options
 from roemetry.errors import StageError
 from roemetry.records import Frame, ProductTruth, Role, Simulated, Truth
 from roemetry.records import Sensor as Noise
@@ -32,21 +33,19 @@ from roemetry_mitsuba.light import (
     expose,
 )
 from roemetry_mitsuba.materials import Dipole, dipole_of
-from roemetry_mitsuba.products import FAMILIES, NONE, Drawn, block, options_of, stairs
+from roemetry_mitsuba.products import FAMILIES, MODELS, Drawn, block, stairs
 from roemetry_mitsuba.scene import Camera, Fan, MitsubaOptions, camera_of, fan_of
 from roemetry_mitsuba.truth import Crossings, crossings
 
 Floats = NDArray[np.float64]
 
-BOARDS = ("charuco", "chessboard")
-ON_BELT = "on_belt"
 _NEXT_IN_FRAME = 1_000_003
 """Between the seeds of a frame's products, so that no other item's product has them."""
 _TEXEL_MM = 0.15
 """Pitch of the textures: about a pixel."""
 _WHITE, _BLACK = 0.62, 0.08
 """Albedo of a board's paper and ink, and of the matt paint of block and staircase (`_WHITE`)."""
-_PX_PER_SQUARE = 64
+_PX_PER_SQUARE = 64  # of a board's print: finer than any image shows it
 _EDGE_MM = 1.0
 """What is left between a product that was moved into reach and the border of the view."""
 
@@ -89,8 +88,8 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
             return ()
         chosen = part.items[number] if number < len(part.items) else None
         item_seed = seed + number - len(part.items) if chosen is None else chosen.seed
-        options = options_of(part.family, part.options | ({} if chosen is None else chosen.options), ())
-        assert options is not None
+        own = {} if chosen is None else chosen.options
+        options = family_options(part.family, part.options | own, MODELS)
         laid = []
         for k in range(part.in_frame):
             rng = np.random.default_rng([item_seed + k * _NEXT_IN_FRAME, *part.family.encode()])
@@ -102,25 +101,14 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
         if part.in_frame > 1:
             laid = _in_a_row(laid, part.gap_mm)
         name = f"item {number + 1}, {part.family} of seed {item_seed}"
-        found = [self._reached(one) if part.keep_in_reach else one for one in laid]
+        found = [self._move_into_reach(one) if part.keep_in_reach else one for one in laid]
         for one in found:
             self._check_in_view(one.body, name)
         return tuple(sorted(found, key=lambda one: sum(one.body.extent_mm[:2])))
 
     def calibration_frames(self, seed: int) -> Mapping[str, Mapping[str, Frame]]:
         """Give the calibration images, by kind and name; each is made when it is asked for."""
-        boards = [f"pose_{k:02d}" for k in range(1, self.options.targets.board.poses + 1)] + [ON_BELT]
-        lit = [f"{name}_{light}" for name in boards for light in ("plain", "laser")]
-        names = {
-            "block": ["block"],
-            "belt": ["belt"],
-            "staircase": ["staircase"],
-            **dict.fromkeys(BOARDS, lit),
-        }
-        return {
-            kind: _Asked(listed, lambda name, kind=kind: self._target(kind, name, seed))  # type: ignore[misc]
-            for kind, listed in names.items()
-        }
+        return self.options.targets.views(partial(self._target, seed))
 
     def target_bodies(self, kind: str, name: str, seed: int) -> list[Body]:
         """Give what lies on the belt in a calibration image."""
@@ -173,9 +161,7 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
 
     def calibration_truth(self, seed: int) -> Mapping[str, Any]:
         """Give the true rig, and where each target lay; planes are n·X = d in the belt frame, mm."""
-        camera, targets = self.camera, self.options.targets
-        board = targets.board.model_dump(mode="json", exclude={"poses", "tilt_max_deg", "height_mm"})
-        lay = {name: pose.tolist() for name, pose in self.board_poses(seed).items()}
+        camera = self.camera
         cx, cy = camera.principal_px.tolist()
         return {
             "rig": {
@@ -186,9 +172,7 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
                 "planes": np.column_stack([self.fan.normals, self.fan.offsets_mm]).tolist(),
                 "projector_mm": self.fan.origin_mm.tolist(),
             },
-            "block": targets.block.model_dump(mode="json"),
-            "staircase": targets.staircase.model_dump(mode="json"),
-            **{kind: {**board, "T_belt_board": lay} for kind in BOARDS},
+            **self.options.targets.truth(self.board_poses(seed)),
         }
 
     @cached_property
@@ -213,12 +197,9 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
         if grain is None:
             f_number = 8.0 if camera.focus is None else camera.focus.f_number
             grain = diffraction_grain_px(
-                laser.wavelength_nm,
-                f_number,
-                camera.focal_length_mm,
-                camera.distance_mm,
+                laser.wavelength_nm, f_number, camera.focal_length_mm, camera.distance_mm,
                 camera.pixel_size_um,
-            )
+            )  # fmt: skip
         return Sensor(
             camera.gain_dn_per_e, camera.read_noise_e * camera.gain_dn_per_e, camera.black_level_dn,
             camera.blur_sigma_px, math.inf if camera.full_well_e is None else camera.full_well_e,
@@ -238,18 +219,15 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
         return dipole_of(below.depth_mm, below.blur_mm)
 
     def _lamps(self, role: Role) -> Lamps:
-        light = self.options.light
+        light, grey = self.options.light, self._grey
         sky, ring = light.ambient_e_per_ms, 0.0
         if role == "plain":
             sky, ring = DOME_SHARE * light.plain_e_per_ms, (1.0 - DOME_SHARE) * light.plain_e_per_ms
-        lamps = Lamps(sky * self._grey, ring * self._grey, light.lamp_height_mm, light.lamp_radius_mm)
+        lamps = Lamps(sky * grey, ring * grey, light.lamp_height_mm, light.lamp_radius_mm)
         if light.stray is None:
             return lamps
-        stray = light.stray
-        return Lamps(
-            lamps.sky_grey, lamps.ring_grey, lamps.ring_height_mm, lamps.ring_radius_mm,
-            stray.e_per_ms * self._grey, stray.position_mm, stray.radius_mm,
-        )  # fmt: skip
+        at, radius = light.stray.position_mm, light.stray.radius_mm
+        return replace(lamps, stray_grey=light.stray.e_per_ms * grey, stray_mm=at, stray_radius_mm=radius)
 
     def _item_frame(self, role: Role, bodies: list[Body], seed: int, number: int) -> Frame:
         surface = self.options.surface
@@ -257,7 +235,9 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
         if surface.below.share > 0.0 and surface.metal == "none":
             below = self._dipole, surface.below.share
         ground = self._belt_material(role, seed, clean=False)
-        pixels = self._taken(role, ground, bodies, self._product_material(role, bodies, seed), below, seed)
+        pixels = self._take_image(
+            role, ground, bodies, self._product_material(role, bodies, seed), below, seed
+        )
         belt = self.options.belt
         travel_mm = number * belt.pitch_mm
         return Frame(
@@ -269,7 +249,7 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
             encoder_count=float(math.floor(travel_mm / belt.encoder_step_mm + 1e-9)),
         )
 
-    def _target(self, kind: str, name: str, seed: int) -> Frame:
+    def _target(self, seed: int, kind: str, name: str) -> Frame:
         role: Role = "plain" if name.endswith("_plain") else "laser"
         bodies = self.target_bodies(kind, name, seed)
         number = sum(name.encode()) + 1000 * ("block", "belt", "staircase", *BOARDS).index(kind)
@@ -281,12 +261,12 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
             material = Material(np.full((2, 2), _WHITE), np.zeros((2, 4)))
         seed += 7919 * number
         ground = self._belt_material(role, seed, clean=True)
-        pixels = self._taken(role, ground, bodies, material, None, seed)
+        pixels = self._take_image(role, ground, bodies, material, None, seed)
         return Frame(
             pixels, role=role, name=name, bit_depth=self.options.camera.bit_depth, sensor=self.sensor()
         )
 
-    def _taken(
+    def _take_image(
         self, role: Role, ground: Material, bodies: list[Body], material: Material,
         below: tuple[Dipole, float] | None, seed: int,
     ) -> NDArray[Any]:  # fmt: skip
@@ -352,7 +332,7 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
         grey = factors[..., :3].mean(axis=-1) if factors.ndim == 3 else factors
         return np.asarray(cv2.resize(grey, shape[::-1], interpolation=cv2.INTER_AREA)[::-1])
 
-    def _reached(self, one: Placed) -> Placed:
+    def _move_into_reach(self, one: Placed) -> Placed:
         """Move a product along X by as little as brings its ends near the outer stripes and into the view."""
         x_min, x_max, y_min, y_max = one.body.extent_mm
         height = 0.25 * one.body.height_mm
@@ -383,24 +363,6 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
                 hint="make the product smaller, or let the camera see more",
                 at=("product",),
             )
-
-
-class _Asked(Mapping[str, Frame]):
-    """Images by name, each made when it is asked for."""
-
-    def __init__(self, names: list[str], make: Callable[[str], Frame]) -> None:
-        self._names, self._make = names, make
-
-    def __getitem__(self, name: str) -> Frame:
-        if name not in self._names:
-            raise KeyError(name)
-        return self._make(name)
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._names)
-
-    def __len__(self) -> int:
-        return len(self._names)
 
 
 def _lay(drawn: Drawn, at: tuple[float, float, float], density: float) -> Placed:
@@ -462,8 +424,7 @@ def _with_figures(one: Placed, found: Crossings, label: int, seed: int) -> Produ
             "defect_seen_mm": _most(seen) if one.truth.defect != NONE else 0.0,
             "hollow_seen_mm": max(_hollow(points[stripes == i, 1:]) for i in np.unique(stripes)),
         }
-    told = one.truth
-    return ProductTruth(told.label, told.defect, told.visible_mm3, told.true_mm3, told.mass_g, figures)
+    return replace(one.truth, figures=figures)
 
 
 def _most(values: Floats) -> float:

@@ -37,20 +37,10 @@ _BELT_STEP_MM = 2.0
 
 @dataclass(frozen=True, eq=False)
 class Crossings:
-    """All places where a stripe is lit and seen, sorted by stripe and row, in each row the first told first.
+    """All N places where a stripe is lit and seen, by stripe and row; of several, the first is told.
 
-    Attributes
-    ----------
-    stripe, row
-        Shape (N,).
-    x_px
-        Column, px, shape (N,).
-    xyz_mm
-        Belt frame, shape (N, 3).
-    label
-        0 belt, k the k-th body, shape (N,).
-    shape
-        Number of stripes and of rows.
+    Column `x_px` and point `xyz_mm`, shape (N, 3), belt frame; `label` is 0 on the belt, k on the k-th
+    body; `shape` counts stripes and rows.
     """
 
     stripe: Integers

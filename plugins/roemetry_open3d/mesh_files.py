@@ -82,7 +82,7 @@ def _file_name(title: str) -> str:
     return title.replace("/", "_").replace("\\", "_").replace("#", "_")
 
 
-_GREY = 150
+_GREY = 150  # of 255, where the surface is assumed
 _STOPS = np.array([[38, 84, 148], [91, 167, 176], [236, 220, 141], [178, 57, 40]], np.float64)
 """Blue where it is sure, over green and yellow, to red at the highest uncertainty of the mesh."""
 
@@ -147,7 +147,7 @@ def _plain(title: str) -> str:
     return title.encode("ascii", "replace").decode("ascii").replace("\n", " ").replace("\r", " ")
 
 
-MEASURED, BRIDGED, ASSUMED = 0, 1, 2
+MEASURED, BRIDGED, ASSUMED = 0, 1, 2  # what supports a vertex, as the files have it
 
 
 class Certainty(NamedTuple):

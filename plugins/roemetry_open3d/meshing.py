@@ -17,12 +17,12 @@ from roemetry.records.arrays import Floats, Integers
 from roemetry_open3d.sheet import Sheet
 
 Method = Literal["poisson", "ball-pivoting", "alpha-shape"]
-_SCALE = 1.1
-_SUPPORT_STEPS = 3.0
-_RADII_STEPS = 2.0, 4.0, 8.0
-_ALPHA_START_SPACINGS = 0.75
-_ALPHA_GROWS = 1.25
-_ALPHA_TRIES = 8
+_SCALE = 1.1  # Poisson's cube over the cloud's extent: Open3D's default, a margin for the smoothing
+_SUPPORT_STEPS = 3.0  # steps of the cloud beyond which Poisson's surface has no support and is cut off
+_RADII_STEPS = 2.0, 4.0, 8.0  # balls, in steps: the first rolls over the grid, the others over wider gaps
+_ALPHA_START_SPACINGS = 0.75  # of the lines: a smaller alpha falls through between them
+_ALPHA_GROWS = 1.25  # from try to try, until the shape is one closed body
+_ALPHA_TRIES = 8  # up to five times the first alpha
 
 
 class Mesh(NamedTuple):
@@ -125,9 +125,9 @@ def _alpha_shape(o3d, cloud: Cloud, sheet: Sheet) -> tuple[Floats, Integers]:  #
     return vertices, triangles
 
 
-_MIRROR = np.array([1.0, 1.0, -1.0])
-_LEAST_STEPS = 0.25
-_STIRRED_STEPS = 0.01
+_MIRROR = np.array([1.0, 1.0, -1.0])  # at the belt
+_LEAST_STEPS = 0.25  # height over the belt, in steps, below which a point and its mirror image would clash
+_STIRRED_STEPS = 0.01  # how far points are moved, in steps: enough to part four points of one ball
 
 
 class Cloud(NamedTuple):
@@ -206,7 +206,7 @@ def _ring(sheet: Sheet, step_mm: float) -> Floats:
     return np.column_stack([np.interp(at, along, edge[:, k]) for k in range(3)])
 
 
-_LARGEST_LOOP = 12
+_LARGEST_LOOP = 12  # edges of a hole that is filled; larger ones are no gaps between balls
 
 
 def open_edges(triangles: Integers) -> int:

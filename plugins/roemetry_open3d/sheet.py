@@ -11,9 +11,9 @@ from roemetry.errors import StageError
 from roemetry.records import Product, Reason
 from roemetry.records.arrays import Flags, Floats
 
-_COLUMNS = 64
-_EDGE_PX = 0.5
-_FAR_MM = 4.0
+_COLUMNS = 64  # places along a line that are joined to those of the next
+_EDGE_PX = 0.5  # an outline nearer to the image's edge may go on beyond it
+_FAR_MM = 4.0  # lines that end farther inside an outline show something else
 _BEYOND_OUTER = Reason(
     "beyond-outer-stripes",
     "the product reaches beyond the outer stripes; what lies beyond is not in the number",
@@ -22,23 +22,12 @@ _BEYOND_OUTER = Reason(
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Sheet:
-    """A grid over the product.
+    """A grid over the product, shape (row, column, 3), mm, laid through the measured lines.
 
-    Attributes
-    ----------
-    xyz_mm : ndarray, shape (row, column, 3)
-        Rows run along X, from tip to tip where there is an outline; columns along each line.
-    spacing_mm : float
-        Mean distance of neighbouring lines.
-    lines
-        What was measured.
-    miss_mm : float
-        How far a line lies from the bridge over its own place when it is left out, root mean square: of
-        bridges twice as wide. NaN with fewer than five lines.
-    assumed : ndarray of bool, shape (row,)
-        True for rows beyond the outer lines.
-    reasons
-        What is to be said.
+    Rows run along X, from tip to tip where there is an outline, columns along each line; `assumed` marks
+    rows beyond the outer lines. `spacing_mm` is the mean distance of neighbouring lines; `miss_mm` how far
+    a line lies from the bridge over its own place when it is left out, root mean square: of bridges twice
+    as wide (NaN with fewer than five lines).
     """
 
     xyz_mm: Floats
@@ -175,11 +164,11 @@ def _tip(border: Floats, even: Floats, end: int) -> Floats | None:
     return _evenly(part if part[0, 1] < part[-1, 1] else part[::-1], _COLUMNS)
 
 
-LEAST_LINES = 3
-_LEAST_POINTS = 4
-_GAP_MM = 3.0
-_FALLEN = 0.5
-_SUNKEN_MM = 1.0
+LEAST_LINES = 3  # two span no surface that is curved across them
+_LEAST_POINTS = 4  # on a stripe that counts as a line
+_GAP_MM = 3.0  # between neighbours along a line: some ten image rows of the herring roe rig
+_FALLEN = 0.5  # of a line's height: rims of a gap that are lower are those of a hole
+_SUNKEN_MM = 1.0  # mean depth of a line below the belt that no error of a belt's zero explains
 
 
 class Line(NamedTuple):

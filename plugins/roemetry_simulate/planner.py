@@ -89,7 +89,7 @@ class RigPlanner(Planner[RayCasterOptions]):
             tuple(tables),
             tuple(curves),
             _sketch(space),
-            tuple(Reason(*each) for each in _reasons(self.options, space)),
+            tuple(_reasons(self.options, space)),
         )
 
 
@@ -245,8 +245,8 @@ def _dark(space: Space) -> list[str]:
     return [str(i) for i in sorted(dark)]
 
 
-def _reasons(scene: RayCasterOptions, space: Space) -> list[tuple[str, str]]:
-    """What the plan cannot say, and what it warns of: codes and sentences."""
+def _reasons(scene: RayCasterOptions, space: Space) -> list[Reason]:
+    """What the plan cannot say, and what it warns of."""
     rig = space.rig
     stripes = stripes_at(rig, _feet(space), space.albedo, rig.laser.peak_grey)
     cut = [str(i) for i, one in enumerate(stripes) if peak_std(one, rig.sensor).is_saturated]
@@ -257,49 +257,49 @@ def _reasons(scene: RayCasterOptions, space: Space) -> list[tuple[str, str]]:
     found = []
     if out:
         where = f"not in the image on the belt at Y = {space.y_mm:.1f} mm"
-        found.append(("stripe-out-of-view", f"stripe {', '.join(out)}: {where}"))
+        found.append(Reason("stripe-out-of-view", f"stripe {', '.join(out)}: {where}"))
     if rig.focus is None:
         text = (
             "depth of field and speckle limit: the scene gives no aperture; set "
             "simulator.options.camera.focus.distance_mm and .f_number"
         )
-        found.append(("depth-of-field", text))
+        found.append(Reason("depth-of-field", text))
     if rig.laser.count == 1:
         text = "one plane: there is no neighbour to take it for, and the slices come from the belt's travel"
-        found.append(("spacing-height", text))
+        found.append(Reason("spacing-height", text))
     if cut:
-        found.append(("saturated", f"stripe {', '.join(cut)}: saturated {level}"))
+        found.append(Reason("saturated", f"stripe {', '.join(cut)}: saturated {level}"))
     if dark:
         text = (
             f"stripe {', '.join(dark)}: dead, or less than {_SEEN_SIGMAS:g} times the noise above its "
             f"background {level}, somewhere in view"
         )
-        found.append(("dark-stripe", text))
+        found.append(Reason("dark-stripe", text))
     if scene.laser.speckle_contrast > _MOST_CONTRAST:
         text = (
             f"speckle of contrast {scene.laser.speckle_contrast:g}: the nearer to fully developed (1), "
             "the less it is noise about a mean; the stated uncertainties hold up to a contrast of "
             f"{_MOST_CONTRAST:g}"
         )
-        found.append(("speckle", text))
+        found.append(Reason("speckle", text))
     if min(widths) < _NARROW_PX:
         text = (
             f"the thinnest stripe has a standard deviation of {min(widths):.2f} px: below "
             f"{_NARROW_PX:g} px the place within the pixel shows as a systematic error that is not counted"
         )
-        found.append(("narrow", text))
+        found.append(Reason("narrow", text))
     if apart.size and float(apart.min()) < 2.0 * WINDOW_SIGMAS * max(widths):
         text = (
             f"stripes come as near as {apart.min():.1f} px at a standard deviation of {max(widths):.1f} px: "
             "they overlap, and the uncertainties of single stripes do not hold"
         )
-        found.append(("crowded", text))
+        found.append(Reason("crowded", text))
     if scene.surface.gloss > 0.0 or scene.surface.below.share > 0.0:
         text = (
             "uncertainties are those of a matt surface: gloss and light from below the "
             "surface, which the scene has, are not counted"
         )
-        found.append(("matt", text))
+        found.append(Reason("matt", text))
     return found
 
 

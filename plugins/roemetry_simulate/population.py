@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from roemetry.config.scene_parts import ProductPart
+from roemetry.config.scene_parts import NONE, ProductPart, family_options
 from roemetry.errors import StageError
 from roemetry_simulate.optics import view_mm
-from roemetry_simulate.products import Drawn, family_of, options_of
+from roemetry_simulate.products import MODELS, PRODUCTS, Drawn
 from roemetry_simulate.products.family import Pose
 from roemetry_simulate.products.mesh import MeshSolid
 from roemetry_simulate.products.parts import PartsSolid, box, placed
@@ -34,7 +34,7 @@ _NEXT_IN_FRAME = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
-class Lying:
+class ItemProducts:
     """One item's products from left to right (none for an empty belt), and the seed of the first."""
 
     seed: int
@@ -43,20 +43,20 @@ class Lying:
     @property
     def solid(self) -> Solid:
         """All of them as one solid."""
-        return lying_together([one.solid for one in self.products]) if self.products else EmptyBelt()
+        return as_one_solid([one.solid for one in self.products]) if self.products else EmptyBelt()
 
 
-def product_of(part: ProductPart, rig: Rig, number: int, seed: int) -> Lying:
+def draw_item(part: ProductPart, rig: Rig, number: int, seed: int) -> ItemProducts:
     """Draw the products of an item (number from 0); seeds count up from the set's.
 
     Raises StageError where a product is larger than the view, or there is no room for so many.
     """
-    family = family_of(part.family)
     chosen = part.items[number] if number < len(part.items) else None
     item_seed = seed + number - len(part.items) if chosen is None else chosen.seed
-    if family is None:
-        return Lying(item_seed, ())
-    options = options_of(part.family, part.options | ({} if chosen is None else chosen.options))
+    if part.family == NONE:
+        return ItemProducts(item_seed, ())
+    family = PRODUCTS[part.family]
+    options = family_options(part.family, part.options | ({} if chosen is None else chosen.options), MODELS)
     name = f"item {number + 1}, {part.family} of seed {item_seed}"
     if part.in_frame > 1:
         drawn = [family.draw(item_seed + _NEXT_IN_FRAME * k, options) for k in range(part.in_frame)]
@@ -68,17 +68,17 @@ def product_of(part: ProductPart, rig: Rig, number: int, seed: int) -> Lying:
             seed=item_seed,
             name=name,
         )
-        return Lying(item_seed, laid)
+        return ItemProducts(item_seed, laid)
     one = family.draw(item_seed, options)
     if part.keep_in_reach:
         one = in_reach(one, rig, part.most_overhang_spacings)
     check_in_view(one, rig, name)
-    return Lying(item_seed, (one,))
+    return ItemProducts(item_seed, (one,))
 
 
 Floats = NDArray[np.float64]
 
-_MARGIN_MM = 1.0
+_MARGIN_MM = 1.0  # kept free at the view's border, so that an outline stays whole in the image
 
 
 def in_reach(drawn: Drawn, rig: Rig, most_overhang_spacings: float) -> Drawn:
@@ -182,18 +182,12 @@ def _view_at(rig: Rig, height_mm: float) -> tuple[float, float, float, float]:
 
 Flags = NDArray[np.bool_]
 
-_CELL_MM = 0.5
-_TRIES, _STARTS = 200, 20
+_CELL_MM = 0.5  # of the grid that places are looked for on: gaps are kept to half a millimetre
+_TRIES, _STARTS = 200, 20  # places that are tried for a product, and beginnings with an empty belt
 
 
 def side_by_side(
-    products: Sequence[Drawn],
-    rig: Rig,
-    *,
-    gap_mm: float,
-    most_overhang_spacings: float,
-    seed: int,
-    name: str,
+    products: Sequence[Drawn], rig: Rig, *, gap_mm: float, most_overhang_spacings: float, seed: int, name: str
 ) -> tuple[Drawn, ...]:
     """Lay products where they keep off each other, and return them from left to right.
 
@@ -268,7 +262,7 @@ def _grown(taken: Flags, mask: Flags, at: tuple[int, int], gap_mm: float) -> Fla
     return taken | near
 
 
-_NEAR_MM = 0.5
+_NEAR_MM = 0.5  # a point of a skin lies within this of its own footprint, but on walls that lean out
 
 
 @dataclass(frozen=True, eq=False)
@@ -349,7 +343,7 @@ class Group:
         return label
 
 
-def lying_together(solids: Sequence[Solid]) -> Solid:
+def as_one_solid(solids: Sequence[Solid]) -> Solid:
     """Return one solid for the kernels: the only one itself, or a group."""
     return solids[0] if len(solids) == 1 else Group(tuple(solids))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from roemetry.records import Frame, ProductTruth, Role, Simulated, StripeTruth, Truth
 from roemetry.records import Sensor as Noise
 from roemetry.stages import Simulator, Turn
-from roemetry_simulate.population import Group, product_of
+from roemetry_simulate.population import Group, draw_item
 from roemetry_simulate.products import Drawn
-from roemetry_simulate.render import Rig, render, turned_back
-from roemetry_simulate.scene import RayCasterOptions, marked, rig_of, surface_of
+from roemetry_simulate.render import Rig, as_stored, render
+from roemetry_simulate.scene import RayCasterOptions, contaminate, rig_of, surface_of
 from roemetry_simulate.solid import Solid
-from roemetry_simulate.targets import TargetViews, known_beforehand
+from roemetry_simulate.targets import calibration_truth_of, take_target
 from roemetry_simulate.truth import StripeTruth as Crossings
 from roemetry_simulate.truth import stripe_centres, stripes_show
 
@@ -37,14 +37,14 @@ class RayCaster(Simulator[RayCasterOptions]):
     def __init__(self, options: RayCasterOptions | None = None) -> None:
         super().__init__(options)
         # a product that cannot be, or does not fit, is told before anything is rendered
-        product_of(self.options.product, self._rig, 0, 0)
+        draw_item(self.options.product, self._rig, 0, 0)
 
     def simulate(self, number: int, seed: int) -> Simulated:
         """Make the item of this number; raise StageError where its product does not fit into the view."""
-        lying = product_of(self.options.product, self._rig, number, seed)
+        lying = draw_item(self.options.product, self._rig, number, seed)
         solid = lying.solid
         surface = surface_of(self.options, lying.seed)
-        surface = marked(surface, self.options, self._rig, lying.products, lying.seed)
+        surface = contaminate(surface, self.options, self._rig, lying.products, lying.seed)
         crossings = stripe_centres(self._rig.camera, self._rig.laser, solid)
         stripes = stripes_of(crossings, solid)
         frames = []
@@ -64,7 +64,7 @@ class RayCaster(Simulator[RayCasterOptions]):
 
     def calibration_frames(self, seed: int) -> Mapping[str, Mapping[str, Frame]]:
         """Give the calibration images, by kind and name; each is made when it is asked for."""
-        return TargetViews(self.options, self._rig, seed)
+        return self.options.targets.views(partial(take_target, self.options, self._rig, seed))
 
     def turn_deg(self) -> Turn:
         """Give the turn that rights its images."""
@@ -76,7 +76,7 @@ class RayCaster(Simulator[RayCasterOptions]):
 
     def calibration_truth(self, seed: int) -> Mapping[str, Any]:
         """Give the true rig, and where each target lay."""
-        return known_beforehand(self.options, self._rig, seed)
+        return calibration_truth_of(self.options, self._rig, seed)
 
     @cached_property
     def _rig(self) -> Rig:
@@ -86,7 +86,7 @@ class RayCaster(Simulator[RayCasterOptions]):
         belt = self.options.belt
         travel_mm = number * belt.pitch_mm
         return Frame(
-            turned_back(pixels, self.options.turn_deg),
+            as_stored(pixels, self.options.turn_deg),
             role=role,
             bit_depth=self.options.camera.bit_depth,
             time_s=travel_mm / belt.speed_mm_per_s if belt.speed_mm_per_s > 0.0 else math.nan,

@@ -225,8 +225,8 @@ def sees_in(
 
 Place = tuple[float, float, float]
 
-MISS = -1.0
-_LEAST_STEP_MM = 0.02
+MISS = -1.0  # distance of a ray that meets nothing
+_LEAST_STEP_MM = 0.02  # of the march, so that a grazing ray ends; a thinner rim may be missed
 
 
 @kernel

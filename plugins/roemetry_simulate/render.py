@@ -165,7 +165,7 @@ def render(
     return expose(laser, ambient, rig.sensor, seed, lens)
 
 
-def turned_back(pixels: NDArray[Any], turn_deg: int) -> NDArray[Any]:
+def as_stored(pixels: NDArray[Any], turn_deg: int) -> NDArray[Any]:
     """Return an image as it is stored: a counter-clockwise turn by `turn_deg` rights it."""
     return np.ascontiguousarray(np.rot90(pixels, -turn_deg // 90))
 
@@ -249,7 +249,7 @@ def _render_laser(
                     cosine = sees_in(body, reach, point, normal, stray[:3], beam, scratch)
                     if cosine > 0.0:
                         gloss = gloss_at(albedo, maps, texture, point, on)
-                        mirrored = shine(gloss, albedo[4], normal, beam, view)
+                        mirrored = specular(gloss, albedo[4], normal, beam, view)
                         image[row, column, 2] += share * (grey * cosine + mirrored)
                 wide = width_at(fan, projector, point)
                 light = planes_light(planes, point, normal, 0.0, wide) * (fan[0] / wide)
@@ -270,7 +270,7 @@ def _render_laser(
                 angle = math.asin(run) / fan[1]
                 fall = math.exp(-0.5 * angle * angle)
                 light *= fall
-                mirrored = shine(gloss_at(albedo, maps, texture, point, on), albedo[4], normal, beam, view)
+                mirrored = specular(gloss_at(albedo, maps, texture, point, on), albedo[4], normal, beam, view)
                 if on == 1 and below[0] > 0.0:
                     scattered = grey * cosine * ((1.0 - below[0]) * light + fall * soft)
                     image[row, column, 0] += share * (scattered + light * mirrored)
@@ -311,7 +311,7 @@ def _render_plain(
                 light = 0.25 * (0.5 + 0.5 * normal[2]) * grey
                 if cosine > 0.0:
                     gloss = 0.5 * gloss_at(albedo, maps, texture, point, on)
-                    light += 0.75 * (grey * cosine / level + shine(gloss, albedo[4], normal, beam, view))
+                    light += 0.75 * (grey * cosine / level + specular(gloss, albedo[4], normal, beam, view))
                 image[row, column] += share * light
     return image
 
@@ -401,7 +401,7 @@ def planes_light(planes: Floats, point: Floats, normal: Floats, depth_mm: float,
 
 
 @kernel
-def shine(gloss: float, exponent: float, normal: Floats, beam: Floats, view: Floats) -> float:
+def specular(gloss: float, exponent: float, normal: Floats, beam: Floats, view: Floats) -> float:
     """Mirror-like part: a power of the cosine between the normal and the half-way direction."""
     if gloss == 0.0:
         return 0.0

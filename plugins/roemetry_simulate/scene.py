@@ -38,7 +38,7 @@ from roemetry_simulate.optics import (
     undistorted,
     view_mm,
 )
-from roemetry_simulate.products import Drawn, options_of
+from roemetry_simulate.products import MODELS, Drawn
 from roemetry_simulate.render import Rig, Sensor
 from roemetry_simulate.surface import Picture, Surface, textured
 
@@ -52,9 +52,7 @@ class RayCasterProduct(ProductPart):
 
     @model_validator(mode="after")
     def _is_known(self) -> RayCasterProduct:
-        options_of(self.family, self.options, ("options",))
-        for number, item in enumerate(self.items):
-            options_of(self.family, self.options | item.options, ("items", number, "options"))
+        self.check_families(MODELS)
         if self.items and self.in_frame > 1:
             raise MisfitError(
                 (("in_frame",), "items that were chosen by seed lie alone: leave one of both out")
@@ -133,9 +131,7 @@ def surface_of(scene: RayCasterOptions, seed: int) -> Surface:
     )
     below = product.below
     return replace(
-        drawn,
-        gloss_exponent=product.gloss_exponent,
-        below=(below.share, below.depth_mm, below.blur_mm),
+        drawn, gloss_exponent=product.gloss_exponent, below=(below.share, below.depth_mm, below.blur_mm)
     )
 
 
@@ -240,7 +236,7 @@ def _check_distortion(camera: Camera, x: Floats, y: Floats) -> None:
         raise MisfitError((("distortion",), why))
 
 
-def marked(
+def contaminate(
     surface: Surface, scene: RayCasterOptions, rig: Rig, products: Sequence[Drawn], seed: int
 ) -> Surface:
     """Put the scene's dirt and patches on the belt, and wet places and picture on the products.
@@ -275,7 +271,7 @@ def marked(
     if scene.surface.albedo_map is not None and products:
         # two nodes of the picture for each pixel of the image
         pitch_mm = 0.5 * rig.camera.centre_mm[2] / rig.camera.focal_length_px
-        picture = laid_on(scene.surface.albedo_map, products, pitch_mm, scene.laser.wavelength_nm)
+        picture = project_albedo_map(scene.surface.albedo_map, products, pitch_mm, scene.laser.wavelength_nm)
         surface = replace(surface, picture=picture)
     return surface
 
@@ -310,11 +306,13 @@ def _covered(spots: Floats, x: Floats, y: Floats, step_mm: float) -> Floats:
 
 
 _LUMA = np.array([0.114, 0.587, 0.299])  # ITU-R BT.601, in the order blue, green, red
-_BLUE_TO_NM, _GREEN_TO_NM = 500.0, 590.0
-_EXTENT_STEP_MM = 0.25
+_BLUE_TO_NM, _GREEN_TO_NM = 500.0, 590.0  # where the filters of a colour camera take turns
+_EXTENT_STEP_MM = 0.25  # at which a footprint's extent along its own axes is looked for
 
 
-def laid_on(part: AlbedoMapPart, products: Sequence[Drawn], pitch_mm: float, wavelength_nm: float) -> Picture:
+def project_albedo_map(
+    part: AlbedoMapPart, products: Sequence[Drawn], pitch_mm: float, wavelength_nm: float
+) -> Picture:
     """Lay the picture on every product: its factors under the laser and in plain light, 1 beside.
 
     The picture's left edge lies at the smallest, its right edge at the largest place of the footprint along
@@ -334,7 +332,7 @@ def laid_on(part: AlbedoMapPart, products: Sequence[Drawn], pitch_mm: float, wav
             at_x, at_y = _in_picture(one, xx, yy)
             inside = np.isfinite(top) if on_it else (np.abs(at_x - 0.5) < 0.6) & (np.abs(at_y - 0.5) < 0.6)
             for layer, channel in ((laser, _laser_channel(grey, wavelength_nm)), (plain, _plain(grey))):
-                layer[inside] = _looked_up(channel, at_x[inside], at_y[inside])
+                layer[inside] = _interpolated(channel, at_x[inside], at_y[inside])
     matrix = np.zeros((2, 4))
     matrix[0, 0], matrix[1, 1] = 1.0 / pitch_mm, 1.0 / pitch_mm
     matrix[:, 3] = -x[0] / pitch_mm, -y[0] / pitch_mm
@@ -366,7 +364,7 @@ def _in_picture(one: Drawn, x: Floats, y: Floats) -> tuple[Floats, Floats]:
     return at_x, at_y
 
 
-def _looked_up(channel: Floats, at_x: Floats, at_y: Floats) -> Floats:
+def _interpolated(channel: Floats, at_x: Floats, at_y: Floats) -> Floats:
     from scipy.ndimage import map_coordinates
 
     rows, columns = channel.shape

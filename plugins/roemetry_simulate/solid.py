@@ -15,7 +15,7 @@ Floats = NDArray[np.float64]
 
 Reach = tuple[float, float, float, float, float, float]
 
-NOTHING, BOX, FIELD, PARTS, MESH, FIELDS = 0, 1, 2, 3, 4, 5
+NOTHING, BOX, FIELD, PARTS, MESH, FIELDS = 0, 1, 2, 3, 4, 5  # kinds of bodies, for the kernels
 
 NOWHERE: Reach = (0.0, 0.0, -2.0, 0.0, 0.0, -1.0)
 """A box below the belt, where no ray comes."""

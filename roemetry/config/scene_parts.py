@@ -8,14 +8,27 @@ makes of a part (of gloss, or of light below the surface) stands on its own page
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
+from roemetry.config.validation import unknown_key
 from roemetry.errors import MisfitError
+
+Value = TypeVar("Value")
+
+NONE = "none"
+"""The family of an empty belt."""
+
+BOARDS = ("charuco", "chessboard")
+ON_BELT = "on_belt"
+"""Pose of a board that lies on the belt."""
 
 Place = Annotated[float, Field(ge=-1e5, le=1e5)]
 Point = tuple[Place, Place, Place]
@@ -290,6 +303,38 @@ class SurfacePart(Part):
     wet: WetPart = Field(default_factory=WetPart, description="wet places")
 
 
+def family_options(
+    family: str,
+    options: Mapping[str, Any],
+    models: Mapping[str, type[BaseModel]],
+    at: tuple[str | int, ...] = ("options",),
+) -> Any:
+    """Check the options of a family of products, which stand at some keys; None for the family `none`.
+
+    Raises MisfitError with every fault: a family that is not among the models (with a close match), or
+    options that do not fit its model.
+    """
+    if family == NONE:
+        if options:
+            raise MisfitError((at, "family `none` has no options"))
+        return None
+    if family not in models:
+        close = difflib.get_close_matches(family, models, n=1)
+        mean = f"; did you mean `{close[0]}`?" if close else ""
+        known = ", ".join((NONE, *models))
+        raise MisfitError((("family",), f"there is no product family `{family}`{mean} There are: {known}"))
+    try:
+        return models[family].model_validate(dict(options))
+    except ValidationError as error:
+        said = []
+        for detail in error.errors():
+            why = f"{detail['msg'][0].lower()}{detail['msg'][1:]}".removeprefix("value error, ")
+            if detail["type"] == "extra_forbidden":
+                why = unknown_key(detail["loc"][-1], list(models[family].model_fields))
+            said.append(((*at, *detail["loc"]), why))
+        raise MisfitError(*said) from None
+
+
 class ItemPart(Part):
     """One product that was chosen, not counted up to."""
 
@@ -313,6 +358,12 @@ class ProductPart(Part):
     most_overhang_spacings: float = Field(
         default=1.2, ge=0, le=100, description="how far it may reach beyond the outer stripes, in spacings"
     )
+
+    def check_families(self, models: Mapping[str, type[BaseModel]]) -> None:
+        """Raise MisfitError for a family or options, of all or of an item, that the models do not know."""
+        family_options(self.family, self.options, models)
+        for number, item in enumerate(self.items):
+            family_options(self.family, self.options | item.options, models, ("items", number, "options"))
 
 
 class BlockPart(Part):
@@ -380,3 +431,38 @@ class TargetsPart(Part):
     block: BlockPart = Field(default_factory=BlockPart, description="the block")
     staircase: StaircasePart = Field(default_factory=StaircasePart, description="the staircase")
     board: BoardPart = Field(default_factory=BoardPart, description="the flat boards")
+
+    def truth(self, poses: Mapping[str, NDArray[np.float64]]) -> dict[str, Any]:
+        """Give what is true of the targets, as plain values, with the poses T_belt_board (4, 4), mm."""
+        board = self.board.model_dump(mode="json", exclude={"poses", "tilt_max_deg", "height_mm"})
+        board["T_belt_board"] = {name: pose.tolist() for name, pose in poses.items()}
+        return {
+            "block": self.block.model_dump(mode="json"),
+            "staircase": self.staircase.model_dump(mode="json"),
+            **dict.fromkeys(BOARDS, board),
+        }
+
+    def views(self, take: Callable[[str, str], Value]) -> Mapping[str, Mapping[str, Value]]:
+        """Give all calibration images by kind, then name; `take`, of both, makes one when it is asked for."""
+        boards = [*(f"pose_{number:02d}" for number in range(1, self.board.poses + 1)), ON_BELT]
+        lit = [f"{name}_{light}" for name in boards for light in ("plain", "laser")]
+        names = {name: [name] for name in ("block", "belt", "staircase")} | dict.fromkeys(BOARDS, lit)
+        return {kind: OnDemand(listed, partial(take, kind)) for kind, listed in names.items()}
+
+
+class OnDemand(Mapping[str, Value]):
+    """Values by name, each made when it is asked for."""
+
+    def __init__(self, names: Sequence[str], make: Callable[[str], Value]) -> None:
+        self._names, self._make = names, make
+
+    def __getitem__(self, name: str) -> Value:
+        if name not in self._names:
+            raise KeyError(name)
+        return self._make(name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)

@@ -168,6 +168,7 @@ def test_a_rig_goes_from_files_to_a_table_and_bad_ones_are_a_line_each(
         ({"objects": {}}, "'box' is missing"),
         ({"images": {}}, "no body can be scored"),
         ({"camera": {"width": 9}}, "missing"),
+        ({"laser": {"planes_belt": [[1, 2]], "projector_centre_belt": [0]}}, "truth.json: "),
     ],
 )
 def test_truth_that_cannot_be_used_is_one_sentence(
@@ -185,15 +186,26 @@ def test_a_mesh_that_is_not_watertight_is_told_and_its_volume_not_used(
     (rig / "box.ply").write_text(TETRAHEDRON.format(count=3), "utf-8")
     read = read_rig(rig)
     assert np.isnan(read.bodies[0].volume_mm3) and read.bodies[0].topview_mm3 > 0
-    assert "not watertight: 3 edges" in read.faults[0]
+    assert "not watertight: 3 of 6 edges" in read.faults[0]
     (rig / "box.ply").write_text(TETRAHEDRON.format(count=4) + "3 0 3 2\n", "utf-8")
     assert read_rig(rig).faults == ()
 
 
-def test_truth_arrays_of_another_shape_are_refused(tmp_path: Path) -> None:
-    np.savez(tmp_path / "a.npz", x=np.zeros((4, 2)), label=np.zeros((4, 2)))
-    with pytest.raises(RigError, match="the image has 5 rows"):
-        read_crossings(tmp_path / "a.npz", (5, 9))
+@pytest.mark.parametrize(
+    ("arrays", "says"),
+    [
+        ({"x": np.zeros((4, 3)), "label": np.zeros((4, 3))}, "the image has 5 rows"),
+        ({"x": np.zeros((5, 2)), "label": np.zeros((5, 2))}, "of 2 stripes; truth.json has 3 planes"),
+        ({"x": np.zeros((5, 3)), "label": np.full((5, 3), "belt")}, "are not numbers"),
+        ({"x": np.zeros((5, 3))}, "label missing"),
+    ],
+)
+def test_truth_arrays_that_contradict_the_rig_are_refused(
+    tmp_path: Path, arrays: dict[str, Any], says: str
+) -> None:
+    np.savez(tmp_path / "a.npz", **arrays)
+    with pytest.raises(RigError, match=says):
+        read_crossings(tmp_path / "a.npz", (5, 9), 3)
 
 
 def test_labels_are_judged_as_the_definitions_say() -> None:

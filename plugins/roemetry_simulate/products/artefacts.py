@@ -189,11 +189,7 @@ def ball_bar(options: BallBarOptions, pose: Pose) -> Solid:
     big, small, apart = options.ball_radius_mm, options.rod_radius_mm, options.centre_distance_mm
     c = math.sqrt(big * big - small * small)
     middle = 0.5 * apart
-    rod = [
-        tube(0.0, big, small),
-        plane((-1.0, 0.0, 0.0), middle - c),
-        plane((1.0, 0.0, 0.0), middle - c),
-    ]
+    rod = [tube(0.0, big, small), plane((-1.0, 0.0, 0.0), middle - c), plane((1.0, 0.0, 0.0), middle - c)]
     parts = [[ball(-middle, 0.0, big, big)], rod, [ball(middle, 0.0, big, big)]]
     length = apart - 2.0 * c
     cap = math.pi * (big - c) ** 2 * (2.0 * big + c) / 3.0

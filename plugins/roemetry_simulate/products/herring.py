@@ -33,7 +33,7 @@ from roemetry_simulate.surface import smooth_noise
 Floats = NDArray[np.float64]
 
 KINDS = ("healthy", "dented", "bent", "twisted", "folded", "broken")
-KIND_SHARES = (0.35, 0.18, 0.15, 0.13, 0.12, 0.07)
+KIND_SHARES = (0.35, 0.18, 0.15, 0.13, 0.12, 0.07)  # what a seed alone draws; kept, so that seeds stay
 
 FURTHER_KINDS = ("s-bent", "several-dents")
 """Kinds that are made when asked for, and never drawn without: what a seed alone gives stays as it is."""
@@ -117,7 +117,7 @@ class SkeinRecord:
     defect_angle_deg: float
 
 
-GRID_STEP_MM = 0.125
+GRID_STEP_MM = 0.125  # the relief, over 3 mm, is then sampled 24 times
 
 
 @dataclass(frozen=True, eq=False)
@@ -414,6 +414,7 @@ _LEAST_LOST, _MOST_LOST = 0.05, 0.25
 """Share of the visible volume that an underside may take away."""
 _COARSE_MM = 0.5
 """Pitch of the grid on which that share is found, for speed; a margin of 0.001 covers the difference."""
+# default shares of the family, the two further kinds among them
 _SHARES = {
     "healthy": 0.32, "dented": 0.13, "bent": 0.12, "s-bent": 0.08, "twisted": 0.11, "folded": 0.11,
     "broken": 0.06, "several-dents": 0.07,

@@ -10,7 +10,6 @@ of the edges' length, so that no ray slips through between neighbours.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -21,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from roemetry.errors import DataError
+from roemetry.io.meshes import Triangles, check_closed, read_mesh
 from roemetry_kernels.compiling import kernel
 from roemetry_simulate.products.family import (
     Drawn,
@@ -36,11 +36,11 @@ from roemetry_simulate.solid import MESH, ExactBody
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-_RAYS = 2_000_000
-MISS = -1.0
-_LEAF = 4
-_MARGIN_MM = 1e-7
-_EDGE = 1e-12
+_RAYS = 2_000_000  # vertical rays of the visible volume: right to 1e-4 of a box
+MISS = -1.0  # distance of a ray that meets nothing
+_LEAF = 4  # triangles of a leaf: fewer make the tree deep, more test many triangles
+_MARGIN_MM = 1e-7  # about boxes, against rounding
+_EDGE = 1e-12  # of an edge's length: what counts as inside, so that no ray slips through between neighbours
 _FILE = ("product", "options", "file")
 
 _UP = {
@@ -147,21 +147,15 @@ def close(mesh: Triangles, mm_per_unit: float = 1.0, up: str = "z", name: str = 
     looked inwards is turned inside out. Raises DataError, which begins with the name, where edges are open
     or faces are turned against their neighbours.
     """
-    points, which = np.unique(mesh.points, axis=0, return_inverse=True)
-    faces = which.reshape(-1)[mesh.faces]
+    points, faces = check_closed(mesh, name)
     corners = points[faces]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    a, b, c = faces.T
-    faces = faces[(a != b) & (b != c) & (c != a)]
-    _refuse_open(faces, name)
     corners = mm_per_unit * corners[np.any(across != 0.0, axis=1)] @ np.array(_UP[up], dtype=np.float64).T
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     corners -= np.array([0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), low[2]])
     volume = float(np.einsum("ti,ti->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6.0)
     if volume < 0.0:
         corners, volume = np.ascontiguousarray(corners[:, ::-1]), -volume
-    if volume <= 1e-9 * float(np.prod(high - low)):
-        raise DataError(f"{name}: the mesh encloses no volume")
     visible, area = _visible(corners)
     return ClosedMesh(corners, visible, volume, area)
 
@@ -174,26 +168,6 @@ def lay(mesh: ClosedMesh, pose: Pose) -> MeshSolid:
     return MeshSolid(corners, mesh.visible_mm3, mesh.true_mm3, mesh.footprint_mm2)
 
 
-def _refuse_open(faces: NDArray[np.int64], name: str) -> None:
-    """Refuse faces (T, 3) whose edges are not each met by as many faces one way as the other."""
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    forward = np.where(edges[:, 0] < edges[:, 1], 1, -1)
-    _, which, counts = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True, return_counts=True)
-    balance = np.bincount(which.reshape(-1), weights=forward)
-    open_edges = int((counts % 2).sum())
-    if open_edges:
-        raise DataError(
-            f"{name}: the mesh is not closed: {open_edges} of {len(counts)} edges are open",
-            hint="close its holes first; the volume of an open mesh is not defined",
-        )
-    turned = int((balance != 0.0).sum())
-    if turned:
-        raise DataError(
-            f"{name}: at {turned} of {len(counts)} edges faces are turned against each other",
-            hint="make the faces' order of corners agree, so that all look outwards",
-        )
-
-
 def _visible(corners_mm: Floats) -> tuple[float, float]:
     """Visible volume (mm³) and footprint (mm²) of triangles that stand on z = 0 about their own origin."""
     low, high = corners_mm.min(axis=(0, 1))[:2], corners_mm.max(axis=(0, 1))[:2]
@@ -202,13 +176,13 @@ def _visible(corners_mm: Floats) -> tuple[float, float]:
     columns, rows = (max(math.ceil(side / step), 1) for side in size)
     step_x, step_y = size[0] / columns, size[1] / rows
     top = np.full((rows, columns), -1.0)
-    _raise(top, np.ascontiguousarray(corners_mm), low[0], low[1], step_x, step_y)
+    _rasterise(top, np.ascontiguousarray(corners_mm), low[0], low[1], step_x, step_y)
     cell = float(step_x * step_y)
     return float(top[top > 0.0].sum()) * cell, float((top >= 0.0).sum()) * cell
 
 
 @kernel
-def _raise(top: Floats, corners: Floats, x0: float, y0: float, step_x: float, step_y: float) -> None:
+def _rasterise(top: Floats, corners: Floats, x0: float, y0: float, step_x: float, step_y: float) -> None:
     """Raise each node of a grid to the highest triangle over its middle."""
     rows, columns = top.shape
     for k in range(corners.shape[0]):
@@ -255,166 +229,6 @@ def _make(seed: int, options: MeshOptions) -> Drawn:
 
 MESH_FAMILY = ProductFamily("mesh", "any closed mesh: OBJ, STL or PLY", MeshOptions, _make)
 """The family."""
-
-
-_PLY_TYPES = {
-    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
-    "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4",
-    "double": "f8", "float64": "f8",
-}  # fmt: skip
-
-
-class Triangles(NamedTuple):
-    """Points (V, 3) in the file's unit, and triangles (T, 3) of their indices, counted from 0."""
-
-    points: Floats
-    faces: Integers
-
-
-def read_mesh(path: Path) -> Triangles:
-    """Read an .obj, .stl or .ply file as it stands; faces of more corners are cut into fans.
-
-    Raises DataError with the file's name and the reason, where it cannot be read.
-    """
-    readers = {".obj": _read_obj, ".stl": _read_stl, ".ply": _read_ply}
-    reader = readers.get(path.suffix.lower())
-    if reader is None:
-        raise DataError(f"{path}: a mesh file ends in {', '.join(readers)}, not {path.suffix!r}")
-    try:
-        mesh = reader(path.read_bytes())
-    except OSError as fault:
-        raise DataError(f"{path}: {fault.strerror or fault}") from fault
-    except (ValueError, IndexError, KeyError, OverflowError) as fault:
-        raise DataError(f"{path}: not a readable {path.suffix[1:].upper()} mesh: {fault}") from fault
-    if not mesh.faces.size:
-        raise DataError(f"{path}: the mesh has no faces")
-    if not np.isfinite(mesh.points).all():
-        raise DataError(f"{path}: the mesh has points that are NaN or infinite")
-    if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.points):
-        raise DataError(f"{path}: a face names a point that is not there ({len(mesh.points)} points)")
-    return mesh
-
-
-def _read_obj(data: bytes) -> Triangles:
-    points: list[list[float]] = []
-    faces: list[list[int]] = []
-    for number, line in enumerate(data.decode("utf-8", errors="replace").splitlines(), start=1):
-        words = line.split()
-        if not words:
-            continue
-        try:
-            if words[0] == "v":
-                points.append([float(word) for word in words[1:4]])
-                if len(points[-1]) != 3:
-                    raise ValueError("a point has three numbers")
-            elif words[0] == "f":
-                corners = [int(word.split("/")[0]) for word in words[1:]]
-                faces.append([c - 1 if c > 0 else len(points) + c for c in corners])
-        except ValueError as fault:
-            raise ValueError(f"line {number}: {fault}") from fault
-    return Triangles(np.array(points, dtype=np.float64).reshape(-1, 3), _fans(faces))
-
-
-def _read_stl(data: bytes) -> Triangles:
-    count = int.from_bytes(data[80:84], "little")
-    if len(data) == 84 + 50 * count and len(data) >= 84:
-        row = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-        corners = np.frombuffer(data, row, count, 84)["corners"].astype(np.float64)
-    elif data.lstrip().startswith(b"solid"):
-        words = data.decode("ascii", errors="replace").split()
-        at = [k for k, word in enumerate(words) if word == "vertex"]
-        corners = np.array([words[k + 1 : k + 4] for k in at], dtype=np.float64).reshape(-1, 3, 3)
-    else:
-        raise ValueError(f"{count} triangles need {84 + 50 * count} bytes, the file has {len(data)}")
-    return Triangles(corners.reshape(-1, 3), np.arange(3 * len(corners), dtype=np.int64).reshape(-1, 3))
-
-
-class _Element(NamedTuple):
-    """An element of a PLY header: name, rows, and its properties (name, type, type of a list's length)."""
-
-    name: str
-    rows: int
-    properties: list[tuple[str, str, str]]
-
-
-def _read_ply(data: bytes) -> Triangles:
-    head, mark, rest = data.partition(b"end_header")
-    if not data.startswith(b"ply") or not mark:
-        raise ValueError("the header does not run from 'ply' to 'end_header'")
-    body = rest[rest.index(b"\n") + 1 :]
-    form, elements = _ply_header(head.decode("ascii", errors="replace").splitlines())
-    rows = _ply_text(body, elements) if form == "ascii" else _ply_binary(body, elements, form)
-    for needed in ("vertex", "face"):
-        if needed not in rows:
-            raise ValueError(f"there is no element {needed!r}")
-    names = {element.name: [p[0] for p in element.properties] for element in elements}
-    axes = [names["vertex"].index(axis) for axis in "xyz"]
-    lists = [name in ("vertex_indices", "vertex_index") for name in names["face"]]
-    points = np.array([[row[axis][0] for axis in axes] for row in rows["vertex"]], dtype=np.float64)
-    faces = [[int(corner) for corner in row[lists.index(True)]] for row in rows["face"]]
-    return Triangles(points.reshape(-1, 3), _fans(faces))
-
-
-def _ply_header(lines: Sequence[str]) -> tuple[str, list[_Element]]:
-    form, elements = "", list[_Element]()
-    for words in (line.split() for line in lines):
-        if words[:1] == ["format"]:
-            form = words[1]
-        elif words[:1] == ["element"]:
-            elements.append(_Element(words[1], int(words[2]), []))
-        elif words[:1] == ["property"]:
-            length = _PLY_TYPES[words[2]] if words[1] == "list" else ""
-            elements[-1].properties.append((words[-1], _PLY_TYPES[words[-2]], length))
-    if form not in ("ascii", "binary_little_endian", "binary_big_endian"):
-        raise ValueError(f"unknown format {form!r}")
-    return form, elements
-
-
-Rows = dict[str, list[list[Sequence[float]]]]
-
-
-def _ply_text(body: bytes, elements: Sequence[_Element]) -> Rows:
-    numbers = [float(word) for word in body.split()]
-    at = 0
-    rows: Rows = {}
-    for element in elements:
-        rows[element.name] = []
-        for _ in range(element.rows):
-            row: list[Sequence[float]] = []
-            for _, _, length in element.properties:
-                count = int(numbers[at]) if length else 1
-                at += bool(length)
-                row.append(numbers[at : at + count])
-                at += count
-            rows[element.name].append(row)
-    if at > len(numbers):
-        raise ValueError("the file ends early")
-    return rows
-
-
-def _ply_binary(body: bytes, elements: Sequence[_Element], form: str) -> Rows:
-    order = "<" if form == "binary_little_endian" else ">"
-    at = 0
-    rows: Rows = {}
-    for element in elements:
-        rows[element.name] = []
-        for _ in range(element.rows):
-            row: list[Sequence[float]] = []
-            for _, kind, length in element.properties:
-                count = 1
-                if length:
-                    count = int(np.frombuffer(body, order + length, 1, at)[0])
-                    at += np.dtype(length).itemsize
-                row.append(np.frombuffer(body, order + kind, count, at).tolist())
-                at += count * np.dtype(kind).itemsize
-            rows[element.name].append(row)
-    return rows
-
-
-def _fans(faces: Iterable[Sequence[int]]) -> Integers:
-    """Cut polygons into triangles about their first corner."""
-    cut = [(f[0], f[k], f[k + 1]) for f in faces for k in range(1, len(f) - 1)]
-    return np.array(cut, dtype=np.int64).reshape(-1, 3)
 
 
 @kernel

@@ -26,8 +26,8 @@ from roemetry_simulate.solid import PARTS, ExactBody
 Floats = NDArray[np.float64]
 Surface = tuple[float, float, float, float, float, float, float, float, float, float]
 
-MISS = -1.0
-_PARALLEL = 1e-15
+MISS = -1.0  # distance of a ray that meets nothing
+_PARALLEL = 1e-15  # coefficient of t² (or t) below which a surface is flat (or parallel) along a ray
 
 
 def plane(normal: tuple[float, float, float], offset_mm: float) -> Surface:

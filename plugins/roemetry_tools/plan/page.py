@@ -12,7 +12,7 @@ from roemetry.io.yaml_source import dump
 from roemetry.records import Plan, PlanFigure
 from roemetry_tools.plan.plots import COLOURS, curves_plot, map_plot, side_view
 
-_DIGITS = {"mm/px": 3, "mm": 1, "µm": 0, "degrees": 1, "1": 0}
+_DIGITS = {"mm/px": 3, "mm": 1, "µm": 0, "degrees": 1, "1": 0}  # places behind the point, by unit
 
 
 def page(plan: Plan, scene: Scene, *, command: str, made: datetime) -> str:

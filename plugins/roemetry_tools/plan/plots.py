@@ -15,7 +15,7 @@ from roemetry.records.arrays import Floats
 COLOURS = ("#0d689c", "#d98a12", "#2c8a5f", "#8a6fd1")
 
 _RAMP = ("#fdf6d8", "#f9d48b", "#f2a65e", "#dd7360", "#b04a70", "#73346f", "#3a1f55")
-_SIDE_WIDTH = 900.0
+_SIDE_WIDTH = 900.0  # of the side view, in units of the drawing
 
 
 def side_view(sketch: Sequence[PlanShape]) -> Markup:

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pydantic import BaseModel
 
 from roemetry.config.scene import Scene
 from roemetry.errors import ConfigurationError, DataError, PluginError, StageError
+from roemetry.io.meshes import Triangles, check_closed
 from roemetry.run.simulate import simulate
 
 pytest.importorskip("mitsuba", reason='pip install "roemetry[mitsuba]"')
@@ -21,9 +21,8 @@ needs_llvm = pytest.mark.skipif(
 )
 
 from roemetry_mitsuba import light as light_module  # noqa: E402
-from roemetry_mitsuba.bodies import check_closed  # noqa: E402
 from roemetry_mitsuba.light import Lamps, Lens, Material, Tracer, mitsuba  # noqa: E402
-from roemetry_mitsuba.materials import Beams, Surface, dipole_of, gathered, glossy, mirrored  # noqa: E402  # noqa: E402
+from roemetry_mitsuba.materials import Beams, Surface, dipole_of, gather_scattered, glossy, sample_glossy  # noqa: E402
 from roemetry_mitsuba.products import DEFECTS, FAMILIES, SkeinOptions, ball, block, skein, stairs  # noqa: E402
 from roemetry_mitsuba.scene import (  # noqa: E402
     Camera,
@@ -94,7 +93,7 @@ def test_volumes_of_shapes_with_a_formula(rng: np.random.Generator) -> None:
     assert brick.true_mm3 == pytest.approx(12000.0, rel=1e-12)
     assert brick.visible_mm3 == pytest.approx(12000.0, rel=1e-12)
     steps = stairs(4, 15.0, 4.0, 100.0)
-    check_closed(steps.points_mm, steps.faces, "stairs")
+    check_closed(Triangles(steps.points_mm, steps.faces), "stairs")
     assert steps.true_mm3 == pytest.approx(60000.0, rel=1e-12)
     sphere = ball(rng, FAMILIES["ball"].Options()).body
     r = 0.5 * sphere.height_mm
@@ -110,7 +109,7 @@ def test_a_family_draws_closed_bodies_that_stand_on_the_belt(family: str) -> Non
             FAMILIES[family].make(np.random.default_rng(seed), FAMILIES[family].Options()) for _ in range(2)
         ]
         body = made[0].body
-        check_closed(body.points_mm, body.faces, family)
+        check_closed(Triangles(body.points_mm, body.faces), family)
         assert body.points_mm[:, 2].min() == pytest.approx(0.0, abs=1e-12)
         assert 0.0 < body.true_mm3 < 1.002 * body.visible_mm3
         assert np.array_equal(body.points_mm, made[1].body.points_mm)
@@ -120,7 +119,7 @@ def test_a_family_draws_closed_bodies_that_stand_on_the_belt(family: str) -> Non
 def test_a_defect_changes_the_skein_where_it_is(kind: str, rng: np.random.Generator) -> None:
     drawn = skein(rng, SkeinOptions(kinds={kind: 1.0}))
     assert drawn.reference is not None
-    check_closed(drawn.body.points_mm, drawn.body.faces, kind)
+    check_closed(Triangles(drawn.body.points_mm, drawn.body.faces), kind)
     x, y = np.meshgrid(np.arange(-45.0, 45.0, 0.5), np.arange(-20.0, 20.0, 0.5))
     missing = np.nan_to_num(drawn.reference.heights.at(x, y)) - np.nan_to_num(drawn.body.heights.at(x, y))
     assert missing.max() > 1.5
@@ -193,14 +192,14 @@ def test_gloss_drawn_and_gloss_evaluated_are_the_same_light() -> None:
     u, v = (mi.Float(rng.random(n, dtype=np.float32)) for _ in range(2))
     surface = Surface(mi.Float(0.5), mi.Float(1.0), mi.Float(0.3), None, mi.Bool(False))
     seen = dr.normalize(mi.Vector3f(0.5, 0.2, 0.8))
-    _, weight = mirrored(mi, surface, seen, u, v)
+    _, weight = sample_glossy(mi, surface, seen, u, v)
     assert float(dr.max(weight)[0]) <= 1.0
     z, turn = mi.Float(rng.random(n, dtype=np.float32)), 2 * dr.pi * u
     lit = mi.Vector3f(dr.sqrt(1 - z * z) * dr.cos(turn), dr.sqrt(1 - z * z) * dr.sin(turn), z)
     whole = 2.0 * float(dr.mean(glossy(dr, surface, seen, lit))[0])  # ∫ f cos dω, even over the half sphere
     assert float(dr.mean(weight)[0]) == pytest.approx(whole, rel=0.02)
     down = mi.Vector3f(0.0, 0.0, 1.0)
-    _, straight = mirrored(mi, surface._replace(roughness=mi.Float(1e-3)), down, u, v)
+    _, straight = sample_glossy(mi, surface._replace(roughness=mi.Float(1e-3)), down, u, v)
     assert float(dr.mean(straight)[0]) == pytest.approx(((1.38 - 1) / (1.38 + 1)) ** 2, rel=1e-3)
 
 
@@ -218,7 +217,7 @@ def test_scattering_gives_back_what_entered_with_the_spread_that_was_told() -> N
     flux = np.gradient(y)[None, :, None]
     x = np.arange(-12.0, 12.0, 0.02)
     points = np.stack([x, 0 * x, 0 * x], axis=-1)
-    found = gathered(points, fan, Beams(source, image, flux, first, step), dipole)
+    found = gather_scattered(points, fan, Beams(source, image, flux, first, step), dipole)
     total = found.sum() * 0.02
     assert total == pytest.approx(1.0, rel=0.04)  # what lies beyond the reach of the gathering is lost
     assert math.sqrt((found * x**2).sum() / found.sum()) == pytest.approx(0.8, rel=0.12)
@@ -234,22 +233,6 @@ def test_the_same_seed_gives_the_same_bytes_and_another_does_not() -> None:
     first, again, other = (maker.simulate(0, seed).frames[0].pixels for seed in (5, 5, 6))
     assert np.array_equal(first, again)
     assert not np.array_equal(first, other)
-
-
-def test_every_key_of_the_ray_caster_is_read_here_with_its_default() -> None:
-    from roemetry_simulate.scene import RayCasterOptions
-
-    def compared(theirs: Any, ours: Any, at: str) -> None:
-        for name, field in theirs.model_fields.items():
-            assert name in ours.model_fields, f"{at}.{name}"
-            inner = field.get_default(call_default_factory=True)
-            mine = ours.model_fields[name].get_default(call_default_factory=True)
-            if isinstance(inner, BaseModel):
-                compared(type(inner), type(mine), f"{at}.{name}")
-            elif (at, name) != (".product", "family"):
-                assert inner == mine, f"{at}.{name}"
-
-    compared(RayCasterOptions, MitsubaOptions, "")
 
 
 @pytest.fixture
@@ -294,32 +277,19 @@ def test_a_scene_that_cannot_be_is_refused_by_place(scene_file: Path, change: st
 
 
 @needs_llvm
-def test_meshes_that_cannot_be_are_refused_by_name(scene_file: Path, tmp_path: Path) -> None:
-    corners = "v 0 0 0\nv 9 0 0\nv 0 9 0\nv 0 0 9\n"
-    closed = "f 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
-    files = {
-        "open.obj": corners + closed[:-8], "turned.obj": corners + closed.replace("1 3 2", "1 2 3"),
-        "no.ply": "this is no mesh", "no.stl": "nor this",
-    }  # fmt: skip
-    for name, text in files.items():
-        (tmp_path / name).write_text(text, "utf-8")
-    for name, says in [
-        ("open.obj", "not watertight"), ("turned.obj", "turned against"), ("no.ply", "not a mesh"),
-        ("no.stl", "neither"), ("missing.obj", "no such mesh file"), ("body.step", "ends in"),
-    ]:  # fmt: skip
-        sets = [f"simulator.options.product={{family: mesh, options: {{file: {tmp_path / name}}}}}"]
-        with pytest.raises((ConfigurationError, DataError), match=says):
-            Scene.load(scene_file, sets=sets).make()
-    (tmp_path / "good.obj").write_text(corners + closed, "utf-8")
-    sets = [f"simulator.options.product={{family: mesh, options: {{file: {tmp_path / 'good.obj'}}}}}"]
-    body = Scene.load(scene_file, sets=sets).make().placed(0, 1)[0]  # type: ignore[attr-defined]
-    assert body.truth.true_mm3 == pytest.approx(121.5, rel=1e-6)
-
-
-@needs_llvm
-def test_a_product_larger_than_the_view_is_refused_with_sizes(scene_file: Path) -> None:
-    sets = ["simulator.options.product={family: box, options: {length_mm: [400, 401]}}"]
-    with pytest.raises((ConfigurationError, StageError), match="the view is X"):
+@pytest.mark.parametrize(
+    ("product", "says"),
+    [
+        ("{{family: mesh, options: {{file: {folder}/open.obj}}}}", r"open\.obj: the mesh is not watertight"),
+        ("{{family: box, options: {{length_mm: [400, 401]}}}}", "the view is X"),
+    ],
+)
+def test_a_product_that_cannot_be_is_refused(
+    scene_file: Path, tmp_path: Path, product: str, says: str
+) -> None:
+    (tmp_path / "open.obj").write_text("v 0 0 0\nv 9 0 0\nv 0 9 0\nv 0 0 9\nf 1 3 2\nf 1 2 4\n", "utf-8")
+    sets = [f"simulator.options.product={product.format(folder=tmp_path)}"]
+    with pytest.raises((ConfigurationError, DataError, StageError), match=says):
         Scene.load(scene_file, sets=sets).make()
 
 

@@ -16,7 +16,6 @@ from roemetry.records.view import View
 from roemetry.run.simulate import simulate
 
 RIGS: dict[str, dict[str, Any]] = {
-    "as shipped": {},
     "wide angle, strong distortion, 30 stripes": {
         "camera": {
             "focal_length_mm": 4.5,

@@ -63,22 +63,6 @@ def test_rays_and_stripe_truth_see_through_the_distortion():
         assert np.median(np.abs(centroid - belt.x_px[i])) < 0.02
 
 
-def test_a_gaussian_fit_on_the_noise_free_belt_is_the_truth():
-    rig = replace(
-        rig_of(RayCasterOptions()),
-        camera=looking_down(640, 6, pixel_size_mm=0.01, focal_length_mm=16.0, distance_mm=320.0),
-    )
-    light, _ = laser_light(rig, EmptyBelt(), even())
-    truth = stripe_centres(rig.camera, rig.laser, EmptyBelt())
-    off = []
-    for i, row in zip(*np.nonzero(truth.on_product == 0), strict=True):
-        near = np.round(truth.x_px[i, row]).astype(int) + np.arange(-3, 4)
-        a, b, _ = np.polyfit(near - truth.x_px[i, row], np.log(light[row, near]), 2)
-        off.append(-b / (2 * a))
-    assert len(off) == 66
-    assert np.median(np.abs(off)) < 0.02
-
-
 def test_a_line_widens_away_from_its_waist_and_keeps_its_light():
     def profile(waist_mm, divergence_mrad):
         laser = replace(

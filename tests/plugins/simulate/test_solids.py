@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from roemetry_simulate.solid import Block, EmptyBelt, GriddedSolid, on_grid
+from roemetry_simulate.solid import Block, GriddedSolid, on_grid
 
 A, B, C = 17.0, 11.0, 7.0
 
@@ -25,10 +25,6 @@ def test_a_block_has_the_volume_of_its_sides():
     assert block.visible_volume_mm3 == block.true_volume_mm3 == pytest.approx(105.0 * 40.0 * 16.5)
 
 
-def test_the_empty_belt_has_none():
-    assert EmptyBelt().visible_volume_mm3 == EmptyBelt().true_volume_mm3 == 0.0
-
-
 def test_a_half_ellipsoid_has_the_formula_s_volume():
     dome = half_ellipsoid()
     formula = 2.0 / 3.0 * np.pi * A * B * C
@@ -42,13 +38,6 @@ def test_an_ellipsoid_on_the_belt_loses_what_lies_below_its_widest_line():
     half = 2.0 / 3.0 * np.pi * A * B * C
     assert body.true_volume_mm3 == pytest.approx(2.0 * half, rel=1e-4)
     assert body.visible_volume_mm3 == pytest.approx(half + np.pi * A * B * C, rel=1e-4)
-
-
-def test_the_volume_goes_with_the_cube_of_the_scale():
-    small = half_ellipsoid(0.25)
-    scaled = small.grid * np.array([2.0, 4.0, 4.0])
-    large = GriddedSolid(2 * small.x0_mm, 2 * small.y0_mm, 2 * small.step_mm, scaled)
-    assert large.visible_volume_mm3 == pytest.approx(8.0 * small.visible_volume_mm3, rel=1e-12)
 
 
 def test_a_flat_slab_with_straight_sides_is_exact():
@@ -71,11 +60,7 @@ def test_heights_between_nodes_and_outside():
 
 @pytest.mark.parametrize(
     ("grid", "message"),
-    [
-        (np.zeros((4, 4)), "shape"),
-        (np.full((4, 4, 3), np.nan), "NaN"),
-        (np.ones((4, 4, 3)), "border"),
-    ],
+    [(np.zeros((4, 4)), "shape"), (np.full((4, 4, 3), np.nan), "NaN"), (np.ones((4, 4, 3)), "border")],
 )
 def test_a_grid_that_is_no_body_is_refused(grid, message):
     with pytest.raises(ValueError, match=message):
