@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from roemetry.records.arrays import Flags, Floats, Integers
-from roemetry_kernels.compiling import float_kernel
+from roemetry_kernels.lens import distort_places, undistort_places
 
 COEFFICIENTS = 8
 """k1, k2, p1, p2, k3, k4, k5, k6: OpenCV's order."""
@@ -34,7 +34,7 @@ class Distorted(NamedTuple):
 
 def distort(xy: Floats, coefficients: Floats) -> Distorted:
     """Distort places (n, 2) by eight coefficients."""
-    return Distorted(*bend(np.ascontiguousarray(xy), np.ascontiguousarray(coefficients)))
+    return Distorted(*distort_places(np.ascontiguousarray(xy), np.ascontiguousarray(coefficients)))
 
 
 def undistort(places: Floats, coefficients: Floats, start: Floats | None = None) -> Floats:
@@ -43,7 +43,7 @@ def undistort(places: Floats, coefficients: Floats, start: Floats | None = None)
         return places
     places = np.ascontiguousarray(places)
     begin = places if start is None else np.ascontiguousarray(start)
-    return np.asarray(undistort_kernel(places, np.ascontiguousarray(coefficients), begin))
+    return np.asarray(undistort_places(places, np.ascontiguousarray(coefficients), begin))
 
 
 _POWERS = np.array([(i, degree - i) for degree in (2, 3, 4) for i in range(degree, -1, -1)])
@@ -259,103 +259,3 @@ def crossed(a: Floats, b: Floats) -> Floats:
 
 def _part(step: Floats, at: Integers) -> Floats:
     return np.where(at >= 0, step[np.maximum(at, 0)], 0.0)
-
-
-@float_kernel
-def bend(xy: Floats, coefficients: Floats) -> tuple[Floats, Floats, Floats]:
-    """Give where the lens bends places (n, 2) on the plane at distance 1, and the derivatives of that.
-
-    Parameters
-    ----------
-    xy
-        (n, 2) as they would be without a lens.
-    coefficients
-        (8,) k1, k2, p1, p2, k3, k4, k5, k6 of OpenCV's model.
-
-    Returns
-    -------
-    tuple of ndarray
-        (n, 2) as seen; (n, 2, 2) its derivatives by the place; (n, 2, 8) by the coefficients.
-    """
-    k1, k2, p1, p2 = coefficients[0], coefficients[1], coefficients[2], coefficients[3]
-    k3, k4, k5, k6 = coefficients[4], coefficients[5], coefficients[6], coefficients[7]
-    seen = np.empty(xy.shape)
-    by_place = np.empty((xy.shape[0], 2, 2))
-    by_coefficient = np.empty((xy.shape[0], 2, 8))
-    for n in range(xy.shape[0]):
-        x, y = xy[n, 0], xy[n, 1]
-        xx, yy, xy2 = x * x, y * y, 2.0 * x * y
-        r2 = xx + yy
-        r4, r6 = r2 * r2, r2 * r2 * r2
-        over = 1.0 / (1.0 + r2 * (k4 + r2 * (k5 + r2 * k6)))
-        radial = (1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))) * over
-        slope = k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3)
-        slope = (slope - radial * (k4 + r2 * (2.0 * k5 + 3.0 * r2 * k6))) * over
-        along_x, along_y = r2 + 2.0 * xx, r2 + 2.0 * yy
-        seen[n, 0] = x * radial + p1 * xy2 + p2 * along_x
-        seen[n, 1] = y * radial + p1 * along_y + p2 * xy2
-        by_place[n, 0, 0] = radial + 2.0 * xx * slope + 2.0 * p1 * y + 6.0 * p2 * x
-        by_place[n, 1, 1] = radial + 2.0 * yy * slope + 6.0 * p1 * y + 2.0 * p2 * x
-        across = xy2 * slope + 2.0 * p1 * x + 2.0 * p2 * y
-        by_place[n, 0, 1] = across
-        by_place[n, 1, 0] = across
-        for axis in range(2):
-            place = xy[n, axis] * over
-            by_coefficient[n, axis, 0] = place * r2
-            by_coefficient[n, axis, 1] = place * r4
-            by_coefficient[n, axis, 2] = along_y if axis else xy2
-            by_coefficient[n, axis, 3] = xy2 if axis else along_x
-            by_coefficient[n, axis, 4] = place * r6
-            by_coefficient[n, axis, 5] = -place * r2 * radial
-            by_coefficient[n, axis, 6] = -place * r4 * radial
-            by_coefficient[n, axis, 7] = -place * r6 * radial
-    return seen, by_place, by_coefficient
-
-
-_UNDISTORT_STEPS_MAX = 20
-_UNDISTORT_STEP_END = 3e-8  # Newton's next step would be some 1e-15
-
-
-@float_kernel
-def undistort_kernel(places: Floats, coefficients: Floats, start: Floats) -> Floats:
-    """Give places (n, 2) on the plane at distance 1 that the lens bends to the given ones.
-
-    Parameters
-    ----------
-    places
-        (n, 2) as seen.
-    coefficients
-        (8,) k1, k2, p1, p2, k3, k4, k5, k6 of OpenCV's model.
-    start
-        (n, 2) where the search begins.
-
-    Returns
-    -------
-    ndarray, shape (n, 2)
-        Where no place was found within twenty steps, the last one tried.
-    """
-    k1, k2, p1, p2 = coefficients[0], coefficients[1], coefficients[2], coefficients[3]
-    k3, k4, k5, k6 = coefficients[4], coefficients[5], coefficients[6], coefficients[7]
-    found = start.copy()
-    for n in range(places.shape[0]):
-        x, y = start[n, 0], start[n, 1]
-        for _ in range(_UNDISTORT_STEPS_MAX):
-            r2 = x * x + y * y
-            below = 1.0 + r2 * (k4 + r2 * (k5 + r2 * k6))
-            radial = (1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))) / below
-            slope = 2.0 * k1 + r2 * (4.0 * k2 + 6.0 * r2 * k3)
-            slope = (slope - radial * (2.0 * k4 + r2 * (4.0 * k5 + 6.0 * r2 * k6))) / below
-            xy = slope * x * y + 2.0 * (p1 * x + p2 * y)
-            xx = radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x
-            yy = radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x
-            wrong_x = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x) - places[n, 0]
-            wrong_y = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y - places[n, 1]
-            determinant = xx * yy - xy * xy
-            step_x = (yy * wrong_x - xy * wrong_y) / determinant
-            step_y = (xx * wrong_y - xy * wrong_x) / determinant
-            x -= step_x
-            y -= step_y
-            if not abs(step_x) + abs(step_y) > _UNDISTORT_STEP_END:
-                break
-        found[n, 0], found[n, 1] = x, y
-    return found

@@ -13,6 +13,7 @@ from roemetry.records.calibration import Calibration
 from roemetry.records.view import View
 from roemetry.stages import Capabilities, StageOptions, Triangulator
 from roemetry_kernels.compiling import float_kernel
+from roemetry_kernels.lens import undistorted_place
 from roemetry_pinhole.frames import belt_pose, camera_of, planes_in_belt_frame, view_of
 
 
@@ -71,8 +72,8 @@ class PinholePlane(Triangulator[StageOptions]):
         return view_of(calibration.parameters, calibration.image_size)
 
 
-_STEPS_MAX = 20
-_STEP_END = 3e-6  # Newton's next step would be some 1e-12
+_STEP_END = 3e-6
+"""Over the focal length: Newton's next step would be some 1e-12, far below what a peak is known to."""
 
 
 @float_kernel
@@ -102,12 +103,10 @@ def lift_stripes(
     points = np.full((stripes, rows, 3), np.nan)
     height_std = np.full((stripes, rows), np.nan)
     fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
-    k1, k2, p1, p2, k3 = camera[4], camera[5], camera[6], camera[7], camera[8]
-    k4, k5, k6 = camera[9], camera[10], camera[11]
+    lens = camera[4:]
     bends, lost = False, 0
     for k in range(4, 12):
         bends = bends or camera[k] != 0.0
-    rational = k4 != 0.0 or k5 != 0.0 or k6 != 0.0
     for s in range(stripes):
         off_x = off_y = gain_x = gain_y = 0.0  # straight − bent, and its change from row to row
         followed = 0
@@ -124,28 +123,8 @@ def lift_stripes(
                     x, y = x + off_x, y + off_y
                     if followed > 1:
                         x, y = x + gain_x, y + gain_y
-                good = False
-                for _ in range(_STEPS_MAX):
-                    r2 = x * x + y * y
-                    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-                    slope = 2.0 * k1 + r2 * (4.0 * k2 + 6.0 * r2 * k3)
-                    if rational:
-                        below = 1.0 + r2 * (k4 + r2 * (k5 + r2 * k6))
-                        radial /= below
-                        slope = (slope - radial * (2.0 * k4 + r2 * (4.0 * k5 + 6.0 * r2 * k6))) / below
-                    xy = slope * x * y + 2.0 * (p1 * x + p2 * y)
-                    xx = radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x
-                    yy = radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x
-                    wrong_x = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x) - bent_x
-                    wrong_y = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y - bent_y
-                    determinant = xx * yy - xy * xy
-                    step_x = (yy * wrong_x - xy * wrong_y) / determinant
-                    step_y = (xx * wrong_y - xy * wrong_x) / determinant
-                    x -= step_x
-                    y -= step_y
-                    if abs(step_x) + abs(step_y) < _STEP_END:
-                        good = True
-                        break
+                x, y, xx, xy, yy, good = undistorted_place(bent_x, bent_y, x, y, lens, _STEP_END)
+                determinant = xx * yy - xy * xy
                 if not (good and determinant > 0.0 and xx + yy > 0.0):
                     followed = 0
                     lost += 1

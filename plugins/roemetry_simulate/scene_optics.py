@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from roemetry.errors import MisfitError
-from roemetry_simulate.camera import Camera, looking_down, undistorted
+from roemetry.records.camera_model import undistorted
+from roemetry_simulate.camera import Camera, looking_down
 from roemetry_simulate.laser import LaserFan, fan_through
 
 Floats = NDArray[np.float64]
@@ -273,8 +274,7 @@ def _border_points(camera: Camera, height_mm: float) -> Floats:
 def _check_distortion(camera: Camera, x: Floats, y: Floats) -> None:
     """Raise MisfitError where going out from the optical axis does not go out in the image all the way."""
     f, (cx, cy) = camera.focal_length_px, camera.principal_px
-    lens = np.array(camera.distortion)
-    far_x, far_y = undistorted(lens, (x - cx) / f, (y - cy) / f)
+    far_x, far_y = undistorted(np.stack([x - cx, y - cy], axis=1) / f, np.array(camera.distortion)).T
     out = np.linspace(0.0, 1.0, 65)[:, None]
     k1, k2, _, _, k3 = camera.distortion
     r = np.hypot(far_x, far_y) * out
