@@ -7,8 +7,8 @@ Model (Brown 1966; OpenCV's rational form). On the plane at distance 1, with r²
 
 with coefficients in OpenCV's order k1, k2, p1, p2, k3, k4, k5, k6. The inverse is by Newton's method. It has
 none where a strong distortion folds the image over: there the Jacobian's determinant or trace is not
-positive, which callers check. `roemetry.records.camera_model` is the same in numpy, with the thin prism and tilt of all
-fourteen coefficients; tests hold one against the other.
+positive, which callers check. `roemetry.records.camera_model` is the same in numpy, with the thin prism and
+tilt of all fourteen coefficients; tests hold one against the other.
 """
 
 from __future__ import annotations
@@ -26,12 +26,29 @@ _STEP_END = 3e-8
 """Relative to the focal length: Newton squares its error, so that the next step would be some 1e-15."""
 
 
+Lens = tuple[float, float, float, float, float, float, float, float]
+"""Eight numbers stay in registers, where each element of an array is read again after every write."""
+
+
 @inlined
-def distorted_place(x: float, y: float, lens: Floats) -> tuple[float, float, float, float, float]:
-    """Give x′, y′ and ∂x′/∂x, ∂x′/∂y = ∂y′/∂x, ∂y′/∂y of one place by (8,) coefficients."""
-    k1, k2, p1, p2, k3, k4, k5, k6 = (
-        lens[0], lens[1], lens[2], lens[3], lens[4], lens[5], lens[6], lens[7],
-    )  # fmt: skip
+def lens_from(numbers: Floats, first: int) -> Lens:
+    """Give the eight coefficients that stand at `first` of an array."""
+    return (
+        numbers[first],
+        numbers[first + 1],
+        numbers[first + 2],
+        numbers[first + 3],
+        numbers[first + 4],
+        numbers[first + 5],
+        numbers[first + 6],
+        numbers[first + 7],
+    )
+
+
+@inlined
+def distorted_place(x: float, y: float, lens: Lens) -> tuple[float, float, float, float, float]:
+    """Give x′, y′ and ∂x′/∂x, ∂x′/∂y = ∂y′/∂x, ∂y′/∂y of one place."""
+    k1, k2, p1, p2, k3, k4, k5, k6 = lens
     r2 = x * x + y * y
     radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
     slope = 2.0 * k1 + r2 * (4.0 * k2 + 6.0 * r2 * k3)
@@ -49,7 +66,7 @@ def distorted_place(x: float, y: float, lens: Floats) -> tuple[float, float, flo
 
 @inlined
 def undistorted_place(
-    bent_x: float, bent_y: float, x: float, y: float, lens: Floats, end: float
+    bent_x: float, bent_y: float, x: float, y: float, lens: Lens, end: float
 ) -> tuple[float, float, float, float, float, bool]:
     """Give the place that the lens moves to (bent_x, bent_y), sought from (x, y), by Newton's method.
 
@@ -70,7 +87,7 @@ def undistorted_place(
 
 
 @float_kernel
-def distort_places(xy: Floats, lens: Floats) -> tuple[Floats, Floats, Floats]:
+def distort_places(xy: Floats, coefficients: Floats) -> tuple[Floats, Floats, Floats]:
     """Distort places (n, 2) on the plane at distance 1 by (8,) coefficients.
 
     Returns
@@ -78,7 +95,8 @@ def distort_places(xy: Floats, lens: Floats) -> tuple[Floats, Floats, Floats]:
     tuple of ndarray
         (n, 2) as seen; (n, 2, 2) its derivatives by the place; (n, 2, 8) by the coefficients.
     """
-    k3, k4, k5, k6 = lens[4], lens[5], lens[6], lens[7]
+    lens = lens_from(coefficients, 0)
+    k1, k2, _, _, k3, k4, k5, k6 = lens
     seen = np.empty(xy.shape)
     by_place = np.empty((xy.shape[0], 2, 2))
     by_lens = np.empty((xy.shape[0], 2, 8))
@@ -90,7 +108,7 @@ def distort_places(xy: Floats, lens: Floats) -> tuple[Floats, Floats, Floats]:
         r2 = x * x + y * y
         r4, r6 = r2 * r2, r2 * r2 * r2
         over = 1.0 / (1.0 + r2 * (k4 + r2 * (k5 + r2 * k6)))
-        radial = (1.0 + r2 * (lens[0] + r2 * (lens[1] + r2 * k3))) * over
+        radial = (1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))) * over
         for axis in range(2):
             place = xy[n, axis] * over
             by_lens[n, axis, 0] = place * r2
@@ -105,12 +123,13 @@ def distort_places(xy: Floats, lens: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 @float_kernel
-def undistort_places(bent: Floats, lens: Floats, start: Floats) -> Floats:
+def undistort_places(bent: Floats, coefficients: Floats, start: Floats) -> Floats:
     """Give (n, 2) places that the lens moves to the given ones, sought from `start`.
 
     Where no place was found, the last one tried.
     """
     found = np.empty(bent.shape)
+    lens = lens_from(coefficients, 0)
     for n in range(bent.shape[0]):
         x, y, _, _, _, _ = undistorted_place(
             bent[n, 0], bent[n, 1], start[n, 0], start[n, 1], lens, _STEP_END

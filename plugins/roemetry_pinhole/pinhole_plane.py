@@ -13,7 +13,7 @@ from roemetry.records.calibration import Calibration
 from roemetry.records.view import View
 from roemetry.stages import Capabilities, StageOptions, Triangulator
 from roemetry_kernels.compiling import float_kernel
-from roemetry_kernels.lens import undistorted_place
+from roemetry_kernels.lens import lens_from, undistorted_place
 from roemetry_pinhole.frames import belt_pose, camera_of, planes_in_belt_frame, view_of
 
 
@@ -103,7 +103,7 @@ def lift_stripes(
     points = np.full((stripes, rows, 3), np.nan)
     height_std = np.full((stripes, rows), np.nan)
     fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
-    lens = camera[4:]
+    lens = lens_from(camera, 4)
     bends, lost = False, 0
     for k in range(4, 12):
         bends = bends or camera[k] != 0.0

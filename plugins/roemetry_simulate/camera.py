@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from roemetry.records.camera_model import distorted, undistorted
 from roemetry_kernels.compiling import kernel
-from roemetry_kernels.lens import undistorted_place
+from roemetry_kernels.lens import lens_from, undistorted_place
 
 Floats = NDArray[np.float64]
 
@@ -203,7 +203,7 @@ def camera_ray(pinhole: Floats, rotation: Floats, x_px: float, y_px: float, d: F
     cx = (x_px - pinhole[3]) / pinhole[5]
     cy = (y_px - pinhole[4]) / pinhole[5]
     if pinhole[6] != 0.0:
-        cx, cy, _, _, _, _ = undistorted_place(cx, cy, cx, cy, pinhole[7:15], 1e-15)
+        cx, cy, _, _, _, _ = undistorted_place(cx, cy, cx, cy, lens_from(pinhole, 7), 1e-15)
     length = math.sqrt(cx * cx + cy * cy + 1.0)
     for k in range(3):
         d[k] = (rotation[k, 0] * cx + rotation[k, 1] * cy + rotation[k, 2]) / length
