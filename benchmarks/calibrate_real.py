@@ -20,11 +20,9 @@ from roemetry.io.yaml_source import dump
 from roemetry.records import Board, Frame
 from roemetry.records.arrays import Floats
 from roemetry.stages.registry import discover
-from roemetry_pinhole.board_diagnostics import BoardNotFoundError
-from roemetry_pinhole.boards import BoardView, Seen, board_views, find_marks
+from roemetry_pinhole.boards import BoardNotFoundError, BoardView, Seen, board_views, find_marks
 from roemetry_pinhole.bundle import Adjusted, adjust, chosen
-from roemetry_pinhole.equations import Corners, Feet, StripePoints
-from roemetry_pinhole.geometry import Geometry, undistort, unknowns_of
+from roemetry_pinhole.geometry import Corners, Feet, Geometry, StripePoints, undistort, unknowns_of
 from roemetry_pinhole.initial_intrinsics import FirstCamera, first_camera, free_numbers
 from roemetry_pinhole.stripes import Gathered, gather
 

@@ -17,8 +17,7 @@ from roemetry.errors import CalibrationError
 from roemetry.records import CalibrationSet
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_pinhole.bundle import Adjusted, Measured
-from roemetry_pinhole.equations import ON_BELT, Edges, Feet, StripePoints
-from roemetry_pinhole.geometry import Geometry, unknowns_of
+from roemetry_pinhole.geometry import ON_BELT, Edges, Feet, Geometry, StripePoints, unknowns_of
 from roemetry_pinhole.solids import (
     Numbered,
     Shape,

@@ -10,8 +10,7 @@ from roemetry.errors import CalibrationError
 from roemetry.records.arrays import Flags, Floats
 from roemetry_pinhole.boards import BoardView, Seen
 from roemetry_pinhole.bundle import adjust
-from roemetry_pinhole.equations import Corners, Feet, StripePoints
-from roemetry_pinhole.geometry import CAMERA, Geometry, unknowns_of
+from roemetry_pinhole.geometry import CAMERA, Corners, Feet, Geometry, StripePoints, unknowns_of
 
 _POSES_MIN = 4
 _POSES_MIN_KNOWN = 2

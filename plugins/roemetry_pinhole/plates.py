@@ -24,10 +24,9 @@ from roemetry.records import EDGE, WIDE, CalibrationSet, Observation, Peaks, Sph
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.records.calibration import Calibration
 from roemetry_pinhole.bundle import Adjusted, Measured
-from roemetry_pinhole.equations import ON_BELT, Feet, StripePoints
-from roemetry_pinhole.frames import belt_pose, camera_of, parameters_of
 from roemetry_pinhole.from_solids import OnSolids
-from roemetry_pinhole.geometry import Geometry, turned, undistort, unknowns_of
+from roemetry_pinhole.geometry import ON_BELT, Feet, Geometry, StripePoints, turned, undistort, unknowns_of
+from roemetry_pinhole.pinhole_plane import belt_pose, camera_of, parameters_of
 from roemetry_pinhole.solids import Shape, belt_lines, numbered
 
 _BELT_MM = 0.6

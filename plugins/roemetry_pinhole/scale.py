@@ -21,10 +21,10 @@ from roemetry.errors import CalibrationError
 from roemetry.records import Board, CalibrationSet, Peaks, Ruler
 from roemetry.records.arrays import Floats
 from roemetry.records.calibration import Calibration
-from roemetry_pinhole.frames import belt_pose, camera_of, lines_at_height, parameters_of
 from roemetry_pinhole.from_solids import solids_in
 from roemetry_pinhole.geometry import undistort
 from roemetry_pinhole.joint import Joint
+from roemetry_pinhole.pinhole_plane import belt_pose, camera_of, lines_at_height, parameters_of
 from roemetry_pinhole.plates import plate_scale
 
 

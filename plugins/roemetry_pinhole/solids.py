@@ -17,8 +17,8 @@ import numpy as np
 from roemetry.errors import CalibrationError
 from roemetry.records import EDGE, WIDE, Block, Observation, Pyramid, Staircase
 from roemetry.records.arrays import Flags, Floats, Integers
-from roemetry_pinhole.frames import belt_pose
 from roemetry_pinhole.geometry import turned, undistort
+from roemetry_pinhole.pinhole_plane import belt_pose
 
 Solid = Block | Staircase | Pyramid
 

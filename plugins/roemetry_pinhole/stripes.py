@@ -24,8 +24,7 @@ from roemetry.errors import CalibrationError
 from roemetry.records import EDGE, WIDE, Board, Observation, Peaks
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_pinhole.boards import on_board, on_even_print
-from roemetry_pinhole.equations import ON_BELT, StripePoints
-from roemetry_pinhole.geometry import undistort
+from roemetry_pinhole.geometry import ON_BELT, StripePoints, undistort
 from roemetry_pinhole.initial_intrinsics import FirstCamera
 from roemetry_pinhole.numbering import PoseLines, number_stripes
 

@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.simulated_points import Shown, shown
 from roemetry.errors import CalibrationError
 from roemetry.records import CalibrationSet, Frame, Observation, SpherePlate
 from roemetry.testing import LinearRig
 from roemetry_pinhole.bundle import Adjusted, Measured
 from roemetry_pinhole.calibrator import PinholeCalibrator
-from roemetry_pinhole.conformance import Shown, _image, _peaks, _pose, observed_of, shown
-from roemetry_pinhole.equations import Feet, StripePoints
-from roemetry_pinhole.frames import lines_at_height, parameters_of, view_of
-from roemetry_pinhole.geometry import CAMERA, Geometry, unknowns_of
+from roemetry_pinhole.conformance import _image, _peaks, _pose, observed_of
+from roemetry_pinhole.geometry import CAMERA, Feet, Geometry, StripePoints, unknowns_of
+from roemetry_pinhole.pinhole_plane import lines_at_height, parameters_of, view_of
 from roemetry_pinhole.plates import find_plate, from_plate
 from tests.plugins.pinhole.solids_seen import crossings, over_balls, seen_as, set_of
 from tests.plugins.pinhole.test_solids import RIGS, SIZE, STRIPES, wide

@@ -7,10 +7,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.simulated_points import Shown, SimulatedRig, noisy, shown
 from roemetry_pinhole.bundle import Measured, adjust
-from roemetry_pinhole.conformance import Shown, SimulatedRig, noisy, shown
-from roemetry_pinhole.equations import ON_BELT, corner_residuals, corner_rows, stripe_residuals, stripe_rows
-from roemetry_pinhole.geometry import BENDS, CAMERA, Bend, Geometry, distort, unknowns_of
+from roemetry_pinhole.geometry import (
+    BENDS,
+    CAMERA,
+    ON_BELT,
+    Bend,
+    Geometry,
+    corner_residuals,
+    corner_rows,
+    distort,
+    stripe_residuals,
+    stripe_rows,
+    unknowns_of,
+)
 from roemetry_pinhole.verdict import cross_validate, lifted, stripe_offsets
 
 RIG = SimulatedRig(1600.0, 350.0, tilt_deg=(6.0, -4.0), lens=(-0.2, 0.1, 0.0, 0.0, 0.0), stripes=5, poses=10)

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.simulated_points import Shown, SimulatedRig, noisy, shown
 from roemetry.errors import CalibrationError
 from roemetry.records import Board
 from roemetry_pinhole.boards import BoardView, Marks, Seen
 from roemetry_pinhole.bundle import Measured
-from roemetry_pinhole.conformance import Shown, SimulatedRig, noisy, shown
 from roemetry_pinhole.geometry import CAMERA, unknowns_of
 from roemetry_pinhole.initial_intrinsics import FirstCamera
 from roemetry_pinhole.joint import Joint

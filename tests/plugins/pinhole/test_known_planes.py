@@ -18,8 +18,8 @@ from roemetry.records.camera_file import write_camera
 from roemetry.testing import LinearRig
 from roemetry_pinhole.calibrator import PinholeCalibrator, PinholeCalibratorOptions
 from roemetry_pinhole.conformance import observed_of
-from roemetry_pinhole.frames import camera_of, lines_at_height, view_of
-from roemetry_pinhole.known_planes import read_camera, read_planes
+from roemetry_pinhole.joint import read_camera, read_planes
+from roemetry_pinhole.pinhole_plane import camera_of, lines_at_height, view_of
 
 
 @pytest.fixture(scope="module")

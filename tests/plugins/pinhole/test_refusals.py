@@ -61,7 +61,7 @@ def test_nothing_shows_the_belt(observed) -> None:
 def test_a_block_that_contradicts_the_board(observed) -> None:
     """A block of 10 mm that is said to be 10.4: the stripes of the level at 10 mm tell."""
     made = PinholeCalibrator().calibrate(observed)
-    from roemetry_pinhole.frames import lines_at_height
+    from roemetry_pinhole.pinhole_plane import lines_at_height
 
     rig = LinearRig()
     rows = np.arange(rig.rows, dtype=np.float64)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from roemetry_pinhole.conformance import shown
+from benchmarks.simulated_points import shown
 from roemetry_pinhole.from_solids import from_solids
 from roemetry_pinhole.geometry import CAMERA
 from roemetry_pinhole.solids import shape_of

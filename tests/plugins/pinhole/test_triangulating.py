@@ -8,13 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.simulated_points import SimulatedRig, shown
 from roemetry.errors import DataError
 from roemetry.records import StripeMap
 from roemetry.records.calibration import Calibration
 from roemetry.records.camera_file import write_camera
-from roemetry_pinhole.conformance import SimulatedRig, shown
-from roemetry_pinhole.frames import (
+from roemetry_pinhole.joint import plane_from, read_camera, read_planes
+from roemetry_pinhole.pinhole_plane import (
     METHOD,
+    PinholePlane,
     displacements,
     lines_at_height,
     parameters_of,
@@ -22,8 +24,6 @@ from roemetry_pinhole.frames import (
     rest_polynomials,
     view_of,
 )
-from roemetry_pinhole.known_planes import plane_from, read_camera, read_planes
-from roemetry_pinhole.pinhole_plane import PinholePlane
 
 SIZE = (480, 640)
 RIGS = {
