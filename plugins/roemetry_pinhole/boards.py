@@ -24,11 +24,17 @@ from roemetry.records import Board, CalibrationSet, Frame, Observation, Peaks
 from roemetry.records.arrays import Flags, Floats
 
 _BLURRED_PX = 8.0
+"""Width of the sharpest edges, px: with more, corners are found off their place or not at all."""
 _DICTIONARIES = ("DICT_4X4_1000", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000", "DICT_ARUCO_ORIGINAL")
+"""Tried to tell which board is shown instead of the described one."""
 _ENLARGED = 4
+"""Times, for markers that are too small for the detector (6 px and less)."""
 _MARKERS_MIN = 4
+"""Markers in the enlarged image: fewer are found by chance in print and texture."""
 _SQUARES_MIN = 25
+"""Squares in it: a tiny board shows dozens, a room few."""
 _SQUARE_MAX_PX = 12.0
+"""Width of a square, px: wider ones would have been read as markers."""
 
 
 NEARER = "hold it nearer, or take a larger one"

@@ -54,6 +54,12 @@ def undistort(places: Floats, coefficients: Floats, start: Floats | None = None)
     return np.asarray(undistort_places(places, np.ascontiguousarray(coefficients), begin))
 
 
+def rays(camera: Floats, xy_px: Floats) -> Floats:
+    """Give (n, 3) rays, z = 1, of places (n, 2) in the image, px, by a camera (12,)."""
+    xy = undistort((xy_px - camera[2:4]) / camera[:2], camera[4:])
+    return np.column_stack([xy, np.ones(len(xy))])
+
+
 _POWERS = np.array([(i, degree - i) for degree in (2, 3, 4) for i in range(degree, -1, -1)])
 """What is of lower order is the pose's."""
 BENDS = len(_POWERS)
@@ -270,6 +276,7 @@ def _part(step: Floats, at: Integers) -> Floats:
 
 
 _BENT_ROUNDS = 3
+"""Of meeting a ray with a bent board: each divides the error by the bend's slope, some 0.01."""
 
 ON_BELT = -1
 """Pose of stripe points that lie on the bare belt."""
@@ -458,8 +465,7 @@ class _Lines:
         on = np.flatnonzero(~self.on_belt)
         rotation, place = geometry.rotation[points.pose[on]], self.place[on]
         seen = np.column_stack([points.x_px, points.row_px])[on]
-        xy = undistort((seen - self._camera[2:4]) / self._camera[:2], self._camera[4:])
-        ray = np.column_stack([xy, np.ones(len(xy))])
+        ray = rays(self._camera, seen)
         normal, distance = self.normal[on], self.distance[on]
         for _ in range(_BENT_ROUNDS):
             at = ray * (distance / (normal * ray).sum(axis=1))[:, None]
@@ -597,13 +603,12 @@ def edge_rows(geometry: Geometry, unknowns: Unknowns, edges: Edges) -> Rows:
     line = to_face[:, None] * wall - to_wall[:, None] * face
     focal = geometry.camera[:2]
     seen = (edges.xy_px - geometry.camera[2:4]) / focal
-    xy = undistort(seen, geometry.camera[4:])
-    lens = distort(xy, geometry.camera[4:])
-    ray = np.column_stack([xy, np.ones(len(xy))])
+    ray = rays(geometry.camera, edges.xy_px)
+    lens = distort(ray[:, :2], geometry.camera[4:])
     by_seen = by_bent(line, lens)
     slope = np.sqrt(((by_seen / focal) ** 2).sum(axis=1))
     on_face, on_wall = (face * ray).sum(axis=1)[:, None], (wall * ray).sum(axis=1)[:, None]
-    values = np.zeros((len(xy), CAMERA + 9))
+    values = np.zeros((len(ray), CAMERA + 9))
     values[:, 0:2] = -by_seen * seen / focal
     values[:, 2:4] = -by_seen / focal
     values[:, 4:CAMERA] = -(by_seen[:, None, :] @ lens.by_coefficient)[:, 0, :]

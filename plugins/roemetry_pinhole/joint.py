@@ -26,7 +26,7 @@ from roemetry_pinhole.geometry import (
     Feet,
     Geometry,
     StripePoints,
-    undistort,
+    rays,
     unknowns_of,
 )
 from roemetry_pinhole.initial_intrinsics import FirstCamera, first_camera, free_numbers
@@ -134,6 +134,8 @@ def _first(storage, names: tuple[str, ...]) -> Floats | None:  # type: ignore[no
 
 
 _OFF_MAX_PX = 3.0
+"""Median residual of the belt's stripes by known planes, px: planes of another rig or frame are off by
+tens."""
 
 
 def with_known_planes(observed: CalibrationSet, camera: Floats, planes: Floats) -> Measured:
@@ -221,9 +223,7 @@ def _middle(measured: Measured, geometry: Geometry, stripe: int) -> Floats:
     """Where a stripe's plane passes the middle of its line on the bare belt, camera frame, mm."""
     mine = measured.points.stripe == stripe
     seen = np.array([[measured.points.x_px[mine].mean(), measured.points.row_px[mine].mean()]])
-    camera = geometry.camera
-    xy = undistort((seen - camera[2:4]) / camera[:2], camera[4:])[0]
-    ray = np.array([*xy, 1.0])
+    ray = rays(geometry.camera, seen)[0]
     place = ray / (ray @ geometry.belt)
     plane = geometry.planes[stripe]
     return np.asarray(place - (plane @ place - 1.0) / (plane @ plane) * plane)

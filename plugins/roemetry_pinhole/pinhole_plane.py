@@ -12,27 +12,32 @@ together. No point is given where the lens folds the image over.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
 from roemetry.errors import StageError
 from roemetry.records import Profiles, StripeMap
-from roemetry.records.arrays import Floats
+from roemetry.records.arrays import Floats, Integers
 from roemetry.records.calibration import Calibration
 from roemetry.records.view import View
 from roemetry.stages import Capabilities, StageOptions, Triangulator
 from roemetry_kernels.compiling import float_kernel
 from roemetry_kernels.lens import lens_from, undistorted_place
-from roemetry_pinhole.geometry import CAMERA, ON_BELT, Geometry, StripePoints, Unknowns, stripe_rows
+from roemetry_pinhole.geometry import CAMERA, ON_BELT, Geometry, StripePoints, Unknowns, rays, stripe_rows
 
 METHOD = "pinhole-plane"
 
 _FAN_RMS_MAX_MM = 5.0
+"""Planes that pass a common point by more than this come from no one projector, mm."""
 _REST_DEGREE_MAX = 7
+"""Of the polynomial of a rest line: higher ones swing between their supports."""
 _REST_OFF_MAX_PX = 0.002
+"""The lowest degree that stays this near to the exact line is taken: a tenth of the best peak's noise."""
 _REST_ROUNDS = 30
+"""Newton steps to a rest line; a place that needs more is none."""
 _PLANES_STD_MM = 0.05
+"""How far planes that were calibrated pass their common point, as weighed against the next number."""
 _PROJECTOR_Y_STD_MM = 20.0
 """How far a projector stands beside the camera's own plane, as rigs are built."""
 
@@ -89,6 +94,37 @@ def planes_in_belt_frame(planes: Floats, pose: Floats) -> Floats:
     distance = 1.0 / size + normal @ pose[:3, 3]
     sign = np.where(normal[:, 0] < 0, -1.0, 1.0)
     return np.column_stack([normal, distance]) * sign[:, None]
+
+
+def points_of(parameters: Mapping[str, Floats], stripe: Integers, x_px: Floats, row_px: Floats) -> Floats:
+    """Give (point, 3) where peaks lie in the belt frame, mm."""
+    ray = rays(camera_of(parameters), np.column_stack([x_px, row_px]))
+    pose = belt_pose(parameters["belt_per_mm"])
+    with np.errstate(divide="ignore"):
+        depth = 1.0 / (ray * parameters["planes_per_mm"][stripe]).sum(axis=1)
+    return np.asarray((ray * depth[:, None]) @ pose[:3, :3].T + pose[:3, 3])
+
+
+def by_parameter(calibration: Calibration, of: Callable[[Mapping[str, Floats]], Floats]) -> Floats:
+    """Give (n, …) central differences of what `of` says, by each of a calibration's uncertain parameters.
+
+    Steps are a tenth of the parameter's standard uncertainty; of what is held fixed the derivative is 0.
+    """
+    std = np.sqrt(np.diag(calibration.covariance))
+    found = np.zeros((std.size, *np.shape(of(calibration.parameters))))
+    for number in np.flatnonzero(std > 0):
+        moved: list[Floats] = []
+        for sign in (1.0, -1.0):
+            parameters, start = {}, 0
+            for name, array in calibration.parameters.items():
+                step = np.zeros(array.size)
+                if start <= number < start + array.size:
+                    step[number - start] = 0.1 * sign * std[number]
+                parameters[name] = array + step.reshape(array.shape)
+                start += array.size
+            moved.append(of(parameters))
+        found[number] = (moved[0] - moved[1]) / (0.2 * std[number])
+    return found
 
 
 def parameters_of(geometry: Geometry, *, travel: bool) -> dict[str, Floats]:

@@ -34,7 +34,7 @@ from roemetry_pinhole.geometry import (
     Geometry,
     StripePoints,
     corner_residuals,
-    undistort,
+    rays,
     unknowns_of,
 )
 from roemetry_pinhole.initial_intrinsics import FirstCamera
@@ -377,8 +377,7 @@ def _joined(nothing: tuple[Any, ...], parts: list[tuple[Any, ...]]) -> list[Any]
 def lifted(geometry: Geometry, points: StripePoints) -> Floats:
     """Give (point, 3) where the points' rays meet their planes of light, camera frame, mm."""
     seen = np.column_stack([points.x_px, points.row_px])
-    xy = undistort((seen - geometry.camera[2:4]) / geometry.camera[:2], geometry.camera[4:])
-    ray = np.column_stack([xy, np.ones(len(xy))])
+    ray = rays(geometry.camera, seen)
     return np.asarray(ray / (ray * geometry.planes[points.stripe]).sum(axis=1)[:, None])
 
 

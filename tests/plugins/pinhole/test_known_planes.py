@@ -108,14 +108,6 @@ def in_camera(made: Calibration, x_px: float, row_px: float) -> np.ndarray:
     return ray / (ray @ made.parameters["belt_per_mm"])
 
 
-def test_what_is_written_is_what_is_read(made, tmp_path: Path) -> None:
-    """`write_camera` puts the planes into the same file, in the camera's frame."""
-    path = tmp_path / "camera.yaml"
-    assert made.view is not None
-    write_camera(path, made.view)
-    assert read_planes(path) == pytest.approx(made.parameters["planes_per_mm"], rel=1e-9)
-
-
 @pytest.mark.parametrize(
     ("change", "says"),
     [
