@@ -7,9 +7,7 @@ import sys
 
 BENCHMARKS = {
     "best_chain": "grade, volume, weight and what intervals hold: the best shipped recipe on unseen skeins",
-    "calibrate_averages": "heights of levels by pinhole-plane, averaged over many rendered images of each",
     "calibrate_images": "heights of pinhole-plane and block-linear from simulated images, against the truth",
-    "calibrate_plate": "size of the shipped sphere plate in rendered images, by pinhole-plane",
     "calibrate_points": "spread of repeated calibrations of simulated points over what they state",
     "calibrate_real": "calibration from real boards with a laser line, and from a real chessboard",
     "coding": "share labelled, wrong and refused of every coder, where it breaks, its time",
@@ -19,7 +17,7 @@ BENCHMARKS = {
     "extract_real": "the same on real camera images: matches, reflections, a line across a printed board",
     "faults": "disturbed images: held, outside the stated interval, refused",
     "frame": "time from an array to a measurement, by stage",
-    "geometry": "displacement and height of one stripe, the linear model beside it, and the picture of it",
+    "geometry": "displacement and height of one stripe, and the linear model beside it",
     "startup": "time of `roemetry --help` over that of a two-command Typer program",
     "herring_roe": "coding, grading and volume on unseen simulated skeins",
     "golden": "what every shipped recipe says, against the committed records; --write keeps it",

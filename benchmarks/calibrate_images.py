@@ -1,9 +1,12 @@
 """Boards in simulated images: heights of `pinhole-plane` and of `block-linear` against the truth.
 
-``python -m benchmarks calibrate_images [--rig narrow] [--poses 30] [--seed 1] [--out DIR] [--plot FILE]
-[--map FILE]`` renders belt, block and ChArUco board (kept in DIR, so that it can be stopped and started
-again), calibrates both ways, and prints height errors over 2 to 30 mm and over the image, and how long the
-calibration took.
+``python -m benchmarks calibrate_images [--rig narrow] [--poses 30] [--seed 1] [--out DIR] [--images 200]
+[--plates 3]`` renders belt, block and ChArUco board (kept in DIR, so that it can be stopped and started
+again), calibrates both ways, and prints height errors over 2 to 30 mm and over the image.
+
+``--images`` renders a level at each of five heights as well, exposes it so many times with fresh speckle and
+noise, and takes the recipe's way: extractor, triangulator; the light of a still scene is cast once a height.
+``--plates`` lays the shipped sphere plate under the stripes so many times and measures its size.
 """
 
 from __future__ import annotations
@@ -11,21 +14,32 @@ from __future__ import annotations
 import argparse
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from benchmarks.calibrate_map import over_the_image
 from roemetry.calibrating import calibrate
 from roemetry.config.rig import Rig
+from roemetry.config.target_file import SpherePlateFile, read_sphere_plate, read_target
+from roemetry.io.shipped import shipped
 from roemetry.io.yaml_source import dump
-from roemetry.records import StripeMap
+from roemetry.records import Frame, StripeMap
+from roemetry.records import Sensor as Noise
 from roemetry.records.arrays import Floats
 from roemetry.records.calibration import Calibration
 from roemetry.stages.registry import discover
+from roemetry.targets.solids import solid_triangles
+from roemetry_pinhole.plates import plate_scale
+from roemetry_simulate.products.family import Pose
+from roemetry_simulate.products.mesh import Triangles, close, lay
 from roemetry_simulate.ray_caster import RayCaster
-from roemetry_simulate.scene import RayCasterOptions, rig_of
+from roemetry_simulate.render import Rig as TrueRig
+from roemetry_simulate.render import expose, laser_light, render
+from roemetry_simulate.scene import RayCasterOptions, rig_of, surface_of
+from roemetry_simulate.solid import Block
+from roemetry_simulate.surface import Surface
 
 RIGS: dict[str, dict[str, object]] = {
     "narrow": {
@@ -59,8 +73,13 @@ RIGS: dict[str, dict[str, object]] = {
         },
     },
 }
+METHODS = ("block-linear", "pinhole-plane")
 HEIGHTS_MM = (2.0, 5.0, 10.0, 16.5, 20.0, 25.0, 30.0)
 GRID_MM = (2.0, 10.0, 16.5, 25.0, 30.0)
+_WIDE_MM = 2000.0
+"""Side of a level: wider than any view."""
+_NEAR_PX = 4.0
+"""A peak belongs to the stripe that is nearer than this."""
 
 
 def main() -> None:
@@ -71,34 +90,42 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--extractor", default="centre-of-gravity")
     parser.add_argument("--out", type=Path)
-    parser.add_argument("--plot", type=Path, help="SVG: errors against the height")
-    parser.add_argument("--map", type=Path, help="SVG: errors over the image")
+    parser.add_argument("--images", type=int, default=0, help="exposures of each of five levels")
+    parser.add_argument("--plates", type=int, default=0, help="places of the sphere plate")
     given = parser.parse_args()
     scene = scene_of(given.rig, given.poses)
     with tempfile.TemporaryDirectory() as made:
         folder = given.out or Path(made)
         render_targets(scene, folder, given.seed)
         both = {method: calibrated(scene, folder, method, given.extractor) for method in METHODS}
-    found = {method: _errors(scene, calibration) for method, (calibration, _) in both.items()}
-    camera, poses = rig_of(scene).camera, scene.targets.board.poses
+    rig = rig_of(scene)
+    row_px = np.arange(rig.camera.height_px, dtype=np.float64)
+    found = {
+        method: {z: _heights(one, exact_lines(rig, z, row_px)) - z for z in HEIGHTS_MM}
+        for method, (one, _) in both.items()
+    }
     print(
-        f"rig {given.rig}: {camera.width_px} × {camera.height_px}, {poses} poses, "
-        f"seed {given.seed}, {given.extractor}"
+        f"rig {given.rig}: {rig.camera.width_px} × {rig.camera.height_px}, seed {given.seed}, "
+        f"{scene.targets.board.poses} poses, {given.extractor}"
     )
     for method, (calibration, seconds) in both.items():
         print(f"{method}: calibrated in {seconds:.1f} s")
         for name, value in calibration.residuals.items():
             print(f"  {name}: {value:.4g}")
     _table(found)
-    print_cells(found["pinhole-plane"])
-    _judge(scene, both["pinhole-plane"][0])
-    if given.plot:
-        given.plot.write_text(_plot(found), encoding="utf-8")
-    if given.map:
-        given.map.write_text(over_the_image(found, (5.0, 16.5, 30.0)), encoding="utf-8")
-
-
-METHODS = ("block-linear", "pinhole-plane")
+    _cells(found["pinhole-plane"])
+    pinhole = both["pinhole-plane"][0]
+    _judge(scene, pinhole)
+    for count in (1, given.images) if given.images else ():
+        errors = {}
+        for number, height in enumerate(GRID_MM):
+            first = 1_000_000 * (given.seed + 1) + 10_000 * number
+            errors[height] = (
+                _heights(pinhole, _averaged(scene, height, given.extractor, first, count)) - height
+            )
+        print(f"{count} images of each level:")
+        _cells(errors)
+    _plates(scene, pinhole, given.extractor, given.seed, given.plates)
 
 
 def scene_of(name: str, poses: int | None) -> RayCasterOptions:
@@ -165,33 +192,26 @@ def calibrated(
     return made, time.perf_counter() - begin
 
 
-def _errors(scene: RayCasterOptions, calibration: Calibration) -> dict[float, Floats]:
-    """Of each height the (stripe, row) errors of Z, mm, of exact stripes; NaN outside the image."""
-    rig = rig_of(scene)
+def _heights(calibration: Calibration, x_px: Floats) -> Floats:
+    """(stripe, row) heights, mm, of places in the image, by the triangulator; NaN outside."""
     registry = discover()
     stage = registry.load(registry.find("triangulator", calibration.method))()
-    rows, columns = calibration.image_size
-    row_px = np.arange(rows, dtype=np.float64)
-    found = {}
-    for height in HEIGHTS_MM:
-        x = exact_lines(rig, height, row_px)
-        x[(x < 0) | (x > columns - 1)] = np.nan
-        seen = np.isfinite(x)
-        stripes = StripeMap(
-            x_px=x,
-            x_std_px=np.where(seen, 0.1, np.nan),
-            product=np.where(seen, 1, -1).astype(np.int16),
-            seen=seen,
-            margin=np.where(seen, 1.0, np.nan),
-            ambiguous=np.zeros(x.shape, np.bool_),
-            rest_px=calibration.rest_line_px(row_px),
-            peak_stripe=np.empty(0, np.int16),
-        )
-        found[height] = stage.triangulate(stripes, calibration).xyz_mm[..., 2] - height
-    return found
+    x_px = np.where((x_px < 0) | (x_px > calibration.image_size[1] - 1), np.nan, x_px)
+    seen = np.isfinite(x_px)
+    stripes = StripeMap(
+        x_px=x_px,
+        x_std_px=np.where(seen, 0.1, np.nan),
+        product=np.where(seen, 1, -1).astype(np.int16),
+        seen=seen,
+        margin=np.where(seen, 1.0, np.nan),
+        ambiguous=np.zeros(x_px.shape, np.bool_),
+        rest_px=calibration.rest_line_px(np.arange(x_px.shape[1], dtype=np.float64)),
+        peak_stripe=np.empty(0, np.int16),
+    )
+    return np.asarray(stage.triangulate(stripes, calibration).xyz_mm[..., 2])
 
 
-def exact_lines(rig, height_mm: float, row_px: Floats) -> Floats:  # noqa: ANN001
+def exact_lines(rig: TrueRig, height_mm: float, row_px: Floats) -> Floats:
     """Where each plane lies on a level of this height, (stripe, row) px, by projecting many points."""
     away = float(rig.camera.centre_mm[2])
     y = np.linspace(-1.0, 1.0, 4001) * away
@@ -216,7 +236,7 @@ def _table(found: dict[str, dict[float, Floats]]) -> None:
         print(f"| {height:g} | " + " | ".join(cells) + " |")
 
 
-def print_cells(found: dict[float, Floats]) -> None:
+def _cells(found: dict[float, Floats]) -> None:
     """Mean errors in cells of five groups of stripes × five of rows × five heights."""
     cells = []
     for height in GRID_MM:
@@ -256,48 +276,72 @@ def _judge(scene: RayCasterOptions, calibration: Calibration) -> None:
     )
 
 
-def _plot(found: dict[str, dict[float, Floats]]) -> str:
-    """SVG: for both methods, the range of errors over the image against the height."""
-    width, high, left, below = 640, 320, 60, 40
-    limit = max(float(np.nanmax(np.abs(error))) for errors in found.values() for error in errors.values())
-    limit = np.ceil(10.0 * limit) / 10.0
+def _averaged(scene: RayCasterOptions, height_mm: float, extractor: str, seed: int, images: int) -> Floats:
+    """Give (stripe, row) mean place, px, of each stripe on a level over many images; NaN where never seen."""
+    rig = rig_of(scene)
+    registry = discover()
+    stage = registry.load(registry.find("extractor", extractor))()
+    lines = exact_lines(rig, height_mm, np.arange(rig.camera.height_px, dtype=np.float64))
+    laser, ambient = laser_light(rig, Block(_WIDE_MM, _WIDE_MM, height_mm), _matt(scene, seed), scene.samples)
+    total, many = np.zeros(lines.shape), np.zeros(lines.shape)
+    for number in range(images):
+        peaks = stage.extract(_frame(rig, expose(laser, ambient, rig.sensor, seed + number)))
+        off = np.abs(lines[:, peaks.row] - peaks.x_px)
+        off[np.isnan(off)] = np.inf
+        stripe = off.argmin(axis=0)
+        near = off[stripe, np.arange(len(peaks))] < _NEAR_PX
+        at = stripe[near], peaks.row[near]
+        np.add.at(total, at, peaks.x_px[near])
+        np.add.at(many, at, 1.0)
+    return np.where(many > 0, total / np.maximum(many, 1.0), np.nan)
 
-    def at(height: float, error: float) -> tuple[float, float]:
-        x = left + (width - left - 20) * height / max(HEIGHTS_MM)
-        return x, 20 + (high - below - 20) * (0.5 - 0.5 * error / limit)
 
-    parts = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {high}" font-family="sans-serif" '
-        'font-size="12"><rect width="100%" height="100%" fill="white"/>'
-    ]
-    for error in (-limit, -limit / 2, 0.0, limit / 2, limit):
-        x, y = at(0.0, error)
-        parts.append(f'<line x1="{x}" y1="{y:.1f}" x2="{width - 20}" y2="{y:.1f}" stroke="#ddd"/>')
-        parts.append(f'<text x="{left - 6}" y="{y + 4:.1f}" text-anchor="end">{error:+.2f}</text>')
-    for height in HEIGHTS_MM:
-        x, y = at(height, -limit)
-        parts.append(f'<text x="{x:.1f}" y="{y + 16:.1f}" text-anchor="middle">{height:g}</text>')
-    for method, colour, shift in (("block-linear", "#c04f15", -4.0), ("pinhole-plane", "#1f5fa8", 4.0)):
-        line = []
-        for height in HEIGHTS_MM:
-            error = found[method][height]
-            x, low = at(height, float(np.nanmin(error)))
-            _, top = at(height, float(np.nanmax(error)))
-            _, mean = at(height, float(np.nanmean(error)))
-            x += shift
-            line.append(f"{x:.1f},{mean:.1f}")
-            parts.append(
-                f'<line x1="{x:.1f}" y1="{low:.1f}" x2="{x:.1f}" y2="{top:.1f}" stroke="{colour}" '
-                'stroke-width="3" stroke-opacity="0.45"/>'
-            )
-        parts.append(f'<polyline points="{" ".join(line)}" fill="none" stroke="{colour}" stroke-width="2"/>')
-        y = 34 if method == "block-linear" else 50
-        parts.append(
-            f'<text x="{left + 12}" y="{y}" fill="{colour}">{method}: mean and range over the image</text>'
-        )
-    parts.append(f'<text x="{width / 2}" y="{high - 6}" text-anchor="middle">height, mm</text>')
-    parts.append(f'<text x="14" y="{high / 2}" transform="rotate(-90 14 {high / 2})">error, mm</text></svg>')
-    return "\n".join(parts)
+def _plates(
+    scene: RayCasterOptions, calibration: Calibration, extractor: str, seed: int, plates: int
+) -> None:
+    """Print the size of the shipped sphere plate, over the true one, in so many places and turns."""
+    rig, registry = rig_of(scene), discover()
+    stage = registry.load(registry.find("extractor", extractor))()
+    described = read_target(shipped("calib_targets", "sphere-plate-3x2-30.yaml"))
+    if not isinstance(described, SpherePlateFile):
+        raise AssertionError("the shipped description is that of a sphere plate")
+    plate = read_sphere_plate(described, Path())
+    if plate is None:
+        raise AssertionError("the shipped description is complete")
+    corners = solid_triangles(described).reshape(-1, 3).round(9)
+    points, number = np.unique(corners, axis=0, return_inverse=True)
+    mesh = close(Triangles(points, number.reshape(-1, 3)))
+    rng = np.random.default_rng(seed)
+    for count in range(plates):
+        pose = Pose(*rng.uniform(-4.0, 4.0, 2), float(rng.uniform(-8.0, 8.0)))
+        own = 1000 * (seed + 1) + count
+        pixels = render(rig, lay(mesh, pose), _matt(scene, own), seed=own, samples=scene.samples)
+        found = plate_scale(calibration, [stage.extract(_frame(rig, pixels))], plate)
+        if found is None:
+            print(f"plate {count + 1}: not seen")
+            continue
+        common = float(found.by_parameter @ calibration.covariance @ found.by_parameter)
+        std = float(np.hypot(found.own_std, np.sqrt(common)))
+        print(f"plate {count + 1}: size {found.ratio:.5f} ± {std:.5f} of the true one; {found.said}")
+
+
+def _frame(rig: TrueRig, pixels: np.ndarray) -> Frame:
+    """Give a rendered image with the sensor's noise as its owner knows it."""
+    sensor = rig.sensor
+    noise = Noise(sensor.grey_per_electron, sensor.read_noise_grey)
+    return Frame(pixels, name="level", bit_depth=sensor.bit_depth, sensor=noise)
+
+
+def _matt(scene: RayCasterOptions, seed: int) -> Surface:
+    """The simulated targets' material: matt, with a third of the product's texture."""
+    surface = surface_of(scene, seed)
+    return replace(
+        surface,
+        texture=1.0 + 0.35 * (surface.texture - 1.0),
+        laser_albedo=(surface.laser_albedo[0], 0.60),
+        gloss=(0.0, 0.0),
+        below=(0.0, 0.0, 0.0),
+    )
 
 
 if __name__ == "__main__":

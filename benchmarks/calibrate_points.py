@@ -12,11 +12,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from benchmarks.simulated_points import Shown, SimulatedRig, noisy, shown
 from roemetry.records.arrays import Floats
 from roemetry_pinhole.bundle import Adjusted, Problem, Weights, adjust, inverse
-from roemetry_pinhole.conformance import Shown, SimulatedRig, noisy, shown
-from roemetry_pinhole.frames import belt_pose
 from roemetry_pinhole.geometry import CAMERA, Geometry, Unknowns, undistort, unknowns_of
+from roemetry_pinhole.pinhole_plane import belt_pose
 
 RIGS = {
     "gentle": SimulatedRig(2000.0, 400.0),

@@ -20,11 +20,9 @@ from roemetry.io.yaml_source import dump
 from roemetry.records import Board, Frame
 from roemetry.records.arrays import Floats
 from roemetry.stages.registry import discover
-from roemetry_pinhole.board_diagnostics import BoardNotFoundError
-from roemetry_pinhole.boards import BoardView, Seen, board_views, find_marks
-from roemetry_pinhole.bundle import Adjusted, adjust
-from roemetry_pinhole.equations import Corners, Feet, StripePoints
-from roemetry_pinhole.geometry import Geometry, undistort, unknowns_of
+from roemetry_pinhole.boards import BoardNotFoundError, BoardView, Seen, board_views, find_marks
+from roemetry_pinhole.bundle import Adjusted, adjust, chosen
+from roemetry_pinhole.geometry import Corners, Feet, Geometry, StripePoints, undistort, unknowns_of
 from roemetry_pinhole.initial_intrinsics import FirstCamera, first_camera, free_numbers
 from roemetry_pinhole.stripes import Gathered, gather
 
@@ -59,7 +57,7 @@ def _boards(folder: Path, extractor: str, channel: str, contrast: float) -> None
     size = observed.observations[0].frame.size
     first = first_camera(seen, size, "brown", None, 12)
     gathered = gather(first, board, (), 1, np.zeros(len(first.views)), print_contrast_max=contrast)
-    found = _adjusted(first, gathered)
+    found = _adjusted(first, gathered.planes, gathered.points)
     off = _off_plane(found.geometry, gathered.points, found.geometry.planes[0])
     used = found.stripe_used
     print(f"laser_on_circle_grid: {len(first.views)} of 12 boards, left out: {seen.left_out or 'none'}")
@@ -71,8 +69,8 @@ def _boards(folder: Path, extractor: str, channel: str, contrast: float) -> None
         f"  plane: rms {np.sqrt((off**2).mean()):.4f} mm over all {off.size} points that lie on even print, "
         f"{np.sqrt((off[used] ** 2).mean()):.4f} mm over those used"
     )
-    left = gathered.left_share + (1.0 - gathered.left_share) * float(1.0 - used.mean())
-    print(f"  rejected: {left:.1%} of the peaks on the line (uneven print, far off)")
+    stray = 1.0 - (1.0 - gathered.stray_share) * float(used.mean())
+    print(f"  left out: {gathered.print_share:.1%} on uneven print, {stray:.1%} of the others as far off")
     print(f"  plane to the author's: {_to_author_deg(found.geometry.planes[0]):.3f}°")
     print(f"  leave one pose out: rms {_left_out(first, gathered):.4f} mm")
 
@@ -97,26 +95,20 @@ def _observed(folder: Path, extractor: str, channel: str):  # noqa: ANN202
         return observe(Rig.load(path), discover())[0]
 
 
-def _adjusted(first: FirstCamera, gathered: Gathered) -> Adjusted:
-    start = Geometry(
-        first.camera, first.rotation, first.shift, gathered.planes, np.full(3, np.nan), np.zeros(3)
+def _adjusted(first: FirstCamera, planes: Floats, points: StripePoints) -> Adjusted:
+    """Adjust camera, poses and planes; there is no belt, and no board lies on one."""
+    start = Geometry(first.camera, first.rotation, first.shift, planes, np.full(3, np.nan), np.zeros(3))
+    free = unknowns_of(
+        start, free_camera=free_numbers("brown"), planes=bool(len(planes)), belt=False, travel=False
     )
-    free = unknowns_of(start, free_camera=free_numbers("brown"), planes=True, belt=False, travel=False)
-    return adjust(start, free, _corners(first), gathered.points, _no_feet(), foot_std_mm=1.0)
-
-
-def _corners(first: FirstCamera) -> Corners:
     size = [len(view.marks.xy_px) for view in first.views]
-    return Corners(
+    corners = Corners(
         np.repeat(np.arange(len(size)), size),
         np.concatenate([view.marks.board_mm for view in first.views]),
         np.concatenate([view.marks.xy_px for view in first.views]),
         np.zeros(sum(size)),
     )
-
-
-def _no_feet() -> Feet:
-    return Feet(NOBODY, np.empty((0, 3)), np.empty(0))
+    return adjust(start, free, corners, points, Feet(NOBODY, np.empty((0, 3)), np.empty(0)), foot_std_mm=1.0)
 
 
 def _points_mm(geometry: Geometry, points: StripePoints) -> Floats:
@@ -140,28 +132,11 @@ def _to_author_deg(plane: Floats) -> float:
 
 def _left_out(first: FirstCamera, gathered: Gathered) -> float:
     """Distance of each pose's points from the plane that the other poses give, camera and poses alike."""
-    squares, count = 0.0, 0
-    points = gathered.points
+    off, points = [], gathered.points
     for pose in range(len(first.views)):
-        keep = points.pose != pose
-        others = StripePoints(
-            points.pose[keep], points.stripe[keep], points.x_px[keep], points.row_px[keep],
-            points.std_px[keep], points.counts[keep],
-        )  # fmt: skip
-        found = _adjusted(first, Gathered(**{**_fields(gathered), "points": others}))
-        alone = ~keep
-        own = StripePoints(
-            points.pose[alone], points.stripe[alone], points.x_px[alone], points.row_px[alone],
-            points.std_px[alone], points.counts[alone],
-        )  # fmt: skip
-        off = _off_plane(found.geometry, own, found.geometry.planes[0])
-        squares += float((off**2).sum())
-        count += off.size
-    return float(np.sqrt(squares / count))
-
-
-def _fields(gathered: Gathered) -> dict[str, object]:
-    return {name: getattr(gathered, name) for name in gathered.__slots__}
+        found = _adjusted(first, gathered.planes, chosen(points, points.pose != pose))
+        off.append(_off_plane(found.geometry, chosen(points, points.pose == pose), found.geometry.planes[0]))
+    return float(np.sqrt((np.concatenate(off) ** 2).mean()))
 
 
 def _chessboard(folder: Path) -> None:
@@ -181,13 +156,9 @@ def _chessboard(folder: Path) -> None:
             continue
         seen.views.append(BoardView(path.name, marks, None, None, on_belt=False, count=np.nan))
     first = first_camera(seen, size, "brown", None, len(files))
-    start = Geometry(
-        first.camera, first.rotation, first.shift, np.empty((0, 3)), np.full(3, np.nan), np.zeros(3)
-    )
-    free = unknowns_of(start, free_camera=free_numbers("brown"), planes=False, belt=False, travel=False)
     none = np.empty(0)
     nothing = StripePoints(NOBODY, NOBODY, none, none, none, none)
-    found = adjust(start, free, _corners(first), nothing, _no_feet(), foot_std_mm=1.0)
+    found = _adjusted(first, np.empty((0, 3)), nothing)
     rms = np.sqrt((found.corner_px**2).sum(axis=1).mean())
     print(f"chessboard_mit: {len(first.views)} of {len(files)} boards, left out: {seen.left_out or 'none'}")
     print(f"  marks: reprojection rms {rms:.4f} px, all marks; fx {found.geometry.camera[0]:.1f} px")

@@ -5,8 +5,7 @@ must find the stripes' numbers: all that stands between a product and its grade 
 takes about half a second, where a rendered image takes some seconds of two cores.
 """
 
-from benchmarks.traced.rigs import RIGS
-from benchmarks.traced.skeins import Traced, traced
+from benchmarks.traced.skeins import RIGS, Traced, traced
 from benchmarks.traced.tables import Row, rows_of
 
 __all__ = ["RIGS", "Row", "Traced", "rows_of", "traced"]

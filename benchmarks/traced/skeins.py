@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from benchmarks.coded import CodingRig, sample_from
+from benchmarks.coded import CodingRig, dense_rig, easy_rig, sample_from
 from benchmarks.coded.crossings import Crossings, crossings_of
 from benchmarks.coded.products import in_view
-from benchmarks.traced.rigs import RIGS
+from benchmarks.volume_scenes import rig_of
 from roemetry.errors import StageError
 from roemetry.records import Peaks, Product, Profiles, StripeMap
 from roemetry.records.calibration import Calibration
@@ -20,6 +20,24 @@ from roemetry_paper.block_linear import BlockLinear
 from roemetry_paper.window_tracking import WindowTracking
 from roemetry_simulate.population import moved_to
 from roemetry_simulate.products import PRODUCTS, Drawn
+
+_NOISE_PX = 0.08
+_HEIGHTS_MM = (-1.0, 26.0)
+
+
+def _farther(seed: int) -> CodingRig:
+    """Another design: camera 270 to 420 mm above the belt, other lenses, tilts, and projector places."""
+    rig = rig_of(seed)
+    return CodingRig("farther", rig.camera, rig.laser, _NOISE_PX, _HEIGHTS_MM)
+
+
+RIGS: Mapping[str, Callable[[int], CodingRig]] = {
+    "recipe-like": easy_rig,
+    "farther": _farther,
+    "dense": dense_rig,
+}
+"""Families of rigs, each seed its own: about that of the recipe `herring_roe` (300 to 340 mm, laser on either
+side); another design; 21 stripes 5 mm apart, wide angle, near, with three times the noise."""
 
 _GRID_MM = 0.25
 _BLOCK_MM = 16.5

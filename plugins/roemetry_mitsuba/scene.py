@@ -30,6 +30,7 @@ from roemetry.config.scene_parts import (
     TargetsPart,
 )
 from roemetry.errors import MisfitError
+from roemetry.records.camera_model import distorted, undistorted
 from roemetry.stages import StageOptions
 from roemetry_mitsuba.products import MODELS
 
@@ -123,8 +124,9 @@ class Camera:
     def project(self, points_mm: Floats) -> Floats:
         """Give the pixels, shape (..., 2), of belt points, shape (..., 3)."""
         seen = (points_mm - self.centre_mm) @ self.rotation
-        x, y = seen[..., 0] / seen[..., 2], seen[..., 1] / seen[..., 2]
-        return self.focal_px * self._distorted(x, y) + self.principal_px
+        places = distorted((seen[..., :2] / seen[..., 2:]).reshape(-1, 2), self.distortion)
+        pixels: Floats = self.focal_px * places.reshape(*seen.shape[:-1], 2) + self.principal_px
+        return pixels
 
     def directions(self, x_px: Floats, y_px: Floats) -> Floats:
         """Give directions in the belt frame, shape (..., 3), camera z component 1, of pixels."""
@@ -133,22 +135,11 @@ class Camera:
         return turned
 
     def undistorted(self, x_px: Floats, y_px: Floats) -> tuple[Floats, Floats]:
-        """Give pinhole coordinates of pixels by Newton's method on the distortion."""
-        goal_x = (np.asarray(x_px, np.float64) - self.principal_px[0]) / self.focal_px
-        goal_y = (np.asarray(y_px, np.float64) - self.principal_px[1]) / self.focal_px
-        x, y = np.array(goal_x), np.array(goal_y)
-        step = 1e-6
-        for _ in range(20):
-            at = self._distorted(x, y)
-            off_x, off_y = at[..., 0] - goal_x, at[..., 1] - goal_y
-            if max(np.abs(off_x).max(initial=0.0), np.abs(off_y).max(initial=0.0)) < 1e-13:
-                break
-            by_x = (self._distorted(x + step, y) - at) / step
-            by_y = (self._distorted(x, y + step) - at) / step
-            det = by_x[..., 0] * by_y[..., 1] - by_x[..., 1] * by_y[..., 0]
-            x = x - (by_y[..., 1] * off_x - by_y[..., 0] * off_y) / det
-            y = y - (by_x[..., 0] * off_y - by_x[..., 1] * off_x) / det
-        return x, y
+        """Give places on the plane at distance 1, without distortion, of pixels."""
+        pixels = np.stack(np.broadcast_arrays(x_px, y_px), axis=-1)
+        places = (pixels.reshape(-1, 2) - self.principal_px) / self.focal_px
+        found = undistorted(places, self.distortion)
+        return found[:, 0].reshape(pixels.shape[:-1]), found[:, 1].reshape(pixels.shape[:-1])
 
     def border_on(self, height_mm: float) -> Floats:
         """Give where the rays of the image's border meet a level, shape (N, 3), mm."""
@@ -166,18 +157,6 @@ class Camera:
         left, right, top, bottom = at[:17], at[17:34], at[34:51], at[51:]
         y = sorted([float(np.median(top[:, 1])), float(np.median(bottom[:, 1]))])
         return float(left[:, 0].max()), float(right[:, 0].min()), y[0], y[1]
-
-    def _distorted(self, x: Floats, y: Floats) -> Floats:
-        k1, k2, p1, p2, k3 = self.distortion
-        r2 = x * x + y * y
-        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        return np.stack(
-            [
-                x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
-                y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
-            ],
-            axis=-1,
-        )
 
 
 @dataclass(frozen=True, eq=False)

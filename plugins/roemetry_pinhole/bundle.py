@@ -29,12 +29,14 @@ import numpy as np
 from roemetry.errors import CalibrationError
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_kernels.compiling import kernel
-from roemetry_pinhole.equations import (
+from roemetry_pinhole.geometry import (
     ON_BELT,
     Corners,
     Edges,
     Feet,
+    Geometry,
     StripePoints,
+    Unknowns,
     corner_residuals,
     corner_rows,
     edge_rows,
@@ -43,8 +45,8 @@ from roemetry_pinhole.equations import (
     no_edges,
     stripe_residuals,
     stripe_rows,
+    unknowns_of,
 )
-from roemetry_pinhole.geometry import Geometry, Unknowns, unknowns_of
 
 TOLERANCE = 1e-11
 """Relative gain of a step at which the last adjustment ends."""

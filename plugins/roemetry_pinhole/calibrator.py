@@ -14,7 +14,8 @@ from roemetry.records import CalibrationSet, Evidence
 from roemetry.records.arrays import Floats
 from roemetry.records.calibration import Calibration
 from roemetry.stages import Calibrator, Capabilities, StageOptions
-from roemetry_pinhole.frames import (
+from roemetry_pinhole.joint import Joint, joint, of_planes, planes_by_solids, read_planes
+from roemetry_pinhole.pinhole_plane import (
     METHOD,
     covariance_of,
     displacements,
@@ -22,8 +23,6 @@ from roemetry_pinhole.frames import (
     rest_polynomials,
     view_of,
 )
-from roemetry_pinhole.joint import Joint, joint, planes_by_solids
-from roemetry_pinhole.known_planes import of_planes, read_planes
 from roemetry_pinhole.scale import (
     check_beside_solids,
     check_scale,

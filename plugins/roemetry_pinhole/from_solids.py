@@ -1,10 +1,14 @@
-"""Planes of light from solids on the belt: points and edges on them, and the adjustment.
+"""Planes of light from solids of known shape on the belt, with a camera that is known or comes from boards.
 
-Which face of a solid each peak lies on, by a geometry that is nearly right, and where faces end.
+Model. By a first geometry (solids.py) each peak is lifted onto its plane of light and goes to the face of
+the solid, or to the belt, on which it then lies within a share of the height; where a stripe leaves a face
+over a wall, the place in the image is an observation of that edge. All is adjusted together (bundle.py), and
+peaks go to faces anew with a narrower share, seven times. Stripes that change places at a rim are told apart
+by the surface that either order would lie on. Of ways round that a staircase may lie, that with the least
+residuals is taken. What the solid's own tolerances do is found by adjusting again with each length longer.
 
-Planes of light from solids of known shape on the belt, with a camera that is known or comes from boards.
-
-Peaks go to the faces of the solid by a first geometry; all is adjusted; the peaks go to the faces anew.
+It fails where a stripe lies on one surface only (its plane may turn about its line) and where edges and
+faces do not tell the belt's distance: both are refused.
 """
 
 from __future__ import annotations
@@ -17,8 +21,7 @@ from roemetry.errors import CalibrationError
 from roemetry.records import CalibrationSet
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_pinhole.bundle import Adjusted, Measured
-from roemetry_pinhole.equations import ON_BELT, Edges, Feet, StripePoints
-from roemetry_pinhole.geometry import Geometry, unknowns_of
+from roemetry_pinhole.geometry import ON_BELT, Edges, Feet, Geometry, StripePoints, no_edges, unknowns_of
 from roemetry_pinhole.solids import (
     Numbered,
     Shape,
@@ -36,10 +39,17 @@ from roemetry_pinhole.solids import (
 )
 
 _GAP_ROWS_MAX = 3.0
+"""Rows between a face's last peak and the next one: over a wider gap the edge may be anywhere."""
 _ON_FACE_MIN = 4
+"""Peaks of a stripe on a face before its end is taken for an edge."""
 _RIM_SHARE = 0.1
+"""Of the solid's extent: within it of a rim, the surface on either side of it counts."""
 _EDGE_PX = 0.6
+"""Standard uncertainty of an edge between two rows, px: rectangular over a row, chamfer and blur as much
+again."""
 _SOMEWHERE_SHARE = 0.5
+"""Of the image's width: that the solid is in the image at all, as an observation that keeps the start
+there."""
 _NOWHERE, _BELT = -2, -1
 
 
@@ -215,15 +225,8 @@ def _ends(view: Numbered, face: Integers, y_mm: Floats, shape: Shape) -> list[tu
                 if not one.ends[side]:
                     continue
                 half = 0.5 * (row[beyond] - row[end])
-                found.append(
-                    (
-                        number,
-                        side,
-                        x[end] + abs(half) * (x[end] - x[end + inwards]),
-                        row[end] + half,
-                        _EDGE_PX,
-                    )
-                )
+                at_x = x[end] + abs(half) * (x[end] - x[end + inwards])
+                found.append((number, side, at_x, row[end] + half, _EDGE_PX))
     return found
 
 
@@ -241,9 +244,11 @@ extents; how many points."""
 _RIGHTED_FROM = 3
 """Stripes that change places at a rim are told apart only by a geometry that is nearly right."""
 _LIES_STD_MM = 0.01
+"""How well a machined solid lies on the belt, mm."""
 _SURFACE_POINTS_MIN = 12
+"""Points of a stripe on a surface: two such surfaces determine its plane."""
 _HEIGHT_RELATIVE_MAX = 0.05
-_ROWS = 5
+"""Of the camera's distance, for the belt's place: with more, the scale itself is open by as much."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -399,30 +404,40 @@ def _measured(
     first_pose: int,
 ) -> Measured:
     points, edges = found.placed(shapes)
-    size = [shape.along_mm for shape in shapes]
-    under = np.array([[-0.5, -0.5, 0.0], [0.5, -0.5, 0.0], [0.0, 0.5, 0.0]])
-    pose = first_pose + np.repeat(np.arange(len(shapes)), 3)
+    under = [shape.along_mm * _UNDER for shape in shapes]
+    return resting(boards, free_camera, geometry, points, under, first_pose, edges)
+
+
+_UNDER = np.array([[-0.5, -0.5, 0.0], [0.5, -0.5, 0.0], [0.0, 0.5, 0.0]])
+"""Three points under a solid that touch the belt, in its extents along the stripes."""
+
+
+def resting(
+    boards: Measured,
+    free_camera: Flags,
+    geometry: Geometry,
+    points: StripePoints,
+    under_mm: list[Floats],
+    first_pose: int,
+    edges: Edges | None = None,
+) -> Measured:
+    """Give what boards and solids show together; each solid rests on the belt on three points (3, 3), mm."""
+    pose = first_pose + np.repeat(np.arange(len(under_mm)), 3)
     feet = Feet(
         np.concatenate([boards.feet.pose, pose]),
-        np.concatenate([boards.feet.board_mm, *(side * under for side in size)]),
+        np.concatenate([boards.feet.board_mm, *under_mm]),
         np.concatenate([boards.feet.counts, np.zeros(pose.size)]),
     )
     of_boards = np.broadcast_to(boards.foot_std_mm, boards.feet.pose.shape)
+    bend = geometry.bend is not None
     return Measured(
         geometry,
-        unknowns_of(
-            geometry,
-            free_camera=free_camera,
-            planes=True,
-            belt=True,
-            travel=False,
-            bend=geometry.bend is not None,
-        ),
+        unknowns_of(geometry, free_camera=free_camera, planes=True, belt=True, travel=False, bend=bend),
         boards.corners,
         points,
         feet,
         np.concatenate([of_boards, np.full(pose.size, _LIES_STD_MM)]),
-        edges,
+        edges or no_edges(),
     )
 
 

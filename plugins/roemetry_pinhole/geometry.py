@@ -1,10 +1,18 @@
-"""Unknowns of a calibration: camera and lens, poses, planes of light, belt, travel, the board's shape.
+"""Unknowns of a calibration, and what they say the images show, with derivatives.
 
-Lens distortion in OpenCV's rational model, with its derivatives.
+Model. The camera is a pinhole with OpenCV's lens (roemetry_kernels.lens); the board has a pose in each view
+and may be bent (a polynomial of the fourth order); a plane of light is p·X = 1 in the camera's frame, which
+no plane through the camera's centre can be, and such a plane would measure nothing; the belt is the same.
 
-The shape of a board that is not flat: how far its print lies off a plane.
+Observed are, each with its own residual and its analytic derivatives by all unknowns:
+- marks: predicted less seen place in the image, px;
+- stripe peaks: the way along the image row to where plane of light and surface meet, px. Both planes meet in
+  a line whose rays m keep (δ p − n)·m = 0, n·X = δ being the surface; its left side over its slope along the
+  row is that way. Derivatives are taken at the predicted place: at the noisy one they would share its noise;
+- feet: heights over the belt of boards' corners that lie on it, mm;
+- edges of solids: the distance in the image from the line in which two of its faces meet, px.
 
-The unknowns of a calibration: camera, poses of the board, planes of light, belt, travel.
+It fails where a ray runs along a plane: the slope along the row is then 0.
 """
 
 from __future__ import annotations
@@ -15,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from roemetry.records.arrays import Flags, Floats, Integers
-from roemetry_kernels.compiling import float_kernel
+from roemetry_kernels.lens import distort_places, undistort_places
 
 COEFFICIENTS = 8
 """k1, k2, p1, p2, k3, k4, k5, k6: OpenCV's order."""
@@ -34,7 +42,7 @@ class Distorted(NamedTuple):
 
 def distort(xy: Floats, coefficients: Floats) -> Distorted:
     """Distort places (n, 2) by eight coefficients."""
-    return Distorted(*bend(np.ascontiguousarray(xy), np.ascontiguousarray(coefficients)))
+    return Distorted(*distort_places(np.ascontiguousarray(xy), np.ascontiguousarray(coefficients)))
 
 
 def undistort(places: Floats, coefficients: Floats, start: Floats | None = None) -> Floats:
@@ -43,7 +51,13 @@ def undistort(places: Floats, coefficients: Floats, start: Floats | None = None)
         return places
     places = np.ascontiguousarray(places)
     begin = places if start is None else np.ascontiguousarray(start)
-    return np.asarray(undistort_kernel(places, np.ascontiguousarray(coefficients), begin))
+    return np.asarray(undistort_places(places, np.ascontiguousarray(coefficients), begin))
+
+
+def rays(camera: Floats, xy_px: Floats) -> Floats:
+    """Give (n, 3) rays, z = 1, of places (n, 2) in the image, px, by a camera (12,)."""
+    xy = undistort((xy_px - camera[2:4]) / camera[:2], camera[4:])
+    return np.column_stack([xy, np.ones(len(xy))])
 
 
 _POWERS = np.array([(i, degree - i) for degree in (2, 3, 4) for i in range(degree, -1, -1)])
@@ -261,101 +275,350 @@ def _part(step: Floats, at: Integers) -> Floats:
     return np.where(at >= 0, step[np.maximum(at, 0)], 0.0)
 
 
-@float_kernel
-def bend(xy: Floats, coefficients: Floats) -> tuple[Floats, Floats, Floats]:
-    """Give where the lens bends places (n, 2) on the plane at distance 1, and the derivatives of that.
+_BENT_ROUNDS = 3
+"""Of meeting a ray with a bent board: each divides the error by the bend's slope, some 0.01."""
 
-    Parameters
+ON_BELT = -1
+"""Pose of stripe points that lie on the bare belt."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Corners:
+    """Marks of the board seen in images.
+
+    Attributes
     ----------
-    xy
-        (n, 2) as they would be without a lens.
-    coefficients
-        (8,) k1, k2, p1, p2, k3, k4, k5, k6 of OpenCV's model.
-
-    Returns
-    -------
-    tuple of ndarray
-        (n, 2) as seen; (n, 2, 2) its derivatives by the place; (n, 2, 8) by the coefficients.
+    pose
+        (mark,) which pose of the board.
+    board_mm
+        (mark, 3) place on the board, mm: x along its columns, y along its rows, z away from the camera.
+    xy_px
+        (mark, 2) where it is seen, px.
+    counts
+        (mark,) encoder counts the belt has carried the board on since the pose was defined.
     """
-    k1, k2, p1, p2 = coefficients[0], coefficients[1], coefficients[2], coefficients[3]
-    k3, k4, k5, k6 = coefficients[4], coefficients[5], coefficients[6], coefficients[7]
-    seen = np.empty(xy.shape)
-    by_place = np.empty((xy.shape[0], 2, 2))
-    by_coefficient = np.empty((xy.shape[0], 2, 8))
-    for n in range(xy.shape[0]):
-        x, y = xy[n, 0], xy[n, 1]
-        xx, yy, xy2 = x * x, y * y, 2.0 * x * y
-        r2 = xx + yy
-        r4, r6 = r2 * r2, r2 * r2 * r2
-        over = 1.0 / (1.0 + r2 * (k4 + r2 * (k5 + r2 * k6)))
-        radial = (1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))) * over
-        slope = k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3)
-        slope = (slope - radial * (k4 + r2 * (2.0 * k5 + 3.0 * r2 * k6))) * over
-        along_x, along_y = r2 + 2.0 * xx, r2 + 2.0 * yy
-        seen[n, 0] = x * radial + p1 * xy2 + p2 * along_x
-        seen[n, 1] = y * radial + p1 * along_y + p2 * xy2
-        by_place[n, 0, 0] = radial + 2.0 * xx * slope + 2.0 * p1 * y + 6.0 * p2 * x
-        by_place[n, 1, 1] = radial + 2.0 * yy * slope + 6.0 * p1 * y + 2.0 * p2 * x
-        across = xy2 * slope + 2.0 * p1 * x + 2.0 * p2 * y
-        by_place[n, 0, 1] = across
-        by_place[n, 1, 0] = across
-        for axis in range(2):
-            place = xy[n, axis] * over
-            by_coefficient[n, axis, 0] = place * r2
-            by_coefficient[n, axis, 1] = place * r4
-            by_coefficient[n, axis, 2] = along_y if axis else xy2
-            by_coefficient[n, axis, 3] = xy2 if axis else along_x
-            by_coefficient[n, axis, 4] = place * r6
-            by_coefficient[n, axis, 5] = -place * r2 * radial
-            by_coefficient[n, axis, 6] = -place * r4 * radial
-            by_coefficient[n, axis, 7] = -place * r6 * radial
-    return seen, by_place, by_coefficient
+
+    pose: Integers
+    board_mm: Floats
+    xy_px: Floats
+    counts: Floats
 
 
-_UNDISTORT_STEPS_MAX = 20
-_UNDISTORT_STEP_END = 3e-8  # Newton's next step would be some 1e-15
+@dataclass(frozen=True, eq=False, slots=True)
+class StripePoints:
+    """Peaks of stripes on boards and on the belt.
 
-
-@float_kernel
-def undistort_kernel(places: Floats, coefficients: Floats, start: Floats) -> Floats:
-    """Give places (n, 2) on the plane at distance 1 that the lens bends to the given ones.
-
-    Parameters
+    Attributes
     ----------
-    places
-        (n, 2) as seen.
-    coefficients
-        (8,) k1, k2, p1, p2, k3, k4, k5, k6 of OpenCV's model.
-    start
-        (n, 2) where the search begins.
-
-    Returns
-    -------
-    ndarray, shape (n, 2)
-        Where no place was found within twenty steps, the last one tried.
+    pose
+        (point,) which pose of the board, or `ON_BELT`.
+    stripe
+        (point,) which plane of light.
+    x_px, row_px
+        (point,) where the peak is, px.
+    std_px
+        (point,) standard uncertainty of `x_px`, px, up to a common factor.
+    counts
+        (point,) as for corners.
+    face
+        (point, 4) n and d with n·X = d, mm, in the pose's own frame: the plane of the surface the point lies
+        on; None where all lie on boards, whose surface is (0, 0, 1, 0).
     """
-    k1, k2, p1, p2 = coefficients[0], coefficients[1], coefficients[2], coefficients[3]
-    k3, k4, k5, k6 = coefficients[4], coefficients[5], coefficients[6], coefficients[7]
-    found = start.copy()
-    for n in range(places.shape[0]):
-        x, y = start[n, 0], start[n, 1]
-        for _ in range(_UNDISTORT_STEPS_MAX):
-            r2 = x * x + y * y
-            below = 1.0 + r2 * (k4 + r2 * (k5 + r2 * k6))
-            radial = (1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))) / below
-            slope = 2.0 * k1 + r2 * (4.0 * k2 + 6.0 * r2 * k3)
-            slope = (slope - radial * (2.0 * k4 + r2 * (4.0 * k5 + 6.0 * r2 * k6))) / below
-            xy = slope * x * y + 2.0 * (p1 * x + p2 * y)
-            xx = radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x
-            yy = radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x
-            wrong_x = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x) - places[n, 0]
-            wrong_y = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y - places[n, 1]
-            determinant = xx * yy - xy * xy
-            step_x = (yy * wrong_x - xy * wrong_y) / determinant
-            step_y = (xx * wrong_y - xy * wrong_x) / determinant
-            x -= step_x
-            y -= step_y
-            if not abs(step_x) + abs(step_y) > _UNDISTORT_STEP_END:
-                break
-        found[n, 0], found[n, 1] = x, y
-    return found
+
+    pose: Integers
+    stripe: Integers
+    x_px: Floats
+    row_px: Floats
+    std_px: Floats
+    counts: Floats
+    face: Floats | None = None
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Feet:
+    """Points of boards that touch the belt: (foot,) pose, (foot, 3) place on the board, mm, and counts."""
+
+    pose: Integers
+    board_mm: Floats
+    counts: Floats
+
+
+class Rows(NamedTuple):
+    """Residuals (row,) with a sparse Jacobian: (row, k) columns, −1 for none, and values."""
+
+    residual: Floats
+    columns: Integers
+    values: Floats
+
+
+def corner_rows(geometry: Geometry, unknowns: Unknowns, corners: Corners) -> Rows:
+    """Give predicted − seen, px: for each mark a row for x and one for y, in turn."""
+    arm, at = _placed(geometry, corners.pose, _bent_marks(geometry, corners), corners.counts)
+    depth = at[:, 2]
+    xy = at[:, :2] / depth[:, None]
+    lens = distort(xy, geometry.camera[4:])
+    focal, middle = geometry.camera[:2], geometry.camera[2:4]
+    residual = lens.xy * focal + middle - corners.xy_px
+    by_at = np.zeros((depth.size, 2, 3))
+    by_at[:, :, :2] = lens.by_place / depth[:, None, None]
+    by_at[:, :, 2] = -(lens.by_place @ xy[:, :, None])[:, :, 0] / depth[:, None]
+    by_at *= focal[:, None]
+    values = np.zeros((depth.size, 2, CAMERA + 9))
+    values[:, 0, 0], values[:, 1, 1] = lens.xy[:, 0], lens.xy[:, 1]
+    values[:, 0, 2] = values[:, 1, 3] = 1.0
+    values[:, :, 4:CAMERA] = lens.by_coefficient * focal[:, None]
+    values[:, :, CAMERA : CAMERA + 3] = crossed(arm[:, None, :], by_at)
+    values[:, :, CAMERA + 3 : CAMERA + 6] = by_at
+    values[:, :, CAMERA + 6 :] = by_at * corners.counts[:, None, None]
+    columns = columns_of(unknowns.camera, unknowns.poses[corners.pose], unknowns.travel)
+    rows = Rows(residual.ravel(), np.repeat(columns, 2, axis=0), values.reshape(-1, CAMERA + 9))
+    if unknowns.bend.size and geometry.bend is not None:
+        away = (by_at @ geometry.rotation[corners.pose][:, :, 2:]).reshape(-1, 1)
+        by_bend = np.repeat(geometry.bend.by_coefficient(corners.board_mm[:, :2]), 2, axis=0)
+        rows = _with_bend(rows, unknowns, away * by_bend)
+    return rows
+
+
+def corner_residuals(geometry: Geometry, corners: Corners) -> Floats:
+    """Give predicted − seen, px, x and y in turn, without derivatives."""
+    at = _placed(geometry, corners.pose, _bent_marks(geometry, corners), corners.counts)[1]
+    seen = distort(at[:, :2] / at[:, 2:], geometry.camera[4:]).xy * geometry.camera[:2] + geometry.camera[2:4]
+    return np.ravel(seen - corners.xy_px)
+
+
+def stripe_rows(geometry: Geometry, unknowns: Unknowns, points: StripePoints) -> Rows:
+    """Give seen − predicted along the image row, px.
+
+    Plane of light p·X = 1 and board n·X = δ meet in a line whose rays m keep (δ p − n)·m = 0; on the belt
+    b·X = 1 it is (p − b)·m = 0. The left side over its slope along the row is the way to the predicted
+    place; there, not where the noisy peak is, the derivatives are taken: else they would share its noise.
+    """
+    where = _Lines(geometry, points)
+    way = where.way_px(points.x_px)[0]
+    more, seen, lens, ray, by_seen, slope = where.way_px(points.x_px - way)
+    focal = geometry.camera[:2]
+    values = np.zeros((way.size, CAMERA + 15))
+    values[:, 0:2] = -by_seen * seen / focal
+    values[:, 2:4] = -by_seen / focal
+    values[:, 4:CAMERA] = -(by_seen[:, None, :] @ lens.by_coefficient)[:, 0, :]
+    of_plane = (ray * where.plane).sum(axis=1)[:, None]
+    turn = of_plane * crossed(where.normal, where.place) - crossed(where.normal, ray)
+    board = ~where.on_belt[:, None]
+    values[:, CAMERA : CAMERA + 3] = np.where(board, turn, 0.0)
+    values[:, CAMERA + 3 : CAMERA + 6] = np.where(board, of_plane * where.normal, 0.0)
+    values[:, CAMERA + 6 : CAMERA + 9] = values[:, CAMERA + 3 : CAMERA + 6] * points.counts[:, None]
+    values[:, CAMERA + 9 : CAMERA + 12] = ray * np.where(where.on_belt, 1.0, where.distance)[:, None]
+    values[:, CAMERA + 12 :] = np.where(board, 0.0, -ray)
+    poses = np.full((way.size, 6), -1)
+    if unknowns.poses.size:
+        poses = np.where(board, unknowns.poses[np.maximum(points.pose, 0)], -1)
+    columns = np.column_stack(
+        [
+            columns_of(unknowns.camera, poses, unknowns.travel),
+            unknowns.planes[points.stripe],
+            np.where(board, -1, unknowns.belt),
+        ]
+    )
+    values /= slope[:, None]
+    rows = Rows(way + more, columns, values)
+    if unknowns.bend.size and where.by_bend is not None:
+        rows = _with_bend(rows, unknowns, of_plane * where.by_bend / slope[:, None])
+    return rows
+
+
+def stripe_residuals(geometry: Geometry, points: StripePoints) -> Floats:
+    """Give seen − predicted along the image row, px, without derivatives."""
+    where = _Lines(geometry, points)
+    way = where.way_px(points.x_px)[0]
+    return way + where.way_px(points.x_px - way)[0]
+
+
+class _Lines:
+    """For each point the line, on the plane at distance 1, on which its stripe lies."""
+
+    def __init__(self, geometry: Geometry, points: StripePoints) -> None:
+        self._camera, self._row_px = geometry.camera, points.row_px
+        self._straight: Floats | None = None
+        self.plane = geometry.planes[points.stripe]
+        self.on_belt = points.pose == ON_BELT
+        self.normal, self.place = np.zeros_like(self.plane), np.zeros_like(self.plane)
+        if geometry.shift.size:
+            pose = np.maximum(points.pose, 0)
+            self.place = geometry.shift[pose] + points.counts[:, None] * geometry.travel
+            if points.face is None:
+                self.normal = geometry.rotation[pose][:, :, 2]
+            else:
+                self.normal = (geometry.rotation[pose] @ points.face[:, :3, None])[:, :, 0]
+        self.distance = (self.normal * self.place).sum(axis=1)
+        if points.face is not None:
+            self.distance = self.distance + points.face[:, 3]
+        self.by_bend: Floats | None = None
+        if geometry.bend is not None and points.face is None:
+            self._bend(geometry, geometry.bend, points)
+        belt = geometry.belt if self.on_belt.any() else np.zeros(3)
+        self._line = np.where(
+            self.on_belt[:, None], self.plane - belt, self.distance[:, None] * self.plane - self.normal
+        )
+
+    def _bend(self, geometry: Geometry, bend: Bend, points: StripePoints) -> None:
+        """Put in place of a board's plane the one that touches it where the ray meets it."""
+        on = np.flatnonzero(~self.on_belt)
+        rotation, place = geometry.rotation[points.pose[on]], self.place[on]
+        seen = np.column_stack([points.x_px, points.row_px])[on]
+        ray = rays(self._camera, seen)
+        normal, distance = self.normal[on], self.distance[on]
+        for _ in range(_BENT_ROUNDS):
+            at = ray * (distance / (normal * ray).sum(axis=1))[:, None]
+            there = ((at - place)[:, None, :] @ rotation)[:, 0, :2]
+            own = np.column_stack([-bend.slopes(there), np.ones(on.size)])
+            own /= np.sqrt((own**2).sum(axis=1))[:, None]
+            normal = (rotation @ own[:, :, None])[:, :, 0]
+            touched = np.column_stack([there, bend.height_mm(there)])
+            distance = (normal * place).sum(axis=1) + (own * touched).sum(axis=1)
+        self.normal[on], self.distance[on] = normal, distance
+        self.by_bend = np.zeros((len(self.on_belt), bend.coefficients_mm.size))
+        self.by_bend[on] = own[:, 2:] * bend.by_coefficient(there)
+
+    def way_px(self, x_px: Floats) -> tuple[Floats, Floats, Distorted, Floats, Floats, Floats]:
+        """Give the way to the line along the row, px; place in the bent image, lens, ray, ∂/∂place, slope."""
+        focal = self._camera[:2]
+        seen = np.empty((x_px.size, 2))
+        seen[:, 0] = (x_px - self._camera[2]) / focal[0]
+        seen[:, 1] = (self._row_px - self._camera[3]) / focal[1]
+        xy = undistort(seen, self._camera[4:], self._straight)
+        lens = distort(xy, self._camera[4:])
+        self._straight = xy
+        ray = np.ones((x_px.size, 3))
+        ray[:, :2] = xy
+        by_seen = by_bent(self._line, lens)
+        slope = by_seen[:, 0] / focal[0]
+        return (self._line * ray).sum(axis=1) / slope, seen, lens, ray, by_seen, slope
+
+
+def by_bent(line: Floats, lens: Distorted) -> Floats:
+    """Give (n, 2) the derivatives of line·ray by the ray's place in the bent image; line is (n, 3)."""
+    a, b, c, d = (lens.by_place[:, i, j] for i in (0, 1) for j in (0, 1))
+    area = a * d - b * c
+    u, v = line[:, 0] / area, line[:, 1] / area
+    derivatives = np.empty((len(line), 2))
+    derivatives[:, 0] = u * d - v * c
+    derivatives[:, 1] = v * a - u * b
+    return derivatives
+
+
+def foot_rows(geometry: Geometry, unknowns: Unknowns, feet: Feet) -> Rows:
+    """Give heights of the boards' undersides over the belt, mm; they should be 0."""
+    arm, at = _placed(geometry, feet.pose, feet.board_mm, feet.counts)
+    size = float(np.sqrt((geometry.belt**2).sum()))
+    up = np.broadcast_to(-geometry.belt / size, at.shape)
+    residual = (1.0 - at @ geometry.belt) / size
+    by_belt = -at / size - (residual / size**2)[:, None] * geometry.belt
+    values = np.column_stack([crossed(arm, up), up, up * feet.counts[:, None], by_belt])
+    columns = np.column_stack(
+        [
+            unknowns.poses[feet.pose],
+            np.broadcast_to(unknowns.travel, (residual.size, 3)),
+            np.broadcast_to(unknowns.belt, (residual.size, 3)),
+        ]
+    )
+    return Rows(residual, columns.astype(np.int64), values)
+
+
+def foot_residuals(geometry: Geometry, feet: Feet) -> Floats:
+    """Give heights of the boards' undersides over the belt, mm, without derivatives."""
+    at = _placed(geometry, feet.pose, feet.board_mm, feet.counts)[1]
+    return np.asarray((1.0 - at @ geometry.belt) / float(np.sqrt((geometry.belt**2).sum())))
+
+
+def _placed(geometry: Geometry, pose: Integers, board_mm: Floats, counts: Floats) -> tuple[Floats, Floats]:
+    """Give places on the board turned into the camera's axes, and in the camera's frame, mm."""
+    arm = (geometry.rotation[pose] @ board_mm[:, :, None])[:, :, 0]
+    return arm, arm + geometry.shift[pose] + counts[:, None] * geometry.travel
+
+
+def _bent_marks(geometry: Geometry, corners: Corners) -> Floats:
+    """Give (mark, 3) places on the board as it is, mm."""
+    if geometry.bend is None:
+        return corners.board_mm
+    away = geometry.bend.height_mm(corners.board_mm[:, :2])
+    return corners.board_mm + np.column_stack([np.zeros((away.size, 2)), away])
+
+
+def _with_bend(rows: Rows, unknowns: Unknowns, by_bend: Floats) -> Rows:
+    """Add the derivatives by the board's shape."""
+    more = np.broadcast_to(unknowns.bend, (len(rows.columns), unknowns.bend.size))
+    return Rows(rows.residual, np.column_stack([rows.columns, more]), np.column_stack([rows.values, by_bend]))
+
+
+def columns_of(camera: Integers, poses: Integers, travel: Integers) -> Integers:
+    """Give (row, 21) the columns of camera, pose and travel."""
+    rows = poses.shape[0]
+    return np.column_stack(
+        [np.broadcast_to(camera, (rows, camera.size)), poses, np.broadcast_to(travel, (rows, 3))]
+    ).astype(np.int64)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Edges:
+    """Places in the image that lie on a solid's edges.
+
+    Attributes
+    ----------
+    pose
+        (edge,) which pose of a solid.
+    face, wall
+        (edge, 4) n and d with n·X = d, mm, in the solid's frame: the two planes that meet in the edge.
+    xy_px
+        (edge, 2) where a point of the edge is seen, px.
+    std_px
+        (edge,) its standard uncertainty across the edge, px.
+    """
+
+    pose: Integers
+    face: Floats
+    wall: Floats
+    xy_px: Floats
+    std_px: Floats
+
+
+def no_edges() -> Edges:
+    """Give none."""
+    none, plane = np.empty(0), np.empty((0, 4))
+    return Edges(none.astype(np.int64), plane, plane, np.empty((0, 2)), none)
+
+
+def edge_rows(geometry: Geometry, unknowns: Unknowns, edges: Edges) -> Rows:
+    """Give distances in the image, px, of the places from the edges' lines.
+
+    Through the camera's centre and the edge of the planes n·X = δ (face) and w·X = ω (wall) goes the plane
+    (δ w − ω n)·m = 0 of rays m. The left side over the size of its slope in the image is the distance.
+    """
+    if not edges.pose.size:
+        return Rows(np.empty(0), np.empty((0, CAMERA + 9), np.int64), np.empty((0, CAMERA + 9)))
+    turn, shift = geometry.rotation[edges.pose], geometry.shift[edges.pose]
+    face = (turn @ edges.face[:, :3, None])[:, :, 0]
+    wall = (turn @ edges.wall[:, :3, None])[:, :, 0]
+    to_face = (face * shift).sum(axis=1) + edges.face[:, 3]
+    to_wall = (wall * shift).sum(axis=1) + edges.wall[:, 3]
+    line = to_face[:, None] * wall - to_wall[:, None] * face
+    focal = geometry.camera[:2]
+    seen = (edges.xy_px - geometry.camera[2:4]) / focal
+    ray = rays(geometry.camera, edges.xy_px)
+    lens = distort(ray[:, :2], geometry.camera[4:])
+    by_seen = by_bent(line, lens)
+    slope = np.sqrt(((by_seen / focal) ** 2).sum(axis=1))
+    on_face, on_wall = (face * ray).sum(axis=1)[:, None], (wall * ray).sum(axis=1)[:, None]
+    values = np.zeros((len(ray), CAMERA + 9))
+    values[:, 0:2] = -by_seen * seen / focal
+    values[:, 2:4] = -by_seen / focal
+    values[:, 4:CAMERA] = -(by_seen[:, None, :] @ lens.by_coefficient)[:, 0, :]
+    values[:, CAMERA : CAMERA + 3] = (
+        crossed(face, shift) * on_wall
+        + to_face[:, None] * crossed(wall, ray)
+        - crossed(wall, shift) * on_face
+        - to_wall[:, None] * crossed(face, ray)
+    )
+    values[:, CAMERA + 3 : CAMERA + 6] = face * on_wall - wall * on_face
+    values /= slope[:, None]
+    columns = columns_of(unknowns.camera, unknowns.poses[edges.pose], unknowns.travel)
+    return Rows((line * ray).sum(axis=1) / slope, columns, values)

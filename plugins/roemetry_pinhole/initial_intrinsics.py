@@ -1,4 +1,14 @@
-"""A first camera and first poses from the marks alone; views that do not fit are left out with the reason."""
+"""A first camera and first poses from the marks alone; views that do not fit are left out with the reason.
+
+Model (Zhang 2000). Each view of a flat board is a homography; three and more of different tilts determine
+the camera's focal length. OpenCV's linear guess gives it, poses come from Collins and Bartoli's method
+(2014), and marks alone are adjusted with the lens model less its highest orders, which the joint adjustment
+adds. A circle's centre of gravity in the image is not the image of its centre: the difference, integrated
+over the disc, is taken off once the pose is known. A view whose marks are off by many times the others' is
+left out by name.
+
+It fails where all boards are parallel, which is refused.
+"""
 
 from __future__ import annotations
 
@@ -10,14 +20,20 @@ from roemetry.errors import CalibrationError
 from roemetry.records.arrays import Flags, Floats
 from roemetry_pinhole.boards import BoardView, Seen
 from roemetry_pinhole.bundle import adjust
-from roemetry_pinhole.equations import Corners, Feet, StripePoints
-from roemetry_pinhole.geometry import CAMERA, Geometry, unknowns_of
+from roemetry_pinhole.geometry import CAMERA, Corners, Feet, Geometry, StripePoints, unknowns_of
 
 _POSES_MIN = 4
+"""Poses of an unknown camera: Zhang's method needs three, a fourth shows which one is wrong."""
 _POSES_MIN_KNOWN = 2
+"""Poses of a known camera: two lines determine each plane of light."""
 _TILT_SPREAD_MIN_DEG = 8.0
+"""Largest angle between two boards: parallel boards leave focal length and distance undecided (Zhang
+2000)."""
 _VIEW_FACTOR_MAX = 4.0
+"""A view's rms over the median view's: light and focus change noise little; a bent or mirrored
+board is far off."""
 _VIEW_RMS_MIN_PX = 0.3
+"""A view below this is never left out: half a pixel of blur or a simpler lens model do as much."""
 
 FREE: dict[str, tuple[int, ...]] = {
     "none": (),

@@ -51,6 +51,7 @@ lines nearly lie in a plane. Above 0, for a stripe may lie on two boards alone."
 _ROUNDS = 5
 """Rounds of taking lines and fitting planes; the third changes nothing any more."""
 _CONDITION_MAX = 1e12
+"""Of the normal matrix of a plane: beyond, its lines are one line."""
 _APART_SHARE = 0.4
 """Of the spacing: two planes nearer than this over the boards are one stripe, found twice."""
 _SHOWN_SHARE_MIN = 0.5

@@ -1,28 +1,229 @@
-"""Triangulation by a pinhole camera with lens distortion and a plane of light for each stripe."""
+"""The calibration file's parameters, what follows from them, and triangulation by them.
+
+Model (Hartley and Zisserman 2004, chapters 6 and 7). A peak's pixel, undistorted, is a ray of the camera; it
+meets its stripe's plane of light p·X = 1 at X = ray / (p·ray), which goes to the belt's frame: Z up from the
+belt b·X = 1, X along the camera's x as far as the belt allows, the origin where the optical axis meets the
+belt. Rest lines are where planes of light and belt meet, as polynomials in the row.
+
+A peak's noise moves its point along the plane of light; the calibration's own errors move all points
+together. No point is given where the lens folds the image over.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from roemetry.errors import StageError
 from roemetry.records import Profiles, StripeMap
-from roemetry.records.arrays import Floats
+from roemetry.records.arrays import Floats, Integers
 from roemetry.records.calibration import Alignment, Calibration
 from roemetry.records.view import View
 from roemetry.stages import Capabilities, StageOptions, Triangulator
 from roemetry_kernels.compiling import float_kernel
-from roemetry_pinhole.frames import (
-    belt_pose,
-    camera_of,
-    displacements,
-    planes_in_belt_frame,
-    rest_polynomials,
-    view_of,
-)
+from roemetry_kernels.lens import lens_from, undistorted_place
+from roemetry_pinhole.geometry import CAMERA, ON_BELT, Geometry, StripePoints, Unknowns, rays, stripe_rows
+
+METHOD = "pinhole-plane"
+
+_FAN_RMS_MAX_MM = 5.0
+"""Planes that pass a common point by more than this come from no one projector, mm."""
+_REST_DEGREE_MAX = 7
+"""Of the polynomial of a rest line: higher ones swing between their supports."""
+_REST_OFF_MAX_PX = 0.002
+"""The lowest degree that stays this near to the exact line is taken: a tenth of the best peak's noise."""
+_REST_ROUNDS = 30
+"""Newton steps to a rest line; a place that needs more is none."""
+_PLANES_STD_MM = 0.05
+"""How far planes that were calibrated pass their common point, as weighed against the next number."""
+_PROJECTOR_Y_STD_MM = 20.0
+"""How far a projector stands beside the camera's own plane, as rigs are built."""
+
+
+def belt_pose(belt: Floats) -> Floats:
+    """Give T_belt_camera (4, 4) of the belt plane (3,) b·X = 1 in the camera's frame, 1/mm.
+
+    Z is up from the belt; X lies along the camera's x, as far as the belt allows; the origin is where the
+    optical axis meets the belt.
+    """
+    # in single numbers: this is done for every frame, and small arrays take twenty times as long
+    a, b, c = belt.tolist()
+    size = math.sqrt(a * a + b * b + c * c)
+    u, v, w = -a / size, -b / size, -c / size
+    across = math.sqrt(v * v + w * w)
+    # X: (1, 0, 0) less its part along up; Y: up × X
+    x = (across, -u * v / across, -u * w / across)
+    y = (0.0, w / across, -v / across)
+    away = 1.0 / c
+    return np.array(
+        [
+            [*x, -x[2] * away],
+            [*y, -y[2] * away],
+            [u, v, w, -w * away],
+            [0.0, 0.0, 0.0, 1.0],
+        ]
+    )
+
+
+def camera_of(parameters: Mapping[str, Floats]) -> Floats:
+    """Give (12,) focal lengths, principal point and the lens's coefficients."""
+    return np.concatenate([parameters["focal_px"], parameters["principal_px"], parameters["distortion"]])
+
+
+def view_of(parameters: Mapping[str, Floats], image_size: tuple[int, int]) -> View:
+    """Give camera and planes of light in the belt frame."""
+    pose = belt_pose(parameters["belt_per_mm"])
+    focal, middle = parameters["focal_px"], parameters["principal_px"]
+    planes = planes_in_belt_frame(parameters["planes_per_mm"], pose)
+    return View(
+        image_size=image_size,
+        camera_matrix=np.array([[focal[0], 0.0, middle[0]], [0.0, focal[1], middle[1]], [0.0, 0.0, 1.0]]),
+        T_belt_camera=pose,
+        planes=planes,
+        distortion=parameters["distortion"],
+        projector_mm=projector_of(planes),
+    )
+
+
+def planes_in_belt_frame(planes: Floats, pose: Floats) -> Floats:
+    """Give (stripe, 4) n, d with n·X = d, belt frame, mm, normals towards +X, from (stripe, 3) p·X = 1."""
+    size = np.sqrt((planes**2).sum(axis=1))
+    normal = (planes / size[:, None]) @ pose[:3, :3].T
+    distance = 1.0 / size + normal @ pose[:3, 3]
+    sign = np.where(normal[:, 0] < 0, -1.0, 1.0)
+    return np.column_stack([normal, distance]) * sign[:, None]
+
+
+def points_of(parameters: Mapping[str, Floats], stripe: Integers, x_px: Floats, row_px: Floats) -> Floats:
+    """Give (point, 3) where peaks lie in the belt frame, mm."""
+    ray = rays(camera_of(parameters), np.column_stack([x_px, row_px]))
+    pose = belt_pose(parameters["belt_per_mm"])
+    with np.errstate(divide="ignore"):
+        depth = 1.0 / (ray * parameters["planes_per_mm"][stripe]).sum(axis=1)
+    return np.asarray((ray * depth[:, None]) @ pose[:3, :3].T + pose[:3, 3])
+
+
+def by_parameter(calibration: Calibration, of: Callable[[Mapping[str, Floats]], Floats]) -> Floats:
+    """Give (n, …) central differences of what `of` says, by each of a calibration's uncertain parameters.
+
+    Steps are a tenth of the parameter's standard uncertainty; of what is held fixed the derivative is 0.
+    """
+    std = np.sqrt(np.diag(calibration.covariance))
+    found = np.zeros((std.size, *np.shape(of(calibration.parameters))))
+    for number in np.flatnonzero(std > 0):
+        moved: list[Floats] = []
+        for sign in (1.0, -1.0):
+            parameters, start = {}, 0
+            for name, array in calibration.parameters.items():
+                step = np.zeros(array.size)
+                if start <= number < start + array.size:
+                    step[number - start] = 0.1 * sign * std[number]
+                parameters[name] = array + step.reshape(array.shape)
+                start += array.size
+            moved.append(of(parameters))
+        found[number] = (moved[0] - moved[1]) / (0.2 * std[number])
+    return found
+
+
+def parameters_of(geometry: Geometry, *, travel: bool) -> dict[str, Floats]:
+    """Give the calibration file's parameters."""
+    found = {
+        "focal_px": geometry.camera[:2],
+        "principal_px": geometry.camera[2:4],
+        "distortion": geometry.camera[4:],
+        "planes_per_mm": geometry.planes,
+        "belt_per_mm": geometry.belt,
+    }
+    return found | ({"travel_mm_per_count": geometry.travel} if travel else {})
+
+
+def covariance_of(covariance: Floats, unknowns: Unknowns, *, travel: bool) -> Floats:
+    """Give the covariance of `parameters_of` from that of the unknowns; 0 for what was held fixed."""
+    at = np.concatenate([unknowns.camera, unknowns.planes.ravel(), unknowns.belt])
+    if travel:
+        at = np.concatenate([at, unknowns.travel])
+    known = covariance[np.ix_(np.maximum(at, 0), np.maximum(at, 0))]
+    free = at >= 0
+    return np.where(free[:, None] & free[None, :], known, 0.0)
+
+
+def lines_at_height(parameters: Mapping[str, Floats], row_px: Floats, z_mm: float) -> Floats:
+    """Give (stripe, row) where each stripe lies on a level z_mm above the belt, px; NaN outside the lens."""
+    belt = parameters["belt_per_mm"]
+    planes = parameters["planes_per_mm"]
+    none = np.empty((0, 3))
+    level = belt / (1.0 - z_mm * np.sqrt(belt @ belt))
+    camera = camera_of(parameters)
+    geometry = Geometry(camera, np.empty((0, 3, 3)), none, planes, level, np.zeros(3))
+    fixed = np.full((len(planes), 3), -1)
+    unknowns = Unknowns(np.full(CAMERA, -1), fixed, fixed[0], fixed[0], np.empty((0, 6), np.int64))
+    stripe, row = np.indices((len(planes), row_px.size))
+    rows = np.ravel(row_px[row])
+    # of the lens without distortion the place is in closed form: a start
+    line = (planes - level)[stripe.ravel()]
+    y = (rows - camera[3]) / camera[1]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        x = camera[2] - camera[0] * (line[:, 1] * y + line[:, 2]) / line[:, 0]
+    zero = np.zeros(x.size)
+    pose = np.full(x.size, ON_BELT)
+    for _ in range(_REST_ROUNDS):
+        points = StripePoints(pose, stripe.ravel(), x, rows, zero + 1.0, zero)
+        off = stripe_rows(geometry, unknowns, points).residual
+        x = x - off
+        if not np.nanmax(np.abs(off), initial=0.0) > 1e-10:
+            break
+    x = np.where(np.abs(off) < 1e-6, x, np.nan)
+    return x.reshape(stripe.shape)
+
+
+def rest_polynomials(parameters: Mapping[str, Floats], image_size: tuple[int, int]) -> Floats:
+    """Give (stripe, coefficient) rest lines as polynomials in the row from the middle one, px."""
+    rows = np.linspace(0.0, image_size[0] - 1.0, 65)
+    lines = lines_at_height(parameters, rows, 0.0)
+    inside = (lines > -0.1 * image_size[1]) & (lines < 1.1 * image_size[1])
+    half = max((image_size[0] - 1) / 2.0, 1.0)
+    at = (rows - half) / half
+    found = np.zeros((len(lines), 2))
+    for degree in range(1, _REST_DEGREE_MAX + 1):
+        powers = at[:, None] ** np.arange(degree + 1)
+        found = np.full((len(lines), degree + 1), np.nan)
+        worst = 0.0
+        for stripe, line in enumerate(lines):
+            use = inside[stripe]
+            if use.sum() <= degree + 1:
+                continue
+            found[stripe] = np.linalg.lstsq(powers[use], line[use], rcond=None)[0]
+            worst = max(worst, float(np.abs(powers[use] @ found[stripe] - line[use]).max()))
+        found /= half ** np.arange(degree + 1)
+        if worst <= _REST_OFF_MAX_PX:
+            break
+    return found
+
+
+def displacements(parameters: Mapping[str, Floats], image_size: tuple[int, int]) -> Floats:
+    """Give (stripe,) shift along +x per height at belt level in the middle row, px/mm."""
+    middle = np.array([(image_size[0] - 1) / 2.0])
+    step = 1e-3 / float(np.sqrt((parameters["belt_per_mm"] ** 2).sum()))
+    high, low = (lines_at_height(parameters, middle, z)[:, 0] for z in (step, -step))
+    return np.asarray((high - low) / (2.0 * step))
+
+
+def projector_of(planes: Floats) -> Floats:
+    """Give the point that all planes share; NaN if there is none.
+
+    Planes that fan out from a point meet very nearly in a line through it, and say nearly nothing of where on
+    that line it is: noise alone would move it by hundreds of millimetres. So Y = 0, beside the optical axis,
+    is one more observation; it decides only where the planes leave Y open.
+    """
+    if len(planes) < 3:
+        return np.full(3, np.nan)
+    rows = np.vstack([planes[:, :3], [[0.0, _PLANES_STD_MM / _PROJECTOR_Y_STD_MM, 0.0]]])
+    point = np.linalg.lstsq(rows, np.append(planes[:, 3], 0.0), rcond=1e-12)[0]
+    off = planes[:, :3] @ point - planes[:, 3]
+    return point if np.sqrt((off**2).mean()) < _FAN_RMS_MAX_MM else np.full(3, np.nan)
 
 
 class PinholePlane(Triangulator[StageOptions]):
@@ -135,8 +336,8 @@ def _flat(parameters: Mapping[str, Floats]) -> Floats:
     return np.concatenate([array.ravel() for array in parameters.values()])
 
 
-_STEPS_MAX = 20
-_STEP_END = 3e-6  # Newton's next step would be some 1e-12
+_STEP_END = 3e-6
+"""Over the focal length: Newton's next step would be some 1e-12, far below what a peak is known to."""
 
 
 @float_kernel
@@ -166,12 +367,10 @@ def lift_stripes(
     points = np.full((stripes, rows, 3), np.nan)
     height_std = np.full((stripes, rows), np.nan)
     fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
-    k1, k2, p1, p2, k3 = camera[4], camera[5], camera[6], camera[7], camera[8]
-    k4, k5, k6 = camera[9], camera[10], camera[11]
+    lens = lens_from(camera, 4)
     bends, lost = False, 0
     for k in range(4, 12):
         bends = bends or camera[k] != 0.0
-    rational = k4 != 0.0 or k5 != 0.0 or k6 != 0.0
     for s in range(stripes):
         off_x = off_y = gain_x = gain_y = 0.0  # straight − bent, and its change from row to row
         followed = 0
@@ -188,28 +387,8 @@ def lift_stripes(
                     x, y = x + off_x, y + off_y
                     if followed > 1:
                         x, y = x + gain_x, y + gain_y
-                good = False
-                for _ in range(_STEPS_MAX):
-                    r2 = x * x + y * y
-                    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-                    slope = 2.0 * k1 + r2 * (4.0 * k2 + 6.0 * r2 * k3)
-                    if rational:
-                        below = 1.0 + r2 * (k4 + r2 * (k5 + r2 * k6))
-                        radial /= below
-                        slope = (slope - radial * (2.0 * k4 + r2 * (4.0 * k5 + 6.0 * r2 * k6))) / below
-                    xy = slope * x * y + 2.0 * (p1 * x + p2 * y)
-                    xx = radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x
-                    yy = radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x
-                    wrong_x = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x) - bent_x
-                    wrong_y = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y - bent_y
-                    determinant = xx * yy - xy * xy
-                    step_x = (yy * wrong_x - xy * wrong_y) / determinant
-                    step_y = (xx * wrong_y - xy * wrong_x) / determinant
-                    x -= step_x
-                    y -= step_y
-                    if abs(step_x) + abs(step_y) < _STEP_END:
-                        good = True
-                        break
+                x, y, xx, xy, yy, good = undistorted_place(bent_x, bent_y, x, y, lens, _STEP_END)
+                determinant = xx * yy - xy * xy
                 if not (good and determinant > 0.0 and xx + yy > 0.0):
                     followed = 0
                     lost += 1

@@ -1,13 +1,15 @@
-"""Plates with balls: found in images, as a reference for scale, and as the source of planes.
+"""Plates with balls: found in images, as a reference for scale, and as the source of planes of light.
 
-A sphere plate on the belt, measured with a calibration: where it lies, and how large it comes out.
+Model. Every peak is taken for every stripe and lifted by its plane; those of the right stripe lie on balls.
+A point at a known height says on which circle its ball's centre lies (a Hough transform); the plate's place
+and turn follow from the votes, then place, turn and size from least squares of the points' distances off the
+balls, over how far a pixel moves them. As a reference, the size over the described one checks the scale.
 
-How large a sphere plate comes out by a calibration, and how sure that is.
+As the source of planes the belt must be known: then a plane through its line on the belt may only lean, and
+those of one projector lean together. Places of the projector are tried, the plate is looked for with each,
+and all is adjusted from the best one, a ball's surface at a peak being the plane that touches it there.
 
-Planes of light from a sphere plate on a belt that is known: each stripe's cut through the balls.
-
-With the belt known, a plane of light through its line on the belt may only lean, and those of one projector
-lean together: places for it are tried, the plate is looked for with each, all is adjusted from the best one.
+It fails where a stripe meets no ball, and for plates turned by more than 45°.
 """
 
 from __future__ import annotations
@@ -24,25 +26,32 @@ from roemetry.records import EDGE, WIDE, CalibrationSet, Observation, Peaks, Sph
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.records.calibration import Calibration
 from roemetry_pinhole.bundle import Adjusted, Measured
-from roemetry_pinhole.equations import ON_BELT, Feet, StripePoints
-from roemetry_pinhole.frames import belt_pose, camera_of, parameters_of
-from roemetry_pinhole.from_solids import OnSolids
-from roemetry_pinhole.geometry import Geometry, turned, undistort, unknowns_of
+from roemetry_pinhole.from_solids import OnSolids, resting
+from roemetry_pinhole.geometry import ON_BELT, Geometry, StripePoints, turned
+from roemetry_pinhole.pinhole_plane import belt_pose, by_parameter, parameters_of, points_of
 from roemetry_pinhole.solids import Shape, belt_lines, numbered
 
 _BELT_MM = 0.6
+"""A peak this near to the belt on any stripe may be belt, and is not used."""
 _CAP_RISE_MIN = 0.35
 """Points are used where the ball's surface rises by less than some 70°: further down it shades itself."""
 _WAYS = 72
+"""Directions in which a point votes for its ball's centre: 5°, a cell of the votes at a ball's radius."""
 _ANCHORS = 8
+"""Highest votes that are tried as a ball: some are shadows."""
 _YAWS_DEG = np.arange(-45.0, 46.0, 1.0)
 _ROUNDS = (0.20, 0.12, 0.08, 0.05, 0.05, 0.05)
 """Of each round, how far off a ball its points may be, in radii."""
 _STEPS = 4
+"""Gauss–Newton steps of a round; the points are chosen anew after them."""
 _STRAY_MADS = 4.5
+"""Standard deviations beyond which a point is left out: one normal error in 150,000."""
 _ALONG_SHARE = 0.2
+"""Of the median way across a ball for a pixel: points seen along the surface count as if they had so much."""
 _BALL_POINTS_MIN = 12
+"""Points on a ball: fewer lie there by chance."""
 _POINTS_MIN = 60
+"""Points on all balls, for four unknowns and their scatter."""
 _EXPLAINED_MIN = 0.15
 """Share of the peaks at the balls' heights that must lie on balls: in images with the plate's level and
 shadows it is 0.28 to 0.38, without them above 0.7."""
@@ -151,17 +160,6 @@ def _on_heights(parameters: Mapping[str, Floats], peaks: Peaks, plate: SpherePla
     high = np.abs(at[:, 2] - plate.centre_height_mm - 0.6 * radius) < 0.7 * radius
     use = np.flatnonzero(high & ~on_belt[peak])
     return _Near(peak[use], stripe[use], x_px[use], row_px[use], at[use])
-
-
-def points_of(parameters: Mapping[str, Floats], stripe: Integers, x_px: Floats, row_px: Floats) -> Floats:
-    """Give (point, 3) where peaks lie in the belt frame, mm."""
-    camera = camera_of(parameters)
-    xy = undistort((np.column_stack([x_px, row_px]) - camera[2:4]) / camera[:2], camera[4:])
-    ray = np.column_stack([xy, np.ones(len(xy))])
-    pose = belt_pose(parameters["belt_per_mm"])
-    with np.errstate(divide="ignore"):
-        depth = 1.0 / (ray * parameters["planes_per_mm"][stripe]).sum(axis=1)
-    return np.asarray((ray * depth[:, None]) @ pose[:3, :3].T + pose[:3, 3])
 
 
 def off_balls(at_mm: Floats, ball: Integers, plate: SpherePlate, pose: Floats) -> tuple[Floats, Floats]:
@@ -332,7 +330,17 @@ def plate_scale(calibration: Calibration, images: list[Peaks], plate: SpherePlat
     # the plate is the same in all images: what its lengths are wrong by does not average out
     lengths = np.stack([_by_length(one, plate) for one in found])
     of_lengths = (share @ lengths) * plate.tolerance_mm / np.sqrt(3.0)
-    ways = np.stack([_by_parameter(calibration, one, plate) for one in found])
+
+    def size_by_parameter(one: Plate) -> Floats:
+        """Give (n,) derivatives of ln size: each parameter moves the points, and the fit answers."""
+
+        def off_px(parameters: Mapping[str, Floats]) -> Floats:
+            at = points_of(parameters, one.stripe, one.x_px, one.row_px)
+            return off_balls(at, one.ball, plate, one.pose)[0] / one.per_px
+
+        return np.array([one.answer(change) for change in by_parameter(calibration, off_px)])
+
+    ways = np.stack([size_by_parameter(one) for one in found])
     balls, points = sum(one.balls for one in found), sum(one.ball.size for one in found)
     rms_mm = float(np.sqrt(sum(one.rms_mm**2 * one.ball.size for one in found) / points))
     return PlateScale(
@@ -354,42 +362,25 @@ def _by_length(found: Plate, plate: SpherePlate) -> Floats:
     return np.array(slopes)
 
 
-def _by_parameter(calibration: Calibration, found: Plate, plate: SpherePlate) -> Floats:
-    """(n,) derivatives of ln ratio by the calibration's parameters, by central differences."""
-    std = np.sqrt(np.diag(calibration.covariance))
-    slopes = np.zeros(std.size)
-    for number in np.flatnonzero(std > 0):
-        off = []
-        for sign in (1.0, -1.0):
-            step = np.zeros(std.size)
-            step[number] = 0.1 * sign * std[number]
-            at = points_of(_moved(calibration.parameters, step), found.stripe, found.x_px, found.row_px)
-            off.append(off_balls(at, found.ball, plate, found.pose)[0])
-        slopes[number] = found.answer((off[0] - off[1]) / found.per_px) / (0.2 * std[number])
-    return slopes
-
-
-def _moved(parameters: Mapping[str, Floats], step: Floats) -> dict[str, Floats]:
-    moved, start = {}, 0
-    for name, array in parameters.items():
-        moved[name] = array + step[start : start + array.size].reshape(array.shape)
-        start += array.size
-    return moved
-
-
 _STEP_MM = 1e-3
+"""Step of derivatives by described lengths, mm: lengths are some 30 mm, rounding 1e-14."""
 
 
 _HEIGHTS = (0.6, 0.8, 1.0, 1.3)
 """Of the projector over the belt, in distances of the camera."""
 _ANGLES_DEG = np.arange(10.0, 61.0, 2.5)
 _TRIED = 8
+"""Best places of the projector by a part of the peaks that are tried with all of them."""
 _TRIED_VIEWS = 2
+"""Images that are looked at in the first trial."""
 _PEAKS_MAX = 1500
+"""Peaks of each of them: more tell nothing more and take their time."""
 _PLATE_ROUNDS = 5
+"""Of finding the balls and adjusting."""
 _STRIPE_POINTS_MIN = 12
+"""Points of a stripe on balls, besides its belt line, that determine its plane."""
 _BELT_POINTS_MAX = 3000
-_LIES_STD_MM = 0.01
+"""Peaks on the belt that are used: so that they do not outnumber those on balls by far."""
 
 
 def from_plate(
@@ -522,27 +513,8 @@ def _measured_plate(
     )
     side = 0.5 * plate.pitch_mm * max(plate.columns, plate.rows)
     under = side * np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 1.0, 0.0]])
-    mine = first + np.repeat(np.arange(len(plates)), 3)
-    feet = Feet(
-        np.concatenate([boards.feet.pose, mine]),
-        np.concatenate([boards.feet.board_mm, *([under] * len(plates))]),
-        np.concatenate([boards.feet.counts, np.zeros(mine.size)]),
-    )
-    of_boards = np.broadcast_to(boards.foot_std_mm, boards.feet.pose.shape)
-    return Measured(
-        start,
-        unknowns_of(
-            start,
-            free_camera=free_camera,
-            planes=True,
-            belt=True,
-            travel=False,
-            bend=start.bend is not None,
-        ),
-        boards.corners,
-        _points(on_belt, plates, plate, first),
-        feet,
-        np.concatenate([of_boards, np.full(mine.size, _LIES_STD_MM)]),
+    return resting(
+        boards, free_camera, start, _points(on_belt, plates, plate, first), [under] * len(plates), first
     )
 
 

@@ -1,12 +1,13 @@
 """Where lengths come from, and references that check them.
 
-What the lengths that the scale comes from are uncertain by does to the parameters.
+Model. All lengths of a calibration grow together with the target they come from: the board's pitch, or
+solids on the belt. A second reference (block, staircase, pyramid, sphere plate, ruler, encoder) is measured
+with the calibration, and the ratio to its description must be 1 within three standard uncertainties, of
+which the calibration's part follows from derivatives by its parameters; else both are named. With `scale:
+free` the board's pitch is looked for: the references' weighted mean ratio scales the board until it is 1,
+and the covariance follows. Solids that give the planes are checked by leaving each kind out in turn.
 
-The scale looked for: lengths come from block, staircase or encoder, and the board's pitch with them.
-
-A second metric reference in the set: a solid, a ruler, the encoder, measured with the new calibration.
-
-Solids that give the planes of light, against each other.
+What it cannot see: one reference alone that is described wrongly.
 """
 
 from __future__ import annotations
@@ -21,10 +22,9 @@ from roemetry.errors import CalibrationError
 from roemetry.records import Board, CalibrationSet, Peaks, Ruler
 from roemetry.records.arrays import Floats
 from roemetry.records.calibration import Calibration
-from roemetry_pinhole.frames import belt_pose, camera_of, lines_at_height, parameters_of
 from roemetry_pinhole.from_solids import solids_in
-from roemetry_pinhole.geometry import undistort
 from roemetry_pinhole.joint import Joint
+from roemetry_pinhole.pinhole_plane import by_parameter, lines_at_height, parameters_of, points_of
 from roemetry_pinhole.plates import plate_scale
 
 
@@ -71,7 +71,9 @@ def flat(parameters: Mapping[str, Floats]) -> Floats:
 
 
 _ROUNDS_MAX = 8
+"""Of scaling the board: each leaves about the square of the error before."""
 _STILL = 1e-6
+"""Relative change of the scale at which it ends: a hundredth of any reference's uncertainty."""
 
 
 def scaled_by_references(
@@ -205,10 +207,13 @@ def _covariance(found: list[Reference], share: Floats, calibration: Calibration)
 
 
 CONFLICT_STDS = 3.0
+"""Standard uncertainties: two references of one scale differ by more once in 370."""
 _STEP_MM = 0.05
+"""Cells of the histogram of heights, mm: below a peak's noise of some 0.1 mm."""
 _BELT_MM = 0.6
+"""A peak this near to the belt on any stripe may be belt, and is not used."""
 _POINTS_MIN = 60
-_MAD_TO_STD = 1.4826
+"""Points near a level: fewer gather by chance, for every peak is taken for every stripe."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -305,7 +310,7 @@ def references(
         own = np.hypot(std, tolerance_mm / np.sqrt(3.0)) / height
         weight = own**-2
         ratio = float((weight * measured / height).sum() / weight.sum())
-        way = _by_parameter(calibration, float(height.max()))
+        way = _height_by_parameter(calibration, float(height.max()))
         found.append(
             Reference(
                 name,
@@ -382,43 +387,20 @@ def _height(calibration: Calibration, images: list[Peaks], height_mm: float) -> 
 
 def _heights_of(calibration: Calibration, peaks: Peaks) -> Floats:
     """Give (stripe, peak) the height each peak would have on each plane, mm."""
-    parameters = calibration.parameters
-    camera = camera_of(parameters)
-    xy = undistort((np.column_stack([peaks.x_px, peaks.row]) - camera[2:4]) / camera[:2], camera[4:])
-    ray = np.column_stack([xy, np.ones(len(xy))])
-    up, origin = belt_pose(parameters["belt_per_mm"])[2, :3], belt_pose(parameters["belt_per_mm"])[2, 3]
-    return np.asarray((ray @ up)[None, :] / (parameters["planes_per_mm"] @ ray.T) + origin)
+    stripe, peak = np.indices((calibration.stripe_count, len(peaks)))
+    row_px = peaks.row.astype(np.float64)
+    at = points_of(calibration.parameters, stripe.ravel(), peaks.x_px[peak.ravel()], row_px[peak.ravel()])
+    return at[:, 2].reshape(stripe.shape)
 
 
-def _by_parameter(calibration: Calibration, height_mm: float) -> Floats:
+def _height_by_parameter(calibration: Calibration, height_mm: float) -> Floats:
     """Give (n,) derivatives of ln(height) in the image's middle row by the calibration's parameters."""
     parameters = calibration.parameters
     row = np.array([(calibration.image_size[0] - 1) / 2.0])
     x_px = lines_at_height(parameters, row, height_mm)[:, 0]
-    good = np.isfinite(x_px)
-    seen = np.column_stack([x_px[good], np.full(int(good.sum()), row[0])])
-
-    def mean_height(values: Floats) -> float:
-        """Give the mean height, mm, of those places under parameters that stand one after the other."""
-        drawn, start = {}, 0
-        for name, array in parameters.items():
-            drawn[name] = values[start : start + array.size].reshape(array.shape)
-            start += array.size
-        camera = camera_of(drawn)
-        xy = undistort((seen - camera[2:4]) / camera[:2], camera[4:])
-        ray = np.column_stack([xy, np.ones(len(xy))])
-        pose = belt_pose(drawn["belt_per_mm"])
-        planes = drawn["planes_per_mm"][good]
-        return float(((ray @ pose[2, :3]) / (ray * planes).sum(axis=1) + pose[2, 3]).mean())
-
-    middle = flat(parameters)
-    std = np.sqrt(np.diag(calibration.covariance))
-    found = np.zeros(middle.size)
-    for number in np.flatnonzero(std > 0):
-        step = np.zeros(middle.size)
-        step[number] = 0.1 * std[number]
-        found[number] = (mean_height(middle + step) - mean_height(middle - step)) / (2.0 * step[number])
-    return found / height_mm
+    good = np.flatnonzero(np.isfinite(x_px))
+    places = good, x_px[good], np.full(good.size, row[0])
+    return by_parameter(calibration, lambda drawn: points_of(drawn, *places)[:, 2].mean()) / height_mm
 
 
 def check_beside_solids(

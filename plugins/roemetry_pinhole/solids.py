@@ -1,10 +1,13 @@
-"""Blocks, staircases and truncated pyramids: their shapes, and where they stand.
+"""Blocks, staircases and truncated pyramids: their shapes, and a first geometry of where one stands.
 
-Solids of known shape on the belt: the faces that stripes can lie on, and the edges where they end.
+Model. A solid is a set of plane faces in its own frame (X across the stripes, Y along them, Z up from the
+belt). Stripes are numbered by their order in the rows in which all of them are seen. With a known camera, a
+stripe's plane goes through its line on the bare belt and through its peaks on the solid's highest level,
+which are lifted by the known height: so belt and height give all planes, and what lies between must lie on
+the solid's faces. The belt's distance follows from the solid's extent; distances about it and tilts are
+tried, and the best is refined by a simplex (Nelder and Mead 1965).
 
-A first geometry from a solid on the belt: belt lines, what is off them, planes, and where the solid lies.
-
-Stripes are numbered by their order in the rows in which all of them are seen.
+It fails where no rows show all stripes, and where the solid is not seen beside bare belt.
 """
 
 from __future__ import annotations
@@ -17,8 +20,8 @@ import numpy as np
 from roemetry.errors import CalibrationError
 from roemetry.records import EDGE, WIDE, Block, Observation, Pyramid, Staircase
 from roemetry.records.arrays import Flags, Floats, Integers
-from roemetry_pinhole.frames import belt_pose
-from roemetry_pinhole.geometry import turned, undistort
+from roemetry_pinhole.geometry import rays, turned
+from roemetry_pinhole.pinhole_plane import belt_pose
 
 Solid = Block | Staircase | Pyramid
 
@@ -92,8 +95,6 @@ def shape_of(solid: Solid) -> Shape:
 
 def toleranced(solid: Solid) -> tuple[Callable[[float], Solid], ...]:
     """Give, for each length with a tolerance, the solid with that length longer by so many mm."""
-    from dataclasses import replace
-
     match solid:
         case Block():
             return (
@@ -203,14 +204,24 @@ def off_surface(shape: Shape, xyz_mm: Floats, rim_mm: float) -> Floats:
 
 
 _BARE_SHARE = 0.08
+"""Of a stripe's rows at either end that are bare belt, where no image of the empty belt is given."""
 _OFF_PX = 1.5
+"""A peak farther than this from its belt line is on the solid: above the scatter of peaks on a belt."""
 _ROWS_MIN = 12
+"""Rows of a stripe: from fewer its line is not known to a pixel over the image."""
 _PLATEAU_SHARE = 0.93
+"""Of a stripe's highest displacement: peaks above are on its highest level, for steps are larger than 7 %."""
 _OFF_SHARE_MAX = 0.2
+"""Of the height: a peak farther off the surface counts as so far, for it may be a shadow or a wall."""
 _FAN_CONDITION = 0.01
+"""Planes of one fan do not say where on its axis the projector is: singular values below are taken for 0."""
 _LEANS = 0.5
+"""Tangent of a tilt (27°) that doubles a start's distance: cameras over belts stand straighter."""
 _MOVES_MAX = 120
+"""Evaluations of the simplex over three unknowns: it ends by its tolerances, or here."""
 _DISTANCES = (0.76, 0.84, 0.92, 1.0, 1.08)
+"""Of the distance by the solid's extent: what is hidden of it and its edges make that wrong by up to a
+fifth."""
 _TILTS_DEG = [(x, y) for x in (-12.0, -4.0, 4.0, 12.0) for y in (-12.0, -4.0, 4.0, 12.0)]
 
 
@@ -281,15 +292,13 @@ def numbered(view: Observation, camera: Floats, stripes: int) -> Numbered:
     order = np.lexsort((peaks.x_px[whole], peaks.row[whole]))
     whole = whole[order]
     std = peaks.x_std_px[whole]
-    seen = (np.column_stack([peaks.x_px[whole], peaks.row[whole]]) - camera[2:4]) / camera[:2]
-    xy = undistort(seen, camera[4:])
     return Numbered(
         view.frame.name,
         np.tile(np.arange(stripes), whole.size // stripes),
         peaks.x_px[whole],
         peaks.row[whole].astype(np.float64),
         np.where(np.isfinite(std) & (std > 0), std, 1.0),
-        np.column_stack([xy, np.ones(len(xy))]),
+        rays(camera, np.column_stack([peaks.x_px[whole], peaks.row[whole]])),
     )
 
 
@@ -481,4 +490,6 @@ def renumbered(view: Numbered, off_mm: Floats) -> Numbered:
 
 
 _SWAP_SHARE = 0.35
+"""Two neighbours are exchanged where it brings them nearer to the surface by this factor,"""
 _SWAP_FACTOR = 12.0
+"""and where they lie off it by so many usual distances: noise alone exchanges none."""

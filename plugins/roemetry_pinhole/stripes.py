@@ -24,8 +24,7 @@ from roemetry.errors import CalibrationError
 from roemetry.records import EDGE, WIDE, Board, Observation, Peaks
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_pinhole.boards import on_board, on_even_print
-from roemetry_pinhole.equations import ON_BELT, StripePoints
-from roemetry_pinhole.geometry import undistort
+from roemetry_pinhole.geometry import ON_BELT, StripePoints, rays
 from roemetry_pinhole.initial_intrinsics import FirstCamera
 from roemetry_pinhole.numbering import PoseLines, number_stripes
 
@@ -441,8 +440,7 @@ def _points(rows: Floats) -> StripePoints:
 
 
 def _straight(peaks: Peaks, camera: Floats) -> Floats:
-    seen = (np.column_stack([peaks.x_px, peaks.row]) - camera[2:4]) / camera[:2]
-    return undistort(seen, camera[4:])
+    return rays(camera, np.column_stack([peaks.x_px, peaks.row]))[:, :2]
 
 
 def _belt_lines(

@@ -26,11 +26,20 @@ from roemetry.records import Evidence, EvidenceFigure, Residuals
 from roemetry.records.arrays import Floats, Integers
 from roemetry.records.calibration import Calibration
 from roemetry_pinhole.bundle import Adjusted, Measured, chosen
-from roemetry_pinhole.equations import ON_BELT, Feet, StripePoints, corner_residuals
-from roemetry_pinhole.frames import belt_pose
-from roemetry_pinhole.geometry import CAMERA, Bend, Geometry, undistort, unknowns_of
+from roemetry_pinhole.geometry import (
+    CAMERA,
+    ON_BELT,
+    Bend,
+    Feet,
+    Geometry,
+    StripePoints,
+    corner_residuals,
+    rays,
+    unknowns_of,
+)
 from roemetry_pinhole.initial_intrinsics import FirstCamera
 from roemetry_pinhole.joint import Joint
+from roemetry_pinhole.pinhole_plane import belt_pose
 
 _CELLS = 6
 """Cells along either side of the image in which marks are averaged; with 10 poses of 80 marks 20 fall into
@@ -368,8 +377,7 @@ def _joined(nothing: tuple[Any, ...], parts: list[tuple[Any, ...]]) -> list[Any]
 def lifted(geometry: Geometry, points: StripePoints) -> Floats:
     """Give (point, 3) where the points' rays meet their planes of light, camera frame, mm."""
     seen = np.column_stack([points.x_px, points.row_px])
-    xy = undistort((seen - geometry.camera[2:4]) / geometry.camera[:2], geometry.camera[4:])
-    ray = np.column_stack([xy, np.ones(len(xy))])
+    ray = rays(geometry.camera, seen)
     return np.asarray(ray / (ray * geometry.planes[points.stripe]).sum(axis=1)[:, None])
 
 

@@ -19,7 +19,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from roemetry.records.camera_model import distorted, undistorted
 from roemetry_kernels.compiling import kernel
+from roemetry_kernels.lens import lens_from, undistorted_place
 from roemetry_simulate.raycast import AnyBody, first_hit_in
 from roemetry_simulate.solid import Solid
 
@@ -99,10 +101,19 @@ class Camera:
         return any(value != 0.0 for value in self.distortion)
 
     def packed(self) -> Floats:
-        """Return what the kernels take: pinhole, principal point, focal length (px), 1 or 0, distortion."""
+        """Return what the kernels take: pinhole, principal point, focal length (px), 1 or 0, lens (8,)."""
         flag = 1.0 if self.distorts else 0.0
         return np.array(
-            [*self.centre_mm, *self.principal_px, self.focal_length_px, flag, *self.distortion],
+            [
+                *self.centre_mm,
+                *self.principal_px,
+                self.focal_length_px,
+                flag,
+                *self.distortion,
+                0.0,
+                0.0,
+                0.0,
+            ],
             dtype=np.float64,
         )
 
@@ -112,7 +123,8 @@ class Camera:
         cx, cy = self.principal_px
         x, y = (x - cx) / self.focal_length_px, (y - cy) / self.focal_length_px
         if self.distorts:
-            x, y = undistorted(np.array(self.distortion, dtype=np.float64), x, y)
+            places = undistorted(np.stack([x.ravel(), y.ravel()], axis=1), np.array(self.distortion))
+            x, y = places[:, 0].reshape(x.shape), places[:, 1].reshape(y.shape)
         direction = np.stack([x, y, np.ones_like(x)], axis=-1)
         direction = direction @ self.rotation.T
         unit: Floats = direction / np.linalg.norm(direction, axis=-1, keepdims=True)
@@ -124,24 +136,9 @@ class Camera:
         depth = np.where(points[..., 2:] > 0.0, points[..., 2:], np.nan)
         plane = points[..., :2] / depth
         if self.distorts:
-            plane = self._bent(plane)
+            plane = distorted(plane.reshape(-1, 2), np.array(self.distortion)).reshape(plane.shape)
         pixels: Floats = plane * self.focal_length_px + self.principal_px
         return pixels
-
-    def _bent(self, plane: Floats) -> Floats:
-        """Distort normalised image points, shape (..., 2)."""
-        k1, k2, p1, p2, k3 = self.distortion
-        x, y = plane[..., 0], plane[..., 1]
-        r2 = x * x + y * y
-        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        bent: Floats = np.stack(
-            [
-                x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
-                y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
-            ],
-            axis=-1,
-        )
-        return bent
 
 
 def looking_down(
@@ -351,53 +348,16 @@ def blurred(light: Floats, sigma_px: float) -> Floats:
     return soft
 
 
-def undistorted(lens: Floats, x: Floats, y: Floats) -> tuple[Floats, Floats]:
-    """Take the distortion (k1, k2, p1, p2, k3) out of points (pixel − principal point) / focal length."""
-    flat_x, flat_y = np.ravel(x).astype(np.float64), np.ravel(y).astype(np.float64)
-    _undistort_all(lens, flat_x, flat_y)
-    return flat_x.reshape(np.shape(x)), flat_y.reshape(np.shape(y))
-
-
-@kernel
-def undistort(lens: Floats, first: int, x_bent: float, y_bent: float) -> tuple[float, float]:
-    """Undistort one point by Newton's method; the five coefficients stand at `first` of `lens`."""
-    k1, k2, p1, p2, k3 = lens[first], lens[first + 1], lens[first + 2], lens[first + 3], lens[first + 4]
-    x, y = x_bent, y_bent
-    for _ in range(30):
-        r2 = x * x + y * y
-        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        slope = k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3)
-        off_x = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x) - x_bent
-        off_y = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y - y_bent
-        xx = radial + 2.0 * x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x
-        xy = 2.0 * x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y
-        yy = radial + 2.0 * y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x
-        determinant = xx * yy - xy * xy
-        step_x = (yy * off_x - xy * off_y) / determinant
-        step_y = (xx * off_y - xy * off_x) / determinant
-        x -= step_x
-        y -= step_y
-        if abs(step_x) + abs(step_y) < 1e-15:
-            break
-    return x, y
-
-
 @kernel
 def camera_ray(pinhole: Floats, rotation: Floats, x_px: float, y_px: float, d: Floats) -> None:
     """Write the unit direction, belt frame, of the ray through an image point."""
     cx = (x_px - pinhole[3]) / pinhole[5]
     cy = (y_px - pinhole[4]) / pinhole[5]
     if pinhole[6] != 0.0:
-        cx, cy = undistort(pinhole, 7, cx, cy)
+        cx, cy, _, _, _, _ = undistorted_place(cx, cy, cx, cy, lens_from(pinhole, 7), 1e-15)
     length = math.sqrt(cx * cx + cy * cy + 1.0)
     for k in range(3):
         d[k] = (rotation[k, 0] * cx + rotation[k, 1] * cy + rotation[k, 2]) / length
-
-
-@kernel
-def _undistort_all(lens: Floats, x: Floats, y: Floats) -> None:
-    for k in range(x.size):
-        x[k], y[k] = undistort(lens, 0, x[k], y[k])
 
 
 @kernel

@@ -1,6 +1,13 @@
 """From images to a calibration, its evidence, and its checks on a running line."""
 
-from roemetry.calibrating.block_check import block_of, check_calibration, find_block, read_block
+from roemetry.calibrating.block_check import (
+    block_of,
+    check_calibration,
+    find_block,
+    fit_penetration,
+    fit_penetration_in_one,
+    read_block,
+)
 from roemetry.calibrating.evidence import (
     correlations,
     coverage,
@@ -9,7 +16,6 @@ from roemetry.calibrating.evidence import (
     level_line_px,
 )
 from roemetry.calibrating.from_rig import calibrate, calibrate_with_evidence, default_path, observe
-from roemetry.calibrating.penetration import fit_penetration, fit_penetration_in_one
 from roemetry.run.control_chart import (
     QUANTITIES,
     Chart,

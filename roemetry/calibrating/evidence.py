@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from importlib.metadata import version
 from typing import Any, NamedTuple
 
 import numpy as np
 from markupsafe import Markup
 
-from roemetry.calibrating.evidence_plots import (
-    HeightUncertainty,
-    correlation_map,
-    coverage_map,
-    height_map,
-    residual_histogram,
-    residual_map,
-)
+from roemetry.html.plots import Axis, box, dot, line, number, picture, plain, text
 from roemetry.records import BELT, NOTHING, Evidence, Residuals, StripeMap
 from roemetry.records.arrays import Floats, Integers
 from roemetry.records.calibration import Calibration
@@ -224,3 +219,170 @@ def level_line_px(calibration: Calibration, row: Floats, height_mm: float) -> Fl
         x0, z0, x1 = x1, z1, ahead
         z1 = above(x1)
     return np.where(np.abs(z1) < 1e-6, x1, np.nan)
+
+
+_POINTS_MAX = 4000
+_BINS = 40
+_WARM, _COLD, _MIDDLE = (179, 38, 44), (11, 85, 120), (226, 229, 232)
+_PALE, _EMPTY = (255, 255, 255), "#f3c9c5"
+_RAMP = ((253, 246, 216), (242, 166, 94), (176, 74, 112), (58, 31, 85))
+
+
+class HeightUncertainty(NamedTuple):
+    """Standard uncertainty of heights by the calibration alone.
+
+    Attributes
+    ----------
+    height_mm
+        (level,) heights, mm.
+    row_px
+        (row,) image rows.
+    std_mm
+        (stripe, level, row) standard uncertainty, mm; NaN where the stripe is not in the image there.
+    """
+
+    height_mm: Floats
+    row_px: Floats
+    std_mm: Floats
+
+
+def residual_map(one: Residuals, image_size: tuple[int, int]) -> Markup:
+    """Draw residuals where they arose: red where observed is larger than modelled, blue where smaller."""
+    rows, columns = image_size
+    left, top, width = 46.0, 12.0, 440.0
+    tall = width * rows / columns
+    x_axis, y_axis = Axis(0, columns, left, left + width), Axis(0, rows, top, top + tall)
+    scale = _scale(one.error)
+    keep = np.linspace(0, len(one.error) - 1, min(len(one.error), _POINTS_MAX)).astype(np.int64)
+    body = [box(left, top, width, tall, "frame")]
+    for n in keep:
+        x, y = one.xy_px[n]
+        words = f"{plain(float(one.error[n]), 3, True)} {one.unit}, group {int(one.group[n]) + 1}"
+        body.append(dot(x_axis(x), y_axis(y), "point", words, signed(float(one.error[n]) / scale), 2.0))
+    body += [text(x_axis(v), top + tall + 15, words) for v, words in x_axis.ticks(5)]
+    body += [text(left - 6, y_axis(v) + 4, words, "end") for v, words in y_axis.ticks(4)]
+    for n in range(21):
+        share = n / 10.0 - 1.0
+        body.append(box(left + 10 * n, top + tall + 26, 10.4, 9, "", "", signed(share)))
+    ends = f"−{scale:.2g} to +{scale:.2g} {one.unit}"
+    body.append(text(left + 220, top + tall + 34, ends, "start"))
+    return picture(body, top + tall + 44, one.title, left + width + 10)
+
+
+def coverage_map(count: Integers, title: str, image_size: tuple[int, int]) -> Markup:
+    """Draw how much was observed in each cell of the image; red cells: nothing."""
+    rows, columns = image_size
+    left, top, width = 46.0, 12.0, 440.0
+    tall = width * rows / columns
+    high, wide = tall / count.shape[0], width / count.shape[1]
+    most = max(int(count.max()), 1)
+    body = []
+    for (row, column), much in np.ndenumerate(count):
+        share = math.sqrt(much / most)
+        fill = _between(_PALE, _COLD, 0.15 + 0.75 * share) if much else _EMPTY
+        x, y = left + column * wide, top + row * high
+        body.append(box(x, y, wide - 1, high - 1, "", f"{much} observed", fill))
+        kind = "on-dark" if much and share > 0.45 else "on-light"
+        body.append(text(x + wide / 2, y + high / 2 + 4, str(much), kind))
+    x_axis, y_axis = Axis(0, columns, left, left + width), Axis(0, rows, top, top + tall)
+    body += [text(x_axis(v), top + tall + 15, words) for v, words in x_axis.ticks(5)]
+    body += [text(left - 6, y_axis(v) + 4, words, "end") for v, words in y_axis.ticks(4)]
+    return picture(body, top + tall + 22, f"where {title} were observed", left + width + 10)
+
+
+def residual_histogram(one: Residuals) -> Markup:
+    """Draw the residuals' distribution beside a normal one of the same spread (by its quartiles)."""
+    left, right, top, bottom = 46.0, 426.0, 14.0, 160.0
+    error = one.error[np.isfinite(one.error)]
+    scale = 1.5 * _scale(error)
+    count, edges = np.histogram(np.clip(error, -scale, scale), _BINS, (-scale, scale))
+    x_axis, y_axis = Axis(-scale, scale, left, right), Axis(0, max(1, count.max()) * 1.08, bottom, top)
+    body = []
+    for n, much in enumerate(count):
+        x0, x1 = x_axis(edges[n]), x_axis(edges[n + 1])
+        words = f"{plain(edges[n], 3)} to {plain(edges[n + 1], 3)} {one.unit}: {much}"
+        body.append(box(x0, y_axis(much), x1 - x0 - 0.6, bottom - y_axis(much), "bar", words))
+    quartiles = np.quantile(error, [0.25, 0.5, 0.75])
+    sigma = (quartiles[2] - quartiles[0]) / 1.349
+    if sigma > 0:
+        x = np.linspace(-scale, scale, 121)
+        density = error.size * (edges[1] - edges[0]) / (sigma * math.sqrt(2 * math.pi))
+        y = density * np.exp(-0.5 * ((x - quartiles[1]) / sigma) ** 2)
+        path = "L".join(f"{number(x_axis(a))} {number(y_axis(b))}" for a, b in zip(x, y, strict=True))
+        body.append(Markup('<path class="curve" d="M{}"/>').format(path))
+    body += [line(left, bottom, right, bottom, "zero")]
+    body += [text(x_axis(v), bottom + 15, words) for v, words in x_axis.ticks(6)]
+    body += [text(right, bottom + 31, f"{one.title}, {one.unit}", "end")]
+    return picture(body, bottom + 36, f"distribution of {one.title}", right + 12)
+
+
+def height_map(found: HeightUncertainty, row: int) -> Markup:
+    """Draw standard uncertainty of heights over stripe and height, in one image row."""
+    left, top, tall = 60.0, 12.0, 26.0
+    stripes, levels = found.std_mm.shape[:2]
+    wide = min(40.0, 420.0 / stripes)
+    values = found.std_mm[:, :, row]
+    high = float(np.nanmax(found.std_mm)) if np.isfinite(found.std_mm).any() else 1.0
+    body = []
+    for level in range(levels):
+        y = top + (levels - 1 - level) * tall
+        body.append(text(left - 6, y + 17, f"{found.height_mm[level]:.1f}", "end"))
+        for stripe in range(stripes):
+            value = float(values[stripe, level])
+            if not math.isfinite(value):
+                continue
+            words = f"stripe {stripe + 1}, {found.height_mm[level]:.1f} mm: {1000 * value:.1f} µm"
+            x = left + stripe * wide
+            fill = _ramp(value / high if high > 0 else 0.0)
+            body.append(box(x, y, wide - 1, tall - 1, "", words, fill))
+            if wide >= 30:
+                kind = "on-dark" if value > 0.55 * high else "on-light"
+                body.append(text(x + wide / 2, y + 17, f"{1000 * value:.0f}", kind))
+    bottom = top + levels * tall
+    step = max(1, round(24.0 / wide))
+    for stripe in range(0, stripes, step):
+        body.append(text(left + (stripe + 0.5) * wide, bottom + 14, str(stripe + 1)))
+    body += [text(left - 6, bottom + 14, "mm", "end"), text(left, bottom + 30, "stripe", "start")]
+    return picture(
+        body, bottom + 36, f"height uncertainty in row {found.row_px[row]:.0f}", left + stripes * wide + 10
+    )
+
+
+def correlation_map(correlation: Floats, names: Sequence[str]) -> Markup:
+    """Draw correlations of parameters: red together, blue against each other."""
+    count = len(names)
+    side = min(26.0, 520.0 / count)
+    left, top = 16.0 + 6.6 * max(map(len, names)), 8.0
+    body = []
+    for i in range(count):
+        if side >= 9:
+            body.append(text(left - 5, top + (i + 0.5) * side + 4, names[i], "end"))
+        for k in range(i + 1):
+            value = float(correlation[i, k])
+            if math.isfinite(value):
+                words = f"{names[i]}, {names[k]}: {value:+.3f}"
+                body.append(
+                    box(left + k * side, top + i * side, side - 0.5, side - 0.5, "", words, signed(value))
+                )
+    return picture(body, top + count * side + 6, "correlations of the parameters", left + count * side + 10)
+
+
+def signed(share: float) -> str:
+    """Give a colour for −1 … 1."""
+    share = max(-1.0, min(1.0, share)) if math.isfinite(share) else 0.0
+    return _between(_MIDDLE, _WARM if share > 0 else _COLD, abs(share))
+
+
+def _ramp(share: float) -> str:
+    place = max(0.0, min(1.0, share)) * (len(_RAMP) - 1)
+    below = min(int(place), len(_RAMP) - 2)
+    return _between(_RAMP[below], _RAMP[below + 1], place - below)
+
+
+def _between(one: tuple[int, ...], other: tuple[int, ...], share: float) -> str:
+    return "#" + "".join(f"{round(a + share * (b - a)):02x}" for a, b in zip(one, other, strict=True))
+
+
+def _scale(error: Floats) -> float:
+    known = np.abs(error[np.isfinite(error)])
+    return float(np.quantile(known, 0.98)) or 1e-9 if known.size else 1.0

@@ -11,10 +11,8 @@ from typing import Literal
 from roemetry.config.target_file import BoardFile, TargetFile, read_target
 from roemetry.errors import ConfigurationError
 from roemetry.io.files import make_folder, write_bytes, write_whole
-from roemetry.targets.laying import lay_out
-from roemetry.targets.sheet_files import pdf_of, svg_of
-from roemetry.targets.solids import solid_triangles
-from roemetry.targets.stl import stl_of
+from roemetry.targets.sheets import lay_out, pdf_of, svg_of
+from roemetry.targets.solids import solid_triangles, stl_of
 
 SheetFormat = Literal["svg", "pdf"]
 

@@ -21,12 +21,8 @@ from roemetry.config.target_file import (
     read_target,
 )
 from roemetry.errors import ConfigurationError
-from roemetry.targets.boards import board_shapes
-from roemetry.targets.laying import lay_out
-from roemetry.targets.sheet import Disc, Rectangle, Sheet, Words
-from roemetry.targets.sheet_files import pdf_of, svg_of
-from roemetry.targets.solids import solid_triangles
-from roemetry.targets.stl import stl_of
+from roemetry.targets.sheets import Disc, Rectangle, Sheet, Words, board_shapes, lay_out, pdf_of, svg_of
+from roemetry.targets.solids import solid_triangles, stl_of
 
 PX_PER_MM = 10
 CHARUCO = BoardFile(

@@ -14,6 +14,7 @@ from roemetry.errors import DataError
 from roemetry.records.camera_model import distorted, slopes, undistorted
 from roemetry.records.view import View
 from roemetry.testing.scenes import LinearRig
+from roemetry_kernels.lens import distort_places, undistort_places
 
 LENSES = {
     "none": [],
@@ -148,3 +149,18 @@ def test_beyond_the_fold_nothing_is_found_and_the_others_are() -> None:
     back = undistorted(np.array([[farthest + 0.01, 0.0], [0.1, 0.05]]), strong)
     assert np.isnan(back[0]).all()
     assert distorted(back[1:], strong)[0] == pytest.approx([0.1, 0.05], abs=1e-9)
+
+
+def test_the_compiled_lens_is_the_same(rng: np.random.Generator) -> None:
+    """Places, their inverse, and derivatives by place and coefficients of `roemetry_kernels.lens`."""
+    lens = np.array([-0.28, 0.11, 0.001, -0.001, -0.02, 0.01, 0.02, 0.003])
+    xy = rng.uniform(-0.5, 0.5, (200, 2))
+    seen, by_place, by_lens = distort_places(xy, lens)
+    np.testing.assert_allclose(seen, distorted(xy, lens), rtol=0, atol=1e-15)
+    np.testing.assert_allclose(undistort_places(seen, lens, seen), xy, rtol=0, atol=1e-14)
+    exact = np.stack(slopes(xy, lens), axis=1).reshape(-1, 2, 2)
+    np.testing.assert_allclose(by_place, exact, rtol=0, atol=1e-14)
+    for number in range(8):
+        step = 1e-6 * (np.arange(8) == number)
+        slope = (distorted(xy, lens + step) - distorted(xy, lens - step)) / 2e-6
+        np.testing.assert_allclose(by_lens[:, :, number], slope, rtol=0, atol=1e-9)

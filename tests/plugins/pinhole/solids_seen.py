@@ -8,9 +8,8 @@ import numpy as np
 
 from roemetry.records import CalibrationSet, Frame, Observation, Peaks, SpherePlate
 from roemetry.records.view import View
-from roemetry_pinhole.equations import ON_BELT, StripePoints, stripe_residuals
-from roemetry_pinhole.frames import belt_pose
-from roemetry_pinhole.geometry import Geometry, turned
+from roemetry_pinhole.geometry import ON_BELT, Geometry, StripePoints, stripe_residuals, turned
+from roemetry_pinhole.pinhole_plane import belt_pose
 from roemetry_pinhole.plates import centres
 from roemetry_pinhole.solids import Shape, inside
 from roemetry_pinhole.verdict import lifted

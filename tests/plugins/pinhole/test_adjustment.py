@@ -7,11 +7,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.simulated_points import SimulatedRig, noisy, shown
 from roemetry.errors import CalibrationError
 from roemetry_pinhole.bundle import adjust
-from roemetry_pinhole.conformance import SimulatedRig, noisy, shown
-from roemetry_pinhole.equations import ON_BELT, Feet, corner_rows, foot_rows, stripe_residuals, stripe_rows
-from roemetry_pinhole.geometry import CAMERA, unknowns_of
+from roemetry_pinhole.geometry import (
+    CAMERA,
+    ON_BELT,
+    Feet,
+    corner_rows,
+    foot_rows,
+    stripe_residuals,
+    stripe_rows,
+    unknowns_of,
+)
 
 LENS = (-0.2, 0.1, 0.001, -0.0005, 0.02)
 RIG = SimulatedRig(1600.0, 350.0, tilt_deg=(6.0, -4.0), lens=LENS, stripes=5, poses=8)

@@ -7,18 +7,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.simulated_points import Shown, shown
 from roemetry.errors import CalibrationError
 from roemetry.records import CalibrationSet, Frame, Observation, SpherePlate
 from roemetry.testing import LinearRig
 from roemetry_pinhole.bundle import Adjusted, Measured
 from roemetry_pinhole.calibrator import PinholeCalibrator
-from roemetry_pinhole.conformance import Shown, _image, _peaks, _pose, observed_of, shown
-from roemetry_pinhole.equations import Feet, StripePoints
-from roemetry_pinhole.frames import lines_at_height, parameters_of, view_of
-from roemetry_pinhole.geometry import CAMERA, Geometry, unknowns_of
+from roemetry_pinhole.conformance import _image, _peaks, _pose, observed_of
+from roemetry_pinhole.from_solids import from_solids
+from roemetry_pinhole.geometry import CAMERA, Feet, Geometry, StripePoints, unknowns_of
+from roemetry_pinhole.pinhole_plane import lines_at_height, parameters_of, view_of
 from roemetry_pinhole.plates import find_plate, from_plate
-from tests.plugins.pinhole.solids_seen import crossings, over_balls, seen_as, set_of
-from tests.plugins.pinhole.test_solids import RIGS, SIZE, STRIPES, wide
+from roemetry_pinhole.solids import shape_of
+from tests.plugins.pinhole.solids_seen import crossings, on_belt, over_balls, seen_as, set_of
+from tests.plugins.pinhole.test_solids import RIGS, SIZE, STRIPES, solid, wide
 
 
 def plate_of(width: float) -> SpherePlate:
@@ -152,3 +154,20 @@ def test_a_sphere_plate_calibrates_with_boards_that_the_laser_never_met(rng) -> 
     empty = replace(belt, shows="sphere_plate")
     with pytest.raises(CalibrationError, match="the sphere plate is not seen"):
         PinholeCalibrator().calibrate(replace(given, observations=(belt, lying_board, *dark, empty)))
+
+
+@pytest.mark.parametrize(("name", "kind"), [("gentle", "block"), ("tilted", "staircase")])
+def test_a_scan_through_one_stripe_gives_its_plane(name: str, kind: str, rng) -> None:
+    """The belt is known from a board that lies on it; the solid in five places."""
+    rig, width = replace(RIGS[name], stripes=1), wide(RIGS[name])
+    exact, known = shown(rig, rng), solid(kind, wide(RIGS[name]))
+    true = exact.geometry
+    seen = [seen_as("belt", crossings(true, None, SIZE), SIZE, rng, 0.1)]
+    for place in range(5):
+        lying = on_belt(true, 0.1 * (place - 2) * width, 0.005 * place * width, 3.0)
+        seen.append(seen_as(kind, crossings(lying, shape_of(known), SIZE), SIZE, rng, 0.1))
+    observed = set_of(seen, 1, **{kind: known})
+    found = from_solids(observed, boards_of(exact), np.zeros(CAMERA, bool), true.belt)
+    off, std = height_errors(found.adjusted, true, np.array([0.0, 0.06, 0.12]) * width)
+    assert np.abs(off).max() < 0.02, "mm"
+    assert np.sqrt(np.mean((off / std) ** 2)) < 2.0, "the stated uncertainty holds"

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from roemetry.records import Board, Frame
-from roemetry_pinhole.board_diagnostics import BoardNotFoundError
-from roemetry_pinhole.boards import charuco_of, find_marks
+from roemetry_pinhole.boards import BoardNotFoundError, charuco_of, find_marks
 
 CHARUCO = Board(
     "c", "charuco", columns=9, rows=6, pitch_mm=8.0, marker_mm=6.0, dictionary="DICT_4X4_250", layout="auto"

@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.simulated_points import SimulatedRig, noisy, shown
 from roemetry.calibrating import evidence_page
 from roemetry.testing import LinearRig
 from roemetry_pinhole.bundle import Measured
 from roemetry_pinhole.calibrator import PinholeCalibrator
-from roemetry_pinhole.conformance import SimulatedRig, noisy, observed_of, shown
+from roemetry_pinhole.conformance import observed_of
 from roemetry_pinhole.geometry import CAMERA, unknowns_of
 from roemetry_pinhole.pinhole_plane import PinholePlane
 from roemetry_pinhole.verdict import cross_validate, lifted, stripe_offsets

@@ -18,8 +18,8 @@ from roemetry.records.camera_file import write_camera
 from roemetry.testing import LinearRig
 from roemetry_pinhole.calibrator import PinholeCalibrator, PinholeCalibratorOptions
 from roemetry_pinhole.conformance import observed_of
-from roemetry_pinhole.frames import camera_of, lines_at_height, view_of
-from roemetry_pinhole.known_planes import read_camera, read_planes
+from roemetry_pinhole.joint import read_camera, read_planes
+from roemetry_pinhole.pinhole_plane import camera_of, lines_at_height, view_of
 
 
 @pytest.fixture(scope="module")
@@ -106,14 +106,6 @@ def in_camera(made: Calibration, x_px: float, row_px: float) -> np.ndarray:
     ray = np.array([x_px, row_px, 1.0])
     ray[:2] = (ray[:2] - made.parameters["principal_px"]) / made.parameters["focal_px"]
     return ray / (ray @ made.parameters["belt_per_mm"])
-
-
-def test_what_is_written_is_what_is_read(made, tmp_path: Path) -> None:
-    """`write_camera` puts the planes into the same file, in the camera's frame."""
-    path = tmp_path / "camera.yaml"
-    assert made.view is not None
-    write_camera(path, made.view)
-    assert read_planes(path) == pytest.approx(made.parameters["planes_per_mm"], rel=1e-9)
 
 
 @pytest.mark.parametrize(

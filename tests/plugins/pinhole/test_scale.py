@@ -14,7 +14,7 @@ from roemetry.records.calibration import Calibration
 from roemetry.testing import LinearRig
 from roemetry_pinhole.calibrator import PinholeCalibrator, PinholeCalibratorOptions
 from roemetry_pinhole.conformance import _image, _peaks, _pose, observed_of
-from roemetry_pinhole.frames import lines_at_height, view_of
+from roemetry_pinhole.pinhole_plane import lines_at_height, view_of
 from roemetry_pinhole.scale import check_scale, relative_of
 from tests.plugins.pinhole.solids_seen import over_balls
 

@@ -8,21 +8,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.simulated_points import SimulatedRig, shown
 from roemetry.errors import CalibrationError
 from roemetry.records import Block, Pyramid, Staircase
 from roemetry.records.camera_file import write_camera
 from roemetry_pinhole.calibrator import PinholeCalibrator, PinholeCalibratorOptions
-from roemetry_pinhole.conformance import SimulatedRig, shown
-from roemetry_pinhole.equations import (
+from roemetry_pinhole.geometry import (
+    CAMERA,
     Corners,
     Edges,
+    Geometry,
     corner_residuals,
     edge_rows,
     stripe_residuals,
     stripe_rows,
+    unknowns_of,
 )
-from roemetry_pinhole.frames import lines_at_height, parameters_of, view_of
-from roemetry_pinhole.geometry import CAMERA, Geometry, unknowns_of
+from roemetry_pinhole.pinhole_plane import lines_at_height, parameters_of, view_of
 from roemetry_pinhole.solids import inside, shape_of
 from tests.plugins.pinhole.solids_seen import crossings, on_belt, seen_as, set_of
 

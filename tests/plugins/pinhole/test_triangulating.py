@@ -8,13 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.simulated_points import SimulatedRig, shown
 from roemetry.errors import DataError
 from roemetry.records import StripeMap
 from roemetry.records.calibration import Calibration
-from roemetry.records.camera_file import write_camera
-from roemetry_pinhole.conformance import SimulatedRig, shown
-from roemetry_pinhole.frames import (
+from roemetry_pinhole.joint import plane_from, read_camera
+from roemetry_pinhole.pinhole_plane import (
     METHOD,
+    PinholePlane,
     displacements,
     lines_at_height,
     parameters_of,
@@ -22,8 +23,6 @@ from roemetry_pinhole.frames import (
     rest_polynomials,
     view_of,
 )
-from roemetry_pinhole.known_planes import plane_from, read_camera, read_planes
-from roemetry_pinhole.pinhole_plane import PinholePlane
 
 SIZE = (480, 640)
 RIGS = {
@@ -139,15 +138,6 @@ def test_redraws_have_the_stated_covariance_whatever_the_units(calibration, rng)
     assert np.abs(found - wanted / own[:, None] / own[None, :]).max() < 0.2
 
 
-def test_a_camera_file_of_opencv_goes_out_and_comes_back(calibration, tmp_path: Path) -> None:
-    path = tmp_path / "camera.yaml"
-    view = view_of(calibration.parameters, SIZE)
-    write_camera(path, view)
-    camera = read_camera(path)
-    assert np.abs(camera[:4] - [*np.diag(view.camera_matrix)[:2], *view.camera_matrix[:2, 2]]).max() < 1e-9
-    assert np.abs(camera[4:] - view.distortion).max() < 1e-12
-
-
 def test_a_camera_file_without_a_camera(tmp_path: Path) -> None:
     path = tmp_path / "no.yaml"
     path.write_text("%YAML:1.0\n---\nnumber: 3\n", encoding="utf-8")
@@ -165,16 +155,6 @@ def test_planes_in_either_sign() -> None:
     assert plane_from(a, b, c, d, sign=-1) @ point == pytest.approx(1.0)
     with pytest.raises(DataError, match="camera's centre"):
         plane_from(1.0, 0.0, 0.0, 0.0, sign=1)
-
-
-def test_planes_from_a_file(tmp_path: Path) -> None:
-    path = tmp_path / "planes.yaml"
-    path.write_text(
-        "%YAML:1.0\n---\nplanes: !!opencv-matrix\n   rows: 1\n   cols: 4\n   dt: d\n"
-        "   data: [ 0.6, 0., 0.8, -160. ]\n",
-        encoding="utf-8",
-    )
-    assert read_planes(path) == pytest.approx(np.array([[0.6, 0.0, 0.8]]) / 160.0)
 
 
 def fan(projector_mm: np.ndarray, axes: np.ndarray) -> np.ndarray:
