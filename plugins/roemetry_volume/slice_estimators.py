@@ -25,7 +25,6 @@ _RULES_APART = 1.3  # a rectangle's half width over its standard deviation would
 _AREAS_STD = 0.003  # of the volume: walls and ends of the slices themselves, however many there are
 _LOOSE = 1.0 / math.sqrt(3.0)  # of what is bridged beyond a slice's seen points: none of it, or twice as much
 _OVER_GAP = 0.1  # of what a straight line fills: a dome rises over it by some tenth
-_Known = tuple[tuple[float, float], tuple[float, float]]
 _IN_HOLE = 1.0 / math.sqrt(3.0)  # of what a straight line over a hole would hold: it may not be empty
 
 
@@ -75,18 +74,14 @@ class _SliceEstimator(VolumeEstimator[SliceOptions]):
         nan = math.nan
         caps = [cap_of(product, slices, end, self.options.ends) for end in (0, 1)]
         slope = np.array([one.slope_mm if one.kind == rules.TAPERED else nan for one in caps])
-        # where an outer slice runs over the edge of an upright end, as if it were whole
-        area = slices.area_mm2.copy()
-        area[0], area[-1] = caps[0].area_mm2, caps[1].area_mm2
-        known = (caps[0].bulge_mm3, caps[1].bulge_mm3), (caps[0].trust, caps[1].trust)
-        between = rules.between_slices(slices.t_mm, area, slope, self.rule, *known)
+        between = rules.between_slices(slices.t_mm, slices.area_mm2, slope, self.rule)
         volume = between + sum(one.volume_mm3 + one.shadow_mm3 for one in caps)
         if not volume > 0.0:
             raise StageError(
                 f"the slices sum up to {volume:.4g} mm³: the points lie on or below the belt",
                 hint="look at the coding and the belt's zero",
             )
-        uneven = _between_std(slices.t_mm, area, slope, between, known)
+        uneven = _between_std(slices.t_mm, slices.area_mm2, slope, between)
         budget = {
             "between slices": math.hypot(uneven, _AREAS_STD * volume),
             "slice ends": _LOOSE * float(slices.loose_mm2 @ slices.held_mm),
@@ -159,12 +154,12 @@ class SliceSpline(_SliceEstimator):
     rule = 4
 
 
-def _between_std(t_mm: Floats, area_mm2: Floats, slope: Floats, between: float, known: _Known) -> float:
+def _between_std(t_mm: Floats, area_mm2: Floats, slope: Floats, between: float) -> float:
     """Say how far the areas between slices may be off: by what leaving single slices out changes.
 
     Part of the rule's distance from the spline, which smooth bodies follow more closely, is added.
     """
-    smooth: float = rules.between_slices(t_mm, area_mm2, slope, rules.SPLINE, *known)
+    smooth: float = rules.between_slices(t_mm, area_mm2, slope, rules.SPLINE)
     return math.hypot(_BETWEEN * rules.unevenness(t_mm, area_mm2), (smooth - between) / _RULES_APART)
 
 

@@ -23,8 +23,6 @@ def between_slices(
     area: Floats,
     slope: Floats,
     rule: int,
-    bulge: tuple[float, float] = (0.0, 0.0),
-    trust: tuple[float, float] = (0.0, 0.0),
 ) -> float:
     """Give the volume from the first to the last slice, mm³.
 
@@ -39,10 +37,6 @@ def between_slices(
     rule
         `SUM` (the same as the trapezoid here: they differ in the caps), `TRAPEZOID`, `SIMPSON`, `PCHIP`
         (Fritsch and Butland's slopes) or `SPLINE` (cubic, not-a-knot where no slope is given).
-    bulge, trust
-        What is known at either end to lie between the outer two slices over the straight line, mm³, and how
-        far to believe it rather than the cubics. Where both are believed the body is smooth from end to
-        end, and `PCHIP` takes the spline's slopes: its own are flat beside the largest area.
     """
     n = t.size
     if rule == SIMPSON:
@@ -50,12 +44,6 @@ def between_slices(
     slopes = np.zeros(n)
     if rule == PCHIP:
         _pchip_slopes(t, area, slopes)
-        smooth = trust[0] * trust[1]
-        if smooth > 0.0:
-            through = np.zeros(n)
-            _spline_slopes(t, area, slope, through)
-            for i in range(n):
-                slopes[i] += smooth * (through[i] - slopes[i])
     elif rule == SPLINE:
         _spline_slopes(t, area, slope, slopes)
     volume = 0.0
@@ -63,12 +51,7 @@ def between_slices(
         h = t[i + 1] - t[i]
         volume += 0.5 * h * (area[i] + area[i + 1])
         if rule >= PCHIP:
-            over = h * h * (slopes[i] - slopes[i + 1]) / 12.0
-            if i == 0:
-                over += trust[0] * (bulge[0] - over)
-            if i == n - 2:
-                over += trust[1] * (bulge[1] - over)
-            volume += over
+            volume += h * h * (slopes[i] - slopes[i + 1]) / 12.0
     return volume
 
 
@@ -121,28 +104,6 @@ def cap(
     if limited:
         return 0.5 * reach_mm * first, 0.5 * reach_mm, np.nan, BLUNT
     return 0.0, 0.0, np.nan, NO_CAP
-
-
-@kernel
-def short_of(t: Floats, area: Floats, at_end: int) -> tuple[float, float]:
-    """By how much an outer slice falls short of what the inner ones say, and what they say, mm².
-
-    They say the lower of the line through the next two slices and the parabola through the next three;
-    nothing where there are fewer than five slices, or where the next ones fall by over a tenth.
-    """
-    n = t.size
-    if n < 5:
-        return 0.0, 0.0
-    step = 1 if at_end == 0 else -1
-    i = 0 if at_end == 0 else n - 1
-    j, k, m = i + step, i + 2 * step, i + 3 * step
-    if area[j] < 0.9 * area[k]:
-        return 0.0, 0.0
-    slope = (area[j] - area[k]) / (t[j] - t[k])
-    bend = ((area[k] - area[m]) / (t[k] - t[m]) - slope) / (t[m] - t[j])
-    line = area[j] + slope * (t[i] - t[j])
-    expected = min(line, line + bend * (t[i] - t[j]) * (t[i] - t[k]))
-    return expected - area[i], expected
 
 
 @kernel

@@ -216,3 +216,20 @@ def without(product: Product, at: object, points: slice) -> Product:
 
 def codes(volume) -> set[str]:
     return {reason.code for reason in volume.reasons}
+
+
+@pytest.mark.parametrize(("other_mm", "hole"), [(12.0, 0.0), (16.0, 20.0)])
+def test_a_wide_gap_between_two_levels_is_a_hidden_wall_and_else_a_hole(other_mm: float, hole: float) -> None:
+    rows = np.concatenate([np.arange(0.0, 50.0), np.arange(150.0, 200.0)])
+    z = np.where(rows < 100.0, 16.0, other_mm)
+    xyz = np.stack([np.zeros_like(rows), 0.2 * rows, z], axis=-1)[None].repeat(3, axis=0)
+    shape = xyz.shape[:2]
+    plane = np.array([[1.0, 0.0, 0.0, t] for t in (0.0, 8.0, 16.0)])
+    table, _ = slice_table.slice_areas(
+        xyz, np.ones(shape, np.int16), np.ones(shape, np.bool_), np.broadcast_to(rows, shape).copy(),
+        plane, np.zeros(3, np.int64), 1,
+    )  # fmt: skip
+    assert table[:, slice_table.HOLE] == pytest.approx(np.full(3, hole), abs=0.5)
+    assert table[:, slice_table.AREA] == pytest.approx(
+        np.full(3, 10.0 * (16.0 + other_mm) + (0.0 if hole else 280.0)), rel=0.01
+    )
