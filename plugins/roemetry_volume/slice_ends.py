@@ -18,7 +18,7 @@ from typing import Literal, NamedTuple
 
 from roemetry.records import Product
 from roemetry_volume import slice_rules as rules
-from roemetry_volume.quadric_ends import quadric_end
+from roemetry_volume.quadric_ends import edges_missed, quadric_end
 from roemetry_volume.slice_table import AREA, TOP, WALL, WIDTH, Slices
 
 # chosen so that 95 % intervals hold the truth as often as they say: docs/reference/plugins/slice-pchip.md
@@ -65,7 +65,7 @@ def cap_of(product: Product, slices: Slices, end: int, ends: Ends) -> Cap:
         return Cap(volume, length, math.nan, rules.BLUNT, 0.0, _std(slices, end, taper, volume))
     volume, length, slope, kind = taper
     found = Cap(volume, length, slope, kind, 0.0, _std(slices, end, taper, volume))
-    volume, length, shadow, _, off_mm = quadric_end(
+    volume, length, shadow, rim_mm, off_mm = quadric_end(
         slices.profiles.xyz_mm,
         slices.profiles.product,
         slices.profiles.seen,
@@ -81,6 +81,18 @@ def cap_of(product: Product, slices: Slices, end: int, ends: Ends) -> Cap:
     trust = 1.0 / (1.0 + (off_mm / _FITS_MM) ** 10) if off_mm < 3.0 * _FITS_MM else 0.0
     if trust < _HARDLY:
         return found
+    # what the slices miss at their own ends, now that the rim's height is known
+    shadow += edges_missed(
+        slices.profiles.xyz_mm,
+        slices.profiles.product,
+        slices.profiles.row_px,
+        product.number,
+        slices.table,
+        slices.place,
+        end,
+        slices.lean,
+        max(rim_mm, 0.0),
+    )
     own = math.hypot(_QUADRIC_STD * volume, _SHADOW_STD * shadow)
     apart = volume + shadow - found.volume_mm3
     rest = 1.0 - trust

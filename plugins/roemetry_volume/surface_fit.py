@@ -29,7 +29,7 @@ _WALL_MM = 1.5
 _PROBE_MM = 1.0
 _SETTLED_MM = 0.03
 _WALL_REACH_MM = 0.4  # two rows: a wall that shows by less is not told from its edge
-_FEW = 3
+_FEW, _BELT_SHARE = 3, 0.5
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -88,12 +88,27 @@ def points_of(product: Product) -> StripePoints:
     slices, index = np.nonzero(mine)
     order = np.lexsort((profiles.row_px[slices, index], slices))
     slices, index = slices[order], index[order]
-    seen = profiles.seen[slices, index]
+    seen = profiles.seen[slices, index].copy()
+    _leave_out_belt(seen, slices, profiles.xyz_mm[slices, index, 2])
     held = _between_seen(slices, seen)
     slices, index = slices[held], index[held]
     _, number = np.unique(slices, return_inverse=True)
     first = np.append(np.flatnonzero(np.diff(number, prepend=-1)), number.size)
     return StripePoints(profiles.xyz_mm[slices, index], number, first)
+
+
+def _leave_out_belt(seen: Flags, slices: Integers, z_mm: Floats) -> None:
+    """Count up to three points at a slice's end as unseen if, behind unseen ones, the rest is far higher.
+
+    They are the belt's: beside the product's shadow its stripe is blended, and its peak lies off.
+    """
+    bounds = np.append(np.flatnonzero(np.diff(slices, prepend=-1)), slices.size)
+    for begin, stop in zip(bounds[:-1].tolist(), bounds[1:].tolist(), strict=True):
+        places = np.flatnonzero(seen[begin:stop]) + begin
+        for outermost in (places[: _FEW + 1], places[::-1][: _FEW + 1]):
+            gap = np.flatnonzero(np.abs(np.diff(outermost)) > 1)
+            if gap.size and z_mm[outermost[: gap[0] + 1]].max() < _BELT_SHARE * z_mm[outermost[gap[0] + 1]]:
+                seen[outermost[: gap[0] + 1]] = False
 
 
 def _between_seen(slices: Integers, seen: Flags) -> Flags:

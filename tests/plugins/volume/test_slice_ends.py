@@ -10,7 +10,7 @@ import pytest
 from roemetry.records import Product
 from roemetry.records.arrays import Floats
 from roemetry.testing import LinearRig
-from roemetry.testing.solids import HALF_ELLIPSOID, product_of
+from roemetry.testing.solids import HALF_ELLIPSOID, Solid, product_of
 from roemetry_volume import quadric_ends as ends
 from roemetry_volume import slice_table
 from roemetry_volume.slice_ends import cap_of
@@ -151,3 +151,25 @@ def test_a_shadow_under_planes_that_fan_out_is_that_of_its_lines(m: float, fanni
 
 def dome(s: Floats, v: Floats) -> Floats:
     return 100.0 * (1.0 - (s / 12.0) ** 2 - (v / 15.0) ** 2)
+
+
+@pytest.mark.parametrize("rows", [1, 3])
+def test_rows_that_a_slice_lacks_at_a_rim_are_made_up_for(rows: int) -> None:
+    whole = product_of(Solid("half-ellipsoid", 75.0, 40.0, 14.0), RIG)
+    short = without_outer_rows(whole, rows)
+    lost = [slices_of(p).area_mm2 @ slices_of(p).held_mm for p in (short, whole)]
+    gained = [sum(cap_of(p, slices_of(p), end, "taper").shadow_mm3 for end in (0, 1)) for p in (short, whole)]
+    assert gained[0] - gained[1] == pytest.approx(lost[1] - lost[0], rel=0.25)
+
+
+def without_outer_rows(product: Product, rows: int) -> Product:
+    profiles = product.profiles
+    mine = profiles.product == product.number
+    keep = np.zeros_like(mine)
+    for i, row in enumerate(mine):
+        if (places := np.flatnonzero(row)).size:
+            keep[i, places[rows : places.size - rows]] = True
+    gone = mine & ~keep
+    xyz = np.where(gone[..., None], np.nan, profiles.xyz_mm)
+    labels = np.where(gone, -1, profiles.product).astype(np.int16)
+    return replace(product, profiles=replace(profiles, xyz_mm=xyz, product=labels, seen=profiles.seen & keep))
