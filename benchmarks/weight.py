@@ -34,10 +34,15 @@ from roemetry.records import Outline, Product, Samples
 from roemetry_paper.zero_order_hold import ZeroOrderHold
 from roemetry_simulate.population import in_reach
 from roemetry_simulate.products import PRODUCTS
-from roemetry_volume.fitted_weight import FittedWeight, FittedWeightOptions, with_inverse
+from roemetry_volume.fitted_weight import (
+    FORMS,
+    FittedWeight,
+    FittedWeightOptions,
+    WeightModel,
+    weight_features,
+    with_inverse,
+)
 from roemetry_volume.outline_surface import OutlineSurface
-from roemetry_volume.weight_features import weight_features
-from roemetry_volume.weight_model import FORMS, WeightModel
 
 FAMILIES = ("herring-roe", "fillet")
 PEAK_NOISE_PX, OUTLINE_NOISE_PX = 0.1, 0.3

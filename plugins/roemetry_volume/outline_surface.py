@@ -13,8 +13,13 @@ from roemetry.records import Product, Reason, Shares, Volume
 from roemetry.records.arrays import Floats
 from roemetry.records.view import View
 from roemetry.stages import Capabilities, VolumeEstimator
-from roemetry_volume.common_error import common_height_std_mm
-from roemetry_volume.slice_estimators import SliceOptions, SlicePchip, gaps_std, reasons_of
+from roemetry_volume.slice_estimators import (
+    SliceOptions,
+    SlicePchip,
+    common_height_std_mm,
+    gaps_std,
+    reasons_of,
+)
 from roemetry_volume.slice_table import Slices, slices_of
 from roemetry_volume.surface_fit import LONG_AXIS, Fused, fuse, plate_through, without_slice
 from roemetry_volume.underside import UndersideOptions, estimate_of, true_volume

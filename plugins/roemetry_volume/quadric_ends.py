@@ -8,8 +8,18 @@ import numpy as np
 
 from roemetry.records.arrays import Flags, Floats, Integers, Labels
 from roemetry_kernels.compiling import float_kernel
-from roemetry_volume.slice_rules import three_outer
-from roemetry_volume.slice_table import AREA, AT, COUNT, FIRST_ROW, LAST_ROW, LOOSE, TOP, WALL, WIDTH
+from roemetry_volume.slice_table import (
+    AREA,
+    AT,
+    COUNT,
+    FIRST_ROW,
+    LAST_ROW,
+    LOOSE,
+    TOP,
+    WALL,
+    WIDTH,
+    three_outer,
+)
 
 VOLUME, LENGTH, SHADOW, RIM_MM, RESIDUAL_MM = range(5)
 """What `quadric_end` gives: volume beyond the outer slice (mm³) and how far it reaches (mm); what the slices

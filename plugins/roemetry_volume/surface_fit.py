@@ -138,7 +138,7 @@ def fuse(product: Product, view: View, contour_px: Floats) -> Fused:
     outermost = np.concatenate([points.first[:-1], points.first[1:] - 1])
     height = np.full(_POINTS, 0.8 * float(np.median(xyz[outermost, 2])))
     border = border_at(view, contour_px, np.maximum(height, 0.0))
-    centre, turn = _axes(border.xy_mm)
+    centre, turn = axes_of(border.xy_mm)
     place = (xyz[:, :2] - centre) @ turn
     ends = ends_of(points, place[:, 1])
     fall = np.zeros(_POINTS)
@@ -163,7 +163,7 @@ def fuse(product: Product, view: View, contour_px: Floats) -> Fused:
     return Fused(points, place, rim, border, plate, knots, contour, open_end, height, s, v, weight)
 
 
-def _axes(xy: Floats) -> tuple[Floats, Floats]:
+def axes_of(xy: Floats) -> tuple[Floats, Floats]:
     """Middle of a polygon and the turn whose columns are its long and its short axis."""
     centre = xy.mean(axis=0)
     _, axes = np.linalg.eigh(np.cov((xy - centre).T))

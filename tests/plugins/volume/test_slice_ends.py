@@ -13,8 +13,8 @@ from roemetry.testing import LinearRig
 from roemetry.testing.solids import HALF_ELLIPSOID, Solid, product_of
 from roemetry_volume import quadric_ends as ends
 from roemetry_volume import slice_table
-from roemetry_volume.slice_ends import cap_of
 from roemetry_volume.slice_estimators import SlicePchip, SliceSimpson, SliceSpline
+from roemetry_volume.slice_rules import cap_of
 from roemetry_volume.slice_table import slices_of
 from roemetry_volume.surface_fit import Knots, plate_through
 

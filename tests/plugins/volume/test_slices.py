@@ -50,20 +50,20 @@ def test_a_parabolic_cap_is_exact() -> None:
     t = np.array([-3.0, -1.0, 2.0])
     area = 16.0 - t**2  # falls to zero at ±4
     for end, (length, volume) in enumerate([(1.0, 11.0 / 3.0), (2.0, 40.0 / 3.0)]):
-        found = slice_rules.cap(t, area, end, 5.0, True)
+        found = slice_rules.taper_of(t, area, end, 5.0, True)
         assert found[:3] == pytest.approx((volume, length, -2.0 * t[-end]), abs=1e-12)
         assert found[3] == slice_rules.TAPERED
 
 
 def test_slices_that_do_not_taper_have_no_tapered_cap() -> None:
     t, area = np.array([0.0, 1.0, 2.0]), np.full(3, 7.0)
-    assert slice_rules.cap(t, area, 0, 3.0, True) == (
+    assert slice_rules.taper_of(t, area, 0, 3.0, True) == (
         10.5,
         1.5,
         pytest.approx(np.nan, nan_ok=True),
         slice_rules.BLUNT,
     )
-    volume, length, _, kind = slice_rules.cap(t, area, 1, 3.0, False)
+    volume, length, _, kind = slice_rules.taper_of(t, area, 1, 3.0, False)
     assert (volume, length, kind) == (0.0, 0.0, slice_rules.NO_CAP)
 
 
