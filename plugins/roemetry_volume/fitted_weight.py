@@ -2,8 +2,8 @@
 
 Model. Mass over visible volume is a linear function of features, fitted by ridge regression and judged on
 samples that it has not seen (`fit_weights`). The visible volume counts the air below a rounded product, which
-lies below the widest line, the rim: a product whose rim is high has more of it, and one that arches over a gap
-has a rim that bows.
+lies below the widest line, the rim: a product whose rim is high has more of it, and one that arches over a
+gap has a rim that bows.
 
 Fails, and says so, for products unlike the samples (`WeightModel.outside`).
 """
