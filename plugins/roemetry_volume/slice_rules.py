@@ -44,6 +44,9 @@ _FITS_MM = 0.07  # a quadric that misses the points by so much is believed by ha
 _HARDLY = 0.02  # trust: less changes nothing that anyone could measure
 _BLUNT_STD = 2.0 / math.sqrt(12.0)  # of a cap of half the way to the next stripe
 _WALL_STD = 0.5 / math.sqrt(3.0)  # of the way that a plane leans over the height of an end wall
+_LEVEL = 0.9
+"""Of the next slice's height: an outer slice so high may have an upright end beyond it or before it, anywhere
+up to the next stripes, and light that leans passes over that (a rectangle each)."""
 _OPEN_SPACINGS = 2.0
 _OPEN_SHARE = 0.2  # of the product's lit length; beyond either, an open end's taper is not believed
 
@@ -146,7 +149,12 @@ def _std(slices: Slices, end: int, taper: tuple[float, float, float, float], vol
         over_mm = abs(lean) * max(outer[TOP], 0.0)
         std = math.hypot(_BLUNT_STD * volume_mm3, _WALL_STD * over_mm * area)
     below_rim = 0.5 * max(-lean, 0.0) * outer[WALL] * outer[WIDTH]
-    return math.hypot(std, _RIM_STD * below_rim)
+    wall = 0.0
+    before = slices.table[-2 if end else 1].tolist()
+    if outer[TOP] > _LEVEL * before[TOP]:
+        whole = max(area, before[AREA])
+        wall = math.hypot(slices.reach_mm[end] * whole, abs(lean) * outer[TOP] * whole) / math.sqrt(12.0)
+    return math.hypot(std, _RIM_STD * below_rim, wall)
 
 
 @kernel
