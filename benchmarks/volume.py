@@ -217,8 +217,8 @@ def page(
             for light in ("plain", "laser")
             if (mine := [row for row in pictures if row.of == light])
         ),
-        f"## Known bodies, {given.rigs} rigs each\n\nMean absolute error / 95 % point / intervals that hold, "
-        "per cent.\n\n"
+        f"## Known bodies\n\nOn {given.rigs} rigs each. Mean absolute error / 95 % point / intervals that "
+        "hold, per cent.\n\n"
         + table(
             ("body", *(f"`{name}`" for name in _OF_BODIES)),
             [(name, *(brief(known, name, one) for one in _OF_BODIES)) for name in BODIES],
