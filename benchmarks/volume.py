@@ -1,36 +1,32 @@
-"""Error of every volume estimator on simulated skeins; writes docs/measurements/volume.md.
+"""Error of every volume estimator on simulated products; writes docs/measurements/volume.md.
 
-``python -m benchmarks volume [--first 80000] [--count 500] [--meshes 20] [--images 100] [--page FILE]``
+``python -m benchmarks volume [--first 80000] [--count 100] [--meshes 10] [--images 0] [--page FILE]``
 
-Every skein has a rig of its own. Stripes are traced exactly, 41 at a time, and thinned to fewer; outlines are
-exact silhouettes. The images are rendered anew (10 s each and more) and kept in the cache, as are each
-skein's results, for as long as no estimator changes: a run that was stopped goes on where it was.
+Every product has a rig of its own. Stripes are traced exactly, 41 at a time, and thinned to fewer; outlines
+are exact silhouettes. With ``--images`` skeins are rendered, too (10 s each and more, kept in the cache).
 """
 
 from __future__ import annotations
 
 import argparse
-import hashlib
-import json
-import statistics
+import math
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.volume_bodies import body_rows
-from benchmarks.volume_images import image_rows, is_rendered
-from benchmarks.volume_page import IN_IMAGES, Pictures, Seeds, page
-from benchmarks.volume_scenes import Exact, exact_skein, thinned
+from benchmarks.volume_scenes import Exact, exact, exact_skein, images, measured, rig_of, thinned
 from roemetry.errors import RoemetryError
-from roemetry.io.files import write_whole
-from roemetry.records import Product, Volume
 from roemetry.stages import VolumeEstimator
 from roemetry_open3d.surface_mesh import MeshOptions, SurfaceMesh
 from roemetry_paper.zero_order_hold import ZeroOrderHold
+from roemetry_simulate.products import PRODUCTS
+from roemetry_simulate.products.family import Pose, draw_pose, random_of
+from roemetry_simulate.products.parts import PartsSolid, placed, plane
+from roemetry_simulate.solid import Solid
 from roemetry_volume.outline_surface import OutlineSurface
 from roemetry_volume.slice_estimators import (
     SliceOptions,
@@ -40,6 +36,7 @@ from roemetry_volume.slice_estimators import (
     SliceSum,
     SliceTrapezoid,
 )
+from roemetry_volume.underside import fitted_share
 
 ESTIMATORS: Mapping[str, VolumeEstimator[Any]] = {
     "zero-order-hold": ZeroOrderHold(),
@@ -56,137 +53,247 @@ MESHES: Mapping[str, VolumeEstimator[Any]] = {
     for method in ("poisson", "ball-pivoting", "alpha-shape")
 }
 """Hundreds of times as slow: measured on the first skeins only."""
-_ONLY_ELEVEN = ("slice-pchip, ends: none", "surface-mesh, ball-pivoting", "surface-mesh, alpha-shape")
-_SOURCES = ("roemetry_volume", "roemetry_open3d", "roemetry_paper", "roemetry_kernels", "roemetry_peaks")
-_OF_BODIES = ("outline-surface", "slice-pchip")
-_LOOKED_AT = (range(70000, 70060), range(90000, 90060), range(110000, 110060))
-"""Skeins whose images the intervals' widths were chosen on: shown by themselves, where the cache has them."""
-STEPS = {41: 1, 21: 2, 11: 4, 9: 5, 6: 8, 5: 10, 3: 20}
+STEPS = {41: 1, 21: 2, 11: 4, 6: 8, 5: 10, 3: 20}
 """How many stripes remain when each so many of 41 is kept."""
+K = 1.96
+
+_LYING = {"offset_range_x_mm": 5.0, "offset_range_y_mm": 8.0, "turn_range_deg": 15.0}
+_OFF_CENTRE = {"offset_range_x_mm": 5.0, "offset_range_y_mm": 22.0, "turn_range_deg": 10.0}
+_HALF_ELLIPSOID = "half-ellipsoid"
+BODIES: Mapping[str, tuple[str, Mapping[str, Any]]] = {
+    "half-ellipsoid 80 × 28 × 14 mm": (_HALF_ELLIPSOID, {"size_mm": (80.0, 28.0, 14.0), **_LYING}),
+    "half-ellipsoid 64 × 40 × 18 mm": (_HALF_ELLIPSOID, {"size_mm": (64.0, 40.0, 18.0), **_LYING}),
+    "half-ellipsoid 50 × 50 × 20 mm": (_HALF_ELLIPSOID, {"size_mm": (50.0, 50.0, 20.0), **_LYING}),
+    "box, 16.5 mm high, off centre": (
+        "block",
+        {"length_mm": 50.0, "width_mm": 25.0, "height_mm": 16.5, **_OFF_CENTRE},
+    ),
+    "half cylinder": ("cylinder", {"length_mm": 70.0, "radius_mm": 13.0, **_LYING}),
+    "whole cylinder": ("cylinder", {"length_mm": 70.0, "radius_mm": 8.0, "half": False, **_LYING}),
+    "wedge": ("wedge", {"length_mm": 70.0, "width_mm": 30.0, "high_height_mm": 16.0, **_LYING}),
+    "staircase, four steps of 4 mm": (
+        "staircase",
+        {"steps": 4, "tread_mm": 16.0, "width_mm": 36.0, **_LYING},
+    ),
+    "truncated pyramid": ("truncated-pyramid", {**_LYING}),
+    "spherical cap": ("sphere", {"radius_mm": 40.0, "height_mm": 14.0, **_LYING}),
+    "ball": ("sphere", {"radius_mm": 14.0, **_LYING}),
+    "potato": ("potato", {}),
+    "egg": ("egg", {}),
+    "fish fillet": ("fillet", {}),
+    "bread roll": ("bread-roll", {}),
+}
+"""By name: the family, and its options; the place is drawn."""
 
 
 class Row(NamedTuple):
-    """One estimate against the truth; errors and uncertainty relative to the true visible volume."""
+    """One estimate; error and standard uncertainty relative to the visible volume, NaN where refused."""
 
-    seed: int
-    stripes: int
+    of: str
     estimator: str
     error: float
     std: float
-    milliseconds: float
-    defect: str
-    overhang: float
-    bend_deg: float
-    true_share: float
+    milliseconds: float = math.nan
 
 
 def main() -> None:
     """Measure, and write the page."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--first", type=int, default=80000, help="first seed of skein and rig")
-    parser.add_argument("--count", type=int, default=500)
-    parser.add_argument("--meshes", type=int, default=20, help="skeins to lay meshes through, the first ones")
-    parser.add_argument("--images", type=int, default=100, help="skeins to render")
+    parser.add_argument("--count", type=int, default=100)
+    parser.add_argument("--meshes", type=int, default=10, help="skeins to lay meshes through, the first ones")
+    parser.add_argument("--images", type=int, default=0, help="skeins to render")
     parser.add_argument("--images-from", type=int, default=120000, help="first seed of those")
-    parser.add_argument("--draws", type=int, default=50, help="of each skein from images")
     parser.add_argument("--bodies", type=int, default=99001, help="first seed of the known bodies' rigs")
-    parser.add_argument("--no-render", action="store_true", help="only those images that the cache holds")
+    parser.add_argument("--rigs", type=int, default=24, help="rigs for each known body")
     parser.add_argument("--cache", type=Path, default=Path(tempfile.gettempdir()) / "roemetry-volume")
     parser.add_argument("--page", type=Path, default=Path("docs/measurements/volume.md"))
     given = parser.parse_args()
-    code = code_hash()
-    rows = [
+    rows: list[Row] = []
+    shares: list[tuple[float, float, float]] = []
+    for seed in range(given.first, given.first + given.count):
+        whole = exact_skein(seed, 41)
+        for stripes, step in STEPS.items():
+            rows += measure(str(stripes), thinned(whole, step), ESTIMATORS)
+            if stripes == 11 and seed < given.first + given.meshes:
+                rows += measure("meshes", thinned(whole, step), MESHES)
+            if stripes == 11:
+                shares.append((1.0 + rows[-1].error, rows[-1].std, whole.true_mm3 / whole.visible_mm3))
+    pictures: list[Row] = []
+    for seed in range(given.images_from, given.images_from + given.images):
+        pictures += from_images(seed, given.cache)
+    known = [
         row
-        for number, seed in enumerate(range(given.first, given.first + given.count))
-        for row in kept_rows(seed, given.cache, meshes=number < given.meshes, code=code)
+        for name, (family, options) in BODIES.items()
+        for seed in range(given.bodies, given.bodies + given.rigs)
+        for row in measure(name, exact(rig_of(seed), solid_of(family, options, seed)), _OF_BODIES)
     ]
-    seeds = range(given.images_from, given.images_from + given.images)
-    rendered = [seed for seed in seeds if not given.no_render or is_rendered(seed, given.cache)]
-    unseen, refusals = image_rows(rendered, given.cache, ESTIMATORS, draws=given.draws, code=code)
-    kept = [seed for span in _LOOKED_AT for seed in span if is_rendered(seed, given.cache)]
-    few = {name: ESTIMATORS[name] for name in IN_IMAGES}
-    looked_at, _ = image_rows(kept, given.cache, few, draws=given.draws, code=code, lights=("plain",))
-    known = body_rows(given.bodies, given.cache, {name: ESTIMATORS[name] for name in _OF_BODIES}, code)
-    asked = Seeds(
-        given.first, given.count, given.meshes, given.images, given.images_from, given.draws, given.bodies
-    )
-    pictures = Pictures(unseen, looked_at, refusals)
-    text = page(rows, pictures, known, asked, given.page.parent.parent / "images")
+    text = page(rows, pictures, known, shares, given)
     given.page.write_text(text, encoding="utf-8")
     print(text)
 
 
-def code_hash() -> str:
-    """Give a hash of the sources that results depend on."""
-    plugins = Path(__file__).parents[1] / "plugins"
-    text = hashlib.sha256()
-    for path in sorted(path for name in _SOURCES for path in (plugins / name).rglob("*.py")):
-        text.update(path.read_bytes())
-    return text.hexdigest()[:12]
-
-
-def kept_rows(seed: int, cache: Path, *, meshes: bool, code: str) -> list[Row]:
-    """Measure one skein, or take what was measured with the same code."""
-    path = cache / f"{seed}_{code}_{'meshes' if meshes else 'slices'}.json"
-    if not path.exists():
-        write_whole(path, json.dumps(rows_of(seed, cache, meshes=meshes)))
-    return [Row(*row) for row in json.loads(path.read_text("utf-8"))]
-
-
-def rows_of(seed: int, cache: Path, *, meshes: bool = False) -> list[Row]:
-    """Measure one skein under every number of stripes, the slower estimators under eleven only."""
-    whole = exact_skein(seed, 41, cache)
+def measure(label: str, one: Exact, estimators: Mapping[str, VolumeEstimator[Any]]) -> list[Row]:
+    """Estimate one product by each."""
     rows = []
-    for stripes, step in STEPS.items():
-        one = thinned(whole, step)
-        for name, estimator in {**ESTIMATORS, **(MESHES if meshes else {})}.items():
-            if stripes != 11 and name in _ONLY_ELEVEN:
-                continue
-            volume, milliseconds = timed(estimator, one.product, 3 if stripes == 11 else 1)
-            error, std = against(volume, one)
-            rows.append(
-                Row(
-                    seed,
-                    stripes,
-                    name,
-                    error,
-                    std,
-                    milliseconds,
-                    whole.defect,
-                    overhang_of(one),
-                    abs(whole.figures.get("bend_deg", 0.0)),
-                    whole.true_mm3 / whole.visible_mm3,
-                )
-            )
+    for name, estimator in estimators.items():
+        begin = time.process_time()
+        try:
+            found = estimator.estimate(one.product).visible_mm3
+        except RoemetryError:
+            rows.append(Row(label, name, math.nan, math.nan))
+            continue
+        took = 1e3 * (time.process_time() - begin)
+        rows.append(Row(label, name, found.value / one.visible_mm3 - 1.0, found.std / one.visible_mm3, took))
     return rows
 
 
-def timed(estimator: VolumeEstimator[Any], product: Product, repeats: int) -> tuple[Volume | None, float]:
-    """Give the volume, None where it was refused, and the median processor time of some calls, ms."""
-    seconds, volume = [], None
-    for _ in range(1 if isinstance(estimator, SurfaceMesh) else repeats):
-        begin = time.process_time()
+def from_images(seed: int, cache: Path) -> list[Row]:
+    """Estimate one rendered skein; nothing is taken from the truth but the calibration."""
+    truth = exact_skein(seed)
+    rows = []
+    for light in ("plain", "laser"):
         try:
-            volume = estimator.estimate(product)
+            product = measured(*images(seed, cache), truth.product.calibration, light)
         except RoemetryError:
-            return None, float("nan")
-        seconds.append(time.process_time() - begin)
-    return volume, 1e3 * statistics.median(seconds)
+            rows.append(Row(light, "outline-surface", math.nan, math.nan))
+            continue
+        few = ESTIMATORS if light == "plain" else {"outline-surface": ESTIMATORS["outline-surface"]}
+        pictured = Exact(product, truth.visible_mm3, truth.true_mm3)
+        rows += measure(light, pictured, few)
+    return rows
 
 
-def against(volume: Volume | None, one: Exact) -> tuple[float, float]:
-    """Error and standard uncertainty of the visible volume, relative to the truth."""
-    if volume is None:
-        return float("nan"), float("nan")
-    return volume.visible_mm3.value / one.visible_mm3 - 1.0, volume.visible_mm3.std / one.visible_mm3
+def solid_of(family: str, options: Mapping[str, Any], seed: int) -> Solid:
+    """Draw a body in its place."""
+    if family != _HALF_ELLIPSOID:
+        made = PRODUCTS[family]
+        return made.draw(seed, made.Options(**options)).solid
+    given = dict(options)
+    length_mm, width_mm, height_mm = given.pop("size_mm")
+    place = PRODUCTS["block"].Options(**given)
+    return half_ellipsoid(length_mm, width_mm, height_mm, draw_pose(random_of(seed, family), place))
 
 
-def overhang_of(one: Exact) -> float:
-    """How far the product reaches beyond the outermost lit points, at its worse end, in spacings."""
-    x = one.product.profiles.xyz_mm[..., 0]
-    planes = one.product.profiles.plane
-    spacing = float(np.diff(planes[:, 3] / planes[:, 0]).mean())
-    return max(float(np.nanmin(x)) - one.extent_mm[0], one.extent_mm[1] - float(np.nanmax(x))) / spacing
+def half_ellipsoid(length_mm: float, width_mm: float, height_mm: float, pose: Pose) -> Solid:
+    """Return the upper half of an ellipsoid that stands on the belt."""
+    a, b, c = 0.5 * length_mm, 0.5 * width_mm, height_mm
+    shell = (c * c / a**2, c * c / b**2, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -c * c)
+    volume = 2.0 / 3.0 * math.pi * a * b * c
+    at = math.radians(pose.yaw_deg)
+    x = math.hypot(a * math.cos(at), b * math.sin(at))
+    y = math.hypot(a * math.sin(at), b * math.cos(at))
+    extent = (pose.x_mm - x, pose.x_mm + x, pose.y_mm - y, pose.y_mm + y)
+    surfaces = placed([[shell, plane((0.0, 0.0, -1.0), 0.0)]], pose)
+    return PartsSolid(surfaces, volume, volume, math.pi * a * b, extent, c)
+
+
+def page(
+    rows: Sequence[Row],
+    pictures: Sequence[Row],
+    known: Sequence[Row],
+    shares: Sequence[tuple[float, float, float]],
+    given: argparse.Namespace,
+) -> str:
+    """Write the page."""
+    stated = [name for name in ESTIMATORS if name not in ("zero-order-hold", "slice-pchip, ends: none")]
+    parts = [
+        "# Volume estimators, measured\n\n"
+        f"Made by `python -m benchmarks volume --first {given.first} --count {given.count} --meshes "
+        f"{given.meshes} --images {given.images} --images-from {given.images_from} --bodies {given.bodies} "
+        f"--rigs {given.rigs}`: {given.count} simulated herring roe skeins of all kinds, each on a rig of "
+        "its own (camera 270 to 420 mm above the belt, laser on either side, stripes over 87.5 mm). Errors "
+        "are those of the visible volume, per cent of the truth; centres, planes and silhouettes are exact "
+        "unless it says *images*: what is left is the error of the method. Intervals are value ± 1.96 of the "
+        "estimator's own standard uncertainty.",
+        "## Eleven stripes\n\n" + judged([row for row in rows if row.of in ("11", "meshes")]),
+        "## How many stripes\n\nMean absolute error / 95 % point / intervals that hold, per cent.\n\n"
+        + table(
+            ("stripes", *(f"`{name}`" for name in stated)),
+            [(count, *(brief(rows, count, name) for name in stated)) for count in map(str, STEPS)],
+        ),
+        *(
+            f"## From images, outline in {light} light\n\n" + judged(mine)
+            for light in ("plain", "laser")
+            if (mine := [row for row in pictures if row.of == light])
+        ),
+        f"## Known bodies\n\nOn {given.rigs} rigs each. Mean absolute error / 95 % point / intervals that "
+        "hold, per cent.\n\n"
+        + table(
+            ("body", *(f"`{name}`" for name in _OF_BODIES)),
+            [(name, *(brief(known, name, one) for one in _OF_BODIES)) for name in BODIES],
+        ),
+        underside(np.array(shares)),
+    ]
+    return "\n\n".join(part.strip() for part in parts) + "\n"
+
+
+def judged(rows: Sequence[Row]) -> str:
+    """Give a line for each estimator."""
+    lines = []
+    for name in dict.fromkeys(row.estimator for row in rows):
+        mine = [row for row in rows if row.estimator == name and math.isfinite(row.error)]
+        refused = sum(row.estimator == name for row in rows) - len(mine)
+        label = f"`{name}`" + (f" ({refused} refused)" if refused else "")
+        if not mine:
+            continue
+        error, std = (100.0 * np.array([getattr(row, what) for row in mine]) for what in ("error", "std"))
+        lines.append((label, *_figures(error), *_intervals(error, std), f"{_median_ms(mine):.2f}"))
+    return table((*_HEAD[:-1], "ms"), lines)
+
+
+def brief(rows: Sequence[Row], of: str, estimator: str) -> str:
+    """Mean absolute error, 95 % point, share of intervals that hold; a dash where most were refused."""
+    mine = [row for row in rows if row.of == of and row.estimator == estimator]
+    error, std = (100.0 * np.array([getattr(row, what) for row in mine]) for what in ("error", "std"))
+    fine = np.isfinite(error)
+    if fine.sum() < 0.5 * max(len(mine), 1):
+        return "–"
+    held = 100.0 * np.mean(np.abs(error[fine]) < K * std[fine])
+    return f"{np.abs(error[fine]).mean():.2f} / {np.percentile(np.abs(error[fine]), 95):.2f} / {held:.0f}"
+
+
+def underside(shares: np.ndarray) -> str:
+    """Fit the share of the true volume on every other skein, and judge it on the rest."""
+    visible, model_std, true = shares[np.isfinite(shares).all(axis=1)].T
+    if visible.size < 6:
+        return ""
+    even = np.arange(visible.size) % 2 == 0
+    share, scatter = fitted_share(visible[even], true[even])
+    value = share * visible[~even]
+    std = np.hypot(share * model_std[~even], scatter * visible[~even])
+    error = 100.0 * (value / true[~even] - 1.0)
+    line = ("rounded, fitted share", *_figures(error), *_intervals(error, 100.0 * std / true[~even]))
+    return f"## True volume by a share of {share:.3f} ± {scatter:.3f}\n\n" + table(_HEAD[:-1], [line])
+
+
+_HEAD = ("estimator", "mean", "mean absolute", "95 % point", "largest", "intervals hold", "median width", "")
+_OF_BODIES = {name: ESTIMATORS[name] for name in ("outline-surface", "slice-pchip")}
+
+
+def _median_ms(rows: Sequence[Row]) -> float:
+    return float(np.median([row.milliseconds for row in rows]))
+
+
+def _figures(error: np.ndarray) -> tuple[str, ...]:
+    off = np.abs(error)
+    return (
+        f"{error.mean():+.2f} %",
+        f"{off.mean():.2f} %",
+        f"{np.percentile(off, 95):.2f} %",
+        f"{off.max():.1f} %",
+    )
+
+
+def _intervals(error: np.ndarray, std: np.ndarray) -> tuple[str, str]:
+    if not np.isfinite(std).any():
+        return "not stated", "not stated"
+    return f"{100.0 * np.mean(np.abs(error) < K * std):.1f} %", f"{np.median(2.0 * K * std):.2f} %"
+
+
+def table(head: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
+    """Give a table in Markdown."""
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in (head, ["---"] * len(head), *lines))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Products on unseen rigs, from exact truth without rendering: slices, outline, calibration, volumes."""
+"""Products on unseen rigs: from exact truth without rendering, and from rendered images."""
 
 from __future__ import annotations
 
@@ -10,18 +10,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roemetry.config.scene import Scene
-from roemetry.records import NOTHING, Outline, Product, Profiles
+from roemetry.errors import RoemetryError
+from roemetry.records import NOTHING, Frame, Outline, Product, Profiles, StripeMap
 from roemetry.records.calibration import Calibration
 from roemetry.records.view import View
+from roemetry.run.open_parts import SHARE_MAX, open_parts
+from roemetry.run.split_products import assemble
 from roemetry_kernels.compiling import kernel
+from roemetry_paper.window_tracking import WindowTracking
+from roemetry_peaks.maximum_likelihood import MaximumLikelihood
 from roemetry_simulate import scene as scene_rig
 from roemetry_simulate.optics import Camera, LaserFan, camera_ray, fan_through, looking_down
 from roemetry_simulate.population import in_reach
 from roemetry_simulate.products import PRODUCTS, Drawn
 from roemetry_simulate.raycast import hit_body
-from roemetry_simulate.render import Rig, Sensor
+from roemetry_simulate.render import Rig, Sensor, render
 from roemetry_simulate.solid import Solid
 from roemetry_simulate.truth import StripeTruth, stripe_centres
+from roemetry_volume.edge_contour import EdgeContour, EdgeContourOptions
 
 HERRING_ROE = Path(__file__).parents[1] / "recipes" / "herring_roe"
 
@@ -40,8 +46,6 @@ class Exact:
         With outline and view.
     visible_mm3, true_mm3 : float
         The answer.
-    extent_mm : tuple of float
-        Smallest and largest X of the footprint.
     figures : mapping
         What the product's family says of it.
     defect : str
@@ -51,7 +55,6 @@ class Exact:
     product: Product
     visible_mm3: float
     true_mm3: float
-    extent_mm: tuple[float, float] = (0.0, 0.0)
     figures: Mapping[str, float] = field(default_factory=dict)
     defect: str = "none"
 
@@ -62,51 +65,19 @@ def skein(seed: int, stripes: int = 11) -> tuple[Rig, Drawn]:
     return rig, in_reach(family.draw(seed, family.Options()), rig_of(seed, 11), 1.2)
 
 
-def exact_skein(seed: int, stripes: int, cache: Path) -> Exact:
-    """Trace a skein, or take it from the cache."""
-    path = cache / f"{seed}_{stripes}.npz"
+def exact_skein(seed: int, stripes: int = 11) -> Exact:
+    """Trace a skein on the rig of the same seed."""
     rig, drawn = skein(seed, stripes)
-    calibration = calibration_of(rig)
-    if not path.exists():
-        truth = stripe_centres(rig.camera, rig.laser, drawn.solid, step_px=1.0)
-        cache.mkdir(parents=True, exist_ok=True)
-        # written whole or not at all
-        part = path.with_suffix(".part.npz")
-        np.savez_compressed(
-            part,
-            x_px=truth.x_px,
-            xyz_mm=truth.xyz_mm,
-            on_product=truth.on_product,
-            hits=truth.hits,
-            outline=silhouette(rig.camera, drawn.solid),
-        )
-        part.replace(path)
-    with np.load(path) as kept:
-        truth = StripeTruth(kept["x_px"], kept["xyz_mm"], kept["on_product"], kept["hits"])
-        outline = Outline(1, kept["outline"], 0.0)
-    product = Product(
-        1, profiles_of(truth, calibration.view), calibration, (str(seed),), outline, (), calibration.view
-    )
-    extent = drawn.solid.footprint_extent_mm()
-    solid = drawn.solid
-    return Exact(
-        product,
-        solid.visible_volume_mm3,
-        solid.true_volume_mm3,
-        (extent[0], extent[1]),
-        drawn.truth.figures,
-        drawn.truth.defect,
-    )
+    return replace(exact(rig, drawn.solid), figures=drawn.truth.figures, defect=drawn.truth.defect)
 
 
-def thinned(one: Exact, step: int, first: int = 0) -> Exact:
+def thinned(one: Exact, step: int) -> Exact:
     """Keep every so many of the stripes."""
-    profiles, keep = one.product.profiles, slice(first, None, step)
+    profiles = one.product.profiles
     names = ("xyz_mm", "product", "seen", "x_px", "row_px", "height_std_mm", "frame", "plane")
-    kept = {name: getattr(profiles, name)[keep] for name in names}
-    count = kept["frame"].size
-    product = replace(one.product, profiles=replace(profiles, stripe=np.arange(count), **kept))
-    return replace(one, product=product)
+    kept = {name: getattr(profiles, name)[::step] for name in names}
+    count = np.arange(kept["frame"].size)
+    return replace(one, product=replace(one.product, profiles=replace(profiles, stripe=count, **kept)))
 
 
 def rig_of(seed: int, stripes: int = 11) -> Rig:
@@ -189,17 +160,16 @@ def calibration_of(rig: Rig) -> Calibration:
     )
 
 
-def exact(rig: Rig, solid: Solid, *, outline: bool = True, step_px: float = 1.0) -> Exact:
+def exact(rig: Rig, solid: Solid) -> Exact:
     """Trace the stripes and the silhouette of a product."""
-    truth = stripe_centres(rig.camera, rig.laser, solid, step_px=step_px)
+    truth = stripe_centres(rig.camera, rig.laser, solid, step_px=1.0)
     calibration = calibration_of(rig)
-    contour = silhouette(rig.camera, solid) if outline else None
     product = Product(
         number=1,
         profiles=profiles_of(truth, calibration.view),
         calibration=calibration,
         acquisition_ids=("exact",),
-        outline=None if contour is None else Outline(1, contour, 0.0),
+        outline=Outline(1, silhouette(rig.camera, solid), 0.0),
         view=calibration.view,
     )
     return Exact(product, solid.visible_volume_mm3, solid.true_volume_mm3)
@@ -249,6 +219,63 @@ def _even(chain: Floats, points: int) -> tuple[Floats, Floats]:
     area = 0.5 * np.sum(xy[:, 0] * np.roll(xy[:, 1], -1) - xy[:, 1] * np.roll(xy[:, 0], -1))
     normal *= np.sign(area) / np.hypot(*normal.T)[:, None]
     return xy, normal
+
+
+def is_rendered(seed: int, cache: Path) -> bool:
+    """Whether the cache holds a skein's images."""
+    return (cache / f"{seed}_images.npz").exists()
+
+
+def images(seed: int, cache: Path) -> tuple[Frame, Frame]:
+    """Render a skein in laser and in plain light, or take both from the cache."""
+    path = cache / f"{seed}_images.npz"
+    if not path.exists():
+        rig, drawn = skein(seed)
+        scene = Scene.load(HERRING_ROE).simulator.options
+        surface = scene_rig.surface_of(scene, seed)  # type: ignore[arg-type]
+        kept = {
+            name: render(rig, drawn.solid, surface, seed=seed, plain=name == "plain")
+            for name in ("laser", "plain")
+        }
+        part = path.with_suffix(".part.npz")
+        np.savez_compressed(part, **kept)
+        part.replace(path)
+    with np.load(path) as found:
+        return Frame(found["laser"]), Frame(found["plain"], role="plain")
+
+
+def measured(laser: Frame, plain: Frame, calibration: Calibration, outline: str) -> Product:
+    """Take the images of one product through extraction, coding, true planes and outline."""
+    peaks = MaximumLikelihood().extract(laser)
+    stripes = WindowTracking().code(peaks, calibration)
+    if any(part.share > SHARE_MAX for part in open_parts(peaks, stripes).values()):  # as a run has it
+        raise RoemetryError("more than a third of the product's points could not be given to a stripe")
+    outliner = EdgeContour(EdgeContourOptions(light="plain" if outline == "plain" else "laser"))
+    contours = outliner.outline(laser, plain, stripes, calibration)
+    found = assemble(_lifted(stripes, calibration), contours, calibration, "images", view=calibration.view)
+    if len(found) != 1:
+        raise RoemetryError(f"{len(found)} products were found, expected 1")
+    return found[0]
+
+
+def _lifted(stripes: StripeMap, calibration: Calibration) -> Profiles:
+    """Meet the rays of coded peaks with the true planes."""
+    view = calibration.view
+    assert view is not None
+    count, rows = stripes.x_px.shape
+    row_px = np.broadcast_to(np.arange(rows, dtype=np.float64), stripes.x_px.shape)
+    number = np.broadcast_to(np.arange(count)[:, None], stripes.x_px.shape)
+    return Profiles(
+        xyz_mm=view.lift(np.stack([stripes.x_px, row_px], axis=-1), number),
+        product=stripes.product,
+        seen=stripes.seen,
+        x_px=stripes.x_px,
+        row_px=row_px,
+        height_std_mm=np.full(stripes.x_px.shape, np.nan),
+        stripe=np.arange(count),
+        frame=np.zeros(count, np.int64),
+        plane=view.planes.copy(),
+    )
 
 
 @kernel

@@ -1,16 +1,11 @@
 """Weight from twenty weighed samples: error, interval and width on unseen simulated products.
 
 ``python -m benchmarks weight [--first 60000] [--count 200] [--draws 200] [--samples 20] [--family NAME …]``
-``python -m benchmarks weight --images 50 --first 40000 [--image-cache DIR] [--no-render]``
 
 Every product has a rig of its own. Its stripes are traced exactly, then moved by random errors of 0.1 px at
 each point and of 0.3 px for the outline as a whole. Of all products of a family 20 are drawn as weighed
 samples, again and again; the others are weighed by what those have taught. Beside it: the paper's volume
 times one factor that the same 20 give.
-
-With ``--images`` skeins are measured from rendered images (10 s each and more); nothing is taken from the
-truth but the calibration. A skein whose visible volume is off by more than 5 % is left out and named: its
-coding failed.
 """
 
 from __future__ import annotations
@@ -26,23 +21,24 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.volume_images import images, is_rendered
-from benchmarks.volume_images import measured as from_images
-from benchmarks.volume_scenes import Exact, calibration_of, exact, exact_skein, rig_of
+from benchmarks.volume_scenes import Exact, calibration_of, exact, rig_of
 from roemetry.errors import RoemetryError
-from roemetry.records import Outline, Product, Samples
+from roemetry.records import Outline, Samples
 from roemetry_paper.zero_order_hold import ZeroOrderHold
 from roemetry_simulate.population import in_reach
 from roemetry_simulate.products import PRODUCTS
-from roemetry_volume.fitted_weight import FittedWeight, FittedWeightOptions, with_inverse
+from roemetry_volume.fitted_weight import (
+    FORMS,
+    FittedWeight,
+    FittedWeightOptions,
+    WeightModel,
+    weight_features,
+    with_inverse,
+)
 from roemetry_volume.outline_surface import OutlineSurface
-from roemetry_volume.weight_features import weight_features
-from roemetry_volume.weight_model import FORMS, WeightModel
 
 FAMILIES = ("herring-roe", "fillet")
 PEAK_NOISE_PX, OUTLINE_NOISE_PX = 0.1, 0.3
-CODED_WRONG = 0.05
-DENSITY_G_PER_CM3 = 1.10
 
 
 class Weighed(NamedTuple):
@@ -64,15 +60,7 @@ def main() -> None:
     parser.add_argument("--samples", type=int, default=20)
     parser.add_argument("--family", nargs="+", choices=sorted(PRODUCTS), default=list(FAMILIES))
     parser.add_argument("--cache", type=Path, default=Path(tempfile.gettempdir()) / "roemetry-weight")
-    parser.add_argument("--images", type=int, default=0, help="skeins to measure from images instead")
-    parser.add_argument("--image-cache", type=Path, default=Path(tempfile.gettempdir()) / "roemetry-volume")
-    parser.add_argument("--no-render", action="store_true", help="only those images that the cache holds")
     given = parser.parse_args()
-    if given.images:
-        seeds = range(given.first, given.first + given.images)
-        rendered = [seed for seed in seeds if not given.no_render or is_rendered(seed, given.image_cache)]
-        report("herring-roe from images", pictured(rendered, given.image_cache), given)
-        return
     for family in given.family:
         report(family, measured(family, given.first, given.count, given.cache), given)
 
@@ -85,30 +73,6 @@ def report(title: str, products: Sequence[Weighed], given: argparse.Namespace) -
     print("|---|---|---|---|---|---|")
     for form in ("auto", *FORMS):
         print(f"| `{form}` | {line_of(products, form, given.samples, given.draws)} |")
-    print("\n| shape | products | error | interval holds |\n|---|---|---|---|")
-    for shape, (count, error, held) in by_shape(products, given.samples, given.draws).items():
-        print(f"| {shape} | {count} | {100 * error:.2f} | {100 * held:.1f} |")
-
-
-def by_shape(products: Sequence[Weighed], samples: int, draws: int) -> dict[str, tuple[int, float, float]]:
-    """Give, shape by shape, how many products there are, their mean error, and how many the interval held."""
-    rng = np.random.default_rng(len(products))
-    found: dict[str, list[tuple[float, bool]]] = {one.defect: [] for one in products}
-    for _ in range(draws):
-        order = rng.permutation(len(products))
-        model = fitted(products, order[:samples], "auto")
-        for one in (products[k] for k in order[samples:]):
-            low, value, high = interval_of(model, one.features)
-            found[one.defect].append((abs(value / one.mass_g - 1.0), low <= one.mass_g <= high))
-    return {
-        shape: (
-            sum(one.defect == shape for one in products),
-            float(np.mean([error for error, _ in told])),
-            float(np.mean([held for _, held in told])),
-        )
-        for shape, told in sorted(found.items())
-        if told
-    }
 
 
 def line_of(products: Sequence[Weighed], form: str, samples: int, draws: int) -> str:
@@ -225,28 +189,6 @@ def measure(family: str, seed: int) -> dict[str, Any]:
     )._asdict()
 
 
-def pictured(seeds: Sequence[int], cache: Path) -> list[Weighed]:
-    """Measure skeins from their images, laser and plain light."""
-    found = []
-    for seed in seeds:
-        truth = exact_skein(seed, 11, cache)
-        try:
-            product = from_images(*images(seed, cache), truth.product.calibration, "plain")
-            volume = OutlineSurface().estimate(product)
-            paper = ZeroOrderHold().estimate(product).visible_mm3.value
-        except RoemetryError as error:
-            print(f"{seed}: {error.message}")
-            continue
-        off = volume.visible_mm3.value / truth.visible_mm3 - 1.0
-        if abs(off) > CODED_WRONG:
-            print(f"{seed}: left out, the visible volume is off by {off:+.0%}: its coding failed")
-            continue
-        features = dict(FittedWeight().weigh(product, volume).features)
-        mass_g = 1e-3 * DENSITY_G_PER_CM3 * truth.true_mm3
-        found.append(Weighed(seed, truth.defect, mass_g, paper / 1000.0, features))
-    return found
-
-
 def disturbed(one: Exact, seed: int) -> Exact:
     """Move points along their rows and the outline across itself, by random errors."""
     rng = np.random.default_rng([seed, 61])
@@ -262,11 +204,7 @@ def disturbed(one: Exact, seed: int) -> Exact:
     middle = ring.mean(axis=0)
     away = (ring - middle) / np.hypot(*(ring - middle).T)[:, None]
     contour = Outline(1, ring + OUTLINE_NOISE_PX * float(rng.standard_normal()) * away, OUTLINE_NOISE_PX)
-    return replace(one, product=_with(product, moved, contour))
-
-
-def _with(product: Product, profiles: Any, outline: Outline) -> Product:
-    return replace(product, profiles=profiles, outline=outline)
+    return replace(one, product=replace(product, profiles=moved, outline=contour))
 
 
 if __name__ == "__main__":

@@ -17,8 +17,7 @@ from pathlib import Path
 from benchmarks.grading.judges import GOOD
 from benchmarks.grading.words import confusion, share
 from benchmarks.traced.tables import NAMED
-from benchmarks.volume_images import images, measured
-from benchmarks.volume_scenes import HERRING_ROE, exact_skein
+from benchmarks.volume_scenes import HERRING_ROE, exact_skein, images, measured
 from roemetry import Recipe
 from roemetry.errors import RoemetryError
 from roemetry_tools.compare.agreement import wilson
@@ -37,7 +36,7 @@ def main() -> None:
     found: Counter[tuple[str, str]] = Counter()
     refused = 0
     for seed in range(given.first, given.first + given.count):
-        one = exact_skein(seed, 11, given.cache)
+        one = exact_skein(seed)
         try:
             product = measured(*images(seed, given.cache), one.product.calibration, "plain")
         except RoemetryError:

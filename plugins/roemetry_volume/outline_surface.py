@@ -13,9 +13,13 @@ from roemetry.records import Product, Reason, Shares, Volume
 from roemetry.records.arrays import Floats
 from roemetry.records.view import View
 from roemetry.stages import Capabilities, VolumeEstimator
-from roemetry_volume.common_error import common_height_std_mm
-from roemetry_volume.slice_ends import upright_ends
-from roemetry_volume.slice_estimators import SliceOptions, SlicePchip, gaps_std, reasons_of
+from roemetry_volume.slice_estimators import (
+    SliceOptions,
+    SlicePchip,
+    common_height_std_mm,
+    gaps_std,
+    reasons_of,
+)
 from roemetry_volume.slice_table import Slices, slices_of
 from roemetry_volume.surface_fit import LONG_AXIS, Fused, fuse, plate_through, without_slice
 from roemetry_volume.underside import UndersideOptions, estimate_of, true_volume
@@ -54,7 +58,7 @@ class OutlineSurface(VolumeEstimator[UndersideOptions]):
         why = outline_fault(product, slices)
         if why is not None or product.outline is None or product.view is None:
             return self._by_slices(product, why, rng)
-        fused = fuse(product, product.view, product.outline.xy_px, upright_ends(product, slices))
+        fused = fuse(product, product.view, product.outline.xy_px)
         late = outline_fault(product, slices, fused)
         if late is not None:
             return self._by_slices(product, late, rng)
@@ -89,7 +93,7 @@ class OutlineSurface(VolumeEstimator[UndersideOptions]):
         slices = slices_of(product)
         if outline_fault(product, slices) is not None:
             return self.estimate(product, rng=rng)
-        fused = fuse(product, product.view, product.outline.xy_px, upright_ends(product, slices))
+        fused = fuse(product, product.view, product.outline.xy_px)
         if outline_fault(product, slices, fused) is not None:
             return self.estimate(product, rng=rng)
         budget = dict(found.visible_mm3.budget)
@@ -197,7 +201,7 @@ def budget_of(fused: Fused, view: View, outline_std_px: float) -> dict[str, floa
     px_mm = _mm_per_px(fused, view)
     std_px = OUTLINE_STD_PX if math.isnan(outline_std_px) else outline_std_px
     return {
-        "between slices": math.hypot(_left_out(fused), *(step.std_mm3 for step in fused.steps)),
+        "between slices": _left_out(fused),
         "settings": math.hypot(
             _SETTINGS * (_stiffer(fused) - fused.volume_mm3), _LEAST_STD * fused.volume_mm3
         ),

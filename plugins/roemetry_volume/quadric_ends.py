@@ -8,20 +8,28 @@ import numpy as np
 
 from roemetry.records.arrays import Flags, Floats, Integers, Labels
 from roemetry_kernels.compiling import float_kernel
-from roemetry_volume.slice_rules import three_outer
-from roemetry_volume.slice_table import AREA, AT, COUNT, FIRST_ROW, LAST_ROW, LOOSE, TOP, WALL, WIDTH
+from roemetry_volume.slice_table import (
+    AREA,
+    AT,
+    COUNT,
+    FIRST_ROW,
+    LAST_ROW,
+    LOOSE,
+    TOP,
+    WALL,
+    WIDTH,
+    three_outer,
+)
 
-VOLUME, LENGTH, SHADOW, BULGE, RIM_MM, RESIDUAL_MM = range(6)
+VOLUME, LENGTH, SHADOW, RIM_MM, RESIDUAL_MM = range(5)
 """What `quadric_end` gives: volume beyond the outer slice (mm³) and how far it reaches (mm); what the slices
-count too much because leaning light passes over the end, negative (mm³); what lies between the outer slice
-and the next one over the straight line from area to area (mm³); height of the rim; how far off the quadric
-the points lie (mm). All are NaN where no quadric closes there."""
+count too much because leaning light passes over the end, negative (mm³); height of the rim; how far off the
+quadric the points lie (mm). All are NaN where no quadric closes there."""
 
 _UNIT_MM = 10.0  # of the local frame: numbers near 1 keep the normal equations sound
 _GROUPS = 20  # of points, along a slice
 _TERMS = 7
 _NODES = 12
-_PARTS = 4
 _BEYOND = 1.15
 _AREA_OFF = 0.3
 _OFF_MM = 0.25
@@ -41,7 +49,7 @@ def quadric_end(
     at_end: int,
     reach_mm: float,
     limited: bool,
-) -> tuple[float, float, float, float, float, float]:
+) -> tuple[float, float, float, float, float]:
     """Fit (z − r)² = Q(x, y), Q of second degree, through three slices and take the volume beyond them.
 
     Every ellipsoid that stands or lies on the belt with a level rim is one, a ball and a cap of one, too. In
@@ -67,7 +75,7 @@ def quadric_end(
     tuple of float
         As named above.
     """
-    nothing = (np.nan, np.nan, np.nan, np.nan, np.nan, np.nan)
+    nothing = (np.nan, np.nan, np.nan, np.nan, np.nan)
     three = three_outer(table[:, AT], at_end)
     sign = 1.0 if at_end == 1 else -1.0
     rows = np.array([place[three[0]], place[three[1]], place[three[2]]])
@@ -114,10 +122,9 @@ def quadric_end(
             high = middle
     length = min(high, reach_mm / _UNIT_MM) if limited else high
     volume = _beyond(c, m, q, length, high)
-    fanning = _fanning(plane, table, place)
-    shadow, bulge = shadow_of(c, m, q, fanning), _bulge(c, m, q, fanning, table, at_end)
+    shadow = shadow_of(c, m, q, _fanning(plane, table, place))
     cubic = _UNIT_MM**3
-    return cubic * volume, _UNIT_MM * length, cubic * shadow, cubic * bulge, _UNIT_MM * r, residual_mm
+    return cubic * volume, _UNIT_MM * length, cubic * shadow, _UNIT_MM * r, residual_mm
 
 
 @float_kernel
@@ -325,20 +332,6 @@ def _fanning(plane: Floats, table: Floats, place: Integers) -> float:
     first, last = place[0], place[n - 1]
     change = plane[first, 2] / plane[first, 0] - plane[last, 2] / plane[last, 0]
     return _UNIT_MM * change / (table[n - 1, AT] - table[0, AT])
-
-
-@float_kernel
-def _bulge(c: Floats, m: float, q: float, fanning: float, table: Floats, at_end: int) -> float:
-    """Integrate the sections from the outer slice inwards to the next one, less the trapezoid."""
-    n = table.shape[0]
-    outer, inner = (n - 1, n - 2) if at_end == 1 else (0, 1)
-    way = -abs(table[outer, AT] - table[inner, AT]) / _UNIT_MM
-    total = -0.5 * (_section(c, m, q, 0.0) + _section(c, m + fanning * way, q, way))
-    for k in range(_PARTS):
-        for place in (0.21132486540518712, 0.7886751345948129):
-            at = way * (k + place) / _PARTS
-            total += 0.5 / _PARTS * _section(c, m + fanning * at, q, at)
-    return -way * total
 
 
 _LINES = 16

@@ -1,11 +1,29 @@
-"""Volume under areas at uneven places: the rules between slices, and caps beyond the outer ones."""
+"""Volume from areas at uneven places: rules between the slices, and caps beyond the outer ones.
+
+Model. Between slices A(t) is followed by a rule (`between_slices`) and integrated. Beyond an outer slice a
+parabola through three outer areas falls to zero at some distance (`taper_of`): that is the cap's volume and
+length. Where a quadric through the points of three outer slices closes beyond them and leaves residuals of
+less than some hundredths of a millimetre (`quadric_ends`), it is believed instead, by a trust that falls from
+1 to 0 around that residual. Of an end that does not taper, and beyond which a stripe shows belt, half of the
+way to that stripe is counted, and anything up to it is in the interval.
+
+Assumed: beyond the outer slice the product goes on as it came. It fails at upright ends before the next
+stripe (by up to half a spacing, which the interval says) and where leaning light passes over a tall body's
+end without a quadric to say what stands in its shadow.
+"""
 
 from __future__ import annotations
 
+import math
+from typing import Literal, NamedTuple
+
 import numpy as np
 
+from roemetry.records import Product
 from roemetry.records.arrays import Floats
 from roemetry_kernels.compiling import kernel
+from roemetry_volume.quadric_ends import edges_missed, quadric_end
+from roemetry_volume.slice_table import AREA, TOP, WALL, WIDTH, Slices, three_outer
 
 SUM, TRAPEZOID, SIMPSON, PCHIP, SPLINE = range(5)
 NO_CAP, TAPERED, BLUNT = 0.0, 1.0, 2.0
@@ -16,6 +34,128 @@ WAIST = 0.35
 _BEYOND = 1.15
 """A cap that would reach this much further than the next stripe, which shows belt, is cut off there."""
 
+# chosen so that 95 % intervals hold the truth as often as they say: docs/reference/plugins/slice-pchip.md
+_TAPER_STD = 0.11  # of a tapered cap's volume
+_OPEN_TAPER_STD = 0.35  # the same with no stripe beyond that shows belt
+_QUADRIC_STD = 0.12  # of a quadric's cap
+_SHADOW_STD = 0.5  # of what leaning light counts too much behind an end, by the quadric
+_RIM_STD = 0.3  # of that triangle below the rim, where no quadric tells it
+_FITS_MM = 0.07  # a quadric that misses the points by so much is believed by half
+_HARDLY = 0.02  # trust: less changes nothing that anyone could measure
+_BLUNT_STD = 2.0 / math.sqrt(12.0)  # of a cap of half the way to the next stripe
+_WALL_STD = 0.5 / math.sqrt(3.0)  # of the way that a plane leans over the height of an end wall
+_LEVEL = 0.9
+"""Of the next slice's height: an outer slice so high may have an upright end beyond it or before it, anywhere
+up to the next stripes, and light that leans passes over that (a rectangle each)."""
+_OPEN_SPACINGS = 2.0
+_OPEN_SHARE = 0.2  # of the product's lit length; beyond either, an open end's taper is not believed
+
+
+Ends = Literal["taper", "hold", "none"]
+
+
+class Cap(NamedTuple):
+    """What lies beyond an outer slice.
+
+    `kind` is `NO_CAP`, `TAPERED` or `BLUNT`; `slope_mm` is dA/dt at the outer slice (NaN: no taper);
+    `shadow_mm3` what leaning light makes the slices count too little at this end, or, negative, too much.
+    """
+
+    volume_mm3: float
+    length_mm: float
+    slope_mm: float
+    kind: float
+    shadow_mm3: float
+    std_mm3: float
+
+
+def cap_of(product: Product, slices: Slices, end: int, ends: Ends) -> Cap:
+    """Give what lies beyond the first (`end` 0) or the last (1) slice."""
+    if ends == "none":
+        return Cap(0.0, 0.0, math.nan, NO_CAP, 0.0, 0.0)
+    limited, within = slices.limited[end], _within(slices, end)
+    taper = taper_of(slices.t_mm, slices.area_mm2, end, within, limited)
+    if ends == "hold":
+        length = 0.5 * slices.reach_mm[end]
+        volume = length * float(slices.area_mm2[-end])
+        return Cap(volume, length, math.nan, BLUNT, 0.0, _std(slices, end, taper, volume))
+    volume, length, slope, kind = taper
+    found = Cap(volume, length, slope, kind, 0.0, _std(slices, end, taper, volume))
+    volume, length, shadow, rim_mm, off_mm = quadric_end(
+        slices.profiles.xyz_mm,
+        slices.profiles.product,
+        slices.profiles.seen,
+        slices.profiles.row_px,
+        slices.profiles.plane,
+        product.number,
+        slices.table,
+        slices.place,
+        end,
+        within,
+        limited,
+    )
+    trust = 1.0 / (1.0 + (off_mm / _FITS_MM) ** 10) if off_mm < 3.0 * _FITS_MM else 0.0
+    if trust < _HARDLY:
+        return found
+    # what the slices miss at their own ends, now that the rim's height is known
+    shadow += edges_missed(
+        slices.profiles.xyz_mm,
+        slices.profiles.product,
+        slices.profiles.row_px,
+        product.number,
+        slices.table,
+        slices.place,
+        end,
+        slices.lean,
+        max(rim_mm, 0.0),
+    )
+    own = math.hypot(_QUADRIC_STD * volume, _SHADOW_STD * shadow)
+    apart = volume + shadow - found.volume_mm3
+    rest = 1.0 - trust
+    return Cap(
+        rest * found.volume_mm3 + trust * volume,
+        rest * found.length_mm + trust * length,
+        slope,
+        TAPERED if trust > 0.5 else kind,
+        trust * shadow,
+        math.hypot(rest * found.std_mm3, trust * own, math.sqrt(trust * rest) * apart),
+    )
+
+
+def _within(slices: Slices, end: int) -> float:
+    """How far beyond the outer slice the end may lie, mm."""
+    reach = slices.reach_mm[end]
+    if slices.limited[end]:
+        return reach
+    return max(_OPEN_SPACINGS * reach, _OPEN_SHARE * float(slices.t_mm[-1] - slices.t_mm[0]))
+
+
+def _std(slices: Slices, end: int, taper: tuple[float, float, float, float], volume_mm3: float) -> float:
+    """Say how far a cap of some volume may be off, mm³.
+
+    Of a blunt end anything up to the next stripe is possible, and a wall that leaning light sees or not;
+    of an open end without taper, that the product goes on as far as a taper would be believed. An area
+    that is held although the slices taper is off by what the taper says otherwise. Where light leans over an
+    end, its shadow below the rim counts, more or less.
+    """
+    outer = slices.table[-end].tolist()
+    area, lean = outer[AREA], slices.lean[end]
+    if taper[3] == NO_CAP:
+        std = _OPEN_SHARE * area * float(slices.t_mm[-1] - slices.t_mm[0])
+    elif taper[3] == TAPERED:
+        share = _TAPER_STD if slices.limited[end] else _OPEN_TAPER_STD
+        std = math.hypot(share * taper[0], taper[0] - volume_mm3)
+    else:
+        over_mm = abs(lean) * max(outer[TOP], 0.0)
+        std = math.hypot(_BLUNT_STD * volume_mm3, _WALL_STD * over_mm * area)
+    below_rim = 0.5 * max(-lean, 0.0) * outer[WALL] * outer[WIDTH]
+    wall = 0.0
+    before = slices.table[-2 if end else 1].tolist()
+    if outer[TOP] > _LEVEL * before[TOP]:
+        whole = max(area, before[AREA])
+        wall = math.hypot(slices.reach_mm[end] * whole, abs(lean) * outer[TOP] * whole) / math.sqrt(12.0)
+    return math.hypot(std, _RIM_STD * below_rim, wall)
+
 
 @kernel
 def between_slices(
@@ -23,8 +163,6 @@ def between_slices(
     area: Floats,
     slope: Floats,
     rule: int,
-    bulge: tuple[float, float] = (0.0, 0.0),
-    trust: tuple[float, float] = (0.0, 0.0),
 ) -> float:
     """Give the volume from the first to the last slice, mm³.
 
@@ -39,10 +177,6 @@ def between_slices(
     rule
         `SUM` (the same as the trapezoid here: they differ in the caps), `TRAPEZOID`, `SIMPSON`, `PCHIP`
         (Fritsch and Butland's slopes) or `SPLINE` (cubic, not-a-knot where no slope is given).
-    bulge, trust
-        What is known at either end to lie between the outer two slices over the straight line, mm³, and how
-        far to believe it rather than the cubics. Where both are believed the body is smooth from end to
-        end, and `PCHIP` takes the spline's slopes: its own are flat beside the largest area.
     """
     n = t.size
     if rule == SIMPSON:
@@ -50,12 +184,6 @@ def between_slices(
     slopes = np.zeros(n)
     if rule == PCHIP:
         _pchip_slopes(t, area, slopes)
-        smooth = trust[0] * trust[1]
-        if smooth > 0.0:
-            through = np.zeros(n)
-            _spline_slopes(t, area, slope, through)
-            for i in range(n):
-                slopes[i] += smooth * (through[i] - slopes[i])
     elif rule == SPLINE:
         _spline_slopes(t, area, slope, slopes)
     volume = 0.0
@@ -63,17 +191,12 @@ def between_slices(
         h = t[i + 1] - t[i]
         volume += 0.5 * h * (area[i] + area[i + 1])
         if rule >= PCHIP:
-            over = h * h * (slopes[i] - slopes[i + 1]) / 12.0
-            if i == 0:
-                over += trust[0] * (bulge[0] - over)
-            if i == n - 2:
-                over += trust[1] * (bulge[1] - over)
-            volume += over
+            volume += h * h * (slopes[i] - slopes[i + 1]) / 12.0
     return volume
 
 
 @kernel
-def cap(
+def taper_of(
     t: Floats, area: Floats, at_end: int, reach_mm: float, limited: bool
 ) -> tuple[float, float, float, float]:
     """Give what lies beyond an outer slice by the slices' taper.
@@ -124,28 +247,6 @@ def cap(
 
 
 @kernel
-def short_of(t: Floats, area: Floats, at_end: int) -> tuple[float, float]:
-    """By how much an outer slice falls short of what the inner ones say, and what they say, mm².
-
-    They say the lower of the line through the next two slices and the parabola through the next three;
-    nothing where there are fewer than five slices, or where the next ones fall by over a tenth.
-    """
-    n = t.size
-    if n < 5:
-        return 0.0, 0.0
-    step = 1 if at_end == 0 else -1
-    i = 0 if at_end == 0 else n - 1
-    j, k, m = i + step, i + 2 * step, i + 3 * step
-    if area[j] < 0.9 * area[k]:
-        return 0.0, 0.0
-    slope = (area[j] - area[k]) / (t[j] - t[k])
-    bend = ((area[k] - area[m]) / (t[k] - t[m]) - slope) / (t[m] - t[j])
-    line = area[j] + slope * (t[i] - t[j])
-    expected = min(line, line + bend * (t[i] - t[j]) * (t[i] - t[k]))
-    return expected - area[i], expected
-
-
-@kernel
 def waist(area: Floats) -> int:
     """Give the number of the smallest slice that is far smaller than some on both sides of it, or −1."""
     n, found = area.size, -1
@@ -158,22 +259,6 @@ def waist(area: Floats) -> int:
         if area[k] < WAIST * min(left, right[k]) and (found < 0 or area[k] < area[found]):
             found = k
     return found
-
-
-@kernel
-def three_outer(t: Floats, at_end: int) -> tuple[int, int, int]:
-    """Numbers of the outer slice and of the next ones that lie 0.08 and 0.17 of the whole length inwards."""
-    n = t.size
-    step = 1 if at_end == 0 else -1
-    i = 0 if at_end == 0 else n - 1
-    span = t[n - 1] - t[0]
-    j = 1
-    while j < n - 2 and abs(t[i + step * j] - t[i]) < 0.08 * span:
-        j += 1
-    k = j + 1
-    while k < n - 1 and abs(t[i + step * k] - t[i]) < 0.17 * span:
-        k += 1
-    return i, i + step * j, i + step * k
 
 
 @kernel

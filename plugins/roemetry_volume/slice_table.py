@@ -620,3 +620,19 @@ def in_order(
     whole[MOST_FILLED], whole[MOST_HOLE], whole[LOWEST] = filled, hole, lowest
     whole[UPPERMOST], whole[LOWERMOST] = upper, lower
     return lit, held, whole, rows, columns
+
+
+@kernel
+def three_outer(t: Floats, at_end: int) -> tuple[int, int, int]:
+    """Numbers of the outer slice and of the next ones that lie 0.08 and 0.17 of the whole length inwards."""
+    n = t.size
+    step = 1 if at_end == 0 else -1
+    i = 0 if at_end == 0 else n - 1
+    span = t[n - 1] - t[0]
+    j = 1
+    while j < n - 2 and abs(t[i + step * j] - t[i]) < 0.08 * span:
+        j += 1
+    k = j + 1
+    while k < n - 1 and abs(t[i + step * k] - t[i]) < 0.17 * span:
+        k += 1
+    return i, i + step * j, i + step * k

@@ -14,7 +14,6 @@ from roemetry.records.view import View
 from roemetry_kernels.compiling import kernel
 from roemetry_volume.footprint import Border, area_of, border_at, evenly
 from roemetry_volume.rim import Rim, StripePoints, ends_of, rim_of
-from roemetry_volume.step_lines import Step, steps_at, steps_of
 
 LONG_AXIS = 0.4
 _POINTS = 400
@@ -40,7 +39,7 @@ class Fused:
     Attributes
     ----------
     points
-        The product's points, less the steps; `place` (n, 2) are theirs along and across the product, mm.
+        The product's points; `place` (n, 2) are theirs along and across the product, mm.
     rim, border, plate, knots
         See their classes.
     contour : ndarray, shape (400, 2)
@@ -51,8 +50,6 @@ class Fused:
         Height of the surface over the border.
     s, v, weight_mm2
         Nodes and weights over the footprint.
-    steps, over_mm
-        Steps that slices cross, and how much they rise at the nodes.
     """
 
     points: StripePoints
@@ -67,13 +64,11 @@ class Fused:
     s: Floats
     v: Floats
     weight_mm2: Floats
-    steps: tuple[Step, ...]
-    over_mm: Floats
 
     def heights(self, values: Floats | None = None, rim_shift_mm: float = 0.0) -> Floats:
         """Height at the nodes, mm; `values` are the plate's there, if they are not its own."""
         u = self.plate.at(LONG_AXIS * self.s, self.v) if values is None else values
-        heights: Floats = self.rim.at(self.s, self.v) + rim_shift_mm + _height(u, self.rim) + self.over_mm
+        heights: Floats = self.rim.at(self.s, self.v) + rim_shift_mm + _height(u, self.rim)
         return heights
 
     @property
@@ -127,17 +122,13 @@ def _between_seen(slices: Integers, seen: Flags) -> Flags:
     return held
 
 
-def fuse(
-    product: Product, view: View, contour_px: Floats, upright: tuple[bool, bool] = (False, False)
-) -> Fused:
+def fuse(product: Product, view: View, contour_px: Floats) -> Fused:
     """Solve surface, rim and border together.
 
     Parameters
     ----------
     product, view, contour_px
         The product; the rig's geometry; the outline in the image.
-    upright
-        Whether the slices show an upright end at low and at high X: no rim is asked for there.
     """
     from roemetry_volume.footprint import inside_by, nodes_within
 
@@ -147,20 +138,9 @@ def fuse(
     outermost = np.concatenate([points.first[:-1], points.first[1:] - 1])
     height = np.full(_POINTS, 0.8 * float(np.median(xyz[outermost, 2])))
     border = border_at(view, contour_px, np.maximum(height, 0.0))
-    centre, turn = _axes(border.xy_mm)
+    centre, turn = axes_of(border.xy_mm)
     place = (xyz[:, :2] - centre) @ turn
     ends = ends_of(points, place[:, 1])
-    steps = steps_of(points, place, _to_light(view, xyz) @ turn)
-    if (
-        steps
-        and rim_of(points, ends, place, inside_by((border.xy_mm - centre) @ turn, place[ends[0]])).upright
-    ):
-        steps = ()  # a dome's jump is a fold or a break, which runs as it likes
-    if steps:
-        xyz = xyz.copy()
-        xyz[:, 2] -= steps_at(steps, place[:, 0], place[:, 1])
-        points = points._replace(xyz_mm=xyz)
-        ends = ends_of(points, place[:, 1])
     fall = np.zeros(_POINTS)
     open_end = np.zeros(_POINTS, np.bool_)
     wall_shows = _wall_shows(points, (border.xy_mm - centre) @ turn, border.tilt, place)
@@ -169,10 +149,9 @@ def fuse(
         coarse = contour[::2]
         rim = rim_of(points, ends, place, inside_by(coarse, place[ends[0]]))
         knots = _knots(points, place, rim, coarse)
-        open_end = _open_ends(knots, contour, (border.outward @ turn)[:, 0], upright)
+        open_end = _open_ends(knots, contour, (border.outward @ turn)[:, 0])
         plate = _plate(knots, contour, open_end)
         height, fall = _at_border(plate, rim, contour, border, (centre, turn), open_end, wall_shows)
-        height += steps_at(steps, contour[:, 0], contour[:, 1]) * (border.tilt >= 0.0)
         moved = border_at(view, contour_px, height, fall)
         step = np.abs(moved.xy_mm - border.xy_mm).max()
         border = moved
@@ -181,20 +160,10 @@ def fuse(
     contour = (border.xy_mm - centre) @ turn
     s, v, weight = nodes_within(contour, *_gauss(_NODES[0]), *_gauss(_NODES[1]))
     weight *= abs(area_of(contour)) / weight.sum()  # corners are between nodes
-    over = steps_at(steps, s, v)
-    return Fused(
-        points, place, rim, border, plate, knots, contour, open_end, height, s, v, weight, steps, over
-    )
+    return Fused(points, place, rim, border, plate, knots, contour, open_end, height, s, v, weight)
 
 
-def _to_light(view: View, xyz: Floats) -> Floats:
-    """How far along X and Y light comes for each millimetre that it is higher, at points."""
-    way = view.projector_mm - xyz
-    towards: Floats = way[:, :2] / way[:, 2:]
-    return towards
-
-
-def _axes(xy: Floats) -> tuple[Floats, Floats]:
+def axes_of(xy: Floats) -> tuple[Floats, Floats]:
     """Middle of a polygon and the turn whose columns are its long and its short axis."""
     centre = xy.mean(axis=0)
     _, axes = np.linalg.eigh(np.cov((xy - centre).T))
@@ -223,10 +192,8 @@ def _height(value: Floats, rim: Rim) -> Floats:
     return np.sign(value) * np.sqrt(np.abs(value)) if rim.upright else value
 
 
-def _open_ends(knots: Knots, contour: Floats, outward_s: Floats, upright: tuple[bool, bool]) -> Any:
+def _open_ends(knots: Knots, contour: Floats, outward_s: Floats) -> Any:
     """Say where the outline belongs to a flat end: one towards which the slices do not fall.
-
-    Of one that the slices show to be upright it is what faces along the product.
 
     Where the outer slice is hardly lower than the next one at the same places across the product, the plate
     is fitted without it, once with and once without a rim beyond. A flat end it is if the rim makes the plate
@@ -244,9 +211,6 @@ def _open_ends(knots: Knots, contour: Floats, outward_s: Floats, upright: tuple[
         v, s, weight = knots.v[mine], knots.s[mine], knots.weight[mine]
         out = np.sign(s.mean() - knots.s[next_one].mean())
         past = (along - np.interp(contour[:, 1], knots.v[next_one], knots.s[next_one])) * out
-        if upright[int(out > 0.0)] and float(knots.u[next_one].mean()) > _OVER_RIM:
-            is_open |= (outward_s * out > _FACING) & (past > 0.0)
-            continue
         beside = (v >= knots.v[next_one[0]]) & (v <= knots.v[next_one[-1]])
         across = float(np.ptp(knots.v[next_one]))
         if not beside.any() or float(np.ptp(knots.s[next_one])) > LONG_AXIS * across:

@@ -9,8 +9,7 @@ import pytest
 
 from roemetry.records import Product
 from roemetry.testing.solids import HALF_ELLIPSOID, product_of
-from roemetry_volume.common_error import common_height_std_mm
-from roemetry_volume.slice_estimators import SlicePchip
+from roemetry_volume.slice_estimators import SlicePchip, common_height_std_mm
 from tests.plugins.volume.test_slices import ELEVEN
 
 

@@ -21,11 +21,14 @@ from roemetry.records import Samples
 from roemetry.testing.runs import volume_of
 from roemetry.testing.solids import DENSE, HALF_ELLIPSOID, product_of
 from roemetry_paper.density import Density
-from roemetry_volume.fitted_weight import FittedWeight, FittedWeightOptions
-from roemetry_volume.fitting_weights import fit_weights
-from roemetry_volume.weighed_faults import check_masses
-from roemetry_volume.weight_features import weight_features
-from roemetry_volume.weight_model import WeightModel
+from roemetry_volume.fitted_weight import (
+    FittedWeight,
+    FittedWeightOptions,
+    WeightModel,
+    check_masses,
+    fit_weights,
+    weight_features,
+)
 
 HOME = Path(__file__).resolve().parents[3] / "recipes" / "herring_roe"
 NAMES = ("visible_cm3", "end_share", "rim_share", "rim_bow_share")

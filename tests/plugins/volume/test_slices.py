@@ -50,20 +50,20 @@ def test_a_parabolic_cap_is_exact() -> None:
     t = np.array([-3.0, -1.0, 2.0])
     area = 16.0 - t**2  # falls to zero at ±4
     for end, (length, volume) in enumerate([(1.0, 11.0 / 3.0), (2.0, 40.0 / 3.0)]):
-        found = slice_rules.cap(t, area, end, 5.0, True)
+        found = slice_rules.taper_of(t, area, end, 5.0, True)
         assert found[:3] == pytest.approx((volume, length, -2.0 * t[-end]), abs=1e-12)
         assert found[3] == slice_rules.TAPERED
 
 
 def test_slices_that_do_not_taper_have_no_tapered_cap() -> None:
     t, area = np.array([0.0, 1.0, 2.0]), np.full(3, 7.0)
-    assert slice_rules.cap(t, area, 0, 3.0, True) == (
+    assert slice_rules.taper_of(t, area, 0, 3.0, True) == (
         10.5,
         1.5,
         pytest.approx(np.nan, nan_ok=True),
         slice_rules.BLUNT,
     )
-    volume, length, _, kind = slice_rules.cap(t, area, 1, 3.0, False)
+    volume, length, _, kind = slice_rules.taper_of(t, area, 1, 3.0, False)
     assert (volume, length, kind) == (0.0, 0.0, slice_rules.NO_CAP)
 
 
@@ -216,3 +216,20 @@ def without(product: Product, at: object, points: slice) -> Product:
 
 def codes(volume) -> set[str]:
     return {reason.code for reason in volume.reasons}
+
+
+@pytest.mark.parametrize(("other_mm", "hole"), [(12.0, 0.0), (16.0, 20.0)])
+def test_a_wide_gap_between_two_levels_is_a_hidden_wall_and_else_a_hole(other_mm: float, hole: float) -> None:
+    rows = np.concatenate([np.arange(0.0, 50.0), np.arange(150.0, 200.0)])
+    z = np.where(rows < 100.0, 16.0, other_mm)
+    xyz = np.stack([np.zeros_like(rows), 0.2 * rows, z], axis=-1)[None].repeat(3, axis=0)
+    shape = xyz.shape[:2]
+    plane = np.array([[1.0, 0.0, 0.0, t] for t in (0.0, 8.0, 16.0)])
+    table, _ = slice_table.slice_areas(
+        xyz, np.ones(shape, np.int16), np.ones(shape, np.bool_), np.broadcast_to(rows, shape).copy(),
+        plane, np.zeros(3, np.int64), 1,
+    )  # fmt: skip
+    assert table[:, slice_table.HOLE] == pytest.approx(np.full(3, hole), abs=0.5)
+    assert table[:, slice_table.AREA] == pytest.approx(
+        np.full(3, 10.0 * (16.0 + other_mm) + (0.0 if hole else 280.0)), rel=0.01
+    )

@@ -8,8 +8,6 @@ import pytest
 
 from roemetry_volume.footprint import area_of
 from roemetry_volume.rim import StripePoints, ends_of
-from roemetry_volume.slice_ends import upright_ends
-from roemetry_volume.slice_table import slices_of
 from roemetry_volume.surface_fit import fuse
 from tests.plugins.volume.test_surface import box, dome, half_cylinder
 
@@ -40,18 +38,6 @@ def test_the_nodes_stand_for_all_of_the_footprint(made) -> None:
     product = made()[0]
     fused = fuse(product, product.view, product.outline.xy_px)
     assert fused.weight_mm2.sum() == pytest.approx(abs(area_of(fused.contour)), rel=1e-9)
-
-
-def test_no_rim_is_asked_for_at_ends_that_the_slices_show_upright() -> None:
-    product, true_mm3 = half_cylinder()
-    slices = slices_of(product)
-    found = upright_ends(product, slices)
-    assert any(found)
-    fused = fuse(product, product.view, product.outline.xy_px, found)
-    assert fused.open_end.any()
-    assert fused.volume_mm3 == pytest.approx(true_mm3, rel=0.01)
-    round_ends = dome()[0]
-    assert upright_ends(round_ends, slices_of(round_ends)) == (False, False)
 
 
 @pytest.mark.parametrize("lowest_mm", [0.0, 16.5])
