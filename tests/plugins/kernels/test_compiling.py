@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from roemetry_kernels import taking_turns
+from roemetry_kernels import kernel_cache
 
 PLUGINS = Path(__file__).parents[3] / "plugins"
 
@@ -83,13 +83,13 @@ def test_who_waited_long_enough_compiles_for_himself(tmp_path: Path, monkeypatch
     fcntl = pytest.importorskip("fcntl", reason="no locks of this kind on this system")
     source = tmp_path / "made.py"
     source.write_text("")
-    monkeypatch.setattr(taking_turns, "_WAIT_S", 0.1)
+    monkeypatch.setattr(kernel_cache, "_WAIT_S", 0.1)
     with source.open("rb") as other:
         fcntl.flock(other, fcntl.LOCK_EX)
-        with taking_turns._turn(source):
+        with kernel_cache._turn(source):
             pass
     with source.open("rb") as other:
-        with taking_turns._turn(source), taking_turns._turn(source), pytest.raises(BlockingIOError):
+        with kernel_cache._turn(source), kernel_cache._turn(source), pytest.raises(BlockingIOError):
             fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
         fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
