@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from roemetry_kernels import kernel_cache
+from roemetry_kernels.compiling import kernel
 
 PLUGINS = Path(__file__).parents[3] / "plugins"
 
@@ -102,3 +103,14 @@ def test_every_kernel_is_compiled_by_the_decorator_that_looks_at_all_sources() -
             if compiles and path.name != "compiling.py" and any(w.arg == "cache" for w in node.keywords):
                 found.append(f"{path.relative_to(PLUGINS)}:{node.lineno}")
     assert found == [], "use roemetry_kernels.compiling.kernel: numba's cache looks at one file alone"
+
+
+def test_a_kernel_that_could_not_be_kept_on_disk_is_refused() -> None:
+    def made(called: object) -> object:
+        def calling(x):
+            return called(x)
+
+        return kernel(calling)
+
+    with pytest.raises(TypeError, match="would never be found again on disk"):
+        made(kernel(lambda x: x))
