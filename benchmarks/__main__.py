@@ -29,7 +29,6 @@ BENCHMARKS = {
     "rooms": "the drawing of the rooms in the architecture page, made from the imports",
     "report_picture": "the picture of README: the report's first panels on one shipped skein",
     "shipped_skeins": "the same on the shipped skeins, one by one",
-    "image_looks": "stripe width, saturation and grey levels of simulated and of real images",
     "grade": "classifiers on unseen skeins and rigs; fits the model beside the recipe",
     "paper_experiment": "the paper's Table 1 and Figures 17 to 22 again, on six skeins and on 500",
     "paper_figures": "Figures 7 and 9 of the paper, from any image",

@@ -5,7 +5,7 @@
 Draws images of stripes whose centres are known (`benchmarks.extraction.drawing` has the model), computes the
 Cramér-Rao bound of a single row, and gives for every registered extractor and every peer: RMS error over the
 bound, bias, missed and false peaks, how true the stated uncertainties are, speed in one run, the time from
-the shell to the first extraction. ``--page`` puts the tables and a plot into the documentation.
+the shell to the first extraction. ``--page`` puts the tables into the documentation.
 """
 
 from __future__ import annotations
@@ -22,15 +22,13 @@ from benchmarks.extraction.bias import bias
 from benchmarks.extraction.drawing import SIZES, Light, drawn_set
 from benchmarks.extraction.first import startup
 from benchmarks.extraction.methods import TOLD, Method, frame_of, measured_beforehand, methods
-from benchmarks.extraction.page import PLOT, machine, plot, points, put_into_page
 from benchmarks.extraction.precision import close_together, precision, two_materials
 from benchmarks.extraction.speed import frame_after_frame, speed
-from benchmarks.extraction.tables import Table
+from benchmarks.extraction.tables import Table, machine, put_into_page
 from roemetry.records import Frame
 
 SEED = 40_000
 """Used while the extractors were built; the figures of the documentation are from another one."""
-_MIDDLE = "3 Mpix"
 
 
 def main() -> None:
@@ -46,12 +44,11 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=15, help="rounds of timing")
     parser.add_argument("--sizes", nargs="*", choices=SIZES, default=list(SIZES), help="image sizes timed")
     parser.add_argument("--seed", type=int, default=SEED)
-    parser.add_argument(
-        "--page", action="store_true", help="put all tables and the plot into the documentation"
-    )
+    parser.add_argument("--page", action="store_true", help="put all tables into the documentation")
     given = parser.parse_args()
     cv2.setNumThreads(1)
     judged, left_out = methods(tuple(given.methods))
+    fast = [method for method in judged if not method.slow]
     ours = [method for method in judged if method.ours]
     finding = [method for method in ours if method.name not in TOLD]
     runs: dict[str, Callable[[], list[Table]]] = {
@@ -60,7 +57,7 @@ def main() -> None:
             *unknown(finding, given.images, given.seed),
         ],
         "materials": lambda: [two_materials(judged, given.images, given.seed)],
-        "pitch": lambda: [close_together(fast(judged), max(given.images // 4, 1), given.seed)],
+        "pitch": lambda: [close_together(fast, max(given.images // 4, 1), given.seed)],
         "bias": lambda: [bias(quick(judged), given.rows, given.seed)],
         "along": lambda: along(max(given.images // 2, 1), given.seed),
         "speed": lambda: [
@@ -78,7 +75,9 @@ def main() -> None:
     for name, why in left_out.items():
         print(f"left out: {name}: {why}", file=sys.stderr)
     if given.page:
-        write_page(made, judged, left_out, given)
+        how = f"Measured by `python -m benchmarks extract {' '.join(sys.argv[1:])}` on {machine()}."
+        how += "".join(f" Left out: {name} ({why})." for name, why in left_out.items())
+        put_into_page([table for tables in made.values() for table in tables], how)
 
 
 def unknown(finding: list[Method], count: int, seed: int) -> list[Table]:
@@ -91,11 +90,6 @@ def unknown(finding: list[Method], count: int, seed: int) -> list[Table]:
             f"The same with nothing told about the sensor's noise. {table.title}", table.columns, table.rows
         )
     ]
-
-
-def fast(judged: list[Method]) -> list[Method]:
-    """Leave out those that take a second an image."""
-    return [method for method in judged if not method.slow]
 
 
 def timed(judged: list[Method], seed: int) -> list[Method]:
@@ -114,24 +108,6 @@ def timed(judged: list[Method], seed: int) -> list[Method]:
 def quick(judged: list[Method]) -> list[Method]:
     """Leave out the peers that would take most of an hour for a million rows."""
     return [method for method in judged if method.ours or method.name.startswith(("OpenCV", "numpy"))]
-
-
-def write_page(
-    made: dict[str, list[Table]], judged: list[Method], left_out: dict[str, str], given: argparse.Namespace
-) -> None:
-    """Put all tables into the page, and draw the plot where speed and precision were both measured."""
-    command = "python -m benchmarks extract " + " ".join(sys.argv[1:])
-    how = f"Measured by `{command.strip()}` on {machine()}."
-    how += "".join(f" Left out: {name} ({why})." for name, why in left_out.items())
-    put_into_page([table for tables in made.values() for table in tables], how)
-    if "speed" in made and "precision" in made and _MIDDLE in given.sizes:
-        ours = {method.name: method.ours for method in judged}
-        panels = {
-            title: points(made["speed"][0], made["precision"][0], ours, size=_MIDDLE, kind=kind)
-            for kind, title in (("clean", "no speckle"), ("speckle", "speckle of contrast 0.15"))
-        }
-        PLOT.write_text(plot(panels, "2048 × 1536"), encoding="utf-8")
-        print(f"{PLOT} drawn")
 
 
 if __name__ == "__main__":

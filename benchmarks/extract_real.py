@@ -1,9 +1,9 @@
 """Extractors on real camera images: stripes on a wheel set, a line in a weld groove, one on printed boards.
 
-``python -m benchmarks extract_real [--methods WORD …] [--only wheelset weld boards] [--out FOLDER]``
+``python -m benchmarks extract_real [--methods WORD …] [--only wheelset weld boards]``
 
 The images are not part of the project: the environment variable ROEMETRY_REAL_DATA names their folder
-(default ``../shared/real``); what is not there is skipped with the reason. ``--out`` writes overlays.
+(default ``../shared/real``); what is not there is skipped with the reason.
 """
 
 from __future__ import annotations
@@ -11,14 +11,12 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Any
 
 import cv2
 
 from benchmarks.extraction.methods import extractors
-from benchmarks.extraction.page import machine, put_into_page
-from benchmarks.extraction.tables import Table
+from benchmarks.extraction.tables import Table, machine, put_into_page
 from benchmarks.real_images.boards import boards
 from benchmarks.real_images.weld import weld
 from benchmarks.real_images.wheelset import wheelset
@@ -36,14 +34,13 @@ def main() -> None:
     )
     parser.add_argument("--methods", nargs="*", default=[], help="only extractors whose name holds a word")
     parser.add_argument("--only", nargs="*", choices=PARTS, default=list(PARTS), help="sets to judge")
-    parser.add_argument("--out", type=Path, help="folder for overlays")
     parser.add_argument("--page", action="store_true", help="put the tables into the documentation")
     given = parser.parse_args()
     cv2.setNumThreads(1)
     stages = dict(chosen(given.methods))
     tables = []
     for part in given.only:
-        table = PARTS[part](stages, given.out)
+        table = PARTS[part](stages)
         if isinstance(table, Table):
             tables.append(table)
             print(table, flush=True)

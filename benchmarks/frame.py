@@ -1,7 +1,6 @@
-"""Time from an array to a measurement, part by part against its budget, and over worker processes.
+"""Time from an array to a measurement, part by part against its budget.
 
 ``python -m benchmarks frame [--recipe recipes/herring_roe] [--repeats 50] [--sets fastest,careful,recipe]``
-``python -m benchmarks frame --jobs [--frames 2000]``
 
 One core, after warm-up, without files and without uncertainty. Milliseconds move with the machine and its
 load: the 5 % quickest frames are the least disturbed, and OpenCV's blur and dilation of the same image stand
@@ -11,18 +10,13 @@ beside them as a yardstick. What other programs take away is in no processor tim
 from __future__ import annotations
 
 import argparse
-import multiprocessing
-import resource
 import statistics
-import tempfile
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 import cv2
 
 from roemetry import Pipeline, Recipe
-from roemetry.run.batch import run_recipe
 from roemetry.run.rows import measurements_of
 from roemetry.stages.registry import discover
 
@@ -52,18 +46,13 @@ WANTED = {
 
 
 def main() -> None:
-    """Print the parts of a frame for each set, or the gain of a second process."""
+    """Print the parts of a frame for each set."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--recipe", default="recipes/herring_roe")
     parser.add_argument("--repeats", type=int, default=50)
     parser.add_argument("--sets", default=",".join(WANTED))
     parser.add_argument("--set", action="append", default=[], dest="overrides", metavar="KEY=VALUE")
-    parser.add_argument("--jobs", action="store_true", help="one process against two")
-    parser.add_argument("--frames", type=int, default=2000, help="for --jobs")
     given = parser.parse_args()
-    if given.jobs:
-        _print_jobs(given.recipe, given.frames, given.overrides)
-        return
     for name in given.sets.split(","):
         _print_parts(name, given.recipe, given.repeats, [*_sets_of(name), *given.overrides])
 
@@ -110,55 +99,6 @@ def _print_parts(name: str, path: str, repeats: int, sets: list[str]) -> None:
         print(f"  {stage:14} {1e3 * statistics.median(seconds):8.3f} {1e3 * quick:13.3f} {wanted}")
     ratios = [one / other for one, other in zip(whole, yardstick, strict=True)]
     print(f"  a frame takes {statistics.median(ratios):.1f} times the yardstick")
-
-
-def _print_jobs(path: str, frames: int, sets: list[str]) -> None:
-    """Run a recipe over copies of its images by one process and by two, over few and over many of them.
-
-    What the many take more than the few is the work itself; the start of the processes is in both.
-    """
-    few = frames // 4
-    walls: dict[tuple[int, int], list[float]] = {}
-    cpus: dict[tuple[int, int], list[float]] = {}
-    with tempfile.TemporaryDirectory() as folder:
-        recipes = {many: _copied(path, many, Path(folder) / f"{many}", sets) for many in (few, frames)}
-        for turn in range(3):
-            for many, recipe in recipes.items():
-                for jobs in (1, 2):
-                    out = Path(folder) / f"out-{turn}-{many}-{jobs}"
-                    before = _cpu_s()
-                    wall = _taken(lambda r=recipe, o=out, j=jobs: run_recipe(r, o, jobs=j))
-                    for child in multiprocessing.active_children():
-                        child.join()
-                    walls.setdefault((jobs, many), []).append(wall)
-                    cpus.setdefault((jobs, many), []).append(_cpu_s() - before)
-    wall_s = {key: statistics.median(found) for key, found in walls.items()}
-    cpu_s = {key: statistics.median(found) for key, found in cpus.items()}
-    for jobs in (1, 2):
-        more = wall_s[jobs, frames] - wall_s[jobs, few]
-        cpu = cpu_s[jobs, frames] - cpu_s[jobs, few]
-        start = cpu_s[jobs, few] - cpu * few / (frames - few)
-        print(f"{jobs} process(es): {(frames - few) / more:.0f} frames a second, ", end="")
-        print(f"{1e3 * cpu / (frames - few):.2f} ms of processor a frame, {start:.1f} s for the start")
-    gain = (wall_s[1, frames] - wall_s[1, few]) / (wall_s[2, frames] - wall_s[2, few])
-    paid = (cpu_s[2, frames] - cpu_s[2, few]) / (cpu_s[1, frames] - cpu_s[1, few])
-    print(f"two are {gain:.2f} times as fast as one, beside their start; a frame takes {paid:.2f} times the")
-    print(f"processor time, so that two cores with nothing else to do give {2.0 / paid:.2f} times the speed")
-
-
-def _copied(path: str, frames: int, images: Path, sets: list[str]) -> Recipe:
-    """Give the recipe on a folder of so many links to its images."""
-    there = sorted(image for image in Recipe.load(path).source_path.iterdir() if image.suffix == ".png")
-    images.mkdir()
-    for number in range(frames):
-        (images / f"{number:06d}.png").symlink_to(there[number % len(there)].resolve())
-    return Recipe.load(path, sets=[*sets, f"source.path={images}", "sinks=[]"])
-
-
-def _cpu_s() -> float:
-    """Processor time of this process and of its ended children, s."""
-    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    return sum(one.ru_utime + one.ru_stime for one in used)
 
 
 def _blurred(pixels: object) -> None:

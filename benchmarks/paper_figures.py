@@ -25,8 +25,12 @@ from numpy.typing import NDArray
 
 from roemetry.errors import DataError
 from roemetry.records import Frame, Peaks
-from roemetry_paper.binary_threshold import BinaryThreshold, BinaryThresholdOptions
-from roemetry_paper.dominant_peak import DominantPeak, DominantPeakOptions
+from roemetry_paper.dominant_peak import (
+    BinaryThreshold,
+    BinaryThresholdOptions,
+    DominantPeak,
+    DominantPeakOptions,
+)
 
 LEVELS = (200.0, 120.0, 40.0)
 _PLOT_WIDTH, _PLOT_HEIGHT, _LEFT, _TOP, _GAP = 520, 150, 56, 34, 62

@@ -8,7 +8,6 @@ without outliers: it comes from no extractor.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -17,7 +16,6 @@ from numpy.typing import NDArray
 
 from benchmarks.extraction.tables import Table, number
 from benchmarks.real_images import folder_of, prepared, sound
-from benchmarks.real_images.overlay import overlay
 from roemetry.records.arrays import Floats
 from roemetry.stages import Extractor
 
@@ -27,7 +25,7 @@ CHANNELS = ("grey", "red", "green")
 _PLATE = (-1.5, 7.5)
 
 
-def boards(stages: Mapping[str, Extractor[Any]], out: Path | None) -> Table | str:
+def boards(stages: Mapping[str, Extractor[Any]]) -> Table | str:
     """Judge extractors on the boards; or say why not."""
     home = folder_of("laser_on_circle_grid")
     if home is None:
@@ -52,8 +50,6 @@ def boards(stages: Mapping[str, Extractor[Any]], out: Path | None) -> Table | st
                 others = on_board[row] & ~near
                 extra.setdefault(key, []).append(float(others.sum()) / on_board.sum())
                 scatter.setdefault(key, []).append(roughness(row[near], x_px[near]))
-                if out is not None and pose in (0, 7):
-                    overlay(out / f"board{pose}_{channel}_{name}.png", frame.pixels, row, x_px, near, 1)
     return Table(
         "Red line on 12 boards, laser-off image taken away",
         [

@@ -10,7 +10,6 @@ coder `window-tracking`, which needs no calibration: what it makes a stripe of i
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -18,7 +17,6 @@ import numpy as np
 
 from benchmarks.extraction.tables import Table, number, percent
 from benchmarks.real_images import folder_of, prepared, sound
-from benchmarks.real_images.overlay import overlay
 from roemetry.errors import RoemetryError
 from roemetry.records import Peaks
 from roemetry.records.arrays import Floats
@@ -31,7 +29,7 @@ NEAR_PX = 10.0
 WIDTH_MAX_PX = 20.0
 
 
-def weld(stages: Mapping[str, Extractor[Any]], out: Path | None) -> Table | str:
+def weld(stages: Mapping[str, Extractor[Any]]) -> Table | str:
     """Judge extractors on the weld; or say why not."""
     home = folder_of("weld_mit")
     if home is None:
@@ -73,8 +71,6 @@ def weld(stages: Mapping[str, Extractor[Any]], out: Path | None) -> Table | str:
                     profile,
                 ]
             )
-            if out is not None:
-                overlay(out / f"weld_{label.replace(' ', '_')}.png", frame.pixels, row, x_px, near, 1)
     return Table(
         f"Weld groove: the line as marked by hand, ± {NEAR_PX:.0f} px",
         [

@@ -33,8 +33,7 @@ from numpy.typing import NDArray
 
 from benchmarks.extraction.tables import Table, number, percent
 from benchmarks.real_images import folder_of, prepared, sound
-from benchmarks.real_images.overlay import overlay
-from benchmarks.real_images.wheelset_points import have_stripe, sheet, verdicts
+from benchmarks.real_images.wheelset_points import have_stripe, verdicts
 from roemetry.records import Frame
 from roemetry.stages import Extractor
 
@@ -55,7 +54,7 @@ class Marked:
     verdict: str
 
 
-def wheelset(stages: Mapping[str, Extractor[Any]], out: Path | None) -> Table | str:
+def wheelset(stages: Mapping[str, Extractor[Any]]) -> Table | str:
     """Judge extractors on the wheel set; or say why not."""
     home = folder_of("multi_stripe")
     if home is None:
@@ -74,11 +73,8 @@ def wheelset(stages: Mapping[str, Extractor[Any]], out: Path | None) -> Table | 
             off += distances(frame, wanted, row, x_px)
             by_eye = verdicts(turn_deg, frame.size[0])
             there += have_stripe(wanted, by_eye)
-            right, tally = judged(marks(turn_deg, frame.size[0]), row, x_px)
+            _, tally = judged(marks(turn_deg, frame.size[0]), row, x_px)
             counts += tally
-            if out is not None:
-                overlay(out / f"wheelset_{turn_deg}_{name}.png", frame.pixels, row, x_px, right)
-                sheet(out / f"wheelset_{turn_deg}_points.png", frame.pixels, wanted, by_eye)
         away = np.array(off)
         matched = away <= MATCH_PX
         stripes, hit, extra, twice, glare, unlit = counts

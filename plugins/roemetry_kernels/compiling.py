@@ -2,7 +2,7 @@
 
 numba keeps what it compiled beside the source and looks at that one file. What a kernel takes from other
 files (kernels that are compiled into it, constants) may have changed since, unnoticed. So the stamp of what
-is kept also holds a hash of every file of ours that its file imports, at any depth (`cache_locators`).
+is kept also holds a hash of every file of ours that its file imports, at any depth (`kernel_cache`).
 
 With ``NUMBA_DISABLE_JIT=1`` every kernel is the plain Python function: a reference that needs no compiler.
 """
@@ -13,8 +13,6 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
-
-from roemetry_kernels.taking_turns import compiled_in_turns
 
 _FLOATS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"reassoc", "contract", "nsz", "arcp"}}
 
@@ -55,7 +53,7 @@ def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     if not hasattr(config, "CACHE_LOCATOR_CLASSES"):
         # this numba cannot be told which files to look at: compile every time, never run what is outdated
         return njit(nogil=True, **options)(function)
-    from roemetry_kernels.cache_locators import NAMES
+    from roemetry_kernels.kernel_cache import NAMES, compiled_in_turns
 
     before = config.CACHE_LOCATOR_CLASSES
     config.CACHE_LOCATOR_CLASSES = NAMES

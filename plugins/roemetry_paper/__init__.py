@@ -22,14 +22,14 @@ def roemetry_stages() -> Iterable[StageEntry]:
     yield StageEntry(
         kind="extractor",
         name="binary-threshold",
-        target="roemetry_paper.binary_threshold:BinaryThreshold",
+        target="roemetry_paper.dominant_peak:BinaryThreshold",
         summary="Middle of each run of pixels above a fixed grey level; what the paper compares against",
         reference=f"{_PAPER}, Figures 7 and 9",
     )
     yield StageEntry(
         kind="extractor",
         name="local-maximum",
-        target="roemetry_paper.local_maximum:LocalMaximum",
+        target="roemetry_paper.dominant_peak:LocalMaximum",
         summary="Every local maximum of a row; what the paper compares against",
         reference=f"{_PAPER}, section 3.2",
     )

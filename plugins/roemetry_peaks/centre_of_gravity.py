@@ -16,7 +16,7 @@ from roemetry.records.arrays import Floats
 from roemetry.records.peaks import EDGE
 from roemetry.stages import Capabilities, Extractor, StageOptions
 from roemetry_kernels.compiling import float_kernel, inlined
-from roemetry_peaks.options import PeakOptions
+from roemetry_peaks.finding import PeakOptions, found
 from roemetry_peaks.peak_scan import Pixels
 from roemetry_peaks.peak_window import FWHM_OF_SIGMA, Stripes
 from roemetry_peaks.speckle_contrast import PIXELS_MAX, variance_of
@@ -43,8 +43,6 @@ class CentreOfGravity(Extractor[CentreOfGravityOptions]):
 
     def extract(self, frame: Frame) -> Peaks:
         """Find the stripes of a frame."""
-        from roemetry_peaks.finding import found
-
         return found(
             frame, self.options, centres_of_gravity, self.options.reach_sigmas, beyond_linear=_BEYOND_LINEAR
         )

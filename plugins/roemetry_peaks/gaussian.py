@@ -13,7 +13,7 @@ from roemetry.records import Frame, Peaks
 from roemetry.records.arrays import Floats
 from roemetry.stages import Capabilities, Extractor, StageOptions
 from roemetry_kernels.compiling import float_kernel, inlined
-from roemetry_peaks.options import PeakOptions
+from roemetry_peaks.finding import PeakOptions, found
 from roemetry_peaks.peak_scan import Pixels, copied
 from roemetry_peaks.peak_window import FWHM_OF_SIGMA, Stripes
 from roemetry_peaks.speckle_contrast import LAGS, PIXELS_MAX, bell, fading
@@ -33,8 +33,6 @@ class Gaussian(Extractor[GaussianOptions]):
 
     def extract(self, frame: Frame) -> Peaks:
         """Find the stripes of a frame."""
-        from roemetry_peaks.finding import found
-
         return found(frame, self.options, gaussian_centres, weighs_speckle=True, beyond_linear=_BEYOND_LINEAR)
 
 

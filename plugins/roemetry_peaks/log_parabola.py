@@ -17,7 +17,7 @@ from roemetry.records.arrays import Floats
 from roemetry.records.peaks import EDGE, SATURATED
 from roemetry.stages import Capabilities, Extractor, StageOptions
 from roemetry_kernels.compiling import float_kernel, inlined
-from roemetry_peaks.options import PeakOptions
+from roemetry_peaks.finding import PeakOptions, found
 from roemetry_peaks.peak_scan import Pixels, copied
 from roemetry_peaks.peak_window import FWHM_OF_SIGMA, Stripes
 from roemetry_peaks.speckle_contrast import variance_of_middle
@@ -39,8 +39,6 @@ class LogParabola(Extractor[LogParabolaOptions]):
 
     def extract(self, frame: Frame) -> Peaks:
         """Find the stripes of a frame."""
-        from roemetry_peaks.finding import found
-
         points = 3 if self.options.points == "three" else 5
         return found(frame, self.options, log_parabola_centres, points, beyond_linear=_BEYOND_LINEAR)
 

@@ -17,8 +17,17 @@ from numpy.typing import NDArray
 from roemetry.records.arrays import Floats
 from roemetry.records.peaks import EDGE, SATURATED
 from roemetry_kernels.compiling import float_kernel, inlined
-from roemetry_peaks.peak_scan import Area, Pixels, Places, Tops
-from roemetry_peaks.peak_selection import GLARING, TOO_WIDE, closed_up, take_off_glare, unfit_stripes
+from roemetry_peaks.peak_scan import (
+    GLARING,
+    TOO_WIDE,
+    Area,
+    Pixels,
+    Places,
+    Tops,
+    closed_up,
+    take_off_glare,
+    unfit_stripes,
+)
 
 FWHM_OF_SIGMA = 2.354820045030949
 

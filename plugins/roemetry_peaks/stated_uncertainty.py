@@ -42,8 +42,7 @@ from numpy.typing import NDArray
 from roemetry.records import EDGE, SATURATED, Reason
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_kernels.compiling import kernel
-from roemetry_peaks.local_background import neighbours
-from roemetry_peaks.smoothed_peaks import background_noise
+from roemetry_peaks.smoothed_peaks import background_noise, neighbours
 
 _LAG = 10
 """Rows between the centres of a difference: speckle of length ℓ has the correlation exp(−100/(4 ℓ²)) there, 2

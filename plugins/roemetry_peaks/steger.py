@@ -19,8 +19,9 @@ from roemetry.records.arrays import Floats, Integers
 from roemetry.records.peaks import EDGE, SATURATED
 from roemetry.stages import Capabilities, Extractor, StageOptions
 from roemetry_kernels.compiling import inlined, kernel
-from roemetry_kernels.image_levels import grey, plain_layout, scaled_level
-from roemetry_peaks.region import searched
+from roemetry_kernels.image_levels import SHARE_MIN, doubts, faint, grey, plain_layout, scaled_level
+from roemetry_peaks.peak_scan import searched
+from roemetry_peaks.smoothed_peaks import background_noise, rounding_variance
 
 _NOISES = 8.0  # of the smoothed image, that a ridge rises above both valleys
 _LEVELS_MIN = 5.0  # grey levels of 0…255 that it rises at least
@@ -71,9 +72,6 @@ class Steger(Extractor[StegerOptions]):
     def extract(self, frame: Frame) -> Peaks:
         """Find the stripes of a frame."""
         import cv2
-
-        from roemetry_kernels.image_levels import SHARE_MIN, doubts, faint
-        from roemetry_peaks.smoothed_peaks import background_noise, rounding_variance
 
         options = self.options
         area = searched(frame, options.region)

@@ -15,7 +15,7 @@ from roemetry.records.arrays import Floats
 from roemetry.records.peaks import EDGE
 from roemetry.stages import Capabilities, Extractor, StageOptions
 from roemetry_kernels.compiling import float_kernel, inlined
-from roemetry_peaks.options import PeakOptions
+from roemetry_peaks.finding import PeakOptions, found
 from roemetry_peaks.peak_scan import Pixels
 from roemetry_peaks.peak_window import FWHM_OF_SIGMA, Stripes
 from roemetry_peaks.speckle_contrast import PIXELS_MAX, variance_of
@@ -41,8 +41,6 @@ class ZeroCrossing(Extractor[ZeroCrossingOptions]):
 
     def extract(self, frame: Frame) -> Peaks:
         """Find the stripes of a frame."""
-        from roemetry_peaks.finding import found
-
         half_length = 0 if self.options.half_length == "auto" else self.options.half_length
         return found(frame, self.options, zero_crossings, half_length, beyond_linear=_BEYOND_LINEAR)
 

@@ -9,7 +9,7 @@ import pytest
 
 drawing = pytest.importorskip("benchmarks.extraction.drawing", reason="only in a checkout")
 
-from benchmarks.extraction import bias, methods, page, peers, scoring  # noqa: E402
+from benchmarks.extraction import bias, methods, peers, scoring, tables  # noqa: E402
 from benchmarks.extraction.bounds import bound_px  # noqa: E402
 from benchmarks.extraction.tables import Table, number, percent  # noqa: E402
 
@@ -130,20 +130,13 @@ def test_every_extractor_is_compared_and_the_absent_is_told(monkeypatch) -> None
 
 def test_figures_replace_those_before(tmp_path, monkeypatch) -> None:
     written = tmp_path / "page.md"
-    written.write_text(f"before\n{page.BEGIN.format('extract')}\nold\n{page.END}\nafter\n", "utf-8")
-    monkeypatch.setattr(page, "PAGE", written)
+    written.write_text(f"before\n{tables.BEGIN.format('extract')}\nold\n{tables.END}\nafter\n", "utf-8")
+    monkeypatch.setattr(tables, "PAGE", written)
     table = Table("New", ["method", "value"], [["a", number(-1.25, 1)], ["b", percent(1, 8)]])
-    page.put_into_page([table], "Measured now.")
+    tables.put_into_page([table], "Measured now.")
     text = written.read_text("utf-8")
     assert "old" not in text
     assert text.startswith("before\n")
     assert text.endswith("after\n")
     assert "| a | −1.2 |" in text
     assert "Measured now." in text
-
-
-def test_the_plot_shows_each_method_once() -> None:
-    points = [page.Point("a & b", True, 300.0, 1.04), page.Point("peer", False, 20.0, 4.0)]
-    drawn = page.plot({"no speckle": points, "speckle": points}, "2048 × 1536")
-    assert drawn.count("<circle") == 4
-    assert "a &amp; b" in drawn

@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from roemetry_kernels import taking_turns
+from roemetry_kernels import kernel_cache
+from roemetry_kernels.compiling import kernel
 
 PLUGINS = Path(__file__).parents[3] / "plugins"
 
@@ -83,13 +84,13 @@ def test_who_waited_long_enough_compiles_for_himself(tmp_path: Path, monkeypatch
     fcntl = pytest.importorskip("fcntl", reason="no locks of this kind on this system")
     source = tmp_path / "made.py"
     source.write_text("")
-    monkeypatch.setattr(taking_turns, "_WAIT_S", 0.1)
+    monkeypatch.setattr(kernel_cache, "_WAIT_S", 0.1)
     with source.open("rb") as other:
         fcntl.flock(other, fcntl.LOCK_EX)
-        with taking_turns._turn(source):
+        with kernel_cache._turn(source):
             pass
     with source.open("rb") as other:
-        with taking_turns._turn(source), taking_turns._turn(source), pytest.raises(BlockingIOError):
+        with kernel_cache._turn(source), kernel_cache._turn(source), pytest.raises(BlockingIOError):
             fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
         fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
@@ -102,3 +103,14 @@ def test_every_kernel_is_compiled_by_the_decorator_that_looks_at_all_sources() -
             if compiles and path.name != "compiling.py" and any(w.arg == "cache" for w in node.keywords):
                 found.append(f"{path.relative_to(PLUGINS)}:{node.lineno}")
     assert found == [], "use roemetry_kernels.compiling.kernel: numba's cache looks at one file alone"
+
+
+def test_a_kernel_that_could_not_be_kept_on_disk_is_refused() -> None:
+    def made(called: object) -> object:
+        def calling(x):
+            return called(x)
+
+        return kernel(calling)
+
+    with pytest.raises(TypeError, match="would never be found again on disk"):
+        made(kernel(lambda x: x))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -25,16 +24,3 @@ def test_ranks_and_medians_are_those_of_sorted_values(numbers: list[float]) -> N
 def test_many_equal_whole_numbers(numbers: list[int]) -> None:
     values = np.array(numbers)
     assert [nth_smallest(values, n) for n in range(values.size)] == sorted(numbers)
-
-
-@pytest.mark.parametrize("size", [1, 2, 999, 1000])
-def test_sorted_and_turned_round(size: int) -> None:
-    for values in (np.arange(size), np.arange(size)[::-1].copy(), np.zeros(size, np.int64)):
-        assert nth_smallest(values, size // 3) == np.sort(values)[size // 3]
-        assert median_of(values) == np.median(values)
-
-
-def test_medians_of_drawn_numbers(rng: np.random.Generator) -> None:
-    for size in range(1, 400):
-        values = rng.normal(size=size)
-        assert median_of(values) == np.median(values)

@@ -9,9 +9,14 @@ from hypothesis import strategies as st
 
 from roemetry.errors import DataError
 from roemetry.records import EDGE, SATURATED, Frame
-from roemetry_paper.binary_threshold import BinaryThreshold, BinaryThresholdOptions
-from roemetry_paper.dominant_peak import DominantPeak, DominantPeakOptions
-from roemetry_paper.local_maximum import LocalMaximum, LocalMaximumOptions
+from roemetry_paper.dominant_peak import (
+    BinaryThreshold,
+    BinaryThresholdOptions,
+    DominantPeak,
+    DominantPeakOptions,
+    LocalMaximum,
+    LocalMaximumOptions,
+)
 
 
 def frame_of(row, dtype=np.uint8):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from roemetry_peaks.fisher_scoring import CLIPPED, FAILED, FITTED, fit_peaks
-from roemetry_peaks.local_background import neighbours
+from roemetry_peaks.smoothed_peaks import neighbours
 from roemetry_peaks.speckle_noise import CAUSES, residual_products
 
 VARIANCE, GAIN, RHO = 1.1, 0.03, 0.6

@@ -1,14 +1,14 @@
-"""Stripes measured side by side against each of them alone, and against what is known."""
+"""Stripes measured side by side against each of them alone; their width and background, in 8 and 16 bit."""
 
 import numpy as np
 import pytest
 
-from roemetry_kernels.compiling import float_kernel, kernel
+from roemetry_kernels.compiling import float_kernel
 from roemetry_kernels.image_levels import plain_layout
 from roemetry_peaks.gaussian import gaussian_centres
 from roemetry_peaks.log_parabola import log_parabola_centres, logarithms
 from roemetry_peaks.peak_scan import Area, stripe_tops
-from roemetry_peaks.peak_window import SEEN_PX, Stripes, _is_one, _spike_width, join_tops, stripes_around
+from roemetry_peaks.peak_window import Stripes, stripes_around
 
 SENSOR = 1.08, 0.0255  # variance of a black pixel, grey levels per electron
 
@@ -56,41 +56,6 @@ def test_a_stripe_is_measured_the_same_whatever_stands_beside_it(
 
 
 @float_kernel
-def joined_one_by_one(levels, columns, width_min_px, row, first, last):
-    count = 0
-    for i in range(row.shape[0]):
-        at = row[i] * columns
-        if _spike_width(levels, at + first[i], at + last[i], at, at + columns) < width_min_px:
-            continue
-        p = count - 1
-        if p >= 0 and row[p] == row[i] and first[i] - last[p] <= SEEN_PX:
-            tops = at + first[p], at + last[p], at + first[i], at + last[i]
-            if _is_one(levels, *tops, at, at + columns):
-                last[p] = last[i]
-                continue
-        row[count], first[count], last[count] = row[i], first[i], last[i]
-        count += 1
-    return count
-
-
-@pytest.mark.parametrize("rough", [2.0, 12.0, 40.0])
-def test_tops_are_joined_as_if_every_one_were_looked_at_closely(rough, rng):
-    rows, columns = 400, 300
-    x = np.arange(columns)
-    centre = np.arange(15.0, columns, 30.0)[:, None, None] + rng.uniform(-4.0, 4.0, (10, rows, 1))
-    level = 20.0 + (150.0 * np.exp(-0.5 * ((x - centre) / rng.uniform(0.5, 6.0, (10, rows, 1))) ** 2)).sum(0)
-    level += rough * rng.standard_normal((rows, columns)) * np.sqrt(level / 100.0)
-    level[rng.random((rows, columns)) < 0.01] = 255.0
-    image = plain_layout(np.clip(np.rint(level), 0, 255).astype(np.uint8))
-    tops = stripe_tops(image, 25, Area(0, rows, 0, columns))
-    quick, close = ([values.copy() for values in tops] for _ in range(2))
-    count = join_tops(image.reshape(-1), columns, 0, columns, 1.5, *quick)
-    assert count == joined_one_by_one(image.reshape(-1), columns, 1.5, *close) < tops.row.shape[0]
-    for one, other in zip(quick, close, strict=True):
-        np.testing.assert_array_equal(one[:count], other[:count])
-
-
-@float_kernel
 def taken(v, count):
     logarithms(v, 0, count, count)
 
@@ -105,12 +70,52 @@ def test_logarithms_and_reciprocals(rng):
     np.testing.assert_allclose(v[count:], 1.0 / numbers, rtol=1e-13)
 
 
-def test_a_kernel_that_could_not_be_kept_on_disk_is_refused():
-    def made(called):
-        def calling(x):
-            return called(x)
+def around(image, threshold=25, **limits):
+    rows, columns = image.shape
+    area = Area(0, rows, 0, columns)
+    plain = plain_layout(image)
+    limits = {"white": int(np.iinfo(image.dtype).max), "width_min_px": 0.0, "width_max_px": 1000.0} | limits
+    return stripes_around(plain, stripe_tops(plain, threshold, area), area, **limits)
 
-        return kernel(calling)
 
-    with pytest.raises(TypeError, match="would never be found again on disk"):
-        made(kernel(lambda x: x))
+def drawn(rng, rows, columns, pitch, noise):
+    x = np.arange(columns)
+    level = np.full((rows, columns), 20.0)
+    for at in np.arange(pitch / 2, columns, pitch):
+        centre = at + rng.uniform(-2.0, 2.0, (rows, 1))
+        height, sigma = rng.uniform(60.0, 260.0, (rows, 1)), rng.uniform(1.0, 4.0, (rows, 1))
+        level += height * np.exp(-0.5 * ((x - centre) / sigma) ** 2)
+    return np.clip(np.rint(level + rng.normal(0.0, noise, level.shape)), 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize(("pitch", "noise"), [(40.0, 0.0), (57.3, 0.0), (31.0, 1.5)])
+def test_the_same_grey_levels_in_8_and_16_bit_give_the_same_stripes(pitch, noise, rng):
+    image = drawn(rng, 301, 320, pitch, noise)
+    narrow, wide = around(image), around(image.astype(np.uint16), white=255)
+    for name in narrow._fields:
+        np.testing.assert_array_equal(getattr(narrow, name), getattr(wide, name), err_msg=name)
+
+
+def test_a_wide_stripe_is_measured():
+    x = np.arange(400)
+    image = np.tile(20.0 + 150.0 * np.exp(-0.5 * ((x - 200.3) / 12.0) ** 2), (6, 1)).round().astype(np.uint8)
+    found = around(image)
+    np.testing.assert_allclose(found.middle, 200.3, atol=0.1)  # px
+    np.testing.assert_allclose(found.width, 28.26, atol=0.6)  # px
+    np.testing.assert_allclose(found.background, 20.0, atol=0.3)
+
+
+def test_what_is_much_lower_than_the_stripes_is_left_out_if_wanted():
+    x = np.arange(300)
+
+    def at(place, height):
+        return height * np.exp(-0.5 * ((x - place) / 2.0) ** 2)
+
+    image = np.tile(20.0 + at(60, 200.0) + at(74, 14.0) + at(140, 18.0) + at(220, 14.0), (40, 1))
+    image[30:] = 20.0 + at(60, 80.0) + at(74, 8.0)
+    image = image.round().astype(np.uint8)
+    # 8 % of 200 is 16: the third stripe stays, the ripple beside the first and what is too dim do not
+    found = around(image, threshold=5, share_min=0.08)
+    assert np.bincount(found.row, minlength=40).tolist() == [2] * 30 + [1] * 10
+    np.testing.assert_allclose(np.unique(found.middle.round()), [60.0, 140.0])
+    assert np.bincount(around(image, threshold=5).row).tolist() == [4] * 30 + [2] * 10
