@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from roemetry.errors import OutputError
-from roemetry.io.files import LineFile, make_folder, write_whole
-from roemetry.io.files import json_values
+from roemetry.io.files import LineFile, json_values, make_folder, write_whole
 from roemetry_tools.compare.aggregate import Figures, estimates_of
 from roemetry_tools.compare.agreement import RESAMPLES, Shift, Terms
 from roemetry_tools.compare.data import Data
