@@ -198,10 +198,10 @@ def _height(value: Floats, rim: Rim) -> Floats:
 def _open_ends(knots: Knots, contour: Floats, outward_s: Floats) -> Any:
     """Say where the outline belongs to a flat end: one towards which the slices do not fall.
 
-    One is where the outer slice is as high as the next one. Where it is hardly lower than the next one at the same places across the product, the plate
-    is fitted without it, once with and once without a rim beyond. A flat end it is if the rim makes the plate
-    miss the slice by far. To the end belongs what lies beyond the outer slice, and, beyond the next one, what
-    faces along the product: a slice at a slant runs over the edge.
+    One is where the outer slice is as high as the next one. Where it is hardly lower than that at the same
+    places across the product, the plate is fitted without it, once with and once without a rim beyond: a flat
+    end it is if the rim makes the plate miss the slice by far. To the end belongs what lies beyond the outer
+    slice, and, beyond the next one, what faces along the product: a slice at a slant runs over the edge.
     """
     is_open = np.zeros(contour.shape[0], np.bool_)
     slices = np.unique(knots.slice)
