@@ -22,8 +22,8 @@ _NODES = 40, 14
 _RIM_WEIGHT = 6.0
 _OPEN_RATIO = 0.9
 _UPRIGHT = 0.95
-"""Of the next slice's highest u: an outer slice so high has not begun to fall, and the end is a wall (a box, a
-broken skein); of a dome it is 0.5 to 0.9."""
+"""Of the next slice's highest u: an outer slice so high has not begun to fall, and ends in a wall, as a box
+or a broken skein does."""
 _OPEN_MISS = 0.15
 _OVER_RIM = 1.0  # mm²: what is hardly over the rim ends with it, upright or not
 _FACING = 0.85
