@@ -21,6 +21,9 @@ _ROUNDS = 3
 _NODES = 40, 14
 _RIM_WEIGHT = 6.0
 _OPEN_RATIO = 0.9
+_UPRIGHT = 0.95
+"""Of the next slice's highest u: an outer slice so high has not begun to fall, and ends in a wall, as a box
+or a broken skein does."""
 _OPEN_MISS = 0.15
 _OVER_RIM = 1.0  # mm²: what is hardly over the rim ends with it, upright or not
 _FACING = 0.85
@@ -195,10 +198,10 @@ def _height(value: Floats, rim: Rim) -> Floats:
 def _open_ends(knots: Knots, contour: Floats, outward_s: Floats) -> Any:
     """Say where the outline belongs to a flat end: one towards which the slices do not fall.
 
-    Where the outer slice is hardly lower than the next one at the same places across the product, the plate
-    is fitted without it, once with and once without a rim beyond. A flat end it is if the rim makes the plate
-    miss the slice by far. To the end belongs what lies beyond the outer slice, and, beyond the next one, what
-    faces along the product: a slice at a slant runs over the edge.
+    One is where the outer slice is as high as the next one. Where it is hardly lower than that at the same
+    places across the product, the plate is fitted without it, once with and once without a rim beyond: a flat
+    end it is if the rim makes the plate miss the slice by far. To the end belongs what lies beyond the outer
+    slice, and, beyond the next one, what faces along the product: a slice at a slant runs over the edge.
     """
     is_open = np.zeros(contour.shape[0], np.bool_)
     slices = np.unique(knots.slice)
@@ -211,6 +214,9 @@ def _open_ends(knots: Knots, contour: Floats, outward_s: Floats) -> Any:
         v, s, weight = knots.v[mine], knots.s[mine], knots.weight[mine]
         out = np.sign(s.mean() - knots.s[next_one].mean())
         past = (along - np.interp(contour[:, 1], knots.v[next_one], knots.s[next_one])) * out
+        if float(knots.u[mine].max()) > _UPRIGHT * float(knots.u[next_one].max()) > _OVER_RIM:
+            is_open |= (outward_s * out > _FACING) & (past > 0.0)
+            continue
         beside = (v >= knots.v[next_one[0]]) & (v <= knots.v[next_one[-1]])
         across = float(np.ptp(knots.v[next_one]))
         if not beside.any() or float(np.ptp(knots.s[next_one])) > LONG_AXIS * across:
