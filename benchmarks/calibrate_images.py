@@ -23,7 +23,7 @@ import numpy as np
 from roemetry.calibrating import calibrate
 from roemetry.config.rig import Rig
 from roemetry.config.target_file import SpherePlateFile, read_sphere_plate, read_target
-from roemetry.io.shipped import shipped
+from roemetry.io.files import shipped
 from roemetry.io.yaml_source import dump
 from roemetry.records import Frame, StripeMap
 from roemetry.records import Sensor as Noise

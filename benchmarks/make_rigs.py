@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roemetry.config.dataset import save_bytes
-from roemetry.io.shipped import shipped
+from roemetry.io.files import shipped
 from roemetry.io.yaml_source import dump
 from roemetry.records import Frame, ProductTruth
 from roemetry.stages.registry import discover

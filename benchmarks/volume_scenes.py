@@ -15,7 +15,7 @@ from roemetry.records import NOTHING, Frame, Outline, Product, Profiles, StripeM
 from roemetry.records.calibration import Calibration
 from roemetry.records.view import View
 from roemetry.run.open_parts import SHARE_MAX, open_parts
-from roemetry.run.split_products import assemble
+from roemetry.run.split_products import split_products
 from roemetry_kernels.compiling import kernel
 from roemetry_paper.window_tracking import WindowTracking
 from roemetry_peaks.maximum_likelihood import MaximumLikelihood
@@ -252,7 +252,9 @@ def measured(laser: Frame, plain: Frame, calibration: Calibration, outline: str)
         raise RoemetryError("more than a third of the product's points could not be given to a stripe")
     outliner = EdgeContour(EdgeContourOptions(light="plain" if outline == "plain" else "laser"))
     contours = outliner.outline(laser, plain, stripes, calibration)
-    found = assemble(_lifted(stripes, calibration), contours, calibration, "images", view=calibration.view)
+    found = split_products(
+        _lifted(stripes, calibration), contours, calibration, "images", view=calibration.view
+    )
     if len(found) != 1:
         raise RoemetryError(f"{len(found)} products were found, expected 1")
     return found[0]

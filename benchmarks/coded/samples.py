@@ -13,7 +13,7 @@ from benchmarks.coded.products import in_view
 from benchmarks.coded.rigs import CodingRig
 from roemetry.records import Peaks
 from roemetry.records.calibration import Calibration
-from roemetry.records.peaks import SATURATED
+from roemetry.records.stripes import SATURATED
 from roemetry_simulate.solid import Solid
 
 Floats = NDArray[np.float64]

@@ -26,7 +26,7 @@ from roemetry.records import AMBIGUOUS, Acquisition, Estimate, Measurement, Peak
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.run.pipeline import Pipeline, frame_of
 from roemetry.run.rows import measurements_of
-from roemetry.run.stage_cache import RememberedStages, StepMemory
+from roemetry.run.stage_cache import CachedStages, StageCache
 from roemetry.stages.registry import discover
 from roemetry_tools.compare.stripes import REACH_PX, nearest
 
@@ -307,8 +307,8 @@ def _measured(
     recipes: Mapping[str, Recipe], rig: RenderedRig, truths: Mapping[str, Crossings], faults: list[str]
 ) -> dict[str, dict[str, Row]]:
     """Measure every body by every recipe; the steps that recipes share are done once for each body."""
-    memory = StepMemory()
-    stages = {chain: RememberedStages(recipe, memory) for chain, recipe in recipes.items()}
+    memory = StageCache()
+    stages = {chain: CachedStages(recipe, memory) for chain, recipe in recipes.items()}
     pipelines = {chain: Pipeline(recipe, stages=stages[chain].stages) for chain, recipe in recipes.items()}
     images = {
         chain: dict(_acquisitions(recipe, set(truths), faults, chain)) for chain, recipe in recipes.items()

@@ -15,7 +15,7 @@ from benchmarks.volume_scenes import rig_of
 from roemetry.errors import StageError
 from roemetry.records import Peaks, Product, Profiles, StripeMap
 from roemetry.records.calibration import Calibration
-from roemetry.run.split_products import assemble
+from roemetry.run.split_products import split_products
 from roemetry_paper.block_linear import BlockLinear
 from roemetry_paper.window_tracking import WindowTracking
 from roemetry_simulate.population import moved_to
@@ -115,7 +115,7 @@ def traced(
         peaks = sample_from(replace(on, noise_px=noise_px), crossings, seed=seed).peaks
         peaks = _at_whole_pixels(peaks) if whole_pixels else peaks
         try:
-            products = assemble(lift(WindowTracking().code(peaks, known), known), (), known, str(seed))
+            products = split_products(lift(WindowTracking().code(peaks, known), known), (), known, str(seed))
         except StageError as error:
             refused, products = refused or str(error), ()
         found.append(max(products, key=_points, default=None))

@@ -2,7 +2,7 @@
 
 Model. The calibration says where each stripe lies on the bare belt: x = u_s(row). A camera that has been
 moved a little shows the line at u_s(row) + Σ_k θ_k b_ks(row), where θ are shift, roll, zoom and tilt
-(`roemetry.records.alignment`) and b_ks is how the line answers to θ_k: the difference of the rest lines of
+(`roemetry.records.calibration`) and b_ks is how the line answers to θ_k: the difference of the rest lines of
 two calibrations that the triangulator has moved by ± a step. So the model holds for any lens and any method
 of calibration that can be moved.
 

@@ -7,7 +7,7 @@ Model (Brown 1966; OpenCV's rational form). On the plane at distance 1, with r²
 
 with coefficients in OpenCV's order k1, k2, p1, p2, k3, k4, k5, k6. The inverse is by Newton's method. It has
 none where a strong distortion folds the image over: there the Jacobian's determinant or trace is not
-positive, which callers check. `roemetry.records.camera_model` is the same in numpy, with the thin prism and
+positive, which callers check. `roemetry.records.view` is the same in numpy, with the thin prism and
 tilt of all fourteen coefficients; tests hold one against the other.
 """
 

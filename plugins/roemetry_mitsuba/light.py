@@ -490,8 +490,8 @@ def _pinhole(camera: Camera) -> tuple[Floats, ...]:
     columns, rows = np.arange(camera.width_px), np.arange(camera.height_px)
     x: Floats = np.tile(columns, len(rows)).astype(np.float64)
     y: Floats = np.repeat(rows, len(columns)).astype(np.float64)
-    at = camera.undistorted(x, y)
-    right, down = camera.undistorted(x + 0.5, y), camera.undistorted(x, y + 0.5)
+    at = camera.undistort(x, y)
+    right, down = camera.undistort(x + 0.5, y), camera.undistort(x, y + 0.5)
     steps = [2.0 * (after[m] - at[m]) for after in (right, down) for m in (0, 1)]
     return (*at, *steps)
 

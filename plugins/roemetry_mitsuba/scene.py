@@ -30,7 +30,7 @@ from roemetry.config.scene_parts import (
     TargetsPart,
 )
 from roemetry.errors import MisfitError
-from roemetry.records.camera_model import distorted, undistorted
+from roemetry.records.view import distort, undistort
 from roemetry.stages import StageOptions
 from roemetry_mitsuba.products import MODELS
 
@@ -124,21 +124,21 @@ class Camera:
     def project(self, points_mm: Floats) -> Floats:
         """Give the pixels, shape (..., 2), of belt points, shape (..., 3)."""
         seen = (points_mm - self.centre_mm) @ self.rotation
-        places = distorted((seen[..., :2] / seen[..., 2:]).reshape(-1, 2), self.distortion)
+        places = distort((seen[..., :2] / seen[..., 2:]).reshape(-1, 2), self.distortion)
         pixels: Floats = self.focal_px * places.reshape(*seen.shape[:-1], 2) + self.principal_px
         return pixels
 
     def directions(self, x_px: Floats, y_px: Floats) -> Floats:
         """Give directions in the belt frame, shape (..., 3), camera z component 1, of pixels."""
-        x, y = self.undistorted(x_px, y_px)
+        x, y = self.undistort(x_px, y_px)
         turned: Floats = np.stack([x, y, np.ones_like(x)], axis=-1) @ self.rotation.T
         return turned
 
-    def undistorted(self, x_px: Floats, y_px: Floats) -> tuple[Floats, Floats]:
+    def undistort(self, x_px: Floats, y_px: Floats) -> tuple[Floats, Floats]:
         """Give places on the plane at distance 1, without distortion, of pixels."""
         pixels = np.stack(np.broadcast_arrays(x_px, y_px), axis=-1)
         places = (pixels.reshape(-1, 2) - self.principal_px) / self.focal_px
-        found = undistorted(places, self.distortion)
+        found = undistort(places, self.distortion)
         return found[:, 0].reshape(pixels.shape[:-1]), found[:, 1].reshape(pixels.shape[:-1])
 
     def border_on(self, height_mm: float) -> Floats:

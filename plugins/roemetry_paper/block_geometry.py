@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from roemetry.records.arrays import Floats
-from roemetry.records.camera_model import undistorted
-from roemetry.records.view import View
+from roemetry.records.view import View, undistort
 
 _ABOVE_MM = 1000.0
 """Where the camera of a telecentric view is put; nothing depends on it."""
@@ -89,9 +88,9 @@ def displacements(
     if not bow_per_px2:
         return x_px - line_px, seen
     kappa = np.array([bow_per_px2, 0.0, 0.0, 0.0])
-    straight = undistorted(seen.reshape(-1, 2), kappa).reshape(seen.shape)
+    straight = undistort(seen.reshape(-1, 2), kappa).reshape(seen.shape)
     on_line = np.stack([line_px - middle_px, row], axis=-1)
-    line = undistorted(on_line.reshape(-1, 2), kappa).reshape(seen.shape)
+    line = undistort(on_line.reshape(-1, 2), kappa).reshape(seen.shape)
     # the same image row is not the same row without the lens: along the leaning line to the place's row
     lean = rest_px[1] if len(rest_px) > 1 else 0.0
     return straight[..., 0] - line[..., 0] - lean * (straight[..., 1] - line[..., 1]), straight

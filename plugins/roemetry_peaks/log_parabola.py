@@ -14,7 +14,7 @@ from pydantic import Field
 
 from roemetry.records import Frame, Peaks
 from roemetry.records.arrays import Floats
-from roemetry.records.peaks import EDGE, SATURATED
+from roemetry.records.stripes import EDGE, SATURATED
 from roemetry.stages import Capabilities, Extractor, StageOptions
 from roemetry_kernels.compiling import float_kernel, inlined
 from roemetry_peaks.finding import PeakOptions, found

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roemetry.records.arrays import Floats
-from roemetry.records.peaks import EDGE, SATURATED
+from roemetry.records.stripes import EDGE, SATURATED
 from roemetry_kernels.compiling import float_kernel, inlined
 from roemetry_peaks.peak_scan import (
     GLARING,
@@ -48,7 +48,7 @@ class Stripes(NamedTuple):
     lo, hi : ndarray of int32, shape (peak,)
         First and last column that belong to no neighbouring stripe.
     flags : ndarray of uint8, shape (peak,)
-        `SATURATED` and `EDGE` of `roemetry.records.peaks`.
+        `SATURATED` and `EDGE` of `roemetry.records.stripes`.
     middle : ndarray of float64, shape (peak,)
         Middle between the crossings of half height, px.
     width : ndarray of float64, shape (peak,)

@@ -16,7 +16,7 @@ from pydantic import Field
 
 from roemetry.records import Frame, Peaks
 from roemetry.records.arrays import Floats, Integers
-from roemetry.records.peaks import EDGE, SATURATED
+from roemetry.records.stripes import EDGE, SATURATED
 from roemetry.stages import Capabilities, Extractor, StageOptions
 from roemetry_kernels.compiling import inlined, kernel
 from roemetry_kernels.image_levels import SHARE_MIN, doubts, faint, grey, plain_layout, scaled_level

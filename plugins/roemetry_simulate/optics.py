@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from roemetry.records.camera_model import distorted, undistorted
+from roemetry.records.view import distort, undistort
 from roemetry_kernels.compiling import kernel
 from roemetry_kernels.lens import lens_from, undistorted_place
 from roemetry_simulate.raycast import AnyBody, first_hit_in
@@ -123,7 +123,7 @@ class Camera:
         cx, cy = self.principal_px
         x, y = (x - cx) / self.focal_length_px, (y - cy) / self.focal_length_px
         if self.distorts:
-            places = undistorted(np.stack([x.ravel(), y.ravel()], axis=1), np.array(self.distortion))
+            places = undistort(np.stack([x.ravel(), y.ravel()], axis=1), np.array(self.distortion))
             x, y = places[:, 0].reshape(x.shape), places[:, 1].reshape(y.shape)
         direction = np.stack([x, y, np.ones_like(x)], axis=-1)
         direction = direction @ self.rotation.T
@@ -136,7 +136,7 @@ class Camera:
         depth = np.where(points[..., 2:] > 0.0, points[..., 2:], np.nan)
         plane = points[..., :2] / depth
         if self.distorts:
-            plane = distorted(plane.reshape(-1, 2), np.array(self.distortion)).reshape(plane.shape)
+            plane = distort(plane.reshape(-1, 2), np.array(self.distortion)).reshape(plane.shape)
         pixels: Floats = plane * self.focal_length_px + self.principal_px
         return pixels
 

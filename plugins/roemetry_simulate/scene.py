@@ -26,7 +26,7 @@ from roemetry.config.scene_parts import (
     TargetsPart,
 )
 from roemetry.errors import MisfitError
-from roemetry.records.camera_model import undistorted
+from roemetry.records.view import undistort
 from roemetry.stages import StageOptions
 from roemetry_simulate.optics import (
     Camera,
@@ -223,7 +223,7 @@ def check_laser(camera_part: CameraPart, part: LaserPart) -> None:
 def _check_distortion(camera: Camera, x: Floats, y: Floats) -> None:
     """Raise MisfitError where going out from the optical axis does not go out in the image all the way."""
     f, (cx, cy) = camera.focal_length_px, camera.principal_px
-    far_x, far_y = undistorted(np.stack([x - cx, y - cy], axis=1) / f, np.array(camera.distortion)).T
+    far_x, far_y = undistort(np.stack([x - cx, y - cy], axis=1) / f, np.array(camera.distortion)).T
     out = np.linspace(0.0, 1.0, 65)[:, None]
     k1, k2, _, _, k3 = camera.distortion
     r = np.hypot(far_x, far_y) * out

@@ -23,8 +23,8 @@ from roemetry.records import (
 )
 from roemetry.records.calibration import Calibration
 from roemetry.run.preprocess import prepare
-from roemetry.run.stage_errors import blamed
-from roemetry.stages.contracts import given
+from roemetry.run.stage_errors import wrap_stage_error
+from roemetry.stages.kinds import check_result_type
 from roemetry.stages.registry import Registry, discover
 
 
@@ -50,8 +50,8 @@ def calibrate_with_evidence(rig: Rig, *, registry: Registry | None = None) -> tu
 
 
 def _calibrated(rig: Rig, observed: CalibrationSet, hashes: dict[str, str]) -> Calibration:
-    with blamed("calibrator", rig.calibrator):
-        calibration: Calibration = given("calibrator", rig.calibrator.make().calibrate(observed))
+    with wrap_stage_error("calibrator", rig.calibrator):
+        calibration: Calibration = check_result_type("calibrator", rig.calibrator.make().calibrate(observed))
     return replace(calibration, image_sha256=hashes, made=datetime.now(UTC).isoformat(timespec="seconds"))
 
 
@@ -103,8 +103,8 @@ def observe(rig: Rig, registry: Registry) -> tuple[CalibrationSet, dict[str, str
                     None  # in other light than the laser image: it shows the board, not what to subtract
                 )
             light = frame if partner is None else _prepared(read, partner, rig)
-            with blamed("extractor", rig.extractor):
-                peaks = given("extractor", extractor.extract(light))
+            with wrap_stage_error("extractor", rig.extractor):
+                peaks = check_result_type("extractor", extractor.extract(light))
             observations.append(Observation(target, frame, peaks, pose))
     if not observations:
         raise CalibrationError(

@@ -16,7 +16,7 @@ from typing import Any, Protocol, Self
 
 from roemetry.config.overrides import Overridden
 from roemetry.config.recipe_file import NEEDS, CalibrationCheck, RecipeFile, SourceChoice
-from roemetry.config.resolve import Chooser, Chosen
+from roemetry.config.resolve import ResolvedStage, StageResolver
 from roemetry.config.validation import checked
 from roemetry.errors import ConfigurationError, RoemetryError
 from roemetry.io.yaml_source import Document, Step, read
@@ -44,7 +44,7 @@ class Recipe:
     sets: tuple[str, ...]
     product: str
     source_choice: SourceChoice
-    source: Chosen
+    source: ResolvedStage
     """source_choice, source: where images come from and how they are made ready; the source stage."""
     source_path: Path
     calibration_path: Path | None
@@ -54,10 +54,10 @@ class Recipe:
     """What is added to heights because light enters the product; None: nothing."""
     calibration_check: CalibrationCheck | None
     """What is asked of the calibration; None: nothing."""
-    stages: Mapping[str, Chosen]
+    stages: Mapping[str, ResolvedStage]
     draws: int
     """Monte Carlo draws for the uncertainty of the results; 0: none."""
-    sinks: tuple[Chosen, ...]
+    sinks: tuple[ResolvedStage, ...]
 
     @classmethod
     def load(cls, path: Path | str, *, sets: Sequence[str] = (), registry: Registry | None = None) -> Self:
@@ -150,9 +150,9 @@ def _resolved(
     file, faults = checked(RecipeFile, document.data, document.place)
     if file is None:
         raise ConfigurationError(faults)
-    chooser = Chooser(registry, document.place, path.parent)
+    chooser = StageResolver(registry, document.place, path.parent)
     source = chooser.choose("source", file.source, "source")
-    stages: dict[str, Chosen] = {}
+    stages: dict[str, ResolvedStage] = {}
     for kind in type(file.stages).model_fields:
         choice = getattr(file.stages, kind)
         if choice is None:
@@ -207,7 +207,7 @@ def _resolved(
     }
 
 
-def _check_needs(stages: Mapping[str, Chosen], file: RecipeFile, chooser: Chooser) -> None:
+def _check_needs(stages: Mapping[str, ResolvedStage], file: RecipeFile, chooser: StageResolver) -> None:
     """Note a fault where the grader asks for the result of a stage that the recipe has not."""
     grader = stages.get("grader")
     if grader is None:
@@ -217,7 +217,9 @@ def _check_needs(stages: Mapping[str, Chosen], file: RecipeFile, chooser: Choose
             chooser.fault(f"it works on the result of the {kind}; add one", "stages", "grader")
 
 
-def _check_count(calibration: Calibration, stages: Mapping[str, Chosen], chooser: Chooser) -> None:
+def _check_count(
+    calibration: Calibration, stages: Mapping[str, ResolvedStage], chooser: StageResolver
+) -> None:
     """Note a fault where a stage is told of another number of stripes than was calibrated."""
     for kind, chosen in stages.items():
         count = getattr(chosen.options, "stripe_count", None)
@@ -228,7 +230,9 @@ def _check_count(calibration: Calibration, stages: Mapping[str, Chosen], chooser
             )  # fmt: skip
 
 
-def _check_method(calibration: Calibration, triangulator: Chosen | None, chooser: Chooser) -> None:
+def _check_method(
+    calibration: Calibration, triangulator: ResolvedStage | None, chooser: StageResolver
+) -> None:
     """Note a fault where the triangulator does not understand the calibration."""
     if triangulator is None or triangulator.registered.entry.name == calibration.method:
         return

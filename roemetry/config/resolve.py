@@ -23,7 +23,7 @@ class Choice(Protocol):
 
 
 @dataclass(frozen=True)
-class Chosen:
+class ResolvedStage:
     """A stage that was chosen: who provides it, its class, its checked options."""
 
     registered: Registered
@@ -51,7 +51,7 @@ class Chosen:
         }
 
 
-class Chooser:
+class StageResolver:
     """Resolves a file's choices and collects every fault.
 
     `place` gives ``file:line:column`` of a path in the file; relative paths in options begin at `folder`.
@@ -63,7 +63,7 @@ class Chooser:
         self._place = place
         self._folder = folder
 
-    def choose(self, kind: str, choice: Choice, *at: Step) -> Chosen | None:
+    def choose(self, kind: str, choice: Choice, *at: Step) -> ResolvedStage | None:
         """Find, import and configure a stage that stands at a path of the file; None where that fails."""
         try:
             registered = self._registry.find(kind, choice.use)
@@ -83,7 +83,7 @@ class Chooser:
         for name, path in files.items():
             if not path.is_file():
                 self.fault(f"there is no file {path}", *at, "options", name)
-        return Chosen(registered, stage, options.model_copy(update=files) if files else options)
+        return ResolvedStage(registered, stage, options.model_copy(update=files) if files else options)
 
     def fault(self, sentence: str, *at: Step) -> None:
         """Note a fault at a path of the file."""

@@ -12,7 +12,7 @@ from pydantic import Field
 
 from roemetry.config.overrides import Overridden
 from roemetry.config.recipe_file import Channel, Choice, Section, SensorFile, StageChoice, Turn
-from roemetry.config.resolve import Chooser, Chosen
+from roemetry.config.resolve import ResolvedStage, StageResolver
 from roemetry.config.target_file import (
     BlockFile,
     BoardFile,
@@ -118,8 +118,8 @@ class Rig:
     pyramid: Pyramid | None
     sphere_plate: SpherePlate | None
     images: dict[str, list[Path]]
-    extractor: Chosen
-    calibrator: Chosen
+    extractor: ResolvedStage
+    calibrator: ResolvedStage
 
     @property
     def ruler(self) -> Ruler | None:
@@ -139,7 +139,7 @@ class Rig:
         file, faults = checked(RigFile, document.data, document.place)
         if file is None:
             raise ConfigurationError(faults)
-        chooser = Chooser(registry or discover(), document.place, path.parent)
+        chooser = StageResolver(registry or discover(), document.place, path.parent)
         extractor = chooser.choose("extractor", file.extractor, "extractor")
         calibrator = chooser.choose("calibrator", file.calibrator, "calibrator")
         images = {
@@ -169,7 +169,7 @@ class Rig:
         return cls(path, file, block, board, staircase, pyramid, spheres, images, extractor, calibrator)
 
 
-def _found(folder: Path, pattern: str, chooser: Chooser, shows: str, index: int) -> list[Path]:
+def _found(folder: Path, pattern: str, chooser: StageResolver, shows: str, index: int) -> list[Path]:
     found = (
         sorted(folder.glob(pattern), key=_in_order) if not Path(pattern).is_absolute() else [Path(pattern)]
     )
@@ -191,7 +191,7 @@ def _in_order(path: Path) -> tuple[tuple[int, str], ...]:
     return tuple((int(part), "") if part.isdigit() else (-1, part) for part in parts)
 
 
-def _poses_differ(paths: list[Path], shows: str, chooser: Chooser) -> None:
+def _poses_differ(paths: list[Path], shows: str, chooser: StageResolver) -> None:
     seen: dict[str, Path] = {}
     for path in paths:
         other = seen.setdefault(pose_of(path), path)
@@ -204,7 +204,7 @@ def _poses_differ(paths: list[Path], shows: str, chooser: Chooser) -> None:
             )
 
 
-def _asked(chooser: Chooser, key: str, read_it: Callable[[], _Target]) -> _Target | None:
+def _asked(chooser: StageResolver, key: str, read_it: Callable[[], _Target]) -> _Target | None:
     try:
         return read_it()
     except RoemetryError as error:

@@ -15,7 +15,7 @@ from pydantic import Field, field_validator
 
 from roemetry.config.overrides import Overridden
 from roemetry.config.recipe_file import Choice, Section
-from roemetry.config.resolve import Chooser, Chosen
+from roemetry.config.resolve import ResolvedStage, StageResolver
 from roemetry.config.validation import checked
 from roemetry.errors import ConfigurationError, RoemetryError
 from roemetry.io.files import sha256_of
@@ -58,7 +58,7 @@ class Scene:
     path: Path
     sets: tuple[str, ...]
     file: SceneFile
-    simulator: Chosen
+    simulator: ResolvedStage
 
     @classmethod
     def load(cls, path: Path | str, *, sets: Sequence[str] = (), registry: Registry | None = None) -> Scene:
@@ -73,7 +73,7 @@ class Scene:
         file, faults = checked(SceneFile, data, document.place)
         if file is None:
             raise ConfigurationError(faults)
-        chooser = Chooser(registry or discover(), document.place, path.parent)
+        chooser = StageResolver(registry or discover(), document.place, path.parent)
         simulator = chooser.choose("simulator", file.simulator, "simulator")
         if chooser.faults or simulator is None:
             raise ConfigurationError(chooser.faults)

@@ -73,7 +73,7 @@ class Penetration:
             ) from error
 
 
-def raised(profiles: Profiles, offset_mm: float) -> Profiles:
+def raise_surface(profiles: Profiles, offset_mm: float) -> Profiles:
     """Lift the points of products by an offset in height, along their planes of light.
 
     A plane of light goes through the true surface before it enters it, so the true point lies in the same

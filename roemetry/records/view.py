@@ -18,7 +18,7 @@ from roemetry.errors import CalibrationError, DataError
 from roemetry.records.arrays import Checker, Floats
 
 
-def distorted(xy: Floats, distortion: Floats) -> Floats:
+def distort(xy: Floats, distortion: Floats) -> Floats:
     """Distort places (n, 2) on the plane at distance 1 as the lens does.
 
     `distortion` (k,) stands in OpenCV's order k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, τx, τy.
@@ -41,8 +41,8 @@ def distorted(xy: Floats, distortion: Floats) -> Floats:
     return np.asarray(tilted[:, :2] / tilted[:, 2:])
 
 
-def undistorted(xy: Floats, distortion: Floats) -> Floats:
-    """Take the lens's distortion out: the inverse of `distorted`, by Newton's method to 1e-13.
+def undistort(xy: Floats, distortion: Floats) -> Floats:
+    """Take the lens's distortion out: the inverse of `distort`, by Newton's method to 1e-13.
 
     Places beyond the fold of a strong distortion have no inverse and come back NaN.
     """
@@ -51,8 +51,8 @@ def undistorted(xy: Floats, distortion: Floats) -> Floats:
         return bent
     straight = bent.copy()
     for step in range(_NEWTON_STEPS + 1):
-        wrong = distorted(straight, distortion) - bent
-        a, b, c, d = slopes(straight, distortion)
+        wrong = distort(straight, distortion) - bent
+        a, b, c, d = distortion_jacobian(straight, distortion)
         determinant = a * d - b * c
         if step == _NEWTON_STEPS or not np.nanmax(np.abs(wrong), initial=0.0) > _NEWTON_RESIDUAL:
             break
@@ -66,8 +66,8 @@ def undistorted(xy: Floats, distortion: Floats) -> Floats:
     return straight
 
 
-def slopes(xy: Floats, distortion: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """Give ∂x′/∂x, ∂x′/∂y, ∂y′/∂x, ∂y′/∂y of `distorted` at places (n, 2), each (n,)."""
+def distortion_jacobian(xy: Floats, distortion: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """Give ∂x′/∂x, ∂x′/∂y, ∂y′/∂x, ∂y′/∂y of `distort` at places (n, 2), each (n,)."""
     k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, tau_x, tau_y = _all(distortion)
     x, y = xy[:, 0], xy[:, 1]
     r2 = x * x + y * y
@@ -80,7 +80,7 @@ def slopes(xy: Floats, distortion: Floats) -> tuple[Floats, Floats, Floats, Floa
     by_y = np.stack([cross + prism_x * y, radial + 2 * (y * y * rising + 3 * p1 * y + p2 * x) + prism_y * y])
     if tau_x or tau_y:
         turn = _tilt(tau_x, tau_y)
-        bent = distorted(xy, np.concatenate([distortion[:12], np.zeros(2)])).T
+        bent = distort(xy, np.concatenate([distortion[:12], np.zeros(2)])).T
         ahead = turn[2, :2] @ bent + turn[2, 2]
         place = (turn[:2, :2] @ bent + turn[:2, 2:]) / ahead
         by_x, by_y = ((turn[:2, :2] @ by - place * (turn[2, :2] @ by)) / ahead for by in (by_x, by_y))
@@ -181,7 +181,7 @@ class View:
         else:
             with np.errstate(divide="ignore", invalid="ignore"):
                 plane = np.where(seen[:, 2:] > 0, seen[:, :2] / seen[:, 2:], np.nan)
-            plane = distorted(plane, self.distortion)
+            plane = distort(plane, self.distortion)
         focal = np.diag(self.camera_matrix)[:2]
         return np.asarray(plane * focal + self.camera_matrix[:2, 2]).reshape((*xyz.shape[:-1], 2))
 
@@ -231,7 +231,7 @@ class View:
         """From pixels to the plane at distance 1 (telecentric: to mm), without the lens's distortion."""
         focal = np.diag(self.camera_matrix)[:2]
         seen = (xy_px - self.camera_matrix[:2, 2]) / focal
-        return undistorted(seen, self.distortion)
+        return undistort(seen, self.distortion)
 
 
 SUFFIXES = (".yaml", ".yml", ".json", ".xml")

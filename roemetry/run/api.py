@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from roemetry.config.recipe import Recipe as CheckedRecipe
 from roemetry.errors import DataError
 from roemetry.records import Acquisition, Frame, Measurement, Reason, Role, Trace
-from roemetry.run.batch import measured
+from roemetry.run.batch import measure_all
 from roemetry.run.control_chart import calibration_doubts
 from roemetry.run.pipeline import Pipeline
 from roemetry.run.rows import measurements_of
@@ -54,7 +54,7 @@ class Recipe(CheckedRecipe):
             The source has nothing.
         """
         references = self.source.make().references(self.source_path)
-        for lines, _ in measured(self, references, jobs, debug):
+        for lines, _ in measure_all(self, references, jobs, debug):
             for line in lines:
                 yield Measurement.from_json(line)
 

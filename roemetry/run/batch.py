@@ -97,7 +97,7 @@ def _run(
     finished = len(references) - len(to_do)
     on_progress(finished, len(references))
     with LineFile(folder / RECORD) as record:
-        for lines, took in measured(recipe, to_do, jobs, debug):
+        for lines, took in measure_all(recipe, to_do, jobs, debug):
             record.append("\n".join(lines))
             finished += 1
             for stage, value in took.items():
@@ -144,7 +144,7 @@ def derive(
     return tuple(files), tuple(faults)
 
 
-def measured(
+def measure_all(
     recipe: Recipe, references: Sequence[AcquisitionReference], jobs: int, debug: bool
 ) -> Iterator[Measured]:
     """Give each acquisition's lines, in the order of the source, with the seconds its stages took."""

@@ -30,8 +30,8 @@ from roemetry.records import (
 )
 from roemetry.records.arrays import Floats, Integers
 from roemetry.records.calibration import Calibration
-from roemetry.records.penetration import Penetration, raised
-from roemetry.run.split_products import assemble
+from roemetry.records.penetration import Penetration, raise_surface
+from roemetry.run.split_products import split_products
 
 COVERAGE = 0.95
 """Share of cases in which an interval is to hold the true value."""
@@ -276,27 +276,27 @@ def propagate(
     rng = np.random.default_rng(seed)
     if not products:
         return products
-    drawn = Drawn(scene, chain, rng)
+    drawn = Sampler(scene, chain, rng)
     own = min(draws, max(_BUDGET_DRAWS_MIN, draws // 4))
     together: dict[int, list[Result]] = {trace.product.number: [] for trace in products}
     alone: dict[str, dict[int, list[Result]]] = {}
     for by_number in drawn.scenes(draws, drawn.causes):
         for trace in products:
             number = trace.product.number
-            together[number].append(again(chain, trace, by_number.get(number), rng, model=True))
+            together[number].append(rerun(chain, trace, by_number.get(number), rng, model=True))
     for cause in drawn.causes:
         alone[cause] = {trace.product.number: [] for trace in products}
         for by_number in drawn.scenes(own, (cause,)):
             for trace in products:
                 number = trace.product.number
-                found = again(chain, trace, by_number.get(number), rng, model=False, graded=False)
+                found = rerun(chain, trace, by_number.get(number), rng, model=False, graded=False)
                 alone[cause][number].append(found)
     return tuple(
         with_uncertainty(
             trace,
             together[trace.product.number],
             {cause: found[trace.product.number] for cause, found in alone.items()},
-            models_alone(trace, chain, rng, own),
+            draw_models(trace, chain, rng, own),
             _what_is_unstated(trace, scene, chain, drawn),
         )
         for trace in products
@@ -327,7 +327,7 @@ _WEIGHT_NOT_STATED = Reason(
 )
 
 
-def _what_is_unstated(trace: ProductTrace, scene: Scene, chain: Chain, drawn: Drawn) -> Unstated:
+def _what_is_unstated(trace: ProductTrace, scene: Scene, chain: Chain, drawn: Sampler) -> Unstated:
     """Give what keeps the uncertainty of volume and weight from being stated."""
     reasons = []
     if not drawn.peaks_stated:
@@ -339,15 +339,15 @@ def _what_is_unstated(trace: ProductTrace, scene: Scene, chain: Chain, drawn: Dr
         reasons.append(_VOLUME_NOT_STATED)
     outline = trace.product.outline
     if outline is not None and not math.isfinite(outline.xy_std_px) and trace.volume is not None:
-        probed = replace(trace.product, outline=moved(outline, _PROBE_PX))
-        other = done(lambda: chain.volume.estimate(probed))
+        probed = replace(trace.product, outline=offset_contour(outline, _PROBE_PX))
+        other = result_or_none(lambda: chain.volume.estimate(probed))
         if other is None or other.visible_mm3.value != trace.volume.visible_mm3.value:
             reasons.append(_OUTLINE_NOT_STATED)
     weigher = chain.weigher and not chain.weigher.states_model_error
     return Unstated(tuple(reasons), (_WEIGHT_NOT_STATED,) if weigher else (), points=not drawn.peaks_stated)
 
 
-class Drawn:
+class Sampler:
     """Draws scenes: stripes and outlines with noise, a calibration from its distribution.
 
     Attributes
@@ -383,7 +383,7 @@ class Drawn:
                 calibration = next(self._calibrations)
             if OUTLINE in causes:
                 outlines = tuple(
-                    moved(found, float(self._rng.normal(0.0, np.nan_to_num(found.xy_std_px))))
+                    offset_contour(found, float(self._rng.normal(0.0, np.nan_to_num(found.xy_std_px))))
                     for found in outlines
                 )
             light = scene.penetration
@@ -407,10 +407,10 @@ class Drawn:
             return {}
         profiles = _cut(profiles)
         if offset_mm:
-            profiles = raised(profiles, offset_mm)
+            profiles = raise_surface(profiles, offset_mm)
         drawn = calibration is not self._scene.calibration
         view = calibration.view if drawn else triangulator.view(calibration)
-        found = assemble(profiles, outlines, calibration, self._scene.acquisition_id, view=view)
+        found = split_products(profiles, outlines, calibration, self._scene.acquisition_id, view=view)
         return {product.number: product for product in found}
 
     def _noise_px(self) -> Floats:
@@ -459,7 +459,7 @@ def _smoothed(noise: Floats, reach_rows: float) -> Floats:
     return np.stack([np.convolve(line, kernel, mode="valid") for line in padded])
 
 
-def moved(outline: Outline, by_px: float) -> Outline:
+def offset_contour(outline: Outline, by_px: float) -> Outline:
     """Move a contour outwards along its normals."""
     ahead = np.roll(outline.xy_px, -1, axis=0) - np.roll(outline.xy_px, 1, axis=0)
     length = np.sqrt((ahead**2).sum(axis=1))
@@ -470,7 +470,7 @@ def moved(outline: Outline, by_px: float) -> Outline:
     return replace(outline, xy_px=outline.xy_px + by_px * outwards * normal)
 
 
-def again(
+def rerun(
     chain: Chain,
     trace: ProductTrace,
     product: Product | None,
@@ -483,9 +483,13 @@ def again(
     if product is None:
         return Result()
     own = rng if model else None
-    volume = done(lambda: _estimated(chain, trace, product, own)) if chain.volume else None
+    volume = result_or_none(lambda: _estimated(chain, trace, product, own)) if chain.volume else None
     found = _weighed(chain, product, volume, own)._replace(height_max_mm=product.height_max_mm)
-    grade = done(lambda: chain.classifier.classify(product, rng=own)) if chain.classifier and graded else None
+    grade = (
+        result_or_none(lambda: chain.classifier.classify(product, rng=own))
+        if chain.classifier and graded
+        else None
+    )
     if grade is None:
         return found
     return found._replace(label=grade.label, probability=grade.probability, features=grade.features)
@@ -501,7 +505,7 @@ def _estimated(
     return drawn
 
 
-def models_alone(
+def draw_models(
     trace: ProductTrace, chain: Chain, rng: np.random.Generator, count: int
 ) -> Mapping[str, list[Result]]:
     """Draw the volume's model alone, and the weigher's model alone, on the product as it was found."""
@@ -510,7 +514,7 @@ def models_alone(
     if volume is None:
         return found
     if chain.volume.states_model_error:
-        drawn = (done(lambda: chain.volume.redraw(product, volume, rng=rng)) for _ in range(count))
+        drawn = (result_or_none(lambda: chain.volume.redraw(product, volume, rng=rng)) for _ in range(count))
         found[VOLUME_MODEL] = [_weighed(chain, product, volume, None) for volume in drawn]
     if chain.weigher and chain.weigher.states_model_error:
         found[WEIGHT_MODEL] = [_weighed(chain, product, volume, rng) for _ in range(count)]
@@ -524,7 +528,7 @@ def _weighed(
         return Result()
     weight: Weight | None = None
     if chain.weigher:
-        weight = done(lambda: chain.weigher.weigh(product, volume, rng=rng))
+        weight = result_or_none(lambda: chain.weigher.weigh(product, volume, rng=rng))
     return Result(
         visible_mm3=volume.visible_mm3.value,
         true_mm3=math.nan if volume.true_mm3 is None else volume.true_mm3.value,
@@ -532,7 +536,7 @@ def _weighed(
     )
 
 
-def done(step: Callable[[], Any]) -> Any:
+def result_or_none(step: Callable[[], Any]) -> Any:
     """Give a step's result, or None where a stage refuses."""
     try:
         return step()

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from roemetry.config.recipe import Recipe
-from roemetry.config.resolve import Chosen
+from roemetry.config.resolve import ResolvedStage
 from roemetry.errors import FAULTS
 from roemetry.records import (
     Acquisition,
@@ -30,14 +30,14 @@ from roemetry.records import (
     Weight,
 )
 from roemetry.records.calibration import Alignment, Calibration
-from roemetry.records.penetration import raised
+from roemetry.records.penetration import raise_surface
 from roemetry.records.view import View
 from roemetry.run.monte_carlo import Chain, Scene, propagate, without_draws
 from roemetry.run.open_parts import OpenPart, open_parts, said_of, widened, widened_by
 from roemetry.run.preprocess import prepare, prepare_plain
-from roemetry.run.split_products import assemble
-from roemetry.run.stage_errors import failure, refuses
-from roemetry.stages.kinds import given
+from roemetry.run.split_products import split_products
+from roemetry.run.stage_errors import describe_failure, is_refusal
+from roemetry.stages.kinds import check_result_type
 
 T = TypeVar("T")
 
@@ -142,10 +142,10 @@ class Pipeline:
             )
         penetration = self.recipe.penetration
         if profiles is not None and penetration is not None:
-            profiles = raised(profiles, penetration.offset_mm)
+            profiles = raise_surface(profiles, penetration.offset_mm)
         if profiles is not None and stripes is not None and calibration is not None:
             view = self._view_of(calibration)
-            assembled = assemble(profiles, outlines, calibration, acquisition.id, stripes.reasons, view)
+            assembled = split_products(profiles, outlines, calibration, acquisition.id, stripes.reasons, view)
             opened = open_parts(peaks, stripes) if peaks is not None else {}
             assembled = tuple(_with_open_part(product, opened.get(product.number)) for product in assembled)
             doubts = {
@@ -240,7 +240,7 @@ class _Steps:
     """Runs steps, takes their time, and notes why a result is missing."""
 
     def __init__(
-        self, chosen: Mapping[str, Chosen], debug: bool, seconds: dict[str, float] | None = None
+        self, chosen: Mapping[str, ResolvedStage], debug: bool, seconds: dict[str, float] | None = None
     ) -> None:
         self.absent: dict[str, Reason] = {}
         self.seconds: dict[str, float] = {} if seconds is None else seconds
@@ -251,15 +251,17 @@ class _Steps:
         """Run a step; None if it could not be done."""
         begin = time.perf_counter()
         try:
-            return given(kind, step())
+            return check_result_type(kind, step())
         # A fault in one plugin must not end a batch; the row says whose fault it is.
         except FAULTS as error:
             if self._debug:
                 raise
-            if refuses(error):
+            if is_refusal(error):
                 self.absent[kind] = Reason(f"{kind}-refused", str(error))
             else:
-                self.absent[kind] = Reason(f"{kind}-fault", failure(error, kind, self._chosen.get(kind)))
+                self.absent[kind] = Reason(
+                    f"{kind}-fault", describe_failure(error, kind, self._chosen.get(kind))
+                )
         finally:
             self.seconds[kind] = self.seconds.get(kind, 0.0) + time.perf_counter() - begin
         return None

@@ -11,7 +11,7 @@ from roemetry.records.view import View
 _NOTHING = np.int16(NOTHING)
 
 
-def assemble(
+def split_products(
     profiles: Profiles,
     outlines: tuple[Outline, ...],
     calibration: Calibration,

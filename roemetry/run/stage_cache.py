@@ -33,7 +33,7 @@ class _Fault(NamedTuple):
     raised_at: TracebackType | None
 
 
-class StepMemory:
+class StageCache:
     """Results of the steps of one acquisition, with the time each took; cleared between acquisitions.
 
     Of more than `most` results the one that was used longest ago is forgotten; None keeps all.
@@ -69,7 +69,7 @@ class StepMemory:
         return result, seconds
 
 
-class RememberedStages:
+class CachedStages:
     """A recipe's stages, for a pipeline, sharing a memory with the stages of all recipes compared.
 
     Attributes
@@ -82,11 +82,11 @@ class RememberedStages:
         By kind, the time its steps took where they were done, s; add up until `start`.
     """
 
-    def __init__(self, recipe: Recipe, memory: StepMemory, draws: int | None = None) -> None:
+    def __init__(self, recipe: Recipe, memory: StageCache, draws: int | None = None) -> None:
         self.keys = step_keys(recipe, recipe.draws if draws is None else draws)
         self.seconds: dict[str, float] = {}
         self.stages: dict[str, Any] = {
-            kind: _RememberedStage(kind, chosen.make(), self.keys[kind], memory, self.seconds)
+            kind: _CachedStage(kind, chosen.make(), self.keys[kind], memory, self.seconds)
             for kind, chosen in recipe.stages.items()
         }
 
@@ -123,11 +123,11 @@ def step_keys(recipe: Recipe, draws: int) -> dict[str, str]:
     return keys
 
 
-class _RememberedStage:
+class _CachedStage:
     """One stage with its kind's verb, which does the work only if nobody has done it."""
 
     def __init__(
-        self, kind: str, stage: Any, key: str, memory: StepMemory, seconds: dict[str, float]
+        self, kind: str, stage: Any, key: str, memory: StageCache, seconds: dict[str, float]
     ) -> None:
         (verb,) = INTERFACES[kind].__abstractmethods__
         work = getattr(stage, verb)

@@ -444,7 +444,7 @@ _GIVES: Mapping[str, type] = {
 }
 
 
-def given(kind: str, result: T) -> T:
+def check_result_type(kind: str, result: T) -> T:
     """Give a result on, if it is the record of its kind or the kind is free to give what it likes.
 
     Else TypeError says what was expected: ``None`` would pass for a step that was not wanted, and a belt

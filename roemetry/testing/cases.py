@@ -31,7 +31,7 @@ from roemetry.stages import (
     Triangulator,
     Weigher,
 )
-from roemetry.stages.kinds import given
+from roemetry.stages.kinds import check_result_type
 from roemetry.testing.runs import failed, measured, run_of, volume_of
 from roemetry.testing.scenes import SEED, LinearRig, frame_of, moved_rig
 from roemetry.testing.solids import BOX, HALF_ELLIPSOID, product_from, product_of
@@ -40,7 +40,7 @@ BLOCK = Block("block", length_mm=100.0, width_mm=30.0, height_mm=8.0, tolerance_
 SUITED = (Calibrator, Source, Triangulator)
 
 
-def made(cls: type[Stage[Any]], options: Mapping[str, Any] | None = None) -> Stage[Any]:
+def make_stage(cls: type[Stage[Any]], options: Mapping[str, Any] | None = None) -> Stage[Any]:
     """Make a stage with these options, else with those its fixture gives, else with its default ones."""
     if options is not None:
         return cls(cls.Options.model_validate(options))
@@ -154,7 +154,7 @@ def _calling(verb: str, inputs: tuple[Any, ...]) -> Callable[[Any], Any]:
 
 def _typed(case: Case, kind: str) -> Case:
     """Let a call say so if the stage does not give the record of its kind."""
-    return replace(case, call=lambda called: given(kind, case.call(called)))
+    return replace(case, call=lambda called: check_result_type(kind, case.call(called)))
 
 
 Three = tuple[tuple[Any, ...], tuple[Any, ...], tuple[Any, ...]]

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from roemetry.config.resolve import misfit_of
 from roemetry.errors import FAULTS, PluginError
-from roemetry.run.stage_errors import place_in
+from roemetry.run.stage_errors import plugin_frame
 from roemetry.stages import Stage
 from roemetry.stages.registry import Registered, Registry, discover, not_installed
-from roemetry.testing.cases import made
+from roemetry.testing.cases import make_stage
 from roemetry.testing.checks import Check, checks_of, name_of
 
 if TYPE_CHECKING:
@@ -55,12 +55,12 @@ def conformance(
     PluginError
         The stage cannot be imported or made, or a failure of a check is declared that its kind has not.
     """
-    stage, expected = prepared(registered, expected_failures, options)
+    stage, expected = prepare_stage(registered, expected_failures, options)
     for check in checks_of(registered.entry.kind):
-        yield check, judged(stage, check, expected.get(name_of(check)))
+        yield check, run_check(stage, check, expected.get(name_of(check)))
 
 
-def judged(stage: Stage[Any], check: Check, reason: str | None = None) -> Result:
+def run_check(stage: Stage[Any], check: Check, reason: str | None = None) -> Result:
     """Run one check; `reason` says why it is expected to fail."""
     try:
         check(stage)
@@ -78,11 +78,11 @@ def _told(error: BaseException, module: str) -> str:
     """Say what a check found, or what the stage raised and where in its code."""
     if isinstance(error, AssertionError):
         return str(error)
-    place = place_in(error, module)
+    place = plugin_frame(error, module)
     return f"{type(error).__name__}: {error}" + ("" if place is None else f" (at {place})")
 
 
-def prepared(
+def prepare_stage(
     registered: Registered,
     expected_failures: Mapping[str, str] | None = None,
     options: Mapping[str, Any] | None = None,
@@ -96,7 +96,7 @@ def prepared(
     if misfit is not None:
         raise PluginError(f"{entry.target} of {registered.provider} cannot be used: {misfit}")
     try:
-        stage = made(cls, options)
+        stage = make_stage(cls, options)
     except PluginError:
         raise
     except FAULTS as error:
@@ -207,7 +207,7 @@ def parametrized(
             for key, reason in (expected_failures or {}).items()
             if key in _keys(registered)
         }
-        stage, expected = prepared(registered, mine, (options or {}).get(entry.name))
+        stage, expected = prepare_stage(registered, mine, (options or {}).get(entry.name))
         for check in checks_of(entry.kind):
             reason = expected.get(name_of(check))
             marks = () if reason is None else pytest.mark.xfail(strict=True, reason=reason)

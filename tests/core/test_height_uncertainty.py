@@ -10,7 +10,7 @@ import pytest
 
 from roemetry.records import Estimate, ProductTrace
 from roemetry.run.monte_carlo import Chain, Scene, propagate
-from roemetry.run.split_products import assemble
+from roemetry.run.split_products import split_products
 from roemetry.testing.scenes import LinearRig
 from roemetry_paper.block_linear import BlockLinear
 
@@ -34,7 +34,7 @@ def drawn(noise_px: np.ndarray | float, std_px: float, omega_relative: float, dr
         x_std_px=np.where(stripes.seen, std_px, np.nan),
     )
     profiles = TRIANGULATOR.triangulate(stripes, calibration)
-    (product,) = assemble(profiles, (), calibration, "a")
+    (product,) = split_products(profiles, (), calibration, "a")
     chain = Chain(TRIANGULATOR, None, None, None)
     found = ProductTrace(product, None, None, None)
     (traced,) = propagate((found,), Scene("a", stripes, (), calibration), chain, draws=draws)

@@ -16,7 +16,7 @@ from roemetry.cli.main import app
 from roemetry.config.recipe import Recipe
 from roemetry.errors import CalibrationError, ConfigurationError, DataError
 from roemetry.records import Block
-from roemetry.records.penetration import Penetration, raised
+from roemetry.records.penetration import Penetration, raise_surface
 from roemetry.run.batch import run_recipe
 from roemetry.testing.scenes import LinearRig
 from roemetry_paper.block_linear import BlockLinear
@@ -27,7 +27,7 @@ LIGHT = Penetration("roe", 0.4, 0.05, "c" * 64, "block", "2026-05-01T00:00:00+00
 
 def test_points_of_products_are_lifted_and_stay_on_their_planes() -> None:
     before = BlockLinear().triangulate(RIG.stripe_map(RIG.dome()), RIG.calibration())
-    after = raised(before, 0.4)
+    after = raise_surface(before, 0.4)
     risen = after.xyz_mm[:, :, 2] - before.xyz_mm[:, :, 2]
     np.testing.assert_allclose(risen[before.product > 0], 0.4, atol=1e-12)  # mm
     np.testing.assert_array_equal(risen[before.product == 0], 0.0)

@@ -12,8 +12,8 @@ import pytest
 from roemetry.errors import StageError
 from roemetry.records import Estimate, Grade, Outline, ProductTrace, Shares, StripeMap, Volume, Weight
 from roemetry.records.calibration import Calibration
-from roemetry.run.monte_carlo import Chain, Scene, moved, propagate
-from roemetry.run.split_products import assemble
+from roemetry.run.monte_carlo import Chain, Scene, offset_contour, propagate
+from roemetry.run.split_products import split_products
 from roemetry.stages import Classifier, StageOptions, VolumeEstimator, Weigher
 from roemetry.testing.scenes import LinearRig
 from roemetry_paper.block_linear import BlockLinear
@@ -126,7 +126,7 @@ def done(
     triangulator=BlockLinear(),  # noqa: B008
 ) -> ProductTrace:
     profiles = triangulator.triangulate(given.stripes, given.calibration)
-    (product,) = assemble(profiles, given.outlines, given.calibration, "a")
+    (product,) = split_products(profiles, given.outlines, given.calibration, "a")
     volume = estimator.estimate(product)
     found = ProductTrace(
         product=product,
@@ -238,9 +238,9 @@ def test_a_calibration_known_to_be_approximate_gives_no_interval(root: Path) -> 
 
 
 def test_a_contour_moves_as_one() -> None:
-    out = moved(contour(0.5), 2.0).xy_px
+    out = offset_contour(contour(0.5), 2.0).xy_px
     assert np.ptp(out[:, 0]) == pytest.approx(164.0, abs=0.1)  # px
-    back = moved(replace(contour(0.5), xy_px=contour(0.5).xy_px[::-1]), 2.0).xy_px
+    back = offset_contour(replace(contour(0.5), xy_px=contour(0.5).xy_px[::-1]), 2.0).xy_px
     assert np.ptp(back[:, 1]) == pytest.approx(84.0, abs=0.1)  # px
     found = done(scene(outlines=(contour(0.5),)), ByOutline())
     assert found.volume.visible_mm3.budget["outline"] == pytest.approx(2 * 0.5, rel=0.18)

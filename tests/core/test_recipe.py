@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from roemetry.cli.main import app
 from roemetry.config.recipe import Recipe
 from roemetry.config.recipe_file import StageChoice
-from roemetry.config.resolve import Chooser, misfit_of
+from roemetry.config.resolve import StageResolver, misfit_of
 from roemetry.config.schemas import schema_of
 from roemetry.errors import ConfigurationError
 from roemetry.io.files import sha256_of
@@ -229,8 +229,8 @@ class OneStage:
         return FromTable
 
 
-def chooser(folder: Path) -> Chooser:
-    return Chooser(OneStage(), lambda at: "recipe.yaml:3:5", folder)  # type: ignore[arg-type]
+def chooser(folder: Path) -> StageResolver:
+    return StageResolver(OneStage(), lambda at: "recipe.yaml:3:5", folder)  # type: ignore[arg-type]
 
 
 def test_a_file_is_looked_for_beside_the_recipe(tmp_path: Path) -> None:

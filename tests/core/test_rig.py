@@ -13,7 +13,7 @@ from roemetry.config.rig import Rig, pose_of
 from roemetry.config.target_file import TARGET_FILES
 from roemetry.config.validation import checked
 from roemetry.errors import CalibrationError, ConfigurationError
-from roemetry.io.shipped import shipped
+from roemetry.io.files import shipped
 from roemetry.io.yaml_source import read
 from roemetry.records import Ruler, SpherePlate
 from roemetry.records.calibration import Calibration

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from roemetry.config.recipe import Recipe
-from roemetry.config.resolve import Chosen
+from roemetry.config.resolve import ResolvedStage
 from roemetry.errors import DataError, PluginError
 from roemetry.records import Decision, Estimate, Peaks, Weight
-from roemetry.run.stage_cache import RememberedStages, StepMemory
-from roemetry.run.stage_errors import blamed, failure, place_in
+from roemetry.run.stage_cache import CachedStages, StageCache
+from roemetry.run.stage_errors import describe_failure, plugin_frame, wrap_stage_error
 from roemetry.stages.registry import discover
 from roemetry.testing.solids import HALF_ELLIPSOID, product_of
 
@@ -29,45 +29,45 @@ def caught() -> Exception:
     raise AssertionError
 
 
-def chosen() -> Chosen:
+def chosen() -> ResolvedStage:
     registered = discover().find("extractor", "dominant-peak")
     stage = discover().load(registered)
-    return Chosen(registered, stage, stage.Options())
+    return ResolvedStage(registered, stage, stage.Options())
 
 
 def test_the_innermost_line_of_the_package_is_named() -> None:
     line = caught.__code__.co_firstlineno + 3
-    assert place_in(caught(), __name__) == f"{Path(__file__).name}:{line}"
-    assert str(place_in(caught(), "json")).startswith("decoder.py:")
+    assert plugin_frame(caught(), __name__) == f"{Path(__file__).name}:{line}"
+    assert str(plugin_frame(caught(), "json")).startswith("decoder.py:")
 
 
 def test_no_place_is_better_than_a_wrong_one() -> None:
-    assert place_in(caught(), "roemetry_paper.dominant_peak") is None
-    assert place_in(ValueError("never raised"), __name__) is None
+    assert plugin_frame(caught(), "roemetry_paper.dominant_peak") is None
+    assert plugin_frame(ValueError("never raised"), __name__) is None
 
 
 def test_the_stage_is_named() -> None:
-    said = failure(ValueError("oh"), "extractor", chosen())
+    said = describe_failure(ValueError("oh"), "extractor", chosen())
     assert said == (
         "the extractor `dominant-peak` failed with ValueError: oh (a plugin's fault; see --debug)"
     )
-    assert failure(ValueError("oh"), "draws", None).startswith("the draws failed with ValueError")
+    assert describe_failure(ValueError("oh"), "draws", None).startswith("the draws failed with ValueError")
 
 
 def test_outside_a_run_a_fault_is_a_plugin_error_and_a_refusal_stays_one() -> None:
     fault = pytest.raises(PluginError, match="the extractor `dominant-peak` failed")
-    with fault as broke, blamed("extractor", chosen()):
+    with fault as broke, wrap_stage_error("extractor", chosen()):
         raise ZeroDivisionError("oh")
     assert isinstance(broke.value.__cause__, ZeroDivisionError)
-    with pytest.raises(DataError), blamed("extractor", chosen()):
+    with pytest.raises(DataError), wrap_stage_error("extractor", chosen()):
         raise DataError("no light")
-    with fault, blamed("extractor", chosen()):
+    with fault, wrap_stage_error("extractor", chosen()):
         sys.exit(0)
 
 
 def test_a_record_that_contradicts_itself_is_its_stages_fault() -> None:
     fault = pytest.raises(PluginError, match="`dominant-peak` failed with RecordError: Peaks: ")
-    with fault as broke, blamed("extractor", chosen()):
+    with fault as broke, wrap_stage_error("extractor", chosen()):
         Peaks((4, 4), np.array([0.5]), *(np.array([np.nan]),) * 5, flags=np.zeros(1))
     assert "row holds what is no whole number" in broke.value.message
     assert "x_px is outside −0.5…3.5, or not a number" in broke.value.message
@@ -81,11 +81,11 @@ GRADER = (
 
 def test_a_grader_decides_anew_where_draws_give_other_uncertainties(line: Callable[..., Path]) -> None:
     recipe = Recipe.load(line(count=1), sets=[GRADER])
-    memory = StepMemory()
+    memory = StageCache()
     product = product_of(HALF_ELLIPSOID)
 
     def decided(draws: int, std_g: float) -> Decision:
-        grader = RememberedStages(recipe, memory, draws).stages["grader"]
+        grader = CachedStages(recipe, memory, draws).stages["grader"]
         found: Decision = grader.decide(product, None, Weight(Estimate(9.9, std_g)), None)
         return found
 
@@ -96,7 +96,7 @@ def test_a_grader_decides_anew_where_draws_give_other_uncertainties(line: Callab
 
 
 def test_what_a_step_raised_is_raised_again_with_its_place() -> None:
-    memory, places = StepMemory(), []
+    memory, places = StageCache(), []
 
     def breaks() -> None:
         raise IndexError("oh")

@@ -22,10 +22,9 @@ from roemetry.stages.hookspecs import StageEntry
 from roemetry.stages.registry import Provider, Registered, discover
 from roemetry.testing import LinearRig, checks_of, conformance, parametrize_stages, stages_named
 from roemetry.testing.checks import OF_KIND, name_of, sentence_of
-from roemetry.testing.comparing import difference
-from roemetry.testing.kit import judged
-from roemetry.testing.marks import parametrized
+from roemetry.testing.kit import parametrized, run_check
 from roemetry.testing.solids import BOX, HALF_CYLINDER, HALF_ELLIPSOID, SPHERICAL_CAP, product_of
+from roemetry.testing.verdict import difference
 from roemetry_paper.block_linear import BlockLinear
 from roemetry_paper.density import Density
 from roemetry_paper.dominant_peak import DominantPeak
@@ -54,8 +53,8 @@ def test_every_stage_keeps_every_check(stage, check) -> None:
 
 def test_a_declared_failure_must_happen() -> None:
     check = _check(DominantPeak, "check_brightness_does_not_matter")
-    assert judged(DominantPeak(), check, "fixed").outcome == "expected failure"
-    result = judged(
+    assert run_check(DominantPeak(), check, "fixed").outcome == "expected failure"
+    result = run_check(
         DominantPeak(), _check(DominantPeak, "check_centres_are_right"), "it is said to be coarse"
     )
     assert result.outcome == "unexpectedly passed"
@@ -122,7 +121,7 @@ def test_where_a_stage_breaks_is_told() -> None:
         def extract(self, frame):
             raise ZeroDivisionError("oh")
 
-    said = judged(Breaks(), _check(Breaks, "check_centres_are_right")).message
+    said = run_check(Breaks(), _check(Breaks, "check_centres_are_right")).message
     line = Breaks.extract.__code__.co_firstlineno + 1
     assert said == f"ZeroDivisionError: oh (at test_conformance.py:{line})"
 
@@ -146,9 +145,9 @@ def test_a_fixture_gives_what_the_kit_cannot_make(monkeypatch) -> None:
         return replace(plain, parameters={"mm_per_px_at_belt": scale}, covariance=np.zeros((1, 1)))
 
     check = _check(Other, "check_points_are_where_the_scene_is")
-    assert "fixture" in judged(Other(), check).message
+    assert "fixture" in run_check(Other(), check).message
     monkeypatch.setitem(__import__("sys").modules, "kit_fixture", SimpleNamespace(of_rig=of_rig))
-    assert judged(Other(), check).outcome == "passed"
+    assert run_check(Other(), check).outcome == "passed"
 
 
 def test_stages_are_found_by_every_name() -> None:

@@ -13,7 +13,7 @@ from roemetry.records import AMBIGUOUS, Estimate, Frame, Grade, Peaks, Reason, W
 from roemetry.stages import INTERFACES, Capabilities, Extractor, Smoother, StageOptions
 from roemetry.testing import checks_of
 from roemetry.testing.checks import name_of
-from roemetry.testing.kit import judged
+from roemetry.testing.kit import run_check
 from roemetry.testing.solids import BOX, product_of
 from roemetry_files.image_files import ImageFiles
 from roemetry_files.product_table import CsvTable
@@ -414,14 +414,14 @@ class Idle(Smoother[StageOptions]):
     ids=lambda value: value if isinstance(value, str) else value.__name__,
 )
 def test_a_bad_stage_is_caught_by_the_check_meant_for_it(stage, check: str) -> None:
-    result = judged(stage(), _check(stage, check))
+    result = run_check(stage(), _check(stage, check))
     assert result.outcome == "failed"
     assert len(result.message) > 10
 
 
 def test_an_honest_stage_of_another_hand_passes() -> None:
     """The kit does not ask for what only the shipped stages do."""
-    failed = {name_of(c): r.message for c in checks_of("extractor") if (r := judged(Gravity(), c)).message}
+    failed = {name_of(c): r.message for c in checks_of("extractor") if (r := run_check(Gravity(), c)).message}
     assert set(failed) <= {"check_brightness_does_not_matter", "check_crosses_to_another_process"}
 
 

@@ -13,7 +13,7 @@ from roemetry.config.recipe import Recipe
 from roemetry.errors import RoemetryError
 from roemetry.records import Acquisition, Reason, Truth
 from roemetry.run.pipeline import Pipeline
-from roemetry.run.stage_cache import RememberedStages, StepMemory
+from roemetry.run.stage_cache import CachedStages, StageCache
 from roemetry_tools.compare.aggregate import Aggregate
 from roemetry_tools.compare.agreement import Terms
 from roemetry_tools.compare.data import Data, Unit, as_taken, changed_file, labelled
@@ -92,10 +92,10 @@ class _Worker:
         self._labels = labels
         self._source = recipes[0][1].source.make()
         self._dataset = dataset
-        self._memory = StepMemory()
+        self._memory = StageCache()
         self._ways = []
         for number, recipe in recipes:
-            stages = RememberedStages(recipe, self._memory)
+            stages = CachedStages(recipe, self._memory)
             self._ways.append((number, recipe, stages, Pipeline(recipe, stages=stages.stages)))
         self._cold = True
 

@@ -11,7 +11,7 @@ import numpy as np
 from roemetry.config.recipe import Recipe
 from roemetry.records import Measurement, ProductTruth, Reason, StripeTruth, Trace, Truth
 from roemetry.run.rows import measurements_of
-from roemetry.run.stage_cache import StepMemory
+from roemetry.run.stage_cache import StageCache
 from roemetry_tools.compare.stripes import (
     CentreScore,
     CodingScore,
@@ -66,7 +66,7 @@ def score(
     recipe: Recipe,
     truth: Truth | None,
     *,
-    memory: tuple[Mapping[str, str], StepMemory],
+    memory: tuple[Mapping[str, str], StageCache],
     seconds: Mapping[str, float],
     turn_deg: int = 0,
 ) -> Scored:

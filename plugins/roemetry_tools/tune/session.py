@@ -20,7 +20,7 @@ from roemetry.records import Acquisition, AcquisitionReference, Frame, Trace
 from roemetry.records.calibration import Calibration
 from roemetry.run.pipeline import Pipeline, frame_of
 from roemetry.run.rows import measurements_of
-from roemetry.run.stage_cache import RememberedStages, StepMemory
+from roemetry.run.stage_cache import CachedStages, StageCache
 from roemetry.stages.registry import Registry, discover
 from roemetry_tools.tune.answer import packed, picture_of, places_of
 from roemetry_tools.tune.editing import differences, edited
@@ -52,7 +52,7 @@ class Session:
         self.registry = registry or discover()
         self._path = path.resolve()  # a link is followed, so that saving does not put a file in its place
         self._lock = threading.Lock()
-        self._memory = StepMemory(most=_STEPS_KEPT)
+        self._memory = StageCache(most=_STEPS_KEPT)
         self._read_calibration = lru_cache(maxsize=2)(_calibration_at)
         self._looked_at: tuple[object, Acquisition] | None = None
         self._listed: tuple[object, Sequence[AcquisitionReference]] | None = None
@@ -158,7 +158,7 @@ class Session:
         reference = next((one for one in references if one.id == wish.acquisition), references[0])
         acquisition = self._acquisition(recipe, reference)
         draws = recipe.draws if wish.draws else 0
-        remembered = RememberedStages(recipe, self._memory, draws)
+        remembered = CachedStages(recipe, self._memory, draws)
         settings = recipe.source_choice.model_dump_json(exclude={"path"})
 
         def frame(given: Acquisition) -> Frame:

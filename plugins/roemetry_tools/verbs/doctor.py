@@ -20,7 +20,7 @@ from typing import Annotated, Literal
 import typer
 
 from roemetry.errors import RoemetryError
-from roemetry.io.shipped import shipped
+from roemetry.io.files import shipped
 from roemetry.records import Measurement
 from roemetry.run.api import Recipe
 from roemetry.stages.hookspecs import PROJECT

@@ -17,8 +17,7 @@ from roemetry.calibrating.known_products import features_in
 from roemetry.config.recipe import Recipe
 from roemetry.records import Profiles
 from roemetry.run.batch import derive, run_recipe
-from roemetry.run.provenance import recipe_of
-from roemetry.run.record import read_record
+from roemetry.run.record import read_record, recipe_of
 from roemetry_files.height_map import INTERPOLATED, SEEN, raster
 from roemetry_files.product_table import COLUMNS, rounded
 

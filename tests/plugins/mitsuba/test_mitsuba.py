@@ -323,7 +323,7 @@ def test_products_side_by_side_have_labels_of_their_own() -> None:
 @needs_llvm
 def test_the_shipped_recipe_measures_what_the_other_simulator_never_drew(tmp_path: Path) -> None:
     """Same rig, other light, other skeins: the shipped calibration holds, and no label is wrong."""
-    from roemetry.io.shipped import shipped
+    from roemetry.io.files import shipped
     from roemetry.stages.registry import discover
     from roemetry_tools.compare.comparison import compare
     from roemetry_tools.compare.data import Data

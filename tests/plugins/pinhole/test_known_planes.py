@@ -14,7 +14,7 @@ from roemetry.cli.main import app
 from roemetry.errors import CalibrationError, ConfigurationError, DataError
 from roemetry.records import CalibrationSet
 from roemetry.records.calibration import Calibration
-from roemetry.records.camera_file import write_camera
+from roemetry.records.view import write_camera
 from roemetry.testing import LinearRig
 from roemetry_pinhole.calibrator import PinholeCalibrator, PinholeCalibratorOptions
 from roemetry_pinhole.conformance import observed_of

@@ -95,7 +95,7 @@ def fan(stripes: int, poses: int, rng) -> list[PoseLines]:
 
 
 def test_a_known_camera_is_taken_as_it_is(observed, tmp_path) -> None:
-    from roemetry.records.camera_file import write_camera
+    from roemetry.records.view import write_camera
 
     made = PinholeCalibrator().calibrate(observed)
     path = tmp_path / "camera.yaml"

@@ -11,7 +11,7 @@ import pytest
 from benchmarks.simulated_points import SimulatedRig, shown
 from roemetry.errors import CalibrationError
 from roemetry.records import Block, Pyramid, Staircase
-from roemetry.records.camera_file import write_camera
+from roemetry.records.view import write_camera
 from roemetry_pinhole.calibrator import PinholeCalibrator, PinholeCalibratorOptions
 from roemetry_pinhole.geometry import (
     CAMERA,

@@ -288,9 +288,9 @@ def _profiles(
 
 
 def _product(scene: Scene, profiles: Profiles, number: int) -> ProductTrace:
-    from roemetry.run.split_products import assemble
+    from roemetry.run.split_products import split_products
 
-    product = next(p for p in assemble(profiles, (), _calibration(), scene.id) if p.number == number)
+    product = next(p for p in split_products(profiles, (), _calibration(), scene.id) if p.number == number)
     z = np.nan_to_num(product.profiles.xyz_mm[:, :, 2])
     area = z.sum(axis=1) * MM_PER_PX
     with_area = np.flatnonzero(area > 0)

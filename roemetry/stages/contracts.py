@@ -1,3 +1,0 @@
-"""The old place of what stands in the module below."""
-
-from roemetry.stages.kinds import given as given
