@@ -26,35 +26,24 @@ _WAY = 400
 
 @dataclass(frozen=True, slots=True)
 class SimulatedRig:
-    """A rig in few words.
-
-    Attributes
-    ----------
-    focal_px, distance_mm
-        Focal length, and camera to belt along the optical axis.
-    tilt_deg
-        Turn of the camera about its x and y axes.
-    lens
-        k1, k2, p1, p2, k3.
-    image_size
-        Rows and columns.
-    stripes, poses
-        Planes of light, and poses of the board; the first lies on the belt.
-    angle_deg
-        Of the laser to the vertical, at the belt's middle.
-    rows
-        Image rows in which each stripe is seen on each board.
-    """
+    """A rig in few words."""
 
     focal_px: float
     distance_mm: float
+    """focal_px, distance_mm: focal length, and camera to belt along the optical axis."""
     tilt_deg: tuple[float, float] = (2.0, -3.0)
+    """Turn of the camera about its x and y axes."""
     lens: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    """k1, k2, p1, p2, k3."""
     image_size: tuple[int, int] = (1024, 1280)
+    """Rows and columns."""
     stripes: int = 11
     poses: int = 12
+    """stripes, poses: planes of light, and poses of the board; the first lies on the belt."""
     angle_deg: float = 30.0
+    """Of the laser to the vertical, at the belt's middle."""
     rows: int = 20
+    """Image rows in which each stripe is seen on each board."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -22,31 +22,21 @@ _COARSE_PX = 8.0
 
 
 class Crossings(NamedTuple):
-    """All crossings, sorted by row, then by x; a stripe may have several in a row.
-
-    Attributes
-    ----------
-    row, stripe
-        (crossing,) image row, and stripe from 0, left to right.
-    x_px
-        (crossing,) sub-pixel place in the row.
-    xyz_mm
-        (crossing, 3) the point in the belt frame.
-    on_product
-        (crossing,) True on a product, False on the belt.
-    cosine
-        (crossing,) of the angle between the surface's normal and the light.
-    mm_per_px
-        (crossing,) by how much the distance to the light plane changes along the row.
-    """
+    """All crossings, sorted by row, then by x; a stripe may have several in a row."""
 
     row: Integers
     stripe: Integers
+    """row, stripe: (crossing,) image row, and stripe from 0, left to right."""
     x_px: Floats
+    """(crossing,) sub-pixel place in the row."""
     xyz_mm: Floats
+    """(crossing, 3) the point in the belt frame."""
     on_product: NDArray[np.bool_]
+    """(crossing,) True on a product, False on the belt."""
     cosine: Floats
+    """(crossing,) of the angle between the surface's normal and the light."""
     mm_per_px: Floats
+    """(crossing,) by how much the distance to the light plane changes along the row."""
 
 
 def crossings_of(camera: Camera, laser: LaserFan, solid: Solid) -> Crossings:

@@ -15,41 +15,27 @@ Integers = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Damage:
-    """How much of each damage a sample gets.
-
-    Attributes
-    ----------
-    missing_share
-        Share of peaks that are lost one by one.
-    gaps
-        Breaks of 2–25 rows along single stripes.
-    belt_lost
-        ``above``, ``below``: the belt beyond the product on that side of the image is not seen, on four
-        fifths of the stripes that a product moves; ``some``: on half of them, on a side drawn for each; ""
-        for none.
-    blobs
-        Bright spots of 5–14 px radius, where peaks are lost and one or two false ones a row appear.
-    false_peaks
-        Single false peaks.
-    dirt
-        Specks that glow: false runs of 3–15 rows.
-    ghosts
-        Second reflections: false runs of 20–60 rows that follow a piece of a stripe 10–60 px beside it.
-    dead_stripes
-        Stripes without light.
-    lost_rows
-        Blocks of 3–12 rows of which nothing is left.
-    """
+    """How much of each damage a sample gets."""
 
     missing_share: float = 0.002
+    """Share of peaks that are lost one by one."""
     gaps: int = 0
+    """Breaks of 2–25 rows along single stripes."""
     belt_lost: str = ""
+    """``above``, ``below``: the belt beyond the product on that side of the image is not seen, on four fifths
+    of the stripes that a product moves; ``some``: on half of them, on a side drawn for each; "" for none."""
     blobs: int = 0
+    """Bright spots of 5–14 px radius, where peaks are lost and one or two false ones a row appear."""
     false_peaks: int = 0
+    """Single false peaks."""
     dirt: int = 0
+    """Specks that glow: false runs of 3–15 rows."""
     ghosts: int = 0
+    """Second reflections: false runs of 20–60 rows that follow a piece of a stripe 10–60 px beside it."""
     dead_stripes: int = 0
+    """Stripes without light."""
     lost_rows: int = 0
+    """Blocks of 3–12 rows of which nothing is left."""
 
 
 DAMAGES = {

@@ -20,25 +20,17 @@ _REACH_MM = 55.0
 
 @dataclass(frozen=True, eq=False)
 class CodingRig:
-    """A camera and a fan of light planes, and what is needed to draw peaks.
-
-    Attributes
-    ----------
-    name
-        Its kind: ``easy`` or ``dense``.
-    camera, laser
-        The true ones.
-    noise_px
-        Standard deviation of a peak's centre where the stripe has its usual width, px.
-    height_range_mm
-        Heights that the calibration says it is meant for, mm.
-    """
+    """A camera and a fan of light planes, and what is needed to draw peaks."""
 
     name: str
+    """Its kind: ``easy`` or ``dense``."""
     camera: Camera
     laser: LaserFan
+    """camera, laser: the true ones."""
     noise_px: float
+    """Standard deviation of a peak's centre where the stripe has its usual width, px."""
     height_range_mm: tuple[float, float]
+    """Heights that the calibration says it is meant for, mm."""
 
     @property
     def rows(self) -> int:

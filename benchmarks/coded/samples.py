@@ -28,27 +28,18 @@ _AMBIENT = 12.0
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """One image's worth of peaks.
-
-    Attributes
-    ----------
-    peaks
-        What the coder is given.
-    crossings
-        All true crossings, damaged or not.
-    calibration
-        The exact one.
-    dead
-        Stripes that were lit and of which no peak is left.
-    displaced_spacings
-        Largest displacement of a product's point from its rest line, in mean spacings.
-    """
+    """One image's worth of peaks."""
 
     peaks: Peaks
+    """What the coder is given."""
     crossings: Crossings
+    """All true crossings, damaged or not."""
     calibration: Calibration
+    """The exact one."""
     dead: NDArray[np.int64]
+    """Stripes that were lit and of which no peak is left."""
     displaced_spacings: float
+    """Largest displacement of a product's point from its rest line, in mean spacings."""
 
 
 def sample_of(rig: CodingRig, solid: Solid, damage: Damage | None = None, *, seed: int) -> Sample:

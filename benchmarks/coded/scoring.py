@@ -16,54 +16,37 @@ _TALL_MM = 1.0
 
 @dataclass(frozen=True)
 class Score:
-    """Counts, which add up over samples; wrong means the nearest true centre within 3 px is another's.
-
-    Attributes
-    ----------
-    visible
-        True crossings on products, lit and seen, whether or not a peak of them is left.
-    unseen
-        Of these, without a peak within 3 px.
-    right, mistaken, refused
-        Of the others: their peak carries their number; another's; none.
-    ambiguous
-        Of the refused, called ambiguous.
-    labelled
-        All peaks, of product and belt, that were given a number and lie within 3 px of a true centre.
-    wrong
-        Of these, wrong.
-    shared
-        Of the wrong, with light of the stripe whose number they carry within 6 px: two stripes, one peak.
-    invented
-        Peaks with a number and no true centre within 3 px.
-    as_belt
-        Product points at least 1 mm high with the right number, taken for belt.
-    as_product
-        Points of the belt with the right number, taken for product.
-    longest_wrong_run
-        Rows that follow each other on one stripe, all wrong; the largest counts.
-    products, products_wrong
-        Samples; samples with a wrong run of more than 3 rows.
-    frames_refused
-        Samples that the coder refused as a whole.
-    """
+    """Counts, which add up over samples; wrong means the nearest true centre within 3 px is another's."""
 
     visible: int = 0
+    """True crossings on products, lit and seen, whether or not a peak of them is left."""
     unseen: int = 0
+    """Of these, without a peak within 3 px."""
     right: int = 0
     mistaken: int = 0
     refused: int = 0
+    """right, mistaken, refused: of the others: their peak carries their number; another's; none."""
     ambiguous: int = 0
+    """Of the refused, called ambiguous."""
     labelled: int = 0
+    """All peaks, of product and belt, that were given a number and lie within 3 px of a true centre."""
     wrong: int = 0
+    """Of these, wrong."""
     shared: int = 0
+    """Of the wrong, with light of the stripe whose number they carry within 6 px: two stripes, one peak."""
     invented: int = 0
+    """Peaks with a number and no true centre within 3 px."""
     as_belt: int = 0
+    """Product points at least 1 mm high with the right number, taken for belt."""
     as_product: int = 0
+    """Points of the belt with the right number, taken for product."""
     longest_wrong_run: int = 0
+    """Rows that follow each other on one stripe, all wrong; the largest counts."""
     products: int = 1
     products_wrong: int = 0
+    """products, products_wrong: samples; samples with a wrong run of more than 3 rows."""
     frames_refused: int = 0
+    """Samples that the coder refused as a whole."""
 
     def __add__(self, other: Score) -> Score:
         sums = {f.name: getattr(self, f.name) + getattr(other, f.name) for f in fields(self)}

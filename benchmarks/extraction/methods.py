@@ -33,20 +33,14 @@ TOLD = MappingProxyType(
 
 @dataclass(frozen=True)
 class Method:
-    """A way to find peaks: `find` for pixels with what is known of the sensor (None: nothing).
-
-    Attributes
-    ----------
-    ours
-        Whether it is a registered extractor.
-    slow
-        Takes so long that it is tried on few images only.
-    """
+    """A way to find peaks: `find` for pixels with what is known of the sensor (None: nothing)."""
 
     name: str
     ours: bool
+    """Whether it is a registered extractor."""
     find: Callable[[NDArray[Any], Light | None], Found]
     slow: bool = False
+    """Takes so long that it is tried on few images only."""
 
 
 def methods(wanted: tuple[str, ...] = ()) -> tuple[list[Method], dict[str, str]]:

@@ -31,28 +31,21 @@ class Judged(NamedTuple):
 
 
 class Score(NamedTuple):
-    """Good against deformed, for defects of which a lit stripe shows a millimetre, and for all.
-
-    Attributes
-    ----------
-    good, kept
-        Good skeins, and those that were called good.
-    shown, caught, named
-        Skeins whose defect is shown; those that were called deformed; those whose defect was named right.
-    deformed, caught_of_all
-        All with a defect, shown or not; those that were called deformed.
-    unknown
-        Of all, called neither.
-    """
+    """Good against deformed, for defects of which a lit stripe shows a millimetre, and for all."""
 
     good: int
     kept: int
+    """good, kept: good skeins, and those that were called good."""
     shown: int
     caught: int
     named: int
+    """shown, caught, named: skeins whose defect is shown; those that were called deformed; those whose defect
+    was named right."""
     deformed: int
     caught_of_all: int
+    """deformed, caught_of_all: all with a defect, shown or not; those that were called deformed."""
     unknown: int
+    """Of all, called neither."""
 
     @property
     def balanced(self) -> float:

@@ -47,33 +47,22 @@ _PAPER_NOISE_PX = 0.22
 
 @dataclass(frozen=True, eq=False)
 class Traced:
-    """A skein and what was measured of it.
-
-    Attributes
-    ----------
-    seed
-        Of skein and rig.
-    rig
-        The rig.
-    drawn
-        The skein where it lies, with its truth and its reference.
-    crossings
-        Every true place of a stripe.
-    exact
-        Measured with sub-pixel peaks and the true planes of light; None where the coder refused.
-    paper
-        Measured with peaks at whole pixels and one coefficient a stripe; None alike.
-    refused
-        Why one of them is missing; "" where none is.
-    """
+    """A skein and what was measured of it."""
 
     seed: int
+    """Of skein and rig."""
     rig: CodingRig
+    """The rig."""
     drawn: Drawn
+    """The skein where it lies, with its truth and its reference."""
     crossings: Crossings
+    """Every true place of a stripe."""
     exact: Product | None
+    """Measured with sub-pixel peaks and the true planes of light; None where the coder refused."""
     paper: Product | None
+    """Measured with peaks at whole pixels and one coefficient a stripe; None alike."""
     refused: str
+    """Why one of them is missing; "" where none is."""
 
 
 def traced(

@@ -41,32 +41,22 @@ BEST_OPTIONS = {"smoothing_rows": 31, "radius_max_px": 160.0, "delta_samples": 1
 
 
 class Row(NamedTuple):
-    """One skein.
-
-    Attributes
-    ----------
-    seed, rig, kind
-        What it is; `kind` is ``none`` for a healthy one.
-    refused
-        Why nothing was measured; "" where it was.
-    features
-        Of `shape_of`; empty where they could not be measured.
-    grades
-        Paper's rule as it is (``paper``), and with other options (``best options``).
-    defect
-        Of `defect_figures`; of the population also on other numbers of lines.
-    weight
-        Of `weight_figures`; of the population alone.
-    """
+    """One skein."""
 
     seed: int
     rig: str
     kind: str
+    """seed, rig, kind: what it is; `kind` is ``none`` for a healthy one."""
     refused: str
+    """Why nothing was measured; "" where it was."""
     features: dict[str, float]
+    """Of `shape_of`; empty where they could not be measured."""
     grades: dict[str, str]
+    """Paper's rule as it is (``paper``), and with other options (``best options``)."""
     defect: dict[str, float]
+    """Of `defect_figures`; of the population also on other numbers of lines."""
     weight: dict[str, float]
+    """Of `weight_figures`; of the population alone."""
 
     @property
     def name(self) -> str:

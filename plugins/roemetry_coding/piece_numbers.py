@@ -31,18 +31,12 @@ _THROUGH_ROWS = 10
 
 
 class Numbers(NamedTuple):
-    """What was found.
-
-    Attributes
-    ----------
-    number
-        (piece,) from 0, left to right; −1 where nothing was decided.
-    margin
-        (piece,) how much better than the next number, 0 to 1; NaN where there is no number.
-    """
+    """What was found."""
 
     number: Integers
+    """(piece,) from 0, left to right; −1 where nothing was decided."""
     margin: Floats
+    """(piece,) how much better than the next number, 0 to 1; NaN where there is no number."""
 
 
 def numbers_of(pieces: Pieces, reach_rows: int, margin_min: float) -> Numbers:
@@ -365,46 +359,33 @@ class Side(NamedTuple):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Pieces:
-    """All traced pieces of a frame.
-
-    Attributes
-    ----------
-    peaks
-        Of each piece, its peaks' numbers, from top to bottom.
-    top, bottom
-        Its two ends.
-    sides
-        By (piece, piece to its right): neighbours.
-    left_of
-        (piece, piece) True where the first stands left of the second on some row.
-    off
-        (piece, piece) how far beside the place to which both point the second begins, below the first's end,
-        spacings, signed; infinite where it does not begin below.
-    gap
-        (piece, piece) rows from the first's end to the second's beginning.
-    faces
-        (piece, piece) True where the second begins below the first's end, or up to `_OVERLAP_ROWS` above, and
-        no further than `_FACES` spacings beside it.
-    through
-        (piece, piece) True where the second goes on from the first with hardly a break.
-    border_top, border_bottom
-        (piece,) True where the end lies at the image's border: the stripe goes on outside.
-    spacing_px
-        (piece,) how far neighbours are from each other where it begins, square to them, px.
-    """
+    """All traced pieces of a frame."""
 
     peaks: list[Integers]
+    """Of each piece, its peaks' numbers, from top to bottom."""
     top: Ends
     bottom: Ends
+    """top, bottom: its two ends."""
     sides: dict[tuple[int, int], Side]
+    """By (piece, piece to its right): neighbours."""
     left_of: Flags
+    """(piece, piece) True where the first stands left of the second on some row."""
     off: Floats
+    """(piece, piece) how far beside the place to which both point the second begins, below the first's end,
+    spacings, signed; infinite where it does not begin below."""
     gap: Integers
+    """(piece, piece) rows from the first's end to the second's beginning."""
     faces: Flags
+    """(piece, piece) True where the second begins below the first's end, or up to `_OVERLAP_ROWS` above, and
+    no further than `_FACES` spacings beside it."""
     through: Flags
+    """(piece, piece) True where the second goes on from the first with hardly a break."""
     border_top: Flags
     border_bottom: Flags
+    """border_top, border_bottom: (piece,) True where the end lies at the image's border: the stripe goes on
+    outside."""
     spacing_px: Floats
+    """(piece,) how far neighbours are from each other where it begins, square to them, px."""
 
     @property
     def count(self) -> int:

@@ -97,22 +97,15 @@ _GAP_STEPS = 2.5
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Raster:
-    """Heights over the belt.
-
-    Attributes
-    ----------
-    height_mm
-        (row, column) heights, mm; rows go against belt Y (as in the image), columns along X; NaN not known.
-    known
-        (row, column) 0 not known, 1 seen, 2 interpolated.
-    x_mm, y_mm
-        Belt position of the centre of pixel (0, 0), mm.
-    """
+    """Heights over the belt."""
 
     height_mm: Floats
+    """(row, column) heights, mm; rows go against belt Y (as in the image), columns along X; NaN not known."""
     known: NDArray[np.uint8]
+    """(row, column) 0 not known, 1 seen, 2 interpolated."""
     x_mm: float
     y_mm: float
+    """x_mm, y_mm: belt position of the centre of pixel (0, 0), mm."""
 
 
 def raster(profiles: Profiles, pixel_mm: float) -> Raster | None:

@@ -80,66 +80,49 @@ _SMOOTHER = 1.5
 
 @dataclass(frozen=True, eq=False, slots=True)
 class BlockView:
-    """A block in one image.
-
-    Attributes
-    ----------
-    offset_px, offset_std_px
-        (stripe,) displacement on the block's top and its standard uncertainty, px; NaN where not seen.
-    scatter_px
-        Scatter of single rows about the offsets, px.
-    width_px, width_std_px
-        Extent of the top along the stripes, square to its edges, and its standard uncertainty, px.
-    edge_rms_px
-        Scatter of the edges about straight lines, px.
-    yaw_rad
-        Turn of the block about the vertical.
-    span_px
-        Extent of the top across the stripes that is seen, px.
-    row_px
-        (stripe,) mean row of what `offset_px` comes from, from the middle row.
-    growth_per_px, growth_std_per_px
-        (stripe,) relative growth of the displacement from row to row, 1/px, and its standard uncertainty: a
-        camera that is tilted along the stripes sees nearer rows displaced further.
-    offset_per_bow
-        (stripe,) derivative of `offset_px` by the lens's distortion κ, px³.
-    """
+    """A block in one image."""
 
     offset_px: Floats
     offset_std_px: Floats
+    """offset_px, offset_std_px: (stripe,) displacement on the block's top and its standard uncertainty, px;
+    NaN where not seen."""
     scatter_px: float
+    """Scatter of single rows about the offsets, px."""
     width_px: float
     width_std_px: float
+    """width_px, width_std_px: extent of the top along the stripes, square to its edges, and its standard
+    uncertainty, px."""
     edge_rms_px: float
+    """Scatter of the edges about straight lines, px."""
     yaw_rad: float
+    """Turn of the block about the vertical."""
     span_px: float
+    """Extent of the top across the stripes that is seen, px."""
     row_px: Floats
+    """(stripe,) mean row of what `offset_px` comes from, from the middle row."""
     growth_per_px: Floats
     growth_std_per_px: Floats
+    """growth_per_px, growth_std_per_px: (stripe,) relative growth of the displacement from row to row, 1/px,
+    and its standard uncertainty: a camera that is tilted along the stripes sees nearer rows displaced
+    further."""
     offset_per_bow: Floats
+    """(stripe,) derivative of `offset_px` by the lens's distortion κ, px³."""
 
 
 class RestFit(NamedTuple):
-    """Rest lines of the bare belt.
-
-    Attributes
-    ----------
-    lines_px
-        (stripe, 2 or 3) x in the middle row, px, slope, and bow.
-    rms_px
-        Rms distance of the peaks from them.
-    covariance
-        (stripe, k, k) of each line.
-    bow_per_px2, bow_std_per_px2
-        First radial distortion of the lens about the image's middle, and its standard uncertainty, px⁻²: a
-        straight line x = a is seen as a (1 + κ (a² + y²)), so its bow is κ a (plumb lines: Brown 1971).
-    """
+    """Rest lines of the bare belt."""
 
     lines_px: Floats
+    """(stripe, 2 or 3) x in the middle row, px, slope, and bow."""
     rms_px: float
+    """Rms distance of the peaks from them."""
     covariance: Floats
+    """(stripe, k, k) of each line."""
     bow_per_px2: float
     bow_std_per_px2: float
+    """bow_per_px2, bow_std_per_px2: first radial distortion of the lens about the image's middle, and its
+    standard uncertainty, px⁻²: a straight line x = a is seen as a (1 + κ (a² + y²)), so its bow is κ a
+    (plumb lines: Brown 1971)."""
 
 
 def rest_polynomials(observed: CalibrationSet) -> RestFit:

@@ -453,31 +453,21 @@ _BELT_PASSES_MAX = 4
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Belt:
-    """Traces cut into segments where they join or leave a rest line.
-
-    Attributes
-    ----------
-    segment
-        (peak,) segment of each peak. Segments of one trace are numbered in the order of its rows.
-    fragment, rows
-        (segment,) the trace a segment is a piece of; its length, rows.
-    anchored
-        (segment,) True for belt beyond doubt.
-    on_line
-        (segment,) True for a piece that lies on some rest line.
-    live
-        (live,) stripes that have belt, or may have; the others are dead.
-    known
-        (segment,) index into `live` of an anchored segment's stripe, −1 for the others.
-    """
+    """Traces cut into segments where they join or leave a rest line."""
 
     segment: Integers
+    """(peak,) segment of each peak. Segments of one trace are numbered in the order of its rows."""
     fragment: Integers
     rows: Integers
+    """fragment, rows: (segment,) the trace a segment is a piece of; its length, rows."""
     anchored: Flags
+    """(segment,) True for belt beyond doubt."""
     on_line: Flags
+    """(segment,) True for a piece that lies on some rest line."""
     live: Integers
+    """(live,) stripes that have belt, or may have; the others are dead."""
     known: Integers
+    """(segment,) index into `live` of an anchored segment's stripe, −1 for the others."""
 
     def continued(self, label: Integers) -> Integers:
         """Settle pieces on a rest line amid the image by what their trace is before and after them.

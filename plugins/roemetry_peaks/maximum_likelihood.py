@@ -206,41 +206,29 @@ class MaximumLikelihood(Extractor[MaximumLikelihoodOptions]):
 
 
 class Found(NamedTuple):
-    """Stripes of an image before they are fitted, and what is known of the noise.
-
-    Attributes
-    ----------
-    starts, beside
-        Where fits start, and the light beside the stripes.
-    variance, gain
-        R, grey levels², and g, grey levels; None where not known.
-    rounding, quiet
-        Variance of rounding, and of a pixel beside the stripes, grey levels².
-    noise
-        The whole noise, where it is given.
-    measured
-        Whether read noise and gain are known.
-    top, left, columns
-        Place and width of the part that is searched.
-    error
-        (peak,) variance of the profile model's error, grey levels² (`model_error`).
-    lit
-        (peak,) whether that error is light that comes from inside the product.
-    """
+    """Stripes of an image before they are fitted, and what is known of the noise."""
 
     starts: Starts
     beside: Beside
+    """starts, beside: where fits start, and the light beside the stripes."""
     variance: float | None
     gain: float | None
+    """variance, gain: R, grey levels², and g, grey levels; None where not known."""
     rounding: float
     quiet: float
+    """rounding, quiet: variance of rounding, and of a pixel beside the stripes, grey levels²."""
     noise: StripeNoise | None
+    """The whole noise, where it is given."""
     measured: bool
+    """Whether read noise and gain are known."""
     top: int
     left: int
     columns: int
+    """top, left, columns: place and width of the part that is searched."""
     error: Floats
+    """(peak,) variance of the profile model's error, grey levels² (`model_error`)."""
     lit: Flags
+    """(peak,) whether that error is light that comes from inside the product."""
 
 
 _ESTIMATED = Reason(

@@ -40,24 +40,16 @@ _USUAL, _USUAL_STD = 0.5, 0.25  # the correlation of neighbouring pixels, where 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class StripeNoise:
-    """The noise of a stripe's pixels: variance R + g μ + C² m², μ all light, m the stripe's.
-
-    Attributes
-    ----------
-    variance
-        R: read noise and rounding, grey levels².
-    gain
-        g: grey levels per electron.
-    correlation
-        Of the speckle of neighbouring pixels along a row, 0 to 0.9.
-    contrast2
-        (row, column) C² of the image's `TILES` or `FINE_TILES`.
-    """
+    """The noise of a stripe's pixels: variance R + g μ + C² m², μ all light, m the stripe's."""
 
     variance: float
+    """R: read noise and rounding, grey levels²."""
     gain: float
+    """g: grey levels per electron."""
     correlation: float
+    """Of the speckle of neighbouring pixels along a row, 0 to 0.9."""
     contrast2: Floats
+    """(row, column) C² of the image's `TILES` or `FINE_TILES`."""
 
     def contrast2_at(self, image_size: tuple[int, int], row: Integers, x_px: Floats) -> Floats:
         """(peak,) C² of the tile that each peak lies in."""

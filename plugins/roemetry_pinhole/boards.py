@@ -219,31 +219,21 @@ _CIRCLE_AREA_MIN_PX = 12.0
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Marks:
-    """Marks of a board found in one image.
-
-    Attributes
-    ----------
-    board_mm
-        (mark, 3) on the board: origin at the outer corner of the first square (of a grid: half a pitch off
-        the first circle), x along the columns, y along the rows, z away from the camera.
-    xy_px
-        (mark, 2) in the image.
-    layout
-        Of a ChArUco board the layout that fits, ``new`` or ``old``; else "".
-    edge_px
-        Width of its edges in the image, px: range of grey levels over the steepest slope.
-    spacing_px
-        Median distance of neighbouring marks, px.
-    radius_mm
-        Of a grid's circles, estimated from their area in the image; 0 for other boards.
-    """
+    """Marks of a board found in one image."""
 
     board_mm: Floats
+    """(mark, 3) on the board: origin at the outer corner of the first square (of a grid: half a pitch off the
+    first circle), x along the columns, y along the rows, z away from the camera."""
     xy_px: Floats
+    """(mark, 2) in the image."""
     layout: str
+    """Of a ChArUco board the layout that fits, ``new`` or ``old``; else ""."""
     edge_px: float
+    """Width of its edges in the image, px: range of grey levels over the steepest slope."""
     spacing_px: float
+    """Median distance of neighbouring marks, px."""
     radius_mm: float = 0.0
+    """Of a grid's circles, estimated from their area in the image; 0 for other boards."""
 
 
 def find_marks(frame: Frame, board: Board) -> Marks:
@@ -471,33 +461,22 @@ _OTHER_LIGHT_SHARE = 0.25
 
 @dataclass(frozen=True, eq=False, slots=True)
 class BoardView:
-    """The board in one pose.
-
-    Attributes
-    ----------
-    name
-        Of the image in which its marks were found.
-    marks
-        Its marks.
-    laser
-        The image with the laser on, with its peaks; None where there is none that can be used.
-    plain
-        The image with the laser off, if there is one.
-    on_belt
-        Whether the board lies on the belt.
-    count
-        Encoder count; NaN where not known.
-    raw_px
-        (mark, 2) of circles: their centres of gravity, where those of `marks` have been corrected.
-    """
+    """The board in one pose."""
 
     name: str
+    """Of the image in which its marks were found."""
     marks: Marks
+    """Its marks."""
     laser: Observation | None
+    """The image with the laser on, with its peaks; None where there is none that can be used."""
     plain: Observation | None
+    """The image with the laser off, if there is one."""
     on_belt: bool
+    """Whether the board lies on the belt."""
     count: float
+    """Encoder count; NaN where not known."""
     raw_px: Floats | None = None
+    """(mark, 2) of circles: their centres of gravity, where those of `marks` have been corrected."""
 
 
 @dataclass(eq=False, slots=True)

@@ -248,44 +248,30 @@ _MAD_TO_STD = 1.4826
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Adjusted:
-    """What the adjustment found.
-
-    Attributes
-    ----------
-    geometry
-        The unknowns' best values.
-    unknowns
-        Where each stands in `covariance`.
-    covariance
-        (n, n) of all unknowns.
-    corner_px
-        (mark, 2) residuals, px.
-    stripe_px
-        (point,) residuals, px.
-    corner_used, stripe_used
-        (mark,), (point,) False for what was left out as far off.
-    corner_std_px
-        Noise of a mark in x or y, px.
-    stripe_scale
-        Noise of a stripe peak over its stated standard uncertainty.
-    correlation
-        Factor by which the peaks' correlation along the stripes widens the variance of their mean; so much
-        less they count.
-    conflict
-        Factor by which they count even less, for contradicting the marks; 1 where they do not.
-    """
+    """What the adjustment found."""
 
     geometry: Geometry
+    """The unknowns' best values."""
     unknowns: Unknowns
+    """Where each stands in `covariance`."""
     covariance: Floats
+    """(n, n) of all unknowns."""
     corner_px: Floats
+    """(mark, 2) residuals, px."""
     stripe_px: Floats
+    """(point,) residuals, px."""
     corner_used: Flags
     stripe_used: Flags
+    """corner_used, stripe_used: (mark,), (point,) False for what was left out as far off."""
     corner_std_px: float
+    """Noise of a mark in x or y, px."""
     stripe_scale: float
+    """Noise of a stripe peak over its stated standard uncertainty."""
     correlation: float
+    """Factor by which the peaks' correlation along the stripes widens the variance of their mean; so much
+    less they count."""
     conflict: float
+    """Factor by which they count even less, for contradicting the marks; 1 where they do not."""
 
 
 def adjust(
@@ -468,27 +454,19 @@ _Rows = TypeVar("_Rows", Corners, StripePoints, Feet)
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Measured:
-    """What was seen, where the adjustment starts, and what it looks for.
-
-    Attributes
-    ----------
-    start, unknowns
-        See `adjust`.
-    corners, points, feet
-        What was seen.
-    foot_std_mm
-        Standard uncertainty of the feet's heights, mm: of all, or of each.
-    edges
-        What was seen of solids' edges.
-    """
+    """What was seen, where the adjustment starts, and what it looks for."""
 
     start: Geometry
     unknowns: Unknowns
+    """start, unknowns: see `adjust`."""
     corners: Corners
     points: StripePoints
     feet: Feet
+    """corners, points, feet: what was seen."""
     foot_std_mm: float | Floats
+    """Standard uncertainty of the feet's heights, mm: of all, or of each."""
     edges: Edges = field(default_factory=no_edges)
+    """What was seen of solids' edges."""
 
     def adjusted(self) -> Adjusted:
         """Adjust; raises as `adjust`."""

@@ -55,30 +55,22 @@ _NOWHERE, _BELT = -2, -1
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Assigned:
-    """Peaks on belt and faces, and ends of faces; by number, so that other lengths can be put in.
-
-    Attributes
-    ----------
-    points
-        Of the adjustment, their `face` not yet given.
-    solid, face
-        (point,) number of the view's solid and of the face on it, −1 on the belt.
-    edges
-        Of the adjustment; `face` and `wall` not yet given.
-    edge_solid, edge_face, edge_side
-        (edge,) solid, face and which of its walls; −1 for the one that says that the solid is in the image.
-    left_share
-        Share of the peaks that lie nowhere.
-    """
+    """Peaks on belt and faces, and ends of faces; by number, so that other lengths can be put in."""
 
     points: StripePoints
+    """Of the adjustment, their `face` not yet given."""
     solid: Integers
     face: Integers
+    """solid, face: (point,) number of the view's solid and of the face on it, −1 on the belt."""
     edges: Edges
+    """Of the adjustment; `face` and `wall` not yet given."""
     edge_solid: Integers
     edge_face: Integers
     edge_side: Integers
+    """edge_solid, edge_face, edge_side: (edge,) solid, face and which of its walls; −1 for the one that says
+    that the solid is in the image."""
     left_share: float
+    """Share of the peaks that lie nowhere."""
 
     def placed(self, shapes: list[Shape]) -> tuple[StripePoints, Edges]:
         """Give points and edges with the planes of these shapes."""
@@ -253,26 +245,18 @@ _HEIGHT_RELATIVE_MAX = 0.05
 
 @dataclass(frozen=True, eq=False, slots=True)
 class OnSolids:
-    """What the adjustment of solids found.
-
-    Attributes
-    ----------
-    measured, adjusted
-        What went into it and what came out.
-    shapes
-        The solids.
-    by_tolerance
-        For each length with a tolerance the geometry it would have been if it were longer by its standard
-        uncertainty.
-    left_share
-        Share of the peaks that lie on no face.
-    """
+    """What the adjustment of solids found."""
 
     measured: Measured
     adjusted: Adjusted
+    """measured, adjusted: what went into it and what came out."""
     shapes: tuple[Shape, ...]
+    """The solids."""
     by_tolerance: tuple[Geometry, ...]
+    """For each length with a tolerance the geometry it would have been if it were longer by its standard
+    uncertainty."""
     left_share: float
+    """Share of the peaks that lie on no face."""
 
 
 def solids_in(observed: CalibrationSet) -> list[tuple[str, Solid]]:

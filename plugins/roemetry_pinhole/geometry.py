@@ -68,21 +68,14 @@ BENDS = len(_POWERS)
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Bend:
-    """Heights of the print over the board's plane, away from the camera.
-
-    Attributes
-    ----------
-    middle_mm
-        (2,) where the powers are counted from, on the board.
-    reach_mm
-        Length of which x and y are taken in the powers.
-    coefficients_mm
-        (12,) of x², xy, y², x³, … y⁴.
-    """
+    """Heights of the print over the board's plane, away from the camera."""
 
     middle_mm: Floats
+    """(2,) where the powers are counted from, on the board."""
     reach_mm: float
+    """Length of which x and y are taken in the powers."""
     coefficients_mm: Floats
+    """(12,) of x², xy, y², x³, … y⁴."""
 
     @classmethod
     def none(cls, width_mm: float, height_mm: float) -> Bend:
@@ -133,32 +126,22 @@ CAMERA = 4 + COEFFICIENTS
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Geometry:
-    """Everything the adjustment finds. Lengths in mm, all in the camera's frame.
-
-    Attributes
-    ----------
-    camera
-        (12,) fx, fy, cx, cy, px; k1, k2, p1, p2, k3, k4, k5, k6.
-    rotation, shift
-        (pose, 3, 3) and (pose, 3): to the camera's frame from the board's.
-    planes
-        (stripe, 3) p with p·X = 1, 1/mm: normal over distance. It cannot hold a plane through the camera's
-        centre, and such a plane measures nothing.
-    belt
-        (3,) the same of the belt; NaN where it is not asked for.
-    travel
-        (3,) way of the belt per encoder count, mm; 0 where it is not asked for.
-    bend
-        Shape of the board's print; None where it is taken to be flat.
-    """
+    """Everything the adjustment finds. Lengths in mm, all in the camera's frame."""
 
     camera: Floats
+    """(12,) fx, fy, cx, cy, px; k1, k2, p1, p2, k3, k4, k5, k6."""
     rotation: Floats
     shift: Floats
+    """rotation, shift: (pose, 3, 3) and (pose, 3): to the camera's frame from the board's."""
     planes: Floats
+    """(stripe, 3) p with p·X = 1, 1/mm: normal over distance. It cannot hold a plane through the camera's
+    centre, and such a plane measures nothing."""
     belt: Floats
+    """(3,) the same of the belt; NaN where it is not asked for."""
     travel: Floats
+    """(3,) way of the belt per encoder count, mm; 0 where it is not asked for."""
     bend: Bend | None = None
+    """Shape of the board's print; None where it is taken to be flat."""
 
     @property
     def stripe_count(self) -> int:
@@ -168,28 +151,19 @@ class Geometry:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Unknowns:
-    """Where each unknown stands in the vector of parameters; −1 for what is held fixed.
-
-    Attributes
-    ----------
-    camera
-        (12,)
-    planes
-        (stripe, 3)
-    belt, travel
-        (3,)
-    poses
-        (pose, 6) turn about the camera's axes, rad, then shift, mm.
-    bend
-        (12,) of the board's shape, mm; (0,) where it is taken to be flat.
-    """
+    """Where each unknown stands in the vector of parameters; −1 for what is held fixed."""
 
     camera: Integers
+    """(12,)"""
     planes: Integers
+    """(stripe, 3)"""
     belt: Integers
     travel: Integers
+    """belt, travel: (3,)"""
     poses: Integers
+    """(pose, 6) turn about the camera's axes, rad, then shift, mm."""
     bend: Integers = field(default_factory=lambda: np.empty(0, np.int64))
+    """(12,) of the board's shape, mm; (0,) where it is taken to be flat."""
 
     @property
     def count(self) -> int:
@@ -284,54 +258,36 @@ ON_BELT = -1
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Corners:
-    """Marks of the board seen in images.
-
-    Attributes
-    ----------
-    pose
-        (mark,) which pose of the board.
-    board_mm
-        (mark, 3) place on the board, mm: x along its columns, y along its rows, z away from the camera.
-    xy_px
-        (mark, 2) where it is seen, px.
-    counts
-        (mark,) encoder counts the belt has carried the board on since the pose was defined.
-    """
+    """Marks of the board seen in images."""
 
     pose: Integers
+    """(mark,) which pose of the board."""
     board_mm: Floats
+    """(mark, 3) place on the board, mm: x along its columns, y along its rows, z away from the camera."""
     xy_px: Floats
+    """(mark, 2) where it is seen, px."""
     counts: Floats
+    """(mark,) encoder counts the belt has carried the board on since the pose was defined."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class StripePoints:
-    """Peaks of stripes on boards and on the belt.
-
-    Attributes
-    ----------
-    pose
-        (point,) which pose of the board, or `ON_BELT`.
-    stripe
-        (point,) which plane of light.
-    x_px, row_px
-        (point,) where the peak is, px.
-    std_px
-        (point,) standard uncertainty of `x_px`, px, up to a common factor.
-    counts
-        (point,) as for corners.
-    face
-        (point, 4) n and d with n·X = d, mm, in the pose's own frame: the plane of the surface the point lies
-        on; None where all lie on boards, whose surface is (0, 0, 1, 0).
-    """
+    """Peaks of stripes on boards and on the belt."""
 
     pose: Integers
+    """(point,) which pose of the board, or `ON_BELT`."""
     stripe: Integers
+    """(point,) which plane of light."""
     x_px: Floats
     row_px: Floats
+    """x_px, row_px: (point,) where the peak is, px."""
     std_px: Floats
+    """(point,) standard uncertainty of `x_px`, px, up to a common factor."""
     counts: Floats
+    """(point,) as for corners."""
     face: Floats | None = None
+    """(point, 4) n and d with n·X = d, mm, in the pose's own frame: the plane of the surface the point lies
+    on; None where all lie on boards, whose surface is (0, 0, 1, 0)."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -560,25 +516,18 @@ def columns_of(camera: Integers, poses: Integers, travel: Integers) -> Integers:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Edges:
-    """Places in the image that lie on a solid's edges.
-
-    Attributes
-    ----------
-    pose
-        (edge,) which pose of a solid.
-    face, wall
-        (edge, 4) n and d with n·X = d, mm, in the solid's frame: the two planes that meet in the edge.
-    xy_px
-        (edge, 2) where a point of the edge is seen, px.
-    std_px
-        (edge,) its standard uncertainty across the edge, px.
-    """
+    """Places in the image that lie on a solid's edges."""
 
     pose: Integers
+    """(edge,) which pose of a solid."""
     face: Floats
     wall: Floats
+    """face, wall: (edge, 4) n and d with n·X = d, mm, in the solid's frame: the two planes that meet in the
+    edge."""
     xy_px: Floats
+    """(edge, 2) where a point of the edge is seen, px."""
     std_px: Floats
+    """(edge,) its standard uncertainty across the edge, px."""
 
 
 def no_edges() -> Edges:

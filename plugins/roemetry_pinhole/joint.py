@@ -240,43 +240,29 @@ def _moved(plane: Floats, middle: Floats, angle: float, offset_mm: float) -> tup
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Joint:
-    """The joint adjustment, and what it was made of.
-
-    Attributes
-    ----------
-    board
-        What was held under the stripes; None where solids alone were seen.
-    size
-        Rows and columns of the images.
-    seen
-        Poses, and by image why others are not used.
-    first
-        The views that are used.
-    pose
-        (view,) number of the view's pose in the adjustment.
-    print_share
-        Share of the boards' stripe peaks on uneven print, which are not used.
-    stray_share
-        Share of the other stripe peaks that is left out before the adjustment, far off its stripe.
-    solids
-        What solids on the belt gave, where the planes come from them; else None.
-    measured, adjusted
-        What went into the adjustment, and what came out.
-    moves
-        Whether the belt's travel is among the unknowns.
-    """
+    """The joint adjustment, and what it was made of."""
 
     board: Board | None
+    """What was held under the stripes; None where solids alone were seen."""
     size: tuple[int, int]
+    """Rows and columns of the images."""
     seen: Seen
+    """Poses, and by image why others are not used."""
     first: FirstCamera
+    """The views that are used."""
     pose: np.ndarray
+    """(view,) number of the view's pose in the adjustment."""
     print_share: float
+    """Share of the boards' stripe peaks on uneven print, which are not used."""
     stray_share: float
+    """Share of the other stripe peaks that is left out before the adjustment, far off its stripe."""
     solids: OnSolids | None
+    """What solids on the belt gave, where the planes come from them; else None."""
     measured: Measured
     adjusted: Adjusted
+    """measured, adjusted: what went into the adjustment, and what came out."""
     moves: bool
+    """Whether the belt's travel is among the unknowns."""
 
 
 def joint(

@@ -77,21 +77,14 @@ _OUTLYING_POSES_MIN = 4
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PoseLines:
-    """Lines on the board of one pose, left to right.
-
-    Attributes
-    ----------
-    name
-        Name of the image.
-    ends_mm
-        (line, 2, 3) the ends of each in the camera's frame, mm.
-    peaks
-        (line,) how many peaks each was found from; None: equally many.
-    """
+    """Lines on the board of one pose, left to right."""
 
     name: str
+    """Name of the image."""
     ends_mm: Floats
+    """(line, 2, 3) the ends of each in the camera's frame, mm."""
     peaks: Integers | None = None
+    """(line,) how many peaks each was found from; None: equally many."""
 
     @property
     def count(self) -> int:
@@ -106,24 +99,16 @@ class PoseLines:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Numbered:
-    """The solution.
-
-    Attributes
-    ----------
-    stripe
-        For each pose the (line,) stripe of each line, −1 for none.
-    planes
-        (stripe, 3) p·X = 1 of each plane, a first estimate, 1/mm.
-    left_out
-        Poses that fit no numbering, with the reason.
-    moved
-        Those of them whose board or laser moved: nothing in their images is to be trusted.
-    """
+    """The solution."""
 
     stripe: list[Integers]
+    """For each pose the (line,) stripe of each line, −1 for none."""
     planes: Floats
+    """(stripe, 3) p·X = 1 of each plane, a first estimate, 1/mm."""
     left_out: dict[str, str]
+    """Poses that fit no numbering, with the reason."""
     moved: tuple[str, ...] = ()
+    """Those of them whose board or laser moved: nothing in their images is to be trusted."""
 
 
 def number_stripes(poses: Sequence[PoseLines], stripes: int, belt: PoseLines | None = None) -> Numbered:

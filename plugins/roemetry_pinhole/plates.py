@@ -60,34 +60,26 @@ _MAD_TO_STD = 1.4826
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Plate:
-    """A sphere plate as measured.
-
-    Attributes
-    ----------
-    pose
-        (4,) x, y of its middle in the belt frame, mm; its turn about Z, rad; its lengths over the described.
-    stripe, x_px, row_px, ball
-        (point,) peaks on balls: stripe, place, and which ball.
-    at_mm, per_px
-        (point, 3) where they lie in the belt frame; (point,) how far a pixel moves them across the ball, mm.
-    slopes
-        (point, 4) derivatives of the points' residuals by the pose.
-    residual
-        (point,) distance from the ball's surface over `per_px`: px.
-    rms_mm
-        Rms distance of the points from their balls.
-    """
+    """A sphere plate as measured."""
 
     pose: Floats
+    """(4,) x, y of its middle in the belt frame, mm; its turn about Z, rad; its lengths over the described.
+    """
     stripe: Integers
     x_px: Floats
     row_px: Floats
     ball: Integers
+    """stripe, x_px, row_px, ball: (point,) peaks on balls: stripe, place, and which ball."""
     at_mm: Floats
     per_px: Floats
+    """at_mm, per_px: (point, 3) where they lie in the belt frame; (point,) how far a pixel moves them across
+    the ball, mm."""
     slopes: Floats
+    """(point, 4) derivatives of the points' residuals by the pose."""
     residual: Floats
+    """(point,) distance from the ball's surface over `per_px`: px."""
     rms_mm: float
+    """Rms distance of the points from their balls."""
 
     @property
     def balls(self) -> int:
@@ -301,22 +293,15 @@ def _slopes(out: Floats, ball: Integers, plate: SpherePlate, pose: Floats) -> Fl
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PlateScale:
-    """A sphere plate's lengths over those described.
-
-    Attributes
-    ----------
-    ratio, own_std
-        See `Reference` in `second_targets`.
-    by_parameter
-        (n,) derivative of ln ratio by the calibration's parameters.
-    said
-        What was seen, in words.
-    """
+    """A sphere plate's lengths over those described."""
 
     ratio: float
     own_std: float
+    """ratio, own_std: see `Reference` in `second_targets`."""
     by_parameter: Floats
+    """(n,) derivative of ln ratio by the calibration's parameters."""
     said: str
+    """What was seen, in words."""
 
 
 def plate_scale(calibration: Calibration, images: list[Peaks], plate: SpherePlate) -> PlateScale | None:

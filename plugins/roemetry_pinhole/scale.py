@@ -218,25 +218,18 @@ _POINTS_MIN = 60
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Reference:
-    """A length whose measure does not come from the board.
-
-    Attributes
-    ----------
-    name, key, what
-        Of the reference, of its ratio among the residuals, and of its length in words.
-    ratio, own_std
-        What the calibration measures over what is described; its relative standard uncertainty without the
-        calibration's part.
-    by_parameter
-        (n,) derivative of ln ratio by the calibration's parameters, in the order of its covariance.
-    """
+    """A length whose measure does not come from the board."""
 
     name: str
     key: str
     what: str
+    """name, key, what: of the reference, of its ratio among the residuals, and of its length in words."""
     ratio: float
     own_std: float
+    """ratio, own_std: what the calibration measures over what is described; its relative standard uncertainty
+    without the calibration's part."""
     by_parameter: Floats
+    """(n,) derivative of ln ratio by the calibration's parameters, in the order of its covariance."""
 
     def std(self, covariance: Floats) -> float:
         """Give the ratio's relative standard uncertainty, the calibration's part included."""

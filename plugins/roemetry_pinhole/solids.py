@@ -28,58 +28,40 @@ Solid = Block | Staircase | Pyramid
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Face:
-    """One face as seen from above.
-
-    Attributes
-    ----------
-    plane
-        (4,) n and d with n·X = d, mm, in the solid's frame: X across the stripes, Y along them, Z up, origin
-        on the belt under its middle.
-    corners_mm
-        (corner, 2) X and Y of its corners, convex, counter-clockwise.
-    walls
-        (2, 4) vertical planes at which it ends towards −Y and +Y.
-    ends
-        Whether it drops there, so that a stripe that crosses it ends at the wall.
-    """
+    """One face as seen from above."""
 
     plane: Floats
+    """(4,) n and d with n·X = d, mm, in the solid's frame: X across the stripes, Y along them, Z up, origin
+    on the belt under its middle."""
     corners_mm: Floats
+    """(corner, 2) X and Y of its corners, convex, counter-clockwise."""
     walls: Floats
+    """(2, 4) vertical planes at which it ends towards −Y and +Y."""
     ends: tuple[bool, bool]
+    """Whether it drops there, so that a stripe that crosses it ends at the wall."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Shape:
-    """A solid.
-
-    Attributes
-    ----------
-    kind, name
-        For people.
-    faces
-        All that stripes can lie on, but for the belt.
-    top
-        Index of its highest level face.
-    height_mm
-        Height of that face.
-    along_mm, along_height_mm
-        Extent along the stripes over which they are not on the belt, and the height at its ends.
-    wide_top
-        Whether all stripes that lie on the solid reach its highest face.
-    turns_deg
-        Ways round it may lie, as far as its shape tells them apart.
-    """
+    """A solid."""
 
     kind: str
     name: str
+    """kind, name: for people."""
     faces: tuple[Face, ...]
+    """All that stripes can lie on, but for the belt."""
     top: int
+    """Index of its highest level face."""
     height_mm: float
+    """Height of that face."""
     along_mm: float
     along_height_mm: float
+    """along_mm, along_height_mm: extent along the stripes over which they are not on the belt, and the height
+    at its ends."""
     wide_top: bool
+    """Whether all stripes that lie on the solid reach its highest face."""
     turns_deg: tuple[float, ...]
+    """Ways round it may lie, as far as its shape tells them apart."""
 
 
 def shape_of(solid: Solid) -> Shape:
@@ -227,47 +209,32 @@ _TILTS_DEG = [(x, y) for x in (-12.0, -4.0, 4.0, 12.0) for y in (-12.0, -4.0, 4.
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Numbered:
-    """Peaks of one image whose stripe is known.
-
-    Attributes
-    ----------
-    name
-        Of the image.
-    stripe
-        (peak,) stripe.
-    x_px, row_px, std_px
-        (peak,) where they are, px.
-    ray
-        (peak, 3) their rays, without distortion, z = 1.
-    """
+    """Peaks of one image whose stripe is known."""
 
     name: str
+    """Of the image."""
     stripe: Integers
+    """(peak,) stripe."""
     x_px: Floats
     row_px: Floats
     std_px: Floats
+    """x_px, row_px, std_px: (peak,) where they are, px."""
     ray: Floats
+    """(peak, 3) their rays, without distortion, z = 1."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Start:
-    """A first geometry.
-
-    Attributes
-    ----------
-    planes, belt
-        (stripe, 3) and (3,) p·X = 1, camera frame, 1/mm.
-    rotation, shift
-        (3, 3) and (3,) to the camera's frame from the solid's.
-    off_mm
-        Mean distance of the peaks from the surface where they should lie; large ones count little.
-    """
+    """A first geometry."""
 
     planes: Floats
     belt: Floats
+    """planes, belt: (stripe, 3) and (3,) p·X = 1, camera frame, 1/mm."""
     rotation: Floats
     shift: Floats
+    """rotation, shift: (3, 3) and (3,) to the camera's frame from the solid's."""
     off_mm: float
+    """Mean distance of the peaks from the surface where they should lie; large ones count little."""
 
 
 def numbered(view: Observation, camera: Floats, stripes: int) -> Numbered:

@@ -50,19 +50,13 @@ _ROUNDS = 3
 
 @dataclass(frozen=True, eq=False, slots=True)
 class StripeLine:
-    """One stripe on a plane.
-
-    Attributes
-    ----------
-    start, slope
-        x = start + slope · y on the plane at distance 1, without distortion.
-    peak
-        (n,) indices of its peaks, by row.
-    """
+    """One stripe on a plane."""
 
     start: float
     slope: float
+    """start, slope: x = start + slope · y on the plane at distance 1, without distortion."""
     peak: Integers
+    """(n,) indices of its peaks, by row."""
 
     def ends(self, xy: Floats) -> Floats:
         """Give (2, 3) the rays of its two ends, from (peak, 2) places without distortion."""
@@ -217,34 +211,23 @@ _MAD_TO_STD = 1.4826
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Gathered:
-    """Stripe points for the adjustment, and a first estimate of the planes.
-
-    Attributes
-    ----------
-    points
-        Means over a few rows each.
-    planes
-        (stripe, 3) p·X = 1, 1/mm.
-    belt
-        (3,) a first estimate of the belt from the empty belt's images; None without any.
-    print_share
-        Share of the boards' peaks that is not used because the print under the stripe is uneven: a line seems
-        shifted towards the lighter side of an edge (Curless and Levoy 1995).
-    stray_share
-        Share of the others that is not used because it is far off its stripe.
-    left_out
-        By image, why its stripes are not used.
-    strange
-        Views whose stripes contradict the others', by number: their marks are not to be trusted either.
-    """
+    """Stripe points for the adjustment, and a first estimate of the planes."""
 
     points: StripePoints
+    """Means over a few rows each."""
     planes: Floats
+    """(stripe, 3) p·X = 1, 1/mm."""
     belt: Floats | None
+    """(3,) a first estimate of the belt from the empty belt's images; None without any."""
     print_share: float
+    """Share of the boards' peaks that is not used because the print under the stripe is uneven: a line seems
+    shifted towards the lighter side of an edge (Curless and Levoy 1995)."""
     stray_share: float
+    """Share of the others that is not used because it is far off its stripe."""
     left_out: dict[str, str]
+    """By image, why its stripes are not used."""
     strange: tuple[int, ...] = ()
+    """Views whose stripes contradict the others', by number: their marks are not to be trusted either."""
 
 
 def gather(

@@ -302,31 +302,23 @@ _POSES_MIN = 4
 
 @dataclass(frozen=True, eq=False, slots=True)
 class CrossValidation:
-    """Errors of a calibration at views it did not know.
-
-    Attributes
-    ----------
-    mark_px, mark_at_px
-        (mark, 2) seen less predicted, and where; each board's pose is found from its own marks.
-    mark_pose
-        (mark,) pose.
-    height_mm, height_at_px
-        (point,) measured less true height, along the belt's normal, of stripe points on the held-out boards,
-        whose marks say where they are; and (point, 2) where in the image.
-    height_pose, height_stripe
-        (point,) pose and stripe.
-    skipped
-        Poses that cannot be spared: without them the rest determines no calibration.
-    """
+    """Errors of a calibration at views it did not know."""
 
     mark_px: Floats
     mark_at_px: Floats
+    """mark_px, mark_at_px: (mark, 2) seen less predicted, and where; each board's pose is found from its own
+    marks."""
     mark_pose: Integers
+    """(mark,) pose."""
     height_mm: Floats
     height_at_px: Floats
+    """height_mm, height_at_px: (point,) measured less true height, along the belt's normal, of stripe points
+    on the held-out boards, whose marks say where they are; and (point, 2) where in the image."""
     height_pose: Integers
     height_stripe: Integers
+    """height_pose, height_stripe: (point,) pose and stripe."""
     skipped: int
+    """Poses that cannot be spared: without them the rest determines no calibration."""
 
 
 def cross_validate(measured: Measured, found: Geometry) -> CrossValidation:

@@ -22,31 +22,23 @@ _EDGE = 8
 
 
 class SurfaceShape(NamedTuple):
-    """Shape of the surface at (section, place) points away from the edges.
-
-    Attributes
-    ----------
-    x_mm, y_mm, z_mm
-        Where, belt frame, mm.
-    slope_deg
-        Angle between the surface's normal and Z.
-    normal_x, normal_y
-        What the unit normal has along X and Y: it leans downhill.
-    curvature_max, curvature_min
-        Principal curvatures, 1/mm; positive is hollow (seen from above), negative is a hump.
-    shape_index
-        Koenderink's: −1 a cap, 0 a saddle, +1 a cup.
-    """
+    """Shape of the surface at (section, place) points away from the edges."""
 
     x_mm: Floats
     y_mm: Floats
     z_mm: Floats
+    """x_mm, y_mm, z_mm: where, belt frame, mm."""
     slope_deg: Floats
+    """Angle between the surface's normal and Z."""
     normal_x: Floats
     normal_y: Floats
+    """normal_x, normal_y: what the unit normal has along X and Y: it leans downhill."""
     curvature_max: Floats
     curvature_min: Floats
+    """curvature_max, curvature_min: principal curvatures, 1/mm; positive is hollow (seen from above),
+    negative is a hump."""
     shape_index: Floats
+    """Koenderink's: −1 a cap, 0 a saddle, +1 a cup."""
 
 
 def surface_shape(sections: Sections) -> SurfaceShape:

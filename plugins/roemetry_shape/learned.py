@@ -166,28 +166,19 @@ def _said(by_class: dict[str, float]) -> str:
 
 
 class Forest(NamedTuple):
-    """Decision trees, all nodes in one row.
-
-    Attributes
-    ----------
-    feature
-        (node,) feature that a split asks for; −1 for a leaf.
-    threshold
-        (node,) where ``values[feature] <= threshold`` the way goes left.
-    left, right
-        (node,) the next node.
-    shares
-        (node, class) class shares of the leaves.
-    roots
-        (tree,) first node of each tree.
-    """
+    """Decision trees, all nodes in one row."""
 
     feature: Integers
+    """(node,) feature that a split asks for; −1 for a leaf."""
     threshold: Floats
+    """(node,) where ``values[feature] <= threshold`` the way goes left."""
     left: Integers
     right: Integers
+    """left, right: (node,) the next node."""
     shares: Floats
+    """(node, class) class shares of the leaves."""
     roots: Integers
+    """(tree,) first node of each tree."""
 
 
 @kernel
@@ -208,46 +199,31 @@ def forest_shares(
 
 @dataclass(frozen=True, eq=False)
 class LearnedModel:
-    """What `roemetry fit-classifier` found from many products.
-
-    Attributes
-    ----------
-    features
-        Names, in the forest's order.
-    fill
-        (feature,) median of the samples: stands for a feature that is missing.
-    classes
-        Names; `good` is one of them, or "".
-    good, good_from
-        The class of good products, and the least probability of it that is called so.
-    stated_from
-        Least probability of a class that is stated.
-    temperature
-        Power that turns the forest's shares into probabilities.
-    forest
-        The trees.
-    seen
-        What the samples of each class look like: how far a product is from all of them.
-    distance_max
-        Largest such distance that is not yet novel.
-    excess_max
-        The same of how far features lie beyond all that were seen.
-    smoothing_mm
-        How the features were measured.
-    """
+    """What `roemetry fit-classifier` found from many products."""
 
     features: tuple[str, ...]
+    """Names, in the forest's order."""
     fill: Floats
+    """(feature,) median of the samples: stands for a feature that is missing."""
     classes: tuple[str, ...]
+    """Names; `good` is one of them, or ""."""
     good: str
     good_from: float
+    """good, good_from: the class of good products, and the least probability of it that is called so."""
     stated_from: float
+    """Least probability of a class that is stated."""
     temperature: float
+    """Power that turns the forest's shares into probabilities."""
     forest: Forest
+    """The trees."""
     seen: SeenClasses
+    """What the samples of each class look like: how far a product is from all of them."""
     distance_max: float
+    """Largest such distance that is not yet novel."""
     excess_max: float
+    """The same of how far features lie beyond all that were seen."""
     smoothing_mm: float
+    """How the features were measured."""
 
     def values(self, features: Mapping[str, float]) -> Floats:
         """Put features in the forest's order; the median of the samples where one is missing."""

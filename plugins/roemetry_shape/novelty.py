@@ -74,44 +74,30 @@ _VARIANCE_MIN = 0.05
 
 
 class Novelty(NamedTuple):
-    """How far a sample is from all that was learned.
-
-    Attributes
-    ----------
-    value
-        As a share of the limit; above 1 the sample is novel.
-    feature, found, low, high
-        The feature that lies farthest beyond what was seen, its value, and what was seen; "" and NaN where it
-        is all features together that are farther from every class.
-    """
+    """How far a sample is from all that was learned."""
 
     value: float
+    """As a share of the limit; above 1 the sample is novel."""
     feature: str = ""
     found: float = math.nan
     low: float = math.nan
     high: float = math.nan
+    """feature, found, low, high: the feature that lies farthest beyond what was seen, its value, and what was
+    seen; "" and NaN where it is all features together that are farther from every class."""
 
 
 class SeenClasses(NamedTuple):
-    """What was seen of each class.
-
-    Attributes
-    ----------
-    centres
-        (class, feature) means of the scaled features.
-    spread
-        (feature,) standard deviations within classes.
-    precision
-        (class, feature, feature) inverse of the correlation within the class.
-    low, high
-        (feature,) least and largest scaled values, of all classes.
-    """
+    """What was seen of each class."""
 
     centres: Floats
+    """(class, feature) means of the scaled features."""
     spread: Floats
+    """(feature,) standard deviations within classes."""
     precision: Floats
+    """(class, feature, feature) inverse of the correlation within the class."""
     low: Floats
     high: Floats
+    """low, high: (feature,) least and largest scaled values, of all classes."""
 
     def novelty(
         self, values: Floats, names: Sequence[str], distance_max: float, excess_max: float
@@ -250,40 +236,28 @@ GOOD_MIN = 5
 
 @dataclass(frozen=True, eq=False)
 class GoodReference:
-    """What `roemetry fit-classifier` found from a few products.
-
-    Attributes
-    ----------
-    features
-        Names.
-    centre, spread
-        (feature,) mean of the good samples, and the standard deviation a further one is expected to have.
-    one_sided
-        Whether only larger values are worse.
-    good
-        The class of good products.
-    limit
-        Largest deviation that is still good.
-    defects
-        Names of defects that samples had.
-    directions
-        (defect, feature) mean deviations of each, of length 1.
-    kept_at_least
-        Share of good products kept, by counting, at 95 % confidence.
-    smoothing_mm
-        How the features were measured.
-    """
+    """What `roemetry fit-classifier` found from a few products."""
 
     features: tuple[str, ...]
+    """Names."""
     centre: Floats
     spread: Floats
+    """centre, spread: (feature,) mean of the good samples, and the standard deviation a further one is
+    expected to have."""
     one_sided: bool
+    """Whether only larger values are worse."""
     good: str
+    """The class of good products."""
     limit: float
+    """Largest deviation that is still good."""
     defects: tuple[str, ...]
+    """Names of defects that samples had."""
     directions: Floats
+    """(defect, feature) mean deviations of each, of length 1."""
     kept_at_least: float
+    """Share of good products kept, by counting, at 95 % confidence."""
     smoothing_mm: float
+    """How the features were measured."""
 
     def deviations(self, values: Floats) -> Floats:
         """(sample, feature) deviations of values, in standard deviations; 0 where a value is missing."""

@@ -37,22 +37,15 @@ _STEP_MIN_MM = 0.01
 
 
 class Frame(NamedTuple):
-    """A product's surface in its own frame.
-
-    Attributes
-    ----------
-    sections
-        `STATIONS` sections square to the axis; `middle_mm` in the product's frame: along the axis, and off
-        it.
-    pitch_mm
-        Median distance of the stripes along the axis, mm.
-    end_missing_mm
-        (2,) estimated length beyond the first and last section, mm; at most one pitch.
-    """
+    """A product's surface in its own frame."""
 
     sections: Sections
+    """`STATIONS` sections square to the axis; `middle_mm` in the product's frame: along the axis, and off it.
+    """
     pitch_mm: float
+    """Median distance of the stripes along the axis, mm."""
     end_missing_mm: Floats
+    """(2,) estimated length beyond the first and last section, mm; at most one pitch."""
 
 
 def in_product_frame(sections: Sections) -> Frame:
@@ -167,33 +160,23 @@ _GAP_MAX = 2.0 / 3.0
 
 
 class Sections(NamedTuple):
-    """Cross-sections in the order in which they lie along the product's long way.
-
-    Attributes
-    ----------
-    stripe
-        (section,) stripe index.
-    along_mm
-        (section,) place of each section's middle along the way through the middles, mm, from the first.
-    middle_mm
-        (section, 2) X and Y of the middle between its edges, mm.
-    half_width_mm
-        (section,) half the distance between its edges, mm.
-    height_mm
-        (section, SAMPLES) height over the belt at even steps from edge to edge, mm.
-    across_mm
-        (section, SAMPLES) distance from the middle along Y, mm.
-    x_mm
-        (section, SAMPLES) X of the same places: a plane of light leans, so a section's X changes with height.
-    """
+    """Cross-sections in the order in which they lie along the product's long way."""
 
     stripe: Integers
+    """(section,) stripe index."""
     along_mm: Floats
+    """(section,) place of each section's middle along the way through the middles, mm, from the first."""
     middle_mm: Floats
+    """(section, 2) X and Y of the middle between its edges, mm."""
     half_width_mm: Floats
+    """(section,) half the distance between its edges, mm."""
     height_mm: Floats
+    """(section, SAMPLES) height over the belt at even steps from edge to edge, mm."""
     across_mm: Floats
+    """(section, SAMPLES) distance from the middle along Y, mm."""
     x_mm: Floats
+    """(section, SAMPLES) X of the same places: a plane of light leans, so a section's X changes with height.
+    """
 
     @property
     def peak_mm(self) -> Floats:

@@ -50,28 +50,19 @@ _SPREAD_LEAST_MM2 = 4.0
 
 
 class Region(NamedTuple):
-    """One dent or hump.
-
-    Attributes
-    ----------
-    depth_mm
-        Largest depth below (of a hump: height above) what it is measured from, mm.
-    area_mm2
-        Area on the belt, mm²: widths times the distance each section stands for.
-    x_mm, y_mm
-        Place of that, belt frame, mm.
-    stripes
-        Number of stripes that show it.
-    cells
-        (cell, 2) section and sample of each place in it.
-    """
+    """One dent or hump."""
 
     depth_mm: float
+    """Largest depth below (of a hump: height above) what it is measured from, mm."""
     area_mm2: float
+    """Area on the belt, mm²: widths times the distance each section stands for."""
     x_mm: float
     y_mm: float
+    """x_mm, y_mm: place of that, belt frame, mm."""
     stripes: int
+    """Number of stripes that show it."""
     cells: Integers
+    """(cell, 2) section and sample of each place in it."""
 
 
 def hollows_of(sections: Sections) -> tuple[Floats, tuple[Region, ...]]:

@@ -104,28 +104,20 @@ class Edge(NamedTuple):
 
 
 class Scene(NamedTuple):
-    """What a contour is searched in, (row, column) each.
-
-    Attributes
-    ----------
-    level
-        log(image / belt).
-    product, belt
-        True where stripes show this product; and where they show the belt or another product.
-    stripes
-        True where a laser image's stripes were taken out; None: a plain-light image.
-    blur_px
-        By how much `level` was smoothed, standard deviation.
-    spacing_px
-        Distance of neighbouring stripes.
-    """
+    """What a contour is searched in, (row, column) each."""
 
     level: Floats
+    """log(image / belt)."""
     product: Flags
     belt: Flags
+    """product, belt: true where stripes show this product; and where they show the belt or another product.
+    """
     stripes: Flags | None
+    """True where a laser image's stripes were taken out; None: a plain-light image."""
     blur_px: float
+    """By how much `level` was smoothed, standard deviation."""
     spacing_px: float
+    """Distance of neighbouring stripes."""
 
 
 def edge_around(scene: Scene, start: Floats) -> Edge | None:

@@ -151,37 +151,25 @@ def with_inverse(features: dict[str, float]) -> dict[str, float]:
 
 @dataclass(frozen=True, eq=False)
 class WeightModel:
-    """Mass over visible volume, g/cm³, as a linear function of features.
-
-    Attributes
-    ----------
-    form
-        A key of `FORMS`.
-    features
-        Names, in the coefficients' order.
-    centre, spread
-        (feature,) mean and standard deviation of the samples.
-    coefficients
-        (1 + feature,) g/cm³: at the centre, and for each spread off it.
-    covariance
-        (1 + feature, 1 + feature) of the coefficients, (g/cm³)².
-    scatter_g_per_cm3
-        Standard deviation of products about the function.
-    degrees_of_freedom
-        Of that.
-    limits
-        By feature, and for `visible_cm3`, smallest and largest value among the samples.
-    """
+    """Mass over visible volume, g/cm³, as a linear function of features."""
 
     form: str
+    """A key of `FORMS`."""
     features: tuple[str, ...]
+    """Names, in the coefficients' order."""
     centre: Floats
     spread: Floats
+    """centre, spread: (feature,) mean and standard deviation of the samples."""
     coefficients: Floats
+    """(1 + feature,) g/cm³: at the centre, and for each spread off it."""
     covariance: Floats
+    """(1 + feature, 1 + feature) of the coefficients, (g/cm³)²."""
     scatter_g_per_cm3: float
+    """Standard deviation of products about the function."""
     degrees_of_freedom: float
+    """Of that."""
     limits: Mapping[str, tuple[float, float]]
+    """By feature, and for `visible_cm3`, smallest and largest value among the samples."""
 
     def ratio(self, features: Mapping[str, float]) -> tuple[float, float, float]:
         """Give mass over visible volume, its uncertainty from the fit alone, and the scatter, g/cm³.

@@ -322,24 +322,16 @@ def grouped(s: Floats, v: Floats, u: Floats, slices: Integers) -> Knots:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Plate:
-    """A fitted plate.
-
-    Attributes
-    ----------
-    grid
-        Of the spline, see `roemetry_volume.surface_fit.Grid`.
-    coefficients
-        Of the spline.
-    factor
-        Banded Cholesky factor of the system.
-    right
-        Right-hand side of the system.
-    """
+    """A fitted plate."""
 
     grid: Any
+    """Of the spline, see `roemetry_volume.surface_fit.Grid`."""
     coefficients: Floats
+    """Of the spline."""
     factor: Floats
+    """Banded Cholesky factor of the system."""
     right: Floats
+    """Right-hand side of the system."""
 
     def at(self, s: Floats, v: Floats) -> Floats:
         """Value at places; s scaled."""

@@ -223,47 +223,32 @@ _MAD_TO_STD = 1.4826
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Places:
-    """Where in the image block and belt were found: frozen, so that redrawn profiles are read alike.
-
-    Attributes
-    ----------
-    top, belt
-        (slice, point) points of the block's top, away from its edges, and of the bare belt.
-    edges
-        (slice, 2) index of the first and last point of the top, edges included; −1 where an edge is not seen.
-    gap_rows
-        (slice, 2) rows from there to the nearest belt point: the edge lies in the middle of it.
-    """
+    """Where in the image block and belt were found: frozen, so that redrawn profiles are read alike."""
 
     top: Flags
     belt: Flags
+    """top, belt: (slice, point) points of the block's top, away from its edges, and of the bare belt."""
     edges: np.ndarray
+    """(slice, 2) index of the first and last point of the top, edges included; −1 where an edge is not seen.
+    """
     gap_rows: Floats
+    """(slice, 2) rows from there to the nearest belt point: the edge lies in the middle of it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """A block as the chain measures it, mm.
-
-    Attributes
-    ----------
-    height_mm
-        Mean height of its top over the calibrated belt plane.
-    belt_mm
-        Mean height of the bare belt: 0 where nothing has moved.
-    width_mm
-        Its side along the stripes; NaN where its edges are not seen on three stripes.
-    stripes
-        Number of stripes on its top.
-    stripe_spread_mm
-        Standard deviation of the stripes' own mean heights.
-    """
+    """A block as the chain measures it, mm."""
 
     height_mm: float
+    """Mean height of its top over the calibrated belt plane."""
     belt_mm: float
+    """Mean height of the bare belt: 0 where nothing has moved."""
     width_mm: float
+    """Its side along the stripes; NaN where its edges are not seen on three stripes."""
     stripes: int
+    """Number of stripes on its top."""
     stripe_spread_mm: float
+    """Standard deviation of the stripes' own mean heights."""
 
 
 def find_block(profiles: Profiles, block: Block) -> Places:

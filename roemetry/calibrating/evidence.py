@@ -229,21 +229,14 @@ _RAMP = ((253, 246, 216), (242, 166, 94), (176, 74, 112), (58, 31, 85))
 
 
 class HeightUncertainty(NamedTuple):
-    """Standard uncertainty of heights by the calibration alone.
-
-    Attributes
-    ----------
-    height_mm
-        (level,) heights, mm.
-    row_px
-        (row,) image rows.
-    std_mm
-        (stripe, level, row) standard uncertainty, mm; NaN where the stripe is not in the image there.
-    """
+    """Standard uncertainty of heights by the calibration alone."""
 
     height_mm: Floats
+    """(level,) heights, mm."""
     row_px: Floats
+    """(row,) image rows."""
     std_mm: Floats
+    """(stripe, level, row) standard uncertainty, mm; NaN where the stripe is not in the image there."""
 
 
 def residual_map(one: Residuals, image_size: tuple[int, int]) -> Markup:

@@ -34,38 +34,26 @@ class WeighedPair(NamedTuple):
 
 
 class WeightCheck(NamedTuple):
-    """What a comparison found.
-
-    Attributes
-    ----------
-    verdict
-        ``holds``; ``refit``; ``too few`` pairs to tell.
-    pairs
-        How many.
-    bias_share, bias_low_share, bias_high_share
-        Mean of line over scale less 1, and its 95 % interval.
-    scatter_share
-        Standard deviation of line over scale.
-    scatter_over_stated
-        Root mean square of the differences over the uncertainties stated; NaN where none are.
-    within_share
-        Share of differences within 1.96 uncertainties; NaN where none are stated.
-    since
-        Id of the first product from which on the line runs away to one side; "" where it does not.
-    words
-        What that means, and what to do, in sentences.
-    """
+    """What a comparison found."""
 
     verdict: Verdict
+    """``holds``; ``refit``; ``too few`` pairs to tell."""
     pairs: int
+    """How many."""
     bias_share: float
     bias_low_share: float
     bias_high_share: float
+    """bias_share, bias_low_share, bias_high_share: mean of line over scale less 1, and its 95 % interval."""
     scatter_share: float
+    """Standard deviation of line over scale."""
     scatter_over_stated: float
+    """Root mean square of the differences over the uncertainties stated; NaN where none are."""
     within_share: float
+    """Share of differences within 1.96 uncertainties; NaN where none are stated."""
     since: str
+    """Id of the first product from which on the line runs away to one side; "" where it does not."""
     words: tuple[str, ...]
+    """What that means, and what to do, in sentences."""
 
 
 def check_weights(pairs: Sequence[WeighedPair], tolerance_share: float = 0.01) -> WeightCheck:

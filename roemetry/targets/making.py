@@ -19,24 +19,16 @@ SheetFormat = Literal["svg", "pdf"]
 
 @dataclass(frozen=True, slots=True)
 class Made:
-    """What was made of a target.
-
-    Attributes
-    ----------
-    target
-        Its description.
-    identity
-        Short hash of it, as printed on a sheet.
-    file
-        The sheet, or the solid.
-    size_mm
-        Of the page, or of the solid's box.
-    """
+    """What was made of a target."""
 
     target: TargetFile
+    """Its description."""
     identity: str
+    """Short hash of it, as printed on a sheet."""
     file: Path
+    """The sheet, or the solid."""
     size_mm: tuple[float, ...]
+    """Of the page, or of the solid's box."""
 
 
 def make_target(

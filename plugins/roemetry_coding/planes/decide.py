@@ -78,26 +78,19 @@ stripe may be seen twice for a row or two."""
 
 
 class Verdicts(NamedTuple):
-    """Verdicts on peaks.
-
-    Attributes
-    ----------
-    stripe, claims
-        (peak,) stripe; stripe, or the one that its piece claims; −1 for none.
-    height_mm
-        (peak,) height as that stripe, 0 for none.
-    dearer, evidence
-        (peak,) by how much the next best verdict is dearer; what the cheapest shift would cost, a line.
-    sure
-        (peak,) False where a veto speaks against it, whatever the figures.
-    """
+    """Verdicts on peaks."""
 
     stripe: Integers
     claims: Integers
+    """stripe, claims: (peak,) stripe; stripe, or the one that its piece claims; −1 for none."""
     height_mm: Floats
+    """(peak,) height as that stripe, 0 for none."""
     dearer: Floats
     evidence: Floats
+    """dearer, evidence: (peak,) by how much the next best verdict is dearer; what the cheapest shift would
+    cost, a line."""
     sure: Flags
+    """(peak,) False where a veto speaks against it, whatever the figures."""
 
 
 def verdicts_of(problem: Problem, solved: Solved, row: Integers) -> Verdicts:

@@ -44,37 +44,27 @@ from roemetry_kernels.compiling import kernel
 
 
 class Weights(NamedTuple):
-    """What speaks for and against a label; the unit is a third of a whole break of the surface.
-
-    Attributes
-    ----------
-    surface
-        A step of the surface between two stripes by half a label height or more.
-    unseen
-        A stripe left out that would be seen.
-    false_peak
-        A peak left out: more than to leave out a stripe, less than to leave out two.
-    on_rest, anchor
-        Gain of a peak on its own rest line; more if it is one of a run that reaches the image's border.
-    on_end
-        The same at the end of a run, where a body may begin.
-    absent
-        A stripe whose rest line shows nothing.
-    tie_whole, tie_cut, tie_gap
-        Change of stripe within a piece of a trace (never), where it was cut (half a break), and over a gap of
-        two ends that point at each other exactly.
-    """
+    """What speaks for and against a label; the unit is a third of a whole break of the surface."""
 
     surface: float = 3.0
+    """A step of the surface between two stripes by half a label height or more."""
     unseen: float = 4.0
+    """A stripe left out that would be seen."""
     false_peak: float = 6.0
+    """A peak left out: more than to leave out a stripe, less than to leave out two."""
     on_rest: float = 0.2
     anchor: float = 4.0
+    """on_rest, anchor: gain of a peak on its own rest line; more if it is one of a run that reaches the
+    image's border."""
     on_end: float = 1.0
+    """The same at the end of a run, where a body may begin."""
     absent: float = 3.0
+    """A stripe whose rest line shows nothing."""
     tie_whole: float = 300.0
     tie_cut: float = 1.5
     tie_gap: float = 60.0
+    """tie_whole, tie_cut, tie_gap: change of stripe within a piece of a trace (never), where it was cut (half
+    a break), and over a gap of two ends that point at each other exactly."""
 
 
 WEIGHTS = Weights()
@@ -101,49 +91,35 @@ a wall is seen edge-on; walls that stand within some 8 degrees of upright are un
 
 
 class Candidates(NamedTuple):
-    """Stripes that each entry may be.
-
-    Attributes
-    ----------
-    low, many
-        (entry,) first stripe and number of stripes that are possible, which follow each other.
-    offset
-        (entry + 1,) where each entry's nodes begin: one for each possible stripe, and a last one for none.
-    height
-        (node,) height, mm; 0 for none.
-    label_mm
-        (node,) change of height from one stripe to the next at this place, mm.
-    """
+    """Stripes that each entry may be."""
 
     low: Integers
     many: Integers
+    """low, many: (entry,) first stripe and number of stripes that are possible, which follow each other."""
     offset: Integers
+    """(entry + 1,) where each entry's nodes begin: one for each possible stripe, and a last one for none."""
     height: Floats
+    """(node,) height, mm; 0 for none."""
     label_mm: Floats
+    """(node,) change of height from one stripe to the next at this place, mm."""
 
 
 class PairCosts(NamedTuple):
-    """Costs of going from one entry to a later one of the same line, and of beginning and ending.
-
-    Attributes
-    ----------
-    pair
-        (pair, 3) left entry, right entry, and where its costs begin, right stripe by right stripe; sorted by
-        right entry.
-    pair_start
-        (line + 1,) where each line's pairs begin.
-    surface, unseen
-        (cost,) squared step of the surface in half label heights, at most 1; visible stripes left out.
-    before, after
-        (node,) visible stripes left out to the left, and to the right, if this is the first or last.
-    """
+    """Costs of going from one entry to a later one of the same line, and of beginning and ending."""
 
     pair: Integers
+    """(pair, 3) left entry, right entry, and where its costs begin, right stripe by right stripe; sorted by
+    right entry."""
     pair_start: Integers
+    """(line + 1,) where each line's pairs begin."""
     surface: NDArray[np.float32]
     unseen: NDArray[np.float32]
+    """surface, unseen: (cost,) squared step of the surface in half label heights, at most 1; visible stripes
+    left out."""
     before: Floats
     after: Floats
+    """before, after: (node,) visible stripes left out to the left, and to the right, if this is the first or
+    last."""
 
 
 @kernel(error_model="numpy")

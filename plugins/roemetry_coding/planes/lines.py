@@ -51,54 +51,37 @@ _SLOPE_LINES = 6
 
 
 class EpipolarLines(NamedTuple):
-    """Peaks and planes of light on the epipolar lines of an image.
-
-    Attributes
-    ----------
-    line, u
-        (peak,) place across the lines, counted in lines from 0 (not rounded), and along them; u increases
-        with the stripe.
-    plane
-        (line, stripe, 4) α, β, γ, δ, see above, mm.
-    lean
-        (peak,) how far the line of sight goes towards higher stripes for each millimetre down.
-    enters, leaves
-        (stripe,) lines on which the rest lines enter and leave the image.
-    u_min, u_max
-        (line,) where each line enters and leaves the image; NaN where it does not cross it.
-    """
+    """Peaks and planes of light on the epipolar lines of an image."""
 
     line: Floats
     u: Floats
+    """line, u: (peak,) place across the lines, counted in lines from 0 (not rounded), and along them; u
+    increases with the stripe."""
     plane: Floats
+    """(line, stripe, 4) α, β, γ, δ, see above, mm."""
     lean: Floats
+    """(peak,) how far the line of sight goes towards higher stripes for each millimetre down."""
     enters: Floats
     leaves: Floats
+    """enters, leaves: (stripe,) lines on which the rest lines enter and leave the image."""
     u_min: Floats
     u_max: Floats
+    """u_min, u_max: (line,) where each line enters and leaves the image; NaN where it does not cross it."""
 
 
 class Entries(NamedTuple):
-    """Peaks as they stand on the sight lines: a trace has one entry on each line it crosses.
-
-    Attributes
-    ----------
-    start
-        (line + 1,) where each line's entries begin; they are sorted by u.
-    peak, u
-        (entry,) the peak, and its place on the line.
-    before, after
-        (entry,) the entry of the same trace on the line before and after, −1 for none.
-    tie
-        (entry,) what it costs to have another stripe than the entry before.
-    """
+    """Peaks as they stand on the sight lines: a trace has one entry on each line it crosses."""
 
     start: Integers
+    """(line + 1,) where each line's entries begin; they are sorted by u."""
     peak: Integers
     u: Floats
+    """peak, u: (entry,) the peak, and its place on the line."""
     before: Integers
     after: Integers
+    """before, after: (entry,) the entry of the same trace on the line before and after, −1 for none."""
     tie: Floats
+    """(entry,) what it costs to have another stripe than the entry before."""
 
 
 def epipolar_lines(peaks: Peaks, calibration: Calibration, rest_px: Floats) -> EpipolarLines:

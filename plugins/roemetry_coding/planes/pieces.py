@@ -44,28 +44,19 @@ _MAD_TO_STD = 1.4826
 
 
 class Pieces(NamedTuple):
-    """Traces, cut where they join or leave a rest line; a piece is one stripe but for an end.
-
-    Attributes
-    ----------
-    trace, of
-        (peak,) trace; piece of it.
-    line
-        (peak,) rest line that a peak lies on, together with those beside it in its trace; −1 for none.
-    rest
-        (piece,) rest line that it follows, −1 for none, `ENDS` for what was cut off at a belt's end.
-    home
-        (piece,) the rest line that it follows or was cut off from, −1 for none.
-    anchored
-        (piece,) True for belt that reaches the image's border.
-    """
+    """Traces, cut where they join or leave a rest line; a piece is one stripe but for an end."""
 
     trace: Integers
     of: Integers
+    """trace, of: (peak,) trace; piece of it."""
     line: Integers
+    """(peak,) rest line that a peak lies on, together with those beside it in its trace; −1 for none."""
     rest: Integers
+    """(piece,) rest line that it follows, −1 for none, `ENDS` for what was cut off at a belt's end."""
     home: Integers
+    """(piece,) the rest line that it follows or was cut off from, −1 for none."""
     anchored: Flags
+    """(piece,) True for belt that reaches the image's border."""
 
 
 @kernel

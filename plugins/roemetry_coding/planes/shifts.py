@@ -54,42 +54,29 @@ _ROOM_MIN = 1e-6
 
 
 class Runs(NamedTuple):
-    """Runs and their costs.
-
-    Attributes
-    ----------
-    of
-        (entry,) run, −1 where the entry is no stripe.
-    stripe
-        (run,) its stripe.
-    own
-        (run, way) cost by itself, for its stripe and the ones beside it, and for none of it.
-    one, other
-        (edge,) two runs that touch, the one to the left or above first.
-    both
-        (edge, way, way) what they cost each other.
-    disorder
-        (edge, way, way) number of sight lines on which that puts neighbours out of order.
-    start, edge
-        (run + 1,) where a run's edges begin; edges, run by run.
-    first, last
-        (run,) sight lines on which it begins and ends.
-    size
-        (run,) number of entries.
-    """
+    """Runs and their costs."""
 
     of: Integers
+    """(entry,) run, −1 where the entry is no stripe."""
     stripe: Integers
+    """(run,) its stripe."""
     own: Floats
+    """(run, way) cost by itself, for its stripe and the ones beside it, and for none of it."""
     one: Integers
     other: Integers
+    """one, other: (edge,) two runs that touch, the one to the left or above first."""
     both: Floats
+    """(edge, way, way) what they cost each other."""
     disorder: Integers
+    """(edge, way, way) number of sight lines on which that puts neighbours out of order."""
     start: Integers
     edge: Integers
+    """start, edge: (run + 1,) where a run's edges begin; edges, run by run."""
     first: Integers
     last: Integers
+    """first, last: (run,) sight lines on which it begins and ends."""
     size: Integers
+    """(run,) number of entries."""
 
 
 def cheapest_shifts(

@@ -86,43 +86,30 @@ _SMALL_ENTRIES = 12
 
 
 class Problem(NamedTuple):
-    """A frame's graph.
-
-    Attributes
-    ----------
-    lines, pieces, entries
-        Peaks on epipolar lines, pieces of traces, and traces on the lines.
-    there
-        (stripe,) how surely a stripe is there at all, 0 to 1.
-    candidates, costs
-        What each entry may be, and what neighbours cost each other.
-    own
-        (node,) cost of a label by itself.
-    """
+    """A frame's graph."""
 
     lines: EpipolarLines
     pieces: Pieces
     entries: Entries
+    """lines, pieces, entries: peaks on epipolar lines, pieces of traces, and traces on the lines."""
     there: Floats
+    """(stripe,) how surely a stripe is there at all, 0 to 1."""
     candidates: Candidates
     costs: PairCosts
+    """candidates, costs: what each entry may be, and what neighbours cost each other."""
     own: Floats
+    """(node,) cost of a label by itself."""
 
 
 class Solved(NamedTuple):
-    """The cheapest labels.
-
-    Attributes
-    ----------
-    best, evidence
-        (entry,) chosen node, and what the cheapest shift that its run is part of would cost, a line.
-    cost
-        (node,) by how much it is dearer than its entry's cheapest node.
-    """
+    """The cheapest labels."""
 
     best: Integers
     evidence: Floats
+    """best, evidence: (entry,) chosen node, and what the cheapest shift that its run is part of would cost, a
+    line."""
     cost: Floats
+    """(node,) by how much it is dearer than its entry's cheapest node."""
 
 
 def build_problem(peaks: Peaks, calibration: Calibration, rest: RestLines, reach: float) -> Problem:
@@ -268,30 +255,21 @@ class _Span(NamedTuple):
 
 
 class _Work(NamedTuple):
-    """What the lines' solver reads, and its room.
-
-    Attributes
-    ----------
-    pair, step
-        See `PairCosts`; (cost,) of a pair's labels.
-    first, last
-        (node,) cost of being a line's first, and last, label.
-    total
-        (node,) cost by itself, with what other lines say.
-    forward, backward
-        (node,) least cost up to, and from, a node.
-    taken
-        (node,) what a line's cost is taken apart into.
-    """
+    """What the lines' solver reads, and its room."""
 
     pair: Integers
     step: NDArray[np.float32]
+    """pair, step: see `PairCosts`; (cost,) of a pair's labels."""
     first: Floats
     last: Floats
+    """first, last: (node,) cost of being a line's first, and last, label."""
     total: Floats
+    """(node,) cost by itself, with what other lines say."""
     forward: Floats
     backward: Floats
+    """forward, backward: (node,) least cost up to, and from, a node."""
     taken: Floats
+    """(node,) what a line's cost is taken apart into."""
 
 
 @kernel

@@ -103,33 +103,24 @@ _PRODUCT_ROWS_MIN = 3
 
 
 class Layout(NamedTuple):
-    """Coded points over (stripe, row).
-
-    Attributes
-    ----------
-    x_px, x_std_px, margin
-        (stripe, row) what is known of each point, gaps bridged; NaN where there is none.
-    seen
-        (stripe, row) True where there is a peak.
-    peak_stripe
-        (peak,) stripe in few bits.
-    product
-        (stripe, row) product's number, 0 on the belt, −1 where nothing is known and for dirt.
-    dirt
-        (stripe, row) True for what lies off the belt and is too small for a product.
-    between, refused
-        (stripe, row) True where a refused peak may belong; and the number of those peaks.
-    """
+    """Coded points over (stripe, row)."""
 
     x_px: Floats
     x_std_px: Floats
     margin: Floats
+    """x_px, x_std_px, margin: (stripe, row) what is known of each point, gaps bridged; NaN where there is
+    none."""
     seen: Flags
+    """(stripe, row) True where there is a peak."""
     peak_stripe: Labels
+    """(peak,) stripe in few bits."""
     product: Labels
+    """(stripe, row) product's number, 0 on the belt, −1 where nothing is known and for dirt."""
     dirt: Flags
+    """(stripe, row) True for what lies off the belt and is too small for a product."""
     between: Flags
     refused: int
+    """between, refused: (stripe, row) True where a refused peak may belong; and the number of those peaks."""
 
 
 @kernel

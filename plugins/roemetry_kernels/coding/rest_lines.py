@@ -33,32 +33,22 @@ _MAD_MIN_PX = _TOLERANCE_MIN_PX / (_SIGMAS * _MAD_TO_STD)  # less makes no diffe
 
 
 class RestLines(NamedTuple):
-    """Rest lines of a frame.
-
-    Attributes
-    ----------
-    x_px
-        (stripe, row) x on the bare belt, px, increasing with the stripe in each row; NaN where the frame
-        shows no belt to know them from.
-    by_row_px
-        (row, stripe) the same.
-    tolerance_px
-        How far a peak may be from a rest line and still lie on the belt, px.
-    line
-        (peak,) rest line that each of the frame's peaks lies on, −1 for none.
-    on_line
-        (stripe,) number of peaks on each rest line.
-    offset_px
-        Mean distance of the belt's peaks from the lines, px: 0 for lines fitted to this frame, and how far
-        camera, laser or belt have moved for those of a calibration.
-    """
+    """Rest lines of a frame."""
 
     x_px: Floats
+    """(stripe, row) x on the bare belt, px, increasing with the stripe in each row; NaN where the frame shows
+    no belt to know them from."""
     by_row_px: Floats
+    """(row, stripe) the same."""
     tolerance_px: float
+    """How far a peak may be from a rest line and still lie on the belt, px."""
     line: Integers
+    """(peak,) rest line that each of the frame's peaks lies on, −1 for none."""
     on_line: Integers
+    """(stripe,) number of peaks on each rest line."""
     offset_px: float = 0.0
+    """Mean distance of the belt's peaks from the lines, px: 0 for lines fitted to this frame, and how far
+    camera, laser or belt have moved for those of a calibration."""
 
 
 def unknown_rest_lines(stripes: int, peaks: Peaks) -> RestLines:

@@ -88,38 +88,29 @@ class Cause:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Figures:
-    """What a variant came to; where a figure is None, `absent` says why.
-
-    Attributes
-    ----------
-    refused
-        Acquisitions not measured, or not wholly; `causes` says why, `warnings` what stands on the others'
-        rows.
-    errors, pairs
-        By `QUANTITIES`, of products whose truth is known. For the true volume the estimator's true volume
-        counts, where it gives one, else its visible volume; `true_from_visible` says how often.
-    values
-        By `QUANTITIES` and product, all that was measured, whether its truth is known or not.
-    graded
-        Products with a true class.
-    seconds
-        By step, and for all of them together under ``frame``; s for an acquisition.
-    """
+    """What a variant came to; where a figure is None, `absent` says why."""
 
     acquisitions: int
     refused: int
+    """Acquisitions not measured, or not wholly; `causes` says why, `warnings` what stands on the others'
+    rows."""
     causes: tuple[Cause, ...]
     warnings: tuple[Cause, ...]
     errors: Mapping[str, Errors | None]
     pairs: Mapping[str, Pairs]
+    """errors, pairs: by `QUANTITIES`, of products whose truth is known. For the true volume the estimator's
+    true volume counts, where it gives one, else its visible volume; `true_from_visible` says how often."""
     values: Mapping[str, Mapping[str, PairedValue]]
+    """By `QUANTITIES` and product, all that was measured, whether its truth is known or not."""
     graded: tuple[Graded, ...]
+    """Products with a true class."""
     true_from_visible: int
     classes: Classes | None
     centres: CentreScore | None
     centres_on_product: CentreScore | None
     coding: CodingScore | None
     seconds: Mapping[str, Quartiles]
+    """By step, and for all of them together under ``frame``; s for an acquisition."""
     absent: Mapping[str, str]
 
     @property

@@ -153,38 +153,27 @@ class Terms:
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """Differences of a quantity, product by product, %.
-
-    Attributes
-    ----------
-    n, specimens
-        Number of differences; of different things among them.
-    mean_pct, mean_interval_pct
-        Their mean, and its 95 % interval.
-    spread_pct
-        Their standard deviation; NaN for one.
-    limits_pct
-        Limits of agreement, mean ∓ 1.96 standard deviations (Bland and Altman 1986): between them lie about
-        95 % of the differences.
-    low_limit_interval_pct, high_limit_interval_pct
-        95 % intervals of the two.
-    verdict
-        ``equivalent`` if the 90 % interval of the mean lies within the tolerance, ``different`` if it lies
-        wholly beyond it, else ``undecided``; "" without a tolerance.
-    verdict_interval_pct
-        That 90 % interval.
-    """
+    """Differences of a quantity, product by product, %."""
 
     n: int
     specimens: int
+    """n, specimens: number of differences; of different things among them."""
     mean_pct: float
     mean_interval_pct: Interval
+    """mean_pct, mean_interval_pct: their mean, and its 95 % interval."""
     spread_pct: float
+    """Their standard deviation; NaN for one."""
     limits_pct: Interval
+    """Limits of agreement, mean ∓ 1.96 standard deviations (Bland and Altman 1986): between them lie about 95
+    % of the differences."""
     low_limit_interval_pct: Interval
     high_limit_interval_pct: Interval
+    """low_limit_interval_pct, high_limit_interval_pct: 95 % intervals of the two."""
     verdict: str
+    """``equivalent`` if the 90 % interval of the mean lies within the tolerance, ``different`` if it lies
+    wholly beyond it, else ``undecided``; "" without a tolerance."""
     verdict_interval_pct: Interval
+    """That 90 % interval."""
 
 
 def against_truth(values: Mapping[str, PairedValue], terms: Terms) -> Agreement | None:

@@ -59,27 +59,19 @@ class Bin(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Reliability:
-    """Stated probabilities against the share that was right, over the products with a known class.
-
-    Attributes
-    ----------
-    bins
-        By stated probability, tenth by tenth; empty ones are left out.
-    excess
-        Mean stated − share right; above 0 the classifier is surer than it should be.
-    brier
-        Mean squared difference of probability and outcome (1 right, 0 wrong).
-    calibration_error
-        Mean over the products of their bin's difference of stated and right, without sign.
-    """
+    """Stated probabilities against the share that was right, over the products with a known class."""
 
     n: int
     bins: tuple[Bin, ...]
+    """By stated probability, tenth by tenth; empty ones are left out."""
     stated: float
     right: float
     excess: Shift
+    """Mean stated − share right; above 0 the classifier is surer than it should be."""
     brier: float
+    """Mean squared difference of probability and outcome (1 right, 0 wrong)."""
     calibration_error: float
+    """Mean over the products of their bin's difference of stated and right, without sign."""
 
 
 def recalls_of(graded: Sequence[Graded]) -> tuple[Recall, ...]:

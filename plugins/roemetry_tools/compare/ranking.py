@@ -39,26 +39,19 @@ from roemetry_tools.compare.variants import Variant
 
 @dataclass(frozen=True, slots=True)
 class Standing:
-    """A variant beside others.
-
-    Attributes
-    ----------
-    truth, recipe
-        By quantity, agreement with what is true; with the recipe as it is, on the same products.
-    nearer
-        By quantity, mean absolute error less that of the recipe as it is, on the same products, %.
-    balanced_interval
-        95 % interval of the balanced accuracy.
-    balanced_shift
-        Balanced accuracy less that of the recipe as it is; None for the recipe itself.
-    """
+    """A variant beside others."""
 
     truth: Mapping[str, Agreement] = field(default_factory=dict)
     recipe: Mapping[str, Agreement] = field(default_factory=dict)
+    """truth, recipe: by quantity, agreement with what is true; with the recipe as it is, on the same
+    products."""
     nearer: Mapping[str, Shift] = field(default_factory=dict)
+    """By quantity, mean absolute error less that of the recipe as it is, on the same products, %."""
     recalls: tuple[Recall, ...] = ()
     balanced_interval: Interval = NO_INTERVAL
+    """95 % interval of the balanced accuracy."""
     balanced_shift: Shift | None = None
+    """Balanced accuracy less that of the recipe as it is; None for the recipe itself."""
     reliability: Reliability | None = None
 
 
@@ -119,31 +112,21 @@ def choices_of(compared: Sequence[Compared], terms: Terms) -> list[Choice]:
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """The best variant by one figure.
-
-    Attributes
-    ----------
-    figure
-        ``visible_mm3``, ``true_mm3``, ``mass_g``: least mean absolute error, %; ``label``: greatest balanced
-        accuracy.
-    best
-        Number of the variant that is best on all products.
-    seen
-        Its figure on all products: flattered, since it was chosen on them.
-    held_out
-        The figure of the choice where each fold's variant was chosen on the other folds.
-    chosen
-        By fold, the number of the variant.
-    n
-        Products that all variants measured, and so took part.
-    """
+    """The best variant by one figure."""
 
     figure: str
+    """``visible_mm3``, ``true_mm3``, ``mass_g``: least mean absolute error, %; ``label``: greatest balanced
+    accuracy."""
     best: int
+    """Number of the variant that is best on all products."""
     seen: float
+    """Its figure on all products: flattered, since it was chosen on them."""
     held_out: float
+    """The figure of the choice where each fold's variant was chosen on the other folds."""
     chosen: tuple[int, ...]
+    """By fold, the number of the variant."""
     n: int
+    """Products that all variants measured, and so took part."""
 
 
 def choose_by_error(

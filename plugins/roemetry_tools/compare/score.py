@@ -37,27 +37,21 @@ class Pair:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Scored:
-    """What one variant made of one acquisition (`item` is its id).
-
-    Attributes
-    ----------
-    refused
-        Why it was not measured, or not all of it; None where it was.
-    centres, centres_on_product, coding
-        Extractor and coder against the true stripes; where None, `without` says why.
-    seconds
-        By step, the time it took where it was done, s.
-    """
+    """What one variant made of one acquisition (`item` is its id)."""
 
     variant: int
     item: str
     pairs: tuple[Pair, ...]
     refused: Reason | None
+    """Why it was not measured, or not all of it; None where it was."""
     centres: CentreScore | None = None
     centres_on_product: CentreScore | None = None
     coding: CodingScore | None = None
+    """centres, centres_on_product, coding: extractor and coder against the true stripes; where None,
+    `without` says why."""
     without: Mapping[str, Reason] = field(default_factory=dict)
     seconds: Mapping[str, float] = field(default_factory=dict)
+    """By step, the time it took where it was done, s."""
 
 
 def score(

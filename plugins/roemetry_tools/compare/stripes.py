@@ -73,27 +73,19 @@ class CentreScore:
     """How peaks lie beside true centres; scores of images add up.
 
     A peak and a true centre belong together if each is the other's nearest in the row, within 3 px.
-
-    Attributes
-    ----------
-    true
-        True centres looked for.
-    matched
-        Those that a peak belongs to.
-    peaks
-        Peaks found; on a part of the image only those that belong to a true centre.
-    sum_px, sum_px2
-        Sums of the errors, found minus true along the row, px, and of their squares, px².
-    counts
-        (bin,) errors counted in bins of 0.002 px from −3 to 3 px.
     """
 
     true: int = 0
+    """True centres looked for."""
     matched: int = 0
+    """Those that a peak belongs to."""
     peaks: int = 0
+    """Peaks found; on a part of the image only those that belong to a true centre."""
     sum_px: float = 0.0
     sum_px2: float = 0.0
+    """sum_px, sum_px2: sums of the errors, found minus true along the row, px, and of their squares, px²."""
     counts: Integers = field(default_factory=lambda: np.zeros(_BINS, np.int64))
+    """(bin,) errors counted in bins of 0.002 px from −3 to 3 px."""
 
     def __add__(self, other: CentreScore) -> CentreScore:
         return CentreScore(*(getattr(self, one.name) + getattr(other, one.name) for one in fields(self)))
@@ -139,36 +131,24 @@ def _score(error: Floats, true: int, peaks: int) -> CentreScore:
 
 @dataclass(frozen=True, slots=True)
 class CodingScore:
-    """What became of the true points on products, and wrong labels anywhere; scores of images add up.
-
-    Attributes
-    ----------
-    visible
-        True points on products, lit and seen. The four that follow add up to it.
-    right
-        With a seen point of their own stripe, to which they are the nearest true centre, within 3 px.
-    wrong
-        Not right, and with a seen point of another stripe, to which they are the nearest.
-    refused
-        With a peak within 3 px, which the coder gave to no stripe.
-    unseen
-        Without any peak within 3 px.
-    ambiguous
-        Of the refused, those whose peak was called ambiguous.
-    wrong_points
-        Seen points, on products and belt, whose nearest true centre within 3 px is another stripe's.
-    longest_wrong_run
-        Most of these in rows that follow each other on one stripe.
-    """
+    """What became of the true points on products, and wrong labels anywhere; scores of images add up."""
 
     visible: int = 0
+    """True points on products, lit and seen. The four that follow add up to it."""
     right: int = 0
+    """With a seen point of their own stripe, to which they are the nearest true centre, within 3 px."""
     wrong: int = 0
+    """Not right, and with a seen point of another stripe, to which they are the nearest."""
     refused: int = 0
+    """With a peak within 3 px, which the coder gave to no stripe."""
     unseen: int = 0
+    """Without any peak within 3 px."""
     ambiguous: int = 0
+    """Of the refused, those whose peak was called ambiguous."""
     wrong_points: int = 0
+    """Seen points, on products and belt, whose nearest true centre within 3 px is another stripe's."""
     longest_wrong_run: int = 0
+    """Most of these in rows that follow each other on one stripe."""
 
     def __add__(self, other: CodingScore) -> CodingScore:
         added = {one.name: getattr(self, one.name) + getattr(other, one.name) for one in fields(self)}

@@ -180,22 +180,15 @@ FIGURES = (
 
 @dataclass(frozen=True)
 class AcrossSets:
-    """One figure of one variant on every data set.
-
-    Attributes
-    ----------
-    variant, figure
-        The variant's name; the column of ``comparison.csv``.
-    values
-        By data set; None where it has none.
-    apart
-        Whether the 95 % intervals of two sets do not meet; None where the figure has no interval.
-    """
+    """One figure of one variant on every data set."""
 
     variant: str
     figure: str
+    """variant, figure: the variant's name; the column of ``comparison.csv``."""
     values: Mapping[str, Value]
+    """By data set; None where it has none."""
     apart: bool | None
+    """Whether the 95 % intervals of two sets do not meet; None where the figure has no interval."""
 
     @property
     def difference(self) -> float:
