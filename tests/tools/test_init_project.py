@@ -117,7 +117,7 @@ def test_files_of_an_own_product_are_sound(
         assert line in text
     loaded = Recipe.load(
         tmp_path,
-        sets=["calibration=", "stages.triangulator=", "stages.volume=", "stages.weigher=",
+        sets=["calibration=", "stages.aligner=", "stages.triangulator=", "stages.volume=", "stages.weigher=",
               "stages.classifier=", "stages.outliner=", "source.use=image-files"],
     )  # fmt: skip
     assert loaded.product == name

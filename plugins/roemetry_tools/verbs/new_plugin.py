@@ -35,6 +35,7 @@ TEMPLATES = {
 
 _NO_TEMPLATE = {
     "calibrator": "plugins/roemetry_paper/block_linear.py",
+    "aligner": "plugins/roemetry_coding/belt_lines.py",
     "triangulator": "plugins/roemetry_paper/block_linear.py",
     "simulator": "plugins/roemetry_simulate",
     "planner": "plugins/roemetry_simulate",

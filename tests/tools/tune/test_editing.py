@@ -9,7 +9,6 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from roemetry.errors import ConfigurationError
 from roemetry.io.yaml_source import parse
 from roemetry_tools.tune.editing import differences, edited, inline
 from roemetry_tools.tune.request import value_of
@@ -172,19 +171,6 @@ def test_a_text_without_a_last_line_end_can_grow() -> None:
 
 def test_truth_is_not_one() -> None:
     assert edited("a: 1\n", "r", {"a": True}) == "a: true\n"
-
-
-@pytest.mark.parametrize(
-    "text", ["a: &x 1\nb: *x\n", "a: &x {c: 1}\nb: *x\n", "base: &x {c: 1}\nb:\n  <<: *x\n"]
-)
-def test_what_comes_from_an_anchor_is_refused_and_not_spoilt(text: str) -> None:
-    data = parse(text, "r").data
-    wanted = copy.deepcopy(data)
-    wanted["b"] = 7 if isinstance(wanted["b"], int) else {"c": 7}
-    try:
-        assert parse(edited(text, "r", wanted), "r").data == wanted
-    except ConfigurationError as error:
-        assert "by hand" in str(error)
 
 
 def test_differences_are_told_with_both_values() -> None:

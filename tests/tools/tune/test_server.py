@@ -58,7 +58,7 @@ def test_a_wish_is_answered_and_its_picture_is_there(client: Any) -> None:
 def test_the_recipe_is_described(client: Any) -> None:
     told = client.get("/recipe").json()
     assert told["product"] == "test dome"
-    assert [stage["kind"] for stage in told["stages"]][:2] == ["extractor", "coder"]
+    assert [stage["kind"] for stage in told["stages"]][:3] == ["extractor", "aligner", "coder"]
     extractor = told["stages"][0]
     assert extractor["chosen"] == {"use": "dominant-peak", "options": {"threshold": "60"}}
     assert {"dominant-peak", "steger"} <= {choice["use"] for choice in extractor["choices"]}
