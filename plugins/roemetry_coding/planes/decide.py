@@ -33,6 +33,7 @@ from roemetry_coding.planes.solve import Problem, Solved
 from roemetry_coding.planes.vetoes import (
     claimed,
     ends_settled,
+    fits_another_stripe,
     going_on,
     left_over,
     may_be_level,
@@ -173,6 +174,7 @@ def decided(
         for along in (verdicts.stripe, pieces.trace):
             stripe[going_on(peaks.row, along, level, stripe < 0, longest_gap_rows)] = AMBIGUOUS
     stripe[left_over(pieces.of, verdicts.stripe, stripe, _LEFT_SHARE)] = AMBIGUOUS
+    stripe[fits_another_stripe(peaks.row, peaks.x_px, stripe, rest)] = AMBIGUOUS
     return stripe, margin, gaps
 
 

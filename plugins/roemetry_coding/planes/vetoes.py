@@ -15,6 +15,8 @@ reason that it does not contain. Each veto names one such reason and marks the p
   that could hide it. A level product one spacing high, each stripe on its neighbour's rest line, looks so.
 - `going_on`: that doubt does not end where the gap does; it follows the stripe and the trace over what lies
   nearly on its rest line without reaching the image's border.
+- `fits_another_stripe`: a body that would be three times more even, were all of it some stripes on: a fan's
+  uneven spacing is a pattern that right labels take out and wrong ones put in.
 - `left_over`: what a body is on some rows it is on the others; of a piece mostly refused none is kept.
 
 What each is worth, on which images: docs/measurements/coding-ablation.md. Vetoes refuse, they never change a
@@ -204,6 +206,64 @@ def nearly_belt(peaks: Peaks, stripe: Integers, rest: RestLines) -> Flags:
     spacing_px = np.median(np.diff(rest.x_px, axis=0)) if rest.x_px.shape[0] > 1 else np.inf
     away_px = np.abs(peaks.x_px - rest.x_px[np.maximum(stripe, 0), peaks.row])
     return np.asarray((stripe >= 0) & (away_px < HIDING_SPACINGS * spacing_px))
+
+
+def fits_another_stripe(row: Integers, x_px: Floats, stripe: Integers, rest: RestLines) -> Flags:
+    """Say which body peaks would lie on a much evener surface, were the whole body some stripes on.
+
+    The distances of a fan's stripes differ from one to the next, and a body shows their pattern on top of its
+    own shape. Of a level body whose labels are all k off, the second differences of its peaks from stripe to
+    stripe are those of the rest lines k on, not of its own. A fan without a pattern says nothing here.
+    """
+    stripes, rows = rest.x_px.shape
+    body = np.flatnonzero((stripe >= 0) & (stripe != rest.line))
+    x = np.full((stripes, rows), np.nan)
+    x[stripe[body], row[body]] = x_px[body]
+    bend = np.full((stripes, rows), np.nan)
+    bend[1:-1] = x[:-2] - 2.0 * x[1:-1] + x[2:]
+    own = np.full((stripes, rows), np.nan)
+    own[1:-1] = rest.x_px[:-2] - 2.0 * rest.x_px[1:-1] + rest.x_px[2:]
+    found = np.zeros(x_px.size, np.bool_)
+    bodies, count = _joined(np.isfinite(x))
+    for number in range(1, count + 1):
+        here = np.where(bodies == number, bend, np.nan)
+        seen = np.flatnonzero(np.isfinite(here).sum(axis=1) >= _PATTERN_ROWS_MIN)
+        if seen.size < _PATTERN_STRIPES_MIN:
+            continue
+        uneven = np.nanmedian(here[seen], axis=1)
+        for shift in range(-_PATTERN_REACH, _PATTERN_REACH + 1):
+            at = seen + shift
+            inside = (at >= 1) & (at < stripes - 1)
+            if shift == 0 or np.count_nonzero(inside) < _PATTERN_STRIPES_MIN:
+                continue
+            chosen, other = (
+                np.median(
+                    np.abs(uneven[inside] - np.nanmedian(own[which] + 0.0 * here[seen[inside]], axis=1))
+                )
+                for which in (seen[inside], at[inside])
+            )
+            if other < _PATTERN_SHARE * chosen and chosen - other > _PATTERN_MIN_PX:
+                found[body[bodies[stripe[body], row[body]] == number]] = True
+    return found
+
+
+_PATTERN_REACH = 3
+"""Stripes on and back that are tried: a body four spacings high stands beyond most rigs' range."""
+_PATTERN_ROWS_MIN = 10
+_PATTERN_STRIPES_MIN = 4
+"""Stripes with second differences: fewer fit by chance."""
+_PATTERN_SHARE = 1.0 / 3.0
+"""Of the unevenness as labelled: a right label is never three times less even than a wrong one, for body and
+pattern add up in both."""
+_PATTERN_MIN_PX = 0.3
+"""Ten times what second differences of medians over ten rows scatter by."""
+
+
+def _joined(there: Flags) -> tuple[Integers, int]:
+    from scipy import ndimage
+
+    bodies, count = ndimage.label(there)
+    return bodies, int(count)
 
 
 def left_over(piece: Integers, stripe: Integers, kept: Integers, share_min: float) -> Flags:
