@@ -213,7 +213,8 @@ def fits_another_stripe(row: Integers, x_px: Floats, stripe: Integers, rest: Res
 
     The distances of a fan's stripes differ from one to the next, and a body shows their pattern on top of its
     own shape. Of a level body whose labels are all k off, the second differences of its peaks from stripe to
-    stripe are those of the rest lines k on, not of its own. A fan without a pattern says nothing here.
+    stripe are those of the rest lines k on, not of its own. What is left of them is small and smooth under
+    right labels, large and rough under wrong ones. A fan without a pattern says nothing here.
     """
     stripes, rows = rest.x_px.shape
     body = np.flatnonzero((stripe >= 0) & (stripe != rest.line))
@@ -236,13 +237,12 @@ def fits_another_stripe(row: Integers, x_px: Floats, stripe: Integers, rest: Res
             inside = (at >= 1) & (at < stripes - 1)
             if shift == 0 or np.count_nonzero(inside) < _PATTERN_STRIPES_MIN:
                 continue
+            rows_of_body = 0.0 * here[seen[inside]]
             chosen, other = (
-                np.median(
-                    np.abs(uneven[inside] - np.nanmedian(own[which] + 0.0 * here[seen[inside]], axis=1))
-                )
+                _unevenness(uneven[inside] - np.nanmedian(own[which] + rows_of_body, axis=1), seen[inside])
                 for which in (seen[inside], at[inside])
             )
-            if other < _PATTERN_SHARE * chosen and chosen - other > _PATTERN_MIN_PX:
+            if (other < _PATTERN_SHARE * chosen).all() and (chosen - other > _PATTERN_MIN_PX).all():
                 found[body[bodies[stripe[body], row[body]] == number]] = True
     return found
 
@@ -253,10 +253,15 @@ _PATTERN_ROWS_MIN = 10
 _PATTERN_STRIPES_MIN = 4
 """Stripes with second differences: fewer fit by chance."""
 _PATTERN_SHARE = 1.0 / 3.0
-"""Of the unevenness as labelled: a right label is never three times less even than a wrong one, for body and
-pattern add up in both."""
+"""Of the unevenness as labelled: right labels are never three times less even than wrong ones, which put the
+pattern in twice."""
 _PATTERN_MIN_PX = 0.3
 """Ten times what second differences of medians over ten rows scatter by."""
+
+
+def _unevenness(bend: Floats, stripe: Integers) -> Floats:
+    """Median of what bends a surface at each stripe, and of its step from each stripe to the next, px."""
+    return np.array([np.median(np.abs(bend)), np.median(np.abs(np.diff(bend)[np.diff(stripe) == 1]))])
 
 
 def _joined(there: Flags) -> tuple[Integers, int]:

@@ -1,0 +1,45 @@
+"""A body whose labels are all one stripe off is found by the fan's uneven spacing, and only by that."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from roemetry.testing.scenes import LinearRig
+from roemetry_coding.planes.vetoes import fits_another_stripe
+from roemetry_kernels.coding.rest_lines import calibrated_rest_lines
+
+ROWS, STRIPES = 120, 12
+
+
+def scene(rng: np.random.Generator, *, uneven_px: float, off: int, dome_px: float = 0.0):
+    """Peaks of a body on stripes 3 to 9, 50 px up, labelled `off` stripes on."""
+    rig = LinearRig(rows=ROWS, columns=640, stripes=STRIPES, first_px=60.0)
+    calibration = rig.calibration()
+    rest_px = calibration.rest_px.copy()
+    rest_px[:, 0] += uneven_px * rng.uniform(-1.0, 1.0, STRIPES)
+    object.__setattr__(calibration, "rest_px", rest_px)
+    x_px = calibration.rest_line_px(np.arange(ROWS, dtype=np.float64))
+    body = np.s_[3:10, 30:90]
+    stripes = np.arange(3, 10)[:, None]
+    x_px[body] += 50.0 + dome_px * np.cos((stripes - 6.0) / 4.0)
+    drawn = rig.peaks(x_px, scatter_px=0.1)
+    rest = calibrated_rest_lines(drawn.peaks, calibration)
+    on_body = (drawn.stripe >= 3) & (drawn.stripe < 10) & (drawn.peaks.row >= 30) & (drawn.peaks.row < 90)
+    stripe = np.where(on_body, drawn.stripe + off, drawn.stripe)
+    rest = rest._replace(line=np.where(on_body, -1, drawn.stripe))
+    return fits_another_stripe(drawn.peaks.row, drawn.peaks.x_px, stripe, rest), on_body
+
+
+@pytest.mark.parametrize("off", [1, -1, 2])
+@pytest.mark.parametrize("dome_px", [0.0, 6.0])
+def test_a_body_that_is_off_is_refused_whole(off: int, dome_px: float, rng: np.random.Generator) -> None:
+    found, on_body = scene(rng, uneven_px=2.0, off=off, dome_px=dome_px)
+    np.testing.assert_array_equal(found, on_body)
+
+
+@pytest.mark.parametrize("dome_px", [0.0, 6.0, 30.0])
+@pytest.mark.parametrize("uneven_px", [0.0, 2.0])
+def test_a_body_that_is_right_is_kept(uneven_px: float, dome_px: float, rng: np.random.Generator) -> None:
+    found, _ = scene(rng, uneven_px=uneven_px, off=0, dome_px=dome_px)
+    assert not found.any()
