@@ -29,6 +29,8 @@ _STEP_MAX_PX = 3.0
 _STRIPES_MIN = 5
 _JUMP_MIN_PX = 0.4
 """A median jump below it moves no volume by more than some tenths of a percent."""
+_ROUNDED_JUMP_MIN_PX = 2.5
+"""The same for peaks in whole pixels: rounding alone makes jumps of up to two."""
 _TIMES_USUAL = 8.0
 """So many times the jumps of the frame's other rows, which noise and texture make. Of 56 whole images of two
 makers the largest jump is five times the mean."""
@@ -60,7 +62,9 @@ def tear_of(row_start: Integers, x_px: Floats, lines_px: Floats, spacing_px: flo
         return None
     worst = int(np.nanargmax(jump))
     usual = float(np.nanmean(jump))  # the median of whole-pixel peaks may be 0
-    return Tear(worst, float(jump[worst])) if jump[worst] >= max(_JUMP_MIN_PX, _TIMES_USUAL * usual) else None
+    rounded = bool((x_px == np.rint(x_px)).all())
+    least = max(_ROUNDED_JUMP_MIN_PX if rounded else _JUMP_MIN_PX, _TIMES_USUAL * usual)
+    return Tear(worst, float(jump[worst])) if jump[worst] >= least else None
 
 
 @float_kernel

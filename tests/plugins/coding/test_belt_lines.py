@@ -108,3 +108,9 @@ def test_a_step_that_the_stripes_cross_one_after_another_is_no_tear(rng: np.rand
         height[stripe, 70 + stripe : 130] += 5.0
     x_px = rig.x_px(height) + rng.normal(0.0, 0.05, height.shape)
     BeltLines().align(rig.peaks(x_px).peaks, rig.calibration(), moved_rig)
+
+
+def test_peaks_in_whole_pixels_are_no_tear(rng: np.random.Generator) -> None:
+    rig = LinearRig()
+    x_px = np.rint(rig.x_px(rig.dome(3.0)))
+    BeltLines().align(rig.peaks(x_px).peaks, rig.calibration(), moved_rig)
