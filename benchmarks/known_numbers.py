@@ -10,7 +10,7 @@ import csv
 from pathlib import Path
 
 from roemetry import Recipe
-from roemetry_tools.verbs.doctor import COLUMNS, KNOWN_NUMBERS, rows_of
+from roemetry_tools.doctor import COLUMNS, KNOWN_NUMBERS, rows_of
 
 FOLDER = Path("recipes/herring_roe")
 SKEINS = ("skein_01", "skein_02", "skein_03")

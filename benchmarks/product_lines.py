@@ -18,7 +18,7 @@ import numpy as np
 from roemetry import Pipeline, Recipe
 from roemetry.config.dataset import Dataset
 from roemetry.records import ProductTruth
-from roemetry.records.trace import ProductTrace
+from roemetry.records.product import ProductTrace
 from roemetry_tools.compare.stripes import by_place
 
 HOME = Path(__file__).resolve().parents[1] / "recipes"

@@ -21,7 +21,7 @@ import numpy as np
 from benchmarks.volume_scenes import Exact, exact, exact_skein, images, measured, rig_of, thinned
 from roemetry.errors import RoemetryError
 from roemetry.stages import VolumeEstimator
-from roemetry_open3d.surface_mesh import MeshOptions, SurfaceMesh
+from roemetry_open3d.mesh_files import MeshOptions, SurfaceMesh
 from roemetry_paper.zero_order_hold import ZeroOrderHold
 from roemetry_simulate.products import PRODUCTS
 from roemetry_simulate.products.family import Pose, draw_pose, random_of

@@ -14,8 +14,7 @@ from roemetry.errors import RoemetryError
 from roemetry.records import NOTHING, Frame, Outline, Product, Profiles, StripeMap
 from roemetry.records.calibration import Calibration
 from roemetry.records.view import View
-from roemetry.run.open_parts import SHARE_MAX, open_parts
-from roemetry.run.split_products import split_products
+from roemetry.run.open_parts import SHARE_MAX, open_parts, split_products
 from roemetry_kernels.compiling import kernel
 from roemetry_paper.window_tracking import WindowTracking
 from roemetry_peaks.maximum_likelihood import MaximumLikelihood

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from benchmarks.real_images import folder_of
 from roemetry.records import Frame, Peaks, StripeMap
 from roemetry_coding.pieces import Pieces
-from roemetry_kernels.coding.tracing import trace_fragments
+from roemetry_kernels.tracing import trace_fragments
 from roemetry_peaks.gaussian import Gaussian
 
 ROWS_MIN = 10

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from roemetry.stages import INTERFACES
 from roemetry.stages.registry import discover
-from roemetry_tools.verbs.doctor import KNOWN_NUMBERS, known_numbers
+from roemetry_tools.doctor import KNOWN_NUMBERS, known_numbers
 
 LIBRARIES = {"roemetry_kernels"}
 

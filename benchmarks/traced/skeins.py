@@ -15,7 +15,7 @@ from benchmarks.volume_scenes import rig_of
 from roemetry.errors import StageError
 from roemetry.records import Peaks, Product, Profiles, StripeMap
 from roemetry.records.calibration import Calibration
-from roemetry.run.split_products import split_products
+from roemetry.run.open_parts import split_products
 from roemetry_paper.block_linear import BlockLinear
 from roemetry_paper.window_tracking import WindowTracking
 from roemetry_simulate.population import moved_to

@@ -18,10 +18,10 @@ from roemetry.records import AMBIGUOUS, Peaks, StripeMap
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.records.calibration import Calibration
 from roemetry.stages import Coder
-from roemetry_kernels.coding.bridging import BridgingOptions, bridged
-from roemetry_kernels.coding.consistency import refuse_bare_lines, refuse_uncodable, required_calibration
-from roemetry_kernels.coding.rest_lines import calibrated_rest_lines, missing_stripes, reasons_of
+from roemetry_kernels.bridging import BridgingOptions, bridged
 from roemetry_kernels.compiling import inlined, kernel
+from roemetry_kernels.consistency import refuse_bare_lines, refuse_uncodable, required_calibration
+from roemetry_kernels.rest_lines import calibrated_rest_lines, missing_stripes, reasons_of
 
 
 class OrderedOptions(BridgingOptions):

@@ -17,10 +17,10 @@ from roemetry.records import AMBIGUOUS, UNCODED, Peaks, Reason, StripeMap
 from roemetry.records.calibration import Calibration
 from roemetry.stages import Capabilities, Coder, StageOptions
 from roemetry_coding.piece_numbers import numbers_of, pieces_of
-from roemetry_kernels.coding.bridging import bridged
-from roemetry_kernels.coding.consistency import keep_order, refuse_uncodable
-from roemetry_kernels.coding.rest_lines import unknown_rest_lines
-from roemetry_kernels.coding.tracing import trace_fragments
+from roemetry_kernels.bridging import bridged
+from roemetry_kernels.consistency import keep_order, refuse_uncodable
+from roemetry_kernels.rest_lines import unknown_rest_lines
+from roemetry_kernels.tracing import trace_fragments
 
 
 class PiecesOptions(StageOptions):

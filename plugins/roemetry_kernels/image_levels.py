@@ -1,10 +1,8 @@
 """What an extractor asks of a frame before it looks for stripes: one channel, levels within the bit depth.
 
-The noise of an image, estimated from the image itself, compiled.
-
-Which peaks are too faint beside what an image's stripes reach, compiled.
-
-Whether an image's stripes are darker than their surroundings: what is found then lies between them.
+And of its pixels: their noise, what its stripes reach, whether they are darker than their surroundings. The
+n-th smallest and the median are loops of ours: kernels that call numpy's have all of it compiled into them,
+each anew, which takes seconds.
 """
 
 from __future__ import annotations
@@ -20,7 +18,6 @@ from roemetry.records import Frame
 from roemetry.records.arrays import Flags, Floats
 from roemetry.records.reasons import Reason
 from roemetry_kernels.compiling import float_kernel, inlined, kernel
-from roemetry_kernels.ranking import nth_smallest
 
 _WHITE_8_BIT = 255
 
@@ -313,3 +310,56 @@ def _has_dark_lines(image: NDArray[Any], white: int, bright_a_row: float) -> boo
     count = np.array([np.count_nonzero(one >= SHARE_MIN * highest) for one in lines])
     rows = np.count_nonzero(count)
     return bool(rows >= max(_FEWEST, some.shape[0] // 2) and count.sum() > bright_a_row * some.shape[0])
+
+
+@kernel
+def nth_smallest(values: NDArray[Any], n: int) -> Any:
+    """Give the number that would stand at `n` if the values were sorted (Hoare's selection).
+
+    Parameters
+    ----------
+    values
+        (k,) in any order, none of them NaN; they are left as they are.
+    n
+        From 0 to k − 1.
+    """
+    return _with_in_place(values, n)[n]
+
+
+@kernel
+def median_of(values: NDArray[Any]) -> float:
+    """Give the median of one value or more, none of them NaN; of an even number the middle two's mean."""
+    lower = (values.shape[0] - 1) // 2
+    some = _with_in_place(values, lower)
+    if values.shape[0] % 2:
+        return float(some[lower])
+    above = some[lower + 1]
+    for k in range(lower + 2, some.shape[0]):
+        above = min(above, some[k])
+    return 0.5 * (some[lower] + above)
+
+
+@kernel
+def _with_in_place(values: NDArray[Any], n: int) -> NDArray[Any]:
+    """Give the values with the n-th smallest at `n`, none before it larger and none behind it smaller."""
+    some = values.copy()
+    low, high = 0, some.shape[0] - 1
+    while low < high:
+        middle = some[(low + high) // 2]
+        i, j = low, high
+        while i <= j:
+            while some[i] < middle:
+                i += 1
+            while middle < some[j]:
+                j -= 1
+            if i <= j:
+                some[i], some[j] = some[j], some[i]
+                i += 1
+                j -= 1
+        if n <= j:
+            high = j
+        elif n >= i:
+            low = i
+        else:
+            break
+    return some

@@ -18,7 +18,7 @@ def roemetry_stages() -> Iterable[StageEntry]:
     yield StageEntry(
         kind="volume",
         name="surface-mesh",
-        target="roemetry_open3d.surface_mesh:SurfaceMesh",
+        target="roemetry_open3d.mesh_files:SurfaceMesh",
         summary="The volume within a closed mesh: Poisson, ball pivoting or alpha shape, by Open3D",
         reference=_SOURCE,
     )

@@ -22,7 +22,7 @@ from roemetry.records import Block, CalibrationSet, Observation
 from roemetry.records.arrays import Floats
 from roemetry.records.calibration import Calibration
 from roemetry.stages import Calibrator, Capabilities, StageOptions
-from roemetry_paper.block_geometry import block_view
+from roemetry_paper.block_linear import block_view
 from roemetry_paper.block_views import BlockView, RestFit, rest_polynomials, view_of_block
 
 

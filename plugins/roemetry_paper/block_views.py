@@ -10,6 +10,12 @@ of the block the lines are matched to stripes in order. A stripe may miss the to
 line or is hidden), so several matchings are possible: the one whose displacements are a smooth function of
 the stripes' places is taken (the places' own irregularities cancel in the right one alone), and if two are
 equally smooth, none. It fails where the block's rows cannot be told: all displaced stripes on belt lines.
+
+Centres: the paper's peak is the last pixel of the highest plateau. On a stripe that is clipped at white
+that is up to half the plateau to the right of its middle: 0.5 to 2 px, and only where the surface is
+bright. The centre of gravity of what exceeds half the peak's height, over the contiguous pixels around it,
+is free of that (clipping is symmetric) and of rounding. It assumes a symmetric profile that is alone within
+its half height; at the edge of a print or of a surface it follows the edge, as any centre of gravity does.
 """
 
 from __future__ import annotations
@@ -22,10 +28,9 @@ import numpy as np
 from roemetry.errors import CalibrationError, StageError
 from roemetry.records import CalibrationSet, Frame, Observation, Peaks
 from roemetry.records.arrays import Flags, Floats, Integers
-from roemetry_kernels.coding.rest_lines import rest_lines_of_frame
-from roemetry_kernels.coding.tracing import trace_fragments
-from roemetry_paper.block_geometry import displacements
-from roemetry_paper.whole_pixels import centres, is_whole
+from roemetry_kernels.rest_lines import rest_lines_of_frame
+from roemetry_kernels.tracing import trace_fragments
+from roemetry_paper.block_linear import displacements
 
 _BOW_ROWS_MIN = 200
 """Rows of belt from which a parabola is determined better than a pixel's rounding; below, a straight line."""
@@ -563,3 +568,44 @@ def _robust_line(x: Floats, y: Floats) -> tuple[float, float]:
     one, other = np.triu_indices(x.size, 1)
     slope = float(np.median((y[other] - y[one]) / (x[other] - x[one])))
     return slope, float(np.median(y - slope * x))
+
+
+_REACH_MAX_PX = 15
+"""Pixels on either side that are looked at: stripes wider than 30 px at half height keep part of the bias."""
+
+
+def is_whole(x_px: Floats) -> bool:
+    """Say whether places are whole pixels, as those of scans for maxima are."""
+    return bool(x_px.size) and bool((x_px == np.rint(x_px)).all())
+
+
+def centres(pixels: np.ndarray, row: Integers, x_px: Floats, background: Floats, amplitude: Floats) -> Floats:
+    """Give (peak,) centres of gravity above half height, px.
+
+    Parameters
+    ----------
+    pixels
+        (row, column) grey levels.
+    row, x_px
+        (peak,) where the peaks are.
+    background, amplitude
+        (peak,) grey level beside each, and height above it.
+    """
+    if not row.size:
+        return x_px
+    reach = np.arange(-_REACH_MAX_PX, _REACH_MAX_PX + 1)
+    at = np.rint(x_px).astype(np.int64)[:, None] + reach
+    inside = (at >= 0) & (at < pixels.shape[1])
+    grey = pixels[row[:, None], np.clip(at, 0, pixels.shape[1] - 1)].astype(np.float64)
+    above = np.where(inside, grey - (background + 0.5 * amplitude)[:, None], 0.0)
+    high = above > 0.0
+    middle = _REACH_MAX_PX
+    # only what hangs together with the peak: another stripe may be near
+    high[:, middle:] = np.logical_and.accumulate(high[:, middle:], axis=1)
+    high[:, : middle + 1] = np.logical_and.accumulate(high[:, middle::-1], axis=1)[:, ::-1]
+    above *= high
+    total = above.sum(axis=1)
+    known = total > 0.0
+    found = x_px.astype(np.float64)
+    found[known] = at[known, middle] + (above[known] @ reach) / total[known]
+    return found

@@ -31,15 +31,16 @@ from roemetry.records import AMBIGUOUS, UNCODED, Peaks, Reason, StripeMap
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.records.calibration import Calibration
 from roemetry.stages import Coder
-from roemetry_kernels.coding.bridging import BridgingOptions, bridged
-from roemetry_kernels.coding.consistency import (
+from roemetry_kernels.bridging import BridgingOptions, bridged
+from roemetry_kernels.compiling import kernel
+from roemetry_kernels.consistency import (
     drop_doubles,
     keep_order,
     refuse_bare_lines,
     refuse_uncodable,
     refuse_unexplained_gaps,
 )
-from roemetry_kernels.coding.rest_lines import (
+from roemetry_kernels.rest_lines import (
     RestLines,
     calibrated_rest_lines,
     doubtful_by_order,
@@ -49,8 +50,7 @@ from roemetry_kernels.coding.rest_lines import (
     unknown_rest_lines,
     vote_by_order,
 )
-from roemetry_kernels.coding.tracing import cut_at_rest_lines, trace_fragments
-from roemetry_kernels.compiling import kernel
+from roemetry_kernels.tracing import cut_at_rest_lines, trace_fragments
 
 
 class WindowTrackingOptions(BridgingOptions):

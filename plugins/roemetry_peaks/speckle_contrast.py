@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from roemetry.records.arrays import Floats
 from roemetry_kernels.compiling import float_kernel, inlined
-from roemetry_kernels.ranking import median_of
+from roemetry_kernels.image_levels import median_of
 from roemetry_peaks.peak_scan import Pixels
 from roemetry_peaks.peak_window import Stripes
 

@@ -78,7 +78,7 @@ def find_lines(peaks: Peaks, xy: Floats, use: Flags, focal_px: float) -> list[St
     focal_px
         To make pixels of distances there.
     """
-    from roemetry_kernels.coding.tracing import trace_fragments
+    from roemetry_kernels.tracing import trace_fragments
 
     chosen = np.flatnonzero(use)
     if not chosen.size:

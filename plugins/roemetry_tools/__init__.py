@@ -1,6 +1,7 @@
 """Tools around measuring: they plan, begin, tune and compare; the core knows nothing of them.
 
-They use what every Python program may use of the core. Each verb of the command line is a module in `verbs`.
+They use what every Python program may use of the core. Each verb of the command line is a module or a folder
+of its name.
 """
 
 from __future__ import annotations
@@ -22,4 +23,4 @@ def roemetry_verbs() -> Iterable[VerbEntry]:
         ("doctor", "Say what is installed, and whether this machine gives the numbers it should."),
     ):
         word = name.replace("-", "_")
-        yield VerbEntry(name, f"roemetry_tools.verbs.{word}:{word}", summary)
+        yield VerbEntry(name, f"roemetry_tools.{word}:{word}", summary)

@@ -31,7 +31,7 @@ from roemetry.records.outcome import (
     Weight,
 )
 from roemetry.records.plan import Plan, PlanColumn, PlanCurves, PlanFigure, PlanMap, PlanShape, PlanTable
-from roemetry.records.product import Outline, Product, Profiles
+from roemetry.records.product import Outline, Product, ProductTrace, Profiles, Trace
 from roemetry.records.reasons import Reason
 from roemetry.records.stripes import (
     AMBIGUOUS,
@@ -44,5 +44,4 @@ from roemetry.records.stripes import (
     Peaks,
     StripeMap,
 )
-from roemetry.records.trace import ProductTrace, Trace
 from roemetry.records.truth import ProductTruth, Simulated, StripeTruth, Truth

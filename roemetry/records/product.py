@@ -1,4 +1,7 @@
-"""Calibrated slices through the scene, and one product as volume, weigher and classifier receive it."""
+"""Calibrated slices through the scene, and one product as volume, weigher and classifier receive it.
+
+`Trace` holds everything that happened to one acquisition, from the frame to the outcomes.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +11,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from roemetry.records.acquisition import Acquisition, Frame
 from roemetry.records.arrays import Checker, Flags, Floats, Integers, Labels
-from roemetry.records.calibration import Calibration
+from roemetry.records.calibration import Alignment, Calibration
+from roemetry.records.outcome import Decision, Estimate, Grade, Volume, Weight
 from roemetry.records.reasons import Reason
+from roemetry.records.stripes import Peaks, StripeMap
 from roemetry.records.view import View
 
 
@@ -101,3 +107,41 @@ class Product:
         """Largest height of a point on the product above the belt, mm; NaN where it has none."""
         heights = np.ascontiguousarray(self.profiles.xyz_mm[:, :, 2])
         return float(np.fmax.reduce(heights, axis=None, initial=math.nan))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class ProductTrace:
+    """One product and what was found of it; None where a stage was not asked for or not possible.
+
+    `height_max_mm` is None where no uncertainty was drawn: the product itself knows its largest height.
+    """
+
+    product: Product
+    volume: Volume | None
+    weight: Weight | None
+    grade: Grade | None
+    absent: Mapping[str, Reason] = field(default_factory=dict)
+    decision: Decision | None = None
+    height_max_mm: Estimate | None = None
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Trace:
+    """One acquisition's way through the stages."""
+
+    acquisition_id: str
+    acquisition: Acquisition | None = None
+    frame: Frame | None = None
+    """The laser frame as the extractor saw it: one channel, turned, subtracted."""
+    peaks: Peaks | None = None
+    alignment: Alignment | None = None
+    stripes: StripeMap | None = None
+    outlines: tuple[Outline, ...] = ()
+    profiles: Profiles | None = None
+    products: tuple[ProductTrace, ...] = ()
+    """peaks, alignment, stripes, outlines, profiles, products: what each stage gave; None (or empty) where it
+    was not asked for or not possible."""
+    absent: Mapping[str, Reason] = field(default_factory=dict)
+    """By stage kind, why its result is missing."""
+    seconds: Mapping[str, float] = field(default_factory=dict)
+    """By stage kind, the time it took, s."""

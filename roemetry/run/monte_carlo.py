@@ -31,7 +31,7 @@ from roemetry.records import (
 from roemetry.records.arrays import Floats, Integers
 from roemetry.records.calibration import Calibration
 from roemetry.records.penetration import Penetration, raise_surface
-from roemetry.run.split_products import split_products
+from roemetry.run.open_parts import split_products
 
 COVERAGE = 0.95
 """Share of cases in which an interval is to hold the true value."""

@@ -33,9 +33,8 @@ from roemetry.records.calibration import Alignment, Calibration
 from roemetry.records.penetration import raise_surface
 from roemetry.records.view import View
 from roemetry.run.monte_carlo import Chain, Scene, propagate, without_draws
-from roemetry.run.open_parts import OpenPart, open_parts, said_of, widened, widened_by
+from roemetry.run.open_parts import OpenPart, open_parts, said_of, split_products, widened, widened_by
 from roemetry.run.preprocess import prepare, prepare_plain
-from roemetry.run.split_products import split_products
 from roemetry.run.stage_errors import describe_failure, is_refusal
 from roemetry.stages.kinds import check_result_type
 

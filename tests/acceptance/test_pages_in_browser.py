@@ -12,7 +12,7 @@ import typer
 
 from roemetry import Recipe, run_recipe
 from roemetry.cli.calibration import calibrate
-from roemetry_tools.verbs.compare import compare
+from roemetry_tools.compare import compare
 from tests.browser import opened, served
 
 HOME = Path(__file__).resolve().parents[2] / "recipes"

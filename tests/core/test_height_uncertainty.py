@@ -10,7 +10,7 @@ import pytest
 
 from roemetry.records import Estimate, ProductTrace
 from roemetry.run.monte_carlo import Chain, Scene, propagate
-from roemetry.run.split_products import split_products
+from roemetry.run.open_parts import split_products
 from roemetry.testing.scenes import LinearRig
 from roemetry_paper.block_linear import BlockLinear
 

@@ -13,7 +13,7 @@ from roemetry.errors import StageError
 from roemetry.records import Estimate, Grade, Outline, ProductTrace, Shares, StripeMap, Volume, Weight
 from roemetry.records.calibration import Calibration
 from roemetry.run.monte_carlo import Chain, Scene, offset_contour, propagate
-from roemetry.run.split_products import split_products
+from roemetry.run.open_parts import split_products
 from roemetry.stages import Classifier, StageOptions, VolumeEstimator, Weigher
 from roemetry.testing.scenes import LinearRig
 from roemetry_paper.block_linear import BlockLinear

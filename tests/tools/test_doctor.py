@@ -11,8 +11,8 @@ from typer.testing import CliRunner
 
 from roemetry.cli.main import app
 from roemetry.stages.registry import Broken, Provider, Registry, discover
-from roemetry_tools.verbs import doctor
-from roemetry_tools.verbs.doctor import KNOWN_NUMBERS, Finding, examine
+from roemetry_tools import doctor
+from roemetry_tools.doctor import KNOWN_NUMBERS, Finding, examine
 
 
 @pytest.fixture

@@ -260,8 +260,8 @@ def test_questions_are_asked_in_a_terminal(tmp_path: Path, monkeypatch: pytest.M
         asked["answers"] = answers
         return starting.Started(folder, (), 0, lay_out(answers))
 
-    monkeypatch.setattr("roemetry_tools.verbs.init.start_own", begun)
-    monkeypatch.setattr("roemetry_tools.verbs.init.in_terminal", lambda: True)
+    monkeypatch.setattr("roemetry_tools.init.start_own", begun)
+    monkeypatch.setattr("roemetry_tools.init.in_terminal", lambda: True)
     typed = f"{tmp_path / 'new'}\nplums\n90x60x45\n1280x1024\n5\n12\n0\n12\nvolume,weight\n1.1\ny\n"
     done = CliRunner().invoke(app, ["init"], input=typed)
     assert done.exit_code == 0, done.output

@@ -14,7 +14,7 @@ from roemetry.io.yaml_source import parse
 from roemetry.stages.hookspecs import KINDS
 from roemetry.stages.registry import Provider, Registered, discover
 from roemetry.testing import conformance
-from roemetry_tools.verbs.new_plugin import TEMPLATES, write_plugin
+from roemetry_tools.new_plugin import TEMPLATES, write_plugin
 
 
 @pytest.mark.parametrize("kind", TEMPLATES)

@@ -32,9 +32,9 @@ from roemetry.stages import Coder
 from roemetry_coding.planes.decide import decided, margin_of, verdicts_of
 from roemetry_coding.planes.lines import epipolar_lines
 from roemetry_coding.planes.solve import build_problem, cheapest_labels
-from roemetry_kernels.coding.bridging import BridgingOptions, bridged
-from roemetry_kernels.coding.consistency import refuse_bare_lines, refuse_uncodable, required_calibration
-from roemetry_kernels.coding.rest_lines import RestLines, calibrated_rest_lines, missing_stripes, reasons_of
+from roemetry_kernels.bridging import BridgingOptions, bridged
+from roemetry_kernels.consistency import refuse_bare_lines, refuse_uncodable, required_calibration
+from roemetry_kernels.rest_lines import RestLines, calibrated_rest_lines, missing_stripes, reasons_of
 
 __all__ = ["Planes", "PlanesOptions", "epipolar_lines", "margin_of"]
 

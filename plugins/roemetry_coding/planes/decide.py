@@ -40,9 +40,9 @@ from roemetry_coding.planes.vetoes import (
     nearly_belt,
     out_of_order,
 )
-from roemetry_kernels.coding.consistency import refuse_unexplained_gaps
-from roemetry_kernels.coding.rest_lines import RestLines
 from roemetry_kernels.compiling import kernel
+from roemetry_kernels.consistency import refuse_unexplained_gaps
+from roemetry_kernels.rest_lines import RestLines
 
 _SHIFTED = (
     (0.3, 0.5), (0.6, 0.1), (0.8, 0.03), (1.0, 6e-3), (1.5, 3e-3), (2.0, 1e-3), (3.0, 2e-4), (8.0, 5e-5),

@@ -21,7 +21,7 @@ import numpy as np
 
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_kernels.compiling import kernel
-from roemetry_kernels.ranking import median_of
+from roemetry_kernels.image_levels import median_of
 
 ENDS = -2
 """Rest line of the ends that were cut off: not known."""
@@ -69,7 +69,7 @@ def presence_of(
     Parameters
     ----------
     line
-        (peak,) see `roemetry_kernels.coding.sight_lines`.
+        (peak,) see `roemetry_coding.planes.lines`.
     piece, piece_line
         (peak,) piece; (piece,) rest line that it follows, below 0 for none.
     enters, leaves
@@ -213,7 +213,7 @@ def on_rest_line(
     line
         (peak,) rest line that a peak lies on by itself, −1 for none.
     rest_px, tolerance_px, offset_px
-        See `roemetry_kernels.coding.rest_lines.RestLines`.
+        See `roemetry_kernels.rest_lines.RestLines`.
     outer
         Rows at the image's top, and bottom, where belt is expected.
     """

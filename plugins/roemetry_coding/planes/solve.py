@@ -42,9 +42,9 @@ from roemetry_coding.planes.graph import (
 from roemetry_coding.planes.lines import Entries, EpipolarLines, entries_of, epipolar_lines
 from roemetry_coding.planes.pieces import ENDS, Pieces, between_bare, cut_ends, on_rest_line, presence_of
 from roemetry_coding.planes.shifts import cheapest_shifts
-from roemetry_kernels.coding.rest_lines import RestLines
-from roemetry_kernels.coding.tracing import cut_at_rest_lines, trace_fragments
 from roemetry_kernels.compiling import kernel
+from roemetry_kernels.rest_lines import RestLines
+from roemetry_kernels.tracing import cut_at_rest_lines, trace_fragments
 
 _STEP_MAX_PX = 7.0
 """Longest step of a trace from row to row, px: a surface that falls by 80 degrees along the stripe."""

@@ -11,7 +11,7 @@ reason that it does not contain. Each veto names one such reason and marks the p
 - `may_be_level`: a level top that is m label heights up shows its stripes on the rest lines m further on.
   Where stripes are missing beside a body, what follows on rest lines may be more of that body: if moving it
   by up to as many stripes as are missing costs hardly more, it is refused, and what is doubted without it.
-- unexplained gaps (`roemetry_kernels.coding.consistency`): a stripe interrupted where nothing is in sight
+- unexplained gaps (`roemetry_kernels.consistency`): a stripe interrupted where nothing is in sight
   that could hide it. A level product one spacing high, each stripe on its neighbour's rest line, looks so.
 - `going_on`: that doubt does not end where the gap does; it follows the stripe and the trace over what lies
   nearly on its rest line without reaching the image's border.
@@ -32,9 +32,9 @@ from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_coding.planes.graph import Candidates, PairCosts, Weights
 from roemetry_coding.planes.lines import Entries
 from roemetry_coding.planes.pieces import ENDS, Pieces
-from roemetry_kernels.coding.consistency import HIDING_SPACINGS
-from roemetry_kernels.coding.rest_lines import RestLines
 from roemetry_kernels.compiling import kernel
+from roemetry_kernels.consistency import HIDING_SPACINGS
+from roemetry_kernels.rest_lines import RestLines
 
 _ONE_SIDE = 0.4
 """How far a trace's one side speaks for an end: one of two that are asked."""

@@ -1,1 +1,170 @@
-"""Compare variants of a recipe on the same data: which is better, by how much, and what it costs."""
+"""``roemetry compare``: variants of a recipe on one data set, or side by side on several."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from roemetry.calibrating.known_products import read_labels
+from roemetry.cli.progress import progress
+from roemetry.errors import ConfigurationError
+from roemetry.io.files import write_whole
+from roemetry.stages.registry import discover
+from roemetry_tools.compare.agreement import Terms
+from roemetry_tools.compare.comparison import compare as compared_on
+from roemetry_tools.compare.data import Data
+from roemetry_tools.compare.ranking import Compared
+from roemetry_tools.compare.tables import (
+    across_sets,
+    across_table,
+    across_to_csv,
+    problems_of,
+    tables_of,
+    verdicts_of,
+)
+from roemetry_tools.compare.variants import Variant, make_variants
+from roemetry_tools.compare.write import SUMMARY, ItemsFile, write_comparison
+
+
+def compare(
+    recipe: Annotated[Path, typer.Argument(help="A recipe file, or a folder with a recipe.yaml in it.")],
+    vary: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--vary",
+            metavar="KEY=VALUE,VALUE",
+            help="`KIND=name,name` exchanges a stage, `key.key=value,value` a value of the recipe; may "
+            "stand several times: every combination is compared.",
+        ),
+    ] = None,
+    data: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--data",
+            help="A data set with truth; all of its items are measured; may stand several times: their "
+            "figures are set side by side; left out: where the images are.",
+        ),
+    ] = None,
+    labels: Annotated[
+        Path | None,
+        typer.Option(
+            "--labels",
+            help="Table of `id` and `label`: true classes that count instead of those of the data set.",
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            "-o",
+            help="Folder for the results; one that holds a comparison is refused; left out: "
+            "results/NAME-compare-1, then -2, …",
+        ),
+    ] = None,
+    tolerance: Annotated[
+        float | None,
+        typer.Option(
+            "--tolerance",
+            min=0.0,
+            metavar="PCT",
+            help="Mean differences below this many per cent count as none; gives each variant a verdict.",
+        ),
+    ] = None,
+    folds: Annotated[
+        int, typer.Option("--folds", min=2, max=100, help="Folds for the choice among variants.")
+    ] = 5,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Of resampling and folds.")] = 1,
+    jobs: Annotated[
+        int,
+        typer.Option(
+            "--jobs",
+            "-j",
+            min=1,
+            help="Worker processes; the numbers are the same for any number, times aside.",
+        ),
+    ] = 1,
+    sets: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", metavar="KEY=VALUE", help="Change the recipe for all variants; may stand several times."
+        ),
+    ] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print comparison.json instead of the tables; no progress bar.")
+    ] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+) -> None:
+    """Compare variants of a recipe on the same data: trueness against what is known, and time.
+
+    Exit code: 0 all compared; 1 a variant could not be made or measured nothing (its row says why); 2 the
+    recipe, the data set or the command line is wrong.
+    """
+    variants = make_variants(recipe, vary or (), sets=sets or (), registry=discover())
+    base = variants[0].recipe
+    assert base is not None
+    true_labels = None if labels is None else read_labels(labels)
+    terms = Terms(tolerance, folds, seed)
+    folder = out or _next_folder(base.path.resolve())
+    given: list[Path | None] = list(data) if data else [None]
+    names = ["" if one is None else one.resolve().name for one in given]
+    if len(set(names)) < len(names):
+        raise ConfigurationError(f"two data sets are called {max(names, key=names.count)}", hint="rename one")
+    every: dict[str, Sequence[Compared]] = {}
+    told = {}
+    for name, one in zip(names, given, strict=True):
+        into = folder / name if len(given) > 1 else folder
+        every[name] = _one_set(variants, Data(base, one, labels=true_labels), terms, jobs, into, as_json)
+        told[name] = json.loads((into / SUMMARY).read_text("utf-8"))
+    across = across_sets(every)
+    if len(given) > 1:
+        write_whole(folder / "between.csv", across_to_csv(across))
+    if as_json:
+        typer.echo(json.dumps(told if len(given) > 1 else told[names[0]], indent=2))
+    elif len(given) > 1:
+        console = Console()
+        console.print(across_table(across))
+        console.print(f"  {folder / 'between.csv'}", highlight=False, soft_wrap=True)
+    if any(one.failure for compared in every.values() for one in compared):
+        raise typer.Exit(1)
+
+
+def _one_set(
+    variants: Sequence[Variant], data: Data, terms: Terms, jobs: int, folder: Path, as_json: bool
+) -> Sequence[Compared]:
+    """Compare on one data set, write its files, and show them."""
+    began = datetime.now(UTC)
+    with ItemsFile(folder) as items, progress("comparing", quiet=as_json) as shown:
+        compared = compared_on(variants, data, terms=terms, jobs=jobs, on_scored=items.add, on_progress=shown)
+    files = write_comparison(folder, compared, data, terms=terms, command=sys.argv[1:], began=began)
+    if not as_json:
+        _show(compared, terms, data.without_truth, files)
+    return compared
+
+
+def _next_folder(recipe: Path) -> Path:
+    """Give the first folder of this recipe's name that is not there yet."""
+    name = recipe.parent.name if recipe.stem == "recipe" else recipe.stem
+    number = 1
+    while (folder := Path("results") / f"{name}-compare-{number}").exists():
+        number += 1
+    return folder
+
+
+def _show(compared: Sequence[Compared], terms: Terms, without_truth: str, files: Sequence[Path]) -> None:
+    recipe = compared[0].variant.recipe
+    assert recipe is not None
+    console = Console()
+    for table in tables_of(recipe.product, compared):
+        console.print(table)
+    said = [*verdicts_of(compared, terms.tolerance_pct), *problems_of(compared), without_truth]
+    for sentence in filter(None, said):
+        console.print(sentence, highlight=False, markup=False, soft_wrap=True)
+    for file in files:
+        console.print(f"  {file}", highlight=False, soft_wrap=True)

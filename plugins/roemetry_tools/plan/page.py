@@ -1,15 +1,20 @@
-"""The page of a plan: one file that opens anywhere."""
+"""From a scene file to its plan, as a page that opens anywhere and as JSON with units beside every number."""
 
 from __future__ import annotations
 
+import math
 from datetime import datetime
 from importlib.metadata import version
+from typing import Any
 
 from roemetry.config.scene import Scene
+from roemetry.errors import PluginError
 from roemetry.html.page import environment_of
 from roemetry.html.plots import plain
 from roemetry.io.yaml_source import dump
-from roemetry.records import Plan, PlanFigure
+from roemetry.records import Plan, PlanColumn, PlanFigure
+from roemetry.records.arrays import Floats
+from roemetry.stages.registry import Registry, discover
 from roemetry_tools.plan.plots import COLOURS, curves_plot, map_plot, side_view
 
 _DIGITS = {"mm/px": 3, "mm": 1, "µm": 0, "degrees": 1, "1": 0}  # places behind the point, by unit
@@ -42,3 +47,74 @@ def written(figure: PlanFigure) -> str:
     if 0.0 < abs(figure.value) < 10.0 and digits < 2 and figure.unit != "1":
         digits += 1
     return plain(figure.value, digits)
+
+
+def plan_of(scene: Scene, *, simulate: bool, registry: Registry | None = None) -> Plan:
+    """Plan the rig of a scene by the planner that comes with its simulator, under the same name.
+
+    With `simulate`, short simulations stand beside the prediction. Raises PluginError where the simulator's
+    plugin has no planner, or one that reads another kind of scene, and StageError, with the reason, where
+    the rig cannot measure a height.
+    """
+    registry = registry or discover()
+    chosen = scene.simulator
+    name = f"{chosen.registered.provider.name}/{chosen.registered.entry.name}"
+    found = registry.find("planner", name)
+    stage = registry.load(found)
+    if not isinstance(chosen.options, stage.Options):
+        raise PluginError(f"the planner `{name}` does not read the scenes of the simulator of this name")
+    plan: Plan = stage(chosen.options).plan(simulate=simulate)
+    return plan
+
+
+def as_plain(plan: Plan) -> dict[str, Any]:
+    """Give a plan as dictionaries, lists and numbers; NaN becomes None."""
+    return {
+        "figures": {
+            one.name: {"title": one.title, "value": _number(one.value), "unit": one.unit, "basis": one.basis}
+            for one in plan.figures
+        },
+        "tables": {
+            one.name: {"title": one.title, "basis": one.basis, "columns": [_column(c) for c in one.columns]}
+            for one in plan.tables
+        },
+        "curves": {
+            one.name: {
+                "title": one.title,
+                "basis": one.basis,
+                "over": _column(one.over),
+                "lines": [_column(line) for line in one.lines],
+                "marked": _number(one.marked),
+            }
+            for one in plan.curves
+        },
+        "maps": {
+            one.name: {
+                "title": one.title,
+                "unit": one.unit,
+                "basis": one.basis,
+                "x_mm": _numbers(one.x_mm),
+                "z_mm": _numbers(one.z_mm),
+                "values": [_numbers(row) for row in one.values],
+            }
+            for one in plan.maps
+        },
+        "reasons": [{"code": reason.code, "text": reason.text} for reason in plan.reasons],
+    }
+
+
+def _column(column: PlanColumn) -> dict[str, Any]:
+    return {
+        "name": column.name,
+        "title": column.title,
+        "unit": column.unit,
+        "values": _numbers(column.values),
+    }
+
+
+def _numbers(values: Floats) -> list[float | None]:
+    return [_number(float(value)) for value in values]
+
+
+def _number(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None

@@ -8,13 +8,11 @@ from typing import Any
 
 from roemetry.stages.hookspecs import KINDS
 from roemetry.testing.checks import (
-    aligner,
     any_stage,
     classes,
     extractor,
     files,
     points,
-    rigs,
     stripes,
     volume,
     weigher,
@@ -22,7 +20,7 @@ from roemetry.testing.checks import (
 
 Check = Callable[[Any], None]
 
-_MODULES = (extractor, aligner, stripes, points, volume, weigher, classes, files, rigs)
+_MODULES = (extractor, stripes, points, volume, weigher, classes, files)
 _CALLED = {"estimator": "volume"}
 
 

@@ -8,7 +8,7 @@ import pytest
 from roemetry.records import AMBIGUOUS
 from roemetry.testing.scenes import LinearRig, wrong_labels
 from roemetry_coding.planes import Planes
-from roemetry_kernels.coding.consistency import refuse_unexplained_gaps
+from roemetry_kernels.consistency import refuse_unexplained_gaps
 
 
 def level(linear: LinearRig, stripes: slice, rows: slice, spacings: float) -> np.ndarray:

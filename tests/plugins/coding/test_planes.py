@@ -10,7 +10,7 @@ import pytest
 from roemetry.errors import StageError
 from roemetry.testing.scenes import LinearRig, wrong_labels
 from roemetry_coding.planes import Planes, PlanesOptions, epipolar_lines, margin_of
-from roemetry_kernels.coding.rest_lines import calibrated_rest_lines
+from roemetry_kernels.rest_lines import calibrated_rest_lines
 from roemetry_simulate.solid import Block
 
 coded = pytest.importorskip("benchmarks.coded", reason="only in a checkout")

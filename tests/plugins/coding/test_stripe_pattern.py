@@ -7,7 +7,7 @@ import pytest
 
 from roemetry.testing.scenes import LinearRig
 from roemetry_coding.planes.vetoes import fits_another_stripe
-from roemetry_kernels.coding.rest_lines import calibrated_rest_lines
+from roemetry_kernels.rest_lines import calibrated_rest_lines
 
 ROWS, STRIPES = 120, 12
 

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roemetry_kernels.ranking import median_of, nth_smallest
+from roemetry_kernels.image_levels import median_of, nth_smallest
 
 FLOATS = st.lists(st.floats(-1e300, 1e300), min_size=1, max_size=60)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from roemetry.testing.scenes import LinearRig
-from roemetry_kernels.coding.rest_lines import _scatter, calibrated_rest_lines
+from roemetry_kernels.rest_lines import _scatter, calibrated_rest_lines
 
 
 @pytest.mark.parametrize("rows", [1, 2, 3, 24, 301])

@@ -296,7 +296,7 @@ def test_a_product_that_cannot_be_is_refused(
 def test_without_llvm_the_message_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     import mitsuba as mi
 
-    from roemetry_tools.verbs import doctor
+    from roemetry_tools import doctor
 
     monkeypatch.setattr(mi, "variant", lambda: "scalar_rgb")
     monkeypatch.setattr(drjit, "has_backend", lambda _: False)

@@ -16,10 +16,19 @@ from roemetry.records.view import View
 from roemetry.testing.scenes import LinearRig
 from roemetry.testing.solids import HALF_CYLINDER, HALF_ELLIPSOID, SPHERICAL_CAP, product_from, product_of
 from roemetry_open3d import meshing
-from roemetry_open3d.mesh_files import ASSUMED, BRIDGED, MEASURED, certainty_of, colours, ply, stl
+from roemetry_open3d.mesh_files import (
+    ASSUMED,
+    BRIDGED,
+    MEASURED,
+    MeshOptions,
+    SurfaceMesh,
+    certainty_of,
+    colours,
+    ply,
+    stl,
+)
 from roemetry_open3d.meshing import Mesh, mended, mesh_of, open_edges
 from roemetry_open3d.sheet import lines_of, sheet_of
-from roemetry_open3d.surface_mesh import MeshOptions, SurfaceMesh
 
 METHODS = ("poisson", "ball-pivoting", "alpha-shape")
 COARSE = LinearRig(rows=240, columns=480, stripes=13, first_px=95.5, spacing_px=24.0, fan=0.0)

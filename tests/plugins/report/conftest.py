@@ -288,7 +288,7 @@ def _profiles(
 
 
 def _product(scene: Scene, profiles: Profiles, number: int) -> ProductTrace:
-    from roemetry.run.split_products import split_products
+    from roemetry.run.open_parts import split_products
 
     product = next(p for p in split_products(profiles, (), _calibration(), scene.id) if p.number == number)
     z = np.nan_to_num(product.profiles.xyz_mm[:, :, 2])

@@ -27,7 +27,7 @@ from roemetry_simulate.plan_tables import ellipsoid, skein, slice_error_pct
 from roemetry_simulate.planner import RigPlanner, simulated_scatter, space_of
 from roemetry_simulate.render import Sensor
 from roemetry_simulate.scene import RayCasterOptions, rig_of
-from roemetry_tools.plan.make_plan import plan_of
+from roemetry_tools.plan.page import plan_of
 
 H_MM, BESIDE_MM, FOCAL_PX, SPACING_MM = 300.0, 150.0, 1500.0, 10.0
 CAMERA = looking_down(640, 480, pixel_size_mm=0.01, focal_length_mm=15.0, distance_mm=H_MM)

@@ -17,7 +17,7 @@ from roemetry.io.files import make_folder, write_whole
 from roemetry.stages.hookspecs import KINDS
 from roemetry.stages.registry import Registry, discover
 
-_HERE = Path(__file__).parents[1] / "templates" / "plugin"
+_HERE = Path(__file__).parent / "templates" / "plugin"
 
 TEMPLATES = {
     "source": "PNG files of a folder, one an acquisition",

@@ -12,8 +12,8 @@ from pydantic import Field
 from roemetry.records import AMBIGUOUS, UNCODED, Peaks, Reason, StripeMap
 from roemetry.records.arrays import Flags, Floats, Integers, Labels
 from roemetry.stages import StageOptions
-from roemetry_kernels.coding.rest_lines import RestLines
 from roemetry_kernels.compiling import kernel
+from roemetry_kernels.rest_lines import RestLines
 
 
 class BridgingOptions(StageOptions):

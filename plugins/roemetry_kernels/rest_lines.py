@@ -1,6 +1,6 @@
 """Where the stripes lie on the bare belt: from the calibration, or from the frame's own top and bottom.
 
-What the order of peaks along a row says about their stripes.
+What the order of peaks along a row says about their stripes stands here, too.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from roemetry.errors import StageError
 from roemetry.records import Peaks, Reason
 from roemetry.records.arrays import Floats, Integers
 from roemetry.records.calibration import Calibration
-from roemetry_kernels.coding.tracing import nearest_rest
 from roemetry_kernels.compiling import inlined, kernel
+from roemetry_kernels.tracing import nearest_rest
 
 _SIGMAS = 4.0
 _BINS = 512  # that numbers are counted in to find the middle one
