@@ -25,6 +25,7 @@ from roemetry.records import Measurement
 from roemetry.run.api import Recipe
 from roemetry.stages.hookspecs import PROJECT
 from roemetry.stages.registry import Registry, discover
+from roemetry.cli.warm_up import warm_up
 
 Row = tuple[float, float, float, str]
 """Visible volume (mm³), weight (g), largest height (mm), grade; NaN and "" where there is none."""
@@ -59,12 +60,29 @@ def doctor(
             help="Print as JSON: a list of `what`, `verdict` (`ok`, `missing`, `wrong`), `found`, `remedy`.",
         ),
     ] = False,
+    warm: Annotated[
+        Path | None,
+        typer.Option(
+            "--warm", help="Only compile the kernels of this recipe, so that its first run is quick."
+        ),
+    ] = None,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
     """Say what is installed and what is missing, and whether this machine gives the numbers it should.
 
     Exit code: 0 nothing is wrong (something optional may be missing); 2 something is.
     """
+    if warm is not None:
+        begin = time.perf_counter()
+        stages = warm_up(
+            Recipe.load(warm), lambda done, of: typer.echo(f"compiled {done} of {of} stages", err=True)
+        )
+        typer.echo(
+            f"kernels of {', '.join(stages)}: ready in {time.perf_counter() - begin:.0f} s"
+            if stages
+            else "every kernel is ready"
+        )
+        return
     findings = []
     for finding in examine():
         findings.append(finding)

@@ -59,6 +59,7 @@ def run(
     from roemetry.config.recipe import Recipe
     from roemetry.errors import ConfigurationError, InterruptedRunError
     from roemetry.run.batch import run_recipe
+    from roemetry.cli.warm_up import warm_up
 
     if resume and out is None:
         raise ConfigurationError("--resume needs --out", hint="name the folder of the run that was stopped")
@@ -66,6 +67,8 @@ def run(
     loaded = Recipe.load(recipe, sets=changes)
     folder = out or _next_folder(loaded)
     try:
+        with progress("compiling kernels, first run only", quiet=as_json) as on_progress:
+            warm_up(loaded, on_progress)
         with progress("measuring", quiet=as_json) as on_progress:
             outcome = run_recipe(
                 loaded, folder, jobs=jobs, resume=resume, debug=debug, on_progress=on_progress

@@ -1,0 +1,96 @@
+"""Compile the kernels of a recipe's stages before its first run, several stages at once.
+
+A stage compiles its kernels when it is first called, and waits for the stage before it; one after the other
+they take over a minute of one processor. The ordinary calls of the conformance kit need no other stage, so
+each stage is called in a process of its own; what is compiled lies on disk for the run.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from roemetry.config.recipe import Recipe
+from roemetry.errors import FAULTS
+from roemetry.stages import Stage
+
+
+def warm_up(recipe: Recipe, on_progress: Callable[[int, int], None] = lambda done, of: None) -> list[str]:
+    """Compile the kernels of every stage that has none on disk yet.
+
+    Parameters
+    ----------
+    recipe
+        Whose stages, with its options.
+    on_progress
+        Called with (stages done, of how many); never where nothing is to be done.
+
+    Returns
+    -------
+    list of str
+        The kinds of the stages that were called. A stage that cannot be called by the conformance kit's
+        example is left to the run.
+    """
+    kernels = {kind: list(_kernels_of(chosen.make())) for kind, chosen in recipe.stages.items()}
+    cold = [kind for kind, found in kernels.items() if found and not any(map(_is_on_disk, found))]
+    if not cold:
+        return []
+    cold.sort(key=lambda kind: -len(kernels[kind]))  # the longest first: nothing waits for it at the end
+    on_progress(0, len(cold))
+    processes = min(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1, len(cold))
+    if processes == 1:
+        for done, kind in enumerate(cold, 1):
+            _call(recipe.stages[kind].make())
+            on_progress(done, len(cold))
+        return cold
+    # Spawned, not forked: a forked copy of numba's or OpenCV's threads can hang.
+    with ProcessPoolExecutor(processes, get_context("spawn")) as pool:
+        calls = [pool.submit(_call, recipe.stages[kind].make()) for kind in cold]
+        for done, _ in enumerate(as_completed(calls), 1):
+            on_progress(done, len(cold))
+    return cold
+
+
+def _call(stage: Stage[Any]) -> None:
+    """Call a stage with the kit's example; that it fails here says nothing about the run."""
+    from roemetry.testing.cases import cases_for  # the kit is loaded only where something is to be compiled
+
+    try:
+        cases_for(stage).ordinary.call(stage)
+    except FAULTS:
+        return
+
+
+def _kernels_of(stage: Stage[Any]) -> Iterator[Any]:
+    """Give the compiled functions in a stage's module and in the modules of its package that this uses."""
+    package = type(stage).__module__.partition(".")[0]
+    waiting, seen = [type(stage).__module__], set[str]()
+    while waiting:
+        name = waiting.pop()
+        if name in seen or name.partition(".")[0] != package:
+            continue
+        seen.add(name)
+        for value in vars(sys.modules[name]).values():
+            home = value.__name__ if isinstance(value, ModuleType) else getattr(value, "__module__", None)
+            if hasattr(value, "py_func") and home == name and _place_of(value) is not None:
+                yield value
+            elif isinstance(home, str) and home in sys.modules:
+                waiting.append(home)
+
+
+def _place_of(kernel: Any) -> Path | None:
+    """Where numba keeps a compiled function; None for one that is compiled anew in every process."""
+    place = getattr(getattr(kernel, "stats", None), "cache_path", None)
+    return None if place is None else Path(place)
+
+
+def _is_on_disk(kernel: Any) -> bool:
+    function, place = kernel.py_func, _place_of(kernel)
+    stem = Path(function.__code__.co_filename).stem
+    return place is not None and any(place.glob(f"{stem}.{function.__qualname__}-*.nbi"))
