@@ -13,7 +13,7 @@ import numpy as np
 
 from roemetry.errors import CalibrationError, DataError
 from roemetry.io.files import write_whole
-from roemetry.io.yaml_source import dump, read
+from roemetry.io.yaml_source import dump, read_numbers
 from roemetry.records.arrays import Checker, Floats
 from roemetry.records.reasons import Reason
 from roemetry.records.view import View
@@ -148,7 +148,7 @@ class Calibration:
 
         CalibrationError where there is none, or it is none, or numbers in it are missing or not numbers.
         """
-        data = read(path).data
+        data = read_numbers(path)
         if not isinstance(data, dict) or "roemetry_calibration" not in data:
             raise CalibrationError(
                 f"{path}: not a calibration file (no `roemetry_calibration` in it)",
