@@ -56,10 +56,10 @@ def run(
     the command line is wrong.
     """
     from roemetry.cli.progress import progress
+    from roemetry.cli.warm_up import warm_up
     from roemetry.config.recipe import Recipe
     from roemetry.errors import ConfigurationError, InterruptedRunError
     from roemetry.run.batch import run_recipe
-    from roemetry.cli.warm_up import warm_up
 
     if resume and out is None:
         raise ConfigurationError("--resume needs --out", hint="name the folder of the run that was stopped")
