@@ -19,13 +19,13 @@ from typing import Annotated, Literal
 
 import typer
 
+from roemetry.cli.warm_up import warm_up
 from roemetry.errors import RoemetryError
 from roemetry.io.files import shipped
 from roemetry.records import Measurement
 from roemetry.run.api import Recipe
 from roemetry.stages.hookspecs import PROJECT
 from roemetry.stages.registry import Registry, discover
-from roemetry.cli.warm_up import warm_up
 
 Row = tuple[float, float, float, str]
 """Visible volume (mm³), weight (g), largest height (mm), grade; NaN and "" where there is none."""

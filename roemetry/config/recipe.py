@@ -15,7 +15,14 @@ from pathlib import Path
 from typing import Any, Protocol, Self
 
 from roemetry.config.overrides import Overridden
-from roemetry.config.recipe_file import NEEDS, CalibrationCheck, RecipeFile, SourceChoice
+from roemetry.config.recipe_file import (
+    DRAWS,
+    NEEDS,
+    CalibrationCheck,
+    RecipeFile,
+    SourceChoice,
+    Uncertainty,
+)
 from roemetry.config.resolve import ResolvedStage, StageResolver
 from roemetry.config.validation import checked
 from roemetry.errors import ConfigurationError, RoemetryError
@@ -55,8 +62,9 @@ class Recipe:
     calibration_check: CalibrationCheck | None
     """What is asked of the calibration; None: nothing."""
     stages: Mapping[str, ResolvedStage]
+    uncertainty: Uncertainty
     draws: int
-    """Monte Carlo draws for the uncertainty of the results; 0: none."""
+    """uncertainty, draws: how that of the results is found, and with how many Monte Carlo draws."""
     sinks: tuple[ResolvedStage, ...]
 
     @classmethod
@@ -116,6 +124,7 @@ class Recipe:
             "calibration": None if self.calibration is None else self.calibration.sha256,
             "stages": {kind: chosen.described() for kind, chosen in self.stages.items()},
             "penetration": None if self.penetration is None else self.penetration.sha256,
+            "uncertainty": self.uncertainty,
             "draws": self.draws,
             "sinks": [sink.described() for sink in self.sinks],
         }
@@ -202,9 +211,17 @@ def _resolved(
         "penetration": penetration,
         "calibration_check": file.calibration_check,
         "stages": stages,
-        "draws": file.draws,
+        **_uncertainty_of(file),
         "sinks": tuple(sink for sink in sinks if sink is not None),
     }
+
+
+def _uncertainty_of(file: RecipeFile) -> dict[str, Any]:
+    """Settle how uncertainties are found: draws that are given decide."""
+    if file.draws is not None:
+        return {"uncertainty": "monte-carlo" if file.draws else "none", "draws": file.draws}
+    chosen = file.uncertainty or "none"
+    return {"uncertainty": chosen, "draws": DRAWS if chosen == "monte-carlo" else 0}
 
 
 def _check_needs(stages: Mapping[str, ResolvedStage], file: RecipeFile, chooser: StageResolver) -> None:

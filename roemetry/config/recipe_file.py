@@ -103,6 +103,12 @@ class CalibrationCheck(Section):
     )
 
 
+Uncertainty = Literal["none", "linear", "monte-carlo"]
+"""How the uncertainty of results is found."""
+DRAWS = 200
+"""Draws where a recipe asks for the Monte Carlo method alone: they know a standard uncertainty to 5 %."""
+
+
 class RecipeFile(Section):
     """One recipe."""
 
@@ -123,11 +129,17 @@ class RecipeFile(Section):
         default=None, description="when a doubt about the calibration stands on every measurement"
     )
     stages: StageChoices = Field(description="the chain")
-    draws: int = Field(
-        default=0,
+    uncertainty: Uncertainty | None = Field(
+        default=None,
+        description="of volume, weight and grade. linear: from the change that each cause makes (JCGM 100); "
+        "monte-carlo: from draws of all causes (JCGM 101); none: what stages state by themselves. Left out: "
+        "monte-carlo where there are draws, else none",
+    )
+    draws: int | None = Field(
+        default=None,
         ge=0,
         le=100_000,
-        description="Monte Carlo draws for the uncertainty of volume, weight and grade; 0: none is stated",
+        description="Monte Carlo draws; given, they take the place of `uncertainty`, and 0 stands for none",
     )
     sinks: list[Choice] = Field(
         default_factory=lambda: [StageChoice(use="csv"), StageChoice(use="report")],

@@ -101,20 +101,31 @@ class Calibration:
         Without it a drawn calibration has no view, for this one's would belong to other parameters. `rest_px`
         and `displacement_px_per_mm`, by which frames are coded, stay as they are.
         """
-        mean = np.concatenate([array.ravel() for array in self.parameters.values()])
+        steps = self.independent_steps()
+        while True:
+            yield self.shifted(rng.standard_normal(len(steps)) @ steps, view_of)
+
+    def independent_steps(self) -> Floats:
+        """Give (step, parameter): independent steps of one standard deviation that make up the covariance."""
         # parameters of different units differ by ten powers of ten: taken apart in their own sizes
         own = np.sqrt(np.diag(self.covariance))
         scale = np.where(own > 0.0, own, 1.0)
         size, turned = np.linalg.eigh(self.covariance / scale[:, None] / scale[None, :])
-        factor = scale[:, None] * turned * np.sqrt(np.maximum(size, 0.0))
-        while True:
-            drawn = mean + factor @ rng.standard_normal(mean.size)
-            parameters, start = {}, 0
-            for name, array in self.parameters.items():
-                parameters[name] = drawn[start : start + array.size].reshape(array.shape)
-                start += array.size
-            moved = replace(self, parameters=parameters)
-            yield replace(moved, view=None if view_of is None else view_of(moved))
+        return np.asarray((scale[:, None] * turned * np.sqrt(np.maximum(size, 0.0))).T)
+
+    def shifted(
+        self, step: Floats, view_of: Callable[[Calibration], View | None] | None = None
+    ) -> Calibration:
+        """Give the calibration with its parameters, in the order in which they stand, moved by a step.
+
+        `view_of` as in `redraws`.
+        """
+        parameters, start = {}, 0
+        for name, array in self.parameters.items():
+            parameters[name] = array + step[start : start + array.size].reshape(array.shape)
+            start += array.size
+        moved = replace(self, parameters=parameters)
+        return replace(moved, view=None if view_of is None else view_of(moved))
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers, lists and words, as they stand in the file."""

@@ -41,7 +41,7 @@ FEW_DRAWS = 20
 """With fewer, a standard deviation is itself uncertain by a sixth and more."""
 ENOUGH_FOR_QUANTILES = 1000
 """From so many draws on the interval's ends are quantiles: 25 draws lie beyond each."""
-_UNKNOWN = "unknown"
+UNKNOWN = "unknown"
 _NO_INTERVAL = (math.nan, math.nan)
 _PART_ONLY = Reason(
     "model-error-only",
@@ -106,8 +106,8 @@ def with_uncertainty(
         mass, lost = _estimate(weight.mass_g, "mass_g", together, {**alone, **models}, stated=stated)
         weight = replace(weight, mass_g=mass, reasons=weight.reasons + unstated.weight + lost)
     if grade is not None and together:
-        held = [_probability(result, grade.label) for result in together]
-        sure = math.nan if grade.label == _UNKNOWN else float(np.mean(held))
+        held = [probability_of(result, grade.label) for result in together]
+        sure = math.nan if grade.label == UNKNOWN else float(np.mean(held))
         spread = {} if unstated.points else _features_std(grade.features, together)
         grade = replace(grade, probability=sure, features_std=spread)
     return replace(trace, volume=volume, weight=weight, grade=grade, height_max_mm=height)
@@ -140,10 +140,10 @@ def _a_part(estimate: Estimate) -> bool:
     return math.isfinite(estimate.std) and not all(map(math.isfinite, estimate.interval))
 
 
-def _probability(result: Result, label: str) -> float:
+def probability_of(result: Result, label: str) -> float:
     """Give the probability of a label in one draw: as stated of each class, else of the draw's own."""
     of_class = result.features.get(f"probability_{label}", math.nan)
-    if not math.isnan(of_class) and result.label != _UNKNOWN:
+    if not math.isnan(of_class) and result.label != UNKNOWN:
         return of_class
     if result.label != label:
         return 0.0
@@ -174,7 +174,12 @@ def _distance(found_mm: float, results: list[Result]) -> float:
     if good is None:
         return math.nan
     mean, std = _mean_and_std(good)
-    return math.hypot(std, max(0.0, mean - found_mm) / (math.sqrt(2.0) - 1.0))
+    return math.hypot(std, lift_share(mean - found_mm))
+
+
+def lift_share(lift_mm: float) -> float:
+    """Give what noise has lifted a largest height by, from what drawn noise lifts it by once more, mm."""
+    return max(0.0, lift_mm) / (math.sqrt(2.0) - 1.0)
 
 
 def _features_std(features: Mapping[str, float], together: list[Result]) -> dict[str, float]:
@@ -297,7 +302,7 @@ def propagate(
             together[trace.product.number],
             {cause: found[trace.product.number] for cause, found in alone.items()},
             draw_models(trace, chain, rng, own),
-            _what_is_unstated(trace, scene, chain, drawn),
+            what_is_unstated(trace, scene, chain, drawn),
         )
         for trace in products
     )
@@ -327,7 +332,7 @@ _WEIGHT_NOT_STATED = Reason(
 )
 
 
-def _what_is_unstated(trace: ProductTrace, scene: Scene, chain: Chain, drawn: Sampler) -> Unstated:
+def what_is_unstated(trace: ProductTrace, scene: Scene, chain: Chain, drawn: Sampler) -> Unstated:
     """Give what keeps the uncertainty of volume and weight from being stated."""
     reasons = []
     if not drawn.peaks_stated:
@@ -378,7 +383,7 @@ class Sampler:
             scene = self._scene
             stripes, calibration, outlines = scene.stripes, scene.calibration, scene.outlines
             if PEAKS in causes:
-                stripes = replace(stripes, x_px=stripes.x_px + self._noise_px())
+                stripes = replace(stripes, x_px=stripes.x_px + self.noise_px())
             if CALIBRATION in causes:
                 calibration = next(self._calibrations)
             if OUTLINE in causes:
@@ -413,7 +418,7 @@ class Sampler:
         found = split_products(profiles, outlines, calibration, self._scene.acquisition_id, view=view)
         return {product.number: product for product in found}
 
-    def _noise_px(self) -> Floats:
+    def noise_px(self) -> Floats:
         """(stripe, row) errors, px: correlated along the stripe; bridged points move with their ends."""
         noise = self._rng.standard_normal(self._std_px.shape)
         reach = self._scene.stripes.correlation_rows
@@ -506,17 +511,22 @@ def _estimated(
 
 
 def draw_models(
-    trace: ProductTrace, chain: Chain, rng: np.random.Generator, count: int
+    trace: ProductTrace, chain: Chain, rng: np.random.Generator, count: int, *, stated_too: bool = True
 ) -> Mapping[str, list[Result]]:
-    """Draw the volume's model alone, and the weigher's model alone, on the product as it was found."""
-    product, volume = trace.product, trace.volume
+    """Draw the volume's model alone, and the weigher's model alone, on the product as it was found.
+
+    Without `stated_too` those are left out whose parts the estimate states already.
+    """
+    product, volume, weight = trace.product, trace.volume, trace.weight
     found: dict[str, list[Result]] = {}
     if volume is None:
         return found
-    if chain.volume.states_model_error:
+    volume_states = bool(volume.visible_mm3.budget) and not stated_too
+    weight_states = weight is not None and bool(weight.mass_g.budget) and not stated_too
+    if chain.volume.states_model_error and not volume_states:
         drawn = (result_or_none(lambda: chain.volume.redraw(product, volume, rng=rng)) for _ in range(count))
         found[VOLUME_MODEL] = [_weighed(chain, product, volume, None) for volume in drawn]
-    if chain.weigher and chain.weigher.states_model_error:
+    if chain.weigher and chain.weigher.states_model_error and not weight_states:
         found[WEIGHT_MODEL] = [_weighed(chain, product, volume, rng) for _ in range(count)]
     return found
 

@@ -32,6 +32,7 @@ from roemetry.records import (
 from roemetry.records.calibration import Alignment, Calibration
 from roemetry.records.penetration import raise_surface
 from roemetry.records.view import View
+from roemetry.run.linearisation import linearise
 from roemetry.run.monte_carlo import Chain, Scene, propagate, without_draws
 from roemetry.run.open_parts import OpenPart, open_parts, said_of, split_products, widened, widened_by
 from roemetry.run.preprocess import prepare, prepare_plain
@@ -64,7 +65,7 @@ class Pipeline:
     stages
         By kind, stages to use instead of those the recipe would make: objects with the kind's method.
     draws
-        Monte Carlo draws; None: as many as the recipe says.
+        Monte Carlo draws; None: uncertainties as the recipe says; 0: none.
     frame
         Makes an acquisition's frame ready, or remembers it; None: `frame_of` does.
     """
@@ -86,10 +87,13 @@ class Pipeline:
         self._debug = debug
         self._view: View | None = None
         self._draws = recipe.draws if draws is None else draws
+        self._linear = draws is None and recipe.uncertainty == "linear"
         # Draws must not meet a stage that remembers: each is another scene.
         self._chain = Chain(
             *(
-                recipe.stages[kind].make() if kind in recipe.stages and self._draws else None
+                recipe.stages[kind].make()
+                if kind in recipe.stages and (self._draws or self._linear)
+                else None
                 for kind in ("triangulator", "volume", "weigher", "classifier")
             )
         )
@@ -187,12 +191,16 @@ class Pipeline:
         self, products: tuple[ProductTrace, ...], scene: Scene, steps: _Steps
     ) -> tuple[ProductTrace, ...]:
         """Give the products with their uncertainties; without draws, name what is a part only."""
+        if self._linear:
+            linear = steps.do("uncertainty", lambda: linearise(products, scene, self._chain))
+            return linear or products
         if not self._draws:
             view = scene.calibration.view
             approximate = view is not None and not view.exact
             return tuple(without_draws(found, approximate=approximate) for found in products)
         return (
-            steps.do("draws", lambda: propagate(products, scene, self._chain, draws=self._draws)) or products
+            steps.do("uncertainty", lambda: propagate(products, scene, self._chain, draws=self._draws))
+            or products
         )
 
     def _outcome(self, product: Product, doubt: Reason | None, seconds: dict[str, float]) -> ProductTrace:

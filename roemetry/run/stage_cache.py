@@ -83,7 +83,7 @@ class CachedStages:
     """
 
     def __init__(self, recipe: Recipe, memory: StageCache, draws: int | None = None) -> None:
-        self.keys = step_keys(recipe, recipe.draws if draws is None else draws)
+        self.keys = step_keys(recipe, (recipe.uncertainty, recipe.draws) if draws is None else ("", draws))
         self.seconds: dict[str, float] = {}
         self.stages: dict[str, Any] = {
             kind: _CachedStage(kind, chosen.make(), self.keys[kind], memory, self.seconds)
@@ -95,10 +95,10 @@ class CachedStages:
         self.seconds.clear()
 
 
-def step_keys(recipe: Recipe, draws: int) -> dict[str, str]:
+def step_keys(recipe: Recipe, uncertainty: tuple[str, int]) -> dict[str, str]:
     """Hash, by kind of stage, all that decides its result: its options, and every step before it.
 
-    A grader looks at uncertainties, so the number of draws decides its result as well.
+    A grader looks at uncertainties, so how they are found decides its result as well.
     """
     source = recipe.source_choice
     keys: dict[str, str] = {}
@@ -113,7 +113,7 @@ def step_keys(recipe: Recipe, draws: int) -> dict[str, str]:
                 None if recipe.penetration is None else recipe.penetration.sha256,
                 recipe.calibration.sha256 if calibrated and recipe.calibration is not None else None,
                 source.model_dump(mode="json", exclude={"path"}),
-                draws if kind == "grader" else None,
+                uncertainty if kind == "grader" else None,
             ]
             keys[kind] = hashlib.sha256(json.dumps(decided_by, sort_keys=True).encode()).hexdigest()
         return keys[kind]

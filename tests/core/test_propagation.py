@@ -12,6 +12,7 @@ import pytest
 from roemetry.errors import StageError
 from roemetry.records import Estimate, Grade, Outline, ProductTrace, Shares, StripeMap, Volume, Weight
 from roemetry.records.calibration import Calibration
+from roemetry.run.linearisation import linearise
 from roemetry.run.monte_carlo import Chain, Scene, offset_contour, propagate
 from roemetry.run.open_parts import split_products
 from roemetry.stages import Classifier, StageOptions, VolumeEstimator, Weigher
@@ -124,7 +125,10 @@ def done(
     classifier=None,
     draws: int = DRAWS,
     triangulator=BlockLinear(),  # noqa: B008
+    name: str = "a",
 ) -> ProductTrace:
+    """Results with uncertainties by so many draws; without draws by linearisation."""
+    given = replace(given, acquisition_id=name)
     profiles = triangulator.triangulate(given.stripes, given.calibration)
     (product,) = split_products(profiles, given.outlines, given.calibration, "a")
     volume = estimator.estimate(product)
@@ -134,8 +138,10 @@ def done(
         weight=None if weigher is None else weigher.weigh(product, volume),
         grade=None if classifier is None else classifier.classify(product),
     )
-    (drawn,) = propagate((found,), given, Chain(triangulator, estimator, weigher, classifier), draws=draws)
-    return drawn
+    chain = Chain(triangulator, estimator, weigher, classifier)
+    if not draws:
+        return linearise((found,), given, chain)[0]
+    return propagate((found,), given, chain, draws=draws)[0]
 
 
 def closed_form(given: Scene) -> tuple[float, float, int]:
@@ -339,3 +345,55 @@ def test_features_have_no_uncertainty_where_peaks_have_none() -> None:
     found = done(bare, SumOfHeights(), classifier=classifier)
     assert found.grade is not None
     assert found.grade.features_std == {}
+
+
+def test_linearised_parts_are_the_closed_forms() -> None:
+    """Only noise, of which twelve patterns are run, and a model that is drawn are not exact."""
+    given = scene(outlines=(contour(0.5),))
+    value, peaks, _ = closed_form(given)
+    found = done(given, Erring(), Tenth(), draws=0)
+    visible, mass = found.volume.visible_mm3, found.weight.mass_g
+    assert visible.value == pytest.approx(value, rel=1e-12)
+    assert visible.budget["calibration"] == pytest.approx(OMEGA_RELATIVE * value, rel=1e-6)
+    assert visible.budget["outline"] == 0.0
+    assert visible.budget["volume model"] == pytest.approx(30.0, rel=0.4)  # 50 draws: 10 %, four times
+    assert visible.budget["peak noise"] == pytest.approx(peaks, rel=0.6)  # 12 patterns: 20 %, three times
+    assert visible.std == pytest.approx(math.hypot(*visible.budget.values()), rel=1e-12)
+    assert visible.interval == pytest.approx((value - 1.959964 * visible.std, value + 1.959964 * visible.std))
+    carried = 0.1 * math.hypot(visible.budget["calibration"], visible.budget["peak noise"])
+    own = math.hypot(mass.budget["volume model"], mass.budget["weight model"])
+    assert mass.std == pytest.approx(math.hypot(carried, own), rel=1e-6)
+    moved = done(given, ByOutline(), draws=0).volume.visible_mm3
+    assert moved.budget["outline"] == pytest.approx(1.0, rel=1e-3)  # both ends by 0.5 px
+
+
+def test_linearised_uncertainty_hangs_on_no_name_and_agrees_with_draws() -> None:
+    one, other = (done(scene(), SumOfHeights(), Tenth(), draws=0, name=name) for name in ("a", "b"))
+    assert one.volume.visible_mm3 == other.volume.visible_mm3
+    assert one.weight == other.weight
+    assert one.height_max_mm == other.height_max_mm
+    drawn = done(scene(), SumOfHeights(), Tenth())
+    assert one.volume.visible_mm3.std == pytest.approx(drawn.volume.visible_mm3.std, rel=0.09)
+    assert one.weight.mass_g.std == pytest.approx(drawn.weight.mass_g.std, rel=0.3)  # 50 draws of its model
+
+
+def test_linearisation_states_nothing_that_is_not_stated() -> None:
+    found = done(scene(), Silent(), Tenth(), draws=0)
+    assert math.isnan(found.volume.visible_mm3.std)
+    assert math.isnan(found.weight.mass_g.std)
+    assert [reason.code for reason in found.volume.reasons] == ["volume-model-not-stated"]
+    refusing = Refusing()
+    refusing.limit = closed_form(scene())[0] + 1e-6
+    found = done(scene(), refusing, draws=0).volume.visible_mm3
+    usual = done(scene(), SumOfHeights(), draws=0).volume.visible_mm3
+    assert found.budget == pytest.approx(usual.budget, rel=1e-6), (
+        "one side that is refused is as far as the other"
+    )
+
+
+def test_a_class_border_lowers_the_linearised_probability() -> None:
+    border = AboveLimit()
+    border.limit = closed_form(scene())[0] - 1e-6
+    assert done(scene(), SumOfHeights(), None, border, draws=0).grade.probability < 0.9
+    border.limit *= 0.5
+    assert done(scene(), SumOfHeights(), None, border, draws=0).grade.probability == 1.0

@@ -146,7 +146,7 @@ class Session:
             "name": self._path.name,
             "product": recipe.product,
             "calibrated": recipe.calibration is not None,
-            "draws": recipe.draws,
+            "draws": _method_of(recipe),
             "acquisitions": [reference.id for reference in self._references(recipe)],
             "broken": [str(broken) for broken in self.registry.broken],
             **form_of(self._base, recipe, self.registry),
@@ -157,7 +157,7 @@ class Session:
         references = self._references(recipe)
         reference = next((one for one in references if one.id == wish.acquisition), references[0])
         acquisition = self._acquisition(recipe, reference)
-        draws = recipe.draws if wish.draws else 0
+        draws = None if wish.draws else 0
         remembered = CachedStages(recipe, self._memory, draws)
         settings = recipe.source_choice.model_dump_json(exclude={"path"})
 
@@ -175,7 +175,7 @@ class Session:
             "absent": {kind: reason.text for kind, reason in trace.absent.items()},
             "rows": [json.loads(row.to_json()) for row in rows],
             "places": places,
-            "drawn": draws,
+            "drawn": _method_of(recipe) if wish.draws else "",
             "seconds": dict(trace.seconds),
             "seconds_fresh": {**trace.seconds, **remembered.seconds},
         }
@@ -265,3 +265,10 @@ def _text_of(path: Path) -> str:
         raise ConfigurationError(
             f"{path}: cannot be read: {error.strerror or error}", hint="check the path"
         ) from error
+
+
+def _method_of(recipe: Recipe) -> str:
+    """Say how a recipe's uncertainties are found; "" where they are not."""
+    if recipe.uncertainty == "monte-carlo":
+        return f"{recipe.draws} draws"
+    return {"linear": "linearisation", "none": ""}[recipe.uncertainty]

@@ -337,7 +337,7 @@ def test_uncertainties_are_drawn_when_they_are_wished_for(line: Callable[..., Pa
     quick, drawn = (
         ask(session, wish(session).model_copy(update={"draws": wanted}))[0] for wanted in (False, True)
     )
-    assert (quick["drawn"], drawn["drawn"]) == (0, 20)
+    assert (quick["drawn"], drawn["drawn"]) == ("", "20 draws")
     recipe = Recipe.load(path)
     source = recipe.source.make()
     trace = Pipeline(recipe).trace(source.read(source.references(recipe.source_path)[0]))

@@ -3,7 +3,7 @@ import { element } from "./element.js";
 
 /** answer, saved: of the server; goTo(x, row): shows a place of the frame. */
 export function showNumbers(place, answer, saved, changed, draws, goTo) {
-  // draws: {count, draw}: how many the recipe wants, and what makes them
+  // draws: {count, draw}: the recipe's way to uncertainties, and what finds them
   const parts = [];
   for (const row of answer.rows) {
     const before = saved?.rows.find((one) => one.product === row.product);
@@ -15,8 +15,8 @@ export function showNumbers(place, answer, saved, changed, draws, goTo) {
 }
 
 function drawing(answer, draws) {
-  if (answer.drawn) return element("p", { className: "soft" }, `±: standard uncertainty, from ${answer.drawn} draws`);
-  const button = element("button", { type: "button" }, `Draw uncertainties (${draws.count})`);
+  if (answer.drawn) return element("p", { className: "soft" }, `±: standard uncertainty, by ${answer.drawn}`);
+  const button = element("button", { type: "button" }, `State uncertainties (${draws.count})`);
   button.title = "They are left out while you tune: they take their time";
   button.addEventListener("click", () => { button.disabled = true; button.textContent = "drawing…"; draws.draw(); });
   return element("p", {}, button);
