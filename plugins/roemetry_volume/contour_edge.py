@@ -108,10 +108,9 @@ class Scene(NamedTuple):
 
     level: Floats
     """log(image / belt)."""
-    product: Flags
-    belt: Flags
-    """product, belt: true where stripes show this product; and where they show the belt or another product.
-    """
+    product: Floats
+    belt: Floats
+    """product, belt: 1 where stripes show this product; and where they show the belt or another product."""
     stripes: Flags | None
     """True where a laser image's stripes were taken out; None: a plain-light image."""
     blur_px: float
@@ -137,7 +136,9 @@ def edge_around(scene: Scene, start: Floats) -> Edge | None:
     """
     if start.shape[0] < _LEAST_POINTS or abs(area_of(start)) < _LEAST_AREA_PX2:
         return None
-    scene = scene._replace(level=scene.level.astype(np.float32))
+    scene = scene._replace(
+        **{name: getattr(scene, name).astype(np.float32) for name in ("level", "product", "belt")}
+    )
     ring = _rounded(evenly(start, _NORMALS), _ROUND_START)
     for outwards, inwards in _WIDE:
         ring = _widely(scene, ring, (outwards * scene.spacing_px, inwards * scene.spacing_px))
@@ -312,11 +313,11 @@ def _steps(scene: Scene, ring: Floats) -> tuple[Floats, Floats]:
     return mean / np.maximum(share, 0.02), share
 
 
-def _shut(product: Flags, belt: Flags, ring: Floats, normal: Floats, off_px: Floats) -> Flags:
+def _shut(product: Floats, belt: Floats, ring: Floats, normal: Floats, off_px: Floats) -> Flags:
     """Say where (normal, distance) no outline runs: within what is seen of the product, beyond the belt."""
-    within = _along(product.astype(np.float32), ring, normal, off_px) > 0.5
+    within = _along(product, ring, normal, off_px) > 0.5
     within = np.flip(np.maximum.accumulate(np.flip(within, axis=1), axis=1), axis=1)
-    beyond = _along(belt.astype(np.float32), ring, normal, off_px) > 0.3
+    beyond = _along(belt, ring, normal, off_px) > 0.3
     shut: Flags = within | np.maximum.accumulate(beyond & ~within, axis=1)
     return shut
 
@@ -343,8 +344,11 @@ def _along(image: Floats, ring: Floats, normal: Floats, off_px: Floats) -> Float
     """Sample an image (n, m) at distances along the normals of a ring."""
     import cv2
 
-    at = ring[:, None, :] + off_px[None, :, None] * normal[:, None, :]
-    x, y = at[..., 0].astype(np.float32), at[..., 1].astype(np.float32)
+    off = off_px.astype(np.float32)
+    x, y = (
+        middle[:, None] + off * towards[:, None]
+        for middle, towards in zip(ring.T.astype(np.float32), normal.T.astype(np.float32), strict=True)
+    )
     return np.asarray(cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
 
 

@@ -128,7 +128,8 @@ class EdgeContour(Outliner[EdgeContourOptions]):
                 held, belt = _eroded(region), _belt_stripes(stripes, number, frame.size)
             if on_stripes is not None:
                 belt |= _belt_between(stripes, frame.size, spacing)
-            scene = Scene(level, held, belt, on_stripes, 0.0 if use_plain else _AMBIENT_SMOOTH_PX, spacing)
+            fixed = held.astype(np.float64), belt.astype(np.float64)
+            scene = Scene(level, *fixed, on_stripes, 0.0 if use_plain else _AMBIENT_SMOOTH_PX, spacing)
             edge = edge_around(scene, _ring_around(region, spacing))
             if edge is not None:
                 features = features_of(edge.xy_px, chosen.pixels)
@@ -344,19 +345,21 @@ def _ring_around(region: Flags, spacing_px: float) -> Floats:
     """
     import cv2
 
-    def disc(radius_px: float) -> Flags:
-        width = 2 * round(radius_px) + 1
-        return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width, width)))
-
+    rows, columns = np.flatnonzero(region.any(axis=1)), np.flatnonzero(region.any(axis=0))
+    if not rows.size:
+        return np.empty((0, 2))
     edge = 2 * round(spacing_px)
-    padded = np.pad(region.astype(np.uint8), edge)
-    wide = cv2.dilate(padded, disc(spacing_px))
-    found, _ = cv2.findContours(
-        cv2.erode(wide, disc(0.5 * spacing_px)), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE
-    )
+    box = region[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    # by distances: dilating with a disc of this size takes thirty times as long
+    outside = np.pad(np.uint8(1) - box.astype(np.uint8), edge, constant_values=1)
+    wide = cv2.distanceTransform(outside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE) <= spacing_px
+    inside = cv2.distanceTransform(wide.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    ring = (inside > 0.5 * spacing_px).astype(np.uint8)
+    found, _ = cv2.findContours(ring, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     if not found:
         return np.empty((0, 2))
-    chains = [chain[:, 0, :].astype(np.float64) - edge for chain in found]
+    corner = np.array([columns[0] - edge, rows[0] - edge], np.float64)
+    chains = [chain[:, 0, :] + corner for chain in found]
     return max(chains, key=lambda chain: abs(area_of(chain)))
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib
 import io
+import os
 import sys
 from collections.abc import Callable
 from functools import cache
@@ -21,6 +22,11 @@ from roemetry.errors import FAULTS, PluginError, RoemetryError
 
 if TYPE_CHECKING:
     from roemetry.stages.hookspecs import VerbEntry
+
+
+# Matrices here are small: BLAS threads for them take more time than they save, and each of several worker
+# processes would start as many. Set before numpy is imported; who has set it keeps it.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 @cache

@@ -9,7 +9,9 @@ noise into some drawn patterns. The chain is run with each part at +1 and at −
 where 2 e² is the variance of the second-order term for a normal part. What the stages state of their own
 models is added. No random number decides a result: the patterns of noise are the same for every image.
 
-Against the Monte Carlo method (`roemetry.run.monte_carlo`): some twenty runs of the chain instead of
+Of each cause the first part is run both ways; for others Δ = f(+1) − f stands alone unless a grade moves.
+
+Against the Monte Carlo method (`roemetry.run.monte_carlo`): some ten runs of the chain instead of
 hundreds. Where results do not follow a part in a straight line (a class border, a rule that switches), the
 second-order term shows it, a reason says so, and the uncertainty holds it as far as a parabola does.
 """
@@ -62,6 +64,8 @@ _ROWS_APART = 8
 """Every so many rows a point is asked how far a mode moves it: calibrations are smooth over tens of rows."""
 _MODEL_DRAWS = 50
 """For a stage that draws its model's error and does not state it."""
+_GRADE_MOVES = 0.02
+"""Change of a grade's probability from which a part is run the other way as well."""
 _CURVED = 0.5
 """Second-order over first-order variance from which a result is said not to follow its causes straight."""
 _NOT_LINEAR = Reason(
@@ -92,8 +96,10 @@ def linearise(products: tuple[ProductTrace, ...], scene: Scene, chain: Chain) ->
             heights = [Result(height_max_mm=math.nan if one is None else one.height_max_mm) for one in sides]
             lifts[number].append(_Run(cause, weight, *heights))
             if cause != PEAKS or _noise_matters(trace, runs[number]):
-                results = (rerun(chain, trace, one, rng, model=False) for one in sides)
-                runs[number].append(_Run(cause, weight, *results))
+                up = rerun(chain, trace, sides[0], rng, model=False)
+                alike = any(run.cause == cause for run in runs[number]) and not _wants_both(trace, up)
+                down = None if alike else rerun(chain, trace, sides[1], rng, model=False)
+                runs[number].append(_Run(cause, weight, up, down))
     return tuple(
         replace(
             _stated(trace, runs[trace.product.number], chain, drawn, scene, rng),
@@ -112,7 +118,8 @@ class _Run:
     cause: str
     weight: float
     above: Result
-    below: Result
+    below: Result | None
+    """None: not run."""
 
 
 def _parts(scene: Scene, chain: Chain, drawn: Sampler) -> Iterator[Part]:
@@ -269,6 +276,20 @@ def _noise_matters(trace: ProductTrace, runs: Sequence[_Run]) -> bool:
     return spread.first[PEAKS] > _NOISE_SHARE * whole
 
 
+def _wants_both(trace: ProductTrace, result: Result) -> bool:
+    """Tell whether a part is to be run the other way as well: it was refused, or the grade moves."""
+    if trace.volume is not None and math.isnan(result.visible_mm3):
+        return True
+    if trace.grade is None or trace.grade.label == UNKNOWN:
+        return False
+    return abs(probability_of(result, trace.grade.label) - _sure_of(trace.grade)) > _GRADE_MOVES
+
+
+def _sure_of(grade: Grade) -> float:
+    stated = Result(label=grade.label, probability=grade.probability, features=grade.features)
+    return probability_of(stated, grade.label)
+
+
 def _spread(runs: Sequence[_Run], value: Callable[[Result], float], found: float) -> _Spread | None:
     """Give how a value varies; None where a run could not be measured on either side."""
     first: dict[str, float] = {}
@@ -277,12 +298,13 @@ def _spread(runs: Sequence[_Run], value: Callable[[Result], float], found: float
     patterns = sum(run.cause == PEAKS for run in runs)
     for run in runs:
         weight = run.weight / (patterns if run.cause == PEAKS else 1)
-        above, below = value(run.above), value(run.below)
+        above = value(run.above)
+        below = math.nan if run.below is None else value(run.below)
         if math.isnan(above) or math.isnan(below):
             one = below if math.isnan(above) else above
             if math.isnan(one):
                 return None
-            above, below = one, 2.0 * found - one  # the other side is refused: as far the other way
+            above, below = one, 2.0 * found - one  # what was not run, or refused: as far the other way
         bend = 0.5 * (above + below) - found
         first[run.cause] = first.get(run.cause, 0.0) + weight * (0.5 * (above - below)) ** 2
         second[run.cause] = second.get(run.cause, 0.0) + weight * 2.0 * bend**2
@@ -378,17 +400,17 @@ def _graded(grade: Grade, runs: Sequence[_Run], *, spread: bool) -> Grade:
     if grade.label == UNKNOWN:
         sure = math.nan
     else:
-        stated = Result(label=grade.label, probability=grade.probability, features=grade.features)
-        found = probability_of(stated, grade.label)
+        found = _sure_of(grade)
         patterns = sum(run.cause == PEAKS for run in runs)
-        sides = [
+        mean = [
             (
                 run.weight / (patterns if run.cause == PEAKS else 1),
-                0.5 * sum(probability_of(side, grade.label) for side in (run.above, run.below)),
+                0.5 * (probability_of(run.above, grade.label) + probability_of(run.below, grade.label)),
             )
             for run in runs
+            if run.below is not None
         ]
-        sure = min(max(found + sum(weight * (mean - found) for weight, mean in sides), 0.0), 1.0)
+        sure = min(max(found + sum(weight * (both - found) for weight, both in mean), 0.0), 1.0)
     std: dict[str, float] = {}
     for name, value in grade.features.items() if spread else ():
         of_feature = _spread(runs, lambda result, name=name: result.features.get(name, math.nan), value)  # type: ignore[misc]
