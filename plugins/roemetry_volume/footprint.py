@@ -14,7 +14,6 @@ from typing import NamedTuple
 import numpy as np
 
 from roemetry.records.arrays import Floats
-from roemetry.records.view import View
 from roemetry_kernels.compiling import kernel
 
 
@@ -37,7 +36,7 @@ class Border(NamedTuple):
     tilt: Floats
 
 
-def border_at(view: View, contour_px: Floats, height_mm: Floats, fall_mm: Floats | None = None) -> Border:
+def border_at(rays: tuple[Floats, Floats], height_mm: Floats, fall_mm: Floats | None = None) -> Border:
     """Place a contour at the heights of the rim that made it.
 
     Where a dome falls to its rim as (z − z_rim)² = α·d, a ray of tilt t along the normal touches it α·t²/4
@@ -45,16 +44,14 @@ def border_at(view: View, contour_px: Floats, height_mm: Floats, fall_mm: Floats
 
     Parameters
     ----------
-    view
-        The camera.
-    contour_px : ndarray, shape (n, 2)
-        The silhouette in the image.
+    rays
+        A point and the direction, (n, 3) each, of the silhouette's lines of sight (`View.rays`).
     height_mm : ndarray, shape (n,)
         Height of the rim at each of its points.
     fall_mm : ndarray, shape (n,), or None
         α at each point, mm.
     """
-    start, way = view.rays(contour_px)
+    start, way = rays
     xy = start[:, :2] + ((height_mm - start[:, 2]) / way[:, 2])[:, None] * way[:, :2]
     outward = _outward(xy)
     tilt = (way[:, :2] * outward).sum(axis=1) / -way[:, 2]

@@ -135,12 +135,12 @@ def fuse(product: Product, view: View, contour_px: Floats) -> Fused:
     """
     from roemetry_volume.footprint import inside_by, nodes_within
 
-    contour_px = evenly(contour_px, _POINTS)
+    silhouette = view.rays(evenly(contour_px, _POINTS))
     points = points_of(product)
     xyz = points.xyz_mm
     outermost = np.concatenate([points.first[:-1], points.first[1:] - 1])
     height = np.full(_POINTS, 0.8 * float(np.median(xyz[outermost, 2])))
-    border = border_at(view, contour_px, np.maximum(height, 0.0))
+    border = border_at(silhouette, np.maximum(height, 0.0))
     centre, turn = axes_of(border.xy_mm)
     place = (xyz[:, :2] - centre) @ turn
     ends = ends_of(points, place[:, 1])
@@ -155,7 +155,7 @@ def fuse(product: Product, view: View, contour_px: Floats) -> Fused:
         open_end = _open_ends(knots, contour, (border.outward @ turn)[:, 0])
         plate = _plate(knots, contour, open_end)
         height, fall = _at_border(plate, rim, contour, border, (centre, turn), open_end, wall_shows)
-        moved = border_at(view, contour_px, height, fall)
+        moved = border_at(silhouette, height, fall)
         step = np.abs(moved.xy_mm - border.xy_mm).max()
         border = moved
         if step < _SETTLED_MM:
