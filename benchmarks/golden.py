@@ -4,9 +4,10 @@
 ``--write`` it compares and prints what differs. Write them anew only when numbers are meant to change, and
 look at the difference.
 
-Each recipe measures its first `IMAGES` images without Monte Carlo draws; those that state draws, their first
-image with `DRAWS` as well. Kept is the whole line of the record but hashes, versions and the areas of single
-slices: values, budgets, labels, grades, reasons. Nothing in it is a time or a path.
+Each recipe measures its first `IMAGES` images without uncertainties; those that ask for them, their first
+image in the recipe's way and by `DRAWS` Monte Carlo draws as well. Kept is the whole line of the record but
+hashes, versions and the areas of single slices: values, budgets, labels, grades, reasons. Nothing in it is a
+time or a path.
 """
 
 from __future__ import annotations
@@ -74,7 +75,9 @@ def records(name: str) -> list[dict[str, Any]]:
     path = ROOT / "recipes" / f"{name}.yaml"
     recipe = Recipe.load(path, sets=["draws=0", "sinks=[]"])
     found = list(_lines(recipe, IMAGES))
-    if Recipe.load(path).draws:
+    own = Recipe.load(path, sets=["sinks=[]"])
+    if own.uncertainty != "none":
+        found += _lines(own, 1)
         found += _lines(Recipe.load(path, sets=[f"draws={DRAWS}", "sinks=[]"]), 1)
     return found
 
@@ -85,7 +88,7 @@ def _lines(recipe: Recipe, count: int) -> Iterator[dict[str, Any]]:
         trace = pipeline.trace(source.read(reference))
         for row in measurements_of(trace, recipe, {}):
             line = json.loads(row.to_json())
-            line["draws"] = recipe.draws
+            line["uncertainty"], line["draws"] = recipe.uncertainty, recipe.draws
             if line["volume"]:
                 del line["volume"]["slices"]
             yield line

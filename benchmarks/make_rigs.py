@@ -450,7 +450,8 @@ def _write_yaml(folder: Path, name: str, scene: Mapping[str, Any], bodies: list[
         if file == "with_outline.yaml":
             source["options"] = {"plain": "../images_plain/{id}.png"}
         _yaml(folder / file, {
-            "roemetry": 1, "product": name, "source": source, "calibration": "calibration.yaml", "draws": 50,
+            "roemetry": 1, "product": name, "source": source, "calibration": "calibration.yaml",
+            "uncertainty": "linear",
             "stages": {
                 "extractor": "maximum-likelihood", "coder": "planes", "triangulator": "pinhole-plane",
                 "outliner": outliner,

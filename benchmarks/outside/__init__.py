@@ -69,7 +69,7 @@ def main() -> None:
     """Score every rig, print the table, and write it with its numbers."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("folders", type=Path, nargs="*", metavar="FOLDER")
-    parser.add_argument("--draws", type=int, default=50)
+    parser.add_argument("--draws", type=int, help="Monte Carlo draws; left out: linearised uncertainties")
     parser.add_argument("--rigs", nargs="+", help="only the rig folders of these names")
     parser.add_argument("--jobs", type=int, default=1, help="rigs at a time")
     parser.add_argument("--extractors", nargs="*", default=["maximum-likelihood", "gaussian"])
@@ -82,7 +82,7 @@ def main() -> None:
     if given.again:
         told = [json.loads(path.read_text("utf-8")) for path in given.again]
         results = [_numbers(rig) for one in told for rig in one["rigs"]]
-        _write(results, {one["draws"] for one in told}, given.out)
+        _write(results, told[0]["draws"], given.out)
         return
     default = Path(os.environ.get(VARIABLE, ROOT.parent / "shared" / "rendered"))
     folders = rig_folders(given.folders or [default])
@@ -94,17 +94,17 @@ def main() -> None:
     begin = time.monotonic()
     with ProcessPoolExecutor(given.jobs) as pool:
         results = list((pool.map if given.jobs > 1 else map)(_scored, jobs))
-    _write(results, {given.draws}, given.out)
+    _write(results, given.draws, given.out)
     print(f"{time.monotonic() - begin:.0f} s")
 
 
-def page(results: list[dict[str, Any]], draws: set[int]) -> str:
+def page(results: list[dict[str, Any]], draws: int | None) -> str:
     """Write the tables as Markdown."""
     words = (__doc__ or "").partition("What the words of the table mean:")[2].strip().replace("``", "`")
-    count = " or ".join(map(str, sorted(draws)))
+    asked = "" if draws is None else f" --draws {draws}"
     parts = [
         "# Rendered rigs against their truth",
-        f"Made by `python -m benchmarks outside --draws {count}` from the files of each rig: boards and "
+        f"Made by `python -m benchmarks outside{asked}` from the files of each rig: boards and "
         "block calibrated, bodies measured, everything held against the truth. The rigs come from "
         "renderers that share no line with the simulator the methods were developed on, or from fresh "
         "seeds; they are not part of the repository (`--help` says where they are looked for).",
@@ -114,17 +114,17 @@ def page(results: list[dict[str, Any]], draws: set[int]) -> str:
     return "\n\n".join(part.strip() for part in parts) + "\n"
 
 
-def _write(results: list[dict[str, Any]], draws: set[int], folder: Path | None) -> None:
+def _write(results: list[dict[str, Any]], draws: int | None, folder: Path | None) -> None:
     text = page(results, draws)
     print(text.partition("## What the words mean")[0])
     if folder:
         folder.mkdir(parents=True, exist_ok=True)
-        content = {"draws": max(draws), "rigs": _plain(results)}
+        content = {"draws": draws, "rigs": _plain(results)}
         (folder / "outside.json").write_text(json.dumps(content) + "\n", encoding="utf-8")
         (folder / "outside.md").write_text(text, encoding="utf-8")
 
 
-def _scored(job: tuple[Path, int, list[str], list[str]]) -> dict[str, Any]:
+def _scored(job: tuple[Path, int | None, list[str], list[str]]) -> dict[str, Any]:
     folder, draws, extractors, chains = job
     try:
         rig = read_rig(folder)

@@ -226,7 +226,7 @@ def _against(found: Estimate, truth: float) -> Row:
 
 
 def recipes_of(
-    rig: RenderedRig, folder: Path, boards: Calibration | None, block: Calibration | None, draws: int
+    rig: RenderedRig, folder: Path, boards: Calibration | None, block: Calibration | None, draws: int | None
 ) -> dict[str, Recipe | str]:
     """Give the recipe of each chain, or the sentence why there is none."""
     if boards is None:
@@ -250,7 +250,8 @@ def recipes_of(
                     made[chain] = f"{path.name}: missing"
                     continue
                 data = read(path, path.name).data
-                data["draws"] = draws
+                data.pop("draws", None)
+                data |= {"uncertainty": "linear"} if draws is None else {"draws": draws}
                 if chain == "no outline":
                     data["source"].get("options", {}).pop("plain", None)
                     data["stages"].pop("outliner", None)
@@ -265,12 +266,12 @@ def recipes_of(
 
 
 def score_rig(
-    rig: RenderedRig, folder: Path, draws: int, extractors: Sequence[str], chains: Sequence[str]
+    rig: RenderedRig, folder: Path, draws: int | None, extractors: Sequence[str], chains: Sequence[str]
 ) -> Row:
     """Take one rig through everything, in a copy of its folder that may be written into.
 
-    `draws` are those of the recipes with an outline; the extractors are compared on every body's image; of
-    `CHAINS` the given ones are run.
+    `draws` are Monte Carlo draws of the recipes with an outline (None: linearised uncertainties); the
+    extractors are compared on every body's image; of `CHAINS` the given ones are run.
     """
     faults = list(rig.faults)
     boards, by_boards = calibrated(rig, folder, "boards.yaml")

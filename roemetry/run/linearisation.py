@@ -50,12 +50,15 @@ from roemetry.run.monte_carlo import (
 )
 
 _NOISE_PATTERNS = 12
-"""Patterns of peak noise, each at + and −: they know its part to 20 %. The largest height, which hangs on the
-noise of single points, is looked at in all of them; the whole chain is run for as many as matter."""
+"""Patterns of peak noise, at most: they know its part to 20 %."""
 _NOISE_PATTERNS_MIN = 3
 _NOISE_SHARE = 0.05
 """Of the volume's variance: noise averages out over thousands of points and mostly has less, which three
 patterns know well enough, the whole to 2 %."""
+_HEIGHT_PATTERNS = 100
+"""Patterns of noise in which the highest point is looked for: they know its scatter to 7 %."""
+_FAR = 5.0
+"""Standard deviations: what lies further below the highest point never is the highest."""
 _MODES_SHARE = 0.95
 """Of the variance of the product's shape, what the modes of the calibration hold that are run; the sum is
 divided by what they hold. Against all modes the volume's part is then right to 0.1 to 1 %."""
@@ -74,8 +77,9 @@ _NOT_LINEAR = Reason(
     "within the uncertainty): its uncertainty is an estimate; `uncertainty: monte-carlo` tells it",
 )
 
-Part = tuple[str, float, Mapping[int, Product], Mapping[int, Product]]
-"""A cause, the weight of one of its parts in a variance, and the products by number with it at +1 and −1."""
+Part = tuple[str, float, Callable[[float], Mapping[int, Product]]]
+"""A cause, the weight of one of its parts in a variance, and what gives the products by number with that
+part at so many standard deviations."""
 
 
 def linearise(products: tuple[ProductTrace, ...], scene: Scene, chain: Chain) -> tuple[ProductTrace, ...]:
@@ -88,27 +92,21 @@ def linearise(products: tuple[ProductTrace, ...], scene: Scene, chain: Chain) ->
     rng = np.random.default_rng(0)
     drawn = Sampler(scene, chain, rng)
     runs: dict[int, list[_Run]] = {trace.product.number: [] for trace in products}
-    lifts: dict[int, list[_Run]] = {trace.product.number: [] for trace in products}
-    for cause, weight, above, below in _parts(scene, chain, drawn):
-        for trace in products:
+    for cause, weight, make in _parts(scene, chain, drawn):
+        wanted = [
+            trace for trace in products if cause != PEAKS or _noise_matters(trace, runs[trace.product.number])
+        ]
+        above = make(1.0) if wanted else {}
+        below: Mapping[int, Product] | None = None
+        for trace in wanted:
             number = trace.product.number
-            sides = above.get(number), below.get(number)
-            heights = [Result(height_max_mm=math.nan if one is None else one.height_max_mm) for one in sides]
-            lifts[number].append(_Run(cause, weight, *heights))
-            if cause != PEAKS or _noise_matters(trace, runs[number]):
-                up = rerun(chain, trace, sides[0], rng, model=False)
-                alike = any(run.cause == cause for run in runs[number]) and not _wants_both(trace, up)
-                down = None if alike else rerun(chain, trace, sides[1], rng, model=False)
-                runs[number].append(_Run(cause, weight, up, down))
-    return tuple(
-        replace(
-            _stated(trace, runs[trace.product.number], chain, drawn, scene, rng),
-            height_max_mm=_height(
-                trace.product.height_max_mm, lifts[trace.product.number], stated=drawn.peaks_stated
-            ),
-        )
-        for trace in products
-    )
+            up = rerun(chain, trace, above.get(number), rng, model=False)
+            down = None
+            if not any(run.cause == cause for run in runs[number]) or _wants_both(trace, up):
+                below = make(-1.0) if below is None else below
+                down = rerun(chain, trace, below.get(number), rng, model=False)
+            runs[number].append(_Run(cause, weight, up, down))
+    return tuple(_stated(trace, runs[trace.product.number], chain, drawn, scene, rng) for trace in products)
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,12 +130,9 @@ def _parts(scene: Scene, chain: Chain, drawn: Sampler) -> Iterator[Part]:
     )
     offset_mm = 0.0 if light is None else light.offset_mm
 
-    def both(cause: str, weight: float, make: Callable[[float], Mapping[int, Product]]) -> Part:
-        return cause, weight, make(1.0), make(-1.0)
-
     modes, held = _modes(scene, chain)
     for mode in modes:
-        yield both(
+        yield (
             CALIBRATION,
             1.0 / held,
             lambda sign, mode=mode: drawn.products(  # type: ignore[misc]
@@ -145,7 +140,7 @@ def _parts(scene: Scene, chain: Chain, drawn: Sampler) -> Iterator[Part]:
             ),
         )
     if OUTLINE in drawn.causes:
-        yield both(
+        yield (
             OUTLINE,
             1.0,
             lambda sign: drawn.products(
@@ -156,15 +151,16 @@ def _parts(scene: Scene, chain: Chain, drawn: Sampler) -> Iterator[Part]:
             ),
         )
     if light is not None:
-        yield both(
+        std_mm = light.std_mm
+        yield (
             PENETRATION,
             1.0,
-            lambda sign: drawn.products(stripes, calibration, outlines, offset_mm + sign * light.std_mm),
+            lambda sign: drawn.products(stripes, calibration, outlines, offset_mm + sign * std_mm),
         )
     if PEAKS in drawn.causes:
         for _ in range(_NOISE_PATTERNS):
             noise = drawn.noise_px()
-            yield both(
+            yield (
                 PEAKS,
                 1.0,
                 lambda sign, noise=noise: drawn.products(  # type: ignore[misc]
@@ -242,7 +238,8 @@ def _stated(
         weight = replace(weight, mass_g=mass, reasons=weight.reasons + unstated.weight + said)
     if grade is not None:
         grade = _graded(grade, runs, spread=not unstated.points)
-    return replace(trace, volume=volume, weight=weight, grade=grade)
+    height = _height(trace, runs, drawn)
+    return replace(trace, volume=volume, weight=weight, grade=grade, height_max_mm=height)
 
 
 @dataclass(frozen=True, slots=True)
@@ -379,20 +376,37 @@ def _grams_per_mm3(trace: ProductTrace, chain: Chain) -> float:
     return abs(float(mass) - trace.weight.mass_g.value) / (step * volume.visible_mm3.value)
 
 
-def _height(found_mm: float, runs: Sequence[_Run], *, stated: bool) -> Estimate:
-    """Give the largest height; what noise has lifted it by counts as in `monte_carlo.lift_share`."""
-    spread = _spread(runs, lambda result: result.height_max_mm, found_mm)
+def _height(trace: ProductTrace, runs: Sequence[_Run], drawn: Sampler) -> Estimate:
+    """Give the largest height with its uncertainty."""
+    found_mm = trace.product.height_max_mm
+    others = [run for run in runs if run.cause != PEAKS]
+    spread = _spread(others, lambda result: result.height_max_mm, found_mm)
     if spread is None:
         return Estimate(found_mm)
-    parts = dict(spread.first)
-    if PEAKS in parts:
-        parts[PEAKS] += lift_share(spread.lift) ** 2
-    budget = {cause: math.sqrt(part) for cause, part in parts.items() if part > 0.0}
-    if not stated:
+    budget = {cause: math.sqrt(part) for cause, part in spread.first.items() if part > 0.0}
+    if PEAKS in drawn.causes:
+        budget[PEAKS] = _noise_of_height(trace.product, drawn)
+    if not drawn.peaks_stated:
         return Estimate(found_mm, budget=budget)
-    std = math.sqrt(sum(parts.values()))
+    std = math.hypot(*budget.values())
     reach = COVERAGE_FACTOR * std
     return Estimate(found_mm, std, budget, (found_mm - reach, found_mm + reach))
+
+
+def _noise_of_height(product: Product, drawn: Sampler) -> float:
+    """Give the uncertainty of the largest height by peak noise, mm, and by what noise has lifted it.
+
+    It hangs on the noise of single points and takes many patterns; their own heights' noise is enough for it.
+    """
+    profiles = product.profiles
+    heights, std_mm = profiles.xyz_mm[:, :, 2], np.nan_to_num(profiles.height_std_mm)
+    near = np.flatnonzero((heights + _FAR * std_mm > product.height_max_mm).any(axis=0))
+    window = slice(int(near[0]), int(near[-1]) + 1)
+    heights, std_mm = heights[:, window], std_mm[:, window]
+    highest = [
+        float(np.nanmax(heights + drawn.unit_noise(heights.shape) * std_mm)) for _ in range(_HEIGHT_PATTERNS)
+    ]
+    return math.hypot(np.std(highest, ddof=1), lift_share(float(np.mean(highest)) - product.height_max_mm))
 
 
 def _graded(grade: Grade, runs: Sequence[_Run], *, spread: bool) -> Grade:

@@ -420,14 +420,16 @@ class Sampler:
 
     def noise_px(self) -> Floats:
         """(stripe, row) errors, px: correlated along the stripe; bridged points move with their ends."""
-        noise = self._rng.standard_normal(self._std_px.shape)
-        reach = self._scene.stripes.correlation_rows
-        if reach > 0:
-            noise = _smoothed(noise, reach)
-        noise *= self._std_px
+        noise = self.unit_noise(self._std_px.shape) * self._std_px
         stripe, gap, before, after, share = self._bridges
         noise[stripe, gap] = (1.0 - share) * noise[stripe, before] + share * noise[stripe, after]
         return noise
+
+    def unit_noise(self, shape: tuple[int, ...]) -> Floats:
+        """(stripe, row) errors of standard deviation 1, correlated along the stripe."""
+        noise = self._rng.standard_normal(shape)
+        reach = self._scene.stripes.correlation_rows
+        return _smoothed(noise, reach) if reach > 0 else noise
 
 
 def _bridges(stripes: StripeMap) -> tuple[Integers, Integers, Integers, Integers, Floats]:

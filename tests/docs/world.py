@@ -24,7 +24,6 @@ def make_world(folder: Path) -> None:
     few = folder / "recipes" / "herring_roe" / "items.jsonl"
     few.write_text("".join(few.read_text("utf-8").splitlines(keepends=True)[: len(SKEINS)]), "utf-8")
     _fewer_pixels(folder / "recipes" / "herring_roe" / "scene.yaml")
-    _fewer_draws(folder / "recipes" / "herring_roe" / "with_outline.yaml")
     shutil.copytree(ROOT / "recipes" / "weld_groove", folder / "recipes" / "weld_groove")
     shutil.copytree(ROOT / "calib_targets", folder / "calib_targets")
     for own in (folder / "my-line", folder / "line"):
@@ -46,12 +45,6 @@ def _fewer_pixels(scene: Path) -> None:
     size = re.search(r"pixel_size_um: ([\d.]+)", text)
     assert size is not None
     scene.write_text(text.replace(size.group(0), f"pixel_size_um: {4.0 * float(size.group(1))}"), "utf-8")
-
-
-def _fewer_draws(recipe: Path) -> None:
-    text = recipe.read_text("utf-8")
-    assert "draws: 50 " in text
-    recipe.write_text(text.replace("draws: 50 ", "draws: 4 "), "utf-8")
 
 
 def _beside(folder: Path) -> None:
