@@ -105,7 +105,7 @@ def judged(joined: Joint, *, scale_is_known: bool = True) -> Verdict:
     _check_planes(adjusted, joined)
     if adjusted.conflict > _CONFLICT_MAX:
         raise CalibrationError(
-            f"stripes and marks contradict each other: for both to hold, stripes would have to err "
+            f"stripes and board corners contradict each other: for both to hold, stripes would have to err "
             f"{np.sqrt(adjusted.conflict):.0f} times as much as they scatter",
             hint="is each laser image paired with the board it was taken of, by one camera? did nothing move "
             "between the two images of a pose? is the board flat?",
@@ -123,8 +123,8 @@ def judged(joined: Joint, *, scale_is_known: bool = True) -> Verdict:
     if adjusted.conflict > 1.0:
         size = "a little" if adjusted.conflict <= _CONFLICT_LITTLE else "by more than their scatter explains"
         notes.append(
-            f"stripes and marks contradict each other {size}: stripes count {adjusted.conflict:.0f} times "
-            "less than their scatter would allow"
+            f"stripes and board corners contradict each other {size}: stripes count "
+            f"{adjusted.conflict:.0f} times less than their scatter would allow"
         )
     if joined.print_share > 0.0:
         notes.append(
@@ -150,14 +150,15 @@ def _of_marks(joined: Joint, *, scale_is_known: bool) -> tuple[dict[str, float],
     systematic_px, coverage = _systematic(adjusted, joined.first, joined.size)
     if systematic_px > max(_SYSTEMATIC_MAX_PX, _SYSTEMATIC_SHARE_MAX * adjusted.corner_std_px):
         raise CalibrationError(
-            f"the residuals are not noise: neighbouring marks are off together, by {systematic_px:.2f} px",
+            "the residuals are not noise: neighbouring board corners are off together, by "
+            f"{systematic_px:.2f} px",
             hint="take another lens model (calibrator.options.lens), a flat board or `flatness: free`, "
             "and a sharp lens",
         )
     notes = []
     if systematic_px > max(_SYSTEMATIC_TOLD_PX, _SYSTEMATIC_SHARE_MAX * adjusted.corner_std_px):
         notes.append(
-            "the residuals are not noise alone: neighbouring marks are off together by "
+            "the residuals are not noise alone: neighbouring board corners are off together by "
             f"{systematic_px:.2f} of {adjusted.corner_std_px:.2f} px; stated uncertainties are too small"
         )
     if joined.board is not None and joined.solids is None and scale_is_known:
@@ -167,7 +168,7 @@ def _of_marks(joined: Joint, *, scale_is_known: bool) -> tuple[dict[str, float],
     if bend is not None:
         notes.append(f"the board's shape was looked for: its print is bent by {bend.range_mm():.3f} mm")
     if coverage < _COVERAGE_MIN:
-        notes.append(f"marks cover {coverage:.0%} of the image: elsewhere the lens is extrapolated")
+        notes.append(f"board corners cover {coverage:.0%} of the image: elsewhere the lens is extrapolated")
     figures = {
         "marks_rms_px": rms_px,
         "marks_std_px": adjusted.corner_std_px,
@@ -215,7 +216,7 @@ def _check_used(joined: Joint) -> None:
     """Refuse where too much was left out as far off."""
     used, points = joined.adjusted.corner_used, joined.measured.points
     marks = 1.0 - float(used.mean()) if used.size else 0.0
-    for what, left in (("marks", marks), ("stripe peaks", _stray_share(joined))):
+    for what, left in (("board corners", marks), ("stripe peaks", _stray_share(joined))):
         if left > 1.0 - _USED_MIN:
             raise CalibrationError(f"{left:.0%} of the {what} do not fit: {_NOT_RIGID}", hint=_LOOK_FOR_MOVES)
     for stripe in np.unique(points.stripe):
@@ -302,7 +303,7 @@ _POSES_MIN = 4
 
 @dataclass(frozen=True, eq=False, slots=True)
 class CrossValidation:
-    """Errors of a calibration at views it did not know."""
+    """Errors of a calibration at views that were held out of it."""
 
     mark_px: Floats
     mark_at_px: Floats
@@ -473,7 +474,9 @@ def evidence_of(joined: Joint, calibration: Calibration) -> Evidence:
     """Show what speaks for a calibration, and judge it in words."""
     held = cross_validate(joined.measured, joined.adjusted.geometry)
     figures = _figures(joined, held, calibration)
-    return Evidence(_verdict(figures, held, calibration), tuple(figures.values()), _residuals(joined, held))
+    usable = not any(one.value > _UNUSABLE * one.limit for one in _heights_of(figures))
+    verdict = _verdict(figures, held, calibration, usable=usable)
+    return Evidence(verdict, tuple(figures.values()), _residuals(joined, held), usable)
 
 
 def _residuals(joined: Joint, held: CrossValidation) -> tuple[Residuals, ...]:
@@ -485,18 +488,18 @@ def _residuals(joined: Joint, held: CrossValidation) -> tuple[Residuals, ...]:
     axes = ("x", "y")
     shown = [
         Residuals(
-            f"marks, {axis}",
+            f"board corners, {axis}",
             "px",
             marks.xy_px[used],
             -adjusted.corner_px[used, number],
             marks.pose[used],
-            f"Marks of the boards, {axis} in the image; group: the view.",
+            f"Board corners, {axis} in the image; group: the view.",
         )
         for number, axis in enumerate(axes)
     ]
     shown += [
         Residuals(
-            f"marks of other views, {axis}",
+            f"board corners of held-out views, {axis}",
             "px",
             held.mark_at_px,
             held.mark_px[:, number],
@@ -516,12 +519,12 @@ def _residuals(joined: Joint, held: CrossValidation) -> tuple[Residuals, ...]:
             "Means over a few rows, along the row, on boards and belt; group: the stripe.",
         ),
         Residuals(
-            "heights on other views",
+            "heights on held-out views",
             "mm",
             held.height_at_px,
             held.height_mm,
             held.height_stripe,
-            "Stripe points on boards that were left out, against the place their marks give; group: the "
+            "Stripe points on boards that were left out, against the place their corners give; group: the "
             "stripe.",
             held_out=True,
         ),
@@ -543,7 +546,7 @@ def _figures(joined: Joint, held: CrossValidation, calibration: Calibration) -> 
     found = {}
     if "marks_coverage" in residuals:
         found["coverage"] = EvidenceFigure(
-            "part of the image without marks",
+            "part of the image without board corners",
             1.0 - residuals["marks_coverage"],
             "1",
             "6 × 6 cells",
@@ -552,7 +555,7 @@ def _figures(joined: Joint, held: CrossValidation, calibration: Calibration) -> 
     if held.mark_px.size:
         rms = _rms(adjusted.corner_px[adjusted.corner_used])
         found["marks"] = EvidenceFigure(
-            "marks of other views over those used, rms",
+            "board corners of held-out views over those used, rms",
             _robust_rms(held.mark_px) / max(rms, 1e-12),
             "1",
             "cross-validation, every fifth view left out in turn",
@@ -562,13 +565,13 @@ def _figures(joined: Joint, held: CrossValidation, calibration: Calibration) -> 
         means = _means(held.height_mm, held.height_pose)
         low, high = calibration.height_range_mm
         found["heights"] = EvidenceFigure(
-            "heights on other views, single points, rms",
+            "heights on held-out views, single points, rms",
             _robust_rms(held.height_mm),
             "mm",
             "means over a few rows, random part included",
         )
         found["bias"] = EvidenceFigure(
-            "heights on other views, mean of a board, rms",
+            "heights on held-out views, mean of a board, rms",
             _rms(means),
             "mm",
             f"{means.size} boards; at most a thousandth of the height range",
@@ -600,33 +603,36 @@ def _figures(joined: Joint, held: CrossValidation, calibration: Calibration) -> 
     return found
 
 
+def _heights_of(figures: dict[str, EvidenceFigure]) -> list[EvidenceFigure]:
+    return [figures[key] for key in ("bias", "agree") if key in figures]
+
+
 def _verdict(
-    figures: dict[str, EvidenceFigure], held: CrossValidation, calibration: Calibration
+    figures: dict[str, EvidenceFigure], held: CrossValidation, calibration: Calibration, *, usable: bool
 ) -> tuple[str, ...]:
     low, high = calibration.height_range_mm
     over = [key for key, one in figures.items() if one.value > one.limit]
     range_mm = f"from {low:g} to {high:.1f} mm"
-    heights = [figures[key] for key in ("bias", "agree") if key in figures]
-    if any(one.value > _UNUSABLE * one.limit for one in heights):
+    if not usable:
         words = [f"Not usable {range_mm}: heights are off by more than a hundredth of that range, see below."]
     elif over:
-        words = [f"Usable {range_mm} with care: {len(over)} of {len(figures)} tests failed, see below."]
+        words = [f"Usable {range_mm} with care: {len(over)} of {len(figures)} checks failed, see below."]
     else:
-        words = [f"Usable {range_mm}: it stood all tests."]
+        words = [f"Usable {range_mm}: it passed all checks."]
     if "bias" in figures:
         words.append(
-            f"On boards it did not know, heights are {1e3 * figures['heights'].value:.0f} µm off (rms of "
+            f"On held-out boards heights are {1e3 * figures['heights'].value:.0f} µm off (rms of "
             f"single points) and {1e3 * figures['bias'].value:.1f} µm in the mean of a board."
         )
     else:
-        words.append("No view can be spared: it was not tested on views it did not know. Take more poses.")
+        words.append("No view can be spared: there is no check on held-out views. Take more poses.")
     if "marks" in over:
         words.append(
-            f"Views it did not know fit {figures['marks'].value:.1f} times worse than those it knew: too few "
-            "poses for this lens model, or poses too much alike."
+            f"Held-out views fit {figures['marks'].value:.1f} times worse than those it was made from: "
+            "too few poses for this lens model, or poses too much alike."
         )
     if "bias" in over:
-        words.append("Boards it did not know lie at wrong heights: a bent board, or too few poses.")
+        words.append("Held-out boards lie at wrong heights: a bent board, or too few poses.")
     if "agree" in over:
         words.append(
             f"Stripes contradict each other by {1e3 * figures['agree'].value:.0f} µm on one surface: steps "
@@ -644,7 +650,7 @@ def _verdict(
         )
     if "coverage" in over:
         words.append(
-            f"Marks cover {1.0 - figures['coverage'].value:.0%} of the image: elsewhere the lens is "
+            f"Board corners cover {1.0 - figures['coverage'].value:.0%} of the image: elsewhere the lens is "
             "extrapolated, and heights there are not proven."
         )
     if held.skipped:

@@ -35,21 +35,32 @@ def calibrate(
             "residuals, coverage, height uncertainty.",
         ),
     ] = None,
+    accept_poor: Annotated[
+        bool,
+        typer.Option(
+            "--accept-poor",
+            help="Write a calibration that its own checks refuse; every number measured with it says so.",
+        ),
+    ] = False,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
-    """Make a calibration from images of known things, or refuse with the reason."""
-    from roemetry.calibrating import calibrate as calibrate_rig
+    """Make a calibration from images of known things, check it, or refuse with the reason."""
     from roemetry.calibrating import calibrate_with_evidence, default_path
     from roemetry.config.rig import Rig
-    from roemetry.records import Evidence
+    from roemetry.errors import CalibrationError
 
     loaded = Rig.load(rig, sets=sets or ())
-    evidence = Evidence()
-    if report is None:
-        calibration = calibrate_rig(loaded)
-    else:
-        calibration, evidence = calibrate_with_evidence(loaded)
+    calibration, evidence = calibrate_with_evidence(loaded)
     path = out or default_path(loaded)
+    if not evidence.usable:
+        if not accept_poor:
+            if report is not None:
+                _write_page(report, calibration, evidence, loaded.file.name)
+            raise CalibrationError(
+                f"{path} is not written. {' '.join(evidence.verdict)}",
+                hint="--report PAGE.html shows where it fails; --accept-poor writes it nevertheless, marked",
+            )
+        calibration = calibration.accepted_as_poor(evidence.verdict[0])
     calibration.save(path)
     typer.echo(f"{path}: {calibration.method}, {calibration.stripe_count} stripes")
     for name, value in calibration.residuals.items():

@@ -46,6 +46,9 @@ def run(
     as_json: Annotated[
         bool, typer.Option("--json", help="Print the outcome as JSON instead of the table; no progress bar.")
     ] = False,
+    profile: Annotated[
+        bool, typer.Option("--profile", help="Print the time of each stage, and the memory, at the end.")
+    ] = False,
     debug: Annotated[
         bool, typer.Option("--debug", help="Show tracebacks; the first failed acquisition ends the run.")
     ] = False,
@@ -81,6 +84,8 @@ def run(
         typer.echo(json.dumps(_described(outcome), indent=2))
     else:
         _show(loaded, outcome)
+        if profile:
+            _show_profile(outcome)
     for fault in outcome.sink_faults:
         sys.stderr.write(f"roemetry: {fault}\n")
     if outcome.counts["failed"] or outcome.sink_faults:
@@ -124,6 +129,44 @@ def _show(recipe: Recipe, outcome: Outcome) -> None:
     console.print(f"{counts or 'nothing measured'}", highlight=False)
     for file in (outcome.folder / RECORD, *outcome.files[:10]):
         console.print(f"  {file}", highlight=False, soft_wrap=True)
+
+
+def _show_profile(outcome: Outcome) -> None:
+    """Print where the time of an acquisition goes, and how much memory was held at most."""
+    from rich.box import SIMPLE_HEAD
+    from rich.console import Console
+    from rich.table import Table
+
+    from roemetry.run.record import PROVENANCE
+
+    told = json.loads((outcome.folder / PROVENANCE).read_text("utf-8"))
+    seconds: dict[str, float] = told["seconds_median"]
+    if not seconds:
+        typer.echo("no profile: times are medians from the second acquisition on, which there is not")
+        return
+    whole = sum(seconds.values())
+    table = Table(box=SIMPLE_HEAD)
+    table.add_column("stage")
+    table.add_column("ms", justify="right")
+    table.add_column("%", justify="right")
+    for stage, value in seconds.items():
+        table.add_row(stage, f"{1e3 * value:.1f}", f"{100.0 * value / whole:.0f}")
+    table.add_row("all", f"{1e3 * whole:.1f}", "100")
+    console = Console()
+    console.print(table)
+    console.print("median of an acquisition's stages, without the first acquisition", highlight=False)
+    if (held := _memory_mb()) is not None:
+        console.print(f"memory of the main process at most: {held:.0f} MB", highlight=False)
+
+
+def _memory_mb() -> float | None:
+    """Give the most memory this process has held; None where the system does not tell."""
+    try:
+        import resource
+    except ImportError:
+        return None
+    held = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return held / (2.0**20 if sys.platform == "darwin" else 2.0**10)
 
 
 def report(

@@ -127,6 +127,15 @@ class Calibration:
         moved = replace(self, parameters=parameters)
         return replace(moved, view=None if view_of is None else view_of(moved))
 
+    @property
+    def poor(self) -> str:
+        """Why the calibration was refused before it was accepted nevertheless; "" where it was not."""
+        return next((note.removeprefix(_POOR) for note in self.notes if note.startswith(_POOR)), "")
+
+    def accepted_as_poor(self, why: str) -> Calibration:
+        """Give the calibration marked as refused, for this reason, and used nevertheless."""
+        return replace(self, notes=(*self.notes, _POOR + why))
+
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers, lists and words, as they stand in the file."""
         return {
@@ -205,6 +214,8 @@ class Calibration:
                 raise CalibrationError(f"{path}: {name} holds a number that is not finite")
         return calibration
 
+
+_POOR = "accepted though refused: "
 
 _HEADER = """\
 # Made by `roemetry calibrate`. rest_px: polynomials in (row − middle row), px, lowest power first.

@@ -173,7 +173,7 @@ class Residuals:
     basis: str
     """What was observed, and what is drawn."""
     held_out: bool = False
-    """True where the model did not know these observations."""
+    """True where these observations were held out of the fit."""
 
     def __post_init__(self) -> None:
         check = Checker(self)
@@ -192,6 +192,8 @@ class Evidence:
     figures: tuple[EvidenceFigure, ...] = ()
     residuals: tuple[Residuals, ...] = ()
     """figures, residuals: what the verdict rests on."""
+    usable: bool = True
+    """Whether anything may be measured with it at all."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)

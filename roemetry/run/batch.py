@@ -180,7 +180,7 @@ class _Worker:
 
 
 def _doubts_of(recipe: Recipe) -> tuple[Reason, ...]:
-    if recipe.calibration_check is None:
+    if recipe.calibration is None or not (recipe.calibration_check or recipe.calibration.poor):
         return ()
     from roemetry.run.control_chart import calibration_doubts
 

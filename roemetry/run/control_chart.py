@@ -206,10 +206,14 @@ def calibration_doubts(recipe: Recipe, now: datetime | None = None) -> tuple[Rea
     DataError where the chart that is named is no chart.
     """
     asked, calibration = recipe.calibration_check, recipe.calibration
-    if asked is None or calibration is None:
-        return ()
-    now = now or datetime.now(UTC)
     reasons = []
+    if calibration is not None and calibration.poor:
+        reasons.append(
+            Reason("calibration-poor", f"the calibration was accepted though refused: {calibration.poor}")
+        )
+    if asked is None or calibration is None:
+        return tuple(reasons)
+    now = now or datetime.now(UTC)
     old = _days_since(calibration.made, now)
     if asked.valid_days is not None and not old <= asked.valid_days:
         reasons.append(

@@ -10,9 +10,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+import roemetry
+import roemetry.calibrating
 from roemetry.calibrating import correlations, coverage, evidence_page, height_uncertainty, level_line_px
 from roemetry.cli.main import app
 from roemetry.records import Evidence, EvidenceFigure, Residuals
+from roemetry.records.calibration import Calibration
 from roemetry.testing.scenes import LinearRig
 from roemetry_paper.block_linear import BlockLinear
 
@@ -89,3 +92,22 @@ def test_the_verb_writes_it(root: Path, tmp_path: Path) -> None:
     done = CliRunner().invoke(app, words)
     assert done.exit_code == 0, done.output
     assert "gives no verdict of its own" in (tmp_path / "c.html").read_text("utf-8")
+
+
+def test_what_its_own_checks_refuse_is_written_only_on_demand_and_marked(
+    root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = Calibration.load(root / "recipes" / "herring_roe" / "calibration.yaml")
+    verdict = Evidence(verdict=("Not usable from 0 to 20 mm: heights are off.",), usable=False)
+    monkeypatch.setattr(roemetry.calibrating, "calibrate_with_evidence", lambda rig: (made, verdict))
+    rig, out = str(root / "recipes" / "herring_roe" / "rig.yaml"), tmp_path / "c.yaml"
+    refused = CliRunner().invoke(app, ["calibrate", rig, "--out", str(out)])
+    assert refused.exit_code != 0
+    assert not out.exists()
+    assert "Not usable" in str(refused.exception) + refused.output
+    accepted = CliRunner().invoke(app, ["calibrate", rig, "--out", str(out), "--accept-poor"])
+    assert accepted.exit_code == 0, accepted.output
+    assert Calibration.load(out).poor.startswith("Not usable")
+    recipe = roemetry.Recipe.load(root / "recipes" / "herring_roe", sets=[f"calibration={out}"])
+    row = next(iter(recipe.run()))
+    assert "calibration-poor" in [reason.code for reason in row.reasons]

@@ -71,15 +71,15 @@ def test_the_page_of_a_calibration() -> None:
     evidence = calibrator.evidence(observed, calibration)
     assert evidence.verdict[0].startswith("Usable from 0 to")
     assert {one.title for one in evidence.residuals if one.held_out} == {
-        "marks of other views, x",
-        "marks of other views, y",
-        "heights on other views",
+        "board corners of held-out views, x",
+        "board corners of held-out views, y",
+        "heights on held-out views",
     }
     figures = {one.title: one for one in evidence.figures}
-    assert figures["heights on other views, mean of a board, rms"].value < 0.05, "mm"
+    assert figures["heights on held-out views, mean of a board, rms"].value < 0.05, "mm"
     assert figures["stripes against each other on one surface, rms"].value < 0.05, "mm"
     text = evidence_page(calibration, evidence, PinholePlane(), name="rig")
-    for title in ("Coverage of the image", "Heights on other views", "Correlations of the parameters"):
+    for title in ("Coverage of the image", "Heights on held-out views", "Correlations of the parameters"):
         assert title in text
 
 
@@ -89,5 +89,5 @@ def test_a_failed_test_stands_in_the_verdict() -> None:
     calibration = calibrator.calibrate(observed)
     little = replace(calibration, residuals={**calibration.residuals, "marks_coverage": 0.3})
     evidence = calibrator.evidence(observed, little)
-    assert "tests failed" in evidence.verdict[0]
-    assert any("Marks cover 30% of the image" in sentence for sentence in evidence.verdict)
+    assert "checks failed" in evidence.verdict[0]
+    assert any("Board corners cover 30% of the image" in sentence for sentence in evidence.verdict)

@@ -74,7 +74,9 @@ def test_residuals_that_neighbours_share_are_refused_or_told(rng) -> None:
     seen = few_errors(rng)
     x, y = seen.corners.xy_px.T
     ripple = np.column_stack([np.sin(x / 64.0), np.cos(y / 64.0)])
-    refused(with_marks(seen, 1.2 * ripple), "residuals are not noise: neighbouring marks are off together")
+    refused(
+        with_marks(seen, 1.2 * ripple), "residuals are not noise: neighbouring board corners are off together"
+    )
     assert any("not noise alone" in note for note in judged(joint_of(with_marks(seen, 0.3 * ripple))).notes)
     assert not any("not noise" in note for note in judged(joint_of(seen)).notes)
 
@@ -90,7 +92,7 @@ def test_what_is_not_one_rigid_rig_is_refused(rng) -> None:
     """The camera is pushed between the images, and within them: marks, then stripe peaks."""
     seen = few_errors(rng)
     pushed = rng.random(seen.corners.pose.size) < 0.35
-    refused(with_marks(seen, pushed[:, None] * rng.normal(0.0, 12.0, (pushed.size, 2))), "marks do not fit")
+    refused(with_marks(seen, pushed[:, None] * rng.normal(0.0, 12.0, (pushed.size, 2))), "corners do not fit")
     moved = rng.random(seen.points.pose.size) < 0.4
     refused(with_peaks(seen, moved * rng.normal(0.0, 20.0, moved.size)), "stripe peaks do not fit")
 

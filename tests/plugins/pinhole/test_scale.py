@@ -170,4 +170,4 @@ def test_a_sphere_plate_is_measured(seen, right) -> None:
 def test_the_page_shows_the_calibration_with_the_scale_that_was_found(seen, by_block) -> None:
     asked, made = replace(smaller(seen, 1.03), block=BLOCK), by_block
     figures = {one.title: one.value for one in FREE.evidence(asked, made).figures}
-    assert figures["heights on other views, single points, rms"] < 0.1, "mm; 3 % of 20 mm are 0.6"
+    assert figures["heights on held-out views, single points, rms"] < 0.1, "mm; 3 % of 20 mm are 0.6"
