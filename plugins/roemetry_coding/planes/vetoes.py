@@ -208,13 +208,23 @@ def nearly_belt(peaks: Peaks, stripe: Integers, rest: RestLines) -> Flags:
     return np.asarray((stripe >= 0) & (away_px < HIDING_SPACINGS * spacing_px))
 
 
-def fits_another_stripe(row: Integers, x_px: Floats, stripe: Integers, rest: RestLines) -> Flags:
-    """Say which body peaks would lie on a much evener surface, were the whole body some stripes on.
+def numbered_by_pattern(
+    row: Integers, x_px: Floats, stripe: Integers, rest: RestLines
+) -> tuple[Integers, Flags]:
+    """Say by how many stripes whole bodies are off, and where that cannot be said although they are.
 
     The distances of a fan's stripes differ from one to the next, and a body shows their pattern on top of its
     own shape. Of a level body whose labels are all k off, the second differences of its peaks from stripe to
     stripe are those of the rest lines k on, not of its own. What is left of them is small and smooth under
     right labels, large and rough under wrong ones. A fan without a pattern says nothing here.
+
+    Returns
+    -------
+    shift
+        (peak,) what is to be added to a body peak's stripe: a number under which its body is much evener than
+        under every other one; 0 where the labels stand, and off bodies.
+    wrong
+        (peak,) True where a body would be much evener under another number, but under more than one.
     """
     stripes, rows = rest.x_px.shape
     body = np.flatnonzero((stripe >= 0) & (stripe != rest.line))
@@ -224,27 +234,50 @@ def fits_another_stripe(row: Integers, x_px: Floats, stripe: Integers, rest: Res
     bend[1:-1] = x[:-2] - 2.0 * x[1:-1] + x[2:]
     own = np.full((stripes, rows), np.nan)
     own[1:-1] = rest.x_px[:-2] - 2.0 * rest.x_px[1:-1] + rest.x_px[2:]
-    found = np.zeros(x_px.size, np.bool_)
+    shift, wrong = np.zeros(x_px.size, np.int64), np.zeros(x_px.size, np.bool_)
     bodies, count = _joined(np.isfinite(x))
     for number in range(1, count + 1):
         here = np.where(bodies == number, bend, np.nan)
         seen = np.flatnonzero(np.isfinite(here).sum(axis=1) >= _PATTERN_ROWS_MIN)
         if seen.size < _PATTERN_STRIPES_MIN:
             continue
-        uneven = np.nanmedian(here[seen], axis=1)
-        for shift in range(-_PATTERN_REACH, _PATTERN_REACH + 1):
-            at = seen + shift
-            inside = (at >= 1) & (at < stripes - 1)
-            if shift == 0 or np.count_nonzero(inside) < _PATTERN_STRIPES_MIN:
-                continue
-            rows_of_body = 0.0 * here[seen[inside]]
-            chosen, other = (
-                _unevenness(uneven[inside] - np.nanmedian(own[which] + rows_of_body, axis=1), seen[inside])
-                for which in (seen[inside], at[inside])
-            )
-            if (other < _PATTERN_SHARE * chosen).all() and (chosen - other > _PATTERN_MIN_PX).all():
-                found[body[bodies[stripe[body], row[body]] == number]] = True
-    return found
+        left = _without_pattern(here[seen], seen, own)
+        evener = [other for other in left if other and _much_evener(left[other], left[0], seen)]
+        if not evener:
+            continue
+        mine = body[bodies[stripe[body], row[body]] == number]
+        best = [
+            one
+            for one in evener
+            if all(other == one or _much_evener(left[one], left[other], seen) for other in left)
+        ]
+        if best:
+            shift[mine] = best[0]
+        else:
+            wrong[mine] = True
+    return shift, wrong
+
+
+def _without_pattern(bend: Floats, seen: Integers, own: Floats) -> dict[int, Floats]:
+    """Give, by shift, the median bend of each seen stripe less that of the rest lines so many stripes on."""
+    usual = np.nanmedian(bend, axis=1)
+    left = {}
+    for shift in range(-_PATTERN_REACH, _PATTERN_REACH + 1):
+        at = seen + shift
+        inside = (at >= 1) & (at < own.shape[0] - 1)
+        if np.count_nonzero(inside) >= _PATTERN_STRIPES_MIN:
+            left[shift] = np.full(seen.size, np.nan)
+            left[shift][inside] = usual[inside] - np.nanmedian(own[at[inside]] + 0.0 * bend[inside], axis=1)
+    return left
+
+
+def _much_evener(one: Floats, other: Floats, seen: Integers) -> bool:
+    """Tell whether one labelling leaves much less than another, on the stripes that both can have."""
+    both = np.isfinite(one) & np.isfinite(other)
+    if np.count_nonzero(both) < _PATTERN_STRIPES_MIN:
+        return False
+    small, large = (_unevenness(left[both], seen[both]) for left in (one, other))
+    return bool((small < _PATTERN_SHARE * large).all() and (large - small > _PATTERN_MIN_PX).all())
 
 
 _PATTERN_REACH = 3
@@ -253,8 +286,8 @@ _PATTERN_ROWS_MIN = 10
 _PATTERN_STRIPES_MIN = 4
 """Stripes with second differences: fewer fit by chance."""
 _PATTERN_SHARE = 1.0 / 3.0
-"""Of the unevenness as labelled: right labels are never three times less even than wrong ones, which put the
-pattern in twice."""
+"""Of the unevenness under another number: right labels are never three times less even than wrong ones, which
+put the pattern in twice."""
 _PATTERN_MIN_PX = 0.3
 """Ten times what second differences of medians over ten rows scatter by."""
 
