@@ -59,7 +59,7 @@ _BODY_PEAKS, _STRANGE_COUNT = 12, 0.3
 """Evidence counts for so little where a piece of belt became another stripe and fewer peaks of its trace that
 are off all rest lines have that stripe."""
 _PATTERN_EVIDENCE, _PATTERN_DEARER = 1.5, 6.0
-"""What a number counts for that a fan's pattern gives: a margin of 0.994. Of 31 bodies it has not been wrong."""
+"""What a number counts for that a fan's pattern gives: a margin of 0.994."""
 _DOUBTFUL = 1.0
 """Evidence below which a label may not prop up another; a margin of 0.988."""
 _DOUBT_ROUNDS = 2

@@ -1,4 +1,4 @@
-"""A body whose labels are all one stripe off gets its number by the fan's uneven spacing, and only by that."""
+"""A body whose labels are off gets its number by the uneven spacing of the fan, and only by that."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ from roemetry_kernels.rest_lines import calibrated_rest_lines
 ROWS, STRIPES = 120, 12
 
 
-def scene(rng: np.random.Generator, *, uneven_px: float, off: int, dome_px: float = 0.0, alternating: bool = False):
+def scene(
+    rng: np.random.Generator, *, uneven_px: float, off: int, dome_px: float = 0.0, alternating: bool = False
+):
     """Peaks of a body on stripes 3 to 9, 50 px up, labelled `off` stripes on."""
     rig = LinearRig(rows=ROWS, columns=640, stripes=STRIPES, first_px=60.0)
     calibration = rig.calibration()
