@@ -189,7 +189,7 @@ def _heights_off(trace: Trace, true: Crossings, right: Any) -> Floats:
 
 
 def body_row(body: Body, trace: Trace, rows: Sequence[Measurement], true: Crossings, high_mm: float) -> Row:
-    """Score what one recipe said of one body, with a calibration that is meant for heights up to `high_mm`."""
+    """Score what one recipe said of one body; its calibration is meant for heights up to `high_mm`."""
     row: Row = {"labels": labels(trace, true), "products": sum(one.product > 0 for one in rows)}
     row["above_range"] = bool(np.nanmax(true.z_mm[true.on_body], initial=0.0) > high_mm)
     chosen = _largest(trace, rows)
