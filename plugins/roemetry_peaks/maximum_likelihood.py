@@ -345,7 +345,9 @@ def products_of(
 ) -> tuple[Floats, Integers, Floats]:
     """Fit a sample of the peaks, and give their residual products, the tiles they lie in, and their C²."""
     peaks = found.starts.row.shape[0]
-    opaque = np.flatnonzero(found.error == 0.0)
+    opaque = np.flatnonzero((found.error == 0.0) & ~found.beside.halo)
+    if opaque.size < _OPAQUE_MIN:
+        opaque = np.flatnonzero(~found.beside.halo)
     if opaque.size < _OPAQUE_MIN:
         opaque = np.arange(peaks)
     pick = opaque[_spread(opaque.size, size)]
@@ -427,15 +429,19 @@ def middles_of_flanks(fit: Fitted, image: Any, white: int, found: Found) -> None
     """Give tops cut off at white that are no Gaussian the middle between their flanks, where the fit began.
 
     Two or three lit pixels a flank do not tell height from width, or the light is none that has a Gaussian's
-    flanks. Where a flank lies, the pixels tell to one of them.
+    flanks, as in halos. Where a flank lies, the pixels tell to one of them; of a core in a halo, to what the
+    flank moves by between two levels.
     """
-    lost = np.flatnonzero(fit.state == FAILED)
-    x_px = found.starts.x_px[lost]
-    inside = np.clip(np.rint(x_px).astype(np.int64), 0, image.shape[1] - 1)
-    top = image[found.starts.row[lost], inside] >= white
-    lost = lost[top]
-    fit.x_px[lost], fit.amplitude[lost] = x_px[top], found.starts.amplitude[lost]
-    fit.sigma_px[lost], fit.x_std_px[lost] = found.beside.sigma_px[lost], _STD_PX
+    at, beside = found.starts, found.beside
+    lost = np.flatnonzero((fit.state == FAILED) | beside.halo)
+    inside = np.clip(np.rint(at.x_px[lost]).astype(np.int64), 0, image.shape[1] - 1)
+    lost = lost[
+        np.where(beside.halo[lost], ~np.isnan(at.core_std_px[lost]), image[at.row[lost], inside] >= white)
+    ]
+    halo = beside.halo[lost]
+    fit.x_px[lost], fit.amplitude[lost] = at.x_px[lost], at.amplitude[lost]
+    fit.sigma_px[lost] = np.where(halo, at.core_width_px[lost] / _FWHM, beside.sigma_px[lost])
+    fit.x_std_px[lost] = np.where(halo, np.hypot(_STD_PX, at.core_std_px[lost]), _STD_PX)
     fit.speckled[lost], fit.state[lost] = 0.0, CLIPPED
 
 
