@@ -61,7 +61,7 @@ class Starts(NamedTuple):
     core2_px2 : ndarray of float64, shape (peak,)
         σ²_high, px².
     core_std_px : ndarray of float64, shape (peak,)
-        Standard uncertainty of that middle if the top is cut off, px.
+        Standard uncertainty of that middle if there is a halo, px.
     """
 
     row: Integers
@@ -255,9 +255,9 @@ _LN_HALF, _LN_HIGH = 8.0 * math.log(2.0), 8.0 * math.log(1.0 / 0.8)
 _LN_CLIPPED, _LN_CLIPPED_HIGH = 8.0 * math.log(0.7 / 0.25), 8.0 * math.log(0.85 / 0.7)
 """Of a Gaussian, w² / σ² at half height and at 0.8 of it; growth of w² / σ² between two levels."""
 _HALO = 1.5  # σ²_low over σ²_high: see above
-_FLANK = 0.25
-"""Standard uncertainty of a flank over what it moves by from 0.9 down to 0.7 of the height: as of a place
-anywhere within that stretch, but for its ends."""
+_FLANK = 0.5 / math.sqrt(12.0)
+"""Standard uncertainty of a core's middle over what its two flanks move by between two levels, together: each
+lies anywhere within that stretch, and a halo that is brighter on one side moves both the same way."""
 
 
 @kernel
@@ -281,11 +281,12 @@ def _halves(
         left, right = 0.5 * (left + low_left), 0.5 * (right + low_right)
         variance = spread - SMOOTHING_VARIANCE_PX2
         shape[6] = (narrow - (up_right - up_left) ** 2) / _LN_CLIPPED_HIGH
-        shape[7] = _FLANK * math.hypot(top_left - high_left, top_right - high_right)
+        shape[7] = _FLANK * (top_left - high_left + high_right - top_right)
     else:
         top_left, top_right = _crossings(smooth, top, before, after, 0.8)
         shape[6] = (top_right - top_left) ** 2 / _LN_HIGH
-        shape[7] = math.nan
+        low_left, low_right = _crossings(smooth, top, before, after, 0.6)
+        shape[7] = _FLANK * (top_left - low_left + low_right - top_right)
     variance = max(variance, 0.25)
     height *= math.sqrt((variance + SMOOTHING_VARIANCE_PX2) / variance)
     shape[0], shape[1], shape[2] = 0.5 * (left + right), height / _WEIGHTS, math.sqrt(variance)
