@@ -43,7 +43,7 @@ from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.stages import Capabilities, Extractor, StageOptions
 from roemetry_kernels.compiling import kernel
 from roemetry_kernels.image_levels import SHARE_MIN, doubts, faint, grey, plain_layout, scaled_level
-from roemetry_peaks.fisher_scoring import CLIPPED, FAILED, fit_peaks
+from roemetry_peaks.fisher_scoring import CLIPPED, FAILED, FITTED, fit_peaks
 from roemetry_peaks.peak_scan import searched
 from roemetry_peaks.smoothed_peaks import (
     NOISE_LEFT,
@@ -345,7 +345,9 @@ def products_of(
 ) -> tuple[Floats, Integers, Floats]:
     """Fit a sample of the peaks, and give their residual products, the tiles they lie in, and their C²."""
     peaks = found.starts.row.shape[0]
-    opaque = np.flatnonzero(found.error == 0.0)
+    opaque = np.flatnonzero((found.error == 0.0) & ~found.beside.halo)
+    if opaque.size < _OPAQUE_MIN:
+        opaque = np.flatnonzero(~found.beside.halo)
     if opaque.size < _OPAQUE_MIN:
         opaque = np.arange(peaks)
     pick = opaque[_spread(opaque.size, size)]
@@ -424,19 +426,22 @@ _STD_PX = math.sqrt(1.0 / 24.0)  # of the middle of two flanks that lie anywhere
 
 
 def middles_of_flanks(fit: Fitted, image: Any, white: int, found: Found) -> None:
-    """Give tops cut off at white that are no Gaussian the middle between their flanks, where the fit began.
+    """Give tops that are no Gaussian the middle between their flanks, where the fit began.
 
-    Two or three lit pixels a flank do not tell height from width, or the light is none that has a Gaussian's
-    flanks. Where a flank lies, the pixels tell to one of them.
+    Two or three lit pixels a flank do not tell height from width of a top cut off at white, or the light is
+    none that has a Gaussian's flanks, as in halos. Where a flank lies, the pixels tell to one of them; of a
+    core in a halo, to what the flank moves by between two levels.
     """
-    lost = np.flatnonzero(fit.state == FAILED)
-    x_px = found.starts.x_px[lost]
-    inside = np.clip(np.rint(x_px).astype(np.int64), 0, image.shape[1] - 1)
-    top = image[found.starts.row[lost], inside] >= white
-    lost = lost[top]
-    fit.x_px[lost], fit.amplitude[lost] = x_px[top], found.starts.amplitude[lost]
-    fit.sigma_px[lost], fit.x_std_px[lost] = found.beside.sigma_px[lost], _STD_PX
-    fit.speckled[lost], fit.state[lost] = 0.0, CLIPPED
+    at, beside = found.starts, found.beside
+    some = np.flatnonzero((fit.state == FAILED) | beside.halo)
+    inside = np.clip(np.rint(at.x_px[some]).astype(np.int64), 0, image.shape[1] - 1)
+    clipped = image[at.row[some], inside] >= white
+    some, clipped = some[clipped | beside.halo[some]], clipped[clipped | beside.halo[some]]
+    halo = beside.halo[some]
+    fit.x_px[some], fit.amplitude[some] = at.x_px[some], at.amplitude[some]
+    fit.sigma_px[some] = np.where(halo, at.core_width_px[some] / _FWHM, beside.sigma_px[some])
+    fit.x_std_px[some] = np.where(halo, np.hypot(_STD_PX, at.core_std_px[some]), _STD_PX)
+    fit.speckled[some], fit.state[some] = 0.0, np.where(clipped, CLIPPED, FITTED)
 
 
 _INNER, _OUTER = 2.0, 3.2

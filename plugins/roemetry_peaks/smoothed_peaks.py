@@ -1,6 +1,18 @@
 """Peaks of lightly smoothed image rows, compiled: where stripes are, well enough to start a fit from.
 
 The light beside stripes is a straight line, pooled along each stripe over the rows next to each row.
+
+Halos. Where light is scattered in the product, the lens or the sensor, a stripe is a narrow core on broad
+light that may be half as high, and is brighter on one side. Half height then lies in the halo, and tells
+neither the core's middle nor its width. A Gaussian of standard deviation σ and height a is wide by
+w² = 8 σ² ln(a / level) at a level; so two levels give σ², and a second pair, higher up, gives it again:
+
+    unclipped  σ²_low = w²(½) / 8 ln 2,                      σ²_high = w²(0.8) / 8 ln 1.25
+    cut off    σ²_low = (w²(¼) − w²(0.7)) / 8 ln (0.7/0.25), σ²_high = (w²(0.7) − w²(0.85)) / 8 ln (0.85/0.7)
+
+(of clipped tops the height is not known, but cancels). Both are one number for a Gaussian, cut off or not.
+Summed over the rows next to each row, σ²_low is 0.7 to 1.35 σ²_high under speckle of contrast up to 0.25,
+and 2 to 10 times it in halos. Where it is more than 1.5 times, the chord high up is where the stripe is.
 """
 
 from __future__ import annotations
@@ -11,7 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from roemetry.records.arrays import Floats, Integers
+from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_kernels.compiling import kernel
 
 SMOOTHING_VARIANCE_PX2 = 1.5
@@ -44,6 +56,12 @@ class Starts(NamedTuple):
         Standard deviation of the Gaussian of that width, the smoothing taken off, px.
     level : ndarray of float64, shape (peak,)
         Mean grey level of the two valleys.
+    core_px, core_width_px : ndarray of float64, shape (peak,)
+        Middle of the chord high up, where a halo tells little, and its width, px.
+    core2_px2 : ndarray of float64, shape (peak,)
+        σ²_high, px².
+    core_std_px : ndarray of float64, shape (peak,)
+        Standard uncertainty of that middle if there is a halo, px.
     """
 
     row: Integers
@@ -51,6 +69,10 @@ class Starts(NamedTuple):
     amplitude: Floats
     sigma_px: Floats
     level: Floats
+    core_px: Floats
+    core_width_px: Floats
+    core2_px2: Floats
+    core_std_px: Floats
 
 
 def background_noise(image: Pixels) -> float:
@@ -88,12 +110,12 @@ def smoothed_peaks(image: Pixels, rise: Floats, white: int) -> Starts:
     rise = _WEIGHTS * rise
     while True:
         row = np.empty(room, np.int64)
-        x_px, amplitude, sigma_px, valley = (np.empty(room) for _ in range(4))
-        count = _find(image, rise, float(white), row, x_px, amplitude, sigma_px, valley)
+        shapes = np.empty((8, room))
+        count = _find(image, rise, float(white), row, shapes)
         if count <= room:
             break
         room = count
-    return Starts(*(values[:count].copy() for values in (row, x_px, amplitude, sigma_px, valley)))
+    return Starts(row[:count].copy(), *(values[:count].copy() for values in shapes))
 
 
 @kernel
@@ -131,16 +153,8 @@ def _smallest_step(image: Pixels, step: int) -> int:
 
 
 @kernel
-def _find(
-    image: Pixels,
-    rise: Floats,
-    white: float,
-    row: Integers,
-    x_px: Floats,
-    amplitude: Floats,
-    sigma_px: Floats,
-    level: Floats,
-) -> int:
+def _find(image: Pixels, rise: Floats, white: float, row: Integers, shapes: Floats) -> int:
+    """Fill in the rows and, as lines of `shapes`, the other fields of `Starts`; gives the number of peaks."""
     rows, columns = image.shape
     padded = np.empty(columns + 6, np.int32)
     smooth = np.empty(columns, np.int32)
@@ -152,12 +166,8 @@ def _find(
         found = _tops(smooth, rise, white, tops, valleys)
         for k in range(found):
             if count < row.shape[0]:
-                x, width, height, base = _halves(smooth, tops[k], valleys[k], valleys[k + 1], white)
                 row[count] = y
-                x_px[count] = x
-                level[count] = base / _WEIGHTS
-                amplitude[count] = height / _WEIGHTS
-                sigma_px[count] = width
+                _halves(smooth, tops[k], valleys[k], valleys[k + 1], white, shapes[:, count])
             count += 1
     return count
 
@@ -241,28 +251,46 @@ def _tops(smooth: NDArray[np.int32], rise: Floats, white: float, tops: Integers,
     return count
 
 
+_LN_HALF, _LN_HIGH = 8.0 * math.log(2.0), 8.0 * math.log(1.0 / 0.8)
+_LN_CLIPPED, _LN_CLIPPED_HIGH = 8.0 * math.log(0.7 / 0.25), 8.0 * math.log(0.85 / 0.7)
+"""Of a Gaussian, w² / σ² at half height and at 0.8 of it; growth of w² / σ² between two levels."""
+_HALO = 1.5  # σ²_low over σ²_high: see above
+_FLANK = 0.5 / math.sqrt(12.0)
+"""Standard uncertainty of a core's middle over what its two flanks move by between two levels, together: each
+lies anywhere within that stretch, and a halo that is brighter on one side moves both the same way."""
+
+
 @kernel
 def _halves(
-    smooth: NDArray[np.int32], top: int, before: int, after: int, white: float
-) -> tuple[float, float, float, float]:
-    """Middle, standard deviation, height and base from where the flanks cross half height."""
+    smooth: NDArray[np.int32], top: int, before: int, after: int, white: float, shape: Floats
+) -> None:
+    """Fill in, from where the flanks cross some levels, the fields of `Starts` but for the row."""
     base = 0.5 * (smooth[before] + smooth[after])
     height = smooth[top] - base
     left, right = _crossings(smooth, top, before, after, 0.5)
-    width = right - left
-    variance = (width / 2.3548200450309493) ** 2 - SMOOTHING_VARIANCE_PX2
+    variance = (right - left) ** 2 / _LN_HALF - SMOOTHING_VARIANCE_PX2
     if smooth[top] >= 0.97 * _WEIGHTS * white:
         # A clipped top: width and height from the widths at two levels of what is left.
         low_left, low_right = _crossings(smooth, top, before, after, 0.25)
         high_left, high_right = _crossings(smooth, top, before, after, 0.7)
+        up_left, up_right = _crossings(smooth, top, before, after, 0.85)
+        top_left, top_right = _crossings(smooth, top, before, after, 0.9)
         wide, narrow = (low_right - low_left) ** 2, (high_right - high_left) ** 2
-        spread = max((wide - narrow) / (8.0 * math.log(0.7 / 0.25)), 0.3)
+        spread = max((wide - narrow) / _LN_CLIPPED, 0.3)
         height *= 0.25 * math.exp(min(wide / (8.0 * spread), 4.0))
         left, right = 0.5 * (left + low_left), 0.5 * (right + low_right)
         variance = spread - SMOOTHING_VARIANCE_PX2
+        shape[6] = (narrow - (up_right - up_left) ** 2) / _LN_CLIPPED_HIGH
+        shape[7] = _FLANK * (top_left - high_left + high_right - top_right)
+    else:
+        top_left, top_right = _crossings(smooth, top, before, after, 0.8)
+        shape[6] = (top_right - top_left) ** 2 / _LN_HIGH
+        low_left, low_right = _crossings(smooth, top, before, after, 0.6)
+        shape[7] = _FLANK * (top_left - low_left + low_right - top_right)
     variance = max(variance, 0.25)
     height *= math.sqrt((variance + SMOOTHING_VARIANCE_PX2) / variance)
-    return 0.5 * (left + right), math.sqrt(variance), height, base
+    shape[0], shape[1], shape[2] = 0.5 * (left + right), height / _WEIGHTS, math.sqrt(variance)
+    shape[3], shape[4], shape[5] = base / _WEIGHTS, 0.5 * (top_left + top_right), top_right - top_left
 
 
 @kernel
@@ -303,6 +331,8 @@ class Beside(NamedTuple):
         The light beside the stripe at the peak's x, grey levels, and its growth, grey levels per px.
     up, down : ndarray of int64, shape (peak,)
         The same stripe's peak in the row above and in the row below; −1 for none.
+    halo : ndarray of bool, shape (peak,)
+        Whether the stripe is a core in a halo: then its width is the core's, and the halo is light beside it.
     """
 
     sigma_px: Floats
@@ -311,6 +341,7 @@ class Beside(NamedTuple):
     slope: Floats
     up: Integers
     down: Integers
+    halo: Flags
 
 
 def light_beside(image: Pixels, starts: Starts, noise: float, gain: float) -> Beside:
@@ -321,7 +352,7 @@ def light_beside(image: Pixels, starts: Starts, noise: float, gain: float) -> Be
     image : ndarray of uint8 or uint16, shape (rows, columns)
         Grey levels.
     starts
-        The peaks.
+        The peaks; `x_px` of those in a halo becomes the core's middle, in place.
     noise, gain
         Standard deviation of a dark pixel, grey levels; growth of the variance with the grey level.
     """
@@ -336,22 +367,34 @@ def _beside(
     amplitude: Floats,
     sigma_px: Floats,
     level: Floats,
+    core_px: Floats,
+    core_width_px: Floats,
+    core2_px2: Floats,
+    core_std_px: Floats,
     noise: float,
     gain: float,
-) -> tuple[Floats, Floats, Floats, Floats, Integers, Integers]:
-    up, down = neighbours(row, x_px)
+) -> tuple[Floats, Floats, Floats, Floats, Integers, Integers, Flags]:
+    up, down = neighbours(row, core_px)
     peaks = row.shape[0]
-    shape = np.empty((peaks, 3))
+    shape = np.empty((peaks, 4))
     for p in range(peaks):
         shape[p, 0], shape[p, 1], shape[p, 2] = 1.0, sigma_px[p] ** 2, amplitude[p] * sigma_px[p]
+        shape[p, 3] = core2_px2[p]
     shape = _pooled(shape, up, down)
+    halo = np.zeros(peaks, np.bool_)
     for p in range(peaks):
-        shape[p, 1] = math.sqrt(shape[p, 1] / shape[p, 0])
+        core2 = shape[p, 3] / shape[p, 0]
+        shape[p, 1] /= shape[p, 0]
+        halo[p] = shape[p, 1] + SMOOTHING_VARIANCE_PX2 > _HALO * core2
+        shape[p, 1] = math.sqrt(shape[p, 1])
         shape[p, 2] /= shape[p, 0] * shape[p, 1]
+        if halo[p]:
+            x_px[p] = core_px[p]
+            shape[p, 1] = math.sqrt(max(core2 - SMOOTHING_VARIANCE_PX2, 0.25))
     sigma, height = shape[:, 1].copy(), shape[:, 2].copy()
     sums = _pooled(_side_sums(image, row, x_px, sigma, height, noise, gain, level), up, down)
     line, slope = _lines(sums, level)
-    return sigma, height, line, slope, up, down
+    return sigma, height, line, slope, up, down, halo
 
 
 @kernel
