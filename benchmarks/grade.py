@@ -69,7 +69,7 @@ def main() -> None:
         )
     )
     print(_reliability({name: judged_by(judges["`learned`"], rows) for name, rows in tests.items()}))
-    print(few_table(given.rendered))
+    print(few_table(given.rendered, given.model))
     print(spread_table(given.rendered))
     print(strangers(given.model, range(STRANGERS_FROM, STRANGERS_FROM + given.strangers), given.cache))
 

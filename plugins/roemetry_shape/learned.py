@@ -128,8 +128,17 @@ class Learned(Classifier[LearnedOptions]):
         return Grade(label, by_class[label], told, (Reason("learned-class", _said(by_class)),))
 
     @classmethod
-    def fit(cls, samples: Samples, *, good: str = "", smoothing_mm: float = SMOOTHING_MM) -> Fitted:
-        """Learn from labelled products; see `roemetry_shape.learned.fit_classifier`."""
+    def fit(
+        cls,
+        samples: Samples,
+        *,
+        good: str = "",
+        smoothing_mm: float = SMOOTHING_MM,
+        begin: Path | None = None,
+    ) -> Fitted:
+        """Learn from labelled products; see `roemetry_shape.learned.fit_classifier` and `adapted`."""
+        if begin is not None:
+            return adapted(load_model(begin), samples)
         return fit_classifier(samples, good=good, smoothing_mm=smoothing_mm)
 
 
@@ -283,12 +292,6 @@ PENALTY = 10.0
 """λ: weights are expected to be about 0.3 for each standard deviation of a feature. 1 or 30 change the log
 loss on bodies not seen by less than a tenth."""
 
-NOVEL_DISTANCE = 1.2
-"""A product this many times farther from all classes than 99.5 % of the held-out samples is novel."""
-
-NOVEL_EXCESS = 1.35
-"""The same for features beyond all that was seen; more, since extremes are a matter of few samples."""
-
 EXCESS_LEAST = 0.1
 """Features may lie by a tenth of their range beyond it, however many samples there were."""
 
@@ -344,15 +347,73 @@ def fit_classifier(samples: Samples, *, good: str, smoothing_mm: float) -> Fitte
     return _regression_fit(names, values, labels, groups, good, smoothing_mm)
 
 
-def _reference(
-    names: tuple[str, ...], values: Floats, labels: np.ndarray, good: str, smoothing_mm: float
-) -> Fitted:
-    count = int((labels == good).sum())
+def adapted(model: LearnedModel | GoodReference, samples: Samples) -> Fitted:
+    """Adapt a model that was learned elsewhere to a few products, and judge it by them.
+
+    They taught it nothing, so all of them judge it. Of one's own line one knows more than a model of all
+    lines: its good ones are not novel, and a class is always named. The least probability of good falls to
+    what one's own good ones have; the promise counts them at the limit that the model came with.
+
+    Raises
+    ------
+    DataError
+        The model has no class of good ones; fewer than `GOOD_MIN` good products; a feature is missing.
+    """
+    if not isinstance(model, LearnedModel) or not model.good:
+        raise DataError("the model to begin with has no class of good ones", hint="begin with a regression")
+    missing = sorted(set(model.features) - set(samples.features))
+    if missing:
+        raise DataError(f"there is no column {missing[0]}, which the model to begin with asks for")
+    labels = np.array(samples.labels)
+    good = labels == model.good
+    _enough_good(int(good.sum()), model.good)
+    values = samples.values[:, [samples.features.index(name) for name in model.features]]
+    values = np.where(np.isfinite(values), values, model.fill)
+    of_good = np.array([model.probabilities(row)[model.classes.index(model.good)] for row in values])
+    own = values[good]
+    outside = float(excess_norm(model.seen.excess(own)).max())
+    fitted = replace(
+        model,
+        good_from=min(model.good_from, float(of_good[good].min())),
+        stated_from=0.0,
+        distance_max=max(model.distance_max, float(model.seen.distances(own).max())),
+        excess_max=max(model.excess_max, outside),
+    )
+    kept, caught = of_good[good] >= model.good_from, of_good[~good] < fitted.good_from
+    figures = _kept_and_caught(kept, caught)
+    counts = {str(name): int((labels == name).sum()) for name in np.unique(labels)}
+    promise = 100.0 * figures["good_kept_at_least"]
+    words = (
+        f"{good.sum()} {model.good} and {(~good).sum()} others, which taught nothing, judged the model",
+        f"promised by counting, with 95 % confidence: at least {promise:.0f} % of good products are kept",
+    )
+    about = {"samples": counts, **figures}
+    return Fitted(fitted.to_json(about), figures, words)
+
+
+def _kept_and_caught(kept: np.ndarray, caught: np.ndarray) -> dict[str, float]:
+    """Shares of good ones kept and of others caught, and what they promise by counting."""
+    told = {}
+    for name, of in (("good_kept", kept), ("others_caught", caught)):
+        if len(of):
+            told[f"{name}_share"] = float(of.mean())
+            told[f"{name}_at_least"] = lower_bound(int(of.sum()), len(of))
+    return told
+
+
+def _enough_good(count: int, good: str) -> None:
     if count < GOOD_MIN:
         raise DataError(
             f"too few products of `{good}` ({count}); at least {GOOD_MIN} are needed",
             hint="measure more good products; eight make a beginning",
         )
+
+
+def _reference(
+    names: tuple[str, ...], values: Floats, labels: np.ndarray, good: str, smoothing_mm: float
+) -> Fitted:
+    count = int((labels == good).sum())
+    _enough_good(count, good)
     model, figures = fit_reference(names, values, labels, good, smoothing_mm)
     kinds = ", ".join(f"{(labels == name).sum()} {name}" for name in model.defects)
     words = (
@@ -397,8 +458,8 @@ def _regression_fit(
         weights=power * weights,
         intercepts=power * intercepts,
         seen=seen_classes(values, labels),
-        distance_max=NOVEL_DISTANCE * distance,
-        excess_max=max(NOVEL_EXCESS * excess, EXCESS_LEAST),
+        distance_max=distance,
+        excess_max=max(excess, EXCESS_LEAST),
         smoothing_mm=smoothing_mm,
     )
     figures = _figures(probabilities, labels, classes, good, good_from)
@@ -524,9 +585,5 @@ def _figures(
     }
     if good:
         of_good = probabilities[:, int(np.searchsorted(classes, good))]
-        kept, caught = of_good[labels == good] >= good_from, of_good[labels != good] < good_from
-        figures["good_kept_share"] = float(kept.mean())
-        figures["good_kept_at_least"] = lower_bound(int(kept.sum()), len(kept))
-        figures["others_caught_share"] = float(caught.mean())
-        figures["others_caught_at_least"] = lower_bound(int(caught.sum()), len(caught))
+        figures |= _kept_and_caught(of_good[labels == good] >= good_from, of_good[labels != good] < good_from)
     return figures

@@ -255,3 +255,31 @@ def test_what_is_promised_is_the_exact_binomial_bound(kept: int, count: int, lea
     """Least share of which `kept` or more of `count` happen in one case of twenty."""
     assert lower_bound(kept, count) == pytest.approx(least, abs=1e-3)
     assert binom.sf(kept - 1, count, lower_bound(kept, count)) == pytest.approx(0.05, abs=1e-9)
+
+
+def test_a_model_learned_elsewhere_is_adapted_to_a_few_good_ones(
+    rng: np.random.Generator, tmp_path: Path
+) -> None:
+    """Good ones of a line whose `a_mm` lies higher: novel or doubtful before, good after; names stay."""
+    elsewhere = tmp_path / "elsewhere.json"
+    elsewhere.write_text(
+        fit_classifier(samples(rng), good="good", smoothing_mm=3.0).content, encoding="utf-8"
+    )
+    values = np.array([1.6, 0.0]) + rng.normal(0.0, 0.2, (40, 2))
+    ids = tuple(str(k) for k in range(10))
+    few = Samples(ids, ids, ("a_mm", "b_mm"), values[:10], ("good",) * 10)
+    fitted = Learned.fit(few, good="good", begin=elsewhere)
+    (tmp_path / "m.json").write_text(fitted.content, encoding="utf-8")
+    before, after = (Learned(LearnedOptions(model=path)) for path in (elsewhere, tmp_path / "m.json"))
+
+    def said(learned: Learned, rows: np.ndarray) -> list[str]:
+        return [learned.judge({"a_mm": a, "b_mm": b}).label for a, b in rows.tolist()]
+
+    assert said(before, values[10:]).count("good") < said(after, values[10:]).count("good")
+    assert said(after, values[10:]).count("good") > 25
+    assert set(said(after, np.array([[4.0, -0.5], [4.2, -0.4]]))) == {"dent"}
+    assert fitted.figures["good_kept_at_least"] <= lower_bound(10, 10)
+    with pytest.raises(DataError, match="no column b_mm"):
+        Learned.fit(replace(few, features=("a_mm", "c_mm")), begin=elsewhere)
+    with pytest.raises(DataError, match="too few products"):
+        Learned.fit(replace(few, labels=("dent",) * 10), begin=elsewhere)
