@@ -20,7 +20,7 @@ MIX = (*(GOOD,) * 7, "dent", "dent", "bend", "twist", "fold", "broken", "dent")
 FIRST, BODIES, RIGS, TRIALS = 520000, 56, 5, 4
 
 
-def few_table(rendered: Path | None) -> str:
+def few_table(rendered: Path | None, begin: Path) -> str:
     """Write good kept and others caught, over rigs and draws of the ten, by family and what was labelled."""
     families = {"our skeins": [make_body("ours", FIRST + k, MIX[k % len(MIX)]) for k in range(BODIES)]}
     try:
@@ -32,8 +32,9 @@ def few_table(rendered: Path | None) -> str:
     lines = []
     for family, bodies in families.items():
         by_rig = [_measured(bodies, rig) for rig in range(RIGS)]
-        for good, others in ((8, 0), (10, 0), (8, 4)):
-            lines.append([family, f"{good} good, {others} named", *_judged(by_rig, good, others)])
+        for good, others, start in ((8, 0, None), (10, 0, None), (8, 4, None), (10, 0, begin)):
+            told = f"{good} good, {others} named" + (", begun with the shipped model" if start else "")
+            lines.append([family, told, *_judged(by_rig, good, others, start)])
     return table(("products", "fitted on", "good kept", "caught", "named right", "named wrong"), lines)
 
 
@@ -48,7 +49,7 @@ def _measured(bodies: Sequence[Body], rig_seed: int) -> list[Row]:
     return [row for row in rows if row.features]
 
 
-def _judged(by_rig: Sequence[Sequence[Row]], good: int, others: int) -> list[str]:
+def _judged(by_rig: Sequence[Sequence[Row]], good: int, others: int, begin: Path | None) -> list[str]:
     rng = np.random.default_rng(FIRST)
     kept: list[bool] = []
     caught: list[bool] = []
@@ -61,7 +62,8 @@ def _judged(by_rig: Sequence[Sequence[Row]], good: int, others: int) -> list[str
                 order = [rows[k] for k in rng.permutation(len(rows))]
                 sound = [row for row in order if row.name == GOOD]
                 deformed = [row for row in order if row.name != GOOD]
-                fitted = Learned.fit(samples_of(sound[:good] + deformed[:others]), good=GOOD)
+                given = samples_of(sound[:good] + deformed[:others])
+                fitted = Learned.fit(given, good=GOOD, begin=begin)
                 path.write_text(fitted.content, encoding="utf-8")
                 learned = Learned(LearnedOptions(model=path))
                 kept += [learned.judge(row.features).label == GOOD for row in sound[good:]]

@@ -172,6 +172,6 @@ _TEXT = """\
 `learned`, {n} products of each kind, seeds {first} to {last}, on rigs about the recipe's. Foods are as they
 are simulated; bodies of geometry have lengths, widths and heights drawn from those of skeins (70 to 105,
 20 to 34, 10 to 20 mm), and lie as skeins do. Those that the coder refused, or that fewer than three stripes
-met, were not judged: no class of them is stated. While the measures and the features `lengthwise_…` were
+met, were not judged: no class of them is stated. While the measures and the features were
 chosen, products of seeds 64000 to 64023 were looked at, bodies of geometry in one size.
 """

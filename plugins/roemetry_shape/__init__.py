@@ -29,7 +29,7 @@ def roemetry_stages() -> Iterator[StageEntry]:
         name="learned",
         target="roemetry_shape.learned:Learned",
         summary="Classes learned from labelled products, with calibrated probabilities",
-        reference="Geurts, Ernst and Wehenkel 2006",
+        reference="Hastie, Tibshirani and Friedman 2009",
     )
     yield StageEntry(
         kind="grader",

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from roemetry_shape.grade_table import GradeClass, GradeTableOptions, Limits
-from roemetry_shape.learned import Forest, LearnedModel, LearnedOptions
+from roemetry_shape.learned import LearnedModel, LearnedOptions
 from roemetry_shape.novelty import SeenClasses
 
 
@@ -21,15 +21,8 @@ def learned_options() -> LearnedOptions:
         good="good",
         good_from=0.5,
         stated_from=0.0,
-        temperature=1.0,
-        forest=Forest(
-            feature=np.array([0, -1, -1]),
-            threshold=np.array([1.0, 0.0, 0.0]),
-            left=np.array([1, -1, -1]),
-            right=np.array([2, -1, -1]),
-            shares=np.array([[0.0, 0.0], [0.1, 0.9], [0.9, 0.1]]),
-            roots=np.array([0]),
-        ),
+        weights=np.array([[4.0], [0.0]]),
+        intercepts=np.array([-4.0 * np.arcsinh(1.0), 0.0]),
         seen=SeenClasses(np.zeros((2, 1)), np.ones(1), np.ones((2, 1, 1)), np.zeros(1), np.full(1, 6.0)),
         distance_max=20.0,
         excess_max=1.0,

@@ -194,9 +194,7 @@ _FIGURES = (
     "width_mm",
     "thickness_mm",
     "bend_mm",
-    "turn_net_deg",
     "lean_range_deg",
-    "asymmetry",
 )
 
 

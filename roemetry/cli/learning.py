@@ -71,6 +71,14 @@ def fit_classifier(
     out: Annotated[Path, out_option("File to write; the classifier's option `model` names it.")] = Path(
         "classifier.json"
     ),
+    begin: Annotated[
+        Path | None,
+        typer.Option(
+            "--begin",
+            help="A model that was learned elsewhere, such as a recipe's: adapted to these products and "
+            "judged by them, instead of learned from them alone.",
+        ),
+    ] = None,
     classifier: Annotated[
         str, typer.Option("--classifier", help="Name of the classifier that learns.")
     ] = "learned",
@@ -93,7 +101,7 @@ def fit_classifier(
 
     registry = discover()
     stage = registry.load(registry.find("classifier", classifier))
-    fitted = stage.fit(read_samples(data, labels), good=good, smoothing_mm=smoothing_mm)
+    fitted = stage.fit(read_samples(data, labels), good=good, smoothing_mm=smoothing_mm, begin=begin)
     _keep(fitted, out)
 
 

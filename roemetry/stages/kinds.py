@@ -313,7 +313,9 @@ class Classifier(Stage[OptionsT]):
         """Give the class with reasons; ``unknown`` is a legal answer."""
 
     @classmethod
-    def fit(cls, samples: Samples, *, good: str = "", smoothing_mm: float = 3.0) -> Fitted:
+    def fit(
+        cls, samples: Samples, *, good: str = "", smoothing_mm: float = 3.0, begin: Path | None = None
+    ) -> Fitted:
         """Learn from labelled products.
 
         Parameters
@@ -324,6 +326,8 @@ class Classifier(Stage[OptionsT]):
             The class of good products; "" where there is none.
         smoothing_mm
             Window the features were measured with, mm.
+        begin
+            A model that was learned elsewhere, to be adapted to these samples and judged by them.
 
         Raises
         ------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,11 +24,9 @@ from roemetry_shape.fuzzy_rules import FuzzyRules, FuzzyRulesOptions
 from roemetry_shape.learned import (
     Learned,
     LearnedOptions,
+    _folds,
     fit_classifier,
     load_model,
-    pack_forest,
-    temperature_scale,
-    unpack_forest,
 )
 from roemetry_shape.novelty import GOOD_SPREAD, lower_bound
 from roemetry_shape.shape_limits import ShapeLimits, ShapeLimitsOptions
@@ -111,31 +110,15 @@ def test_what_is_learned_is_right_and_says_how_sure_it_is(rng: np.random.Generat
     assert np.mean([model.novelty(row).value > 1.0 for row in fresh.values]) < 0.02
 
 
-def test_the_stored_forest_is_sklearns_own(rng: np.random.Generator, tmp_path: Path) -> None:
-    from roemetry_shape.learned import _trees
-
-    given = samples(rng)
-    fitted = fit_classifier(given, good="", smoothing_mm=3.0)
-    (tmp_path / "m.json").write_text(fitted.content, encoding="utf-8")
-    model = load_model(tmp_path / "m.json")
-    forest = _trees().fit(given.values, np.array(given.labels))
-    ours = np.stack([model.probabilities(row) for row in given.values])
-    theirs = temperature_scale(forest.predict_proba(given.values), model.temperature)
-    # Thresholds are stored to 1e-5: a sample on an edge may fall to the other side.
-    assert np.quantile(np.abs(ours - theirs), 0.99) < 1e-3
-
-
-def test_groups_keep_twins_from_judging_each_other(rng: np.random.Generator) -> None:
-    """Each product ten times over, with labels by chance: folds by product know that nothing is learned."""
-    values = np.repeat(rng.normal(size=(40, 4)), 10, axis=0) + rng.normal(0, 1e-3, (400, 4))
-    labels = tuple(np.repeat(np.array(["good", "dent"])[rng.integers(0, 2, 40)], 10))
-    ids = tuple(str(n) for n in range(400))
-    groups = tuple(str(n // 10) for n in range(400))
-    names = ("a", "b", "c", "d")
-    by_product = fit_classifier(Samples(ids, groups, names, values, labels), good="good", smoothing_mm=0.0)
-    by_line = fit_classifier(Samples(ids, ids, names, values, labels), good="good", smoothing_mm=0.0)
-    assert by_product.figures["right_share"] < 0.75
-    assert by_line.figures["right_share"] > 0.9
+def test_a_group_is_never_on_both_sides_of_a_fold(rng: np.random.Generator) -> None:
+    groups = rng.integers(0, 40, 300)
+    groups = np.unique(groups, return_inverse=True)[1]
+    labels = np.array(["good", "dent"])[rng.integers(0, 2, groups.max() + 1)][groups]
+    asked = np.concatenate([test for _, test in _folds(labels, groups)])
+    assert sorted(asked) == list(range(300))
+    for known, test in _folds(labels, groups):
+        assert not set(groups[known]) & set(groups[test])
+        assert set(labels[test]) == {"good", "dent"}
 
 
 def test_what_cannot_be_learned_from_is_named(rng: np.random.Generator) -> None:
@@ -153,45 +136,34 @@ def test_what_cannot_be_learned_from_is_named(rng: np.random.Generator) -> None:
         ArcCurvature.fit(given)
 
 
-def test_a_forest_in_a_file_is_the_forest_in_memory(rng: np.random.Generator) -> None:
-    """Shares are kept to a thousandth, thresholds to seven digits: no sample here falls elsewhere."""
-    values = rng.normal(0.0, 1.0, (90, 4))
-    labels = tuple("abc"[k % 3] for k in range(90))
-    values[:, 1] += [3.0 * (k % 3) for k in range(90)]
-    names = tuple(str(k) for k in range(90))
-    fitted = fit_classifier(Samples(names, names, tuple("wxyz"), values, labels), good="a", smoothing_mm=3.0)
-    lists = json.loads(fitted.content)["forest"]
-    forest = unpack_forest(lists)
-    again = pack_forest(forest)
-    assert {name: again[name] for name in again if name != "shares"} == {
-        name: lists[name] for name in lists if name != "shares"
-    }
-    assert np.abs(np.array(again["shares"]) - np.array(lists["shares"])).max() <= 1
-    assert np.allclose(forest.shares.sum(axis=1)[forest.feature < 0], 1.0)
-
-
 @pytest.mark.parametrize(
     "damage",
-    [
-        {"left": [0]},
-        {"right": [9]},
-        {"roots": [3]},
-        {"shares": [[1, 2]]},
-        {"threshold": ["x"]},
-        {"feature": []},
-    ],
+    [{"weights": [[1.0]]}, {"weights": [[math.nan] * 2] * 3}, {"intercepts": [0.0]}, {"fill": ["x", "y"]}],
 )
-def test_a_damaged_forest_is_refused_not_walked(damage: dict[str, object]) -> None:
-    """A way back would be walked for ever, a way out would read what is no node."""
-    sound = {"roots": [0], "feature": [0, -1, -1], "threshold": [1.0], "left": [1], "right": [2]}
-    assert unpack_forest({**sound, "shares": [[1000, 0], [0, 1000]]}).left.tolist() == [1, -1, -1]
-    with pytest.raises(ValueError, match=r".+"):
-        unpack_forest({**sound, "shares": [[1000, 0], [0, 1000]], **damage})
+def test_a_damaged_regression_is_refused(
+    rng: np.random.Generator, tmp_path: Path, damage: dict[str, object]
+) -> None:
+    content = json.loads(fit_classifier(samples(rng), good="good", smoothing_mm=3.0).content)
+    path = tmp_path / "m.json"
+    path.write_text(json.dumps(content), encoding="utf-8")
+    assert load_model(path).classes == ("bend", "dent", "good")
+    path.write_text(json.dumps({**content, **damage}), encoding="utf-8")
+    with pytest.raises(StageError, match=r"m.json is no fitted classifier"):
+        load_model(path)
+
+
+def test_beyond_what_was_seen_nothing_is_surer(rng: np.random.Generator, tmp_path: Path) -> None:
+    """A straight line in the features would promise what nobody has looked at."""
+    path = tmp_path / "m.json"
+    path.write_text(fit_classifier(samples(rng), good="good", smoothing_mm=3.0).content, encoding="utf-8")
+    model = load_model(path)
+    far, farther = (model.probabilities(np.array([value, 0.0])) for value in (1e3, 1e6))
+    np.testing.assert_array_equal(far, farther)
 
 
 def test_a_damaged_model_is_named(tmp_path: Path) -> None:
     path = tmp_path / "m.json"
-    for text in ("", "[]", "{}", json.dumps({"roemetry_classifier": 5, "features": []})):
+    for text in ("", "[]", "{}", json.dumps({"roemetry_classifier": 6, "features": []})):
         path.write_text(text, encoding="utf-8")
         with pytest.raises(StageError, match=r"m.json is no fitted classifier"):
             Learned(LearnedOptions(model=path)).classify(DOME)
@@ -283,3 +255,31 @@ def test_what_is_promised_is_the_exact_binomial_bound(kept: int, count: int, lea
     """Least share of which `kept` or more of `count` happen in one case of twenty."""
     assert lower_bound(kept, count) == pytest.approx(least, abs=1e-3)
     assert binom.sf(kept - 1, count, lower_bound(kept, count)) == pytest.approx(0.05, abs=1e-9)
+
+
+def test_a_model_learned_elsewhere_is_adapted_to_a_few_good_ones(
+    rng: np.random.Generator, tmp_path: Path
+) -> None:
+    """Good ones of a line whose `a_mm` lies higher: novel or doubtful before, good after; names stay."""
+    elsewhere = tmp_path / "elsewhere.json"
+    elsewhere.write_text(
+        fit_classifier(samples(rng), good="good", smoothing_mm=3.0).content, encoding="utf-8"
+    )
+    values = np.array([1.6, 0.0]) + rng.normal(0.0, 0.2, (40, 2))
+    ids = tuple(str(k) for k in range(10))
+    few = Samples(ids, ids, ("a_mm", "b_mm"), values[:10], ("good",) * 10)
+    fitted = Learned.fit(few, good="good", begin=elsewhere)
+    (tmp_path / "m.json").write_text(fitted.content, encoding="utf-8")
+    before, after = (Learned(LearnedOptions(model=path)) for path in (elsewhere, tmp_path / "m.json"))
+
+    def said(learned: Learned, rows: np.ndarray) -> list[str]:
+        return [learned.judge({"a_mm": a, "b_mm": b}).label for a, b in rows.tolist()]
+
+    assert said(before, values[10:]).count("good") < said(after, values[10:]).count("good")
+    assert said(after, values[10:]).count("good") > 25
+    assert set(said(after, np.array([[4.0, -0.5], [4.2, -0.4]]))) == {"dent"}
+    assert fitted.figures["good_kept_at_least"] <= lower_bound(10, 10)
+    with pytest.raises(DataError, match="no column b_mm"):
+        Learned.fit(replace(few, features=("a_mm", "c_mm")), begin=elsewhere)
+    with pytest.raises(DataError, match="too few products"):
+        Learned.fit(replace(few, labels=("dent",) * 10), begin=elsewhere)

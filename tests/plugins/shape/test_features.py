@@ -39,26 +39,36 @@ def test_a_half_ellipsoid_is_what_it_is() -> None:
     features = shape_features(product_of(HALF_ELLIPSOID), 0)
     assert features["thickness_mm"] == pytest.approx(HALF_ELLIPSOID.height_mm, rel=0.02)
     assert features["fullness_median"] == pytest.approx(np.pi / 4, abs=0.02)
-    for name in ("dents", "dent_depth_mm", "bend_mm", "twist_deg", "asymmetry", "cup_depth_mm"):
+    for name in ("dents", "dent_depth_mm", "bend_mm", "twist_deg", "kink_deg", "cup_depth_mm"):
         assert features[name] == pytest.approx(0.0, abs=0.05), name
 
 
-def test_where_the_volume_lies_along_is_known_for_a_prism_and_for_what_thins_out() -> None:
-    """Moments of a box: 0 and 9/5; of an area that falls evenly to nothing: 2√2/5 and 12/5."""
-    features = shape_features(product_of(BOX), 0)
-    assert features["lengthwise_skew"] == pytest.approx(0.0, abs=1e-6)
-    assert features["lengthwise_kurtosis"] == pytest.approx(1.8, abs=0.05)
+def test_a_kink_is_found_with_its_angle() -> None:
+    """A prism of 201 sections whose middles turn by 10 degrees half way."""
     count = 201
-    height = np.linspace(1.0, 0.0, count)[:, None] * np.ones(SAMPLES)
-    across = np.linspace(-1.0, 1.0, SAMPLES) * np.ones((count, 1))
-    along, middle = np.linspace(0.0, 9.0, count), np.zeros((count, 2))
-    middle[:, 0] = along
+    along = np.linspace(0.0, 80.0, count)
+    off = np.tan(np.radians(10.0)) * np.maximum(along - 40.0, 0.0)
+    across = np.linspace(-8.0, 8.0, SAMPLES) * np.ones((count, 1))
+    height = 10.0 * np.sqrt(1.0 - np.linspace(-0.99, 0.99, SAMPLES) ** 2) * np.ones((count, 1))
+    middle = np.column_stack([along, off])
     x = np.broadcast_to(along[:, None], height.shape)
-    thinning = Sections(np.arange(count), along, middle, np.ones(count), height, across, x)
-    for lying in (thinning, thinning._replace(height_mm=height[::-1])):
-        found = features_of(lying)
-        assert found["lengthwise_skew"] == pytest.approx(2.0 * np.sqrt(2.0) / 5.0, abs=1e-3)
-        assert found["lengthwise_kurtosis"] == pytest.approx(2.4, abs=5e-3)  # trapezes 0.2 mm long
+    found = features_of(Sections(np.arange(count), along, middle, np.full(count, 8.0), height, across, x))
+    assert found["kink_deg"] == pytest.approx(10.0, abs=0.5)
+    assert found["edge_kink_deg"] == pytest.approx(10.0, abs=0.5)
+    assert found["kink_rest_mm"] < 0.05
+    assert found["twist_deg"] == pytest.approx(0.0, abs=0.5)
+
+
+def test_a_product_cut_off_lacks_the_stripes_that_it_should_meet() -> None:
+    """A half-ellipsoid ends within a stripe's pitch; cut in the middle, it goes on at its full height."""
+    product = product_of(HALF_ELLIPSOID)
+    whole = shape_features(product, 0)
+    label = product.profiles.product.copy()
+    label[: label.shape[0] // 2] = 0
+    cut = shape_features(replace(product, profiles=replace(product.profiles, product=label)), 0)
+    for name in ("stripes_missing_by_area", "stripes_missing_by_width"):
+        assert whole[name] < 1.5  # a chord of the parabola is flatter than its end
+        assert cut[name] > 2.0
 
 
 def test_an_outer_sliver_is_no_section() -> None:
