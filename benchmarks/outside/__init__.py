@@ -28,8 +28,8 @@ carries their number; *refused* those whose peak carries none; *wrong* those who
 and has no crossing of the stripe it names nearer than all others (two stripes that share one peak are
 `shared` in the JSON). A body that is higher than the calibration is meant for has to be refused: its labels
 are not counted, unless one is wrong. Other solutions of a row (``extra_*``) can be what a peak shows, but
-are not scored. *All peaks* asks the other way round, of every labelled peak, belt and edges included: *wrong* is
-one within 3 px of crossings, none of which is of the stripe it names, in its row or the two above and
+are not scored. *All peaks* asks the other way round, of every labelled peak, belt and edges included: *wrong*
+is one within 3 px of crossings, none of which is of the stripe it names, in its row or the two above and
 below; *stray* is one that is near no crossing at all; *at rims* are those whose stripe crosses within
 3 px in a row beside it only: light reaches over the exact edge.
 
