@@ -18,7 +18,7 @@ def tune(
 ) -> None:
     """Move a recipe's options on a local web page and see at once what changes; save the recipe.
 
-    Only this machine can reach the page, and the page loads nothing from elsewhere. Needs roemetry[tune].
+    Only this machine can reach the page, and the page loads nothing from elsewhere.
     """
     import contextlib
 
