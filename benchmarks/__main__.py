@@ -12,7 +12,6 @@ BENCHMARKS = {
     "calibrate_real": "calibration from real boards with a laser line, and from a real chessboard",
     "coding": "share labelled, wrong and refused of every coder, where it breaks, its time",
     "coding_ablation": "the coder `planes` without each of its rules in turn, on two makers' scenes",
-    "draws": "time of a frame with Monte Carlo draws over that without",
     "extract": "precision, speed and bias of extractors against the physical bound and against peers",
     "extract_real": "the same on real camera images: matches, reflections, a line across a printed board",
     "faults": "disturbed images: held, outside the stated interval, refused",
