@@ -137,7 +137,7 @@ def _above_foot(sections: Sections) -> Sections:
     farther out moves the middle by half of it, and a dome off its middle leans.
     """
     height, across = sections.height_mm, sections.across_mm
-    found = []
+    even, found = np.linspace(0.0, 1.0, SAMPLES), []
     for h, y in zip(height, across, strict=True):
         level = _FOOT * h.max()
         inside = np.flatnonzero(h >= level)
@@ -147,7 +147,7 @@ def _above_foot(sections: Sections) -> Sections:
             low -= (y[first] - y[first - 1]) * (h[first] - level) / max(h[first] - h[first - 1], 1e-9)
         if last < len(h) - 1:
             high += (y[last + 1] - y[last]) * (h[last] - level) / max(h[last] - h[last + 1], 1e-9)
-        found.append((low, high, np.interp(np.linspace(low, high, SAMPLES), y, h)))
+        found.append((low, high, np.interp(low + (high - low) * even, y, h)))
     low_mm, high_mm = (np.array([one[k] for one in found]) for k in range(2))
     half = np.maximum(0.5 * (high_mm - low_mm), 1e-6)
     middle = np.column_stack([sections.middle_mm[:, 0], sections.middle_mm[:, 1] + 0.5 * (low_mm + high_mm)])
