@@ -11,7 +11,6 @@ import numpy as np
 from benchmarks.grading.judges import GOOD, SHOWN_MM, Judge
 from benchmarks.traced.tables import Row
 from roemetry_tools.compare.agreement import Interval, wilson
-from roemetry_tools.compare.grading import Graded
 
 UNKNOWN = "unknown"
 HEALTHY = "none"
@@ -94,11 +93,3 @@ def confusion_of(judged: Sequence[Judged], *, by_kind: bool = False) -> Counter[
     return Counter(
         (one.row.kind if by_kind and one.row.kind != HEALTHY else one.row.name, one.label) for one in judged
     )
-
-
-def graded_of(judged: Sequence[Judged]) -> list[Graded]:
-    """Give what the calibration of probabilities is judged from."""
-    return [
-        Graded(f"{one.row.rig} {one.row.seed}", str(one.row.seed), one.row.name, one.label, one.probability)
-        for one in judged
-    ]

@@ -4,7 +4,9 @@ Model. All features but those of humps are read off the surface in the product's
 (`roemetry_shape.product_frame`), at even places along the product, so that they do not depend on the number
 and distance of the stripes, the direction and side of the light, the camera's scale, or how the product
 lies. None has a sign or a head end: a product that is mirrored or turned about gives the same numbers (a
-twist turns the other way when mirrored; its size stays).
+twist turns the other way when mirrored; its size stays). All but sizes and what lies beyond the ends are of
+the part of each section above `_FOOT` of its height: where the last lit row lies on a steep flank differs by
+a millimetre from rig to rig, and an edge that does moves middles, leans and domes.
 
     axis         m(s) through the sections' middles: bend, bow, S and W against a straight line, and the one
                  kink that explains it best; the same kink of the line through the centres of area
@@ -116,15 +118,49 @@ def shape_features(product: Product, smoothing_mm: float = SMOOTHING_MM) -> dict
 def features_of(cuts: Sections) -> dict[str, float]:
     """Give the features of a product's surface, of at least three cuts along stripes."""
     frame = in_product_frame(cuts)
+    body = _above_foot(frame.sections)
     return {
         **_size(frame),
-        **_axis(frame.sections),
-        **_lean(frame.sections),
-        **_hollows(frame.sections),
-        **_pits(frame.sections),
-        **_runs(frame.sections),
+        **_axis(body),
+        **_lean(body),
+        **_hollows(body),
+        **_pits(body),
+        **_runs(body),
         **_beyond(cuts, frame.pitch_mm),
     }
+
+
+def _above_foot(sections: Sections) -> Sections:
+    """Sections from where they reach `_FOOT` of their height on one side to where they do on the other.
+
+    Where a section's last lit row lies on its steep foot is a matter of light: an edge that is seen 1 mm
+    farther out moves the middle by half of it, and a dome off its middle leans.
+    """
+    height, across = sections.height_mm, sections.across_mm
+    even, found = np.linspace(0.0, 1.0, SAMPLES), []
+    for h, y in zip(height, across, strict=True):
+        level = _FOOT * h.max()
+        inside = np.flatnonzero(h >= level)
+        first, last = int(inside[0]), int(inside[-1])
+        low, high = y[first], y[last]
+        if first > 0:
+            low -= (y[first] - y[first - 1]) * (h[first] - level) / max(h[first] - h[first - 1], 1e-9)
+        if last < len(h) - 1:
+            high += (y[last + 1] - y[last]) * (h[last] - level) / max(h[last] - h[last + 1], 1e-9)
+        found.append((low, high, np.interp(low + (high - low) * even, y, h)))
+    low_mm, high_mm = (np.array([one[k] for one in found]) for k in range(2))
+    half = np.maximum(0.5 * (high_mm - low_mm), 1e-6)
+    middle = np.column_stack([sections.middle_mm[:, 0], sections.middle_mm[:, 1] + 0.5 * (low_mm + high_mm)])
+    return sections._replace(
+        middle_mm=middle,
+        half_width_mm=half,
+        height_mm=np.stack([one[2] for one in found]),
+        across_mm=half[:, None] * np.linspace(-1.0, 1.0, SAMPLES),
+    )
+
+
+_FOOT = 0.4
+"""Of a section's height: below, a body's flank is too steep to be seen the same on every rig."""
 
 
 def _size(frame: Frame) -> dict[str, float]:
