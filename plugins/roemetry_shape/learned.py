@@ -289,8 +289,7 @@ REGRESSION_MIN = 60
 of 99.5 %) are the largest of a handful."""
 
 PENALTY = 10.0
-"""λ: weights are expected to be about 0.3 for each standard deviation of a feature. 1 or 30 change the log
-loss on bodies not seen by less than a tenth."""
+"""λ: weights are expected to be about 0.3 for each standard deviation of a feature."""
 
 EXCESS_LEAST = 0.1
 """Features may lie by a tenth of their range beyond it, however many samples there were."""
