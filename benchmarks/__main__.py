@@ -25,6 +25,7 @@ BENCHMARKS = {
     "make_rigs": "fresh rigs with truth, drawn at random and rendered by either simulator",
     "pieces": "numbers without a calibration on traced skeins and shapes: refused, and wrong",
     "product_lines": "the shipped product lines on their own products: the tables of their pages",
+    "real": "everything in real camera images against what is known there, with overlays",
     "rooms": "the drawing of the rooms in the architecture page, made from the imports",
     "report_picture": "the picture of README: the report's first panels on one shipped skein",
     "shipped_skeins": "the same on the shipped skeins, one by one",

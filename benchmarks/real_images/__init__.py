@@ -20,14 +20,20 @@ def folder_of(name: str) -> Path | None:
 
 
 def prepared(
-    pixels: NDArray[Any], *, turn_deg: int, channel: str = "grey", dark: NDArray[Any] | None = None
+    pixels: NDArray[Any],
+    *,
+    turn_deg: int,
+    channel: str = "grey",
+    contrast: str = "none",
+    dark: NDArray[Any] | None = None,
 ) -> Frame:
     """Make a frame as a recipe would."""
     frames = [Frame(pixels, "laser")]
     if dark is not None:
         frames.append(Frame(dark, "dark"))
     subtract = "none" if dark is None else "dark"
-    return prepare(Acquisition("real", tuple(frames)), channel=channel, turn_deg=turn_deg, subtract=subtract)
+    how = {"channel": channel, "contrast": contrast, "subtract": subtract}
+    return prepare(Acquisition("real", tuple(frames)), turn_deg=turn_deg, **how)
 
 
 def sound(peaks: Peaks) -> tuple[NDArray[np.int64], NDArray[np.float64]]:

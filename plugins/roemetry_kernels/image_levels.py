@@ -152,6 +152,10 @@ def _low_sum(
 
 SHARE_MIN = 0.08
 """Of a stripe beside it, that a stripe is high: the ripples of a JPEG are lower."""
+_STEP_PX, _ALIKE = 3.0, 2.0  # from row to row along one stripe: in place, and in height at most
+_ROWS_ON, _SHARE_ON = 24, 0.25
+"""Rows, and share of the rows with peaks, that a stripe has gone on for before it counts: three blocks of a
+JPEG; lamps and marks are smaller than a quarter of the image."""
 _USUAL = 0.9  # of the rows: others may show nothing but noise
 _NEAR_BY_PX = 16.0  # two blocks of a JPEG
 _CONTRAST_ROWS_MAX = 64  # that a level is chosen from
@@ -167,8 +171,7 @@ def faint(row: NDArray[Any], x_px: Floats, amplitude: Floats, share_min: float) 
     row, x_px, amplitude
         (peak,) image row, place, px, and height, grey levels, of peaks sorted by row, then place.
     share_min
-        Of the height of a peak within 16 px in the same row, and of what the highest one of a row reaches in
-        all but the brightest tenth of the rows.
+        Of the height of a peak within 16 px in the same row, and of what stripes reach (`usual_height`).
 
     Returns
     -------
@@ -182,7 +185,7 @@ def faint(row: NDArray[Any], x_px: Floats, amplitude: Floats, share_min: float) 
     highest = 0.0
     for i in range(count):
         highest = max(highest, amplitude[i])
-    least = share_min * usual_height(row, amplitude)
+    least = share_min * usual_height(row, x_px, amplitude)
     for i in range(count):
         low = amplitude[i] < share_min * highest
         out[i] = amplitude[i] < least or (low and outshone(row, x_px, amplitude, i, share_min))
@@ -190,21 +193,40 @@ def faint(row: NDArray[Any], x_px: Floats, amplitude: Floats, share_min: float) 
 
 
 @inlined
-def usual_height(row: NDArray[Any], amplitude: Floats) -> float:
-    """What the highest peak reaches in all but the brightest tenth of the rows."""
-    highest = np.empty(row.shape[0])
-    rows = 0
-    best = amplitude[0]
-    for i in range(np.uint64(1), np.uint64(row.shape[0])):
-        if row[i] != row[i - np.uint64(1)]:
-            highest[rows] = best
-            rows += 1
-            best = amplitude[i]
-        best = max(best, amplitude[i])
-    highest[rows] = best
-    rows += 1
-    at = int(_USUAL * (rows - 1))
-    return float(nth_smallest(highest[:rows], at))
+def usual_height(row: NDArray[Any], x_px: Floats, amplitude: Floats) -> float:
+    """What stripes reach: the highest peak of a row, in all but the brightest tenth of the rows.
+
+    Only peaks count that go on from row to row, as stripes do. A lamp or marks that throw light back are as
+    bright as can be, but end. Where nothing goes on, all peaks count.
+    """
+    count = row.shape[0]
+    on = max(_ROWS_ON, int(_SHARE_ON * (row[count - 1] - row[0])))
+    before, rows_before = np.full(count, -1, np.int64), np.zeros(count, np.int64)
+    goes_on, highest = np.zeros(count, np.bool_), np.empty(count)
+    begin, here = 0, 0  # of the row before: its first peak that may go on; this row's first
+    for i in range(1, count):
+        if row[i] != row[i - 1]:
+            begin, here = (here if row[i] == row[i - 1] + 1 else i), i
+        while begin < here and x_px[begin] < x_px[i] - _STEP_PX:
+            begin += 1
+        if begin < here and x_px[begin] <= x_px[i] + _STEP_PX:
+            one, other = amplitude[i], amplitude[begin]
+            if max(one, other) <= _ALIKE * min(one, other):
+                before[i], rows_before[i] = begin, rows_before[begin] + 1
+    any_goes_on = False
+    for i in range(count - 1, -1, -1):
+        goes_on[i] |= rows_before[i] >= on
+        any_goes_on |= goes_on[i]
+        if goes_on[i] and before[i] >= 0:
+            goes_on[before[i]] = True
+    rows, last = 0, -1
+    for i in range(count):
+        if any_goes_on and not goes_on[i]:
+            continue
+        rows += 1 if row[i] != last else 0
+        highest[rows - 1] = max(amplitude[i], highest[rows - 1]) if row[i] == last else amplitude[i]
+        last = row[i]
+    return float(nth_smallest(highest[:rows], int(_USUAL * (rows - 1))))
 
 
 @inlined

@@ -257,11 +257,10 @@ def starts(frame: Frame, options: MaximumLikelihoodOptions) -> tuple[Any, Found]
     else:
         rise = np.full(256, scaled_level(options.threshold, frame))
     where = smoothed_peaks(image, rise, frame.white)
-    if (
-        options.threshold == "auto"
-        and (low := faint(where.row, where.x_px, where.amplitude, SHARE_MIN)).any()
-    ):
-        where = type(where)._make(values[~low] for values in where)
+    if options.threshold == "auto":
+        seen = np.minimum(where.amplitude, float(frame.white))  # of a clipped top, more is a guess
+        if (low := faint(where.row, where.x_px, seen, SHARE_MIN)).any():
+            where = type(where)._make(values[~low] for values in where)
     beside = light_beside(image, where, math.sqrt(quiet), slope)
     measured = variance is not None and gain is not None
     place = area.top, area.left, image.shape[1]

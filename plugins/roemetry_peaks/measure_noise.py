@@ -18,7 +18,7 @@ from roemetry import Recipe
 from roemetry.errors import DataError, RoemetryError
 from roemetry.io.files import write_whole
 from roemetry.records import Frame
-from roemetry.run.preprocess import prepare
+from roemetry.run.pipeline import frame_of
 from roemetry_peaks.maximum_likelihood import (
     MaximumLikelihood,
     MaximumLikelihoodOptions,
@@ -116,18 +116,7 @@ def _frames(path: Path, count: int) -> tuple[list[Frame], MaximumLikelihoodOptio
         )
     source = recipe.source.make()
     acquisitions = (source.read(reference) for reference in source.references(recipe.source_path)[:count])
-    choice = recipe.source_choice
-    frames = [
-        prepare(
-            acquisition,
-            channel=choice.channel,
-            turn_deg=choice.turn_deg,
-            subtract=choice.subtract,
-            bit_depth=choice.bit_depth,
-            sensor=recipe.sensor,
-        )
-        for acquisition in acquisitions
-    ]
+    frames = [frame_of(recipe, acquisition) for acquisition in acquisitions]
     return frames, extractor.options
 
 

@@ -492,7 +492,7 @@ def unfit_stripes(
         highest, lowest = max(highest, heights[i]), min(lowest, heights[i])
     if unfit == 0 and lowest >= max(share_min * highest, height_min):
         return np.empty(0, np.uint64)
-    least = max(share_min * usual_height(row, heights) if share_min > 0.0 else -np.inf, height_min)
+    least = max(share_min * usual_height(row, middles, heights) if share_min > 0.0 else -np.inf, height_min)
     # Nearly all are kept: which may not be is asked of many at a time, and only those are looked at.
     looked_at, clear = np.zeros(-(-count // WORD) * WORD, np.uint8), max(share_min * highest, least)
     for i in range(np.uint64(count)):

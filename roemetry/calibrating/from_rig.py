@@ -141,6 +141,7 @@ def _prepared(laser: Frame, partner: Frame | None, rig: Rig) -> Frame:
     frames = (laser,) if partner is None else (laser, replace(partner, role="dark"))
     options: dict[str, Any] = {
         "channel": rig.file.channel,
+        "contrast": rig.file.contrast,
         "turn_deg": rig.file.turn_deg,
         "bit_depth": rig.file.bit_depth,
         "subtract": "none" if partner is None else "dark",

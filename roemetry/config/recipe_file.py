@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 Channel = Literal["grey", "red", "green", "blue", "max"]
+Contrast = Literal["none", "red", "green", "blue"]
 Turn = Literal[0, 90, 180, 270]
 
 
@@ -46,6 +47,10 @@ class SourceChoice(Section):
     use: str = Field(default="image-files", description="name of the source's stage")
     path: str = Field(description="what to read: a file, a folder, or a pattern such as `images/*.png`")
     channel: Channel = Field(default="grey", description="what to make of a colour image")
+    contrast: Contrast = Field(
+        default="none",
+        description="instead of a channel: that of the laser's colour, less the lamp light that others show",
+    )
     turn_deg: Turn = Field(
         default=0,
         description="counter-clockwise turn, degrees, that makes the stripes run from top to bottom",

@@ -11,7 +11,7 @@ from typing import Literal, TypeVar
 from pydantic import Field
 
 from roemetry.config.overrides import Overridden
-from roemetry.config.recipe_file import Channel, Choice, Section, SensorFile, StageChoice, Turn
+from roemetry.config.recipe_file import Channel, Choice, Contrast, Section, SensorFile, StageChoice, Turn
 from roemetry.config.resolve import ResolvedStage, StageResolver
 from roemetry.config.target_file import (
     BlockFile,
@@ -67,6 +67,10 @@ class RigFile(Section):
     name: str = Field(min_length=1, description="what to call the rig")
     stripes: int = Field(ge=1, le=200, description="number of stripes the laser projects")
     channel: Channel = Field(default="grey", description="what to make of a colour image")
+    contrast: Contrast = Field(
+        default="none",
+        description="instead of a channel: that of the laser's colour, less the lamp light that others show",
+    )
     turn_deg: Turn = Field(default=0, description="counter-clockwise turn, degrees, as in the recipe")
     bit_depth: int | None = Field(
         default=None, ge=1, le=16, description="bits in use; default: all that the files' pixels have"

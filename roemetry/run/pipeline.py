@@ -236,6 +236,7 @@ def frame_of(recipe: Recipe, acquisition: Acquisition) -> Frame:
     return prepare(
         acquisition,
         channel=source.channel,
+        contrast=source.contrast,
         turn_deg=source.turn_deg,
         subtract=source.subtract,
         bit_depth=source.bit_depth,

@@ -145,6 +145,20 @@ def ready(given: Acquisition, channel: str = "grey", turn_deg: int = 0, subtract
     return prepare(given, channel=channel, turn_deg=turn_deg, subtract=subtract)
 
 
+def test_contrast_takes_off_lamp_light_of_any_brightness_and_keeps_clipped_light(rng) -> None:
+    x = np.arange(120)
+    lamp = np.where(x // 20 % 2, 150.0, 30.0) * rng.uniform(0.8, 1.0, (80, 1))  # print in uneven light
+    line = np.exp(-0.5 * ((x - 60.0) / 2.0) ** 2)[None]
+    colours = np.stack([0.7 * lamp + 20.0 * line, 0.9 * lamp + 60.0 * line, 0.8 * lamp], axis=2)
+    colours[40:, :, 1] += 400.0 * line  # overexposed
+    colours = np.clip(np.rint(colours + rng.normal(0.0, 1.0, colours.shape)), 0, 255).astype(np.uint8)
+    seen = prepare(acquisition(laser=colours), contrast="green", turn_deg=0, subtract="none").pixels
+    beside = np.abs(x - 60) > 10
+    assert seen[:, beside].max() < 16
+    assert np.median(np.abs(seen[:40].argmax(axis=1) - 60)) <= 1
+    assert (seen[colours[:, :, 1] == 255] == 255).all()
+
+
 def test_a_turn_is_a_rotation_counter_clockwise_and_no_mirror() -> None:
     turned = ready(acquisition(laser=PICTURE), turn_deg=90)
     assert turned.pixels.tolist() == [[3, 7, 11], [2, 6, 10], [1, 5, 9], [0, 4, 8]]

@@ -70,3 +70,34 @@ def test_8_and_16_bits_of_the_same_grey_levels_give_the_same_peaks(extractor, rn
     )
     for name in ("row", "x_px", "x_std_px", "amplitude", "background", "width_px", "flags"):
         np.testing.assert_array_equal(getattr(narrow, name), getattr(wide, name), err_msg=name)
+
+
+@pytest.mark.parametrize("top", [150.0, 500.0], ids=["whole", "cut off at white"])
+def test_a_core_in_a_wide_halo_is_the_stripe(top, rng):
+    """A halo half as high, brighter on one side: half height lies in it, ten pixels beside the core."""
+    centre = 100.0 + 6.0 * np.sin(np.arange(200) / 40.0)[:, None]
+    u = np.arange(220) - centre
+    halo = 0.5 * min(top, 240.0) * np.exp(-np.abs(u) / np.where(u > 0.0, 24.0, 8.0))
+    light = 10.0 + halo + (top - halo.max()) * np.exp(-0.5 * (u / 2.0) ** 2)
+    image = np.clip(np.rint(light + rng.normal(0.0, 1.0, u.shape)), 0, 255).astype(np.uint8)
+    found = MaximumLikelihood().extract(Frame(image, "laser"))
+    at = np.flatnonzero(np.abs(found.x_px - centre[found.row, 0]) < 3.0)
+    assert np.unique(found.row[at]).size >= 0.98 * 200
+    off = found.x_px[at] - centre[found.row[at], 0]
+    assert np.sqrt(np.mean(off**2)) < 0.5
+    assert (np.abs(off) < 1.96 * found.x_std_px[at]).mean() > 0.9
+
+
+@pytest.mark.parametrize("extractor", [MaximumLikelihood, Gaussian, Steger])
+def test_marks_that_throw_light_back_do_not_set_the_level(extractor, rng):
+    y, x = np.mgrid[:300, :400]
+    centres = 40.0 + 55.0 * np.arange(7)[:, None] + 0.02 * np.arange(300)
+    light = 6.0 + sum(19.0 * np.exp(-0.5 * ((x - one[:, None]) / 2.0) ** 2) for one in centres)
+    for row in range(20, 300, 50):
+        light[(x - 67 - row // 50 * 55) ** 2 + (y - row) ** 2 < 80] = 255.0
+    image = np.clip(np.rint(light + rng.normal(0.0, 1.0, light.shape)), 0, 255).astype(np.uint8)
+    found = extractor().extract(Frame(image, "laser"))
+    off = np.abs(found.x_px[:, None] - centres[:, found.row].T)
+    seen = np.zeros((300, 7), np.bool_)
+    seen[found.row[off.min(axis=1) < 1.5], off.argmin(axis=1)[off.min(axis=1) < 1.5]] = True
+    assert seen.mean() > 0.93

@@ -1,0 +1,220 @@
+"""Everything usable among the real camera images, against what is known there, with overlays to look at.
+
+``python -m benchmarks real [--extractors WORD …] [--out FOLDER]``
+
+The images are not part of the project: the environment variable ROEMETRY_REAL_DATA names their folder
+(default ``../shared/real``); what is not there is skipped with the reason.
+
+*Turntable*: a saturated green line with halos on wall, toy, foam and card. Known is a run of at least three
+pixels of the laser's channel at 250 or more, alone in its row: its middle is where a person puts the line.
+*Repeated*: the wall's rows do not move from frame to frame, so a centre's scatter over the frames is the
+extractor's; what a frame moves as a whole is taken off. *Boards*: a red line on twelve printed boards in room
+light, the laser-off image not used; known is the line of `benchmarks.real_images.boards`.
+*Weld*: the line as marked by hand. `benchmarks extract_real` has more of the weld, and the wheel set.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.extraction.methods import extractors
+from benchmarks.extraction.tables import Table, number
+from benchmarks.real_images import folder_of, prepared
+from benchmarks.real_images.boards import POSES, line_on_board
+from benchmarks.real_images.weld import LINE
+from roemetry.errors import RoemetryError
+from roemetry.records import Frame, Peaks
+from roemetry.records.arrays import Floats
+from roemetry.stages import Extractor
+
+_CORE, _CORE_PX = 250, 3  # grey level and pixels of a saturated core
+_FAR_PX = 3.0  # beside the core's middle: another line
+_WALL_ROWS, _WALL_COLUMNS = 150, (243, 273)  # where the line lies still on the wall
+_ZOOM = 2
+
+
+class Known(NamedTuple):
+    """One image, and where its line is: (row,) column, NaN where it is not known."""
+
+    name: str
+    frame: Frame
+    line_px: Floats
+    picture: Any
+
+
+def main() -> None:
+    """Print the tables; write overlays where a folder is given."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--extractors", nargs="*", default=[], help="only those whose name holds a word")
+    parser.add_argument("--out", type=Path, help="folder for overlays: peaks drawn over the images")
+    given = parser.parse_args()
+    cv2.setNumThreads(1)
+    stages = {
+        name: stage
+        for name, stage in extractors()
+        if not isinstance(stage, str)
+        and (not given.extractors or any(word in name for word in given.extractors))
+    }
+    for title, images in SETS.items():
+        known = list(images())
+        if not known:
+            print(f"skipped: {title}: not there; set ROEMETRY_REAL_DATA", file=sys.stderr)
+            continue
+        rows = []
+        for name, stage in stages.items():
+            found = [_extracted(stage, image.frame) for image in known]
+            rows.append([name, *judged(known, found)])
+            if title == "turntable, green":
+                rows[-1] += repeated(found)
+            if given.out:
+                for image, peaks in list(zip(known, found, strict=True))[::6]:
+                    draw(given.out / f"{title}, {image.name}, {name}.png".replace(", ", "-"), image, peaks)
+        head = ["extractor", "rows with a line", "without a peak", f"> {_FAR_PX:.0f} px off", "rms off, px"]
+        head += ["95 % intervals hold, %", "others a row"]
+        head += ["repeats on the wall, px", "stated there, px"] if title == "turntable, green" else []
+        print(Table(title, head, rows), flush=True)
+
+
+def _extracted(stage: Extractor[Any], frame: Frame) -> Peaks | None:
+    try:
+        return stage.extract(frame)
+    except RoemetryError as refusal:
+        print(f"{frame.name}: {refusal}", file=sys.stderr)
+        return None
+
+
+def judged(known: Sequence[Known], found: Sequence[Peaks | None]) -> list[str]:
+    """Count the rows, those without a peak and those off; scatter, coverage and other peaks."""
+    rows = missed = others = 0
+    off: list[float] = []
+    ratio: list[float] = []
+    for image, peaks in zip(known, found, strict=True):
+        for y in np.flatnonzero(np.isfinite(image.line_px)):
+            rows += 1
+            here = np.flatnonzero(peaks.row == y) if peaks is not None else np.zeros(0, np.int64)
+            if peaks is None or not here.size:
+                missed += 1
+                continue
+            away = peaks.x_px[here] - image.line_px[y]
+            k = int(np.abs(away).argmin())
+            off.append(float(away[k]))
+            ratio.append(float(away[k] / peaks.x_std_px[here[k]]))
+            others += here.size - 1
+    each = np.array(off)
+    near = np.abs(each) <= _FAR_PX
+    stated = np.array(ratio)[near]
+    holds = (
+        "not stated" if np.isnan(stated).all() else number(100.0 * float((np.abs(stated) < 1.96).mean()), 1)
+    )
+    rms = float(np.sqrt(np.mean(each[near] ** 2))) if near.any() else float("nan")
+    return [str(rows), str(missed), str(int((~near).sum())), number(rms, 2), holds, number(others / rows, 2)]
+
+
+def repeated(found: Sequence[Peaks | None]) -> list[str]:
+    """Scatter of a row's centre over the frames, median over the rows, and what is stated of it."""
+    x_px, stated = np.full((2, len(found), _WALL_ROWS), np.nan)
+    for k, peaks in enumerate(found):
+        if peaks is None:
+            continue
+        inside = (peaks.row < _WALL_ROWS) & (peaks.x_px > _WALL_COLUMNS[0]) & (peaks.x_px < _WALL_COLUMNS[1])
+        order = np.flatnonzero(inside)
+        order = order[np.argsort(peaks.amplitude[order])]  # the highest of a row is written last
+        x_px[k, peaks.row[order]], stated[k, peaks.row[order]] = peaks.x_px[order], peaks.x_std_px[order]
+    kept = np.isfinite(x_px).sum(axis=0) > len(found) // 2
+    away = x_px[:, kept] - np.nanmedian(x_px[:, kept], axis=0)
+    away -= np.nanmedian(away, axis=1)[:, None]
+    usual = stated[:, kept][np.isfinite(stated[:, kept])]
+    return [
+        number(float(np.median(np.nanstd(away, axis=0))), 3),
+        number(float(np.median(usual)), 2) if usual.size else "not stated",
+    ]
+
+
+def draw(path: Path, image: Known, peaks: Peaks | None) -> None:
+    """Draw the known line (blue) and the peaks (red; violet where flagged) over the image."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    canvas = cv2.resize(image.picture, None, fx=_ZOOM, fy=_ZOOM, interpolation=cv2.INTER_NEAREST)
+    dots = [(y, x, (255, 64, 0)) for y, x in enumerate(image.line_px) if np.isfinite(x)]
+    if peaks is not None:
+        violet = peaks.flags != 0
+        for y, x, flagged in zip(peaks.row, peaks.x_px, violet, strict=True):
+            dots.append((int(y), float(x), (255, 0, 255) if flagged else (0, 0, 255)))
+    for y, x, colour in dots:
+        cv2.circle(canvas, (round((x + 0.5) * _ZOOM), round((y + 0.5) * _ZOOM)), 1, colour, -1)
+    cv2.imwrite(str(path), canvas)
+
+
+def _read(path: Path) -> NDArray[np.uint8]:
+    picture = cv2.imread(str(path))
+    if picture is None:
+        raise SystemExit(f"{path} cannot be read")
+    return np.asarray(picture, np.uint8)
+
+
+def turntable(channel: str = "grey", contrast: str = "none") -> Iterator[Known]:
+    """The scan's frames, by one channel or contrast."""
+    home = folder_of("turntable_green")
+    for path in sorted((home / "scan").glob("*.jpg")) if home else []:
+        picture = _read(path)
+        core = picture[:, :, 1] >= _CORE
+        line = np.full(core.shape[0], np.nan)
+        for y in range(core.shape[0]):
+            lit = np.flatnonzero(core[y])
+            if lit.size >= _CORE_PX and lit[-1] - lit[0] == lit.size - 1:
+                line[y] = lit.mean()
+        yield Known(
+            path.stem, prepared(picture, turn_deg=0, channel=channel, contrast=contrast), line, picture
+        )
+
+
+def boards(channel: str = "grey", contrast: str = "none") -> Iterator[Known]:
+    """The red line on the circle boards, as it is, in room light."""
+    home = folder_of("laser_on_circle_grid")
+    if home is None:
+        return
+    for pose in range(POSES):
+        dark = _read(home / "calib_picture" / f"calib{pose}.jpg")
+        lit = _read(home / "light_picture" / f"light{pose}.jpg")
+        line = line_on_board(dark, lit)[::-1]
+        yield Known(
+            str(pose),
+            prepared(lit, turn_deg=90, channel=channel, contrast=contrast),
+            line,
+            np.rot90(lit).copy(),
+        )
+
+
+def weld() -> Iterator[Known]:
+    """The line in the groove, as marked by hand."""
+    home = folder_of("weld_mit")
+    if home is not None:
+        picture = _read(home / "weld2.png")
+        line = np.full(picture.shape[1], np.nan)
+        for x, y in (np.array(part).T for part in LINE):
+            columns = np.arange(int(x[0]), int(x[-1]) + 1)
+            line[columns] = np.interp(columns, x, y)
+        frame = prepared(picture, turn_deg=90, channel="max")
+        yield Known("weld2", frame, line[::-1], np.rot90(picture).copy())
+
+
+SETS: dict[str, Callable[[], Iterator[Known]]] = {
+    "turntable, green": lambda: turntable(channel="green"),
+    "turntable, contrast green": lambda: turntable(contrast="green"),
+    "turntable, grey": lambda: turntable(channel="grey"),
+    "boards, red": lambda: boards(channel="red"),
+    "boards, contrast red": lambda: boards(contrast="red"),
+    "weld": weld,
+}
+
+if __name__ == "__main__":
+    main()
