@@ -77,9 +77,11 @@ stripes (an arc of 150 px radius over 40 px by 1.3 px)."""
 
 _TENTH = 10.0
 """Per cent of the ends: one side of a contour has more of them, mistaken labels have fewer."""
-_LEAST_ENDS = 6  # with fewer a tenth is a single end
+_LEAST_ENDS = 8  # four stripes: of three, one may lie in the shadow, and none need reach the outline
 _END_PX = 0.5  # a stripe's end is seen to a row, that is half a pixel either way
-_FARTHEST_PX = 2.5  # a single end counts no more: a mistaken label may be anywhere
+_STRAY_PX, _FARTHEST_PX = 5.0, 2.5
+"""An end farther outside than an edge is searched for is glare or a mistaken label; none counts for more than
+half of that."""
 _CONTRADICTION_PX = 0.75
 """Standard uncertainty from which an outline says less than stripes do: 3 % of a product 50 px wide."""
 
@@ -187,7 +189,9 @@ def _disagreement_px(scene: Scene, ring: Floats, stripes: StripeMap, number: int
     if len(ends) < _LEAST_ENDS:
         return 0.0
     places = np.array(ends, np.float64)
-    outside = 2.0 * float(np.clip(-inside_by(unbound(scene, ring), places), 0.0, _FARTHEST_PX).mean())
+    off = -inside_by(unbound(scene, ring), places)
+    near = off < _STRAY_PX
+    outside = 2.0 * float(np.clip(off[near], 0.0, _FARTHEST_PX).mean()) if near.any() else math.inf
     short = np.percentile(inside_by(ring, places), _TENTH)
     over = -math.inf
     if len(beyond) >= _LEAST_ENDS:
