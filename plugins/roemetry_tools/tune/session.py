@@ -29,6 +29,8 @@ from roemetry_tools.tune.request import Draft, Fault, TuneRequest, draft_of, fau
 
 _STEPS_KEPT = 64
 """Results of stages: some dozens of MB."""
+_LONGEST_NAME = 200
+"""Bytes: file systems take 255, of which an ending and a number need some."""
 _PICTURES_KEPT = 4
 """Frames between which one goes back and forth."""
 
@@ -226,8 +228,9 @@ class Session:
                     hint="save under another name, or load the page's recipe again",
                 )
             return self._path
-        if Path(name).name != name or name.startswith("."):
-            raise ConfigurationError(f"`{name}` is not a file name", hint="a name without a folder")
+        plain = Path(name).name == name and not name.startswith(".") and name.isprintable()
+        if not plain or len(name.encode()) > _LONGEST_NAME:
+            raise ConfigurationError(f"{name!r:.80} is not a file name", hint="a name without a folder")
         target = self._path.parent / (name if name.endswith((".yaml", ".yml")) else f"{name}.yaml")
         if target.exists():
             raise ConfigurationError(f"{target.name} is there already", hint="choose another name")
