@@ -61,7 +61,9 @@ class Session:
         self._pictures: dict[str, bytes] = {}
         self._text = _text_of(self._path)
         self._own: bytes | None = None
-        Recipe.load(self._path, registry=self.registry)
+        source = Recipe.load(self._path, registry=self.registry).source_path.resolve()
+        self._served = (self._path.parent, source if source.is_dir() else source.parent)
+        """Folders of which the page may ask images: the recipe's, and that of the source it was opened with."""
         self._base = parse(self._text, str(self._path)).data
         self._references(self._recipe(Draft(self._base)))
 
@@ -186,6 +188,12 @@ class Session:
         recipe = Recipe.drafted(self._path, draft, self.registry, read_calibration=self._calibration)
         if draft.faults:
             raise ConfigurationError([f"{draft.place(fault.path)}: {fault.said}" for fault in draft.faults])
+        asked = recipe.source_path.resolve()
+        if not any(asked.is_relative_to(folder) for folder in self._served):
+            place = draft.place(("source", "path"))
+            raise ConfigurationError(
+                [f"{place}: source.path: neither in the recipe's folder nor the source it had when opened"]
+            )
         return recipe
 
     def _calibration(self, path: Path) -> Calibration:

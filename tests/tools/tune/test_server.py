@@ -156,3 +156,12 @@ def test_the_verb_serves_this_machine_alone_and_stops_in_peace(line: Callable[..
         finally:
             if process.poll() is None:
                 os.kill(process.pid, signal.SIGKILL)
+
+
+def test_images_are_served_from_the_recipes_folder_alone(client: Any, tmp_path_factory: Any) -> None:
+    elsewhere = tmp_path_factory.mktemp("elsewhere")
+    for path in (str(elsewhere), "../../../..", "/etc"):
+        wish = {"source": {"path": json.dumps(path)}}
+        (fault,) = unpacked(client.post("/answer", json=wish).content)[0]["faults"]
+        assert fault["path"] == ["source", "path"]
+        assert client.post("/save", json={"wish": wish}).status_code == 400
