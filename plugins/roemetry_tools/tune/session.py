@@ -63,7 +63,7 @@ class Session:
         self._own: bytes | None = None
         source = Recipe.load(self._path, registry=self.registry).source_path.resolve()
         self._served = (self._path.parent, source if source.is_dir() else source.parent)
-        """Folders of which the page may ask images: the recipe's, and that of the source it was opened with."""
+        """Folders of which the page may ask images: the recipe's, and that of the source it opened with."""
         self._base = parse(self._text, str(self._path)).data
         self._references(self._recipe(Draft(self._base)))
 
