@@ -165,6 +165,15 @@ def edge_around(scene: Scene, start: Floats) -> Edge | None:
     return Edge(inside, math.hypot(std_px, model_px, unsure_px))
 
 
+def unbound(scene: Scene, ring: Floats) -> Floats:
+    """Give the edge near a ring that the image alone shows, whatever the stripes say."""
+    nothing = np.zeros_like(scene.product)
+    scene = scene._replace(level=scene.level.astype(np.float32), product=nothing, belt=nothing)
+    for _ in range(2):
+        ring = _steepest(scene, ring)
+    return _kinked(scene, ring, math.hypot(_BLUR_PX, scene.blur_px))[0]
+
+
 def _widely(scene: Scene, ring: Floats, reach_px: tuple[float, float]) -> Floats:
     """Move a ring to the sharpest closed edge between the product's stripes and the belt's."""
     import cv2

@@ -10,11 +10,23 @@ around it. The opened image itself would not do: of what is not smooth it keeps 
 edges of a bright body. What stripes show is used, too: the outline lies outside of the product's stripes, and
 inside of what lies in a row between two neighbouring stripes that are on the belt.
 
+Do image and stripes agree? What is seen of a stripe on the product ends on or inside the outline, and where
+it goes on along the belt it lies outside: each end brackets the edge. Shadow and lens open brackets, but
+never shift them, and on the side that faces the light stripes reach the outline. So of all ends around it
+
+    σ = max(2·mean(max(−p_free, 0)), q10(p), q90(b)) − what a stripe's own width leaves open,
+
+where p and b are how far inside the outline a product's end and the belt's next point lie, and `free` the
+edge that the image shows without the stripes' bounds. An edge too far inside leaves about half of the ends
+outside: hence the 2. It joins the outline's uncertainty; an outline that is off by more (another product,
+another scale, a camera or belt that moved between the images) is left out.
+
 Fails where the product is as bright as the belt and shades evenly into it: then there is no outline.
 """
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
@@ -29,8 +41,8 @@ from roemetry.records import Frame, Outline, StripeMap
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.records.calibration import Calibration
 from roemetry.stages import Outliner, StageOptions
-from roemetry_volume.contour_edge import Scene, edge_around
-from roemetry_volume.footprint import area_of
+from roemetry_volume.contour_edge import Scene, edge_around, unbound
+from roemetry_volume.footprint import area_of, inside_by
 
 _LEAST_CONTRAST = 3.0
 """Times the belt's scatter that a product is brighter or darker: three standard deviations."""
@@ -62,6 +74,16 @@ _NEIGHBOURS = 1.6  # spacings: stripes farther apart have another one between th
 _END_ROWS = 3
 """At the ends of what is seen of the belt: a peak may be the rim's, and a round body bulges out between two
 stripes (an arc of 150 px radius over 40 px by 1.3 px)."""
+
+_TENTH = 10.0
+"""Per cent of the ends: one side of a contour has more of them, mistaken labels have fewer."""
+_LEAST_ENDS = 8  # four stripes: of three, one may lie in the shadow, and none need reach the outline
+_END_PX = 0.5  # a stripe's end is seen to a row, that is half a pixel either way
+_STRAY_PX, _FARTHEST_PX = 5.0, 2.5
+"""An end farther outside than an edge is searched for is glare or a mistaken label; none counts for more than
+half of that."""
+_CONTRADICTION_PX = 0.75
+"""Standard uncertainty from which an outline says less than stripes do: 3 % of a product 50 px wide."""
 
 _CUTS, _MARGIN = 41, 0.06  # of the long axis: cuts that give the mid-line, and what is left out at its ends
 
@@ -131,9 +153,13 @@ class EdgeContour(Outliner[EdgeContourOptions]):
             fixed = held.astype(np.float64), belt.astype(np.float64)
             scene = Scene(level, *fixed, on_stripes, 0.0 if use_plain else _AMBIENT_SMOOTH_PX, spacing)
             edge = edge_around(scene, _ring_around(region, spacing))
-            if edge is not None:
+            if edge is None:
+                continue
+            apart_px = _disagreement_px(scene, edge.xy_px, stripes, number) if use_plain and known else 0.0
+            if apart_px < _CONTRADICTION_PX:
                 features = features_of(edge.xy_px, chosen.pixels)
-                outlines.append(Outline(number, edge.xy_px, edge.std_px, features))
+                std_px = math.hypot(edge.std_px, apart_px) if apart_px else edge.std_px
+                outlines.append(Outline(number, edge.xy_px, std_px, features))
         return tuple(outlines)
 
 
@@ -149,6 +175,29 @@ def _is_clear(level: Floats, region: Flags) -> bool:
     # some of the region may be belt: stripes are wider than what they show
     low, high = np.percentile(level[region], [20, 80])
     return bool(max(high - middle, middle - low) > _LEAST_CONTRAST * max(scatter, 1e-3))
+
+
+def _disagreement_px(scene: Scene, ring: Floats, stripes: StripeMap, number: int) -> float:
+    """Say how far an outline in plain light is from what the stripes' ends allow, standard uncertainty."""
+    ends, beyond = [], []
+    for x_px, seen, product in zip(stripes.x_px, stripes.seen, stripes.product, strict=True):
+        mine, belt = np.flatnonzero(seen & (product == number)), np.flatnonzero(seen & (product == 0))
+        if mine.size < _LEAST_ROWS:
+            continue
+        ends += [(x_px[row], row) for row in (mine[0], mine[-1])]
+        next_on_belt = *belt[belt < mine[0]][-1:], *belt[belt > mine[-1]][:1]
+        beyond += [(x_px[row], row) for row in next_on_belt]
+    if len(ends) < _LEAST_ENDS:
+        return 0.0
+    places = np.array(ends, np.float64)
+    off = -inside_by(unbound(scene, ring), places)
+    near = off < _STRAY_PX
+    outside = 2.0 * float(np.clip(off[near], 0.0, _FARTHEST_PX).mean()) if near.any() else math.inf
+    short = np.percentile(inside_by(ring, places), _TENTH)
+    over = -math.inf
+    if len(beyond) >= _LEAST_ENDS:
+        over = np.percentile(inside_by(ring, np.array(beyond, np.float64)), 100.0 - _TENTH)
+    return max(float(max(outside, short, over)) - _END_PX, 0.0)
 
 
 def _spacing_px(stripes: StripeMap) -> float:

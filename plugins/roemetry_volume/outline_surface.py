@@ -323,7 +323,9 @@ def outline_fault(product: Product, slices: Slices, fused: Fused | None = None) 
 
     outline, view = product.outline, product.view
     if outline is None:
-        return Reason("no-outline", "no outline was found: the volume is that of the slices alone")
+        return Reason(
+            "no-outline", "no outline was found that fits the stripes: the volume is that of the slices alone"
+        )
     if view is None:
         return Reason(
             "no-view",

@@ -157,6 +157,8 @@ def value_of(text: str) -> Any:
         return None
     try:
         return json.loads(text, parse_constant=_no_json)  # what JSON says, YAML says; it is 100 times faster
+    except RecursionError as error:
+        raise ConfigurationError("here: nested too deeply") from error
     except ValueError:
         return parse(text, "here").data
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 import socket
 from collections.abc import Callable
 from pathlib import Path
@@ -39,8 +40,13 @@ class SaveRequest(BaseModel):
     name: str = ""
 
 
-def app_of(session: Session) -> Starlette:
+def app_of(session: Session, token: str = "") -> Starlette:
     """Make the application for one recipe.
+
+    Parameters
+    ----------
+    token
+        First part of every address: what does not know it is answered with 404. Empty: there is none.
 
     Raises
     ------
@@ -86,15 +92,16 @@ def app_of(session: Session) -> Starlette:
     def refused(_: Request, error: Exception) -> Response:
         return JSONResponse({"said": str(error)}, 400, headers=_HEADERS)
 
+    routes = [
+        Route("/", page),
+        Route("/recipe", recipe),
+        Route("/picture/{key}.png", picture),
+        Route("/answer", answer, methods=["POST"]),
+        Route("/save", save, methods=["POST"]),
+        Mount("/page", StaticFiles(directory=_PAGE)),
+    ]
     return Starlette(
-        routes=[
-            Route("/", page),
-            Route("/recipe", recipe),
-            Route("/picture/{key}.png", picture),
-            Route("/answer", answer, methods=["POST"]),
-            Route("/save", save, methods=["POST"]),
-            Mount("/page", StaticFiles(directory=_PAGE)),
-        ],
+        routes=[Mount(f"/{token}", routes=routes)] if token else routes,
         # A page of another site can send requests here under a name of its own (DNS rebinding).
         middleware=[Middleware(TrustedHostMiddleware, allowed_hosts=[LOOPBACK, "localhost"])],
         exception_handlers={RoemetryError: refused},
@@ -116,7 +123,8 @@ def serve(session: Session, port: int, on_ready: Callable[[str], None]) -> None:
     ConfigurationError
         The port is taken; the extra ``tune`` is not installed.
     """
-    app = app_of(session)
+    token = secrets.token_urlsafe(16)  # 128 bits: other users of this machine reach the port, too
+    app = app_of(session, token)
     try:
         import uvicorn
     except ImportError as error:
@@ -132,7 +140,7 @@ def serve(session: Session, port: int, on_ready: Callable[[str], None]) -> None:
                 hint="leave --port out to take any that is free",
             ) from error
         listening.listen()
-        on_ready(f"http://{LOOPBACK}:{listening.getsockname()[1]}/")
+        on_ready(f"http://{LOOPBACK}:{listening.getsockname()[1]}/{token}/")
         config = uvicorn.Config(app, log_level="warning", access_log=False, lifespan="off")
         uvicorn.Server(config).run(sockets=[listening])
 
@@ -147,8 +155,12 @@ def not_installed(error: ImportError) -> ConfigurationError:
 async def _read(request: Request, model: type[Any]) -> Any:
     """Read a request's body.
 
-    A page of another site cannot send this content type without asking first, and nobody answers it.
+    A page of another site cannot send this content type without asking first, and nobody answers it; where a
+    browser says which site asks, it must be this one.
     """
+    origin = request.headers.get("origin")
+    if origin is not None and origin != f"http://{request.headers.get('host', '')}":
+        raise RoemetryError("asked by a page that is not this server's")
     kind = request.headers.get("content-type", "").partition(";")[0].strip()
     if kind != "application/json":
         raise RoemetryError("expected content of the type application/json")

@@ -29,6 +29,8 @@ from roemetry_tools.tune.request import Draft, Fault, TuneRequest, draft_of, fau
 
 _STEPS_KEPT = 64
 """Results of stages: some dozens of MB."""
+_LONGEST_NAME = 200
+"""Bytes: file systems take 255, of which an ending and a number need some."""
 _PICTURES_KEPT = 4
 """Frames between which one goes back and forth."""
 
@@ -59,7 +61,9 @@ class Session:
         self._pictures: dict[str, bytes] = {}
         self._text = _text_of(self._path)
         self._own: bytes | None = None
-        Recipe.load(self._path, registry=self.registry)
+        source = Recipe.load(self._path, registry=self.registry).source_path.resolve()
+        self._served = (self._path.parent, source if source.is_dir() else source.parent)
+        """Folders of which the page may ask images: the recipe's, and that of the source it opened with."""
         self._base = parse(self._text, str(self._path)).data
         self._references(self._recipe(Draft(self._base)))
 
@@ -184,6 +188,12 @@ class Session:
         recipe = Recipe.drafted(self._path, draft, self.registry, read_calibration=self._calibration)
         if draft.faults:
             raise ConfigurationError([f"{draft.place(fault.path)}: {fault.said}" for fault in draft.faults])
+        asked = recipe.source_path.resolve()
+        if not any(asked.is_relative_to(folder) for folder in self._served):
+            place = draft.place(("source", "path"))
+            raise ConfigurationError(
+                [f"{place}: source.path: neither in the recipe's folder nor the source it had when opened"]
+            )
         return recipe
 
     def _calibration(self, path: Path) -> Calibration:
@@ -226,8 +236,9 @@ class Session:
                     hint="save under another name, or load the page's recipe again",
                 )
             return self._path
-        if Path(name).name != name or name.startswith("."):
-            raise ConfigurationError(f"`{name}` is not a file name", hint="a name without a folder")
+        plain = Path(name).name == name and not name.startswith(".") and name.isprintable()
+        if not plain or len(name.encode()) > _LONGEST_NAME:
+            raise ConfigurationError(f"{name!r:.80} is not a file name", hint="a name without a folder")
         target = self._path.parent / (name if name.endswith((".yaml", ".yml")) else f"{name}.yaml")
         if target.exists():
             raise ConfigurationError(f"{target.name} is there already", hint="choose another name")

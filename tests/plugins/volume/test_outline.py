@@ -42,14 +42,16 @@ def plain_image(rng: np.random.Generator, ellipses=(ELLIPSE,), *, bright: float 
 
 
 def stripes_on(ellipses=(ELLIPSE,), spacing: float = 30.0) -> StripeMap:
-    """Upright stripes that show where the ellipses are, three pixels short of their border."""
+    """Upright stripes that show where the ellipses are, to a part of a pixel."""
     x_px = np.arange(15.0, COLUMNS - 10.0, spacing)
     grid = np.broadcast_to(x_px[:, None], (x_px.size, ROWS)).copy()
     at = np.stack([grid, np.broadcast_to(np.arange(float(ROWS)), grid.shape)], axis=-1)
     product = np.zeros(grid.shape, np.int16)
-    for number, ellipse in enumerate(ellipses, start=1):
-        product[distance(at, ellipse) < -3.0] = number
     seen = np.ones(grid.shape, np.bool_)
+    for number, ellipse in enumerate(ellipses, start=1):
+        off = distance(at, ellipse)
+        product[off < -0.3] = number
+        seen &= np.abs(off) > 0.3
     return StripeMap(
         x_px=grid,
         x_std_px=np.full(grid.shape, 0.1),
@@ -122,6 +124,17 @@ def test_two_products_have_an_outline_each(rng: np.random.Generator) -> None:
     assert [outline.product for outline in found] == [1, 2]
     for outline, ellipse in zip(found, two, strict=True):
         assert abs(distance(outline.xy_px, ellipse).mean()) < 0.6  # px
+
+
+@pytest.mark.parametrize("scale", [0.93, 1.07])
+@pytest.mark.parametrize("shadow", [True, False])
+def test_an_outline_of_another_scale_is_left_out(
+    rng: np.random.Generator, scale: float, shadow: bool
+) -> None:
+    """3 px smaller or larger across: stripes stick out of the edge, or go on along the belt inside of it."""
+    x, y, a, b = ELLIPSE
+    other = plain_image(rng, ((x, y, scale * a, scale * b),), shadow=shadow)
+    assert EdgeContour().outline(LASER, other, stripes_on(), None) == ()
 
 
 def test_without_stripes_the_cores_are_found(rng: np.random.Generator) -> None:

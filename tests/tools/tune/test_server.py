@@ -26,9 +26,12 @@ from roemetry_tools.tune.session import Session
 starlette = pytest.importorskip("starlette.testclient", reason="the extra `tune` is not installed")
 
 
+JSON = {"content-type": "application/json"}
+
+
 @pytest.fixture
 def client(line: Callable[..., Path]) -> Any:
-    return starlette.TestClient(server.app_of(Session(line())), base_url="http://127.0.0.1:8000")
+    return starlette.TestClient(server.app_of(Session(line()), "key"), base_url="http://127.0.0.1:8000/key")
 
 
 def test_the_page_and_all_it_names_are_served_from_here(client: Any) -> None:
@@ -68,9 +71,12 @@ def test_saving_answers_with_the_new_recipe_or_the_reason(client: Any) -> None:
     wish = {"stages": {"extractor": {"use": "dominant-peak", "options": {"threshold": "70"}}}}
     saved = client.post("/save", json={"wish": wish})
     assert saved.json()["recipe"]["stages"][0]["chosen"]["options"]["threshold"] == "70"
-    refused = client.post("/save", json={"wish": wish, "name": "../x"})
-    assert refused.status_code == 400
-    assert "not a file name" in refused.json()["said"]
+    for name in ("../x", "a\0b", "x" * 300, "\x1b[2J", "a\n"):
+        refused = client.post("/save", json={"wish": wish, "name": name})
+        assert refused.status_code == 400
+        assert "not a file name" in refused.json()["said"]
+    lone = client.post("/save", content=b'{"wish": {}, "name": "\\ud800"}', headers=JSON)
+    assert lone.status_code == 400
 
 
 @pytest.mark.parametrize(
@@ -94,6 +100,15 @@ def test_what_the_page_would_not_send_is_refused_in_words(sent: dict[str, Any], 
 def test_a_request_under_another_name_is_refused(client: Any) -> None:
     assert client.get("/recipe", headers={"host": "evil.example:8000"}).status_code == 400
     assert client.get("/recipe", headers={"host": "localhost:8000"}).status_code == 200
+    assert client.get("http://127.0.0.1:8000/recipe").status_code == 404  # without the token
+    for origin, status in (("http://evil.example", 400), ("null", 400), ("http://127.0.0.1:8000", 200)):
+        assert client.post("/answer", json={}, headers={"origin": origin}).status_code == status
+
+
+def test_a_value_nested_too_deeply_is_a_fault_of_its_field(client: Any) -> None:
+    wish = {"stages": {"extractor": {"use": "dominant-peak", "options": {"threshold": "[" * 50_000}}}}
+    assert unpacked(client.post("/answer", json=wish).content)[0]["faults"]
+    assert client.post("/save", json={"wish": wish}).status_code == 400
 
 
 @pytest.mark.parametrize(
@@ -131,7 +146,7 @@ def test_the_verb_serves_this_machine_alone_and_stops_in_peace(line: Callable[..
         try:
             assert process.stdout is not None and process.stderr is not None
             said = process.stdout.readline()
-            address = re.search(r"http://127\.0\.0\.1:\d+/", said)
+            address = re.search(r"http://127\.0\.0\.1:\d+/[\w-]{22}/", said)
             assert address, said
             with urllib.request.urlopen(address[0] + "recipe", timeout=30) as answer:
                 assert json.load(answer)["product"] == "test dome"
@@ -141,3 +156,12 @@ def test_the_verb_serves_this_machine_alone_and_stops_in_peace(line: Callable[..
         finally:
             if process.poll() is None:
                 os.kill(process.pid, signal.SIGKILL)
+
+
+def test_images_are_served_from_the_recipes_folder_alone(client: Any, tmp_path_factory: Any) -> None:
+    elsewhere = tmp_path_factory.mktemp("elsewhere")
+    for path in (str(elsewhere), "../../../..", "/etc"):
+        wish = {"source": {"path": json.dumps(path)}}
+        (fault,) = unpacked(client.post("/answer", json=wish).content)[0]["faults"]
+        assert fault["path"] == ["source", "path"]
+        assert client.post("/save", json={"wish": wish}).status_code == 400

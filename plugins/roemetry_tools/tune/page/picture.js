@@ -36,7 +36,7 @@ export function makePicture(canvas, shown, looked) {
       size = { rows: given.image.rows, columns: given.image.columns };
       if (wanted !== given.image.key) {
         wanted = given.image.key;
-        image.src = `/picture/${wanted}.png`;
+        image.src = `picture/${wanted}.png`;
       }
       if (other) {
         row = Math.floor(size.rows / 2);

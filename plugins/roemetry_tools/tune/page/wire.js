@@ -23,11 +23,11 @@ async function sent(path, value) {
   return answer;
 }
 
-export const ask = async (wish) => unpack(await (await sent("/answer", wish)).arrayBuffer());
-export const save = async (wish, name) => (await sent("/save", { wish, name })).json();
+export const ask = async (wish) => unpack(await (await sent("answer", wish)).arrayBuffer());
+export const save = async (wish, name) => (await sent("save", { wish, name })).json();
 
 export async function recipe() {
-  const answer = await fetch("/recipe");
+  const answer = await fetch("recipe");
   if (!answer.ok) throw new Error((await answer.json()).said);
   return answer.json();
 }
