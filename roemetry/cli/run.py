@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import signal
 import sys
+import threading
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -67,19 +71,23 @@ def run(
     if resume and out is None:
         raise ConfigurationError("--resume needs --out", hint="name the folder of the run that was stopped")
     changes = [*(sets or ()), *([] if draws is None else [f"draws={draws}"])]
-    loaded = Recipe.load(recipe, sets=changes)
-    folder = out or _next_folder(loaded)
-    try:
-        with progress("compiling kernels, first run only", quiet=as_json) as on_progress:
-            warm_up(loaded, on_progress)
-        with progress("measuring", quiet=as_json) as on_progress:
-            outcome = run_recipe(
-                loaded, folder, jobs=jobs, resume=resume, debug=debug, on_progress=on_progress
-            )
-    except KeyboardInterrupt as stop:
-        raise InterruptedRunError(
-            f"stopped; what was measured is whole in {folder}", hint=f"go on with --out {folder} --resume"
-        ) from stop
+    # what a plugin prints must not stand among the JSON
+    printed = contextlib.redirect_stdout(sys.stderr) if as_json else contextlib.nullcontext()
+    with printed:
+        loaded = Recipe.load(recipe, sets=changes)
+        folder = out or _next_folder(loaded)
+        try:
+            with progress("compiling kernels, first run only", quiet=as_json) as on_progress:
+                warm_up(loaded, on_progress)
+            with _stopped_by_signals(), progress("measuring", quiet=as_json) as on_progress:
+                outcome = run_recipe(
+                    loaded, folder, jobs=jobs, resume=resume, debug=debug, on_progress=on_progress
+                )
+        except KeyboardInterrupt as stop:
+            raise InterruptedRunError(
+                f"stopped{stop}; what was measured is whole in {folder}",
+                hint=f"go on with --out {folder} --resume",
+            ) from stop
     if as_json:
         typer.echo(json.dumps(_described(outcome), indent=2))
     else:
@@ -90,6 +98,29 @@ def run(
         sys.stderr.write(f"roemetry: {fault}\n")
     if outcome.counts["failed"] or outcome.sink_faults:
         raise typer.Exit(1)
+
+
+@contextlib.contextmanager
+def _stopped_by_signals() -> Iterator[None]:
+    """Let the system's wish to end, and a closed terminal, stop a run as Ctrl-C does."""
+
+    def stop(number: int, _: object) -> None:
+        raise KeyboardInterrupt(f" by {signal.Signals(number).name}")
+
+    if threading.current_thread() is not threading.main_thread():  # only there signals can be handled
+        yield
+        return
+    names = [name for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    # nohup ignores SIGHUP: so shall we
+    wanted = [
+        signal.Signals[name] for name in names if signal.getsignal(signal.Signals[name]) != signal.SIG_IGN
+    ]
+    before = {number: signal.signal(number, stop) for number in wanted}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _next_folder(recipe: Recipe) -> Path:

@@ -115,7 +115,7 @@ class LineFile:
             raise _cannot_write(path, error) from error
 
     def append(self, line: str) -> None:
-        """Add one line; on failure nothing of it stays and OutputError is raised."""
+        """Add one line; on failure, or where the file is gone, OutputError is raised."""
         data = line.encode("utf-8", "backslashreplace") + b"\n"  # in JSON an escape means the same character
         try:
             written = os.write(self._descriptor, data)
@@ -128,6 +128,11 @@ class LineFile:
                 os.ftruncate(self._descriptor, self._size)
             raise _cannot_write(self._path, error) from error
         self._size += len(data)
+        if os.fstat(self._descriptor).st_nlink == 0:  # the system would go on writing, to nowhere
+            raise OutputError(
+                f"{self._path}: was deleted while it was written to: what was measured is lost",
+                hint="run again",
+            )
 
     def __enter__(self) -> LineFile:
         return self

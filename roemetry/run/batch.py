@@ -164,8 +164,11 @@ class _Worker:
 
     def __call__(self, reference: AcquisitionReference) -> Measured:
         try:
+            before = _states_of(reference)
             acquisition = self._source.read(reference)
             hashes = {f"{role}_sha256": sha256_of(path) for role, path in reference.files.items()}
+            if _states_of(reference) != before:  # the hash may not be that of what was decoded
+                raise DataError("an image was written to while it was read", hint="run when it is whole")
         # Whatever a source raises, the batch goes on.
         except FAULTS as error:
             if self._debug:
@@ -177,6 +180,12 @@ class _Worker:
         trace = self._pipeline.trace(acquisition)
         rows = measurements_of(trace, self._recipe, self._hashes | hashes, self._doubts)
         return [row.to_json() for row in rows], trace.seconds
+
+
+def _states_of(reference: AcquisitionReference) -> list[tuple[int, int, int]]:
+    """Give what changes when one of the files is written to, or another takes its place."""
+    found = [path.stat() for path in reference.files.values() if path.is_file()]
+    return [(state.st_ino, state.st_size, state.st_mtime_ns) for state in found]
 
 
 def _doubts_of(recipe: Recipe) -> tuple[Reason, ...]:

@@ -17,13 +17,14 @@ PROVENANCE = "provenance.json"
 
 
 def read_record(folder: Path) -> Iterator[Measurement]:
-    """Give the measurements of a run, one at a time."""
+    """Give the measurements of a run, one at a time; DataError where one stands twice."""
     path = folder / RECORD
+    lines: dict[str, int] = {}
     try:
         with path.open(encoding="utf-8") as file:
             for number, line in enumerate(file, start=1):
                 try:
-                    yield Measurement.from_json(line)
+                    row = Measurement.from_json(line)
                 except DataError as error:
                     if not line.endswith("\n"):
                         raise DataError(
@@ -31,6 +32,13 @@ def read_record(folder: Path) -> Iterator[Measurement]:
                             hint="`roemetry run` with --resume takes it away and goes on",
                         ) from error
                     raise DataError(f"{path}:{number}: {error.message}", hint=error.hint) from error
+                first = lines.setdefault(row.id, number)
+                if first != number:
+                    raise DataError(
+                        f"{path}:{number}: {row.id} stands in line {first} already",
+                        hint="it was put together by hand, or by two runs; run again with another --out",
+                    )
+                yield row
     except UnicodeDecodeError as error:
         raise DataError(f"{path}: damaged: byte {error.start} of a block is not UTF-8") from error
     except OSError as error:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import threading
 import time
 from collections import deque
@@ -73,6 +74,7 @@ _worker: Callable[[Any], Any] | None = None
 def _start(make: Callable[..., Callable[[Any], Any]], given: tuple[Any, ...]) -> None:
     global _worker
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # ^C is the parent's to handle
+    sys.stdout = sys.stderr  # what a stage prints is no part of what the parent prints, such as --json
     threading.Thread(target=_end_with_parent, daemon=True).start()
     _worker = make(*given)
 

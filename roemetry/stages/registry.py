@@ -161,6 +161,11 @@ def discover(found: Iterable[EntryPoint] | None = None) -> Registry:
         except FAULTS as error:
             why = str(error) if isinstance(error, PluginError) else f"{type(error).__name__}: {error}"
             broken.append(Broken(provider, why))
+        except KeyboardInterrupt as error:
+            raise PluginError(
+                f"interrupted while the plugin {provider} was imported",
+                hint="if nobody pressed Ctrl-C, the plugin did it itself: take it out",
+            ) from error
     if broken and os.environ.get("ROEMETRY_STRICT") == "1":
         raise PluginError("; ".join(str(item) for item in broken), hint="ROEMETRY_STRICT=1 is set")
     stages.sort(key=lambda s: (KINDS.index(s.entry.kind), s.entry.name, s.provider.name))

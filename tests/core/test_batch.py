@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -217,6 +218,87 @@ def test_killed_at_any_moment_all_but_the_last_line_is_whole(
     run_recipe(recipe, out, resume=True)
     assert record.read_text(encoding="utf-8").startswith(whole)
     assert [row.acquisition for row in read_record(out)] == [f"p{n:02d}" for n in range(1, 61)]
+
+
+def test_asked_to_end_a_run_says_what_is_kept(line: Callable[..., Path], tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    recipe = line(120)
+    for number, name in ((signal.SIGTERM, "SIGTERM"), (signal.SIGHUP, "SIGHUP")):
+        command = [sys.executable, "-m", "roemetry", "run", str(recipe), "--out", str(out), "--json"]
+        command += ["--resume"] * (out / RECORD).exists()
+        before = (out / RECORD).stat().st_size if (out / RECORD).exists() else 0
+        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+            deadline = time.monotonic() + 60
+            while time.monotonic() < deadline and not (
+                (out / RECORD).exists() and (out / RECORD).stat().st_size > before
+            ):
+                time.sleep(0.002)
+            process.send_signal(number)
+            said = process.communicate(timeout=60)
+        assert process.returncode == 130, said
+        assert said[0] == ""
+        assert f"stopped by {name}; what was measured is whole in {out}" in said[1]
+        assert "--resume" in said[1] and "Traceback" not in said[1]
+        assert len(list(read_record(out))) > 0
+
+
+def test_a_folder_deleted_in_the_middle_stops_the_run(line: Callable[..., Path], tmp_path: Path) -> None:
+    seen = []
+
+    def progress(done: int, _: int) -> None:
+        seen.append(done)
+        if done == 2:
+            shutil.rmtree(tmp_path / "out")
+
+    with pytest.raises(OutputError, match="was deleted while it was written to"):
+        run_recipe(Recipe.load(line(5)), tmp_path / "out", on_progress=progress)
+    assert seen[-1] == 2
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_image_written_to_while_it_is_read_is_not_measured(
+    line: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from roemetry_files.image_files import ImageFiles
+
+    read = ImageFiles.read
+
+    def slow(self: ImageFiles, reference: Any) -> Any:
+        taken = read(self, reference)
+        path = reference.files["laser"]
+        path.write_bytes(path.read_bytes() + b"\0")
+        return taken
+
+    monkeypatch.setattr(ImageFiles, "read", slow)
+    outcome = run_recipe(Recipe.load(line(1)), tmp_path / "out")
+    assert outcome.counts["failed"] == 1
+    assert "while it was read" in rows_of(tmp_path / "out")["p01"].reasons[0].text
+
+
+@pytest.mark.parametrize("jobs", ["1", "2"])
+def test_what_a_plugin_prints_does_not_stand_among_the_json(
+    jobs: str, line: Callable[..., Path], tmp_path: Path
+) -> None:
+    (tmp_path / "sitecustomize.py").write_text(
+        "import builtins, sys\n"
+        "from roemetry_paper import zero_order_hold as z\n"
+        "made = z.ZeroOrderHold.estimate\n"
+        "def loud(*args, **words):\n"
+        "    print('LOUD', flush=True)\n"
+        "    return made(*args, **words)\n"
+        "z.ZeroOrderHold.estimate = loud\n",
+        "utf-8",
+    )
+    command = [sys.executable, "-m", "roemetry", "run", str(line(2)), "--out", str(tmp_path / "out")]
+    done = subprocess.run(
+        [*command, "--json", "--jobs", jobs],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, "PYTHONPATH": str(tmp_path)},
+    )
+    assert json.loads(done.stdout)["counts"]["measured"] == 2
+    assert "LOUD" in done.stderr
 
 
 def test_disk_full_in_the_middle_keeps_what_was_measured(
@@ -437,6 +519,13 @@ def test_a_damaged_record_is_named_with_its_line(line: Callable[..., Path], tmp_
     record.write_bytes(first + first[:40])
     with pytest.raises(DataError, match=r"measurements\.jsonl:2: the last line is cut off"):
         list(read_record(tmp_path / "out"))
+    record.write_bytes(first + first)
+    for read in (
+        lambda: list(read_record(tmp_path / "out")),
+        lambda: run_recipe(recipe, tmp_path / "out", resume=True),
+    ):
+        with pytest.raises(DataError, match=r"jsonl:2: p01#1 stands in line 1 already"):
+            read()
     record.write_bytes(first + b"\xff\xfe\n")
     with pytest.raises(DataError, match="not UTF-8"):
         run_recipe(recipe, tmp_path / "out", resume=True)

@@ -63,6 +63,13 @@ def test_a_plugin_that_cannot_be_imported_costs_only_itself(plugins) -> None:
     assert "half installed" in str(registry.broken[0])
 
 
+def test_a_plugin_that_ends_or_interrupts_the_program_is_named(plugins) -> None:
+    registry = plugins(plugin_exit="raise SystemExit(0)", plugin_good=entry())
+    assert "plugin_exit 1.0" in str(registry.broken[0])
+    with pytest.raises(PluginError, match=r"interrupted while the plugin plugin_stop 1\.0"):
+        plugins(plugin_stop="raise KeyboardInterrupt")
+
+
 def test_the_reason_is_repeated_where_its_stage_is_missed(plugins) -> None:
     registry = plugins(plugin_bad2="import not_there_at_all")
     with pytest.raises(PluginError, match="not_there_at_all"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import struct
 import zlib
 from pathlib import Path
 
@@ -24,6 +25,32 @@ def pixels(rng: np.random.Generator) -> np.ndarray:
 
 def encoded(pixels: np.ndarray, suffix: str) -> bytes:
     return cv2.imencode(suffix, pixels)[1].tobytes()
+
+
+@pytest.mark.parametrize("orientation", [1, 2, 3, 4, 6, 8])
+def test_a_tiff_file_is_not_turned_as_viewers_would(
+    orientation: int, pixels: np.ndarray, tmp_path: Path
+) -> None:
+    data = encoded(pixels, ".tif")
+    (at,) = struct.unpack_from("<I", data, 4)
+    (count,) = struct.unpack_from("<H", data, at)
+    entries = {
+        data[at + 2 + 12 * k : at + 4 + 12 * k]: data[at + 2 + 12 * k : at + 14 + 12 * k]
+        for k in range(count)
+    }
+    entries[struct.pack("<H", 274)] = struct.pack("<HHIHH", 274, 3, 1, orientation, 0)
+    listed = b"".join(sorted(entries.values(), key=lambda entry: struct.unpack_from("<H", entry)))
+    turned = (
+        data[:4]
+        + struct.pack("<I", len(data))
+        + data[8:]
+        + struct.pack("<H", len(entries))
+        + listed
+        + bytes(4)
+    )
+    path = tmp_path / "turned.tif"
+    path.write_bytes(turned)
+    np.testing.assert_array_equal(read_image(path).pixels, pixels)
 
 
 DAMAGE = {
