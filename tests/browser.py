@@ -56,7 +56,7 @@ def opened(browser: Any, address: str, *, width: int = 1300, scripts: bool = Tru
 @contextmanager
 def served(recipe: Path) -> Iterator[str]:
     """Serve a recipe's tuning page from this process, on a port of its own."""
-    uvicorn = pytest.importorskip("uvicorn", reason="the extra `tune` is not installed")
+    uvicorn = pytest.importorskip("uvicorn")
     from roemetry_tools.tune.server import LOOPBACK, app_of
     from roemetry_tools.tune.session import Session
 

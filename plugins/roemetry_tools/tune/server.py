@@ -47,22 +47,14 @@ def app_of(session: Session, token: str = "") -> Starlette:
     ----------
     token
         First part of every address: what does not know it is answered with 404. Empty: there is none.
-
-    Raises
-    ------
-    ConfigurationError
-        The extra ``tune`` is not installed.
     """
-    try:
-        from starlette.applications import Starlette
-        from starlette.concurrency import run_in_threadpool
-        from starlette.middleware import Middleware
-        from starlette.middleware.trustedhost import TrustedHostMiddleware
-        from starlette.responses import JSONResponse, Response
-        from starlette.routing import Mount, Route
-        from starlette.staticfiles import StaticFiles
-    except ImportError as error:
-        raise not_installed(error) from error
+    from starlette.applications import Starlette
+    from starlette.concurrency import run_in_threadpool
+    from starlette.middleware import Middleware
+    from starlette.middleware.trustedhost import TrustedHostMiddleware
+    from starlette.responses import JSONResponse, Response
+    from starlette.routing import Mount, Route
+    from starlette.staticfiles import StaticFiles
 
     def page(_: Request) -> Response:
         text = (_PAGE / "index.html").read_text(encoding="utf-8")
@@ -121,14 +113,11 @@ def serve(session: Session, port: int, on_ready: Callable[[str], None]) -> None:
     Raises
     ------
     ConfigurationError
-        The port is taken; the extra ``tune`` is not installed.
+        The port is taken.
     """
     token = secrets.token_urlsafe(16)  # 128 bits: other users of this machine reach the port, too
     app = app_of(session, token)
-    try:
-        import uvicorn
-    except ImportError as error:
-        raise not_installed(error) from error
+    import uvicorn
 
     with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as listening:
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -143,13 +132,6 @@ def serve(session: Session, port: int, on_ready: Callable[[str], None]) -> None:
         on_ready(f"http://{LOOPBACK}:{listening.getsockname()[1]}/{token}/")
         config = uvicorn.Config(app, log_level="warning", access_log=False, lifespan="off")
         uvicorn.Server(config).run(sockets=[listening])
-
-
-def not_installed(error: ImportError) -> ConfigurationError:
-    """Say how to get what the page needs."""
-    return ConfigurationError(
-        f"the tuning page needs the module {error.name}", hint='pip install "roemetry[tune]"'
-    )
 
 
 async def _read(request: Request, model: type[Any]) -> Any:

@@ -23,7 +23,7 @@ from roemetry_tools.tune import server
 from roemetry_tools.tune.answer import unpacked
 from roemetry_tools.tune.session import Session
 
-starlette = pytest.importorskip("starlette.testclient", reason="the extra `tune` is not installed")
+starlette = pytest.importorskip("starlette.testclient", reason="httpx is not installed")
 
 
 JSON = {"content-type": "application/json"}
@@ -125,14 +125,6 @@ def test_a_port_in_use_is_told(line: Callable[..., Path]) -> None:
         port = taken.getsockname()[1]
         with pytest.raises(ConfigurationError, match=f"--port {port}: cannot be used"):
             server.serve(Session(line()), port, print)
-
-
-def test_without_the_extra_the_line_that_installs_it_is_told(
-    line: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, "starlette.applications", None)
-    with pytest.raises(ConfigurationError, match=r"roemetry\[tune\]"):
-        server.app_of(Session(line()))
 
 
 def test_a_recipe_that_is_not_there_is_told_without_a_traceback(tmp_path: Path) -> None:
