@@ -26,8 +26,7 @@ mean square of the stated standard uncertainties over that of the errors.
 **Labels**: of the scored crossings on a body that have a peak within 3 px, *right* are those whose peak
 carries their number; *refused* those whose peak carries none; *wrong* those whose peak carries another
 and has no crossing of the stripe it names nearer than all others (two stripes that share one peak are
-`shared` in the JSON). A body that is higher than the calibration is meant for has to be refused: its labels
-are not counted, unless one is wrong. Other solutions of a row (``extra_*``) can be what a peak shows, but
+`shared` in the JSON). Other solutions of a row (``extra_*``) can be what a peak shows, but
 are not scored. *All peaks* asks the other way round, of every labelled peak, belt and edges included: *wrong*
 is one within 3 px of crossings, none of which is of the stripe it names, in its row or the two above and
 below; *stray* is one that is near no crossing at all; *at rims* are those whose stripe crosses within

@@ -188,10 +188,9 @@ def _heights_off(trace: Trace, true: Crossings, right: Any) -> Floats:
     return np.asarray(z[np.isfinite(z) & (np.abs(near) <= HIT_PX)])
 
 
-def body_row(body: Body, trace: Trace, rows: Sequence[Measurement], true: Crossings, high_mm: float) -> Row:
-    """Score what one recipe said of one body; its calibration is meant for heights up to `high_mm`."""
+def body_row(body: Body, trace: Trace, rows: Sequence[Measurement], true: Crossings) -> Row:
+    """Score what one recipe said of one body."""
     row: Row = {"labels": labels(trace, true), "products": sum(one.product > 0 for one in rows)}
-    row["above_range"] = bool(np.nanmax(true.z_mm[true.on_body], initial=0.0) > high_mm)
     chosen = _largest(trace, rows)
     if chosen.volume is None:
         why = chosen.absent.get("volume") or next(iter((*chosen.absent.values(), *chosen.reasons)), None)
@@ -324,8 +323,7 @@ def _measured(
             stages[chain].start()
             trace = pipelines[chain].trace(images[chain][body.name])
             rows = measurements_of(trace, recipe, recipe.hashes)
-            high_mm = math.inf if recipe.calibration is None else recipe.calibration.height_range_mm[1]
-            found[chain][body.name] = body_row(body, trace, rows, truths[body.name], high_mm)
+            found[chain][body.name] = body_row(body, trace, rows, truths[body.name])
     return found
 
 

@@ -180,8 +180,6 @@ def _all_peaks(bodies: Iterable[Row]) -> str:
 def _summed(bodies: Iterable[Row]) -> dict[str, float]:
     total: dict[str, float] = {}
     for body in bodies:
-        if body.get("above_range") and not body["labels"]["wrong"]:
-            continue
         for key, value in body["labels"].items():
             total[key] = total.get(key, 0) + value
     return total

@@ -155,8 +155,10 @@ class EdgeContour(Outliner[EdgeContourOptions]):
             edge = edge_around(scene, _ring_around(region, spacing))
             if edge is None:
                 continue
-            apart_px = _disagreement_px(scene, edge.xy_px, stripes, number) if use_plain and known else 0.0
-            if apart_px < _CONTRADICTION_PX:
+            apart_px = against_px = 0.0
+            if use_plain and known:
+                apart_px, against_px = _disagreement_px(scene, edge.xy_px, stripes, number)
+            if against_px < _CONTRADICTION_PX:
                 features = features_of(edge.xy_px, chosen.pixels)
                 std_px = math.hypot(edge.std_px, apart_px) if apart_px else edge.std_px
                 outlines.append(Outline(number, edge.xy_px, std_px, features))
@@ -177,8 +179,12 @@ def _is_clear(level: Floats, region: Flags) -> bool:
     return bool(max(high - middle, middle - low) > _LEAST_CONTRAST * max(scatter, 1e-3))
 
 
-def _disagreement_px(scene: Scene, ring: Floats, stripes: StripeMap, number: int) -> float:
-    """Say how far an outline in plain light is from what the stripes' ends allow, standard uncertainty."""
+def _disagreement_px(scene: Scene, ring: Floats, stripes: StripeMap, number: int) -> tuple[float, float]:
+    """Say how far an outline in plain light is from what the stripes' ends allow, standard uncertainty.
+
+    And how far of it nothing but a wrong outline explains: ends that lie outside it, belt that lies inside.
+    Ends that stop short of it may be those of a body that turns away from light and camera, as a ball does.
+    """
     ends, beyond = [], []
     for x_px, seen, product in zip(stripes.x_px, stripes.seen, stripes.product, strict=True):
         mine, belt = np.flatnonzero(seen & (product == number)), np.flatnonzero(seen & (product == 0))
@@ -188,7 +194,7 @@ def _disagreement_px(scene: Scene, ring: Floats, stripes: StripeMap, number: int
         next_on_belt = *belt[belt < mine[0]][-1:], *belt[belt > mine[-1]][:1]
         beyond += [(x_px[row], row) for row in next_on_belt]
     if len(ends) < _LEAST_ENDS:
-        return 0.0
+        return 0.0, 0.0
     places = np.array(ends, np.float64)
     off = -inside_by(unbound(scene, ring), places)
     near = off < _STRAY_PX
@@ -197,7 +203,8 @@ def _disagreement_px(scene: Scene, ring: Floats, stripes: StripeMap, number: int
     over = -math.inf
     if len(beyond) >= _LEAST_ENDS:
         over = np.percentile(inside_by(ring, np.array(beyond, np.float64)), 100.0 - _TENTH)
-    return max(float(max(outside, short, over)) - _END_PX, 0.0)
+    against = max(float(max(outside, over)) - _END_PX, 0.0)
+    return max(float(short) - _END_PX, against), against
 
 
 def _spacing_px(stripes: StripeMap) -> float:

@@ -31,6 +31,7 @@ from roemetry_coding.planes.pieces import ENDS, Pieces
 from roemetry_coding.planes.shifts import evidence_without
 from roemetry_coding.planes.solve import Problem, Solved
 from roemetry_coding.planes.vetoes import (
+    body_of,
     claimed,
     ends_settled,
     going_on,
@@ -153,6 +154,8 @@ def decided(
     margin = margin_of(verdicts.dearer, verdicts.evidence)
     slack_mm = rest.tolerance_px / np.abs(calibration.displacement_px_per_mm)
     above = verdicts.height_mm > calibration.height_range_mm[1] + slack_mm[np.maximum(stripe, 0)]
+    # what rises above the range out of a body within it is that body's, and the product is refused for it
+    above &= _mostly(above, body_of(peaks.row, stripe, rest))
     margin[above] = np.maximum(1.0 - _ABOVE_ODDS * (1.0 - margin[above]), 0.0)
     if np.count_nonzero(above) <= _ABOVE_SHARE_MIN * np.count_nonzero((stripe >= 0) & (stripe != rest.line)):
         stripe[above] = AMBIGUOUS
@@ -180,6 +183,13 @@ def decided(
     still, wrong = numbered_by_pattern(peaks.row, peaks.x_px, stripe, rest)
     stripe[wrong | (still != 0)] = AMBIGUOUS
     return stripe, margin, gaps
+
+
+def _mostly(which: Flags, body: Integers) -> Flags:
+    """Mark (peak,) peaks of bodies most of which are marked."""
+    of_body = np.bincount(body, minlength=1)
+    share = np.bincount(body, which, minlength=of_body.size) / np.maximum(of_body, 1)
+    return np.asarray((body > 0) & (share[body] > 0.5))
 
 
 def _renumbered(verdicts: Verdicts, peaks: Peaks, rest: RestLines, px_per_mm: Floats) -> Verdicts:

@@ -208,6 +208,18 @@ def nearly_belt(peaks: Peaks, stripe: Integers, rest: RestLines) -> Flags:
     return np.asarray((stripe >= 0) & (away_px < HIDING_SPACINGS * spacing_px))
 
 
+def body_of(row: Integers, stripe: Integers, rest: RestLines) -> Integers:
+    """Number (peak,) bodies, 0 for belt: what is off its own rest line and hangs together on the stripes."""
+    from scipy import ndimage
+
+    off = np.flatnonzero((stripe >= 0) & (stripe != rest.line))
+    there = np.zeros(rest.x_px.shape, np.bool_)
+    there[stripe[off], row[off]] = True
+    body = np.zeros(stripe.size, np.int64)
+    body[off] = ndimage.label(there)[0][stripe[off], row[off]]
+    return body
+
+
 def numbered_by_pattern(
     row: Integers, x_px: Floats, stripe: Integers, rest: RestLines
 ) -> tuple[Integers, Flags]:
@@ -227,17 +239,18 @@ def numbered_by_pattern(
         (peak,) True where a body would be much evener under another number, but under more than one.
     """
     stripes, rows = rest.x_px.shape
-    body = np.flatnonzero((stripe >= 0) & (stripe != rest.line))
-    x = np.full((stripes, rows), np.nan)
-    x[stripe[body], row[body]] = x_px[body]
+    bodies = body_of(row, stripe, rest)
+    body = np.flatnonzero(bodies)
+    place = stripe[body], row[body]
+    x, of = np.full((stripes, rows), np.nan), np.zeros((stripes, rows), np.int64)
+    x[place], of[place] = x_px[body], bodies[body]
     bend = np.full((stripes, rows), np.nan)
     bend[1:-1] = x[:-2] - 2.0 * x[1:-1] + x[2:]
     own = np.full((stripes, rows), np.nan)
     own[1:-1] = rest.x_px[:-2] - 2.0 * rest.x_px[1:-1] + rest.x_px[2:]
     shift, wrong = np.zeros(x_px.size, np.int64), np.zeros(x_px.size, np.bool_)
-    bodies, count = _joined(np.isfinite(x))
-    for number in range(1, count + 1):
-        here = np.where(bodies == number, bend, np.nan)
+    for number in range(1, int(bodies.max(initial=0)) + 1):
+        here = np.where(of == number, bend, np.nan)
         seen = np.flatnonzero(np.isfinite(here).sum(axis=1) >= _PATTERN_ROWS_MIN)
         if seen.size < _PATTERN_STRIPES_MIN:
             continue
@@ -245,7 +258,7 @@ def numbered_by_pattern(
         evener = [other for other in left if other and _much_evener(left[other], left[0], seen)]
         if not evener:
             continue
-        mine = body[bodies[stripe[body], row[body]] == number]
+        mine = bodies == number
         best = [
             one
             for one in evener
@@ -295,13 +308,6 @@ _PATTERN_MIN_PX = 0.3
 def _unevenness(bend: Floats, stripe: Integers) -> Floats:
     """Median of what bends a surface at each stripe, and of its step from each stripe to the next, px."""
     return np.array([np.median(np.abs(bend)), np.median(np.abs(np.diff(bend)[np.diff(stripe) == 1]))])
-
-
-def _joined(there: Flags) -> tuple[Integers, int]:
-    from scipy import ndimage
-
-    bodies, count = ndimage.label(there)
-    return bodies, int(count)
 
 
 def left_over(piece: Integers, stripe: Integers, kept: Integers, share_min: float) -> Flags:
