@@ -408,9 +408,9 @@ def _ring_around(region: Flags, spacing_px: float) -> Floats:
     box = region[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
     # by distances: dilating with a disc of this size takes thirty times as long
     outside = np.pad(np.uint8(1) - box.astype(np.uint8), edge, constant_values=1)
-    wide = cv2.distanceTransform(outside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE) <= spacing_px
+    wide = cv2.distanceTransform(outside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE) <= round(spacing_px)
     inside = cv2.distanceTransform(wide.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    ring = (inside > 0.5 * spacing_px).astype(np.uint8)
+    ring = (inside > round(0.5 * spacing_px)).astype(np.uint8)
     found, _ = cv2.findContours(ring, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     if not found:
         return np.empty((0, 2))
