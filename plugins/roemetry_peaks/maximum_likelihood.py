@@ -424,6 +424,10 @@ def _apart(row: Integers, x_px: Floats, sigma_px: Floats) -> Flags:
 _STD_PX = math.sqrt(1.0 / 24.0)  # of the middle of two flanks that lie anywhere within a pixel each
 
 
+_OWN_SHARE = 0.5
+"""Of a peak's height: what its own row has of it at least, speckle included, or it is a neighbour's."""
+
+
 def middles_of_flanks(fit: Fitted, image: Any, white: int, found: Found) -> None:
     """Give tops that are no Gaussian the middle between their flanks, where the fit began.
 
@@ -435,7 +439,12 @@ def middles_of_flanks(fit: Fitted, image: Any, white: int, found: Found) -> None
     some = np.flatnonzero((fit.state == FAILED) | beside.halo)
     inside = np.clip(np.rint(at.x_px[some]).astype(np.int64), 0, image.shape[1] - 1)
     clipped = image[at.row[some], inside] >= white
-    some, clipped = some[clipped | beside.halo[some]], clipped[clipped | beside.halo[some]]
+    # smoothing sees the rows beside it, too: a core is where its own row has light
+    last = image.shape[1] - 1
+    own = np.max([image[at.row[some], np.clip(inside + by, 0, last)] for by in (-1, 0, 1)], axis=0)
+    lit = own - at.level[some] > _OWN_SHARE * at.amplitude[some]
+    chosen = clipped | (beside.halo[some] & lit)
+    some, clipped = some[chosen], clipped[chosen]
     halo = beside.halo[some]
     fit.x_px[some], fit.amplitude[some] = at.x_px[some], at.amplitude[some]
     fit.sigma_px[some] = np.where(halo, at.core_width_px[some] / _FWHM, beside.sigma_px[some])

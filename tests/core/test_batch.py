@@ -222,7 +222,7 @@ def test_killed_at_any_moment_all_but_the_last_line_is_whole(
 
 def test_asked_to_end_a_run_says_what_is_kept(line: Callable[..., Path], tmp_path: Path) -> None:
     out = tmp_path / "out"
-    recipe = line(120)
+    recipe = line(600)  # enough to be still at work when the signal comes on a busy machine
     for number, name in ((signal.SIGTERM, "SIGTERM"), (signal.SIGHUP, "SIGHUP")):
         command = [sys.executable, "-m", "roemetry", "run", str(recipe), "--out", str(out), "--json"]
         command += ["--resume"] * (out / RECORD).exists()
