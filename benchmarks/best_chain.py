@@ -10,6 +10,7 @@ the temporary folder. Measuring goes on where it was stopped.
 from __future__ import annotations
 
 import argparse
+import math
 import tempfile
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -107,7 +108,7 @@ def grades(measured: Sequence[Measurement], truths: Mapping[str, ProductTruth]) 
         row = [called[made_as, label] for label in labels]
         lines.append(f"| {made_as} | {sum(row)} | " + " | ".join(map(str, row)) + " |")
     right = [grade.label == NAMED[made] for made, grade in graded]
-    stated = [grade.probability for _, grade in graded if grade.probability is not None]
+    stated = [grade.probability for _, grade in graded if math.isfinite(grade.probability)]
     said = f"{np.mean(stated):.1%}" if stated else "not stated"
     deformed = [(made != "none", grade.label != "good") for made, grade in graded]
     kept = np.mean([not bad for is_bad, bad in deformed if not is_bad])
