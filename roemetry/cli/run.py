@@ -7,7 +7,7 @@ import json
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -79,7 +79,12 @@ def run(
         try:
             with progress("compiling kernels, first run only", quiet=as_json) as on_progress:
                 warm_up(loaded, on_progress)
-            with _stopped_by_signals(), progress("measuring", quiet=as_json) as on_progress:
+            with _stopped_by_signals() as stop_if_asked, progress("measuring", quiet=as_json) as show:
+
+                def on_progress(done: int, of: int) -> None:
+                    show(done, of)
+                    stop_if_asked()
+
                 outcome = run_recipe(
                     loaded, folder, jobs=jobs, resume=resume, debug=debug, on_progress=on_progress
                 )
@@ -101,14 +106,25 @@ def run(
 
 
 @contextlib.contextmanager
-def _stopped_by_signals() -> Iterator[None]:
-    """Let the system's wish to end, and a closed terminal, stop a run as Ctrl-C does."""
+def _stopped_by_signals() -> Iterator[Callable[[], None]]:
+    """Let the system's wish to end, and a closed terminal, stop a run after the product that is at work.
+
+    Gives what raises KeyboardInterrupt once that was asked for. Raised at once, it might surface in compiled
+    code, which turns it into a fault of the stage; a second wish is granted at once.
+    """
+    asked: list[str] = []
 
     def stop(number: int, _: object) -> None:
-        raise KeyboardInterrupt(f" by {signal.Signals(number).name}")
+        asked.append(signal.Signals(number).name)
+        if len(asked) > 1:
+            stop_if_asked()
+
+    def stop_if_asked() -> None:
+        if asked:
+            raise KeyboardInterrupt(f" by {asked[0]}")
 
     if threading.current_thread() is not threading.main_thread():  # only there signals can be handled
-        yield
+        yield stop_if_asked
         return
     names = [name for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
     # nohup ignores SIGHUP: so shall we
@@ -117,7 +133,7 @@ def _stopped_by_signals() -> Iterator[None]:
     ]
     before = {number: signal.signal(number, stop) for number in wanted}
     try:
-        yield
+        yield stop_if_asked
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
