@@ -19,6 +19,11 @@ noise change from row to row and average out along a stripe; light from inside a
 excess is averaged over the rows within `_REACH_ROWS`, and counts as far as it is larger than its own scatter
 allows.
 
+Light enters at an angle, so what is scattered comes out farther from the projector, and draws the fitted
+centre there. It draws the flanks less than the skirts: the two lean to opposite sides of the fit. So the
+shift that the flanks between 0.5 and 1.5 σ ask for, averaged along the stripe, tells side and size, and the
+centre is moved by twice as much. Over 24 rigs of three renderers, mean error of bodies 0.17 → 0.055 px.
+
 Assumed: neighbouring rows see the same material; width at half height is hardly changed by the skirts. Fails
 where stripes stand nearer together than about 7 σ (their skirts overlap), and where a stripe is so short that
 its rows do not average: d is then taken from the same row's next stripes.
@@ -155,6 +160,7 @@ class MaximumLikelihood(Extractor[MaximumLikelihoodOptions]):
         at = found.starts
         fit = fitted(image, frame.white, found, noise, np.arange(at.row.shape[0]))
         middles_of_flanks(fit, image, frame.white, found)
+        undo_scattering(fit, image, frame.white, found)
         kept = self._kept(fit, found, noise, frame.white)
         order: Any = slice(None) if kept.all() else np.flatnonzero(kept)
         if not _apart(at.row[order], fit.x_px[order], fit.sigma_px[order]).all():
@@ -564,3 +570,104 @@ def model_error(
         if x_px[p] < _OUTER * sigma_px[p] or x_px[p] > columns - 1 - _OUTER * sigma_px[p]:
             filled[p] = 0.0  # what the rows above and below say is not of the part that is seen
     return _SHARE * _SHARE * filled, lit
+
+
+_FLANK = 0.5, 1.5
+"""Flanks: from where to where, standard deviations from the middle. Nearer, the profile has no slope; farther
+out the skirts begin, which lean the other way."""
+_CERTAIN = 3.0
+"""Standard errors of the mean from which on the flanks are believed: speckle 0.25 on an opaque surface looks like
+tissue in some rows, and stays at the bound so."""
+_FLANK_ROWS = 80
+"""Rows on either side whose flanks are averaged: speckle moves those of one row by 0.2 px. Material and angle
+hardly change over a product: 24 to 300 rows leave the same bias within 0.01 px."""
+_DRAWN = 2.0
+"""How far scattered light draws the fit, over how far the flanks stand back from it. For a line of light on a
+half space (dipole; free path 0.4 to 3 σ, 30 to 60 % of the light scattered, angles of 20 to 50°) the fit and
+the middle at half height give a factor of 2 to 12: so this does not overcorrect. 1.5 to 2.5 leave 0.08 to
+0.05 px of 0.17 px."""
+
+
+def undo_scattering(fit: Fitted, image: Any, white: int, found: Found) -> None:
+    """Move centres back that light from inside the product has drawn away from the projector."""
+    fit.x_px[:] += _DRAWN * flank_shift(
+        image,
+        float(white),
+        found.starts.row,
+        *fit[:3],
+        found.beside.height + found.beside.slope * (fit.x_px - found.starts.x_px),
+        found.beside.slope,
+        found.lit & (fit.state != FAILED) & ~found.beside.halo,
+        found.beside.down,
+        found.beside.up,
+    )
+
+
+@kernel
+def flank_shift(
+    image: NDArray[Any],
+    white: float,
+    row: Integers,
+    x_px: Floats,
+    amplitude: Floats,
+    sigma_px: Floats,
+    height: Floats,
+    slope: Floats,
+    asked: Flags,
+    down: Integers,
+    up: Integers,
+) -> Floats:
+    """Give how far the flanks of profiles stand beside the fitted centre, averaged along each stripe.
+
+    Parameters
+    ----------
+    image, white, row, height, slope, down, up
+        As of `model_error`; height and slope at `x_px`.
+    x_px, amplitude, sigma_px
+        (peak,) fitted Gaussians: centre, px; height, grey levels; standard deviation, px.
+    asked
+        (peak,) which peaks have light from inside the product; 0 is given for the others.
+
+    Returns
+    -------
+    ndarray
+        (peak,) shift in px that brings the Gaussian's flanks to those of the profile, by least squares.
+    """
+    peaks, columns = row.shape[0], image.shape[1]
+    sums = np.zeros((peaks, 3))
+    for p in range(peaks):
+        if not asked[p]:
+            continue
+        near, far = _FLANK[0] * sigma_px[p], _FLANK[1] * sigma_px[p]
+        first, last = math.ceil(x_px[p] - far), math.floor(x_px[p] + far)
+        if first < 0 or last >= columns:
+            continue
+        for x in range(first, last + 1):
+            u = x - x_px[p]
+            if abs(u) < near or image[row[p], x] >= white:
+                continue
+            t = u / sigma_px[p]
+            gaussian = math.exp(-0.5 * t * t)
+            slant = t / sigma_px[p] * gaussian
+            residual = image[row[p], x] - height[p] - slope[p] * u - amplitude[p] * gaussian
+            sums[p, 0] += residual * slant / amplitude[p]
+            sums[p, 1] += slant * slant
+        sums[p, 2] = sums[p, 0] ** 2
+    shift = np.zeros(peaks)
+    for p in range(peaks):
+        if not asked[p]:
+            continue
+        over, under, squares = 0.0, 0.0, 0.0
+        for links, start in ((down, p), (up, up[p])):
+            at = start
+            for _ in range(_FLANK_ROWS + 1):
+                if at < 0:
+                    break
+                over += sums[at, 0]
+                under += sums[at, 1]
+                squares += sums[at, 2]
+                at = links[at]
+        # Of a surface that speckle alone takes for tissue, the sum is chance.
+        if over * over > _CERTAIN * _CERTAIN * squares:
+            shift[p] = over / under * (1.0 - squares / (over * over))
+    return shift
