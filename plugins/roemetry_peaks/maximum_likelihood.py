@@ -576,8 +576,8 @@ _FLANK = 0.5, 1.5
 """Flanks: from where to where, standard deviations from the middle. Nearer, the profile has no slope; farther
 out the skirts begin, which lean the other way."""
 _CERTAIN = 3.0
-"""Standard errors of the mean from which on the flanks are believed: speckle 0.25 on an opaque surface looks like
-tissue in some rows, and stays at the bound so."""
+"""Standard errors of the mean from which on the flanks are believed: speckle 0.25 on an opaque surface looks
+like tissue in some rows, and stays at the bound so."""
 _FLANK_ROWS = 80
 """Rows on either side whose flanks are averaged: speckle moves those of one row by 0.2 px. Material and angle
 hardly change over a product: 24 to 300 rows leave the same bias within 0.01 px."""
