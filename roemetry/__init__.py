@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from roemetry.errors import RoemetryError
     from roemetry.records import Measurement
     from roemetry.records.calibration import Calibration
+    from roemetry.records.convert import to_pandas, to_point_cloud, to_xarray
     from roemetry.run.api import Recipe
     from roemetry.run.batch import run_recipe
     from roemetry.run.pipeline import Pipeline
@@ -27,6 +28,9 @@ __all__ = [
     "RoemetryError",
     "calibrate",
     "run_recipe",
+    "to_pandas",
+    "to_point_cloud",
+    "to_xarray",
 ]
 
 _HOMES = {
@@ -38,6 +42,9 @@ _HOMES = {
     "RoemetryError": "errors",
     "calibrate": "calibrating",
     "run_recipe": "run.batch",
+    "to_pandas": "records.convert",
+    "to_point_cloud": "records.convert",
+    "to_xarray": "records.convert",
 }
 
 
@@ -45,3 +52,7 @@ def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module 'roemetry' has no attribute {name!r}")
     return getattr(import_module(f"roemetry.{_HOMES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

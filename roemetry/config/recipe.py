@@ -29,6 +29,7 @@ from roemetry.errors import ConfigurationError, RoemetryError
 from roemetry.io.yaml_source import Document, Step, read
 from roemetry.records import Sensor
 from roemetry.records.calibration import Calibration
+from roemetry.records.display import table
 from roemetry.records.penetration import Penetration
 from roemetry.stages.registry import Registry, discover
 
@@ -43,7 +44,7 @@ class Content(Protocol):
         """Say where the value at a path comes from."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Recipe:
     """A checked recipe, with its calibration read and its classes imported."""
 
@@ -66,6 +67,22 @@ class Recipe:
     draws: int
     """uncertainty, draws: how that of the results is found, and with how many Monte Carlo draws."""
     sinks: tuple[ResolvedStage, ...]
+
+    def __repr__(self) -> str:
+        """Give one line: the product, and the plugin of each stage."""
+        stages = ", ".join(f"{kind}: {one.registered.entry.name}" for kind, one in self.stages.items())
+        return f"{type(self).__name__}({str(self.path)!r}, product={self.product!r}, {stages})"
+
+    def _repr_html_(self) -> str:
+        """Give the stages with their plugins and options as a table, for notebooks."""
+        rows = [("source", f"{self.source.registered.entry.name}: {self.source_path}")]
+        rows.append(("calibration", str(self.calibration_path or "none: results are in pixels")))
+        for kind, one in self.stages.items():
+            told = one.options.model_dump(mode="json", exclude_defaults=True)
+            options = ", ".join(f"{name}: {value}" for name, value in told.items())
+            rows.append((kind, one.registered.entry.name + (f" ({options})" if options else "")))
+        rows.append(("uncertainty", self.uncertainty))
+        return table(self.product, rows)
 
     @classmethod
     def load(cls, path: Path | str, *, sets: Sequence[str] = (), registry: Registry | None = None) -> Self:

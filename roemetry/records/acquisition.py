@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roemetry.errors import DataError
+from roemetry.records.display import Shown
 
 Role = Literal["laser", "plain", "dark"]
 
@@ -36,8 +37,8 @@ class Sensor:
             )
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Frame:
+@dataclass(frozen=True, eq=False, repr=False, slots=True)
+class Frame(Shown):
     """One image."""
 
     pixels: NDArray[Any]
@@ -87,8 +88,8 @@ class Frame:
         return int(2**self.bit_depth - 1)
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Acquisition:
+@dataclass(frozen=True, eq=False, repr=False, slots=True)
+class Acquisition(Shown):
     """The frames that were taken of one scene, with an id that is unique in the run."""
 
     id: str

@@ -15,14 +15,15 @@ from roemetry.errors import CalibrationError, DataError
 from roemetry.io.files import write_whole
 from roemetry.io.yaml_source import dump, read_numbers
 from roemetry.records.arrays import Checker, Floats
+from roemetry.records.display import Shown
 from roemetry.records.reasons import Reason
 from roemetry.records.view import View
 
 VERSION = 1
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Calibration:
+@dataclass(frozen=True, eq=False, repr=False, slots=True)
+class Calibration(Shown):
     """What a calibrator found."""
 
     method: str
@@ -227,8 +228,8 @@ PARAMETERS = ("pan_px", "roll_rad", "zoom", "tilt_rad")
 """Names and units of `Alignment.motion`."""
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Alignment:
+@dataclass(frozen=True, eq=False, repr=False, slots=True)
+class Alignment(Shown):
     """A small motion of the camera that takes the calibrated rest lines to where a frame shows them.
 
     What has really moved (camera, laser or belt) cannot be told from the belt alone, and hardly matters: near

@@ -14,6 +14,7 @@ import numpy as np
 from roemetry.errors import DataError
 from roemetry.io.files import first_fault, json_values
 from roemetry.records.arrays import Number
+from roemetry.records.display import Shown, estimate, table
 from roemetry.records.outcome import Decision, Estimate, Grade, Volume, Weight
 from roemetry.records.reasons import Reason
 
@@ -48,8 +49,8 @@ class Coding:
     """Largest displacement from the rest line on the product, px, with its sign; NaN where unknown."""
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Measurement:
+@dataclass(frozen=True, eq=False, repr=False, slots=True)
+class Measurement(Shown):
     """All that was found of one product."""
 
     id: str
@@ -82,6 +83,25 @@ class Measurement:
         """Every reason on this row, each once: its own, then volume's, weight's, grade's, decision's."""
         parts = (self, self.volume, self.weight, self.grade, self.decision)
         return tuple(dict.fromkeys(reason for part in parts if part is not None for reason in part.reasons))
+
+    def _repr_html_(self) -> str:
+        """Give the numbers that a person looks for, as a table for notebooks."""
+        rows = [("status", str(self.status)), ("height, mm", estimate(self.height_max_mm))]
+        if self.volume is not None:
+            rows.append(("visible volume, cm³", estimate(self.volume.visible_mm3, scale=1e-3)))
+            rows.append(("true volume, cm³", estimate(self.volume.true_mm3, scale=1e-3)))
+        if self.weight is not None:
+            rows.append(("mass, g", estimate(self.weight.mass_g)))
+        if self.grade is not None:
+            likely = (
+                "" if math.isnan(self.grade.probability) else f", probability {self.grade.probability:.2f}"
+            )
+            rows.append(("grade", self.grade.label + likely))
+        if self.decision is not None:
+            rows.append(("decision", self.decision.label))
+        rows += [(f"no {kind}", reason.text) for kind, reason in self.absent.items()]
+        rows += [(reason.code, reason.text) for reason in self.all_reasons]
+        return table(self.id, rows)
 
     def to_json(self) -> str:
         """One line of JSON; NaN is written as null."""

@@ -10,6 +10,7 @@ import numpy as np
 
 from roemetry.records.acquisition import Frame
 from roemetry.records.arrays import Checker, Floats, Integers
+from roemetry.records.display import Shown
 from roemetry.records.stripes import Peaks
 
 
@@ -100,8 +101,8 @@ class Ruler:
     std_mm: float
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Observation:
+@dataclass(frozen=True, eq=False, repr=False, slots=True)
+class Observation(Shown):
     """One image of a target, and the peaks the recipe's extractor found in it."""
 
     shows: str
@@ -116,8 +117,8 @@ class Observation:
     """Of a board: observations with the same `shows` and `pose` show it in the same place."""
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class CalibrationSet:
+@dataclass(frozen=True, eq=False, repr=False, slots=True)
+class CalibrationSet(Shown):
     """Everything a calibrator may use."""
 
     observations: tuple[Observation, ...]
@@ -159,8 +160,8 @@ class EvidenceFigure:
     """value, limit: what was found, and what it may be at most; NaN where there is no limit."""
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Residuals:
+@dataclass(frozen=True, eq=False, repr=False, slots=True)
+class Residuals(Shown):
     """Differences between what was observed and what the model says, each at its place in the image."""
 
     title: str
@@ -183,8 +184,8 @@ class Residuals:
         check.finish()
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Evidence:
+@dataclass(frozen=True, eq=False, repr=False, slots=True)
+class Evidence(Shown):
     """All that a calibrator can show."""
 
     verdict: tuple[str, ...] = ()
@@ -196,8 +197,8 @@ class Evidence:
     """Whether anything may be measured with it at all."""
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Samples:
+@dataclass(frozen=True, eq=False, repr=False, slots=True)
+class Samples(Shown):
     """Products of known class or mass, with their measured features."""
 
     ids: tuple[str, ...]

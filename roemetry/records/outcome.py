@@ -9,11 +9,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from roemetry.records.arrays import Checker, Flags, Floats, Integers, Number
+from roemetry.records.display import Shown
 from roemetry.records.reasons import Reason
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class ReliefMap:
+@dataclass(frozen=True, eq=False, repr=False, slots=True)
+class ReliefMap(Shown):
     """One number at each place of a relief."""
 
     title: str
@@ -30,8 +31,8 @@ class ReliefMap:
     has along X and Y. None: there is none to draw."""
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class ReliefRegion:
+@dataclass(frozen=True, eq=False, repr=False, slots=True)
+class ReliefRegion(Shown):
     """A dent or a hump."""
 
     kind: str
@@ -43,8 +44,8 @@ class ReliefRegion:
     """(cell, 2) section and sample of the relief's places in it."""
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Relief:
+@dataclass(frozen=True, eq=False, repr=False, slots=True)
+class Relief(Shown):
     """A product's surface over the belt, in sections from edge to edge."""
 
     xy_mm: Floats
@@ -118,8 +119,8 @@ class Shares:
 _ROUNDING = 1e-6
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Volume:
+@dataclass(frozen=True, eq=False, repr=False, slots=True)
+class Volume(Shown):
     """Volume of one product."""
 
     visible_mm3: Estimate
@@ -166,8 +167,8 @@ class Weight:
         check.finish()
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Marks:
+@dataclass(frozen=True, eq=False, repr=False, slots=True)
+class Marks(Shown):
     """Evidence that can be drawn over the image: arrows from a place to a place, px in the turned image."""
 
     kind: str
@@ -193,8 +194,8 @@ class Marks:
         check.finish()
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Grade:
+@dataclass(frozen=True, eq=False, repr=False, slots=True)
+class Grade(Shown):
     """Class of one product."""
 
     label: str

@@ -14,14 +14,15 @@ import numpy as np
 from roemetry.records.acquisition import Acquisition, Frame
 from roemetry.records.arrays import Checker, Flags, Floats, Integers, Labels
 from roemetry.records.calibration import Alignment, Calibration
+from roemetry.records.display import Shown, estimate, picture_of_stripes, table
 from roemetry.records.outcome import Decision, Estimate, Grade, Volume, Weight
 from roemetry.records.reasons import Reason
 from roemetry.records.stripes import Peaks, StripeMap
 from roemetry.records.view import View
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Profiles:
+@dataclass(frozen=True, eq=False, repr=False, slots=True)
+class Profiles(Shown):
     """Slices in the belt frame. Not assumed: that slices are in order, parallel, or share their points' Y."""
 
     xyz_mm: Floats
@@ -67,8 +68,8 @@ class Profiles:
         return int(self.xyz_mm.shape[0])
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Outline:
+@dataclass(frozen=True, eq=False, repr=False, slots=True)
+class Outline(Shown):
     """A product's contour in the image."""
 
     product: int
@@ -85,8 +86,8 @@ class Outline:
         check.finish()
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Product:
+@dataclass(frozen=True, eq=False, repr=False, slots=True)
+class Product(Shown):
     """The slices of one product."""
 
     number: int
@@ -109,8 +110,8 @@ class Product:
         return float(np.fmax.reduce(heights, axis=None, initial=math.nan))
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class ProductTrace:
+@dataclass(frozen=True, eq=False, repr=False, slots=True)
+class ProductTrace(Shown):
     """One product and what was found of it; None where a stage was not asked for or not possible.
 
     `height_max_mm` is None where no uncertainty was drawn: the product itself knows its largest height.
@@ -125,8 +126,8 @@ class ProductTrace:
     height_max_mm: Estimate | None = None
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Trace:
+@dataclass(frozen=True, eq=False, repr=False, slots=True)
+class Trace(Shown):
     """One acquisition's way through the stages."""
 
     acquisition_id: str
@@ -145,3 +146,22 @@ class Trace:
     """By stage kind, why its result is missing."""
     seconds: Mapping[str, float] = field(default_factory=dict)
     """By stage kind, the time it took, s."""
+
+    def _repr_html_(self) -> str:
+        """Give the stripes that were found, drawn on the frame, and each product's numbers, for notebooks."""
+        picture = ""
+        if self.frame is not None and self.peaks is not None:
+            found, map_ = self.peaks, self.stripes
+            of = np.zeros(len(found), np.int64) if map_ is None else map_.peak_stripe
+            picture = picture_of_stripes(self.frame.pixels, found.row, found.x_px, of)
+        rows = [
+            (
+                f"product {one.product.number}",
+                f"{one.product.height_max_mm:.4g} mm high, visible volume "
+                + ("not stated" if one.volume is None else estimate(one.volume.visible_mm3, "cm³", 1e-3))
+                + ("" if one.grade is None else f", {one.grade.label}"),
+            )
+            for one in self.products
+        ]
+        rows += [(f"no {kind}", reason.text) for kind, reason in self.absent.items()]
+        return table(self.acquisition_id, rows, picture)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roemetry.records.arrays import Checker, Flags, Floats, Integers, Labels
+from roemetry.records.display import Shown
 from roemetry.records.reasons import Reason
 
 SATURATED = 1
@@ -15,8 +16,8 @@ EDGE = 2
 WIDE = 4
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Peaks:
+@dataclass(frozen=True, eq=False, repr=False, slots=True)
+class Peaks(Shown):
     """Where stripes cross image rows, sorted by row, then by x."""
 
     image_size: tuple[int, int]
@@ -77,8 +78,8 @@ UNCODED = -1
 AMBIGUOUS = -2
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class StripeMap:
+@dataclass(frozen=True, eq=False, repr=False, slots=True)
+class StripeMap(Shown):
     """Peaks with their stripe, dense over (stripe, row); stripes count from 0, left to right on the belt."""
 
     x_px: Floats

@@ -16,6 +16,7 @@ import numpy as np
 
 from roemetry.errors import CalibrationError, DataError
 from roemetry.records.arrays import Checker, Floats
+from roemetry.records.display import Shown
 
 
 def distort(xy: Floats, distortion: Floats) -> Floats:
@@ -107,8 +108,8 @@ def _tilt(tau_x: float, tau_y: float) -> Floats:
     )
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class View:
+@dataclass(frozen=True, eq=False, repr=False, slots=True)
+class View(Shown):
     """Camera and planes of light in the belt frame; what coder and outline need of any calibration."""
 
     image_size: tuple[int, int]

@@ -19,7 +19,7 @@ from roemetry.run.pipeline import Pipeline
 from roemetry.run.rows import measurements_of
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Recipe(CheckedRecipe):
     """A checked recipe that measures: what it names, or arrays.
 
