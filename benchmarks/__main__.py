@@ -16,6 +16,7 @@ BENCHMARKS = {
     "extract_real": "the same on real camera images: matches, reflections, a line across a printed board",
     "faults": "disturbed images: held, outside the stated interval, refused",
     "frame": "time from an array to a measurement, by stage",
+    "fuzz": "damaged recipes, rigs, calibrations, records and images: crashes, hangs, floods",
     "geometry": "displacement and height of one stripe, and the linear model beside it",
     "startup": "time of `roemetry --help` over that of a two-command Typer program",
     "herring_roe": "coding, grading and volume on unseen simulated skeins",

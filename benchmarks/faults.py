@@ -1,6 +1,6 @@
 """Disturbed images through recipes: how often a number lies, and how often harmless images are refused.
 
-``python -m benchmarks faults RECIPE… [--images 3] [--draws 12] [--page FILE]``
+``python -m benchmarks faults RECIPE… [--images 3] [--only NAMES] [--page FILE]``
 
 A recipe's own data must state true volumes (a data set, or `truth.json` of a rendered rig beside it). Every
 image is disturbed in each way and size of `DISTURBANCES`; a case is *held* (the true visible volume lies
@@ -48,13 +48,12 @@ def main() -> None:
     )
     parser.add_argument("recipes", nargs="+", type=Path)
     parser.add_argument("--images", type=int, default=3)
-    parser.add_argument("--draws", type=int, default=12)
     parser.add_argument("--only", nargs="*", default=(), help="names of disturbances")
     parser.add_argument("--page", type=Path)
     asked = parser.parse_args()
     found: dict[str, list[tuple[str, float]]] = {}
     for path in asked.recipes:
-        recipe = Recipe.load(path, sets=[f"draws={asked.draws}"])
+        recipe = Recipe.load(path, sets=["uncertainty=linear"])
         scenes = list(scenes_of(recipe, asked.images))
         scenes = [scene._replace(other=scenes[i - 1]) for i, scene in enumerate(scenes)]
         for name, disturb in DISTURBANCES.items():
@@ -64,7 +63,7 @@ def main() -> None:
                     f"{path}: {name}: {', '.join(said for said, _ in found[name][-len(scenes) :])}",
                     flush=True,
                 )
-    text = table(found)
+    text = f"{table(found)}\n\n{summary(found)}"
     print(text)
     if asked.page:
         asked.page.write_text(f"{text}\n", "utf-8")
@@ -120,6 +119,22 @@ def table(found: dict[str, list[tuple[str, float]]]) -> str:
         told = " | ".join(str(count[said]) for said in ("held", "outside", "gross", "not stated", "refused"))
         lines.append(f"| {name} | {len(cases)} | {told} | {size} |")
     return "\n".join(lines)
+
+
+def summary(found: dict[str, list[tuple[str, float]]]) -> str:
+    """Say the shares of all disturbed cases that lie, and of the harmless ones that are refused."""
+    disturbed = [case for name, cases in found.items() if name != "none" for case in cases]
+    harmless = [case for name in HARMLESS for case in found.get(name, ())]
+    if not disturbed or not harmless:
+        return "too few cases to sum up"
+    count = Counter(said for said, _ in disturbed)
+    refused = sum(said == "refused" for said, _ in harmless)
+    return (
+        f"{len(disturbed)} disturbed cases: {count['outside'] / len(disturbed):.2%} outside the interval, "
+        f"{count['gross'] / len(disturbed):.2%} beyond three half-widths, "
+        f"{count['refused'] / len(disturbed):.1%} refused; of {len(harmless)} harmless ones "
+        f"{refused / len(harmless):.1%} refused"
+    )
 
 
 def _volume_mm3(row: Measurement) -> float:
@@ -227,6 +242,9 @@ DISTURBANCES: dict[str, Disturbance] = {
     "mirrored": _both(lambda image: np.ascontiguousarray(image[:, ::-1])),
     "upside down": _both(lambda image: np.ascontiguousarray(image[::-1])),
 }
+
+HARMLESS = ("camera right 0.03 px", "JPEG quality 95", "gamma 0.8", "gamma 1.25", "noise 1 grey levels")
+"""Disturbances that no one would see in the stripes: a refusal of these is a false alarm."""
 
 
 if __name__ == "__main__":

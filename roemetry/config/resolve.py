@@ -9,7 +9,7 @@ from typing import Any, Protocol, get_args
 
 from roemetry.config.validation import Place, checked
 from roemetry.errors import RoemetryError
-from roemetry.io.files import sha256_of
+from roemetry.io.files import is_file, sha256_of
 from roemetry.io.yaml_source import Step
 from roemetry.stages import INTERFACES, Stage, StageOptions
 from roemetry.stages.registry import Registered, Registry
@@ -81,7 +81,7 @@ class StageResolver:
             return None
         files = {name: self._folder / path for name, path in _paths(options).items()}
         for name, path in files.items():
-            if not path.is_file():
+            if not is_file(path):
                 self.fault(f"there is no file {path}", *at, "options", name)
         return ResolvedStage(registered, stage, options.model_copy(update=files) if files else options)
 

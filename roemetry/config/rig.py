@@ -27,6 +27,7 @@ from roemetry.config.target_file import (
 )
 from roemetry.config.validation import checked
 from roemetry.errors import ConfigurationError, RoemetryError
+from roemetry.io.files import is_file
 from roemetry.io.yaml_source import read
 from roemetry.records import Block, Board, Pyramid, Ruler, Sensor, SpherePlate, Staircase
 from roemetry.stages.registry import Registry, discover
@@ -174,10 +175,11 @@ class Rig:
 
 
 def _found(folder: Path, pattern: str, chooser: StageResolver, shows: str, index: int) -> list[Path]:
-    found = (
-        sorted(folder.glob(pattern), key=_in_order) if not Path(pattern).is_absolute() else [Path(pattern)]
-    )
-    found = [file for file in found if file.is_file()]
+    try:
+        found = [Path(pattern)] if Path(pattern).is_absolute() else sorted(folder.glob(pattern), key=_in_order)
+    except (OSError, ValueError):  # a name that no file system takes
+        found = []
+    found = [file for file in found if is_file(file)]
     if not found:
         chooser.fault(f"there is no file {folder / pattern}", "images", shows, index)
     return found

@@ -18,7 +18,7 @@ from roemetry.config.recipe_file import Choice, Section
 from roemetry.config.resolve import ResolvedStage, StageResolver
 from roemetry.config.validation import checked
 from roemetry.errors import ConfigurationError, RoemetryError
-from roemetry.io.files import sha256_of
+from roemetry.io.files import is_file, sha256_of
 from roemetry.io.yaml_source import Step, read
 from roemetry.stages import Simulator
 from roemetry.stages.registry import Registry, discover
@@ -102,7 +102,7 @@ class Scene:
         """
         deciding, files = self._told(exclude_defaults=True)
         for at, name in list(_files_in(deciding)):
-            _put(deciding, at, sha256_of(files[name]) if files[name].is_file() else "")
+            _put(deciding, at, sha256_of(files[name]) if is_file(files[name]) else "")
         return hashlib.sha256(json.dumps(deciding, sort_keys=True).encode()).hexdigest()
 
     def _told(self, *, exclude_defaults: bool) -> tuple[dict[str, Any], dict[str, Path]]:

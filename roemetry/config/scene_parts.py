@@ -20,6 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from roemetry.config.validation import unknown_key
 from roemetry.errors import MisfitError
+from roemetry.io.files import is_file
 
 Value = TypeVar("Value")
 
@@ -252,7 +253,7 @@ class AlbedoMapPart(Part):
     @field_validator("file")
     @classmethod
     def _is_an_image(cls, file: Path) -> Path:
-        if not file.is_file():
+        if not is_file(file):
             raise ValueError("there is no such file")
         image = read_picture(file)
         if image is None or image.dtype not in (np.uint8, np.uint16):

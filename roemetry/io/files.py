@@ -169,6 +169,14 @@ def _cannot_write(path: Path, error: OSError) -> OutputError:
     )
 
 
+def is_file(path: Path) -> bool:
+    """Say whether there is a file; False also for a name that no file system takes: too long, a NUL in it."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
+
+
 def json_values(value: Any) -> Any:
     """Make a value, and all it holds, fit for JSON: NaN and infinity become None, numpy numbers Python's."""
     if isinstance(value, Mapping):

@@ -127,7 +127,7 @@ class Measurement(Shown):
                 }
             found: Measurement = _reader().validate_python(row)
             return found
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
             raise DataError(
                 f"not a measurement: {line[:60]!r}… ({first_fault(error)})",
                 hint="the line was written by another version of roemetry, or edited by hand",

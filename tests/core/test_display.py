@@ -25,7 +25,16 @@ def image() -> np.ndarray:
 def test_every_record_of_a_trace_fits_on_one_line(recipe: Recipe, image: np.ndarray) -> None:
     trace = recipe.trace(image)
     found = trace.products[0]
-    records = (trace, trace.frame, trace.peaks, trace.stripes, trace.profiles, found, found.volume, found.grade)
+    records = (
+        trace,
+        trace.frame,
+        trace.peaks,
+        trace.stripes,
+        trace.profiles,
+        found,
+        found.volume,
+        found.grade,
+    )
     for record in (*records, recipe.calibration, *recipe.measure(image)):
         assert len(repr(record)) <= 200
         assert "\n" not in repr(record)
