@@ -49,6 +49,8 @@ def lint(
         found = len(references)
         stages = ", ".join(f"{kind} {chosen.registered.entry.name}" for kind, chosen in recipe.stages.items())
         typer.echo(f"{path}: a recipe for {recipe.product}: sound\n  {found} acquisitions; {stages}")
+        if recipe.calibration is not None and "aligner" not in recipe.stages:
+            typer.echo(_NO_ALIGNER)
     elif "roemetry_scene" in keys:
         _scene(path, sets or ())
     elif "roemetry_dataset" in keys:
@@ -60,6 +62,12 @@ def lint(
             "(`roemetry_dataset: 1`)",
             hint="the first key of the file says what it is",
         )
+
+
+_NO_ALIGNER = (
+    "  There is no aligner: a camera or a laser that has moved is not noticed, and volumes are then wrong.\n"
+    "  Name one under stages.aligner; `roemetry plugins` lists them."
+)
 
 
 def _has_dark(recipe: Recipe, references: Sequence[AcquisitionReference], place: str) -> None:

@@ -176,7 +176,9 @@ class Rig:
 
 def _found(folder: Path, pattern: str, chooser: StageResolver, shows: str, index: int) -> list[Path]:
     try:
-        found = [Path(pattern)] if Path(pattern).is_absolute() else sorted(folder.glob(pattern), key=_in_order)
+        found = (
+            [Path(pattern)] if Path(pattern).is_absolute() else sorted(folder.glob(pattern), key=_in_order)
+        )
     except (OSError, ValueError):  # a name that no file system takes
         found = []
     found = [file for file in found if is_file(file)]
