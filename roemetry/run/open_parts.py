@@ -69,10 +69,14 @@ class OpenPart(NamedTuple):
         return self.points / max(self.points + self.sure, 1)
 
 
-def open_parts(peaks: Peaks, stripes: StripeMap) -> Mapping[int, OpenPart]:
+def open_parts(
+    peaks: Peaks, stripes: StripeMap, outlines: tuple[Outline, ...] = ()
+) -> Mapping[int, OpenPart]:
     """Give, by product, what of it is open.
 
-    A refused peak within reach of several products counts for each of them: it may be of any, and they may be
+    What lies inside a product's outline is the product's, also on a rest line: the top of a flat body one
+    spacing of displacement high shows its stripes where the belt's neighbours would be. Otherwise, a refused
+    peak within reach of several products counts for each of them: it may be of any, and they may be
     pieces of one body that only what is open holds together.
     """
     refused = np.flatnonzero(stripes.peak_stripe == AMBIGUOUS)
@@ -89,6 +93,9 @@ def open_parts(peaks: Peaks, stripes: StripeMap) -> Mapping[int, OpenPart]:
         if not mine.any():
             continue
         part = _within(mine, stripes.x_px, row, x_px, off_belt, spacing_px)
+        for outline in outlines:
+            if outline.product == number:
+                part |= _inside(outline, row, x_px)
         sure = int(np.count_nonzero(mine))
         if part.any():
             at, place = row[part], x_px[part]
@@ -187,6 +194,22 @@ def _within(
         np.minimum.at(low, row[more], place_px[more])
         np.maximum.at(high, row[more], place_px[more])
     return found
+
+
+def _inside(outline: Outline, row: Integers, x_px: Floats) -> Flags:
+    """Say which places lie inside an outline: an odd number of its edges crosses the row to their left."""
+    inside = np.zeros(row.size, np.bool_)
+    low, high = outline.xy_px.min(axis=0), outline.xy_px.max(axis=0)
+    near = np.flatnonzero((x_px >= low[0]) & (x_px <= high[0]) & (row >= low[1]) & (row <= high[1]))
+    if near.size:
+        x0, y0 = outline.xy_px.T[:, :, None]
+        x1, y1 = np.roll(outline.xy_px, -1, axis=0).T[:, :, None]
+        at = row[near]
+        crossed = (y0 <= at) != (y1 <= at)
+        with np.errstate(divide="ignore", invalid="ignore"):  # level edges cross no row
+            crossed &= x0 + (at - y0) * (x1 - x0) / (y1 - y0) < x_px[near]
+        inside[near] = crossed.sum(axis=0) % 2 == 1
+    return inside
 
 
 def _filled(edge: Floats, empty: float, rows: int) -> Floats:

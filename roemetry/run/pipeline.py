@@ -149,7 +149,7 @@ class Pipeline:
         if profiles is not None and stripes is not None and calibration is not None:
             view = self._view_of(calibration)
             assembled = split_products(profiles, outlines, calibration, acquisition.id, stripes.reasons, view)
-            opened = open_parts(peaks, stripes) if peaks is not None else {}
+            opened = open_parts(peaks, stripes, outlines) if peaks is not None else {}
             assembled = tuple(_with_open_part(product, opened.get(product.number)) for product in assembled)
             doubts = {
                 product.number: _undecided(product) or _too_high(product) or _cut_off(stripes, product.number)

@@ -145,8 +145,8 @@ def _without_product(
     return _row(trace, 0, 1, status, said, provenance, absent=dict(trace.absent))
 
 
-def _open_points(peaks: Peaks, stripes: StripeMap, number: int) -> int:
-    part = open_parts(peaks, stripes).get(number)
+def _open_points(trace: Trace, peaks: Peaks, stripes: StripeMap, number: int) -> int:
+    part = open_parts(peaks, stripes, trace.outlines).get(number)
     return part.points if part is not None else 0
 
 
@@ -165,7 +165,7 @@ def _coding(trace: Trace, number: int) -> Coding | None:
         stripes_seen=int(np.count_nonzero(of_stripe)),
         peaks=len(peaks),
         coded=int(of_stripe.sum()),
-        ambiguous=_open_points(peaks, stripes, number) if number else int(verdicts[0]),
+        ambiguous=_open_points(trace, peaks, stripes, number) if number else int(verdicts[0]),
         uncoded=int(verdicts[UNCODED - AMBIGUOUS]),
         rows_seen=int(seen),
         rows_interpolated=int(rows - seen),

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from roemetry import Recipe
-from roemetry.records import AMBIGUOUS, Estimate, Peaks, Shares, StripeMap, Volume
+from roemetry.records import AMBIGUOUS, Estimate, Outline, Peaks, Shares, StripeMap, Volume
 from roemetry.run.open_parts import open_parts, widened
 
 REST_PX = np.linspace(50.0, 450.0, 9)[:, None] + np.zeros(200)
@@ -115,3 +115,13 @@ def test_a_product_that_is_cut_by_the_images_edge_is_not_decided_upon(
     assert whole.decision is not None and whole.decision.label == "any"
     assert at_the_edge.decision is None
     assert at_the_edge.absent["grader"].code == "cut-by-edge"
+
+
+def test_what_an_outline_holds_is_the_products_also_on_a_rest_line() -> None:
+    """The top of a flat body one spacing of displacement high lies where the belt's lines would be."""
+    peaks, stripes = scene((), belt_refused=(4,))
+    left, right = REST_PX[3, 0] - 5.0, REST_PX[4, 0] + 5.0
+    square = np.array([[left, 19.5], [right, 19.5], [right, 49.5], [left, 49.5]])
+    found = open_parts(peaks, stripes, (Outline(product=1, xy_px=square),))
+    assert (found[1].points, found[1].rows) == (30, (20, 49))
+    assert found[2].points == 0
