@@ -120,8 +120,9 @@ def test_a_product_that_is_cut_by_the_images_edge_is_not_decided_upon(
 def test_what_an_outline_holds_is_the_products_also_on_a_rest_line() -> None:
     """The top of a flat body one spacing of displacement high lies where the belt's lines would be."""
     peaks, stripes = scene((), belt_refused=(4,))
-    left, right = REST_PX[3, 0] - 5.0, REST_PX[4, 0] + 5.0
-    square = np.array([[left, 19.5], [right, 19.5], [right, 49.5], [left, 49.5]])
+    left, right = REST_PX[3, 0], REST_PX[5, 0]
+    square = np.array([[left, 0.5], [right, 0.5], [right, 179.5], [left, 179.5]])
     found = open_parts(peaks, stripes, (Outline(product=1, xy_px=square),))
-    assert (found[1].points, found[1].rows) == (30, (20, 49))
+    deep = range(26, 155)  # half a spacing of 50 px inside
+    assert (found[1].points, found[1].rows) == (len(deep), (deep[0], deep[-1]))
     assert found[2].points == 0
