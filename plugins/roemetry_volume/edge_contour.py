@@ -18,8 +18,10 @@ never shift them, and on the side that faces the light stripes reach the outline
 
 where p and b are how far inside the outline a product's end and the belt's next point lie, and `free` the
 edge that the image shows without the stripes' bounds. An edge too far inside leaves about half of the ends
-outside: hence the 2. It joins the outline's uncertainty; an outline that is off by more (another product,
-another scale, a camera or belt that moved between the images) is left out.
+outside: hence the 2. It joins the outline's uncertainty. An outline that is off by more but agrees when it is
+shifted (belt or camera moved between the images) is left out. Where no shift explains it, one of the images
+lies (rows of the laser image are lost, the plain image is another product's or of another scale), nobody
+knows which, and the product is refused.
 
 Fails where the product is as bright as the belt and shades evenly into it: then there is no outline.
 """
@@ -30,14 +32,14 @@ import math
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
 from roemetry.errors import StageError
-from roemetry.records import Frame, Outline, StripeMap
+from roemetry.records import Frame, Outline, Reason, StripeMap
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.records.calibration import Calibration
 from roemetry.stages import Outliner, StageOptions
@@ -84,6 +86,9 @@ _STRAY_PX, _FARTHEST_PX = 5.0, 2.5
 half of that."""
 _CONTRADICTION_PX = 0.75
 """Standard uncertainty from which an outline says less than stripes do: 3 % of a product 50 px wide."""
+
+_SHIFT_MAX_PX, _SHIFT_STEP_PX = 12.0, 3.0
+"""Shifts between the images that are tried: farther, the edge is not found around the stripes."""
 
 _CUTS, _MARGIN = 41, 0.06  # of the long axis: cuts that give the mid-line, and what is left out at its ends
 
@@ -155,13 +160,19 @@ class EdgeContour(Outliner[EdgeContourOptions]):
             edge = edge_around(scene, _ring_around(region, spacing))
             if edge is None:
                 continue
-            apart_px = against_px = 0.0
-            if use_plain and known:
-                apart_px, against_px = _disagreement_px(scene, edge.xy_px, stripes, number)
-            if against_px < _CONTRADICTION_PX:
-                features = features_of(edge.xy_px, chosen.pixels)
-                std_px = math.hypot(edge.std_px, apart_px) if apart_px else edge.std_px
-                outlines.append(Outline(number, edge.xy_px, std_px, features))
+            std_px, fault = edge.std_px, None
+            brackets = _brackets(scene, edge.xy_px, stripes, number) if use_plain and known else None
+            if brackets is not None:
+                apart_px, against_px = brackets.disagreement_px()
+                std_px = math.hypot(std_px, apart_px) if apart_px else std_px
+                if against_px >= _CONTRADICTION_PX:
+                    left_px = brackets.contradiction_left_px()
+                    if left_px < _CONTRADICTION_PX:
+                        continue
+                    fault = _contradiction(against_px, left_px)
+            outlines.append(
+                Outline(number, edge.xy_px, std_px, features_of(edge.xy_px, chosen.pixels), fault)
+            )
         return tuple(outlines)
 
 
@@ -179,12 +190,52 @@ def _is_clear(level: Floats, region: Flags) -> bool:
     return bool(max(high - middle, middle - low) > _LEAST_CONTRAST * max(scatter, 1e-3))
 
 
-def _disagreement_px(scene: Scene, ring: Floats, stripes: StripeMap, number: int) -> tuple[float, float]:
-    """Say how far an outline in plain light is from what the stripes' ends allow, standard uncertainty.
+class _Brackets(NamedTuple):
+    """A product's outline in plain light, and what brackets it: stripes' ends and the belt's next points.
 
-    And how far of it nothing but a wrong outline explains: ends that lie outside it, belt that lies inside.
-    Ends that stop short of it may be those of a body that turns away from light and camera, as a ball does.
+    `ring` is the outline, `free` the edge that the image shows without the stripes' bounds, (point, 2) px;
+    `ends` (end, 2) px lie on the product, `beyond` (end, 2) px next to it on the belt.
     """
+
+    ring: Floats
+    free: Floats
+    ends: Floats
+    beyond: Floats
+
+    def disagreement_px(self) -> tuple[float, float]:
+        """Say how far the outline is from what the ends allow, standard uncertainty.
+
+        And how far of it nothing but a wrong outline explains: ends that lie outside it, belt that lies
+        inside. Ends that stop short of it may be those of a body that turns away from light and camera, as a
+        ball does.
+        """
+        off = -inside_by(self.free, self.ends)
+        near = off < _STRAY_PX
+        outside = 2.0 * float(np.clip(off[near], 0.0, _FARTHEST_PX).mean()) if near.any() else math.inf
+        short = np.percentile(inside_by(self.ring, self.ends), _TENTH)
+        over = -math.inf
+        if len(self.beyond) >= _LEAST_ENDS:
+            over = np.percentile(inside_by(self.ring, self.beyond), 100.0 - _TENTH)
+        against = max(float(max(outside, over)) - _END_PX, 0.0)
+        return max(float(short) - _END_PX, against), against
+
+    def contradiction_left_px(self) -> float:
+        """Say how far nine in ten ends and belt points contradict the best shifted edge at most."""
+        from scipy.optimize import minimize
+
+        def left_px(shift_px: Floats) -> float:
+            outside = -inside_by(self.free, self.ends - shift_px)
+            inside = inside_by(self.free, self.beyond - shift_px) if len(self.beyond) else outside
+            return max(float(np.percentile(which, 100.0 - _TENTH)) for which in (outside, inside))
+
+        steps = np.arange(-_SHIFT_MAX_PX, _SHIFT_MAX_PX + 1.0, _SHIFT_STEP_PX)
+        coarse = min(((x, y) for x in steps for y in steps), key=lambda shift: left_px(np.array(shift)))
+        found = minimize(left_px, np.array(coarse), method="Nelder-Mead", options={"xatol": 0.05, "fatol": 0.01})
+        return max(float(found.fun) - _END_PX, 0.0)
+
+
+def _brackets(scene: Scene, ring: Floats, stripes: StripeMap, number: int) -> _Brackets | None:
+    """Find the ends of what is seen of a product's stripes, and the belt next to them; None of too few."""
     ends, beyond = [], []
     for x_px, seen, product in zip(stripes.x_px, stripes.seen, stripes.product, strict=True):
         mine, belt = np.flatnonzero(seen & (product == number)), np.flatnonzero(seen & (product == 0))
@@ -194,17 +245,19 @@ def _disagreement_px(scene: Scene, ring: Floats, stripes: StripeMap, number: int
         next_on_belt = *belt[belt < mine[0]][-1:], *belt[belt > mine[-1]][:1]
         beyond += [(x_px[row], row) for row in next_on_belt]
     if len(ends) < _LEAST_ENDS:
-        return 0.0, 0.0
-    places = np.array(ends, np.float64)
-    off = -inside_by(unbound(scene, ring), places)
-    near = off < _STRAY_PX
-    outside = 2.0 * float(np.clip(off[near], 0.0, _FARTHEST_PX).mean()) if near.any() else math.inf
-    short = np.percentile(inside_by(ring, places), _TENTH)
-    over = -math.inf
-    if len(beyond) >= _LEAST_ENDS:
-        over = np.percentile(inside_by(ring, np.array(beyond, np.float64)), 100.0 - _TENTH)
-    against = max(float(max(outside, over)) - _END_PX, 0.0)
-    return max(float(short) - _END_PX, against), against
+        return None
+    return _Brackets(
+        ring, unbound(scene, ring), np.array(ends, np.float64), np.array(beyond, np.float64).reshape(-1, 2)
+    )
+
+
+def _contradiction(against_px: float, left_px: float) -> Reason:
+    return Reason(
+        "images-contradict",
+        f"the product's outline in the plain-light image and the ends of its stripes are {against_px:.1f} px "
+        f"apart, {left_px:.1f} px however one image is shifted: rows of the laser image are lost, or the "
+        "plain-light image is another product's or of another scale; look at both images, and take them again",
+    )
 
 
 def _spacing_px(stripes: StripeMap) -> float:

@@ -16,11 +16,13 @@ from typing import Any, Protocol, Self
 
 from roemetry.config.overrides import Overridden
 from roemetry.config.recipe_file import (
+    DEFAULT_ALIGNER,
     DRAWS,
     NEEDS,
     CalibrationCheck,
     RecipeFile,
     SourceChoice,
+    StageChoice,
     Uncertainty,
 )
 from roemetry.config.resolve import ResolvedStage, StageResolver
@@ -31,6 +33,7 @@ from roemetry.records import Sensor
 from roemetry.records.calibration import Calibration
 from roemetry.records.display import table
 from roemetry.records.penetration import Penetration
+from roemetry.stages import Triangulator
 from roemetry.stages.registry import Registry, discover
 
 
@@ -189,6 +192,8 @@ def _resolved(
         chosen = chooser.choose(kind, choice, "stages", kind)
         if chosen is not None:
             stages[kind] = chosen
+    if "aligner" not in file.stages.model_fields_set and file.calibration is not None:
+        stages = _with_default_aligner(stages, registry, chooser)
     _check_needs(stages, file, chooser)
     sinks = [chooser.choose("sink", choice, "sinks", index) for index, choice in enumerate(file.sinks)]
     calibration_path = None if file.calibration is None else path.parent / file.calibration
@@ -231,6 +236,26 @@ def _resolved(
         **_uncertainty_of(file),
         "sinks": tuple(sink for sink in sinks if sink is not None),
     }
+
+
+def _with_default_aligner(
+    stages: dict[str, ResolvedStage], registry: Registry, chooser: StageResolver
+) -> dict[str, ResolvedStage]:
+    """Add the usual aligner where a recipe says nothing of one and its triangulator can follow a motion.
+
+    A camera that has moved unnoticed gives wrong volumes with tight intervals, so doing without is what a
+    recipe has to ask for.
+    """
+    triangulator = stages.get("triangulator")
+    if triangulator is None or triangulator.stage.moved is Triangulator.moved:
+        return stages
+    if not any(one.entry.name == DEFAULT_ALIGNER for one in registry.of_kind("aligner")):
+        return stages
+    chosen = chooser.choose("aligner", StageChoice(use=DEFAULT_ALIGNER), "stages", "aligner")
+    if chosen is None:
+        return stages
+    extractor = {kind: one for kind, one in stages.items() if kind == "extractor"}
+    return extractor | {"aligner": chosen} | stages
 
 
 def _uncertainty_of(file: RecipeFile) -> dict[str, Any]:

@@ -68,12 +68,17 @@ class SourceChoice(Section):
     options: dict[str, Any] = Field(default_factory=dict, description="the source's own options")
 
 
+DEFAULT_ALIGNER = "belt-lines"
+
+
 class StageChoices(Section):
     """The chain; a recipe may end after any stage."""
 
     extractor: Choice = Field(description="finds peaks in the frame")
     aligner: Choice | None = Field(
-        default=None, description="compares each frame's belt with the calibration, and corrects small motion"
+        default=None,
+        description="compares each frame's belt with the calibration, and corrects small motion. Left out, "
+        f"`{DEFAULT_ALIGNER}` does where the triangulator can follow a motion; `null` leaves it undone",
     )
     coder: Choice | None = Field(default=None, description="says which stripe each peak belongs to")
     smoother: Choice | None = Field(

@@ -79,6 +79,8 @@ class Outline(Shown):
     """Standard uncertainty of the contour across itself, px; NaN where it is not modelled."""
     features: Mapping[str, float] = field(default_factory=dict)
     """Further numbers read off the image inside the contour, units in the names."""
+    fault: Reason | None = None
+    """Why outline and stripes cannot both be true; the product is then refused."""
 
     def __post_init__(self) -> None:
         check = Checker(self)

@@ -152,7 +152,10 @@ class Pipeline:
             opened = open_parts(peaks, stripes, outlines) if peaks is not None else {}
             assembled = tuple(_with_open_part(product, opened.get(product.number)) for product in assembled)
             doubts = {
-                product.number: _undecided(product) or _too_high(product) or _cut_off(stripes, product.number)
+                product.number: _undecided(product)
+                or _too_high(product)
+                or _cut_off(stripes, product.number)
+                or (product.outline and product.outline.fault)
                 for product in assembled
             }
             products = tuple(
