@@ -82,8 +82,8 @@ _TENTH = 10.0
 _LEAST_ENDS = 8  # four stripes: of three, one may lie in the shadow, and none need reach the outline
 _END_PX = 0.5  # a stripe's end is seen to a row, that is half a pixel either way
 _STRAY_PX, _FARTHEST_PX = 5.0, 2.5
-"""An end farther outside than an edge is searched for is glare or a mistaken label; none counts for more than
-half of that."""
+"""A single end farther outside than an edge is searched for is glare or a mistaken label; none counts for more
+than half of that."""
 _CONTRADICTION_PX = 0.75
 """Standard uncertainty from which an outline says less than stripes do: 3 % of a product 50 px wide."""
 
@@ -212,6 +212,9 @@ class _Brackets(NamedTuple):
         off = -inside_by(self.free, self.ends)
         near = off < _STRAY_PX
         outside = 2.0 * float(np.clip(off[near], 0.0, _FARTHEST_PX).mean()) if near.any() else math.inf
+        astray = float(np.percentile(off, 100.0 - _TENTH))
+        if astray > _STRAY_PX:  # more of them than glare and mistaken labels make
+            outside = max(outside, astray)
         short = np.percentile(inside_by(self.ring, self.ends), _TENTH)
         over = -math.inf
         if len(self.beyond) >= _LEAST_ENDS:
