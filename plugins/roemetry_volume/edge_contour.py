@@ -82,8 +82,8 @@ _TENTH = 10.0
 _LEAST_ENDS = 8  # four stripes: of three, one may lie in the shadow, and none need reach the outline
 _END_PX = 0.5  # a stripe's end is seen to a row, that is half a pixel either way
 _STRAY_PX, _FARTHEST_PX = 5.0, 2.5
-"""A single end farther outside than an edge is searched for is glare or a mistaken label; none counts for more
-than half of that."""
+"""A single end farther outside than an edge is searched for is glare or a mistaken label; none counts for
+more than half of that."""
 _CONTRADICTION_PX = 0.75
 """Standard uncertainty from which an outline says less than stripes do: 3 % of a product 50 px wide."""
 
@@ -233,7 +233,9 @@ class _Brackets(NamedTuple):
 
         steps = np.arange(-_SHIFT_MAX_PX, _SHIFT_MAX_PX + 1.0, _SHIFT_STEP_PX)
         coarse = min(((x, y) for x in steps for y in steps), key=lambda shift: left_px(np.array(shift)))
-        found = minimize(left_px, np.array(coarse), method="Nelder-Mead", options={"xatol": 0.05, "fatol": 0.01})
+        found = minimize(
+            left_px, np.array(coarse), method="Nelder-Mead", options={"xatol": 0.05, "fatol": 0.01}
+        )
         return max(float(found.fun) - _END_PX, 0.0)
 
 
@@ -259,7 +261,7 @@ def _contradiction(against_px: float, left_px: float) -> Reason:
         "images-contradict",
         f"the product's outline in the plain-light image and the ends of its stripes are {against_px:.1f} px "
         f"apart, {left_px:.1f} px however one image is shifted: rows of the laser image are lost, or the "
-        "plain-light image is another product's or of another scale; look at both images, and take them again",
+        "plain-light image is another product's or of another scale; look at both, and take them again",
     )
 
 

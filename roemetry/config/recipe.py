@@ -69,6 +69,8 @@ class Recipe:
     uncertainty: Uncertainty
     draws: int
     """uncertainty, draws: how that of the results is found, and with how many Monte Carlo draws."""
+    stage_timeout_s: float | None
+    """How long a stage may take for one acquisition; None: for ever."""
     sinks: tuple[ResolvedStage, ...]
 
     def __repr__(self) -> str:
@@ -234,6 +236,7 @@ def _resolved(
         "calibration_check": file.calibration_check,
         "stages": stages,
         **_uncertainty_of(file),
+        "stage_timeout_s": file.stage_timeout_s,
         "sinks": tuple(sink for sink in sinks if sink is not None),
     }
 
@@ -247,7 +250,9 @@ def _with_default_aligner(
     recipe has to ask for.
     """
     triangulator = stages.get("triangulator")
-    if triangulator is None or triangulator.stage.moved is Triangulator.moved:
+    if triangulator is None or not issubclass(triangulator.stage, Triangulator):
+        return stages
+    if triangulator.stage.moved is Triangulator.moved:
         return stages
     if not any(one.entry.name == DEFAULT_ALIGNER for one in registry.of_kind("aligner")):
         return stages

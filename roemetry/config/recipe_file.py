@@ -151,6 +151,12 @@ class RecipeFile(Section):
         le=100_000,
         description="Monte Carlo draws; given, they take the place of `uncertainty`, and 0 stands for none",
     )
+    stage_timeout_s: float | None = Field(
+        default=300.0,
+        gt=0,
+        description="how long a stage may take for one acquisition, s, before it counts as hanging and its "
+        "result as missing; null: for ever",
+    )
     sinks: list[Choice] = Field(
         default_factory=lambda: [StageChoice(use="csv"), StageChoice(use="report")],
         description="what is derived from the record at the end; `[]` for nothing but the record",

@@ -11,7 +11,6 @@ from typing import Any, TypeVar
 import numpy as np
 
 from roemetry.config.recipe import Recipe
-from roemetry.config.resolve import ResolvedStage
 from roemetry.errors import FAULTS
 from roemetry.records import (
     Acquisition,
@@ -36,7 +35,8 @@ from roemetry.run.linearisation import linearise
 from roemetry.run.monte_carlo import Chain, Scene, propagate, without_draws
 from roemetry.run.open_parts import OpenPart, open_parts, said_of, split_products, widened, widened_by
 from roemetry.run.preprocess import prepare, prepare_plain
-from roemetry.run.stage_errors import describe_failure, is_refusal
+from roemetry.run.stage_errors import describe_failure, is_refusal, plugin_frame
+from roemetry.run.time_limit import StageTimeout, time_limit
 from roemetry.stages.kinds import check_result_type
 
 T = TypeVar("T")
@@ -100,7 +100,7 @@ class Pipeline:
 
     def trace(self, acquisition: Acquisition) -> Trace:
         """Take one acquisition through the chain; whatever goes wrong stands in `Trace.absent`."""
-        steps = _Steps(self.recipe.stages, self._debug)
+        steps = _Steps(self.recipe, self._debug)
         source = self.recipe.source_choice
         frame = steps.do("source", lambda: self._frame(acquisition))
         peaks: Peaks | None = None
@@ -155,7 +155,7 @@ class Pipeline:
                 product.number: _undecided(product)
                 or _too_high(product)
                 or _cut_off(stripes, product.number)
-                or (product.outline and product.outline.fault)
+                or (product.outline.fault if product.outline is not None else None)
                 for product in assembled
             }
             products = tuple(
@@ -207,7 +207,7 @@ class Pipeline:
         )
 
     def _outcome(self, product: Product, doubt: Reason | None, seconds: dict[str, float]) -> ProductTrace:
-        steps = _Steps(self.recipe.stages, self._debug, seconds)
+        steps = _Steps(self.recipe, self._debug, seconds)
         volume: Volume | None = None
         weight: Weight | None = None
         grade: Grade | None = None
@@ -223,7 +223,7 @@ class Pipeline:
 
     def _decided(self, found: ProductTrace, doubt: Reason | None, seconds: dict[str, float]) -> ProductTrace:
         """Let the grader decide, on results that have their uncertainties."""
-        steps = _Steps(self.recipe.stages, self._debug, seconds)
+        steps = _Steps(self.recipe, self._debug, seconds)
         decision: Decision | None = None
         if steps.allow("grader", doubt):
             decision = steps.do(
@@ -250,19 +250,23 @@ def frame_of(recipe: Recipe, acquisition: Acquisition) -> Frame:
 class _Steps:
     """Runs steps, takes their time, and notes why a result is missing."""
 
-    def __init__(
-        self, chosen: Mapping[str, ResolvedStage], debug: bool, seconds: dict[str, float] | None = None
-    ) -> None:
+    def __init__(self, recipe: Recipe, debug: bool, seconds: dict[str, float] | None = None) -> None:
         self.absent: dict[str, Reason] = {}
         self.seconds: dict[str, float] = {} if seconds is None else seconds
-        self._chosen = chosen
+        self._chosen = recipe.stages
+        self._limit_s = recipe.stage_timeout_s
         self._debug = debug
 
     def do(self, kind: str, step: Callable[[], T]) -> T | None:
         """Run a step; None if it could not be done."""
         begin = time.perf_counter()
         try:
-            return check_result_type(kind, step())
+            with time_limit(self._limit_s):
+                return check_result_type(kind, step())
+        except StageTimeout as error:
+            if self._debug:
+                raise
+            self.absent[kind] = Reason(f"{kind}-fault", self._not_finished(error, kind))
         # A fault in one plugin must not end a batch; the row says whose fault it is.
         except FAULTS as error:
             if self._debug:
@@ -276,6 +280,16 @@ class _Steps:
         finally:
             self.seconds[kind] = self.seconds.get(kind, 0.0) + time.perf_counter() - begin
         return None
+
+    def _not_finished(self, error: StageTimeout, kind: str) -> str:
+        chosen = self._chosen.get(kind)
+        whose = f"the {kind}" if chosen is None else f"the {kind} `{chosen.registered.entry.name}`"
+        place = None if chosen is None else plugin_frame(error, chosen.stage.__module__)
+        where = "" if place is None else f" (at {place})"
+        return (
+            f"{whose} had not finished after {self._limit_s:g} s{where}: it hangs, or needs more time; "
+            "stage_timeout_s in the recipe is the limit"
+        )
 
     def allow(self, kind: str, why_not: Reason | None) -> bool:
         """Say whether a step may be tried; if not, note why."""

@@ -138,6 +138,29 @@ def test_a_plugin_that_ends_the_program_ends_its_row_only(
     )
 
 
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="this system has no timer that interrupts")
+def test_a_stage_that_hangs_is_named_and_the_batch_goes_on(
+    line: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from roemetry_paper.zero_order_hold import ZeroOrderHold
+
+    def hangs(*_: Any, **__: Any) -> None:
+        while True:
+            try:
+                time.sleep(0.01)
+            except Exception:  # what a careless plugin writes
+                continue
+
+    monkeypatch.setattr(ZeroOrderHold, "estimate", hangs)
+    outcome = run_recipe(Recipe.load(line(2), sets=["stage_timeout_s=0.5"]), tmp_path / "out")
+    assert outcome.counts["failed"] == 2
+    row = rows_of(tmp_path / "out")["p01"]
+    assert row.absent["volume"].code == "volume-fault"
+    assert "the volume `zero-order-hold` had not finished after 0.5 s" in row.absent["volume"].text
+    assert row.grade is not None, "what does not need the volume is still there"
+    assert signal.getitimer(signal.ITIMER_REAL)[0] == 0.0
+
+
 def test_a_stage_that_gives_nothing_is_no_empty_belt(
     line: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -443,14 +466,14 @@ def test_some_open_points_are_said_and_too_many_refuse_the_product(
     assert hardly.reasons[0].code == "undecided"
 
 
-def test_a_camera_that_has_moved_is_said_and_then_refused(
+def test_without_an_aligner_a_camera_that_has_moved_is_said_and_then_refused(
     line: Callable[..., Path], tmp_path: Path, rig
 ) -> None:
     path = line(3)
     for number, shift in enumerate((0.0, 0.5, 1.4), start=1):
         image = rig.image(rig.x_px(rig.dome()) + shift + np.linspace(-0.4, 0.4, rig.rows))
         cv2.imwrite(str(path.parent / "images" / f"p{number:02d}.png"), image)
-    run_recipe(Recipe.load(path), tmp_path / "out")
+    run_recipe(Recipe.load(path, sets=["stages.aligner=null"]), tmp_path / "out")
     rows = rows_of(tmp_path / "out")
     codes = {name: [reason.code for reason in row.reasons] for name, row in rows.items()}
     assert "moved" not in codes["p01"]
