@@ -65,9 +65,7 @@ def check_calibration(recipe: Recipe, image: Path, block: Block, chart: Path | N
             hint="name one in `calibration`, and a triangulator in `stages`",
         )
     # The block is matt: what light does in the product is not to be added to it.
-    # The calibration itself is checked: an aligner would correct what is looked for.
-    stages = {kind: chosen for kind, chosen in recipe.stages.items() if kind != "aligner"}
-    trace = trace_of(replace(recipe, penetration=None, stages=stages), image)
+    trace = trace_of(replace(recipe, penetration=None), image)
     profiles = profiles_in(trace, image)
     places = find_block(profiles, block)
     view = recipe.stages["triangulator"].make().view(calibration)
@@ -100,8 +98,13 @@ def profiles_of(recipe: Recipe, image: Path) -> Profiles:
 
 
 def trace_of(recipe: Recipe, image: Path) -> Trace:
-    """Take one image through a recipe's chain, without draws; raise DataError where it cannot be read."""
-    return Pipeline(recipe, draws=0).trace(_read(image))
+    """Take one image through a recipe's chain, without draws; raise DataError where it cannot be read.
+
+    Without the aligner, too: it would correct what a check of the calibration looks for, and takes a sample of
+    two halves for a torn frame.
+    """
+    stages = {kind: chosen for kind, chosen in recipe.stages.items() if kind != "aligner"}
+    return Pipeline(replace(recipe, stages=stages), draws=0).trace(_read(image))
 
 
 def _read(image: Path) -> Acquisition:
