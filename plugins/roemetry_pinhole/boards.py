@@ -475,6 +475,8 @@ class BoardView:
     """Whether the board lies on the belt."""
     count: float
     """Encoder count; NaN where not known."""
+    pose: str = ""
+    """The pose, by the number in its images' names."""
     raw_px: Floats | None = None
     """(mark, 2) of circles: their centres of gravity, where those of `marks` have been corrected."""
 
@@ -485,6 +487,8 @@ class Seen:
 
     views: list[BoardView] = field(default_factory=list)
     left_out: dict[str, str] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+    """What else is to be said of them."""
 
 
 def board_views(observed: CalibrationSet, board: Board) -> Seen:
@@ -494,19 +498,31 @@ def board_views(observed: CalibrationSet, board: Board) -> Seen:
         poses: dict[str, dict[str, Observation]] = {}
         for observation in observed.showing(shows):
             poses.setdefault(observation.pose, {})[observation.frame.role] = observation
-        for pose in poses.values():
+        for name, pose in poses.items():
             plain, laser = pose.get("plain"), pose.get("laser")
             found = _marks([one for one in (plain, laser) if one is not None], board, seen)
             if found is None:
                 continue
             frame, marks = found
+            on_belt = shows == "board_on_belt"
+            count = plain.frame.encoder_count if plain is not None else np.nan
             if laser is not None and plain is not None:
                 fault = _lit(plain, laser)
+                elsewhere = None if fault else _elsewhere(laser, board, marks)
                 if fault:
                     seen.left_out[laser.frame.name] = fault
                     laser = None
-            count = plain.frame.encoder_count if plain is not None else np.nan
-            seen.views.append(BoardView(frame, marks, laser, plain, shows == "board_on_belt", count))
+                elif elsewhere is not None:
+                    moved_px = _apart_px(marks, elsewhere)
+                    seen.notes.append(
+                        f"the board moved by {moved_px:.1f} px between {plain.frame.name} and "
+                        f"{laser.frame.name}, whose names have the same number: taken for two poses"
+                    )
+                    seen.views.append(
+                        BoardView(laser.frame.name, elsewhere, laser, None, on_belt, np.nan, name)
+                    )
+                    laser = None
+            seen.views.append(BoardView(frame, marks, laser, plain, on_belt, count, name))
     _one_layout(seen)
     return seen
 
@@ -540,6 +556,29 @@ def _marks(images: list[Observation], board: Board, seen: Seen) -> tuple[str, Ma
         except BoardNotFoundError as error:
             seen.left_out[image.frame.name] = str(error)
     return None
+
+
+_SAME_POSE_PX = 1.0
+"""Marks of one pose that are nearer than this in its two images are at the same place: a stripe over a mark
+moves it by some tenths of a pixel, and a hand that holds a board by several."""
+
+
+def _elsewhere(laser: Observation, board: Board, marks: Marks) -> Marks | None:
+    """Give the marks in a pose's laser image where the board is not where its laser-off image shows it."""
+    try:
+        found = find_marks(laser.frame, board)
+    except BoardNotFoundError:
+        return None
+    return found if _apart_px(marks, found) > _SAME_POSE_PX else None
+
+
+def _apart_px(one: Marks, other: Marks) -> float:
+    """Give the median distance of marks that both images show, px; NaN where there are none."""
+    at = {tuple(place): px for place, px in zip(np.round(other.board_mm, 3), other.xy_px, strict=True)}
+    shared = [(px, at[key]) for key, px in zip(map(tuple, np.round(one.board_mm, 3)), one.xy_px, strict=True) if key in at]
+    if not shared:
+        return float("nan")
+    return float(np.median([np.hypot(*(a - b)) for a, b in shared]))
 
 
 def _lit(plain: Observation, laser: Observation) -> str:

@@ -10,11 +10,12 @@ import numpy as np
 from pydantic import Field
 
 from roemetry.errors import CalibrationError
-from roemetry.records import CalibrationSet, Evidence
+from roemetry.records import CalibrationSet, CameraFit, Evidence
 from roemetry.records.arrays import Floats
-from roemetry.records.calibration import Calibration
+from roemetry.records.calibration import ON_BELT, ON_BOARD, Calibration
 from roemetry.stages import Calibrator, Capabilities, StageOptions
-from roemetry_pinhole.joint import Joint, joint, of_planes, planes_by_solids, read_planes
+from roemetry_pinhole.joint import Joint, camera_alone, joint, of_planes, planes_by_solids
+from roemetry_pinhole.known_files import read_planes
 from roemetry_pinhole.pinhole_plane import (
     METHOD,
     covariance_of,
@@ -43,7 +44,8 @@ class PinholeCalibratorOptions(StageOptions):
     )
     camera: Path | None = Field(
         default=None,
-        description="OpenCV file with a camera matrix and distortion that are known and not looked for",
+        description="file with a camera that is known and not looked for: OpenCV's, as `roemetry calibrate "
+        "--camera-only` writes it, or a calibration",
     )
     planes: Path | None = Field(
         default=None,
@@ -67,6 +69,11 @@ class PinholeCalibratorOptions(StageOptions):
     scale: Literal["known", "free"] = Field(
         default="known",
         description="known: the board's pitch; free: looked for, from a block, a staircase or the encoder",
+    )
+    reference_pose: str | None = Field(
+        default=None,
+        description="where there is no belt: the pose, by the number in its image's name, whose board lies in "
+        "the plane from which heights are measured",
     )
     print_contrast_max: float = Field(
         default=0.25,
@@ -112,6 +119,10 @@ class PinholeCalibrator(Calibrator[PinholeCalibratorOptions]):
             raise
         return replace(calibration, **check_beside_solids(calibration, observed, self._calibrated))
 
+    def camera(self, observed: CalibrationSet) -> CameraFit:
+        """Find camera and lens alone; CalibrationError for too few poses, or poses too much alike."""
+        return camera_alone(observed, lens=self.options.lens)
+
     def evidence(self, observed: CalibrationSet, calibration: Calibration) -> Evidence:
         """Show residuals, views left out in turn, stripes against each other, coverage, and a verdict."""
         joined = self._joint(observed)
@@ -137,20 +148,25 @@ class PinholeCalibrator(Calibrator[PinholeCalibratorOptions]):
             covariance[first:, first:] += own
             notes = (*notes, note)
         left_out = joined.seen.left_out.items()
+        on_belt = self.options.reference_pose is None
         return Calibration(
             method=METHOD,
             image_size=size,
             turn_deg=observed.observations[0].frame.turn_deg,
             rest_px=rest_polynomials(parameters, size),
             displacement_px_per_mm=displacements(parameters, size),
-            height_range_mm=(0.0, self.options.height_max_mm or verdict.height_max_mm),
+            height_range_mm=(
+                0.0 if on_belt else min(0.0, verdict.height_min_mm),
+                self.options.height_max_mm or verdict.height_max_mm,
+            ),
             parameters=parameters,
             covariance=covariance,
             residuals=verdict.residuals,
             target=_described(joined),
             extractor=dict(observed.extractor),
-            notes=(*notes, *(f"not used: {name}: {why}" for name, why in left_out)),
+            notes=(*notes, *joined.seen.notes, *(f"not used: {name}: {why}" for name, why in left_out)),
             view=view_of(parameters, size),
+            reference=ON_BELT if on_belt else ON_BOARD,
         )
 
     def _joint(self, observed: CalibrationSet) -> Joint:
@@ -161,6 +177,7 @@ class PinholeCalibrator(Calibrator[PinholeCalibratorOptions]):
             print_contrast_max=self.options.print_contrast_max,
             bent=self.options.flatness == "free",
             planes=self._planes(),
+            reference_pose=_plain_number(self.options.reference_pose),
         )
 
     def _of_known_planes(self, joined: Joint) -> tuple[Floats, str]:
@@ -187,6 +204,11 @@ class PinholeCalibrator(Calibrator[PinholeCalibratorOptions]):
                 hint="give height_max_mm among the calibrator's options",
             )
         return read_planes(self.options.planes, sign=1 if self.options.planes_form == "Ax+By+Cz+D=0" else -1)
+
+
+def _plain_number(pose: str | None) -> str | None:
+    """Give the pose's number as images' names give it: without zeros in front."""
+    return str(int(pose)) if pose is not None and pose.isdigit() else pose
 
 
 def _described(joined: Joint) -> dict[str, object]:

@@ -2,8 +2,8 @@
 
 What there is decides the way: boards under the stripes tell camera and planes together; solids or a sphere
 plate on the belt tell the planes, with a camera that boards or a file tell; and with camera and planes from
-files only the belt is looked for. Files are OpenCV's (YAML, JSON or XML): a camera matrix with distortion
-coefficients, and rows A, B, C, D of planes in the camera's frame, mm.
+files (`roemetry_pinhole.known_files`) only the belt is looked for. Without a belt one pose of the board gives
+the plane from which heights are measured. The boards alone give the camera alone.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from roemetry.errors import CalibrationError, DataError
-from roemetry.records import Board, CalibrationSet
+from roemetry.errors import CalibrationError
+from roemetry.records import Board, CalibrationSet, CameraFit
 from roemetry.records.arrays import Floats
 from roemetry_pinhole.boards import BoardView, Seen, board_views
 from roemetry_pinhole.bundle import Adjusted, Measured
@@ -30,108 +30,9 @@ from roemetry_pinhole.geometry import (
     unknowns_of,
 )
 from roemetry_pinhole.initial_intrinsics import FirstCamera, first_camera, free_numbers
+from roemetry_pinhole.known_files import read_camera
 from roemetry_pinhole.plates import from_plate
 from roemetry_pinhole.stripes import Gathered, belt_points, gather
-
-_MATRIX = ("camera_matrix", "cameraMatrix", "Camera_Matrix", "K", "intrinsics")
-_LENS = ("distortion_coefficients", "distCoeffs", "Distortion_Coefficients", "dist_coeffs", "D")
-_PLANES = ("planes", "laser_planes")
-
-
-def read_camera(path: Path) -> Floats:
-    """Give (12,) fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6 from a file that OpenCV wrote.
-
-    Raises
-    ------
-    DataError
-        There is no such file, or it holds no camera matrix, or a lens model this program does not know.
-    """
-    storage = _opened(path)
-    try:
-        matrix, lens = _first(storage, _MATRIX), _first(storage, _LENS)
-    finally:
-        storage.release()
-    if matrix is None or matrix.shape != (3, 3):
-        raise DataError(f"{path}: there is no 3 × 3 camera matrix here ({', '.join(_MATRIX)})")
-    if abs(matrix[0, 1]) > 1e-9:
-        raise DataError(f"{path}: the camera matrix has a skew of {matrix[0, 1]:g}; square axes are expected")
-    numbers = np.zeros(0) if lens is None else np.ravel(lens)
-    if numbers.size > 8 and numbers[8:].any():
-        raise DataError(
-            f"{path}: there are {numbers.size} distortion coefficients; up to 8 are known here",
-            hint="calibrate with k1, k2, p1, p2, k3 (and k4, k5, k6)",
-        )
-    camera = np.zeros(CAMERA)
-    camera[:4] = matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]
-    camera[4 : 4 + min(numbers.size, 8)] = numbers[:8]
-    return camera
-
-
-def plane_from(a: float, b: float, c: float, d: float, *, sign: int) -> Floats:
-    """Give (3,) p·X = 1 from Ax + By + Cz + D = 0 (`sign` = 1) or Ax + By + Cz = D (`sign` = −1), mm.
-
-    Raises
-    ------
-    DataError
-        The plane goes through the origin, the camera's centre: it measures nothing.
-    """
-    distance = -sign * d
-    size = float(np.sqrt(a * a + b * b + c * c))
-    if size == 0.0 or abs(distance) < 1e-9 * size:
-        raise DataError("the plane goes through the camera's centre, or has no direction")
-    return np.array([a, b, c], np.float64) / distance
-
-
-def read_planes(path: Path, *, sign: int = 1) -> Floats:
-    """Give (stripe, 3) p·X = 1 from rows A, B, C, D named `planes` or `laser_planes`, camera frame, mm.
-
-    Parameters
-    ----------
-    path
-        YAML, JSON or XML as OpenCV writes it.
-    sign
-        1 where the rows mean Ax + By + Cz + D = 0, −1 where they mean Ax + By + Cz − D = 0.
-
-    Raises
-    ------
-    DataError
-        There are no such rows, or a plane goes through the camera's centre.
-    """
-    storage = _opened(path)
-    try:
-        rows = _first(storage, _PLANES)
-    finally:
-        storage.release()
-    if rows is None or rows.ndim != 2 or rows.shape[1] != 4:
-        raise DataError(f"{path}: there are no planes here: rows of A, B, C, D named `planes`")
-    try:
-        return np.stack([plane_from(*row, sign=sign) for row in rows.tolist()])
-    except DataError as error:
-        raise DataError(f"{path}: {error.message}") from error
-
-
-def _opened(path: Path):  # type: ignore[no-untyped-def]  # noqa: ANN202
-    import cv2
-
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-    try:
-        storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
-    except (cv2.error, SystemError) as error:
-        raise DataError(f"{path}: not a file that OpenCV wrote") from error
-    if not storage.isOpened():
-        raise DataError(f"{path}: the file cannot be read, or OpenCV did not write it")
-    return storage
-
-
-def _first(storage, names: tuple[str, ...]) -> Floats | None:  # type: ignore[no-untyped-def]  # noqa: ANN001
-    for name in names:
-        node = storage.getNode(name)
-        if not node.empty():
-            found = node.mat()
-            if found is not None:
-                return np.asarray(found, np.float64)
-    return None
-
 
 _OFF_MAX_PX = 3.0
 """Median residual of the belt's stripes by known planes, px: planes of another rig or frame are off by
@@ -273,6 +174,7 @@ def joint(
     print_contrast_max: float,
     bent: bool = False,
     planes: Floats | None = None,
+    reference_pose: str | None = None,
 ) -> Joint:
     """Find everything in the images and adjust it together.
 
@@ -290,6 +192,8 @@ def joint(
         Whether the board's shape is looked for.
     planes
         (stripe, 3) p·X = 1 of planes that are known and not looked for; a camera file is needed then.
+    reference_pose
+        The pose whose board lies in the plane Z = 0, by the number in its image's name; None: the belt is.
 
     Raises
     ------
@@ -308,7 +212,9 @@ def joint(
             "and images of a block, a staircase or a truncated pyramid",
         )
     seen = Seen() if board is None else board_views(observed, board)
-    tried = len({(one.shows, one.pose) for one in observed.observations if one.shows in _BOARDS})
+    if board is not None and reference_pose is not None:
+        board = _on_reference(board, seen, reference_pose)
+    tried = _poses_tried(observed)
     if not tried and not (by_solids and known is not None):
         raise CalibrationError("there is no image of the board", hint="name them in images.board")
     size = observed.observations[0].frame.size
@@ -345,6 +251,69 @@ def joint(
         measured.adjusted(),
         _moves(counts),
     )
+
+
+def camera_alone(observed: CalibrationSet, *, lens: str) -> CameraFit:
+    """Find the camera from the boards' marks, without a laser.
+
+    Raises
+    ------
+    CalibrationError
+        No board is described, too few poses, or poses too much alike.
+    """
+    board = observed.board
+    if board is None:
+        raise CalibrationError(
+            "no board is described", hint="add `board:` to the rig file: its kind, columns, rows and pitch_mm"
+        )
+    seen = board_views(observed, board)
+    free = free_numbers(lens)
+    first = first_camera(seen, observed.observations[0].frame.size, lens, None, _poses_tried(observed))
+    count = len(first.views)
+    number, none, nowhere = np.arange(count), np.empty(0), np.empty((0, 3))
+    whole = np.empty(0, np.int64)
+    start = Geometry(first.camera, first.rotation, first.shift, nowhere, np.full(3, np.nan), np.zeros(3))
+    unknowns = unknowns_of(start, free_camera=free, planes=False, belt=False, travel=False)
+    points, feet = StripePoints(whole, whole, none, none, none, none), Feet(whole, nowhere, none)
+    found = Measured(
+        start, unknowns, _corners(first, number, np.zeros(count)), points, feet, _foot_std_mm(board)
+    ).adjusted()
+    at = unknowns.camera
+    std = np.where(at >= 0, np.sqrt(np.diag(found.covariance)[np.maximum(at, 0)]), 0.0)
+    off_px = found.corner_px[found.corner_used]
+    return CameraFit(
+        image_size=observed.observations[0].frame.size,
+        focal_px=found.geometry.camera[:2],
+        principal_px=found.geometry.camera[2:4],
+        distortion=found.geometry.camera[4:],
+        std=std,
+        rms_px=float(np.sqrt((off_px**2).sum(axis=1).mean())),
+        images=count,
+        left_out=dict(seen.left_out),
+    )
+
+
+def _poses_tried(observed: CalibrationSet) -> int:
+    return len({(one.shows, one.pose) for one in observed.observations if one.shows in _BOARDS})
+
+
+def _on_reference(board: Board, seen: Seen, pose: str) -> Board:
+    """Let the board of one pose lie in the plane Z = 0, its print uppermost; give the board as it then is."""
+    there = [number for number, view in enumerate(seen.views) if view.pose == pose]
+    if not there:
+        poses = ", ".join(view.pose for view in seen.views)
+        why = "".join(f"\n  {name}: {why}" for name, why in seen.left_out.items())
+        raise CalibrationError(
+            f"the board is not seen in the pose {pose!r}, which is to be the reference; it is in {poses}{why}",
+            hint="reference_pose is the number in the image's name, as 7 in board_07.png",
+        )
+    if any(view.on_belt for view in seen.views):
+        raise CalibrationError(
+            "a board lies on the belt, and another pose is to be the reference",
+            hint="leave reference_pose out, or images.board_on_belt",
+        )
+    seen.views[there[0]] = replace(seen.views[there[0]], on_belt=True)
+    return replace(board, thickness_mm=0.0)
 
 
 def planes_by_solids(observed: CalibrationSet) -> bool:

@@ -272,7 +272,7 @@ def gather(
         peaks = view.laser.peaks
         xy = _straight(peaks, first.camera)
         place = on_board(view, board, xy, first.rotation[number], first.shift[number])
-        use = ((place > 0.0) & (place < size)).all(axis=1)
+        use = ((place > -board.margin_mm) & (place < size + board.margin_mm)).all(axis=1)
         use &= (peaks.flags & (EDGE | WIDE)) == 0
         use &= ~(peaks.width_px > _WIDTH_SHARE_MAX * view.marks.spacing_px)
         even = np.ones(len(peaks), np.bool_)

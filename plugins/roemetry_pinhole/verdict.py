@@ -88,6 +88,7 @@ class Verdict:
 
     residuals: dict[str, float]
     notes: tuple[str, ...]
+    height_min_mm: float
     height_max_mm: float
 
 
@@ -140,7 +141,7 @@ def judged(joined: Joint, *, scale_is_known: bool = True) -> Verdict:
         "stripes_correlation": adjusted.correlation,
         "poses": float(len(joined.first.views)),
     }
-    return Verdict(residuals, tuple(notes), _height_reached(joined))
+    return Verdict(residuals, tuple(notes), *_heights_reached(joined))
 
 
 def _of_marks(joined: Joint, *, scale_is_known: bool) -> tuple[dict[str, float], list[str]]:
@@ -282,17 +283,17 @@ def _systematic(adjusted: Adjusted, first: FirstCamera, size: tuple[int, int]) -
     return float(systematic), float(np.unique(cell).size / _CELLS**2)
 
 
-def _height_reached(joined: Joint) -> float:
-    """Greatest height over the belt of the boards' middles, or of the solids, mm; 0 where there are none."""
+def _heights_reached(joined: Joint) -> tuple[float, float]:
+    """Least and greatest height over the belt of the boards' middles, or of solids, mm; 0 without either."""
     geometry, board = joined.adjusted.geometry, joined.board
     if joined.solids is not None:
-        return max(shape.height_mm for shape in joined.solids.shapes)
+        return 0.0, max(shape.height_mm for shape in joined.solids.shapes)
     if board is None:
-        return 0.0
+        return 0.0, 0.0
     middle = 0.5 * board.pitch_mm * np.array([board.columns, board.rows, 0.0])
     at: Floats = geometry.rotation @ middle + geometry.shift
     height = (1.0 - at @ geometry.belt) / np.sqrt(geometry.belt @ geometry.belt)
-    return float(max(height.max(), 1.0))
+    return float(height.min()), float(max(height.max(), 1.0))
 
 
 _FOLDS = 5

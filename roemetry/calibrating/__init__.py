@@ -15,7 +15,13 @@ from roemetry.calibrating.evidence import (
     height_uncertainty,
     level_line_px,
 )
-from roemetry.calibrating.from_rig import calibrate, calibrate_with_evidence, default_path, observe
+from roemetry.calibrating.from_rig import (
+    calibrate,
+    calibrate_camera,
+    calibrate_with_evidence,
+    default_path,
+    observe,
+)
 from roemetry.run.control_chart import (
     QUANTITIES,
     Chart,
@@ -33,6 +39,7 @@ __all__ = [
     "Quantity",
     "block_of",
     "calibrate",
+    "calibrate_camera",
     "calibrate_with_evidence",
     "calibration_doubts",
     "chart_page",

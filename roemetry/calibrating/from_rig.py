@@ -11,11 +11,12 @@ import numpy as np
 
 from roemetry.config.rig import Rig, pose_of
 from roemetry.errors import CalibrationError
-from roemetry.io.files import sha256_of
+from roemetry.io.files import sha256_of, write_whole
 from roemetry.records import (
     Acquisition,
     AcquisitionReference,
     CalibrationSet,
+    CameraFit,
     Evidence,
     Frame,
     Observation,
@@ -53,6 +54,36 @@ def _calibrated(rig: Rig, observed: CalibrationSet, hashes: dict[str, str]) -> C
     with wrap_stage_error("calibrator", rig.calibrator):
         calibration: Calibration = check_result_type("calibrator", rig.calibrator.make().calibrate(observed))
     return replace(calibration, image_sha256=hashes, made=datetime.now(UTC).isoformat(timespec="seconds"))
+
+
+def calibrate_camera(rig: Rig, path: Path, *, registry: Registry | None = None) -> CameraFit:
+    """Find camera and lens alone from the rig's boards, and write them as OpenCV does.
+
+    Raises
+    ------
+    CalibrationError
+        As `calibrate`.
+    DataError
+        An image cannot be read.
+    OutputError
+        The file cannot be written.
+    """
+    import cv2
+
+    observed, _ = observe(rig, registry or discover())
+    with wrap_stage_error("calibrator", rig.calibrator):
+        found: CameraFit = check_result_type("camera", rig.calibrator.make().camera(observed))
+    storage = cv2.FileStorage(path.suffix, cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
+    rows, columns = found.image_size
+    (fx, fy), (cx, cy) = found.focal_px, found.principal_px
+    storage.write("image_width", columns)
+    storage.write("image_height", rows)
+    storage.write("camera_matrix", np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]))
+    storage.write("distortion_coefficients", found.distortion[None])
+    storage.write("standard_uncertainties", found.std[None])
+    storage.write("rms_px", found.rms_px)
+    write_whole(path, storage.releaseAndGetString())
+    return found
 
 
 def observe(rig: Rig, registry: Registry) -> tuple[CalibrationSet, dict[str, str]]:

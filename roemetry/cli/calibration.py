@@ -14,6 +14,7 @@ from roemetry.cli.options import out_option, set_option
 
 if TYPE_CHECKING:
     from roemetry.calibrating import Check
+    from roemetry.config.rig import Rig
     from roemetry.records import Evidence
     from roemetry.records.calibration import Calibration
 
@@ -42,6 +43,14 @@ def calibrate(
             help="Write a calibration that its own checks refuse; every number measured with it says so.",
         ),
     ] = False,
+    camera_only: Annotated[
+        bool,
+        typer.Option(
+            "--camera-only",
+            help="Find camera and lens alone, from the boards; written as OpenCV does, to camera.yaml beside the "
+            "rig unless --out says otherwise.",
+        ),
+    ] = False,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
     """Make a calibration from images of known things, check it, or refuse with the reason."""
@@ -50,6 +59,9 @@ def calibrate(
     from roemetry.errors import CalibrationError
 
     loaded = Rig.load(rig, sets=sets or ())
+    if camera_only:
+        _camera(loaded, out or loaded.path.with_name("camera.yaml"))
+        return
     calibration, evidence = calibrate_with_evidence(loaded)
     path = out or default_path(loaded)
     if not evidence.usable:
@@ -72,6 +84,20 @@ def calibrate(
     if report is not None:
         _write_page(report, calibration, evidence, loaded.file.name)
         typer.echo(f"{report}")
+
+
+def _camera(rig: Rig, path: Path) -> None:
+    from roemetry.calibrating import calibrate_camera
+
+    found = calibrate_camera(rig, path)
+    names = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+    values = [*found.focal_px, *found.principal_px, *found.distortion]
+    typer.echo(f"{path}: camera from {found.images} images, marks off by {found.rms_px:.3f} px (rms)")
+    for name, value, std in zip(names, values, found.std, strict=True):
+        if std > 0.0:
+            typer.echo(f"  {name}: {value:.6g} ± {std:.2g}{' px' if name[0] in 'fc' else ''}")
+    for name, why in found.left_out.items():
+        typer.echo(f"  not used: {name}: {why}")
 
 
 def _write_page(path: Path, calibration: Calibration, evidence: Evidence, name: str) -> None:

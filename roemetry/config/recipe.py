@@ -30,7 +30,7 @@ from roemetry.config.validation import checked
 from roemetry.errors import ConfigurationError, RoemetryError
 from roemetry.io.yaml_source import Document, Step, read
 from roemetry.records import Sensor
-from roemetry.records.calibration import Calibration
+from roemetry.records.calibration import ON_BELT, Calibration
 from roemetry.records.display import table
 from roemetry.records.penetration import Penetration
 from roemetry.stages import Triangulator
@@ -194,8 +194,6 @@ def _resolved(
         chosen = chooser.choose(kind, choice, "stages", kind)
         if chosen is not None:
             stages[kind] = chosen
-    if "aligner" not in file.stages.model_fields_set and file.calibration is not None:
-        stages = _with_default_aligner(stages, registry, chooser)
     _check_needs(stages, file, chooser)
     sinks = [chooser.choose("sink", choice, "sinks", index) for index, choice in enumerate(file.sinks)]
     calibration_path = None if file.calibration is None else path.parent / file.calibration
@@ -215,6 +213,9 @@ def _resolved(
                     "source",
                     "turn_deg",
                 )
+    on_belt = calibration is not None and calibration.reference == ON_BELT
+    if on_belt and "aligner" not in file.stages.model_fields_set:
+        stages = _with_default_aligner(stages, registry, chooser)
     penetration = None
     if file.penetration is not None:
         try:

@@ -43,6 +43,9 @@ class BoardFile(Section):
     )
     flatness_mm: float = Field(default=0.1, ge=0, description="largest distance from a plane, mm")
     thickness_mm: float = Field(default=0.0, ge=0, description="from the print to what it lies on, mm")
+    margin_mm: float = Field(
+        default=0.0, ge=0, description="white margin around the pattern on which stripes count, too, mm"
+    )
 
     @model_validator(mode="after")
     def _has_markers(self) -> BoardFile:

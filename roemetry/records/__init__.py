@@ -7,6 +7,7 @@ from roemetry.records.observations import (
     Block,
     Board,
     CalibrationSet,
+    CameraFit,
     Evidence,
     EvidenceFigure,
     Fitted,

@@ -21,6 +21,9 @@ from roemetry.records.view import View
 
 VERSION = 1
 
+ON_BELT, ON_BOARD = "belt", "board"
+"""What Z = 0 of a calibration is."""
+
 
 @dataclass(frozen=True, eq=False, repr=False, slots=True)
 class Calibration(Shown):
@@ -56,6 +59,9 @@ class Calibration(Shown):
     view: View | None = None
     """Camera and planes of light in the belt frame, as coders and outlines need them whatever the method;
     None where the method gives none."""
+    reference: str = ON_BELT
+    """What Z = 0 is: ``belt``, on which stripes are seen beside the product, or ``board``, the plane of a board
+    in one of its poses where there is no belt."""
 
     def __post_init__(self) -> None:
         check = Checker(self)
@@ -65,6 +71,7 @@ class Calibration(Shown):
         for array in arrays.values():
             array.flags.writeable = False
         object.__setattr__(self, "parameters", arrays)
+        check.require(self.reference in (ON_BELT, ON_BOARD), f"reference is {self.reference!r}")
         size = sum(array.size for array in arrays.values())
         check.array("covariance", np.float64, (size, size))
         check.finish()
@@ -157,6 +164,7 @@ class Calibration(Shown):
             "image_sha256": dict(self.image_sha256),
             "notes": list(self.notes),
             "view": None if self.view is None else self.view.to_dict(),
+            **({} if self.reference == ON_BELT else {"reference": self.reference}),
         }
 
     def save(self, path: Path) -> None:
@@ -198,6 +206,7 @@ class Calibration(Shown):
                 made=str(data["made"]),
                 notes=tuple(data["notes"]),
                 view=None if data.get("view") is None else View.from_dict(data["view"], size),
+                reference=str(data.get("reference", ON_BELT)),
             )
         except (KeyError, TypeError, ValueError, IndexError, AttributeError, DataError) as error:
             what = f"{error} is missing" if isinstance(error, KeyError) else str(error)

@@ -51,6 +51,8 @@ class Board:
     """Largest distance of the print from a plane, mm."""
     thickness_mm: float = 0.0
     """From the print to what the board lies on, mm."""
+    margin_mm: float = 0.0
+    """How far the sheet, flat and of one colour, goes on beyond the pattern on all sides, mm."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,6 +147,27 @@ class CalibrationSet(Shown):
     def showing(self, what: str) -> tuple[Observation, ...]:
         """Give the observations of one kind of target."""
         return tuple(observation for observation in self.observations if observation.shows == what)
+
+
+@dataclass(frozen=True, eq=False, repr=False, slots=True)
+class CameraFit(Shown):
+    """A camera and its lens alone, from a board in many poses."""
+
+    image_size: tuple[int, int]
+    """Rows and columns."""
+    focal_px: Floats
+    principal_px: Floats
+    """focal_px, principal_px: (2,) fx, fy and cx, cy."""
+    distortion: Floats
+    """(8,) k1, k2, p1, p2, k3, k4, k5, k6 in OpenCV's model."""
+    std: Floats
+    """(12,) standard uncertainties of all of these in this order; 0 of what was not looked for."""
+    rms_px: float
+    """Distance of seen and predicted marks, px."""
+    images: int
+    """In how many images the board was used."""
+    left_out: Mapping[str, str]
+    """By image, why the board in it was not."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,6 +22,7 @@ from roemetry.records import (
     AcquisitionReference,
     CalibrationSet,
     Decision,
+    CameraFit,
     Evidence,
     Fitted,
     Frame,
@@ -188,6 +189,12 @@ class Calibrator(Stage[OptionsT]):
     @abstractmethod
     def calibrate(self, observed: CalibrationSet) -> Calibration:
         """Calibrate, or refuse by a CalibrationError that says why and what to do."""
+
+    def camera(self, observed: CalibrationSet) -> CameraFit:
+        """Find camera and lens alone, from the same set without stripes; CalibrationError where it cannot."""
+        raise CalibrationError(
+            f"{type(self).__name__} does not calibrate a camera alone", hint="pinhole-plane does, from boards"
+        )
 
     def evidence(self, observed: CalibrationSet, calibration: Calibration) -> Evidence:
         """Show what speaks for a calibration that was made from these observations: for its page."""

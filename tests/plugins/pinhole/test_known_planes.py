@@ -18,7 +18,7 @@ from roemetry.records.view import write_camera
 from roemetry.testing import LinearRig
 from roemetry_pinhole.calibrator import PinholeCalibrator, PinholeCalibratorOptions
 from roemetry_pinhole.conformance import observed_of
-from roemetry_pinhole.joint import read_camera, read_planes
+from roemetry_pinhole.known_files import read_camera, read_planes
 from roemetry_pinhole.pinhole_plane import camera_of, lines_at_height, view_of
 
 

@@ -12,7 +12,7 @@ from benchmarks.simulated_points import SimulatedRig, shown
 from roemetry.errors import DataError
 from roemetry.records import StripeMap
 from roemetry.records.calibration import Calibration
-from roemetry_pinhole.joint import plane_from, read_camera
+from roemetry_pinhole.known_files import plane_from, read_camera
 from roemetry_pinhole.pinhole_plane import (
     METHOD,
     PinholePlane,
