@@ -33,6 +33,13 @@ def roemetry_stages() -> Iterable[StageEntry]:
     )
     yield StageEntry(
         kind="coder",
+        name="single",
+        target="roemetry_coding.single:Single",
+        summary="One line, followed through all rows, on a belt or without one",
+        reference="our own; dynamic programming: Bellman 1957",
+    )
+    yield StageEntry(
+        kind="coder",
         name="pieces",
         target="roemetry_coding.pieces:Pieces",
         summary="Without a calibration: joins broken stripes and counts them where order and direction agree",

@@ -575,7 +575,11 @@ def _elsewhere(laser: Observation, board: Board, marks: Marks) -> Marks | None:
 def _apart_px(one: Marks, other: Marks) -> float:
     """Give the median distance of marks that both images show, px; NaN where there are none."""
     at = {tuple(place): px for place, px in zip(np.round(other.board_mm, 3), other.xy_px, strict=True)}
-    shared = [(px, at[key]) for key, px in zip(map(tuple, np.round(one.board_mm, 3)), one.xy_px, strict=True) if key in at]
+    shared = [
+        (px, at[key])
+        for key, px in zip(map(tuple, np.round(one.board_mm, 3)), one.xy_px, strict=True)
+        if key in at
+    ]
     if not shared:
         return float("nan")
     return float(np.median([np.hypot(*(a - b)) for a, b in shared]))

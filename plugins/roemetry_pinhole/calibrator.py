@@ -72,8 +72,8 @@ class PinholeCalibratorOptions(StageOptions):
     )
     reference_pose: str | None = Field(
         default=None,
-        description="where there is no belt: the pose, by the number in its image's name, whose board lies in "
-        "the plane from which heights are measured",
+        description="where there is no belt: the pose, by the number in its image's name, whose board lies "
+        "in the plane from which heights are measured",
     )
     print_contrast_max: float = Field(
         default=0.25,

@@ -304,7 +304,8 @@ def _on_reference(board: Board, seen: Seen, pose: str) -> Board:
         poses = ", ".join(view.pose for view in seen.views)
         why = "".join(f"\n  {name}: {why}" for name, why in seen.left_out.items())
         raise CalibrationError(
-            f"the board is not seen in the pose {pose!r}, which is to be the reference; it is in {poses}{why}",
+            f"the board is not seen in the pose {pose!r}, which is to be the reference; "
+            f"it is in {poses or 'none'}{why}",
             hint="reference_pose is the number in the image's name, as 7 in board_07.png",
         )
     if any(view.on_belt for view in seen.views):

@@ -58,7 +58,9 @@ def read_camera(path: Path) -> Floats:
 def _is_calibration(path: Path) -> bool:
     try:
         with path.open(encoding="utf-8") as file:
-            return any(line.startswith("roemetry_calibration") for line in itertools.islice(file, _HEAD_LINES))
+            return any(
+                line.startswith("roemetry_calibration") for line in itertools.islice(file, _HEAD_LINES)
+            )
     except (OSError, UnicodeDecodeError):
         return False
 

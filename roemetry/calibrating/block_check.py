@@ -100,8 +100,8 @@ def profiles_of(recipe: Recipe, image: Path) -> Profiles:
 def trace_of(recipe: Recipe, image: Path) -> Trace:
     """Take one image through a recipe's chain, without draws; raise DataError where it cannot be read.
 
-    Without the aligner, too: it would correct what a check of the calibration looks for, and takes a sample of
-    two halves for a torn frame.
+    Without the aligner, too: it would correct what a check of the calibration looks for, and takes a sample
+    of two halves for a torn frame.
     """
     stages = {kind: chosen for kind, chosen in recipe.stages.items() if kind != "aligner"}
     return Pipeline(replace(recipe, stages=stages), draws=0).trace(_read(image))

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from roemetry.config.recipe_file import Contrast
 from roemetry.config.rig import Rig, pose_of
 from roemetry.errors import CalibrationError
 from roemetry.io.files import sha256_of, write_whole
@@ -121,7 +122,8 @@ def observe(rig: Rig, registry: Registry) -> tuple[CalibrationSet, dict[str, str
                 )
             hashes[f"{shows}/{path.name}"] = found
             pose = pose_of(path) if on_board else ""
-            frame = _prepared(read, None, rig)
+            # marks are black and white: the laser's contrast would leave nothing of them
+            frame = _prepared(read, None, rig, contrast="none" if on_board else rig.file.contrast)
             if not lit:
                 if shows == "board_on_belt" and rig.file.encoder_counts:
                     frame = replace(frame, encoder_count=rig.file.encoder_counts[index])
@@ -133,7 +135,7 @@ def observe(rig: Rig, registry: Registry) -> tuple[CalibrationSet, dict[str, str
                 partner = (
                     None  # in other light than the laser image: it shows the board, not what to subtract
                 )
-            light = frame if partner is None else _prepared(read, partner, rig)
+            light = _prepared(read, partner, rig, contrast=rig.file.contrast)
             with wrap_stage_error("extractor", rig.extractor):
                 peaks = check_result_type("extractor", extractor.extract(light))
             observations.append(Observation(target, frame, peaks, pose))
@@ -167,12 +169,12 @@ def default_path(rig: Rig) -> Path:
     return rig.path.with_name("calibration.yaml")
 
 
-def _prepared(laser: Frame, partner: Frame | None, rig: Rig) -> Frame:
+def _prepared(laser: Frame, partner: Frame | None, rig: Rig, *, contrast: Contrast) -> Frame:
     """One channel, turned; the light of the laser alone where there is a laser-off partner."""
     frames = (laser,) if partner is None else (laser, replace(partner, role="dark"))
     options: dict[str, Any] = {
         "channel": rig.file.channel,
-        "contrast": rig.file.contrast,
+        "contrast": contrast,
         "turn_deg": rig.file.turn_deg,
         "bit_depth": rig.file.bit_depth,
         "subtract": "none" if partner is None else "dark",

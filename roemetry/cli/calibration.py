@@ -47,8 +47,8 @@ def calibrate(
         bool,
         typer.Option(
             "--camera-only",
-            help="Find camera and lens alone, from the boards; written as OpenCV does, to camera.yaml beside the "
-            "rig unless --out says otherwise.",
+            help="Find camera and lens alone, from the boards; written as OpenCV does, to camera.yaml "
+            "beside the rig unless --out says otherwise.",
         ),
     ] = False,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,

@@ -60,8 +60,8 @@ class Calibration(Shown):
     """Camera and planes of light in the belt frame, as coders and outlines need them whatever the method;
     None where the method gives none."""
     reference: str = ON_BELT
-    """What Z = 0 is: ``belt``, on which stripes are seen beside the product, or ``board``, the plane of a board
-    in one of its poses where there is no belt."""
+    """What Z = 0 is: ``belt``, on which stripes are seen beside the product, or ``board``, the plane of a
+    board in one of its poses where there is no belt."""
 
     def __post_init__(self) -> None:
         check = Checker(self)

@@ -16,13 +16,13 @@ from typing import Annotated, Any, ClassVar, Generic, Literal, TypeVar, get_args
 import numpy as np
 from pydantic import BaseModel, ConfigDict, model_validator
 
-from roemetry.errors import MisfitError, StageError
+from roemetry.errors import CalibrationError, MisfitError, StageError
 from roemetry.records import (
     Acquisition,
     AcquisitionReference,
     CalibrationSet,
-    Decision,
     CameraFit,
+    Decision,
     Evidence,
     Fitted,
     Frame,
@@ -447,6 +447,7 @@ _GIVES: Mapping[str, type] = {
     "smoother": StripeMap,
     "outliner": tuple,
     "calibrator": Calibration,
+    "camera": CameraFit,
     "triangulator": Profiles,
     "volume": Volume,
     "weigher": Weight,

@@ -1,0 +1,193 @@
+"""Coding of a single line: the brightest path through the peaks, with a belt or without one.
+
+Model. One plane of light makes at most one peak a row; the others are reflections, lamps and glare. The line
+is the path through the rows of least
+
+    Σ (1 − a/a_row) + Σ step + Σ skipped rows,
+
+where a is a peak's amplitude and a_row that of its row's brightest; a step costs its slope, px a row, up to
+that of a jump, for the line breaks at a product's edge; and a row may be left out. Dynamic programming,
+forwards and backwards, gives the best path and, for each of its peaks, by how much the best path without
+that peak is dearer: its margin (as in `ordered`).
+
+A calibration from a belt tells where the belt's line lies, and what lies beside it is product. Where there is
+no belt (a turntable, a wall; `Calibration.reference`), or no calibration, all that is seen is one product.
+
+Fails where a reflection is as bright as the line and as smooth for longer than the line is seen; then its
+margin is small and it is refused.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import Field
+
+from roemetry.errors import StageError
+from roemetry.records import AMBIGUOUS, UNCODED, Peaks, StripeMap
+from roemetry.records.arrays import Floats, Integers
+from roemetry.records.calibration import ON_BELT, Calibration
+from roemetry.stages import Coder
+from roemetry_kernels.bridging import BridgingOptions, bridged
+from roemetry_kernels.compiling import float_kernel
+from roemetry_kernels.consistency import refuse_uncodable
+from roemetry_kernels.rest_lines import calibrated_rest_lines, reasons_of, unknown_rest_lines
+
+_LOOK_BACK_ROWS = 5
+"""Longer gaps cost what a jump and the rows cost, wherever the line goes on."""
+_JUMP = 1.5
+"""A break of the line costs as much as one and a half rows on peaks that brighter ones outshine."""
+_SKIP = 0.8
+"""A row without the line: a peak of less than a fifth of its row's brightest is rather left out."""
+_LINE_ROWS_MIN = 10
+"""Fewer are no line."""
+
+
+class SingleOptions(BridgingOptions):
+    """Gaps, sizes and doubt."""
+
+    margin_min: float = Field(
+        default=0.1, ge=0, le=1, description="peaks with a smaller margin are refused as ambiguous"
+    )
+
+
+class Single(Coder[SingleOptions]):
+    """Follows one line through all rows."""
+
+    Options = SingleOptions
+    expected_failures = dict.fromkeys(
+        (
+            "a_dome_is_coded_whole",
+            "a_mirrored_rig_is_coded_alike",
+            "a_missing_stripe_shifts_nothing",
+            "a_hidden_body_shifts_nothing",
+            "a_stripe_hidden_at_both_ends_shifts_nothing",
+            "gaps_shift_nothing",
+            "an_untouched_stripe_is_belt",
+            "a_bare_belt_has_no_product",
+            "a_smooth_wedge_is_product",
+            "a_grazed_tail_is_product",
+            "every_peak_gets_a_verdict",
+            "coded_points_are_peaks",
+            "what_is_not_seen_is_marked",
+            "rest_lines_are_the_calibrations",
+        ),
+        "the kit's rig projects several stripes, which this coder refuses",
+    )
+
+    def code(self, peaks: Peaks, calibration: Calibration | None) -> StripeMap:
+        """Code the peaks of one frame.
+
+        Parameters
+        ----------
+        peaks
+            From any extractor.
+        calibration
+            Of one stripe, or None.
+
+        Raises
+        ------
+        StageError
+            The calibration has several stripes; no peak at all; peaks of another image size than the
+            calibration's; fewer than ten rows show a line; the belt's line more than a pixel beside the
+            calibrated one.
+        """
+        refuse_uncodable(peaks, calibration)
+        if calibration is not None and calibration.stripe_count != 1:
+            raise StageError(
+                f"the calibration has {calibration.stripe_count} stripes, and `single` follows one",
+                hint="choose ordered or planes for several stripes",
+            )
+        path, dearer = brightest_path(peaks.row_start, peaks.x_px, np.maximum(peaks.amplitude, 0.0))
+        if path.sum() < _LINE_ROWS_MIN:
+            raise StageError(
+                f"a line is seen in {int(path.sum())} rows, {_LINE_ROWS_MIN} are the least",
+                hint="lower the extractor's threshold, or look at the image: is the laser on?",
+            )
+        margin = np.clip(dearer / (_SKIP + _JUMP), 0.0, 1.0)
+        stripe = np.where(path, np.where(margin < self.options.margin_min, AMBIGUOUS, 0), UNCODED)
+        on_belt = calibration is not None and calibration.reference == ON_BELT
+        if calibration is not None and on_belt:
+            rest = calibrated_rest_lines(peaks, calibration)
+        else:
+            rest = unknown_rest_lines(1, peaks)
+        return bridged(
+            peaks,
+            stripe.astype(np.int64),
+            np.asarray(margin),
+            rest,
+            longest_gap_rows=self.options.longest_gap_rows,
+            smallest_product_points=self.options.smallest_product_points,
+            reasons=reasons_of(rest),
+        )
+
+
+@float_kernel
+def brightest_path(row_start: Integers, x_px: Floats, amplitude: Floats) -> tuple[Integers, Floats]:
+    """Find the cheapest path through the rows.
+
+    Parameters
+    ----------
+    row_start, x_px, amplitude
+        Of the peaks: where each row's begin; px; grey levels, not below 0.
+
+    Returns
+    -------
+    tuple
+        (peak,) 1 on the path, else 0; and (peak,) by how much the best path is dearer that does not go
+        through this peak, for those on the path, else 0.
+    """
+    rows, count = row_start.size - 1, x_px.size
+    own = np.empty(count)
+    for row in range(rows):
+        begin, end = row_start[row], row_start[row + 1]
+        if begin == end:
+            continue
+        brightest = max(amplitude[begin:end].max(), 1e-12)
+        for p in range(begin, end):
+            own[p] = 1.0 - amplitude[p] / brightest
+    forward = _least(row_start, x_px, own, False)
+    backward = _least(row_start, x_px, own, True)
+    through = np.empty(count)
+    for row in range(rows):
+        for p in range(row_start[row], row_start[row + 1]):
+            through[p] = forward[p] + backward[p] - own[p]
+    best = through.min() if count else 0.0
+    path, dearer = np.zeros(count, np.int64), np.zeros(count)
+    for row in range(rows):
+        begin, end = row_start[row], row_start[row + 1]
+        mine = -1
+        for p in range(begin, end):
+            if through[p] <= best + 1e-9 and mine < 0:
+                mine = p
+        if mine < 0:
+            continue
+        second = best + _SKIP + _JUMP
+        for p in range(begin, end):
+            if p != mine:
+                second = min(second, through[p])
+        path[mine], dearer[mine] = 1, second - best
+    return path, dearer
+
+
+@float_kernel
+def _least(row_start: Integers, x_px: Floats, own: Floats, backwards: bool) -> Floats:
+    """Give for each peak the least cost of all rows up to it, itself included; backwards, from it on."""
+    rows = row_start.size - 1
+    cost = np.empty(own.size)
+    so_far = 0.0  # the least of any path that ends in a row before those looked back at, up to this row
+    for done in range(rows):
+        row = rows - 1 - done if backwards else done
+        jumped = so_far + (0.0 if done == 0 else _JUMP)
+        for p in range(row_start[row], row_start[row + 1]):
+            best = jumped
+            for back in range(1, min(_LOOK_BACK_ROWS, done) + 1):
+                other = row + back if backwards else row - back
+                for q in range(row_start[other], row_start[other + 1]):
+                    step = min(abs(x_px[p] - x_px[q]) / back, _JUMP)
+                    best = min(best, cost[q] + step + (back - 1) * _SKIP)
+            cost[p] = best + own[p]
+        least = so_far + _SKIP
+        for p in range(row_start[row], row_start[row + 1]):
+            least = min(least, cost[p])
+        so_far = least
+    return cost
