@@ -7,8 +7,8 @@ is the path through the rows of least
 
 where a is a peak's amplitude and a_row that of its row's brightest; a step costs its slope, px a row, up to
 that of a jump, for the line breaks at a product's edge; and a row may be left out. Dynamic programming,
-forwards and backwards, gives the best path and, for each of its peaks, by how much the best path without
-that peak is dearer: its margin (as in `ordered`).
+forwards and backwards, gives the best path and, for each of its peaks, by how much the best path through
+another peak of its row is dearer: its margin (as in `ordered`).
 
 A calibration from a belt tells where the belt's line lies, and what lies beside it is product. Where there is
 no belt (a turntable, a wall; `Calibration.reference`), or no calibration, all that is seen is one product.
@@ -133,8 +133,8 @@ def brightest_path(row_start: Integers, x_px: Floats, amplitude: Floats) -> tupl
     Returns
     -------
     tuple
-        (peak,) 1 on the path, else 0; and (peak,) by how much the best path is dearer that does not go
-        through this peak, for those on the path, else 0.
+        (peak,) 1 on the path, else 0; and (peak,) by how much the best path through another peak of the row
+        is dearer, at most a skipped row and a jump, for those on the path, else 0.
     """
     rows, count = row_start.size - 1, x_px.size
     own = np.empty(count)

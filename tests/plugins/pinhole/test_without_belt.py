@@ -1,0 +1,107 @@
+"""Calibrations without a belt: the frame from a board's pose; the camera alone; stripes on the margin."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from roemetry.errors import CalibrationError
+from roemetry.records import CalibrationSet
+from roemetry.records.calibration import ON_BELT, ON_BOARD, Calibration
+from roemetry.testing import LinearRig
+from roemetry_pinhole.calibrator import PinholeCalibrator, PinholeCalibratorOptions
+from roemetry_pinhole.conformance import observed_of
+from roemetry_pinhole.known_files import read_camera
+from roemetry_pinhole.pinhole_plane import camera_of, points_of
+
+
+@pytest.fixture(scope="module")
+def boards() -> CalibrationSet:
+    whole = observed_of(LinearRig())
+    return replace(whole, observations=tuple(one for one in whole.observations if one.shows != "belt"))
+
+
+@pytest.fixture(scope="module")
+def from_pose(boards: CalibrationSet) -> Calibration:
+    return PinholeCalibrator(PinholeCalibratorOptions(reference_pose="pose 0")).calibrate(boards)
+
+
+def test_without_belt_and_reference_it_is_refused(boards: CalibrationSet) -> None:
+    with pytest.raises(CalibrationError, match="nothing shows where the belt is"):
+        PinholeCalibrator().calibrate(boards)
+    with pytest.raises(CalibrationError, match="not seen in the pose '99'"):
+        PinholeCalibrator(PinholeCalibratorOptions(reference_pose="99")).calibrate(boards)
+
+
+def test_heights_count_from_the_named_board(from_pose: Calibration) -> None:
+    assert from_pose.reference == ON_BOARD
+    with_belt = PinholeCalibrator().calibrate(observed_of(LinearRig()))
+    assert with_belt.reference == ON_BELT
+    # the first pose lies level, 6 mm above the belt: the same points are 6 mm lower from there
+    stripe, row = np.repeat(np.arange(7), 3), np.tile([40.0, 100.0, 160.0], 7)
+    x_px = LinearRig().rest_px()[stripe, row.astype(int)] + 20.0
+    low = points_of(from_pose.parameters, stripe, x_px, row)[:, 2]
+    high = points_of(with_belt.parameters, stripe, x_px, row)[:, 2]
+    assert high - low == pytest.approx(6.0, abs=0.1)
+
+
+def test_its_file_says_so_and_others_stay_as_they_are(from_pose: Calibration, tmp_path: Path) -> None:
+    from_pose.save(tmp_path / "c.yaml")
+    assert Calibration.load(tmp_path / "c.yaml").reference == ON_BOARD
+    assert "reference" not in LinearRig().calibration().to_dict()
+
+
+def test_the_camera_of_a_calibration_is_known_to_another(
+    from_pose: Calibration, boards: CalibrationSet, tmp_path: Path
+) -> None:
+    from_pose.save(tmp_path / "first.yaml")
+    assert read_camera(tmp_path / "first.yaml") == pytest.approx(camera_of(from_pose.parameters))
+    options = PinholeCalibratorOptions(reference_pose="pose 0", camera=tmp_path / "first.yaml")
+    again = PinholeCalibrator(options).calibrate(boards)
+    assert again.parameters["focal_px"] == pytest.approx(from_pose.parameters["focal_px"], abs=1e-9)
+
+
+def test_the_camera_alone(boards: CalibrationSet) -> None:
+    rig = LinearRig()
+    plain = replace(boards, observations=tuple(o for o in boards.observations if o.frame.role == "plain"))
+    found = PinholeCalibrator(PinholeCalibratorOptions(lens="none")).camera(plain)
+    true_px = 300.0 / rig.mm_per_px
+    assert found.images == 8
+    assert (np.abs(found.focal_px - true_px) < 4.0 * found.std[:2]).all()
+    assert (found.std[:2] < 0.005 * true_px).all()
+    assert found.rms_px < 0.1
+
+
+def test_a_board_that_moved_between_its_images_makes_two_poses(boards: CalibrationSet) -> None:
+    observations = list(boards.observations)
+    last = max(n for n, one in enumerate(observations) if one.frame.role == "plain")
+    moved = np.roll(observations[last].frame.pixels, 6, axis=1)
+    observations[last] = replace(observations[last], frame=replace(observations[last].frame, pixels=moved))
+    set_of = replace(boards, observations=tuple(observations))
+    made = PinholeCalibrator(PinholeCalibratorOptions(reference_pose="pose 0")).calibrate(set_of)
+    said = [note for note in made.notes if "taken for two poses" in note]
+    assert len(said) == 1, made.notes
+    assert "moved by 6.0 px" in said[0]
+
+
+def test_camera_only_writes_a_file_of_opencvs(tmp_path: Path) -> None:
+    boards = observed_of(LinearRig()).observations
+    for number, one in enumerate(o for o in boards if o.frame.role == "plain"):
+        cv2.imwrite(str(tmp_path / f"board_{number}.png"), one.frame.pixels)
+    (tmp_path / "rig.yaml").write_text(
+        "roemetry_rig: 1\nname: camera\nstripes: 1\nimages: {board: ['board_*.png']}\n"
+        "board: {kind: chessboard, name: b, columns: 9, rows: 6, pitch_mm: 5.5}\n"
+        "extractor: gaussian\ncalibrator: {use: pinhole-plane, options: {lens: none}}\n",
+        "utf-8",
+    )
+    words = [sys.executable, "-m", "roemetry", "calibrate", str(tmp_path / "rig.yaml"), "--camera-only"]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "camera from 8 images" in done.stdout
+    assert read_camera(tmp_path / "camera.yaml")[:2] == pytest.approx(1200.0, rel=0.005)
