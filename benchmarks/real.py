@@ -34,6 +34,7 @@ from roemetry.errors import RoemetryError
 from roemetry.records import Frame, Peaks
 from roemetry.records.arrays import Floats
 from roemetry.stages import Extractor
+from roemetry_coding.single import Single
 
 _CORE, _CORE_PX = 250, 3  # grey level and pixels of a saturated core
 _FAR_PX = 3.0  # beside the core's middle: another line
@@ -83,6 +84,30 @@ def main() -> None:
         head += ["95 % intervals hold, %", "others a row"]
         head += ["repeats on the wall, px", "stated there, px"] if title == "turntable, green" else []
         print(Table(title, head, rows), flush=True)
+    rows = [
+        [title, name, *followed(known, stage)]
+        for title in FOLLOWED
+        if (known := list(SETS[title]()))
+        for name, stage in stages.items()
+    ]
+    head = ["set", "extractor", "rows with a line", "followed, %", f"of these > {_FAR_PX:.0f} px off, %"]
+    print(Table("one line, by the coder single", head, rows), flush=True)
+
+
+def followed(known: Sequence[Known], stage: Extractor[Any]) -> list[str]:
+    """Count rows of the line, those in which `single` sees it, and where it follows another one."""
+    rows = seen = far = 0
+    for image in known:
+        peaks = _extracted(stage, image.frame)
+        there = np.isfinite(image.line_px)
+        rows += int(there.sum())
+        if peaks is None:
+            continue
+        coded = Single().code(peaks, None)
+        on = there & coded.seen[0]
+        seen += int(on.sum())
+        far += int((np.abs(coded.x_px[0] - image.line_px)[on] > _FAR_PX).sum())
+    return [str(rows), number(100.0 * seen / max(rows, 1), 2), number(100.0 * far / max(seen, 1), 2)]
 
 
 def _extracted(stage: Extractor[Any], frame: Frame) -> Peaks | None:
@@ -215,6 +240,9 @@ SETS: dict[str, Callable[[], Iterator[Known]]] = {
     "boards, contrast red": lambda: boards(contrast="red"),
     "weld": weld,
 }
+
+FOLLOWED = ("turntable, green", "turntable, contrast green", "boards, contrast red", "weld")
+"""Sets through which `single` follows the line."""
 
 if __name__ == "__main__":
     main()

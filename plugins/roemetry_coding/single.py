@@ -5,9 +5,9 @@ is the path through the rows of least
 
     Σ (1 − a/a_row) + Σ step + Σ skipped rows,
 
-where a is a peak's amplitude and a_row that of its row's brightest; a step costs its slope, px a row, up to
-that of a jump, for the line breaks at a product's edge; and a row may be left out. Dynamic programming,
-forwards and backwards, gives the best path and, for each of its peaks, by how much the best path through
+where a is a peak's amplitude and a_row that of its row's brightest; a step costs its slope in units of 4 px
+a row, up to that of a jump, for the line breaks at a product's edge; and a row may be left out. Dynamic
+programming, forwards and backwards, gives the best path and, for each of its peaks, by how much the best path through
 another peak of its row is dearer: its margin (as in `ordered`).
 
 A calibration from a belt tells where the belt's line lies, and what lies beside it is product. Where there is
@@ -34,6 +34,8 @@ from roemetry_kernels.rest_lines import calibrated_rest_lines, reasons_of, unkno
 
 _LOOK_BACK_ROWS = 5
 """Longer gaps cost what a jump and the rows cost, wherever the line goes on."""
+_STEEP_PX = 4.0
+"""A line that moves by so much from row to row, 76° from upright, costs as much as one that is not seen."""
 _JUMP = 1.5
 """A break of the line costs as much as one and a half rows on peaks that brighter ones outshine."""
 _SKIP = 0.8
@@ -183,7 +185,7 @@ def _least(row_start: Integers, x_px: Floats, own: Floats, backwards: bool) -> F
             for back in range(1, min(_LOOK_BACK_ROWS, done) + 1):
                 other = row + back if backwards else row - back
                 for q in range(row_start[other], row_start[other + 1]):
-                    step = min(abs(x_px[p] - x_px[q]) / back, _JUMP)
+                    step = min(abs(x_px[p] - x_px[q]) / (back * _STEEP_PX), _JUMP)
                     best = min(best, cost[q] + step + (back - 1) * _SKIP)
             cost[p] = best + own[p]
         least = so_far + _SKIP

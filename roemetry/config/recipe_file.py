@@ -152,7 +152,7 @@ class RecipeFile(Section):
         description="Monte Carlo draws; given, they take the place of `uncertainty`, and 0 stands for none",
     )
     stage_timeout_s: float | None = Field(
-        default=300.0,
+        default=300,
         gt=0,
         description="how long a stage may take for one acquisition, s, before it counts as hanging and its "
         "result as missing; null: for ever",
