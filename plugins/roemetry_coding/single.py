@@ -7,8 +7,8 @@ is the path through the rows of least
 
 where a is a peak's amplitude and a_row that of its row's brightest; a step costs its slope in units of 4 px
 a row, up to that of a jump, for the line breaks at a product's edge; and a row may be left out. Dynamic
-programming, forwards and backwards, gives the best path and, for each of its peaks, by how much the best path through
-another peak of its row is dearer: its margin (as in `ordered`).
+programming, forwards and backwards, gives the best path and, for each of its peaks, by how much the best path
+through another peak of its row is dearer: its margin (as in `ordered`).
 
 A calibration from a belt tells where the belt's line lies, and what lies beside it is product. Where there is
 no belt (a turntable, a wall; `Calibration.reference`), or no calibration, all that is seen is one product.
