@@ -128,13 +128,22 @@ def test_two_products_have_an_outline_each(rng: np.random.Generator) -> None:
 
 @pytest.mark.parametrize("scale", [0.93, 1.07])
 @pytest.mark.parametrize("shadow", [True, False])
-def test_an_outline_of_another_scale_is_left_out(
+def test_an_outline_of_another_scale_refuses_its_product(
     rng: np.random.Generator, scale: float, shadow: bool
 ) -> None:
     """3 px smaller or larger across: stripes stick out of the edge, or go on along the belt inside of it."""
     x, y, a, b = ELLIPSE
     other = plain_image(rng, ((x, y, scale * a, scale * b),), shadow=shadow)
-    assert EdgeContour().outline(LASER, other, stripes_on(), None) == ()
+    (found,) = EdgeContour().outline(LASER, other, stripes_on(), None)
+    assert found.fault is not None
+    assert found.fault.code == "images-contradict"
+
+
+def test_an_outline_that_is_shifted_is_left_out(rng: np.random.Generator) -> None:
+    """The belt moved by 5 px between the images: the stripes alone are right."""
+    x, y, a, b = ELLIPSE
+    moved = plain_image(rng, ((x + 4.0, y - 3.0, a, b),))
+    assert EdgeContour().outline(LASER, moved, stripes_on(), None) == ()
 
 
 def test_without_stripes_the_cores_are_found(rng: np.random.Generator) -> None:
