@@ -6,6 +6,7 @@ import importlib
 import sys
 
 BENCHMARKS = {
+    "acceptance": "acceptance tests of simulated instruments: good ones accepted, faulty ones refused",
     "best_chain": "grade, volume, weight and what intervals hold: the best shipped recipe on unseen skeins",
     "calibrate_images": "heights of pinhole-plane and block-linear from simulated images, against the truth",
     "calibrate_points": "spread of repeated calibrations of simulated points over what they state",

@@ -145,6 +145,7 @@ def check_calibration(
     from roemetry.config.recipe import Recipe
     from roemetry.errors import ConfigurationError
     from roemetry.io.files import json_values, write_whole
+    from roemetry.run.control_chart import due
 
     loaded = Recipe.load(recipe, sets=sets or ())
     asked = loaded.calibration_check
@@ -158,6 +159,8 @@ def check_calibration(
         typer.echo(json.dumps(json_values(asdict(check)), indent=2))
     else:
         show(check)
+        if asked is not None and asked.max_age_days is not None:
+            typer.echo(f"  next check due {due(check, asked.max_age_days):%Y-%m-%d %H:%M} UTC")
     if report is not None and kept is not None:
         write_whole(report, chart_page(Chart(kept).checks(check.calibration_sha256), loaded.product))
         typer.echo(f"{report}", err=as_json)

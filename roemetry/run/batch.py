@@ -73,7 +73,13 @@ def run_recipe(
         written before stays whole.
     DataError
         The source has nothing.
+    CalibrationError
+        The recipe asks for a check of the calibration that is missing, overdue or failed.
     """
+    if recipe.calibration_check is not None:
+        from roemetry.run.control_chart import refuse_doubtful
+
+        refuse_doubtful(recipe, _doubts_of(recipe))
     references = recipe.source.make().references(recipe.source_path)
     make_folder(folder)
     with exclusive(folder):
