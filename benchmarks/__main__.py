@@ -6,7 +6,6 @@ import importlib
 import sys
 
 BENCHMARKS = {
-    "acceptance": "acceptance tests of simulated instruments: good ones accepted, faulty ones refused",
     "best_chain": "grade, volume, weight and what intervals hold: the best shipped recipe on unseen skeins",
     "calibrate_images": "heights of pinhole-plane and block-linear from simulated images, against the truth",
     "calibrate_points": "spread of repeated calibrations of simulated points over what they state",
@@ -38,6 +37,7 @@ BENCHMARKS = {
     "weight": "weight from 20 weighed samples: error, interval, width, against paper × one factor",
     "wheelset": "broken stripes of a real image without calibration: what order can number, against a hand",
     "words": "the shipped fuzzy rules over outline and heights, on rendered skeins",
+    "studies": "intervals of gauge studies, and instruments accepted and refused, on simulated ones",
     "tune": "time from a moved slider of `roemetry tune` to the answer, and the picture of the page",
     "volume": "error of every volume estimator on simulated skeins, and the page of it",
 }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -28,6 +29,9 @@ Out = Annotated[
 ]
 Key = Annotated[
     Path | None, typer.Option("--key", help="Private key that signs it: `roemetry study key` makes one.")
+]
+Environment = Annotated[
+    str, typer.Option("--environment", help="Temperature and whatever else matters, for the certificate.")
 ]
 Debug = Annotated[bool, typer.Option("--debug", help="Show tracebacks.")]
 
@@ -69,6 +73,7 @@ def gauge(
     good: Annotated[str, typer.Option("--good", help="Of classes: the class of good parts.")] = "good",
     out: Out = None,
     key: Key = None,
+    environment: Environment = "",
     debug: Debug = False,
 ) -> None:
     """Judge a gauge by repeated readings: variation, bias, linearity, stability, or agreement of classes.
@@ -89,7 +94,7 @@ def gauge(
         made = of_numbers(table, tolerance=width, nested=nested, method=method.value, by=by)
     else:
         made = of_classes(table, good)
-    _tell(made, out, "gauge", key)
+    _tell(replace(made, environment=environment), out, "gauge", key)
 
 
 @study.command()
@@ -109,6 +114,23 @@ def accept(
     from roemetry_study.study_files import read_acceptance
 
     _tell(of_acceptance(read_acceptance(file), file), out, "acceptance", key)
+
+
+@study.command()
+def calibration(
+    file: Annotated[Path, typer.Argument(help="A calibration that `roemetry calibrate` wrote.")],
+    out: Out = None,
+    key: Key = None,
+    environment: Environment = "",
+    debug: Debug = False,
+) -> None:
+    """Certify a calibration: residuals, and the uncertainty of heights over its range.
+
+    Exit code: 0 usable; 1 it was accepted though refused; 2 the file is wrong.
+    """
+    from roemetry_study.reports import of_calibration
+
+    _tell(of_calibration(file, environment), out, "calibration", key)
 
 
 @study.command()
@@ -242,7 +264,7 @@ def _tell(made: Certificate, out: Path | None, name: str, key: Path | None) -> N
     if out is not None:
         for path in write(made, out, name, key):
             typer.echo(f"  {path}")
-    if made.verdict in ("not accepted", "rejected", "undecided", "not capable"):
+    if made.verdict in ("not accepted", "rejected", "undecided", "not capable", "not usable"):
         raise typer.Exit(1)
 
 

@@ -1,9 +1,9 @@
 """Repeatability and reproducibility of a gauge: how much of what one sees is the gauge.
 
 Components come from `variance`, limits from AIAG MSA, 4th edition. Shares are of the study's total variation
-or of a tolerance; the number of distinct categories is 1.41 times the parts' standard deviation over the gauge's, truncated. The
-instrument's own stated uncertainties stand beside the repeatability: an instrument that knows itself states
-about as much.
+or of a tolerance; the number of distinct categories is 1.41 times the parts' standard deviation over the
+gauge's, truncated. The instrument's own stated uncertainties stand beside the repeatability: an instrument
+that knows itself states about as much.
 """
 
 from __future__ import annotations

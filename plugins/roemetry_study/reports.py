@@ -50,10 +50,10 @@ def of_numbers(table: StudyTable, *, tolerance: float, nested: bool, method: str
         if study.missing:
             statements.append(f"{study.missing} readings are missing; the analysis allows for them")
         head = ("source", "standard deviation", "95 % from", "to", "% of total", "6 s, % of tolerance")
-        lines = tuple((o.name, o.std, o.low, o.high, o.percent, o.of_tolerance_percent) for o in study.lines)
+        lines = tuple((o.name.replace("operator", by), o.std, o.low, o.high, o.percent, o.of_tolerance_percent) for o in study.lines)
         tables.append(Table(f"Variation of {table.value}", head, lines))
         if study.effects:
-            effects = tuple((e.name, e.squares, e.freedom, e.mean_square, e.f, e.p) for e in study.effects)
+            effects = tuple((e.name.replace("operator", by), e.squares, e.freedom, e.mean_square, e.f, e.p) for e in study.effects)
             tables.append(
                 Table(
                     "Analysis of variance",
@@ -199,6 +199,51 @@ def of_acceptance(file: object, path: Path) -> Certificate:
         "uncertainties of the calibrated value, rejected beyond the limit plus as much, else "
         "undecided (ISO 14253-1, 95 %)",
         environment=file.environment,
+    )
+
+
+def of_calibration(path: Path, environment: str) -> Certificate:
+    """Certify a calibration: what it was made from, its residuals, and how uncertain heights are."""
+    from roemetry.calibrating.evidence import height_uncertainty
+    from roemetry.records.calibration import Calibration
+    from roemetry.stages.registry import discover
+
+    calibration = Calibration.load(path)
+    registry = discover()
+    triangulator = registry.load(registry.find("triangulator", calibration.method))()
+    found = height_uncertainty(calibration, triangulator)
+    rows = []
+    for height, std in zip(found.height_mm, np.moveaxis(found.std_mm, 1, 0), strict=True):
+        known = std[np.isfinite(std)]
+        if known.size:
+            rows.append((float(height), float(np.median(known)), float(known.max()), 2.0 * float(known.max())))
+    residuals = tuple((name, float(value)) for name, value in calibration.residuals.items())
+    low, high = calibration.height_range_mm
+    worst = max((row[2] for row in rows), default=math.nan)
+    statements = [
+        f"{calibration.stripe_count} stripes, heights from {low:g} to {high:g} mm, by {calibration.method}",
+        f"the calibration makes heights uncertain by at most {worst:.4f} mm (standard uncertainty)",
+        *calibration.notes,
+    ]
+    if calibration.poor:
+        statements.insert(0, f"not usable: accepted though its own checks refused it: {calibration.poor}")
+    items = {"calibration": calibration.sha256, "made": calibration.made, "file": path.name}
+    items |= {f"target {name}": str(value) for name, value in calibration.target.items()}
+    items |= {f"image {name}": digest for name, digest in calibration.image_sha256.items()}
+    head = ("height, mm", "median u, mm", "largest u, mm", "largest U (k = 2), mm")
+    return Certificate(
+        kind="calibration",
+        verdict="not usable" if calibration.poor else "usable",
+        statements=tuple(statements),
+        method=(f"calibrator {calibration.method}; uncertainty of heights by its covariance (JCGM 101)",),
+        items=items,
+        tables=(
+            Table("Uncertainty of heights, the calibration's part", head, tuple(rows)),
+            Table("Residuals", ("figure, unit in its name", "value"), residuals),
+        ),
+        decision_rule="usable where the calibrator's own checks and held-out boards pass",
+        coverage="U is for k = 2, about 95 %",
+        environment=environment,
     )
 
 
