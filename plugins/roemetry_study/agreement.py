@@ -1,9 +1,9 @@
 """Agreement of classes: with oneself, with each other, and with what is true.
 
 Kappa is agreement beyond chance: Cohen's for a pair, Fleiss' over all (Fleiss 1971; AIAG MSA, 4th ed.,
-chapter III-C). Readings of one part hang together, so every interval is by parts: kappa's by leaving out one
-part at a time (jackknife), shares by Wilson's interval for as many independent parts as the scatter between
-parts is worth (Kish's design effect).
+chapter III-C). Readings of one part hang together, so every interval is by parts: Wilson's, for as many
+independent readings as the scatter between parts is worth (Kish's design effect; for kappa, the scatter by
+leaving out one part at a time).
 """
 
 from __future__ import annotations
@@ -95,9 +95,9 @@ def agreement(table: StudyTable, good: str) -> Agreement:
         )
     parts = [[r for r in table.readings if r.part == part] for part in table.parts]
     operators = tuple(_operator(name, parts, good) for name in table.operators)
-    between = _jackknife(lambda some: _fleiss(some, classes), parts)
+    between = _kappa(lambda some: _fleiss(some, classes), parts)
     pairs = tuple(
-        (one, other, _jackknife(partial(_between, one=one, other=other), parts))
+        (one, other, _kappa(partial(_between, one=one, other=other), parts))
         for one, other in combinations(table.operators, 2)
     )
     return Agreement(
@@ -124,7 +124,7 @@ def _operator(name: str, parts: Sequence[Sequence[Reading]], good: str) -> Opera
         name,
         _share([[len({r.value for r in part}) == 1] for part in repeated]),
         _share([[r.value == r.reference for r in part] for part in known]),
-        _jackknife(lambda some: _cohen([(r.value, r.reference) for part in some for r in part]), known),
+        _kappa(lambda some: _cohen([(r.value, r.reference) for part in some for r in part]), known),
         _share(bad),
         _share(fine),
         passed / truly - 1.0 if truly else math.nan,
@@ -136,44 +136,50 @@ def _share(by_part: Sequence[Sequence[bool]]) -> Figure:
     parts = [np.array(part, np.float64) for part in by_part if len(part)]
     if not parts:
         return Figure(math.nan, math.nan, math.nan, 0)
-    from scipy.stats import binomtest, norm
-
     n = sum(part.size for part in parts)
     share = sum(float(part.sum()) for part in parts) / n
-    effective = float(len(parts))  # all right or all wrong: readings of a part may be one
-    if 0.0 < share < 1.0:
-        # variance of the ratio, by parts
-        rest = np.array([part.sum() - share * part.size for part in parts])
-        variance = len(parts) / max(len(parts) - 1, 1) * float((rest**2).sum()) / n**2
-        effective = min(max(share * (1.0 - share) / variance, 1.0), float(n)) if variance > 0.0 else float(n)
-    if effective == n:
-        ends = binomtest(round(share * n), n).proportion_ci(0.95, method="wilson")
-        return Figure(share, float(ends.low), float(ends.high), n)
-    z = float(norm.ppf(0.975))
-    middle = (share + z * z / (2.0 * effective)) / (1.0 + z * z / effective)
-    half = (
-        z
-        * math.sqrt(share * (1.0 - share) / effective + (z / (2.0 * effective)) ** 2)
-        / (1.0 + z * z / effective)
-    )
-    return Figure(share, max(middle - half, 0.0), min(middle + half, 1.0), n)
+    rest = np.array([part.sum() - share * part.size for part in parts])
+    variance = len(parts) / max(len(parts) - 1, 1) * float((rest**2).sum()) / n**2
+    return Figure(share, *_wilson(share, variance, len(parts), n), n)
 
 
-def _jackknife(
-    figure: Callable[[Sequence[Sequence[Reading]]], float], parts: Sequence[Sequence[Reading]]
-) -> Figure:
-    """Give a figure over parts with its interval, by leaving out one part at a time."""
+def _wilson(share: float, variance: float, parts: int, readings: int) -> tuple[float, float]:
+    """Give Wilson's interval for as many independent readings as a share of this variance has.
+
+    They are no more than readings, and no fewer than one; where all agree, no more than parts. The quantile
+    is Student's, for the variance is known from so many parts only.
+    """
     from scipy.stats import t
 
+    effective = float(parts)
+    if variance > 0.0:
+        effective = min(max(share * (1.0 - share) / variance, 1.0), float(readings))
+    z = float(t.ppf(0.975, max(parts - 1, 1)))
+    middle = (share + z * z / (2.0 * effective)) / (1.0 + z * z / effective)
+    half = z * math.sqrt(share * (1.0 - share) / effective + (z / (2.0 * effective)) ** 2)
+    half /= 1.0 + z * z / effective
+    return max(middle - half, 0.0), min(middle + half, 1.0)
+
+
+def _kappa(
+    figure: Callable[[Sequence[Sequence[Reading]]], tuple[float, float]], parts: Sequence[Sequence[Reading]]
+) -> Figure:
+    """Give a kappa, 1 less observed over expected disagreement, with its interval.
+
+    Its variance is found by leaving out one part at a time; the interval is Wilson's, of the disagreement, so
+    that it stays below 1 and leans to where kappa can go.
+    """
     kept = [part for part in parts if part]
-    n = len(kept)
-    value = figure(kept) if kept else math.nan
+    n, readings = len(kept), sum(len(part) for part in kept)
+    observed, expected = figure(kept) if kept else (math.nan, math.nan)
+    value = 1.0 - observed / expected if expected > 0.0 else math.nan
     if n < PARTS_MIN or not math.isfinite(value):
-        return Figure(value, math.nan, math.nan, sum(len(part) for part in kept))
+        return Figure(value, math.nan, math.nan, readings)
     without = np.array([figure([*kept[:k], *kept[k + 1 :]]) for k in range(n)])
-    std = math.sqrt((n - 1) / n * float(np.nansum((without - np.nanmean(without)) ** 2)))
-    half = float(t.ppf(0.975, n - 1)) * std
-    return Figure(value, max(value - half, -1.0), min(value + half, 1.0), sum(len(part) for part in kept))
+    ratio = without[:, 0] / without[:, 1]
+    variance = (n - 1) / n * float(np.nansum((ratio - np.nanmean(ratio)) ** 2)) * expected**2
+    low, high = _wilson(min(observed, 1.0), variance, n, readings)
+    return Figure(value, max(1.0 - high / expected, -1.0), 1.0 - low / expected, readings)
 
 
 def _paired(parts: Sequence[Sequence[Reading]], one: str, other: str) -> list[tuple[str, str]]:
@@ -187,35 +193,33 @@ def _paired(parts: Sequence[Sequence[Reading]], one: str, other: str) -> list[tu
     ]
 
 
-def _between(parts: Sequence[Sequence[Reading]], one: str, other: str) -> float:
+def _between(parts: Sequence[Sequence[Reading]], one: str, other: str) -> tuple[float, float]:
     return _cohen(_paired(parts, one, other))
 
 
-def _cohen(pairs: Sequence[tuple[str, str]]) -> float:
-    """Cohen's kappa; NaN where chance alone explains all."""
+def _cohen(pairs: Sequence[tuple[str, str]]) -> tuple[float, float]:
+    """Give observed and expected disagreement of pairs (Cohen 1960)."""
     n = len(pairs)
     if not n:
-        return math.nan
+        return math.nan, math.nan
     first, second = Counter(a for a, _ in pairs), Counter(b for _, b in pairs)
-    agreed = sum(a == b for a, b in pairs) / n
-    chance = sum(first[name] * second[name] for name in first) / n**2
-    return (agreed - chance) / (1.0 - chance) if chance < 1.0 else math.nan
+    apart = sum(a != b for a, b in pairs) / n
+    return apart, 1.0 - sum(first[name] * second[name] for name in first) / n**2
 
 
-def _fleiss(parts: Sequence[Sequence[Reading]], classes: Sequence[str]) -> float:
-    """Fleiss' kappa, for any number of readings of a part from two on."""
+def _fleiss(parts: Sequence[Sequence[Reading]], classes: Sequence[str]) -> tuple[float, float]:
+    """Give observed and expected disagreement, for any number of readings of a part from two on (Fleiss)."""
     counts: list[Floats] = []
     for part in parts:
         found = Counter(r.value for r in part)
         if len(part) > 1:
             counts.append(np.array([found[name] for name in classes], np.float64))
     if not counts:
-        return math.nan
+        return math.nan, math.nan
     table = np.array(counts)
     size = table.sum(axis=1)
     agreed = float((((table * (table - 1.0)).sum(axis=1)) / (size * (size - 1.0))).mean())
-    chance = float(((table.sum(axis=0) / size.sum()) ** 2).sum())
-    return (agreed - chance) / (1.0 - chance) if chance < 1.0 else math.nan
+    return 1.0 - agreed, 1.0 - float(((table.sum(axis=0) / size.sum()) ** 2).sum())
 
 
 def _words(operators: Sequence[Operator], between: Figure, good: str) -> list[str]:

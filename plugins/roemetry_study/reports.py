@@ -50,10 +50,16 @@ def of_numbers(table: StudyTable, *, tolerance: float, nested: bool, method: str
         if study.missing:
             statements.append(f"{study.missing} readings are missing; the analysis allows for them")
         head = ("source", "standard deviation", "95 % from", "to", "% of total", "6 s, % of tolerance")
-        lines = tuple((o.name.replace("operator", by), o.std, o.low, o.high, o.percent, o.of_tolerance_percent) for o in study.lines)
+        lines = tuple(
+            (o.name.replace("operator", by), o.std, o.low, o.high, o.percent, o.of_tolerance_percent)
+            for o in study.lines
+        )
         tables.append(Table(f"Variation of {table.value}", head, lines))
         if study.effects:
-            effects = tuple((e.name.replace("operator", by), e.squares, e.freedom, e.mean_square, e.f, e.p) for e in study.effects)
+            effects = tuple(
+                (e.name.replace("operator", by), e.squares, e.freedom, e.mean_square, e.f, e.p)
+                for e in study.effects
+            )
             tables.append(
                 Table(
                     "Analysis of variance",
@@ -216,7 +222,9 @@ def of_calibration(path: Path, environment: str) -> Certificate:
     for height, std in zip(found.height_mm, np.moveaxis(found.std_mm, 1, 0), strict=True):
         known = std[np.isfinite(std)]
         if known.size:
-            rows.append((float(height), float(np.median(known)), float(known.max()), 2.0 * float(known.max())))
+            rows.append(
+                (float(height), float(np.median(known)), float(known.max()), 2.0 * float(known.max()))
+            )
     residuals = tuple((name, float(value)) for name, value in calibration.residuals.items())
     low, high = calibration.height_range_mm
     worst = max((row[2] for row in rows), default=math.nan)
