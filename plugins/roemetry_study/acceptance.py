@@ -220,7 +220,7 @@ def _grid_in(points: Floats, plate: SpherePlate) -> dict[tuple[int, int], Floats
             f"the sphere plate `{plate.name}` is not seen: {len(points)} points above its spheres' centres"
         )
     radius = 0.5 * plate.diameter_mm
-    some = points[:: max(len(points) // 150, 1)]
+    some = points[:: max(len(points) // 80, 1)]
     up = (some[:, 2] - plate.centre_height_mm)[None, :, None]
     grid = plate.pitch_mm * np.array(list(product(range(plate.columns), range(plate.rows))), np.float64)
     grid -= grid.mean(axis=0)

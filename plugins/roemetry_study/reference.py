@@ -180,6 +180,49 @@ def type_one(table: StudyTable, tolerance: float) -> TypeOne:
     )
 
 
+CATCHWEIGHER_LIMITS = (
+    (50.0, 0.0048, 0.0),
+    (100.0, 0.0, 0.24),
+    (200.0, 0.0024, 0.0),
+    (300.0, 0.0, 0.48),
+    (500.0, 0.0016, 0.0),
+    (1000.0, 0.0, 0.8),
+    (10_000.0, 0.0008, 0.0),
+    (15_000.0, 0.0, 8.0),
+    (math.inf, 0.00053, 0.0),
+)
+"""Up to each load, g: largest standard deviation of the errors of class X(1), as a share of the load and in g
+(OIML R 51, MID annex MI-006; from memory of the text)."""
+_CLASS_MAX = 2.0
+
+
+def catchweigher_words(table: StudyTable) -> str:
+    """Hold the errors of weights against the classes of catchweighers, as a yardstick; no legal verification.
+
+    Raises
+    ------
+    DataError
+        No part has a reference.
+    """
+    references = table.references()
+    pairs = [
+        (references[reading.part], value - references[reading.part])
+        for reading, value in zip(table.readings, table.numbers().tolist(), strict=True)
+        if reading.part in references
+    ]
+    if len(pairs) < READINGS_MIN:
+        raise DataError(f"{table.source}: {len(pairs)} readings with a reference, expected {READINGS_MIN}")
+    load, error = np.array(pairs).T
+    limits = np.array([next(max(s * m, g) for most, s, g in CATCHWEIGHER_LIMITS if m <= most) for m in load])
+    times = float((error / limits).std(ddof=1))
+    needed = next((k for k in (0.1, 0.2, 0.5, 1.0, 2.0) if times <= k), math.inf)
+    found = f"class X({needed:g})" if needed <= _CLASS_MAX else f"no class: X({_CLASS_MAX:g}) is the widest"
+    return (
+        f"as a yardstick only, no legal verification: the errors' standard deviation is {times:.2f} times the "
+        f"limit of catchweigher class X(1) (OIML R 51): {found}"
+    )
+
+
 def _bias(part: str, reference: float, values: Floats) -> Bias:
     mean = float(values.mean()) - reference
     if values.size < 2:

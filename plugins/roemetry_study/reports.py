@@ -76,6 +76,10 @@ def of_numbers(table: StudyTable, *, tolerance: float, nested: bool, method: str
         words, made = _bias(table)
         statements += words
         tables.append(made)
+        if table.value == "mass_g":
+            from roemetry_study.reference import catchweigher_words
+
+            statements.append(catchweigher_words(table))
     if any(reading.moment for reading in table.readings):
         words, made = _stability(table)
         statements += words

@@ -13,7 +13,7 @@ import pytest
 from roemetry.errors import DataError
 from roemetry.run.control_rules import limits_of, signals
 from roemetry_study.agreement import agreement
-from roemetry_study.reference import biases, linearity, type_one
+from roemetry_study.reference import biases, catchweigher_words, linearity, type_one
 from roemetry_study.table import Reading, StudyTable
 
 
@@ -122,6 +122,16 @@ def test_type_one_figures_worked_by_hand() -> None:
         type_one(_numbers({10.0: [10.0] * 12}), 1.0)
     with pytest.raises(DataError, match="at the very least 10"):
         type_one(_numbers({10.0: [10.0, 10.1]}), 1.0)
+
+
+def test_weights_are_held_against_catchweigher_classes() -> None:
+    """At 20 g class X(1) allows 0.096 g, at 150 g 0.36 g."""
+    exact = _numbers(
+        {20.0: [20.0 + 0.048 * (-1) ** k for k in range(50)], 150.0: [150.0 + 0.18, 150.0 - 0.18] * 25}
+    )
+    assert "0.50 times the limit" in catchweigher_words(exact)
+    assert catchweigher_words(exact).endswith(": class X(1)")
+    assert "no class" in catchweigher_words(_numbers({20.0: [20.0 + 1.0 * (-1) ** k for k in range(50)]}))
 
 
 def test_control_rules_one_by_one() -> None:
