@@ -218,7 +218,7 @@ def catchweigher_words(table: StudyTable) -> str:
     needed = next((k for k in (0.1, 0.2, 0.5, 1.0, 2.0) if times <= k), math.inf)
     found = f"class X({needed:g})" if needed <= _CLASS_MAX else f"no class: X({_CLASS_MAX:g}) is the widest"
     return (
-        f"as a yardstick only, no legal verification: the errors' standard deviation is {times:.2f} times the "
+        f"as a yardstick only, no legal verification: errors' standard deviation is {times:.2f} times the "
         f"limit of catchweigher class X(1) (OIML R 51): {found}"
     )
 
