@@ -84,31 +84,26 @@ def test_images_of_two_sizes(rig_file: Path) -> None:
         calibrate(Rig.load(rig_file))
 
 
-def test_no_target(rig_file: Path) -> None:
-    rig_file.write_text(RIG.replace("target: block.yaml\n", ""), encoding="utf-8")
-    with pytest.raises(CalibrationError, match="its three sides are unknown"):
-        calibrate(Rig.load(rig_file))
-
-
-def test_no_images(rig_file: Path) -> None:
-    rig_file.write_text(RIG.replace("[block.png]", "[]").replace("[belt.png]", "[]"), encoding="utf-8")
-    with pytest.raises(CalibrationError, match="no images to calibrate from"):
-        calibrate(Rig.load(rig_file))
-
-
-def test_the_same_image_twice(rig_file: Path) -> None:
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("target: block.yaml\n", "", "its three sides are unknown"),
+        ("[block.png]\n  belt: [belt.png]", "[]\n  belt: []", "no images to calibrate from"),
+        ("[block.png]", "[block.png, again.png]", "is the same image as another one"),
+    ],
+)
+def test_what_is_missing_or_there_twice_is_named(rig_file: Path, old: str, new: str, says: str) -> None:
     rig_file.with_name("again.png").write_bytes(rig_file.with_name("block.png").read_bytes())
-    rig_file.write_text(RIG.replace("[block.png]", "[block.png, again.png]"), encoding="utf-8")
-    with pytest.raises(CalibrationError, match="is the same image as another one"):
+    rig_file.write_text(RIG.replace(old, new), encoding="utf-8")
+    with pytest.raises(CalibrationError, match=says):
         calibrate(Rig.load(rig_file))
 
 
 def test_a_block_described_the_wrong_way_round(rig_file: Path) -> None:
     text = BLOCK.replace("length_mm: 100", "length_mm: 20").replace("width_mm: 20", "width_mm: 100")
     rig_file.with_name("block.yaml").write_text(text, encoding="utf-8")
-    with pytest.raises(CalibrationError, match="the block would be at least 300 mm long") as caught:
+    with pytest.raises(CalibrationError, match=r"the block would be at least 300 mm long(.|\n)*swapped"):
         calibrate(Rig.load(rig_file))
-    assert "swapped" in str(caught.value)
 
 
 BOARD = """
@@ -133,7 +128,6 @@ def board_rig(rig, rig_file: Path) -> Path:
 
 def test_poses_are_paired_by_the_numbers_in_their_names(rig, board_rig: Path) -> None:
     observed, hashes = observe(Rig.load(board_rig), discover())
-    assert observed.board is not None
     assert observed.board.marker_mm == 6.0
     boards = observed.showing("board")
     assert [(view.pose, view.frame.role) for view in boards] == [
