@@ -28,6 +28,7 @@ from roemetry.records.outcome import (
     ReliefMap,
     ReliefRegion,
     Shares,
+    Surface,
     Volume,
     Weight,
 )

@@ -15,7 +15,7 @@ from roemetry.records.acquisition import Acquisition, Frame
 from roemetry.records.arrays import Checker, Flags, Floats, Integers, Labels
 from roemetry.records.calibration import Alignment, Calibration
 from roemetry.records.display import Shown, estimate, picture_of_stripes, table
-from roemetry.records.outcome import Decision, Estimate, Grade, Volume, Weight
+from roemetry.records.outcome import Decision, Estimate, Grade, Surface, Volume, Weight
 from roemetry.records.reasons import Reason
 from roemetry.records.stripes import Peaks, StripeMap
 from roemetry.records.view import View
@@ -126,6 +126,8 @@ class ProductTrace(Shown):
     absent: Mapping[str, Reason] = field(default_factory=dict)
     decision: Decision | None = None
     height_max_mm: Estimate | None = None
+    surface: Surface | None = None
+    """The surface behind the volume, where it was asked for and the estimator has one."""
 
 
 @dataclass(frozen=True, eq=False, repr=False, slots=True)
