@@ -1,4 +1,4 @@
-"""The panels of one acquisition: the image, peaks, coded curves over it and alone, arcs and their centres."""
+"""The panels of one acquisition: image, peaks, labelled curves over it and alone, arcs and their centres."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def _dominant(base: BaseImage, peaks: Peaks, key: str) -> Panel:
 def _superimposed(base: BaseImage, trace: Trace, key: str) -> Panel:
     over = "peaks" if trace.stripes is None else "curves"
     body = Markup('<use href="#{0}-image"/><g class="over"><use href="#{0}-{1}"/></g>').format(key, over)
-    title = "Coded peaks on the image" if trace.stripes is not None else "Peaks on the image"
+    title = "Labelled peaks on the image" if trace.stripes is not None else "Peaks on the image"
     return Panel("c", title, _screen(base, [body], title))
 
 
@@ -96,11 +96,11 @@ def _connected(
     ]
     label = (
         f"Curves of {stripes.stripe_count} stripes after connection; {int(ambiguous.sum())} ambiguous and "
-        f"{int(uncoded.sum())} uncoded peaks"
+        f"{int(uncoded.sum())} unlabelled peaks"
     )
     notes = _thinned(row_step(stripes))
     if max(ambiguous.sum(), uncoded.sum()) > _MARKS_MAX:
-        notes = (*notes, "not every ambiguous or uncoded peak is drawn: they are too many")
+        notes = (*notes, "there are too many ambiguous or unlabelled peaks to draw all")
     return Panel("d", "Curves after connection", _screen(base, body, label), notes)
 
 

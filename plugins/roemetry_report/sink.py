@@ -266,10 +266,10 @@ def _coding(row: Measurement) -> tuple[tuple[str, str], ...]:
     return (
         ("stripes seen", f"{coding.stripes_seen} of {coding.stripes}"),
         ("peaks", str(coding.peaks)),
-        ("coded", _of(coding.coded, coding.peaks)),
+        ("labelled", _of(coding.coded, coding.peaks)),
         ("ambiguous", _of(coding.ambiguous, coding.peaks)),
-        ("uncoded (noise)", _of(coding.uncoded, coding.peaks)),
-        ("saturated", percent(coding.saturated_share) + (" of the coded" if coding.coded else "")),
+        ("unlabelled (noise)", _of(coding.uncoded, coding.peaks)),
+        ("saturated", percent(coding.saturated_share) + (" of the labelled" if coding.coded else "")),
     )
 
 
