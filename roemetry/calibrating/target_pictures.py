@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from markupsafe import Markup
 
-from roemetry.html.plots import dots, image, path, picture, text, view
+from roemetry.html.plots import dots, image, path, text, view
 from roemetry.records import Frame, TargetView
 from roemetry.records.calibration import Calibration
 
@@ -119,4 +119,5 @@ def boards_in_space(views: Sequence[TargetView], calibration: Calibration) -> Sp
         "named": [bool(name) for _, name, _ in shapes],
     }
     label = f"{len(boards)} boards over the belt, seen from the front and above"
-    return Space(picture(body, _HEIGHT, label, _WIDTH), json.dumps(told, separators=(",", ":")))
+    drawing = view(body, (0.0, 0.0, _WIDTH, _HEIGHT), label, "space")
+    return Space(drawing, json.dumps(told, separators=(",", ":")))

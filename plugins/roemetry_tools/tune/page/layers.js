@@ -50,7 +50,7 @@ export function problemOf(arrays, peak) {
   const flags = arrays["peaks.flags"].data[peak];
   const found = [];
   if (stripe === AMBIGUOUS) found.push("ambiguous");
-  if (stripe === UNCODED) found.push("unlabelled");
+  if (stripe === UNCODED) found.push("uncoded");
   if (flags & SATURATED) found.push("saturated");
   if (flags & (EDGE | WIDE)) found.push("odd");
   return found;
