@@ -32,6 +32,7 @@ from roemetry_pinhole.scale import (
     rescaled,
     scaled_by_references,
 )
+from roemetry_pinhole.target_views import target_views
 from roemetry_pinhole.verdict import evidence_of, judged
 
 
@@ -128,7 +129,7 @@ class PinholeCalibrator(Calibrator[PinholeCalibratorOptions]):
         joined = self._joint(observed)
         if self.options.scale == "free" and joined.board is not None:
             joined = rescaled(joined, float(calibration.target["pitch_mm"]) / joined.board.pitch_mm)
-        return evidence_of(joined, calibration)
+        return replace(evidence_of(joined, calibration), views=target_views(joined, observed, calibration))
 
     def _calibrated(self, observed: CalibrationSet) -> Calibration:
         return self._made(self._joint(observed), observed, lengths=True)

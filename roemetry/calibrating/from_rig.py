@@ -22,6 +22,7 @@ from roemetry.records import (
     Frame,
     Observation,
     Peaks,
+    TargetView,
 )
 from roemetry.records.calibration import Calibration
 from roemetry.run.preprocess import prepare
@@ -48,7 +49,21 @@ def calibrate_with_evidence(rig: Rig, *, registry: Registry | None = None) -> tu
     """Calibrate, and give what the calibrator can show for it; raises as `calibrate`."""
     observed, hashes = observe(rig, registry or discover())
     calibration = _calibrated(rig, observed, hashes)
-    return calibration, rig.calibrator.make().evidence(observed, calibration)
+    evidence = rig.calibrator.make().evidence(observed, calibration)
+    return calibration, evidence if evidence.views else replace(evidence, views=_as_observed(observed))
+
+
+def _as_observed(observed: CalibrationSet) -> tuple[TargetView, ...]:
+    """Give the images with all their peaks, where a calibrator does not say what it used of them."""
+    return tuple(
+        TargetView(
+            one.frame.name,
+            one.frame,
+            np.column_stack([one.peaks.x_px, one.peaks.row.astype(np.float64)]),
+            np.full(len(one.peaks), -1),
+        )
+        for one in observed.observations
+    )
 
 
 def _calibrated(rig: Rig, observed: CalibrationSet, hashes: dict[str, str]) -> Calibration:

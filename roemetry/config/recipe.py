@@ -25,7 +25,7 @@ from roemetry.config.recipe_file import (
     StageChoice,
     Uncertainty,
 )
-from roemetry.config.resolve import ResolvedStage, StageResolver
+from roemetry.config.resolve import ResolvedStage, StageResolver, choice_of
 from roemetry.config.validation import checked
 from roemetry.errors import ConfigurationError, RoemetryError
 from roemetry.io.yaml_source import Document, Step, read
@@ -33,7 +33,7 @@ from roemetry.records import Sensor
 from roemetry.records.calibration import ON_BELT, Calibration
 from roemetry.records.display import table
 from roemetry.records.penetration import Penetration
-from roemetry.stages import Triangulator
+from roemetry.stages import Stage, Triangulator
 from roemetry.stages.registry import Registry, discover
 
 
@@ -115,10 +115,18 @@ class Recipe:
     ) -> Self:
         """Check a recipe in memory: what a file says, as plain dictionaries, lists, words and numbers.
 
-        Relative paths in it begin at `folder`; ConfigurationError names every fault with its keys.
+        Stages may be objects as well (see `roemetry.make_stage`). Relative paths in it begin at `folder`;
+        ConfigurationError names every fault with its keys.
         """
+        known = registry or discover()
+        if isinstance(stages := data.get("stages"), Mapping):
+            chosen = {
+                kind: choice_of(kind, one, known) if isinstance(one, Stage) else one
+                for kind, one in stages.items()
+            }
+            data = {**data, "stages": chosen}
         document = Overridden(Document("the recipe", data), ())
-        return cls(**_resolved(Path(folder) / "recipe.yaml", document, registry or discover()))
+        return cls(**_resolved(Path(folder) / "recipe.yaml", document, known))
 
     @classmethod
     def drafted(

@@ -18,6 +18,7 @@ from roemetry.records.observations import (
     Samples,
     SpherePlate,
     Staircase,
+    TargetView,
 )
 from roemetry.records.outcome import (
     Decision,
@@ -28,6 +29,7 @@ from roemetry.records.outcome import (
     ReliefMap,
     ReliefRegion,
     Shares,
+    Surface,
     Volume,
     Weight,
 )

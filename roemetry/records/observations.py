@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from roemetry.records.acquisition import Frame
-from roemetry.records.arrays import Checker, Floats, Integers
+from roemetry.records.arrays import Checker, Flags, Floats, Integers
 from roemetry.records.display import Shown
 from roemetry.records.stripes import Peaks
 
@@ -208,6 +208,33 @@ class Residuals(Shown):
 
 
 @dataclass(frozen=True, eq=False, repr=False, slots=True)
+class TargetView(Shown):
+    """One image of a target, with what was found in it and where the target stood."""
+
+    name: str
+    frame: Frame
+    peaks_px: Floats
+    """(peak, 2) x and row of stripe peaks in the (turned) image, px."""
+    stripe: Integers
+    """(peak,) stripe of each; −1 where that is not known."""
+    corners_px: Floats = field(default_factory=lambda: np.empty((0, 2)))
+    """(corner, 2) board corners, px."""
+    used: Flags = field(default_factory=lambda: np.empty(0, np.bool_))
+    """(corner,) False for those left out as far off."""
+    border_mm: Floats = field(default_factory=lambda: np.empty((0, 3)))
+    """(4, 3) corners of the board, belt frame, mm; (0, 3) where there is no board."""
+
+    def __post_init__(self) -> None:
+        check = Checker(self)
+        peaks = check.array("peaks_px", np.float64, (None, 2)).shape[0]
+        check.array("stripe", np.int64, (peaks,))
+        corners = check.array("corners_px", np.float64, (None, 2)).shape[0]
+        check.array("used", np.bool_, (corners,))
+        check.array("border_mm", np.float64, (None, 3))
+        check.finish()
+
+
+@dataclass(frozen=True, eq=False, repr=False, slots=True)
 class Evidence(Shown):
     """All that a calibrator can show."""
 
@@ -218,6 +245,8 @@ class Evidence(Shown):
     """figures, residuals: what the verdict rests on."""
     usable: bool = True
     """Whether anything may be measured with it at all."""
+    views: tuple[TargetView, ...] = ()
+    """The images, with the corners and stripes that were used of each."""
 
 
 @dataclass(frozen=True, eq=False, repr=False, slots=True)

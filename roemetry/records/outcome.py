@@ -150,6 +150,23 @@ class Volume(Shown):
         check.finish()
 
 
+@dataclass(frozen=True, eq=False, repr=False, slots=True)
+class Surface(Shown):
+    """The top surface a volume was integrated under, as a grid for drawings."""
+
+    xyz_mm: Floats
+    """(station, point, 3) belt frame, mm: stations follow the product, points run across it from border to
+    border. NaN where the product has a gap."""
+    assumed: Flags
+    """(station, point) True where no stripe was seen that the surface could rest on."""
+
+    def __post_init__(self) -> None:
+        check = Checker(self)
+        xyz = check.array("xyz_mm", np.float64, (None, None, 3))
+        check.array("assumed", np.bool_, xyz.shape[:2])
+        check.finish()
+
+
 @dataclass(frozen=True, slots=True)
 class Weight:
     """Mass of one product, grams, and how it was reckoned.

@@ -123,7 +123,7 @@ def derive(
             references.update({found.id: found for found in source.references(recipe.source_path)})
         if acquisition_id not in references:
             raise DataError(f"{acquisition_id}: the images are no longer there")
-        return pipeline.trace(source.read(references[acquisition_id]))
+        return pipeline.trace(source.read(references[acquisition_id]), surfaces=True)
 
     run = Run(folder, recipe.product, lambda: read_record(folder), replay, provenance)
     files: list[Path] = []

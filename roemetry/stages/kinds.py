@@ -37,6 +37,7 @@ from roemetry.records import (
     Sensor,
     Simulated,
     StripeMap,
+    Surface,
     Trace,
     Volume,
     Weight,
@@ -277,6 +278,11 @@ class VolumeEstimator(Stage[OptionsT]):
         """
         del found
         return self.estimate(product, rng=rng)
+
+    def surface(self, product: Product) -> Surface | None:
+        """Give the top surface that `estimate` integrates, for drawings; None where it has none."""
+        del product
+        return None
 
 
 class Weigher(Stage[OptionsT]):
