@@ -130,7 +130,7 @@ def _faults(space: Space, bodies: Bodies) -> Iterator[str]:
     """Say why the rig cannot measure the products."""
     spacing, count = mean_spacing_mm(space), space.rig.laser.count
     high = bodies.height_mm
-    if count > 1 and bodies.length_mm / spacing < 3.0:
+    if bodies.length_mm / spacing < 3.0:
         yield f"fewer than three stripes on a product {bodies.length_mm:.0f} mm long"
     if bodies.length_mm > spacing * (count + 1.0):
         yield f"the stripes span {spacing * (count - 1.0):.0f} mm, the product {bodies.length_mm:.0f} mm"

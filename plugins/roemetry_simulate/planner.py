@@ -71,7 +71,7 @@ class RigPlanner(Planner[RayCasterOptions]):
         _refuse(space)
         bodies = bodies_of(self.options, space.rig)
         answer = None
-        if bodies is not None:
+        if bodies is not None and space.rig.laser.count > 1:
             space = replace(space, product_mm=bodies.height_mm)
             answer = answer_of(self.options, space, bodies, space_of)
         tables = [

@@ -182,7 +182,7 @@ def _under_lamps(
 
 
 _DRAFT_SAMPLES = 2
-"""Along each side of an uneven pixel in a draft: an edge is right to half a pixel before the lens blurs it."""
+"""Along each side of an uneven pixel in a draft: an edge is right to half a pixel, and the lens blurs it."""
 _BEND_GREY = 6.0
 """Sum of second differences, grey levels, above which one ray is not enough for a pixel: the mean over a
 pixel differs from its middle by a 24th of it, here by a quarter of a grey level; noise is one or more."""

@@ -344,7 +344,7 @@ def first_lines_of(compared: Sequence[Compared], terms: Terms, without_truth: st
             for name in one.variant.left_out
         ]
     said += [
-        f"`{one.name}` measured exactly what `{other.name}` did: what differs between them decides nothing here"
+        f"`{one.name}` measured exactly what `{other.name}` did: what they differ in decides nothing here"
         for one, other in same_results(compared)
     ]
     return said
