@@ -3,11 +3,11 @@
 Model. A table is a list of classes, each with half-open ranges of quantities and the shapes it takes. Going
 down it, a limit is kept or broken only if the value lies off it by more than the guard band, `guard_factor`
 standard uncertainties (the decision rule of ISO 14253-1, at every limit alike); between, it is open. So is
-every limit on a volume or weight whose uncertainty is not stated in full, by an interval or by the table: a part proves nothing. A
-product is of the first class that is kept, if every class before it is broken. A table is looked through
-before it is used: between all its limits lie cells, and each cell must belong to a class, each class to a
-cell, and two classes may share cells only if one holds the other. More than `CELLS_MAX` cells are refused,
-not searched.
+every limit on a volume or weight whose uncertainty is not stated in full, by an interval or by the table, and
+on a weight for which the visible volume was taken for the true one: a part proves nothing. A product is of
+the first class that is kept, if every class before it is broken. A table is looked through before it is used:
+between all its limits lie cells, and each cell must belong to a class, each class to a cell, and two classes
+may share cells only if one holds the other. More than `CELLS_MAX` cells are refused, not searched.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -240,6 +241,8 @@ def _not_guarded(found: Quantities, factor: float) -> tuple[Reason, ...]:
     )
 
 
+_AIR_WEIGHED = "visible-taken-for-true"
+"""Reason of a weight that counts the air below the product, which no uncertainty of it holds."""
 WEIGHT, VISIBLE, TRUE = "weight_g", "visible_volume_cm3", "true_volume_cm3"
 
 
@@ -317,7 +320,8 @@ class Quantities:
 def _estimates(volume: Volume | None, weight: Weight | None) -> dict[str, Estimate]:
     found = {}
     if weight is not None:
-        found[WEIGHT] = weight.mass_g
+        in_part = any(reason.code == _AIR_WEIGHED for reason in weight.reasons)
+        found[WEIGHT] = replace(weight.mass_g, interval=(math.nan, math.nan)) if in_part else weight.mass_g
     if volume is not None:
         found[VISIBLE] = _in_cm3(volume.visible_mm3)
         if volume.true_mm3 is not None:
@@ -327,7 +331,8 @@ def _estimates(volume: Volume | None, weight: Weight | None) -> dict[str, Estima
 
 def _in_cm3(estimate: Estimate) -> Estimate:
     budget = {cause: mm3_to_cm3(part) for cause, part in estimate.budget.items()}
-    return Estimate(mm3_to_cm3(estimate.value), mm3_to_cm3(estimate.std), budget)
+    low, high = map(mm3_to_cm3, estimate.interval)
+    return Estimate(mm3_to_cm3(estimate.value), mm3_to_cm3(estimate.std), budget, (low, high))
 
 
 Range = tuple[float, float]
