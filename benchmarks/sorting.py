@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roemetry.config.dataset import Dataset
+from roemetry.config.dataset import DESCRIPTION, Dataset
 from roemetry.config.recipe import Recipe
 from roemetry.errors import RoemetryError
 from roemetry.records import Estimate, Product, ProductTrace, ProductTruth, Volume, Weight
@@ -75,7 +75,7 @@ def main() -> None:
 def measured(line: str, sets: Sequence[str]) -> Iterator[Case]:
     """Measure a line's shipped products; none where its recipe has no such stage."""
     folder = RECIPES / line
-    data = Dataset(folder)
+    data = Dataset(folder if (folder / DESCRIPTION).is_file() else folder / "data")
     truths = {item.id: item.products for item in data.items()}
     recipe = Recipe.load(folder / LINES[line], sets=[*sets, "stages.grader="])
     pipeline, source = Pipeline(recipe), recipe.source.make()

@@ -53,7 +53,7 @@ _SMALL_DEG, _STEEP = 12.0, 0.5
 """Triangulation angle below which the plan says so; tangent up to which a projector is proposed."""
 _SPACING_LEAST_PX = 14.0
 """About three widths of a stripe in focus: nearer ones are not told apart."""
-_WORTH = 0.85
+_WORTH = 0.75
 """A change that leaves more than this of the uncertainty is not proposed."""
 
 
@@ -211,10 +211,9 @@ def _other_rigs(
 
 def _said(rig: tuple[float, float, int, float, float], now_deg: float) -> str:
     pct, angle, count, spacing, beside = rig
-    return (
-        f"{count} stripes {spacing:.1f} mm apart, projector {beside:.0f} mm beside the camera (triangulation "
-        f"{angle:.0f}° instead of {now_deg:.0f}°): volume ± {pct:.1f} %"
-    )
+    turned = f" (triangulation {angle:.0f}°, now {now_deg:.0f}°)" if abs(angle - now_deg) >= 1.0 else ""
+    where = f"{count} stripes {spacing:.1f} mm apart, projector {beside:.0f} mm beside the camera{turned}"
+    return f"{where}: volume ± {pct:.1f} %"
 
 
 def angle_deg(space: Space) -> float:

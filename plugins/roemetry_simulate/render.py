@@ -190,10 +190,9 @@ pixel differs from its middle by a 24th of it, here by a quarter of a grey level
 
 def _uneven(grey: Floats) -> Flags:
     """Find the pixels of a first look, (height, width), whose neighbours do not tell them: edges, stripes."""
-    from scipy.ndimage import binary_dilation, laplace
+    from scipy.ndimage import laplace
 
-    bend = np.abs(laplace(grey, mode="nearest")) > _BEND_GREY
-    return np.asarray(binary_dilation(bend, np.ones((3, 3), bool)))
+    return np.asarray(np.abs(laplace(grey, mode="nearest")) > _BEND_GREY)
 
 
 def render(

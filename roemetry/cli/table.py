@@ -21,7 +21,7 @@ def problems_of(measurements: Iterable[Measurement]) -> list[str]:
         if row.status != "measured":
             text = row.reasons[0].text if row.reasons else row.status
             rows_by_text.setdefault(text, []).append(row.id)
-        elif row.weight is not None:
+        elif row.weight is not None and not row.weight.features:  # which only a fitted weigher has
             for reason in (*row.weight.reasons, *(row.volume.reasons if row.volume else ())):
                 if reason.code in _NOT_FITTED:
                     rows_by_text.setdefault(f"weight not fitted: {reason.text}", []).append(row.id)
@@ -92,8 +92,8 @@ def _figure(estimate: Estimate, digits: int, per: float = 1.0) -> str:
 
 def _verdict(row: Measurement) -> str:
     """Say what a product is like, and what is to be done with it."""
-    shape = row.grade.label if row.grade is not None else row.status
+    shape = "" if row.grade is None else row.grade.label
     if row.decision is None:
-        return shape
+        return shape or row.status
     lane = f" ({row.decision.lane})" if row.decision.lane else ""
-    return f"{shape} → {row.decision.label}{lane}"
+    return f"{shape}{' → ' if shape else ''}{row.decision.label}{lane}"

@@ -113,7 +113,7 @@ def texts_of(answers: Answers, layout: Layout, items: int) -> dict[str, str]:
     told = {"answers": asdict(answers), "rig": asdict(layout), "alike": _alike(answers), "items": items}
     return {
         name: _text(f"{name}.j2", **told)
-        for name in ("scene.yaml", "rig.yaml", "board.yaml", "recipe.yaml", "README.md")
+        for name in ("scene.yaml", "rig.yaml", "board.yaml", "block.yaml", "recipe.yaml", "README.md")
     }
 
 
