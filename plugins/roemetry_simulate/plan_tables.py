@@ -34,7 +34,8 @@ Floats = NDArray[np.float64]
 _COLUMNS, _ROWS = 57, 17
 """Cells of a map over X and Z."""
 _SPACINGS = 2.5
-"""Heights are planned up to so many spacings' displacement: no coder tells stripes apart much beyond."""
+"""Without a product, heights are planned up to so many spacings' displacement: no coder tells stripes apart
+much beyond."""
 _TO_BORDER = 0.9
 """How far towards the image's upper and lower border the maps look; beyond, a stripe's window is cut."""
 
@@ -51,11 +52,14 @@ class Space:
         Of the product, in the laser's light.
     speckle_limit_px : float
         Below which speckle lets no stripe's place be known; NaN where the scene gives no aperture.
+    product_mm : float
+        Height of the scene's highest product; NaN where there is none.
     """
 
     rig: Rig
     albedo: float
     speckle_limit_px: float = math.nan
+    product_mm: float = math.nan
 
     @cached_property
     def y_mm(self) -> float:
@@ -85,8 +89,14 @@ class Space:
 
     @cached_property
     def top_mm(self) -> float:
-        """Height up to which the plan is made: 2½ spacing heights, or as far as any stripe stays in view."""
-        return float(np.fmin(np.nanmax(self.in_view_mm), _SPACINGS * self.spacing_height_mm))
+        """Height up to which the plan is made: the highest product's, else 2½ spacing heights; in view."""
+        wanted = _SPACINGS * self.spacing_height_mm if math.isnan(self.product_mm) else self.product_mm
+        return float(np.fmin(np.nanmax(self.in_view_mm), wanted))
+
+    @cached_property
+    def feet_mm(self) -> Floats:
+        """Where the stripes lie on the belt, shape (N, 3)."""
+        return plane_points(self.rig.laser, self.y_mm, np.zeros(1))[0]
 
     def best_px(self, std: PeakStd) -> float:
         """Return the least standard uncertainty of a stripe's place: the bound, or the speckle limit."""
@@ -231,14 +241,13 @@ def stripe_light(space: Space) -> PlanTable:
 
 def stripe_slopes(space: Space) -> PlanTable:
     """Return the steepest slopes that are lit and seen at each stripe's place on the belt."""
-    points = plane_points(space.rig.laser, space.y_mm, np.zeros(1))[0]
-    slopes = steepest_slopes_deg(space.rig.camera, space.rig.laser, points)
+    slopes = steepest_slopes_deg(space.rig.camera, space.rig.laser, space.feet_mm)
     sides = (("+x", "rising to +X"), ("-x", "rising to −X"), ("+y", "rising to +Y"), ("-y", "rising to −Y"))
     return PlanTable(
         "slopes",
         "Steepest slope that is lit and seen",
         (
-            _numbers(len(points)),
+            _numbers(len(slopes)),
             *(PlanColumn(n, title, "degrees", slopes[:, k], 1) for k, (n, title) in enumerate(sides)),
         ),
         "A slope faces a place while tan α < height over it / distance from it in the direction of the rise; "
@@ -346,7 +355,7 @@ def mean_spacing_mm(space: Space) -> float:
 
 
 def _numbers(count: int) -> PlanColumn:
-    return PlanColumn("stripe", "stripe", "1", np.arange(count, dtype=np.float64), 0)
+    return PlanColumn("stripe", "stripe", "1", np.arange(1.0, count + 1.0), 0)  # as reports number them
 
 
 def _errors(area: Callable[[Floats], Floats], stripes: NDArray[Any]) -> Floats:

@@ -45,16 +45,16 @@ class RayCaster(Simulator[RayCasterOptions]):
         solid = lying.solid
         surface = surface_of(self.options, lying.seed)
         surface = contaminate(surface, self.options, self._rig, lying.products, lying.seed)
-        crossings = stripe_centres(self._rig.camera, self._rig.laser, solid)
+        pitch: Any = {"step_px": 0.5} if self.options.draft else {}
+        crossings = stripe_centres(self._rig.camera, self._rig.laser, solid, **pitch)
         stripes = stripes_of(crossings, solid)
         frames = []
         for role in self.options.light.images:
             rig = self._rig if role != "dark" else replace(self._rig, laser=dimmed(self._rig))
             # a dark image has a noise of its own
             noise_seed = lying.seed if role != "dark" else lying.seed + 2**32
-            pixels = render(
-                rig, solid, surface, seed=noise_seed, plain=role == "plain", samples=self.options.samples
-            )
+            rays: Any = {"samples": self.options.samples, "draft": self.options.draft}
+            pixels = render(rig, solid, surface, seed=noise_seed, plain=role == "plain", **rays)
             frames.append(self._frame(pixels, role, number))
         products = tuple(
             _truth_of(one, lying.seed, _only(crossings, stripes.product == place))

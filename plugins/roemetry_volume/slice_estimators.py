@@ -17,7 +17,7 @@ from roemetry_kernels.compiling import kernel
 from roemetry_volume import slice_rules as rules
 from roemetry_volume.slice_rules import Cap, Ends, cap_of
 from roemetry_volume.slice_table import FILLED, HOLE, LOW, Slices, slices_of
-from roemetry_volume.underside import UndersideOptions, estimate_of, true_volume
+from roemetry_volume.underside import UndersideOptions, estimate_of, true_volume, underside_reasons
 
 # chosen so that 95 % intervals hold the truth as often as they say: docs/reference/plugins/slice-pchip.md
 _BETWEEN = 0.38  # of what leaving a slice out changes: with it, the gap is half as wide
@@ -108,7 +108,7 @@ class _SliceEstimator(VolumeEstimator[SliceOptions]):
             slice_stripe=slices.stripe,
             slice_area_mm2=slices.area_mm2,
             slice_spacing_mm=slices.held_mm,
-            reasons=reasons_of(product, slices, [one.kind for one in caps]),
+            reasons=reasons_of(product, slices, [one.kind for one in caps]) + underside_reasons(self.options),
         )
 
     def surface(self, product: Product) -> Surface:

@@ -33,7 +33,16 @@ from roemetry.records.outcome import (
     Volume,
     Weight,
 )
-from roemetry.records.plan import Plan, PlanColumn, PlanCurves, PlanFigure, PlanMap, PlanShape, PlanTable
+from roemetry.records.plan import (
+    Plan,
+    PlanAnswer,
+    PlanColumn,
+    PlanCurves,
+    PlanFigure,
+    PlanMap,
+    PlanShape,
+    PlanTable,
+)
 from roemetry.records.product import Outline, Product, ProductTrace, Profiles, Trace
 from roemetry.records.reasons import Reason
 from roemetry.records.stripes import (

@@ -214,7 +214,9 @@ def _estimate(
         return replace(_unstated(found), budget=budget), said
     if not stated:
         return replace(_unstated(found), budget=budget), ()
-    std = _mean_and_std(good)[1]
+    std = _mean_and_std(good)[1] * widening(good.size)
+    if math.isnan(std):
+        return replace(_unstated(found), budget=budget), _few(good.size)
     if good.size >= ENOUGH_FOR_QUANTILES:
         tail = (1.0 - COVERAGE) / 2.0
         low, high = (float(q) for q in np.quantile(good, [tail, 1.0 - tail]))
@@ -224,12 +226,24 @@ def _estimate(
     return replace(found, std=std, budget=budget, interval=interval), _few(good.size)
 
 
+def widening(draws: int) -> float:
+    """Give what a standard deviation of few draws grows by to count as one of many; NaN for up to three.
+
+    √((n − 1)/(n − 3)), the standard deviation of Student's distribution (JCGM 101, 6.4.9.2); from `FEW_DRAWS`
+    on 1, since it is then below 6 %.
+    """
+    if draws >= FEW_DRAWS:
+        return 1.0
+    return math.sqrt((draws - 1.0) / (draws - 3.0)) if draws > 3 else math.nan
+
+
 def _few(draws: int) -> tuple[Reason, ...]:
     """Say of a standard deviation of few draws how uncertain it is itself: by 1/√(2(n − 1))."""
     if draws >= FEW_DRAWS:
         return ()
     share = 1.0 / math.sqrt(2.0 * (draws - 1))
-    return (Reason("few-draws", f"{draws} draws tell a standard uncertainty to {share:.0%} only: take more"),)
+    said = f"{draws} draws tell a standard uncertainty to {share:.0%} only: take more"
+    return (Reason("few-draws", said if draws > 3 else f"{draws} draws tell no uncertainty: take more"),)
 
 
 def _spread(results: list[Result], field: str) -> float:

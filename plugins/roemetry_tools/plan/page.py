@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import asdict
 from datetime import datetime
 from importlib.metadata import version
 from typing import Any
@@ -99,6 +100,7 @@ def as_plain(plan: Plan) -> dict[str, Any]:
             }
             for one in plan.maps
         },
+        "answer": None if plan.answer is None else {**asdict(plan.answer), "text": plan.answer.text},
         "reasons": [{"code": reason.code, "text": reason.text} for reason in plan.reasons],
     }
 
