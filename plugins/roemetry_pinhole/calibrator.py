@@ -110,7 +110,7 @@ class PinholeCalibrator(Calibrator[PinholeCalibratorOptions]):
             )
         if not planes_by_solids(observed) or self.options.planes is not None:
             calibration = self._calibrated(observed)
-            return replace(calibration, **check_scale(calibration, observed))
+            return replace(calibration, **check_scale(calibration, observed, self._joint(observed)))
         try:
             calibration = self._calibrated(observed)
         except CalibrationError:
@@ -169,7 +169,15 @@ class PinholeCalibrator(Calibrator[PinholeCalibratorOptions]):
             reference=ON_BELT if on_belt else ON_BOARD,
         )
 
+    _last: tuple[CalibrationSet, Joint] | None = None
+    """The set that was adjusted last, and its adjustment: the evidence is of the same."""
+
     def _joint(self, observed: CalibrationSet) -> Joint:
+        if self._last is None or self._last[0] is not observed:
+            self._last = observed, self._adjusted(observed)
+        return self._last[1]
+
+    def _adjusted(self, observed: CalibrationSet) -> Joint:
         return joint(
             observed,
             lens=self.options.lens,

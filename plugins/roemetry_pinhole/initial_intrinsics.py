@@ -158,6 +158,7 @@ def _solved(
         np.concatenate([view.marks.board_mm for view in views]),
         np.concatenate([view.marks.xy_px for view in views]),
         np.zeros(sum(size)),
+        np.zeros(sum(size), np.int64),
     )
     nothing = StripePoints(whole, whole, none, none, none, none)
     feet = Feet(whole, np.empty((0, 3)), none)
