@@ -136,7 +136,12 @@ class PinholeCalibrator(Calibrator[PinholeCalibratorOptions]):
     def _made(self, joined: Joint, observed: CalibrationSet, *, lengths: bool) -> Calibration:
         """Give the calibration of an adjustment, with the uncertainty of the targets' lengths or without."""
         adjusted, size = joined.adjusted, joined.size
-        verdict = judged(joined, scale_is_known=lengths)
+        try:
+            verdict = judged(joined, scale_is_known=lengths)
+        except CalibrationError as error:
+            # what was noticed of the images may be the cause
+            words = "\n  ".join([error.message, *joined.seen.notes])
+            raise CalibrationError(words, hint=error.hint) from error
         parameters = parameters_of(adjusted.geometry, travel=joined.moves)
         covariance = covariance_of(adjusted.covariance, adjusted.unknowns, travel=joined.moves)
         if lengths:

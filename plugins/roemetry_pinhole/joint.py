@@ -33,7 +33,7 @@ from roemetry_pinhole.geometry import (
 from roemetry_pinhole.initial_intrinsics import FirstCamera, first_camera, free_numbers
 from roemetry_pinhole.known_files import read_camera
 from roemetry_pinhole.plates import from_plate
-from roemetry_pinhole.prints import check_stretch
+from roemetry_pinhole.prints import stretched
 from roemetry_pinhole.stripes import Gathered, belt_points, gather
 
 _OFF_MAX_PX = 3.0
@@ -240,7 +240,8 @@ def joint(
         seen.views = [view for view in seen.views if view.name not in strange]
     measured = _measured(first, gathered, pose, counts, free, bent=bent)
     adjusted = measured.adjusted()
-    check_stretch(measured, adjusted, first.views)
+    if not bent and known is None:
+        seen.notes += stretched(measured, adjusted, first.views)
     return Joint(
         board,
         size,

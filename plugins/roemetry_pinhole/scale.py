@@ -254,7 +254,9 @@ def check_scale(
     found, missed = references(calibration, observed, board_std)
     if joined is not None:
         found += _other_boards(joined, observed, calibration, board_std)
-    first = f"board {board.name}" if by_board and board is not None else kind
+    first = "board" if by_board else kind
+    if board is not None and by_board and observed.more_boards:
+        first = f"board {board.name}"
     if by_board and not found:
         notes.append(_ALONE)
     for one in found:
