@@ -53,10 +53,11 @@ def _boards(folder: Path, extractor: str, channel: str, contrast: float) -> None
     board = observed.board
     if board is None:
         raise AssertionError("the rig file describes a board")
-    seen = board_views(observed)
+    seen = Seen()
+    board_views(observed, seen)
     size = observed.observations[0].frame.size
     first = first_camera(seen, size, "brown", None, 12)
-    gathered = gather(first, (), 1, np.zeros(len(first.views)), print_contrast_max=contrast)
+    gathered = gather(first, (), 1, np.zeros(len(first.views)), {}, print_contrast_max=contrast)
     found = _adjusted(first, gathered.planes, gathered.points)
     off = _off_plane(found.geometry, gathered.points, found.geometry.planes[0])
     used = found.stripe_used

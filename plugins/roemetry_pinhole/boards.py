@@ -117,7 +117,7 @@ def why_no_chessboard(grey: NDArray[np.uint8], board: Board) -> str:
         )
     return (
         f"it is another board: {size[1]} × {size[0]} inner corners are seen, the one described has "
-        f"{expected[1]} × {expected[0]}; {_OTHER}"
+        f"{expected[1]} × {expected[0]} ({expected[1] + 1} × {expected[0] + 1} squares); {_OTHER}"
     )
 
 
@@ -504,9 +504,8 @@ class Seen:
     """What else is to be said of them."""
 
 
-def board_views(observed: CalibrationSet) -> Seen:
+def board_views(observed: CalibrationSet, seen: Seen) -> None:
     """Find the boards in every pose; in the laser-off image if there is one and it serves."""
-    seen = Seen()
     for shows in ("board", "board_on_belt"):
         poses: dict[tuple[int, str], dict[str, Observation]] = {}
         for observation in observed.showing(shows):
@@ -540,7 +539,6 @@ def board_views(observed: CalibrationSet) -> Seen:
                     laser = None
             seen.views.append(BoardView(frame, marks, laser, plain, on_belt, count, board, number, name))
     _one_layout(seen)
-    return seen
 
 
 def on_board(xy: Floats, rotation: Floats, shift: Floats) -> Floats:

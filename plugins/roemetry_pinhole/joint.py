@@ -30,7 +30,7 @@ from roemetry_pinhole.geometry import (
     rays,
     unknowns_of,
 )
-from roemetry_pinhole.initial_intrinsics import FirstCamera, first_camera, free_numbers
+from roemetry_pinhole.initial_intrinsics import FirstCamera, first_camera, free_numbers, reasons
 from roemetry_pinhole.known_files import read_camera
 from roemetry_pinhole.plates import from_plate
 from roemetry_pinhole.prints import stretched
@@ -166,10 +166,13 @@ class Joint:
     """measured, adjusted: what went into the adjustment, and what came out."""
     moves: bool
     """Whether the belt's travel is among the unknowns."""
+    belts: tuple[str, ...] = ()
+    """Names of the images of the empty belt."""
 
 
 def joint(
     observed: CalibrationSet,
+    seen: Seen,
     *,
     lens: str,
     camera_file: Path | None,
@@ -184,6 +187,8 @@ def joint(
     ----------
     observed
         The images with their peaks.
+    seen
+        Filled with the poses, and by image why others are not used: also where this then fails.
     lens
         Name of the lens model.
     camera_file
@@ -213,7 +218,7 @@ def joint(
             hint="add `board:` to the rig file: its kind, columns, rows and pitch_mm; or give a camera file "
             "and images of a block, a staircase or a truncated pyramid",
         )
-    seen = board_views(observed)
+    board_views(observed, seen)
     if board is not None and reference_pose is not None:
         _on_reference(seen, reference_pose)
     tried = _poses_tried(observed)
@@ -223,6 +228,12 @@ def joint(
     free = np.zeros(CAMERA, np.bool_) if known is not None else free_numbers(lens)
     while True:
         first = first_camera(seen, size, lens, known, tried, **({"least_if_known": 0} if by_solids else {}))
+        if reference_pose is not None and not any(view.on_belt for view in first.views):
+            raise CalibrationError(
+                f"the pose {reference_pose!r}, which is to be the reference, is not used"
+                + reasons(seen.left_out),
+                hint="look at its images, or name another pose in reference_pose",
+            )
         if board is None or by_solids:
             return _by_solids(observed, board, seen, first, free, bent=bent)
         pose, counts = _placed(first)
@@ -231,9 +242,9 @@ def joint(
             observed.showing("belt"),
             observed.stripe_count,
             counts,
+            seen.left_out,
             print_contrast_max=print_contrast_max,
         )
-        seen.left_out |= gathered.left_out
         if not gathered.strange:
             break
         strange = {first.views[number].name for number in gathered.strange}
@@ -254,6 +265,7 @@ def joint(
         measured,
         adjusted,
         _moves(counts),
+        tuple(one.frame.name for one in observed.showing("belt")),
     )
 
 
@@ -270,7 +282,8 @@ def camera_alone(observed: CalibrationSet, *, lens: str) -> CameraFit:
         raise CalibrationError(
             "no board is described", hint="add `board:` to the rig file: its kind, columns, rows and pitch_mm"
         )
-    seen = board_views(observed)
+    seen = Seen()
+    board_views(observed, seen)
     free = free_numbers(lens)
     first = first_camera(seen, observed.observations[0].frame.size, lens, None, _poses_tried(observed))
     count = len(first.views)
@@ -304,10 +317,9 @@ def _on_reference(seen: Seen, pose: str) -> None:
     there = [number for number, view in enumerate(seen.views) if view.pose == pose]
     if not there:
         poses = ", ".join(view.pose for view in seen.views)
-        why = "".join(f"\n  {name}: {why}" for name, why in seen.left_out.items())
         raise CalibrationError(
             f"the board is not seen in the pose {pose!r}, which is to be the reference; "
-            f"it is in {poses or 'none'}{why}",
+            f"it is in {poses or 'none'}{reasons(seen.left_out)}",
             hint="reference_pose is the number in the image's name, as 7 in board_07.png",
         )
     if any(view.on_belt for view in seen.views):

@@ -25,7 +25,7 @@ from roemetry.records import EDGE, WIDE, Observation, Peaks
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_pinhole.boards import on_board, on_even_print
 from roemetry_pinhole.geometry import ON_BELT, StripePoints, rays
-from roemetry_pinhole.initial_intrinsics import FirstCamera
+from roemetry_pinhole.initial_intrinsics import FirstCamera, reasons
 from roemetry_pinhole.numbering import PoseLines, number_stripes
 from roemetry_pinhole.prints import first_sizes
 
@@ -225,8 +225,6 @@ class Gathered:
     shifted towards the lighter side of an edge (Curless and Levoy 1995)."""
     stray_share: float
     """Share of the others that is not used because it is far off its stripe."""
-    left_out: dict[str, str]
-    """By image, why its stripes are not used."""
     sizes: Floats
     """(board,) a first estimate of how much larger each print is than described."""
     strange: tuple[int, ...] = ()
@@ -238,6 +236,7 @@ def gather(
     belts: tuple[Observation, ...],
     stripes: int,
     travelled: Floats,
+    left_out: dict[str, str],
     *,
     print_contrast_max: float,
 ) -> Gathered:
@@ -253,6 +252,8 @@ def gather(
         How many the rig has.
     travelled
         (view,) encoder counts since the view's pose was defined.
+    left_out
+        By image, why its stripes are not used: added to.
     print_contrast_max
         Largest contrast of the print under a stripe at which its peaks count.
 
@@ -261,7 +262,6 @@ def gather(
     CalibrationError
         The stripes cannot be numbered, or one lies on too few boards.
     """
-    left_out: dict[str, str] = {}
     found: list[_OnBoard] = []
     poses: list[PoseLines] = []
     focal_px = float(first.camera[0])
@@ -282,7 +282,8 @@ def gather(
         lines = find_lines(peaks, xy, use & even, focal_px) or find_lines(peaks, xy, use, focal_px)
         if not lines:
             left_out[view.laser.frame.name] = (
-                "no stripe is seen on the board: is the laser on, and does it fall on it?"
+                "no stripe is seen on the board: is the laser on, and does it fall on it? A line on the white "
+                "margin counts where margin_mm says how wide that is"
             )
             continue
         normal = first.rotation[number][:, 2]
@@ -292,7 +293,7 @@ def gather(
     if len(poses) < _BOARDS_MIN:
         raise CalibrationError(
             f"stripes lie on the board in {len(poses)} of {len(first.views)} poses, not in {_BOARDS_MIN}"
-            + "".join(f"\n  {name}: {why}" for name, why in left_out.items()),
+            + reasons(left_out),
             hint="hold the board under the stripes, at different heights and tilts; is `stripes` right?",
         )
     belt_pose = _belt_pose(first, belts, stripes)
@@ -336,7 +337,6 @@ def gather(
         belt=belt,
         print_share=1.0 - on_even / max(on_stripes, 1),
         stray_share=1.0 - kept / max(on_even, 1),
-        left_out=left_out,
         sizes=sizes,
         strange=strange,
     )

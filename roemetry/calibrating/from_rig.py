@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from roemetry.calibrating.findings import findings_page
 from roemetry.config.recipe_file import Contrast
 from roemetry.config.rig import Rig, pose_of
 from roemetry.errors import CalibrationError
@@ -45,12 +47,27 @@ def calibrate(rig: Rig, *, registry: Registry | None = None) -> Calibration:
     return _calibrated(rig, rig.calibrator.make(), observed, hashes)
 
 
-def calibrate_with_evidence(rig: Rig, *, registry: Registry | None = None) -> tuple[Calibration, Evidence]:
-    """Calibrate, and give what the calibrator can show for it; raises as `calibrate`."""
+def calibrate_with_evidence(
+    rig: Rig, *, registry: Registry | None = None, doctor: Path | None = None
+) -> tuple[Calibration, Evidence]:
+    """Calibrate, and give what the calibrator can show for it; raises as `calibrate`.
+
+    `doctor` is a page (HTML) to write of each image, what was found in it and why it was or was not used; it
+    is written where the calibrator refuses as well.
+    """
     observed, hashes = observe(rig, registry or discover())
     calibrator = rig.calibrator.make()
-    calibration = _calibrated(rig, calibrator, observed, hashes)
-    return calibration, calibrator.evidence(observed, calibration)
+    refusal = ""
+    try:
+        calibration = _calibrated(rig, calibrator, observed, hashes)
+        evidence = calibrator.evidence(observed, calibration)
+    except CalibrationError as error:
+        refusal = str(error)
+        raise
+    finally:
+        if doctor is not None:
+            write_whole(doctor, findings_page(calibrator.findings(observed), rig.file.name, refusal))
+    return calibration, evidence
 
 
 def _calibrated(
@@ -113,12 +130,15 @@ def observe(rig: Rig, registry: Registry) -> tuple[CalibrationSet, dict[str, str
     groups = [(0, *one) for one in rig.images.items()]
     for further, (_, images) in enumerate(rig.more_boards, start=1):
         groups += [(further, *one) for one in images.items()]
+    count = Counter(path.name for *_, paths in groups for path in paths)
     for board, shows, paths in groups:
         target = shows.removesuffix("_laser")
         on_board = target in ("board", "board_on_belt")
         lit = not on_board or target != shows
         for index, path in enumerate(paths):
             read: Frame = source.read(AcquisitionReference(path.stem, {"laser": path})).frames[0]
+            if count[path.name] > 1:  # in another folder there is one of the same name
+                read = replace(read, name=f"{path.parent.name}/{path.name}")
             first = first or read
             _same_size(first, read)
             found = sha256_of(path)

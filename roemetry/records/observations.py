@@ -166,6 +166,23 @@ class CalibrationSet(Shown):
 
 
 @dataclass(frozen=True, eq=False, repr=False, slots=True)
+class ImageFinding(Shown):
+    """What a calibrator found in one image, and what it made of it."""
+
+    observation: Observation
+    """The image, with all peaks that were found in it."""
+    used: bool
+    said: str
+    """What was found, and how well it fits; "" where nothing was."""
+    why: str
+    """Why it is not used, or not wholly, and what to do; "" where it is."""
+    marks_px: Floats
+    """(mark, 2) marks of a board."""
+    points_px: Floats
+    """(point, 2) points of stripes that count; means over a few rows where there are many."""
+
+
+@dataclass(frozen=True, eq=False, repr=False, slots=True)
 class CameraFit(Shown):
     """A camera and its lens alone, from a board in many poses."""
 
