@@ -53,10 +53,11 @@ def _boards(folder: Path, extractor: str, channel: str, contrast: float) -> None
     board = observed.board
     if board is None:
         raise AssertionError("the rig file describes a board")
-    seen = board_views(observed, board)
+    seen = Seen()
+    board_views(observed, seen)
     size = observed.observations[0].frame.size
     first = first_camera(seen, size, "brown", None, 12)
-    gathered = gather(first, board, (), 1, np.zeros(len(first.views)), print_contrast_max=contrast)
+    gathered = gather(first, (), 1, np.zeros(len(first.views)), {}, print_contrast_max=contrast)
     found = _adjusted(first, gathered.planes, gathered.points)
     off = _off_plane(found.geometry, gathered.points, found.geometry.planes[0])
     used = found.stripe_used
@@ -107,6 +108,7 @@ def _adjusted(first: FirstCamera, planes: Floats, points: StripePoints) -> Adjus
         np.concatenate([view.marks.board_mm for view in first.views]),
         np.concatenate([view.marks.xy_px for view in first.views]),
         np.zeros(sum(size)),
+        np.zeros(sum(size), np.int64),
     )
     return adjust(start, free, corners, points, Feet(NOBODY, np.empty((0, 3)), np.empty(0)), foot_std_mm=1.0)
 
@@ -154,7 +156,7 @@ def _chessboard(folder: Path) -> None:
         except BoardNotFoundError as error:
             seen.left_out[path.name] = str(error)
             continue
-        seen.views.append(BoardView(path.name, marks, None, None, on_belt=False, count=np.nan))
+        seen.views.append(BoardView(path.name, marks, None, None, on_belt=False, count=np.nan, board=board))
     first = first_camera(seen, size, "brown", None, len(files))
     none = np.empty(0)
     nothing = StripePoints(NOBODY, NOBODY, none, none, none, none)

@@ -143,11 +143,11 @@ def number_stripes(poses: Sequence[PoseLines], stripes: int, belt: PoseLines | N
             for pose in moved
         }
         kept = [pose for pose in kept if pose not in moved]
-    contradicting = sum(why is _MOVED for why in left_out.values())
-    if contradicting >= max(_CONTRADICTING_SHARE * len(poses), _CONTRADICTING_MIN):
+    contradicting = [name for name, why in left_out.items() if why is _MOVED]
+    if len(contradicting) >= max(_CONTRADICTING_SHARE * len(poses), _CONTRADICTING_MIN):
         raise CalibrationError(
-            f"the poses contradict each other: the stripes of {contradicting} of {len(poses)} lie on none of "
-            "the planes that the others show",
+            f"the poses contradict each other: the stripes of {len(contradicting)} of {len(poses)} "
+            f"({', '.join(contradicting)}) lie on none of the planes that the others show",
             hint="is each laser image paired with the board it was taken of? did the board move between the "
             "two, or the laser or the camera between the poses?",
         )
@@ -161,8 +161,7 @@ def number_stripes(poses: Sequence[PoseLines], stripes: int, belt: PoseLines | N
     ordered = np.full((stripes, 3), np.nan)
     ordered[number_of[number_of >= 0]] = planes[number_of >= 0]
     by_pose = [found.get(pose.name, np.full(pose.count, -1)) for pose in poses]
-    moved_ones = tuple(name for name, why in left_out.items() if why is _MOVED)
-    return Numbered([mine.astype(np.int64) for mine in by_pose], ordered, left_out, moved_ones)
+    return Numbered([mine.astype(np.int64) for mine in by_pose], ordered, left_out, tuple(contradicting))
 
 
 _MOVED = (

@@ -285,13 +285,15 @@ def _systematic(adjusted: Adjusted, first: FirstCamera, size: tuple[int, int]) -
 
 def _heights_reached(joined: Joint) -> tuple[float, float]:
     """Least and greatest height over the belt of the boards' middles, or of solids, mm; 0 without either."""
-    geometry, board = joined.adjusted.geometry, joined.board
+    geometry = joined.adjusted.geometry
     if joined.solids is not None:
         return 0.0, max(shape.height_mm for shape in joined.solids.shapes)
-    if board is None:
+    if joined.board is None:
         return 0.0, 0.0
-    middle = 0.5 * board.pitch_mm * np.array([board.columns, board.rows, 0.0])
-    at: Floats = geometry.rotation @ middle + geometry.shift
+    middle = np.zeros((len(geometry.shift), 3, 1))
+    for pose, view in zip(joined.pose, joined.first.views, strict=True):
+        middle[pose, :2, 0] = 0.5 * view.board.size_mm
+    at: Floats = (geometry.rotation @ middle)[:, :, 0] + geometry.shift
     height = (1.0 - at @ geometry.belt) / np.sqrt(geometry.belt @ geometry.belt)
     return float(height.min()), float(max(height.max(), 1.0))
 

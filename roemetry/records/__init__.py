@@ -11,6 +11,7 @@ from roemetry.records.observations import (
     Evidence,
     EvidenceFigure,
     Fitted,
+    ImageFinding,
     Observation,
     Pyramid,
     Residuals,

@@ -27,6 +27,7 @@ from roemetry.records import (
     Fitted,
     Frame,
     Grade,
+    ImageFinding,
     Measurement,
     Outline,
     Peaks,
@@ -200,6 +201,14 @@ class Calibrator(Stage[OptionsT]):
     def evidence(self, observed: CalibrationSet, calibration: Calibration) -> Evidence:
         """Show what speaks for a calibration that was made from these observations: for its page."""
         return Evidence()
+
+    def findings(self, observed: CalibrationSet) -> tuple[ImageFinding, ...]:
+        """Show what was found in each image, and why it is or is not used; also where `calibrate` refuses."""
+        none = np.empty((0, 2))
+        return tuple(
+            ImageFinding(one, True, f"{len(one.peaks)} peaks found", "", none, none)
+            for one in observed.observations
+        )
 
 
 class Triangulator(Stage[OptionsT]):
