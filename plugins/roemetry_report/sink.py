@@ -85,6 +85,7 @@ def page(run: Run, products_max: int, worst_max: int) -> str:
         sections=sections,
         anchors=anchors,
         grades=[(grade_pill(label), count) for label, count in sorted(seen.grades.items())],
+        drift=run.provenance.get("drift") or "",
         facts=_facts(run.provenance),
         date=when(run.provenance.get("finished") or run.provenance.get("started")),
         recipe=_recipe(run.provenance),
