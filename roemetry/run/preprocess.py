@@ -58,6 +58,7 @@ def prepare(
         raise DataError(f"{acquisition.id}: there is no laser image")
     if bit_depth is None and laser.bit_depth == 16:
         _check_bits_in_use(laser)
+    _check_rows(laser)
     pixels = _one_channel(laser, channel, contrast)
     if subtract == "dark":
         dark = acquisition.frame("dark")
@@ -88,6 +89,45 @@ def prepare_plain(acquisition: Acquisition, *, turn_deg: int) -> Frame | None:
     if plain is None:
         return None
     return replace(plain, pixels=_turned(plain.pixels, turn_deg), turn_deg=(plain.turn_deg + turn_deg) % 360)
+
+
+_SAMPLED = 8
+"""Every eighth pixel of a row is compared first: noise makes rows differ in far fewer."""
+_NOISY_SHARE = 0.9
+"""With fewer rows that differ from all others the image has no noise that would tell rows apart."""
+_CLIPPED_SHARE = 0.5
+"""Where so many pixels of the usual row have the level of a level row, the sensor is dark or white there."""
+
+
+def _check_rows(laser: Frame) -> None:
+    """Refuse an image with rows that no sensor gives: sent twice, or filled with one grey level.
+
+    A sensor's noise makes every row another one; so rows of one content are a fault of the transport, and
+    other rows have been lost.
+    """
+    pixels = laser.pixels
+    sampled = np.ascontiguousarray(pixels[:, ::_SAMPLED])
+    size, content = sampled[0].nbytes, sampled.tobytes()
+    first: dict[bytes, int] = {}
+    lag_before = 0
+    repeated: list[int] = []
+    for row in range(len(pixels)):
+        found = first.setdefault(content[row * size : (row + 1) * size], row)
+        if found != row and row - found == lag_before:  # two rows in a row, each so many rows after its like
+            repeated.append(row)
+        lag_before = row - found
+    if not repeated or len(first) < _NOISY_SHARE * len(pixels):
+        return
+    same = [row for row in repeated if (pixels[row] == pixels[row - 1]).all()]
+    level = [row for row in same if (pixels[row] == pixels[row].flat[0]).all()]
+    usual = np.asarray(pixels[[row for row in first.values() if row not in level]])
+    if level and (usual == pixels[level[0]].flat[0]).mean() > _CLIPPED_SHARE:
+        return
+    raise DataError(
+        f"{laser.name}: the row {repeated[0]} and others have the very content of rows above them, which no "
+        "sensor's noise allows: rows were lost, and filled up",
+        hint="look at cable, network and frame grabber; take the image again",
+    )
 
 
 _USUAL_BITS = (10, 12, 14)
