@@ -1,7 +1,7 @@
 """What may go wrong with the images of one acquisition: an open set of disturbances, each with its sizes.
 
-Sizes are drawn evenly over the logarithm between the smallest, which no one would notice, and the gross. Motion
-is made by warping here; `benchmarks.moved_rigs` renders the scene again with the moved rig.
+Sizes are drawn evenly over the logarithm between the smallest, which no one would notice, and the gross.
+Motion is made by warping here; `benchmarks.moved_rigs` renders the scene again with the moved rig.
 """
 
 from __future__ import annotations

@@ -2,13 +2,14 @@
 
 ``python -m benchmarks faults RECIPE[=DATA]… [--cases 20000] [--record FILE] [--minutes 8] [--page FILE]``
 
-The data must state true volumes: a data set, `truth.json` of a rendered rig beside the recipe, or with
-`--moved` (`benchmarks.moved_rigs`) scenes rendered anew by both simulators with the rig moved. Each case takes
-one scene, one of `DISTURBANCES` and a size. It is *held* (the true visible volume lies within the stated 95 %
-interval), *outside* it, *gross* (beyond three half-widths), *not stated* or *refused*. Of a hundred undisturbed
-scenes up to five may be outside, so what the disturbance is to blame for is said, too: a case outside is a
-*lie* where the same scene undisturbed is not, or the volume moved by more than the half-width. Cases come in
-an order drawn at random, so that a part of them is a sample of all; `--record` goes on where it stopped.
+The data must state true volumes: a data set, or `truth.json` of a rendered rig beside the recipe; with
+`--moved` scenes are rendered anew by both simulators with the rig moved (`benchmarks.moved_rigs`). Each case
+takes one scene, one of `DISTURBANCES` and a size. It is *held* (the true visible volume lies within the stated
+95 % interval), *outside* it, *gross* (beyond three half-widths), *not stated* or *refused*. Of a hundred
+undisturbed scenes up to five may be outside, so what the disturbance is to blame for is said, too: a case
+outside is a *lie* where the same scene undisturbed is not, or the volume moved by more than the half-width.
+Cases come in an order drawn at random, so that a part of them is a sample of all; `--record` goes on where it
+stopped.
 """
 
 from __future__ import annotations
@@ -75,7 +76,9 @@ def main() -> None:
     parser.add_argument("--cases", type=int, default=20_000)
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--only", nargs="*", default=(), help="how names of disturbances begin")
-    parser.add_argument("--moved", type=int, default=0, help="scenes with a moved rig, of each recipe's scene")
+    parser.add_argument(
+        "--moved", type=int, default=0, help="scenes with a moved rig, of each recipe's scene"
+    )
     parser.add_argument("--record", type=Path, help="file of cases, continued")
     parser.add_argument("--minutes", type=float, default=math.inf, help="stop after so many")
     parser.add_argument("--page", type=Path)
@@ -257,8 +260,8 @@ def summary(found: Iterable[Case]) -> str:
         f"{part([case for case in found if case.lies])} by the disturbance; beyond three half-widths "
         f"{part([case for case in found if case.verdict == 'gross'])}, "
         f"{part([case for case in found if case.verdict == 'gross' and case.lies])} by the disturbance; "
-        f"{part([case for case in found if case.verdict == 'refused'])} refused. Of {len(mild)} harmless ones "
-        f"{sum(case.verdict == 'refused' for case in mild) / len(mild):.1%} refused, "
+        f"{part([case for case in found if case.verdict == 'refused'])} refused. Of {len(mild)} harmless "
+        f"ones {sum(case.verdict == 'refused' for case in mild) / len(mild):.1%} refused, "
         f"{sum(map(flipped, mild)) / len(mild):.1%} with another class."
     )
 
@@ -280,7 +283,7 @@ def _shuffled(
     """Give pairs of place and name, each as often as any other, in an order drawn at random."""
     rng, pairs = np.random.default_rng([seed, 7]), [(place, name) for place in places for name in names]
     for _ in range(math.ceil(cases / len(pairs))):
-        for k in rng.permutation(len(pairs))[: cases]:
+        for k in rng.permutation(len(pairs))[:cases]:
             yield pairs[k]
             cases -= 1
 

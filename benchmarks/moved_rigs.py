@@ -88,10 +88,10 @@ def _nearer(options: Mapping[str, Any], size_px: float) -> dict[str, Any]:
 
 
 def _pose(part: Mapping[str, Any], angles: NDArray[np.float64], nearer: float) -> list[list[float]]:
+    import cv2
+
     from roemetry.config.scene_parts import CameraPart
     from roemetry_simulate.scene import camera_of
-
-    import cv2
 
     pose = np.array(camera_of(CameraPart.model_validate(part)).T_belt_camera)
     pose[:3, 3] += pose[:3, 2] * nearer * (pose[2, 3] / -pose[2, 2])

@@ -17,17 +17,18 @@ Fails, and says nothing, where no ambient light reaches the belt or the belt has
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from roemetry.records import Frame, Reason
 from roemetry.records.arrays import Flags, Floats
 
 _LEVELS = 3
 """Halvings of the images: on the last, motions of some ten pixels are found; on the first, tenths of one."""
-_FINE, _COARSE = 3, 25
+_FINE, _COARSE = 3, 13
 """Boxes, in pixels of a level, over which noise is averaged and light varies: texture lies between."""
 _ROUNDS = 5
 _STRIPE_PX = 25
@@ -48,6 +49,48 @@ _ODD = 3.0
 """Standard deviations from which texture counts no more: an edge of a product, glare."""
 
 
+_MOVED_SIGMAS = 5.0
+"""Standard deviations from which the images have moved: by chance once in 20,000 images."""
+
+
+def laid_over(
+    plain: Frame, laser: NDArray[Any], product: Flags, spacing_px: float
+) -> tuple[Frame, Reason | None]:
+    """Give the plain image as it lies over the laser image; or as it is, with why it is of another scene.
+
+    Parameters
+    ----------
+    plain
+        Of the laser image's size.
+    laser
+        (row, column) grey levels.
+    product
+        (row, column) where stripes show products; half a spacing beside them is not compared either.
+    spacing_px
+        Distance of neighbouring stripes.
+    """
+    import cv2
+
+    width = 2 * round(0.5 * spacing_px) + 1
+    near = cv2.dilate(product.astype(np.uint8), np.ones((width, width), np.uint8)).astype(np.bool_)
+    found = image_motion(laser, plain.pixels, near)
+    if found is None or (found.missed is None and not found.significant(_MOVED_SIGMAS)):
+        return plain, None
+    if found.missed is not None:
+        top, bottom, left, right = found.missed
+        return plain, Reason(
+            "images-contradict",
+            f"between the rows {top} and {bottom} and the columns {left} and {right} the laser image does not "
+            "show the belt that the plain-light image shows: rows or columns are lost, or a part is another "
+            "frame's; look at both, and take them again",
+        )
+    how, rows_columns = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP, plain.size
+    moved = cv2.warpAffine(
+        plain.pixels, found.matrix, rows_columns[::-1], flags=how, borderMode=cv2.BORDER_REPLICATE
+    )
+    return replace(plain, pixels=np.asarray(moved)), None
+
+
 class ImageMotion(NamedTuple):
     """How the plain image lies over the laser image."""
 
@@ -59,6 +102,10 @@ class ImageMotion(NamedTuple):
     """(4,) the same."""
     missed: tuple[int, int, int, int] | None
     """First and last row and column of a part in which the images show different scenes; None of none."""
+    alike: int
+    """Number of parts in which they surely show the same."""
+    sigmas: float
+    """Standard deviations by which the textures' likeness is more than chance."""
 
     def significant(self, sigmas: float) -> bool:
         """Say whether the images lie otherwise than one over the other."""
@@ -81,20 +128,23 @@ def image_motion(laser: NDArray[Any], plain: NDArray[Any], product: Flags) -> Im
     for _ in range(_LEVELS):
         dim.append(tuple(map(_halved, dim[-1])))
         bright.append(tuple(map(_halved, bright[-1])))
-    motion, found = np.zeros(4), None
+    motion, still = np.zeros(4), np.zeros(4)
     for level in range(_LEVELS, 0, -1):
-        texture = _Texture.of(*dim[level]), _Texture.of(*bright[level])
-        found = _fitted(*texture, motion, 2**level)
-        if found is not None:
-            motion = found.motion
-    if found is None or found.missed is not None:
-        still = _parts(*texture, np.zeros(4), 2.0)
-        if still is not None and still.missed is not None:
-            return still
+        texture, every = (_Texture.of(*dim[level]), _Texture.of(*bright[level])), 2.0**level
+        reach = np.abs(motion) @ [1.0, 1.0, *[0.5 * max(laser.shape)] * 2]
+        starts = [still, motion] if reach > every / 2.0 else [still]
+        fits = [_fitted(*texture, start, every) for start in starts]
+        found = max((fit for fit in fits if fit is not None), key=lambda fit: fit.sigmas, default=None)
+        motion = still if found is None else found.motion
+    unmoved = _parts(*texture, still, every)
+    if unmoved is not None and unmoved.missed is not None and (found is None or found.alike <= unmoved.alike):
+        return unmoved
     return found
 
 
 def _halved(image: Floats) -> Floats:
+    import cv2
+
     rows, columns = (size // 2 * 2 for size in image.shape)
     return np.asarray(
         cv2.resize(image[:rows, :columns], (columns // 2, rows // 2), interpolation=cv2.INTER_AREA)
@@ -102,6 +152,8 @@ def _halved(image: Floats) -> Floats:
 
 
 def _beside_stripes(laser: NDArray[Any]) -> Flags:
+    import cv2
+
     opened = cv2.morphologyEx(laser, cv2.MORPH_OPEN, np.ones((1, _STRIPE_PX), np.uint8))
     taken = laser.astype(np.float32) - opened
     usual = float(np.median(taken[::3, ::3]))
@@ -116,10 +168,14 @@ class _Texture(NamedTuple):
 
     value: Floats
     there: Flags
+    x: Floats
+    y: Floats
+    """x, y: of the places where it is known, px of the level."""
 
     @classmethod
     def of(cls, weighted: Floats, share: Floats) -> _Texture:
         """Take it from a level: sums of grey levels, and of how much of each pixel was seen."""
+        import cv2
 
         def mean(width: int) -> tuple[Floats, Floats]:
             weight = cv2.blur(share, (width, width))
@@ -129,7 +185,8 @@ class _Texture(NamedTuple):
         value = fine - mean(_COARSE)[0]
         there = (share > 0.0) & (weight > 0.5)
         usual = 1.4826 * float(np.median(np.abs(value[there]))) if there.any() else 0.0
-        return cls(np.clip(value, -_ODD * usual, _ODD * usual), there)
+        y, x = (at.astype(np.float32) for at in np.nonzero(there))
+        return cls(np.clip(value, -_ODD * usual, _ODD * usual), there, x, y)
 
 
 class _Compared(NamedTuple):
@@ -137,8 +194,6 @@ class _Compared(NamedTuple):
 
     a: Floats
     b: Floats
-    x: Floats
-    y: Floats
     gain: float
     sampling: Floats
 
@@ -146,37 +201,43 @@ class _Compared(NamedTuple):
 def _compared(dim: _Texture, bright: _Texture, motion: Floats, every: float) -> _Compared:
     rows, columns = dim.value.shape
     sampling = _matrix(motion / [every, every, 1.0, 1.0], rows, columns)
-    y, x = (of.astype(np.float64) for of in np.nonzero(dim.there))
-    a, b = _sampled(bright.value, sampling, dim.there), dim.value[dim.there].astype(np.float64)
-    return _Compared(a, b, x, y, float(a @ b / max(a @ a, 1e-12)), sampling)
+    a, b = _sampled(bright.value, sampling, dim.there), dim.value[dim.there]
+    return _Compared(a, b, float(a @ b / max(a @ a, 1e-12)), sampling)
 
 
 def _sampled(image: Floats, sampling: Floats, there: Flags) -> Floats:
+    import cv2
+
     how = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     moved = cv2.warpAffine(image, sampling, there.shape[::-1], flags=how, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(moved[there], np.float64)
+    return np.asarray(moved[there])
 
 
 def _fitted(dim: _Texture, bright: _Texture, motion: Floats, every: float) -> ImageMotion | None:
     """Fit the motion on one level, from a first guess."""
+    import cv2
+
     rows, columns = dim.value.shape
     if dim.there.sum() < _FINE**2 * _CLEAR**2:
         return None
-    steep = [cv2.Sobel(bright.value, cv2.CV_32F, *way, ksize=3) / 8.0 for way in ((1, 0), (0, 1))]
-    for _ in range(_ROUNDS):
+    off_x, off_y = dim.x - 0.5 * (columns - 1), dim.y - 0.5 * (rows - 1)
+    slope = np.empty((4, off_x.size), np.float32)
+    for turn in range(_ROUNDS):
         one = _compared(dim, bright, motion, every)
         left = one.b - one.gain * one.a
         std = float(np.sqrt(np.mean(left**2)))
         weight = np.minimum(1.0, _ODD * std / np.maximum(np.abs(left), 1e-9))
-        a_x, a_y = (_sampled(image, one.sampling, dim.there) for image in steep)
-        off_x, off_y = one.x - 0.5 * (columns - 1), one.y - 0.5 * (rows - 1)
-        slope = one.gain * np.column_stack(
-            [a_x / every, a_y / every, a_y * off_x - a_x * off_y, a_x * off_x + a_y * off_y]
-        )
-        normal = slope.T @ (slope * weight[:, None])
+        if turn < 2:  # later steps change the slopes by little
+            for k, way in enumerate(((1, 0), (0, 1))):
+                steep = cv2.Sobel(bright.value, cv2.CV_32F, *way, ksize=3)
+                slope[k] = _sampled(steep, one.sampling, dim.there) * np.float32(one.gain / 8.0)
+            slope[2] = slope[1] * off_x - slope[0] * off_y
+            slope[3] = slope[0] * off_x + slope[1] * off_y
+            slope[:2] /= every
+        normal = ((slope * weight) @ slope.T).astype(np.float64)
         if one.gain <= 0.0 or np.linalg.cond(normal) > 1e14:
             return None
-        step = np.linalg.solve(normal, slope.T @ (weight * left))
+        step = np.linalg.solve(normal, (slope @ (weight * left)).astype(np.float64))
         motion = motion + step
         if np.abs(step * [1.0, 1.0, every * columns / 2.0, every * columns / 2.0]).max() < 0.02:
             break
@@ -191,9 +252,11 @@ def _parts(dim: _Texture, bright: _Texture, motion: Floats, every: float) -> Ima
     The gain is that of the parts that are alike: of a torn frame the others would lower it.
     """
     one, (rows, columns) = _compared(dim, bright, motion, every), dim.value.shape
-    of_part = (one.y * _PARTS[0] // rows).astype(np.int64) * _PARTS[1] + (one.x * _PARTS[1] // columns).astype(
-        np.int64
+    part_y, part_x = (
+        (dim.y * _PARTS[0] / rows).astype(np.int64),
+        (dim.x * _PARTS[1] / columns).astype(np.int64),
     )
+    of_part = part_y * _PARTS[1] + part_x
     count, both, of_a, of_b = (
         np.bincount(of_part, weights, _PARTS[0] * _PARTS[1])
         for weights in (None, one.a * one.b, one.a**2, one.b**2)
@@ -213,11 +276,11 @@ def _parts(dim: _Texture, bright: _Texture, motion: Floats, every: float) -> Ima
         last = (down.max() + 1) * size[0] // _PARTS[0], (across.max() + 1) * size[1] // _PARTS[1]
         missed = int(first[0]), int(last[0]) - 1, int(first[1]), int(last[1]) - 1
     full = _matrix(motion, round(rows * every), round(columns * every))
-    return ImageMotion(full, np.diag(np.full(4, np.inf)), motion, missed)
+    return ImageMotion(full, np.diag(np.full(4, np.inf)), motion, missed, int(alike.sum()), float(whole))
 
 
 def _matrix(motion: Floats, rows: int, columns: int) -> Floats:
     right, down, turn, growth = motion
     middle = 0.5 * np.array([columns - 1, rows - 1])
     linear = (1.0 + growth) * np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
-    return np.column_stack([linear, middle + [right, down] - linear @ middle])
+    return np.column_stack([linear, middle + np.array([right, down]) - linear @ middle])

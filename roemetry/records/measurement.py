@@ -48,8 +48,8 @@ class Coding:
     displacement_max_px: Number = math.nan
     """Largest displacement from the rest line on the product, px, with its sign; NaN where unknown."""
     motion_px: tuple[float, ...] = ()
-    """What shift, roll, zoom and tilt of the camera since the calibration do at the image's edge, px, found by
-    the aligner whether or not it corrects them; empty without one."""
+    """What shift, roll, zoom and tilt of the camera since the calibration do at the image's edge, px, as
+    the aligner found them, corrected or not; empty without one."""
 
 
 @dataclass(frozen=True, eq=False, repr=False, slots=True)

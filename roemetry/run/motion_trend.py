@@ -1,9 +1,10 @@
-"""Whether camera, laser or belt move in the course of a run: a cumulative-sum chart of what the aligner finds.
+"""Whether camera, laser or belt move in the course of a run: a cumulative-sum chart of the belt's motion.
 
 The first images give centre and scatter of each part of the motion. From then on what lies beyond the centre
 by more than a standard deviation is summed up, on either side, and the sum begins anew where it falls
 below nothing (Page, Biometrika 41, 1954). Beyond eight standard deviations something moves: by chance less
-than once in a million images. The motion began where the sum last began, which a chart of single values would not say.
+than once in a million images. The motion began where the sum last began; a chart of single values would not
+say where.
 """
 
 from __future__ import annotations
@@ -16,8 +17,8 @@ from roemetry.records.arrays import Floats
 _FIRST = 8
 """Images that give centre and scatter: the scatter is then known to 25 %."""
 _SLACK, _LIMIT = 1.0, 8.0
-"""Standard deviations that are not summed up, and of the sum from which something moves. The mean of the first
-eight is off by a third of one: half of one, which is usual, would hardly cover it."""
+"""Standard deviations that are not summed up, and of the sum from which something moves. The mean of the
+first eight is off by a third of one: half of one, which is usual, would hardly cover it."""
 _SCATTER_MIN_PX = 0.02
 """Less scatter than this says more of rounding than of the rig."""
 _TOLD_FROM_PX = 0.1
@@ -40,7 +41,7 @@ class MotionTrend:
         self._last = ""
 
     def add(self, acquisition: str, motion_px: tuple[float, ...]) -> None:
-        """Take what one image's motion does at the image's edge, px; of several rows of an image the first."""
+        """Take what one image's motion does at its edge, px; of an image's rows the first."""
         if acquisition == self._last or len(motion_px) != len(_WORDS):
             return
         self._last = acquisition
