@@ -92,7 +92,7 @@ def _laser(
 
 
 def _grey(image: Image, wanted: NDArray[Any]) -> Image:
-    return np.clip(np.rint(wanted), 0, np.iinfo(image.dtype).max).astype(image.dtype)
+    return np.asarray(np.clip(np.rint(wanted), 0, np.iinfo(image.dtype).max), image.dtype)
 
 
 def _jpeg(image: Image, loss: float, _: np.random.Generator) -> Image:

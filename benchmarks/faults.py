@@ -4,7 +4,7 @@
 
 The data must state true volumes: a data set, or `truth.json` of a rendered rig beside the recipe; with
 `--moved` scenes are rendered anew by both simulators with the rig moved (`benchmarks.moved_rigs`). Each case
-takes one scene, one of `DISTURBANCES` and a size. It is *held* (the true visible volume lies within the stated
+takes one scene, one of `DISTURBANCES` and a size. It is *held* (the true visible volume lies in the stated
 95 % interval), *outside* it, *gross* (beyond three half-widths), *not stated* or *refused*. Of a hundred
 undisturbed scenes up to five may be outside, so what the disturbance is to blame for is said, too: a case
 outside is a *lie* where the same scene undisturbed is not, or the volume moved by more than the half-width.

@@ -48,7 +48,7 @@ def moved_scenes(path: Path, count: int, seed: int, skip: int = 0) -> Iterator[M
     for number, maker in enumerate(MAKERS):
         own = SceneFile.load(path, sets=["simulator.options.product.items=[]", f"simulator.use={maker}"])
         options = own.simulator.options.model_dump()
-        simulator = stages.get("simulator", maker).load()
+        simulator = stages.load(stages.find("simulator", maker))
         rng = np.random.default_rng([seed, number])
         made = 0
         for body in range(_BODIES):

@@ -91,6 +91,9 @@ def laid_over(
     return replace(plain, pixels=np.asarray(moved)), None
 
 
+Singles = NDArray[np.float32]
+
+
 class ImageMotion(NamedTuple):
     """How the plain image lies over the laser image."""
 
@@ -126,8 +129,9 @@ def image_motion(laser: NDArray[Any], plain: NDArray[Any], product: Flags) -> Im
     free = (_beside_stripes(laser) & ~product).astype(np.float32)
     dim, bright = [(laser * free, free)], [(np.log(grey.astype(np.float32) + 1.0), np.ones_like(free))]
     for _ in range(_LEVELS):
-        dim.append(tuple(map(_halved, dim[-1])))
-        bright.append(tuple(map(_halved, bright[-1])))
+        for levels in (dim, bright):
+            image, share = levels[-1]
+            levels.append((_halved(image), _halved(share)))
     motion, still = np.zeros(4), np.zeros(4)
     for level in range(_LEVELS, 0, -1):
         texture, every = (_Texture.of(*dim[level]), _Texture.of(*bright[level])), 2.0**level
@@ -136,13 +140,14 @@ def image_motion(laser: NDArray[Any], plain: NDArray[Any], product: Flags) -> Im
         fits = [_fitted(*texture, start, every) for start in starts]
         found = max((fit for fit in fits if fit is not None), key=lambda fit: fit.sigmas, default=None)
         motion = still if found is None else found.motion
+    if found is not None and not found.significant(_MOVED_SIGMAS):
+        return found
     unmoved = _parts(*texture, still, every)
-    if unmoved is not None and unmoved.missed is not None and (found is None or found.alike <= unmoved.alike):
-        return unmoved
-    return found
+    torn = unmoved is not None and unmoved.missed is not None
+    return unmoved if torn and (found is None or found.alike <= unmoved.alike) else found
 
 
-def _halved(image: Floats) -> Floats:
+def _halved(image: Singles) -> Singles:
     import cv2
 
     rows, columns = (size // 2 * 2 for size in image.shape)
@@ -166,25 +171,26 @@ def _beside_stripes(laser: NDArray[Any]) -> Flags:
 class _Texture(NamedTuple):
     """What varies over less than light does and more than noise, (row, column), and where it is known."""
 
-    value: Floats
+    value: Singles
     there: Flags
-    x: Floats
-    y: Floats
+    x: Singles
+    y: Singles
     """x, y: of the places where it is known, px of the level."""
 
     @classmethod
-    def of(cls, weighted: Floats, share: Floats) -> _Texture:
+    def of(cls, weighted: Singles, share: Singles) -> _Texture:
         """Take it from a level: sums of grey levels, and of how much of each pixel was seen."""
         import cv2
 
-        def mean(width: int) -> tuple[Floats, Floats]:
+        def mean(width: int) -> tuple[Singles, Singles]:
             weight = cv2.blur(share, (width, width))
             return cv2.blur(weighted, (width, width)) / np.maximum(weight, 1e-3), weight
 
         fine, weight = mean(_FINE)
         value = fine - mean(_COARSE)[0]
         there = (share > 0.0) & (weight > 0.5)
-        usual = 1.4826 * float(np.median(np.abs(value[there]))) if there.any() else 0.0
+        sample = value[::2, ::2][there[::2, ::2]]
+        usual = 1.4826 * float(np.median(np.abs(sample))) if sample.size else 0.0
         y, x = (at.astype(np.float32) for at in np.nonzero(there))
         return cls(np.clip(value, -_ODD * usual, _ODD * usual), there, x, y)
 
@@ -192,8 +198,8 @@ class _Texture(NamedTuple):
 class _Compared(NamedTuple):
     """Both textures at the places that the laser image shows, of a level whose pixels are `every` px wide."""
 
-    a: Floats
-    b: Floats
+    a: Singles
+    b: Singles
     gain: float
     sampling: Floats
 
@@ -205,7 +211,7 @@ def _compared(dim: _Texture, bright: _Texture, motion: Floats, every: float) -> 
     return _Compared(a, b, float(a @ b / max(a @ a, 1e-12)), sampling)
 
 
-def _sampled(image: Floats, sampling: Floats, there: Flags) -> Floats:
+def _sampled(image: Singles, sampling: Floats, there: Flags) -> Singles:
     import cv2
 
     how = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
@@ -242,7 +248,7 @@ def _fitted(dim: _Texture, bright: _Texture, motion: Floats, every: float) -> Im
         if np.abs(step * [1.0, 1.0, every * columns / 2.0, every * columns / 2.0]).max() < 0.02:
             break
     found = _parts(dim, bright, motion, every)
-    covariance = _FINE**2 * std**2 * np.linalg.inv(normal)
+    covariance = np.asarray(_FINE**2 * std**2 * np.linalg.inv(normal), np.float64)
     return None if found is None else found._replace(covariance=covariance)
 
 
