@@ -1,17 +1,18 @@
-"""Size of disturbance against error, a panel a disturbance: each measured case, its interval, what is refused."""
+"""Size of disturbance against error: a panel for each, with every case, the interval, what is refused."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from markupsafe import Markup
 
-from benchmarks.disturbances import DISTURBANCES
-from benchmarks.moved_rigs import MOTIONS
+from benchmarks.disturbances import DISTURBANCES, Disturbance
+from benchmarks.moved_rigs import MOTIONS, Motion
 from roemetry.html import plots as svg
 
 if TYPE_CHECKING:
@@ -33,7 +34,7 @@ def draw(path: Path, found: Sequence[Case]) -> None:
     """Draw a panel for each disturbance that has sizes and cases."""
     sized = [
         name
-        for name, kind in {**DISTURBANCES, **MOTIONS}.items()
+        for name, kind in kinds().items()
         if kind.low < kind.high and any(case.disturbance == name for case in found)
     ]
     high = 26.0 + _HIGH * math.ceil(len(sized) / _ACROSS)
@@ -53,14 +54,19 @@ def draw(path: Path, found: Sequence[Case]) -> None:
     path.write_text(f"{text}\n", "utf-8")
 
 
+def kinds() -> dict[str, Disturbance | Motion]:
+    """Give all disturbances, warped and rendered, by name."""
+    return {**DISTURBANCES, **MOTIONS}
+
+
 def _panel(name: str, cases: Sequence[Case], left: float, top: float) -> list[Markup]:
-    kind = DISTURBANCES.get(name) or MOTIONS[name]
+    kind = kinds()[name]
     low, high = math.log10(kind.low), math.log10(kind.high)
     x = svg.Axis(low, high, left + _LEFT, left + _WIDE - 10.0)
     y = svg.Axis(-_FARTHEST, _FARTHEST, top + _HIGH - 34.0, top + 20.0)
     parts = [svg.text(left + 8.0, top + 12.0, name, "title")]
     edges = np.linspace(low, high, _BINS + 1)
-    for first, last in zip(edges[:-1], edges[1:], strict=True):
+    for first, last in pairwise(edges):
         here = [case for case in cases if first <= math.log10(case.size) <= last]
         halves = [case.half for case in here if math.isfinite(case.half)]
         wide = x(last) - x(first) - 1.0

@@ -80,9 +80,9 @@ def laid_over(
         top, bottom, left, right = found.missed
         return plain, Reason(
             "images-contradict",
-            f"between the rows {top} and {bottom} and the columns {left} and {right} the laser image does not "
-            "show the belt that the plain-light image shows: rows or columns are lost, or a part is another "
-            "frame's; look at both, and take them again",
+            f"between the rows {top} and {bottom} and the columns {left} and {right} the laser image does "
+            "not show the belt that the plain-light image shows: rows or columns are lost, or a part is "
+            "another frame's; look at both, and take them again",
         )
     how, rows_columns = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP, plain.size
     moved = cv2.warpAffine(
@@ -143,8 +143,9 @@ def image_motion(laser: NDArray[Any], plain: NDArray[Any], product: Flags) -> Im
     if found is not None and not found.significant(_MOVED_SIGMAS):
         return found
     unmoved = _parts(*texture, still, every)
-    torn = unmoved is not None and unmoved.missed is not None
-    return unmoved if torn and (found is None or found.alike <= unmoved.alike) else found
+    if unmoved is None or unmoved.missed is None or (found is not None and found.alike > unmoved.alike):
+        return found
+    return unmoved
 
 
 def _halved(image: Singles) -> Singles:
@@ -206,7 +207,7 @@ class _Compared(NamedTuple):
 
 def _compared(dim: _Texture, bright: _Texture, motion: Floats, every: float) -> _Compared:
     rows, columns = dim.value.shape
-    sampling = _matrix(motion / [every, every, 1.0, 1.0], rows, columns)
+    sampling = _matrix(motion / np.array([every, every, 1.0, 1.0]), rows, columns)
     a, b = _sampled(bright.value, sampling, dim.there), dim.value[dim.there]
     return _Compared(a, b, float(a @ b / max(a @ a, 1e-12)), sampling)
 

@@ -108,20 +108,23 @@ def _check_rows(laser: Frame) -> None:
     pixels = laser.pixels
     sampled = np.ascontiguousarray(pixels[:, ::_SAMPLED])
     size, content = sampled[0].nbytes, sampled.tobytes()
-    first: dict[bytes, int] = {}
+    last: dict[bytes, int] = {}
     lag_before = 0
     repeated: list[int] = []
     for row in range(len(pixels)):
-        found = first.setdefault(content[row * size : (row + 1) * size], row)
-        if found != row and row - found == lag_before:  # two rows in a row, each so many rows after its like
+        one = content[row * size : (row + 1) * size]
+        lag = row - last.get(one, row)
+        if lag and lag == lag_before:  # two rows in a row, each so many rows after its like
             repeated.append(row)
-        lag_before = row - found
-    if not repeated or len(first) < _NOISY_SHARE * len(pixels):
+        last[one], lag_before = row, lag
+    if not repeated:
         return
-    same = [row for row in repeated if (pixels[row] == pixels[row - 1]).all()]
-    level = [row for row in same if (pixels[row] == pixels[row].flat[0]).all()]
-    usual = np.asarray(pixels[[row for row in first.values() if row not in level]])
-    if level and (usual == pixels[level[0]].flat[0]).mean() > _CLIPPED_SHARE:
+    level = [row for row in repeated if (pixels[row] == pixels[row].flat[0]).all()]
+    if len(last) < _NOISY_SHARE * (len(pixels) - len(level)):
+        return
+    usual = pixels[[row for row in last.values() if row not in level]]
+    clipped = bool(level) and float((usual == pixels[level[0]].flat[0]).mean()) > _CLIPPED_SHARE
+    if clipped and len(level) == len(repeated):
         return
     raise DataError(
         f"{laser.name}: the row {repeated[0]} and others have the very content of rows above them, which no "
