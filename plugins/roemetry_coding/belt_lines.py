@@ -191,6 +191,7 @@ class BeltLines(Aligner[BeltLinesOptions]):
             largest_std_px=largest_std,
             stripe_px=stripe_px,
             reasons=tuple(reasons),
+            edge_px=tuple(fit.motion.round(4).tolist()),
         )
 
 

@@ -100,6 +100,7 @@ def page(run: Run, products_max: int, worst_max: int) -> str:
         anchors=anchors,
         verdicts=_verdicts(seen),
         counts=_counts(seen),
+        drift=run.provenance.get("drift") or "",
         facts=_facts(run.provenance),
         date=when(run.provenance.get("finished") or run.provenance.get("started")),
         recipe=_recipe(run.provenance),

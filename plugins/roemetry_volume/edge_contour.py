@@ -10,6 +10,9 @@ around it. The opened image itself would not do: of what is not smooth it keeps 
 edges of a bright body. What stripes show is used, too: the outline lies outside of the product's stripes, and
 inside of what lies in a row between two neighbouring stripes that are on the belt.
 
+First the plain image is laid over the laser image by the belt's texture, where ambient light shows it in
+both (`image_motion`); images of which a part does not match are of two scenes, and the product is refused.
+
 Do image and stripes agree? What is seen of a stripe on the product ends on or inside the outline, and where
 it goes on along the belt it lies outside: each end brackets the edge. Shadow and lens open brackets, but
 never shift them, and on the side that faces the light stripes reach the outline. So of all ends around it
@@ -45,6 +48,7 @@ from roemetry.records.calibration import Calibration
 from roemetry.stages import Outliner, StageOptions
 from roemetry_volume.contour_edge import Scene, edge_around, unbound
 from roemetry_volume.footprint import area_of, inside_by
+from roemetry_volume.image_motion import laid_over
 
 _LEAST_CONTRAST = 3.0
 """Times the belt's scatter that a product is brighter or darker: three standard deviations."""
@@ -138,8 +142,10 @@ class EdgeContour(Outliner[EdgeContourOptions]):
         product = np.zeros(frame.size, np.bool_)
         for mask in known.values():
             product |= mask
+        spacing, said = _spacing_px(stripes), None
+        if use_plain and known:
+            chosen, said = laid_over(chosen, _one(frame.pixels), product, spacing)
         belt = _belt_of(self.options.belt, chosen)
-        spacing = _spacing_px(stripes)
         if use_plain:
             level, on_stripes = _over_belt(chosen.pixels, belt, product), None
         else:
@@ -171,7 +177,7 @@ class EdgeContour(Outliner[EdgeContourOptions]):
                         continue
                     fault = _contradiction(against_px, left_px)
             outlines.append(
-                Outline(number, edge.xy_px, std_px, features_of(edge.xy_px, chosen.pixels), fault)
+                Outline(number, edge.xy_px, std_px, features_of(edge.xy_px, chosen.pixels), fault or said)
             )
         return tuple(outlines)
 

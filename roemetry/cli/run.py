@@ -160,6 +160,7 @@ def _described(outcome: Outcome) -> dict[str, object]:
         "counts": dict(outcome.counts),
         "files": [str(file) for file in outcome.files],
         "faults": list(outcome.sink_faults),
+        "drift": None if outcome.drift is None else outcome.drift.text,
         "measurements": [json.loads(row.to_json()) for row in read_record(outcome.folder)],
     }
 
@@ -176,6 +177,8 @@ def _show(recipe: Recipe, outcome: Outcome) -> None:
         console.print(problem, highlight=False, markup=False, soft_wrap=True)
     counts = ", ".join(f"{number} {status}" for status, number in outcome.counts.items() if number)
     console.print(f"{counts or 'nothing measured'}", highlight=False)
+    if outcome.drift is not None:
+        console.print(f"drifting: {outcome.drift.text}", highlight=False, markup=False, soft_wrap=True)
     for file in (outcome.folder / RECORD, *outcome.files[:10]):
         console.print(f"  {file}", highlight=False, soft_wrap=True)
 

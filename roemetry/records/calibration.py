@@ -260,6 +260,9 @@ class Alignment(Shown):
     of which no belt is seen."""
     reasons: tuple[Reason, ...] = ()
     """What is to be said of every product of the frame."""
+    edge_px: tuple[float, ...] = ()
+    """(4,) what each part of the motion that was found does at the image's edge, px, corrected or not; empty
+    where too little belt is seen."""
 
     def __post_init__(self) -> None:
         check = Checker(self)

@@ -47,6 +47,9 @@ class Coding:
     saturated_share: Number = math.nan
     displacement_max_px: Number = math.nan
     """Largest displacement from the rest line on the product, px, with its sign; NaN where unknown."""
+    motion_px: tuple[float, ...] = ()
+    """What shift, roll, zoom and tilt of the camera since the calibration do at the image's edge, px, as
+    the aligner found them, corrected or not; empty without one."""
 
 
 @dataclass(frozen=True, eq=False, repr=False, slots=True)

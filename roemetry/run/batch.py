@@ -17,7 +17,7 @@ from roemetry.errors import FAULTS, DataError, RoemetryError
 from roemetry.io.files import LineFile, exclusive, make_folder, sha256_of, write_whole
 from roemetry.records import AcquisitionReference, Reason, Trace
 from roemetry.run.pipeline import Pipeline
-from roemetry.run.record import PROVENANCE, RECORD, acquisitions_to_keep, count_rows, read_record
+from roemetry.run.record import PROVENANCE, RECORD, acquisitions_to_keep, read_record, summed_up
 from roemetry.run.rows import failed, measurements_of
 from roemetry.run.workers import in_order
 from roemetry.stages import Run
@@ -38,6 +38,8 @@ class Outcome:
     """Rows by status: measured, empty, failed."""
     files: tuple[Path, ...]
     sink_faults: tuple[str, ...]
+    drift: Reason | None = None
+    """What moves in the course of the run; None for nothing."""
 
 
 def run_recipe(
@@ -103,11 +105,12 @@ def _run(
             for stage, value in took.items():
                 seconds.setdefault(stage, []).append(value)
             on_progress(finished, len(references))
-    counts = count_rows(folder)
+    counts, drift = summed_up(folder)
     provenance |= {"finished": _now(), "counts": counts, "seconds_median": _medians(seconds)}
+    provenance["drift"] = None if drift is None else drift.text
     write_whole(folder / PROVENANCE, json.dumps(provenance, indent=2) + "\n")
     files, faults = derive(recipe, folder, provenance, debug=debug)
-    return Outcome(folder, counts, files, faults)
+    return Outcome(folder, counts, files, faults, drift)
 
 
 def derive(
