@@ -210,8 +210,8 @@ def compiled_in_turns(compiled: Any, source: Path) -> Any:
             except Exception as error:
                 if types in compiled.overloads:
                     say(
-                        f"a compiled kernel could not be written to {compiled.stats.cache_path} ({error}) and "
-                        "is compiled again next time. Free the disk, or let NUMBA_CACHE_DIR name another folder"
+                        f"a compiled kernel could not be written to {compiled.stats.cache_path} ({error}) "
+                        "and is compiled again next time. Free the disk, or set NUMBA_CACHE_DIR"
                     )
                     return compiled.overloads[types].entry_point
                 damaged = kept()
