@@ -76,7 +76,9 @@ _LEVELS_MIN = 5.0  # grey levels of 0…255 that it rises at least
 _AMPLITUDE_NOISES = 5.0  # of one pixel beside the stripe, that a fitted stripe is high
 _DARK_SHARE = 0.1  # of white: light so far below black beside a stripe means that the fit has no hold
 _FWHM = 2.3548200450309493  # full width at half height of a Gaussian, standard deviations
-_SAMPLES = (480, 960)  # peaks that tell of the noise, in the first and the second pass
+_SAMPLE = 720
+"""Peaks that tell of the noise. Between 480 and 960, in one pass or in two, centres and stated uncertainties
+stay within 0.2 % and 3 % on drawn images, with one material and with two; of 480 the fifths scatter by 6 %."""
 _GOLDEN = 0.6180339887498949
 _FIRST_CONTRAST = 0.1
 _READ_SHARE = 2.0  # of the variance beside the stripes, that the read noise's can be
@@ -282,23 +284,22 @@ def _noise_as_told(options: MaximumLikelihoodOptions, variance: float, gain: flo
 
 
 def estimated_noise(image: Any, white: int, found: Found) -> StripeNoise:
-    """Estimate the noise from the image in two passes; each fits a sample of the peaks.
+    """Estimate the noise from the image, of a sample of the peaks.
 
-    Where there is more than one material, a third one fits all, and takes smaller tiles.
+    Where there is more than one material, a second pass takes all, and smaller tiles.
     """
     guess = (found.quiet if found.variance is None else found.variance, found.gain or 0.0)
     noise = StripeNoise(*guess, 0.0, np.full(TILES, _FIRST_CONTRAST**2))
-    for size, tiles in ((_SAMPLES[0], TILES), (_SAMPLES[1], TILES), (found.starts.row.size, FINE_TILES)):
-        if tiles == FINE_TILES and not noise.differs:
-            break
-        noise = noise_from(
-            *products_of(image, white, found, noise, size, tiles),
-            variance=found.variance,
-            gain=found.gain,
-            rounding=found.rounding,
-            most=most_noise(found, white),
-            tiles=tiles,
-        )
+    for size, tiles in ((_SAMPLE, TILES), (found.starts.row.size, FINE_TILES)):
+        if tiles == TILES or noise.differs:
+            noise = noise_from(
+                *products_of(image, white, found, noise, size, tiles),
+                variance=found.variance,
+                gain=found.gain,
+                rounding=found.rounding,
+                most=most_noise(found, white),
+                tiles=tiles,
+            )
     return noise
 
 
