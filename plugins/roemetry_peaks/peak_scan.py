@@ -15,25 +15,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from roemetry.errors import StageError
-from roemetry.records import Frame
 from roemetry.records.arrays import Floats
 from roemetry_kernels.compiling import float_kernel, inlined, kernel
 from roemetry_kernels.image_levels import outshone, usual_height
+from roemetry_peaks.searching import Area
 
 Pixels = NDArray[Any]
 Places = NDArray[np.int32]
 
 _PEAKS_A_ROW = 32  # room made at first
-
-
-class Area(NamedTuple):
-    """The part of an image that is searched: rows and columns from the first to the one after the last."""
-
-    top: int
-    bottom: int
-    left: int
-    right: int
 
 
 class Tops(NamedTuple):
@@ -446,20 +436,6 @@ steps_of_pairs = _steps_made(np.uint16)
 
 _scan_bytes = _scan_made(np.uint8)
 _scan_pairs = _scan_made(np.uint16)
-
-
-def searched(frame: Frame, region: tuple[int, int, int, int] | None) -> Area:
-    """Give the part of the frame to search; raise StageError where it does not lie within the frame."""
-    rows, columns = frame.size
-    if region is None:
-        return Area(0, rows, 0, columns)
-    top, bottom, left, right = region
-    if not (0 <= top < bottom <= rows and 0 <= left < right <= columns):
-        raise StageError(
-            f"region {list(region)} does not lie within the image of {rows} rows and {columns} columns",
-            hint="give first row, row after the last, first column, column after the last",
-        )
-    return Area(*region)
 
 
 # Unsigned, which no index from the end can be.

@@ -20,7 +20,6 @@ from roemetry_kernels.compiling import float_kernel, inlined
 from roemetry_peaks.peak_scan import (
     GLARING,
     TOO_WIDE,
-    Area,
     Pixels,
     Places,
     Tops,
@@ -28,6 +27,7 @@ from roemetry_peaks.peak_scan import (
     take_off_glare,
     unfit_stripes,
 )
+from roemetry_peaks.searching import Area
 
 FWHM_OF_SIGMA = 2.354820045030949
 
