@@ -385,9 +385,12 @@ def _along(image: NDArray[np.float32], ring: Floats, normal: Floats, off_px: Flo
     """Sample an image (n, m) at distances along the normals of a ring."""
     import cv2
 
-    off = off_px.astype(np.float32)[None, :, None]
-    places = ring.astype(np.float32)[:, None, :] + off * normal.astype(np.float32)[:, None, :]
-    return np.asarray(cv2.remap(image, places, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
+    off = off_px.astype(np.float32)
+    x, y = (
+        np.multiply.outer(towards, off) + middle[:, None]
+        for middle, towards in zip(ring.T.astype(np.float32), normal.T.astype(np.float32), strict=True)
+    )
+    return np.asarray(cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
 
 
 def _rounded(values: Floats, sigma: float) -> Floats:
