@@ -358,7 +358,7 @@ def plate_through(
         max(int(np.ceil((float(x.max()) + 0.5 - low) / CELL_MM)), 1) for x, low in ((s, low_s), (v, low_v))
     ]
     grid = (low_s, low_v, CELL_MM, cells[0], cells[1])
-    band = bending(grid, stiffness * STIFFNESS, _RIDGE)
+    band = _bending_of(cells[0], cells[1], stiffness * STIFFNESS).copy()
     right = np.zeros(band.shape[1])
     course, off = _course(
         grid,
@@ -370,6 +370,12 @@ def plate_through(
     factor = cholesky_banded(band, overwrite_ab=True, lower=True, check_finite=False)
     found = cho_solve_banded((factor, True), right, check_finite=False)
     return Plate(grid, course + found, factor, right)
+
+
+@lru_cache(maxsize=16)
+def _bending_of(cells_s: int, cells_v: int, weight: float) -> Floats:
+    """Give `bending` of a grid, which does not hang on where the grid lies."""
+    return bending((0.0, 0.0, CELL_MM, cells_s, cells_v), weight, _RIDGE)
 
 
 def _course(grid: Any, place: tuple[Floats, Floats], u: Floats, weight: Floats) -> tuple[Floats, Floats]:
