@@ -102,9 +102,9 @@ def shape_of(product: Product, smoothing_mm: float = SMOOTHING_MM) -> Shape:
     cuts = sections_of(product, smoothing_mm)
     if len(cuts.stripe) < SECTIONS_MIN:
         return Shape({})
-    below_mm, dents = hollows_of(cuts)
     above_mm, humps = humps_of(cuts)
-    features = {**features_of(cuts), **outline_features(product, cuts), **_hump_features(humps)}
+    features = _features_of(product, cuts, humps)
+    below_mm, dents = hollows_of(cuts)
     stands_out_mm = np.where(below_mm >= above_mm, -below_mm, above_mm)
     relief = relief_of(cuts, surface_shape(cuts), stands_out_mm, {"dent": dents, "hump": humps}, features)
     return Shape(features, relief)
@@ -112,7 +112,12 @@ def shape_of(product: Product, smoothing_mm: float = SMOOTHING_MM) -> Shape:
 
 def shape_features(product: Product, smoothing_mm: float = SMOOTHING_MM) -> dict[str, float]:
     """Give the features alone; empty with fewer than three sections."""
-    return shape_of(product, smoothing_mm).features
+    cuts = sections_of(product, smoothing_mm)
+    return _features_of(product, cuts, humps_of(cuts)[1]) if len(cuts.stripe) >= SECTIONS_MIN else {}
+
+
+def _features_of(product: Product, cuts: Sections, humps: tuple[Region, ...]) -> dict[str, float]:
+    return {**features_of(cuts), **outline_features(product, cuts), **_hump_features(humps)}
 
 
 def features_of(cuts: Sections) -> dict[str, float]:
