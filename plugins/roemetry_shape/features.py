@@ -30,11 +30,12 @@ two stripes (nothing is seen of it). How far each feature spreads over rigs for 
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
-from roemetry.records import Product, Relief
+from roemetry.records import Product, Profiles, Relief
 from roemetry.records.arrays import Flags, Floats
 from roemetry_shape.curvature import surface_shape
 from roemetry_shape.product_frame import (
@@ -42,9 +43,9 @@ from roemetry_shape.product_frame import (
     STATIONS,
     Frame,
     Sections,
+    cut_of,
     in_product_frame,
     outline_features,
-    sections_of,
 )
 from roemetry_shape.regions import (
     DENT_LEAST_MM,
@@ -99,11 +100,10 @@ def shape_of(product: Product, smoothing_mm: float = SMOOTHING_MM) -> Shape:
     smoothing_mm
         Window, mm, that smooths each curve first; see `sections_of`.
     """
-    cuts = sections_of(product, smoothing_mm)
+    cuts, above_mm, humps, of_surface = _surface_of(product.profiles, product.number, smoothing_mm)
     if len(cuts.stripe) < SECTIONS_MIN:
         return Shape({})
-    above_mm, humps = humps_of(cuts)
-    features = _features_of(product, cuts, humps)
+    features = {**of_surface, **outline_features(product, cuts)}
     below_mm, dents = hollows_of(cuts)
     stands_out_mm = np.where(below_mm >= above_mm, -below_mm, above_mm)
     relief = relief_of(cuts, surface_shape(cuts), stands_out_mm, {"dent": dents, "hump": humps}, features)
@@ -112,12 +112,27 @@ def shape_of(product: Product, smoothing_mm: float = SMOOTHING_MM) -> Shape:
 
 def shape_features(product: Product, smoothing_mm: float = SMOOTHING_MM) -> dict[str, float]:
     """Give the features alone; empty with fewer than three sections."""
-    cuts = sections_of(product, smoothing_mm)
-    return _features_of(product, cuts, humps_of(cuts)[1]) if len(cuts.stripe) >= SECTIONS_MIN else {}
+    cuts, _, _, of_surface = _surface_of(product.profiles, product.number, smoothing_mm)
+    return {**of_surface, **outline_features(product, cuts)} if of_surface else {}
 
 
-def _features_of(product: Product, cuts: Sections, humps: tuple[Region, ...]) -> dict[str, float]:
-    return {**features_of(cuts), **outline_features(product, cuts), **_hump_features(humps)}
+class _Surface(NamedTuple):
+    """What a product's surface tells, whatever its outline."""
+
+    cuts: Sections
+    above_mm: Floats
+    humps: tuple[Region, ...]
+    features: dict[str, float]
+
+
+@lru_cache(maxsize=2)
+def _surface_of(profiles: Profiles, number: int, smoothing_mm: float) -> _Surface:
+    """Measure the surface of one product; where its outline alone has moved, it is not measured again."""
+    cuts = cut_of(profiles, number, smoothing_mm)
+    if len(cuts.stripe) < SECTIONS_MIN:
+        return _Surface(cuts, np.empty((0, SAMPLES)), (), {})
+    above_mm, humps = humps_of(cuts)
+    return _Surface(cuts, above_mm, humps, {**features_of(cuts), **_hump_features(humps)})
 
 
 def features_of(cuts: Sections) -> dict[str, float]:

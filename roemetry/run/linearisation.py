@@ -59,9 +59,9 @@ _HEIGHT_PATTERNS = 100
 """Patterns of noise in which the highest point is looked for: they know its scatter to 7 %."""
 _FAR = 5.0
 """Standard deviations: what lies further below the highest point never is the highest."""
-_MODES_SHARE = 0.95
+_MODES_SHARE = 0.9
 """Of the variance of the product's shape, what the modes of the calibration hold that are run; the sum is
-divided by what they hold. Against all modes the volume's part is then right to 0.1 to 1 %."""
+divided by what they hold. Against all modes the volume's part is then 1.02 to 1.05 times as large."""
 _MODES_MAX = 12
 _ROWS_APART = 8
 """Every so many rows a point is asked how far a mode moves it: calibrations are smooth over tens of rows."""
