@@ -392,6 +392,11 @@ class Run:
 class Sink(Stage[OptionsT]):
     """Derives something for people or other programs from a run's record."""
 
+    @property
+    def replays_first(self) -> int:
+        """How many of a run's first acquisitions `write` replays: their traces are kept for it on disk."""
+        return 0
+
     @abstractmethod
     def write(self, run: Run) -> Sequence[Path]:
         """Write, and give the files written."""
