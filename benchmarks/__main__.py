@@ -39,6 +39,7 @@ BENCHMARKS = {
     "wheelset": "broken stripes of a real image without calibration: what order can number, against a hand",
     "words": "the shipped fuzzy rules over outline and heights, on rendered skeins",
     "tune": "time from a moved slider of `roemetry tune` to the answer, and the picture of the page",
+    "uncertainty": "linearised standard uncertainties over Monte Carlo draws, on unseen traced skeins",
     "volume": "error of every volume estimator on simulated skeins, and the page of it",
 }
 

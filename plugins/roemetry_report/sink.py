@@ -60,6 +60,11 @@ class Report(Sink[ReportOptions]):
 
     Options = ReportOptions
 
+    @property
+    def replays_first(self) -> int:
+        """As many acquisitions as products: most show one."""
+        return self.options.products_max
+
     def write(self, run: Run) -> Sequence[Path]:
         """Write the page and give its path.
 
@@ -175,7 +180,7 @@ def section(shown: Shown, replay: Callable[[str], Trace], key: str) -> dict[str,
     if trace is not None and not drawn:
         why = next(iter(trace.absent.values()), None)
         no_pictures = why.text if why is not None else "there is no laser image"
-    seconds = {} if trace is None else trace.seconds
+    seconds = {} if trace is None else {k: v for k, v in trace.seconds.items() if k != "uncertainty"}
     return {
         "key": key,
         "acquisition": shown.acquisition,

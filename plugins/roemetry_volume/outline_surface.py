@@ -78,10 +78,11 @@ class OutlineSurface(VolumeEstimator[UndersideOptions]):
             slice_area_mm2=slices.area_mm2,
             slice_spacing_mm=slices.held_mm,
             reasons=reasons_of(product, slices) + _reasons(fused) + underside_reasons(self.options),
+            solution=fused.start,
         )
 
     def redraw(self, product: Product, found: Volume, *, rng: np.random.Generator | None = None) -> Volume:
-        """Estimate a drawn product by the budget that was found: to make it takes as long as the surface.
+        """Estimate a product that has moved a little, from the surface and by the budget that were found.
 
         Raises
         ------
@@ -93,7 +94,7 @@ class OutlineSurface(VolumeEstimator[UndersideOptions]):
         slices = slices_of(product)
         if outline_fault(product, slices) is not None:
             return self.estimate(product, rng=rng)
-        fused = fuse(product, product.view, product.outline.xy_px)
+        fused = fuse(product, product.view, product.outline.xy_px, found.solution)
         if outline_fault(product, slices, fused) is not None:
             return self.estimate(product, rng=rng)
         budget = dict(found.visible_mm3.budget)

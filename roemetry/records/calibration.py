@@ -132,8 +132,8 @@ class Calibration(Shown):
         for name, array in self.parameters.items():
             parameters[name] = array + step[start : start + array.size].reshape(array.shape)
             start += array.size
-        moved = replace(self, parameters=parameters)
-        return replace(moved, view=None if view_of is None else view_of(moved))
+        moved = replace(self, parameters=parameters, view=None)
+        return moved if view_of is None else replace(moved, view=view_of(moved))
 
     @property
     def poor(self) -> str:

@@ -390,6 +390,7 @@ class Sampler:
         known[PENETRATION] = scene.penetration is not None
         self.causes = tuple(cause for cause, stated in known.items() if stated)
         self._bridges = _bridges(stripes)
+        self._as_found: Mapping[int, Product] | None = None
 
     def scenes(self, count: int, causes: tuple[str, ...]) -> Iterator[Mapping[int, Product]]:
         """Give drawn products by number, `count` times; what is no cause stays as it was found."""
@@ -410,6 +411,24 @@ class Sampler:
             if light is not None and PENETRATION in causes:
                 offset_mm = float(self._rng.normal(offset_mm, light.std_mm))
             yield self.products(stripes, calibration, outlines, offset_mm)
+
+    def as_found(self) -> Mapping[int, Product]:
+        """Give the products in which nothing has moved."""
+        if self._as_found is None:
+            scene, light = self._scene, self._scene.penetration
+            offset_mm = 0.0 if light is None else light.offset_mm
+            self._as_found = self.products(scene.stripes, scene.calibration, scene.outlines, offset_mm)
+        return self._as_found
+
+    def with_outlines(self, sign: float) -> Mapping[int, Product]:
+        """Give the products with their outlines moved outwards by so many standard deviations."""
+        moved = {}
+        for number, found in self.as_found().items():
+            outline = found.outline
+            if outline is not None:
+                outline = offset_contour(outline, sign * float(np.nan_to_num(outline.xy_std_px)))
+            moved[number] = replace(found, outline=outline)
+        return moved
 
     def products(
         self,
@@ -504,26 +523,17 @@ def rerun(
     if product is None:
         return Result()
     own = rng if model else None
-    volume = result_or_none(lambda: _estimated(chain, trace, product, own)) if chain.volume else None
+    before = trace.volume
+    volume = None if before is None else result_or_none(lambda: chain.volume.redraw(product, before, rng=own))
     found = _weighed(chain, product, volume, own)._replace(height_max_mm=product.height_max_mm)
     grade = (
-        result_or_none(lambda: chain.classifier.classify(product, rng=own))
-        if chain.classifier and graded
+        result_or_none(lambda: chain.classifier.redraw(product, rng=own))
+        if trace.grade is not None and graded
         else None
     )
     if grade is None:
         return found
     return found._replace(label=grade.label, probability=grade.probability, features=grade.features)
-
-
-def _estimated(
-    chain: Chain, trace: ProductTrace, product: Product, rng: np.random.Generator | None
-) -> Volume:
-    if trace.volume is None:
-        found: Volume = chain.volume.estimate(product, rng=rng)
-        return found
-    drawn: Volume = chain.volume.redraw(product, trace.volume, rng=rng)
-    return drawn
 
 
 def draw_models(

@@ -229,7 +229,7 @@ def test_a_drawn_product_takes_the_budget_that_was_found(rng: np.random.Generato
     found = estimator.estimate(made)
     marked = replace(found, visible_mm3=replace(found.visible_mm3, budget={"outline": 5.0, "rim": 70.0}))
     again = estimator.redraw(made, marked).visible_mm3
-    assert again.value == pytest.approx(found.visible_mm3.value, rel=1e-12)
+    assert again.value == pytest.approx(found.visible_mm3.value, rel=5e-4)  # one round more
     drawn = [estimator.redraw(made, marked, rng=rng).visible_mm3.value for _ in range(60)]
     assert np.std(drawn) == pytest.approx(70.0, rel=0.35)  # the outline's place is the run's to move
     bare = replace(made, outline=None)
