@@ -19,6 +19,7 @@ import numpy as np
 
 from roemetry.records.arrays import Floats, Integers
 from roemetry_kernels.compiling import float_kernel
+from roemetry_kernels.image_levels import median_of
 
 _OFF_BELT_PX = 2.0
 """Peaks farther from every rest line lie on a product."""
@@ -106,7 +107,7 @@ def _median_jumps(
                 jumps[count] = abs(step - 0.5 * (first_step + last_step))
                 count += 1
         if count >= stripes_min:
-            median[row] = np.median(jumps[:count])
+            median[row] = median_of(jumps[:count])
     return median
 
 

@@ -398,7 +398,8 @@ def closed_path(cost: Floats, bend: float, most: int) -> Integers:
     n, m = cost.shape
     total = np.empty((2 * n, m))
     came = np.zeros((2 * n, m), np.int64)
-    total[0] = cost[0]
+    for j in range(m):
+        total[0, j] = cost[0, j]
     for k in range(1, 2 * n):
         for j in range(m):
             best, place = np.inf, j
