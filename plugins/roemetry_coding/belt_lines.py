@@ -125,10 +125,12 @@ class BeltLines(Aligner[BeltLinesOptions]):
             )
         every = max(1, calibration.image_size[0] // _ROWS_USED)
         widths = np.array(_WIDTHS) * search_px
-        fit = _Fit(*_fitted(
+        motion, normal, slope, *rest = _fitted(
             peaks.row_start, peaks.x_px, model.lines, model.answer, every, search_px, widths,
             _LAST_ROUNDS, _SIGMAS, _SIGMA_MIN_PX, _BLOCKS, _OUTER_SHARE, _SETTLED_PX,
-        ))  # fmt: skip
+        )  # fmt: skip
+        inverse = np.linalg.inv(normal)
+        fit = _Fit(motion, inverse @ (slope.T @ slope) @ inverse, *rest)
         if fit.used < _PEAKS_MIN:
             return Alignment(
                 np.zeros(4),
@@ -291,8 +293,11 @@ def _fitted(
     row_start: Integers, x_px: Floats, lines: Floats, answer: Floats, every: int, search_px: float,
     widths: Floats, last_rounds: int, sigmas: float, sigma_min_px: float, blocks: int, outer_share: float,
     settled_px: float,
-) -> tuple[Floats, Floats, int, float, Floats, Integers, int, int]:  # fmt: skip
-    """Fit the motion; see `_Fit` and the model above. `lines` and `answer` as in `_Model`."""
+) -> tuple[Floats, Floats, Floats, int, float, Floats, Integers, int, int]:  # fmt: skip
+    """Fit the motion; see `_Fit` and the model above. `lines` and `answer` as in `_Model`.
+
+    In place of the covariance stand its parts: the normal matrix, and what each block and stripe pulls.
+    """
     rows, stripes = lines.shape
     count = 0
     most = 0
@@ -313,7 +318,7 @@ def _fitted(
             if abs(distance) <= search_px:
                 off[count], at[count, 0], at[count, 1] = distance, row, nearest
                 count += 1
-    theta: Floats = np.zeros(4)
+    theta, before = np.zeros(4), np.zeros(4)
     normal, right = np.zeros((4, 4)), np.zeros(4)
     sigma = search_px
     for turn in range(widths.size + last_rounds):
@@ -348,10 +353,12 @@ def _fitted(
             normal[k, k] += 1e-6 * (1.0 + count)  # a motion that nothing shows stays nothing
             for j in range(k):
                 normal[k, j] = normal[j, k]
-        before = theta.copy()
-        theta[:] = np.linalg.solve(normal, right)
+        _solve(normal, right, theta, before)
         sigma = max(sigma_min_px, math.sqrt(total / max(sum_weight, 1.0)))
-        if turn >= widths.size and np.abs(theta - before).max() < settled_px:
+        farthest = 0.0
+        for k in range(4):
+            farthest = max(farthest, abs(theta[k] - before[k]))
+        if turn >= widths.size and farthest < settled_px:
             break
     # what is left: of each block, of each stripe, of the image's ends
     slope = np.zeros((stripes + blocks, 4))
@@ -376,8 +383,30 @@ def _fitted(
     for row in range(every // 2, rows, every):
         if row < outer_share * rows or row >= (1.0 - outer_share) * rows:
             outer += row_start[row + 1] - row_start[row]
-    inverse = np.linalg.inv(normal)
-    covariance = inverse @ (slope.T @ slope) @ inverse
     for s in range(stripes):
         stripe_sum[s] /= max(of_stripe[s], 1)
-    return theta, covariance, used, sigma, stripe_sum, of_stripe, outer, outer_fit
+    return theta, normal, slope, used, sigma, stripe_sum, of_stripe, outer, outer_fit
+
+
+@float_kernel
+def _solve(matrix: Floats, right: Floats, answer: Floats, before: Floats) -> None:
+    """Solve positive definite equations by Cholesky's method, and keep the last answer in `before`.
+
+    numpy's own solver takes three seconds to compile into a kernel.
+    """
+    count = right.shape[0]
+    root = np.zeros((count, count))
+    for i in range(count):
+        before[i], answer[i] = answer[i], right[i]
+        for j in range(i + 1):
+            left = matrix[i, j]
+            for k in range(j):
+                left -= root[i, k] * root[j, k]
+            root[i, j] = math.sqrt(left) if i == j else left / root[j, j]
+        for k in range(i):
+            answer[i] -= root[i, k] * answer[k]
+        answer[i] /= root[i, i]
+    for i in range(count - 1, -1, -1):
+        for k in range(i + 1, count):
+            answer[i] -= root[k, i] * answer[k]
+        answer[i] /= root[i, i]

@@ -19,6 +19,7 @@ import numpy as np
 
 from roemetry.records.arrays import Floats, Integers
 from roemetry_kernels.compiling import float_kernel
+from roemetry_kernels.image_levels import median_of
 
 _OFF_BELT_PX = 2.0
 """Peaks farther from every rest line lie on a product."""
@@ -120,7 +121,7 @@ def _largest_jump(
             for jump in found:
                 large += abs(jump) >= least_px
             if row % sampled == 0 or 2 * large >= found.size:  # a median takes long
-                jump = abs(np.median(found))
+                jump = abs(median_of(found))
                 if row % sampled == 0:
                     counted[kind] += 1.0
                     total[kind] += jump

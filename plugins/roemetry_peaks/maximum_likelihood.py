@@ -77,8 +77,8 @@ _AMPLITUDE_NOISES = 5.0  # of one pixel beside the stripe, that a fitted stripe 
 _DARK_SHARE = 0.1  # of white: light so far below black beside a stripe means that the fit has no hold
 _FWHM = 2.3548200450309493  # full width at half height of a Gaussian, standard deviations
 _SAMPLE = 720
-"""Peaks that tell of the noise. Between 480 and 960, in one pass or in two, centres and stated uncertainties
-stay within 0.2 % and 3 % on drawn images, with one material and with two; of 480 the fifths scatter by 6 %."""
+"""Peaks that tell of the noise. With 480 to 960, in one pass or in two, centres and stated uncertainties stay
+within 0.2 % and 3 % on drawn images, with one material and with two; with 480 fifths scatter by 6 %."""
 _GOLDEN = 0.6180339887498949
 _FIRST_CONTRAST = 0.1
 _READ_SHARE = 2.0  # of the variance beside the stripes, that the read noise's can be

@@ -443,23 +443,15 @@ _ONE, _TWO, _THREE, _FOUR = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(
 
 
 @float_kernel
-def unfit_stripes(
-    row: Places,
-    width_min_px: float,
-    width_max_px: float,
-    share_min: float,
-    height_min: float,
-    values: Floats,
-) -> NDArray[np.uint64]:
+def unfit_stripes(row: Places, limits: Any, values: Floats) -> NDArray[np.uint64]:
     """Give the numbers of what is no stripe.
-
-    The other parameters are those of `roemetry_peaks.peak_window.stripes_around`.
 
     Parameters
     ----------
-    row, values
-        (peak,), (6, peak) image row; middle, width, amplitude, background, slope, unsure.
+    row, limits, values
+        (peak,) image row; `Limits`; and (6, peak) values as `roemetry_peaks.peak_window` has them.
     """
+    width_min_px, width_max_px, share_min, height_min = limits
     middles, widths, heights = values[0], values[1], values[2]
     count = row.shape[0]
     unfit, highest, lowest = 0, 0.0, np.inf
