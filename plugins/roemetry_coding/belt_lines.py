@@ -72,6 +72,11 @@ _STRIPE_MOVED_PX = 0.25
 """A light plane that has moved by less costs less than the paper's whole-pixel peaks do."""
 _STRIPE_PEAKS_MIN = 15
 """A stripe's own distance is stated from so many peaks on the belt."""
+_STRIPE_SPREAD_PX = 0.5
+"""Peaks of a plane that has moved far lie so near to a new line in half of the rows, and at both ends of the
+image; those of a product do not."""
+_STRIPE_REFUSED_PX = 1.0
+"""A light plane that has moved by more makes heights wrong by more than any interval says: no number then."""
 _OUTER_SHARE = 0.1
 _OUTER_FIT_MIN = 0.3
 """Of the peaks in the image's first and last tenth so many must lie on the moved lines: a product may cover
@@ -127,7 +132,8 @@ class BeltLines(Aligner[BeltLinesOptions]):
         widths = np.array(_WIDTHS) * search_px
         fit = _Fit(*_fitted(
             peaks.row_start, peaks.x_px, model.lines, model.answer, every, search_px, widths,
-            _LAST_ROUNDS, _SIGMAS, _SIGMA_MIN_PX, _BLOCKS, _OUTER_SHARE, _SETTLED_PX,
+            _LAST_ROUNDS, _SIGMAS, _SIGMA_MIN_PX, _BLOCKS, _OUTER_SHARE, _SETTLED_PX, _STRIPE_PEAKS_MIN,
+            _STRIPE_SPREAD_PX,
         ))  # fmt: skip
         if fit.used < _PEAKS_MIN:
             return Alignment(
@@ -281,6 +287,11 @@ def _stripes_that_moved(stripe_px: Floats, sigma_px: float) -> list[Reason]:
     if not far.size:
         return []
     which = ", ".join(f"{s + 1} ({stripe_px[s]:+.2f} px)" for s in far)
+    if np.abs(stripe_px[far]).max() > max(_STRIPE_REFUSED_PX, limit):
+        raise StageError(
+            f"stripes have moved against the others on the belt: {which}",
+            hint="fasten the projector, and calibrate again",
+        )
     return [
         Reason("stripe-moved", f"stripes have moved against the others on the belt: {which}; calibrate again")
     ]
@@ -290,7 +301,7 @@ def _stripes_that_moved(stripe_px: Floats, sigma_px: float) -> list[Reason]:
 def _fitted(
     row_start: Integers, x_px: Floats, lines: Floats, answer: Floats, every: int, search_px: float,
     widths: Floats, last_rounds: int, sigmas: float, sigma_min_px: float, blocks: int, outer_share: float,
-    settled_px: float,
+    settled_px: float, stripe_peaks_min: int, stripe_spread_px: float,
 ) -> tuple[Floats, Floats, int, float, Floats, Integers, int, int]:  # fmt: skip
     """Fit the motion; see `_Fit` and the model above. `lines` and `answer` as in `_Model`."""
     rows, stripes = lines.shape
@@ -376,6 +387,28 @@ def _fitted(
     for row in range(every // 2, rows, every):
         if row < outer_share * rows or row >= (1.0 - outer_share) * rows:
             outer += row_start[row + 1] - row_start[row]
+    for s in range(stripes):  # a plane that has moved far: all its peaks agree on another place
+        if of_stripe[s] < stripe_peaks_min:
+            beside = 0
+            for i in range(count):
+                if at[i, 1] == s:
+                    weight[beside] = off[i]
+                    for k in range(4):
+                        weight[beside] -= theta[k] * answer[at[i, 0], s, k]
+                    beside += 1
+            middle = np.median(weight[:beside]) if beside else 0.0
+            near, total, first, last = 0, 0.0, rows, 0
+            beside = 0
+            for i in range(count):
+                if at[i, 1] == s:
+                    if abs(weight[beside] - middle) < stripe_spread_px:
+                        near += 1
+                        total += weight[beside]
+                        first, last = min(first, at[i, 0]), max(last, at[i, 0])
+                    beside += 1
+            at_ends = first < outer_share * rows and last >= (1.0 - outer_share) * rows
+            if 2 * near * every > rows and at_ends:
+                stripe_sum[s], of_stripe[s] = total, near
     inverse = np.linalg.inv(normal)
     covariance = inverse @ (slope.T @ slope) @ inverse
     for s in range(stripes):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks.disturbances import DISTURBANCES, Scene
-from benchmarks.faults import Case, harmless, measured, read, summary, table
+from benchmarks.faults import Case, harmless, measured, summary, table
 from benchmarks.faults_curves import draw
 from benchmarks.kills import killed
 from roemetry import Recipe
@@ -62,7 +62,7 @@ def test_every_disturbance_gives_images_and_the_smallest_hardly_changes_them(
             assert laser.shape == image.shape and plain is not None and plain.shape == image.shape, name
         if kind.harmless:
             laser, _ = kind.make(scene, kind.low, np.random.default_rng(1))
-            assert np.abs(laser.astype(float) - image).mean() < 2.0, name
+            assert np.abs(laser.astype(float) - image).mean() < 3.0, name
 
 
 def test_killed_runs_that_contend_for_a_folder_lose_no_row_and_double_none(tmp_path: Path) -> None:
