@@ -150,7 +150,7 @@ class BeltLines(Aligner[BeltLinesOptions]):
         answer = model.edges  # (place, 4)
         off_px = answer @ fit.motion
         worst = int(np.abs(off_px).argmax())
-        std_px = np.sqrt(np.einsum("ki,ij,kj->k", answer, fit.covariance, answer))
+        std_px = np.sqrt(((answer @ fit.covariance) * answer).sum(axis=1))
         largest, largest_std = float(abs(off_px[worst])), float(std_px[worst])
         if fit.outer_peaks and fit.outer_fit < _OUTER_FIT_MIN * fit.outer_peaks:
             raise StageError(
@@ -187,9 +187,8 @@ class BeltLines(Aligner[BeltLinesOptions]):
         stripe_px = np.where(fit.of_stripe >= _STRIPE_PEAKS_MIN, fit.stripe_px, np.nan)
         reasons += _stripes_that_moved(stripe_px, fit.sigma_px)
         motion = np.round(fit.motion / _QUANTUM_PX) * _QUANTUM_PX * model.scale
-        covariance = fit.covariance * np.outer(model.scale, model.scale)
-        focal_px = _focal_px(calibration)
-        covariance[2, 2] += (natural[0] / focal_px) ** 2  # what has moved is not known: see above
+        covariance = fit.covariance * model.scale[:, None] * model.scale
+        covariance[2, 2] += (natural[0] / model.focal_px) ** 2  # what has moved is not known: see above
         return Alignment(
             motion=motion if corrected else np.zeros(4),
             covariance=covariance,
@@ -206,7 +205,7 @@ class _Model(NamedTuple):
 
     `lines` (row, stripe) px; `answer` (row, stripe, 4) their change for a motion that moves some place of the
     image by a pixel; `edges` (place, 4) the same at both ends of every line; `scale` (4,) that motion in the
-    units of `PARAMETERS`; `spacing_px` the smallest distance of two lines.
+    units of `PARAMETERS`; `spacing_px` the smallest distance of two lines; `focal_px` the focal length.
     """
 
     lines: Floats
@@ -214,6 +213,7 @@ class _Model(NamedTuple):
     edges: Floats
     scale: Floats
     spacing_px: float
+    focal_px: float
 
 
 class _Fit(NamedTuple):
@@ -254,6 +254,7 @@ def _model_of(calibration: Calibration, moved: Callable[[Calibration, Alignment]
         edges=ends[np.isfinite(ends).all(axis=1)],
         scale=scale,
         spacing_px=float(np.nanmin(spacing)) if spacing.size else math.inf,
+        focal_px=_focal_px(calibration),
     )
 
 
