@@ -22,6 +22,7 @@ BENCHMARKS = {
     "herring_roe": "coding, grading and volume on unseen simulated skeins",
     "golden": "what every shipped recipe says, against the committed records; --write keeps it",
     "outside": "rigs of another renderer, from files to grades, against their truth",
+    "kills": "two runs in one folder, killed over and over: rows lost or doubled",
     "known_numbers": "what the shipped recipe gives on three skeins, written for `roemetry doctor`",
     "make_rigs": "fresh rigs with truth, drawn at random and rendered by either simulator",
     "pieces": "numbers without a calibration on traced skeins and shapes: refused, and wrong",

@@ -35,7 +35,7 @@ _ROUNDED_JUMP_MIN_PX = 2.5
 _TIMES_USUAL = 8.0
 """So many times the jumps of the frame's other rows, which noise and texture make. Of 56 whole images of two
 makers the largest jump is five times the mean."""
-_SAMPLED_ROWS = 4
+_SAMPLED_ROWS = 8
 """Every so many rows tell how much stripes usually jump."""
 
 

@@ -209,7 +209,7 @@ def _compared(dim: _Texture, bright: _Texture, motion: Floats, every: float) -> 
     rows, columns = dim.value.shape
     sampling = _matrix(motion / np.array([every, every, 1.0, 1.0]), rows, columns)
     a, b = _sampled(bright.value, sampling, dim.there), dim.value[dim.there]
-    return _Compared(a, b, float(a @ b / max(a @ a, 1e-12)), sampling)
+    return _Compared(a, b, float(a @ b) / max(float(a @ a), 1e-12), sampling)
 
 
 def _sampled(image: Singles, sampling: Floats, there: Flags) -> Singles:

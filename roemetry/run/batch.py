@@ -75,7 +75,7 @@ def run_recipe(
     DataError
         The source has nothing.
     """
-    references = recipe.source.make().references(recipe.source_path)
+    references = recipe.references()
     make_folder(folder)
     with exclusive(folder):
         return _run(recipe, folder, references, jobs, resume, debug, on_progress)

@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from roemetry.records import Product, Profiles
 from roemetry.records.calibration import Calibration
 from roemetry_kernels.slices import body_curves, smoothed
-from roemetry_paper.arc_curvature import ArcCurvature, ArcCurvatureOptions, circles
+from roemetry_paper.arc_curvature import ArcCurvature, ArcCurvatureOptions
 
 ROWS = 480
 REST_PX = 300.0
