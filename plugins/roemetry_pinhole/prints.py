@@ -34,6 +34,8 @@ _ALIKE = 0.01
 """Difference of the logarithms by a line's two ends: more, and the line is not this plane's."""
 _STRETCH_STDS, _STRETCH_MIN = 5.0, 0.002
 """A stretch is told from here on: 0.2 % is what printers do."""
+_NOT_SQUARE = 0.004
+"""Where boards all lie alike in the image fx over fy takes the stretch: from here on it is told."""
 _SQUARE = 0.001
 """Pixels are as square as this. Bent boards seem stretched as well (two real sets by 0.6 and 0.9 %), but then
 fx and fy come apart, where a real stretch lets them agree."""
@@ -133,6 +135,14 @@ def stretched(measured: Measured, found: Adjusted, views: Sequence[BoardView]) -
     moved, covariance = replace(measured, unknowns=unknowns).step_of(replace(found, geometry=geometry))
     before, after = (abs(float(np.log(one.camera[1] / one.camera[0]))) for one in (geometry, moved))
     said = []
+    fx, fy = found.unknowns.camera[:2]
+    way = np.zeros(len(found.covariance))
+    way[[fx, fy]] = -1.0 / geometry.camera[0], 1.0 / geometry.camera[1]
+    if before > max(_STRETCH_STDS * float(np.sqrt(way @ found.covariance @ way)), _NOT_SQUARE):
+        said.append(
+            f"fx and fy differ by {before:.2%}, and pixels of nearly all cameras are square: is the print of a "
+            "board stretched? Measure the pitch along both sides, and state pitch_mm (x) and row_pitch_mm (y)"
+        )
     for number, board in boards.items():
         at = unknowns.prints[number, 1]
         stretch, std = float(moved.prints[number, 1]), float(np.sqrt(covariance[at, at]))

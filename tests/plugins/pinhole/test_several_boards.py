@@ -70,7 +70,9 @@ def test_a_stretched_print_is_told_and_can_be_described(whole: CalibrationSet) -
         said = " ".join(PinholeCalibrator().calibrate(wrong).notes)
     except CalibrationError as error:
         said = error.message
-    assert "seems stretched: along y 0.99" in said
+    # all boards lie alike in these images, so that the camera takes the stretch
+    assert "fx and fy differ by 1.1" in said
+    assert "print of a board stretched" in said
     assert replace(board, row_pitch_mm=2.0).size_mm[1] == 2.0 * board.rows
 
 
