@@ -140,8 +140,8 @@ def stretched(measured: Measured, found: Adjusted, views: Sequence[BoardView]) -
     way[[fx, fy]] = -1.0 / geometry.camera[0], 1.0 / geometry.camera[1]
     if before > max(_STRETCH_STDS * float(np.sqrt(way @ found.covariance @ way)), _NOT_SQUARE):
         said.append(
-            f"fx and fy differ by {before:.2%}, and pixels of nearly all cameras are square: is the print of a "
-            "board stretched? Measure the pitch along both sides, and state pitch_mm (x) and row_pitch_mm (y)"
+            f"fx and fy differ by {before:.2%}, and pixels of nearly all cameras are square: is the print of "
+            "a board stretched? Measure the pitch along both sides; state pitch_mm (x) and row_pitch_mm (y)"
         )
     for number, board in boards.items():
         at = unknowns.prints[number, 1]
