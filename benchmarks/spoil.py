@@ -424,7 +424,7 @@ def _calibrated(shots: Shots) -> tuple[Calibration, str] | str:
         except RoemetryError as error:
             return str(error)
     verdict = " ".join(evidence.verdict)
-    return (calibration, verdict) if evidence.usable else verdict
+    return (calibration, verdict) if evidence.usable else "\n".join([verdict, *calibration.notes])
 
 
 def _written(shots: Shots, folder: Path) -> Path:

@@ -77,7 +77,7 @@ def calibrate(
             if report is not None:
                 _write_page(report, calibration, evidence, loaded.file.name)
             raise CalibrationError(
-                f"{path} is not written. {' '.join(evidence.verdict)}",
+                "\n  ".join([f"{path} is not written. {' '.join(evidence.verdict)}", *calibration.notes]),
                 hint="--report PAGE.html shows where it fails; --accept-poor writes it nevertheless, marked",
             )
         calibration = calibration.accepted_as_poor(evidence.verdict[0])
