@@ -101,6 +101,14 @@ MISTAKES = [
         "`extractor` stands here a second time",
     ),
     ("unknown key", GOOD + "calibratoin: x.yaml\n", ":12:1:", "did you mean `calibration`?"),
+    (
+        "unknown key in a list of maps in a map",
+        GOOD.replace(
+            "sinks:", "  grader:\n    use: grade-table\n    options: {classes: [{lable: A}]}\nsinks:"
+        ),
+        ":13:26:",
+        "did you mean `label`?",
+    ),
     ("unknown key in source", GOOD.replace("path:", "paht:"), ":4:3:", "did you mean `path`?"),
     ("missing key", GOOD.replace("product: dome\n", ""), ":1:1:", "product: this is missing"),
     (

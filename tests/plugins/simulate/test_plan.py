@@ -12,6 +12,7 @@ from roemetry.config.scene import Scene
 from roemetry.errors import ConfigurationError, PluginError, StageError
 from roemetry.stages.registry import Registry, discover
 from roemetry_simulate.optics import fan_through, looking_down
+from roemetry_simulate.plan_answer import Bodies
 from roemetry_simulate.plan_model import (
     Stripe,
     highest_in_view_mm,
@@ -207,6 +208,58 @@ def test_a_rig_that_shows_no_heights_is_refused(options, says):
         RigPlanner(RayCasterOptions.model_validate(options)).plan(simulate=False)
 
 
+PLUMS = {"family": "potato", "options": {"length_range_mm": [42.5, 50.0], "width_range_mm": [34.0, 40.0],
+         "thickness_range_mm": [30.0, 35.0]}}  # fmt: skip
+
+
+def plum_rig(stripes=9, beside_mm=35.0, height=1.0, **more):
+    laser = {"planes": stripes, "spacing_mm": 55.0 / (stripes - 1), "centre_x_mm": 0.0,
+             "projector_mm": [beside_mm, 0.0, 288.0], "line_width_mm": 0.95}  # fmt: skip
+    options = {**PLUMS["options"], "thickness_range_mm": [30.0 * height, 35.0 * height]}
+    product = {**PLUMS, "options": options}
+    return RayCasterOptions.model_validate(
+        {"camera": {"distance_mm": 300.0}, "laser": laser, "product": product, **more}
+    )
+
+
+def test_the_answer_says_how_well_and_what_limits_it():
+    """A product that a rig measures: what helps more, and that less is expected of fewer stripes."""
+    answer = RigPlanner(plum_rig()).plan(simulate=False).answer
+    assert answer.fits
+    assert answer.text.startswith("your product: yes; expected volume ± ")
+    assert "stripes on a product" in answer.limiting
+    assert any("plain light" in change for change in answer.changes)
+    assert any("for finer heights" in change and "now 7°" in change for change in answer.changes)
+    outlined = RigPlanner(plum_rig(light={"images": ["laser", "plain"]})).plan(simulate=False).answer
+    assert outlined.volume_pct < 0.4 * answer.volume_pct
+    few = RigPlanner(plum_rig(stripes=5)).plan(simulate=False).answer
+    assert few.volume_pct > 1.5 * answer.volume_pct
+    assert answer.weight_pct > answer.volume_pct
+
+
+@pytest.mark.parametrize(
+    ("rig", "why"),
+    [
+        ({"stripes": 3}, "fewer than three stripes on a product"),
+        ({"beside_mm": 200.0, "height": 1.5}, "displaces a stripe by more than 2.5 spacings"),
+    ],
+)
+def test_a_product_that_does_not_fit_is_refused_with_a_rig_that_does(rig, why):
+    answer = RigPlanner(plum_rig(**rig)).plan(simulate=False).answer
+    assert answer.text.startswith(f"your product: no: {why}") or why in answer.limiting
+    assert "; change: " in answer.text
+    assert "stripes" in answer.changes[0]
+
+
+def test_the_sampling_of_an_ellipsoid_errs_as_its_closed_form():
+    """Whole numbers of spacings: 1 / (√5 N²)."""
+    x = (np.arange(2000) + 0.5) / 1000.0 - 1.0
+    body = Bodies(50.0, 40.0, 35.0, 20.0, np.array([50.0]), ellipsoid(x)[None])
+    for stripes in (5, 9):
+        expected = 100.0 / np.sqrt(5.0) / stripes**2
+        assert body.sampling_pct(50.0 / stripes) == pytest.approx(expected, rel=0.02)
+
+
 SCENE = """roemetry_scene: 1
 name: a rig
 licence: CC0-1.0
@@ -274,7 +327,7 @@ def test_dead_and_dim_stripes_and_strong_speckle_are_warned_of():
     scene = RayCasterOptions.model_validate({"laser": {"power": power, "speckle_contrast": 1.0}})
     plan = RigPlanner(scene).plan(simulate=False)
     said = {reason.code: reason.text for reason in plan.reasons}
-    assert said["dark-stripe"].startswith("stripe 2, 7: dead, or")
+    assert said["dark-stripe"].startswith("stripe 3, 8: dead, or")  # as reports number them
     assert "contrast 1:" in said["speckle"]
     usual = RigPlanner(RayCasterOptions()).plan(simulate=False)
     assert not {"dark-stripe", "speckle"} & {reason.code for reason in usual.reasons}
