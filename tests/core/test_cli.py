@@ -193,6 +193,9 @@ def test_the_time_left_is_as_long_as_what_was_done_took(
 
 def test_a_fault_names_what_was_typed_and_not_what_follows_from_it(tmp_path: Path) -> None:
     path = tmp_path / "recipe.yaml"
-    path.write_text("roemetry: 1\nproduct: p\nsource: {path: .}\nsinks: [csv]\n", "utf-8")
+    path.write_text(
+        "roemetry: 1\nproduct: p\nsource: {path: .}\nstages: {extractor: dominant-peak}\nsinks: [csv]\n",
+        "utf-8",
+    )
     with pytest.raises(ConfigurationError, match=r"^export csv --set a=1: sinks\.0\.options\.a: unknown key"):
         Recipe.load(path, sets=[Implied("sinks=[{use: csv, options: {a: 1}}]", "export csv --set a=1")])

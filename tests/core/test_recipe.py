@@ -103,10 +103,8 @@ MISTAKES = [
     ("unknown key", GOOD + "calibratoin: x.yaml\n", ":12:1:", "did you mean `calibration`?"),
     (
         "unknown key in a list of maps in a map",
-        GOOD.replace(
-            "sinks:", "  grader:\n    use: grade-table\n    options: {classes: [{lable: A}]}\nsinks:"
-        ),
-        ":13:26:",
+        GOOD.replace("sinks:", "  grader: {use: grade-table, options: {classes: [{lable: A}]}}\nsinks:"),
+        ":11:51:",
         "did you mean `label`?",
     ),
     ("unknown key in source", GOOD.replace("path:", "paht:"), ":4:3:", "did you mean `path`?"),
