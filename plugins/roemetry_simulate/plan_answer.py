@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +24,7 @@ from roemetry.errors import RoemetryError
 from roemetry.records import PlanAnswer
 from roemetry_simulate.optics import view_mm
 from roemetry_simulate.plan_model import peak_std, plane_points, scale_at, stripes_at
-from roemetry_simulate.plan_tables import Space, mean_spacing_mm
+from roemetry_simulate.plan_tables import Bodies, Space, mean_spacing_mm
 from roemetry_simulate.population import draw_item
 from roemetry_simulate.render import Rig
 from roemetry_simulate.scene import RayCasterOptions
@@ -35,8 +34,6 @@ Floats = NDArray[np.float64]
 
 _DRAWN = 4
 """Products that are drawn: enough to know the highest of a population to a tenth."""
-_PHASES = 64
-"""Places under the stripes over which the sampling's RMS is taken, even over one spacing."""
 _SLICES, _OUTLINE = 2.0, 0.4
 """Error of a volume over that of exact slices' sampling, from slices alone and with an outline: skeins, whose
 sampling errs by 0.8 %, came out 1.2 to 1.9 and 0.2 to 0.4 % off (docs/measurements/outside.md)."""
@@ -55,32 +52,6 @@ _SPACING_LEAST_PX = 14.0
 """About three widths of a stripe in focus: nearer ones are not told apart."""
 _WORTH = 0.75
 """A change that leaves more than this of the uncertainty is not proposed."""
-
-
-@dataclass(frozen=True, eq=False)
-class Bodies:
-    """The scene's products: highest and longest of a few, and their section areas along X.
-
-    `areas` are (n, m) mm² at `step_mm` along each product's own length, the same number of places for each.
-    """
-
-    length_mm: float
-    width_mm: float
-    height_mm: float
-    mean_height_mm: float
-    lengths_mm: Floats
-    areas_mm2: Floats
-
-    def sampling_pct(self, spacing_mm: float) -> float:
-        """RMS error of spacing × sum of slice areas, % of the volume, over products and places."""
-        found = []
-        share = (np.arange(_PHASES) + 0.5) / _PHASES
-        for length, areas in zip(self.lengths_mm, self.areas_mm2, strict=True):
-            along = (np.arange(areas.size) + 0.5) / areas.size * length
-            at = spacing_mm * (np.arange(math.ceil(length / spacing_mm) + 1)[:, None] - 1 + share)
-            sums = np.interp(at, along, areas, left=0.0, right=0.0).sum(axis=0) * spacing_mm
-            found.append(sums / (areas.mean() * length) - 1.0)
-        return 100.0 * float(np.sqrt(np.mean(np.square(found))))
 
 
 def bodies_of(scene: RayCasterOptions, rig: Rig) -> Bodies | None:

@@ -12,7 +12,6 @@ from roemetry.config.scene import Scene
 from roemetry.errors import ConfigurationError, PluginError, StageError
 from roemetry.stages.registry import Registry, discover
 from roemetry_simulate.optics import fan_through, looking_down
-from roemetry_simulate.plan_answer import Bodies
 from roemetry_simulate.plan_model import (
     Stripe,
     highest_in_view_mm,
@@ -24,7 +23,7 @@ from roemetry_simulate.plan_model import (
     spacing_heights_mm,
     steepest_slopes_deg,
 )
-from roemetry_simulate.plan_tables import ellipsoid, skein, slice_error_pct
+from roemetry_simulate.plan_tables import ellipsoid
 from roemetry_simulate.planner import RigPlanner, simulated_scatter, space_of
 from roemetry_simulate.render import Sensor
 from roemetry_simulate.scene import RayCasterOptions, rig_of
@@ -96,13 +95,8 @@ def test_slopes_are_those_of_the_closed_form():
 
 @pytest.mark.parametrize("stripes", [3, 5, 11, 41])
 def test_the_sum_of_slices_of_an_ellipsoid_errs_as_its_closed_form(stripes):
-    assert slice_error_pct(ellipsoid, stripes) == pytest.approx(100.0 / np.sqrt(5.0) / stripes**2, rel=1e-3)
-
-
-def test_blunter_bodies_need_more_stripes():
-    errors = [slice_error_pct(skein, n) for n in range(5, 42, 2)]
-    assert np.all(np.diff(errors) < 0.0)
-    assert errors[-1] > slice_error_pct(ellipsoid, 41)
+    found = ellipsoid(50.0).sampling_pct(50.0 / stripes)
+    assert found == pytest.approx(100.0 / np.sqrt(5.0) / stripes**2, rel=0.01)
 
 
 def test_the_bound_of_a_wide_bright_stripe_is_the_textbook_one():
@@ -249,15 +243,6 @@ def test_a_product_that_does_not_fit_is_refused_with_a_rig_that_does(rig, why):
     assert answer.text.startswith(f"your product: no: {why}") or why in answer.limiting
     assert "; change: " in answer.text
     assert "stripes" in answer.changes[0]
-
-
-def test_the_sampling_of_an_ellipsoid_errs_as_its_closed_form():
-    """Whole numbers of spacings: 1 / (√5 N²)."""
-    x = (np.arange(2000) + 0.5) / 1000.0 - 1.0
-    body = Bodies(50.0, 40.0, 35.0, 20.0, np.array([50.0]), ellipsoid(x)[None])
-    for stripes in (5, 9):
-        expected = 100.0 / np.sqrt(5.0) / stripes**2
-        assert body.sampling_pct(50.0 / stripes) == pytest.approx(expected, rel=0.02)
 
 
 SCENE = """roemetry_scene: 1
