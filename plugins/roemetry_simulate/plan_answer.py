@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,11 +89,18 @@ def answer_of(
     total = math.hypot(*causes.values())
     weight = math.hypot(total, _UNDERSIDE_PCT)
     limiting = faults[0] if faults else max(causes, key=causes.__getitem__)
-    changes = list(_other_rigs(scene, space, bodies, math.inf if faults else total, space_of))
-    if not has_outline:
-        with_one = math.hypot(*_causes(space, bodies, True).values())
-        if not with_one > _WORTH * total:
-            changes.append(f"a second image in plain light, for an outline: volume ± {with_one:.1f} %")
+    rigs = _other_rigs(scene, space, bodies, space_of)
+    now = angle_deg(space)
+    good = min((one for one in rigs if one.angle_deg >= min(now - 0.5, _SMALL_DEG)), default=None)
+    changes = []
+    if good is not None and (faults or good.volume_pct < _WORTH * total):
+        changes.append(good.said(now))
+    with_one = math.hypot(*_causes(space, bodies, True).values())
+    if not (faults or with_one > _WORTH * total):
+        changes.append(f"a second image in plain light, for an outline: volume ± {with_one:.1f} %")
+    steeper = [one for one in rigs if one.count < space.rig.laser.count and one.angle_deg > now + 2.0]
+    if now < _SMALL_DEG and steeper:
+        changes.append(f"for finer heights {max(steeper, key=lambda one: one.count).said(now)}")
     changes.append("weigh twenty products and fit the weight, which takes the underside out")
     return PlanAnswer(not faults, total, weight, limiting, tuple(changes))
 
@@ -137,54 +145,53 @@ def _causes(space: Space, bodies: Bodies, has_outline: bool) -> dict[str, float]
     }
 
 
+class _Proposal(NamedTuple):
+    """Another rig: what volume to expect, and its light."""
+
+    volume_pct: float
+    angle_deg: float
+    count: int
+    spacing_mm: float
+    beside_mm: float
+
+    def said(self, now_deg: float) -> str:
+        """Put it into words, beside the angle that there is now."""
+        angle = self.angle_deg
+        turned = f" (triangulation {angle:.0f}°, now {now_deg:.0f}°)" if abs(angle - now_deg) >= 1.0 else ""
+        return (
+            f"{self.count} stripes {self.spacing_mm:.1f} mm apart, projector {self.beside_mm:.0f} mm beside "
+            f"the camera{turned}: volume ± {self.volume_pct:.1f} %"
+        )
+
+
 def _other_rigs(
-    scene: RayCasterOptions,
-    space: Space,
-    bodies: Bodies,
-    total: float,
-    space_of: Callable[[RayCasterOptions], Space],
-) -> Iterator[str]:
-    """Propose another number of stripes, with the projector where the product stays below one spacing."""
+    scene: RayCasterOptions, space: Space, bodies: Bodies, space_of: Callable[[RayCasterOptions], Space]
+) -> list[_Proposal]:
+    """Try other numbers of stripes, with the projector where the product stays below one spacing's height."""
     laser, camera = scene.laser, space.rig.camera
-    fan = mean_spacing_mm(space) * (space.rig.laser.count - 1)
-    across = max(fan, 1.1 * bodies.length_mm)
+    across = max(mean_spacing_mm(space) * (space.rig.laser.count - 1), 1.1 * bodies.length_mm)
     distance = float(camera.centre_mm[2])
-    x_px = float(
-        scale_at(camera, space.rig.laser, space.feet_mm[[space.rig.laser.count // 2]]).x_mm_per_px[0]
-    )
+    middle = space.feet_mm[[space.rig.laser.count // 2]]
+    least_mm = _SPACING_LEAST_PX * float(scale_at(camera, space.rig.laser, middle).x_mm_per_px[0])
     way = math.copysign(1.0, float(space.rig.laser.projector_mm[0] - camera.centre_mm[0]))
-    found: list[tuple[float, float, int, float, float]] = []
+    found = []
     for count in range(5, 30, 2):
         spacing = across / (count - 1)
-        beside = spacing * (_SHARE * distance / bodies.height_mm - 1.0)
-        beside = min(beside, _STEEP * distance)
-        if spacing < _SPACING_LEAST_PX * x_px or beside <= 0.0:
+        beside = min(spacing * (_SHARE * distance / bodies.height_mm - 1.0), _STEEP * distance)
+        if spacing < least_mm or beside <= 0.0:
             continue
         place = (float(camera.centre_mm[0] + way * beside), laser.projector_mm[1], laser.projector_mm[2])
-        fan_of = {"planes": count, "spacing_mm": spacing, "projector_mm": place}
-        changed = {**fan_of, "belt_x_mm": None, "power": None}
+        fan = {"planes": count, "spacing_mm": spacing, "projector_mm": place}
+        changed = laser.model_copy(update={**fan, "belt_x_mm": None, "power": None})
         try:
-            other = space_of(scene.model_copy(update={"laser": laser.model_copy(update=changed)}))
+            other = space_of(scene.model_copy(update={"laser": changed}))
             if next(_faults(other, bodies), None) is not None:
                 continue
         except RoemetryError:
             continue
         pct = math.hypot(*_causes(other, bodies, "plain" in scene.light.images).values())
-        found.append((pct, angle_deg(other), count, spacing, beside))
-    now = angle_deg(space)
-    steep = [one for one in found if one[1] >= min(now - 0.5, _SMALL_DEG)]
-    if steep and (best := min(steep))[0] < _WORTH * total:
-        yield _said(best, now)
-    steeper = [one for one in found if one[2] < space.rig.laser.count and one[1] > now + 2.0]
-    if now < _SMALL_DEG and steeper:
-        yield f"for finer heights {_said(max(steeper, key=lambda one: one[2]), now)}"
-
-
-def _said(rig: tuple[float, float, int, float, float], now_deg: float) -> str:
-    pct, angle, count, spacing, beside = rig
-    turned = f" (triangulation {angle:.0f}°, now {now_deg:.0f}°)" if abs(angle - now_deg) >= 1.0 else ""
-    where = f"{count} stripes {spacing:.1f} mm apart, projector {beside:.0f} mm beside the camera{turned}"
-    return f"{where}: volume ± {pct:.1f} %"
+        found.append(_Proposal(pct, angle_deg(other), count, spacing, beside))
+    return found
 
 
 def angle_deg(space: Space) -> float:
