@@ -304,3 +304,27 @@ def test_faults_have_their_line(tmp_path: Path) -> None:
         ConfigurationError, match=r"recipe.yaml:15:7: .*there is a gap: no class takes weight_g"
     ):
         Recipe.load(path)
+
+
+@given(part=st.floats(0.0, 50.0), off=st.floats(-20.0, 20.0), std=st.none() | st.floats(0.1, 50.0))
+def test_a_part_of_the_uncertainty_proves_nothing_and_is_a_lower_bound(
+    part: float, off: float, std: float | None
+) -> None:
+    """Without an interval the table's own word counts, for no less than the part that is known."""
+    estimate = Estimate(20.0 + off, part or math.nan, {"model": part} if part else {})
+    grader = GradeTable(
+        GradeTableOptions.model_validate({**TABLE, "std": {} if std is None else {"weight_g": std}})
+    )
+    label = grader.decide(PRODUCT, None, Weight(estimate), Grade("good")).label
+    guard = 1.65 * max(part, std or 0.0)
+    if std is None:
+        assert label == "undecided"
+    elif label == "A":
+        assert off >= guard - 1e-9
+
+
+def test_a_weight_that_counts_the_air_below_proves_nothing() -> None:
+    reason = Reason("visible-taken-for-true", "the visible volume is weighed")
+    grader = GradeTable(GradeTableOptions.model_validate(TABLE))
+    decision = grader.decide(PRODUCT, None, Weight(whole(30.0, 0.1), (reason,)), Grade("good"))
+    assert decision.label == "undecided"
