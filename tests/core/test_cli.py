@@ -16,12 +16,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-<<<<<<< HEAD
-from roemetry.cli.main import main
-=======
 from roemetry import Recipe
+from roemetry.cli.main import main
 from roemetry.cli.progress import time_left_s
->>>>>>> in-tool
 from roemetry.cli.table import problems_of, table_of
 from roemetry.config.overrides import Implied
 from roemetry.errors import ConfigurationError

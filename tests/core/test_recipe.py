@@ -44,7 +44,6 @@ OPTIONS = "    options:\n      threshold: 60"
 END = "sinks: [csv]\n"
 
 MISTAKES = [
-<<<<<<< HEAD
     ("empty file", GOOD, "", ":1:1:", "the file is empty"),
     ("only a comment", GOOD, "# nothing\n", ":1:1:", "the file is empty"),
     ("a list", GOOD, "- a\n- b\n", ":1:1:", "expected a map"),
@@ -76,6 +75,13 @@ MISTAKES = [
     ("a key twice", END, END + "product: again\n", ":12:1:", "`product` stands here a second time"),
     ("a stage twice", "sinks:", "  extractor: steger\nsinks:", ":11:3:", "stands here a second"),
     ("unknown key", END, END + "calibratoin: x.yaml\n", ":12:1:", "did you mean `calibration`?"),
+    (
+        "unknown key in a list of maps in a map",
+        "sinks:",
+        "  grader: {use: grade-table, options: {classes: [{lable: A}]}}\nsinks:",
+        ":11:51:",
+        "did you mean `label`?",
+    ),
     ("unknown key in source", "path:", "paht:", ":4:3:", "did you mean `path`?"),
     ("missing key", "product: dome\n", "", ":1:1:", "product: this is missing"),
     ("misspelt plugin", "dominant-peak", "dominant-paek", ":7:5:", "did you mean `dominant-peak`?"),
@@ -92,100 +98,6 @@ MISTAKES = [
     ("stages left out", GOOD, "roemetry: 1\nproduct: x\nsource: {path: y}\n", ":1:1:", "stages: this is"),
 ]  # fmt: skip
 """What is done to the recipe, and where which words of the fault stand."""
-=======
-    ("empty file", "", ":1:1:", "the file is empty"),
-    ("only a comment", "# nothing\n", ":1:1:", "the file is empty"),
-    ("a list", "- a\n- b\n", ":1:1:", "expected a map"),
-    ("a bracket left open", "roemetry: [1\nproduct: x\n", ":1:11:", "write `]`"),
-    ("a bracket left open at the end", GOOD.replace("[csv]", "[csv"), ":11:8:", "write `]`"),
-    ("a quote left open", GOOD.replace("images", '"images'), ":4:9:", "this quote is not closed"),
-    ("no colon", GOOD.replace("product:", "product"), ":2:1:", "write `key: value`"),
-    ("no space after the colon", GOOD.replace("product: ", "product:"), ":2:1:", "write `key: value`"),
-    ("a colon in a value", GOOD.replace("dome", "dome: small"), ":2:14:", "a second `: ` in this line"),
-    ("one space too many", GOOD.replace("  coder", "   coder"), ":10:4:", "after 3 spaces"),
-    ("one space too few", GOOD.replace("  coder", " coder"), ":10:2:", "after 0 or 2"),
-    (
-        "options outside their stage",
-        GOOD.replace("    options:\n      threshold", "    threshold"),
-        ":8:5:",
-        "options of a stage stand below `options:`",
-    ),
-    (
-        "options below the short form",
-        GOOD.replace("coder: window-tracking", "coder: window-tracking\n    smallest_area_px: 5"),
-        ":11:21:",
-        "the line above has a value already",
-    ),
-    ("a merge left unfinished", GOOD.replace("sinks", "<<<<<<< mine\nsinks"), ":11:1:", "keep one side"),
-    ("a Windows path in quotes", GOOD.replace("images", '"C:\\users"'), ":4:12:", "use ' quotes, or /"),
-    ("an asterisk", GOOD.replace("images", "*.png"), ":4:9:", "in quotes"),
-    ("a word that begins with @", GOOD.replace("dome", "@dome"), ":2:10:", "in quotes"),
-    ("a wrong unit", GOOD.replace("threshold: 60", "threshold: 60 grey"), ":9:7:", "a number alone"),
-    ("a decimal comma", GOOD.replace("threshold: 60", "threshold: 0,5"), ":9:7:", "after a point"),
-    ("a decimal comma in a map", _inline("{threshold: 0,5}"), ":8:28:", "write decimals with a point"),
-    ("a list for options", _inline("[threshold, 60]"), ":8:5:", "found a list, expected a map"),
-    (
-        "a table without a line",
-        GOOD.replace("sinks", "  grader: {use: grade-table, options: {classes: []}}\nsinks"),
-        ":11:40:",
-        "expected 1 or more, found an empty list",
-    ),
-    ("a fraction of a draw", GOOD + "draws: 2.5\n", ":12:1:", "expected a whole number, found 2.5"),
-    ("a word for a list", GOOD.replace("[csv]", "csv"), ":11:1:", "expected a list: `[one, two]`"),
-    ("grey in American", GOOD.replace("images", "images\n  channel: gray"), ":5:3:", "did you mean `grey`?"),
-    (
-        "a plugin of another kind",
-        GOOD.replace("window-tracking", "dominant-peak"),
-        ":10:3:",
-        "belongs under `extractor`",
-    ),
-    ("two documents", GOOD + "---\nproduct: x\n", ":12:1:", "a second document"),
-    ("a tab", GOOD.replace("  path", "\tpath"), ":4:1:", "tab"),
-    ("a key twice", GOOD + "product: again\n", ":12:1:", "`product` stands here a second time"),
-    (
-        "a stage twice",
-        GOOD.replace("sinks:", "  extractor: dominant-peak\nsinks:"),
-        ":11:3:",
-        "`extractor` stands here a second time",
-    ),
-    ("unknown key", GOOD + "calibratoin: x.yaml\n", ":12:1:", "did you mean `calibration`?"),
-    (
-        "unknown key in a list of maps in a map",
-        GOOD.replace("sinks:", "  grader: {use: grade-table, options: {classes: [{lable: A}]}}\nsinks:"),
-        ":11:51:",
-        "did you mean `label`?",
-    ),
-    ("unknown key in source", GOOD.replace("path:", "paht:"), ":4:3:", "did you mean `path`?"),
-    ("missing key", GOOD.replace("product: dome\n", ""), ":1:1:", "product: this is missing"),
-    (
-        "misspelt plugin",
-        GOOD.replace("dominant-peak", "dominant-paek"),
-        ":7:5:",
-        "did you mean `dominant-peak`?",
-    ),
-    ("misspelt short form", GOOD.replace("window-tracking", "window-traking"), ":10:3:", "window-tracking"),
-    ("unknown option", GOOD.replace("threshold: 60", "treshold: 60"), ":9:7:", "did you mean `threshold`?"),
-    (
-        "neither a number nor the word",
-        GOOD.replace("threshold: 60", "threshold: autp"),
-        ":9:7:",
-        "or 'auto', found 'autp'; did you mean `auto`?",
-    ),
-    ("out of bounds", GOOD.replace("threshold: 60", "threshold: -4"), ":9:7:", "found -4"),
-    ("a word for a number", GOOD.replace("threshold: 60", "threshold: high"), ":9:7:", "found 'high'"),
-    ("a list for a map", GOOD.replace("  path: images", "  - images"), ":3:1:", "found a list"),
-    ("wrong version", GOOD.replace("roemetry: 1", "roemetry: 7"), ":1:1:", "found 7"),
-    ("wrong turn", GOOD.replace("path: images", "path: images\n  turn_deg: 45"), ":5:3:", "found 45"),
-    (
-        "a stage without its input",
-        GOOD.replace("sinks:", "  volume: zero-order-hold\nsinks:"),
-        ":11:3:",
-        "it works on the result of the triangulator",
-    ),
-    ("a calibration that is not there", GOOD + "calibration: no.yaml\n", ":12:1:", "cannot be read"),
-    ("stages left out", "roemetry: 1\nproduct: x\nsource: {path: y}\n", ":1:1:", "stages: this is missing"),
-]
->>>>>>> in-tool
 
 
 @pytest.mark.parametrize(
