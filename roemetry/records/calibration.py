@@ -167,16 +167,17 @@ class Calibration(Shown):
             **({} if self.reference == ON_BELT else {"reference": self.reference}),
         }
 
-    def save(self, path: Path) -> None:
+    def save(self, path: Path | str) -> None:
         """Write the calibration as a YAML file that people can read."""
-        write_whole(path, _HEADER + dump(self.to_dict()))
+        write_whole(Path(path), _HEADER + dump(self.to_dict()))
 
     @classmethod
-    def load(cls, path: Path) -> Calibration:
+    def load(cls, path: Path | str) -> Calibration:
         """Read a calibration file.
 
         CalibrationError where there is none, or it is none, or numbers in it are missing or not numbers.
         """
+        path = Path(path)
         data = read_numbers(path)
         if not isinstance(data, dict) or "roemetry_calibration" not in data:
             raise CalibrationError(
