@@ -49,6 +49,14 @@ def test_the_interval_of_a_mean_is_students(rng: np.random.Generator) -> None:
     assert (low, high) == pytest.approx((drawn.mean() - half, drawn.mean() + half), abs=0.03)
 
 
+def test_an_interval_of_few_products_is_as_wide_as_students() -> None:
+    """Means drawn from twelve values scatter too little by √(11/12), and by what t is wider than normal."""
+    twelve = np.arange(12.0)
+    drawn = [Bootstrap([*"abcdefghijkl"], seed).interval(twelve[:, None], mean_of) for seed in range(20)]
+    half = t.ppf(0.975, 11) * twelve.std(ddof=1) / math.sqrt(12.0)
+    assert 0.5 * np.diff(drawn, axis=1).mean() == pytest.approx(half, rel=0.02)
+
+
 def test_intervals_hold_the_truth_as_often_as_they_say(rng: np.random.Generator) -> None:
     """With few specimens too, each measured three times over with nearly the same result."""
     held = 0
