@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from roemetry.calibrating import calibrate
+    from roemetry.config.resolve import make_stage
     from roemetry.config.rig import Rig
     from roemetry.errors import RoemetryError
     from roemetry.records import Measurement
     from roemetry.records.calibration import Calibration
     from roemetry.records.convert import to_pandas, to_point_cloud, to_xarray
+    from roemetry.records.from_points import product_from_points
     from roemetry.run.api import Recipe
     from roemetry.run.batch import run_recipe
     from roemetry.run.pipeline import Pipeline
@@ -27,6 +29,8 @@ __all__ = [
     "Rig",
     "RoemetryError",
     "calibrate",
+    "make_stage",
+    "product_from_points",
     "run_recipe",
     "to_pandas",
     "to_point_cloud",
@@ -41,6 +45,8 @@ _HOMES = {
     "Rig": "config.rig",
     "RoemetryError": "errors",
     "calibrate": "calibrating",
+    "make_stage": "config.resolve",
+    "product_from_points": "records.from_points",
     "run_recipe": "run.batch",
     "to_pandas": "records.convert",
     "to_point_cloud": "records.convert",
@@ -55,4 +61,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    # the names to use, and those that Python asks for; not what this file imports for itself
+    return sorted([*__all__, *(name for name in globals() if name.startswith("__"))])

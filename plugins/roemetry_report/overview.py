@@ -57,6 +57,7 @@ class Overview:
     total: int
     statuses: Mapping[str, int]
     grades: Mapping[str, int]
+    decisions: Mapping[str, int]
     rows: tuple[Measurement, ...]
     common: tuple[Reason, ...]
     shown: tuple[Shown, ...]
@@ -67,6 +68,7 @@ def overview(run: Run, products_max: int, worst_max: int) -> Overview:
     """Look through the record; show the first `products_max` rows, and so many of the worst others."""
     statuses: Counter[str] = Counter()
     grades: Counter[str] = Counter()
+    decisions: Counter[str] = Counter()
     rows: list[Measurement] = []
     first: dict[str, None] = {}
     suspects: list[tuple[float, int, str]] = []
@@ -76,6 +78,8 @@ def overview(run: Run, products_max: int, worst_max: int) -> Overview:
         statuses[row.status] += 1
         if row.grade is not None:
             grades[row.grade.label] += 1
+        if row.decision is not None:
+            decisions[row.decision.label] += 1
         if index < ROWS_MAX:
             rows.append(row)
         if index < products_max:
@@ -93,6 +97,7 @@ def overview(run: Run, products_max: int, worst_max: int) -> Overview:
         total=total,
         statuses=statuses,
         grades=grades,
+        decisions=decisions,
         rows=tuple(rows),
         common=common if common and statuses["measured"] > 1 else (),
         shown=_with_rows(run, list(first), worst),
@@ -167,6 +172,8 @@ def row_of(measurement: Measurement, common: Collection[Reason] = ()) -> dict[st
     coding, volume = measurement.coding, measurement.volume
     shares, shares_of = _shares(measurement)
     reasons = [reason for reason in _by_weight(measurement) if reason not in common]
+    full = _FULL_REASONS if measurement.status == "failed" else 1
+    rest = [r for r in reasons[full:] if r.code not in {one.code for one in reasons[:full]}]
     known = shares is not None and math.isfinite(shares.seen + shares.interpolated + shares.assumed)
     return {
         "id": measurement.id,
@@ -196,8 +203,8 @@ def row_of(measurement: Measurement, common: Collection[Reason] = ()) -> dict[st
         "stripes_sort": None if coding is None else coding.stripes_seen,
         "ambiguous": "–" if coding is None else str(coding.ambiguous),
         "ambiguous_sort": None if coding is None else coding.ambiguous,
-        "main": tuple(reasons[:1] if measurement.status != "failed" else reasons[:_FULL_REASONS]),
-        "further": tuple(reasons[1 if measurement.status != "failed" else _FULL_REASONS :]),
+        "main": tuple(reasons[:full]),
+        "further": tuple({reason.code: reason for reason in rest}.values()),
     }
 
 
@@ -226,12 +233,17 @@ def grade_pill(label: str) -> Pill:
     return Pill(label, "✓", "good") if label.lower() in _GOOD else Pill(label, "!", "warn")
 
 
+def lane_pill(label: str) -> Pill:
+    """Give the sign and tone of a class of the buyer's, or of what was left undecided."""
+    return Pill(label, "?", "warn") if label == "undecided" else Pill(label, "▸", "plain")
+
+
 def decision_pill(decision: Decision) -> Pill:
     """Give the sign and tone of a decision: a class is a class; one that is left open is to look at."""
     if decision.label == "undecided":
         possible = " or ".join(decision.possible) or "fits no class"
         return Pill(f"undecided: {possible}", "?", "warn")
-    return Pill(decision.label, "▸", "plain")
+    return lane_pill(decision.label)
 
 
 _GOOD = frozenset({"good", "ok", "pass", "accept", "accepted", "normal"})

@@ -2,6 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roemetry.records.arrays import Floats
+
 
 def stripe_colour(stripe: int) -> str:
     """Colour of a stripe on a dark picture; neighbours and next-but-one neighbours differ for all eyes."""
@@ -15,11 +22,15 @@ def stripe_colour_on_paper(stripe: int) -> str:
 
 def height_colour(share: float) -> str:
     """Colour of a height from 0 to the largest: dark to light, for all eyes and in print."""
-    place = min(max(share, 0.0), 1.0) * (len(HEIGHTS) - 1)
-    below = min(int(place), len(HEIGHTS) - 2)
-    part = place - below
-    ends = [[int(code[i : i + 2], 16) for i in (1, 3, 5)] for code in HEIGHTS[below : below + 2]]
-    return "#" + "".join(f"{round(a + part * (b - a)):02x}" for a, b in zip(*ends, strict=True))
+    return "#" + "".join(f"{level:02x}" for level in mixed(HEIGHTS, np.array(share)).tolist())
+
+
+def mixed(colours: Sequence[str], shares: Floats) -> NDArray[np.uint8]:
+    """Give red, green and blue (…, 3) at shares (…) of the way from the first colour to the last."""
+    known = np.array([[int(code[i : i + 2], 16) for i in (1, 3, 5)] for code in colours], np.float64)
+    place = np.clip(shares, 0.0, 1.0) * (len(colours) - 1)
+    levels = [np.interp(place, np.arange(len(colours)), known[:, k]) for k in range(3)]
+    return np.rint(np.stack(levels, axis=-1)).astype(np.uint8)
 
 
 HEIGHTS = ("#26456e", "#3f6b8c", "#5f8f98", "#8eb08f", "#c6c97c", "#f3dc78")

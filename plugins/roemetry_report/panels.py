@@ -1,8 +1,9 @@
-"""The panels of one acquisition: the image, peaks, coded curves over it and alone, arcs and their centres."""
+"""The panels of one acquisition: image, peaks, labelled curves over it and alone, arcs and their centres."""
 
 from __future__ import annotations
 
 import base64
+import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -50,9 +51,7 @@ def panels(trace: Trace, key: str) -> tuple[Panel, ...]:
 
 
 def _original(base: BaseImage, key: str) -> Panel:
-    image = Markup(
-        '<image id="{}-image" href="{}" x="-.5" y="-.5" width="{}" height="{}" preserveAspectRatio="none"/>'
-    ).format(key, base.uri, base.columns, base.rows)
+    image = svg.image(base.uri, (-0.5, -0.5, float(base.columns), float(base.rows)), f"{key}-image")
     label = f"Camera image, {base.columns} by {base.rows} pixels"
     return Panel("a", "Original image", _screen(base, [image], label), base.notes)
 
@@ -74,7 +73,7 @@ def _dominant(base: BaseImage, peaks: Peaks, key: str) -> Panel:
 def _superimposed(base: BaseImage, trace: Trace, key: str) -> Panel:
     over = "peaks" if trace.stripes is None else "curves"
     body = Markup('<use href="#{0}-image"/><g class="over"><use href="#{0}-{1}"/></g>').format(key, over)
-    title = "Coded peaks on the image" if trace.stripes is not None else "Peaks on the image"
+    title = "Labelled peaks on the image" if trace.stripes is not None else "Peaks on the image"
     return Panel("c", title, _screen(base, [body], title))
 
 
@@ -97,11 +96,11 @@ def _connected(
     ]
     label = (
         f"Curves of {stripes.stripe_count} stripes after connection; {int(ambiguous.sum())} ambiguous and "
-        f"{int(uncoded.sum())} uncoded peaks"
+        f"{int(uncoded.sum())} unlabelled peaks"
     )
     notes = _thinned(row_step(stripes))
     if max(ambiguous.sum(), uncoded.sum()) > _MARKS_MAX:
-        notes = (*notes, "not every ambiguous or uncoded peak is drawn: they are too many")
+        notes = (*notes, "there are too many ambiguous or unlabelled peaks to draw all")
     return Panel("d", "Curves after connection", _screen(base, body, label), notes)
 
 
@@ -192,10 +191,8 @@ def base_image(trace: Trace) -> BaseImage | None:
     notes = []
     if frame.turn_deg:
         notes.append(f"turned by {frame.turn_deg}° (counter-clockwise) from how it was taken")
-    pixels, white = _as_taken(trace, frame)
-    shown, gain = _eight_bit(pixels, white)
-    if gain > 1:
-        notes.append(f"brightened {gain:.1f} × for display")
+    shown, lifted = displayed(*as_taken(trace, frame))
+    notes += lifted
     coded, scaled_to = _jpeg(shown)
     if scaled_to is not None:
         notes.append(f"scaled to {scaled_to[1]} × {scaled_to[0]} px for display")
@@ -204,7 +201,7 @@ def base_image(trace: Trace) -> BaseImage | None:
     return BaseImage(rows, columns, uri, tuple(notes))
 
 
-def _as_taken(trace: Trace, frame: Frame) -> tuple[NDArray[Any], int]:
+def as_taken(trace: Trace, frame: Frame) -> tuple[NDArray[Any], int]:
     """Give the colour image, turned like the frame, where there is one; else the frame itself."""
     taken = None if trace.acquisition is None else trace.acquisition.frame("laser")
     if taken is not None and taken.pixels.ndim == 3:
@@ -214,14 +211,48 @@ def _as_taken(trace: Trace, frame: Frame) -> tuple[NDArray[Any], int]:
     return frame.pixels, frame.white
 
 
-def _eight_bit(pixels: NDArray[Any], white: int) -> tuple[NDArray[np.uint8], float]:
-    """Scale the sensor's range to 0…255; a picture too dark to see is brightened."""
-    top = float(np.percentile(pixels[::2, ::2], 99.9))
-    gain = min(8.0, 0.8 * white / top) if 0 < top < 0.35 * white else 1.0
-    if gain == 1.0 and white == 255 and pixels.dtype == np.uint8:
-        return np.ascontiguousarray(pixels), 1.0
-    shown = np.clip(pixels * (gain * 255.0 / white), 0, 255)
-    return np.rint(shown).astype(np.uint8), gain
+def picture_of(trace: Trace) -> NDArray[np.uint8] | None:
+    """Give (row, column, 3) what the products look like: in plain light, or under the stripes."""
+    if trace.frame is None:
+        return None
+    pixels, white = as_taken(trace, trace.frame)
+    plain = None if trace.acquisition is None else trace.acquisition.frame("plain")
+    if plain is not None:
+        turned = np.rot90(plain.pixels, (trace.frame.turn_deg - plain.turn_deg) // 90 % 4)
+        if turned.shape[:2] == trace.frame.size:
+            pixels, white = turned, plain.white
+    shown, _ = displayed(pixels, white)
+    return shown if shown.ndim == 3 else np.repeat(shown[..., None], 3, axis=2)
+
+
+_BRIGHT, _DIM = 0.35, 0.12
+"""Shares of white. Brightest pixels below the first: all is brightened; median below the second: lifted."""
+_LIFTED_TO, _GAMMA_MIN = 0.2, 0.45
+"""What the middle pixel becomes, and the least exponent: beyond it sensor noise is all one sees."""
+
+
+def displayed(pixels: NDArray[Any], white: int) -> tuple[NDArray[np.uint8], list[str]]:
+    """Scale the sensor's range to 0…255 and lift what is too dark to see; say what was done."""
+    brightest = pixels if pixels.ndim == 2 else pixels.max(axis=2)
+    sample = brightest[::2, ::2] / white
+    top, notes = float(np.percentile(sample, 99.9)), []
+    gain = min(8.0, 0.8 / top) if 0 < top < _BRIGHT else 1.0
+    middle = gain * float(np.median(sample))
+    gamma = 1.0
+    if gain > 1.0:
+        notes.append(f"brightened {gain:.1f} × for display")
+    if middle < _DIM:
+        gamma = max(_GAMMA_MIN, math.log(_LIFTED_TO) / math.log(max(middle, 1e-3)))
+        notes.append(f"dark parts lifted for display (gamma {gamma:.2f})")
+    if gain == gamma == 1.0 and white == 255 and pixels.dtype == np.uint8:
+        return np.ascontiguousarray(pixels), notes
+    levels = np.rint(255.0 * np.clip(np.arange(white + 1) * (gain / white), 0.0, 1.0) ** gamma)
+    if pixels.ndim == 2:
+        return levels.astype(np.uint8)[np.minimum(pixels, white)], notes
+    # by the brightest colour of each pixel, so that hues stay
+    times = levels / np.maximum(np.arange(white + 1), 1)
+    shown = pixels * times[np.minimum(brightest, white)][..., None]
+    return np.rint(shown).clip(0, 255).astype(np.uint8), notes
 
 
 def _jpeg(pixels: NDArray[np.uint8]) -> tuple[bytes, tuple[int, int] | None]:

@@ -19,10 +19,22 @@ from roemetry.records import BELT, Frame, Grade, Measurement, ProductTrace, Stri
 from roemetry.records.units import MM3_PER_CM3
 from roemetry.stages import Run, Sink, StageOptions
 from roemetry_report.charts import SmallChart, displacement_charts, height_charts, slice_chart
-from roemetry_report.overview import CLASSES, ROWS_MAX, Shown, grade_pill, overview, row_of, trust
-from roemetry_report.panels import Panel, arc_panel, panels
-from roemetry_report.surface import relief_panels, solid
-from roemetry_report.words import breakable, clause, counted, feature, milliseconds, percent
+from roemetry_report.overview import (
+    CLASSES,
+    ROWS_MAX,
+    Overview,
+    Pill,
+    Shown,
+    grade_pill,
+    lane_pill,
+    overview,
+    row_of,
+    trust,
+)
+from roemetry_report.panels import Panel, arc_panel, panels, picture_of
+from roemetry_report.relief import relief_panels
+from roemetry_report.solid import solid
+from roemetry_report.words import breakable, clause, counted, feature, marked, milliseconds, percent
 
 
 class ReportOptions(StageOptions):
@@ -47,6 +59,11 @@ class Report(Sink[ReportOptions]):
     """
 
     Options = ReportOptions
+
+    @property
+    def replays_first(self) -> int:
+        """As many acquisitions as products: most show one."""
+        return self.options.products_max
 
     def write(self, run: Run) -> Sequence[Path]:
         """Write the page and give its path.
@@ -76,15 +93,19 @@ def page(run: Run, products_max: int, worst_max: int) -> str:
     )
     environment.filters["breakable"] = breakable
     environment.filters["clause"] = clause
+    environment.filters["marked"] = marked
     return environment.get_template("report.html.j2").render(
         title=run.title,
         overview=seen,
         rows=[row_of(row, seen.common) for row in seen.rows],
         rows_max=ROWS_MAX,
         decided=any(row.decision is not None for row in seen.rows),
+        graded=bool(seen.grades) or not seen.decisions,
         sections=sections,
         anchors=anchors,
-        grades=[(grade_pill(label), count) for label, count in sorted(seen.grades.items())],
+        verdicts=_verdicts(seen),
+        counts=_counts(seen),
+        drift=run.provenance.get("drift") or "",
         facts=_facts(run.provenance),
         date=when(run.provenance.get("finished") or run.provenance.get("started")),
         recipe=_recipe(run.provenance),
@@ -95,6 +116,24 @@ def page(run: Run, products_max: int, worst_max: int) -> str:
         counted=counted,
         trust_classes=CLASSES,
     )
+
+
+def _verdicts(seen: Overview) -> list[tuple[Pill, int]]:
+    """Give the decisions, or where nothing was decided the grades, each with its number, good ones first."""
+    labels = seen.decisions or seen.grades
+    pill = lane_pill if seen.decisions else grade_pill
+    order = {"good": 0, "plain": 1, "warn": 2, "quiet": 3}
+    found = [(pill(label), count) for label, count in labels.items()]
+    return sorted(found, key=lambda one: (order[one[0].tone], -one[1], one[0].words))
+
+
+def _counts(seen: Overview) -> str:
+    """Say how the run went, in one line."""
+    counts = seen.statuses
+    said = [f"{counts.get('measured', 0)} measured"]
+    said += [f"{counts['failed']} failed"] if counts.get("failed") else []
+    said += [f"{counts['empty']} empty (no product)"] if counts.get("empty") else []
+    return ", ".join(said) + ("; calibrated" if seen.calibrated else "; uncalibrated: results are in pixels")
 
 
 def _facts(provenance: Mapping[str, Any]) -> list[tuple[str, str, str]]:
@@ -141,7 +180,7 @@ def section(shown: Shown, replay: Callable[[str], Trace], key: str) -> dict[str,
     if trace is not None and not drawn:
         why = next(iter(trace.absent.values()), None)
         no_pictures = why.text if why is not None else "there is no laser image"
-    seconds = {} if trace is None else trace.seconds
+    seconds = {} if trace is None else {k: v for k, v in trace.seconds.items() if k != "uncertainty"}
     return {
         "key": key,
         "acquisition": shown.acquisition,
@@ -153,9 +192,12 @@ def section(shown: Shown, replay: Callable[[str], Trace], key: str) -> dict[str,
         "seconds": tuple((stage, milliseconds(value)) for stage, value in seconds.items()),
         "seconds_total": milliseconds(sum(seconds.values())) if seconds else "",
         "thumbnail": "" if trace is None or trace.frame is None else _thumbnail(trace.frame, trace.stripes),
+        "view_box": "" if trace is None or trace.frame is None else _whole(trace.frame),
         "has_curves": any(panel.letter == "d" for panel in drawn),
         "trust": None if trace is None or trace.stripes is None else trust(trace.stripes),
-        "solid": None if trace is None or trace.profiles is None else solid(trace.profiles),
+        "solid": None
+        if trace is None or trace.profiles is None
+        else solid(trace.profiles, trace.products, picture_of(trace)),
     }
 
 
@@ -230,10 +272,10 @@ def _coding(row: Measurement) -> tuple[tuple[str, str], ...]:
     return (
         ("stripes seen", f"{coding.stripes_seen} of {coding.stripes}"),
         ("peaks", str(coding.peaks)),
-        ("coded", _of(coding.coded, coding.peaks)),
+        ("labelled", _of(coding.coded, coding.peaks)),
         ("ambiguous", _of(coding.ambiguous, coding.peaks)),
-        ("uncoded (noise)", _of(coding.uncoded, coding.peaks)),
-        ("saturated", percent(coding.saturated_share) + (" of the coded" if coding.coded else "")),
+        ("unlabelled (noise)", _of(coding.uncoded, coding.peaks)),
+        ("saturated", percent(coding.saturated_share) + (" of the labelled" if coding.coded else "")),
     )
 
 
@@ -241,11 +283,16 @@ def _of(part: int, whole: int) -> str:
     return f"{part} ({percent(part / whole)})" if whole else str(part)
 
 
+def _whole(frame: Frame) -> str:
+    rows, columns = frame.size
+    return f"-.5 -.5 {columns} {rows}"
+
+
 def _thumbnail(frame: Frame, stripes: StripeMap | None) -> str:
     """View box of 4 : 3 about the products; of the whole image where there are none."""
-    rows, columns = frame.size
     if stripes is None or not (stripes.product > BELT).any():
-        return f"-.5 -.5 {columns} {rows}"
+        return _whole(frame)
+    rows, _ = frame.size
     stripe, row = np.nonzero(stripes.product > BELT)
     x = stripes.x_px[stripe, row]
     height = max(float(np.ptp(row)), 0.75 * float(np.ptp(x)), 0.1 * rows) * 1.15

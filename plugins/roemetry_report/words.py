@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from roemetry.html.plots import plain
 from roemetry.html.plots import share as share_of_100
@@ -58,13 +58,23 @@ def clause(text: str) -> str:
     if len(text) <= _LONG:
         return text
     end = next((m.start() for m in re.finditer(r"[;:.,]?\s", text) if m.group()[0] in ";:."), _LONG)
-    return text[: min(end, _LONG)].rstrip() + " …"
+    short = text[:end] if end <= _LONG else text[:_LONG].rsplit(" ", 1)[0]
+    return short.rstrip() + " …"
 
 
 def milliseconds(seconds: float) -> str:
     """Write a duration in ms with three significant digits or so."""
     ms = 1e3 * seconds
     return plain(ms, 2 if ms < 1 else 1 if ms < 100 else 0)
+
+
+def marked(text: str) -> Markup:
+    """Set what stands between back-ticks as code."""
+    parts = text.split("`")
+    if len(parts) % 2 == 0:
+        return Markup(escape(text))
+    coded = (Markup("<code>{}</code>" if k % 2 else "{}").format(part) for k, part in enumerate(parts))
+    return Markup("").join(coded)
 
 
 def counted(count: int, one: str, many: str | None = None) -> str:

@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from roemetry.errors import StageError
-from roemetry.records import Product, Reason, Shares, Volume
-from roemetry.records.arrays import Floats
+from roemetry.records import Product, Reason, Shares, Surface, Volume
+from roemetry.records.arrays import Flags, Floats
 from roemetry.records.view import View
 from roemetry.stages import Capabilities, VolumeEstimator
 from roemetry_volume.slice_estimators import (
@@ -22,7 +22,7 @@ from roemetry_volume.slice_estimators import (
 )
 from roemetry_volume.slice_table import Slices, slices_of
 from roemetry_volume.surface_fit import LONG_AXIS, Fused, fuse, plate_through, without_slice
-from roemetry_volume.underside import UndersideOptions, estimate_of, true_volume
+from roemetry_volume.underside import UndersideOptions, estimate_of, true_volume, underside_reasons
 
 _STEPS = 0.7  # of what single slices depart from the course of the others
 _STEPS_LEAST = 4
@@ -77,11 +77,12 @@ class OutlineSurface(VolumeEstimator[UndersideOptions]):
             slice_stripe=slices.stripe,
             slice_area_mm2=slices.area_mm2,
             slice_spacing_mm=slices.held_mm,
-            reasons=reasons_of(product, slices) + _reasons(fused),
+            reasons=reasons_of(product, slices) + _reasons(fused) + underside_reasons(self.options),
+            solution=fused.start,
         )
 
     def redraw(self, product: Product, found: Volume, *, rng: np.random.Generator | None = None) -> Volume:
-        """Estimate a drawn product by the budget that was found: to make it takes as long as the surface.
+        """Estimate a product that has moved a little, from the surface and by the budget that were found.
 
         Raises
         ------
@@ -93,7 +94,7 @@ class OutlineSurface(VolumeEstimator[UndersideOptions]):
         slices = slices_of(product)
         if outline_fault(product, slices) is not None:
             return self.estimate(product, rng=rng)
-        fused = fuse(product, product.view, product.outline.xy_px)
+        fused = fuse(product, product.view, product.outline.xy_px, found.solution)
         if outline_fault(product, slices, fused) is not None:
             return self.estimate(product, rng=rng)
         budget = dict(found.visible_mm3.budget)
@@ -101,10 +102,25 @@ class OutlineSurface(VolumeEstimator[UndersideOptions]):
         true = true_volume(self.options, visible, float(fused.weight_mm2.sum()), rng)
         return replace(found, visible_mm3=visible, true_mm3=true)
 
+    def surface(self, product: Product) -> Surface:
+        """Give the plate over the footprint, or the slices and their caps where no outline was used."""
+        slices = slices_of(product)
+        if (
+            outline_fault(product, slices) is None
+            and product.outline is not None
+            and product.view is not None
+        ):
+            fused = fuse(product, product.view, product.outline.xy_px)
+            if outline_fault(product, slices, fused) is None:
+                return _drawn(fused, slices, product)
+        return self._slices().surface(product)
+
     def _by_slices(self, product: Product, why: Reason | None, rng: np.random.Generator | None) -> Volume:
-        options = SliceOptions(**self.options.model_dump())
-        volume = SlicePchip(options).estimate(product, rng=rng)
+        volume = self._slices().estimate(product, rng=rng)
         return volume if why is None else replace(volume, reasons=(why, *volume.reasons))
+
+    def _slices(self) -> SlicePchip:
+        return SlicePchip(SliceOptions(**self.options.model_dump()))
 
 
 def _positive(volume_mm3: float) -> float:
@@ -150,8 +166,55 @@ def _steps_std(slices: Slices, volume_mm3: float) -> float:
     return _STEPS * max(uneven - _SMOOTH * volume_mm3, 0.0)
 
 
+_DRAWN = 61, 27
+"""Stations along a drawn surface, points across each: at most 2 mm apart on a skein."""
+_NEAR_RIM_MM = 2.0
+"""A dome meets its rim upright, where the square root of what the plate is off by shows as a zigzag."""
+
+
+def _drawn(fused: Fused, slices: Slices, product: Product) -> Surface:
+    """Lay a grid over the footprint, closer towards its border, where the surface is steepest."""
+    from roemetry_volume.footprint import inside_by
+
+    along, across = (np.sin(np.linspace(-0.5 * math.pi, 0.5 * math.pi, count)) for count in _DRAWN)
+    low, high = fused.contour[:, 0].min(), fused.contour[:, 0].max()
+    s = 0.5 * (low + high) + 0.4999 * (high - low) * along
+    v = np.empty(_DRAWN)
+    for station, at in enumerate(s.tolist()):
+        left, right = _crossings(fused.contour, at)
+        v[station] = 0.5 * (left + right) + 0.5 * (right - left) * across
+    places = np.column_stack([np.repeat(s, _DRAWN[1]), v.ravel()])
+    grid = replace(fused, s=places[:, 0], v=places[:, 1])
+    heights, rim = grid.heights().reshape(_DRAWN), fused.rim.at(grid.s, grid.v).reshape(_DRAWN)
+    for border in (0, -1):
+        near = np.abs(heights[:, border] - rim[:, border]) < _NEAR_RIM_MM
+        heights[near, border] = rim[near, border]
+    xyz = np.column_stack([_belt_xy(grid), np.maximum(heights.ravel(), 0.0)])
+    xyz[inside_by(fused.contour, places) < -_STEP_MM] = math.nan
+    return Surface(xyz.reshape(*_DRAWN, 3), _beyond(grid, slices, product).reshape(_DRAWN))
+
+
+def _crossings(contour: Floats, s: float) -> tuple[float, float]:
+    """Give the outermost places where a line across the product meets its border."""
+    ahead = np.roll(contour, -1, axis=0)
+    cut = (contour[:, 0] <= s) != (ahead[:, 0] <= s)
+    one, other = contour[cut], ahead[cut]
+    v = one[:, 1] + (s - one[:, 0]) / (other[:, 0] - one[:, 0]) * (other[:, 1] - one[:, 1])
+    return float(v.min()), float(v.max())
+
+
 def _shares(fused: Fused, slices: Slices, product: Product) -> Shares:
     """What lies beyond the outer slices is assumed; between them it is as seen as the slices are."""
+    part = fused.weight_mm2 * np.abs(fused.heights())
+    assumed = float(part[_beyond(fused, slices, product)].sum() / part.sum())
+    between = slices.seen_mm3 + slices.joined_mm3 + slices.assumed_mm3
+    seen = (1.0 - assumed) * slices.seen_mm3 / between
+    joined = (1.0 - assumed) * slices.joined_mm3 / between
+    return Shares(seen, joined, max(1.0 - seen - joined, 0.0) if not math.isnan(seen) else math.nan)
+
+
+def _beyond(fused: Fused, slices: Slices, product: Product) -> Flags:
+    """Say which nodes lie beyond the outer slices."""
     planes = product.profiles.plane
     slope = -planes[:, 2] / planes[:, 0]
     t = slices.table[:, 0]
@@ -164,12 +227,7 @@ def _shares(fused: Fused, slices: Slices, product: Product) -> Shares:
         plane = planes[lit[end]]
         at = xy[:, 0] + plane[1] / plane[0] * (xy[:, 1] - y0) - slope[lit[end]] * heights
         beyond |= sign * (at - t[-end]) > 0.0
-    part = fused.weight_mm2 * np.abs(heights)
-    assumed = float(part[beyond].sum() / part.sum())
-    between = slices.seen_mm3 + slices.joined_mm3 + slices.assumed_mm3
-    seen = (1.0 - assumed) * slices.seen_mm3 / between
-    joined = (1.0 - assumed) * slices.joined_mm3 / between
-    return Shares(seen, joined, max(1.0 - seen - joined, 0.0) if not math.isnan(seen) else math.nan)
+    return beyond
 
 
 def _belt_xy(fused: Fused) -> np.ndarray:

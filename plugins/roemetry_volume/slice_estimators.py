@@ -10,14 +10,15 @@ import numpy as np
 from pydantic import Field
 
 from roemetry.errors import StageError
-from roemetry.records import Estimate, Product, Reason, Shares, Volume
+from roemetry.records import Estimate, Product, Profiles, Reason, Shares, Surface, Volume
 from roemetry.records.arrays import Flags, Floats, Labels
 from roemetry.stages import Capabilities, VolumeEstimator
 from roemetry_kernels.compiling import kernel
+from roemetry_kernels.image_levels import median_of
 from roemetry_volume import slice_rules as rules
 from roemetry_volume.slice_rules import Cap, Ends, cap_of
 from roemetry_volume.slice_table import FILLED, HOLE, LOW, Slices, slices_of
-from roemetry_volume.underside import UndersideOptions, estimate_of, true_volume
+from roemetry_volume.underside import UndersideOptions, estimate_of, true_volume, underside_reasons
 
 # chosen so that 95 % intervals hold the truth as often as they say: docs/reference/plugins/slice-pchip.md
 _BETWEEN = 0.38  # of what leaving a slice out changes: with it, the gap is half as wide
@@ -108,8 +109,14 @@ class _SliceEstimator(VolumeEstimator[SliceOptions]):
             slice_stripe=slices.stripe,
             slice_area_mm2=slices.area_mm2,
             slice_spacing_mm=slices.held_mm,
-            reasons=reasons_of(product, slices, [one.kind for one in caps]),
+            reasons=reasons_of(product, slices, [one.kind for one in caps]) + underside_reasons(self.options),
         )
+
+    def surface(self, product: Product) -> Surface:
+        """Give the slices, joined straight, and the caps that stand for what lies beyond them."""
+        slices = slices_of(product)
+        caps = [cap_of(product, slices, end, self.options.ends) for end in (0, 1)]
+        return _drawn(product, slices, caps)
 
     def _true(
         self,
@@ -177,6 +184,53 @@ def gaps_std(slices: Slices) -> float:
     if slices.most_filled_mm2 == 0.0 and slices.most_hole_mm == 0.0:
         return 0.0
     return float((_OVER_GAP * slices.filled_mm2 + _IN_HOLE * slices.open_mm2) @ slices.held_mm)
+
+
+_ACROSS, _BEYOND = 27, 9
+"""Of a drawn surface: points along each slice, and stations in a cap."""
+
+
+def _drawn(product: Product, slices: Slices, caps: list[Cap]) -> Surface:
+    """Resample each slice evenly along itself, and close both ends by caps of their volume and length.
+
+    A cap's cross-sections are the outer slice's, scaled so that its area A falls to A (1 − u)ᵖ at the share u
+    of its length L: V = A L / (p + 1).
+    """
+    profiles = slices.profiles
+    lit = [_evenly(profiles, int(place), product.number) for place in slices.place]
+    stations, assumed = [lit[0]], [False]
+    for k in range(1, len(lit)):
+        dark = abs(int(slices.stripe[k] - slices.stripe[k - 1])) - 1
+        for j in range(1, dark + 1):
+            stations.append(lit[k - 1] + j / (dark + 1) * (lit[k] - lit[k - 1]))
+            assumed.append(True)
+        stations.append(lit[k])
+        assumed.append(False)
+    for end, cap in enumerate(caps):
+        if not (cap.length_mm > 0.0 and cap.volume_mm3 > 0.0):
+            continue
+        outer, at = lit[-end], float(slices.t_mm[-end])
+        power = max(float(slices.area_mm2[-end]) * cap.length_mm / cap.volume_mm3 - 1.0, 0.0)
+        middle = np.array([at, 0.5 * (outer[0, 1] + outer[-1, 1]), 0.0])
+        beyond = []
+        for u in np.sin(np.linspace(0.0, 0.5 * math.pi, _BEYOND + 1)[1:]).tolist():
+            moved = middle + (outer - middle) * (1.0 - u) ** (0.5 * power)
+            moved[:, 0] += (1.0 if end else -1.0) * u * cap.length_mm
+            beyond.append(moved)
+        stations = stations + beyond if end else beyond[::-1] + stations
+        assumed = assumed + [True] * _BEYOND if end else [True] * _BEYOND + assumed
+    return Surface(np.array(stations), np.repeat(np.array(assumed)[:, None], _ACROSS, axis=1))
+
+
+def _evenly(profiles: Profiles, place: int, number: int) -> Floats:
+    """Give points (27, 3) at even distances along a slice."""
+    xyz = profiles.xyz_mm[place]
+    on = np.flatnonzero((profiles.product[place] == number) & np.isfinite(xyz).all(axis=1))
+    on = on[np.argsort(profiles.row_px[place, on])]
+    steps = np.hypot(*np.diff(xyz[on, 1:], axis=0).T)
+    along = np.concatenate([[0.0], np.cumsum(steps)])
+    at = np.linspace(0.0, along[-1], _ACROSS)
+    return np.column_stack([np.interp(at, along, xyz[on, k]) for k in range(3)])
 
 
 def _shares(slices: Slices, caps: list[Cap]) -> Shares:
@@ -324,5 +378,5 @@ def _common_std_mm(
                 count += 1
     if count < _POINTS_MIN:
         return 0.0
-    noise = 1.4826 * np.median(second[:count])
-    return math.sqrt(_SHARED * max(np.median(stated[:count]) ** 2 - noise * noise / 6.0, 0.0))
+    noise, usual = 1.4826 * median_of(second[:count]), median_of(stated[:count])
+    return math.sqrt(_SHARED * max(usual * usual - noise * noise / 6.0, 0.0))

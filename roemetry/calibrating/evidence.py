@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from markupsafe import Markup
 
+from roemetry.calibrating.target_pictures import boards_in_space, target_pictures
 from roemetry.html.plots import Axis, box, dot, line, number, picture, plain, text
 from roemetry.records import BELT, NOTHING, Evidence, Residuals, StripeMap
 from roemetry.records.arrays import Floats, Integers
@@ -57,6 +58,8 @@ def evidence_page(
                 for one in evidence.residuals
                 if len(one.error)
             ],
+            pictures=target_pictures(evidence.views),
+            space=boards_in_space(evidence.views, calibration),
             coverage=_coverages(evidence, calibration.image_size),
             heights=[(row, height_map(heights, n)) for n, row in enumerate(heights.row_px)],
             height_words=_height_words(heights),

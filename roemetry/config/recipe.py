@@ -25,15 +25,15 @@ from roemetry.config.recipe_file import (
     StageChoice,
     Uncertainty,
 )
-from roemetry.config.resolve import ResolvedStage, StageResolver
+from roemetry.config.resolve import ResolvedStage, StageResolver, choice_of
 from roemetry.config.validation import checked
-from roemetry.errors import ConfigurationError, RoemetryError
+from roemetry.errors import ConfigurationError, DataError, RoemetryError
 from roemetry.io.yaml_source import Document, Step, read
-from roemetry.records import Sensor
+from roemetry.records import AcquisitionReference, Sensor
 from roemetry.records.calibration import ON_BELT, Calibration
 from roemetry.records.display import table
 from roemetry.records.penetration import Penetration
-from roemetry.stages import Triangulator
+from roemetry.stages import Stage, Triangulator
 from roemetry.stages.registry import Registry, discover
 
 
@@ -58,6 +58,8 @@ class Recipe:
     source: ResolvedStage
     """source_choice, source: where images come from and how they are made ready; the source stage."""
     source_path: Path
+    source_place: str
+    """Where the recipe names its images, ``file:line:column``."""
     calibration_path: Path | None
     calibration: Calibration | None
     """calibration_path, calibration: none where the recipe has none: results are then in pixels."""
@@ -115,10 +117,18 @@ class Recipe:
     ) -> Self:
         """Check a recipe in memory: what a file says, as plain dictionaries, lists, words and numbers.
 
-        Relative paths in it begin at `folder`; ConfigurationError names every fault with its keys.
+        Stages may be objects as well (see `roemetry.make_stage`). Relative paths in it begin at `folder`;
+        ConfigurationError names every fault with its keys.
         """
+        known = registry or discover()
+        if isinstance(stages := data.get("stages"), Mapping):
+            chosen = {
+                kind: choice_of(kind, one, known) if isinstance(one, Stage) else one
+                for kind, one in stages.items()
+            }
+            data = {**data, "stages": chosen}
         document = Overridden(Document("the recipe", data), ())
-        return cls(**_resolved(Path(folder) / "recipe.yaml", document, registry or discover()))
+        return cls(**_resolved(Path(folder) / "recipe.yaml", document, known))
 
     @classmethod
     def drafted(
@@ -150,6 +160,13 @@ class Recipe:
             "draws": self.draws,
             "sinks": [sink.described() for sink in self.sinks],
         }
+
+    def references(self) -> Sequence[AcquisitionReference]:
+        """Give what the source has; DataError, with the place in the recipe, where that is nothing."""
+        try:
+            return self.source.make().references(self.source_path)
+        except DataError as error:
+            raise DataError(f"{self.source_place}: {error.message}", hint=error.hint) from error
 
     @property
     def sensor(self) -> Sensor | None:
@@ -231,6 +248,7 @@ def _resolved(
         "source_choice": file.source,
         "source": source,
         "source_path": path.parent / file.source.path,
+        "source_place": document.place(("source", "path")),
         "calibration_path": calibration_path,
         "calibration": calibration,
         "penetration": penetration,

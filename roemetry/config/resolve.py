@@ -90,6 +90,58 @@ class StageResolver:
         self.faults.append(f"{self._place(at)}: {'.'.join(map(str, at))}: {sentence}")
 
 
+def make_stage(kind: str, use: str, *, registry: Registry | None = None, **options: Any) -> Any:
+    """Make one stage by name, without a recipe.
+
+    Parameters
+    ----------
+    kind, use
+        What a recipe says: ``volume``, ``slice-pchip``; ``roemetry plugins`` lists them.
+    registry
+        Stages to choose from; default: all that are installed.
+    options
+        Of the stage, by name; those left out have their defaults.
+
+    Returns
+    -------
+    Stage
+        With the method of its kind: ``extract``, ``code``, ``triangulate``, ``estimate``, ``weigh``, ….
+
+    Raises
+    ------
+    ConfigurationError
+        No such stage, or options that it does not have or that are out of range.
+    """
+    from roemetry.errors import ConfigurationError
+    from roemetry.stages.registry import discover
+
+    resolver = StageResolver(registry or discover(), lambda at: "make_stage", Path())
+    chosen = resolver.choose(kind, _Given(use, options), kind)
+    if chosen is None:
+        raise ConfigurationError("\n".join(resolver.faults))
+    return chosen.make()
+
+
+def choice_of(kind: str, stage: Stage[Any], registry: Registry) -> dict[str, Any]:
+    """Give what a recipe would say of a stage that was made; ConfigurationError where it is not installed."""
+    from roemetry.errors import ConfigurationError
+
+    target = f"{type(stage).__module__}:{type(stage).__qualname__}"
+    found = next((one for one in registry.of_kind(kind) if one.entry.target == target), None)
+    if found is None:
+        raise ConfigurationError(
+            f"{kind}: {type(stage).__name__} is no {kind} of an installed plugin",
+            hint="`Pipeline(recipe, stages={...})` takes any object with the method of its kind",
+        )
+    return {"use": found.entry.name, "options": stage.options.model_dump()}
+
+
+@dataclass
+class _Given:
+    use: str
+    options: dict[str, Any]
+
+
 def misfit_of(stage: type[Any], kind: str) -> str | None:
     """Say why a class cannot be a stage of a kind, and what its author has to do; None if it can."""
     interface = INTERFACES[kind]

@@ -73,6 +73,14 @@ def box(
     return _element("rect", kind, f'x="{number(x)}" y="{number(y)}" {size}', fill, "", title)
 
 
+def image(uri: str, box: Box, name: str = "") -> Markup:
+    """Make a picture that fills a box; `name` is its id."""
+    x, y, width, height = map(number, box)
+    place = Markup(' href="{}" x="{}" y="{}" width="{}" height="{}" preserveAspectRatio="none"/>')
+    named = Markup(' id="{}"').format(name) if name else ""
+    return Markup("<image{}").format(named) + place.format(uri, x, y, width, height)
+
+
 def dot(x: float, y: float, kind: str, title: str, fill: str, radius: float = 2.6) -> Markup:
     """Make a dot, with words that show when it is pointed at."""
     place = f'cx="{number(x)}" cy="{number(y)}" r="{number(radius)}"'

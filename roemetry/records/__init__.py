@@ -11,6 +11,7 @@ from roemetry.records.observations import (
     Evidence,
     EvidenceFigure,
     Fitted,
+    ImageFinding,
     Observation,
     Pyramid,
     Residuals,
@@ -18,6 +19,7 @@ from roemetry.records.observations import (
     Samples,
     SpherePlate,
     Staircase,
+    TargetView,
 )
 from roemetry.records.outcome import (
     Decision,
@@ -28,10 +30,20 @@ from roemetry.records.outcome import (
     ReliefMap,
     ReliefRegion,
     Shares,
+    Surface,
     Volume,
     Weight,
 )
-from roemetry.records.plan import Plan, PlanColumn, PlanCurves, PlanFigure, PlanMap, PlanShape, PlanTable
+from roemetry.records.plan import (
+    Plan,
+    PlanAnswer,
+    PlanColumn,
+    PlanCurves,
+    PlanFigure,
+    PlanMap,
+    PlanShape,
+    PlanTable,
+)
 from roemetry.records.product import Outline, Product, ProductTrace, Profiles, Trace
 from roemetry.records.reasons import Reason
 from roemetry.records.stripes import (

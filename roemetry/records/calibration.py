@@ -132,8 +132,8 @@ class Calibration(Shown):
         for name, array in self.parameters.items():
             parameters[name] = array + step[start : start + array.size].reshape(array.shape)
             start += array.size
-        moved = replace(self, parameters=parameters)
-        return replace(moved, view=None if view_of is None else view_of(moved))
+        moved = replace(self, parameters=parameters, view=None)
+        return moved if view_of is None else replace(moved, view=view_of(moved))
 
     @property
     def poor(self) -> str:
@@ -167,16 +167,17 @@ class Calibration(Shown):
             **({} if self.reference == ON_BELT else {"reference": self.reference}),
         }
 
-    def save(self, path: Path) -> None:
+    def save(self, path: Path | str) -> None:
         """Write the calibration as a YAML file that people can read."""
-        write_whole(path, _HEADER + dump(self.to_dict()))
+        write_whole(Path(path), _HEADER + dump(self.to_dict()))
 
     @classmethod
-    def load(cls, path: Path) -> Calibration:
+    def load(cls, path: Path | str) -> Calibration:
         """Read a calibration file.
 
         CalibrationError where there is none, or it is none, or numbers in it are missing or not numbers.
         """
+        path = Path(path)
         data = read_numbers(path)
         if not isinstance(data, dict) or "roemetry_calibration" not in data:
             raise CalibrationError(
@@ -259,6 +260,9 @@ class Alignment(Shown):
     of which no belt is seen."""
     reasons: tuple[Reason, ...] = ()
     """What is to be said of every product of the frame."""
+    edge_px: tuple[float, ...] = ()
+    """(4,) what each part of the motion that was found does at the image's edge, px, corrected or not; empty
+    where too little belt is seen."""
 
     def __post_init__(self) -> None:
         check = Checker(self)

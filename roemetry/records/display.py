@@ -83,6 +83,38 @@ def table(title: str, rows: Iterable[tuple[str, str]], picture: str = "") -> str
     return f"<div><strong>{html.escape(title)}</strong>{picture}<table>{lines}</table></div>"
 
 
+def picture_of_surface(xyz_mm: Any) -> str:
+    """Give a surface over the belt, seen from the front and above, as an HTML element.
+
+    Parameters
+    ----------
+    xyz_mm : ndarray, shape (station, point, 3)
+        As `Surface.xyz_mm`; cells with NaN are left out.
+    """
+    rows, columns = (np.unique(np.linspace(0, n - 1, min(n, 24)).astype(int)) for n in xyz_mm.shape[:2])
+    xyz = xyz_mm[np.ix_(rows, columns)]
+    right, up = np.array([0.88, -0.47, 0.0]), np.array([0.26, 0.49, 0.83])
+    near = np.cross(right, up)
+    cells = [
+        np.array([xyz[i, k], xyz[i, k + 1], xyz[i + 1, k + 1], xyz[i + 1, k]])
+        for i in range(len(rows) - 1)
+        for k in range(len(columns) - 1)
+    ]
+    cells = sorted((cell for cell in cells if np.isfinite(cell).all()), key=lambda cell: (cell @ near).sum())
+    if not cells:
+        return ""
+    flat = np.array([np.column_stack([cell @ right, -(cell @ up)]) for cell in cells])
+    low, high = flat.min(axis=(0, 1)), flat.max(axis=(0, 1))
+    tops = np.array([cell[:, 2].mean() for cell in cells]) / max(float(np.nanmax(xyz[..., 2])), 1e-9)
+    shapes = "".join(
+        f"<path d='M{'L'.join(f'{x:.1f} {y:.1f}' for x, y in shape.tolist())}Z' "
+        f"fill='hsl({215 - 160 * top:.0f} 45% {30 + 45 * top:.0f}%)' stroke='#0003' stroke-width='.15'/>"
+        for shape, top in zip(flat, tops.clip(0.0, 1.0), strict=True)
+    )
+    box = " ".join(f"{value:.1f}" for value in (*low, *(high - low)))
+    return f"<br><svg role='img' aria-label='surface' width='420' viewBox='{box}'>{shapes}</svg>"
+
+
 def picture_of_stripes(pixels: Any, row: Any, x_px: Any, stripe: Any) -> str:
     """Give an image with its peaks in the colours of their stripes, as an HTML element.
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from roemetry.records.acquisition import Frame
-from roemetry.records.arrays import Checker, Floats, Integers
+from roemetry.records.arrays import Checker, Flags, Floats, Integers
 from roemetry.records.display import Shown
 from roemetry.records.stripes import Peaks
 
@@ -53,6 +53,13 @@ class Board:
     """From the print to what the board lies on, mm."""
     margin_mm: float = 0.0
     """How far the sheet, flat and of one colour, goes on beyond the pattern on all sides, mm."""
+    row_pitch_mm: float | None = None
+    """`pitch_mm` along the board's y, mm, of a print that is stretched; None where both are the same."""
+
+    @property
+    def size_mm(self) -> Floats:
+        """(2,) the pattern's sides along x and y, mm."""
+        return np.array([self.columns * self.pitch_mm, self.rows * (self.row_pitch_mm or self.pitch_mm)])
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,6 +124,8 @@ class Observation(Shown):
     of the two. A plain image has none."""
     pose: str = ""
     """Of a board: observations with the same `shows` and `pose` show it in the same place."""
+    board: int = 0
+    """Which board, by its number among the set's."""
 
 
 @dataclass(frozen=True, eq=False, repr=False, slots=True)
@@ -143,10 +152,34 @@ class CalibrationSet(Shown):
     pyramid and of a sphere plate show; None where it was not described."""
     ruler: Ruler | None = None
     """A length of the board's print that was measured with a ruler; None where none was."""
+    more_boards: tuple[Board, ...] = ()
+    """Boards beside `board`: each checks the other's scale."""
+
+    @property
+    def boards(self) -> tuple[Board, ...]:
+        """All boards; lengths come from the first."""
+        return (() if self.board is None else (self.board,)) + self.more_boards
 
     def showing(self, what: str) -> tuple[Observation, ...]:
         """Give the observations of one kind of target."""
         return tuple(observation for observation in self.observations if observation.shows == what)
+
+
+@dataclass(frozen=True, eq=False, repr=False, slots=True)
+class ImageFinding(Shown):
+    """What a calibrator found in one image, and what it made of it."""
+
+    observation: Observation
+    """The image, with all peaks that were found in it."""
+    used: bool
+    said: str
+    """What was found, and how well it fits; "" where nothing was."""
+    why: str
+    """Why it is not used, or not wholly, and what to do; "" where it is."""
+    marks_px: Floats
+    """(mark, 2) marks of a board."""
+    points_px: Floats
+    """(point, 2) points of stripes that count; means over a few rows where there are many."""
 
 
 @dataclass(frozen=True, eq=False, repr=False, slots=True)
@@ -208,6 +241,33 @@ class Residuals(Shown):
 
 
 @dataclass(frozen=True, eq=False, repr=False, slots=True)
+class TargetView(Shown):
+    """One image of a target, with what was found in it and where the target stood."""
+
+    name: str
+    frame: Frame
+    peaks_px: Floats
+    """(peak, 2) x and row of stripe peaks in the (turned) image, px."""
+    stripe: Integers
+    """(peak,) stripe of each; −1 where that is not known."""
+    corners_px: Floats = field(default_factory=lambda: np.empty((0, 2)))
+    """(corner, 2) board corners, px."""
+    used: Flags = field(default_factory=lambda: np.empty(0, np.bool_))
+    """(corner,) False for those left out as far off."""
+    border_mm: Floats = field(default_factory=lambda: np.empty((0, 3)))
+    """(4, 3) corners of the board, belt frame, mm; (0, 3) where there is no board."""
+
+    def __post_init__(self) -> None:
+        check = Checker(self)
+        peaks = check.array("peaks_px", np.float64, (None, 2)).shape[0]
+        check.array("stripe", np.int64, (peaks,))
+        corners = check.array("corners_px", np.float64, (None, 2)).shape[0]
+        check.array("used", np.bool_, (corners,))
+        check.array("border_mm", np.float64, (None, 3))
+        check.finish()
+
+
+@dataclass(frozen=True, eq=False, repr=False, slots=True)
 class Evidence(Shown):
     """All that a calibrator can show."""
 
@@ -218,6 +278,8 @@ class Evidence(Shown):
     """figures, residuals: what the verdict rests on."""
     usable: bool = True
     """Whether anything may be measured with it at all."""
+    views: tuple[TargetView, ...] = ()
+    """The images, with the corners and stripes that were used of each."""
 
 
 @dataclass(frozen=True, eq=False, repr=False, slots=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -136,6 +137,8 @@ class Volume(Shown):
     """slice_stripe, slice_area_mm2, slice_spacing_mm: (slice,) the slices the estimator summed, where it did:
     stripe, area of the cross-section, and the distance the area was held over."""
     reasons: tuple[Reason, ...] = ()
+    solution: Any = None
+    """Of the estimator: what its `redraw` begins with. It is not in the record of a run."""
 
     def __post_init__(self) -> None:
         check = Checker(self)
@@ -147,6 +150,23 @@ class Volume(Shown):
                 check.require(
                     not volume.value < 0.0, f"the {name} volume is {volume.value:g} mm³, less than nothing"
                 )
+        check.finish()
+
+
+@dataclass(frozen=True, eq=False, repr=False, slots=True)
+class Surface(Shown):
+    """The top surface a volume was integrated under, as a grid for drawings."""
+
+    xyz_mm: Floats
+    """(station, point, 3) belt frame, mm: stations follow the product, points run across it from border to
+    border. NaN where the product has a gap."""
+    assumed: Flags
+    """(station, point) True where no stripe was seen that the surface could rest on."""
+
+    def __post_init__(self) -> None:
+        check = Checker(self)
+        xyz = check.array("xyz_mm", np.float64, (None, None, 3))
+        check.array("assumed", np.bool_, xyz.shape[:2])
         check.finish()
 
 

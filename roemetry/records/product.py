@@ -14,8 +14,8 @@ import numpy as np
 from roemetry.records.acquisition import Acquisition, Frame
 from roemetry.records.arrays import Checker, Flags, Floats, Integers, Labels
 from roemetry.records.calibration import Alignment, Calibration
-from roemetry.records.display import Shown, estimate, picture_of_stripes, table
-from roemetry.records.outcome import Decision, Estimate, Grade, Volume, Weight
+from roemetry.records.display import Shown, estimate, picture_of_stripes, picture_of_surface, table
+from roemetry.records.outcome import Decision, Estimate, Grade, Surface, Volume, Weight
 from roemetry.records.reasons import Reason
 from roemetry.records.stripes import Peaks, StripeMap
 from roemetry.records.view import View
@@ -126,6 +126,8 @@ class ProductTrace(Shown):
     absent: Mapping[str, Reason] = field(default_factory=dict)
     decision: Decision | None = None
     height_max_mm: Estimate | None = None
+    surface: Surface | None = None
+    """The surface behind the volume, where it was asked for and the estimator has one."""
 
 
 @dataclass(frozen=True, eq=False, repr=False, slots=True)
@@ -156,6 +158,9 @@ class Trace(Shown):
             found, map_ = self.peaks, self.stripes
             of = np.zeros(len(found), np.int64) if map_ is None else map_.peak_stripe
             picture = picture_of_stripes(self.frame.pixels, found.row, found.x_px, of)
+        picture += "".join(
+            picture_of_surface(one.surface.xyz_mm) for one in self.products if one.surface is not None
+        )
         rows = [
             (
                 f"product {one.product.number}",

@@ -53,7 +53,7 @@ class Recipe(CheckedRecipe):
         DataError
             The source has nothing.
         """
-        references = self.source.make().references(self.source_path)
+        references = self.references()
         for lines, _ in measure_all(self, references, jobs, debug):
             for line in lines:
                 yield Measurement.from_json(line)
@@ -89,7 +89,7 @@ class Recipe(CheckedRecipe):
         DataError
             An array is not an image.
         """
-        trace = self.trace(laser, plain=plain, dark=dark, name=name)
+        trace = self.trace(laser, plain=plain, dark=dark, name=name, surfaces=False)
         return measurements_of(trace, self, self.hashes, self._doubts)
 
     def trace(
@@ -99,8 +99,12 @@ class Recipe(CheckedRecipe):
         plain: NDArray[Any] | None = None,
         dark: NDArray[Any] | None = None,
         name: str = "image",
+        surfaces: bool = True,
     ) -> Trace:
-        """Give all that happened to one image in memory, stage by stage; parameters as `measure`."""
+        """Give all that happened to one image in memory, stage by stage; parameters as `measure`.
+
+        `surfaces` keeps the surface behind each volume, which notebooks draw; it takes as long as the volume.
+        """
         given: tuple[tuple[Role, NDArray[Any] | None], ...] = (
             ("laser", laser),
             ("plain", plain),
@@ -112,7 +116,7 @@ class Recipe(CheckedRecipe):
             if pixels is not None
             for image in (_array(pixels, role),)
         )
-        return self._pipeline.trace(Acquisition(name, frames))
+        return self._pipeline.trace(Acquisition(name, frames), surfaces=surfaces)
 
     @cached_property
     def _pipeline(self) -> Pipeline:

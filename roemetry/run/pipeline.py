@@ -98,8 +98,11 @@ class Pipeline:
             )
         )
 
-    def trace(self, acquisition: Acquisition) -> Trace:
-        """Take one acquisition through the chain; whatever goes wrong stands in `Trace.absent`."""
+    def trace(self, acquisition: Acquisition, *, surfaces: bool = False) -> Trace:
+        """Take one acquisition through the chain; whatever goes wrong stands in `Trace.absent`.
+
+        With `surfaces`, the surface behind each volume is kept for drawings.
+        """
         steps = _Steps(self.recipe, self._debug)
         source = self.recipe.source_choice
         frame = steps.do("source", lambda: self._frame(acquisition))
@@ -164,6 +167,8 @@ class Pipeline:
             scene = Scene(acquisition.id, stripes, outlines, calibration, penetration)
             products = self._drawn(products, scene, steps)
             products = tuple(_with_open_points(found, opened) for found in products)
+            if surfaces:
+                products = tuple(self._with_surface(found) for found in products)
             if "grader" in self._stages:
                 products = tuple(
                     self._decided(found, doubts[found.product.number], steps.seconds) for found in products
@@ -220,6 +225,14 @@ class Pipeline:
         if "classifier" in self._stages and steps.allow("classifier", doubt):
             grade = steps.do("classifier", lambda: self._stages["classifier"].classify(product))
         return ProductTrace(product, volume, weight, grade, steps.absent)
+
+    def _with_surface(self, found: ProductTrace) -> ProductTrace:
+        if found.volume is None:
+            return found
+        steps = _Steps(self.recipe, self._debug)
+        return replace(
+            found, surface=steps.do("surface", lambda: self._stages["volume"].surface(found.product))
+        )
 
     def _decided(self, found: ProductTrace, doubt: Reason | None, seconds: dict[str, float]) -> ProductTrace:
         """Let the grader decide, on results that have their uncertainties."""

@@ -57,6 +57,45 @@ OVERFLOW = """() => {
 }"""
 """What is wider than the page, text that leaves its picture or covers other text, tables that are cut off."""
 
+UNREACHABLE = """() => {
+  const found = [], rgb = (text) => [...text.match(/[\\d.]+/g).map(Number), 1].slice(0, 4);
+  const linear = (v) => v <= .04045 ? v / 12.92 : ((v + .055) / 1.055) ** 2.4;
+  const weights = [.2126, .7152, .0722];
+  const luminance = (c) => weights.reduce((sum, w, k) => sum + w * linear(c[k] / 255), 0);
+  const behind = (node) => {
+    for (let n = node; n; n = n.parentElement) {
+      const c = rgb(getComputedStyle(n).backgroundColor);
+      if (c[3] > .8) return c;
+    }
+    return [255, 255, 255, 1];
+  };
+  for (const node of document.querySelectorAll("body *")) {
+    const box = node.getBoundingClientRect(), style = getComputedStyle(node);
+    if (!Array.from(node.childNodes).some((c) => c.nodeType === 3 && c.textContent.trim())) continue;
+    if (!box.width || style.visibility === "hidden" || node.ownerSVGElement) continue;
+    if (node.closest("[hidden], script, style, .defs, :disabled")) continue;
+    const size = parseFloat(style.fontSize), bold = parseInt(style.fontWeight) >= 700;
+    const least = size >= 24 || (bold && size >= 18.66) ? 3 : 4.5;
+    const [light, dark] = [luminance(rgb(style.color)), luminance(behind(node))].sort((a, b) => b - a);
+    const ratio = (light + .05) / (dark + .05), words = node.textContent.trim().slice(0, 40);
+    if (ratio < least) found.push(`"${words}" has a contrast of ${ratio.toFixed(2)}`);
+  }
+  const controls = "a[href], button, input, select, textarea, summary, .scroll";
+  for (const node of document.querySelectorAll(controls)) {
+    if (!node.getBoundingClientRect().width || node.disabled || node.closest("[hidden]")) continue;
+    const label = node.ariaLabel || node.getAttribute("aria-labelledby");
+    if (!(label || node.textContent.trim() || node.labels?.length))
+      found.push(`nothing says what this is: ${node.outerHTML.slice(0, 90)}`);
+    if (node.tabIndex < 0) found.push(`the keyboard does not reach ${node.outerHTML.slice(0, 90)}`);
+  }
+  for (const node of document.querySelectorAll("canvas, svg:not([aria-hidden] svg, svg[aria-hidden])"))
+    if (!node.ariaLabel && !node.getAttribute("aria-labelledby"))
+      found.push(`no words for those who cannot see it: ${node.outerHTML.slice(0, 90)}`);
+  return found;
+}"""
+"""WCAG 2 AA by computed styles: text below 4.5 : 1 (large: 3 : 1), controls without name or out of reach of
+the keyboard, pictures without words."""
+
 
 @pytest.fixture(scope="module", params=RECIPES)
 def recipe(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -76,6 +115,7 @@ def recipe(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
 
 def assert_fits(page: Any, address: str) -> None:
     found = page.evaluate(OVERFLOW)
+    found += page.evaluate(UNREACHABLE)
     assert found == [], f"{address}: {found[:5]}"
 
 
@@ -100,6 +140,12 @@ def test_a_report_turns_enlarges_and_prints(browser: Any, report: str, width: in
             assert large["x"] >= 0 and large["x"] + large["width"] <= width
             page.keyboard.press("Escape")
             assert page.locator(".large").count() == 0
+        for follow in page.locator("figure.follow").all()[:1]:
+            said = follow.locator("output").inner_text()
+            assert "mm" in said
+            follow.locator("svg.screen").focus()
+            page.keyboard.press("ArrowRight")
+            assert follow.locator("output").inner_text() != said
         for solid in page.locator("figure.solid").all()[:1]:
             solid.scroll_into_view_if_needed()
             page.wait_for_selector("figure.solid.live canvas")
@@ -146,4 +192,9 @@ def test_a_calibration_page_prints(browser: Any, tmp_path: Path, rig: str) -> No
     for width in WIDTHS:
         with opened(browser, path.as_uri(), width=width) as page:
             assert_fits(page, rig)
+            for space in page.locator("figure.space svg").all():
+                before = space.inner_html()
+                space.focus()
+                page.keyboard.press("ArrowLeft")
+                assert space.inner_html() != before
             assert len(page.pdf()) > 10_000

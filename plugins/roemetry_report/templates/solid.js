@@ -4,59 +4,32 @@
   // of them can stand in a page and nothing depends on a graphics card.
   var HEIGHTS = ["#26456e", "#3f6b8c", "#5f8f98", "#8eb08f", "#c6c97c", "#f3dc78"];
   var DOUBTS = ["#cfe0e4", "#f0d58c", "#e29a3c", "#bf5420", "#7d1d1a"];
-  var SEEN = "#0d689c", BRIDGED = "#c4292f", BETWEEN = "#d9dfe4", UNSTATED = "#aab4bd";
-  var ACROSS = 28, REST = { yaw: -28, rise: 34, zoom: 1 };
+  var SEEN = "#0d689c", BRIDGED = "#c4292f", UNSTATED = "#aab4bd", WALL = "#c3ccd4", VOID = 3;
+  var KINDS = ["#5d9cc0", "#e6b35a", "#eef1f4"];
+  var KINDS_TOLD = ["rests on points that were seen", "rests on bridged points", "assumed: no stripe there"];
+  var REST = { yaw: -28, rise: 34, zoom: 1 };
 
-  function read(figure) {
-    var head = JSON.parse(figure.dataset.head);
-    var bytes = Uint8Array.from(atob(figure.dataset.points), function (c) { return c.charCodeAt(0); });
-    var all = head.slices.reduce(function (sum, s) { return sum + s[2]; }, 0);
-    var view = new DataView(bytes.buffer), at = 0;
-    return {
-      head: head,
-      slices: head.slices.map(function (told) {
-        var points = [];
-        for (var i = 0; i < told[2]; i++, at++) {
-          var p = [0, 1, 2].map(function (k) { return view.getInt16(2 * (3 * at + k), true) * head.step; });
-          var std = bytes[7 * all + at];
-          points.push({ p: p, seen: bytes[6 * all + at] & 1, joined: (bytes[6 * all + at] & 2) > 0,
-            std: std === 255 ? NaN : std / 254 });
-        }
-        return { stripe: told[0], product: told[1], points: points };
-      })
-    };
-  }
-
-  // Cells between neighbouring slices of a product, from end to end of both.
-  function cells(slices) {
+  // Cells of the surfaces, and the upright walls that close them down to the belt, with the way they face.
+  function cells(data, ground) {
     var found = [];
-    for (var i = 1; i < slices.length; i++) {
-      var one = slices[i - 1], other = slices[i];
-      if (one.product !== other.product) continue;
-      var from = [one, other].map(least), to = [one, other].map(most);
-      var before = null;
-      for (var k = 0; k <= ACROSS; k++) {
-        var t = k / ACROSS, a = along(one, from[0] + t * (to[0] - from[0])), b = along(other, from[1] + t * (to[1] - from[1]));
-        if (a && b && before) found.push({ corners: [before[0], a, b, before[1]] });
-        before = a && b ? [a, b] : null;
+    data.grids.forEach(function (grid) {
+      var rows = grid.rows, columns = grid.columns, at = function (i, k) { return grid.vertices[i * columns + k]; };
+      for (var i = 0; i + 1 < rows; i++) for (var k = 0; k + 1 < columns; k++) {
+        var corners = [at(i, k), at(i, k + 1), at(i + 1, k + 1), at(i + 1, k)];
+        if (corners.every(function (q) { return q.kind !== VOID; })) found.push({ corners: corners });
       }
+      if (grid.closed) for (i = 0; i + 1 < rows; i++) [[0, 1], [columns - 1, columns - 2]].forEach(function (k) { wall(at(i, k[0]), at(i + 1, k[0]), at(i, k[1])); });
+      if (grid.closed) for (k = 0; k + 1 < columns; k++) [[0, 1], [rows - 1, rows - 2]].forEach(function (i) { wall(at(i[0], k), at(i[0], k + 1), at(i[1], k)); });
+      found.forEach(function (cell) { if (cell.product === undefined) cell.product = grid.product; });
+    });
+    function wall(a, b, inner) {
+      if (a.kind === VOID || b.kind === VOID) return;
+      var foot = function (q) { return { p: [q.p[0], q.p[1], ground] }; };
+      var facing = [b.p[1] - a.p[1], a.p[0] - b.p[0]];
+      if (facing[0] * (a.p[0] - inner.p[0]) + facing[1] * (a.p[1] - inner.p[1]) < 0) facing = [-facing[0], -facing[1]];
+      found.push({ corners: [a, b, foot(b), foot(a)], facing: facing });
     }
     return found;
-  }
-  function ys(slice) { return slice.points.map(function (q) { return q.p[1]; }); }
-  function least(slice) { return Math.min.apply(null, ys(slice)); }
-  function most(slice) { return Math.max.apply(null, ys(slice)); }
-
-  // The point of a slice at a place along Y; nothing where the slice has a hole there.
-  function along(slice, y) {
-    for (var i = 1; i < slice.points.length; i++) {
-      var a = slice.points[i - 1], b = slice.points[i], span = b.p[1] - a.p[1];
-      if (!b.joined || span === 0) continue;
-      var t = (y - a.p[1]) / span;
-      if (t < -1e-9 || t > 1 + 1e-9) continue;
-      return { p: a.p.map(function (v, k) { return v + t * (b.p[k] - v); }), std: a.std + t * (b.std - a.std) };
-    }
-    return null;
   }
 
   function mixed(colours, share, light) {
@@ -69,10 +42,10 @@
   }
 
   function start(figure) {
-    var data = read(figure), head = data.head, surface = cells(data.slices);
+    var data = readSolid(figure), head = data.head, surface = cells(data, -head.origin[2]);
     var canvas = document.createElement("canvas"), ink = canvas.getContext("2d");
     if (!ink) return;
-    var bar = document.createElement("div"), state = { yaw: REST.yaw, rise: REST.rise, zoom: REST.zoom, colour: "height" };
+    var bar = document.createElement("div"), state = { yaw: REST.yaw, rise: REST.rise, zoom: REST.zoom, colour: head.coloured ? "image" : "height" };
     canvas.tabIndex = 0;
     canvas.setAttribute("role", "img");
     canvas.setAttribute("aria-label", figure.querySelector("svg").getAttribute("aria-label")
@@ -88,10 +61,12 @@
     new ResizeObserver(draw).observe(canvas);
     window.addEventListener("beforeprint", draw);
     turning();
+    figure.addEventListener("cursor", function (event) { state.cursor = event.detail; draw(); });
 
     function choices() {
-      var modes = [["height", "Height"], ["seen", "What was seen"]];
-      if (head.std > 0) modes.splice(1, 0, ["std", "Uncertainty"]);
+      var modes = [["height", "Height"], ["seen", "Seen and assumed"]];
+      if (head.coloured) modes.unshift(["image", "Image"]);
+      if (head.std > 0) modes.splice(-1, 0, ["std", "Uncertainty"]);
       modes.forEach(function (mode) {
         var button = document.createElement("button");
         button.type = "button";
@@ -168,18 +143,42 @@
       ink.fillStyle = "#f7f9fa";
       ink.fillRect(0, 0, w, h);
       belt();
-      var things = surface.map(function (cell) { return { z: middle(cell.corners), cell: cell }; });
+      // Product by product from the far one on: the far walls, the surface with its lines, the near walls.
+      var depth = {};
+      surface.forEach(function (cell) {
+        (depth[cell.product] = depth[cell.product] || []).push(middle(cell.corners));
+      });
+      Object.keys(depth).forEach(function (key) { depth[key] = depth[key].reduce(function (a, b) { return a + b; }, 0) / depth[key].length; });
+      var things = surface.map(function (cell) {
+        var layer = !cell.facing ? 1 : cell.facing[0] * near[0] + cell.facing[1] * near[1] > 0 ? 2 : 0;
+        return { product: cell.product, layer: layer, z: middle(cell.corners), cell: cell };
+      });
       data.slices.forEach(function (slice) {
         for (var i = 1; i < slice.points.length; i++) {
           var a = slice.points[i - 1], b = slice.points[i];
           // a little nearer, so that a line is not hidden by the surface it lies in
-          if (b.joined) things.push({ z: (dot(a.p, near) + dot(b.p, near)) / 2 + 0.02 * reach, line: [a, b] });
+          if (b.joined) things.push({ product: slice.product, layer: 1, z: (dot(a.p, near) + dot(b.p, near)) / 2 + 0.02 * reach, line: [a, b] });
         }
       });
-      things.sort(function (a, b) { return a.z - b.z; });
+      things.sort(function (a, b) {
+        return (a.product !== b.product && depth[a.product] - depth[b.product]) || a.layer - b.layer || a.z - b.z;
+      });
       ink.lineCap = "round";
-      things.forEach(function (thing) { if (thing.cell) fill(thing.cell.corners); else stroke(thing.line); });
+      things.forEach(function (thing) { if (thing.cell) fill(thing.cell); else stroke(thing.line); });
       words();
+      cursor();
+
+      function cursor() {
+        if (!state.cursor) return;
+        var place = at(state.cursor);
+        ink.beginPath();
+        ink.arc(place[0], place[1], 5 * ratio, 0, 7);
+        ink.lineWidth = 2.5 * ratio;
+        ink.strokeStyle = "#c4292f";
+        ink.fillStyle = "#fff";
+        ink.fill();
+        ink.stroke();
+      }
 
       function middle(corners) { return corners.reduce(function (sum, c) { return sum + dot(c.p, near); }, 0) / 4; }
 
@@ -208,13 +207,14 @@
         ink.closePath();
       }
 
-      function fill(corners) {
+      function fill(cell) {
+        var corners = cell.corners;
         var a = corners[0].p, b = corners[1].p, c = corners[3].p;
         var u = [b[0] - a[0], b[1] - a[1], b[2] - a[2]], v = [c[0] - a[0], c[1] - a[1], c[2] - a[2]];
         var n = [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]];
         var light = 0.72 + 0.28 * Math.abs(n[0] * -0.35 + n[1] * -0.35 + n[2] * 0.87) / (Math.hypot(n[0], n[1], n[2]) || 1);
         path(corners.map(function (q) { return q.p; }));
-        ink.fillStyle = ink.strokeStyle = colourOf(corners, light);
+        ink.fillStyle = ink.strokeStyle = cell.facing ? mixed([WALL, WALL], 0, light) : colourOf(corners, light);
         ink.lineWidth = 0.7 * ratio; // closes the hairlines between cells
         ink.fill();
         ink.stroke();
@@ -223,7 +223,13 @@
       function colourOf(corners, light) {
         function mean(of) { return corners.reduce(function (sum, q) { return sum + of(q); }, 0) / corners.length; }
         if (state.colour === "height") return mixed(HEIGHTS, mean(function (q) { return q.p[2] + head.origin[2]; }) / head.high[2], light);
-        if (state.colour === "seen") return mixed([BETWEEN, BETWEEN], 0, light);
+        if (state.colour === "seen") {
+          var kind = Math.max.apply(null, corners.map(function (q) { return q.kind; }));
+          return mixed([KINDS[kind], KINDS[kind]], 0, light);
+        }
+        if (state.colour === "image") return "rgb(" + [0, 1, 2].map(function (k) {
+          return Math.round(mean(function (q) { return q.rgb[k]; }) * (0.55 + 0.45 * light));
+        }).join(",") + ")";
         var std = mean(function (q) { return q.std; });
         return isNaN(std) ? mixed([UNSTATED, UNSTATED], 0, light) : mixed(DOUBTS, std, light);
       }
@@ -231,8 +237,8 @@
       function stroke(line) {
         var seen = line[0].seen && line[1].seen;
         ink.strokeStyle = state.colour === "seen" ? (seen ? SEEN : BRIDGED)
-          : state.colour === "std" ? (isNaN(line[1].std) ? UNSTATED : mixed(DOUBTS, line[1].std, 0.85)) : "rgba(23,33,43,.8)";
-        ink.lineWidth = (state.colour === "height" ? 1 : 2.4) * ratio;
+          : state.colour === "std" ? (isNaN(line[1].std) ? UNSTATED : mixed(DOUBTS, line[1].std, 0.85)) : state.colour === "image" ? "rgba(255,255,255,.45)" : "rgba(23,33,43,.8)";
+        ink.lineWidth = (state.colour === "height" || state.colour === "image" ? 1 : 2.4) * ratio;
         ink.setLineDash(seen || state.colour !== "height" ? [] : [2 * ratio, 3 * ratio]);
         ink.beginPath();
         ink.moveTo.apply(ink, at(line[0].p));
@@ -250,12 +256,17 @@
         ink.textAlign = "left";
         var left = 10 * ratio, base = h - 10 * ratio;
         if (state.colour === "seen") {
-          [["seen along a stripe", SEEN], ["bridged along a stripe", BRIDGED], ["between stripes: no point of its own", BETWEEN]].forEach(function (told, k) {
-            ink.fillStyle = told[1];
+          KINDS_TOLD.forEach(function (told, k) {
+            ink.fillStyle = KINDS[k];
             ink.fillRect(left, base - (2 - k) * 17 * ratio - 9 * ratio, 16 * ratio, 9 * ratio);
+            ink.strokeStyle = "#93a1ae";
+            ink.lineWidth = ratio;
+            ink.strokeRect(left, base - (2 - k) * 17 * ratio - 9 * ratio, 16 * ratio, 9 * ratio);
             ink.fillStyle = "#4f5d6a";
-            ink.fillText(told[0], left + 22 * ratio, base - (2 - k) * 17 * ratio);
+            ink.fillText(told, left + 22 * ratio, base - (2 - k) * 17 * ratio);
           });
+        } else if (state.colour === "image") {
+          ink.fillText("image projected onto the surface", left, base);
         } else {
           var colours = state.colour === "height" ? HEIGHTS : DOUBTS, top = state.colour === "height" ? head.high[2] : head.std;
           for (var i = 0; i < 120; i++) {

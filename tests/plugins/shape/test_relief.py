@@ -12,7 +12,7 @@ from roemetry.records import Outline, Product
 from roemetry.records.view import View
 from roemetry.testing.solids import BOX, DENSE, DENTED, HALF_ELLIPSOID, Solid, product_from, product_of
 from roemetry_paper.arc_curvature import ArcCurvature, ArcCurvatureOptions
-from roemetry_report.surface import relief_panels
+from roemetry_report.relief import relief_panels
 from roemetry_shape.examples import learned_options
 from roemetry_shape.features import shape_features, shape_of
 from roemetry_shape.fuzzy_rules import FuzzyRules, FuzzyRulesOptions

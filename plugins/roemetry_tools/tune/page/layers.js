@@ -5,13 +5,13 @@ const SATURATED = 1, EDGE = 2, WIDE = 4, UNCODED = -1, AMBIGUOUS = -2;
 
 export const LAYERS = [
   { key: "peaks", name: "peaks", colour: "#f4f7fa", on: false, title: "every peak the extractor found" },
-  { key: "stripes", name: "stripes", colour: "#56b4e9", on: true, title: "coded curves: thick on a product, thin on the belt, dashed where bridged" },
+  { key: "stripes", name: "stripes", colour: "#56b4e9", on: true, title: "labelled stripes: thick on a product, thin on the belt, dashed where bridged" },
   { key: "rest", name: "rest lines", colour: "#6d7a86", on: false, title: "where each stripe would lie on the bare belt" },
   { key: "outline", name: "outline", colour: "#ffffff", on: true, title: "the product's contour" },
   { key: "saturated", name: "saturated", colour: "#ff5df2", on: true, problem: true, title: "peaks at the white level: their middle is a guess" },
   { key: "ambiguous", name: "ambiguous", colour: "#ff4d4d", on: true, problem: true, title: "peaks that may belong to several stripes and are left out" },
   { key: "gaps", name: "gaps", colour: "#ff9d2e", on: true, problem: true, title: "rows of a stripe between seen ones in which it was not seen" },
-  { key: "uncoded", name: "uncoded", colour: "#9aa5b0", on: true, problem: true, title: "peaks taken for noise" },
+  { key: "uncoded", name: "unlabelled", colour: "#9aa5b0", on: true, problem: true, title: "peaks taken for noise" },
   { key: "odd", name: "wide or at the edge", colour: "#5fd8d8", on: false, problem: true, title: "peaks wider than a stripe is, or too near the image's border" },
 ];
 

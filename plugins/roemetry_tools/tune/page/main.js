@@ -38,7 +38,7 @@ function describe(x, row, peak) {
       const margin = answer.arrays["stripes.margin"].data[place];
       parts.push(`stripe ${at + 1}, on ${product > 0 ? `product ${product}` : "the belt"}`);
       if (!Number.isNaN(margin)) parts.push(`margin ${margin.toFixed(2)}`);
-    } else if (at !== undefined) parts.push(at === -2 ? "ambiguous" : "uncoded");
+    } else if (at !== undefined) parts.push(at === -2 ? "ambiguous" : "unlabelled");
     if (one("flags") & 1) parts.push("saturated");
   }
   return parts.join(" · ");

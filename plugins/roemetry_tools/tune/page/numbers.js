@@ -92,7 +92,7 @@ function placesCard(answer, saved, changed, goTo) {
     saturated: "saturated peaks: less light, or a shorter exposure",
     ambiguous: "ambiguous peaks: left out of every number",
     gaps: "gaps along a stripe",
-    uncoded: "uncoded peaks: taken for noise",
+    uncoded: "unlabelled peaks: taken for noise",
     wide: "peaks wider than a stripe",
     edge: "peaks at the image's border",
   };
