@@ -4,8 +4,9 @@
 
 Intervals: gauge studies and studies of agreement with known variances and rates, simulated. Acceptance:
 every instrument is a rig of its own; a sphere plate in ten positions and a block in six are traced exactly,
-peaks moved by random errors of 0.1 px, and lifted by the calibration that the instrument believes in: its own,
-or one with a fault. The limits are the same for all. ``--part example`` writes recipes/herring_roe/studies/heads.csv.
+peaks moved by random errors of 0.1 px, and lifted by the calibration that the instrument believes in: its
+own, or one with a fault. The limits are the same for all. ``--part example`` writes
+recipes/herring_roe/studies/heads.csv.
 """
 
 from __future__ import annotations
@@ -67,7 +68,8 @@ def intervals(given: argparse.Namespace) -> None:
     """Print how many 95 % intervals hold the truth, by design of study and component."""
     names = ("repeatability", "operator", "interaction", "gauge", "part", "gauge_percent")
     print(
-        f"\n| parts × operators × trials | cells missing | {' | '.join(names)} |\n|---|---|{'---|' * len(names)}"
+        f"\n| parts × operators × trials | cells missing | {' | '.join(names)} |"
+        f"\n|---|---|{'---|' * len(names)}"
     )
     for size, gaps in (((10, 3, 3), 0.0), ((10, 3, 3), 0.1), ((8, 4, 2), 0.0), ((20, 3, 2), 0.1)):
         std = {"part": 5.0, "repeatability": 1.0, "operator": 1.0, "interaction": 0.7}
@@ -101,7 +103,7 @@ def intervals(given: argparse.Namespace) -> None:
 
 
 def agreed(rng: np.random.Generator, parts: int, trials: int, hard: float) -> tuple[Operator, float]:
-    """Simulate one grader: every fifth part is hard, its readings are wrong together; others are 4 % wrong."""
+    """Simulate one grader: every fifth part is hard, its readings wrong together; others 4 % wrong."""
     readings = []
     for part in range(parts):
         truth, other = ("good", "bad") if part % 2 else ("bad", "good")
@@ -161,7 +163,8 @@ def acceptance(given: argparse.Namespace) -> None:
             found[fault][overall(outcomes)] += 1
             causes[fault].update(o.characteristic for o in outcomes if o.decision == "rejected")
     print(
-        "\n| fault | accepted | rejected | undecided | not measured | rejected by |\n|---|---|---|---|---|---|"
+        "\n| fault | accepted | rejected | undecided | not measured | rejected by |"
+        "\n|---|---|---|---|---|---|"
     )
     for fault in FAULTS:
         told = [found[fault][name] for name in ("accepted", "rejected", "undecided")]

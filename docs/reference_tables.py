@@ -55,7 +55,9 @@ def verbs() -> dict[str, Callable[..., Any]]:
     for name, entry in plugin_verbs().items():
         loaded = load_verb(entry)
         parts = loaded.registered_commands if isinstance(loaded, Typer) else ()
-        own |= {f"{name} {part.callback.__name__}": part.callback for part in parts if part.callback is not None}
+        own |= {
+            f"{name} {part.callback.__name__}": part.callback for part in parts if part.callback is not None
+        }
         if not parts:
             own.setdefault(name, loaded)
     return own
@@ -78,7 +80,7 @@ def _made(what: str) -> str:
         return _table(
             ["verb", "does"],
             (
-                [f"[`{name}`](#roemetry-{name.replace(' ', '-')})", _plain(_first(inspect.getdoc(verb) or ""))]
+                [f"[`{name}`]({_anchor(name)})", _plain(_first(inspect.getdoc(verb) or ""))]
                 for name, verb in verbs().items()
             ),
         )
@@ -91,6 +93,10 @@ def _made(what: str) -> str:
     if what == "stages":
         return _stages()
     return _verb(what.removeprefix("roemetry "))
+
+
+def _anchor(name: str) -> str:
+    return f"#roemetry-{name.replace(' ', '-')}"
 
 
 def _verb(name: str) -> str:
