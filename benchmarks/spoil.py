@@ -90,7 +90,7 @@ class Kind(NamedTuple):
 
 
 _MOVED = (
-    r"paired|moved|move between|contradict|not one rigid|does not lie in one plane|lie on no plane|"
+    r"paired|moved|move between|contradict|not one rigid|does not lie in one plane|lie on no(ne of the)? planes?|"
     r"no numbering|exchanged|darker than"
 )
 
