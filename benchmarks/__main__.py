@@ -18,6 +18,7 @@ BENCHMARKS = {
     "frame": "time from an array to a measurement, by stage",
     "fuzz": "damaged recipes, rigs, calibrations, records and images: crashes, hangs, floods",
     "geometry": "displacement and height of one stripe, and the linear model beside it",
+    "spoil": "calibrations spoiled on purpose, real and rendered: refused, told, or slipped through",
     "startup": "time of `roemetry --help` over that of a two-command Typer program",
     "herring_roe": "coding, grading and volume on unseen simulated skeins",
     "golden": "what every shipped recipe says, against the committed records; --write keeps it",

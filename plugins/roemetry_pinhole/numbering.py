@@ -165,8 +165,8 @@ def number_stripes(poses: Sequence[PoseLines], stripes: int, belt: PoseLines | N
 
 
 _MOVED = (
-    "its stripes lie on none of the planes that the other poses show: is it mirrored, or did the board or "
-    "the laser move before it was taken? Take the pose again"
+    "its stripes lie on none of the planes that the other poses show: is it mirrored, or another "
+    "camera's, or did the board or the laser move before it was taken? Take the pose again"
 )
 _HIDDEN = (
     "hardly a line is seen on even print, and it lies on no plane of the other poses: are the stripes faint, "
