@@ -1,6 +1,7 @@
 """Time from an array to a measurement, part by part against its budget.
 
 ``python -m benchmarks frame [--recipe recipes/herring_roe] [--repeats 50] [--sets fastest,careful,recipe]``
+``python -m benchmarks frame --table [--repeats 5]``: what each shipped chain states and takes, as in README
 
 One core, after warm-up, without files and without uncertainty. Milliseconds move with the machine and its
 load: the 5 % quickest frames are the least disturbed, and OpenCV's blur and dilation of the same image stand
@@ -45,6 +46,9 @@ WANTED = {
 """Stages of each set: the first of these that is there, with its default options."""
 
 
+_BEST = "recipes/herring_roe/with_outline.yaml"
+
+
 def main() -> None:
     """Print the parts of a frame for each set."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
@@ -52,9 +56,52 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=50)
     parser.add_argument("--sets", default=",".join(WANTED))
     parser.add_argument("--set", action="append", default=[], dest="overrides", metavar="KEY=VALUE")
+    parser.add_argument("--table", action="store_true", help="one line for each shipped chain")
     given = parser.parse_args()
+    if given.table:
+        _print_table(given.repeats)
+        return
     for name in given.sets.split(","):
         _print_parts(name, given.recipe, given.repeats, [*_sets_of(name), *given.overrides])
+
+
+CHAINS = (
+    (
+        "`herring_roe`, fastest stages",
+        "recipes/herring_roe",
+        "fastest",
+        0,
+        "grade, volume, weight",
+        "sorting",
+    ),
+    ("`herring_roe`", "recipes/herring_roe", "recipe", 0, "the same by the paper's algorithms", "comparison"),
+    ("`with_outline`, `--draws 0`", _BEST, "recipe", 0, "the same; the models' uncertainty", "a line"),
+    (
+        "`with_outline`",
+        _BEST,
+        "recipe",
+        None,
+        "the same; every uncertainty, intervals",
+        "a number to rely on",
+    ),
+)
+"""Name, recipe, set of stages, draws, what is stated, what for."""
+
+
+def _print_table(repeats: int) -> None:
+    print("| recipe | states | ms a product | frames a second, one core | for |\n|---|---|---|---|---|")
+    for name, path, stages, draws, states, purpose in CHAINS:
+        recipe = Recipe.load(path, sets=_sets_of(stages))
+        source, pipeline = recipe.source.make(), Pipeline(recipe, draws=draws)
+        acquisitions = [source.read(one) for one in source.references(recipe.source_path)[:4]]
+        taken = []
+        for turn in range(repeats + 1):
+            for acquisition in acquisitions:
+                begin = time.process_time()
+                measurements_of(pipeline.trace(acquisition), recipe, {})
+                taken += [time.process_time() - begin] if turn else []  # the first loads the kernels
+        median = statistics.median(taken)
+        print(f"| {name} | {states} | {1e3 * median:.3g} | {1.0 / median:.3g} | {purpose} |")
 
 
 def _sets_of(name: str) -> list[str]:

@@ -65,11 +65,11 @@ def main() -> None:
                     print(seed, f"{ratios[name][-1]:.3f}", f"{shares[-1]:.2f}", flush=True)
     print(f"{len(shares)} skeins, {given.draws} draws each; of the standard uncertainty of the visible")
     print(f"volume {np.median(shares):.0%} (median) is what was drawn, the rest what stages state\n")
-    for name, found in ratios.items():
-        low, middle, high = np.quantile(found, [0.05, 0.5, 0.95])
-        off = np.abs(np.array(found) - 1.0)
+    for name, each in ratios.items():
+        low, middle, high = np.quantile(each, [0.05, 0.5, 0.95])
+        off = np.abs(np.array(each) - 1.0)
         print(
-            f"{name}: linearised over drawn {min(found):.3f} to {max(found):.3f}, median {middle:.3f}, "
+            f"{name}: linearised over drawn {min(each):.3f} to {max(each):.3f}, median {middle:.3f}, "
             f"90 % of them {low:.3f} to {high:.3f}; within 5 %: {np.mean(off < 0.05):.0%}"
         )
     print("linearised, drawn: {:.0f} and {:.0f} ms a product".format(*1e3 * taken / max(len(shares), 1)))

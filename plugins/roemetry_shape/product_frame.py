@@ -219,22 +219,19 @@ def cut_of(profiles: Profiles, product: int, smoothing_mm: float) -> Sections:
     bounds = np.append(np.flatnonzero(np.diff(slices, prepend=-1)), slices.size).tolist()
     found = []
     for begin, stop in pairwise(bounds):
-        x, y, z = xyz[begin:stop].T
+        all_x, y, _ = xyz[begin:stop].T
+        # of points at one place the first counts
+        x, y, z = xyz[begin:stop][np.append(True, y[1:] > y[:-1])].T
         step = y[1:] - y[:-1]
-        if not step.all():  # of points at one place the first counts
-            keep = np.append(True, step > 0.0)
-            y, z = y[keep], z[keep]
-            step = y[1:] - y[:-1]
-        else:
-            keep = slice(None)
         if len(y) < _POINTS_MIN or y[-1] - y[0] < _WIDTH_MIN_MM:
             continue
         if step.max() > _GAP_MAX * (y[-1] - y[0]):
             continue
         grid = np.linspace(y[0], y[-1], SAMPLES)
-        height, x_mm = np.interp(grid, y, z), np.interp(grid, y, x[keep])
-        x = np.sort(x)
-        middle = np.array([0.5 * (x[(x.size - 1) // 2] + x[x.size // 2]), 0.5 * (y[0] + y[-1])])
+        height, x_mm = np.interp(grid, y, z), np.interp(grid, y, x)
+        ordered = np.sort(all_x)
+        middle_x = 0.5 * (ordered[(ordered.size - 1) // 2] + ordered[ordered.size // 2])
+        middle = np.array([middle_x, 0.5 * (y[0] + y[-1])])
         stripe = int(profiles.stripe[slices[begin]])
         found.append(_Cut(stripe, middle, 0.5 * (y[-1] - y[0]), height, x_mm))
     return _in_order(_without_slivers(found))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -21,8 +22,9 @@ import pytest
 from roemetry.config.recipe import Recipe
 from roemetry.errors import DataError, OutputError
 from roemetry.io.files import exclusive
-from roemetry.records import AMBIGUOUS
+from roemetry.records import AMBIGUOUS, Acquisition, Trace
 from roemetry.run.batch import derive, run_recipe
+from roemetry.run.pipeline import Pipeline
 from roemetry.run.record import RECORD, read_record
 from roemetry_files.image_files import ImageFiles
 from roemetry_files.product_table import CsvTable
@@ -366,6 +368,34 @@ def test_tables_can_be_derived_when_the_images_are_gone(line: Line, tmp_path: Pa
     files, faults = derive(recipe, tmp_path / "out", {})
     assert faults == ()
     assert files[0].read_bytes() == before
+
+
+def test_no_acquisition_is_traced_twice_and_a_later_report_is_the_same(
+    line: Line, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Times apart, pages from kept traces and from traces made again are the same."""
+    made: list[str] = []
+    trace = Pipeline.trace
+
+    def counted(self: Pipeline, acquisition: Acquisition, **kept: bool) -> Trace:
+        made.append(acquisition.id)
+        return trace(self, acquisition, **kept)
+
+    monkeypatch.setattr(Pipeline, "trace", counted)
+    recipe = Recipe.load(line(2), sets=("sinks=[report]",))
+    outcome = run_recipe(recipe, tmp_path / "out")
+    assert outcome.sink_faults == ()
+    assert made == ["p01", "p02"]
+    assert not [path for path in (tmp_path / "out").iterdir() if path.name.startswith(".")]
+
+    def page() -> str:
+        text = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+        return re.sub(r"(>[a-z]+) [\d.\s]+</span>", r"\1", text)
+
+    before = page()
+    derive(recipe, tmp_path / "out", json.loads((tmp_path / "out" / "provenance.json").read_text()))
+    assert made == ["p01", "p02"] * 2
+    assert page() == before
 
 
 def test_a_flat_top_of_one_spacing_is_measured_or_refused_but_never_empty(measured, rig) -> None:

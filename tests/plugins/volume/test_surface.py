@@ -12,6 +12,7 @@ import pytest
 from roemetry.errors import StageError
 from roemetry.records import Outline, Product, Profiles
 from roemetry.records.view import View
+from roemetry.run.monte_carlo import offset_contour
 from roemetry.testing import LinearRig
 from roemetry_volume.footprint import area_of
 from roemetry_volume.outline_surface import OutlineSurface
@@ -215,6 +216,19 @@ def changed(made: Product, mine: np.ndarray, **fields: np.ndarray) -> Product:
         row_px=np.where(mine, old.row_px, np.nan),
     )
     return replace(made, profiles=kept)
+
+
+@pytest.mark.parametrize("by_px", [-0.3, 0.3])
+def test_a_product_that_moved_goes_on_from_the_solution(by_px: float) -> None:
+    """To 5 % of the change, what goes on changes as what is solved from the beginning."""
+    made, _ = dome(wall=6.0)
+    estimator = OutlineSurface()
+    found = estimator.estimate(made)
+    assert made.outline is not None
+    moved = replace(made, outline=offset_contour(made.outline, by_px))
+    change = estimator.estimate(moved).visible_mm3.value - found.visible_mm3.value
+    still = estimator.redraw(made, found).visible_mm3.value
+    assert estimator.redraw(moved, found).visible_mm3.value - still == pytest.approx(change, rel=0.05)
 
 
 def test_a_drawn_product_takes_the_budget_that_was_found(rng: np.random.Generator) -> None:
