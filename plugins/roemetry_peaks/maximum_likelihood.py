@@ -77,9 +77,9 @@ _AMPLITUDE_NOISES = 5.0  # of one pixel beside the stripe, that a fitted stripe 
 _DARK_SHARE = 0.1  # of white: light so far below black beside a stripe means that the fit has no hold
 _FWHM = 2.3548200450309493  # full width at half height of a Gaussian, standard deviations
 _SAMPLES = (240, 720)
-"""Peaks that tell of the noise, in the first and the second pass. Up to twice as many give the same centres and
-uncertainties on drawn images (one material, two, tissue); of one pass alone intervals on tissue under speckle
-0.25 hold 89 instead of 94 %."""
+"""Peaks that tell of the noise, in the first and the second pass. Up to twice as many give the same centres
+and uncertainties on drawn images (one material, two, tissue); after one pass alone intervals on tissue under
+speckle 0.25 hold 89 instead of 94 %."""
 _GOLDEN = 0.6180339887498949
 _FIRST_CONTRAST = 0.1
 _READ_SHARE = 2.0  # of the variance beside the stripes, that the read noise's can be
