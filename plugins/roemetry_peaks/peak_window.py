@@ -1,10 +1,13 @@
-"""What stands around the top of a peak: one stripe or two, width at half height, background; compiled.
+"""What stands around the top of a peak: one stripe or two, width at half height, background.
 
-Which tops are of one stripe, and which are spikes, compiled.
+Tops with a shallow valley between are one stripe; a top that both neighbours fall below half of may be a
+spike. What belongs to a stripe ends halfway to the next top, or at the darkest pixel between where halfway
+lies in the light of one. Half height lies between the top and the higher of the two sides' lowest levels;
+width and middle are those of its crossings. The background is a straight line through up to 8 pixels on
+both sides, from 3.6 standard deviations outwards.
 
-Limits between stripes where halfway between two tops lies in the light of one; compiled.
-
-Tops cut off at white of which the image's border cuts off a flank as well, compiled.
+Where the image's border cuts a side off, the other side tells background and width; of a top cut off at
+white as well, a pixel on one flank is matched with its like on the other.
 """
 
 from __future__ import annotations
