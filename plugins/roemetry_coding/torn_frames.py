@@ -35,7 +35,7 @@ _TIMES_USUAL = 8.0
 """So many times the jumps of the frame's other rows, which noise and texture make. Of 56 whole images of two
 makers the largest jump is five times the mean."""
 _SAMPLED_ROWS = 8
-"""Every so many rows tell how much stripes usually jump."""
+"""Every so many rows tell how much stripes on the belt usually jump."""
 
 
 class Tear(NamedTuple):
@@ -119,9 +119,10 @@ def _largest_jump(
             large = 0
             for jump in found:
                 large += abs(jump) >= least_px
-            if row % sampled == 0 or 2 * large >= found.size:  # a median takes long
+            counts = kind == 0 or row % sampled == 0  # a median takes long
+            if counts or 2 * large >= found.size:
                 jump = abs(np.median(found))
-                if row % sampled == 0:
+                if counts:
                     counted[kind] += 1.0
                     total[kind] += jump
                 if jump > most[kind]:
