@@ -114,13 +114,14 @@ def _largest_jump(
                 count += 1
         for kind in range(2):
             found = jumps[:count] if kind == 0 else slips[:slipped]
-            if found.size < stripes_min:
+            # among few belt peaks are some of a product that lies there by chance
+            if found.size < stripes_min or (kind == 1 and 2 * found.size < stripes):
                 continue
             large = 0
             for jump in found:
                 large += abs(jump) >= least_px
             counts = kind == 0 or row % sampled == 0  # a median takes long
-            if counts or 2 * large >= found.size:
+            if counts or 4 * large >= 3 * found.size:
                 jump = abs(np.median(found))
                 if counts:
                     counted[kind] += 1.0
