@@ -114,8 +114,8 @@ def _largest_jump(
                 count += 1
         for kind in range(2):
             found = jumps[:count] if kind == 0 else slips[:slipped]
-            # among few belt peaks are some of a product that lies there by chance
-            if found.size < stripes_min or (kind == 1 and 2 * found.size < stripes):
+            # among few belt peaks are those of a product's rim, which steps
+            if found.size < stripes_min or (kind == 1 and 4 * found.size < 3 * stripes):
                 continue
             large = 0
             for jump in found:
