@@ -164,7 +164,8 @@ class Recipe:
     def references(self) -> Sequence[AcquisitionReference]:
         """Give what the source has; DataError, with the place in the recipe, where that is nothing."""
         try:
-            return self.source.make().references(self.source_path)
+            found: Sequence[AcquisitionReference] = self.source.make().references(self.source_path)
+            return found
         except DataError as error:
             raise DataError(f"{self.source_place}: {error.message}", hint=error.hint) from error
 
