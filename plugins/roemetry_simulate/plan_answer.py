@@ -98,9 +98,9 @@ def answer_of(
     with_one = math.hypot(*_causes(space, bodies, True).values())
     if not (faults or with_one > _WORTH * total):
         changes.append(f"a second image in plain light, for an outline: volume ± {with_one:.1f} %")
-    steeper = [one for one in rigs if one.count < space.rig.laser.count and one.angle_deg > now + 2.0]
+    steeper = [one for one in rigs if one.stripes < space.rig.laser.count and one.angle_deg > now + 2.0]
     if now < _SMALL_DEG and steeper:
-        changes.append(f"for finer heights {max(steeper, key=lambda one: one.count).said(now)}")
+        changes.append(f"for finer heights {max(steeper, key=lambda one: one.stripes).said(now)}")
     changes.append("weigh twenty products and fit the weight, which takes the underside out")
     return PlanAnswer(not faults, total, weight, limiting, tuple(changes))
 
@@ -150,7 +150,7 @@ class _Proposal(NamedTuple):
 
     volume_pct: float
     angle_deg: float
-    count: int
+    stripes: int
     spacing_mm: float
     beside_mm: float
 
@@ -159,8 +159,8 @@ class _Proposal(NamedTuple):
         angle = self.angle_deg
         turned = f" (triangulation {angle:.0f}°, now {now_deg:.0f}°)" if abs(angle - now_deg) >= 1.0 else ""
         return (
-            f"{self.count} stripes {self.spacing_mm:.1f} mm apart, projector {self.beside_mm:.0f} mm beside "
-            f"the camera{turned}: volume ± {self.volume_pct:.1f} %"
+            f"{self.stripes} stripes {self.spacing_mm:.1f} mm apart, projector {self.beside_mm:.0f} mm "
+            f"beside the camera{turned}: volume ± {self.volume_pct:.1f} %"
         )
 
 

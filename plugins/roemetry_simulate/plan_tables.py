@@ -214,8 +214,8 @@ class Bodies:
 
 def ellipsoid(length_mm: float) -> Bodies:
     """Return an ellipsoid, whose section area is a parabola along it: it errs by 1 / (√5 N²) for whole N."""
-    t: Floats = (np.arange(2000) + 0.5) / 1000.0 - 1.0
-    areas: Floats = 1.0 - t[None] ** 2
+    t = (np.arange(2000) + 0.5) / 1000.0 - 1.0
+    areas = np.asarray(1.0 - t[None] ** 2, np.float64)
     return Bodies(length_mm, math.nan, math.nan, math.nan, np.array([length_mm]), areas)
 
 
