@@ -27,7 +27,7 @@ def volume_mm3(surface: Surface) -> float:
     return abs(total)
 
 
-@pytest.mark.parametrize("solid", [BOX, HALF_CYLINDER, HALF_ELLIPSOID], ids=lambda solid: solid.kind)
+@pytest.mark.parametrize("solid", [BOX, HALF_CYLINDER, HALF_ELLIPSOID])
 def test_slices_with_their_caps_hold_the_volume(solid: Solid) -> None:
     product = product_of(solid)
     estimator = make_stage("volume", "slice-pchip")
