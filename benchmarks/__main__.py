@@ -22,6 +22,7 @@ BENCHMARKS = {
     "herring_roe": "coding, grading and volume on unseen simulated skeins",
     "golden": "what every shipped recipe says, against the committed records; --write keeps it",
     "outside": "rigs of another renderer, from files to grades, against their truth",
+    "kills": "two runs in one folder, killed over and over: rows lost or doubled",
     "known_numbers": "what the shipped recipe gives on three skeins, written for `roemetry doctor`",
     "make_rigs": "fresh rigs with truth, drawn at random and rendered by either simulator",
     "pieces": "numbers without a calibration on traced skeins and shapes: refused, and wrong",
@@ -33,11 +34,13 @@ BENCHMARKS = {
     "grade": "classifiers on unseen skeins and rigs; fits the model beside the recipe",
     "paper_experiment": "the paper's Table 1 and Figures 17 to 22 again, on six skeins and on 500",
     "paper_figures": "Figures 7 and 9 of the paper, from any image",
+    "sorting": "wrong sorting near a limit under any options: at most what the guard band promises",
     "shape": "time of all shape features with the classifiers by rules, per product",
     "weight": "weight from 20 weighed samples: error, interval, width, against paper × one factor",
     "wheelset": "broken stripes of a real image without calibration: what order can number, against a hand",
     "words": "the shipped fuzzy rules over outline and heights, on rendered skeins",
     "tune": "time from a moved slider of `roemetry tune` to the answer, and the picture of the page",
+    "uncertainty": "linearised standard uncertainties over Monte Carlo draws, on unseen traced skeins",
     "volume": "error of every volume estimator on simulated skeins, and the page of it",
 }
 

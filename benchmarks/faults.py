@@ -1,72 +1,159 @@
 """Disturbed images through recipes: how often a number lies, and how often harmless images are refused.
 
-``python -m benchmarks faults RECIPE… [--images 3] [--only NAMES] [--page FILE]``
+``python -m benchmarks faults RECIPE[=DATA]… [--cases 20000] [--record FILE] [--minutes 8] [--page FILE]``
 
-A recipe's own data must state true volumes (a data set, or `truth.json` of a rendered rig beside it). Every
-image is disturbed in each way and size of `DISTURBANCES`; a case is *held* (the true visible volume lies
-within the stated 95 % interval), *outside* it, *gross* (beyond three half-widths) or *refused*. The first
-line has the same images undisturbed: a disturbance is to blame only for what that line does not show.
+The data must state true volumes: a data set, or `truth.json` of a rendered rig beside the recipe; with
+`--moved` scenes are rendered anew by both simulators with the rig moved (`benchmarks.moved_rigs`). Each case
+takes one scene, one of `DISTURBANCES` and a size. It is *held* (the true visible volume lies in the stated
+95 % interval), *outside* it, *gross* (beyond three half-widths), *not stated* or *refused*. Of a hundred
+undisturbed scenes up to five may be outside, so what the disturbance is to blame for is said, too: a case
+outside is a *lie* where the same scene undisturbed is not, or the volume moved by more than the half-width.
+Cases come in an order drawn at random, so that a part of them is a sample of all; `--record` goes on where it
+stopped.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-from collections import Counter
-from collections.abc import Callable, Iterator
+import math
+import time
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from roemetry import Measurement, Recipe
+from benchmarks.disturbances import DISTURBANCES, Disturbance, Scene
+from benchmarks.moved_rigs import MOTIONS, moved_scenes
+from roemetry import Recipe
 from roemetry.config.dataset import Dataset
 
-Image = NDArray[Any]
-SEED = 20261123
+SEED = 20261124
+NONE = "none"
+_VERDICTS = ("held", "outside", "gross", "not stated", "refused")
+_GROSS = 3.0
 
 
-class Scene(NamedTuple):
-    """Images of one acquisition, as acquired, with what is true of it; `other` is another scene's."""
+@dataclass(frozen=True)
+class Case:
+    """One measured scene, disturbed or not."""
 
-    name: str
-    laser: Image
-    plain: Image | None
-    true_mm3: float
-    other: Scene | None = None
+    recipe: str
+    scene: str
+    disturbance: str
+    size: float
+    verdict: str
+    error: float = math.nan
+    half: float = math.nan
+    """error, half: of the visible volume and of its interval, shares of the true volume."""
+    grade: str = ""
+    why: str = ""
+    """Codes of the reasons of a refusal."""
+    base_verdict: str = ""
+    base_error: float = math.nan
+    base_grade: str = ""
+    """base_…: the same of the scene undisturbed."""
 
-
-Disturbance = Callable[[Scene], tuple[Image, Image | None]]
+    @property
+    def lies(self) -> bool:
+        """Whether the disturbance made a number whose interval does not hold the truth."""
+        moved = not abs(self.error - self.base_error) <= self.half
+        return self.verdict in ("outside", "gross") and (
+            self.base_verdict not in ("outside", "gross") or moved
+        )
 
 
 def main() -> None:
-    """Measure and print the table."""
+    """Measure what is asked for and print the tables."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("recipes", nargs="+", type=Path)
-    parser.add_argument("--images", type=int, default=3)
-    parser.add_argument("--only", nargs="*", default=(), help="names of disturbances")
+    parser.add_argument("recipes", nargs="*", help="a recipe, or recipe=folder of a data set")
+    parser.add_argument("--images", type=int, default=6, help="scenes of each recipe")
+    parser.add_argument("--cases", type=int, default=20_000)
+    parser.add_argument("--seed", type=int, default=SEED)
+    parser.add_argument("--only", nargs="*", default=(), help="how names of disturbances begin")
+    parser.add_argument(
+        "--moved", type=int, default=0, help="scenes with a moved rig, of each recipe's scene"
+    )
+    parser.add_argument("--record", type=Path, help="file of cases, continued")
+    parser.add_argument("--minutes", type=float, default=math.inf, help="stop after so many")
     parser.add_argument("--page", type=Path)
+    parser.add_argument("--curves", type=Path, help="SVG of size against error")
     asked = parser.parse_args()
-    found: dict[str, list[tuple[str, float]]] = {}
-    for path in asked.recipes:
-        recipe = Recipe.load(path, sets=["uncertainty=linear"])
-        scenes = list(scenes_of(recipe, asked.images))
-        scenes = [scene._replace(other=scenes[i - 1]) for i, scene in enumerate(scenes)]
-        for name, disturb in DISTURBANCES.items():
-            if not asked.only or any(name.startswith(word) for word in asked.only):
-                found.setdefault(name, []).extend(judged(recipe, scene, disturb) for scene in scenes)
-                print(
-                    f"{path}: {name}: {', '.join(said for said, _ in found[name][-len(scenes) :])}",
-                    flush=True,
-                )
+    until = time.monotonic() + 60.0 * asked.minutes
+    found = [] if asked.record is None else read(asked.record)
+    begun = len(found)
+    for case in measured(asked, done=begun):
+        found.append(case)
+        if asked.record is not None:
+            with asked.record.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(asdict(case)) + "\n")
+        if time.monotonic() > until:
+            break
     text = f"{table(found)}\n\n{summary(found)}"
     print(text)
+    print(f"{len(found) - begun} cases were new")
     if asked.page:
         asked.page.write_text(f"{text}\n", "utf-8")
+    if asked.curves:
+        from benchmarks.faults_curves import draw
+
+        draw(asked.curves, found)
+
+
+def measured(asked: argparse.Namespace, done: int) -> Iterator[Case]:
+    """Measure the cases that are asked for but the first `done`."""
+    recipes: dict[str, Recipe] = {}
+    scenes: dict[str, list[Scene]] = {}
+    for word in asked.recipes:
+        path, _, data = word.partition("=")
+        sets = ["uncertainty=linear"]
+        if data:
+            sets += ["source.use=dataset", f"source.path={Path(data).absolute()}", "source.options={}"]
+        recipe = recipes[word] = Recipe.load(Path(path), sets=sets)
+        if not asked.moved:
+            taken = list(scenes_of(recipe, asked.images))
+            scenes[word] = [scene._replace(other=taken[i - 1]) for i, scene in enumerate(taken)]
+    if asked.moved:
+        yield from _rendered(recipes, asked, done)
+        return
+    known = {name: one for name, one in DISTURBANCES.items() if _asked_for(name, asked.only)}
+    places = [(word, k) for word in recipes for k in range(len(scenes[word]))]
+    base: dict[tuple[str, int], Case] = {}
+    for number, (place, name) in enumerate(_shuffled(places, list(known), asked.cases, asked.seed)):
+        if number < done:
+            continue
+        word, k = place
+        recipe, scene = recipes[word], scenes[word][k]
+        if place not in base:
+            base[place] = judged(recipe, scene, scene.laser, scene.plain)
+        rng = np.random.default_rng([asked.seed, number])
+        size = drawn(known[name], rng)
+        images = known[name].make(scene, size, rng)
+        yield against(judged(recipe, scene, *images), base[place], word, name, size)
+
+
+def _rendered(recipes: Mapping[str, Recipe], asked: argparse.Namespace, done: int) -> Iterator[Case]:
+    """Measure scenes that are rendered with the rig moved."""
+    number = 0
+    for word, recipe in recipes.items():
+        base: Case | None = None
+        for moved in moved_scenes(recipe.path.parent / "scene.yaml", asked.moved, asked.seed, done - number):
+            case = judged(recipe, moved.scene, moved.scene.laser, moved.scene.plain)
+            number += 1
+            if moved.motion == NONE:
+                base = case
+            elif base is not None and number > done:
+                yield against(case, base, f"{word} {moved.maker}", moved.motion, moved.size)
+
+
+def drawn(disturbance: Disturbance, rng: np.random.Generator) -> float:
+    """Draw a size, evenly over its logarithm."""
+    return float(np.exp(rng.uniform(np.log(disturbance.low), np.log(disturbance.high))))
 
 
 def scenes_of(recipe: Recipe, count: int) -> Iterator[Scene]:
@@ -77,7 +164,8 @@ def scenes_of(recipe: Recipe, count: int) -> Iterator[Scene]:
         bodies = json.loads((folder / "truth.json").read_text("utf-8"))["objects"]
         truths = {name: body["topview_volume_mm3"] for name, body in bodies.items()}
     else:
-        data = Dataset(folder if (folder / "dataset.yaml").exists() else recipe.source_path)
+        own = (recipe.source_path / "dataset.yaml").exists()
+        data = Dataset(recipe.source_path if own else folder)
         for item in data.items():
             products = data.truth(item).products
             if len(products) == 1:
@@ -91,160 +179,113 @@ def scenes_of(recipe: Recipe, count: int) -> Iterator[Scene]:
             yield Scene(reference.id, laser.pixels, plain and plain.pixels, truths[reference.id])
 
 
-def judged(recipe: Recipe, scene: Scene, disturb: Disturbance) -> tuple[str, float]:
-    """Measure one disturbed scene; the verdict, and the relative error of the largest product, else NaN."""
-    laser, plain = disturb(scene)
-    rows = [row for row in recipe.measure(laser, plain=plain, name=scene.name) if row.volume is not None]
-    if not rows:
-        return "refused", np.nan
-    volume = max(rows, key=_volume_mm3).volume
-    assert volume is not None
+def judged(recipe: Recipe, scene: Scene, laser: NDArray[np.uint8], plain: NDArray[np.uint8] | None) -> Case:
+    """Measure images of a scene; what is said of the largest product against the truth."""
+    rows = recipe.measure(laser, plain=plain, name=scene.name)
+    volumes = [(row, row.volume) for row in rows if row.volume is not None]
+    if not volumes:
+        codes = {reason.code for row in rows for reason in (*row.absent.values(), *row.reasons)}
+        return Case(str(recipe.path), scene.name, NONE, 0.0, "refused", why=" ".join(sorted(codes)))
+    row, volume = max(volumes, key=lambda pair: pair[1].visible_mm3.value)
     low, high = volume.visible_mm3.interval
-    error_mm3 = volume.visible_mm3.value - scene.true_mm3
-    half = (high - low) / 2.0
-    said = "not stated" if not np.isfinite(half) else "held" if abs(error_mm3) <= half else "outside"
-    return ("gross" if abs(error_mm3) > 3.0 * half else said), error_mm3 / scene.true_mm3
+    error_mm3, half = volume.visible_mm3.value - scene.true_mm3, (high - low) / 2.0
+    said = "held" if abs(error_mm3) <= half else "gross" if abs(error_mm3) > _GROSS * half else "outside"
+    return Case(
+        str(recipe.path),
+        scene.name,
+        NONE,
+        0.0,
+        said if math.isfinite(half) else "not stated",
+        error_mm3 / scene.true_mm3,
+        half / scene.true_mm3,
+        "" if row.grade is None else row.grade.label,
+    )
 
 
-def table(found: dict[str, list[tuple[str, float]]]) -> str:
-    """Write a line a disturbance: cases, verdicts, mean and largest error of what was measured."""
+def against(case: Case, base: Case, recipe: str, disturbance: str, size: float) -> Case:
+    """Give a case its name and the undisturbed one beside it."""
+    own = asdict(case) | {"recipe": recipe, "disturbance": disturbance, "size": size}
+    own |= {"base_verdict": base.verdict, "base_error": base.error, "base_grade": base.grade}
+    return Case(**own)
+
+
+def table(found: Sequence[Case]) -> str:
+    """Write a line a disturbance: cases, verdicts, lies, and what was measured against the undisturbed."""
     lines = [
-        "| disturbance | cases | held | outside | gross | not stated | refused | mean error | largest |",
-        "|---|---|---|---|---|---|---|---|---|",
+        f"| disturbance | sizes | cases | {' | '.join(_VERDICTS)} | lies | largest error of the held | "
+        "grades right → wrong |",
+        "|---" * (6 + len(_VERDICTS)) + "|",
     ]
-    for name, cases in found.items():
-        count = Counter(said for said, _ in cases)
-        errors = np.array([error for _, error in cases if np.isfinite(error)])
-        size = f"{errors.mean():+.2%} | {np.abs(errors).max():.2%}" if errors.size else "– | –"
-        told = " | ".join(str(count[said]) for said in ("held", "outside", "gross", "not stated", "refused"))
-        lines.append(f"| {name} | {len(cases)} | {told} | {size} |")
+    by_name: dict[str, list[Case]] = defaultdict(list)
+    for case in found:
+        by_name[case.disturbance].append(case)
+    for name in sorted(by_name, key=[*DISTURBANCES, *MOTIONS].index):
+        cases, kind = by_name[name], DISTURBANCES.get(name) or MOTIONS[name]
+        sizes = f"{kind.low:g}–{kind.high:g} {kind.unit}" if kind.unit else ""
+        told = " | ".join(str(sum(case.verdict == said for case in cases)) for said in _VERDICTS)
+        held = [abs(case.error) for case in cases if case.verdict == "held"]
+        flips = sum(map(flipped, cases))
+        lines.append(
+            f"| {name} | {sizes} | {len(cases)} | {told} | {sum(case.lies for case in cases)} | "
+            f"{f'{max(held):.1%}' if held else '–'} | {flips} |"
+        )
     return "\n".join(lines)
 
 
-def summary(found: dict[str, list[tuple[str, float]]]) -> str:
-    """Say the shares of all disturbed cases that lie, and of the harmless ones that are refused."""
-    disturbed = [case for name, cases in found.items() if name != "none" for case in cases]
-    harmless = [case for name in HARMLESS for case in found.get(name, ())]
-    if not disturbed or not harmless:
+def flipped(case: Case) -> bool:
+    """Say whether another class is told than of the undisturbed scene; `unknown` is none."""
+    told = {case.grade, case.base_grade}
+    return len(told) == 2 and not told & {"", "unknown"}
+
+
+def harmless(case: Case) -> bool:
+    """Say whether no stripe was harmed, and the undisturbed scene was measured."""
+    kind = DISTURBANCES.get(case.disturbance) or MOTIONS[case.disturbance]
+    return case.size <= kind.harmless and case.base_verdict != "refused"
+
+
+def summary(found: Iterable[Case]) -> str:
+    """Say the shares of all cases that lie, and of the harmless ones that are refused."""
+    found = list(found)
+    mild = [case for case in found if harmless(case)]
+    if not found or not mild:
         return "too few cases to sum up"
-    count = Counter(said for said, _ in disturbed)
-    refused = sum(said == "refused" for said, _ in harmless)
+
+    def part(cases: list[Case]) -> str:
+        return f"{len(cases) / len(found):.2%}"
+
+    outside = [case for case in found if case.verdict in ("outside", "gross")]
     return (
-        f"{len(disturbed)} disturbed cases: {count['outside'] / len(disturbed):.2%} outside the interval, "
-        f"{count['gross'] / len(disturbed):.2%} beyond three half-widths, "
-        f"{count['refused'] / len(disturbed):.1%} refused; of {len(harmless)} harmless ones "
-        f"{refused / len(harmless):.1%} refused"
+        f"{len(found)} disturbed cases: {part(outside)} outside the interval, "
+        f"{part([case for case in found if case.lies])} by the disturbance; beyond three half-widths "
+        f"{part([case for case in found if case.verdict == 'gross'])}, "
+        f"{part([case for case in found if case.verdict == 'gross' and case.lies])} by the disturbance; "
+        f"{part([case for case in found if case.verdict == 'refused'])} refused. Of {len(mild)} harmless "
+        f"ones {sum(case.verdict == 'refused' for case in mild) / len(mild):.1%} refused, "
+        f"{sum(map(flipped, mild)) / len(mild):.1%} with another class."
     )
 
 
-def _volume_mm3(row: Measurement) -> float:
-    return 0.0 if row.volume is None else row.volume.visible_mm3.value
+def read(path: Path) -> list[Case]:
+    """Read a record of cases; one that is not there is empty."""
+    if not path.exists():
+        return []
+    return [Case(**json.loads(line)) for line in path.read_text("utf-8").splitlines()]
 
 
-def _moved(
-    image: Image, right: float = 0.0, down: float = 0.0, turn_deg: float = 0.0, scale: float = 1.0
-) -> Image:
-    rows, columns = image.shape[:2]
-    matrix = cv2.getRotationMatrix2D(((columns - 1) / 2, (rows - 1) / 2), -turn_deg, scale)
-    matrix[:, 2] += right, down
-    how = {"flags": cv2.INTER_LANCZOS4, "borderMode": cv2.BORDER_REFLECT}
-    return np.asarray(cv2.warpAffine(image, matrix, (columns, rows), **how))
+def _asked_for(name: str, only: Sequence[str]) -> bool:
+    return not only or any(name.startswith(word) for word in only)
 
 
-def _camera(**motion: float) -> Disturbance:
-    return lambda scene: (
-        _moved(scene.laser, **motion),
-        None if scene.plain is None else _moved(scene.plain, **motion),
-    )
-
-
-def _plain_alone(**motion: float) -> Disturbance:
-    return lambda scene: (scene.laser, None if scene.plain is None else _moved(scene.plain, **motion))
-
-
-def _both(change: Callable[[Image], Image]) -> Disturbance:
-    return lambda scene: (change(scene.laser), None if scene.plain is None else change(scene.plain))
-
-
-def _laser(change: Callable[[Image], Image]) -> Disturbance:
-    return lambda scene: (change(scene.laser), scene.plain)
-
-
-def _jpeg(quality: int) -> Callable[[Image], Image]:
-    return lambda image: np.asarray(
-        cv2.imdecode(
-            cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1], cv2.IMREAD_UNCHANGED
-        )
-    )
-
-
-def _gamma(power: float) -> Callable[[Image], Image]:
-    levels = np.rint(255.0 * (np.arange(256) / 255.0) ** power).astype(np.uint8)
-    return lambda image: levels[image]
-
-
-def _specks(share: float) -> Callable[[Image], Image]:
-    def change(image: Image) -> Image:
-        rng = np.random.default_rng(SEED)
-        hit = rng.random(image.shape[:2])
-        image = image.copy()
-        image[hit < share / 2], image[hit > 1.0 - share / 2] = 0, 255
-        return image
-
-    return change
-
-
-def _noise(std: float) -> Callable[[Image], Image]:
-    return lambda image: np.clip(
-        np.rint(image + np.random.default_rng(SEED).normal(0.0, std, image.shape)), 0, 255
-    ).astype(np.uint8)
-
-
-def _lost(image: Image, lines: int, axis: int) -> Image:
-    """Lines lost in the middle: what follows moves up, the last ones stand twice."""
-    middle = image.shape[axis] // 2
-    kept = np.delete(image, np.s_[middle : middle + lines], axis)
-    return np.concatenate([kept, np.take(image, range(-lines, 0), axis)], axis)
-
-
-def _torn(image: Image, other: Image, axis: int) -> Image:
-    middle = image.shape[axis] // 2
-    return np.concatenate(
-        [np.take(image, range(middle), axis), np.take(other, range(middle, image.shape[axis]), axis)], axis
-    )
-
-
-def _other_plain(scene: Scene) -> tuple[Image, Image | None]:
-    return scene.laser, scene.plain if scene.other is None else scene.other.plain
-
-
-DISTURBANCES: dict[str, Disturbance] = {
-    "none": lambda scene: (scene.laser, scene.plain),
-    **{f"camera right {px:g} px": _camera(right=px) for px in (0.03, 0.1, 0.3, 1.0, 3.0, 10.0)},
-    **{f"camera down {px:g} px": _camera(down=px) for px in (0.3, 1.0, 5.0)},
-    **{
-        f"camera turned {deg:g}°": _camera(turn_deg=deg) for deg in (0.05, 0.1, 0.2, -0.3, 0.4, 0.5, 1.0, 3.0)
-    },
-    **{f"camera scale {by:g}": _camera(scale=by) for by in (0.999, 1.002, 0.995, 0.985, 1.015, 1.05)},
-    "camera all": _camera(right=0.4, down=0.5, turn_deg=0.15, scale=1.001),
-    **{f"plain image right {px:g} px": _plain_alone(right=px) for px in (0.3, 1.0, 3.0, 10.0)},
-    **{f"plain image scale {by:g}": _plain_alone(scale=by) for by in (0.995, 0.97, 1.03)},
-    "plain image of another product": _other_plain,
-    **{f"JPEG quality {quality}": _both(_jpeg(quality)) for quality in (95, 75, 40, 20)},
-    **{f"gamma {power:g}": _both(_gamma(power)) for power in (0.8, 1.25, 2.0)},
-    **{f"noise {std:g} grey levels": _both(_noise(std)) for std in (1.0, 4.0, 10.0)},
-    **{f"specks {share:g}": _laser(_specks(share)) for share in (0.001, 0.01)},
-    **{f"{lines} rows lost": _laser(lambda image, n=lines: _lost(image, n, 0)) for lines in (1, 5, 20)},
-    **{f"{lines} columns lost": _laser(lambda image, n=lines: _lost(image, n, 1)) for lines in (1, 5, 20)},
-    "lower half of another": lambda scene: (_torn(scene.laser, scene.other.laser, 0), scene.plain),
-    "right half of another": lambda scene: (_torn(scene.laser, scene.other.laser, 1), scene.plain),
-    "laser off": _laser(lambda image: np.minimum(image, np.median(image).astype(image.dtype))),
-    "mirrored": _both(lambda image: np.ascontiguousarray(image[:, ::-1])),
-    "upside down": _both(lambda image: np.ascontiguousarray(image[::-1])),
-}
-
-HARMLESS = ("camera right 0.03 px", "JPEG quality 95", "gamma 0.8", "gamma 1.25", "noise 1 grey levels")
-"""Disturbances that no one would see in the stripes: a refusal of these is a false alarm."""
+def _shuffled(
+    places: Sequence[tuple[str, int]], names: Sequence[str], cases: int, seed: int
+) -> Iterator[tuple[tuple[str, int], str]]:
+    """Give pairs of place and name, each as often as any other, in an order drawn at random."""
+    rng, pairs = np.random.default_rng([seed, 7]), [(place, name) for place in places for name in names]
+    for _ in range(math.ceil(cases / len(pairs))):
+        for k in rng.permutation(len(pairs))[:cases]:
+            yield pairs[k]
+            cases -= 1
 
 
 if __name__ == "__main__":

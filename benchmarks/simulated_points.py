@@ -140,10 +140,10 @@ def _corners(geometry: Geometry, image_size: tuple[int, int], pitch_mm: float) -
     poses = len(geometry.shift)
     pose = np.repeat(np.arange(poses), len(board))
     zero = np.zeros(pose.size)
-    origin = Corners(pose, np.tile(board, (poses, 1)), np.zeros((pose.size, 2)), zero)
+    origin = Corners(pose, np.tile(board, (poses, 1)), np.zeros((pose.size, 2)), zero, 0 * pose)
     xy = corner_residuals(geometry, origin).reshape(-1, 2)
     inside = ((xy > 2.0) & (xy < np.array(image_size[::-1]) - 3.0)).all(axis=1)
-    return Corners(pose[inside], origin.board_mm[inside], xy[inside], zero[inside])
+    return Corners(pose[inside], origin.board_mm[inside], xy[inside], zero[inside], 0 * pose[inside])
 
 
 def _points(geometry: Geometry, rig: SimulatedRig, pitch_mm: float) -> StripePoints:

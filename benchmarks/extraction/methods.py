@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.extraction import packages, peers
+from benchmarks.extraction import compiled, packages, peers
 from benchmarks.extraction.drawing import Light
 from benchmarks.extraction.scoring import Found
 from roemetry.records import WIDE, Frame, Peaks, Sensor
@@ -104,6 +104,14 @@ def _peers() -> Iterator[tuple[str, Method | str]]:
         "scipy find_peaks + centre of gravity": peers.scipy_centre_of_gravity,
     }.items():
         yield name, Method(name, False, _plain(find))
+    for name, reach, weighted in (
+        ("C++, log-parabola of 5 pixels", 2, False),
+        ("C++, weighted Gaussian of 9 pixels", 4, True),
+    ):
+        if compiled.COMPILER is None:
+            yield name, "there is no C++ compiler"
+        else:
+            yield name, Method(name, False, _plain(compiled.compiled(reach, weighted=weighted)))
 
 
 def _packages() -> Iterator[tuple[str, Method | str]]:

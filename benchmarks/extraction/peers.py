@@ -58,7 +58,7 @@ def scipy_centre_of_gravity(pixels: Pixels) -> Found:
 
 def numpy_run_centre_of_gravity(pixels: Pixels) -> Found:
     """Runs of pixels above a level, found by differences; the centre of gravity of each, above that level."""
-    at = np.flatnonzero(pixels.ravel() > LEVEL)
+    at = np.flatnonzero(pixels.ravel() > int(LEVEL))  # of a fraction, numpy would compare in floats
     row, column = np.divmod(at, pixels.shape[1])
     begins = np.ones(len(at), bool)
     begins[1:] = (np.diff(at) != 1) | (np.diff(row) != 0)

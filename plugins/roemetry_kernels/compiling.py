@@ -14,6 +14,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+_LEAN: dict[str, Any] = {"nogil": True, "no_cfunc_wrapper": True}
+"""No kernel is handed to C as a function: the wrapper for that takes a twentieth of the compile time."""
 _FLOATS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"reassoc", "contract", "nsz", "arcp"}}
 
 
@@ -52,13 +54,18 @@ def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
         return njit(**options)(function)
     if not hasattr(config, "CACHE_LOCATOR_CLASSES"):
         # this numba cannot be told which files to look at: compile every time, never run what is outdated
-        return njit(nogil=True, **options)(function)
-    from roemetry_kernels.kernel_cache import NAMES, compiled_in_turns
+        return njit(**_LEAN, **options)(function)
+    from roemetry_kernels.kernel_cache import NAMES, compiled_in_turns, say
 
     before = config.CACHE_LOCATOR_CLASSES
     config.CACHE_LOCATOR_CLASSES = NAMES
     try:
-        compiled: Any = njit(cache=True, nogil=True, **options)(function)
+        compiled: Any = njit(cache=True, **_LEAN, **options)(function)
+    except RuntimeError as error:  # of numba: there is no folder that it may write to
+        say(
+            f"compiled kernels are not kept, and each start compiles them again: {error}. Set NUMBA_CACHE_DIR"
+        )
+        return njit(**_LEAN, **options)(function)
     finally:
         config.CACHE_LOCATOR_CLASSES = before  # functions of others keep the locators they had
     return compiled_in_turns(compiled, Path(function.__code__.co_filename))
@@ -80,4 +87,4 @@ def inlined(function: Callable[..., Any]) -> Any:
     """
     from numba import njit
 
-    return njit(nogil=True, forceinline=True, **_FLOATS)(function)
+    return njit(forceinline=True, no_cpython_wrapper=True, **_LEAN, **_FLOATS)(function)

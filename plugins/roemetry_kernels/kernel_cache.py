@@ -4,22 +4,58 @@ numba's own locators stamp the one file in which a function stands. A kernel is 
 imports from our other files (kernels, constants), so these locators add a hash of all of them. numba finds
 them by its setting `NUMBA_CACHE_LOCATOR_CLASSES`, which takes names of classes like those below.
 
+Machine code runs on the processor and by the version of numba that it was made with. Both are part of the
+files' names: what another machine or an installed wheel brought along is used where it fits, and else stands
+aside. Nothing in a stamp depends on the folder, so compiled kernels can be installed with the sources.
+
 Where processes need the same kernel at the same time, one compiles it and the others take it from disk: a run
 with several jobs starts them all on an empty cache, and each would compile every kernel for itself.
+
+What is damaged on disk is compiled anew, and where nothing can be written kernels are compiled in each
+process; either is said once (`KernelCacheWarning`).
 """
 
 from __future__ import annotations
 
+import gc
 import hashlib
+import os
 import re
+import shutil
+import sys
 import time
+import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 from numba.core.caching import InTreeCacheLocator, UserProvidedCacheLocator, UserWideCacheLocator
+
+
+class KernelCacheWarning(UserWarning):
+    """Compiled kernels could not be kept on disk, or what was kept is damaged: it only takes longer."""
+
+
+def say(message: str) -> None:
+    """Warn once: not again in this process, nor in those that it starts."""
+    told = "ROEMETRY_KERNEL_CACHE_TOLD"
+    if told not in os.environ:
+        os.environ[told] = "1"
+        warnings.warn(message, KernelCacheWarning, stacklevel=2)
+
+
+@cache
+def machine() -> str:
+    """Name the processor and the numba that machine code is made for, in eight digits."""
+    import numba
+    from llvmlite import binding
+
+    named = numba.config.CPU_NAME, numba.config.CPU_FEATURES
+    found = binding.get_host_cpu_name(), binding.get_host_cpu_features().flatten()
+    text = repr((numba.__version__, sys.platform, named, found))
+    return hashlib.sha256(text.encode()).hexdigest()[:8]
 
 
 class _AllSources:
@@ -33,9 +69,24 @@ class _AllSources:
             made.source = Path(py_file)
         return made
 
+    def ensure_cache_path(self) -> None:
+        """Raise OSError where the folder cannot be written; asked once a folder, not once a kernel."""
+        _check_writable(Path(self.get_cache_path()))  # type: ignore[attr-defined]
+
     def get_source_stamp(self) -> tuple[Any, str]:
         """Return numba's stamp of the file and the hash of all that it imports."""
         return super().get_source_stamp(), digest(self.source)  # type: ignore[misc, attr-defined]
+
+    def get_disambiguator(self) -> str:
+        """Return what tells files of the same function apart: its line, and the machine."""
+        return f"{super().get_disambiguator()}-{machine()}"  # type: ignore[misc]
+
+
+@cache
+def _check_writable(folder: Path) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    if not os.access(folder, os.W_OK):
+        raise PermissionError(folder)
 
 
 class InCacheDir(_AllSources, UserProvidedCacheLocator):  # type: ignore[misc]
@@ -47,7 +98,25 @@ class BesideSource(_AllSources, InTreeCacheLocator):  # type: ignore[misc]
 
 
 class InHome(_AllSources, UserWideCacheLocator):  # type: ignore[misc]
-    """In the user's cache folder: where the package is installed read-only."""
+    """In the user's cache folder, where the package is installed read-only."""
+
+    @classmethod
+    def from_function(cls, py_func: Any, py_file: str) -> Any:
+        """Make the locator; kernels that were installed with the sources are brought along."""
+        made = super().from_function(py_func, py_file)
+        if made is not None:
+            _bring(Path(py_file).parent / "__pycache__", Path(made.get_cache_path()))
+        return made
+
+
+@cache
+def _bring(source: Path, target: Path) -> None:
+    """Copy the compiled kernels of this machine that are missing in a folder or older there."""
+    for path in source.glob(f"*-{machine()}.*.nb[ic]"):
+        mine = target / path.name
+        with suppress(OSError):
+            if not mine.exists() or mine.stat().st_mtime < path.stat().st_mtime:
+                shutil.copyfile(path, mine)
 
 
 NAMES = ",".join(f"{__name__}.{cls.__name__}" for cls in (InCacheDir, BesideSource, InHome))
@@ -100,7 +169,7 @@ _mine: set[Path] = set()
 
 
 def compiled_in_turns(compiled: Any, source: Path) -> Any:
-    """Let one process at a time compile what a source file defines.
+    """Let one process at a time compile what a source file defines, and do without a cache that fails.
 
     Parameters
     ----------
@@ -113,23 +182,61 @@ def compiled_in_turns(compiled: Any, source: Path) -> Any:
     Returns
     -------
     object
-        The same dispatcher.
+        The same dispatcher; its `is_on_disk()` says whether this machine's code of it lies there.
     """
     from numba.core.compiler_lock import global_compiler_lock
+    from numba.core.errors import NumbaError
     from numba.core.sigutils import normalize_signature
 
     compile_now: Callable[[Any], Any] = compiled.compile
 
+    def kept() -> list[Path]:
+        """Give the files of the function on disk."""
+        name = f"{source.stem}.{compiled.py_func.__qualname__}".replace("<", "").replace(">", "")
+        line = compiled.py_func.__code__.co_firstlineno
+        return list(Path(compiled.stats.cache_path).glob(f"{name}-{line}-{machine()}.*"))
+
     def compile_in_turn(signature: Any) -> Any:
         """Compile for a signature, or take from disk what another process has compiled meanwhile."""
-        if tuple(normalize_signature(signature)[0]) in compiled.overloads:
+        types = tuple(normalize_signature(signature)[0])
+        if types in compiled.overloads:
             return compile_now(signature)
         # numba's lock first: threads of this process that waited for each other's files could wait for ever
-        with global_compiler_lock, _turn(source):
-            return compile_now(signature)
+        with global_compiler_lock, _turn(source), _nothing_collected():
+            try:
+                return compile_now(signature)
+            except NumbaError:
+                raise  # the kernel's own fault
+            except Exception as error:
+                if types in compiled.overloads:
+                    say(
+                        f"a compiled kernel could not be written to {compiled.stats.cache_path} ({error}) "
+                        "and is compiled again next time. Free the disk, or set NUMBA_CACHE_DIR"
+                    )
+                    return compiled.overloads[types].entry_point
+                damaged = kept()
+                if not damaged:
+                    raise
+                say(f"{damaged[0].with_suffix('')} is damaged ({type(error).__name__}): it is compiled anew")
+                for path in damaged:
+                    path.unlink(missing_ok=True)
+                return compile_now(signature)
 
     compiled.compile = compile_in_turn
+    compiled.is_on_disk = lambda: any(path.suffix == ".nbi" for path in kept())
     return compiled
+
+
+@contextmanager
+def _nothing_collected() -> Iterator[None]:
+    """Keep Python's garbage collector away: it looks at all that a compiler holds and finds nothing."""
+    collects = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collects:
+            gc.enable()
 
 
 @contextmanager

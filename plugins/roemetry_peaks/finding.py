@@ -19,38 +19,18 @@ from pydantic import Field
 
 from roemetry.records import EDGE, SATURATED, Frame, Peaks
 from roemetry.records.arrays import Floats
-from roemetry.stages import StageOptions
 from roemetry_kernels.compiling import float_kernel, inlined, kernel
 from roemetry_kernels.image_levels import SHARE_MIN, automatic_rise, doubts, grey, plain_layout, scaled_level
-from roemetry_peaks.peak_scan import GLARE, GLARING, Area, Pixels, searched, stripe_tops
+from roemetry_peaks.peak_scan import GLARE, GLARING, Pixels, stripe_tops
 from roemetry_peaks.peak_window import Stripes, stripes_around
+from roemetry_peaks.searching import Area, SearchOptions, searched
 from roemetry_peaks.speckle_contrast import contrasts_along, variance_of_middle
 from roemetry_peaks.stated_uncertainty import corrected
 
 
-class PeakOptions(StageOptions):
-    """What counts as a stripe."""
+class PeakOptions(SearchOptions):
+    """What counts as a stripe, and its speckle."""
 
-    threshold: Annotated[float, Field(ge=1.0, le=255.0)] | Literal["auto"] = Field(
-        default="auto",
-        description="grey levels (of 0…255, scaled for deeper images) by which a stripe must rise above the "
-        "lowest level before it and fall again; auto: from the image's own noise, and from how high "
-        "its stripes are",
-    )
-    width_min_px: float = Field(
-        default=1.5,
-        ge=0.0,
-        le=100.0,
-        description="smallest full width at half height, px: rejects hot pixels",
-    )
-    width_max_px: float = Field(
-        default=40.0, gt=0.0, le=1000.0, description="largest full width at half height, px: rejects glare"
-    )
-    region: tuple[int, int, int, int] | None = Field(
-        default=None,
-        description="part of the (turned) image to search: first row, row after the last, first column, "
-        "column after the last, px; none: all of it",
-    )
     speckle_contrast: Annotated[float, Field(ge=0.0, le=1.0)] | Literal["auto"] = Field(
         default="auto",
         description="standard deviation of the light over its mean, from the laser's speckle; auto: from how "

@@ -18,7 +18,7 @@ the compiler needs to see that lanes do not depend on each other.
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,65 +45,61 @@ Pixels = NDArray[Any]
 Bytes = NDArray[np.uint8]
 
 
-@kernel
-def fit_peaks(
-    image: Pixels,
-    white: float,
-    row: Integers,
-    x_px: Floats,
-    amplitude: Floats,
-    sigma_px: Floats,
-    height: Floats,
-    slope: Floats,
-    variance: float,
-    error: Floats,
-    gain: float,
-    contrast2: Floats,
-    rho: float,
-    x_std_px: Floats,
-    speckled: Floats,
-    state: Bytes,
-) -> None:
-    """Fit all peaks, in place.
+class Gaussians(NamedTuple):
+    """Gaussian stripes on the light beside them, a straight line; one element a peak."""
 
-    Parameters
-    ----------
-    image
-        (row, column) grey levels.
-    white
-        Grey level from which on a pixel is saturated and does not count.
-    row
-        (peak,) image row.
-    x_px, amplitude, sigma_px
-        (peak,) start values, replaced by the fit: centre, px; height above the light beside it, grey
-        levels; standard deviation, px.
-    height, slope
-        (peak,) light beside the stripe: grey levels at the start's `x_px`, grey levels per px.
-    variance, gain
-        R, grey levels²; g, grey levels.
-    error
-        (peak,) variance of the error of the profile's model, grey levels². Such an error is smooth across the
-        profile: weights that expect correlated speckle would amplify it, so where there is one, pixels are
-        weighted as if they were independent.
-    contrast2
-        (peak,) C².
-    rho
-        Correlation of the speckle of neighbouring pixels.
-    x_std_px
-        (peak,) becomes the standard uncertainty of the centre, px.
-    speckled
-        (peak,) becomes the share of speckle in its variance.
-    state
-        (peak,) becomes `FAILED`, `FITTED` or `CLIPPED`.
-    """
+    row: Integers
+    x_px: Floats
+    amplitude: Floats
+    sigma_px: Floats
+    """x_px, amplitude, sigma_px: centre, px; height above the line, grey levels; standard deviation, px."""
+    height: Floats
+    slope: Floats
+    """height, slope: the line's grey level at `x_px`, and its growth, grey levels per px."""
+
+
+class PeakNoise(NamedTuple):
+    """The noise of each peak's pixels: R + (d a)² + g μ + C² m², as in `maximum_likelihood`."""
+
+    variance: float
+    gain: float
+    """variance, gain: R, grey levels²; g, grey levels."""
+    correlation: float
+    """Of the speckle of neighbouring pixels."""
+    contrast2: Floats
+    """(peak,) C²."""
+    error: Floats
+    """(peak,) (d a)², variance of the error of the profile's model, grey levels². Such an error is smooth
+    across the profile: weights that expect correlated speckle would amplify it, so where there is one, pixels
+    are weighted as if they were independent."""
+
+
+class Fitted(NamedTuple):
+    """Fits, one element a peak."""
+
+    x_px: Floats
+    amplitude: Floats
+    sigma_px: Floats
+    x_std_px: Floats
+    """Standard uncertainty of the centre, px."""
+    speckled: Floats
+    """Share of speckle in its variance."""
+    state: Bytes
+    """`FAILED`, `FITTED` or `CLIPPED`."""
+
+
+@kernel
+def fit_peaks(image: Pixels, white: float, start: Gaussians, noise: PeakNoise) -> Fitted:
+    """Fit all peaks of an image of grey levels; pixels from `white` on are saturated and do not count."""
+    row, height, slope = start.row, start.height, start.slope
     peaks = row.shape[0]
+    x_px, amplitude, sigma_px = start.x_px.copy(), start.amplitude.copy(), start.sigma_px.copy()
+    x_std_px, speckled, state = np.full(peaks, np.nan), np.zeros(peaks), np.full(peaks, FITTED, np.uint8)
     order = np.empty(peaks, np.int64)
     lanes = np.zeros(TABLE)
     grey = np.zeros((ROOM + 1) * LANES)
-    keep = np.zeros((ROOM + 1) * LANES)
-    used = np.zeros((ROOM + 1) * LANES)
-    start_x, start_s = x_px.copy(), sigma_px.copy()
-    state[:] = FITTED
+    keep, used = np.zeros_like(grey), np.zeros_like(grey)
+    gain, rho = noise.gain, noise.correlation
     for phase in range(2):
         lengths = _by_length(x_px, sigma_px, state, image.shape[1], order)
         begin = 0
@@ -114,21 +110,18 @@ def fit_peaks(
                 members = order[begin : begin + count]
                 begin += count
                 if n < 4:
-                    state[members] = FAILED
+                    for p in members:
+                        state[p] = FAILED
                     continue
                 for lane in range(LANES):
                     p = members[min(lane, count - 1)]
                     first = _first(x_px[p], sigma_px[p])
-                    lanes[X + lane], lanes[A + lane], lanes[S + lane] = (
-                        x_px[p],
-                        amplitude[p],
-                        sigma_px[p],
-                    )
+                    lanes[X + lane], lanes[A + lane], lanes[S + lane] = x_px[p], amplitude[p], sigma_px[p]
                     lanes[B + lane], lanes[SLOPE + lane] = height[p], slope[p]
-                    lanes[C2 + lane], lanes[R + lane] = contrast2[p], variance
-                    lanes[ERROR + lane] = error[p]
-                    lanes[RHO + lane] = 0.0 if error[p] > 0.0 else rho
-                    lanes[START_X + lane], lanes[START_S + lane] = start_x[p], start_s[p]
+                    lanes[C2 + lane], lanes[R + lane] = noise.contrast2[p], noise.variance
+                    lanes[ERROR + lane] = noise.error[p]
+                    lanes[RHO + lane] = 0.0 if noise.error[p] > 0.0 else rho
+                    lanes[START_X + lane], lanes[START_S + lane] = start.x_px[p], start.sigma_px[p]
                     lanes[FIRST + lane] = first
                     clipped = False
                     for i in range(n):
@@ -148,13 +141,10 @@ def fit_peaks(
                     speckle = max(lanes[SPECKLE + lane], 0.0)
                     x_std_px[p] = math.sqrt(lanes[SPREAD + lane] + speckle)
                     speckled[p] = speckle / (lanes[SPREAD + lane] + speckle + 1e-300)
-                    x_px[p], amplitude[p], sigma_px[p] = (
-                        lanes[X + lane],
-                        lanes[A + lane],
-                        lanes[S + lane],
-                    )
+                    x_px[p], amplitude[p], sigma_px[p] = lanes[X + lane], lanes[A + lane], lanes[S + lane]
                     if lanes[GOOD + lane] == 0.0:
                         state[p] = FAILED
+    return Fitted(x_px, amplitude, sigma_px, x_std_px, speckled, state)
 
 
 @kernel
@@ -212,52 +202,11 @@ LANES = 16
 """Peaks side by side; loops over fewer are not turned into vector instructions."""
 
 # Where each field begins in the table.
-X = 0 * LANES
-A = 1 * LANES
-S = 2 * LANES
-B = 3 * LANES
-SLOPE = 4 * LANES
-C2 = 5 * LANES
-START_X = 6 * LANES
-START_S = 7 * LANES
-LIMIT = 8 * LANES
-FIRST = 9 * LANES
-HALF_INVERSE = 10 * LANES
-M = 11 * LANES
-IV = 12 * LANES
-W0 = 13 * LANES
-W1 = 14 * LANES
-W2 = 15 * LANES
-W3 = 16 * LANES
-N00 = 17 * LANES
-N01 = 18 * LANES
-N02 = 19 * LANES
-N11 = 20 * LANES
-N12 = 21 * LANES
-N22 = 22 * LANES
-G0 = 23 * LANES
-G1 = 24 * LANES
-G2 = 25 * LANES
-H0 = 26 * LANES
-H1 = 27 * LANES
-H2 = 28 * LANES
-U = 29 * LANES
-E = 30 * LANES
-MU = 31 * LANES
-P1 = 32 * LANES
-P2 = 33 * LANES
-P3 = 34 * LANES
-P4 = 35 * LANES
-SPREAD = 36 * LANES
-SPECKLE = 37 * LANES
-GOOD = 38 * LANES
-MOVES = 39 * LANES
-R = 40 * LANES
-ERROR = 41 * LANES
-RHO = 42 * LANES
-LEFT = 43 * LANES
-RIGHT = 44 * LANES
-TABLE = 45 * LANES
+X, A, S, B, SLOPE, C2, START_X, START_S, LIMIT, FIRST = range(0, 10 * LANES, LANES)
+HALF_INVERSE, M, IV, W0, W1, W2, W3 = range(10 * LANES, 17 * LANES, LANES)
+N00, N01, N02, N11, N12, N22, G0, G1, G2, H0, H1, H2 = range(17 * LANES, 29 * LANES, LANES)
+U, E, MU, P1, P2, P3, P4, SPREAD, SPECKLE = range(29 * LANES, 38 * LANES, LANES)
+GOOD, MOVES, R, ERROR, RHO, LEFT, RIGHT, TABLE = range(38 * LANES, 46 * LANES, LANES)
 _E3, _E4, _E5, _E6, _E7, _E8 = 1 / 6, 1 / 24, 1 / 120, 1 / 720, 1 / 5040, 1 / 40320
 
 

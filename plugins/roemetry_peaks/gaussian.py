@@ -44,35 +44,13 @@ _UNLIKE = 0.01  # what is correlated by less is taken for independent
 LANES = 64  # stripes side by side
 
 # Where the quantities of each lane begin in one piece of memory (numba looks for overlaps in each loop else).
-_LEVEL = 0
-_FIRST = 1 * LANES  # the fitted pixels: the first one's distance from the middle, and how many
-_COUNT = 2 * LANES
-_WIDTH = 3 * LANES
-_NARROW = 4 * LANES
-_AMPLITUDE = 5 * LANES
-_BACKGROUND = 6 * LANES
-_SLOPE = 7 * LANES
-_UNSURE = 8 * LANES
-_GAIN = 9 * LANES
-_FLOOR = 10 * LANES
-_S0 = 11 * LANES
-_S1 = 12 * LANES
-_S2 = 13 * LANES
-_S3 = 14 * LANES
-_S4 = 15 * LANES
-_T0 = 16 * LANES
-_T1 = 17 * LANES
-_T2 = 18 * LANES
-_LEAN = 19 * LANES
-_MOVED = 20 * LANES
-_STD = 21 * LANES
-_PULL_1 = 22 * LANES  # what the pull of a logarithm on the top consists of
-_PULL_2 = 23 * LANES
-_WEIGHT = 24 * LANES  # of the last pixel
-_MEAN_1 = 25 * LANES  # weighted, of the distance from the middle, and of its square
-_MEAN_2 = 26 * LANES
-_CONTRAST2 = 27 * LANES  # square of the speckle's contrast
-_TABLE = 28 * LANES
+# `_FIRST`, `_COUNT`: the fitted pixels, the first one's distance from the middle, and how many.
+# `_PULL`, `_WEIGHT`: what a logarithm's pull on the top consists of; the last pixel's weight.
+# `_MEAN`: weighted means of the distance from the middle, and of its square.
+_LEVEL, _FIRST, _COUNT, _WIDTH, _NARROW, _AMPLITUDE, _BACKGROUND = range(0, 7 * LANES, LANES)
+_SLOPE, _UNSURE, _GAIN, _FLOOR, _S0, _S1, _S2, _S3, _S4 = range(7 * LANES, 16 * LANES, LANES)
+_T0, _T1, _T2, _LEAN, _MOVED, _STD, _PULL_1, _PULL_2 = range(16 * LANES, 24 * LANES, LANES)
+_WEIGHT, _MEAN_1, _MEAN_2, _CONTRAST2, _TABLE = range(24 * LANES, 29 * LANES, LANES)
 
 
 @float_kernel

@@ -1,10 +1,23 @@
 """Local polynomials along each stripe: less noise, paid for in resolution.
 
-Local polynomials along stripes that stop at breaks and steps, compiled.
+Around each row a polynomial is fitted to the rows next to it by least squares with weights 1/s², s the
+standard uncertainty of each position x:
 
-Steps and outliers along a stripe, compiled.
+    minimise Σ (x_j − c₀ − c₁ t_j − c₂ t_j²)² / s_j²,   t_j = row_j − row_i,   the smoothed position is c₀.
 
-Least squares along a stripe, compiled: weights on points that give a coefficient, and what they leave.
+c₀ = Σ w_j x_j is linear in the positions, so its variance is Σ Σ w_j w_k s_j s_k exp(−Δ²/(4 ℓ²)), ℓ the
+correlation length of the errors along the stripe in rows. A line with the bend c₂ of a window twice as wide
+is tried first, then a parabola, then one over half of the rows; one that leaves more than the uncertainties
+explain is not taken.
+
+A stripe is cut where it steps: the height of a step beside a cubic over 8 rows on both sides, in its own
+standard deviations; of all places the highest first, until none is above 4. A single row that a cubic through
+the others does not foretell within 4.5 standard deviations, and that neither neighbour is like, is left out.
+
+Assumed: the stated uncertainties are right; the surface is smooth over the window. Fails where detail is
+shorter than the window but within its noise: it is smoothed away, and the reason `smoothed` says so.
+
+Source: Savitzky, Golay (1964), Analytical Chemistry 36:1627; steps and the wider bend are ours.
 """
 
 from __future__ import annotations
@@ -12,13 +25,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from pydantic import Field, field_validator
 
 from roemetry.records import Reason, StripeMap
-from roemetry.records.arrays import Floats, Integers
+from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.stages import Smoother, StageOptions
 from roemetry_kernels.compiling import kernel
 
@@ -62,10 +75,11 @@ class LocalPolynomial(Smoother[LocalPolynomialOptions]):
                 position = stripes.x_px[stripe, at]
                 stated = stripes.x_std_px[stripe, at]
                 std = np.where(stated > 0.0, stated, own_px)
-                out, out_std = np.empty(at.size), np.empty(at.size)
-                steps += smoothed_run(
-                    at.astype(np.float64), position, std, rows, stripes.correlation_rows, out, out_std
+                points = Points(
+                    at.astype(np.float64), position, std, np.ones(at.size, np.bool_), stripes.correlation_rows
                 )
+                out, out_std, kept = smoothed_run(points, rows)
+                steps += kept
                 x_px[stripe, at] = out
                 x_std_px[stripe, at] = np.where(stated > 0.0, out_std, np.nan)
                 before.append(std)
@@ -119,36 +133,36 @@ def _reach(before: Floats, after: Floats, length: float) -> float:
 _FEW = 3
 
 
-@kernel
-def smoothed_run(
-    row: Floats, x_px: Floats, std_px: Floats, rows: int, length: float, out_px: Floats, out_std_px: Floats
-) -> int:
-    """Smooth one unbroken piece of a stripe.
+class Points(NamedTuple):
+    """One unbroken piece of a stripe, one element a point."""
 
-    Parameters
-    ----------
-    row, x_px, std_px
-        (point,) row, increasing; position, px; its standard uncertainty, px.
-    rows
-        How many rows a line is put through.
-    length
-        Correlation of the errors along the stripe, rows, as in `Peaks.correlation_rows`.
-    out_px, out_std_px
-        (point,) become the smoothed positions, px, and their standard uncertainty, px.
+    row: Floats
+    x_px: Floats
+    std_px: Floats
+    """row, x_px, std_px: row, increasing; position and its standard uncertainty, px."""
+    use: Flags
+    """Whether a point counts: outliers are taken out in place."""
+    length: float
+    """Correlation of the errors along the stripe, rows, as in `Peaks.correlation_rows`."""
+
+
+@kernel
+def smoothed_run(points: Points, rows: int) -> tuple[Floats, Floats, int]:
+    """Smooth a piece of a stripe by a line through `rows` rows.
 
     Returns
     -------
-    int
-        Number of steps that were found and kept.
+    tuple
+        (point,) smoothed positions, px, their standard uncertainty, px; number of steps found and kept.
     """
+    row, x_px = points.row, points.x_px
     n = row.shape[0]
-    use = np.ones(n, np.bool_)
-    leave_outliers_out(row, x_px, std_px, length, use)
+    leave_outliers_out(points)
     begin = np.zeros(n, np.int64)  # where the piece between steps that a point lies in begins, and ends
     end = np.full(n, n, np.int64)
     steps = 0
     for _ in range(n):
-        at = highest_step(row, x_px, std_px, length, use, begin, end)
+        at = highest_step(points, begin, end)
         if at < 0:
             break
         steps += 1
@@ -158,34 +172,32 @@ def smoothed_run(
         for i in range(at, last):
             begin[i] = at
     weights, other = np.zeros(n), np.zeros(n)
+    out_px, out_std_px = x_px.copy(), points.std_px.copy()
     for i in range(n):
-        out_px[i], out_std_px[i] = x_px[i], std_px[i]
         for way in range(3):
             # A line with the bend of a wider window; a parabola; a parabola over half of the rows.
             first, last = nearest(row, begin[i], end[i], i, rows if way < 2 else rows // 2 + 1)
             low, high = first, last
             if way == 0:
                 low, high = nearest(row, begin[i], end[i], i, 2 * rows - 1)
-            if not _weights(row, std_px, use, i, first, last, low, high, way == 0, weights, other):
+            if not _weights(points, i, first, last, low, high, way == 0, weights, other):
                 continue
-            if way < 2 and _misfit(row, x_px, std_px, use, i, first, last, low, high, way == 0, other):
+            if way < 2 and _misfit(points, i, first, last, low, high, way == 0, other):
                 continue
-            if way == 2 and not use[i]:
+            if way == 2 and not points.use[i]:
                 continue
             value = 0.0
             for j in range(low, high):
                 value += weights[j] * x_px[j]
             out_px[i] = value
-            out_std_px[i] = math.sqrt(variance_of(row, std_px, weights, low, high, length))
+            out_std_px[i] = math.sqrt(variance_of(points, weights, low, high, points.length))
             break
-    return steps
+    return out_px, out_std_px, steps
 
 
 @kernel
 def _weights(
-    row: Floats,
-    std_px: Floats,
-    use: np.ndarray,
+    points: Points,
     i: int,
     first: int,
     last: int,
@@ -196,16 +208,17 @@ def _weights(
     other: Floats,
 ) -> bool:
     """Weights on the points low … high that give the position at point i."""
+    row = points.row
     for j in range(low, high):
         weights[j] = 0.0
     if not line:
-        return functional(row, std_px, use, row[i], first, last, 3, -1, 0, weights)
-    if not functional(row, std_px, use, row[i], first, last, 2, -1, 0, weights):
+        return functional(points, row[i], first, last, 3, -1, 0, weights)
+    if not functional(points, row[i], first, last, 2, -1, 0, weights):
         return False
     bent = 0.0
     for j in range(first, last):
         bent += weights[j] * (row[j] - row[i]) ** 2
-    if high - low > 2 * _FEW and functional(row, std_px, use, row[i], low, high, 3, -1, 2, other):
+    if high - low > 2 * _FEW and functional(points, row[i], low, high, 3, -1, 2, other):
         for j in range(low, high):
             weights[j] -= bent * other[j]
     return True
@@ -213,34 +226,25 @@ def _weights(
 
 @kernel
 def _misfit(
-    row: Floats,
-    x_px: Floats,
-    std_px: Floats,
-    use: np.ndarray,
-    i: int,
-    first: int,
-    last: int,
-    low: int,
-    high: int,
-    line: bool,
-    weights: Floats,
+    points: Points, i: int, first: int, last: int, low: int, high: int, line: bool, weights: Floats
 ) -> bool:
     """Whether what is left of the points first … last is more than their uncertainty explains."""
+    row, x_px = points.row, points.x_px
     coefficients = np.zeros(3)
     for which in range(3):
         begin, end = (low, high) if line and which == 2 else (first, last)
         powers = 2 if line and which < 2 else 3
-        if not functional(row, std_px, use, row[i], begin, end, powers, -1, which, weights):
+        if not functional(points, row[i], begin, end, powers, -1, which, weights):
             continue
         for j in range(begin, end):
             coefficients[which] += weights[j] * x_px[j]
     if line:
         # The line is put through what the bend leaves.
         for which in range(2):
-            functional(row, std_px, use, row[i], first, last, 2, -1, which, weights)
+            functional(points, row[i], first, last, 2, -1, which, weights)
             for j in range(first, last):
                 coefficients[which] -= weights[j] * coefficients[2] * (row[j] - row[i]) ** 2
-    return too_much(row, x_px, std_px, use, row[i], first, last, coefficients)
+    return too_much(points, row[i], first, last, coefficients)
 
 
 _STEP_REACH = 8  # rows on either side that a step is judged by
@@ -250,16 +254,9 @@ _FEW_AT_BREAK = 3
 
 
 @kernel
-def highest_step(
-    row: Floats,
-    x_px: Floats,
-    std_px: Floats,
-    length: float,
-    use: np.ndarray,
-    begin: Integers,
-    end: Integers,
-) -> int:
+def highest_step(points: Points, begin: Integers, end: Integers) -> int:
     """First point behind the most certain step, or −1: a step beside a cubic over 8 rows on both sides."""
+    row, x_px = points.row, points.x_px
     best, at = _STEP_STDS, -1
     weights = np.zeros(row.shape[0])
     for i in range(1, row.shape[0]):
@@ -276,27 +273,28 @@ def highest_step(
         # As many on either side: so a bend, which is even, is not taken for a step, which is odd.
         first, last = i - few, i + few
         powers = 4 if few > _FEW_AT_BREAK + 1 else 2
-        if not functional(row, std_px, use, row[i], first, last, powers, i, powers, weights):
+        if not functional(points, row[i], first, last, powers, i, powers, weights):
             continue
         height = 0.0
         for j in range(first, last):
             height += weights[j] * x_px[j]
-        variance = variance_of(row, std_px, weights, first, last, 0.0)
+        variance = variance_of(points, weights, first, last, 0.0)
         if height * height <= best * best * variance:
             continue
         # Correlation, which costs more to count, only makes a step less certain.
-        variance = max(variance, variance_of(row, std_px, weights, first, last, length))
+        variance = max(variance, variance_of(points, weights, first, last, points.length))
         if height * height > best * best * variance:
             best, at = abs(height) / math.sqrt(variance), i
     return at
 
 
 @kernel
-def leave_outliers_out(row: Floats, x_px: Floats, std_px: Floats, length: float, use: np.ndarray) -> None:
+def leave_outliers_out(points: Points) -> None:
     """Mark points that a cubic through the others does not foretell while it fits these.
 
     A point beside a step has one neighbour that it is like; an outlier has none.
     """
+    row, x_px, std_px, use = points.row, points.x_px, points.std_px, points.use
     n = row.shape[0]
     weights = np.zeros(n)
     for i in range(n):
@@ -304,37 +302,31 @@ def leave_outliers_out(row: Floats, x_px: Floats, std_px: Floats, length: float,
         if last - first < 2 * _FEW_AT_BREAK + 2:
             continue
         use[i] = False
-        if functional(row, std_px, use, row[i], first, last, 4, -1, 0, weights):
+        if functional(points, row[i], first, last, 4, -1, 0, weights):
             foretold = 0.0
             for j in range(first, last):
                 foretold += weights[j] * x_px[j]
             limit = _OUTLIER_STDS * std_px[i]
             alone = i == 0 or abs(x_px[i] - x_px[i - 1]) > 0.5 * limit
             alone = alone and (i == n - 1 or abs(x_px[i] - x_px[i + 1]) > 0.5 * limit)
-            if (
-                alone
-                and abs(x_px[i] - foretold) > limit
-                and _fits(row, x_px, std_px, use, row[i], first, last)
-            ):
-                variance = variance_of(row, std_px, weights, first, last, length) + std_px[i] ** 2
+            if alone and abs(x_px[i] - foretold) > limit and _fits(points, row[i], first, last):
+                variance = variance_of(points, weights, first, last, points.length) + std_px[i] ** 2
                 if abs(x_px[i] - foretold) > _OUTLIER_STDS * math.sqrt(variance):
                     continue
         use[i] = True
 
 
 @kernel
-def _fits(
-    row: Floats, x_px: Floats, std_px: Floats, use: np.ndarray, centre: float, first: int, last: int
-) -> bool:
+def _fits(points: Points, centre: float, first: int, last: int) -> bool:
     """Whether a cubic leaves of the points no more than their uncertainty explains."""
-    weights = np.zeros(row.shape[0])
-    coefficients = np.zeros(4)
+    x_px = points.x_px
+    weights, coefficients = np.zeros(x_px.shape[0]), np.zeros(4)
     for which in range(4):
-        if not functional(row, std_px, use, centre, first, last, 4, -1, which, weights):
+        if not functional(points, centre, first, last, 4, -1, which, weights):
             return False
         for j in range(first, last):
             coefficients[which] += weights[j] * x_px[j]
-    return not too_much(row, x_px, std_px, use, centre, first, last, coefficients)
+    return not too_much(points, centre, first, last, coefficients)
 
 
 _CORRELATED = 4.0  # lengths beyond which errors count as independent
@@ -362,9 +354,7 @@ def nearest(row: Floats, begin: int, end: int, i: int, rows: int) -> tuple[int, 
 
 @kernel
 def functional(
-    row: Floats,
-    std_px: Floats,
-    use: np.ndarray,
+    points: Points,
     centre: float,
     first: int,
     last: int,
@@ -377,6 +367,7 @@ def functional(
 
     Rows are counted from `centre`. Writes ``weights[first:last]``; False where the points do not suffice.
     """
+    row, std_px, use = points.row, points.std_px, points.use
     size = powers + (1 if step_at >= 0 else 0)
     scale = max(abs(row[first] - centre), abs(row[last - 1] - centre), 1.0)
     normal = np.zeros((5, 6))
@@ -431,8 +422,9 @@ def _basis(t: float, powers: int, stepped: bool, behind: bool, basis: Floats) ->
 
 
 @kernel
-def variance_of(row: Floats, std_px: Floats, weights: Floats, low: int, high: int, length: float) -> float:
+def variance_of(points: Points, weights: Floats, low: int, high: int, length: float) -> float:
     """Variance of a weighted sum of points whose errors correlate by exp(−Δ²/(4 length²)), px²."""
+    row, std_px = points.row, points.std_px
     total = 0.0
     for j in range(low, high):
         own = weights[j] * std_px[j]
@@ -448,17 +440,9 @@ def variance_of(row: Floats, std_px: Floats, weights: Floats, low: int, high: in
 
 
 @kernel
-def too_much(
-    row: Floats,
-    x_px: Floats,
-    std_px: Floats,
-    use: np.ndarray,
-    centre: float,
-    first: int,
-    last: int,
-    coefficients: Floats,
-) -> bool:
+def too_much(points: Points, centre: float, first: int, last: int, coefficients: Floats) -> bool:
     """Whether what a polynomial leaves of the points is more than their uncertainty explains."""
+    row, x_px, std_px, use = points.row, points.x_px, points.std_px, points.use
     squares, count = 0.0, 0
     for j in range(first, last):
         if use[j]:

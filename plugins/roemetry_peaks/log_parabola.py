@@ -50,24 +50,9 @@ _DARKEST = 0.001  # grey levels above the background that anything darker is tak
 _STEEPEST = 10.0  # 1/grey levels: the logarithm's slope is taken for no more
 
 # Where the quantities of each lane begin in one piece of memory (numba looks for overlaps in each loop else).
-_LEVEL = 0  # of five pixels, one after the other
-_LOG = 5 * LANES
-_INVERSE = 10 * LANES
-_AT = 15 * LANES
-_USABLE = 16 * LANES
-_MIDDLE = 17 * LANES
-_WIDTH = 18 * LANES
-_AMPLITUDE = 19 * LANES
-_BACKGROUND = 20 * LANES
-_SLOPE = 21 * LANES
-_UNSURE = 22 * LANES
-_X = 23 * LANES
-_STD = 24 * LANES
-_ROW = 25 * LANES
-_LO = 26 * LANES
-_HI = 27 * LANES
-_CONTRAST2 = 28 * LANES  # square of the speckle's contrast
-_TABLE = 29 * LANES
+_LEVEL, _LOG, _INVERSE = range(0, 15 * LANES, 5 * LANES)  # of five pixels, one after the other
+_AT, _USABLE, _MIDDLE, _WIDTH, _AMPLITUDE, _BACKGROUND, _SLOPE = range(15 * LANES, 22 * LANES, LANES)
+_UNSURE, _X, _STD, _ROW, _LO, _HI, _CONTRAST2, _TABLE = range(22 * LANES, 30 * LANES, LANES)
 _N = np.uint64(LANES)
 
 

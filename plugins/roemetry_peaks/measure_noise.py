@@ -27,7 +27,7 @@ from roemetry_peaks.maximum_likelihood import (
     products_of,
     starts,
 )
-from roemetry_peaks.peak_scan import searched
+from roemetry_peaks.searching import searched
 from roemetry_peaks.speckle_noise import StripeNoise, noise_from
 
 _PEAKS = 4000  # that are looked at in each frame

@@ -15,25 +15,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from roemetry.errors import StageError
-from roemetry.records import Frame
 from roemetry.records.arrays import Floats
 from roemetry_kernels.compiling import float_kernel, inlined, kernel
 from roemetry_kernels.image_levels import outshone, usual_height
+from roemetry_peaks.searching import Area
 
 Pixels = NDArray[Any]
 Places = NDArray[np.int32]
 
 _PEAKS_A_ROW = 32  # room made at first
-
-
-class Area(NamedTuple):
-    """The part of an image that is searched: rows and columns from the first to the one after the last."""
-
-    top: int
-    bottom: int
-    left: int
-    right: int
 
 
 class Tops(NamedTuple):
@@ -448,42 +438,20 @@ _scan_bytes = _scan_made(np.uint8)
 _scan_pairs = _scan_made(np.uint16)
 
 
-def searched(frame: Frame, region: tuple[int, int, int, int] | None) -> Area:
-    """Give the part of the frame to search; raise StageError where it does not lie within the frame."""
-    rows, columns = frame.size
-    if region is None:
-        return Area(0, rows, 0, columns)
-    top, bottom, left, right = region
-    if not (0 <= top < bottom <= rows and 0 <= left < right <= columns):
-        raise StageError(
-            f"region {list(region)} does not lie within the image of {rows} rows and {columns} columns",
-            hint="give first row, row after the last, first column, column after the last",
-        )
-    return Area(*region)
-
-
 # Unsigned, which no index from the end can be.
 _ONE, _TWO, _THREE, _FOUR = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4)
 
 
 @float_kernel
-def unfit_stripes(
-    row: Places,
-    width_min_px: float,
-    width_max_px: float,
-    share_min: float,
-    height_min: float,
-    values: Floats,
-) -> NDArray[np.uint64]:
+def unfit_stripes(row: Places, limits: Any, values: Floats) -> NDArray[np.uint64]:
     """Give the numbers of what is no stripe.
-
-    The other parameters are those of `roemetry_peaks.peak_window.stripes_around`.
 
     Parameters
     ----------
-    row, values
-        (peak,), (6, peak) image row; middle, width, amplitude, background, slope, unsure.
+    row, limits, values
+        (peak,) image row; `Limits`; and (6, peak) values as `roemetry_peaks.peak_window` has them.
     """
+    width_min_px, width_max_px, share_min, height_min = limits
     middles, widths, heights = values[0], values[1], values[2]
     count = row.shape[0]
     unfit, highest, lowest = 0, 0.0, np.inf

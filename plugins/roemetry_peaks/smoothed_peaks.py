@@ -344,6 +344,7 @@ class Beside(NamedTuple):
     halo: Flags
 
 
+@kernel
 def light_beside(image: Pixels, starts: Starts, noise: float, gain: float) -> Beside:
     """Give the light beside each peak, pooled over the rows within 4 of it.
 
@@ -356,31 +357,14 @@ def light_beside(image: Pixels, starts: Starts, noise: float, gain: float) -> Be
     noise, gain
         Standard deviation of a dark pixel, grey levels; growth of the variance with the grey level.
     """
-    return Beside(*_beside(image, *starts, noise, gain))
-
-
-@kernel
-def _beside(
-    image: Pixels,
-    row: Integers,
-    x_px: Floats,
-    amplitude: Floats,
-    sigma_px: Floats,
-    level: Floats,
-    core_px: Floats,
-    core_width_px: Floats,
-    core2_px2: Floats,
-    core_std_px: Floats,
-    noise: float,
-    gain: float,
-) -> tuple[Floats, Floats, Floats, Floats, Integers, Integers, Flags]:
-    up, down = neighbours(row, core_px)
-    peaks = row.shape[0]
+    up, down = neighbours(starts.row, starts.core_px)
+    peaks = starts.row.shape[0]
     shape = np.empty((peaks, 4))
     for p in range(peaks):
-        shape[p, 0], shape[p, 1], shape[p, 2] = 1.0, sigma_px[p] ** 2, amplitude[p] * sigma_px[p]
-        shape[p, 3] = core2_px2[p]
-    shape = _pooled(shape, up, down)
+        sigma_px = starts.sigma_px[p]
+        shape[p, 0], shape[p, 1], shape[p, 2] = 1.0, sigma_px**2, starts.amplitude[p] * sigma_px
+        shape[p, 3] = starts.core2_px2[p]
+    shape = pooled(shape, up, down, _REACH, _REACH)
     halo = np.zeros(peaks, np.bool_)
     for p in range(peaks):
         core2 = shape[p, 3] / shape[p, 0]
@@ -389,12 +373,12 @@ def _beside(
         shape[p, 1] = math.sqrt(shape[p, 1])
         shape[p, 2] /= shape[p, 0] * shape[p, 1]
         if halo[p]:
-            x_px[p] = core_px[p]
+            starts.x_px[p] = starts.core_px[p]
             shape[p, 1] = math.sqrt(max(core2 - SMOOTHING_VARIANCE_PX2, 0.25))
     sigma, height = shape[:, 1].copy(), shape[:, 2].copy()
-    sums = _pooled(_side_sums(image, row, x_px, sigma, height, noise, gain, level), up, down)
-    line, slope = _lines(sums, level)
-    return sigma, height, line, slope, up, down, halo
+    sums = pooled(_side_sums(image, starts, sigma, height, noise, gain), up, down, _REACH, _REACH)
+    line, slope = _lines(sums, starts.level)
+    return Beside(sigma, height, line, slope, up, down, halo)
 
 
 @kernel
@@ -433,8 +417,8 @@ def neighbours(row: Integers, x_px: Floats) -> tuple[Integers, Integers]:
 
 
 @kernel
-def _pooled(values: Floats, up: Integers, down: Integers) -> Floats:
-    """Sum (peak, value) over the peaks of the same stripe at most 4 rows away."""
+def pooled(values: Floats, up: Integers, down: Integers, above: int, below: int) -> Floats:
+    """Sum (peak, value) over the peaks of the same stripe at most so many rows above and below."""
     peaks, columns = values.shape
     total = np.empty((peaks, columns))
     chain = np.empty(peaks, np.int64)
@@ -451,7 +435,7 @@ def _pooled(values: Floats, up: Integers, down: Integers) -> Floats:
             n += 1
             p = down[p]
         for m in range(n):
-            first, last = max(m - _REACH, 0), min(m + _REACH + 1, n)
+            first, last = max(m - above, 0), min(m + below + 1, n)
             for k in range(columns):
                 total[chain[m], k] = sums[last, k] - sums[first, k]
     return total
@@ -459,14 +443,7 @@ def _pooled(values: Floats, up: Integers, down: Integers) -> Floats:
 
 @kernel
 def _side_sums(
-    image: Pixels,
-    row: Integers,
-    x_px: Floats,
-    sigma_px: Floats,
-    amplitude: Floats,
-    noise: float,
-    gain: float,
-    level: Floats,
+    image: Pixels, starts: Starts, sigma_px: Floats, amplitude: Floats, noise: float, gain: float
 ) -> Floats:
     """(peak, 5) sums of the pixels on both sides: their number, and u, u², y, u y.
 
@@ -475,6 +452,7 @@ def _side_sums(
     the three in the middle of the valley are taken, and both stripes' light, as far as the start values tell
     it, is taken off.
     """
+    row, x_px = starts.row, starts.x_px
     peaks = row.shape[0]
     columns = image.shape[1]
     sums = np.zeros((peaks, 5))

@@ -20,9 +20,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from roemetry.errors import StageError
 from roemetry.records import Frame
 from roemetry.records.arrays import Floats, Integers
-from roemetry_kernels.compiling import kernel
-from roemetry_peaks.fisher_scoring import FAILED, ROOM, WINDOW
-from roemetry_peaks.peak_scan import Area
+from roemetry_kernels.compiling import float_kernel, inlined
+from roemetry_peaks.fisher_scoring import FAILED, ROOM, WINDOW, Gaussians, PeakNoise
+from roemetry_peaks.searching import Area
 
 TILES = (4, 12)
 """Rows and columns of tiles that the image is cut into; each has a speckle contrast of its own."""
@@ -59,6 +59,13 @@ class StripeNoise:
             np.clip((x_px * across / image_size[1]).astype(np.int64), 0, across - 1),
         ]
         return tile
+
+    def of_peaks(
+        self, image_size: tuple[int, int], row: Integers, x_px: Floats, error: Floats, correlation: float
+    ) -> PeakNoise:
+        """Give the noise of peaks that lie there, with the variance of their model's error."""
+        contrast2 = self.contrast2_at(image_size, row, x_px)
+        return PeakNoise(self.variance, self.gain, correlation, contrast2, error)
 
     @property
     def differs(self) -> bool:
@@ -185,7 +192,7 @@ def _correlation(left: Floats, by_own: Floats, by_next: Floats) -> float:
             [np.ones(ratio.size), -ratio, -contrast2[:, None] * _LAGS, (contrast2 * ratio)[:, None] * _LAGS]
         )
         numbers = np.column_stack([left, by_next, by_own])
-        scatter = np.einsum("ca,ab,cb->c", factors, numbers.T @ numbers, factors)
+        scatter = ((factors @ (numbers.T @ numbers)) * factors).sum(1)
         doubt = (factors @ numbers.sum(0)) ** 2 / scatter + ((_CORRELATIONS - _USUAL) / _USUAL_STD) ** 2
     doubt = np.where((contrast2 > 0.0) & (unit_own > 0.0) & np.isfinite(doubt), doubt, np.inf)
     return float(_CORRELATIONS[int(np.argmin(doubt))]) if np.isfinite(doubt).any() else _USUAL
@@ -238,20 +245,9 @@ Pixels = NDArray[Any]
 Bytes = NDArray[np.uint8]
 
 
-@kernel
+@float_kernel
 def residual_products(
-    image: Pixels,
-    white: float,
-    row: Integers,
-    x_px: Floats,
-    amplitude: Floats,
-    sigma_px: Floats,
-    height: Floats,
-    slope: Floats,
-    variance: Floats,
-    gain: float,
-    contrast2: Floats,
-    state: Bytes,
+    image: Pixels, white: float, peaks: Gaussians, noise: PeakNoise, state: Bytes
 ) -> Floats:
     """Sum products of each peak's residuals, and what each cause of noise is expected to add to them.
 
@@ -261,10 +257,10 @@ def residual_products(
 
     Parameters
     ----------
-    image, white, row, x_px, amplitude, sigma_px, variance, gain, contrast2, state
-        As `fit_peaks` takes and gives them; fitted without correlation.
-    height, slope
-        (peak,) light beside the stripe at the fitted centre, grey levels, grey levels per px.
+    image, white, noise
+        As `fit_peaks` takes them.
+    peaks, state
+        Fitted without correlation, on the light beside them at the fitted centre.
 
     Returns
     -------
@@ -273,26 +269,27 @@ def residual_products(
         the next pixel): their sum, then what a unit of each cause adds. All 0 where a peak says nothing.
     """
     columns = image.shape[1]
-    out = np.zeros((row.shape[0], 4, 1 + CAUSES))
-    m, mu, w, r = np.empty(ROOM), np.empty(ROOM), np.empty(ROOM), np.empty(ROOM)
-    jac, hat, carried = np.empty((ROOM, 3)), np.empty((ROOM, 3)), np.empty((ROOM, 3))
-    weight = np.zeros((ROOM, 4))
-    for p in range(row.shape[0]):
+    out = np.zeros((peaks.row.shape[0], 4, 1 + CAUSES))
+    m, mu, w, r = np.zeros(ROOM + 1), np.empty(ROOM), np.zeros(ROOM + 1), np.zeros(ROOM + 1)
+    jac, hat, pulled = np.zeros((ROOM + 1, 3)), np.empty((ROOM, 3)), np.empty((ROOM, 3))
+    weight = np.zeros((4, ROOM))
+    for p in range(peaks.row.shape[0]):
         if state[p] == FAILED:
             continue
-        f = image[row[p]]
-        half = min(WINDOW * sigma_px[p], 0.5 * (ROOM - 2))
-        first = max(math.ceil(x_px[p] - half), 0)
-        n = min(math.floor(x_px[p] + half), columns - 1) - first + 1
+        f = image[peaks.row[p]]
+        x_px, amplitude, sigma = peaks.x_px[p], peaks.amplitude[p], peaks.sigma_px[p]
+        half = min(WINDOW * sigma, 0.5 * (ROOM - 2))
+        first = max(math.ceil(x_px - half), 0)
+        n = min(math.floor(x_px + half), columns - 1) - first + 1
         squares, largest = 0.0, 0.0
         for i in range(n):
-            d = first + i - x_px[p]
-            z = d / (sigma_px[p] * sigma_px[p])
+            d = first + i - x_px
+            z = d / (sigma * sigma)
             e = math.exp(-0.5 * d * z)
-            m[i] = amplitude[p] * e
-            mu[i] = max(height[p] + slope[p] * d + m[i], 0.0)
-            r[i] = f[first + i] - height[p] - slope[p] * d - m[i]
-            v = variance[p] + gain * mu[i] + contrast2[p] * m[i] * m[i]
+            m[i] = amplitude * e
+            mu[i] = max(peaks.height[p] + peaks.slope[p] * d + m[i], 0.0)
+            r[i] = f[first + i] - peaks.height[p] - peaks.slope[p] * d - m[i]
+            v = noise.variance + noise.error[p] + noise.gain * mu[i] + noise.contrast2[p] * m[i] * m[i]
             w[i] = 0.0 if f[first + i] >= white else 1.0 / v
             squares += w[i] * r[i] * r[i]
             largest = max(largest, w[i] * r[i] * r[i])
@@ -302,35 +299,37 @@ def residual_products(
         good = n >= _PIXELS_MIN and largest <= _OUTLIER * _OUTLIER * others
         if not good or not _hat(jac, w, n, hat):
             continue
+        w[n] = 0.0  # there is no pixel after the last
         for i in range(n):
-            weight[i, 0] = w[i] * w[i]
-            weight[i, 1] = weight[i, 0] * mu[i]
-            weight[i, 2] = weight[i, 0] * m[i] * m[i]
-            weight[i, 3] = w[i] * w[i + 1] * m[i] * m[i + 1] if i + 1 < n else 0.0
+            square = w[i] * w[i]
+            weight[0, i], weight[1, i], weight[2, i] = square, square * mu[i], square * m[i] * m[i]
+            weight[3, i] = w[i] * w[i + 1] * m[i] * m[i + 1]
             for kind in range(3):
-                out[p, kind, 0] += weight[i, kind] * r[i] * r[i]
-            if i + 1 < n:
-                out[p, 3, 0] += weight[i, 3] * r[i] * r[i + 1]
-        _expected(jac, hat, weight, m, mu, n, carried, out[p])
+                out[p, kind, 0] += weight[kind, i] * r[i] * r[i]
+            out[p, 3, 0] += weight[3, i] * r[i] * r[i + 1]
+        for kind in range(4):
+            _expected(jac, hat, weight[kind], kind == 3, m, mu, n, pulled, out[p, kind])
     return out
 
 
-@kernel
+@inlined
 def _hat(jac: Floats, w: Floats, n: int, hat: Floats) -> bool:
     """(pixel, parameter) what a unit in a pixel adds to the fitted parameters: (J'WJ)⁻¹ J'W.
 
     Gives whether the pixels below white determine the parameters at all.
     """
-    a = np.zeros((3, 3))
+    a00 = a01 = a02 = a11 = a12 = a22 = 0.0
     for i in range(n):
-        for j in range(3):
-            for k in range(j + 1):
-                a[j, k] += w[i] * jac[i, j] * jac[i, k]
-    a01, a02, a12 = a[1, 0], a[2, 0], a[2, 1]
-    c00, c01, c02 = a[1, 1] * a[2, 2] - a12 * a12, a02 * a12 - a01 * a[2, 2], a01 * a12 - a02 * a[1, 1]
-    c11, c12 = a[0, 0] * a[2, 2] - a02 * a02, a01 * a02 - a[0, 0] * a12
-    c22 = a[0, 0] * a[1, 1] - a01 * a01
-    det = a[0, 0] * c00 + a01 * c01 + a02 * c02
+        j0, j1, j2 = jac[i, 0], jac[i, 1], jac[i, 2]
+        a00 += w[i] * j0 * j0
+        a01 += w[i] * j0 * j1
+        a02 += w[i] * j0 * j2
+        a11 += w[i] * j1 * j1
+        a12 += w[i] * j1 * j2
+        a22 += w[i] * j2 * j2
+    c00, c01, c02 = a11 * a22 - a12 * a12, a02 * a12 - a01 * a22, a01 * a12 - a02 * a11
+    c11, c12, c22 = a00 * a22 - a02 * a02, a01 * a02 - a00 * a12, a00 * a11 - a01 * a01
+    det = a00 * c00 + a01 * c01 + a02 * c02
     if not det > 0.0:
         return False
     for i in range(n):
@@ -341,60 +340,50 @@ def _hat(jac: Floats, w: Floats, n: int, hat: Floats) -> bool:
     return True
 
 
-@kernel
+@inlined
 def _expected(
-    jac: Floats, hat: Floats, weight: Floats, m: Floats, mu: Floats, n: int, carried: Floats, out: Floats
-) -> None:
-    """Sums of weights times elements of P V P' = V − J G V − (J G V)' + J G V G' J', G the `hat`'s transpose.
+    jac: Floats, hat: Floats, weight: Floats, next_: bool, m: Floats, mu: Floats, n: int, pulled: Floats,
+    out: Floats,
+) -> None:  # fmt: skip
+    """Add Σ W · (P V P') for one kind of weights W, cause by cause, to `out[1:]`.
 
-    Σ weight · (J K J') is the sum of the elements of K times those of Σ weight · J J', the same for every
-    cause.
+    That is the trace of V P'W P, of which only the elements near the diagonal count. P = 1 − J G', with the
+    rows of G those of `hat`; so P'W P = W + F G' + G F', F = ½ G J'W J − W J. W is diagonal or, for products
+    with the next pixel, stands half above and half below the diagonal.
     """
-    outer = np.zeros((4, 3, 3))
+    o00 = o01 = o02 = o11 = o12 = o22 = 0.0
     for i in range(n):
         for j in range(3):
-            for k in range(3):
-                t = jac[i, j] * jac[i, k]
-                for kind in range(3):
-                    outer[kind, j, k] += weight[i, kind] * t
-                if i + 1 < n:
-                    outer[3, j, k] += weight[i, 3] * jac[i, j] * jac[i + 1, k]
-    inner = np.empty((3, 3))
-    for cause in range(CAUSES):
-        lag = max(cause - 2, 0)
-        for i in range(n):
-            for j in range(3):
-                carried[i, j] = 0.0
-        for i in range(n - lag):
-            if lag:
-                t = m[i] * m[i + lag]
-                for j in range(3):
-                    carried[i, j] += hat[i + lag, j] * t
-                    carried[i + lag, j] += hat[i, j] * t
+            if next_:
+                beside = weight[i - 1] * jac[i - 1, j] if i > 0 else 0.0
+                pulled[i, j] = 0.5 * (weight[i] * jac[i + 1, j] + beside)
             else:
-                t = 1.0 if cause == 0 else mu[i] if cause == 1 else m[i] * m[i]
-                for j in range(3):
-                    carried[i, j] = hat[i, j] * t
-                for kind in range(3):
-                    out[kind, 1 + cause] += weight[i, kind] * t
-        inner[:] = 0.0
-        for i in range(n):
-            both, cross = 0.0, 0.0
-            for j in range(3):
-                both += jac[i, j] * carried[i, j]
-                if i + 1 < n:
-                    cross += jac[i, j] * carried[i + 1, j] + jac[i + 1, j] * carried[i, j]
-                for k in range(3):
-                    inner[j, k] += carried[i, j] * hat[i, k]
-            for kind in range(3):
-                out[kind, 1 + cause] -= 2.0 * weight[i, kind] * both
-            if lag == 1 and i + 1 < n:
-                cross -= m[i] * m[i + 1]
-            out[3, 1 + cause] -= weight[i, 3] * cross
-        for kind in range(4):
-            for j in range(3):
-                for k in range(3):
-                    out[kind, 1 + cause] += inner[j, k] * outer[kind, j, k]
+                pulled[i, j] = weight[i] * jac[i, j]
+        o00 += jac[i, 0] * pulled[i, 0]
+        o01 += jac[i, 0] * pulled[i, 1]
+        o02 += jac[i, 0] * pulled[i, 2]
+        o11 += jac[i, 1] * pulled[i, 1]
+        o12 += jac[i, 1] * pulled[i, 2]
+        o22 += jac[i, 2] * pulled[i, 2]
+    for i in range(n):
+        g0, g1, g2 = 0.5 * hat[i, 0], 0.5 * hat[i, 1], 0.5 * hat[i, 2]
+        pulled[i, 0] = o00 * g0 + o01 * g1 + o02 * g2 - pulled[i, 0]
+        pulled[i, 1] = o01 * g0 + o11 * g1 + o12 * g2 - pulled[i, 1]
+        pulled[i, 2] = o02 * g0 + o12 * g1 + o22 * g2 - pulled[i, 2]
+    for i in range(n):
+        f0, f1, f2 = pulled[i, 0], pulled[i, 1], pulled[i, 2]
+        g0, g1, g2 = hat[i, 0], hat[i, 1], hat[i, 2]
+        own = 2.0 * (f0 * g0 + f1 * g1 + f2 * g2) + (0.0 if next_ else weight[i])
+        out[1] += own
+        out[2] += own * mu[i]
+        out[3] += own * m[i] * m[i]
+        for lag in range(1, min(4, n - i)):
+            k = i + lag
+            both = f0 * hat[k, 0] + f1 * hat[k, 1] + f2 * hat[k, 2]
+            both += g0 * pulled[k, 0] + g1 * pulled[k, 1] + g2 * pulled[k, 2]
+            out[3 + lag] += 2.0 * m[i] * m[k] * both
+        if next_ and i + 1 < n:
+            out[4] += weight[i] * m[i] * m[i + 1]
 
 
 _AGAIN = "measure again: python -m roemetry_peaks.measure_noise RECIPE --out FILE"

@@ -8,7 +8,7 @@ Ridges in the first and the last rows of an image, which smoothing along them wo
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from roemetry.records.stripes import EDGE, SATURATED
 from roemetry.stages import Capabilities, Extractor, StageOptions
 from roemetry_kernels.compiling import inlined, kernel
 from roemetry_kernels.image_levels import SHARE_MIN, doubts, faint, grey, plain_layout, scaled_level
-from roemetry_peaks.peak_scan import searched
+from roemetry_peaks.searching import SearchOptions, searched
 from roemetry_peaks.smoothed_peaks import background_noise, rounding_variance
 
 _NOISES = 8.0  # of the smoothed image, that a ridge rises above both valleys
@@ -29,32 +29,9 @@ _BEND_NOISES = 3.0  # of the second derivative, that a ridge is curved at least
 _REACH = 4.0  # standard deviations that the filters reach
 
 
-class StegerOptions(StageOptions):
-    """Options of `Steger`."""
+class StegerOptions(SearchOptions):
+    """Options of `Steger`; widths are those across the stripe."""
 
-    threshold: Annotated[float, Field(ge=1.0, le=255.0)] | Literal["auto"] = Field(
-        default="auto",
-        description="grey levels (of 0…255, scaled for deeper images) by which a stripe must rise above both "
-        "valleys, in the smoothed image; auto: 8 times the noise of that image, at least 5, and 8 % of "
-        "what the image's stripes reach",
-    )
-    width_min_px: float = Field(
-        default=1.5,
-        ge=0.0,
-        le=100.0,
-        description="smallest full width at half height across the stripe, px: rejects hot pixels",
-    )
-    width_max_px: float = Field(
-        default=40.0,
-        gt=0.0,
-        le=1000.0,
-        description="largest full width at half height across the stripe, px: rejects glare",
-    )
-    region: tuple[int, int, int, int] | None = Field(
-        default=None,
-        description="part of the (turned) image to search: first row, row after the last, first column, "
-        "column after the last, px; none: all of it",
-    )
     sigma_px: float = Field(
         default=2.0,
         ge=0.7,

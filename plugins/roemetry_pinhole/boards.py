@@ -13,7 +13,7 @@ laser on, whose difference to the first shows the stripes.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -46,7 +46,15 @@ _NONE = "no board is seen" + _ADVICE
 
 
 class BoardNotFoundError(Exception):
-    """A board cannot be used; says why."""
+    """A board cannot be used; says why. The reason is looked for when it is read: that may take a second."""
+
+    def __init__(self, why: str | Callable[[], str]) -> None:
+        super().__init__()
+        self._why = why
+
+    def __str__(self) -> str:
+        """Give the reason."""
+        return self._why if isinstance(self._why, str) else self._why()
 
 
 def why_no_charuco(grey: NDArray[np.uint8], board: Board, corners: int) -> str:
@@ -109,7 +117,7 @@ def why_no_chessboard(grey: NDArray[np.uint8], board: Board) -> str:
         )
     return (
         f"it is another board: {size[1]} × {size[0]} inner corners are seen, the one described has "
-        f"{expected[1]} × {expected[0]}; {_OTHER}"
+        f"{expected[1]} × {expected[0]} ({expected[1] + 1} × {expected[0] + 1} squares); {_OTHER}"
     )
 
 
@@ -253,6 +261,7 @@ def find_marks(frame: Frame, board: Board) -> Marks:
     else:
         board_mm, xy_px, radius_mm = _circles(grey, board)
     spacing_px = _spacing(board_mm, xy_px, board.pitch_mm)
+    board_mm[:, 1] *= (board.row_pitch_mm or board.pitch_mm) / board.pitch_mm
     edge_px = _edge_width(grey, xy_px, spacing_px)
     if spacing_px < _SPACING_MIN_PX:
         raise BoardNotFoundError(
@@ -289,7 +298,7 @@ def _charuco(grey: NDArray[np.uint8], board: Board) -> tuple[Floats, Floats, str
             break  # another layout does not show that many
     count, corners, ids, layout = best
     if count < _CHARUCO_MIN:
-        raise BoardNotFoundError(why_no_charuco(grey, board, count))
+        raise BoardNotFoundError(lambda: why_no_charuco(grey, board, count))
     places = np.asarray(pattern.getChessboardCorners(), np.float64)[np.ravel(ids)]
     places[:, 2] = 0.0
     spanned = np.ptp(places[:, :2], axis=0) / (board.pitch_mm * np.array([board.columns, board.rows]))
@@ -327,7 +336,7 @@ def _chessboard(grey: NDArray[np.uint8], board: Board) -> tuple[Floats, Floats]:
             grey, size, flags=cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
         )
         if not found:
-            raise BoardNotFoundError(why_no_chessboard(grey, board))
+            raise BoardNotFoundError(lambda: why_no_chessboard(grey, board))
     corners = np.asarray(corners, np.float32).reshape(-1, 1, 2)
     spacing = float(np.median(np.hypot(*np.diff(corners[: size[0], 0, :], axis=0).T)))
     # over a window that holds more of the edges than the detector's own it scatters less
@@ -352,7 +361,7 @@ def _circles(grey: NDArray[np.uint8], board: Board) -> tuple[Floats, Floats, flo
             found, centres = cv2.findCirclesGrid(grey, size, flags=flags, blobDetector=detector)
     if not found:
         circles = np.array([one.pt for one in detector.detect(grey)], np.float64).reshape(-1, 2)
-        raise BoardNotFoundError(why_no_circles(grey, board, circles))
+        raise BoardNotFoundError(lambda: why_no_circles(grey, board, circles))
     xy = np.asarray(centres, np.float64).reshape(size[1], size[0], 2)
     board_mm, places = _grid(_right_handed(xy), board.pitch_mm, 0.5)
     spacing_px = _spacing(board_mm, places, board.pitch_mm)
@@ -475,6 +484,10 @@ class BoardView:
     """Whether the board lies on the belt."""
     count: float
     """Encoder count; NaN where not known."""
+    board: Board
+    """The board as it is described."""
+    number: int = 0
+    """Its number among the boards of the set."""
     pose: str = ""
     """The pose, by the number in its images' names."""
     raw_px: Floats | None = None
@@ -491,14 +504,14 @@ class Seen:
     """What else is to be said of them."""
 
 
-def board_views(observed: CalibrationSet, board: Board) -> Seen:
-    """Find the board in every pose; in the laser-off image if there is one and it serves."""
-    seen = Seen()
+def board_views(observed: CalibrationSet, seen: Seen) -> None:
+    """Find the boards in every pose; in the laser-off image if there is one and it serves."""
     for shows in ("board", "board_on_belt"):
-        poses: dict[str, dict[str, Observation]] = {}
+        poses: dict[tuple[int, str], dict[str, Observation]] = {}
         for observation in observed.showing(shows):
-            poses.setdefault(observation.pose, {})[observation.frame.role] = observation
-        for name, pose in poses.items():
+            poses.setdefault((observation.board, observation.pose), {})[observation.frame.role] = observation
+        for (number, name), pose in poses.items():
+            board = observed.boards[number]
             plain, laser = pose.get("plain"), pose.get("laser")
             found = _marks([one for one in (plain, laser) if one is not None], board, seen)
             if found is None:
@@ -519,15 +532,16 @@ def board_views(observed: CalibrationSet, board: Board) -> Seen:
                         f"{laser.frame.name}, whose names have the same number: taken for two poses"
                     )
                     seen.views.append(
-                        BoardView(laser.frame.name, elsewhere, laser, None, on_belt, np.nan, name)
+                        BoardView(
+                            laser.frame.name, elsewhere, laser, None, on_belt, np.nan, board, number, name
+                        )
                     )
                     laser = None
-            seen.views.append(BoardView(frame, marks, laser, plain, on_belt, count, name))
+            seen.views.append(BoardView(frame, marks, laser, plain, on_belt, count, board, number, name))
     _one_layout(seen)
-    return seen
 
 
-def on_board(view: BoardView, board: Board, xy: Floats, rotation: Floats, shift: Floats) -> Floats:
+def on_board(xy: Floats, rotation: Floats, shift: Floats) -> Floats:
     """Give (ray, 2) where rays through (ray, 2) places at distance 1 meet the board, mm on the board."""
     ray = np.column_stack([xy, np.ones(len(xy))])
     normal = rotation[:, 2]
@@ -608,11 +622,11 @@ def _lit(plain: Observation, laser: Observation) -> str:
 
 def _one_layout(seen: Seen) -> None:
     """Leave out images in which another ChArUco layout fits than in most."""
-    layouts = [view.marks.layout for view in seen.views]
-    if len(set(layouts)) < 2:
-        return
-    most = max(set(layouts), key=layouts.count)
+    layouts: dict[int, list[str]] = {}
     for view in seen.views:
-        if view.marks.layout != most:
-            seen.left_out[view.name] = f"its layout is the {view.marks.layout} one, that of most is {most}"
-    seen.views = [view for view in seen.views if view.marks.layout == most]
+        layouts.setdefault(view.number, []).append(view.marks.layout)
+    most = {number: max(set(found), key=found.count) for number, found in layouts.items()}
+    for view in (one for one in seen.views if one.marks.layout != most[one.number]):
+        own, usual = view.marks.layout, most[view.number]
+        seen.left_out[view.name] = f"its layout is the {own} one, that of most is {usual}"
+    seen.views = [view for view in seen.views if view.marks.layout == most[view.number]]

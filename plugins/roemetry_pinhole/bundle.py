@@ -486,9 +486,14 @@ class Measured:
 
     def stepped(self, found: Adjusted) -> Geometry:
         """Give where what was found goes if this was seen instead: one step, the weights as they were."""
+        return self.step_of(found)[0]
+
+    def step_of(self, found: Adjusted) -> tuple[Geometry, Floats]:
+        """Give where that step goes, and the covariance of all unknowns."""
         problem = self._problem(found)
         normal, gradient = problem.normal(found.geometry)
-        return self.unknowns.moved(found.geometry, -inverse(normal) @ gradient)
+        covariance = inverse(normal)
+        return self.unknowns.moved(found.geometry, -covariance @ gradient), covariance
 
     def _problem(self, found: Adjusted | None) -> Problem:
         weights = Weights(1.0, 1.0, np.ones(self.corners.pose.size), np.ones(self.points.pose.size))
@@ -515,6 +520,7 @@ class Measured:
             belt=bool((self.unknowns.belt >= 0).any()),
             travel=bool((self.unknowns.travel >= 0).any()),
             bend=bool(self.unknowns.bend.size),
+            prints=self.unknowns.prints >= 0,
         )
         return Measured(
             replace(start, rotation=start.rotation[poses], shift=start.shift[poses]),

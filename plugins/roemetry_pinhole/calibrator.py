@@ -10,10 +10,12 @@ import numpy as np
 from pydantic import Field
 
 from roemetry.errors import CalibrationError
-from roemetry.records import CalibrationSet, CameraFit, Evidence
+from roemetry.records import CalibrationSet, CameraFit, Evidence, ImageFinding
 from roemetry.records.arrays import Floats
 from roemetry.records.calibration import ON_BELT, ON_BOARD, Calibration
 from roemetry.stages import Calibrator, Capabilities, StageOptions
+from roemetry_pinhole.boards import Seen
+from roemetry_pinhole.findings import findings_of
 from roemetry_pinhole.joint import Joint, camera_alone, joint, of_planes, planes_by_solids
 from roemetry_pinhole.known_files import read_planes
 from roemetry_pinhole.pinhole_plane import (
@@ -111,7 +113,7 @@ class PinholeCalibrator(Calibrator[PinholeCalibratorOptions]):
             )
         if not planes_by_solids(observed) or self.options.planes is not None:
             calibration = self._calibrated(observed)
-            return replace(calibration, **check_scale(calibration, observed))
+            return replace(calibration, **check_scale(calibration, observed, self._joint(observed)))
         try:
             calibration = self._calibrated(observed)
         except CalibrationError:
@@ -123,6 +125,11 @@ class PinholeCalibrator(Calibrator[PinholeCalibratorOptions]):
     def camera(self, observed: CalibrationSet) -> CameraFit:
         """Find camera and lens alone; CalibrationError for too few poses, or poses too much alike."""
         return camera_alone(observed, lens=self.options.lens)
+
+    def findings(self, observed: CalibrationSet) -> tuple[ImageFinding, ...]:
+        """Show marks, stripe points that count, and why images do not, of the set calibrated last."""
+        seen, joined = self._look(observed)
+        return findings_of(observed, seen, None if isinstance(joined, CalibrationError) else joined)
 
     def evidence(self, observed: CalibrationSet, calibration: Calibration) -> Evidence:
         """Show residuals, views left out in turn, stripes against each other, coverage, and a verdict."""
@@ -137,7 +144,12 @@ class PinholeCalibrator(Calibrator[PinholeCalibratorOptions]):
     def _made(self, joined: Joint, observed: CalibrationSet, *, lengths: bool) -> Calibration:
         """Give the calibration of an adjustment, with the uncertainty of the targets' lengths or without."""
         adjusted, size = joined.adjusted, joined.size
-        verdict = judged(joined, scale_is_known=lengths)
+        try:
+            verdict = judged(joined, scale_is_known=lengths)
+        except CalibrationError as error:
+            # what was noticed of the images may be the cause
+            words = "\n  ".join([error.message, *joined.seen.notes])
+            raise CalibrationError(words, hint=error.hint) from error
         parameters = parameters_of(adjusted.geometry, travel=joined.moves)
         covariance = covariance_of(adjusted.covariance, adjusted.unknowns, travel=joined.moves)
         if lengths:
@@ -170,9 +182,30 @@ class PinholeCalibrator(Calibrator[PinholeCalibratorOptions]):
             reference=ON_BELT if on_belt else ON_BOARD,
         )
 
+    _last: tuple[CalibrationSet, Seen, Joint | CalibrationError] | None = None
+    """The last set, what its images showed, and its adjustment: evidence and findings are of the same."""
+
+    def _look(self, observed: CalibrationSet) -> tuple[Seen, Joint | CalibrationError]:
+        last = self._last
+        if last is None or last[0] is not observed:
+            seen = Seen()
+            try:
+                last = observed, seen, self._adjusted(observed, seen)
+            except CalibrationError as error:
+                last = observed, seen, error
+            self._last = last
+        return last[1], last[2]
+
     def _joint(self, observed: CalibrationSet) -> Joint:
+        found = self._look(observed)[1]
+        if isinstance(found, CalibrationError):
+            raise found
+        return found
+
+    def _adjusted(self, observed: CalibrationSet, seen: Seen) -> Joint:
         return joint(
             observed,
+            seen,
             lens=self.options.lens,
             camera_file=self.options.camera,
             print_contrast_max=self.options.print_contrast_max,

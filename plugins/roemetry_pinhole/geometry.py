@@ -142,6 +142,9 @@ class Geometry:
     """(3,) way of the belt per encoder count, mm; 0 where it is not asked for."""
     bend: Bend | None = None
     """Shape of the board's print; None where it is taken to be flat."""
+    prints: Floats = field(default_factory=lambda: np.empty((0, 2)))
+    """(board, 2) natural logarithms of how much larger each print is than described, and of how much more so
+    along its y; (0, 2) where one board is as it is described."""
 
     @property
     def stripe_count(self) -> int:
@@ -164,12 +167,14 @@ class Unknowns:
     """(pose, 6) turn about the camera's axes, rad, then shift, mm."""
     bend: Integers = field(default_factory=lambda: np.empty(0, np.int64))
     """(12,) of the board's shape, mm; (0,) where it is taken to be flat."""
+    prints: Integers = field(default_factory=lambda: np.empty((0, 2), np.int64))
+    """(board, 2) of the prints' sizes."""
 
     @property
     def count(self) -> int:
         """Number of unknowns."""
-        parts = (self.camera, self.planes.ravel(), self.belt, self.travel, self.poses.ravel(), self.bend)
-        return int(np.concatenate(parts).max()) + 1
+        parts = (self.camera, self.planes, self.belt, self.travel, self.poses, self.bend, self.prints)
+        return int(np.concatenate([part.ravel() for part in parts]).max()) + 1
 
     def moved(self, geometry: Geometry, step: Floats) -> Geometry:
         """Give the geometry after a step of the unknowns."""
@@ -186,11 +191,19 @@ class Unknowns:
             rotation=turned(turn) @ geometry.rotation,
             shift=geometry.shift + _part(step, self.poses[:, 3:]),
             bend=bend,
+            prints=geometry.prints + _part(step, self.prints) if self.prints.size else geometry.prints,
         )
 
 
 def unknowns_of(
-    geometry: Geometry, *, free_camera: Flags, planes: bool, belt: bool, travel: bool, bend: bool = False
+    geometry: Geometry,
+    *,
+    free_camera: Flags,
+    planes: bool,
+    belt: bool,
+    travel: bool,
+    bend: bool = False,
+    prints: Flags | None = None,
 ) -> Unknowns:
     """Number the unknowns: the camera's first, poses last.
 
@@ -202,6 +215,8 @@ def unknowns_of(
         (12,) which of the camera's numbers are looked for.
     planes, belt, travel, bend
         Whether these are looked for.
+    prints
+        (board, 2) which of the prints' sizes are looked for; None: none.
     """
     start = 0
 
@@ -220,6 +235,7 @@ def unknowns_of(
         travel=numbered(np.full(3, travel)),
         poses=numbered(np.ones((geometry.shift.shape[0], 6), np.bool_)),
         bend=numbered(np.full(BENDS if bend else 0, True)),
+        prints=numbered(np.empty((0, 2), np.bool_) if prints is None else prints),
     )
 
 
@@ -268,6 +284,8 @@ class Corners:
     """(mark, 2) where it is seen, px."""
     counts: Floats
     """(mark,) encoder counts the belt has carried the board on since the pose was defined."""
+    board: Integers
+    """(mark,) which board."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -309,7 +327,7 @@ class Rows(NamedTuple):
 
 def corner_rows(geometry: Geometry, unknowns: Unknowns, corners: Corners) -> Rows:
     """Give predicted − seen, px: for each mark a row for x and one for y, in turn."""
-    arm, at = _placed(geometry, corners.pose, _bent_marks(geometry, corners), corners.counts)
+    arm, at = _placed(geometry, corners.pose, _on_print(geometry, corners), corners.counts)
     depth = at[:, 2]
     xy = at[:, :2] / depth[:, None]
     lens = distort(xy, geometry.camera[4:])
@@ -331,13 +349,18 @@ def corner_rows(geometry: Geometry, unknowns: Unknowns, corners: Corners) -> Row
     if unknowns.bend.size and geometry.bend is not None:
         away = (by_at @ geometry.rotation[corners.pose][:, :, 2:]).reshape(-1, 1)
         by_bend = np.repeat(geometry.bend.by_coefficient(corners.board_mm[:, :2]), 2, axis=0)
-        rows = _with_bend(rows, unknowns, away * by_bend)
+        rows = _with_more(rows, unknowns.bend, away * by_bend)
+    if unknowns.prints.size:
+        place = _on_print(geometry, corners)[:, :2]
+        by_place = by_at @ geometry.rotation[corners.pose][:, :, :2]
+        by_print = np.stack([(by_place * place[:, None, :]).sum(axis=2), by_place[:, :, 1] * place[:, 1:]], 2)
+        rows = _with_more(rows, np.repeat(unknowns.prints[corners.board], 2, axis=0), by_print.reshape(-1, 2))
     return rows
 
 
 def corner_residuals(geometry: Geometry, corners: Corners) -> Floats:
     """Give predicted − seen, px, x and y in turn, without derivatives."""
-    at = _placed(geometry, corners.pose, _bent_marks(geometry, corners), corners.counts)[1]
+    at = _placed(geometry, corners.pose, _on_print(geometry, corners), corners.counts)[1]
     seen = distort(at[:, :2] / at[:, 2:], geometry.camera[4:]).xy * geometry.camera[:2] + geometry.camera[2:4]
     return np.ravel(seen - corners.xy_px)
 
@@ -378,7 +401,7 @@ def stripe_rows(geometry: Geometry, unknowns: Unknowns, points: StripePoints) ->
     values /= slope[:, None]
     rows = Rows(way + more, columns, values)
     if unknowns.bend.size and where.by_bend is not None:
-        rows = _with_bend(rows, unknowns, of_plane * where.by_bend / slope[:, None])
+        rows = _with_more(rows, unknowns.bend, of_plane * where.by_bend / slope[:, None])
     return rows
 
 
@@ -387,6 +410,16 @@ def stripe_residuals(geometry: Geometry, points: StripePoints) -> Floats:
     where = _Lines(geometry, points)
     way = where.way_px(points.x_px)[0]
     return way + where.way_px(points.x_px - way)[0]
+
+
+def plane_distances(geometry: Geometry, points: StripePoints) -> Floats:
+    """Give (point,) how far from its plane of light each peak's ray meets board or belt, mm."""
+    where = _Lines(geometry, points)
+    ray = rays(geometry.camera, np.column_stack([points.x_px, points.row_px]))
+    belt = np.where(where.on_belt[:, None], geometry.belt, 0.0)
+    away = np.where(where.on_belt, 1.0, where.distance)
+    at = ray * (away / ((where.normal + belt) * ray).sum(axis=1))[:, None]
+    return np.asarray(((at * where.plane).sum(axis=1) - 1.0) / np.sqrt((where.plane**2).sum(axis=1)))
 
 
 class _Lines:
@@ -492,18 +525,22 @@ def _placed(geometry: Geometry, pose: Integers, board_mm: Floats, counts: Floats
     return arm, arm + geometry.shift[pose] + counts[:, None] * geometry.travel
 
 
-def _bent_marks(geometry: Geometry, corners: Corners) -> Floats:
+def _on_print(geometry: Geometry, corners: Corners) -> Floats:
     """Give (mark, 3) places on the board as it is, mm."""
+    if geometry.prints.size:
+        size = np.exp(geometry.prints[corners.board])
+        way = np.column_stack([size[:, 0], size[:, 0] * size[:, 1], np.ones(len(size))])
+        return np.asarray(corners.board_mm * way)
     if geometry.bend is None:
         return corners.board_mm
     away = geometry.bend.height_mm(corners.board_mm[:, :2])
     return corners.board_mm + np.column_stack([np.zeros((away.size, 2)), away])
 
 
-def _with_bend(rows: Rows, unknowns: Unknowns, by_bend: Floats) -> Rows:
-    """Add the derivatives by the board's shape."""
-    more = np.broadcast_to(unknowns.bend, (len(rows.columns), unknowns.bend.size))
-    return Rows(rows.residual, np.column_stack([rows.columns, more]), np.column_stack([rows.values, by_bend]))
+def _with_more(rows: Rows, unknown: Integers, derivative: Floats) -> Rows:
+    """Add the derivatives by further unknowns, the same ones for all rows or others for each."""
+    columns = np.column_stack([rows.columns, np.broadcast_to(unknown, derivative.shape)])
+    return Rows(rows.residual, columns, np.column_stack([rows.values, derivative]))
 
 
 def columns_of(camera: Integers, poses: Integers, travel: Integers) -> Integers:

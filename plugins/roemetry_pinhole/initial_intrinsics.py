@@ -92,7 +92,7 @@ def first_camera(
         if len(views) < least:
             raise CalibrationError(
                 f"the board is seen in {len(views)} of {tried} poses; {least} are the least"
-                + _reasons(seen.left_out),
+                + reasons(seen.left_out),
                 hint="take ten to twenty poses: all over the image, at all heights, tilted all ways round",
             )
         if not views and known is not None:
@@ -158,6 +158,7 @@ def _solved(
         np.concatenate([view.marks.board_mm for view in views]),
         np.concatenate([view.marks.xy_px for view in views]),
         np.zeros(sum(size)),
+        np.zeros(sum(size), np.int64),
     )
     nothing = StripePoints(whole, whole, none, none, none, none)
     feet = Feet(whole, np.empty((0, 3)), none)
@@ -213,5 +214,9 @@ def _check_variety(found: FirstCamera) -> None:
         )
 
 
-def _reasons(left_out: dict[str, str]) -> str:
-    return "".join(f"\n  {name}: {why}" for name, why in left_out.items())
+def reasons(left_out: dict[str, str]) -> str:
+    """Give a line for each reason, with the names of all images that share it."""
+    names: dict[str, list[str]] = {}
+    for name, why in left_out.items():
+        names.setdefault(why, []).append(name)
+    return "".join(f"\n  {', '.join(those)}: {why}" for why, those in names.items())

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -29,9 +30,10 @@ from roemetry_pinhole.geometry import (
     rays,
     unknowns_of,
 )
-from roemetry_pinhole.initial_intrinsics import FirstCamera, first_camera, free_numbers
+from roemetry_pinhole.initial_intrinsics import FirstCamera, first_camera, free_numbers, reasons
 from roemetry_pinhole.known_files import read_camera
 from roemetry_pinhole.plates import from_plate
+from roemetry_pinhole.prints import stretched
 from roemetry_pinhole.stripes import Gathered, belt_points, gather
 
 _OFF_MAX_PX = 3.0
@@ -74,7 +76,7 @@ def with_known_planes(observed: CalibrationSet, camera: Floats, planes: Floats) 
         start, free_camera=np.zeros(CAMERA, np.bool_), planes=False, belt=True, travel=False
     )
     none, whole = np.empty(0), np.empty(0, np.int64)
-    corners = Corners(whole, np.empty((0, 3)), np.empty((0, 2)), none)
+    corners = Corners(whole, np.empty((0, 3)), np.empty((0, 2)), none, whole)
     measured = Measured(start, unknowns, corners, points, Feet(whole, np.empty((0, 3)), none), 0.01)
     hint = "are they in the camera's frame, in mm, from left to right, and is `planes_form` right?"
     if belt[2] <= 0:
@@ -164,10 +166,13 @@ class Joint:
     """measured, adjusted: what went into the adjustment, and what came out."""
     moves: bool
     """Whether the belt's travel is among the unknowns."""
+    belts: tuple[str, ...] = ()
+    """Names of the images of the empty belt."""
 
 
 def joint(
     observed: CalibrationSet,
+    seen: Seen,
     *,
     lens: str,
     camera_file: Path | None,
@@ -182,6 +187,8 @@ def joint(
     ----------
     observed
         The images with their peaks.
+    seen
+        Filled with the poses, and by image why others are not used: also where this then fails.
     lens
         Name of the lens model.
     camera_file
@@ -211,9 +218,9 @@ def joint(
             hint="add `board:` to the rig file: its kind, columns, rows and pitch_mm; or give a camera file "
             "and images of a block, a staircase or a truncated pyramid",
         )
-    seen = Seen() if board is None else board_views(observed, board)
+    board_views(observed, seen)
     if board is not None and reference_pose is not None:
-        board = _on_reference(board, seen, reference_pose)
+        _on_reference(seen, reference_pose)
     tried = _poses_tried(observed)
     if not tried and not (by_solids and known is not None):
         raise CalibrationError("there is no image of the board", hint="name them in images.board")
@@ -221,23 +228,31 @@ def joint(
     free = np.zeros(CAMERA, np.bool_) if known is not None else free_numbers(lens)
     while True:
         first = first_camera(seen, size, lens, known, tried, **({"least_if_known": 0} if by_solids else {}))
+        if reference_pose is not None and not any(view.on_belt for view in first.views):
+            raise CalibrationError(
+                f"the pose {reference_pose!r}, which is to be the reference, is not used"
+                + reasons(seen.left_out),
+                hint="look at its images, or name another pose in reference_pose",
+            )
         if board is None or by_solids:
             return _by_solids(observed, board, seen, first, free, bent=bent)
         pose, counts = _placed(first)
         gathered = gather(
             first,
-            board,
             observed.showing("belt"),
             observed.stripe_count,
             counts,
+            seen.left_out,
             print_contrast_max=print_contrast_max,
         )
-        seen.left_out |= gathered.left_out
         if not gathered.strange:
             break
         strange = {first.views[number].name for number in gathered.strange}
         seen.views = [view for view in seen.views if view.name not in strange]
-    measured = _measured(first, gathered, board, pose, counts, free, bent=bent)
+    measured = _measured(first, gathered, pose, counts, free, bent=bent)
+    adjusted = measured.adjusted()
+    if not bent and known is None:
+        seen.notes += stretched(measured, adjusted, first.views)
     return Joint(
         board,
         size,
@@ -248,8 +263,9 @@ def joint(
         gathered.stray_share,
         None,
         measured,
-        measured.adjusted(),
+        adjusted,
         _moves(counts),
+        tuple(one.frame.name for one in observed.showing("belt")),
     )
 
 
@@ -266,7 +282,8 @@ def camera_alone(observed: CalibrationSet, *, lens: str) -> CameraFit:
         raise CalibrationError(
             "no board is described", hint="add `board:` to the rig file: its kind, columns, rows and pitch_mm"
         )
-    seen = board_views(observed, board)
+    seen = Seen()
+    board_views(observed, seen)
     free = free_numbers(lens)
     first = first_camera(seen, observed.observations[0].frame.size, lens, None, _poses_tried(observed))
     count = len(first.views)
@@ -275,9 +292,7 @@ def camera_alone(observed: CalibrationSet, *, lens: str) -> CameraFit:
     start = Geometry(first.camera, first.rotation, first.shift, nowhere, np.full(3, np.nan), np.zeros(3))
     unknowns = unknowns_of(start, free_camera=free, planes=False, belt=False, travel=False)
     points, feet = StripePoints(whole, whole, none, none, none, none), Feet(whole, nowhere, none)
-    found = Measured(
-        start, unknowns, _corners(first, number, np.zeros(count)), points, feet, _foot_std_mm(board)
-    ).adjusted()
+    found = Measured(start, unknowns, _corners(first, number, np.zeros(count)), points, feet, 1.0).adjusted()
     at = unknowns.camera
     std = np.where(at >= 0, np.sqrt(np.diag(found.covariance)[np.maximum(at, 0)]), 0.0)
     off_px = found.corner_px[found.corner_used]
@@ -294,18 +309,17 @@ def camera_alone(observed: CalibrationSet, *, lens: str) -> CameraFit:
 
 
 def _poses_tried(observed: CalibrationSet) -> int:
-    return len({(one.shows, one.pose) for one in observed.observations if one.shows in _BOARDS})
+    return len({(one.shows, one.board, one.pose) for one in observed.observations if one.shows in _BOARDS})
 
 
-def _on_reference(board: Board, seen: Seen, pose: str) -> Board:
-    """Let the board of one pose lie in the plane Z = 0, its print uppermost; give the board as it then is."""
+def _on_reference(seen: Seen, pose: str) -> None:
+    """Let the board of one pose lie in the plane Z = 0, its print uppermost."""
     there = [number for number, view in enumerate(seen.views) if view.pose == pose]
     if not there:
         poses = ", ".join(view.pose for view in seen.views)
-        why = "".join(f"\n  {name}: {why}" for name, why in seen.left_out.items())
         raise CalibrationError(
             f"the board is not seen in the pose {pose!r}, which is to be the reference; "
-            f"it is in {poses or 'none'}{why}",
+            f"it is in {poses or 'none'}{reasons(seen.left_out)}",
             hint="reference_pose is the number in the image's name, as 7 in board_07.png",
         )
     if any(view.on_belt for view in seen.views):
@@ -313,8 +327,9 @@ def _on_reference(board: Board, seen: Seen, pose: str) -> Board:
             "a board lies on the belt, and another pose is to be the reference",
             hint="leave reference_pose out, or images.board_on_belt",
         )
-    seen.views[there[0]] = replace(seen.views[there[0]], on_belt=True)
-    return replace(board, thickness_mm=0.0)
+    there_on = seen.views[there[0]]
+    flat = replace(there_on.board, thickness_mm=0.0)
+    seen.views[there[0]] = replace(there_on, on_belt=True, board=flat)
 
 
 def planes_by_solids(observed: CalibrationSet) -> bool:
@@ -362,12 +377,11 @@ def _by_solids(
     whole, none, nowhere = np.empty(0, np.int64), np.empty(0), np.empty((0, 3))
     belt = None
     lies = [view for view in number if first.views[view].on_belt]
-    feet, foot_std_mm = Feet(whole, nowhere, none), 0.01
+    feet: Feet = Feet(whole, nowhere, none)
+    foot_std_mm: float | Floats = 0.01
     if board is not None and lies:
-        normal = first.rotation[lies[0]][:, 2]
-        belt = np.asarray(normal / (normal @ first.shift[lies[0]] + board.thickness_mm))
-        feet = _feet(first.views, board, number, still)
-        foot_std_mm = _foot_std_mm(board)
+        belt = _under(first, lies[0])
+        feet, foot_std_mm = _feet(first.views, number, still)
     start = Geometry(
         first.camera,
         first.rotation,
@@ -412,7 +426,6 @@ _BOARDS = ("board", "board_on_belt")
 def _measured(
     first: FirstCamera,
     gathered: Gathered,
-    board: Board,
     pose: np.ndarray,
     counts: Floats,
     free: np.ndarray,
@@ -421,34 +434,54 @@ def _measured(
 ) -> Measured:
     keep = np.unique(pose)
     number = np.searchsorted(keep, pose)
+    on = gathered.points.pose
+    boards = np.array([view.number for view in first.views])
+    # the first board's print is as described; another's size is looked for where a stripe lies on it
+    sizes = np.zeros((boards.max() + 1 if boards.any() else 0, 2))
+    looked_for = np.zeros(sizes.shape, np.bool_)
+    if boards.any():
+        looked_for[np.unique(boards[on[on >= 0]]), 0] = True
+        looked_for[0] = False
+        sizes[: len(gathered.sizes), 0] = np.log(gathered.sizes)
+        first = replace(first, shift=first.shift * np.exp(sizes[boards, :1]))
+        if bent:
+            raise CalibrationError(
+                "the shape of the print is looked for, and there are several boards",
+                hint="leave `flatness: free` out, or name one board",
+            )
     start = Geometry(
         camera=first.camera,
         rotation=first.rotation[keep],
         shift=first.shift[keep],
         planes=gathered.planes,
-        belt=_belt(first, gathered, board),
+        belt=_belt(first, gathered),
         travel=np.zeros(3),
-        bend=_flat(board) if bent else None,
+        bend=_flat(first.views[0].board) if bent else None,
+        prints=sizes,
     )
-    unknowns = unknowns_of(start, free_camera=free, planes=True, belt=True, travel=_moves(counts), bend=bent)
-    on = gathered.points.pose
+    unknowns = unknowns_of(
+        start,
+        free_camera=free,
+        planes=True,
+        belt=True,
+        travel=_moves(counts),
+        bend=bent,
+        prints=looked_for,
+    )
+    feet, foot_std_mm = _feet(first.views, number, counts)
     return Measured(
         start,
         unknowns,
         _corners(first, number, counts),
         replace(gathered.points, pose=np.where(on < 0, on, number[on])),
-        _feet(first.views, board, number, counts),
-        foot_std_mm=_foot_std_mm(board),
+        feet,
+        foot_std_mm,
     )
 
 
 def _flat(board: Board) -> Bend:
     """Give the shape to begin with."""
-    return Bend.none(board.columns * board.pitch_mm, board.rows * board.pitch_mm)
-
-
-def _foot_std_mm(board: Board) -> float:
-    return float(max(board.flatness_mm, 0.005) / np.sqrt(3.0))
+    return Bend.none(*board.size_mm.tolist())
 
 
 def _corners(first: FirstCamera, pose: np.ndarray, counts: Floats) -> Corners:
@@ -459,16 +492,22 @@ def _corners(first: FirstCamera, pose: np.ndarray, counts: Floats) -> Corners:
         np.concatenate([np.empty((0, 3)), *(one.board_mm for one in marks)]),
         np.concatenate([np.empty((0, 2)), *(one.xy_px for one in marks)]),
         np.repeat(counts, size),
+        np.repeat([view.number for view in first.views], size).astype(np.int64),
     )
 
 
-def _belt(first: FirstCamera, gathered: Gathered, board: Board) -> Floats:
+def _under(first: FirstCamera, number: Any) -> Floats:
+    """Give (3,) b·X = 1 of what the board of a view lies on."""
+    normal = first.rotation[number][:, 2]
+    return np.asarray(normal / (normal @ first.shift[number] + first.views[number].board.thickness_mm))
+
+
+def _belt(first: FirstCamera, gathered: Gathered) -> Floats:
     """Give the belt (3,) b·X = 1 to start with: under the first board on it, or from its own stripes."""
     lies = [number for number, view in enumerate(first.views) if view.on_belt]
     belt = gathered.belt
     if lies:
-        normal = first.rotation[lies[0]][:, 2]
-        return np.asarray(normal / (normal @ first.shift[lies[0]] + board.thickness_mm))
+        return _under(first, lies[0])
     if belt is None or not np.isfinite(belt).all():
         raise CalibrationError(
             "nothing shows where the belt is",
@@ -501,12 +540,14 @@ def _moves(counts: Floats) -> bool:
     return bool(np.ptp(counts) > 0) if counts.size else False
 
 
-def _feet(views: list[BoardView], board: Board, pose: np.ndarray, counts: Floats) -> Feet:
-    """Three corners of the underside of each board that lies on the belt."""
-    width, height = board.columns * board.pitch_mm, board.rows * board.pitch_mm
-    places = np.array([[0.0, 0.0], [width, 0.0], [0.5 * width, height]])
-    places = np.column_stack([places, np.full(3, board.thickness_mm)])
+def _feet(views: list[BoardView], pose: np.ndarray, counts: Floats) -> tuple[Feet, Floats]:
+    """Three corners of the underside of each board that lies on the belt; standard uncertainties, mm."""
     lies = [number for number, view in enumerate(views) if view.on_belt]
-    return Feet(
-        np.repeat(pose[lies], 3).astype(np.int64), np.tile(places, (len(lies), 1)), np.repeat(counts[lies], 3)
-    )
+    places, std_mm = [np.empty((0, 3))], []
+    for board in (views[number].board for number in lies):
+        width, height = board.size_mm
+        at = [[0.0, 0.0], [width, 0.0], [0.5 * width, height]]
+        places.append(np.column_stack([at, np.full(3, board.thickness_mm)]))
+        std_mm += [max(board.flatness_mm, 0.005) / np.sqrt(3.0)] * 3
+    feet = Feet(np.repeat(pose[lies], 3).astype(np.int64), np.concatenate(places), np.repeat(counts[lies], 3))
+    return feet, np.array(std_mm)

@@ -26,6 +26,7 @@ from roemetry_pinhole.from_solids import solids_in
 from roemetry_pinhole.joint import Joint
 from roemetry_pinhole.pinhole_plane import by_parameter, lines_at_height, parameters_of, points_of
 from roemetry_pinhole.plates import plate_scale
+from roemetry_pinhole.prints import compared, tolerance_of
 
 
 def of_lengths(joined: Joint, parameters: Mapping[str, Floats]) -> Floats:
@@ -34,7 +35,7 @@ def of_lengths(joined: Joint, parameters: Mapping[str, Floats]) -> Floats:
         if joined.board is None:
             size = flat(parameters).size
             return np.zeros((size, size))
-        return grown(parameters, relative_of(joined.board) ** 2)
+        return grown(parameters, tolerance_of(joined.board) ** 2)
     mean = flat(parameters)
     found = np.zeros((mean.size, mean.size))
     for geometry in joined.solids.by_tolerance:
@@ -57,12 +58,6 @@ def by_scale(parameters: Mapping[str, Floats]) -> Floats:
     if "travel_mm_per_count" in parameters:
         found["travel_mm_per_count"] = parameters["travel_mm_per_count"]
     return flat(found)
-
-
-def relative_of(board: Board) -> float:
-    """Give the relative standard uncertainty of a board's lengths."""
-    longer = max(board.columns, board.rows) * board.pitch_mm
-    return float(board.tolerance_mm / np.sqrt(3.0) / longer)
 
 
 def flat(parameters: Mapping[str, Floats]) -> Floats:
@@ -104,6 +99,7 @@ def scaled_by_references(
     for _ in range(_ROUNDS_MAX):
         calibration = made(joined)
         found, missed = references(calibration, observed)
+        found += _other_boards(joined, observed, calibration, 0.0)
         if not found:
             raise CalibrationError(
                 "the scale is to be looked for, and nothing beside the board tells it"
@@ -150,8 +146,11 @@ def rescaled(joined: Joint, factor: float) -> Joint:
             reach_mm=factor * bend.reach_mm,
             coefficients_mm=factor * bend.coefficients_mm,
         )
+    mine = measured.corners.board == 0
+    prints = found.prints + np.array([np.log(factor), 0.0])
     start = replace(
         found,
+        prints=prints * (np.arange(len(prints)) > 0)[:, None],
         shift=factor * found.shift,
         planes=found.planes / factor,
         belt=found.belt / factor,
@@ -161,7 +160,9 @@ def rescaled(joined: Joint, factor: float) -> Joint:
     measured = replace(
         measured,
         start=start,
-        corners=replace(measured.corners, board_mm=factor * measured.corners.board_mm),
+        corners=replace(
+            measured.corners, board_mm=np.where(mine, factor, 1.0)[:, None] * measured.corners.board_mm
+        ),
         feet=replace(measured.feet, board_mm=measured.feet.board_mm * [factor, factor, 1.0]),
     )
     marker_mm = None if board.marker_mm is None else factor * board.marker_mm
@@ -236,8 +237,10 @@ class Reference:
         return float(np.sqrt(self.own_std**2 + self.by_parameter @ covariance @ self.by_parameter))
 
 
-def check_scale(calibration: Calibration, observed: CalibrationSet) -> dict[str, Any]:
-    """Measure solids, the print and the belt's way; give residuals and notes with what was found.
+def check_scale(
+    calibration: Calibration, observed: CalibrationSet, joined: Joint | None = None
+) -> dict[str, Any]:
+    """Measure solids, the prints and the belt's way; give residuals and notes with what was found.
 
     Raises
     ------
@@ -247,9 +250,15 @@ def check_scale(calibration: Calibration, observed: CalibrationSet) -> dict[str,
     residuals, notes = dict(calibration.residuals), list(calibration.notes)
     kind, board = str(calibration.target.get("kind", "known planes")), observed.board
     by_board = board is not None and kind == board.kind
-    board_std = relative_of(board) if by_board and board is not None else 0.0
+    board_std = tolerance_of(board) if by_board and board is not None else 0.0
     found, missed = references(calibration, observed, board_std)
+    if joined is not None:
+        found += _other_boards(joined, observed, calibration, board_std)
     first = "board" if by_board else kind
+    if board is not None and by_board and observed.more_boards:
+        first = f"board {board.name}"
+    if by_board and not found:
+        notes.append(_ALONE)
     for one in found:
         std = one.std(calibration.covariance)
         if abs(one.ratio - 1.0) > CONFLICT_STDS * std:
@@ -263,6 +272,11 @@ def check_scale(calibration: Calibration, observed: CalibrationSet) -> dict[str,
     return {"residuals": residuals, "notes": (*notes, *missed)}
 
 
+_ALONE = (
+    "lengths rest on the pitch of one board alone: if it is wrong, all of them are, and no image shows it. "
+    "Measure the print with a calliper over as many squares as there are; a second board (`more_boards`), a "
+    "block or `ruler` checks it"
+)
 _HINT = (
     "measure the board's pitch and the reference with a calliper: was the board printed to fit the page? "
     "`scale: free` takes the scale from the reference"
@@ -329,6 +343,23 @@ def references(
     if observed.mm_per_count is not None and "travel_mm_per_count" in calibration.parameters:
         found.append(_encoder(calibration.parameters, *observed.mm_per_count))
     return found, notes
+
+
+def _other_boards(
+    joined: Joint, observed: CalibrationSet, calibration: Calibration, board_std: float
+) -> list[Reference]:
+    """Give further boards' prints as the calibration has them, over what is described."""
+    return [
+        Reference(
+            f"board {board.name}",
+            f"board_{observed.boards.index(board) + 1}_ratio",
+            f"the pitch of the board {board.name}",
+            ratio,
+            float(np.hypot(std, board_std)),
+            np.zeros(len(calibration.covariance)),
+        )
+        for board, ratio, std in compared(joined.adjusted, observed.boards)
+    ]
 
 
 def _ruler(calibration: Calibration, board: Board, ruler: Ruler, board_std: float) -> Reference:

@@ -21,12 +21,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from roemetry.errors import CalibrationError
-from roemetry.records import EDGE, WIDE, Board, Observation, Peaks
+from roemetry.records import EDGE, WIDE, Observation, Peaks
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_pinhole.boards import on_board, on_even_print
 from roemetry_pinhole.geometry import ON_BELT, StripePoints, rays
-from roemetry_pinhole.initial_intrinsics import FirstCamera
+from roemetry_pinhole.initial_intrinsics import FirstCamera, reasons
 from roemetry_pinhole.numbering import PoseLines, number_stripes
+from roemetry_pinhole.prints import first_sizes
 
 _STEP_MAX_PX = 3.0
 """A trace goes on where the next row's peak is nearer than this, px: a stripe that leans by 45° moves 1 px a
@@ -224,18 +225,18 @@ class Gathered:
     shifted towards the lighter side of an edge (Curless and Levoy 1995)."""
     stray_share: float
     """Share of the others that is not used because it is far off its stripe."""
-    left_out: dict[str, str]
-    """By image, why its stripes are not used."""
+    sizes: Floats
+    """(board,) a first estimate of how much larger each print is than described."""
     strange: tuple[int, ...] = ()
     """Views whose stripes contradict the others', by number: their marks are not to be trusted either."""
 
 
 def gather(
     first: FirstCamera,
-    board: Board,
     belts: tuple[Observation, ...],
     stripes: int,
     travelled: Floats,
+    left_out: dict[str, str],
     *,
     print_contrast_max: float,
 ) -> Gathered:
@@ -245,14 +246,14 @@ def gather(
     ----------
     first
         Camera and poses, nearly right.
-    board
-        For its size.
     belts
         Images of the empty belt.
     stripes
         How many the rig has.
     travelled
         (view,) encoder counts since the view's pose was defined.
+    left_out
+        By image, why its stripes are not used: added to.
     print_contrast_max
         Largest contrast of the print under a stripe at which its peaks count.
 
@@ -261,18 +262,17 @@ def gather(
     CalibrationError
         The stripes cannot be numbered, or one lies on too few boards.
     """
-    left_out: dict[str, str] = {}
     found: list[_OnBoard] = []
     poses: list[PoseLines] = []
     focal_px = float(first.camera[0])
-    size = board.pitch_mm * np.array([board.columns, board.rows])
     for number, view in enumerate(first.views):
         if view.laser is None:
             continue
         peaks = view.laser.peaks
         xy = _straight(peaks, first.camera)
-        place = on_board(view, board, xy, first.rotation[number], first.shift[number])
-        use = ((place > -board.margin_mm) & (place < size + board.margin_mm)).all(axis=1)
+        place = on_board(xy, first.rotation[number], first.shift[number])
+        margin_mm = view.board.margin_mm
+        use = ((place > -margin_mm) & (place < view.board.size_mm + margin_mm)).all(axis=1)
         use &= (peaks.flags & (EDGE | WIDE)) == 0
         use &= ~(peaks.width_px > _WIDTH_SHARE_MAX * view.marks.spacing_px)
         even = np.ones(len(peaks), np.bool_)
@@ -282,7 +282,8 @@ def gather(
         lines = find_lines(peaks, xy, use & even, focal_px) or find_lines(peaks, xy, use, focal_px)
         if not lines:
             left_out[view.laser.frame.name] = (
-                "no stripe is seen on the board: is the laser on, and does it fall on it?"
+                "no stripe is seen on the board: is the laser on, and does it fall on it? A line on the "
+                "white margin counts where margin_mm says how wide that is"
             )
             continue
         normal = first.rotation[number][:, 2]
@@ -292,10 +293,17 @@ def gather(
     if len(poses) < _BOARDS_MIN:
         raise CalibrationError(
             f"stripes lie on the board in {len(poses)} of {len(first.views)} poses, not in {_BOARDS_MIN}"
-            + "".join(f"\n  {name}: {why}" for name, why in left_out.items()),
+            + reasons(left_out),
             hint="hold the board under the stripes, at different heights and tilts; is `stripes` right?",
         )
-    numbered = number_stripes(poses, stripes, _belt_pose(first, board, belts, stripes))
+    belt_pose = _belt_pose(first, belts, stripes)
+    number_of = np.array([first.views[one.number].number for one in found])
+    sizes = first_sizes(poses, number_of)
+    if (sizes != 1.0).any():
+        size_of = sizes[number_of]
+        found = [replace(one, plane=one.plane / s) for one, s in zip(found, size_of, strict=True)]
+        poses = [replace(one, ends_mm=one.ends_mm * s) for one, s in zip(poses, size_of, strict=True)]
+    numbered = number_stripes(poses, stripes, belt_pose)
     left_out |= numbered.left_out
     peaks_used: list[tuple[int, int, Peaks, Integers]] = []
     on_stripes = on_even = 0
@@ -329,7 +337,7 @@ def gather(
         belt=belt,
         print_share=1.0 - on_even / max(on_stripes, 1),
         stray_share=1.0 - kept / max(on_even, 1),
-        left_out=left_out,
+        sizes=sizes,
         strange=strange,
     )
 
@@ -380,15 +388,13 @@ def _in_space(name: str, lines: list[StripeLine], xy: Floats, plane: Floats) -> 
     return PoseLines(name, ends, np.array([line.peak.size for line in lines]))
 
 
-def _belt_pose(
-    first: FirstCamera, board: Board, belts: tuple[Observation, ...], stripes: int
-) -> PoseLines | None:
+def _belt_pose(first: FirstCamera, belts: tuple[Observation, ...], stripes: int) -> PoseLines | None:
     """Give the lines on the empty belt, where a board lay on it; the image with the right number of them."""
     lies = [number for number, view in enumerate(first.views) if view.on_belt]
     if not lies:
         return None
     normal = first.rotation[lies[0]][:, 2]
-    plane = normal / (normal @ first.shift[lies[0]] + board.thickness_mm)
+    plane = normal / (normal @ first.shift[lies[0]] + first.views[lies[0]].board.thickness_mm)
     for view in belts:
         xy = _straight(view.peaks, first.camera)
         usable = (view.peaks.flags & (EDGE | WIDE)) == 0

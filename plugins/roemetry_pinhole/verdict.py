@@ -34,6 +34,7 @@ from roemetry_pinhole.geometry import (
     Geometry,
     StripePoints,
     corner_residuals,
+    plane_distances,
     rays,
     unknowns_of,
 )
@@ -134,7 +135,8 @@ def judged(joined: Joint, *, scale_is_known: bool = True) -> Verdict:
         )
     used = adjusted.stripe_used
     residuals |= {
-        "stripes_rms_px": float(np.sqrt((adjusted.stripe_px[used] ** 2).mean())),
+        "stripes_rms_px": _rms(adjusted.stripe_px[used]),
+        "stripes_rms_mm": _rms(plane_distances(adjusted.geometry, joined.measured.points)[used]),
         "stripes_over_stated": adjusted.stripe_scale,
         "stripes_left_out": _stray_share(joined),
         "stripes_on_uneven_print": joined.print_share,
@@ -285,13 +287,15 @@ def _systematic(adjusted: Adjusted, first: FirstCamera, size: tuple[int, int]) -
 
 def _heights_reached(joined: Joint) -> tuple[float, float]:
     """Least and greatest height over the belt of the boards' middles, or of solids, mm; 0 without either."""
-    geometry, board = joined.adjusted.geometry, joined.board
+    geometry = joined.adjusted.geometry
     if joined.solids is not None:
         return 0.0, max(shape.height_mm for shape in joined.solids.shapes)
-    if board is None:
+    if joined.board is None:
         return 0.0, 0.0
-    middle = 0.5 * board.pitch_mm * np.array([board.columns, board.rows, 0.0])
-    at: Floats = geometry.rotation @ middle + geometry.shift
+    middle = np.zeros((len(geometry.shift), 3, 1))
+    for pose, view in zip(joined.pose, joined.first.views, strict=True):
+        middle[pose, :2, 0] = 0.5 * view.board.size_mm
+    at: Floats = (geometry.rotation @ middle)[:, :, 0] + geometry.shift
     height = (1.0 - at @ geometry.belt) / np.sqrt(geometry.belt @ geometry.belt)
     return float(height.min()), float(max(height.max(), 1.0))
 

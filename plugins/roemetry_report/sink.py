@@ -60,6 +60,11 @@ class Report(Sink[ReportOptions]):
 
     Options = ReportOptions
 
+    @property
+    def replays_first(self) -> int:
+        """As many acquisitions as products: most show one."""
+        return self.options.products_max
+
     def write(self, run: Run) -> Sequence[Path]:
         """Write the page and give its path.
 
@@ -100,6 +105,7 @@ def page(run: Run, products_max: int, worst_max: int) -> str:
         anchors=anchors,
         verdicts=_verdicts(seen),
         counts=_counts(seen),
+        drift=run.provenance.get("drift") or "",
         facts=_facts(run.provenance),
         date=when(run.provenance.get("finished") or run.provenance.get("started")),
         recipe=_recipe(run.provenance),
@@ -174,7 +180,7 @@ def section(shown: Shown, replay: Callable[[str], Trace], key: str) -> dict[str,
     if trace is not None and not drawn:
         why = next(iter(trace.absent.values()), None)
         no_pictures = why.text if why is not None else "there is no laser image"
-    seconds = {} if trace is None else trace.seconds
+    seconds = {} if trace is None else {k: v for k, v in trace.seconds.items() if k != "uncertainty"}
     return {
         "key": key,
         "acquisition": shown.acquisition,

@@ -30,21 +30,22 @@ two stripes (nothing is seen of it). How far each feature spreads over rigs for 
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
-from roemetry.records import Product, Relief
-from roemetry.records.arrays import Floats
+from roemetry.records import Product, Profiles, Relief
+from roemetry.records.arrays import Flags, Floats
 from roemetry_shape.curvature import surface_shape
 from roemetry_shape.product_frame import (
     SAMPLES,
     STATIONS,
     Frame,
     Sections,
+    cut_of,
     in_product_frame,
     outline_features,
-    sections_of,
 )
 from roemetry_shape.regions import (
     DENT_LEAST_MM,
@@ -99,12 +100,11 @@ def shape_of(product: Product, smoothing_mm: float = SMOOTHING_MM) -> Shape:
     smoothing_mm
         Window, mm, that smooths each curve first; see `sections_of`.
     """
-    cuts = sections_of(product, smoothing_mm)
+    cuts, above_mm, humps, of_surface = _surface_of(product.profiles, product.number, smoothing_mm)
     if len(cuts.stripe) < SECTIONS_MIN:
         return Shape({})
+    features = {**of_surface, **outline_features(product, cuts)}
     below_mm, dents = hollows_of(cuts)
-    above_mm, humps = humps_of(cuts)
-    features = {**features_of(cuts), **outline_features(product, cuts), **_hump_features(humps)}
     stands_out_mm = np.where(below_mm >= above_mm, -below_mm, above_mm)
     relief = relief_of(cuts, surface_shape(cuts), stands_out_mm, {"dent": dents, "hump": humps}, features)
     return Shape(features, relief)
@@ -112,7 +112,27 @@ def shape_of(product: Product, smoothing_mm: float = SMOOTHING_MM) -> Shape:
 
 def shape_features(product: Product, smoothing_mm: float = SMOOTHING_MM) -> dict[str, float]:
     """Give the features alone; empty with fewer than three sections."""
-    return shape_of(product, smoothing_mm).features
+    cuts, _, _, of_surface = _surface_of(product.profiles, product.number, smoothing_mm)
+    return {**of_surface, **outline_features(product, cuts)} if of_surface else {}
+
+
+class _Surface(NamedTuple):
+    """What a product's surface tells, whatever its outline."""
+
+    cuts: Sections
+    above_mm: Floats
+    humps: tuple[Region, ...]
+    features: dict[str, float]
+
+
+@lru_cache(maxsize=2)
+def _surface_of(profiles: Profiles, number: int, smoothing_mm: float) -> _Surface:
+    """Measure the surface of one product; where its outline alone has moved, it is not measured again."""
+    cuts = cut_of(profiles, number, smoothing_mm)
+    if len(cuts.stripe) < SECTIONS_MIN:
+        return _Surface(cuts, np.empty((0, SAMPLES)), (), {})
+    above_mm, humps = humps_of(cuts)
+    return _Surface(cuts, above_mm, humps, {**features_of(cuts), **_hump_features(humps)})
 
 
 def features_of(cuts: Sections) -> dict[str, float]:
@@ -137,26 +157,35 @@ def _above_foot(sections: Sections) -> Sections:
     farther out moves the middle by half of it, and a dome off its middle leans.
     """
     height, across = sections.height_mm, sections.across_mm
-    even, found = np.linspace(0.0, 1.0, SAMPLES), []
-    for h, y in zip(height, across, strict=True):
-        level = _FOOT * h.max()
-        inside = np.flatnonzero(h >= level)
-        first, last = int(inside[0]), int(inside[-1])
-        low, high = y[first], y[last]
-        if first > 0:
-            low -= (y[first] - y[first - 1]) * (h[first] - level) / max(h[first] - h[first - 1], 1e-9)
-        if last < len(h) - 1:
-            high += (y[last + 1] - y[last]) * (h[last] - level) / max(h[last] - h[last + 1], 1e-9)
-        found.append((low, high, np.interp(low + (high - low) * even, y, h)))
-    low_mm, high_mm = (np.array([one[k] for one in found]) for k in range(2))
-    half = np.maximum(0.5 * (high_mm - low_mm), 1e-6)
-    middle = np.column_stack([sections.middle_mm[:, 0], sections.middle_mm[:, 1] + 0.5 * (low_mm + high_mm)])
+    level = _FOOT * height.max(axis=1)
+    inside = height >= level[:, None]
+    low, high = (
+        _place_of_level(height[:, ::way], across[:, ::way], level, inside[:, ::way]) for way in (1, -1)
+    )
+    half = np.maximum(0.5 * (high - low), 1e-6)
+    at = low[:, None] + (high - low)[:, None] * np.linspace(0.0, 1.0, SAMPLES)
+    middle = np.column_stack([sections.middle_mm[:, 0], sections.middle_mm[:, 1] + 0.5 * (low + high)])
+    # samples of a section are even, so the two beside a place are known without a search
+    first, step = across[:, :1], (across[:, -1:] - across[:, :1]) / (SAMPLES - 1)
+    share = np.clip((at - first) / np.maximum(step, 1e-12), 0.0, SAMPLES - 1.0)
+    below = np.minimum(share.astype(np.int64), SAMPLES - 2)
+    share -= below
+    lower, upper = (np.take_along_axis(height, below + k, axis=1) for k in (0, 1))
     return sections._replace(
         middle_mm=middle,
         half_width_mm=half,
-        height_mm=np.stack([one[2] for one in found]),
+        height_mm=lower + share * (upper - lower),
         across_mm=half[:, None] * np.linspace(-1.0, 1.0, SAMPLES),
     )
+
+
+def _place_of_level(height: Floats, across: Floats, level: Floats, inside: Flags) -> Floats:
+    """(section,) place where each section first reaches a level, between two samples."""
+    each, first = np.arange(len(height)), inside.argmax(axis=1)
+    before = np.maximum(first - 1, 0)
+    rise = np.maximum(height[each, first] - height[each, before], 1e-9)
+    back = np.where(first > 0, (height[each, first] - level) / rise, 0.0)
+    return np.asarray(across[each, first] - (across[each, first] - across[each, before]) * back)
 
 
 _FOOT = 0.4
@@ -184,25 +213,29 @@ def _size(frame: Frame) -> dict[str, float]:
 
 def _axis(sections: Sections) -> dict[str, float]:
     """Bend of the line through the sections' middles, and of that through their centres of area."""
-    s, off = sections.middle_mm[_ALONG].T
-    straight = off - np.polyval(np.polyfit(s, off, 1), s)
-    half = max(0.5 * float(np.ptp(s)), 1e-9)
-    u = (s - 0.5 * (s[0] + s[-1])) / half
-    bow, s_bend = np.polyfit(u, off, 2)[0], np.polyfit(u, off, 3)[0]
+    off = sections.middle_mm[_ALONG, 1]  # stations are even: every fit along them is the same matrix
+    straight = off - _POWERS[:, :2] @ (_FITS[1] @ off)
+    bow, s_bend = _FITS[2][2] @ off, _FITS[3][3] @ off
     height, middle = sections.height_mm, sections.middle_mm[:, 1]
     off_middle = (height * sections.across_mm).sum(axis=1) / np.maximum(height.sum(axis=1), 1e-9)
     of_edges, of_area = _kink(middle), _kink(middle + off_middle)
     step = float(sections.along_mm[1])
-    waves = np.polynomial.legendre.legfit(_U[_ENDLESS], middle[_ENDLESS], 5)
+    wave = float(_FIFTH_WAVE @ middle[_ENDLESS])
     return {
         "bend_mm": float(np.abs(straight).max()),
         "bow_mm": abs(float(bow)),
         "s_bend_mm": abs(float(s_bend)),
-        "w_bend_mm": abs(float(waves[4])),
+        "w_bend_mm": abs(wave),
         "kink_deg": math.degrees(math.atan(of_area[0] / step)),
         "kink_rest_mm": of_area[1],
         "edge_kink_deg": math.degrees(math.atan(of_edges[0] / step)),
     }
+
+
+_POWERS = np.linspace(-1.0, 1.0, STATIONS)[_ALONG, None] ** np.arange(4)
+_POWERS /= np.abs(_POWERS[0, 1]) ** np.arange(4)
+_FITS = {degree: np.linalg.pinv(_POWERS[:, : degree + 1]) for degree in (1, 2, 3)}
+"""Powers of the place along, from −1 at one end to 1, and what fits a polynomial of each degree."""
 
 
 def _hinges() -> tuple[Floats, Floats]:
@@ -222,13 +255,18 @@ _REACH = STATIONS // 7
 """Stations to either side of a kink that show that the line has turned: 12 mm on a skein of 80 mm."""
 
 _HINGES, _HINGE_LENGTHS = _hinges()
+_LEVER = np.linspace(-1.0, 1.0, STATIONS - 4)
+_LEVER /= np.sqrt(_LEVER @ _LEVER)
+_FIFTH_WAVE = np.linalg.pinv(np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, STATIONS)[_ENDLESS], 5))[
+    4
+]
+"""What gives the fourth coefficient of a fit by Legendre's polynomials up to the fifth."""
 
 
 def _kink(off_mm: Floats) -> tuple[float, float]:
     """Turn in mm a station, and what is left, rms mm, of the line with one kink that fits best."""
     off = off_mm[_ENDLESS]
-    at = np.arange(off.size, dtype=np.float64)
-    off = off - np.polyval(np.polyfit(at, off, 1), at)
+    off = off - off.mean() - _LEVER * (_LEVER @ off)
     along = _HINGES @ off
     best = int(np.abs(along).argmax())
     left = math.sqrt(max(float((off**2).sum() - along[best] ** 2), 0.0) / off.size)
@@ -242,13 +280,12 @@ _INNER, _SHOULDER = (0.05, 0.4), (0.4, 0.7)
 def _lean(sections: Sections) -> dict[str, float]:
     """Lean of the sections to one side, and how it changes along: twist."""
     inner, shoulder = (_leans(sections, part) for part in (_INNER, _SHOULDER))
-    s = sections.along_mm
-    fit = np.polyfit(s, inner, 1)
-    rest = (inner - np.polyval(fit, s))[_ALONG]
+    turn = float(_U @ inner) / float(_U @ _U)  # over half the length: stations are even
+    rest = (inner - inner.mean() - turn * _U)[_ALONG]
     ratio = sections.peak_mm / np.maximum(2.0 * sections.half_width_mm, 1e-9)
     middle = float(np.median(ratio[2 * _FIFTH : -2 * _FIFTH]))
     return {
-        "twist_deg": abs(float(fit[0])) * float(s[-1] - s[0]),
+        "twist_deg": 2.0 * abs(turn),
         "twist_of_ends_deg": _end_to_end(inner),
         "twist_of_flanks_deg": _end_to_end(shoulder),
         "lean_range_deg": float(np.ptp(inner[_ALONG])),
@@ -329,8 +366,8 @@ def _runs(sections: Sections) -> dict[str, float]:
         ("width", sections.half_width_mm, ("end_high", "tenth_low", "tenth_high", "bump")),
     ):
         share = values / max(float(values.max()), 1e-9)
-        smooth = np.polynomial.legendre.legfit(_U, share, 4)
-        rest = share - np.polynomial.legendre.legval(_U, smooth)
+        smooth = _QUARTIC_FIT @ share
+        rest = share - _QUARTIC @ smooth
         ends, tenths = np.sort(share[[0, -1]]), np.sort(share[[_TENTH, -1 - _TENTH]])
         every = {
             "end_low": ends[0],
@@ -366,6 +403,8 @@ _MISSING_MOST = 3.0
 
 _U = np.linspace(-1.0, 1.0, STATIONS)
 _TENTH, _FIFTH = STATIONS // 10, STATIONS // 5
+_QUARTIC = np.polynomial.legendre.legvander(_U, 4)
+_QUARTIC_FIT = np.linalg.pinv(_QUARTIC)
 
 
 def _hump_features(humps: tuple[Region, ...]) -> dict[str, float]:

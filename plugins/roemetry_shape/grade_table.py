@@ -3,11 +3,11 @@
 Model. A table is a list of classes, each with half-open ranges of quantities and the shapes it takes. Going
 down it, a limit is kept or broken only if the value lies off it by more than the guard band, `guard_factor`
 standard uncertainties (the decision rule of ISO 14253-1, at every limit alike); between, it is open. So is
-every limit on a volume or weight whose uncertainty is not stated in full: a part of it proves nothing. A
-product is of the first class that is kept, if every class before it is broken. A table is looked through
-before it is used: between all its limits lie cells, and each cell must belong to a class, each class to a
-cell, and two classes may share cells only if one holds the other. More than `CELLS_MAX` cells are refused,
-not searched.
+every limit on a volume or weight whose uncertainty is not stated in full, by an interval or by the table, and
+on a weight for which the visible volume was taken for the true one: a part proves nothing. A product is of
+the first class that is kept, if every class before it is broken. A table is looked through before it is used:
+between all its limits lie cells, and each cell must belong to a class, each class to a cell, and two classes
+may share cells only if one holds the other. More than `CELLS_MAX` cells are refused, not searched.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -240,6 +241,8 @@ def _not_guarded(found: Quantities, factor: float) -> tuple[Reason, ...]:
     )
 
 
+_AIR_WEIGHED = "visible-taken-for-true"
+"""Reason of a weight that counts the air below the product, which no uncertainty of it holds."""
 WEIGHT, VISIBLE, TRUE = "weight_g", "visible_volume_cm3", "true_volume_cm3"
 
 
@@ -283,11 +286,18 @@ class Quantities:
         return self._features.get(name, math.nan)
 
     def std(self, name: str) -> float:
-        """Give its standard uncertainty: what the run states, else what the table does, else NaN."""
-        estimate = self._estimates.get(name)
-        found = self._features_std.get(name, math.nan) if estimate is None else estimate.std
-        if math.isnan(found):
-            found = self._stated.get(name, math.nan)
+        """Give its standard uncertainty: what the run states, else what the table does, else NaN.
+
+        Of a volume or weight a run states the whole where it states an interval; else the table's word
+        counts, but for no less than the part that the run knows.
+        """
+        stated = self._stated.get(name, math.nan)
+        part = self.known_part(name)
+        if part is not None:
+            estimate = self._estimates[name]
+            return estimate.std if all(map(math.isfinite, estimate.interval)) else max(stated, part)
+        found = self._features_std.get(name, math.nan)
+        found = stated if math.isnan(found) else found
         if math.isnan(found) and name not in self.without_std and not math.isnan(self.value(name)):
             self.without_std.append(name)
         return found
@@ -295,7 +305,9 @@ class Quantities:
     def known_part(self, name: str) -> float | None:
         """Give what the run knows of the uncertainty of a volume or weight; None of any other quantity."""
         estimate = self._estimates.get(name)
-        return None if estimate is None else math.hypot(*estimate.budget.values())
+        if estimate is None:
+            return None
+        return max(0.0 if math.isnan(estimate.std) else estimate.std, math.hypot(*estimate.budget.values()))
 
     def why_missing(self, name: str) -> str:
         """Say that a quantity is not there, and what is."""
@@ -308,7 +320,8 @@ class Quantities:
 def _estimates(volume: Volume | None, weight: Weight | None) -> dict[str, Estimate]:
     found = {}
     if weight is not None:
-        found[WEIGHT] = weight.mass_g
+        in_part = any(reason.code == _AIR_WEIGHED for reason in weight.reasons)
+        found[WEIGHT] = replace(weight.mass_g, interval=(math.nan, math.nan)) if in_part else weight.mass_g
     if volume is not None:
         found[VISIBLE] = _in_cm3(volume.visible_mm3)
         if volume.true_mm3 is not None:
@@ -318,7 +331,8 @@ def _estimates(volume: Volume | None, weight: Weight | None) -> dict[str, Estima
 
 def _in_cm3(estimate: Estimate) -> Estimate:
     budget = {cause: mm3_to_cm3(part) for cause, part in estimate.budget.items()}
-    return Estimate(mm3_to_cm3(estimate.value), mm3_to_cm3(estimate.std), budget)
+    low, high = map(mm3_to_cm3, estimate.interval)
+    return Estimate(mm3_to_cm3(estimate.value), mm3_to_cm3(estimate.std), budget, (low, high))
 
 
 Range = tuple[float, float]

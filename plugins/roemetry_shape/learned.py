@@ -45,7 +45,7 @@ from roemetry.errors import DataError, StageError
 from roemetry.records import Fitted, Grade, Product, Reason, Samples
 from roemetry.records.arrays import Floats, Integers
 from roemetry.stages import Capabilities, Classifier, StageOptions
-from roemetry_shape.features import SMOOTHING_MM, shape_of
+from roemetry_shape.features import SMOOTHING_MM, shape_features, shape_of
 from roemetry_shape.novelty import (
     GOOD_MIN,
     GoodReference,
@@ -105,6 +105,11 @@ class Learned(Classifier[LearnedOptions]):
         """
         shape = shape_of(product, self._model.smoothing_mm)
         return replace(self.judge(shape.features), relief=shape.relief)
+
+    def redraw(self, product: Product, *, rng: np.random.Generator | None = None) -> Grade:
+        """Judge a product that has moved a little: without the surface to draw."""
+        del rng
+        return self.judge(shape_features(product, self._model.smoothing_mm))
 
     def judge(self, features: Mapping[str, float]) -> Grade:
         """Judge features that were measured already, with the model's `smoothing_mm`."""

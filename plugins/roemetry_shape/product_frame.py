@@ -18,11 +18,12 @@ With an outline, length and width are the outline's, and the outliner's features
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
-from roemetry.records import Product
+from roemetry.records import Product, Profiles
 from roemetry.records.arrays import Floats, Integers
 from roemetry_kernels.slices import body_curves, smoothed
 
@@ -65,8 +66,7 @@ def in_product_frame(sections: Sections) -> Frame:
     s, t, z, area = s[order], t[order], z[order], area[order]
     at = np.linspace(s[0, middle], s[-1, middle], STATIONS)
     knots = _rising(s)
-    heights = lofted(knots, z, at)
-    across = lofted(knots, t, at)
+    heights, across = lofted(knots, np.stack([z, t], axis=-1), at).transpose(2, 0, 1)
     pitch = float(np.median(np.diff(s[:, middle])))
     return Frame(_square(at, across, np.maximum(heights, 0.0)), pitch, _missing(s[:, middle], area, pitch))
 
@@ -91,12 +91,12 @@ def _rising(s: Floats) -> Floats:
 
 
 def lofted(knots: Floats, values: Floats, at: Floats) -> Floats:
-    """Interpolate (cut, sample) values over (cut, sample) rising places: (station, sample).
+    """Interpolate (cut, sample, value) values over (cut, sample) rising places: (station, sample, value).
 
     Piecewise cubic with the slopes of Fritsch and Butland (1984): it neither overshoots nor rings. Beyond the
     first and last cut of a sample the value stays.
     """
-    step = np.diff(knots, axis=0)
+    step = np.diff(knots, axis=0)[..., None]
     secant = np.diff(values, axis=0) / step
     slope = np.zeros_like(values)
     if len(step) > 1:
@@ -109,12 +109,12 @@ def lofted(knots: Floats, values: Floats, at: Floats) -> Floats:
     # Interval of each station in each column: the number of inner knots at or below it.
     k = (at[:, None, None] >= knots[None, 1:-1]).sum(axis=1)
     h = step[k, columns]
-    u = np.clip((at[:, None] - knots[k, columns]) / h, 0.0, 1.0)
+    u = np.clip((at[:, None] - knots[k, columns])[..., None] / h, 0.0, 1.0)
     v = 1.0 - u
     return np.asarray(
-        values[k, columns] * v * v * (1.0 + 2.0 * u)
-        + values[k + 1, columns] * u * u * (1.0 + 2.0 * v)
-        + h * u * v * (slope[k, columns] * v - slope[k + 1, columns] * u)
+        values[k, columns] * (v * v * (1.0 + 2.0 * u))
+        + values[k + 1, columns] * (u * u * (1.0 + 2.0 * v))
+        + (h * u * v) * (slope[k, columns] * v - slope[k + 1, columns] * u)
     )
 
 
@@ -205,27 +205,38 @@ def sections_of(product: Product, smoothing_mm: float) -> Sections:
         Length of the local quadratic that smooths each curve first, mm, so that a rig of other rows smooths
         as much; 0 smooths nothing.
     """
-    curves = body_curves(product.profiles, product.number)
-    xyz = product.profiles.xyz_mm[curves.slice, curves.point]
+    return cut_of(product.profiles, product.number, smoothing_mm)
+
+
+def cut_of(profiles: Profiles, product: int, smoothing_mm: float) -> Sections:
+    """Cut the product of a number, as `sections_of` does."""
+    curves = body_curves(profiles, product)
+    xyz = profiles.xyz_mm[curves.slice, curves.point]
     if smoothing_mm and len(xyz) > 1:
         xyz = smoothed(curves, xyz, _window(xyz[:, 1], smoothing_mm))
+    order = np.lexsort((xyz[:, 1], curves.slice))
+    xyz, slices = xyz[order], curves.slice[order]
+    bounds = np.append(np.flatnonzero(np.diff(slices, prepend=-1)), slices.size).tolist()
     found = []
-    for number in np.unique(curves.slice):
-        mine = xyz[curves.slice == number]
-        mine = mine[np.argsort(mine[:, 1], kind="stable")]
-        y = mine[:, 1]
-        keep = np.concatenate([[True], np.diff(y) > 0.0])
-        y = y[keep]
+    for begin, stop in pairwise(bounds):
+        x, y, z = xyz[begin:stop].T
+        step = y[1:] - y[:-1]
+        if not step.all():  # of points at one place the first counts
+            keep = np.append(True, step > 0.0)
+            y, z = y[keep], z[keep]
+            step = y[1:] - y[:-1]
+        else:
+            keep = slice(None)
         if len(y) < _POINTS_MIN or y[-1] - y[0] < _WIDTH_MIN_MM:
             continue
-        if np.diff(y).max() > _GAP_MAX * (y[-1] - y[0]):
+        if step.max() > _GAP_MAX * (y[-1] - y[0]):
             continue
         grid = np.linspace(y[0], y[-1], SAMPLES)
-        height = np.interp(grid, y, mine[keep, 2])
-        x = np.sort(mine[:, 0])
+        height, x_mm = np.interp(grid, y, z), np.interp(grid, y, x[keep])
+        x = np.sort(x)
         middle = np.array([0.5 * (x[(x.size - 1) // 2] + x[x.size // 2]), 0.5 * (y[0] + y[-1])])
-        x_mm = np.interp(grid, y, mine[keep, 0])
-        found.append(_Cut(int(product.profiles.stripe[number]), middle, 0.5 * (y[-1] - y[0]), height, x_mm))
+        stripe = int(profiles.stripe[slices[begin]])
+        found.append(_Cut(stripe, middle, 0.5 * (y[-1] - y[0]), height, x_mm))
     return _in_order(_without_slivers(found))
 
 

@@ -91,24 +91,32 @@ def dome_of(sections: Sections) -> Floats:
     design = _basis(along, t)
     squared = sections.height_mm**2
     chosen = np.flatnonzero(inner)[::_STEP]
-    rows = design[:, chosen].reshape(-1, design.shape[-1])
+    rows = np.ascontiguousarray(design[:, chosen].reshape(-1, design.shape[-1]).T)
     wanted = squared[:, chosen].ravel()
     weight: Floats = np.ones(wanted.size)
-    fit: Floats = np.zeros(rows.shape[1])
+    fit: Floats = np.zeros(len(rows))
     for _ in range(_ROUNDS):
-        normal = rows.T @ (weight[:, None] * rows) + 1e-9 * np.eye(rows.shape[1])
-        fit = np.asarray(np.linalg.solve(normal, rows.T @ (weight * wanted)), np.float64)
-        off = wanted - rows @ fit
-        spread = max(1.4826 * float(np.median(np.abs(off))), _SPREAD_LEAST_MM2)
+        weighed = weight * rows
+        normal = weighed @ rows.T + 1e-9 * np.eye(len(rows))
+        fit = np.asarray(np.linalg.solve(normal, weighed @ wanted), np.float64)
+        off = wanted - fit @ rows
+        spread = max(1.4826 * _middle_of(np.abs(off)), _SPREAD_LEAST_MM2)
         weight = 1.0 / (1.0 + (off / (2.0 * spread)) ** 2)
     return np.sqrt(np.maximum(design @ fit, 0.0))
 
 
+def _middle_of(values: Floats) -> float:
+    """Give the median, without what NumPy's own looks after besides."""
+    half = values.size // 2
+    places = [half - 1, half] if values.size % 2 == 0 else [half, half]
+    low, high = np.partition(values, places)[places]
+    return 0.5 * float(low + high)
+
+
 def _basis(along: Floats, t: Floats) -> Floats:
     """(section, sample, 12) products of 1, s, s², s³ and 1, t, t²."""
-    of_s = np.stack([along**k for k in range(4)], axis=-1)
-    of_t = np.stack([t**k for k in range(3)], axis=-1)
-    return np.asarray(np.einsum("ik,jl->ijkl", of_s, of_t).reshape(along.size, t.size, 12))
+    of_s, of_t = along[:, None] ** np.arange(4), t[:, None] ** np.arange(3)
+    return np.asarray((of_s[:, None, :, None] * of_t[None, :, None, :]).reshape(along.size, t.size, 12))
 
 
 def regions_of(depth: Floats, sections: Sections, least_mm: float) -> tuple[Region, ...]:

@@ -7,7 +7,8 @@ surfaces. The check renders flat plates and measures how the centre of gravity o
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ from roemetry.records import Plan, PlanColumn, PlanFigure, PlanShape, PlanTable,
 from roemetry.stages import Planner
 from roemetry_simulate import plan_tables
 from roemetry_simulate.optics import Camera, view_mm
+from roemetry_simulate.plan_answer import angle_deg, answer_of, bodies_of
 from roemetry_simulate.plan_model import (
     WINDOW_SIGMAS,
     PeakStd,
@@ -58,8 +60,8 @@ _PLATE_MM = 4000.0
 class RigPlanner(Planner[RayCasterOptions]):
     """Works a rig out from its geometry, its light and its sensor; short simulations can stand beside it.
 
-    Of the scene the camera, the laser, the stray light and the product's albedo count; what lies on the belt
-    does not. The plan is made along the image's middle row.
+    Of the scene the camera, the laser, the stray light, the product's albedo and, for the answer, its shape
+    and size count. The plan is made along the image's middle row.
     """
 
     Options = RayCasterOptions
@@ -68,6 +70,11 @@ class RigPlanner(Planner[RayCasterOptions]):
         """Plan the rig; raise StageError where heights do not show in its image."""
         space = space_of(self.options)
         _refuse(space)
+        bodies = bodies_of(self.options, space.rig)
+        answer = None
+        if bodies is not None and space.rig.laser.count > 1:
+            space = replace(space, product_mm=bodies.height_mm)
+            answer = answer_of(self.options, space, bodies, space_of)
         tables = [
             plan_tables.stripe_geometry(space),
             plan_tables.stripe_light(space),
@@ -75,7 +82,7 @@ class RigPlanner(Planner[RayCasterOptions]):
         ]
         curves = []
         if space.rig.laser.count > 1:
-            more, error, price = plan_tables.numbers(space)
+            more, error, price = plan_tables.numbers(space, bodies)
             tables += [plan_tables.products(space), more]
             curves += [error, price, plan_tables.over_x(space)]
         focus = plan_tables.focus_over_height(space)
@@ -90,6 +97,7 @@ class RigPlanner(Planner[RayCasterOptions]):
             tuple(curves),
             _sketch(space),
             tuple(_reasons(self.options, space)),
+            answer,
         )
 
 
@@ -134,18 +142,13 @@ def _refuse(space: Space) -> None:
             "across them",
             hint="turn the camera by 90° in T_belt_camera, or the lines by laser.yaw_deg",
         )
-    shown = np.abs(scale_at(rig.camera, rig.laser, _feet(space)).height_px_per_mm)
+    shown = np.abs(scale_at(rig.camera, rig.laser, space.feet_mm).height_px_per_mm)
     if not shown.max() > _LEAST_PX_PER_MM:
         raise StageError(
             f"simulator.options.laser.projector_mm: a height of 1 mm moves no stripe by more than "
             f"{shown.max():.1g} px: the light planes hold the camera",
             hint="move the projector aside, across the stripes",
         )
-
-
-def _feet(space: Space) -> Floats:
-    """Where the stripes lie on the belt, shape (N, 3)."""
-    return plane_points(space.rig.laser, space.y_mm, np.zeros(1))[0]
 
 
 def _figures(scene: RayCasterOptions, space: Space) -> tuple[PlanFigure, ...]:
@@ -159,8 +162,6 @@ def _figures(scene: RayCasterOptions, space: Space) -> tuple[PlanFigure, ...]:
     belt = peak_std(stripes[0], rig.sensor)
     per_px = 1.0 / np.abs(scale.height_px_per_mm)
     um = 1e3 * per_px[0]
-    to_camera, to_light = camera.centre_mm - middle[0], rig.laser.projector_mm - middle[0]
-    cosine = to_camera @ to_light / np.linalg.norm(to_camera) / np.linalg.norm(to_light)
     made = []
     for k, (at, z) in enumerate((("belt", 0.0), ("top", top))):
         x_low, x_high, y_low, y_high = view_mm(camera, z)
@@ -173,8 +174,8 @@ def _figures(scene: RayCasterOptions, space: Space) -> tuple[PlanFigure, ...]:
             (f"x-per-px-{at}", f"X for one pixel, {at}", x_px, "mm/px", f"{level} row.", on_belt),
             (f"y-per-px-{at}", f"Y for one pixel, {at}", y_px, "mm/px", f"{level} column.", False),
         ]
-    stripe_count = float(in_view(camera, _feet(space)).sum())
-    slope = float(steepest_slopes_deg(camera, rig.laser, _feet(space)).min())
+    stripe_count = float(in_view(camera, space.feet_mm).sum())
+    slope = float(steepest_slopes_deg(camera, rig.laser, space.feet_mm).min())
     at_y, at_middle = f"At Y = {y_mm:.1f} mm.", "At the middle stripe, along its own plane."
     row = "of one row at the middle stripe on the belt, product's albedo."
     made += [
@@ -186,7 +187,8 @@ def _figures(scene: RayCasterOptions, space: Space) -> tuple[PlanFigure, ...]:
         ("highest", "All stripes stay in view up to", space.highest_mm, "mm",
          "Of the stripes seen on the belt at the plan's Y, the first to leave the image.", True),
         ("plan-top", "The plan is made up to", top, "mm",
-         "2½ times the height of one spacing, or as far as any stripe stays in view.", False),
+         "The highest product of the scene, else 2½ times the height of one spacing; at most as far as any "
+         "stripe stays in view.", False),
         ("height-per-px-belt", "Height for one pixel, belt", per_px[0], "mm/px", at_middle, True),
         ("height-per-px-top", "Height for one pixel, top", per_px[1], "mm/px", at_middle, False),
         ("std-bound-belt", "Standard uncertainty of a height, best possible", um * space.best_px(belt), "µm",
@@ -198,7 +200,7 @@ def _figures(scene: RayCasterOptions, space: Space) -> tuple[PlanFigure, ...]:
         ("speckle-limit", "Speckle limit of a height", um * space.speckle_limit_px, "µm",
          "contrast · λ / (2π sin u) in the image (Dorsch, Häusler, Herrmann 1994), for a line as fine as "
          "the lens resolves, times height per pixel.", False),
-        ("triangulation", "Triangulation angle", float(np.rad2deg(np.arccos(cosine))), "degrees",
+        ("triangulation", "Triangulation angle", angle_deg(space), "degrees",
          "Between the directions to camera and projector from the middle stripe on the belt.", False),
         ("slope", "Steepest slope lit and seen, worst", slope, "degrees",
          "Of all stripes and the four directions of rise; see the table.", True),
@@ -242,17 +244,17 @@ def _dark(space: Space) -> list[str]:
             middle = one.peak_grey * one.line_sigma_px / one.width_px(rig.sensor)
             if seen[i] and middle < _SEEN_SIGMAS * noise:
                 dark.add(i)
-    return [str(i) for i in sorted(dark)]
+    return [str(i + 1) for i in sorted(dark)]
 
 
 def _reasons(scene: RayCasterOptions, space: Space) -> list[Reason]:
     """What the plan cannot say, and what it warns of."""
     rig = space.rig
-    stripes = stripes_at(rig, _feet(space), space.albedo, rig.laser.peak_grey)
-    cut = [str(i) for i, one in enumerate(stripes) if peak_std(one, rig.sensor).is_saturated]
-    out, dark = [str(i) for i in np.flatnonzero(np.isnan(space.in_view_mm))], _dark(space)
+    stripes = stripes_at(rig, space.feet_mm, space.albedo, rig.laser.peak_grey)
+    cut = [str(i + 1) for i, one in enumerate(stripes) if peak_std(one, rig.sensor).is_saturated]
+    out, dark = [str(i + 1) for i in np.flatnonzero(np.isnan(space.in_view_mm))], _dark(space)
     widths = [stripe.width_px(rig.sensor) for stripe in stripes]
-    apart = np.abs(np.diff(rig.camera.project(_feet(space))[:, 0]))
+    apart = np.abs(np.diff(rig.camera.project(space.feet_mm)[:, 0]))
     level = f"on a level surface of the product's albedo ({space.albedo:g}) at belt height"
     found = []
     if out:
@@ -331,24 +333,12 @@ def _sketch(space: Space) -> tuple[PlanShape, ...]:
     )
 
 
-@dataclass(frozen=True)
-class Scatter:
+class Scatter(NamedTuple):
     """What a simulated plate showed, over all stripes and rows, and what was predicted of it.
 
-    Attributes
-    ----------
-    height_mm : float
-        Of the plate.
-    centres : int
-        Stripe centres that were measured.
-    measured_px, predicted_px : float
-        Root mean square scatter of the centre of gravity about its mean along each stripe.
-    bound_px : float
-        Cramér-Rao bound.
-    offset_px : float
-        Mean difference from the true place.
-    measured_um, predicted_um : float
-        The scatter as heights.
+    `measured_px` and `predicted_px` are the root mean square scatter of the centre of gravity about its mean
+    along each stripe, `measured_um` and `predicted_um` the same as heights; `bound_px` is the Cramér-Rao
+    bound, `offset_px` the mean difference from the true place.
     """
 
     height_mm: float

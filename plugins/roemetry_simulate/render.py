@@ -29,6 +29,7 @@ from roemetry_simulate.solid import Solid
 from roemetry_simulate.surface import Surface
 
 Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -99,32 +100,67 @@ class Rig:
     focus: Focus | None = None
 
 
-def laser_light(rig: Rig, solid: Solid, surface: Surface, samples: int = 4) -> tuple[Floats, Floats]:
+def laser_light(
+    rig: Rig, solid: Solid, surface: Surface, samples: int = 4, *, draft: bool = False
+) -> tuple[Floats, Floats]:
     """Light of the laser and of all else, grey levels over black, without noise, blur or clipping."""
-    image = _light(rig, solid, surface, samples)
+    image = np.zeros((rig.camera.height_px, rig.camera.width_px, 3))
+    if draft:
+        _light(rig, solid, surface, 1, image)
+        grey = image @ np.array([1.0, rig.ambient_grey, rig.stray_grey])
+        _light(rig, solid, surface, DRAFT_SAMPLES, image, _uneven(grey))
+    else:
+        _light(rig, solid, surface, samples, image)
     return image[..., 0], rig.ambient_grey * image[..., 1] + rig.stray_grey * image[..., 2]
 
 
-def _light(rig: Rig, solid: Solid, surface: Surface, samples: int) -> Floats:
-    """Light of the laser, light from straight above and light of the stray lamp, (height, width, 3)."""
+def _light(
+    rig: Rig, solid: Solid, surface: Surface, samples: int, image: Floats, where: Flags | None = None
+) -> None:
+    """Write light of the laser, light from straight above and light of the stray lamp, (height, width, 3).
+
+    Only into the pixels of `where`, shape (height, width).
+    """
     camera, laser = rig.camera, rig.laser
     planes = np.column_stack([laser.normals, laser.offsets_mm, laser.peak_grey])
     stray = np.zeros(4) if rig.stray_mm is None else np.array([*rig.stray_mm, 1.0])
-    image: Floats = _render_laser(
+    _render_laser(
         solid.body(), camera.packed(), camera.rotation, laser.projector_mm, laser.line_axis, planes,
         laser.packed(), stray, _maps(surface), surface.texture, _albedo(surface, surface.laser_albedo),
         np.array(surface.below, dtype=np.float64), *surface.picture_in("laser"),
-        (camera.height_px, camera.width_px), samples,
+        image, np.ones(image.shape[:2], bool) if where is None else where, samples,
     )  # fmt: skip
-    return image
 
 
-def plain_light(rig: Rig, solid: Solid, surface: Surface, samples: int = 4) -> Floats:
+def plain_light(rig: Rig, solid: Solid, surface: Surface, samples: int = 4, *, draft: bool = False) -> Floats:
     """Light of an image under the plain light, grey levels, without noise, blur, black level or clipping.
 
     Each sample of a pixel sees another lamp of the ring, and the four pixels of a square see the lamps
-    between.
+    between. A draft's single ray sees one lamp of four; the mean of neighbours sees all of them.
     """
+    camera = rig.camera
+    image = np.zeros((camera.height_px, camera.width_px))
+    if draft:
+        _under_lamps(rig, solid, surface, 1, image)
+        from scipy.ndimage import convolve1d
+
+        for axis in (0, 1):  # takes out what alternates from pixel to pixel, and keeps what is even
+            image = convolve1d(image, [0.25, 0.5, 0.25], axis, mode="mirror")
+        _under_lamps(rig, solid, surface, DRAFT_SAMPLES, image, _uneven(rig.plain_grey * image))
+    else:
+        _under_lamps(rig, solid, surface, samples, image)
+    if rig.stray_mm is None:
+        return rig.plain_grey * image
+    dark = replace(rig, laser=replace(rig.laser, peak_grey=np.zeros(rig.laser.count)))
+    stray = np.zeros((*image.shape, 3))
+    _light(dark, solid, surface, samples, stray)
+    return rig.plain_grey * image + rig.stray_grey * stray[..., 2]
+
+
+def _under_lamps(
+    rig: Rig, solid: Solid, surface: Surface, samples: int, image: Floats, where: Flags | None = None
+) -> None:
+    """Write the light of the ring of lamps into the pixels of `where`, shape (height, width)."""
     camera = rig.camera
     count = 4 * samples * samples
     angle = 2.0 * np.pi * np.arange(count) / count
@@ -138,30 +174,47 @@ def plain_light(rig: Rig, solid: Solid, surface: Surface, samples: int = 4) -> F
     # neighbouring samples see lamps far apart, so that a pixel's sub-areas are lit alike
     order = (np.arange(samples * samples) * 7) % (samples * samples)
     lamps = np.ascontiguousarray(lamps.reshape(samples * samples, 4, 3)[order])
-    image: Floats = _render_plain(
+    _render_plain(
         solid.body(), camera.packed(), camera.rotation, lamps, _maps(surface), surface.texture,
         _albedo(surface, surface.plain_albedo), *surface.picture_in("plain"),
-        (camera.height_px, camera.width_px), samples,
+        image, np.ones(image.shape, bool) if where is None else where, samples,
     )  # fmt: skip
-    if rig.stray_mm is None:
-        return rig.plain_grey * image
-    dark = replace(rig, laser=replace(rig.laser, peak_grey=np.zeros(rig.laser.count)))
-    return rig.plain_grey * image + rig.stray_grey * _light(dark, solid, surface, samples)[..., 2]
+
+
+DRAFT_SAMPLES = 2
+"""Along each side of an uneven pixel in a draft: an edge is right to half a pixel, and the lens blurs it."""
+_BEND_GREY = 6.0
+"""Sum of second differences, grey levels, above which one ray is not enough for a pixel: the mean over a
+pixel differs from its middle by a 24th of it, here by a quarter of a grey level; noise is one or more."""
+
+
+def _uneven(grey: Floats) -> Flags:
+    """Find the pixels of a first look, (height, width), whose neighbours do not tell them: edges, stripes."""
+    from scipy.ndimage import laplace
+
+    return np.asarray(np.abs(laplace(grey, mode="nearest")) > _BEND_GREY)
 
 
 def render(
-    rig: Rig, solid: Solid, surface: Surface, *, seed: int, plain: bool = False, samples: int = 4
+    rig: Rig,
+    solid: Solid,
+    surface: Surface,
+    *,
+    seed: int,
+    plain: bool = False,
+    samples: int = 4,
+    draft: bool = False,
 ) -> NDArray[Any]:
     """Take one image of a scene: uint8, or uint16 over 8 bits; the same arguments give the same bytes.
 
     The seed is that of speckle and noise; `plain` is laser off and plain light on; `samples` stand along
-    each side of a pixel.
+    each side of a pixel. A draft casts one ray a pixel, and four where these show edges or stripes.
     """
     lens = _lens(rig, solid)
     if plain:
-        steady = plain_light(rig, solid, surface, samples)
+        steady = plain_light(rig, solid, surface, samples, draft=draft)
         return expose(np.zeros_like(steady), steady, rig.sensor, seed, lens)
-    laser, ambient = laser_light(rig, solid, surface, samples)
+    laser, ambient = laser_light(rig, solid, surface, samples, draft=draft)
     return expose(laser, ambient, rig.sensor, seed, lens)
 
 
@@ -222,15 +275,17 @@ def _speckle(rng: np.random.Generator, shape: tuple[int, ...], sensor: Sensor) -
 def _render_laser(
     body: AnyBody, pinhole: Floats, rotation: Floats, projector: Floats, axis: Floats, planes: Floats,
     fan: Floats, stray: Floats, maps: Floats, texture: Floats, albedo: Floats, below: Floats,
-    picture: Floats, picture_from: Floats, shape: tuple[int, int], samples: int,
-) -> Floats:  # fmt: skip
-    image = np.zeros((shape[0], shape[1], 3))
+    picture: Floats, picture_from: Floats, image: Floats, where: Flags, samples: int,
+) -> None:  # fmt: skip
     point, normal, view = np.zeros(3), np.zeros(3), np.zeros(3)
     beam, scratch = np.zeros(3), np.zeros(3)
     origin, reach = pinhole[:3].copy(), body.reach
     share = 1.0 / (samples * samples)
-    for row in range(shape[0]):
-        for column in range(shape[1]):
+    for row in range(where.shape[0]):
+        for column in range(where.shape[1]):
+            if not where[row, column]:
+                continue
+            image[row, column] = 0.0
             for k in range(samples * samples):
                 x_px = column + (k % samples + 0.5) / samples - 0.5
                 y_px = row + (k // samples + 0.5) / samples - 0.5
@@ -276,23 +331,24 @@ def _render_laser(
                     image[row, column, 0] += share * (scattered + light * mirrored)
                 else:
                     image[row, column, 0] += share * light * (grey * cosine + mirrored)
-    return image
 
 
 @kernel
 def _render_plain(
     body: AnyBody, pinhole: Floats, rotation: Floats, lamps: Floats, maps: Floats, texture: Floats,
-    albedo: Floats, picture: Floats, picture_from: Floats, shape: tuple[int, int], samples: int,
-) -> Floats:  # fmt: skip
-    image = np.zeros(shape)
+    albedo: Floats, picture: Floats, picture_from: Floats, image: Floats, where: Flags, samples: int,
+) -> None:  # fmt: skip
     point, normal, view = np.zeros(3), np.zeros(3), np.zeros(3)
     beam, scratch = np.zeros(3), np.zeros(3)
     origin, reach = pinhole[:3].copy(), body.reach
     share = 1.0 / (samples * samples)
     first = lamps[0, 0]
     level = first[2] / math.sqrt(first[0] ** 2 + first[1] ** 2 + first[2] ** 2)
-    for row in range(shape[0]):
-        for column in range(shape[1]):
+    for row in range(where.shape[0]):
+        for column in range(where.shape[1]):
+            if not where[row, column]:
+                continue
+            image[row, column] = 0.0
             for k in range(samples * samples):
                 x_px = column + (k % samples + 0.5) / samples - 0.5
                 y_px = row + (k // samples + 0.5) / samples - 0.5
@@ -313,7 +369,6 @@ def _render_plain(
                     gloss = 0.5 * gloss_at(albedo, maps, texture, point, on)
                     light += 0.75 * (grey * cosine / level + specular(gloss, albedo[4], normal, beam, view))
                 image[row, column] += share * light
-    return image
 
 
 _REACH = 5.0

@@ -74,6 +74,10 @@ class RayCasterOptions(StageOptions):
         default=0, description="counter-clockwise turn that rights the images, which are stored turned back"
     )
     samples: int = Field(default=4, ge=4, le=16, description="samples along each side of a pixel")
+    draft: bool = Field(
+        default=False,
+        description="a first look, in a tenth of the time: one ray a pixel, four at edges, stripes",
+    )
 
     @field_validator("camera")
     @classmethod

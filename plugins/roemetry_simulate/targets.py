@@ -39,7 +39,8 @@ def take_target(scene: RayCasterOptions, rig: Rig, seed: int, kind: str, name: s
         noise_seed = seed + ("block", "belt", "staircase").index(kind)
         surface = surface_of(scene, noise_seed) if kind == "belt" else _matt(scene, noise_seed)
     solid = target_solid(scene, kind, name.rsplit("_", 1)[0], seed)
-    pixels = render(rig, solid, surface, seed=noise_seed, plain=plain, samples=scene.samples)
+    rays: Any = {"samples": scene.samples, "draft": scene.draft}
+    pixels = render(rig, solid, surface, seed=noise_seed, plain=plain, **rays)
     return Frame(
         as_stored(pixels, scene.turn_deg),
         role="plain" if plain else "laser",

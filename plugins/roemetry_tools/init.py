@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shlex
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -67,7 +68,14 @@ def init(
             "follows it.",
         ),
     ] = False,
-    items: Annotated[int, typer.Option("--items", min=0, help="Simulated acquisitions to try it on.")] = 3,
+    items: Annotated[
+        int,
+        typer.Option(
+            "--items",
+            min=0,
+            help="Simulated products to try it on; an own product gets calibration images, too.",
+        ),
+    ] = 3,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
     """Write a folder to begin with: recipe, rig, calibration, simulated images, the next three commands.
@@ -86,10 +94,10 @@ def init(
     folder = folder or Path(typer.prompt("Folder to write"))
     if like is not None and product is not None:
         raise ConfigurationError("--like and --product exclude each other", hint="leave one of both out")
-    given: dict[str, Any] = {"items": items, "jobs": os.cpu_count() or 1}
+    step = partial(progress, quiet=False)
+    given: dict[str, Any] = {"items": items, "jobs": os.cpu_count() or 1, "step": step}
     if like is not None:
-        with progress("simulating", quiet=False) as shown:
-            _tell(start_like(like, folder, **given, on_progress=shown))
+        _tell(start_like(like, folder, **given))
         return
     if product is None:
         answers = _ask()
@@ -98,8 +106,7 @@ def init(
         camera = (columns, rows, pixel_um, focal_mm)
         measures = _words(measure)
         answers = Answers(product, size_mm, *camera, distance_mm, stripes, measures, density, plain_light)
-    with progress("simulating", quiet=False) as shown:
-        _tell(start_own(answers, folder, **given, on_progress=shown))
+    _tell(start_own(answers, folder, **given, tell=typer.echo))
 
 
 def in_terminal() -> bool:

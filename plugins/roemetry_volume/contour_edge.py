@@ -28,6 +28,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_kernels.compiling import kernel
@@ -106,11 +107,11 @@ class Edge(NamedTuple):
 class Scene(NamedTuple):
     """What a contour is searched in, (row, column) each."""
 
-    level: Floats
+    level: NDArray[np.float32]
     """log(image / belt)."""
-    product: Floats
-    belt: Floats
-    """product, belt: 1 where stripes show this product; and where they show the belt or another product."""
+    bounds: tuple[NDArray[np.float32], NDArray[np.float32]] | None
+    """1 where stripes show this product, and 1 where they show the belt or another product; None: nothing
+    keeps an edge away."""
     stripes: Flags | None
     """True where a laser image's stripes were taken out; None: a plain-light image."""
     blur_px: float
@@ -136,9 +137,6 @@ def edge_around(scene: Scene, start: Floats) -> Edge | None:
     """
     if start.shape[0] < _LEAST_POINTS or abs(area_of(start)) < _LEAST_AREA_PX2:
         return None
-    scene = scene._replace(
-        **{name: getattr(scene, name).astype(np.float32) for name in ("level", "product", "belt")}
-    )
     ring = _rounded(evenly(start, _NORMALS), _ROUND_START)
     for outwards, inwards in _WIDE:
         ring = _widely(scene, ring, (outwards * scene.spacing_px, inwards * scene.spacing_px))
@@ -148,12 +146,11 @@ def edge_around(scene: Scene, start: Floats) -> Edge | None:
     if scene.stripes is not None:
         scene = scene._replace(level=np.exp(scene.level))  # light adds up, its logarithm's noise does not
     for _ in range(_FIT_ROUNDS):
-        ring, std_px, scatter_px = _kinked(scene, ring, blur_px)
+        ring, std_px, scatter_px = _kinked(_across(scene, ring), blur_px)
     unsure_px = _BIASED * max(scatter_px - _USUAL_SCATTER_PX, 0.0)
     if scene.stripes is None:
-        narrow, wide = (
-            _kinked(scene, ring, share * blur_px)[0] for share in (1 - _BLUR_UNSURE, 1 + _BLUR_UNSURE)
-        )
+        last = _across(scene, ring)
+        narrow, wide = (_kinked(last, share * blur_px)[0] for share in (1 - _BLUR_UNSURE, 1 + _BLUR_UNSURE))
         model_px = math.hypot(_LEAST_STD_PX, 0.5 * _apart(narrow, wide))
     else:
         clear, open_px = _seen(scene, ring)
@@ -167,11 +164,10 @@ def edge_around(scene: Scene, start: Floats) -> Edge | None:
 
 def unbound(scene: Scene, ring: Floats) -> Floats:
     """Give the edge near a ring that the image alone shows, whatever the stripes say."""
-    nothing = np.zeros_like(scene.product)
-    scene = scene._replace(level=scene.level.astype(np.float32), product=nothing, belt=nothing)
+    scene = scene._replace(bounds=None)
     for _ in range(2):
         ring = _steepest(scene, ring)
-    return _kinked(scene, ring, math.hypot(_BLUR_PX, scene.blur_px))[0]
+    return _kinked(_across(scene, ring), math.hypot(_BLUR_PX, scene.blur_px))[0]
 
 
 def _widely(scene: Scene, ring: Floats, reach_px: tuple[float, float]) -> Floats:
@@ -190,11 +186,13 @@ def _widely(scene: Scene, ring: Floats, reach_px: tuple[float, float]) -> Floats
 
     def gradient(scale_px: float) -> Floats:
         smooth = cv2.GaussianBlur(level, (0, 0), scale_px)
-        before, after = (_along(smooth, ring, normal, off + at) for at in (-scale_px, scale_px))
-        return _rounded((before - after) / (2.0 * scale_px), _COHERENT)
+        apart = round(2.0 * scale_px)  # places: the ends of each difference are sampled once
+        light = _along(smooth, ring, normal, np.arange(off.size + apart) + off[0] - scale_px)
+        return np.asarray((light[:, : off.size] - light[:, apart:]) / (2.0 * scale_px))
 
-    sharp = np.abs(gradient(_FINE_PX) - gradient(_COARSE_PX))
-    shut = _shut(scene.product[window], scene.belt[window], ring, normal, off)
+    sharp = np.abs(_rounded(gradient(_FINE_PX) - gradient(_COARSE_PX), _COHERENT))
+    bounds = None if scene.bounds is None else (scene.bounds[0][window], scene.bounds[1][window])
+    shut = _shut(bounds, ring, normal, off)
     sharp[shut] = 0.0
     clear = max(float(np.median(sharp.max(axis=1))), 1e-9)
     cost = -np.clip(sharp / clear, 0.0, 1.0) - _OUTWARDS * off[None]
@@ -213,14 +211,37 @@ def _steepest(scene: Scene, ring: Floats) -> Floats:
     before, after = (_along(scene.level, ring, normal, off + shift) for shift in (-_SMOOTH_PX, _SMOOTH_PX))
     told = _beside(scene.stripes, ring, normal)
     change = np.abs(_rounded(before - after, _COHERENT))
-    cost = -change / max(float(np.median(change[told].max(axis=1))), 1e-9)
+    cost = np.asarray(-change / max(float(np.median(change[told].max(axis=1))), 1e-9), np.float64)
     cost[~told] = 0.0
-    cost[_shut(scene.product, scene.belt, ring, normal, off)] += 1.0
+    cost[_shut(scene.bounds, ring, normal, off)] += 1.0
     path = closed_path(cost, _NARROW_BEND, 2)
     return evenly(ring + _rounded(off[path][:, None], _NARROW_ROUND) * normal, ring.shape[0])
 
 
-def _kinked(scene: Scene, ring: Floats, blur_px: float) -> tuple[Floats, float, float]:
+class _Across(NamedTuple):
+    """What lies across a ring."""
+
+    ring: Floats
+    """(n, 2) px."""
+    normal: Floats
+    """(n, 2) outward unit normals."""
+    light: Floats
+    """(n, `_OFF_PX`) brightness along the normals."""
+    told: Flags
+    """(n,) where it is not a stripe's."""
+    shut: Flags
+    """(n, `_PLACES_PX`) where no outline runs."""
+
+
+def _across(scene: Scene, ring: Floats) -> _Across:
+    """Look across a ring, once for all models of the brightness there."""
+    normal = _normals_of(ring)
+    light = _rounded(_along(scene.level, ring, normal, _OFF_PX), _FIT_COHERENT).astype(np.float64)
+    told = _beside(scene.stripes, ring, normal)
+    return _Across(ring, normal, light, told, _shut(scene.bounds, ring, normal, _PLACES_PX))
+
+
+def _kinked(across: _Across, blur_px: float) -> tuple[Floats, float, float]:
     """Move a ring to where the brightness has its kink.
 
     Returns
@@ -235,49 +256,54 @@ def _kinked(scene: Scene, ring: Floats, blur_px: float) -> tuple[Floats, float, 
         shadow as dark as the rim noise decides where the kink is, and the residual does not show it: this
         does.
     """
-    normal = _normals_of(ring)
-    off, places, residual = _model(blur_px)
-    told = _beside(scene.stripes, ring, normal)
-    seen = _rounded(_along(scene.level, ring, normal, off), _FIT_COHERENT)
-    cost = np.stack([((seen @ left) ** 2).sum(axis=1) for left in residual], axis=1)
+    ring, normal, light, told, shut = across
+    # what a model leaves of a run of brightness is all of it less what lies along the model's directions
+    light = light - light.mean(axis=1, keepdims=True)
+    explained = (light @ _model(blur_px)).reshape(len(light), -1, _PLACES_PX.size)
+    cost = (light**2).sum(axis=1)[:, None] - (explained**2).sum(axis=1)
     usual = float(np.median((cost.max(axis=1) - cost.min(axis=1))[told])) or 1.0
     cost[~told] = 0.0
     free = cost.copy()
-    cost[_shut(scene.product, scene.belt, ring, normal, places)] += usual
+    cost[shut] += usual
     path = closed_path(cost / usual, _FIT_BEND, 2)
     row = np.arange(ring.shape[0])
-    inner = np.clip(path, 1, places.size - 2)
+    inner = np.clip(path, 1, _PLACES_PX.size - 2)
     before, here, after = (free[row, inner + k] for k in (-1, 0, 1))
     curve = before - 2.0 * here + after
     with np.errstate(divide="ignore", invalid="ignore"):
         part = np.where(curve > 0.0, np.clip(0.5 * (before - after) / curve, -0.75, 0.75), 0.0)
-    exact = places[path] + _SEARCH_STEP_PX * np.where(inner == path, part, 0.0)
+    exact = _PLACES_PX[path] + _SEARCH_STEP_PX * np.where(inner == path, part, 0.0)
     even = _rounded(exact[:, None], _FIT_ROUND)
     clear = (curve > 0.0) & told
-    each = 2.0 * here[clear] / (off.size - _TERMS) * _SEARCH_STEP_PX**2 / curve[clear]
+    each = 2.0 * here[clear] / (_OFF_PX.size - _TERMS) * _SEARCH_STEP_PX**2 / curve[clear]
     std = math.sqrt(float(np.median(each)) * _ALIKE_PX / _length(ring)) if clear.any() else math.inf
-    scatter = float((places[free.argmin(axis=1)] - even[:, 0])[told].std())
+    scatter = float((_PLACES_PX[free.argmin(axis=1)] - even[:, 0])[told].std())
     return evenly(ring + even * normal, ring.shape[0]), std, scatter
 
 
+_OFF_PX = np.arange(-_REACH_PX, _REACH_PX + 0.5 * _STEP_PX, _STEP_PX)
+_PLACES_PX = np.arange(-_SEARCH_PX, _SEARCH_PX + 0.5 * _SEARCH_STEP_PX, _SEARCH_STEP_PX)
+"""Distances from the ring where brightness is sampled, and where the edge may be."""
+
+
 @lru_cache(maxsize=4)
-def _model(blur_px: float) -> tuple[Floats, Floats, Floats]:
-    """Distances of samples, places of the edge, and for each the matrix that leaves what does not fit."""
-    off = np.arange(-_REACH_PX, _REACH_PX + 0.5 * _STEP_PX, _STEP_PX)
-    places = np.arange(-_SEARCH_PX, _SEARCH_PX + 0.5 * _SEARCH_STEP_PX, _SEARCH_STEP_PX)
+def _model(blur_px: float) -> Floats:
+    """Give (sample, direction · place) orthonormal directions of all that the model may be, by place.
+
+    They are free of the mean, which every run of brightness is.
+    """
     reach = _REACH_PX + max(4.0, 4.0 * blur_px)
     fine = np.arange(-reach, reach, 0.05)
-    blur = np.exp(-0.5 * ((off[:, None] - fine[None, :]) / blur_px) ** 2)
+    blur = np.exp(-0.5 * ((_OFF_PX[:, None] - fine[None, :]) / blur_px) ** 2)
     blur /= blur.sum(axis=1)[:, None]
-    residual = []
-    for place in places:
+    directions = []
+    for place in _PLACES_PX:
         within = np.clip(place - fine, 0.0, None)
         beyond = np.clip(fine - place, 0.0, None)
         inside = (fine < place).astype(np.float64)
-        design = blur @ np.column_stack([np.ones_like(fine), inside, np.sqrt(within), within, beyond])
-        q, _ = np.linalg.qr(design)
-        residual.append(np.eye(off.size) - q @ q.T)
-    return off, places, np.array(residual)
+        design = blur @ np.column_stack([inside, np.sqrt(within), within, beyond])
+        directions.append(np.linalg.qr(design - design.mean(axis=0))[0])
+    return np.ascontiguousarray(np.stack(directions, axis=2).reshape(_OFF_PX.size, -1))
 
 
 def _seen(scene: Scene, ring: Floats) -> tuple[float, float]:
@@ -305,7 +331,7 @@ def _seen(scene: Scene, ring: Floats) -> tuple[float, float]:
     known = shares > 0.0
     clear = known & (np.abs(steps) * np.sqrt(shares) > _CLEAR * noise)
     off = np.arange(-0.6 * scene.spacing_px, scene.spacing_px, 1.0)
-    open_px = (~_shut(scene.product, scene.belt, ring, normal, off)).sum(axis=1)
+    open_px = (~_shut(scene.bounds, ring, normal, off)).sum(axis=1)
     unknown = ~clear & (open_px > _DECIDED_PX)
     return float(clear.sum() / max(known.sum(), 1)), float((unknown * open_px).mean()) / math.sqrt(12.0)
 
@@ -322,12 +348,18 @@ def _steps(scene: Scene, ring: Floats) -> tuple[Floats, Floats]:
     return mean / np.maximum(share, 0.02), share
 
 
-def _shut(product: Floats, belt: Floats, ring: Floats, normal: Floats, off_px: Floats) -> Flags:
+def _shut(
+    bounds: tuple[NDArray[np.float32], NDArray[np.float32]] | None,
+    ring: Floats,
+    normal: Floats,
+    off_px: Floats,
+) -> Flags:
     """Say where (normal, distance) no outline runs: within what is seen of the product, beyond the belt."""
-    within = _along(product, ring, normal, off_px) > 0.5
-    within = np.flip(np.maximum.accumulate(np.flip(within, axis=1), axis=1), axis=1)
-    beyond = _along(belt, ring, normal, off_px) > 0.3
-    shut: Flags = within | np.maximum.accumulate(beyond & ~within, axis=1)
+    if bounds is None:
+        return np.zeros((ring.shape[0], off_px.size), np.bool_)
+    product, belt = (_along(drawn, ring, normal, off_px) for drawn in bounds)
+    within = np.maximum.accumulate((product > 0.5)[:, ::-1], axis=1)[:, ::-1]
+    shut: Flags = within | np.maximum.accumulate((belt > 0.3) & ~within, axis=1)
     return shut
 
 
@@ -349,13 +381,13 @@ def _length(ring: Floats) -> float:
     return float(np.hypot(*(np.roll(ring, -1, axis=0) - ring).T).sum())
 
 
-def _along(image: Floats, ring: Floats, normal: Floats, off_px: Floats) -> Floats:
+def _along(image: NDArray[np.float32], ring: Floats, normal: Floats, off_px: Floats) -> Floats:
     """Sample an image (n, m) at distances along the normals of a ring."""
     import cv2
 
     off = off_px.astype(np.float32)
     x, y = (
-        middle[:, None] + off * towards[:, None]
+        np.multiply.outer(towards, off) + middle[:, None]
         for middle, towards in zip(ring.T.astype(np.float32), normal.T.astype(np.float32), strict=True)
     )
     return np.asarray(cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
@@ -396,22 +428,26 @@ def closed_path(cost: Floats, bend: float, most: int) -> Integers:
         unless two paths cost alike; then they differ by at most `most` places.
     """
     n, m = cost.shape
-    total = np.empty((2 * n, m))
-    came = np.zeros((2 * n, m), np.int64)
-    total[0] = cost[0]
+    # beyond either end stands what no path takes, so that all places are treated alike, by vectors
+    before, best = np.full(m + 2 * most, np.inf), np.empty(m)
+    step = np.empty(m, np.int8)
+    came = np.zeros((2 * n, m), np.int8)
+    before[most : most + m] = cost[0]
     for k in range(1, 2 * n):
-        for j in range(m):
-            best, place = np.inf, j
-            for i in range(max(j - most, 0), min(j + most, m - 1) + 1):
-                way = total[k - 1, i] + bend * (i - j) ** 2
-                if way < best:
-                    best, place = way, i
-            total[k, j] = best + cost[k % n, j]
-            came[k, j] = place
+        best[:] = np.inf
+        for d in range(2 * most + 1):
+            dear = bend * (d - most) ** 2
+            for j in range(m):
+                way = before[j + d] + dear
+                less = way < best[j]
+                best[j] = way if less else best[j]
+                step[j] = d if less else step[j]
+        came[k] = step
+        before[most : most + m] = best + cost[k % n]
     path = np.empty(2 * n, np.int64)
-    path[2 * n - 1] = np.argmin(total[2 * n - 1])
+    path[2 * n - 1] = np.argmin(before[most : most + m])
     for k in range(2 * n - 1, 0, -1):
-        path[k - 1] = came[k, path[k]]
+        path[k - 1] = path[k] + came[k, path[k]] - most
     half = n // 2
     out = np.empty(n, np.int64)
     for k in range(n):

@@ -10,6 +10,9 @@ around it. The opened image itself would not do: of what is not smooth it keeps 
 edges of a bright body. What stripes show is used, too: the outline lies outside of the product's stripes, and
 inside of what lies in a row between two neighbouring stripes that are on the belt.
 
+First the plain image is laid over the laser image by the belt's texture, where ambient light shows it in
+both (`image_motion`); images of which a part does not match are of two scenes, and the product is refused.
+
 Do image and stripes agree? What is seen of a stripe on the product ends on or inside the outline, and where
 it goes on along the belt it lies outside: each end brackets the edge. Shadow and lens open brackets, but
 never shift them, and on the side that faces the light stripes reach the outline. So of all ends around it
@@ -45,6 +48,7 @@ from roemetry.records.calibration import Calibration
 from roemetry.stages import Outliner, StageOptions
 from roemetry_volume.contour_edge import Scene, edge_around, unbound
 from roemetry_volume.footprint import area_of, inside_by
+from roemetry_volume.image_motion import laid_over
 
 _LEAST_CONTRAST = 3.0
 """Times the belt's scatter that a product is brighter or darker: three standard deviations."""
@@ -59,7 +63,7 @@ _FILL_PX = 10.0  # about the width of a stripe, whose place is filled from besid
 _FILLED_SHARE = 0.2  # of the smoothing's weight that lies beside stripes; with less the wider one is taken
 _STRIPE = 6.0
 """Times the noise: what the opening takes away that much is a stripe."""
-_GRID_PX = 8  # of the polynomial through the image's own belt
+_GRID_PX, _GRID_POINTS = 8, 6000  # of the polynomial through the image's own belt: at least, at most
 _ROUNDS = 6
 _RIDGE = 1e-10
 
@@ -138,8 +142,10 @@ class EdgeContour(Outliner[EdgeContourOptions]):
         product = np.zeros(frame.size, np.bool_)
         for mask in known.values():
             product |= mask
+        spacing, said = _spacing_px(stripes), None
+        if use_plain and known:
+            chosen, said = laid_over(chosen, _one(frame.pixels), product, spacing)
         belt = _belt_of(self.options.belt, chosen)
-        spacing = _spacing_px(stripes)
         if use_plain:
             level, on_stripes = _over_belt(chosen.pixels, belt, product), None
         else:
@@ -150,13 +156,13 @@ class EdgeContour(Outliner[EdgeContourOptions]):
         for number, region in (known or _cores(level)).items():
             if not _is_clear(level, region):
                 continue
-            held = belt = np.zeros(frame.size, np.bool_)
+            bounds = None
             if known:
                 held, belt = _eroded(region), _belt_stripes(stripes, number, frame.size)
-            if on_stripes is not None:
-                belt |= _belt_between(stripes, frame.size, spacing)
-            fixed = held.astype(np.float64), belt.astype(np.float64)
-            scene = Scene(level, *fixed, on_stripes, 0.0 if use_plain else _AMBIENT_SMOOTH_PX, spacing)
+                if on_stripes is not None:
+                    belt |= _belt_between(stripes, frame.size, spacing)
+                bounds = held.astype(np.float32), belt.astype(np.float32)
+            scene = Scene(level, bounds, on_stripes, 0.0 if use_plain else _AMBIENT_SMOOTH_PX, spacing)
             edge = edge_around(scene, _ring_around(region, spacing))
             if edge is None:
                 continue
@@ -171,12 +177,12 @@ class EdgeContour(Outliner[EdgeContourOptions]):
                         continue
                     fault = _contradiction(against_px, left_px)
             outlines.append(
-                Outline(number, edge.xy_px, std_px, features_of(edge.xy_px, chosen.pixels), fault)
+                Outline(number, edge.xy_px, std_px, features_of(edge.xy_px, chosen.pixels), fault or said)
             )
         return tuple(outlines)
 
 
-def _is_clear(level: Floats, region: Flags) -> bool:
+def _is_clear(level: NDArray[np.float32], region: Flags) -> bool:
     """Say whether a region stands out of the belt at all."""
     if not region.any() or region.all():
         return False
@@ -305,7 +311,7 @@ def _read(path: Path) -> NDArray[Any]:
     return np.asarray(pixels)
 
 
-def _over_belt(pixels: NDArray[Any], belt: NDArray[Any] | None, product: Flags) -> Floats:
+def _over_belt(pixels: NDArray[Any], belt: NDArray[Any] | None, product: Flags) -> NDArray[np.float32]:
     """Give log(image / empty belt), (row, column).
 
     Parameters
@@ -326,25 +332,34 @@ def _over_belt(pixels: NDArray[Any], belt: NDArray[Any] | None, product: Flags) 
             _over_belt(pixels[..., k], None if belt is None else belt[..., k], product) for k in range(3)
         ]
         return max(planes, key=lambda plane: _contrast(plane, product))
-    bright = np.log(pixels.astype(np.float64) + 1.0)
+    bright = np.take(_logarithms(np.iinfo(pixels.dtype).max), pixels)
     if belt is not None:
-        smooth = cv2.GaussianBlur(belt.astype(np.float64), (0, 0), _BELT_SMOOTH_PX)
-        level = bright - np.log(smooth + 1.0)
-        return np.asarray(level - np.median(level[~product]))
-    return np.asarray(bright - _own_belt(bright, product))
+        smooth = cv2.GaussianBlur(belt.astype(np.float32), (0, 0), _BELT_SMOOTH_PX)
+        bright -= np.log(smooth + np.float32(1.0))
+        return np.asarray(bright - np.median(bright[~product]))
+    bright -= _own_belt(bright, product)
+    return bright
 
 
-def _own_belt(bright: Floats, product: Flags) -> Floats:
+@lru_cache(maxsize=2)
+def _logarithms(most: int) -> NDArray[np.float32]:
+    """Give log(grey + 1) of every grey level."""
+    return np.log(np.arange(most + 1.0) + 1.0).astype(np.float32)
+
+
+def _own_belt(bright: NDArray[np.float32], product: Flags) -> NDArray[np.float32]:
     """Fit the belt's brightness where it is not product, by least squares that drop what is far off."""
     rows, columns = bright.shape
-    y, x = np.mgrid[0:rows:_GRID_PX, 0:columns:_GRID_PX]
+    apart = max(_GRID_PX, round(math.sqrt(bright.size / _GRID_POINTS)))
+    grid = slice(None, None, apart), slice(None, None, apart)
+    y, x = np.mgrid[0:rows:apart, 0:columns:apart]
     a, b = x.ravel() / columns - 0.5, y.ravel() / rows - 0.5
 
     def design(u: Floats, v: Floats) -> Floats:
         return np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=-1)
 
-    terms, seen = design(a, b), bright[::_GRID_PX, ::_GRID_PX].ravel()
-    use = ~product[::_GRID_PX, ::_GRID_PX].ravel()
+    terms, seen = design(a, b), bright[grid].ravel().astype(np.float64)
+    use = ~product[grid].ravel()
     if use.sum() < terms.shape[1]:
         use[:] = True
     for _ in range(_ROUNDS):
@@ -359,12 +374,13 @@ def _own_belt(bright: Floats, product: Flags) -> Floats:
         if again.sum() < 4 * terms.shape[1]:
             break
         use = again
-    v, u = (np.arange(rows) / rows - 0.5)[:, None], (np.arange(columns) / columns - 0.5)[None, :]
+    v, u = np.arange(rows) / rows - 0.5, np.arange(columns) / columns - 0.5
     c = found
-    return np.asarray(c[0] + v * (c[2] + c[5] * v) + u * (c[1] + c[3] * u) + c[4] * (u * v))
+    along = np.stack([c[0] + v * (c[2] + c[5] * v), c[1] + c[4] * v, np.full(rows, c[3])], axis=1)
+    return along.astype(np.float32) @ np.stack([np.ones(columns), u, u * u]).astype(np.float32)
 
 
-def _contrast(plane: Floats, product: Flags) -> float:
+def _contrast(plane: NDArray[np.float32], product: Flags) -> float:
     if not product.any() or product.all():
         return float(plane.std())
     inside, outside = plane[product], plane[~product]
@@ -440,7 +456,7 @@ def _seen_regions(stripes: StripeMap, size: tuple[int, int]) -> dict[int, Flags]
     return regions
 
 
-def _cores(level: Floats) -> dict[int, Flags]:
+def _cores(level: NDArray[np.float32]) -> dict[int, Flags]:
     """Give what stands out of the belt, (row, column), numbered from left to right.
 
     `level` is (row, column) log(image / belt).
@@ -477,14 +493,14 @@ def _ring_around(region: Flags, spacing_px: float) -> Floats:
     return max(chains, key=lambda chain: abs(area_of(chain)))
 
 
-def _eroded(region: Flags) -> Flags:
+def _eroded(region: Flags) -> NDArray[np.uint8]:
     """Take a pixel off a region's border: at a rim light reaches so far over it."""
     import cv2
 
-    return np.asarray(cv2.erode(region.astype(np.uint8), np.ones((3, 3), np.uint8))).astype(np.bool_)
+    return np.asarray(cv2.erode(region.astype(np.uint8), np.ones((3, 3), np.uint8)))
 
 
-def _belt_stripes(stripes: StripeMap, number: int, size: tuple[int, int]) -> Flags:
+def _belt_stripes(stripes: StripeMap, number: int, size: tuple[int, int]) -> NDArray[np.uint8]:
     """Draw (row, column) what is seen of stripes that lie on the belt, or on another product."""
     import cv2
 
@@ -494,10 +510,10 @@ def _belt_stripes(stripes: StripeMap, number: int, size: tuple[int, int]) -> Fla
             kept = piece[_END_ROWS:-_END_ROWS]
             chain = np.column_stack([np.rint(x_px[kept]), kept]).astype(np.int32)
             cv2.polylines(drawn, [chain.reshape(-1, 1, 2)], isClosed=False, color=1)
-    return drawn.astype(np.bool_)
+    return drawn
 
 
-def _belt_between(stripes: StripeMap, size: tuple[int, int], spacing_px: float) -> Flags:
+def _belt_between(stripes: StripeMap, size: tuple[int, int], spacing_px: float) -> NDArray[np.uint8]:
     """Fill (row, column) what lies in a row between two neighbouring stripes that both lie on the belt there.
 
     `_END_ROWS` are left out beside the ends of their pieces.
@@ -516,7 +532,7 @@ def _belt_between(stripes: StripeMap, size: tuple[int, int], spacing_px: float) 
         near &= ~(on_product[:, rows] & (x_px > low) & (x_px < high)).any(axis=0)
         between = (columns >= low[near, None]) & (columns <= high[near, None])
         filled[rows[near]] |= between.astype(np.uint8)
-    return np.asarray(cv2.erode(filled, np.ones((2 * _END_ROWS + 1, 1), np.uint8))).astype(np.bool_)
+    return np.asarray(cv2.erode(filled, np.ones((2 * _END_ROWS + 1, 1), np.uint8)))
 
 
 def _pieces(on: Flags) -> list[Integers]:

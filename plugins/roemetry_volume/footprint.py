@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from roemetry.records.arrays import Floats
-from roemetry_kernels.compiling import kernel
+from roemetry_kernels.compiling import float_kernel, kernel
 
 
 class Border(NamedTuple):
@@ -135,26 +135,23 @@ def nodes_within(
     return s[:filled].copy(), v[:filled].copy(), weight[:filled].copy()
 
 
-@kernel
+@float_kernel
 def inside_by(contour: Floats, places: Floats) -> Floats:
     """Give how far each place (n, 2) lies within a closed polygon; negative outside."""
-    n = contour.shape[0]
-    out = np.empty(places.shape[0])
-    for p in range(places.shape[0]):
-        x, y = places[p, 0], places[p, 1]
-        best = np.inf
-        inside = False
-        for k in range(n):
-            m = k + 1 if k < n - 1 else 0
-            ax, ay = contour[k, 0], contour[k, 1]
-            dx, dy = contour[m, 0] - ax, contour[m, 1] - ay
-            square = dx * dx + dy * dy
-            along = 0.0
-            if square > 0.0:
-                along = min(max(((x - ax) * dx + (y - ay) * dy) / square, 0.0), 1.0)
-            off = (x - ax - along * dx) ** 2 + (y - ay - along * dy) ** 2
-            best = min(best, off)
-            if (ay <= y) != (contour[m, 1] <= y) and x < ax + (y - ay) * dx / dy:
-                inside = not inside
-        out[p] = math.sqrt(best) if inside else -math.sqrt(best)
-    return out
+    n, count = contour.shape[0], places.shape[0]
+    x, y = places[:, 0].copy(), places[:, 1].copy()
+    best, crossed = np.full(count, np.inf), np.zeros(count, np.int64)
+    for k in range(n):
+        m = k + 1 if k < n - 1 else 0
+        ax, ay, by = contour[k, 0], contour[k, 1], contour[m, 1]
+        dx, dy = contour[m, 0] - ax, by - ay
+        square = dx * dx + dy * dy
+        share = 1.0 / square if square > 0.0 else 0.0
+        run = dx / dy if dy != 0.0 else 0.0
+        for p in range(count):  # a vector at a time
+            right, up = x[p] - ax, y[p] - ay
+            along = min(max((right * dx + up * dy) * share, 0.0), 1.0)
+            right_of, above = right - along * dx, up - along * dy
+            best[p] = min(best[p], right_of * right_of + above * above)
+            crossed[p] += ((ay <= y[p]) != (by <= y[p])) & (right < up * run)
+    return np.where(crossed % 2 == 1, np.sqrt(best), -np.sqrt(best))

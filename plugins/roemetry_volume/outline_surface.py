@@ -22,7 +22,7 @@ from roemetry_volume.slice_estimators import (
 )
 from roemetry_volume.slice_table import Slices, slices_of
 from roemetry_volume.surface_fit import LONG_AXIS, Fused, fuse, plate_through, without_slice
-from roemetry_volume.underside import UndersideOptions, estimate_of, true_volume
+from roemetry_volume.underside import UndersideOptions, estimate_of, true_volume, underside_reasons
 
 _STEPS = 0.7  # of what single slices depart from the course of the others
 _STEPS_LEAST = 4
@@ -77,11 +77,12 @@ class OutlineSurface(VolumeEstimator[UndersideOptions]):
             slice_stripe=slices.stripe,
             slice_area_mm2=slices.area_mm2,
             slice_spacing_mm=slices.held_mm,
-            reasons=reasons_of(product, slices) + _reasons(fused),
+            reasons=reasons_of(product, slices) + _reasons(fused) + underside_reasons(self.options),
+            solution=fused.start,
         )
 
     def redraw(self, product: Product, found: Volume, *, rng: np.random.Generator | None = None) -> Volume:
-        """Estimate a drawn product by the budget that was found: to make it takes as long as the surface.
+        """Estimate a product that has moved a little, from the surface and by the budget that were found.
 
         Raises
         ------
@@ -93,7 +94,7 @@ class OutlineSurface(VolumeEstimator[UndersideOptions]):
         slices = slices_of(product)
         if outline_fault(product, slices) is not None:
             return self.estimate(product, rng=rng)
-        fused = fuse(product, product.view, product.outline.xy_px)
+        fused = fuse(product, product.view, product.outline.xy_px, found.solution)
         if outline_fault(product, slices, fused) is not None:
             return self.estimate(product, rng=rng)
         budget = dict(found.visible_mm3.budget)

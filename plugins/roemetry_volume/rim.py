@@ -104,13 +104,14 @@ def rim_of(
         inside_mm, points.xyz_mm[index, 2], first.astype(np.float64), size.astype(np.float64), _HEIGHT_STD_MM
     )
     outermost = index[first]
-    is_dome = not float(np.nanmedian(upright)) < _UPRIGHT_LEAST if np.isfinite(upright).any() else True
+    told = upright[np.isfinite(upright)]
+    is_dome = not (told.size and middle_of(told) < _UPRIGHT_LEAST)
     known = np.isfinite(heights)
     s, v = place[:, 0], place[:, 1]
     scale = max(float(np.ptp(s)) / 2.0, 1.0), max(float(np.ptp(v)) / 2.0, 1.0)
     if known.sum() < 4:
         # too few ends to say more than: somewhat below the lowest points that were seen
-        level = 0.8 * float(np.median(points.xyz_mm[outermost, 2]))
+        level = 0.8 * middle_of(points.xyz_mm[outermost, 2])
         return Rim(np.array([max(level, 0.0), 0.0, 0.0, 0.0]), scale, max(0.3 * level, 0.2), is_dome)
     at, rim = outermost[known], heights[known]
     a, b = s[at] / scale[0], v[at] / scale[1]
@@ -122,11 +123,17 @@ def rim_of(
         normal = design.T @ (weight[:, None] * design) + np.diag(_RIDGE)
         found = np.linalg.solve(normal, design.T @ (weight * rim))
         off = rim - design @ found
-        limit = max(1.4826 * float(np.median(np.abs(off))), 0.1)
+        limit = max(1.4826 * middle_of(np.abs(off)), 0.1)
         weight = base / (1.0 + (off / (2.0 * limit)) ** 2)
     # not less for many ends: what makes one end look low makes its neighbours look low
     std = float(np.sqrt((weight * (off**2 + spread[known] ** 2)).sum() / weight.sum()))
     return Rim(found, scale, max(std, 0.1), is_dome)
+
+
+def middle_of(values: Floats) -> float:
+    """Give the median of a few numbers: NumPy's own takes five times as long for so few."""
+    ordered = np.sort(values)
+    return 0.5 * float(ordered[(ordered.size - 1) // 2] + ordered[ordered.size // 2])
 
 
 _STEPS = 25

@@ -14,10 +14,11 @@ from roemetry.records import Estimate, Product, Profiles, Reason, Shares, Surfac
 from roemetry.records.arrays import Flags, Floats, Labels
 from roemetry.stages import Capabilities, VolumeEstimator
 from roemetry_kernels.compiling import kernel
+from roemetry_kernels.image_levels import median_of
 from roemetry_volume import slice_rules as rules
 from roemetry_volume.slice_rules import Cap, Ends, cap_of
 from roemetry_volume.slice_table import FILLED, HOLE, LOW, Slices, slices_of
-from roemetry_volume.underside import UndersideOptions, estimate_of, true_volume
+from roemetry_volume.underside import UndersideOptions, estimate_of, true_volume, underside_reasons
 
 # chosen so that 95 % intervals hold the truth as often as they say: docs/reference/plugins/slice-pchip.md
 _BETWEEN = 0.38  # of what leaving a slice out changes: with it, the gap is half as wide
@@ -108,7 +109,7 @@ class _SliceEstimator(VolumeEstimator[SliceOptions]):
             slice_stripe=slices.stripe,
             slice_area_mm2=slices.area_mm2,
             slice_spacing_mm=slices.held_mm,
-            reasons=reasons_of(product, slices, [one.kind for one in caps]),
+            reasons=reasons_of(product, slices, [one.kind for one in caps]) + underside_reasons(self.options),
         )
 
     def surface(self, product: Product) -> Surface:
@@ -377,5 +378,5 @@ def _common_std_mm(
                 count += 1
     if count < _POINTS_MIN:
         return 0.0
-    noise = 1.4826 * np.median(second[:count])
-    return math.sqrt(_SHARED * max(np.median(stated[:count]) ** 2 - noise * noise / 6.0, 0.0))
+    noise, usual = 1.4826 * median_of(second[:count]), median_of(stated[:count])
+    return math.sqrt(_SHARED * max(usual * usual - noise * noise / 6.0, 0.0))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -31,8 +31,23 @@ _BELOW_RIM_MM = 0.3
 _WALL_MM = 1.5
 _PROBE_MM = 1.0
 _SETTLED_MM = 0.03
+_FOLLOWED_MM = 0.003
+"""From a solution: one round follows a calibration, an outline that moves takes a second one (with one alone
+its part came out up to 12 % too small on thin skeins)."""
 _WALL_REACH_MM = 0.4  # two rows: a wall that shows by less is not told from its edge
 _FEW, _BELT_SHARE = 3, 0.5
+
+
+class Start(NamedTuple):
+    """What a product that differs little is solved from."""
+
+    frame: tuple[Floats, Floats]
+    """Middle of the border on the belt, mm, and the turn to along and across it."""
+    height_mm: Floats
+    fall_mm: Floats
+    """height_mm, fall_mm: (400,) height of the edge that made the outline, and how the dome falls to it."""
+    wall_shows: bool
+    """Whether the outline holds the walls that face the camera."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -53,6 +68,8 @@ class Fused:
         Height of the surface over the border.
     s, v, weight_mm2
         Nodes and weights over the footprint.
+    start
+        From which the same product is solved when it has changed a little.
     """
 
     points: StripePoints
@@ -67,6 +84,7 @@ class Fused:
     s: Floats
     v: Floats
     weight_mm2: Floats
+    start: Start
 
     def heights(self, values: Floats | None = None, rim_shift_mm: float = 0.0) -> Floats:
         """Height at the nodes, mm; `values` are the plate's there, if they are not its own."""
@@ -125,28 +143,37 @@ def _between_seen(slices: Integers, seen: Flags) -> Flags:
     return held
 
 
-def fuse(product: Product, view: View, contour_px: Floats) -> Fused:
+def fuse(product: Product, view: View, contour_px: Floats, start: Start | None = None) -> Fused:
     """Solve surface, rim and border together.
 
     Parameters
     ----------
     product, view, contour_px
         The product; the rig's geometry; the outline in the image.
+    start
+        The solution of nearly the same product: a round or two from it give what three from nothing give,
+        and follow small changes without the jumps of a search that ends sooner or later.
     """
     from roemetry_volume.footprint import inside_by, nodes_within
 
     silhouette = view.rays(evenly(contour_px, _POINTS))
     points = points_of(product)
     xyz = points.xyz_mm
-    outermost = np.concatenate([points.first[:-1], points.first[1:] - 1])
-    height = np.full(_POINTS, 0.8 * float(np.median(xyz[outermost, 2])))
-    border = border_at(silhouette, np.maximum(height, 0.0))
-    centre, turn = axes_of(border.xy_mm)
+    if start is None:
+        outermost = np.concatenate([points.first[:-1], points.first[1:] - 1])
+        level = np.full(_POINTS, max(0.8 * float(np.median(xyz[outermost, 2])), 0.0))
+        border = border_at(silhouette, level)
+        centre, turn = axes_of(border.xy_mm)
+    else:
+        border = border_at(silhouette, start.height_mm, start.fall_mm)
+        centre, turn = start.frame
     place = (xyz[:, :2] - centre) @ turn
     ends = ends_of(points, place[:, 1])
-    fall = np.zeros(_POINTS)
-    open_end = np.zeros(_POINTS, np.bool_)
-    wall_shows = _wall_shows(points, (border.xy_mm - centre) @ turn, border.tilt, place)
+    if start is None:
+        wall_shows = _wall_shows(points, (border.xy_mm - centre) @ turn, border.tilt, place)
+    else:
+        wall_shows = start.wall_shows
+    settled_mm = _SETTLED_MM if start is None else _FOLLOWED_MM
     for _ in range(_ROUNDS):
         contour = (border.xy_mm - centre) @ turn
         coarse = contour[::2]
@@ -158,12 +185,13 @@ def fuse(product: Product, view: View, contour_px: Floats) -> Fused:
         moved = border_at(silhouette, height, fall)
         step = np.abs(moved.xy_mm - border.xy_mm).max()
         border = moved
-        if step < _SETTLED_MM:
+        if step < settled_mm:
             break
     contour = (border.xy_mm - centre) @ turn
     s, v, weight = nodes_within(contour, *_gauss(_NODES[0]), *_gauss(_NODES[1]))
     weight *= abs(area_of(contour)) / weight.sum()  # corners are between nodes
-    return Fused(points, place, rim, border, plate, knots, contour, open_end, height, s, v, weight)
+    found = Start((centre, turn), height, fall, wall_shows)
+    return Fused(points, place, rim, border, plate, knots, contour, open_end, height, s, v, weight, found)
 
 
 def axes_of(xy: Floats) -> tuple[Floats, Floats]:
@@ -358,7 +386,7 @@ def plate_through(
         max(int(np.ceil((float(x.max()) + 0.5 - low) / CELL_MM)), 1) for x, low in ((s, low_s), (v, low_v))
     ]
     grid = (low_s, low_v, CELL_MM, cells[0], cells[1])
-    band = bending(grid, stiffness * STIFFNESS, _RIDGE)
+    band = _bending_of(cells[0], cells[1], stiffness * STIFFNESS).copy()
     right = np.zeros(band.shape[1])
     course, off = _course(
         grid,
@@ -370,6 +398,12 @@ def plate_through(
     factor = cholesky_banded(band, overwrite_ab=True, lower=True, check_finite=False)
     found = cho_solve_banded((factor, True), right, check_finite=False)
     return Plate(grid, course + found, factor, right)
+
+
+@lru_cache(maxsize=16)
+def _bending_of(cells_s: int, cells_v: int, weight: float) -> Floats:
+    """Give `bending` of a grid, which does not hang on where the grid lies."""
+    return bending((0.0, 0.0, CELL_MM, cells_s, cells_v), weight, _RIDGE)
 
 
 def _course(grid: Any, place: tuple[Floats, Floats], u: Floats, weight: Floats) -> tuple[Floats, Floats]:

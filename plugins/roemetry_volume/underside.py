@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
-from roemetry.records import Estimate
+from roemetry.records import Estimate, Reason
 from roemetry.stages import StageOptions
 
 
@@ -21,8 +21,9 @@ class UndersideOptions(StageOptions):
         ("underside", "true_share", "true_share_std", "gap_mm", "gap_std_mm")
     )
 
-    underside: Literal["unknown", "flat", "rounded", "air-gap"] = Field(
-        default="unknown", description="model of the underside; unknown states no true volume"
+    underside: Literal["unknown", "assumed", "flat", "rounded", "air-gap"] = Field(
+        default="unknown",
+        description="model of the underside; unknown: none is stated; assumed: between ball and flat",
     )
     true_share: float | None = Field(
         default=None,
@@ -57,12 +58,27 @@ _NEEDS: dict[str, tuple[str, ...]] = {
 }
 
 
+_BALL_SHARE = 0.8
+"""True over visible volume of a ball on the belt, (4/3) / (5/3); a flat underside has 1."""
+_ASSUMED = Reason(
+    "underside-assumed",
+    "the underside was not measured: it is taken to lie anywhere between that of a ball and a flat one, "
+    "80 to 100 % of the visible volume; weigh twenty products and fit (`roemetry fit-weight`)",
+)
+
+
+def underside_reasons(options: UndersideOptions) -> tuple[Reason, ...]:
+    """Say that the true volume rests on an assumption, if it does."""
+    return (_ASSUMED,) if options.underside == "assumed" else ()
+
+
 def true_volume(
     options: UndersideOptions, visible: Estimate, footprint_mm2: float, rng: np.random.Generator | None = None
 ) -> Estimate | None:
     """Take the air below the product off the visible volume.
 
-    Flat: true = visible. Rounded: true = share · visible. Air gap: true = visible − gap · footprint.
+    Flat: true = visible. Rounded: true = share · visible. Air gap: true = visible − gap · footprint. Assumed:
+    a share with an even distribution between that of a ball and 1 (JCGM 100, 4.3.7).
 
     Parameters
     ----------
@@ -84,7 +100,10 @@ def true_volume(
     factor, off_mm3, std_mm3 = 1.0, 0.0, 0.0
     if options.underside == "unknown":
         return None
-    if options.underside == "rounded":
+    if options.underside == "assumed":
+        factor = 0.5 * (_BALL_SHARE + 1.0)
+        std_mm3 = (1.0 - _BALL_SHARE) / math.sqrt(12.0) * visible.value
+    elif options.underside == "rounded":
         assert options.true_share is not None
         assert options.true_share_std is not None
         factor, std_mm3 = options.true_share, options.true_share_std * visible.value

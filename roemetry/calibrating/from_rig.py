@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from roemetry.calibrating.findings import findings_page
 from roemetry.config.recipe_file import Contrast
 from roemetry.config.rig import Rig, pose_of
 from roemetry.errors import CalibrationError
@@ -27,6 +29,7 @@ from roemetry.records import (
 from roemetry.records.calibration import Calibration
 from roemetry.run.preprocess import prepare
 from roemetry.run.stage_errors import wrap_stage_error
+from roemetry.stages import Calibrator
 from roemetry.stages.kinds import check_result_type
 from roemetry.stages.registry import Registry, discover
 
@@ -42,14 +45,29 @@ def calibrate(rig: Rig, *, registry: Registry | None = None) -> Calibration:
         An image cannot be read.
     """
     observed, hashes = observe(rig, registry or discover())
-    return _calibrated(rig, observed, hashes)
+    return _calibrated(rig, rig.calibrator.make(), observed, hashes)
 
 
-def calibrate_with_evidence(rig: Rig, *, registry: Registry | None = None) -> tuple[Calibration, Evidence]:
-    """Calibrate, and give what the calibrator can show for it; raises as `calibrate`."""
+def calibrate_with_evidence(
+    rig: Rig, *, registry: Registry | None = None, doctor: Path | None = None
+) -> tuple[Calibration, Evidence]:
+    """Calibrate, and give what the calibrator can show for it; raises as `calibrate`.
+
+    `doctor` is a page (HTML) to write of each image, what was found in it and why it was or was not used; it
+    is written where the calibrator refuses as well.
+    """
     observed, hashes = observe(rig, registry or discover())
-    calibration = _calibrated(rig, observed, hashes)
-    evidence = rig.calibrator.make().evidence(observed, calibration)
+    calibrator = rig.calibrator.make()
+    refusal = ""
+    try:
+        calibration = _calibrated(rig, calibrator, observed, hashes)
+        evidence = calibrator.evidence(observed, calibration)
+    except CalibrationError as error:
+        refusal = str(error)
+        raise
+    finally:
+        if doctor is not None:
+            write_whole(doctor, findings_page(calibrator.findings(observed), rig.file.name, refusal))
     return calibration, evidence if evidence.views else replace(evidence, views=_as_observed(observed))
 
 
@@ -66,9 +84,11 @@ def _as_observed(observed: CalibrationSet) -> tuple[TargetView, ...]:
     )
 
 
-def _calibrated(rig: Rig, observed: CalibrationSet, hashes: dict[str, str]) -> Calibration:
+def _calibrated(
+    rig: Rig, calibrator: Calibrator[Any], observed: CalibrationSet, hashes: dict[str, str]
+) -> Calibration:
     with wrap_stage_error("calibrator", rig.calibrator):
-        calibration: Calibration = check_result_type("calibrator", rig.calibrator.make().calibrate(observed))
+        calibration: Calibration = check_result_type("calibrator", calibrator.calibrate(observed))
     return replace(calibration, image_sha256=hashes, made=datetime.now(UTC).isoformat(timespec="seconds"))
 
 
@@ -119,14 +139,20 @@ def observe(rig: Rig, registry: Registry) -> tuple[CalibrationSet, dict[str, str
     extractor = rig.extractor.make()
     observations: list[Observation] = []
     hashes: dict[str, str] = {}
-    plain: dict[tuple[str, str], Frame] = {}
+    plain: dict[tuple[int, str, str], Frame] = {}
     first: Frame | None = None
-    for shows, paths in rig.images.items():
+    groups = [(0, *one) for one in rig.images.items()]
+    for further, (_, images) in enumerate(rig.more_boards, start=1):
+        groups += [(further, *one) for one in images.items()]
+    count = Counter(path.name for *_, paths in groups for path in paths)
+    for board, shows, paths in groups:
         target = shows.removesuffix("_laser")
         on_board = target in ("board", "board_on_belt")
         lit = not on_board or target != shows
         for index, path in enumerate(paths):
             read: Frame = source.read(AcquisitionReference(path.stem, {"laser": path})).frames[0]
+            if count[path.name] > 1:  # in another folder there is one of the same name
+                read = replace(read, name=f"{path.parent.name}/{path.name}")
             first = first or read
             _same_size(first, read)
             found = sha256_of(path)
@@ -135,25 +161,24 @@ def observe(rig: Rig, registry: Registry) -> tuple[CalibrationSet, dict[str, str
                     f"{path} is the same image as another one",
                     hint="name each image once: twice tells no more",
                 )
-            hashes[f"{shows}/{path.name}"] = found
+            hashes[f"{shows}/{path.name}" if not board else f"{board + 1}/{shows}/{path.name}"] = found
             pose = pose_of(path) if on_board else ""
             # marks are black and white: the laser's contrast would leave nothing of them
             frame = _prepared(read, None, rig, contrast="none" if on_board else rig.file.contrast)
             if not lit:
                 if shows == "board_on_belt" and rig.file.encoder_counts:
                     frame = replace(frame, encoder_count=rig.file.encoder_counts[index])
-                plain[target, pose] = read
-                observations.append(Observation(target, replace(frame, role="plain"), _none(frame), pose))
+                plain[board, target, pose] = read
+                shown = replace(frame, role="plain")
+                observations.append(Observation(target, shown, _none(frame), pose, board))
                 continue
-            partner = plain.get((target, pose))
-            if partner is not None and _brighter_light(partner, read):
-                partner = (
-                    None  # in other light than the laser image: it shows the board, not what to subtract
-                )
+            partner = plain.get((board, target, pose))
+            if partner is not None and _other_scene(partner, read):
+                partner = None  # it shows the board, not what to subtract
             light = _prepared(read, partner, rig, contrast=rig.file.contrast)
             with wrap_stage_error("extractor", rig.extractor):
                 peaks = check_result_type("extractor", extractor.extract(light))
-            observations.append(Observation(target, frame, peaks, pose))
+            observations.append(Observation(target, frame, peaks, pose, board))
     if not observations:
         raise CalibrationError(
             f"{rig.path}: there are no images to calibrate from", hint="name them in `images`"
@@ -170,6 +195,7 @@ def observe(rig: Rig, registry: Registry) -> tuple[CalibrationSet, dict[str, str
         mm_per_count=_per_count(rig),
         sphere_plate=rig.sphere_plate,
         ruler=rig.ruler,
+        more_boards=tuple(board for board, _ in rig.more_boards),
     )
     return observed, hashes
 
@@ -198,17 +224,19 @@ def _prepared(laser: Frame, partner: Frame | None, rig: Rig, *, contrast: Contra
     return prepare(Acquisition(laser.name, frames), **options)
 
 
-def _brighter_light(plain: Frame, laser: Frame) -> bool:
-    """Say whether much more than stripes is brighter in the laser-off image: it was taken in plain light."""
-    step = _BRIGHTER_GREY * laser.white
-    brighter = plain.pixels.astype(np.float32) - laser.pixels > step
-    return bool(brighter.mean() > _BRIGHTER_SHARE_MAX)
+def _other_scene(plain: Frame, laser: Frame) -> bool:
+    """Say whether the laser-off image shows something else than the laser image less the laser.
+
+    Light adds: nothing is darker with the laser on. Much that is a little darker was lit by a lamp before; a
+    little that is much darker has moved, and the edges of its print would pass for stripes.
+    """
+    darker = plain.pixels.astype(np.float32) - laser.pixels
+    return any(float((darker > grey * laser.white).mean()) > share for grey, share in _DARKER_MAX)
 
 
-_BRIGHTER_GREY = 0.02
-"""Of white: more than noise of two images differs by."""
-_BRIGHTER_SHARE_MAX = 0.25
-"""Of the image: stripes and their glow cover less."""
+_DARKER_MAX = ((0.02, 0.25), (0.15, 0.003))
+"""Of white, and of the image: noise of two images is 0.01 to 0.02 of white; a chessboard that moved by a
+pixel changes a hundredth of the image by half of its contrast."""
 
 
 def _none(frame: Frame) -> Peaks:

@@ -36,6 +36,14 @@ def calibrate(
             "residuals, coverage, height uncertainty.",
         ),
     ] = None,
+    doctor: Annotated[
+        Path | None,
+        typer.Option(
+            "--doctor",
+            help="Write a page (HTML) to this file that shows each image with what was found on it, and why "
+            "it was or was not used; also if the calibration is refused.",
+        ),
+    ] = None,
     accept_poor: Annotated[
         bool,
         typer.Option(
@@ -62,14 +70,14 @@ def calibrate(
     if camera_only:
         _camera(loaded, out or loaded.path.with_name("camera.yaml"))
         return
-    calibration, evidence = calibrate_with_evidence(loaded)
+    calibration, evidence = calibrate_with_evidence(loaded, doctor=doctor)
     path = out or default_path(loaded)
     if not evidence.usable:
         if not accept_poor:
             if report is not None:
                 _write_page(report, calibration, evidence, loaded.file.name)
             raise CalibrationError(
-                f"{path} is not written. {' '.join(evidence.verdict)}",
+                "\n  ".join([f"{path} is not written. {' '.join(evidence.verdict)}", *calibration.notes]),
                 hint="--report PAGE.html shows where it fails; --accept-poor writes it nevertheless, marked",
             )
         calibration = calibration.accepted_as_poor(evidence.verdict[0])

@@ -64,13 +64,15 @@ def run(
     """
     from roemetry.cli.progress import progress
     from roemetry.cli.warm_up import warm_up
+    from roemetry.config.overrides import Implied
     from roemetry.config.recipe import Recipe
     from roemetry.errors import ConfigurationError, InterruptedRunError
     from roemetry.run.batch import run_recipe
 
     if resume and out is None:
         raise ConfigurationError("--resume needs --out", hint="name the folder of the run that was stopped")
-    changes = [*(sets or ()), *([] if draws is None else [f"draws={draws}"])]
+    drawn = [] if draws is None else [Implied(f"draws={draws}", f"--draws {draws}")]
+    changes = [*(sets or ()), *drawn]
     # what a plugin prints must not stand among the JSON
     printed = contextlib.redirect_stdout(sys.stderr) if as_json else contextlib.nullcontext()
     with printed:
@@ -158,6 +160,7 @@ def _described(outcome: Outcome) -> dict[str, object]:
         "counts": dict(outcome.counts),
         "files": [str(file) for file in outcome.files],
         "faults": list(outcome.sink_faults),
+        "drift": None if outcome.drift is None else outcome.drift.text,
         "measurements": [json.loads(row.to_json()) for row in read_record(outcome.folder)],
     }
 
@@ -174,6 +177,8 @@ def _show(recipe: Recipe, outcome: Outcome) -> None:
         console.print(problem, highlight=False, markup=False, soft_wrap=True)
     counts = ", ".join(f"{number} {status}" for status, number in outcome.counts.items() if number)
     console.print(f"{counts or 'nothing measured'}", highlight=False)
+    if outcome.drift is not None:
+        console.print(f"drifting: {outcome.drift.text}", highlight=False, markup=False, soft_wrap=True)
     for file in (outcome.folder / RECORD, *outcome.files[:10]):
         console.print(f"  {file}", highlight=False, soft_wrap=True)
 
@@ -238,8 +243,8 @@ def export(
     sink: Annotated[
         str,
         typer.Argument(
-            help="What to write: parquet, point-cloud, height-map, or any other installed sink; "
-            "of a calibration: opencv."
+            help="What to write: point-cloud, parquet or height-map (these two need roemetry\\[export]), or "
+            "any other installed sink; of a calibration: opencv."
         ),
     ],
     sets: Annotated[list[str] | None, set_option("An option of the sink")] = None,
@@ -253,6 +258,7 @@ def export(
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
     """Write a finished run, or a calibration's camera, for other programs; nothing is measured again."""
+    from roemetry.config.overrides import Implied
     from roemetry.errors import ConfigurationError, OutputError
     from roemetry.run.batch import derive
     from roemetry.run.record import recipe_of
@@ -268,8 +274,9 @@ def export(
                 f"--set {text}: expected key=value", hint="for example --set pixel_mm=0.5"
             )
         options.append(f"{key}: {value}")
-    with_sink = [f"sinks=[{{use: {sink}, options: {{{', '.join(options)}}}}}]"]
-    recipe, provenance = recipe_of(folder, sets=with_sink)
+    with_sink = f"sinks=[{{use: {sink}, options: {{{', '.join(options)}}}}}]"
+    typed = " ".join(["export", sink, *(f"--set {text}" for text in sets or ())])
+    recipe, provenance = recipe_of(folder, sets=[Implied(with_sink, typed)])
     files, faults = derive(recipe, folder, provenance, debug=debug)
     for file in files:
         typer.echo(str(file))

@@ -15,12 +15,16 @@ from roemetry.records.units import MM3_PER_CM3, stated
 
 
 def problems_of(measurements: Iterable[Measurement]) -> list[str]:
-    """Write a line for each reason why rows were not measured, with the rows it holds for."""
+    """Write a line for each reason why rows were not measured or weigh wrong, with the rows it holds for."""
     rows_by_text: dict[str, list[str]] = {}
     for row in measurements:
         if row.status != "measured":
             text = row.reasons[0].text if row.reasons else row.status
             rows_by_text.setdefault(text, []).append(row.id)
+        elif row.weight is not None and not row.weight.features:  # which only a fitted weigher has
+            for reason in (*row.weight.reasons, *(row.volume.reasons if row.volume else ())):
+                if reason.code in _NOT_FITTED:
+                    rows_by_text.setdefault(f"weight not fitted: {reason.text}", []).append(row.id)
     return [f"{_few(rows)}: {text}" for text, rows in islice(rows_by_text.items(), _ROWS_MAX)]
 
 
@@ -30,6 +34,8 @@ def _few(rows: list[str]) -> str:
     return f"{named} and {len(rows) - _NAMED_MAX} more" if len(rows) > _NAMED_MAX else named
 
 
+_NOT_FITTED = ("visible-taken-for-true", "underside-assumed")
+"""Reasons that make a weight wrong by a tenth, and that weighed samples mend."""
 _ROWS_MAX = 40
 _NAMED_MAX = 3
 _COLOURS = {"measured": "default", "empty": "yellow", "failed": "red"}
@@ -42,8 +48,9 @@ def table_of(title: str, measurements: Iterable[Measurement], rows: int) -> Tabl
     table = Table(title=Text(title), caption=caption, title_justify="left", box=SIMPLE_HEAD)
     table.pad_edge, table.collapse_padding = False, True
     table.add_column("product", min_width=10, overflow="fold")
-    table.add_column("grade", min_width=6)
     shown = list(islice(measurements, _ROWS_MAX))
+    graded = any(row.grade is not None or row.decision is not None for row in shown)
+    table.add_column("grade" if graded else "status", min_width=6)
     of_pixels = any(_displacement(row) for row in shown) and not any(any(_in_units(row)) for row in shown)
     headings = ("px displaced",) if of_pixels else ("g", "cm³", "mm high")
     for heading in (*headings, "stripes", "ambi-\nguous"):
@@ -85,8 +92,8 @@ def _figure(estimate: Estimate, digits: int, per: float = 1.0) -> str:
 
 def _verdict(row: Measurement) -> str:
     """Say what a product is like, and what is to be done with it."""
-    shape = row.grade.label if row.grade is not None else row.status
+    shape = "" if row.grade is None else row.grade.label
     if row.decision is None:
-        return shape
+        return shape or row.status
     lane = f" ({row.decision.lane})" if row.decision.lane else ""
-    return f"{shape} → {row.decision.label}{lane}"
+    return f"{shape}{' → ' if shape else ''}{row.decision.label}{lane}"

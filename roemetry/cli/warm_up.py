@@ -12,7 +12,6 @@ import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
-from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -38,7 +37,9 @@ def warm_up(recipe: Recipe, on_progress: Callable[[int, int], None] = lambda don
         example is left to the run.
     """
     kernels = {kind: list(_kernels_of(chosen.make())) for kind, chosen in recipe.stages.items()}
-    cold = [kind for kind, found in kernels.items() if found and not any(map(_is_on_disk, found))]
+    cold = [
+        kind for kind, found in kernels.items() if found and not any(kernel.is_on_disk() for kernel in found)
+    ]
     if not cold:
         return []
     cold.sort(key=lambda kind: -len(kernels[kind]))  # the longest first: nothing waits for it at the end
@@ -68,7 +69,7 @@ def _call(stage: Stage[Any]) -> None:
 
 
 def _kernels_of(stage: Stage[Any]) -> Iterator[Any]:
-    """Give the compiled functions in a stage's module and in the modules of its package that this uses."""
+    """Give the kernels in a stage's module and in the modules of its package that this uses."""
     package = type(stage).__module__.partition(".")[0]
     waiting, seen = [type(stage).__module__], set[str]()
     while waiting:
@@ -78,19 +79,7 @@ def _kernels_of(stage: Stage[Any]) -> Iterator[Any]:
         seen.add(name)
         for value in vars(sys.modules[name]).values():
             home = value.__name__ if isinstance(value, ModuleType) else getattr(value, "__module__", None)
-            if hasattr(value, "py_func") and home == name and _place_of(value) is not None:
+            if hasattr(value, "is_on_disk") and home == name:
                 yield value
             elif isinstance(home, str) and home in sys.modules:
                 waiting.append(home)
-
-
-def _place_of(kernel: Any) -> Path | None:
-    """Where numba keeps a compiled function; None for one that is compiled anew in every process."""
-    place = getattr(getattr(kernel, "stats", None), "cache_path", None)
-    return None if place is None else Path(place)
-
-
-def _is_on_disk(kernel: Any) -> bool:
-    function, place = kernel.py_func, _place_of(kernel)
-    stem = Path(function.__code__.co_filename).stem
-    return place is not None and any(place.glob(f"{stem}.{function.__qualname__}-*.nbi"))

@@ -14,6 +14,18 @@ from roemetry.io.yaml_source import Document, Step, parse
 _PATHS = {("source", "path"), ("calibration",)}
 
 
+class Implied(str):
+    """A change that follows from something else that was typed: faults name that, not ``--set``."""
+
+    typed: str
+
+    def __new__(cls, change: str, typed: str) -> Implied:
+        """Make a change of a text, and of what was typed for it."""
+        made = super().__new__(cls, change)
+        made.typed = typed
+        return made
+
+
 class Overridden:
     """A document with some values set otherwise; it still knows where each value comes from.
 
@@ -45,7 +57,7 @@ class Overridden:
         """Give ``file:line:column``, or the ``--set`` that a value comes from."""
         for keys, text in self._set.items():
             if tuple(path[: len(keys)]) == keys:
-                return f"--set {text}"
+                return text.typed if isinstance(text, Implied) else f"--set {text}"
         return self._document.place(path)
 
 

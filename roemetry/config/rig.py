@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Literal, TypeVar
 
@@ -53,6 +54,20 @@ class CalibrationImages(Section):
     )
 
 
+class BoardImages(Section):
+    """Images of a further board; paths or patterns as in `CalibrationImages`."""
+
+    board: list[str] = Field(default_factory=list, description="in many poses, laser off")
+    board_laser: list[str] = Field(default_factory=list, description="in these poses, laser on")
+
+
+class FurtherBoard(Section):
+    """A board beside the first, of any kind, with its images."""
+
+    board: str | BoardFile = Field(description="the board's description: a file, or the board itself")
+    images: BoardImages
+
+
 class RulerFile(Section):
     """A length of the board's sheet, as it should be and as it is."""
 
@@ -83,6 +98,10 @@ class RigFile(Section):
     target: str | BlockFile | None = Field(default=None, description="a target's file, or the target itself")
     board: str | BoardFile | None = Field(
         default=None, description="the board's description: a file, or the board itself"
+    )
+    more_boards: list[FurtherBoard] = Field(
+        default_factory=list,
+        description="further boards with their images: they help, and check the first one's scale",
     )
     staircase: str | StaircaseFile | None = Field(
         default=None, description="the staircase's description: a file, or the staircase itself"
@@ -125,6 +144,8 @@ class Rig:
     images: dict[str, list[Path]]
     extractor: ResolvedStage
     calibrator: ResolvedStage
+    more_boards: tuple[tuple[Board, dict[str, list[Path]]], ...] = ()
+    """Further boards, each with its images as in `images`."""
 
     @property
     def ruler(self) -> Ruler | None:
@@ -147,22 +168,26 @@ class Rig:
         chooser = StageResolver(registry or discover(), document.place, path.parent)
         extractor = chooser.choose("extractor", file.extractor, "extractor")
         calibrator = chooser.choose("calibrator", file.calibrator, "calibrator")
-        images = {
-            shows: [
-                found
-                for index, pattern in enumerate(patterns)
-                for found in _found(path.parent, pattern, chooser, shows, index)
-            ]
-            for shows, patterns in file.images.model_dump().items()
-        }
         folder = path.parent
+        images = _images(folder, file.images, chooser, ("images",))
+        more: list[tuple[Board, dict[str, list[Path]]]] = []
+        for number, one in enumerate(file.more_boards):
+            at = ("more_boards", number, "images")
+            found = _asked(chooser, "more_boards", partial(read_board, one.board, folder))
+            theirs = _images(folder, one.images, chooser, at)
+            for shows, paths in theirs.items():
+                _poses_differ(paths, chooser, *at, shows)
+            if found is not None:
+                more.append((found, theirs))
         block = _asked(chooser, "target", lambda: read_block(file.target, folder))
         board = _asked(chooser, "board", lambda: read_board(file.board, folder))
         staircase = _asked(chooser, "staircase", lambda: read_staircase(file.staircase, folder))
         pyramid = _asked(chooser, "pyramid", lambda: read_pyramid(file.pyramid, folder))
         spheres = _asked(chooser, "sphere_plate", lambda: read_sphere_plate(file.sphere_plate, folder))
         for shows in ("board", "board_laser", "board_on_belt", "board_on_belt_laser"):
-            _poses_differ(images[shows], shows, chooser)
+            _poses_differ(images[shows], chooser, "images", shows)
+        if more and board is None:
+            chooser.fault("there are more_boards, and no `board` from which lengths come", "more_boards")
         counts = file.encoder_counts
         if counts and len(counts) != len(images["board_on_belt"]):
             chooser.fault(
@@ -171,19 +196,44 @@ class Rig:
             )
         if chooser.faults or extractor is None or calibrator is None:
             raise ConfigurationError(chooser.faults)
-        return cls(path, file, block, board, staircase, pyramid, spheres, images, extractor, calibrator)
-
-
-def _found(folder: Path, pattern: str, chooser: StageResolver, shows: str, index: int) -> list[Path]:
-    try:
-        found = (
-            [Path(pattern)] if Path(pattern).is_absolute() else sorted(folder.glob(pattern), key=_in_order)
+        return cls(
+            path,
+            file,
+            block,
+            board,
+            staircase,
+            pyramid,
+            spheres,
+            images,
+            extractor,
+            calibrator,
+            tuple(more),
         )
+
+
+def _images(
+    folder: Path, asked: Section, chooser: StageResolver, at: tuple[str | int, ...]
+) -> dict[str, list[Path]]:
+    """Give the files of each kind, in order."""
+    return {
+        shows: [
+            found
+            for index, pattern in enumerate(patterns)
+            for found in _found(folder, pattern, chooser, *at, shows, index)
+        ]
+        for shows, patterns in asked.model_dump().items()
+    }
+
+
+def _found(folder: Path, pattern: str, chooser: StageResolver, *at: str | int) -> list[Path]:
+    try:
+        whole = folder.absolute() / pattern  # an absolute pattern leaves nothing of the folder
+        found = sorted(Path(whole.anchor).glob(str(whole.relative_to(whole.anchor))), key=_in_order)
     except (OSError, ValueError):  # a name that no file system takes
         found = []
     found = [file for file in found if is_file(file)]
     if not found:
-        chooser.fault(f"there is no file {folder / pattern}", "images", shows, index)
+        chooser.fault(f"there is no file {folder / pattern}", *at)
     return found
 
 
@@ -199,7 +249,7 @@ def _in_order(path: Path) -> tuple[tuple[int, str], ...]:
     return tuple((int(part), "") if part.isdigit() else (-1, part) for part in parts)
 
 
-def _poses_differ(paths: list[Path], shows: str, chooser: StageResolver) -> None:
+def _poses_differ(paths: list[Path], chooser: StageResolver, *at: str | int) -> None:
     seen: dict[str, Path] = {}
     for path in paths:
         other = seen.setdefault(pose_of(path), path)
@@ -207,8 +257,7 @@ def _poses_differ(paths: list[Path], shows: str, chooser: StageResolver) -> None
             chooser.fault(
                 f"{other.name} and {path.name} hold the same numbers: the number in a file's name tells "
                 "the pose, which pairs images with the laser on and off",
-                "images",
-                shows,
+                *at,
             )
 
 

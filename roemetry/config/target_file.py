@@ -46,6 +46,9 @@ class BoardFile(Section):
     margin_mm: float = Field(
         default=0.0, ge=0, description="white margin around the pattern on which stripes count, too, mm"
     )
+    row_pitch_mm: float | None = Field(
+        default=None, gt=0, description="pitch along the board's y, mm, where the print is stretched"
+    )
 
     @model_validator(mode="after")
     def _has_markers(self) -> BoardFile:

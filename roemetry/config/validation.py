@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any, get_args
+from typing import Any, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
@@ -43,7 +43,12 @@ def _grouped(error: ValidationError) -> list[list[ErrorDetails]]:
     groups: dict[tuple[Step, ...], list[ErrorDetails]] = {}
     for detail in error.errors():
         groups.setdefault(_in_file(detail), []).append(detail)
-    return list(groups.values())
+    # a list of one wrong item is told as too short, too
+    return [
+        group
+        for path, group in groups.items()
+        if group[0]["type"] != "too_short" or not any(path == other[: len(path)] != other for other in groups)
+    ]
 
 
 def _faults(
@@ -108,7 +113,7 @@ def _sentence(model: type[BaseModel], detail: ErrorDetails) -> str:
         return "this is missing"
     if kind in ("model_type", "dict_type"):
         return f"found {_shown(found)}, expected a map: `key: value`, one to a line"
-    if kind == "list_type":
+    if kind in ("list_type", "tuple_type"):
         return f"found {_shown(found)}, expected a list: `[one, two]`, or `- one` to a line"
     if kind == "string_type" and detail["loc"][-1] == "[key]":
         return (
@@ -162,14 +167,16 @@ def _shown(value: object) -> str:
 
 def _model_at(model: type[BaseModel], path: Sequence[Step]) -> type[BaseModel] | None:
     """Give the model that a path into another model leads to."""
+    is_key = False  # of a map whose values are models: any word
     for step in path:
-        if not _is_in_file(step):
+        if is_key or not isinstance(step, str) or not _is_in_file(step):
+            is_key = is_key and not isinstance(step, str)
             continue
-        field = model.model_fields.get(str(step))
+        field = model.model_fields.get(step)
         found = None if field is None else next(_models(field.annotation), None)
-        if found is None:
+        if field is None or found is None:
             return None
-        model = found
+        model, is_key = found, get_origin(field.annotation) in (dict, Mapping)
     return model
 
 

@@ -11,6 +11,7 @@ from roemetry.records.observations import (
     Evidence,
     EvidenceFigure,
     Fitted,
+    ImageFinding,
     Observation,
     Pyramid,
     Residuals,
@@ -33,7 +34,16 @@ from roemetry.records.outcome import (
     Volume,
     Weight,
 )
-from roemetry.records.plan import Plan, PlanColumn, PlanCurves, PlanFigure, PlanMap, PlanShape, PlanTable
+from roemetry.records.plan import (
+    Plan,
+    PlanAnswer,
+    PlanColumn,
+    PlanCurves,
+    PlanFigure,
+    PlanMap,
+    PlanShape,
+    PlanTable,
+)
 from roemetry.records.product import Outline, Product, ProductTrace, Profiles, Trace
 from roemetry.records.reasons import Reason
 from roemetry.records.stripes import (

@@ -132,8 +132,8 @@ class Calibration(Shown):
         for name, array in self.parameters.items():
             parameters[name] = array + step[start : start + array.size].reshape(array.shape)
             start += array.size
-        moved = replace(self, parameters=parameters)
-        return replace(moved, view=None if view_of is None else view_of(moved))
+        moved = replace(self, parameters=parameters, view=None)
+        return moved if view_of is None else replace(moved, view=view_of(moved))
 
     @property
     def poor(self) -> str:
@@ -260,6 +260,9 @@ class Alignment(Shown):
     of which no belt is seen."""
     reasons: tuple[Reason, ...] = ()
     """What is to be said of every product of the frame."""
+    edge_px: tuple[float, ...] = ()
+    """(4,) what each part of the motion that was found does at the image's edge, px, corrected or not; empty
+    where too little belt is seen."""
 
     def __post_init__(self) -> None:
         check = Checker(self)

@@ -47,6 +47,9 @@ class Coding:
     saturated_share: Number = math.nan
     displacement_max_px: Number = math.nan
     """Largest displacement from the rest line on the product, px, with its sign; NaN where unknown."""
+    motion_px: tuple[float, ...] = ()
+    """What shift, roll, zoom and tilt of the camera since the calibration do at the image's edge, px, as
+    the aligner found them, corrected or not; empty without one."""
 
 
 @dataclass(frozen=True, eq=False, repr=False, slots=True)
@@ -135,12 +138,12 @@ class Measurement(Shown):
 
 
 _SLICE = ("stripe", "area_mm2", "spacing_mm")
-_DRAWN = ("marks", "relief")
-"""What of a grade is drawn and not kept."""
+_NOT_KEPT = ("marks", "relief", "solution")
+"""What of a grade is drawn, and what an estimator goes on from."""
 
 
 def _plain(value: Any) -> Any:
-    """Make a record the values of its line: reasons last, without what is only drawn, NaN as null."""
+    """Make a record the values of its line: reasons last, without what is not kept, NaN as null."""
     kind = type(value)  # compared itself: each row of a run comes by here, number by number
     if kind is float:
         return value if math.isfinite(value) else None
@@ -161,7 +164,7 @@ def _plain(value: Any) -> Any:
 
 @cache
 def _names(kind: type[Any]) -> tuple[str, ...]:
-    return tuple(sorted((f.name for f in fields(kind) if f.name not in _DRAWN), key="reasons".__eq__))
+    return tuple(sorted((f.name for f in fields(kind) if f.name not in _NOT_KEPT), key="reasons".__eq__))
 
 
 @cache

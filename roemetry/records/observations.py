@@ -53,6 +53,13 @@ class Board:
     """From the print to what the board lies on, mm."""
     margin_mm: float = 0.0
     """How far the sheet, flat and of one colour, goes on beyond the pattern on all sides, mm."""
+    row_pitch_mm: float | None = None
+    """`pitch_mm` along the board's y, mm, of a print that is stretched; None where both are the same."""
+
+    @property
+    def size_mm(self) -> Floats:
+        """(2,) the pattern's sides along x and y, mm."""
+        return np.array([self.columns * self.pitch_mm, self.rows * (self.row_pitch_mm or self.pitch_mm)])
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,6 +124,8 @@ class Observation(Shown):
     of the two. A plain image has none."""
     pose: str = ""
     """Of a board: observations with the same `shows` and `pose` show it in the same place."""
+    board: int = 0
+    """Which board, by its number among the set's."""
 
 
 @dataclass(frozen=True, eq=False, repr=False, slots=True)
@@ -143,10 +152,34 @@ class CalibrationSet(Shown):
     pyramid and of a sphere plate show; None where it was not described."""
     ruler: Ruler | None = None
     """A length of the board's print that was measured with a ruler; None where none was."""
+    more_boards: tuple[Board, ...] = ()
+    """Boards beside `board`: each checks the other's scale."""
+
+    @property
+    def boards(self) -> tuple[Board, ...]:
+        """All boards; lengths come from the first."""
+        return (() if self.board is None else (self.board,)) + self.more_boards
 
     def showing(self, what: str) -> tuple[Observation, ...]:
         """Give the observations of one kind of target."""
         return tuple(observation for observation in self.observations if observation.shows == what)
+
+
+@dataclass(frozen=True, eq=False, repr=False, slots=True)
+class ImageFinding(Shown):
+    """What a calibrator found in one image, and what it made of it."""
+
+    observation: Observation
+    """The image, with all peaks that were found in it."""
+    used: bool
+    said: str
+    """What was found, and how well it fits; "" where nothing was."""
+    why: str
+    """Why it is not used, or not wholly, and what to do; "" where it is."""
+    marks_px: Floats
+    """(mark, 2) marks of a board."""
+    points_px: Floats
+    """(point, 2) points of stripes that count; means over a few rows where there are many."""
 
 
 @dataclass(frozen=True, eq=False, repr=False, slots=True)

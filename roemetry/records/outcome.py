@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -136,6 +137,8 @@ class Volume(Shown):
     """slice_stripe, slice_area_mm2, slice_spacing_mm: (slice,) the slices the estimator summed, where it did:
     stripe, area of the cross-section, and the distance the area was held over."""
     reasons: tuple[Reason, ...] = ()
+    solution: Any = None
+    """Of the estimator: what its `redraw` begins with. It is not in the record of a run."""
 
     def __post_init__(self) -> None:
         check = Checker(self)

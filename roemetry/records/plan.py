@@ -121,6 +121,32 @@ class PlanShape:
         check.finish()
 
 
+@dataclass(frozen=True, slots=True)
+class PlanAnswer:
+    """Whether the rig measures the scene's product, and how well."""
+
+    fits: bool
+    volume_pct: float
+    weight_pct: float
+    """volume_pct, weight_pct: expected standard uncertainties, %; the weight's before it is fitted."""
+    limiting: str
+    """What the volume is limited by; of a product that does not fit, why not."""
+    changes: tuple[str, ...]
+    """What to change, the most useful first, each with what it gives."""
+
+    @property
+    def text(self) -> str:
+        """The answer in a line."""
+        if self.fits:
+            said = (
+                f"yes; expected volume ± {self.volume_pct:.1f} %, weight ± {self.weight_pct:.1f} % before "
+                f"it is fitted; limited by {self.limiting}"
+            )
+        else:
+            said = f"no: {self.limiting}"
+        return f"your product: {said}" + "".join(f"; change: {change}" for change in self.changes[:1])
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class Plan:
     """All that can be said of a rig before it is built."""
@@ -132,6 +158,8 @@ class Plan:
     """figures, maps, tables, curves: what is predicted, and with a simulation what was found beside it."""
     sketch: tuple[PlanShape, ...] = ()
     reasons: tuple[Reason, ...] = field(default=())
+    answer: PlanAnswer | None = None
+    """Of the scene's product; None where there is none."""
 
     def value(self, name: str) -> float:
         """Give the value of a figure; raise KeyError where there is none of that name."""

@@ -26,20 +26,7 @@ def distort(xy: Floats, distortion: Floats) -> Floats:
     """
     if not distortion.any():
         return np.asarray(xy, np.float64)
-    k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, tau_x, tau_y = _all(distortion)
-    x, y = xy[:, 0], xy[:, 1]
-    r2 = x * x + y * y
-    radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
-    bent = np.column_stack(
-        [
-            x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x) + r2 * (s1 + r2 * s2),
-            y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y + r2 * (s3 + r2 * s4),
-        ]
-    )
-    if tau_x == 0 and tau_y == 0:
-        return bent
-    tilted = np.column_stack([bent, np.ones(len(bent))]) @ _tilt(tau_x, tau_y).T
-    return np.asarray(tilted[:, :2] / tilted[:, 2:])
+    return np.column_stack(_bent(xy[:, 0], xy[:, 1], distortion)[0])
 
 
 def undistort(xy: Floats, distortion: Floats) -> Floats:
@@ -50,42 +37,73 @@ def undistort(xy: Floats, distortion: Floats) -> Floats:
     bent = np.asarray(xy, np.float64)
     if not distortion.any():
         return bent
-    straight = bent.copy()
+    bent_x, bent_y = bent.T
+    x, y = np.array(bent_x), np.array(bent_y)
     for step in range(_NEWTON_STEPS + 1):
-        wrong = distort(straight, distortion) - bent
-        a, b, c, d = distortion_jacobian(straight, distortion)
+        (at_x, at_y), (a, b, c, d) = _bent(x, y, distortion)
+        wrong_x, wrong_y = at_x - bent_x, at_y - bent_y
+        missed = np.maximum(np.abs(wrong_x), np.abs(wrong_y))
         determinant = a * d - b * c
-        if step == _NEWTON_STEPS or not np.nanmax(np.abs(wrong), initial=0.0) > _NEWTON_RESIDUAL:
+        if step == _NEWTON_STEPS or not np.fmax.reduce(missed, initial=0.0) > _NEWTON_RESIDUAL:
             break
         with np.errstate(divide="ignore", invalid="ignore"):
-            straight[:, 0] -= (d * wrong[:, 0] - b * wrong[:, 1]) / determinant
-            straight[:, 1] -= (a * wrong[:, 1] - c * wrong[:, 0]) / determinant
-    missed = np.abs(wrong).max(axis=1)
+            x -= (d * wrong_x - b * wrong_y) / determinant
+            y -= (a * wrong_y - c * wrong_x) / determinant
     # Beyond the fold the image is turned over: a root there fits, but no light takes that way.
     proper = (determinant > 0) & (a + d > 0)
+    straight = np.column_stack([x, y])
     straight[~((missed < _MISSED_MAX) & proper)] = np.nan
     return straight
 
 
 def distortion_jacobian(xy: Floats, distortion: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     """Give ∂x′/∂x, ∂x′/∂y, ∂y′/∂x, ∂y′/∂y of `distort` at places (n, 2), each (n,)."""
+    return _bent(xy[:, 0], xy[:, 1], distortion)[1]
+
+
+def _bent(
+    x: Floats, y: Floats, distortion: Floats
+) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats, Floats, Floats]]:
+    """Give x′, y′ and ∂x′/∂x, ∂x′/∂y, ∂y′/∂x, ∂y′/∂y at places, each (n,)."""
     k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, tau_x, tau_y = _all(distortion)
-    x, y = xy[:, 0], xy[:, 1]
-    r2 = x * x + y * y
-    above, below = 1 + r2 * (k1 + r2 * (k2 + r2 * k3)), 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
-    radial = above / below
-    rising = (k1 + r2 * (2 * k2 + 3 * r2 * k3) - radial * (k4 + r2 * (2 * k5 + 3 * r2 * k6))) / below
-    cross = 2 * (x * y * rising + p1 * x + p2 * y)
-    prism_x, prism_y = 2 * (s1 + 2 * r2 * s2), 2 * (s3 + 2 * r2 * s4)
-    by_x = np.stack([radial + 2 * (x * x * rising + p1 * y + 3 * p2 * x) + prism_x * x, cross + prism_y * x])
-    by_y = np.stack([cross + prism_x * y, radial + 2 * (y * y * rising + 3 * p1 * y + p2 * x) + prism_y * y])
-    if tau_x or tau_y:
-        turn = _tilt(tau_x, tau_y)
-        bent = distort(xy, np.concatenate([distortion[:12], np.zeros(2)])).T
-        ahead = turn[2, :2] @ bent + turn[2, 2]
-        place = (turn[:2, :2] @ bent + turn[:2, 2:]) / ahead
-        by_x, by_y = ((turn[:2, :2] @ by - place * (turn[2, :2] @ by)) / ahead for by in (by_x, by_y))
-    return by_x[0], by_y[0], by_x[1], by_y[1]
+    xx, xy, yy = x * x, x * y, y * y
+    r2 = xx + yy
+    radial, rising = 1 + r2 * (k1 + r2 * (k2 + r2 * k3)), k1 + r2 * (2 * k2 + r2 * (3 * k3))
+    if k4 or k5 or k6:
+        below = 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
+        radial = radial / below
+        rising = (rising - radial * (k4 + r2 * (2 * k5 + r2 * (3 * k6)))) / below
+    place = (
+        x * radial + (2 * p1) * xy + p2 * (r2 + 2 * xx),
+        y * radial + p1 * (r2 + 2 * yy) + (2 * p2) * xy,
+    )
+    cross = 2 * (xy * rising + p1 * x + p2 * y)
+    slopes = (
+        radial + 2 * (xx * rising + p1 * y + (3 * p2) * x),
+        cross,
+        cross,
+        radial + 2 * (yy * rising + (3 * p1) * y + p2 * x),
+    )
+    if s1 or s2 or s3 or s4:
+        prism_x, prism_y = 2 * (s1 + 2 * r2 * s2), 2 * (s3 + 2 * r2 * s4)
+        place = place[0] + r2 * (s1 + r2 * s2), place[1] + r2 * (s3 + r2 * s4)
+        a, b, c, d = slopes
+        slopes = a + prism_x * x, b + prism_x * y, c + prism_y * x, d + prism_y * y
+    return _tilted(place, slopes, _tilt(tau_x, tau_y)) if tau_x or tau_y else (place, slopes)
+
+
+def _tilted(
+    place: tuple[Floats, Floats], slopes: tuple[Floats, Floats, Floats, Floats], turn: Floats
+) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats, Floats, Floats]]:
+    """Take places and their slopes through a homography."""
+    bent = np.stack(place)
+    ahead = turn[2, :2] @ bent + turn[2, 2]
+    tilted = (turn[:2, :2] @ bent + turn[:2, 2:]) / ahead
+    (a, c), (b, d) = (
+        (turn[:2, :2] @ by - tilted * (turn[2, :2] @ by)) / ahead
+        for by in (np.stack(slopes[::2]), np.stack(slopes[1::2]))
+    )
+    return (tilted[0], tilted[1]), (a, b, c, d)
 
 
 _NEWTON_STEPS = 30

@@ -7,23 +7,22 @@ import platform
 import statistics
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from tempfile import TemporaryDirectory
+from typing import Any
 
 from roemetry.config.recipe import Recipe
 from roemetry.errors import FAULTS, DataError, RoemetryError
 from roemetry.io.files import LineFile, exclusive, make_folder, sha256_of, write_whole
 from roemetry.records import AcquisitionReference, Reason, Trace
-from roemetry.run.pipeline import Pipeline
-from roemetry.run.record import PROVENANCE, RECORD, acquisitions_to_keep, count_rows, read_record
+from roemetry.run.kept_traces import KeptTraces
+from roemetry.run.pipeline import Pipeline, frame_of
+from roemetry.run.record import PROVENANCE, RECORD, acquisitions_to_keep, read_record, summed_up
 from roemetry.run.rows import failed, measurements_of
 from roemetry.run.workers import in_order
 from roemetry.stages import Run
-
-if TYPE_CHECKING:
-    pass
 
 Measured = tuple[list[str], Mapping[str, float]]
 """An acquisition's lines of the record, and the seconds its stages took."""
@@ -38,6 +37,8 @@ class Outcome:
     """Rows by status: measured, empty, failed."""
     files: tuple[Path, ...]
     sink_faults: tuple[str, ...]
+    drift: Reason | None = None
+    """What moves in the course of the run; None for nothing."""
 
 
 def run_recipe(
@@ -74,7 +75,7 @@ def run_recipe(
     DataError
         The source has nothing.
     """
-    references = recipe.source.make().references(recipe.source_path)
+    references = recipe.references()
     make_folder(folder)
     with exclusive(folder):
         return _run(recipe, folder, references, jobs, resume, debug, on_progress)
@@ -96,24 +97,36 @@ def _run(
     seconds: dict[str, list[float]] = {}
     finished = len(references) - len(to_do)
     on_progress(finished, len(references))
-    with LineFile(folder / RECORD) as record:
-        for lines, took in measure_all(recipe, to_do, jobs, debug):
-            record.append("\n".join(lines))
-            finished += 1
-            for stage, value in took.items():
-                seconds.setdefault(stage, []).append(value)
-            on_progress(finished, len(references))
-    counts = count_rows(folder)
-    provenance |= {"finished": _now(), "counts": counts, "seconds_median": _medians(seconds)}
-    write_whole(folder / PROVENANCE, json.dumps(provenance, indent=2) + "\n")
-    files, faults = derive(recipe, folder, provenance, debug=debug)
-    return Outcome(folder, counts, files, faults)
+    replayed = max((chosen.make().replays_first for chosen in recipe.sinks), default=0)
+    with TemporaryDirectory(prefix=".traces-", dir=folder) as traces:
+        kept = KeptTraces(Path(traces), frozenset(reference.id for reference in references[:replayed]))
+        with LineFile(folder / RECORD) as record:
+            for lines, took in measure_all(recipe, to_do, jobs, debug, kept):
+                record.append("\n".join(lines))
+                finished += 1
+                for stage, value in took.items():
+                    seconds.setdefault(stage, []).append(value)
+                on_progress(finished, len(references))
+        counts, drift = summed_up(folder)
+        provenance |= {"finished": _now(), "counts": counts, "seconds_median": _medians(seconds)}
+        provenance["drift"] = None if drift is None else drift.text
+        write_whole(folder / PROVENANCE, json.dumps(provenance, indent=2) + "\n")
+        files, faults = derive(recipe, folder, provenance, debug=debug, kept=kept)
+    return Outcome(folder, counts, files, faults, drift)
 
 
 def derive(
-    recipe: Recipe, folder: Path, provenance: Mapping[str, Any], *, debug: bool = False
+    recipe: Recipe,
+    folder: Path,
+    provenance: Mapping[str, Any],
+    *,
+    debug: bool = False,
+    kept: KeptTraces | None = None,
 ) -> tuple[tuple[Path, ...], tuple[str, ...]]:
-    """Let each sink derive its files from the record; a sink that fails does not stop the others."""
+    """Let each sink derive its files from the record; a sink that fails does not stop the others.
+
+    Acquisitions whose traces were not `kept` are traced again where a sink asks for them.
+    """
     # The record has the uncertainties; the replay is for pictures.
     source, pipeline = recipe.source.make(), Pipeline(recipe, draws=0)
     references: dict[str, AcquisitionReference] = {}
@@ -123,7 +136,11 @@ def derive(
             references.update({found.id: found for found in source.references(recipe.source_path)})
         if acquisition_id not in references:
             raise DataError(f"{acquisition_id}: the images are no longer there")
-        return pipeline.trace(source.read(references[acquisition_id]), surfaces=True)
+        acquisition = source.read(references[acquisition_id])
+        trace = None if kept is None else kept.get(acquisition_id)
+        if trace is None:
+            return pipeline.trace(acquisition, surfaces=True)
+        return replace(trace, acquisition=acquisition, frame=frame_of(recipe, acquisition))
 
     run = Run(folder, recipe.product, lambda: read_record(folder), replay, provenance)
     files: list[Path] = []
@@ -145,20 +162,28 @@ def derive(
 
 
 def measure_all(
-    recipe: Recipe, references: Sequence[AcquisitionReference], jobs: int, debug: bool
+    recipe: Recipe,
+    references: Sequence[AcquisitionReference],
+    jobs: int,
+    debug: bool,
+    kept: KeptTraces | None = None,
 ) -> Iterator[Measured]:
-    """Give each acquisition's lines, in the order of the source, with the seconds its stages took."""
-    yield from in_order(_Worker, (recipe, debug), references, jobs)
+    """Give each acquisition's lines, in the order of the source, with the seconds its stages took.
+
+    Those of its traces that are to be `kept` are put there.
+    """
+    yield from in_order(_Worker, (recipe, debug, kept), references, jobs)
 
 
 class _Worker:
     """Reads, traces and writes down one acquisition at a time."""
 
-    def __init__(self, recipe: Recipe, debug: bool) -> None:
+    def __init__(self, recipe: Recipe, debug: bool, kept: KeptTraces | None) -> None:
         self._recipe = recipe
         self._source = recipe.source.make()
         self._pipeline = Pipeline(recipe, debug=debug)
         self._debug = debug
+        self._kept = kept
         self._hashes = recipe.hashes
         self._doubts = _doubts_of(recipe)
 
@@ -177,7 +202,10 @@ class _Worker:
             said = str(error) if ours else f"the source failed with {type(error).__name__}: {error}"
             why = Reason("unreadable", said)
             return [failed(reference.id, "source", why, self._hashes).to_json()], {}
-        trace = self._pipeline.trace(acquisition)
+        shown = self._kept is not None and reference.id in self._kept.acquisitions
+        trace = self._pipeline.trace(acquisition, surfaces=shown)
+        if self._kept is not None:
+            self._kept.put(trace)
         rows = measurements_of(trace, self._recipe, self._hashes | hashes, self._doubts)
         return [row.to_json() for row in rows], trace.seconds
 

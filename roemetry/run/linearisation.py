@@ -9,7 +9,8 @@ noise into some drawn patterns. The chain is run with each part at +1 and at −
 where 2 e² is the variance of the second-order term for a normal part. What the stages state of their own
 models is added. No random number decides a result: the patterns of noise are the same for every image.
 
-Of each cause the first part is run both ways; for others Δ = f(+1) − f stands alone unless a grade moves.
+Of each cause that all points share the first part is run both ways; for others Δ = f(+1) − f stands alone
+unless a grade moves. f itself is run again, too: what goes on from a solution differs a little from it.
 
 Against the Monte Carlo method (`roemetry.run.monte_carlo`): some ten runs of the chain instead of
 hundreds. Where results do not follow a part in a straight line (a class border, a rule that switches), the
@@ -43,7 +44,6 @@ from roemetry.run.monte_carlo import (
     Scene,
     draw_models,
     lift_share,
-    offset_contour,
     probability_of,
     rerun,
     what_is_unstated,
@@ -59,9 +59,9 @@ _HEIGHT_PATTERNS = 100
 """Patterns of noise in which the highest point is looked for: they know its scatter to 7 %."""
 _FAR = 5.0
 """Standard deviations: what lies further below the highest point never is the highest."""
-_MODES_SHARE = 0.95
+_MODES_SHARE = 0.9
 """Of the variance of the product's shape, what the modes of the calibration hold that are run; the sum is
-divided by what they hold. Against all modes the volume's part is then right to 0.1 to 1 %."""
+divided by what they hold. Against all modes the volume's part is then 1.02 to 1.05 times as large."""
 _MODES_MAX = 12
 _ROWS_APART = 8
 """Every so many rows a point is asked how far a mode moves it: calibrations are smooth over tens of rows."""
@@ -91,10 +91,20 @@ def linearise(products: tuple[ProductTrace, ...], scene: Scene, chain: Chain) ->
         return products
     rng = np.random.default_rng(0)
     drawn = Sampler(scene, chain, rng)
+    as_found = drawn.as_found()
+    still = {
+        trace.product.number: rerun(
+            chain, trace, as_found.get(trace.product.number), rng, model=False, graded=False
+        )
+        for trace in products
+    }
     runs: dict[int, list[_Run]] = {trace.product.number: [] for trace in products}
     for cause, weight, make in _parts(scene, chain, drawn):
         wanted = [
-            trace for trace in products if cause != PEAKS or _noise_matters(trace, runs[trace.product.number])
+            trace
+            for trace in products
+            if cause != PEAKS
+            or _noise_matters(trace, runs[trace.product.number], still[trace.product.number])
         ]
         above = make(1.0) if wanted else {}
         below: Mapping[int, Product] | None = None
@@ -102,11 +112,15 @@ def linearise(products: tuple[ProductTrace, ...], scene: Scene, chain: Chain) ->
             number = trace.product.number
             up = rerun(chain, trace, above.get(number), rng, model=False)
             down = None
-            if not any(run.cause == cause for run in runs[number]) or _wants_both(trace, up):
+            first = cause != PEAKS and not any(run.cause == cause for run in runs[number])
+            if first or _wants_both(trace, up):
                 below = make(-1.0) if below is None else below
                 down = rerun(chain, trace, below.get(number), rng, model=False)
             runs[number].append(_Run(cause, weight, up, down))
-    return tuple(_stated(trace, runs[trace.product.number], chain, drawn, scene, rng) for trace in products)
+    return tuple(
+        _stated(trace, still[trace.product.number], runs[trace.product.number], chain, drawn, scene, rng)
+        for trace in products
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,16 +154,7 @@ def _parts(scene: Scene, chain: Chain, drawn: Sampler) -> Iterator[Part]:
             ),
         )
     if OUTLINE in drawn.causes:
-        yield (
-            OUTLINE,
-            1.0,
-            lambda sign: drawn.products(
-                stripes,
-                calibration,
-                tuple(offset_contour(one, sign * float(np.nan_to_num(one.xy_std_px))) for one in outlines),
-                offset_mm,
-            ),
-        )
+        yield OUTLINE, 1.0, drawn.with_outlines
     if light is not None:
         std_mm = light.std_mm
         yield (
@@ -214,27 +219,28 @@ def _every(stripes: StripeMap, rows: int) -> StripeMap:
 
 def _stated(
     trace: ProductTrace,
+    still: Result,
     runs: Sequence[_Run],
     chain: Chain,
     drawn: Sampler,
     scene: Scene,
     rng: np.random.Generator,
 ) -> ProductTrace:
-    """Put on a product's results what the runs show."""
+    """Put on a product's results what the runs show; `still` is the one in which nothing has moved."""
     unstated = what_is_unstated(trace, scene, chain, drawn)
     volume, weight, grade = trace.volume, trace.weight, trace.grade
     own = _own_parts(trace, chain, rng, set(drawn.causes))
     if volume is not None:
         stated = not unstated.volume
-        visible, said = _estimate(volume.visible_mm3, runs, "visible_mm3", own, stated=stated)
+        visible, said = _estimate(volume.visible_mm3, still, runs, "visible_mm3", own, stated=stated)
         true = volume.true_mm3
         if true is not None:
-            true, _ = _estimate(true, runs, "true_mm3", own, stated=stated)
+            true, _ = _estimate(true, still, runs, "true_mm3", own, stated=stated)
         said = volume.reasons + unstated.volume + said
         volume = replace(volume, visible_mm3=visible, true_mm3=true, reasons=said)
     if weight is not None:
         stated = not (unstated.volume or unstated.weight)
-        mass, said = _estimate(weight.mass_g, runs, "mass_g", own, stated=stated)
+        mass, said = _estimate(weight.mass_g, still, runs, "mass_g", own, stated=stated)
         weight = replace(weight, mass_g=mass, reasons=weight.reasons + unstated.weight + said)
     if grade is not None:
         grade = _graded(grade, runs, spread=not unstated.points)
@@ -244,11 +250,10 @@ def _stated(
 
 @dataclass(frozen=True, slots=True)
 class _Spread:
-    """First- and second-order variance of one value by cause, and by how much noise lifts it."""
+    """First- and second-order variance of one value by cause."""
 
     first: Mapping[str, float]
     second: Mapping[str, float]
-    lift: float
 
     @property
     def budget(self) -> dict[str, float]:
@@ -259,14 +264,14 @@ class _Spread:
         return sum(self.second.values()) > _CURVED * sum(self.first.values()) > 0.0
 
 
-def _noise_matters(trace: ProductTrace, runs: Sequence[_Run]) -> bool:
+def _noise_matters(trace: ProductTrace, runs: Sequence[_Run], still: Result) -> bool:
     """Tell whether another pattern of noise is worth its time."""
     if sum(run.cause == PEAKS for run in runs) < _NOISE_PATTERNS_MIN:
         return True
     if trace.volume is None:
         return False
     visible = trace.volume.visible_mm3
-    spread = _spread(runs, lambda result: result.visible_mm3, visible.value)
+    spread = _spread(runs, lambda result: result.visible_mm3, still.visible_mm3)
     if spread is None:
         return False
     whole = sum(spread.first.values()) + float(np.nan_to_num(visible.std)) ** 2
@@ -288,10 +293,11 @@ def _sure_of(grade: Grade) -> float:
 
 
 def _spread(runs: Sequence[_Run], value: Callable[[Result], float], found: float) -> _Spread | None:
-    """Give how a value varies; None where a run could not be measured on either side."""
+    """Give how a value varies; None where a run could not be measured on either side, or as it was found."""
+    if math.isnan(found):
+        return None
     first: dict[str, float] = {}
     second: dict[str, float] = {}
-    lift = 0.0
     patterns = sum(run.cause == PEAKS for run in runs)
     for run in runs:
         weight = run.weight / (patterns if run.cause == PEAKS else 1)
@@ -305,15 +311,20 @@ def _spread(runs: Sequence[_Run], value: Callable[[Result], float], found: float
         bend = 0.5 * (above + below) - found
         first[run.cause] = first.get(run.cause, 0.0) + weight * (0.5 * (above - below)) ** 2
         second[run.cause] = second.get(run.cause, 0.0) + weight * 2.0 * bend**2
-        lift += weight * bend if run.cause == PEAKS else 0.0
-    return _Spread(first, second, lift)
+    return _Spread(first, second)
 
 
 def _estimate(
-    found: Estimate, runs: Sequence[_Run], field: str, own: Mapping[str, Mapping[str, float]], *, stated: bool
+    found: Estimate,
+    still: Result,
+    runs: Sequence[_Run],
+    field: str,
+    own: Mapping[str, Mapping[str, float]],
+    *,
+    stated: bool,
 ) -> tuple[Estimate, tuple[Reason, ...]]:
     """Give an estimate with std, budget and interval, and what is to be said of it."""
-    spread = _spread(runs, lambda result: float(getattr(result, field)), found.value)
+    spread = _spread(runs, lambda result: float(getattr(result, field)), float(getattr(still, field)))
     if spread is None:
         return replace(found, std=math.nan, interval=(math.nan, math.nan)), (_REFUSED,)
     budget = {**spread.budget, **own[field]}

@@ -214,7 +214,9 @@ def _estimate(
         return replace(_unstated(found), budget=budget), said
     if not stated:
         return replace(_unstated(found), budget=budget), ()
-    std = _mean_and_std(good)[1]
+    std = _mean_and_std(good)[1] * widening(good.size)
+    if math.isnan(std):
+        return replace(_unstated(found), budget=budget), _few(good.size)
     if good.size >= ENOUGH_FOR_QUANTILES:
         tail = (1.0 - COVERAGE) / 2.0
         low, high = (float(q) for q in np.quantile(good, [tail, 1.0 - tail]))
@@ -224,12 +226,24 @@ def _estimate(
     return replace(found, std=std, budget=budget, interval=interval), _few(good.size)
 
 
+def widening(draws: int) -> float:
+    """Give what a standard deviation of few draws grows by to count as one of many; NaN for up to three.
+
+    √((n − 1)/(n − 3)), the standard deviation of Student's distribution (JCGM 101, 6.4.9.2); from `FEW_DRAWS`
+    on 1, since it is then below 6 %.
+    """
+    if draws >= FEW_DRAWS:
+        return 1.0
+    return math.sqrt((draws - 1.0) / (draws - 3.0)) if draws > 3 else math.nan
+
+
 def _few(draws: int) -> tuple[Reason, ...]:
     """Say of a standard deviation of few draws how uncertain it is itself: by 1/√(2(n − 1))."""
     if draws >= FEW_DRAWS:
         return ()
     share = 1.0 / math.sqrt(2.0 * (draws - 1))
-    return (Reason("few-draws", f"{draws} draws tell a standard uncertainty to {share:.0%} only: take more"),)
+    said = f"{draws} draws tell a standard uncertainty to {share:.0%} only: take more"
+    return (Reason("few-draws", said if draws > 3 else f"{draws} draws tell no uncertainty: take more"),)
 
 
 def _spread(results: list[Result], field: str) -> float:
@@ -376,6 +390,7 @@ class Sampler:
         known[PENETRATION] = scene.penetration is not None
         self.causes = tuple(cause for cause, stated in known.items() if stated)
         self._bridges = _bridges(stripes)
+        self._as_found: Mapping[int, Product] | None = None
 
     def scenes(self, count: int, causes: tuple[str, ...]) -> Iterator[Mapping[int, Product]]:
         """Give drawn products by number, `count` times; what is no cause stays as it was found."""
@@ -396,6 +411,24 @@ class Sampler:
             if light is not None and PENETRATION in causes:
                 offset_mm = float(self._rng.normal(offset_mm, light.std_mm))
             yield self.products(stripes, calibration, outlines, offset_mm)
+
+    def as_found(self) -> Mapping[int, Product]:
+        """Give the products in which nothing has moved."""
+        if self._as_found is None:
+            scene, light = self._scene, self._scene.penetration
+            offset_mm = 0.0 if light is None else light.offset_mm
+            self._as_found = self.products(scene.stripes, scene.calibration, scene.outlines, offset_mm)
+        return self._as_found
+
+    def with_outlines(self, sign: float) -> Mapping[int, Product]:
+        """Give the products with their outlines moved outwards by so many standard deviations."""
+        moved = {}
+        for number, found in self.as_found().items():
+            outline = found.outline
+            if outline is not None:
+                outline = offset_contour(outline, sign * float(np.nan_to_num(outline.xy_std_px)))
+            moved[number] = replace(found, outline=outline)
+        return moved
 
     def products(
         self,
@@ -490,26 +523,17 @@ def rerun(
     if product is None:
         return Result()
     own = rng if model else None
-    volume = result_or_none(lambda: _estimated(chain, trace, product, own)) if chain.volume else None
+    before = trace.volume
+    volume = None if before is None else result_or_none(lambda: chain.volume.redraw(product, before, rng=own))
     found = _weighed(chain, product, volume, own)._replace(height_max_mm=product.height_max_mm)
     grade = (
-        result_or_none(lambda: chain.classifier.classify(product, rng=own))
-        if chain.classifier and graded
+        result_or_none(lambda: chain.classifier.redraw(product, rng=own))
+        if trace.grade is not None and graded
         else None
     )
     if grade is None:
         return found
     return found._replace(label=grade.label, probability=grade.probability, features=grade.features)
-
-
-def _estimated(
-    chain: Chain, trace: ProductTrace, product: Product, rng: np.random.Generator | None
-) -> Volume:
-    if trace.volume is None:
-        found: Volume = chain.volume.estimate(product, rng=rng)
-        return found
-    drawn: Volume = chain.volume.redraw(product, trace.volume, rng=rng)
-    return drawn
 
 
 def draw_models(

@@ -10,7 +10,8 @@ from typing import Any
 from roemetry.config.recipe import Recipe
 from roemetry.errors import DataError, OutputError
 from roemetry.io.files import LineFile, sha256_of, write_whole
-from roemetry.records import AcquisitionReference, Measurement
+from roemetry.records import AcquisitionReference, Measurement, Reason
+from roemetry.run.motion_trend import MotionTrend
 
 RECORD = "measurements.jsonl"
 PROVENANCE = "provenance.json"
@@ -91,12 +92,14 @@ def _check_images(row: Measurement, reference: AcquisitionReference | None) -> N
             )
 
 
-def count_rows(folder: Path) -> dict[str, int]:
-    """Count the rows by status."""
-    counts = {"measured": 0, "empty": 0, "failed": 0}
+def summed_up(folder: Path) -> tuple[dict[str, int], Reason | None]:
+    """Count the rows by status, and say what moves in the course of the run; None for nothing."""
+    counts, trend = {"measured": 0, "empty": 0, "failed": 0}, MotionTrend()
     for row in read_record(folder):
         counts[row.status] += 1
-    return counts
+        if row.coding is not None:
+            trend.add(row.acquisition, row.coding.motion_px)
+    return counts, trend.reason
 
 
 def recipe_of(folder: Path, *, sets: Sequence[str] = ()) -> tuple[Recipe, dict[str, Any]]:

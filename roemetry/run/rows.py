@@ -134,11 +134,12 @@ def _without_product(
     only_peaks_wanted = "coder" not in recipe.stages and trace.peaks is not None
     coding = _coding(trace, 0)
     if not faults and not only_peaks_wanted:
+        faults += [reason for reason in reasons if reason.code in _BELT_IN_DOUBT]
         if coding is not None and coding.ambiguous > _EMPTY_REFUSED_SHARE_MAX * coding.peaks:
             faults.append(
                 Reason("undecided", f"{coding.ambiguous} peaks were refused, and the others show no product")
             )
-        else:
+        if not faults:
             reasons.insert(0, Reason("no-product", "every stripe lies on the belt: there is no product"))
     status: Status = "failed" if faults else "measured" if only_peaks_wanted else "empty"
     said = [*faults, *reasons, *warnings]
@@ -154,8 +155,9 @@ def _coding(trace: Trace, number: int) -> Coding | None:
     peaks, stripes = trace.peaks, trace.stripes
     if peaks is None:
         return None
+    motion_px = () if trace.alignment is None else trace.alignment.edge_px
     if stripes is None:
-        return Coding(0, 0, len(peaks), 0, 0, len(peaks), 0, 0)
+        return Coding(0, 0, len(peaks), 0, 0, len(peaks), 0, 0, motion_px=motion_px)
     verdicts = np.bincount(stripes.peak_stripe - AMBIGUOUS, minlength=-AMBIGUOUS)
     of_stripe = verdicts[-AMBIGUOUS:]
     mine = stripes.product == number if number else (stripes.product != BELT) & (stripes.product != NOTHING)
@@ -171,6 +173,7 @@ def _coding(trace: Trace, number: int) -> Coding | None:
         rows_interpolated=int(rows - seen),
         saturated_share=_saturated_share(peaks, stripes),
         displacement_max_px=_displacement_max(stripes, mine),
+        motion_px=motion_px,
     )
 
 
@@ -195,6 +198,8 @@ def _saturation(coding: Coding | None) -> list[Reason]:
 
 _HEIGHT_SLACK_MM = 1.0
 """So much beyond the calibrated range is noise about the belt, not a product."""
+_BELT_IN_DOUBT = ("belt-not-seen", "stripe-moved", "stripe-missing")
+"""What makes a belt without a product doubtful: its stripes do not all lie where they should."""
 _EMPTY_REFUSED_SHARE_MAX = 0.01
 """An image with more refused peaks than this is not believed to be empty."""
 _SATURATED_SHARE_MAX = 0.2

@@ -27,6 +27,7 @@ from roemetry.records import (
     Fitted,
     Frame,
     Grade,
+    ImageFinding,
     Measurement,
     Outline,
     Peaks,
@@ -201,6 +202,14 @@ class Calibrator(Stage[OptionsT]):
         """Show what speaks for a calibration that was made from these observations: for its page."""
         return Evidence()
 
+    def findings(self, observed: CalibrationSet) -> tuple[ImageFinding, ...]:
+        """Show what was found in each image, and why it is or is not used; also where `calibrate` refuses."""
+        none = np.empty((0, 2))
+        return tuple(
+            ImageFinding(one, True, f"{len(one.peaks)} peaks found", "", none, none)
+            for one in observed.observations
+        )
+
 
 class Triangulator(Stage[OptionsT]):
     """Turns coded stripes into points in millimetres."""
@@ -262,15 +271,16 @@ class VolumeEstimator(Stage[OptionsT]):
         """Estimate the volume; given `rng`, draw the estimator's own model error as well."""
 
     def redraw(self, product: Product, found: Volume, *, rng: np.random.Generator | None = None) -> Volume:
-        """Estimate the volume of a product of which noise was drawn.
+        """Estimate the volume of a product that has moved a little within what it may be wrong by.
 
-        An estimator that takes long over its budget may draw by the one it has found: it hardly depends on
-        the noise. Of the result only the values are used.
+        An estimator that takes long may go on from what it has found (`Volume.solution`) and by the budget
+        that it has found: they hardly change. Of the result only the values are used, and of values only how
+        they differ from that of the product as it was seen, given as `product`.
 
         Parameters
         ----------
         product
-            As it was drawn.
+            As it has moved.
         found
             What `estimate` gave of the product as it was seen.
         rng
@@ -324,6 +334,13 @@ class Classifier(Stage[OptionsT]):
     @abstractmethod
     def classify(self, product: Product, *, rng: np.random.Generator | None = None) -> Grade:
         """Give the class with reasons; ``unknown`` is a legal answer."""
+
+    def redraw(self, product: Product, *, rng: np.random.Generator | None = None) -> Grade:
+        """Judge a product that has moved a little within what it may be wrong by.
+
+        Of the result only label, probability and features are used: what is drawn of it may be left out.
+        """
+        return self.classify(product, rng=rng)
 
     @classmethod
     def fit(
@@ -389,6 +406,11 @@ class Run:
 
 class Sink(Stage[OptionsT]):
     """Derives something for people or other programs from a run's record."""
+
+    @property
+    def replays_first(self) -> int:
+        """How many of a run's first acquisitions `write` replays: their traces are kept for it on disk."""
+        return 0
 
     @abstractmethod
     def write(self, run: Run) -> Sequence[Path]:

@@ -9,7 +9,7 @@ import pytest
 
 drawing = pytest.importorskip("benchmarks.extraction.drawing", reason="only in a checkout")
 
-from benchmarks.extraction import bias, methods, peers, scoring, tables  # noqa: E402
+from benchmarks.extraction import bias, compiled, methods, peers, scoring, tables  # noqa: E402
 from benchmarks.extraction.bounds import bound_px  # noqa: E402
 from benchmarks.extraction.tables import Table, number, percent  # noqa: E402
 
@@ -109,6 +109,17 @@ def test_recipes_of_others_are_given_their_best(recipe: str, rng) -> None:
     judged = ~drawn.saturated
     limit = 5.0 if recipe.startswith("scipy") else 2.0
     assert scoring.rms(found.error_px[judged]) < limit * scoring.rms(bound_px(drawn)[judged])
+
+
+@pytest.mark.skipif(compiled.COMPILER is None, reason="no C++ compiler")
+@pytest.mark.parametrize(("reach", "weighted"), [(2, False), (4, True)])
+def test_the_first_try_in_cpp_finds_what_it_should(reach: int, weighted: bool, rng) -> None:
+    drawn = drawing.drawn_set("clean", drawing.SIZES["VGA"], rng)
+    found = scoring.hits(drawn.stripes, compiled.compiled(reach, weighted=weighted)(drawn.pixels))
+    assert found.missed <= 5
+    assert found.false <= 5
+    judged = ~drawn.saturated
+    assert scoring.rms(found.error_px[judged]) < 2.0 * scoring.rms(bound_px(drawn)[judged])
 
 
 def test_bias_is_the_largest_mean_with_its_sign() -> None:

@@ -82,19 +82,16 @@ def test_faults_are_told_with_file_and_item(tmp_path: Path) -> None:
     lines = (tmp_path / ITEMS).read_text("utf-8").splitlines()
     (tmp_path / ITEMS).write_text("\n".join([*lines, lines[3], '{"id": 1}']) + "\n", "utf-8")
     faults = list(Dataset(tmp_path).faults())
-    assert len(faults) == 5
-    for said, words in zip(
-        faults,
-        (
-            ("a.png", "missing", "a, laser"),
-            ("b.png", "changed", "b, laser"),
-            ("c.npz", "changed", "c, truth"),
-            ("`d` stands twice",),
-            ("items.jsonl:6", "not an item"),
-        ),
-        strict=True,
-    ):
-        assert all(word in said for word in words), said
+    words = (
+        "a.png missing a,laser",
+        "b.png changed b,laser",
+        "c.npz changed c,truth",
+        "`d` twice",
+        "items.jsonl:6 item",
+    )
+    assert len(faults) == len(words)
+    for said, expected in zip(faults, words, strict=True):
+        assert all(word.replace(",", ", ") in said for word in expected.split()), said
 
 
 def test_a_hundred_thousand_items_need_no_memory(tmp_path: Path) -> None:
@@ -120,20 +117,16 @@ def test_a_line_that_is_no_item_is_refused_with_its_place(tmp_path: Path, line: 
         list(Dataset(tmp_path).items())
 
 
-def test_a_half_line_is_taken_away(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("before", "kept"),
+    [(b'{"a": 1}\n{"b": 2}\n{"c"', '{"a": 1}\n{"b": 2}\n'), (b"x" * 200_000, "")],
+)
+def test_half_a_line_is_taken_away(tmp_path: Path, before: bytes, kept: str) -> None:
     path = tmp_path / "record.jsonl"
-    path.write_bytes(b'{"a": 1}\n{"b": 2}\n{"c"')
+    path.write_bytes(before)
     with LineFile(path) as record:
         record.append('{"d": 4}')
-    assert path.read_text(encoding="utf-8") == '{"a": 1}\n{"b": 2}\n{"d": 4}\n'
-
-
-def test_a_file_that_is_all_one_half_line(tmp_path: Path) -> None:
-    path = tmp_path / "record.jsonl"
-    path.write_bytes(b"x" * 200_000)
-    with LineFile(path):
-        pass
-    assert path.read_bytes() == b""
+    assert path.read_text(encoding="utf-8") == kept + '{"d": 4}\n'
 
 
 def test_a_failed_append_leaves_nothing_of_its_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

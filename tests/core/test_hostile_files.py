@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from roemetry.config.recipe import Recipe
-from roemetry.errors import RoemetryError
+from roemetry.errors import DataError, RoemetryError
 from roemetry.io.yaml_source import parse
+from roemetry.records import Acquisition, Frame
+from roemetry.run.preprocess import prepare
 
 HOME = Path(__file__).parents[2] / "recipes"
 TEXTS = [path.read_bytes() for path in sorted(HOME.glob("*/*.yaml")) if path.stat().st_size < 4000]
@@ -69,3 +73,26 @@ def test_yes_is_no_number(tmp_path: Path) -> None:
     path.write_text(f"roemetry: 1\nproduct: roe\nstages:\n  extractor: {extractor}\nsource: {{path: .}}\n")
     with pytest.raises(RoemetryError, match=r"recipe\.yaml:4:\d+: .*threshold"):
         Recipe.load(path)
+
+
+@pytest.mark.parametrize("fault", ["sent twice", "filled with black", "filled with the last ones"])
+def test_rows_that_no_sensor_gives_refuse_the_image(fault: str, rng: np.random.Generator) -> None:
+    pixels = np.clip(rng.normal(12.0, 1.0, (200, 320)), 0, 255).astype(np.uint8)
+    pixels[:, 40::60] = 200
+    frame = Frame(pixels, role="laser", name="frame", bit_depth=8)
+    prepare(Acquisition("a", (frame,)), turn_deg=0, subtract="none")
+    bad = {
+        "sent twice": np.concatenate([pixels[:100], pixels[80:180]]),
+        "filled with black": np.concatenate([pixels[:180], np.zeros_like(pixels[:20])]),
+        "filled with the last ones": np.concatenate([pixels[:80], pixels[100:], pixels[-20:]]),
+    }[fault]
+    with pytest.raises(DataError, match="no sensor's noise"):
+        prepare(Acquisition("a", (replace(frame, pixels=bad),)), turn_deg=0, subtract="none")
+
+
+def test_dark_rows_of_a_sensor_that_clips_are_no_fault(rng: np.random.Generator) -> None:
+    pixels = np.clip(rng.normal(-3.0, 2.0, (200, 320)), 0, 255).astype(np.uint8)
+    pixels[20:150, 40::60] = rng.integers(100, 200, (130, 5))
+    pixels[150:] = 0
+    frame = Frame(pixels, role="laser", name="frame", bit_depth=8)
+    prepare(Acquisition("a", (frame,)), turn_deg=0, subtract="none")

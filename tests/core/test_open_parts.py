@@ -19,33 +19,34 @@ LIFTED_PX = 20.0
 
 
 def scene(
-    refused: tuple[tuple[int, int], ...], belt_refused: tuple[int, ...] = ()
+    refused: tuple[tuple[int, int], ...], belt_refused: tuple[int, ...] = (), hidden: tuple[int, ...] = ()
 ) -> tuple[Peaks, StripeMap]:
-    """Products on stripes 1–3 and 5–7, rows 60–139; refused: (stripe, row), and whole belt stripes."""
+    """Products on stripes 1–3 and 5–7, rows 60–139; refused: (stripe, row), and whole belt stripes.
+
+    Where stripes are `hidden`, the two are the ends of one body, refused between.
+    """
     x_px = REST_PX.copy()
     on = np.zeros(x_px.shape, np.int16)
     for number, stripes in enumerate((slice(1, 4), slice(5, 8)), start=1):
         x_px[stripes, 60:140] += LIFTED_PX
         on[stripes, 60:140] = number
+    x_px[list(hidden), 60:140] = REST_PX[list(hidden), 60:140] + LIFTED_PX
     row, stripe = np.nonzero(np.ones(x_px.shape[::-1], bool))
     verdict = stripe.astype(np.int16)
     for one, at in refused:
         verdict[(stripe == one) & (row == at)] = AMBIGUOUS
     verdict[np.isin(stripe, belt_refused) & (on[stripe, row] == 0)] = AMBIGUOUS
-    place_px = x_px[stripe, row]
+    verdict[np.isin(stripe, hidden) & (row >= 60) & (row < 140)] = AMBIGUOUS
     seen = np.zeros(x_px.shape, bool)
     seen[stripe, row] = verdict >= 0
-    x_px[~seen] = np.nan
-    on[~seen] = -1
-    one = np.ones(row.size)
+    one, whole = np.ones(row.size), np.where(seen, 1.0, np.nan)
     peaks = Peaks(
-        image_size=(200, 500), row=row, x_px=place_px, x_std_px=0.05 * one, amplitude=100.0 * one,
+        image_size=(200, 500), row=row, x_px=x_px[stripe, row], x_std_px=0.05 * one, amplitude=100.0 * one,
         background=10.0 * one, width_px=4.0 * one, flags=np.zeros(row.size, np.uint8),
     )  # fmt: skip
-    whole = np.where(seen, 1.0, np.nan)
     return peaks, StripeMap(
-        x_px=x_px, x_std_px=0.05 * whole, product=on, seen=seen, margin=whole,
-        ambiguous=np.zeros(seen.shape, bool), rest_px=REST_PX, peak_stripe=verdict, reasons=(),
+        x_px=np.where(seen, x_px, np.nan), x_std_px=0.05 * whole, product=np.where(seen, on, -1), seen=seen,
+        margin=whole, ambiguous=np.zeros(seen.shape, bool), rest_px=REST_PX, peak_stripe=verdict, reasons=(),
     )  # fmt: skip
 
 
@@ -74,29 +75,8 @@ def test_open_points_widen_in_quadrature() -> None:
 
 
 def test_what_is_open_between_two_pieces_counts_for_both() -> None:
-    """Nine stripes; a body on stripes 1 to 7, of which 3 to 5 are refused: its two ends are no products."""
-    rest_px = np.linspace(50.0, 450.0, 9)[:, None] + np.zeros(200)
-    x_px, product = rest_px.copy(), np.zeros(rest_px.shape, np.int16)
-    body = np.s_[60:140]
-    x_px[1:8, body] += LIFTED_PX
-    product[1:3, body], product[6:8, body] = 1, 2
-    row, stripe = np.nonzero(np.ones(x_px.shape[::-1], bool))
-    verdict = stripe.astype(np.int16)
-    verdict[(stripe >= 3) & (stripe <= 5) & (row >= 60) & (row < 140)] = AMBIGUOUS
-    one = np.ones(row.size)
-    peaks = Peaks(
-        image_size=(200, 500), row=row, x_px=x_px[stripe, row], x_std_px=0.05 * one, amplitude=100.0 * one,
-        background=10.0 * one, width_px=4.0 * one, flags=np.zeros(row.size, np.uint8),
-    )  # fmt: skip
-    seen = np.zeros(x_px.shape, bool)
-    seen[stripe, row] = verdict >= 0
-    whole = np.where(seen, 1.0, np.nan)
-    stripes = StripeMap(
-        x_px=np.where(seen, x_px, np.nan), x_std_px=0.05 * whole, product=np.where(seen, product, -1),
-        seen=seen, margin=whole, ambiguous=np.zeros(seen.shape, bool), rest_px=rest_px, peak_stripe=verdict,
-        reasons=(),
-    )  # fmt: skip
-    found = open_parts(peaks, stripes)
+    """A body on stripes 1 to 7, of which 3 to 5 are refused: its two ends are no products."""
+    found = open_parts(*scene((), hidden=(3, 4, 5)))
     assert [part.points for part in found.values()] == [240, 240]
 
 

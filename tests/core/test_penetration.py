@@ -49,14 +49,20 @@ def test_a_file_comes_back(tmp_path: Path) -> None:
         replace(LIGHT, std_mm=-1.0)
 
 
+def block_of(rig, height_mm: float, film_mm: float = 0.0, covered: slice = slice(70, 120)) -> np.ndarray:
+    """An image of a block, a film on some of its rows."""
+    found = np.zeros((rig.stripes, rig.rows))
+    found[1:6, 70:170] = height_mm
+    found[1:6, covered] += film_mm
+    return rig.image(rig.x_px(found))
+
+
 @pytest.fixture
 def line(tmp_path: Path, rig) -> Path:
     """A recipe, and images of a block of 12 mm: bare, and under 2 mm of something light enters by 0.6 mm."""
     for name, height in (("bare", 12.0), ("covered", 12.0 + 2.0 - 0.6)):
-        found = np.zeros((rig.stripes, rig.rows))
-        found[1:6, 70:170] = height
         (tmp_path / name).mkdir()
-        cv2.imwrite(str(tmp_path / name / "block.png"), rig.image(rig.x_px(found)))
+        cv2.imwrite(str(tmp_path / name / "block.png"), block_of(rig, height))
     rig.calibration().save(tmp_path / "calibration.yaml")
     (tmp_path / "block.yaml").write_text(
         "kind: block\nname: b\nlength_mm: 50\nwidth_mm: 25\nheight_mm: 12\ntolerance_mm: 0.02\n", "utf-8"
@@ -68,6 +74,11 @@ def line(tmp_path: Path, rig) -> Path:
         "utf-8",
     )
     return tmp_path
+
+
+def row_of(recipe: Recipe, folder: Path) -> dict:
+    run_recipe(recipe, folder)
+    return json.loads((folder / "measurements.jsonl").read_text("utf-8"))
 
 
 def words(line: Path, film: str = "2.0") -> list[str]:
@@ -83,25 +94,19 @@ def test_what_was_drawn_is_found_and_used(line: Path) -> None:
     assert light.offset_mm == pytest.approx(0.6, abs=0.03)  # mm
     assert 0.03 <= light.std_mm < 0.05
     assert light.product == "roe"
-    heights = []
-    for name, sets in (("with", []), ("without", ["penetration="])):
-        recipe = Recipe.load(line, sets=sets)
-        run_recipe(recipe, line / name)
-        heights.append(
-            json.loads((line / name / "measurements.jsonl").read_text("utf-8"))["height_max_mm"]["value"]
-        )
-    assert heights[0] - heights[1] == pytest.approx(light.offset_mm, abs=1e-9)  # mm
+    raised, plain = (
+        row_of(Recipe.load(line, sets=sets), line / f"out{len(sets)}")["height_max_mm"]["value"]
+        for sets in ([], ["penetration="])
+    )
+    assert raised - plain == pytest.approx(light.offset_mm, abs=1e-9)  # mm
     assert Recipe.load(line).sha256 != Recipe.load(line, sets=["penetration="]).sha256
 
 
 @pytest.mark.parametrize(("half", "film"), [("top", 2.0), ("bottom", 0.0)])
 def test_two_colours_in_one_image(line: Path, rig, half: str, film: float) -> None:
     """Half of a block under 2 mm of something light enters by 0.6 mm; or painted, entered by as much."""
-    found = np.zeros((rig.stripes, rig.rows))
-    found[1:6, 70:170] = 12.0
     covered = slice(70, 120) if half == "top" else slice(120, 170)
-    found[1:6, covered] += film - 0.6
-    cv2.imwrite(str(line / "both.png"), rig.image(rig.x_px(found)))
+    cv2.imwrite(str(line / "both.png"), block_of(rig, 12.0, film - 0.6, covered))
     common = ["--film", str(film), "--film-std", "0.03", "--target", str(line / "block.yaml")]
     done = CliRunner().invoke(
         app, ["fit-penetration", str(line), str(line / "both.png"), "--half", half, *common]
@@ -131,10 +136,7 @@ def test_one_image_of_a_whole_block_or_of_none_is_refused(line: Path, rig) -> No
 
 def test_the_calibration_counts_where_halves_lie_apart(line: Path, rig) -> None:
     """A calibration whose stripes are uncertain one by one by 1 %: the step's own 1 % by √5 stripes stays."""
-    found = np.zeros((rig.stripes, rig.rows))
-    found[1:6, 70:170] = 12.0
-    found[1:6, 70:120] += 2.0
-    cv2.imwrite(str(line / "both.png"), rig.image(rig.x_px(found)))
+    cv2.imwrite(str(line / "both.png"), block_of(rig, 12.0, 2.0))
     calibration = rig.calibration()
     omega = calibration.parameters["omega_mm_per_px"]
     covariance = np.zeros(calibration.covariance.shape)
@@ -147,9 +149,8 @@ def test_the_calibration_counts_where_halves_lie_apart(line: Path, rig) -> None:
 
 
 def test_another_calibration_is_said(line: Path) -> None:
-    replace(LIGHT).save(line / "penetration.yaml")
-    run_recipe(Recipe.load(line), line / "run")
-    row = json.loads((line / "run" / "measurements.jsonl").read_text("utf-8"))
+    LIGHT.save(line / "penetration.yaml")
+    row = row_of(Recipe.load(line), line / "run")
     assert "penetration-other-calibration" in {reason["code"] for reason in row["reasons"]}
 
 
@@ -158,10 +159,8 @@ def test_the_offset_stands_in_the_budget(line: Path) -> None:
     recipe = Recipe.load(line, sets=["penetration="])
     light = replace(LIGHT, calibration_sha256=recipe.calibration.sha256)
     light.save(line / "penetration.yaml")
-    run_recipe(Recipe.load(line, sets=["draws=400"]), line / "run")
-    volume = json.loads((line / "run" / "measurements.jsonl").read_text("utf-8"))["volume"]
-    run_recipe(recipe, line / "plain")
-    plain = json.loads((line / "plain" / "measurements.jsonl").read_text("utf-8"))["volume"]
+    volume = row_of(Recipe.load(line, sets=["draws=400"]), line / "run")["volume"]
+    plain = row_of(recipe, line / "plain")["volume"]
     per_mm = (volume["visible_mm3"]["value"] - plain["visible_mm3"]["value"]) / LIGHT.offset_mm
     part = volume["visible_mm3"]["budget"]["penetration"]
     assert part == pytest.approx(LIGHT.std_mm * per_mm, rel=0.3)  # 100 draws: 7 %, four of those

@@ -55,17 +55,13 @@ def test_peaks_refuse(row: list[int], x_px: list[float], fault: str) -> None:
 
 
 def test_all_faults_of_a_record_are_told_at_once() -> None:
-    with pytest.raises(DataError) as caught:
-        Peaks(
-            (4, 20), np.zeros(3), np.zeros(2), np.zeros(3), np.zeros(1), np.zeros(3), np.zeros(3), np.zeros(3)
-        )
-    assert "x_px has shape (2,)" in str(caught.value)
-    assert "amplitude has shape (1,)" in str(caught.value)
+    three = np.zeros(3)
+    with pytest.raises(DataError, match=r"x_px has shape \(2,\)(.|\n)*amplitude has shape \(1,\)"):
+        Peaks((4, 20), three, np.zeros(2), three, np.zeros(1), three, three, three)
 
 
 def test_records_are_read_only_and_leave_the_array_they_came_from_alone() -> None:
     x_px = np.array([1.0, 5.0])
-    made = peaks([0, 0], [1.0, 5.0])
     made = Peaks((4, 20), np.array([0, 0]), x_px, x_px, x_px, x_px, x_px, np.zeros(2))
     with pytest.raises(ValueError, match="read-only"):
         made.x_px[0] = 3.0
@@ -73,18 +69,9 @@ def test_records_are_read_only_and_leave_the_array_they_came_from_alone() -> Non
 
 
 def test_a_stripe_map_without_x_has_no_product() -> None:
-    nothing = np.full((1, 2), np.nan)
+    nan, zero = np.full((1, 2), np.nan), np.zeros((1, 2))
     with pytest.raises(DataError, match="product is −1 exactly where"):
-        StripeMap(
-            nothing,
-            nothing,
-            np.zeros((1, 2)),
-            np.zeros((1, 2)),
-            nothing,
-            np.zeros((1, 2)),
-            nothing,
-            np.zeros(0),
-        )
+        StripeMap(nan, nan, zero, zero, nan, zero, nan, np.zeros(0))
 
 
 @pytest.mark.parametrize(

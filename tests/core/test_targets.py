@@ -53,7 +53,6 @@ def test_opencv_finds_every_corner_where_it_was_drawn(layout: str, columns: int,
     expected = cv2.aruco.CharucoBoard((columns, rows), 8.0, 6.0, dictionary)
     expected.setLegacyPattern(layout == "old")
     corners, ids, _, _ = cv2.aruco.CharucoDetector(expected).detectBoard(drawn(sheet))
-    assert ids is not None
     assert len(ids) == (columns - 1) * (rows - 1)
     found_mm = (corners.reshape(-1, 2) + 0.5) / PX_PER_MM
     true_mm = np.asarray(expected.getChessboardCorners())[ids.ravel(), :2]
@@ -136,25 +135,14 @@ def open_edges(triangles: np.ndarray) -> int:
 
 STAIRS = StaircaseFile(kind="staircase", name="s", heights_mm=[4, 12, 8, 8, 2], tread_mm=15, width_mm=100)
 BLOCK = BlockFile(kind="block", name="b", length_mm=105, width_mm=40, height_mm=16.5)
+PYRAMID = PyramidFile(kind="truncated-pyramid", name="p", base_mm=60, top_mm=20, height_mm=20)
+TWO = {"kind": "sphere-plate", "name": "b", "columns": 2, "rows": 1, "diameter_mm": 20}
+BALLS = SpherePlateFile(**TWO, pitch_mm=30, centre_height_mm=15)
 SOLIDS = {
-    "block": (
-        BlockFile(kind="block", name="b", length_mm=105, width_mm=40, height_mm=16.5),
-        105 * 40 * 16.5,
-        1e-9,
-    ),
+    "block": (BLOCK, 105 * 40 * 16.5, 1e-9),
     "stairs": (STAIRS, 34 * 15 * 100.0, 1e-9),
-    "pyramid": (
-        PyramidFile(kind="truncated-pyramid", name="p", base_mm=60, top_mm=20, height_mm=20),
-        20 / 3 * (3600 + 400 + 1200),
-        1e-9,
-    ),
-    "balls": (
-        SpherePlateFile(
-            kind="sphere-plate", name="b", columns=2, rows=1, pitch_mm=30, diameter_mm=20, centre_height_mm=15
-        ),
-        60 * 30 * 7.0 + 2 * 4 / 3 * np.pi * 1000,
-        0.003,
-    ),
+    "pyramid": (PYRAMID, 20 / 3 * (3600 + 400 + 1200), 1e-9),
+    "balls": (BALLS, 60 * 30 * 7.0 + 2 * 4 / 3 * np.pi * 1000, 0.003),
 }
 
 
@@ -169,15 +157,14 @@ def test_solids_are_closed_and_have_their_volume(target, expected_mm3: float, re
 def test_nonsense_solids_are_named() -> None:
     with pytest.raises(ConfigurationError, match="lacks a side"):
         solid_triangles(BlockFile(kind="block", name="b", length_mm=10, width_mm=10))
-    balls = {"kind": "sphere-plate", "name": "b", "columns": 2, "rows": 1, "diameter_mm": 20}
     with pytest.raises(ConfigurationError, match="touch each other"):
-        solid_triangles(SpherePlateFile(**balls, pitch_mm=20, centre_height_mm=15))
+        solid_triangles(SpherePlateFile(**TWO, pitch_mm=20, centre_height_mm=15))
     with pytest.raises(ConfigurationError, match="no room for a plate"):
-        solid_triangles(SpherePlateFile(**balls, pitch_mm=30, centre_height_mm=5))
+        solid_triangles(SpherePlateFile(**TWO, pitch_mm=30, centre_height_mm=5))
 
 
 def test_the_stl_holds_the_triangles() -> None:
-    triangles = solid_triangles(SOLIDS["pyramid"][0])
+    triangles = solid_triangles(PYRAMID)
     data = stl_of(triangles, "p")
     assert int.from_bytes(data[80:84], "little") == len(triangles)
     assert len(data) == 84 + 50 * len(triangles)

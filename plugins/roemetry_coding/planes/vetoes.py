@@ -273,15 +273,25 @@ def numbered_by_pattern(
 
 def _without_pattern(bend: Floats, seen: Integers, own: Floats) -> dict[int, Floats]:
     """Give, by shift, the median bend of each seen stripe less that of the rest lines so many stripes on."""
-    usual = np.nanmedian(bend, axis=1)
+    there = np.isfinite(bend).any(axis=0)
+    bend, own = bend[:, there], own[:, there]
+    usual = _medians(bend)
     left = {}
     for shift in range(-_PATTERN_REACH, _PATTERN_REACH + 1):
         at = seen + shift
         inside = (at >= 1) & (at < own.shape[0] - 1)
         if np.count_nonzero(inside) >= _PATTERN_STRIPES_MIN:
             left[shift] = np.full(seen.size, np.nan)
-            left[shift][inside] = usual[inside] - np.nanmedian(own[at[inside]] + 0.0 * bend[inside], axis=1)
+            left[shift][inside] = usual[inside] - _medians(own[at[inside]] + 0.0 * bend[inside])
     return left
+
+
+def _medians(lines: Floats) -> Floats:
+    """Give the median of each line's numbers: as `np.nanmedian` does, in a fifth of the time."""
+    ordered = np.sort(lines, axis=1)  # NaN comes last
+    count = lines.shape[1] - np.count_nonzero(np.isnan(lines), axis=1)
+    each = np.arange(len(lines))
+    return np.asarray(0.5 * (ordered[each, (count - 1) // 2] + ordered[each, count // 2]))
 
 
 def _much_evener(one: Floats, other: Floats, seen: Integers) -> bool:
@@ -289,8 +299,13 @@ def _much_evener(one: Floats, other: Floats, seen: Integers) -> bool:
     both = np.isfinite(one) & np.isfinite(other)
     if np.count_nonzero(both) < _PATTERN_STRIPES_MIN:
         return False
-    small, large = (_unevenness(left[both], seen[both]) for left in (one, other))
-    return bool((small < _PATTERN_SHARE * large).all() and (large - small > _PATTERN_MIN_PX).all())
+    next_one = np.diff(seen[both]) == 1
+    # both of what bends the surface at each stripe, and of its step from each stripe to the next
+    for of in (np.abs, lambda bend: np.abs(np.diff(bend)[next_one])):
+        small, large = (float(np.median(of(left[both]))) for left in (one, other))
+        if not (small < _PATTERN_SHARE * large and large - small > _PATTERN_MIN_PX):
+            return False
+    return True
 
 
 _PATTERN_REACH = 3
@@ -303,11 +318,6 @@ _PATTERN_SHARE = 1.0 / 3.0
 put the pattern in twice."""
 _PATTERN_MIN_PX = 0.3
 """Ten times what second differences of medians over ten rows scatter by."""
-
-
-def _unevenness(bend: Floats, stripe: Integers) -> Floats:
-    """Median of what bends a surface at each stripe, and of its step from each stripe to the next, px."""
-    return np.array([np.median(np.abs(bend)), np.median(np.abs(np.diff(bend)[np.diff(stripe) == 1]))])
 
 
 def left_over(piece: Integers, stripe: Integers, kept: Integers, share_min: float) -> Flags:

@@ -25,6 +25,7 @@ from roemetry_tools.compare.tables import (
     across_sets,
     across_table,
     across_to_csv,
+    first_lines_of,
     problems_of,
     tables_of,
     verdicts_of,
@@ -161,6 +162,8 @@ def _show(compared: Sequence[Compared], terms: Terms, without_truth: str, files:
     recipe = compared[0].variant.recipe
     assert recipe is not None
     console = Console()
+    for line in first_lines_of(compared, terms, without_truth):
+        console.print(line, highlight=False, markup=False, soft_wrap=True)
     for table in tables_of(recipe.product, compared):
         console.print(table)
     said = [*verdicts_of(compared, terms.tolerance_pct), *problems_of(compared), without_truth]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from math import ceil
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,6 +98,75 @@ def rank_against(own: Figures | None, base: Figures | None, terms: Terms) -> Sta
         balanced_shift(own.graded, others, terms) if others else None,
         reliability_of(own.graded, terms),
     )
+
+
+PRODUCTS_ENOUGH = 10
+"""With fewer specimens an interval says little of products to come: their kinds are hardly all seen."""
+
+
+@dataclass(frozen=True, slots=True)
+class Leader:
+    """The variant with the least mean absolute error, and how sure its lead is."""
+
+    figure: str
+    """A quantity of `QUANTITIES`: the first in which variants differ on the same products."""
+    best: Variant
+    other: Variant
+    """The next best."""
+    error_pct: float
+    lead: Shift
+    """How much smaller its error is on the same products, %, with the 95 % interval."""
+    specimens: int
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether these products are enough to tell."""
+        return self.specimens >= PRODUCTS_ENOUGH and self.lead.interval.low > 0.0
+
+    @property
+    def specimens_needed(self) -> int:
+        """How many products would tell this lead from none, if they scatter as these do; 0: not known."""
+        half = 0.5 * (self.lead.interval.high - self.lead.interval.low)
+        if not (self.lead.value > 0.0 and half > 0.0):
+            return 0
+        return max(PRODUCTS_ENOUGH, ceil(self.specimens * (half / self.lead.value) ** 2))
+
+
+def leader_of(compared: Sequence[Compared], terms: Terms) -> Leader | None:
+    """Find the best variant and the margin to the next; None where no two differ by a truth."""
+    whole = [(one.variant, one.figures) for one in compared if one.figures and not one.failure]
+    for name in QUANTITIES:
+        known = [(v, {k: one for k, one in f.values[name].items() if one.true > 0}) for v, f in whole]
+        shared = set.intersection(*(set(values) for _, values in known)) if known else set()
+        if len(known) < 2 or not shared:
+            continue
+        errors = [np.mean([abs(of[k].estimate / of[k].true - 1.0) for k in shared]) for _, of in known]
+        if max(errors) - min(errors) < 1e-12:
+            continue  # what is varied does not reach this quantity
+        first, second = np.argsort(errors, kind="stable")[:2]
+        (best, own), (other, others) = known[first], known[second]
+        shift = nearer({k: others[k] for k in sorted(shared)}, {k: own[k] for k in sorted(shared)}, terms)
+        assert shift is not None
+        count = len({own[k].specimen for k in shared})
+        return Leader(name, best, other, 100.0 * float(errors[first]), shift, count)
+    return None
+
+
+def same_results(compared: Sequence[Compared]) -> list[tuple[Variant, Variant]]:
+    """Give variants that measured exactly what an earlier one did, each with that one."""
+    found: list[tuple[Variant, Variant]] = []
+    for place, one in enumerate(compared):
+        for earlier in compared[:place]:
+            a, b = one.figures, earlier.figures
+            if a and b and not one.failure and _results(a) == _results(b):
+                found.append((one.variant, earlier.variant))
+                break
+    return found
+
+
+def _results(figures: Figures) -> tuple[object, ...]:
+    estimates = {name: {k: one.estimate for k, one in of.items()} for name, of in figures.values.items()}
+    return estimates, {(one.product, one.given) for one in figures.graded}, figures.refused
 
 
 def choices_of(compared: Sequence[Compared], terms: Terms) -> list[Choice]:

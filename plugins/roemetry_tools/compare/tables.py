@@ -20,9 +20,16 @@ from rich.text import Text
 from roemetry.config.recipe_file import StageChoices
 from roemetry.html.plots import share
 from roemetry_tools.compare.aggregate import Errors
-from roemetry_tools.compare.agreement import Interval, Shift
+from roemetry_tools.compare.agreement import Interval, Shift, Terms
 from roemetry_tools.compare.grading import Reliability
-from roemetry_tools.compare.ranking import Compared, Standing
+from roemetry_tools.compare.ranking import (
+    PRODUCTS_ENOUGH,
+    Compared,
+    Leader,
+    Standing,
+    leader_of,
+    same_results,
+)
 from roemetry_tools.compare.stripes import CentreScore, CodingScore
 
 Value = float | int | str | None
@@ -315,6 +322,48 @@ def across_table(found: Sequence[AcrossSets]) -> Table:
         difference = "" if math.isnan(one.difference) else f"{one.difference:.3g}"
         table.add_row(Text(one.variant), Text(one.figure, style), *cells, Text(difference, style))
     return table
+
+
+def first_lines_of(compared: Sequence[Compared], terms: Terms, without_truth: str) -> list[str]:
+    """Write who is ahead, by how much and whether that is sure; then what need not have been compared."""
+    leader = leader_of(compared, terms)
+    if leader is not None:
+        said = [_led(leader)]
+        if leader.specimens < PRODUCTS_ENOUGH:
+            said.append(
+                f"warning: {leader.specimens} products; with fewer than {PRODUCTS_ENOUGH} differences and "
+                "intervals say little of products to come"
+            )
+    elif len(compared) < 2:
+        said = ["no winner: there is one variant"]
+    else:
+        said = [f"no winner: {without_truth or 'no two variants differ on the same products'}"]
+    for one in compared:
+        said += [
+            f"`{name}` was left out: it comes to the same recipe as `{one.variant.name}`"
+            for name in one.variant.left_out
+        ]
+    said += [
+        f"`{one.name}` measured exactly what `{other.name}` did: what they differ in decides nothing here"
+        for one, other in same_results(compared)
+    ]
+    return said
+
+
+def _led(leader: Leader) -> str:
+    what = {"visible_mm3": "visible volume", "true_mm3": "true volume", "mass_g": "weight"}[leader.figure]
+    value, (low, high) = leader.lead
+    margin = (
+        f"{value:.2f} % smaller than that of `{leader.other.name}` (95 % interval {low:.2f} to {high:.2f} %)"
+    )
+    error = f"mean absolute error of the {what} {leader.error_pct:.2f} %, {margin}"
+    if leader.is_sure:
+        return f"winner: `{leader.best.name}`: {error}; {leader.specimens} products are enough to tell"
+    needed = f"; about {leader.specimens_needed} may be" if leader.specimens_needed else ""
+    return (
+        f"no clear winner; ahead is `{leader.best.name}`: {error}; {leader.specimens} products are not "
+        f"enough to tell{needed}"
+    )
 
 
 def verdicts_of(compared: Sequence[Compared], tolerance_pct: float | None) -> list[str]:

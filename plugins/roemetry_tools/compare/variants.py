@@ -76,6 +76,8 @@ class Variant:
     settings: Mapping[str, str]
     recipe: Recipe | None
     fault: str = ""
+    left_out: tuple[str, ...] = ()
+    """Names of combinations that come to this recipe, too."""
 
 
 def make_variants(
@@ -96,7 +98,7 @@ def make_variants(
     _check_options(axes, base, registry)
     own = {axis.key: _value(base, axis) for axis in axes}
     variants = [Variant(0, AS_IT_IS, own, base)]
-    known: set[object] = {base.sha256}
+    known: dict[object, int] = {base.sha256: 0}
     for values in product(*(axis.values for axis in axes)):
         every = list(zip(axes, values, strict=True))
         uses = {axis.key: value for axis, value in every if axis.is_stage}
@@ -106,8 +108,12 @@ def make_variants(
         variant = _variant(path, sets, chosen, changed, kept, registry)
         same = tuple(variant.settings.items()) if variant.recipe is None else variant.recipe.sha256
         if same not in known:
-            known.add(same)
+            known[same] = len(variants)
             variants.append(replace(variant, number=len(variants)))
+            continue
+        first = variants[known[same]]
+        asked = ", ".join(f"{axis.key}={value}" for axis, value in every)
+        variants[first.number] = replace(first, left_out=(*first.left_out, asked))
     return tuple(variants)
 
 

@@ -20,7 +20,7 @@ from roemetry_tools.compare.data import Data
 from roemetry_tools.compare.grading import Recall, Reliability
 from roemetry_tools.compare.ranking import Compared, Standing, choices_of
 from roemetry_tools.compare.score import Pair, Scored
-from roemetry_tools.compare.tables import GROUPS, centre_figures, coding_shares, to_csv
+from roemetry_tools.compare.tables import GROUPS, centre_figures, coding_shares, first_lines_of, to_csv
 from roemetry_tools.compare.variants import Variant
 
 ITEMS, SUMMARY, TABLE, PAGE = "items.jsonl", "comparison.json", "comparison.csv", "comparison.html"
@@ -86,6 +86,7 @@ def described(
     libraries = ("numpy", "numba", "opencv-contrib-python-headless")
     told = {
         "roemetry_comparison": 1,
+        "answer": first_lines_of(compared, terms, data.without_truth),
         "roemetry_version": version("roemetry"),
         "began": began.isoformat(timespec="seconds"),
         "command": shlex.join(["roemetry", *command]) if command else "",

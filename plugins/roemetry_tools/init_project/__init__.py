@@ -11,7 +11,7 @@ import re
 import shutil
 import unicodedata
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -23,6 +23,13 @@ from roemetry_tools.init_project.layout import Answers, Layout, lay_out
 
 _SEED = 1  # any: the same folder each time
 _DATA = "data"
+
+
+Step = Callable[[str], AbstractContextManager[Callable[[int, int], None]]]
+
+
+def _silent(_: str) -> AbstractContextManager[Callable[[int, int], None]]:
+    return nullcontext(lambda done, of: None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,11 +51,12 @@ def start_like(
     *,
     items: int = 3,
     jobs: int = 1,
-    on_progress: Callable[[int, int], None] = lambda done, of: None,
+    step: Step = _silent,
 ) -> Started:
     """Begin from a shipped line: its recipe, rig, calibration and scene, and products drawn anew.
 
-    The folder must be empty or not there yet. `on_progress` is called with (images done, of how many).
+    The folder must be empty or not there yet. `step` is entered with the name of each step that takes time,
+    and gives what is called with (images done, of how many).
 
     Raises
     ------
@@ -66,7 +74,8 @@ def start_like(
     )
     with _all_or_nothing(folder):
         written = _write(folder, texts)
-        _simulate(folder, items, "none", jobs, on_progress)
+        with step("simulating products") as shown:
+            _simulate(folder, items, "none", jobs, shown)
     return Started(folder, written, items, None)
 
 
@@ -76,18 +85,26 @@ def start_own(
     *,
     items: int = 3,
     jobs: int = 1,
-    on_progress: Callable[[int, int], None] = lambda done, of: None,
+    step: Step = _silent,
+    tell: Callable[[str], None] = lambda said: None,
 ) -> Started:
     """Begin with an own product: a rig that can measure it, products like it, and a calibration of that rig.
 
     Parameters and errors as of `start_like`; ConfigurationError where no such rig measures the product.
+    `tell` is called with what can be looked at before all is done.
     """
     layout = lay_out(answers)
     _check_empty(folder)
     with _all_or_nothing(folder):
         written = _write(folder, texts_of(answers, layout, items))
-        _simulate(folder, items, "charuco", jobs, on_progress)
-        written = (*written, _calibrate(folder))
+        with step("simulating products") as shown:
+            _simulate(folder, items, "none", jobs, shown)
+        if items:
+            tell(f"to look at already: {folder / _DATA / 'images'}")
+        with step("simulating calibration images") as shown:
+            _simulate(folder, items, "charuco", jobs, lambda done, of: shown(done - items, of - items))
+        with step("calibrating"):
+            written = (*written, _calibrate(folder))
     return Started(folder, written, items, layout)
 
 
@@ -95,7 +112,8 @@ def texts_of(answers: Answers, layout: Layout, items: int) -> dict[str, str]:
     """Give the files of an own product by name."""
     told = {"answers": asdict(answers), "rig": asdict(layout), "alike": _alike(answers), "items": items}
     return {
-        name: _text(f"{name}.j2", **told) for name in ("scene.yaml", "rig.yaml", "recipe.yaml", "README.md")
+        name: _text(f"{name}.j2", **told)
+        for name in ("scene.yaml", "rig.yaml", "board.yaml", "block.yaml", "recipe.yaml", "README.md")
     }
 
 
@@ -158,7 +176,7 @@ def _simulate(
     from roemetry.run.simulate import simulate
 
     given: dict[str, Any] = {"count": items, "seed": _SEED, "jobs": jobs, "calibration": views}
-    simulate(Scene.load(folder), folder / _DATA, **given, on_progress=on_progress)
+    simulate(Scene.load(folder), folder / _DATA, **given, resume=True, on_progress=on_progress)
 
 
 def _calibrate(folder: Path) -> Path:

@@ -43,9 +43,9 @@ def plan(
     ] = False,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
-    """Say what a rig will give before it is built: view, height range, uncertainty, slopes, stripes.
+    """Say what a rig will give before it is built: whether it measures the product, and how well.
 
-    The scene file describes the rig as for `roemetry simulate`; what lies on its belt does not matter.
+    The scene file describes rig and product as for `roemetry simulate`.
     """
     import json
     import shlex
@@ -72,6 +72,9 @@ def _show(name: str, plan: Plan, path: Path | None) -> None:
     from rich.console import Console
 
     console = Console()
+    if plan.answer is not None:
+        for line in (plan.answer.text, *(f"  or: {change}" for change in plan.answer.changes[1:])):
+            console.print(line, highlight=False, markup=False, soft_wrap=True)
     console.print(_figures(name, plan))
     for table in plan.tables:
         if table.name == "check":

@@ -13,6 +13,7 @@ from roemetry.errors import StageError
 from roemetry.records.calibration import Alignment
 from roemetry.testing.scenes import LinearRig, moved_rig
 from roemetry_coding.belt_lines import BeltLines
+from roemetry_coding.torn_frames import tear_of
 
 HOME = Path(__file__).parents[3] / "recipes" / "herring_roe"
 NOTHING = np.zeros((4, 4))
@@ -42,6 +43,14 @@ def test_a_plane_that_moved_alone_is_named(rng: np.random.Generator) -> None:
     found = BeltLines().align(rig.peaks(x_px).peaks, rig.calibration(), moved_rig)
     said = [reason.text for reason in found.reasons if reason.code == "stripe-moved"]
     assert len(said) == 1 and "5 (+0." in said[0]
+
+
+def test_a_plane_that_moved_far_refuses_the_frame(rng: np.random.Generator) -> None:
+    rig = LinearRig()
+    x_px = rig.rest_px() + rng.normal(0.0, 0.1, (rig.stripes, rig.rows))
+    x_px[4] -= 2.2
+    with pytest.raises(StageError, match=r"moved against the others on the belt: 5 \(-2\.[12]"):
+        BeltLines().align(rig.peaks(x_px).peaks, rig.calibration(), moved_rig)
 
 
 def test_a_rig_of_another_calibration_is_refused(rng: np.random.Generator) -> None:
@@ -99,6 +108,17 @@ def test_a_frame_that_lost_rows_is_refused_and_says_where(lost_rows: int, rng: n
     BeltLines().align(rig.peaks(x_px).peaks, rig.calibration(), moved_rig)
     with pytest.raises(StageError, match="between the rows 69 and 70"):
         BeltLines().align(rig.peaks(torn).peaks, rig.calibration(), moved_rig)
+
+
+def test_a_frame_that_begins_anew_on_the_belt_is_refused(rng: np.random.Generator) -> None:
+    rig = LinearRig()
+    rest = rig.rest_px() + 0.01 * np.arange(rig.rows)
+    x_px = rest + rng.normal(0.0, 0.05, rest.shape)
+    torn = np.concatenate([x_px[:, :150], x_px[:, : rig.rows - 150]], axis=1)
+    lines, start = np.ascontiguousarray(rest.T), rig.peaks(torn).peaks
+    assert tear_of(rig.peaks(x_px).peaks.row_start, rig.peaks(x_px).peaks.x_px, lines, 12.0) is None
+    found = tear_of(start.row_start, start.x_px, lines, 12.0)
+    assert found is not None and found.row == 149 and abs(found.jump_px - 1.5) < 0.1
 
 
 def test_a_step_that_the_stripes_cross_one_after_another_is_no_tear(rng: np.random.Generator) -> None:

@@ -33,27 +33,33 @@ def caller(x):
 
 """
 RUN = """
+import os
+from roemetry_kernels import kernel_cache
+if "ROEMETRY_TEST_READ_ONLY" in os.environ:  # permissions do not stop a superuser
+    kernel_cache.BesideSource.from_function = classmethod(lambda cls, py_func, py_file: None)
 from roemetry_made.caller import caller
 print(caller(2.0), sum(caller.stats.cache_hits.values()))
 """
 
 
-def started(folder: Path) -> subprocess.Popen[str]:
+def started(folder: Path, **env: str) -> subprocess.Popen[str]:
     path = os.pathsep.join([str(folder), str(PLUGINS)])
     return subprocess.Popen(
-        [sys.executable, "-c", RUN], stdout=subprocess.PIPE, text=True, cwd=folder,
-        env={**os.environ, "PYTHONPATH": path, "PYTHONDONTWRITEBYTECODE": "1"},
+        [sys.executable, "-c", RUN], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=folder,
+        env={**os.environ, "PYTHONPATH": path, "PYTHONDONTWRITEBYTECODE": "1", **env},
     )  # fmt: skip
 
 
-def ran(folder: Path) -> list[str]:
-    return said(started(folder))
-
-
-def said(process: subprocess.Popen[str]) -> list[str]:
-    out = process.communicate()[0].split()
-    assert process.returncode == 0
+def ran(folder: Path, **env: str) -> list[str]:
+    out, warned = said(started(folder, **env))
+    assert warned == ""
     return out
+
+
+def said(process: subprocess.Popen[str]) -> tuple[list[str], str]:
+    out, warned = process.communicate()
+    assert process.returncode == 0, warned
+    return out.split(), warned
 
 
 @pytest.fixture
@@ -77,7 +83,46 @@ def test_a_kernel_is_kept_and_made_anew_when_a_callee_or_its_constant_changes(pa
 
 def test_of_processes_that_start_together_one_compiles(package: Path) -> None:
     processes = [started(package.parent) for _ in range(3)]
-    assert sorted(said(process) for process in processes) == [["7.0", "0"], ["7.0", "1"], ["7.0", "1"]]
+    assert sorted(said(process)[0] for process in processes) == [["7.0", "0"], ["7.0", "1"], ["7.0", "1"]]
+
+
+@pytest.mark.parametrize("ending", ["nbi", "nbc"])
+def test_what_is_damaged_on_disk_is_compiled_anew_and_said_once(package: Path, ending: str) -> None:
+    assert ran(package.parent) == ["7.0", "0"]
+    kept = sorted((package / "__pycache__").glob(f"*.{ending}"))
+    assert len(kept) == 2
+    for path in kept:
+        path.write_bytes(path.read_bytes()[:40])
+    out, warned = said(started(package.parent))
+    assert out == ["7.0", "0"]
+    assert "is damaged" in warned
+    assert warned.count("KernelCacheWarning:") == 1
+    assert ran(package.parent) == ["7.0", "1"]
+
+
+def test_what_another_processor_made_stands_aside(package: Path) -> None:
+    assert ran(package.parent, NUMBA_CPU_NAME="generic", NUMBA_CPU_FEATURES="") == ["7.0", "0"]
+    assert ran(package.parent) == ["7.0", "0"]
+    assert ran(package.parent, NUMBA_CPU_NAME="generic", NUMBA_CPU_FEATURES="") == ["7.0", "1"]
+
+
+def test_kernels_installed_in_a_folder_that_cannot_be_written_are_used_from_home(package: Path) -> None:
+    assert ran(package.parent) == ["7.0", "0"]
+    home = package.parent / "home"
+    # nothing can be written beside the source
+    out, warned = said(started(package.parent, XDG_CACHE_HOME=str(home), ROEMETRY_TEST_READ_ONLY="1"))
+    assert (out, warned) == (["7.0", "1"], "")
+    assert len(list(home.rglob("*.nbc"))) == 2
+
+
+def test_where_nothing_can_be_written_kernels_run_all_the_same_and_it_is_said_once(package: Path) -> None:
+    (package / "__pycache__").write_text("a file, where numba would make a folder")
+    out, warned = said(
+        started(package.parent, XDG_CACHE_HOME=str(package / "__init__.py"), NUMBA_CACHE_DIR="")
+    )
+    assert out == ["7.0", "0"]
+    assert "are not kept" in warned
+    assert warned.count("KernelCacheWarning:") == 1
 
 
 def test_who_waited_long_enough_compiles_for_himself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,18 +1,28 @@
-"""The dominant peak, against rows worked by hand and against the paper's search written out with lists."""
+"""The paper's extractors against rows worked by hand, and against the paper's words written out."""
 
 import math
+import xml.etree.ElementTree as ElementTree
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from roemetry.errors import DataError
 from roemetry.records import EDGE, SATURATED, Frame
-from roemetry_paper.dominant_peak import DominantPeak, DominantPeakOptions
+from roemetry_paper.dominant_peak import (
+    BinaryThreshold,
+    BinaryThresholdOptions,
+    DominantPeak,
+    DominantPeakOptions,
+    LocalMaximum,
+    LocalMaximumOptions,
+)
 
 STARTS = ("fixed", "lowest")
+ROW = st.lists(st.integers(0, 255), min_size=3, max_size=60)
+both_starts = pytest.mark.parametrize("start", STARTS)
 
 
 def frame_of(rows, dtype=np.uint8, bit_depth=None):
@@ -27,10 +37,18 @@ def peaks_of(row, start="fixed", threshold=100.0):
     return DominantPeak(options).extract(frame_of(row)).x_px.astype(int).tolist()
 
 
-def through(*points, columns=None):
+def runs(row, threshold=128.0):
+    return BinaryThreshold(BinaryThresholdOptions(threshold=threshold)).extract(frame_of(row))
+
+
+def maxima(row, floor=0.0):
+    return LocalMaximum(LocalMaximumOptions(floor=floor)).extract(frame_of(row))
+
+
+def through(*points):
     """A row that goes in straight lines through (x, grey level) points."""
     x, level = zip(*points, strict=True)
-    return np.interp(np.arange((columns or x[-1]) + 1), x, level).round().astype(np.uint8)
+    return np.interp(np.arange(x[-1] + 1), x, level).round().astype(np.uint8)
 
 
 def search(row, threshold, start_rule):
@@ -45,8 +63,7 @@ def search(row, threshold, start_rule):
     for end in [x for x in minima if x > maxima[0]] + [last]:
         if start_rule == "lowest":
             # The lowest valley so far, but not one behind a higher peak that only waits for its end.
-            between = [x for x in minima if start < x < end and row[x] < row[start]]
-            for valley in between:
+            for valley in [x for x in minima if start < x < end and row[x] < row[start]]:
                 if row[valley] < row[start]:
                     start = valley
         candidates = [x for x in maxima if start < x < end]
@@ -86,76 +103,41 @@ FIGURE_8 = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("start", STARTS)
+@both_starts
 def test_figure_8_has_the_dominant_peaks_p2_p4_p6_p8(start):
     row = through(*FIGURE_8.values())
     assert peaks_of(row, start) == [FIGURE_8[name][0] for name in ("P2", "P4", "P6", "P8")]
 
 
-def test_the_last_pixel_of_a_plateau_is_the_peak():
-    assert peaks_of([0, 0, 50, 255, 255, 255, 50, 0, 0]) == [5]
+@pytest.mark.parametrize(
+    ("row", "fixed", "lowest"),
+    [
+        ([0, 0, 50, 255, 255, 255, 50, 0, 0], [5], [5]),  # the last pixel of a plateau
+        ([0, 0, 200, 190, 200, 190, 0, 0], [2], [2]),  # of separate equal maxima the leftmost
+        ([10, 10, 10, 150, 240, 200, 120, 60], [4], [4]),  # without a minimum it ends at the last pixel
+        ([10, 10, 10, 150, 240, 200, 180, 140], [], []),  # not fallen far enough there
+        ([20, 20, 120, 20, 20], [], []),  # a threshold that is just met is not exceeded
+        ([20, 20, 121, 20, 20], [2], [2]),
+        ([20, 20, 121, 21, 21], [], []),
+        ([200, 0, 0, 0, 200], [], []),  # first and last column are not searched
+        # a step on the slope (at 100) is a minimum; the second stripe exceeds it by 60 only
+        ([0, 0, 120, 240, 100, 100, 40, 0, 0, 0, 80, 160, 80, 0, 0], [3], [3, 11]),
+        # a bright left border
+        (through((0, 180), (10, 20), (20, 20), (25, 240), (30, 20), (45, 20), (50, 240), (55, 20), (60, 20)),
+         [], [25, 50]),
+    ],
+)  # fmt: skip
+def test_rows_worked_by_hand(row, fixed, lowest):
+    assert [peaks_of(row, start) for start in STARTS] == [fixed, lowest]
 
 
-def test_of_separate_equal_maxima_the_leftmost_is_the_peak():
-    assert peaks_of([0, 0, 200, 190, 200, 190, 0, 0]) == [2]
-
-
-def test_bright_left_border_loses_the_stripe_by_the_paper_and_not_with_lowest():
-    row = through((0, 180), (10, 20), (20, 20), (25, 240), (30, 20), (45, 20), (50, 240), (55, 20), (60, 20))
-    assert peaks_of(row, "fixed") == []
-    assert peaks_of(row, "lowest") == [25, 50]
-
-
-def test_a_step_on_the_slope_raises_the_start_by_the_paper_and_not_with_lowest():
-    # The first pixel of the step (at 100) is a minimum; the second stripe exceeds it by 60 only.
-    row = [0, 0, 120, 240, 100, 100, 40, 0, 0, 0, 80, 160, 80, 0, 0]
-    assert peaks_of(row, "fixed") == [3]
-    assert peaks_of(row, "lowest") == [3, 11]
-
-
-@pytest.mark.parametrize("start", STARTS)
-def test_a_row_that_ends_without_a_minimum_ends_at_its_last_pixel(start):
-    assert peaks_of([10, 10, 10, 150, 240, 200, 120, 60], start) == [4]
-    # Not fallen far enough at the last pixel: no peak.
-    assert peaks_of([10, 10, 10, 150, 240, 200, 180, 140], start) == []
-
-
-@pytest.mark.parametrize("start", STARTS)
-def test_a_threshold_that_is_just_met_is_not_exceeded(start):
-    assert peaks_of([20, 20, 120, 20, 20], start) == []
-    assert peaks_of([20, 20, 121, 20, 20], start) == [2]
-    assert peaks_of([20, 20, 121, 21, 21], start) == []
-
-
-@pytest.mark.parametrize("start", STARTS)
-def test_first_and_last_row_and_column_are_not_searched(start):
-    stripe = [0, 0, 200, 0, 0]
-    pixels = np.array([stripe] * 4, np.uint8)
-    peaks = DominantPeak(DominantPeakOptions(start=start)).extract(Frame(pixels))
-    assert peaks.row.tolist() == [1, 2]
-    assert peaks_of([200, 0, 0, 0, 200], start) == []
-
-
-@pytest.mark.parametrize("start", STARTS)
+@both_starts
 def test_every_column_but_the_border_can_hold_a_peak(start):
     columns = 70  # more than two of the kernel's blocks
     for x in range(1, columns - 1):
         row = np.zeros(columns, np.uint8)
         row[x] = 200
         assert peaks_of(row, start) == [x]
-
-
-@pytest.mark.parametrize("start", STARTS)
-@pytest.mark.parametrize("level", [0, 77, 255])
-def test_a_frame_of_one_grey_level_has_no_peaks(start, level):
-    peaks = DominantPeak(DominantPeakOptions(start=start)).extract(Frame(np.full((9, 40), level, np.uint8)))
-    assert len(peaks) == 0
-    assert peaks.image_size == (9, 40)
-
-
-@pytest.mark.parametrize("shape", [(1, 1), (1, 50), (50, 1), (2, 2), (3, 2), (3, 3)])
-def test_frames_with_little_or_no_inside_are_no_error(shape):
-    assert len(DominantPeak().extract(Frame(np.zeros(shape, np.uint8)))) == 0
 
 
 def random_rows(count, columns, seed):
@@ -172,7 +154,7 @@ def random_rows(count, columns, seed):
     return np.concatenate([noise, steps, walks, stripes]).astype(np.uint8)
 
 
-@pytest.mark.parametrize("start", STARTS)
+@both_starts
 def test_twenty_thousand_random_rows_agree_with_the_search_in_words(start):
     rows = random_rows(20_000, 50, seed=20)
     peaks = DominantPeak(DominantPeakOptions(start=start)).extract(frame_of(rows))
@@ -183,7 +165,7 @@ def test_twenty_thousand_random_rows_agree_with_the_search_in_words(start):
             assert found == hysteresis(row, 100), row
 
 
-@settings(deadline=None, max_examples=400)
+@settings(max_examples=400)
 @given(
     st.lists(st.sampled_from([0, 1, 20, 99, 100, 101, 120, 121, 200, 254, 255]), min_size=3, max_size=45),
     st.sampled_from([0, 1, 20, 100, 154]),
@@ -193,93 +175,169 @@ def test_any_row_agrees_with_the_search_in_words(row, threshold, start):
     assert peaks_of(row, start, threshold) == search(row, threshold, start)
 
 
-@pytest.mark.parametrize("start", STARTS)
-def test_sixteen_bits_find_what_eight_bits_find(start):
+@pytest.mark.parametrize(
+    "extractor",
+    [
+        *(DominantPeak(DominantPeakOptions(start=start)) for start in STARTS),
+        BinaryThreshold(),
+        LocalMaximum(),
+    ],
+    ids=["fixed", "lowest", "binary", "maxima"],
+)
+def test_more_bits_find_what_eight_bits_find(extractor):
+    """100 levels of 8 bits are 1605.9 of 12: between 16 times 100 and 16 times 101."""
     rows = random_rows(2_000, 60, seed=21)
-    extractor = DominantPeak(DominantPeakOptions(start=start))
     eight = extractor.extract(frame_of(rows))
     sixteen = extractor.extract(frame_of(rows.astype(np.uint16) * 257, np.uint16))
-    twelve = extractor.extract(frame_of(rows.astype(np.uint16) * 16, np.uint16, bit_depth=12))
-    np.testing.assert_array_equal(eight.row, sixteen.row)
-    np.testing.assert_array_equal(eight.x_px, sixteen.x_px)
-    np.testing.assert_array_equal(eight.flags, sixteen.flags)
+    assert len(eight) > 50
+    for name in ("row", "x_px", "flags"):
+        np.testing.assert_array_equal(getattr(eight, name), getattr(sixteen, name))
     np.testing.assert_allclose(sixteen.amplitude, 257 * eight.amplitude, atol=0)
     np.testing.assert_allclose(sixteen.width_px, eight.width_px, atol=1e-9)  # px
-    # 100 levels of 8 bits are 1605.9 of 12: between 16 times 100 and 16 times 101.
-    np.testing.assert_array_equal(eight.x_px, twelve.x_px)
-
-
-@pytest.mark.parametrize("start", STARTS)
-def test_brightness_offset_changes_the_background_only(start):
-    rows = random_rows(2_000, 60, seed=22) // 2
-    extractor = DominantPeak(DominantPeakOptions(start=start, threshold=50.0))
-    dark, bright = extractor.extract(frame_of(rows)), extractor.extract(frame_of(rows + 100))
-    np.testing.assert_array_equal(dark.x_px, bright.x_px)
-    np.testing.assert_array_equal(dark.amplitude, bright.amplitude)
-    np.testing.assert_allclose(dark.width_px, bright.width_px, atol=1e-9)  # px
-    np.testing.assert_array_equal(dark.background + 100, bright.background)
-
-
-def test_strided_pixels_give_the_same_peaks():
-    rows = random_rows(400, 60, seed=23)
-    wide = np.zeros((rows.shape[0], 120), np.uint8)
-    wide[:, ::2] = rows
-    straight, strided = DominantPeak().extract(Frame(rows)), DominantPeak().extract(Frame(wide[:, ::2]))
-    np.testing.assert_array_equal(straight.x_px, strided.x_px)
+    if isinstance(extractor, DominantPeak):
+        twelve = extractor.extract(frame_of(rows.astype(np.uint16) * 16, np.uint16, bit_depth=12))
+        np.testing.assert_array_equal(eight.x_px, twelve.x_px)
 
 
 def test_more_peaks_than_room_was_made_for():
     # 64 peaks a row have room at first; here every second pixel is one.
-    row = np.tile([0, 200], 150)
-    peaks = DominantPeak().extract(frame_of([row] * 5))
+    peaks = DominantPeak().extract(frame_of([np.tile([0, 200], 150)] * 5))
     assert len(peaks) == 5 * 149
     assert (np.diff(peaks.row_start)[1:-1] == 149).all()
 
 
 def test_measures_of_a_triangle():
     # Rises by 20 from 20 to 220 and falls by 40 to 60: half of 160 above 60 is 140, met at 6.0 and 12.0.
-    row = [20, *range(20, 221, 20), 180, 140, 100, 60, 60, 60]
-    peaks = DominantPeak().extract(frame_of(row))
+    peaks = DominantPeak().extract(frame_of([20, *range(20, 221, 20), 180, 140, 100, 60, 60, 60]))
     assert peaks.x_px.tolist() == [11.0]
-    assert peaks.background.tolist() == [60.0]
-    assert peaks.amplitude.tolist() == [160.0]
+    assert (peaks.background[0], peaks.amplitude[0], peaks.flags[0]) == (60.0, 160.0, 0)
     assert peaks.width_px[0] == pytest.approx(13.0 - 7.0, abs=1e-12)
     assert math.isnan(peaks.x_std_px[0])
-    assert peaks.flags.tolist() == [0]
 
 
-def test_width_of_a_gaussian_stripe_is_that_of_its_half_height():
-    sigma_px, x = 3.0, np.arange(80)
-    row = (20 + 200 * np.exp(-0.5 * ((x - 40) / sigma_px) ** 2)).round()
-    peaks = DominantPeak().extract(frame_of(row))
-    assert peaks.x_px.tolist() == [40.0]
-    assert peaks.width_px[0] == pytest.approx(2 * math.sqrt(2 * math.log(2)) * sigma_px, abs=0.03)  # px
-
-
-def test_saturated_and_edge_are_flagged():
+@pytest.mark.parametrize("extractor", [BinaryThreshold(), LocalMaximum(), DominantPeak()])
+def test_saturated_edge_and_the_rows_that_are_searched(extractor):
     row = np.zeros(40, np.uint8)
     row[[2, 3, 20, 36, 37]] = [200, 0, 255, 0, 200]
-    flags = DominantPeak().extract(frame_of(row)).flags.tolist()
-    assert flags == [EDGE, SATURATED, EDGE]
+    assert extractor.extract(frame_of(row)).flags.tolist() == [EDGE, SATURATED, EDGE]
     twelve = frame_of(row.astype(np.uint16) * 16, np.uint16, bit_depth=12)
-    assert not (DominantPeak().extract(twelve).flags & SATURATED).any()  # 4080 of 4095
+    assert not (extractor.extract(twelve).flags & SATURATED).any()  # 4080 of 4095
+    peaks = extractor.extract(Frame(np.tile(np.array([0, 0, 0, 200, 0, 0, 0], np.uint8), (5, 1))))
+    assert peaks.row.tolist() == [1, 2, 3]
+    assert peaks.x_px.tolist() == [3.0, 3.0, 3.0]
 
 
-def test_colour_is_refused_with_what_to_do():
-    with pytest.raises(DataError, match=r"colours.*\n.*channel"):
-        DominantPeak().extract(Frame(np.zeros((5, 5, 3), np.uint8), name="a.png"))
+def test_one_peak_in_the_middle_of_each_run():
+    peaks = runs([0, 0, 0, 200, 220, 200, 0, 0, 130, 250, 0, 0, 0, 140, 0, 0, 0])
+    assert peaks.x_px.tolist() == [4.0, 8.5, 13.0]
+    assert peaks.amplitude.tolist() == [220.0, 250.0, 140.0]
+    assert np.isnan(peaks.x_std_px).all()
+    assert peaks.flags.tolist() == [0, 0, 0]
 
 
-def test_grey_levels_beyond_the_bit_depth_are_refused():
-    frame = Frame(np.full((5, 5), 5000, np.uint16), bit_depth=12, name="a.png")
-    with pytest.raises(DataError, match=r"5000.*12.*4095"):
-        DominantPeak().extract(frame)
+def test_a_run_cut_by_the_border_is_flagged_and_one_that_fills_the_row_is_none():
+    peaks = runs([200, 200, 200, 200, 0, 0, 0, 200, 0, 0, 0, 200, 200, 200, 200])
+    assert peaks.x_px.tolist() == [2.0, 7.0, 12.0]
+    assert peaks.flags.tolist() == [EDGE, 0, EDGE]
+    assert runs([200] * 20 + [0] * 20).flags.tolist() == [EDGE]
+    assert len(runs([200] * 40)) == 0
 
 
-def test_options_are_bounded():
+@settings(max_examples=300)
+@given(ROW, st.integers(0, 255))
+def test_runs_agree_with_plain_python(row, threshold):
+    above = [level > threshold for level in row[1:-1]]
+    expected, first = [], None
+    for x, high in enumerate([*above, False], start=1):
+        if high and first is None:
+            first = x
+        elif not high and first is not None:
+            expected.append((first + x - 1) / 2)
+            first = None
+    assert runs(row, threshold).x_px.tolist() == ([] if all(above) else expected)
+
+
+def test_maxima_worked_by_hand():
+    # A plateau (last pixel), a step on a slope (its last pixel, amplitude 0), a single pixel.
+    peaks = maxima([0, 0, 90, 90, 50, 50, 20, 10, 30, 10, 10])
+    assert peaks.x_px.tolist() == [3.0, 5.0, 8.0]
+    assert peaks.amplitude.tolist() == [40.0, 0.0, 20.0]
+    assert peaks.background.tolist() == [50.0, 50.0, 10.0]
+    assert math.isnan(peaks.width_px[1])
+    assert peaks.width_px[2] == pytest.approx(1.0, abs=1e-12)  # px
+
+
+@settings(max_examples=300)
+@given(ROW, st.sampled_from([0, 1, 100, 255]))
+def test_maxima_agree_with_the_definition_and_widths_with_a_walk_outwards(row, floor):
+    inner = range(1, len(row) - 1)
+    there = [x for x in inner if row[x + 1] - row[x] < 0 and row[x] - row[x - 1] >= 0 and row[x] >= floor]
+    peaks = maxima(row, floor)
+    assert peaks.x_px.tolist() == there
+    fine = np.linspace(0, len(row) - 1, 200 * (len(row) - 1) + 1)
+    level = np.interp(fine, np.arange(len(row)), row)
+    for x, width, half in zip(
+        peaks.x_px, peaks.width_px, peaks.background + 0.5 * peaks.amplitude, strict=True
+    ):
+        if not math.isnan(width):
+            below = fine[level < half - 1e-9]
+            expected = below[below > x].min() - below[below < x].max()
+            assert width == pytest.approx(expected, abs=0.011)  # px: two steps of the grid
+
+
+def test_the_papers_figures_7_and_9_can_be_made_again(tmp_path, capsys):
+    figures = pytest.importorskip("benchmarks.paper_figures", reason="only in a checkout")
+    x = np.arange(120)
+    row = sum(peak * np.exp(-0.5 * ((x - at) / 2.0) ** 2) for peak, at in ((240, 20), (150, 60), (110, 100)))
+    cv2.imwrite(str(tmp_path / "a & b.png"), np.tile(row.round().astype(np.uint8), (50, 1)))
+    figures.main([str(tmp_path / "a & b.png"), "--row", "20", "--out", str(tmp_path / "out")])
+    printed = capsys.readouterr().out
+    assert "threshold A (200)          1: 20" in printed
+    assert "threshold C (40)           3: 20, 60, 100" in printed
+    assert "dominant peak (by 100)     3: 20, 60, 100" in printed
+    svg = ElementTree.parse(tmp_path / "out" / "figure_7.svg").getroot()
+    assert len(svg.findall("{http://www.w3.org/2000/svg}g")) == 5
+    # Four pictures of 120 × 50 px with 8 px beside them and a caption below.
+    assert cv2.imread(str(tmp_path / "out" / "figure_9.png")).shape == (50 + 8 + 34, 4 * (120 + 16), 3)
+    with pytest.raises(SystemExit):
+        figures.main([str(tmp_path / "a & b.png"), "--row", "0", "--out", str(tmp_path / "out")])
+
+
+def stripes_on(ground, height, rng):
+    """(row, column) three stripes 40 px apart, the last one at 60 % of the height, with noise."""
+    x = np.arange(160)
+    light = sum(h * np.exp(-0.5 * ((x - c) / 2.0) ** 2) for h, c in ((1.0, 30), (1.0, 70), (0.6, 110)))
+    level = ground + height * light + rng.normal(0.0, 1.0, (80, 160))
+    return Frame(np.clip(np.rint(level), 0, 255).astype(np.uint8))
+
+
+@pytest.mark.parametrize(("ground", "height"), [(10.0, 40.0), (10.0, 200.0), (90.0, 120.0)])
+@pytest.mark.parametrize(
+    ("extractor", "within_px"),
+    [  # whole pixels, with noise
+        (DominantPeak(DominantPeakOptions(threshold="auto")), 2.0),
+        (BinaryThreshold(BinaryThresholdOptions(threshold="auto")), 2.0),
+        (LocalMaximum(LocalMaximumOptions(floor="auto")), 4.0),
+    ],
+)
+def test_an_automatic_threshold_finds_stripes_of_any_brightness(extractor, within_px, ground, height, rng):
+    peaks = extractor.extract(stripes_on(ground, height, rng))
+    assert np.abs(peaks.x_px[:, None] - [30, 70, 110]).min(axis=1).max() <= within_px
+    assert len(peaks) >= 3 * 78
+    if within_px < 4.0:
+        assert len(peaks) == 3 * 78
+
+
+def test_an_automatic_threshold_leaves_out_what_is_faint_beside_a_stripe():
+    row = np.full(60, 10)
+    row[30:33] = 150, 230, 150
+    row[40:43] = 20, 25, 20
+    frame = Frame(np.tile(row.astype(np.uint8), (20, 1)))
+    assert len(DominantPeak(DominantPeakOptions(threshold=8.0)).extract(frame)) == 2 * 18
+    assert DominantPeak(DominantPeakOptions(threshold="auto")).extract(frame).x_px.tolist() == [31.0] * 18
+
+
+@pytest.mark.parametrize("threshold", [-1.0, 256.0])
+def test_options_are_bounded(threshold):
     with pytest.raises(ValidationError):
-        DominantPeakOptions(threshold=-1.0)
-    with pytest.raises(ValidationError):
-        DominantPeakOptions(threshold=256.0)
-    assert DominantPeak().options.threshold == 100.0
-    assert DominantPeak().options.start == "fixed"
+        DominantPeakOptions(threshold=threshold)

@@ -35,38 +35,12 @@ def coded_share(stripes: StripeMap, x_px: np.ndarray) -> float:
     return float((stripes.seen[:, 1:-1] & visible).sum() / visible.sum())
 
 
-def test_a_dome_is_coded_whole_with_and_without_calibration(rig, rng) -> None:
+def test_a_dome_is_coded_whole_without_a_calibration(rig, rng) -> None:
     x_px = rig.x_px(rig.dome(12.0))
-    for calibration in (rig.calibration(), None):
-        stripes = WindowTracking().code(peaks_of(rig, x_px, rng), calibration)
-        assert wrong_points(stripes, x_px) == 0
-        assert coded_share(stripes, x_px) > 0.995
-        assert set(np.unique(stripes.product)) <= {NOTHING, BELT, 1}
-
-
-def test_an_untouched_stripe_is_belt(rig, rng) -> None:
-    stripes = WindowTracking().code(peaks_of(rig, rig.x_px(rig.dome()), rng), rig.calibration())
-    assert (stripes.product[0, 1:-1] == BELT).all()
-    assert (stripes.product[-1, 1:-1] == BELT).all()
-
-
-def test_a_displacement_past_the_neighbours_rest_line(rig, rng) -> None:
-    x_px = rig.x_px(rig.dome(25.0))  # 50 px at a spacing of 40
-    stripes = WindowTracking().code(peaks_of(rig, x_px, rng), rig.calibration())
+    stripes = WindowTracking().code(peaks_of(rig, x_px, rng), None)
     assert wrong_points(stripes, x_px) == 0
-    assert coded_share(stripes, x_px) > 0.95
-
-
-def test_a_smooth_wedge_of_slope_one_half_is_product(rig, rng) -> None:
-    """No step, no break: only the rest line tells where the belt ends."""
-    row = np.arange(rig.rows)
-    height = np.clip(0.5 * rig.mm_per_px * np.minimum(row - 60, 180 - row), 0.0, None)
-    heights = np.where(np.isin(np.arange(rig.stripes), (2, 3, 4))[:, None], height, 0.0)
-    x_px = rig.x_px(heights)
-    stripes = WindowTracking().code(peaks_of(rig, x_px, rng), rig.calibration())
-    higher_than_1_mm = heights > 1.0
-    assert (stripes.product[higher_than_1_mm] == 1).mean() > 0.99
-    assert (stripes.product[heights == 0.0] == BELT).mean() > 0.97
+    assert coded_share(stripes, x_px) > 0.995
+    assert set(np.unique(stripes.product)) <= {NOTHING, BELT, 1}
 
 
 def test_the_papers_follower_takes_the_wedge_for_belt(rig, rng) -> None:
@@ -77,14 +51,6 @@ def test_the_papers_follower_takes_the_wedge_for_belt(rig, rng) -> None:
     literal = WindowTracking(WindowTrackingOptions(belt="interruption"))
     stripes = literal.code(peaks_of(rig, x_px), rig.calibration())
     assert any(reason.code == "literal-coding" for reason in stripes.reasons)
-
-
-def test_a_hidden_body_shifts_nothing(rig, rng) -> None:
-    heights = rig.dome(12.0)
-    x_px = rig.x_px(heights)
-    x_px[1, heights[1] > 1.0] = np.nan
-    stripes = WindowTracking().code(peaks_of(rig, x_px, rng), rig.calibration())
-    assert wrong_points(stripes, x_px) == 0
 
 
 def test_the_papers_order_is_shifted_by_a_hidden_body(rig, rng) -> None:
@@ -106,14 +72,6 @@ def test_a_missing_stripe_costs_only_itself(rig, rng) -> None:
     assert wrong_points(stripes, x_px) == 0
     assert coded_share(stripes, x_px) > 0.99
     assert "stripe 4" in stripes.reasons[0].text
-
-
-def test_a_mirrored_rig_is_coded_alike(rig, rng) -> None:
-    mirrored = replace(rig, px_per_mm=-rig.px_per_mm)
-    x_px = mirrored.x_px(mirrored.dome(12.0))
-    stripes = WindowTracking().code(peaks_of(mirrored, x_px, rng), mirrored.calibration())
-    assert wrong_points(stripes, x_px) == 0
-    assert coded_share(stripes, x_px) > 0.99
 
 
 def test_short_gaps_are_bridged_by_straight_lines_and_long_ones_are_not(rig) -> None:
@@ -222,26 +180,16 @@ def test_never_wrong_on_random_domes_with_holes(rig, seed: int, height: float, h
     assert stripes.peak_stripe.min() >= AMBIGUOUS
 
 
-def test_a_body_on_its_neighbours_rest_line_where_that_belt_ends(rig, rng) -> None:
+@pytest.mark.parametrize(("low", "high"), [(20.0, 20.0), (19.0, 21.5)])
+def test_a_body_on_its_neighbours_rest_line_where_that_belt_ends(rig, rng, low, high) -> None:
     """At a displacement of one spacing (20 mm here) a body runs straight on from its neighbour's belt."""
     heights = np.zeros((rig.stripes, rig.rows))
-    heights[1:5, 80:160] = 20.0
-    x_px = rig.x_px(heights)
-    x_px[5, 80:160] = np.nan  # its light falls on the product's side, which the camera cannot see
-    found = peaks_of(rig, x_px, rng)
-    stripes = WindowTracking().code(found, rig.calibration())
-    assert wrong_points(stripes, x_px) == 0
-    assert "unexplained-gap" in {reason.code for reason in stripes.reasons}
-
-
-def test_a_body_that_crosses_its_neighbours_rest_line_slowly(rig, rng) -> None:
-    row = np.arange(rig.rows)
-    heights = np.zeros((rig.stripes, rig.rows))
-    heights[1:5, 80:160] = np.interp(row[80:160], [80, 160], [19.0, 21.5])
+    heights[1:5, 80:160] = np.linspace(low, high, 80)
     x_px = rig.x_px(heights)
     x_px[5, 80:160] = np.nan  # its light falls on the product's side, which the camera cannot see
     stripes = WindowTracking().code(peaks_of(rig, x_px, rng), rig.calibration())
     assert wrong_points(stripes, x_px) == 0
+    assert low < high or "unexplained-gap" in {reason.code for reason in stripes.reasons}
 
 
 def test_a_stripe_seen_twice_while_another_is_hidden_is_not_believed(rig, rng) -> None:

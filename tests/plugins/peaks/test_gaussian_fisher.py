@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from roemetry_peaks.fisher_scoring import CLIPPED, FAILED, FITTED, fit_peaks
+from roemetry_peaks.fisher_scoring import CLIPPED, FAILED, FITTED, Gaussians, PeakNoise, fit_peaks
 from roemetry_peaks.smoothed_peaks import neighbours
 from roemetry_peaks.speckle_noise import CAUSES, residual_products
 
@@ -27,14 +27,19 @@ def fit(
     image: np.ndarray, start: np.ndarray, contrast: float, rho: float, white: float = 65535.0
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(peak, 3) fits, (peak,) standard uncertainties, states; the light beside is known."""
-    peaks = start.shape[0]
-    x_px, amplitude, sigma_px = (column.copy() for column in start.T)
-    std, speckled, state = np.empty(peaks), np.empty(peaks), np.empty(peaks, np.uint8)
-    fit_peaks(
-        image, white, np.arange(peaks), x_px, amplitude, sigma_px, np.full(peaks, 100.0), np.zeros(peaks),
-        VARIANCE, np.zeros(peaks), GAIN, np.full(peaks, contrast**2), rho, std, speckled, state,
-    )  # fmt: skip
-    return np.column_stack([x_px, amplitude, sigma_px]), std, state
+    found = fit_peaks(image, white, on_light(start), noise_of(start, contrast, rho))
+    return np.column_stack(found[:3]), found.x_std_px, found.state
+
+
+def on_light(peaks: np.ndarray) -> Gaussians:
+    """The (peak, 3) centres, heights, σ, one a row, on light of 100 grey levels."""
+    count = len(peaks)
+    return Gaussians(np.arange(count), *peaks.T.copy(), np.full(count, 100.0), np.zeros(count))
+
+
+def noise_of(peaks: np.ndarray, contrast: float, rho: float) -> PeakNoise:
+    """The noise that `profiles` draws."""
+    return PeakNoise(VARIANCE, GAIN, rho, np.full(len(peaks), contrast**2), np.zeros(len(peaks)))
 
 
 def jacobian(fitted: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -110,18 +115,8 @@ def test_expected_products_are_those_of_whole_matrices(rng: np.random.Generator)
     contrast = 0.1
     image, truth = profiles(rng, contrast, 6)
     fitted, _, state = fit(image, truth, contrast, 0.0)
-    beside = np.full(6, 100.0), np.zeros(6)
-    products = residual_products(
-        image,
-        65535.0,
-        np.arange(6),
-        *fitted.T.copy(),
-        *beside,
-        np.full(6, VARIANCE),
-        GAIN,
-        np.full(6, contrast**2),
-        state,
-    )
+    known = noise_of(fitted, contrast, 0.0)
+    products = residual_products(image, 65535.0, on_light(fitted), known, state)
     for p in range(6):
         at, m, j = jacobian(fitted[p])
         mu, r = m + 100, image[p, at] - 100.0 - m

@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 from roemetry_kernels.compiling import kernel
 from roemetry_kernels.image_levels import plain_layout
-from roemetry_peaks.peak_scan import Area, stripe_tops
+from roemetry_peaks.peak_scan import stripe_tops
+from roemetry_peaks.searching import Area
 
 
 def in_words(row, threshold):

@@ -7,8 +7,9 @@ from roemetry_kernels.compiling import float_kernel
 from roemetry_kernels.image_levels import plain_layout
 from roemetry_peaks.gaussian import gaussian_centres
 from roemetry_peaks.log_parabola import log_parabola_centres, logarithms
-from roemetry_peaks.peak_scan import Area, stripe_tops
+from roemetry_peaks.peak_scan import stripe_tops
 from roemetry_peaks.peak_window import Stripes, stripes_around
+from roemetry_peaks.searching import Area
 
 SENSOR = 1.08, 0.0255  # variance of a black pixel, grey levels per electron
 

@@ -146,7 +146,7 @@ def test_a_moving_belt_gives_its_travel(rng) -> None:
         name: np.concatenate(
             [getattr(exact.corners, name), getattr(replace(carried, xy_px=xy.reshape(-1, 2)), name)]
         )
-        for name in ("pose", "board_mm", "xy_px", "counts")
+        for name in ("pose", "board_mm", "xy_px", "counts", "board")
     }
     corners = type(exact.corners)(**both)
     start = replace(moving, travel=np.zeros(3))

@@ -23,15 +23,15 @@ RIG = SimulatedRig(1600.0, 350.0, tilt_deg=(6.0, -4.0), lens=(-0.2, 0.1, 0.0, 0.
 def joint_of(seen: Shown, stray_share: float = 0.0) -> Joint:
     free = unknowns_of(seen.geometry, free_camera=np.arange(CAMERA) < 9, planes=True, belt=True, travel=False)
     measured = Measured(seen.geometry, free, seen.corners, seen.points, seen.feet, 0.03)
+    board = Board(
+        "b", "chessboard", 11, 8, pitch_mm=seen.corners.board_mm[1, 0] - seen.corners.board_mm[0, 0]
+    )
     views = []
     for pose in range(len(seen.geometry.shift)):
         mine = seen.corners.pose == pose
         marks = Marks(seen.corners.board_mm[mine], seen.corners.xy_px[mine], "", 2.0, 40.0)
-        views.append(BoardView(f"pose {pose}", marks, None, None, on_belt=False, count=np.nan))
+        views.append(BoardView(f"pose {pose}", marks, None, None, on_belt=False, count=np.nan, board=board))
     first = FirstCamera(seen.geometry.camera, views, seen.geometry.rotation, seen.geometry.shift)
-    board = Board(
-        "b", "chessboard", 11, 8, pitch_mm=seen.corners.board_mm[1, 0] - seen.corners.board_mm[0, 0]
-    )
     pose = np.arange(len(views))
     adjusted = measured.adjusted()
     return Joint(

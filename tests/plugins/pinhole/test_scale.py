@@ -15,7 +15,8 @@ from roemetry.testing import LinearRig
 from roemetry_pinhole.calibrator import PinholeCalibrator, PinholeCalibratorOptions
 from roemetry_pinhole.conformance import _image, _peaks, _pose, observed_of
 from roemetry_pinhole.pinhole_plane import lines_at_height, view_of
-from roemetry_pinhole.scale import check_scale, relative_of
+from roemetry_pinhole.prints import tolerance_of
+from roemetry_pinhole.scale import check_scale
 from tests.plugins.pinhole.solids_seen import over_balls
 
 FREE = PinholeCalibrator(PinholeCalibratorOptions(scale="free"))
@@ -128,7 +129,7 @@ def test_a_ruler_checks_the_print(seen, right) -> None:
         check_scale(right, replace(seen, ruler=Ruler(100.0, 103.0, 0.1)))
     fine = check_scale(right, replace(seen, ruler=Ruler(100.0, 100.05, 0.1)))["residuals"]
     assert fine["ruler_ratio"] == pytest.approx(1.0 / 1.0005, abs=1e-6)
-    std = np.hypot(0.1 / 100.05, relative_of(seen.board))
+    std = np.hypot(0.1 / 100.05, tolerance_of(seen.board))
     assert fine["ruler_ratio_std"] == pytest.approx(std, rel=1e-3)
 
 

@@ -186,10 +186,10 @@ def corners_of(geometry: Geometry, block: Block) -> Edges:
     """Four places on the edges of a block's top, where a camera sees them."""
     top = shape_of(block).faces[0]
     corners = np.column_stack([0.2 * top.corners_mm[:, 0], top.corners_mm[:, 1], np.full(4, top.plane[3])])
-    zero = np.zeros(4)
-    at = corner_residuals(geometry, Corners(zero.astype(np.int64), corners, np.zeros((4, 2)), zero))
+    zero, first = np.zeros(4), np.zeros(4, np.int64)
+    at = corner_residuals(geometry, Corners(first, corners, np.zeros((4, 2)), zero, first))
     planes = np.tile(top.plane, (4, 1)), top.walls[[0, 0, 1, 1]]
-    return Edges(zero.astype(np.int64), *planes, at.reshape(-1, 2), zero + 1.0)
+    return Edges(first, *planes, at.reshape(-1, 2), zero + 1.0)
 
 
 def test_derivatives_on_faces_and_edges_are_those_of_the_equations(rng) -> None:

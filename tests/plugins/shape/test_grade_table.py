@@ -40,7 +40,12 @@ def decided(
     mass_g: float, std_g: float = 0.1, label: str = "good", probability: float = math.nan, **more: Any
 ) -> Decision:
     grader = GradeTable(GradeTableOptions.model_validate({**TABLE, **more}))
-    return grader.decide(PRODUCT, None, Weight(Estimate(mass_g, std_g)), Grade(label, probability))
+    return grader.decide(PRODUCT, None, Weight(whole(mass_g, std_g)), Grade(label, probability))
+
+
+def whole(value: float, std: float) -> Estimate:
+    """Give an estimate whose uncertainty is stated in full."""
+    return Estimate(value, std, interval=(value - 2.0 * std, value + 2.0 * std))
 
 
 def test_the_first_class_that_fits_is_taken_and_every_step_has_a_reason() -> None:
@@ -76,9 +81,9 @@ def test_an_open_class_that_alone_is_left_is_taken() -> None:
     ]
     grader = GradeTable(GradeTableOptions.model_validate({"classes": classes, "std": {"dents": 0.1}}))
     grade = Grade("good", features={"dents": 0.0})
-    one = grader.decide(PRODUCT, None, Weight(Estimate(8.5, 0.305)), grade)
+    one = grader.decide(PRODUCT, None, Weight(whole(8.5, 0.305)), grade)
     assert one.label == "undecided"  # 1.65 · 0.305 g reaches both neighbours
-    one = grader.decide(PRODUCT, None, Weight(Estimate(8.5, 0.302)), grade)
+    one = grader.decide(PRODUCT, None, Weight(whole(8.5, 0.302)), grade)
     assert one.label == "middle"
     lone = [{"label": "A", "limits": {"weight_g": {"at_least": 8.0}}}, {"label": "B"}]
     grader = GradeTable(GradeTableOptions.model_validate({"classes": lone}))
@@ -108,7 +113,7 @@ def test_a_shape_must_be_sure(
 ) -> None:
     grader = GradeTable(GradeTableOptions.model_validate(TABLE))
     grade = Grade(label, probability, features)
-    assert grader.decide(PRODUCT, None, Weight(Estimate(30.0, 0.1)), grade).label == wanted
+    assert grader.decide(PRODUCT, None, Weight(whole(30.0, 0.1)), grade).label == wanted
 
 
 def test_size_colour_and_volume_are_asked_of_whoever_knows() -> None:
@@ -127,7 +132,7 @@ def test_size_colour_and_volume_are_asked_of_whoever_knows() -> None:
     grader = GradeTable(options)
     assert grader.needs() == {"volume"}
     seen = replace(PRODUCT, outline=Outline(1, np.zeros((4, 2)), features={"green_mean": 80.0}))
-    volume = replace(volume_of(9000.0), true_mm3=Estimate(9000.0, 90.0))
+    volume = replace(volume_of(9000.0), true_mm3=whole(9000.0, 90.0))
     grade = Grade("good", features={"length_mm": 51.0}, features_std={"length_mm": 0.3})
     decision = grader.decide(seen, volume, None, grade)
     assert decision.label == "A"
@@ -299,3 +304,27 @@ def test_faults_have_their_line(tmp_path: Path) -> None:
         ConfigurationError, match=r"recipe.yaml:15:7: .*there is a gap: no class takes weight_g"
     ):
         Recipe.load(path)
+
+
+@given(part=st.floats(0.0, 50.0), off=st.floats(-20.0, 20.0), std=st.none() | st.floats(0.1, 50.0))
+def test_a_part_of_the_uncertainty_proves_nothing_and_is_a_lower_bound(
+    part: float, off: float, std: float | None
+) -> None:
+    """Without an interval the table's own word counts, for no less than the part that is known."""
+    estimate = Estimate(20.0 + off, part or math.nan, {"model": part} if part else {})
+    grader = GradeTable(
+        GradeTableOptions.model_validate({**TABLE, "std": {} if std is None else {"weight_g": std}})
+    )
+    label = grader.decide(PRODUCT, None, Weight(estimate), Grade("good")).label
+    guard = 1.65 * max(part, std or 0.0)
+    if std is None:
+        assert label == "undecided"
+    elif label == "A":
+        assert off >= guard - 1e-9
+
+
+def test_a_weight_that_counts_the_air_below_proves_nothing() -> None:
+    reason = Reason("visible-taken-for-true", "the visible volume is weighed")
+    grader = GradeTable(GradeTableOptions.model_validate(TABLE))
+    decision = grader.decide(PRODUCT, None, Weight(whole(30.0, 0.1), (reason,)), Grade("good"))
+    assert decision.label == "undecided"

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -26,7 +28,9 @@ from roemetry_tools.compare.grading import (
     recalls_of,
     reliability_of,
 )
-from roemetry_tools.compare.ranking import choose_by_class, choose_by_error
+from roemetry_tools.compare.ranking import Compared, choose_by_class, choose_by_error
+from roemetry_tools.compare.tables import first_lines_of
+from roemetry_tools.compare.variants import Variant
 
 
 def values(estimates: list[float], true: float | None, each: int = 1) -> dict[str, PairedValue]:
@@ -43,6 +47,14 @@ def test_the_interval_of_a_mean_is_students(rng: np.random.Generator) -> None:
     low, high = Bootstrap([str(k) for k in range(400)], 1).interval(drawn[:, None], mean_of)
     half = t.ppf(0.975, 399) * drawn.std(ddof=1) / 20.0
     assert (low, high) == pytest.approx((drawn.mean() - half, drawn.mean() + half), abs=0.03)
+
+
+def test_an_interval_of_few_products_is_as_wide_as_students() -> None:
+    """Means drawn from twelve values scatter too little by √(11/12), and by what t is wider than normal."""
+    twelve = np.arange(12.0)
+    drawn = [Bootstrap([*"abcdefghijkl"], seed).interval(twelve[:, None], mean_of) for seed in range(20)]
+    half = t.ppf(0.975, 11) * twelve.std(ddof=1) / math.sqrt(12.0)
+    assert 0.5 * np.diff(drawn, axis=1).mean() == pytest.approx(half, rel=0.02)
 
 
 def test_intervals_hold_the_truth_as_often_as_they_say(rng: np.random.Generator) -> None:
@@ -71,7 +83,6 @@ def test_the_same_seed_gives_the_same_interval_and_one_specimen_none() -> None:
 def test_limits_of_agreement_are_bland_and_altmans(rng: np.random.Generator) -> None:
     differences = rng.normal(1.0, 2.0, 300)
     found = agreement_of(differences, [str(k) for k in range(300)], Terms())
-    assert found is not None
     spread = differences.std(ddof=1)
     assert found.limits_pct == pytest.approx(
         (differences.mean() - 1.96 * spread, differences.mean() + 1.96 * spread), abs=1e-9
@@ -93,7 +104,6 @@ def test_the_verdict_is_that_of_two_one_sided_tests(
     noise = rng.normal(0.0, 1.0, 50)
     differences = shift + noise - noise.mean()
     found = agreement_of(differences, [str(k) for k in range(50)], Terms(tolerance))
-    assert found is not None
     assert found.verdict == verdict
     half = t.ppf(0.95, 49) * differences.std(ddof=1) / math.sqrt(50)
     assert found.verdict_interval_pct == pytest.approx((shift - half, shift + half), abs=0.05)
@@ -101,19 +111,16 @@ def test_the_verdict_is_that_of_two_one_sided_tests(
 
 def test_fewer_than_five_products_decide_nothing() -> None:
     found = agreement_of(np.zeros(4), list("abcd"), Terms(50.0))
-    assert found is not None
     assert found.verdict == "undecided"
 
 
 def test_variants_are_compared_on_the_same_products_with_or_without_truth() -> None:
     mine, others = values([110.0, 220.0, 330.0], None), values([100.0, 200.0], None)
     found = against_each_other(mine, others, Terms())
-    assert found is not None
     assert (found.n, found.mean_pct) == (2, pytest.approx(200.0 * 10.0 / 210.0))
     assert against_truth(mine, Terms()) is None
     assert nearer(mine, others, Terms()) is None
     shift = nearer(values([102.0, 103.0], 100.0), values([105.0, 95.0], 100.0), Terms())
-    assert shift is not None
     assert shift.value == pytest.approx(-2.5)
 
 
@@ -137,10 +144,8 @@ def test_the_shift_of_balanced_accuracy_is_paired() -> None:
     same = {one.product: one for one in base}
     better = [one._replace(given=one.true) for one in base]
     shift = balanced_shift(better, same, Terms())
-    assert shift is not None
     assert shift.value == pytest.approx(0.05)
     none = balanced_shift(base, same, Terms())
-    assert none is not None
     assert (none.value, *none.interval) == (0.0, 0.0, 0.0)
 
 
@@ -149,13 +154,11 @@ def test_probabilities_that_mean_what_they_say_lie_on_the_line(rng: np.random.Ge
     right = rng.random(4000) < stated
     made = graded([("a", "a" if hit else "b", float(p)) for p, hit in zip(stated, right, strict=True)])
     found = reliability_of(made, Terms())
-    assert found is not None
     assert found.n == 4000
     assert found.excess.interval.low < 0.0 < found.excess.interval.high
     assert found.calibration_error < 0.03
     assert sum(one.right_interval.low <= one.stated <= one.right_interval.high for one in found.bins) >= 6
     sure = reliability_of([one._replace(probability=1.0) for one in made], Terms())
-    assert sure is not None
     assert sure.excess.interval.low > 0.3
     assert sure.brier == pytest.approx(1.0 - right.mean())
 
@@ -168,7 +171,6 @@ def test_the_choice_among_like_variants_flatters(rng: np.random.Generator) -> No
     """Twenty variants of pure chance: the best looks better than what it does on products held out."""
     made = {k: values(list(100.0 + rng.normal(0.0, 5.0, 40)), 100.0) for k in range(20)}
     found = choose_by_error("mass_g", made, Terms(folds=5, seed=2))
-    assert found is not None
     assert len(found.chosen) == 5
     assert found.held_out > found.seen
     assert choose_by_error("mass_g", {0: made[0]}, Terms()) is None
@@ -180,7 +182,6 @@ def test_all_of_a_specimen_is_in_one_fold() -> None:
     table = [("a" if k // 4 % 2 else "b", "a", 1.0) for k in range(80)]
     one, other = graded(table, 4), [g._replace(given="b") for g in graded(table, 4)]
     found = choose_by_class({3: one, 7: other}, Terms(folds=4))
-    assert found is not None
     assert found.best in (3, 7)
     assert found.seen == 0.5
     assert set(found.chosen) <= {3, 7}
@@ -197,6 +198,44 @@ def test_only_nothing_reads_as_nothing(value: float | None, words: str) -> None:
 @pytest.mark.filterwarnings("error")
 def test_one_specimen_measured_often_has_no_interval() -> None:
     found = agreement_of(np.array([1.0, 2.0, 3.0]), ["a", "a", "a"], Terms(tolerance_pct=5.0))
-    assert found is not None
     assert (found.n, found.specimens, found.mean_pct, found.verdict) == (3, 1, 2.0, "undecided")
     assert math.isnan(found.mean_interval_pct.low) and math.isnan(found.high_limit_interval_pct.high)
+
+
+def led(errors_pct: Sequence[float], lead: float, rng: np.random.Generator) -> list[Compared]:
+    """Two variants on products of true volume 100: the second is off by `lead` more on each."""
+    rows = []
+    for number, more in enumerate((0.0, lead)):
+        off = [e + more + 0.01 * float(rng.standard_normal()) for e in errors_pct]
+        values = {f"p{k}": PairedValue(100.0 + e, 100.0, f"p{k}", f"p{k}") for k, e in enumerate(off)}
+        figures = SimpleNamespace(
+            values={"visible_mm3": values, "true_mm3": {}, "mass_g": {}}, graded=(), refused=0, failed=False
+        )
+        rows.append(Compared(Variant(number, f"v{number}", {}, None), figures))  # type: ignore[arg-type]
+    return rows
+
+
+@pytest.mark.parametrize(
+    ("products", "lead", "says"),
+    [
+        (12, 1.0, "winner: `v0`: mean absolute error of the visible volume"),
+        (5, 1.0, "no clear winner; ahead is `v0`"),
+        (12, 1e-4, "products are not enough to tell"),
+    ],
+)
+def test_the_first_line_names_the_winner_only_where_the_products_tell(
+    products: int, lead: float, says: str, rng: np.random.Generator
+) -> None:
+    rows = led(np.linspace(0.5, 2.0, products).tolist(), lead, rng)
+    first, *more = first_lines_of(rows, Terms(), "")
+    assert says in first
+    assert any(line.startswith("warning") for line in more) is (products < 10)
+
+
+def test_variants_that_measured_the_same_are_named(rng: np.random.Generator) -> None:
+    one, _ = led([1.0, 2.0], 0.0, rng)
+    other = Compared(Variant(1, "v1", {}, None, left_out=("coder=planes",)), one.figures)
+    lines = first_lines_of([one, other], Terms(), "")
+    assert lines[0] == "no winner: no two variants differ on the same products"
+    assert "`coder=planes` was left out: it comes to the same recipe as `v1`" in lines
+    assert "`v1` measured exactly what `v0` did" in lines[-1]

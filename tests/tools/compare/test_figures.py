@@ -3,150 +3,113 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-from comparing_lines import COUNT, Counting, compared, names
 
 from roemetry.calibrating.known_products import read_labels
 from roemetry.config.dataset import Item
 from roemetry.errors import ConfigurationError, DataError
 from roemetry.records import Acquisition, Frame
-from roemetry.stages.registry import Registry, discover
+from roemetry.stages.registry import discover
 from roemetry_tools.compare.agreement import Terms
 from roemetry_tools.compare.comparison import compare
 from roemetry_tools.compare.data import Data, as_taken, labelled
 from roemetry_tools.compare.tables import flat
-from roemetry_tools.compare.variants import Variant, make_variants
+from roemetry_tools.compare.variants import make_variants
 from roemetry_tools.compare.write import ItemsFile, write_comparison
+from tests.tools.compare.conftest import COUNT, Counting
 
 
-def test_figures_are_those_the_truth_was_made_for(dataset: Callable[..., Path]) -> None:
+def variants_of(path: Path, *vary: str, sets=()):
+    return make_variants(path, vary, sets=sets, registry=discover())
+
+
+def test_figures_are_those_the_truth_was_made_for(dataset, compared) -> None:
     (one,) = compared(dataset())
     row = flat(one)
     assert row["volume_visible_bias_pct"] == pytest.approx(-100 / 11, abs=1e-9)
     assert row["volume_visible_mean_absolute_pct"] == pytest.approx(100 / 11, abs=1e-9)
     assert row["weight_bias_pct"] == pytest.approx(25.0, abs=1e-9)
-    assert row["volume_visible_n"] == row["weight_n"] == COUNT
+    assert row["volume_visible_n"] == row["weight_n"] == row["classes_n"] == COUNT
     assert row["volume_true_n"] is None
-    assert one.figures is not None
     assert one.figures.absent == {"true_mm3": "the data set knows the true volume of no product"}
-    assert row["classes_n"] == COUNT
     assert row["coding_right_pct"] == pytest.approx(100.0)
     assert row["centre_missed_pct"] == pytest.approx(100 * 14 / (7 * 240))  # the first and the last row
     assert row["centre_false_pct"] == 0.0
-    assert abs(float(row["centre_bias_px"] or 9)) < 0.05
+    assert abs(row["centre_bias_px"]) < 0.05
     assert row["time_frame_median_ms"] is not None
 
 
-def test_a_shifted_extractor_shows_its_shift(dataset: Callable[..., Path], registry: Registry) -> None:
-    base, shifted = (flat(one) for one in compared(dataset(), "extractor=shifted", registry=registry))
-    for group in ("centre", "centre_on_product"):
-        moved = float(shifted[f"{group}_bias_px"] or 0) - float(base[f"{group}_bias_px"] or 0)
-        assert moved == pytest.approx(0.3, abs=0.01)
+@pytest.mark.parametrize("turn_deg", [180, 90])
+def test_turned_images_are_judged_alike(dataset, compared, turn_deg: int) -> None:
+    row = flat(compared(dataset(turn_deg=turn_deg), sets=(f"source.turn_deg={turn_deg}",))[0])
+    assert row["coding_right_pct"] == pytest.approx(100.0)
+    assert abs(row["centre_bias_px"]) < 0.05
+    assert row["volume_visible_bias_pct"] == pytest.approx(-100 / 11, abs=1e-9)
 
 
-def test_shared_steps_are_done_once(dataset: Callable[..., Path], registry: Registry) -> None:
+def test_a_shifted_extractor_shows_its_shift(dataset, compared) -> None:
+    base, shifted = (flat(one) for one in compared(dataset(), "extractor=shifted"))
+    for figure in ("centre_bias_px", "centre_on_product_bias_px"):
+        assert shifted[figure] - base[figure] == pytest.approx(0.3, abs=0.01)
+
+
+def test_shared_steps_are_done_once_and_other_options_are_not_shared(dataset, compared) -> None:
+    path, counting = dataset(), "stages.extractor.use=counting"
     Counting.asked = 0
     found = compared(
-        dataset(),
+        path,
         "stages.weigher.options.density_g_per_cm3=1.0,1.2,1.4",
         "classifier=arc-curvature",
-        registry=registry,
-        sets=("stages.extractor.use=counting", "stages.extractor.options.threshold=60"),
+        sets=(counting, "stages.extractor.options.threshold=60"),
     )
-    assert len(found) == 4
     assert Counting.asked == COUNT
-    masses = {round(float(flat(one)["weight_bias_pct"] or 0), 6) for one in found}
-    assert len(masses) == 4
-    times = [one.figures.seconds["extractor"] for one in found if one.figures]
+    assert len({round(flat(one)["weight_bias_pct"], 6) for one in found}) == len(found) == 4
+    times = [one.figures.seconds["extractor"] for one in found]
     assert len({(time.n, time.median) for time in times}) == 1
-
-
-def test_other_options_are_not_shared(dataset: Callable[..., Path], registry: Registry) -> None:
     Counting.asked = 0
-    found = compared(
-        dataset(),
-        "stages.extractor.options.threshold=30,90",
-        registry=registry,
-        sets=("stages.extractor.use=counting",),
-    )
+    found = compared(path, "stages.extractor.options.threshold=30,90", sets=(counting,))
     assert Counting.asked == 3 * COUNT
     assert [one.variant.name for one in found] == ["recipe", "threshold=30", "threshold=90"]
 
 
-def test_a_failing_variant_is_a_row_and_not_the_end(dataset: Callable[..., Path], registry: Registry) -> None:
-    found = compared(
-        dataset(),
-        "volume=zero-order-hold,raising,costly",
-        "stages.extractor.options.threshold=60,-5",
-        registry=registry,
-    )
-    failures = {one.variant.name: one.failure for one in found}
-    assert failures["recipe"] == ""
-    assert "ZeroDivisionError: nothing to share" in failures["raising, threshold=60"]
-    assert (
-        "needs the module no_such_module; install it with `pip install it`"
-        in failures["costly, threshold=60"]
-    )
-    assert "--vary stages.extractor.options.threshold=-5: " in failures["threshold=-5"]
-    assert "expected greater than or equal to 0" in failures["threshold=-5"]
-    raising = next(one for one in found if one.variant.name == "raising, threshold=60")
-    assert raising.figures is not None
-    assert raising.figures.refused == COUNT
-    assert raising.figures.coding is not None
-    assert raising.figures.absent["visible_mm3"] == "nothing was given by the volume"
+def test_a_failing_variant_is_a_row_and_not_the_end(dataset, compared) -> None:
+    vary = ("volume=zero-order-hold,raising,costly", "stages.extractor.options.threshold=60,-5")
+    found = {one.variant.name: one for one in compared(dataset(), *vary)}
+    for name, says in {
+        "recipe": "",
+        "raising, threshold=60": "ZeroDivisionError: nothing to share",
+        "costly, threshold=60": "needs the module no_such_module; install it with `pip install it`",
+        "threshold=-5": "--vary stages.extractor.options.threshold=-5: ",
+    }.items():
+        assert says in found[name].failure
+        assert bool(found[name].failure) == bool(says)
+    assert "expected greater than or equal to 0" in found["threshold=-5"].failure
+    raising = found["raising, threshold=60"].figures
+    assert raising.refused == COUNT
+    assert raising.coding is not None
+    assert raising.absent["visible_mm3"] == "nothing was given by the volume"
 
 
-def test_numbers_are_the_same_for_any_number_of_processes(
-    dataset: Callable[..., Path], tmp_path: Path
-) -> None:
-    path = dataset(4)
-    items: list[str] = []
-    rows: list[list[dict[str, object]]] = []
+def test_numbers_are_the_same_for_any_number_of_processes(dataset, tmp_path: Path) -> None:
+    path, found = dataset(4), []
     for jobs in (1, 2):
-        variants = make_variants(path, ["extractor=local-maximum"], registry=discover())
-        assert variants[0].recipe is not None
+        variants = variants_of(path, "extractor=local-maximum")
         with ItemsFile(tmp_path / f"out{jobs}") as file:
-            found = compare(variants, Data(variants[0].recipe), jobs=jobs, on_scored=file.add)
-        rows.append([{k: v for k, v in flat(one).items() if not k.startswith("time_")} for one in found])
-        items.append((tmp_path / f"out{jobs}" / "items.jsonl").read_text("utf-8"))
-    assert items[0] == items[1]
-    assert rows[0] == rows[1]
+            rows = compare(variants, Data(variants[0].recipe), jobs=jobs, on_scored=file.add)
+        told = [{k: v for k, v in flat(one).items() if not k.startswith("time_")} for one in rows]
+        found.append((told, (tmp_path / f"out{jobs}" / "items.jsonl").read_text("utf-8")))
+    assert found[0] == found[1]
 
 
-def test_half_turned_images_are_judged_alike(dataset: Callable[..., Path]) -> None:
-    path = dataset(half_turned=True)
-    (folder := path.parent / "calibration.yaml").write_text(
-        folder.read_text("utf-8").replace("turn_deg: 0", "turn_deg: 180"), encoding="utf-8"
-    )
-    row = flat(compared(path, sets=("source.turn_deg=180",))[0])
-    assert row["coding_right_pct"] == pytest.approx(100.0)
-    assert abs(float(row["centre_bias_px"] or 9)) < 0.05
-    assert row["volume_visible_bias_pct"] == pytest.approx(-100 / 11, abs=1e-9)
-
-
-def test_truth_of_images_turned_by_a_quarter_is_that_of_the_turned_image(
-    dataset: Callable[..., Path],
-) -> None:
-    path = dataset(quarter_turned=True)
-    (folder := path.parent / "calibration.yaml").write_text(
-        folder.read_text("utf-8").replace("turn_deg: 0", "turn_deg: 90"), encoding="utf-8"
-    )
-    row = flat(compared(path, sets=("source.turn_deg=90",))[0])
-    assert row["coding_right_pct"] == pytest.approx(100.0)
-    assert abs(float(row["centre_bias_px"] or 9)) < 0.05
-
-
-def test_a_changed_image_is_refused(dataset: Callable[..., Path]) -> None:
+def test_a_changed_image_is_refused(dataset, compared) -> None:
     path = dataset()
     cv2.imwrite(str(path.parent / "images" / "p02.png"), np.zeros((240, 320), np.uint8))
     (one,) = compared(path)
-    assert one.figures is not None
     assert one.figures.refused == 1
     assert one.figures.causes[0].code == "changed"
     assert "p02.png: has changed since" in one.figures.causes[0].text
@@ -154,16 +117,15 @@ def test_a_changed_image_is_refused(dataset: Callable[..., Path]) -> None:
     assert flat(one)["classes_n"] == COUNT
 
 
-def test_without_a_data_set_there_are_times_and_a_reason(line: Callable[..., Path], tmp_path: Path) -> None:
-    variants = make_variants(line(2), ["extractor=local-maximum"], registry=discover())
-    assert variants[0].recipe is not None
+def test_without_a_data_set_there_are_times_and_a_reason(line, tmp_path: Path) -> None:
+    variants = variants_of(line(2), "extractor=local-maximum")
     data = Data(variants[0].recipe)
     with ItemsFile(tmp_path / "out") as file:
         found = compare(variants, data, on_scored=file.add)
     write_comparison(tmp_path / "out", found, data, terms=Terms(), began=datetime.now(UTC))
-    assert found[0].figures is not None
-    assert set(found[0].figures.absent) == {"visible_mm3", "true_mm3", "mass_g", "label", "centres", "coding"}
-    assert "there is no dataset.yaml" in found[0].figures.absent["visible_mm3"]
+    absent = found[0].figures.absent
+    assert set(absent) == {"visible_mm3", "true_mm3", "mass_g", "label", "centres", "coding"}
+    assert "there is no dataset.yaml" in absent["visible_mm3"]
     assert flat(found[0])["time_frame_median_ms"] is not None
     header = (tmp_path / "out" / "comparison.csv").read_text("utf-8").splitlines()[0]
     assert "bias" not in header
@@ -174,15 +136,12 @@ def test_without_a_data_set_there_are_times_and_a_reason(line: Callable[..., Pat
 
 def test_what_the_set_knows_of_an_image_counts() -> None:
     frame = Frame(np.zeros((2, 2), np.uint16), bit_depth=16)
-    item = Item("one", {}, time_s=2.0, bit_depth=10)
-    (known,) = as_taken(Acquisition("one", (frame,)), item).frames
+    (known,) = as_taken(Acquisition("one", (frame,)), Item("one", {}, time_s=2.0, bit_depth=10)).frames
     assert (known.white, known.time_s) == (1023, 2.0)
     assert np.isnan(known.encoder_count)
 
 
-def test_labels_count_instead_of_those_of_the_set(
-    dataset: Callable[..., Path], tmp_path: Path, roemetry: Callable[..., int]
-) -> None:
+def test_labels_count_instead_of_those_of_the_set(dataset, tmp_path: Path, roemetry) -> None:
     table = tmp_path / "labels.csv"
     table.write_text("id,label\np01,good\np02#1,dull\n", encoding="utf-8")
     assert roemetry(dataset(), "--labels", table, "--out", tmp_path / "out") == 0
@@ -192,75 +151,50 @@ def test_labels_count_instead_of_those_of_the_set(
     assert (classes["n"], classes["true"]) == (2, ["dull", "good"])
 
 
-def test_labels_make_classes_known_without_a_data_set(line: Callable[..., Path]) -> None:
-    variants = make_variants(line(2), [], registry=discover())
-    assert variants[0].recipe is not None
+def test_labels_make_classes_known_without_a_data_set(line) -> None:
+    variants = variants_of(line(2))
     (found,) = compare(variants, Data(variants[0].recipe, labels={"p01#1": "good"}))
-    assert found.figures is not None
-    assert found.figures.classes is not None
     assert found.figures.classes.n == 1
-    with pytest.raises(DataError, match="labels of what is not there: p77#1"):
-        Data(variants[0].recipe, labels={"p77#1": "good"})
+    for name in ("p77#1", "p01#", "p01#x", "p01#0", "p01#1#1"):
+        with pytest.raises(DataError, match=f"labels of what is not there: {name}"):
+            Data(variants[0].recipe, labels={name: "good"})
 
 
 def test_labels_without_a_data_set_keep_the_products_numbers() -> None:
     many = labelled(None, "a", {f"a#{number}": f"class {number}" for number in range(1, 12)})
-    assert many is not None
     assert [one.label for one in many.products] == [f"class {number}" for number in range(1, 12)]
     second = labelled(None, "a", {"a#2": "dull", "aa#1": "good"})
-    assert second is not None
     assert [one.label for one in second.products] == ["", "dull"]
     assert labelled(None, "a", {"b#1": "good"}) is None
 
 
-@pytest.mark.parametrize("name", ["p01#", "p01#x", "p01#0", "p01#1#1"])
-def test_a_label_of_no_products_number_is_told(line: Callable[..., Path], name: str) -> None:
-    recipe = make_variants(line(1), [], registry=discover())[0].recipe
-    assert recipe is not None
-    with pytest.raises(DataError, match=f"labels of what is not there: {name}"):
-        Data(recipe, labels={name: "good"})
-
-
 def test_a_product_that_is_labelled_twice_is_told(tmp_path: Path) -> None:
-    table = tmp_path / "labels.csv"
-    table.write_text("id,label\np01,good\np01,dull\n", encoding="utf-8")
+    (tmp_path / "labels.csv").write_text("id,label\np01,good\np01,dull\n", encoding="utf-8")
     with pytest.raises(DataError, match=r"labels.csv:3: p01 stands there a second time"):
-        read_labels(table)
+        read_labels(tmp_path / "labels.csv")
 
 
-def test_every_variant_stands_once_and_the_recipe_first(line: Callable[..., Path]) -> None:
-    made = make_variants(
-        line(1),
-        ["stages.extractor.options.threshold=15,60", "extractor=local-maximum,dominant-peak"],
-        registry=discover(),
-    )
-    assert names(made) == ["recipe", "local-maximum", "threshold=15"]
+def test_every_variant_stands_once_and_the_recipe_first(line) -> None:
+    vary = ("stages.extractor.options.threshold=15,60", "extractor=local-maximum,dominant-peak")
+    made = variants_of(line(1), *vary)
+    assert [variant.name for variant in made] == ["recipe", "local-maximum", "threshold=15"]
     assert made[0].settings == {"extractor": "dominant-peak", "stages.extractor.options.threshold": "60"}
-    local = made[1].recipe
-    assert local is not None
-    assert local.stages["extractor"].options == local.stages["extractor"].stage.Options()
+    local = made[1].recipe.stages["extractor"]
+    assert local.options == local.stage.Options()
 
 
-def test_what_is_said_of_the_product_stays_when_the_method_is_exchanged(line: Callable[..., Path]) -> None:
+def test_what_is_said_of_the_product_stays_when_the_method_is_exchanged(line) -> None:
     """The underside is the product's; the ends are the method's; another method's default may differ."""
-    own = (
-        "{use: slice-pchip, options: {ends: hold, underside: rounded, true_share: 0.9, true_share_std: 0.02}}"
-    )
-    path, known = line(1), discover()
-
-    def made(*vary: str) -> tuple[Variant, ...]:
-        return make_variants(path, vary, sets=[f"stages.volume={own}"], registry=known)
-
-    _, simpson, zero_order = made("volume=slice-simpson,zero-order-hold")
-    _, other, *_ = made("volume=slice-simpson", "stages.volume.options.true_share=0.8")
+    own = "{ends: hold, underside: rounded, true_share: 0.9, true_share_std: 0.02}"
+    path, sets = line(1), [f"stages.volume={{use: slice-pchip, options: {own}}}"]
+    _, simpson, zero_order = variants_of(path, "volume=slice-simpson,zero-order-hold", sets=sets)
+    shares = "stages.volume.options.true_share=0.8"
+    _, other, *_ = variants_of(path, "volume=slice-simpson", shares, sets=sets)
     assert simpson.name == "slice-simpson"
-    assert simpson.recipe is not None
     options = simpson.recipe.stages["volume"].options.model_dump()
-    assert options["underside"] == "rounded"
+    assert (options["underside"], options["ends"]) == ("rounded", "taper")
     assert (options["true_share"], options["true_share_std"]) == (0.9, 0.02)
-    assert options["ends"] == "taper"
     assert zero_order.fault == ""
-    assert other.recipe is not None
     assert other.recipe.stages["volume"].options.model_dump()["true_share"] == 0.8
 
 
@@ -282,8 +216,8 @@ def test_what_is_said_of_the_product_stays_when_the_method_is_exchanged(line: Ca
         ("stages.outliner.options.x=1", "the recipe has no outliner"),
     ],
 )
-def test_a_slip_in_vary_is_named(line: Callable[..., Path], vary: str, says: str) -> None:
+def test_a_slip_in_vary_is_named(line, vary: str, says: str) -> None:
     with pytest.raises(ConfigurationError) as caught:
-        make_variants(line(1), [vary], registry=discover())
+        variants_of(line(1), vary)
     assert says in str(caught.value)
     assert str(caught.value).startswith("--vary ")

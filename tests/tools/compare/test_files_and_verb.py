@@ -5,26 +5,23 @@ from __future__ import annotations
 import csv
 import json
 import shutil
-from collections.abc import Callable
 from html.parser import HTMLParser
-from pathlib import Path
 
 import pytest
-from comparing_lines import COUNT
+
+from tests.tools.compare.conftest import COUNT
 
 
-def test_verdicts_intervals_and_classes_reach_every_file(
-    dataset: Callable[..., Path],
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    roemetry: Callable[..., int],
-) -> None:
+def test_verdicts_intervals_and_classes_reach_every_file(dataset, tmp_path, capsys, roemetry) -> None:
     """A density 1.4 times as large is 33 % of the mean away, whatever the products."""
     path, out = dataset(6), tmp_path / "out"
     vary = "stages.weigher.options.density_g_per_cm3=1.54"
     words = [path, "--vary", vary, "--out", out, "--tolerance", "5", "--folds", "2", "--seed", "4"]
     assert roemetry(*words) == 0
-    assert "weight beside the recipe's, tolerance 5 %: different" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert printed.startswith("no clear winner; ahead is `recipe`: mean absolute error of the weight")
+    assert "warning: 6 products" in printed
+    assert "weight beside the recipe's, tolerance 5 %: different" in printed
     told = json.loads((out / "comparison.json").read_text("utf-8"))
     assert told["terms"] == {"tolerance_pct": 5.0, "folds": 2, "seed": 4, "resamples": 2000}
     figures = told["variants"][1]["figures"]
@@ -64,12 +61,7 @@ class Tags(HTMLParser):
         assert self.open.pop() == tag
 
 
-def test_command_line_and_files(
-    dataset: Callable[..., Path],
-    tmp_path: Path,
-    roemetry: Callable[..., int],
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_command_line_and_files(dataset, tmp_path, roemetry, capsys) -> None:
     path, out = dataset(), tmp_path / "out"
     words = [path, "--vary", "extractor=dominant-peak,local-maximum", "--data", path.parent, "--out", out]
     assert roemetry(*words) == 0
@@ -106,13 +98,7 @@ def test_command_line_and_files(
     assert "there is a comparison in this folder already" in capsys.readouterr().err
 
 
-def test_exit_codes(
-    dataset: Callable[..., Path],
-    tmp_path: Path,
-    roemetry: Callable[..., int],
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_exit_codes(dataset, tmp_path, roemetry, monkeypatch, capsys) -> None:
     path = dataset()
     monkeypatch.chdir(tmp_path)
     assert roemetry(path, "--vary", "extractor=nothing") == 2
@@ -124,12 +110,7 @@ def test_exit_codes(
     assert (tmp_path / "results" / "line-compare-1" / "comparison.html").exists()
 
 
-def test_figures_on_two_data_sets_stand_side_by_side(
-    dataset: Callable[..., Path],
-    tmp_path: Path,
-    roemetry: Callable[..., int],
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_figures_on_two_data_sets_stand_side_by_side(dataset, tmp_path, roemetry, capsys) -> None:
     """The second set's products are truly a tenth larger: only its volume disagrees."""
     path, other, out = dataset(6), tmp_path / "other", tmp_path / "out"
     shutil.copytree(path.parent, other)

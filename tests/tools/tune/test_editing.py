@@ -63,88 +63,62 @@ def test_nothing_wanted_changes_not_a_byte() -> None:
     assert edited(TEXT, "recipe.yaml", copy.deepcopy(BASE)) == TEXT
 
 
+ODD = "      # odd blanks and quotes stay"
+INDENT = "# a list at the key's own indent"
+EXTRACTOR = "stages__extractor__options__"
+WEIGHER = "    options: {density_g_per_cm3: 1.1}"
+THRESHOLD = "threshold: 15      # grey levels"
 CASES = {
     "a number": (
-        {"stages__extractor__options__threshold": 22.5},
-        ["      threshold: 15      # grey levels"],
-        ["      threshold: 22.5      # grey levels"],
+        {EXTRACTOR + "threshold": 22.5}, f"      {THRESHOLD}", f"      {THRESHOLD.replace('15', '22.5')}"
     ),
     "a value on one line": (
         {"source__turn_deg": 0},
-        ["source: {path: images, turn_deg: 90}   # one line"],
-        ["source: {path: images, turn_deg: 0}   # one line"],
+        "source: {path: images, turn_deg: 90}   # one line",
+        "source: {path: images, turn_deg: 0}   # one line",
     ),
-    "a quoted word": (
-        {"product": "a: b"},
-        ['product:   "eel"      # odd blanks and quotes stay'],
-        ['product:   "a: b"      # odd blanks and quotes stay'],
-    ),
+    "a quoted word": ({"product": "a: b"}, f'product:   "eel"{ODD}', f'product:   "a: b"{ODD}'),
     "a new option behind the others": (
-        {"stages__extractor__options__region": [0, 480, 0, 640]},
-        [],
-        ["      region: [0, 480, 0, 640]"],
+        {EXTRACTOR + "region": [0, 480, 0, 640]}, "", "      region: [0, 480, 0, 640]"
     ),
     "a new option within braces": (
         {"stages__weigher__options__density_std_g_per_cm3": 0.02},
-        ["    options: {density_g_per_cm3: 1.1}"],
-        ["    options: {density_g_per_cm3: 1.1, density_std_g_per_cm3: 0.02}"],
+        WEIGHER,
+        "    options: {density_g_per_cm3: 1.1, density_std_g_per_cm3: 0.02}",
     ),
     "an option of a stage in its short form": (
         {"stages__coder": {"use": "window-tracking", "options": {"margin_min": 0.3}}},
-        ["  coder: window-tracking   # short form"],
-        ["  coder: {use: window-tracking, options: {margin_min: 0.3}}   # short form"],
+        "  coder: window-tracking   # short form",
+        "  coder: {use: window-tracking, options: {margin_min: 0.3}}   # short form",
     ),
-    "an option taken away, nothing said of it": (
-        {"stages__extractor__options__start": ...},
-        ["      start: lowest"],
-        [],
-    ),
+    "an option taken away, nothing said of it": ({EXTRACTOR + "start": ...}, "      start: lowest", ""),
     "an option taken away with what was said of it": (
-        {"stages__extractor__options__threshold": ...},
-        ["      threshold: 15      # grey levels"],
-        ["      # threshold: 15      # grey levels"],
+        {EXTRACTOR + "threshold": ...}, f"      {THRESHOLD}", f"      # {THRESHOLD}"
     ),
     "all options taken away": (
         {"stages__extractor": {"use": "steger"}},
-        [
-            "    use: dominant-peak   # the paper's",
-            "    options:",
-            "      threshold: 15      # grey levels",
-            "      start: lowest",
-        ],
-        [
-            "    use: steger   # the paper's",
-            "    # options:",
-            "    #   threshold: 15      # grey levels",
-            "    #   start: lowest",
-        ],
+        f"    use: dominant-peak   # the paper's\n    options:\n      {THRESHOLD}\n      start: lowest",
+        f"    use: steger   # the paper's\n    # options:\n    #   {THRESHOLD}\n    #   start: lowest",
     ),
-    "the only option within braces": (
-        {"stages__weigher__options": {}},
-        ["    options: {density_g_per_cm3: 1.1}"],
-        ["    options: {}"],
-    ),
-    "a stage taken away": (
-        {"stages__weigher": ...},
-        ["  weigher:", "    use: density", "    options: {density_g_per_cm3: 1.1}"],
-        [],
-    ),
+    "the only option within braces": ({"stages__weigher__options": {}}, WEIGHER, "    options: {}"),
+    "a stage taken away": ({"stages__weigher": ...}, f"  weigher:\n    use: density\n{WEIGHER}", ""),
     "a list with comments in it": (
         {"sinks": ["csv"]},
-        ["sinks:", "- csv     # a list at the key's own indent", "- report"],
-        ["# a list at the key's own indent", "sinks: [csv]"],
+        f"sinks:\n- csv     {INDENT}\n- report",
+        f"{INDENT}\nsinks: [csv]",
     ),
-    "a new key at the end": ({"draws": 200}, [], ["draws: 200"]),
-}
+    "a new key at the end": ({"draws": 200}, "", "draws: 200"),
+}  # fmt: skip
+"""What is wanted, the lines that go, and those that come."""
 
 
 @pytest.mark.parametrize("case", CASES.values(), ids=list(CASES))
-def test_only_the_lines_that_are_wanted_change(case: tuple[dict[str, Any], list[str], list[str]]) -> None:
+def test_only_the_lines_that_are_wanted_change(case: tuple[dict[str, Any], str, str]) -> None:
     paths, gone, new = case
     wanted = changed(**paths)
     text = edited(TEXT, "recipe.yaml", wanted)
     assert parse(text, "recipe.yaml").data == wanted
-    assert lines_that_differ(text) == (gone, new)
+    assert lines_that_differ(text) == (gone.splitlines(), new.splitlines())
 
 
 def test_a_new_stage_stands_in_the_order_of_the_chain() -> None:
@@ -165,12 +139,12 @@ def test_line_ends_of_another_system_stay() -> None:
     assert edited(text, "r", wanted) == text.replace("threshold: 15 ", "threshold: 22 ")
 
 
-def test_a_text_without_a_last_line_end_can_grow() -> None:
-    assert edited("a: 1", "r", {"a": 1, "b": 2}) == "a: 1\nb: 2\n"
-
-
-def test_truth_is_not_one() -> None:
-    assert edited("a: 1\n", "r", {"a": True}) == "a: true\n"
+@pytest.mark.parametrize(
+    ("text", "wanted", "new"),
+    [("a: 1", {"a": 1, "b": 2}, "a: 1\nb: 2\n"), ("a: 1\n", {"a": True}, "a: true\n")],
+)
+def test_a_text_without_a_last_line_end_can_grow_and_truth_is_not_one(text, wanted, new) -> None:
+    assert edited(text, "r", wanted) == new
 
 
 def test_differences_are_told_with_both_values() -> None:

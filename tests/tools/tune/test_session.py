@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -18,12 +17,26 @@ from roemetry.records import AMBIGUOUS, SATURATED
 from roemetry.run.pipeline import Pipeline
 from roemetry.run.rows import measurements_of
 from roemetry.stages.registry import discover
+from roemetry_files.image_files import ImageFiles
+from roemetry_paper.density import Density
+from roemetry_paper.dominant_peak import DominantPeak
+from roemetry_paper.window_tracking import WindowTracking
 from roemetry_tools.tune.answer import packed, unpacked
 from roemetry_tools.tune.form import fields_of
 from roemetry_tools.tune.request import KINDS, StageRequest, TuneRequest
 from roemetry_tools.tune.session import Session
 
-DOME = StageRequest(use="dominant-peak", options={"threshold": "60"})
+
+def peaks(threshold: object = 60, **options: str) -> StageRequest:
+    return StageRequest(use="dominant-peak", options={"threshold": str(threshold), **options})
+
+
+PLAIN = StageRequest(use="dominant-peak")
+
+
+@pytest.fixture
+def session(line) -> Session:
+    return Session(line())
 
 
 def wish(session: Session, acquisition: str = "", **stages: StageRequest | None) -> TuneRequest:
@@ -40,18 +53,17 @@ def ask(session: Session, asked: TuneRequest) -> tuple[dict[str, Any], dict[str,
     return unpacked(session.answer(asked))
 
 
-def test_the_answer_is_what_the_pipeline_gives(line: Callable[..., Path]) -> None:
+def test_the_answer_is_what_the_pipeline_gives(line) -> None:
     path = line()
     session = Session(path)
     for threshold in (60, 90, 60):
-        changed = StageRequest(use="dominant-peak", options={"threshold": str(threshold)})
+        changed = peaks(threshold)
         header, arrays = ask(session, wish(session, "p02", extractor=changed))
         recipe = Recipe.load(path, sets=[f"stages.extractor.options.threshold={threshold}"])
         source = recipe.source.make()
         trace = Pipeline(recipe).trace(source.read(source.references(recipe.source_path)[1]))
         assert [row["id"] for row in header["rows"]] == [r.id for r in measurements_of(trace, recipe, {})]
         volume = trace.products[0].volume
-        assert volume is not None
         assert header["rows"][0]["volume"]["visible_mm3"]["value"] == volume.visible_mm3.value
         assert trace.peaks is not None and trace.stripes is not None and trace.profiles is not None
         assert np.array_equal(arrays["peaks.x_px"], trace.peaks.x_px.astype(np.float32))
@@ -63,12 +75,7 @@ def test_the_answer_is_what_the_pipeline_gives(line: Callable[..., Path]) -> Non
         assert header["acquisition"] == "p02"
 
 
-def test_only_stages_after_the_changed_one_run_again(
-    line: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from roemetry_paper.density import Density
-    from roemetry_paper.dominant_peak import DominantPeak
-
+def test_only_stages_after_the_changed_one_run_again(line, monkeypatch: pytest.MonkeyPatch) -> None:
     ran: list[str] = []
     for stage, verb in ((DominantPeak, "extract"), (Density, "weigh")):
         real = getattr(stage, verb)
@@ -93,98 +100,75 @@ def test_only_stages_after_the_changed_one_run_again(
     assert first["rows"][0]["volume"] == second["rows"][0]["volume"]
 
 
-def test_results_are_forgotten_in_time(line: Callable[..., Path]) -> None:
-    session = Session(line())
+def test_results_are_forgotten_in_time(session: Session) -> None:
     for threshold in range(20, 34):  # seven stages each
-        ask(
-            session,
-            wish(session, extractor=StageRequest(use="dominant-peak", options={"threshold": str(threshold)})),
-        )
+        ask(session, wish(session, extractor=peaks(threshold)))
     assert len(session._memory._kept) <= 64
 
 
-WRONG: dict[str, tuple[dict[str, StageRequest | None], tuple[Any, ...], str]] = {
-    "no number": (
-        {"extractor": StageRequest(use="dominant-peak", options={"threshold": "abc"})},
-        ("stages", "extractor", "options", "threshold"),
-        "number",
-    ),
-    "out of bounds": (
-        {"extractor": StageRequest(use="dominant-peak", options={"threshold": "256"})},
-        ("stages", "extractor", "options", "threshold"),
-        "255",
-    ),
+WRONG = {
+    "no number": ("extractor", peaks("abc"), "options.threshold", "number"),
+    "out of bounds": ("extractor", peaks(256), "options.threshold", "255"),
     "not YAML": (
-        {"extractor": StageRequest(use="steger", options={"region": "[0, 1"})},
-        ("stages", "extractor", "options", "region"),
+        "extractor",
+        StageRequest(use="steger", options={"region": "[0, 1"}),
+        "options.region",
         "not YAML",
     ),
-    "an unknown option": (
-        {"extractor": StageRequest(use="dominant-peak", options={"treshold": "20"})},
-        ("stages", "extractor", "options", "treshold"),
-        "did you mean `threshold`?",
-    ),
+    "an unknown option": ("extractor", peaks(treshold="20"), "options.treshold", "did you mean `threshold`?"),
     "an unknown plugin": (
-        {"extractor": StageRequest(use="dominant-pek")},
-        ("stages", "extractor", "use"),
+        "extractor",
+        StageRequest(use="dominant-pek"),
+        "use",
         "did you mean `dominant-peak`?",
     ),
     "a stage another one needs": (
-        {"triangulator": None},
-        ("stages", "volume"),
+        "triangulator",
+        None,
+        "volume",
         "it works on the result of the triangulator",
     ),
     "a file that is not there": (
-        {"outliner": StageRequest(use="edge-contour", options={"belt": "none.png"})},
-        ("stages", "outliner", "options", "belt"),
+        "outliner",
+        StageRequest(use="edge-contour", options={"belt": "none.png"}),
+        "options.belt",
         "there is no file",
     ),
-    "a stage that is missing what it needs": (
-        {"classifier": StageRequest(use="learned")},
-        ("stages", "classifier", "options", "model"),
-        "missing",
-    ),
+    "an option that is needed": ("classifier", StageRequest(use="learned"), "options.model", "missing"),
 }
 
 
-@pytest.mark.parametrize("case", WRONG.values(), ids=list(WRONG))
-def test_what_is_wrong_is_told_at_its_field(
-    case: tuple[dict[str, StageRequest | None], tuple[Any, ...], str], line: Callable[..., Path]
-) -> None:
-    stages, path, said = case
-    session = Session(line())
-    header, arrays = ask(session, wish(session, **stages))
+@pytest.mark.parametrize(("kind", "stage", "path", "said"), WRONG.values(), ids=list(WRONG))
+def test_what_is_wrong_is_told_at_its_field(session: Session, kind, stage, path: str, said: str) -> None:
+    header, arrays = ask(session, wish(session, **{kind: stage}))
     assert not arrays
-    told = {tuple(fault["path"]): fault["said"] for fault in header["faults"]}
-    assert said in told[path]
+    told = {".".join(map(str, fault["path"])): fault["said"] for fault in header["faults"]}
+    assert said in told[f"stages.{kind}.{path}" if stage else f"stages.{path}"]
     with pytest.raises(ConfigurationError):
-        session.save(wish(session, **stages))
+        session.save(wish(session, **{kind: stage}))
 
 
-def test_several_faults_are_told_at_once(line: Callable[..., Path]) -> None:
-    session = Session(line())
-    bad = StageRequest(use="dominant-peak", options={"threshold": "[1", "start": "sideways"})
+def test_several_faults_are_told_at_once(session: Session) -> None:
+    bad = peaks("[1", start="sideways")
     header, _ = ask(session, wish(session, extractor=bad))
     assert {fault["path"][-1] for fault in header["faults"]} == {"threshold", "start"}
 
 
-def test_a_source_without_images_is_told_at_its_path(line: Callable[..., Path]) -> None:
-    session = Session(line())
+def test_a_source_without_images_is_told_at_its_path(session: Session) -> None:
     header, _ = ask(session, TuneRequest(source={"path": "nowhere"}))
     assert header["faults"][0]["path"] == ["source", "path"]
     assert "there is no image here" in header["faults"][0]["said"]
 
 
-def test_a_stage_that_refuses_gives_its_reason_and_the_rest_stands(line: Callable[..., Path]) -> None:
-    session = Session(line())
-    blind = StageRequest(use="dominant-peak", options={"threshold": "250"})
+def test_a_stage_that_refuses_gives_its_reason_and_the_rest_stands(session: Session) -> None:
+    blind = peaks(250)
     header, arrays = ask(session, wish(session, extractor=blind))
     assert not header["faults"]
     assert header["absent"] or header["rows"][0]["reasons"]
     assert header["places"]["peaks"] == arrays["peaks.row"].size == 0
 
 
-def test_a_damaged_frame_is_told_and_the_others_can_be_looked_at(line: Callable[..., Path]) -> None:
+def test_a_damaged_frame_is_told_and_the_others_can_be_looked_at(line) -> None:
     path = line()
     (path.parent / "images" / "p02.png").write_bytes(b"not an image")
     session = Session(path)
@@ -193,7 +177,7 @@ def test_a_damaged_frame_is_told_and_the_others_can_be_looked_at(line: Callable[
     assert ask(session, wish(session, "p03"))[0]["acquisition"] == "p03"
 
 
-def test_gaps_are_those_that_were_cut(line: Callable[..., Path]) -> None:
+def test_gaps_are_those_that_were_cut(line) -> None:
     path = line(count=1)
     file = path.parent / "images" / "p01.png"
     image = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
@@ -206,7 +190,7 @@ def test_gaps_are_those_that_were_cut(line: Callable[..., Path]) -> None:
     assert all(gap["bridged"] for gap in gaps)
 
 
-def test_a_deep_image_is_shown_in_eight_bits(line: Callable[..., Path]) -> None:
+def test_a_deep_image_is_shown_in_eight_bits(line) -> None:
     path = line(count=1)
     file = path.parent / "images" / "p01.png"
     image = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
@@ -220,30 +204,30 @@ def test_a_deep_image_is_shown_in_eight_bits(line: Callable[..., Path]) -> None:
     assert session.picture("0" * 24) is None
 
 
-def test_saving_changes_the_value_keeps_comments_and_the_old_file(line: Callable[..., Path]) -> None:
+def test_saving_changes_the_value_keeps_comments_and_the_old_file(line) -> None:
     path = line()
     before = "# ours\n" + path.read_text("utf-8").replace("window-tracking", "window-tracking  # by order")
     path.write_text(before, "utf-8")
     session = Session(path)
-    changed = StageRequest(use="dominant-peak", options={"threshold": "75"})
+    changed = peaks(75)
     saved = session.save(wish(session, extractor=changed))
     after = path.read_text("utf-8")
     assert after == before.replace("threshold: 60", "threshold: 75")
     assert path.with_name(saved["old"]).read_text("utf-8") == before
     assert Recipe.load(path).stages["extractor"].options.threshold == 75  # type: ignore[attr-defined]
     assert ask(session, wish(session))[0]["changes"] == []
-    again = session.save(wish(session, extractor=DOME))
+    again = session.save(wish(session, extractor=peaks()))
     assert again["old"] == "", "what this session wrote itself is not kept again"
     assert path.read_text("utf-8") == before
     third = Session(path)
     assert third.save(wish(third, extractor=changed))["old"] == "recipe.yaml.old-2"
 
 
-def test_saving_under_another_name_leaves_the_recipe_alone(line: Callable[..., Path]) -> None:
+def test_saving_under_another_name_leaves_the_recipe_alone(line) -> None:
     path = line()
     before = path.read_text("utf-8")
     session = Session(path)
-    saved = session.save(wish(session, extractor=StageRequest(use="dominant-peak")), "softer")
+    saved = session.save(wish(session, extractor=PLAIN), "softer")
     assert (Path(saved["path"]).name, saved["old"]) == ("softer.yaml", "")
     assert path.read_text("utf-8") == before
     assert session.recipe()["name"] == "softer.yaml"
@@ -252,28 +236,25 @@ def test_saving_under_another_name_leaves_the_recipe_alone(line: Callable[..., P
 
 
 @pytest.mark.parametrize("name", ["../elsewhere.yaml", "/tmp/x.yaml", ".hidden", ".."])
-def test_a_name_that_leads_elsewhere_is_refused(name: str, line: Callable[..., Path]) -> None:
-    session = Session(line())
+def test_a_name_that_leads_elsewhere_is_refused(name: str, session: Session) -> None:
     with pytest.raises(ConfigurationError, match="not a file name"):
         session.save(wish(session), name)
 
 
-def test_a_file_changed_by_someone_else_is_not_overwritten(line: Callable[..., Path]) -> None:
+def test_a_file_changed_by_someone_else_is_not_overwritten(line) -> None:
     path = line()
     session = Session(path)
     path.write_text(path.read_text("utf-8") + "# mine\n", "utf-8")
     with pytest.raises(ConfigurationError, match="changed by someone else"):
-        session.save(wish(session, extractor=StageRequest(use="dominant-peak")))
+        session.save(wish(session, extractor=PLAIN))
     assert path.read_text("utf-8").endswith("# mine\n")
 
 
-def test_a_full_disk_leaves_the_recipe_as_it_was(
-    line: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_disk_leaves_the_recipe_as_it_was(line, monkeypatch: pytest.MonkeyPatch) -> None:
     path = line()
     before = path.read_bytes()
     session = Session(path)
-    asked = wish(session, extractor=StageRequest(use="dominant-peak"))
+    asked = wish(session, extractor=PLAIN)
 
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
@@ -288,27 +269,25 @@ def test_a_full_disk_leaves_the_recipe_as_it_was(
     assert path.read_bytes() != before
 
 
-def test_a_link_stays_a_link(line: Callable[..., Path], tmp_path: Path) -> None:
+def test_a_link_stays_a_link(line, tmp_path: Path) -> None:
     path = line()
     link = tmp_path / "link.yaml"
     link.symlink_to(path)
     session = Session(link)
-    session.save(wish(session, extractor=StageRequest(use="dominant-peak")))
+    session.save(wish(session, extractor=PLAIN))
     assert link.is_symlink()
     assert "threshold" not in path.read_text("utf-8")
 
 
-def test_an_unsound_recipe_is_refused_at_once(line: Callable[..., Path]) -> None:
+def test_an_unsound_recipe_and_one_without_frames_are_refused_at_once(line) -> None:
     path = line()
-    path.write_text(path.read_text("utf-8").replace("dominant-peak", "dominant-pek"), "utf-8")
+    sound = path.read_text("utf-8")
+    path.write_text(sound.replace("dominant-peak", "dominant-pek"), "utf-8")
     with pytest.raises(ConfigurationError, match="did you mean"):
         Session(path)
     with pytest.raises(ConfigurationError, match="cannot be read"):
         Session(path.parent / "none.yaml")
-
-
-def test_a_recipe_without_frames_is_refused_at_once(line: Callable[..., Path]) -> None:
-    path = line()
+    path.write_text(sound, "utf-8")
     for file in (path.parent / "images").iterdir():
         file.unlink()
     with pytest.raises(DataError, match="there is no image here"):
@@ -330,7 +309,7 @@ def test_what_is_packed_comes_out_again(rng: np.random.Generator) -> None:
         assert found[name].ctypes.data % 4 == 0
 
 
-def test_uncertainties_are_drawn_when_they_are_wished_for(line: Callable[..., Path]) -> None:
+def test_uncertainties_are_drawn_when_they_are_wished_for(line) -> None:
     path = line()
     path.write_text(path.read_text("utf-8") + "draws: 20\n", "utf-8")
     session = Session(path)
@@ -342,24 +321,19 @@ def test_uncertainties_are_drawn_when_they_are_wished_for(line: Callable[..., Pa
     source = recipe.source.make()
     trace = Pipeline(recipe).trace(source.read(source.references(recipe.source_path)[0]))
     volume = trace.products[0].volume
-    assert volume is not None
     told = drawn["rows"][0]["volume"]["visible_mm3"]["std"]
     assert told is None if np.isnan(volume.visible_mm3.std) else told == volume.visible_mm3.std
     assert quick["rows"][0]["volume"]["visible_mm3"]["std"] is None
 
 
-def test_a_plugins_fault_is_told_and_does_not_end_the_page(
-    line: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from roemetry_files.image_files import ImageFiles
+def broken(*_: object) -> None:
+    raise IndexError("off by one")
 
+
+def test_a_sources_fault_is_told_and_does_not_end_the_page(line, monkeypatch: pytest.MonkeyPatch) -> None:
     path = line()
     session, open_session = Session(path), Session(path, debug=True)
     asked = wish(session, "p02")
-
-    def broken(*_: object) -> None:
-        raise IndexError("off by one")
-
     monkeypatch.setattr(ImageFiles, "read", broken)
     header, _ = ask(session, asked)
     assert "IndexError: off by one" in header["faults"][0]["said"]
@@ -367,15 +341,7 @@ def test_a_plugins_fault_is_told_and_does_not_end_the_page(
         open_session.answer(asked)
 
 
-def test_a_stages_fault_is_told_on_its_card(
-    line: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from roemetry_paper.window_tracking import WindowTracking
-
-    def broken(*_: object) -> None:
-        raise IndexError("off by one")
-
-    session = Session(line())
+def test_a_stages_fault_is_told_on_its_card(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(WindowTracking, "code", broken)
     header, arrays = ask(session, wish(session))
     assert "IndexError: off by one" in header["absent"]["coder"]

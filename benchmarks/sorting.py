@@ -1,0 +1,134 @@
+"""Wrong sorting near a limit, under any options: shipped products, limits drawn about what is true of them.
+
+``python -m benchmarks sorting [--cases 1000] [--seed 1] [--lines herring_roe …] [--sets linear …]``
+
+Each product is measured once under each set of options. Then limits are drawn, evenly within three standard
+uncertainties to either side of its true value, and a grade table of two classes decides. Wrong is a product
+that is put into the class it is not of. The guard band of 1.65 standard uncertainties promises that of
+products right at the limit 5 % are; nearer ones are the worst, so of all cases no more may be.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from roemetry.config.dataset import DESCRIPTION, Dataset
+from roemetry.config.recipe import Recipe
+from roemetry.errors import RoemetryError
+from roemetry.records import Estimate, Product, ProductTrace, ProductTruth, Volume, Weight
+from roemetry.run.pipeline import Pipeline
+from roemetry_shape.grade_table import GradeTable, GradeTableOptions
+
+RECIPES = Path(__file__).resolve().parents[1] / "recipes"
+LINES = {"herring_roe": "with_outline.yaml", "potato": "recipe.yaml", "bread_roll": "recipe.yaml"}
+"""Lines with one product to a frame, and the recipe taken."""
+DENSITY = "stages.weigher={use: density, options: {density_g_per_cm3: 1.06, density_std_g_per_cm3: 0.03}}"
+SETS: dict[str, tuple[str, ...]] = {
+    "linear": ("uncertainty=linear",),
+    "none": ("uncertainty=none",),
+    "draws 2": ("draws=2",),
+    "draws 5": ("draws=5",),
+    "draws 20": ("draws=20",),
+    "slices": ("uncertainty=linear", "stages.volume=slice-pchip"),
+    "slices, none": ("uncertainty=none", "stages.volume=slice-sum"),
+    "paper's volume": ("uncertainty=linear", "stages.volume=zero-order-hold"),
+    "noise unknown": ("uncertainty=linear", "stages.extractor=centre-of-gravity", "source.sensor=null"),
+    "density": ("uncertainty=linear", DENSITY),
+    "density, none": ("uncertainty=none", DENSITY),
+}
+QUANTITIES = {"visible_volume_cm3": "visible_mm3", "true_volume_cm3": "true_mm3", "weight_g": "mass_g"}
+
+
+class Case(NamedTuple):
+    """A measured product and its true value of one quantity, in the unit of the name."""
+
+    trace: ProductTrace
+    quantity: str
+    true: float
+
+
+def main() -> None:
+    """Print a line for each set of options."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--cases", type=int, default=1000, help="for each set of options")
+    parser.add_argument("--seed", type=int, default=1, help="of the limits")
+    parser.add_argument("--lines", nargs="+", choices=list(LINES), default=list(LINES))
+    parser.add_argument("--sets", nargs="+", choices=list(SETS), default=list(SETS))
+    given = parser.parse_args()
+    print("| options | products | cases | decided | wrong | wrong, % of cases |")
+    print("|---|---|---|---|---|---|")
+    for name in given.sets:
+        cases = [case for line in given.lines for case in measured(line, SETS[name])]
+        decided, wrong, count = sorted_at_limits(cases, given.cases, given.seed)
+        products = len({id(case.trace) for case in cases})
+        print(
+            f"| {name} | {products} | {count} | {decided} | {wrong} | {100 * wrong / count:.1f} |", flush=True
+        )
+
+
+def measured(line: str, sets: Sequence[str]) -> Iterator[Case]:
+    """Measure a line's shipped products; none where its recipe has no such stage."""
+    folder = RECIPES / line
+    data = Dataset(folder if (folder / DESCRIPTION).is_file() else folder / "data")
+    truths = {item.id: item.products for item in data.items()}
+    recipe = Recipe.load(folder / LINES[line], sets=[*sets, "stages.grader="])
+    pipeline, source = Pipeline(recipe), recipe.source.make()
+    for reference in source.references(recipe.source_path):
+        truth = truths.get(reference.id, ())
+        try:
+            products = pipeline.trace(source.read(reference)).products
+        except RoemetryError:
+            continue
+        if len(products) == len(truth) == 1:
+            yield from _cases(products[0], truth[0])
+
+
+def _cases(trace: ProductTrace, truth: ProductTruth) -> Iterator[Case]:
+    for quantity, name in QUANTITIES.items():
+        if estimate_of(quantity, trace.volume, trace.weight) is not None:
+            yield Case(trace, quantity, getattr(truth, name) / (1000.0 if name != "mass_g" else 1.0))
+
+
+def estimate_of(quantity: str, volume: Volume | None, weight: Weight | None) -> Estimate | None:
+    """Give what was measured of a quantity."""
+    if quantity == "weight_g":
+        return None if weight is None or math.isnan(weight.mass_g.value) else weight.mass_g
+    if volume is None:
+        return None
+    return volume.true_mm3 if quantity == "true_volume_cm3" else volume.visible_mm3
+
+
+def sorted_at_limits(cases: Sequence[Case], count: int, seed: int) -> tuple[int, int, int]:
+    """Sort cases at drawn limits; gives how many were decided, how many of them wrong, and how many cases."""
+    rng = np.random.default_rng([seed, 83])
+    each = math.ceil(count / len(cases))
+    decided = wrong = 0
+    for case in cases:
+        found = estimate_of(case.quantity, case.trace.volume, case.trace.weight)
+        assert found is not None
+        part = max(0.0 if math.isnan(found.std) else found.std, math.hypot(*found.budget.values()))
+        scale = max(part / (1.0 if case.quantity == "weight_g" else 1000.0), 0.01 * case.true)
+        for limit in case.true + scale * rng.uniform(-3.0, 3.0, each):
+            label = label_at(case.trace.product, case.trace.volume, case.trace.weight, case.quantity, limit)
+            decided += label != "undecided"
+            wrong += label == ("light" if case.true >= limit else "heavy")
+    return decided, wrong, each * len(cases)
+
+
+def label_at(
+    product: Product, volume: Volume | None, weight: Weight | None, quantity: str, limit: float
+) -> str:
+    """Let a grade table of two classes decide about a product."""
+    classes = [{"label": "heavy", "limits": {quantity: {"at_least": limit}}}, {"label": "light"}]
+    table = GradeTable(GradeTableOptions.model_validate({"classes": classes}))
+    return table.decide(product, volume, weight, None).label
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,293 @@
+"""How the plain-light image lies over the laser image, by the belt's own texture in both.
+
+Model. Beside the stripes a laser image shows the belt dimly in ambient light: the same dirt, weave and
+scratches as in plain light. With both images high-passed, what the laser image shows there is
+
+    b(x) = g · a(W x) + noise,    W x = x + shift + (turn, growth) about the middle,
+
+where a is log(plain). W is the least-squares solution (Lucas & Kanade, IJCAI 1981), from coarse to fine; its
+covariance is that of the noise, correlated over the smoothing. Camera or belt may have moved between the two
+images, or one is of another scale: then the plain image is brought back over the laser image. And the images
+are compared part by part: where the texture that must be seen is not, the frames are not of one scene: rows
+or columns of one are lost, or a part of it is another frame's.
+
+Fails, and says nothing, where no ambient light reaches the belt or the belt has no texture.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roemetry.records import Frame, Reason
+from roemetry.records.arrays import Flags, Floats
+
+_LEVELS = 3
+"""Halvings of the images: on the last, motions of some ten pixels are found; on the first, tenths of one."""
+_FINE, _COARSE = 3, 13
+"""Boxes, in pixels of a level, over which noise is averaged and light varies: texture lies between."""
+_ROUNDS = 5
+_STRIPE_PX = 25
+"""More than a stripe is wide; where stripes are nearer to each other the light between them is no ambient."""
+_STRIPE = 6.0
+"""Standard deviations of what the opening takes away: that much is a stripe."""
+_GROWN = (5, 13)
+"""Rows and columns by which a stripe is grown: its skirts are laser light."""
+_CLEAR = 8.0
+"""Standard deviations by which a correlation, of the whole or of a part, is known to be no chance."""
+_MISSED = 3.0
+"""A part whose correlation is below so many, where it must be above `_CLEAR`, shows another scene."""
+_PARTS = (6, 4)
+"""Rows and columns of parts: each still holds hundreds of grains of texture."""
+_PARTS_MIN = 2
+"""One part alone may be glare, or dirt that only one light shows."""
+_ODD = 3.0
+"""Standard deviations from which texture counts no more: an edge of a product, glare."""
+
+
+_MOVED_SIGMAS = 5.0
+"""Standard deviations from which the images have moved: by chance once in 20,000 images."""
+
+
+def laid_over(
+    plain: Frame, laser: NDArray[Any], product: Flags, spacing_px: float
+) -> tuple[Frame, Reason | None]:
+    """Give the plain image as it lies over the laser image; or as it is, with why it is of another scene.
+
+    Parameters
+    ----------
+    plain
+        Of the laser image's size.
+    laser
+        (row, column) grey levels.
+    product
+        (row, column) where stripes show products; half a spacing beside them is not compared either.
+    spacing_px
+        Distance of neighbouring stripes.
+    """
+    import cv2
+
+    width = 2 * round(0.5 * spacing_px) + 1
+    near = cv2.dilate(product.astype(np.uint8), np.ones((width, width), np.uint8)).astype(np.bool_)
+    found = image_motion(laser, plain.pixels, near)
+    if found is None or (found.missed is None and not found.significant(_MOVED_SIGMAS)):
+        return plain, None
+    if found.missed is not None:
+        top, bottom, left, right = found.missed
+        return plain, Reason(
+            "images-contradict",
+            f"between the rows {top} and {bottom} and the columns {left} and {right} the laser image does "
+            "not show the belt that the plain-light image shows: rows or columns are lost, or a part is "
+            "another frame's; look at both, and take them again",
+        )
+    how, rows_columns = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP, plain.size
+    moved = cv2.warpAffine(
+        plain.pixels, found.matrix, rows_columns[::-1], flags=how, borderMode=cv2.BORDER_REPLICATE
+    )
+    return replace(plain, pixels=np.asarray(moved)), None
+
+
+Singles = NDArray[np.float32]
+
+
+class ImageMotion(NamedTuple):
+    """How the plain image lies over the laser image."""
+
+    matrix: Floats
+    """(2, 3) that takes pixels of the laser image to those of the plain image."""
+    covariance: Floats
+    """(4, 4) of shift along x and y, px, turn, rad, and growth, about the image's middle."""
+    motion: Floats
+    """(4,) the same."""
+    missed: tuple[int, int, int, int] | None
+    """First and last row and column of a part in which the images show different scenes; None of none."""
+    alike: int
+    """Number of parts in which they surely show the same."""
+    sigmas: float
+    """Standard deviations by which the textures' likeness is more than chance."""
+
+    def significant(self, sigmas: float) -> bool:
+        """Say whether the images lie otherwise than one over the other."""
+        return bool(self.motion @ np.linalg.solve(self.covariance, self.motion) > sigmas**2)
+
+
+def image_motion(laser: NDArray[Any], plain: NDArray[Any], product: Flags) -> ImageMotion | None:
+    """Lay the plain image over the laser image by what both show of the belt; None where that is too little.
+
+    Parameters
+    ----------
+    laser, plain
+        (row, column) grey levels, and the same or (row, column, colour).
+    product
+        (row, column) where the product may be: its light differs too much.
+    """
+    grey = plain if plain.ndim == 2 else plain.mean(axis=2)
+    free = (_beside_stripes(laser) & ~product).astype(np.float32)
+    dim, bright = [(laser * free, free)], [(np.log(grey.astype(np.float32) + 1.0), np.ones_like(free))]
+    for _ in range(_LEVELS):
+        for levels in (dim, bright):
+            image, share = levels[-1]
+            levels.append((_halved(image), _halved(share)))
+    motion, still = np.zeros(4), np.zeros(4)
+    for level in range(_LEVELS, 0, -1):
+        texture, every = (_Texture.of(*dim[level]), _Texture.of(*bright[level])), 2.0**level
+        reach = np.abs(motion) @ [1.0, 1.0, *[0.5 * max(laser.shape)] * 2]
+        starts = [still, motion] if reach > every / 2.0 else [still]
+        fits = [_fitted(*texture, start, every) for start in starts]
+        found = max((fit for fit in fits if fit is not None), key=lambda fit: fit.sigmas, default=None)
+        motion = still if found is None else found.motion
+    if found is not None and not found.significant(_MOVED_SIGMAS):
+        return found
+    unmoved = _parts(*texture, still, every)
+    if unmoved is None or unmoved.missed is None or (found is not None and found.alike > unmoved.alike):
+        return found
+    return unmoved
+
+
+def _halved(image: Singles) -> Singles:
+    import cv2
+
+    rows, columns = (size // 2 * 2 for size in image.shape)
+    return np.asarray(
+        cv2.resize(image[:rows, :columns], (columns // 2, rows // 2), interpolation=cv2.INTER_AREA)
+    )
+
+
+def _beside_stripes(laser: NDArray[Any]) -> Flags:
+    import cv2
+
+    opened = cv2.morphologyEx(laser, cv2.MORPH_OPEN, np.ones((1, _STRIPE_PX), np.uint8))
+    taken = laser.astype(np.float32) - opened
+    usual = float(np.median(taken[::3, ::3]))
+    noise = 1.4826 * float(np.median(np.abs(taken[::3, ::3] - usual)))
+    on = (taken > usual + _STRIPE * max(noise, 1.0)).astype(np.uint8)
+    on = cv2.morphologyEx(on, cv2.MORPH_OPEN, np.ones((3, 1), np.uint8))  # single pixels are noise
+    return np.asarray(cv2.dilate(on, np.ones(_GROWN, np.uint8)) == 0)
+
+
+class _Texture(NamedTuple):
+    """What varies over less than light does and more than noise, (row, column), and where it is known."""
+
+    value: Singles
+    there: Flags
+    x: Singles
+    y: Singles
+    """x, y: of the places where it is known, px of the level."""
+
+    @classmethod
+    def of(cls, weighted: Singles, share: Singles) -> _Texture:
+        """Take it from a level: sums of grey levels, and of how much of each pixel was seen."""
+        import cv2
+
+        def mean(width: int) -> tuple[Singles, Singles]:
+            weight = cv2.blur(share, (width, width))
+            return cv2.blur(weighted, (width, width)) / np.maximum(weight, 1e-3), weight
+
+        fine, weight = mean(_FINE)
+        value = fine - mean(_COARSE)[0]
+        there = (share > 0.0) & (weight > 0.5)
+        sample = value[::2, ::2][there[::2, ::2]]
+        usual = 1.4826 * float(np.median(np.abs(sample))) if sample.size else 0.0
+        y, x = (at.astype(np.float32) for at in np.nonzero(there))
+        return cls(np.clip(value, -_ODD * usual, _ODD * usual), there, x, y)
+
+
+class _Compared(NamedTuple):
+    """Both textures at the places that the laser image shows, of a level whose pixels are `every` px wide."""
+
+    a: Singles
+    b: Singles
+    gain: float
+    sampling: Floats
+
+
+def _compared(dim: _Texture, bright: _Texture, motion: Floats, every: float) -> _Compared:
+    rows, columns = dim.value.shape
+    sampling = _matrix(motion / np.array([every, every, 1.0, 1.0]), rows, columns)
+    a, b = _sampled(bright.value, sampling, dim.there), dim.value[dim.there]
+    return _Compared(a, b, float(a @ b) / max(float(a @ a), 1e-12), sampling)
+
+
+def _sampled(image: Singles, sampling: Floats, there: Flags) -> Singles:
+    import cv2
+
+    how = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    moved = cv2.warpAffine(image, sampling, there.shape[::-1], flags=how, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(moved[there])
+
+
+def _fitted(dim: _Texture, bright: _Texture, motion: Floats, every: float) -> ImageMotion | None:
+    """Fit the motion on one level, from a first guess."""
+    import cv2
+
+    rows, columns = dim.value.shape
+    if dim.there.sum() < _FINE**2 * _CLEAR**2:
+        return None
+    off_x, off_y = dim.x - 0.5 * (columns - 1), dim.y - 0.5 * (rows - 1)
+    slope = np.empty((4, off_x.size), np.float32)
+    for turn in range(_ROUNDS):
+        one = _compared(dim, bright, motion, every)
+        left = one.b - one.gain * one.a
+        std = float(np.sqrt(np.mean(left**2)))
+        weight = np.minimum(1.0, _ODD * std / np.maximum(np.abs(left), 1e-9))
+        if turn < 2:  # later steps change the slopes by little
+            for k, way in enumerate(((1, 0), (0, 1))):
+                steep = cv2.Sobel(bright.value, cv2.CV_32F, *way, ksize=3)
+                slope[k] = _sampled(steep, one.sampling, dim.there) * np.float32(one.gain / 8.0)
+            slope[2] = slope[1] * off_x - slope[0] * off_y
+            slope[3] = slope[0] * off_x + slope[1] * off_y
+            slope[:2] /= every
+        normal = ((slope * weight) @ slope.T).astype(np.float64)
+        if one.gain <= 0.0 or np.linalg.cond(normal) > 1e14:
+            return None
+        step = np.linalg.solve(normal, (slope @ (weight * left)).astype(np.float64))
+        motion = motion + step
+        if np.abs(step * [1.0, 1.0, every * columns / 2.0, every * columns / 2.0]).max() < 0.02:
+            break
+    found = _parts(dim, bright, motion, every)
+    covariance = np.asarray(_FINE**2 * std**2 * np.linalg.inv(normal), np.float64)
+    return None if found is None else found._replace(covariance=covariance)
+
+
+def _parts(dim: _Texture, bright: _Texture, motion: Floats, every: float) -> ImageMotion | None:
+    """Compare the textures as a whole and part by part; None where neither is alike.
+
+    The gain is that of the parts that are alike: of a torn frame the others would lower it.
+    """
+    one, (rows, columns) = _compared(dim, bright, motion, every), dim.value.shape
+    part_y, part_x = (
+        (dim.y * _PARTS[0] / rows).astype(np.int64),
+        (dim.x * _PARTS[1] / columns).astype(np.int64),
+    )
+    of_part = part_y * _PARTS[1] + part_x
+    count, both, of_a, of_b = (
+        np.bincount(of_part, weights, _PARTS[0] * _PARTS[1])
+        for weights in (None, one.a * one.b, one.a**2, one.b**2)
+    )
+    scale = np.sqrt(count / _FINE**2) / np.sqrt(np.maximum(of_a * of_b, 1e-12))
+    alike = both * scale > _CLEAR
+    whole = both.sum() / np.sqrt(max(of_a.sum() * of_b.sum(), 1e-12)) * math.sqrt(count.sum()) / _FINE
+    if whole < _CLEAR and not alike.any():
+        return None
+    gain = both[alike].sum() / of_a[alike].sum() if alike.any() else 0.0
+    other = (gain * of_a * scale > _CLEAR) & (both * scale < _MISSED)
+    missed = None
+    if other.sum() >= _PARTS_MIN:
+        down, across = np.nonzero(other.reshape(_PARTS))
+        size = round(rows * every), round(columns * every)
+        first = down.min() * size[0] // _PARTS[0], across.min() * size[1] // _PARTS[1]
+        last = (down.max() + 1) * size[0] // _PARTS[0], (across.max() + 1) * size[1] // _PARTS[1]
+        missed = int(first[0]), int(last[0]) - 1, int(first[1]), int(last[1]) - 1
+    full = _matrix(motion, round(rows * every), round(columns * every))
+    return ImageMotion(full, np.diag(np.full(4, np.inf)), motion, missed, int(alike.sum()), float(whole))
+
+
+def _matrix(motion: Floats, rows: int, columns: int) -> Floats:
+    right, down, turn, growth = motion
+    middle = 0.5 * np.array([columns - 1, rows - 1])
+    linear = (1.0 + growth) * np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
+    return np.column_stack([linear, middle + np.array([right, down]) - linear @ middle])
