@@ -7,9 +7,9 @@ import shlex
 from typing import Any
 
 import pytest
-from reference_pages import CLI, PAGES, VERBS, blocks, coded, firsts, page, section, table
 
 from docs.reference_tables import rewritten
+from tests.docs.reference_pages import CLI, PAGES, VERBS, blocks, coded, firsts, page, section, table
 
 
 def options_of(command: Any) -> set[str]:

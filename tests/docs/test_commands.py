@@ -16,11 +16,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from reading import PAGES, ROOT, commands, stands_for_something, titled
 from typer.testing import CliRunner
-from world import make_world, multiply, scale
 
 from roemetry.cli.main import app
+from tests.docs.reading import PAGES, ROOT, commands, stands_for_something, titled
+from tests.docs.world import make_world, multiply, scale
 
 SMALLER = (
     (r"^(roemetry simulate (?!.*--count).*)$", r"\1 --count 1 --calibration none"),

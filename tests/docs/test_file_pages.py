@@ -8,7 +8,6 @@ from typing import Any, get_args
 
 import pytest
 from pydantic import BaseModel
-from reference_pages import PAGES, ROOT, blocks, coded, firsts, page, section, table, text_of
 
 from roemetry.config.recipe import Recipe
 from roemetry.config.recipe_file import RecipeFile, StageChoice
@@ -16,6 +15,7 @@ from roemetry.config.rig import Rig, RigFile
 from roemetry.config.target_file import BlockFile, BoardFile, StaircaseFile
 from roemetry.io.yaml_source import parse
 from roemetry.records.calibration import Calibration
+from tests.docs.reference_pages import PAGES, ROOT, blocks, coded, firsts, page, section, table, text_of
 
 
 def keys_of(model: type[BaseModel], before: str = "") -> dict[str, Any]:

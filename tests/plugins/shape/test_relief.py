@@ -51,7 +51,6 @@ def test_a_smooth_body_has_no_humps() -> None:
 
 def test_what_is_shown_is_what_was_found() -> None:
     features, relief = shape_of(bumped(3.0), 0)
-    assert relief is not None
     (hump,) = [region for region in relief.regions if region.kind == "hump"]
     at = relief.xy_mm[tuple(hump.cells.T)]
     assert np.hypot(*(at - hump.xy_mm).T).max() < 7.0  # mm
