@@ -42,6 +42,14 @@ def drawn(x_px: Floats) -> tuple[Peaks, np.ndarray]:
 pytestmark = pytest.mark.parametrize("coder", list(coders().values()), ids=list(coders()))
 
 
+def test_no_peaks(coder: Any) -> None:
+    peaks, _ = drawn(np.full((1, RIG.rows), np.nan))
+    stripes = coded(coder, peaks, RIG.calibration())
+    if stripes is not None:
+        assert not stripes.seen.any()
+        assert stripes.reasons
+
+
 def test_fewer_stripes_than_there_are_planes(coder: Any) -> None:
     """Three of seven stripes are left: none of them takes another's number, and the lack is told."""
     x_px = RIG.x_px(RIG.dome())
