@@ -22,7 +22,7 @@ from roemetry.records.arrays import Floats
 from roemetry.stages.registry import discover
 from roemetry_pinhole.boards import BoardNotFoundError, BoardView, Seen, board_views, find_marks
 from roemetry_pinhole.bundle import Adjusted, adjust, chosen
-from roemetry_pinhole.geometry import Corners, Feet, Geometry, StripePoints, undistort, unknowns_of
+from roemetry_pinhole.geometry import Corners, Feet, Geometry, StripePoints, plane_distances, unknowns_of
 from roemetry_pinhole.initial_intrinsics import FirstCamera, first_camera, free_numbers
 from roemetry_pinhole.stripes import Gathered, gather
 
@@ -59,7 +59,7 @@ def _boards(folder: Path, extractor: str, channel: str, contrast: float) -> None
     first = first_camera(seen, size, "brown", None, 12)
     gathered = gather(first, (), 1, np.zeros(len(first.views)), {}, print_contrast_max=contrast)
     found = _adjusted(first, gathered.planes, gathered.points)
-    off = _off_plane(found.geometry, gathered.points, found.geometry.planes[0])
+    off = plane_distances(found.geometry, gathered.points)
     used = found.stripe_used
     print(f"laser_on_circle_grid: {len(first.views)} of 12 boards, left out: {seen.left_out or 'none'}")
     print(f"  marks: reprojection rms {np.sqrt((found.corner_px**2).sum(axis=1).mean()):.4f} px, all marks")
@@ -113,18 +113,6 @@ def _adjusted(first: FirstCamera, planes: Floats, points: StripePoints) -> Adjus
     return adjust(start, free, corners, points, Feet(NOBODY, np.empty((0, 3)), np.empty(0)), foot_std_mm=1.0)
 
 
-def _points_mm(geometry: Geometry, points: StripePoints) -> Floats:
-    seen = np.column_stack([points.x_px, points.row_px])
-    xy = undistort((seen - geometry.camera[2:4]) / geometry.camera[:2], geometry.camera[4:])
-    ray = np.column_stack([xy, np.ones(len(xy))])
-    normal, shift = geometry.rotation[points.pose][:, :, 2], geometry.shift[points.pose]
-    return np.asarray(ray * ((normal * shift).sum(axis=1) / (normal * ray).sum(axis=1))[:, None])
-
-
-def _off_plane(geometry: Geometry, points: StripePoints, plane: Floats) -> Floats:
-    return np.asarray((_points_mm(geometry, points) @ plane - 1.0) / np.sqrt(plane @ plane))
-
-
 def _to_author_deg(plane: Floats) -> float:
     """The images were turned by 90°: the author's x is our −y, and y our x."""
     own = np.array([-plane[1], plane[0], plane[2]]) / np.sqrt(plane @ plane)
@@ -137,7 +125,7 @@ def _left_out(first: FirstCamera, gathered: Gathered) -> float:
     off, points = [], gathered.points
     for pose in range(len(first.views)):
         found = _adjusted(first, gathered.planes, chosen(points, points.pose != pose))
-        off.append(_off_plane(found.geometry, chosen(points, points.pose == pose), found.geometry.planes[0]))
+        off.append(plane_distances(found.geometry, chosen(points, points.pose == pose)))
     return float(np.sqrt((np.concatenate(off) ** 2).mean()))
 
 

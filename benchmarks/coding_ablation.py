@@ -76,12 +76,12 @@ RULES: dict[str, list[tuple[Any, str, Any]]] = {
         (solve, "agreed", lambda entries, candidates, pieces, cost: solve.argmin_labels(candidates, cost))
     ],
     "solve: second sweeps": [(solve, "_ROUNDS", 0)],
-    "shifts: minimal cut": [
-        (shifts, "best_shift", lambda runs, by: (np.zeros(runs.own.shape[0], np.bool_), 0.0))
+    "shifts: single runs first": [
+        (shifts, "single_shifts", lambda runs, gain: np.zeros(runs.own.shape[0], np.int64))
     ],
     "ties over gaps": [(solve, "_GAP_LINES", 0)],
     **{f"cost {name}": without_term(name) for name in (
-        "surface", "unseen", "on_rest", "anchor", "on_end", "absent", "tie_cut",
+        "surface", "unseen", "on_rest", "anchor", "on_end", "film", "absent", "tie_cut",
     )},
 }  # fmt: skip
 

@@ -144,7 +144,8 @@ def _lost(axis: int, fill: str) -> Callable[[Image, float, np.random.Generator],
     """Lines are lost at a random place; what follows moves up, and the image is filled up at its end."""
 
     def change(image: Image, lines: float, rng: np.random.Generator) -> Image:
-        count, size = max(1, round(lines)), image.shape[axis]
+        size = image.shape[axis]
+        count = min(max(1, round(lines)), size // 4)
         first = int(rng.integers(size // 4, 3 * size // 4 - count))
         kept = np.delete(image, np.s_[first : first + count], axis)
         filled = np.take(image, range(-count, 0) if fill == "repeated" else range(count), axis)
@@ -155,7 +156,8 @@ def _lost(axis: int, fill: str) -> Callable[[Image, float, np.random.Generator],
 
 def _doubled(image: Image, lines: float, rng: np.random.Generator) -> Image:
     """A block of rows is sent twice."""
-    count, rows = max(1, round(lines)), image.shape[0]
+    rows = image.shape[0]
+    count = min(max(1, round(lines)), rows // 4)
     first = int(rng.integers(rows // 4, 3 * rows // 4 - count))
     return np.concatenate([image[: first + count], image[first : rows - count]])
 

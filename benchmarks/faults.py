@@ -121,6 +121,8 @@ def measured(asked: argparse.Namespace, done: int) -> Iterator[Case]:
     if asked.moved:
         yield from _rendered(recipes, asked, done)
         return
+    if not recipes:  # the record as it is
+        return
     known = {name: one for name, one in DISTURBANCES.items() if _asked_for(name, asked.only)}
     places = [(word, k) for word in recipes for k in range(len(scenes[word]))]
     base: dict[tuple[str, int], Case] = {}

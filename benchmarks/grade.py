@@ -6,7 +6,7 @@ Learns on skeins of our simulator, of the simulator `mitsuba`, and of a second f
 each on two rigs drawn at random, no two alike. Tests on fresh bodies of both simulators; on the meshes of a
 rendered set (where a folder is given), whose family nothing was learned from; and on traced skeins of our
 simulator with a coder's errors. Then fits on ten skeins of one rig, and tests on the others of that rig.
-The tables are those of docs/explanation/grading.md.
+The tables are those of docs/measurements/grading.md.
 """
 
 from __future__ import annotations

@@ -17,6 +17,11 @@ from benchmarks.disturbances import Scene
 from roemetry.config.scene import Scene as SceneFile
 
 MAKERS = ("ray-caster", "mitsuba")
+_PRODUCTS = {
+    "ray-caster": ["simulator.options.product.items=[]"],
+    "mitsuba": ["simulator.options.product={family: lofted-skein}"],
+}
+"""The scene's own products, drawn anew; and what the other maker has like herring roe."""
 _BODIES = 2
 """Products rendered of a scene; each is rendered unmoved first."""
 
@@ -46,7 +51,7 @@ def moved_scenes(path: Path, count: int, seed: int, skip: int = 0) -> Iterator[M
 
     stages = discover()
     for number, maker in enumerate(MAKERS):
-        own = SceneFile.load(path, sets=["simulator.options.product.items=[]", f"simulator.use={maker}"])
+        own = SceneFile.load(path, sets=[f"simulator.use={maker}", *_PRODUCTS[maker]])
         options = own.simulator.options.model_dump()
         simulator = stages.load(stages.find("simulator", maker))
         rng = np.random.default_rng([seed, number])

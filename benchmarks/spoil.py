@@ -1,6 +1,6 @@
 """Calibrations that were spoiled on purpose: refused, told, or slipped through.
 
-``python -m benchmarks spoil [--rigs FOLDER …] [--sets WORD …] [--kinds WORD …] [--seed 1] [--page]``
+``python -m benchmarks spoil [--rigs FOLDER …] [--sets WORD …] [--kinds WORD …] [--seed 1]``
 
 Sets are folders with a ``boards.yaml`` as `make_rigs` writes them, and the two real sets with a board under a
 laser (where ROEMETRY_REAL_DATA says). Each is spoiled in all ways of `SPOILED`, by image files, and goes the
@@ -30,7 +30,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.extraction.tables import Table, machine, put_into_page
+from benchmarks.extraction.tables import Table
 from benchmarks.real_images import folder_of
 from roemetry.calibrating import calibrate_with_evidence
 from roemetry.config.rig import Rig, pose_of
@@ -90,7 +90,7 @@ class Kind(NamedTuple):
 
 
 _MOVED = (
-    r"paired|moved|move between|contradict|not one rigid|does not lie in one plane|lie on no plane|"
+    r"paired|moved|move between|contradict|not one rigid|does not lie in one plane|lie on none of the planes|"
     r"no numbering|exchanged|darker than"
 )
 
@@ -318,7 +318,6 @@ def main() -> None:
     parser.add_argument("--sets", nargs="*", default=[], help="only sets whose name holds a word")
     parser.add_argument("--kinds", nargs="*", default=[], help="only kinds whose name holds a word")
     parser.add_argument("--seed", type=int, default=1, help="which poses are spoiled")
-    parser.add_argument("--page", action="store_true", help="put the table into the documentation")
     given = parser.parse_args()
     cv2.setNumThreads(1)
     _remember()
@@ -345,11 +344,8 @@ def main() -> None:
                 f"{found.off_mm:.3f} mm: {found.why[:400]}",
                 flush=True,
             )
-    tables = [_table(kinds, counts, SPOILED, names), _table(kinds, counts, SOUND, names)]
-    for table in tables:
-        print(table)
-    if given.page:
-        put_into_page(tables, f"Measured by `python -m benchmarks spoil` on {machine()}.", "spoil")
+    for of in (SPOILED, SOUND):
+        print(_table(kinds, counts, of, names))
 
 
 def _chosen(name: str, words: list[str]) -> bool:
@@ -424,7 +420,7 @@ def _calibrated(shots: Shots) -> tuple[Calibration, str] | str:
         except RoemetryError as error:
             return str(error)
     verdict = " ".join(evidence.verdict)
-    return (calibration, verdict) if evidence.usable else verdict
+    return (calibration, verdict) if evidence.usable else "\n".join([verdict, *calibration.notes])
 
 
 def _written(shots: Shots, folder: Path) -> Path:

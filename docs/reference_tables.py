@@ -17,6 +17,7 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 import annotated_types
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
+from typer import Typer
 from typer.models import ArgumentInfo, OptionInfo
 
 from roemetry.cli.main import app, load_verb, plugin_verbs
@@ -51,7 +52,15 @@ def verbs() -> dict[str, Callable[..., Any]]:
     """Give each verb's function, in the order in which the help lists them."""
     functions = [command.callback for command in app.registered_commands if command.callback is not None]
     own = {function.__name__.replace("_", "-"): function for function in functions}
-    return own | {name: load_verb(entry) for name, entry in plugin_verbs().items() if name not in own}
+    for name, entry in plugin_verbs().items():
+        loaded = load_verb(entry)
+        parts = loaded.registered_commands if isinstance(loaded, Typer) else ()
+        own |= {
+            f"{name} {part.callback.__name__}": part.callback for part in parts if part.callback is not None
+        }
+        if not parts:
+            own.setdefault(name, loaded)
+    return own
 
 
 def main() -> None:
@@ -71,7 +80,7 @@ def _made(what: str) -> str:
         return _table(
             ["verb", "does"],
             (
-                [f"[`{name}`](#roemetry-{name})", _plain(_first(inspect.getdoc(verb) or ""))]
+                [f"[`{name}`]({_anchor(name)})", _plain(_first(inspect.getdoc(verb) or ""))]
                 for name, verb in verbs().items()
             ),
         )
@@ -84,6 +93,10 @@ def _made(what: str) -> str:
     if what == "stages":
         return _stages()
     return _verb(what.removeprefix("roemetry "))
+
+
+def _anchor(name: str) -> str:
+    return f"#roemetry-{name.replace(' ', '-')}"
 
 
 def _verb(name: str) -> str:

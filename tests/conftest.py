@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from roemetry.records.calibration import Calibration
+from roemetry.testing import LinearRig
 from tests.browser import browser
 
 __all__ = ["browser"]
@@ -57,21 +58,17 @@ def root() -> Path:
 
 
 @dataclass(frozen=True)
-class DrawnRig:
-    """A linear rig: stripe i rests at `rest_px[i]` (constant over rows) and moves by `px_per_mm` per mm."""
+class DrawnRig(LinearRig):
+    """A linear rig of upright stripes: stripe i rests at `rest_px[i]` and moves by `px_per_mm` per mm."""
 
     rows: int = 240
-    columns: int = 320
-    stripes: int = 7
-    px_per_mm: float = 2.0
-    mm_per_px: float = 0.25
-    sigma_px: float = 1.6
-    amplitude: float = 180.0
+    first_px: float = 40.0
+    fan: float = 0.0
     background: float = 12.0
 
     @property
     def rest_px(self) -> np.ndarray:
-        return 40.0 + 40.0 * np.arange(self.stripes)
+        return self.first_px + self.spacing_px * np.arange(self.stripes)
 
     def x_px(self, height_mm: np.ndarray) -> np.ndarray:
         """(stripe, row) stripe centres over (stripe, row) heights."""
@@ -79,38 +76,21 @@ class DrawnRig:
 
     def image(self, x_px: np.ndarray, rng: np.random.Generator | None = None) -> np.ndarray:
         """Draw stripes; NaN draws nothing."""
-        columns = np.arange(self.columns)
-        light = np.full((self.rows, self.columns), self.background)
-        for line in x_px:
-            off = columns[None, :] - line[:, None]
-            light += np.nan_to_num(self.amplitude * np.exp(-0.5 * (off / self.sigma_px) ** 2))
+        light = self.light(x_px, 180.0)
         if rng is not None:
             light += rng.normal(0.0, 2.0, light.shape)
         return np.clip(np.rint(light), 0, 255).astype(np.uint8)
 
     def dome(self, height_mm: float = 10.0, first: int = 70, last: int = 170) -> np.ndarray:
         """(stripe, row) heights of a dome over the inner stripes with a smooth rise from the belt."""
-        row = np.arange(self.rows)
-        along = np.clip((row - first) / (last - first), 0.0, 1.0)
+        along = np.clip((np.arange(self.rows) - first) / (last - first), 0.0, 1.0)
         across = np.sin(np.pi * np.arange(self.stripes) / (self.stripes - 1))
         return height_mm * across[:, None] * np.sin(np.pi * along)[None, :] ** 2
 
     def calibration(self) -> Calibration:
-        """The true calibration."""
-        return Calibration(
-            method="block-linear",
-            image_size=(self.rows, self.columns),
-            turn_deg=0,
-            rest_px=np.column_stack([self.rest_px, np.zeros(self.stripes)]),
-            displacement_px_per_mm=np.full(self.stripes, self.px_per_mm),
-            height_range_mm=(0.0, 25.0),
-            parameters={
-                "omega_mm_per_px": np.full(self.stripes, 1.0 / self.px_per_mm),
-                "mm_per_px": np.array([self.mm_per_px]),
-            },
-            covariance=np.zeros((self.stripes + 1, self.stripes + 1)),
-            extractor={"use": "dominant-peak"},
-        )
+        """The true calibration, as of a block: without a view."""
+        given = {"height_range_mm": (0.0, 25.0), "extractor": {"use": "dominant-peak"}, "view": None}
+        return replace(LinearRig.calibration(self), **given)
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""Products that are no skeins: a classifier that learned from skeins must say that it does not know them."""
+"""Products that are not skeins: a classifier that learned from skeins must say that it does not know them."""
 
 from __future__ import annotations
 
@@ -167,7 +167,7 @@ def _said(learned: Learned, features: dict[str, float]) -> str:
 
 
 _TEXT = """\
-## Products that are no skeins
+## Products that are not skeins
 
 `learned`, {n} products of each kind, seeds {first} to {last}, on rigs about the recipe's. Foods are as they
 are simulated; bodies of geometry have lengths, widths and heights drawn from those of skeins (70 to 105,

@@ -35,6 +35,7 @@ from roemetry.records.calibration import Alignment, Calibration
 from roemetry.stages import Aligner, StageOptions
 from roemetry_coding.torn_frames import tear_of
 from roemetry_kernels.compiling import float_kernel
+from roemetry_kernels.image_levels import median_of
 
 _STEPS = np.array([2.0, 5e-3, 5e-3, 2e-2])
 """Steps of the numerical derivatives, units of `PARAMETERS`: each moves a usual image's edge by one or two
@@ -72,6 +73,11 @@ _STRIPE_MOVED_PX = 0.25
 """A light plane that has moved by less costs less than the paper's whole-pixel peaks do."""
 _STRIPE_PEAKS_MIN = 15
 """A stripe's own distance is stated from so many peaks on the belt."""
+_STRIPE_SPREAD_PX = 0.5
+"""Peaks of a plane that has moved far lie so near to a new line in half of the rows, and at both ends of the
+image; those of a product do not."""
+_STRIPE_REFUSED_PX = 1.0
+"""A light plane that has moved by more makes heights wrong by more than any interval says: no number then."""
 _OUTER_SHARE = 0.1
 _OUTER_FIT_MIN = 0.3
 """Of the peaks in the image's first and last tenth so many must lie on the moved lines: a product may cover
@@ -125,10 +131,13 @@ class BeltLines(Aligner[BeltLinesOptions]):
             )
         every = max(1, calibration.image_size[0] // _ROWS_USED)
         widths = np.array(_WIDTHS) * search_px
-        fit = _Fit(*_fitted(
+        motion, normal, slope, *rest = _fitted(
             peaks.row_start, peaks.x_px, model.lines, model.answer, every, search_px, widths,
-            _LAST_ROUNDS, _SIGMAS, _SIGMA_MIN_PX, _BLOCKS, _OUTER_SHARE, _SETTLED_PX,
-        ))  # fmt: skip
+            _LAST_ROUNDS, _SIGMAS, _SIGMA_MIN_PX, _BLOCKS, _OUTER_SHARE, _SETTLED_PX, _STRIPE_PEAKS_MIN,
+            _STRIPE_SPREAD_PX,
+        )  # fmt: skip
+        inverse = np.linalg.inv(normal)
+        fit = _Fit(motion, inverse @ (slope.T @ slope) @ inverse, *rest)
         if fit.used < _PEAKS_MIN:
             return Alignment(
                 np.zeros(4),
@@ -144,7 +153,7 @@ class BeltLines(Aligner[BeltLinesOptions]):
         answer = model.edges  # (place, 4)
         off_px = answer @ fit.motion
         worst = int(np.abs(off_px).argmax())
-        std_px = np.sqrt(np.einsum("ki,ij,kj->k", answer, fit.covariance, answer))
+        std_px = np.sqrt(((answer @ fit.covariance) * answer).sum(axis=1))
         largest, largest_std = float(abs(off_px[worst])), float(std_px[worst])
         if fit.outer_peaks and fit.outer_fit < _OUTER_FIT_MIN * fit.outer_peaks:
             raise StageError(
@@ -181,9 +190,8 @@ class BeltLines(Aligner[BeltLinesOptions]):
         stripe_px = np.where(fit.of_stripe >= _STRIPE_PEAKS_MIN, fit.stripe_px, np.nan)
         reasons += _stripes_that_moved(stripe_px, fit.sigma_px)
         motion = np.round(fit.motion / _QUANTUM_PX) * _QUANTUM_PX * model.scale
-        covariance = fit.covariance * np.outer(model.scale, model.scale)
-        focal_px = _focal_px(calibration)
-        covariance[2, 2] += (natural[0] / focal_px) ** 2  # what has moved is not known: see above
+        covariance = fit.covariance * model.scale[:, None] * model.scale
+        covariance[2, 2] += (natural[0] / model.focal_px) ** 2  # what has moved is not known: see above
         return Alignment(
             motion=motion if corrected else np.zeros(4),
             covariance=covariance,
@@ -200,7 +208,7 @@ class _Model(NamedTuple):
 
     `lines` (row, stripe) px; `answer` (row, stripe, 4) their change for a motion that moves some place of the
     image by a pixel; `edges` (place, 4) the same at both ends of every line; `scale` (4,) that motion in the
-    units of `PARAMETERS`; `spacing_px` the smallest distance of two lines.
+    units of `PARAMETERS`; `spacing_px` the smallest distance of two lines; `focal_px` the focal length.
     """
 
     lines: Floats
@@ -208,6 +216,7 @@ class _Model(NamedTuple):
     edges: Floats
     scale: Floats
     spacing_px: float
+    focal_px: float
 
 
 class _Fit(NamedTuple):
@@ -248,6 +257,7 @@ def _model_of(calibration: Calibration, moved: Callable[[Calibration, Alignment]
         edges=ends[np.isfinite(ends).all(axis=1)],
         scale=scale,
         spacing_px=float(np.nanmin(spacing)) if spacing.size else math.inf,
+        focal_px=_focal_px(calibration),
     )
 
 
@@ -281,6 +291,11 @@ def _stripes_that_moved(stripe_px: Floats, sigma_px: float) -> list[Reason]:
     if not far.size:
         return []
     which = ", ".join(f"{s + 1} ({stripe_px[s]:+.2f} px)" for s in far)
+    if np.abs(stripe_px[far]).max() > max(_STRIPE_REFUSED_PX, limit):
+        raise StageError(
+            f"stripes have moved against the others on the belt: {which}",
+            hint="fasten the projector, and calibrate again",
+        )
     return [
         Reason("stripe-moved", f"stripes have moved against the others on the belt: {which}; calibrate again")
     ]
@@ -290,9 +305,12 @@ def _stripes_that_moved(stripe_px: Floats, sigma_px: float) -> list[Reason]:
 def _fitted(
     row_start: Integers, x_px: Floats, lines: Floats, answer: Floats, every: int, search_px: float,
     widths: Floats, last_rounds: int, sigmas: float, sigma_min_px: float, blocks: int, outer_share: float,
-    settled_px: float,
-) -> tuple[Floats, Floats, int, float, Floats, Integers, int, int]:  # fmt: skip
-    """Fit the motion; see `_Fit` and the model above. `lines` and `answer` as in `_Model`."""
+    settled_px: float, stripe_peaks_min: int, stripe_spread_px: float,
+) -> tuple[Floats, Floats, Floats, int, float, Floats, Integers, int, int]:  # fmt: skip
+    """Fit the motion; see `_Fit` and the model above. `lines` and `answer` as in `_Model`.
+
+    In place of the covariance stand its parts: the normal matrix, and what each block and stripe pulls.
+    """
     rows, stripes = lines.shape
     count = 0
     most = 0
@@ -313,7 +331,7 @@ def _fitted(
             if abs(distance) <= search_px:
                 off[count], at[count, 0], at[count, 1] = distance, row, nearest
                 count += 1
-    theta: Floats = np.zeros(4)
+    theta, before = np.zeros(4), np.zeros(4)
     normal, right = np.zeros((4, 4)), np.zeros(4)
     sigma = search_px
     for turn in range(widths.size + last_rounds):
@@ -348,10 +366,12 @@ def _fitted(
             normal[k, k] += 1e-6 * (1.0 + count)  # a motion that nothing shows stays nothing
             for j in range(k):
                 normal[k, j] = normal[j, k]
-        before = theta.copy()
-        theta[:] = np.linalg.solve(normal, right)
+        _solve(normal, right, theta, before)
         sigma = max(sigma_min_px, math.sqrt(total / max(sum_weight, 1.0)))
-        if turn >= widths.size and np.abs(theta - before).max() < settled_px:
+        farthest = 0.0
+        for k in range(4):
+            farthest = max(farthest, abs(theta[k] - before[k]))
+        if turn >= widths.size and farthest < settled_px:
             break
     # what is left: of each block, of each stripe, of the image's ends
     slope = np.zeros((stripes + blocks, 4))
@@ -376,8 +396,52 @@ def _fitted(
     for row in range(every // 2, rows, every):
         if row < outer_share * rows or row >= (1.0 - outer_share) * rows:
             outer += row_start[row + 1] - row_start[row]
-    inverse = np.linalg.inv(normal)
-    covariance = inverse @ (slope.T @ slope) @ inverse
+    for s in range(stripes):  # a plane that has moved far: all its peaks agree on another place
+        if of_stripe[s] < stripe_peaks_min:
+            beside = 0
+            for i in range(count):
+                if at[i, 1] == s:
+                    weight[beside] = off[i]
+                    for k in range(4):
+                        weight[beside] -= theta[k] * answer[at[i, 0], s, k]
+                    beside += 1
+            middle = median_of(weight[:beside]) if beside else 0.0
+            near, total, first, last = 0, 0.0, rows, 0
+            beside = 0
+            for i in range(count):
+                if at[i, 1] == s:
+                    if abs(weight[beside] - middle) < stripe_spread_px:
+                        near += 1
+                        total += weight[beside]
+                        first, last = min(first, at[i, 0]), max(last, at[i, 0])
+                    beside += 1
+            at_ends = first < outer_share * rows and last >= (1.0 - outer_share) * rows
+            if 2 * near * every > rows and at_ends:
+                stripe_sum[s], of_stripe[s] = total, near
     for s in range(stripes):
         stripe_sum[s] /= max(of_stripe[s], 1)
-    return theta, covariance, used, sigma, stripe_sum, of_stripe, outer, outer_fit
+    return theta, normal, slope, used, sigma, stripe_sum, of_stripe, outer, outer_fit
+
+
+@float_kernel
+def _solve(matrix: Floats, right: Floats, answer: Floats, before: Floats) -> None:
+    """Solve positive definite equations by Cholesky's method, and keep the last answer in `before`.
+
+    numpy's own solver takes three seconds to compile into a kernel.
+    """
+    count = right.shape[0]
+    root = np.zeros((count, count))
+    for i in range(count):
+        before[i], answer[i] = answer[i], right[i]
+        for j in range(i + 1):
+            left = matrix[i, j]
+            for k in range(j):
+                left -= root[i, k] * root[j, k]
+            root[i, j] = math.sqrt(left) if i == j else left / root[j, j]
+        for k in range(i):
+            answer[i] -= root[i, k] * answer[k]
+        answer[i] /= root[i, i]
+    for i in range(count - 1, -1, -1):
+        for k in range(i + 1, count):
+            answer[i] -= root[k, i] * answer[k]
+        answer[i] /= root[i, i]

@@ -19,6 +19,7 @@ import numpy as np
 
 from roemetry.records.arrays import Floats, Integers
 from roemetry_kernels.compiling import float_kernel
+from roemetry_kernels.image_levels import median_of
 
 _OFF_BELT_PX = 2.0
 """Peaks farther from every rest line lie on a product."""
@@ -34,8 +35,8 @@ _ROUNDED_JUMP_MIN_PX = 2.5
 _TIMES_USUAL = 8.0
 """So many times the jumps of the frame's other rows, which noise and texture make. Of 56 whole images of two
 makers the largest jump is five times the mean."""
-_SAMPLED_ROWS = 4
-"""Every so many rows tell how much stripes usually jump."""
+_SAMPLED_ROWS = 8
+"""Every so many rows tell how much stripes on the belt usually jump."""
 
 
 class Tear(NamedTuple):
@@ -114,14 +115,16 @@ def _largest_jump(
                 count += 1
         for kind in range(2):
             found = jumps[:count] if kind == 0 else slips[:slipped]
-            if found.size < stripes_min:
+            # among few belt peaks are those of a product's rim, which steps
+            if found.size < stripes_min or (kind == 1 and 4 * found.size < 3 * stripes):
                 continue
             large = 0
             for jump in found:
                 large += abs(jump) >= least_px
-            if row % sampled == 0 or 2 * large >= found.size:  # a median takes long
-                jump = abs(np.median(found))
-                if row % sampled == 0:
+            counts = kind == 0 or row % sampled == 0  # a median takes long
+            if counts or 4 * large >= 3 * found.size:
+                jump = abs(median_of(found))
+                if counts:
                     counted[kind] += 1.0
                     total[kind] += jump
                 if jump > most[kind]:

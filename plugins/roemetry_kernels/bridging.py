@@ -275,11 +275,17 @@ def numbered(x_px: Floats, off_belt: Flags, smallest: int) -> tuple[NDArray[np.i
             points[root] += off_belt[stripe[k], row]
         cells[root] += end[k] - begin[k]
         place[root] += stripe[k] * (end[k] - begin[k])
+    # From left to right; of the few products there are, the place of each is counted.
     number = np.zeros(runs, np.int16)
-    big = np.flatnonzero(points >= max(smallest, 1))
-    order = np.argsort(place[big] / cells[big], kind="mergesort")
-    for k in range(big.size):
-        number[big[order[k]]] = k + 1
+    least = max(smallest, 1)
+    for k in range(runs):
+        if points[k] >= least:
+            at, before = place[k] / cells[k], 1
+            for other in range(runs):
+                if points[other] >= least:
+                    away = place[other] / cells[other] - at
+                    before += away < 0.0 or (away == 0.0 and other < k)
+            number[k] = before
     for s in range(stripes):
         for row in range(rows):
             product[s, row] = -1 if np.isnan(x_px[s, row]) else 0

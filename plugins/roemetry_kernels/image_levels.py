@@ -325,6 +325,9 @@ def _has_dark_lines(image: NDArray[Any], white: int, bright_a_row: float) -> boo
     from scipy.signal import find_peaks  # few images get here
 
     some = image[:: max(1, -(-image.shape[0] // _DARK_ROWS_MAX))]
+    ground = np.median(some, axis=1)
+    if np.median(some.max(axis=1) - ground) > np.median(ground - some.min(axis=1)):
+        return False  # what is brightest stands out more than what is darkest: a line in a lit room
     dark = plain_layout((white - np.minimum(some, white)).astype(some.dtype.newbyteorder("=")))
     rise = automatic_rise(dark, white, 0, some.shape[0], 0, some.shape[1])
     lines = [find_peaks(line, prominence=rise, width=_WIDTHS_PX)[1]["prominences"] for line in dark]

@@ -22,6 +22,7 @@ import hashlib
 import os
 import re
 import shutil
+import signal
 import sys
 import time
 import warnings
@@ -202,7 +203,7 @@ def compiled_in_turns(compiled: Any, source: Path) -> Any:
         if types in compiled.overloads:
             return compile_now(signature)
         # numba's lock first: threads of this process that waited for each other's files could wait for ever
-        with global_compiler_lock, _turn(source), _nothing_collected():
+        with global_compiler_lock, _turn(source), _undisturbed():
             try:
                 return compile_now(signature)
             except NumbaError:
@@ -228,15 +229,27 @@ def compiled_in_turns(compiled: Any, source: Path) -> Any:
 
 
 @contextmanager
-def _nothing_collected() -> Iterator[None]:
-    """Keep Python's garbage collector away: it looks at all that a compiler holds and finds nothing."""
-    collects = gc.isenabled()
+def _undisturbed() -> Iterator[None]:
+    """Keep Python's garbage collector and the alarm of a stage's time limit away from the compiler.
+
+    The collector looks at all that a compiler holds and finds nothing. The alarm is for what a stage does,
+    not for its compilation, and LLVM's callbacks would swallow it.
+    """
+    collects, left_s = gc.isenabled(), _alarm_in(0.0)
     gc.disable()
     try:
         yield
     finally:
+        _alarm_in(left_s)
         if collects:
             gc.enable()
+
+
+def _alarm_in(seconds: float) -> float:
+    """Set the time until the process's alarm, 0 for none, and return what was left of it."""
+    if not hasattr(signal, "setitimer"):
+        return 0.0
+    return signal.setitimer(signal.ITIMER_REAL, seconds)[0]
 
 
 @contextmanager

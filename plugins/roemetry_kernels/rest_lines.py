@@ -17,10 +17,10 @@ from roemetry.records import Peaks, Reason
 from roemetry.records.arrays import Floats, Integers
 from roemetry.records.calibration import Calibration
 from roemetry_kernels.compiling import inlined, kernel
+from roemetry_kernels.image_levels import median_of
 from roemetry_kernels.tracing import nearest_rest
 
 _SIGMAS = 4.0
-_BINS = 512  # that numbers are counted in to find the middle one
 _TOLERANCE_MIN_PX = 1.0
 _SEARCH_PX = 3.0
 _MOVED_MAX_PX = 1.0
@@ -269,34 +269,12 @@ def _scatter(
         below += off < -0.25 * mad_px
         inside += abs(off) <= 0.75 * mad_px
     settled = 2 * max(above, below) < near.size < 2 * inside
-    mad = mad_px if settled else max(_median(np.abs(near - _median(near))), mad_px)
-    return near.size, mad, mean
-
-
-@inlined
-def _median(values: Floats) -> float:
-    """Give the median by counting: a sort guesses wrong at every other number, which takes far longer."""
-    lowest, highest = values.min(), values.max()
-    if not lowest < highest:
-        return float(lowest)
-    scale = (_BINS - 1) / (highest - lowest)
-    upto = np.zeros(_BINS + 1, np.int64)
-    for value in values:
-        upto[int((value - lowest) * scale) + 1] += 1
-    for k in range(_BINS):
-        upto[k + 1] += upto[k]
-    # the two middle ones lie in one bin, or in two with nothing between
-    first, second = (values.size - 1) // 2, values.size // 2
-    lower = int(np.searchsorted(upto, first, side="right")) - 1
-    upper = int(np.searchsorted(upto, second, side="right")) - 1
-    some = np.empty(upto[upper + 1] - upto[lower])
-    count: Any = 0
-    for value in values:
-        if lower <= int((value - lowest) * scale) <= upper:
-            some[count] = value
-            count += 1
-    some.sort()
-    return float(0.5 * (some[first - upto[lower]] + some[second - upto[lower]]))
+    if settled:
+        return near.size, mad_px, mean
+    middle = median_of(near)
+    for p in range(near.size):
+        near[p] = abs(near[p] - middle)
+    return near.size, max(median_of(near), mad_px), mean
 
 
 def _ends(

@@ -12,7 +12,8 @@ from pydantic import Field, model_validator
 from roemetry.records import Grade, Marks, Product, Reason
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.stages import Classifier, StageOptions
-from roemetry_kernels.slices import BodyCurves, arc_middles, body_curves, smoothed
+from roemetry_kernels.compiling import kernel
+from roemetry_kernels.slices import BodyCurves, body_curves, smoothed
 
 GOOD, HENKEI, UNKNOWN = "good", "henkei", "unknown"
 
@@ -115,7 +116,7 @@ class ArcCurvature(Classifier[ArcCurvatureOptions]):
         asked = self.options.space == "mm" or self.options.tuned_at_mm_per_px is not None
         mm_per_px = _mm_per_px(product, curves) if asked else math.nan
         options = _rescaled(self.options, mm_per_px)
-        middle = arc_middles(curves, options.delta_samples)
+        middle = arc_middles(curves.first, curves.size, options.delta_samples)
         if not middle.size:
             return _unknown(curves, options.delta_samples)
         arcs = _arcs(product, curves, middle, options, mm_per_px)
@@ -155,8 +156,6 @@ class _Arcs:
 def _arcs(
     product: Product, curves: BodyCurves, middle: Integers, options: ArcCurvatureOptions, mm_per_px: float
 ) -> _Arcs:
-    from roemetry_kernels.slices import circles, pairs_in_line
-
     profiles, delta = product.profiles, options.delta_samples
     x_row = pairs_in_line(profiles.x_px, profiles.row_px, curves.slice, curves.point)
     in_section = options.space == "mm"
@@ -292,3 +291,61 @@ def _marks(arcs: _Arcs, unit: str) -> Marks:
         value=np.where(arcs.concave, -arcs.radius, arcs.radius)[drawn],
         flagged=arcs.flagged[drawn],
     )
+
+
+@kernel
+def arc_middles(first: Integers, size: Integers, delta: int) -> Integers:
+    """Index of the middle point of each three that are `delta` samples apart, from each curve's first on.
+
+    N points give floor((N − 1) / delta) − 1 of them.
+    """
+    middle = np.empty(size.sum() // delta, np.int64)
+    n = 0
+    for c in range(first.size):
+        for m in range(first[c] + delta, first[c] + size[c] - delta, delta):
+            middle[n] = m
+            n += 1
+    return middle[:n].copy()
+
+
+@kernel
+def pairs_in_line(one: Floats, other: Floats, slice_of: Integers, point_of: Integers) -> Floats:
+    """Collect two (slice, point) quantities of points in line: (n, 2)."""
+    pairs = np.empty((slice_of.size, 2))
+    for k in range(slice_of.size):
+        pairs[k, 0], pairs[k, 1] = one[slice_of[k], point_of[k]], other[slice_of[k], point_of[k]]
+    return pairs
+
+
+_STRAIGHT = 1e-9  # sine of the bend below which three points lie on one line as far as float64 can tell
+
+
+@kernel
+def circles(xy: Floats, middle: Integers, delta: int) -> tuple[Floats, Floats, Floats]:
+    """Circles through points `delta` before, at and `delta` after each middle one, of (point, 2) places.
+
+    Returns
+    -------
+    to_centre
+        (middle, 2) vector from the middle point to the circle's centre; infinite where the three lie on one
+        line.
+    radius
+        (middle,) its length.
+    bow
+        (middle,) distance of the middle point from the chord.
+    """
+    count = middle.size
+    to_centre, radius, bow = np.full((count, 2), np.inf), np.empty(count), np.empty(count)
+    for k in range(count):
+        m = middle[k]
+        ax, ay = xy[m - delta, 0] - xy[m, 0], xy[m - delta, 1] - xy[m, 1]
+        bx, by = xy[m + delta, 0] - xy[m, 0], xy[m + delta, 1] - xy[m, 1]
+        aa, bb = ax * ax + ay * ay, bx * bx + by * by
+        cross = ax * by - ay * bx
+        if abs(cross) > _STRAIGHT * math.sqrt(aa * bb):
+            to_centre[k, 0] = (by * aa - ay * bb) / (2.0 * cross)
+            to_centre[k, 1] = (ax * bb - bx * aa) / (2.0 * cross)
+        radius[k] = math.hypot(to_centre[k, 0], to_centre[k, 1])
+        chord = math.hypot(bx - ax, by - ay)
+        bow[k] = abs(cross) / chord if chord > 0.0 else math.nan
+    return to_centre, radius, bow

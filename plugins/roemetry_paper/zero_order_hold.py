@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +11,7 @@ from roemetry.errors import StageError
 from roemetry.records import Estimate, Product, Profiles, Reason, Shares, Volume
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.stages import Capabilities, StageOptions, VolumeEstimator
+from roemetry_kernels.compiling import kernel
 from roemetry_kernels.slices import BodyCurves, body_curves
 
 _UNSEARCHED_ROWS = 1  # at the image's top and bottom: the paper's extractors leave them out
@@ -87,12 +89,10 @@ class _Slices(NamedTuple):
 
 
 def _slices(profiles: Profiles, curves: BodyCurves) -> _Slices:
-    from roemetry_kernels.slices import held_over, slice_sums
-
     count = profiles.slice_count
     alone = bool((curves.size == 1).any())
     row_mm = _mm_per_row(profiles, curves) if alone else np.nan
-    sums, y_mm = slice_sums(*curves, profiles.xyz_mm, profiles.seen, row_mm)
+    sums, y_mm = slice_sums(curves, profiles.xyz_mm, profiles.seen, row_mm)
     rest_mm = _rest_mm(profiles, 0.5 * float(y_mm[0] + y_mm[1]))
     order = np.argsort(rest_mm, kind="stable")
     rest_mm, stripe, frame = rest_mm[order], profiles.stripe[order], profiles.frame[order]
@@ -160,8 +160,6 @@ def _no_volume(slices: _Slices, volume_mm3: float) -> str:
 
 
 def _reasons(product: Product, curves: BodyCurves, slices: _Slices) -> tuple[Reason, ...]:
-    from roemetry_kernels.slices import rows_reached
-
     profiles, calibration = product.profiles, product.calibration
     reasons = []
     held = slices.lit & (slices.missing > 0)
@@ -179,7 +177,7 @@ def _reasons(product: Product, curves: BodyCurves, slices: _Slices) -> tuple[Rea
         reasons.append(
             Reason("last-slice-not-counted", "the last lit stripe's slice is not counted (the paper's sum)"),
         )
-    lowest, highest, unseen = rows_reached(profiles.row_px, curves.slice, curves.point, curves.first)
+    lowest, highest, unseen = rows_reached(profiles.row_px, curves)
     if unseen:
         reasons.append(
             Reason(
@@ -201,3 +199,94 @@ def _reasons(product: Product, curves: BodyCurves, slices: _Slices) -> tuple[Rea
             )
         )
     return tuple(reasons)
+
+
+@kernel
+def slice_sums(curves: BodyCurves, xyz_mm: Floats, seen: Flags, row_mm: float) -> tuple[Floats, Floats]:
+    """Area (mm²) of each slice between belt and product, and of the heights' sizes its seen and bridged part.
+
+    Each point's height counts times the length it stands for along Y: half the way to each neighbour in its
+    curve, at an end as much outwards as inwards, and `row_mm` where a curve is one point.
+
+    Returns
+    -------
+    sums
+        (slice, 3) area, its seen part and its bridged part, of the heights' sizes, mm².
+    y_mm
+        (2,) smallest and largest Y of the points.
+    """
+    slice_of, point_of, first, size = curves
+    sums = np.zeros((xyz_mm.shape[0], 3))
+    y_mm = np.array([math.inf, -math.inf])
+    for c in range(first.size):
+        last = first[c] + size[c] - 1
+        for k in range(first[c], last + 1):
+            s, p = slice_of[k], point_of[k]
+            y, z = xyz_mm[s, p, 1], xyz_mm[s, p, 2]
+            y_mm[0], y_mm[1] = min(y_mm[0], y), max(y_mm[1], y)
+            before = abs(y - xyz_mm[slice_of[k - 1], point_of[k - 1], 1]) if k > first[c] else math.nan
+            after = abs(xyz_mm[slice_of[k + 1], point_of[k + 1], 1] - y) if k < last else math.nan
+            if k == first[c]:
+                before = after
+            if k == last:
+                after = before
+            length = row_mm if math.isnan(before) else 0.5 * (before + after)
+            part = z * length
+            sums[s, 0] += part
+            sums[s, 1 if seen[s, p] else 2] += abs(part)
+    return sums, y_mm
+
+
+@kernel
+def held_over(
+    rest_mm: Floats, stripe: Integers, frame: Integers, dead: Flags
+) -> tuple[Floats, Floats, Integers]:
+    """Over what each live slice is held, slices in the order of their rest positions.
+
+    Stripe numbers tell of stripes without a slice, within a frame: a scan's frames overlap as they like.
+
+    Returns
+    -------
+    spacing
+        (slice,) mm to the next live slice; 0 of dead ones and of the last.
+    own
+        (slice,) the part of it that reaches to the next stripe, dead or live, mm.
+    missing
+        (slice,) number of dead stripes in it.
+    """
+    count = rest_mm.size
+    spacing, own, missing = np.zeros(count), np.zeros(count), np.zeros(count, np.int64)
+    live = -1
+    for k in range(count):
+        if not dead[k]:
+            if live >= 0:
+                spacing[live] = rest_mm[k] - rest_mm[live]
+                missing[live] -= 1
+                if spacing[live] <= 0.0:
+                    own[live] = 0.0
+            live = k
+        if k < count - 1:
+            step = max(abs(stripe[k + 1] - stripe[k]), 1) if frame[k + 1] == frame[k] else 1
+            if live >= 0:
+                missing[live] += step
+            if live == k:
+                own[k] = (rest_mm[k + 1] - rest_mm[k]) / step
+    if live >= 0:
+        own[live], missing[live] = 0.0, 0
+    return spacing, own, missing
+
+
+@kernel
+def rows_reached(row_px: Floats, curves: BodyCurves) -> tuple[float, float, int]:
+    """Lowest and highest row of points in line, and the rows between two curves of one slice, summed."""
+    slice_of, point_of, first, _ = curves
+    lowest, highest, between = math.inf, -math.inf, 0
+    for k in range(slice_of.size):
+        row = row_px[slice_of[k], point_of[k]]
+        lowest, highest = min(lowest, row), max(highest, row)
+    for c in range(1, first.size):
+        k = first[c]
+        if slice_of[k] == slice_of[k - 1]:
+            step = row_px[slice_of[k], point_of[k]] - row_px[slice_of[k - 1], point_of[k - 1]]
+            between += int(np.rint(step)) - 1
+    return lowest, highest, between

@@ -1,6 +1,17 @@
-"""The centre of gravity of each stripe's profile, background removed.
+"""The centre of gravity of each stripe's profile above its background.
 
-The centre of gravity of a stripe's profile above its background, compiled.
+Model. x₀ = Σ w x y / Σ w y over the pixels within 2.5 σ of the centre, y the light above the background, w
+the part of a pixel within the window. The window is moved until the centre is its middle: three times, each
+step longer by 1/(1 − f), f the share by which a Gaussian's centre follows the window.
+
+Uncertainty. x₀ follows each pixel by ∂x₀/∂y = w (x − x₀) / (Σ w y (1 − f)); noise, speckle and the
+background's slope add up in squares.
+
+Assumed: a symmetric profile on a straight background, of any shape. Fails where a neighbour's light reaches
+into the window; where the border cuts a flank off, as much is taken of the other one.
+
+Source: Fisher, Naidu (1996), A comparison of algorithms for subpixel peak detection; the moving window is
+ours.
 """
 
 from __future__ import annotations

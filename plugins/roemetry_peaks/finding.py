@@ -1,9 +1,12 @@
 """From a frame to peaks: what the extractors that measure each stripe by itself have in common.
 
-Overexposed stripes that leave the image sideways, followed by the flank that is still seen; compiled.
+Threshold from the image's noise, tops (`peak_scan`), what stands around them (`peak_window`), the speckle's
+contrast (`speckle_contrast`), the centre by one kernel or another, and the check of what is stated
+(`stated_uncertainty`).
 
-Where a stripe's top is cut off at white and its outer flank has left the image, the row does not fall any
-more before its last pixel: no top is found. But the inner flank goes on from row to row, and the stripe's
+Overexposed stripes that leave the image sideways are followed by the flank that is still seen: where a
+stripe's top is cut off at white and its outer flank has left the image, the row does not fall any more
+before its last pixel, and no top is found. But the inner flank goes on from row to row, and the stripe's
 width is known from the rows before.
 """
 

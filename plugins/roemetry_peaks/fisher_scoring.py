@@ -1,18 +1,19 @@
-"""Centre, height and width of Gaussian stripes by Fisher scoring, compiled.
+"""Centre, height and width of Gaussian stripes by Fisher scoring.
 
-A peak's pixels are y = b + a exp(−(x − x0)² / 2σ²) + noise, b the straight line of the light beside it. The
-noise has the variance R + g μ + C² m² (read noise and rounding, shot noise, speckle; m the stripe's light, μ
-all light), and the speckle of neighbouring pixels has the correlation ρ. The inverse of the covariance is
-taken to be tridiagonal, as of a Markov chain: each pixel is predicted from the one before. Without speckle
-that is the diagonal.
+Model. A peak's pixels are y = b + a exp(−(x − x0)² / 2σ²) + noise, b the straight line of the light beside
+it. The noise has the variance R + g μ + C² m² (read noise and rounding, shot noise, speckle; m the stripe's
+light, μ all light), and the speckle of neighbouring pixels has the correlation ρ. The inverse of the
+covariance is taken to be tridiagonal, as of a Markov chain: each pixel is predicted from the one before.
+Without speckle that is the diagonal. Each step solves J'WJ δ = J'W r for x0, a and ln σ, W with the last
+step's model in it, until the centre moves by less than a tenth of its standard uncertainty; then on without
+pixels beyond 5 standard deviations.
 
-Peaks whose windows are as long as each other go through the arithmetic in lanes, so that the compiler can use
-vector instructions.
+Uncertainty: the centre moves by Σ q y with q = W J h, so its variance is q' V q with the whole covariance
+V, speckle correlated over ± 4 pixels: W is not quite the inverse of it (the sandwich formula).
 
-The arithmetic of a Fisher step for sixteen peaks side by side, compiled into vector instructions.
-
-One table of numbers holds all fields of all lanes, at constant distances, and nothing branches: that is what
-the compiler needs to see that lanes do not depend on each other.
+Peaks whose windows are as long as each other go through the arithmetic sixteen at a time: one table of
+numbers holds all fields of all lanes, at constant distances, and nothing branches. That is what the
+compiler needs to see that lanes do not depend on each other.
 """
 
 from __future__ import annotations

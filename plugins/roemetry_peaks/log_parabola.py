@@ -1,8 +1,27 @@
-"""The parabola through the logarithms at each stripe's top.
+"""The parabola through the logarithms of three or five pixels at each stripe's top.
 
-The parabola through the logarithms of three or five pixels at a stripe's top, compiled.
+Model. The logarithm of a Gaussian is a parabola; through pixels on equal steps, least squares are sums,
 
-Natural logarithms and reciprocals of many numbers at a time, compiled into vector instructions.
+    c₁ = Σ p_j ln y_j,   c₂ = Σ q_j ln y_j,   x₀ = pixel − c₁ / (2 c₂),
+
+with p = j/10 and q = (j² − 2)/14 for five pixels, j = −2 … 2, and y the light above the background. All
+weigh the same: that is what makes it quick, and noisier than `gaussian`, since dark pixels' logarithms
+scatter most.
+
+Uncertainty. Each pixel's noise and speckle times its pull on the top, with the steepness that the stripe's
+width at half height gives: as fitted, a parabola may be flat by chance. No more than a pixel is ever
+stated.
+
+Where a pixel that counts is saturated or belongs to a neighbour, and where the parabola has no top near by,
+the middle between the half-height crossings is the centre.
+
+Assumed: a Gaussian of σ 1 to 4 px. Fails on flat tops (the middle is taken) and under strong speckle (three
+times the bound).
+
+Source: Fisher, Naidu (1996), A comparison of algorithms for subpixel peak detection.
+
+64 stripes go through the arithmetic side by side, their logarithms by a series, which lets the compiler use
+vector instructions.
 """
 
 from __future__ import annotations

@@ -1,10 +1,16 @@
-"""The search for stripes along image rows: peaks that rise and fall by a threshold, compiled.
+"""The search for stripes along image rows: peaks that rise and fall by a threshold.
 
-Rows side by side: an image's pixels turned so that one step searches many rows at once, compiled.
+From the row's first pixel on, the lowest level is kept until a pixel exceeds it by more than the threshold;
+from there the highest is kept until a pixel falls below it by more than the threshold. That ends a peak.
 
 A search along a row waits for itself: what a pixel means depends on those before it. Different rows do not
-wait for each other. So a block of rows is turned until the pixels of one column lie side by side in memory;
-then one vector instruction takes the same step in 16 to 64 rows.
+wait for each other. So a block of 128 rows is turned until the pixels of one column lie side by side in
+memory; then one vector instruction takes the same step in 16 to 64 rows. Row after row, skipping dark
+blocks, the same search takes 3.5 times as long: 0.36 instead of 0.1 ms for a VGA image, 2.6 instead of 0.7
+to 1.1 ms for 3 Mpix.
+
+Here, too, stands what is asked of stripes once they are measured (`peak_window`): which are none, and which
+have one flank in glare.
 """
 
 from __future__ import annotations
@@ -443,23 +449,15 @@ _ONE, _TWO, _THREE, _FOUR = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(
 
 
 @float_kernel
-def unfit_stripes(
-    row: Places,
-    width_min_px: float,
-    width_max_px: float,
-    share_min: float,
-    height_min: float,
-    values: Floats,
-) -> NDArray[np.uint64]:
+def unfit_stripes(row: Places, limits: Any, values: Floats) -> NDArray[np.uint64]:
     """Give the numbers of what is no stripe.
-
-    The other parameters are those of `roemetry_peaks.peak_window.stripes_around`.
 
     Parameters
     ----------
-    row, values
-        (peak,), (6, peak) image row; middle, width, amplitude, background, slope, unsure.
+    row, limits, values
+        (peak,) image row; `Limits`; and (6, peak) values as `roemetry_peaks.peak_window` has them.
     """
+    width_min_px, width_max_px, share_min, height_min = limits
     middles, widths, heights = values[0], values[1], values[2]
     count = row.shape[0]
     unfit, highest, lowest = 0, 0.0, np.inf

@@ -1,10 +1,13 @@
-"""What stands around the top of a peak: one stripe or two, width at half height, background; compiled.
+"""What stands around the top of a peak: one stripe or two, width at half height, background.
 
-Which tops are of one stripe, and which are spikes, compiled.
+Tops with a shallow valley between are one stripe; a top that both neighbours fall below half of may be a
+spike. What belongs to a stripe ends halfway to the next top, or at the darkest pixel between where halfway
+lies in the light of one. Half height lies between the top and the higher of the two sides' lowest levels;
+width and middle are those of its crossings. The background is a straight line through up to 8 pixels on
+both sides, from 3.6 standard deviations outwards.
 
-Limits between stripes where halfway between two tops lies in the light of one; compiled.
-
-Tops cut off at white of which the image's border cuts off a flank as well, compiled.
+Where the image's border cuts a side off, the other side tells background and width; of a top cut off at
+white as well, a pixel on one flank is matched with its like on the other.
 """
 
 from __future__ import annotations
@@ -73,6 +76,38 @@ class Stripes(NamedTuple):
     unsure: Floats
 
 
+class Rows(NamedTuple):
+    """Grey levels, row after row, with a row's length; the columns searched; the saturated level."""
+
+    levels: Pixels
+    columns: int
+    left: int
+    right: int
+    white: int
+
+
+class Limits(NamedTuple):
+    """What may be a stripe; see `stripes_around`."""
+
+    width_min_px: float
+    width_max_px: float
+    share_min: float
+    height_min: float
+
+
+class Measured(NamedTuple):
+    """What is measured of each top: `done` says of which already.
+
+    `high` highest grey level; `places` (2, peak) first and last column that are its own; `values` (6, peak)
+    middle, width, amplitude, background, slope, unsure.
+    """
+
+    done: NDArray[np.uint8]
+    high: Floats
+    places: NDArray[np.int32]
+    values: Floats
+
+
 def stripes_around(
     image: Pixels,
     tops: Tops,
@@ -108,15 +143,14 @@ def stripes_around(
     height_min
         What stands less above the background beside it, grey levels, is a bump on bright ground: left out.
     """
-    levels, columns = image.reshape(-1), image.shape[1]
-    count = join_tops(levels, columns, area.left, area.right, width_min_px, *tops)
-    row, places = np.empty(count, np.int64), np.empty((2, count), np.int32)
-    flags, values, highs = np.empty(count, np.uint8), np.empty((6, count)), np.empty(count)
-    found = tops.row[:count], tops.first[:count], tops.last[:count]
-    done = np.zeros(count, np.uint8)
-    sides = area.left, area.right
-    limits = white, width_min_px, width_max_px, share_min, height_min
-    count = _measure(levels, columns, *sides, *limits, *found, done, highs, row, places, flags, values)
+    rows = Rows(image.reshape(-1), image.shape[1], area.left, area.right, white)
+    count = join_tops(rows, width_min_px, tops)
+    tops = Tops(*(columns[:count] for columns in tops))
+    places, values = np.empty((2, count), np.int32), np.empty((6, count))
+    found = Measured(np.zeros(count, np.uint8), np.empty(count), places, values)
+    row, flags = np.empty(count, np.int64), np.empty(count, np.uint8)
+    limits = Limits(width_min_px, width_max_px, share_min, height_min)
+    count = _measure(rows, tops, limits, found, row, flags)
     lo, hi = places[:, :count]
     middle, width, amplitude, background, slope, unsure = values[:, :count]
     return Stripes(row[:count], lo, hi, flags[:count], middle, width, amplitude, background, slope, unsure)
@@ -174,38 +208,28 @@ def _foot(levels: Pixels, begin: int, end: int, high: float) -> float:
 
 @float_kernel
 def _measure(
-    levels: Pixels,
-    columns: int,
-    left: int,
-    right: int,
-    white: int,
-    width_min_px: float,
-    width_max_px: float,
-    share_min: float,
-    height_min: float,
-    row: Places,
-    first: Places,
-    last: Places,
-    done: NDArray[np.uint8],
-    highs: Floats,
+    rows: Rows,
+    tops: Tops,
+    limits: Limits,
+    found: Measured,
     out_row: NDArray[np.int64],
-    places: NDArray[np.int32],
     flags: NDArray[np.uint8],
-    values: Floats,
 ) -> Any:
     """Fill the fields of `Stripes`; gives the number of those within the width limits."""
+    row, first, last = tops
+    done, highs, places, values = found
+    left, right, white = rows.left, rows.right, rows.white
     count = row.shape[0]
     for i in range(count):
         if not done[i]:
             follows, leads = i > 0 and row[i - 1] == row[i], i + 1 < count and row[i + 1] == row[i]
             places[0, i] = (last[i - 1] + first[i] + 1) // 2 if follows else left
             places[1, i] = (last[i] + first[i + 1]) // 2 if leads else right - 1
-    _measure_rest(levels, columns, left, right, white, row, first, last, done, highs, places, values)
-    limits = width_min_px, width_max_px, share_min, height_min
-    unfit = unfit_stripes(row, *limits, values)
-    changed = limits_out_of_light(levels, columns, row, first, last, unfit, highs, places, done)
+    _measure_rest(rows, tops, found)
+    unfit = unfit_stripes(row, limits, values)
+    changed = limits_out_of_light(rows, tops, unfit, found)
     if changed:
-        _measure_rest(levels, columns, left, right, white, row, first, last, done, highs, places, values)
+        _measure_rest(rows, tops, found)
     # Loops that write to one place each, and unsigned numbers, which none from the end can be.
     middles, widths = values[0], values[1]
     for i in range(np.uint64(count)):
@@ -221,38 +245,26 @@ def _measure(
     for i in range(np.uint64(count)):
         wide += 1 if (widths[i] > too_wide) & (highs[i] >= glaring) else 0
     if wide > 0:
-        take_off_glare(white, share_min, out_row, flags, values)
+        take_off_glare(white, limits.share_min, out_row, flags, values)
         changed = True
     if changed:
-        unfit = unfit_stripes(row, *limits, values)
+        unfit = unfit_stripes(row, limits, values)
     return closed_up(unfit, out_row, places, flags, values)
 
 
 @float_kernel
-def _measure_rest(
-    levels: Pixels,
-    columns: int,
-    left: int,
-    right: int,
-    white: int,
-    row: Places,
-    first: Places,
-    last: Places,
-    done: NDArray[np.uint8],
-    highs: Floats,
-    places: NDArray[np.int32],
-    values: Floats,
-) -> None:
+def _measure_rest(rows: Rows, tops: Tops, found: Measured) -> None:
     """Measure within `places` what is not done."""
+    levels, columns, left, right, white = rows
+    row, first, last = tops
+    done, highs, places, values = found
     for i in range(row.shape[0]):
         if done[i]:
             continue
         lo, hi = places[0, i], places[1, i]
         at = row[i] * columns
-        at_left, at_right = (
-            lo == left and first[i] - lo < _BORDER_PX,
-            hi == right - 1 and hi - last[i] < _BORDER_PX,
-        )
+        at_left = lo == left and first[i] - lo < _BORDER_PX
+        at_right = hi == right - 1 and hi - last[i] < _BORDER_PX
         highs[i], middle, values[1, i], values[3, i], values[4, i], values[5, i] = _measured(
             levels, white, at + first[i], at + last[i], at + lo, at + hi, at_left, at_right
         )
@@ -334,28 +346,19 @@ _ONE, _NEAR = np.uint64(1), np.uint64(_NEAR_PX)
 
 
 @float_kernel
-def join_tops(
-    levels: Pixels,
-    columns: int,
-    left: int,
-    right: int,
-    width_min_px: float,
-    row: Places,
-    first: Places,
-    last: Places,
-) -> int:
+def join_tops(rows: Rows, width_min_px: float, tops: Tops) -> int:
     """Leave out spikes and join tops of one stripe, in place; gives the number of peaks that are left.
 
-    Of joined tops the first pixel of the first and the last of the last are kept. The parameters are those
-    of `roemetry_peaks.peak_window.stripes_around`.
+    Of joined tops the first pixel of the first and the last of the last are kept.
     """
-    tops = row.shape[0]
-    looked_at = np.empty(tops, np.uint8)
-    if not _may_be_one_or_none(levels, columns, left, right, row, first, last, looked_at):
-        return tops
+    levels, columns, left, right, _ = rows
+    row, first, last = tops
+    looked_at = np.empty(row.shape[0], np.uint8)
+    if not _may_be_one_or_none(rows, tops, looked_at):
+        return row.shape[0]
     count = 0
     changed = False  # what comes before is not what the quick look compared with
-    for i in range(tops):
+    for i in range(row.shape[0]):
         if looked_at[i] or changed:
             at = row[i] * columns
             changed = True
@@ -375,20 +378,13 @@ def join_tops(
 
 
 @inlined
-def _may_be_one_or_none(
-    levels: Pixels,
-    columns: int,
-    left: int,
-    right: int,
-    row: Places,
-    first: Places,
-    last: Places,
-    looked_at: NDArray[np.uint8],
-) -> int:
+def _may_be_one_or_none(rows: Rows, tops: Tops, looked_at: NDArray[np.uint8]) -> int:
     """Mark tops that may be a spike, or one with the top before; gives how many there are.
 
     Nearly none is. So this is all that is done to most tops: whole numbers, and nothing to branch on.
     """
+    levels, columns, left, right, _ = rows
+    row, first, last = tops
     found = 0
     before_row: Any = -1
     before_last: Any = 0
@@ -517,17 +513,7 @@ _BRIGHT = 0.25  # of the highest top: what is lower has no ripples beside it tha
 
 
 @float_kernel
-def limits_out_of_light(
-    levels: Pixels,
-    columns: int,
-    row: Places,
-    first: Places,
-    last: Places,
-    unfit: NDArray[np.uint64],
-    highs: Floats,
-    places: NDArray[np.int32],
-    done: NDArray[np.uint8],
-) -> bool:
+def limits_out_of_light(rows: Rows, tops: Tops, unfit: NDArray[np.uint64], found: Measured) -> bool:
     """Put limits between stripes at the darkest pixel where halfway lies in the light of one, in place.
 
     Beside a wide stripe a faint top, such as the ripples that a JPEG makes, takes half of what is between
@@ -536,31 +522,29 @@ def limits_out_of_light(
 
     Parameters
     ----------
-    levels, columns, row, first, last
-        As `roemetry_peaks.peak_window.stripes_around` has them.
+    rows, tops, found
+        As `_measure` has them; `done` becomes 0 for the stripes that have another limit now, and `places` is
+        changed.
     unfit
         Numbers of the tops that are no stripes by the limits so far.
-    highs, places
-        What it filled; `places` is changed.
-    done
-        (peak,) filled: 0 for the stripes that have another limit now.
 
     Returns
     -------
     bool
         Whether there are any.
     """
+    done, highs, places, _ = found
     if unfit.shape[0] == 0:
         return False
     some, least = False, _BRIGHT * np.max(highs)
     for g in range(unfit.shape[0]):
         k: Any = np.int64(unfit[g])
-        for i in range(max(k, 1), min(k + 2, row.shape[0])):
-            some |= _darkest(levels, columns, row, first, last, highs, least, places, i) >= 0
+        for i in range(max(k, 1), min(k + 2, done.shape[0])):
+            some |= _darkest(rows, tops, found, least, i) >= 0
     if some:
         done[:] = 1
-        for i in range(1, row.shape[0]):
-            darkest = _darkest(levels, columns, row, first, last, highs, least, places, i)
+        for i in range(1, done.shape[0]):
+            darkest = _darkest(rows, tops, found, least, i)
             if darkest >= 0:
                 places[1, i - 1] = places[0, i] = darkest
                 done[i - 1] = done[i] = 0
@@ -568,18 +552,11 @@ def limits_out_of_light(
 
 
 @inlined
-def _darkest(
-    levels: Pixels,
-    columns: int,
-    row: Places,
-    first: Places,
-    last: Places,
-    highs: Floats,
-    least: float,
-    places: NDArray[np.int32],
-    i: int,
-) -> int:
+def _darkest(rows: Rows, tops: Tops, found: Measured, least: float, i: int) -> int:
     """Column of the darkest pixel between a top and the one before it, if halfway is in light; else −1."""
+    levels, columns, _, _, _ = rows
+    row, first, last = tops
+    highs, places = found.high, found.places
     if row[i] != row[i - 1]:
         return -1
     high, at = max(highs[i - 1], highs[i]), row[i] * columns

@@ -13,9 +13,6 @@ from roemetry.stages import StageOptions
 Narrowest = Annotated[
     float, Field(ge=0.0, le=100.0, description="smallest full width at half height, px: rejects hot pixels")
 ]
-Widest = Annotated[
-    float, Field(gt=0.0, le=1000.0, description="largest full width at half height, px: rejects glare")
-]
 
 
 class SearchOptions(StageOptions):
@@ -27,7 +24,9 @@ class SearchOptions(StageOptions):
         "light on both sides of it; auto: from the image's own noise, and from how high its stripes are",
     )
     width_min_px: Narrowest = 1.5
-    width_max_px: Widest = 40.0
+    width_max_px: float = Field(
+        default=40.0, gt=0.0, le=1000.0, description="largest full width at half height, px: rejects glare"
+    )
     region: tuple[int, int, int, int] | None = Field(
         default=None,
         description="part of the (turned) image to search: first row, row after the last, first column, "

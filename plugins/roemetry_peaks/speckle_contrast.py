@@ -1,6 +1,21 @@
-"""The contrast of speckle, from how much the flanks of stripes jump from row to row; compiled.
+"""The contrast of speckle, from how much stripes jump from row to row; and what it does to a centre.
 
-From the pull of each pixel on a stripe's centre to the centre's standard uncertainty, compiled.
+Model. Fully developed speckle multiplies the light by noise of contrast C (standard deviation over mean),
+correlated over a length ℓ of about 0.8 px. A crossing of half height moves by noise over slope; so the
+middle of two crossings has the variance C² w² · 0.25 · 0.5/(2 ln 2)², w the width. Third differences of one
+stripe's middles, 3 rows apart, are free of place, slant and bend: their median square, less the sensor's
+share, over that of C = 1 is C². Where parts of the image differ by more than chance, each of 16 × 12 tiles
+has its own.
+
+A centre that follows pixel k by p_k then has the variance
+
+    Σ p_k² (R + g y_k) + C² Σ_k Σ_l p_k m_k p_l m_l exp(−(k − l)² / 4ℓ²) + (pull of the background's slope)².
+
+Assumed: surfaces smooth over 10 rows; speckle as long along the stripe as across. Fails, towards larger C,
+on rough surfaces.
+
+Source: Dorsch, Häusler, Herrmann (1994), Applied Optics 33:1306–1314, for speckle as the limit; the
+estimate is ours.
 """
 
 from __future__ import annotations

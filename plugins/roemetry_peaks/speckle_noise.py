@@ -1,6 +1,17 @@
 """The noise of stripes, from what fits leave: read noise, shot noise, speckle's contrast by tile.
 
-What noise is left beside fitted peaks, compiled: products of residuals, and what to expect of them.
+Model. Fits take up part of the noise: with P the matrix that takes pixels to residuals, residuals have the
+covariance P V P', V that of the noise. V is linear in R, in g, in C² and in C² times the correlation of
+pixels 1, 2, 3 apart (ρ, ρ⁴, ρ⁹); so are the expected products of residuals. Four sums of products per peak
+(weighted for R, for g, for C², and of neighbours) against their expectation are solved for what is not
+known: R and g for the image, ρ by the one whose C² explains both kinds of product best, C² for each tile,
+drawn to the image's mean as far as tiles differ by no more than chance.
+
+Assumed: Gaussian profiles (what is none leaves residuals; so R and g have upper limits), and speckle of one
+length in the image. Fails where fewer than some tens of peaks are seen: nothing is then known of ρ.
+
+Source: residuals' expectation as in analysis of variance by MINQUE, Rao (1971), J. Multivariate Anal.
+1:257–275; the rest is ours.
 """
 
 from __future__ import annotations

@@ -53,9 +53,9 @@ lies on one surface."""
 _USUAL = 0.94
 """The median of the windows where all errors are as stated: by drawing 16,000 windows of independent normal
 errors, ± 0.005."""
-_BAND = 96
-"""Rows at the image's top and at its bottom that are asked first: three windows of each stripe. Asking all
-rows of a small image takes as long as a tenth of the quickest extraction."""
+_BAND = 104
+"""Rows at the image's top and at its bottom that are asked first: three windows of each stripe, so that seven
+stripes suffice. Asking all rows takes as long as a tenth of the quickest extraction."""
 _WINDOWS_MIN = 20
 """Windows below which nothing is said: the quantile's own scatter is then about 10 %."""
 _TRUSTED = 1.25

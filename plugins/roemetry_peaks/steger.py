@@ -1,8 +1,24 @@
-"""Ridges of the smoothed image in any direction (Steger 1998), where they cross rows.
+"""Ridges of the smoothed image in any direction, where they cross rows.
 
-Ridges of a smoothed image, in any direction, and where they cross image rows, compiled.
+Model. The image is smoothed by a Gaussian of σ in all directions; g are its first, H its second
+derivatives. Where the stronger eigenvalue λ of H is negative enough, its eigenvector n points across a
+ridge, and the ridge passes the pixel at
 
-Ridges in the first and the last rows of an image, which smoothing along them would bend; compiled.
+    t n,   t = −(g · n) / λ,
+
+kept if it lies within the pixel. From there the ridge is followed along its direction to the row's own
+height; pixels next to each other tell of one crossing, and their mean is taken.
+
+A ridge must rise above the valleys on both sides by the threshold, be bright in its own row, and go on over
+rows for two standard deviations of the smoothing. In the first and the last rows, where smoothing would
+bend it, it is led on by its lean and found in the row alone.
+
+Assumed: a ridge as wide as the smoothing, symmetric, straight over 2 σ. It averages along the stripe: half
+the bound's error on clean images, paid for in resolution. Fails at junctions, and on stripes much wider
+than σ. No uncertainty is stated.
+
+Source: Steger (1998), An unbiased detector of curvilinear structures, IEEE PAMI 20:113–125; what is asked
+of a ridge, and the first and last rows, are ours.
 """
 
 from __future__ import annotations

@@ -1,6 +1,17 @@
 """The zero crossing of each stripe's filtered derivative.
 
-The zero crossing of a stripe's filtered derivative (Blais and Rioux), compiled.
+Model. d(x) = Σ_{k=1…n} y(x + k) − y(x − k) is the profile's derivative, smoothed by a box of n pixels to
+each side; its zero is the centre, found between the two pixels where d changes its sign, on a straight
+line. n is 1.6 standard deviations of the stripe, where d is steepest. The background's slope s adds s n (n
++ 1), taken off.
+
+Uncertainty. The zero follows each pixel by one over the slope of d; noise, speckle and the background's
+slope add up in squares.
+
+Assumed: a symmetric profile. A step of the background beside the stripe cancels only if it lies beyond n.
+Fails on flat tops wider than 2 n, where d is zero over several pixels.
+
+Source: Blais, Rioux (1986), Real-time numerical peak detector, Signal Processing 11(2):145–155.
 """
 
 from __future__ import annotations

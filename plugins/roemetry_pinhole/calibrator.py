@@ -147,9 +147,7 @@ class PinholeCalibrator(Calibrator[PinholeCalibratorOptions]):
         try:
             verdict = judged(joined, scale_is_known=lengths)
         except CalibrationError as error:
-            # what was noticed of the images may be the cause
-            words = "\n  ".join([error.message, *joined.seen.notes])
-            raise CalibrationError(words, hint=error.hint) from error
+            raise _with(joined.seen.notes, error) from error
         parameters = parameters_of(adjusted.geometry, travel=joined.moves)
         covariance = covariance_of(adjusted.covariance, adjusted.unknowns, travel=joined.moves)
         if lengths:
@@ -192,7 +190,7 @@ class PinholeCalibrator(Calibrator[PinholeCalibratorOptions]):
             try:
                 last = observed, seen, self._adjusted(observed, seen)
             except CalibrationError as error:
-                last = observed, seen, error
+                last = observed, seen, _with(seen.notes, error)
             self._last = last
         return last[1], last[2]
 
@@ -238,6 +236,11 @@ class PinholeCalibrator(Calibrator[PinholeCalibratorOptions]):
                 hint="give height_max_mm among the calibrator's options",
             )
         return read_planes(self.options.planes, sign=1 if self.options.planes_form == "Ax+By+Cz+D=0" else -1)
+
+
+def _with(notes: list[str], error: CalibrationError) -> CalibrationError:
+    """Give a refusal with what was noticed of the images: it may be the cause."""
+    return CalibrationError("\n  ".join([error.message, *notes]), hint=error.hint)
 
 
 def _plain_number(pose: str | None) -> str | None:

@@ -412,6 +412,16 @@ def stripe_residuals(geometry: Geometry, points: StripePoints) -> Floats:
     return way + where.way_px(points.x_px - way)[0]
 
 
+def plane_distances(geometry: Geometry, points: StripePoints) -> Floats:
+    """Give (point,) how far from its plane of light each peak's ray meets board or belt, mm."""
+    where = _Lines(geometry, points)
+    ray = rays(geometry.camera, np.column_stack([points.x_px, points.row_px]))
+    belt = np.where(where.on_belt[:, None], geometry.belt, 0.0)
+    away = np.where(where.on_belt, 1.0, where.distance)
+    at = ray * (away / ((where.normal + belt) * ray).sum(axis=1))[:, None]
+    return np.asarray(((at * where.plane).sum(axis=1) - 1.0) / np.sqrt((where.plane**2).sum(axis=1)))
+
+
 class _Lines:
     """For each point the line, on the plane at distance 1, on which its stripe lies."""
 

@@ -132,7 +132,7 @@ def number_stripes(poses: Sequence[PoseLines], stripes: int, belt: PoseLines | N
     left_out: dict[str, str] = {}
     while True:
         every = [*kept, *([belt] if belt is not None and belt.count else [])]
-        planes, numbers = _planes_of(every, belt_shows_all=belt is not None and belt.count == stripes)
+        planes, numbers = planes_of(every, belt_shows_all=belt is not None and belt.count == stripes)
         moved = _poses_off(kept, planes, numbers)
         if not moved:
             break
@@ -165,8 +165,8 @@ def number_stripes(poses: Sequence[PoseLines], stripes: int, belt: PoseLines | N
 
 
 _MOVED = (
-    "its stripes lie on none of the planes that the other poses show: is it mirrored, or did the board or "
-    "the laser move before it was taken? Take the pose again"
+    "its stripes lie on none of the planes that the other poses show: is it mirrored, or another "
+    "camera's, or did the board or the laser move before it was taken? Take the pose again"
 )
 _HIDDEN = (
     "hardly a line is seen on even print, and it lies on no plane of the other poses: are the stripes faint, "
@@ -178,12 +178,12 @@ _FEW_SHARE = 0.1
 """Of the usual pose's peaks: fewer are scraps too short to say where their lines run."""
 
 
-def _planes_of(poses: list[PoseLines], *, belt_shows_all: bool) -> tuple[Floats, list[Integers]]:
+def planes_of(poses: list[PoseLines], *, belt_shows_all: bool) -> tuple[Floats, list[Integers]]:
     """Find planes (plane, 3), in order, and for each pose the (line,) plane of each line, −1 for none.
 
     With `belt_shows_all` the last pose shows every stripe once, and nothing else.
     """
-    spacing = _spacing_mm(poses)
+    spacing = spacing_mm(poses)
     tolerance = _TOLERANCE_SHARE * spacing
     free = [np.ones(pose.count, np.bool_) for pose in poses]
     planes = more = _best_pairing(poses, free, tolerance, _BASES)
@@ -206,7 +206,7 @@ def _planes_of(poses: list[PoseLines], *, belt_shows_all: bool) -> tuple[Floats,
         numbers = [_nearest(pose, planes, tolerance) for pose in poses]
         if sum(int((mine >= 0).sum()) for mine in numbers) <= before:
             # what these lines have in common is no stripe: each is tried once
-            tried = [(_distances(pose, more) <= reach).any(axis=1) for pose in poses]
+            tried = [(distances(pose, more) <= reach).any(axis=1) for pose in poses]
             free = [one & ~(mine & tries) for one, mine, tries in zip(free, left, tried, strict=True)]
         left = [(mine < 0) & one for mine, one in zip(numbers, free, strict=True)]
         more = _best_pairing(poses, left, tolerance, len(poses))
@@ -293,7 +293,7 @@ def _nearest(pose: PoseLines, planes: Floats, tolerance: float) -> Integers:
     """Give each line the nearest plane within the tolerance; of several lines the nearest one gets it."""
     if not len(planes):
         return np.full(pose.count, -1)
-    off = _distances(pose, planes)
+    off = distances(pose, planes)
     off = np.where(np.isfinite(off), off, np.inf)
     numbers, best = off.argmin(axis=1), off.min(axis=1)
     numbers = np.where(best <= tolerance, numbers, -1)
@@ -327,7 +327,7 @@ def _in_order(poses: list[PoseLines], planes: Floats, spacing: float) -> Floats:
     support = np.zeros(len(planes))
     for pose in poses:
         mine = _nearest(pose, planes, tolerance)
-        off = _distances(pose, planes)
+        off = distances(pose, planes)
         on = np.flatnonzero(mine >= 0)
         support[mine[on]] += _vote(off[on, mine[on]], tolerance)
     ends = np.concatenate([pose.ends_mm for pose in poses]).reshape(-1, 3)
@@ -369,7 +369,7 @@ def _is_shown(numbers: list[Integers], count: int) -> Flags:
 
 def _tolerance(poses: list[PoseLines], planes: Floats, spacing: float) -> float:
     """Give the tolerance that the distances seen ask for, mm."""
-    off = [_distances(pose, planes).min(axis=1) for pose in poses if len(planes)]
+    off = [distances(pose, planes).min(axis=1) for pose in poses if len(planes)]
     near = np.concatenate(off) if off else np.empty(0)
     near = near[near < _TOLERANCE_SHARE * spacing]
     usual = float(np.median(near)) if near.size else spacing
@@ -396,7 +396,7 @@ def _poses_off(poses: list[PoseLines], planes: Floats, numbers: list[Integers]) 
         others = [at for at in range(len(poses)) if at != one]
         without = _fitted([poses[at] for at in others], [numbers[at] for at in others], len(planes))
         on = np.flatnonzero(numbers[one] >= 0)
-        own = _distances(pose, without)[on, numbers[one][on]]
+        own = distances(pose, without)[on, numbers[one][on]]
         if np.isfinite(own).any():
             off[one] = float(np.nanmedian(own)) / float(pose.ends_mm[:, :, 2].mean())
     if not np.isfinite(off).any():
@@ -486,7 +486,7 @@ def _too_few(
     )
 
 
-def _spacing_mm(poses: Sequence[PoseLines]) -> float:
+def spacing_mm(poses: Sequence[PoseLines]) -> float:
     """Give the median distance of neighbouring lines across their direction, mm."""
     gaps = []
     for pose in poses:
@@ -501,7 +501,7 @@ def _spacing_mm(poses: Sequence[PoseLines]) -> float:
     return float(np.median(np.concatenate(gaps))) if gaps else 0.05 * depth
 
 
-def _distances(pose: PoseLines, planes: Floats) -> Floats:
+def distances(pose: PoseLines, planes: Floats) -> Floats:
     """Give (line, plane) the larger distance of each line's ends from each plane, mm."""
     size = np.sqrt((planes**2).sum(axis=1))
     off: Floats = np.abs(np.einsum("lek,sk->lse", pose.ends_mm, planes) - 1.0).max(axis=2) / size

@@ -17,54 +17,80 @@ from dataclasses import replace
 
 import numpy as np
 
-from roemetry.errors import CalibrationError
 from roemetry.records import Board
 from roemetry.records.arrays import Floats, Integers
 from roemetry_pinhole.boards import BoardView
 from roemetry_pinhole.bundle import Adjusted, Measured
 from roemetry_pinhole.geometry import unknowns_of
-from roemetry_pinhole.numbering import PoseLines, number_stripes
+from roemetry_pinhole.numbering import PoseLines, distances, planes_of, spacing_mm
 
-_SIZES = np.arange(-0.3, 0.3, 0.001)
-"""Logarithms of the sizes that are tried."""
+_SIZE_MAX = 0.3
+"""Of the logarithm: nobody describes a print so wrongly."""
+_TRIED = 6
+"""Sizes that are tried in full: the right one and those at which the neighbours' planes fit."""
+_ON_PLANE = 0.1
+"""Of the spacing of stripes: a line that is further from each plane lies on none."""
 _ALIKE = 0.01
 """Difference of the logarithms by a line's two ends: more, and the line is not this plane's."""
 _STRETCH_STDS, _STRETCH_MIN = 5.0, 0.002
 """A stretch is told from here on: 0.2 % is what printers do."""
+_NOT_SQUARE = 0.004
+"""Where boards all lie alike in the image fx over fy takes the stretch: from here on it is told."""
 _SQUARE = 0.001
 """Pixels are as square as this. Bent boards seem stretched as well (two real sets by 0.6 and 0.9 %), but then
 fx and fy come apart, where a real stretch lets them agree."""
 
 
-def first_sizes(poses: Sequence[PoseLines], boards: Integers, stripes: int, belt: PoseLines | None) -> Floats:
+def first_sizes(poses: Sequence[PoseLines], boards: Integers) -> Floats:
     """Give (board,) how much larger each print is than described, by the planes that the first one shows.
 
-    1 for boards on which no stripe lies, and where the first board alone does not tell the planes.
+    With equal spacing another stripe's planes fit nearly as well at another size; of the sizes on which many
+    lines agree, the one is taken at which all lines lie nearest to the planes they then make.
     """
     sizes = np.ones(int(boards.max(initial=0)) + 1)
-    others = np.unique(boards[boards > 0])
-    try:
-        mine = [pose for pose, board in zip(poses, boards, strict=True) if board == 0]
-        if not others.size or len(mine) < 2:
-            return sizes
-        planes = number_stripes(mine, stripes, belt).planes
-    except CalibrationError:
+    mine = [pose for pose, board in zip(poses, boards, strict=True) if board == 0]
+    if len(mine) < 2:
         return sizes
-    for other in others:
-        lines = [pose for pose, board in zip(poses, boards, strict=True) if board == other]
-        votes = np.zeros(_SIZES.size)
-        for pose in lines:
-            with np.errstate(divide="ignore", invalid="ignore"):
-                size = -np.log(pose.ends_mm @ planes.T)  # (line, end, plane)
-            apart = np.abs(size[:, 0] - size[:, 1])
-            weight = np.broadcast_to(pose.weight[:, None], apart.shape)
-            at = size.mean(axis=1)
-            good = (apart < _ALIKE) & (np.abs(at) < -_SIZES[0])
-            near = np.abs(_SIZES - at[good][:, None]) < 0.5 * _ALIKE
-            votes += weight[good] @ near
-        best = np.flatnonzero(votes == votes.max())
-        sizes[other] = np.exp(_SIZES[best[best.size // 2]]) if votes.any() else 1.0
+    for other in np.unique(boards[boards > 0]):
+        theirs = [pose for pose, board in zip(poses, boards, strict=True) if board == other]
+        found = []
+        for size in _likely(theirs, planes_of(mine, belt_shows_all=False)[0]):
+            scaled = [*mine, *(replace(pose, ends_mm=size * pose.ends_mm) for pose in theirs)]
+            found.append((_misfit(scaled), size))
+        sizes[other] = min(found)[1] if found else 1.0
     return sizes
+
+
+def _likely(poses: Sequence[PoseLines], planes: Floats) -> Floats:
+    """Give the sizes on which most lines agree, the likeliest first."""
+    found, weight = [], []
+    for pose in poses:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            size = -np.log(pose.ends_mm @ planes.T)  # (line, end, plane)
+        at = size.mean(axis=1)
+        good = (np.abs(size[:, 0] - size[:, 1]) < _ALIKE) & (np.abs(at) < _SIZE_MAX)
+        found.append(at[good])
+        weight.append(np.broadcast_to(pose.weight[:, None], at.shape)[good])
+    at, counts = np.concatenate(found), np.concatenate(weight)
+    sizes: list[float] = []
+    while at.size and len(sizes) < _TRIED:
+        near = np.abs(at[:, None] - at) < 0.5 * _ALIKE
+        best = float(np.median(at[near[(near @ counts).argmax()]]))
+        sizes.append(best)
+        others = np.abs(at - best) > _ALIKE
+        at, counts = at[others], counts[others]
+    return np.exp(sizes)
+
+
+def _misfit(poses: list[PoseLines]) -> float:
+    """Give the mean distance of lines from the planes they make; what lies on none counts 1."""
+    planes = planes_of(poses, belt_shows_all=False)[0]
+    if not len(planes):
+        return 1.0
+    off = np.concatenate([distances(pose, planes).min(axis=1) for pose in poses]) / spacing_mm(poses)
+    return float(
+        np.average(np.minimum(off / _ON_PLANE, 1.0), weights=np.concatenate([p.weight for p in poses]))
+    )
 
 
 def compared(found: Adjusted, boards: Sequence[Board]) -> list[tuple[Board, float, float]]:
@@ -109,6 +135,14 @@ def stretched(measured: Measured, found: Adjusted, views: Sequence[BoardView]) -
     moved, covariance = replace(measured, unknowns=unknowns).step_of(replace(found, geometry=geometry))
     before, after = (abs(float(np.log(one.camera[1] / one.camera[0]))) for one in (geometry, moved))
     said = []
+    fx, fy = found.unknowns.camera[:2]
+    way = np.zeros(len(found.covariance))
+    way[[fx, fy]] = -1.0 / geometry.camera[0], 1.0 / geometry.camera[1]
+    if before > max(_STRETCH_STDS * float(np.sqrt(way @ found.covariance @ way)), _NOT_SQUARE):
+        said.append(
+            f"fx and fy differ by {before:.2%}, and pixels of nearly all cameras are square: is the print of "
+            "a board stretched? Measure the pitch along both sides; state pitch_mm (x) and row_pitch_mm (y)"
+        )
     for number, board in boards.items():
         at = unknowns.prints[number, 1]
         stretch, std = float(moved.prints[number, 1]), float(np.sqrt(covariance[at, at]))

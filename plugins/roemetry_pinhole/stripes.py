@@ -282,8 +282,8 @@ def gather(
         lines = find_lines(peaks, xy, use & even, focal_px) or find_lines(peaks, xy, use, focal_px)
         if not lines:
             left_out[view.laser.frame.name] = (
-                "no stripe is seen on the board: is the laser on, and does it fall on it? A line on the white "
-                "margin counts where margin_mm says how wide that is"
+                "no stripe is seen on the board: is the laser on, and does it fall on it? A line on the "
+                "white margin counts where margin_mm says how wide that is"
             )
             continue
         normal = first.rotation[number][:, 2]
@@ -298,7 +298,7 @@ def gather(
         )
     belt_pose = _belt_pose(first, belts, stripes)
     number_of = np.array([first.views[one.number].number for one in found])
-    sizes = first_sizes(poses, number_of, stripes, belt_pose)
+    sizes = first_sizes(poses, number_of)
     if (sizes != 1.0).any():
         size_of = sizes[number_of]
         found = [replace(one, plane=one.plane / s) for one, s in zip(found, size_of, strict=True)]

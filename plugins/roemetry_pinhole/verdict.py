@@ -34,6 +34,7 @@ from roemetry_pinhole.geometry import (
     Geometry,
     StripePoints,
     corner_residuals,
+    plane_distances,
     rays,
     unknowns_of,
 )
@@ -134,7 +135,8 @@ def judged(joined: Joint, *, scale_is_known: bool = True) -> Verdict:
         )
     used = adjusted.stripe_used
     residuals |= {
-        "stripes_rms_px": float(np.sqrt((adjusted.stripe_px[used] ** 2).mean())),
+        "stripes_rms_px": _rms(adjusted.stripe_px[used]),
+        "stripes_rms_mm": _rms(plane_distances(adjusted.geometry, joined.measured.points)[used]),
         "stripes_over_stated": adjusted.stripe_scale,
         "stripes_left_out": _stray_share(joined),
         "stripes_on_uneven_print": joined.print_share,

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,7 @@ from roemetry.errors import RoemetryError
 from roemetry.records import PlanAnswer
 from roemetry_simulate.optics import view_mm
 from roemetry_simulate.plan_model import peak_std, plane_points, scale_at, stripes_at
-from roemetry_simulate.plan_tables import Space, mean_spacing_mm
+from roemetry_simulate.plan_tables import Bodies, Space, mean_spacing_mm
 from roemetry_simulate.population import draw_item
 from roemetry_simulate.render import Rig
 from roemetry_simulate.scene import RayCasterOptions
@@ -35,8 +35,6 @@ Floats = NDArray[np.float64]
 
 _DRAWN = 4
 """Products that are drawn: enough to know the highest of a population to a tenth."""
-_PHASES = 64
-"""Places under the stripes over which the sampling's RMS is taken, even over one spacing."""
 _SLICES, _OUTLINE = 2.0, 0.4
 """Error of a volume over that of exact slices' sampling, from slices alone and with an outline: skeins, whose
 sampling errs by 0.8 %, came out 1.2 to 1.9 and 0.2 to 0.4 % off (docs/measurements/outside.md)."""
@@ -55,32 +53,6 @@ _SPACING_LEAST_PX = 14.0
 """About three widths of a stripe in focus: nearer ones are not told apart."""
 _WORTH = 0.75
 """A change that leaves more than this of the uncertainty is not proposed."""
-
-
-@dataclass(frozen=True, eq=False)
-class Bodies:
-    """The scene's products: highest and longest of a few, and their section areas along X.
-
-    `areas` are (n, m) mm² at `step_mm` along each product's own length, the same number of places for each.
-    """
-
-    length_mm: float
-    width_mm: float
-    height_mm: float
-    mean_height_mm: float
-    lengths_mm: Floats
-    areas_mm2: Floats
-
-    def sampling_pct(self, spacing_mm: float) -> float:
-        """RMS error of spacing × sum of slice areas, % of the volume, over products and places."""
-        found = []
-        share = (np.arange(_PHASES) + 0.5) / _PHASES
-        for length, areas in zip(self.lengths_mm, self.areas_mm2, strict=True):
-            along = (np.arange(areas.size) + 0.5) / areas.size * length
-            at = spacing_mm * (np.arange(math.ceil(length / spacing_mm) + 1)[:, None] - 1 + share)
-            sums = np.interp(at, along, areas, left=0.0, right=0.0).sum(axis=0) * spacing_mm
-            found.append(sums / (areas.mean() * length) - 1.0)
-        return 100.0 * float(np.sqrt(np.mean(np.square(found))))
 
 
 def bodies_of(scene: RayCasterOptions, rig: Rig) -> Bodies | None:
@@ -117,11 +89,18 @@ def answer_of(
     total = math.hypot(*causes.values())
     weight = math.hypot(total, _UNDERSIDE_PCT)
     limiting = faults[0] if faults else max(causes, key=causes.__getitem__)
-    changes = list(_other_rigs(scene, space, bodies, math.inf if faults else total, space_of))
-    if not has_outline:
-        with_one = math.hypot(*_causes(space, bodies, True).values())
-        if not with_one > _WORTH * total:
-            changes.append(f"a second image in plain light, for an outline: volume ± {with_one:.1f} %")
+    rigs = _other_rigs(scene, space, bodies, space_of)
+    now = angle_deg(space)
+    good = min((one for one in rigs if one.angle_deg >= min(now - 0.5, _SMALL_DEG)), default=None)
+    changes = []
+    if good is not None and (faults or good.volume_pct < _WORTH * total):
+        changes.append(good.said(now))
+    with_one = math.hypot(*_causes(space, bodies, True).values())
+    if not (faults or with_one > _WORTH * total):
+        changes.append(f"a second image in plain light, for an outline: volume ± {with_one:.1f} %")
+    steeper = [one for one in rigs if one.stripes < space.rig.laser.count and one.angle_deg > now + 2.0]
+    if now < _SMALL_DEG and steeper:
+        changes.append(f"for finer heights {max(steeper, key=lambda one: one.stripes).said(now)}")
     changes.append("weigh twenty products and fit the weight, which takes the underside out")
     return PlanAnswer(not faults, total, weight, limiting, tuple(changes))
 
@@ -166,54 +145,53 @@ def _causes(space: Space, bodies: Bodies, has_outline: bool) -> dict[str, float]
     }
 
 
+class _Proposal(NamedTuple):
+    """Another rig: what volume to expect, and its light."""
+
+    volume_pct: float
+    angle_deg: float
+    stripes: int
+    spacing_mm: float
+    beside_mm: float
+
+    def said(self, now_deg: float) -> str:
+        """Put it into words, beside the angle that there is now."""
+        angle = self.angle_deg
+        turned = f" (triangulation {angle:.0f}°, now {now_deg:.0f}°)" if abs(angle - now_deg) >= 1.0 else ""
+        return (
+            f"{self.stripes} stripes {self.spacing_mm:.1f} mm apart, projector {self.beside_mm:.0f} mm "
+            f"beside the camera{turned}: volume ± {self.volume_pct:.1f} %"
+        )
+
+
 def _other_rigs(
-    scene: RayCasterOptions,
-    space: Space,
-    bodies: Bodies,
-    total: float,
-    space_of: Callable[[RayCasterOptions], Space],
-) -> Iterator[str]:
-    """Propose another number of stripes, with the projector where the product stays below one spacing."""
+    scene: RayCasterOptions, space: Space, bodies: Bodies, space_of: Callable[[RayCasterOptions], Space]
+) -> list[_Proposal]:
+    """Try other numbers of stripes, with the projector where the product stays below one spacing's height."""
     laser, camera = scene.laser, space.rig.camera
-    fan = mean_spacing_mm(space) * (space.rig.laser.count - 1)
-    across = max(fan, 1.1 * bodies.length_mm)
+    across = max(mean_spacing_mm(space) * (space.rig.laser.count - 1), 1.1 * bodies.length_mm)
     distance = float(camera.centre_mm[2])
-    x_px = float(
-        scale_at(camera, space.rig.laser, space.feet_mm[[space.rig.laser.count // 2]]).x_mm_per_px[0]
-    )
+    middle = space.feet_mm[[space.rig.laser.count // 2]]
+    least_mm = _SPACING_LEAST_PX * float(scale_at(camera, space.rig.laser, middle).x_mm_per_px[0])
     way = math.copysign(1.0, float(space.rig.laser.projector_mm[0] - camera.centre_mm[0]))
-    found: list[tuple[float, float, int, float, float]] = []
+    found = []
     for count in range(5, 30, 2):
         spacing = across / (count - 1)
-        beside = spacing * (_SHARE * distance / bodies.height_mm - 1.0)
-        beside = min(beside, _STEEP * distance)
-        if spacing < _SPACING_LEAST_PX * x_px or beside <= 0.0:
+        beside = min(spacing * (_SHARE * distance / bodies.height_mm - 1.0), _STEEP * distance)
+        if spacing < least_mm or beside <= 0.0:
             continue
         place = (float(camera.centre_mm[0] + way * beside), laser.projector_mm[1], laser.projector_mm[2])
-        fan_of = {"planes": count, "spacing_mm": spacing, "projector_mm": place}
-        changed = {**fan_of, "belt_x_mm": None, "power": None}
+        fan = {"planes": count, "spacing_mm": spacing, "projector_mm": place}
+        changed = laser.model_copy(update={**fan, "belt_x_mm": None, "power": None})
         try:
-            other = space_of(scene.model_copy(update={"laser": laser.model_copy(update=changed)}))
+            other = space_of(scene.model_copy(update={"laser": changed}))
             if next(_faults(other, bodies), None) is not None:
                 continue
         except RoemetryError:
             continue
         pct = math.hypot(*_causes(other, bodies, "plain" in scene.light.images).values())
-        found.append((pct, angle_deg(other), count, spacing, beside))
-    now = angle_deg(space)
-    steep = [one for one in found if one[1] >= min(now - 0.5, _SMALL_DEG)]
-    if steep and (best := min(steep))[0] < _WORTH * total:
-        yield _said(best, now)
-    steeper = [one for one in found if one[2] < space.rig.laser.count and one[1] > now + 2.0]
-    if now < _SMALL_DEG and steeper:
-        yield f"for finer heights {_said(max(steeper, key=lambda one: one[2]), now)}"
-
-
-def _said(rig: tuple[float, float, int, float, float], now_deg: float) -> str:
-    pct, angle, count, spacing, beside = rig
-    turned = f" (triangulation {angle:.0f}°, now {now_deg:.0f}°)" if abs(angle - now_deg) >= 1.0 else ""
-    where = f"{count} stripes {spacing:.1f} mm apart, projector {beside:.0f} mm beside the camera{turned}"
-    return f"{where}: volume ± {pct:.1f} %"
+        found.append(_Proposal(pct, angle_deg(other), count, spacing, beside))
+    return found
 
 
 def angle_deg(space: Space) -> float:

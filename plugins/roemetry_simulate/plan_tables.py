@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -184,6 +182,43 @@ _FWHM = 2.3548200450309493
 """Width at half height over the standard deviation of a Gaussian, 2 √(2 ln 2)."""
 
 
+_PHASES = 64
+"""Places under the stripes over which the sampling's RMS is taken, even over one spacing."""
+
+
+@dataclass(frozen=True, eq=False)
+class Bodies:
+    """The scene's products: highest and longest of a few, and their section areas along X.
+
+    `areas` are (n, m) mm² at `step_mm` along each product's own length, the same number of places for each.
+    """
+
+    length_mm: float
+    width_mm: float
+    height_mm: float
+    mean_height_mm: float
+    lengths_mm: Floats
+    areas_mm2: Floats
+
+    def sampling_pct(self, spacing_mm: float) -> float:
+        """RMS error of spacing × sum of slice areas, % of the volume, over products and places."""
+        found = []
+        share = (np.arange(_PHASES) + 0.5) / _PHASES
+        for length, areas in zip(self.lengths_mm, self.areas_mm2, strict=True):
+            along = (np.arange(areas.size) + 0.5) / areas.size * length
+            at = spacing_mm * (np.arange(math.ceil(length / spacing_mm) + 1)[:, None] - 1 + share)
+            sums = np.interp(at, along, areas, left=0.0, right=0.0).sum(axis=0) * spacing_mm
+            found.append(sums / (areas.mean() * length) - 1.0)
+        return 100.0 * float(np.sqrt(np.mean(np.square(found))))
+
+
+def ellipsoid(length_mm: float) -> Bodies:
+    """Return an ellipsoid, whose section area is a parabola along it: it errs by 1 / (√5 N²) for whole N."""
+    t = (np.arange(2000) + 0.5) / 1000.0 - 1.0
+    areas = np.asarray(1.0 - t[None] ** 2, np.float64)
+    return Bodies(length_mm, math.nan, math.nan, math.nan, np.array([length_mm]), areas)
+
+
 def stripe_geometry(space: Space) -> PlanTable:
     """Return where each stripe is, what a height does to it, and how far it can be followed."""
     rig = space.rig
@@ -262,7 +297,8 @@ def products(space: Space) -> PlanTable:
     lengths = np.array(_LENGTH_SHARES) * spacing * space.rig.laser.count
     count = space.rig.laser.count
     number = lengths / spacing
-    covered = np.where(number < count + 0.5, number, np.nan)
+    body = ellipsoid(1.0)
+    errors = np.array([body.sampling_pct(1.0 / n) if n < count + 0.5 else np.nan for n in number])
     return PlanTable(
         "products",
         "Products across the stripes",
@@ -270,8 +306,7 @@ def products(space: Space) -> PlanTable:
             PlanColumn("length", "length across the stripes", "mm", lengths, 1),
             PlanColumn("at-least", "stripes, at least", "1", np.minimum(np.floor(number + 1e-9), count), 0),
             PlanColumn("at-most", "stripes, at most", "1", np.minimum(np.ceil(number - 1e-9), count), 0),
-            PlanColumn("ellipsoid", "volume error, ellipsoid", "% RMS", _errors(ellipsoid, covered), 2),
-            PlanColumn("skein", "volume error, skein", "% RMS", _errors(skein, covered), 2),
+            PlanColumn("ellipsoid", "volume error, ellipsoid", "% RMS", errors, 2),
         ),
         f"Stripes {spacing:.2f} mm apart on the mean; a length over the spacing, rounded down and up. The "
         "errors are those of the sum of exact slices, RMS over the product's place; a product longer than "
@@ -279,7 +314,7 @@ def products(space: Space) -> PlanTable:
     )
 
 
-def numbers(space: Space) -> tuple[PlanTable, PlanCurves, PlanCurves]:
+def numbers(space: Space, bodies: Bodies | None) -> tuple[PlanTable, PlanCurves, PlanCurves]:
     """Return what more stripes over the same length would gain and cost."""
     rig = space.rig
     length = mean_spacing_mm(space) * rig.laser.count
@@ -293,27 +328,26 @@ def numbers(space: Space) -> tuple[PlanTable, PlanCurves, PlanCurves]:
     over = PlanColumn("number", "stripes over the length", "1", NUMBERS.astype(np.float64), 0)
     gap = PlanColumn("spacing", "spacing", "mm", spacing, 2)
     price = PlanColumn("spacing-height", "height of one spacing", "mm", height, 2)
-    first = PlanColumn("ellipsoid", "ellipsoid", "% RMS", _errors(ellipsoid, NUMBERS), 3)
-    second = PlanColumn("skein", "skein", "% RMS", _errors(skein, NUMBERS), 3)
+    shown = [("ellipsoid", "ellipsoid of the fan's length", ellipsoid(length))]
+    shown += [] if bodies is None else [("product", "your product", bodies)]
+    errors = tuple(
+        PlanColumn(name, title, "% RMS", np.array([body.sampling_pct(s) for s in spacing]), 3)
+        for name, title, body in shown
+    )
     basis = (
-        f"A body as long as the fan ({length:.1f} mm) under N stripes, its place even over one spacing, "
-        "slices exact: the error of sampling alone, RMS. A length of just N spacings is the worst case: both "
-        "ends err alike. Ellipsoid: 1 / (√5 N²). Skein: blunt ends, a thick "
-        "end, a rim."
+        f"Under N stripes over {length:.1f} mm, the body's place even over one spacing, slices exact: the "
+        "error of sampling alone, RMS. A length of just N spacings is the worst case: both ends err alike. "
+        "Ellipsoid: 1 / (√5 N²)."
     )
     costs = (
         "The height at which a stripe in the middle of the fan appears at its neighbour's place on the belt: "
         "higher products need a coder that looks at more than one row's order."
     )
-    table = PlanTable(
-        "numbers", "More or fewer stripes", (over, gap, first, second, price), f"{basis} {costs}"
-    )
+    table = PlanTable("numbers", "More or fewer stripes", (over, gap, *errors, price), f"{basis} {costs}")
     count = float(rig.laser.count)
     return (
         table,
-        PlanCurves(
-            "volume-error", "Volume error of the sum of slices", over, (first, second), basis, count, True
-        ),
+        PlanCurves("volume-error", "Volume error of the sum of slices", over, errors, basis, count, True),
         PlanCurves("price", "Height of one spacing", over, (price,), costs, count),
     )
 
@@ -356,51 +390,3 @@ def mean_spacing_mm(space: Space) -> float:
 
 def _numbers(count: int) -> PlanColumn:
     return PlanColumn("stripe", "stripe", "1", np.arange(1.0, count + 1.0), 0)  # as reports number them
-
-
-def _errors(area: Callable[[Floats], Floats], stripes: NDArray[Any]) -> Floats:
-    return np.array([slice_error_pct(area, float(n)) if np.isfinite(n) else np.nan for n in stripes])
-
-
-_PHASES = 512
-"""Places of the body under the stripes that the RMS is taken over, even over one spacing."""
-_EXACT = 200_001
-"""Sections of the exact volume, by the midpoint rule."""
-THICK_END, TAPER, BLUNTNESS, RIM = 0.13, 0.40, 2.6, 0.33
-"""Middles of the ranges that the simulator draws skeins from (`roemetry_simulate.products.herring`)."""
-
-
-def slice_error_pct(area: Callable[[Floats], Floats], stripes: float) -> float:
-    """Return the error of spacing × sum of slice areas, per cent RMS over where the body lies.
-
-    The body's length is `stripes` spacings (not always whole) and its place is even over one spacing;
-    `area` is that of the section at t, −1…1 along the body and 0 beyond. The slices are exact, so this is
-    the error of sampling alone. An ellipsoid's areas are a parabola along it, and its error has the closed
-    form 1 / (√5 N²) for a whole N, which is the worst case: both ends err alike. Bodies with blunter ends
-    do worse: their areas rise steeper there.
-    """
-    t = -1.0 + 2.0 * (np.arange(_EXACT) + 0.5) / _EXACT
-    exact = 2.0 * float(area(t).mean())
-    phase = (np.arange(_PHASES) + 0.5) / _PHASES
-    at = -1.0 + 2.0 * (np.arange(int(np.ceil(stripes)))[:, None] + phase) / stripes
-    relative = area(at).sum(axis=0) * 2.0 / stripes / exact - 1.0
-    return 100.0 * float(np.sqrt(np.mean(relative**2)))
-
-
-def ellipsoid(t: Floats) -> Floats:
-    """Return the section area of an ellipsoid (or half of one), 1 in the middle."""
-    area: Floats = np.maximum(1.0 - t**2, 0.0)
-    return area
-
-
-def skein(t: Floats) -> Floats:
-    """Return the section area of the simulator's skein with middling parameters, straight and whole.
-
-    An elliptic dome on a rim, a thick end, blunt ends: see `roemetry_simulate.products.herring`.
-    """
-    grown = 1.0 + THICK_END * t
-    end = np.maximum(1.0 - np.abs(t) ** BLUNTNESS, 0.0)
-    dome = 0.5 * np.pi * (1.0 - RIM) * grown**2 * (1.0 - TAPER * t**2) * end
-    rim = 2.0 * RIM * (1.0 - 0.3 * t**2) * grown * np.sqrt(end)
-    area: Floats = dome + rim
-    return area

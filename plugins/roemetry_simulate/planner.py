@@ -7,7 +7,8 @@ surfaces. The check renders flat plates and measures how the centre of gravity o
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,7 +82,7 @@ class RigPlanner(Planner[RayCasterOptions]):
         ]
         curves = []
         if space.rig.laser.count > 1:
-            more, error, price = plan_tables.numbers(space)
+            more, error, price = plan_tables.numbers(space, bodies)
             tables += [plan_tables.products(space), more]
             curves += [error, price, plan_tables.over_x(space)]
         focus = plan_tables.focus_over_height(space)
@@ -332,24 +333,12 @@ def _sketch(space: Space) -> tuple[PlanShape, ...]:
     )
 
 
-@dataclass(frozen=True)
-class Scatter:
+class Scatter(NamedTuple):
     """What a simulated plate showed, over all stripes and rows, and what was predicted of it.
 
-    Attributes
-    ----------
-    height_mm : float
-        Of the plate.
-    centres : int
-        Stripe centres that were measured.
-    measured_px, predicted_px : float
-        Root mean square scatter of the centre of gravity about its mean along each stripe.
-    bound_px : float
-        Cramér-Rao bound.
-    offset_px : float
-        Mean difference from the true place.
-    measured_um, predicted_um : float
-        The scatter as heights.
+    `measured_px` and `predicted_px` are the root mean square scatter of the centre of gravity about its mean
+    along each stripe, `measured_um` and `predicted_um` the same as heights; `bound_px` is the Cramér-Rao
+    bound, `offset_px` the mean difference from the true place.
     """
 
     height_mm: float

@@ -108,7 +108,7 @@ def laser_light(
     if draft:
         _light(rig, solid, surface, 1, image)
         grey = image @ np.array([1.0, rig.ambient_grey, rig.stray_grey])
-        _light(rig, solid, surface, _DRAFT_SAMPLES, image, _uneven(grey))
+        _light(rig, solid, surface, DRAFT_SAMPLES, image, _uneven(grey))
     else:
         _light(rig, solid, surface, samples, image)
     return image[..., 0], rig.ambient_grey * image[..., 1] + rig.stray_grey * image[..., 2]
@@ -146,7 +146,7 @@ def plain_light(rig: Rig, solid: Solid, surface: Surface, samples: int = 4, *, d
 
         for axis in (0, 1):  # takes out what alternates from pixel to pixel, and keeps what is even
             image = convolve1d(image, [0.25, 0.5, 0.25], axis, mode="mirror")
-        _under_lamps(rig, solid, surface, _DRAFT_SAMPLES, image, _uneven(rig.plain_grey * image))
+        _under_lamps(rig, solid, surface, DRAFT_SAMPLES, image, _uneven(rig.plain_grey * image))
     else:
         _under_lamps(rig, solid, surface, samples, image)
     if rig.stray_mm is None:
@@ -181,7 +181,7 @@ def _under_lamps(
     )  # fmt: skip
 
 
-_DRAFT_SAMPLES = 2
+DRAFT_SAMPLES = 2
 """Along each side of an uneven pixel in a draft: an edge is right to half a pixel, and the lens blurs it."""
 _BEND_GREY = 6.0
 """Sum of second differences, grey levels, above which one ray is not enough for a pixel: the mean over a

@@ -37,6 +37,10 @@ _STRIPE = 6.0
 """Standard deviations of what the opening takes away: that much is a stripe."""
 _GROWN = (5, 13)
 """Rows and columns by which a stripe is grown: its skirts are laser light."""
+_BLOCK_PX = 8
+_OFF_BELT, _OFF_BELT_MIN = 4.0, 0.1
+"""Blocks of the plain image that differ from the usual one by more, in scatters and in log brightness, are no
+bare belt in even light, and neither are their neighbours."""
 _CLEAR = 8.0
 """Standard deviations by which a correlation, of the whole or of a part, is known to be no chance."""
 _MISSED = 3.0
@@ -126,8 +130,9 @@ def image_motion(laser: NDArray[Any], plain: NDArray[Any], product: Flags) -> Im
         (row, column) where the product may be: its light differs too much.
     """
     grey = plain if plain.ndim == 2 else plain.mean(axis=2)
-    free = (_beside_stripes(laser) & ~product).astype(np.float32)
-    dim, bright = [(laser * free, free)], [(np.log(grey.astype(np.float32) + 1.0), np.ones_like(free))]
+    log_plain = np.log(grey.astype(np.float32) + 1.0)
+    free = (_beside_stripes(laser) & ~product & _belt_like(log_plain)).astype(np.float32)
+    dim, bright = [(laser * free, free)], [(log_plain, np.ones_like(free))]
     for _ in range(_LEVELS):
         for levels in (dim, bright):
             image, share = levels[-1]
@@ -167,6 +172,18 @@ def _beside_stripes(laser: NDArray[Any]) -> Flags:
     on = (taken > usual + _STRIPE * max(noise, 1.0)).astype(np.uint8)
     on = cv2.morphologyEx(on, cv2.MORPH_OPEN, np.ones((3, 1), np.uint8))  # single pixels are noise
     return np.asarray(cv2.dilate(on, np.ones(_GROWN, np.uint8)) == 0)
+
+
+def _belt_like(log_plain: Singles) -> Flags:
+    """Leave out what is brighter or darker than belt: products beyond their stripes, shadows."""
+    import cv2
+
+    small = cv2.resize(log_plain, None, fx=1 / _BLOCK_PX, fy=1 / _BLOCK_PX, interpolation=cv2.INTER_AREA)
+    off = np.abs(small - np.median(small))
+    odd = (off > max(_OFF_BELT * 1.4826 * float(np.median(off)), _OFF_BELT_MIN)).astype(np.uint8)
+    odd = cv2.dilate(odd, np.ones((3, 3), np.uint8))
+    rows, columns = log_plain.shape
+    return np.asarray(cv2.resize(odd, (columns, rows), interpolation=cv2.INTER_NEAREST) == 0)
 
 
 class _Texture(NamedTuple):
@@ -209,7 +226,7 @@ def _compared(dim: _Texture, bright: _Texture, motion: Floats, every: float) -> 
     rows, columns = dim.value.shape
     sampling = _matrix(motion / np.array([every, every, 1.0, 1.0]), rows, columns)
     a, b = _sampled(bright.value, sampling, dim.there), dim.value[dim.there]
-    return _Compared(a, b, float(a @ b / max(a @ a, 1e-12)), sampling)
+    return _Compared(a, b, float(a @ b) / max(float(a @ a), 1e-12), sampling)
 
 
 def _sampled(image: Singles, sampling: Floats, there: Flags) -> Singles:

@@ -14,6 +14,7 @@ from roemetry.records import Estimate, Product, Profiles, Reason, Shares, Surfac
 from roemetry.records.arrays import Flags, Floats, Labels
 from roemetry.stages import Capabilities, VolumeEstimator
 from roemetry_kernels.compiling import kernel
+from roemetry_kernels.image_levels import median_of
 from roemetry_volume import slice_rules as rules
 from roemetry_volume.slice_rules import Cap, Ends, cap_of
 from roemetry_volume.slice_table import FILLED, HOLE, LOW, Slices, slices_of
@@ -377,5 +378,5 @@ def _common_std_mm(
                 count += 1
     if count < _POINTS_MIN:
         return 0.0
-    noise = 1.4826 * np.median(second[:count])
-    return math.sqrt(_SHARED * max(np.median(stated[:count]) ** 2 - noise * noise / 6.0, 0.0))
+    noise, usual = 1.4826 * median_of(second[:count]), median_of(stated[:count])
+    return math.sqrt(_SHARED * max(usual * usual - noise * noise / 6.0, 0.0))

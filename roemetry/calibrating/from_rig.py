@@ -173,10 +173,8 @@ def observe(rig: Rig, registry: Registry) -> tuple[CalibrationSet, dict[str, str
                 observations.append(Observation(target, shown, _none(frame), pose, board))
                 continue
             partner = plain.get((board, target, pose))
-            if partner is not None and _brighter_light(partner, read):
-                partner = (
-                    None  # in other light than the laser image: it shows the board, not what to subtract
-                )
+            if partner is not None and _other_scene(partner, read):
+                partner = None  # it shows the board, not what to subtract
             light = _prepared(read, partner, rig, contrast=rig.file.contrast)
             with wrap_stage_error("extractor", rig.extractor):
                 peaks = check_result_type("extractor", extractor.extract(light))
@@ -226,17 +224,19 @@ def _prepared(laser: Frame, partner: Frame | None, rig: Rig, *, contrast: Contra
     return prepare(Acquisition(laser.name, frames), **options)
 
 
-def _brighter_light(plain: Frame, laser: Frame) -> bool:
-    """Say whether much more than stripes is brighter in the laser-off image: it was taken in plain light."""
-    step = _BRIGHTER_GREY * laser.white
-    brighter = plain.pixels.astype(np.float32) - laser.pixels > step
-    return bool(brighter.mean() > _BRIGHTER_SHARE_MAX)
+def _other_scene(plain: Frame, laser: Frame) -> bool:
+    """Say whether the laser-off image shows something else than the laser image less the laser.
+
+    Light adds: nothing is darker with the laser on. Much that is a little darker was lit by a lamp before; a
+    little that is much darker has moved, and the edges of its print would pass for stripes.
+    """
+    darker = plain.pixels.astype(np.float32) - laser.pixels
+    return any(float((darker > grey * laser.white).mean()) > share for grey, share in _DARKER_MAX)
 
 
-_BRIGHTER_GREY = 0.02
-"""Of white: more than noise of two images differs by."""
-_BRIGHTER_SHARE_MAX = 0.25
-"""Of the image: stripes and their glow cover less."""
+_DARKER_MAX = ((0.02, 0.25), (0.15, 0.003))
+"""Of white, and of the image: noise of two images is 0.01 to 0.02 of white; a chessboard that moved by a
+pixel changes a hundredth of the image by half of its contrast."""
 
 
 def _none(frame: Frame) -> Peaks:

@@ -51,7 +51,7 @@ class WeightCheck(NamedTuple):
     within_share: float
     """Share of differences within 1.96 uncertainties; NaN where none are stated."""
     since: str
-    """Id of the first product from which on the line runs away to one side; "" where it does not."""
+    """Id of the first product from which on the line drifts to one side; "" where it does not."""
     words: tuple[str, ...]
     """What that means, and what to do, in sentences."""
 
@@ -64,11 +64,11 @@ def check_weights(pairs: Sequence[WeighedPair], tolerance_share: float = 0.01) -
     pairs
         In the order in which the products ran.
     tolerance_share
-        So large a bias is let be.
+        A bias up to this share of the weight is accepted.
 
     Notes
     -----
-    Refit where the bias is surely not 0 and above the tolerance, where it runs away (cumulative sums of the
+    Refit where the bias is surely not 0 and above the tolerance, where it drifts (cumulative sums of the
     differences, each less the tolerance, in standard deviations, Page 1954), or where the differences are
     surely wider than stated (χ², one-sided 99.9 %). A scale whose uncertainty is not stated counts as exact.
 
@@ -102,14 +102,14 @@ def check_weights(pairs: Sequence[WeighedPair], tolerance_share: float = 0.01) -
     stated = bool(np.isfinite(std).all() and (std > 0.0).all())
     unit = std if stated else np.full(count, scatter if scatter > 0.0 else math.inf)
     z = off / unit
-    begin = _runs_away(z, _SLACK + tolerance_share / unit)
+    begin = _drift_begins(z, _SLACK + tolerance_share / unit)
     words = []
     if abs(bias) > max(tolerance_share, half):
         words.append(
             f"the line weighs {bias:+.1%} against the scale (95 %: {bias - half:+.1%} to {bias + half:+.1%})"
         )
     if begin is not None:
-        words.append(f"from {pairs[begin].id} on the line runs away to one side")
+        words.append(f"from {pairs[begin].id} on, the line drifts to one side")
     if stated and float((z**2).sum()) > chi2.ppf(_WIDER_SURE, count):
         words.append(f"differences are {math.sqrt(float((z**2).mean())):.2f} times as wide as stated")
     verdict: Verdict = "refit" if words else "holds"
@@ -133,7 +133,7 @@ def check_weights(pairs: Sequence[WeighedPair], tolerance_share: float = 0.01) -
     )
 
 
-def _runs_away(z: Floats, slack: Floats) -> int | None:
+def _drift_begins(z: Floats, slack: Floats) -> int | None:
     """Index of the product with which a cumulative sum began to rise to its limit; None where none does."""
     for sign in (1.0, -1.0):
         total, begin = 0.0, 0

@@ -77,7 +77,7 @@ def calibrate(
             if report is not None:
                 _write_page(report, calibration, evidence, loaded.file.name)
             raise CalibrationError(
-                f"{path} is not written. {' '.join(evidence.verdict)}",
+                "\n  ".join([f"{path} is not written. {' '.join(evidence.verdict)}", *calibration.notes]),
                 hint="--report PAGE.html shows where it fails; --accept-poor writes it nevertheless, marked",
             )
         calibration = calibration.accepted_as_poor(evidence.verdict[0])
@@ -153,6 +153,7 @@ def check_calibration(
     from roemetry.config.recipe import Recipe
     from roemetry.errors import ConfigurationError
     from roemetry.io.files import json_values, write_whole
+    from roemetry.run.control_chart import due
 
     loaded = Recipe.load(recipe, sets=sets or ())
     asked = loaded.calibration_check
@@ -166,6 +167,8 @@ def check_calibration(
         typer.echo(json.dumps(json_values(asdict(check)), indent=2))
     else:
         show(check)
+        if asked is not None and asked.max_age_days is not None:
+            typer.echo(f"  next check due {due(check, asked.max_age_days):%Y-%m-%d %H:%M} UTC")
     if report is not None and kept is not None:
         write_whole(report, chart_page(Chart(kept).checks(check.calibration_sha256), loaded.product))
         typer.echo(f"{report}", err=as_json)

@@ -44,7 +44,7 @@ def lint(
         typer.echo(f"{path}: a rig with {rig.file.stripes} stripes and {images} images: sound")
     elif "roemetry" in keys:
         recipe = Recipe.load(path, sets=sets or ())
-        references = recipe.source.make().references(recipe.source_path)
+        references = recipe.references()
         _has_dark(recipe, references, Overridden(read(path), sets or ()).place(("source", "subtract")))
         found = len(references)
         stages = ", ".join(f"{kind} {chosen.registered.entry.name}" for kind, chosen in recipe.stages.items())

@@ -73,12 +73,15 @@ class _Verbs(TyperGroup):
         """Find the verb that is to run; a plugin's is imported now."""
         name, command, rest = super().resolve_command(ctx, args)
         if name is not None and name not in self.commands and name in plugin_verbs():
+            loaded = load_verb(plugin_verbs()[name])
+            if isinstance(loaded, typer.Typer):  # a verb with verbs of its own
+                return name, typer.main.get_command(loaded), rest
             single = typer.Typer(
                 add_completion=False,
                 pretty_exceptions_enable=False,
                 context_settings={"help_option_names": ["-h", "--help"]},
             )
-            single.command(name)(load_verb(plugin_verbs()[name]))
+            single.command(name)(loaded)
             command = typer.main.get_command(single)
         return name, command, rest
 

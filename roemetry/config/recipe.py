@@ -27,9 +27,9 @@ from roemetry.config.recipe_file import (
 )
 from roemetry.config.resolve import ResolvedStage, StageResolver, choice_of
 from roemetry.config.validation import checked
-from roemetry.errors import ConfigurationError, RoemetryError
+from roemetry.errors import ConfigurationError, DataError, RoemetryError
 from roemetry.io.yaml_source import Document, Step, read
-from roemetry.records import Sensor
+from roemetry.records import AcquisitionReference, Sensor
 from roemetry.records.calibration import ON_BELT, Calibration
 from roemetry.records.display import table
 from roemetry.records.penetration import Penetration
@@ -58,6 +58,8 @@ class Recipe:
     source: ResolvedStage
     """source_choice, source: where images come from and how they are made ready; the source stage."""
     source_path: Path
+    source_place: str
+    """Where the recipe names its images, ``file:line:column``."""
     calibration_path: Path | None
     calibration: Calibration | None
     """calibration_path, calibration: none where the recipe has none: results are then in pixels."""
@@ -159,6 +161,14 @@ class Recipe:
             "sinks": [sink.described() for sink in self.sinks],
         }
 
+    def references(self) -> Sequence[AcquisitionReference]:
+        """Give what the source has; DataError, with the place in the recipe, where that is nothing."""
+        try:
+            found: Sequence[AcquisitionReference] = self.source.make().references(self.source_path)
+            return found
+        except DataError as error:
+            raise DataError(f"{self.source_place}: {error.message}", hint=error.hint) from error
+
     @property
     def sensor(self) -> Sensor | None:
         """The camera's noise, where the recipe states it."""
@@ -239,6 +249,7 @@ def _resolved(
         "source_choice": file.source,
         "source": source,
         "source_path": path.parent / file.source.path,
+        "source_place": document.place(("source", "path")),
         "calibration_path": calibration_path,
         "calibration": calibration,
         "penetration": penetration,

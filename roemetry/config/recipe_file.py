@@ -111,6 +111,11 @@ class CalibrationCheck(Section):
     valid_days: float | None = Field(
         default=None, gt=0, description="days the calibration itself may be old; none: any number"
     )
+    refuse: bool = Field(
+        default=False,
+        description="whether a run refuses to begin where the check is missing, overdue or failed, or the "
+        "calibration expired; left out: every row says so",
+    )
 
 
 Uncertainty = Literal["none", "linear", "monte-carlo"]

@@ -43,7 +43,12 @@ def _grouped(error: ValidationError) -> list[list[ErrorDetails]]:
     groups: dict[tuple[Step, ...], list[ErrorDetails]] = {}
     for detail in error.errors():
         groups.setdefault(_in_file(detail), []).append(detail)
-    return list(groups.values())
+    # a list of one wrong item is told as too short, too
+    return [
+        group
+        for path, group in groups.items()
+        if group[0]["type"] != "too_short" or not any(path == other[: len(path)] != other for other in groups)
+    ]
 
 
 def _faults(

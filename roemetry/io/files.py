@@ -178,13 +178,13 @@ def is_file(path: Path) -> bool:
 
 
 def json_values(value: Any) -> Any:
-    """Make a value, and all it holds, fit for JSON: NaN and infinity become None, numpy numbers Python's."""
+    """Make a value, and all it holds, fit for JSON: NaN and infinity become None, numpy's Python's."""
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
     if isinstance(value, Mapping):
         return {key: json_values(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [json_values(item) for item in value]
-    if isinstance(value, np.generic):
-        value = value.item()
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 

@@ -167,12 +167,15 @@ def read_numbers(path: Path) -> Any:
             return {key: put_back(item) for key, item in value.items()}
         if isinstance(value, list):
             return [put_back(item) for item in value]
-        held = isinstance(value, str) and value.startswith(_HELD)
+        held = isinstance(value, str) and _HELD in value
         return rows[int(value.removeprefix(_HELD))] if held else value
 
     if _HELD in text:
         return parse(text, str(path)).data
-    return put_back(parse(_ROW.sub(hold, text), str(path)).data)
+    try:
+        return put_back(parse(_ROW.sub(hold, text), str(path)).data)
+    except ValueError:  # a line that seemed whole is the middle of a longer value
+        return parse(text, str(path)).data
 
 
 def parse(text: str, name: str) -> Document:

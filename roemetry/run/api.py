@@ -53,7 +53,7 @@ class Recipe(CheckedRecipe):
         DataError
             The source has nothing.
         """
-        references = self.source.make().references(self.source_path)
+        references = self.references()
         for lines, _ in measure_all(self, references, jobs, debug):
             for line in lines:
                 yield Measurement.from_json(line)

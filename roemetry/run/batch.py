@@ -74,8 +74,14 @@ def run_recipe(
         written before stays whole.
     DataError
         The source has nothing.
+    CalibrationError
+        The recipe asks for a check of the calibration that is missing, overdue or failed.
     """
-    references = recipe.source.make().references(recipe.source_path)
+    if recipe.calibration_check is not None:
+        from roemetry.run.control_chart import refuse_doubtful
+
+        refuse_doubtful(recipe, _doubts_of(recipe))
+    references = recipe.references()
     make_folder(folder)
     with exclusive(folder):
         return _run(recipe, folder, references, jobs, resume, debug, on_progress)

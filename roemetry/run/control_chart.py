@@ -2,8 +2,8 @@
 
 A check compares lengths of a known block with what the line measures, each against its standard uncertainty
 (Eₙ of ISO/IEC 17043: |error| over twice that; above 1 is out). Earlier checks of the same calibration make a
-chart of single values (Shewhart): a value beyond three standard deviations of the first eight, or eight in a
-row on one side, is drift, long before a limit is passed. Checks are kept in a small SQLite file.
+chart of single values with the rules of `control_rules`, by which drift is seen long before a limit is
+passed. Checks are kept in a small SQLite file.
 """
 
 from __future__ import annotations
@@ -14,33 +14,25 @@ import sqlite3
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from importlib.metadata import version
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
 from markupsafe import Markup
 from pydantic import TypeAdapter
 
 from roemetry.config.recipe import Recipe
-from roemetry.errors import DataError, OutputError
+from roemetry.errors import CalibrationError, DataError, OutputError
 from roemetry.html.plots import Axis, dot, line, number, picture, plain, text
 from roemetry.io.files import json_values
 from roemetry.records import Reason
 from roemetry.records.arrays import Number
+from roemetry.run.control_rules import BASELINE, limits_of, signals
 
 Verdict = Literal["in order", "drifting", "out"]
 QUANTITIES = ("height_mm", "belt_mm", "width_mm")
 
-_HISTORY_MIN = 8
-"""Checks from which centre and scatter of a chart are taken: the scatter is then known to 25 %."""
-_ONE_SIDE_RUN = 8
-"""Checks in a row on one side: by chance once in 128."""
-_SIGMAS = 3.0
-"""Standard deviations of a chart's limits (Shewhart): by chance once in 370."""
-_MOVING_RANGE_TO_STD = 1.128
-"""Mean range of two draws from a normal distribution, in standard deviations (d₂ of control charts)."""
 WORDS = {"height_mm": "height of the block", "belt_mm": "belt's zero", "width_mm": "width of the block"}
 
 
@@ -118,24 +110,18 @@ def judge(check: Check, history: Sequence[Check]) -> tuple[Verdict, tuple[Reason
 
 
 def _drift(name: str, now: Quantity, before: Sequence[float]) -> str:
-    """Say what a control chart of single values (Shewhart) sees, or nothing."""
-    known = np.array([value for value in before if math.isfinite(value)])
-    if known.size < _HISTORY_MIN or not math.isfinite(now.value):
+    """Say which rule of a control chart of single values this check breaks, or nothing."""
+    known = [value for value in before if math.isfinite(value)]
+    limits = limits_of(known)
+    if limits is None or not math.isfinite(now.value):
         return ""
-    # The line's own scatter from step to step: a slow drift does not widen it.
-    scatter = float(np.abs(np.diff(known)).mean()) / _MOVING_RANGE_TO_STD
-    centre = float(known[:_HISTORY_MIN].mean())
-    if abs(now.value - centre) > _SIGMAS * max(scatter, 1e-6):
-        return (
-            f"{WORDS[name]}: {now.value:.3f} mm lies more than 3 standard deviations ({scatter:.4f} mm) "
-            f"from the {centre:.3f} mm of the first {_HISTORY_MIN} checks"
-        )
-    last = np.append(known, now.value)[-_ONE_SIDE_RUN:] - centre
-    if known.size + 1 >= _HISTORY_MIN + _ONE_SIDE_RUN and (np.all(last > 0) or np.all(last < 0)):
-        side = "above" if last[-1] > 0 else "below"
-        began = f"the {centre:.3f} mm it began with"
-        return f"{WORDS[name]}: the last {_ONE_SIDE_RUN} checks all lie {side} {began}"
-    return ""
+    broken = [one for one in signals([*known, now.value], limits) if one.at == len(known)]
+    if not broken:
+        return ""
+    return (
+        f"{WORDS[name]}: {now.value:.3f} mm {broken[0].words} of {limits.centre:.3f} ± {limits.std:.4f} mm, "
+        f"by the first {BASELINE} checks"
+    )
 
 
 _FORMAT = 1
@@ -242,6 +228,22 @@ def calibration_doubts(recipe: Recipe, now: datetime | None = None) -> tuple[Rea
             )
         )
     return tuple(reasons)
+
+
+def refuse_doubtful(recipe: Recipe, doubts: Sequence[Reason]) -> None:
+    """Raise CalibrationError where the recipe asks for that on a failed or missing check."""
+    if recipe.calibration_check is not None and recipe.calibration_check.refuse and doubts:
+        raise CalibrationError(
+            f"{recipe.path}: the calibration is not fit for use: "
+            f"{'; '.join(reason.text for reason in doubts)}",
+            hint="`roemetry check-calibration` with a known block; where that fails, calibrate again "
+            "(calibration_check.refuse in the recipe asks for this)",
+        )
+
+
+def due(check: Check, max_age_days: float) -> datetime:
+    """Give the moment at which the next check is due."""
+    return datetime.fromisoformat(check.made) + timedelta(days=max_age_days)
 
 
 def _days_since(moment: str, now: datetime) -> float:

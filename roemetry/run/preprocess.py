@@ -114,7 +114,8 @@ def _check_rows(laser: Frame) -> None:
     for row in range(len(pixels)):
         one = content[row * size : (row + 1) * size]
         lag = row - last.get(one, row)
-        if lag and lag == lag_before:  # two rows in a row, each so many rows after its like
+        # two rows in a row, each so many rows after its like
+        if lag and lag == lag_before and (pixels[row] == pixels[row - lag]).all():
             repeated.append(row)
         last[one], lag_before = row, lag
     if not repeated:

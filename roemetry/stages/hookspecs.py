@@ -82,7 +82,8 @@ class VerbEntry:
 
     name: str
     target: str
-    """``package.module:function``; the function's parameters are annotated as for `typer.Typer.command`."""
+    """``package.module:function``; the function's parameters are annotated as for `typer.Typer.command`. Or a
+    `typer.Typer` with commands of its own."""
     summary: str
     """What it does, in one line: what ``roemetry --help`` lists. The function's docstring is the help of the
     command itself."""

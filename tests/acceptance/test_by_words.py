@@ -34,7 +34,6 @@ def test_words_about_outline_and_heights_name_what_is_there(
     source = pipeline.recipe.source.make()
     (reference,) = (one for one in source.references(pipeline.recipe.source_path) if one.id == skein)
     grade = pipeline.trace(source.read(reference)).products[0].grade
-    assert grade is not None
     assert grade.label == label
     assert grade.features[f"truth_{label}"] == max(
         value for name, value in grade.features.items() if name.startswith("truth_")
@@ -47,7 +46,6 @@ def test_the_bent_one_is_told_by_its_outline_alone(pipeline: Pipeline) -> None:
     source = blind.source.make()
     reference = next(iter(source.references(blind.source_path)))
     grade = Pipeline(blind).trace(source.read(reference)).products[0].grade
-    assert grade is not None
     assert grade.label == "unknown"
     assert grade.reasons[0].code == "no-such-feature"
     assert "convexity" in grade.reasons[0].text

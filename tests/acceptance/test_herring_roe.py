@@ -40,7 +40,6 @@ def truth(folder: Path) -> dict[str, Truth]:
 def wrong_points(trace: Trace, x_px: np.ndarray) -> np.ndarray:
     """(stripe, row) seen points whose nearest true centre within 3 px belongs to another stripe."""
     stripes = trace.stripes
-    assert stripes is not None
     off = np.abs(x_px[None, :, :] - np.where(stripes.seen, stripes.x_px, np.nan)[:, None, :])
     off = np.where(np.isnan(off), np.inf, off)
     own = np.arange(stripes.stripe_count)[:, None]

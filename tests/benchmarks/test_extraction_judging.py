@@ -9,9 +9,8 @@ import pytest
 
 drawing = pytest.importorskip("benchmarks.extraction.drawing", reason="only in a checkout")
 
-from benchmarks.extraction import bias, methods, peers, scoring, tables  # noqa: E402
+from benchmarks.extraction import bias, compiled, methods, peers, scoring  # noqa: E402
 from benchmarks.extraction.bounds import bound_px  # noqa: E402
-from benchmarks.extraction.tables import Table, number, percent  # noqa: E402
 
 SIZE = (60, 400)
 
@@ -111,6 +110,17 @@ def test_recipes_of_others_are_given_their_best(recipe: str, rng) -> None:
     assert scoring.rms(found.error_px[judged]) < limit * scoring.rms(bound_px(drawn)[judged])
 
 
+@pytest.mark.skipif(compiled.COMPILER is None, reason="no C++ compiler")
+@pytest.mark.parametrize(("reach", "weighted"), [(2, False), (4, True)])
+def test_the_first_try_in_cpp_finds_what_it_should(reach: int, weighted: bool, rng) -> None:
+    drawn = drawing.drawn_set("clean", drawing.SIZES["VGA"], rng)
+    found = scoring.hits(drawn.stripes, compiled.compiled(reach, weighted=weighted)(drawn.pixels))
+    assert found.missed <= 5
+    assert found.false <= 5
+    judged = ~drawn.saturated
+    assert scoring.rms(found.error_px[judged]) < 2.0 * scoring.rms(bound_px(drawn)[judged])
+
+
 def test_bias_is_the_largest_mean_with_its_sign() -> None:
     by_image = np.zeros((4, 3, 3, bias.PHASES))
     by_image[:, 1, 2, 3] = -0.02
@@ -126,17 +136,3 @@ def test_every_extractor_is_compared_and_the_absent_is_told(monkeypatch) -> None
     names = {method.name for method in found if method.ours}
     assert {each for each, stage in methods.extractors() if not isinstance(stage, str)} == names
     assert "pip install" in left_out["ridge-detector"]
-
-
-def test_figures_replace_those_before(tmp_path, monkeypatch) -> None:
-    written = tmp_path / "page.md"
-    written.write_text(f"before\n{tables.BEGIN.format('extract')}\nold\n{tables.END}\nafter\n", "utf-8")
-    monkeypatch.setattr(tables, "PAGE", written)
-    table = Table("New", ["method", "value"], [["a", number(-1.25, 1)], ["b", percent(1, 8)]])
-    tables.put_into_page([table], "Measured now.")
-    text = written.read_text("utf-8")
-    assert "old" not in text
-    assert text.startswith("before\n")
-    assert text.endswith("after\n")
-    assert "| a | −1.2 |" in text
-    assert "Measured now." in text

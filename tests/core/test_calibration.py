@@ -65,3 +65,14 @@ def test_nothing_is_written_as_null(rig, tmp_path: Path) -> None:
     made.save(tmp_path / "c.yaml")
     assert "serial: null" in (tmp_path / "c.yaml").read_text(encoding="utf-8")
     assert Calibration.load(tmp_path / "c.yaml").target == {"kind": "block", "serial": None}
+
+
+def test_redraws_have_the_stated_covariance(rig, rng: np.random.Generator) -> None:
+    size = rig.stripes + 1
+    root = rng.normal(size=(size, size)) * 0.01
+    covariance = root @ root.T
+    made = replace(rig.calibration(), covariance=covariance)
+    drawn = [made.redraw(rng).parameters.values() for _ in range(4000)]
+    draws = np.array([np.concatenate([np.ravel(values) for values in one]) for one in drawn])
+    scale = np.sqrt(np.outer(np.diag(covariance), np.diag(covariance)))
+    assert np.abs((np.cov(draws.T) - covariance) / scale).max() < 0.08

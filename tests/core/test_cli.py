@@ -16,8 +16,12 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from roemetry import Recipe
 from roemetry.cli.main import main
+from roemetry.cli.progress import time_left_s
 from roemetry.cli.table import problems_of, table_of
+from roemetry.config.overrides import Implied
+from roemetry.errors import ConfigurationError
 from roemetry.records import Estimate, Measurement, Reason, Weight
 from roemetry.testing.runs import measured
 
@@ -175,3 +179,22 @@ def test_without_a_calibration_the_displacement_stands_there() -> None:
     assert "18.0" in text
     assert "cm³" not in text
     assert "cm³" in shown(measured(), row), "one row in millimetres is enough"
+
+
+@pytest.mark.parametrize(
+    ("elapsed_s", "done", "left", "expected_s"), [(10.0, 2.0, 6.0, 30.0), (0.0, 0.0, 5.0, math.nan)]
+)
+def test_the_time_left_is_as_long_as_what_was_done_took(
+    elapsed_s: float, done: float, left: float, expected_s: float
+) -> None:
+    assert time_left_s(elapsed_s, done, left) == pytest.approx(expected_s, nan_ok=True)
+
+
+def test_a_fault_names_what_was_typed_and_not_what_follows_from_it(tmp_path: Path) -> None:
+    path = tmp_path / "recipe.yaml"
+    path.write_text(
+        "roemetry: 1\nproduct: p\nsource: {path: .}\nstages: {extractor: dominant-peak}\nsinks: [csv]\n",
+        "utf-8",
+    )
+    with pytest.raises(ConfigurationError, match=r"^export csv --set a=1: sinks\.0\.options\.a: unknown key"):
+        Recipe.load(path, sets=[Implied("sinks=[{use: csv, options: {a: 1}}]", "export csv --set a=1")])

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from roemetry.config.recipe import Recipe
 from roemetry.errors import DataError, RoemetryError
-from roemetry.io.yaml_source import parse
+from roemetry.io.yaml_source import parse, read_numbers
 from roemetry.records import Acquisition, Frame
 from roemetry.run.preprocess import prepare
 
@@ -96,3 +96,12 @@ def test_dark_rows_of_a_sensor_that_clips_are_no_fault(rng: np.random.Generator)
     pixels[150:] = 0
     frame = Frame(pixels, role="laser", name="frame", bit_depth=8)
     prepare(Acquisition("a", (frame,)), turn_deg=0, subtract="none")
+
+
+def test_a_row_of_numbers_amid_a_longer_value_is_read_as_yaml_reads_it(tmp_path: Path) -> None:
+    path = tmp_path / "numbers.yaml"
+    path.write_text("a: [1.0,\nb: [2.0, 3.0]\n  4.0]\nc: [5.0]\n", "utf-8")
+    with pytest.raises(RoemetryError):
+        read_numbers(path)
+    path.write_text("a: x\n  - [2.0, 3.0]\n  y\n", "utf-8")
+    assert read_numbers(path) == {"a": "x - [2.0, 3.0] y"}

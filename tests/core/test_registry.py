@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from roemetry.errors import PluginError
+from roemetry.stages.hookspecs import API
 from roemetry.stages.registry import Registry, discover, not_installed
 
 ENTRY = """
@@ -30,7 +31,7 @@ def roemetry_stages():
 """
 
 
-def entry(kind="extractor", name="mine", target="nowhere:Nothing", requires=(), api=1) -> str:
+def entry(kind="extractor", name="mine", target="nowhere:Nothing", requires=(), api=API) -> str:
     return ENTRY.format(kind=kind, name=name, target=target, requires=requires, api=api)
 
 
@@ -68,7 +69,7 @@ def plugins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
         (entry().replace("@hookimpl", ""), "put `@hookimpl` above it in plugin_bad"),
         (entry().replace("yield StageEntry", "StageEntry"), "gives nothing: `yield` a StageEntry"),
         (entry(kind="extracter"), "did you mean `extractor`"),
-        (entry(api=99), "update roemetry"),
+        (entry(api=API + 1), "update roemetry"),
     ],
 )
 def test_a_broken_plugin_costs_only_itself_and_says_why(plugins, text: str, says: str) -> None:
@@ -122,6 +123,9 @@ def test_a_missing_extra_and_a_missing_class_say_what_to_do(plugins) -> None:
         registry.find("extractor", "mine")
     with pytest.raises(PluginError, match="cannot be imported"):
         registry.load(registry.find("extractor", "no-class"))
+    number = plugins(plugin_number=entry(name="pi", target="math:pi"))
+    with pytest.raises(PluginError, match=r"math:pi of plugin_number 1\.0 .* is not a class"):
+        number.load(number.find("extractor", "pi"))
 
 
 def test_unknown_name_gets_a_close_match() -> None:

@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 from roemetry.calibrating import calibrate, observe
+from roemetry.calibrating.from_rig import _other_scene
 from roemetry.config.rig import Rig, pose_of
 from roemetry.config.target_file import TARGET_FILES
 from roemetry.config.validation import checked
 from roemetry.errors import CalibrationError, ConfigurationError
 from roemetry.io.files import shipped
 from roemetry.io.yaml_source import read
-from roemetry.records import Ruler, SpherePlate
+from roemetry.records import Frame, Ruler, SpherePlate
 from roemetry.records.calibration import Calibration
 from roemetry.stages.registry import discover
 
@@ -51,6 +52,25 @@ def test_a_calibration_is_made_and_knows_where_it_comes_from(rig, rig_file: Path
     assert made.target["height_mm"] == 10.0
     made.save(rig_file.with_name("c.yaml"))
     assert Calibration.load(rig_file.with_name("c.yaml")).sha256 == made.sha256
+    assert Calibration.load(str(rig_file.with_name("c.yaml"))).sha256 == made.sha256
+
+
+def test_patterns_may_be_absolute(rig_file: Path) -> None:
+    rig_file.write_text(
+        RIG.replace("[belt.png]", f"['{rig_file.parent.resolve()}/bel*.png']"), encoding="utf-8"
+    )
+    assert [path.name for path in Rig.load(rig_file).images["belt"]] == ["belt.png"]
+
+
+def test_a_laser_off_image_of_a_board_that_moved_is_not_subtracted() -> None:
+    checks = np.kron(np.indices((12, 16)).sum(axis=0) % 2, np.ones((20, 20))) * 150.0 + 30.0
+    line = 60.0 * (np.abs(np.arange(320) - 150.0) < 2.0)
+    plain, noise = Frame(checks.astype(np.uint8)), np.random.default_rng(1).normal(0.0, 2.0, checks.shape)
+    assert not _other_scene(plain, Frame((checks + line + noise).clip(0, 255).astype(np.uint8)))
+    for way_px in (2, 6):
+        moved = np.roll(checks, way_px, axis=1) + line + noise
+        assert _other_scene(plain, Frame(moved.clip(0, 255).astype(np.uint8)))
+    assert _other_scene(plain, Frame((0.3 * checks + line).astype(np.uint8))), "a lamp was on"
 
 
 @pytest.mark.parametrize(

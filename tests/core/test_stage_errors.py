@@ -86,7 +86,8 @@ def test_a_grader_decides_anew_where_draws_give_other_uncertainties(line: Callab
 
     def decided(draws: int, std_g: float) -> Decision:
         grader = CachedStages(recipe, memory, draws).stages["grader"]
-        found: Decision = grader.decide(product, None, Weight(Estimate(9.9, std_g)), None)
+        mass = Estimate(9.9, std_g, interval=(9.9 - 2.0 * std_g, 9.9 + 2.0 * std_g))
+        found: Decision = grader.decide(product, None, Weight(mass), None)
         return found
 
     sure = decided(0, 0.001)

@@ -16,10 +16,16 @@ ROOT = Path(__file__).resolve().parents[2]
 REFERENCE = ROOT / "docs" / "reference"
 PAGES = sorted([*REFERENCE.rglob("*.md"), *(ROOT / "docs" / "how-to").glob("*.md")])
 CLI = typer.main.get_command(app)
-VERBS: dict[str, Any] = {
+_FIRST: dict[str, Any] = {
     name: CLI.resolve_command(typer.Context(CLI), [name])[1]  # type: ignore[attr-defined]
     for name in CLI.list_commands(typer.Context(CLI))  # type: ignore[attr-defined]
 }
+VERBS: dict[str, Any] = {
+    f"{name} {inner}".strip(): command
+    for name, found in _FIRST.items()
+    for inner, command in getattr(found, "commands", {"": found}).items()
+}
+"""Every command; one of a verb with commands of its own by both words."""
 STAGES = sorted({stage.entry.name for stage in discover().stages})
 
 

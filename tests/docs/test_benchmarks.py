@@ -7,9 +7,9 @@ import re
 import sys
 
 import pytest
-from reading import ROOT
 
 from benchmarks.__main__ import BENCHMARKS
+from tests.docs.reading import ROOT
 
 _TEXTS = [
     ROOT / "README.md",

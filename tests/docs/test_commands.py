@@ -16,11 +16,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from reading import PAGES, ROOT, commands, stands_for_something, titled
 from typer.testing import CliRunner
-from world import make_world, multiply, scale
 
 from roemetry.cli.main import app
+from tests.docs.reading import PAGES, ROOT, commands, stands_for_something, titled
+from tests.docs.world import make_world, multiply, scale
 
 SMALLER = (
     (r"^(roemetry simulate (?!.*--count).*)$", r"\1 --count 1 --calibration none"),
@@ -36,7 +36,7 @@ NOT_RUN = {
     r"pip ": "installs",
     r"pytest |python -m pytest": "tests of a test",
     r"python -m benchmarks ": "takes minutes to hours; name and options are held in test_benchmarks.py",
-    r"roemetry init (?!.*--image 320x240)": "renders for a minute: tested with small images in tests/tools/test_init_project.py",
+    r"roemetry init (?!.*--image 320x240)": "renders for a minute: smaller in test_init_project.py",
     r"roemetry tune ": "serves until it is stopped",
     r"roemetry run \S+ --out \S+ --resume": "goes on with a run that was stopped: tested with real kills",
     r"roemetry simulate .*--resume": "goes on with a set that was stopped: tested with real kills",

@@ -8,7 +8,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from reference_pages import PAGES, ROOT, firsts, page, section
+
+from tests.docs.reference_pages import PAGES, ROOT, firsts, page, section
 
 
 def sources(*places: str) -> Iterator[ast.AST]:

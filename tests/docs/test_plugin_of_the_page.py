@@ -8,10 +8,10 @@ from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import pytest
-from reference_pages import ROOT, blocks
 
 from roemetry.stages import StageOptions
 from roemetry.stages.registry import discover
+from tests.docs.reference_pages import ROOT, blocks
 
 
 def test_the_plugin_of_the_page_works(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

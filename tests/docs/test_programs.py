@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = [ROOT / "README.md", ROOT / "docs" / "how-to" / "use-from-python.md"]
+HOW_TO = ROOT / "docs" / "how-to"
+PAGES = [ROOT / "README.md", HOW_TO / "use-from-python.md"]
 
 
 def programs() -> list[object]:
@@ -41,3 +42,19 @@ def test_a_program_of_the_pages_runs(
     exec(compile(program, "a page", "exec"), {"__name__": "page"})
     printed = capsys.readouterr().out
     assert "print(" not in program or printed.strip()
+
+
+def test_the_cells_of_the_notebook_page_run_one_after_the_other(
+    place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for library in ("matplotlib", "pandas", "xarray"):
+        pytest.importorskip(library)
+    monkeypatch.chdir(place)
+    page = (HOW_TO / "use-in-a-notebook.md").read_text("utf-8")
+    cells = re.findall(r"^```python\n(.*?)^```", page, flags=re.DOTALL | re.MULTILINE)
+    known: dict[str, object] = {"__name__": "page"}
+    for cell in cells:
+        exec(compile(cell, "a cell", "exec"), known)
+        assert capsys.readouterr().out.strip()
+    assert len(cells) == 5
+    assert (place / "surface.png").stat().st_size > 10_000

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import get_args
 
 import pytest
-from reference_pages import FENCE, ROOT, coded, firsts, page, section, table
 
 from roemetry import records
 from roemetry.config.recipe import Recipe
@@ -18,6 +17,7 @@ from roemetry.records import Status
 from roemetry.run.batch import run_recipe
 from roemetry.run.record import PROVENANCE, RECORD
 from roemetry.stages.hookspecs import KINDS
+from tests.docs.reference_pages import FENCE, ROOT, coded, firsts, page, section, table
 
 
 @pytest.fixture(scope="module")

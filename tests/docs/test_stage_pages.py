@@ -6,7 +6,6 @@ import re
 from typing import Any, Literal, get_args, get_origin
 
 import pytest
-from reference_pages import REFERENCE, STAGES, blocks, coded, page, section, table, text_of
 
 from docs.reference_tables import contract
 from roemetry.config.recipe_file import RecipeFile
@@ -14,6 +13,7 @@ from roemetry.config.validation import checked
 from roemetry.io.yaml_source import parse
 from roemetry.stages.hookspecs import KINDS
 from roemetry.stages.registry import discover
+from tests.docs.reference_pages import REFERENCE, STAGES, blocks, coded, page, section, table, text_of
 
 
 @pytest.mark.parametrize("name", STAGES)

@@ -6,7 +6,8 @@ w from `Weights` and all sums over entries on epipolar lines, the energy is
     E = Σ_i U(k_i) + Σ_(i, j adjacent on a line) P(k_i, k_j) + Σ_(i, j successive on a trace) T [k_i ≠ k_j]
 
 U, a label by itself: `false_peak` for none; for stripe k, less where the peak lies on k's rest line, most in
-a run that reaches the image's border; `absent` for a stripe whose rest line shows nothing.
+a run that reaches the image's border, and more where it lies but a little beside it (`film`); `absent` for a
+stripe whose rest line shows nothing.
 
 P, two labels k < l side by side, with nothing between them: infinite unless stripes increase; else
 `surface` · min((Δz / half a label height)², 1) + `unseen` · (stripes between k and l that would be seen).
@@ -58,6 +59,9 @@ class Weights(NamedTuple):
     image's border."""
     on_end: float = 1.0
     """The same at the end of a run, where a body may begin."""
+    film: float = 1.0
+    """A surface that lies beside its rest line by less than `_FILM` label heights: a top that is whole label
+    heights up, taken for another stripe, is such a film, here a little above the belt and there below it."""
     absent: float = 3.0
     """A stripe whose rest line shows nothing."""
     tie_whole: float = 300.0
@@ -85,6 +89,8 @@ _RIM = 1.0 / 3.0
 """A break between belt and body, of one amid a body: every body has two, amid it they are rare."""
 _THERE = 0.2
 """A stripe that is there as surely as this costs nothing: a fifth of the rows that make it certain."""
+_FILM = 0.1
+"""Lower than this many label heights, some tenths of a millimetre, a body is but a rim of a few rows."""
 _LEAN_HIDES, _LEAN_SHOWS = -0.05, 0.15
 """A line of sight that leans towards the light by less hides a wall, by more shows it; mm for a mm down. At 0
 a wall is seen edge-on; walls that stand within some 8 degrees of upright are undecided."""
@@ -422,6 +428,8 @@ def unary_costs(
                 own[node] -= weights.on_end if pieces.rest[piece[p]] == ENDS else weights.on_rest
                 if pieces.rest[piece[p]] == s and pieces.anchored[piece[p]]:
                     own[node] -= weights.anchor * min(rows[piece[p]] / anchor_rows, 1.0)
+            elif abs(candidates.height[node]) < _FILM * candidates.label_mm[node]:
+                own[node] += weights.film
             own[node] += weights.absent * (1.0 - min(1.0, there[s] / _THERE))
         own[offset[i + 1] - 1] = weights.false_peak
     return own

@@ -6,11 +6,9 @@ the whole frame is a small graph of runs, on which the energy of any change is e
 
     E(w) = Σ_f own_f(w_f) + Σ_(f, g touch) both_fg(w_f, w_g),   w_f: stripe − 1, 0, + 1, or none.
 
-Two kinds of change are tried. (1) The best set of runs to move by one stripe, all the same way: with two
-choices for each run it is a minimal cut, found by Dinic's algorithm (Soviet Math. Doklady 11, 1970), as in
-Boykov, Veksler and Zabih (IEEE PAMI 23, 2001). Pairs that would rather have just one of the two moved are not
-submodular; their cost is overstated in the cut, never in the energy that is compared. (2) Each run in turn,
-with all those that order forces to go along, or that had better; runs too small to count give way instead.
+Two kinds of change are tried. (1) Single runs, the one first that gains most: what one run has wrong is put
+right there. (2) Where no single run gains, each in turn with all those that order forces to go along, or that
+had better; runs too small to count give way instead.
 
 The cost of change (2), over the number of lines that it touches, is the evidence of every run that it moves:
 the truth, if it is not the labels at hand, is most often these labels with one group shifted by one stripe.
@@ -39,18 +37,17 @@ OUT = 1000
 """So many stripes on: left out."""
 _SMALL_ENTRIES, _END_ENTRIES = 4, 12
 """A run with so few is left out before all behind it give way: to solve, and to ask what is sure."""
-_DISORDER = 40.0
-"""Cost of two neighbours out of order: more than to leave both out."""
+_DISORDER = 8.0
+"""Cost of two neighbours out of order on a line: that of leaving one of them out there, as a false peak. What
+lies beyond a body's edge by the light's spread is in the trace of what it spread from."""
 _IMPOSSIBLE = 20.0
 """Cost of a stripe that an entry cannot be, and of neighbours too far apart to be compared."""
-_OVERLAP_LINES, _OVERLAP = 4, 8.0
-"""Two runs out of order on so few lines need not give way: leaving their ends out costs this, a line."""
+_OVERLAP_LINES = 4
+"""Two runs out of order on so few lines need not give way."""
 _GAIN_MIN = 0.5
 """A shift is made where it lowers the energy by so much: less is no difference."""
 _SHIFTS_MAX = 24
 """Shifts that are tried before it is given up; a few are usual."""
-_ROOM_MIN = 1e-6
-"""Less room in an arc of the cut is none."""
 
 
 class Runs(NamedTuple):
@@ -104,8 +101,8 @@ def cheapest_shifts(
     evidence = np.zeros(best.size)
     for _ in range(_SHIFTS_MAX):
         runs = runs_of(entries, candidates, piece, best, own, costs, weights)
-        by, gain = _best_of_cuts(runs)
-        if gain < _GAIN_MIN:
+        by = single_shifts(runs, _GAIN_MIN)
+        if not by.any():
             dearer, by = shifts_of(runs, entries.start.size - 1, _GAIN_MIN)
             evidence = np.where(runs.of >= 0, dearer[runs.of], np.inf)
             if not by.any():
@@ -128,13 +125,6 @@ def evidence_without(
     dearer, _ = shifts_of(runs, entries.start.size - 1, _GAIN_MIN)
     np.minimum.at(found, entries.peak, np.where(runs.of >= 0, dearer[runs.of], np.inf))
     return found
-
-
-def _best_of_cuts(runs: Runs) -> tuple[Integers, float]:
-    """Give (run,) how far to move it, and the gain, of the best set of runs to move up or down by one."""
-    found = [(way, *best_shift(runs, way)) for way in (1, -1)]
-    way, moved, change = min(found, key=lambda shift: shift[2])
-    return np.where(moved, way, 0), -change
 
 
 @kernel
@@ -223,6 +213,27 @@ def runs_of(
 
 
 @kernel
+def single_shifts(runs: Runs, gain_min: float) -> Integers:
+    """Give (run,) how far to move it: one run after the other, the one first that gains most by itself.
+
+    What one run alone has wrong is put right there, before groups are moved to make way for it.
+    """
+    many = runs.own.shape[0]
+    way = np.full(many, _ASIDE, np.int64)
+    while True:
+        gain, best, to = gain_min, -1, 0
+        for f in range(many):
+            for way_f in range(_WAYS):
+                if way_f != way[f]:
+                    change = _change(f, way_f, way, runs)
+                    if -change > gain:
+                        gain, best, to = -change, f, way_f
+        if best < 0:
+            return way - _ASIDE
+        way[best] = to
+
+
+@kernel
 def _runs(
     entries: Entries, candidates: Candidates, piece: Integers, best: Integers
 ) -> tuple[Integers, Integers]:
@@ -284,12 +295,11 @@ def shifts_of(runs: Runs, lines: int, gain_min: float) -> tuple[Floats, Integers
     cost = np.full((many, 2), np.inf)
     way, waiting = np.empty(many, np.int64), np.empty(many, np.int64)
     queued = np.zeros(many, np.bool_)
-    cheap = _eased(runs)
     touched = np.zeros(lines + 1, np.int64)
     for f in range(many):
         for k in range(2):
             way[:] = _ASIDE
-            cost[f, k] = _shift(f, 2 * k - 1, _END_ENTRIES, way, cheap, waiting, queued)
+            cost[f, k] = _shift(f, 2 * k - 1, _END_ENTRIES, way, runs, waiting, queued)
             low, high = lines, 0
             for g in range(many):
                 if way[g] != _ASIDE:
@@ -335,7 +345,7 @@ def _shift(f: int, by: int, small: int, way: Integers, runs: Runs, waiting: Inte
         forced = False
         for n in range(runs.start[g], runs.start[g + 1]):
             t = runs.edge[n]
-            forced = forced or runs.disorder[t, way[runs.one[t]], way[runs.other[t]]] > 0
+            forced = forced or runs.disorder[t, way[runs.one[t]], way[runs.other[t]]] > _OVERLAP_LINES
         to = way[g] + by
         change = _change(g, to, way, runs)
         if forced and runs.size[g] <= small:
@@ -377,23 +387,6 @@ def _change(f: int, now: int, way: Integers, runs: Runs) -> float:
 
 
 @kernel
-def _eased(runs: Runs) -> Runs:
-    """Give the runs without the disorder of those that are out of order on a few lines only."""
-    both, disorder = runs.both, runs.disorder
-    eased_both, eased_disorder = both.copy(), disorder.copy()
-    for t in range(both.shape[0]):
-        for a in range(both.shape[1]):
-            for b in range(both.shape[2]):
-                if 0 < disorder[t, a, b] <= _OVERLAP_LINES:
-                    eased_both[t, a, b] -= disorder[t, a, b] * (_DISORDER - _OVERLAP)
-                    eased_disorder[t, a, b] = 0
-    return Runs(
-        runs.of, runs.stripe, runs.own, runs.one, runs.other, eased_both, eased_disorder, runs.start,
-        runs.edge, runs.first, runs.last, runs.size,
-    )  # fmt: skip
-
-
-@kernel
 def shift_labels(candidates: Candidates, best: Integers, by: Integers) -> Integers:
     """Give (entry,) nodes some stripes further on; the one for no stripe where that cannot be."""
     count, offset = candidates.many, candidates.offset
@@ -403,116 +396,3 @@ def shift_labels(candidates: Candidates, best: Integers, by: Integers) -> Intege
         if k < count[i] and by[i] != 0:
             found[i] = best[i] + by[i] if 0 <= k + by[i] < count[i] else offset[i + 1] - 1
     return found
-
-
-@kernel
-def best_shift(graph: Runs, by: int) -> tuple[Flags, float]:
-    """Give (run,) which runs to move by one stripe so that the energy is least, and its change.
-
-    Of all sets of runs the best one, but for pairs that would rather have just one of the two moved; their
-    cost is overstated. That does not happen to the cost that is given.
-
-    Parameters
-    ----------
-    graph
-        The graph of runs.
-    by
-        1 for the next stripe, −1 for the one before.
-    """
-    own, one, other, both = graph.own, graph.one, graph.other, graph.both
-    stays = _ASIDE
-    runs, pairs = own.shape[0], one.shape[0]
-    goes = stays + by
-    alone = own[:, goes] - own[:, stays]
-    # arcs in pairs, each followed by its reverse; nodes: runs, source, sink
-    source, sink = runs, runs + 1
-    head = np.empty(2 * (pairs + runs), np.int64)
-    room = np.zeros(2 * (pairs + runs))
-    arcs = 0
-    tail = np.empty(2 * (pairs + runs), np.int64)
-    for t in range(pairs):
-        f, g = one[t], other[t]
-        neither, second = both[t, stays, stays], both[t, stays, goes]
-        first, together = both[t, goes, stays], both[t, goes, goes]
-        over = max(neither + together - first - second, 0.0)
-        first, second = first + 0.5 * over, second + 0.5 * over
-        alone[f] += first - neither
-        alone[g] += together - first
-        tail[arcs], head[arcs], tail[arcs + 1], head[arcs + 1] = f, g, g, f
-        room[arcs] = max(second + first - neither - together, 0.0)
-        arcs += 2
-    for f in range(runs):
-        begin, end = (source, f) if alone[f] > 0.0 else (f, sink)
-        tail[arcs], head[arcs], tail[arcs + 1], head[arcs + 1] = begin, end, end, begin
-        room[arcs] = abs(alone[f])
-        arcs += 2
-    stays_side = _source_side(tail, head, room, runs + 2, source, sink)
-    moved = ~stays_side[:runs]
-    change = 0.0
-    for f in range(runs):
-        if moved[f]:
-            change += own[f, goes] - own[f, stays]
-    for t in range(pairs):
-        a, b = goes if moved[one[t]] else stays, goes if moved[other[t]] else stays
-        change += both[t, a, b] - both[t, stays, stays]
-    return moved, change
-
-
-@kernel
-def _source_side(tail: Integers, head: Integers, room: Floats, nodes: int, source: int, sink: int) -> Flags:
-    """Fill the network by shortest ways (Dinic); give (node,) True where the source still reaches."""
-    start = np.zeros(nodes + 1, np.int64)
-    for a in range(tail.shape[0]):
-        start[tail[a] + 1] += 1
-    start = np.cumsum(start)
-    arc, fill = np.empty(tail.shape[0], np.int64), start[:-1].copy()
-    for a in range(tail.shape[0]):
-        arc[fill[tail[a]]] = a
-        fill[tail[a]] += 1
-    level, queue = np.empty(nodes, np.int64), np.empty(nodes, np.int64)
-    at, way = np.empty(nodes, np.int64), np.empty(nodes, np.int64)
-    while True:
-        level[:] = -1
-        level[source], queue[0], first, size = 0, source, 0, 1
-        while first < size:
-            n = queue[first]
-            first += 1
-            for k in range(start[n], start[n + 1]):
-                a = arc[k]
-                if room[a] > _ROOM_MIN and level[head[a]] < 0:
-                    level[head[a]] = level[n] + 1
-                    queue[size] = head[a]
-                    size += 1
-        if level[sink] < 0:
-            return level >= 0
-        for n in range(nodes):
-            at[n] = start[n]
-        n, depth = source, 0
-        while True:
-            if n == sink:
-                least = np.inf
-                for k in range(depth):
-                    least = min(least, room[way[k]])
-                back = depth
-                for k in range(depth - 1, -1, -1):
-                    room[way[k]] -= least
-                    room[way[k] ^ 1] += least
-                    if room[way[k]] <= _ROOM_MIN:
-                        back = k
-                depth, n = back, tail[way[back]]
-                continue
-            while at[n] < start[n + 1]:
-                a = arc[at[n]]
-                if room[a] > _ROOM_MIN and level[head[a]] == level[n] + 1:
-                    break
-                at[n] += 1
-            if at[n] < start[n + 1]:
-                way[depth] = arc[at[n]]
-                n = head[way[depth]]
-                depth += 1
-            elif depth == 0:
-                break
-            else:
-                depth -= 1
-                n = tail[way[depth]]
-                at[n] += 1

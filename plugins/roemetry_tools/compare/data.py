@@ -53,7 +53,7 @@ class Data:
                 )
             self._check_labels({item.id for item in self.dataset.items()})
             return
-        self._references = recipe.source.make().references(recipe.source_path)
+        self._references = recipe.references()
         self.count = len(self._references)
         self._check_labels({reference.id for reference in self._references})
         found = _folder_of(recipe.source_path)

@@ -109,7 +109,7 @@ class Leader:
     """The variant with the least mean absolute error, and how sure its lead is."""
 
     figure: str
-    """A quantity of `QUANTITIES`: the first of which two variants measured the same products."""
+    """A quantity of `QUANTITIES`: the first in which variants differ on the same products."""
     best: Variant
     other: Variant
     """The next best."""
@@ -133,7 +133,7 @@ class Leader:
 
 
 def leader_of(compared: Sequence[Compared], terms: Terms) -> Leader | None:
-    """Find the best variant and the margin to the next; None where no two can be compared by a truth."""
+    """Find the best variant and the margin to the next; None where no two differ by a truth."""
     whole = [(one.variant, one.figures) for one in compared if one.figures and not one.failure]
     for name in QUANTITIES:
         known = [(v, {k: one for k, one in f.values[name].items() if one.true > 0}) for v, f in whole]
@@ -141,6 +141,8 @@ def leader_of(compared: Sequence[Compared], terms: Terms) -> Leader | None:
         if len(known) < 2 or not shared:
             continue
         errors = [np.mean([abs(of[k].estimate / of[k].true - 1.0) for k in shared]) for _, of in known]
+        if max(errors) - min(errors) < 1e-12:
+            continue  # what is varied does not reach this quantity
         first, second = np.argsort(errors, kind="stable")[:2]
         (best, own), (other, others) = known[first], known[second]
         shift = nearer({k: others[k] for k in sorted(shared)}, {k: own[k] for k in sorted(shared)}, terms)

@@ -337,7 +337,7 @@ def first_lines_of(compared: Sequence[Compared], terms: Terms, without_truth: st
     elif len(compared) < 2:
         said = ["no winner: there is one variant"]
     else:
-        said = [f"no winner: {without_truth or 'no two variants measured the same products'}"]
+        said = [f"no winner: {without_truth or 'no two variants differ on the same products'}"]
     for one in compared:
         said += [
             f"`{name}` was left out: it comes to the same recipe as `{one.variant.name}`"

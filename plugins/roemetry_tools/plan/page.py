@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import asdict
 from datetime import datetime
 from importlib.metadata import version
@@ -12,9 +11,9 @@ from roemetry.config.scene import Scene
 from roemetry.errors import PluginError
 from roemetry.html.page import environment_of
 from roemetry.html.plots import plain
+from roemetry.io.files import json_values
 from roemetry.io.yaml_source import dump
-from roemetry.records import Plan, PlanColumn, PlanFigure
-from roemetry.records.arrays import Floats
+from roemetry.records import Plan, PlanFigure
 from roemetry.stages.registry import Registry, discover
 from roemetry_tools.plan.plots import COLOURS, curves_plot, map_plot, side_view
 
@@ -69,54 +68,12 @@ def plan_of(scene: Scene, *, simulate: bool, registry: Registry | None = None) -
 
 
 def as_plain(plan: Plan) -> dict[str, Any]:
-    """Give a plan as dictionaries, lists and numbers; NaN becomes None."""
-    return {
-        "figures": {
-            one.name: {"title": one.title, "value": _number(one.value), "unit": one.unit, "basis": one.basis}
-            for one in plan.figures
-        },
-        "tables": {
-            one.name: {"title": one.title, "basis": one.basis, "columns": [_column(c) for c in one.columns]}
-            for one in plan.tables
-        },
-        "curves": {
-            one.name: {
-                "title": one.title,
-                "basis": one.basis,
-                "over": _column(one.over),
-                "lines": [_column(line) for line in one.lines],
-                "marked": _number(one.marked),
-            }
-            for one in plan.curves
-        },
-        "maps": {
-            one.name: {
-                "title": one.title,
-                "unit": one.unit,
-                "basis": one.basis,
-                "x_mm": _numbers(one.x_mm),
-                "z_mm": _numbers(one.z_mm),
-                "values": [_numbers(row) for row in one.values],
-            }
-            for one in plan.maps
-        },
-        "answer": None if plan.answer is None else {**asdict(plan.answer), "text": plan.answer.text},
-        "reasons": [{"code": reason.code, "text": reason.text} for reason in plan.reasons],
+    """Give a plan as dictionaries, lists and numbers, its parts by name; NaN becomes None."""
+    told: dict[str, Any] = {
+        part: {one.name: asdict(one) for one in getattr(plan, part)}
+        for part in ("figures", "tables", "curves", "maps")
     }
-
-
-def _column(column: PlanColumn) -> dict[str, Any]:
-    return {
-        "name": column.name,
-        "title": column.title,
-        "unit": column.unit,
-        "values": _numbers(column.values),
-    }
-
-
-def _numbers(values: Floats) -> list[float | None]:
-    return [_number(float(value)) for value in values]
-
-
-def _number(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
+    told["answer"] = None if plan.answer is None else {**asdict(plan.answer), "text": plan.answer.text}
+    told["reasons"] = [reason._asdict() for reason in plan.reasons]
+    plain: dict[str, Any] = json_values(told)
+    return plain

@@ -42,14 +42,6 @@ def drawn(x_px: Floats) -> tuple[Peaks, np.ndarray]:
 pytestmark = pytest.mark.parametrize("coder", list(coders().values()), ids=list(coders()))
 
 
-def test_no_peaks(coder: Any) -> None:
-    peaks, _ = drawn(np.full((1, RIG.rows), np.nan))
-    stripes = coded(coder, peaks, RIG.calibration())
-    if stripes is not None:
-        assert not stripes.seen.any()
-        assert stripes.reasons
-
-
 def test_fewer_stripes_than_there_are_planes(coder: Any) -> None:
     """Three of seven stripes are left: none of them takes another's number, and the lack is told."""
     x_px = RIG.x_px(RIG.dome())
@@ -105,14 +97,6 @@ def test_an_image_turned_the_other_way(coder: Any) -> None:
     rig = replace(RIG, first_px=30.0)  # not symmetric in the image
     found = rig.peaks(rig.columns - 1 - rig.x_px(rig.dome())[::-1, ::-1], 0.1)
     refused_or_told(coded(coder, found.peaks, rig.calibration()))
-
-
-def test_an_image_turned_by_a_quarter(coder: Any) -> None:
-    """Another image size is refused."""
-    rig = replace(RIG, rows=RIG.columns, columns=RIG.rows)
-    found = rig.peaks(rig.x_px(rig.belt()), 0.1)
-    with pytest.raises(StageError):
-        coder.code(found.peaks, RIG.calibration())
 
 
 def test_every_peak_in_one_row(coder: Any) -> None:

@@ -45,6 +45,14 @@ def test_a_plane_that_moved_alone_is_named(rng: np.random.Generator) -> None:
     assert len(said) == 1 and "5 (+0." in said[0]
 
 
+def test_a_plane_that_moved_far_refuses_the_frame(rng: np.random.Generator) -> None:
+    rig = LinearRig()
+    x_px = rig.rest_px() + rng.normal(0.0, 0.1, (rig.stripes, rig.rows))
+    x_px[4] -= 2.2
+    with pytest.raises(StageError, match=r"moved against the others on the belt: 5 \(-2\.[12]"):
+        BeltLines().align(rig.peaks(x_px).peaks, rig.calibration(), moved_rig)
+
+
 def test_a_rig_of_another_calibration_is_refused(rng: np.random.Generator) -> None:
     other = LinearRig(first_px=52.0, fan=0.06)
     with pytest.raises(StageError, match="calibrat"):

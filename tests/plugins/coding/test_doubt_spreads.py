@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from roemetry_coding.planes.pieces import ENDS, Pieces, between_bare, presence_of
-from roemetry_coding.planes.shifts import Runs, _eased
 from roemetry_coding.planes.vetoes import claimed, going_on, left_over
 
 STRIPES = 9
@@ -76,12 +75,3 @@ def test_a_rest_line_between_bare_ones_may_show_a_body(bare: tuple[int, ...], ma
     found = between_bare(row, line, 5, 100, 20)
     np.testing.assert_array_equal(found, amid & (line == 2) & marked)
     assert not between_bare(row, line, 5, 100, 41).any()  # 40 rows are then no bare line
-
-
-def test_runs_that_hardly_touch_need_not_give_way() -> None:
-    both, disorder = np.array([[[100.0, 85.0, 3.0]]]), np.array([[[2, 5, 0]]])
-    none = np.zeros(0, np.int64)
-    own = np.zeros((0, 4))
-    found = _eased(Runs(none, none, own, none, none, both, disorder, none, none, none, none, none))
-    np.testing.assert_allclose(found.both, [[[100.0 - 2 * 32.0, 85.0, 3.0]]])
-    np.testing.assert_array_equal(found.disorder, [[[0, 5, 0]]])

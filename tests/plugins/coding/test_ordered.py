@@ -29,15 +29,6 @@ def test_a_dead_stripe_is_named_and_costs_its_own_points_only(linear, dead: int)
     assert reason.text.endswith(f"stripe {dead + 1}")
 
 
-def test_scattered_losses_cost_only_themselves(linear, rng) -> None:
-    x_px = linear.x_px(linear.dome(8.0))
-    x_px[rng.random(x_px.shape) < 0.05] = np.nan
-    found = linear.peaks(x_px, 0.1)
-    coded = Ordered().code(found.peaks, linear.calibration())
-    assert not wrong_labels(coded.peak_stripe, found.stripe).any()
-    assert (coded.peak_stripe >= 0).mean() > 0.97
-
-
 def test_false_peaks_are_left_out(linear, rng) -> None:
     x_px = linear.x_px(linear.dome(8.0))
     false = np.full((1, linear.rows), np.nan)

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import ast
 import os
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -138,6 +140,23 @@ def test_who_waited_long_enough_compiles_for_himself(tmp_path: Path, monkeypatch
         with kernel_cache._turn(source), kernel_cache._turn(source), pytest.raises(BlockingIOError):
             fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
         fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="no alarm on this system")
+def test_a_stage_s_alarm_waits_until_its_kernel_is_compiled() -> None:
+    def rung(number: int, frame: object) -> None:
+        raise TimeoutError
+
+    before = signal.signal(signal.SIGALRM, rung)
+    try:
+        signal.setitimer(signal.ITIMER_REAL, 0.2)
+        with kernel_cache._undisturbed():
+            time.sleep(0.4)
+        with pytest.raises(TimeoutError):
+            time.sleep(5.0)
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
 
 
 def test_every_kernel_is_compiled_by_the_decorator_that_looks_at_all_sources() -> None:

@@ -154,15 +154,6 @@ def test_a_region_gives_the_same_peaks_as_the_whole(rng: np.random.Generator) ->
         MaximumLikelihood(MaximumLikelihoodOptions(region=(0, 500, 0, 10))).extract(frame)
 
 
-def test_12_bits_in_16_are_8_bits_sixteen_times_as_fine(rng: np.random.Generator) -> None:
-    pixels = drawn(rng, 0.15)
-    small = MaximumLikelihood().extract(Frame(pixels))
-    large = MaximumLikelihood().extract(Frame(pixels.astype(np.uint16) * 16, bit_depth=12))
-    assert len(small) == len(large)
-    assert np.abs(small.x_px - large.x_px).max() < 1e-3
-    assert large.amplitude.mean() == pytest.approx(16 * small.amplitude.mean(), rel=1e-3)
-
-
 # The noise as a file
 
 

@@ -130,7 +130,6 @@ def save(path: Path, image: np.ndarray, rng: np.random.Generator) -> None:
 def load(path: Path) -> np.ndarray:
     """Read an image."""
     found = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-    assert found is not None
     return found.astype(np.float64)
 
 

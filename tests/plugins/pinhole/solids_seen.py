@@ -118,3 +118,26 @@ def over_balls(view: View, plate: SpherePlate, pose: np.ndarray, x_px: np.ndarra
             seen[stripe, rows] = np.interp(rows, xy[:, 1], xy[:, 0])
     seen[(seen < 1.0) | (seen > view.image_size[1] - 2.0)] = np.nan
     return seen
+
+
+def assert_derivatives(
+    rows, geometry: Geometry, unknowns, what, sizes: dict[int, float], within: float
+) -> None:
+    """Hold the derivatives that `rows` gives to its own differences, by the unknowns of `sizes`."""
+    found = rows(geometry, unknowns, what)
+    given = np.zeros((found.residual.size, unknowns.count))
+    row, place = np.nonzero(found.columns >= 0)
+    np.add.at(given, (row, found.columns[row, place]), found.values[row, place])
+    for number, size in sizes.items():
+        step = size * (np.arange(unknowns.count) == number)
+        up, down = (rows(unknowns.moved(geometry, s * step), unknowns, what).residual for s in (1.0, -1.0))
+        slope = (up - down) / (2.0 * size)
+        off = np.abs(slope - given[:, number]).max()
+        assert off <= within * max(np.abs(slope).max(), 1e-3), (rows.__name__, number)
+
+
+def step_sizes(unknowns) -> dict[int, float]:
+    """Steps for all unknowns: in pixels, the lens's and the planes' coefficients, millimetres and radians."""
+    sizes = dict.fromkeys(range(unknowns.count), 1e-5)
+    sizes |= dict.fromkeys(unknowns.camera[:4], 1e-2)
+    return sizes | dict.fromkeys([*unknowns.planes.ravel(), *unknowns.belt], 1e-8)

@@ -20,6 +20,7 @@ from roemetry_pinhole.geometry import (
     stripe_rows,
     unknowns_of,
 )
+from tests.plugins.pinhole.solids_seen import assert_derivatives, step_sizes
 
 LENS = (-0.2, 0.1, 0.001, -0.0005, 0.02)
 RIG = SimulatedRig(1600.0, 350.0, tilt_deg=(6.0, -4.0), lens=LENS, stripes=5, poses=8)
@@ -46,20 +47,8 @@ def test_derivatives_are_those_of_the_equations(rng) -> None:
     points = replace(points, x_px=points.x_px - stripe_residuals(geometry, points))
     corners = replace(exact.corners, counts=rng.uniform(-2.0, 2.0, exact.corners.pose.size))
     feet = Feet(np.array([0, 3]), rng.uniform(0.0, 40.0, (2, 3)), np.array([0.0, 1.5]))
-    sizes = {**dict.fromkeys(every.camera[:4], 1e-2), **dict.fromkeys(every.camera[4:], 1e-5)}
-    sizes |= dict.fromkeys([*every.planes.ravel(), *every.belt], 1e-8)
-    for rows, what in ((corner_rows, corners), (stripe_rows, points), (foot_rows, feet)):
-        found = rows(geometry, every, what)
-        given = np.zeros((found.residual.size, every.count))
-        row, place = np.nonzero(found.columns >= 0)
-        np.add.at(given, (row, found.columns[row, place]), found.values[row, place])
-        for number in range(every.count):
-            step = np.zeros(every.count)
-            step[number] = sizes.get(number, 1e-5)
-            up, down = (rows(every.moved(geometry, s * step), every, what).residual for s in (1.0, -1.0))
-            slope = (up - down) / (2.0 * step[number])
-            off = np.abs(slope - given[:, number]).max()
-            assert off <= 1e-4 * max(np.abs(slope).max(), 1e-3), (rows.__name__, number)
+    for rows, seen in ((corner_rows, corners), (stripe_rows, points), (foot_rows, feet)):
+        assert_derivatives(rows, geometry, every, seen, step_sizes(every), 1e-4)
 
 
 def test_without_noise_the_truth_comes_back(rng) -> None:

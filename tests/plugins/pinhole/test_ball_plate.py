@@ -40,7 +40,6 @@ def test_place_and_size_are_found_within_what_is_stated(name: str, rng) -> None:
         true = np.array([x, y, np.radians(rng.uniform(-12.0, 12.0)), rng.uniform(0.97, 1.03)])
         seen = seen_as("sphere_plate", over_balls(view, plate, true, belt), SIZE, rng, 0.1)
         found = find_plate(parameters, seen.peaks, plate)
-        assert found is not None
         assert found.balls >= 4, "two may lie beside the stripes"
         assert np.abs(found.pose[:2] - true[:2]).max() < 0.02, "mm"
         assert found.pose[2] == pytest.approx(true[2], abs=5e-4), "rad"

@@ -23,6 +23,7 @@ from roemetry_pinhole.geometry import (
     unknowns_of,
 )
 from roemetry_pinhole.verdict import cross_validate, lifted, stripe_offsets
+from tests.plugins.pinhole.solids_seen import assert_derivatives
 
 RIG = SimulatedRig(1600.0, 350.0, tilt_deg=(6.0, -4.0), lens=(-0.2, 0.1, 0.0, 0.0, 0.0), stripes=5, poses=10)
 FREE = np.arange(CAMERA) < 9
@@ -69,22 +70,8 @@ def test_marks_and_stripes_lie_on_the_bent_print(rng) -> None:
 def test_derivatives_are_those_of_the_equations(rng) -> None:
     exact = bowed(shown(RIG, rng), 0.8)
     every = measured(exact, exact.geometry, bend=True).unknowns
-    for rows, what in ((corner_rows, exact.corners), (stripe_rows, exact.points)):
-        found = rows(exact.geometry, every, what)
-        given = np.zeros((found.residual.size, every.count))
-        row, place = np.nonzero(found.columns >= 0)
-        np.add.at(given, (row, found.columns[row, place]), found.values[row, place])
-        for number in every.bend:
-            step = np.zeros(every.count)
-            step[number] = 1e-3
-            up, down = (
-                rows(every.moved(exact.geometry, s * step), every, what).residual for s in (1.0, -1.0)
-            )
-            slope = (up - down) / 2e-3
-            assert np.abs(slope - given[:, number]).max() <= 2e-3 * np.abs(slope).max(), (
-                rows.__name__,
-                number,
-            )
+    for rows, seen in ((corner_rows, exact.corners), (stripe_rows, exact.points)):
+        assert_derivatives(rows, exact.geometry, every, seen, dict.fromkeys(every.bend, 1e-3), 2e-3)
 
 
 def test_the_shape_is_found_and_planes_are_right_again(rng) -> None:

@@ -34,6 +34,12 @@ def belt() -> CalibrationSet:
     return replace(observed, observations=only, board=None)
 
 
+def write_planes(path: Path, planes: np.ndarray) -> None:
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    storage.write("planes", planes)
+    storage.release()
+
+
 def files(made: Calibration, folder: Path, *, sign: float = 1.0) -> dict[str, object]:
     """The camera, and planes with D = −sign, written by OpenCV itself."""
     camera, planes = folder / "camera.yaml", folder / "planes.yaml"
@@ -41,9 +47,7 @@ def files(made: Calibration, folder: Path, *, sign: float = 1.0) -> dict[str, ob
     write_camera(camera, made.view)
     p = made.parameters["planes_per_mm"]
     size = np.linalg.norm(p, axis=1)[:, None]
-    storage = cv2.FileStorage(str(planes), cv2.FILE_STORAGE_WRITE)
-    storage.write("planes", np.column_stack([p / size, -sign / size]))
-    storage.release()
+    write_planes(planes, np.column_stack([p / size, -sign / size]))
     return {"camera": camera, "planes": planes, "height_max_mm": 20.0}
 
 
@@ -89,9 +93,7 @@ def test_what_the_planes_are_uncertain_by_is_in_the_heights(made, belt, tmp_path
             rows = np.column_stack([true, np.full(len(true), -1.0)])
             leaned = normal + np.radians(angle_deg) * lean
             rows[moved] = [*leaned, -(leaned @ place + off)]
-            storage = cv2.FileStorage(str(given["planes"]), cv2.FILE_STORAGE_WRITE)
-            storage.write("planes", rows)
-            storage.release()
+            write_planes(given["planes"], rows)
             other = PinholeCalibrator(PinholeCalibratorOptions(**given)).calibrate(belt)
             squares += (heights(other) - heights(exact)) ** 2
     only = replace(stated, covariance=stated.covariance - exact.covariance)
@@ -135,9 +137,7 @@ def test_another_number_of_planes_and_no_belt(made, belt, tmp_path: Path) -> Non
 
 def test_a_plane_through_the_camera_is_told_with_its_file(tmp_path: Path) -> None:
     path = tmp_path / "planes.yaml"
-    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
-    storage.write("planes", np.array([[1.0, 0.0, 0.2, 0.0]]))
-    storage.release()
+    write_planes(path, np.array([[1.0, 0.0, 0.2, 0.0]]))
     with pytest.raises(DataError, match=r"planes\.yaml: the plane goes through"):
         read_planes(path)
 

@@ -11,10 +11,12 @@ from hypothesis import strategies as st
 
 from roemetry.errors import CalibrationError
 from roemetry.records import Block, CalibrationSet
+from roemetry.records.view import write_camera
 from roemetry.testing import LinearRig
 from roemetry_pinhole.calibrator import PinholeCalibrator, PinholeCalibratorOptions
 from roemetry_pinhole.conformance import observed_of
 from roemetry_pinhole.numbering import PoseLines, number_stripes
+from roemetry_pinhole.pinhole_plane import lines_at_height
 
 
 @pytest.fixture(scope="module")
@@ -57,8 +59,6 @@ def test_poses_without_variety(observed) -> None:
 def test_a_block_that_contradicts_the_board(observed) -> None:
     """A block of 10 mm that is said to be 10.4: the stripes of the level at 10 mm tell."""
     made = PinholeCalibrator().calibrate(observed)
-    from roemetry_pinhole.pinhole_plane import lines_at_height
-
     rig = LinearRig()
     rows = np.arange(rig.rows, dtype=np.float64)
     top = lines_at_height(made.parameters, rows, 10.0)
@@ -95,8 +95,6 @@ def fan(stripes: int, poses: int, rng) -> list[PoseLines]:
 
 
 def test_a_known_camera_is_taken_as_it_is(observed, tmp_path) -> None:
-    from roemetry.records.view import write_camera
-
     made = PinholeCalibrator().calibrate(observed)
     path = tmp_path / "camera.yaml"
     assert made.view is not None

@@ -70,15 +70,16 @@ def test_a_stretched_print_is_told_and_can_be_described(whole: CalibrationSet) -
         said = " ".join(PinholeCalibrator().calibrate(wrong).notes)
     except CalibrationError as error:
         said = error.message
-    assert "seems stretched: along y 0.99" in said
+    # all boards lie alike in these images, so that the camera takes the stretch
+    assert "fx and fy differ by 1.1" in said
+    assert "print of a board stretched" in said
     assert replace(board, row_pitch_mm=2.0).size_mm[1] == 2.0 * board.rows
 
 
 def test_each_image_is_shown_with_the_reason_also_where_nothing_comes_of_it(whole: CalibrationSet) -> None:
     laser = next(n for n, one in enumerate(whole.observations) if one.shows == "board" and len(one.peaks))
-    dark = replace(
-        whole.observations[laser], peaks=whole.observations[laser].peaks.take(np.empty(0, np.int64))
-    )
+    nothing = next(one.peaks for one in whole.observations if one.frame.role == "plain")
+    dark = replace(whole.observations[laser], peaks=nothing)
     spoiled = replace(
         whole, observations=(*whole.observations[:laser], dark, *whole.observations[laser + 1 :])
     )

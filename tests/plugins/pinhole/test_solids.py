@@ -26,7 +26,14 @@ from roemetry_pinhole.geometry import (
 )
 from roemetry_pinhole.pinhole_plane import lines_at_height, parameters_of, view_of
 from roemetry_pinhole.solids import inside, shape_of
-from tests.plugins.pinhole.solids_seen import crossings, on_belt, seen_as, set_of
+from tests.plugins.pinhole.solids_seen import (
+    assert_derivatives,
+    crossings,
+    on_belt,
+    seen_as,
+    set_of,
+    step_sizes,
+)
 
 SIZE = (400, 400)
 STRIPES = 7
@@ -155,31 +162,25 @@ def test_solids_that_contradict_each_other_are_refused_with_the_ratio(off, refus
         assert found[f"{kind}_height_ratio"] == pytest.approx(1.0, abs=3.0 * std)
 
 
-def test_a_solid_that_is_not_there_is_told(rng, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("kind", "lies", "stripes", "says"),
+    [
+        ("block", False, STRIPES, "the block is not seen"),
+        ("block", True, STRIPES + 2, "block: all 9 stripes are seen in 0 rows"),
+        ("small pyramid", True, STRIPES, r"pyramid: stripe \d is found on one surface only"),
+    ],
+)
+def test_a_solid_that_is_not_there_or_misses_stripes_is_told(
+    kind, lies, stripes, says, rng, tmp_path
+) -> None:
     geometry, width = truth("gentle", rng), wide(RIGS["gentle"])
-    nothing = seen_as("block", crossings(geometry, None, SIZE), SIZE, rng, NOISE_PX)
-    with pytest.raises(CalibrationError, match="the block is not seen") as caught:
-        calibrator(geometry, tmp_path).calibrate(set_of([nothing], STRIPES, block=solid("block", width)))
-    assert "block" in caught.value.message
+    small = Pyramid("p", 0.35 * width, 0.15 * width, 0.1 * width, 0.02)
+    known, kind = (small, "pyramid") if kind == "small pyramid" else (solid(kind, width), kind)
+    lying = on_belt(geometry, 0.0, 0.0, 2.0) if lies else geometry
+    seen = [seen_as(kind, crossings(lying, shape_of(known) if lies else None, SIZE), SIZE, rng, NOISE_PX)]
+    with pytest.raises(CalibrationError, match=says) as caught:
+        calibrator(geometry, tmp_path).calibrate(set_of(seen, stripes, **{kind: known}))
     assert caught.value.hint
-
-
-def test_a_wrong_number_of_stripes_is_told(rng, tmp_path: Path) -> None:
-    geometry, width = truth("gentle", rng), wide(RIGS["gentle"])
-    known = solid("block", width)
-    lying = on_belt(geometry, 0.0, 0.0, 2.0)
-    seen = [seen_as("block", crossings(lying, shape_of(known), SIZE), SIZE, rng, NOISE_PX)]
-    with pytest.raises(CalibrationError, match="block: all 9 stripes are seen in 0 rows"):
-        calibrator(geometry, tmp_path).calibrate(set_of(seen, STRIPES + 2, block=known))
-
-
-def test_a_stripe_that_misses_the_solid_is_named(rng, tmp_path: Path) -> None:
-    geometry, width = truth("gentle", rng), wide(RIGS["gentle"])
-    known = Pyramid("p", 0.35 * width, 0.15 * width, 0.1 * width, 0.02)
-    lying = on_belt(geometry, 0.0, 0.0, 2.0)
-    seen = [seen_as("pyramid", crossings(lying, shape_of(known), SIZE), SIZE, rng, NOISE_PX)]
-    with pytest.raises(CalibrationError, match=r"pyramid: stripe \d is found on one surface only"):
-        calibrator(geometry, tmp_path).calibrate(set_of(seen, STRIPES, pyramid=known))
 
 
 def corners_of(geometry: Geometry, block: Block) -> Edges:
@@ -200,20 +201,8 @@ def test_derivatives_on_faces_and_edges_are_those_of_the_equations(rng) -> None:
     points = replace(exact, pose=np.zeros_like(exact.pose), face=face)
     points = replace(points, x_px=points.x_px - stripe_residuals(geometry, points))
     edges = corners_of(geometry, solid("block", 40.0))
-    sizes = {**dict.fromkeys(every.camera[:4], 1e-2), **dict.fromkeys(every.camera[4:], 1e-5)}
-    sizes |= dict.fromkeys([*every.planes.ravel(), *every.belt], 1e-8)
-    for rows, what in ((stripe_rows, points), (edge_rows, edges)):
-        found = rows(geometry, every, what)
-        given = np.zeros((found.residual.size, every.count))
-        row, place = np.nonzero(found.columns >= 0)
-        np.add.at(given, (row, found.columns[row, place]), found.values[row, place])
-        for number in range(every.count):
-            step = np.zeros(every.count)
-            step[number] = sizes.get(number, 1e-5)
-            up, down = (rows(every.moved(geometry, s * step), every, what).residual for s in (1.0, -1.0))
-            slope = (up - down) / (2.0 * step[number])
-            off = np.abs(slope - given[:, number]).max()
-            assert off <= 2e-4 * max(np.abs(slope).max(), 1e-3), (rows.__name__, number)
+    for rows, seen in ((stripe_rows, points), (edge_rows, edges)):
+        assert_derivatives(rows, geometry, every, seen, step_sizes(every), 2e-4)
 
 
 def test_a_corner_of_a_face_is_seen_on_its_edge(rng) -> None:

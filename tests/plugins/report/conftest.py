@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -22,26 +22,26 @@ from roemetry.records import (
     Coding,
     Estimate,
     Frame,
-    Grade,
-    Marks,
     Measurement,
-    Peaks,
-    Product,
     ProductTrace,
-    Profiles,
     Reason,
     Shares,
     StripeMap,
     Trace,
-    Volume,
-    Weight,
 )
-from roemetry.records.calibration import Calibration
+from roemetry.run.open_parts import split_products
 from roemetry.stages import Run
+from roemetry.testing.scenes import LinearRig, frame_of
+from roemetry_paper.arc_curvature import ArcCurvature
+from roemetry_paper.block_linear import BlockLinear
+from roemetry_paper.density import Density
+from roemetry_paper.zero_order_hold import ZeroOrderHold
 
 ROWS, COLUMNS, STRIPES = 480, 640, 11
-PX_PER_MM = 2.2
-MM_PER_PX = 0.16
+RIG = LinearRig(
+    rows=ROWS, columns=COLUMNS, stripes=STRIPES, first_px=58.0, spacing_px=52.0, fan=0.0, px_per_mm=2.2,
+    mm_per_px=0.16, sigma_px=1.7,
+)  # fmt: skip
 NOT_MODELLED = Reason("model-error-not-stated", "the error between the slices is not modelled")
 
 
@@ -81,63 +81,59 @@ class Scene:
 
 def trace_of(scene: Scene) -> Trace:
     rng = np.random.default_rng(scene.seed)
-    rows = np.arange(ROWS, dtype=np.float64)
-    rest = 58.0 + 52.0 * np.arange(STRIPES)[:, None] + 0.012 * (rows - (ROWS - 1) / 2)[None, :]
-    x = rest.copy()
-    z = np.zeros_like(rest)
-    product = np.full(rest.shape, BELT, np.int16)
+    rows, rest = np.arange(ROWS, dtype=np.float64), RIG.rest_px()
+    z, product = np.zeros_like(rest), np.full(rest.shape, BELT, np.int16)
     for number, dome in enumerate(scene.domes, 1):
         height = np.zeros_like(rest)
         for _ in range(30):
-            height = dome.height(rest + PX_PER_MM * height, np.broadcast_to(rows, rest.shape))
+            height = dome.height(rest + RIG.px_per_mm * height, np.broadcast_to(rows, rest.shape))
         product[height > 0.4] = number
         z = np.maximum(z, height)
-    x = rest + PX_PER_MM * z + rng.normal(0, 0.06, rest.shape)
-    known = x < COLUMNS - 2
-    seen = known.copy()
+    x = RIG.x_px(z) + rng.normal(0, 0.06, rest.shape)
+    seen = x < COLUMNS - 2
+    seen &= ~((product > 0) & (z < 4.0) & (rows[None, :] < 240))  # the far flank is in the laser's shadow
     for stripe, first, last in scene.gaps:
         seen[stripe, first:last] = False
-    edge = (product > 0) & (z < 4.0) & (rows[None, :] < 240)  # the far flank is in the laser's shadow
-    seen &= ~edge
     ambiguous = np.zeros(rest.shape, bool)
     for stripe, first, last in scene.ambiguous:
         ambiguous[stripe, first:last] = True
-    image = _image(x, seen | ambiguous, rng)
-    peaks, peak_stripe = _peaks(x, seen, ambiguous, scene.noise, rng)
-    x = np.where(known & ~ambiguous, x, np.nan)
+    lit = np.where(seen | ambiguous, x, np.nan)
+    image = frame_of(RIG.light(lit, 190.0), noise=2.2).pixels
+    strays, stray_row = np.full((scene.noise, ROWS), np.nan), rng.integers(1, ROWS - 1, scene.noise)
+    strays[np.arange(scene.noise), stray_row] = rng.uniform(2, COLUMNS - 3, scene.noise)
+    peaks, line = RIG.peaks(np.vstack([lit, strays]))
+    refused = (line < STRIPES) & ambiguous[np.minimum(line, STRIPES - 1), peaks.row]
+    peak_stripe = np.where(refused, AMBIGUOUS, np.where(line < STRIPES, line, UNCODED)).astype(np.int16)
+    nothing = np.full(x.shape, np.nan)
+    x = np.where((x < COLUMNS - 2) & ~ambiguous, x, np.nan)
     product = np.where(np.isnan(x), NOTHING, product)
-    stripes = StripeMap(
-        x_px=x,
-        x_std_px=np.full(x.shape, np.nan),
-        product=product,
-        seen=seen & ~np.isnan(x),
-        margin=np.full(x.shape, np.nan),
-        ambiguous=ambiguous,
-        rest_px=rest,
-        peak_stripe=peak_stripe,
-    )
-    pixels = (
-        np.repeat(image[:, :, None], 3, axis=2) // np.array([4, 4, 1], np.uint8) if scene.colour else image
-    )
-    frame = Frame(image, name="synthetic", turn_deg=scene.turn_deg)
+    stripes = StripeMap(x, nothing, product, seen & ~np.isnan(x), nothing, ambiguous, rest, peak_stripe)
+    colours = np.repeat(image[:, :, None], 3, axis=2) // np.array([4, 4, 1], np.uint8)
+    pixels = colours if scene.colour else image
     taken = Frame(np.ascontiguousarray(np.rot90(pixels, -scene.turn_deg // 90)), name="synthetic")
-    profiles = _profiles(x, z, product, stripes.seen, rest) if scene.calibrated else None
-    products = (
-        ()
-        if profiles is None
-        else tuple(_product(scene, profiles, n) for n in range(1, len(scene.domes) + 1))
-    )
+    profiles = BlockLinear().triangulate(stripes, RIG.calibration()) if scene.calibrated else None
+    found = split_products(profiles, (), RIG.calibration(), scene.id) if profiles else ()
     return Trace(
         acquisition_id=scene.id,
         acquisition=Acquisition(scene.id, (taken,)),
-        frame=frame,
+        frame=Frame(image, name="synthetic", turn_deg=scene.turn_deg),
         peaks=peaks,
         stripes=stripes,
         profiles=profiles,
-        products=products,
+        products=tuple(_traced(scene, one) for one in found if one.number <= len(scene.domes)),
         absent={} if scene.calibrated else {"triangulator": Reason("uncalibrated", "no calibration")},
         seconds={"source": 0.0004, "extractor": 0.0011, "coder": 0.0013, "volume": 0.0001},
     )
+
+
+def _traced(scene: Scene, product: Any) -> ProductTrace:
+    """The paper's results; the last slice is held, too, and a share is said to be assumed."""
+    volume = ZeroOrderHold().estimate(product)
+    held = np.full(volume.slice_stripe.size, RIG.spacing_px * RIG.mm_per_px)
+    shares = Shares(0.97 * volume.shares.seen, 0.97 * volume.shares.interpolated, 0.03)
+    volume = replace(volume, slice_spacing_mm=held, shares=shares)
+    grade = replace(ArcCurvature().classify(product), label=scene.label)
+    return ProductTrace(product, volume, Density().weigh(product, volume), grade)
 
 
 def measurements_of(scene: Scene, **changes: Any) -> tuple[Measurement, ...]:
@@ -232,120 +228,3 @@ UNCALIBRATED = PROVENANCE | {"calibration": None, "calibration_sha256": None}
 def synthetic() -> SimpleNamespace:
     """All of the above for tests (test folders are not packages)."""
     return SimpleNamespace(**{name: thing for name, thing in globals().items() if not name.startswith("_")})
-
-
-def _image(x: np.ndarray, lit: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    columns = np.arange(COLUMNS)
-    image = np.full((ROWS, COLUMNS), 9.0) + 14 * np.exp(-(((columns[None, :] - 320) / 400.0) ** 2))
-    for stripe in range(STRIPES):
-        power = 190 * np.where(lit[stripe], rng.normal(1, 0.06, ROWS), 0)
-        image += power[:, None] * np.exp(-0.5 * ((columns[None, :] - x[stripe][:, None]) / 1.7) ** 2)
-    return np.clip(image + rng.normal(0, 2.2, image.shape), 0, 255).round().astype(np.uint8)
-
-
-def _peaks(
-    x: np.ndarray, seen: np.ndarray, ambiguous: np.ndarray, noise: int, rng: np.random.Generator
-) -> tuple[Peaks, np.ndarray]:
-    stripe, row = np.nonzero(seen | ambiguous)
-    place = x[stripe, row]
-    label = np.where(ambiguous[stripe, row], AMBIGUOUS, stripe)
-    row = np.concatenate([row, rng.integers(1, ROWS - 1, noise)])
-    place = np.concatenate([place, rng.uniform(2, COLUMNS - 3, noise)])
-    label = np.concatenate([label, np.full(noise, UNCODED)])
-    order = np.lexsort((place, row))
-    n = order.size
-    peaks = Peaks(
-        (ROWS, COLUMNS),
-        row[order],
-        place[order],
-        np.full(n, np.nan),
-        np.full(n, 180.0),
-        np.full(n, 12.0),
-        np.full(n, 4.0),
-        np.zeros(n, np.uint8),
-    )
-    return peaks, label[order]
-
-
-def _profiles(
-    x: np.ndarray, z: np.ndarray, product: np.ndarray, seen: np.ndarray, rest: np.ndarray
-) -> Profiles:
-    rows = np.broadcast_to(np.arange(ROWS, dtype=np.float64), x.shape)
-    xyz = np.stack([(x - 320) * MM_PER_PX, (240 - rows) * MM_PER_PX, (x - rest) / PX_PER_MM], axis=2)
-    xyz[np.isnan(x)] = np.nan
-    plane = np.tile([1.0, 0.0, 0.0, 0.0], (STRIPES, 1))
-    return Profiles(
-        xyz,
-        product,
-        seen,
-        x,
-        rows,
-        np.full(x.shape, np.nan),
-        np.arange(STRIPES),
-        np.zeros(STRIPES, int),
-        plane,
-    )
-
-
-def _product(scene: Scene, profiles: Profiles, number: int) -> ProductTrace:
-    from roemetry.run.open_parts import split_products
-
-    product = next(p for p in split_products(profiles, (), _calibration(), scene.id) if p.number == number)
-    z = np.nan_to_num(product.profiles.xyz_mm[:, :, 2])
-    area = z.sum(axis=1) * MM_PER_PX
-    with_area = np.flatnonzero(area > 0)
-    spacing = np.full(with_area.size, 52 * MM_PER_PX) + 0.2 * np.sin(with_area)
-    visible = float((area[with_area] * spacing).sum())
-    mine = product.profiles.product > 0
-    seen = float(z[product.profiles.seen & mine].sum() / z[mine].sum())
-    volume = Volume(
-        Estimate(visible),
-        None,
-        Shares(0.97 * seen, 0.97 * (1 - seen), 0.03),
-        with_area,
-        area[with_area],
-        spacing,
-    )
-    weight = Weight(Estimate(visible / 1000 * 1.1), (Reason("density", "weighed with 1.1 g/cm³"),))
-    return ProductTrace(product, volume, weight, _grade(scene, product))
-
-
-def _grade(scene: Scene, product: Product) -> Grade:
-    profiles = product.profiles
-    stripe, start, end, value = [], [], [], []
-    for index in range(STRIPES):
-        rows = np.flatnonzero(profiles.product[index] > 0)
-        points = np.column_stack([profiles.x_px[index], profiles.row_px[index]])[rows[::14]]
-        for a, b, c in zip(points, points[1:], points[2:], strict=False):
-            m = 2 * np.array([b - a, c - a])
-            if abs(np.linalg.det(m)) < 1e-6:
-                continue
-            centre = np.linalg.solve(m, [b @ b - a @ a, c @ c - a @ a])
-            stripe.append(index)
-            start.append(b)
-            end.append(centre)
-            value.append(math.copysign(float(np.hypot(*(centre - b))), b[0] - centre[0]))
-    magnitude = np.array(value)
-    flagged = (magnitude < -4) & (magnitude > -80) if scene.label != "good" else np.zeros(len(value), bool)
-    marks = Marks("centre of arc", "px", np.array(stripe), np.array(start), np.array(end), magnitude, flagged)
-    text = f"{int(flagged.sum())} of {flagged.size} arcs bow inwards with a radius between 4 and 80 px"
-    reason = (
-        Reason("dent", text)
-        if flagged.any()
-        else Reason("no-dent", f"none of {flagged.size} arcs bows inwards")
-    )
-    features = {"radius_min_px": float(np.abs(magnitude).min()), "arcs": float(flagged.size)}
-    return Grade(scene.label, features=features, reasons=(reason,), marks=marks)
-
-
-def _calibration() -> Calibration:
-    return Calibration(
-        method="block-linear",
-        image_size=(ROWS, COLUMNS),
-        turn_deg=0,
-        rest_px=np.column_stack([58.0 + 52.0 * np.arange(STRIPES), np.full(STRIPES, 0.012)]),
-        displacement_px_per_mm=np.full(STRIPES, PX_PER_MM),
-        height_range_mm=(0.0, 30.0),
-        parameters={},
-        covariance=np.empty((0, 0)),
-    )

@@ -13,7 +13,7 @@ from roemetry.html import plots as svg
 from roemetry.records import AMBIGUOUS, Frame, Marks
 from roemetry_report import palette
 from roemetry_report.charts import height_charts, share_bar, slice_chart, ticks_to
-from roemetry_report.panels import arc_panel, base_image, curves, panels, runs
+from roemetry_report.panels import arc_panel, base_image, curves, panels
 
 NUMBER = re.compile(r"[A-Za-z]|-?(?:\d+(?:\.\d*)?|\.\d+)")
 
@@ -140,12 +140,6 @@ def test_a_dark_sixteen_bit_picture_is_brightened_and_a_large_one_scaled(trace):
     assert len(image.uri) < 100_000
 
 
-def test_noise_keeps_within_the_size(trace):
-    pixels = np.random.default_rng(0).integers(0, 256, (1200, 1600), dtype=np.uint8)
-    image = base_image(replace(trace, frame=Frame(pixels), acquisition=None))
-    assert len(image.uri) < 150_000
-
-
 def test_an_all_black_frame_is_drawn(trace):
     black = replace(
         trace, frame=Frame(np.zeros((480, 640), np.uint8)), acquisition=None, peaks=None, stripes=None
@@ -223,11 +217,6 @@ def test_paths_do_not_drift():
     x = np.cumsum(np.full(5000, 0.005))
     y = np.arange(5000.0)
     np.testing.assert_allclose(points(svg.polyline(x, y))[:, 0], x, atol=0.0051)
-
-
-def test_runs_are_found_at_both_ends():
-    assert list(runs(np.array([True, False, True, True]))) == [(0, 1), (2, 4)]
-    assert list(runs(np.zeros(3, bool))) == []
 
 
 def test_neighbouring_stripes_differ_for_colour_blind_eyes():

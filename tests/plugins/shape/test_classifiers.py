@@ -28,7 +28,14 @@ from roemetry_shape.learned import (
     fit_classifier,
     load_model,
 )
-from roemetry_shape.novelty import GOOD_SPREAD, lower_bound
+from roemetry_shape.novelty import (
+    GOOD_SPREAD,
+    excess_norm,
+    lower_bound,
+    pack_symmetric,
+    seen_classes,
+    unpack_symmetric,
+)
 from roemetry_shape.shape_limits import ShapeLimits, ShapeLimitsOptions
 
 DOME, SLAB = product_of(HALF_ELLIPSOID), product_of(BOX)
@@ -283,3 +290,42 @@ def test_a_model_learned_elsewhere_is_adapted_to_a_few_good_ones(
         Learned.fit(replace(few, features=("a_mm", "c_mm")), begin=elsewhere)
     with pytest.raises(DataError, match="too few products"):
         Learned.fit(replace(few, labels=("dent",) * 10), begin=elsewhere)
+
+
+def two_lines(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Two classes, in each of which the two features hang together, but not in the same way."""
+    labels = np.array(["a", "b"])[rng.integers(0, 2, count)]
+    first, second = 0.2 * rng.standard_normal((2, count))
+    way = np.where(labels == "a", 1.0, -1.0)
+    return np.column_stack([first, 0.95 * way * first + 0.05 * second]), labels
+
+
+def test_each_class_has_its_own_correlation(rng: np.random.Generator) -> None:
+    """Off to the side of both lines is novel, though each feature alone is not."""
+    values, labels = two_lines(rng, 4000)
+    seen = seen_classes(values, labels)
+    on_a_line, beside = seen.distances(np.array([[0.3, 0.285], [0.3, 0.0]]))
+    assert beside > 1.3 * on_a_line
+    # a sample lies less than 1 from its own: of two classes the nearer counts, and shrinking weakens
+    assert 0.5 < (seen.distances(values) ** 2).mean() < 1.0
+    packed = pack_symmetric(seen.precision)
+    np.testing.assert_allclose(unpack_symmetric(packed, 2), seen.precision, atol=1e-9)
+    with pytest.raises(ValueError, match="expected 6 values a class"):
+        unpack_symmetric(packed, 3)
+
+
+def test_one_feature_beyond_all_that_was_seen_is_found_among_many(rng: np.random.Generator) -> None:
+    """Half its range beyond it, in one of forty that all hang together."""
+    common = rng.standard_normal((300, 1))
+    values = common + 0.2 * rng.standard_normal((300, 40))
+    labels = np.array(["a", "b"])[rng.integers(0, 2, 300)]
+    seen = seen_classes(values, labels)
+    np.testing.assert_array_equal(seen.excess(values), 0.0)
+    low, high = np.sinh(seen.low[7]), np.sinh(seen.high[7])
+    one = values[:1].copy()
+    one[0, 7] = np.sinh(seen.high[7] + 0.5 * (seen.high[7] - seen.low[7]))
+    found = seen.excess(one)
+    assert low < values[0, 7] < high < one[0, 7]
+    assert found[0].argmax() == 7
+    assert found[0, 7] == pytest.approx(0.5, abs=1e-9)
+    assert excess_norm(found)[0] == pytest.approx(0.5, abs=1e-9)

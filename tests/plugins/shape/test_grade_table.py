@@ -273,7 +273,6 @@ def recipe(folder: Path, weigher: str = "  weigher: density\n", limit: str = "1.
 def test_a_run_records_what_was_decided(tmp_path: Path) -> None:
     run_recipe(Recipe.load(recipe(tmp_path), sets=[f"{OPTIONS}.std={{weight_g: 0.5}}"]), tmp_path / "out")
     (row,) = read_record(tmp_path / "out")
-    assert row.decision is not None
     assert (row.decision.label, row.decision.lane) == ("heavy", "belt 1")
     again = Measurement.from_json(row.to_json())
     assert again.decision == row.decision
@@ -286,7 +285,6 @@ def test_a_run_records_what_was_decided(tmp_path: Path) -> None:
 def test_a_part_of_an_uncertainty_proves_nothing(tmp_path: Path, draws: int) -> None:
     """Draws know the calibration's part, but neither the peaks' noise nor the density's."""
     (found,) = Recipe.load(recipe(tmp_path), sets=[f"draws={draws}"]).run()
-    assert found.decision is not None
     assert found.decision.label == "undecided"
     assert "or more: its uncertainty is not stated in full" in found.decision.reasons[0].text
     (found,) = Recipe.load(recipe(tmp_path), sets=[f"{OPTIONS}.guard_factor=0"]).run()
@@ -304,3 +302,27 @@ def test_faults_have_their_line(tmp_path: Path) -> None:
         ConfigurationError, match=r"recipe.yaml:15:7: .*there is a gap: no class takes weight_g"
     ):
         Recipe.load(path)
+
+
+@given(part=st.floats(0.0, 50.0), off=st.floats(-20.0, 20.0), std=st.none() | st.floats(0.1, 50.0))
+def test_a_part_of_the_uncertainty_proves_nothing_and_is_a_lower_bound(
+    part: float, off: float, std: float | None
+) -> None:
+    """Without an interval the table's own word counts, for no less than the part that is known."""
+    estimate = Estimate(20.0 + off, part or math.nan, {"model": part} if part else {})
+    grader = GradeTable(
+        GradeTableOptions.model_validate({**TABLE, "std": {} if std is None else {"weight_g": std}})
+    )
+    label = grader.decide(PRODUCT, None, Weight(estimate), Grade("good")).label
+    guard = 1.65 * max(part, std or 0.0)
+    if std is None:
+        assert label == "undecided"
+    elif label == "A":
+        assert off >= guard - 1e-9
+
+
+def test_a_weight_that_counts_the_air_below_proves_nothing() -> None:
+    reason = Reason("visible-taken-for-true", "the visible volume is weighed")
+    grader = GradeTable(GradeTableOptions.model_validate(TABLE))
+    decision = grader.decide(PRODUCT, None, Weight(whole(30.0, 0.1), (reason,)), Grade("good"))
+    assert decision.label == "undecided"

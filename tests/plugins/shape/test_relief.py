@@ -12,7 +12,7 @@ from roemetry.records import Outline, Product
 from roemetry.records.view import View
 from roemetry.testing.solids import BOX, DENSE, DENTED, HALF_ELLIPSOID, Solid, product_from, product_of
 from roemetry_paper.arc_curvature import ArcCurvature, ArcCurvatureOptions
-from roemetry_report.surface import relief_panels
+from roemetry_report.relief import relief_panels
 from roemetry_shape.examples import learned_options
 from roemetry_shape.features import shape_features, shape_of
 from roemetry_shape.fuzzy_rules import FuzzyRules, FuzzyRulesOptions
@@ -51,7 +51,6 @@ def test_a_smooth_body_has_no_humps() -> None:
 
 def test_what_is_shown_is_what_was_found() -> None:
     features, relief = shape_of(bumped(3.0), 0)
-    assert relief is not None
     (hump,) = [region for region in relief.regions if region.kind == "hump"]
     at = relief.xy_mm[tuple(hump.cells.T)]
     assert np.hypot(*(at - hump.xy_mm).T).max() < 7.0  # mm

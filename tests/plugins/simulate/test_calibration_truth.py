@@ -10,8 +10,6 @@ import numpy as np
 import pytest
 
 from roemetry.config.dataset import Dataset
-from roemetry.config.scene import Scene
-from roemetry.io.yaml_source import dump
 from roemetry.records.view import View
 from roemetry.run.simulate import simulate
 
@@ -31,31 +29,14 @@ RIGS: dict[str, dict[str, Any]] = {
 }
 
 
-def scene(folder: Path, rig: dict[str, Any], **options: Any) -> Scene:
-    size = {"width_px": 160, "height_px": 120, "pixel_size_um": 40}
-    told = {
-        "roemetry_scene": 1,
-        "name": "rig",
-        "licence": "CC0-1.0",
-        "simulator": {
-            "use": "ray-caster",
-            "options": {
-                **rig,
-                "camera": {**size, **rig.get("camera", {})},
-                "product": {"family": "egg"},
-                **options,
-            },
-        },
-    }
-    (folder / "scene.yaml").write_text(dump(told), encoding="utf-8")
-    return Scene.load(folder)
+def view_of(rig: dict[str, Any]) -> View:
+    return View(**{key: np.array(v) if key != "image_size" else tuple(v) for key, v in rig.items()})
 
 
 @pytest.mark.parametrize("name", list(RIGS))
-def test_the_true_rig_sees_every_true_point_where_the_image_does(tmp_path: Path, name: str) -> None:
-    stage = scene(tmp_path, RIGS[name]).make()
-    view = View(**{key: np.array(v) if key != "image_size" else tuple(v)
-                   for key, v in stage.calibration_truth(1)["rig"].items()})  # fmt: skip
+def test_the_true_rig_sees_every_true_point_where_the_image_does(scene, name: str) -> None:
+    stage = scene(**RIGS[name], product={"family": "egg"}).make()
+    view = view_of(stage.calibration_truth(1)["rig"])
     stripes = stage.simulate(0, 1).truth.stripes
     known = np.isfinite(stripes.x_px)
     assert known.sum() > 500
@@ -68,10 +49,9 @@ def test_the_true_rig_sees_every_true_point_where_the_image_does(tmp_path: Path,
     assert stripes.on_product.any()
 
 
-def test_a_set_holds_the_truth_of_rig_and_targets_and_the_noise(tmp_path: Path) -> None:
-    loaded = scene(tmp_path, {}, targets={"board": {"poses": 2}}, camera={
-        "width_px": 480, "height_px": 360, "pixel_size_um": 13.33, "distortion": {"k1": -0.1},
-    })  # fmt: skip
+def test_a_set_holds_the_truth_of_rig_and_targets_and_the_noise(scene, tmp_path: Path) -> None:
+    camera = {"width_px": 480, "height_px": 360, "pixel_size_um": 13.33, "distortion": {"k1": -0.1}}
+    loaded = scene(product={"family": "egg"}, targets={"board": {"poses": 2}}, camera=camera)
     simulate(loaded, tmp_path / "set", count=0, calibration="basic")
     data = Dataset(tmp_path / "set")
     assert list(data.faults()) == []
@@ -81,7 +61,7 @@ def test_a_set_holds_the_truth_of_rig_and_targets_and_the_noise(tmp_path: Path) 
     assert data.sensor.read_noise_grey == pytest.approx(1.0)
     board = truth["chessboard"]
     assert list(board["T_belt_board"]) == ["pose_01", "pose_02", "on_belt"]
-    view = View(**{key: np.array(v) if key != "image_size" else tuple(v) for key, v in truth["rig"].items()})
+    view = view_of(truth["rig"])
     frames = loaded.make().calibration_frames(1)["chessboard"]
     assert frames["pose_01_plain"].sensor == data.sensor
     for name, pose in board["T_belt_board"].items():

@@ -129,3 +129,14 @@ def test_noise_has_the_sensor_s_variance():
 def test_light_beyond_the_range_saturates():
     bright = np.full((4, 4), 1e4)
     assert (expose(0 * bright, bright, Sensor(), seed=1) == 255).all()
+
+
+@pytest.mark.parametrize("plain", [False, True])
+def test_a_draft_is_right_to_a_fraction_of_a_grey_level(plain):
+    """Within the mean, everywhere but at the pixels of an edge; noise is 1 grey level and more."""
+    a_rig, block = rig(240, 120), EmptyBelt() if plain else Block(20.0, 6.0, 5.0)
+    take = plain_light if plain else lambda *given, **more: sum(laser_light(*given, **more))
+    exact, quick = take(a_rig, block, even()), take(a_rig, block, even(), draft=True)
+    off = np.abs(quick - exact)
+    assert off.mean() < 0.15
+    assert np.quantile(off, 0.97) < 1.0

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from roemetry.config.scene import Scene
-from roemetry.io.yaml_source import dump
 from roemetry_simulate.optics import fan_through, looking_down
 from roemetry_simulate.population import Group, moved
 from roemetry_simulate.products.artefacts import SphereOptions, sphere
@@ -83,23 +79,11 @@ def test_moving_a_solid_moves_its_heights() -> None:
 
 
 @pytest.mark.parametrize("family", ["egg", "sphere"])
-def test_a_frame_of_three(tmp_path: Path, family: str) -> None:
+def test_a_frame_of_three(scene, family: str) -> None:
     options = {"radius_mm": 12.0} if family == "sphere" else {}
-    told = {
-        "roemetry_scene": 1,
-        "name": "three",
-        "licence": "CC0-1.0",
-        "simulator": {
-            "use": "ray-caster",
-            "options": {
-                "camera": {"width_px": 200, "height_px": 150, "pixel_size_um": 50},
-                "laser": {"planes": 15},
-                "product": {"family": family, "in_frame": 3, "gap_mm": 4, "options": options},
-            },
-        },
-    }
-    (tmp_path / "scene.yaml").write_text(dump(told), encoding="utf-8")
-    stage = Scene.load(tmp_path).make()
+    product = {"family": family, "in_frame": 3, "gap_mm": 4, "options": options}
+    camera = {"width_px": 200, "height_px": 150, "pixel_size_um": 50}
+    stage = scene(camera=camera, laser={"planes": 15}, product=product).make()
     made, again = stage.simulate(2, 5), stage.simulate(2, 5)
     np.testing.assert_array_equal(made.frames[0].pixels, again.frames[0].pixels)
     products, stripes = made.truth.products, made.truth.stripes

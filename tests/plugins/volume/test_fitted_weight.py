@@ -195,24 +195,22 @@ def test_what_cannot_be_learned_from_is_named(rng: np.random.Generator) -> None:
     given = samples(rng, 40)
     with pytest.raises(DataError, match="masses do not follow the volumes"):
         fit_weights(replace(given, mass_g=rng.permutation(given.mass_g)), form="auto")
-    few = Samples(
-        given.ids[:4],
-        given.ids[:4],
-        NAMES,
-        given.values[:4],
-        mass_g=given.mass_g[:4],
-        mass_std_g=given.mass_g[:4],
-    )
-    with pytest.raises(DataError, match="only 4 weighed products"):
-        fit_weights(few, form="auto")
-    with pytest.raises(DataError, match="no column `visible_cm3`"):
-        fit_weights(replace(given, features=("a", *NAMES[1:])), form="auto")
-    with pytest.raises(DataError, match=r"the form `ends` needs end_share"):
-        fit_weights(replace(given, features=("visible_cm3", "x", *NAMES[2:])), form="ends")
-    with pytest.raises(StageError, match="there is no form `cubic`"):
-        fit_weights(given, form="cubic")
-    with pytest.raises(DataError, match="no weighed product has a measured volume"):
-        fit_weights(replace(given, values=np.full_like(given.values, np.nan)), form="auto")
+    mass = given.mass_g[:4]
+    few = Samples(given.ids[:4], given.ids[:4], NAMES, given.values[:4], mass_g=mass, mass_std_g=mass)
+    unmeasured = replace(given, values=np.full_like(given.values, np.nan))
+    for samples_, form, says in (
+        (few, "auto", "only 4 weighed products"),
+        (replace(given, features=("a", *NAMES[1:])), "auto", "no column `visible_cm3`"),
+        (
+            replace(given, features=("visible_cm3", "x", *NAMES[2:])),
+            "ends",
+            "the form `ends` needs end_share",
+        ),
+        (given, "cubic", "there is no form `cubic`"),
+        (unmeasured, "auto", "no weighed product has a measured volume"),
+    ):
+        with pytest.raises((DataError, StageError), match=says):
+            fit_weights(samples_, form=form)
     with pytest.raises(StageError, match="does not learn"):
         Density.fit(given)
     swapped = given.mass_g.copy()
@@ -270,42 +268,27 @@ def test_ids_that_do_not_meet_are_named(tmp_path: Path) -> None:
 
 def test_from_a_run_to_weights_and_back(tmp_path: Path) -> None:
     """Ten shipped skeins, their true masses from the truth: run, fit, run, check."""
-    run = CliRunner()
-    base = ["run", str(HOME), "--set", "stages.classifier="]
-    sets = ["--set", "stages.weigher=fitted", "--set", "sinks=[{use: csv, options: {features: true}}]"]
-    done = run.invoke(app, [*base, *sets, "--out", str(tmp_path / "a")])
-    assert done.exit_code == 0, done.output
-    data = Dataset(HOME)
-    truth = {item.id: data.truth(item).products[0].mass_g for item in data.items()}
-    weights = table(
-        tmp_path / "weights.csv", ["id", "mass_g"], *[[name, mass] for name, mass in truth.items()]
-    )
-    model = tmp_path / "weight.json"
-    fit = run.invoke(
-        app,
-        ["fit-weight", str(tmp_path / "a" / "results.csv"), "--weights", str(weights), "--out", str(model)],
-    )
-    assert fit.exit_code == 0, fit.output
-    assert "10 weighed products" in fit.output
-    again = run.invoke(
-        app,
-        [
-            *base,
-            "--set",
-            f"stages.weigher={{use: fitted, options: {{model: {model}}}}}",
-            "--out",
-            str(tmp_path / "b"),
-        ],
-    )
-    assert again.exit_code == 0, again.output
-    check = run.invoke(app, ["check-weight", str(tmp_path / "b"), str(weights), "--json"])
-    assert check.exit_code == 0, check.output
-    found = json.loads(check.output)
-    assert found["verdict"] == "holds"
-    assert found["pairs"] == 10
-    heavy = table(
-        tmp_path / "heavy.csv", ["id", "mass_g"], *[[name, 1.2 * mass] for name, mass in truth.items()]
-    )
-    moved = run.invoke(app, ["check-weight", str(tmp_path / "b"), str(heavy)])
-    assert moved.exit_code == 1
-    assert "fit again" in moved.output
+
+    def typed(*words: object, code: int = 0) -> str:
+        done = CliRunner().invoke(app, [str(word) for word in words])
+        assert done.exit_code == code, done.output
+        return done.output
+
+    def run(out: str, *sets: str) -> Path:
+        told = [word for one in ("stages.classifier=", *sets) for word in ("--set", one)]
+        typed("run", HOME, *told, "--out", tmp_path / out)
+        return tmp_path / out
+
+    def weights(name: str, factor: float) -> Path:
+        rows = [[item.id, factor * data.truth(item).products[0].mass_g] for item in data.items()]
+        return table(tmp_path / name, ["id", "mass_g"], *rows)
+
+    data, model = Dataset(HOME), tmp_path / "weight.json"
+    first = run("a", "stages.weigher=fitted", "sinks=[{use: csv, options: {features: true}}]")
+    right = weights("weights.csv", 1.0)
+    said = typed("fit-weight", first / "results.csv", "--weights", right, "--out", model)
+    assert "10 weighed products" in said
+    second = run("b", f"stages.weigher={{use: fitted, options: {{model: {model}}}}}")
+    found = json.loads(typed("check-weight", second, right, "--json"))
+    assert (found["verdict"], found["pairs"]) == ("holds", 10)
+    assert "fit again" in typed("check-weight", second, weights("heavy.csv", 1.2), code=1)

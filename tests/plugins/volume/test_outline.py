@@ -135,7 +135,6 @@ def test_an_outline_of_another_scale_refuses_its_product(
     x, y, a, b = ELLIPSE
     other = plain_image(rng, ((x, y, scale * a, scale * b),), shadow=shadow)
     (found,) = EdgeContour().outline(LASER, other, stripes_on(), None)
-    assert found.fault is not None
     assert found.fault.code == "images-contradict"
 
 

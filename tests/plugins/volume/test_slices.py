@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 from scipy.integrate import simpson
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
@@ -22,7 +23,9 @@ from roemetry_volume.slice_estimators import (
     SliceSum,
     SliceSumOptions,
     SliceTrapezoid,
+    common_height_std_mm,
 )
+from roemetry_volume.underside import fitted_share
 
 ALL = (SliceSum, SliceTrapezoid, SliceSimpson, SlicePchip, SliceSpline)
 ELEVEN = LinearRig(rows=480, columns=640, stripes=11, first_px=120.0, spacing_px=40.0, px_per_mm=1.5, fan=0.0)
@@ -141,30 +144,36 @@ def test_a_fan_of_planes_counts_each_height_where_it_is() -> None:
     assert volume.visible_mm3.value == pytest.approx(covered * 0.5 * on.sum() * height, rel=1e-9)
 
 
-def test_refusals_and_doubts() -> None:
+@pytest.mark.parametrize(
+    ("slices", "says"), [([], "no stripe on the product"), ([4, 5], "only 2 stripes lie on the product")]
+)
+def test_too_few_slices_are_refused(slices: list[int], says: str) -> None:
+    keep = np.isin(np.arange(11), slices)
+    with pytest.raises(StageError, match=says):
+        SlicePchip().estimate(without(product_of(HALF_ELLIPSOID, ELEVEN), ~keep, slice(None)))
+
+
+def scaled(factor: float, slices: object, off_mm: float = 0.0) -> Product:
     product = product_of(HALF_ELLIPSOID, ELEVEN)
-    with pytest.raises(StageError, match="no stripe on the product"):
-        SlicePchip().estimate(only(product, []))
-    with pytest.raises(StageError, match="only 2 stripes lie on the product"):
-        SlicePchip().estimate(only(product, [4, 5]))
-    below = replace(product.profiles, xyz_mm=product.profiles.xyz_mm * [1.0, 1.0, -1.0])
+    xyz = product.profiles.xyz_mm.copy()
+    xyz[slices, :, 2] = factor * xyz[slices, :, 2] + off_mm
+    return replace(product, profiles=replace(product.profiles, xyz_mm=xyz))
+
+
+def test_doubts_are_told() -> None:
+    product = product_of(HALF_ELLIPSOID, ELEVEN)
     with pytest.raises(StageError, match="below the belt"):
-        SlicePchip().estimate(replace(product, profiles=below))
-    assert "dead-stripe" in codes(SlicePchip().estimate(without(product, 5, slice(None))))
-    assert "gap-in-slice" in codes(SlicePchip().estimate(without(product, 5, slice(235, 240))))
-    assert "hole" in codes(SlicePchip().estimate(without(product, 5, slice(215, 265))))
-    thin = product.profiles.xyz_mm.copy()
-    thin[5, :, 2] *= 0.2
-    assert "waist" in codes(
-        SlicePchip().estimate(replace(product, profiles=replace(product.profiles, xyz_mm=thin)))
-    )
-    thin[4, :, 2] -= 5.0
-    assert "below-belt" in codes(
-        SlicePchip().estimate(replace(product, profiles=replace(product.profiles, xyz_mm=thin)))
-    )
-    wide = product_of(Solid("half-ellipsoid", 140.0, 30.0, 12.0), ELEVEN)
-    assert "beyond-outer-stripes" in codes(SlicePchip().estimate(wide))
-    assert "cut-by-edge" in codes(SlicePchip().estimate(product_of(Solid("box", 66.0, 140.0, 12.0), ELEVEN)))
+        SlicePchip().estimate(scaled(-1.0, slice(None)))
+    for doubtful, code in (
+        (without(product, 5, slice(None)), "dead-stripe"),
+        (without(product, 5, slice(235, 240)), "gap-in-slice"),
+        (without(product, 5, slice(215, 265)), "hole"),
+        (scaled(0.2, 5), "waist"),
+        (scaled(1.0, 4, -5.0), "below-belt"),
+        (product_of(Solid("half-ellipsoid", 140.0, 30.0, 12.0), ELEVEN), "beyond-outer-stripes"),
+        (product_of(Solid("box", 66.0, 140.0, 12.0), ELEVEN), "cut-by-edge"),
+    ):
+        assert code in codes(SlicePchip().estimate(doubtful))
 
 
 def test_points_may_stand_in_any_order(rng: np.random.Generator) -> None:
@@ -182,23 +191,6 @@ def test_draws_scatter_by_the_stated_uncertainty(rng: np.random.Generator) -> No
     drawn = [SlicePchip().estimate(product, rng=rng).visible_mm3.value for _ in range(400)]
     assert np.std(drawn) == pytest.approx(stated.std, rel=0.15)
     assert np.mean(drawn) == pytest.approx(stated.value, abs=4.0 * stated.std / 20.0)
-
-
-def test_the_table_names_what_it_holds() -> None:
-    profiles = product_of(HALF_ELLIPSOID, ELEVEN).profiles
-    table, ordered = slice_table.slice_areas(
-        profiles.xyz_mm, profiles.product, profiles.seen, profiles.row_px, profiles.plane, profiles.frame, 1
-    )
-    assert ordered
-    lit = table[:, slice_table.COUNT] > 0
-    assert table[lit, slice_table.TOP].max() == pytest.approx(np.nanmax(profiles.xyz_mm[..., 2]))
-    assert table[lit, slice_table.SEEN] == pytest.approx(table[lit, slice_table.AREA])
-
-
-def only(product: Product, slices: list[int]) -> Product:
-    keep = np.zeros(product.profiles.slice_count, np.bool_)
-    keep[slices] = True
-    return without(product, ~keep, slice(None))
 
 
 def without(product: Product, at: object, points: slice) -> Product:
@@ -233,3 +225,83 @@ def test_a_wide_gap_between_two_levels_is_a_hidden_wall_and_else_a_hole(other_mm
     assert table[:, slice_table.AREA] == pytest.approx(
         np.full(3, 10.0 * (16.0 + other_mm) + (0.0 if hole else 280.0)), rel=0.01
     )
+
+
+def stated(std_mm: float, noise_mm: float, rng: np.random.Generator) -> Product:
+    one = product_of(HALF_ELLIPSOID, ELEVEN)
+    xyz = one.profiles.xyz_mm.copy()
+    xyz[..., 2] += noise_mm * rng.standard_normal(xyz.shape[:2])
+    std = np.where(np.isfinite(xyz[..., 2]), std_mm, np.nan)
+    return replace(one, profiles=replace(one.profiles, xyz_mm=xyz, height_std_mm=std))
+
+
+def test_what_is_stated_and_does_not_scatter_is_common(rng: np.random.Generator) -> None:
+    smooth = stated(0.06, 0.0, rng)
+    assert common_height_std_mm(smooth) == pytest.approx(0.06 / np.sqrt(2.0), abs=0.002)
+    found = SlicePchip().estimate(smooth).visible_mm3
+    share = found.budget["common height"] / common_height_std_mm(smooth)
+    assert share == pytest.approx(np.pi / 4.0 * 60.0 * 30.0, rel=0.05)  # the footprint, mm²
+
+
+def test_noise_is_not_common(rng: np.random.Generator) -> None:
+    assert common_height_std_mm(stated(0.06, 0.06, rng)) < 0.02
+    assert common_height_std_mm(stated(0.10, 0.06, rng)) == pytest.approx(0.08 / np.sqrt(2.0), abs=0.015)
+    assert common_height_std_mm(stated(np.nan, 0.06, rng)) == 0.0
+
+
+def with_underside(**options):
+    return SlicePchip(SliceOptions(**options)).estimate(product_of(HALF_ELLIPSOID))
+
+
+def test_unknown_states_no_true_volume_and_flat_is_the_visible_one() -> None:
+    assert with_underside().true_mm3 is None
+    volume = with_underside(underside="flat")
+    assert volume.true_mm3.value == volume.visible_mm3.value
+    assert volume.true_mm3.std == pytest.approx(volume.visible_mm3.std)
+
+
+def test_rounded_takes_a_share_and_says_how_sure(rng: np.random.Generator) -> None:
+    volume = with_underside(underside="rounded", true_share=0.85, true_share_std=0.05)
+    assert volume.true_mm3.value == pytest.approx(0.85 * volume.visible_mm3.value)
+    assert volume.true_mm3.budget["underside"] == pytest.approx(0.05 * volume.visible_mm3.value)
+    estimator = SlicePchip(SliceOptions(underside="rounded", true_share=0.85, true_share_std=0.05))
+    product = product_of(HALF_ELLIPSOID)
+    drawn = [estimator.estimate(product, rng=rng).true_mm3.value for _ in range(200)]
+    assert np.std(drawn) == pytest.approx(volume.true_mm3.std, rel=0.2)
+
+
+def test_an_air_gap_is_taken_off_over_the_footprint() -> None:
+    volume = with_underside(underside="air-gap", gap_mm=1.0, gap_std_mm=0.2)
+    foot = np.pi / 4.0 * 60.0 * 30.0
+    assert volume.visible_mm3.value - volume.true_mm3.value == pytest.approx(foot, rel=0.02)  # mm³
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"underside": "rounded"},
+        {"underside": "rounded", "true_share": 0.9},
+        {"underside": "air-gap", "true_share": 0.9},
+        {"true_share": 0.9},
+    ],
+)
+def test_a_model_has_its_own_numbers_and_no_others(options) -> None:
+    with pytest.raises(ValidationError, match="needs|belongs to"):
+        SliceOptions(**options)
+
+
+def test_the_share_is_fitted_to_weighed_samples(rng: np.random.Generator) -> None:
+    visible = rng.uniform(1e4, 3e4, 400)
+    share, std = fitted_share(visible, visible * rng.normal(0.86, 0.03, 400))
+    assert share == pytest.approx(0.86, abs=0.006)
+    assert std == pytest.approx(0.03, abs=0.004)
+    with pytest.raises(ValueError, match="three samples"):
+        fitted_share([1.0, 2.0], [1.0, 2.0])
+
+
+def test_a_gap_under_some_products_widens_the_intervals_of_all(rng: np.random.Generator) -> None:
+    """One product in fifteen stands on air: a standard deviation alone would leave those out."""
+    gap = rng.random(2000) < 1.0 / 15.0
+    true = np.where(gap, rng.normal(0.75, 0.02, 2000), rng.normal(0.92, 0.01, 2000))
+    share, std = fitted_share(np.ones(1000), true[:1000])
+    assert 0.92 < np.mean(np.abs(true[1000:] - share) < 1.96 * std) < 0.98

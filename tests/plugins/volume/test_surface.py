@@ -14,9 +14,11 @@ from roemetry.records import Outline, Product, Profiles
 from roemetry.records.view import View
 from roemetry.run.monte_carlo import offset_contour
 from roemetry.testing import LinearRig
+from roemetry_volume.footprint import area_of
 from roemetry_volume.outline_surface import OutlineSurface
+from roemetry_volume.rim import StripePoints, ends_of
 from roemetry_volume.slice_estimators import SlicePchip
-from roemetry_volume.surface_fit import Knots, plate_through, without_slice
+from roemetry_volume.surface_fit import Knots, fuse, plate_through, points_of, without_slice
 from roemetry_volume.underside import UndersideOptions
 
 CAMERA_MM, F_PX, ROWS, COLUMNS = 320.0, 1600.0, 480, 640
@@ -175,8 +177,6 @@ def test_without_an_outline_it_gives_the_slices_and_says_so() -> None:
     for changed, code in (
         (replace(made, outline=None), "no-outline"),
         (replace(made, view=None), "no-view"),
-        (replace(made, outline=Outline(1, made.outline.xy_px + np.array([0.0, 60.0]))), "outline-disagrees"),
-        (replace(made, outline=scaled(made.outline, 1.4)), "outline-disagrees"),
     ):
         volume = OutlineSurface().estimate(changed)
         assert volume.reasons[0].code == code
@@ -198,11 +198,6 @@ def test_draws_scatter_by_the_stated_uncertainty(rng: np.random.Generator) -> No
     assert np.std(drawn) == pytest.approx(own, rel=0.35)
     assert OutlineSurface().states_model_error
     assert stated.true_mm3.value == stated.visible_mm3.value
-
-
-def scaled(outline: Outline, factor: float) -> Outline:
-    middle = outline.xy_px.mean(axis=0)
-    return Outline(1, middle + factor * (outline.xy_px - middle))
 
 
 def codes(volume) -> set[str]:
@@ -280,7 +275,6 @@ def test_bad_products_give_a_reason_or_no_number() -> None:
 def test_an_outline_that_disagrees_is_not_used(times: float, shift_px: float) -> None:
     made, visible = dome()
     outline = made.outline
-    assert outline is not None
     middle = outline.xy_px.mean(axis=0)
     other = replace(outline, xy_px=times * (outline.xy_px - middle) + middle + shift_px)
     volume = OutlineSurface().estimate(replace(made, outline=other))
@@ -359,3 +353,72 @@ def side_by_side(apart: float, wall: float) -> Product:
     there = np.isfinite(z)
     points = np.column_stack([x[there], y[there], z[there]])
     return product(top, wall + 10.0, points)
+
+
+@pytest.mark.parametrize("beyond", [1, 3])
+def test_belt_peaks_behind_unseen_rows_do_not_pull_the_rim_down(beyond: int) -> None:
+    made, true_mm3 = dome(wall=8.0)
+    spoilt = with_belt_peaks(made, beyond)
+    assert points_of(spoilt).xyz_mm[:, 2].min() == pytest.approx(points_of(made).xyz_mm[:, 2].min())
+    fused = fuse(spoilt, spoilt.view, spoilt.outline.xy_px)
+    assert fused.volume_mm3 == pytest.approx(true_mm3, rel=0.01)
+
+
+def test_points_as_high_as_the_rest_stay() -> None:
+    made = dome(wall=8.0)[0]
+    spoilt = with_belt_peaks(made, 2, z_mm=7.0)
+    assert points_of(spoilt).xyz_mm.shape[0] > points_of(made).xyz_mm.shape[0]
+
+
+def with_belt_peaks(made: Product, count: int, z_mm: float = 1.5) -> Product:
+    """Add seen points at a height behind three unseen ones, at the last row's end of the last slice."""
+    profiles = made.profiles
+    number = int(np.flatnonzero((profiles.product == 1).any(axis=1))[-1])
+    last = int(np.flatnonzero(profiles.product[number] == 1)[-1])
+    rows = last + np.arange(1, 4 + count)
+    xyz, product, seen = profiles.xyz_mm.copy(), profiles.product.copy(), profiles.seen.copy()
+    row_px, x_px = profiles.row_px.copy(), profiles.x_px.copy()
+    product[number, rows], seen[number, rows[3:]] = 1, True
+    row_px[number, rows], x_px[number, rows] = rows, 0.0
+    xyz[number, rows] = xyz[number, last] + np.outer(np.arange(1, 4 + count), [0.0, -0.2, 0.0])
+    xyz[number, rows[3:], 2] = z_mm
+    return replace(
+        made, profiles=replace(profiles, xyz_mm=xyz, product=product, seen=seen, row_px=row_px, x_px=x_px)
+    )
+
+
+@pytest.mark.parametrize("rows", [0, 1, 4])
+def test_rows_down_a_wall_that_the_camera_sees_are_no_end_of_the_top(rows: int) -> None:
+    y = np.concatenate([np.full(rows, 20.0) + 0.02 * np.arange(rows)[::-1], 20.0 - 0.2 * np.arange(1, 60)])
+    z = np.concatenate([16.0 * (np.arange(rows) + 0.25) / max(rows, 1), np.full(59, 16.0)])
+    points = StripePoints(
+        np.column_stack([np.zeros_like(y), y, z]), np.zeros(y.size, int), np.array([0, y.size])
+    )
+    index, first, _ = ends_of(points, y)
+    assert index[first].tolist() == [rows, y.size - 1]
+
+
+def test_a_dome_keeps_its_outermost_row() -> None:
+    d = 0.1 + 0.19 * np.arange(40)
+    z = 3.0 + np.sqrt(20.0 * d)
+    points = StripePoints(
+        np.column_stack([np.zeros_like(d), -d, z]), np.zeros(d.size, int), np.array([0, d.size])
+    )
+    index, first, _ = ends_of(points, points.xyz_mm[:, 1])
+    assert index[first].tolist() == [0, d.size - 1]
+
+
+@pytest.mark.parametrize("made", [box, dome, half_cylinder])
+def test_the_nodes_stand_for_all_of_the_footprint(made) -> None:
+    product = made()[0]
+    fused = fuse(product, product.view, product.outline.xy_px)
+    assert fused.weight_mm2.sum() == pytest.approx(abs(area_of(fused.contour)), rel=1e-9)
+
+
+@pytest.mark.parametrize("lowest_mm", [0.0, 16.5])
+def test_a_wall_that_faces_the_camera_is_in_the_outline_or_too_dark_to_show(lowest_mm: float) -> None:
+    """With the wall the outline is its foot, without it the upper edge: the footprint is the same."""
+    made, true_mm3 = box(y0=17.0)
+    corners = [[i, 17.0 + j, z] for i in (-30.0, 30.0) for j in (-13.0, 13.0) for z in (lowest_mm, 16.5)]
+    hull = cv2.convexHull(made.view.project(np.array(corners)).astype(np.float32))[:, 0].astype(float)
+    assert fuse(made, made.view, hull).volume_mm3 == pytest.approx(true_mm3, rel=0.01)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -26,7 +28,9 @@ from roemetry_tools.compare.grading import (
     recalls_of,
     reliability_of,
 )
-from roemetry_tools.compare.ranking import choose_by_class, choose_by_error
+from roemetry_tools.compare.ranking import Compared, choose_by_class, choose_by_error
+from roemetry_tools.compare.tables import first_lines_of
+from roemetry_tools.compare.variants import Variant
 
 
 def values(estimates: list[float], true: float | None, each: int = 1) -> dict[str, PairedValue]:
@@ -43,6 +47,14 @@ def test_the_interval_of_a_mean_is_students(rng: np.random.Generator) -> None:
     low, high = Bootstrap([str(k) for k in range(400)], 1).interval(drawn[:, None], mean_of)
     half = t.ppf(0.975, 399) * drawn.std(ddof=1) / 20.0
     assert (low, high) == pytest.approx((drawn.mean() - half, drawn.mean() + half), abs=0.03)
+
+
+def test_an_interval_of_few_products_is_as_wide_as_students() -> None:
+    """Means drawn from twelve values scatter too little by √(11/12), and by what t is wider than normal."""
+    twelve = np.arange(12.0)
+    drawn = [Bootstrap([*"abcdefghijkl"], seed).interval(twelve[:, None], mean_of) for seed in range(20)]
+    half = t.ppf(0.975, 11) * twelve.std(ddof=1) / math.sqrt(12.0)
+    assert 0.5 * np.diff(drawn, axis=1).mean() == pytest.approx(half, rel=0.02)
 
 
 def test_intervals_hold_the_truth_as_often_as_they_say(rng: np.random.Generator) -> None:
@@ -188,3 +200,42 @@ def test_one_specimen_measured_often_has_no_interval() -> None:
     found = agreement_of(np.array([1.0, 2.0, 3.0]), ["a", "a", "a"], Terms(tolerance_pct=5.0))
     assert (found.n, found.specimens, found.mean_pct, found.verdict) == (3, 1, 2.0, "undecided")
     assert math.isnan(found.mean_interval_pct.low) and math.isnan(found.high_limit_interval_pct.high)
+
+
+def led(errors_pct: Sequence[float], lead: float, rng: np.random.Generator) -> list[Compared]:
+    """Two variants on products of true volume 100: the second is off by `lead` more on each."""
+    rows = []
+    for number, more in enumerate((0.0, lead)):
+        off = [e + more + 0.01 * float(rng.standard_normal()) for e in errors_pct]
+        values = {f"p{k}": PairedValue(100.0 + e, 100.0, f"p{k}", f"p{k}") for k, e in enumerate(off)}
+        figures = SimpleNamespace(
+            values={"visible_mm3": values, "true_mm3": {}, "mass_g": {}}, graded=(), refused=0, failed=False
+        )
+        rows.append(Compared(Variant(number, f"v{number}", {}, None), figures))  # type: ignore[arg-type]
+    return rows
+
+
+@pytest.mark.parametrize(
+    ("products", "lead", "says"),
+    [
+        (12, 1.0, "winner: `v0`: mean absolute error of the visible volume"),
+        (5, 1.0, "no clear winner; ahead is `v0`"),
+        (12, 1e-4, "products are not enough to tell"),
+    ],
+)
+def test_the_first_line_names_the_winner_only_where_the_products_tell(
+    products: int, lead: float, says: str, rng: np.random.Generator
+) -> None:
+    rows = led(np.linspace(0.5, 2.0, products).tolist(), lead, rng)
+    first, *more = first_lines_of(rows, Terms(), "")
+    assert says in first
+    assert any(line.startswith("warning") for line in more) is (products < 10)
+
+
+def test_variants_that_measured_the_same_are_named(rng: np.random.Generator) -> None:
+    one, _ = led([1.0, 2.0], 0.0, rng)
+    other = Compared(Variant(1, "v1", {}, None, left_out=("coder=planes",)), one.figures)
+    lines = first_lines_of([one, other], Terms(), "")
+    assert lines[0] == "no winner: no two variants differ on the same products"
+    assert "`coder=planes` was left out: it comes to the same recipe as `v1`" in lines
+    assert "`v1` measured exactly what `v0` did" in lines[-1]

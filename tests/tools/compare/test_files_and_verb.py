@@ -18,7 +18,10 @@ def test_verdicts_intervals_and_classes_reach_every_file(dataset, tmp_path, caps
     vary = "stages.weigher.options.density_g_per_cm3=1.54"
     words = [path, "--vary", vary, "--out", out, "--tolerance", "5", "--folds", "2", "--seed", "4"]
     assert roemetry(*words) == 0
-    assert "weight beside the recipe's, tolerance 5 %: different" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert printed.startswith("no clear winner; ahead is `recipe`: mean absolute error of the weight")
+    assert "warning: 6 products" in printed
+    assert "weight beside the recipe's, tolerance 5 %: different" in printed
     told = json.loads((out / "comparison.json").read_text("utf-8"))
     assert told["terms"] == {"tolerance_pct": 5.0, "folds": 2, "seed": 4, "resamples": 2000}
     figures = told["variants"][1]["figures"]

@@ -152,12 +152,16 @@ def test_products_are_matched_by_the_points_they_share(lines: np.ndarray) -> Non
 
 
 def test_truth_of_another_turn_or_size_is_refused(lines: np.ndarray) -> None:
-    quarter, short = (
+    told = [
         truth_in(Frame(np.zeros((rows, COLUMNS), np.uint8), turn_deg=turn), truth(lines))
-        for rows, turn in ((ROWS, 90), (ROWS - 1, 0))
-    )
-    assert isinstance(quarter, Reason) and "turned by 90°" in quarter.text
-    assert isinstance(short, Reason)
+        for rows, turn in ((ROWS, 90), (ROWS, 270), (ROWS - 1, 0))
+    ]
+    assert [one.code for one in told if isinstance(one, Reason)] == [
+        "truth-other-turn",
+        "truth-other-turn",
+        "truth-other-size",
+    ]
+    assert isinstance(told[0], Reason) and "turned by 90°" in told[0].text
 
 
 def test_errors_of_a_scaled_estimate() -> None:

@@ -1,0 +1,244 @@
+"""Studies judged: intervals that hold, instruments accepted and refused; and the example's readings.
+
+``python -m benchmarks studies [--part intervals acceptance] [--first 410000] [--count 100] [--studies 1000]``
+
+Intervals: gauge studies and studies of agreement with known variances and rates, simulated. Acceptance:
+every instrument is a rig of its own; a sphere plate in ten positions and a block in six are traced exactly,
+peaks moved by random errors of 0.1 px, and lifted by the calibration that the instrument believes in: its
+own, or one with a fault. The limits are the same for all. ``--part example`` writes
+recipes/herring_roe/studies/heads.csv.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+
+from benchmarks.volume_scenes import HERRING_ROE, exact, rig_of, view_of
+from benchmarks.weight import disturbed
+from roemetry.config.target_file import read_sphere_plate, read_target
+from roemetry.errors import RoemetryError
+from roemetry.io.files import shipped
+from roemetry.records import NOTHING, Profiles
+from roemetry.records.observations import Block as BlockTarget
+from roemetry.records.view import View
+from roemetry.targets.solids import solid_triangles
+from roemetry_simulate.population import in_reach
+from roemetry_simulate.products import PRODUCTS
+from roemetry_simulate.products.family import Pose
+from roemetry_simulate.products.mesh import Triangles, close, lay
+from roemetry_simulate.render import Rig
+from roemetry_simulate.solid import Block, Solid
+from roemetry_simulate.truth import stripe_centres
+from roemetry_study.acceptance import Artefact, decide, measure, overall
+from roemetry_study.agreement import Operator, agreement
+from roemetry_study.design import simulated
+from roemetry_study.table import Reading, StudyTable
+from roemetry_study.variance import analyse
+from roemetry_volume.outline_surface import OutlineSurface
+
+LIMITS_MM = {"form": 0.45, "size": 0.10, "spacing": 0.05, "flatness": 0.40, "step": 0.03}
+"""Maximum permissible errors: about twice what 0.1 px do on these rigs."""
+NOISE_PX = 0.1
+STD_MM = 0.001
+"""Standard uncertainty of the artefacts' calibrated values."""
+BLOCK = BlockTarget("block", 30.0, 30.0, 16.5, 0.005)
+FAULTS = ("none", "planes turned by 0.2°", "scale 0.1 % off", "lens: k1 0.1 off")
+_STEP_PX = 2.0
+
+
+def main() -> None:
+    """Print what is asked for."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parts = {"intervals": intervals, "acceptance": acceptance, "example": example}
+    parser.add_argument("--part", nargs="+", choices=parts, default=["intervals", "acceptance"])
+    parser.add_argument("--first", type=int, default=410000, help="seed of the first rig")
+    parser.add_argument("--count", type=int, default=100, help="rigs")
+    parser.add_argument("--studies", type=int, default=1000, help="simulated for each design")
+    given = parser.parse_args()
+    for part in given.part:
+        parts[part](given)
+
+
+def intervals(given: argparse.Namespace) -> None:
+    """Print how many 95 % intervals hold the truth, by design of study and component."""
+    names = ("repeatability", "operator", "interaction", "gauge", "part", "gauge_percent")
+    print(
+        f"\n| parts × operators × trials | cells missing | {' | '.join(names)} |"
+        f"\n|---|---|{'---|' * len(names)}"
+    )
+    for size, gaps in (((10, 3, 3), 0.0), ((10, 3, 3), 0.1), ((8, 4, 2), 0.0), ((20, 3, 2), 0.1)):
+        std = {"part": 5.0, "repeatability": 1.0, "operator": 1.0, "interaction": 0.7}
+        true = {**std, "gauge": math.sqrt(1.0 + 1.0 + 0.49)}
+        true["gauge_percent"] = 100.0 * true["gauge"] / math.hypot(true["gauge"], 5.0)
+        held = dict.fromkeys(names, 0)
+        for seed in range(given.studies):
+            rng = np.random.default_rng([seed, *size, 73])
+            table = simulated(rng, size, 5.0, 1.0, 1.0, 0.7)
+            table = replace(table, readings=tuple(r for r in table.readings if rng.random() >= gaps))
+            found = analyse(table)
+            drawn = {**found.draws, "gauge_percent": 100.0 * found.draws["gauge"] / found.draws["total"]}
+            for name in names:
+                low, high = np.quantile(drawn[name], [0.025, 0.975])
+                held[name] += bool(low <= true[name] <= high)
+        shown = " | ".join(f"{held[name] / given.studies:.1%}" for name in names)
+        print(f"| {' × '.join(map(str, size))} | {gaps:.0%} | {shown} |", flush=True)
+    print("\n| study of agreement | missed | false alarms | kappa |\n|---|---|---|---|")
+    for parts, trials, hard in ((50, 3, 0.4), (50, 2, 0.1), (100, 2, 0.4)):
+        counts = Counter[str]()
+        for seed in range(given.studies):
+            one, true_rate = agreed(np.random.default_rng([seed, parts, trials, 74]), parts, trials, hard)
+            for name, figure, value in (
+                ("missed", one.missed, true_rate),
+                ("false", one.false_alarm, true_rate),
+                ("kappa", one.kappa, 1.0 - 2.0 * true_rate),
+            ):
+                counts[name] += figure.low <= value <= figure.high
+        shown = " | ".join(f"{counts[name] / given.studies:.1%}" for name in ("missed", "false", "kappa"))
+        print(f"| {parts} parts × {trials}, hard parts wrong {hard:.0%} | {shown} |", flush=True)
+
+
+def agreed(rng: np.random.Generator, parts: int, trials: int, hard: float) -> tuple[Operator, float]:
+    """Simulate one grader: every fifth part is hard, its readings wrong together; others 4 % wrong."""
+    readings = []
+    for part in range(parts):
+        truth, other = ("good", "bad") if part % 2 else ("bad", "good")
+        wrong = hard if rng.random() < 0.2 else 0.04
+        readings += [
+            Reading(f"{part}", "A", f"{trial}", other if rng.random() < wrong else truth, "simulated", truth)
+            for trial in range(trials)
+        ]
+    found = agreement(StudyTable(tuple(readings), "grade", "simulated"), "good")
+    return found.operators[0], 0.2 * hard + 0.8 * 0.04
+
+
+def example(given: argparse.Namespace) -> None:
+    """Write the example: ten skeins, three heads with scales of their own, three trials; volumes, cm³."""
+    lines = ["part,head,trial,visible_cm3,std,reference"]
+    rng = np.random.default_rng(83)
+    heads = {name: (900_000 + k, 1.0 + 0.002 * float(rng.standard_normal())) for k, name in enumerate("ABC")}
+    for number in range(10):
+        family = PRODUCTS["herring-roe"]
+        for head, (rig_seed, scale) in heads.items():
+            rig = rig_of(rig_seed)
+            drawn = in_reach(family.draw(910_000 + number, family.Options()), rig, 1.2)
+            whole = exact(rig, drawn.solid)
+            for trial in range(1, 4):
+                product = disturbed(whole, 1000 * number + 10 * rig_seed + trial).product
+                profiles = replace(product.profiles, xyz_mm=product.profiles.xyz_mm * [1.0, 1.0, scale])
+                volume = OutlineSurface().estimate(replace(product, profiles=profiles)).visible_mm3
+                lines.append(
+                    f"skein {number + 1},{head},{trial},{1e-3 * volume.value:.4f},{1e-3 * volume.std:.4f},"
+                    f"{1e-3 * whole.visible_mm3:.4f}"
+                )
+    path = HERRING_ROE / "studies" / "heads.csv"
+    path.parent.mkdir(exist_ok=True)
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    print(path)
+
+
+def acceptance(given: argparse.Namespace) -> None:
+    """Print a line for each fault."""
+    found = {fault: Counter[str]() for fault in FAULTS}
+    causes = {fault: Counter[str]() for fault in FAULTS}
+    for seed in range(given.first, given.first + given.count):
+        rig = rig_of(seed)
+        traces = list(traced(rig, seed))
+        for fault in FAULTS:
+            view = faulty(view_of(rig), fault)
+            try:
+                values = [
+                    value
+                    for artefact, points in traces
+                    for value in measure(lifted(points, view), artefact, view)
+                ]
+                outcomes = decide(values, LIMITS_MM)
+            except RoemetryError as error:
+                found[fault][error.message] += 1
+                continue
+            found[fault][overall(outcomes)] += 1
+            causes[fault].update(o.characteristic for o in outcomes if o.decision == "rejected")
+    print(
+        "\n| fault | accepted | rejected | undecided | not measured | rejected by |"
+        "\n|---|---|---|---|---|---|"
+    )
+    for fault in FAULTS:
+        told = [found[fault][name] for name in ("accepted", "rejected", "undecided")]
+        by = ", ".join(f"{name} {n}" for name, n in causes[fault].most_common())
+        print(f"| {fault} | {' | '.join(map(str, told))} | {given.count - sum(told)} | {by or '–'} |")
+
+
+def traced(rig: Rig, seed: int) -> list[tuple[Artefact, Profiles]]:
+    """Trace both artefacts in their positions, with noise; heights are not yet known."""
+    rng = np.random.default_rng([seed, 71])
+    described = read_target(shipped("calib_targets", "sphere-plate-3x2-30.yaml"))
+    plate = read_sphere_plate(described, shipped("calib_targets", "sphere-plate-3x2-30.yaml").parent)  # type: ignore[arg-type]
+    assert plate is not None
+    corners = solid_triangles(described).reshape(-1, 3).round(9)
+    points, number = np.unique(corners, axis=0, return_inverse=True)
+    mesh = close(Triangles(points, number.reshape(-1, 3)))
+    made = []
+    for _ in range(10):
+        pose = Pose(*rng.uniform(-4.0, 4.0, 2), float(rng.uniform(-8.0, 8.0)))
+        made.append((Artefact(plate, STD_MM), noisy(rig, lay(mesh, pose), rng)))
+    for _ in range(6):
+        x, y = rng.uniform(-15.0, 15.0, 2)
+        block = Block(BLOCK.length_mm, BLOCK.width_mm, BLOCK.height_mm, centre_x_mm=x, centre_y_mm=y)
+        made.append((Artefact(BLOCK, STD_MM), noisy(rig, block, rng)))
+    return made
+
+
+def noisy(rig: Rig, solid: Solid, rng: np.random.Generator) -> Profiles:
+    """Give the stripes' points with noise along their rows, not yet lifted."""
+    truth = stripe_centres(rig.camera, rig.laser, solid, step_px=_STEP_PX)
+    seen = np.isfinite(truth.x_px)
+    x_px = truth.x_px + NOISE_PX * rng.standard_normal(seen.shape)
+    stripes, rows = seen.shape
+    return Profiles(
+        xyz_mm=np.full((stripes, rows, 3), np.nan),
+        product=np.where(seen, (truth.on_product == 1).astype(np.int64), NOTHING),
+        seen=seen,
+        x_px=np.where(seen, x_px, np.nan),
+        row_px=np.where(seen, np.arange(rows, dtype=np.float64), np.nan),
+        height_std_mm=np.full(seen.shape, np.nan),
+        stripe=np.arange(stripes),
+        frame=np.zeros(stripes, np.int64),
+        plane=view_of(rig).planes,
+    )
+
+
+def lifted(points: Profiles, view: View) -> Profiles:
+    """Put the points where a calibration says they are."""
+    number = np.broadcast_to(points.stripe[:, None], points.x_px.shape)
+    xyz = view.lift(np.stack([points.x_px, points.row_px], axis=-1), number)
+    return replace(points, xyz_mm=xyz, plane=view.planes)
+
+
+def faulty(view: View, fault: str) -> View:
+    """Give the calibration an instrument with this fault believes in."""
+    match fault:
+        case "planes turned by 0.2°":
+            turn = np.radians(0.2)
+            rotation = np.array(
+                [[np.cos(turn), 0.0, np.sin(turn)], [0.0, 1.0, 0.0], [-np.sin(turn), 0.0, np.cos(turn)]]
+            )
+            normals = view.planes[:, :3] @ rotation.T
+            feet = view.planes[:, 3] / view.planes[:, 0]  # turned about where they meet the belt
+            return replace(view, planes=np.column_stack([normals, feet * normals[:, 0]]))
+        case "scale 0.1 % off":
+            pose = view.T_belt_camera.copy()
+            pose[:3, 3] *= 1.001
+            planes = view.planes.copy()
+            planes[:, 3] *= 1.001
+            return replace(view, T_belt_camera=pose, planes=planes)
+        case "lens: k1 0.1 off":
+            return replace(view, distortion=np.array([0.1, 0.0, 0.0, 0.0]))
+    return view
+
+
+if __name__ == "__main__":
+    main()

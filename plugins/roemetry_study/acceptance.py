@@ -1,0 +1,296 @@
+"""Acceptance of an instrument by artefacts: sphere form, size and spacing, flatness, steps, lengths.
+
+In the manner of ISO 10360-13 and VDI/VDE 2634 part 2, with their characteristics: probing dispersion and size
+on a sphere, error of the distance between spheres, flatness of a plane, and beside them the height of steps
+and the length of a side. Every measurement counts: the largest error is held against the maximum permissible
+error with a guard band for the artefact's own uncertainty (ISO 14253-1, 95 %): accepted within, rejected
+beyond, else undecided.
+
+Spheres are fitted to points by least squares of the distance to their surface (Gauss and Newton, radius
+free); a plane by the smallest singular vector. Dispersion is over the 95 % of points that lie nearest (ISO
+10360-13, D95). A plate of spheres is found in the points by its own grid: the place and turn at which most
+points lie near a sphere.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import combinations, product
+
+import numpy as np
+
+from roemetry.calibrating.block_check import find_block, read_block
+from roemetry.errors import DataError
+from roemetry.records import BELT, Block, Profiles, SpherePlate, Staircase
+from roemetry.records.arrays import Floats
+from roemetry.records.view import View
+
+CHARACTERISTICS = {
+    "form": "probing dispersion on a sphere",
+    "size": "probing size of a sphere",
+    "spacing": "distance between spheres",
+    "flatness": "flatness of a plane",
+    "step": "height of a step",
+    "length": "length of a side",
+}
+"""Each with its limit in an acceptance file, mm."""
+
+WANTED = {"form": 10, "size": 10, "spacing": 7, "flatness": 6, "step": 5, "length": 7}
+"""Positions or lengths that VDI/VDE 2634 part 2 asks for; from memory of its text, and said so in the
+report.
+"""
+
+GUARD = 1.645
+"""Standard uncertainties of the guard band: 95 % one-sided (ISO 14253-1)."""
+
+_NEAREST = 0.95
+"""Share of points that dispersion is taken over (ISO 10360-13, D95)."""
+_POINTS_MIN = 50
+"""On a sphere or plane: fewer do not show its form."""
+_NEAR_SHARE = 0.15
+"""Of a sphere's radius: points so near its surface belong to it; farther ones are the plate's or stray."""
+
+
+@dataclass(frozen=True, slots=True)
+class Value:
+    """One measured characteristic at one place."""
+
+    characteristic: str
+    what: str
+    measured_mm: float
+    calibrated_mm: float
+    std_mm: float
+    """Standard uncertainty of the calibrated value."""
+
+    @property
+    def error_mm(self) -> float:
+        """Measured less calibrated."""
+        return self.measured_mm - self.calibrated_mm
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """The decision on one characteristic."""
+
+    characteristic: str
+    limit_mm: float
+    worst: Value
+    count: int
+    decision: str
+    """``accepted``, ``rejected``, ``undecided``."""
+    words: str
+
+
+@dataclass(frozen=True, slots=True)
+class Artefact:
+    """What is measured, and how well its values are known."""
+
+    target: SpherePlate | Block | Staircase
+    std_mm: float
+    """Standard uncertainty of each of its lengths, mm."""
+
+
+def measure(profiles: Profiles, artefact: Artefact, view: View | None = None) -> Iterator[Value]:
+    """Give every characteristic that an artefact shows in one image.
+
+    Parameters
+    ----------
+    profiles
+        Of the image.
+    artefact
+        In it.
+    view
+        Of the calibration: lengths in X and Y by perspective.
+
+    Raises
+    ------
+    DataError
+        The artefact is not found.
+    """
+    if isinstance(artefact.target, SpherePlate):
+        return _of_spheres(profiles, artefact.target, artefact.std_mm)
+    if isinstance(artefact.target, Block):
+        return _of_block(profiles, artefact.target, artefact.std_mm, view)
+    return _of_staircase(profiles, artefact.target, artefact.std_mm)
+
+
+def decide(values: Sequence[Value], limits_mm: dict[str, float]) -> tuple[Outcome, ...]:
+    """Hold the largest error of each characteristic against its limit.
+
+    Raises
+    ------
+    DataError
+        Nothing was measured of a characteristic that has a limit.
+    """
+    outcomes = []
+    for name, limit in limits_mm.items():
+        mine = [value for value in values if value.characteristic == name]
+        if not mine:
+            raise DataError(
+                f"{CHARACTERISTICS[name]}: no artefact shows it: its limit of {limit:g} mm is not tested",
+                hint="add images of an artefact that does, or take the limit away",
+            )
+        worst = max(mine, key=lambda value: abs(value.error_mm))
+        guard = GUARD * worst.std_mm
+        size = abs(worst.error_mm)
+        decision = (
+            "accepted" if size <= limit - guard else "rejected" if size > limit + guard else "undecided"
+        )
+        words = (
+            f"{CHARACTERISTICS[name]}: {decision}: largest error {worst.error_mm:+.4f} mm ({worst.what}), "
+            f"limit {limit:g} mm, guard band {guard:.4f} mm, {len(mine)} values"
+        )
+        if len(mine) < WANTED[name]:
+            words += f"; {WANTED[name]} are asked for"
+        outcomes.append(Outcome(name, limit, worst, len(mine), decision, words))
+    return tuple(outcomes)
+
+
+def overall(outcomes: Sequence[Outcome]) -> str:
+    """Give the decision on the instrument: rejected by one, accepted by all, else undecided."""
+    decisions = {outcome.decision for outcome in outcomes}
+    if "rejected" in decisions:
+        return "rejected"
+    return "accepted" if decisions == {"accepted"} else "undecided"
+
+
+def fit_sphere(points_mm: Floats, centre_mm: Floats, radius_mm: float) -> tuple[Floats, float]:
+    """Fit a sphere to (point, 3) points from a start; give centre and radius, mm."""
+    centre, radius = np.array(centre_mm, np.float64), float(radius_mm)
+    for _ in range(50):
+        away = points_mm - centre
+        distance = np.linalg.norm(away, axis=1)
+        jacobian = np.column_stack([-away / distance[:, None], -np.ones(len(away))])
+        step = np.linalg.lstsq(jacobian, radius - distance, rcond=None)[0]
+        centre, radius = centre + step[:3], radius + float(step[3])
+        if np.abs(step).max() < 1e-9:
+            break
+    return centre, radius
+
+
+def dispersion(residual_mm: Floats) -> float:
+    """Give the width of the narrowest band that holds 95 % of the residuals, mm."""
+    ordered = np.sort(residual_mm)
+    within = math.ceil(_NEAREST * ordered.size)
+    return float((ordered[within - 1 :] - ordered[: ordered.size - within + 1]).min())
+
+
+def _of_spheres(profiles: Profiles, plate: SpherePlate, std_mm: float) -> Iterator[Value]:
+    radius = 0.5 * plate.diameter_mm
+    known = profiles.seen & (profiles.product > BELT) & np.isfinite(profiles.xyz_mm).all(axis=2)
+    points = profiles.xyz_mm[known]
+    # above the middle of the upper half of a sphere no plate and no neighbour is near
+    points = points[points[:, 2] > plate.centre_height_mm]
+    centres = _grid_in(points, plate)
+    fitted: dict[tuple[int, int], Floats] = {}
+    for place, centre in centres.items():
+        near = np.abs(np.linalg.norm(points - centre, axis=1) - radius) < _NEAR_SHARE * radius
+        if near.sum() < _POINTS_MIN:
+            continue
+        own = points[near]
+        found, size = fit_sphere(own, centre, radius)
+        own = points[np.abs(np.linalg.norm(points - found, axis=1) - size) < _NEAR_SHARE * radius]
+        found, size = fit_sphere(own, found, size)
+        name = f"sphere {place[0] + 1}, {place[1] + 1}"
+        yield Value("form", name, dispersion(np.linalg.norm(own - found, axis=1) - size), 0.0, 0.0)
+        yield Value("size", name, 2.0 * size, plate.diameter_mm, std_mm)
+        fitted[place] = found
+    if len(fitted) < min(2, plate.columns * plate.rows):
+        raise DataError(
+            f"the sphere plate `{plate.name}` is not seen: {len(fitted)} spheres show {_POINTS_MIN} points"
+        )
+    for (a, one), (b, other) in combinations(fitted.items(), 2):
+        true = plate.pitch_mm * math.hypot(a[0] - b[0], a[1] - b[1])
+        name = f"spheres {a[0] + 1}, {a[1] + 1} to {b[0] + 1}, {b[1] + 1}"
+        yield Value("spacing", name, float(np.linalg.norm(one - other)), true, std_mm)
+
+
+def _grid_in(points: Floats, plate: SpherePlate) -> dict[tuple[int, int], Floats]:
+    """Find the plate: by column and row, where its spheres' centres are, mm.
+
+    Raises
+    ------
+    DataError
+        Less than half of the points lie near a sphere at the best place and turn.
+    """
+    if len(points) < _POINTS_MIN:
+        raise DataError(
+            f"the sphere plate `{plate.name}` is not seen: {len(points)} points above its spheres' centres"
+        )
+    radius = 0.5 * plate.diameter_mm
+    some = points[:: max(len(points) // 80, 1)]
+    up = (some[:, 2] - plate.centre_height_mm)[None, :, None]
+    grid = plate.pitch_mm * np.array(list(product(range(plate.columns), range(plate.rows))), np.float64)
+    grid -= grid.mean(axis=0)
+    turn, at = 0.0, some[:, :2].mean(axis=0)
+    reach, step, turn_step = 0.5 * plate.pitch_mm, 0.3 * radius, math.radians(6.0)
+    turns = np.arange(-0.5 * math.pi, 0.5 * math.pi, turn_step)
+    best = math.inf
+    for capped in (0.4, 0.2, _NEAR_SHARE, _NEAR_SHARE):  # coarse places are farther from the best one
+        offsets = np.arange(-reach, reach + 0.5 * step, step)
+        shift = np.stack(np.meshgrid(offsets, offsets, indexing="ij"), axis=-1).reshape(-1, 2)
+        best, found = math.inf, (turn, at)
+        for each in turns:
+            centres = at + shift[:, None] + grid @ _rotation(each).T
+            flat = some[None, :, None, :2] - centres[:, None]
+            off = np.abs(np.sqrt((flat**2).sum(axis=-1) + up**2) - radius).min(axis=2)
+            cost = np.minimum(off, capped * radius).mean(axis=1)
+            if cost.min() < best:
+                best, found = float(cost.min()), (float(each), at + shift[int(cost.argmin())])
+        turn, at = found
+        reach, step, turn_step = 1.5 * step, 0.5 * step, 0.4 * turn_step
+        turns = turn + turn_step * np.arange(-3, 4)
+    if best > 0.5 * _NEAR_SHARE * radius:
+        raise DataError(
+            f"the sphere plate `{plate.name}` is not seen: most points lie on no "
+            f"sphere of {plate.diameter_mm:g} mm",
+            hint="is it the plate of the target file, and does it lie on the belt alone?",
+        )
+    return {
+        (int(c), int(r)): np.array(
+            [*(grid[c * plate.rows + r] @ _rotation(turn).T + at), plate.centre_height_mm]
+        )
+        for c, r in product(range(plate.columns), range(plate.rows))
+    }
+
+
+def _rotation(turn: float) -> Floats:
+    return np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
+
+
+def _of_block(profiles: Profiles, block: Block, std_mm: float, view: View | None) -> Iterator[Value]:
+    places = find_block(profiles, block)
+    top = profiles.xyz_mm[places.top]
+    yield Value("flatness", "top of the block", dispersion(_off_plane(top)), 0.0, 0.0)
+    read = read_block(profiles, places, view)
+    yield Value("step", "belt to top", read.height_mm - read.belt_mm, block.height_mm, std_mm)
+    if math.isfinite(read.width_mm):
+        yield Value("length", "side along the stripes", read.width_mm, block.width_mm, std_mm)
+
+
+def _of_staircase(profiles: Profiles, stairs: Staircase, std_mm: float) -> Iterator[Value]:
+    height = profiles.xyz_mm[..., 2][profiles.seen & (profiles.product > BELT)]
+    levels = np.sort(np.array(stairs.heights_mm))
+    apart = float(np.diff(np.concatenate([[0.0], levels])).min())
+    found: dict[float, float] = {}
+    for level in levels.tolist():
+        near = height[np.abs(height - level) < 0.25 * apart]
+        if near.size < _POINTS_MIN:
+            raise DataError(
+                f"the staircase `{stairs.name}`: {near.size} points near its step of {level:g} mm, expected "
+                f"{_POINTS_MIN}",
+                hint="does every step lie under a stripe?",
+            )
+        found[level] = float(np.median(near))
+    pairs = [(0.0, level) for level in found] + list(combinations(found, 2))
+    for low, high in pairs:
+        measured = found[high] - (found[low] if low else 0.0)
+        yield Value("step", f"{low:g} to {high:g} mm", measured, high - low, std_mm)
+
+
+def _off_plane(points: Floats) -> Floats:
+    """Give (point,) distances from the plane of least squares, mm."""
+    away = points - points.mean(axis=0)
+    return np.asarray(away @ np.linalg.svd(away, full_matrices=False)[2][-1])

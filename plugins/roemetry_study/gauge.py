@@ -1,0 +1,208 @@
+"""Repeatability and reproducibility of a gauge: how much of what one sees is the gauge.
+
+Components come from `variance`, limits from AIAG MSA, 4th edition. Shares are of the study's total variation
+or of a tolerance; the number of distinct categories is 1.41 times the parts' standard deviation over the
+gauge's, truncated. The instrument's own stated uncertainties stand beside the repeatability: an instrument
+that knows itself states about as much.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from roemetry.records.arrays import Floats
+from roemetry_study.table import StudyTable
+from roemetry_study.variance import Components, Effect, analyse, average_range
+
+GOOD_PERCENT, POOR_PERCENT = 10.0, 30.0
+"""Shares of the gauge in the total below which it is accepted, and above which it is not (AIAG MSA)."""
+CATEGORIES_NEEDED = 5
+"""Number of distinct categories asked for (AIAG MSA)."""
+SPREAD = 6.0
+"""Standard deviations that a tolerance is compared with: 99.73 % of readings."""
+_CATEGORY = 1.41
+"""√2 as the manual rounds it: its published numbers of categories come out."""
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """One source of variation."""
+
+    name: str
+    std: float
+    low: float
+    high: float
+    """std, low, high: standard deviation in the value's unit, and its 95 % interval; NaN where there is
+    none.
+    """
+    percent: float
+    """Share of the total standard deviation, per cent."""
+    of_tolerance_percent: float
+    """Six standard deviations over the tolerance, per cent; NaN without a tolerance."""
+
+
+@dataclass(frozen=True, slots=True)
+class GaugeStudy:
+    """What a gauge study found."""
+
+    value: str
+    method: str
+    parts: int
+    operators: int
+    readings: int
+    missing: int
+    """Readings that a balanced study of this size would have and this has not."""
+    lines: tuple[Line, ...]
+    effects: tuple[Effect, ...]
+    pooled: bool
+    gauge_percent: float
+    gauge_percent_interval: tuple[float, float]
+    """gauge_percent, gauge_percent_interval: %GRR, of the total variation."""
+    categories: int
+    categories_interval: tuple[float, float]
+    stated_std: float
+    """Root mean square of the standard uncertainties that came with the values; NaN where none did."""
+    verdict: str
+    """``accepted``, ``conditional``, or ``not accepted``."""
+    words: tuple[str, ...]
+
+
+def gauge_study(
+    table: StudyTable, *, tolerance: float = math.nan, nested: bool = False, method: str = "anova"
+) -> GaugeStudy:
+    """Judge a gauge.
+
+    Parameters
+    ----------
+    table
+        Readings that are numbers.
+    tolerance
+        Width of the tolerance, upper less lower limit, in the value's unit; NaN: none.
+    nested
+        Whether each operator had parts of their own.
+    method
+        ``anova`` or ``average-range``.
+
+    Raises
+    ------
+    DataError
+        As `analyse` and `average_range`.
+    """
+    found = average_range(table) if method == "average-range" else analyse(table, nested=nested)
+    single = len(table.operators) == 1
+    names = ["gauge", "repeatability", "reproducibility", "operator", "interaction", "part", "total"]
+    if single or nested or found.std["interaction"] == 0.0:
+        names.remove("interaction")
+        names.remove("operator")
+    if single:
+        names.remove("reproducibility")
+    lines = tuple(_line(name, found, tolerance) for name in names)
+    share, interval = _share(found.std), found.interval(lambda d: 100.0 * d["gauge"] / d["total"])
+    categories = _categories(found.std)
+    low, high = found.interval(lambda d: _CATEGORY * d["part"] / d["gauge"])
+    stated = np.array([reading.std for reading in table.readings])
+    stated_std = float(np.sqrt(np.mean(stated**2))) if np.isfinite(stated).all() else math.nan
+    verdict = _verdict(share)
+    return GaugeStudy(
+        value=table.value,
+        method=found.method,
+        parts=len(table.parts),
+        operators=len(table.operators),
+        readings=len(table.readings),
+        missing=_missing(table, nested),
+        lines=lines,
+        effects=found.effects,
+        pooled=found.pooled,
+        gauge_percent=share,
+        gauge_percent_interval=interval,
+        categories=categories,
+        categories_interval=(low, high),
+        stated_std=stated_std,
+        verdict=verdict,
+        words=tuple(_words(table, found, tolerance, verdict, interval, stated_std)),
+    )
+
+
+def _share(std: dict[str, float]) -> float:
+    return 100.0 * std["gauge"] / std["total"]
+
+
+def _categories(std: dict[str, float]) -> int:
+    return int(_CATEGORY * std["part"] / std["gauge"]) if std["gauge"] > 0.0 else 0
+
+
+def _line(name: str, found: Components, tolerance: float) -> Line:
+    def one(draws: dict[str, Floats]) -> Floats:
+        return draws[name]
+
+    std = found.std[name]
+    return Line(
+        name, std, *found.interval(one), 100.0 * std / found.std["total"], 100.0 * SPREAD * std / tolerance
+    )
+
+
+def _verdict(share: float) -> str:
+    if share <= GOOD_PERCENT:
+        return "accepted"
+    return "conditional" if share <= POOR_PERCENT else "not accepted"
+
+
+def _missing(table: StudyTable, nested: bool) -> int:
+    """Count the readings that the fullest cell's number of trials would ask of every cell."""
+    cells: dict[tuple[str, str], int] = {}
+    for reading in table.readings:
+        key = (reading.part, reading.operator)
+        cells[key] = cells.get(key, 0) + 1
+    planned = len(cells) if nested else len(table.parts) * len(table.operators)
+    return planned * max(cells.values()) - len(table.readings)
+
+
+def _words(
+    table: StudyTable,
+    found: Components,
+    tolerance: float,
+    verdict: str,
+    interval: tuple[float, float],
+    stated_std: float,
+) -> list[str]:
+    share = _share(found.std)
+    words = [
+        f"{verdict}: the gauge is {share:.1f} % of the total variation"
+        + (f" (95 %: {interval[0]:.1f} to {interval[1]:.1f} %)" if math.isfinite(interval[0]) else "")
+        + f"; up to {GOOD_PERCENT:.0f} % is accepted, above {POOR_PERCENT:.0f} % is not"
+    ]
+    if math.isfinite(interval[1]) and _verdict(interval[0]) != _verdict(interval[1]):
+        words.append(
+            "the interval reaches into another verdict: more parts or operators would tell "
+            "(`roemetry study plan`)"
+        )
+    if _categories(found.std) < CATEGORIES_NEEDED:
+        words.append(
+            f"it tells {_categories(found.std)} categories of these parts apart; "
+            f"{CATEGORIES_NEEDED} are asked for"
+        )
+    if math.isfinite(tolerance):
+        words.append(f"precision to tolerance: {100.0 * SPREAD * found.std['gauge'] / tolerance:.1f} %")
+    if len(table.operators) == 1:
+        words.append("one operator: reproducibility is not known, and the gauge's share is a lower bound")
+    elif len(table.operators) == 2:
+        words.append("two operators: how much operators differ rests on one difference")
+    if len(table.parts) < 5:
+        words.append(f"{len(table.parts)} parts: how much parts vary is hardly known; ten are usual")
+    if found.pooled:
+        words.append("operators and parts do not interact significantly: pooled with the repeatability")
+    if math.isfinite(stated_std):
+        repeatability = found.std["repeatability"]
+        words.append(
+            f"the instrument states a standard uncertainty of {stated_std:.3g}; it repeats within "
+            f"{repeatability:.3g}"
+            + (
+                ": it does not repeat as well as it states"
+                if repeatability > stated_std
+                else ", as it must: what is common to all its readings does not show in repetition"
+            )
+        )
+    return words

@@ -1,0 +1,70 @@
+"""Disturbed images are held or refused; the nightly form is `python -m benchmarks faults`."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.disturbances import DISTURBANCES, Scene
+from benchmarks.faults import Case, harmless, measured, summary, table
+from benchmarks.faults_curves import draw
+from benchmarks.kills import killed
+from roemetry import Recipe
+
+SKEINS = "recipes/herring_roe/with_outline.yaml"
+
+
+def test_no_disturbed_skein_is_measured_far_outside_its_interval(tmp_path: Path) -> None:
+    asked = argparse.Namespace(recipes=[SKEINS], images=3, cases=36, seed=4700, only=(), moved=0)
+    found = list(measured(asked, done=0))
+    assert [case for case in found if case.verdict == "gross"] == []
+    assert sum(case.lies for case in found) <= 1, table(found)
+    assert [case for case in found if harmless(case) and case.verdict == "refused"] == []
+    assert "36 disturbed cases" in summary(found)
+    draw(tmp_path / "curves.svg", found)
+    assert (tmp_path / "curves.svg").read_text("utf-8").startswith("<svg xmlns")
+    again = list(measured(asked, done=34))
+    assert [(case.disturbance, case.size) for case in again] == [
+        (case.disturbance, case.size) for case in found[34:]
+    ]
+
+
+@pytest.mark.parametrize(
+    ("verdict", "error", "base", "base_error", "lies"),
+    [
+        ("held", 0.004, "held", 0.001, False),
+        ("outside", 0.02, "held", 0.001, True),
+        ("outside", 0.02, "refused", np.nan, True),
+        ("outside", 0.02, "outside", 0.019, False),
+        ("gross", 0.05, "outside", 0.019, True),
+        ("refused", np.nan, "held", 0.001, False),
+    ],
+)
+def test_a_lie_is_what_the_disturbance_is_to_blame_for(
+    verdict: str, error: float, base: str, base_error: float, lies: bool
+) -> None:
+    case = Case("r", "s", "noise", 1.0, verdict, error, 0.01, base_verdict=base, base_error=base_error)
+    assert case.lies == lies
+
+
+def test_every_disturbance_gives_images_and_the_smallest_hardly_changes_them(
+    rng: np.random.Generator,
+) -> None:
+    image = np.clip(rng.normal(40.0, 10.0, (96, 128)), 0, 255).astype(np.uint8)
+    other = Scene("b", image[::-1].copy(), image[::-1].copy(), 1.0)
+    scene = Scene("a", image, image.copy(), 1.0, other)
+    for name, kind in DISTURBANCES.items():
+        for size in (kind.low, kind.high):
+            laser, plain = kind.make(scene, size, np.random.default_rng(1))
+            assert laser.shape == image.shape and plain is not None and plain.shape == image.shape, name
+        if kind.harmless:
+            laser, _ = kind.make(scene, kind.low, np.random.default_rng(1))
+            assert np.abs(laser.astype(float) - image).mean() < 3.0, name
+
+
+def test_killed_runs_that_contend_for_a_folder_lose_no_row_and_double_none(tmp_path: Path) -> None:
+    recipe = Recipe.load("recipes/herring_roe/recipe.yaml", sets=["sinks=[csv]", "draws=0"])
+    assert killed(recipe, tmp_path, kills=6, seed=3)[0] == []
