@@ -98,7 +98,8 @@ def _pose(part: Mapping[str, Any], angles: NDArray[np.float64], nearer: float) -
     from roemetry.config.scene_parts import CameraPart
     from roemetry_simulate.scene import camera_of
 
-    pose = np.array(camera_of(CameraPart.model_validate(part)).T_belt_camera)
+    known = {name: part[name] for name in CameraPart.model_fields}  # a simulator may know more
+    pose = np.array(camera_of(CameraPart.model_validate(known)).T_belt_camera)
     pose[:3, 3] += pose[:3, 2] * nearer * (pose[2, 3] / -pose[2, 2])
     pose[:3, :3] = pose[:3, :3] @ cv2.Rodrigues(angles)[0]
     return [[float(value) for value in row] for row in pose]

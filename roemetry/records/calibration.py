@@ -209,6 +209,7 @@ class Calibration(Shown):
                 view=None if data.get("view") is None else View.from_dict(data["view"], size),
                 reference=str(data.get("reference", ON_BELT)),
             )
+            json.dumps([data[name] for name in _TOLD], sort_keys=True)  # words as keys
         except (KeyError, TypeError, ValueError, IndexError, AttributeError, DataError) as error:
             what = f"{error} is missing" if isinstance(error, KeyError) else str(error)
             raise CalibrationError(
@@ -226,6 +227,7 @@ class Calibration(Shown):
         return calibration
 
 
+_TOLD = ("residuals", "target", "extractor", "image_sha256")
 _POOR = "accepted though refused: "
 
 _HEADER = """\
