@@ -416,9 +416,9 @@ def plane_distances(geometry: Geometry, points: StripePoints) -> Floats:
     """Give (point,) how far from its plane of light each peak's ray meets board or belt, mm."""
     where = _Lines(geometry, points)
     ray = rays(geometry.camera, np.column_stack([points.x_px, points.row_px]))
-    belt = np.where(where.on_belt[:, None], geometry.belt, 0.0)
+    surface = np.where(where.on_belt[:, None], geometry.belt, where.normal)
     away = np.where(where.on_belt, 1.0, where.distance)
-    at = ray * (away / ((where.normal + belt) * ray).sum(axis=1))[:, None]
+    at = ray * (away / (surface * ray).sum(axis=1))[:, None]
     return np.asarray(((at * where.plane).sum(axis=1) - 1.0) / np.sqrt((where.plane**2).sum(axis=1)))
 
 
