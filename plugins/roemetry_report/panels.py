@@ -164,7 +164,7 @@ def _thinned(step: int) -> tuple[str, ...]:
     return (f"one row in {step} is drawn",) if step > 1 else ()
 
 
-_BYTES_MAX = 72_000
+_BYTES_MAX = 60_000
 """Of a picture: fifty sections then make a page of 10 MB, which still opens at once."""
 _TRIES = ((1280, 85), (1280, 70), (960, 70), (720, 65), (640, 50), (480, 40))
 """Longest side (px) and JPEG quality, from best to least."""

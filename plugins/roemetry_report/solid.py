@@ -20,8 +20,8 @@ from roemetry_report import palette
 
 _POINTS_MAX = 720
 """Measured points of all slices: 12 kB of the page."""
-_VERTICES_MAX = 1400
-"""Of all surfaces of an acquisition: 20 kB of the page, and 15 ms to draw."""
+_VERTICES_MAX = 1000
+"""Of all surfaces of an acquisition: 15 kB of the page, and 10 ms to draw."""
 _STEP_MM = 0.01
 """Coordinates are sent in whole steps: 1/100 mm, coarser where the scene is more than 600 mm long."""
 _PX_PER_STEP = 0.25
