@@ -99,7 +99,7 @@ def test_what_its_own_checks_refuse_is_written_only_on_demand_and_marked(
 ) -> None:
     made = Calibration.load(root / "recipes" / "herring_roe" / "calibration.yaml")
     verdict = Evidence(verdict=("Not usable from 0 to 20 mm: heights are off.",), usable=False)
-    monkeypatch.setattr(roemetry.calibrating, "calibrate_with_evidence", lambda rig: (made, verdict))
+    monkeypatch.setattr(roemetry.calibrating, "calibrate_with_evidence", lambda rig, **_: (made, verdict))
     rig, out = str(root / "recipes" / "herring_roe" / "rig.yaml"), tmp_path / "c.yaml"
     refused = CliRunner().invoke(app, ["calibrate", rig, "--out", str(out)])
     assert refused.exit_code != 0
