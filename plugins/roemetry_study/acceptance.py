@@ -49,6 +49,9 @@ _NEAREST = 0.95
 """Share of points that dispersion is taken over (ISO 10360-13, D95)."""
 _POINTS_MIN = 50
 """On a sphere or plane: fewer do not show its form."""
+_FIT_STD_MAX = 0.002
+"""Of a sphere's radius: where noise alone makes centre or radius more uncertain, too few stripes cross it,
+and the fit would be judged instead of the instrument."""
 _NEAR_SHARE = 0.15
 """Of a sphere's radius: points so near its surface belong to it; farther ones are the plate's or stray."""
 
@@ -170,6 +173,15 @@ def fit_sphere(points_mm: Floats, centre_mm: Floats, radius_mm: float) -> tuple[
     return centre, radius
 
 
+def fit_std(points_mm: Floats, centre_mm: Floats, radius_mm: float) -> float:
+    """Give the largest standard uncertainty of a sphere's centre and radius by its points' noise, mm."""
+    away = points_mm - centre_mm
+    distance = np.linalg.norm(away, axis=1)
+    jacobian = np.column_stack([away / distance[:, None], np.ones(len(away))])
+    noise = float(np.sqrt(((distance - radius_mm) ** 2).sum() / max(len(away) - 4, 1)))
+    return noise * float(np.sqrt(np.linalg.pinv(jacobian.T @ jacobian).diagonal().max()))
+
+
 def dispersion(residual_mm: Floats) -> float:
     """Give the width of the narrowest band that holds 95 % of the residuals, mm."""
     ordered = np.sort(residual_mm)
@@ -193,13 +205,16 @@ def _of_spheres(profiles: Profiles, plate: SpherePlate, std_mm: float) -> Iterat
         found, size = fit_sphere(own, centre, radius)
         own = points[np.abs(np.linalg.norm(points - found, axis=1) - size) < _NEAR_SHARE * radius]
         found, size = fit_sphere(own, found, size)
+        if fit_std(own, found, size) > _FIT_STD_MAX * radius:
+            continue
         name = f"sphere {place[0] + 1}, {place[1] + 1}"
         yield Value("form", name, dispersion(np.linalg.norm(own - found, axis=1) - size), 0.0, 0.0)
         yield Value("size", name, 2.0 * size, plate.diameter_mm, std_mm)
         fitted[place] = found
     if len(fitted) < min(2, plate.columns * plate.rows):
         raise DataError(
-            f"the sphere plate `{plate.name}` is not seen: {len(fitted)} spheres show {_POINTS_MIN} points"
+            f"the sphere plate `{plate.name}`: {len(fitted)} spheres are seen on enough stripes",
+            hint="move the plate a little: each sphere's upper half should lie under two stripes or more",
         )
     for (a, one), (b, other) in combinations(fitted.items(), 2):
         true = plate.pitch_mm * math.hypot(a[0] - b[0], a[1] - b[1])
