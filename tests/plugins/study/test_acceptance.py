@@ -4,6 +4,7 @@ signatures.
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,7 +19,7 @@ from roemetry.cli.main import app
 from roemetry.errors import DataError
 from roemetry.records import NOTHING, Block, Profiles, SpherePlate, Staircase
 from roemetry_study.acceptance import Artefact, Value, decide, dispersion, fit_sphere, measure, overall
-from roemetry_study.certificate import Certificate, Table, new_key, verify, write
+from roemetry_study.certificate import Certificate, Table, new_key, software_sha256, verify, write
 
 PLATE = SpherePlate("plate", 3, 2, 30.0, 20.0, 15.0, 0.01)
 
@@ -150,6 +151,9 @@ def test_a_signed_certificate_is_proved_unchanged(certificate: Certificate, tmp_
     path, page = write(certificate, tmp_path, "acceptance", tmp_path / "key.pem")
     assert verify(path, public, page).trusted
     assert verify(path).signed_by == public
+    software = json.loads(path.read_text("utf-8"))["administrative"]["software"]
+    assert software["sha256"] == software_sha256()
+    assert len(software["sha256"]) == 64
     with pytest.raises(DataError, match="signed by"):
         verify(path, new_key(tmp_path / "other.pem"))
 
