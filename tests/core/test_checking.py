@@ -30,9 +30,10 @@ from roemetry.calibrating.weight_check import WeighedPair, check_weights
 from roemetry.cli.calibration import show
 from roemetry.cli.main import app
 from roemetry.config.recipe import Recipe
-from roemetry.errors import DataError, OutputError
+from roemetry.errors import CalibrationError, DataError, OutputError
 from roemetry.records import Block, Reason
 from roemetry.run.batch import run_recipe
+from roemetry.run.control_chart import due
 from roemetry.testing.scenes import LinearRig
 from roemetry_paper.block_linear import BlockLinear
 
@@ -310,3 +311,20 @@ def test_the_scales_own_uncertainty_is_part_of_a_difference() -> None:
     rough = [pair._replace(scale_std_g=math.sqrt(3.0) * pair.line_std_g) for pair in pairs(off, std=0.01)]
     assert check_weights(pairs(off, std=0.01)).scatter_over_stated == pytest.approx(2.0, abs=1e-9)
     assert check_weights(rough).scatter_over_stated == pytest.approx(1.0, abs=1e-9)
+
+
+def test_a_run_refuses_to_begin_without_its_check(line: Callable[..., Path], tmp_path: Path) -> None:
+    """Nothing is written; a check in order lets it run, one that is overdue does not."""
+    path = line("calibration_check: {chart: chart.sqlite, max_age_days: 1, refuse: true}\n")
+    recipe = Recipe.load(path)
+    with pytest.raises(CalibrationError, match="holds no check of this calibration"):
+        run_recipe(recipe, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+    assert recipe.calibration is not None
+    fresh = check(sha=recipe.calibration.sha256, made=datetime.now(UTC))
+    Chart(path.parent / "chart.sqlite").add(fresh)
+    assert run_recipe(recipe, tmp_path / "out").counts["failed"] == 0
+    old = Recipe.load(path, sets=["calibration_check.max_age_days=0.00000001"])
+    with pytest.raises(CalibrationError, match="last checked"):
+        run_recipe(old, tmp_path / "later")
+    assert (due(fresh, 1.0) - datetime.fromisoformat(fresh.made)).days == 1
