@@ -119,8 +119,8 @@ def _drift(name: str, now: Quantity, before: Sequence[float]) -> str:
     if not broken:
         return ""
     return (
-        f"{WORDS[name]}: {now.value:.3f} mm {broken[0].words} of {limits.centre:.3f} ± {limits.std:.4f} mm, "
-        f"by the first {BASELINE} checks"
+        f"{WORDS[name]}: {now.value:.3f} mm: {broken[0].words} ({limits.centre:.3f} ± {limits.std:.4f} mm, "
+        f"by the first {BASELINE} checks)"
     )
 
 

@@ -72,13 +72,17 @@ def signals(values: Sequence[float] | Floats, limits: Limits) -> tuple[Signal, .
                 Signal(index, "3 sigma", f"lies {abs(value):.1f} standard deviations {side} the centre")
             )
         elif (sign * z[index - 2 : index + 1] > 2.0).sum() >= 2:
-            found.append(Signal(index, "2 of 3", f"two of three lie more than 2 standard deviations {side}"))
+            found.append(
+                Signal(index, "2 of 3", f"two of three lie more than 2 standard deviations {side} the centre")
+            )
         elif (sign * z[index - 4 : index + 1] > 1.0).sum() >= 4:
-            found.append(Signal(index, "4 of 5", f"four of five lie more than 1 standard deviation {side}"))
+            found.append(
+                Signal(index, "4 of 5", f"four of five lie more than 1 standard deviation {side} the centre")
+            )
         elif index >= 2 * BASELINE - 1 and (sign * z[index - 7 : index + 1] > 0.0).all():
             found.append(Signal(index, "8 in a row", f"the last eight all lie {side} the centre"))
         elif abs(mean) > width:
             found.append(
-                Signal(index, "EWMA", f"the weighted mean has moved {side} its limit: a small, steady shift")
+                Signal(index, "EWMA", f"the weighted mean has moved {side} the centre by more than its limit")
             )
     return tuple(found)
