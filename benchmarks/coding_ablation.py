@@ -81,7 +81,7 @@ RULES: dict[str, list[tuple[Any, str, Any]]] = {
     ],
     "ties over gaps": [(solve, "_GAP_LINES", 0)],
     **{f"cost {name}": without_term(name) for name in (
-        "surface", "unseen", "on_rest", "anchor", "on_end", "film", "absent", "tie_cut",
+        "surface", "unseen", "faint", "on_rest", "anchor", "on_end", "film", "absent", "tie_cut",
     )},
 }  # fmt: skip
 

@@ -5,9 +5,10 @@ w from `Weights` and all sums over entries on epipolar lines, the energy is
 
     E = Σ_i U(k_i) + Σ_(i, j adjacent on a line) P(k_i, k_j) + Σ_(i, j successive on a trace) T [k_i ≠ k_j]
 
-U, a label by itself: `false_peak` for none; for stripe k, less where the peak lies on k's rest line, most in
-a run that reaches the image's border, and more where it lies but a little beside it (`film`); `absent` for a
-stripe whose rest line shows nothing.
+U, a label by itself: `false_peak` for none, down to a tenth of it where the light is faint beside its
+neighbours (`faint`); for stripe k, less where the peak lies on k's rest line, most in a run that reaches the
+image's border, and more where it lies but a little beside it (`film`); `absent` for a stripe whose rest line
+shows nothing.
 
 P, two labels k < l side by side, with nothing between them: infinite unless stripes increase; else
 `surface` · min((Δz / half a label height)², 1) + `unseen` · (stripes between k and l that would be seen).
@@ -53,6 +54,8 @@ class Weights(NamedTuple):
     """A stripe left out that would be seen."""
     false_peak: float = 6.0
     """A peak left out: more than to leave out a stripe, less than to leave out two."""
+    faint: float = 0.9
+    """A peak left out that has much less light than those beside it costs this share less."""
     on_rest: float = 0.2
     anchor: float = 4.0
     """on_rest, anchor: gain of a peak on its own rest line; more if it is one of a run that reaches the
@@ -91,6 +94,9 @@ _THERE = 0.2
 """A stripe that is there as surely as this costs nothing: a fifth of the rows that make it certain."""
 _FILM = 0.1
 """Lower than this many label heights, some tenths of a millimetre, a body is but a rim of a few rows."""
+_FAINT, _BRIGHT = 0.1, 0.35
+"""Light of a piece over that beside it. Of false peaks in rendered images (gloss, light that comes out of a
+body again) 91 % have less than 0.3; of peaks on bodies 0.02 % have, and 0.2 % less than 0.5."""
 _LEAN_HIDES, _LEAN_SHOWS = -0.05, 0.15
 """A line of sight that leans towards the light by less hides a wall, by more shows it; mm for a mm down. At 0
 a wall is seen edge-on; walls that stand within some 8 degrees of upright are undecided."""
@@ -431,5 +437,6 @@ def unary_costs(
             elif abs(candidates.height[node]) < _FILM * candidates.label_mm[node]:
                 own[node] += weights.film
             own[node] += weights.absent * (1.0 - min(1.0, there[s] / _THERE))
-        own[offset[i + 1] - 1] = weights.false_peak
+        faint = 1.0 - _ramp(pieces.light[piece[p]], _FAINT, _BRIGHT)
+        own[offset[i + 1] - 1] = weights.false_peak * (1.0 - weights.faint * faint)
     return own

@@ -57,6 +57,31 @@ class Pieces(NamedTuple):
     """(piece,) the rest line that it follows or was cut off from, −1 for none."""
     anchored: Flags
     """(piece,) True for belt that reaches the image's border."""
+    light: Floats
+    """(piece,) mean amplitude of its peaks over that of the peaks beside each, at most 1 for a peak."""
+
+
+@kernel
+def relative_light(row_start: Integers, amplitude: Floats) -> Floats:
+    """Give (peak,) amplitude over the median of the two peaks on either side in its row, at most 1.
+
+    1 where nothing lies beside a peak and where no amplitude is known. `row_start` is (row + 1,).
+    """
+    found = np.ones(amplitude.shape[0])
+    beside = np.empty(4)
+    for row in range(row_start.shape[0] - 1):
+        first, end = row_start[row], row_start[row + 1]
+        for p in range(first, end):
+            many = 0
+            for q in range(max(first, p - 2), min(end, p + 3)):
+                if q != p:
+                    beside[many] = amplitude[q]
+                    many += 1
+            if many > 0:
+                middle = median_of(beside[:many])
+                if amplitude[p] < middle:
+                    found[p] = amplitude[p] / middle
+    return found
 
 
 @kernel

@@ -35,8 +35,9 @@ _OUT = _WAYS
 """What follows the ways of being a stripe: none of it."""
 OUT = 1000
 """So many stripes on: left out."""
-_SMALL_ENTRIES, _END_ENTRIES = 4, 12
-"""A run with so few is left out before all behind it give way: to solve, and to ask what is sure."""
+_SMALL_COST = 72.0
+"""A run that costs no more to leave out is left out before all behind it give way: twelve false peaks as
+bright as those beside them, or more that are faint."""
 _DISORDER = 8.0
 """Cost of two neighbours out of order on a line: that of leaving one of them out there, as a false peak. What
 lies beyond a body's edge by the light's spread is in the trace of what it spread from."""
@@ -72,8 +73,6 @@ class Runs(NamedTuple):
     first: Integers
     last: Integers
     """first, last: (run,) sight lines on which it begins and ends."""
-    size: Integers
-    """(run,) number of entries."""
 
 
 def cheapest_shifts(
@@ -141,7 +140,6 @@ def runs_of(
     runs, lines = stripe.shape[0], start.shape[0] - 1
     alone = np.zeros((runs, _WAYS + 1))
     first, last_line = np.full(runs, lines, np.int64), np.full(runs, -1, np.int64)
-    size = np.zeros(runs, np.int64)
     key = np.empty(2 * of.shape[0], np.int64)
     keys = 0
     for e in range(lines):
@@ -152,7 +150,6 @@ def runs_of(
                 continue
             first[f], last_line[f] = min(first[f], e), max(last_line[f], e)
             alone[f, _OUT] += own[offset[p + 1] - 1]
-            size[f] += 1
             if q >= 0 and of[q] >= 0 and of[q] != f:
                 key[keys] = of[q] * runs + f
                 keys += 1
@@ -209,7 +206,7 @@ def runs_of(
                     alone[of[last], a] += weights.unseen * after[offset[last] + k]
     one, other = key // runs, key % runs
     edge_start, edge = _edges(runs, one, other)
-    return Runs(of, stripe, alone, one, other, both, disorder, edge_start, edge, first, last_line, size)
+    return Runs(of, stripe, alone, one, other, both, disorder, edge_start, edge, first, last_line)
 
 
 @kernel
@@ -299,7 +296,7 @@ def shifts_of(runs: Runs, lines: int, gain_min: float) -> tuple[Floats, Integers
     for f in range(many):
         for k in range(2):
             way[:] = _ASIDE
-            cost[f, k] = _shift(f, 2 * k - 1, _END_ENTRIES, way, runs, waiting, queued)
+            cost[f, k] = _shift(f, 2 * k - 1, way, runs, waiting, queued)
             low, high = lines, 0
             for g in range(many):
                 if way[g] != _ASIDE:
@@ -321,7 +318,7 @@ def shifts_of(runs: Runs, lines: int, gain_min: float) -> tuple[Floats, Integers
             break
         if way[f] == _ASIDE:
             tried = way.copy()
-            again = _shift(f, 2 * k - 1, _SMALL_ENTRIES, tried, runs, waiting, queued)
+            again = _shift(f, 2 * k - 1, tried, runs, waiting, queued)
             if again <= -gain_min:
                 way = tried
     for f in range(many):
@@ -330,10 +327,10 @@ def shifts_of(runs: Runs, lines: int, gain_min: float) -> tuple[Floats, Integers
 
 
 @kernel
-def _shift(f: int, by: int, small: int, way: Integers, runs: Runs, waiting: Integers, queued: Flags) -> float:
+def _shift(f: int, by: int, way: Integers, runs: Runs, waiting: Integers, queued: Flags) -> float:
     """Shift run f; then others the same way, as long as order asks for it or it is cheaper; give the cost.
 
-    Runs of up to `small` entries that would have to give way are left out, where that is cheaper.
+    Runs that would have to give way are left out where that costs at most `_SMALL_COST`, and is cheaper.
     """
     cost = _change(f, way[f] + by, way, runs)
     way[f] += by
@@ -348,7 +345,7 @@ def _shift(f: int, by: int, small: int, way: Integers, runs: Runs, waiting: Inte
             forced = forced or runs.disorder[t, way[runs.one[t]], way[runs.other[t]]] > _OVERLAP_LINES
         to = way[g] + by
         change = _change(g, to, way, runs)
-        if forced and runs.size[g] <= small:
+        if forced and runs.own[g, _OUT] <= _SMALL_COST:
             left_out = _change(g, _OUT, way, runs)
             if left_out < change:
                 to, change = _OUT, left_out

@@ -40,7 +40,15 @@ from roemetry_coding.planes.graph import (
     unary_costs,
 )
 from roemetry_coding.planes.lines import Entries, EpipolarLines, entries_of, epipolar_lines
-from roemetry_coding.planes.pieces import ENDS, Pieces, between_bare, cut_ends, on_rest_line, presence_of
+from roemetry_coding.planes.pieces import (
+    ENDS,
+    Pieces,
+    between_bare,
+    cut_ends,
+    on_rest_line,
+    presence_of,
+    relative_light,
+)
 from roemetry_coding.planes.shifts import cheapest_shifts
 from roemetry_kernels.compiling import kernel
 from roemetry_kernels.rest_lines import RestLines
@@ -176,7 +184,8 @@ def _pieces(peaks: Peaks, rest: RestLines, lines: EpipolarLines) -> tuple[Pieces
         min(_PRESENT_ROWS_MIN, full), _END_LINES, _LOST,
     )  # fmt: skip
     piece, of_piece, anchored, home = cut_ends(peaks.row, piece, of_piece, rows, _END_ROWS, _BORDER_ROWS)
-    return Pieces(trace, piece, line, of_piece, home, anchored), presence
+    light = np.bincount(piece, relative_light(peaks.row_start, peaks.amplitude)) / np.bincount(piece)
+    return Pieces(trace, piece, line, of_piece, home, anchored, light), presence
 
 
 def _shifted(problem: Problem, best: Integers) -> tuple[Integers, Floats, bool]:

@@ -17,7 +17,9 @@ def of(*runs: tuple[int, int]) -> np.ndarray:
 
 
 def pieces_of(trace: np.ndarray, piece: np.ndarray, rest: np.ndarray) -> Pieces:
-    return Pieces(trace, piece, np.full(piece.size, -1), rest, rest, np.zeros(rest.size, np.bool_))
+    return Pieces(
+        trace, piece, np.full(piece.size, -1), rest, rest, np.zeros(rest.size, np.bool_), np.ones(rest.size)
+    )
 
 
 def test_doubt_goes_on_along_a_stripe_over_short_gaps() -> None:

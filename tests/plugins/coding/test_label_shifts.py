@@ -18,14 +18,14 @@ NONE = np.zeros(0, np.int64)
 def runs_of(
     own: np.ndarray, one: np.ndarray, other: np.ndarray, both: np.ndarray, disorder: np.ndarray | None = None
 ) -> Runs:
-    """Give runs on ten lines, of 40 entries each."""
+    """Give runs on ten lines."""
     runs = own.shape[0]
     edges = [np.flatnonzero((one == f) | (other == f)) for f in range(runs)]
     start = np.concatenate([[0], np.cumsum([len(edge) for edge in edges])]).astype(np.int64)
     order = np.zeros(both.shape, np.int64) if disorder is None else disorder
     first, last = np.zeros(runs, np.int64), np.full(runs, 9)
     edge = np.concatenate(edges).astype(np.int64)
-    return Runs(NONE, NONE, own, one, other, both, order, start, edge, first, last, np.full(runs, 40))
+    return Runs(NONE, NONE, own, one, other, both, order, start, edge, first, last)
 
 
 def agree(
@@ -38,7 +38,7 @@ def agree(
     nodes = Candidates(
         np.zeros(size, np.int64), np.full(size, stripes), offset, np.zeros(cost.size), np.ones(cost.size)
     )
-    pieces = Pieces(none, piece, none, rest, rest, np.zeros(rest.size, np.bool_))
+    pieces = Pieces(none, piece, none, rest, rest, np.zeros(rest.size, np.bool_), np.ones(rest.size))
     return agreed(entries, nodes, pieces, cost.ravel()) - offset[:-1]
 
 
