@@ -7,6 +7,7 @@ Motion is made by warping here; `benchmarks.moved_rigs` renders the scene again 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import cv2
@@ -173,6 +174,18 @@ def _joined(axis: int) -> Callable[[Scene, float, np.random.Generator], Images]:
     return make
 
 
+def _patched(scene: Scene, share: float, rng: np.random.Generator, *, band: bool = False) -> Images:
+    """A block of the laser image, or a band of whole rows, is another frame's; `share` of each side."""
+    assert scene.other is not None
+    laser, place = scene.laser.copy(), []
+    for axis, size in enumerate(laser.shape[:2]):
+        count = size if band and axis else max(1, round(share * size))
+        first = int(rng.integers(0, size - count + 1))
+        place.append(np.s_[first : first + count])
+    laser[tuple(place)] = scene.other.laser[tuple(place)]
+    return laser, scene.plain
+
+
 def _interlaced(scene: Scene, share: float, _: np.random.Generator) -> Images:
     assert scene.other is not None
     laser = scene.laser.copy()
@@ -229,6 +242,8 @@ DISTURBANCES: dict[str, Disturbance] = {
     "columns lost": Disturbance("columns", 1.0, 60.0, 0.0, _laser(_lost(1, "repeated"))),
     "lower part of another frame": Disturbance("share", 0.02, 0.9, 0.0, _joined(0)),
     "right part of another frame": Disturbance("share", 0.02, 0.9, 0.0, _joined(1)),
+    "band of rows of another frame": Disturbance("share", 0.02, 0.9, 0.0, partial(_patched, band=True)),
+    "block of another frame": Disturbance("share", 0.05, 0.95, 0.0, _patched),
     "every other row of another frame": Disturbance("share", 0.05, 1.0, 0.0, _interlaced),
     "more bits than said": Disturbance("bits", 9.0, 15.0, 0.0, _deep),
     "laser off": Disturbance(
