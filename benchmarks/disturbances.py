@@ -17,6 +17,9 @@ from numpy.typing import NDArray
 Image = NDArray[Any]
 Images = tuple[Image, Image | None]
 
+_DIFFERS_GREY = 40
+"""More than noise: a stripe is here in one image, and not in the other."""
+
 
 class Scene(NamedTuple):
     """Images of one acquisition, as acquired, with what is true of it; `other` is another scene's."""
@@ -26,6 +29,19 @@ class Scene(NamedTuple):
     plain: Image | None
     true_mm3: float
     other: Scene | None = None
+
+    def shown_mm3(self, laser: Image) -> float:
+        """Give the true volume of the product that a laser image shows, should no plain image gainsay it.
+
+        Most of what differs between this scene and the other may come from the other one: then that is the
+        product that was seen.
+        """
+        if self.other is None or self.plain is not None or laser.shape != self.other.laser.shape:
+            return self.true_mm3
+        own, other = self.laser.astype(np.int64), self.other.laser.astype(np.int64)
+        differs = np.abs(own - other) > _DIFFERS_GREY
+        from_other = (laser[differs] == self.other.laser[differs]).mean() if differs.any() else 0.0
+        return self.other.true_mm3 if from_other > 0.5 else self.true_mm3
 
 
 class Disturbance(NamedTuple):
