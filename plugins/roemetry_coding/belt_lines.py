@@ -71,6 +71,9 @@ _TOLD_SHARE = 0.15
 """A part of the motion that does less at the image's edge than this share of the largest is not told."""
 _STRIPE_MOVED_PX = 0.25
 """A light plane that has moved by less costs less than the paper's whole-pixel peaks do."""
+_PLANE_DOUBT = 0.1
+"""Of its motion: a plane that turned about its projector and one that was shifted differ at a height h by h
+over the projector's height, a tenth for high products; and it may have turned along its line."""
 _STRIPE_PEAKS_MIN = 15
 """A stripe's own distance is stated from so many peaks on the belt."""
 _STRIPE_SPREAD_PX = 0.5
@@ -188,7 +191,8 @@ class BeltLines(Aligner[BeltLinesOptions]):
                 )
             )
         stripe_px = np.where(fit.of_stripe >= _STRIPE_PEAKS_MIN, fit.stripe_px, np.nan)
-        reasons += _stripes_that_moved(stripe_px, fit.sigma_px)
+        planes_px, said = _stripes_that_moved(stripe_px, fit.sigma_px)
+        reasons += said
         motion = np.round(fit.motion / _QUANTUM_PX) * _QUANTUM_PX * model.scale
         covariance = fit.covariance * model.scale[:, None] * model.scale
         covariance[2, 2] += (natural[0] / model.focal_px) ** 2  # what has moved is not known: see above
@@ -198,6 +202,10 @@ class BeltLines(Aligner[BeltLinesOptions]):
             largest_px=largest,
             largest_std_px=largest_std,
             stripe_px=stripe_px,
+            planes_px=planes_px,
+            planes_std_px=math.hypot(
+                fit.sigma_px / math.sqrt(_BLOCKS), _PLANE_DOUBT * float(np.abs(planes_px).max())
+            ),
             reasons=tuple(reasons),
             edge_px=tuple(fit.motion.round(4).tolist()),
         )
@@ -284,21 +292,21 @@ def _in_words(motion: Floats, edge_px: Floats) -> str:
     return ", ".join(word for word, tell in zip(words, told, strict=True) if tell)
 
 
-def _stripes_that_moved(stripe_px: Floats, sigma_px: float) -> list[Reason]:
-    """Name the stripes whose own plane has moved against the others'."""
+def _stripes_that_moved(stripe_px: Floats, sigma_px: float) -> tuple[Floats, list[Reason]]:
+    """Give how far single planes have moved against the others, 0 for those that have not, and name them."""
     limit = max(_STRIPE_MOVED_PX, _SIGNIFICANT * sigma_px / math.sqrt(_BLOCKS))
-    far = np.flatnonzero(np.abs(stripe_px) > limit)  # NaN is not
+    moved_px = np.where(np.abs(stripe_px) > limit, stripe_px, 0.0)  # NaN has not
+    far = np.flatnonzero(moved_px)
     if not far.size:
-        return []
+        return moved_px, []
     which = ", ".join(f"{s + 1} ({stripe_px[s]:+.2f} px)" for s in far)
-    if np.abs(stripe_px[far]).max() > max(_STRIPE_REFUSED_PX, limit):
+    if np.abs(moved_px).max() > max(_STRIPE_REFUSED_PX, limit):
         raise StageError(
             f"stripes have moved against the others on the belt: {which}",
             hint="fasten the projector, and calibrate again",
         )
-    return [
-        Reason("stripe-moved", f"stripes have moved against the others on the belt: {which}; calibrate again")
-    ]
+    text = f"stripes have moved against the others on the belt: {which}; corrected, with its uncertainty"
+    return moved_px, [Reason("stripe-moved", f"{text}; calibrate again")]
 
 
 @float_kernel
