@@ -136,6 +136,7 @@ def measured(asked: argparse.Namespace, done: int) -> Iterator[Case]:
         rng = np.random.default_rng([asked.seed, number])
         size = drawn(known[name], rng)
         images = known[name].make(scene, size, rng)
+        scene = scene._replace(true_mm3=scene.shown_mm3(images[0]))
         yield against(judged(recipe, scene, *images), base[place], word, name, size)
 
 

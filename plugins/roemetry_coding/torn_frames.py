@@ -36,7 +36,7 @@ _TIMES_USUAL = 8.0
 """So many times the jumps of the frame's other rows, which noise and texture make. Of 56 whole images of two
 makers the largest jump is five times the mean."""
 _SAMPLED_ROWS = 8
-"""Every so many rows tell how much stripes on the belt usually jump."""
+"""Every so many rows tell how much stripes usually jump."""
 
 
 class Tear(NamedTuple):
@@ -74,55 +74,58 @@ def _largest_jump(
 ) -> tuple[int, float, float]:  # fmt: skip
     """Give the row, the median jump and the usual jump where product or belt jump most; row −1 of none."""
     rows, stripes = lines_px.shape
-    on_product, line_of = np.zeros(x_px.size, np.bool_), np.zeros(x_px.size, np.int64)
-    for row in range(rows):
-        line = 0
+    on_product = np.empty(x_px.size, np.bool_)
+    # of each peak: the nearest one in the next row, −1 where none is near; the peak whose nearest it is; the
+    # step to the next row, and what that is beside the rest line's
+    after, before = np.full(x_px.size, -1, np.int32), np.full(x_px.size, -1, np.int32)
+    step, slip = np.empty(x_px.size), np.empty(x_px.size)
+    for row in range(rows - 1):
+        line, nearest, stop = 0, row_start[row + 1], row_start[row + 2]
         for p in range(row_start[row], row_start[row + 1]):
-            while line < stripes - 1 and abs(x_px[p] - lines_px[row, line + 1]) < abs(
-                x_px[p] - lines_px[row, line]
-            ):
+            x = x_px[p]
+            while line < stripes - 1 and abs(x - lines_px[row, line + 1]) < abs(x - lines_px[row, line]):
                 line += 1
-            line_of[p] = line
-            on_product[p] = abs(x_px[p] - lines_px[row, line]) > off_belt_px
+            on_product[p] = abs(x - lines_px[row, line]) > off_belt_px
+            if nearest == stop:
+                continue
+            while nearest + 1 < stop and abs(x_px[nearest + 1] - x) <= abs(x_px[nearest] - x):
+                nearest += 1
+            step[p] = x_px[nearest] - x
+            if abs(step[p]) <= reach_px:
+                after[p], before[nearest] = nearest, p
+                slip[p] = step[p] - (lines_px[row + 1, line] - lines_px[row, line])
     jumps, slips = np.empty(2 * stripes + 64), np.empty(2 * stripes + 64)
     # of product and belt: rows that count, the sum of their jumps, the row that jumps most, and its jump
     counted, total = np.zeros(2), np.zeros(2)
     worst, most = np.full(2, -1), np.zeros(2)
     for row in range(1, rows - 2):
-        count, slipped = 0, 0
-        before, after, last = row_start[row - 1], row_start[row + 1], row_start[row + 2]
+        count, slipped, large, large_slips = 0, 0, 0, 0
         for p in range(row_start[row], row_start[row + 1]):
             if max(count, slipped) >= jumps.size:
                 break
-            if after == row_start[row + 2]:
-                break
-            after = _nearest(x_px, after, row_start[row + 2], x_px[p])
-            step = x_px[after] - x_px[p]
-            if abs(step) > reach_px:
+            if after[p] < 0:
                 continue
             if not on_product[p]:
-                slips[slipped] = step - (lines_px[row + 1, line_of[p]] - lines_px[row, line_of[p]])
+                slips[slipped] = slip[p]
+                large_slips += abs(slip[p]) >= least_px
                 slipped += 1
                 continue
-            if before == row_start[row] or last == row_start[row + 3]:  # a row without a peak
+            first, third = before[p], after[p]
+            if first < 0 or after[third] < 0:
                 continue
-            before = _nearest(x_px, before, row_start[row], x_px[p])
-            last = _nearest(x_px, last, row_start[row + 3], x_px[after])
-            first_step, last_step = x_px[p] - x_px[before], x_px[last] - x_px[after]
-            near = abs(first_step) <= step_max_px and abs(last_step) <= step_max_px
-            if near and on_product[before] and on_product[after] and on_product[last]:
-                jumps[count] = abs(step - 0.5 * (first_step + last_step))
+            near = abs(step[first]) <= step_max_px and abs(step[third]) <= step_max_px
+            if near and on_product[first] and on_product[third] and on_product[after[third]]:
+                jumps[count] = abs(step[p] - 0.5 * (step[first] + step[third]))
+                large += jumps[count] >= least_px
                 count += 1
         for kind in range(2):
             found = jumps[:count] if kind == 0 else slips[:slipped]
+            most_are_large = 4 * (large if kind == 0 else large_slips) >= 3 * found.size
             # among few belt peaks are those of a product's rim, which steps
             if found.size < stripes_min or (kind == 1 and 4 * found.size < 3 * stripes):
                 continue
-            large = 0
-            for jump in found:
-                large += abs(jump) >= least_px
-            counts = kind == 0 or row % sampled == 0  # a median takes long
-            if counts or 4 * large >= 3 * found.size:
+            counts = row % sampled == 0  # a median takes long
+            if counts or most_are_large:
                 jump = abs(median_of(found))
                 if counts:
                     counted[kind] += 1.0
@@ -132,12 +135,3 @@ def _largest_jump(
     usual = total / np.maximum(counted, 1.0)
     kind = 0 if most[0] >= max(least_px, times_usual * usual[0]) else 1
     return worst[kind], most[kind], usual[kind]
-
-
-@float_kernel
-def _nearest(x_px: Floats, start: int, stop: int, at_px: float) -> int:
-    """Give the peak of a row, from `start` on, that is nearest to a place."""
-    found = start
-    while found + 1 < stop and abs(x_px[found + 1] - at_px) <= abs(x_px[found] - at_px):
-        found += 1
-    return found

@@ -116,6 +116,14 @@ class BlockLinear(Triangulator[StageOptions]):
                 ]
             )
             covariance = covariance + derivatives.T @ alignment.covariance @ derivatives
+        if alignment.planes_px.any():
+            rest_px[:, 0] += alignment.planes_px
+            if "rest_error_px" in parameters:
+                names, width = list(parameters), parameters["rest_error_px"].shape[1]
+                first = sum(parameters[name].size for name in names[: names.index("rest_error_px")])
+                own = first + width * np.flatnonzero(alignment.planes_px)
+                covariance = covariance.copy()
+                covariance[own, own] += alignment.planes_std_px**2
         found = replace(
             calibration,
             rest_px=rest_px,

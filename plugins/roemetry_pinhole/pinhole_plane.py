@@ -279,8 +279,9 @@ class PinholePlane(Triangulator[StageOptions]):
     def moved(self, calibration: Calibration, alignment: Alignment) -> Calibration:
         """Give the calibration of a camera turned and zoomed; the lens stays what it is.
 
-        In the camera's frame, points turn by R: planes p·X = 1 become R p. To the covariance is added that of
-        the motion, by the parameters' numerical derivatives.
+        In the camera's frame, points turn by R: planes p·X = 1 become R p. A single plane that has been
+        shifted is (1 + a) p. To the covariance is added that of the motion, by the parameters' numerical
+        derivatives.
         """
         parameters = _turned(calibration.parameters, alignment.motion)
         covariance = calibration.covariance
@@ -297,6 +298,15 @@ class PinholePlane(Triangulator[StageOptions]):
             )
             covariance = covariance + derivatives.T @ alignment.covariance @ derivatives
         size = calibration.image_size
+        if alignment.planes_px.any():
+            planes, per_px = parameters["planes_per_mm"], _shifts_per_px(parameters, size)
+            parameters["planes_per_mm"] = planes + alignment.planes_px[:, None] * per_px
+            names = list(parameters)
+            first = sum(parameters[name].size for name in names[: names.index("planes_per_mm")])
+            covariance = covariance.copy()
+            for stripe in np.flatnonzero(alignment.planes_px):
+                own = np.s_[first + 3 * stripe : first + 3 * stripe + 3]
+                covariance[own, own] += alignment.planes_std_px**2 * np.outer(per_px[stripe], per_px[stripe])
         return replace(
             calibration,
             parameters=parameters,
@@ -313,6 +323,8 @@ class PinholePlane(Triangulator[StageOptions]):
 
 _MOTION_STEPS = (1e-2, 1e-5, 1e-5, 1e-5)
 """Steps of numerical derivatives for shift (px), roll (rad), zoom and tilt (rad): all some 0.01 px."""
+_PLANE_STEP = 1e-5
+"""The same of a plane's share: some 0.01 px."""
 
 
 def _turned(parameters: Mapping[str, Floats], motion: Floats) -> dict[str, Floats]:
@@ -330,6 +342,16 @@ def _turned(parameters: Mapping[str, Floats], motion: Floats) -> dict[str, Float
         **({"travel_mm_per_count": rotation @ parameters["travel_mm_per_count"]}
            if "travel_mm_per_count" in parameters else {}),
     }  # fmt: skip
+
+
+def _shifts_per_px(parameters: Mapping[str, Floats], image_size: tuple[int, int]) -> Floats:
+    """Give (stripe, 3) what each plane changes by when it is shifted so that its rest line moves by 1 px."""
+    planes, middle = parameters["planes_per_mm"], np.array([0.5 * (image_size[0] - 1)])
+    there, here = (
+        lines_at_height({**parameters, "planes_per_mm": planes * (1.0 + step)}, middle, 0.0)
+        for step in (_PLANE_STEP, 0.0)
+    )
+    return np.asarray(planes * _PLANE_STEP / (there - here))
 
 
 def _flat(parameters: Mapping[str, Floats]) -> Floats:

@@ -145,6 +145,11 @@ class EdgeContour(Outliner[EdgeContourOptions]):
         spacing, said = _spacing_px(stripes), None
         if use_plain and known:
             chosen, said = laid_over(chosen, _one(frame.pixels), product, spacing)
+            if said is not None:  # of all products, also of those that no edge is found of
+                return tuple(
+                    Outline(number, _ring_around(region, spacing), spacing, {}, said)
+                    for number, region in known.items()
+                )
         belt = _belt_of(self.options.belt, chosen)
         if use_plain:
             level, on_stripes = _over_belt(chosen.pixels, belt, product), None
@@ -177,7 +182,7 @@ class EdgeContour(Outliner[EdgeContourOptions]):
                         continue
                     fault = _contradiction(against_px, left_px)
             outlines.append(
-                Outline(number, edge.xy_px, std_px, features_of(edge.xy_px, chosen.pixels), fault or said)
+                Outline(number, edge.xy_px, std_px, features_of(edge.xy_px, chosen.pixels), fault)
             )
         return tuple(outlines)
 

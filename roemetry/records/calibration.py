@@ -260,6 +260,10 @@ class Alignment(Shown):
     stripe_px: Floats = field(default_factory=lambda: np.empty(0))
     """(stripe,) what is left of each stripe's mean distance when the motion is taken out, px; NaN for stripes
     of which no belt is seen."""
+    planes_px: Floats = field(default_factory=lambda: np.empty(0))
+    """(stripe,) what rest lines of single planes have moved beside that, and are corrected by, px; 0: not."""
+    planes_std_px: float = 0.0
+    """Standard uncertainty of each such correction, px."""
     reasons: tuple[Reason, ...] = ()
     """What is to be said of every product of the frame."""
     edge_px: tuple[float, ...] = ()
@@ -271,10 +275,11 @@ class Alignment(Shown):
         motion = check.array("motion", np.float64, (len(PARAMETERS),))
         check.array("covariance", np.float64, (len(PARAMETERS), len(PARAMETERS)))
         check.array("stripe_px", np.float64, (None,))
+        check.array("planes_px", np.float64, (None,))
         check.require(bool(np.isfinite(motion).all()), "the motion is not finite")
         check.finish()
 
     @property
     def moved(self) -> bool:
         """Whether the calibration is to be corrected for this frame."""
-        return bool(self.motion.any())
+        return bool(self.motion.any() or self.planes_px.any())

@@ -37,6 +37,7 @@ from roemetry.run.open_parts import OpenPart, open_parts, said_of, split_product
 from roemetry.run.preprocess import prepare, prepare_plain
 from roemetry.run.stage_errors import describe_failure, is_refusal, plugin_frame
 from roemetry.run.time_limit import StageTimeout, time_limit
+from roemetry.run.transport_faults import check_joins
 from roemetry.stages.kinds import check_result_type
 
 T = TypeVar("T")
@@ -249,7 +250,7 @@ class Pipeline:
 def frame_of(recipe: Recipe, acquisition: Acquisition) -> Frame:
     """Make the laser frame ready as the recipe's source says; see `roemetry.run.preprocess.prepare`."""
     source = recipe.source_choice
-    return prepare(
+    frame = prepare(
         acquisition,
         channel=source.channel,
         contrast=source.contrast,
@@ -258,6 +259,8 @@ def frame_of(recipe: Recipe, acquisition: Acquisition) -> Frame:
         bit_depth=source.bit_depth,
         sensor=recipe.sensor,
     )
+    check_joins(frame)
+    return frame
 
 
 class _Steps:

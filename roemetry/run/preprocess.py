@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from roemetry.errors import DataError
 from roemetry.records import Acquisition, Frame, Sensor
+from roemetry.run.transport_faults import check_rows
 
 _BLUE_GREEN_RED = {"blue": 0, "green": 1, "red": 2}
 _LUMA = np.array([0.114, 0.587, 0.299])  # ITU-R BT.601, in the order blue, green, red
@@ -58,7 +59,7 @@ def prepare(
         raise DataError(f"{acquisition.id}: there is no laser image")
     if bit_depth is None and laser.bit_depth == 16:
         _check_bits_in_use(laser)
-    _check_rows(laser)
+    check_rows(laser)
     pixels = _one_channel(laser, channel, contrast)
     if subtract == "dark":
         dark = acquisition.frame("dark")
@@ -89,49 +90,6 @@ def prepare_plain(acquisition: Acquisition, *, turn_deg: int) -> Frame | None:
     if plain is None:
         return None
     return replace(plain, pixels=_turned(plain.pixels, turn_deg), turn_deg=(plain.turn_deg + turn_deg) % 360)
-
-
-_SAMPLED = 8
-"""Every eighth pixel of a row is compared first: noise makes rows differ in far fewer."""
-_NOISY_SHARE = 0.9
-"""With fewer rows that differ from all others the image has no noise that would tell rows apart."""
-_CLIPPED_SHARE = 0.5
-"""Where so many pixels of the usual row have the level of a level row, the sensor is dark or white there."""
-
-
-def _check_rows(laser: Frame) -> None:
-    """Refuse an image with rows that no sensor gives: sent twice, or filled with one grey level.
-
-    A sensor's noise makes every row another one; so rows of one content are a fault of the transport, and
-    other rows have been lost.
-    """
-    pixels = laser.pixels
-    sampled = np.ascontiguousarray(pixels[:, ::_SAMPLED])
-    size, content = sampled[0].nbytes, sampled.tobytes()
-    last: dict[bytes, int] = {}
-    lag_before = 0
-    repeated: list[int] = []
-    for row in range(len(pixels)):
-        one = content[row * size : (row + 1) * size]
-        lag = row - last.get(one, row)
-        # two rows in a row, each so many rows after its like
-        if lag and lag == lag_before and (pixels[row] == pixels[row - lag]).all():
-            repeated.append(row)
-        last[one], lag_before = row, lag
-    if not repeated:
-        return
-    level = [row for row in repeated if (pixels[row] == pixels[row].flat[0]).all()]
-    if len(last) < _NOISY_SHARE * (len(pixels) - len(level)):
-        return
-    usual = pixels[[row for row in last.values() if row not in level]]
-    clipped = bool(level) and float((usual == pixels[level[0]].flat[0]).mean()) > _CLIPPED_SHARE
-    if clipped and len(level) == len(repeated):
-        return
-    raise DataError(
-        f"{laser.name}: the row {repeated[0]} and others have the very content of rows above them, which no "
-        "sensor's noise allows: rows were lost, and filled up",
-        hint="look at cable, network and frame grabber; take the image again",
-    )
 
 
 _USUAL_BITS = (10, 12, 14)

@@ -212,6 +212,8 @@ def moved_rig(calibration: Calibration, alignment: Alignment) -> Calibration:
     at, lean = calibration.rest_px.T
     away = at - (calibration.image_size[1] - 1) / 2.0
     rest_px = np.column_stack([at + pan_px + (zoom - lean * roll) * away, lean - roll * (1.0 + lean**2)])
+    if alignment.planes_px.size:
+        rest_px[:, 0] += alignment.planes_px
     return replace(calibration, rest_px=rest_px)
 
 

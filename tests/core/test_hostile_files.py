@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from roemetry.config.recipe import Recipe
 from roemetry.errors import DataError, RoemetryError
 from roemetry.io.yaml_source import parse, read_numbers
 from roemetry.records import Acquisition, Frame
 from roemetry.run.preprocess import prepare
+from roemetry.run.transport_faults import check_joins
 
 HOME = Path(__file__).parents[2] / "recipes"
 TEXTS = [path.read_bytes() for path in sorted(HOME.glob("*/*.yaml")) if path.stat().st_size < 4000]
@@ -88,6 +90,29 @@ def test_rows_that_no_sensor_gives_refuse_the_image(fault: str, rng: np.random.G
     }[fault]
     with pytest.raises(DataError, match="no sensor's noise"):
         prepare(Acquisition("a", (replace(frame, pixels=bad),)), turn_deg=0, subtract="none")
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("specks", [0.0, 0.03])
+def test_an_image_joined_of_two_is_refused_where_it_is_joined(
+    axis: int, specks: float, rng: np.random.Generator
+) -> None:
+    def image(shift_px: float) -> NDArray[np.float64]:
+        column, row = np.meshgrid(np.arange(240.0), np.arange(240.0))
+        across = (column + 0.3 * row + shift_px) % 40.0 - 20.0
+        light = 8.0 + 150.0 * np.exp(-0.5 * (across / 1.4) ** 2) + rng.normal(0.0, 2.0, row.shape)
+        light[rng.random(row.shape) < specks] = 255.0
+        return light
+
+    def frame(light: NDArray[np.float64]) -> Frame:
+        return Frame(np.clip(light, 0, 255).astype(np.uint8), name="a")
+
+    check_joins(frame(image(0.0)))
+    joined = np.concatenate(
+        [np.split(image(0.0), [130], axis)[0], np.split(image(19.0), [130], axis)[1]], axis
+    )
+    with pytest.raises(DataError, match=f"the {('rows', 'columns')[axis]} 129 and 130"):
+        check_joins(frame(joined))
 
 
 def test_dark_rows_of_a_sensor_that_clips_are_no_fault(rng: np.random.Generator) -> None:

@@ -43,6 +43,23 @@ def test_a_plane_that_moved_alone_is_named(rng: np.random.Generator) -> None:
     found = BeltLines().align(rig.peaks(x_px).peaks, rig.calibration(), moved_rig)
     said = [reason.text for reason in found.reasons if reason.code == "stripe-moved"]
     assert len(said) == 1 and "5 (+0." in said[0]
+    np.testing.assert_allclose(found.planes_px, np.where(np.arange(rig.stripes) == 4, 0.9, 0.0), atol=0.1)
+    assert found.moved and 0.09 <= found.planes_std_px < 0.2
+
+
+@pytest.mark.parametrize("stages", ["with_outline.yaml", "by_words.yaml"])
+def test_a_plane_that_moved_alone_is_corrected_and_its_covariance_grows(stages: str) -> None:
+    recipe = roemetry.Recipe.load(HOME / stages)
+    made, triangulator = recipe.calibration, recipe.stages["triangulator"].make()
+    planes_px = np.zeros(len(made.rest_px))
+    planes_px[4] = 0.6
+    moved = triangulator.moved(made, Alignment(np.zeros(4), NOTHING, planes_px=planes_px, planes_std_px=0.1))
+    rows = np.arange(made.image_size[0], dtype=np.float64)
+    off = moved.rest_line_px(rows) - made.rest_line_px(rows)
+    np.testing.assert_allclose(off[4], 0.6, atol=0.02)
+    np.testing.assert_allclose(np.delete(off, 4, axis=0), 0.0, atol=0.005)
+    more = np.diag(moved.covariance) - np.diag(made.covariance)
+    assert more.max() > 0.0 and more.min() >= 0.0 and np.count_nonzero(more) <= 3
 
 
 def test_a_plane_that_moved_far_refuses_the_frame(rng: np.random.Generator) -> None:

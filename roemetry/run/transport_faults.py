@@ -1,0 +1,104 @@
+"""Faults of sensor and transport in one frame: rows that no sensor gives, and parts of another frame.
+
+Rows. A sensor's noise makes every row another one; so rows of one content are a fault of the transport, and
+other rows have been lost.
+
+Joins. A lens blurs: from one pixel to the next, light changes by a part of what it changes by over six. Where
+it changes by all of that at once, along one boundary between two rows or two columns and at many places of
+it, two frames were joined there. Edges of products and shadows are blurred, too, and lie along rows or
+columns by accident only. A join that crosses no stripe on a product is not seen here.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roemetry.errors import DataError
+from roemetry.records import Frame
+
+_SAMPLED = 8
+"""Every eighth pixel of a row is compared first: noise makes rows differ in far fewer."""
+_NOISY_SHARE = 0.9
+"""With fewer rows that differ from all others the image has no noise that would tell rows apart."""
+_CLIPPED_SHARE = 0.5
+"""Where so many pixels of the usual row have the level of a level row, the sensor is dark or white there."""
+
+_REACH = 6
+"""Pixels over which light changes: three on either side of a boundary."""
+_AT_ONCE = 9
+"""A step that is so many times what is left of the change over `_REACH` is no lens's; of whole images of four
+makers no boundary has so steep steps at more than one place in 55, of seams across products most at 25."""
+_JOINED_SHARE = 1 / 45
+_TIMES_USUAL = 3.0
+"""Specks make steep steps everywhere: there must be so many more of them than at the usual boundary."""
+_STEP_SHARE, _STEP_MIN = 0.25, 0.05
+"""Least step, of the stripes' grey level (the 99th percentile) and of white: noise is below."""
+
+
+def check_rows(laser: Frame) -> None:
+    """Refuse an image with rows that no sensor gives: sent twice, or filled with one grey level."""
+    pixels = laser.pixels
+    sampled = np.ascontiguousarray(pixels[:, ::_SAMPLED])
+    size, content = sampled[0].nbytes, sampled.tobytes()
+    last: dict[bytes, int] = {}
+    lag_before = 0
+    repeated: list[int] = []
+    for row in range(len(pixels)):
+        one = content[row * size : (row + 1) * size]
+        lag = row - last.get(one, row)
+        # two rows in a row, each so many rows after its like
+        if lag and lag == lag_before and (pixels[row] == pixels[row - lag]).all():
+            repeated.append(row)
+        last[one], lag_before = row, lag
+    if not repeated:
+        return
+    level = [row for row in repeated if (pixels[row] == pixels[row].flat[0]).all()]
+    if len(last) < _NOISY_SHARE * (len(pixels) - len(level)):
+        return
+    usual = pixels[[row for row in last.values() if row not in level]]
+    clipped = bool(level) and float((usual == pixels[level[0]].flat[0]).mean()) > _CLIPPED_SHARE
+    if clipped and len(level) == len(repeated):
+        return
+    raise DataError(
+        f"{laser.name}: the row {repeated[0]} and others have the very content of rows above them, which no "
+        "sensor's noise allows: rows were lost, and filled up",
+        hint="look at cable, network and frame grabber; take the image again",
+    )
+
+
+def check_joins(frame: Frame) -> None:
+    """Refuse an image of one channel that is joined of two; DataError with the place of the join."""
+    pixels = frame.pixels
+    bright = float(np.percentile(pixels[::8, ::8], 99))
+    least = max(_STEP_SHARE * bright, _STEP_MIN * frame.white)
+    for axis, what in ((0, "rows"), (1, "columns")):
+        lines = pixels if axis == 0 else pixels[::2]
+        count = _steep_steps(lines, axis, least)
+        usual = int(np.partition(count, count.size // 4)[count.size // 4])
+        place = int(count.argmax())
+        if count[place] > _JOINED_SHARE * lines.shape[1 - axis] + _TIMES_USUAL * usual:
+            raise DataError(
+                f"{frame.name}: between the {what} {place} and {place + 1} the image breaks off, sharper "
+                "than any lens draws: lines are lost there, or a part is another frame's",
+                hint="look at cable, network and frame grabber; take the image again",
+            )
+
+
+def _steep_steps(lines: NDArray[Any], axis: int, least: float) -> NDArray[np.int64]:
+    """Count, at each boundary along an axis, the places where light changes at once."""
+    import cv2
+
+    columns = lines.shape[1]
+    size, away = (lines.shape[0], columns) if axis == 0 else (columns, 1)
+    before, after = (lines[:-1], lines[1:]) if axis == 0 else (lines[:, :-1], lines[:, 1:])
+    steps = cv2.absdiff(before, after)
+    place = divmod(np.flatnonzero(steps > least), steps.shape[1])
+    inside = (place[axis] >= _REACH // 2 - 1) & (place[axis] < size - _REACH // 2)
+    at = place[axis][inside]
+    first = place[0][inside] * columns + place[1][inside] - away * (_REACH // 2 - 1)
+    grey = lines.ravel()[first + away * np.arange(_REACH)[:, None]]
+    step, change = steps[place[0][inside], place[1][inside]], grey.max(axis=0) - grey.min(axis=0)
+    return np.bincount(at[change - step <= step // _AT_ONCE], minlength=size - 1)
