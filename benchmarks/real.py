@@ -29,7 +29,7 @@ from benchmarks.extraction.methods import extractors
 from benchmarks.extraction.tables import Table, number
 from benchmarks.real_images import folder_of, prepared
 from benchmarks.real_images.boards import POSES, line_on_board
-from benchmarks.real_images.weld import LINE
+from benchmarks.real_images.weld import line_of
 from roemetry.errors import RoemetryError
 from roemetry.records import Frame, Peaks
 from roemetry.records.arrays import Floats
@@ -224,12 +224,8 @@ def weld() -> Iterator[Known]:
     home = folder_of("weld_mit")
     if home is not None:
         picture = _read(home / "weld2.png")
-        line = np.full(picture.shape[1], np.nan)
-        for x, y in (np.array(part).T for part in LINE):
-            columns = np.arange(int(x[0]), int(x[-1]) + 1)
-            line[columns] = np.interp(columns, x, y)
         frame = prepared(picture, turn_deg=90, channel="max")
-        yield Known("weld2", frame, line[::-1], np.rot90(picture).copy())
+        yield Known("weld2", frame, line_of(picture)[::-1], np.rot90(picture).copy())
 
 
 SETS: dict[str, Callable[[], Iterator[Known]]] = {
