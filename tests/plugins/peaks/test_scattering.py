@@ -89,7 +89,7 @@ def test_a_core_in_a_wide_halo_is_the_stripe(top, rng):
 
 
 def test_a_narrow_core_on_a_plateau_brighter_than_half_of_it_is_the_stripe(rng):
-    """An overexposed line on a rough wall: scattered light is level beside the core, and wider to the right."""
+    """An overexposed line on a rough wall: level light beside the core, wider to the right."""
     centre = 60.0 + 0.03 * np.arange(300)[:, None]
     u = np.arange(130) - centre
     beside = 85.0 * np.exp(-0.5 * (u / np.where(u > 0.0, 7.0, 3.5)) ** 4)
