@@ -1,6 +1,6 @@
 """Everything usable among the real camera images, against what is known there, with overlays to look at.
 
-``python -m benchmarks real [--extractors WORD …] [--out FOLDER]``
+``python -m benchmarks real [--extractors WORD …] [--out FOLDER] [--page]``
 
 The images are not part of the project: the environment variable ROEMETRY_REAL_DATA names their folder
 (default ``../shared/real``); what is not there is skipped with the reason.
@@ -9,8 +9,9 @@ The images are not part of the project: the environment variable ROEMETRY_REAL_D
 pixels of the laser's channel at 250 or more, alone in its row: its middle is where a person puts the line.
 *Repeated*: the wall's rows do not move from frame to frame, so a centre's scatter over the frames is the
 extractor's; what a frame moves as a whole is taken off. *Boards*: a red line on twelve printed boards in room
-light, the laser-off image not used; known is the line of `benchmarks.real_images.boards`.
-*Weld*: the line as marked by hand. `benchmarks extract_real` has more of the weld, and the wheel set.
+light, less the laser-off image as in a calibration, and by contrast alone; known is the line of
+`benchmarks.real_images.boards`. *Weld*: the line of `benchmarks.real_images.weld`. `benchmarks extract_real`
+has more of the weld, and the wheel set.
 """
 
 from __future__ import annotations
@@ -26,10 +27,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.extraction.methods import extractors
-from benchmarks.extraction.tables import Table, number
+from benchmarks.extraction.tables import Table, machine, number, put_into_page
 from benchmarks.real_images import folder_of, prepared
 from benchmarks.real_images.boards import POSES, line_on_board
-from benchmarks.real_images.weld import LINE
+from benchmarks.real_images.weld import line_of
 from roemetry.errors import RoemetryError
 from roemetry.records import Frame, Peaks
 from roemetry.records.arrays import Floats
@@ -58,6 +59,7 @@ def main() -> None:
     )
     parser.add_argument("--extractors", nargs="*", default=[], help="only those whose name holds a word")
     parser.add_argument("--out", type=Path, help="folder for overlays: peaks drawn over the images")
+    parser.add_argument("--page", action="store_true", help="put the tables into the documentation")
     given = parser.parse_args()
     cv2.setNumThreads(1)
     stages = {
@@ -66,6 +68,7 @@ def main() -> None:
         if not isinstance(stage, str)
         and (not given.extractors or any(word in name for word in given.extractors))
     }
+    tables = []
     for title, images in SETS.items():
         known = list(images())
         if not known:
@@ -83,7 +86,8 @@ def main() -> None:
         head = ["extractor", "rows with a line", "without a peak", f"> {_FAR_PX:.0f} px off", "rms off, px"]
         head += ["95 % intervals hold, %", "others a row"]
         head += ["repeats on the wall, px", "stated there, px"] if title == "turntable, green" else []
-        print(Table(title, head, rows), flush=True)
+        tables.append(Table(title, head, rows))
+        print(tables[-1], flush=True)
     rows = [
         [title, name, *followed(known, stage)]
         for title in FOLLOWED
@@ -91,7 +95,10 @@ def main() -> None:
         for name, stage in stages.items()
     ]
     head = ["set", "extractor", "rows with a line", "followed, %", f"of these > {_FAR_PX:.0f} px off, %"]
-    print(Table("one line, by the coder single", head, rows), flush=True)
+    tables.append(Table("one line, by the coder single", head, rows))
+    print(tables[-1], flush=True)
+    if given.page and rows:
+        put_into_page(tables, f"Measured by `python -m benchmarks real` on {machine()}.", "real")
 
 
 def followed(known: Sequence[Known], stage: Extractor[Any]) -> list[str]:
@@ -202,8 +209,8 @@ def turntable(channel: str = "grey", contrast: str = "none") -> Iterator[Known]:
         )
 
 
-def boards(channel: str = "grey", contrast: str = "none") -> Iterator[Known]:
-    """The red line on the circle boards, as it is, in room light."""
+def boards(contrast: str = "none", *, subtract: bool = False) -> Iterator[Known]:
+    """The red line on the circle boards in room light."""
     home = folder_of("laser_on_circle_grid")
     if home is None:
         return
@@ -213,7 +220,7 @@ def boards(channel: str = "grey", contrast: str = "none") -> Iterator[Known]:
         line = line_on_board(dark, lit)[::-1]
         yield Known(
             str(pose),
-            prepared(lit, turn_deg=90, channel=channel, contrast=contrast),
+            prepared(lit, turn_deg=90, contrast=contrast, dark=dark if subtract else None),
             line,
             np.rot90(lit).copy(),
         )
@@ -224,24 +231,26 @@ def weld() -> Iterator[Known]:
     home = folder_of("weld_mit")
     if home is not None:
         picture = _read(home / "weld2.png")
-        line = np.full(picture.shape[1], np.nan)
-        for x, y in (np.array(part).T for part in LINE):
-            columns = np.arange(int(x[0]), int(x[-1]) + 1)
-            line[columns] = np.interp(columns, x, y)
         frame = prepared(picture, turn_deg=90, channel="max")
-        yield Known("weld2", frame, line[::-1], np.rot90(picture).copy())
+        yield Known("weld2", frame, line_of(picture)[::-1], np.rot90(picture).copy())
 
 
 SETS: dict[str, Callable[[], Iterator[Known]]] = {
     "turntable, green": lambda: turntable(channel="green"),
     "turntable, contrast green": lambda: turntable(contrast="green"),
     "turntable, grey": lambda: turntable(channel="grey"),
-    "boards, red": lambda: boards(channel="red"),
+    "boards, less the laser-off image": lambda: boards(subtract=True),
     "boards, contrast red": lambda: boards(contrast="red"),
     "weld": weld,
 }
 
-FOLLOWED = ("turntable, green", "turntable, contrast green", "boards, contrast red", "weld")
+FOLLOWED = (
+    "turntable, green",
+    "turntable, contrast green",
+    "boards, less the laser-off image",
+    "boards, contrast red",
+    "weld",
+)
 """Sets through which `single` follows the line."""
 
 if __name__ == "__main__":

@@ -185,7 +185,7 @@ def _zoomed(image: Image, factor: float) -> Image:
 def _warped(image: Image, move: NDArray[np.float64]) -> Image:
     size = image.shape[1::-1]
     return np.asarray(
-        cv2.warpAffine(image, move, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE), np.uint8
+        cv2.warpAffine(image, move, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT_101), np.uint8
     )
 
 

@@ -7,10 +7,13 @@ again. The contrast is
 
     white · (g − r) / (white − r),    0 where r exceeds g, white where g is white.
 
-The denominator keeps clipped light clipped: an overexposed stripe's core, in which the other channels rise as
-well, stays the brightest. Assumed: the stripes fill less than half of the image, and light beside the laser
-is of one colour, whatever it falls on; what is of another colour (a green mark, for a green laser) keeps its
-own contrast. What is overexposed in the laser's channel cannot be told from the laser.
+The denominator keeps clipped light clipped. Where the laser's channel is clipped (JPEG leaves ripples: from
+0.98 white on) and the others are nearly white, too, nothing is left to compare: an overexposed stripe's core
+looks like a lamp. The pixels beside decide: such light gets the smaller of the contrasts at both ends of it
+along the row, since a stripe's core has the laser's colour on both sides.
+
+Assumed: the stripes fill less than half of the image, and light beside the laser is of one colour, whatever
+it falls on; what is of another colour (a green mark, for a green laser) keeps its own contrast.
 """
 
 from __future__ import annotations
@@ -60,7 +63,7 @@ def prepare(
     if bit_depth is None and laser.bit_depth == 16:
         _check_bits_in_use(laser)
     check_rows(laser)
-    pixels = _one_channel(laser, channel, contrast)
+    pixels = _one_channel(laser, channel, contrast, turn_deg)
     if subtract == "dark":
         dark = acquisition.frame("dark")
         if dark is None:
@@ -68,7 +71,7 @@ def prepare(
                 f"{acquisition.id}: there is no dark image to subtract",
                 hint="name the dark images in source.options.dark, or set source.subtract to none",
             )
-        off = _one_channel(dark, channel, contrast)
+        off = _one_channel(dark, channel, contrast, turn_deg)
         if off.shape != pixels.shape or off.dtype != pixels.dtype:
             raise DataError(
                 f"{acquisition.id}: the dark image is {off.shape} {off.dtype}, "
@@ -77,7 +80,7 @@ def prepare(
         pixels = np.where(pixels > off, pixels - off, 0).astype(pixels.dtype)
     return replace(
         laser,
-        pixels=_turned(pixels, turn_deg),
+        pixels=pixels,
         turn_deg=(laser.turn_deg + turn_deg) % 360,
         bit_depth=laser.bit_depth if bit_depth is None else bit_depth,
         sensor=laser.sensor if sensor is None else sensor,
@@ -112,23 +115,26 @@ def _turned(pixels: NDArray[Any], turn_deg: int) -> NDArray[Any]:
     return np.ascontiguousarray(np.rot90(pixels, turn_deg // 90) if turn_deg else pixels)
 
 
-def _one_channel(frame: Frame, channel: str, contrast: str) -> NDArray[Any]:
-    pixels = frame.pixels
+def _one_channel(frame: Frame, channel: str, contrast: str, turn_deg: int) -> NDArray[Any]:
+    pixels = frame.pixels if turn_deg == 0 else np.rot90(frame.pixels, turn_deg // 90)
     if pixels.ndim == 2:
-        return pixels
+        return np.ascontiguousarray(pixels)
     if contrast != "none":
         return _contrast(pixels, _BLUE_GREEN_RED[contrast], float(frame.white))
     if channel == "max":
-        return np.asarray(pixels.max(axis=2))
+        return np.ascontiguousarray(pixels.max(axis=2))
     if channel == "grey":
-        return np.asarray(np.rint(pixels @ _LUMA).astype(pixels.dtype))
-    return pixels[:, :, _BLUE_GREEN_RED[channel]]
+        return np.ascontiguousarray(np.rint(pixels @ _LUMA).astype(pixels.dtype))
+    return np.ascontiguousarray(pixels[:, :, _BLUE_GREEN_RED[channel]])
 
 
 _SAMPLE = 20_000  # pixels that the others' share is fitted to: good to a grey level
 _FITS = 6  # each without what the one before showed to be stripes; the share rests after four
 _STRIPES = 2.0
 """Robust standard deviations above the fit from which on a pixel is a stripe's; costs 2 % of others."""
+_CLIPPED = 0.98  # of white, from which on the laser's channel counts as clipped
+_ALL_WHITE = 0.9  # of white: other channels so bright tell nothing of a clipped pixel
+_BESIDE_PX = 9  # the brightest contrast so near to the end of clipped light is its contrast
 
 
 def _contrast(pixels: NDArray[Any], own: int, white: float) -> NDArray[Any]:
@@ -147,4 +153,24 @@ def _contrast(pixels: NDArray[Any], own: int, white: float) -> NDArray[Any]:
         pixels[:, :, others] @ share[:2].astype(np.float32) + np.float32(share[2]), 0.0, white - 1.0
     )
     out = np.maximum(light - rest, 0.0) * (white / (white - rest))
-    return np.asarray(np.rint(np.where(light >= white, white, out)).astype(pixels.dtype))
+    clipped = light >= _CLIPPED * white
+    out[clipped] = white
+    _decide_by_ends(out, clipped & (rest >= _ALL_WHITE * white))
+    return np.ascontiguousarray(np.rint(out).astype(pixels.dtype))
+
+
+def _decide_by_ends(contrast: NDArray[np.float32], unknown: NDArray[np.bool_]) -> None:
+    """Put into each run of unknown pixels of a row the smaller of the contrasts at its two ends."""
+    rows = np.flatnonzero(unknown.any(axis=1))
+    if not rows.size:
+        return
+    import cv2
+
+    some, known = contrast[rows], ~unknown[rows]
+    some[~known] = 0.0
+    beside = cv2.dilate(some, np.ones((1, _BESIDE_PX), np.uint8))
+    columns = np.arange(some.shape[1])
+    before = np.maximum.accumulate(np.where(known, columns, 0), axis=1)
+    after = np.minimum.accumulate(np.where(known, columns, columns[-1])[:, ::-1], axis=1)[:, ::-1]
+    ends = [np.take_along_axis(beside, end, axis=1) for end in (before, after)]
+    contrast[rows] = np.where(known, some, np.minimum(*ends))

@@ -145,6 +145,23 @@ def test_contrast_takes_off_lamp_light_of_any_brightness_and_keeps_clipped_light
     assert (seen[colours[:, :, 1] == 255] == 255).all()
 
 
+@pytest.mark.parametrize("turn_deg", [0, 90])
+def test_contrast_tells_an_overexposed_core_from_a_lamp_by_what_is_beside_it(turn_deg, rng) -> None:
+    """Both are white in all channels; the core has the laser's red on both sides, the lamp has not."""
+    red = np.full((80, 200), 1.0) * np.linspace(60.0, 170.0, 80)[:, None]
+    others = red.copy()
+    away = np.abs(np.arange(200) - 60.0)
+    red += 200.0 * np.exp(-0.5 * (away / 8.0) ** 2)
+    others += 150.0 * np.exp(-0.5 * (away / 3.0) ** 2)
+    red[10:70, 140:170] = others[10:70, 140:170] = 260.0
+    picture = np.stack([others, others, red], axis=2) + rng.normal(0.0, 1.0, (80, 200, 3))
+    picture = np.clip(np.rint(picture), 0, 255).astype(np.uint8)
+    turned = np.ascontiguousarray(np.rot90(picture, -turn_deg // 90))
+    frame = prepare(acquisition(laser=turned), contrast="red", turn_deg=turn_deg, subtract="none")
+    assert frame.pixels[40:, 56:65].min() > 200
+    assert frame.pixels[:, 141:169].max() < 80
+
+
 def test_a_turn_is_a_rotation_counter_clockwise_and_no_mirror() -> None:
     turned = ready(acquisition(laser=PICTURE), turn_deg=90)
     assert turned.pixels.tolist() == [[3, 7, 11], [2, 6, 10], [1, 5, 9], [0, 4, 8]]

@@ -88,6 +88,22 @@ def test_a_core_in_a_wide_halo_is_the_stripe(top, rng):
     assert (np.abs(off) < 1.96 * found.x_std_px[at]).mean() > 0.9
 
 
+def test_a_narrow_core_on_a_plateau_brighter_than_half_of_it_is_the_stripe(rng):
+    """An overexposed line on a rough wall: level light beside the core, wider to the right."""
+    centre = 60.0 + 0.03 * np.arange(300)[:, None]
+    u = np.arange(130) - centre
+    beside = 85.0 * np.exp(-0.5 * (u / np.where(u > 0.0, 7.0, 3.5)) ** 4)
+    light = 75.0 + beside + 160.0 * np.exp(-0.5 * (u / 1.5) ** 4)
+    image = np.clip(np.rint(light + rng.normal(0.0, 4.0, u.shape)), 0, 255).astype(np.uint8)
+    found = MaximumLikelihood().extract(Frame(image, "laser"))
+    off = found.x_px - centre[found.row, 0]
+    near = np.abs(off) < 3.0
+    assert np.unique(found.row[near]).size >= 0.98 * 300
+    assert np.std(off[near]) < 0.12
+    assert np.abs(np.mean(off[near])) < 0.35
+    assert (np.abs(off[near]) < 1.96 * found.x_std_px[near]).mean() > 0.9
+
+
 @pytest.mark.parametrize("extractor", [MaximumLikelihood, Gaussian, Steger])
 def test_marks_that_throw_light_back_do_not_set_the_level(extractor, rng):
     y, x = np.mgrid[:300, :400]
