@@ -100,7 +100,9 @@ def answer_of(
         changes.append(f"a second image in plain light, for an outline: volume ± {with_one:.1f} %")
     steeper = [one for one in rigs if one.stripes < space.rig.laser.count and one.angle_deg > now + 2.0]
     if now < _SMALL_DEG and steeper:
-        changes.append(f"for finer heights {max(steeper, key=lambda one: one.stripes).said(now)}")
+        finer = max(steeper, key=lambda one: one.stripes)
+        coarser = "" if finer.volume_pct <= total else ", at the cost of the volume"
+        changes.append(f"for finer heights{coarser}, {finer.said(now)}")
     changes.append("weigh twenty products and fit the weight, which takes the underside out")
     return PlanAnswer(not faults, total, weight, limiting, tuple(changes))
 
@@ -139,7 +141,7 @@ def _causes(space: Space, bodies: Bodies, has_outline: bool) -> dict[str, float]
     noise = peak_std(stripe, rig.sensor).centre_of_gravity_px / math.sqrt(max(rows, 1.0))
     sampling = bodies.sampling_pct(spacing) * (_OUTLINE if has_outline else _SLICES)
     return {
-        f"only {bodies.length_mm / spacing:.0f} stripes on a product": sampling,
+        f"the {bodies.length_mm / spacing:.0f} stripes on a product": sampling,
         "noise of the stripes": 100.0 * noise * per_px / bodies.mean_height_mm,
         f"{per_px:.2f} mm of height for a pixel": 100.0 * _CALIBRATION_PX * per_px / bodies.mean_height_mm,
     }
