@@ -15,14 +15,14 @@ from roemetry.records.units import MM3_PER_CM3, stated
 
 
 def problems_of(measurements: Iterable[Measurement]) -> list[str]:
-    """Write a line for each reason why rows lack a number, an uncertainty or a fit, with the rows concerned."""
+    """Write a line for each reason why rows lack a number, an uncertainty or a fit, with the rows."""
     rows_by_text: dict[str, list[str]] = {}
     for row in measurements:
         if row.status != "measured":
             text = row.reasons[0].text if row.reasons else row.status
             rows_by_text.setdefault(text, []).append(row.id)
             continue
-        weighed = () if row.weight is None else row.weight.reasons
+        weighed = () if row.weight is None or math.isnan(row.weight.mass_g.value) else row.weight.reasons
         fitted = row.weight is None or bool(row.weight.features)  # which only a fitted weigher has
         for reason in (*weighed, *(row.volume.reasons if row.volume else ())):
             if reason.code in _NOT_FITTED and not fitted:
