@@ -178,7 +178,7 @@ def _tiny(grey: NDArray[np.uint8], dictionary: str) -> str:
     if len(corners) >= _MARKERS_MIN:
         width = width_px(corners)
         return (
-            f"the board is too small in the image: its markers are {width:.0f} px wide, 14 px are needed; {NEARER}"
+            f"the board is too small: its markers are {width:.0f} px wide, 14 px are needed; {NEARER}"
             if width < 14
             else ""
         )
@@ -265,13 +265,13 @@ def find_marks(frame: Frame, board: Board) -> Marks:
     edge_px = _edge_width(grey, xy_px, spacing_px)
     if spacing_px < _SPACING_MIN_PX:
         raise BoardNotFoundError(
-            f"the board is too small in the image: its corners are {spacing_px:.1f} px apart, {_SPACING_MIN_PX:g} px are needed; "
+            f"the board is too small: its corners are {spacing_px:.1f} px apart, {_SPACING_MIN_PX:g} px are needed; "
             + NEARER
         )
     if edge_px > _EDGE_SHARE_MAX * spacing_px:
         raise BoardNotFoundError(
-            f"the board is blurred: its edges are {edge_px:.1f} px wide, its corners {spacing_px:.1f} px apart"
-            f"; {SHARPER}"
+            f"the board is blurred: its edges are {edge_px:.1f} px wide, its corners {spacing_px:.1f} px "
+            f"apart; {SHARPER}"
         )
     _check_fit(board_mm, xy_px, spacing_px, board)
     return Marks(board_mm, xy_px, layout, edge_px, spacing_px, radius_mm)

@@ -169,7 +169,7 @@ class _Proposal(NamedTuple):
 def _other_rigs(
     scene: RayCasterOptions, space: Space, bodies: Bodies, space_of: Callable[[RayCasterOptions], Space]
 ) -> list[_Proposal]:
-    """Try other numbers of stripes, with the projector where the product stays below the unambiguous height."""
+    """Try other numbers of stripes, each with the projector as far aside as the product allows."""
     laser, camera = scene.laser, space.rig.camera
     across = max(mean_spacing_mm(space) * (space.rig.laser.count - 1), 1.1 * bodies.length_mm)
     distance = float(camera.centre_mm[2])

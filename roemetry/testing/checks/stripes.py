@@ -83,7 +83,7 @@ def check_gaps_shift_nothing(coder: Coder[Any]) -> None:
 
 
 def check_a_body_past_its_neighbours_rest_line_is_not_mistaken(coder: Coder[Any]) -> None:
-    """A body displaced by more than a stripe spacing is labelled correctly or refused, or its frame is refused."""
+    """A body displaced by more than a spacing is labelled correctly or refused, or its frame is."""
     rig = LinearRig()
     x_px = rig.x_px(rig.dome(24.0))
     try:
@@ -164,7 +164,7 @@ def check_coded_points_are_peaks(coder: Coder[Any]) -> None:
     given[coded.map.peak_stripe[mine], coded.row[mine]] = coded.found_px[mine]
     other = seen & (given != coded.map.x_px)
     require(not other.any(), f"{int(other.sum())} of {int(seen.sum())} seen points are not where a peak is")
-    require(seen.sum() == mine.sum(), f"{int(mine.sum())} peaks are labelled, {int(seen.sum())} points are seen")
+    require(seen.sum() == mine.sum(), f"{int(mine.sum())} peaks labelled, {int(seen.sum())} points seen")
 
 
 def check_what_is_not_seen_is_marked(coder: Coder[Any]) -> None:
