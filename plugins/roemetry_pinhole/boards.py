@@ -265,8 +265,8 @@ def find_marks(frame: Frame, board: Board) -> Marks:
     edge_px = _edge_width(grey, xy_px, spacing_px)
     if spacing_px < _SPACING_MIN_PX:
         raise BoardNotFoundError(
-            f"the board is too small: its corners are {spacing_px:.1f} px apart, {_SPACING_MIN_PX:g} px are needed; "
-            + NEARER
+            f"the board is too small: its corners are {spacing_px:.1f} px apart, "
+            f"{_SPACING_MIN_PX:g} px are needed; {NEARER}"
         )
     if edge_px > _EDGE_SHARE_MAX * spacing_px:
         raise BoardNotFoundError(
