@@ -178,7 +178,7 @@ def _tiny(grey: NDArray[np.uint8], dictionary: str) -> str:
     if len(corners) >= _MARKERS_MIN:
         width = width_px(corners)
         return (
-            f"the board is tiny: its markers are {width:.0f} px wide, 14 px are needed; {NEARER}"
+            f"the board is too small: its markers are {width:.0f} px wide, 14 px are needed; {NEARER}"
             if width < 14
             else ""
         )
@@ -265,13 +265,13 @@ def find_marks(frame: Frame, board: Board) -> Marks:
     edge_px = _edge_width(grey, xy_px, spacing_px)
     if spacing_px < _SPACING_MIN_PX:
         raise BoardNotFoundError(
-            f"the board is tiny: its marks are {spacing_px:.1f} px apart, {_SPACING_MIN_PX:g} px are needed; "
-            + NEARER
+            f"the board is too small: its corners are {spacing_px:.1f} px apart, "
+            f"{_SPACING_MIN_PX:g} px are needed; {NEARER}"
         )
     if edge_px > _EDGE_SHARE_MAX * spacing_px:
         raise BoardNotFoundError(
-            f"the board is blurred: its edges are {edge_px:.1f} px wide, its marks {spacing_px:.1f} px apart"
-            f"; {SHARPER}"
+            f"the board is blurred: its edges are {edge_px:.1f} px wide, its corners {spacing_px:.1f} px "
+            f"apart; {SHARPER}"
         )
     _check_fit(board_mm, xy_px, spacing_px, board)
     return Marks(board_mm, xy_px, layout, edge_px, spacing_px, radius_mm)
@@ -446,13 +446,13 @@ def _check_fit(board_mm: Floats, xy_px: Floats, spacing_px: float, board: Board)
     matrix, _ = cv2.findHomography(flat, xy_px, 0)
     if matrix is None:
         raise BoardNotFoundError(
-            "the board is seen edge on: its marks lie on a line; turn it towards the camera"
+            "the board is seen edge on: its corners lie on a line; turn it towards the camera"
         )
     seen = np.column_stack([flat, np.ones(len(flat))]) @ matrix.T
     off = float(np.median(np.hypot(*(seen[:, :2] / seen[:, 2:] - xy_px).T)))
     if off > _FIT_SHARE_MAX * spacing_px:
         raise BoardNotFoundError(
-            f"the marks do not lie as on a board of {board.columns} × {board.rows}: "
+            f"the corners do not lie as on a board of {board.columns} × {board.rows}: "
             f"they are {off:.1f} px off; is it another board? Correct `board`, or leave the image out"
         )
 

@@ -35,7 +35,7 @@ def _finding(
     name = one.frame.name
     said = [f"{len(one.peaks)} peaks found"] if len(one.peaks) else []
     if view is not None:
-        said.append(f"{len(view.marks.xy_px)} marks of the board {view.board.name}")
+        said.append(f"{len(view.marks.xy_px)} corners of the board {view.board.name}")
     points = _NOBODY
     if used is not None:
         points, left, off = used
@@ -66,7 +66,7 @@ def _used(joined: Joint) -> dict[str, tuple[Floats, int, str]]:
     for pose, images, count in _images(joined):
         mine = (points.pose == pose) & (np.abs(points.counts - count) < 0.5)
         off = joined.adjusted.corner_px[(corners.pose == pose) & (np.abs(corners.counts - count) < 0.5)]
-        words = f"marks off by {np.sqrt((off**2).sum(axis=1).mean()):.2f} px (rms)" if len(off) else ""
+        words = f"corners off by {np.sqrt((off**2).sum(axis=1).mean()):.2f} px (rms)" if len(off) else ""
         marks, laser = images
         found[marks] = _NOBODY, 0, words
         if laser:

@@ -104,8 +104,8 @@ def first_camera(
         if rms[worst] <= limit:
             break
         seen.left_out[views[worst].name] = (
-            f"its marks are off by {rms[worst]:.2f} px (rms), those of the others by {np.median(rms):.2f} px"
-            ": is it mirrored or bent, or did it move? Leave the image out"
+            f"its corners are off by {rms[worst]:.2f} px (rms), those of the others by {np.median(rms):.2f}"
+            " px: is it mirrored or bent, or did it move? Leave the image out"
         )
         del views[worst]
     if any(view.marks.radius_mm for view in found.views):

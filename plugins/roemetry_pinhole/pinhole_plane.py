@@ -247,7 +247,7 @@ class PinholePlane(Triangulator[StageOptions]):
         """
         if stripes.stripe_count != calibration.stripe_count:
             raise StageError(
-                f"{stripes.stripe_count} stripes were coded, the calibration has {calibration.stripe_count}"
+                f"{stripes.stripe_count} stripes are labelled, the calibration has {calibration.stripe_count}"
             )
         if stripes.rows != calibration.image_size[0]:
             raise StageError(

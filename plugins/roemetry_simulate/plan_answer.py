@@ -8,7 +8,7 @@ The expected standard uncertainty of the volume is the root of the sum of three 
 - calibration: an error that all heights share, of a place in the image that boards leave.
 
 The weight adds the underside, which no camera above sees. Changes are found by working the same out for other
-numbers of stripes, each with the projector as far aside as leaves the product below one spacing's height.
+numbers of stripes, each with the projector as far aside as leaves the product below the unambiguous height.
 Assumed: level light, an albedo as the scene's, no contact between products.
 """
 
@@ -46,7 +46,7 @@ _UNDERSIDE_PCT = 100.0 * 0.2 / math.sqrt(12.0) / 0.9
 _SPACINGS = 2.5
 """Heights beyond so many spacings' displacement are told apart by no coder."""
 _SHARE = 0.85
-"""Of one spacing's height that a proposed rig uses for the highest product."""
+"""Share of the unambiguous height range that a proposed rig uses for the highest product."""
 _SMALL_DEG, _STEEP = 12.0, 0.5
 """Triangulation angle below which the plan says so; tangent up to which a projector is proposed."""
 _SPACING_LEAST_PX = 14.0
@@ -100,7 +100,9 @@ def answer_of(
         changes.append(f"a second image in plain light, for an outline: volume ± {with_one:.1f} %")
     steeper = [one for one in rigs if one.stripes < space.rig.laser.count and one.angle_deg > now + 2.0]
     if now < _SMALL_DEG and steeper:
-        changes.append(f"for finer heights {max(steeper, key=lambda one: one.stripes).said(now)}")
+        finer = max(steeper, key=lambda one: one.stripes)
+        coarser = "" if finer.volume_pct <= total else ", at the cost of the volume"
+        changes.append(f"for finer heights{coarser}, {finer.said(now)}")
     changes.append("weigh twenty products and fit the weight, which takes the underside out")
     return PlanAnswer(not faults, total, weight, limiting, tuple(changes))
 
@@ -139,7 +141,7 @@ def _causes(space: Space, bodies: Bodies, has_outline: bool) -> dict[str, float]
     noise = peak_std(stripe, rig.sensor).centre_of_gravity_px / math.sqrt(max(rows, 1.0))
     sampling = bodies.sampling_pct(spacing) * (_OUTLINE if has_outline else _SLICES)
     return {
-        f"only {bodies.length_mm / spacing:.0f} stripes on a product": sampling,
+        f"the {bodies.length_mm / spacing:.0f} stripes on a product": sampling,
         "noise of the stripes": 100.0 * noise * per_px / bodies.mean_height_mm,
         f"{per_px:.2f} mm of height for a pixel": 100.0 * _CALIBRATION_PX * per_px / bodies.mean_height_mm,
     }
@@ -167,7 +169,7 @@ class _Proposal(NamedTuple):
 def _other_rigs(
     scene: RayCasterOptions, space: Space, bodies: Bodies, space_of: Callable[[RayCasterOptions], Space]
 ) -> list[_Proposal]:
-    """Try other numbers of stripes, with the projector where the product stays below one spacing's height."""
+    """Try other numbers of stripes, each with the projector as far aside as the product allows."""
     laser, camera = scene.laser, space.rig.camera
     across = max(mean_spacing_mm(space) * (space.rig.laser.count - 1), 1.1 * bodies.length_mm)
     distance = float(camera.centre_mm[2])

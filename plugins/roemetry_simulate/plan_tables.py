@@ -235,7 +235,7 @@ def stripe_geometry(space: Space) -> PlanTable:
             PlanColumn("x-px", "in the image", "px", pixels[:, 0], 1),
             PlanColumn("height-per-px-belt", "height per px, belt", "mm", per_px[0], 3),
             PlanColumn("height-per-px-top", "height per px, top", "mm", per_px[1], 3),
-            PlanColumn("spacing-height", "height of one spacing", "mm", space.spacing_heights_mm, 2),
+            PlanColumn("spacing-height", "unambiguous height range", "mm", space.spacing_heights_mm, 2),
             PlanColumn("highest-in-view", "in view up to", "mm", space.in_view_mm, 1),
         ),
         "At the plan's Y. Height of one spacing: where the stripe appears at its neighbour's place on the "
@@ -327,7 +327,7 @@ def numbers(space: Space, bodies: Bodies | None) -> tuple[PlanTable, PlanCurves,
     height = np.fmin(*either)
     over = PlanColumn("number", "stripes over the length", "1", NUMBERS.astype(np.float64), 0)
     gap = PlanColumn("spacing", "spacing", "mm", spacing, 2)
-    price = PlanColumn("spacing-height", "height of one spacing", "mm", height, 2)
+    price = PlanColumn("spacing-height", "unambiguous height range", "mm", height, 2)
     shown = [("ellipsoid", "ellipsoid of the fan's length", ellipsoid(length))]
     shown += [] if bodies is None else [("product", "your product", bodies)]
     errors = tuple(
@@ -353,7 +353,7 @@ def numbers(space: Space, bodies: Bodies | None) -> tuple[PlanTable, PlanCurves,
 
 
 def over_x(space: Space) -> PlanCurves:
-    """Return the height of one spacing over X."""
+    """Return the unambiguous height range over X."""
     rig, spacing = space.rig, mean_spacing_mm(space)
     feet = rig.laser.x_mm(space.y_mm, 0.0)
     x = np.linspace(float(feet.min()), float(feet.max()), 41)

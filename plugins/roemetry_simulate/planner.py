@@ -187,8 +187,8 @@ def _figures(scene: RayCasterOptions, space: Space) -> tuple[PlanFigure, ...]:
         ("highest", "All stripes stay in view up to", space.highest_mm, "mm",
          "Of the stripes seen on the belt at the plan's Y, the first to leave the image.", True),
         ("plan-top", "The plan is made up to", top, "mm",
-         "The highest product of the scene, else 2½ times the height of one spacing; at most as far as any "
-         "stripe stays in view.", False),
+         "The highest product of the scene, else 2½ times the unambiguous height range; at most as far as "
+         "any stripe stays in view.", False),
         ("height-per-px-belt", "Height for one pixel, belt", per_px[0], "mm/px", at_middle, True),
         ("height-per-px-top", "Height for one pixel, top", per_px[1], "mm/px", at_middle, False),
         ("std-bound-belt", "Standard uncertainty of a height, best possible", um * space.best_px(belt), "µm",

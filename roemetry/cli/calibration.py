@@ -100,7 +100,7 @@ def _camera(rig: Rig, path: Path) -> None:
     found = calibrate_camera(rig, path)
     names = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
     values = [*found.focal_px, *found.principal_px, *found.distortion]
-    typer.echo(f"{path}: camera from {found.images} images, marks off by {found.rms_px:.3f} px (rms)")
+    typer.echo(f"{path}: camera from {found.images} images, board corners off by {found.rms_px:.3f} px (rms)")
     for name, value, std in zip(names, values, found.std, strict=True):
         if std > 0.0:
             typer.echo(f"  {name}: {value:.6g} ± {std:.2g}{' px' if name[0] in 'fc' else ''}")

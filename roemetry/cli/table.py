@@ -15,16 +15,20 @@ from roemetry.records.units import MM3_PER_CM3, stated
 
 
 def problems_of(measurements: Iterable[Measurement]) -> list[str]:
-    """Write a line for each reason why rows were not measured or weigh wrong, with the rows it holds for."""
+    """Write a line for each reason why rows lack a number, an uncertainty or a fit, with the rows."""
     rows_by_text: dict[str, list[str]] = {}
     for row in measurements:
         if row.status != "measured":
             text = row.reasons[0].text if row.reasons else row.status
             rows_by_text.setdefault(text, []).append(row.id)
-        elif row.weight is not None and not row.weight.features:  # which only a fitted weigher has
-            for reason in (*row.weight.reasons, *(row.volume.reasons if row.volume else ())):
-                if reason.code in _NOT_FITTED:
-                    rows_by_text.setdefault(f"weight not fitted: {reason.text}", []).append(row.id)
+            continue
+        weighed = () if row.weight is None or math.isnan(row.weight.mass_g.value) else row.weight.reasons
+        fitted = row.weight is None or bool(row.weight.features)  # which only a fitted weigher has
+        for reason in (*weighed, *(row.volume.reasons if row.volume else ())):
+            if reason.code in _NOT_FITTED and not fitted:
+                rows_by_text.setdefault(f"weight not fitted: {reason.text}", []).append(row.id)
+            elif reason.code in _NOT_STATED:
+                rows_by_text.setdefault(f"no uncertainty: {reason.text}", []).append(row.id)
     return [f"{_few(rows)}: {text}" for text, rows in islice(rows_by_text.items(), _ROWS_MAX)]
 
 
@@ -36,6 +40,14 @@ def _few(rows: list[str]) -> str:
 
 _NOT_FITTED = ("visible-taken-for-true", "underside-assumed")
 """Reasons that make a weight wrong by a tenth, and that weighed samples mend."""
+_NOT_STATED = (
+    "peak-noise-not-stated",
+    "outline-error-not-stated",
+    "volume-model-not-stated",
+    "weight-model-not-stated",
+    "calibration-model-not-stated",
+)
+"""Reasons that leave uncertainties out where they were asked for."""
 _ROWS_MAX = 40
 _NAMED_MAX = 3
 _COLOURS = {"measured": "default", "empty": "yellow", "failed": "red"}

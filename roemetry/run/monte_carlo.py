@@ -329,8 +329,8 @@ _PROBE_PX = 1.0
 
 _PEAKS_NOT_STATED = Reason(
     "peak-noise-not-stated",
-    "the extractor does not state the uncertainty of its peaks (some do only where source.sensor says the "
-    "camera's noise), so that of volume and weight is not stated",
+    "the extractor does not state the uncertainty of its peaks, so that of volume and weight is not stated: "
+    "give the camera's gain and read noise (source.sensor), or take an extractor that finds its noise",
 )
 _OUTLINE_NOT_STATED = Reason(
     "outline-error-not-stated",

@@ -234,7 +234,8 @@ class _Worker:
 def _png(frame: Frame) -> bytes:
     import cv2
 
-    good, data = cv2.imencode(".png", frame.pixels, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+    # OpenCV's own compression: the highest one takes 150 times as long, longer than rendering, for 8 % less
+    good, data = cv2.imencode(".png", frame.pixels)
     if not good:
         raise OutputError(f"{frame.name}: the image could not be encoded as PNG")
     return bytes(data.tobytes())

@@ -178,11 +178,11 @@ class Coder(Stage[OptionsT]):
 
 
 class Smoother(Stage[OptionsT]):
-    """Filters coded stripes along themselves, and says what resolution that costs."""
+    """Smooths each labelled stripe along its rows, and says what resolution that costs."""
 
     @abstractmethod
     def smooth(self, stripes: StripeMap) -> StripeMap:
-        """Give the same stripes with less noise: nothing coded anew, breaks kept as breaks."""
+        """Give the same stripes with less noise: no label changes, and breaks stay breaks."""
 
 
 class Calibrator(Stage[OptionsT]):
@@ -212,7 +212,7 @@ class Calibrator(Stage[OptionsT]):
 
 
 class Triangulator(Stage[OptionsT]):
-    """Turns coded stripes into points in millimetres."""
+    """Turns labelled stripes into points in millimetres."""
 
     @abstractmethod
     def triangulate(self, stripes: StripeMap, calibration: Calibration) -> Profiles:

@@ -171,6 +171,13 @@ def test_a_fault_of_many_images_is_told_once() -> None:
     ]
 
 
+def test_an_uncertainty_that_was_asked_for_and_is_not_stated_is_told() -> None:
+    row = measured()
+    assert row.volume is not None
+    bare = replace(row, volume=replace(row.volume, reasons=(Reason("peak-noise-not-stated", "no noise"),)))
+    assert problems_of([bare]) == [f"{row.id}: no uncertainty: no noise"]
+
+
 def test_without_a_calibration_the_displacement_stands_there() -> None:
     row = replace(measured(), weight=None, volume=None, height_max_mm=Estimate(math.nan))
     row = replace(row, coding=replace(row.coding, displacement_max_px=18.04))

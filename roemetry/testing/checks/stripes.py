@@ -28,7 +28,7 @@ _CLEAR_MM = 1.0
 
 
 def check_a_dome_is_coded_whole(coder: Coder[Any]) -> None:
-    """On a plain dome every point is coded right: at least 99 % of them, and none wrong."""
+    """On a plain dome every point is labelled correctly: at least 99 % of them, and none wrong."""
     rig = LinearRig()
     coded = _coded(coder, rig, rig.dome())
     _none_wrong(coded)
@@ -36,7 +36,7 @@ def check_a_dome_is_coded_whole(coder: Coder[Any]) -> None:
 
 
 def check_a_mirrored_rig_is_coded_alike(coder: Coder[Any]) -> None:
-    """With the laser on the other side the dome is coded just as well."""
+    """With the laser on the other side the dome is labelled just as well."""
     rig = LinearRig().mirrored()
     coded = _coded(coder, rig, rig.dome())
     _none_wrong(coded)
@@ -83,7 +83,7 @@ def check_gaps_shift_nothing(coder: Coder[Any]) -> None:
 
 
 def check_a_body_past_its_neighbours_rest_line_is_not_mistaken(coder: Coder[Any]) -> None:
-    """A body displaced by more than a stripe spacing is coded right, or refused, or its frame is."""
+    """A body displaced by more than a spacing is labelled correctly or refused, or its frame is."""
     rig = LinearRig()
     x_px = rig.x_px(rig.dome(24.0))
     try:
@@ -164,7 +164,7 @@ def check_coded_points_are_peaks(coder: Coder[Any]) -> None:
     given[coded.map.peak_stripe[mine], coded.row[mine]] = coded.found_px[mine]
     other = seen & (given != coded.map.x_px)
     require(not other.any(), f"{int(other.sum())} of {int(seen.sum())} seen points are not where a peak is")
-    require(seen.sum() == mine.sum(), f"{int(mine.sum())} peaks are coded, {int(seen.sum())} points are seen")
+    require(seen.sum() == mine.sum(), f"{int(mine.sum())} peaks labelled, {int(seen.sum())} points seen")
 
 
 def check_what_is_not_seen_is_marked(coder: Coder[Any]) -> None:
@@ -234,7 +234,7 @@ def _none_wrong(coded: _Coded) -> None:
 def _nearly_all(coded: _Coded, wanted: Flags, what: str) -> None:
     inner = slice(_END_ROWS, -_END_ROWS)
     share = coded.map.seen[:, inner][wanted[:, inner]].mean()
-    require(share >= _CODED_MIN, f"only {share:.1%} of the {what} are coded")
+    require(share >= _CODED_MIN, f"only {share:.1%} of the {what} are labelled")
 
 
 def _is_product(coded: _Coded, wanted: Flags, what: str) -> None:
@@ -243,7 +243,7 @@ def _is_product(coded: _Coded, wanted: Flags, what: str) -> None:
     belt, nothing = (there == BELT).mean(), (there == NOTHING).mean()
     require(
         share >= _CODED_MIN,
-        f"only {share:.1%} of {what} is product; belt {belt:.1%}, not coded {nothing:.1%}",
+        f"only {share:.1%} of {what} is product; belt {belt:.1%}, unlabelled {nothing:.1%}",
     )
 
 
@@ -278,7 +278,7 @@ def check_scatter_becomes_less(smoother: Smoother[Any]) -> None:
 
 
 def check_labels_and_gaps_stay(smoother: Smoother[Any]) -> None:
-    """Nothing is coded anew: labels, gaps, what was seen and what was refused stay as they are."""
+    """No label changes: labels, gaps, what was seen and what was refused stay as they are."""
     rig = LinearRig()
     given = rig.stripe_map(rig.dome())
     x_px = given.x_px.copy()

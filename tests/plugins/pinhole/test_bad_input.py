@@ -114,7 +114,7 @@ def test_wrong_laser_images_are_named(clean, rng, tmp_path: Path) -> None:
     assert "on_20.png: no stripe is seen beside off_20.png: is it an image with the laser off?" in notes
     assert "on_21.png: it is darker than off_21.png: are the images" in notes
     assert found.residuals["poses"] == 9, "stripes across the print spoil the marks of the exchanged one"
-    assert "off_21.png: its marks are off by" in notes
+    assert "off_21.png: its corners are off by" in notes
     std = np.sqrt(np.diag(clean.covariance))[12:-3].reshape(-1, 3)
     assert (np.abs(found.parameters["planes_per_mm"] - clean.parameters["planes_per_mm"]) < 4.0 * std).all()
 

@@ -122,7 +122,7 @@ def test_a_board_that_cannot_be_used_is_named(board: Board, fault: str, says: st
 @pytest.mark.parametrize("scale", [0.12, 0.14, 0.16])
 def test_markers_that_cannot_be_read_are_called_tiny(scale: float) -> None:
     frame, _ = seen(CHARUCO, scale=scale)
-    with pytest.raises(BoardNotFoundError, match=r"the board is tiny: its markers are \d+ px wide"):
+    with pytest.raises(BoardNotFoundError, match=r"the board is too small: its markers are \d+ px wide"):
         find_marks(frame, CHARUCO)
 
 
