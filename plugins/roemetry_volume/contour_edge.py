@@ -32,11 +32,12 @@ from numpy.typing import NDArray
 
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_kernels.compiling import float_kernel, inlined, kernel
-from roemetry_volume.footprint import area_of, evenly
+from roemetry_volume.footprint import area_of, around, evenly, normals_of
 
 _NORMALS = 400
 """Of a contour of some 800 px: one every 2 px, about the image's own resolution across a blurred edge."""
 _LEAST_POINTS, _LEAST_AREA_PX2 = 3, 30.0  # a smaller ring has no inside to compare with
+_NORMAL_REACH = 3  # points to either side that give a normal
 _ROUND_START = 6.0
 """Normals: the start is a polygon through stripes' ends, whose corners say nothing."""
 
@@ -181,7 +182,7 @@ def _widely(scene: Scene, ring: Floats) -> Floats:
     level = scene.level[low[1] : high[1], low[0] : high[0]]
     fine, coarse, even = (cv2.GaussianBlur(level, (0, 0), px) for px in (_FINE_PX, _COARSE_PX, _EVEN_PX))
     for outwards, inwards in _WIDE:
-        normal = _rounded(_normals_of(ring), _DIRECTION_ROUND)
+        normal = _rounded(normals_of(ring, _NORMAL_REACH), _DIRECTION_ROUND)
         normal /= np.maximum(np.hypot(normal[:, 0], normal[:, 1]), 1e-9)[:, None]
         off = np.arange(-inwards * scene.spacing_px, outwards * scene.spacing_px, 1.0)
         here = ring - low
@@ -210,7 +211,7 @@ def _gradient(smooth: NDArray[np.float32], ring: Floats, normal: Floats, off: Fl
 
 def _steepest(scene: Scene, ring: Floats) -> Floats:
     """Move a ring along its normals to where light changes most."""
-    normal = _normals_of(ring)
+    normal = normals_of(ring, _NORMAL_REACH)
     off = np.arange(-_NARROW_PX, _NARROW_PX + _STEP_PX, _STEP_PX)
     before, after = (sampled(scene.level, ring, normal, off + shift) for shift in (-_SMOOTH_PX, _SMOOTH_PX))
     told = _beside(scene.stripes, ring, normal)
@@ -239,7 +240,7 @@ class _Across(NamedTuple):
 
 def _across(scene: Scene, ring: Floats) -> _Across:
     """Look across a ring, once for all models of the brightness there."""
-    normal = _normals_of(ring)
+    normal = normals_of(ring, _NORMAL_REACH)
     light = _rounded(sampled(scene.level, ring, normal, _OFF_PX), _FIT_COHERENT)
     told = _beside(scene.stripes, ring, normal)
     return _Across(ring, normal, light, told, _shut(scene.bounds, ring, normal, _PLACES_PX))
@@ -324,7 +325,7 @@ def _seen(scene: Scene, ring: Floats) -> tuple[float, float]:
         Standard uncertainty: the mean over the ring of the rectangles' half widths over √3.
     """
     assert scene.stripes is not None
-    normal = _normals_of(ring)
+    normal = normals_of(ring, _NORMAL_REACH)
     steps, shares = _steps(scene, ring)
     away = [_steps(scene, ring + far * normal) for far in (10.0, 14.0, 18.0)]
     told = [share > _FREE_LEAST for _, share in away]
@@ -343,7 +344,7 @@ def _seen(scene: Scene, ring: Floats) -> tuple[float, float]:
 def _steps(scene: Scene, ring: Floats) -> tuple[Floats, Floats]:
     """Give the mean step in light across a ring over neighbours beside stripes, and the share of these."""
     assert scene.stripes is not None
-    normal, off = _normals_of(ring), np.arange(1.0, 5.0)
+    normal, off = normals_of(ring, _NORMAL_REACH), np.arange(1.0, 5.0)
     inside, outside = (sampled(scene.level, ring, normal, sign * off).mean(axis=1) for sign in (-1.0, 1.0))
     on = sampled(scene.stripes, ring, normal, np.arange(-4.0, 5.0)).max(axis=1)
     share = _rounded((on < 0.5).astype(np.float64)[:, None], 3.0)[:, 0]
@@ -380,7 +381,7 @@ def _apart(one: Floats, other: Floats) -> float:
 
 
 def _length(ring: Floats) -> float:
-    return float(np.hypot(*(np.roll(ring, -1, axis=0) - ring).T).sum())
+    return float(np.hypot(*(around(ring, 1) - ring).T).sum())
 
 
 def _rounded(values: Floats, sigma: float) -> Floats:
@@ -389,14 +390,6 @@ def _rounded(values: Floats, sigma: float) -> Floats:
     weights = np.exp(-0.5 * (np.arange(-half, half + 1) / sigma) ** 2)
     smooth: Floats = smoothed_around(np.ascontiguousarray(values), weights / weights.sum())
     return smooth
-
-
-def _normals_of(ring: Floats) -> Floats:
-    """Give the outward unit normals (n, 2) of a ring."""
-    along = np.roll(ring, -3, axis=0) - np.roll(ring, 3, axis=0)
-    length = np.hypot(along[:, 0], along[:, 1])
-    normal = np.column_stack([along[:, 1], -along[:, 0]]) * (np.sign(area_of(ring)) or 1.0)
-    return np.asarray(normal / np.where(length > 0.0, length, 1.0)[:, None])
 
 
 @inlined
@@ -408,7 +401,7 @@ def _light_at(image: NDArray[np.float32], x: float, y: float) -> float:
     across = x - left
     above = image[up, left] + across * (image[up, left + 1] - image[up, left])
     below = image[up + 1, left] + across * (image[up + 1, left + 1] - image[up + 1, left])
-    return above + (y - up) * (below - above)  # type: ignore[no-any-return]
+    return above + (y - up) * (below - above)
 
 
 @float_kernel
