@@ -1,20 +1,23 @@
 """Linearised standard uncertainties against Monte Carlo draws, on skeins nobody has looked at.
 
-``python -m benchmarks uncertainty [--seed 510000] [--count 100] [--draws 2000]``
+``python -m benchmarks uncertainty [--seed 510000] [--count 100] [--draws 2000] [--keep rows.jsonl]``
 
 Skeins of the whole population on the rig of ``recipes/herring_roe``: stripes and silhouettes are traced, not
 rendered, and peaks are drawn with the noise that they state. Calibration, stages and options are those of
 ``with_outline.yaml``. A draw moves peaks, calibration and outline together and solves the surface from the
-beginning, as `estimate` does; what the stages state of their own models is added to both sides.
+beginning, as `estimate` does; what the stages state of their own models is added to both sides. With `--keep`
+each skein is written when it is done, and what stands there already is not drawn again.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import math
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -39,40 +42,55 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=510000)
     parser.add_argument("--count", type=int, default=100)
     parser.add_argument("--draws", type=int, default=2000)
+    parser.add_argument("--keep", type=Path, help="file that a run goes on from")
     given = parser.parse_args()
+    kept = given.keep.read_text().splitlines() if given.keep and given.keep.exists() else []
+    rows = [row for row in map(json.loads, kept) if row["draws"] == given.draws]
     recipe = Recipe.load(HERRING_ROE / "with_outline.yaml")
     chain = Chain(*(recipe.stages[kind].make() for kind in ("triangulator", "volume", "weigher")), None)
-    ratios: dict[str, list[float]] = {"visible volume": [], "mass": []}
-    shares, taken = [], np.zeros(2)
+    done = {row["seed"] for row in rows}
     for seed in range(given.seed, given.seed + given.count):
-        for trace, scene in _traces(recipe, chain, seed):
-            begin = time.process_time()
-            (linear,) = linearise((trace,), scene, chain)
-            between = time.process_time()
-            drawn = list(_drawn(trace, scene, chain, given.draws, seed))
-            taken += between - begin, time.process_time() - between
-            assert linear.volume is not None
-            assert linear.weight is not None
-            for name, found, field in (
-                ("visible volume", linear.volume.visible_mm3, "visible_mm3"),
-                ("mass", linear.weight.mass_g, "mass_g"),
-            ):
-                models = [part for cause, part in found.budget.items() if cause not in _CAUSES]
-                spread = float(np.std([getattr(one, field) for one in drawn], ddof=1))
-                ratios[name].append(found.std / math.hypot(spread, *models))
-                if name == "visible volume":
-                    shares.append(spread / math.hypot(spread, *models))
-                    print(seed, f"{ratios[name][-1]:.3f}", f"{shares[-1]:.2f}", flush=True)
-    print(f"{len(shares)} skeins, {given.draws} draws each; of the standard uncertainty of the visible")
-    print(f"volume {np.median(shares):.0%} (median) is what was drawn, the rest what stages state\n")
-    for name, each in ratios.items():
+        for trace, scene in _traces(recipe, chain, seed) if seed not in done else ():
+            rows.append(_compared(trace, scene, chain, given.draws, seed))
+            print(seed, *(f"{name} {rows[-1][name]:.3f}" for name in _FIELDS), flush=True)
+            if given.keep:
+                with given.keep.open("a") as file:
+                    file.write(json.dumps(rows[-1]) + "\n")
+    print(f"{len(rows)} skeins, {given.draws} draws each; of the standard uncertainty of the visible")
+    print(f"volume {np.median([row['drawn'] for row in rows]):.0%} (median) is what was drawn\n")
+    for name in _FIELDS:
+        each = np.array([row[name] for row in rows])
         low, middle, high = np.quantile(each, [0.05, 0.5, 0.95])
-        off = np.abs(np.array(each) - 1.0)
         print(
             f"{name}: linearised over drawn {min(each):.3f} to {max(each):.3f}, median {middle:.3f}, "
-            f"90 % of them {low:.3f} to {high:.3f}; within 5 %: {np.mean(off < 0.05):.0%}"
+            f"90 % of them {low:.3f} to {high:.3f}; within 5 %: {np.mean(np.abs(each - 1.0) < 0.05):.0%}"
         )
-    print("linearised, drawn: {:.0f} and {:.0f} ms a product".format(*1e3 * taken / max(len(shares), 1)))
+    taken = [np.median([row[which] for row in rows]) for which in ("linear_ms", "drawn_ms")]
+    print("linearised, drawn: {:.0f} and {:.0f} ms a product".format(*taken))
+
+
+_FIELDS = {"visible volume": "visible_mm3", "mass": "mass_g"}
+
+
+def _compared(trace: ProductTrace, scene: Scene, chain: Chain, draws: int, seed: int) -> dict[str, float]:
+    """Give the ratios of one skein's standard uncertainties, and what both ways take."""
+    begin = time.process_time()
+    (linear,) = linearise((trace,), scene, chain)
+    between = time.process_time()
+    drawn = list(_drawn(trace, scene, chain, draws, seed))
+    row = {"seed": seed, "draws": draws}
+    row |= {"linear_ms": 1e3 * (between - begin), "drawn_ms": 1e3 * (time.process_time() - between)}
+    assert linear.volume is not None
+    assert linear.weight is not None
+    for (name, field), found in zip(
+        _FIELDS.items(), (linear.volume.visible_mm3, linear.weight.mass_g), strict=True
+    ):
+        models = [part for cause, part in found.budget.items() if cause not in _CAUSES]
+        spread = float(np.std([getattr(one, field) for one in drawn], ddof=1))
+        row[name] = found.std / math.hypot(spread, *models)
+        if field == "visible_mm3":
+            row["drawn"] = spread / math.hypot(spread, *models)
+    return row
 
 
 def _traces(recipe: Recipe, chain: Chain, seed: int) -> Iterator[tuple[ProductTrace, Scene]]:

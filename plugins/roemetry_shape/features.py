@@ -39,6 +39,7 @@ from roemetry.records import Product, Profiles, Relief
 from roemetry.records.arrays import Flags, Floats
 from roemetry_shape.curvature import surface_shape
 from roemetry_shape.product_frame import (
+    EVEN,
     SAMPLES,
     STATIONS,
     Frame,
@@ -163,7 +164,7 @@ def _above_foot(sections: Sections) -> Sections:
         _place_of_level(height[:, ::way], across[:, ::way], level, inside[:, ::way]) for way in (1, -1)
     )
     half = np.maximum(0.5 * (high - low), 1e-6)
-    at = low[:, None] + (high - low)[:, None] * np.linspace(0.0, 1.0, SAMPLES)
+    at = low[:, None] + (high - low)[:, None] * (0.5 + 0.5 * EVEN)
     middle = np.column_stack([sections.middle_mm[:, 0], sections.middle_mm[:, 1] + 0.5 * (low + high)])
     # samples of a section are even, so the two beside a place are known without a search
     first, step = across[:, :1], (across[:, -1:] - across[:, :1]) / (SAMPLES - 1)
@@ -175,7 +176,7 @@ def _above_foot(sections: Sections) -> Sections:
         middle_mm=middle,
         half_width_mm=half,
         height_mm=lower + share * (upper - lower),
-        across_mm=half[:, None] * np.linspace(-1.0, 1.0, SAMPLES),
+        across_mm=half[:, None] * EVEN,
     )
 
 
@@ -297,10 +298,9 @@ def _lean(sections: Sections) -> dict[str, float]:
 
 def _leans(sections: Sections, part: tuple[float, float]) -> Floats:
     """(station,) angle by which one flank is higher than the other, over part of the half width, degrees."""
-    t = np.linspace(-1.0, 1.0, SAMPLES)
-    chosen = (t > part[0]) & (t < part[1])
+    chosen = np.flatnonzero((part[0] < EVEN) & (part[1] > EVEN))
     odd = 0.5 * (sections.height_mm - sections.height_mm[:, ::-1])[:, chosen]
-    slope = (odd / (t[chosen] * sections.half_width_mm[:, None])).mean(axis=1)
+    slope = (odd / (EVEN[chosen] * sections.half_width_mm[:, None])).mean(axis=1)
     return np.asarray(np.degrees(np.arctan(slope)))
 
 

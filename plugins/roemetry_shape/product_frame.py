@@ -18,13 +18,13 @@ With an outline, length and width are the outline's, and the outliner's features
 from __future__ import annotations
 
 import math
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
 from roemetry.records import Product, Profiles
 from roemetry.records.arrays import Floats, Integers
+from roemetry_kernels.compiling import kernel
 from roemetry_kernels.slices import body_curves, smoothed
 
 STATIONS = 41
@@ -123,9 +123,8 @@ def _square(at: Floats, across: Floats, heights: Floats) -> Sections:
     across = np.maximum.accumulate(across, axis=1)
     low, high = across[:, 0], across[:, -1]
     half = np.maximum(0.5 * (high - low), 1e-6)
-    even = np.linspace(-1.0, 1.0, SAMPLES)
     middle = 0.5 * (low + high)
-    grid = middle[:, None] + half[:, None] * even
+    grid = middle[:, None] + half[:, None] * EVEN
     height = np.stack([np.interp(grid[k], across[k], heights[k]) for k in range(len(at))])
     return Sections(
         stripe=np.arange(len(at)),
@@ -133,7 +132,7 @@ def _square(at: Floats, across: Floats, heights: Floats) -> Sections:
         middle_mm=np.column_stack([at, middle]),
         half_width_mm=half,
         height_mm=height,
-        across_mm=half[:, None] * even,
+        across_mm=half[:, None] * EVEN,
         x_mm=np.broadcast_to(at[:, None], height.shape),
     )
 
@@ -150,6 +149,8 @@ def _missing(s: Floats, area: Floats, pitch: float) -> Floats:
 SAMPLES = 65
 """Samples across a section; an odd number, so that one is its middle."""
 
+EVEN = np.linspace(-1.0, 1.0, SAMPLES)
+"""Their places, from one edge to the other."""
 _POINTS_MIN = 12
 _WIDTH_MIN_MM = 2.0
 _SLIVER = 0.15
@@ -216,65 +217,76 @@ def cut_of(profiles: Profiles, product: int, smoothing_mm: float) -> Sections:
         xyz = smoothed(curves, xyz, _window(xyz[:, 1], smoothing_mm))
     order = np.lexsort((xyz[:, 1], curves.slice))
     xyz, slices = xyz[order], curves.slice[order]
-    bounds = np.append(np.flatnonzero(np.diff(slices, prepend=-1)), slices.size).tolist()
-    found = []
-    for begin, stop in pairwise(bounds):
-        all_x, y, _ = xyz[begin:stop].T
-        # of points at one place the first counts
-        x, y, z = xyz[begin:stop][np.append(True, y[1:] > y[:-1])].T
-        step = y[1:] - y[:-1]
-        if len(y) < _POINTS_MIN or y[-1] - y[0] < _WIDTH_MIN_MM:
+    bounds = np.append(np.flatnonzero(np.diff(slices, prepend=-1)), slices.size)
+    begin, middle, half, height, x_mm = cuts_in_line(xyz, bounds)
+    order = np.argsort(middle[:, 0], kind="stable")
+    peak = height[order].max(axis=1)
+    high = np.flatnonzero(peak >= _SLIVER * peak.max(initial=0.0))
+    order = order[high[0] : high[-1] + 1] if high.size else order[:0]
+    middle, half = middle[order], half[order]
+    step = middle[1:] - middle[:-1]
+    return Sections(
+        stripe=profiles.stripe[slices[begin[order]]].astype(np.int64),
+        along_mm=np.append(0.0, np.cumsum(np.hypot(step[:, 0], step[:, 1])))[: order.size],
+        middle_mm=middle,
+        half_width_mm=half,
+        height_mm=height[order],
+        across_mm=half[:, None] * EVEN,
+        x_mm=x_mm[order],
+    )
+
+
+@kernel
+def cuts_in_line(xyz: Floats, bounds: Integers) -> tuple[Integers, Floats, Floats, Floats, Floats]:
+    """Put each slice's points on even places across; slices too short or too torn are left out.
+
+    Parameters
+    ----------
+    xyz : ndarray, shape (n, 3)
+        Slice after slice, along rising y; of points at one place the first counts.
+    bounds : ndarray, shape (slices + 1,)
+        Where each slice begins, and the end.
+
+    Returns
+    -------
+    begin : ndarray, shape (cut,)
+        Where the slice of each cut begins.
+    middle, half, height, x : ndarray, shape (cut, 2), (cut,), (cut, SAMPLES), (cut, SAMPLES)
+        As in `Sections`.
+    """
+    most, count = bounds.size - 1, 0
+    begins, middle, half = np.empty(most, np.int64), np.empty((most, 2)), np.empty(most)
+    height, x_mm = np.empty((most, SAMPLES)), np.empty((most, SAMPLES))
+    on = np.empty_like(xyz)
+    for k in range(most):
+        points, step = 0, 0.0
+        for m in range(bounds[k], bounds[k + 1]):
+            if m == bounds[k] or xyz[m, 1] > xyz[m - 1, 1]:
+                on[points] = xyz[m]
+                if points:
+                    step = max(step, on[points, 1] - on[points - 1, 1])
+                points += 1
+        low, wide = on[0, 1], on[points - 1, 1] - on[0, 1]
+        if points < _POINTS_MIN or wide < _WIDTH_MIN_MM or step > _GAP_MAX * wide:
             continue
-        if step.max() > _GAP_MAX * (y[-1] - y[0]):
-            continue
-        grid = np.linspace(y[0], y[-1], SAMPLES)
-        height, x_mm = np.interp(grid, y, z), np.interp(grid, y, x)
-        ordered = np.sort(all_x)
-        middle_x = 0.5 * (ordered[(ordered.size - 1) // 2] + ordered[ordered.size // 2])
-        middle = np.array([middle_x, 0.5 * (y[0] + y[-1])])
-        stripe = int(profiles.stripe[slices[begin]])
-        found.append(_Cut(stripe, middle, 0.5 * (y[-1] - y[0]), height, x_mm))
-    return _in_order(_without_slivers(found))
+        before = 0
+        for sample in range(SAMPLES):
+            y = low + wide * sample / (SAMPLES - 1)
+            while before < points - 2 and on[before + 1, 1] <= y:
+                before += 1
+            share = (y - on[before, 1]) / (on[before + 1, 1] - on[before, 1])
+            height[count, sample] = on[before, 2] + share * (on[before + 1, 2] - on[before, 2])
+            x_mm[count, sample] = on[before, 0] + share * (on[before + 1, 0] - on[before, 0])
+        begins[count], half[count] = bounds[k], 0.5 * wide
+        middle[count, 0], middle[count, 1] = np.median(xyz[bounds[k] : bounds[k + 1], 0]), low + 0.5 * wide
+        count += 1
+    return begins[:count], middle[:count], half[:count], height[:count], x_mm[:count]
 
 
 def _window(y_mm: Floats, smoothing_mm: float) -> int:
     """Odd number of points whose length is nearest to `smoothing_mm`."""
     step = float(np.median(np.abs(np.diff(y_mm))))
     return 2 * round(0.5 * (smoothing_mm / max(step, 1e-3) - 1.0)) + 1
-
-
-class _Cut(NamedTuple):
-    stripe: int
-    middle_mm: Floats
-    half_width_mm: float
-    height_mm: Floats
-    x_mm: Floats
-
-
-def _without_slivers(found: list[_Cut]) -> list[_Cut]:
-    found = sorted(found, key=lambda cut: float(cut.middle_mm[0]))
-    peaks = [float(cut.height_mm.max()) for cut in found]
-    high = [k for k, peak in enumerate(peaks) if peak >= _SLIVER * max(peaks)]
-    return found[high[0] : high[-1] + 1] if high else found
-
-
-def _in_order(found: list[_Cut]) -> Sections:
-    if not found:
-        nothing = np.empty((0, SAMPLES))
-        empty = np.empty(0)
-        return Sections(np.empty(0, np.int64), empty, np.empty((0, 2)), empty, nothing, nothing, nothing)
-    middle = np.stack([cut.middle_mm for cut in found])
-    half = np.array([cut.half_width_mm for cut in found])
-    step = np.sqrt((np.diff(middle, axis=0) ** 2).sum(axis=1))
-    return Sections(
-        stripe=np.array([cut.stripe for cut in found], np.int64),
-        along_mm=np.concatenate([[0.0], np.cumsum(step)]),
-        middle_mm=middle,
-        half_width_mm=half,
-        height_mm=np.stack([cut.height_mm for cut in found]),
-        across_mm=half[:, None] * np.linspace(-1.0, 1.0, SAMPLES),
-        x_mm=np.stack([cut.x_mm for cut in found]),
-    )
 
 
 _ENDS = (0, -1)

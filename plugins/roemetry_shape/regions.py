@@ -23,8 +23,9 @@ import numpy as np
 from roemetry.records import Relief, ReliefMap, ReliefRegion
 from roemetry.records.arrays import Floats, Integers
 from roemetry_kernels.compiling import kernel
+from roemetry_kernels.robust_fit import robust_fit
 from roemetry_shape.curvature import SurfaceShape
-from roemetry_shape.product_frame import SAMPLES, Sections
+from roemetry_shape.product_frame import EVEN, SAMPLES, Sections
 
 DENT_LEAST_MM = 0.4
 """Shallower is relief, not a dent: twice the deepest hollow that noise of 0.1 mm makes
@@ -45,6 +46,7 @@ _STEP = 2
 _SECTIONS_MIN = 5
 """For a cubic along: one more than its coefficients."""
 
+_RIDGE = 1e-9
 _SPREAD_LEAST_MM2 = 4.0
 """Of squared heights: 0.15 mm at a height of 13 mm. Weights do not follow finer relief than this."""
 
@@ -78,45 +80,25 @@ def humps_of(sections: Sections) -> tuple[Floats, tuple[Region, ...]]:
     height: Floats = np.zeros((len(sections.stripe), SAMPLES))
     if len(sections.stripe) < _SECTIONS_MIN:
         return height, ()
-    inner = np.abs(np.linspace(-1.0, 1.0, SAMPLES)) <= _INNER
-    height[:, inner] = np.maximum(sections.height_mm - dome_of(sections), 0.0)[:, inner]
+    height[:, _INSIDE] = np.maximum(sections.height_mm - dome_of(sections), 0.0)[:, _INSIDE]
     return height, regions_of(height, sections, HUMP_LEAST_MM)
 
 
 def dome_of(sections: Sections) -> Floats:
     """(section, sample) heights of the smooth body that fits most of the surface, mm; see `humps_of`."""
-    t: Floats = np.linspace(-1.0, 1.0, SAMPLES)
     along = sections.along_mm / max(float(sections.along_mm[-1]), 1e-9) * 2.0 - 1.0
-    inner = np.abs(t) <= _INNER
-    design = _basis(along, t)
-    squared = sections.height_mm**2
-    chosen = np.flatnonzero(inner)[::_STEP]
-    rows = np.ascontiguousarray(design[:, chosen].reshape(-1, design.shape[-1]).T)
-    wanted = squared[:, chosen].ravel()
-    weight: Floats = np.ones(wanted.size)
-    fit: Floats = np.zeros(len(rows))
-    for _ in range(_ROUNDS):
-        weighed = weight * rows
-        normal = weighed @ rows.T + 1e-9 * np.eye(len(rows))
-        fit = np.asarray(np.linalg.solve(normal, weighed @ wanted), np.float64)
-        off = wanted - fit @ rows
-        spread = max(1.4826 * _middle_of(np.abs(off)), _SPREAD_LEAST_MM2)
-        weight = 1.0 / (1.0 + (off / (2.0 * spread)) ** 2)
-    return np.sqrt(np.maximum(design @ fit, 0.0))
+    of_s = along[:, None] ** np.arange(4)
+    rows = (of_s.T[:, None, :, None] * _OF_T[:, _FITTED][None, :, None, :]).reshape(12, -1)
+    wanted = (sections.height_mm[:, _FITTED] ** 2).ravel()
+    ridge = np.full(len(rows), _RIDGE)
+    fit, _, _ = robust_fit(rows, wanted, np.ones(wanted.size), ridge, _SPREAD_LEAST_MM2, _ROUNDS)
+    return np.asarray(np.sqrt(np.maximum(of_s @ fit.reshape(4, 3) @ _OF_T, 0.0)))
 
 
-def _middle_of(values: Floats) -> float:
-    """Give the median, without what NumPy's own looks after besides."""
-    half = values.size // 2
-    places = [half - 1, half] if values.size % 2 == 0 else [half, half]
-    low, high = np.partition(values, places)[places]
-    return 0.5 * float(low + high)
-
-
-def _basis(along: Floats, t: Floats) -> Floats:
-    """(section, sample, 12) products of 1, s, s², s³ and 1, t, t²."""
-    of_s, of_t = along[:, None] ** np.arange(4), t[:, None] ** np.arange(3)
-    return np.asarray((of_s[:, None, :, None] * of_t[None, :, None, :]).reshape(along.size, t.size, 12))
+_INSIDE = np.flatnonzero(np.abs(EVEN) <= _INNER)
+_FITTED = _INSIDE[::_STEP]
+_OF_T = (EVEN[:, None] ** np.arange(3)).T
+"""Samples in which humps are told, those that a dome is fitted to, and (3, sample) 1, t, t²."""
 
 
 def regions_of(depth: Floats, sections: Sections, least_mm: float) -> tuple[Region, ...]:

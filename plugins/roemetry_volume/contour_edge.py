@@ -31,12 +31,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roemetry.records.arrays import Flags, Floats, Integers
-from roemetry_kernels.compiling import kernel
-from roemetry_volume.footprint import area_of, evenly
+from roemetry_kernels.compiling import float_kernel, inlined, kernel
+from roemetry_volume.footprint import area_of, around, evenly, normals_of
 
 _NORMALS = 400
 """Of a contour of some 800 px: one every 2 px, about the image's own resolution across a blurred edge."""
 _LEAST_POINTS, _LEAST_AREA_PX2 = 3, 30.0  # a smaller ring has no inside to compare with
+_NORMAL_REACH = 3  # points to either side that give a normal
 _ROUND_START = 6.0
 """Normals: the start is a polygon through stripes' ends, whose corners say nothing."""
 
@@ -44,8 +45,9 @@ _WIDE = ((4.0, 0.8), (0.6, 0.6))
 """Spacings of stripes, outwards and inwards, of the two wide searches. Beside the product's first stripe the
 edge is at most one spacing away, and in the laser's shadow as far as a body of one and a half spacings of
 displacement throws it; the second search has the normals of the first one's result."""
-_FINE_PX, _COARSE_PX = 1.5, 5.0
-"""Scales of the gradients: somewhat more than a lens's blur, and that of the penumbra of a near lamp."""
+_FINE_PX, _COARSE_PX, _EVEN_PX = 1.5, 5.0, 2.5
+"""Scales of the gradients: somewhat more than a lens's blur, and that of the penumbra of a near lamp; and of
+the light beyond."""
 _WIDE_BEND, _WIDE_STEP = 0.005, 4
 """Bending costs little, but an edge may run no steeper than 4 px from normal to normal."""
 _OUTWARDS = 0.001
@@ -112,8 +114,8 @@ class Scene(NamedTuple):
     bounds: tuple[NDArray[np.float32], NDArray[np.float32]] | None
     """1 where stripes show this product, and 1 where they show the belt or another product; None: nothing
     keeps an edge away."""
-    stripes: Flags | None
-    """True where a laser image's stripes were taken out; None: a plain-light image."""
+    stripes: NDArray[np.float32] | None
+    """1 where a laser image's stripes were taken out; None: a plain-light image."""
     blur_px: float
     """By how much `level` was smoothed, standard deviation."""
     spacing_px: float
@@ -138,8 +140,7 @@ def edge_around(scene: Scene, start: Floats) -> Edge | None:
     if start.shape[0] < _LEAST_POINTS or abs(area_of(start)) < _LEAST_AREA_PX2:
         return None
     ring = _rounded(evenly(start, _NORMALS), _ROUND_START)
-    for outwards, inwards in _WIDE:
-        ring = _widely(scene, ring, (outwards * scene.spacing_px, inwards * scene.spacing_px))
+    ring = _widely(scene, ring)
     for _ in range(2):
         ring = _steepest(scene, ring)
     blur_px = math.hypot(_BLUR_PX, scene.blur_px)
@@ -170,45 +171,49 @@ def unbound(scene: Scene, ring: Floats) -> Floats:
     return _kinked(_across(scene, ring), math.hypot(_BLUR_PX, scene.blur_px))[0]
 
 
-def _widely(scene: Scene, ring: Floats, reach_px: tuple[float, float]) -> Floats:
+def _widely(scene: Scene, ring: Floats) -> Floats:
     """Move a ring to the sharpest closed edge between the product's stripes and the belt's."""
     import cv2
 
-    outwards, inwards = reach_px
     # only what lies within reach is looked at
-    low = np.maximum(np.floor(ring.min(axis=0) - outwards).astype(int) - 20, 0)
-    high = np.ceil(ring.max(axis=0) + outwards).astype(int) + 21
-    window = (slice(low[1], high[1]), slice(low[0], high[0]))
-    level, ring = scene.level[window], ring - low
-    normal = _rounded(_normals_of(ring), _DIRECTION_ROUND)
-    normal /= np.maximum(np.hypot(normal[:, 0], normal[:, 1]), 1e-9)[:, None]
-    off = np.arange(-inwards, outwards, 1.0)
+    margin = int(_WIDE[0][0] * scene.spacing_px) + 20
+    low = np.maximum(np.floor(ring.min(axis=0)).astype(int) - margin, 0)
+    high = np.ceil(ring.max(axis=0)).astype(int) + margin + 1
+    level = scene.level[low[1] : high[1], low[0] : high[0]]
+    fine, coarse, even = (cv2.GaussianBlur(level, (0, 0), px) for px in (_FINE_PX, _COARSE_PX, _EVEN_PX))
+    for outwards, inwards in _WIDE:
+        normal = _rounded(normals_of(ring, _NORMAL_REACH), _DIRECTION_ROUND)
+        normal /= np.maximum(np.hypot(normal[:, 0], normal[:, 1]), 1e-9)[:, None]
+        off = np.arange(-inwards * scene.spacing_px, outwards * scene.spacing_px, 1.0)
+        here = ring - low
+        sharp = _gradient(fine, here, normal, off, _FINE_PX) - _gradient(
+            coarse, here, normal, off, _COARSE_PX
+        )
+        sharp = np.abs(_rounded(sharp, _COHERENT))
+        shut = _shut(scene.bounds, ring, normal, off)
+        sharp[shut] = 0.0
+        clear = max(float(np.median(sharp.max(axis=1))), 1e-9)
+        cost = -np.clip(sharp / clear, 0.0, 1.0) - _OUTWARDS * off[None]
+        cost += np.clip(sampled(even, here, normal, off + _LIT_PX) / _LIT, 0.0, 1.0)
+        cost[shut] = 1.0
+        path = closed_path(cost, _WIDE_BEND, _WIDE_STEP)
+        moved = ring + _rounded(off[path][:, None], _WIDE_ROUND) * normal
+        ring = _rounded(evenly(moved, _NORMALS), 2.0)
+    return ring
 
-    def gradient(scale_px: float) -> Floats:
-        smooth = cv2.GaussianBlur(level, (0, 0), scale_px)
-        apart = round(2.0 * scale_px)  # places: the ends of each difference are sampled once
-        light = _along(smooth, ring, normal, np.arange(off.size + apart) + off[0] - scale_px)
-        return np.asarray((light[:, : off.size] - light[:, apart:]) / (2.0 * scale_px))
 
-    sharp = np.abs(_rounded(gradient(_FINE_PX) - gradient(_COARSE_PX), _COHERENT))
-    bounds = None if scene.bounds is None else (scene.bounds[0][window], scene.bounds[1][window])
-    shut = _shut(bounds, ring, normal, off)
-    sharp[shut] = 0.0
-    clear = max(float(np.median(sharp.max(axis=1))), 1e-9)
-    cost = -np.clip(sharp / clear, 0.0, 1.0) - _OUTWARDS * off[None]
-    lit = _along(cv2.GaussianBlur(level, (0, 0), _COARSE_PX / 2.0), ring, normal, off + _LIT_PX)
-    cost += np.clip(lit / _LIT, 0.0, 1.0)
-    cost[shut] = 1.0
-    path = closed_path(cost, _WIDE_BEND, _WIDE_STEP)
-    even = _rounded(off[path][:, None], _WIDE_ROUND)
-    return np.asarray(low + _rounded(evenly(ring + even * normal, _NORMALS), 2.0))
+def _gradient(smooth: NDArray[np.float32], ring: Floats, normal: Floats, off: Floats, px: float) -> Floats:
+    """Give the fall of brightness outwards over twice a scale, at distances a pixel apart."""
+    apart = round(2.0 * px)  # places: the ends of each difference are sampled once
+    light = sampled(smooth, ring, normal, np.arange(off.size + apart) + off[0] - px)
+    return np.asarray((light[:, : off.size] - light[:, apart:]) / (2.0 * px))
 
 
 def _steepest(scene: Scene, ring: Floats) -> Floats:
     """Move a ring along its normals to where light changes most."""
-    normal = _normals_of(ring)
+    normal = normals_of(ring, _NORMAL_REACH)
     off = np.arange(-_NARROW_PX, _NARROW_PX + _STEP_PX, _STEP_PX)
-    before, after = (_along(scene.level, ring, normal, off + shift) for shift in (-_SMOOTH_PX, _SMOOTH_PX))
+    before, after = (sampled(scene.level, ring, normal, off + shift) for shift in (-_SMOOTH_PX, _SMOOTH_PX))
     told = _beside(scene.stripes, ring, normal)
     change = np.abs(_rounded(before - after, _COHERENT))
     cost = np.asarray(-change / max(float(np.median(change[told].max(axis=1))), 1e-9), np.float64)
@@ -235,8 +240,8 @@ class _Across(NamedTuple):
 
 def _across(scene: Scene, ring: Floats) -> _Across:
     """Look across a ring, once for all models of the brightness there."""
-    normal = _normals_of(ring)
-    light = _rounded(_along(scene.level, ring, normal, _OFF_PX), _FIT_COHERENT).astype(np.float64)
+    normal = normals_of(ring, _NORMAL_REACH)
+    light = _rounded(sampled(scene.level, ring, normal, _OFF_PX), _FIT_COHERENT)
     told = _beside(scene.stripes, ring, normal)
     return _Across(ring, normal, light, told, _shut(scene.bounds, ring, normal, _PLACES_PX))
 
@@ -320,7 +325,7 @@ def _seen(scene: Scene, ring: Floats) -> tuple[float, float]:
         Standard uncertainty: the mean over the ring of the rectangles' half widths over √3.
     """
     assert scene.stripes is not None
-    normal = _normals_of(ring)
+    normal = normals_of(ring, _NORMAL_REACH)
     steps, shares = _steps(scene, ring)
     away = [_steps(scene, ring + far * normal) for far in (10.0, 14.0, 18.0)]
     told = [share > _FREE_LEAST for _, share in away]
@@ -339,9 +344,9 @@ def _seen(scene: Scene, ring: Floats) -> tuple[float, float]:
 def _steps(scene: Scene, ring: Floats) -> tuple[Floats, Floats]:
     """Give the mean step in light across a ring over neighbours beside stripes, and the share of these."""
     assert scene.stripes is not None
-    normal, off = _normals_of(ring), np.arange(1.0, 5.0)
-    inside, outside = (_along(scene.level, ring, normal, sign * off).mean(axis=1) for sign in (-1.0, 1.0))
-    on = _along(scene.stripes.astype(np.float32), ring, normal, np.arange(-4.0, 5.0)).max(axis=1)
+    normal, off = normals_of(ring, _NORMAL_REACH), np.arange(1.0, 5.0)
+    inside, outside = (sampled(scene.level, ring, normal, sign * off).mean(axis=1) for sign in (-1.0, 1.0))
+    on = sampled(scene.stripes, ring, normal, np.arange(-4.0, 5.0)).max(axis=1)
     share = _rounded((on < 0.5).astype(np.float64)[:, None], 3.0)[:, 0]
     share[share < 0.02] = 0.0
     mean = _rounded(np.where(on < 0.5, inside - outside, 0.0)[:, None], 3.0)[:, 0]
@@ -357,17 +362,15 @@ def _shut(
     """Say where (normal, distance) no outline runs: within what is seen of the product, beyond the belt."""
     if bounds is None:
         return np.zeros((ring.shape[0], off_px.size), np.bool_)
-    product, belt = (_along(drawn, ring, normal, off_px) for drawn in bounds)
-    within = np.maximum.accumulate((product > 0.5)[:, ::-1], axis=1)[:, ::-1]
-    shut: Flags = within | np.maximum.accumulate((belt > 0.3) & ~within, axis=1)
+    shut: Flags = shut_between(*bounds, ring, normal, off_px)
     return shut
 
 
-def _beside(stripes: Flags | None, ring: Floats, normal: Floats) -> Flags:
+def _beside(stripes: NDArray[np.float32] | None, ring: Floats, normal: Floats) -> Flags:
     """Say which points of a ring lie beside stripes, not on them; all, where that would leave too few."""
     if stripes is None:
         return np.ones(ring.shape[0], np.bool_)
-    on = _along(stripes.astype(np.float32), ring, normal, np.array([-2.0, 0.0, 2.0])).max(axis=1)
+    on = sampled(stripes, ring, normal, np.array([-2.0, 0.0, 2.0])).max(axis=1)
     free: Flags = on < 0.5
     return free if free.mean() > _FREE_LEAST else np.ones(ring.shape[0], np.bool_)
 
@@ -378,34 +381,78 @@ def _apart(one: Floats, other: Floats) -> float:
 
 
 def _length(ring: Floats) -> float:
-    return float(np.hypot(*(np.roll(ring, -1, axis=0) - ring).T).sum())
-
-
-def _along(image: NDArray[np.float32], ring: Floats, normal: Floats, off_px: Floats) -> Floats:
-    """Sample an image (n, m) at distances along the normals of a ring."""
-    import cv2
-
-    off = off_px.astype(np.float32)
-    x, y = (
-        np.multiply.outer(towards, off) + middle[:, None]
-        for middle, towards in zip(ring.T.astype(np.float32), normal.T.astype(np.float32), strict=True)
-    )
-    return np.asarray(cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
+    return float(np.hypot(*(around(ring, 1) - ring).T).sum())
 
 
 def _rounded(values: Floats, sigma: float) -> Floats:
     """Smooth (n, k) values around the ring."""
-    from scipy.ndimage import gaussian_filter1d
+    half = int(4.0 * sigma + 0.5)
+    weights = np.exp(-0.5 * (np.arange(-half, half + 1) / sigma) ** 2)
+    smooth: Floats = smoothed_around(np.ascontiguousarray(values), weights / weights.sum())
+    return smooth
 
-    return np.asarray(gaussian_filter1d(values, sigma, axis=0, mode="wrap"))
+
+@inlined
+def _light_at(image: NDArray[np.float32], x: float, y: float) -> float:
+    """Give an image between its pixels; beyond its border, the border's."""
+    rows, columns = image.shape
+    x, y = min(max(x, 0.0), columns - 1.0), min(max(y, 0.0), rows - 1.0)
+    left, up = min(int(x), columns - 2), min(int(y), rows - 2)
+    across = x - left
+    above = image[up, left] + across * (image[up, left + 1] - image[up, left])
+    below = image[up + 1, left] + across * (image[up + 1, left + 1] - image[up + 1, left])
+    return above + (y - up) * (below - above)
 
 
-def _normals_of(ring: Floats) -> Floats:
-    """Give the outward unit normals (n, 2) of a ring."""
-    along = np.roll(ring, -3, axis=0) - np.roll(ring, 3, axis=0)
-    length = np.hypot(along[:, 0], along[:, 1])
-    normal = np.column_stack([along[:, 1], -along[:, 0]]) * (np.sign(area_of(ring)) or 1.0)
-    return np.asarray(normal / np.where(length > 0.0, length, 1.0)[:, None])
+@float_kernel
+def sampled(image: NDArray[np.float32], ring: Floats, normal: Floats, off_px: Floats) -> Floats:
+    """Sample an image (n, m) at distances along the normals of a ring."""
+    n, m = ring.shape[0], off_px.size
+    out = np.empty((n, m))
+    for i in range(n):
+        for j in range(m):
+            x, y = ring[i, 0] + off_px[j] * normal[i, 0], ring[i, 1] + off_px[j] * normal[i, 1]
+            out[i, j] = _light_at(image, x, y)
+    return out
+
+
+@float_kernel
+def shut_between(
+    product: NDArray[np.float32],
+    belt: NDArray[np.float32],
+    ring: Floats,
+    normal: Floats,
+    off_px: Floats,
+) -> Flags:
+    """Say where (normal, distance) no outline runs: up to the last product, and from belt beyond it on."""
+    n, m = ring.shape[0], off_px.size
+    shut = np.ones((n, m), np.bool_)
+    for i in range(n):
+        first = m
+        while first > 0:
+            at = off_px[first - 1]
+            if _light_at(product, ring[i, 0] + at * normal[i, 0], ring[i, 1] + at * normal[i, 1]) > 0.5:
+                break
+            first -= 1
+        for j in range(first, m):
+            at = off_px[j]
+            if _light_at(belt, ring[i, 0] + at * normal[i, 0], ring[i, 1] + at * normal[i, 1]) > 0.3:
+                break
+            shut[i, j] = False
+    return shut
+
+
+@float_kernel
+def smoothed_around(values: Floats, weights: Floats) -> Floats:
+    """Give (n, k) sums over 2·h + 1 neighbours around a ring."""
+    (n, m), half = values.shape, weights.size // 2
+    out = np.zeros((n, m))
+    for i in range(n):
+        for tap in range(weights.size):
+            of = (i + tap - half) % n
+            for k in range(m):
+                out[i, k] += weights[tap] * values[of, k]
+    return out
 
 
 @kernel

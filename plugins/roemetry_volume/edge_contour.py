@@ -157,6 +157,7 @@ class EdgeContour(Outliner[EdgeContourOptions]):
             dark = None if belt is None else _ambient(_one(belt), spacing)[0]
             light, on_stripes = _ambient(_one(chosen.pixels), spacing)
             level = _over_belt(light, dark, product)
+        taken_out = None if on_stripes is None else on_stripes.astype(np.float32)
         outlines = []
         for number, region in (known or _cores(level)).items():
             if not _is_clear(level, region):
@@ -167,7 +168,7 @@ class EdgeContour(Outliner[EdgeContourOptions]):
                 if on_stripes is not None:
                     belt |= _belt_between(stripes, frame.size, spacing)
                 bounds = held.astype(np.float32), belt.astype(np.float32)
-            scene = Scene(level, bounds, on_stripes, 0.0 if use_plain else _AMBIENT_SMOOTH_PX, spacing)
+            scene = Scene(level, bounds, taken_out, 0.0 if use_plain else _AMBIENT_SMOOTH_PX, spacing)
             edge = edge_around(scene, _ring_around(region, spacing))
             if edge is None:
                 continue
@@ -191,13 +192,14 @@ def _is_clear(level: NDArray[np.float32], region: Flags) -> bool:
     """Say whether a region stands out of the belt at all."""
     if not region.any() or region.all():
         return False
-    outside = level[::_SAMPLED, ::_SAMPLED][~region[::_SAMPLED, ::_SAMPLED]]
-    if not outside.size:
+    light, held = level[::_SAMPLED, ::_SAMPLED], region[::_SAMPLED, ::_SAMPLED]
+    outside, within = light[~held], light[held]
+    if not outside.size or not within.size:
         return False
     middle = float(np.median(outside))
     scatter = 1.4826 * float(np.median(np.abs(outside - middle)))
     # some of the region may be belt: stripes are wider than what they show
-    low, high = np.percentile(level[region], [20, 80])
+    low, high = np.percentile(within, [20, 80])
     return bool(max(high - middle, middle - low) > _LEAST_CONTRAST * max(scatter, 1e-3))
 
 
@@ -337,19 +339,13 @@ def _over_belt(pixels: NDArray[Any], belt: NDArray[Any] | None, product: Flags) 
             _over_belt(pixels[..., k], None if belt is None else belt[..., k], product) for k in range(3)
         ]
         return max(planes, key=lambda plane: _contrast(plane, product))
-    bright = np.take(_logarithms(np.iinfo(pixels.dtype).max), pixels)
+    bright = np.log(pixels.astype(np.float32) + np.float32(1.0))
     if belt is not None:
         smooth = cv2.GaussianBlur(belt.astype(np.float32), (0, 0), _BELT_SMOOTH_PX)
         bright -= np.log(smooth + np.float32(1.0))
         return np.asarray(bright - np.median(bright[~product]))
     bright -= _own_belt(bright, product)
     return bright
-
-
-@lru_cache(maxsize=2)
-def _logarithms(most: int) -> NDArray[np.float32]:
-    """Give log(grey + 1) of every grey level."""
-    return np.log(np.arange(most + 1.0) + 1.0).astype(np.float32)
 
 
 def _own_belt(bright: NDArray[np.float32], product: Flags) -> NDArray[np.float32]:
@@ -376,7 +372,7 @@ def _own_belt(bright: NDArray[np.float32], product: Flags) -> NDArray[np.float32
         middle = np.median(off[use])
         limit = max(3.0 * 1.4826 * float(np.median(np.abs(off[use] - middle))), 0.02)
         again = use & (np.abs(off - middle) < limit)
-        if again.sum() < 4 * terms.shape[1]:
+        if again.sum() < 4 * terms.shape[1] or (again == use).all():
             break
         use = again
     v, u = np.arange(rows) / rows - 0.5, np.arange(columns) / columns - 0.5
@@ -483,7 +479,7 @@ def _ring_around(region: Flags, spacing_px: float) -> Floats:
     rows, columns = np.flatnonzero(region.any(axis=1)), np.flatnonzero(region.any(axis=0))
     if not rows.size:
         return np.empty((0, 2))
-    edge = 2 * round(spacing_px)
+    edge = round(spacing_px) + 2
     box = region[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
     # by distances: dilating with a disc of this size takes thirty times as long
     outside = np.pad(np.uint8(1) - box.astype(np.uint8), edge, constant_values=1)

@@ -53,7 +53,7 @@ def border_at(rays: tuple[Floats, Floats], height_mm: Floats, fall_mm: Floats | 
     """
     start, way = rays
     xy = start[:, :2] + ((height_mm - start[:, 2]) / way[:, 2])[:, None] * way[:, :2]
-    outward = _outward(xy)
+    outward = normals_of(xy, 2)
     tilt = (way[:, :2] * outward).sum(axis=1) / -way[:, 2]
     if fall_mm is not None:
         xy = xy - outward * (0.25 * fall_mm * tilt * np.abs(tilt).clip(0.0, 1.0))[:, None]
@@ -62,26 +62,31 @@ def border_at(rays: tuple[Floats, Floats], height_mm: Floats, fall_mm: Floats | 
 
 def area_of(xy: Floats) -> float:
     """Signed area of a closed polygon; positive if it runs counter-clockwise."""
-    x, y = xy[:, 0], xy[:, 1]
-    return 0.5 * float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum())
+    (x, y), (next_x, next_y) = xy.T, around(xy, 1).T
+    return 0.5 * float(x @ next_y - y @ next_x)
+
+
+def around(xy: Floats, by: int) -> Floats:
+    """Give of each point of a ring the one so many places ahead."""
+    return np.concatenate([xy[by:], xy[:by]])
 
 
 def evenly(contour: Floats, points: int) -> Floats:
     """Resample a closed polygon to points at even distances."""
     closed = np.vstack([contour, contour[:1]])
-    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(closed, axis=0).T))])
+    step = closed[1:] - closed[:-1]
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(step[:, 0], step[:, 1]))])
     at = np.linspace(0.0, along[-1], points, endpoint=False)
     return np.column_stack([np.interp(at, along, closed[:, k]) for k in (0, 1)])
 
 
-def _outward(xy: Floats) -> Floats:
-    along = np.roll(xy, -2, axis=0) - np.roll(xy, 2, axis=0)
+def normals_of(ring: Floats, reach: int) -> Floats:
+    """Give the outward unit normals (n, 2) of a ring, from the points so many places before and ahead."""
+    along = around(ring, reach) - around(ring, -reach)
     length = np.hypot(along[:, 0], along[:, 1])
-    sign = np.sign(area_of(xy)) or 1.0
-    normal: Floats = (
-        sign * np.column_stack([along[:, 1], -along[:, 0]]) / np.where(length > 0, length, 1.0)[:, None]
-    )
-    return normal
+    sign = 1.0 if area_of(ring) >= 0.0 else -1.0
+    long = np.where(length > 0.0, length, 1.0)[:, None]
+    return np.asarray(along[:, ::-1] * (np.array([sign, -sign]) / long))
 
 
 @kernel

@@ -24,17 +24,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roemetry.records import Frame, Reason
-from roemetry.records.arrays import Flags, Floats
+from roemetry.records.arrays import Flags, Floats, Integers
 
 _LEVELS = 3
 """Halvings of the images: on the last, motions of some ten pixels are found; on the first, tenths of one."""
 _FINE, _COARSE = 3, 13
 """Boxes, in pixels of a level, over which noise is averaged and light varies: texture lies between."""
+_APART = 2  # of averages over three pixels every second tells nearly all
+_ALIKE = _FINE**2 / _APART
+"""Of the places that are looked at, as many tell as much as one."""
 _ROUNDS = 5
+_STILL_SIGMAS = 3.0
+"""A first step on the finest level that is less than that, between images that are alike everywhere: nothing
+has moved, and what follows would only say so again."""
 _STRIPE_PX = 25
 """More than a stripe is wide; where stripes are nearer to each other the light between them is no ambient."""
 _STRIPE = 6.0
 """Standard deviations of what the opening takes away: that much is a stripe."""
+_SAMPLED = 5  # every fifth row and column tell it
 _GROWN = (5, 13)
 """Rows and columns by which a stripe is grown: its skirts are laser light."""
 _BLOCK_PX = 8
@@ -132,14 +139,19 @@ def image_motion(laser: NDArray[Any], plain: NDArray[Any], product: Flags) -> Im
     grey = plain if plain.ndim == 2 else plain.mean(axis=2)
     log_plain = np.log(grey.astype(np.float32) + 1.0)
     free = (_beside_stripes(laser) & ~product & _belt_like(log_plain)).astype(np.float32)
-    dim, bright = [(laser * free, free)], [(log_plain, np.ones_like(free))]
-    for _ in range(_LEVELS):
-        for levels in (dim, bright):
-            image, share = levels[-1]
-            levels.append((_halved(image), _halved(share)))
-    motion, still = np.zeros(4), np.zeros(4)
+    weighted, share, bright = (_halved(image) for image in (laser * free, free, log_plain))
+    finest = _Seen.of(weighted, share), _clipped(_texture(bright))
+    still = np.zeros(4)
+    found = _fitted(*finest, still, 2.0, rounds=1)
+    if found is not None and found.missed is None and not found.significant(_STILL_SIGMAS):
+        return found
+    textures = [finest]
+    for _ in range(_LEVELS - 1):
+        weighted, share, bright = (_halved(image) for image in (weighted, share, bright))
+        textures.append((_Seen.of(weighted, share), _clipped(_texture(bright))))
+    motion = still
     for level in range(_LEVELS, 0, -1):
-        texture, every = (_Texture.of(*dim[level]), _Texture.of(*bright[level])), 2.0**level
+        texture, every = textures[level - 1], 2.0**level
         reach = np.abs(motion) @ [1.0, 1.0, *[0.5 * max(laser.shape)] * 2]
         starts = [still, motion] if reach > every / 2.0 else [still]
         fits = [_fitted(*texture, start, every) for start in starts]
@@ -147,7 +159,7 @@ def image_motion(laser: NDArray[Any], plain: NDArray[Any], product: Flags) -> Im
         motion = still if found is None else found.motion
     if found is not None and not found.significant(_MOVED_SIGMAS):
         return found
-    unmoved = _parts(*texture, still, every)
+    unmoved = _parts(*finest, still, 2.0)
     if unmoved is None or unmoved.missed is None or (found is not None and found.alike > unmoved.alike):
         return found
     return unmoved
@@ -167,8 +179,9 @@ def _beside_stripes(laser: NDArray[Any]) -> Flags:
 
     opened = cv2.morphologyEx(laser, cv2.MORPH_OPEN, np.ones((1, _STRIPE_PX), np.uint8))
     taken = laser.astype(np.float32) - opened
-    usual = float(np.median(taken[::3, ::3]))
-    noise = 1.4826 * float(np.median(np.abs(taken[::3, ::3] - usual)))
+    sample = taken[::_SAMPLED, ::_SAMPLED]
+    usual = float(np.median(sample))
+    noise = 1.4826 * float(np.median(np.abs(sample - usual)))
     on = (taken > usual + _STRIPE * max(noise, 1.0)).astype(np.uint8)
     on = cv2.morphologyEx(on, cv2.MORPH_OPEN, np.ones((3, 1), np.uint8))  # single pixels are noise
     return np.asarray(cv2.dilate(on, np.ones(_GROWN, np.uint8)) == 0)
@@ -186,31 +199,48 @@ def _belt_like(log_plain: Singles) -> Flags:
     return np.asarray(cv2.resize(odd, (columns, rows), interpolation=cv2.INTER_NEAREST) == 0)
 
 
-class _Texture(NamedTuple):
-    """What varies over less than light does and more than noise, (row, column), and where it is known."""
+def _texture(image: Singles, share: Singles | None = None) -> Singles:
+    """Give what varies over less than light does and more than noise, (row, column).
+
+    `image` holds sums of grey levels, of which a pixel's `share` was seen; None: all.
+    """
+    import cv2
+
+    def mean(width: int) -> Singles:
+        total = cv2.blur(image, (width, width))
+        return total if share is None else total / np.maximum(cv2.blur(share, (width, width)), 1e-3)
+
+    return np.asarray(mean(_FINE) - mean(_COARSE))
+
+
+class _Seen(NamedTuple):
+    """The belt's texture where a level of the laser image shows it."""
 
     value: Singles
-    there: Flags
+    place: Integers
+    """Of each in the flattened level."""
     x: Singles
     y: Singles
-    """x, y: of the places where it is known, px of the level."""
+    """x, y: px of the level, from its middle."""
+    size: tuple[int, int]
 
     @classmethod
-    def of(cls, weighted: Singles, share: Singles) -> _Texture:
+    def of(cls, weighted: Singles, share: Singles) -> _Seen:
         """Take it from a level: sums of grey levels, and of how much of each pixel was seen."""
         import cv2
 
-        def mean(width: int) -> tuple[Singles, Singles]:
-            weight = cv2.blur(share, (width, width))
-            return cv2.blur(weighted, (width, width)) / np.maximum(weight, 1e-3), weight
+        there = (share > 0.0) & (cv2.blur(share, (_FINE, _FINE)) > 0.5)
+        place = np.flatnonzero(there)[::_APART]
+        rows, columns = share.shape
+        x, y = (np.arange(size, dtype=np.float32) - 0.5 * (size - 1) for size in (columns, rows))
+        value = _texture(weighted, share).ravel()[place]
+        return cls(_clipped(value), place, np.tile(x, rows)[place], np.repeat(y, columns)[place], share.shape)
 
-        fine, weight = mean(_FINE)
-        value = fine - mean(_COARSE)[0]
-        there = (share > 0.0) & (weight > 0.5)
-        sample = value[::2, ::2][there[::2, ::2]]
-        usual = 1.4826 * float(np.median(np.abs(sample))) if sample.size else 0.0
-        y, x = (at.astype(np.float32) for at in np.nonzero(there))
-        return cls(np.clip(value, -_ODD * usual, _ODD * usual), there, x, y)
+
+def _clipped(values: Singles) -> Singles:
+    sample = np.abs(values.ravel()[::_SAMPLED])
+    most = _ODD * 1.4826 * float(np.median(sample)) if sample.size else 0.0
+    return np.asarray(np.clip(values, -most, most))
 
 
 class _Compared(NamedTuple):
@@ -219,75 +249,76 @@ class _Compared(NamedTuple):
     a: Singles
     b: Singles
     gain: float
-    sampling: Floats
 
 
-def _compared(dim: _Texture, bright: _Texture, motion: Floats, every: float) -> _Compared:
-    rows, columns = dim.value.shape
-    sampling = _matrix(motion / np.array([every, every, 1.0, 1.0]), rows, columns)
-    a, b = _sampled(bright.value, sampling, dim.there), dim.value[dim.there]
-    return _Compared(a, b, float(a @ b) / max(float(a @ a), 1e-12), sampling)
+def _compared(dim: _Seen, bright: Singles, motion: Floats, every: float) -> _Compared:
+    a = _sampled(bright, dim, motion, every)
+    return _Compared(a, dim.value, float(a @ dim.value) / max(float(a @ a), 1e-12))
 
 
-def _sampled(image: Singles, sampling: Floats, there: Flags) -> Singles:
+def _sampled(image: Singles, dim: _Seen, motion: Floats, every: float) -> Singles:
     import cv2
 
-    how = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    moved = cv2.warpAffine(image, sampling, there.shape[::-1], flags=how, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(moved[there])
+    rows, columns = dim.size
+    if motion.any():
+        sampling = _matrix(motion / np.array([every, every, 1.0, 1.0]), rows, columns)
+        how = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        image = cv2.warpAffine(image, sampling, (columns, rows), flags=how, borderMode=cv2.BORDER_REPLICATE)
+    return image.ravel()[dim.place]
 
 
-def _fitted(dim: _Texture, bright: _Texture, motion: Floats, every: float) -> ImageMotion | None:
+def _fitted(
+    dim: _Seen, bright: Singles, motion: Floats, every: float, rounds: int = _ROUNDS
+) -> ImageMotion | None:
     """Fit the motion on one level, from a first guess."""
     import cv2
 
-    rows, columns = dim.value.shape
-    if dim.there.sum() < _FINE**2 * _CLEAR**2:
+    if dim.place.size < _ALIKE * _CLEAR**2:
         return None
-    off_x, off_y = dim.x - 0.5 * (columns - 1), dim.y - 0.5 * (rows - 1)
-    slope = np.empty((4, off_x.size), np.float32)
-    for turn in range(_ROUNDS):
+    steep = [cv2.Sobel(bright, cv2.CV_32F, *way, ksize=3) for way in ((1, 0), (0, 1))]
+    slope = np.empty((4, dim.place.size), np.float32)
+    reach = every * dim.size[1] / 2.0
+    for turn in range(rounds):
         one = _compared(dim, bright, motion, every)
         left = one.b - one.gain * one.a
-        std = float(np.sqrt(np.mean(left**2)))
+        std = math.sqrt(float(left @ left) / left.size)
         weight = np.minimum(1.0, _ODD * std / np.maximum(np.abs(left), 1e-9))
         if turn < 2:  # later steps change the slopes by little
-            for k, way in enumerate(((1, 0), (0, 1))):
-                steep = cv2.Sobel(bright.value, cv2.CV_32F, *way, ksize=3)
-                slope[k] = _sampled(steep, one.sampling, dim.there) * np.float32(one.gain / 8.0)
-            slope[2] = slope[1] * off_x - slope[0] * off_y
-            slope[3] = slope[0] * off_x + slope[1] * off_y
+            for k in (0, 1):
+                slope[k] = _sampled(steep[k], dim, motion, every) * np.float32(one.gain / 8.0)
+            slope[2] = slope[1] * dim.x - slope[0] * dim.y
+            slope[3] = slope[0] * dim.x + slope[1] * dim.y
             slope[:2] /= every
-        normal = ((slope * weight) @ slope.T).astype(np.float64)
+        weighed = slope * weight
+        normal = (weighed @ slope.T).astype(np.float64)
         if one.gain <= 0.0 or np.linalg.cond(normal) > 1e14:
             return None
-        step = np.linalg.solve(normal, (slope @ (weight * left)).astype(np.float64))
+        step = np.linalg.solve(normal, (weighed @ left).astype(np.float64))
         motion = motion + step
-        if np.abs(step * [1.0, 1.0, every * columns / 2.0, every * columns / 2.0]).max() < 0.02:
+        if np.abs(step * [1.0, 1.0, reach, reach]).max() < 0.02:
             break
     found = _parts(dim, bright, motion, every)
-    covariance = np.asarray(_FINE**2 * std**2 * np.linalg.inv(normal), np.float64)
+    covariance = np.asarray(_ALIKE * std**2 * np.linalg.inv(normal), np.float64)
     return None if found is None else found._replace(covariance=covariance)
 
 
-def _parts(dim: _Texture, bright: _Texture, motion: Floats, every: float) -> ImageMotion | None:
+def _parts(dim: _Seen, bright: Singles, motion: Floats, every: float) -> ImageMotion | None:
     """Compare the textures as a whole and part by part; None where neither is alike.
 
     The gain is that of the parts that are alike: of a torn frame the others would lower it.
     """
-    one, (rows, columns) = _compared(dim, bright, motion, every), dim.value.shape
-    part_y, part_x = (
-        (dim.y * _PARTS[0] / rows).astype(np.int64),
-        (dim.x * _PARTS[1] / columns).astype(np.int64),
+    one, (rows, columns) = _compared(dim, bright, motion, every), dim.size
+    part_x, part_y = (
+        np.arange(size) * parts // size for size, parts in ((columns, _PARTS[1]), (rows, _PARTS[0]))
     )
-    of_part = part_y * _PARTS[1] + part_x
+    of_part = (part_y[:, None] * _PARTS[1] + part_x).ravel()[dim.place]
     count, both, of_a, of_b = (
         np.bincount(of_part, weights, _PARTS[0] * _PARTS[1])
         for weights in (None, one.a * one.b, one.a**2, one.b**2)
     )
-    scale = np.sqrt(count / _FINE**2) / np.sqrt(np.maximum(of_a * of_b, 1e-12))
+    scale = np.sqrt(count / _ALIKE) / np.sqrt(np.maximum(of_a * of_b, 1e-12))
     alike = both * scale > _CLEAR
-    whole = both.sum() / np.sqrt(max(of_a.sum() * of_b.sum(), 1e-12)) * math.sqrt(count.sum()) / _FINE
+    whole = both.sum() / np.sqrt(max(of_a.sum() * of_b.sum(), 1e-12)) * math.sqrt(count.sum() / _ALIKE)
     if whole < _CLEAR and not alike.any():
         return None
     gain = both[alike].sum() / of_a[alike].sum() if alike.any() else 0.0

@@ -91,12 +91,7 @@ class OutlineSurface(VolumeEstimator[UndersideOptions]):
         """
         if OUTLINE not in found.visible_mm3.budget or product.outline is None or product.view is None:
             return self.estimate(product, rng=rng)
-        slices = slices_of(product)
-        if outline_fault(product, slices) is not None:
-            return self.estimate(product, rng=rng)
         fused = fuse(product, product.view, product.outline.xy_px, found.solution)
-        if outline_fault(product, slices, fused) is not None:
-            return self.estimate(product, rng=rng)
         budget = dict(found.visible_mm3.budget)
         visible = estimate_of(_positive(fused.volume_mm3) + _model_error(budget, rng), budget)
         true = true_volume(self.options, visible, float(fused.weight_mm2.sum()), rng)

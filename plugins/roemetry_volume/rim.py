@@ -8,6 +8,7 @@ import numpy as np
 
 from roemetry.records.arrays import Floats, Integers
 from roemetry_kernels.compiling import kernel
+from roemetry_kernels.robust_fit import robust_fit
 
 _LENGTH_MM = 5.0
 _HEIGHT_STD_MM = 0.1
@@ -15,6 +16,7 @@ _SPREAD_FLOOR_MM = 0.2
 _UPRIGHT_LEAST = 0.35
 _WALL_SLOPE, _WALL_MM = 12.0, 1.0  # steeper than a dome is from row to row, over at least so much
 _RIDGE = np.array([0.0, 0.05, 0.05, 0.2])
+_SCATTER_LEAST_MM, _ROUNDS = 0.1, 8
 
 
 class StripePoints(NamedTuple):
@@ -64,23 +66,39 @@ def ends_of(points: StripePoints, across_mm: Floats) -> tuple[Integers, Integers
     index, first, size
         Points of all ends in a row; where each end begins in that, and how many points it has.
     """
-    parts = []
-    y = points.xyz_mm[:, 1]
-    for begin, stop in zip(points.first[:-1].tolist(), points.first[1:].tolist(), strict=True):
-        near = np.abs(y[begin:stop] - y[begin]) <= _LENGTH_MM
-        far = np.abs(y[begin:stop] - y[stop - 1]) <= _LENGTH_MM
-        for end in (np.flatnonzero(near), np.flatnonzero(far)[::-1]):
-            parts.append(_over_wall(begin + end, across_mm, points.xyz_mm[:, 2]))
-    size = np.array([part.size for part in parts])
-    return np.concatenate(parts), np.concatenate([[0], np.cumsum(size)[:-1]]), size
+    return ends_in_line(points.first, points.xyz_mm, across_mm)
 
 
-def _over_wall(end: Integers, across_mm: Floats, z_mm: Floats) -> Integers:
-    """Leave out the points of an upright wall that the camera sees: rows go down it, and hardly across."""
-    rise = np.diff(z_mm[end])
-    wall = rise > _WALL_SLOPE * np.abs(np.diff(across_mm[end]))
-    rows = int(wall.argmin()) if not wall.all() else 0
-    return end[rows:] if rise[:rows].sum() > _WALL_MM else end
+@kernel
+def ends_in_line(first: Integers, xyz_mm: Floats, across_mm: Floats) -> tuple[Integers, Integers, Integers]:
+    """Give the ends as `ends_of` does.
+
+    Points of an upright wall that the camera sees are left out: rows go down it, and hardly across.
+    """
+    ends = 2 * (first.size - 1)
+    index, begins = np.empty(2 * xyz_mm.shape[0], np.int64), np.empty(ends, np.int64)
+    size = np.empty(ends, np.int64)
+    count = 0
+    for end in range(ends):
+        begin, stop, step = first[end // 2], first[end // 2 + 1], 1
+        if end % 2:
+            begin, stop, step = stop - 1, begin - 1, -1
+        begins[end] = count
+        for k in range(begin, stop, step):
+            if abs(xyz_mm[k, 1] - xyz_mm[begin, 1]) <= _LENGTH_MM:
+                index[count] = k
+                count += 1
+        wall, rise = begins[end], 0.0
+        while wall + 1 < count:
+            up = xyz_mm[index[wall + 1], 2] - xyz_mm[index[wall], 2]
+            if not up > _WALL_SLOPE * abs(across_mm[index[wall + 1]] - across_mm[index[wall]]):
+                break
+            wall, rise = wall + 1, rise + up
+        if rise > _WALL_MM and wall + 1 < count:
+            index[begins[end] : begins[end] + count - wall] = index[wall:count].copy()
+            count -= wall - begins[end]
+        size[end] = count - begins[end]
+    return index[:count].copy(), begins, size
 
 
 def rim_of(
@@ -115,16 +133,10 @@ def rim_of(
         return Rim(np.array([max(level, 0.0), 0.0, 0.0, 0.0]), scale, max(0.3 * level, 0.2), is_dome)
     at, rim = outermost[known], heights[known]
     a, b = s[at] / scale[0], v[at] / scale[1]
-    design = np.column_stack([np.ones_like(a), a, a * a, b])
+    rows = np.stack([np.ones_like(a), a, a * a, b])
     base = 1.0 / (spread[known] ** 2 + _SPREAD_FLOOR_MM**2)
     base /= base.mean()
-    weight = base.copy()
-    for _ in range(8):
-        normal = design.T @ (weight[:, None] * design) + np.diag(_RIDGE)
-        found = np.linalg.solve(normal, design.T @ (weight * rim))
-        off = rim - design @ found
-        limit = max(1.4826 * middle_of(np.abs(off)), 0.1)
-        weight = base / (1.0 + (off / (2.0 * limit)) ** 2)
+    found, weight, off = robust_fit(rows, rim, base, _RIDGE, _SCATTER_LEAST_MM, _ROUNDS)
     # not less for many ends: what makes one end look low makes its neighbours look low
     std = float(np.sqrt((weight * (off**2 + spread[known] ** 2)).sum() / weight.sum()))
     return Rim(found, scale, max(std, 0.1), is_dome)

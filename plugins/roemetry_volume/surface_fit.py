@@ -12,6 +12,7 @@ from roemetry.records import Product
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.records.view import View
 from roemetry_kernels.compiling import kernel
+from roemetry_kernels.slices import body_curves
 from roemetry_volume.footprint import Border, area_of, border_at, evenly
 from roemetry_volume.rim import Rim, StripePoints, ends_of, rim_of
 
@@ -46,6 +47,8 @@ class Start(NamedTuple):
     height_mm: Floats
     fall_mm: Floats
     """height_mm, fall_mm: (400,) height of the edge that made the outline, and how the dome falls to it."""
+    open_end: Flags
+    """(400,) where the outline is a flat end's."""
     wall_shows: bool
     """Whether the outline holds the walls that face the camera."""
 
@@ -105,42 +108,57 @@ def points_of(product: Product) -> StripePoints:
     product, and is no part of its surface: left out, as are slices of which nothing was seen.
     """
     profiles = product.profiles
-    mine = (profiles.product == product.number) & np.isfinite(profiles.xyz_mm[..., 2])
-    slices, index = np.nonzero(mine)
-    order = np.lexsort((profiles.row_px[slices, index], slices))
-    slices, index = slices[order], index[order]
-    seen = profiles.seen[slices, index].copy()
-    _leave_out_belt(seen, slices, profiles.xyz_mm[slices, index, 2])
-    held = _between_seen(slices, seen)
+    curves = body_curves(profiles, product.number)
+    slices, index = curves.slice, curves.point
+    held = held_points(slices, profiles.seen[slices, index], profiles.xyz_mm[slices, index, 2])
     slices, index = slices[held], index[held]
-    _, number = np.unique(slices, return_inverse=True)
-    first = np.append(np.flatnonzero(np.diff(number, prepend=-1)), number.size)
-    return StripePoints(profiles.xyz_mm[slices, index], number, first)
+    begins = np.diff(slices, prepend=-1) > 0
+    first = np.append(np.flatnonzero(begins), slices.size)
+    return StripePoints(profiles.xyz_mm[slices, index], np.cumsum(begins) - 1, first)
 
 
-def _leave_out_belt(seen: Flags, slices: Integers, z_mm: Floats) -> None:
-    """Count up to three points at a slice's end as unseen if, behind unseen ones, the rest is far higher.
+@kernel
+def held_points(slices: Integers, seen: Flags, z_mm: Floats) -> Flags:
+    """Say which points lie between the outermost ones of their slice that were seen on the product.
 
-    They are the belt's: beside the product's shadow its stripe is blended, and its peak lies off.
+    Parameters
+    ----------
+    slices, seen, z_mm : ndarray, shape (n,)
+        Slice after slice, down the rows.
     """
-    bounds = np.append(np.flatnonzero(np.diff(slices, prepend=-1)), slices.size)
-    for begin, stop in zip(bounds[:-1].tolist(), bounds[1:].tolist(), strict=True):
-        places = np.flatnonzero(seen[begin:stop]) + begin
-        for outermost in (places[: _FEW + 1], places[::-1][: _FEW + 1]):
-            gap = np.flatnonzero(np.abs(np.diff(outermost)) > 1)
-            if gap.size and z_mm[outermost[: gap[0] + 1]].max() < _BELT_SHARE * z_mm[outermost[gap[0] + 1]]:
-                seen[outermost[: gap[0] + 1]] = False
-
-
-def _between_seen(slices: Integers, seen: Flags) -> Flags:
-    """Say which points lie between the outermost seen ones of their slice."""
-    place = np.arange(slices.size)
-    first = np.full(int(slices.max(initial=-1)) + 1, slices.size)
-    last = np.full(first.size, -1)
-    np.minimum.at(first, slices[seen], place[seen])
-    np.maximum.at(last, slices[seen], place[seen])
-    held: Flags = (place >= first[slices]) & (place <= last[slices])
+    held = np.zeros(slices.size, np.bool_)
+    begin = 0
+    while begin < slices.size:
+        stop = begin
+        while stop < slices.size and slices[stop] == slices[begin]:
+            stop += 1
+        first, last = _outermost(seen, z_mm, begin, stop, 1), _outermost(seen, z_mm, stop - 1, begin - 1, -1)
+        if first >= 0:
+            held[first : last + 1] = True
+        begin = stop
     return held
+
+
+@kernel
+def _outermost(seen: Flags, z_mm: Floats, begin: int, stop: int, step: int) -> int:
+    """Give the outermost seen point at a slice's end, −1 of none.
+
+    Up to three points at its end do not count if, behind unseen ones, the rest is far higher. They are the
+    belt's: beside the product's shadow its stripe is blended, and its peak lies off.
+    """
+    first, before, count, highest = -1, -1, 0, 0.0
+    for k in range(begin, stop, step):
+        if not seen[k]:
+            continue
+        if first < 0:
+            first, highest = k, z_mm[k]
+        elif abs(k - before) > 1:
+            return k if highest < _BELT_SHARE * z_mm[k] else first
+        highest = max(highest, z_mm[k])
+        before, count = k, count + 1
+        if count > _FEW:
+            break
+    return first
 
 
 def fuse(product: Product, view: View, contour_px: Floats, start: Start | None = None) -> Fused:
@@ -172,14 +190,15 @@ def fuse(product: Product, view: View, contour_px: Floats, start: Start | None =
     if start is None:
         wall_shows = _wall_shows(points, (border.xy_mm - centre) @ turn, border.tilt, place)
     else:
-        wall_shows = start.wall_shows
+        wall_shows, open_end = start.wall_shows, start.open_end
     settled_mm = _SETTLED_MM if start is None else _FOLLOWED_MM
     for _ in range(_ROUNDS):
         contour = (border.xy_mm - centre) @ turn
         coarse = contour[::2]
         rim = rim_of(points, ends, place, inside_by(coarse, place[ends[0]]))
         knots = _knots(points, place, rim, coarse)
-        open_end = _open_ends(knots, contour, (border.outward @ turn)[:, 0])
+        if start is None:
+            open_end = _open_ends(knots, contour, (border.outward @ turn)[:, 0])
         plate = _plate(knots, contour, open_end)
         height, fall = _at_border(plate, rim, contour, border, (centre, turn), open_end, wall_shows)
         moved = border_at(silhouette, height, fall)
@@ -190,7 +209,7 @@ def fuse(product: Product, view: View, contour_px: Floats, start: Start | None =
     contour = (border.xy_mm - centre) @ turn
     s, v, weight = nodes_within(contour, *_gauss(_NODES[0]), *_gauss(_NODES[1]))
     weight *= abs(area_of(contour)) / weight.sum()  # corners are between nodes
-    found = Start((centre, turn), height, fall, wall_shows)
+    found = Start((centre, turn), height, fall, open_end, wall_shows)
     return Fused(points, place, rim, border, plate, knots, contour, open_end, height, s, v, weight, found)
 
 
@@ -412,10 +431,10 @@ def _course(grid: Any, place: tuple[Floats, Floats], u: Floats, weight: Floats) 
     It is taken by a share: the more of the points' scatter it leaves, the less it says of what is between.
     """
     (s, v), (low_s, low_v, side, cells_s, cells_v) = place, grid
-    root = np.sqrt(weight)
     a, b = (s - low_s) / side, (v - low_v) / side
     design = np.column_stack([np.ones_like(a), a, b, a * a, a * b, b * b])
-    c, *_ = np.linalg.lstsq(root[:, None] * design, root * u, rcond=None)
+    weighed = weight * design.T
+    c = np.linalg.lstsq(weighed @ design, weighed @ u, rcond=None)[0]
     # a cubic B-spline's coefficient k stands for the place k - 1; of a square it is a third less
     i, j = np.arange(cells_s + 3)[:, None] - 1.0, np.arange(cells_v + 3)[None, :] - 1.0
     course = (

@@ -224,11 +224,38 @@ class Calibration(Shown):
         for name, numbers in decisive.items():
             if not np.isfinite(numbers).all():
                 raise CalibrationError(f"{path}: {name} holds a number that is not finite")
+        if wrong := calibration._no_covariance():
+            raise CalibrationError(
+                f"{path}: covariance is not positive semi-definite, as that of real quantities is: {wrong}; "
+                "no uncertainty follows from it",
+                hint="restore the file or make it again with `roemetry calibrate`",
+            )
         return calibration
+
+    def _no_covariance(self) -> str:
+        """Name the parameter that shows that the covariance is none; "" where it is one."""
+        names = [f"{name}[{place}]" for name, array in self.parameters.items() for place in range(array.size)]
+        variance = np.diag(self.covariance)
+        if (variance < 0.0).any():
+            worst = int(variance.argmin())
+            return f"the variance of {names[worst]} is {variance[worst]:.3g}"
+        own = np.sqrt(np.where(variance > 0.0, variance, 1.0))
+        scaled = self.covariance / own[:, None] / own[None, :]
+        uneven = np.abs(scaled - scaled.T)
+        if uneven.max(initial=0.0) > _ROUNDED:
+            one, other = np.unravel_index(uneven.argmax(), uneven.shape)
+            return f"{names[one]} with {names[other]} is another number than the other way round"
+        size, turned = np.linalg.eigh(scaled)
+        if size.size == 0 or size[0] > -_ROUNDED:
+            return ""
+        first, second = np.argsort(-np.abs(turned[:, 0]))[[0, -1 if size.size == 1 else 1]]
+        return f"a sum of {names[first]}, {names[second]} and others has the variance {size[0]:.3g} of its parts'"
 
 
 _TOLD = ("residuals", "target", "extractor", "image_sha256")
 _POOR = "accepted though refused: "
+_ROUNDED = 1e-6
+"""Of variances: what is left by rounding when a file is written with fewer digits, and 1e-15 with all."""
 
 _HEADER = """\
 # Made by `roemetry calibrate`. rest_px: polynomials in (row − middle row), px, lowest power first.

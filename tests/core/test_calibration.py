@@ -54,6 +54,28 @@ def test_a_parameter_that_is_no_number_is_named(rig, tmp_path: Path, name: str) 
         Calibration.load(tmp_path / "c.yaml")
 
 
+@pytest.mark.parametrize(
+    ("one", "other", "value", "says"),
+    [
+        (0, 0, -1e-4, r"the variance of [a-z_]+\[0\] is -0\.0001"),
+        (0, 1, 2e-4, r"[a-z_]+\[0\] with [a-z_]+\[1\] is another number"),
+        ((0, 1), (1, 0), 2e-4, r"a sum of [a-z_]+\[[01]\], [a-z_]+\[[01]\] and others has the variance -1"),
+    ],
+    ids=["negative", "uneven", "correlated by 2"],
+)
+def test_a_covariance_that_is_none_is_refused_by_name(
+    rig, tmp_path: Path, one: object, other: object, value: float, says: str
+) -> None:
+    made = rig.calibration()
+    covariance = 1e-4 * np.eye(made.covariance.shape[0])
+    replace(made, covariance=covariance).save(tmp_path / "sound.yaml")
+    Calibration.load(tmp_path / "sound.yaml")
+    covariance[one, other] = value
+    replace(made, covariance=covariance).save(tmp_path / "c.yaml")
+    with pytest.raises(RoemetryError, match=rf"covariance is not positive semi-definite.*{says}"):
+        Calibration.load(tmp_path / "c.yaml")
+
+
 def test_rest_lines_are_polynomials_about_the_middle_row(rig) -> None:
     made = replace(rig.calibration(), rest_px=np.array([[100.0, 0.5]] * rig.stripes))
     x_px = made.rest_line_px(np.array([0.0, 119.5, 239.0]))

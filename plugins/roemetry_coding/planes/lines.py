@@ -25,6 +25,7 @@ the image shows the projector or a lens folds the lines: then rows are taken as 
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -99,9 +100,9 @@ def epipolar_lines(peaks: Peaks, calibration: Calibration, rest_px: Floats) -> E
     """
     view = calibration.view
     if view is not None and not view.telecentric:
-        projector_mm = _projector(view)
-        if projector_mm is not None:
-            found = _epipolar(peaks, view, projector_mm, rest_px)
+        sight = _sight_of(view)
+        if sight is not None:
+            found = _epipolar(peaks, sight, rest_px)
             if found is not None:
                 return found
     return _rows(peaks, calibration, rest_px)
@@ -194,60 +195,103 @@ def _projector(view: View) -> Floats | None:
     return np.asarray(view.camera_mm + away)
 
 
-def _epipolar(peaks: Peaks, view: View, projector_mm: Floats, rest_px: Floats) -> EpipolarLines | None:
-    rows, columns = peaks.image_size
-    camera = view.camera_mm
-    base = projector_mm - camera
+class _Sight(NamedTuple):
+    """A view, and directions in the belt frame by which places on its epipolar lines are told."""
+
+    view: View
+    base: Floats
+    forward: Floats
+    side: Floats
+    """base, forward, side: to the projector; square to it where the camera looks; and square to both."""
+
+    def placed(self, xy_px: Floats) -> tuple[Floats, Floats, Floats]:
+        """Give (point,) the angle about the base at which a pixel looks, rad, and a cotangent along it.
+
+        And the (point, 3) direction itself.
+        """
+        way = self.view.rays(xy_px)[1]
+        ahead, beside = way @ self.forward, way @ self.side
+        with np.errstate(divide="ignore", invalid="ignore"):
+            u = (way @ self.base) / np.hypot(ahead, beside)
+        return np.arctan2(beside, ahead), u, way
+
+
+@lru_cache(maxsize=4)
+def _sight_of(view: View) -> _Sight | None:
+    projector_mm, (rows, columns) = _projector(view), view.image_size
+    if projector_mm is None:
+        return None
+    base = projector_mm - view.camera_mm
     base = base / np.linalg.norm(base)
     middle = view.rays(np.array([[(columns - 1) / 2.0, (rows - 1) / 2.0]]))[1][0]
     forward = middle - (middle @ base) * base
     if np.linalg.norm(forward) < _PARALLEL:
         return None
     forward = np.asarray(forward / np.linalg.norm(forward))
-    side = np.cross(base, forward)
+    return _Sight(view, base, forward, np.cross(base, forward))
 
-    def placed(xy_px: Floats) -> tuple[Floats, Floats]:
-        """Give (point,) the angle about the base at which a pixel looks, rad, and a cotangent along it."""
-        way = view.rays(xy_px)[1]
-        ahead, beside = way @ forward, way @ side
-        with np.errstate(divide="ignore", invalid="ignore"):
-            u = (way @ base) / np.hypot(ahead, beside)
-        return np.arctan2(beside, ahead), u
 
-    border = _border(rows, columns)
-    angle_border, u_border = placed(border)
+class _Fan(NamedTuple):
+    """The epipolar lines of a view, whatever is seen on them."""
+
+    first: float
+    step: float
+    """first, step: angle of the first line, and from line to line, rad."""
+    plane: Floats
+    u_min: Floats
+    u_max: Floats
+    """plane, u_min, u_max: as in `EpipolarLines`."""
+
+
+@lru_cache(maxsize=4)
+def _fan_of(view: View, sign: float) -> _Fan | None:
+    """Lay the lines of a view a row apart; `sign` is −1 where u falls with the stripe."""
+    sight, (rows, columns) = _sight_of(view), view.image_size
+    if sight is None:
+        return None
+    angle_border, u_border, _ = sight.placed(_border(rows, columns))
     if not np.isfinite(u_border).all() or np.ptp(angle_border) > np.pi / 2:
         return None  # the image shows the projector, or sees it through a lens that folds
     centre = np.stack([np.full(rows, (columns - 1) / 2.0), np.arange(rows, dtype=np.float64)], axis=1)
-    step = float(np.median(np.diff(placed(centre)[0])))
+    step = float(np.median(np.diff(sight.placed(centre)[0])))
     first = float(angle_border.min() if step > 0 else angle_border.max())
     count = int(np.ptp(angle_border) / abs(step)) + 2 if step else 0
     if not 0 < count <= _LINES_MAX_FACTOR * rows:
         return None
-    angle, u = placed(np.stack([peaks.x_px, peaks.row.astype(np.float64)], axis=1))
-    across = placed(np.stack([rest_px[[0, -1], rows // 2], np.full(2, rows / 2.0)], axis=1))[1]
-    sign = 1.0 if across[1] >= across[0] else -1.0
-    line_angle = first + step * np.arange(count, dtype=np.float64)
-    plane = _planes(view, base, forward, side, line_angle, sign)
+    plane = _planes(sight, first + step * np.arange(count, dtype=np.float64), sign)
     u_min, u_max = np.full(count, np.inf), np.full(count, -np.inf)
     at = np.clip(np.rint((angle_border - first) / step).astype(np.int64), 0, count - 1)
     np.minimum.at(u_min, at, sign * u_border)
     np.maximum.at(u_max, at, sign * u_border)
     outside = ~(u_min < u_max)
     u_min[outside] = u_max[outside] = np.nan
-    ways = view.rays(np.stack([peaks.x_px, peaks.row.astype(np.float64)], axis=1))[1]
-    towards = np.array([*view.planes[:, :2].mean(axis=0), 0.0])
-    towards *= np.sign(np.median(np.diff(view.planes[:, 3] / (view.planes @ np.array([*towards, 0.0])))))
+    return _Fan(first, step, plane, u_min, u_max)
+
+
+def _epipolar(peaks: Peaks, sight: _Sight, rest_px: Floats) -> EpipolarLines | None:
+    stripes, rows = rest_px.shape
+    # the outer stripes in the middle row, and where each enters and leaves the image
+    rest = np.concatenate([rest_px[[0, -1], rows // 2], rest_px[:, 0], rest_px[:, -1]])
+    row = np.repeat([rows / 2.0, 0.0, rows - 1.0], [2, stripes, stripes])
+    angle_rest, across, _ = sight.placed(np.stack([rest, row], axis=1))
+    sign = 1.0 if across[1] >= across[0] else -1.0
+    fan = _fan_of(sight.view, sign)
+    if fan is None:
+        return None
+    angle, u, ways = sight.placed(np.stack([peaks.x_px, peaks.row.astype(np.float64)], axis=1))
+    planes = sight.view.planes
+    towards = np.array([*planes[:, :2].mean(axis=0), 0.0])
+    towards *= np.sign(np.median(np.diff(planes[:, 3] / (planes @ np.array([*towards, 0.0])))))
     lean = (ways @ towards) / (-ways[:, 2] * np.linalg.norm(towards))
-    top = placed(np.stack([rest_px[:, 0], np.zeros(len(rest_px))], axis=1))[0]
-    bottom = placed(np.stack([rest_px[:, -1], np.full(len(rest_px), rows - 1.0)], axis=1))[0]
-    enters, leaves = (top - first) / step, (bottom - first) / step
-    return EpipolarLines((angle - first) / step, sign * u, plane, lean, enters, leaves, u_min, u_max)
+    enters, leaves = ((angle_rest[2:] - fan.first) / fan.step).reshape(2, stripes)
+    line = (angle - fan.first) / fan.step
+    return EpipolarLines(line, sign * u, fan.plane, lean, enters, leaves, fan.u_min, fan.u_max)
 
 
-def _planes(view: View, base: Floats, forward: Floats, side: Floats, angle: Floats, sign: float) -> Floats:
+def _planes(sight: _Sight, angle: Floats, sign: float) -> Floats:
     """(line, stripe, 4) numbers that give height from the place on a line."""
-    ahead = np.cos(angle)[:, None] * forward + np.sin(angle)[:, None] * side
+    view, base = sight.view, sight.base
+    ahead = np.cos(angle)[:, None] * sight.forward + np.sin(angle)[:, None] * sight.side
     normal = view.planes[:, :3]
     along = normal @ base
     away = ahead @ normal.T

@@ -1,0 +1,77 @@
+"""Least squares that let single places go their own way: Cauchy's weights, reweighted round by round."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from roemetry.records.arrays import Floats
+from roemetry_kernels.compiling import float_kernel
+
+
+@float_kernel
+def robust_fit(
+    rows: Floats, wanted: Floats, base: Floats, ridge: Floats, least: float, rounds: int
+) -> tuple[Floats, Floats, Floats]:
+    """Fit Σ c·rows to the values that are wanted (Holland and Welsch 1977).
+
+    Parameters
+    ----------
+    rows : ndarray, shape (k, n)
+        Every term at every place.
+    wanted, base : ndarray, shape (n,)
+        Values, and the weights they begin with.
+    ridge : ndarray, shape (k,)
+        Added to the diagonal of the normal equations.
+    least
+        The scatter is taken to be at least that, so that weights do not follow what is finer.
+    rounds
+        Of reweighting.
+
+    Returns
+    -------
+    fit : ndarray, shape (k,)
+        The terms' coefficients.
+    weight : ndarray, shape (n,)
+        Weights after the last round.
+    off : ndarray, shape (n,)
+        What is wanted less what is fitted.
+    """
+    terms, count = rows.shape
+    weight, off, fit = base.copy(), np.empty(count), np.empty(terms)
+    normal, weighed = np.empty((terms, terms)), np.empty(count)
+    for _ in range(rounds):
+        for a in range(terms):
+            fit[a] = 0.0
+            for k in range(count):
+                weighed[k] = weight[k] * rows[a, k]
+                fit[a] += weighed[k] * wanted[k]
+            for b in range(a + 1):
+                normal[a, b] = ridge[a] if a == b else 0.0
+                for k in range(count):
+                    normal[a, b] += weighed[k] * rows[b, k]
+        solve(normal, fit)
+        off[:] = wanted
+        for a in range(terms):
+            off -= fit[a] * rows[a]
+        scatter = max(1.4826 * np.median(np.abs(off)), least)
+        weight[:] = base / (1.0 + (off / (2.0 * scatter)) ** 2)
+    return fit, weight, off
+
+
+@float_kernel
+def solve(normal: Floats, right: Floats) -> None:
+    """Solve positive definite equations by Cholesky's factors of the lower triangle; both are overwritten."""
+    count = right.size
+    for a in range(count):
+        for b in range(a + 1):
+            rest = normal[a, b]
+            for c in range(b):
+                rest -= normal[a, c] * normal[b, c]
+            normal[a, b] = np.sqrt(rest) if a == b else rest / normal[b, b]
+        for c in range(a):
+            right[a] -= normal[a, c] * right[c]
+        right[a] /= normal[a, a]
+    for a in range(count - 1, -1, -1):
+        for c in range(a + 1, count):
+            right[a] -= normal[c, a] * right[c]
+        right[a] /= normal[a, a]
