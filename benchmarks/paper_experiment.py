@@ -19,7 +19,7 @@ from benchmarks.experiment.six import measured
 from benchmarks.grade import LEARN_FROM, MODEL
 from benchmarks.grading.judges import fitted_limits, judges_of
 from benchmarks.grading.scores import judged_by
-from benchmarks.herring_roe import made
+from benchmarks.products import made
 from benchmarks.traced import rows_of
 from benchmarks.traced.tables import LEARNING_MIX
 

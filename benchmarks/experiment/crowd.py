@@ -11,7 +11,7 @@ from markupsafe import Markup
 from benchmarks.coding_plots import curves
 from benchmarks.grading.judges import SHOWN_MM
 from benchmarks.grading.scores import Judged, score_of
-from benchmarks.grading.words import ends, share, table
+from benchmarks.tables import ends, share, table
 from benchmarks.traced.causes import CAUSES
 from benchmarks.traced.shown import STRIPES
 from benchmarks.traced.tables import Row

@@ -8,7 +8,7 @@ from pathlib import Path
 from benchmarks.experiment import crowd
 from benchmarks.experiment.six import FIRST_FIGURE, Sample
 from benchmarks.grading.scores import Judged, confusion_of
-from benchmarks.grading.words import confusion, table
+from benchmarks.tables import confusion, table
 from benchmarks.traced.tables import NAMED, Row
 
 _NAMES = list(dict.fromkeys(NAMED.values()))

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from benchmarks.experiment.six import PAPERS_CODER
 from benchmarks.grading.judges import GOOD, SHOWN_MM
-from benchmarks.grading.words import share, table
+from benchmarks.tables import share, table
 from benchmarks.traced.tables import BEST_OPTIONS, NAMED
 from roemetry import Pipeline, Recipe
 from roemetry.config.dataset import Dataset

@@ -13,8 +13,8 @@ import numpy as np
 
 from benchmarks.grading.judges import GOOD
 from benchmarks.grading.scores import UNKNOWN
-from benchmarks.grading.words import share, table
 from benchmarks.made_by import made_by
+from benchmarks.tables import share, table
 from benchmarks.traced import traced
 from benchmarks.traced.tables import SMOOTHING_MM
 from roemetry.errors import RoemetryError

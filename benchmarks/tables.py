@@ -1,0 +1,53 @@
+"""What benchmarks write and keep: tables and shares as Markdown, and rows in files."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+from roemetry_tools.compare.agreement import Interval
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Write a table."""
+    lines = [head, ["---"] * len(head), *rows]
+    return "".join("| " + " | ".join(cells) + " |\n" for cells in lines)
+
+
+def share(part: int, whole: int) -> str:
+    """Write part of whole as a share, with the whole."""
+    return f"{100.0 * part / whole:.1f} % of {whole}" if whole else "–"
+
+
+def ends(interval: Interval, digits: int = 3) -> str:
+    """Write an interval."""
+    return f"{interval.low:.{digits}f} to {interval.high:.{digits}f}"
+
+
+def confusion(
+    found: Counter[tuple[str, str]], order: Sequence[str], what: str, true: Sequence[str] = ()
+) -> str:
+    """Write what it is against what it was called; `true` is the order of what it is, if another."""
+    true = [name for name in true or order if any(pair[0] == name for pair in found)]
+    given = [name for name in order if any(pair[1] == name for pair in found)]
+    rows = [[name, *(str(found[name, other] or "·") for other in given)] for name in true]
+    return table([what, *given], rows)
+
+
+def kept_rows(path: Path, keys: Iterable[Any], make: Callable[[Any], Any]) -> dict[Any, Any]:
+    """Make what belongs to each key, or read it from the file: a line of JSON each, written when made."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    lines = path.read_text("utf-8").splitlines() if path.exists() else []
+    known = {tuple(key) if isinstance(key, list) else key: row for key, row in map(json.loads, lines)}
+    with path.open("a", encoding="utf-8") as file:
+        for done, key in enumerate(keys, start=1):
+            if key not in known:
+                known[key] = make(key)
+                file.write(json.dumps([key, known[key]]) + "\n")
+                file.flush()
+                print(f"\r{path.stem}: {done}", end="", file=sys.stderr, flush=True)
+    return known
