@@ -20,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.grading.judges import SHOWN_MM
 from benchmarks.tables import confusion, share, table
 from benchmarks.traced.tables import NAMED
 from roemetry import Pipeline, Recipe
@@ -189,11 +190,14 @@ def grades(found: Sequence[Row]) -> str:
     right = sum(grade.label == NAMED[defect] for defect, grade in graded)
     good = [grade.label == "good" for defect, grade in graded if defect == "none"]
     caught = [grade.label != "good" for defect, grade in graded if defect != "none"]
+    shown = [row.one.grade.label != "good" for row in found if row.one and row.one.grade
+             and row.truth.figures.get("defect_seen_mm", 0.0) >= SHOWN_MM]  # fmt: skip
     if not any(good) or not caught:
         return ""
     return (
         f"{text}\nnamed right {share(right, len(graded))} (mean probability stated {said}); healthy kept "
-        f"{share(sum(good), len(good))}, deformed not called good {share(sum(caught), len(caught))}, "
+        f"{share(sum(good), len(good))}, deformed not called good {share(sum(caught), len(caught))} "
+        f"(of those that a stripe shows by {SHOWN_MM:g} mm {share(sum(shown), len(shown))}), "
         f"balanced accuracy {0.5 * (np.mean(good) + np.mean(caught)):.3f}"
     )
 

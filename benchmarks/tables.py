@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -51,3 +51,22 @@ def kept_rows(path: Path, keys: Iterable[Any], make: Callable[[Any], Any]) -> di
                 file.flush()
                 print(f"\r{path.stem}: {done}", end="", file=sys.stderr, flush=True)
     return known
+
+
+def put_into(page: Path, parts: Mapping[str, str]) -> None:
+    """Put each part into a page between ``<!-- measured: NAME -->`` and the next ``<!-- end -->``.
+
+    Raises
+    ------
+    ValueError
+        The page has no such place.
+    """
+    text = page.read_text("utf-8")
+    for name, part in parts.items():
+        begin, end = f"<!-- measured: {name} -->\n", "<!-- end -->\n"
+        before, found, after = text.partition(begin)
+        _, closed, rest = after.partition(end)
+        if not found or not closed:
+            raise ValueError(f"{page}: there is no `{begin.strip()}` with `{end.strip()}` below it")
+        text = f"{before}{begin}\n{part.rstrip()}\n\n{end}{rest}"
+    page.write_text(text, "utf-8")

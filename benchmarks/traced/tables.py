@@ -6,7 +6,7 @@ import json
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from benchmarks.made_by import made_by
 from benchmarks.traced.causes import weight_figures
@@ -36,7 +36,7 @@ NAMED = {
 }
 """The name a grader would give each kind: one dent or several, one bend or an S are told alike."""
 
-BEST_OPTIONS = {"smoothing_rows": 31, "radius_max_px": 160.0, "delta_samples": 10}
+BEST_OPTIONS: dict[str, Any] = {"smoothing_rows": 31, "radius_max_px": 160.0, "delta_samples": 10}
 """Of `arc-curvature`, chosen on rendered skeins of seeds 5000 to 5059."""
 
 
