@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
+from roemetry_study.certificate import software_sha256
 from roemetry_tools.compare.agreement import Interval
 
 
@@ -39,8 +42,12 @@ def confusion(
 
 
 def kept_rows(path: Path, keys: Iterable[Any], make: Callable[[Any], Any]) -> dict[Any, Any]:
-    """Make what belongs to each key, or read it from the file: a line of JSON each, written when made."""
+    """Make what belongs to each key, or read it from the file: a line of JSON each, written when made.
+
+    The file's name gets a hash of our code: a row that other code has made is made again.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
+    path = path.with_stem(f"{path.stem}_{_code()}")
     lines = path.read_text("utf-8").splitlines() if path.exists() else []
     known = {tuple(key) if isinstance(key, list) else key: row for key, row in map(json.loads, lines)}
     with path.open("a", encoding="utf-8") as file:
@@ -51,6 +58,15 @@ def kept_rows(path: Path, keys: Iterable[Any], make: Callable[[Any], Any]) -> di
                 file.flush()
                 print(f"\r{path.stem}: {done}", end="", file=sys.stderr, flush=True)
     return known
+
+
+@cache
+def _code() -> str:
+    """Give twelve digits of a hash over the sources of roemetry, its plugins, and the benchmarks."""
+    told = hashlib.sha256(software_sha256().encode())
+    for source in sorted(Path(__file__).parent.rglob("*.py")):
+        told.update(source.read_bytes())
+    return told.hexdigest()[:12]
 
 
 def put_into(page: Path, parts: Mapping[str, str]) -> None:

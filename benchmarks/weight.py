@@ -150,7 +150,7 @@ def _factor(degrees_of_freedom: float) -> float:
 def measured(family: str, first: int, count: int, cache: Path) -> list[Weighed]:
     """Measure products, or take them from the cache."""
     seeds = range(first, first + count)
-    kept = kept_rows(cache / f"{family}-rows.jsonl", seeds, lambda seed: measure(family, seed))
+    kept = kept_rows(cache / f"{family}.jsonl", seeds, lambda seed: measure(family, seed))
     return [Weighed(**kept[seed]) for seed in seeds if "refused" not in kept[seed]]
 
 

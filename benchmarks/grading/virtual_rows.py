@@ -11,7 +11,6 @@ import numpy as np
 
 from benchmarks.grading.bodies import Body, of_meshes, our_skein, second_skein
 from benchmarks.grading.virtual_rig import Rig, draw_rig, measured
-from benchmarks.made_by import made_by
 from benchmarks.tables import kept_rows
 from benchmarks.traced.tables import BEST_OPTIONS, Row
 from roemetry_paper.arc_curvature import ArcCurvature, ArcCurvatureOptions
@@ -49,7 +48,7 @@ def virtual_rows(family: str, seeds: Sequence[int], rigs_each: int, cache: Path)
         found = rows_of_body(body, family, seed, np.random.default_rng([seed, 7]), rigs_each)
         return [row._asdict() for row in found]
 
-    known = kept_rows(cache / f"virtual_{family}_{rigs_each}_{made_by(__name__)}.jsonl", seeds, make)
+    known = kept_rows(cache / f"virtual_{family}_{rigs_each}.jsonl", seeds, make)
     return [Row(**row) for seed in seeds for row in known[seed]]
 
 

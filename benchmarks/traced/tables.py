@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from benchmarks.made_by import made_by
 from benchmarks.tables import kept_rows
 from benchmarks.traced.causes import weight_figures
 from benchmarks.traced.shown import defect_figures
@@ -81,7 +80,7 @@ def rows_of(seeds: Sequence[int], rig: str, cache: Path, *, mix: Sequence[str] =
     def make(seed: int) -> dict[str, Any]:
         return _row(traced(seed, rig, mix[seed % len(mix)] if mix else ""), rig, whole=not mix)._asdict()
 
-    name = f"{'mix' if mix else 'population'}_{rig}_{made_by(__name__)}.jsonl"
+    name = f"{'mix' if mix else 'population'}_{rig}.jsonl"
     known = kept_rows(cache / name, seeds, make)
     return [Row(**known[seed]) for seed in seeds]
 

@@ -15,19 +15,22 @@ from roemetry.records import Outline, Product
 from roemetry.records.view import View
 from roemetry.testing.scenes import LinearRig
 from roemetry.testing.solids import HALF_CYLINDER, HALF_ELLIPSOID, SPHERICAL_CAP, product_from, product_of
-from roemetry_open3d import meshing
+from roemetry_open3d import mesh_files as meshing
 from roemetry_open3d.mesh_files import (
     ASSUMED,
     BRIDGED,
     MEASURED,
+    Mesh,
     MeshOptions,
     SurfaceMesh,
     certainty_of,
     colours,
+    mended,
+    mesh_of,
+    open_edges,
     ply,
     stl,
 )
-from roemetry_open3d.meshing import Mesh, mended, mesh_of, open_edges
 from roemetry_open3d.sheet import lines_of, sheet_of
 
 METHODS = ("poisson", "ball-pivoting", "alpha-shape")
