@@ -22,7 +22,7 @@ from benchmarks.tables import put_into, table
 from benchmarks.volume_scenes import Exact, exact, exact_skein, images, measured, rig_of, thinned
 from roemetry.errors import RoemetryError
 from roemetry.stages import VolumeEstimator
-from roemetry_open3d.mesh_files import MeshOptions, SurfaceMesh
+from roemetry_open3d.mesh_files import SurfaceMesh
 from roemetry_paper.zero_order_hold import ZeroOrderHold
 from roemetry_simulate.products import PRODUCTS
 from roemetry_simulate.products.family import Pose, draw_pose, random_of
@@ -49,10 +49,7 @@ ESTIMATORS: Mapping[str, VolumeEstimator[Any]] = {
     "slice-pchip, ends: none": SlicePchip(SliceOptions(ends="none")),
     "outline-surface": OutlineSurface(),
 }
-MESHES: Mapping[str, VolumeEstimator[Any]] = {
-    f"surface-mesh, {method}": SurfaceMesh(MeshOptions(method=method))
-    for method in ("poisson", "ball-pivoting", "alpha-shape")
-}
+MESHES: Mapping[str, VolumeEstimator[Any]] = {"surface-mesh": SurfaceMesh()}
 """Hundreds of times as slow: measured on the first skeins only."""
 STEPS = {41: 1, 21: 2, 11: 4, 6: 8, 5: 10, 3: 20}
 """How many stripes remain when each so many of 41 is kept."""

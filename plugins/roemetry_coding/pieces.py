@@ -43,9 +43,9 @@ class PiecesOptions(StageOptions):
     )
 
 
-_PIECES_MAX = 400
-_PIECES_SHARE_MIN = 0.5
-_NUMBERED_SHARE_MIN = 0.25
+_PIECES_MAX = 400  # more pieces are noise, not broken stripes
+_PIECES_SHARE_MIN = 0.5  # of all peaks: where less lies in pieces, it is noise
+_NUMBERED_SHARE_MIN = 0.25  # of the peaks in pieces: with less numbered, the rest cannot be told from it
 
 
 _NO_BELT = "there is no calibration to know the belt from: all that is numbered counts as one product"

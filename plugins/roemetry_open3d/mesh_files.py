@@ -12,7 +12,7 @@ import importlib.util
 import math
 import struct
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -21,7 +21,7 @@ from pydantic import Field
 
 from roemetry.errors import RoemetryError, StageError
 from roemetry.io.files import make_folder, write_bytes, write_whole
-from roemetry.records import Estimate, Product, Reason, Shares, Volume
+from roemetry.records import Estimate, Product, Shares, Volume
 from roemetry.records.arrays import Floats, Integers
 from roemetry.stages import Capabilities, Run, Sink, StageOptions, VolumeEstimator
 from roemetry_open3d.sheet import Sheet, sheet_of
@@ -30,9 +30,6 @@ from roemetry_open3d.sheet import Sheet, sheet_of
 class MeshOptions(StageOptions):
     """How a mesh is made."""
 
-    method: Literal["poisson", "ball-pivoting", "alpha-shape"] = Field(
-        default="poisson", description="how a surface is laid through the cloud"
-    )
     step_mm: float = Field(
         default=1.5, ge=0.2, le=20.0, description="distance of the cloud's points, and size of the mesh, mm"
     )
@@ -59,24 +56,19 @@ class SurfaceMesh(VolumeEstimator[MeshOptions]):
             outline reaches the image's edge; the mesh is not closed.
         """
         sheet = sheet_of(product, self.options.step_mm)
-        mesh = mesh_of(sheet, self.options.method, self.options.step_mm)
+        mesh = mesh_of(sheet, self.options.step_mm)
         volume = mesh.volume_mm3
         if not volume > 0.0:
             raise StageError(
                 f"the mesh encloses {volume:.4g} mm³: the points lie on or below the belt",
                 hint="look at the coding and the belt's zero",
             )
-        reasons = sheet.reasons
-        if mesh.mended:
-            reasons += (
-                Reason("mesh-mended", f"holes with {mesh.mended} edges in all were filled to close the mesh"),
-            )
         shares = _shares(sheet)
-        budget = budget_of(sheet, self.options.method, volume, shares.assumed)
+        budget = budget_of(sheet, volume, shares.assumed)
         if rng is not None:
             volume += sum(std * rng.standard_normal() for std in budget.values())
         std = math.hypot(*budget.values())
-        return Volume(Estimate(volume, std, budget), None, shares, reasons=reasons)
+        return Volume(Estimate(volume, std, budget), None, shares, reasons=sheet.reasons)
 
 
 def _shares(sheet: Sheet) -> Shares:
@@ -93,14 +85,13 @@ def _shares(sheet: Sheet) -> Shares:
 
 
 # looked at on skeins of the seeds 60000 to 60499: docs/reference/plugins/surface-mesh.md
-# of the volume: flat faces cut what is curved; an alpha shape closes hollows over as well
-_FACETS: Mapping[Method, float] = {"poisson": 0.012, "ball-pivoting": 0.015, "alpha-shape": 0.025}
+_FACETS = 0.012  # of the volume: flat faces cut what is curved
 _BRIDGES = 0.25  # of what bridges twice as wide miss
 _TIPS = 0.15  # of what lies beyond the outer lines
 _FEW_LINES = 0.1  # of the volume, where lines are too few to leave one out
 
 
-def budget_of(sheet: Sheet, method: Method, volume_mm3: float, assumed: float) -> dict[str, float]:
+def budget_of(sheet: Sheet, volume_mm3: float, assumed: float) -> dict[str, float]:
     """Give standard uncertainties by cause, mm³: facets, between lines, ends.
 
     `assumed` is the share of the volume beyond the outer lines. Where the sheet ends at an outer line, the
@@ -117,7 +108,7 @@ def budget_of(sheet: Sheet, method: Method, volume_mm3: float, assumed: float) -
     if math.isfinite(sheet.miss_mm):
         between = _BRIDGES * sheet.miss_mm * _footprint_mm2(sheet) / math.sqrt(len(sheet.lines) - 1)
     return {
-        "facets": _FACETS[method] * volume_mm3,
+        "facets": _FACETS * volume_mm3,
         "between lines": between,
         "ends": math.hypot(_TIPS * assumed * volume_mm3, *missing),
     }
@@ -176,7 +167,7 @@ class MeshFiles(Sink[MeshFilesOptions]):
                 title = f"{name}#{product.number}"
                 try:
                     sheet = sheet_of(product, self.options.step_mm)
-                    mesh = mesh_of(sheet, self.options.method, self.options.step_mm)
+                    mesh = mesh_of(sheet, self.options.step_mm)
                 except RoemetryError as error:
                     missing.append(f"{title}: {error}")
                     continue
@@ -311,24 +302,15 @@ def _on_sheet(vertices: Floats, sheet: Sheet, step_mm: float) -> np.ndarray:
     return on
 
 
-Method = Literal["poisson", "ball-pivoting", "alpha-shape"]
 _SCALE = 1.1  # Poisson's cube over the cloud's extent: Open3D's default, a margin for the smoothing
 _SUPPORT_STEPS = 3.0  # steps of the cloud beyond which Poisson's surface has no support and is cut off
-_RADII_STEPS = 2.0, 4.0, 8.0  # balls, in steps: the first rolls over the grid, the others over wider gaps
-_ALPHA_START_SPACINGS = 0.75  # of the lines: a smaller alpha falls through between them
-_ALPHA_GROWS = 1.25  # from try to try, until the shape is one closed body
-_ALPHA_TRIES = 8  # up to five times the first alpha
 
 
 class Mesh(NamedTuple):
-    """A closed mesh that stands on the belt: `vertices` (n, 3) mm, `triangles` (m, 3), outwards.
-
-    `mended` counts the edges of the holes that were filled to close it.
-    """
+    """A closed mesh that stands on the belt: `vertices` (n, 3) mm, `triangles` (m, 3), outwards."""
 
     vertices: Floats
     triangles: Integers
-    mended: int
 
     @property
     def volume_mm3(self) -> float:
@@ -337,33 +319,24 @@ class Mesh(NamedTuple):
         return float(np.einsum("ij,ij->", corner[:, 0], np.cross(corner[:, 1], corner[:, 2])) / 6.0)
 
 
-def mesh_of(sheet: Sheet, method: Method, step_mm: float) -> Mesh:
-    """Make a closed mesh.
+def mesh_of(sheet: Sheet, step_mm: float) -> Mesh:
+    """Make a closed mesh by screened Poisson reconstruction (Kazhdan and Hoppe 2013).
 
     Raises
     ------
     StageError
         Open3D is missing, or what it made is not closed: it has no inside, and no volume.
     """
-    o3d = open3d()
-    mended_edges = 0
-    if method == "alpha-shape":
-        vertices, triangles = _alpha_shape(o3d, standing_cloud(sheet, step_mm), sheet)
-    else:
-        cloud = mirrored_cloud(sheet, step_mm)
-        build = _poisson if method == "poisson" else _ball_pivoting
-        vertices, triangles = build(o3d, cloud, step_mm)
-        if method == "ball-pivoting":
-            vertices, triangles, mended_edges = mended(vertices, triangles)
+    vertices, triangles = _poisson(open3d(), mirrored_cloud(sheet, step_mm), step_mm)
     at_fault = open_edges(triangles)
     if at_fault or not len(triangles):
         raise StageError(
-            f"the mesh by {method} is not closed ({at_fault} of its edges do not join two triangles): it has "
+            f"the mesh is not closed ({at_fault} of its edges do not join two triangles): it has "
             "no inside, so no volume",
-            hint="another `method`, or a finer `step_mm`; a slice estimator needs no mesh",
+            hint="try a finer `step_mm`; a slice estimator needs no mesh",
         )
     pressed = vertices * np.array([1.0, 1.0, 0.0]) + np.maximum(vertices, 0.0) * np.array([0.0, 0.0, 1.0])
-    mesh = Mesh(pressed, triangles, mended_edges)
+    mesh = Mesh(pressed, triangles)
     return mesh if mesh.volume_mm3 >= 0.0 else mesh._replace(triangles=triangles[:, ::-1].copy())
 
 
@@ -396,33 +369,9 @@ def _distances(o3d, mesh, cloud: Cloud) -> Floats:  # type: ignore[no-untyped-de
     return np.asarray(corners.compute_point_cloud_distance(_points(o3d, cloud)), np.float64)
 
 
-def _ball_pivoting(o3d, cloud: Cloud, step_mm: float) -> tuple[Floats, Integers]:  # type: ignore[no-untyped-def] # noqa: ANN001
-    radii = o3d.utility.DoubleVector([steps * step_mm for steps in _RADII_STEPS])
-    return _arrays(
-        o3d.geometry.TriangleMesh.create_from_point_cloud_ball_pivoting(_points(o3d, cloud), radii)
-    )
-
-
-def _alpha_shape(o3d, cloud: Cloud, sheet: Sheet) -> tuple[Floats, Integers]:  # type: ignore[no-untyped-def] # noqa: ANN001
-    """Alpha grows until the shape is one closed body: too small a one leaves a hollow shell."""
-    points = _points(o3d, cloud)
-    tetrahedra, origin = o3d.geometry.TetraMesh.create_from_point_cloud(points)
-    alpha = max(_ALPHA_START_SPACINGS * sheet.spacing_mm, 0.5 * float(sheet.xyz_mm[..., 2].max()))
-    for _ in range(_ALPHA_TRIES):
-        mesh = o3d.geometry.TriangleMesh.create_from_point_cloud_alpha_shape(
-            points, alpha, tetrahedra, origin
-        )
-        vertices, triangles = _arrays(mesh)
-        bodies = len(mesh.cluster_connected_triangles()[1])
-        if bodies == 1 and not open_edges(triangles):
-            break
-        alpha *= _ALPHA_GROWS
-    return vertices, triangles
-
-
 _MIRROR = np.array([1.0, 1.0, -1.0])  # at the belt
 _LEAST_STEPS = 0.25  # height over the belt, in steps, below which a point and its mirror image would clash
-_STIRRED_STEPS = 0.01  # how far points are moved, in steps: enough to part four points of one ball
+_STIRRED_STEPS = 0.01  # how far points are moved, in steps: enough to part points of a regular grid
 
 
 class Cloud(NamedTuple):
@@ -447,20 +396,8 @@ def mirrored_cloud(sheet: Sheet, step_mm: float) -> Cloud:
     )
 
 
-def standing_cloud(sheet: Sheet, step_mm: float) -> Cloud:
-    """Give sheet, wall and a bottom on the belt."""
-    top, wall, foot = _top(sheet, step_mm), *_wall(sheet, step_mm)
-    bottom = sheet.xyz_mm[1:-1, 1:-1].reshape(-1, 3) * np.array([1.0, 1.0, 0.0])
-    down = np.tile([0.0, 0.0, -1.0], (len(bottom), 1))
-    return _stirred(
-        step_mm,
-        np.vstack([top.xyz_mm, wall.xyz_mm, foot.xyz_mm, bottom]),
-        np.vstack([top.normal, wall.normal, foot.normal, down]),
-    )
-
-
 def _stirred(step_mm: float, points: Floats, normal: Floats) -> Cloud:
-    """Move points by a hundredth of a step, the same way each time: grids have balls through four points."""
+    """Move points by a hundredth of a step, the same way each time: a regular grid makes meshes ambiguous."""
     moved = np.random.default_rng(0).uniform(-_STIRRED_STEPS, _STIRRED_STEPS, points.shape)
     return Cloud(points + step_mm * moved, normal)
 
@@ -484,7 +421,7 @@ def _wall(sheet: Sheet, step_mm: float) -> tuple[Cloud, Cloud]:
     along = np.roll(ring, -1, axis=0) - np.roll(ring, 1, axis=0)
     outward = turn * np.column_stack([along[:, 1], -along[:, 0], np.zeros(len(ring))])
     outward /= np.maximum(np.linalg.norm(outward, axis=1), 1e-9)[:, None]
-    # levels that rise and fall with the edge: a regular grid would make balls and circumspheres ambiguous
+    # levels that rise and fall with the edge, so that the points form no regular grid
     levels = max(round(float(ring[:, 2].max()) / step_mm), 1)
     share = (np.arange(1, levels) / levels)[:, None]
     below, at = np.nonzero(share * ring[None, :, 2] > _LEAST_STEPS * step_mm)
@@ -501,60 +438,12 @@ def _ring(sheet: Sheet, step_mm: float) -> Floats:
     return np.column_stack([np.interp(at, along, edge[:, k]) for k in range(3)])
 
 
-_LARGEST_LOOP = 12  # edges of a hole that is filled; larger ones are no gaps between balls
-
-
 def open_edges(triangles: Integers) -> int:
     """Count edges that do not join exactly two triangles which run through them in opposite ways."""
     ways = _ways(triangles)
     _, each = np.unique(ways, axis=0, return_counts=True)
     _, both = np.unique(np.sort(ways, axis=1), axis=0, return_counts=True)
     return int((both != 2).sum() + (each > 1).sum())
-
-
-def mended(vertices: Floats, triangles: Integers) -> tuple[Floats, Integers, int]:
-    """Fill loops of up to twelve open edges by fans about their middles; also how many edges were closed."""
-    ways = _ways(triangles)
-    known = {(int(a), int(b)) for a, b in ways}
-    # an edge that one triangle runs through from a to b is open where none runs back
-    after: dict[int, list[int]] = {}
-    for a, b in sorted(known):
-        if (b, a) not in known:
-            after.setdefault(b, []).append(a)
-    fans: list[tuple[int, int, int]] = []
-    middles: list[Floats] = []
-    closed = 0
-    for loop in _loops(after):
-        if not 3 <= len(loop) <= _LARGEST_LOOP:
-            continue
-        # from the middle, for a diagonal may be an edge of the mesh already
-        middle = len(vertices) + len(middles)
-        middles.append(vertices[loop].mean(axis=0))
-        fans += [(middle, loop[k - 1], loop[k]) for k in range(len(loop))]
-        closed += len(loop)
-    if not fans:
-        return vertices, triangles, 0
-    return np.vstack([vertices, middles]), np.vstack([triangles, fans]), closed
-
-
-def _loops(after: dict[int, list[int]]) -> Iterator[list[int]]:
-    """Give the loops of open edges; where loops touch at a corner, each by itself. Empties `after`."""
-    while after:
-        walk = [min(after)]
-        while walk:
-            ways = after.get(walk[-1])
-            if not ways:  # a dead end: these edges lie on no loop
-                walk.pop()
-                continue
-            corner = ways.pop()
-            if not ways:
-                del after[walk[-1]]
-            if corner in walk:
-                at = walk.index(corner)
-                yield walk[at:]
-                del walk[at + 1 :]
-            else:
-                walk.append(corner)
 
 
 def _ways(triangles: Integers) -> Integers:

@@ -375,7 +375,7 @@ def _displacements(rest: RestLines, live: Integers, calibration: Calibration | N
     return ends.min(axis=0) - rest.tolerance_px, ends.max(axis=0) + rest.tolerance_px
 
 
-_JOIN_ROWS = 20
+_JOIN_ROWS = 20  # rows of a break over which a body goes on: as long a gap as is bridged
 
 
 def literal_codes(

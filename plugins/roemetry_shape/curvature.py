@@ -17,7 +17,7 @@ from roemetry_shape.product_frame import SAMPLES, Sections
 
 _REACH = 6
 """Samples to either side that a local quadric is fitted to, of every second sample."""
-_EDGE = 8
+_EDGE = 8  # samples at either end without curvature: the fit there is one-sided
 
 
 class SurfaceShape(NamedTuple):

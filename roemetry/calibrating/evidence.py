@@ -224,8 +224,8 @@ def level_line_px(calibration: Calibration, row: Floats, height_mm: float) -> Fl
     return np.where(np.abs(z1) < 1e-6, x1, np.nan)
 
 
-_POINTS_MAX = 4000
-_BINS = 40
+_POINTS_MAX = 4000  # points drawn: more hide one another
+_BINS = 40  # of the histogram of errors
 _WARM, _COLD, _MIDDLE = (179, 38, 44), (11, 85, 120), (226, 229, 232)
 _PALE, _EMPTY = (255, 255, 255), "#f3c9c5"
 _RAMP = ((253, 246, 216), (242, 166, 94), (176, 74, 112), (58, 31, 85))

@@ -223,7 +223,7 @@ _NEVER_FEATURES = (
 """Columns of the `csv` sink that may hold numbers and are no feature, and those that people add."""
 
 _NEVER_BEGIN = ("probability_", "truth_", "novelty", "strangeness")
-_FAULTS_SHOWN = 10
+_FAULTS_SHOWN = 10  # of a table: more at once nobody reads
 
 
 def read_table(path: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:

@@ -73,8 +73,8 @@ def _uri(frame: Frame) -> str:
     return "data:image/jpeg;base64," + base64.b64encode(coded.tobytes()).decode()
 
 
-_WIDTH, _HEIGHT = 620.0, 400.0
-_YAW_DEG, _RISE_DEG = -30.0, 25.0
+_WIDTH, _HEIGHT = 620.0, 400.0  # of the picture, in the page's units
+_YAW_DEG, _RISE_DEG = -30.0, 25.0  # from where the target is looked at: three faces show
 
 
 class Space(NamedTuple):

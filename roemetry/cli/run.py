@@ -339,8 +339,8 @@ def _few(rows: list[str]) -> str:
 
 _NOT_FITTED = ("visible-taken-for-true", "underside-assumed")
 """Reasons that make a weight wrong by a tenth, and that weighed samples mend."""
-_ROWS_MAX = 40
-_NAMED_MAX = 3
+_ROWS_MAX = 40  # of a table in a terminal; the files have all
+_NAMED_MAX = 3  # products named before "and n more"
 _COLOURS = {"measured": "default", "empty": "yellow", "failed": "red"}
 
 

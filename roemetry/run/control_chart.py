@@ -259,7 +259,7 @@ def _days_since(moment: str, now: datetime) -> float:
 
 
 _COLOURS = {"in order": "#0d689c", "drifting": "#c77700", "out": "#c8202a"}
-_WIDTH = 900.0
+_WIDTH = 900.0  # of a chart, in the page's units
 
 
 def chart_page(checks: Sequence[Check], title: str) -> str:
