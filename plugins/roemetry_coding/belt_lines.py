@@ -17,12 +17,12 @@ stands in its variance.
 Assumes that belt is seen at the ends of the image, and that nothing has moved by more than a few pixels. It
 fails, and says so, where the belt is hidden or where lines that fit no small motion are seen.
 
-Model. A product's surface is continuous from row to row, and where it is not (an edge, a step), the edge
-crosses the stripes one after another: only by accident do five stripes and more jump between the same two
-rows while each lies on a product before and after. A sensor's or a transport's fault tears all of them there.
-The jump of a stripe between rows r and r + 1 is its step less the mean of the steps before and after it, so
-that a slope is none; the product's ends are left out. On the belt it is the step less that of the rest line:
-where all jump alike, what follows was taken from another place.
+Torn frames. A product's surface is continuous from row to row, and where it is not (an edge, a step), the
+edge crosses the stripes one after another: only by accident do five stripes and more jump between the same
+two rows while each lies on a product before and after. A sensor's or a transport's fault tears all of them
+there. The jump of a stripe between rows r and r + 1 is its step less the mean of the steps before and after
+it, so that a slope is none; the product's ends are left out. On the belt it is the step less that of the rest
+line: where all jump alike, what follows was taken from another place.
 
 Fails where the tear crosses no product (then it harms none), where what is joined fits by accident, and on
 steps that lie along the rows to a quarter of a degree.

@@ -37,7 +37,6 @@ import numpy as np
 
 from roemetry.records import Product, Profiles, Relief
 from roemetry.records.arrays import Flags, Floats
-from roemetry_shape.curvature import surface_shape
 from roemetry_shape.product_frame import (
     SAMPLES,
     STATIONS,
@@ -56,6 +55,7 @@ from roemetry_shape.regions import (
     humps_of,
     regions_of,
     relief_of,
+    surface_shape,
 )
 
 SECTIONS_MIN = 3

@@ -328,7 +328,7 @@ def of_plan(
     weigh_half_width: float,
 ) -> Iterator[str]:
     """Say how large a study must be."""
-    from roemetry_study.design import plan, samples_for_mean
+    from roemetry_study.gauge import plan, samples_for_mean
 
     if run is not None:
         found = [estimate_of(row, value) for row in read_record(run)]

@@ -1,4 +1,4 @@
-"""``roemetry run``, and what is derived of a run again: ``report`` and ``export``."""
+"""``roemetry run`` with its table, and what is derived of a run again: ``report`` and ``export``."""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
 """Run a recipe over its source: the record grows line by line, everything else is derived from it.
 
-Images are not kept: the source gives them again. What cannot be written or read is traced anew.
+Traces that sinks look at again are kept on disk, so that no acquisition is traced twice, but not their
+images, which the source gives again. What cannot be written or read is traced anew.
 """
 
 from __future__ import annotations

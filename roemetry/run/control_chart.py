@@ -2,7 +2,7 @@
 
 A check compares lengths of a known block with what the line measures, each against its standard uncertainty
 (Eₙ of ISO/IEC 17043: |error| over twice that; above 1 is out). Earlier checks of the same calibration make a
-chart of single values with the rules of `control_rules`, by which drift is seen long before a limit is
+chart of single values with rules by which drift is seen long before a limit is
 passed. Checks are kept in a small SQLite file.
 
 Centre and scatter are of the first values, the scatter from step to step, which a slow drift does not widen.

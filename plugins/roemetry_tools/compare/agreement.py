@@ -4,6 +4,8 @@ Differences are relative, %, product by product. Their mean and the limits of ag
 1986) stand with intervals of a bootstrap over products. Two means are equivalent where the 90 % interval of
 their difference lies within a tolerance (two one-sided tests, Schuirmann 1987), different where it lies
 wholly beyond. With few products, or with products unlike those to come, intervals say less than they seem to.
+
+Classes are held against true ones: recalls with intervals, and whether stated probabilities hold.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The page of a comparison: one file that opens anywhere, for a reader who was not there."""
+"""The page of a comparison: one file that opens anywhere, its plots as inline SVG."""
 
 from __future__ import annotations
 

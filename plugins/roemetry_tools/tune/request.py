@@ -1,6 +1,7 @@
 """What the page asks for, and the recipe that follows from it.
 
-An option's schema says whether it becomes a slider, a choice, a switch or a text.
+The form is made of the chain as it stands, every plugin that might stand there, and their options: an
+option's schema says whether it becomes a slider, a choice, a switch or a text.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """One recipe on the bench: what the page may ask, answered without a network.
 
-It is a header of JSON, then arrays that a browser uses without copying them. The header's length stands
-first, 4 bytes, little-endian. The header is padded with blanks, each array with zeros, to a multiple of 8
-bytes. `arrays` in the header says for each: its type, its shape, and where it begins, counted from the end of
-the header.
+An answer holds the frame as a picture, arrays to draw over it, and places that want a look: a header of JSON,
+then arrays that a browser uses without copying them. The header's length stands first, 4 bytes,
+little-endian. The header is padded with blanks, each array with zeros, to a multiple of 8 bytes. `arrays` in
+the header says for each: its type, its shape, and where it begins, counted from the end of the header.
 """
 
 from __future__ import annotations

@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from roemetry.errors import ConfigurationError, DataError
-from roemetry_study.design import samples_for_mean, simulated
-from roemetry_study.gauge import gauge_study
+from roemetry_study.gauge import gauge_study, samples_for_mean, simulated
 from roemetry_study.table import Reading, StudyTable, read_table
 from roemetry_study.variance import analyse, average_range, range_constants
 
