@@ -45,7 +45,7 @@ _HOMES = {
     "RoemetryError": "errors",
     "calibrate": "calibrating",
     "make_stage": "config.resolve",
-    "product_from_points": "records.from_points",
+    "product_from_points": "records.convert",
     "run_recipe": "run.batch",
     "to_pandas": "records.convert",
     "to_point_cloud": "records.convert",
