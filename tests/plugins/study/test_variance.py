@@ -201,8 +201,8 @@ def test_the_stated_uncertainty_stands_beside_the_repeatability() -> None:
             DataError,
             "not in one unit",
         ),
-        ("part,mass_g\n1,1.0,7\n", DataError, "expected 2 cells"),
-        ("part,mass_g\n", DataError, "no reading"),
+        ("part,mass_g\n1,1.0,7\n", DataError, "another number of cells"),
+        ("part,mass_g\n", DataError, "the table is empty"),
     ],
 )
 def test_tables_without_sense_are_refused_with_their_place(
