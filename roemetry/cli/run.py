@@ -18,7 +18,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
-from roemetry.cli.options import out_option, set_option
+from roemetry.cli.options import next_folder, out_option, set_option
 from roemetry.records import Estimate, Measurement
 from roemetry.records.units import MM3_PER_CM3, stated
 
@@ -84,7 +84,7 @@ def run(
     printed = contextlib.redirect_stdout(sys.stderr) if as_json else contextlib.nullcontext()
     with printed:
         loaded = Recipe.load(recipe, sets=changes)
-        folder = out or _next_folder(loaded)
+        folder = out or next_folder(loaded.path)
         try:
             with progress("compiling kernels, first run only", quiet=as_json) as on_progress:
                 warm_up(loaded, on_progress)
@@ -146,16 +146,6 @@ def _stopped_by_signals() -> Iterator[Callable[[], None]]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-
-
-def _next_folder(recipe: Recipe) -> Path:
-    """Give the first results folder of this recipe's name that is not there yet."""
-    path = recipe.path.resolve()
-    name = path.parent.name if path.stem == "recipe" else path.stem
-    number = 1
-    while (folder := Path("results") / f"{name}-{number}").exists():
-        number += 1
-    return folder
 
 
 def _described(outcome: Outcome) -> dict[str, object]:
