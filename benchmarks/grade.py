@@ -25,7 +25,7 @@ from benchmarks.grading.scores import UNKNOWN, Judged, judged_by
 from benchmarks.grading.spread import spread_table
 from benchmarks.grading.strangers import strangers
 from benchmarks.grading.virtual_rows import rendered_rows, virtual_rows
-from benchmarks.grading.words import table
+from benchmarks.tables import table
 from benchmarks.traced import rows_of
 from benchmarks.traced.tables import LEARNING_MIX, Row
 

@@ -36,7 +36,7 @@ from roemetry_simulate.solid import Block, Solid
 from roemetry_simulate.truth import stripe_centres
 from roemetry_study.acceptance import Artefact, decide, measure, overall
 from roemetry_study.agreement import Operator, agreement
-from roemetry_study.design import simulated
+from roemetry_study.gauge import simulated
 from roemetry_study.table import Reading, StudyTable
 from roemetry_study.variance import analyse
 from roemetry_volume.outline_surface import OutlineSurface

@@ -14,10 +14,9 @@ import time
 from pathlib import Path
 from typing import Any
 
-from roemetry_tools.tune.answer import unpacked
 from roemetry_tools.tune.request import StageRequest, TuneRequest
 from roemetry_tools.tune.server import LOOPBACK, app_of
-from roemetry_tools.tune.session import Session
+from roemetry_tools.tune.session import Session, unpacked
 
 
 def main() -> None:

@@ -1,4 +1,4 @@
-"""Error of every volume estimator on simulated products; writes docs/measurements/volume.md.
+"""Error of every volume estimator on simulated products: the tables of docs/measurements/volume.md.
 
 ``python -m benchmarks volume [--first 80000] [--count 100] [--meshes 10] [--images 0] [--page FILE]``
 
@@ -18,10 +18,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from benchmarks.tables import put_into, table
 from benchmarks.volume_scenes import Exact, exact, exact_skein, images, measured, rig_of, thinned
 from roemetry.errors import RoemetryError
 from roemetry.stages import VolumeEstimator
-from roemetry_open3d.mesh_files import MeshOptions, SurfaceMesh
+from roemetry_open3d.mesh_files import SurfaceMesh
 from roemetry_paper.zero_order_hold import ZeroOrderHold
 from roemetry_simulate.products import PRODUCTS
 from roemetry_simulate.products.family import Pose, draw_pose, random_of
@@ -48,10 +49,7 @@ ESTIMATORS: Mapping[str, VolumeEstimator[Any]] = {
     "slice-pchip, ends: none": SlicePchip(SliceOptions(ends="none")),
     "outline-surface": OutlineSurface(),
 }
-MESHES: Mapping[str, VolumeEstimator[Any]] = {
-    f"surface-mesh, {method}": SurfaceMesh(MeshOptions(method=method))
-    for method in ("poisson", "ball-pivoting", "alpha-shape")
-}
+MESHES: Mapping[str, VolumeEstimator[Any]] = {"surface-mesh": SurfaceMesh()}
 """Hundreds of times as slow: measured on the first skeins only."""
 STEPS = {41: 1, 21: 2, 11: 4, 6: 8, 5: 10, 3: 20}
 """How many stripes remain when each so many of 41 is kept."""
@@ -128,9 +126,17 @@ def main() -> None:
         for seed in range(given.bodies, given.bodies + given.rigs)
         for row in measure(name, exact(rig_of(seed), solid_of(family, options, seed)), _OF_BODIES)
     ]
-    text = page(rows, pictures, known, shares, given)
-    given.page.write_text(text, encoding="utf-8")
-    print(text)
+    stated = [name for name in ESTIMATORS if name not in ("zero-order-hold", "slice-pchip, ends: none")]
+    parts = {
+        "eleven stripes": judged([row for row in rows if row.of in ("11", "meshes")]),
+        "how many stripes": briefs(rows, [str(count) for count in STEPS], stated, "stripes"),
+        "known bodies": briefs(known, list(BODIES), list(_OF_BODIES), "body"),
+        "underside": underside(np.array(shares)),
+    }
+    for light in ("plain", "laser"):
+        if mine := [row for row in pictures if row.of == light]:
+            parts[f"outline in {light} light"] = judged(mine)
+    put_into(given.page, parts)
 
 
 def measure(label: str, one: Exact, estimators: Mapping[str, VolumeEstimator[Any]]) -> list[Row]:
@@ -188,46 +194,6 @@ def half_ellipsoid(length_mm: float, width_mm: float, height_mm: float, pose: Po
     return PartsSolid(surfaces, volume, volume, math.pi * a * b, extent, c)
 
 
-def page(
-    rows: Sequence[Row],
-    pictures: Sequence[Row],
-    known: Sequence[Row],
-    shares: Sequence[tuple[float, float, float]],
-    given: argparse.Namespace,
-) -> str:
-    """Write the page."""
-    stated = [name for name in ESTIMATORS if name not in ("zero-order-hold", "slice-pchip, ends: none")]
-    parts = [
-        "# Volume estimators, measured\n\n"
-        f"Made by `python -m benchmarks volume --first {given.first} --count {given.count} --meshes "
-        f"{given.meshes} --images {given.images} --images-from {given.images_from} --bodies {given.bodies} "
-        f"--rigs {given.rigs}`: {given.count} simulated herring roe skeins of all kinds, each on a rig of "
-        "its own (camera 270 to 420 mm above the belt, laser on either side, stripes over 87.5 mm). Errors "
-        "are those of the visible volume, per cent of the truth; centres, planes and silhouettes are exact "
-        "unless it says *images*: what is left is the error of the method. Intervals are value ± 1.96 of the "
-        "estimator's own standard uncertainty.",
-        "## Eleven stripes\n\n" + judged([row for row in rows if row.of in ("11", "meshes")]),
-        "## How many stripes\n\nMean absolute error / 95 % point / intervals that hold, per cent.\n\n"
-        + table(
-            ("stripes", *(f"`{name}`" for name in stated)),
-            [(count, *(brief(rows, count, name) for name in stated)) for count in map(str, STEPS)],
-        ),
-        *(
-            f"## From images, outline in {light} light\n\n" + judged(mine)
-            for light in ("plain", "laser")
-            if (mine := [row for row in pictures if row.of == light])
-        ),
-        f"## Known bodies\n\nOn {given.rigs} rigs each. Mean absolute error / 95 % point / intervals that "
-        "hold, per cent.\n\n"
-        + table(
-            ("body", *(f"`{name}`" for name in _OF_BODIES)),
-            [(name, *(brief(known, name, one) for one in _OF_BODIES)) for name in BODIES],
-        ),
-        underside(np.array(shares)),
-    ]
-    return "\n\n".join(part.strip() for part in parts) + "\n"
-
-
 def judged(rows: Sequence[Row]) -> str:
     """Give a line for each estimator."""
     lines = []
@@ -240,6 +206,12 @@ def judged(rows: Sequence[Row]) -> str:
         error, std = (100.0 * np.array([getattr(row, what) for row in mine]) for what in ("error", "std"))
         lines.append((label, *_figures(error), *_intervals(error, std), f"{_median_ms(mine):.2f}"))
     return table((*_HEAD[:-1], "ms"), lines)
+
+
+def briefs(rows: Sequence[Row], of: Sequence[str], estimators: Sequence[str], what: str) -> str:
+    """Give a line for each of what was measured, and in it a cell for each estimator."""
+    lines = [[name, *(brief(rows, name, estimator) for estimator in estimators)] for name in of]
+    return table([what, *(f"`{estimator}`" for estimator in estimators)], lines)
 
 
 def brief(rows: Sequence[Row], of: str, estimator: str) -> str:
@@ -264,7 +236,7 @@ def underside(shares: np.ndarray) -> str:
     std = np.hypot(share * model_std[~even], scatter * visible[~even])
     error = 100.0 * (value / true[~even] - 1.0)
     line = ("rounded, fitted share", *_figures(error), *_intervals(error, 100.0 * std / true[~even]))
-    return f"## True volume by a share of {share:.3f} ± {scatter:.3f}\n\n" + table(_HEAD[:-1], [line])
+    return f"Share {share:.3f} ± {scatter:.3f}.\n\n" + table(_HEAD[:-1], [line])
 
 
 _HEAD = ("estimator", "mean", "mean absolute", "95 % point", "largest", "intervals hold", "median width", "")
@@ -289,11 +261,6 @@ def _intervals(error: np.ndarray, std: np.ndarray) -> tuple[str, str]:
     if not np.isfinite(std).any():
         return "not stated", "not stated"
     return f"{100.0 * np.mean(np.abs(error) < K * std):.1f} %", f"{np.median(2.0 * K * std):.2f} %"
-
-
-def table(head: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
-    """Give a table in Markdown."""
-    return "\n".join(f"| {' | '.join(cells)} |" for cells in (head, ["---"] * len(head), *lines))
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +34,15 @@ HERRING_ROE = Path(__file__).parents[1] / "recipes" / "herring_roe"
 Floats = NDArray[np.float64]
 
 _REACH_MM = 87.5
+
+
+class HasLight(Protocol):
+    """A camera and its planes of light."""
+
+    @property
+    def camera(self) -> Camera: ...  # noqa: D102
+    @property
+    def laser(self) -> LaserFan: ...  # noqa: D102
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +128,7 @@ def _fan(
     return fan_through(place, feet, yaw_deg=yaw_deg, pitch_deg=pitch_deg, sigma_mm=0.31, peak_grey=370.0)
 
 
-def view_of(rig: Rig) -> View:
+def view_of(rig: HasLight) -> View:
     """Return the rig's geometry as the project's record of it."""
     camera = rig.camera
     f, (cx, cy) = camera.focal_length_px, camera.principal_px
@@ -220,11 +230,6 @@ def _even(chain: Floats, points: int) -> tuple[Floats, Floats]:
     return xy, normal
 
 
-def is_rendered(seed: int, cache: Path) -> bool:
-    """Whether the cache holds a skein's images."""
-    return (cache / f"{seed}_images.npz").exists()
-
-
 def images(seed: int, cache: Path) -> tuple[Frame, Frame]:
     """Render a skein in laser and in plain light, or take both from the cache."""
     path = cache / f"{seed}_images.npz"
@@ -252,14 +257,14 @@ def measured(laser: Frame, plain: Frame, calibration: Calibration, outline: str)
     outliner = EdgeContour(EdgeContourOptions(light="plain" if outline == "plain" else "laser"))
     contours = outliner.outline(laser, plain, stripes, calibration)
     found = split_products(
-        _lifted(stripes, calibration), contours, calibration, "images", view=calibration.view
+        lifted(stripes, calibration), contours, calibration, "images", view=calibration.view
     )
     if len(found) != 1:
         raise RoemetryError(f"{len(found)} products were found, expected 1")
     return found[0]
 
 
-def _lifted(stripes: StripeMap, calibration: Calibration) -> Profiles:
+def lifted(stripes: StripeMap, calibration: Calibration) -> Profiles:
     """Meet the rays of coded peaks with the true planes."""
     view = calibration.view
     assert view is not None

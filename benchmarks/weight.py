@@ -11,7 +11,6 @@ times one factor that the same 20 give.
 from __future__ import annotations
 
 import argparse
-import json
 import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
@@ -21,6 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from benchmarks.tables import kept_rows
 from benchmarks.volume_scenes import Exact, calibration_of, exact, rig_of
 from roemetry.errors import RoemetryError
 from roemetry.records import Outline, Samples
@@ -149,21 +149,9 @@ def _factor(degrees_of_freedom: float) -> float:
 
 def measured(family: str, first: int, count: int, cache: Path) -> list[Weighed]:
     """Measure products, or take them from the cache."""
-    cache.mkdir(parents=True, exist_ok=True)
-    path = cache / f"{family}.jsonl"
-    kept: dict[int, Any] = {}
-    if path.exists():
-        rows = (json.loads(line) for line in path.read_text("utf-8").splitlines())
-        kept = {row["seed"]: row for row in rows}
-    found = []
-    for seed in range(first, first + count):
-        if seed not in kept:
-            kept[seed] = measure(family, seed)
-            with path.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(kept[seed]) + "\n")
-        if "refused" not in kept[seed]:
-            found.append(Weighed(**kept[seed]))
-    return found
+    seeds = range(first, first + count)
+    kept = kept_rows(cache / f"{family}.jsonl", seeds, lambda seed: measure(family, seed))
+    return [Weighed(**kept[seed]) for seed in seeds if "refused" not in kept[seed]]
 
 
 def measure(family: str, seed: int) -> dict[str, Any]:

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.volume_scenes import view_of
 from roemetry.records.calibration import Calibration
-from roemetry.records.view import View
 from roemetry_simulate.optics import Camera, LaserFan, fan_through, looking_down
 
 Floats = NDArray[np.float64]
@@ -56,19 +56,6 @@ class CodingRig:
         rest, lifted = self.line_px(0.0)[:, middle], self.line_px(height_mm)[:, middle]
         return float(np.abs(lifted - rest).mean() / np.diff(rest).mean())
 
-    def view(self) -> View:
-        """Give the exact geometry."""
-        camera = self.camera
-        matrix = np.diag([camera.focal_length_px, camera.focal_length_px, 1.0])
-        matrix[:2, 2] = camera.principal_px
-        return View(
-            image_size=(camera.height_px, camera.width_px),
-            camera_matrix=matrix,
-            T_belt_camera=camera.T_belt_camera,
-            planes=np.column_stack([self.laser.normals, self.laser.offsets_mm]),
-            projector_mm=self.laser.projector_mm,
-        )
-
     def calibration(self) -> Calibration:
         """Give the exact calibration, with what the paper's triangulation needs of it."""
         rest = self.line_px(0.0)
@@ -86,7 +73,7 @@ class CodingRig:
             parameters={"omega_mm_per_px": 1.0 / per_mm, "mm_per_px": np.array([scale])},
             covariance=np.zeros((per_mm.size + 1, per_mm.size + 1)),
             extractor={"use": "exact"},
-            view=self.view(),
+            view=view_of(self),
         )
 
 

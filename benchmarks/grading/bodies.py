@@ -54,16 +54,6 @@ def our_skein(seed: int, label: str) -> Body:
     return Body(tops[0], tops[1], label)
 
 
-def other_product(seed: int, family: str, options: dict[str, object]) -> Surface:
-    """Draw a product of another family of the simulator."""
-    made = PRODUCTS[family]
-    given = {**options, **({"grid_step_mm": 0.25} if "grid_step_mm" in made.Options.model_fields else {})}
-    solid = made.draw(seed, made.Options(**given)).solid
-    x0, x1, y0, y1 = solid.footprint_extent_mm()
-    x = np.arange(x0 - MARGIN_MM, x1 + MARGIN_MM, STEP_MM)
-    return _top(solid.heights_mm, x, np.arange(y0 - MARGIN_MM, y1 + MARGIN_MM, STEP_MM))
-
-
 def _top(heights: Callable[[Floats, Floats], tuple[Floats, Floats]], x: Floats, y: Floats) -> Surface:
     one, other = heights(*np.meshgrid(x, y))
     return surface_of_grid(np.nan_to_num(np.fmax(one, other)))

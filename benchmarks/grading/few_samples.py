@@ -12,7 +12,7 @@ from benchmarks.grading.bodies import Body
 from benchmarks.grading.judges import GOOD, SHOWN_MM, samples_of
 from benchmarks.grading.virtual_rig import draw_rig
 from benchmarks.grading.virtual_rows import KINDS, lofted_skein, make_body, rendered_bodies, rows_of_body
-from benchmarks.grading.words import table
+from benchmarks.tables import table
 from benchmarks.traced.tables import Row
 from roemetry_shape.learned import Learned, LearnedOptions
 

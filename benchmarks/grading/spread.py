@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.grading.virtual_rows import make_body, rendered_bodies, rows_of_body
-from benchmarks.grading.words import table
+from benchmarks.tables import table
 from roemetry_shape.novelty import GOOD_SPREAD
 
 SEED, RIGS = 91000, 12

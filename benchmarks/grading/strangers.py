@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -13,8 +12,7 @@ import numpy as np
 
 from benchmarks.grading.judges import GOOD
 from benchmarks.grading.scores import UNKNOWN
-from benchmarks.grading.words import share, table
-from benchmarks.made_by import made_by
+from benchmarks.tables import kept_rows, share, table
 from benchmarks.traced import traced
 from benchmarks.traced.tables import SMOOTHING_MM
 from roemetry.errors import RoemetryError
@@ -110,7 +108,9 @@ STRANGERS: Mapping[str, tuple[str, Options]] = {
 
 def strangers(model: Path, seeds: Sequence[int], cache: Path) -> str:
     """Write what the model says of products of other families, on rigs about the recipe's."""
-    learned, known = Learned(LearnedOptions(model=model)), features_of_all(seeds, cache)
+    learned = Learned(LearnedOptions(model=model))
+    wanted = itertools.product(STRANGERS, seeds)
+    known = kept_rows(cache / "strangers.jsonl", wanted, lambda key: features_of(*key))
     rows: list[list[str]] = []
     found = {True: (0, 0), False: (0, 0)}
     for name in STRANGERS:
@@ -144,21 +144,6 @@ def features_of(name: str, seed: int) -> dict[str, float]:
     except RoemetryError:
         return {}
     return {} if one.exact is None else shape_of(one.exact, SMOOTHING_MM).features
-
-
-def features_of_all(seeds: Sequence[int], cache: Path) -> dict[tuple[str, int], dict[str, float]]:
-    """Measure every stranger, or take it from the cache, whose name says by what code it was made."""
-    cache.mkdir(parents=True, exist_ok=True)
-    path = cache / f"strangers_{made_by(__name__)}.jsonl"
-    lines = path.read_text("utf-8").splitlines() if path.exists() else []
-    known = {(name, seed): features for name, seed, features in map(json.loads, lines)}
-    with path.open("a", encoding="utf-8") as file:
-        for one in itertools.product(STRANGERS, seeds):
-            if one not in known:
-                known[one] = features_of(*one)
-                file.write(json.dumps([*one, known[one]]) + "\n")
-                file.flush()
-    return known
 
 
 def _said(learned: Learned, features: dict[str, float]) -> str:

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from benchmarks.grading.bodies import Body, of_meshes, our_skein, second_skein
 from benchmarks.grading.virtual_rig import Rig, draw_rig, measured
-from benchmarks.made_by import made_by
+from benchmarks.tables import kept_rows
 from benchmarks.traced.tables import BEST_OPTIONS, Row
 from roemetry_paper.arc_curvature import ArcCurvature, ArcCurvatureOptions
 from roemetry_shape.features import shape_of
@@ -42,22 +42,14 @@ def make_body(family: str, seed: int, label: str) -> Body:
 
 def virtual_rows(family: str, seeds: Sequence[int], rigs_each: int, cache: Path) -> list[Row]:
     """Draw bodies of a family, each measured on `rigs_each` random rigs, turned and mirrored at random."""
-    cache.mkdir(parents=True, exist_ok=True)
-    path = cache / f"virtual_{family}_{rigs_each}_{made_by(__name__)}.jsonl"
-    lines = path.read_text("utf-8").splitlines() if path.exists() else []
-    known: dict[int, list[Row]] = {}
-    for row in (Row(**json.loads(line)) for line in lines):
-        known.setdefault(row.seed, []).append(row)
-    with path.open("a", encoding="utf-8") as file:
-        for done, seed in enumerate(seeds):
-            if seed not in known:
-                rng = np.random.default_rng([seed, 7])
-                body = make_body(family, seed, MIX[seed % len(MIX)])
-                known[seed] = list(rows_of_body(body, family, seed, rng, rigs_each))
-                file.writelines(json.dumps(row._asdict()) + "\n" for row in known[seed])
-                file.flush()
-                print(f"\r{family}: {done + 1} of {len(seeds)}", end="", file=sys.stderr, flush=True)
-    return [row for seed in seeds for row in known[seed]]
+
+    def make(seed: int) -> list[dict[str, Any]]:
+        body = make_body(family, seed, MIX[seed % len(MIX)])
+        found = rows_of_body(body, family, seed, np.random.default_rng([seed, 7]), rigs_each)
+        return [row._asdict() for row in found]
+
+    known = kept_rows(cache / f"virtual_{family}_{rigs_each}.jsonl", seeds, make)
+    return [Row(**row) for seed in seeds for row in known[seed]]
 
 
 def rows_of_body(

@@ -11,9 +11,9 @@ import numpy as np
 from benchmarks.coded import CodingRig, dense_rig, easy_rig, sample_from
 from benchmarks.coded.crossings import Crossings, crossings_of
 from benchmarks.coded.products import in_view
-from benchmarks.volume_scenes import rig_of
+from benchmarks.volume_scenes import lifted, rig_of
 from roemetry.errors import StageError
-from roemetry.records import Peaks, Product, Profiles, StripeMap
+from roemetry.records import Peaks, Product
 from roemetry.records.calibration import Calibration
 from roemetry.run.open_parts import split_products
 from roemetry_paper.block_linear import BlockLinear
@@ -98,7 +98,7 @@ def traced(
     refused, found = "", []
     calibration, by_block = on.calibration(), block_calibration(on)
     for noise_px, whole_pixels, known, lift in (
-        (on.noise_px, False, calibration, _lifted),
+        (on.noise_px, False, calibration, lifted),
         (_PAPER_NOISE_PX, True, by_block, BlockLinear().triangulate),
     ):
         peaks = sample_from(replace(on, noise_px=noise_px), crossings, seed=seed).peaks
@@ -132,23 +132,3 @@ def _at_whole_pixels(peaks: Peaks) -> Peaks:
     names = ("row", "x_std_px", "amplitude", "background", "width_px", "flags")
     kept = {name: getattr(peaks, name)[keep] for name in names}
     return replace(peaks, x_px=x_px[keep], **kept)
-
-
-def _lifted(stripes: StripeMap, calibration: Calibration) -> Profiles:
-    """Put every coded point on its true plane of light."""
-    view = calibration.view
-    assert view is not None
-    shape = stripes.x_px.shape
-    row_px = np.broadcast_to(np.arange(shape[1], dtype=np.float64), shape)
-    number = np.broadcast_to(np.arange(shape[0])[:, None], shape)
-    return Profiles(
-        xyz_mm=view.lift(np.stack([stripes.x_px, row_px], axis=-1), number),
-        product=stripes.product,
-        seen=stripes.seen,
-        x_px=stripes.x_px,
-        row_px=row_px,
-        height_std_mm=np.full(shape, np.nan),
-        stripe=np.arange(shape[0]),
-        frame=np.zeros(shape[0], np.int64),
-        plane=view.planes,
-    )

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import json
-import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from benchmarks.made_by import made_by
+from benchmarks.tables import kept_rows
 from benchmarks.traced.causes import weight_figures
 from benchmarks.traced.shown import defect_figures
 from benchmarks.traced.skeins import Traced, traced
@@ -36,7 +34,7 @@ NAMED = {
 }
 """The name a grader would give each kind: one dent or several, one bend or an S are told alike."""
 
-BEST_OPTIONS = {"smoothing_rows": 31, "radius_max_px": 160.0, "delta_samples": 10}
+BEST_OPTIONS: dict[str, Any] = {"smoothing_rows": 31, "radius_max_px": 160.0, "delta_samples": 10}
 """Of `arc-curvature`, chosen on rendered skeins of seeds 5000 to 5059."""
 
 
@@ -78,26 +76,13 @@ def rows_of(seeds: Sequence[int], rig: str, cache: Path, *, mix: Sequence[str] =
     mix
         Kinds by turns; empty: as the population has them.
     """
-    return list(_rows(seeds, rig, cache, mix))
 
+    def make(seed: int) -> dict[str, Any]:
+        return _row(traced(seed, rig, mix[seed % len(mix)] if mix else ""), rig, whole=not mix)._asdict()
 
-def _rows(seeds: Sequence[int], rig: str, cache: Path, mix: Sequence[str]) -> Iterator[Row]:
-    cache.mkdir(parents=True, exist_ok=True)
-    path = cache / f"{'mix' if mix else 'population'}_{rig}_{made_by(__name__)}.jsonl"
-    known = {}
-    if path.exists():
-        for line in path.read_text("utf-8").splitlines():
-            row = Row(**json.loads(line))
-            known[row.seed] = row
-    with path.open("a", encoding="utf-8") as file:
-        for done, seed in enumerate(seeds):
-            if seed not in known:
-                row = _row(traced(seed, rig, mix[seed % len(mix)] if mix else ""), rig, whole=not mix)
-                file.write(json.dumps(row._asdict()) + "\n")
-                file.flush()
-                known[seed] = row
-                print(f"\r{rig}: {done + 1} of {len(seeds)}", end="", file=sys.stderr, flush=True)
-            yield known[seed]
+    name = f"{'mix' if mix else 'population'}_{rig}.jsonl"
+    known = kept_rows(cache / name, seeds, make)
+    return [Row(**known[seed]) for seed in seeds]
 
 
 def _row(one: Traced, rig: str, *, whole: bool) -> Row:

@@ -32,9 +32,9 @@ class OrderedOptions(BridgingOptions):
     )
 
 
-_LIVE_ROWS_MIN = 15
-_STEP_MAX_PX = 7.0
-_CODED_SHARE_MIN = 0.4
+_LIVE_ROWS_MIN = 15  # rows with a peak on its rest line that show a stripe to be lit: fewer are stray peaks
+_STEP_MAX_PX = 7.0  # px from row to row: half the paper's body window
+_CODED_SHARE_MIN = 0.4  # of the peaks: where less finds a stripe, order alone does not explain the image
 
 
 class Ordered(Coder[OrderedOptions]):

@@ -89,7 +89,7 @@ def _quantised(height_mm: Floats) -> tuple[np.ndarray, float, float]:
     return np.where(np.isfinite(height_mm), levels, 0).astype(np.uint16), offset_mm, scale_mm
 
 
-SEEN, INTERPOLATED = 1, 2
+SEEN, INTERPOLATED = 1, 2  # what a cell of the mask says: 0 is empty
 
 _GAP_STEPS = 2.5
 """A slice's points farther apart than so many of its usual steps are not joined."""

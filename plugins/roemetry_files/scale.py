@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 import tempfile
 from collections.abc import Mapping
@@ -14,7 +13,8 @@ from typing import ClassVar
 import numpy as np
 from pydantic import Field
 
-from roemetry.errors import DataError, StageError
+from roemetry.calibrating.known_products import read_weights
+from roemetry.errors import StageError
 from roemetry.records import Estimate, Product, Reason, Volume, Weight
 from roemetry.records.units import mm3_to_cm3
 from roemetry.stages import Capabilities, StageOptions, Weigher
@@ -54,7 +54,7 @@ class Scale(Weigher[ScaleOptions]):
 
     @cached_property
     def _masses(self) -> dict[str, float]:
-        return read_masses(self.options.masses)
+        return {name: one.mass_g for name, one in read_weights(self.options.masses).items()}
 
     def weigh(self, product: Product, volume: Volume, *, rng: np.random.Generator | None = None) -> Weight:
         """Look the mass up by the id of product or acquisition; given `rng`, draw the scale's error."""
@@ -81,39 +81,6 @@ class Scale(Weigher[ScaleOptions]):
             (_VISIBLE_FOR_TRUE,) if volume.true_mm3 is None else (),
             {"specific_volume_ml_per_g": specific},
         )
-
-
-def read_masses(path: Path) -> dict[str, float]:
-    """Read a table of masses, g, by id; raise DataError, with the line, for what is no mass."""
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            lines = list(csv.DictReader(file))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise DataError(f"{path}: cannot be read: {error}") from error
-    missing = {"id", "mass_g"} - set(lines[0] if lines else ())
-    if missing:
-        raise DataError(
-            f"{path}: has no column {' and no column '.join(sorted(missing))}",
-            hint="the first line is `id,mass_g`, each further one a product",
-        )
-    found: dict[str, float] = {}
-    for number, line in enumerate(lines, start=2):
-        name = (line["id"] or "").strip()
-        try:
-            mass = float(line["mass_g"])
-        except (TypeError, ValueError):
-            mass = math.nan
-        if None in line:
-            raise DataError(
-                f"{path}:{number}: `{name}` has more cells than the first line",
-                hint="write decimals with a point: 12.5, not 12,5",
-            )
-        if not (name and mass > 0.0 and math.isfinite(mass)):
-            raise DataError(f"{path}:{number}: expected an id and a mass above 0 g, found {line}")
-        if name in found:
-            raise DataError(f"{path}:{number}: `{name}` stands here a second time; keep one")
-        found[name] = mass
-    return found
 
 
 _VISIBLE_FOR_TRUE = Reason(

@@ -6,10 +6,7 @@ from collections.abc import Iterable
 
 from roemetry.stages.hookspecs import StageEntry, hookimpl
 
-_SOURCE = (
-    "Kazhdan and Hoppe (2013), screened Poisson; Bernardini et al. (1999), ball pivoting; Edelsbrunner and "
-    "Mücke (1994), alpha shapes; all by Open3D. Sheet and closing are ours"
-)
+_SOURCE = "Kazhdan and Hoppe (2013), screened Poisson, by Open3D. Sheet and closing are ours"
 
 
 @hookimpl
@@ -19,7 +16,7 @@ def roemetry_stages() -> Iterable[StageEntry]:
         kind="volume",
         name="surface-mesh",
         target="roemetry_open3d.mesh_files:SurfaceMesh",
-        summary="The volume within a closed mesh: Poisson, ball pivoting or alpha shape, by Open3D",
+        summary="The volume within a closed mesh by screened Poisson reconstruction, by Open3D",
         reference=_SOURCE,
     )
     yield StageEntry(

@@ -34,7 +34,6 @@ from roemetry.stages import Coder
 from roemetry_kernels.bridging import BridgingOptions, bridged
 from roemetry_kernels.compiling import kernel
 from roemetry_kernels.consistency import (
-    drop_doubles,
     keep_order,
     refuse_bare_lines,
     refuse_uncodable,
@@ -43,12 +42,10 @@ from roemetry_kernels.consistency import (
 from roemetry_kernels.rest_lines import (
     RestLines,
     calibrated_rest_lines,
-    doubtful_by_order,
     missing_stripes,
     reasons_of,
     rest_lines_of_frame,
     unknown_rest_lines,
-    vote_by_order,
 )
 from roemetry_kernels.tracing import cut_at_rest_lines, trace_fragments
 
@@ -103,8 +100,8 @@ _VOTING_SHARE_MIN = 0.5
 """Of a segment's rows: where most cannot vote, something is seen twice and something hidden."""
 _PASSES_MAX = 12
 """Passes; each settles what the one before made certain, until nothing changes."""
-_UNBOUNDED_PX = 1e6
-"""No bound, px."""
+_UNBOUNDED_PX = 1e6  # no bound
+_CLEARLY_LONGER = 3  # times as many rows: which of two segments in one row is the stripe is then plain
 
 
 class WindowTracking(Coder[WindowTrackingOptions]):
@@ -188,7 +185,8 @@ class WindowTracking(Coder[WindowTrackingOptions]):
         noise = small[belt.fragment] & ~belt.anchored
         low, high = _displacements(rest, belt.live, calibration)
         rest_live = np.ascontiguousarray(rest.x_px[belt.live])
-        label, margin = self._settle(peaks, belt, noise, rest_live, low, high, _light_side(calibration))
+        light = _light_side(calibration) if self.options.hidden == "facing-light" else 0
+        label, margin = self._settle(peaks, belt, noise, rest_live, low, high, light)
         stripe = np.where(label >= 0, belt.live[np.maximum(label, 0)], label)
         of_peak = drop_doubles(peaks, stripe[belt.segment], line, belt.rows[belt.segment])
         of_peak = keep_order(peaks, of_peak)
@@ -232,11 +230,9 @@ class WindowTracking(Coder[WindowTrackingOptions]):
         label = belt.known
         margin = np.where(belt.anchored, 1.0, np.nan)
         for _ in range(_PASSES_MAX):
-            votes, voters = vote_by_order(peaks.row_start, peaks.x_px, used, label, rest_px, low_px, high_px)
-            if light and self.options.hidden == "facing-light":
-                votes = vote_from_shadow(
-                    peaks.row_start, peaks.x_px, used, label, rest_px, low_px, high_px, light
-                )
+            votes, voters = vote_by_order(
+                peaks.row_start, peaks.x_px, used, label, rest_px, low_px, high_px, light
+            )
             agreement = _AGREEMENT_MIN[self.options.hidden]
             settled, gained = _decided(votes, voters, belt.rows, label, self.options.margin_min, agreement)
             margin = np.where(settled, gained, margin)
@@ -257,7 +253,7 @@ def _light_side(calibration: Calibration | None) -> int:
 
 
 @kernel
-def vote_from_shadow(
+def vote_by_order(
     row_start: Integers,
     x_px: Floats,
     segment: Integers,
@@ -266,26 +262,50 @@ def vote_from_shadow(
     displacement_min_px: Floats,
     displacement_max_px: Floats,
     light: int,
-) -> Integers:
-    """Let each row vote on the one stripe that each segment is, counted from the shadow's side.
+) -> tuple[Integers, Integers]:
+    """Let each row vote on which stripes each segment may be.
 
-    The camera stands on the shadow's side of the light, so whatever is lit there is also seen. Hidden
-    stripes lie on the flank that faces the light, where the camera looks past an overhang. Between two known
-    stripes the unknown peaks are therefore the last ones on the shadow's side, and those that are missing
-    are missing on the side of the light; glints on that flank do not matter either. Arguments as of
-    `vote_by_order`; `light` is −1 where it comes from the left. A peak that the extractor misses on the
-    shadow's side shifts the row's votes: rows that disagree settle nothing.
+    On an opaque surface lit and seen from above, stripes keep their order along a row. Between a peak of the
+    known stripe a and one of the known stripe b, k unknown peaks in order can only be stripes between a
+    and b, the j-th of them no less than a + 1 + j and no more than b − (k − j). Where k fills the room, each
+    is certain.
+
+    Where bodies hide on the flank that faces the light alone, they are counted from the shadow's side: the
+    camera stands on that side of the light, so whatever is lit there is also seen, and those that are missing
+    are missing on the side of the light. Glints on that flank do not matter then. A peak that the extractor
+    misses on the shadow's side shifts the row's votes: rows that disagree settle nothing.
+
+    Parameters
+    ----------
+    row_start, x_px
+        Peaks by row, px.
+    segment
+        (peak,) segment of each peak; −1 leaves the peak out.
+    label
+        (segment,) known stripe of a segment, −1 unknown.
+    rest_px
+        (stripe, row) rest lines of the stripes that may be chosen, px.
+    displacement_min_px, displacement_max_px
+        (stripe,) range of possible displacements from the rest line, px.
+    light
+        Counted from the shadow's side: −1 where the light comes from the left, 1 from the right; else 0.
 
     Returns
     -------
-    ndarray, shape (segment, stripe)
-        Rows in which the segment is the stripe.
+    tuple
+        (segment, stripe) rows in which the segment may be the stripe; (segment,) rows that voted.
+        A row that contradicts itself does not vote.
     """
     stripes = rest_px.shape[0]
-    votes = np.zeros((label.shape[0], stripes), np.int64)
+    segments = label.shape[0]
+    votes = np.zeros((segments, stripes), np.int64)
+    voters = np.zeros(segments, np.int64)
     for row in range(row_start.shape[0] - 1):
-        left, p, end = -1, row_start[row], row_start[row + 1]
+        left = -1
+        p = row_start[row]
+        end = row_start[row + 1]
         while p < end:
+            # the block of unknown peaks p … q − 1 that ends at the next known one
             q, unknown = p, 0
             while q < end and (segment[q] < 0 or label[segment[q]] < 0):
                 if segment[q] >= 0:
@@ -293,27 +313,128 @@ def vote_from_shadow(
                 q += 1
             right = stripes if q == end else label[segment[q]]
             if right <= left:
-                break
+                break  # known stripes out of order: this row contradicts itself from here on
             if 0 < unknown <= right - left - 1:
-                stripe = right - unknown if light < 0 else left + 1
+                j = 0
                 for u in range(p, q):
-                    if segment[u] < 0:
+                    s = segment[u]
+                    if s < 0:
                         continue
-                    off = x_px[u] - rest_px[stripe, row]
-                    if displacement_min_px[stripe] <= off <= displacement_max_px[stripe]:
-                        votes[segment[u], stripe] += 1
-                    stripe += 1
+                    voters[s] += 1
+                    first, last = left + 1 + j, right - (unknown - j)
+                    if light < 0:
+                        first = last
+                    elif light > 0:
+                        last = first
+                    for stripe in range(first, last + 1):
+                        off = x_px[u] - rest_px[stripe, row]
+                        if displacement_min_px[stripe] <= off <= displacement_max_px[stripe]:
+                            votes[s, stripe] += 1
+                    j += 1
             left = right
             p = q + 1
-    return votes
+    return votes, voters
+
+
+@kernel
+def doubtful_by_order(row_start: Integers, segment: Integers, label: Integers, stripes: int) -> Flags:
+    """Mark known peaks whose rows show too many peaks on one side and too few on the other.
+
+    If a body lies on its right neighbour's rest line and is taken for it, then to its left one stripe is
+    missing and to its right there is one peak too many. In such a row every known peak between the place
+    with too many and the nearest place with too few may be off by one.
+
+    Parameters
+    ----------
+    row_start
+        (row + 1,) where each row's peaks begin.
+    segment
+        (peak,) segment of each peak; −1 leaves the peak out.
+    label
+        (segment,) known stripe of a segment, −1 unknown.
+    stripes
+        Number of stripes that may be chosen.
+
+    Returns
+    -------
+    ndarray
+        (peak,) True for a known peak that may be another stripe.
+    """
+    doubtful = np.zeros(segment.shape[0], np.bool_)
+    most = 0
+    for row in range(row_start.shape[0] - 1):
+        most = max(most, row_start[row + 1] - row_start[row])
+    peak = np.empty(most + 1, np.int64)  # the known peaks of a row
+    spare = np.empty(most + 1, np.int64)  # room left in the block before each known peak, and after the last
+    for row in range(row_start.shape[0] - 1):
+        count, unknown, left = 0, 0, -1
+        for p in range(row_start[row], row_start[row + 1]):
+            s = segment[p]
+            if s < 0:
+                continue
+            if label[s] < 0:
+                unknown += 1
+                continue
+            spare[count] = label[s] - left - 1 - unknown
+            peak[count] = p
+            count += 1
+            left, unknown = label[s], 0
+        spare[count] = stripes - left - 1 - unknown
+        for block in range(count + 1):
+            if spare[block] >= 0:
+                continue
+            other = block - 1
+            while other >= 0 and spare[other] <= 0:
+                other -= 1
+            if other >= 0:
+                doubtful[peak[other:block]] = True
+            other = block + 1
+            while other <= count and spare[other] <= 0:
+                other += 1
+            if other <= count:
+                doubtful[peak[block:other]] = True
+    return doubtful
+
+
+def drop_doubles(peaks: Peaks, stripe: Integers, line: Integers, segment_rows: Integers) -> Integers:
+    """Leave each stripe at most one peak a row.
+
+    Where a row shows a stripe on the belt and on the product, the product's edge runs through that row and
+    both are right: the brighter one stays. Of two others the one of the clearly longer segment stays and
+    the other is refused; where neither is clearly longer, both are.
+
+    Parameters
+    ----------
+    peaks
+        The frame's peaks.
+    stripe
+        (peak,) stripe, `UNCODED` or `AMBIGUOUS`.
+    line
+        (peak,) rest line each peak lies on, −1 for none.
+    segment_rows
+        (peak,) length of the segment each peak is of, rows.
+    """
+    coded = np.flatnonzero(stripe >= 0)
+    cell = peaks.row[coded] * (int(stripe.max(initial=0)) + 1) + stripe[coded]
+    order = np.lexsort((-segment_rows[coded], cell))
+    sorted_cell, sorted_peak = cell[order], coded[order]
+    result = stripe.copy()
+    for k in np.flatnonzero(sorted_cell[1:] == sorted_cell[:-1]):
+        longer, shorter = sorted_peak[k], sorted_peak[k + 1]
+        if (line[longer] == stripe[longer]) != (line[shorter] == stripe[shorter]):
+            darker = shorter if peaks.amplitude[shorter] <= peaks.amplitude[longer] else longer
+            result[darker] = UNCODED
+            continue
+        result[shorter] = AMBIGUOUS
+        if segment_rows[longer] < _CLEARLY_LONGER * segment_rows[shorter]:
+            result[longer] = AMBIGUOUS
+    return result
 
 
 _LITERAL = Reason(
     "literal-coding",
     "coded the paper's way, by interruption and order: a hidden body shifts codes without notice",
 )
-
-
 _NO_BELT = Reason(
     "no-belt",
     "there is no calibration, and no belt at the image's top and bottom to number the stripes by: each "
@@ -375,7 +496,7 @@ def _displacements(rest: RestLines, live: Integers, calibration: Calibration | N
     return ends.min(axis=0) - rest.tolerance_px, ends.max(axis=0) + rest.tolerance_px
 
 
-_JOIN_ROWS = 20
+_JOIN_ROWS = 20  # rows of a break over which a body goes on: as long a gap as is bridged
 
 
 def literal_codes(

@@ -204,7 +204,7 @@ def _arrows(arrows: Floats, relief: Relief) -> Markup:
     return svg.path("map-arrows", data)
 
 
-_LEGEND_STEPS = 40
+_LEGEND_STEPS = 40  # boxes of colour: finer steps are not told apart
 
 
 def _legend(

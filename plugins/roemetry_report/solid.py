@@ -29,7 +29,7 @@ _BRIGHT, _GAIN_MAX = 235.0, 4.0
 """Level of a product's brightest places in the image that covers it, and how much that may lift it."""
 _ALONG_STRIPE = 0.3
 """A place between two stripes takes what is known at the same Y of either, not of what lies nearest."""
-_CLOSE_MM = 2.0
+_CLOSE_MM = 2.0  # along the belt: farther from any measured point, a vertex has no place in the image
 
 _SEEN, _JOINED = 1, 2
 SEEN, INTERPOLATED, ASSUMED, VOID = range(4)

@@ -125,7 +125,7 @@ class GradeTable(Grader[GradeTableOptions]):
     """
 
     Options: ClassVar[type[StageOptions]] = GradeTableOptions
-    capabilities = Capabilities(fixture="roemetry_shape.examples:table_options")
+    capabilities = Capabilities(fixture="roemetry_shape.grade_table:table_options")
 
     def needs(self) -> frozenset[str]:
         """Name the stages whose results the table asks for."""
@@ -455,3 +455,14 @@ class _Cells:
 
 def _edges(ranges: Sequence[Mapping[str, Range]], name: str) -> list[float]:
     return sorted({-math.inf, math.inf, *(edge for one in ranges if name in one for edge in one[name])})
+
+
+def table_options() -> GradeTableOptions:
+    """Give a table over weight: heavy, light, and the rest."""
+    return GradeTableOptions(
+        classes=(
+            GradeClass(label="heavy", lane="1", limits={"weight_g": Limits(at_least=15.0)}),
+            GradeClass(label="light", lane="2", limits={"weight_g": Limits(at_least=5.0)}),
+            GradeClass(label="rest", lane="3"),
+        )
+    )

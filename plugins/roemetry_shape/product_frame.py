@@ -289,7 +289,7 @@ def _window(y_mm: Floats, smoothing_mm: float) -> int:
     return 2 * round(0.5 * (smoothing_mm / max(step, 1e-3) - 1.0)) + 1
 
 
-_ENDS = (0, -1)
+_ENDS = (0, -1)  # first and last section
 
 
 def outline_features(product: Product, sections: Sections) -> dict[str, float]:

@@ -23,7 +23,7 @@ CAPABLE = 1.33
 """Cg and Cgk asked for."""
 READINGS_MIN, READINGS_WANTED = 10, 50
 """Of a type-1 study: below ten s is known to a quarter of itself only; fifty are asked for."""
-PROBABILITY = 0.95
+PROBABILITY = 0.95  # of all intervals that are stated here
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,7 +193,7 @@ CATCHWEIGHER_LIMITS = (
 )
 """Up to each load, g: largest standard deviation of the errors of class X(1), as a share of the load and in g
 (OIML R 51, MID annex MI-006; from memory of the text)."""
-_CLASS_MAX = 2.0
+_CLASS_MAX = 2.0  # the widest class that is told apart
 
 
 def catchweigher_words(table: StudyTable) -> str:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from roemetry.errors import ConfigurationError, DataError
-from roemetry.run.control_rules import BASELINE, limits_of, signals
+from roemetry.run.control_chart import BASELINE, limits_of, signals
 from roemetry.run.record import PROVENANCE, read_record
 from roemetry_study.certificate import Certificate, Table, hashed
 from roemetry_study.table import StudyTable, estimate_of
@@ -328,7 +328,7 @@ def of_plan(
     weigh_half_width: float,
 ) -> Iterator[str]:
     """Say how large a study must be."""
-    from roemetry_study.design import plan, samples_for_mean
+    from roemetry_study.gauge import plan, samples_for_mean
 
     if run is not None:
         found = [estimate_of(row, value) for row in read_record(run)]

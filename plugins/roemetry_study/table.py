@@ -7,7 +7,6 @@ refused here: a cell that is no number, one image counted twice, values of mixed
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from roemetry.calibrating.known_products import read_table as read_csv
 from roemetry.errors import ConfigurationError, DataError
 from roemetry.records import Estimate, Measurement
 from roemetry.records.arrays import Floats
@@ -238,25 +238,15 @@ def estimate_of(row: Measurement, value: str) -> tuple[Estimate | None, float]:
 
 def _rows(path: Path, needed: Sequence[str]) -> Iterator[tuple[str, dict[str, str]]]:
     """Give a CSV file's lines with their places, cells stripped."""
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            reader = csv.DictReader(file, strict=True)
-            names = [str(name).strip() for name in reader.fieldnames or ()]
-            missing = [name for name in needed if name not in names]
-            if missing:
-                raise ConfigurationError(
-                    f"{path}:1: no column {' and no column '.join(f'`{name}`' for name in missing)}; "
-                    f"found {', '.join(names) or 'none'}"
-                )
-            reader.fieldnames = names
-            for row in reader:
-                if None in row or None in row.values():
-                    raise DataError(f"{path}:{reader.line_num}: expected {len(names)} cells")
-                yield f"{path}:{reader.line_num}", {key: cell.strip() for key, cell in row.items()}
-    except OSError as error:
-        raise DataError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise DataError(f"{path}: not a table in UTF-8: {error}", hint="save it as CSV, UTF-8") from error
+    names, rows = read_csv(path)
+    missing = [name for name in needed if name not in names]
+    if missing:
+        raise ConfigurationError(
+            f"{path}:1: no column {' and no column '.join(f'`{name}`' for name in missing)}; "
+            f"found {', '.join(names)}"
+        )
+    for line, row in rows:
+        yield f"{path}:{line}", {key: cell.strip() for key, cell in row.items()}
 
 
 def _refuse_repeats(found: Sequence[tuple[Reading, str]]) -> None:

@@ -6,7 +6,7 @@ import csv
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -32,36 +32,19 @@ def read_samples(path: Path, labels: Path | None = None) -> Samples:
         be read; a product stands there twice; labels that differ only in case or spaces.
     """
     header, rows = read_table(path)
-    key = key_of(path, header)
-    known = None if labels is None else read_labels(labels)
-    if known is None and LABEL not in header:
+    if labels is None and LABEL not in header:
         raise DataError(
             f"{path}: there is no column `{LABEL}`", hint="add one, or name a file of labels with --labels"
         )
-    features = features_in(header, rows)
-    if not features:
-        raise DataError(
-            f"{path}: there is no column of features",
-            hint="make the table with `sinks: [{use: csv, options: {features: true}}]` and the classifier "
-            "`shape-limits`",
-        )
-    taken: list[tuple[str, str, str, list[float]]] = []
-    faults: list[str] = []
-    for line, row in rows:
-        label = row[LABEL].strip() if known is None else known.get(row[key].strip(), "")
-        if not label:
-            continue
-        values = [number_in(row[name], f"{path}:{line}: {name}", faults) for name in features]
-        taken.append((row[key].strip(), row.get(GROUP, row[key]).strip(), label, values))
-    refuse(faults)
-    _check_names(path, [sample[0] for sample in taken], [sample[2] for sample in taken])
-    return Samples(
-        ids=tuple(sample[0] for sample in taken),
-        groups=tuple(sample[1] for sample in taken),
-        features=tuple(features),
-        values=np.array([sample[3] for sample in taken], np.float64).reshape(len(taken), len(features)),
-        labels=tuple(sample[2] for sample in taken),
+    key = key_of(path, header)
+    known = (
+        {row[key].strip(): row[LABEL].strip() for _, row in rows} if labels is None else read_labels(labels)
     )
+    known = {name: label for name, label in known.items() if label}
+    common = _measured(path, header, rows, known, "classifier `shape-limits`")
+    found = tuple(known[name] for name in common["ids"])
+    _check_names(path, common["ids"], found)
+    return Samples(**common, labels=found)
 
 
 def read_labels(path: Path) -> Mapping[str, str]:
@@ -166,8 +149,7 @@ def read_weighed(path: Path, weights: Path | None = None) -> Samples:
     ----------
     path
         A CSV file as the `csv` sink writes it with ``features: true``, with a column `mass_g` unless
-        `weights` is given. Products of one `group` (without such a column: one acquisition) are never on
-        both sides of a fold.
+        `weights` is given.
     weights
         What a scale said; see `read_weights`.
 
@@ -178,40 +160,48 @@ def read_weighed(path: Path, weights: Path | None = None) -> Samples:
     """
     known = read_weights(path if weights is None else weights)
     header, rows = read_table(path)
-    key = key_of(path, header)
-    features = features_in(header, rows)
-    group = "group" if "group" in header else GROUP if GROUP in header else key
-    faults: list[str] = []
-    taken = [
-        (
-            row[key].strip(),
-            row[group].strip(),
-            known[row[key].strip()],
-            [number_in(row[name], f"{path}:{line}: {name}", faults) for name in features],
-        )
-        for line, row in rows
-        if row[key].strip() in known
-    ]
-    refuse(faults)
-    if not taken:
+    common = _measured(path, header, rows, known, "weigher `fitted`")
+    if not common["ids"]:
         raise DataError(
             f"{path}: none of its products was weighed: the ids of the two tables do not meet",
-            hint=f"a product here is called {rows[0][1][key]!r}, there {next(iter(known))!r}",
+            hint=f"a product here is called {rows[0][1][key_of(path, header)]!r}, "
+            f"there {next(iter(known))!r}",
         )
+    found = [known[name] for name in common["ids"]]
+    return Samples(
+        **common,
+        mass_g=np.array([one.mass_g for one in found]),
+        mass_std_g=np.array([one.std_g for one in found]),
+    )
+
+
+def _measured(
+    path: Path, header: Sequence[str], rows: Rows, known: Mapping[str, object], stage: str
+) -> dict[str, Any]:
+    """Give ids, groups, features and values of the products that something is known of.
+
+    Products of one `group` (without such a column: one acquisition) are never on both sides of a fold.
+    `stage` measures features.
+    """
+    key, features = key_of(path, header), features_in(header, rows)
     if not features:
         raise DataError(
             f"{path}: there is no column of features",
-            hint="make the table with `sinks: [{use: csv, options: {features: true}}]` and the weigher "
-            "`fitted`",
+            hint=f"make the table with `sinks: [{{use: csv, options: {{features: true}}}}]` and the {stage}",
         )
-    return Samples(
-        ids=tuple(one[0] for one in taken),
-        groups=tuple(one[1] for one in taken),
-        features=tuple(features),
-        values=np.array([one[3] for one in taken], np.float64).reshape(len(taken), len(features)),
-        mass_g=np.array([one[2].mass_g for one in taken]),
-        mass_std_g=np.array([one[2].std_g for one in taken]),
-    )
+    group = "group" if "group" in header else GROUP if GROUP in header else key
+    taken = [(line, row) for line, row in rows if row[key].strip() in known]
+    faults: list[str] = []
+    values = [
+        [number_in(row[name], f"{path}:{line}: {name}", faults) for name in features] for line, row in taken
+    ]
+    refuse(faults)
+    return {
+        "ids": tuple(row[key].strip() for _, row in taken),
+        "groups": tuple(row[group].strip() for _, row in taken),
+        "features": tuple(features),
+        "values": np.array(values, np.float64).reshape(len(taken), len(features)),
+    }
 
 
 ID, LABEL, GROUP = "id", "label", "acquisition"
@@ -223,14 +213,18 @@ _NEVER_FEATURES = (
 """Columns of the `csv` sink that may hold numbers and are no feature, and those that people add."""
 
 _NEVER_BEGIN = ("probability_", "truth_", "novelty", "strangeness")
-_FAULTS_SHOWN = 10
+_FAULTS_SHOWN = 10  # of a table: more at once nobody reads
+
+
+Rows = Sequence[tuple[int, Mapping[str, str]]]
+"""Lines of a table, each with its number and its cells by column."""
 
 
 def read_table(path: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
     """Give the names of the columns, and each row with its line; raise DataError where that is no table."""
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
-            reader = csv.DictReader(file)
+            reader = csv.DictReader(file, strict=True)
             header = [name.strip() for name in reader.fieldnames or []]
             reader.fieldnames = header
             rows = [(reader.line_num, row) for row in reader]
@@ -255,7 +249,7 @@ def key_of(path: Path, header: Sequence[str]) -> str:
     raise DataError(f"{path}: there is no column `{ID}`", hint=f"the columns are {', '.join(header)}")
 
 
-def features_in(header: Sequence[str], rows: Sequence[tuple[int, Mapping[str, str]]]) -> list[str]:
+def features_in(header: Sequence[str], rows: Rows) -> list[str]:
     """Columns that hold numbers in most lines, and are nobody's answer."""
     found = []
     for name in header:

@@ -20,7 +20,7 @@ _SLACK, _LIMIT = 0.5, 6.0
 """Of the cumulative sums, in standard deviations: half of a shift of 1 beyond the tolerance; rarely a false
 alarm in 20 pairs."""
 
-_WIDER_SURE = 0.999
+_WIDER_SURE = 0.999  # level of the χ² test: scatter beyond it is not chance
 
 
 class WeighedPair(NamedTuple):

@@ -1,19 +1,26 @@
-"""``roemetry run``, and what is derived of a run again: ``report`` and ``export``."""
+"""``roemetry run`` with its table, and what is derived of a run again: ``report`` and ``export``."""
 
 from __future__ import annotations
 
 import contextlib
 import json
+import math
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+from rich.text import Text
 
-from roemetry.cli.options import out_option, set_option
+from roemetry.cli.options import next_folder, out_option, set_option
+from roemetry.records import Estimate, Measurement
+from roemetry.records.units import MM3_PER_CM3, stated
 
 if TYPE_CHECKING:
     from roemetry.config.recipe import Recipe
@@ -77,7 +84,7 @@ def run(
     printed = contextlib.redirect_stdout(sys.stderr) if as_json else contextlib.nullcontext()
     with printed:
         loaded = Recipe.load(recipe, sets=changes)
-        folder = out or _next_folder(loaded)
+        folder = out or next_folder(loaded.path)
         try:
             with progress("compiling kernels, first run only", quiet=as_json) as on_progress:
                 warm_up(loaded, on_progress)
@@ -141,16 +148,6 @@ def _stopped_by_signals() -> Iterator[Callable[[], None]]:
             signal.signal(number, handler)
 
 
-def _next_folder(recipe: Recipe) -> Path:
-    """Give the first results folder of this recipe's name that is not there yet."""
-    path = recipe.path.resolve()
-    name = path.parent.name if path.stem == "recipe" else path.stem
-    number = 1
-    while (folder := Path("results") / f"{name}-{number}").exists():
-        number += 1
-    return folder
-
-
 def _described(outcome: Outcome) -> dict[str, object]:
     from roemetry.run.record import RECORD, read_record
 
@@ -168,7 +165,7 @@ def _described(outcome: Outcome) -> dict[str, object]:
 def _show(recipe: Recipe, outcome: Outcome) -> None:
     from rich.console import Console
 
-    from roemetry.cli.table import problems_of, table_of
+    from roemetry.cli.run import problems_of, table_of
     from roemetry.run.record import RECORD, read_record
 
     console = Console()
@@ -308,3 +305,100 @@ def _camera(path: Path, form: str, out: Path | None) -> Path:
     written = out or path.with_name(f"{path.stem}-opencv.yaml")
     write_camera(written, view)
     return written
+
+
+def problems_of(measurements: Iterable[Measurement]) -> list[str]:
+    """Write a line for each reason why rows lack a number, an uncertainty or a fit, with the rows."""
+    rows_by_text: dict[str, list[str]] = {}
+    for row in measurements:
+        if row.status != "measured":
+            text = row.reasons[0].text if row.reasons else row.status
+            rows_by_text.setdefault(text, []).append(row.id)
+            continue
+        weighed = () if row.weight is None or math.isnan(row.weight.mass_g.value) else row.weight.reasons
+        fitted = row.weight is None or bool(row.weight.features)  # which only a fitted weigher has
+        for reason in (*weighed, *(row.volume.reasons if row.volume else ())):
+            if reason.code in _NOT_FITTED and not fitted:
+                rows_by_text.setdefault(f"weight not fitted: {reason.text}", []).append(row.id)
+            elif reason.code in _NOT_STATED:
+                rows_by_text.setdefault(f"no uncertainty: {reason.text}", []).append(row.id)
+    return [f"{_few(rows)}: {text}" for text, rows in islice(rows_by_text.items(), _ROWS_MAX)]
+
+
+def _few(rows: list[str]) -> str:
+    """Name the first rows, and count the others."""
+    named = ", ".join(rows[:_NAMED_MAX])
+    return f"{named} and {len(rows) - _NAMED_MAX} more" if len(rows) > _NAMED_MAX else named
+
+
+_NOT_FITTED = ("visible-taken-for-true", "underside-assumed")
+"""Reasons that make a weight wrong by a tenth, and that weighed samples mend."""
+_NOT_STATED = (
+    "peak-noise-not-stated",
+    "outline-error-not-stated",
+    "volume-model-not-stated",
+    "weight-model-not-stated",
+    "calibration-model-not-stated",
+)
+"""Reasons that leave uncertainties out where they were asked for."""
+_ROWS_MAX = 40  # of a table in a terminal; the files have all
+_NAMED_MAX = 3  # products named before "and n more"
+_COLOURS = {"measured": "default", "empty": "yellow", "failed": "red"}
+
+
+def table_of(title: str, measurements: Iterable[Measurement], rows: int) -> Table:
+    """Make the table; of a long run it shows the first rows and says how many there are."""
+    caption = f"the first {_ROWS_MAX} of {rows} rows" if rows > _ROWS_MAX else None
+    # Eighty columns, the width of a pipe, hold it all.
+    table = Table(title=Text(title), caption=caption, title_justify="left", box=SIMPLE_HEAD)
+    table.pad_edge, table.collapse_padding = False, True
+    table.add_column("product", min_width=10, overflow="fold")
+    shown = list(islice(measurements, _ROWS_MAX))
+    graded = any(row.grade is not None or row.decision is not None for row in shown)
+    table.add_column("grade" if graded else "status", min_width=6)
+    of_pixels = any(_displacement(row) for row in shown) and not any(any(_in_units(row)) for row in shown)
+    headings = ("px displaced",) if of_pixels else ("g", "cm³", "mm high")
+    for heading in (*headings, "stripes", "ambi-\nguous"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for row in shown:
+        coding = row.coding
+        table.add_row(
+            Text(row.id),
+            Text(_verdict(row), style=_COLOURS[row.status]),
+            *((_displacement(row),) if of_pixels else _in_units(row)),
+            "" if coding is None else f"{coding.stripes_seen}/{coding.stripes}",
+            "" if coding is None else str(coding.ambiguous),
+        )
+    return table
+
+
+def _in_units(row: Measurement) -> tuple[str, str, str]:
+    """Write mass, volume and height; empty where they are missing."""
+    return (
+        "" if row.weight is None else _figure(row.weight.mass_g, 1),
+        "" if row.volume is None else _figure(row.volume.visible_mm3, 2, MM3_PER_CM3),
+        _figure(row.height_max_mm, 2),
+    )
+
+
+def _displacement(row: Measurement) -> str:
+    """Write the largest displacement, which is all there is without a calibration."""
+    found = math.nan if row.coding is None else row.coding.displacement_max_px
+    return "" if math.isnan(found) else f"{found:.1f}"
+
+
+def _figure(estimate: Estimate, digits: int, per: float = 1.0) -> str:
+    """Write a value and, where it is stated, ± its standard uncertainty; nothing where there is no value."""
+    if math.isnan(estimate.value):
+        return ""
+    value = stated(estimate.value / per, digits)
+    return value if math.isnan(estimate.std) else f"{value} ± {estimate.std / per:.{digits}f}"
+
+
+def _verdict(row: Measurement) -> str:
+    """Say what a product is like, and what is to be done with it."""
+    shape = "" if row.grade is None else row.grade.label
+    if row.decision is None:
+        return shape or row.status
+    lane = f" ({row.decision.lane})" if row.decision.lane else ""
+    return f"{shape}{' → ' if shape else ''}{row.decision.label}{lane}"

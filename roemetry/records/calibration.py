@@ -249,7 +249,8 @@ class Calibration(Shown):
         if size.size == 0 or size[0] > -_ROUNDED:
             return ""
         first, second = np.argsort(-np.abs(turned[:, 0]))[[0, -1 if size.size == 1 else 1]]
-        return f"a sum of {names[first]}, {names[second]} and others has the variance {size[0]:.3g} of its parts'"
+        mixed = f"{names[first]}, {names[second]} and others"
+        return f"a sum of {mixed} has the variance {size[0]:.3g} of its parts'"
 
 
 _TOLD = ("residuals", "target", "extractor", "image_sha256")

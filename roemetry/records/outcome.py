@@ -117,7 +117,7 @@ class Shares:
         check.finish()
 
 
-_ROUNDING = 1e-6
+_ROUNDING = 1e-6  # shares add up to 1 within what their sum rounds by
 
 
 @dataclass(frozen=True, eq=False, repr=False, slots=True)

@@ -106,9 +106,9 @@ def _tilted(
     return (tilted[0], tilted[1]), (a, b, c, d)
 
 
-_NEWTON_STEPS = 30
-_NEWTON_RESIDUAL = 1e-13
-_MISSED_MAX = 1e-9
+_NEWTON_STEPS = 30  # a place that is not found by then lies at the fold or beyond it
+_NEWTON_RESIDUAL = 1e-13  # on the plane at distance 1: some 1e-10 px
+_MISSED_MAX = 1e-9  # the same; a place that is missed by more lies beyond the fold
 
 
 def _all(distortion: Floats) -> list[float]:

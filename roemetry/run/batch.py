@@ -1,12 +1,19 @@
-"""Run a recipe over its source: the record grows line by line, everything else is derived from it."""
+"""Run a recipe over its source: the record grows line by line, everything else is derived from it.
+
+Traces that sinks look at again are kept on disk, so that no acquisition is traced twice, but not their
+images, which the source gives again. What cannot be written or read is traced anew.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import json
+import pickle
 import platform
 import statistics
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -17,7 +24,6 @@ from roemetry.config.recipe import Recipe
 from roemetry.errors import FAULTS, DataError, RoemetryError
 from roemetry.io.files import LineFile, exclusive, make_folder, sha256_of, write_whole
 from roemetry.records import AcquisitionReference, Reason, Trace
-from roemetry.run.kept_traces import KeptTraces
 from roemetry.run.pipeline import Pipeline, frame_of
 from roemetry.run.record import PROVENANCE, RECORD, acquisitions_to_keep, read_record, summed_up
 from roemetry.run.rows import failed, measurements_of
@@ -264,3 +270,36 @@ def _medians(seconds: Mapping[str, list[float]]) -> dict[str, float]:
 
 def _now() -> str:
     return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+@dataclass(frozen=True)
+class KeptTraces:
+    """The traces of some acquisitions, in a folder that any process may write to."""
+
+    folder: Path
+    acquisitions: frozenset[str]
+    """Ids of those that are to be kept."""
+
+    def put(self, trace: Trace) -> None:
+        """Keep a trace, if it is one of those that are to be kept and the disk takes it."""
+        if trace.acquisition_id not in self.acquisitions:
+            return
+        path = self._path(trace.acquisition_id)
+        try:
+            path.write_bytes(pickle.dumps(replace(trace, acquisition=None, frame=None), protocol=5))
+        except OSError:
+            with suppress(OSError):
+                path.unlink()
+
+    def get(self, acquisition_id: str) -> Trace | None:
+        """Give a trace that was kept, without its images; None where it was not."""
+        if acquisition_id not in self.acquisitions:
+            return None
+        try:
+            found = pickle.loads(self._path(acquisition_id).read_bytes())
+        except (OSError, EOFError, pickle.UnpicklingError):
+            return None
+        return found if isinstance(found, Trace) else None
+
+    def _path(self, acquisition_id: str) -> Path:
+        return self.folder / hashlib.sha256(acquisition_id.encode()).hexdigest()

@@ -23,7 +23,7 @@ _SCATTER_MIN_PX = 0.02
 """Less scatter than this says more of rounding than of the rig."""
 _TOLD_FROM_PX = 0.1
 """Less motion is corrected without a trace in any number: it needs no one's attention."""
-_MOVING_RANGE_TO_STD = 1.128
+_MOVING_RANGE_TO_STD = 1.128  # mean range of two normal values over their standard deviation (Shewhart's d₂)
 _WORDS = ("shifts along x", "turns", "grows or shrinks", "tilts about its x axis")
 
 

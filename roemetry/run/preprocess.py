@@ -95,7 +95,7 @@ def prepare_plain(acquisition: Acquisition, *, turn_deg: int) -> Frame | None:
     return replace(plain, pixels=_turned(plain.pixels, turn_deg), turn_deg=(plain.turn_deg + turn_deg) % 360)
 
 
-_USUAL_BITS = (10, 12, 14)
+_USUAL_BITS = (10, 12, 14)  # of sensors that write 16-bit files
 
 
 def _check_bits_in_use(laser: Frame) -> None:

@@ -166,9 +166,9 @@ PAGES_MM = {
 }
 """Upright page sizes; the smallest ISO one that holds the board is the default."""
 
-_MARGIN_MM = 12.0
-_FOOT_MM = 24.0
-_RULER_MAX_MM = 200.0
+_MARGIN_MM = 12.0  # that any printer leaves
+_FOOT_MM = 24.0  # room for ruler and description
+_RULER_MAX_MM = 200.0  # long enough to measure the print to 0.1 % with a steel rule
 
 
 def lay_out(board: BoardFile, identity: str, page: str | None) -> Sheet:

@@ -13,9 +13,9 @@ from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.records.calibration import Alignment, Calibration
 from roemetry.records.view import View
 
-SEED = 20260711
-_WHITE_8_BIT = 255
-_CAMERA_MM = 1000.0
+SEED = 20260711  # of all noise: two calls see the same
+_WHITE_8_BIT = 255  # grey levels
+_CAMERA_MM = 1000.0  # of a telecentric view: nothing depends on it
 
 
 class ScenePeaks(NamedTuple):

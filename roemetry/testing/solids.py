@@ -16,9 +16,9 @@ from roemetry.testing.scenes import LinearRig
 DENSE = LinearRig(rows=240, columns=480, stripes=61, first_px=59.5, spacing_px=6.0, fan=0.0)
 """A rig whose stripes lie so close that a slice more or less hardly counts: 1.5 mm apart, 90 mm wide."""
 
-_LEVELS = 160
-_HALVINGS = 40
-_ON_SURFACE_MM = 1e-6
+_LEVELS = 160  # at which a body is looked for along a ray
+_HALVINGS = 40  # of the interval in which it is met: 1e-12 of it is left
+_ON_SURFACE_MM = 1e-6  # a ray that ends so near has met the surface
 
 
 @dataclass(frozen=True, slots=True)

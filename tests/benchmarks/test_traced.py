@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.grading.judges import GOOD, fitted_limits, rules_of
 from benchmarks.grading.scores import Judged, score_of
-from benchmarks.grading.words import confusion
+from benchmarks.tables import confusion
 from benchmarks.traced import Row, Traced, traced
 from benchmarks.traced.causes import CAUSES, weight_figures
 from benchmarks.traced.shown import defect_figures

@@ -13,6 +13,7 @@ import typer
 from rich.console import Console
 
 from roemetry.calibrating.known_products import read_labels
+from roemetry.cli.options import next_folder
 from roemetry.cli.progress import progress
 from roemetry.errors import ConfigurationError
 from roemetry.io.files import write_whole
@@ -112,7 +113,7 @@ def compare(
     assert base is not None
     true_labels = None if labels is None else read_labels(labels)
     terms = Terms(tolerance, folds, seed)
-    folder = out or _next_folder(base.path.resolve())
+    folder = out or next_folder(base.path, "-compare")
     given: list[Path | None] = list(data) if data else [None]
     names = ["" if one is None else one.resolve().name for one in given]
     if len(set(names)) < len(names):
@@ -147,15 +148,6 @@ def _one_set(
     if not as_json:
         _show(compared, terms, data.without_truth, files)
     return compared
-
-
-def _next_folder(recipe: Path) -> Path:
-    """Give the first folder of this recipe's name that is not there yet."""
-    name = recipe.parent.name if recipe.stem == "recipe" else recipe.stem
-    number = 1
-    while (folder := Path("results") / f"{name}-compare-{number}").exists():
-        number += 1
-    return folder
 
 
 def _show(compared: Sequence[Compared], terms: Terms, without_truth: str, files: Sequence[Path]) -> None:

@@ -13,8 +13,7 @@ import numpy as np
 from roemetry.config.recipe import Recipe
 from roemetry.records import ProductTruth, Reason
 from roemetry.records.arrays import Floats
-from roemetry_tools.compare.agreement import PairedValue
-from roemetry_tools.compare.grading import Graded
+from roemetry_tools.compare.agreement import Graded, PairedValue
 from roemetry_tools.compare.score import Pair, Scored
 from roemetry_tools.compare.stripes import CentreScore, CodingScore
 

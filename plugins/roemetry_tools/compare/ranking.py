@@ -18,20 +18,18 @@ from roemetry_tools.compare.aggregate import QUANTITIES, Figures
 from roemetry_tools.compare.agreement import (
     NO_INTERVAL,
     Agreement,
+    Graded,
     Interval,
     PairedValue,
+    Recall,
+    Reliability,
     Shift,
     Terms,
     against_each_other,
     against_truth,
-    nearer,
-)
-from roemetry_tools.compare.grading import (
-    Graded,
-    Recall,
-    Reliability,
     balanced_interval,
     balanced_shift,
+    nearer,
     recalls_of,
     reliability_of,
 )

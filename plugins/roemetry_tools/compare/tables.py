@@ -20,8 +20,7 @@ from rich.text import Text
 from roemetry.config.recipe_file import StageChoices
 from roemetry.html.plots import share
 from roemetry_tools.compare.aggregate import Errors
-from roemetry_tools.compare.agreement import Interval, Shift, Terms
-from roemetry_tools.compare.grading import Reliability
+from roemetry_tools.compare.agreement import Interval, Reliability, Shift, Terms
 from roemetry_tools.compare.ranking import (
     PRODUCTS_ENOUGH,
     Compared,

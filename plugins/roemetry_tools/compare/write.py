@@ -15,9 +15,8 @@ from typing import Any
 from roemetry.errors import OutputError
 from roemetry.io.files import LineFile, json_values, make_folder, write_whole
 from roemetry_tools.compare.aggregate import Figures, estimates_of
-from roemetry_tools.compare.agreement import RESAMPLES, Shift, Terms
+from roemetry_tools.compare.agreement import RESAMPLES, Recall, Reliability, Shift, Terms
 from roemetry_tools.compare.data import Data
-from roemetry_tools.compare.grading import Recall, Reliability
 from roemetry_tools.compare.ranking import Compared, Standing, choices_of
 from roemetry_tools.compare.score import Pair, Scored
 from roemetry_tools.compare.tables import GROUPS, centre_figures, coding_shares, first_lines_of, to_csv

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-_CHECKED = 5
+_CHECKED = 5  # rows of the table shown in the terminal; the page has all
 
 if TYPE_CHECKING:
     from rich.table import Table

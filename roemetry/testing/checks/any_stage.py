@@ -15,7 +15,7 @@ from roemetry.stages import Stage, StageOptions
 from roemetry.testing.cases import cases_for
 from roemetry.testing.verdict import NotKeptError, difference, require
 
-_THREADS = 4
+_THREADS = 4  # at once: enough to meet each other on two cores
 
 
 def check_same_input_gives_same_result(stage: Stage[Any]) -> None:

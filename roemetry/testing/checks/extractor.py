@@ -17,8 +17,8 @@ _NEAR_PX = 5.0
 _EXACT_PX = 1e-6
 _ROWS_LEFT_OUT = 2
 """At the image's top and bottom an extractor need not look."""
-_SHIFT_PX = 3
-_BRIGHTER = 1.3
+_SHIFT_PX = 3  # whole pixels, so that the image itself is the same
+_BRIGHTER = 1.3  # times: still below white
 
 
 def check_centres_are_right(extractor: Extractor[Any]) -> None:

@@ -193,7 +193,7 @@ def check_a_moved_camera_measures_alike(triangulator: Triangulator[Any]) -> None
     require(off_mm <= 0.05, f"heights are up to {off_mm:.2g} mm off those of the camera at rest")
 
 
-_SHIFT_PX = 0.8
+_SHIFT_PX = 0.8  # what an aligner corrects, not what it refuses
 
 
 def _profiles(triangulator: Triangulator[Any], rig: LinearRig, heights: Floats) -> Profiles:

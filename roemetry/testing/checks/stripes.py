@@ -247,9 +247,9 @@ def _is_product(coded: _Coded, wanted: Flags, what: str) -> None:
     )
 
 
-_ROUGH_PX = 0.2
-_STRAIGHT_TOLERANCE_PX = 1e-6
-_STEP_ROWS = 2
+_ROUGH_PX = 0.2  # scatter of an ordinary extractor in speckle
+_STRAIGHT_TOLERANCE_PX = 1e-6  # rounding of a fit in double precision
+_STEP_ROWS = 2  # beside a step that a smoother may bend
 
 
 def check_straight_stripes_stay(smoother: Smoother[Any]) -> None:

@@ -24,8 +24,8 @@ from roemetry.testing.solids import (
 )
 from roemetry.testing.verdict import NotKeptError, difference, refused, require
 
-_ORDER_TOLERANCE = 1e-9
-_MIRROR_TOLERANCE = 1e-3
+_ORDER_TOLERANCE = 1e-9  # relative: sums in another order round otherwise
+_MIRROR_TOLERANCE = 1e-3  # relative: rows fall elsewhere on the mirrored body
 
 
 def check_a_box(estimator: VolumeEstimator[Any]) -> None:

@@ -17,7 +17,7 @@ from roemetry.testing.scenes import SEED
 from roemetry.testing.solids import HALF_ELLIPSOID, product_of
 from roemetry.testing.verdict import difference, require
 
-_TOLERANCE = 1e-9
+_TOLERANCE = 1e-9  # relative: rounding
 
 
 def check_mass_is_proportional_to_volume(weigher: Weigher[Any]) -> None:

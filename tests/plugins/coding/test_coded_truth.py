@@ -37,7 +37,7 @@ def test_points_on_a_block_lie_on_it_in_their_plane_and_in_their_pixel(rig, bloc
     assert np.abs(pixels - np.column_stack([block.x_px, block.row])).max() < 1e-3  # px
     distance = rig.laser.distance_mm(block.xyz_mm)[np.arange(block.row.size), block.stripe]
     assert np.abs(distance).max() < 1e-3  # mm
-    lifted = rig.view().lift(np.column_stack([block.x_px, block.row]), block.stripe)
+    lifted = rig.calibration().view.lift(np.column_stack([block.x_px, block.row]), block.stripe)
     assert np.abs(lifted - block.xyz_mm).max() < 1e-3  # mm
 
 

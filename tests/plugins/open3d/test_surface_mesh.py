@@ -15,28 +15,29 @@ from roemetry.records import Outline, Product
 from roemetry.records.view import View
 from roemetry.testing.scenes import LinearRig
 from roemetry.testing.solids import HALF_CYLINDER, HALF_ELLIPSOID, SPHERICAL_CAP, product_from, product_of
-from roemetry_open3d import meshing
+from roemetry_open3d import mesh_files as meshing
 from roemetry_open3d.mesh_files import (
     ASSUMED,
     BRIDGED,
     MEASURED,
+    Mesh,
     MeshOptions,
     SurfaceMesh,
     certainty_of,
     colours,
+    mesh_of,
+    open_edges,
     ply,
     stl,
 )
-from roemetry_open3d.meshing import Mesh, mended, mesh_of, open_edges
 from roemetry_open3d.sheet import lines_of, sheet_of
 
-METHODS = ("poisson", "ball-pivoting", "alpha-shape")
 COARSE = LinearRig(rows=240, columns=480, stripes=13, first_px=95.5, spacing_px=24.0, fan=0.0)
 """Stripes 6 mm apart: bridges are what lies between."""
 
 
-def volume_by(method: str, product: Product, step_mm: float = 1.5):
-    return SurfaceMesh(MeshOptions(method=method, step_mm=step_mm)).estimate(product)
+def volume_of(product: Product):
+    return SurfaceMesh().estimate(product)
 
 
 def seen_from_above(product: Product, length: float, width: float, skew: float = 0.0) -> Product:
@@ -53,10 +54,9 @@ def seen_from_above(product: Product, length: float, width: float, skew: float =
     return replace(product, view=view, outline=Outline(1, view.project(foot)))
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_a_half_ellipsoid(method: str) -> None:
+def test_a_half_ellipsoid() -> None:
     """Within 2 %: facets cut corners."""
-    volume = volume_by(method, product_of(HALF_ELLIPSOID))
+    volume = volume_of(product_of(HALF_ELLIPSOID))
     assert volume.visible_mm3.value / HALF_ELLIPSOID.volume_mm3 == pytest.approx(1.0, abs=0.02)
     found = volume.visible_mm3
     assert set(found.budget) == {"facets", "between lines", "ends"}
@@ -70,14 +70,11 @@ def test_a_slice_below_the_belt_is_refused() -> None:
     xyz = made.profiles.xyz_mm.copy()
     xyz[lit[2], :, 2] -= 30.0
     with pytest.raises(StageError, match="mm below the belt"):
-        volume_by("poisson", replace(made, profiles=replace(made.profiles, xyz_mm=xyz)))
+        volume_of(replace(made, profiles=replace(made.profiles, xyz_mm=xyz)))
 
 
 def test_draws_scatter_by_the_stated_uncertainty() -> None:
-    estimator, product = (
-        SurfaceMesh(MeshOptions(method="alpha-shape", step_mm=4.0)),
-        product_of(SPHERICAL_CAP, COARSE),
-    )
+    estimator, product = SurfaceMesh(MeshOptions(step_mm=4.0)), product_of(SPHERICAL_CAP, COARSE)
     stated = estimator.estimate(product).visible_mm3
     rng = np.random.default_rng(5)
     drawn = [estimator.estimate(product, rng=rng).visible_mm3.value for _ in range(60)]
@@ -85,9 +82,8 @@ def test_draws_scatter_by_the_stated_uncertainty() -> None:
     assert np.std(drawn) == pytest.approx(stated.std, rel=0.3)
 
 
-@pytest.mark.parametrize("method", ["poisson", "alpha-shape"])
-def test_a_half_cylinder_with_flat_ends(method: str) -> None:
-    volume = volume_by(method, product_of(HALF_CYLINDER))
+def test_a_half_cylinder_with_flat_ends() -> None:
+    volume = volume_of(product_of(HALF_CYLINDER))
     assert volume.visible_mm3.value / HALF_CYLINDER.volume_mm3 == pytest.approx(1.0, abs=0.025)
 
 
@@ -95,7 +91,7 @@ def test_an_outline_closes_the_tips() -> None:
     """Stripes 6 mm apart: without it 2 to 6 % is missing at the ends, with it the volume is within 2 %."""
     bare = product_of(SPHERICAL_CAP, COARSE)
     outlined = seen_from_above(bare, 50.0, 50.0)
-    without, with_it = (volume_by("poisson", each) for each in (bare, outlined))
+    without, with_it = (volume_of(each) for each in (bare, outlined))
     assert -0.08 < without.visible_mm3.value / SPHERICAL_CAP.volume_mm3 - 1.0 < -0.005
     assert with_it.visible_mm3.value / SPHERICAL_CAP.volume_mm3 == pytest.approx(1.0, abs=0.02)
     for each in (without, with_it):
@@ -107,7 +103,7 @@ def test_an_outline_closes_the_tips() -> None:
 
 def test_an_outline_of_something_else_is_left_out() -> None:
     far = seen_from_above(product_of(SPHERICAL_CAP, COARSE), 30.0, 30.0)
-    volume = volume_by("poisson", far)
+    volume = volume_of(far)
     assert [reason.code for reason in volume.reasons] == ["outline-disagrees"]
 
 
@@ -115,7 +111,7 @@ def test_an_outline_at_the_images_edge_is_refused() -> None:
     product = seen_from_above(product_of(SPHERICAL_CAP, COARSE), 50.0, 50.0)
     cut = replace(product, outline=Outline(1, product.outline.xy_px - product.outline.xy_px.min(axis=0)))
     with pytest.raises(StageError, match="reaches the image's edge"):
-        volume_by("poisson", cut)
+        volume_of(cut)
 
 
 def test_a_hole_is_refused() -> None:
@@ -127,7 +123,7 @@ def test_a_hole_is_refused() -> None:
     rim = (distance >= 8.0) & (distance < 9.5)
     heights[rim] = np.minimum(heights[rim], 2.0)
     with pytest.raises(StageError, match="falls away and rises again .* of stripe"):
-        volume_by("poisson", product_from(heights))
+        volume_of(product_from(heights))
 
 
 def test_fewer_than_three_stripes_are_refused() -> None:
@@ -135,7 +131,7 @@ def test_fewer_than_three_stripes_are_refused() -> None:
     keep = np.flatnonzero(np.isfinite(heights).sum(axis=1) > 10)[[3, 9]]
     heights[np.setdiff1d(np.arange(len(heights)), keep)] = np.nan
     with pytest.raises(StageError, match="only 2 stripes lie on the product"):
-        volume_by("poisson", product_from(heights))
+        volume_of(product_from(heights))
 
 
 def test_a_dead_stripe_and_a_gap_are_told() -> None:
@@ -158,7 +154,7 @@ def test_a_mesh_that_is_not_closed_gives_no_number(monkeypatch: pytest.MonkeyPat
     poisson = meshing._poisson
     monkeypatch.setattr(meshing, "_poisson", holed)
     with pytest.raises(StageError, match=r"not closed \(3 of its edges .* no inside, so no volume"):
-        volume_by("poisson", product_of(HALF_ELLIPSOID))
+        volume_of(product_of(HALF_ELLIPSOID))
 
 
 TETRAHEDRON = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
@@ -173,23 +169,16 @@ def test_open_edges_are_counted() -> None:
     assert open_edges(np.vstack([TETRAHEDRON, TETRAHEDRON[:1]])) > 0, "a triangle too many"
 
 
-def test_small_holes_are_filled_about_their_middle() -> None:
+def test_the_volume_of_a_mesh_is_the_tetrahedrons() -> None:
     corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
-    vertices, triangles, closed = mended(corners, TETRAHEDRON[1:])
-    assert (closed, len(vertices), open_edges(triangles)) == (3, 5, 0)
-    assert Mesh(vertices, triangles, closed).volume_mm3 == pytest.approx(1.0 / 6.0)
-    # two holes that touch in a corner
-    _, twice, closed = mended(corners, TETRAHEDRON[2:])
-    assert (closed, open_edges(twice)) == (4, 0)
-    large = np.array([[k, (k + 1) % 20, 20] for k in range(20)])
-    assert mended(np.zeros((21, 3)), large)[2] == 0, "a hole of twenty edges is no small one"
+    assert Mesh(corners, TETRAHEDRON).volume_mm3 == pytest.approx(1.0 / 6.0)
 
 
 def test_without_open3d_the_message_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
     find = importlib.util.find_spec
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "open3d" else find(name))
     with pytest.raises(StageError, match="not installed") as told:
-        volume_by("poisson", product_of(HALF_ELLIPSOID))
+        volume_of(product_of(HALF_ELLIPSOID))
     assert "pip install 'roemetry[open3d]'" in str(told.value)
 
 
@@ -217,7 +206,7 @@ def test_a_system_without_libusb_gets_that_of_the_package(monkeypatch: pytest.Mo
 @pytest.fixture(scope="module")
 def made():
     sheet = sheet_of(product_of(HALF_ELLIPSOID, COARSE), 1.5)
-    mesh = mesh_of(sheet, "poisson", 1.5)
+    mesh = mesh_of(sheet, 1.5)
     return mesh, sheet, certainty_of(mesh, sheet, 1.5)
 
 

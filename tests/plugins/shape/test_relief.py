@@ -13,10 +13,9 @@ from roemetry.records.view import View
 from roemetry.testing.solids import BOX, DENSE, DENTED, HALF_ELLIPSOID, Solid, product_from, product_of
 from roemetry_paper.arc_curvature import ArcCurvature, ArcCurvatureOptions
 from roemetry_report.relief import relief_panels
-from roemetry_shape.examples import learned_options
 from roemetry_shape.features import shape_features, shape_of
 from roemetry_shape.fuzzy_rules import FuzzyRules, FuzzyRulesOptions
-from roemetry_shape.learned import Learned
+from roemetry_shape.learned import Learned, learned_options
 from roemetry_shape.product_frame import sections_of
 from roemetry_shape.regions import humps_of
 from roemetry_shape.shape_limits import ShapeLimits, ShapeLimitsOptions

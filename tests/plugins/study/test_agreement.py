@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from roemetry.errors import DataError
-from roemetry.run.control_rules import limits_of, signals
+from roemetry.run.control_chart import limits_of, signals
 from roemetry_study.agreement import agreement
 from roemetry_study.reference import biases, catchweigher_words, linearity, type_one
 from roemetry_study.table import Reading, StudyTable

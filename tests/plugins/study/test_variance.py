@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from roemetry.errors import ConfigurationError, DataError
-from roemetry_study.design import samples_for_mean, simulated
-from roemetry_study.gauge import gauge_study
+from roemetry_study.gauge import gauge_study, samples_for_mean, simulated
 from roemetry_study.table import Reading, StudyTable, read_table
 from roemetry_study.variance import analyse, average_range, range_constants
 
@@ -202,8 +201,8 @@ def test_the_stated_uncertainty_stands_beside_the_repeatability() -> None:
             DataError,
             "not in one unit",
         ),
-        ("part,mass_g\n1,1.0,7\n", DataError, "expected 2 cells"),
-        ("part,mass_g\n", DataError, "no reading"),
+        ("part,mass_g\n1,1.0,7\n", DataError, "another number of cells"),
+        ("part,mass_g\n", DataError, "the table is empty"),
     ],
 )
 def test_tables_without_sense_are_refused_with_their_place(

@@ -13,18 +13,16 @@ from scipy.stats import t
 from roemetry.html.plots import share
 from roemetry_tools.compare.agreement import (
     Bootstrap,
+    Graded,
     PairedValue,
     Terms,
     against_each_other,
     against_truth,
     agreement_of,
-    mean_of,
-    nearer,
-)
-from roemetry_tools.compare.grading import (
-    Graded,
     balanced_interval,
     balanced_shift,
+    mean_of,
+    nearer,
     recalls_of,
     reliability_of,
 )

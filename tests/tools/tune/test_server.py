@@ -20,8 +20,7 @@ from typer.testing import CliRunner
 from roemetry.cli.main import app
 from roemetry.errors import ConfigurationError
 from roemetry_tools.tune import server
-from roemetry_tools.tune.answer import unpacked
-from roemetry_tools.tune.session import Session
+from roemetry_tools.tune.session import Session, unpacked
 
 starlette = pytest.importorskip("starlette.testclient", reason="httpx is not installed")
 

@@ -21,10 +21,8 @@ from roemetry_files.image_files import ImageFiles
 from roemetry_paper.density import Density
 from roemetry_paper.dominant_peak import DominantPeak
 from roemetry_paper.window_tracking import WindowTracking
-from roemetry_tools.tune.answer import packed, unpacked
-from roemetry_tools.tune.form import fields_of
-from roemetry_tools.tune.request import KINDS, StageRequest, TuneRequest
-from roemetry_tools.tune.session import Session
+from roemetry_tools.tune.request import KINDS, StageRequest, TuneRequest, fields_of
+from roemetry_tools.tune.session import Session, packed, unpacked
 
 
 def peaks(threshold: object = 60, **options: str) -> StageRequest:

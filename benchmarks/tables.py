@@ -1,0 +1,88 @@
+"""What benchmarks write and keep: tables and shares as Markdown, and rows in files."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from roemetry_study.certificate import software_sha256
+from roemetry_tools.compare.agreement import Interval
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Write a table."""
+    lines = [head, ["---"] * len(head), *rows]
+    return "".join("| " + " | ".join(cells) + " |\n" for cells in lines)
+
+
+def share(part: int, whole: int) -> str:
+    """Write part of whole as a share, with the whole."""
+    return f"{100.0 * part / whole:.1f} % of {whole}" if whole else "–"
+
+
+def ends(interval: Interval, digits: int = 3) -> str:
+    """Write an interval."""
+    return f"{interval.low:.{digits}f} to {interval.high:.{digits}f}"
+
+
+def confusion(
+    found: Counter[tuple[str, str]], order: Sequence[str], what: str, true: Sequence[str] = ()
+) -> str:
+    """Write what it is against what it was called; `true` is the order of what it is, if another."""
+    true = [name for name in true or order if any(pair[0] == name for pair in found)]
+    given = [name for name in order if any(pair[1] == name for pair in found)]
+    rows = [[name, *(str(found[name, other] or "·") for other in given)] for name in true]
+    return table([what, *given], rows)
+
+
+def kept_rows(path: Path, keys: Iterable[Any], make: Callable[[Any], Any]) -> dict[Any, Any]:
+    """Make what belongs to each key, or read it from the file: a line of JSON each, written when made.
+
+    The file's name gets a hash of our code: a row that other code has made is made again.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path = path.with_stem(f"{path.stem}_{_code()}")
+    lines = path.read_text("utf-8").splitlines() if path.exists() else []
+    known = {tuple(key) if isinstance(key, list) else key: row for key, row in map(json.loads, lines)}
+    with path.open("a", encoding="utf-8") as file:
+        for done, key in enumerate(keys, start=1):
+            if key not in known:
+                known[key] = make(key)
+                file.write(json.dumps([key, known[key]]) + "\n")
+                file.flush()
+                print(f"\r{path.stem}: {done}", end="", file=sys.stderr, flush=True)
+    return known
+
+
+@cache
+def _code() -> str:
+    """Give twelve digits of a hash over the sources of roemetry, its plugins, and the benchmarks."""
+    told = hashlib.sha256(software_sha256().encode())
+    for source in sorted(Path(__file__).parent.rglob("*.py")):
+        told.update(source.read_bytes())
+    return told.hexdigest()[:12]
+
+
+def put_into(page: Path, parts: Mapping[str, str]) -> None:
+    """Put each part into a page between ``<!-- measured: NAME -->`` and the next ``<!-- end -->``.
+
+    Raises
+    ------
+    ValueError
+        The page has no such place.
+    """
+    text = page.read_text("utf-8")
+    for name, part in parts.items():
+        begin, end = f"<!-- measured: {name} -->\n", "<!-- end -->\n"
+        before, found, after = text.partition(begin)
+        _, closed, rest = after.partition(end)
+        if not found or not closed:
+            raise ValueError(f"{page}: there is no `{begin.strip()}` with `{end.strip()}` below it")
+        text = f"{before}{begin}\n{part.rstrip()}\n\n{end}{rest}"
+    page.write_text(text, "utf-8")
