@@ -46,6 +46,7 @@ from roemetry.records.plan import (
 )
 from roemetry.records.product import Outline, Product, ProductTrace, Profiles, Trace
 from roemetry.records.reasons import Reason
+from roemetry.records.scan import Motion, ScanFigures, ScanLines
 from roemetry.records.stripes import (
     AMBIGUOUS,
     BELT,

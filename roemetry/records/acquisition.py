@@ -6,13 +6,17 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from roemetry.errors import DataError
 from roemetry.records.display import Shown
+
+if TYPE_CHECKING:
+    from roemetry.records.product import Profiles
+    from roemetry.records.scan import ScanLines
 
 Role = Literal["laser", "plain", "dark"]
 
@@ -94,6 +98,10 @@ class Acquisition(Shown):
 
     id: str
     frames: tuple[Frame, ...]
+    lines: ScanLines | None = None
+    """Of a scan: its lines, each with its encoder count; `frames` is then empty."""
+    profiles: Profiles | None = None
+    """Of a sensor that gives heights: its slices, in which belt and products are not told apart yet."""
 
     def frame(self, role: Role) -> Frame | None:
         """Give the first frame with this role, or None."""

@@ -17,6 +17,7 @@ from roemetry.records.calibration import Alignment, Calibration
 from roemetry.records.display import Shown, estimate, picture_of_stripes, picture_of_surface, table
 from roemetry.records.outcome import Decision, Estimate, Grade, Surface, Volume, Weight
 from roemetry.records.reasons import Reason
+from roemetry.records.scan import ScanFigures
 from roemetry.records.stripes import Peaks, StripeMap
 from roemetry.records.view import View
 
@@ -45,6 +46,8 @@ class Profiles(Shown):
     plane: Floats
     """(slice, 4) the slice's plane in the belt frame: nx, ny, nz, d with n·X = d (mm), n of length 1."""
     reasons: tuple[Reason, ...] = ()
+    scan: ScanFigures | None = None
+    """What placing the lines came to, where the slices are lines of a scan."""
 
     def __post_init__(self) -> None:
         check = Checker(self)
