@@ -9,9 +9,6 @@ in the frame that moves with the product. The belt, too, is a plane there, spann
 in the light: it is fitted to what is seen of it, and Z = 0 is laid on it, so a belt that leans against the
 calibration's zero costs nothing. Lines are placed by count, never by number.
 
-The rig stands still, so where a place (x, row) of the image lies in space is the same for every line: the
-recipe's own triangulator is asked at 33 places of each row, and cubics between them do for all lines.
-
 With several stripes each is a scan of its own. Slices are made of the middle one; how far another one's
 heights lie ahead or behind on slopes is the way the product slipped against the counter between both.
 """
@@ -19,25 +16,25 @@ heights lie ahead or behind on slopes is the way the product slipped against the
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
 
 from roemetry.errors import StageError
-from roemetry.records import Profiles, Reason, ScanFigures, ScanLines, StripeMap
+from roemetry.records import Profiles, Pyramid, Reason, ScanFigures, ScanLines, SpherePlate, StripeMap
 from roemetry.records.arrays import Floats
 from roemetry.records.calibration import Calibration
 from roemetry.records.scan import Motion
 from roemetry.stages import Assembler, StageOptions, Triangulator
-from roemetry_kernels.compiling import float_kernel
 from roemetry_scan.belt import BeltOptions, fitted_plane, frame_on, plane_of_belt, products_on
 from roemetry_scan.counting import counted
 from roemetry_scan.flanks import followed
+from roemetry_scan.motion import measured_motion
+from roemetry_scan.rows import placed, points_of_rows
 from roemetry_scan.slip import slip_of
 
-_NODES = 33
-"""Of each row: between them a plane seen in perspective follows a cubic to 1e-9 of its distance."""
 _NEAR_MM = 0.3
 """Belt lies so near to its plane where its own scatter is not known yet, mm."""
 
@@ -141,6 +138,13 @@ class BeltMotion(Assembler[BeltOptions]):
         found = replace(profiles, product=number, seen=profiles.seen & (number >= 0), scan=figures)
         return _with_flanks(found)
 
+    def motion(
+        self, stripes: StripeMap, lines: ScanLines, calibration: Calibration, triangulator: Triangulator[Any],
+        target: Pyramid | SpherePlate, *, right: bool = True,
+    ) -> tuple[Motion, Mapping[str, float]]:  # fmt: skip
+        """Measure the motion from one pass of a frustum or a ball plate."""
+        return measured_motion(stripes, lines, calibration, triangulator, target, right)
+
 
 def motion_of(calibration: Calibration) -> Motion:
     """Give the calibration's motion in the belt frame; StageError where it has none."""
@@ -150,85 +154,6 @@ def motion_of(calibration: Calibration) -> Motion:
             hint="add `scan` to the rig file, a known body carried once through the light, and calibrate",
         )
     return calibration.motion
-
-
-class RowTable:
-    """Where places of a rig's image lie in space: asked of its triangulator once for all lines."""
-
-    def __init__(self, points: Floats, plane: Floats, step_px: float) -> None:
-        self.points, self.plane, self.step_px = points, plane, step_px
-
-
-def points_of_rows(calibration: Calibration, triangulator: Triangulator[Any]) -> RowTable:
-    """Ask a triangulator for the points of 33 places of each row.
-
-    `points` is (stripe, row, node, 4): X, Y, Z, mm, and the standard uncertainty of Z, mm, for one pixel of
-    it in x; nodes lie `step_px` apart from x = 0 on.
-    """
-    rows, columns = calibration.image_size
-    count = calibration.stripe_count
-    step = (columns - 1) / (_NODES - 1)
-    points = np.full((count, rows, _NODES, 4), np.nan)
-    plane = np.empty((0, 4))
-    shape = (count, rows)
-    for node in range(_NODES):
-        made = triangulator.triangulate(
-            StripeMap(
-                x_px=np.full(shape, node * step),
-                x_std_px=np.ones(shape),
-                product=np.ones(shape, np.int16),
-                seen=np.ones(shape, np.bool_),
-                margin=np.ones(shape),
-                ambiguous=np.zeros(shape, np.bool_),
-                rest_px=np.full(shape, np.nan),
-                peak_stripe=np.empty(0, np.int16),
-            ),
-            calibration,
-        )
-        points[:, :, node, :3] = made.xyz_mm
-        points[:, :, node, 3] = made.height_std_mm
-        plane = made.plane
-    return RowTable(points, plane, step)
-
-
-def placed(
-    x_px: Floats, x_std_px: Floats, table: RowTable, stripe: int, shift_mm: Floats
-) -> tuple[Floats, Floats]:
-    """Give (line, row, 3) points in the moving frame, mm, and (line, row) the noise of their heights, mm."""
-    return _placed(
-        np.ascontiguousarray(x_px), np.ascontiguousarray(x_std_px), table.points[stripe], table.step_px,
-        np.ascontiguousarray(shift_mm),
-    )  # fmt: skip
-
-
-@float_kernel
-def _placed(
-    x_px: Floats, x_std_px: Floats, nodes: Floats, step_px: float, shift: Floats
-) -> tuple[Floats, Floats]:
-    lines, rows = x_px.shape
-    count = nodes.shape[1]
-    points = np.full((lines, rows, 3), np.nan)
-    std = np.full((lines, rows), np.nan)
-    for i in range(lines):
-        for r in range(rows):
-            x = x_px[i, r] / step_px
-            if math.isnan(x):
-                continue
-            k = min(max(int(x) - 1, 0), count - 4)
-            u = x - k - 1.0
-            a = -u * (u - 1.0) * (u - 2.0) / 6.0
-            b = (u + 1.0) * (u - 1.0) * (u - 2.0) / 2.0
-            c = -(u + 1.0) * u * (u - 2.0) / 2.0
-            d = (u + 1.0) * u * (u - 1.0) / 6.0
-            for m in range(3):
-                points[i, r, m] = (
-                    a * nodes[r, k, m] + b * nodes[r, k + 1, m] + c * nodes[r, k + 2, m]
-                    + d * nodes[r, k + 3, m] - shift[i, m]
-                )  # fmt: skip
-            std[i, r] = x_std_px[i, r] * (
-                a * nodes[r, k, 3] + b * nodes[r, k + 1, 3] + c * nodes[r, k + 2, 3] + d * nodes[r, k + 3, 3]
-            )
-    return points, std
 
 
 def _lags(plane: Floats, motion: Floats, middle: int) -> Floats:

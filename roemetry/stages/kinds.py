@@ -41,7 +41,6 @@ from roemetry.records import (
     Sensor,
     Simulated,
     SpherePlate,
-    Staircase,
     StripeMap,
     Surface,
     Trace,
@@ -280,9 +279,11 @@ class Assembler(Stage[OptionsT]):
 
     def motion(
         self, stripes: StripeMap, lines: ScanLines, calibration: Calibration, triangulator: Triangulator[Any],
-        target: Pyramid | SpherePlate | Staircase,
+        target: Pyramid | SpherePlate, *, right: bool = True,
     ) -> tuple[Motion, Mapping[str, float]]:  # fmt: skip
         """Measure the belt's motion from a scan of a known body, with figures that say how well it fits.
+
+        `right`: whether the product moves towards larger x in the image while the counter counts up.
 
         Raises
         ------
