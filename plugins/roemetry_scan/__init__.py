@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from roemetry.stages.hookspecs import StageEntry, hookimpl
+from roemetry.stages.hookspecs import StageEntry, VerbEntry, hookimpl
 
 
 @hookimpl
@@ -13,6 +13,9 @@ def roemetry_stages() -> Iterable[StageEntry]:
     for kind, name, target, summary, reference in (
         ("source", "belt-scan", "scan_source:BeltScan",
          "The lines of belt scans: folders of frames, tall images or videos, with encoder counts", "our own"),
+        ("source", "height-map", "height_source:HeightMaps",
+         "Height maps and point clouds of other sensors: TIFF, PNG, CSV, PLY, PCD, LAS, LAZ, X3P, Coord3D",
+         "ISO 25178-72 (X3P), ASPRS LAS 1.4, GenICam SFNC"),
         ("assembler", "belt-motion", "placing:BeltMotion",
          "Places lines by encoder counts and the calibrated motion, fits the belt, numbers the products",
          "Fischler and Bolles (1981) for the belt; our own"),
@@ -21,3 +24,9 @@ def roemetry_stages() -> Iterable[StageEntry]:
          "our own"),
     ):  # fmt: skip
         yield StageEntry(kind, name, f"roemetry_scan.{target}", summary, reference=reference)
+
+
+@hookimpl
+def roemetry_verbs() -> Iterable[VerbEntry]:
+    """Name the commands."""
+    yield VerbEntry("export", "roemetry_scan.export:export", "Write slices as height maps and point clouds")

@@ -110,7 +110,7 @@ class BeltMotion(Assembler[BeltOptions]):
         on_belt = label == 0
         if not on_belt.any():
             return profiles
-        return _with_flanks(_on_belt(profiles, fitted_plane(xyz_mm[on_belt])))
+        return self._with_flanks(_on_belt(profiles, fitted_plane(xyz_mm[on_belt])))
 
     def label(self, profiles: Profiles, own: tuple[int, int] | None = None) -> Profiles:
         """Lay Z = 0 on the belt that is seen, and number the products that begin in the own lines."""
@@ -136,7 +136,14 @@ class BeltMotion(Assembler[BeltOptions]):
         if figures is not None:
             figures = replace(figures, jitter_mm=_jitter(height, number, noise))
         found = replace(profiles, product=number, seen=profiles.seen & (number >= 0), scan=figures)
-        return _with_flanks(found)
+        return self._with_flanks(found)
+
+    def _with_flanks(self, profiles: Profiles) -> Profiles:
+        """Add what is not seen of products' flanks."""
+        if not self.options.flanks:
+            return profiles
+        xyz_mm, label, added = followed(profiles.xyz_mm, profiles.product, profiles.plane)
+        return replace(profiles, xyz_mm=xyz_mm, product=label, seen=profiles.seen & ~added)
 
     def motion(
         self, stripes: StripeMap, lines: ScanLines, calibration: Calibration, triangulator: Triangulator[Any],
@@ -171,12 +178,6 @@ def _on_belt(profiles: Profiles, plane: Floats) -> Profiles:
         xyz_mm=(profiles.xyz_mm - point) @ turn.T,
         plane=np.column_stack([normal @ turn.T, profiles.plane[:, 3] - normal @ point]),
     )
-
-
-def _with_flanks(profiles: Profiles) -> Profiles:
-    """Add what is not seen of products' flanks."""
-    xyz_mm, label, added = followed(profiles.xyz_mm, profiles.product, profiles.plane)
-    return replace(profiles, xyz_mm=xyz_mm, product=label, seen=profiles.seen & ~added)
 
 
 def _usual(xyz_mm: Floats, axis: int) -> float:
