@@ -13,7 +13,7 @@ def roemetry_stages() -> Iterable[StageEntry]:
     for kind, name, target, summary, reference in (
         ("source", "belt-scan", "scan_source:BeltScan",
          "The lines of belt scans: folders of frames, tall images or videos, with encoder counts", "our own"),
-        ("source", "height-map", "height_source:HeightMaps",
+        ("source", "height-files", "height_source:HeightMaps",
          "Height maps and point clouds of other sensors: TIFF, PNG, CSV, PLY, PCD, LAS, LAZ, X3P, Coord3D",
          "ISO 25178-72 (X3P), ASPRS LAS 1.4, GenICam SFNC"),
         ("assembler", "belt-motion", "placing:BeltMotion",

@@ -25,8 +25,8 @@ Belt = tuple[Floats, Floats]
 
 _TRIES = 400
 _SAMPLE = 4000
-"""Planes that are tried, on so many points: with a tenth of belt, one try in a thousand hits it thrice, with a
-third one in 27."""
+"""Planes that are tried, on so many points: with a tenth of belt, one try in a thousand hits it thrice, with
+a third one in 27."""
 _BELOW = 4.0
 """A point below a plane counts against so many near it: nothing lies below the belt."""
 _LEAN_MAX = 0.35
@@ -61,13 +61,14 @@ def plane_of_belt(points_mm: Floats, near_mm: float) -> Floats:
     """
     rng = np.random.default_rng(0)
     some = points_mm[rng.integers(0, len(points_mm), min(_SAMPLE, len(points_mm)))]
-    best, most = np.zeros(3), -np.inf
+    best: Floats = np.zeros(3)
+    most = -np.inf
     for _ in range(_TRIES):
         three = some[rng.integers(0, len(some), 3)]
         design = np.column_stack([np.ones(3), three[:, :2]])
         if abs(np.linalg.det(design)) < 1e-6:
             continue
-        plane = np.linalg.solve(design, three[:, 2])
+        plane = np.asarray(np.linalg.solve(design, three[:, 2]), np.float64)
         if np.hypot(plane[1], plane[2]) > _LEAN_MAX:
             continue
         over = some[:, 2] - plane[0] - some[:, :2] @ plane[1:]

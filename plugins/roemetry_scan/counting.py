@@ -29,7 +29,8 @@ class Counted:
     """Where the lines of a scan were taken."""
 
     way: Floats
-    """(line,) counts from the first line on, without overflows, in the belt's direction; NaN where missing."""
+    """(line,) counts from the first line on, without overflows, in the belt's direction; NaN where
+    missing."""
     place: Integers
     """(line,) place in usual steps from the first line that is used."""
     used: Flags

@@ -5,13 +5,13 @@ half the way to both neighbours where the planes cut the belt, fills the column 
 Aᵢ = ∫ z dy. Planes that all lean alike shear the body, which changes no volume; so it is the pitch
 perpendicular to the light, t·n, that counts.
 
-What neither camera nor light sees of a flank the assembler has followed (`roemetry_scan.flanks`); it counts as
-interpolated.
+What neither camera nor light sees of a flank the assembler has followed (`roemetry_scan.flanks`); it counts
+as interpolated.
 
 Uncertainty, each part a standard deviation: `motion` V·u(t·n)/(t·n); `encoder quantum` half a count's way,
-uniform, of each slice's place; `belt jitter` the belt's scatter from line to line on each slice's width; `slip`
-by the disagreement of several lines; `between slices` by what every other slice would give; `flanks` a part of
-what is not seen of them; `gaps` a tenth of what straight lines fill.
+uniform, of each slice's place; `belt jitter` the belt's scatter from line to line on each slice's width;
+`slip` by the disagreement of several lines; `between slices` by what every other slice would give; `flanks` a
+part of what is not seen of them; `gaps` a tenth of what straight lines fill.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ class Sections(NamedTuple):
     area_mm2: Floats
     filled_mm2: Floats
     bridged_mm2: Floats
-    """area_mm2, filled_mm2, bridged_mm2: (slice,) area under it; what of that straight lines fill, and what lies
-    under points that were not seen."""
+    """area_mm2, filled_mm2, bridged_mm2: (slice,) area under it; what of that straight lines fill, and what
+    lies under points that were not seen."""
     width_mm: Floats
     edge_mm: Floats
     """width_mm, edge_mm: (slice,) width, and the root of the sum of squares of both edges' heights."""
@@ -58,8 +58,8 @@ class Sections(NamedTuple):
     own_mm: Floats
     """held_mm, own_mm: (slice,) half the way to both neighbours; and of that what lost lines leave to it."""
     place: Integers
-    index: Integers
-    """place, index: (slice,) place along the scan, and row of the profiles."""
+    row: Integers
+    """place, row: (slice,) place along the scan, and row of the profiles."""
 
     @property
     def volume_mm3(self) -> float:
@@ -98,8 +98,8 @@ class DenseSlices(VolumeEstimator[StageOptions]):
     def surface(self, product: Product) -> Surface:
         """Give the slices at even places across, thinned out."""
         found = sections_of(product.profiles, product.number)
-        step = max(1, math.ceil(found.index.size / _SURFACE_SLICES))
-        return _drawn(product.profiles, found.index[::step], product.number)
+        step = max(1, math.ceil(found.row.size / _SURFACE_SLICES))
+        return _drawn(product.profiles, found.row[::step], product.number)
 
 
 def sections_of(profiles: Profiles, number: int) -> Sections:

@@ -11,10 +11,12 @@ import typer
 def export(
     recipe: Annotated[Path, typer.Argument(help="A recipe, or the folder of one.")],
     to: Annotated[str, typer.Option("--to", help="tif, png, npy, csv, ply, pcd, las or x3p.")] = "ply",
-    out: Annotated[Path, typer.Option("--out", help="Folder of the files; made if need be.")] = Path("exported"),
+    out: Annotated[Path, typer.Option("--out", help="Folder of the files; made if need be.")] = Path(
+        "exported"
+    ),
     sets: Annotated[list[str] | None, typer.Option("--set", help="Change the recipe.")] = None,
 ) -> None:
-    """Write every acquisition's slices, belt and products, in mm: clouds with their slices, or height maps."""
+    """Write every acquisition's slices, belt and products, in mm: clouds, or height maps."""
     from roemetry.config.recipe import Recipe
     from roemetry.errors import DataError
     from roemetry.io.files import make_folder
@@ -32,7 +34,9 @@ def export(
         trace = pipeline.trace(source.read(reference))
         profiles = trace.profiles
         if profiles is None:
-            why = next((reason.text for reason in trace.absent.values()), "the recipe ends before millimetres")
+            why = next(
+                (reason.text for reason in trace.absent.values()), "the recipe ends before millimetres"
+            )
             typer.echo(f"{reference.id}: nothing to write: {why}", err=True)
             continue
         name = reference.id.replace("/", "_").replace("\\", "_")

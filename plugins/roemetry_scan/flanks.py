@@ -1,14 +1,14 @@
 """Flanks that neither camera nor light sees, followed from what is seen of them.
 
-Behind a product, as the camera looks, lies a shadow in which no line is seen; steep sides lose points as well.
-A flank is taken for a conic over a rim at the height r,
+Behind a product, as the camera looks, lies a shadow in which no line is seen; steep sides lose points as
+well. A flank is taken for a conic over a rim at the height r,
 
     (z − r)² = a + b·x + c·x²,
 
-with x outwards from the last point that is seen: exact for ellipsoids, and near for what bulges from a rim. It is
-fitted to the last points, first along the belt (each image row through all slices), then along each slice, and
-followed to where it ends on the rim, from where a visible volume has a wall, but not beyond where belt is seen.
-What is flat up to where it is lost is a wall. Points that were followed are not `seen`.
+with x outwards from the last point that is seen: exact for ellipsoids, and near for what bulges from a rim.
+It is fitted to the last points, first along the belt (each image row through all slices), then along each
+slice, and followed to where it ends on the rim, from where a visible volume has a wall, but not beyond where
+belt is seen. What is flat up to where it is lost is a wall. Points that were followed are not `seen`.
 """
 
 from __future__ import annotations

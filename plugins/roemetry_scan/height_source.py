@@ -1,4 +1,4 @@
-"""The source `height-map`: slices from files of heights and points that other sensors have made."""
+"""The source `height-files`: slices from files of heights and points that other sensors have made."""
 
 from __future__ import annotations
 
@@ -26,7 +26,10 @@ class HeightSourceOptions(StageOptions):
         default=0, description="counter-clockwise turn about Z, degrees, that lays the belt's way along X"
     )
     pixel_mm: float | None = Field(
-        default=None, gt=0, le=100, description="of a cloud without slices: side of a pixel, mm; none: its own"
+        default=None,
+        gt=0,
+        le=100,
+        description="of a cloud without slices: side of a pixel, mm; none: its own",
     )
 
 

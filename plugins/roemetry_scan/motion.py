@@ -1,17 +1,17 @@
 """The belt's motion from a known body that it carries once through the light.
 
-Unknown are the motion t, mm per count, and the body's pose; camera and planes of light are the calibration's. A
-point p that the rig saw at the count c lies at q = p − t·c on the body, so the sum of squares of
+Unknown are the motion t, mm per count, and the body's pose; camera and planes of light are the calibration's.
+A point p that the rig saw at the count c lies at q = p − t·c on the body, so the sum of squares of
 
     the distances of all q from the body's surface
 
 is least at the true t (Gauss-Newton; derivatives by differences). A wrong t shears and stretches the body:
-balls become ellipsoids that lean, the faces of a frustum meet at other angles, and both are of another length. So
-one pass tells all three components, but only while the body is the one that is described.
+balls become ellipsoids that lean, the faces of a frustum meet at other angles, and both are of another
+length. So one pass tells all three components, but only while the body is the one that is described.
 
-The covariance is that of the fit, with as many independent points as there are lengths over which their errors
-hang together, and of the calibration's own errors, each moved by one standard deviation. A body that is its own
-mirror image cannot tell which way the belt runs: `right` or `left` in the image has to be said.
+The covariance is that of the fit, with as many independent points as there are lengths over which their
+errors hang together, and of the calibration's own errors, each moved by one standard deviation. A body that
+is its own mirror image cannot tell which way the belt runs: `right` or `left` in the image has to be said.
 """
 
 from __future__ import annotations
@@ -245,7 +245,7 @@ _SIDES = ((1, 0), (-1, 0), (0, 1), (0, -1))
 
 
 def _balls(target: SpherePlate) -> Distances:
-    """Distances from the nearest ball; NaN below a third of its upper half, where points are of plate and rim."""
+    """Distances from the nearest ball; NaN below a third of its upper half, where plate and rim are."""
     radius = 0.5 * target.diameter_mm
     first = -0.5 * target.pitch_mm * np.array([target.columns - 1, target.rows - 1])
 

@@ -64,10 +64,11 @@ def placed(
     x_px: Floats, x_std_px: Floats, table: RowTable, stripe: int, shift_mm: Floats
 ) -> tuple[Floats, Floats]:
     """Give (line, row, 3) points in the moving frame, mm, and (line, row) the noise of their heights, mm."""
-    return _placed(
+    points, std = _placed(
         np.ascontiguousarray(x_px), np.ascontiguousarray(x_std_px), table.points[stripe], table.step_px,
         np.ascontiguousarray(shift_mm),
     )  # fmt: skip
+    return points, std
 
 
 @float_kernel

@@ -23,8 +23,8 @@ def roemetry_stages() -> Iterable[StageEntry]:
     )
     yield StageEntry(
         kind="simulator",
-        name="belt-scan",
-        target="roemetry_simulate.belt_scan:BeltScanSimulator",
+        name="moving-belt",
+        target="roemetry_simulate.moving_belt:MovingBelt",
         summary="Scans of a product that a belt carries through the light: frames, counts, exact truth",
         reference="our own",
     )

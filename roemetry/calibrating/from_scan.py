@@ -48,7 +48,7 @@ def with_motion(rig: Rig, calibration: Calibration, registry: Registry) -> Calib
     found = source.references(rig.path.parent / scan.path)
     if len(found) != 1:
         raise CalibrationError(
-            f"{rig.path}: scan.path names {len(found)} scans (or parts of one), expected one pass of the target",
+            f"{rig.path}: scan.path names {len(found)} scans or parts of one, expected one pass",
             hint="raise part_lines in scan.source.options if one pass has more lines than that",
         )
     lines = source.read(found[0]).lines

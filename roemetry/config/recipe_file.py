@@ -72,12 +72,16 @@ DEFAULT_ALIGNER = "belt-lines"
 DEFAULT_ASSEMBLER = "belt-motion"
 
 
+_NEEDED_OF_IMAGES: Any = None
+"""An extractor is left out only where the source gives slices; it may not be `null`."""
+
+
 class StageChoices(Section):
     """The chain; a recipe may end after any stage."""
 
-    extractor: Choice | None = Field(
-        default=None,
-        description="finds peaks in the frame; needed unless the source gives slices that are measured already",
+    extractor: Choice = Field(
+        default=_NEEDED_OF_IMAGES,
+        description="finds peaks in the frame; needed unless the source gives slices that are measured",
     )
     aligner: Choice | None = Field(
         default=None,

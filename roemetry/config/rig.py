@@ -84,7 +84,8 @@ class RigScan(Section):
         default_factory=lambda: StageChoice(use="belt-scan"), description="what reads its lines"
     )
     coder: Choice = Field(
-        default_factory=lambda: StageChoice(use="single"), description="what follows its stripes, as in the recipe"
+        default_factory=lambda: StageChoice(use="single"),
+        description="what follows its stripes, as in the recipe",
     )
     assembler: Choice = Field(
         default_factory=lambda: StageChoice(use="belt-motion"), description="what measures the motion"

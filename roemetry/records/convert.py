@@ -11,7 +11,7 @@ import numpy as np
 
 from roemetry.errors import ConfigurationError
 from roemetry.records.measurement import Measurement
-from roemetry.records.product import Profiles
+from roemetry.records.profiles import Profiles
 
 
 def to_pandas(measurements: Iterable[Measurement]) -> Any:

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from roemetry.errors import DataError
 from roemetry.records.arrays import Floats
 from roemetry.records.calibration import Calibration
-from roemetry.records.product import Product, Profiles
+from roemetry.records.product import Product
+from roemetry.records.profiles import Profiles
 
 _POINTS_MIN = 3
 _OFF_PLANE_MM = 1.0

@@ -1,17 +1,15 @@
-"""Scans: how the belt moves, the lines of one scan with their encoder counts, and what was noticed of them."""
+"""Scans: how the belt moves, and what was noticed of the lines."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from roemetry.errors import DataError
-from roemetry.records.acquisition import Frame
-from roemetry.records.arrays import Checker, Floats, Integers
+from roemetry.records.arrays import Checker, Floats
 from roemetry.records.display import Shown
 
 
@@ -40,30 +38,6 @@ class Motion(Shown):
     def from_dict(cls, data: Mapping[str, Any]) -> Motion:
         """Read what `to_dict` wrote; KeyError, ValueError or DataError where it is damaged."""
         return cls(np.array(data["mm_per_count"], np.float64), np.array(data["covariance"], np.float64))
-
-
-@dataclass(frozen=True, eq=False, repr=False, slots=True)
-class ScanLines(Shown):
-    """The frames of one scan, each read when it is asked for, with where the belt was."""
-
-    frame: Callable[[int], Frame]
-    """Gives the frame of a line, 0 to ``len(count) - 1``."""
-    count: Floats
-    """(line,) encoder count as the counter gave it, wrapped or not; NaN where it is missing."""
-    number: Integers
-    """(line,) frame number as the camera gave it; a line's index where it gave none."""
-    own: tuple[int, int]
-    """First line, and line after the last, of those in which a product of this acquisition begins; what
-    begins later belongs to the next acquisition, which overlaps this one."""
-    start: int = 0
-    """Lines of the scan before the first of these."""
-
-    def __post_init__(self) -> None:
-        check = Checker(self)
-        lines = check.array("count", np.float64, (None,)).shape[0]
-        check.array("number", np.int64, (lines,))
-        check.require(0 <= self.own[0] < self.own[1] <= lines, f"own is {self.own} of {lines} lines")
-        check.finish()
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +71,3 @@ class ScanFigures:
     def to_dict(self) -> dict[str, float]:
         """Plain numbers by name."""
         return {name: getattr(self, name) for name in self.__slots__}
-
-
-class ScanError(DataError):
-    """The lines of a scan cannot be placed."""

@@ -191,9 +191,9 @@ class Pipeline:
         )
 
     def _trace_slices(self, acquisition: Acquisition, steps: _Steps, surfaces: bool) -> Trace:
-        """Take a scan's lines, or slices that another sensor measured, through what makes products of them."""
+        """Take a scan's lines, or slices that another sensor measured, to their products."""
         lines, slices, calibration = acquisition.lines, acquisition.profiles, self.recipe.calibration
-        chain, scene, edge = self._chain, None, None
+        chain, scene, stripes = self._chain, None, None
         assembler = self._stages["assembler"]
         if lines is not None and steps.allow("assembler", UNCALIBRATED if calibration is None else None):
             assert calibration is not None
@@ -209,12 +209,12 @@ class Pipeline:
         products: tuple[ProductTrace, ...] = ()
         if slices is not None:
             view = None
-            if lines is not None and calibration is not None:
+            if lines is not None and stripes is not None and calibration is not None:
                 per_line = stripes.stripe_count // len(lines.count)
                 kept, lines = placed_only(stripes, lines, slices, per_line // 2)
                 scene = Scene(acquisition.id, kept, (), calibration, self.recipe.penetration)
                 chain = replace(chain, triangulator=Placing(assembler, lines, self._chain.triangulator))
-                edge, view = kept, self._view_of(calibration)
+                stripes, view = kept, self._view_of(calibration)
             else:
                 calibration = measured_by_another(slices)
             if self.recipe.penetration is not None:
@@ -222,7 +222,7 @@ class Pipeline:
             assembled = split_products(slices, (), calibration, acquisition.id, view=view)
             doubts = {
                 one.number: _too_high(one)
-                or (None if edge is None else _cut_off(edge, one.number))
+                or (None if stripes is None else _cut_off(stripes, one.number))
                 or cut_by_scan(one)
                 for one in assembled
             }

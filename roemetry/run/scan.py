@@ -54,8 +54,8 @@ def gather(
             frame = ready(Acquisition("", (lines.frame(line),)))
             if frame.size != calibration.image_size:
                 raise StageError(
-                    f"frame {line + lines.start} is {frame.size[1]} × {frame.size[0]} pixels, the calibration's "
-                    f"are {calibration.image_size[1]} × {calibration.image_size[0]}"
+                    f"frame {line + lines.start} is {frame.size[1]} × {frame.size[0]} pixels, those of the "
+                    f"calibration are {calibration.image_size[1]} × {calibration.image_size[0]}"
                 )
             found = coder.code(extractor.extract(frame), calibration if count > 1 else None)
             if smoother is not None:

@@ -1,7 +1,7 @@
 """Heights and points of other sensors' files: one module a format, each a reader and a writer.
 
-Every reader checks what it reads against the file's header and raises `DataError` with the file's name: a file
-that was cut off is refused, not read as far as it goes.
+Every reader checks what it reads against the file's header and raises `DataError` with the file's name: a
+file that was cut off is refused, not read as far as it goes.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """LAS 1.0 to 1.4 (ASPRS): whole numbers with a scale and an offset; LAZ by the extra package laspy.
 
-`point_source_id` holds a point's slice and `user_data` whether it was seen, where roemetry wrote the file. LAS
-is told in metres by custom; the source's option `unit` says otherwise, and roemetry writes mm.
+`point_source_id` holds a point's slice and `user_data` whether it was seen, where roemetry wrote the file.
+LAS is told in metres by custom; the source's option `unit` says otherwise, and roemetry writes mm.
 """
 
 from __future__ import annotations
@@ -104,9 +104,7 @@ def _compressed(path: Path) -> Measured:
     try:
         import laspy
     except ImportError as error:
-        raise DataError(
-            f"{path}: LAZ needs the package laspy", hint="pip install 'roemetry[laz]'"
-        ) from error
+        raise DataError(f"{path}: LAZ needs the package laspy", hint="pip install 'roemetry[laz]'") from error
     try:
         found = laspy.read(path)
         return Measured(np.column_stack([found.x, found.y, found.z]).astype(np.float64))

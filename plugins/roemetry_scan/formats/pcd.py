@@ -1,4 +1,4 @@
-"""PCD 0.7 (Point Cloud Library): ASCII and binary; counts and sizes are checked. Compressed ones are refused."""
+"""PCD 0.7 (Point Cloud Library), ASCII and binary; counts are checked, compressed ones refused."""
 
 from __future__ import annotations
 
@@ -35,16 +35,14 @@ def read(path: Path) -> Measured:
         raise DataError(f"{path}: its fields are {' '.join(names)}, expected x y z, each with a size")
     form = header["DATA"][0]
     if form == "ascii":
-        words = data[begin:].split()
-        if len(words) < count * sum(each):
-            raise DataError(f"{path}: {len(words) // sum(each)} of {count} points: it was cut off")
-        table = np.array(words[: count * sum(each)], np.float64).reshape(count, sum(each))
+        numbers = data[begin:].split()
+        if len(numbers) < count * sum(each):
+            raise DataError(f"{path}: {len(numbers) // sum(each)} of {count} points: it was cut off")
+        table = np.array(numbers[: count * sum(each)], np.float64).reshape(count, sum(each))
         at = {name: table[:, sum(each[:k])] for k, name in enumerate(names)}
     elif form == "binary":
         sizes = zip(names, header["SIZE"], header["TYPE"], each, strict=True)
-        kind = np.dtype(
-            [(name, f"<{_KINDS[type_]}{size}", (n,)) for name, size, type_, n in sizes]
-        )
+        kind = np.dtype([(name, f"<{_KINDS[type_]}{size}", (n,)) for name, size, type_, n in sizes])
         there = (len(data) - begin) // kind.itemsize
         if there < count:
             raise DataError(f"{path}: {there} of {count} points: it was cut off")

@@ -44,7 +44,9 @@ def read(path: Path) -> Measured:
     if form == "ascii":
         rows = data[begin:].split(b"\n")[:count]
         if len(rows) < count or (count and not rows[-1].strip()):
-            raise DataError(f"{path}: {len(rows)} of the {count} points that its header names: it was cut off")
+            raise DataError(
+                f"{path}: {len(rows)} of the {count} points that its header names: it was cut off"
+            )
         table = np.array([[float(word) for word in row.split()] for row in rows])
         at = {name: table[:, k] for k, (name, _) in enumerate(properties)}
     else:

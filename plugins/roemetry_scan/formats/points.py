@@ -38,7 +38,7 @@ def profiles_of(measured: Measured, pixel_mm: float | None, name: str) -> Profil
         Nothing is known in it, or its extent says that it is not in mm.
     """
     xyz = measured.xyz_mm
-    known = np.isfinite(xyz).all(axis=-1)
+    known = np.asarray(np.isfinite(xyz).all(axis=-1))
     if np.count_nonzero(known) < 3:
         raise DataError(
             f"{name}: {int(known.sum())} points hold a height, all else is marked as not known",
@@ -59,13 +59,12 @@ def profiles_of(measured: Measured, pixel_mm: float | None, name: str) -> Profil
     seen = measured.seen
     if xyz.ndim == 2:
         xyz, seen = _gridded(points, pixel_mm or _spacing(points), name), None
-    known = np.isfinite(xyz).all(axis=-1)
+    known = np.asarray(np.isfinite(xyz).all(axis=-1))
     xyz = np.where(known[..., None], xyz, np.nan)
-    slices, many = known.shape
-    at = np.array([np.nanmedian(line[ok, 0]) if ok.any() else np.nan for line, ok in zip(xyz, known, strict=True)])
-    order = np.argsort(at, kind="stable")[: int(np.isfinite(at).sum())]
-    xyz, known, at = xyz[order], known[order], at[order]
-    place = np.arange(slices)[: len(at)]
+    many = known.shape[1]
+    order, at = _sorted(xyz, known)
+    xyz, known = xyz[order], known[order]
+    place = np.arange(len(at))
     return Profiles(
         xyz_mm=xyz,
         product=np.where(known, 0, -1).astype(np.int16),
@@ -77,6 +76,15 @@ def profiles_of(measured: Measured, pixel_mm: float | None, name: str) -> Profil
         frame=place,
         plane=np.array([_plane(line[ok]) for line, ok in zip(xyz, known, strict=True)]),
     )
+
+
+def _sorted(xyz: Floats, known: Flags) -> tuple[Integers, Floats]:
+    """Give the slices that show anything, sorted along X, and the X of each, mm."""
+    at = np.array(
+        [np.median(line[on, 0]) if on.any() else np.nan for line, on in zip(xyz, known, strict=True)]
+    )
+    order = np.argsort(at, kind="stable")[: int(np.isfinite(at).sum())]
+    return order, at[order]
 
 
 def _plane(points: Floats) -> Floats:
@@ -115,17 +123,16 @@ def _gridded(points: Floats, pixel_mm: float, name: str) -> Floats:
 
 
 def on_grid(measured: Measured) -> tuple[Floats, float, float, float, float]:
-    """Give (row, column) heights on a regular grid, and X and Y of the first pixel's centre and their steps, mm.
+    """Give (row, column) heights on a grid, X and Y of its first pixel's centre, and their steps, mm.
 
     Columns run along X, rows against Y. Slices are resampled by straight lines, along themselves first.
     """
     xyz = measured.xyz_mm
     if xyz.ndim != 3:
         raise DataError("a cloud has no slices to lay on a grid", hint="write it as PLY, PCD, LAS or CSV")
-    known = np.isfinite(xyz).all(axis=2)
-    at = np.array([np.median(line[ok, 0]) if ok.any() else np.nan for line, ok in zip(xyz, known, strict=True)])
-    order = np.argsort(at, kind="stable")[: int(np.isfinite(at).sum())]
-    xyz, known, at = xyz[order], known[order], at[order]
+    known = np.asarray(np.isfinite(xyz).all(axis=2))
+    order, at = _sorted(xyz, known)
+    xyz, known = xyz[order], known[order]
     step_x = float(np.median(np.diff(at)))
     steps = np.abs(np.diff(xyz[..., 1], axis=1))
     step_y = float(np.median(steps[np.isfinite(steps) & (steps > 0)]))
@@ -155,7 +162,8 @@ def _between(points: Floats, at: Floats, longest: float) -> tuple[Floats, Floats
     edge = 1e-9 + 0.0 * gap
     good = (at >= points[0, 1] - edge) & (at <= points[-1, 1] + edge) & (gap <= longest) & (gap > 0)
     share = np.where(good, (at - points[after - 1, 1]) / np.where(gap > 0, gap, 1.0), np.nan)
-    return tuple(points[after - 1, k] + share * (points[after, k] - points[after - 1, k]) for k in (2, 0))  # type: ignore[return-value]
+    z, x = (points[after - 1, k] + share * (points[after, k] - points[after - 1, k]) for k in (2, 0))
+    return z, x
 
 
 def flat(measured: Measured) -> tuple[Floats, Integers, Integers, Flags]:
@@ -164,7 +172,7 @@ def flat(measured: Measured) -> tuple[Floats, Integers, Integers, Flags]:
     if xyz.ndim == 2:
         many = len(xyz)
         return xyz, np.zeros(many, np.int64), np.arange(many), np.ones(many, np.bool_)
-    known = np.isfinite(xyz).all(axis=2)
+    known = np.asarray(np.isfinite(xyz).all(axis=2))
     slices, places = np.nonzero(known)
     seen = known if measured.seen is None else measured.seen
     return xyz[known], slices, places, seen[known]

@@ -60,7 +60,7 @@ def read(path: Path) -> Measured:
     if not is_file(beside):
         raise DataError(
             f"{path}: there is no {beside.name} beside it, which says what its numbers mean",
-            hint="it needs `z: {scale, offset}` and `x`, `y: {scale}` in mm; see the page of `height-map`",
+            hint="it needs `z: {scale, offset}` and `x`, `y: {scale}` in mm; see the page of `height-files`",
         )
     document = read_yaml(beside)
     told, faults = checked(Sidecar, document.data, document.place)

@@ -46,7 +46,9 @@ def write(path: Path, measured: Measured) -> list[Path]:
     text = ["x (mm),y (mm),z (mm),slice,point,seen\n"]
     text += [
         f"{x:.4f},{y:.4f},{z:.4f},{i},{k},{int(s)}\n"
-        for (x, y, z), i, k, s in zip(xyz.tolist(), slices.tolist(), places.tolist(), seen.tolist(), strict=True)
+        for (x, y, z), i, k, s in zip(
+            xyz.tolist(), slices.tolist(), places.tolist(), seen.tolist(), strict=True
+        )
     ]
     write_bytes(path, "".join(text).encode())
     return [path]

@@ -1,11 +1,11 @@
-"""The simulator `belt-scan`: frames of stripes over a product that a belt carries through the light.
+"""The simulator `moving-belt`: frames of stripes over a product that a belt carries through the light.
 
 The product stands still in its own frame; camera, projector and planes of light run by −t·c past it at the
 encoder count c. Where a plane of light shows in an image row is found without an image: of the plane, the
 camera sees in that row a straight line (with a lens that distorts, found again at where it was met), which is
 followed downwards to the body's surface or the belt; the point counts if projector and camera both see it.
 
-    x(row) exact,   grey(column) = b + A·cos i·exp(−(column − x)² / 2s²)·grain,   then electrons and grey levels
+    x(row) exact,    grey(column) = b + A·cos i·exp(−(column − x)² / 2s²)·grain
 
 with the angle of incidence i and the line's width s in px: a thousandth of the time of the ray caster, with
 the same geometry and the same noise of the sensor. Left out: texture, gloss, blur at edges, reflections.
@@ -60,16 +60,16 @@ class ScanPart(Part):
     line_sigma_px: float = Field(default=1.6, gt=0, description="width of the line (standard deviation), px")
 
 
-class BeltScanOptions(RayCasterOptions):
+class MovingBeltOptions(RayCasterOptions):
     """A scene whose product moves."""
 
     scan: ScanPart = Field(default_factory=ScanPart, description="the belt and the frames")
 
 
-class BeltScanSimulator(Simulator[BeltScanOptions]):
+class MovingBelt(Simulator[MovingBeltOptions]):
     """Makes scans: frames one below the other in one tall image, with their counts."""
 
-    Options = BeltScanOptions
+    Options = MovingBeltOptions
 
     def simulate(self, number: int, seed: int) -> Simulated:
         """Make one product's scan; the frames are one image of role laser, `lines` says their counts."""
@@ -287,13 +287,13 @@ def _ratio(rotation: Floats, way: Floats) -> float:
 @kernel
 def _draw(x_px: Floats, grey: Floats, sigma: float, image: Floats) -> None:
     """Add each line's light to an image."""
-    reach = int(math.ceil(5.0 * sigma))
+    reach = math.ceil(5.0 * sigma)
     for i in range(x_px.shape[0]):
         for row in range(x_px.shape[1]):
             x = x_px[i, row]
             if math.isnan(x):
                 continue
-            middle = int(math.floor(x + 0.5))
+            middle = math.floor(x + 0.5)
             for k in range(max(middle - reach, 0), min(middle + reach + 1, image.shape[1])):
                 off = (k - x) / sigma
                 image[row, k] += grey[i, row] * math.exp(-0.5 * off * off)
