@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from roemetry.stages.hookspecs import StageEntry, VerbEntry, hookimpl
+from roemetry.stages.hookspecs import StageEntry, hookimpl
 
 
 @hookimpl
@@ -22,11 +22,7 @@ def roemetry_stages() -> Iterable[StageEntry]:
         ("volume", "dense-slices", "dense:DenseSlices",
          "Areas of dense slices times the pitch perpendicular to the light, with motion in the budget",
          "our own"),
+        ("sink", "slices", "slices_sink:SliceFiles",
+         "slices/<acquisition>.<format>: PLY, PCD, LAS, CSV, TIFF, PNG, NPY or X3P of belt and products", "our own"),
     ):  # fmt: skip
         yield StageEntry(kind, name, f"roemetry_scan.{target}", summary, reference=reference)
-
-
-@hookimpl
-def roemetry_verbs() -> Iterable[VerbEntry]:
-    """Name the commands."""
-    yield VerbEntry("export", "roemetry_scan.export:export", "Write slices as height maps and point clouds")

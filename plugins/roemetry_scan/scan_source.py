@@ -41,7 +41,7 @@ class BeltScanOptions(StageOptions):
     """Options of `BeltScan`."""
 
     name_pattern: str = Field(
-        default=r"(?:^|[^0-9])c(?P<count>-?\d+)",
+        default=r"c(?P<count>-?\d+)",
         description="regular expression that finds `count`, and perhaps `frame`, in a frame's name, where a "
         "folder has no counts.csv",
     )

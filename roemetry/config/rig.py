@@ -149,7 +149,9 @@ class RigFile(Section):
         description="the belt's way per encoder count, mm, where it is known from elsewhere",
     )
     encoder_mm_per_count_std: float = Field(default=0.0, ge=0, description="its standard uncertainty, mm")
-    images: CalibrationImages = Field(default_factory=CalibrationImages)
+    images: CalibrationImages | None = Field(
+        default=None, description="what the calibrator looks at; needed unless `scan.base` is given"
+    )
     scan: RigScan | None = Field(
         default=None, description="a scan of the pyramid or the sphere plate: how the belt runs"
     )
@@ -200,7 +202,7 @@ class Rig:
         extractor = chooser.choose("extractor", file.extractor, "extractor")
         calibrator = chooser.choose("calibrator", file.calibrator, "calibrator")
         folder = path.parent
-        images = _images(folder, file.images, chooser, ("images",))
+        images = _images(folder, file.images or CalibrationImages(), chooser, ("images",))
         more: list[tuple[Board, dict[str, list[Path]]]] = []
         for number, one in enumerate(file.more_boards):
             at = ("more_boards", number, "images")
@@ -226,6 +228,8 @@ class Rig:
                 "encoder_counts",
             )
         scan = file.scan
+        if file.images is None and (scan is None or scan.base is None):
+            chooser.fault("this is missing", "images")
         for_scan = {
             f"scan_{kind}": None if scan is None else chooser.choose(kind, getattr(scan, kind), "scan", kind)
             for kind in ("source", "coder", "assembler")
