@@ -23,6 +23,7 @@ def roemetry_stages() -> Iterable[StageEntry]:
          "Areas of dense slices times the pitch perpendicular to the light, with motion in the budget",
          "our own"),
         ("sink", "slices", "slices_sink:SliceFiles",
-         "slices/<acquisition>.<format>: PLY, PCD, LAS, CSV, TIFF, PNG, NPY or X3P of belt and products", "our own"),
+         "slices/<acquisition>.<format>: PLY, PCD, LAS, CSV, TIFF, PNG, NPY or X3P of belt and products",
+         "our own"),
     ):  # fmt: skip
         yield StageEntry(kind, name, f"roemetry_scan.{target}", summary, reference=reference)

@@ -8,7 +8,8 @@ well. A flank is taken for a conic over a rim at the height r,
 with x outwards from the last point that is seen: exact for ellipsoids, and near for what bulges from a rim.
 It is fitted to the last points, first along the belt (each image row through all slices), then along each
 slice, and followed to where it ends on the rim, from where a visible volume has a wall, but not beyond where
-belt is seen. What is flat up to where it is lost is a wall. Points that were followed are not `seen`.
+belt is seen. What is flat up to where it is lost is a wall. Gaps within a slice are joined by straight lines.
+Points that were followed are not `seen`.
 """
 
 from __future__ import annotations
@@ -40,6 +41,7 @@ def followed(xyz_mm: Floats, label: Labels, plane: Floats) -> tuple[Floats, Labe
     added = np.zeros(number.shape, np.bool_)
     _along_belt(points, number, added, plane)
     _along_slices(points, number, added, plane)
+    _join(points, number, added, plane)
     return points, number, added
 
 
@@ -122,6 +124,26 @@ def _along_slices(xyz: Floats, label: Labels, added: Flags, plane: Floats) -> No
                     k = _fill(xyz, label, added, plane, i, k, 0, way)
                 else:
                     k = ahead
+
+
+@float_kernel
+def _join(xyz: Floats, label: Labels, added: Flags, plane: Floats) -> None:
+    """Join what is not seen between two points of one product in a slice by a straight line."""
+    slices, points = label.shape
+    for i in range(slices):
+        last = -1
+        for k in range(points):
+            if label[i, k] < 0:
+                continue
+            if last >= 0 and k - last > 1 and label[i, k] > 0 and label[i, k] == label[i, last]:
+                for m in range(last + 1, k):
+                    share = (m - last) / (k - last)
+                    y = xyz[i, last, 1] + share * (xyz[i, k, 1] - xyz[i, last, 1])
+                    z = xyz[i, last, 2] + share * (xyz[i, k, 2] - xyz[i, last, 2])
+                    xyz[i, m, 0] = (plane[i, 3] - plane[i, 1] * y - plane[i, 2] * z) / plane[i, 0]
+                    xyz[i, m, 1], xyz[i, m, 2] = y, z
+                    label[i, m], added[i, m] = label[i, k], True
+            last = k
 
 
 @float_kernel

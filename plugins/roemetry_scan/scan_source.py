@@ -158,9 +158,11 @@ def _decoded(path: Path) -> Any:
         data = np.fromfile(path, np.uint8)
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({error.strerror})") from error
-    image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
+    # OpenCV decodes a PNG as far as it goes, and fills up with black
+    cut = path.suffix.lower() == ".png" and data[-8:-4].tobytes() != b"IEND"
+    image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size and not cut else None
     if image is None:
-        raise DataError(f"{path}: not an image, or damaged")
+        raise DataError(f"{path}: not an image, cut off, or damaged")
     return image
 
 

@@ -23,6 +23,8 @@ _ACROSS = 64
 """Windows along the scan, and places across it at which heights are compared."""
 _SLOPE_MIN = 0.05
 """Flatter places tell little of δ and only dilute its uncertainty."""
+_GAP_STEPS = 2.5
+"""Neighbours farther apart than so many usual steps are not joined."""
 _POINTS_MIN = 40
 _SIGNIFICANT = 5.0
 """Standard deviations of δ: of 12 windows one passes that by chance in 150,000 scans."""
@@ -89,14 +91,24 @@ def _resampled(xyz_mm: Floats, x: Floats, y: Floats) -> Floats:
             continue
         known = known[np.argsort(known[:, 1])]
         at_x[k] = np.interp(y, known[:, 1], known[:, 0], np.nan, np.nan)
-        height[k] = np.interp(y, known[:, 1], known[:, 2], np.nan, np.nan)
+        height[k] = _interpolated(y, known[:, 1], known[:, 2])
     found = np.full((x.size, y.size), np.nan)
     for k in range(y.size):
         there = np.isfinite(height[:, k])
         if np.count_nonzero(there) > 1:
             order = np.argsort(at_x[there, k])
-            found[:, k] = np.interp(x, at_x[there, k][order], height[there, k][order], np.nan, np.nan)
+            found[:, k] = _interpolated(x, at_x[there, k][order], height[there, k][order])
     return found
+
+
+def _interpolated(at: Floats, x: Floats, z: Floats) -> Floats:
+    """Join neighbours by straight lines; NaN where the next one is missing, or the surface breaks off."""
+    found = np.interp(at, x, z, np.nan, np.nan)
+    after = np.clip(np.searchsorted(x, at), 1, len(x) - 1)
+    gap, rise = x[after] - x[after - 1], z[after] - z[after - 1]
+    return np.where(
+        (gap > _GAP_STEPS * np.median(np.diff(x))) | (np.abs(rise) > 3.0 * gap + 0.2), np.nan, found
+    )
 
 
 def _displacement(apart_mm: Floats, slope: Floats) -> tuple[float, float] | None:

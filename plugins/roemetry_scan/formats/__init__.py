@@ -28,7 +28,7 @@ def read(path: Path) -> Measured:
         found: Measured = _module(path).read(path)
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({error.strerror or error})") from error
-    except (ValueError, KeyError, IndexError, OverflowError, TypeError) as error:
+    except (ValueError, KeyError, IndexError, OverflowError, TypeError, EOFError) as error:
         raise DataError(f"{path}: not a readable {path.suffix[1:].upper()} file: {error}") from error
     return found
 

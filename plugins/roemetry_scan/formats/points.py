@@ -12,6 +12,10 @@ from roemetry.records import Profiles
 from roemetry.records.arrays import Flags, Floats, Integers
 
 _CELLS_MAX = 200_000_000
+_GAP_STEPS = 2.5
+"""Neighbours farther apart than so many usual steps are not joined."""
+_FINER = 2
+"""Pixels of a grid for each of the slices' own steps: edges then stay where they are to a quarter of it."""
 _METRES = 1.0
 """A belt that is not even 1 mm long was measured in metres."""
 _METRES_TO_MM = 5.0
@@ -137,33 +141,39 @@ def on_grid(measured: Measured) -> tuple[Floats, float, float, float, float]:
     steps = np.abs(np.diff(xyz[..., 1], axis=1))
     step_y = float(np.median(steps[np.isfinite(steps) & (steps > 0)]))
     low, high = float(np.nanmin(xyz[..., 1])), float(np.nanmax(xyz[..., 1]))
-    x = np.arange(at[0], at[-1] + 0.5 * step_x, step_x)
-    y = np.arange(high, low - 0.5 * step_y, -step_y)
+    fine_x, fine_y = step_x / _FINER, step_y / _FINER
+    x = np.arange(at[0], at[-1] + 0.5 * fine_x, fine_x)
+    y = np.arange(high, low - 0.5 * fine_y, -fine_y)
     along = np.full((len(xyz), y.size), np.nan)
     where = np.full((len(xyz), y.size), np.nan)
     for k, (line, ok) in enumerate(zip(xyz, known, strict=True)):
-        along[k], where[k] = _between(line[ok], y, 2.5 * step_y)
+        along[k], where[k] = _between(line[ok], y, step_y)
     found = np.full((y.size, x.size), np.nan)
     for j in range(y.size):
         ok = np.isfinite(along[:, j])
         if np.count_nonzero(ok) > 1:
             line = np.column_stack([np.zeros(int(ok.sum())), where[ok, j], along[ok, j]])
-            found[j] = _between(line, x, 2.5 * step_x)[0]
-    return found, float(x[0]), float(y[0]), step_x, step_y
+            found[j] = _between(line, x, step_x)[0]
+    return found, float(x[0]), float(y[0]), fine_x, fine_y
 
 
-def _between(points: Floats, at: Floats, longest: float) -> tuple[Floats, Floats]:
-    """Give heights and X by straight lines at places along Y; NaN over longer gaps and beyond the ends."""
+def _between(points: Floats, at: Floats, step: float) -> tuple[Floats, Floats]:
+    """Give heights and X at places along Y: by straight lines, over gaps as far as each point stands for."""
     if len(points) < 2:
         return np.full(at.size, np.nan), np.full(at.size, np.nan)
     points = points[np.argsort(points[:, 1], kind="stable")]
-    after = np.clip(np.searchsorted(points[:, 1], at), 1, len(points) - 1)
-    gap = points[after, 1] - points[after - 1, 1]
-    edge = 1e-9 + 0.0 * gap
-    good = (at >= points[0, 1] - edge) & (at <= points[-1, 1] + edge) & (gap <= longest) & (gap > 0)
-    share = np.where(good, (at - points[after - 1, 1]) / np.where(gap > 0, gap, 1.0), np.nan)
+    y = points[:, 1]
+    after = np.clip(np.searchsorted(y, at), 1, len(points) - 1)
+    gap = y[after] - y[after - 1]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = np.clip((at - y[after - 1]) / gap, 0.0, 1.0)
+    far = (gap > _GAP_STEPS * step) | (gap <= 0)
+    share = np.where(far, (at - y[after - 1] > y[after] - at).astype(np.float64), share)
+    nearest = np.minimum(np.abs(at - y[after - 1]), np.abs(at - y[after]))
+    inside = (at >= y[0]) & (at <= y[-1]) & ~far
+    good = inside | (nearest <= 0.5 * step)
     z, x = (points[after - 1, k] + share * (points[after, k] - points[after - 1, k]) for k in (2, 0))
-    return z, x
+    return np.where(good, z, np.nan), np.where(good, x, np.nan)
 
 
 def flat(measured: Measured) -> tuple[Floats, Integers, Integers, Flags]:

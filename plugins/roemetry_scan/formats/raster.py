@@ -92,9 +92,12 @@ def _array(path: Path) -> Any:
     if suffix == ".png":
         import cv2
 
-        found = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED)
+        data = np.fromfile(path, np.uint8)
+        # OpenCV decodes as far as it goes, and fills up with black
+        whole = data.size > 12 and data[-8:-4].tobytes() == b"IEND"
+        found = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if whole else None
         if found is None:
-            raise DataError(f"{path}: not an image, or damaged")
+            raise DataError(f"{path}: not a whole PNG image")
         if found.ndim == 3:
             found = found[..., ::-1]
         return found
