@@ -33,6 +33,7 @@ BENCHMARKS = {
     "paper_experiment": "the paper's Table 1 and Figures 17 to 22 again, on six skeins and on 500",
     "paper_figures": "Figures 7 and 9 of the paper, from any image",
     "sorting": "wrong sorting near a limit under any options: at most what the guard band promises",
+    "scans": "belt scans: motion, volumes, faults, formats, time, memory, on simulated rigs",
     "weight": "weight from 20 weighed samples: error, interval, width, against paper × one factor",
     "wheelset": "broken stripes of a real image without calibration: what order can number, against a hand",
     "studies": "intervals of gauge studies, and instruments accepted and refused, on simulated ones",

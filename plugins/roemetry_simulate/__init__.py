@@ -22,6 +22,13 @@ def roemetry_stages() -> Iterable[StageEntry]:
         reference="our own",
     )
     yield StageEntry(
+        kind="simulator",
+        name="moving-belt",
+        target="roemetry_simulate.moving_belt:MovingBelt",
+        summary="Scans of a product that a belt carries through the light: frames, counts, exact truth",
+        reference="our own",
+    )
+    yield StageEntry(
         kind="planner",
         name="ray-caster",
         target="roemetry_simulate.planner:RigPlanner",

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from roemetry.calibrating.findings import findings_page
+from roemetry.calibrating.from_scan import base_of, with_motion
 from roemetry.config.recipe_file import Contrast
 from roemetry.config.rig import Rig, pose_of
 from roemetry.errors import CalibrationError
@@ -44,8 +45,7 @@ def calibrate(rig: Rig, *, registry: Registry | None = None) -> Calibration:
     DataError
         An image cannot be read.
     """
-    observed, hashes = observe(rig, registry or discover())
-    return _calibrated(rig, rig.calibrator.make(), observed, hashes)
+    return calibrate_with_evidence(rig, registry=registry)[0]
 
 
 def calibrate_with_evidence(
@@ -56,12 +56,17 @@ def calibrate_with_evidence(
     `doctor` is a page (HTML) to write of each image, what was found in it and why it was or was not used; it
     is written where the calibrator refuses as well.
     """
-    observed, hashes = observe(rig, registry or discover())
+    registry = registry or discover()
+    if (base := base_of(rig)) is not None:
+        return with_motion(rig, base, registry), Evidence()
+    observed, hashes = observe(rig, registry)
     calibrator = rig.calibrator.make()
     refusal = ""
     try:
         calibration = _calibrated(rig, calibrator, observed, hashes)
         evidence = calibrator.evidence(observed, calibration)
+        if rig.file.scan is not None:
+            calibration = with_motion(rig, calibration, registry)
     except CalibrationError as error:
         refusal = str(error)
         raise

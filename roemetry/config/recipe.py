@@ -17,6 +17,7 @@ from typing import Any, Protocol, Self
 from roemetry.config.overrides import Overridden
 from roemetry.config.recipe_file import (
     DEFAULT_ALIGNER,
+    DEFAULT_ASSEMBLER,
     DRAWS,
     NEEDS,
     CalibrationCheck,
@@ -202,11 +203,18 @@ def _resolved(
     chooser = StageResolver(registry, document.place, path.parent)
     source = chooser.choose("source", file.source, "source")
     stages: dict[str, ResolvedStage] = {}
+    gives = "images" if source is None else getattr(source.stage, "gives", "images")
+    if gives != "slices" and file.stages.extractor is None:
+        chooser.fault("this is missing", "stages", "extractor")
+    if gives == "lines" and file.stages.triangulator is None:
+        chooser.fault("the lines of a scan are placed in mm: this is missing", "stages", "triangulator")
     for kind in type(file.stages).model_fields:
         choice = getattr(file.stages, kind)
         if choice is None:
             continue
         needed = NEEDS.get(kind)
+        if gives == "slices" and needed == "triangulator":
+            needed = None
         if needed is not None and getattr(file.stages, needed) is None:
             chooser.fault(f"it works on the result of the {needed}; add one", "stages", kind)
         chosen = chooser.choose(kind, choice, "stages", kind)
@@ -231,7 +239,10 @@ def _resolved(
                     "source",
                     "turn_deg",
                 )
-    on_belt = calibration is not None and calibration.reference == ON_BELT
+    if gives != "images" and file.stages.assembler is None:
+        assembler = chooser.choose("assembler", StageChoice(use=DEFAULT_ASSEMBLER), "stages", "assembler")
+        stages |= {} if assembler is None else {"assembler": assembler}
+    on_belt = calibration is not None and calibration.reference == ON_BELT and gives == "images"
     if on_belt and "aligner" not in file.stages.model_fields_set:
         stages = _with_default_aligner(stages, registry, chooser)
     penetration = None

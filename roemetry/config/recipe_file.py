@@ -69,12 +69,20 @@ class SourceChoice(Section):
 
 
 DEFAULT_ALIGNER = "belt-lines"
+DEFAULT_ASSEMBLER = "belt-motion"
+
+
+_NEEDED_OF_IMAGES: Any = None
+"""An extractor is left out only where the source gives slices; it may not be `null`."""
 
 
 class StageChoices(Section):
     """The chain; a recipe may end after any stage."""
 
-    extractor: Choice = Field(description="finds peaks in the frame")
+    extractor: Choice = Field(
+        default=_NEEDED_OF_IMAGES,
+        description="finds peaks in the frame; needed unless the source gives slices that are measured",
+    )
     aligner: Choice | None = Field(
         default=None,
         description="compares each frame's belt with the calibration, and corrects small motion. Left out, "
@@ -85,6 +93,11 @@ class StageChoices(Section):
         default=None, description="smooths stripes along their rows, and says what resolution that costs"
     )
     triangulator: Choice | None = Field(default=None, description="makes profiles, mm, by the calibration")
+    assembler: Choice | None = Field(
+        default=None,
+        description="places the lines of a scan, and tells products from the belt in its slices. Left out, "
+        f"`{DEFAULT_ASSEMBLER}` does where the source gives lines or slices",
+    )
     outliner: Choice | None = Field(
         default=None, description="finds the products' outlines, in the plain-light or the laser frame"
     )

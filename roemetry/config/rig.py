@@ -76,6 +76,30 @@ class RulerFile(Section):
     std_mm: float = Field(default=0.2, gt=0, description="standard uncertainty of that, mm")
 
 
+class RigScan(Section):
+    """One pass of the pyramid or the sphere plate through the light, from which the belt's motion comes."""
+
+    path: str = Field(description="the scan, as the source reads it; relative to the rig file")
+    source: Choice = Field(
+        default_factory=lambda: StageChoice(use="belt-scan"), description="what reads its lines"
+    )
+    coder: Choice = Field(
+        default_factory=lambda: StageChoice(use="single"),
+        description="what follows its stripes, as in the recipe",
+    )
+    assembler: Choice = Field(
+        default_factory=lambda: StageChoice(use="belt-motion"), description="what measures the motion"
+    )
+    runs: Literal["right", "left"] = Field(
+        default="right",
+        description="where the belt carries things in the (turned) image while the counter counts up",
+    )
+    base: str | None = Field(
+        default=None,
+        description="calibration that the motion is added to; left out: the one that this rig's images make",
+    )
+
+
 class RigFile(Section):
     """What is calibrated, from what."""
 
@@ -125,7 +149,12 @@ class RigFile(Section):
         description="the belt's way per encoder count, mm, where it is known from elsewhere",
     )
     encoder_mm_per_count_std: float = Field(default=0.0, ge=0, description="its standard uncertainty, mm")
-    images: CalibrationImages
+    images: CalibrationImages | None = Field(
+        default=None, description="what the calibrator looks at; needed unless `scan.base` is given"
+    )
+    scan: RigScan | None = Field(
+        default=None, description="a scan of the pyramid or the sphere plate: how the belt runs"
+    )
     extractor: Choice
     calibrator: Choice = Field(default_factory=lambda: StageChoice(use="block-linear"))
 
@@ -146,6 +175,10 @@ class Rig:
     calibrator: ResolvedStage
     more_boards: tuple[tuple[Board, dict[str, list[Path]]], ...] = ()
     """Further boards, each with its images as in `images`."""
+    scan_source: ResolvedStage | None = None
+    scan_coder: ResolvedStage | None = None
+    scan_assembler: ResolvedStage | None = None
+    """scan_source, scan_coder, scan_assembler: what reads and places the scan, where there is one."""
 
     @property
     def ruler(self) -> Ruler | None:
@@ -169,7 +202,7 @@ class Rig:
         extractor = chooser.choose("extractor", file.extractor, "extractor")
         calibrator = chooser.choose("calibrator", file.calibrator, "calibrator")
         folder = path.parent
-        images = _images(folder, file.images, chooser, ("images",))
+        images = _images(folder, file.images or CalibrationImages(), chooser, ("images",))
         more: list[tuple[Board, dict[str, list[Path]]]] = []
         for number, one in enumerate(file.more_boards):
             at = ("more_boards", number, "images")
@@ -194,6 +227,13 @@ class Rig:
                 f"{len(counts)} counts for {len(images['board_on_belt'])} images in images.board_on_belt",
                 "encoder_counts",
             )
+        scan = file.scan
+        if file.images is None and (scan is None or scan.base is None):
+            chooser.fault("this is missing", "images")
+        for_scan = {
+            f"scan_{kind}": None if scan is None else chooser.choose(kind, getattr(scan, kind), "scan", kind)
+            for kind in ("source", "coder", "assembler")
+        }
         if chooser.faults or extractor is None or calibrator is None:
             raise ConfigurationError(chooser.faults)
         return cls(
@@ -208,6 +248,7 @@ class Rig:
             extractor,
             calibrator,
             tuple(more),
+            **for_scan,
         )
 
 

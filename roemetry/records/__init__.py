@@ -1,6 +1,6 @@
 """The records that go from stage to stage: frozen, checked when made, arrays read-only, invalid is NaN."""
 
-from roemetry.records.acquisition import Acquisition, AcquisitionReference, Frame, Role, Sensor
+from roemetry.records.acquisition import Acquisition, AcquisitionReference, Frame, Role, ScanLines, Sensor
 from roemetry.records.calibration import Alignment
 from roemetry.records.measurement import Coding, Measurement, Status
 from roemetry.records.observations import (
@@ -44,8 +44,10 @@ from roemetry.records.plan import (
     PlanShape,
     PlanTable,
 )
-from roemetry.records.product import Outline, Product, ProductTrace, Profiles, Trace
+from roemetry.records.product import Outline, Product, ProductTrace, Trace
+from roemetry.records.profiles import Profiles
 from roemetry.records.reasons import Reason
+from roemetry.records.scan import Motion, ScanFigures
 from roemetry.records.stripes import (
     AMBIGUOUS,
     BELT,

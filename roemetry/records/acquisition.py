@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -12,7 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roemetry.errors import DataError
+from roemetry.records.arrays import Checker, Floats, Integers
 from roemetry.records.display import Shown
+from roemetry.records.profiles import Profiles
 
 Role = Literal["laser", "plain", "dark"]
 
@@ -89,11 +91,39 @@ class Frame(Shown):
 
 
 @dataclass(frozen=True, eq=False, repr=False, slots=True)
+class ScanLines(Shown):
+    """The frames of one scan, each read when it is asked for, with where the belt was."""
+
+    frame: Callable[[int], Frame]
+    """Gives the frame of a line, 0 to ``len(count) - 1``."""
+    count: Floats
+    """(line,) encoder count as the counter gave it, wrapped or not; NaN where it is missing."""
+    number: Integers
+    """(line,) frame number as the camera gave it; a line's index where it gave none."""
+    own: tuple[int, int]
+    """First line, and line after the last, of those in which a product of this acquisition begins; what
+    begins later belongs to the next acquisition, which overlaps this one."""
+    start: int = 0
+    """Lines of the scan before the first of these."""
+
+    def __post_init__(self) -> None:
+        check = Checker(self)
+        lines = check.array("count", np.float64, (None,)).shape[0]
+        check.array("number", np.int64, (lines,))
+        check.require(0 <= self.own[0] < self.own[1] <= lines, f"own is {self.own} of {lines} lines")
+        check.finish()
+
+
+@dataclass(frozen=True, eq=False, repr=False, slots=True)
 class Acquisition(Shown):
     """The frames that were taken of one scene, with an id that is unique in the run."""
 
     id: str
     frames: tuple[Frame, ...]
+    lines: ScanLines | None = None
+    """Of a scan: its lines, each with its encoder count; `frames` is then empty."""
+    profiles: Profiles | None = None
+    """Of a sensor that gives heights: its slices, in which belt and products are not told apart yet."""
 
     def frame(self, role: Role) -> Frame | None:
         """Give the first frame with this role, or None."""

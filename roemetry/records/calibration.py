@@ -17,6 +17,7 @@ from roemetry.io.yaml_source import dump, read_numbers
 from roemetry.records.arrays import Checker, Floats
 from roemetry.records.display import Shown
 from roemetry.records.reasons import Reason
+from roemetry.records.scan import Motion
 from roemetry.records.view import View
 
 VERSION = 1
@@ -62,6 +63,8 @@ class Calibration(Shown):
     reference: str = ON_BELT
     """What Z = 0 is: ``belt``, on which stripes are seen beside the product, or ``board``, the plane of a
     board in one of its poses where there is no belt."""
+    motion: Motion | None = None
+    """How the belt runs, where a scan of a known body has told; None where none was taken."""
 
     def __post_init__(self) -> None:
         check = Checker(self)
@@ -165,6 +168,7 @@ class Calibration(Shown):
             "notes": list(self.notes),
             "view": None if self.view is None else self.view.to_dict(),
             **({} if self.reference == ON_BELT else {"reference": self.reference}),
+            **({} if self.motion is None else {"motion": self.motion.to_dict()}),
         }
 
     def save(self, path: Path | str) -> None:
@@ -208,6 +212,7 @@ class Calibration(Shown):
                 notes=tuple(data["notes"]),
                 view=None if data.get("view") is None else View.from_dict(data["view"], size),
                 reference=str(data.get("reference", ON_BELT)),
+                motion=None if data.get("motion") is None else Motion.from_dict(data["motion"]),
             )
             json.dumps([data[name] for name in _TOLD], sort_keys=True)  # words as keys
         except (KeyError, TypeError, ValueError, IndexError, AttributeError, DataError) as error:

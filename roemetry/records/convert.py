@@ -14,7 +14,8 @@ from roemetry.errors import ConfigurationError, DataError
 from roemetry.records.arrays import Floats
 from roemetry.records.calibration import Calibration
 from roemetry.records.measurement import Measurement
-from roemetry.records.product import Product, Profiles
+from roemetry.records.product import Product
+from roemetry.records.profiles import Profiles
 
 
 def to_pandas(measurements: Iterable[Measurement]) -> Any:

@@ -1,4 +1,4 @@
-"""Calibrated slices through the scene, and one product as volume, weigher and classifier receive it.
+"""One product as volume, weigher and classifier receive it.
 
 `Trace` holds everything that happened to one acquisition, from the frame to the outcomes.
 """
@@ -12,60 +12,14 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from roemetry.records.acquisition import Acquisition, Frame
-from roemetry.records.arrays import Checker, Flags, Floats, Integers, Labels
+from roemetry.records.arrays import Checker, Floats
 from roemetry.records.calibration import Alignment, Calibration
 from roemetry.records.display import Shown, estimate, picture_of_stripes, picture_of_surface, table
 from roemetry.records.outcome import Decision, Estimate, Grade, Surface, Volume, Weight
+from roemetry.records.profiles import Profiles
 from roemetry.records.reasons import Reason
 from roemetry.records.stripes import Peaks, StripeMap
 from roemetry.records.view import View
-
-
-@dataclass(frozen=True, eq=False, repr=False, slots=True)
-class Profiles(Shown):
-    """Slices in the belt frame. Not assumed: that slices are in order, parallel, or share their points' Y."""
-
-    xyz_mm: Floats
-    """(slice, point, 3) position in the belt frame, mm: X along image x, Y towards the image's top, Z up. NaN
-    where nothing is known."""
-    product: Labels
-    """(slice, point) 0 belt, 1…n product, −1 nothing."""
-    seen: Flags
-    """(slice, point) False where the point was bridged or is NaN."""
-    x_px: Floats
-    row_px: Floats
-    """x_px, row_px: (slice, point) where in the (turned) image the point was seen, px."""
-    height_std_mm: Floats
-    """(slice, point) random part of the standard uncertainty of Z, mm; NaN where it is not modelled. What the
-    calibration contributes is common to all points and is not in here."""
-    stripe: Integers
-    frame: Integers
-    """stripe, frame: (slice,) stripe index and index of the frame in the acquisition that the slice came
-    from."""
-    plane: Floats
-    """(slice, 4) the slice's plane in the belt frame: nx, ny, nz, d with n·X = d (mm), n of length 1."""
-    reasons: tuple[Reason, ...] = ()
-
-    def __post_init__(self) -> None:
-        check = Checker(self)
-        xyz = check.array("xyz_mm", np.float64, (None, None, 3))
-        slices, points = xyz.shape[:2] if xyz.ndim == 3 else (0, 0)
-        check.array("product", np.int16, (slices, points))
-        check.array("seen", np.bool_, (slices, points))
-        for name in ("x_px", "row_px", "height_std_mm"):
-            check.array(name, np.float64, (slices, points))
-        for name in ("stripe", "frame"):
-            check.array(name, np.int64, (slices,))
-        plane = check.array("plane", np.float64, (slices, 4))
-        if plane.shape == (slices, 4) and slices:
-            length = np.sqrt((plane[:, :3] ** 2).sum(axis=1))
-            check.require(bool(np.abs(length - 1.0).max() < 1e-6), "plane normals are not of length 1")
-        check.finish()
-
-    @property
-    def slice_count(self) -> int:
-        """Number of slices."""
-        return int(self.xyz_mm.shape[0])
 
 
 @dataclass(frozen=True, eq=False, repr=False, slots=True)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from roemetry.records.acquisition import Frame
-from roemetry.records.arrays import Checker, Flags, Floats, Labels, Number
+from roemetry.records.arrays import Checker, Flags, Floats, Integers, Labels, Number
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -73,3 +73,5 @@ class Simulated:
     frames: tuple[Frame, ...]
     """Its images, by role one at most."""
     truth: Truth
+    counts: Integers | None = None
+    """Of a scan, whose one image holds its frames one below the other: (line,) encoder counts."""

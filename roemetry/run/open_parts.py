@@ -285,4 +285,5 @@ def _only(profiles: Profiles, number: int) -> Profiles:
         frame=profiles.frame,
         plane=profiles.plane,
         reasons=profiles.reasons,
+        scan=profiles.scan,
     )

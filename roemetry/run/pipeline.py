@@ -35,6 +35,7 @@ from roemetry.run.linearisation import linearise
 from roemetry.run.monte_carlo import Chain, Scene, propagate, without_draws
 from roemetry.run.open_parts import OpenPart, open_parts, said_of, split_products, widened, widened_by
 from roemetry.run.preprocess import prepare, prepare_plain
+from roemetry.run.scan import Placing, cut_by_scan, gather, measured_by_another, placed_only
 from roemetry.run.stage_errors import describe_failure, is_refusal, plugin_frame
 from roemetry.run.time_limit import StageTimeout, time_limit
 from roemetry.run.transport_faults import check_joins
@@ -105,6 +106,8 @@ class Pipeline:
         With `surfaces`, the surface behind each volume is kept for drawings.
         """
         steps = _Steps(self.recipe, self._debug)
+        if acquisition.lines is not None or acquisition.profiles is not None:
+            return self._trace_slices(acquisition, steps, surfaces)
         source = self.recipe.source_choice
         frame = steps.do("source", lambda: self._frame(acquisition))
         peaks: Peaks | None = None
@@ -166,7 +169,7 @@ class Pipeline:
                 self._outcome(product, doubts[product.number], steps.seconds) for product in assembled
             )
             scene = Scene(acquisition.id, stripes, outlines, calibration, penetration)
-            products = self._drawn(products, scene, steps)
+            products = self._drawn(products, scene, steps, self._chain)
             products = tuple(_with_open_points(found, opened) for found in products)
             if surfaces:
                 products = tuple(self._with_surface(found) for found in products)
@@ -188,6 +191,62 @@ class Pipeline:
             seconds=steps.seconds,
         )
 
+    def _trace_slices(self, acquisition: Acquisition, steps: _Steps, surfaces: bool) -> Trace:
+        """Take a scan's lines, or slices that another sensor measured, to their products."""
+        lines, slices, calibration = acquisition.lines, acquisition.profiles, self.recipe.calibration
+        chain, scene, stripes = self._chain, None, None
+        assembler = self._stages["assembler"]
+        if lines is not None and steps.allow("assembler", UNCALIBRATED if calibration is None else None):
+            assert calibration is not None
+            made, placed, triangulator = calibration, lines, self._stages["triangulator"]
+            stripes = steps.do("coder", lambda: gather(placed, self._frame, self._stages, made))
+            if stripes is not None:
+                raw = stripes
+                slices = steps.do("assembler", lambda: assembler.place(raw, placed, made, triangulator))
+        if slices is not None:
+            found = slices
+            own = None if lines is None else lines.own
+            slices = steps.do("assembler", lambda: assembler.label(found, own))
+        products: tuple[ProductTrace, ...] = ()
+        if slices is not None:
+            view = None
+            if lines is not None and stripes is not None and calibration is not None:
+                per_line = stripes.stripe_count // len(lines.count)
+                kept, lines = placed_only(stripes, lines, slices, per_line // 2)
+                scene = Scene(acquisition.id, kept, (), calibration, self.recipe.penetration)
+                chain = replace(chain, triangulator=Placing(assembler, lines, self._chain.triangulator))
+                stripes, view = kept, self._view_of(calibration)
+            else:
+                calibration = measured_by_another(slices)
+            if self.recipe.penetration is not None:
+                slices = raise_surface(slices, self.recipe.penetration.offset_mm)
+            assembled = split_products(slices, (), calibration, acquisition.id, view=view)
+            doubts = {
+                one.number: _too_high(one)
+                or (None if stripes is None else _cut_off(stripes, one.number))
+                or cut_by_scan(one)
+                for one in assembled
+            }
+            products = tuple(self._outcome(one, doubts[one.number], steps.seconds) for one in assembled)
+            if scene is None:
+                products = tuple(without_draws(found, approximate=False) for found in products)
+            else:
+                products = self._drawn(products, scene, steps, chain)
+            if surfaces:
+                products = tuple(self._with_surface(found) for found in products)
+            if "grader" in self._stages:
+                products = tuple(
+                    self._decided(found, doubts[found.product.number], steps.seconds) for found in products
+                )
+        return Trace(
+            acquisition_id=acquisition.id,
+            acquisition=acquisition,
+            profiles=slices,
+            products=products,
+            absent=steps.absent,
+            seconds=steps.seconds,
+        )
+
     def _view_of(self, calibration: Calibration) -> View | None:
         """Give the view of a calibration; the recipe's own never changes, and neither does its view."""
         if calibration is not self.recipe.calibration:
@@ -197,19 +256,18 @@ class Pipeline:
         return self._view
 
     def _drawn(
-        self, products: tuple[ProductTrace, ...], scene: Scene, steps: _Steps
+        self, products: tuple[ProductTrace, ...], scene: Scene, steps: _Steps, chain: Chain
     ) -> tuple[ProductTrace, ...]:
         """Give the products with their uncertainties; without draws, name what is a part only."""
         if self._linear:
-            linear = steps.do("uncertainty", lambda: linearise(products, scene, self._chain))
+            linear = steps.do("uncertainty", lambda: linearise(products, scene, chain))
             return linear or products
         if not self._draws:
             view = scene.calibration.view
             approximate = view is not None and not view.exact
             return tuple(without_draws(found, approximate=approximate) for found in products)
         return (
-            steps.do("uncertainty", lambda: propagate(products, scene, self._chain, draws=self._draws))
-            or products
+            steps.do("uncertainty", lambda: propagate(products, scene, chain, draws=self._draws)) or products
         )
 
     def _outcome(self, product: Product, doubt: Reason | None, seconds: dict[str, float]) -> ProductTrace:

@@ -29,7 +29,9 @@ from roemetry.records.calibration import Calibration
 from roemetry.run.open_parts import open_parts
 from roemetry.run.pipeline import UNCALIBRATED
 
-_STAGES_BEFORE_PRODUCTS = ("source", "extractor", "aligner", "coder", "smoother", "triangulator")
+_STAGES_BEFORE_PRODUCTS = (
+    "source", "extractor", "aligner", "coder", "smoother", "triangulator", "assembler"
+)  # fmt: skip
 
 
 def measurements_of(
@@ -41,9 +43,9 @@ def measurements_of(
     """
     given = dict(provenance)
     warnings = (*_warnings(recipe), *doubts)
-    if trace.stripes is None:
+    if trace.stripes is None and trace.profiles is None:
         return (_without_product(trace, recipe, warnings, given),)
-    if trace.profiles is None and (trace.stripes.product > 0).any():
+    if trace.profiles is None and trace.stripes is not None and (trace.stripes.product > 0).any():
         return _in_pixels(trace, trace.stripes, warnings, given)
     if not trace.products:
         return (_without_product(trace, recipe, warnings, given),)

@@ -215,6 +215,10 @@ class _Worker:
         for frame in made.frames:
             files[frame.role] = f"{FOLDERS[frame.role]}/{name}.png"
             save_bytes(self._folder / files[frame.role], _png(frame))
+        if made.counts is not None:
+            told = "".join(f"{count},{line}\n" for line, count in enumerate(made.counts))
+            path = self._folder / f"{FOLDERS['laser']}/{name}.csv"
+            save_bytes(path, f"encoder_count,frame_number\n{told}".encode())
         stripes = None
         if made.truth.stripes is not None:
             stripes = f"truth/{name}.npz"

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 __all__ = [
     "INTERFACES",
     "Aligner",
+    "Assembler",
     "Calibrator",
     "Capabilities",
     "Classifier",

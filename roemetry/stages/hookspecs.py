@@ -43,6 +43,7 @@ KINDS = (
     "smoother",
     "calibrator",
     "triangulator",
+    "assembler",
     "outliner",
     "volume",
     "weigher",

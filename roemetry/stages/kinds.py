@@ -29,14 +29,18 @@ from roemetry.records import (
     Grade,
     ImageFinding,
     Measurement,
+    Motion,
     Outline,
     Peaks,
     Plan,
     Product,
     Profiles,
+    Pyramid,
     Samples,
+    ScanLines,
     Sensor,
     Simulated,
+    SpherePlate,
     StripeMap,
     Surface,
     Trace,
@@ -126,6 +130,9 @@ Turn = Literal[0, 90, 180, 270]
 
 class Source(Stage[OptionsT]):
     """Knows where acquisitions are, and reads them."""
+
+    gives: ClassVar[Literal["images", "lines", "slices"]] = "images"
+    """What an acquisition holds: images of a scene, lines of a scan, or slices that are measured already."""
 
     @abstractmethod
     def references(self, path: Path) -> Sequence[AcquisitionReference]:
@@ -234,6 +241,56 @@ class Triangulator(Stage[OptionsT]):
             f"{type(self).__name__} cannot correct a calibration for a camera that has moved",
             hint="leave stages.aligner out; frames are then only refused where the belt lies elsewhere",
         )
+
+
+class Assembler(Stage[OptionsT]):
+    """Makes one set of slices of a scan's lines, and tells products from the belt in slices of any sensor."""
+
+    @abstractmethod
+    def place(
+        self, stripes: StripeMap, lines: ScanLines, calibration: Calibration, triangulator: Triangulator[Any]
+    ) -> Profiles:
+        """Give the slices of a scan in a frame that moves with the belt, sorted along it.
+
+        Parameters
+        ----------
+        stripes
+            (line · stripe, row): those of each line, one line after the other. Points labelled 0 are belt,
+            on which Z = 0 is laid; where there are none, Z stays that of the calibration.
+        lines
+            Where the belt was.
+        calibration
+            With the belt's motion.
+        triangulator
+            Of the recipe, for the stripes of one frame.
+
+        Raises
+        ------
+        StageError
+            The lines cannot be placed: no motion, no counts, or counts that stand still.
+        """
+
+    @abstractmethod
+    def label(self, profiles: Profiles, own: tuple[int, int] | None = None) -> Profiles:
+        """Find belt and products in slices, lay Z = 0 on the belt, and number the products.
+
+        `own` are the first slice and the one after the last in which a product that counts begins; None: any.
+        """
+
+    def motion(
+        self, stripes: StripeMap, lines: ScanLines, calibration: Calibration, triangulator: Triangulator[Any],
+        target: Pyramid | SpherePlate, *, right: bool = True,
+    ) -> tuple[Motion, Mapping[str, float]]:  # fmt: skip
+        """Measure the belt's motion from a scan of a known body, with figures that say how well it fits.
+
+        `right`: whether the product moves towards larger x in the image while the counter counts up.
+
+        Raises
+        ------
+        CalibrationError
+            With the reason and what to do.
+        """
+        raise CalibrationError(f"{type(self).__name__} measures no motion", hint="belt-motion does")
 
 
 class Outliner(Stage[OptionsT]):
@@ -457,6 +514,7 @@ INTERFACES: Mapping[str, type[Stage[Any]]] = {
     "smoother": Smoother,
     "calibrator": Calibrator,
     "triangulator": Triangulator,
+    "assembler": Assembler,
     "outliner": Outliner,
     "volume": VolumeEstimator,
     "weigher": Weigher,
@@ -477,6 +535,7 @@ _GIVES: Mapping[str, type] = {
     "calibrator": Calibration,
     "camera": CameraFit,
     "triangulator": Profiles,
+    "assembler": Profiles,
     "volume": Volume,
     "weigher": Weight,
     "classifier": Grade,

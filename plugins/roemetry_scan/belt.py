@@ -1,0 +1,154 @@
+"""The belt's plane in slices, and the products on it.
+
+The belt is the plane with most points near it and next to none below: three points at a time are tried
+(Fischler and Bolles 1981), the best plane is fitted anew to what lies near it until that does not change.
+A product is what rises over it: a connected region that is clearly above the belt somewhere, with all of it
+that noise does not explain. Regions closer together than a gap are one product.
+
+Fails where less than a tenth of what is seen is belt, and where a flat product hides it wholly: `belt: zero`
+then takes Z = 0 as it is.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from roemetry.errors import StageError
+from roemetry.records.arrays import Flags, Floats, Labels
+from roemetry.stages import StageOptions
+
+Belt = tuple[Floats, Floats]
+"""(3, 3) rotation and (3,) point of a belt plane: its Z is 0 at R·(p − point)."""
+
+_TRIES = 400
+_SAMPLE = 4000
+"""Planes that are tried, on so many points: with a tenth of belt, one try in a thousand hits it thrice, with
+a third one in 27."""
+_BELOW = 4.0
+"""A point below a plane counts against so many near it: nothing lies below the belt."""
+_LEAN_MAX = 0.35
+"""Of a belt against Z, tangent: 19°. What leans more is a product's flank."""
+_NOISE_FACTOR = 4.0
+"""Standard deviations above the belt from which a point is no noise."""
+
+
+class BeltOptions(StageOptions):
+    """What is belt and what is product."""
+
+    belt: Literal["fit", "zero"] = Field(
+        default="fit", description="where Z = 0 lies: on the belt as these slices show it, or as it is given"
+    )
+    height_min_mm: float = Field(
+        default=1.5, gt=0, le=500, description="a product rises so far over the belt somewhere, mm"
+    )
+    edge_mm: float = Field(
+        default=0.15, ge=0, le=500, description="least height over the belt that is product, mm"
+    )
+    gap_mm: float = Field(default=2.0, ge=0, le=500, description="closer pieces are one product, mm")
+    area_min_mm2: float = Field(default=25.0, ge=0, description="smaller ones are dirt, mm²")
+    flanks: bool = Field(
+        default=True, description="follow flanks that are not seen; no where the slices hold them already"
+    )
+
+
+def plane_of_belt(points_mm: Floats, near_mm: float) -> Floats:
+    """Find a, b, c of the belt z = a + b·x + c·y in points (n, 3), among products.
+
+    `near_mm` is how far belt may lie from a plane. StageError where no plane has a tenth of the points.
+    """
+    rng = np.random.default_rng(0)
+    some = points_mm[rng.integers(0, len(points_mm), min(_SAMPLE, len(points_mm)))]
+    best: Floats = np.zeros(3)
+    most = -np.inf
+    for _ in range(_TRIES):
+        three = some[rng.integers(0, len(some), 3)]
+        design = np.column_stack([np.ones(3), three[:, :2]])
+        if abs(np.linalg.det(design)) < 1e-6:
+            continue
+        plane = np.asarray(np.linalg.solve(design, three[:, 2]), np.float64)
+        if np.hypot(plane[1], plane[2]) > _LEAN_MAX:
+            continue
+        over = some[:, 2] - plane[0] - some[:, :2] @ plane[1:]
+        score = np.count_nonzero(np.abs(over) <= near_mm) - _BELOW * np.count_nonzero(over < -near_mm)
+        if score > most:
+            best, most = plane, score
+    near = np.abs(points_mm[:, 2] - best[0] - points_mm[:, :2] @ best[1:]) <= near_mm
+    if near.mean() < 0.1:
+        raise StageError(
+            f"no belt is seen: the best plane has {near.mean():.0%} of the points near it",
+            hint="let bare belt be seen beside the product, or take `belt: zero` if Z = 0 is the belt",
+        )
+    for _ in range(10):
+        best = fitted_plane(points_mm[near])
+        over = points_mm[:, 2] - best[0] - points_mm[:, :2] @ best[1:]
+        spread = 1.4826 * float(np.median(np.abs(over[near])))
+        again = np.abs(over) <= min(max(3.0 * spread, 1e-6), near_mm)
+        if np.array_equal(again, near):
+            break
+        near = again
+    return best
+
+
+def fitted_plane(points_mm: Floats) -> Floats:
+    """Give a, b, c of z = a + b·x + c·y by least squares."""
+    middle = points_mm.mean(axis=0)
+    design = np.column_stack([np.ones(len(points_mm)), points_mm[:, :2] - middle[:2]])
+    a, b, c = np.linalg.lstsq(design, points_mm[:, 2], rcond=None)[0]
+    return np.array([a - b * middle[0] - c * middle[1], b, c])
+
+
+def frame_on(plane: Floats) -> Belt:
+    """Give the rotation and the point that lay Z = 0 on a plane, X and Y as near as they may stay."""
+    up = np.array([-plane[1], -plane[2], 1.0]) / np.sqrt(1.0 + plane[1] ** 2 + plane[2] ** 2)
+    along = np.array([1.0, 0.0, 0.0]) - up[0] * up
+    along /= np.sqrt(along @ along)
+    return np.stack([along, np.cross(up, along), up]), np.array([0.0, 0.0, plane[0]])
+
+
+def products_on(
+    height_mm: Floats, steps_mm: tuple[float, float], noise_mm: float, options: BeltOptions
+) -> Labels:
+    """Number the products in heights over the belt.
+
+    Parameters
+    ----------
+    height_mm
+        (slice, point) NaN where nothing was seen.
+    steps_mm
+        Usual distance of neighbouring slices and of neighbouring points, mm.
+    noise_mm
+        Scatter of single points on the belt, mm.
+
+    Returns
+    -------
+    ndarray
+        (slice, point) int16: 1… product by its first slice, then by its first point; 0 belt; −1 not seen.
+    """
+    import cv2
+
+    edge = max(options.edge_mm, _NOISE_FACTOR * noise_mm)
+    seen = np.isfinite(height_mm)
+    with np.errstate(invalid="ignore"):
+        high = np.ascontiguousarray((height_mm > edge).astype(np.uint8))
+    reach = [max(1, round(0.5 * options.gap_mm / step)) for step in steps_mm]
+    kernel = np.ones((2 * reach[0] + 1, 2 * reach[1] + 1), np.uint8)
+    padded = cv2.copyMakeBorder(high, reach[0], reach[0], reach[1], reach[1], cv2.BORDER_CONSTANT)
+    joined = cv2.morphologyEx(padded, cv2.MORPH_CLOSE, kernel)
+    joined = joined[reach[0] : joined.shape[0] - reach[0], reach[1] : joined.shape[1] - reach[1]]
+    count, region = cv2.connectedComponents(np.ascontiguousarray(joined), connectivity=8)
+    on: Flags = seen & (region > 0) & (high > 0)
+    index = region[on]
+    top = np.full(count, -np.inf)
+    np.maximum.at(top, index, height_mm[on])
+    area = np.bincount(index, minlength=count) * steps_mm[0] * steps_mm[1]
+    good = (top >= options.height_min_mm) & (area >= options.area_min_mm2)
+    good[0] = False
+    number = np.zeros(count, np.int16)
+    first = {int(k): int(np.flatnonzero((region == k).any(axis=1))[0]) for k in np.flatnonzero(good)}
+    side = {k: int(np.flatnonzero(region[at] == k)[0]) for k, at in first.items()}
+    for place, k in enumerate(sorted(first, key=lambda k: (first[k], side[k])), start=1):
+        number[k] = place
+    return np.where(seen, np.where(on, number[region], 0), -1).astype(np.int16)

@@ -1,0 +1,243 @@
+"""Volume of dense slices: areas times the pitch perpendicular to the plane of light, and what they may miss.
+
+Model. Slices lie in planes n·X = d. The area under slice i, with its width measured across the belt, times
+half the way to both neighbours where the planes cut the belt, fills the column under it: V = Σ Aᵢ wᵢ,
+Aᵢ = ∫ z dy. Planes that all lean alike shear the body, which changes no volume; so it is the pitch
+perpendicular to the light, t·n, that counts.
+
+What neither camera nor light sees of a flank the assembler has followed (`roemetry_scan.flanks`); it counts
+as interpolated.
+
+Uncertainty, each part a standard deviation: `motion` V·u(t·n)/(t·n); `encoder quantum` half a count's way,
+uniform, of each slice's place; `belt jitter` the belt's scatter from line to line on each slice's width;
+`slip` by the disagreement of several lines; `between slices` by what every other slice would give; `flanks` a
+part of what is not seen of them; `gaps` a tenth of what straight lines fill.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from roemetry.errors import StageError
+from roemetry.records import Estimate, Product, Profiles, Reason, Shares, Surface, Volume
+from roemetry.records.arrays import Flags, Floats, Integers
+from roemetry.stages import Capabilities, StageOptions, VolumeEstimator
+from roemetry_kernels.compiling import float_kernel
+
+_UNIFORM = 1.0 / math.sqrt(12.0)
+_OVER_GAP = 0.1
+"""Of what a straight line fills: a dome rises over it by some tenth."""
+_FLANK = 0.06
+"""Of what was followed of the flanks: root mean square of what it is off by."""
+_EDGE_POINTS = 0.5
+"""Points by which each edge of a slice may lie otherwise, uniform."""
+_SURFACE_SLICES, _SURFACE_POINTS = 160, 64
+"""Of a drawn surface, at most."""
+_COVERAGE_FACTOR = 1.959964
+
+
+class Sections(NamedTuple):
+    """The slices of one product, sorted along the belt."""
+
+    at_mm: Floats
+    """(slice,) where the slice's plane cuts the belt, mm along X."""
+    area_mm2: Floats
+    filled_mm2: Floats
+    bridged_mm2: Floats
+    """area_mm2, filled_mm2, bridged_mm2: (slice,) area under it; what of that straight lines fill, and what
+    lies under points that were not seen."""
+    width_mm: Floats
+    edge_mm: Floats
+    """width_mm, edge_mm: (slice,) width, and the root of the sum of squares of both edges' heights."""
+    point_mm: float
+    """Usual distance of points along a slice, mm."""
+    held_mm: Floats
+    own_mm: Floats
+    """held_mm, own_mm: (slice,) half the way to both neighbours; and of that what lost lines leave to it."""
+    place: Integers
+    row: Integers
+    """place, row: (slice,) place along the scan, and row of the profiles."""
+
+    @property
+    def volume_mm3(self) -> float:
+        """The sum, outwards half a spacing at both ends, where a slice's area falls to nothing."""
+        return float(self.area_mm2 @ self.held_mm)
+
+
+class DenseSlices(VolumeEstimator[StageOptions]):
+    """Sums slices that lie so close that little is to be guessed between them."""
+
+    capabilities = Capabilities(relative_tolerance=0.12)
+
+    @property
+    def states_model_error(self) -> bool:
+        """True: the parts of the budget are all that the sum may miss."""
+        return True
+
+    def estimate(self, product: Product, *, rng: np.random.Generator | None = None) -> Volume:
+        """Estimate the visible volume; StageError where fewer than three slices show the product."""
+        found = sections_of(product.profiles, product.number)
+        value, budget = found.volume_mm3, budget_of(found, product.profiles)
+        if not value > 0.0:
+            raise StageError(f"the slices sum up to {value:.4g} mm³: the points lie on or below the belt")
+        if rng is not None:
+            value += float(sum(part * rng.standard_normal() for part in budget.values()))
+        return Volume(
+            visible_mm3=estimate_of(value, budget),
+            true_mm3=None,
+            shares=shares_of(found),
+            slice_stripe=found.place,
+            slice_area_mm2=found.area_mm2,
+            slice_spacing_mm=found.held_mm,
+            reasons=said_of(found),
+        )
+
+    def surface(self, product: Product) -> Surface:
+        """Give the slices at even places across, thinned out."""
+        found = sections_of(product.profiles, product.number)
+        step = max(1, math.ceil(found.row.size / _SURFACE_SLICES))
+        return _drawn(product.profiles, found.row[::step], product.number)
+
+
+def sections_of(profiles: Profiles, number: int) -> Sections:
+    """Measure the slices of a product; StageError where fewer than three show it, or planes run along X."""
+    height = profiles.xyz_mm[..., 2]
+    mine = (profiles.product == number) & np.isfinite(height)
+    index = np.flatnonzero(np.count_nonzero(mine, axis=1) >= 2)
+    if index.size < 3:
+        raise StageError(f"{index.size} slices show the product, 3 are the least")
+    plane = profiles.plane[index]
+    if np.abs(plane[:, 0]).min() < 1e-3:
+        raise StageError("a slice's plane runs along X: slices lie across the way the belt runs")
+    middle = float(np.median(profiles.xyz_mm[..., 1][mine]))
+    at = (plane[:, 3] - plane[:, 1] * middle) / plane[:, 0]
+    order = np.argsort(at, kind="stable")
+    index, at = index[order], at[order]
+    gap = np.diff(at)
+    if not gap.min() > 0.0:
+        raise StageError("two slices lie at one place")
+    xyz, on = profiles.xyz_mm[index], mine[index]
+    table = _areas(xyz, on, profiles.seen[index])
+    place = profiles.stripe[index]
+    steps = np.maximum(np.abs(np.diff(place)), 1)
+    held, own = np.zeros(index.size), np.zeros(index.size)
+    for half, of in ((0.5 * gap, held), (0.5 * gap / steps, own)):
+        of[:-1] += half
+        of[1:] += half
+    for end, step in ((0, gap[0]), (-1, gap[-1])):
+        held[end] += 0.25 * step  # areas fall to nothing within a spacing, as a triangle does
+        own[end] += 0.25 * step
+    return Sections(
+        at, table[:, 0], table[:, 1], table[:, 5], table[:, 2], table[:, 3], float(np.median(table[:, 4])),
+        held, own, place, index,
+    )  # fmt: skip
+
+
+def budget_of(found: Sections, profiles: Profiles) -> dict[str, float]:
+    """Give the standard deviation of each part of what the sum may miss, mm³."""
+    area, at, value = found.area_mm2, found.at_mm, found.volume_mm3
+    uneven = 0.1 * abs(value)
+    if area.size > 6:
+        whole = [slice(0, area.size - 1 + area.size % 2), slice(1, area.size - area.size % 2)]
+        coarse = [float(np.trapezoid(area[k][::2], at[k][::2]) - np.trapezoid(area[k], at[k])) for k in whole]
+        uneven = max(map(abs, coarse)) / 3.0  # a trapezoid's error falls with the square of the pitch
+    edge = found.edge_mm * found.held_mm * found.point_mm * _EDGE_POINTS * 2.0 * _UNIFORM
+    budget = {
+        "between slices": uneven,
+        "slice edges": float(np.sqrt(edge @ edge)),
+        "flanks": _FLANK * float(found.bridged_mm2 @ found.held_mm),
+        "gaps": _OVER_GAP * float(found.filled_mm2 @ found.held_mm)
+        + _OVER_GAP * float(area @ (found.held_mm - found.own_mm)),
+    }
+    scan = profiles.scan
+    if scan is not None:
+        rise = np.diff(area, prepend=0.0, append=0.0)
+        per_slice = found.width_mm * found.held_mm
+        budget["motion"] = abs(value) * scan.pitch_rel_std
+        budget["encoder quantum"] = scan.quantum_mm * _UNIFORM * float(np.sqrt(rise @ rise))
+        budget["belt jitter"] = scan.jitter_mm * float(np.sqrt(per_slice @ per_slice))
+        if math.isfinite(scan.slip_rel):
+            budget["slip"] = abs(value) * scan.slip_rel
+    return budget
+
+
+def shares_of(found: Sections) -> Shares:
+    """Give the shares: seen points; straight lines and flanks; lost lines."""
+    seen = float((found.area_mm2 - found.filled_mm2 - found.bridged_mm2) @ found.own_mm)
+    joined = float((found.filled_mm2 + found.bridged_mm2) @ found.own_mm)
+    assumed = max(found.volume_mm3 - seen - joined, 0.0)
+    total = seen + joined + assumed
+    return Shares(seen / total, joined / total, assumed / total)
+
+
+def said_of(found: Sections) -> tuple[Reason, ...]:
+    """Say what lost lines left out of the product."""
+    whole = float(found.area_mm2 @ found.held_mm)
+    share = 1.0 - float(found.area_mm2 @ found.own_mm) / whole if whole > 0.0 else 0.0
+    lost = int(np.maximum(np.abs(np.diff(found.place)) - 1, 0).sum())
+    if not lost:
+        return ()
+    return (
+        Reason(
+            "gap-in-scan",
+            f"{lost} lines over the product were not taken; {share:.1%} of its volume is bridged between "
+            "their neighbours",
+        ),
+    )
+
+
+def estimate_of(value: float, budget: dict[str, float]) -> Estimate:
+    """Give an estimate whose uncertainty is the root of the sum of squares of its parts."""
+    std = math.hypot(*budget.values())
+    reach = _COVERAGE_FACTOR * std
+    return Estimate(value, std, budget, (value - reach, value + reach))
+
+
+@float_kernel
+def _areas(xyz: Floats, mine: Flags, seen: Flags) -> Floats:
+    """Give (slice, 5): area, what of it is filled or bridged, width, √(Σ edge heights²), usual step."""
+    slices, points = mine.shape
+    table = np.zeros((slices, 6))
+    for i in range(slices):
+        last, first = -1, -1
+        area, filled, bridged, steps, count = 0.0, 0.0, 0.0, 0.0, 0
+        for k in range(points):
+            if not mine[i, k]:
+                continue
+            if last >= 0:
+                step = abs(xyz[i, k, 1] - xyz[i, last, 1])
+                part = 0.5 * (xyz[i, k, 2] + xyz[i, last, 2]) * step
+                area += part
+                if k - last > 1:
+                    filled += abs(part)
+                else:
+                    steps += step
+                    count += 1
+                    if not (seen[i, k] and seen[i, last]):
+                        bridged += abs(part)
+            else:
+                first = k
+            last = k
+        each = steps / count if count > 0 else 0.0
+        # each outermost point stands for half its part of the slice beyond it
+        area += 0.5 * each * (xyz[i, first, 2] + xyz[i, last, 2])
+        table[i, 0], table[i, 1], table[i, 5] = area, filled, bridged
+        table[i, 2] = abs(xyz[i, last, 1] - xyz[i, first, 1]) + each
+        table[i, 3] = math.sqrt(xyz[i, first, 2] ** 2 + xyz[i, last, 2] ** 2)
+        table[i, 4] = each
+    return table
+
+
+def _drawn(profiles: Profiles, index: Integers, number: int) -> Surface:
+    """Resample slices at even places between their own edges."""
+    stations = np.full((index.size, _SURFACE_POINTS, 3), np.nan)
+    for k, row in enumerate(index.tolist()):
+        on = (profiles.product[row] == number) & np.isfinite(profiles.xyz_mm[row, :, 2])
+        points = profiles.xyz_mm[row][on]
+        points = points[np.argsort(points[:, 1])]
+        y = np.linspace(points[0, 1], points[-1, 1], _SURFACE_POINTS)
+        stations[k] = np.column_stack([np.interp(y, points[:, 1], points[:, m]) for m in range(3)])
+    return Surface(stations, np.zeros(stations.shape[:2], np.bool_))

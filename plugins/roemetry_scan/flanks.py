@@ -1,0 +1,197 @@
+"""Flanks that neither camera nor light sees, followed from what is seen of them.
+
+Behind a product, as the camera looks, lies a shadow in which no line is seen; steep sides lose points as
+well. A flank is taken for a conic over a rim at the height r,
+
+    (z − r)² = a + b·x + c·x²,
+
+with x outwards from the last point that is seen: exact for ellipsoids, and near for what bulges from a rim.
+It is fitted to the last points, first along the belt (each image row through all slices), then along each
+slice, and followed to where it ends on the rim, from where a visible volume has a wall, but not beyond where
+belt is seen. What is flat up to where it is lost is a wall. Gaps within a slice are joined by straight lines.
+Points that were followed are not `seen`.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from roemetry.records.arrays import Flags, Floats, Labels
+from roemetry_kernels.compiling import float_kernel
+
+_POINTS = 30
+"""Points that tell how a flank goes on."""
+_RIM_PRIOR = 1e-5
+"""Weight of a rim on the belt, of one point's equation: it decides where noise alone would."""
+_FLAT = 1.02
+"""The highest of them is so much higher than the last, or nothing bends."""
+
+
+def followed(xyz_mm: Floats, label: Labels, plane: Floats) -> tuple[Floats, Labels, Flags]:
+    """Give points and labels with the flanks that are not seen, and which points these are.
+
+    Parameters
+    ----------
+    xyz_mm, label, plane
+        As in `Profiles`: over the belt, with belt and products told apart.
+    """
+    points, number = np.array(xyz_mm), np.array(label)
+    added = np.zeros(number.shape, np.bool_)
+    _along_belt(points, number, added, plane)
+    _along_slices(points, number, added, plane)
+    _join(points, number, added, plane)
+    return points, number, added
+
+
+@float_kernel
+def conic(d: Floats, z: Floats, count: int, most: float) -> tuple[float, float, float, float, float]:
+    """Give the conic of a flank beyond its last seen point: r, a, b, c, and its length, 0 where it falls off.
+
+    Parameters
+    ----------
+    d, z
+        Of the last seen points, the outermost first: distance inwards from it (d[0] = 0), and height, mm.
+    count
+        How many there are.
+    most
+        How far out the belt is seen, mm.
+    """
+    z0 = z[0]
+    none = 0.0, 0.0, 0.0, 0.0, 0.0
+    long, high = d[count - 1], 0.0
+    for k in range(count):
+        high = max(high, z[k])
+    # what is flat up to where it is lost falls off as a wall does
+    if count < 6 or not high > _FLAT * z0 or not z0 > 0.0:
+        return none
+    # z² = 2 r z + a + b·x + c·x² with x outwards, all in the size of what is seen
+    rows, sums = np.zeros((4, 4)), np.zeros(4)
+    for k in range(count):
+        x, h = -d[k] / long, z[k] / high
+        of = (2.0 * h, 1.0, x, x * x)
+        for m in range(4):
+            sums[m] += of[m] * h * h
+            for n in range(4):
+                rows[m, n] += of[m] * of[n]
+    rows[0, 0] += _RIM_PRIOR * count
+    fit = np.linalg.solve(rows, sums)
+    r = min(max(fit[0], 0.0), 0.95 * z0 / high)
+    if r != fit[0]:  # a rim below the belt, or above what is seen
+        for m in range(3):
+            sums[m + 1] -= rows[m + 1, 0] * r
+        fit[1:] = np.linalg.solve(rows[1:, 1:].copy(), sums[1:].copy())
+    a, b, c = fit[1] + r * r, fit[2], fit[3]
+    # the curve goes through the last point
+    a = (z0 / high - r) ** 2
+    inside = b * b - 4.0 * a * c
+    end = most / long
+    if b < 0.0 or c < 0.0:
+        root = -2.0 * a / (b - math.sqrt(inside)) if inside >= 0.0 else end
+        if root > 0.0:
+            end = min(end, root)
+    # back from the sizes to mm: (z − r)² = a + b·x + c·x²
+    square = high * high
+    return r * high, a * square, b * square / long, c * square / (long * long), end * long
+
+
+@float_kernel
+def _along_belt(xyz: Floats, label: Labels, added: Flags, plane: Floats) -> None:
+    """Follow each image row from slice to slice, both ways."""
+    slices, points = label.shape
+    for k in range(points):
+        for way in (1, -1):
+            i = 0 if way == 1 else slices - 1
+            while 0 <= i < slices:
+                ahead = i + way
+                if label[i, k] > 0 and 0 <= ahead < slices and label[ahead, k] < 0:
+                    i = _fill(xyz, label, added, plane, i, k, way, 0)
+                else:
+                    i = ahead
+
+
+@float_kernel
+def _along_slices(xyz: Floats, label: Labels, added: Flags, plane: Floats) -> None:
+    """Follow each slice on both sides."""
+    slices, points = label.shape
+    for i in range(slices):
+        for way in (1, -1):
+            k = 0 if way == 1 else points - 1
+            while 0 <= k < points:
+                ahead = k + way
+                if label[i, k] > 0 and 0 <= ahead < points and label[i, ahead] < 0:
+                    k = _fill(xyz, label, added, plane, i, k, 0, way)
+                else:
+                    k = ahead
+
+
+@float_kernel
+def _join(xyz: Floats, label: Labels, added: Flags, plane: Floats) -> None:
+    """Join what is not seen between two points of one product in a slice by a straight line."""
+    slices, points = label.shape
+    for i in range(slices):
+        last = -1
+        for k in range(points):
+            if label[i, k] < 0:
+                continue
+            if last >= 0 and k - last > 1 and label[i, k] > 0 and label[i, k] == label[i, last]:
+                for m in range(last + 1, k):
+                    share = (m - last) / (k - last)
+                    y = xyz[i, last, 1] + share * (xyz[i, k, 1] - xyz[i, last, 1])
+                    z = xyz[i, last, 2] + share * (xyz[i, k, 2] - xyz[i, last, 2])
+                    xyz[i, m, 0] = (plane[i, 3] - plane[i, 1] * y - plane[i, 2] * z) / plane[i, 0]
+                    xyz[i, m, 1], xyz[i, m, 2] = y, z
+                    label[i, m], added[i, m] = label[i, k], True
+            last = k
+
+
+@float_kernel
+def _fill(
+    xyz: Floats, label: Labels, added: Flags, plane: Floats, i: int, k: int, way_i: int, way_k: int
+) -> int:
+    """Follow a flank from a product's last point over what is not seen to the belt; give where that ends."""
+    slices, points = label.shape
+    number, axis = label[i, k], 0 if way_i != 0 else 1
+    d, z = np.empty(_POINTS), np.empty(_POINTS)
+    count, m, n = 0, i, k
+    while 0 <= m < slices and 0 <= n < points and label[m, n] == number and count < _POINTS:
+        if not added[m, n]:
+            d[count] = abs(xyz[m, n, axis] - xyz[i, k, axis])
+            z[count] = xyz[m, n, 2]
+            count += 1
+        m -= way_i
+        n -= way_k
+    far_i, far_k = i + way_i, k + way_k
+    while 0 <= far_i < slices and 0 <= far_k < points and label[far_i, far_k] < 0:
+        far_i += way_i
+        far_k += way_k
+    stop = far_i if axis == 0 else far_k
+    if not (0 <= far_i < slices and 0 <= far_k < points) or label[far_i, far_k] != 0 or count == 0:
+        return stop
+    x0, y0, z0 = xyz[i, k, 0], xyz[i, k, 1], xyz[i, k, 2]
+    x1, y1 = xyz[far_i, far_k, 0], xyz[far_i, far_k, 1]
+    r, a, b, c, length = conic(d, z, count, abs(xyz[far_i, far_k, axis] - xyz[i, k, axis]))
+    if length <= 0.0:
+        return stop
+    m, n = i + way_i, k + way_k
+    cells = abs(far_i - i) + abs(far_k - k)
+    for step in range(1, cells):
+        share = step / cells
+        # seen from the camera, a point lies the nearer to the belt's place in this row the lower it is
+        height, x, y = z0, x0 + share * (x1 - x0), y0 + share * (y1 - y0)
+        for _ in range(3):
+            if axis == 0:
+                y = y1 + (y0 - y1) * height / z0
+                x = (plane[m, 3] - plane[m, 1] * y - plane[m, 2] * height) / plane[m, 0]
+                away = abs(x - x0)
+            else:
+                x = (plane[m, 3] - plane[m, 1] * y - plane[m, 2] * height) / plane[m, 0]
+                away = abs(y - y0)
+            height = r + math.sqrt(max(a + b * away + c * away * away, 0.0))
+        if away < length and height > 0.0:
+            xyz[m, n, 0], xyz[m, n, 1], xyz[m, n, 2] = x, y, height
+            label[m, n], added[m, n] = number, True
+        m += way_i
+        n += way_k
+    return stop

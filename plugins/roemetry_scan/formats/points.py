@@ -1,0 +1,204 @@
+"""What a file of heights or points holds, and how points become slices."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from roemetry.errors import DataError
+from roemetry.records import Profiles
+from roemetry.records.arrays import Flags, Floats, Integers
+
+_CELLS_MAX = 200_000_000
+_GAP_STEPS = 2.5
+"""Neighbours farther apart than so many usual steps are not joined."""
+_FINER = 2
+"""Pixels of a grid for each of the slices' own steps: edges then stay where they are to a quarter of it."""
+_METRES = 1.0
+"""A belt that is not even 1 mm long was measured in metres."""
+_METRES_TO_MM = 5.0
+"""Longer than so many metres it was measured in micrometres, or is no product on a belt."""
+
+
+class Measured(NamedTuple):
+    """Points in mm, in slices across the belt or as a cloud."""
+
+    xyz_mm: Floats
+    """(slice, point, 3), NaN where nothing was seen; or (n, 3), a cloud."""
+    seen: Flags | None = None
+    """(slice, point) False where a point was bridged; None: all were seen."""
+    std_mm: float = math.nan
+    """Standard uncertainty of single heights, mm, where the file states it."""
+
+
+def profiles_of(measured: Measured, pixel_mm: float | None, name: str) -> Profiles:
+    """Give slices that `label` can tell products in; a cloud is laid on a grid of pixels.
+
+    Raises
+    ------
+    DataError
+        Nothing is known in it, or its extent says that it is not in mm.
+    """
+    xyz = measured.xyz_mm
+    known = np.asarray(np.isfinite(xyz).all(axis=-1))
+    if np.count_nonzero(known) < 3:
+        raise DataError(
+            f"{name}: {int(known.sum())} points hold a height, all else is marked as not known",
+            hint="is the value that marks what is not known the right one?",
+        )
+    points = xyz[known]
+    extent = np.ptp(points[:, :2], axis=0)
+    if extent.max() < _METRES:
+        raise DataError(
+            f"{name}: all of it is {extent[0]:.3g} × {extent[1]:.3g} mm: these look like metres",
+            hint="state the unit: `unit: m` in the source's options",
+        )
+    if extent.max() > _METRES_TO_MM * 1000.0:
+        raise DataError(
+            f"{name}: it is {extent[0]:.3g} × {extent[1]:.3g} mm: these look like micrometres",
+            hint="state the unit: `unit: um` in the source's options",
+        )
+    seen = measured.seen
+    if xyz.ndim == 2:
+        xyz, seen = _gridded(points, pixel_mm or _spacing(points), name), None
+    known = np.asarray(np.isfinite(xyz).all(axis=-1))
+    xyz = np.where(known[..., None], xyz, np.nan)
+    many = known.shape[1]
+    order, at = _sorted(xyz, known)
+    xyz, known = xyz[order], known[order]
+    place = np.arange(len(at))
+    return Profiles(
+        xyz_mm=xyz,
+        product=np.where(known, 0, -1).astype(np.int16),
+        seen=known if seen is None else known & seen[order],
+        x_px=np.where(known, place[:, None].astype(np.float64), np.nan),
+        row_px=np.where(known, np.arange(many, dtype=np.float64), np.nan),
+        height_std_mm=np.where(known, measured.std_mm, np.nan),
+        stripe=place,
+        frame=place,
+        plane=np.array([_plane(line[ok]) for line, ok in zip(xyz, known, strict=True)]),
+    )
+
+
+def _sorted(xyz: Floats, known: Flags) -> tuple[Integers, Floats]:
+    """Give the slices that show anything, sorted along X, and the X of each, mm."""
+    at = np.array(
+        [np.median(line[on, 0]) if on.any() else np.nan for line, on in zip(xyz, known, strict=True)]
+    )
+    order = np.argsort(at, kind="stable")[: int(np.isfinite(at).sum())]
+    return order, at[order]
+
+
+def _plane(points: Floats) -> Floats:
+    """Fit X = a + b·Y + c·Z to a slice where it says so; else a plane across X."""
+    if len(points) < 3 or np.ptp(points[:, 0]) < 1e-6:
+        return np.array([1.0, 0.0, 0.0, float(np.median(points[:, 0]))])
+    design = np.column_stack([np.ones(len(points)), points[:, 1:]])
+    a, b, c = np.linalg.lstsq(design, points[:, 0], rcond=1e-9)[0].tolist()
+    size = math.sqrt(1.0 + b * b + c * c)
+    return np.array([1.0, -b, -c, a]) / size
+
+
+def _spacing(points: Floats) -> float:
+    """Give the side of the square that each point of a cloud has to itself, mm."""
+    area = float(np.prod(np.ptp(points[:, :2], axis=0)))
+    return math.sqrt(max(area, 1e-12) / len(points)) * 1.2
+
+
+def _gridded(points: Floats, pixel_mm: float, name: str) -> Floats:
+    """Give (slice, point, 3) the mean height in each pixel of a grid, slices along X, points against Y."""
+    low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
+    columns, rows = (int(size / pixel_mm) + 1 for size in high - low)
+    if columns * rows > _CELLS_MAX:
+        raise DataError(f"{name}: {columns} × {rows} pixels of {pixel_mm:g} mm are too many")
+    i = np.minimum(((points[:, 0] - low[0]) / pixel_mm).astype(np.int64), columns - 1)
+    j = np.minimum(((high[1] - points[:, 1]) / pixel_mm).astype(np.int64), rows - 1)
+    cell: Integers = i * rows + j
+    many = np.bincount(cell, minlength=columns * rows)
+    with np.errstate(invalid="ignore"):
+        z = np.bincount(cell, points[:, 2], minlength=columns * rows) / many
+    xyz = np.empty((columns, rows, 3))
+    xyz[..., 0] = (low[0] + pixel_mm * (np.arange(columns) + 0.5))[:, None]
+    xyz[..., 1] = high[1] - pixel_mm * (np.arange(rows) + 0.5)
+    xyz[..., 2] = z.reshape(columns, rows)
+    return xyz
+
+
+def on_grid(measured: Measured) -> tuple[Floats, float, float, float, float]:
+    """Give (row, column) heights on a grid, X and Y of its first pixel's centre, and their steps, mm.
+
+    Columns run along X, rows against Y. Slices are resampled by straight lines, along themselves first.
+    """
+    xyz = measured.xyz_mm
+    if xyz.ndim != 3:
+        raise DataError("a cloud has no slices to lay on a grid", hint="write it as PLY, PCD, LAS or CSV")
+    known = np.asarray(np.isfinite(xyz).all(axis=2))
+    order, at = _sorted(xyz, known)
+    xyz, known = xyz[order], known[order]
+    step_x = float(np.median(np.diff(at)))
+    steps = np.abs(np.diff(xyz[..., 1], axis=1))
+    step_y = float(np.median(steps[np.isfinite(steps) & (steps > 0)]))
+    low, high = float(np.nanmin(xyz[..., 1])), float(np.nanmax(xyz[..., 1]))
+    fine_x, fine_y = step_x / _FINER, step_y / _FINER
+    x = np.arange(at[0], at[-1] + 0.5 * fine_x, fine_x)
+    y = np.arange(high, low - 0.5 * fine_y, -fine_y)
+    along = np.full((len(xyz), y.size), np.nan)
+    where = np.full((len(xyz), y.size), np.nan)
+    for k, (line, ok) in enumerate(zip(xyz, known, strict=True)):
+        along[k], where[k] = _between(line[ok], y, step_y)
+    found = np.full((y.size, x.size), np.nan)
+    for j in range(y.size):
+        ok = np.isfinite(along[:, j])
+        if np.count_nonzero(ok) > 1:
+            line = np.column_stack([np.zeros(int(ok.sum())), where[ok, j], along[ok, j]])
+            found[j] = _between(line, x, step_x)[0]
+    return found, float(x[0]), float(y[0]), fine_x, fine_y
+
+
+def _between(points: Floats, at: Floats, step: float) -> tuple[Floats, Floats]:
+    """Give heights and X at places along Y: by straight lines, over gaps as far as each point stands for."""
+    if len(points) < 2:
+        return np.full(at.size, np.nan), np.full(at.size, np.nan)
+    points = points[np.argsort(points[:, 1], kind="stable")]
+    y = points[:, 1]
+    after = np.clip(np.searchsorted(y, at), 1, len(points) - 1)
+    gap = y[after] - y[after - 1]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = np.clip((at - y[after - 1]) / gap, 0.0, 1.0)
+    far = (gap > _GAP_STEPS * step) | (gap <= 0)
+    share = np.where(far, (at - y[after - 1] > y[after] - at).astype(np.float64), share)
+    nearest = np.minimum(np.abs(at - y[after - 1]), np.abs(at - y[after]))
+    inside = (at >= y[0]) & (at <= y[-1]) & ~far
+    good = inside | (nearest <= 0.5 * step)
+    z, x = (points[after - 1, k] + share * (points[after, k] - points[after - 1, k]) for k in (2, 0))
+    return np.where(good, z, np.nan), np.where(good, x, np.nan)
+
+
+def flat(measured: Measured) -> tuple[Floats, Integers, Integers, Flags]:
+    """Give points (n, 3) with each one's slice, place in it, and whether it was seen; of a cloud slice 0."""
+    xyz = measured.xyz_mm
+    if xyz.ndim == 2:
+        many = len(xyz)
+        return xyz, np.zeros(many, np.int64), np.arange(many), np.ones(many, np.bool_)
+    known = np.asarray(np.isfinite(xyz).all(axis=2))
+    slices, places = np.nonzero(known)
+    seen = known if measured.seen is None else measured.seen
+    return xyz[known], slices, places, seen[known]
+
+
+def from_flat(xyz: Floats, slices: Integers | None, places: Integers | None, seen: Flags | None) -> Measured:
+    """Give what `flat` was made of; a cloud where slices are not told."""
+    if slices is None or places is None or not slices.size or int(places.max()) < 2:
+        return Measured(xyz)
+    if slices.min() < 0 or places.min() < 0 or (int(slices.max()) + 1) * (int(places.max()) + 1) > _CELLS_MAX:
+        raise ValueError("slice and point number points that cannot be")
+    shape = int(slices.max()) + 1, int(places.max()) + 1
+    whole = np.full((*shape, 3), np.nan)
+    whole[slices, places] = xyz
+    marked = None
+    if seen is not None:
+        marked = np.zeros(shape, np.bool_)
+        marked[slices, places] = seen
+    return Measured(whole, marked)

@@ -1,0 +1,54 @@
+"""CSV: a line a point, columns x, y, z (mm), and perhaps slice, point and seen."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+
+from roemetry.errors import DataError
+from roemetry.io.files import write_bytes
+from roemetry_scan.formats.points import Measured, flat, from_flat
+
+
+def read(path: Path) -> Measured:
+    """Read a table of points; DataError names the line that has too few or no numbers."""
+    with path.open(encoding="utf-8-sig", newline="") as file:
+        lines = csv.reader(file)
+        names = [name.strip().lower().split(" ")[0] for name in next(lines, [])]
+        if not {"x", "y", "z"} <= set(names):
+            raise DataError(f"{path}: its columns are {', '.join(names) or 'none'}, expected x, y, z, …")
+        rows = []
+        for number, line in enumerate(lines, start=2):
+            if not line:
+                continue
+            try:
+                rows.append([float(text) if text.strip() else np.nan for text in line])
+            except ValueError:
+                raise DataError(f"{path}, line {number}: not numbers: {','.join(line)[:60]}") from None
+            if len(line) != len(names):
+                raise DataError(f"{path}, line {number}: {len(line)} values for {len(names)} columns")
+    table = np.array(rows, np.float64).reshape(-1, len(names))
+    at = {name: table[:, k] for k, name in enumerate(names)}
+    slices, places, seen = (at.get(name) for name in ("slice", "point", "seen"))
+    return from_flat(
+        np.column_stack([at["x"], at["y"], at["z"]]),
+        None if slices is None else slices.astype(np.int64),
+        None if places is None else places.astype(np.int64),
+        None if seen is None else seen > 0,
+    )
+
+
+def write(path: Path, measured: Measured) -> list[Path]:
+    """Write a line for each point, to a tenth of a micrometre."""
+    xyz, slices, places, seen = flat(measured)
+    text = ["x (mm),y (mm),z (mm),slice,point,seen\n"]
+    text += [
+        f"{x:.4f},{y:.4f},{z:.4f},{i},{k},{int(s)}\n"
+        for (x, y, z), i, k, s in zip(
+            xyz.tolist(), slices.tolist(), places.tolist(), seen.tolist(), strict=True
+        )
+    ]
+    write_bytes(path, "".join(text).encode())
+    return [path]

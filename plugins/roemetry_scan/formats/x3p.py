@@ -1,0 +1,117 @@
+"""X3P (ISO 25178-72): a zip of an XML description and a matrix of heights, in metres; its MD5 is checked."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import zipfile
+from datetime import UTC, datetime
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+
+from roemetry.errors import DataError
+from roemetry.io.files import write_bytes
+from roemetry_scan.formats.points import Measured, on_grid
+
+_TYPES = {"I": "<i2", "L": "<i4", "F": "<f4", "D": "<f8"}
+_MM = 1000.0
+_NAMESPACE = "http://www.opengps.eu/2008/ISO5436_2"
+_BYTES_MAX = 2_000_000_000
+
+
+def read(path: Path) -> Measured:
+    """Read the heights; DataError where parts are missing, sizes differ, or the checksum is another one."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            names = {name.lower(): name for name in archive.namelist()}
+            if "main.xml" not in names:
+                raise DataError(f"{path}: there is no main.xml in it")
+            text = archive.read(names["main.xml"])
+            if b"<!DOCTYPE" in text or b"<!ENTITY" in text:
+                raise DataError(f"{path}: main.xml declares entities: no X3P file does")
+            tree = ElementTree.fromstring(text)
+            link = _text(tree, "PointDataLink").lower()
+            if link.removeprefix("./") not in names:
+                raise DataError(f"{path}: there is no {link} in it")
+            member = names[link.removeprefix("./")]
+            if archive.getinfo(member).file_size > _BYTES_MAX:
+                raise DataError(f"{path}: its heights are larger than 2 GB")
+            data = archive.read(member)
+    except (zipfile.BadZipFile, ElementTree.ParseError, EOFError) as error:
+        raise DataError(f"{path}: not an X3P file, or damaged: {error}") from error
+    wanted = _text(tree, "MD5ChecksumPointData", "")
+    if wanted and hashlib.md5(data, usedforsecurity=False).hexdigest().upper() != wanted.upper():
+        raise DataError(f"{path}: the heights' checksum is another one than main.xml says: damaged")
+    columns, rows, layers = (int(_text(tree, f"Size{axis}")) for axis in "XYZ")
+    if layers != 1:
+        raise DataError(f"{path}: {layers} layers, expected one")
+    of_z = _axis(tree, "CZ")
+    kind = np.dtype(_TYPES[_text(of_z, "DataType", "D")])
+    if len(data) != columns * rows * kind.itemsize:
+        raise DataError(
+            f"{path}: {len(data)} bytes of heights, expected {columns} × {rows} × {kind.itemsize}"
+        )
+    z = np.frombuffer(data, kind).reshape(rows, columns).astype(np.float64)
+    z = z * float(_text(of_z, "Increment", "1")) + float(_text(of_z, "Offset", "0"))
+    steps = [float(_text(_axis(tree, f"C{axis}"), "Increment")) * _MM for axis in "XY"]
+    first = [float(_text(_axis(tree, f"C{axis}"), "Offset", "0")) * _MM for axis in "XY"]
+    xyz = np.empty((columns, rows, 3))
+    xyz[..., 0] = (first[0] + steps[0] * np.arange(columns))[:, None]
+    xyz[..., 1] = first[1] + steps[1] * np.arange(rows)
+    xyz[..., 2] = z.T * _MM
+    return Measured(xyz)
+
+
+def _find(tree: ElementTree.Element, name: str) -> ElementTree.Element | None:
+    return next((one for one in tree.iter() if one.tag.rsplit("}", 1)[-1] == name), None)
+
+
+def _axis(tree: ElementTree.Element, name: str) -> ElementTree.Element:
+    found = _find(tree, name)
+    if found is None:
+        raise ValueError(f"main.xml has no {name}")
+    return found
+
+
+def _text(tree: ElementTree.Element, name: str, default: str | None = None) -> str:
+    found = _find(tree, name)
+    if found is None or not (found.text or "").strip():
+        if default is None:
+            raise ValueError(f"main.xml has no {name}")
+        return default
+    return (found.text or "").strip()
+
+
+def write(path: Path, measured: Measured) -> list[Path]:
+    """Write the heights on a regular grid, as doubles."""
+    z, x0, y0, step_x, step_y = on_grid(measured)
+    z = z[::-1]  # rows along Y
+    first_y = y0 - step_y * (len(z) - 1)
+    data = np.ascontiguousarray(z / _MM).astype("<f8").tobytes()
+    axes = "".join(
+        f"<C{axis}><AxisType>{kind}</AxisType><DataType>D</DataType><Increment>{step!r}</Increment>"
+        f"<Offset>{offset!r}</Offset></C{axis}>"
+        for axis, kind, step, offset in (
+            ("X", "I", step_x / _MM, x0 / _MM), ("Y", "I", step_y / _MM, first_y / _MM), ("Z", "A", 1.0, 0.0),
+        )
+    )  # fmt: skip
+    date = datetime.now(UTC).isoformat(timespec="seconds")
+    main = (
+        f'<?xml version="1.0" encoding="UTF-8"?>\n<p:ISO5436_2 xmlns:p="{_NAMESPACE}"><Record1>'
+        f"<Revision>ISO5436 - 2000</Revision><FeatureType>SUR</FeatureType><Axes>{axes}</Axes></Record1>"
+        f"<Record2><Date>{date}</Date><Creator>roemetry</Creator></Record2><Record3><MatrixDimension>"
+        f"<SizeX>{z.shape[1]}</SizeX><SizeY>{z.shape[0]}</SizeY><SizeZ>1</SizeZ></MatrixDimension><DataLink>"
+        "<PointDataLink>bindata/data.bin</PointDataLink><MD5ChecksumPointData>"
+        f"{hashlib.md5(data, usedforsecurity=False).hexdigest().upper()}</MD5ChecksumPointData></DataLink>"
+        "</Record3><Record4><ChecksumFile>md5checksum.hex</ChecksumFile></Record4></p:ISO5436_2>\n"
+    ).encode()
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("main.xml", main)
+        archive.writestr("bindata/data.bin", data)
+        sum_ = hashlib.md5(main, usedforsecurity=False).hexdigest().upper()
+        archive.writestr("md5checksum.hex", f"{sum_} *main.xml\n")
+    write_bytes(path, file.getvalue())
+    return [path]

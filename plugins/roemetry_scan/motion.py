@@ -1,0 +1,284 @@
+"""The belt's motion from a known body that it carries once through the light.
+
+Unknown are the motion t, mm per count, and the body's pose; camera and planes of light are the calibration's.
+A point p that the rig saw at the count c lies at q = p − t·c on the body, so the sum of squares of
+
+    the distances of all q from the body's surface
+
+is least at the true t (Gauss-Newton; derivatives by differences). A wrong t shears and stretches the body:
+balls become ellipsoids that lean, the faces of a frustum meet at other angles, and both are of another
+length. So one pass tells all three components, but only while the body is the one that is described.
+
+The covariance is that of the fit, with as many independent points as there are lengths over which their
+errors hang together, and of the calibration's own errors, each moved by one standard deviation. A body that
+is its own mirror image cannot tell which way the belt runs: `right` or `left` in the image has to be said.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from roemetry.errors import CalibrationError, RoemetryError
+from roemetry.records import Pyramid, ScanLines, SpherePlate, StripeMap
+from roemetry.records.arrays import Floats
+from roemetry.records.calibration import Calibration
+from roemetry.records.scan import Motion
+from roemetry.stages import Triangulator
+from roemetry_scan.belt import plane_of_belt
+from roemetry_scan.counting import counted
+from roemetry_scan.rows import placed, points_of_rows
+
+Distances = Callable[[Floats], Floats]
+"""Of points (n, 3) in the body's own frame: signed distances from its surface, mm."""
+
+_POINTS = 6000
+"""Points that are fitted: their own noise then is a hundredth of what calibrations allow."""
+_YAWS_DEG = range(-40, 45, 5)
+"""Turns that are tried first: squares and grids look alike every 90°."""
+_ROUNDS = 40
+_TOGETHER = 9.0
+"""Points whose errors hang together as one: three neighbouring rows in three neighbouring lines."""
+_FAR = 3.0
+"""Robust standard deviations from which a point belongs to nothing of the body: dirt, a base plate."""
+_RMS_MAX_SHARE = 0.01
+"""Of the body's height: a worse fit is another body, or a calibration that is none."""
+_PITCH_STD_MAX, _LEAN_STD_MAX_DEG = 0.002, 0.1
+"""Above these one pass did not tell the motion: relative, and of its direction."""
+_NEAR_MM = 0.3
+
+
+def measured_motion(
+    stripes: StripeMap,
+    lines: ScanLines,
+    calibration: Calibration,
+    triangulator: Triangulator[Any],
+    target: Pyramid | SpherePlate,
+    right: bool,
+) -> tuple[Motion, Mapping[str, float]]:
+    """Fit the motion; CalibrationError says why it could not be told."""
+    try:
+        found = counted(lines.count, lines.number)
+    except RoemetryError as error:
+        raise CalibrationError(f"the scan of the target: {error.message}", hint=error.hint) from error
+    # places are in counts of the counter's own direction, of which the motion is told
+    sign = float(np.sign(np.nansum(np.sign(np.diff(lines.count)))))
+    line = np.flatnonzero(found.used)
+    way = sign * found.way[line]
+    seen, index = _rig_points(stripes, line, calibration, triangulator)
+    start, pose, length = _started(seen, way[index], target, right)
+    surface = _surface_of(target)
+    unknowns = np.concatenate([start, pose])
+    unknowns, kept = _fitted(unknowns, seen, way[index], surface, length)
+    residual, slopes = _linearised(unknowns, seen[kept], way[index][kept], surface)
+    rms = float(np.sqrt(np.mean(residual**2)))
+    if not rms < _RMS_MAX_SHARE * _height(target):
+        raise CalibrationError(
+            f"the scan does not fit the {target.name}: its points lie {rms:.2g} mm (rms) off its surface",
+            hint="is the target the one that the rig file describes, and does the belt run the way it says?",
+        )
+    inverse = np.linalg.inv(slopes.T @ slopes)
+    covariance = rms**2 * _TOGETHER * inverse[:3, :3]
+    step_solve = inverse @ slopes.T
+    for step in calibration.independent_steps():
+        if not step.any():
+            continue
+        moved = calibration.shifted(step, triangulator.view)
+        try:
+            other = _rig_points(stripes, line, moved, triangulator)[0]
+        except RoemetryError:
+            continue
+        if other.shape != seen.shape:
+            continue
+        off, _ = _linearised(unknowns, other[kept], way[index][kept], surface, slopes=False)
+        change = -(step_solve @ (off - residual))[:3]
+        covariance = covariance + np.outer(change, change)
+    # the body's own lengths are known to their tolerance only
+    relative = target.tolerance_mm / math.sqrt(3.0) / length
+    covariance = covariance + relative**2 * np.outer(unknowns[:3], unknowns[:3])
+    motion = Motion(unknowns[:3], covariance)
+    size = float(np.sqrt(motion.mm_per_count @ motion.mm_per_count))
+    along = motion.mm_per_count / size
+    pitch_std = math.sqrt(float(along @ covariance @ along)) / size
+    across = covariance - np.outer(along, along) * float(along @ covariance @ along)
+    lean_std = math.degrees(math.sqrt(max(0.0, float(np.linalg.eigvalsh(across)[-1]))) / size)
+    if pitch_std > _PITCH_STD_MAX or lean_std > _LEAN_STD_MAX_DEG:
+        raise CalibrationError(
+            f"one pass of the {target.name} tells the belt's way to {pitch_std:.2%} and its direction to "
+            f"{lean_std:.2f}° only; {_PITCH_STD_MAX:.1%} and {_LEAN_STD_MAX_DEG:g}° are asked for",
+            hint="take a larger target, or lines that lie closer together",
+        )
+    return motion, {
+        "motion_rms_mm": rms,
+        "motion_points": float(kept.size),
+        "motion_pitch_std_percent": 100.0 * pitch_std,
+        "motion_direction_std_deg": lean_std,
+    }
+
+
+def _rig_points(
+    stripes: StripeMap, line: Any, calibration: Calibration, triangulator: Triangulator[Any]
+) -> tuple[Floats, Any]:
+    """Give (n, 3) points as the rig saw them, mm, and which of the lines each is of, thinned out evenly."""
+    per_line = calibration.stripe_count
+    middle = calibration.stripe_count // 2
+    at = line * per_line + middle
+    table = points_of_rows(calibration, triangulator)
+    x_px = stripes.x_px[at]
+    points, _ = placed(x_px, np.ones_like(x_px), table, middle, np.zeros((len(at), 3)))
+    index, row = np.nonzero(np.isfinite(x_px))
+    return points[index, row], index
+
+
+def _started(
+    seen: Floats, way: Floats, target: Pyramid | SpherePlate, right: bool
+) -> tuple[Floats, Floats, float]:
+    """Give a first motion and pose (turn vector, place) by the target's length, and that length, mm."""
+    length = _length(target)
+    # the belt's line stands still in the rig's frame: its plane there is that of the line alone
+    level = np.column_stack([way / max(np.ptp(way), 1.0) * 100.0, seen[:, 1:]])
+    plane = plane_of_belt(level, _NEAR_MM)
+    over = seen[:, 2] - plane[0] - level[:, :2] @ plane[1:]
+    on = over > 0.3 * _height(target)
+    if np.count_nonzero(on) < 100:
+        raise CalibrationError(
+            f"the {target.name} is not seen in the scan: {int(on.sum())} points rise above a third of its "
+            "height",
+            hint="carry it through the light as a whole, with bare belt before and behind it",
+        )
+    counts = float(np.ptp(np.quantile(way[on], [0.002, 0.998])))
+    if counts <= 0.0:
+        raise CalibrationError("the target is seen in one line only")
+    seen_length = _length_at(target, 0.3 * _height(target))
+    start = np.array([(1.0 if right else -1.0) * seen_length / counts, 0.0, 0.0])
+    placed_at = seen - way[:, None] * start
+    middle = 0.5 * (np.quantile(placed_at[on], 0.01, axis=0) + np.quantile(placed_at[on], 0.99, axis=0))
+    surface, some = _surface_of(target), np.flatnonzero(on)
+    some = some[:: max(1, some.size // 1500)]
+    best, least = np.zeros(6), np.inf
+    for yaw in _YAWS_DEG:
+        pose = np.array([0.0, 0.0, math.radians(yaw), middle[0], middle[1], plane[0]])
+        off = surface(_in_body(placed_at[some], pose))
+        score = float(np.median(np.abs(off)))
+        if score < least:
+            best, least = pose, score
+    return start, best, length
+
+
+def _fitted(
+    unknowns: Floats, seen: Floats, way: Floats, surface: Distances, length: float
+) -> tuple[Floats, Any]:
+    """Fit motion and pose; give them and the points that count."""
+    some = np.arange(len(seen))[:: max(1, len(seen) // (6 * _POINTS))]
+    limit = 0.1 * length
+    kept = some
+    for round_ in range(_ROUNDS):
+        off = surface(_in_body(seen[some] - way[some, None] * unknowns[:3], unknowns[3:]))
+        good = np.isfinite(off) & (np.abs(off) < limit)
+        if np.count_nonzero(good) < 200:
+            raise CalibrationError(
+                "the scan does not fit the target anywhere: another body, or the belt runs the other way"
+            )
+        kept = some[good]
+        kept = kept[:: max(1, kept.size // _POINTS)]
+        residual, slopes = _linearised(unknowns, seen[kept], way[kept], surface)
+        change, *_ = np.linalg.lstsq(slopes, -residual, rcond=1e-12)
+        unknowns = unknowns + change
+        spread = 1.4826 * float(np.median(np.abs(residual)))
+        limit = max(_FAR * spread, 0.8 * limit) if round_ < 15 else _FAR * spread
+        if round_ > 18 and np.abs(slopes @ change).max() < 1e-6:
+            break
+    return unknowns, kept
+
+
+def _linearised(
+    unknowns: Floats, seen: Floats, way: Floats, surface: Distances, *, slopes: bool = True
+) -> tuple[Floats, Floats]:
+    """Give distances, and their derivatives by the nine unknowns."""
+
+    def off(at: Floats) -> Floats:
+        return surface(_in_body(seen - way[:, None] * at[:3], at[3:]))
+
+    here = np.nan_to_num(off(unknowns))
+    if not slopes:
+        return here, np.empty((0, 9))
+    span = max(float(np.ptp(way)), 1.0)
+    steps = np.array([*[1e-3 / span] * 3, *[1e-5] * 3, *[1e-3] * 3])
+    found = np.empty((len(seen), 9))
+    for k, step in enumerate(steps):
+        ahead, behind = unknowns.copy(), unknowns.copy()
+        ahead[k] += step
+        behind[k] -= step
+        found[:, k] = (off(ahead) - off(behind)) / (2.0 * step)
+    return here, np.nan_to_num(found)
+
+
+def _in_body(points: Floats, pose: Floats) -> Floats:
+    import cv2
+
+    turn = np.asarray(cv2.Rodrigues(np.ascontiguousarray(pose[:3]))[0])
+    return np.asarray((points - pose[3:]) @ turn)
+
+
+def _surface_of(target: Pyramid | SpherePlate) -> Distances:
+    return _faces(target) if isinstance(target, Pyramid) else _balls(target)
+
+
+def _faces(target: Pyramid) -> Distances:
+    """Distances from a frustum's top and sides; NaN near the belt, where points are of both."""
+    lean = 0.5 * (target.base_mm - target.top_mm) / target.height_mm
+    size = math.hypot(1.0, lean)
+    normals = np.array([[0, 0, 1.0], *([sx / size, sy / size, lean / size] for sx, sy in _SIDES)])
+    offsets = np.array([target.height_mm, *[0.5 * target.base_mm / size] * 4])
+
+    def distances(points: Floats) -> Floats:
+        off = (points @ normals.T - offsets).max(axis=1)
+        return np.where(points[:, 2] > 0.1 * target.height_mm, off, np.nan)
+
+    return distances
+
+
+_SIDES = ((1, 0), (-1, 0), (0, 1), (0, -1))
+
+
+def _balls(target: SpherePlate) -> Distances:
+    """Distances from the nearest ball; NaN below a third of its upper half, where plate and rim are."""
+    radius = 0.5 * target.diameter_mm
+    first = -0.5 * target.pitch_mm * np.array([target.columns - 1, target.rows - 1])
+
+    def distances(points: Floats) -> Floats:
+        at = (points[:, :2] - first) / target.pitch_mm
+        nearest = np.clip(np.rint(at), 0, [target.columns - 1, target.rows - 1])
+        away = points.copy()
+        away[:, :2] -= first + target.pitch_mm * nearest
+        away[:, 2] -= target.centre_height_mm
+        off = np.sqrt((away**2).sum(axis=1)) - radius
+        return np.where(away[:, 2] > 0.33 * radius, off, np.nan)
+
+    return distances
+
+
+def _height(target: Pyramid | SpherePlate) -> float:
+    if isinstance(target, Pyramid):
+        return target.height_mm
+    return target.centre_height_mm + 0.5 * target.diameter_mm
+
+
+def _length(target: Pyramid | SpherePlate) -> float:
+    if isinstance(target, Pyramid):
+        return target.base_mm
+    return (target.columns - 1) * target.pitch_mm + target.diameter_mm
+
+
+def _length_at(target: Pyramid | SpherePlate, height_mm: float) -> float:
+    """Give the target's length along the belt where it is cut at a height, mm."""
+    if isinstance(target, Pyramid):
+        share = height_mm / target.height_mm
+        return target.base_mm + share * (target.top_mm - target.base_mm)
+    radius, over = 0.5 * target.diameter_mm, height_mm - target.centre_height_mm
+    # below its centre a ball hides itself
+    half = math.sqrt(max(radius**2 - max(over, 0.0) ** 2, 0.0))
+    return (target.columns - 1) * target.pitch_mm + 2.0 * half

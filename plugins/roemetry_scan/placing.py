@@ -1,0 +1,224 @@
+"""Lines of a scan to slices of products, by the belt's motion.
+
+Model. At the encoder count c the product has moved by t·(c − c₀) from where it was at the first line, with
+the motion t, mm per count, of the calibration. A point p that the rig sees then belongs at
+
+    q = p − t·(c − c₀)
+
+in the frame that moves with the product. The belt, too, is a plane there, spanned by t and by the belt's line
+in the light: it is fitted to what is seen of it, and Z = 0 is laid on it, so a belt that leans against the
+calibration's zero costs nothing. Lines are placed by count, never by number.
+
+With several stripes each is a scan of its own. Slices are made of the middle one; how far another one's
+heights lie ahead or behind on slopes is the way the product slipped against the counter between both.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import numpy as np
+
+from roemetry.errors import StageError
+from roemetry.records import Profiles, Pyramid, Reason, ScanFigures, ScanLines, SpherePlate, StripeMap
+from roemetry.records.arrays import Floats
+from roemetry.records.calibration import Calibration
+from roemetry.records.scan import Motion
+from roemetry.stages import Assembler, StageOptions, Triangulator
+from roemetry_scan.belt import BeltOptions, fitted_plane, frame_on, plane_of_belt, products_on
+from roemetry_scan.counting import counted
+from roemetry_scan.flanks import followed
+from roemetry_scan.motion import measured_motion
+from roemetry_scan.rows import placed, points_of_rows
+from roemetry_scan.slip import slip_of
+
+_NEAR_MM = 0.3
+"""Belt lies so near to its plane where its own scatter is not known yet, mm."""
+
+
+class BeltMotion(Assembler[BeltOptions]):
+    """Places lines by encoder counts, fits the belt in the moving frame, and numbers the products."""
+
+    Options: ClassVar[type[StageOptions]] = BeltOptions
+
+    def place(
+        self, stripes: StripeMap, lines: ScanLines, calibration: Calibration, triangulator: Triangulator[Any]
+    ) -> Profiles:
+        """Give the slices of the middle stripe in the moving frame, in the order in which they were taken."""
+        motion = motion_of(calibration)
+        found = counted(lines.count, lines.number)
+        per_line = stripes.stripe_count // len(lines.count)
+        middle = calibration.stripe_count // 2
+        first = middle if per_line > 1 else 0
+        seen = np.isfinite(stripes.x_px[first::per_line]).any(axis=1)
+        line = np.flatnonzero(found.used & seen)
+        if line.size < 3:
+            raise StageError(
+                f"{line.size} lines could be followed and placed, 3 are the least",
+                hint="look at the frames: is the laser on, and does the belt run?",
+            )
+        shift = found.way[line, None] * motion.mm_per_count
+        at = line * per_line + first
+        table = points_of_rows(calibration, triangulator)
+        x_px, x_std_px = stripes.x_px[at], stripes.x_std_px[at]
+        xyz_mm, height_std_mm = placed(x_px, x_std_px, table, middle, shift)
+        normal = table.plane[middle, :3]
+        plane = np.column_stack(
+            [np.broadcast_to(normal, (line.size, 3)), table.plane[middle, 3] - shift @ normal]
+        )
+        label = np.where(np.isnan(xyz_mm[..., 0]), -1, stripes.product[at]).astype(np.int16)
+        step_counts = float(np.median(np.diff(found.way[line])))
+        across = float(motion.mm_per_count @ normal)
+        pitch = abs(across) * step_counts
+        relative = math.sqrt(float(normal @ motion.covariance @ normal)) / abs(across)
+        figures = ScanFigures(
+            lines=len(lines.count), placed=line.size, lost=found.lost, repeated=found.repeated,
+            reversed=found.reversed, wraps=found.wraps,
+            unreadable=int(np.count_nonzero(found.used & ~seen)),
+            pitch_mm=pitch, pitch_rel_std=relative,
+            quantum_mm=float(np.sqrt(motion.mm_per_count @ motion.mm_per_count)),
+        )  # fmt: skip
+        reasons = (*found.reasons, *_unreadable(figures))
+        if per_line > 1:
+            lag_mm = _lags(table.plane, motion.mm_per_count, middle)
+            others = {
+                float(lag_mm[k]): placed(
+                    stripes.x_px[line * per_line + k], stripes.x_std_px[at], table, k, shift
+                )[0]
+                for k in range(per_line)
+                if k != middle
+            }
+            slip, said = slip_of(xyz_mm, others)
+            figures, reasons = replace(figures, slip_rel=slip), (*reasons, *said)
+        rows = stripes.rows
+        profiles = Profiles(
+            xyz_mm=xyz_mm,
+            product=label,
+            seen=stripes.seen[at] & (label >= 0),
+            x_px=x_px,
+            row_px=np.broadcast_to(np.arange(rows, dtype=np.float64), (line.size, rows)),
+            height_std_mm=height_std_mm,
+            stripe=found.place[line],
+            frame=line,
+            plane=plane,
+            reasons=reasons,
+            scan=figures,
+        )
+        on_belt = label == 0
+        if not on_belt.any():
+            return profiles
+        return self._with_flanks(_on_belt(profiles, fitted_plane(xyz_mm[on_belt])))
+
+    def label(self, profiles: Profiles, own: tuple[int, int] | None = None) -> Profiles:
+        """Lay Z = 0 on the belt that is seen, and number the products that begin in the own lines."""
+        known = np.isfinite(profiles.xyz_mm).all(axis=2)
+        if np.count_nonzero(known) < 3:
+            raise StageError(
+                "nothing is seen: every height is marked as not known",
+                hint="look at the sensor's invalid value and at the exposure",
+            )
+        noise = 0.0
+        if self.options.belt == "fit":
+            plane = plane_of_belt(profiles.xyz_mm[known], _NEAR_MM)
+            profiles = _on_belt(profiles, plane)
+        height = np.where(known, profiles.xyz_mm[..., 2], np.nan)
+        near = np.abs(height) < _NEAR_MM
+        if self.options.belt == "fit":
+            noise = 1.4826 * float(np.median(np.abs(height[near])))
+        steps = (_usual(profiles.xyz_mm, 0), _usual(profiles.xyz_mm, 1))
+        number = products_on(height, steps, noise, self.options)
+        if own is not None:
+            number = _owned(number, profiles.frame, own)
+        figures = profiles.scan
+        if figures is not None:
+            figures = replace(figures, jitter_mm=_jitter(height, number, noise))
+        found = replace(profiles, product=number, seen=profiles.seen & (number >= 0), scan=figures)
+        return self._with_flanks(found)
+
+    def _with_flanks(self, profiles: Profiles) -> Profiles:
+        """Add what is not seen of products' flanks."""
+        if not self.options.flanks:
+            return profiles
+        xyz_mm, label, added = followed(profiles.xyz_mm, profiles.product, profiles.plane)
+        return replace(profiles, xyz_mm=xyz_mm, product=label, seen=profiles.seen & ~added)
+
+    def motion(
+        self, stripes: StripeMap, lines: ScanLines, calibration: Calibration, triangulator: Triangulator[Any],
+        target: Pyramid | SpherePlate, *, right: bool = True,
+    ) -> tuple[Motion, Mapping[str, float]]:  # fmt: skip
+        """Measure the motion from one pass of a frustum or a ball plate."""
+        return measured_motion(stripes, lines, calibration, triangulator, target, right)
+
+
+def motion_of(calibration: Calibration) -> Motion:
+    """Give the calibration's motion in the belt frame; StageError where it has none."""
+    if calibration.motion is None:
+        raise StageError(
+            "the calibration does not know how the belt runs",
+            hint="add `scan` to the rig file, a known body carried once through the light, and calibrate",
+        )
+    return calibration.motion
+
+
+def _lags(plane: Floats, motion: Floats, middle: int) -> Floats:
+    """Give how far the belt runs from the middle stripe to each other one, mm, with its sign."""
+    size = float(np.sqrt(motion @ motion))
+    return np.asarray((plane[:, 3] - plane[middle, 3]) / (plane[:, :3] @ motion) * size)
+
+
+def _on_belt(profiles: Profiles, plane: Floats) -> Profiles:
+    """Lay Z = 0 on a plane z = a + b·x + c·y of the slices."""
+    turn, point = frame_on(plane)
+    normal = profiles.plane[:, :3]
+    return replace(
+        profiles,
+        xyz_mm=(profiles.xyz_mm - point) @ turn.T,
+        plane=np.column_stack([normal @ turn.T, profiles.plane[:, 3] - normal @ point]),
+    )
+
+
+def _usual(xyz_mm: Floats, axis: int) -> float:
+    """Give the usual distance of neighbours along slices' order (0) or along a slice (1), mm."""
+    some = xyz_mm[:, :: max(1, xyz_mm.shape[1] // 64)] if axis == 0 else xyz_mm[:: max(1, len(xyz_mm) // 64)]
+    steps = np.sqrt((np.diff(some[..., :2], axis=axis) ** 2).sum(axis=2))
+    steps = steps[np.isfinite(steps) & (steps > 0.0)]
+    return float(np.median(steps)) if steps.size else 1.0
+
+
+def _owned(number: Any, frame: Any, own: tuple[int, int]) -> Any:
+    """Leave the products that begin in the own lines, numbered anew; others belong to another part."""
+    kept = number.copy()
+    place = 0
+    for one in range(1, int(number.max(initial=0)) + 1):
+        on = number == one
+        begins = int(frame[np.flatnonzero(on.any(axis=1))[0]])
+        mine = own[0] <= begins < own[1]
+        place += mine
+        kept[on] = place if mine else -1
+    return kept
+
+
+def _jitter(height_mm: Floats, number: Any, noise_mm: float) -> float:
+    """Give how much the belt's height scatters from line to line beyond what its points' noise makes, mm."""
+    belt = np.where(number == 0, height_mm, np.nan)
+    many = np.isfinite(belt).sum(axis=1)
+    good = many >= 10
+    if np.count_nonzero(good) < 3:
+        return 0.0
+    mean = np.nanmean(belt[good], axis=1)
+    expected = noise_mm**2 * float(np.mean(1.0 / many[good]))
+    return math.sqrt(max(0.0, float(mean.var()) - expected))
+
+
+def _unreadable(figures: ScanFigures) -> tuple[Reason, ...]:
+    if not figures.unreadable:
+        return ()
+    return (
+        Reason(
+            "lines-unreadable",
+            f"in {figures.unreadable} of {figures.lines} frames no line could be followed: not seen there",
+        ),
+    )

@@ -1,0 +1,284 @@
+"""The source `belt-scan`: lines of belt scans with their encoder counts, one part of a belt at a time.
+
+A scan is a folder of frames, an image of frames stacked one below the other, or a video. Counts stand in a
+CSV file beside it (in a folder: `counts.csv`; else the scan's name with the suffix `.csv`) or in the names of
+a folder's frames. The columns are `encoder_count`, and where known `frame_number`; of a folder also `file`,
+without which lines are the frames in the order of their names.
+
+A long belt is cut into parts that overlap by the longest product: a product belongs to the part in which it
+begins. So memory is bounded by the part, parts may be measured by several processes, and each can be read
+again by itself.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from pydantic import Field, field_validator
+
+from roemetry.errors import DataError
+from roemetry.io.files import is_file
+from roemetry.records import Acquisition, AcquisitionReference, Frame, ScanLines
+from roemetry.stages import Capabilities, Source, StageOptions
+
+_IMAGES = (".png", ".tif", ".tiff", ".bmp", ".pgm", ".jpg", ".jpeg")
+_VIDEOS = (".avi", ".mp4", ".mkv", ".mov")
+_COUNT, _NUMBER, _FILE = "encoder_count", "frame_number", "file"
+_LOOK_BACK = 2
+"""Lines before a part's own: enough to see that a product has begun before."""
+
+
+class BeltScanOptions(StageOptions):
+    """Options of `BeltScan`."""
+
+    name_pattern: str = Field(
+        default=r"c(?P<count>-?\d+)",
+        description="regular expression that finds `count`, and perhaps `frame`, in a frame's name, where a "
+        "folder has no counts.csv",
+    )
+    part_lines: int = Field(default=2000, ge=10, description="lines in which the products of a part begin")
+    longest_product_lines: int = Field(
+        default=1000, ge=3, description="lines of the longest product: parts overlap by so many"
+    )
+
+    @field_validator("name_pattern")
+    @classmethod
+    def _has_a_count(cls, pattern: str) -> str:
+        try:
+            named = re.compile(pattern).groupindex
+        except re.error as error:
+            raise ValueError(f"not a regular expression: {error}") from None
+        if "count" not in named:
+            raise ValueError("expected a group (?P<count>…)")
+        return pattern
+
+
+@dataclass(frozen=True, slots=True)
+class ScanReference(AcquisitionReference):
+    """A part of a scan."""
+
+    scan: Path
+    begin: int
+    end: int
+    own: tuple[int, int]
+    """begin, end: its lines within the scan, the last one not included; own: as in `ScanLines`."""
+
+
+class BeltScan(Source[BeltScanOptions]):
+    """Reads scans of a moving belt."""
+
+    Options: ClassVar[type[StageOptions]] = BeltScanOptions
+    capabilities = Capabilities(fixture="roemetry_scan.conformance:two_scans")
+    gives = "lines"
+
+    def references(self, path: Path) -> Sequence[AcquisitionReference]:
+        """List the parts of every scan that a path or pattern names; DataError where there is none."""
+        found: list[AcquisitionReference] = []
+        for scan in _scans(path):
+            lines = len(_table(scan, self.options.name_pattern).count)
+            step = self.options.part_lines
+            parts = max(1, math.ceil((lines - self.options.longest_product_lines) / step))
+            for part in range(parts):
+                first = part * step
+                last = lines if part == parts - 1 else first + step
+                begin = max(0, first - _LOOK_BACK)
+                end = min(lines, last + self.options.longest_product_lines)
+                name = scan.stem if parts == 1 else f"{scan.stem}_part{part + 1:03d}"
+                files = {"laser": scan} if scan.is_file() else {}
+                found.append(
+                    ScanReference(name, files, scan, begin, end, (first - begin, last - begin))  # type: ignore[arg-type]
+                )
+        return found
+
+    def read(self, reference: AcquisitionReference) -> Acquisition:
+        """Give the lines of a part; frames are read when they are asked for."""
+        if not isinstance(reference, ScanReference):
+            raise DataError(f"{reference.id}: no part of a scan")
+        table = _table(reference.scan, self.options.name_pattern)
+        begin, end = reference.begin, reference.end
+        lines = ScanLines(
+            _Reader(reference.scan, table, begin), table.count[begin:end], table.number[begin:end],
+            reference.own, begin,
+        )  # fmt: skip
+        return Acquisition(reference.id, (), lines=lines)
+
+
+@dataclass(frozen=True, eq=False)
+class _Table:
+    """What is known of a scan's lines."""
+
+    count: Any
+    number: Any
+    files: tuple[Path, ...]
+    """Of a folder: its frames."""
+
+
+@dataclass(frozen=True)
+class _Reader:
+    """Reads a line's frame; what was opened for one is kept for the next."""
+
+    scan: Path
+    table: _Table
+    begin: int
+
+    def __call__(self, line: int) -> Frame:
+        at = self.begin + line
+        if self.table.files:
+            path = self.table.files[at]
+            return _frame(_decoded(path), path.name)
+        if self.scan.suffix.lower() in _VIDEOS:
+            return _frame(_video(self.scan)(at), f"{self.scan.name}, frame {at}")
+        whole = _tall(self.scan)
+        rows = whole.shape[0] // len(self.table.count)
+        if rows * len(self.table.count) != whole.shape[0]:
+            raise DataError(
+                f"{self.scan}: {whole.shape[0]} rows are no whole number of frames for the "
+                f"{len(self.table.count)} lines of {self.scan.with_suffix('.csv').name}"
+            )
+        return _frame(whole[at * rows : (at + 1) * rows], f"{self.scan.name}, frame {at}")
+
+
+def _frame(pixels: Any, name: str) -> Frame:
+    return Frame(pixels, name=name, bit_depth=8 * pixels.dtype.itemsize)
+
+
+def _decoded(path: Path) -> Any:
+    import cv2
+
+    try:
+        data = np.fromfile(path, np.uint8)
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read ({error.strerror})") from error
+    # OpenCV decodes a PNG as far as it goes, and fills up with black
+    cut = path.suffix.lower() == ".png" and data[-8:-4].tobytes() != b"IEND"
+    image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size and not cut else None
+    if image is None:
+        raise DataError(f"{path}: not an image, cut off, or damaged")
+    return image
+
+
+@lru_cache(maxsize=1)
+def _tall(path: Path) -> Any:
+    return _decoded(path)
+
+
+@lru_cache(maxsize=1)
+def _video(path: Path) -> Callable[[int], Any]:
+    import cv2
+
+    film = cv2.VideoCapture(str(path))
+    if not film.isOpened():
+        raise DataError(f"{path}: not a video that can be read")
+    state = {"next": 0}
+
+    def frame(at: int) -> Any:
+        if state["next"] != at:
+            film.set(cv2.CAP_PROP_POS_FRAMES, at)
+        good, image = film.read()
+        state["next"] = at + 1
+        if not good:
+            raise DataError(f"{path}: frame {at} cannot be read: the video ends, or is damaged")
+        return image
+
+    return frame
+
+
+def _scans(path: Path) -> list[Path]:
+    """Give every scan that a path or pattern names, in order."""
+    if path.is_dir() and any(_is_scan(one) for one in path.iterdir() if one.is_dir()):
+        found = [one for one in sorted(path.iterdir()) if _is_scan(one)]
+    elif path.exists():
+        found = [path] if _is_scan(path) else []
+    else:
+        whole = path.absolute()
+        try:
+            found = sorted(Path(whole.anchor).glob(str(whole.relative_to(whole.anchor))))
+        except ValueError:
+            found = []
+        found = [one for one in found if _is_scan(one)]
+    if path.is_dir() and not found:  # tall images or videos in one folder
+        found = [one for one in sorted(path.iterdir()) if one.is_file() and _is_scan(one)]
+    if not found:
+        raise DataError(
+            f"{path}: there is no scan",
+            hint="a folder of frames, or an image of stacked frames or a video with a CSV file of the same "
+            "name beside it",
+        )
+    return found
+
+
+def _is_scan(path: Path) -> bool:
+    if path.is_dir():
+        return bool(_frames_in(path))
+    suffix = path.suffix.lower()
+    return suffix in (*_IMAGES, *_VIDEOS) and is_file(path.with_suffix(".csv"))
+
+
+def _frames_in(folder: Path) -> list[Path]:
+    images = [one for one in folder.iterdir() if one.suffix.lower() in _IMAGES]
+    if any(is_file(one.with_suffix(".csv")) for one in images):
+        return []  # these are scans themselves
+    return sorted(
+        images, key=lambda one: [int(k) if k.isdigit() else k for k in re.split(r"(\d+)", one.name)]
+    )
+
+
+def _table(scan: Path, pattern: str) -> _Table:
+    """Read counts and numbers of a scan's lines; DataError with the file's line where that fails."""
+    folder = scan.is_dir()
+    path = scan / "counts.csv" if folder else scan.with_suffix(".csv")
+    if folder and not is_file(path):
+        return _by_names(scan, pattern)
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise DataError(f"{path}: cannot be read: {error}") from error
+    reader = csv.DictReader(io.StringIO(text))
+    if _COUNT not in (reader.fieldnames or ()):
+        raise DataError(
+            f"{path}: no column `{_COUNT}`; it has {', '.join(reader.fieldnames or ()) or 'none'}",
+            hint="lines are placed by encoder counts; a header line names the columns",
+        )
+    rows = list(reader)
+    count = np.array([_number(path, k, row, _COUNT) for k, row in enumerate(rows)])
+    number = np.array([_number(path, k, row, _NUMBER) for k, row in enumerate(rows)])
+    number = np.where(np.isfinite(number), number, np.arange(len(rows))).astype(np.int64)
+    files: tuple[Path, ...] = ()
+    if folder:
+        named = [row.get(_FILE) or "" for row in rows]
+        files = tuple(scan / name for name in named) if all(named) else tuple(_frames_in(scan))
+        if len(files) != len(rows):
+            raise DataError(f"{path}: {len(rows)} lines for {len(files)} frames in the folder")
+    if not rows:
+        raise DataError(f"{path}: there is no line in it")
+    return _Table(count, number, files)
+
+
+def _by_names(scan: Path, pattern: str) -> _Table:
+    """Take counts and numbers from the names of frames; NaN where a name has none."""
+    files = tuple(_frames_in(scan))
+    found = [re.search(pattern, one.stem) for one in files]
+    count = np.array([math.nan if one is None else float(one["count"]) for one in found])
+    numbers = [one.groupdict().get("frame") if one is not None else None for one in found]
+    known = all(number is not None for number in numbers)
+    number = np.array([int(one or 0) for one in numbers] if known else np.arange(len(files)), np.int64)
+    return _Table(count, number, files)
+
+
+def _number(path: Path, line: int, row: dict[str, Any], column: str) -> float:
+    text = row.get(column)
+    if text is None or not str(text).strip():
+        return math.nan
+    try:
+        return float(text)
+    except ValueError:
+        raise DataError(f"{path}, line {line + 2}: {column} is {text!r}, expected a number") from None

@@ -1,0 +1,299 @@
+"""The simulator `moving-belt`: frames of stripes over a product that a belt carries through the light.
+
+The product stands still in its own frame; camera, projector and planes of light run by −t·c past it at the
+encoder count c. Where a plane of light shows in an image row is found without an image: of the plane, the
+camera sees in that row a straight line (with a lens that distorts, found again at where it was met), which is
+followed downwards to the body's surface or the belt; the point counts if projector and camera both see it.
+
+    x(row) exact,    grey(column) = b + A·cos i·exp(−(column − x)² / 2s²)·grain
+
+with the angle of incidence i and the line's width s in px: a thousandth of the time of the ray caster, with
+the same geometry and the same noise of the sensor. Left out: texture, gloss, blur at edges, reflections.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from functools import cached_property, partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from roemetry.config.scene_parts import Part, family_options
+from roemetry.records import Frame, ProductTruth, Simulated, Truth
+from roemetry.records import Sensor as Noise
+from roemetry.stages import Simulator, Turn
+from roemetry_kernels.compiling import kernel
+from roemetry_simulate.optics import camera_ray
+from roemetry_simulate.products import MODELS, PRODUCTS, Drawn
+from roemetry_simulate.raycast import AnyBody, first_hit_in, normal_at, sees_in
+from roemetry_simulate.render import Rig
+from roemetry_simulate.scene import RayCasterOptions, rig_of
+from roemetry_simulate.solid import EmptyBelt, Solid
+from roemetry_simulate.targets import calibration_truth_of, take_target
+
+Floats = NDArray[np.float64]
+
+_BESIDE_PX = 20.0
+"""Half the distance of the two places that give a row's line in the plane of light, px."""
+
+
+class ScanPart(Part):
+    """How the belt runs, and when frames are taken."""
+
+    mm_per_count: tuple[float, float] = Field(
+        default=(0.02, 0.0), description="way of the product for each encoder count along X and Y, mm"
+    )
+    counts_per_line: int = Field(default=25, ge=1, description="encoder counts from frame to frame")
+    lead_mm: float = Field(default=6.0, ge=0, description="bare belt before and behind the product, mm")
+    first_count: int = Field(default=0, description="count of the first frame")
+    wrap_bits: int = Field(default=0, ge=0, le=32, description="bits of the counter; 0: it never overflows")
+    jitter_mm: float = Field(
+        default=0.0, ge=0, description="the belt's height scatters by, from frame to frame, mm"
+    )
+    slip_share: float = Field(
+        default=0.0, gt=-1, lt=1, description="in the middle third the product goes so much further"
+    )
+    line_sigma_px: float = Field(default=1.6, gt=0, description="width of the line (standard deviation), px")
+
+
+class MovingBeltOptions(RayCasterOptions):
+    """A scene whose product moves."""
+
+    scan: ScanPart = Field(default_factory=ScanPart, description="the belt and the frames")
+
+
+class MovingBelt(Simulator[MovingBeltOptions]):
+    """Makes scans: frames one below the other in one tall image, with their counts."""
+
+    Options = MovingBeltOptions
+
+    def simulate(self, number: int, seed: int) -> Simulated:
+        """Make one product's scan; the frames are one image of role laser, `lines` says their counts."""
+        drawn = self.drawn(number, seed)
+        frames = [frame for _, _, frame in self.frames(drawn, seed + number)]
+        counts, _ = self.belt(drawn, seed + number)
+        tall = Frame(np.vstack(frames), bit_depth=self.options.camera.bit_depth, sensor=self.sensor())
+        truth = Truth((self._truth(drawn),))
+        return Simulated((tall,), truth, counts=self.shown(counts))
+
+    def drawn(self, number: int, seed: int) -> Drawn | None:
+        """Draw the product of an item; None for an empty belt."""
+        part = self.options.product
+        if part.family not in PRODUCTS:
+            return None
+        chosen = part.items[number] if number < len(part.items) else None
+        own = seed + number if chosen is None else chosen.seed
+        options = family_options(
+            part.family, part.options | ({} if chosen is None else chosen.options), MODELS
+        )
+        return PRODUCTS[part.family].draw(own, options)
+
+    def belt(self, drawn: Drawn | None, seed: int) -> tuple[NDArray[np.int64], Floats]:
+        """Give (line,) counts, and (line, 3) by how much the product has moved since it lay at X = 0, mm."""
+        scan = self.options.scan
+        extent = (-1.0, 1.0, -1.0, 1.0) if drawn is None else drawn.solid.footprint_extent_mm()
+        low, high = extent[0] - scan.lead_mm, extent[1] + scan.lead_mm
+        feet = self._rig.laser.x_mm(0.0, 0.0)
+        way = math.copysign(1.0, scan.mm_per_count[0])
+        # the product's near end has to come to the first plane, its far end to pass the last
+        begin, end = (
+            (feet.min() - high, feet.max() - low) if way > 0 else (feet.max() - low, feet.min() - high)
+        )
+        step = scan.counts_per_line * scan.mm_per_count[0]
+        lines = math.ceil((end - begin) / step) + 1
+        counts = scan.counts_per_line * np.arange(lines)
+        along = np.full(lines, 1.0)
+        along[lines // 3 : 2 * lines // 3] += scan.slip_share
+        gone = np.concatenate([[0.0], np.cumsum(along[1:])]) * scan.counts_per_line
+        moved = np.column_stack(
+            [begin + gone * scan.mm_per_count[0], gone * scan.mm_per_count[1], np.zeros(lines)]
+        )
+        if scan.jitter_mm:
+            moved[:, 2] = np.random.default_rng([seed, 83]).normal(0.0, scan.jitter_mm, lines)
+        return counts, moved
+
+    def shown(self, counts: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Give what a counter of so many bits shows."""
+        scan = self.options.scan
+        shifted = counts + scan.first_count
+        return shifted % (1 << scan.wrap_bits) if scan.wrap_bits else shifted
+
+    def crossings(self, drawn: Drawn | None, seed: int) -> Iterator[tuple[Floats, Floats]]:
+        """Give of each line (stripe, row) where it shows, px, NaN nowhere, and how brightly, 0 to 1."""
+        solid: Solid = EmptyBelt() if drawn is None else drawn.solid
+        body, camera, laser = solid.body(), self._rig.camera, self._rig.laser
+        for shift in self.belt(drawn, seed)[1]:
+            packed = camera.packed()
+            packed[:3] -= shift
+            offsets = laser.offsets_mm - laser.normals @ shift
+            yield _cross(
+                body, packed, camera.rotation, laser.projector_mm - shift, laser.normals, offsets,
+                camera.height_px, camera.width_px, camera.distorts,
+            )  # fmt: skip
+
+    def frames(self, drawn: Drawn | None, seed: int) -> Iterator[tuple[Floats, Floats, NDArray[Any]]]:
+        """Give of each line where it shows, how brightly, and the frame."""
+        rng = np.random.default_rng([seed, 89])
+        options, sensor = self.options, self._rig.sensor
+        white = 2**sensor.bit_depth - 1
+        grey = self._rig.laser.peak_grey * options.surface.albedo_laser
+        for x_px, bright in self.crossings(drawn, seed):
+            light = np.full((self._rig.camera.height_px, self._rig.camera.width_px), self._rig.ambient_grey)
+            _draw(x_px, bright * grey[:, None], options.scan.line_sigma_px, light)
+            if sensor.speckle_contrast:
+                grain = 1.0 + sensor.speckle_contrast * rng.standard_normal(light.shape)
+                light = np.maximum(light + (light - self._rig.ambient_grey) * (grain - 1.0), 0.0)
+            # shot noise of many electrons and the read noise are one normal number
+            spread = np.sqrt(light * sensor.grey_per_electron + sensor.read_noise_grey**2)
+            seen = light + sensor.black_level_grey + spread * rng.standard_normal(light.shape)
+            kind = np.uint8 if sensor.bit_depth <= 8 else np.uint16
+            yield x_px, bright, np.clip(np.floor(seen + 0.5), 0, white).astype(kind)
+
+    def calibration_frames(self, seed: int) -> Mapping[str, Mapping[str, Frame]]:
+        """Give the images that the ray caster makes of the still targets."""
+        return self.options.targets.views(partial(take_target, self.options, self._rig, seed))
+
+    def turn_deg(self) -> Turn:
+        """Give the turn that rights its images: none."""
+        return 0
+
+    def sensor(self) -> Noise:
+        """Give the noise of the scene's camera."""
+        return Noise(self._rig.sensor.grey_per_electron, self._rig.sensor.read_noise_grey)
+
+    def calibration_truth(self, seed: int) -> Mapping[str, Any]:
+        """Give the true rig, where each target lay, and how the belt runs."""
+        scan = self.options.scan
+        return {
+            **calibration_truth_of(self.options, self._rig, seed),
+            "mm_per_count": [*scan.mm_per_count, 0.0],
+        }
+
+    @property
+    def rig(self) -> Rig:
+        """The rig that the scene describes."""
+        return self._rig
+
+    @cached_property
+    def _rig(self) -> Rig:
+        return rig_of(self.options)
+
+    @staticmethod
+    def _truth(drawn: Drawn | None) -> ProductTruth:
+        return ProductTruth() if drawn is None else drawn.truth
+
+
+@kernel
+def _cross(
+    body: AnyBody, pinhole: Floats, rotation: Floats, projector: Floats, normals: Floats, offsets: Floats,
+    rows: int, columns: int, distorts: bool,
+) -> tuple[Floats, Floats]:  # fmt: skip
+    count = offsets.size
+    found, bright = np.full((count, rows), np.nan), np.zeros((count, rows))
+    near, far, d, o = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3)
+    view, point, normal, beam, scratch = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3)
+    reach = body.reach
+    top = max(reach[5], 0.0) + 1.0
+    for i in range(count):
+        n, offset = normals[i], offsets[i]
+        guess = 0.5 * columns
+        for row in range(rows):
+            x = guess
+            good = True
+            for _ in range(3 if distorts else 1):
+                _lift(pinhole, rotation, n, offset, x - _BESIDE_PX, row, view, near)
+                _lift(pinhole, rotation, n, offset, x + _BESIDE_PX, row, view, far)
+                length = 0.0
+                for k in range(3):
+                    d[k] = far[k] - near[k]
+                    length += d[k] * d[k]
+                length = math.sqrt(length)
+                if d[2] > 0.0:
+                    length = -length
+                for k in range(3):
+                    d[k] /= length
+                if d[2] > -1e-6:
+                    good = False
+                    break
+                for k in range(3):
+                    o[k] = near[k] + (top - near[2]) / d[2] * d[k]
+                on = first_hit_in(body, reach, o, d, 1e-9, point)
+                if on < 0:
+                    good = False
+                    break
+                x = _column(pinhole, rotation, point, row, x)
+            if not good or not (-0.5 <= x < columns - 0.5):
+                continue
+            guess = x
+            normal_at(body, on, point, normal)
+            if sees_in(body, reach, point, normal, pinhole[:3], beam, scratch) <= 0.0:
+                continue
+            light = sees_in(body, reach, point, normal, projector, beam, scratch)
+            if light > 0.0:
+                found[i, row], bright[i, row] = x, light
+    return found, bright
+
+
+@kernel
+def _lift(
+    pinhole: Floats, rotation: Floats, n: Floats, offset: float, x_px: float, row: float, view: Floats,
+    out: Floats,
+) -> None:  # fmt: skip
+    """Write where a pixel's ray meets a plane of light."""
+    camera_ray(pinhole, rotation, x_px, row, view)
+    over, along = offset, 0.0
+    for k in range(3):
+        over -= n[k] * pinhole[k]
+        along += n[k] * view[k]
+    for k in range(3):
+        out[k] = pinhole[k] + over / along * view[k]
+
+
+@kernel
+def _column(pinhole: Floats, rotation: Floats, point: Floats, row: float, start: float) -> float:
+    """Give the column in which a row's rays come nearest to a point, by Newton's steps along the row."""
+    view, other = np.zeros(3), np.zeros(3)
+    x = start
+    # the direction to the point, turned into the camera, as a ratio x / z
+    to = np.zeros(3)
+    for k in range(3):
+        to[k] = point[k] - pinhole[k]
+    wanted = _ratio(rotation, to)
+    for _ in range(20):
+        camera_ray(pinhole, rotation, x, row, view)
+        camera_ray(pinhole, rotation, x + 1.0, row, other)
+        here, ahead = _ratio(rotation, view), _ratio(rotation, other)
+        step = (wanted - here) / (ahead - here)
+        x += step
+        if abs(step) < 1e-10:
+            break
+    return x
+
+
+@kernel
+def _ratio(rotation: Floats, way: Floats) -> float:
+    """Give x over z of a direction in the camera's frame."""
+    x = z = 0.0
+    for k in range(3):
+        x += rotation[k, 0] * way[k]
+        z += rotation[k, 2] * way[k]
+    return x / z
+
+
+@kernel
+def _draw(x_px: Floats, grey: Floats, sigma: float, image: Floats) -> None:
+    """Add each line's light to an image."""
+    reach = math.ceil(5.0 * sigma)
+    for i in range(x_px.shape[0]):
+        for row in range(x_px.shape[1]):
+            x = x_px[i, row]
+            if math.isnan(x):
+                continue
+            middle = math.floor(x + 0.5)
+            for k in range(max(middle - reach, 0), min(middle + reach + 1, image.shape[1])):
+                off = (k - x) / sigma
+                image[row, k] += grey[i, row] * math.exp(-0.5 * off * off)

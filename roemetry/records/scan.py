@@ -1,0 +1,73 @@
+"""Scans: how the belt moves, and what was noticed of the lines."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from roemetry.records.arrays import Checker, Floats
+from roemetry.records.display import Shown
+
+
+@dataclass(frozen=True, eq=False, repr=False, slots=True)
+class Motion(Shown):
+    """The product's way for each encoder count, in the belt frame of the calibration it belongs to."""
+
+    mm_per_count: Floats
+    """(3,) mm; its Z is not 0 where the calibration's belt plane leans against the way the belt runs."""
+    covariance: Floats
+    """(3, 3) mm²."""
+
+    def __post_init__(self) -> None:
+        check = Checker(self)
+        vector = check.array("mm_per_count", np.float64, (3,))
+        covariance = check.array("covariance", np.float64, (3, 3))
+        sound = bool(np.isfinite(vector).all() and np.isfinite(covariance).all())
+        check.require(sound and bool(np.abs(vector).max(initial=0.0) > 0), "the motion is zero or not finite")
+        check.finish()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers, as they stand in a calibration file."""
+        return {"mm_per_count": self.mm_per_count.tolist(), "covariance": self.covariance.tolist()}
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Motion:
+        """Read what `to_dict` wrote; KeyError, ValueError or DataError where it is damaged."""
+        return cls(np.array(data["mm_per_count"], np.float64), np.array(data["covariance"], np.float64))
+
+
+@dataclass(frozen=True, slots=True)
+class ScanFigures:
+    """What placing the lines of a scan came to."""
+
+    lines: int
+    placed: int
+    lost: int = 0
+    repeated: int = 0
+    reversed: int = 0
+    wraps: int = 0
+    unreadable: int = 0
+    """lines, placed, …: how many frames there are; how many became slices; places between them at which no
+    line was taken; lines taken while the belt stood; while it ran backwards, until it had made up for that;
+    overflows of the counter; frames in which no line could be followed."""
+    pitch_mm: float = math.nan
+    """Distance of neighbouring slices, perpendicular to the plane of light, mm."""
+    pitch_rel_std: float = 0.0
+    """Relative standard uncertainty of that by the motion's covariance."""
+    quantum_mm: float = 0.0
+    """The belt's way for one encoder count, mm."""
+    jitter_mm: float = 0.0
+    """Scatter of the belt's height from line to line beyond its points' noise, mm (standard deviation)."""
+    registration_mm: float = 0.0
+    """Of two heads: standard uncertainty of the height of one against the other, mm."""
+    slip_rel: float = math.nan
+    """Relative scatter of the belt's way against the counter, by the disagreement of several lines; NaN for
+    a single line, which cannot tell."""
+
+    def to_dict(self) -> dict[str, float]:
+        """Plain numbers by name."""
+        return {name: getattr(self, name) for name in self.__slots__}

@@ -1,0 +1,115 @@
+"""Heights and points in files: read back as written, and refused where they are damaged."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from roemetry.config.recipe import Recipe
+from roemetry.errors import DataError, RoemetryError
+from roemetry.run.pipeline import Pipeline
+from roemetry_scan.formats import read, write
+from roemetry_scan.formats.points import Measured, profiles_of
+
+CLOUDS, GRIDS = ("ply", "pcd", "las", "csv"), ("tif", "npy", "png", "x3p")
+
+
+def dome() -> Measured:
+    """A dome of 12 mm on a belt, in slices of 0.5 mm, with a place where nothing is known."""
+    x, y = np.meshgrid(np.arange(0.0, 40.0, 0.5), np.arange(30.0, 0.0, -0.25), indexing="ij")
+    z = 12.0 - ((x - 20.0) / 4.0) ** 2 - ((y - 15.0) / 3.0) ** 2
+    xyz = np.stack([x, y, np.maximum(z, 0.0)], axis=-1)
+    xyz[3:5, 7] = np.nan
+    return Measured(xyz, np.isfinite(xyz[..., 0]))
+
+
+def volume(path: Path, **options: object) -> float:
+    recipe = Recipe.of(
+        {
+            "roemetry": 1,
+            "product": "a dome",
+            "source": {"use": "height-files", "path": path.name, "options": options},
+            "stages": {"volume": "dense-slices"},
+        },
+        folder=path.parent,
+    )
+    trace = Pipeline(recipe, draws=0, debug=True).trace(recipe.source.make().read(recipe.references()[0]))
+    assert len(trace.products) == 1
+    found = trace.products[0].volume
+    assert found is not None
+    return found.visible_mm3.value
+
+
+@pytest.mark.parametrize("suffix", CLOUDS)
+def test_clouds_keep_their_slices(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"a.{suffix}"
+    write(path, dome())
+    again = read(path)
+    assert again.xyz_mm.ndim == 3
+    known = np.isfinite(again.xyz_mm).all(axis=2)
+    assert np.abs(again.xyz_mm[known] - dome().xyz_mm[np.isfinite(dome().xyz_mm).all(axis=2)]).max() < 1e-4
+
+
+@pytest.mark.parametrize("suffix", CLOUDS + GRIDS)
+def test_the_volume_of_a_file_is_that_of_the_body(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"a.{suffix}"
+    write(path, dome())
+    # an elliptic paraboloid: half of base area times height
+    true = 0.5 * np.pi * (4.0 * np.sqrt(12.0)) * (3.0 * np.sqrt(12.0)) * 12.0
+    assert abs(volume(path) / true - 1.0) < 2e-3
+
+
+@pytest.mark.parametrize("suffix", CLOUDS + GRIDS)
+def test_a_file_that_is_cut_off_is_refused(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"a.{suffix}"
+    write(path, dome())
+    data = path.read_bytes()
+    for share in (0.0, 0.01, 0.5, 0.97):
+        path.write_bytes(data[: int(share * len(data))])
+        if suffix == "csv" and share > 0.01:
+            continue  # a table has no header that says how long it is
+        with pytest.raises(RoemetryError, match="a\\."):
+            read(path)
+
+
+def test_metres_are_noticed_by_the_extent(tmp_path: Path) -> None:
+    path = tmp_path / "a.ply"
+    write(path, Measured(dome().xyz_mm / 1000.0))
+    with pytest.raises(DataError, match="metres"):
+        volume(path)
+    assert volume(path, unit="m") > 0
+
+
+def test_a_map_of_nothing_is_refused() -> None:
+    with pytest.raises(DataError, match="not known"):
+        profiles_of(Measured(np.full((10, 20, 3), np.nan)), None, "map")
+
+
+def test_a_cloud_without_slices_is_laid_on_a_grid(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    points = dome().xyz_mm.reshape(-1, 3)
+    points = points[np.isfinite(points[:, 0])]
+    path.write_text("x,y,z\n" + "".join(f"{x},{y},{z}\n" for x, y, z in points))
+    true = 0.5 * np.pi * 48.0 * 3.0 * 12.0
+    assert abs(volume(path, pixel_mm=0.5) / true - 1.0) < 0.01
+
+
+def test_a_turned_map_has_the_same_volume(tmp_path: Path) -> None:
+    path = tmp_path / "a.ply"
+    write(path, dome())
+    assert abs(volume(path, turn=90) / volume(path) - 1.0) < 5e-3
+
+
+def test_coord3d_frames_are_read_by_their_sidecar(tmp_path: Path) -> None:
+    xyz = np.nan_to_num(dome().xyz_mm.transpose(1, 0, 2), nan=-1.0)
+    np.save(tmp_path / "a.npy", ((xyz + 5.0) / 0.01).astype(np.uint16))
+    axis = "{scale: 0.01, offset: -5}"
+    (tmp_path / "a.yaml").write_text(
+        f"pixel_format: Coord3D_ABC16\nx: {axis}\ny: {axis}\nz: {axis}\nno_data: 400\n"
+    )
+    found = read(tmp_path / "a.npy").xyz_mm
+    known = np.isfinite(dome().xyz_mm)
+    assert np.abs(found - dome().xyz_mm)[known].max() < 0.01
+    assert np.isnan(found[3, 7]).all()
