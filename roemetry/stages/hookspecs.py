@@ -51,6 +51,8 @@ KINDS = (
     "sink",
     "simulator",
     "planner",
+    "feed",
+    "outlet",
 )
 
 hookspec = pluggy.HookspecMarker(PROJECT)
