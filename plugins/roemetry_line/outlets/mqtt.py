@@ -6,7 +6,7 @@ import json
 import ssl
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Literal
 
@@ -77,7 +77,8 @@ class Mqtt(Outlet[MqttOptions]):
                 raise self._unreachable(f"the broker refuses: {session.refused}")
             client.publish(f"{self.options.topic}/online", "1", qos=1, retain=True)
             yield lambda rows: self._deliver(client, session, rows)
-            client.publish(f"{self.options.topic}/online", "0", qos=1, retain=True).wait_for_publish(1.0)
+            with suppress(RuntimeError, ValueError):  # the connection is gone: the last will says it
+                client.publish(f"{self.options.topic}/online", "0", qos=1, retain=True).wait_for_publish(1.0)
         finally:
             client.disconnect()
             client.loop_stop()
