@@ -170,11 +170,10 @@ def test_a_line_measures_reloads_survives_kills_and_drains(served, receiver) -> 
     assert len(receiver.products) == 15
     assert served.recorded() == receiver.products
     with sqlite3.connect(served.folder / "data" / "history.sqlite") as db:
-        kept = [
-            f"{a}/{b}/{c}" for a, b, c in db.execute("select line, run, id from roemetry_rows order by rowid")
-        ]
+        found = db.execute("select line, run, id from roemetry_rows order by rowid").fetchall()
     db.close()
-    assert [key for key in kept if "!" not in key] == receiver.products
+    kept = ["/".join(key) for key in found if "!" not in key[2]]
+    assert kept == receiver.products
 
     *_, last = served.runs()
     again = served.folder / "again"
