@@ -46,6 +46,8 @@ _RETRY_S = 0.5
 """How long a disk that refuses is left alone before it is tried again, s."""
 _RELOAD_S = 1.0
 """How often the recipe's file is looked at, s."""
+_THIN_OUT_S = 30.0
+"""How often images are taken away that are more than is kept, s."""
 _DISK_LOW_GB = 1.0
 _TRIED = "tried.txt"
 
@@ -134,7 +136,12 @@ class StationProcess:
         self._state = "running"
         threads = [
             threading.Thread(target=target, daemon=True)
-            for target in (lambda: self._take(job), self._watch_deadlines, self._watch_recipe)
+            for target in (
+                lambda: self._take(job),
+                self._watch_deadlines,
+                self._watch_recipe,
+                self._watch_spool,
+            )
         ]
         for thread in threads:
             thread.start()
@@ -368,6 +375,12 @@ class StationProcess:
             current, seen = changed, (changed.path, _states(changed))
             with self._lock:
                 self._next = changed
+
+    def _watch_spool(self) -> None:
+        """Take the oldest images away once there are more than are kept."""
+        while not self._stop.wait(_THIN_OUT_S):
+            if self._section.spool_gb:
+                runs.thin_out(self._home, self._name, self._section.spool_gb)
 
     def _wanted(self) -> Path:
         """Give the recipe that was chosen on the page, where it is one of the line's; else the first."""

@@ -1,4 +1,4 @@
-"""A whole line, with its processes: what goes in comes out once, whatever dies; the record is that of `run`."""
+"""A whole line with its processes: what goes in comes out once, whatever dies."""
 
 from __future__ import annotations
 
