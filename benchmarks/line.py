@@ -1,9 +1,9 @@
-"""A whole line with pylon's emulated camera and a receiver on loopback: how long, what is lost, what survives.
+"""A whole line with an emulated camera and a receiver on loopback: how long, what is lost, what survives.
 
 ``python -m benchmarks line``: time from a frame's arrival to the receiver's, lost frames, memory.
-``python -m benchmarks line --kills 10``: processes of the line, and the receiver, end at moments drawn at random; then
-every row of the outbox must be in the record, in the history and at the receiver once after taking duplicates out, and
-in order.
+``python -m benchmarks line --kills 10``: processes of the line, and the receiver, end at moments drawn at
+random; then every row of the outbox must be in the record, in the history and at the receiver, once after taking
+duplicates out, and in order.
 
 Needs ``pip install 'roemetry[line,basler]'``. The figures are of one machine; the counts hold for any.
 """
@@ -11,6 +11,7 @@ Needs ``pip install 'roemetry[line,basler]'``. The figures are of one machine; t
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import os
 import random
@@ -42,8 +43,9 @@ stations:
         emulated: true
         trigger: software
         rate_hz: {rate}
-        nodes: {{ImageFileMode: "On", TestImageSelector: "Off", ImageFilename: {images}, Width: 640, Height: 480,
-                PixelFormat: Mono8}}
+        nodes:
+          {{ImageFileMode: "On", TestImageSelector: "Off", ImageFilename: {images},
+           Width: 640, Height: 480, PixelFormat: Mono8}}
 outlets:
   - {{name: gate, use: tcp, options: {{port: {port}, content: all}}}}
 page: null
@@ -69,10 +71,8 @@ class Receiver:
     def stop(self) -> None:
         """Be gone, in the middle of whatever is being told."""
         for one in (self._server, *self._open):
-            try:
+            with contextlib.suppress(OSError):
                 one.shutdown(socket.SHUT_RDWR)
-            except OSError:
-                pass
             one.close()
         self._open.clear()
 
