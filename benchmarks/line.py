@@ -2,8 +2,8 @@
 
 ``python -m benchmarks line``: time from a frame's arrival to the receiver's, lost frames, memory.
 ``python -m benchmarks line --kills 10``: processes of the line, and the receiver, end at moments drawn at
-random; then every row of the outbox must be in the record, in the history and at the receiver, once after taking
-duplicates out, and in order.
+random; then every row of the outbox must be in the record, in the history and at the receiver, once after
+taking duplicates out, and in order.
 
 Needs ``pip install 'roemetry[line,basler]'``. The figures are of one machine; the counts hold for any.
 """
