@@ -33,6 +33,8 @@ def roemetry_stages() -> Iterable[StageEntry]:
          "Messages to an MQTT broker, QoS 1", "MQTT 3.1.1 by paho-mqtt", "paho"),
         ("outlet", "modbus", "outlets.modbus:Modbus",
          "Registers of a Modbus TCP server: last result, heartbeat", "Modbus TCP by pymodbus", "pymodbus"),
+        ("outlet", "opcua", "outlets.opcua:OpcUa",
+         "An OPC UA server: results as events and values", "OPC 40100-1 by asyncua", "asyncua"),
         ("outlet", "webhook", "outlets.webhook:Webhook",
          "Rows posted to an HTTP address", "our own"),
         ("outlet", "database", "outlets.database:Database",

@@ -92,6 +92,13 @@ def modbus() -> StageOptions:
     return ModbusOptions(host=_NOT_OURS)
 
 
+def opcua() -> StageOptions:
+    """Give options of the outlet `opcua`."""
+    from roemetry_line.outlets.opcua import OpcUaOptions
+
+    return OpcUaOptions(host=_NOT_OURS)
+
+
 def database() -> StageOptions:
     """Give options of the outlet `database`."""
     from roemetry_line.outlets.database import DatabaseOptions
