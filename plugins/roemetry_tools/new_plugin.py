@@ -39,6 +39,8 @@ _NO_TEMPLATE = {
     "triangulator": "plugins/roemetry_paper/block_linear.py",
     "simulator": "plugins/roemetry_simulate",
     "planner": "plugins/roemetry_simulate",
+    "feed": "plugins/roemetry_line/feeds/folder_watch.py",
+    "outlet": "plugins/roemetry_line/outlets/webhook.py",
 }
 _NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 _USE = "stages:\n  {kind}: {stage}"

@@ -203,8 +203,10 @@ class DatasetWriter:
         self.done = frozenset(item.id for item in Dataset(folder).items())
 
     def add(self, item: Item) -> None:
-        """Write an item's line; its files must be there, and their hashes are taken from them."""
-        hashes: dict[str, str] = {role: sha256_of(self.folder / name) for role, name in item.files.items()}
+        """Write an item's line; its files must be there, and hashes that it has not are taken from them."""
+        hashes: dict[str, str] = {
+            role: item.sha256.get(role) or sha256_of(self.folder / name) for role, name in item.files.items()
+        }
         if item.stripes is not None:
             hashes[STRIPES] = sha256_of(self.folder / item.stripes)
         row = asdict(item) | {"sha256": hashes}

@@ -103,7 +103,7 @@ def _run(
     on_progress: Callable[[int, int], None],
 ) -> Outcome:
     done = acquisitions_to_keep(recipe, folder, references, resume=resume)
-    provenance = _provenance(recipe, references)
+    provenance = provenance_of(recipe, len(references))
     write_whole(folder / PROVENANCE, json.dumps(provenance, indent=2) + "\n")
     to_do = [reference for reference in references if reference.id not in done]
     seconds: dict[str, list[float]] = {}
@@ -236,7 +236,8 @@ def _doubts_of(recipe: Recipe) -> tuple[Reason, ...]:
     return calibration_doubts(recipe)
 
 
-def _provenance(recipe: Recipe, references: Sequence[AcquisitionReference]) -> dict[str, Any]:
+def provenance_of(recipe: Recipe, acquisitions: int) -> dict[str, Any]:
+    """Give what a run is made with, as plain values: recipe, calibration, plugins, libraries, machine."""
     from importlib.metadata import version
 
     stages = {"source": recipe.source, **recipe.stages}
@@ -258,7 +259,7 @@ def _provenance(recipe: Recipe, references: Sequence[AcquisitionReference]) -> d
         "python": platform.python_version(),
         # Not platform.platform(): that asks another process for the processor's name.
         "platform": "-".join((platform.system(), platform.release(), platform.machine())),
-        "acquisitions": len(references),
+        "acquisitions": acquisitions,
         "resolved_recipe": recipe.resolved(),
     }
 

@@ -52,6 +52,8 @@ KINDS = (
     "sink",
     "simulator",
     "planner",
+    "feed",
+    "outlet",
 )
 
 hookspec = pluggy.HookspecMarker(PROJECT)

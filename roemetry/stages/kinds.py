@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -48,6 +49,7 @@ from roemetry.records import (
     Weight,
 )
 from roemetry.records.calibration import Alignment, Calibration
+from roemetry.records.live import LineRow, LiveFrame
 from roemetry.records.view import View
 
 
@@ -506,6 +508,43 @@ class Planner(Stage[OptionsT]):
         """Work the rig out, with short simulations beside it if wanted; raise StageError where that fails."""
 
 
+class Feed(Stage[OptionsT]):
+    """Gives frames as a camera takes them."""
+
+    @abstractmethod
+    def open(self) -> AbstractContextManager[Iterator[LiveFrame | None]]:
+        """Connect; while the block runs, give the frames in the order in which they were taken.
+
+        The iterator waits for a frame. It gives None where none has come for half a second, so that who asks
+        can do something else, and it ends where no frame can come any more (a video's end).
+
+        Raises
+        ------
+        ConfigurationError
+            An option does not suit the camera: it has no such node, or refuses the value.
+        DataError
+            On entering or from the iterator: there is no camera, or it is gone. It may be opened again.
+        """
+
+
+class Outlet(Stage[OptionsT]):
+    """Takes rows of a line to whoever acts on them: a controller, a broker, a database."""
+
+    @abstractmethod
+    def open(self) -> AbstractContextManager[Callable[[Sequence[LineRow]], None]]:
+        """Connect; while the block runs, give what delivers rows, in order.
+
+        It returns when the receiver has taken them all. Where it raises, all of them are delivered again, so
+        a receiver may see a row twice, by the same key, and never misses one.
+
+        Raises
+        ------
+        OutputError
+            On entering or from what was given: the receiver cannot be reached or refuses a row. It may be
+            opened again.
+        """
+
+
 INTERFACES: Mapping[str, type[Stage[Any]]] = {
     "source": Source,
     "extractor": Extractor,
@@ -523,6 +562,8 @@ INTERFACES: Mapping[str, type[Stage[Any]]] = {
     "sink": Sink,
     "simulator": Simulator,
     "planner": Planner,
+    "feed": Feed,
+    "outlet": Outlet,
 }
 
 T = TypeVar("T")

@@ -38,6 +38,7 @@ NOT_RUN = {
     r"python -m benchmarks ": "takes minutes to hours; name and options are held in test_benchmarks.py",
     r"roemetry init (?!.*--image 320x240)": "renders for a minute: smaller in test_init_project.py",
     r"roemetry tune ": "serves until it is stopped",
+    r"roemetry (serve|history) ": "serves until it is stopped: whole lines run in tests/plugins/line",
     r"roemetry run \S+ --out \S+ --resume": "goes on with a run that was stopped: tested with real kills",
     r"roemetry simulate .*--resume": "goes on with a set that was stopped: tested with real kills",
     r"roemetry simulate .*--out skeins": "a set of that name lies there already, in full size",

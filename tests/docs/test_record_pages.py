@@ -85,7 +85,9 @@ def test_every_reason_code_is_told_and_no_other() -> None:
     assert not strange, "a code the test cannot read"
     assert len(codes) > 20
     assert endings == {"-refused", "-fault"}
-    kinds = [kind for kind in KINDS if kind not in ("calibrator", "sink", "simulator", "planner")]
+    kinds = [
+        kind for kind in KINDS if kind not in ("calibrator", "sink", "simulator", "planner", "feed", "outlet")
+    ]
     stages = {kind + ending for kind in kinds for ending in endings}
     text = page("reasons.md")
     broken = section(text, "## A stage refused, or failed")

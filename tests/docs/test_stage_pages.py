@@ -57,7 +57,8 @@ def test_the_example_of_a_stage_is_legal_and_uses_it(name: str) -> None:
     for _, content in blocks(page(f"plugins/{name}.md"), "yaml"):
         data = parse(content, name).data
         choices = [*data.get("stages", {}).items(), *(("sink", c) for c in data.get("sinks", []))]
-        choices += [(kind, data[kind]) for kind in ("calibrator", "simulator") if kind in data]
+        choices += [(kind, data[kind]) for kind in ("calibrator", "simulator", "feed") if kind in data]
+        choices += [("outlet", choice) for choice in data.get("outlets", [])]
         # a scene's `simulator` names its planner as well, where there is one
         planned = any(s.entry.name == name for s in registry.of_kind("planner"))
         choices += [("planner", data["simulator"]) for _ in range("simulator" in data and planned)]

@@ -12,6 +12,7 @@ from roemetry.testing.checks import (
     classes,
     extractor,
     files,
+    live,
     points,
     stripes,
     volume,
@@ -20,8 +21,10 @@ from roemetry.testing.checks import (
 
 Check = Callable[[Any], None]
 
-_MODULES = (extractor, stripes, points, volume, weigher, classes, files)
+_MODULES = (extractor, stripes, points, volume, weigher, classes, files, live)
 _CALLED = {"estimator": "volume"}
+_CONNECTED = ("feed", "outlet")
+"""Kinds that talk to the world: no call of theirs is like another."""
 
 
 def _kind_of(check: Check) -> str:
@@ -42,9 +45,11 @@ OF_KIND: Mapping[str, tuple[Check, ...]] = {
 def checks_of(kind: str) -> tuple[Check, ...]:
     """Give the checks that a stage of this kind must pass: every stage's, then its kind's.
 
-    Of a kind that the kit has no scenes for, the options alone are checked.
+    Of a kind that the kit has no scenes for, or that holds a connection, only those of options are taken of
+    every stage's.
     """
-    return ANY + OF_KIND[kind] if kind in OF_KIND else any_stage.OF_OPTIONS
+    every = ANY if kind in OF_KIND and kind not in _CONNECTED else any_stage.OF_OPTIONS
+    return every + OF_KIND.get(kind, ())
 
 
 def name_of(check: Check) -> str:

@@ -1,0 +1,253 @@
+"""A whole line with an emulated camera and a receiver on loopback: how long, what is lost, what survives.
+
+``python -m benchmarks line``: time from a frame's arrival to the receiver's, lost frames, memory.
+``python -m benchmarks line --kills 10``: processes of the line, and the receiver, end at moments drawn at
+random; then every row of the outbox must be in the record, in the history and at the receiver, once after
+taking duplicates out, and in order.
+
+Needs ``pip install 'roemetry[line,basler]'``. The figures are of one machine; the counts hold for any.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import os
+import random
+import signal
+import socket
+import sqlite3
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).parents[1]
+
+LINE = """\
+roemetry_line: 1
+name: bench
+folder: data
+stations:
+  - name: cam
+    recipe: {recipe}
+    deadline_ms: 50
+    feed:
+      use: basler
+      options:
+        emulated: true
+        trigger: software
+        rate_hz: {rate}
+        nodes:
+          {{ImageFileMode: "On", TestImageSelector: "Off", ImageFilename: {images},
+           Width: 640, Height: 480, PixelFormat: Mono8}}
+outlets:
+  - {{name: gate, use: tcp, options: {{port: {port}, content: all}}}}
+page: null
+"""
+
+
+class Receiver:
+    """Takes rows and notes when; may be told to be gone."""
+
+    def __init__(self) -> None:
+        self.rows: list[tuple[str, float, float]] = []
+        """Key, when it arrived, when its frame had arrived; s since 1970."""
+        self.port = 0
+        self._open: list[socket.socket] = []
+        self.start()
+
+    def start(self) -> None:
+        """Listen, at the port of the last time."""
+        self._server = socket.create_server(("127.0.0.1", self.port))
+        self.port = self._server.getsockname()[1]
+        threading.Thread(target=self._serve, args=(self._server,), daemon=True).start()
+
+    def stop(self) -> None:
+        """Be gone, in the middle of whatever is being told."""
+        for one in (self._server, *self._open):
+            with contextlib.suppress(OSError):
+                one.shutdown(socket.SHUT_RDWR)
+            one.close()
+        self._open.clear()
+
+    def _serve(self, server: socket.socket) -> None:
+        while True:
+            try:
+                connection, _ = server.accept()
+            except OSError:
+                return
+            self._open.append(connection)
+            try:
+                with connection.makefile("rb") as lines:
+                    for line in lines:
+                        now = time.time()
+                        row = json.loads(line)
+                        self.rows.append((row["key"], now, row["taken"]["time_s"]))
+                        connection.sendall(f"ok {row['key']}\n".encode())
+            except (OSError, ValueError):
+                continue
+
+
+class Served:
+    """A line that runs in a folder."""
+
+    def __init__(self, folder: Path, recipe: Path, rate: float, receiver: Receiver) -> None:
+        self.folder = folder
+        images = ROOT / "recipes" / "herring_roe" / "images"
+        text = LINE.format(recipe=recipe, rate=rate, images=images, port=receiver.port)
+        (folder / "line.yaml").write_text(text, "utf-8")
+        self.log = (folder / "log.jsonl").open("w")
+        command = [sys.executable, "-m", "roemetry", "serve", str(folder / "line.yaml"), "--start-anyway"]
+        self.process = subprocess.Popen(command, stderr=self.log)
+        until_s = time.monotonic() + 120.0
+        while '"ready"' not in (folder / "log.jsonl").read_text():
+            if time.monotonic() > until_s or self.process.poll() is not None:
+                raise SystemExit((folder / "log.jsonl").read_text())
+            time.sleep(0.1)
+
+    def ask(self, query: str, file: str = "line.sqlite") -> list[tuple]:
+        """Give the rows of a query."""
+        db = sqlite3.connect(self.folder / "data" / file, timeout=10.0)
+        try:
+            return db.execute(query).fetchall()
+        finally:
+            db.close()
+
+    def pids(self) -> dict[str, int]:
+        """Give the processes that have said something, by name."""
+        return dict(self.ask("select component, pid from health"))
+
+    def figures(self) -> dict:
+        """Give what the station has counted."""
+        return json.loads(self.ask("select figures from health where component = 'station cam'")[0][0])
+
+    def memory_mb(self) -> dict[str, float]:
+        """Give what each process holds for itself, MB."""
+        found = {}
+        for name, pid in {**self.pids(), "serve": self.process.pid}.items():
+            status = Path(f"/proc/{pid}/status").read_text()
+            found[name] = int(status.split("RssAnon:")[1].split()[0]) / 1024.0
+        return found
+
+    def stop(self) -> None:
+        """Stop it, and wait until it has drained."""
+        self.process.send_signal(signal.SIGTERM)
+        self.process.wait(90)
+        self.log.close()
+
+
+def timed(seconds: float, rate: float, recipe: Path) -> None:
+    """Run a line and print its times, losses and memory."""
+    with tempfile.TemporaryDirectory() as folder:
+        receiver = Receiver()
+        served = Served(Path(folder), recipe, rate, receiver)
+        time.sleep(min(10.0, seconds / 4.0))
+        first, begin = served.memory_mb(), len(receiver.rows)
+        time.sleep(seconds)
+        last, rows = served.memory_mb(), receiver.rows[begin:]
+        served.stop()
+        figures = served.figures()
+        receiver.stop()
+    products = [row for row in rows if "!" not in row[0]]
+    ms = 1e3 * np.array([arrived - taken for _, arrived, taken in products])
+    p50, p99 = np.percentile(ms, [50, 99])
+    print(f"{recipe.name}, {rate:g} frames/s for {seconds:g} s: {len(products)} products at the receiver")
+    print(f"frame to receiver: p50 {p50:.1f} ms, p99 {p99:.1f} ms, worst {ms.max():.1f} ms")
+    print(
+        f"frames {figures['frames']}, lost {figures['lost']}, late {figures['late']}, products told "
+        f"{len({key for key, *_ in receiver.rows if '!' not in key})} of {figures['products']}; "
+        f"taking waited {figures['waited_s']:.2f} s"
+    )
+    for name in first:
+        print(f"memory of {name}: {first[name]:.0f} MB, then {last.get(name, float('nan')):.0f} MB")
+
+
+def killed(rounds: int, rate: float, recipe: Path, seed: int) -> int:
+    """Kill what can die, round by round; print and give the faults found."""
+    draw = random.Random(seed)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        receiver = Receiver()
+        served = Served(folder, recipe, rate, receiver)
+        done: dict[str, int] = {}
+        for _ in range(rounds):
+            time.sleep(draw.uniform(1.0, 3.0))
+            victim = draw.choice(["station cam", "outlets", "receiver"])
+            done[victim] = done.get(victim, 0) + 1
+            if victim == "receiver":
+                receiver.stop()
+                time.sleep(draw.uniform(0.2, 2.0))
+                receiver.start()
+                continue
+            before = served.pids()[victim]
+            try:
+                os.kill(before, signal.SIGKILL)
+            except ProcessLookupError:
+                continue
+            until_s = time.monotonic() + 60.0
+            while served.pids()[victim] == before and time.monotonic() < until_s:
+                time.sleep(0.1)
+        until_s = time.monotonic() + 60.0
+        while served.ask("select state from health where component = 'station cam'") != [("running",)]:
+            if time.monotonic() > until_s:
+                break
+            time.sleep(0.2)
+        time.sleep(3.0)
+        served.stop()
+        receiver.stop()
+        told = [key for (key,) in served.ask("select key from rows where kind = 'product' order by n")]
+        history = {
+            "/".join(key)
+            for key in served.ask(
+                "select line, run, id from roemetry_rows where kind = 'product'", "history.sqlite"
+            )
+        }
+        record = [
+            f"bench/{run.name}/{json.loads(line)['id']}"
+            for run in sorted((folder / "data" / "runs" / "cam").iterdir())
+            for line in (run / "measurements.jsonl").read_text().splitlines()
+        ]
+        spooled = sum(
+            len((run / "items.jsonl").read_text().splitlines())
+            for run in (folder / "data" / "runs" / "cam").iterdir()
+        )
+    arrived = [key for key, *_ in receiver.rows if "!" not in key]
+    once = list(dict.fromkeys(arrived))
+    faults = {
+        "spooled frames without a row": spooled - len({key.split("#")[0] for key in told}),
+        "rows not in the record": len(set(told) - set(record)),
+        "rows twice in the record": len(record) - len(set(record)),
+        "rows not in the history": len(set(told) - history),
+        "rows that never arrived": len(set(told) - set(once)),
+        "rows that arrived and are not told": len(set(once) - set(told)),
+        "first arrivals out of order": int(once != told),
+    }
+    print(f"{rounds} rounds, seed {seed}: {', '.join(f'{victim} {n}' for victim, n in done.items())}")
+    print(f"{len(told)} rows of products, {len(arrived) - len(once)} came a second time")
+    for what, count in faults.items():
+        print(f"{what}: {count}")
+    return sum(faults.values())
+
+
+def main() -> None:
+    """Measure a line, or kill it."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--rate", type=float, default=30.0, help="frames a second")
+    parser.add_argument("--recipe", type=Path, default=ROOT / "recipes" / "herring_roe" / "recipe.yaml")
+    parser.add_argument("--kills", type=int, default=0, help="rounds of kills instead")
+    parser.add_argument("--seed", type=int, default=1)
+    given = parser.parse_args()
+    if given.kills:
+        sys.exit(1 if killed(given.kills, given.rate, given.recipe.resolve(), given.seed) else 0)
+    timed(given.seconds, given.rate, given.recipe.resolve())
+
+
+if __name__ == "__main__":
+    main()

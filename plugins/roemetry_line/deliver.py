@@ -1,0 +1,135 @@
+"""The process that takes rows from the outbox to the outlets: a thread each, none waits for another."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from roemetry.errors import FAULTS, OutputError, RoemetryError
+from roemetry.records.live import LineRow
+from roemetry_line.line_file import Line, NamedOutlet
+from roemetry_line.log import log
+from roemetry_line.outbox import Outbox
+from roemetry_line.process import until_asked
+
+_BATCH = 100
+"""Rows that are handed to an outlet at once, at most: after an outage they go out by the hundred."""
+_TICK_S = 0.25
+_REOPEN_S = (0.5, 1.0, 2.0)
+"""How long a receiver that is not there is left alone, the first times and from then on, s."""
+_DRAIN_S = 5.0
+"""How long, once asked to stop, rows that wait are still delivered, s; the others stay in the outbox."""
+_PRUNE_S = 60.0
+
+
+class Deliverer:
+    """Delivers the rows of one outlet, in order, again and again until they are taken."""
+
+    def __init__(
+        self, named: NamedOutlet, outbox: Outbox, news: threading.Condition, stop: threading.Event
+    ) -> None:
+        self.name = named.name
+        self.state = "starting"
+        self.delivered = 0
+        self.waiting = 0
+        self.reconnects = 0
+        self._named, self._outbox, self._news, self._stop = named, outbox, news, stop
+        self._until_s = 0.0
+
+    def run(self) -> None:
+        """Deliver until asked to stop and nothing waits, or until the time for that is over."""
+        failures = 0
+        while not self._over():
+            try:
+                with self._named.outlet.make().open() as deliver:
+                    self.state = "connected"
+                    failures = 0
+                    if self._outbox.end_alarm(self.name, "outlet"):
+                        log("info", "outlet", "the receiver is there again", outlet=self.name)
+                    self._deliver_all(deliver)
+            # Whatever an outlet raises, its rows wait in the outbox.
+            except FAULTS as error:
+                said = (
+                    error.message if isinstance(error, RoemetryError) else f"{type(error).__name__}: {error}"
+                )
+                self.state = f"not delivering: {said}"
+                self.reconnects += 1
+                self._alarm(said)
+                self._stop.wait(_REOPEN_S[min(failures, len(_REOPEN_S) - 1)])
+                failures += 1
+        self.state = "stopped"
+
+    def _deliver_all(self, deliver: Callable[[Sequence[LineRow]], None]) -> None:
+        mark = self._outbox.mark(self.name)
+        while True:
+            rows = self._outbox.after(mark, _BATCH)
+            if rows:
+                deliver(rows)
+                mark = rows[-1].number
+                self._outbox.delivered(self.name, mark)
+                self.delivered += len(rows)
+            if self._over(nothing_waits=not rows):
+                return
+            if not rows:
+                with self._news:
+                    if not self._outbox.after(mark, 1):
+                        self._news.wait(_TICK_S)
+
+    def _over(self, *, nothing_waits: bool = False) -> bool:
+        if not self._stop.is_set():
+            return False
+        self._until_s = self._until_s or time.monotonic() + _DRAIN_S
+        return nothing_waits or time.monotonic() > self._until_s
+
+    def _alarm(self, said: str) -> None:
+        try:
+            if self._outbox.raise_alarm(self.name, "outlet", f"rows are not delivered: {said}"):
+                log("error", "outlet", said, outlet=self.name)
+        except OutputError as error:
+            log("error", "outlet", f"{said}; and {error}", outlet=self.name)
+
+
+def main() -> int:
+    """Deliver the rows of the line file that the command line names."""
+    stop = until_asked()
+    line = Line.load(Path(sys.argv[1]))
+    outbox = Outbox(line.folder)
+    news = threading.Condition()
+    workers = [Deliverer(named, outbox, news, stop) for named in line.outlets]
+    threads = [threading.Thread(target=worker.run, daemon=True) for worker in workers]
+    for thread in threads:
+        thread.start()
+    pruned = beaten = 0.0
+    while any(thread.is_alive() for thread in threads) or (not threads and not stop.is_set()):
+        outbox.listen(_TICK_S)
+        with news:
+            news.notify_all()
+        now = time.monotonic()
+        try:
+            if now - beaten > 1.0:
+                beaten = now
+                waiting = outbox.waiting([worker.name for worker in workers])
+                told = {
+                    worker.name: {
+                        "state": worker.state,
+                        "delivered": worker.delivered,
+                        "waiting": waiting[worker.name],
+                        "reconnects": worker.reconnects,
+                    }
+                    for worker in workers
+                }
+                outbox.beat("outlets", "stopping" if stop.is_set() else "running", told)
+            if now - pruned > _PRUNE_S:
+                pruned = now
+                outbox.prune([worker.name for worker in workers])
+        except OutputError as error:
+            log("error", "outbox", str(error))
+            stop.wait(0.5)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""Feeds: where the frames of a line come from, a file each."""

@@ -1,0 +1,201 @@
+"""Any camera with a GenTL producer (a .cti file, which its maker gives), by harvesters."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import time
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import Field
+
+from roemetry.errors import ConfigurationError, DataError
+from roemetry.records import Frame
+from roemetry.records.live import LiveFrame
+from roemetry.stages import Capabilities, Feed, StageOptions
+from roemetry_line.feeds.frame_numbers import Counting, FrameNumbers
+
+_TICK_S = 0.5
+_GREY_BITS = {"Mono8": 8, "Mono10": 10, "Mono12": 12, "Mono14": 14, "Mono16": 16}
+_COLOURS = {"RGB8": (0, 1, 2), "BGR8": (2, 1, 0), "RGBa8": (0, 1, 2), "BGRa8": (2, 1, 0)}
+"""By pixel format, where red, green and blue stand."""
+
+
+class GenICamOptions(StageOptions):
+    """Which producer and camera, and how it is set."""
+
+    producer: Path | None = Field(
+        default=None, description="GenTL producer file (.cti); none: the first that GENICAM_GENTL64_PATH has"
+    )
+    device: str = Field(
+        default="", description="id, serial number or model of the camera; empty: the first that is found"
+    )
+    counting: Counting = Field(
+        default="64-bit", description="how frames are numbered; `16-bit` for GigE Vision 1.x"
+    )
+    buffers: int = Field(default=16, ge=2, le=1000, description="frames that the driver can hold")
+    encoder_node: str = Field(
+        default="", description="node with the encoder's count, such as `ChunkEncoderValue`; empty: none"
+    )
+    nodes: dict[str, bool | int | float | str] = Field(
+        default_factory=dict, description="the camera's own settings, by node, set in this order"
+    )
+
+
+class GenICam(Feed[GenICamOptions]):
+    """Takes frames of grey or colour formats; of a payload of several parts the first that is an image.
+
+    harvesters throws frames away that did not arrive whole: they show as lost.
+    """
+
+    Options = GenICamOptions
+    capabilities = Capabilities(fixture="roemetry_line.conformance:genicam")
+
+    @contextmanager
+    def open(self) -> Iterator[Iterator[LiveFrame | None]]:
+        """Connect and set the camera; ConfigurationError for a producer or node that does not suit."""
+        with warnings.catch_warnings():
+            # SWIG's modules warn while they are made, and crash where a warning is an error
+            warnings.simplefilter("ignore", DeprecationWarning)
+            from harvesters.core import Harvester
+
+        producer = self._producer()
+        _check_processor(producer)
+        harvester = Harvester()
+        try:
+            harvester.add_file(str(producer))
+            harvester.update()
+            camera = self._camera(harvester, producer)
+            try:
+                self._set(camera.remote_device.node_map)
+                camera.num_buffers = self.options.buffers
+                camera.start()
+                yield self._frames(camera)
+            finally:
+                camera.destroy()
+        finally:
+            harvester.reset()
+
+    def _producer(self) -> Path:
+        import os
+
+        if self.options.producer is not None:
+            return self.options.producer
+        folders = os.environ.get("GENICAM_GENTL64_PATH", "").split(os.pathsep)
+        found = [path for folder in folders if folder for path in sorted(Path(folder).glob("*.cti"))]
+        if not found:
+            raise ConfigurationError(
+                "no GenTL producer", hint="name the maker's .cti file in feed.options.producer"
+            )
+        return found[0]
+
+    def _camera(self, harvester: Any, producer: Path) -> Any:
+        wanted = self.options.device
+        infos = list(harvester.device_info_list)
+        for number, info in enumerate(infos):
+            if wanted in ("", info.id_, info.model, _told(info, "serial_number")):
+                try:
+                    return harvester.create(number)
+                except Exception as error:  # the producer's own errors have no common class
+                    raise DataError(f"{info.id_}: cannot be opened: {error}", hint=_HINT) from error
+        there = ", ".join(str(info.id_) for info in infos) or "none"
+        raise DataError(
+            f"{producer.name}: there is no camera {wanted}".rstrip() + f"; found: {there}", hint=_HINT
+        )
+
+    def _set(self, nodes: Any) -> None:
+        for name, value in self.options.nodes.items():
+            if not hasattr(nodes, name):
+                raise ConfigurationError(f"the camera has no node `{name}`", hint=_close(name, nodes))
+            try:
+                getattr(nodes, name).value = value
+            except Exception as error:  # the node map's errors have no common class
+                said = str(error).strip().splitlines() or [type(error).__name__]
+                raise ConfigurationError(f"the camera refuses {name}: {value}: {said[0]}") from error
+
+    def _frames(self, camera: Any) -> Iterator[LiveFrame | None]:
+        numbers = FrameNumbers(self.options.counting)
+        failures = 0
+        while True:
+            try:
+                buffer = camera.try_fetch(timeout=_TICK_S)
+            except Exception as error:  # the producer's own errors have no common class
+                raise DataError(f"the camera does not answer: {error}", hint=_HINT) from error
+            if buffer is None:
+                failures += 1
+                if failures > 4 and not camera.is_acquiring():
+                    raise DataError("the camera has stopped", hint=_HINT)
+                yield None
+                continue
+            failures = 0
+            with buffer:
+                live = self._live(buffer, camera, numbers)
+            yield live
+
+    def _live(self, buffer: Any, camera: Any, numbers: FrameNumbers) -> LiveFrame:
+        number = int(_told(buffer, "frame_id") or 0)
+        lost = numbers.lost_before(number)
+        stamp = _told(buffer, "timestamp_ns") or 0
+        device_s = stamp / 1e9 if stamp else math.nan
+        for part in buffer.payload.components:
+            pixels = _pixels(part)
+            if pixels is not None:
+                bits = _GREY_BITS.get(str(part.data_format), 8 * pixels.dtype.itemsize)
+                count = self._count(camera)
+                frame = Frame(pixels, bit_depth=bits, time_s=time.time(), encoder_count=count)
+                return LiveFrame(frame, number, lost, device_s)
+        formats = ", ".join(str(part.data_format) for part in buffer.payload.components) or "nothing"
+        return LiveFrame(None, number, lost, device_s, f"no image of a known format in it: {formats}")
+
+    def _count(self, camera: Any) -> float:
+        if not self.options.encoder_node:
+            return math.nan
+        return float(getattr(camera.remote_device.node_map, self.options.encoder_node).value)
+
+
+_HINT = "is it plugged in and powered, and no other program using it?"
+
+
+def _pixels(part: Any) -> Any:
+    """Give a part's pixels, copied; None where it is no image of a known format."""
+    kind = str(part.data_format)
+    if kind in _GREY_BITS:
+        return np.array(part.data).reshape(part.height, part.width)
+    if kind in _COLOURS:
+        pixels = np.array(part.data).reshape(part.height, part.width, -1)
+        red, green, blue = _COLOURS[kind]
+        return np.ascontiguousarray(pixels[:, :, [blue, green, red]])
+    return None
+
+
+def _check_processor(producer: Path) -> None:
+    """Refuse a producer file that this processor cannot load, in words that help."""
+    if not producer.is_file():
+        raise ConfigurationError(f"there is no producer file {producer}")
+    try:
+        ctypes.CDLL(str(producer))
+    except OSError as error:
+        raise ConfigurationError(
+            f"{producer}: cannot be loaded: {error}",
+            hint="it must be the maker's producer for this system and processor",
+        ) from error
+
+
+def _told(record: Any, name: str, otherwise: Any = None) -> Any:
+    """Give what a producer tells; not every one tells everything."""
+    try:
+        return getattr(record, name)
+    except Exception:  # the producer's own errors have no common class
+        return otherwise
+
+
+def _close(name: str, nodes: Any) -> str:
+    import difflib
+
+    close = difflib.get_close_matches(name, dir(nodes), n=1)
+    return f"did you mean `{close[0]}`?" if close else "the camera's manual lists its nodes"

@@ -1,0 +1,1 @@
+"""Outlets: whom a line tells what it has measured, a file each."""

@@ -1,0 +1,201 @@
+"""The history: every row of a line in a table, in SQLite or PostgreSQL.
+
+The table `roemetry_rows` has a line a product or notice: key (line, run, id), time, station, kind, the
+numbers of the summary, and everything as JSON. A row that comes a second time changes nothing.
+"""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+from pydantic import Field
+
+from roemetry.errors import OutputError, PluginError
+from roemetry.records.live import LineRow
+from roemetry.stages import Capabilities, Outlet, StageOptions
+
+NUMBERS = ("mass_g", "mass_std_g", "volume_mm3", "volume_std_mm3", "height_mm", "latency_ms")
+WORDS = ("status", "grade", "decision", "lane", "reason")
+COLUMNS = ("line", "run", "id", "station", "kind", "time_s", *NUMBERS, *WORDS, "late", "text")
+_PRUNE_S = 3600.0
+
+
+class DatabaseOptions(StageOptions):
+    """Which database."""
+
+    url: str = Field(
+        default="sqlite:history.sqlite",
+        pattern="^(sqlite:.+|postgresql://.+)$",
+        description="`sqlite:FILE` or `postgresql://USER@HOST/NAME`; a password is better kept in ~/.pgpass",
+    )
+    keep_days: float = Field(default=365.0, gt=0, description="rows that are older are taken out, days")
+
+
+class Database(Outlet[DatabaseOptions]):
+    """Puts rows into a table, each once."""
+
+    Options = DatabaseOptions
+    capabilities = Capabilities(fixture="roemetry_line.conformance:database")
+
+    @contextmanager
+    def open(self) -> Iterator[Callable[[Sequence[LineRow]], None]]:
+        """Connect and make the table if need be; OutputError where the database cannot be had."""
+        kept = connect(self.options.url)
+        pruned = 0.0
+        try:
+
+            def deliver(rows: Sequence[LineRow]) -> None:
+                nonlocal pruned
+                kept.insert([_values(row) for row in rows])
+                if time.monotonic() - pruned > _PRUNE_S:
+                    pruned = time.monotonic()
+                    kept.forget(time.time() - 86400.0 * self.options.keep_days)
+
+            yield deliver
+        finally:
+            kept.close()
+
+
+class SqliteTable:
+    """The table in a SQLite file."""
+
+    mark = "?"
+
+    def __init__(self, path: str) -> None:
+        self._path = path
+        with self._named():
+            self._db = sqlite3.connect(path, timeout=10.0, isolation_level=None, check_same_thread=False)
+            self._db.execute("pragma journal_mode=wal")
+            self._db.execute("pragma synchronous=normal")
+            _make_table(self._db.execute, "integer", "real")
+
+    def insert(self, rows: Sequence[Sequence[Any]]) -> None:
+        """Add rows; those that are there stay as they are."""
+        marks = ", ".join("?" * len(COLUMNS))
+        with self._named():
+            self._db.execute("begin immediate")
+            try:
+                self._db.executemany(f"insert or ignore into roemetry_rows values({marks})", rows)
+            except BaseException:
+                self._db.execute("rollback")
+                raise
+            self._db.execute("commit")
+
+    def forget(self, before_s: float) -> None:
+        """Take out what is older than a time, s since 1970."""
+        with self._named():
+            self._db.execute("delete from roemetry_rows where time_s < ?", (before_s,))
+
+    def ask(self, query: str, given: Sequence[Any] = ()) -> list[tuple[Any, ...]]:
+        """Give the rows of a query."""
+        with self._named():
+            return self._db.execute(query, given).fetchall()
+
+    def close(self) -> None:
+        """Close it."""
+        self._db.close()
+
+    @contextmanager
+    def _named(self) -> Iterator[None]:
+        try:
+            yield
+        except sqlite3.Error as error:
+            raise OutputError(
+                f"{self._path}: {error}", hint="is the folder there, and room on the disk?"
+            ) from error
+
+
+class PostgresTable:
+    """The table in a PostgreSQL database."""
+
+    mark = "%s"
+
+    def __init__(self, url: str) -> None:
+        try:
+            import psycopg
+        except ImportError as error:
+            raise PluginError(
+                "PostgreSQL needs the module psycopg", hint="install it with `pip install 'roemetry[line]'`"
+            ) from error
+        self._shown = url.partition("@")[2] or url
+        self._fault = psycopg.Error
+        with self._named():
+            self._db = psycopg.connect(url, autocommit=True, connect_timeout=3)
+            _make_table(self._db.execute, "bigint", "double precision")
+
+    def insert(self, rows: Sequence[Sequence[Any]]) -> None:
+        """Add rows by COPY into a table of the transaction, and from there those that are new."""
+        with self._named(), self._db.transaction():
+            self._db.execute(
+                "create temporary table arrived (like roemetry_rows including defaults) on commit drop"
+            )
+            with self._db.cursor().copy(f"copy arrived({', '.join(COLUMNS)}) from stdin") as copy:
+                for row in rows:
+                    copy.write_row(row)
+            self._db.execute("insert into roemetry_rows select * from arrived on conflict do nothing")
+
+    def forget(self, before_s: float) -> None:
+        """Take out what is older than a time, s since 1970."""
+        with self._named():
+            self._db.execute("delete from roemetry_rows where time_s < %s", (before_s,))
+
+    def ask(self, query: str, given: Sequence[Any] = ()) -> list[tuple[Any, ...]]:
+        """Give the rows of a query."""
+        with self._named():
+            found: list[tuple[Any, ...]] = self._db.execute(query, given).fetchall()
+            return found
+
+    def close(self) -> None:
+        """Close it."""
+        self._db.close()
+
+    @contextmanager
+    def _named(self) -> Iterator[None]:
+        try:
+            yield
+        except self._fault as error:
+            said = str(error).strip().splitlines()
+            raise OutputError(
+                f"PostgreSQL {self._shown}: {said[0] if said else type(error).__name__}",
+                hint="does the server run, and may this user write there?",
+            ) from error
+
+
+def connect(url: str) -> SqliteTable | PostgresTable:
+    """Open the history at a URL; OutputError where it cannot be had."""
+    kind, _, path = url.partition(":")
+    return SqliteTable(path) if kind == "sqlite" else PostgresTable(url)
+
+
+def _make_table(execute: Callable[[str], Any], integer: str, real: str) -> None:
+    numbers = ", ".join(f"{name} {real}" for name in NUMBERS)
+    words = ", ".join(f"{name} text" for name in WORDS)
+    execute(
+        "create table if not exists roemetry_rows(line text not null, run text not null, id text not null, "
+        f"station text not null, kind text not null, time_s {real} not null, {numbers}, {words}, "
+        f"late {integer}, text text not null, primary key(line, run, id))"
+    )
+    execute("create index if not exists roemetry_rows_time on roemetry_rows(station, time_s)")
+
+
+def _values(row: LineRow) -> tuple[Any, ...]:
+    line, run, name = row.key.split("/", 2)
+    told = json.loads(row.text)
+    found = {**row.summary, "latency_ms": told.get("latency_ms")}
+    time_s = (told.get("taken") or {}).get("time_s") or time.time()
+    return (
+        line,
+        run,
+        name,
+        told.get("station", ""),
+        row.kind,
+        time_s,
+        *(found.get(column) for column in (*NUMBERS, *WORDS)),
+        found.get("late"),
+        row.text.replace("\0", ""),
+    )

@@ -1,0 +1,293 @@
+"""The page's addresses: each says who may ask for it, and what it gives."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import re
+import secrets
+from collections.abc import AsyncIterator, Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.middleware import Middleware
+from starlette.middleware.trustedhost import TrustedHostMiddleware
+from starlette.requests import Request
+from starlette.responses import FileResponse, JSONResponse, Response, StreamingResponse
+from starlette.routing import Mount, Route
+from starlette.staticfiles import StaticFiles
+
+from roemetry.errors import DataError, RoemetryError
+from roemetry.records import Frame
+from roemetry_line import history, runs
+from roemetry_line.feeds.image import decoded
+from roemetry_line.line_file import Line
+from roemetry_line.live_view import jpeg_of, picture_file, watch
+from roemetry_line.log import log
+from roemetry_line.metrics import metrics_of
+from roemetry_line.outbox import Outbox
+from roemetry_line.page.snapshot import snapshot_of
+from roemetry_line.page.users import MAY, Role, Session, Users
+
+_STATIC = Path(__file__).parent / "static"
+_COOKIE = "roemetry_session"
+_BODY_MAX = 10_000
+_EVERY_S = 0.5
+"""How often what is shown is read anew, s."""
+_STREAMS_MAX = 50
+_TREND_HOURS_MAX = 24.0 * 31
+
+_HEADERS = {
+    "Content-Security-Policy": "default-src 'self'; img-src 'self' data:; frame-ancestors 'none'; "
+    "form-action 'self'; base-uri 'none'",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cache-Control": "no-store",
+}
+_MISFIT = 400
+_UNKNOWN = 404
+_WORD = re.compile(r"[a-zA-Z0-9_-]+")
+
+
+class RefusedError(Exception):
+    """A request that is answered with a status and a sentence."""
+
+    def __init__(self, status: int, said: str) -> None:
+        super().__init__(said)
+        self.status = status
+
+
+class LinePage:
+    """The page of one line."""
+
+    def __init__(self, line: Line, outbox: Outbox, users: Users) -> None:
+        self._line, self._outbox, self._users = line, outbox, users
+        self._stations = {one.name: one for one in line.stations}
+        self._state: dict[str, Any] = {}
+        self._changed = asyncio.Condition()
+        self._streams = 0
+
+    def app(self, hosts: list[str]) -> Starlette:
+        """Make the application; `hosts` are the names under which it may be asked for."""
+        do = ["POST"]
+        return Starlette(
+            routes=[
+                Route("/", self._page),
+                Route("/events", self._events),
+                Route("/picture/{station}", self._picture),
+                Route("/spooled/{station}/{run}/{acquisition}.jpg", self._spooled),
+                Route("/trend/{station}", self._trend),
+                Route("/metrics", self._metrics),
+                Route("/who", self._who),
+                Route("/log-in", self._log_in, methods=do),
+                Route("/log-out", self._log_out, methods=do),
+                Route("/acknowledge/{number:int}", self._acknowledge, methods=do),
+                Route("/recipe/{station}", self._recipe, methods=do),
+                Mount("/static", StaticFiles(directory=_STATIC)),
+            ],
+            # A page of another site can send requests here under a name of its own (DNS rebinding).
+            middleware=[Middleware(TrustedHostMiddleware, allowed_hosts=hosts), Middleware(_Headers)],
+            exception_handlers={RefusedError: _refused, RoemetryError: _refused},
+        )
+
+    async def poll(self) -> None:
+        """Read what is shown, again and again, while somebody looks, and wake who waits for it."""
+        while True:
+            if self._streams:
+                try:
+                    self._state = await run_in_threadpool(snapshot_of, self._line, self._outbox)
+                    await run_in_threadpool(watch, self._line.folder)
+                except (RoemetryError, OSError) as error:
+                    log("error", "page", str(error))
+                async with self._changed:
+                    self._changed.notify_all()
+            await asyncio.sleep(_EVERY_S)
+
+    # --- shown to everybody -----------------------------------------------------------------------------
+
+    async def _page(self, _: Request) -> Response:
+        return FileResponse(_STATIC / "index.html")
+
+    async def _events(self, request: Request) -> Response:
+        if self._streams >= _STREAMS_MAX:
+            raise RefusedError(503, "too many look at this page")
+
+        async def stream() -> AsyncIterator[bytes]:
+            self._streams += 1
+            try:
+                while True:
+                    # Who reads slowly misses states, and keeps nobody waiting.
+                    async with self._changed:
+                        await self._changed.wait()
+                    if self._state:
+                        yield f"data: {json.dumps(self._state)}\n\n".encode()
+            finally:
+                self._streams -= 1
+
+        return StreamingResponse(stream(), media_type="text/event-stream")
+
+    async def _picture(self, request: Request) -> Response:
+        path = picture_file(self._line.folder, self._known(request))
+        try:
+            return Response(path.read_bytes(), media_type="application/json")
+        except OSError as error:
+            raise RefusedError(_UNKNOWN, "there is no picture yet") from error
+
+    async def _spooled(self, request: Request) -> Response:
+        given = request.path_params
+        if not (_WORD.fullmatch(given["run"]) and given["acquisition"].isdigit()):
+            raise RefusedError(_UNKNOWN, "there is no such picture")
+        run = self._line.folder / "runs" / self._known(request) / given["run"]
+        return Response(
+            await run_in_threadpool(_jpeg_of, runs.image_of(run, given["acquisition"])),
+            media_type="image/jpeg",
+        )
+
+    async def _trend(self, request: Request) -> Response:
+        station = self._known(request)
+        figure: Any = request.query_params.get("figure", "mass_g")
+        hours = request.query_params.get("hours", "8")
+        if figure not in ("mass_g", "volume_mm3", "height_mm", "latency_ms"):
+            raise RefusedError(_MISFIT, "there is no such figure")
+        try:
+            since_s = 3600.0 * min(float(hours), _TREND_HOURS_MAX)
+        except ValueError as error:
+            raise RefusedError(_MISFIT, "hours must be a number") from error
+        return JSONResponse(await run_in_threadpool(self._charted, station, figure, since_s))
+
+    def _charted(self, station: str, figure: history.Figure, back_s: float) -> dict[str, Any]:
+        import time
+
+        table = history.history_of(self._line)
+        try:
+            since_s = time.time() - back_s
+            counts = history.counts_of(table, station, since_s)
+            chart = history.chart_of(figure, *history.values_of(table, figure, station, since_s))
+        finally:
+            table.close()
+        return history.described(counts, chart)
+
+    async def _metrics(self, _: Request) -> Response:
+        text = await run_in_threadpool(metrics_of, self._line, self._outbox)
+        return Response(text, media_type="text/plain; version=0.0.4")
+
+    async def _who(self, request: Request) -> Response:
+        session = self._users.session(request.cookies.get(_COOKIE))
+        if session is None:
+            return JSONResponse({"name": None, "role": "viewer"})
+        return JSONResponse({"name": session.name, "role": session.role, "csrf": session.csrf})
+
+    # --- what is done -----------------------------------------------------------------------------------
+
+    async def _log_in(self, request: Request) -> Response:
+        _same_origin(request)
+        given = await _body(request)
+        name, password = str(given.get("name", "")), str(given.get("password", ""))
+        key = await run_in_threadpool(self._users.log_in, name, password)
+        if key is None:
+            log("warning", "log-in-refused", f"for the name {name[:40]!r}")
+            raise RefusedError(403, "name or password is wrong")
+        self._users.log_out(request.cookies.get(_COOKIE))
+        log("info", "logged-in", name)
+        # Another key for every login: one that somebody put into the browser before is worth nothing.
+        answer = JSONResponse({"name": name})
+        answer.set_cookie(
+            _COOKIE, key, httponly=True, samesite="strict", secure=request.url.scheme == "https"
+        )
+        return answer
+
+    async def _log_out(self, request: Request) -> Response:
+        await self._allowed(request, "viewer")
+        self._users.log_out(request.cookies.get(_COOKIE))
+        answer = JSONResponse({})
+        answer.delete_cookie(_COOKIE)
+        return answer
+
+    async def _acknowledge(self, request: Request) -> Response:
+        session = await self._allowed(request, "operator")
+        if not self._outbox.acknowledge(request.path_params["number"], session.name):
+            raise RefusedError(_UNKNOWN, "there is no such alarm, or it was acknowledged before")
+        return JSONResponse({})
+
+    async def _recipe(self, request: Request) -> Response:
+        session = await self._allowed(request, "engineer")
+        station = self._stations[self._known(request)]
+        wanted = str((await _body(request)).get("recipe", ""))
+        if wanted not in map(str, station.recipes):
+            raise RefusedError(_MISFIT, "this recipe is none of the station's `recipe` and `choices`")
+        self._outbox.wish(station.name, wanted, session.name)
+        self._outbox.raise_alarm(station.name, "recipe-chosen", f"{session.name} chose {wanted}", "note")
+        return JSONResponse({})
+
+    async def _allowed(self, request: Request, role: Role) -> Session:
+        """Give the session of who asks; refuse who is not logged in, may not, or was sent by another page."""
+        _same_origin(request)
+        session = self._users.session(request.cookies.get(_COOKIE))
+        if session is None:
+            raise RefusedError(401, "log in first")
+        if not secrets.compare_digest(request.headers.get("X-CSRF-Token", ""), session.csrf):
+            raise RefusedError(403, "the request does not come from this page")
+        if MAY[session.role] < MAY[role]:
+            raise RefusedError(
+                403, f"a {session.role} may not do this; a{'n' * (role[0] in 'oe')} {role} may"
+            )
+        return session
+
+    def _known(self, request: Request) -> str:
+        name = str(request.path_params["station"])
+        if name not in self._stations:
+            raise RefusedError(_UNKNOWN, "there is no such station")
+        return name
+
+
+def _same_origin(request: Request) -> None:
+    origin = request.headers.get("Origin")
+    if origin is not None and origin.partition("://")[2] != request.headers.get("Host"):
+        raise RefusedError(403, "the request comes from another page")
+
+
+async def _body(request: Request) -> dict[str, Any]:
+    if request.headers.get("Content-Type", "").partition(";")[0] != "application/json":
+        raise RefusedError(415, "expected application/json")
+    content = b""
+    async for part in request.stream():
+        content += part
+        if len(content) > _BODY_MAX:
+            raise RefusedError(413, f"at most {_BODY_MAX} bytes are read")
+    try:
+        found = json.loads(content)
+    except (ValueError, RecursionError) as error:
+        raise RefusedError(_MISFIT, "the body is not JSON") from error
+    if not isinstance(found, dict):
+        raise RefusedError(_MISFIT, "the body is no object")
+    return found
+
+
+def _jpeg_of(path: Path) -> bytes:
+    try:
+        return jpeg_of(Frame(decoded(path)))
+    except DataError as error:
+        raise RefusedError(_UNKNOWN, "this picture is not kept any more") from error
+
+
+def _refused(_: Request, error: Exception) -> Response:
+    status = error.status if isinstance(error, RefusedError) else 503
+    return JSONResponse({"said": str(error)}, status)
+
+
+class _Headers:
+    """Adds the headers that keep other pages out to every answer."""
+
+    def __init__(self, app: Callable[..., Awaitable[None]]) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
+        async def with_headers(message: Any) -> None:
+            if message["type"] == "http.response.start":
+                added = [(name.lower().encode(), value.encode()) for name, value in _HEADERS.items()]
+                message["headers"] = [*message["headers"], *added]
+            await send(message)
+
+        await self._app(scope, receive, with_headers)

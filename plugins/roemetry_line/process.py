@@ -1,0 +1,47 @@
+"""How the processes of a line end: when asked, and a child also when the process that started it is gone."""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import sys
+import threading
+from collections.abc import Sequence
+
+
+def set_by(signals: Sequence[signal.Signals]) -> threading.Event:
+    """Give an event that is set by these signals.
+
+    A thread sets it: done by the handler itself, `Event.set` could wait for a lock that the interrupted
+    code holds.
+    """
+    stop = threading.Event()
+    reading, writing = os.pipe()
+    for number in signals:
+        if signal.getsignal(number) != signal.SIG_IGN:  # nohup ignores SIGHUP: so shall we
+            signal.signal(number, lambda number, frame: os.write(writing, b"\0") and None)
+
+    def watch() -> None:
+        os.read(reading, 1)
+        stop.set()
+
+    threading.Thread(target=watch, daemon=True).start()
+    return stop
+
+
+def until_asked() -> threading.Event:
+    """Give an event that is set on SIGTERM, and when the process that started this one is gone.
+
+    The parent holds the other end of the standard input: when it dies, however that is, the pipe ends.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # ^C is the parent's to handle
+    stop = set_by([signal.SIGTERM])
+
+    def watch() -> None:
+        while select.select([sys.stdin], [], [])[0] and os.read(sys.stdin.fileno(), 4096):
+            pass
+        stop.set()
+
+    threading.Thread(target=watch, daemon=True).start()
+    return stop

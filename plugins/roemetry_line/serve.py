@@ -1,0 +1,195 @@
+"""``roemetry serve``: starts a line's processes, watches them, and stops them in the order of the data."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from roemetry.errors import ConfigurationError, OutputError
+from roemetry.io.files import exclusive, make_folder
+from roemetry_line.line_file import Line
+from roemetry_line.log import log
+from roemetry_line.notify import UNIT, tell_systemd
+from roemetry_line.outbox import Outbox
+from roemetry_line.page.users import Role, set_password
+from roemetry_line.preflight import preflight
+from roemetry_line.process import set_by
+
+_TICK_S = 0.2
+_RESTART_S = 0.5
+"""How long a process that died is left before it is started again, s."""
+_STUCK_S = 10.0
+"""A station that has not said anything for so long is stuck: systemd then starts the line again."""
+_STOP_S = 20.0
+"""How long a process may take to stop, s; then it is killed."""
+
+
+def serve(
+    line: Annotated[Path, typer.Argument(help="A line file.")],
+    check: Annotated[
+        bool, typer.Option("--check", help="Only try every camera and receiver, and say what was found.")
+    ] = False,
+    start_anyway: Annotated[
+        bool,
+        typer.Option(
+            "--start-anyway", help="Start even where a camera or a receiver is not there yet, and try on."
+        ),
+    ] = False,
+    unit: Annotated[
+        bool, typer.Option("--unit", help="Only print a systemd unit that runs this line.")
+    ] = False,
+    user: Annotated[
+        str | None,
+        typer.Option("--user", help="Only set this user's password for the page; it is asked for."),
+    ] = None,
+    role: Annotated[
+        Role,
+        typer.Option("--role", help="What that user may do."),
+    ] = "viewer",
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+) -> None:
+    """Measure what live cameras take, and tell it, until stopped; one line of JSON in the log for each event.
+
+    Exit code: 0 stopped when asked; 1 something is not there (with --check); 2 the line file is wrong.
+    """
+    loaded = Line.load(line)
+    if unit:
+        typer.echo(
+            UNIT.format(name=loaded.name, path=loaded.path, python=sys.executable, folder=loaded.folder),
+            nl=False,
+        )
+        return
+    make_folder(loaded.folder)
+    if user is not None:
+        password = typer.prompt("password", hide_input=True, confirmation_prompt=True)
+        typer.echo(str(set_password(loaded.folder, user, role, password)))
+        return
+    if check:
+        if not _preflight(loaded, show=True):
+            raise typer.Exit(1)
+        return
+    with exclusive(loaded.folder):
+        if not start_anyway:
+            _preflight(loaded, show=False)
+        Supervisor(loaded).run()
+
+
+def _preflight(line: Line, *, show: bool) -> bool:
+    faults = []
+    for found in preflight(line):
+        if show:
+            typer.echo(f"{'ok   ' if found.well else 'WRONG'}  {found.what}: {found.said}")
+        if not found.well:
+            faults.append(f"{found.place}: {found.what}: {found.said}")
+    if faults and not show:
+        raise ConfigurationError(
+            faults,
+            hint="mend it; or start with --start-anyway: what is not there is tried on and on",
+        )
+    return not faults
+
+
+class Supervisor:
+    """Keeps a line's processes running."""
+
+    def __init__(self, line: Line) -> None:
+        self._line = line
+        self._outbox = Outbox(line.folder)
+        self._stop = set_by([signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+        stations = [[f"station {one.name}", "station", one.name] for one in line.stations]
+        others = [["outlets", "deliver"], *([["page", "page.server"]] if line.page is not None else [])]
+        self._commands = {name: (module, rest) for name, module, *rest in [*stations, *others]}
+        self._running: dict[str, subprocess.Popen[bytes]] = {}
+        self._died: dict[str, float] = {}
+
+    def run(self) -> None:
+        """Run until SIGTERM or ^C; then stop the stations, then the outlets, then the page."""
+        log("info", "starting", f"line {self._line.name}", pid=os.getpid())
+        for name in self._commands:
+            self._start(name)
+        told_ready = False
+        while not self._stop.wait(_TICK_S):
+            self._watch()
+            well = self._all_work()
+            if well and not told_ready:
+                told_ready = True
+                log("info", "ready", "every station measures")
+                tell_systemd("READY=1")
+            if well:
+                tell_systemd("WATCHDOG=1")
+        tell_systemd("STOPPING=1")
+        log("info", "stopping", "frames that wait are measured, rows that wait are delivered")
+        for group in ("station", "outlets", "page"):
+            self._end([name for name in self._running if name.startswith(group)])
+        self._outbox.close()
+        log("info", "stopped", f"line {self._line.name}")
+
+    def _start(self, name: str) -> None:
+        module, rest = self._commands[name]
+        command = [sys.executable, "-m", f"roemetry_line.{module}", str(self._line.path), *rest]
+        self._running[name] = subprocess.Popen(command, stdin=subprocess.PIPE)
+
+    def _watch(self) -> None:
+        for name, process in self._running.items():
+            code = process.poll()
+            if code is None:
+                if name in self._died and time.monotonic() - self._died[name] > 5.0:
+                    del self._died[name]
+                    self._tell(name, None)
+                continue
+            if name not in self._died or self._died[name] < 0:
+                how = signal.Signals(-code).name if code < 0 else f"exit code {code}"
+                self._tell(name, f"the process of {name} died ({how}) and is started again")
+            self._died[name] = time.monotonic()
+            self._stop.wait(_RESTART_S)
+            if not self._stop.is_set():
+                self._start(name)
+
+    def _tell(self, name: str, died: str | None) -> None:
+        try:
+            if died is None:
+                self._outbox.end_alarm(name, "process-died")
+            else:
+                self._outbox.raise_alarm(name, "process-died", died)
+        except OutputError as error:
+            log("error", "outbox", str(error))
+        log(
+            "info" if died is None else "error", "process-died", died or f"{name} works again", component=name
+        )
+
+    def _all_work(self) -> bool:
+        """Say whether each station has said something in time: it does between frames and ticks only."""
+        try:
+            health = self._outbox.health()
+        except OutputError:
+            return False
+        for station in self._line.stations:
+            told = health.get(f"station {station.name}")
+            process = self._running[f"station {station.name}"]
+            if told is None or told["pid"] != process.pid or told["state"] != "running":
+                return False
+            if time.time() - min(told["at"], told["figures"]["last_frame_s"]) > _STUCK_S:
+                return False
+        return True
+
+    def _end(self, names: list[str]) -> None:
+        for name in names:
+            if self._running[name].poll() is None:
+                self._running[name].terminate()
+        for name in names:
+            process = self._running.pop(name)
+            try:
+                process.wait(_STOP_S)
+            except subprocess.TimeoutExpired:
+                log("error", "killed", f"{name} did not stop within {_STOP_S:g} s", component=name)
+                process.kill()
+                process.wait()
+            if process.stdin is not None:
+                process.stdin.close()

@@ -1,0 +1,36 @@
+"""Lost frames by the numbers of those that came."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from roemetry_line.feeds.frame_numbers import FrameNumbers
+
+
+@pytest.mark.parametrize(
+    ("counting", "numbers", "lost"),
+    [
+        ("64-bit", [7, 8, 16, 26], [0, 0, 7, 9]),
+        ("64-bit", [0, 1, 2], [0, 0, 0]),
+        ("64-bit", [900, 1, 2], [0, 0, 0]),  # the camera was started again
+        ("16-bit", [65534, 65535, 1, 2], [0, 0, 0, 0]),
+        ("16-bit", [65534, 1, 3], [0, 1, 1]),
+        ("16-bit", [65535, 65535], [0, 0]),
+        ("16-bit", [200, 100], [0, 0]),
+    ],
+)
+def test_gaps_wraps_and_restarts(counting, numbers, lost) -> None:
+    count = FrameNumbers(counting)
+    assert [count.lost_before(number) for number in numbers] == lost
+
+
+@given(st.integers(1, 10**6), st.lists(st.integers(0, 5000), min_size=1, max_size=50))
+def test_a_16_bit_counter_that_leaves_0_out_is_followed_across_its_end(first, gaps) -> None:
+    count = FrameNumbers("16-bit")
+    index = first
+    count.lost_before(1 + index % 65535)
+    for gap in gaps:
+        index += gap + 1
+        assert count.lost_before(1 + index % 65535) == gap

@@ -1,0 +1,91 @@
+"""Control charts against their closed forms, and the days written as Parquet."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from roemetry_line.gate import GateSection, count_at_gate
+from roemetry_line.history import chart_of, counts_of, export_days, values_of
+from roemetry_line.outlets.database import COLUMNS, connect
+
+HOUR_S = 3600.0
+
+
+def test_limits_of_alternating_values_are_known() -> None:
+    values = np.tile([10.0, 11.128], 30)  # every moving range is 1.128: the standard deviation is 1
+    chart = chart_of("mass_g", np.arange(60) * 60.0, values)
+    assert chart.std_within == pytest.approx(1.0, abs=1e-12)
+    assert chart.mean == pytest.approx(10.564, abs=1e-12)
+    ((begin, count, mean, limit),) = chart.hours
+    assert (begin, count) == (0.0, 60)
+    assert mean == pytest.approx(10.564, abs=1e-12)
+    assert limit == pytest.approx(3.0 / np.sqrt(60.0), abs=1e-12)
+    assert chart.ewma[0] == pytest.approx(0.2 * 10.0 + 0.8 * 10.564, abs=1e-12)
+    assert chart.ewma_limit[0] == pytest.approx(2.86 * 0.2, abs=1e-12)
+    assert chart.ewma_limit[-1] == pytest.approx(2.86 / 3.0, abs=1e-5)
+
+
+def test_a_shift_is_seen_and_steady_products_are_not(rng) -> None:
+    times_s = np.arange(2000) * 60.0
+    steady = rng.normal(20.0, 1.0, 2000)
+    chart = chart_of("mass_g", times_s, steady)
+    assert len(chart.ewma_out) < 30  # 2,000 / 370 = 5.4 false alarms are expected, each of a few products
+    shifted = steady + np.where(times_s > 30 * HOUR_S, 1.5, 0.0)
+    out = chart_of("mass_g", times_s, shifted)
+    assert {hour * HOUR_S for hour in (30.0, 31.0, 32.0, 33.0)} <= set(out.hours_out)
+    assert len(chart.hours_out) <= 1
+
+
+def test_too_few_products_give_no_limits() -> None:
+    chart = chart_of("mass_g", np.arange(9.0), np.arange(9.0))
+    assert np.isnan(chart.std_within)
+    assert chart.hours == ()
+
+
+def table(tmp_path):
+    made = connect(f"sqlite:{tmp_path / 'h.sqlite'}")
+    rows = []
+    for n in range(48):
+        found = dict.fromkeys(COLUMNS) | {
+            "line": "l", "run": "r", "id": str(n), "station": "s", "kind": "product", "text": "{}",
+            "time_s": n * HOUR_S, "mass_g": 20.0 + n, "status": "measured",
+            "grade": "good" if n % 3 else None,
+        }  # fmt: skip
+        rows.append([found[name] for name in COLUMNS])
+    made.insert(rows)
+    return made
+
+
+def test_counts_and_values_come_from_the_table(tmp_path) -> None:
+    made = table(tmp_path)
+    assert counts_of(made, "s", 0.0) == {"good": 32, "measured": 16}
+    assert counts_of(made, "other", 0.0) == {}
+    times_s, values = values_of(made, "mass_g", None, 45 * HOUR_S)
+    assert times_s.tolist() == [45 * HOUR_S, 46 * HOUR_S, 47 * HOUR_S]
+    assert values.tolist() == [65.0, 66.0, 67.0]
+
+
+def test_closed_days_become_parquet_once(tmp_path) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet")
+    made = table(tmp_path)
+    written = export_days(made, tmp_path / "days", now=40 * HOUR_S)
+    assert [path.name for path in written] == ["1970-01-01.parquet"]
+    assert parquet.read_table(written[0]).column("mass_g").to_pylist() == [20.0 + n for n in range(24)]
+    assert export_days(made, tmp_path / "days", now=40 * HOUR_S) == []
+
+
+@pytest.mark.parametrize(
+    ("moves", "count", "y_mm", "expected"),
+    [
+        ("+y", 1000.0, 0.0, 6000),
+        ("+y", 1000.0, 100.0, 5000),
+        ("-y", 1000.0, 100.0, 7000),
+        ("+y", 65_000.0, 0.0, 70_000 - 65_536),
+        ("+y", float("nan"), 0.0, None),
+        ("+y", 1000.0, float("nan"), None),
+    ],
+)
+def test_the_count_at_the_gate(moves, count, y_mm, expected) -> None:
+    gate = GateSection(counts_per_mm=10.0, distance_mm=500.0, moves=moves, encoder_bits=16)
+    assert count_at_gate(gate, count, y_mm) == expected

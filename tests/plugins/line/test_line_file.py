@@ -1,0 +1,78 @@
+"""What is wrong with a line file is told at its place, with what to do, before anything starts."""
+
+from __future__ import annotations
+
+import pytest
+
+from roemetry.errors import ConfigurationError
+from roemetry_line.line_file import Line
+
+LINE = """\
+roemetry_line: 1
+name: line-1
+folder: data
+stations:
+  - name: one
+    recipe: recipe.yaml
+    feed: {use: folder-watch, options: {path: in}}
+outlets:
+  - {name: plc, use: tcp, options: {port: 9100}}
+"""
+
+
+@pytest.fixture
+def at(line):
+    """Write a line file beside a recipe, with something replaced; gives its path."""
+
+    def make(old: str = "", new: str = ""):
+        recipe = line()
+        assert old in LINE
+        path = recipe.parent / "line.yaml"
+        path.write_text(LINE.replace(old, new) if old else LINE, "utf-8")
+        return path
+
+    return make
+
+
+def test_a_whole_one_loads_with_its_history_as_an_outlet(at) -> None:
+    loaded = Line.load(at())
+    assert [one.name for one in loaded.outlets] == ["plc", "history"]
+    assert loaded.history_url == f"sqlite:{loaded.folder / 'history.sqlite'}"
+    assert loaded.stations[0].recipes[0].name == "recipe.yaml"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("port: 9100", "port: 91000", r"line\.yaml:9:37: .*port.*65535"),
+        ("port: 9100", "prot: 9100", r"line\.yaml:9:37: .*did you mean `port`"),
+        ("use: tcp", "use: tpc", r"(?s)line\.yaml:9:17: .*did you mean `tcp`"),
+        ("use: folder-watch", "use: folder", r"(?s)line\.yaml:7:12: .*did you mean `folder-watch`"),
+        ("recipe: recipe.yaml", "recipe: recpie.yaml", r"line\.yaml:6:5: .*recpie\.yaml"),
+        ("name: one", "name: One", r"line\.yaml:5:5: "),
+        ("name: one", "name: one\n    deadline_ms: 0", r"line\.yaml:6:5: .*deadline_ms.*greater than 0"),
+        ("name: line-1", "name: line-1\npage: {prot: 1}", r"line\.yaml:3:8: .*did you mean `port`"),
+        ("  - {name: plc", "  - {name: plc, use: tcp}\n  - {name: plc", r"line\.yaml:10:6: .*another.*`plc`"),
+        ("name: plc", "name: history", r"line\.yaml:9:6: .*history's own name"),
+        ("folder: data", "history: {url: mysql://x}", r"line\.yaml:3:11: .*url"),
+        ("roemetry_line: 1", "roemetry_line: 2", r"line\.yaml:1:1: .*roemetry_line"),
+    ],
+)  # fmt: skip
+def test_faults_are_told_at_their_place(at, old, new, told) -> None:
+    with pytest.raises(ConfigurationError, match=told):
+        Line.load(at(old, new))
+
+
+def test_a_recipe_without_calibration_is_refused(line, tmp_path) -> None:
+    recipe = line(calibrated=False)
+    (recipe.parent / "line.yaml").write_text(LINE, "utf-8")
+    with pytest.raises(ConfigurationError, match=r"line\.yaml:6:5: .*no calibration"):
+        Line.load(recipe.parent / "line.yaml")
+
+
+def test_all_faults_are_told_at_once(at) -> None:
+    path = at("use: tcp", "use: nobody")
+    path.write_text(path.read_text().replace("folder-watch", "nothing"), "utf-8")
+    with pytest.raises(ConfigurationError) as caught:
+        Line.load(path)
+    assert len(caught.value.faults) == 2

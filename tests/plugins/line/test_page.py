@@ -1,0 +1,186 @@
+"""The operator's page: who may do what, and what other pages and strangers cannot."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from typing import Any
+
+import pytest
+
+from roemetry_line.line_file import Line
+from roemetry_line.outbox import NewRow, Outbox
+from roemetry_line.page.app import LinePage
+from roemetry_line.page.users import Users, read_users, set_password
+
+with warnings.catch_warnings():
+    warnings.simplefilter("ignore")  # some releases ask for a package that takes the place of httpx
+    starlette = pytest.importorskip("starlette.testclient", reason="httpx is not installed")
+
+LINE = """\
+roemetry_line: 1
+name: line-1
+folder: data
+stations:
+  - {name: one, recipe: recipe.yaml, choices: [other.yaml], feed: folder-watch}
+"""
+
+
+@pytest.fixture
+def at(line):
+    recipe = line()
+    (recipe.parent / "other.yaml").write_text(recipe.read_text("utf-8"), "utf-8")
+    (recipe.parent / "line.yaml").write_text(LINE, "utf-8")
+    loaded = Line.load(recipe.parent / "line.yaml")
+    outbox = Outbox(loaded.folder)
+    for name, role in (("vera", "viewer"), ("otto", "operator"), ("erika", "engineer")):
+        set_password(loaded.folder, name, role, f"{name}'s word")
+    page = LinePage(loaded, outbox, Users(loaded.folder))
+    return (
+        loaded,
+        outbox,
+        starlette.TestClient(page.app(["127.0.0.1", "localhost"]), base_url="http://127.0.0.1"),
+    )
+
+
+def log_in(client: Any, name: str) -> dict[str, str]:
+    answer = client.post("/log-in", json={"name": name, "password": f"{name}'s word"})
+    assert answer.status_code == 200
+    return {"X-CSRF-Token": client.get("/who").json()["csrf"], "Content-Type": "application/json"}
+
+
+def test_roles_may_do_what_they_may(at) -> None:
+    loaded, outbox, client = at
+    outbox.raise_alarm("one", "camera", "gone")
+    number = outbox.alarms()[0]["n"]
+    other = str(loaded.stations[0].recipes[1])
+    expected = {None: (401, 401), "vera": (403, 403), "otto": (200, 403), "erika": (404, 200)}
+    for name, (acknowledged, chosen) in expected.items():
+        client.cookies.clear()
+        headers = {} if name is None else log_in(client, name)
+        assert client.post(f"/acknowledge/{number}", headers=headers).status_code == acknowledged, name
+        asked = client.post("/recipe/one", headers=headers, content=json.dumps({"recipe": other}))
+        assert asked.status_code == chosen, name
+    assert outbox.wished("one") == other
+    (alarm,) = (one for one in outbox.alarms() if one["n"] == number)
+    assert alarm["acknowledged_by"] == "otto"
+
+
+def test_a_recipe_that_is_none_of_the_lines_is_refused(at) -> None:
+    _, outbox, client = at
+    headers = log_in(client, "erika")
+    answer = client.post("/recipe/one", headers=headers, content=json.dumps({"recipe": "/etc/passwd"}))
+    assert answer.status_code == 400
+    assert outbox.wished("one") is None
+
+
+@pytest.mark.parametrize(
+    "without",
+    [
+        {"X-CSRF-Token": ""},
+        {"X-CSRF-Token": "guessed"},
+        {"Origin": "http://elsewhere.example"},
+        {"Origin": "null"},
+    ],
+)
+def test_another_page_cannot_act_for_a_user(at, without) -> None:
+    _, outbox, client = at
+    outbox.raise_alarm("one", "camera", "gone")
+    headers = log_in(client, "otto")
+    number = outbox.alarms()[0]["n"]
+    assert client.post(f"/acknowledge/{number}", headers=headers | without).status_code == 403
+    assert client.post(f"/acknowledge/{number}", headers=headers).status_code == 200
+
+
+@pytest.mark.parametrize("host", ["elsewhere.example", "127.0.0.1.elsewhere.example", ""])
+def test_another_host_name_is_refused(at, host) -> None:
+    assert at[2].get("/who", headers={"Host": host}).status_code == 400
+
+
+def test_a_login_makes_a_new_session(at) -> None:
+    _, _, client = at
+    planted = {"Cookie": "roemetry_session=planted-by-somebody"}
+    password = {"name": "otto", "password": "otto's word"}
+    answer = client.post("/log-in", json=password, headers=planted)
+    assert answer.status_code == 200
+    client.cookies.clear()
+    assert client.get("/who", headers=planted).json()["role"] == "viewer"
+    told = answer.headers["set-cookie"].lower()
+    assert "httponly" in told
+    assert "samesite=strict" in told
+
+
+def test_passwords_are_hashed_and_a_name_is_locked_after_five_wrong_ones(at) -> None:
+    loaded, _, client = at
+    assert "word" not in (loaded.folder / "users.yaml").read_text("utf-8").replace("password", "")
+    assert (loaded.folder / "users.yaml").stat().st_mode & 0o077 == 0
+    assert read_users(loaded.folder / "users.yaml")["otto"].role == "operator"
+    for _ in range(5):
+        assert client.post("/log-in", json={"name": "otto", "password": "wrong"}).status_code == 403
+    assert client.post("/log-in", json={"name": "otto", "password": "otto's word"}).status_code == 403
+    assert client.post("/log-in", json={"name": "nobody", "password": ""}).status_code == 403
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/picture/../../etc/passwd",
+        "/picture/..%2f..%2fusers",
+        "/picture/other",
+        "/spooled/one/..%2f..%2f../users.jpg",
+        "/spooled/one/%2e%2e/000001.jpg",
+        "/spooled/one/run/..%2fx.jpg",
+        "/static/../app.py",
+        "/static/%2e%2e/app.py",
+        "/trend/other",
+    ],
+)
+def test_no_path_leads_outside(at, path) -> None:
+    assert at[2].get(path).status_code in (400, 404)
+
+
+@pytest.mark.parametrize(
+    ("content", "kind", "status"),
+    [
+        (b"x" * 20_000, "application/json", 413),
+        (b"[" * 9_000, "application/json", 400),
+        (b"[]", "application/json", 400),
+        (b"\xff", "application/json", 400),
+        (b"{}", "text/plain", 415),
+    ],
+)
+def test_bodies_that_are_none_are_refused(at, content, kind, status) -> None:
+    assert at[2].post("/log-in", content=content, headers={"Content-Type": kind}).status_code == status
+
+
+def test_every_answer_keeps_other_pages_out(at) -> None:
+    for path in ("/", "/who", "/static/page.js", "/nothing"):
+        headers = at[2].get(path).headers
+        assert "frame-ancestors 'none'" in headers["content-security-policy"]
+        assert headers["x-content-type-options"] == "nosniff"
+
+
+def test_metrics_are_what_prometheus_reads(at) -> None:
+    _, outbox, client = at
+    outbox.beat("station one", "running", {"frames": 7, "latency_counts": [1] * 11, "latency_ms_sum": 55.0,
+                                           "results": {'odd "one"\n': 2}})  # fmt: skip
+    text = client.get("/metrics").text
+    assert 'roemetry_frames_total{line="line-1",station="one"} 7' in text
+    assert 'roemetry_latency_seconds_bucket{line="line-1",station="one",le="+Inf"} 11' in text
+    assert r'result="odd \"one\"\n"' in text
+    for line in text.splitlines():
+        assert line.startswith("# ") or line.rpartition(" ")[2].replace(".", "", 1).isdigit(), line
+
+
+def test_what_is_shown_is_what_the_outbox_says(at) -> None:
+    loaded, outbox, _ = at
+    from roemetry_line.page.snapshot import snapshot_of
+
+    outbox.put([NewRow("l/r/000001#1", "one", "r", "product", {"id": "000001#1", "status": "failed"}, "{}")])
+    outbox.beat("station one", "running", {"last_frame_s": 0.0})
+    outbox.raise_alarm("one", "camera", "no frames from the camera: unplugged")
+    shown = snapshot_of(loaded, outbox)
+    assert shown["stations"][0]["last"]["summary"]["status"] == "failed"
+    assert len(shown["stations"][0]["rejects"]) == 1
+    assert shown["alarms"][0]["text"] == "no frames from the camera: unplugged"
+    json.dumps(shown, allow_nan=False)

@@ -1,0 +1,239 @@
+"""A whole line with its processes: what goes in comes out once, whatever dies."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import socket
+import sqlite3
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from roemetry.cli.main import app
+
+LINE = """\
+roemetry_line: 1
+name: line-1
+folder: data
+stations:
+  - name: one
+    recipe: recipe.yaml
+    deadline_ms: 60000
+    feed: {use: folder-watch, options: {path: INCOMING, settle_ms: 0, poll_ms: 5}}
+outlets:
+  - {name: plc, use: tcp, options: {port: PORT}}
+page: null
+"""
+
+
+class Receiver:
+    """Takes rows, and is there or not."""
+
+    def __init__(self) -> None:
+        self.keys: list[str] = []
+        self._server = socket.create_server(("127.0.0.1", 0))
+        self.port = self._server.getsockname()[1]
+        threading.Thread(target=self._serve, daemon=True).start()
+
+    def _serve(self) -> None:
+        while True:
+            try:
+                connection, _ = self._server.accept()
+            except OSError:
+                return
+            with connection, connection.makefile("rb") as lines:
+                for line in lines:
+                    self.keys.append(json.loads(line)["key"])
+                    connection.sendall(f"ok {self.keys[-1]}\n".encode())
+
+    def close(self) -> None:
+        self._server.close()
+
+    @property
+    def products(self) -> list[str]:
+        """The products' keys, each where it came first."""
+        return [key for key in dict.fromkeys(self.keys) if "!" not in key]
+
+
+class Served:
+    """A line that runs beside a recipe, and pictures to put before its camera."""
+
+    def __init__(self, recipe: Path, receiver: Receiver) -> None:
+        self.folder = recipe.parent
+        self.incoming = self.folder / "incoming"
+        self.incoming.mkdir()
+        self.images = sorted((self.folder / "images").iterdir())
+        self._count = 0
+        text = LINE.replace("PORT", str(receiver.port)).replace("INCOMING", str(self.incoming))
+        (self.folder / "line.yaml").write_text(text, "utf-8")
+        self.log = self.folder / "log.jsonl"
+        self.start()
+
+    def start(self) -> None:
+        """Start it, and wait until every station measures."""
+        with self.log.open("a") as log:
+            before = self.log.read_text().count('"ready"')
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", "roemetry", "serve", str(self.folder / "line.yaml")], stderr=log
+            )
+        wait_for(lambda: self.log.read_text().count('"ready"') > before, "the line is not ready", 60.0)
+
+    def put(self, many: int) -> None:
+        """Put so many pictures before the camera, whole at once."""
+        for _ in range(many):
+            self._count += 1
+            image = self.images[self._count % len(self.images)]
+            part = self.incoming / f".{self._count}.part"
+            shutil.copy(image, part)
+            part.rename(self.incoming / f"{self._count:05d}.png")
+
+    def kill(self, component: str) -> None:
+        """Kill one of its processes, as the system would for want of memory."""
+        with sqlite3.connect(self.folder / "data" / "line.sqlite") as db:
+            (pid,) = db.execute("select pid from health where component = ?", (component,)).fetchone()
+        db.close()
+        os.kill(pid, signal.SIGKILL)
+
+    def stop(self) -> int:
+        """Stop it as the system would."""
+        self.process.terminate()
+        return self.process.wait(60)
+
+    def runs(self) -> list[Path]:
+        return sorted((self.folder / "data" / "runs" / "one").iterdir())
+
+    def recorded(self) -> list[str]:
+        return [
+            f"line-1/{run.name}/{json.loads(line)['id']}"
+            for run in self.runs()
+            for line in (run / "measurements.jsonl").read_text("utf-8").splitlines()
+        ]
+
+
+def wait_for(condition: Callable[[], object], otherwise: str, seconds: float = 20.0) -> None:
+    until_s = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < until_s, otherwise
+        time.sleep(0.05)
+
+
+@pytest.fixture
+def receiver():
+    made = Receiver()
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def served(line, receiver):
+    made = Served(line(), receiver)
+    yield made
+    if made.process.poll() is None:
+        made.process.kill()
+        made.process.wait()
+
+
+def test_a_line_measures_reloads_survives_kills_and_drains(served, receiver) -> None:
+    served.put(6)
+    wait_for(lambda: len(receiver.products) >= 6, "six products are not told")
+
+    served.kill("station one")
+    wait_for(lambda: '"process-died"' in served.log.read_text(), "nobody tells of the death")
+    wait_for(lambda: len(served.runs()) == 2 and served.log.read_text().count("process-died"), "no new run")
+    time.sleep(2.5)  # folder-watch begins with what comes after its start
+    served.put(3)
+    wait_for(lambda: len(receiver.products) >= 9, "three products after the station's death are not told")
+
+    served.kill("outlets")
+    served.put(3)
+    wait_for(lambda: len(receiver.products) >= 12, "three products after the outlets' death are not told")
+
+    recipe = served.folder / "recipe.yaml"
+    whole = recipe.read_text("utf-8")
+    recipe.write_text(whole.replace("threshold: 60", "threshold: sixty"), "utf-8")
+    wait_for(lambda: '"recipe"' in served.log.read_text(), "a faulty recipe is not told")
+    recipe.write_text(whole.replace("threshold: 60", "threshold: 70"), "utf-8")
+    time.sleep(2.5)
+    served.put(3)
+    wait_for(lambda: len(receiver.products) >= 15, "three products by the changed recipe are not told")
+
+    assert served.stop() == 0
+    assert len(receiver.products) == 15
+    assert served.recorded() == receiver.products
+    with sqlite3.connect(served.folder / "data" / "history.sqlite") as db:
+        found = db.execute("select line, run, id from roemetry_rows order by rowid").fetchall()
+    db.close()
+    kept = ["/".join(key) for key in found if "!" not in key[2]]
+    assert kept == receiver.products
+
+    *_, last = served.runs()
+    again = served.folder / "again"
+    changes = ["source.use=dataset", "source.options={}", f"source.path={last}", "sinks=[]"]
+    typed = ["run", str(recipe), "--out", str(again), *(f"--set={change}" for change in changes)]
+    ran = CliRunner().invoke(app, typed)
+    assert ran.exit_code == 0, ran.output
+    assert (again / "measurements.jsonl").read_bytes() == (last / "measurements.jsonl").read_bytes()
+    assert CliRunner().invoke(app, ["report", str(last)]).exit_code == 0
+    said = CliRunner().invoke(app, ["history", str(served.folder / "line.yaml"), "--json"])
+    assert sum(json.loads(said.output)["counts"].values()) == 15
+
+
+def test_frames_that_were_spooled_and_not_measured_are_measured_after_a_death(served, receiver) -> None:
+    served.put(2)
+    wait_for(lambda: len(receiver.products) >= 2, "two products are not told")
+    served.process.kill()  # its children end with it
+    served.process.wait()
+    (run,) = served.runs()
+    wait_for(lambda: not locked(served.folder), "the children live on")
+    # as if it had been killed before the second product came into the outbox
+    lines = (run / "measurements.jsonl").read_text("utf-8").splitlines(keepends=True)
+    (run / "measurements.jsonl").write_text(lines[0] + lines[1][:40], "utf-8")
+    provenance = json.loads((run / "provenance.json").read_text("utf-8")) | {"finished": None}
+    (run / "provenance.json").write_text(json.dumps(provenance), "utf-8")
+    with sqlite3.connect(served.folder / "data" / "line.sqlite") as db:
+        db.execute("delete from rows where key like '%000002#1'")
+        db.execute("update marks set n = (select max(n) from rows)")
+    db.close()
+    served.start()
+    wait_for(lambda: len(receiver.keys) >= 3, "the product is not told after the restart")
+    assert served.stop() == 0
+    assert receiver.keys[-1] == receiver.products[1]
+    assert (run / "measurements.jsonl").read_text("utf-8").splitlines(keepends=True) == lines
+
+
+def locked(folder: Path) -> bool:
+    """Say whether a process of the line is still there."""
+    found = subprocess.run(["pgrep", "-f", str(folder / "line.yaml")], capture_output=True, check=False)
+    return found.returncode == 0
+
+
+def test_a_line_that_cannot_reach_a_receiver_does_not_start(line, receiver) -> None:
+    recipe = line()
+    (recipe.parent / "in").mkdir()
+    text = LINE.replace("PORT", "1").replace("INCOMING", str(recipe.parent / "in"))
+    (recipe.parent / "line.yaml").write_text(text, "utf-8")
+    tried = subprocess.run(
+        [sys.executable, "-m", "roemetry", "serve", str(recipe.parent / "line.yaml")],
+        capture_output=True, text=True, check=False, timeout=60,
+    )  # fmt: skip
+    assert tried.returncode == 2
+    assert "line.yaml:10:5: outlet plc (tcp): 127.0.0.1:1: Connection refused" in tried.stderr
+    assert not (recipe.parent / "data" / "runs").exists()
+
+
+def test_a_unit_names_this_line(line) -> None:
+    recipe = line()
+    (recipe.parent / "line.yaml").write_text(LINE.replace("PORT", "9100").replace("INCOMING", "in"), "utf-8")
+    shown = CliRunner().invoke(app, ["serve", str(recipe.parent / "line.yaml"), "--unit"])
+    assert shown.exit_code == 0
+    assert f"serve {recipe.parent / 'line.yaml'} --start-anyway" in shown.output
+    assert "Type=notify" in shown.output
