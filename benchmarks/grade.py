@@ -6,7 +6,8 @@ Learns on skeins of our simulator, of the simulator `mitsuba`, and of a second f
 each on two rigs drawn at random, no two alike. Tests on fresh bodies of both simulators; on the meshes of a
 rendered set (where a folder is given), whose family nothing was learned from; and on traced skeins of our
 simulator with a coder's errors. Then fits on ten skeins of one rig, and tests on the others of that rig.
-The tables are those of docs/measurements/grading.md.
+The tables are those of docs/measurements/grading.md; the last says how far each feature spreads over rigs for
+the same body, against how far bodies lie apart.
 """
 
 from __future__ import annotations
@@ -19,15 +20,25 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.grading.few_samples import few_table
-from benchmarks.grading.judges import GOOD, SHOWN_MM, fitted_limits, fitted_model, judges_of
+from benchmarks.grading.bodies import CLASSES, Body
+from benchmarks.grading.judges import GOOD, SHOWN_MM, fitted_limits, fitted_model, judges_of, samples_of
 from benchmarks.grading.scores import UNKNOWN, Judged, judged_by
-from benchmarks.grading.spread import spread_table
 from benchmarks.grading.strangers import strangers
-from benchmarks.grading.virtual_rows import rendered_rows, virtual_rows
+from benchmarks.grading.virtual_rig import draw_rig
+from benchmarks.grading.virtual_rows import (
+    KINDS,
+    lofted_skein,
+    make_body,
+    rendered_bodies,
+    rendered_rows,
+    rows_of_body,
+    virtual_rows,
+)
 from benchmarks.tables import table
 from benchmarks.traced import rows_of
 from benchmarks.traced.tables import LEARNING_MIX, Row
+from roemetry_shape.learned import Learned, LearnedOptions
+from roemetry_shape.novelty import GOOD_SPREAD
 
 MODEL = Path("recipes/herring_roe/classifier.json")
 LEARN_FROM = {"ours": 200000, "second": 110000, "lofted": 700000}
@@ -130,6 +141,98 @@ def _with_origin(content: str, learning: Sequence[Row]) -> str:
         "each on a rig of its own (11 to 27 stripes, either side, 20 to 50 degrees of light); no real skein"
     )
     return json.dumps(model, allow_nan=False, separators=(",", ":")) + "\n"
+
+
+FEW_MIX = (*(GOOD,) * 7, "dent", "dent", "bend", "twist", "fold", "broken", "dent")
+FEW_FIRST, BODIES, FEW_RIGS, TRIALS = 520000, 56, 5, 4
+
+
+def few_table(rendered: Path | None, begin: Path) -> str:
+    """Write good kept and others caught, over rigs and draws of the ten, by family and what was labelled."""
+    families = {
+        "our skeins": [make_body("ours", FEW_FIRST + k, FEW_MIX[k % len(FEW_MIX)]) for k in range(BODIES)]
+    }
+    try:
+        families["skeins of `mitsuba`"] = [
+            lofted_skein(FEW_FIRST + k, FEW_MIX[k % len(FEW_MIX)]) for k in range(BODIES)
+        ]
+    except ImportError:
+        print("skeins of `mitsuba`: left out, the plugin is not installed")
+    if rendered is not None:
+        families["skeins of the rendered set"] = rendered_bodies(rendered) * 6
+    lines = []
+    for family, bodies in families.items():
+        by_rig = [_measured(bodies, rig) for rig in range(FEW_RIGS)]
+        for good, others, start in ((8, 0, None), (10, 0, None), (8, 4, None), (10, 0, begin)):
+            told = f"{good} good, {others} named" + (", begun with the shipped model" if start else "")
+            lines.append([family, told, *_judged(by_rig, good, others, start)])
+    return table(("products", "fitted on", "good kept", "caught", "named right", "named wrong"), lines)
+
+
+def _measured(bodies: Sequence[Body], rig_seed: int) -> list[Row]:
+    rng = np.random.default_rng([FEW_FIRST, rig_seed])
+    rig = draw_rig(rng)
+    rows = []
+    for number, body in enumerate(bodies):
+        lies = rig._replace(phase=float(rng.uniform(-0.5, 0.5)))
+        found = rows_of_body(body, "rig", number, rng, 1, lies)
+        rows += [row for row in found if body.label == GOOD or row.defect["shown_mm"] >= SHOWN_MM]
+    return [row for row in rows if row.features]
+
+
+def _judged(by_rig: Sequence[Sequence[Row]], good: int, others: int, begin: Path | None) -> list[str]:
+    rng = np.random.default_rng(FEW_FIRST)
+    kept: list[bool] = []
+    caught: list[bool] = []
+    right: list[bool] = []
+    wrong: list[bool] = []
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "few.json"
+        for rows in by_rig:
+            for _ in range(TRIALS):
+                order = [rows[k] for k in rng.permutation(len(rows))]
+                sound = [row for row in order if row.name == GOOD]
+                deformed = [row for row in order if row.name != GOOD]
+                given = samples_of(sound[:good] + deformed[:others])
+                fitted = Learned.fit(given, good=GOOD, begin=begin)
+                path.write_text(fitted.content, encoding="utf-8")
+                learned = Learned(LearnedOptions(model=path))
+                kept += [learned.judge(row.features).label == GOOD for row in sound[good:]]
+                for row in deformed[others:]:
+                    label = learned.judge(row.features).label
+                    caught.append(label != GOOD)
+                    right.append(label == row.name)
+                    wrong.append(label in KINDS and label not in (GOOD, row.name))
+    shares = [f"{100.0 * np.mean(one):.1f} %" for one in (kept, caught, right, wrong)]
+    return [f"{shares[0]} of {len(kept)}", f"{shares[1]} of {len(caught)}", *shares[2:]]
+
+
+SPREAD_FROM, SPREAD_RIGS = 91000, 12
+
+
+def spread_table(rendered: Path | None) -> str:
+    """Write, for each feature that tells a defect, its spread over rigs and between bodies of all classes."""
+    bodies = [
+        make_body(family, SPREAD_FROM + k, name)
+        for family in ("ours", "second")
+        for k, name in enumerate(CLASSES)
+    ]
+    bodies += [] if rendered is None else rendered_bodies(rendered)
+    rng = np.random.default_rng(SPREAD_FROM)
+    values = [
+        [
+            [row.features[name] for name in GOOD_SPREAD]
+            for row in rows_of_body(body, "spread", k, rng, SPREAD_RIGS)
+        ]
+        for k, body in enumerate(bodies)
+    ]
+    within = np.median([np.std(one, axis=0) for one in values], axis=0)
+    between = np.std([np.median(one, axis=0) for one in values], axis=0)
+    rows = [
+        [f"`{name}`", f"{inner:.2g}", f"{outer:.2g}", f"{outer / inner:.1f}"]
+        for name, inner, outer in zip(GOOD_SPREAD, within, between, strict=True)
+    ]
+    return table(("feature", "over rigs", "between bodies", "ratio"), rows)
 
 
 if __name__ == "__main__":
