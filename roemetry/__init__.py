@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     from roemetry.errors import RoemetryError
     from roemetry.records import Measurement
     from roemetry.records.calibration import Calibration
-    from roemetry.records.convert import product_from_points, to_pandas, to_point_cloud, to_xarray
+    from roemetry.records.convert import to_pandas, to_point_cloud, to_xarray
+    from roemetry.records.from_points import product_from_points
     from roemetry.run.api import Recipe
     from roemetry.run.batch import run_recipe
     from roemetry.run.pipeline import Pipeline
@@ -45,7 +46,7 @@ _HOMES = {
     "RoemetryError": "errors",
     "calibrate": "calibrating",
     "make_stage": "config.resolve",
-    "product_from_points": "records.convert",
+    "product_from_points": "records.from_points",
     "run_recipe": "run.batch",
     "to_pandas": "records.convert",
     "to_point_cloud": "records.convert",

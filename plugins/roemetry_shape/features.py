@@ -37,6 +37,7 @@ import numpy as np
 
 from roemetry.records import Product, Profiles, Relief
 from roemetry.records.arrays import Flags, Floats
+from roemetry_shape.curvature import surface_shape
 from roemetry_shape.product_frame import (
     SAMPLES,
     STATIONS,
@@ -55,7 +56,6 @@ from roemetry_shape.regions import (
     humps_of,
     regions_of,
     relief_of,
-    surface_shape,
 )
 
 SECTIONS_MIN = 3
@@ -402,7 +402,7 @@ _MISSING_MOST = 3.0
 """Stripes: where an end does not thin at all, three are as many as any."""
 
 _U = np.linspace(-1.0, 1.0, STATIONS)
-_TENTH, _FIFTH = STATIONS // 10, STATIONS // 5  # stations: a tenth and a fifth of the length
+_TENTH, _FIFTH = STATIONS // 10, STATIONS // 5
 _QUARTIC = np.polynomial.legendre.legvander(_U, 4)
 _QUARTIC_FIT = np.linalg.pinv(_QUARTIC)
 

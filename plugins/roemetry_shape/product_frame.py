@@ -277,7 +277,7 @@ def _in_order(found: list[_Cut]) -> Sections:
     )
 
 
-_ENDS = (0, -1)  # first and last section
+_ENDS = (0, -1)
 
 
 def outline_features(product: Product, sections: Sections) -> dict[str, float]:

@@ -134,7 +134,7 @@ def _check_rows(laser: Frame) -> None:
     )
 
 
-_USUAL_BITS = (10, 12, 14)  # of sensors that write 16-bit files
+_USUAL_BITS = (10, 12, 14)
 
 
 def _check_bits_in_use(laser: Frame) -> None:

@@ -19,7 +19,7 @@ from rich.console import Console
 from roemetry import Recipe
 from roemetry.cli.main import main
 from roemetry.cli.progress import time_left_s
-from roemetry.cli.run import problems_of, table_of
+from roemetry.cli.table import problems_of, table_of
 from roemetry.config.overrides import Implied
 from roemetry.errors import ConfigurationError
 from roemetry.records import Estimate, Measurement, Reason, Weight

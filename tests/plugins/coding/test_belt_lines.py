@@ -12,7 +12,8 @@ import roemetry
 from roemetry.errors import StageError
 from roemetry.records.calibration import Alignment
 from roemetry.testing.scenes import LinearRig, moved_rig
-from roemetry_coding.belt_lines import BeltLines, tear_of
+from roemetry_coding.belt_lines import BeltLines
+from roemetry_coding.torn_frames import tear_of
 
 HOME = Path(__file__).parents[3] / "recipes" / "herring_roe"
 NOTHING = np.zeros((4, 4))

@@ -17,9 +17,10 @@ from roemetry.testing.solids import (
     product_from,
     product_of,
 )
+from roemetry_shape.curvature import local_quadrics, surface_shape
 from roemetry_shape.features import features_of, shape_features
 from roemetry_shape.product_frame import SAMPLES, Sections, sections_of
-from roemetry_shape.regions import hollow_depth, hollows_of, local_quadrics, surface_shape
+from roemetry_shape.regions import hollow_depth, hollows_of
 
 
 @settings(deadline=None)  # the first example may compile a kernel
