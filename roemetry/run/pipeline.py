@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import signal
-import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
-from types import FrameType
 from typing import Any, TypeVar
 
 import numpy as np
@@ -40,6 +36,7 @@ from roemetry.run.monte_carlo import Chain, Scene, propagate, without_draws
 from roemetry.run.open_parts import OpenPart, open_parts, said_of, split_products, widened, widened_by
 from roemetry.run.preprocess import prepare, prepare_plain
 from roemetry.run.stage_errors import describe_failure, is_refusal, plugin_frame
+from roemetry.run.time_limit import StageTimeout, time_limit
 from roemetry.stages.kinds import check_result_type
 
 T = TypeVar("T")
@@ -377,35 +374,3 @@ def _unfit(frame: Frame | None, calibration: Calibration | None) -> Reason | Non
             f"{made_columns} × {made_rows}: another camera or region of interest; calibrate this one",
         )
     return None
-
-
-class StageTimeout(BaseException):
-    """Raised within a stage whose time is up. No `Exception`, so that no ``except Exception`` keeps it."""
-
-
-@contextmanager
-def time_limit(limit_s: float | None) -> Iterator[None]:
-    """Raise `StageTimeout` in what runs within once it has taken `limit_s` seconds; None: no limit.
-
-    The system's timer does it, which Python has on Unix and in a process's main thread only: elsewhere there
-    is no limit. Compiled code is interrupted when it returns to Python.
-    """
-    if (
-        limit_s is None
-        or not hasattr(signal, "setitimer")
-        or threading.current_thread() is not threading.main_thread()
-        or signal.getitimer(signal.ITIMER_REAL)[0]
-    ):
-        yield
-        return
-
-    def expired(number: int, frame: FrameType | None) -> None:
-        raise StageTimeout
-
-    before = signal.signal(signal.SIGALRM, expired)
-    signal.setitimer(signal.ITIMER_REAL, limit_s)
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
