@@ -117,7 +117,7 @@ class StationProcess:
         self._lock = threading.Lock()
         self._due: dict[tuple[str, str], tuple[float, Taken, Where]] = {}
         self._state = "starting"
-        self._last_frame_s = time.time()
+        self._last_frame_s = self._last_try_s = time.time()
         self._last_beat_s = 0.0
         self._taking = True
         self._open = outbox.open_alarms(name)
@@ -161,13 +161,14 @@ class StationProcess:
                                 break
                             if live is not None:
                                 job = self._take_one(job, live)
-                            self._last_frame_s = time.time()
+                            self._last_frame_s = self._last_try_s = time.time()
                         else:
                             self._note("feed-ended", "the feed has no more frames")
                             return
                 # Whatever a feed raises, the line goes on as soon as there are frames again.
                 except FAULTS as error:
                     self._figures.reconnects += 1
+                    self._last_try_s = time.time()
                     said = error.message if isinstance(error, RoemetryError) else _fault(error)
                     self._alarm("camera", f"no frames from the camera: {said}")
                     self._stop.wait(_REOPEN_S)
@@ -339,7 +340,7 @@ class StationProcess:
         """Say of every frame whose time is up and that is still being measured that it is late."""
         if self._section.deadline_ms is None:
             return
-        step_s = min(0.01, self._section.deadline_ms / 4e3)
+        step_s = min(0.01, max(0.001, self._section.deadline_ms / 4e3))
         while not self._stop.wait(step_s):
             now = time.time()
             with self._lock:
@@ -447,6 +448,7 @@ class StationProcess:
         else:
             self._ended("disk-low", "there is room on the disk again")
         figures = {**vars(self._figures), "queue": self._queue.qsize(), "last_frame_s": self._last_frame_s,
+            "last_try_s": self._last_try_s,
                    "disk_free_gb": free_gb}  # fmt: skip
         try:
             self._outbox.beat(f"station {self._name}", self._state, figures)
