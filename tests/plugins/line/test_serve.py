@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import shutil
@@ -50,7 +51,8 @@ class Receiver:
                 connection, _ = self._server.accept()
             except OSError:
                 return
-            with connection, connection.makefile("rb") as lines:
+            # who delivers may be killed at any moment
+            with contextlib.suppress(OSError), connection, connection.makefile("rb") as lines:
                 for line in lines:
                     self.keys.append(json.loads(line)["key"])
                     connection.sendall(f"ok {self.keys[-1]}\n".encode())
