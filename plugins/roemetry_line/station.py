@@ -125,7 +125,9 @@ class StationProcess:
 
     def run(self) -> None:
         """Recover what the last run left, then take and measure until asked to stop; then drain."""
-        recipe = line_file.load_recipe(self._wanted(), self._home)
+        recipe = self._whole_recipe()
+        if recipe is None:
+            return
         warm_up(recipe)
         self._beat(now=True)
         for left in runs.runs_of(self._home, self._name):
@@ -219,6 +221,21 @@ class StationProcess:
             self._figures.reloads += 1
             self._note("recipe-reloaded", f"from now on the changed recipe measures: {recipe.path}")
         return self._begin(recipe or job.recipe)
+
+    def _whole_recipe(self) -> Recipe | None:
+        """Load the recipe; wait while it has faults, as after a restart. None where asked to stop."""
+        while not self._stop.is_set():
+            try:
+                recipe = line_file.load_recipe(self._wanted(), self._home)
+            except RoemetryError as error:
+                self._alarm("recipe", f"nothing is measured, the recipe has faults: {error}")
+                self._state = "waits for a recipe without faults"
+                self._beat()
+                self._stop.wait(_RELOAD_S)
+                continue
+            self._ended("recipe", "the recipe is whole")
+            return recipe
+        return None
 
     def _begin(self, recipe: Recipe) -> Job:
         """Begin a run with a recipe; its source is the run's own spool, so that `roemetry run` finds it."""
@@ -447,9 +464,13 @@ class StationProcess:
             self._alarm("disk-low", f"{free_gb:.2f} GB are free for {self._line.folder}", "warning")
         else:
             self._ended("disk-low", "there is room on the disk again")
-        figures = {**vars(self._figures), "queue": self._queue.qsize(), "last_frame_s": self._last_frame_s,
+        figures = {
+            **vars(self._figures),
+            "queue": self._queue.qsize(),
+            "last_frame_s": self._last_frame_s,
             "last_try_s": self._last_try_s,
-                   "disk_free_gb": free_gb}  # fmt: skip
+            "disk_free_gb": free_gb,
+        }
         try:
             self._outbox.beat(f"station {self._name}", self._state, figures)
         except OutputError as error:
@@ -491,7 +512,7 @@ def main() -> int:
     """Run the station that the command line names, of a line file."""
     stop = until_asked()
     path, name = Path(sys.argv[1]), sys.argv[2]
-    line = line_file.Line.load(path)
+    line = line_file.Line.load(path, with_recipes=False)
     outbox = Outbox(line.folder)
     StationProcess(line, name, outbox, stop).run()
     return 0

@@ -155,14 +155,13 @@ def test_a_line_measures_reloads_survives_kills_and_drains(served, receiver) -> 
     served.put(3)
     wait_for(lambda: len(receiver.products) >= 9, "three products after the station's death are not told")
 
-    served.kill("outlets")
-    served.put(3)
-    wait_for(lambda: len(receiver.products) >= 12, "three products after the outlets' death are not told")
-
     recipe = served.folder / "recipe.yaml"
     whole = recipe.read_text("utf-8")
     recipe.write_text(whole.replace("threshold: 60", "threshold: sixty"), "utf-8")
     wait_for(lambda: '"recipe"' in served.log.read_text(), "a faulty recipe is not told")
+    served.kill("outlets")  # what tells does not need the recipe
+    served.put(3)
+    wait_for(lambda: len(receiver.products) >= 12, "three products after the outlets' death are not told")
     recipe.write_text(whole.replace("threshold: 60", "threshold: 70"), "utf-8")
     time.sleep(2.5)
     served.put(3)
