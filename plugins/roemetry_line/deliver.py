@@ -95,7 +95,7 @@ class Deliverer:
 def main() -> int:
     """Deliver the rows of the line file that the command line names."""
     stop = until_asked()
-    line = Line.load(Path(sys.argv[1]))
+    line = Line.load(Path(sys.argv[1]), with_recipes=False)
     outbox = Outbox(line.folder)
     news = threading.Condition()
     workers = [Deliverer(named, outbox, news, stop) for named in line.outlets]

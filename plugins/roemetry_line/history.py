@@ -172,7 +172,7 @@ def history(
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
     """Say what a line has measured: counts by class, means by hour, and what is out of control."""
-    loaded = Line.load(line)
+    loaded = Line.load(line, with_recipes=False)
     table = history_of(loaded)
     if parquet is not None:
         for path in export_days(table, parquet):

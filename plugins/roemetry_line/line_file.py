@@ -162,15 +162,18 @@ class Line:
     page: PageSection | None
 
     @classmethod
-    def load(cls, path: Path) -> Self:
-        """Read and check a line file; ConfigurationError names every fault with ``file:line:column``."""
+    def load(cls, path: Path, *, with_recipes: bool = True) -> Self:
+        """Read and check a line file; ConfigurationError names every fault with ``file:line:column``.
+
+        Without recipes they are not looked into: one may be edited while the line runs and rows are told.
+        """
         document = read(path)
         file, faults = checked(LineFile, document.data, document.place)
         if file is None:
             raise ConfigurationError(faults, hint="docs/reference/line.md has every key")
         resolver = StageResolver(discover(), document.place, path.absolute().parent)
         folder = (path.absolute().parent / file.folder).resolve()
-        stations = tuple(_stations(file, document, resolver, path.absolute().parent))
+        stations = tuple(_stations(file, document, resolver, path.absolute().parent, with_recipes))
         outlets = tuple(_outlets(file, document, resolver, folder))
         if resolver.faults:
             raise ConfigurationError(resolver.faults)
@@ -192,31 +195,35 @@ def load_recipe(path: Path, spool: Path) -> Recipe:
     return Recipe.load(path, sets=changes)
 
 
-def _stations(file: LineFile, document: Document, resolver: StageResolver, home: Path) -> Iterator[Station]:
+def _stations(
+    file: LineFile, document: Document, resolver: StageResolver, home: Path, with_recipes: bool
+) -> Iterator[Station]:
     for index, section in enumerate(file.stations):
         at = ("stations", index)
         feed = resolver.choose("feed", section.feed, *at, "feed")
         places = [(*at, "recipe"), *((*at, "choices", i) for i in range(len(section.choices)))]
-        recipes = [
-            _checked_recipe(home / text, resolver, place)
-            for text, place in zip((section.recipe, *section.choices), places, strict=True)
-        ]
+        recipes = [_recipe_file(home / text) for text in (section.recipe, *section.choices)]
+        if with_recipes:
+            for path, place in zip(recipes, places, strict=True):
+                _check_recipe(path, resolver, place)
         if feed is not None:
             yield Station(section.name, section, tuple(recipes), feed, document.place((*at, "feed")))
 
 
-def _checked_recipe(path: Path, resolver: StageResolver, at: tuple[str | int, ...]) -> Path:
-    """Give a recipe's file; note a fault where it cannot be used on a line."""
+def _recipe_file(path: Path) -> Path:
     path = path.resolve()
-    path = path / "recipe.yaml" if path.is_dir() else path
+    return path / "recipe.yaml" if path.is_dir() else path
+
+
+def _check_recipe(path: Path, resolver: StageResolver, at: tuple[str | int, ...]) -> None:
+    """Note a fault where a recipe cannot be used on a line."""
     try:
         recipe = load_recipe(path, path.parent)
     except RoemetryError as error:
         resolver.fault(str(error), *at)
-        return path
+        return
     if recipe.calibration is None:
         resolver.fault(f"{path} has no calibration: it would measure in pixels; name one in the recipe", *at)
-    return path
 
 
 def _outlets(

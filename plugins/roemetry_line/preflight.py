@@ -81,7 +81,7 @@ def _said(error: BaseException) -> str:
 
 def main() -> int:
     """Try one station of a line file; the command line names both. Prints the finding as JSON."""
-    line = Line.load(Path(sys.argv[1]))
+    line = Line.load(Path(sys.argv[1]), with_recipes=False)
     print(json.dumps(asdict(_camera(line.station(sys.argv[2])))))  # noqa: T201 - what the parent reads
     return 0
 

@@ -144,7 +144,7 @@ class Supervisor:
                     del self._died[name]
                     self._tell(name, None)
                 continue
-            if name not in self._died or self._died[name] < 0:
+            if name not in self._died:
                 how = signal.Signals(-code).name if code < 0 else f"exit code {code}"
                 self._tell(name, f"the process of {name} died ({how}) and is started again")
             self._died[name] = time.monotonic()
@@ -165,7 +165,7 @@ class Supervisor:
         )
 
     def _all_work(self) -> bool:
-        """Say whether each station has said something in time: it does between frames and ticks only."""
+        """Say whether each station works: its main thread, and the one that takes frames or tries to."""
         try:
             health = self._outbox.health()
         except OutputError:
@@ -175,7 +175,7 @@ class Supervisor:
             process = self._running[f"station {station.name}"]
             if told is None or told["pid"] != process.pid or told["state"] != "running":
                 return False
-            if time.time() - min(told["at"], told["figures"]["last_frame_s"]) > _STUCK_S:
+            if time.time() - min(told["at"], told["figures"]["last_try_s"]) > _STUCK_S:
                 return False
         return True
 

@@ -117,7 +117,7 @@ class StationProcess:
         self._lock = threading.Lock()
         self._due: dict[tuple[str, str], tuple[float, Taken, Where]] = {}
         self._state = "starting"
-        self._last_frame_s = time.time()
+        self._last_frame_s = self._last_try_s = time.time()
         self._last_beat_s = 0.0
         self._taking = True
         self._open = outbox.open_alarms(name)
@@ -125,7 +125,9 @@ class StationProcess:
 
     def run(self) -> None:
         """Recover what the last run left, then take and measure until asked to stop; then drain."""
-        recipe = line_file.load_recipe(self._wanted(), self._home)
+        recipe = self._whole_recipe()
+        if recipe is None:
+            return
         warm_up(recipe)
         self._beat(now=True)
         for left in runs.runs_of(self._home, self._name):
@@ -161,13 +163,14 @@ class StationProcess:
                                 break
                             if live is not None:
                                 job = self._take_one(job, live)
-                            self._last_frame_s = time.time()
+                            self._last_frame_s = self._last_try_s = time.time()
                         else:
                             self._note("feed-ended", "the feed has no more frames")
                             return
                 # Whatever a feed raises, the line goes on as soon as there are frames again.
                 except FAULTS as error:
                     self._figures.reconnects += 1
+                    self._last_try_s = time.time()
                     said = error.message if isinstance(error, RoemetryError) else _fault(error)
                     self._alarm("camera", f"no frames from the camera: {said}")
                     self._stop.wait(_REOPEN_S)
@@ -218,6 +221,21 @@ class StationProcess:
             self._figures.reloads += 1
             self._note("recipe-reloaded", f"from now on the changed recipe measures: {recipe.path}")
         return self._begin(recipe or job.recipe)
+
+    def _whole_recipe(self) -> Recipe | None:
+        """Load the recipe; wait while it has faults, as after a restart. None where asked to stop."""
+        while not self._stop.is_set():
+            try:
+                recipe = line_file.load_recipe(self._wanted(), self._home)
+            except RoemetryError as error:
+                self._alarm("recipe", f"nothing is measured, the recipe has faults: {error}")
+                self._state = "waits for a recipe without faults"
+                self._beat()
+                self._stop.wait(_RELOAD_S)
+                continue
+            self._ended("recipe", "the recipe is whole")
+            return recipe
+        return None
 
     def _begin(self, recipe: Recipe) -> Job:
         """Begin a run with a recipe; its source is the run's own spool, so that `roemetry run` finds it."""
@@ -339,7 +357,7 @@ class StationProcess:
         """Say of every frame whose time is up and that is still being measured that it is late."""
         if self._section.deadline_ms is None:
             return
-        step_s = min(0.01, self._section.deadline_ms / 4e3)
+        step_s = min(0.01, max(0.001, self._section.deadline_ms / 4e3))
         while not self._stop.wait(step_s):
             now = time.time()
             with self._lock:
@@ -446,8 +464,13 @@ class StationProcess:
             self._alarm("disk-low", f"{free_gb:.2f} GB are free for {self._line.folder}", "warning")
         else:
             self._ended("disk-low", "there is room on the disk again")
-        figures = {**vars(self._figures), "queue": self._queue.qsize(), "last_frame_s": self._last_frame_s,
-                   "disk_free_gb": free_gb}  # fmt: skip
+        figures = {
+            **vars(self._figures),
+            "queue": self._queue.qsize(),
+            "last_frame_s": self._last_frame_s,
+            "last_try_s": self._last_try_s,
+            "disk_free_gb": free_gb,
+        }
         try:
             self._outbox.beat(f"station {self._name}", self._state, figures)
         except OutputError as error:
@@ -489,7 +512,7 @@ def main() -> int:
     """Run the station that the command line names, of a line file."""
     stop = until_asked()
     path, name = Path(sys.argv[1]), sys.argv[2]
-    line = line_file.Line.load(path)
+    line = line_file.Line.load(path, with_recipes=False)
     outbox = Outbox(line.folder)
     StationProcess(line, name, outbox, stop).run()
     return 0

@@ -56,7 +56,7 @@ async def _run(line: Line, page: PageSection, stop: threading.Event) -> None:
 def main() -> int:
     """Serve the page of the line file that the command line names."""
     stop = until_asked()
-    line = Line.load(Path(sys.argv[1]))
+    line = Line.load(Path(sys.argv[1]), with_recipes=False)
     if line.page is not None:
         asyncio.run(_run(line, line.page, stop))
     return 0
