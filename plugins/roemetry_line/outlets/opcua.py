@@ -1,7 +1,7 @@
 """An OPC UA server by OPC 40100-1: a ResultReady event a product, and the last result to read.
 
 The nodeset of OPC 40100-1 (Machine Vision) lies beside this file, with its notice. Its methods (recipes,
-jobs, modes) are there, as the type has them, and do nothing: a line is run by its file and its page.
+jobs, modes) are refused with `BadNothingToDo`: a line is run by its file and its page.
 """
 
 from __future__ import annotations
