@@ -6,7 +6,7 @@ Skeins of the whole population on the rig of ``recipes/herring_roe``: stripes an
 rendered, and peaks are drawn with the noise that they state. Calibration, stages and options are those of
 ``with_outline.yaml``. A draw moves peaks, calibration and outline together and solves the surface from the
 beginning, as `estimate` does; what the stages state of their own models is added to both sides. With `--keep`
-each skein is written when it is done, and what stands there already is not drawn again.
+what was drawn of a skein is written when it is done, and is not drawn again: only the linearisation is.
 """
 
 from __future__ import annotations
@@ -45,19 +45,21 @@ def main() -> None:
     parser.add_argument("--keep", type=Path, help="file that a run goes on from")
     given = parser.parse_args()
     kept = given.keep.read_text().splitlines() if given.keep and given.keep.exists() else []
-    rows = [row for row in map(json.loads, kept) if row["draws"] == given.draws]
+    drawn = {row["seed"]: row for row in map(json.loads, kept) if row["draws"] == given.draws}
     recipe = Recipe.load(HERRING_ROE / "with_outline.yaml")
     chain = Chain(*(recipe.stages[kind].make() for kind in ("triangulator", "volume", "weigher")), None)
-    done = {row["seed"] for row in rows}
+    rows = []
     for seed in range(given.seed, given.seed + given.count):
-        for trace, scene in _traces(recipe, chain, seed) if seed not in done else ():
-            rows.append(_compared(trace, scene, chain, given.draws, seed))
+        for trace, scene in _traces(recipe, chain, seed):
+            if seed not in drawn:
+                drawn[seed] = _spreads(trace, scene, chain, given.draws, seed)
+                if given.keep:
+                    with given.keep.open("a") as file:
+                        file.write(json.dumps(drawn[seed]) + "\n")
+            rows.append(_compared(trace, scene, chain, drawn[seed]))
             print(seed, *(f"{name} {rows[-1][name]:.3f}" for name in _FIELDS), flush=True)
-            if given.keep:
-                with given.keep.open("a") as file:
-                    file.write(json.dumps(rows[-1]) + "\n")
     print(f"{len(rows)} skeins, {given.draws} draws each; of the standard uncertainty of the visible")
-    print(f"volume {np.median([row['drawn'] for row in rows]):.0%} (median) is what was drawn\n")
+    print(f"volume {np.median([row['share'] for row in rows]):.0%} (median) is what was drawn\n")
     for name in _FIELDS:
         each = np.array([row[name] for row in rows])
         low, middle, high = np.quantile(each, [0.05, 0.5, 0.95])
@@ -65,31 +67,36 @@ def main() -> None:
             f"{name}: linearised over drawn {min(each):.3f} to {max(each):.3f}, median {middle:.3f}, "
             f"90 % of them {low:.3f} to {high:.3f}; within 5 %: {np.mean(np.abs(each - 1.0) < 0.05):.0%}"
         )
-    taken = [np.median([row[which] for row in rows]) for which in ("linear_ms", "drawn_ms")]
+    taken = [np.median([row["ms"] for row in each]) for each in (rows, drawn.values())]
     print("linearised, drawn: {:.0f} and {:.0f} ms a product".format(*taken))
 
 
 _FIELDS = {"visible volume": "visible_mm3", "mass": "mass_g"}
 
 
-def _compared(trace: ProductTrace, scene: Scene, chain: Chain, draws: int, seed: int) -> dict[str, float]:
-    """Give the ratios of one skein's standard uncertainties, and what both ways take."""
+def _spreads(trace: ProductTrace, scene: Scene, chain: Chain, draws: int, seed: int) -> dict[str, float]:
+    """Give the standard deviations that draws find, and what they take."""
+    begin = time.process_time()
+    drawn = list(_drawn(trace, scene, chain, draws, seed))
+    spreads = {
+        field: float(np.std([getattr(one, field) for one in drawn], ddof=1)) for field in _FIELDS.values()
+    }
+    return {"seed": seed, "draws": draws, "ms": 1e3 * (time.process_time() - begin), **spreads}
+
+
+def _compared(trace: ProductTrace, scene: Scene, chain: Chain, drawn: dict[str, float]) -> dict[str, float]:
+    """Give the ratios of one skein's standard uncertainties, and what linearising takes."""
     begin = time.process_time()
     (linear,) = linearise((trace,), scene, chain)
-    between = time.process_time()
-    drawn = list(_drawn(trace, scene, chain, draws, seed))
-    row = {"seed": seed, "draws": draws}
-    row |= {"linear_ms": 1e3 * (between - begin), "drawn_ms": 1e3 * (time.process_time() - between)}
+    row = {"ms": 1e3 * (time.process_time() - begin)}
     assert linear.volume is not None
     assert linear.weight is not None
     for (name, field), found in zip(
         _FIELDS.items(), (linear.volume.visible_mm3, linear.weight.mass_g), strict=True
     ):
         models = [part for cause, part in found.budget.items() if cause not in _CAUSES]
-        spread = float(np.std([getattr(one, field) for one in drawn], ddof=1))
-        row[name] = found.std / math.hypot(spread, *models)
-        if field == "visible_mm3":
-            row["drawn"] = spread / math.hypot(spread, *models)
+        row[name] = found.std / math.hypot(drawn[field], *models)
+        row.setdefault("share", drawn[field] / math.hypot(drawn[field], *models))
     return row
 
 

@@ -27,7 +27,7 @@ import sys
 import time
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -202,8 +202,9 @@ def compiled_in_turns(compiled: Any, source: Path) -> Any:
         types = tuple(normalize_signature(signature)[0])
         if types in compiled.overloads:
             return compile_now(signature)
+        turn = nullcontext() if _is_kept(compiled, signature) else _turn(source)
         # numba's lock first: threads of this process that waited for each other's files could wait for ever
-        with global_compiler_lock, _turn(source), _undisturbed():
+        with global_compiler_lock, turn, _undisturbed():
             try:
                 return compile_now(signature)
             except NumbaError:
@@ -226,6 +227,15 @@ def compiled_in_turns(compiled: Any, source: Path) -> Any:
     compiled.compile = compile_in_turn
     compiled.is_on_disk = lambda: any(path.suffix == ".nbi" for path in kept())
     return compiled
+
+
+def _is_kept(compiled: Any, signature: Any) -> bool:
+    """Say whether a signature's code lies on disk: it is read at once, whoever compiles beside it."""
+    try:
+        cache = compiled._cache
+        return cache._index_key(signature, compiled.targetctx.codegen()) in cache._cache_file._load_index()
+    except Exception:  # of a damaged file, or another numba: the turn is waited for
+        return False
 
 
 @contextmanager

@@ -6,6 +6,7 @@ import numpy as np
 
 from roemetry.records.arrays import Floats
 from roemetry_kernels.compiling import float_kernel
+from roemetry_kernels.image_levels import median_of
 
 
 @float_kernel
@@ -53,7 +54,7 @@ def robust_fit(
         off[:] = wanted
         for a in range(terms):
             off -= fit[a] * rows[a]
-        scatter = max(1.4826 * np.median(np.abs(off)), least)
+        scatter = max(1.4826 * median_of(np.abs(off)), least)
         weight[:] = base / (1.0 + (off / (2.0 * scatter)) ** 2)
     return fit, weight, off
 

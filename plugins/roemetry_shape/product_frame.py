@@ -25,6 +25,7 @@ import numpy as np
 from roemetry.records import Product, Profiles
 from roemetry.records.arrays import Floats, Integers
 from roemetry_kernels.compiling import kernel
+from roemetry_kernels.image_levels import median_of
 from roemetry_kernels.slices import body_curves, smoothed
 
 STATIONS = 41
@@ -278,7 +279,8 @@ def cuts_in_line(xyz: Floats, bounds: Integers) -> tuple[Integers, Floats, Float
             height[count, sample] = on[before, 2] + share * (on[before + 1, 2] - on[before, 2])
             x_mm[count, sample] = on[before, 0] + share * (on[before + 1, 0] - on[before, 0])
         begins[count], half[count] = bounds[k], 0.5 * wide
-        middle[count, 0], middle[count, 1] = np.median(xyz[bounds[k] : bounds[k + 1], 0]), low + 0.5 * wide
+        middle[count, 0] = median_of(xyz[bounds[k] : bounds[k + 1], 0].copy())
+        middle[count, 1] = low + 0.5 * wide
         count += 1
     return begins[:count], middle[:count], half[:count], height[:count], x_mm[:count]
 

@@ -12,13 +12,15 @@ from roemetry.records import Product
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.records.view import View
 from roemetry_kernels.compiling import kernel
+from roemetry_kernels.robust_fit import solve
 from roemetry_kernels.slices import body_curves
 from roemetry_volume.footprint import Border, area_of, border_at, evenly
 from roemetry_volume.rim import Rim, StripePoints, ends_of, rim_of
 
 LONG_AXIS = 0.4
 _POINTS = 400
-_ROUNDS = 3
+_ROUNDS, _ROUNDS_ON = 3, 2
+"""From nothing, and from a solution: a third round from it moves an uncertainty by 1.2 % at most."""
 _NODES = 40, 14
 _RIM_WEIGHT = 6.0
 _OPEN_RATIO = 0.9
@@ -192,7 +194,7 @@ def fuse(product: Product, view: View, contour_px: Floats, start: Start | None =
     else:
         wall_shows, open_end = start.wall_shows, start.open_end
     settled_mm = _SETTLED_MM if start is None else _FOLLOWED_MM
-    for _ in range(_ROUNDS):
+    for _ in range(_ROUNDS if start is None else _ROUNDS_ON):
         contour = (border.xy_mm - centre) @ turn
         coarse = contour[::2]
         rim = rim_of(points, ends, place, inside_by(coarse, place[ends[0]]))
@@ -342,6 +344,7 @@ def _gauss(count: int) -> tuple[Floats, Floats]:
 CELL_MM = 2.5
 STIFFNESS = 0.1
 _RIDGE = 1e-6
+_COURSE_RIDGE = 1e-10  # of the points' weight: places are counted in cells
 _BELIEF = 10.0  # a dome's quadric leaves 0.2 % of the scatter, a skein's 7 %, that of steps nearly all
 _GROUP = 5
 
@@ -434,7 +437,9 @@ def _course(grid: Any, place: tuple[Floats, Floats], u: Floats, weight: Floats) 
     a, b = (s - low_s) / side, (v - low_v) / side
     design = np.column_stack([np.ones_like(a), a, b, a * a, a * b, b * b])
     weighed = weight * design.T
-    c = np.linalg.lstsq(weighed @ design, weighed @ u, rcond=None)[0]
+    normal, c = weighed @ design, weighed @ u
+    normal.flat[:: c.size + 1] += _COURSE_RIDGE * normal[0, 0]
+    solve(normal, c)
     # a cubic B-spline's coefficient k stands for the place k - 1; of a square it is a third less
     i, j = np.arange(cells_s + 3)[:, None] - 1.0, np.arange(cells_v + 3)[None, :] - 1.0
     course = (
