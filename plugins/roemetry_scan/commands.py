@@ -1,4 +1,4 @@
-"""``roemetry register-heads`` and ``roemetry two-sides``: two heads above and below, or a product turned over."""
+"""``roemetry register-heads`` and ``two-sides``: heads above and below, or a product turned over."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ if TYPE_CHECKING:
 
 
 def register_heads(
-    top: Annotated[Path, typer.Argument(help="Recipe of the upper head, whose source is its scan of the
-    plate.")], bottom: Annotated[Path, typer.Argument(help="Recipe of the lower head, the same.")], plate:
-    Annotated[Path, typer.Option("--plate", help="Target file of the sphere plate.")], out: Annotated[Path,
-    typer.Option("--out", help="The registration; an old one is replaced.")] = Path(
+    top: Annotated[Path, typer.Argument(help="Recipe of the upper head, whose source is its plate scan.")],
+    bottom: Annotated[Path, typer.Argument(help="Recipe of the lower head, the same.")],
+    plate: Annotated[Path, typer.Option("--plate", help="Target file of the sphere plate.")],
+    out: Annotated[Path, typer.Option("--out", help="The registration; an old one is replaced.")] = Path(
         "registration.yaml"
     ),
 ) -> None:
@@ -70,7 +70,7 @@ def two_sides(
     uppers, lowers = list(_traces(top)), list(_traces(bottom))
     if len(uppers) != len(lowers):
         raise DataError(
-            f"{top} has {len(uppers)} acquisitions, {bottom} {len(lowers)}: each product once from either side"
+            f"{top} has {len(uppers)} acquisitions, {bottom} {len(lowers)}: each product once from each side"
         )
     for upper, lower in zip(uppers, lowers, strict=True):
         try:
