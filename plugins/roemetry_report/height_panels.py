@@ -24,7 +24,7 @@ _WIDTH, _HEIGHT, _LEFT, _BOTTOM, _TOP = 520.0, 200.0, 46.0, 34.0, 12.0
 
 def height_panels(profiles: Profiles, key: str) -> tuple[Panel, ...]:
     """Draw slices as a map and two profiles; none where nothing is known."""
-    known = np.isfinite(profiles.xyz_mm).all(axis=2)
+    known = np.asarray(np.isfinite(profiles.xyz_mm).all(axis=2))
     if np.count_nonzero(known) < 3:
         return ()
     heights, step = _rastered(profiles, known)

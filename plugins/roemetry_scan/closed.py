@@ -129,7 +129,7 @@ def closed_volume(
     StageError
         One head does not see it, or both see it at different places.
     """
-    sides = []
+    sides: list[Floats] = []
     pose = registration.T_top_bottom
     for profiles, number in zip((top, bottom), numbers, strict=True):
         mine = (profiles.product == number) & profiles.seen
