@@ -53,7 +53,7 @@ def test_a_registration_that_is_off_is_in_the_budget_and_the_volume() -> None:
     pose[2, 3], raised[2, 3] = 20.0, 20.1
     lower = closed_volume(side, side, Registration(pose, 0.3, 11))
     higher = closed_volume(side, side, Registration(raised, 0.3, 11))
-    assert higher.value - lower.value == pytest.approx(0.1 * footprint, rel=0.15)
+    assert lower.value - higher.value == pytest.approx(0.1 * footprint, rel=0.15)
     assert higher.budget["registration"] == pytest.approx(0.1 * footprint, rel=0.15)
 
 
