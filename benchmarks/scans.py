@@ -230,7 +230,8 @@ def volumes(count: int, seed: int) -> None:
             calibration = drawn_calibration(with_pyramid, rng)
             stripes, lines = stripes_of(with_pyramid, seed + k, 0.05)
             found, _ = BeltMotion().motion(stripes, lines, calibration, PinholePlane(), PYRAMID)
-            sim = scene(family=family, product=options, **rig)
+            # the shadow behind a product is as long as it is high
+            sim = scene(family=family, product=options, lead_mm=35.0, **rig)
             with tempfile.TemporaryDirectory() as folder:
                 recipe = recipe_of(replace(calibration, motion=found), Path(folder), uncertainty="linear")
                 trace = measured(recipe, lines_of(sim, seed + k))

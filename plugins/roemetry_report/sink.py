@@ -19,6 +19,7 @@ from roemetry.records import BELT, Frame, Grade, Measurement, ProductTrace, Stri
 from roemetry.records.units import MM3_PER_CM3
 from roemetry.stages import Run, Sink, StageOptions
 from roemetry_report.charts import SmallChart, displacement_charts, height_charts, slice_chart
+from roemetry_report.height_panels import height_panels
 from roemetry_report.overview import (
     CLASSES,
     ROWS_MAX,
@@ -177,6 +178,8 @@ def section(shown: Shown, replay: Callable[[str], Trace], key: str) -> dict[str,
     except RoemetryError as error:
         no_pictures = str(error)
     drawn = () if trace is None else panels(trace, key)
+    if trace is not None and trace.frame is None and trace.profiles is not None:
+        drawn = height_panels(trace.profiles, key)
     if trace is not None and not drawn:
         why = next(iter(trace.absent.values()), None)
         no_pictures = why.text if why is not None else "there is no laser image"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from roemetry.stages.hookspecs import StageEntry, hookimpl
+from roemetry.stages.hookspecs import StageEntry, VerbEntry, hookimpl
 
 
 @hookimpl
@@ -27,3 +27,13 @@ def roemetry_stages() -> Iterable[StageEntry]:
          "our own"),
     ):  # fmt: skip
         yield StageEntry(kind, name, f"roemetry_scan.{target}", summary, reference=reference)
+
+
+@hookimpl
+def roemetry_verbs() -> Iterable[VerbEntry]:
+    """Name the commands."""
+    for name, function, summary in (
+        ("register-heads", "register_heads", "How two heads lie to each other, from a plate both see"),
+        ("two-sides", "two_sides", "True volumes of products seen from above and below"),
+    ):
+        yield VerbEntry(name, f"roemetry_scan.commands:{function}", summary)

@@ -6,10 +6,11 @@ well. A flank is taken for a conic over a rim at the height r,
     (z − r)² = a + b·x + c·x²,
 
 with x outwards from the last point that is seen: exact for ellipsoids, and near for what bulges from a rim.
-It is fitted to the last points, first along the belt (each image row through all slices), then along each
-slice, and followed to where it ends on the rim, from where a visible volume has a wall, but not beyond where
-belt is seen. What is flat up to where it is lost is a wall. Gaps within a slice are joined by straight lines.
-Points that were followed are not `seen`.
+It is with the rim's height from the other side, where belt is seen right beside it, fitted to the last
+points, first along the belt (each image row through all slices), then along each slice, and followed to where
+it ends on the rim, from where a visible volume has a wall, but not beyond where belt is seen. What is flat up
+to where it is lost is a wall. Gaps within a slice are joined by straight lines. Points that were followed are
+not `seen`.
 """
 
 from __future__ import annotations
@@ -25,6 +26,8 @@ _POINTS = 30
 """Points that tell how a flank goes on."""
 _RIM_PRIOR = 1e-5
 """Weight of a rim on the belt, of one point's equation: it decides where noise alone would."""
+_POOLED = 3
+"""Neighbours on either side whose mean stands for a point: noise of single ones bends the conic."""
 _FLAT = 1.02
 """The highest of them is so much higher than the last, or nothing bends."""
 
@@ -46,7 +49,9 @@ def followed(xyz_mm: Floats, label: Labels, plane: Floats) -> tuple[Floats, Labe
 
 
 @float_kernel
-def conic(d: Floats, z: Floats, count: int, most: float) -> tuple[float, float, float, float, float]:
+def conic(
+    d: Floats, z: Floats, count: int, most: float, rim: float
+) -> tuple[float, float, float, float, float]:
     """Give the conic of a flank beyond its last seen point: r, a, b, c, and its length, 0 where it falls off.
 
     Parameters
@@ -57,6 +62,8 @@ def conic(d: Floats, z: Floats, count: int, most: float) -> tuple[float, float, 
         How many there are.
     most
         How far out the belt is seen, mm.
+    rim
+        Height of the rim where the other side has told it, mm; NaN: it is fitted.
     """
     z0 = z[0]
     none = 0.0, 0.0, 0.0, 0.0, 0.0
@@ -77,7 +84,7 @@ def conic(d: Floats, z: Floats, count: int, most: float) -> tuple[float, float, 
                 rows[m, n] += of[m] * of[n]
     rows[0, 0] += _RIM_PRIOR * count
     fit = np.linalg.solve(rows, sums)
-    r = min(max(fit[0], 0.0), 0.95 * z0 / high)
+    r = min(max(fit[0] if math.isnan(rim) else rim / high, 0.0), 0.95 * z0 / high)
     if r != fit[0]:  # a rim below the belt, or above what is seen
         for m in range(3):
             sums[m + 1] -= rows[m + 1, 0] * r
@@ -127,6 +134,42 @@ def _along_slices(xyz: Floats, label: Labels, added: Flags, plane: Floats) -> No
 
 
 @float_kernel
+def _rim(xyz: Floats, label: Labels, added: Flags, i: int, k: int, way_i: int, way_k: int) -> float:
+    """Give the height of the rim on the other side, if the belt is seen right beside it there; else NaN.
+
+    Near a rim heights are r + √(α·d): of a last point that lies anywhere within a spacing of it and of the
+    next one, z₀ − 1.4·(z₁ − z₀) is r on the mean.
+    """
+    slices, points = label.shape
+    m, n = i, k
+    while 0 <= m < slices and 0 <= n < points and label[m, n] == label[i, k] and not added[m, n]:
+        m -= way_i
+        n -= way_k
+    if not (0 <= m < slices and 0 <= n < points) or label[m, n] != 0:
+        return np.nan
+    z0, z1 = xyz[m + way_i, n + way_k, 2], xyz[m + 2 * way_i, n + 2 * way_k, 2]
+    return max(z0 - 1.4 * max(z1 - z0, 0.0), 0.0)
+
+
+@float_kernel
+def _pooled(xyz: Floats, label: Labels, added: Flags, m: int, n: int, axis: int) -> float:
+    """Give the mean height of a point and of its neighbours across the way that is followed."""
+    slices, points = label.shape
+    total, count = xyz[m, n, 2], 1
+    for far in range(1, _POOLED + 1):
+        down, right = (0, far) if axis == 0 else (far, 0)
+        a, b, c, d = m - down, n - right, m + down, n + right
+        if a < 0 or b < 0 or c >= slices or d >= points:
+            break
+        both = label[a, b] == label[m, n] and label[c, d] == label[m, n]
+        if not both or added[a, b] or added[c, d]:
+            break
+        total += xyz[a, b, 2] + xyz[c, d, 2]
+        count += 2
+    return total / count
+
+
+@float_kernel
 def _join(xyz: Floats, label: Labels, added: Flags, plane: Floats) -> None:
     """Join what is not seen between two points of one product in a slice by a straight line."""
     slices, points = label.shape
@@ -158,7 +201,7 @@ def _fill(
     while 0 <= m < slices and 0 <= n < points and label[m, n] == number and count < _POINTS:
         if not added[m, n]:
             d[count] = abs(xyz[m, n, axis] - xyz[i, k, axis])
-            z[count] = xyz[m, n, 2]
+            z[count] = _pooled(xyz, label, added, m, n, axis)
             count += 1
         m -= way_i
         n -= way_k
@@ -167,11 +210,20 @@ def _fill(
         far_i += way_i
         far_k += way_k
     stop = far_i if axis == 0 else far_k
-    if not (0 <= far_i < slices and 0 <= far_k < points) or label[far_i, far_k] != 0 or count == 0:
-        return stop
+    if added[i, k]:
+        return stop  # an edge that is itself no more than followed
     x0, y0, z0 = xyz[i, k, 0], xyz[i, k, 1], xyz[i, k, 2]
-    x1, y1 = xyz[far_i, far_k, 0], xyz[far_i, far_k, 1]
-    r, a, b, c, length = conic(d, z, count, abs(xyz[far_i, far_k, axis] - xyz[i, k, axis]))
+    if 0 <= far_i < slices and 0 <= far_k < points:
+        if label[far_i, far_k] != 0:
+            return stop
+        x1, y1 = xyz[far_i, far_k, 0], xyz[far_i, far_k, 1]
+    elif axis == 0:  # the scan ends in the shadow
+        edge = far_i - way_i
+        x1, y1 = (plane[edge, 3] - plane[edge, 1] * y0) / plane[edge, 0], y0
+    else:
+        return stop
+    most = abs(x1 - x0) if axis == 0 else abs(y1 - y0)
+    r, a, b, c, length = conic(d, z, count, most, _rim(xyz, label, added, i, k, way_i, way_k))
     if length <= 0.0:
         return stop
     m, n = i + way_i, k + way_k

@@ -45,11 +45,11 @@ def slip_of(xyz_mm: Floats, others: Mapping[float, Floats]) -> tuple[float, tupl
     x, y = _grid(xyz_mm)
     if x.size < 3:
         return math.nan, ()
-    mine = _resampled(xyz_mm, x, y)
+    mine = resampled(xyz_mm, x, y)
     slope = np.gradient(mine, x, axis=0)
     squares, worst = [], (0.0, 0.0)
     for lag_mm, points in others.items():
-        apart = _resampled(points, x, y) - mine
+        apart = resampled(points, x, y) - mine
         for window in np.array_split(np.arange(x.size), _WINDOWS):
             found = _displacement(apart[window], slope[window])
             if found is None:
@@ -81,7 +81,7 @@ def _grid(xyz_mm: Floats) -> tuple[Floats, Floats]:
     return x[np.concatenate([[True], np.diff(x) > 1e-9])], np.linspace(low, high, _ACROSS)
 
 
-def _resampled(xyz_mm: Floats, x: Floats, y: Floats) -> Floats:
+def resampled(xyz_mm: Floats, x: Floats, y: Floats) -> Floats:
     """Give (x, y) heights by straight lines, along each line first; NaN where a neighbour is not seen."""
     lines = len(xyz_mm)
     at_x, height = np.full((lines, y.size), np.nan), np.full((lines, y.size), np.nan)

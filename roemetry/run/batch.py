@@ -152,7 +152,8 @@ def derive(
         trace = None if kept is None else kept.get(acquisition_id)
         if trace is None:
             return pipeline.trace(acquisition, surfaces=True)
-        return replace(trace, acquisition=acquisition, frame=frame_of(recipe, acquisition))
+        frame = frame_of(recipe, acquisition) if acquisition.frames else None  # scans have none of their own
+        return replace(trace, acquisition=acquisition, frame=frame)
 
     run = Run(folder, recipe.product, lambda: read_record(folder), replay, provenance)
     files: list[Path] = []

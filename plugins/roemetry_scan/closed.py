@@ -1,0 +1,216 @@
+"""The closed body that two heads see: sections of top and bottom in one frame, and what neither saw.
+
+Model. The lower head's points are carried into the upper head's frame by the rigid motion that lays the balls
+of a plate, seen by both, on one another (Kabsch 1976). At stations along the belt, the upper curve from left
+to right and the lower one back again enclose a section's area; sections times their distance are the volume.
+Only seen points count. Where the curves do not meet, at the rim that neither head saw, the section goes on as
+an arc that is tangent to both, as a circle's of the same turn fills the triangle of chord and tangents.
+Beyond the first and last section that both see, areas fall as those of an ellipsoid do.
+
+Uncertainty: `registration` its standard uncertainty across the heads, times the footprint; `unseen rim` a
+tenth of what lies beyond the chords; `between sections` what every other station changes; `motion` of both
+scans.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from roemetry.errors import CalibrationError, StageError
+from roemetry.records import Estimate, Profiles, SpherePlate
+from roemetry.records.arrays import Floats
+from roemetry_scan.dense import estimate_of
+from roemetry_scan.slip import resampled
+
+_STATIONS, _ACROSS = 240, 240
+_TANGENT_POINTS = 6
+_RIM_SHARE = 0.1
+_BALL_SHARE = 0.33
+"""Of a ball's radius above its centre: below, plate and rim are seen."""
+_OFF_MAX_MM = 0.5
+"""Centres that fit one another worse than this are not those of one plate."""
+
+
+class Registration(NamedTuple):
+    """How the lower head's frame lies in the upper one's."""
+
+    T_top_bottom: Floats
+    """(4, 4) to the upper head's frame from the lower one's, mm."""
+    rms_mm: float
+    """Distance of the balls' centres as both heads have them, root of the mean square."""
+    balls: int
+
+    @property
+    def std_mm(self) -> float:
+        """Standard uncertainty of the mean height of one head against the other, mm."""
+        return self.rms_mm / math.sqrt(max(self.balls - 2, 1))
+
+
+def registered(top: Floats, bottom: Floats) -> Registration:
+    """Find the rigid motion that lays centres (n, 3) on centres, the lower head looking up.
+
+    Raises
+    ------
+    CalibrationError
+        The heads share fewer than three balls, or the centres do not fit.
+    """
+    if min(len(top), len(bottom)) < 3:
+        raise CalibrationError(
+            f"the heads see {len(top)} and {len(bottom)} balls: three that both see are the least",
+            hint="carry one plate, whose balls are seen from both sides, through both heads",
+        )
+    start = np.diag([1.0, -1.0, -1.0])
+    carried = (bottom - bottom.mean(axis=0)) @ start.T + top.mean(axis=0)
+    best: Registration | None = None
+    for _ in range(20):
+        near = np.sqrt(((carried[:, None] - top[None]) ** 2).sum(axis=2))
+        match = near.argmin(axis=1)
+        mutual = near.argmin(axis=0)[match] == np.arange(len(bottom))
+        if np.count_nonzero(mutual) < 3:
+            break
+        a, b = bottom[mutual], top[match[mutual]]
+        u, _, v = np.linalg.svd((a - a.mean(axis=0)).T @ (b - b.mean(axis=0)))
+        turn = v.T @ np.diag([1.0, 1.0, np.sign(np.linalg.det(v.T @ u.T))]) @ u.T
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = turn, b.mean(axis=0) - turn @ a.mean(axis=0)
+        off = a @ turn.T + pose[:3, 3] - b
+        best = Registration(pose, float(np.sqrt((off**2).sum(axis=1).mean())), len(a))
+        carried = bottom @ turn.T + pose[:3, 3]
+    if best is None or best.rms_mm > _OFF_MAX_MM:
+        said = (
+            "fewer than three balls match"
+            if best is None
+            else f"centres are {best.rms_mm:.2f} mm apart (rms)"
+        )
+        raise CalibrationError(
+            f"the heads do not share the plate: {said}",
+            hint="is it one plate, and has it moved between heads?",
+        )
+    return best
+
+
+def ball_centres(profiles: Profiles, plate: SpherePlate) -> Floats:
+    """Give (n, 3) centres of the balls in slices, mm: a sphere of the known radius fitted to each cap."""
+    import cv2
+
+    radius = 0.5 * plate.diameter_mm
+    z = profiles.xyz_mm[..., 2]
+    top = float(np.nanquantile(z, 0.9995))
+    with np.errstate(invalid="ignore"):
+        high = (z > top - (1.0 - _BALL_SHARE) * radius).astype(np.uint8)
+    count, region = cv2.connectedComponents(high, connectivity=8)
+    found = []
+    for one in range(1, count):
+        points = profiles.xyz_mm[(region == one) & profiles.seen]
+        if len(points) < 50:
+            continue
+        centre = np.array([*points[:, :2].mean(axis=0), points[:, 2].max() - radius])
+        for _ in range(20):
+            away = points - centre
+            length = np.sqrt((away**2).sum(axis=1))
+            step, *_ = np.linalg.lstsq(away / length[:, None], length - radius, rcond=None)
+            centre = centre + step
+            if np.abs(step).max() < 1e-9:
+                break
+        found.append(centre)
+    return np.array(found).reshape(-1, 3)
+
+
+def closed_volume(
+    top: Profiles, bottom: Profiles, registration: Registration, numbers: tuple[int, int] = (1, 1)
+) -> Estimate:
+    """Give the volume of the body that is product of these numbers in both heads' slices, mm³.
+
+    Raises
+    ------
+    StageError
+        One head does not see it, or both see it at different places.
+    """
+    sides: list[Floats] = []
+    pose = registration.T_top_bottom
+    for profiles, number in zip((top, bottom), numbers, strict=True):
+        mine = (profiles.product == number) & profiles.seen
+        if np.count_nonzero(mine) < 100:
+            raise StageError("the product was seen by one head only: no closed body")
+        points = np.where(mine[..., None], profiles.xyz_mm, np.nan)
+        sides.append(points if not sides else points @ pose[:3, :3].T + pose[:3, 3])
+    known = [one[np.isfinite(one[..., 0])] for one in sides]
+    low, high = (np.stack([f(one[:, :2], axis=0) for one in known]) for f in (np.min, np.max))
+    if (low.max(axis=0) >= high.min(axis=0)).any():
+        raise StageError("both heads see a product, but not at one place: is the registration theirs?")
+    edge = 0.5 * (high.max(axis=0) - low.min(axis=0)) / _STATIONS
+    x = np.linspace(low[:, 0].min() + edge[0], high[:, 0].max() - edge[0], _STATIONS)
+    y = np.linspace(low[:, 1].min() - 1.0, high[:, 1].max() + 1.0, _ACROSS)
+    upper, lower = (resampled(one, x, y) for one in sides)
+    areas, rims = np.array([_section(y, upper[k], lower[k]) for k in range(_STATIONS)]).T
+    step = float(x[1] - x[0])
+    ends = _cap(x, areas + rims) + _cap(-x[::-1], (areas + rims)[::-1])
+    value = float((areas + rims).sum() * step) + ends
+    if not value > 0.0:
+        raise StageError("top and bottom enclose nothing")
+    footprint = float(np.isfinite(upper).sum() * step * (y[1] - y[0]))
+    coarse = [float((areas + rims)[first::2].sum() * 2.0 * step) for first in (0, 1)]
+    pitch = [one.scan.pitch_rel_std if one.scan is not None else 0.0 for one in (top, bottom)]
+    return estimate_of(
+        value,
+        {
+            "registration": registration.std_mm * footprint,
+            "unseen rim": _RIM_SHARE * (float(rims.sum() * step) + ends),
+            "between sections": 0.5 * abs(coarse[0] - coarse[1]),
+            "motion": value * max(pitch),
+        },
+    )
+
+
+def _cap(x: Floats, area: Floats) -> float:
+    """Give what lies before the first section that both heads see: areas of an ellipsoid are a parabola."""
+    there = np.flatnonzero(area > 0.0)
+    if there.size < 20:
+        return 0.0
+    near = there[: there.size // 4]
+    a, b, c = np.polyfit(x[near] - x[near[0]], area[near], 2)
+    inside = b * b - 4.0 * a * c
+    if inside < 0.0 or b <= 0.0:
+        return 0.0
+    root = -2.0 * c / (b + math.sqrt(inside))  # where the parabola that rises inwards was zero
+    length = min(max(-root, 0.0), 0.25 * float(np.ptp(x[there])))
+    return max(c * length - 0.5 * b * length**2 + a * length**3 / 3.0, 0.0)
+
+
+def _section(y: Floats, upper: Floats, lower: Floats) -> tuple[float, float]:
+    """Give the area within both curves and the chords between their ends, and what lies beyond the chords."""
+    above, below = np.flatnonzero(np.isfinite(upper)), np.flatnonzero(np.isfinite(lower))
+    if above.size < 2 or below.size < 2:
+        return 0.0, 0.0
+    top, under = np.column_stack([y, upper])[above], np.column_stack([y, lower])[below]
+    around = np.concatenate([top, under[::-1]])
+    ahead = np.roll(around, -1, axis=0)
+    area = 0.5 * abs(float((around[:, 0] * ahead[:, 1] - ahead[:, 0] * around[:, 1]).sum()))
+    beyond = _bulge(top[::-1], under[::-1]) + _bulge(top, under)
+    return area, beyond
+
+
+def _bulge(top: Floats, under: Floats) -> float:
+    """Give what lies beyond the chord between the first points of both curves, mm²."""
+    a, b = top[0], under[0]
+    s = top[0] - top[min(_TANGENT_POINTS, len(top) - 1)]
+    t = under[0] - under[min(_TANGENT_POINTS, len(under) - 1)]
+    cross = s[0] * t[1] - s[1] * t[0]
+    chord = b - a
+    if abs(cross) < 1e-9:
+        return 0.0
+    reach = (chord[0] * t[1] - chord[1] * t[0]) / cross
+    other = (chord[0] * s[1] - chord[1] * s[0]) / cross
+    if reach <= 0.0 or other <= 0.0:  # tangents part: a step, or the curves meet already
+        return 0.0
+    apex = reach * s
+    triangle = 0.5 * abs(float(apex[0] * chord[1] - apex[1] * chord[0]))
+    turned = -float(s @ t) / math.sqrt(float(s @ s) * float(t @ t))
+    half = 0.5 * math.acos(min(max(turned, -1.0), 1.0))
+    share = 2.0 / 3.0
+    if half > 0.05:
+        share = (half - math.sin(half) * math.cos(half)) / (math.sin(half) ** 2 * math.tan(half))
+    return share * min(triangle, 0.5 * float(chord @ chord))

@@ -1,0 +1,95 @@
+"""Two heads: balls lay one head on the other, and sections of top and bottom close."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from roemetry.errors import CalibrationError, StageError
+from roemetry.records import Profiles, SpherePlate
+from roemetry_scan.closed import Registration, ball_centres, closed_volume, registered
+from roemetry_scan.formats.points import Measured, profiles_of
+
+FLIPPED = np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+def seen(height: Callable[[np.ndarray, np.ndarray], np.ndarray], least_mm: float = 0.5) -> Profiles:
+    """Slices of a body on a belt at Z = 0; what lies lower than `least_mm` is not seen."""
+    x, y = np.meshgrid(np.arange(-30, 30, 0.5), np.arange(25, -25, -0.25), indexing="ij")
+    z = height(x, y)
+    found = profiles_of(Measured(np.stack([x, y, np.where(z > least_mm, z, 0.0)], axis=-1)), None, "body")
+    label = (found.xyz_mm[..., 2] > 0).astype(np.int16)
+    return Profiles(
+        found.xyz_mm, label, found.seen, found.x_px, found.row_px, found.height_std_mm, found.stripe,
+        found.frame, found.plane,
+    )  # fmt: skip
+
+
+def ellipsoid(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Upper half of one with the axes 24, 16 and 10 mm, whose middle lies 10 mm over the belt."""
+    inside = 1.0 - (x / 24.0) ** 2 - (y / 16.0) ** 2
+    return np.where(inside > 0, 10.0 + 10.0 * np.sqrt(np.maximum(inside, 0.0)), 0.0)
+
+
+TRUE = 4.0 / 3.0 * np.pi * 24.0 * 16.0 * 10.0
+
+
+@pytest.mark.parametrize("least_mm", [10.01, 12.0])
+def test_what_neither_head_sees_of_an_ellipsoid_is_followed(least_mm: float) -> None:
+    side = seen(ellipsoid, least_mm)
+    pose = FLIPPED.copy()
+    pose[2, 3] = 20.0
+    found = closed_volume(side, side, Registration(pose, 0.005, 9))
+    assert found.value == pytest.approx(TRUE, rel=0.01)
+    assert found.interval[0] < TRUE < found.interval[1]
+
+
+def test_a_registration_that_is_off_is_in_the_budget_and_the_volume() -> None:
+    side = seen(ellipsoid, 12.0)
+    footprint = np.pi * 24.0 * 16.0
+    pose, raised = FLIPPED.copy(), FLIPPED.copy()
+    pose[2, 3], raised[2, 3] = 20.0, 20.1
+    lower = closed_volume(side, side, Registration(pose, 0.3, 11))
+    higher = closed_volume(side, side, Registration(raised, 0.3, 11))
+    assert lower.value - higher.value == pytest.approx(0.1 * footprint, rel=0.15)
+    assert higher.budget["registration"] == pytest.approx(0.1 * footprint, rel=0.15)
+
+
+def test_a_head_that_sees_nothing_closes_no_body() -> None:
+    side = seen(ellipsoid)
+    nothing = seen(lambda x, y: 0.0 * x)
+    with pytest.raises(StageError, match="one head only"):
+        closed_volume(side, nothing, Registration(FLIPPED, 0.01, 9))
+
+
+PLATE = SpherePlate("plate", 3, 2, 18.0, 10.0, 5.0, 0.005)
+CENTRES = np.array([[18.0 * i - 18.0, 18.0 * j - 9.0, 5.0] for i in range(3) for j in range(2)])
+
+
+def test_centres_of_balls_are_found_in_slices() -> None:
+    def height(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        away = np.min([(x - cx) ** 2 + (y - cy) ** 2 for cx, cy, _ in CENTRES], axis=0)
+        return np.where(away < 24.0, 5.0 + np.sqrt(np.maximum(25.0 - away, 0.0)), 0.0)
+
+    found = ball_centres(seen(height), PLATE)
+    order = np.lexsort((found[:, 1], found[:, 0]))
+    assert np.abs(found[order] - CENTRES).max() < 1e-3
+
+
+def test_heads_are_laid_on_one_another_by_their_balls(rng_seed: int = 3) -> None:
+    rng = np.random.default_rng(rng_seed)
+    plate = CENTRES + np.array([[0.7, -0.4, 0.0]]) * np.arange(6)[:, None] * 0.3  # no mirror image of itself
+    lower = (plate - [3.0, 1.0, 20.0]) @ FLIPPED[:3, :3].T + 0.002 * rng.standard_normal((6, 3))
+    found = registered(plate, lower)
+    assert found.balls == 6
+    carried = lower @ found.T_top_bottom[:3, :3].T + found.T_top_bottom[:3, 3]
+    assert np.abs(carried - plate).max() < 0.01
+
+
+def test_heads_without_a_common_plate_are_refused() -> None:
+    with pytest.raises(CalibrationError, match="three"):
+        registered(CENTRES, CENTRES[:2])
+    with pytest.raises(CalibrationError, match="do not share"):
+        registered(CENTRES, CENTRES * [1.0, 1.6, 1.0] + [0.0, 0.0, 4.0])
