@@ -1,7 +1,7 @@
-"""Faults of sensor and transport in one frame: rows that no sensor gives, and parts of another frame.
+"""Faults of sensor and transport in one frame: lines that no sensor gives, and parts of another frame.
 
-Rows. A sensor's noise makes every row another one; so rows of one content are a fault of the transport, and
-other rows have been lost.
+Lines. A sensor's noise makes every row and every column another one; so lines of one content are a fault of
+the transport, and other lines have been lost.
 
 Joins. A lens blurs: from one pixel to the next, light changes by a part of what it changes by over six. Where
 it changes by all of that at once, at many places along one boundary between two rows or two columns and
@@ -22,11 +22,11 @@ from roemetry.records import Frame
 from roemetry.records.arrays import Integers
 
 _SAMPLED = 8
-"""Every eighth pixel of a row is compared first: noise makes rows differ in far fewer."""
+"""Every eighth pixel of a line is compared first: noise makes lines differ in far fewer."""
 _NOISY_SHARE = 0.9
-"""With fewer rows that differ from all others the image has no noise that would tell rows apart."""
+"""With fewer lines that differ from all others the image has no noise that would tell lines apart."""
 _CLIPPED_SHARE = 0.5
-"""Where so many pixels of the usual row have the level of a level row, the sensor is dark or white there."""
+"""Where so many pixels of the usual line have the level of a level one, the sensor is dark or white there."""
 
 _REACH = 6
 """Pixels over which light changes: three on either side of a boundary."""
@@ -43,35 +43,40 @@ _STEP_SHARE, _STEP_MIN = 0.25, 0.05
 """Least step, of the stripes' grey level (the 99th percentile) and of white: noise is below."""
 
 
-def check_rows(laser: Frame) -> None:
-    """Refuse an image with rows that no sensor gives: sent twice, or filled with one grey level."""
-    pixels = laser.pixels
-    sampled = np.ascontiguousarray(pixels[:, ::_SAMPLED])
+def check_lines(laser: Frame) -> None:
+    """Refuse an image with lines that no sensor gives: sent twice, or filled with one grey level."""
+    for lines, what in ((laser.pixels, "row"), (laser.pixels.swapaxes(0, 1), "column")):
+        found = _repeated(lines)
+        if found is not None:
+            raise DataError(
+                f"{laser.name}: the {what} {found} and others have the very content of {what}s before them, "
+                f"which no sensor's noise allows: {what}s were lost, and filled up",
+                hint="look at cable, network and frame grabber; take the image again",
+            )
+
+
+def _repeated(lines: NDArray[Any]) -> int | None:
+    """Give the first of the lines that repeat others; None of none."""
+    sampled = np.ascontiguousarray(lines[:, ::_SAMPLED])
     size, content = sampled[0].nbytes, sampled.tobytes()
     last: dict[bytes, int] = {}
     lag_before = 0
     repeated: list[int] = []
-    for row in range(len(pixels)):
-        one = content[row * size : (row + 1) * size]
-        lag = row - last.get(one, row)
-        # two rows in a row, each so many rows after its like
-        if lag and lag == lag_before and (pixels[row] == pixels[row - lag]).all():
-            repeated.append(row)
-        last[one], lag_before = row, lag
+    for line in range(len(lines)):
+        one = content[line * size : (line + 1) * size]
+        lag = line - last.get(one, line)
+        # two lines in a row, each so many lines after its like
+        if lag and lag == lag_before and (lines[line] == lines[line - lag]).all():
+            repeated.append(line)
+        last[one], lag_before = line, lag
     if not repeated:
-        return
-    level = [row for row in repeated if (pixels[row] == pixels[row].flat[0]).all()]
-    if len(last) < _NOISY_SHARE * (len(pixels) - len(level)):
-        return
-    usual = pixels[[row for row in last.values() if row not in level]]
-    clipped = bool(level) and float((usual == pixels[level[0]].flat[0]).mean()) > _CLIPPED_SHARE
-    if clipped and len(level) == len(repeated):
-        return
-    raise DataError(
-        f"{laser.name}: the row {repeated[0]} and others have the very content of rows above them, which no "
-        "sensor's noise allows: rows were lost, and filled up",
-        hint="look at cable, network and frame grabber; take the image again",
-    )
+        return None
+    level = [line for line in repeated if (lines[line] == lines[line].flat[0]).all()]
+    if len(last) < _NOISY_SHARE * (len(lines) - len(level)):
+        return None
+    usual = lines[[line for line in last.values() if line not in level]]
+    clipped = bool(level) and float((usual == lines[level[0]].flat[0]).mean()) > _CLIPPED_SHARE
+    return None if clipped and len(level) == len(repeated) else repeated[0]
 
 
 def check_joins(frame: Frame) -> None:

@@ -77,8 +77,9 @@ def test_yes_is_no_number(tmp_path: Path) -> None:
         Recipe.load(path)
 
 
+@pytest.mark.parametrize("line", ["row", "column"])
 @pytest.mark.parametrize("fault", ["sent twice", "filled with black", "filled with the last ones"])
-def test_rows_that_no_sensor_gives_refuse_the_image(fault: str, rng: np.random.Generator) -> None:
+def test_lines_that_no_sensor_gives_refuse_the_image(fault: str, line: str, rng: np.random.Generator) -> None:
     pixels = np.clip(rng.normal(12.0, 1.0, (200, 320)), 0, 255).astype(np.uint8)
     pixels[:, 40::60] = 200
     frame = Frame(pixels, role="laser", name="frame", bit_depth=8)
@@ -88,7 +89,8 @@ def test_rows_that_no_sensor_gives_refuse_the_image(fault: str, rng: np.random.G
         "filled with black": np.concatenate([pixels[:180], np.zeros_like(pixels[:20])]),
         "filled with the last ones": np.concatenate([pixels[:80], pixels[100:], pixels[-20:]]),
     }[fault]
-    with pytest.raises(DataError, match="no sensor's noise"):
+    bad = bad if line == "row" else np.ascontiguousarray(bad.T)
+    with pytest.raises(DataError, match=f"the {line} .* no sensor's noise"):
         prepare(Acquisition("a", (replace(frame, pixels=bad),)), turn_deg=0, subtract="none")
 
 
