@@ -35,6 +35,7 @@ SEED = 20261124
 NONE = "none"
 _VERDICTS = ("held", "outside", "gross", "not stated", "refused")
 _GROSS = 3.0
+_MUCH = 0.05
 
 
 @dataclass(frozen=True)
@@ -258,6 +259,8 @@ def summary(found: Iterable[Case]) -> str:
         return f"{len(cases) / len(found):.2%}"
 
     outside = [case for case in found if case.verdict in ("outside", "gross")]
+    bare = [case for case in found if case.verdict == "not stated"]
+    moved = [case for case in bare if abs(case.error - case.base_error) > _MUCH]
     return (
         f"{len(found)} disturbed cases: {part(outside)} outside the interval, "
         f"{part([case for case in found if case.lies])} by the disturbance; beyond three half-widths "
@@ -265,7 +268,8 @@ def summary(found: Iterable[Case]) -> str:
         f"{part([case for case in found if case.verdict == 'gross' and case.lies])} by the disturbance; "
         f"{part([case for case in found if case.verdict == 'refused'])} refused. Of {len(mild)} harmless "
         f"ones {sum(case.verdict == 'refused' for case in mild) / len(mild):.1%} refused, "
-        f"{sum(map(flipped, mild)) / len(mild):.1%} with another class."
+        f"{sum(map(flipped, mild)) / len(mild):.1%} with another class. Of {len(bare)} numbers without an "
+        f"interval {len(moved)} moved by more than {_MUCH:.0%}."
     )
 
 

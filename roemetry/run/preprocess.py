@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from roemetry.errors import DataError
 from roemetry.records import Acquisition, Frame, Sensor
-from roemetry.run.transport_faults import check_rows
+from roemetry.run.transport_faults import check_lines
 
 _BLUE_GREEN_RED = {"blue": 0, "green": 1, "red": 2}
 _LUMA = np.array([0.114, 0.587, 0.299])  # ITU-R BT.601, in the order blue, green, red
@@ -62,7 +62,7 @@ def prepare(
         raise DataError(f"{acquisition.id}: there is no laser image")
     if bit_depth is None and laser.bit_depth == 16:
         _check_bits_in_use(laser)
-    check_rows(laser)
+    check_lines(laser)
     pixels = _one_channel(laser, channel, contrast, turn_deg)
     if subtract == "dark":
         dark = acquisition.frame("dark")

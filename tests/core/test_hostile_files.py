@@ -77,8 +77,9 @@ def test_yes_is_no_number(tmp_path: Path) -> None:
         Recipe.load(path)
 
 
+@pytest.mark.parametrize("line", ["row", "column"])
 @pytest.mark.parametrize("fault", ["sent twice", "filled with black", "filled with the last ones"])
-def test_rows_that_no_sensor_gives_refuse_the_image(fault: str, rng: np.random.Generator) -> None:
+def test_lines_that_no_sensor_gives_refuse_the_image(fault: str, line: str, rng: np.random.Generator) -> None:
     pixels = np.clip(rng.normal(12.0, 1.0, (200, 320)), 0, 255).astype(np.uint8)
     pixels[:, 40::60] = 200
     frame = Frame(pixels, role="laser", name="frame", bit_depth=8)
@@ -88,7 +89,8 @@ def test_rows_that_no_sensor_gives_refuse_the_image(fault: str, rng: np.random.G
         "filled with black": np.concatenate([pixels[:180], np.zeros_like(pixels[:20])]),
         "filled with the last ones": np.concatenate([pixels[:80], pixels[100:], pixels[-20:]]),
     }[fault]
-    with pytest.raises(DataError, match="no sensor's noise"):
+    bad = bad if line == "row" else np.ascontiguousarray(bad.T)
+    with pytest.raises(DataError, match=f"the {line} .* no sensor's noise"):
         prepare(Acquisition("a", (replace(frame, pixels=bad),)), turn_deg=0, subtract="none")
 
 
@@ -113,6 +115,26 @@ def test_an_image_joined_of_two_is_refused_where_it_is_joined(
     )
     with pytest.raises(DataError, match=f"the {('rows', 'columns')[axis]} 129 and 130"):
         check_joins(frame(joined))
+
+
+@pytest.mark.parametrize("slant", [0.0, 0.004, 0.3])
+@pytest.mark.parametrize("sigma_px", [0.3, 0.6, 1.5])
+def test_lines_as_thin_as_a_pixel_are_no_joins(
+    slant: float, sigma_px: float, rng: np.random.Generator
+) -> None:
+    column, row = np.meshgrid(np.arange(240.0), np.arange(240.0))
+    across = (column + slant * row + 0.2) % 30.0 - 15.0
+    light = 8.0 + 200.0 * np.exp(-0.5 * (across / sigma_px) ** 2) + rng.normal(0.0, 2.0, row.shape)
+    for pixels in (light, light.T):
+        check_joins(Frame(np.clip(pixels, 0, 255).astype(np.uint8), name="a"))
+
+
+def test_rows_of_two_frames_that_take_turns_are_refused(rng: np.random.Generator) -> None:
+    column, row = np.meshgrid(np.arange(240.0), np.arange(240.0))
+    across = (column + 0.3 * row + 15.0 * (row % 2) * (row > 100)) % 40.0 - 20.0
+    light = 8.0 + 150.0 * np.exp(-0.5 * (across / 1.4) ** 2) + rng.normal(0.0, 2.0, row.shape)
+    with pytest.raises(DataError, match="between the rows"):
+        check_joins(Frame(np.clip(light, 0, 255).astype(np.uint8), name="a"))
 
 
 def test_dark_rows_of_a_sensor_that_clips_are_no_fault(rng: np.random.Generator) -> None:

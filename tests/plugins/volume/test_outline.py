@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from roemetry.errors import StageError
-from roemetry.records import Frame, StripeMap
+from roemetry.records import Frame, Reason, StripeMap
+from roemetry_volume import edge_contour
 from roemetry_volume.contour_edge import closed_path
 from roemetry_volume.edge_contour import EdgeContour, EdgeContourOptions, features_of
 
@@ -124,6 +125,16 @@ def test_two_products_have_an_outline_each(rng: np.random.Generator) -> None:
     assert [outline.product for outline in found] == [1, 2]
     for outline, ellipse in zip(found, two, strict=True):
         assert abs(distance(outline.xy_px, ellipse).mean()) < 0.6  # px
+
+
+def test_images_of_two_scenes_refuse_every_product_also_one_without_an_edge(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    two = ((95.0, 120.0, 60.0, 40.0), (260.0, 115.0, 70.0, 45.0))
+    said = Reason("images-contradict", "the laser image does not show this belt")
+    monkeypatch.setattr(edge_contour, "laid_over", lambda plain, *_: (plain, said))
+    found = EdgeContour().outline(LASER, plain_image(rng, two[:1]), stripes_on(two), None)
+    assert [(one.product, one.fault) for one in found] == [(1, said), (2, said)]
 
 
 @pytest.mark.parametrize("scale", [0.93, 1.07])
