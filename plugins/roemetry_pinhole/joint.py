@@ -277,7 +277,7 @@ def camera_alone(observed: CalibrationSet, *, lens: str) -> CameraFit:
     """Find the camera from the boards' marks, without a laser.
 
     The residuals of an image's marks are not independent: boards bend and move, focus and shutter change. So
-    the standard uncertainty is that of leaving out runs of consecutive images, where that is larger and images
+    the standard uncertainty is that of leaving out runs of consecutive images, where that is larger and there
     are many (delete-group jackknife; Shao, Wu 1989, Ann. Statist. 17:1176).
 
     Raises
