@@ -203,8 +203,10 @@ def _stripes(more: int) -> Callable[[Shots, np.random.Generator], None]:
 
 def _one_plane(shots: Shots, rng: np.random.Generator) -> None:
     """Leave five poses, all in one plane: one of them, shifted by some pixels."""
-    poses = shots.poses(rng)
-    kept = [*list(shots.images["board"])[:1], *poses[:4]]
+    kept = shots.poses(rng)[:5]
+    reference = next(iter(shots.images["board"]))
+    if reference in shots.images["board_laser"]:
+        kept = [reference, *kept[:4]]
     for shows in ("board", "board_laser"):
         first = _pixels(shots.images[shows][kept[0]])
         shots.images[shows] = {kept[0]: first}

@@ -48,7 +48,7 @@ from roemetry.stages import Capabilities, Extractor, StageOptions
 from roemetry_kernels.compiling import float_kernel
 from roemetry_kernels.image_levels import SHARE_MIN, doubts, faint, grey, plain_layout, scaled_level
 from roemetry_peaks.fisher_scoring import CLIPPED, FAILED, FITTED, Fitted, Gaussians, fit_peaks, gauss
-from roemetry_peaks.searching import SearchOptions, searched
+from roemetry_peaks.searching import Narrowest, SearchOptions, searched
 from roemetry_peaks.smoothed_peaks import (
     NOISE_LEFT,
     Beside,
@@ -98,6 +98,7 @@ _CUT = 2.0  # a stripe nearer to the left or right border than so many standard 
 class MaximumLikelihoodOptions(SearchOptions):
     """Options of `MaximumLikelihood`."""
 
+    width_min_px: Narrowest = 2.0
     width_max_px: float = Field(
         default=40.0,
         gt=0.0,

@@ -10,6 +10,10 @@ from roemetry.errors import StageError
 from roemetry.records import Frame
 from roemetry.stages import StageOptions
 
+Narrowest = Annotated[
+    float, Field(ge=0.0, le=100.0, description="smallest full width at half height, px: rejects hot pixels")
+]
+
 
 class SearchOptions(StageOptions):
     """What counts as a stripe."""
@@ -19,12 +23,7 @@ class SearchOptions(StageOptions):
         description="grey levels (of 0…255, scaled for deeper images) by which a stripe must rise above the "
         "light on both sides of it; auto: from the image's own noise, and from how high its stripes are",
     )
-    width_min_px: float = Field(
-        default=1.5,
-        ge=0.0,
-        le=100.0,
-        description="smallest full width at half height, px: rejects hot pixels",
-    )
+    width_min_px: Narrowest = 1.5
     width_max_px: float = Field(
         default=40.0, gt=0.0, le=1000.0, description="largest full width at half height, px: rejects glare"
     )

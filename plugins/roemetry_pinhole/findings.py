@@ -19,8 +19,20 @@ def findings_of(observed: CalibrationSet, seen: Seen, joined: Joint | None) -> t
     """Say of each image what was found and used; `joined` is None where there is no adjustment."""
     marks = {view.name: view for view in seen.views}
     used = {} if joined is None else _used(joined)
+    of_pose = {
+        (one.board, one.pose): f"{one.frame.name}: {seen.left_out[one.frame.name]}"
+        for one in observed.observations
+        if one.frame.name in seen.left_out
+    }
     return tuple(
-        _finding(one, marks.get(one.frame.name), used.get(one.frame.name), seen.left_out, joined)
+        _finding(
+            one,
+            marks.get(one.frame.name),
+            used.get(one.frame.name),
+            seen.left_out.get(one.frame.name, ""),
+            of_pose.get((one.board, one.pose), "nothing of it is used"),
+            joined,
+        )
         for one in observed.observations
     )
 
@@ -29,10 +41,10 @@ def _finding(
     one: Observation,
     view: BoardView | None,
     used: tuple[Floats, int, str] | None,
-    left_out: dict[str, str],
+    why: str,
+    why_pose: str,
     joined: Joint | None,
 ) -> ImageFinding:
-    name = one.frame.name
     said = [f"{len(one.peaks)} peaks found"] if len(one.peaks) else []
     if view is not None:
         said.append(f"{len(view.marks.xy_px)} corners of the board {view.board.name}")
@@ -43,11 +55,10 @@ def _finding(
             [f"{len(points)} stripe points used, {left} left out as far off"] if len(points) + left else []
         )
         said += [off] if off else []
-    why = left_out.get(name, "")
     if why and used is not None:
         why = f"Its stripes are not used: {why}"
     if joined is not None and not why and used is None and one.shows in ("board", "board_on_belt", "belt"):
-        why = "nothing of it is used" if not said or view is None else ""
+        why = why_pose if not said or view is None else ""
     return ImageFinding(
         observation=one,
         used=not why or used is not None,

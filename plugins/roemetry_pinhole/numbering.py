@@ -455,7 +455,10 @@ def _too_few(
     belt_shows_all: bool,
 ) -> CalibrationError:
     """Say which stripe is seen on too few boards, as far as that is known."""
-    hint = "add poses in which the board lies under it; is `stripes` right?"
+    hint = (
+        "add poses in which the board lies under it; is `stripes` right? did one camera take all images, and "
+        "each pair in one pose?"
+    )
     once = [(int(number[plane]) + 1, names) for plane, names in enumerate(on) if len(names) == 1]
     if once and once[0][0] > 0:
         stripe, names = once[0]
@@ -482,7 +485,7 @@ def _too_few(
     return CalibrationError(
         f"no numbering of {stripes} stripes fits: {len(planes)} planes of light are found on two boards or "
         f"more; the board with most lines shows {max((pose.count for pose in poses), default=0)}",
-        hint="take more poses in which the board lies under all stripes; is `stripes` right?",
+        hint=hint,
     )
 
 

@@ -78,6 +78,35 @@ def test_the_camera_alone(boards: CalibrationSet) -> None:
     assert found.rms_px < 0.1
 
 
+def test_a_camera_whose_focus_drifts_is_less_certain(boards: CalibrationSet) -> None:
+    """Each image is larger than the one before by 0.4 %: no single focal length is that of all."""
+    plain = [one for one in boards.observations if one.frame.role == "plain"]
+    plain += [replace(one, pose=f"again {one.pose}") for one in plain]
+
+    def focal_std(step: float) -> float:
+        drifting = []
+        for number, one in enumerate(plain):
+            rows, columns = one.frame.size
+            scale = 1.0 + step * (number - 7.5)
+            move = np.array(
+                [[scale, 0.0, (1 - scale) * (columns - 1) / 2], [0.0, scale, (1 - scale) * (rows - 1) / 2]]
+            )
+            pixels = cv2.warpAffine(
+                one.frame.pixels,
+                move,
+                (columns, rows),
+                flags=cv2.INTER_CUBIC,
+                borderMode=cv2.BORDER_REPLICATE,
+            )
+            drifting.append(replace(one, frame=replace(one.frame, pixels=pixels)))
+        found = PinholeCalibrator(PinholeCalibratorOptions(lens="none")).camera(
+            replace(boards, observations=tuple(drifting))
+        )
+        return float(found.std[0])
+
+    assert focal_std(0.004) > 2.0 * focal_std(0.0)
+
+
 def test_a_board_that_moved_between_its_images_makes_two_poses(boards: CalibrationSet) -> None:
     observations = list(boards.observations)
     last = max(n for n, one in enumerate(observations) if one.frame.role == "plain")
