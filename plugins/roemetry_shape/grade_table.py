@@ -182,12 +182,12 @@ class GradeTable(Grader[GradeTableOptions]):
 def _shape(wanted: tuple[str, ...], grade: Grade | None, probability_min: float) -> tuple[Verdict, str]:
     asked = " or ".join(wanted)
     if grade is None or grade.label == "unknown":
-        return "open", f"the shape is not known, {asked} is asked"
+        return "open", f"the shape is not known, {asked} is required"
     is_wanted, sure = grade.label in wanted, _sure(wanted, grade)
     if not math.isnan(sure) and (sure if is_wanted else 1.0 - sure) < probability_min:
         return "open", f"the shape is {grade.label}, {asked} has a probability of {sure:.2f}"
     return ("in" if is_wanted else "out"), f"the shape is {grade.label}" + (
-        "" if is_wanted else f", {asked} is asked"
+        "" if is_wanted else f", {asked} is required"
     )
 
 
@@ -221,10 +221,10 @@ def _limit(name: str, limits: Limits, found: Quantities, factor: float) -> tuple
     below = math.inf if limits.below is None else limits.below
     is_said = f"{name} is {value:.4g}" + ("" if math.isnan(std) else f" ± {std:.2g}")
     if value + guard < at_least or value - guard >= below:
-        return "out", f"{is_said}, {_range(limits)} is asked"
+        return "out", f"{is_said}, {_range(limits)} is required"
     if value - guard >= at_least and value + guard < below:
-        return "in", f"{is_said}, {_range(limits)} is kept"
-    return "open", f"{is_said}, too close to {_range(limits)} to tell"
+        return "in", f"{is_said}, {_range(limits)} is met"
+    return "open", f"{is_said}, too close to the limit ({_range(limits)}) to decide"
 
 
 def _range(limits: Limits) -> str:

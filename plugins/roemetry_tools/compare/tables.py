@@ -324,14 +324,14 @@ def across_table(found: Sequence[AcrossSets]) -> Table:
 
 
 def first_lines_of(compared: Sequence[Compared], terms: Terms, without_truth: str) -> list[str]:
-    """Write who is ahead, by how much and whether that is sure; then what need not have been compared."""
+    """Write which variant leads, by how much and how certainly; then what need not have been compared."""
     leader = leader_of(compared, terms)
     if leader is not None:
         said = [_led(leader)]
         if leader.specimens < PRODUCTS_ENOUGH:
             said.append(
                 f"warning: {leader.specimens} products; with fewer than {PRODUCTS_ENOUGH} differences and "
-                "intervals say little of products to come"
+                "intervals say little about other products"
             )
     elif len(compared) < 2:
         said = ["no winner: there is one variant"]
@@ -339,11 +339,11 @@ def first_lines_of(compared: Sequence[Compared], terms: Terms, without_truth: st
         said = [f"no winner: {without_truth or 'no two variants differ on the same products'}"]
     for one in compared:
         said += [
-            f"`{name}` was left out: it comes to the same recipe as `{one.variant.name}`"
+            f"`{name}` was left out: it is the same recipe as `{one.variant.name}`"
             for name in one.variant.left_out
         ]
     said += [
-        f"`{one.name}` measured exactly what `{other.name}` did: what they differ in decides nothing here"
+        f"`{one.name}` measured exactly what `{other.name}` did: their difference has no effect here"
         for one, other in same_results(compared)
     ]
     return said
@@ -352,16 +352,16 @@ def first_lines_of(compared: Sequence[Compared], terms: Terms, without_truth: st
 def _led(leader: Leader) -> str:
     what = {"visible_mm3": "visible volume", "true_mm3": "true volume", "mass_g": "weight"}[leader.figure]
     value, (low, high) = leader.lead
-    margin = (
-        f"{value:.2f} % smaller than that of `{leader.other.name}` (95 % interval {low:.2f} to {high:.2f} %)"
+    error = (
+        f"mean absolute error of the {what} {leader.error_pct:.2f} %; `{leader.other.name}` has {value:.2f} "
+        f"percentage points more (95 % interval {low:.2f} to {high:.2f})"
     )
-    error = f"mean absolute error of the {what} {leader.error_pct:.2f} %, {margin}"
     if leader.is_sure:
-        return f"winner: `{leader.best.name}`: {error}; {leader.specimens} products are enough to tell"
+        return f"winner: `{leader.best.name}`: {error}; {leader.specimens} products are enough to decide"
     needed = f"; about {leader.specimens_needed} may be" if leader.specimens_needed else ""
     return (
         f"no clear winner; ahead is `{leader.best.name}`: {error}; {leader.specimens} products are not "
-        f"enough to tell{needed}"
+        f"enough to decide{needed}"
     )
 
 

@@ -54,7 +54,7 @@ def test_the_first_class_that_fits_is_taken_and_every_step_has_a_reason() -> Non
     last = decided(5.0)
     assert (last.lane, last.possible) == ("3", ("C",))
     assert [reason.code for reason in last.reasons] == ["class-refused", "class-refused", "class-proven"]
-    assert last.reasons[0].text == "A: weight_g is 5 ± 0.1, at least 20 is asked"
+    assert last.reasons[0].text == "A: weight_g is 5 ± 0.1, at least 20 is required"
 
 
 def test_within_the_guard_band_it_is_undecided() -> None:

@@ -218,7 +218,7 @@ def led(errors_pct: Sequence[float], lead: float, rng: np.random.Generator) -> l
     [
         (12, 1.0, "winner: `v0`: mean absolute error of the visible volume"),
         (5, 1.0, "no clear winner; ahead is `v0`"),
-        (12, 1e-4, "products are not enough to tell"),
+        (12, 1e-4, "products are not enough to decide"),
     ],
 )
 def test_the_first_line_names_the_winner_only_where_the_products_tell(
@@ -235,5 +235,5 @@ def test_variants_that_measured_the_same_are_named(rng: np.random.Generator) -> 
     other = Compared(Variant(1, "v1", {}, None, left_out=("coder=planes",)), one.figures)
     lines = first_lines_of([one, other], Terms(), "")
     assert lines[0] == "no winner: no two variants differ on the same products"
-    assert "`coder=planes` was left out: it comes to the same recipe as `v1`" in lines
+    assert "`coder=planes` was left out: it is the same recipe as `v1`" in lines
     assert "`v1` measured exactly what `v0` did" in lines[-1]
