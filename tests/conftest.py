@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
+from scipy.ndimage import gaussian_filter1d
 
 from roemetry.records.calibration import Calibration
 from roemetry.testing import LinearRig
@@ -74,9 +75,13 @@ class DrawnRig(LinearRig):
         """(stripe, row) stripe centres over (stripe, row) heights."""
         return self.rest_px[:, None] + self.px_per_mm * height_mm
 
-    def image(self, x_px: np.ndarray, rng: np.random.Generator | None = None) -> np.ndarray:
-        """Draw stripes; NaN draws nothing."""
+    def image(
+        self, x_px: np.ndarray, rng: np.random.Generator | None = None, lens_px: float = 0.0
+    ) -> np.ndarray:
+        """Draw stripes, blurred from row to row as by a lens (standard deviation, px); NaN draws nothing."""
         light = self.light(x_px, 180.0)
+        if lens_px:
+            light = gaussian_filter1d(light, lens_px, axis=0)
         if rng is not None:
             light += rng.normal(0.0, 2.0, light.shape)
         return np.clip(np.rint(light), 0, 255).astype(np.uint8)

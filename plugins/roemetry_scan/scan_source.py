@@ -100,13 +100,16 @@ class BeltScan(Source[BeltScanOptions]):
         return found
 
     def read(self, reference: AcquisitionReference) -> Acquisition:
-        """Give the lines of a part; frames are read when they are asked for."""
+        """Give the lines of a part; frames are read when they are asked for, a file of all is opened now."""
         if not isinstance(reference, ScanReference):
             raise DataError(f"{reference.id}: no part of a scan")
-        table = _table(reference.scan, self.options.name_pattern)
+        scan = reference.files.get("laser", reference.scan)
+        if not scan.is_dir():
+            (_video if scan.suffix.lower() in _VIDEOS else _tall)(scan)
+        table = _table(scan, self.options.name_pattern)
         begin, end = reference.begin, reference.end
         lines = ScanLines(
-            _Reader(reference.scan, table, begin), table.count[begin:end], table.number[begin:end],
+            _Reader(scan, table, begin), table.count[begin:end], table.number[begin:end],
             reference.own, begin,
         )  # fmt: skip
         return Acquisition(reference.id, (), lines=lines)

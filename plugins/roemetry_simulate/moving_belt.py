@@ -49,7 +49,7 @@ class ScanPart(Part):
     )
     counts_per_line: int = Field(default=25, ge=1, description="encoder counts from frame to frame")
     lead_mm: float = Field(default=6.0, ge=0, description="bare belt before and behind the product, mm")
-    first_count: int = Field(default=0, description="count of the first frame")
+    first_count: int = Field(default=0, ge=-(2**31), lt=2**32, description="count of the first frame")
     wrap_bits: int = Field(default=0, ge=0, le=32, description="bits of the counter; 0: it never overflows")
     jitter_mm: float = Field(
         default=0.0, ge=0, description="the belt's height scatters by, from frame to frame, mm"

@@ -37,6 +37,7 @@ _NO_TEMPLATE = {
     "calibrator": "plugins/roemetry_paper/block_linear.py",
     "aligner": "plugins/roemetry_coding/belt_lines.py",
     "triangulator": "plugins/roemetry_paper/block_linear.py",
+    "assembler": "plugins/roemetry_scan/placing.py",
     "simulator": "plugins/roemetry_simulate",
     "planner": "plugins/roemetry_simulate",
     "feed": "plugins/roemetry_line/feeds/folder_watch.py",

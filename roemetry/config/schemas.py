@@ -32,7 +32,7 @@ def schema_of(kind: FileKind, registry: Registry) -> dict[str, Any]:
     if kind == "recipe":
         chain = definitions[StageChoices.__name__]["properties"]
         for name in StageChoices.model_fields:
-            optional = chain[name].pop("default", ...) is None
+            optional = {"type": "null"} in chain[name].get("anyOf", ())
             chain[name] = _choice(name, registry, definitions, optional=optional)
         schema["properties"]["source"] = _source(registry, definitions)
         schema["properties"]["sinks"]["items"] = _choice("sink", registry, definitions)

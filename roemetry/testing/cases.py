@@ -13,7 +13,7 @@ import numpy as np
 
 from roemetry.config.dataset import DatasetWriter, Description, Item
 from roemetry.errors import PluginError
-from roemetry.records import Block, CalibrationSet, Estimate, Grade, Observation, Weight
+from roemetry.records import Acquisition, Block, CalibrationSet, Estimate, Frame, Grade, Observation, Weight
 from roemetry.records.calibration import Calibration
 from roemetry.stages import (
     INTERFACES,
@@ -105,6 +105,12 @@ def readable_path(source: Source[Any], folder: Path) -> Path:
             write_image(folder / f"p{number}.png", number)
             kept.add(Item(f"p{number}", {"laser": f"p{number}.png"}))
     return folder
+
+
+def content_of(acquisition: Acquisition) -> tuple[Acquisition, list[Frame]]:
+    """Give an acquisition with the frames of its lines, which are read only when they are asked for."""
+    lines = acquisition.lines
+    return acquisition, [] if lines is None else [lines.frame(line) for line in range(len(lines.count))]
 
 
 def write_image(path: Path, number: int) -> None:
@@ -238,7 +244,7 @@ def _source(stage: Source[Any]) -> Cases:
     def read_all(source: Source[Any], *, first: int) -> Any:
         with tempfile.TemporaryDirectory() as folder:
             path = readable_path(source, Path(folder))
-            return [source.read(reference) for reference in source.references(path)][first:]
+            return [content_of(source.read(reference)) for reference in source.references(path)][first:]
 
     def find_nothing(source: Source[Any]) -> Any:
         with tempfile.TemporaryDirectory() as folder:

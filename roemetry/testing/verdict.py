@@ -55,6 +55,8 @@ def difference(one: Any, other: Any, at: str = "") -> str | None:
         return f"{at or 'the result'} is a {type(one).__name__}, then a {type(other).__name__}"
     if isinstance(one, np.ndarray):
         return _arrays(one, other, at)
+    if callable(one):
+        return None
     if is_dataclass(one):
         parts = ((getattr(one, f.name), getattr(other, f.name), f.name) for f in fields(one))
         return _first(parts, at)
@@ -66,8 +68,6 @@ def difference(one: Any, other: Any, at: str = "") -> str | None:
         if len(one) != len(other):
             return f"{at or 'the result'} has {len(one)} items, then {len(other)}"
         return _first(((a, b, str(i)) for i, (a, b) in enumerate(zip(one, other, strict=True))), at)
-    if callable(one):
-        return None
     alike = one == other or (isinstance(one, float) and math.isnan(one) and math.isnan(other))
     return None if alike else f"{at or 'the result'} is {_short(one)}, then {_short(other)}"
 

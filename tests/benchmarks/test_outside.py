@@ -12,6 +12,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter1d
 
 from benchmarks import outside
 from benchmarks.outside.reading import (
@@ -107,6 +108,7 @@ def tiny_rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
     np.savez(folder / "truth" / "box.npz", x=x, label=label, X=place)
     columns = np.arange(COLUMNS)
     drawn = 180.0 * np.exp(-0.5 * ((columns - np.nan_to_num(x, nan=-99.0)[..., None]) / 1.5) ** 2).sum(axis=1)
+    drawn = gaussian_filter1d(drawn, 0.5, axis=0)  # a lens, from row to row
     noise = np.random.default_rng(5).normal(8.0, 1.0, drawn.shape)
     cv2.imwrite(str(folder / "images" / "box.png"), np.clip(np.rint(drawn + noise), 0, 255).astype(np.uint8))
     (folder / "truth.json").write_text(json.dumps(truth), "utf-8")

@@ -181,7 +181,7 @@ def line(tmp_path: Path, rig) -> Callable[..., Path]:
         found = np.zeros((rig.stripes, rig.rows))
         found[1:6, 70:170] = 12.0
         (tmp_path / "images").mkdir(exist_ok=True)
-        cv2.imwrite(str(tmp_path / "images" / "block.png"), rig.image(rig.x_px(found)))
+        cv2.imwrite(str(tmp_path / "images" / "block.png"), rig.image(rig.x_px(found), lens_px=0.5))
         replace(rig.calibration(), made=NOW.isoformat()).save(tmp_path / "calibration.yaml")
         (tmp_path / "block.yaml").write_text(
             "kind: block\nname: b\nlength_mm: 50\nwidth_mm: 25\nheight_mm: 12\ntolerance_mm: 0.02\n", "utf-8"

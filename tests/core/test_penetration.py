@@ -54,7 +54,7 @@ def block_of(rig, height_mm: float, film_mm: float = 0.0, covered: slice = slice
     found = np.zeros((rig.stripes, rig.rows))
     found[1:6, 70:170] = height_mm
     found[1:6, covered] += film_mm
-    return rig.image(rig.x_px(found))
+    return rig.image(rig.x_px(found), lens_px=0.5)
 
 
 @pytest.fixture
@@ -126,7 +126,7 @@ def test_one_image_of_a_whole_block_or_of_none_is_refused(line: Path, rig) -> No
     assert "expected a second image or --half" in str(neither.exception)
     short = np.zeros((rig.stripes, rig.rows))
     short[1:6, 100:115] = 12.0
-    cv2.imwrite(str(line / "short.png"), rig.image(rig.x_px(short)))
+    cv2.imwrite(str(line / "short.png"), rig.image(rig.x_px(short), lens_px=0.5))
     small = CliRunner().invoke(
         app, ["fit-penetration", str(line), str(line / "short.png"), "--half", "top", *target]
     )

@@ -43,6 +43,7 @@ NOT_RUN = {
     r"roemetry simulate .*--resume": "goes on with a set that was stopped: tested with real kills",
     r"roemetry simulate .*--out skeins": "a set of that name lies there already, in full size",
     r"roemetry fit-penetration ": "needs a step target's two images: tested with simulated ones",
+    r"roemetry (register-heads|two-sides) ": "needs two heads: what it calls is in test_two_sides.py",
     r"roemetry check-plugin my-plugin": "`my-plugin` is the reader's",
 }
 EXPECTED_EXIT = {

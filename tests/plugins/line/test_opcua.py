@@ -5,6 +5,9 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
+from collections.abc import Coroutine
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import pytest
 
@@ -14,6 +17,12 @@ from tests.plugins.line.test_outlets import free_port, row
 asyncua = pytest.importorskip("asyncua", reason="the extra line has asyncua")
 pytestmark = pytest.mark.filterwarnings("ignore")
 VISION = "http://opcfoundation.org/UA/MachineVision"
+
+
+def ran(told: Coroutine[Any, Any, Any]) -> Any:
+    """Run a coroutine in a thread of its own: another test may have left a loop running in this one."""
+    with ThreadPoolExecutor(1) as pool:
+        return pool.submit(asyncio.run, told).result()
 
 
 class Listener:
@@ -65,7 +74,7 @@ def test_a_client_gets_every_result_and_may_change_nothing() -> None:
     port = free_port()
     with OpcUa(OpcUaOptions(port=port)).open() as deliver:
         deliver([row(1)])
-        found = asyncio.run(
+        found = ran(
             listened(f"opc.tcp://127.0.0.1:{port}/roemetry", lambda: deliver([row(2), row(3), row(4)]))
         )
     assert [key for key, _ in found["events"]] == [f"l/r/00000{n}#1" for n in (2, 3, 4)]
@@ -99,7 +108,7 @@ def test_only_trusted_clients_that_encrypt_get_in(tmp_path) -> None:
                 {"commonName": name},
             )
 
-    asyncio.run(certificates())
+    ran(certificates())
     trusted = tmp_path / "trusted"
     trusted.mkdir()
     (tmp_path / "friend.der").rename(trusted / "friend.der")
@@ -130,6 +139,6 @@ def test_only_trusted_clients_that_encrypt_get_in(tmp_path) -> None:
             return False
 
     with OpcUa(options).open():
-        assert asyncio.run(gets_in("friend"))
-        assert not asyncio.run(gets_in("stranger"))
-        assert not asyncio.run(gets_in(None))
+        assert ran(gets_in("friend"))
+        assert not ran(gets_in("stranger"))
+        assert not ran(gets_in(None))

@@ -74,7 +74,7 @@ def bad(board: Board, folder: Path, rng) -> dict[str, tuple[str, str]]:
     found = {
         "off_20": ("blurred", "focus"),
         "on_20": ("blurred", "focus"),
-        "off_21": ("tiny", "hold it nearer"),
+        "off_21": ("too small", "hold it nearer"),
         "off_22": ("cut off", "show more" if board is CHARUCO else "wholly inside"),
         "off_23": ("another board", "correct `board`"),
         "off_24" if board is CHARUCO else "on_24": mirrored,
