@@ -184,7 +184,7 @@ def _tiny(grey: NDArray[np.uint8], dictionary: str) -> str:
         )
     if not corners and len(squares) >= _SQUARES_MIN and width_px(squares) < _SQUARE_MAX_PX:
         return (
-            f"no board is seen, but {len(squares)} small squares: is the board too small, or too far away? {NEARER}"
+            f"no board is seen, but {len(squares)} small squares: is it too small, or too far away? {NEARER}"
         )
     return ""
 
