@@ -71,9 +71,7 @@ def check_calibration(recipe: Recipe, image: Path, block: Block, chart: Path | N
     view = recipe.stages["triangulator"].make().view(calibration)
     reading = read_block(profiles, places, view)
     spread = _spread(recipe, trace, calibration, places)
-    height, belt, width = quantities_of(
-        reading, block, spread, _pixel_mm(calibration, profiles, places), _edge_rows(places)
-    )
+    height, belt, width = quantities_of(reading, block, spread, _pixel_mm(calibration, profiles, places))
     check = Check(
         made=datetime.now(UTC).isoformat(timespec="seconds"),
         calibration_sha256=calibration.sha256,
@@ -151,12 +149,6 @@ def _pixel_mm(calibration: Calibration, profiles: Profiles, places: Places) -> t
     return height, float(np.nanmedian(along))
 
 
-def _edge_rows(places: Places) -> float:
-    """Rows between top and belt, the root of both sides' squares: somewhere in them an edge lies."""
-    seen = [side[np.isfinite(side)] for side in places.gap_rows.T]
-    return math.hypot(*(float(side.mean()) if side.size else 1.0 for side in seen))
-
-
 def block_of(recipe: Recipe, target: Path | None) -> Block:
     """Give the block described in a file, or else the one the recipe's calibration was made from.
 
@@ -180,7 +172,7 @@ def block_of(recipe: Recipe, target: Path | None) -> Block:
 
 
 def quantities_of(
-    reading: Reading, block: Block, spread: Reading, pixel_mm: tuple[float, float], edge_rows: float
+    reading: Reading, block: Block, spread: Reading, pixel_mm: tuple[float, float]
 ) -> tuple[Quantity, Quantity, Quantity]:
     """Put readings beside what they should be.
 
@@ -194,8 +186,6 @@ def quantities_of(
         Standard deviation of each reading over redrawn calibrations.
     pixel_mm
         Height, and length along the stripes, for one pixel, mm.
-    edge_rows
-        Rows between the top and the belt, at both edges together.
     """
     reference = block.tolerance_mm / math.sqrt(3.0)
     height_px, along_px = (_PEAK_DOUBT_PX * mm for mm in pixel_mm)
@@ -205,13 +195,15 @@ def quantities_of(
         Quantity(
             reading.width_mm,
             block.width_mm,
-            math.hypot(reference, spread.width_mm, 0.5 * edge_rows / _PEAK_DOUBT_PX * along_px),
+            math.hypot(reference, spread.width_mm, _EDGE_DOUBT_PX / _PEAK_DOUBT_PX * along_px),
         ),
     )
 
 
 _PEAK_DOUBT_PX = 0.1
 """What an extractor, and light that enters the surface, may shift all peaks of an image by."""
+_EDGE_DOUBT_PX = 0.5
+"""An edge lies somewhere between two rows."""
 
 
 _TOP_FROM_SHARE = 0.6
