@@ -99,7 +99,7 @@ def bridged(
     )
 
 
-_PRODUCT_ROWS_MIN = 3
+_PRODUCT_ROWS_MIN = 3  # of a stripe off the belt: less is noise or dirt
 
 
 class Layout(NamedTuple):

@@ -19,15 +19,15 @@ from roemetry_kernels.compiling import inlined, kernel
 from roemetry_kernels.image_levels import median_of
 from roemetry_kernels.tracing import nearest_rest
 
-_SIGMAS = 4.0
+_SIGMAS = 4.0  # of the belt's scatter: 6 in 100,000 belt points lie farther off
 _TOLERANCE_MIN_PX = 1.0
 _SEARCH_PX = 3.0
 _MOVED_MAX_PX = 1.0
 _MOVED_PX = 0.25
 """The mean of some thousand belt points is known far better than this."""
-_OUTER_SHARE = 0.1
-_BELT_PEAKS_MIN = 10
-_MAD_TO_STD = 1.4826
+_OUTER_SHARE = 0.1  # of the rows, at the top and the bottom: there products are fewest
+_BELT_PEAKS_MIN = 10  # fewer tell no scatter
+_MAD_TO_STD = 1.4826  # of a normal distribution
 _MAD_MIN_PX = _TOLERANCE_MIN_PX / (_SIGMAS * _MAD_TO_STD)  # less makes no difference
 
 

@@ -64,8 +64,8 @@ _FILLED_SHARE = 0.2  # of the smoothing's weight that lies beside stripes; with 
 _STRIPE = 6.0
 """Times the noise: what the opening takes away that much is a stripe."""
 _GRID_PX, _GRID_POINTS = 8, 6000  # of the polynomial through the image's own belt: at least, at most
-_ROUNDS = 6
-_RIDGE = 1e-10
+_ROUNDS = 6  # of reweighting: the belt's brightness has settled by then
+_RIDGE = 1e-10  # keeps the equations solvable where the belt is seen on one side only
 
 _CORE_SMOOTH_PX = 2.0
 _LEAST_CORE_SHARE = 5e-4

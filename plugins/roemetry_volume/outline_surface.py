@@ -348,10 +348,10 @@ def _mm_per_px(fused: Fused, view: View) -> float:
     return 1.0 / float(np.hypot(*(step[1] - step[0])))
 
 
-_EDGE_PX = 1.0
+_EDGE_PX = 1.0  # an outline so near the image's border is cut by it
 _SOME = 0.1  # of the usual width: less of a slice is no outer one
-_OUTSIDE_MM = 1.0
-_OUTSIDE_SHARE = 0.03
+_OUTSIDE_MM = 1.0  # farther outside, a point is not on the outlined body
+_OUTSIDE_SHARE = 0.03  # of the points: false peaks at rims are fewer
 _SHORT_MM = (
     1.0  # the nearer half of the ends lies within 0.4 mm of a true outline, on skeins and on other bodies
 )

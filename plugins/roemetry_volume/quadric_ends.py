@@ -28,12 +28,12 @@ quadric the points lie (mm). All are NaN where no quadric closes there."""
 
 _UNIT_MM = 10.0  # of the local frame: numbers near 1 keep the normal equations sound
 _GROUPS = 20  # of points, along a slice
-_TERMS = 7
-_NODES = 12
-_BEYOND = 1.15
-_AREA_OFF = 0.3
-_OFF_MM = 0.25
-_LARGER = 1.25
+_TERMS = 7  # of the equation: z and six of Q
+_NODES = 12  # of the midpoint rule along the end, which is smooth but for its tip
+_BEYOND = 1.15  # of the farthest the end may reach: a quadric still open there does not close
+_AREA_OFF = 0.3  # of the outer slice: a quadric whose section differs by more is another body
+_OFF_MM = 0.25  # several times a height's noise: points farther off lie on no quadric
+_LARGER = 1.25  # than all that was seen, in height or half-width: no end grows so much unseen
 
 
 @float_kernel
@@ -334,8 +334,8 @@ def _fanning(plane: Floats, table: Floats, place: Integers) -> float:
     return _UNIT_MM * change / (table[n - 1, AT] - table[0, AT])
 
 
-_LINES = 16
-_ROUNDS = 4
+_LINES = 16  # Gauss-Chebyshev nodes across the end
+_ROUNDS = 4  # of a fixed point: the light's lean changes little along an end
 
 
 @float_kernel

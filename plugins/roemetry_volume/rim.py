@@ -10,10 +10,10 @@ from roemetry.records.arrays import Floats, Integers
 from roemetry_kernels.compiling import kernel
 from roemetry_kernels.robust_fit import robust_fit
 
-_LENGTH_MM = 5.0
-_HEIGHT_STD_MM = 0.1
-_SPREAD_FLOOR_MM = 0.2
-_UPRIGHT_LEAST = 0.35
+_LENGTH_MM = 5.0  # of a stripe's end: long enough for a curve through it, short beside a product's width
+_HEIGHT_STD_MM = 0.1  # of a point near the rim, where light grazes
+_SPREAD_FLOOR_MM = 0.2  # no end knows the rim better: its last lit row lies up to a row above it
+_UPRIGHT_LEAST = 0.35  # of the ends' uprightness (0 a slope, 1 a dome) at the median
 _WALL_SLOPE, _WALL_MM = 12.0, 1.0  # steeper than a dome is from row to row, over at least so much
 _RIDGE = np.array([0.0, 0.05, 0.05, 0.2])
 _SCATTER_LEAST_MM, _ROUNDS = 0.1, 8
