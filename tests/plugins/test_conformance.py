@@ -38,12 +38,16 @@ OPTIONS = {
         "samples": 2,
         "bounce_rays": 8,
     },
+    "moving-belt": {
+        "camera": {"width_px": 96, "height_px": 64, "pixel_size_um": 66.0},
+        "scan": {"counts_per_line": 250},
+    },
     "ray-caster": {
         "camera": {"width_px": 96, "height_px": 64, "pixel_size_um": 66.0},
         "product": {"family": "egg"},
     },
 }
-"""Of stages whose defaults take long: a scene of few pixels."""
+"""Of stages whose defaults take long: a scene of few pixels, a scan of few lines."""
 
 
 @parametrized(discover().stages, FAULTS, OPTIONS)

@@ -15,6 +15,7 @@ from roemetry.errors import CalibrationError
 from roemetry.records import CalibrationSet
 from roemetry.records.calibration import ON_BELT, ON_BOARD, Calibration
 from roemetry.testing import LinearRig
+from roemetry_pinhole.boards import find_marks, plain_is_under
 from roemetry_pinhole.calibrator import PinholeCalibrator, PinholeCalibratorOptions
 from roemetry_pinhole.conformance import observed_of
 from roemetry_pinhole.known_files import read_camera
@@ -117,6 +118,17 @@ def test_a_board_that_moved_between_its_images_makes_two_poses(boards: Calibrati
     said = [note for note in made.notes if "taken for two poses" in note]
     assert len(said) == 1, made.notes
     assert "moved by 6.0 px" in said[0]
+
+
+@pytest.mark.parametrize("way", [(0, 1), (0, -1), (1, 0), (-1, 0)])
+def test_a_board_that_moved_by_a_pixel_darkens_some_of_its_edges(
+    boards: CalibrationSet, way: tuple[int, int]
+) -> None:
+    plain, laser = (one.frame for one in boards.observations[-2:])
+    assert (plain.role, laser.role) == ("plain", "laser")
+    marks = find_marks(plain, boards.boards[0])
+    assert plain_is_under(plain, laser, marks)
+    assert not plain_is_under(replace(plain, pixels=np.roll(plain.pixels, way, (0, 1))), laser, marks)
 
 
 def test_camera_only_writes_a_file_of_opencvs(tmp_path: Path) -> None:
