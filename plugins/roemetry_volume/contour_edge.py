@@ -42,10 +42,10 @@ _ROUND_START = 6.0
 """Normals: the start is a polygon through stripes' ends, whose corners say nothing."""
 
 _WIDE = ((4.0, 0.8, 2), (0.6, 0.6, 1))
-"""Spacings of stripes, outwards and inwards, of the two wide searches, and by how much coarser the image is
-looked at. Beside the product's first stripe the edge is at most one spacing away, and in the laser's shadow as
-far as a body of one and a half spacings of displacement throws it; the second search has the normals of the
-first one's result."""
+"""Spacings of stripes, outwards and inwards, of the two wide searches, and by how much coarser they look.
+Beside the product's first stripe the edge is at most one spacing away, and in the laser's shadow as far as a
+body of one and a half spacings of displacement throws it; the second search has the normals of the first one's
+result."""
 _BEYOND_REACH_PX = 25
 """What the coarse gradient of a place takes in beyond it."""
 _FINE_PX, _COARSE_PX, _EVEN_PX = 1.5, 5.0, 2.5
@@ -271,11 +271,8 @@ def _kinked(across: _Across, blur_px: float) -> tuple[Floats, float, float]:
         does.
     """
     ring, normal, light, told, shut = across
-    # what a model leaves of a run of brightness is all of it less what lies along the model's directions
-    light = light - light.mean(axis=1, keepdims=True)
-    explained = (light @ _model(blur_px)).reshape(len(light), -1, _PLACES_PX.size)
-    cost = (light**2).sum(axis=1)[:, None] - (explained**2).sum(axis=1)
-    usual = float(np.median((cost.max(axis=1) - cost.min(axis=1))[told])) or 1.0
+    cost, spread = left_over(light, _model(blur_px), _PLACES_PX.size)
+    usual = float(np.median(spread[told])) or 1.0
     cost[~told] = 0.0
     free = cost.copy()
     cost[shut] += usual
@@ -423,6 +420,32 @@ def sampled(image: NDArray[np.float32], ring: Floats, normal: Floats, off_px: Fl
             x, y = ring[i, 0] + off_px[j] * normal[i, 0], ring[i, 1] + off_px[j] * normal[i, 1]
             out[i, j] = _light_at(image, x, y)
     return out
+
+
+@float_kernel
+def left_over(light: Floats, model: Floats, places: int) -> tuple[Floats, Floats]:
+    """Give (n, place) squared residuals of brightness under the model of each place, and their spread (n,).
+
+    What a model leaves of a run of brightness is all of it less what lies along the model's directions.
+    """
+    n, m = light.shape
+    cost, spread = np.empty((n, places)), np.empty(n)
+    explained = np.empty(model.shape[1])
+    for i in range(n):
+        mean = light[i].mean()
+        explained[:] = 0.0
+        total = 0.0
+        for k in range(m):
+            value = light[i, k] - mean
+            total += value * value
+            for j in range(model.shape[1]):
+                explained[j] += value * model[k, j]
+        cost[i] = total
+        for first in range(0, model.shape[1], places):
+            for j in range(places):
+                cost[i, j] -= explained[first + j] * explained[first + j]
+        spread[i] = cost[i].max() - cost[i].min()
+    return cost, spread
 
 
 @float_kernel
