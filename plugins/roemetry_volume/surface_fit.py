@@ -376,12 +376,14 @@ class Plate:
 
     grid: Any
     """Of the spline, see `roemetry_volume.surface_fit.Grid`."""
+    course: Floats
     coefficients: Floats
-    """Of the spline."""
+    """course, coefficients: of the quadric through all points, and of the whole, as the spline's."""
+    band: Floats
     factor: Floats
-    """Banded Cholesky factor of the system."""
     right: Floats
-    """Right-hand side of the system."""
+    """band, factor, right: lower band of the system for what lies off the course, its Cholesky factor, and its
+    right-hand side."""
 
     def at(self, s: Floats, v: Floats) -> Floats:
         """Value at places; s scaled."""
@@ -390,18 +392,29 @@ class Plate:
 
     def moved_by(self, change: Floats) -> Floats:
         """Give what coefficients change by when the right-hand side changes."""
-        from scipy.linalg import cho_solve_banded
+        return _solved(self.factor, change)
 
-        moved: Floats = cho_solve_banded((self.factor, True), change, check_finite=False)
-        return moved
+
+def _factor(band: Floats) -> Floats:
+    """Give the Cholesky factor of a lower band; LinAlgError where it is not positive definite."""
+    from scipy.linalg.lapack import dpbtrf  # what `cholesky_banded` calls after a third of its time
+
+    factor, failed = dpbtrf(band, lower=1)
+    if failed:
+        raise np.linalg.LinAlgError(f"the plate's leading minor {failed} is not positive definite")
+    return np.asarray(factor)
+
+
+def _solved(factor: Floats, right: Floats) -> Floats:
+    from scipy.linalg.lapack import dpbtrs
+
+    return np.asarray(dpbtrs(factor, right, lower=1)[0])
 
 
 def plate_through(
     knots: Knots, rim_s: Floats, rim_v: Floats, rim_weight: Floats, stiffness: float = 1.0
 ) -> Plate:
     """Fit a plate through the knots and through 0 at places of the rim; `stiffness` times as stiff."""
-    from scipy.linalg import cho_solve_banded, cholesky_banded
-
     s, v = np.concatenate([knots.s, rim_s]), np.concatenate([knots.v, rim_v])
     low_s, low_v = float(s.min()) - 0.5, float(v.min()) - 0.5
     cells = [
@@ -410,16 +423,11 @@ def plate_through(
     grid = (low_s, low_v, CELL_MM, cells[0], cells[1])
     band = _bending_of(cells[0], cells[1], stiffness * STIFFNESS).copy()
     right = np.zeros(band.shape[1])
-    course, off = _course(
-        grid,
-        (s, v),
-        np.concatenate([knots.u, np.zeros_like(rim_s)]),
-        np.concatenate([knots.weight, rim_weight]),
-    )
-    add_points(band, right, grid, s, v, off, np.concatenate([knots.weight, rim_weight]))
-    factor = cholesky_banded(band, overwrite_ab=True, lower=True, check_finite=False)
-    found = cho_solve_banded((factor, True), right, check_finite=False)
-    return Plate(grid, course + found, factor, right)
+    weight = np.concatenate([knots.weight, rim_weight])
+    course, off = _course(grid, (s, v), np.concatenate([knots.u, np.zeros_like(rim_s)]), weight)
+    add_points(band, right, grid, s, v, off, weight)
+    factor = _factor(band)
+    return Plate(grid, course, course + _solved(factor, right), band, factor, right)
 
 
 @lru_cache(maxsize=16)
@@ -454,17 +462,13 @@ def _course(grid: Any, place: tuple[Floats, Floats], u: Floats, weight: Floats) 
 
 
 def without_slice(plate: Plate, knots: Knots, slice_: int) -> Floats:
-    """Give the coefficients of the plate that a slice had no part in, by its leverage: without a refit."""
+    """Give the coefficients of the plate that a slice had no part in, about the same course."""
     mine = knots.slice == slice_
-    numbers, parts = rows_of(plate.grid, knots.s[mine], knots.v[mine])
-    root = np.sqrt(knots.weight[mine])
-    rows = np.zeros((root.size, plate.coefficients.size))
-    np.put_along_axis(rows, numbers.astype(np.int64), root[:, None] * parts, axis=1)
-    off = root * knots.u[mine] - rows @ plate.coefficients
-    through = plate.moved_by(rows.T)
-    rest = np.eye(root.size) - rows @ through
-    changed: Floats = plate.coefficients - through @ np.linalg.solve(rest, off)
-    return changed
+    s, v = knots.s[mine], knots.v[mine]
+    band, right = plate.band.copy(), plate.right.copy()
+    off = knots.u[mine] - values_at(plate.course, plate.grid, s, v)
+    add_points(band, right, plate.grid, s, v, off, -knots.weight[mine])
+    return plate.course + _solved(_factor(band), right)
 
 
 Grid = tuple[float, float, float, int, int]
