@@ -44,8 +44,8 @@ _ROUND_START = 6.0
 _WIDE = ((4.0, 0.8, 2), (0.6, 0.6, 1))
 """Spacings of stripes, outwards and inwards, of the two wide searches, and by how much coarser they look.
 Beside the product's first stripe the edge is at most one spacing away, and in the laser's shadow as far as a
-body of one and a half spacings of displacement throws it; the second search has the normals of the first one's
-result."""
+body of one and a half spacings of displacement throws it; the second search has the normals of the first
+one's result."""
 _BEYOND_REACH_PX = 25
 """What the coarse gradient of a place takes in beyond it."""
 _FINE_PX, _COARSE_PX, _EVEN_PX = 1.5, 5.0, 2.5

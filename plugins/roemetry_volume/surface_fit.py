@@ -382,8 +382,8 @@ class Plate:
     band: Floats
     factor: Floats
     right: Floats
-    """band, factor, right: lower band of the system for what lies off the course, its Cholesky factor, and its
-    right-hand side."""
+    """band, factor, right: lower band of the system for what lies off the course, its Cholesky factor, and
+    its right-hand side."""
 
     def at(self, s: Floats, v: Floats) -> Floats:
         """Value at places; s scaled."""
@@ -553,9 +553,34 @@ def _cell(at: float, start: float, side: float, cells: int) -> tuple[int, float]
 
 
 @kernel
-def rows_of(grid: Grid, s: Floats, v: Floats) -> tuple[Floats, Floats]:
-    """Give the 16 coefficients' numbers (as float64) and weights for each place: (n, 16) twice."""
-    numbers, weights = np.empty((s.size, 16)), np.empty((s.size, 16))
+def add_points(
+    band: Floats, right: Floats, grid: Grid, s: Floats, v: Floats, values: Floats, weights: Floats
+) -> None:
+    """Add weighted points to the normal equations."""
+    high = grid[4] + 3
+    number, part = np.empty(16, np.int64), np.empty(16)
+    for a in range(4):
+        for b in range(4):
+            number[4 * a + b] = a * high + b
+    for k in range(s.size):
+        i, x = _cell(s[k], grid[0], grid[2], grid[3])
+        j, y = _cell(v[k], grid[1], grid[2], grid[4])
+        f, g = _cubics(x), _cubics(y)
+        first = i * high + j
+        for a in range(4):
+            for b in range(4):
+                part[4 * a + b] = f[a] * g[b]
+        for a in range(16):
+            weighed = weights[k] * part[a]
+            right[first + number[a]] += weighed * values[k]
+            for b in range(a + 1):
+                band[number[a] - number[b], first + number[b]] += weighed * part[b]
+
+
+@kernel
+def values_at(coefficients: Floats, grid: Grid, s: Floats, v: Floats) -> Floats:
+    """Evaluate the surface at places (n,)."""
+    out = np.zeros(s.size)
     high = grid[4] + 3
     for k in range(s.size):
         i, x = _cell(s[k], grid[0], grid[2], grid[3])
@@ -563,31 +588,5 @@ def rows_of(grid: Grid, s: Floats, v: Floats) -> tuple[Floats, Floats]:
         f, g = _cubics(x), _cubics(y)
         for a in range(4):
             for b in range(4):
-                numbers[k, 4 * a + b] = (i + a) * high + j + b
-                weights[k, 4 * a + b] = f[a] * g[b]
-    return numbers, weights
-
-
-@kernel
-def add_points(
-    band: Floats, right: Floats, grid: Grid, s: Floats, v: Floats, values: Floats, weights: Floats
-) -> None:
-    """Add weighted points to the normal equations."""
-    numbers, parts = rows_of(grid, s, v)
-    for k in range(s.size):
-        for a in range(16):
-            one = int(numbers[k, a])
-            right[one] += weights[k] * parts[k, a] * values[k]
-            for b in range(a + 1):
-                band[one - int(numbers[k, b]), int(numbers[k, b])] += weights[k] * parts[k, a] * parts[k, b]
-
-
-@kernel
-def values_at(coefficients: Floats, grid: Grid, s: Floats, v: Floats) -> Floats:
-    """Evaluate the surface at places (n,)."""
-    numbers, parts = rows_of(grid, s, v)
-    out = np.zeros(s.size)
-    for k in range(s.size):
-        for a in range(16):
-            out[k] += parts[k, a] * coefficients[int(numbers[k, a])]
+                out[k] += f[a] * g[b] * coefficients[(i + a) * high + j + b]
     return out
