@@ -114,7 +114,8 @@ def points_of(product: Product) -> StripePoints:
     slices, index = curves.slice, curves.point
     held = held_points(slices, profiles.seen[slices, index], profiles.xyz_mm[slices, index, 2])
     slices, index = slices[held], index[held]
-    begins = np.diff(slices, prepend=-1) > 0
+    begins = np.ones(slices.size, np.bool_)
+    begins[1:] = slices[1:] != slices[:-1]
     first = np.append(np.flatnonzero(begins), slices.size)
     return StripePoints(profiles.xyz_mm[slices, index], np.cumsum(begins) - 1, first)
 
@@ -362,12 +363,27 @@ class Knots:
 
 def grouped(s: Floats, v: Floats, u: Floats, slices: Integers) -> Knots:
     """Put each five neighbouring points of a slice into one, which weighs as much as they do."""
-    start = np.flatnonzero(np.diff(slices, prepend=-1))
-    within = np.arange(slices.size) - np.repeat(start, np.diff(start, append=slices.size))
-    first = np.flatnonzero(within % _GROUP == 0)
-    count = np.diff(first, append=slices.size).astype(np.float64)
-    mean = [np.add.reduceat(values, first) / count for values in (s, v, u)]
-    return Knots(mean[0], mean[1], mean[2], count, slices[first])
+    return Knots(*means_of_groups(s, v, u, slices))
+
+
+@kernel
+def means_of_groups(
+    s: Floats, v: Floats, u: Floats, slices: Integers
+) -> tuple[Floats, Floats, Floats, Floats, Integers]:
+    """Give what `Knots` holds of points, slice after slice."""
+    mean, weight, of = np.zeros((3, s.size)), np.zeros(s.size), np.empty(s.size, np.int64)
+    group = -1
+    for k in range(s.size):
+        if group < 0 or weight[group] == _GROUP or slices[k] != of[group]:
+            group += 1
+            of[group] = slices[k]
+        weight[group] += 1.0
+        mean[0, group] += s[k]
+        mean[1, group] += v[k]
+        mean[2, group] += u[k]
+    count = group + 1
+    mean = mean[:, :count] / weight[:count]
+    return mean[0], mean[1], mean[2], weight[:count], of[:count]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
