@@ -92,8 +92,8 @@ def smoothed_curves(values: Floats, first: Integers, size: Integers, window: int
             for k in range(values.shape[1]):
                 total = 0.0
                 for tap in range(odd):
-                    t = float(tap - half)
-                    weight = place * t / of_line + (place * place - mean) * (t * t - mean) / of_bow
+                    off = float(tap - half)
+                    weight = place * off / of_line + (place * place - mean) * (off * off - mean) / of_bow
                     total += (weight + 1.0 / odd) * values[begin + start + tap, k]
                 out[begin + at, k] = total
     return out

@@ -24,7 +24,7 @@ import numpy as np
 
 from roemetry.records import Product, Profiles
 from roemetry.records.arrays import Floats, Integers
-from roemetry_kernels.compiling import kernel
+from roemetry_kernels.compiling import float_kernel, kernel
 from roemetry_kernels.image_levels import median_of
 from roemetry_kernels.slices import body_curves, smoothed
 
@@ -91,7 +91,7 @@ def _rising(s: Floats) -> Floats:
     return np.asarray(np.maximum.accumulate(s - least, axis=0) + least)
 
 
-@kernel(error_model="numpy")
+@float_kernel
 def lofted(knots: Floats, values: Floats, at: Floats) -> Floats:
     """Interpolate (value, cut, sample) values over (cut, sample) rising places: (value, station, sample).
 
@@ -128,7 +128,7 @@ def lofted(knots: Floats, values: Floats, at: Floats) -> Floats:
     return out
 
 
-@kernel(error_model="numpy")
+@float_kernel
 def on_even_places(across: Floats, heights: Floats, grid: Floats) -> Floats:
     """Interpolate each row of heights from its places across, which do not fall, to those of a grid."""
     out = np.empty_like(grid)

@@ -54,8 +54,8 @@ _NOISE_PATTERNS = 12
 """Patterns of peak noise, at most: they know its part to 20 %."""
 _NOISE_SHARES = {2: 0.02}
 _NOISE_SHARE = 0.05
-"""Of the volume's variance, after so many patterns and after more: noise averages out over thousands of points
-and mostly has less, which so few patterns know well enough, the whole to 2 %."""
+"""Of the volume's variance, after so many patterns and after more: noise averages out over thousands of
+points and mostly has less, which so few patterns know well enough, the whole to 2 %."""
 _HEIGHT_PATTERNS = 100
 """Patterns of noise in which the highest point is looked for: they know its scatter to 7 %."""
 _FAR = 5.0
