@@ -42,14 +42,16 @@ def robust_fit(
     normal, weighed = np.empty((terms, terms)), np.empty(count)
     for _ in range(rounds):
         for a in range(terms):
-            fit[a] = 0.0
+            right = 0.0
             for k in range(count):
                 weighed[k] = weight[k] * rows[a, k]
-                fit[a] += weighed[k] * wanted[k]
+                right += weighed[k] * wanted[k]
+            fit[a] = right
             for b in range(a + 1):
-                normal[a, b] = ridge[a] if a == b else 0.0
+                total = ridge[a] if a == b else 0.0
                 for k in range(count):
-                    normal[a, b] += weighed[k] * rows[b, k]
+                    total += weighed[k] * rows[b, k]
+                normal[a, b] = total
         solve(normal, fit)
         off[:] = wanted
         for a in range(terms):

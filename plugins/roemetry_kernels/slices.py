@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from roemetry.records import Profiles
 from roemetry.records.arrays import Floats, Integers
-from roemetry_kernels.compiling import kernel
+from roemetry_kernels.compiling import float_kernel, kernel
 
 _STEP_MAX = 1.5  # rows; a larger step between neighbours means that rows are missing
 
@@ -69,29 +67,36 @@ def smoothed(curves: BodyCurves, values: Floats, window: int) -> Floats:
     window
         Odd number of points; below 3 means no smoothing.
     """
+    smooth: Floats = smoothed_curves(values, curves.first, curves.size, window)
+    return smooth
+
+
+@float_kernel
+def smoothed_curves(values: Floats, first: Integers, size: Integers, window: int) -> Floats:
+    """Smooth curves as `smoothed` says: by 1, t and t² − its mean, which are orthogonal on even places."""
     out = values.copy()
-    for first, size in zip(curves.first.tolist(), curves.size.tolist(), strict=True):
-        odd = min(window, size - (size + 1) % 2)
+    for curve in range(first.size):
+        begin, count = first[curve], size[curve]
+        odd = min(window, count - (count + 1) % 2)
         if odd < 3:
             continue
         half = odd // 2
-        hat = _quadratic_hat(odd)
-        curve = values[first : first + size]
-        smooth = out[first : first + size]
-        smooth[half : size - half] = sliding_window_view(curve, odd, axis=0) @ hat[half]
-        smooth[:half] = hat[:half] @ curve[:odd]
-        smooth[size - half :] = hat[half + 1 :] @ curve[-odd:]
+        mean = half * (half + 1) / 3.0
+        of_line, of_bow = 0.0, 0.0
+        for t in range(-half, half + 1):
+            of_line += t * t
+            of_bow += (t * t - mean) ** 2
+        for at in range(count):
+            start = min(max(at - half, 0), count - odd)
+            place = float(at - start - half)
+            for k in range(values.shape[1]):
+                total = 0.0
+                for tap in range(odd):
+                    off = float(tap - half)
+                    weight = place * off / of_line + (place * place - mean) * (off * off - mean) / of_bow
+                    total += (weight + 1.0 / odd) * values[begin + start + tap, k]
+                out[begin + at, k] = total
     return out
-
-
-@lru_cache(maxsize=64)
-def _quadratic_hat(window: int) -> Floats:
-    """(window, window) matrix that takes equally spaced values to their least-squares quadratic."""
-    powers = np.linspace(-1.0, 1.0, window)[:, None] ** np.arange(3)
-    q, _ = np.linalg.qr(powers)
-    hat: Floats = q @ q.T
-    hat.flags.writeable = False
-    return hat
 
 
 @kernel

@@ -24,7 +24,7 @@ import numpy as np
 
 from roemetry.records import Product, Profiles
 from roemetry.records.arrays import Floats, Integers
-from roemetry_kernels.compiling import kernel
+from roemetry_kernels.compiling import float_kernel, kernel
 from roemetry_kernels.image_levels import median_of
 from roemetry_kernels.slices import body_curves, smoothed
 
@@ -67,7 +67,7 @@ def in_product_frame(sections: Sections) -> Frame:
     s, t, z, area = s[order], t[order], z[order], area[order]
     at = np.linspace(s[0, middle], s[-1, middle], STATIONS)
     knots = _rising(s)
-    heights, across = lofted(knots, np.stack([z, t], axis=-1), at).transpose(2, 0, 1)
+    heights, across = lofted(knots, np.stack([z, t]), at)
     pitch = float(np.median(np.diff(s[:, middle])))
     return Frame(_square(at, across, np.maximum(heights, 0.0)), pitch, _missing(s[:, middle], area, pitch))
 
@@ -91,32 +91,58 @@ def _rising(s: Floats) -> Floats:
     return np.asarray(np.maximum.accumulate(s - least, axis=0) + least)
 
 
+@float_kernel
 def lofted(knots: Floats, values: Floats, at: Floats) -> Floats:
-    """Interpolate (cut, sample, value) values over (cut, sample) rising places: (station, sample, value).
+    """Interpolate (value, cut, sample) values over (cut, sample) rising places: (value, station, sample).
 
     Piecewise cubic with the slopes of Fritsch and Butland (1984): it neither overshoots nor rings. Beyond the
     first and last cut of a sample the value stays.
     """
-    step = np.diff(knots, axis=0)[..., None]
-    secant = np.diff(values, axis=0) / step
-    slope = np.zeros_like(values)
-    if len(step) > 1:
-        one, other = step[:-1] + 2.0 * step[1:], 2.0 * step[:-1] + step[1:]
-        same = secant[:-1] * secant[1:] > 0.0
-        below = np.where(same, one * secant[1:] + other * secant[:-1], 1.0)
-        slope[1:-1] = np.where(same, (one + other) * secant[:-1] * secant[1:] / below, 0.0)
-    slope[0], slope[-1] = secant[0], secant[-1]
-    columns = np.arange(knots.shape[1])[None]
-    # Interval of each station in each column: the number of inner knots at or below it.
-    k = (at[:, None, None] >= knots[None, 1:-1]).sum(axis=1)
-    h = step[k, columns]
-    u = np.clip((at[:, None] - knots[k, columns])[..., None] / h, 0.0, 1.0)
-    v = 1.0 - u
-    return np.asarray(
-        values[k, columns] * (v * v * (1.0 + 2.0 * u))
-        + values[k + 1, columns] * (u * u * (1.0 + 2.0 * v))
-        + (h * u * v) * (slope[k, columns] * v - slope[k + 1, columns] * u)
-    )
+    kinds, cuts, samples = values.shape
+    out = np.empty((kinds, at.size, samples))
+    slope, secant = np.zeros(cuts), np.empty(cuts - 1)
+    for kind in range(kinds):
+        for j in range(samples):
+            for k in range(cuts - 1):
+                secant[k] = (values[kind, k + 1, j] - values[kind, k, j]) / (knots[k + 1, j] - knots[k, j])
+            slope[0], slope[-1] = secant[0], secant[-1]
+            for k in range(1, cuts - 1):
+                before, after = knots[k, j] - knots[k - 1, j], knots[k + 1, j] - knots[k, j]
+                one, other = before + 2.0 * after, 2.0 * before + after
+                slope[k] = 0.0
+                if secant[k - 1] * secant[k] > 0.0:
+                    mean = one * secant[k] + other * secant[k - 1]
+                    slope[k] = (one + other) * secant[k - 1] * secant[k] / mean
+            k = 0
+            for station in range(at.size):
+                while k < cuts - 2 and at[station] >= knots[k + 1, j]:
+                    k += 1
+                h = knots[k + 1, j] - knots[k, j]
+                u = min(max((at[station] - knots[k, j]) / h, 0.0), 1.0)
+                v = 1.0 - u
+                out[kind, station, j] = (
+                    values[kind, k, j] * (v * v * (1.0 + 2.0 * u))
+                    + values[kind, k + 1, j] * (u * u * (1.0 + 2.0 * v))
+                    + h * u * v * (slope[k] * v - slope[k + 1] * u)
+                )
+    return out
+
+
+@float_kernel
+def on_even_places(across: Floats, heights: Floats, grid: Floats) -> Floats:
+    """Interpolate each row of heights from its places across, which do not fall, to those of a grid."""
+    out = np.empty_like(grid)
+    last = across.shape[1] - 1
+    for row in range(grid.shape[0]):
+        before = 0
+        for k in range(grid.shape[1]):
+            place = grid[row, k]
+            while before < last - 1 and across[row, before + 1] <= place:
+                before += 1
+            wide = across[row, before + 1] - across[row, before]
+            share = min(max((place - across[row, before]) / wide, 0.0), 1.0) if wide > 0.0 else 1.0
+            out[row, k] = heights[row, before] + share * (heights[row, before + 1] - heights[row, before])
+    return out
 
 
 def _square(at: Floats, across: Floats, heights: Floats) -> Sections:
@@ -126,7 +152,7 @@ def _square(at: Floats, across: Floats, heights: Floats) -> Sections:
     half = np.maximum(0.5 * (high - low), 1e-6)
     middle = 0.5 * (low + high)
     grid = middle[:, None] + half[:, None] * EVEN
-    height = np.stack([np.interp(grid[k], across[k], heights[k]) for k in range(len(at))])
+    height = on_even_places(across, heights, grid)
     return Sections(
         stripe=np.arange(len(at)),
         along_mm=at - at[0],

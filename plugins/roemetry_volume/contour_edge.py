@@ -41,10 +41,13 @@ _NORMAL_REACH = 3  # points to either side that give a normal
 _ROUND_START = 6.0
 """Normals: the start is a polygon through stripes' ends, whose corners say nothing."""
 
-_WIDE = ((4.0, 0.8), (0.6, 0.6))
-"""Spacings of stripes, outwards and inwards, of the two wide searches. Beside the product's first stripe the
-edge is at most one spacing away, and in the laser's shadow as far as a body of one and a half spacings of
-displacement throws it; the second search has the normals of the first one's result."""
+_WIDE = ((4.0, 0.8, 2), (0.6, 0.6, 1))
+"""Spacings of stripes, outwards and inwards, of the two wide searches, and by how much coarser they look.
+Beside the product's first stripe the edge is at most one spacing away, and in the laser's shadow as far as a
+body of one and a half spacings of displacement throws it; the second search has the normals of the first
+one's result."""
+_BEYOND_REACH_PX = 25
+"""What the coarse gradient of a place takes in beyond it."""
 _FINE_PX, _COARSE_PX, _EVEN_PX = 1.5, 5.0, 2.5
 """Scales of the gradients: somewhat more than a lens's blur, and that of the penumbra of a near lamp; and of
 the light beyond."""
@@ -175,38 +178,44 @@ def _widely(scene: Scene, ring: Floats) -> Floats:
     """Move a ring to the sharpest closed edge between the product's stripes and the belt's."""
     import cv2
 
-    # only what lies within reach is looked at
-    margin = int(_WIDE[0][0] * scene.spacing_px) + 20
-    low = np.maximum(np.floor(ring.min(axis=0)).astype(int) - margin, 0)
-    high = np.ceil(ring.max(axis=0)).astype(int) + margin + 1
-    level = scene.level[low[1] : high[1], low[0] : high[0]]
-    fine, coarse, even = (cv2.GaussianBlur(level, (0, 0), px) for px in (_FINE_PX, _COARSE_PX, _EVEN_PX))
-    for outwards, inwards in _WIDE:
-        normal = _rounded(normals_of(ring, _NORMAL_REACH), _DIRECTION_ROUND)
+    for outwards, inwards, coarser in _WIDE:
+        # only what lies within reach is looked at; of a coarser image every so many normals and places, too
+        margin = int(outwards * scene.spacing_px) + _BEYOND_REACH_PX
+        low = np.maximum(np.floor(ring.min(axis=0)).astype(int) - margin, 0) // coarser * coarser
+        high = np.ceil(ring.max(axis=0)).astype(int) + margin + 1
+        level = scene.level[low[1] : high[1], low[0] : high[0]]
+        if coarser > 1:
+            level = cv2.resize(level, None, fx=1 / coarser, fy=1 / coarser, interpolation=cv2.INTER_AREA)
+        fine, coarse, even = (
+            cv2.GaussianBlur(level, (0, 0), px / coarser) for px in (_FINE_PX, _COARSE_PX, _EVEN_PX)
+        )
+        ring = ring[::coarser]
+        normal = _rounded(normals_of(ring, _NORMAL_REACH), _DIRECTION_ROUND / coarser)
         normal /= np.maximum(np.hypot(normal[:, 0], normal[:, 1]), 1e-9)[:, None]
         off = np.arange(-inwards * scene.spacing_px, outwards * scene.spacing_px, 1.0)
-        here = ring - low
-        sharp = _gradient(fine, here, normal, off, _FINE_PX) - _gradient(
-            coarse, here, normal, off, _COARSE_PX
-        )
-        sharp = np.abs(_rounded(sharp, _COHERENT))
-        shut = _shut(scene.bounds, ring, normal, off)
+        shut = _shut(scene.bounds, ring, normal, off)[:, ::coarser]
+        off = off[::coarser]
+        here, places = (ring - low + 0.5) / coarser - 0.5, off / coarser
+        sharp = _gradient(fine, here, normal, places, round(2.0 * _FINE_PX / coarser))
+        sharp -= _gradient(coarse, here, normal, places, round(2.0 * _COARSE_PX / coarser))
+        sharp = np.abs(_rounded(sharp, _COHERENT / coarser))
         sharp[shut] = 0.0
         clear = max(float(np.median(sharp.max(axis=1))), 1e-9)
-        cost = -np.clip(sharp / clear, 0.0, 1.0) - _OUTWARDS * off[None]
-        cost += np.clip(sampled(even, here, normal, off + _LIT_PX) / _LIT, 0.0, 1.0)
+        cost = -np.minimum(sharp / clear, 1.0) - _OUTWARDS * off[None]
+        lit = sampled(even, here, normal, places + _LIT_PX / coarser)
+        cost += np.minimum(np.maximum(lit, 0.0) / _LIT, 1.0)
         cost[shut] = 1.0
         path = closed_path(cost, _WIDE_BEND, _WIDE_STEP)
-        moved = ring + _rounded(off[path][:, None], _WIDE_ROUND) * normal
+        moved = ring + _rounded(off[path][:, None], _WIDE_ROUND / coarser) * normal
         ring = _rounded(evenly(moved, _NORMALS), 2.0)
     return ring
 
 
-def _gradient(smooth: NDArray[np.float32], ring: Floats, normal: Floats, off: Floats, px: float) -> Floats:
-    """Give the fall of brightness outwards over twice a scale, at distances a pixel apart."""
-    apart = round(2.0 * px)  # places: the ends of each difference are sampled once
-    light = sampled(smooth, ring, normal, np.arange(off.size + apart) + off[0] - px)
-    return np.asarray((light[:, : off.size] - light[:, apart:]) / (2.0 * px))
+def _gradient(smooth: NDArray[np.float32], ring: Floats, normal: Floats, off: Floats, apart: int) -> Floats:
+    """Give the fall of brightness outwards over so many places, at distances a place apart."""
+    places = np.arange(off.size + apart) + (off[0] - 0.5 * apart)  # the ends of each are sampled once
+    light = sampled(smooth, ring, normal, places)
+    return np.asarray((light[:, : off.size] - light[:, apart:]) / apart)
 
 
 def _steepest(scene: Scene, ring: Floats) -> Floats:
@@ -262,11 +271,8 @@ def _kinked(across: _Across, blur_px: float) -> tuple[Floats, float, float]:
         does.
     """
     ring, normal, light, told, shut = across
-    # what a model leaves of a run of brightness is all of it less what lies along the model's directions
-    light = light - light.mean(axis=1, keepdims=True)
-    explained = (light @ _model(blur_px)).reshape(len(light), -1, _PLACES_PX.size)
-    cost = (light**2).sum(axis=1)[:, None] - (explained**2).sum(axis=1)
-    usual = float(np.median((cost.max(axis=1) - cost.min(axis=1))[told])) or 1.0
+    cost, spread = left_over(light, _model(blur_px), _PLACES_PX.size)
+    usual = float(np.median(spread[told])) or 1.0
     cost[~told] = 0.0
     free = cost.copy()
     cost[shut] += usual
@@ -414,6 +420,32 @@ def sampled(image: NDArray[np.float32], ring: Floats, normal: Floats, off_px: Fl
             x, y = ring[i, 0] + off_px[j] * normal[i, 0], ring[i, 1] + off_px[j] * normal[i, 1]
             out[i, j] = _light_at(image, x, y)
     return out
+
+
+@float_kernel
+def left_over(light: Floats, model: Floats, places: int) -> tuple[Floats, Floats]:
+    """Give (n, place) squared residuals of brightness under the model of each place, and their spread (n,).
+
+    What a model leaves of a run of brightness is all of it less what lies along the model's directions.
+    """
+    n, m = light.shape
+    cost, spread = np.empty((n, places)), np.empty(n)
+    explained = np.empty(model.shape[1])
+    for i in range(n):
+        mean = light[i].mean()
+        explained[:] = 0.0
+        total = 0.0
+        for k in range(m):
+            value = light[i, k] - mean
+            total += value * value
+            for j in range(model.shape[1]):
+                explained[j] += value * model[k, j]
+        cost[i] = total
+        for first in range(0, model.shape[1], places):
+            for j in range(places):
+                cost[i, j] -= explained[first + j] * explained[first + j]
+        spread[i] = cost[i].max() - cost[i].min()
+    return cost, spread
 
 
 @float_kernel

@@ -48,12 +48,12 @@ from roemetry.records.calibration import Calibration
 from roemetry.stages import Outliner, StageOptions
 from roemetry_volume.contour_edge import Scene, edge_around, unbound
 from roemetry_volume.footprint import area_of, inside_by
-from roemetry_volume.image_motion import laid_over
+from roemetry_volume.image_motion import laid_over, logarithm
 
 _LEAST_CONTRAST = 3.0
 """Times the belt's scatter that a product is brighter or darker: three standard deviations."""
 _USUAL_SPACING_PX = 40.0  # where the coder does not say where stripes lie on the belt
-_SAMPLED = 3  # every third row and column tell the belt's middle and scatter
+_SAMPLED = 5  # every fifth row and column tell the belt's middle and scatter
 
 _BELT_SMOOTH_PX = 5.0
 """The belt's image is smoothed against noise by less than light and texture vary over."""
@@ -63,7 +63,7 @@ _FILL_PX = 10.0  # about the width of a stripe, whose place is filled from besid
 _FILLED_SHARE = 0.2  # of the smoothing's weight that lies beside stripes; with less the wider one is taken
 _STRIPE = 6.0
 """Times the noise: what the opening takes away that much is a stripe."""
-_GRID_PX, _GRID_POINTS = 8, 6000  # of the polynomial through the image's own belt: at least, at most
+_GRID_PX, _GRID_POINTS = 12, 2500  # of the polynomial through the image's own belt: at least, at most
 _ROUNDS = 6  # of reweighting: the belt's brightness has settled by then
 _RIDGE = 1e-10  # keeps the equations solvable where the belt is seen on one side only
 
@@ -339,7 +339,7 @@ def _over_belt(pixels: NDArray[Any], belt: NDArray[Any] | None, product: Flags) 
             _over_belt(pixels[..., k], None if belt is None else belt[..., k], product) for k in range(3)
         ]
         return max(planes, key=lambda plane: _contrast(plane, product))
-    bright = np.log(pixels.astype(np.float32) + np.float32(1.0))
+    bright = logarithm(pixels)
     if belt is not None:
         smooth = cv2.GaussianBlur(belt.astype(np.float32), (0, 0), _BELT_SMOOTH_PX)
         bright -= np.log(smooth + np.float32(1.0))
@@ -479,18 +479,19 @@ def _ring_around(region: Flags, spacing_px: float) -> Floats:
     rows, columns = np.flatnonzero(region.any(axis=1)), np.flatnonzero(region.any(axis=0))
     if not rows.size:
         return np.empty((0, 2))
-    edge = round(spacing_px) + 2
-    box = region[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-    # by distances: dilating with a disc of this size takes thirty times as long
+    # by distances: dilating with a disc of this size takes thirty times as long; every other pixel will do
+    box = region[rows[0] : rows[-1] + 1 : 2, columns[0] : columns[-1] + 1 : 2]
+    spacing = 0.5 * spacing_px
+    edge = round(spacing) + 2
     outside = np.pad(np.uint8(1) - box.astype(np.uint8), edge, constant_values=1)
-    wide = cv2.distanceTransform(outside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE) <= round(spacing_px)
+    wide = cv2.distanceTransform(outside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE) <= spacing
     inside = cv2.distanceTransform(wide.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    ring = (inside > round(0.5 * spacing_px)).astype(np.uint8)
+    ring = (inside > 0.5 * spacing).astype(np.uint8)
     found, _ = cv2.findContours(ring, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     if not found:
         return np.empty((0, 2))
-    corner = np.array([columns[0] - edge, rows[0] - edge], np.float64)
-    chains = [chain[:, 0, :] + corner for chain in found]
+    corner = np.array([columns[0], rows[0]], np.float64)
+    chains = [2.0 * (chain[:, 0, :] - edge) + corner for chain in found]
     return max(chains, key=lambda chain: abs(area_of(chain)))
 
 
@@ -597,9 +598,12 @@ def features_of(xy_px: Floats, pixels: NDArray[Any]) -> dict[str, float]:
         "convexity": area / hull if hull > 0.0 else float("nan"),
         **_bending(middle),
     }
-    mask = np.zeros(pixels.shape[:2], np.uint8)
-    cv2.fillPoly(mask, [np.rint(xy_px).astype(np.int32).reshape(-1, 1, 2)], 1)
-    inside = pixels[mask.astype(np.bool_)].astype(np.float64)
+    corners = np.rint(xy_px).astype(np.int32)
+    (left, top), (right, bottom) = np.maximum(corners.min(axis=0), 0), corners.max(axis=0) + 1
+    box = pixels[top:bottom, left:right]
+    mask = np.zeros(box.shape[:2], np.uint8)
+    cv2.fillPoly(mask, [(corners - (left, top)).reshape(-1, 1, 2)], 1)
+    inside = box[mask.astype(np.bool_)].astype(np.float64)
     if inside.size:
         grey = inside.mean(axis=1) if inside.ndim == 2 else inside
         found |= {"grey_mean": float(grey.mean()), "grey_std": float(grey.std())}
@@ -623,14 +627,15 @@ def _mid_line(xy: Floats) -> tuple[Floats, float]:
     after_s, after_v = np.roll(s, -1), np.roll(v, -1)
     low, high = float(s.min()), float(s.max())
     inset = _MARGIN * (high - low)
-    middles, widest = [], 0.0
-    for at in np.linspace(low + inset, high - inset, _CUTS):
-        cut = (s <= at) != (after_s <= at)
-        crossings = v[cut] + (at - s[cut]) / (after_s[cut] - s[cut]) * (after_v[cut] - v[cut])
-        if crossings.size >= 2:
-            middles.append((at, 0.5 * (float(crossings.min()) + float(crossings.max()))))
-            widest = max(widest, float(np.ptp(crossings)))
-    return np.array(middles).reshape(-1, 2), widest
+    at = np.linspace(low + inset, high - inset, _CUTS)[:, None]
+    cut = (s <= at) != (after_s <= at)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        crossing = v + (at - s) / (after_s - s) * (after_v - v)
+    least, most = (np.where(cut, crossing, off) for off in (np.inf, -np.inf))
+    lower, upper = least.min(axis=1), most.max(axis=1)
+    met = cut.sum(axis=1) >= 2
+    widest = float((upper - lower)[met].max(initial=0.0))
+    return np.column_stack([at[met], 0.5 * (lower + upper)[met]]), widest
 
 
 def _bending(middle: Floats) -> dict[str, float]:

@@ -136,8 +136,7 @@ def image_motion(laser: NDArray[Any], plain: NDArray[Any], product: Flags) -> Im
     product
         (row, column) where the product may be: its light differs too much.
     """
-    grey = plain if plain.ndim == 2 else plain.mean(axis=2)
-    log_plain = np.log(grey.astype(np.float32) + 1.0)
+    log_plain = logarithm(plain if plain.ndim == 2 else plain.mean(axis=2))
     free = (_beside_stripes(laser) & ~product & _belt_like(log_plain)).astype(np.float32)
     weighted, share, bright = (_halved(image) for image in (laser * free, free, log_plain))
     finest = _Seen.of(weighted, share), _clipped(_texture(bright))
@@ -163,6 +162,18 @@ def image_motion(laser: NDArray[Any], plain: NDArray[Any], product: Flags) -> Im
     if unmoved is None or unmoved.missed is None or (found is not None and found.alike > unmoved.alike):
         return found
     return unmoved
+
+
+def logarithm(pixels: NDArray[Any]) -> Singles:
+    """Give log(pixels + 1)."""
+    if pixels.dtype != np.uint8:
+        return np.log(pixels.astype(np.float32) + np.float32(1.0))
+    import cv2
+
+    return np.asarray(cv2.LUT(np.ascontiguousarray(pixels), _LOGARITHMS))
+
+
+_LOGARITHMS = np.log(np.arange(256, dtype=np.float32) + np.float32(1.0))
 
 
 def _halved(image: Singles) -> Singles:

@@ -114,7 +114,8 @@ def points_of(product: Product) -> StripePoints:
     slices, index = curves.slice, curves.point
     held = held_points(slices, profiles.seen[slices, index], profiles.xyz_mm[slices, index, 2])
     slices, index = slices[held], index[held]
-    begins = np.diff(slices, prepend=-1) > 0
+    begins = np.ones(slices.size, np.bool_)
+    begins[1:] = slices[1:] != slices[:-1]
     first = np.append(np.flatnonzero(begins), slices.size)
     return StripePoints(profiles.xyz_mm[slices, index], np.cumsum(begins) - 1, first)
 
@@ -362,12 +363,27 @@ class Knots:
 
 def grouped(s: Floats, v: Floats, u: Floats, slices: Integers) -> Knots:
     """Put each five neighbouring points of a slice into one, which weighs as much as they do."""
-    start = np.flatnonzero(np.diff(slices, prepend=-1))
-    within = np.arange(slices.size) - np.repeat(start, np.diff(start, append=slices.size))
-    first = np.flatnonzero(within % _GROUP == 0)
-    count = np.diff(first, append=slices.size).astype(np.float64)
-    mean = [np.add.reduceat(values, first) / count for values in (s, v, u)]
-    return Knots(mean[0], mean[1], mean[2], count, slices[first])
+    return Knots(*means_of_groups(s, v, u, slices))
+
+
+@kernel
+def means_of_groups(
+    s: Floats, v: Floats, u: Floats, slices: Integers
+) -> tuple[Floats, Floats, Floats, Floats, Integers]:
+    """Give what `Knots` holds of points, slice after slice."""
+    mean, weight, of = np.zeros((3, s.size)), np.zeros(s.size), np.empty(s.size, np.int64)
+    group = -1
+    for k in range(s.size):
+        if group < 0 or weight[group] == _GROUP or slices[k] != of[group]:
+            group += 1
+            of[group] = slices[k]
+        weight[group] += 1.0
+        mean[0, group] += s[k]
+        mean[1, group] += v[k]
+        mean[2, group] += u[k]
+    count = group + 1
+    mean = mean[:, :count] / weight[:count]
+    return mean[0], mean[1], mean[2], weight[:count], of[:count]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -376,12 +392,14 @@ class Plate:
 
     grid: Any
     """Of the spline, see `roemetry_volume.surface_fit.Grid`."""
+    course: Floats
     coefficients: Floats
-    """Of the spline."""
+    """course, coefficients: of the quadric through all points, and of the whole, as the spline's."""
+    band: Floats
     factor: Floats
-    """Banded Cholesky factor of the system."""
     right: Floats
-    """Right-hand side of the system."""
+    """band, factor, right: lower band of the system for what lies off the course, its Cholesky factor, and
+    its right-hand side."""
 
     def at(self, s: Floats, v: Floats) -> Floats:
         """Value at places; s scaled."""
@@ -390,18 +408,29 @@ class Plate:
 
     def moved_by(self, change: Floats) -> Floats:
         """Give what coefficients change by when the right-hand side changes."""
-        from scipy.linalg import cho_solve_banded
+        return _solved(self.factor, change)
 
-        moved: Floats = cho_solve_banded((self.factor, True), change, check_finite=False)
-        return moved
+
+def _factor(band: Floats) -> Floats:
+    """Give the Cholesky factor of a lower band; LinAlgError where it is not positive definite."""
+    from scipy.linalg.lapack import dpbtrf  # what `cholesky_banded` calls after a third of its time
+
+    factor, failed = dpbtrf(band, lower=1)
+    if failed:
+        raise np.linalg.LinAlgError(f"the plate's leading minor {failed} is not positive definite")
+    return np.asarray(factor)
+
+
+def _solved(factor: Floats, right: Floats) -> Floats:
+    from scipy.linalg.lapack import dpbtrs
+
+    return np.asarray(dpbtrs(factor, right, lower=1)[0])
 
 
 def plate_through(
     knots: Knots, rim_s: Floats, rim_v: Floats, rim_weight: Floats, stiffness: float = 1.0
 ) -> Plate:
     """Fit a plate through the knots and through 0 at places of the rim; `stiffness` times as stiff."""
-    from scipy.linalg import cho_solve_banded, cholesky_banded
-
     s, v = np.concatenate([knots.s, rim_s]), np.concatenate([knots.v, rim_v])
     low_s, low_v = float(s.min()) - 0.5, float(v.min()) - 0.5
     cells = [
@@ -410,16 +439,11 @@ def plate_through(
     grid = (low_s, low_v, CELL_MM, cells[0], cells[1])
     band = _bending_of(cells[0], cells[1], stiffness * STIFFNESS).copy()
     right = np.zeros(band.shape[1])
-    course, off = _course(
-        grid,
-        (s, v),
-        np.concatenate([knots.u, np.zeros_like(rim_s)]),
-        np.concatenate([knots.weight, rim_weight]),
-    )
-    add_points(band, right, grid, s, v, off, np.concatenate([knots.weight, rim_weight]))
-    factor = cholesky_banded(band, overwrite_ab=True, lower=True, check_finite=False)
-    found = cho_solve_banded((factor, True), right, check_finite=False)
-    return Plate(grid, course + found, factor, right)
+    weight = np.concatenate([knots.weight, rim_weight])
+    course, off = _course(grid, (s, v), np.concatenate([knots.u, np.zeros_like(rim_s)]), weight)
+    add_points(band, right, grid, s, v, off, weight)
+    factor = _factor(band)
+    return Plate(grid, course, course + _solved(factor, right), band, factor, right)
 
 
 @lru_cache(maxsize=16)
@@ -454,17 +478,13 @@ def _course(grid: Any, place: tuple[Floats, Floats], u: Floats, weight: Floats) 
 
 
 def without_slice(plate: Plate, knots: Knots, slice_: int) -> Floats:
-    """Give the coefficients of the plate that a slice had no part in, by its leverage: without a refit."""
+    """Give the coefficients of the plate that a slice had no part in, about the same course."""
     mine = knots.slice == slice_
-    numbers, parts = rows_of(plate.grid, knots.s[mine], knots.v[mine])
-    root = np.sqrt(knots.weight[mine])
-    rows = np.zeros((root.size, plate.coefficients.size))
-    np.put_along_axis(rows, numbers.astype(np.int64), root[:, None] * parts, axis=1)
-    off = root * knots.u[mine] - rows @ plate.coefficients
-    through = plate.moved_by(rows.T)
-    rest = np.eye(root.size) - rows @ through
-    changed: Floats = plate.coefficients - through @ np.linalg.solve(rest, off)
-    return changed
+    s, v = knots.s[mine], knots.v[mine]
+    band, right = plate.band.copy(), plate.right.copy()
+    off = knots.u[mine] - values_at(plate.course, plate.grid, s, v)
+    add_points(band, right, plate.grid, s, v, off, -knots.weight[mine])
+    return plate.course + _solved(_factor(band), right)
 
 
 Grid = tuple[float, float, float, int, int]
@@ -549,9 +569,34 @@ def _cell(at: float, start: float, side: float, cells: int) -> tuple[int, float]
 
 
 @kernel
-def rows_of(grid: Grid, s: Floats, v: Floats) -> tuple[Floats, Floats]:
-    """Give the 16 coefficients' numbers (as float64) and weights for each place: (n, 16) twice."""
-    numbers, weights = np.empty((s.size, 16)), np.empty((s.size, 16))
+def add_points(
+    band: Floats, right: Floats, grid: Grid, s: Floats, v: Floats, values: Floats, weights: Floats
+) -> None:
+    """Add weighted points to the normal equations."""
+    high = grid[4] + 3
+    number, part = np.empty(16, np.int64), np.empty(16)
+    for a in range(4):
+        for b in range(4):
+            number[4 * a + b] = a * high + b
+    for k in range(s.size):
+        i, x = _cell(s[k], grid[0], grid[2], grid[3])
+        j, y = _cell(v[k], grid[1], grid[2], grid[4])
+        f, g = _cubics(x), _cubics(y)
+        first = i * high + j
+        for a in range(4):
+            for b in range(4):
+                part[4 * a + b] = f[a] * g[b]
+        for a in range(16):
+            weighed = weights[k] * part[a]
+            right[first + number[a]] += weighed * values[k]
+            for b in range(a + 1):
+                band[number[a] - number[b], first + number[b]] += weighed * part[b]
+
+
+@kernel
+def values_at(coefficients: Floats, grid: Grid, s: Floats, v: Floats) -> Floats:
+    """Evaluate the surface at places (n,)."""
+    out = np.zeros(s.size)
     high = grid[4] + 3
     for k in range(s.size):
         i, x = _cell(s[k], grid[0], grid[2], grid[3])
@@ -559,31 +604,5 @@ def rows_of(grid: Grid, s: Floats, v: Floats) -> tuple[Floats, Floats]:
         f, g = _cubics(x), _cubics(y)
         for a in range(4):
             for b in range(4):
-                numbers[k, 4 * a + b] = (i + a) * high + j + b
-                weights[k, 4 * a + b] = f[a] * g[b]
-    return numbers, weights
-
-
-@kernel
-def add_points(
-    band: Floats, right: Floats, grid: Grid, s: Floats, v: Floats, values: Floats, weights: Floats
-) -> None:
-    """Add weighted points to the normal equations."""
-    numbers, parts = rows_of(grid, s, v)
-    for k in range(s.size):
-        for a in range(16):
-            one = int(numbers[k, a])
-            right[one] += weights[k] * parts[k, a] * values[k]
-            for b in range(a + 1):
-                band[one - int(numbers[k, b]), int(numbers[k, b])] += weights[k] * parts[k, a] * parts[k, b]
-
-
-@kernel
-def values_at(coefficients: Floats, grid: Grid, s: Floats, v: Floats) -> Floats:
-    """Evaluate the surface at places (n,)."""
-    numbers, parts = rows_of(grid, s, v)
-    out = np.zeros(s.size)
-    for k in range(s.size):
-        for a in range(16):
-            out[k] += parts[k, a] * coefficients[int(numbers[k, a])]
+                out[k] += f[a] * g[b] * coefficients[(i + a) * high + j + b]
     return out

@@ -44,11 +44,15 @@ def undistort(xy: Floats, distortion: Floats) -> Floats:
         wrong_x, wrong_y = at_x - bent_x, at_y - bent_y
         missed = np.maximum(np.abs(wrong_x), np.abs(wrong_y))
         determinant = a * d - b * c
-        if step == _NEWTON_STEPS or not np.fmax.reduce(missed, initial=0.0) > _NEWTON_RESIDUAL:
+        left = np.fmax.reduce(missed, initial=0.0)
+        if step == _NEWTON_STEPS or not left > _NEWTON_RESIDUAL:
             break
         with np.errstate(divide="ignore", invalid="ignore"):
             x -= (d * wrong_x - b * wrong_y) / determinant
             y -= (a * wrong_y - c * wrong_x) / determinant
+        if left < _NEWTON_LAST:  # the step squares it: there is nothing left to see
+            missed = np.where(np.isnan(missed), np.nan, 0.0)
+            break
     # Beyond the fold the image is turned over: a root there fits, but no light takes that way.
     proper = (determinant > 0) & (a + d > 0)
     straight = np.column_stack([x, y])
@@ -108,6 +112,7 @@ def _tilted(
 
 _NEWTON_STEPS = 30  # a place that is not found by then lies at the fold or beyond it
 _NEWTON_RESIDUAL = 1e-13  # on the plane at distance 1: some 1e-10 px
+_NEWTON_LAST = 1e-8
 _MISSED_MAX = 1e-9  # the same; a place that is missed by more lies beyond the fold
 
 
@@ -184,9 +189,10 @@ class View(Shown):
             start = np.column_stack([flat, np.zeros(len(flat))]) @ turn.T + shift
             way = np.broadcast_to(turn[:, 2], start.shape)
         else:
-            way = np.column_stack([flat, np.ones(len(flat))]) @ turn.T
-            way = way / np.sqrt((way**2).sum(axis=1))[:, None]
-            start = np.where(np.isnan(way), np.nan, shift)
+            x, y = flat.T
+            way = flat @ turn[:, :2].T + turn[:, 2]
+            way /= np.sqrt(x * x + y * y + 1.0)[:, None]
+            start = shift + 0.0 * way  # NaN where there is none
         shape = (*xy.shape[:-1], 3)
         return start.reshape(shape), way.reshape(shape)
 

@@ -22,6 +22,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -51,10 +52,10 @@ from roemetry.run.monte_carlo import (
 
 _NOISE_PATTERNS = 12
 """Patterns of peak noise, at most: they know its part to 20 %."""
-_NOISE_PATTERNS_MIN = 3
+_NOISE_SHARES = {2: 0.02}
 _NOISE_SHARE = 0.05
-"""Of the volume's variance: noise averages out over thousands of points and mostly has less, which three
-patterns know well enough, the whole to 2 %."""
+"""Of the volume's variance, after so many patterns and after more: noise averages out over thousands of
+points and mostly has less, which so few patterns know well enough, the whole to 2 %."""
 _HEIGHT_PATTERNS = 100
 """Patterns of noise in which the highest point is looked for: they know its scatter to 7 %."""
 _FAR = 5.0
@@ -181,8 +182,7 @@ def _modes(scene: Scene, chain: Chain) -> tuple[Floats, float]:
     variance 1; the eigenvectors of (J·L)ᵀ·(J·L) are the directions of z that move them most.
     """
     calibration, triangulator = scene.calibration, chain.triangulator
-    steps = calibration.independent_steps()
-    steps = steps[(steps != 0.0).any(axis=1)]
+    steps, shifted = _independent(calibration)
     sparse = _every(scene.stripes, _ROWS_APART)
     lit = sparse.product > 0
 
@@ -196,7 +196,7 @@ def _modes(scene: Scene, chain: Chain) -> tuple[Floats, float]:
         return np.asarray(xyz_mm.ravel())
 
     at = points(calibration)
-    moves = np.stack([points(calibration.shifted(step)) - at for step in steps])
+    moves = np.stack([points(moved) - at for moved in shifted])
     moves = np.nan_to_num(moves)
     size, turned = np.linalg.eigh(moves @ moves.T)
     size, turned = np.maximum(size[::-1], 0.0), turned[:, ::-1]
@@ -206,6 +206,14 @@ def _modes(scene: Scene, chain: Chain) -> tuple[Floats, float]:
     held = np.cumsum(size) / total
     count = min(int(np.searchsorted(held, _MODES_SHARE)) + 1, _MODES_MAX, held.size)
     return turned[:, :count].T @ steps, float(held[count - 1])
+
+
+@lru_cache(maxsize=2)
+def _independent(calibration: Calibration) -> tuple[Floats, tuple[Calibration, ...]]:
+    """Give a calibration's independent steps that move anything, and what each makes of it."""
+    steps = calibration.independent_steps()
+    steps = steps[(steps != 0.0).any(axis=1)]
+    return steps, tuple(calibration.shifted(step) for step in steps)
 
 
 def _every(stripes: StripeMap, rows: int) -> StripeMap:
@@ -266,7 +274,8 @@ class _Spread:
 
 def _noise_matters(trace: ProductTrace, runs: Sequence[_Run], still: Result) -> bool:
     """Tell whether another pattern of noise is worth its time."""
-    if sum(run.cause == PEAKS for run in runs) < _NOISE_PATTERNS_MIN:
+    patterns = sum(run.cause == PEAKS for run in runs)
+    if patterns < min(_NOISE_SHARES):
         return True
     if trace.volume is None:
         return False
@@ -275,7 +284,7 @@ def _noise_matters(trace: ProductTrace, runs: Sequence[_Run], still: Result) -> 
     if spread is None:
         return False
     whole = sum(spread.first.values()) + float(np.nan_to_num(visible.std)) ** 2
-    return spread.first[PEAKS] > _NOISE_SHARE * whole
+    return spread.first[PEAKS] > _NOISE_SHARES.get(patterns, _NOISE_SHARE) * whole
 
 
 def _wants_both(trace: ProductTrace, result: Result) -> bool:
@@ -436,9 +445,28 @@ def _graded(grade: Grade, runs: Sequence[_Run], *, spread: bool) -> Grade:
             if run.below is not None
         ]
         sure = min(max(found + sum(weight * (both - found) for weight, both in mean), 0.0), 1.0)
-    std: dict[str, float] = {}
-    for name, value in grade.features.items() if spread else ():
-        of_feature = _spread(runs, lambda result, name=name: result.features.get(name, math.nan), value)  # type: ignore[misc]
-        if of_feature is not None:
-            std[name] = math.hypot(*of_feature.budget.values())
-    return replace(grade, probability=sure, features_std=std)
+    return replace(
+        grade, probability=sure, features_std=_features_std(grade.features, runs) if spread else {}
+    )
+
+
+def _features_std(features: Mapping[str, float], runs: Sequence[_Run]) -> dict[str, float]:
+    """Give the standard deviation of each feature as `_spread` does, of all at once."""
+    patterns = sum(run.cause == PEAKS for run in runs)
+    weight = np.array([run.weight / (patterns if run.cause == PEAKS else 1) for run in runs])[:, None]
+    found = np.array(list(features.values()))
+    nothing = np.full(found.size, math.nan)
+
+    def values(result: Result | None) -> Floats:
+        if result is None or not result.features:
+            return nothing
+        return np.array([result.features.get(name, math.nan) for name in features])
+
+    above = np.stack([values(run.above) for run in runs])
+    below = np.stack([values(run.below) for run in runs])
+    above, below = (
+        np.where(np.isnan(one), 2.0 * found - other, one) for one, other in ((above, below), (below, above))
+    )
+    first, bend = 0.5 * (above - below), 0.5 * (above + below) - found
+    std = np.sqrt((weight * (first**2 + 2.0 * bend**2)).sum(axis=0))
+    return {name: float(one) for name, one in zip(features, std, strict=True) if not math.isnan(one)}

@@ -31,6 +31,7 @@ from roemetry.records import (
 from roemetry.records.calibration import Alignment, Calibration
 from roemetry.records.penetration import raise_surface
 from roemetry.records.view import View
+from roemetry.run.heap import keep_freed_memory
 from roemetry.run.linearisation import linearise
 from roemetry.run.monte_carlo import Chain, Scene, propagate, without_draws
 from roemetry.run.open_parts import OpenPart, open_parts, said_of, split_products, widened, widened_by
@@ -81,6 +82,7 @@ class Pipeline:
         draws: int | None = None,
         frame: Callable[[Acquisition], Frame] | None = None,
     ) -> None:
+        keep_freed_memory()
         self.recipe = recipe
         self._frame = frame or partial(frame_of, recipe)
         self._stages: Mapping[str, Any] = (
