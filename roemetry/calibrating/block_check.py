@@ -67,8 +67,8 @@ def check_calibration(recipe: Recipe, image: Path, block: Block, chart: Path | N
         )
     # The block is matt: what light does in the product is not to be added to it.
     trace = trace_of(replace(recipe, penetration=None), image)
-    profiles, peaks, stripes = _seen_in(trace, image)
-    places = find_block(profiles, block, peaks, stripes)
+    profiles, light = profiles_in(trace, image)
+    places = find_block(profiles, block, light)
     view = recipe.stages["triangulator"].make().view(calibration)
     reading = read_block(profiles, places, view)
     spread = _spread(recipe, trace, calibration, places)
@@ -93,7 +93,11 @@ def check_calibration(recipe: Recipe, image: Path, block: Block, chart: Path | N
     return check
 
 
-def profiles_of(recipe: Recipe, image: Path) -> Profiles:
+Light = tuple[Peaks, StripeMap]
+"""The peaks of an image, and which stripe each belongs to."""
+
+
+def profiles_of(recipe: Recipe, image: Path) -> tuple[Profiles, Light]:
     """Take one image through a recipe as far as its profiles; raise DataError where that cannot be done."""
     return profiles_in(trace_of(recipe, image), image)
 
@@ -117,16 +121,12 @@ def _read(image: Path) -> Acquisition:
     return acquisition
 
 
-def profiles_in(trace: Trace, image: Path) -> Profiles:
+def profiles_in(trace: Trace, image: Path) -> tuple[Profiles, Light]:
     """Give what a chain made of an image; raise DataError where it did not get as far as profiles."""
-    return _seen_in(trace, image)[0]
-
-
-def _seen_in(trace: Trace, image: Path) -> tuple[Profiles, Peaks, StripeMap]:
     if trace.profiles is None or trace.peaks is None or trace.stripes is None:
         why = "; ".join(reason.text for reason in trace.absent.values())
         raise DataError(f"{image}: the block cannot be measured: {why}")
-    return trace.profiles, trace.peaks, trace.stripes
+    return trace.profiles, (trace.peaks, trace.stripes)
 
 
 def _spread(recipe: Recipe, trace: Trace, calibration: Calibration, places: Places) -> Reading:
@@ -260,8 +260,8 @@ class Reading:
     """Standard deviation of the stripes' own mean heights."""
 
 
-def find_block(profiles: Profiles, block: Block, peaks: Peaks, stripes: StripeMap) -> Places:
-    """Find a block's top, its edges, and the belt around it.
+def find_block(profiles: Profiles, block: Block, light: Light | None = None) -> Places:
+    """Find a block's top, its edges where its light is given, and the belt around it.
 
     Raises
     ------
@@ -295,7 +295,9 @@ def find_block(profiles: Profiles, block: Block, peaks: Peaks, stripes: StripeMa
     belt = (profiles.product == BELT) & profiles.seen
     if belt.sum() < _POINTS_MIN:
         raise DataError("no bare belt is seen beside the block", hint="leave belt free above and below it")
-    return Places(top, belt, _edge_rows(profiles, whole, belt, top, peaks, stripes))
+    if light is None:
+        return Places(top, belt, np.full((len(top), 2), np.nan))
+    return Places(top, belt, _edge_rows(profiles, whole, belt, top, light))
 
 
 def read_block(profiles: Profiles, places: Places, view: View | None) -> Reading:
@@ -316,9 +318,7 @@ def read_block(profiles: Profiles, places: Places, view: View | None) -> Reading
     )
 
 
-def _edge_rows(
-    profiles: Profiles, whole: Flags, belt: Flags, top: Flags, peaks: Peaks, stripes: StripeMap
-) -> Floats:
+def _edge_rows(profiles: Profiles, whole: Flags, belt: Flags, top: Flags, light: Light) -> Floats:
     """Follow each stripe from its top outwards until its light has fallen to half.
 
     An edge's row shows the stripe on the top and on the belt, each with a part of its light. The part says
@@ -330,9 +330,9 @@ def _edge_rows(
         labelled, bare = row_px[whole[s]], row_px[belt[s]]
         for side, outwards in enumerate((-1, 1)):
             near = np.flatnonzero(top[s])[::outwards][-_EDGE_LIGHT_ROWS:]
-            light = _StripeLight(peaks, stripes, stripe, float(np.median(profiles.x_px[s, near])))
-            full = float(np.median([light.at(int(row)) for row in row_px[near]]))
-            edge = _half_light_row(light, int(row_px[near[-1]]), outwards, full, peaks.image_size[0])
+            here = _StripeLight(*light, stripe, float(np.median(profiles.x_px[s, near])))
+            full = float(np.median([here.at(int(row)) for row in row_px[near]]))
+            edge = _half_light_row(here, int(row_px[near[-1]]), outwards, full)
             top_ends = abs(edge - labelled[::outwards][-1])
             belt_begins = (outwards * (bare - edge))[outwards * (bare - edge) > 0.0].min(initial=np.inf)
             if max(top_ends, belt_begins) <= _EDGE_GAP_ROWS:
@@ -340,10 +340,10 @@ def _edge_rows(
     return rows
 
 
-def _half_light_row(light: _StripeLight, row: int, outwards: int, full: float, rows: int) -> float:
+def _half_light_row(light: _StripeLight, row: int, outwards: int, full: float) -> float:
     """Give the row at which a stripe's light has fallen to half; NaN where it reaches the image's border."""
     before = full
-    while 0 <= row + outwards < rows:
+    while 0 <= row + outwards < light.peaks.image_size[0]:
         row += outwards
         here = light.at(row)
         if here < 0.5 * full:
@@ -437,8 +437,8 @@ def fit_penetration(
     plain = replace(recipe, penetration=None)
     readings = []
     for image, height_mm in ((bare, block.height_mm), (covered, block.height_mm + film_mm)):
-        profiles, peaks, stripes = _seen_in(trace_of(plain, image), image)
-        places = find_block(profiles, replace(block, height_mm=height_mm), peaks, stripes)
+        profiles, _ = profiles_of(plain, image)
+        places = find_block(profiles, replace(block, height_mm=height_mm))
         readings.append(read_block(profiles, places, None))
     low, high = readings
     offset = film_mm - (high.height_mm - low.height_mm)
@@ -470,7 +470,7 @@ def fit_penetration_in_one(
     """
     calibration = _calibration(recipe, block, film_mm)
     trace = trace_of(replace(recipe, penetration=None), image)
-    profiles = profiles_in(trace, image)
+    profiles, _ = profiles_in(trace, image)
     halves = find_halves(profiles, block, covered)
     steps = halves.steps_mm(profiles)
     triangulator = recipe.stages["triangulator"].make()

@@ -55,7 +55,7 @@ def light_of(found: np.ndarray) -> tuple[Peaks, StripeMap]:
 def test_a_drawn_block_is_measured_exactly() -> None:
     """100 rows of 0.25 mm are 25 mm: from the middle of one gap to the middle of the other."""
     profiles = BlockLinear().triangulate(RIG.stripe_map(heights()), RIG.calibration())
-    places = find_block(profiles, BLOCK, *light_of(heights()))
+    places = find_block(profiles, BLOCK, light_of(heights()))
     reading = read_block(profiles, places, RIG.view())
     assert reading.height_mm == pytest.approx(12.0, abs=1e-9)  # mm
     assert reading.belt_mm == pytest.approx(0.0, abs=1e-9)  # mm
@@ -75,7 +75,7 @@ def test_an_edge_within_a_row_is_told_by_its_light(labelled: str) -> None:
         on_block = rim & (np.abs(peaks.x_px - RIG.x_px(RIG.belt())[stripes.peak_stripe, peaks.row]) > 1.0)
         stripes = replace(stripes, peak_stripe=np.where(on_block, -1, stripes.peak_stripe).astype(np.int16))
     profiles = BlockLinear().triangulate(stripes, RIG.calibration())
-    reading = read_block(profiles, find_block(profiles, BLOCK, peaks, stripes), RIG.view())
+    reading = read_block(profiles, find_block(profiles, BLOCK, (peaks, stripes)), RIG.view())
     assert reading.width_mm == pytest.approx(24.81, abs=0.03)  # mm
 
 
@@ -87,7 +87,7 @@ def test_a_turned_block_has_its_own_width() -> None:
     across = -np.sin(yaw) * x_mm + np.cos(yaw) * y_mm
     found[1:6] = np.where(np.abs(across[1:6]) < 10.0, 12.0, 0.0)
     profiles = BlockLinear().triangulate(RIG.stripe_map(found), RIG.calibration())
-    reading = read_block(profiles, find_block(profiles, BLOCK, *light_of(found)), RIG.view())
+    reading = read_block(profiles, find_block(profiles, BLOCK, light_of(found)), RIG.view())
     assert reading.width_mm == pytest.approx(20.0, abs=0.15)  # mm
 
 
@@ -102,7 +102,7 @@ def test_a_turned_block_has_its_own_width() -> None:
 def test_what_is_no_block_is_named(scene: np.ndarray, says: str) -> None:
     profiles = BlockLinear().triangulate(RIG.stripe_map(scene), RIG.calibration())
     with pytest.raises(DataError, match=says):
-        find_block(profiles, BLOCK, *light_of(scene))
+        find_block(profiles, BLOCK)
 
 
 def check(height_mm: float = 12.0, *, made: datetime = NOW, sha: str = "c" * 64) -> Check:
