@@ -28,8 +28,8 @@ from roemetry.stages.registry import Registry, discover
 from roemetry.testing.checks import ANY, OF_KIND, Check, name_of, sentence_of
 
 _BLOCK = re.compile(r"(<!-- from the code: (.+?) -->\n)(.*?)(<!-- to here -->)", flags=re.DOTALL)
-# what a help text says of a value that is left out; `--help` shows it at the end
-_LEFT_OUT = re.compile(r"; left out: (?P<what>.+?)\.?$")
+# what a help text says of a default that is no plain value; `--help` shows it at the end
+_LEFT_OUT = re.compile(r"; default: (?P<what>.+?)\.?$")
 
 
 def rewritten(page: str) -> str:

@@ -54,10 +54,12 @@ def roemetry_stages() -> Iterable[StageEntry]:
 def roemetry_verbs() -> Iterable[VerbEntry]:
     """Register the commands."""
     yield VerbEntry(
-        "serve", "roemetry_line.serve:serve", "Measure what live cameras take, and tell it, until stopped."
+        "serve",
+        "roemetry_line.serve:serve",
+        "Measure live camera images and send the results on, until stopped.",
     )
     yield VerbEntry(
         "history",
         "roemetry_line.history:history",
-        "Say what a line has measured, and what is out of control.",
+        "Show what a line has measured, and what is out of control.",
     )

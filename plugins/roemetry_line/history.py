@@ -163,11 +163,11 @@ def history(
     line: Annotated[Path, typer.Argument(help="A line file.")],
     station: Annotated[str | None, typer.Option("--station", help="Only what this station measured.")] = None,
     hours: Annotated[float, typer.Option("--hours", min=0.01, help="How far back, hours.")] = 24.0,
-    figure: Annotated[Figure, typer.Option("--figure", help="What the control chart is of.")] = "mass_g",
+    figure: Annotated[Figure, typer.Option("--figure", help="Figure in the control chart.")] = "mass_g",
     as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
     parquet: Annotated[
         Path | None,
-        typer.Option("--parquet", help="Only write the closed days that are not there yet into this folder."),
+        typer.Option("--parquet", help="Only write the completed days that this folder does not have yet."),
     ] = None,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:

@@ -34,12 +34,12 @@ _STOP_S = 20.0
 def serve(
     line: Annotated[Path, typer.Argument(help="A line file.")],
     check: Annotated[
-        bool, typer.Option("--check", help="Only try every camera and receiver, and say what was found.")
+        bool, typer.Option("--check", help="Only try every camera and receiver, and report the result.")
     ] = False,
     start_anyway: Annotated[
         bool,
         typer.Option(
-            "--start-anyway", help="Start even where a camera or a receiver is not there yet, and try on."
+            "--start-anyway", help="Start even if a camera or a receiver is missing, and keep trying."
         ),
     ] = False,
     unit: Annotated[
@@ -47,7 +47,7 @@ def serve(
     ] = False,
     user: Annotated[
         str | None,
-        typer.Option("--user", help="Only set this user's password for the page; it is asked for."),
+        typer.Option("--user", help="Only set this user's password for the page; you are asked for it."),
     ] = None,
     role: Annotated[
         Role,
@@ -55,7 +55,7 @@ def serve(
     ] = "viewer",
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
-    """Measure what live cameras take, and tell it, until stopped; one line of JSON in the log for each event.
+    """Measure live camera images and send the results on, until stopped; log one line of JSON per event.
 
     Exit code: 0 stopped when asked; 1 something is not there (with --check); 2 the line file is wrong.
     """

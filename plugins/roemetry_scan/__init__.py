@@ -33,7 +33,7 @@ def roemetry_stages() -> Iterable[StageEntry]:
 def roemetry_verbs() -> Iterable[VerbEntry]:
     """Name the commands."""
     for name, function, summary in (
-        ("register-heads", "register_heads", "How two heads lie to each other, from a plate both see"),
-        ("two-sides", "two_sides", "True volumes of products seen from above and below"),
+        ("register-heads", "register_heads", "Register two heads to each other by a plate that both see."),
+        ("two-sides", "two_sides", "Measure true volumes of products seen from above and below."),
     ):
         yield VerbEntry(name, f"roemetry_scan.commands:{function}", summary)

@@ -14,13 +14,13 @@ if TYPE_CHECKING:
 
 def register_heads(
     top: Annotated[Path, typer.Argument(help="Recipe of the upper head, whose source is its plate scan.")],
-    bottom: Annotated[Path, typer.Argument(help="Recipe of the lower head, the same.")],
+    bottom: Annotated[Path, typer.Argument(help="Recipe of the lower head, likewise.")],
     plate: Annotated[Path, typer.Option("--plate", help="Target file of the sphere plate.")],
-    out: Annotated[Path, typer.Option("--out", help="The registration; an old one is replaced.")] = Path(
+    out: Annotated[Path, typer.Option("--out", help="The registration; an existing one is replaced.")] = Path(
         "registration.yaml"
     ),
 ) -> None:
-    """Find how two heads lie to each other, from one sphere plate whose balls both see."""
+    """Register two heads to each other by one sphere plate whose balls both see."""
     from roemetry.config.target_file import read_sphere_plate
     from roemetry.errors import CalibrationError
     from roemetry.io.files import write_whole
@@ -45,10 +45,12 @@ def register_heads(
 def two_sides(
     top: Annotated[Path, typer.Argument(help="Recipe of the upper head.")],
     bottom: Annotated[Path, typer.Argument(help="Recipe of the lower head, or of the products turned over.")],
-    registration: Annotated[Path, typer.Option("--registration", help="File of register-heads.")],
-    out: Annotated[Path, typer.Option("--out", help="Table of the true volumes.")] = Path("two_sides.csv"),
+    registration: Annotated[Path, typer.Option("--registration", help="File that `register-heads` wrote.")],
+    out: Annotated[Path, typer.Option("--out", help="Table of true volumes to write.")] = Path(
+        "two_sides.csv"
+    ),
 ) -> None:
-    """State true volumes of products that two heads see, acquisition by acquisition in the sources' order."""
+    """Measure true volumes of products that two heads see; acquisitions are paired in order."""
     import numpy as np
 
     from roemetry.errors import CalibrationError, DataError, RoemetryError

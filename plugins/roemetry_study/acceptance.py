@@ -21,7 +21,7 @@ from itertools import combinations, product
 
 import numpy as np
 
-from roemetry.calibrating.block_check import find_block, read_block
+from roemetry.calibrating.block_check import Light, find_block, read_block
 from roemetry.errors import DataError
 from roemetry.records import BELT, Block, Profiles, SpherePlate, Staircase
 from roemetry.records.arrays import Floats
@@ -95,7 +95,9 @@ class Artefact:
     """Standard uncertainty of each of its lengths, mm."""
 
 
-def measure(profiles: Profiles, artefact: Artefact, view: View | None = None) -> Iterator[Value]:
+def measure(
+    profiles: Profiles, artefact: Artefact, view: View | None = None, light: Light | None = None
+) -> Iterator[Value]:
     """Give every characteristic that an artefact shows in one image.
 
     Parameters
@@ -106,6 +108,8 @@ def measure(profiles: Profiles, artefact: Artefact, view: View | None = None) ->
         In it.
     view
         Of the calibration: lengths in X and Y by perspective.
+    light
+        Of the image: a block's edges. Without it its side is not measured.
 
     Raises
     ------
@@ -115,7 +119,7 @@ def measure(profiles: Profiles, artefact: Artefact, view: View | None = None) ->
     if isinstance(artefact.target, SpherePlate):
         return _of_spheres(profiles, artefact.target, artefact.std_mm)
     if isinstance(artefact.target, Block):
-        return _of_block(profiles, artefact.target, artefact.std_mm, view)
+        return _of_block(profiles, artefact.target, artefact.std_mm, view, light)
     return _of_staircase(profiles, artefact.target, artefact.std_mm)
 
 
@@ -275,8 +279,10 @@ def _rotation(turn: float) -> Floats:
     return np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
 
 
-def _of_block(profiles: Profiles, block: Block, std_mm: float, view: View | None) -> Iterator[Value]:
-    places = find_block(profiles, block)
+def _of_block(
+    profiles: Profiles, block: Block, std_mm: float, view: View | None, light: Light | None
+) -> Iterator[Value]:
+    places = find_block(profiles, block, light)
     top = profiles.xyz_mm[places.top]
     yield Value("flatness", "top of the block", dispersion(_off_plane(top)), 0.0, 0.0)
     read = read_block(profiles, places, view)

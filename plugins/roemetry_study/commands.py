@@ -24,9 +24,7 @@ study = typer.Typer(
     help="Gauge studies, acceptance tests, uncertainty budgets, and plans for them.",
 )
 
-Out = Annotated[
-    Path | None, out_option("Folder for the certificate: a JSON file and a page; left out: none.")
-]
+Out = Annotated[Path | None, out_option("Folder for the certificate: a JSON file and a page; default: none.")]
 Key = Annotated[
     Path | None, typer.Option("--key", help="Private key that signs it: `roemetry study key` makes one.")
 ]
@@ -37,7 +35,7 @@ Debug = Annotated[bool, typer.Option("--debug", help="Show tracebacks.")]
 
 
 class Method(StrEnum):
-    """How variation is shared out."""
+    """How variation is split."""
 
     anova = "anova"
     average_range = "average-range"
@@ -53,24 +51,27 @@ def gauge(
         str,
         typer.Option(
             "--value",
-            help="Column of the table; of runs: visible_cm3, true_cm3, mass_g, height_max_mm, grade, or a "
+            help="Column of the table; for runs: visible_cm3, true_cm3, mass_g, height_max_mm, grade, or a "
             "feature's name.",
         ),
     ],
     layout: Annotated[
         Path | None,
         typer.Option(
-            "--layout", help="For runs: a table (CSV) of id, part, operator, trial, maybe run and reference."
+            "--layout",
+            help="For runs: a table (CSV) of id, part, operator, trial, optionally run and reference.",
         ),
     ] = None,
-    by: Annotated[str, typer.Option("--by", help="Column of what measured: operator, head, …")] = "operator",
+    by: Annotated[
+        str, typer.Option("--by", help="Column that says who or what measured: operator, head, …")
+    ] = "operator",
     tolerance: Annotated[
         float | None,
         typer.Option("--tolerance", min=0.0, help="Width of the tolerance, in the value's unit."),
     ] = None,
     nested: Annotated[bool, typer.Option("--nested", help="Each operator had parts of their own.")] = False,
-    method: Annotated[Method, typer.Option("--method", help="How variation is shared out.")] = Method.anova,
-    good: Annotated[str, typer.Option("--good", help="Of classes: the class of good parts.")] = "good",
+    method: Annotated[Method, typer.Option("--method", help="How variation is split.")] = Method.anova,
+    good: Annotated[str, typer.Option("--good", help="For classes: the class of good parts.")] = "good",
     out: Out = None,
     key: Key = None,
     environment: Environment = "",
@@ -143,7 +144,7 @@ def uncertainty(
         Path | None,
         typer.Option(
             "--references",
-            help="Table (CSV) of id, value and std: reference values of one's own, to compare with.",
+            help="Table (CSV) of id, value and std: your own reference values, to compare with.",
         ),
     ] = None,
     debug: Debug = False,
@@ -174,7 +175,8 @@ def plan(
     repeatability_std: Annotated[
         float | None,
         typer.Option(
-            "--repeatability-std", help="How much readings of one part vary; of a run: as it states."
+            "--repeatability-std",
+            help="How much readings of one part vary; default with --run: as it states.",
         ),
     ] = None,
     operator_std: Annotated[
@@ -191,18 +193,18 @@ def plan(
     ] = "visible_cm3",
     half_width: Annotated[
         float | None,
-        typer.Option("--half-width", min=0.0, help="Wished half width of the interval of %GRR, per cent."),
+        typer.Option("--half-width", min=0.0, help="Desired half width of the interval of %GRR, per cent."),
     ] = None,
     weigh_std: Annotated[
-        float | None, typer.Option("--weigh-std", min=0.0, help="Scatter of mass over volume, as a share.")
+        float | None, typer.Option("--weigh-std", min=0.0, help="Scatter of mass over volume, as a fraction.")
     ] = None,
     weigh_half_width: Annotated[
         float,
-        typer.Option("--weigh-half-width", min=0.0, help="Wished half width of their mean, as a share."),
+        typer.Option("--weigh-half-width", min=0.0, help="Desired half width of their mean, as a fraction."),
     ] = 0.01,
     debug: Debug = False,
 ) -> None:
-    """Say how many parts, operators, trials or weighed samples a study needs, by simulation.
+    """Find out how many parts, operators, trials or weighed samples a study needs, by simulation.
 
     Exit code: 0 said; 1 the run states no uncertainty; 2 the command line is wrong.
     """
@@ -231,10 +233,10 @@ def key(
 def verify(
     certificate: Annotated[Path, typer.Argument(help="The certificate's JSON file.")],
     signed_by: Annotated[
-        str, typer.Option("--signed-by", help="Public key that must have signed it; left out: any.")
+        str, typer.Option("--signed-by", help="Public key that must have signed it; default: any.")
     ] = "",
     page: Annotated[
-        Path | None, typer.Option("--page", help="Its page, to be held against the file.")
+        Path | None, typer.Option("--page", help="Its page, to be compared with the file.")
     ] = None,
     debug: Debug = False,
 ) -> None:

@@ -164,7 +164,8 @@ def of_acceptance(file: object, path: Path) -> Certificate:
         for image, digest in zip(images, hashed(images).values(), strict=True):
             if seen.setdefault(digest, image) != image:
                 raise DataError(f"{image}: is a copy of {seen[digest].name}: a copy is no repetition")
-            for value in measure(profiles_of(recipe, image), artefact, recipe.calibration.view):
+            profiles, light = profiles_of(recipe, image)
+            for value in measure(profiles, artefact, recipe.calibration.view, light):
                 values.append(value)
                 rows.append(
                     (image.name, CHARACTERISTICS[value.characteristic], value.what, value.measured_mm,

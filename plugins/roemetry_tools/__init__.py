@@ -15,10 +15,10 @@ from roemetry.stages.hookspecs import VerbEntry, hookimpl
 def roemetry_verbs() -> Iterable[VerbEntry]:
     """Register the commands."""
     for name, summary in (
-        ("init", "Write a folder to begin with: recipe, rig, calibration, simulated images."),
-        ("plan", "Say what a rig will give before it is built."),
+        ("init", "Write a folder to start from: recipe, rig, calibration, simulated images."),
+        ("plan", "Predict what a rig will measure before it is built."),
         ("compare", "Compare variants of a recipe on the same data: trueness and time."),
-        ("tune", "Move a recipe's options on a local web page and see at once what changes."),
+        ("tune", "Adjust a recipe's options on a local web page and see at once what changes."),
         ("new-plugin", "Write an installable plugin package: a working stage and its tests."),
         ("doctor", "Say what is installed, and whether this machine gives the numbers it should."),
     ):

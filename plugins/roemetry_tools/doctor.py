@@ -68,7 +68,7 @@ def doctor(
     ] = None,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
-    """Say what is installed and what is missing, and whether this machine gives the numbers it should.
+    """Check what is installed and what is missing, and whether this machine reproduces known results.
 
     Exit code: 0 nothing is wrong (something optional may be missing); 2 something is.
     """

@@ -18,17 +18,19 @@ from roemetry_tools.init_project.layout import Answers
 
 
 def init(
-    folder: Annotated[Path | None, typer.Argument(help="Folder to write; empty, or not there yet.")] = None,
+    folder: Annotated[
+        Path | None, typer.Argument(help="Folder to write; must be empty or not exist yet.")
+    ] = None,
     like: Annotated[
         str | None,
         typer.Option(
             "--like",
             metavar="LINE",
-            help="A product line that comes with roemetry; its recipe, rig, scene and calibration are taken.",
+            help="A product line that comes with roemetry: copies its recipe, rig, scene and calibration.",
         ),
     ] = None,
     product: Annotated[
-        str | None, typer.Option("--product", help="Own product: what lies on the belt.")
+        str | None, typer.Option("--product", help="Your own product: what lies on the belt.")
     ] = None,
     size: Annotated[
         str | None,
@@ -45,27 +47,27 @@ def init(
     focal_mm: Annotated[float, typer.Option("--focal-mm", help="Focal length of the lens, mm.")] = 16.0,
     distance_mm: Annotated[
         float | None,
-        typer.Option("--distance-mm", help="Camera to belt, mm; left out: as near as the product allows."),
+        typer.Option("--distance-mm", help="Camera to belt, mm; default: as near as the product allows."),
     ] = None,
     stripes: Annotated[
         int | None,
         typer.Option(
             "--stripes",
-            help="Stripes of light, 5 to 40; left out: up to 15, as many as leave the projector room.",
+            help="Stripes of light, 5 to 40; default: up to 15, as many as leave room for the projector.",
         ),
     ] = None,
     measure: Annotated[
-        str, typer.Option("--measure", help="What is wanted, with commas: volume, weight, shape.")
+        str, typer.Option("--measure", help="What to measure, separated by commas: volume, weight, shape.")
     ] = "volume",
     density: Annotated[
-        float | None, typer.Option("--density", help="Of the product, g/cm³; needed for weight.")
+        float | None, typer.Option("--density", help="Density of the product, g/cm³; needed for weight.")
     ] = None,
     plain_light: Annotated[
         bool,
         typer.Option(
             "--plain-light",
-            help="A second image is taken in plain light, laser off: an outline is found, the volume "
-            "follows it.",
+            help="Take a second image of each product in plain light, laser off: its outline makes the "
+            "volume more accurate.",
         ),
     ] = False,
     items: Annotated[
@@ -73,12 +75,12 @@ def init(
         typer.Option(
             "--items",
             min=0,
-            help="Simulated products to try it on; an own product gets calibration images, too.",
+            help="Simulated products to try it on; with --product also calibration images.",
         ),
     ] = 3,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
-    """Write a folder to begin with: recipe, rig, calibration, simulated images, the next three commands.
+    """Write a folder to start from: recipe, rig, calibration, simulated images, the next three commands.
 
     Asks what it needs in a terminal, unless --like or --product is given. Nothing is overwritten.
     """

@@ -52,13 +52,13 @@ _USES = {
 
 
 def new_plugin(
-    name: Annotated[str, typer.Argument(help="Its name, e.g. my-peaks: small letters, digits, hyphens.")],
+    name: Annotated[
+        str, typer.Argument(help="Its name, e.g. my-peaks: lower-case letters, digits, hyphens.")
+    ],
     kind: Annotated[str, typer.Option("--kind", "-k", help="Kind of its stage.")] = "extractor",
     out: Annotated[
         Path,
-        typer.Option(
-            "--out", "-o", help="Folder to make the package's folder in; left out: the working directory."
-        ),
+        typer.Option("--out", "-o", help="Folder in which the package's folder is created."),
     ] = Path(),
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:

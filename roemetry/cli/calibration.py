@@ -24,7 +24,7 @@ def calibrate(
     out: Annotated[
         Path | None,
         out_option(
-            "The calibration file; an old one is replaced; left out: calibration.yaml beside the rig."
+            "The calibration file; an existing one is replaced; default: calibration.yaml beside the rig."
         ),
     ] = None,
     sets: Annotated[list[str] | None, set_option("Change the rig, e.g. working_distance_mm=320")] = None,
@@ -55,13 +55,13 @@ def calibrate(
         bool,
         typer.Option(
             "--camera-only",
-            help="Find camera and lens alone, from the boards; written as OpenCV does, to camera.yaml "
-            "beside the rig unless --out says otherwise.",
+            help="Find only camera and lens, from the boards; written in OpenCV's format, to "
+            "camera.yaml beside the rig unless --out says otherwise.",
         ),
     ] = False,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
-    """Make a calibration from images of known things, check it, or refuse with the reason."""
+    """Make a calibration from images of known objects and check it, or refuse it with the reason."""
     from roemetry.calibrating import calibrate_with_evidence, default_path
     from roemetry.config.rig import Rig
     from roemetry.errors import CalibrationError
@@ -124,15 +124,15 @@ def check_calibration(
     target: Annotated[
         Path | None,
         typer.Option(
-            "--target", help="The block's description; left out: the block the calibration was made from."
+            "--target", help="The block's description; default: the block the calibration was made from."
         ),
     ] = None,
     chart: Annotated[
         Path | None,
         typer.Option(
             "--chart",
-            help="Control chart (SQLite): earlier checks are looked at, this one is added; left "
-            "out: the recipe's `calibration_check.chart`, else nothing is kept.",
+            help="Control chart (SQLite): earlier checks are read and this one is added; "
+            "default: the recipe's `calibration_check.chart`, else nothing is kept.",
         ),
     ] = None,
     report: Annotated[
@@ -231,16 +231,16 @@ def fit_penetration(
     target: Annotated[
         Path | None,
         typer.Option(
-            "--target", help="The block's description; left out: the block the calibration was made from."
+            "--target", help="The block's description; default: the block the calibration was made from."
         ),
     ] = None,
     out: Annotated[
-        Path | None, out_option("File to write; left out: penetration.yaml beside the recipe.")
+        Path | None, out_option("File to write; default: penetration.yaml beside the recipe.")
     ] = None,
     sets: Annotated[list[str] | None, set_option("Change the recipe")] = None,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
-    """Measure how much lower a product is seen than it is, because light enters it.
+    """Measure how much too low a product appears because light enters it.
 
     Exit code: 0 written; 1 the block is not found; 2 the recipe or the command line is wrong.
     """
@@ -278,11 +278,9 @@ class SheetFormat(StrEnum):
 def target(
     targets: Annotated[
         list[Path] | None,
-        typer.Argument(help="Target files, or names of shipped ones; left out: list the shipped ones."),
+        typer.Argument(help="Target files, or names of shipped ones; default: the shipped ones are listed."),
     ] = None,
-    out: Annotated[
-        Path, out_option("Folder to write to, made if need be; left out: the working directory.")
-    ] = Path(),
+    out: Annotated[Path, out_option("Folder to write to, created if needed.")] = Path(),
     sheet_format: Annotated[
         SheetFormat, typer.Option("--format", help="Of a printed sheet; PDF needs the extra `targets`.")
     ] = SheetFormat.SVG,
@@ -290,7 +288,7 @@ def target(
         str | None,
         typer.Option(
             "--page",
-            help="Page size of a printed sheet: a4, letter, a3, a2, a1, a0; left out: the smallest "
+            help="Page size of a printed sheet: a4, letter, a3, a2, a1, a0; default: the smallest "
             "of A4 to A0 that fits.",
         ),
     ] = None,

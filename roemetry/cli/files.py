@@ -125,7 +125,7 @@ class CalibrationImages(StrEnum):
 
 def simulate(
     scene: Annotated[Path, typer.Argument(help="A scene file, or a folder with a scene.yaml in it.")],
-    out: Annotated[Path, out_option("Folder of the data set, made if need be.")],
+    out: Annotated[Path, out_option("Folder of the data set, created if needed.")],
     count: Annotated[int, typer.Option("--count", "-n", min=0, help="Number of items.")] = 10,
     seed: Annotated[
         int,
@@ -140,7 +140,7 @@ def simulate(
         typer.Option(
             "--product",
             metavar="FAMILY",
-            help="A family of products, with that family's defaults; left out: the scene's.",
+            help="A family of products, with that family's defaults; default: the scene's.",
         ),
     ] = None,
     calibration: Annotated[
@@ -157,7 +157,7 @@ def simulate(
             "--jobs",
             "-j",
             min=1,
-            help="Worker processes; the bytes are the same for any number; left out: all cores.",
+            help="Worker processes; the bytes are the same for any number; default: all cores.",
         ),
     ] = None,
     resume: Annotated[
@@ -168,10 +168,10 @@ def simulate(
     ] = None,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
-    """Make a data set of stripe images whose answer is known, with its calibration images.
+    """Simulate a data set of stripe images with known truth, and its calibration images.
 
     The same scene, seed and count give the same bytes with any number of jobs. An item counts once its line
-    stands in items.jsonl, so a set that was stopped holds no half item.
+    is in items.jsonl, so an interrupted set contains no half items.
     """
     from roemetry.cli.progress import progress
     from roemetry.config.scene import Scene

@@ -16,13 +16,13 @@ import math
 
 
 def fit_weight(
-    data: Annotated[Path, typer.Argument(help="Table (CSV) of what was measured, a line a product.")],
+    data: Annotated[Path, typer.Argument(help="Table (CSV) of what was measured, one row per product.")],
     weights: Annotated[
         Path | None,
         typer.Option(
             "--weights",
-            help="Table of `id` (or `acquisition`) and `mass_g`, maybe `mass_std_g`; only products "
-            "named there are taken; left out: DATA's column `mass_g`.",
+            help="Table of `id` (or `acquisition`) and `mass_g`, optionally `mass_std_g`; only "
+            "products named there are used; default: DATA's column `mass_g`.",
         ),
     ] = None,
     out: Annotated[Path, out_option("File to write; the weigher's option `model` names it.")] = Path(
@@ -32,13 +32,13 @@ def fit_weight(
         str,
         typer.Option(
             "--form",
-            help="Model; auto: the one that does best on held-out products, of like ones the plainest.",
+            help="Model; auto: the best one on held-out products, among equals the simplest.",
         ),
     ] = "auto",
     weigher: Annotated[str, typer.Option("--weigher", help="Name of the weigher that learns.")] = "fitted",
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
-    """Learn masses from weighed products; judge on folds by product.
+    """Learn masses from weighed products; test on held-out products.
 
     Exit code: 0 written; 1 the table cannot be learned from; 2 a cell or the command line is wrong.
     """
@@ -52,13 +52,13 @@ def fit_weight(
 
 
 def fit_classifier(
-    data: Annotated[Path, typer.Argument(help="Table (CSV) of features, a line a product.")],
+    data: Annotated[Path, typer.Argument(help="Table (CSV) of features, one row per product.")],
     labels: Annotated[
         Path | None,
         typer.Option(
             "--labels",
             help="Table of `id` (or `acquisition`) and `label`; only products named there are "
-            "taken; left out: DATA's column `label`.",
+            "used; default: DATA's column `label`.",
         ),
     ] = None,
     good: Annotated[
@@ -75,8 +75,8 @@ def fit_classifier(
         Path | None,
         typer.Option(
             "--begin",
-            help="A model that was learned elsewhere, such as a recipe's: adapted to these products and "
-            "judged by them, instead of learned from them alone.",
+            help="A model trained elsewhere, such as a recipe's: it is adapted to these products and "
+            "tested on them, instead of learned from them alone.",
         ),
     ] = None,
     classifier: Annotated[
@@ -92,7 +92,7 @@ def fit_classifier(
     ] = 3.0,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
-    """Learn classes from five good products on, or from hundreds; say what so many can promise.
+    """Learn classes from five good products or more; state what a sample of that size can promise.
 
     Exit code: 0 written; 1 the table cannot be learned from; 2 the command line is wrong.
     """
@@ -121,7 +121,7 @@ def check_weight(
     run: Annotated[Path, typer.Argument(help="Folder of a run.")],
     scale: Annotated[Path, typer.Argument(help="Table (CSV) of `id` and `mass_g`: what a scale said.")],
     tolerance: Annotated[
-        float, typer.Option("--tolerance", min=0.0, max=1.0, help="Bias that is let be, as a share.")
+        float, typer.Option("--tolerance", min=0.0, max=1.0, help="Bias that is tolerated, as a fraction.")
     ] = 0.01,
     as_json: Annotated[bool, typer.Option("--json", help="Print the check as JSON.")] = False,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,

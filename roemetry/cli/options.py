@@ -9,8 +9,8 @@ import typer
 
 
 def set_option(told: str) -> Any:
-    """Give ``--set KEY=VALUE``, which may stand several times."""
-    return typer.Option("--set", metavar="KEY=VALUE", help=f"{told}; may stand several times.")
+    """Give ``--set KEY=VALUE``, which may be given several times."""
+    return typer.Option("--set", metavar="KEY=VALUE", help=f"{told}; may be given several times.")
 
 
 def out_option(told: str) -> Any:

@@ -88,7 +88,7 @@ def check_plugin(
     ] = False,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
-    """Hold a plugin's stages to the contract of their kinds, on scenes whose answer is known.
+    """Check a plugin's stages against the contract of their kinds, on scenes with known answers.
 
     Exit code: 0 every check passed or failed as declared; 1 one did not; 2 there is no such plugin, or a
     stage of it cannot be made.
@@ -155,8 +155,8 @@ def _show(rows: list[Row]) -> None:
 
 
 def schema(
-    kind: Annotated[str, typer.Argument(help="Of which file: recipe, rig or scene.")] = "recipe",
-    out: Annotated[Path | None, out_option("File to write; left out: printed.")] = None,
+    kind: Annotated[str, typer.Argument(help="Kind of file: recipe, rig or scene.")] = "recipe",
+    out: Annotated[Path | None, out_option("File to write; default: standard output.")] = None,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
     """Write the JSON schema of a file, with the options of every installed stage, for editors."""

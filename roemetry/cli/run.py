@@ -31,7 +31,7 @@ def run(
     recipe: Annotated[Path, typer.Argument(help="A recipe file, or a folder with a recipe.yaml in it.")],
     out: Annotated[
         Path | None,
-        out_option("Folder for the results, made if need be; left out: results/NAME-1, then -2, …"),
+        out_option("Folder for the results, created if needed; default: results/NAME-1, then -2, …"),
     ] = None,
     jobs: Annotated[
         int,
@@ -50,7 +50,7 @@ def run(
         typer.Option(
             "--draws",
             min=0,
-            help="Monte Carlo draws for the uncertainty of volume, weight and grade; left out: the recipe's.",
+            help="Monte Carlo draws for the uncertainty of volume, weight and grade; default: the recipe's.",
         ),
     ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with a stopped run in --out.")] = False,
@@ -222,7 +222,7 @@ def report(
     folder: Annotated[Path, typer.Argument(help="Folder of a run.")],
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
-    """Derive the tables and the report of a run again from its record."""
+    """Make the tables and the report of a run again from its record."""
     from roemetry.errors import OutputError
     from roemetry.run.batch import derive
     from roemetry.run.record import recipe_of
@@ -241,15 +241,15 @@ def export(
         str,
         typer.Argument(
             help="What to write: point-cloud, parquet or height-map (these two need roemetry\\[export]), or "
-            "any other installed sink; of a calibration: opencv."
+            "any other installed sink; for a calibration: opencv."
         ),
     ],
     sets: Annotated[list[str] | None, set_option("An option of the sink")] = None,
     out: Annotated[
         Path | None,
         out_option(
-            "Of a calibration: file to write, .yaml, .json or .xml; "
-            "left out: NAME-opencv.yaml beside NAME.yaml."
+            "For a calibration: file to write, .yaml, .json or .xml; "
+            "default: NAME-opencv.yaml beside NAME.yaml."
         ),
     ] = None,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,

@@ -127,7 +127,7 @@ class CalibrationCheck(Section):
     refuse: bool = Field(
         default=False,
         description="whether a run refuses to begin where the check is missing, overdue or failed, or the "
-        "calibration expired; left out: every row says so",
+        "calibration expired; without it every row says so",
     )
 
 

@@ -96,7 +96,7 @@ class RigScan(Section):
     )
     base: str | None = Field(
         default=None,
-        description="calibration that the motion is added to; left out: the one that this rig's images make",
+        description="calibration that the motion is added to; default: the one that this rig's images make",
     )
 
 

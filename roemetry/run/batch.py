@@ -63,7 +63,7 @@ def run_recipe(
     recipe
         What to do.
     folder
-        Where to write; made if need be.
+        Where to write; created if needed.
     jobs
         Worker processes; results are the same, and in the same order, for any number.
     resume

@@ -80,7 +80,7 @@ def simulate(
     scene
         What to make images of.
     folder
-        Where; made if need be.
+        Where; created if needed.
     count
         Number of items.
     seed

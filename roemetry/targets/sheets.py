@@ -341,7 +341,7 @@ def make_target(
     path
         The description.
     folder
-        Where to write; made if need be.
+        Where to write; created if needed.
     sheet_format
         Of a flat board.
     page

@@ -31,7 +31,7 @@ from roemetry.cli.calibration import show
 from roemetry.cli.main import app
 from roemetry.config.recipe import Recipe
 from roemetry.errors import CalibrationError, DataError, OutputError
-from roemetry.records import Block, Reason
+from roemetry.records import Block, Peaks, Reason, StripeMap
 from roemetry.run.batch import run_recipe
 from roemetry.run.control_chart import due
 from roemetry.testing.scenes import LinearRig
@@ -48,16 +48,35 @@ def heights(height_mm: float = 12.0, rows: slice = slice(50, 150)) -> np.ndarray
     return found
 
 
+def light_of(found: np.ndarray) -> tuple[Peaks, StripeMap]:
+    return RIG.peaks(RIG.x_px(found)).peaks, RIG.stripe_map(found)
+
+
 def test_a_drawn_block_is_measured_exactly() -> None:
     """100 rows of 0.25 mm are 25 mm: from the middle of one gap to the middle of the other."""
     profiles = BlockLinear().triangulate(RIG.stripe_map(heights()), RIG.calibration())
-    places = find_block(profiles, BLOCK)
+    places = find_block(profiles, BLOCK, light_of(heights()))
     reading = read_block(profiles, places, RIG.view())
     assert reading.height_mm == pytest.approx(12.0, abs=1e-9)  # mm
     assert reading.belt_mm == pytest.approx(0.0, abs=1e-9)  # mm
     assert reading.width_mm == pytest.approx(25.0, abs=0.02)  # mm
     assert reading.stripes == 4
     assert not places.top[:, :53].any(), "the rows beside an edge do not count"
+
+
+@pytest.mark.parametrize("labelled", ["block", "nothing"])
+def test_an_edge_within_a_row_is_told_by_its_light(labelled: str) -> None:
+    """A quarter of row 50 and 99 whole rows are 24.81 mm, whatever a coder makes of the row at the edge."""
+    peaks, stripes = light_of(heights())
+    rim = peaks.row == 50
+    peaks = replace(peaks, amplitude=np.where(rim, 0.25, 1.0) * peaks.amplitude)
+    if labelled == "nothing":
+        _, stripes = light_of(heights(rows=slice(51, 150)))
+        on_block = rim & (np.abs(peaks.x_px - RIG.x_px(RIG.belt())[stripes.peak_stripe, peaks.row]) > 1.0)
+        stripes = replace(stripes, peak_stripe=np.where(on_block, -1, stripes.peak_stripe).astype(np.int16))
+    profiles = BlockLinear().triangulate(stripes, RIG.calibration())
+    reading = read_block(profiles, find_block(profiles, BLOCK, (peaks, stripes)), RIG.view())
+    assert reading.width_mm == pytest.approx(24.81, abs=0.03)  # mm
 
 
 def test_a_turned_block_has_its_own_width() -> None:
@@ -68,7 +87,7 @@ def test_a_turned_block_has_its_own_width() -> None:
     across = -np.sin(yaw) * x_mm + np.cos(yaw) * y_mm
     found[1:6] = np.where(np.abs(across[1:6]) < 10.0, 12.0, 0.0)
     profiles = BlockLinear().triangulate(RIG.stripe_map(found), RIG.calibration())
-    reading = read_block(profiles, find_block(profiles, BLOCK), RIG.view())
+    reading = read_block(profiles, find_block(profiles, BLOCK, light_of(found)), RIG.view())
     assert reading.width_mm == pytest.approx(20.0, abs=0.15)  # mm
 
 

@@ -81,7 +81,7 @@ class SphereOptions(ArtefactOptions):
     height_mm: float | None = Field(
         default=None,
         gt=0,
-        description="height of a cap that stands on its flat side, mm; left out: the whole ball",
+        description="height of a cap that stands on its flat side, mm; default: the whole ball",
     )
 
     @model_validator(mode="after")

@@ -50,15 +50,15 @@ def compare(
         list[Path] | None,
         typer.Option(
             "--data",
-            help="A data set with truth; all of its items are measured; may stand several times: their "
-            "figures are set side by side; left out: where the images are.",
+            help="A data set with truth; all of its items are measured; may be given several times: their "
+            "figures are shown side by side; default: where the images are.",
         ),
     ] = None,
     labels: Annotated[
         Path | None,
         typer.Option(
             "--labels",
-            help="Table of `id` and `label`: true classes that count instead of those of the data set.",
+            help="Table of `id` and `label`: true classes, in place of the data set's.",
         ),
     ] = None,
     out: Annotated[
@@ -66,7 +66,7 @@ def compare(
         typer.Option(
             "--out",
             "-o",
-            help="Folder for the results; one that holds a comparison is refused; left out: "
+            help="Folder for the results; one that holds a comparison is refused; default: "
             "results/NAME-compare-1, then -2, …",
         ),
     ] = None,
@@ -82,7 +82,7 @@ def compare(
     folds: Annotated[
         int, typer.Option("--folds", min=2, max=100, help="Folds for the choice among variants.")
     ] = 5,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Of resampling and folds.")] = 1,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of resampling and folds.")] = 1,
     jobs: Annotated[
         int,
         typer.Option(
@@ -95,7 +95,9 @@ def compare(
     sets: Annotated[
         list[str] | None,
         typer.Option(
-            "--set", metavar="KEY=VALUE", help="Change the recipe for all variants; may stand several times."
+            "--set",
+            metavar="KEY=VALUE",
+            help="Change the recipe for all variants; may be given several times.",
         ),
     ] = None,
     as_json: Annotated[

@@ -28,7 +28,7 @@ ITEMS, SUMMARY, TABLE, PAGE = "items.jsonl", "comparison.json", "comparison.csv"
 class ItemsFile:
     """``items.jsonl``: a line for each variant and product, written as it is scored.
 
-    The comparison's folder is made if need be; one that holds a comparison already is refused.
+    The comparison's folder is created if needed; one that holds a comparison already is refused.
     """
 
     def __init__(self, folder: Path) -> None:

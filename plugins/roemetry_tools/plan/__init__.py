@@ -20,7 +20,7 @@ def plan(
     scene: Annotated[Path, typer.Argument(help="A scene file, or a folder with a scene.yaml in it.")],
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", help="The page to write; left out: plan.html, with --json none."),
+        typer.Option("--out", "-o", help="The page to write; default: plan.html, with --json none."),
     ] = None,
     simulate: Annotated[
         bool, typer.Option("--simulate", help="Put short simulations of flat plates beside the prediction.")
@@ -30,7 +30,7 @@ def plan(
         typer.Option(
             "--set",
             metavar="KEY=VALUE",
-            help="Change the scene, e.g. simulator.options.laser.planes=15; may stand several times.",
+            help="Change the scene, e.g. simulator.options.laser.planes=15; may be given several times.",
         ),
     ] = None,
     as_json: Annotated[
@@ -43,7 +43,7 @@ def plan(
     ] = False,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
-    """Say what a rig will give before it is built: whether it measures the product, and how well.
+    """Predict what a rig will measure before it is built: whether it measures the product, and how well.
 
     The scene file describes rig and product as for `roemetry simulate`.
     """

@@ -16,7 +16,7 @@ def tune(
     show: Annotated[bool, typer.Option("--open", help="Open the page in the web browser.")] = False,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
-    """Move a recipe's options on a local web page and see at once what changes; save the recipe.
+    """Adjust a recipe's options on a local web page, see at once what changes, and save the recipe.
 
     Only this machine can reach the page, and the page loads nothing from elsewhere.
     """
