@@ -1,6 +1,8 @@
 """Calibrations that were spoiled on purpose: refused, told, or slipped through.
 
-``python -m benchmarks spoil [--rigs FOLDER …] [--sets WORD …] [--kinds WORD …] [--seed 1]``
+``python -m benchmarks spoil [--rigs FOLDER …] [--sets WORD …] [--kinds WORD …] [--seeds 1 …]``
+
+With ``--record`` each case is written to a file of JSON lines, and what stands there is not run again.
 
 Sets are folders with a ``boards.yaml`` as `make_rigs` writes them, and the two real sets with a board under a
 laser (where ROEMETRY_REAL_DATA says). Each is spoiled in all ways of `SPOILED`, by image files, and goes the
@@ -17,6 +19,7 @@ from __future__ import annotations
 
 import argparse
 import copy
+import json
 import re
 import tempfile
 import time
@@ -319,51 +322,68 @@ def main() -> None:
     parser.add_argument("--rigs", type=Path, nargs="*", default=[], help="folders with a boards.yaml")
     parser.add_argument("--sets", nargs="*", default=[], help="only sets whose name holds a word")
     parser.add_argument("--kinds", nargs="*", default=[], help="only kinds whose name holds a word")
-    parser.add_argument("--seed", type=int, default=1, help="which poses are spoiled")
+    parser.add_argument("--seeds", type=int, nargs="*", default=[1], help="which poses are spoiled")
+    parser.add_argument("--record", type=Path, help="file of JSON lines: cases that are done, added to")
     given = parser.parse_args()
     cv2.setNumThreads(1)
     _remember()
-    kinds = [kind for kind in (*SPOILED, *SOUND) if _chosen(kind.name, given.kinds)]
-    counts: dict[str, dict[str, int]] = {kind.name: {} for kind in kinds}
+    done = _recorded(given.record)
     names = []
     for name, shots in _sets(given.rigs):
         if not _chosen(name, given.sets):
             continue
         names.append(name)
-        sound = _calibrated(shots)
+        cases = [
+            (number, kind, seed)
+            for number, kind in enumerate((*SPOILED, *SOUND))
+            for seed in given.seeds
+            if _chosen(kind.name, given.kinds) and (name, kind.name, seed) not in done
+        ]
+        sound = _calibrated(shots) if cases else ""
         if isinstance(sound, str):
-            print(f"{name}: as it is it gives no calibration: {sound}", flush=True)
+            print(f"{name}: as it is it gives no calibration: {sound}" * bool(cases), flush=True)
             continue
-        for number, kind in enumerate(kinds):
+        for number, kind, seed in cases:
             begin = time.perf_counter()
             changed = replace(shots, rig=copy.deepcopy(shots.rig), named=[])
             changed.images = {shows: dict(images) for shows, images in shots.images.items()}
-            kind.spoil(changed, np.random.default_rng([given.seed, number]))
+            kind.spoil(changed, np.random.default_rng([seed, number]))
             found = judged(kind, _calibrated(changed), sound[0], changed.named)
-            counts[kind.name][found.word] = counts[kind.name].get(found.word, 0) + 1
+            done[name, kind.name, seed] = found
+            if given.record:
+                line = {"set": name, "kind": kind.name, "seed": seed, **found._asdict()}
+                with given.record.open("a", encoding="utf-8") as record:
+                    record.write(json.dumps(line) + "\n")
             print(
-                f"{name}: {kind.name}: {found.word} ({time.perf_counter() - begin:.0f} s), "
+                f"{name}: {kind.name}, {seed}: {found.word} ({time.perf_counter() - begin:.0f} s), "
                 f"{found.off_mm:.3f} mm: {found.why[:400]}",
                 flush=True,
             )
-    for of in (SPOILED, SOUND):
-        print(_table(kinds, counts, of, names))
+    done = {of: found for of, found in done.items() if of[0] in names and of[2] in given.seeds}
+    for kinds in (SPOILED, SOUND):
+        print(_table([kind for kind in kinds if _chosen(kind.name, given.kinds)], done))
+
+
+def _recorded(path: Path | None) -> dict[tuple[str, str, int], Outcome]:
+    """Give what a file of cases holds, by set, kind and seed."""
+    lines = path.read_text(encoding="utf-8").splitlines() if path and path.exists() else []
+    cases = [json.loads(line) for line in lines]
+    return {(one.pop("set"), one.pop("kind"), one.pop("seed")): Outcome(**one) for one in cases}
 
 
 def _chosen(name: str, words: list[str]) -> bool:
     return not words or any(word in name for word in words)
 
 
-def _table(
-    kinds: list[Kind], counts: Mapping[str, Mapping[str, int]], of: tuple[Kind, ...], names: list[str]
-) -> Table:
+def _table(kinds: list[Kind], done: Mapping[tuple[str, str, int], Outcome]) -> Table:
     words = ("refused", "told", "sound", "slipped", "other words")
-    rows = [
-        [kind.name, *(str(counts[kind.name].get(word, 0)) for word in words)] for kind in kinds if kind in of
-    ]
-    if rows:
-        rows.append(["all", *(str(sum(int(row[n]) for row in rows)) for n in range(1, len(words) + 1))])
-    title = "Spoiled" if of is SPOILED else "Sound"
+    rows = []
+    for kind in kinds:
+        found = [outcome.word for (_, name, _), outcome in done.items() if name == kind.name]
+        rows.append([kind.name, *(str(found.count(word)) for word in words)])
+    rows.append(["all", *(str(sum(int(row[n]) for row in rows)) for n in range(1, len(words) + 1))])
+    title = "Sound" if set(kinds) <= set(SOUND) else "Spoiled"
+    names = dict.fromkeys(name for name, _, _ in done)
     return Table(f"{title}: {', '.join(names)}", ["", *words], rows)
 
 

@@ -180,13 +180,17 @@ class MaximumLikelihood(Extractor[MaximumLikelihoodOptions]):
         quiet = np.sqrt(noise.variance + noise.gain * np.maximum(found.beside.height, 0.0))
         kept: Flags = (
             (fit.state > 0)
-            & (width >= options.width_min_px)
             & (width <= options.width_max_px)
             & (fit.amplitude > _AMPLITUDE_NOISES * quiet)
             & (found.beside.height >= -_DARK_SHARE * white)
             & (fit.x_std_px < fit.sigma_px)
             & (np.abs(fit.x_px - 0.5 * (found.columns - 1)) <= 0.5 * found.columns)
         )
+        narrow = width < options.width_min_px
+        if narrow.any():
+            # a hot pixel is alone: its light is in no other row
+            down, up = found.beside.down, found.beside.up
+            kept &= ~narrow | ((down >= 0) & (up >= 0) & kept[down] & kept[up])
         return kept
 
 

@@ -18,7 +18,7 @@ from roemetry.errors import CalibrationError
 from roemetry.records import Board, CalibrationSet, CameraFit
 from roemetry.records.arrays import Flags, Floats
 from roemetry_pinhole.boards import BoardView, Seen, board_views
-from roemetry_pinhole.bundle import Adjusted, Measured
+from roemetry_pinhole.bundle import Adjusted, Measured, with_disagreement
 from roemetry_pinhole.from_solids import OnSolids, from_solids, solids_in
 from roemetry_pinhole.geometry import (
     CAMERA,
@@ -250,7 +250,7 @@ def joint(
         strange = {first.views[number].name for number in gathered.strange}
         seen.views = [view for view in seen.views if view.name not in strange]
     measured = _measured(first, gathered, pose, counts, free, bent=bent)
-    adjusted = measured.adjusted()
+    adjusted = with_disagreement(measured, measured.adjusted())
     if not bent and known is None:
         seen.notes += stretched(measured, adjusted, first.views)
     return Joint(

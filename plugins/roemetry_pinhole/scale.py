@@ -22,6 +22,7 @@ from roemetry.errors import CalibrationError
 from roemetry.records import Board, CalibrationSet, Peaks, Ruler
 from roemetry.records.arrays import Floats
 from roemetry.records.calibration import Calibration
+from roemetry_pinhole.bundle import with_disagreement
 from roemetry_pinhole.from_solids import solids_in
 from roemetry_pinhole.joint import Joint
 from roemetry_pinhole.pinhole_plane import by_parameter, lines_at_height, parameters_of, points_of
@@ -170,7 +171,7 @@ def rescaled(joined: Joint, factor: float) -> Joint:
         joined,
         board=replace(board, pitch_mm=factor * board.pitch_mm, marker_mm=marker_mm),
         measured=measured,
-        adjusted=measured.adjusted(),
+        adjusted=with_disagreement(measured, measured.adjusted()),
     )
 
 

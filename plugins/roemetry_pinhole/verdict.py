@@ -128,6 +128,12 @@ def judged(joined: Joint, *, scale_is_known: bool = True) -> Verdict:
             f"stripes and board corners contradict each other {size}: stripes count "
             f"{adjusted.conflict:.0f} times less than their scatter would allow"
         )
+    if adjusted.disagreement > 1.0:
+        notes.append(
+            f"the poses disagree about camera and planes {np.sqrt(adjusted.disagreement):.1f} times as much "
+            "as their scatter explains, and all that is stated is as much less certain: does the lens focus "
+            "by itself, or the board bend in the hand?"
+        )
     if joined.print_share > 0.0:
         notes.append(
             f"{joined.print_share:.0%} of the boards' stripe peaks lie on edges of the print, where a line "
@@ -141,6 +147,7 @@ def judged(joined: Joint, *, scale_is_known: bool = True) -> Verdict:
         "stripes_left_out": _stray_share(joined),
         "stripes_on_uneven_print": joined.print_share,
         "stripes_correlation": adjusted.correlation,
+        "poses_over_stated": float(np.sqrt(adjusted.disagreement)),
         "poses": float(len(joined.first.views)),
     }
     return Verdict(residuals, tuple(notes), *_heights_reached(joined))

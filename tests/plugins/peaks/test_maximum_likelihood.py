@@ -241,3 +241,16 @@ def test_overexposed_stripes_of_no_gaussian_shape_are_not_taken_for_noise(
     peaks = extractor.extract(Frame(pixels))
     off_px = np.abs(peaks.x_px - x_px[:, peaks.row]).min(axis=0)
     assert (off_px < 1.0).sum() >= 0.9 * x_px.size  # px
+
+
+def test_a_stripe_narrower_than_a_hot_pixel_goes_on(rng: np.random.Generator) -> None:
+    pixels = rng.normal(12.0, 1.0, (60, 120))
+    x_px = 40.2 + 0.05 * np.arange(60)
+    for row, x in enumerate(x_px):
+        d = np.arange(120) - x
+        pixels[row] += 80.0 * (erf((d + 0.5) / 1.0) - erf((d - 0.5) / 1.0))  # σ 0.7: 1.67 px wide
+    pixels[20, 90] = 200.0
+    peaks = MaximumLikelihood().extract(Frame("thin", np.rint(pixels).astype(np.uint8), "laser"))
+    assert (peaks.width_px < MaximumLikelihoodOptions().width_min_px).all()
+    assert set(peaks.row) >= set(range(1, 59)), "first and last go on to one side only"
+    assert np.abs(peaks.x_px - x_px[peaks.row]).max() < 0.1, "px; the hot pixel is 50 px beside"

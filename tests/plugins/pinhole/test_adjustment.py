@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.simulated_points import SimulatedRig, noisy, shown
 from roemetry.errors import CalibrationError
-from roemetry_pinhole.bundle import adjust
+from roemetry_pinhole.bundle import Measured, adjust, with_disagreement
 from roemetry_pinhole.geometry import (
     CAMERA,
     ON_BELT,
@@ -105,6 +105,30 @@ def test_correlated_peaks_count_less(rng) -> None:
     x[order] += smooth
     found = adjusted(replace(exact, points=replace(exact.points, x_px=x)))
     assert 5.0 < found.correlation < 13.0, "a moving mean over nine has 9"
+
+
+def test_a_lens_that_refocuses_makes_all_less_certain(rng) -> None:
+    exact = shown(RIG, rng)
+
+    def disagreement(drift: float) -> tuple[float, float]:
+        seen = noisy(exact, rng, 0.08, 0.15, 0.03)
+        grown = 1.0 + drift * (np.arange(RIG.poses + 2) % 3 - 1.0)
+        middle = exact.geometry.camera[2:4]
+        xy = middle + grown[seen.corners.pose, None] * (seen.corners.xy_px - middle)
+        at = np.where(seen.points.pose < 0, RIG.poses, seen.points.pose)
+        x = middle[0] + grown[at] * (seen.points.x_px - middle[0])
+        corners, points = replace(seen.corners, xy_px=xy), replace(seen.points, x_px=x)
+        start = seen.geometry
+        measured = Measured(start, unknowns(start), corners, points, seen.feet, 0.03)
+        found = measured.adjusted()
+        told = with_disagreement(measured, found)
+        assert told.covariance == pytest.approx(told.disagreement * found.covariance)
+        return told.disagreement, float(np.sqrt(told.covariance[0, 0]))
+
+    (steady, certain_px), (drifting, doubtful_px) = disagreement(0.0), disagreement(0.008)
+    assert steady == 1.0, "noise alone is no disagreement"
+    assert drifting > 4.0
+    assert doubtful_px > 2.0 * certain_px
 
 
 def test_one_stripe_and_an_empty_belt_do_not_tell_the_belt(rng) -> None:
