@@ -36,6 +36,9 @@ create table if not exists alarms(
     text text not null, level text not null, ended real, acknowledged real, acknowledged_by text);
 create index if not exists open_alarms on alarms(station, code) where ended is null;
 create table if not exists wishes(station text primary key, recipe text not null, who text not null);
+create table if not exists checks(
+    n integer primary key autoincrement, station text not null, asked real not null, who text not null,
+    ended real, verdict text, text text);
 create table if not exists health(
     component text primary key, pid integer not null, at real not null, state text not null, figures text
     not null);
@@ -219,6 +222,37 @@ class Outbox:
         """Give the recipe that is wanted of a station; None where nobody has said."""
         found = self._dicts("select recipe from wishes where station = ?", (station,))
         return str(found[0]["recipe"]) if found else None
+
+    def ask_check(self, station: str, who: str) -> int:
+        """Note that somebody wants a station to measure its known block; give the check's number."""
+        with self._lock, _named(self._path), self._transaction():
+            found = self._db.execute(
+                "select n from checks where station = ? and ended is null", (station,)
+            ).fetchone()
+            if found is None:
+                found = self._db.execute(
+                    "insert into checks(station, asked, who) values(?,?,?) returning n",
+                    (station, time.time(), who),
+                ).fetchone()
+        return int(found[0])
+
+    def open_check(self, station: str) -> int | None:
+        """Give the number of the check that a station has still to make; None where there is none."""
+        found = self._dicts("select n from checks where station = ? and ended is null", (station,))
+        return int(found[0]["n"]) if found else None
+
+    def end_check(self, number: int, verdict: str, text: str) -> None:
+        """Note what a check found."""
+        with self._lock, _named(self._path):
+            self._db.execute(
+                "update checks set ended = ?, verdict = ?, text = ? where n = ?",
+                (time.time(), verdict, text, number),
+            )
+
+    def last_check(self, station: str) -> dict[str, Any] | None:
+        """Give the check that was asked for last: when, by whom, what it found; None where there was none."""
+        found = self._dicts("select * from checks where station = ? order by n desc limit 1", (station,))
+        return found[0] if found else None
 
     def beat(self, component: str, state: str, figures: Mapping[str, Any]) -> None:
         """Note that a process is alive, and how it is."""

@@ -8,6 +8,19 @@ import signal
 import sys
 import threading
 from collections.abc import Sequence
+from pathlib import Path
+
+from roemetry.errors import OutputError
+from roemetry.io.files import exclusive
+
+
+def runs_now(folder: Path) -> bool:
+    """Say whether a line runs that keeps its data in this folder."""
+    try:
+        with exclusive(folder):
+            return False
+    except OutputError:
+        return True
 
 
 def set_by(signals: Sequence[signal.Signals]) -> threading.Event:

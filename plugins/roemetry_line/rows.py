@@ -34,11 +34,12 @@ class Taken:
 
 @dataclass(frozen=True, slots=True)
 class Where:
-    """Which line, station and run a row is of."""
+    """Which line, station and run a row is of, and what the recipe calls the product."""
 
     line: str
     station: str
     run: str
+    product: str
 
 
 def product_rows(
@@ -101,6 +102,7 @@ def _head(where: Where, kind: str, acquisition: str | None) -> dict[str, Any]:
         "line": where.line,
         "station": where.station,
         "run": where.run,
+        "product": where.product,
         "kind": kind,
         "acquisition": acquisition,
     }
