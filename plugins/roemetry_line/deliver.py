@@ -10,6 +10,7 @@ from pathlib import Path
 
 from roemetry.errors import FAULTS, OutputError, RoemetryError
 from roemetry.records.live import LineRow
+from roemetry_line.control import Control
 from roemetry_line.line_file import Line, NamedOutlet
 from roemetry_line.log import log
 from roemetry_line.outbox import Outbox
@@ -29,9 +30,10 @@ class Deliverer:
     """Delivers the rows of one outlet, in order, again and again until they are taken."""
 
     def __init__(
-        self, named: NamedOutlet, outbox: Outbox, news: threading.Condition, stop: threading.Event
+        self, named: NamedOutlet, line: Line, outbox: Outbox, news: threading.Condition, stop: threading.Event
     ) -> None:
         self.name = named.name
+        self._control = Control(line, outbox)
         self.state = "starting"
         self.delivered = 0
         self.waiting = 0
@@ -44,7 +46,9 @@ class Deliverer:
         failures = 0
         while not self._over():
             try:
-                with self._named.outlet.make().open() as deliver:
+                outlet = self._named.outlet.make()
+                outlet.line = self._control
+                with outlet.open() as deliver:
                     self.state = "connected"
                     failures = 0
                     if self._outbox.end_alarm(self.name, "outlet"):
@@ -98,7 +102,7 @@ def main() -> int:
     line = Line.load(Path(sys.argv[1]), with_recipes=False)
     outbox = Outbox(line.folder)
     news = threading.Condition()
-    workers = [Deliverer(named, outbox, news, stop) for named in line.outlets]
+    workers = [Deliverer(named, line, outbox, news, stop) for named in line.outlets]
     threads = [threading.Thread(target=worker.run, daemon=True) for worker in workers]
     for thread in threads:
         thread.start()

@@ -23,6 +23,7 @@ from starlette.staticfiles import StaticFiles
 from roemetry.errors import DataError, RoemetryError
 from roemetry.records import Frame
 from roemetry_line import history, history_page, runs
+from roemetry_line.control import Control
 from roemetry_line.feeds.image import decoded
 from roemetry_line.line_file import Line
 from roemetry_line.live_view import jpeg_of, picture_file, watch
@@ -220,12 +221,9 @@ class LinePage:
 
     async def _recipe(self, request: Request) -> Response:
         session = await self._allowed(request, "engineer")
-        station = self._stations[self._known(request)]
-        wanted = str((await _body(request)).get("recipe", ""))
-        if wanted not in map(str, station.recipes):
+        station, wanted = self._known(request), str((await _body(request)).get("recipe", ""))
+        if not Control(self._line, self._outbox).choose(station, wanted, session.name):
             raise RefusedError(_MISFIT, "this recipe is none of the station's `recipe` and `choices`")
-        self._outbox.wish(station.name, wanted, session.name)
-        self._outbox.raise_alarm(station.name, "recipe-chosen", f"{session.name} chose {wanted}", "note")
         return JSONResponse({})
 
     async def _check(self, request: Request) -> Response:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from roemetry_line.gate import GateSection, count_at_gate
 from roemetry_line.control_charts import chart_of
+from roemetry_line.gate import GateSection, count_at_gate
 from roemetry_line.history import charts_of, counts_of, export_days
 from roemetry_line.outlets.database import COLUMNS, connect
 

@@ -88,7 +88,7 @@ def serial():
     answers = ["ok {}"]
 
     def serve() -> None:
-        with open(ours, "r+b", buffering=0) as line:
+        with os.fdopen(ours, "r+b", buffering=0) as line:
             rest = b""
             try:
                 while True:
