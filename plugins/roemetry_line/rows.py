@@ -85,7 +85,8 @@ def notice_row(where: Where, code: str, text: str, taken: Taken, acquisition: st
         "code": code,
         "text": text,
     }
-    summary = {"id": acquisition, "status": code, "late": int(code == "late")}
+    encoder = json_values({"encoder_count": taken.encoder_count})
+    summary = {"id": acquisition, "status": code, "late": int(code == "late"), **encoder}
     of = acquisition or f"frame-{taken.number}-{taken.time_s:.3f}"
     return NewRow(
         f"{where.line}/{where.run}/{of}!{code}",
@@ -120,7 +121,8 @@ def _place(
     count = None
     if gate is not None and taken is not None:
         count = count_at_gate(gate, taken.encoder_count, y_mm)
-    return {"x_mm": x_mm, "y_mm": y_mm, "gate_count": count}
+    encoder = math.nan if taken is None else taken.encoder_count
+    return {"x_mm": x_mm, "y_mm": y_mm, "encoder_count": encoder, "gate_count": count}
 
 
 def _summary(row: Measurement) -> dict[str, Any]:

@@ -83,11 +83,11 @@ class Basler(Feed[BaslerOptions]):
             software = self.options.trigger == "software"
             nodes |= {"TriggerSelector": "FrameStart", "TriggerMode": "On" if software else "Off"}
             nodes |= {"TriggerSource": "Software"} if software else {}
+        known = {one.GetNode().GetName() for one in camera.GetNodeMap().GetNodes()}
         for name, value in nodes.items():
+            if name not in known:
+                raise no_node(name, known)
             try:
-                node = camera.GetNodeMap().GetNode(name)
-                if node is None:
-                    raise no_node(name, (one.GetNode().GetName() for one in camera.GetNodeMap().GetNodes()))
                 getattr(camera, name).Value = value
             except (genicam.GenericException, TypeError) as error:
                 raise refused(name, value, error) from error

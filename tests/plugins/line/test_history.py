@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from roemetry_line.control_charts import chart_of
-from roemetry_line.gate import GateSection, count_at_gate
+from roemetry_line.gate import GateSection, ShiftRegister, count_at_gate
 from roemetry_line.history import charts_of, counts_of, export_days
 from roemetry_line.outlets.database import COLUMNS, connect
 
@@ -92,3 +94,16 @@ def test_closed_days_become_parquet_once(tmp_path) -> None:
 def test_the_count_at_the_gate(moves, count, y_mm, expected) -> None:
     gate = GateSection(counts_per_mm=10.0, distance_mm=500.0, moves=moves, encoder_bits=16)
     assert count_at_gate(gate, count, y_mm) == expected
+
+
+@given(st.lists(st.tuples(st.integers(0, 200), st.integers(0, 30_000)), max_size=30), st.integers(0, 65_535))
+def test_a_shift_register_is_the_list_of_what_has_not_passed(steps, begin) -> None:
+    register, now, placed = ShiftRegister(16), begin, list[int]()
+    for step, ahead in steps:
+        now += step
+        register.move(now)
+        register.put((now + ahead) % 65_536, now + ahead)
+        placed.append(now + ahead)
+    expected = sorted(count for count in placed if count >= now)
+    assert [told for _, told in register.waiting] == expected, "the next one is first"
+    assert register.missed == 0

@@ -203,8 +203,8 @@ def test_modbus_registers_hold_the_last_results_newest_first() -> None:
 @pytest.mark.parametrize(
     ("request_bytes", "answer"),
     [
-        (struct.pack(">BHH", 3, 143, 1), b"\x03\x02\x00\x00"),
-        (struct.pack(">BHH", 3, 143, 2), b"\x83\x02"),
+        (struct.pack(">BHH", 3, 177, 1), b"\x03\x02\x00\x00"),
+        (struct.pack(">BHH", 3, 177, 2), b"\x83\x02"),
         (struct.pack(">BHH", 3, 0, 126), b"\x83\x03"),
         (struct.pack(">BHH", 6, 2, 7), struct.pack(">BHH", 6, 2, 7)),
         (struct.pack(">BHH", 6, 3, 7), b"\x86\x02"),
@@ -228,6 +228,23 @@ def test_modbus_waits_for_the_handshake() -> None:
     values = registers.read(16, 32)
     assert values is not None
     assert (values[0], values[16]) == (1, 0), "a row that is delivered again stays one result"
+
+
+def test_modbus_shifts_products_towards_the_gate() -> None:
+    outlet = Modbus(ModbusOptions(port=0, classes=("good", "dent"), lanes=("left",), encoder_bits=20))
+    registers = Registers()
+    end = 1 << 20  # the counter wraps between camera and gate
+    told = ((end - 500, 200, "good"), (end - 400, 300, "dent"), (end - 300, 250, "good"), (150, 100, "dent"))
+    for n, (encoder, gate, grade) in enumerate(told, start=1):
+        outlet._show(
+            registers, [row(n, encoder_count=float(encoder), gate_count=gate, grade=grade, lane="left")]
+        )
+    values = registers.read(144, 14)
+    assert values is not None
+    assert values[:2] == [3, 1], "on their way, and told after the gate"
+    assert values[2:] == [0, 200, 1, 1, 0, 250, 1, 1, 0, 300, 2, 1]
+    outlet._show(registers, [row(5, status="frames-lost", encoder_count=260.0)])
+    assert registers.read(144, 6) == [1, 1, 0, 300, 2, 1], "two have passed the gate"
 
 
 def test_modbus_is_understood_by_another_implementation() -> None:
