@@ -14,7 +14,7 @@ import sqlite3
 import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -78,6 +78,8 @@ class Outbox:
             )
             self._db.execute("pragma journal_mode=wal")
             self._db.execute("pragma synchronous=normal")
+            # Else whoever commits the thousandth page waits for the disk: `checkpoint` does it beside.
+            self._db.execute("pragma wal_autocheckpoint=0")
             self._db.executescript(_TABLES)
         self._wake = _fifo(folder / _WAKE)
 
@@ -95,6 +97,11 @@ class Outbox:
                 values,
             )
         self.wake()
+
+    def checkpoint(self) -> None:
+        """Write what was committed into the file itself; nobody who reads or writes waits for it."""
+        with _named(self._path), closing(sqlite3.connect(self._path, timeout=0.0)) as beside:
+            beside.execute("pragma wal_checkpoint(passive)")
 
     def wake(self) -> None:
         """Tell who waits that there is something new."""

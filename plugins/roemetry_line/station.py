@@ -38,7 +38,7 @@ from roemetry_line.laser_health import LaserHealth
 from roemetry_line.live_view import LiveView
 from roemetry_line.log import log
 from roemetry_line.outbox import NewRow, Outbox
-from roemetry_line.process import until_asked
+from roemetry_line.process import alone, settle, until_asked
 from roemetry_line.rows import Taken, Where, notice_row, product_rows
 
 LATENCY_MS = (5.0, 10.0, 15.0, 20.0, 30.0, 50.0, 100.0, 200.0, 500.0, 1000.0)
@@ -52,6 +52,8 @@ _RELOAD_S = 1.0
 _THIN_OUT_S = 30.0
 """How often images are taken away that are more than is kept, s."""
 _DISK_LOW_GB = 1.0
+_OPENING_S = 15.0
+"""So long a driver may take to open a camera, s."""
 _SILENT_S = 2.0
 """So long a feed may neither give a frame nor say that none has come, s; then its driver hangs."""
 _TRIED = "tried.txt"
@@ -123,7 +125,7 @@ class StationProcess:
         self._state = "starting"
         self._last_frame_s = self._last_try_s = time.time()
         self._last_beat_s = 0.0
-        self._taking = True
+        self._taking, self._opened = False, False
         self._open = outbox.open_alarms(name)
         self._view = LiveView(line.folder, name)
         self._laser = LaserHealth()
@@ -143,6 +145,7 @@ class StationProcess:
                 self._recover(left)
         job = self._begin(recipe)
         _load_kernels(recipe)
+        settle()
         self._state = "running"
         threads = [
             threading.Thread(target=target, daemon=True)
@@ -162,10 +165,13 @@ class StationProcess:
 
     def _take(self, job: Job) -> None:
         """Take frames until asked to stop; a camera that is gone is opened again and again."""
+        self._taking, self._last_try_s = True, time.time()
         try:
             while not self._stop.is_set():
                 try:
                     with self._station.feed.make().open() as frames:
+                        self._opened = True
+                        self._last_try_s = time.time()
                         self._ended("camera", "the camera is there again")
                         for live in frames:
                             if self._stop.is_set():
@@ -178,6 +184,7 @@ class StationProcess:
                             return
                 # Whatever a feed raises, the line goes on as soon as there are frames again.
                 except FAULTS as error:
+                    self._opened = False
                     self._figures.reconnects += 1
                     self._last_try_s = time.time()
                     said = error.message if isinstance(error, RoemetryError) else _fault(error)
@@ -460,7 +467,7 @@ class StationProcess:
             try:
                 done = write()
             except OutputError as error:
-                self._alarm(f"{what}-not-written", str(error))
+                self._alarm(f"{what}-not-written", error.message)
                 time.sleep(_RETRY_S)
                 self._last_try_s = time.time()
                 self._beat()
@@ -511,7 +518,7 @@ class StationProcess:
         else:
             self._ended("disk-low", "there is room on the disk again")
         silent_s = time.time() - self._last_try_s
-        if self._state == "running" and self._taking and silent_s > _SILENT_S:
+        if self._taking and silent_s > (_SILENT_S if self._opened else _OPENING_S):
             self._alarm("driver", f"the camera's driver has not answered for {silent_s:.0f} s")
         else:
             self._ended("driver", "the camera's driver answers again")
@@ -566,7 +573,9 @@ def main() -> int:
     path, name = Path(sys.argv[1]), sys.argv[2]
     line = line_file.Line.load(path, with_recipes=False)
     outbox = Outbox(line.folder)
-    StationProcess(line, name, outbox, stop).run()
+    with alone(line.folder, f"station-{name}", stop) as mine:
+        if mine:
+            StationProcess(line, name, outbox, stop).run()
     return 0
 
 

@@ -99,6 +99,10 @@ class LinePage:
     async def poll(self) -> None:
         """Read what is shown, again and again, while somebody looks, and wake who waits for it."""
         while True:
+            try:
+                await run_in_threadpool(self._outbox.beat, "page", "running", {"looked_at_by": self._streams})
+            except RoemetryError as error:
+                log("error", "health-not-written", str(error))
             if self._streams:
                 try:
                     self._state = await run_in_threadpool(snapshot_of, self._line, self._outbox)

@@ -148,7 +148,7 @@ def test_a_driver_that_does_not_answer_is_told_within_three_seconds(line) -> Non
     loaded = Line.load(recipe.parent / "line.yaml")
     outbox = Outbox(loaded.folder)
     station = StationProcess(loaded, "one", outbox, threading.Event())
-    station._state, station._last_try_s = "running", time.time() - 2.1
+    station._taking, station._opened, station._last_try_s = True, True, time.time() - 2.1
     station._beat(now=True)
     (alarm,) = outbox.alarms()
     assert alarm["text"] == "the camera's driver has not answered for 2 s"
