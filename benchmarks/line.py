@@ -1,9 +1,8 @@
 """A whole line with an emulated camera and a receiver on loopback: how long, what is lost, what survives.
 
 ``python -m benchmarks line``: time from a frame's arrival to the receiver's, lost frames, memory.
-``python -m benchmarks line --kills 10``: processes of the line, and the receiver, end at moments drawn at
-random; then every row of the outbox must be in the record, in the history and at the receiver, once after
-taking duplicates out, and in order.
+``python -m benchmarks line --rounds 50 --folder FOLDER``: parts of it die, hang and go away, round by round
+(`line_faults.py`); the same command goes on where it was broken off.
 
 Needs ``pip install 'roemetry[line,basler]'``. The figures are of one machine; the counts hold for any.
 """
@@ -13,8 +12,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
-import os
-import random
 import signal
 import socket
 import sqlite3
@@ -26,6 +23,8 @@ import time
 from pathlib import Path
 
 import numpy as np
+
+from benchmarks.line_faults import faults
 
 ROOT = Path(__file__).parents[1]
 
@@ -168,84 +167,21 @@ def timed(seconds: float, rate: float, recipe: Path) -> None:
         print(f"memory of {name}: {first[name]:.0f} MB, then {last.get(name, float('nan')):.0f} MB")
 
 
-def killed(rounds: int, rate: float, recipe: Path, seed: int) -> int:
-    """Kill what can die, round by round; print and give the faults found."""
-    draw = random.Random(seed)
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        receiver = Receiver()
-        served = Served(folder, recipe, rate, receiver)
-        done: dict[str, int] = {}
-        for _ in range(rounds):
-            time.sleep(draw.uniform(1.0, 3.0))
-            victim = draw.choice(["station cam", "outlets", "receiver"])
-            done[victim] = done.get(victim, 0) + 1
-            if victim == "receiver":
-                receiver.stop()
-                time.sleep(draw.uniform(0.2, 2.0))
-                receiver.start()
-                continue
-            before = served.pids()[victim]
-            try:
-                os.kill(before, signal.SIGKILL)
-            except ProcessLookupError:
-                continue
-            until_s = time.monotonic() + 60.0
-            while served.pids()[victim] == before and time.monotonic() < until_s:
-                time.sleep(0.1)
-        until_s = time.monotonic() + 60.0
-        while served.ask("select state from health where component = 'station cam'") != [("running",)]:
-            if time.monotonic() > until_s:
-                break
-            time.sleep(0.2)
-        time.sleep(3.0)
-        served.stop()
-        receiver.stop()
-        told = [key for (key,) in served.ask("select key from rows where kind = 'product' order by n")]
-        history = {
-            "/".join(key)
-            for key in served.ask(
-                "select line, run, id from roemetry_rows where kind = 'product'", "history.sqlite"
-            )
-        }
-        record = [
-            f"bench/{run.name}/{json.loads(line)['id']}"
-            for run in sorted((folder / "data" / "runs" / "cam").iterdir())
-            for line in (run / "measurements.jsonl").read_text().splitlines()
-        ]
-        spooled = sum(
-            len((run / "items.jsonl").read_text().splitlines())
-            for run in (folder / "data" / "runs" / "cam").iterdir()
-        )
-    arrived = [key for key, *_ in receiver.rows if "!" not in key]
-    once = list(dict.fromkeys(arrived))
-    faults = {
-        "spooled frames without a row": spooled - len({key.split("#")[0] for key in told}),
-        "rows not in the record": len(set(told) - set(record)),
-        "rows twice in the record": len(record) - len(set(record)),
-        "rows not in the history": len(set(told) - history),
-        "rows that never arrived": len(set(told) - set(once)),
-        "rows that arrived and are not told": len(set(once) - set(told)),
-        "first arrivals out of order": int(once != told),
-    }
-    print(f"{rounds} rounds, seed {seed}: {', '.join(f'{victim} {n}' for victim, n in done.items())}")
-    print(f"{len(told)} rows of products, {len(arrived) - len(once)} came a second time")
-    for what, count in faults.items():
-        print(f"{what}: {count}")
-    return sum(faults.values())
-
-
 def main() -> None:
     """Measure a line, or kill it."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--rate", type=float, default=30.0, help="frames a second")
     parser.add_argument("--recipe", type=Path, default=ROOT / "recipes" / "herring_roe" / "recipe.yaml")
-    parser.add_argument("--kills", type=int, default=0, help="rounds of kills instead")
+    parser.add_argument(
+        "--rounds", type=int, default=0, help="rounds of faults instead, at 10 frames a second"
+    )
+    parser.add_argument("--folder", type=Path, default=Path("build/line-faults"), help="what the rounds keep")
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()
-    if given.kills:
-        sys.exit(1 if killed(given.kills, given.rate, given.recipe.resolve(), given.seed) else 0)
+    if given.rounds:
+        rate = min(given.rate, 10.0)
+        sys.exit(1 if faults(given.rounds, rate, given.recipe.resolve(), given.seed, given.folder) else 0)
     timed(given.seconds, given.rate, given.recipe.resolve())
 
 

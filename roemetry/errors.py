@@ -35,9 +35,11 @@ class ConfigurationError(RoemetryError):
 
     exit_code = 2
 
-    def __init__(self, faults: Sequence[str] | str, *, hint: str | None = None) -> None:
+    def __init__(
+        self, faults: Sequence[str] | str, *, hint: str | None = None, at: Sequence[str | int] = ()
+    ) -> None:
         self.faults = (faults,) if isinstance(faults, str) else tuple(faults)
-        super().__init__("\n".join(self.faults), hint=hint)
+        super().__init__("\n".join(self.faults), hint=hint, at=at)
 
 
 class MisfitError(ValueError):

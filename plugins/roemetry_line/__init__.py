@@ -13,6 +13,7 @@ from collections.abc import Iterable
 from roemetry.stages.hookspecs import StageEntry, VerbEntry, hookimpl
 
 _LINE = "pip install 'roemetry[line]'"
+_ARAVIS = "apt install libaravis-0.8-0"
 
 
 @hookimpl
@@ -27,8 +28,12 @@ def roemetry_stages() -> Iterable[StageEntry]:
          "Basler cameras, and pylon's emulated camera", "pylon C++ API by pypylon", "pypylon"),
         ("feed", "genicam", "feeds.genicam:GenICam",
          "Any camera with a GenTL producer", "GenICam GenTL by harvesters", "harvesters"),
+        ("feed", "aravis", "feeds.aravis:Aravis",
+         "GigE and USB3 Vision cameras by the system's library Aravis", "Aravis 0.8", "libaravis-0.8.so.0"),
         ("outlet", "tcp", "outlets.tcp:Tcp",
          "Lines of JSON over TCP, each acknowledged", "our own"),
+        ("outlet", "serial", "outlets.serial:Serial",
+         "Lines of JSON over a serial line, each acknowledged", "our own"),
         ("outlet", "mqtt", "outlets.mqtt:Mqtt",
          "Messages to an MQTT broker, QoS 1", "MQTT 3.1.1 by paho-mqtt", "paho"),
         ("outlet", "modbus", "outlets.modbus:Modbus",
@@ -46,7 +51,7 @@ def roemetry_stages() -> Iterable[StageEntry]:
             f"roemetry_line.{target}",
             summary,
             reference,
-            requires=tuple((module, _LINE) for module in needs),
+            requires=tuple((needed, _ARAVIS if ".so" in needed else _LINE) for needed in needs),
         )
 
 
@@ -57,6 +62,8 @@ def roemetry_verbs() -> Iterable[VerbEntry]:
         "serve",
         "roemetry_line.serve:serve",
         "Measure live camera images and send the results on, until stopped.",
+        file_key="roemetry_line",
+        doctor="roemetry_line.preflight:examine",
     )
     yield VerbEntry(
         "history",

@@ -55,6 +55,13 @@ def basler() -> StageOptions:
     return BaslerOptions(emulated=True, trigger="software", nodes={"Width": 64, "Height": 48})
 
 
+def aravis() -> StageOptions:
+    """Give options of the feed `aravis`: its built-in fake camera."""
+    from roemetry_line.feeds.aravis import AravisOptions
+
+    return AravisOptions(emulated=True, nodes={"Width": 64, "Height": 48})
+
+
 def genicam() -> StageOptions:
     """Give options of the feed `genicam`: the producer that the package genicam brings for tests."""
     from roemetry_line.feeds.genicam import GenICamOptions
@@ -69,6 +76,13 @@ def tcp() -> StageOptions:
     from roemetry_line.outlets.tcp import TcpOptions
 
     return TcpOptions(port=_NO_PORT)
+
+
+def serial() -> StageOptions:
+    """Give options of the outlet `serial`."""
+    from roemetry_line.outlets.serial import SerialOptions
+
+    return SerialOptions(device="/dev/no-serial-line")
 
 
 def mqtt() -> StageOptions:

@@ -10,10 +10,11 @@ from pathlib import Path
 
 from roemetry.errors import FAULTS, OutputError, RoemetryError
 from roemetry.records.live import LineRow
+from roemetry_line.control import Control
 from roemetry_line.line_file import Line, NamedOutlet
 from roemetry_line.log import log
 from roemetry_line.outbox import Outbox
-from roemetry_line.process import until_asked
+from roemetry_line.process import alone, settle, until_asked
 
 _BATCH = 100
 """Rows that are handed to an outlet at once, at most: after an outage they go out by the hundred."""
@@ -23,32 +24,35 @@ _REOPEN_S = (0.5, 1.0, 2.0)
 _DRAIN_S = 5.0
 """How long, once asked to stop, rows that wait are still delivered, s; the others stay in the outbox."""
 _PRUNE_S = 60.0
+_MARK_S = 0.25
+"""How often, while rows come, it is written down how far an outlet has got, s: a write for each row would
+keep the stations' writes waiting, and what was delivered since comes again after a death, by the same key."""
 
 
 class Deliverer:
     """Delivers the rows of one outlet, in order, again and again until they are taken."""
 
     def __init__(
-        self, named: NamedOutlet, outbox: Outbox, news: threading.Condition, stop: threading.Event
+        self, named: NamedOutlet, line: Line, outbox: Outbox, news: threading.Condition, stop: threading.Event
     ) -> None:
         self.name = named.name
+        self._control = Control(line, outbox)
         self.state = "starting"
         self.delivered = 0
         self.waiting = 0
         self.reconnects = 0
         self._named, self._outbox, self._news, self._stop = named, outbox, news, stop
         self._until_s = 0.0
+        self._mark = 0
+        self._failures = 0
 
     def run(self) -> None:
         """Deliver until asked to stop and nothing waits, or until the time for that is over."""
-        failures = 0
         while not self._over():
             try:
-                with self._named.outlet.make().open() as deliver:
-                    self.state = "connected"
-                    failures = 0
-                    if self._outbox.end_alarm(self.name, "outlet"):
-                        log("info", "outlet", "the receiver is there again", outlet=self.name)
+                outlet = self._named.outlet.make()
+                outlet.line = self._control
+                with outlet.open() as deliver:
                     self._deliver_all(deliver)
             # Whatever an outlet raises, its rows wait in the outbox.
             except FAULTS as error:
@@ -58,25 +62,38 @@ class Deliverer:
                 self.state = f"not delivering: {said}"
                 self.reconnects += 1
                 self._alarm(said)
-                self._stop.wait(_REOPEN_S[min(failures, len(_REOPEN_S) - 1)])
-                failures += 1
+                self._stop.wait(_REOPEN_S[min(self._failures, len(_REOPEN_S) - 1)])
+                self._failures += 1
         self.state = "stopped"
 
     def _deliver_all(self, deliver: Callable[[Sequence[LineRow]], None]) -> None:
-        mark = self._outbox.mark(self.name)
+        marked, marked_s = self._outbox.mark(self.name), 0.0
+        mark = self._mark = max(self._mark, marked)
         while True:
             rows = self._outbox.after(mark, _BATCH)
             if rows:
                 deliver(rows)
-                mark = rows[-1].number
-                self._outbox.delivered(self.name, mark)
+            self._is_well()
+            if rows:
+                mark = self._mark = rows[-1].number
                 self.delivered += len(rows)
+            now = time.monotonic()
+            if mark > marked and (not rows or now - marked_s > _MARK_S):
+                self._outbox.delivered(self.name, mark)
+                marked, marked_s = mark, now
             if self._over(nothing_waits=not rows):
                 return
             if not rows:
                 with self._news:
                     if not self._outbox.after(mark, 1):
                         self._news.wait(_TICK_S)
+
+    def _is_well(self) -> None:
+        """Note that the receiver takes rows: one that can be connected to and takes none is not well."""
+        if self.state != "connected":
+            if self._outbox.end_alarm(self.name, "outlet"):
+                log("info", "outlet", "the receiver takes rows again", outlet=self.name)
+            self.state, self._failures = "connected", 0
 
     def _over(self, *, nothing_waits: bool = False) -> bool:
         if not self._stop.is_set():
@@ -97,11 +114,19 @@ def main() -> int:
     stop = until_asked()
     line = Line.load(Path(sys.argv[1]), with_recipes=False)
     outbox = Outbox(line.folder)
+    with alone(line.folder, "outlets", stop) as mine:
+        if mine:
+            _deliver(line, outbox, stop)
+    return 0
+
+
+def _deliver(line: Line, outbox: Outbox, stop: threading.Event) -> None:
     news = threading.Condition()
-    workers = [Deliverer(named, outbox, news, stop) for named in line.outlets]
+    workers = [Deliverer(named, line, outbox, news, stop) for named in line.outlets]
     threads = [threading.Thread(target=worker.run, daemon=True) for worker in workers]
     for thread in threads:
         thread.start()
+    settle()
     pruned = beaten = 0.0
     while any(thread.is_alive() for thread in threads) or (not threads and not stop.is_set()):
         outbox.listen(_TICK_S)
@@ -111,6 +136,7 @@ def main() -> int:
         try:
             if now - beaten > 1.0:
                 beaten = now
+                outbox.checkpoint()
                 waiting = outbox.waiting([worker.name for worker in workers])
                 told = {
                     worker.name: {
@@ -128,7 +154,6 @@ def main() -> int:
         except OutputError as error:
             log("error", "outbox", str(error))
             stop.wait(0.5)
-    return 0
 
 
 if __name__ == "__main__":

@@ -13,13 +13,48 @@ are whole and may wrap: they are given modulo the encoder's range.
 from __future__ import annotations
 
 import math
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field
 
 from roemetry.config.recipe_file import Section
 from roemetry.records import Product
+
+
+class ShiftRegister:
+    """The products between camera and gate, in the order in which they reach it.
+
+    Counts wrap: of two, the one ahead is the one that is reached within half of the counter's range.
+    """
+
+    def __init__(self, encoder_bits: int) -> None:
+        self._range = 1 << encoder_bits
+        self._now: int | None = None
+        self._waiting: list[tuple[int, Any]] = []
+        self.missed = 0
+        """Products that were told after they had passed the gate."""
+
+    def move(self, encoder_count: float) -> None:
+        """Take note of where the belt is; products that have passed the gate go."""
+        self._now = int(encoder_count) % self._range
+        self._waiting = [one for one in self._waiting if self._ahead(one[0]) < self._range // 2]
+
+    def put(self, gate_count: int, told: Any) -> None:
+        """Add a product that is at the gate at a count."""
+        if self._ahead(gate_count) >= self._range // 2:
+            self.missed += 1
+            return
+        self._waiting.append((gate_count, told))
+        self._waiting.sort(key=lambda one: self._ahead(one[0]))
+
+    @property
+    def waiting(self) -> tuple[tuple[int, Any], ...]:
+        """Give count at the gate and what was told of each product, the next one first."""
+        return tuple(self._waiting)
+
+    def _ahead(self, count: int) -> int:
+        return (count - (self._now or 0)) % self._range
 
 
 class GateSection(Section):

@@ -1,17 +1,4 @@
-"""What the history tells: counts by class, trends, and control charts of a figure by product and by hour.
-
-Control limits come from the data itself, by the usual rules (Montgomery, Introduction to Statistical
-Quality Control; ISO 7870-2, 7870-6):
-
-- standard deviation within: mean of the moving ranges of two successive products over 1.128;
-- means by hour: overall mean ± 3 σ / √n, n products in the hour;
-- EWMA by product, z_i = λ x_i + (1 − λ) z_(i−1): overall mean ± L σ √(λ / (2 − λ) · (1 − (1 − λ)^(2i))), λ
-= 0.2 and
-  L = 2.86, which gives a false alarm in 370 products on average.
-
-Products on a line are not made alike: a chart that is out of control says that the product, or the
-instrument, has changed, and not which. Assumed: successive products are independent.
-"""
+"""What the history tells: counts by class, control charts by product, drift of calibrations; Parquet."""
 
 from __future__ import annotations
 
@@ -19,7 +6,6 @@ import json
 import math
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -28,86 +14,51 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
-from roemetry.errors import ConfigurationError, OutputError
-from roemetry_line.line_file import Line
+from roemetry.errors import ConfigurationError, OutputError, RoemetryError
+from roemetry.io.files import write_whole
+from roemetry.run.control_chart import Check
+from roemetry_line import line_file
+from roemetry_line.control_charts import Chart, chart_of
+from roemetry_line.line_file import Line, Station
 from roemetry_line.outlets.database import COLUMNS, PostgresTable, SqliteTable, connect
 
 Figure = Literal["mass_g", "volume_mm3", "height_mm", "latency_ms"]
+FIGURES: tuple[Figure, ...] = ("mass_g", "volume_mm3", "height_mm", "latency_ms")
 
-_LAMBDA, _WIDE = 0.2, 2.86
-_FEWEST = 10
-"""Fewer products give no limits."""
-_D2 = 1.128
-"""Mean range of two normal values over their standard deviation."""
 _ROWS_MAX = 200_000
 
 
-@dataclass(frozen=True, slots=True)
-class Chart:
-    """A figure's control chart."""
-
-    figure: str
-    count: int
-    mean: float
-    std_within: float
-    """mean, std_within: over all products, and from product to product; NaN where there are too few."""
-    hours: tuple[tuple[float, int, float, float], ...]
-    """By hour: begin (s since 1970), products, mean, and how far the mean may be from the overall mean."""
-    ewma: NDArray[np.float64]
-    """(product,) moving mean."""
-    ewma_limit: NDArray[np.float64]
-    """(product,) how far it may be from the overall mean."""
-    times_s: NDArray[np.float64]
-    values: NDArray[np.float64]
-
-    @property
-    def hours_out(self) -> list[float]:
-        """Give the begins of the hours whose mean is out of control."""
-        return [begin for begin, _, mean, limit in self.hours if abs(mean - self.mean) > limit]
-
-    @property
-    def ewma_out(self) -> NDArray[np.int64]:
-        """Give the products at which the moving mean is out of control."""
-        return np.flatnonzero(np.abs(self.ewma - self.mean) > self.ewma_limit)
-
-
-def chart_of(figure: str, times_s: NDArray[np.float64], values: NDArray[np.float64]) -> Chart:
-    """Make the control chart of (product,) values in the order of their (product,) times, s since 1970."""
-    known = np.isfinite(values)
-    times_s, values = times_s[known], values[known]
-    count = len(values)
-    none = np.full(count, math.nan)
-    if count < _FEWEST:
-        mean = float(values.mean()) if count else math.nan
-        return Chart(figure, count, mean, math.nan, (), none, none, times_s, values)
-    mean, std = float(values.mean()), float(np.abs(np.diff(values)).mean() / _D2)
-    begins = np.floor(times_s / 3600.0) * 3600.0
-    hours = []
-    for begin in np.unique(begins):
-        inside = values[begins == begin]
-        hours.append((float(begin), len(inside), float(inside.mean()), 3.0 * std / math.sqrt(len(inside))))
-    ewma = np.empty(count)
-    last = mean
-    for i, value in enumerate(values):
-        last = _LAMBDA * value + (1.0 - _LAMBDA) * last
-        ewma[i] = last
-    until = 1.0 - (1.0 - _LAMBDA) ** (2.0 * np.arange(1, count + 1))
-    limit = _WIDE * std * np.sqrt(_LAMBDA / (2.0 - _LAMBDA) * until)
-    return Chart(figure, count, mean, std, tuple(hours), ewma, limit, times_s, values)
-
-
-def values_of(
+def charts_of(
     table: SqliteTable | PostgresTable, figure: Figure, station: str | None, since_s: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Give times and values of a figure since a time, the oldest first."""
+) -> dict[str, Chart]:
+    """Make a figure's control chart for each product that a station, or the line, has measured since a time.
+
+    Products are what recipes call them; one limit over two of them would be no limit. The one that was
+    measured last comes first.
+    """
     which, given = _where(table, station, since_s)
     found = table.ask(
-        f"select time_s, {figure} from roemetry_rows where kind = 'product' and {figure} is not null "
-        f"and {which} order by time_s desc limit {_ROWS_MAX}",
+        f"select product, time_s, {figure} from roemetry_rows where kind = 'product' "
+        f"and {figure} is not null and {which} order by time_s desc limit {_ROWS_MAX}",
         given,
     )
-    both = np.array(found[::-1], np.float64).reshape(-1, 2)
-    return both[:, 0], both[:, 1]
+    by_product: dict[str, list[tuple[float, float]]] = {}
+    for product, time_s, value in found:
+        by_product.setdefault(product or "", []).append((time_s, value))
+    charts = {}
+    for product, pairs in by_product.items():
+        both: NDArray[np.float64] = np.array(pairs[::-1], np.float64)
+        charts[product] = chart_of(figure, both[:, 0], both[:, 1])
+    return charts
+
+
+def checks_of(line: Line, station: Station) -> tuple[Check, ...]:
+    """Give the checks of the calibration that a station measures with now, oldest first."""
+    from roemetry_line.block_checks import chart_of as checks_file
+
+    recipe = line_file.load_recipe(station.recipes[0], line.folder)
+    sha256 = None if recipe.calibration is None else recipe.calibration.sha256
+    return checks_file(recipe, line.folder, station.name).checks(sha256)
 
 
 def counts_of(table: SqliteTable | PostgresTable, station: str | None, since_s: float) -> Mapping[str, int]:
@@ -169,9 +120,13 @@ def history(
         Path | None,
         typer.Option("--parquet", help="Only write the completed days that this folder does not have yet."),
     ] = None,
+    report: Annotated[
+        Path | None,
+        typer.Option("--report", help="Write it as a page (HTML) with its charts to this file."),
+    ] = None,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
-    """Say what a line has measured: counts by class, means by hour, and what is out of control."""
+    """Say what a line has measured: counts, means by hour, what is out of control, how calibrations drift."""
     loaded = Line.load(line, with_recipes=False)
     table = history_of(loaded)
     if parquet is not None:
@@ -180,41 +135,68 @@ def history(
         return
     since_s = time.time() - 3600.0 * hours
     counts = counts_of(table, station, since_s)
-    chart = chart_of(figure, *values_of(table, figure, station, since_s))
+    charts = charts_of(table, figure, station, since_s)
+    checks = {one.name: _checks(loaded, one) for one in loaded.stations if station in (None, one.name)}
+    if report is not None:
+        from roemetry_line.history_page import history_page
+
+        write_whole(report, history_page(loaded.name, station, since_s, counts, charts, checks))
+        typer.echo(f"{report}", err=as_json)
     if as_json:
-        typer.echo(json.dumps(described(counts, chart), indent=2))
+        typer.echo(json.dumps(described(counts, charts, checks), indent=2))
         return
     typer.echo(", ".join(f"{name} {count}" for name, count in counts.items()) or "nothing measured")
-    if math.isnan(chart.std_within):
-        typer.echo(f"{figure}: {chart.count} products, too few for a control chart ({_FEWEST} or more)")
-        return
-    typer.echo(f"{figure}: mean {chart.mean:.6g}, from product to product ± {chart.std_within:.3g}")
-    for begin, count, mean, limit in chart.hours:
-        out = "  OUT OF CONTROL" if begin in chart.hours_out else ""
-        at = datetime.fromtimestamp(begin).astimezone()
-        typer.echo(f"  {at:%Y-%m-%d %H:00}  {count:6} products  mean {mean:.6g}  (± {limit:.3g}){out}")
-    typer.echo(f"moving mean (EWMA): out of control at {len(chart.ewma_out)} of {chart.count} products")
+    for product, chart in charts.items():
+        typer.echo(f"{product}: {chart.said}")
+        for begin, count, mean, limit in chart.hours:
+            out = "  OUT OF CONTROL" if begin in chart.hours_out else ""
+            at = datetime.fromtimestamp(begin).astimezone()
+            typer.echo(f"  {at:%Y-%m-%d %H:00}  {count:6} products  mean {mean:.6g}  (± {limit:.3g}){out}")
+    for name, of in checks.items():
+        if of:
+            typer.echo(f"calibration of {name}: {len(of)} checks, the last {of[-1].made}: {of[-1].verdict}")
+            for reason in of[-1].reasons:
+                typer.echo(f"  {reason.text}")
 
 
-def described(counts: Mapping[str, int], chart: Chart) -> dict[str, Any]:
-    """Give counts and chart as plain values."""
+def _checks(line: Line, station: Station) -> tuple[Check, ...]:
+    """Give a station's checks; none where its recipe cannot be read now: it may be edited just now."""
+    try:
+        return checks_of(line, station)
+    except RoemetryError:
+        return ()
+
+
+def described(
+    counts: Mapping[str, int], charts: Mapping[str, Chart], checks: Mapping[str, tuple[Check, ...]]
+) -> dict[str, Any]:
+    """Give counts, charts and checks as plain values."""
     return {
         "counts": dict(counts),
-        "figure": chart.figure,
-        "products": chart.count,
-        "mean": None if math.isnan(chart.mean) else chart.mean,
-        "std_within": None if math.isnan(chart.std_within) else chart.std_within,
-        "hours": [
+        "charts": [
             {
-                "begin_s": begin,
-                "products": count,
-                "mean": mean,
-                "limit": limit,
-                "out": begin in chart.hours_out,
+                "product": product,
+                "figure": chart.figure,
+                "products": chart.count,
+                "mean": None if math.isnan(chart.mean) else chart.mean,
+                "std_within": None if math.isnan(chart.std_within) else chart.std_within,
+                "hours": [
+                    {
+                        "begin_s": begin,
+                        "products": count,
+                        "mean": mean,
+                        "limit": limit,
+                        "out": begin in chart.hours_out,
+                    }
+                    for begin, count, mean, limit in chart.hours
+                ],
+                "ewma_out": len(chart.ewma_out),
             }
-            for begin, count, mean, limit in chart.hours
+            for product, chart in charts.items()
         ],
-        "ewma_out": len(chart.ewma_out),
+        "checks": {
+            name: [{"made": one.made, "verdict": one.verdict} for one in of] for name, of in checks.items()
+        },
     }
 
 

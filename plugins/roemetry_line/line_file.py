@@ -48,6 +48,11 @@ class StationSection(Section):
         description="how much of the frames is kept on disk, GB, the newest; 0: none, and a frame that was "
         "taken and not measured is lost where the process is killed",
     )
+    check_block: str | None = Field(
+        default=None,
+        description="description of the known block that is measured when somebody asks, relative to this "
+        "file; none: the block that the calibration was made from",
+    )
     gate: GateSection | None = Field(
         default=None, description="where products are sorted, along the belt; none: no gate"
     )
@@ -135,8 +140,10 @@ class Station:
     recipes: tuple[Path, ...]
     """The recipe, and the others that may be chosen instead."""
     feed: ResolvedStage
-    place: str
-    """Where it stands in the file, ``file:line:column``."""
+    block: Path | None
+    """Description of its known block; None: the one that the calibration was made from."""
+    at: tuple[str | int, ...]
+    """The keys that lead to it in the file."""
 
 
 @dataclass(frozen=True)
@@ -145,7 +152,7 @@ class NamedOutlet:
 
     name: str
     outlet: ResolvedStage
-    place: str
+    at: tuple[str | int, ...]
 
 
 @dataclass(frozen=True)
@@ -160,6 +167,7 @@ class Line:
     """With the history's, where there is one."""
     history: HistorySection | None
     page: PageSection | None
+    document: Document
 
     @classmethod
     def load(cls, path: Path, *, with_recipes: bool = True) -> Self:
@@ -173,16 +181,20 @@ class Line:
             raise ConfigurationError(faults, hint="docs/reference/line.md has every key")
         resolver = StageResolver(discover(), document.place, path.absolute().parent)
         folder = (path.absolute().parent / file.folder).resolve()
-        stations = tuple(_stations(file, document, resolver, path.absolute().parent, with_recipes))
-        outlets = tuple(_outlets(file, document, resolver, folder))
+        stations = tuple(_stations(file, resolver, path.absolute().parent, with_recipes))
+        outlets = tuple(_outlets(file, resolver, folder))
         if resolver.faults:
             raise ConfigurationError(resolver.faults)
-        return cls(path.absolute(), file.name, folder, stations, outlets, file.history, file.page)
+        return cls(path.absolute(), file.name, folder, stations, outlets, file.history, file.page, document)
 
     @property
     def history_url(self) -> str | None:
         """Where the history is, with an absolute path; None where none is kept."""
         return None if self.history is None else _absolute(self.history.url, self.folder)
+
+    def place(self, *at: str | int) -> str:
+        """Give ``file:line:column`` of what these keys lead to."""
+        return self.document.place(at)
 
     def station(self, name: str) -> Station:
         """Give the station of a name."""
@@ -195,19 +207,20 @@ def load_recipe(path: Path, spool: Path) -> Recipe:
     return Recipe.load(path, sets=changes)
 
 
-def _stations(
-    file: LineFile, document: Document, resolver: StageResolver, home: Path, with_recipes: bool
-) -> Iterator[Station]:
+def _stations(file: LineFile, resolver: StageResolver, home: Path, with_recipes: bool) -> Iterator[Station]:
     for index, section in enumerate(file.stations):
-        at = ("stations", index)
+        at: tuple[str | int, ...] = ("stations", index)
         feed = resolver.choose("feed", section.feed, *at, "feed")
         places = [(*at, "recipe"), *((*at, "choices", i) for i in range(len(section.choices)))]
         recipes = [_recipe_file(home / text) for text in (section.recipe, *section.choices)]
         if with_recipes:
             for path, place in zip(recipes, places, strict=True):
                 _check_recipe(path, resolver, place)
+        block = None if section.check_block is None else home / section.check_block
+        if block is not None and not block.is_file():
+            resolver.fault(f"there is no file {block}", *at, "check_block")
         if feed is not None:
-            yield Station(section.name, section, tuple(recipes), feed, document.place((*at, "feed")))
+            yield Station(section.name, section, tuple(recipes), feed, block, at)
 
 
 def _recipe_file(path: Path) -> Path:
@@ -226,9 +239,7 @@ def _check_recipe(path: Path, resolver: StageResolver, at: tuple[str | int, ...]
         resolver.fault(f"{path} has no calibration: it would measure in pixels; name one in the recipe", *at)
 
 
-def _outlets(
-    file: LineFile, document: Document, resolver: StageResolver, folder: Path
-) -> Iterator[NamedOutlet]:
+def _outlets(file: LineFile, resolver: StageResolver, folder: Path) -> Iterator[NamedOutlet]:
     wanted: list[tuple[OutletSection, tuple[str | int, ...]]]
     wanted = [(one, ("outlets", index)) for index, one in enumerate(file.outlets)]
     if file.history is not None:
@@ -238,7 +249,7 @@ def _outlets(
     for section, at in wanted:
         outlet = resolver.choose("outlet", section, *at)
         if outlet is not None:
-            yield NamedOutlet(section.name, outlet, document.place(at))
+            yield NamedOutlet(section.name, outlet, at)
 
 
 def _absolute(url: str, folder: Path) -> str:

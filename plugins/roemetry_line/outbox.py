@@ -14,7 +14,7 @@ import sqlite3
 import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -36,6 +36,9 @@ create table if not exists alarms(
     text text not null, level text not null, ended real, acknowledged real, acknowledged_by text);
 create index if not exists open_alarms on alarms(station, code) where ended is null;
 create table if not exists wishes(station text primary key, recipe text not null, who text not null);
+create table if not exists checks(
+    n integer primary key autoincrement, station text not null, asked real not null, who text not null,
+    ended real, verdict text, text text);
 create table if not exists health(
     component text primary key, pid integer not null, at real not null, state text not null, figures text
     not null);
@@ -75,6 +78,8 @@ class Outbox:
             )
             self._db.execute("pragma journal_mode=wal")
             self._db.execute("pragma synchronous=normal")
+            # Else whoever commits the thousandth page waits for the disk: `checkpoint` does it beside.
+            self._db.execute("pragma wal_autocheckpoint=0")
             self._db.executescript(_TABLES)
         self._wake = _fifo(folder / _WAKE)
 
@@ -92,6 +97,11 @@ class Outbox:
                 values,
             )
         self.wake()
+
+    def checkpoint(self) -> None:
+        """Write what was committed into the file itself; nobody who reads or writes waits for it."""
+        with _named(self._path), closing(sqlite3.connect(self._path, timeout=0.0)) as beside:
+            beside.execute("pragma wal_checkpoint(passive)")
 
     def wake(self) -> None:
         """Tell who waits that there is something new."""
@@ -219,6 +229,37 @@ class Outbox:
         """Give the recipe that is wanted of a station; None where nobody has said."""
         found = self._dicts("select recipe from wishes where station = ?", (station,))
         return str(found[0]["recipe"]) if found else None
+
+    def ask_check(self, station: str, who: str) -> int:
+        """Note that somebody wants a station to measure its known block; give the check's number."""
+        with self._lock, _named(self._path), self._transaction():
+            found = self._db.execute(
+                "select n from checks where station = ? and ended is null", (station,)
+            ).fetchone()
+            if found is None:
+                found = self._db.execute(
+                    "insert into checks(station, asked, who) values(?,?,?) returning n",
+                    (station, time.time(), who),
+                ).fetchone()
+        return int(found[0])
+
+    def open_check(self, station: str) -> int | None:
+        """Give the number of the check that a station has still to make; None where there is none."""
+        found = self._dicts("select n from checks where station = ? and ended is null", (station,))
+        return int(found[0]["n"]) if found else None
+
+    def end_check(self, number: int, verdict: str, text: str) -> None:
+        """Note what a check found."""
+        with self._lock, _named(self._path):
+            self._db.execute(
+                "update checks set ended = ?, verdict = ?, text = ? where n = ?",
+                (time.time(), verdict, text, number),
+            )
+
+    def last_check(self, station: str) -> dict[str, Any] | None:
+        """Give the check that was asked for last: when, by whom, what it found; None where there was none."""
+        found = self._dicts("select * from checks where station = ? order by n desc limit 1", (station,))
+        return found[0] if found else None
 
     def beat(self, component: str, state: str, figures: Mapping[str, Any]) -> None:
         """Note that a process is alive, and how it is."""

@@ -34,11 +34,12 @@ class Taken:
 
 @dataclass(frozen=True, slots=True)
 class Where:
-    """Which line, station and run a row is of."""
+    """Which line, station and run a row is of, and what the recipe calls the product."""
 
     line: str
     station: str
     run: str
+    product: str
 
 
 def product_rows(
@@ -84,7 +85,8 @@ def notice_row(where: Where, code: str, text: str, taken: Taken, acquisition: st
         "code": code,
         "text": text,
     }
-    summary = {"id": acquisition, "status": code, "late": int(code == "late")}
+    encoder = json_values({"encoder_count": taken.encoder_count})
+    summary = {"id": acquisition, "status": code, "late": int(code == "late"), **encoder}
     of = acquisition or f"frame-{taken.number}-{taken.time_s:.3f}"
     return NewRow(
         f"{where.line}/{where.run}/{of}!{code}",
@@ -101,6 +103,7 @@ def _head(where: Where, kind: str, acquisition: str | None) -> dict[str, Any]:
         "line": where.line,
         "station": where.station,
         "run": where.run,
+        "product": where.product,
         "kind": kind,
         "acquisition": acquisition,
     }
@@ -118,7 +121,8 @@ def _place(
     count = None
     if gate is not None and taken is not None:
         count = count_at_gate(gate, taken.encoder_count, y_mm)
-    return {"x_mm": x_mm, "y_mm": y_mm, "gate_count": count}
+    encoder = math.nan if taken is None else taken.encoder_count
+    return {"x_mm": x_mm, "y_mm": y_mm, "encoder_count": encoder, "gate_count": count}
 
 
 def _summary(row: Measurement) -> dict[str, Any]:

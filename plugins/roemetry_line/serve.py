@@ -20,7 +20,7 @@ from roemetry_line.notify import UNIT, tell_systemd
 from roemetry_line.outbox import Outbox
 from roemetry_line.page.users import Role, set_password
 from roemetry_line.preflight import preflight
-from roemetry_line.process import set_by
+from roemetry_line.process import runs_now, set_by
 
 _TICK_S = 0.2
 _RESTART_S = 0.5
@@ -33,9 +33,6 @@ _STOP_S = 20.0
 
 def serve(
     line: Annotated[Path, typer.Argument(help="A line file.")],
-    check: Annotated[
-        bool, typer.Option("--check", help="Only try every camera and receiver, and report the result.")
-    ] = False,
     start_anyway: Annotated[
         bool,
         typer.Option(
@@ -53,11 +50,20 @@ def serve(
         Role,
         typer.Option("--role", help="What that user may do."),
     ] = "viewer",
+    check_block: Annotated[
+        str | None,
+        typer.Option(
+            "--check-block",
+            help="Only let this station of the running line measure its known block, which lies before the "
+            "camera now, and say what it found.",
+        ),
+    ] = None,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
     """Measure live camera images and send the results on, until stopped; log one line of JSON per event.
 
-    Exit code: 0 stopped when asked; 1 something is not there (with --check); 2 the line file is wrong.
+    Exit code: 0 stopped when asked; 1 the block is out or was not found (--check-block); 2 the line file is
+    wrong, or a camera or receiver is not there.
     """
     loaded = Line.load(line)
     if unit:
@@ -71,29 +77,41 @@ def serve(
         password = typer.prompt("password", hide_input=True, confirmation_prompt=True)
         typer.echo(str(set_password(loaded.folder, user, role, password)))
         return
-    if check:
-        if not _preflight(loaded, show=True):
+    if check_block is not None:
+        verdict, said = _check_block(loaded, check_block)
+        typer.echo(said)
+        if verdict in ("out", "failed"):
             raise typer.Exit(1)
         return
     with exclusive(loaded.folder):
         if not start_anyway:
-            _preflight(loaded, show=False)
+            faults = [one for one in preflight(loaded) if one.verdict == "wrong"]
+            if faults:
+                raise ConfigurationError(
+                    [
+                        f"{one.found} ({one.what})" + (f": {one.remedy}" if one.remedy else "")
+                        for one in faults
+                    ],
+                    hint="mend it; or start with --start-anyway: what is not there is tried on and on",
+                )
         Supervisor(loaded).run()
 
 
-def _preflight(line: Line, *, show: bool) -> bool:
-    faults = []
-    for found in preflight(line):
-        if show:
-            typer.echo(f"{'ok   ' if found.well else 'WRONG'}  {found.what}: {found.said}")
-        if not found.well:
-            faults.append(f"{found.place}: {found.what}: {found.said}")
-    if faults and not show:
-        raise ConfigurationError(
-            faults,
-            hint="mend it; or start with --start-anyway: what is not there is tried on and on",
-        )
-    return not faults
+def _check_block(line: Line, station: str) -> tuple[str, str]:
+    """Ask a line that runs for a check of a station's known block, and wait; give verdict and words."""
+    names = [one.name for one in line.stations]
+    if station not in names:
+        hint = f"it has {', '.join(names)}"
+        raise ConfigurationError(f"{line.path}: there is no station {station}", hint=hint)
+    if not runs_now(line.folder):
+        raise ConfigurationError(f"{line.path}: the line does not run", hint=f"roemetry serve {line.path}")
+    outbox = Outbox(line.folder)
+    number = outbox.ask_check(station, "command line")
+    while True:
+        time.sleep(_TICK_S)
+        found = outbox.last_check(station)
+        if found is not None and found["n"] >= number and found["ended"] is not None:
+            return found["verdict"], found["text"]
 
 
 class Supervisor:

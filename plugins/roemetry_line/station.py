@@ -8,6 +8,7 @@ says of a frame whose time is up that it is late; a fourth looks whether the rec
 
 from __future__ import annotations
 
+import math
 import queue
 import sys
 import threading
@@ -32,10 +33,12 @@ from roemetry.run.pipeline import Pipeline
 from roemetry.run.record import recipe_of
 from roemetry.run.rows import failed, measurements_of
 from roemetry_line import line_file, runs
+from roemetry_line.block_checks import BlockChecks
+from roemetry_line.laser_health import LaserHealth
 from roemetry_line.live_view import LiveView
 from roemetry_line.log import log
 from roemetry_line.outbox import NewRow, Outbox
-from roemetry_line.process import until_asked
+from roemetry_line.process import alone, settle, until_asked
 from roemetry_line.rows import Taken, Where, notice_row, product_rows
 
 LATENCY_MS = (5.0, 10.0, 15.0, 20.0, 30.0, 50.0, 100.0, 200.0, 500.0, 1000.0)
@@ -49,6 +52,10 @@ _RELOAD_S = 1.0
 _THIN_OUT_S = 30.0
 """How often images are taken away that are more than is kept, s."""
 _DISK_LOW_GB = 1.0
+_OPENING_S = 15.0
+"""So long a driver may take to open a camera, s."""
+_SILENT_S = 2.0
+"""So long a feed may neither give a frame nor say that none has come, s; then its driver hangs."""
 _TRIED = "tried.txt"
 
 
@@ -113,15 +120,18 @@ class StationProcess:
         self._queue: queue.Queue[Task] = queue.Queue(self._section.queue)
         self._figures = Figures()
         self._next: Recipe | None = None
-        self._recipe_faulty: str | None = None
         self._lock = threading.Lock()
         self._due: dict[tuple[str, str], tuple[float, Taken, Where]] = {}
         self._state = "starting"
         self._last_frame_s = self._last_try_s = time.time()
         self._last_beat_s = 0.0
-        self._taking = True
+        self._taking, self._opened = False, False
         self._open = outbox.open_alarms(name)
         self._view = LiveView(line.folder, name)
+        self._laser = LaserHealth()
+        self._checks = BlockChecks(
+            name, self._station.block, line.folder, outbox, self._loaded_now, self._block_checked
+        )
 
     def run(self) -> None:
         """Recover what the last run left, then take and measure until asked to stop; then drain."""
@@ -135,6 +145,7 @@ class StationProcess:
                 self._recover(left)
         job = self._begin(recipe)
         _load_kernels(recipe)
+        settle()
         self._state = "running"
         threads = [
             threading.Thread(target=target, daemon=True)
@@ -143,20 +154,24 @@ class StationProcess:
                 self._watch_deadlines,
                 self._watch_recipe,
                 self._watch_spool,
+                lambda: self._checks.run(self._stop),
             )
         ]
         for thread in threads:
             thread.start()
-        self._measure_all(job, threads[0])
+        self._measure_all(job)
 
     # --- taking ---------------------------------------------------------------------------------------------
 
     def _take(self, job: Job) -> None:
         """Take frames until asked to stop; a camera that is gone is opened again and again."""
+        self._taking, self._last_try_s = True, time.time()
         try:
             while not self._stop.is_set():
                 try:
                     with self._station.feed.make().open() as frames:
+                        self._opened = True
+                        self._last_try_s = time.time()
                         self._ended("camera", "the camera is there again")
                         for live in frames:
                             if self._stop.is_set():
@@ -169,6 +184,7 @@ class StationProcess:
                             return
                 # Whatever a feed raises, the line goes on as soon as there are frames again.
                 except FAULTS as error:
+                    self._opened = False
                     self._figures.reconnects += 1
                     self._last_try_s = time.time()
                     said = error.message if isinstance(error, RoemetryError) else _fault(error)
@@ -185,13 +201,15 @@ class StationProcess:
             self._figures.lost += live.lost_before
             said = f"{live.lost_before} frames lost before frame {live.number}"
             self._tell(notice_row(where, "frames-lost", said, taken))
-            self._note("frames-lost", said)
+            self._note("frames-lost", said, run=where.run, frame=live.number)
         frame = live.frame
         if frame is None:
             self._figures.incomplete += 1
             said = f"frame {live.number} is not whole: {live.fault}"
             self._tell(notice_row(where, "frame-incomplete", said, taken))
-            self._note("frame-incomplete", said)
+            self._note("frame-incomplete", said, run=where.run, frame=live.number)
+            return job
+        if self._checks.takes(frame):
             return job
         if self._next is not None or job.spool.full():
             job = self._switch(job)
@@ -207,6 +225,7 @@ class StationProcess:
                 self._queue.put(task, timeout=0.25)
                 break
             except queue.Full:
+                self._last_try_s = time.time()
                 if not self._stop.is_set():
                     said = "measuring does not keep up: frames wait, and the camera may lose some"
                     self._alarm("queue-full", said, "warning")
@@ -217,16 +236,17 @@ class StationProcess:
         with self._lock:
             recipe, self._next = self._next, None
         job.spool.close()
+        self._laser = LaserHealth()
         if recipe is not None:
             self._figures.reloads += 1
-            self._note("recipe-reloaded", f"from now on the changed recipe measures: {recipe.path}")
+            self._note("recipe-reloaded", f"a new run begins, with the recipe as it is now: {recipe.path}")
         return self._begin(recipe or job.recipe)
 
     def _whole_recipe(self) -> Recipe | None:
         """Load the recipe; wait while it has faults, as after a restart. None where asked to stop."""
         while not self._stop.is_set():
             try:
-                recipe = line_file.load_recipe(self._wanted(), self._home)
+                recipe = self._loaded_now()
             except RoemetryError as error:
                 self._alarm("recipe", f"nothing is measured, the recipe has faults: {error}")
                 self._state = "waits for a recipe without faults"
@@ -252,7 +272,7 @@ class StationProcess:
 
     # --- measuring ------------------------------------------------------------------------------------------
 
-    def _measure_all(self, job: Job, taking: threading.Thread) -> None:
+    def _measure_all(self, job: Job) -> None:
         """Measure what is taken, in order, until nothing more can come."""
         while True:
             try:
@@ -297,7 +317,19 @@ class StationProcess:
         self._until_written(lambda: self._outbox.put(told), "outbox")
         self._until_written(lambda: job.record.append([row.record or "" for row in told]), "record")
         self._count(told, latency_ms, late)
+        self._look_at_laser(trace)
+        for row in told:
+            if row.summary["status"] == "failed":
+                log("warning", "not-measured", str(row.summary["reason"]), station=self._name, run=row.run,
+                    product=row.summary["id"], frame=task.taken.number)  # fmt: skip
         self._view.show(task.acquisition, trace, told)
+
+    def _look_at_laser(self, trace: Trace | None) -> None:
+        said = self._laser.look(trace)
+        if said:
+            self._alarm("laser", said)
+        elif said is not None:
+            self._ended("laser", "the stripes have their light again")
 
     def _count(self, told: list[NewRow], latency_ms: float, late: bool) -> None:
         figures = self._figures
@@ -323,12 +355,12 @@ class StationProcess:
         runs.finish(run)
 
     def _measured_again(self, run: Path, left: list[Item]) -> Iterator[list[NewRow]]:
-        where = Where(self._line.name, self._name, run.name)
         try:
             recipe, _ = recipe_of(run)
         except RoemetryError as error:
             self._note("not-recovered", f"{run.name}: {len(left)} frames stay unmeasured: {error.message}")
             return
+        where = Where(self._line.name, self._name, run.name, recipe.product)
         pipeline, source, doubts = Pipeline(recipe), recipe.source.make(), calibration_doubts(recipe)
         tried = run / _TRIED
         before = set(tried.read_text("utf-8").split()) if tried.exists() else set()
@@ -367,12 +399,12 @@ class StationProcess:
             for (_, acquisition), _, taken, where in over:
                 said = f"not measured within {self._section.deadline_ms:g} ms"
                 self._tell(notice_row(where, "late", said, taken, acquisition))
-                log("warning", "late", said, station=self._name, run=where.run, acquisition=acquisition,
+                log("warning", "late", said, station=self._name, run=where.run, product=acquisition,
                     frame=taken.number)  # fmt: skip
 
     def _watch_recipe(self) -> None:
         """Load the recipe again whenever it has changed; one with faults leaves the old one at work."""
-        current = line_file.load_recipe(self._wanted(), self._home)
+        current = self._loaded_now()
         seen = current.path, _states(current)
         while not self._stop.wait(_RELOAD_S):
             now = self._wanted(), _states(current)
@@ -400,6 +432,26 @@ class StationProcess:
             if self._section.spool_gb:
                 runs.thin_out(self._home, self._name, self._section.spool_gb)
 
+    def _loaded_now(self) -> Recipe:
+        """Load the recipe that is at work, as it is on disk."""
+        return line_file.load_recipe(self._wanted(), self._home)
+
+    def _block_checked(self, verdict: str, said: str) -> None:
+        """Tell what a check of the calibration found; the next run's rows then carry it."""
+        taken = Taken(-1, 0, time.time(), float("nan"), float("nan"))
+        where = Where(self._line.name, self._name, "checks", self._loaded_now().product)
+        self._tell(notice_row(where, "calibration-check", said, taken))
+        if verdict == "failed":
+            self._note("check-failed", said)
+            return
+        if verdict == "in order":
+            self._ended("calibration", said)
+            self._note("calibration-check", said)
+        else:
+            self._alarm("calibration", said, "alarm" if verdict == "out" else "warning")
+        with self._lock:
+            self._next = self._next or self._loaded_now()
+
     def _wanted(self) -> Path:
         """Give the recipe that was chosen on the page, where it is one of the line's; else the first."""
         try:
@@ -415,8 +467,9 @@ class StationProcess:
             try:
                 done = write()
             except OutputError as error:
-                self._alarm(f"{what}-not-written", str(error))
+                self._alarm(f"{what}-not-written", error.message)
                 time.sleep(_RETRY_S)
+                self._last_try_s = time.time()
                 self._beat()
                 continue
             self._ended(f"{what}-not-written", f"the {what} can be written again")
@@ -429,9 +482,9 @@ class StationProcess:
             log("error", "notice-not-written", str(error), station=self._name)
 
     def _where(self, job: Job) -> Where:
-        return Where(self._line.name, self._name, job.run.name)
+        return Where(self._line.name, self._name, job.run.name, job.recipe.product)
 
-    def _alarm(self, code: str, text: str, level: Any = "alarm") -> None:
+    def _alarm(self, code: str, text: str, level: Any = "alarm", **context: Any) -> None:
         if level != "note":
             self._open.add(code)
         try:
@@ -439,7 +492,7 @@ class StationProcess:
         except OutputError:  # the disk is full: the log still says it
             new = True
         if new:
-            log("error" if level == "alarm" else "warning", code, text, station=self._name)
+            log("error" if level == "alarm" else "warning", code, text, station=self._name, **context)
 
     def _ended(self, code: str, text: str) -> None:
         if code not in self._open:
@@ -451,8 +504,8 @@ class StationProcess:
         self._open.discard(code)
         log("info", code, text, station=self._name)
 
-    def _note(self, code: str, text: str) -> None:
-        self._alarm(code, text, "note")
+    def _note(self, code: str, text: str, **context: Any) -> None:
+        self._alarm(code, text, "note", **context)
 
     def _beat(self, *, now: bool = False) -> None:
         """Say once a second that this process works, and what it has counted."""
@@ -464,12 +517,18 @@ class StationProcess:
             self._alarm("disk-low", f"{free_gb:.2f} GB are free for {self._line.folder}", "warning")
         else:
             self._ended("disk-low", "there is room on the disk again")
+        silent_s = time.time() - self._last_try_s
+        if self._taking and silent_s > (_SILENT_S if self._opened else _OPENING_S):
+            self._alarm("driver", f"the camera's driver has not answered for {silent_s:.0f} s")
+        else:
+            self._ended("driver", "the camera's driver answers again")
         figures = {
             **vars(self._figures),
             "queue": self._queue.qsize(),
             "last_frame_s": self._last_frame_s,
             "last_try_s": self._last_try_s,
             "disk_free_gb": free_gb,
+            "laser_percent": None if math.isnan(self._laser.percent) else self._laser.percent,
         }
         try:
             self._outbox.beat(f"station {self._name}", self._state, figures)
@@ -514,7 +573,9 @@ def main() -> int:
     path, name = Path(sys.argv[1]), sys.argv[2]
     line = line_file.Line.load(path, with_recipes=False)
     outbox = Outbox(line.folder)
-    StationProcess(line, name, outbox, stop).run()
+    with alone(line.folder, f"station-{name}", stop) as mine:
+        if mine:
+            StationProcess(line, name, outbox, stop).run()
     return 0
 
 

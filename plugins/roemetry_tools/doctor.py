@@ -11,25 +11,25 @@ import re
 import sys
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, packages_distributions, requires, version
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
 from roemetry.cli.warm_up import warm_up
-from roemetry.errors import RoemetryError
+from roemetry.errors import ConfigurationError, RoemetryError
 from roemetry.io.files import shipped
+from roemetry.io.yaml_source import read
 from roemetry.records import Measurement
 from roemetry.run.api import Recipe
-from roemetry.stages.hookspecs import PROJECT
+from roemetry.stages.hookspecs import PROJECT, Finding
 from roemetry.stages.registry import Registry, discover
 
 Row = tuple[float, float, float, str]
 """Visible volume (mm³), weight (g), largest height (mm), grade; NaN and "" where there is none."""
-Verdict = Literal["ok", "missing", "wrong"]
 
 KNOWN_NUMBERS = "known_numbers.csv"
 COLUMNS = ("id", "visible volume (mm³)", "weight (g)", "largest height (mm)", "grade")
@@ -39,20 +39,11 @@ _RELATIVE_MAX = 1e-4
 _NOT_FOR_USERS = {"test", "docs", "benchmarks", "all"}
 
 
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """One thing that was looked at, what was found, and what to do about it, if anything.
-
-    ``missing``: something optional is not there; ``wrong``: numbers cannot be made or trusted.
-    """
-
-    what: str
-    verdict: Verdict
-    found: str
-    remedy: str = ""
-
-
 def doctor(
+    file: Annotated[
+        Path | None,
+        typer.Argument(help="A file that describes what runs, such as a line file: what it names is tried."),
+    ] = None,
     as_json: Annotated[
         bool,
         typer.Option(
@@ -70,6 +61,8 @@ def doctor(
 ) -> None:
     """Check what is installed and what is missing, and whether this machine reproduces known results.
 
+    With a line file: whether each camera, broker, server and database that it names is there.
+
     Exit code: 0 nothing is wrong (something optional may be missing); 2 something is.
     """
     if warm is not None:
@@ -84,7 +77,7 @@ def doctor(
         )
         return
     findings = []
-    for finding in examine():
+    for finding in examine() if file is None else examine_file(file):
         findings.append(finding)
         if not as_json:
             _show(finding)
@@ -121,6 +114,21 @@ def examine(registry: Registry | None = None) -> Iterator[Finding]:
     yield from _llvm()
     yield from _plugins(registry)
     yield from _measured()
+
+
+def examine_file(path: Path) -> Iterator[Finding]:
+    """Let the plugin that knows files of this kind try what one names; ConfigurationError where none does."""
+    data = read(path).data
+    keys = list(data) if isinstance(data, Mapping) else []
+    known = {verb.file_key: verb for verb in discover().verbs if verb.doctor}
+    verb = next((known[key] for key in keys if key in known), None)
+    if verb is None:
+        raise ConfigurationError(
+            f"{path}: the doctor does not know files of this kind",
+            hint="it tries files that have the key " + " or ".join(f"`{key}`" for key in sorted(known)),
+        )
+    module, _, function = verb.doctor.partition(":")
+    yield from getattr(import_module(module), function)(path)
 
 
 def rows_of(recipe: Recipe) -> dict[str, Row]:

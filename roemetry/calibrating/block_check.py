@@ -38,7 +38,9 @@ _SEED = 1
 """Fixed: a check of the same image says the same."""
 
 
-def check_calibration(recipe: Recipe, image: Path, block: Block, chart: Path | None) -> Check:
+def check_calibration(
+    recipe: Recipe, image: Path, block: Block, chart: Path | None, acquisition: Acquisition | None = None
+) -> Check:
     """Measure a block again and say whether the calibration still holds.
 
     Parameters
@@ -51,6 +53,8 @@ def check_calibration(recipe: Recipe, image: Path, block: Block, chart: Path | N
         Its sides and their tolerance.
     chart
         Where checks are kept: earlier ones are looked at, this one is added. None keeps nothing.
+    acquisition
+        The image as the camera gave it; None: it is read from the file.
 
     Raises
     ------
@@ -66,7 +70,7 @@ def check_calibration(recipe: Recipe, image: Path, block: Block, chart: Path | N
             hint="name one in `calibration`, and a triangulator in `stages`",
         )
     # The block is matt: what light does in the product is not to be added to it.
-    trace = trace_of(replace(recipe, penetration=None), image)
+    trace = trace_of(replace(recipe, penetration=None), image, acquisition)
     profiles, light = profiles_in(trace, image)
     places = find_block(profiles, block, light)
     view = recipe.stages["triangulator"].make().view(calibration)
@@ -102,14 +106,14 @@ def profiles_of(recipe: Recipe, image: Path) -> tuple[Profiles, Light]:
     return profiles_in(trace_of(recipe, image), image)
 
 
-def trace_of(recipe: Recipe, image: Path) -> Trace:
+def trace_of(recipe: Recipe, image: Path, acquisition: Acquisition | None = None) -> Trace:
     """Take one image through a recipe's chain, without draws; raise DataError where it cannot be read.
 
     Without the aligner, too: it would correct what a check of the calibration looks for, and takes a sample
     of two halves for a torn frame.
     """
     stages = {kind: chosen for kind, chosen in recipe.stages.items() if kind != "aligner"}
-    return Pipeline(replace(recipe, stages=stages), draws=0).trace(_read(image))
+    return Pipeline(replace(recipe, stages=stages), draws=0).trace(acquisition or _read(image))
 
 
 def _read(image: Path) -> Acquisition:

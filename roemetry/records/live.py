@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Protocol
 
 from roemetry.errors import DataError
 from roemetry.records.acquisition import Frame
@@ -34,6 +34,19 @@ class LiveFrame(Shown):
                 f"LiveFrame {self.number}: fault is {self.fault!r}, frame {self.frame!r}, lost_before is "
                 f"{self.lost_before}; expected a fault where there is no frame, and 0 or more"
             )
+
+
+class LineControl(Protocol):
+    """What a receiver of rows may know and ask of the line that it hears from."""
+
+    def state(self) -> Literal["starting", "running", "faulty"]:
+        """Say whether every station measures; ``faulty`` where one does not and an alarm says why."""
+
+    def recipes(self) -> Mapping[str, Sequence[str]]:
+        """Give each station's recipes, by its name: the one that measures first, then the others."""
+
+    def choose(self, station: str, recipe: str, who: str) -> bool:
+        """Let a station measure with another of its recipes; False where it has no such recipe."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,6 +29,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Literal
 
 import pluggy
 
@@ -56,6 +57,8 @@ KINDS = (
     "outlet",
 )
 
+Verdict = Literal["ok", "missing", "wrong"]
+
 hookspec = pluggy.HookspecMarker(PROJECT)
 hookimpl = pluggy.HookimplMarker(PROJECT)
 
@@ -74,7 +77,8 @@ class StageEntry:
     reference: str
     """Where the method comes from: a paper, an equation, "our own"."""
     requires: tuple[tuple[str, str], ...] = ()
-    """Modules it needs beyond the core's, each with the line that installs it."""
+    """Modules and shared libraries (``libNAME.so.N``) it needs beyond the core's, each with the line that
+    installs it."""
     api: int = API
     """The version of this interface it was written for."""
 
@@ -90,6 +94,24 @@ class VerbEntry:
     summary: str
     """What it does, in one line: what ``roemetry --help`` lists. The function's docstring is the help of the
     command itself."""
+    file_key: str = ""
+    """First key of the files that the command takes, such as ``roemetry_line``; empty: it takes none."""
+    doctor: str = ""
+    """``package.module:function`` of what ``roemetry doctor FILE`` does with such a file: it takes the file's
+    path and gives `Finding`s as they are known; a `RoemetryError` where the file itself is at fault."""
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing that the doctor looked at, what was found, and what to do about it, if anything.
+
+    ``missing``: something optional is not there; ``wrong``: numbers cannot be made or trusted.
+    """
+
+    what: str
+    verdict: Verdict
+    found: str
+    remedy: str = ""
 
 
 class Hooks:

@@ -49,7 +49,7 @@ from roemetry.records import (
     Weight,
 )
 from roemetry.records.calibration import Alignment, Calibration
-from roemetry.records.live import LineRow, LiveFrame
+from roemetry.records.live import LineControl, LineRow, LiveFrame
 from roemetry.records.view import View
 
 
@@ -529,6 +529,9 @@ class Feed(Stage[OptionsT]):
 
 class Outlet(Stage[OptionsT]):
     """Takes rows of a line to whoever acts on them: a controller, a broker, a database."""
+
+    line: LineControl | None = None
+    """The line that it hears from, set before it is opened; None where rows come from elsewhere."""
 
     @abstractmethod
     def open(self) -> AbstractContextManager[Callable[[Sequence[LineRow]], None]]:

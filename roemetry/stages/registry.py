@@ -6,6 +6,7 @@ refused until the recipe says whose it means: the order of a search path must no
 
 from __future__ import annotations
 
+import ctypes
 import difflib
 import importlib
 import importlib.util
@@ -62,9 +63,14 @@ class Registered:
     @property
     def missing(self) -> str | None:
         """Why it cannot be used on this machine, with what to do; None if it can."""
-        for module, remedy in self.entry.requires:
-            if importlib.util.find_spec(module) is None:
-                return f"needs the module {module}; install it with `{remedy}`"
+        for needed, remedy in self.entry.requires:
+            if ".so" in needed:
+                try:
+                    ctypes.CDLL(needed)
+                except OSError:
+                    return f"needs the library {needed}; install it with `{remedy}`"
+            elif importlib.util.find_spec(needed) is None:
+                return f"needs the module {needed}; install it with `{remedy}`"
         return None
 
 

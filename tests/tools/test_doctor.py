@@ -12,7 +12,8 @@ from typer.testing import CliRunner
 from roemetry.cli.main import app
 from roemetry.stages.registry import Broken, Provider, Registry, discover
 from roemetry_tools import doctor
-from roemetry_tools.doctor import KNOWN_NUMBERS, Finding, examine
+from roemetry.stages.hookspecs import Finding
+from roemetry_tools.doctor import KNOWN_NUMBERS, examine
 
 
 @pytest.fixture

@@ -18,17 +18,18 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field
 
-from roemetry.errors import ConfigurationError, DataError
+from roemetry.errors import DataError
 from roemetry.records import Frame
 from roemetry.records.live import LiveFrame
-from roemetry.stages import Capabilities, Feed, StageOptions
-from roemetry_line.feeds.frame_numbers import Counting, FrameNumbers
+from roemetry.stages import Capabilities, Feed
+from roemetry_line.feeds.camera import HINT, CameraOptions, first_line, no_node, refused
+from roemetry_line.feeds.frame_numbers import FrameNumbers
 
 _BITS = {"Mono8": 8, "Mono10": 10, "Mono12": 12, "Mono16": 16}
 _TICK_MS = 500
 
 
-class BaslerOptions(StageOptions):
+class BaslerOptions(CameraOptions):
     """Which camera, and how it is set."""
 
     serial: str = Field(default="", description="serial number; empty: the first camera that is found")
@@ -42,16 +43,6 @@ class BaslerOptions(StageOptions):
         "it may; `software`: this feed triggers at `rate_hz`",
     )
     rate_hz: float = Field(default=10.0, gt=0, le=10_000, description="software triggers in a second")
-    counting: Counting = Field(
-        default="64-bit", description="how frames are numbered; `16-bit` for GigE Vision 1.x"
-    )
-    buffers: int = Field(default=16, ge=2, le=1000, description="frames that the driver can hold")
-    encoder_node: str = Field(
-        default="", description="chunk with the encoder's count, such as `ChunkEncoderValue`; empty: none"
-    )
-    nodes: dict[str, bool | int | float | str] = Field(
-        default_factory=dict, description="the camera's own settings, by node, set in this order"
-    )
 
 
 class Basler(Feed[BaslerOptions]):
@@ -74,14 +65,14 @@ class Basler(Feed[BaslerOptions]):
             camera = pylon.InstantCamera(_device(pylon, self.options))
             camera.Open()
         except genicam.GenericException as error:
-            raise DataError(f"the camera cannot be opened: {_first_line(error)}", hint=_HINT) from error
+            raise DataError(f"the camera cannot be opened: {first_line(error)}", hint=HINT) from error
         try:
             self._set(camera, genicam)
             camera.MaxNumBuffer.Value = self.options.buffers
             try:
                 camera.StartGrabbing(pylon.GrabStrategy_OneByOne)
             except genicam.GenericException as error:
-                raise DataError(f"the camera does not start: {_first_line(error)}") from error
+                raise DataError(f"the camera does not start: {first_line(error)}") from error
             yield self._frames(camera, pylon, genicam)
         finally:
             camera.Close()
@@ -92,18 +83,14 @@ class Basler(Feed[BaslerOptions]):
             software = self.options.trigger == "software"
             nodes |= {"TriggerSelector": "FrameStart", "TriggerMode": "On" if software else "Off"}
             nodes |= {"TriggerSource": "Software"} if software else {}
+        known = {one.GetNode().GetName() for one in camera.GetNodeMap().GetNodes()}
         for name, value in nodes.items():
+            if name not in known:
+                raise no_node(name, known)
             try:
-                node = camera.GetNodeMap().GetNode(name)
-                if node is None:
-                    raise ConfigurationError(
-                        f"the camera has no node `{name}`", hint=_close(name, camera.GetNodeMap())
-                    )
                 getattr(camera, name).Value = value
             except (genicam.GenericException, TypeError) as error:
-                raise ConfigurationError(
-                    f"the camera refuses {name}: {value}: {_first_line(error)}"
-                ) from error
+                raise refused(name, value, error) from error
 
     def _frames(self, camera: Any, pylon: Any, genicam: Any) -> Iterator[LiveFrame | None]:
         numbers = FrameNumbers(self.options.counting)
@@ -119,13 +106,13 @@ class Basler(Feed[BaslerOptions]):
                 with camera.RetrieveResult(_TICK_MS, pylon.TimeoutHandling_Return) as result:
                     if not result.IsValid():
                         if camera.IsCameraDeviceRemoved():
-                            raise DataError("the camera was unplugged", hint=_HINT)
+                            raise DataError("the camera was unplugged", hint=HINT)
                         yield None
                         continue
                     live = self._live(result, numbers)
                 yield live
         except genicam.GenericException as error:
-            raise DataError(f"the camera does not answer: {_first_line(error)}", hint=_HINT) from error
+            raise DataError(f"the camera does not answer: {first_line(error)}", hint=HINT) from error
 
     def _live(self, result: Any, numbers: FrameNumbers) -> LiveFrame:
         number = int(result.BlockID)
@@ -143,9 +130,6 @@ class Basler(Feed[BaslerOptions]):
         return LiveFrame(frame, number, lost, device_s)
 
 
-_HINT = "is it plugged in and powered, and no other program using it?"
-
-
 def _device(pylon: Any, options: BaslerOptions) -> Any:
     factory = pylon.TlFactory.GetInstance()
     found = [
@@ -155,16 +139,4 @@ def _device(pylon: Any, options: BaslerOptions) -> Any:
         if options.serial in ("", one.GetSerialNumber()):
             return factory.CreateDevice(one)
     there = ", ".join(one.GetSerialNumber() for one in found) or "none"
-    raise DataError(f"there is no camera {options.serial or ''}".rstrip() + f"; found: {there}", hint=_HINT)
-
-
-def _close(name: str, nodes: Any) -> str:
-    import difflib
-
-    known = [node.GetNode().GetName() for node in nodes.GetNodes()]
-    close = difflib.get_close_matches(name, known, n=1)
-    return f"did you mean `{close[0]}`?" if close else "pylon Viewer lists its nodes"
-
-
-def _first_line(error: BaseException) -> str:
-    return str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+    raise DataError(f"there is no camera {options.serial or ''}".rstrip() + f"; found: {there}", hint=HINT)

@@ -17,8 +17,9 @@ from pydantic import Field
 from roemetry.errors import ConfigurationError, DataError
 from roemetry.records import Frame
 from roemetry.records.live import LiveFrame
-from roemetry.stages import Capabilities, Feed, StageOptions
-from roemetry_line.feeds.frame_numbers import Counting, FrameNumbers
+from roemetry.stages import Capabilities, Feed
+from roemetry_line.feeds.camera import HINT, CameraOptions, no_node, refused
+from roemetry_line.feeds.frame_numbers import FrameNumbers
 
 _TICK_S = 0.5
 _GREY_BITS = {"Mono8": 8, "Mono10": 10, "Mono12": 12, "Mono14": 14, "Mono16": 16}
@@ -26,7 +27,7 @@ _COLOURS = {"RGB8": (0, 1, 2), "BGR8": (2, 1, 0), "RGBa8": (0, 1, 2), "BGRa8": (
 """By pixel format, where red, green and blue stand."""
 
 
-class GenICamOptions(StageOptions):
+class GenICamOptions(CameraOptions):
     """Which producer and camera, and how it is set."""
 
     producer: Path | None = Field(
@@ -34,16 +35,6 @@ class GenICamOptions(StageOptions):
     )
     device: str = Field(
         default="", description="id, serial number or model of the camera; empty: the first that is found"
-    )
-    counting: Counting = Field(
-        default="64-bit", description="how frames are numbered; `16-bit` for GigE Vision 1.x"
-    )
-    buffers: int = Field(default=16, ge=2, le=1000, description="frames that the driver can hold")
-    encoder_node: str = Field(
-        default="", description="node with the encoder's count, such as `ChunkEncoderValue`; empty: none"
-    )
-    nodes: dict[str, bool | int | float | str] = Field(
-        default_factory=dict, description="the camera's own settings, by node, set in this order"
     )
 
 
@@ -102,21 +93,20 @@ class GenICam(Feed[GenICamOptions]):
                 try:
                     return harvester.create(number)
                 except Exception as error:  # the producer's own errors have no common class
-                    raise DataError(f"{info.id_}: cannot be opened: {error}", hint=_HINT) from error
+                    raise DataError(f"{info.id_}: cannot be opened: {error}", hint=HINT) from error
         there = ", ".join(str(info.id_) for info in infos) or "none"
         raise DataError(
-            f"{producer.name}: there is no camera {wanted}".rstrip() + f"; found: {there}", hint=_HINT
+            f"{producer.name}: there is no camera {wanted}".rstrip() + f"; found: {there}", hint=HINT
         )
 
     def _set(self, nodes: Any) -> None:
         for name, value in self.options.nodes.items():
             if not hasattr(nodes, name):
-                raise ConfigurationError(f"the camera has no node `{name}`", hint=_close(name, nodes))
+                raise no_node(name, dir(nodes))
             try:
                 getattr(nodes, name).value = value
             except Exception as error:  # the node map's errors have no common class
-                said = str(error).strip().splitlines() or [type(error).__name__]
-                raise ConfigurationError(f"the camera refuses {name}: {value}: {said[0]}") from error
+                raise refused(name, value, error) from error
 
     def _frames(self, camera: Any) -> Iterator[LiveFrame | None]:
         numbers = FrameNumbers(self.options.counting)
@@ -125,11 +115,11 @@ class GenICam(Feed[GenICamOptions]):
             try:
                 buffer = camera.try_fetch(timeout=_TICK_S)
             except Exception as error:  # the producer's own errors have no common class
-                raise DataError(f"the camera does not answer: {error}", hint=_HINT) from error
+                raise DataError(f"the camera does not answer: {error}", hint=HINT) from error
             if buffer is None:
                 failures += 1
                 if failures > 4 and not camera.is_acquiring():
-                    raise DataError("the camera has stopped", hint=_HINT)
+                    raise DataError("the camera has stopped", hint=HINT)
                 yield None
                 continue
             failures = 0
@@ -158,9 +148,6 @@ class GenICam(Feed[GenICamOptions]):
         return float(getattr(camera.remote_device.node_map, self.options.encoder_node).value)
 
 
-_HINT = "is it plugged in and powered, and no other program using it?"
-
-
 def _pixels(part: Any) -> Any:
     """Give a part's pixels, copied; None where it is no image of a known format."""
     kind = str(part.data_format)
@@ -176,13 +163,14 @@ def _pixels(part: Any) -> Any:
 def _check_processor(producer: Path) -> None:
     """Refuse a producer file that this processor cannot load, in words that help."""
     if not producer.is_file():
-        raise ConfigurationError(f"there is no producer file {producer}")
+        raise ConfigurationError(f"there is no producer file {producer}", at=("producer",))
     try:
         ctypes.CDLL(str(producer))
     except OSError as error:
         raise ConfigurationError(
             f"{producer}: cannot be loaded: {error}",
             hint="it must be the maker's producer for this system and processor",
+            at=("producer",),
         ) from error
 
 
@@ -192,10 +180,3 @@ def _told(record: Any, name: str, otherwise: Any = None) -> Any:
         return getattr(record, name)
     except Exception:  # the producer's own errors have no common class
         return otherwise
-
-
-def _close(name: str, nodes: Any) -> str:
-    import difflib
-
-    close = difflib.get_close_matches(name, dir(nodes), n=1)
-    return f"did you mean `{close[0]}`?" if close else "the camera's manual lists its nodes"

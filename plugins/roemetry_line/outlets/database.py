@@ -20,7 +20,7 @@ from roemetry.records.live import LineRow
 from roemetry.stages import Capabilities, Outlet, StageOptions
 
 NUMBERS = ("mass_g", "mass_std_g", "volume_mm3", "volume_std_mm3", "height_mm", "latency_ms")
-WORDS = ("status", "grade", "decision", "lane", "reason")
+WORDS = ("product", "status", "grade", "decision", "lane", "reason")
 COLUMNS = ("line", "run", "id", "station", "kind", "time_s", *NUMBERS, *WORDS, "late", "text")
 _PRUNE_S = 3600.0
 
@@ -61,10 +61,56 @@ class Database(Outlet[DatabaseOptions]):
             kept.close()
 
 
-class SqliteTable:
+class _Table:
+    """The table `roemetry_rows`; a class for each kind of database says how it is reached."""
+
+    mark: str
+    """What stands for a value in a query."""
+    _types: tuple[str, str]
+    """What the database calls whole numbers and numbers."""
+    _db: Any
+
+    def insert(self, rows: Sequence[Sequence[Any]]) -> None:
+        """Add rows; those that are there stay as they are."""
+        raise NotImplementedError
+
+    def forget(self, before_s: float) -> None:
+        """Take out what is older than a time, s since 1970."""
+        with self._named():
+            self._db.execute(f"delete from roemetry_rows where time_s < {self.mark}", (before_s,))
+
+    def ask(self, query: str, given: Sequence[Any] = ()) -> list[tuple[Any, ...]]:
+        """Give the rows of a query."""
+        with self._named():
+            found: list[tuple[Any, ...]] = self._db.execute(query, given).fetchall()
+            return found
+
+    def close(self) -> None:
+        """Close it."""
+        self._db.close()
+
+    def _make(self) -> None:
+        integer, real = self._types
+        numbers = ", ".join(f"{name} {real}" for name in NUMBERS)
+        words = ", ".join(f"{name} text" for name in WORDS)
+        self._db.execute(
+            "create table if not exists roemetry_rows(line text not null, run text not null, id text not "
+            f"null, station text not null, kind text not null, time_s {real} not null, {numbers}, {words}, "
+            f"late {integer}, text text not null, primary key(line, run, id))"
+        )
+        self._db.execute("create index if not exists roemetry_rows_time on roemetry_rows(station, time_s)")
+
+    @contextmanager
+    def _named(self) -> Iterator[None]:
+        raise NotImplementedError
+        yield
+
+
+class SqliteTable(_Table):
     """The table in a SQLite file."""
 
     mark = "?"
+    _types = ("integer", "real")
 
     def __init__(self, path: str) -> None:
         self._path = path
@@ -72,7 +118,7 @@ class SqliteTable:
             self._db = sqlite3.connect(path, timeout=10.0, isolation_level=None, check_same_thread=False)
             self._db.execute("pragma journal_mode=wal")
             self._db.execute("pragma synchronous=normal")
-            _make_table(self._db.execute, "integer", "real")
+            self._make()
 
     def insert(self, rows: Sequence[Sequence[Any]]) -> None:
         """Add rows; those that are there stay as they are."""
@@ -80,25 +126,13 @@ class SqliteTable:
         with self._named():
             self._db.execute("begin immediate")
             try:
-                self._db.executemany(f"insert or ignore into roemetry_rows values({marks})", rows)
+                self._db.executemany(
+                    f"insert or ignore into roemetry_rows({', '.join(COLUMNS)}) values({marks})", rows
+                )
             except BaseException:
                 self._db.execute("rollback")
                 raise
             self._db.execute("commit")
-
-    def forget(self, before_s: float) -> None:
-        """Take out what is older than a time, s since 1970."""
-        with self._named():
-            self._db.execute("delete from roemetry_rows where time_s < ?", (before_s,))
-
-    def ask(self, query: str, given: Sequence[Any] = ()) -> list[tuple[Any, ...]]:
-        """Give the rows of a query."""
-        with self._named():
-            return self._db.execute(query, given).fetchall()
-
-    def close(self) -> None:
-        """Close it."""
-        self._db.close()
 
     @contextmanager
     def _named(self) -> Iterator[None]:
@@ -110,10 +144,11 @@ class SqliteTable:
             ) from error
 
 
-class PostgresTable:
+class PostgresTable(_Table):
     """The table in a PostgreSQL database."""
 
     mark = "%s"
+    _types = ("bigint", "double precision")
 
     def __init__(self, url: str) -> None:
         try:
@@ -126,33 +161,21 @@ class PostgresTable:
         self._fault = psycopg.Error
         with self._named():
             self._db = psycopg.connect(url, autocommit=True, connect_timeout=3)
-            _make_table(self._db.execute, "bigint", "double precision")
+            self._make()
 
     def insert(self, rows: Sequence[Sequence[Any]]) -> None:
         """Add rows by COPY into a table of the transaction, and from there those that are new."""
+        columns = ", ".join(COLUMNS)
         with self._named(), self._db.transaction():
             self._db.execute(
                 "create temporary table arrived (like roemetry_rows including defaults) on commit drop"
             )
-            with self._db.cursor().copy(f"copy arrived({', '.join(COLUMNS)}) from stdin") as copy:
+            with self._db.cursor().copy(f"copy arrived({columns}) from stdin") as copy:
                 for row in rows:
                     copy.write_row(row)
-            self._db.execute("insert into roemetry_rows select * from arrived on conflict do nothing")
-
-    def forget(self, before_s: float) -> None:
-        """Take out what is older than a time, s since 1970."""
-        with self._named():
-            self._db.execute("delete from roemetry_rows where time_s < %s", (before_s,))
-
-    def ask(self, query: str, given: Sequence[Any] = ()) -> list[tuple[Any, ...]]:
-        """Give the rows of a query."""
-        with self._named():
-            found: list[tuple[Any, ...]] = self._db.execute(query, given).fetchall()
-            return found
-
-    def close(self) -> None:
-        """Close it."""
-        self._db.close()
+            self._db.execute(
+                f"insert into roemetry_rows({columns}) select {columns} from arrived on conflict do nothing"
+            )
 
     @contextmanager
     def _named(self) -> Iterator[None]:
@@ -172,21 +195,10 @@ def connect(url: str) -> SqliteTable | PostgresTable:
     return SqliteTable(path) if kind == "sqlite" else PostgresTable(url)
 
 
-def _make_table(execute: Callable[[str], Any], integer: str, real: str) -> None:
-    numbers = ", ".join(f"{name} {real}" for name in NUMBERS)
-    words = ", ".join(f"{name} text" for name in WORDS)
-    execute(
-        "create table if not exists roemetry_rows(line text not null, run text not null, id text not null, "
-        f"station text not null, kind text not null, time_s {real} not null, {numbers}, {words}, "
-        f"late {integer}, text text not null, primary key(line, run, id))"
-    )
-    execute("create index if not exists roemetry_rows_time on roemetry_rows(station, time_s)")
-
-
 def _values(row: LineRow) -> tuple[Any, ...]:
     line, run, name = row.key.split("/", 2)
     told = json.loads(row.text)
-    found = {**row.summary, "latency_ms": told.get("latency_ms")}
+    found = {**row.summary, "latency_ms": told.get("latency_ms"), "product": told.get("product")}
     time_s = (told.get("taken") or {}).get("time_s") or time.time()
     return (
         line,

@@ -12,6 +12,10 @@ first.
 | 2 | written by the PLC: the last result that it has taken |
 | 16 … 31 | the last result |
 | 32 … 47, 48 … 63, … | the seven results before it, the newest first |
+| 144 | shift register: number of products that are on their way to the gate |
+| 145 | number of products that were told after they had passed the gate |
+| 146 … 149 | the product that reaches the gate next: encoder count, 32 bit; class; lane |
+| 150 … 153, … | the seven products after it, in the order in which they reach the gate |
 
 A result's 16 registers: its number; status; class; lane; late; x and y in tenths of a millimetre (signed);
 height in hundredths of a millimetre; mass, g, float32; volume, mm³, float32; encoder count at the gate, 32
@@ -34,6 +38,7 @@ from pydantic import Field
 from roemetry.errors import OutputError
 from roemetry.records.live import LineRow
 from roemetry.stages import Capabilities, Outlet, StageOptions
+from roemetry_line.gate import ShiftRegister
 
 STATUS = {"measured": 1, "empty": 2, "failed": 3, "late": 4, "frame-incomplete": 5, "frames-lost": 6}
 """What stands in a result's second register."""
@@ -41,7 +46,9 @@ _RESULTS = 8
 _SIZE = 16
 _FIRST = 16
 _TAKEN = 2
-_REGISTERS = _FIRST + _RESULTS * _SIZE
+_SHIFT = _FIRST + _RESULTS * _SIZE
+_SHIFT_SIZE = 4
+_REGISTERS = _SHIFT + 2 + _RESULTS * _SHIFT_SIZE
 _BEAT_S = 0.1
 _CLIENTS_MAX = 8
 _ILLEGAL_FUNCTION, _ILLEGAL_ADDRESS, _ILLEGAL_VALUE = 1, 2, 3
@@ -57,6 +64,9 @@ class ModbusOptions(StageOptions):
         description="decisions (grades without a grader) that are 1, 2, …; others are 0",
     )
     lanes: tuple[str, ...] = Field(default=(), description="lanes that are 1, 2, …; others are 0")
+    encoder_bits: int = Field(
+        default=32, ge=8, le=32, description="bits of the encoder's counter, as in the station's `gate`"
+    )
     handshake: bool = Field(
         default=False,
         description="whether each result waits until the PLC has written its number into register 2; else "
@@ -92,7 +102,8 @@ class Modbus(Outlet[ModbusOptions]):
     def _show(self, registers: Registers, rows: Sequence[LineRow]) -> None:
         for row in rows:
             number = 1 + (row.number - 1) % 65535
-            registers.push(_result(number, row.summary, self.options))
+            if registers.push(_result(number, row.summary, self.options)):
+                registers.shift(row.summary, self.options)
             if self.options.handshake and not registers.wait_taken(number, self.options.timeout_s):
                 raise OutputError(
                     f"Modbus: the PLC has not written {number} into register {_TAKEN} within "
@@ -106,15 +117,34 @@ class Registers:
 
     def __init__(self) -> None:
         self._values = [0] * _REGISTERS
+        self._under_way: ShiftRegister | None = None
         self._changed = threading.Condition()
 
-    def push(self, result: Sequence[int]) -> None:
-        """Put a result before the others; the oldest is gone. One that is there already stays where it is."""
+    def push(self, result: Sequence[int]) -> bool:
+        """Put a result before the others, the oldest is gone; False where it is there already."""
         with self._changed:
-            if self._values[1] != result[0]:
-                older = self._values[_FIRST : _REGISTERS - _SIZE]
-                self._values[_FIRST:] = [*result, *older]
-                self._values[1] = result[0]
+            if self._values[1] == result[0]:
+                return False
+            older = self._values[_FIRST : _SHIFT - _SIZE]
+            self._values[_FIRST:_SHIFT] = [*result, *older]
+            self._values[1] = result[0]
+            return True
+
+    def shift(self, told: Mapping[str, Any], options: ModbusOptions) -> None:
+        """Move the shift register on to a row's encoder count, and put its product into it."""
+        encoder, count = told.get("encoder_count"), told.get("gate_count")
+        if encoder is None:
+            return
+        self._under_way = self._under_way or ShiftRegister(options.encoder_bits)
+        self._under_way.move(encoder)
+        if count is not None:
+            self._under_way.put(int(count), _classes(told, options))
+        waiting = self._under_way.waiting[:_RESULTS]
+        shown = [register for at, (kind, lane) in waiting for register in (at >> 16, at & 0xFFFF, kind, lane)]
+        shown += [0] * (_RESULTS * _SHIFT_SIZE - len(shown))
+        with self._changed:
+            counts = [len(self._under_way.waiting), self._under_way.missed % 65536]
+            self._values[_SHIFT:] = [*counts, *shown]
 
     def wait_taken(self, number: int, timeout_s: float) -> bool:
         """Wait until a PLC has written that it has taken a result."""
@@ -205,15 +235,12 @@ def answered(registers: Registers, request: bytes) -> bytes:
 
 
 def _result(number: int, told: Mapping[str, Any], options: ModbusOptions) -> list[int]:
-    word = told.get("decision") or told.get("grade")
-    lane = told.get("lane")
     count = told.get("gate_count")
     packed = struct.pack(
         ">5HhhhffI2H",
         number,
         STATUS.get(str(told.get("status")), 0),
-        options.classes.index(word) + 1 if word in options.classes else 0,
-        options.lanes.index(lane) + 1 if lane in options.lanes else 0,
+        *_classes(told, options),
         int(told.get("late") or 0),
         _scaled(told.get("x_mm"), 10.0),
         _scaled(told.get("y_mm"), 10.0),
@@ -225,6 +252,15 @@ def _result(number: int, told: Mapping[str, Any], options: ModbusOptions) -> lis
         0,
     )
     return list(struct.unpack(f">{_SIZE}H", packed))
+
+
+def _classes(told: Mapping[str, Any], options: ModbusOptions) -> tuple[int, int]:
+    """Give the numbers of class and lane; 0 for those that have none."""
+    word, lane = told.get("decision") or told.get("grade"), told.get("lane")
+    return (
+        options.classes.index(word) + 1 if word in options.classes else 0,
+        options.lanes.index(lane) + 1 if lane in options.lanes else 0,
+    )
 
 
 def _scaled(value: float | None, by: float) -> int:

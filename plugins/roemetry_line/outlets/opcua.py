@@ -1,7 +1,11 @@
 """An OPC UA server by OPC 40100-1: a ResultReady event a product, and the last result to read.
 
-The nodeset of OPC 40100-1 (Machine Vision) lies beside this file, with its notice. Its methods (recipes,
-jobs, modes) are refused with `BadNothingToDo`: a line is run by its file and its page.
+The nodeset of OPC 40100-1 (Machine Vision) lies beside this file, with its notice. The state machines follow
+the line: Preoperational while a station starts, Operational and ContinuousExecution while all measure, Error
+while an alarm is open. Of the recipe management, `GetRecipeListFiltered` lists what the line file names,
+`PrepareRecipe` lets a station measure with one, for clients with a trusted certificate only; recipes are
+files, so that adding, removing and transferring them is answered with `BadNotSupported`, as are jobs and
+modes: a line runs from its start to its stop.
 """
 
 from __future__ import annotations
@@ -19,7 +23,7 @@ from typing import Any, Self
 from pydantic import Field, model_validator
 
 from roemetry.errors import MisfitError, OutputError
-from roemetry.records.live import LineRow
+from roemetry.records.live import LineControl, LineRow
 from roemetry.stages import Capabilities, Outlet, StageOptions
 
 _NODESET = Path(__file__).parent / "opc_ua" / "machine_vision.xml.gz"
@@ -28,6 +32,13 @@ _OWN = "urn:roemetry:line"
 _RESULT_READY = 1024
 """Number of ResultReadyEventType in the nodeset."""
 _START_S, _TELL_S = 30.0, 10.0
+_FOLLOW_S = 0.5
+_STATES = {
+    "starting": ("Preoperational", "Initialized"),
+    "running": ("Operational", "ContinuousExecution"),
+    "faulty": ("Error", "Initialized"),
+}
+"""By the line's state, those of the vision system and of its automatic mode."""
 _COMPLETED, _ABORTED = 1, 3
 """ResultState of OPC 40100-1, 12.11: completed; aborted, where a frame gave no measurement."""
 
@@ -84,7 +95,7 @@ class OpcUa(Outlet[OpcUaOptions]):
             except OSError as error:
                 raise self._fault(error.strerror or str(error)) from error
 
-        system = _VisionSystem(self.options)
+        system = _VisionSystem(self.options, self.line)
         try:
             wait(system.start(), _START_S)
             yield lambda rows: wait(system.tell(rows), _TELL_S)
@@ -105,8 +116,9 @@ class OpcUa(Outlet[OpcUaOptions]):
 class _VisionSystem:
     """The server and its nodes; all of it runs in one event loop."""
 
-    def __init__(self, options: OpcUaOptions) -> None:
-        self._options = options
+    def __init__(self, options: OpcUaOptions, line: LineControl | None = None) -> None:
+        self._options, self._line = options, line
+        self._following: asyncio.Task[None] | None = None
         self._server: Any = None
         self._values: dict[str, Any] = {}
         self._running = False
@@ -117,6 +129,8 @@ class _VisionSystem:
 
         self._server = server = Server()
         await server.init()
+        # Else whoever says that his name is `admin` may write.
+        server.allow_remote_admin(False)
         await server.set_application_uri(_OWN)
         server.set_server_name("roemetry")
         server.set_endpoint(f"opc.tcp://{self._options.host}:{self._options.port}/roemetry")
@@ -135,10 +149,8 @@ class _VisionSystem:
             objecttype=kind.nodeid,
             instantiate_optional=True,
         )
-        machine = await self._system.get_child([f"{vision}:VisionStateMachine"])
-        automatic = await machine.get_child([f"{vision}:AutomaticModeStateMachine"])
-        await self._set_state(ua, machine, "Operational", vision)
-        await self._set_state(ua, automatic, "ContinuousExecution", vision)
+        await self._answer_methods(ua, vision)
+        await self._show_state(ua, vision, "starting" if self._line else "running")
         self._last = await self._system.add_object(
             ua.NodeId("LastResult", own), ua.QualifiedName("LastResult", own)
         )
@@ -148,6 +160,91 @@ class _VisionSystem:
         )
         await server.start()
         self._running = True
+        if self._line is not None:
+            self._following = asyncio.create_task(self._follow(ua, vision, self._line))
+
+    async def _follow(self, ua: Any, vision: int, line: LineControl) -> None:
+        """Let the state machines follow the line."""
+        shown = "starting"
+        while True:
+            with suppress(OutputError):  # its file cannot be read just now
+                state = await asyncio.to_thread(line.state)
+                if state != shown:
+                    await self._show_state(ua, vision, state)
+                    shown = state
+            await asyncio.sleep(_FOLLOW_S)
+
+    async def _show_state(self, ua: Any, vision: int, state: str) -> None:
+        machine = await self._system.get_child([f"{vision}:VisionStateMachine"])
+        automatic = await machine.get_child([f"{vision}:AutomaticModeStateMachine"])
+        of_system, of_mode = _STATES[state]
+        await self._set_state(ua, machine, of_system, vision)
+        await self._set_state(ua, automatic, of_mode, vision)
+
+    async def _answer_methods(self, ua: Any, vision: int) -> None:
+        """Answer every method of the system: two of the recipe management, the others with a refusal."""
+        answers = {"GetRecipeListFiltered": self._list_recipes, "PrepareRecipe": self._prepare_recipe}
+
+        async def refuse(_parent: Any, *_given: Any) -> Any:
+            return ua.StatusCode(ua.StatusCodes.BadNotSupported)
+
+        async def link(node: Any) -> None:
+            for child in await node.get_children():
+                if await child.read_node_class() == ua.NodeClass.Method:
+                    name = (await child.read_browse_name()).Name
+                    self._server.link_method(child, answers.get(name, refuse))
+                else:
+                    await link(child)
+
+        await link(self._system)
+
+    async def _list_recipes(self, _parent: Any, *given: Any) -> Any:
+        """Answer GetRecipeListFiltered (OPC 40100-1, 7.5.2.4): IsComplete, count, handle, list, error."""
+        from asyncua import ua
+
+        wanted, _, _, most, start, _ = (one.Value for one in given)
+        found = [self._recipe(station, recipe) for station, recipe in await self._recipes()]
+        if wanted is not None and wanted.Id:
+            found = [one for one in found if one.Id == wanted.Id]
+        part = found[start : start + most if most else None]
+        return [
+            ua.Variant(start + len(part) >= len(found), ua.VariantType.Boolean),
+            ua.Variant(len(part), ua.VariantType.UInt32),
+            ua.Variant(0, ua.VariantType.UInt32),
+            ua.Variant(part, ua.VariantType.ExtensionObject, is_array=True),
+            ua.Variant(0, ua.VariantType.Int32),
+        ]
+
+    async def _prepare_recipe(self, _parent: Any, *given: Any) -> Any:
+        """Answer PrepareRecipe (OPC 40100-1, 7.5.2.7): internal id, completed, error."""
+        from asyncua import ua
+
+        if self._options.certificate is None or self._line is None:
+            return ua.StatusCode(ua.StatusCodes.BadUserAccessDenied)
+        wanted = given[0].Value.Id
+        for station, recipe in await self._recipes():
+            identity = self._recipe(station, recipe)
+            if identity.Id == wanted and await asyncio.to_thread(
+                self._line.choose, station, recipe, "OPC UA"
+            ):
+                return [
+                    ua.Variant(identity, ua.VariantType.ExtensionObject),
+                    ua.Variant(True, ua.VariantType.Boolean),
+                    ua.Variant(0, ua.VariantType.Int32),
+                ]
+        return ua.StatusCode(ua.StatusCodes.BadNotFound)
+
+    async def _recipes(self) -> list[tuple[str, str]]:
+        found = {} if self._line is None else await asyncio.to_thread(self._line.recipes)
+        return [(station, recipe) for station, recipes in found.items() for recipe in recipes]
+
+    @staticmethod
+    def _recipe(station: str, recipe: str) -> Any:
+        """Give a recipe's identity: ``STATION/FOLDER/FILE``, which tells the recipes of a line apart."""
+        from asyncua import ua
+
+        path = Path(recipe)
+        return ua.RecipeIdInternalDataType(Id=f"{station}/{path.parent.name}/{path.name}")
 
     async def _secure(self, ua: Any) -> None:
         server = self._server
@@ -211,5 +308,7 @@ class _VisionSystem:
 
     async def stop(self) -> None:
         """Stop serving."""
+        if self._following is not None:
+            self._following.cancel()
         if self._running:
             await self._server.stop()

@@ -46,6 +46,7 @@ class Webhook(Outlet[WebhookOptions]):
         secret = None if self.options.secret_file is None else self.options.secret_file.read_bytes().strip()
 
         def deliver(rows: Sequence[LineRow]) -> None:
+            """Post rows; OutputError where the answer is none of success."""
             told = [json.loads(row.text) | {"key": row.key, "summary": dict(row.summary)} for row in rows]
             body = json.dumps(told, ensure_ascii=False).encode()
             headers = {"Content-Type": "application/json"}

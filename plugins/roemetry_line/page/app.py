@@ -6,6 +6,7 @@ import asyncio
 import json
 import re
 import secrets
+import time
 from collections.abc import AsyncIterator, Awaitable, Callable
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,8 @@ from starlette.staticfiles import StaticFiles
 
 from roemetry.errors import DataError, RoemetryError
 from roemetry.records import Frame
-from roemetry_line import history, runs
+from roemetry_line import history, history_page, runs
+from roemetry_line.control import Control
 from roemetry_line.feeds.image import decoded
 from roemetry_line.line_file import Line
 from roemetry_line.live_view import jpeg_of, picture_file, watch
@@ -85,6 +87,8 @@ class LinePage:
                 Route("/log-out", self._log_out, methods=do),
                 Route("/acknowledge/{number:int}", self._acknowledge, methods=do),
                 Route("/recipe/{station}", self._recipe, methods=do),
+                Route("/check/{station}", self._check, methods=do),
+                Route("/checks/{station}", self._checks),
                 Mount("/static", StaticFiles(directory=_STATIC)),
             ],
             # A page of another site can send requests here under a name of its own (DNS rebinding).
@@ -95,6 +99,10 @@ class LinePage:
     async def poll(self) -> None:
         """Read what is shown, again and again, while somebody looks, and wake who waits for it."""
         while True:
+            try:
+                await run_in_threadpool(self._outbox.beat, "page", "running", {"looked_at_by": self._streams})
+            except RoemetryError as error:
+                log("error", "health-not-written", str(error))
             if self._streams:
                 try:
                     self._state = await run_in_threadpool(snapshot_of, self._line, self._outbox)
@@ -149,7 +157,7 @@ class LinePage:
         station = self._known(request)
         figure: Any = request.query_params.get("figure", "mass_g")
         hours = request.query_params.get("hours", "8")
-        if figure not in ("mass_g", "volume_mm3", "height_mm", "latency_ms"):
+        if figure not in history.FIGURES:
             raise RefusedError(_MISFIT, "there is no such figure")
         try:
             since_s = 3600.0 * min(float(hours), _TREND_HOURS_MAX)
@@ -158,16 +166,20 @@ class LinePage:
         return JSONResponse(await run_in_threadpool(self._charted, station, figure, since_s))
 
     def _charted(self, station: str, figure: history.Figure, back_s: float) -> dict[str, Any]:
-        import time
-
         table = history.history_of(self._line)
         try:
             since_s = time.time() - back_s
             counts = history.counts_of(table, station, since_s)
-            chart = history.chart_of(figure, *history.values_of(table, figure, station, since_s))
+            return history_page.told(counts, history.charts_of(table, figure, station, since_s))
         finally:
             table.close()
-        return history.described(counts, chart)
+
+    async def _checks(self, request: Request) -> Response:
+        """Give the checks of the station's calibration, for the chart of its drift."""
+        station = self._stations[self._known(request)]
+        checks = await run_in_threadpool(history.checks_of, self._line, station)
+        plots = history_page.drift_plots(checks) if checks else []
+        return JSONResponse({"checks": len(checks), "plots": [[words, str(plot)] for words, plot in plots]})
 
     async def _metrics(self, _: Request) -> Response:
         text = await run_in_threadpool(metrics_of, self._line, self._outbox)
@@ -213,12 +225,14 @@ class LinePage:
 
     async def _recipe(self, request: Request) -> Response:
         session = await self._allowed(request, "engineer")
-        station = self._stations[self._known(request)]
-        wanted = str((await _body(request)).get("recipe", ""))
-        if wanted not in map(str, station.recipes):
+        station, wanted = self._known(request), str((await _body(request)).get("recipe", ""))
+        if not Control(self._line, self._outbox).choose(station, wanted, session.name):
             raise RefusedError(_MISFIT, "this recipe is none of the station's `recipe` and `choices`")
-        self._outbox.wish(station.name, wanted, session.name)
-        self._outbox.raise_alarm(station.name, "recipe-chosen", f"{session.name} chose {wanted}", "note")
+        return JSONResponse({})
+
+    async def _check(self, request: Request) -> Response:
+        session = await self._allowed(request, "operator")
+        self._outbox.ask_check(self._known(request), session.name)
         return JSONResponse({})
 
     async def _allowed(self, request: Request, role: Role) -> Session:

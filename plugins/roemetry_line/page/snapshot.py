@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
+from roemetry_line import runs
 from roemetry_line.line_file import Line
 from roemetry_line.outbox import Outbox
 
 _SILENT_S = 3.0
 """A process that has said nothing for so long is shown as silent."""
 _REJECTS = 12
+_FULL_GB = 0.02
 
 
 def snapshot_of(line: Line, outbox: Outbox) -> dict[str, Any]:
@@ -28,12 +31,35 @@ def snapshot_of(line: Line, outbox: Outbox) -> dict[str, Any]:
                 "deadline_ms": one.section.deadline_ms,
                 "recipes": [str(path) for path in one.recipes],
                 "recipe": outbox.wished(one.name) or str(one.recipes[0]),
+                "check": outbox.last_check(one.name),
             }
             for one in line.stations
         ],
         "outlets": _outlets(line, health.get("outlets"), now),
-        "alarms": outbox.alarms(),
+        "alarms": [*_disk_full(line.folder, now), *outbox.alarms()],
     }
+
+
+def _disk_full(folder: Path, now: float) -> list[dict[str, Any]]:
+    """Give an alarm where the disk is full: then none can be written that would say so."""
+    free_gb = runs.disk_free(folder)
+    if not free_gb < _FULL_GB:
+        return []
+    left = f"{1e3 * free_gb:.0f} MB are free for {folder}"
+    said = f"the disk is full: {left}; frames wait until there is room"
+    return [
+        {
+            "n": 0,
+            "at": now,
+            "station": "disk",
+            "code": "disk-full",
+            "text": said,
+            "level": "alarm",
+            "ended": None,
+            "acknowledged": now,
+            "acknowledged_by": "nobody: it cannot be written",
+        }
+    ]
 
 
 def _station(
@@ -53,7 +79,6 @@ def _station(
         "figures": figures,
         "frame_age_s": now - figures["last_frame_s"] if "last_frame_s" in figures else None,
         "last": products[0] if products else None,
-        "trend": [[row["at"], row["summary"].get("mass_g")] for row in products[:100]][::-1],
         "rejects": rejects,
     }
 

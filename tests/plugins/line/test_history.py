@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from roemetry_line.gate import GateSection, count_at_gate
-from roemetry_line.history import chart_of, counts_of, export_days, values_of
+from roemetry_line.control_charts import chart_of
+from roemetry_line.gate import GateSection, ShiftRegister, count_at_gate
+from roemetry_line.history import charts_of, counts_of, export_days
 from roemetry_line.outlets.database import COLUMNS, connect
 
 HOUR_S = 3600.0
@@ -50,7 +53,7 @@ def table(tmp_path):
         found = dict.fromkeys(COLUMNS) | {
             "line": "l", "run": "r", "id": str(n), "station": "s", "kind": "product", "text": "{}",
             "time_s": n * HOUR_S, "mass_g": 20.0 + n, "status": "measured",
-            "grade": "good" if n % 3 else None,
+            "grade": "good" if n % 3 else None, "product": "roe" if n % 2 else "cod",
         }  # fmt: skip
         rows.append([found[name] for name in COLUMNS])
     made.insert(rows)
@@ -61,9 +64,11 @@ def test_counts_and_values_come_from_the_table(tmp_path) -> None:
     made = table(tmp_path)
     assert counts_of(made, "s", 0.0) == {"good": 32, "measured": 16}
     assert counts_of(made, "other", 0.0) == {}
-    times_s, values = values_of(made, "mass_g", None, 45 * HOUR_S)
-    assert times_s.tolist() == [45 * HOUR_S, 46 * HOUR_S, 47 * HOUR_S]
-    assert values.tolist() == [65.0, 66.0, 67.0]
+    charts = charts_of(made, "mass_g", None, 42 * HOUR_S)
+    assert list(charts) == ["roe", "cod"], "the product that was measured last comes first"
+    assert charts["roe"].times_s.tolist() == [43 * HOUR_S, 45 * HOUR_S, 47 * HOUR_S]
+    assert charts["roe"].values.tolist() == [63.0, 65.0, 67.0]
+    assert charts["cod"].values.tolist() == [62.0, 64.0, 66.0]
 
 
 def test_closed_days_become_parquet_once(tmp_path) -> None:
@@ -89,3 +94,16 @@ def test_closed_days_become_parquet_once(tmp_path) -> None:
 def test_the_count_at_the_gate(moves, count, y_mm, expected) -> None:
     gate = GateSection(counts_per_mm=10.0, distance_mm=500.0, moves=moves, encoder_bits=16)
     assert count_at_gate(gate, count, y_mm) == expected
+
+
+@given(st.lists(st.tuples(st.integers(0, 200), st.integers(0, 30_000)), max_size=30), st.integers(0, 65_535))
+def test_a_shift_register_is_the_list_of_what_has_not_passed(steps, begin) -> None:
+    register, now, placed = ShiftRegister(16), begin, list[int]()
+    for step, ahead in steps:
+        now += step
+        register.move(now)
+        register.put((now + ahead) % 65_536, now + ahead)
+        placed.append(now + ahead)
+    expected = sorted(count for count in placed if count >= now)
+    assert [told for _, told in register.waiting] == expected, "the next one is first"
+    assert register.missed == 0

@@ -84,6 +84,106 @@ def test_a_client_gets_every_result_and_may_change_nothing() -> None:
     assert {found[what] for what in ("write", "add", "halt")} == {"refused"}
 
 
+class Desk:
+    """A line with two recipes, whose state a test says."""
+
+    def __init__(self) -> None:
+        self.now = "running"
+        self.chosen: list[tuple[str, str, str]] = []
+
+    def state(self):
+        return self.now
+
+    def recipes(self):
+        return {"one": ["/r/roe/recipe.yaml", "/r/cod/recipe.yaml"]}
+
+    def choose(self, station, recipe, who):
+        self.chosen.append((station, recipe, who))
+        return True
+
+
+async def managed(client, desk: Desk) -> dict[str, Any]:
+    """List the recipes, ask for one, ask for what is not there, and follow the state; give what came."""
+    from asyncua import ua
+
+    found: dict[str, Any] = {}
+    await client.load_data_type_definitions()
+    vision = await client.get_namespace_index(VISION)
+    own = await client.get_namespace_index("urn:roemetry:line")
+    system = client.get_node(ua.NodeId("VisionSystem", own))
+    management = await system.get_child([f"{vision}:RecipeManagement"])
+    empty, product = ua.RecipeIdExternalDataType(), ua.ProductIdDataType()
+    counts = [ua.Variant(n, ua.VariantType.UInt32) for n in (0, 0)]
+    any_state = ua.Variant(2, ua.VariantType.Int32)
+    listed = await management.call_method(
+        f"{vision}:GetRecipeListFiltered",
+        empty,
+        product,
+        any_state,
+        *counts,
+        ua.Variant(0, ua.VariantType.Int32),
+    )
+    found["recipes"] = [one.Id for one in listed[3]]
+    for name in ("one/cod/recipe.yaml", "one/eel/recipe.yaml"):
+        try:
+            wanted = ua.RecipeIdExternalDataType(Id=name)
+            answer = await management.call_method(
+                f"{vision}:PrepareRecipe", wanted, ua.RecipeIdInternalDataType()
+            )
+            found[name] = answer[1:]
+        except ua.UaStatusCodeError as error:
+            found[name] = type(error).__name__
+    machine = await system.get_child([f"{vision}:VisionStateMachine"])
+    try:
+        halt = [ua.Variant(0, ua.VariantType.Int32), ua.LocalizedText("why not")]
+        await machine.call_method(f"{vision}:Halt", *halt)
+    except ua.UaStatusCodeError as error:
+        found["Halt"] = type(error).__name__
+    state = await machine.get_child(["0:CurrentState"])
+    for now in ("running", "faulty"):
+        desk.now = now
+        for _ in range(40):
+            found[now] = (await state.read_value()).Text
+            if found[now] in ("Operational", "Error")[now == "faulty" :]:
+                break
+            await asyncio.sleep(0.05)
+    return found
+
+
+def test_a_line_is_followed_and_strangers_choose_no_recipe(monkeypatch) -> None:
+    from asyncua import Client
+
+    logging.getLogger("asyncua").setLevel(logging.CRITICAL)
+    monkeypatch.setattr("roemetry_line.outlets.opcua._FOLLOW_S", 0.05)
+    port = free_port()
+    outlet, desk = OpcUa(OpcUaOptions(port=port)), Desk()
+    outlet.line = desk
+
+    async def asked() -> tuple[dict[str, Any], bool]:
+        client = Client(f"opc.tcp://127.0.0.1:{port}/roemetry", timeout=5)
+        client.set_user("admin")  # who says so is nobody
+        client.set_password("admin")
+        async with client:
+            found = await managed(client, desk)
+            own = await client.get_namespace_index("urn:roemetry:line")
+            try:
+                await client.nodes.objects.add_object(own, "intruder")
+            except ua.UaStatusCodeError:
+                return found, True
+            return found, False
+
+    from asyncua import ua
+
+    with outlet.open():
+        found, refused = ran(asked())
+    assert found["recipes"] == ["one/roe/recipe.yaml", "one/cod/recipe.yaml"]
+    assert found["one/cod/recipe.yaml"] == "BadUserAccessDenied"
+    assert found["Halt"] == "BadNotSupported"
+    assert (found["running"], found["faulty"]) == ("Operational", "Error")
+    assert desk.chosen == []
+    assert refused
+
+
 def test_only_trusted_clients_that_encrypt_get_in(tmp_path) -> None:
     from asyncua import Client
     from asyncua.crypto.cert_gen import setup_self_signed_certificate
@@ -120,7 +220,9 @@ def test_only_trusted_clients_that_encrypt_get_in(tmp_path) -> None:
         trusted=str(trusted),
     )
 
-    async def gets_in(name: str | None) -> bool:
+    from asyncua import ua
+
+    async def gets_in(name: str | None) -> dict[str, Any] | None:
         client = Client(f"opc.tcp://127.0.0.1:{port}/roemetry", timeout=5)
         try:
             if name is not None:
@@ -133,12 +235,16 @@ def test_only_trusted_clients_that_encrypt_get_in(tmp_path) -> None:
                     server_certificate=str(tmp_path / "server.der"),
                 )
             async with client:
-                await client.get_namespace_array()
-                return True
-        except Exception:  # however a client is turned away
-            return False
+                return await managed(client, desk)
+        except (ua.UaError, OSError, TimeoutError):  # however a client is turned away
+            return None
 
-    with OpcUa(options).open():
-        assert ran(gets_in("friend"))
+    outlet, desk = OpcUa(options), Desk()
+    outlet.line = desk
+    with outlet.open():
+        told = ran(gets_in("friend"))
+        assert told["one/cod/recipe.yaml"] == [True, 0]
+        assert told["one/eel/recipe.yaml"] == "BadNotFound"
+        assert desk.chosen == [("one", "/r/cod/recipe.yaml", "OPC UA")]
         assert not ran(gets_in("stranger"))
         assert not ran(gets_in(None))

@@ -18,6 +18,7 @@ from roemetry.errors import OutputError
 from roemetry.records.live import LineRow
 from roemetry_line.outlets.database import Database, DatabaseOptions, connect
 from roemetry_line.outlets.modbus import Modbus, ModbusOptions, Registers, answered
+from roemetry_line.outlets.serial import Serial, SerialOptions
 from roemetry_line.outlets.tcp import Tcp, TcpOptions
 from roemetry_line.outlets.webhook import Webhook, WebhookOptions
 
@@ -72,6 +73,60 @@ def test_tcp_tells_of_a_receiver_that_hangs_up(receiver) -> None:
     with Tcp(TcpOptions(port=port)).open() as deliver:
         deliver([row(1), row(2), row(3)])
     assert {one["key"] for one in got} == {f"l/r/00000{n}#1" for n in (1, 2, 3)}
+
+
+@pytest.fixture
+def serial():
+    """A serial line with a receiver at its other end; gives the device, what came, and how it answers."""
+    import os
+    import pty
+    import tty
+
+    ours, theirs = pty.openpty()
+    tty.setraw(ours)
+    got: list[dict] = []
+    answers = ["ok {}"]
+
+    def serve() -> None:
+        with os.fdopen(ours, "r+b", buffering=0) as line:
+            rest = b""
+            try:
+                while True:
+                    rest += line.read(4096)
+                    *whole, rest = rest.split(b"\n")
+                    for text in whole:
+                        got.append(json.loads(text))
+                        line.write(
+                            answers[0].format(got[-1]["key"]).encode() + b"\r\n" if answers[0] else b""
+                        )
+            except OSError:
+                return
+
+    threading.Thread(target=serve, daemon=True).start()
+    yield os.ttyname(theirs), got, answers
+    os.close(theirs)
+
+
+def test_a_serial_line_waits_for_each_answer(serial) -> None:
+    device, got, answers = serial
+    with Serial(SerialOptions(device=device, timeout_s=0.2, content="all")).open() as deliver:
+        deliver([row(n, lane="left" * 500) for n in (1, 2, 3)])
+        answers[0] = ""
+        with pytest.raises(OutputError, match=f"{device}: no answer in time"):
+            deliver([row(4)])
+        answers[0] = "ok another"
+        with pytest.raises(OutputError, match=r"answered 'ok another', expected 'ok l/r/000005#1'"):
+            deliver([row(5)])
+    assert [one["key"] for one in got] == [f"l/r/00000{n}#1" for n in (1, 2, 3, 4, 5)]
+
+
+def test_what_is_no_serial_line_is_refused(tmp_path) -> None:
+    (tmp_path / "file").write_text("")
+    with (
+        pytest.raises(OutputError, match="file: "),
+        Serial(SerialOptions(device=str(tmp_path / "file"))).open(),
+    ):
+        pass
 
 
 def test_a_webhook_signs_and_takes_200_only(tmp_path) -> None:
@@ -148,8 +203,8 @@ def test_modbus_registers_hold_the_last_results_newest_first() -> None:
 @pytest.mark.parametrize(
     ("request_bytes", "answer"),
     [
-        (struct.pack(">BHH", 3, 143, 1), b"\x03\x02\x00\x00"),
-        (struct.pack(">BHH", 3, 143, 2), b"\x83\x02"),
+        (struct.pack(">BHH", 3, 177, 1), b"\x03\x02\x00\x00"),
+        (struct.pack(">BHH", 3, 177, 2), b"\x83\x02"),
         (struct.pack(">BHH", 3, 0, 126), b"\x83\x03"),
         (struct.pack(">BHH", 6, 2, 7), struct.pack(">BHH", 6, 2, 7)),
         (struct.pack(">BHH", 6, 3, 7), b"\x86\x02"),
@@ -173,6 +228,23 @@ def test_modbus_waits_for_the_handshake() -> None:
     values = registers.read(16, 32)
     assert values is not None
     assert (values[0], values[16]) == (1, 0), "a row that is delivered again stays one result"
+
+
+def test_modbus_shifts_products_towards_the_gate() -> None:
+    outlet = Modbus(ModbusOptions(port=0, classes=("good", "dent"), lanes=("left",), encoder_bits=20))
+    registers = Registers()
+    end = 1 << 20  # the counter wraps between camera and gate
+    told = ((end - 500, 200, "good"), (end - 400, 300, "dent"), (end - 300, 250, "good"), (150, 100, "dent"))
+    for n, (encoder, gate, grade) in enumerate(told, start=1):
+        outlet._show(
+            registers, [row(n, encoder_count=float(encoder), gate_count=gate, grade=grade, lane="left")]
+        )
+    values = registers.read(144, 14)
+    assert values is not None
+    assert values[:2] == [3, 1], "on their way, and told after the gate"
+    assert values[2:] == [0, 200, 1, 1, 0, 250, 1, 1, 0, 300, 2, 1]
+    outlet._show(registers, [row(5, status="frames-lost", encoder_count=260.0)])
+    assert registers.read(144, 6) == [1, 1, 0, 300, 2, 1], "two have passed the gate"
 
 
 def test_modbus_is_understood_by_another_implementation() -> None:

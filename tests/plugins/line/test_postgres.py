@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from roemetry.errors import OutputError
-from roemetry_line.history import counts_of, values_of
+from roemetry_line.history import charts_of, counts_of
 from roemetry_line.outlets.database import Database, DatabaseOptions, connect
 from tests.plugins.line.test_outlets import free_port, row
 
@@ -64,5 +64,5 @@ def test_rows_are_kept_once_across_a_crash(server) -> None:
     table = connect(url)
     assert table.ask("select count(*), count(distinct id) from roemetry_rows") == [(60, 60)]
     assert counts_of(table, "s", 0.0) == {"measured": 60}
-    assert values_of(table, "mass_g", "s", 0.0)[1].tolist() == [20.0 + n for n in range(1, 61)]
+    assert charts_of(table, "mass_g", "s", 0.0)[""].values.tolist() == [20.0 + n for n in range(1, 61)]
     table.close()

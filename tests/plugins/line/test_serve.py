@@ -249,7 +249,10 @@ def test_a_line_that_cannot_reach_a_receiver_does_not_start(line, receiver) -> N
         capture_output=True, text=True, check=False, timeout=60,
     )  # fmt: skip
     assert tried.returncode == 2
-    assert "line.yaml:10:5: outlet plc (tcp): 127.0.0.1:1: Connection refused" in tried.stderr
+    assert (
+        "line.yaml:10:5: 127.0.0.1:1: Connection refused (outlet plc (tcp)): does the receiver run"
+        in tried.stderr
+    )
     assert not (recipe.parent / "data" / "runs").exists()
 
 

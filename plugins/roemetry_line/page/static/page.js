@@ -3,7 +3,7 @@
 const by = (id) => document.getElementById(id);
 const SVG = "http://www.w3.org/2000/svg";
 let who = { name: null, role: "viewer" };
-let chosen = null, last = null, shown = null, heard = 0;
+let chosen = null, last = null, shown = null, heard = 0, checked = null;
 
 function make(tag, text, kind) {
   const made = document.createElement(tag);
@@ -101,6 +101,7 @@ function showHealth(state, station) {
     ["frames", f.frames], ["lost", f.lost, f.lost ? "bad" : ""], ["not whole", f.incomplete, f.incomplete ? "bad" : ""],
     ["late" + (station.deadline_ms ? ` (over ${station.deadline_ms} ms)` : ""), f.late, f.late ? "bad" : ""],
     ["time to result, ms", mean === null ? "" : `${mean.toFixed(1)} (worst ${f.latency_ms_worst.toFixed(0)})`],
+    ["light of the stripes, % of white", number(f.laser_percent, 0), f.laser_percent === 0 ? "bad" : ""],
     ["waiting frames", f.queue], ["free on disk, GB", number(f.disk_free_gb, 1)]];
   for (const one of state.outlets)
     rows.push([`to ${one.name}`, one.state + (one.waiting ? `, ${one.waiting} wait` : ""),
@@ -146,13 +147,14 @@ function show(state) {
   by("stations").replaceChildren(...state.stations.map((one) => {
     const button = make("button", one.name);
     button.setAttribute("aria-pressed", one === station);
-    button.onclick = () => { chosen = one.name; shown = null; show(last); showTrend(); };
+    button.onclick = () => { chosen = one.name; shown = null; checked = null; show(last); showTrend(); showDrift(); };
     return button;
   }));
   showAlarms(state.alarms);
   showProduct(station);
   showHealth(state, station);
   showRecipes(station);
+  showCheck(station);
   list("counts", Object.entries(station.figures.results || {}).map(([name, count]) => [name, String(count)]));
   showRejects(station);
   showPicture(station).catch(() => {});
@@ -161,35 +163,47 @@ function show(state) {
 async function showTrend() {
   if (!chosen) return;
   const answer = await fetch(`/trend/${chosen}?figure=${by("figure").value}&hours=24`);
-  const chart = await answer.json();
-  if (!answer.ok) { by("control").textContent = chart.said; return; }
-  const svg = by("trend");
-  if (!chart.hours.length) {
-    svg.replaceChildren();
-    by("control").textContent = `${chart.products} products: too few for a chart`;
-    return;
-  }
-  const ends = chart.hours.flatMap((h) => [h.mean, chart.mean - h.limit, chart.mean + h.limit]);
-  const low = Math.min(...ends), high = Math.max(...ends), room = (high - low) || 1;
-  const x = (i) => 45 + 385 * (chart.hours.length > 1 ? i / (chart.hours.length - 1) : 0.5);
-  const y = (v) => 130 - 115 * (v - low) / room;
-  const way = (f) => chart.hours.map((h, i) => `${i ? "L" : "M"}${x(i).toFixed(1)} ${y(f(h)).toFixed(1)}`).join("");
-  const words = [[5, y(high) + 4, high], [5, y(chart.mean) + 4, chart.mean], [5, y(low) + 4, low]].map(([a, b, v]) => {
-    const made = draw("text", { x: a, y: b });
-    made.textContent = v.toPrecision(4);
-    return made;
+  const found = await answer.json();
+  if (!answer.ok) return by("trend").replaceChildren(make("p", found.said));
+  // The pictures are the server's own SVG, with every word in them escaped.
+  const parts = found.charts.flatMap((chart) => {
+    const means = make("div"), ewma = make("div");
+    means.innerHTML = chart.means;
+    ewma.innerHTML = chart.ewma;
+    return [make("h3", chart.product), make("p", "means by hour", "small"), means,
+      make("p", "moving mean by product (EWMA)", "small"), ewma, make("p", chart.said, "small")];
   });
-  svg.replaceChildren(draw("path", { d: `M45 ${y(chart.mean)}H430`, class: "axis" }),
-    draw("path", { d: way((h) => chart.mean + h.limit), class: "limit" }),
-    draw("path", { d: way((h) => chart.mean - h.limit), class: "limit" }),
-    draw("path", { d: way((h) => h.mean), class: "mean" }),
-    ...chart.hours.map((h, i) => draw("circle", { cx: x(i), cy: y(h.mean), r: 4, class: h.out ? "out" : "in" })), ...words);
-  const out = chart.hours.filter((h) => h.out).length;
-  by("control").textContent = `${chart.products} products in 24 h; ${out} of ${chart.hours.length} hours out of control; `
-    + `moving mean out at ${chart.ewma_out} products`;
+  by("trend").replaceChildren(...(parts.length ? parts : [make("p", "nothing measured in the last 24 hours")]));
+}
+
+async function showDrift() {
+  if (!chosen || !by("drift").open) return;
+  const answer = await fetch(`/checks/${chosen}`);
+  const found = await answer.json();
+  if (!answer.ok) return by("drift-plots").replaceChildren(make("p", found.said));
+  by("drift-plots").replaceChildren(...(found.plots.length ? found.plots.flatMap(([words, plot]) => {
+    const picture = make("div");
+    picture.innerHTML = plot;
+    return [make("p", words, "small"), picture];
+  }) : [make("p", "no check of this calibration yet")]));
+}
+
+function showCheck(station) {
+  const check = station.check;
+  const waits = check && check.ended === null;
+  by("check").hidden = who.role === "viewer";
+  by("check").disabled = waits;
+  by("check").onclick = () => ask(`/check/${station.name}`)
+    .catch((error) => { by("check-said").textContent = error.message; });
+  if (!check) { by("check-said").textContent = "not checked from here yet"; return; }
+  by("check-said").textContent = waits ? "waits for a frame: put the block before the camera"
+    : `${at(check.ended)}: ${check.text}`;
+  by("check-said").className = waits ? "" : { "in order": "good", drifting: "warn" }[check.verdict] || "bad";
+  if (checked !== check.n && !waits) { checked = check.n; showDrift(); }
 }
 
 by("figure").onchange = showTrend;
+by("drift").ontoggle = showDrift;
 by("log-in-open").onclick = () => by("log-in").showModal();
 by("log-in-close").onclick = () => by("log-in").close();
 by("log-in-form").onsubmit = async (event) => {
@@ -210,10 +224,10 @@ source.onmessage = (event) => {
   show(JSON.parse(event.data));
 };
 setInterval(() => {
-  if (Date.now() - heard < 3000) return;
+  if (Date.now() - heard < 2000) return;
   by("link").textContent = "no connection to the line";
   by("link").className = "bad";
-}, 1000);
+}, 500);
 setInterval(showTrend, 10000);
 setTimeout(showTrend, 1500);
 learnWho();

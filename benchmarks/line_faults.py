@@ -1,0 +1,498 @@
+"""A line on loopback whose parts die, hang, go away and come back, round by round, with real components.
+
+Each round breaks one thing while frames come, notes after how many seconds the operator's page shows it, and
+mends it. After the last round every row must be in the record, in the history, at the TCP receiver and at the
+MQTT subscriber, once after taking duplicates out, and in order; and every spooled frame must have its row.
+A round that is done is written down: the same command goes on where it was broken off.
+
+The line: pylon's emulated camera and, where it is installed, Aravis' fake camera over the network; the
+folder is a small tmpfs where it may be mounted; a PostgreSQL and a mosquitto of its own where installed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import random
+import shutil
+import signal
+import socket
+import sqlite3
+import subprocess
+import sys
+import threading
+import time
+import urllib.request
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parents[1]
+DISK_MB = 500
+SEEN_S = 3.0
+"""How soon the operator is to see a fault."""
+
+LINE = """\
+roemetry_line: 1
+name: bench
+folder: {folder}
+stations:
+  - name: cam
+    recipe: {recipe}
+    deadline_ms: 1000
+    spool_gb: 0.1
+    feed:
+      use: basler
+      options:
+        emulated: true
+        trigger: software
+        rate_hz: {rate}
+        nodes:
+          {{ImageFileMode: "On", TestImageSelector: "Off", ImageFilename: {images},
+           Width: 640, Height: 480, PixelFormat: Mono8}}
+"""
+NETWORK_CAMERA = """\
+  - name: net
+    recipe: {recipe}
+    spool_gb: 0.1
+    feed:
+      use: aravis
+      options: {{device: 127.0.0.1, nodes: {{Width: 640, Height: 480, AcquisitionFrameRate: 2.0}}}}
+"""
+REST = """\
+outlets:
+  - {{name: gate, use: tcp, options: {{port: {tcp}, timeout_s: 1}}}}
+{broker}history: {{url: "{history}"}}
+page: {{port: {page}}}
+"""
+
+
+def free_port() -> int:
+    """Give a port that is free now."""
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        return int(listening.getsockname()[1])
+
+
+class Arrivals:
+    """Keys as they arrived, kept in a file, so that a later start of the benchmark knows them."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self.keys: list[str] = path.read_text().split() if path.exists() else []
+        self._file = path.open("a")
+
+    def add(self, key: str) -> None:
+        """Note a key."""
+        self.keys.append(key)
+        self._file.write(key + "\n")
+        self._file.flush()
+
+
+class Receiver:
+    """A TCP receiver that can be gone, or be there and not answer."""
+
+    def __init__(self, port: int, arrivals: Arrivals) -> None:
+        self.port, self.arrivals = port, arrivals
+        self.answers = True
+        self._open: list[socket.socket] = []
+        self.start()
+
+    def start(self) -> None:
+        """Listen."""
+        self._server = socket.create_server(("127.0.0.1", self.port))
+        threading.Thread(target=self._serve, args=(self._server,), daemon=True).start()
+
+    def stop(self) -> None:
+        """Be gone, in the middle of whatever is being told."""
+        for one in (self._server, *self._open):
+            with contextlib.suppress(OSError):
+                one.shutdown(socket.SHUT_RDWR)
+            one.close()
+        self._open.clear()
+
+    def _serve(self, server: socket.socket) -> None:
+        while True:
+            try:
+                connection, _ = server.accept()
+            except OSError:
+                return
+            self._open.append(connection)
+            threading.Thread(target=self._answer, args=(connection,), daemon=True).start()
+
+    def _answer(self, connection: socket.socket) -> None:
+        with contextlib.suppress(OSError, ValueError), connection.makefile("rb") as lines:
+            for line in lines:
+                key = json.loads(line)["key"]
+                if not self.answers:
+                    return
+                self.arrivals.add(key)
+                connection.sendall(f"ok {key}\n".encode())
+
+
+class Broker:
+    """A mosquitto that keeps its messages on disk, and a subscriber that stays one while it is gone."""
+
+    def __init__(self, folder: Path, port: int, arrivals: Arrivals) -> None:
+        from paho.mqtt import client as paho
+
+        self.port, self._file = port, folder / "mosquitto.conf"
+        self._file.write_text(
+            f"listener {port} 127.0.0.1\nallow_anonymous true\npersistence true\nmax_queued_messages 0\n"
+            f"persistence_location {folder}/\nautosave_on_changes true\nautosave_interval 1\n"
+        )
+        self.start()
+        self._client = paho.Client(paho.CallbackAPIVersion.VERSION2, "bench", clean_session=False)
+        self._client.on_connect = lambda client, *_: client.subscribe("bench/#", qos=1)
+        self._client.on_message = lambda _c, _d, message: (
+            arrivals.add(json.loads(message.payload)["key"]) if "products" in message.topic else None
+        )
+        self._client.reconnect_delay_set(1, 1)
+        self._client.connect("127.0.0.1", port, keepalive=5)
+        self._client.loop_start()
+
+    def start(self) -> None:
+        """Start it."""
+        program = shutil.which("mosquitto", path=f"{os.environ['PATH']}:/usr/sbin") or "mosquitto"
+        self._process = subprocess.Popen([program, "-c", str(self._file)], stderr=subprocess.DEVNULL)
+        for _ in range(100):
+            with contextlib.suppress(OSError):
+                socket.create_connection(("127.0.0.1", self.port), 1.0).close()
+                return
+            time.sleep(0.05)
+
+    def stop(self) -> None:
+        """Stop it, as an update of the machine would."""
+        self._process.terminate()
+        self._process.wait()
+
+    def end(self) -> None:
+        """Stop it and its subscriber for good."""
+        self._client.loop_stop()
+        self.stop()
+
+
+class Postgres:
+    """A PostgreSQL of its own that can crash."""
+
+    def __init__(self, folder: Path, port: int) -> None:
+        found = sorted(Path("/usr/lib/postgresql").glob("*/bin/initdb"))
+        self._bin, self._folder, self._port = found[-1].parent, folder, port
+        self._as = ["runuser", "-u", "postgres", "--"] if os.getuid() == 0 else []
+        self.url = f"postgresql://roemetry@127.0.0.1:{port}/postgres"
+        if not (folder / "data").exists():
+            folder.mkdir(parents=True, exist_ok=True)
+            folder.chmod(0o777)
+            self._run("initdb", "-D", str(folder / "data"), "-U", "roemetry", "-A", "trust", "--no-sync")
+        self.start()
+
+    def start(self) -> None:
+        """Start it."""
+        (self._folder / "data" / "postmaster.pid").unlink(missing_ok=True)
+        options = f"-p {self._port} -k {self._folder} -c listen_addresses=127.0.0.1"
+        self._run("pg_ctl", "-D", str(self._folder / "data"), "-l", str(self._folder / "log"), "-o", options,
+                  "-w", "start")  # fmt: skip
+
+    def stop(self) -> None:
+        """Let it crash."""
+        self._run("pg_ctl", "-D", str(self._folder / "data"), "-m", "immediate", "stop")
+
+    def _run(self, name: str, *given: str) -> None:
+        command = [*self._as, str(self._bin / name), *given]
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL, cwd=self._folder)
+
+
+class Process:
+    """A program that can be killed and started again."""
+
+    def __init__(self, *command: str, log: Path | None = None) -> None:
+        self._command, self._log = command, log
+        self.start()
+
+    def start(self) -> None:
+        """Start it."""
+        with Path(self._log or os.devnull).open("a") as log:
+            self.process = subprocess.Popen(self._command, stdout=subprocess.DEVNULL, stderr=log)
+
+    def stop(self) -> None:
+        """Kill it."""
+        self.process.kill()
+        self.process.wait()
+
+
+class Operator:
+    """What the page shows: its stream of states, read as a browser does."""
+
+    def __init__(self, port: int) -> None:
+        self._url = f"http://127.0.0.1:{port}/events"
+        self.state: dict[str, Any] | None = None
+        self.heard_s = 0.0
+        threading.Thread(target=self._look, daemon=True).start()
+
+    def _look(self) -> None:
+        while True:
+            with (
+                contextlib.suppress(OSError, ValueError),
+                urllib.request.urlopen(self._url, timeout=5) as lines,
+            ):
+                for line in lines:
+                    if line.startswith(b"data: "):
+                        self.state, self.heard_s = json.loads(line[6:]), time.monotonic()
+            self.state = None  # a browser says that there is no connection to the line
+            time.sleep(0.2)
+
+    def alarms(self) -> list[str]:
+        """Give what the page says is wrong now."""
+        if self.state is None or time.monotonic() - self.heard_s > 2.5:
+            return ["no connection to the line"]
+        return [f"{one['station']}: {one['text']}" for one in self.state["alarms"] if one["ended"] is None]
+
+
+class Rounds:
+    """The line, what is around it, and the faults."""
+
+    def __init__(self, folder: Path, rate: float, recipe: Path) -> None:
+        self.folder = folder
+        folder.mkdir(parents=True, exist_ok=True)
+        ports = folder / "ports.json"
+        if not ports.exists():
+            names = ("tcp", "page", "mqtt", "database")
+            ports.write_text(json.dumps({name: free_port() for name in names}))
+        port = json.loads(ports.read_text())
+        self.data = folder / "disk"
+        self.data.mkdir(exist_ok=True)
+        mounted = os.path.ismount(self.data) or _well(
+            "mount", "-t", "tmpfs", "-o", f"size={DISK_MB}m", "line", str(self.data)
+        )
+        self.at_tcp, self.at_broker = Arrivals(folder / "tcp.txt"), Arrivals(folder / "mqtt.txt")
+        self.receiver = Receiver(port["tcp"], self.at_tcp)
+        self.broker = (
+            Broker(folder, port["mqtt"], self.at_broker)
+            if shutil.which("mosquitto", path="/usr/sbin:/usr/bin")
+            else None
+        )
+        there = any(Path("/usr/lib/postgresql").glob("*/bin/initdb"))
+        self.database = (
+            Postgres(Path("/tmp") / f"roemetry-{port['database']}", port["database"]) if there else None
+        )
+        camera = shutil.which("arv-fake-gv-camera-0.8")
+        self.camera = Process(camera, "-i", "127.0.0.1", "-s", "GV01") if camera else None
+        images = ROOT / "recipes" / "herring_roe" / "images"
+        text = LINE.format(folder=self.data / "line", recipe=recipe, rate=rate, images=images)
+        text += NETWORK_CAMERA.format(recipe=recipe) if self.camera else ""
+        mqtt = f"  - {{name: broker, use: mqtt, options: {{port: {port['mqtt']}, topic: bench, timeout_s: 2}}}}\n"
+        text += REST.format(
+            tcp=port["tcp"], page=port["page"], broker=mqtt if self.broker else "",
+            history=self.database.url if self.database else "sqlite:history.sqlite",
+        )  # fmt: skip
+        (folder / "line.yaml").write_text(text, "utf-8")
+        self.log = folder / "log.jsonl"
+        command = (sys.executable, "-m", "roemetry", "serve", str(folder / "line.yaml"), "--start-anyway")
+        self.serve = Process(*command, log=self.log)
+        self.operator = Operator(port["page"])
+        with contextlib.suppress(OSError):  # a client that reads nothing, the whole time
+            self.stuck = socket.create_connection(("127.0.0.1", port["page"]), 30.0)
+        self.faults: dict[str, tuple[str, Callable[[float], None]]] = {
+            "kill station": ("process of station cam died", lambda _: self.kill("station cam")),
+            "kill outlets": ("process of outlets died", lambda _: self.kill("outlets")),
+            "kill page": ("no connection|process of page died", lambda _: self.kill("page")),
+            "kill serve": (
+                "no connection",
+                lambda _: (self.serve.stop(), time.sleep(2.5), self.serve.start()),
+            ),
+            "receiver gone": ("gate: rows are not delivered", lambda s: self.gone(self.receiver, s)),
+            "receiver stuck": ("gate: rows are not delivered", self.stuck_receiver),
+        }
+        if self.broker:
+            self.faults["broker gone"] = (
+                "broker: rows are not delivered",
+                lambda s: self.gone(self.broker, s),
+            )
+        if self.database:
+            self.faults["database gone"] = ("history: rows are not", lambda s: self.gone(self.database, s))
+        if self.camera:
+            self.faults["camera gone"] = (
+                "driver has not answered|no frames from",
+                lambda s: self.gone(self.camera, s),
+            )
+        if mounted:
+            self.faults["disk full"] = ("disk is full", self.fill)
+
+    def ask(self, query: str) -> list[tuple[Any, ...]]:
+        """Give the rows of a query to the outbox."""
+        db = sqlite3.connect(self.data / "line" / "line.sqlite", timeout=10.0)
+        try:
+            return db.execute(query).fetchall()
+        finally:
+            db.close()
+
+    def kill(self, name: str) -> None:
+        """Kill one of the line's processes."""
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(dict(self.ask("select component, pid from health"))[name], signal.SIGKILL)
+
+    def gone(self, what: Any, seconds: float) -> None:
+        """Take something away for a while."""
+        what.stop()
+        time.sleep(seconds)
+        what.start()
+
+    def stuck_receiver(self, seconds: float) -> None:
+        """Let the receiver take connections and answer nothing."""
+        self.receiver.answers = False
+        time.sleep(seconds)
+        self.receiver.answers = True
+
+    def fill(self, seconds: float) -> None:
+        """Fill the disk, and make room again."""
+        filler = self.data / "filler"
+        with filler.open("wb") as file, contextlib.suppress(OSError):
+            while True:
+                file.write(bytes(1 << 16))
+                file.flush()
+        until_s = time.monotonic() + seconds
+        with filler.open("ab") as file:
+            while time.monotonic() < until_s:  # what the line frees meanwhile
+                with contextlib.suppress(OSError):
+                    os.write(file.fileno(), bytes(1 << 12))
+                time.sleep(0.02)
+        filler.unlink()
+
+    def well(self) -> bool:
+        """Say whether all measures and everything is delivered to."""
+        state = self.operator.state
+        return (
+            state is not None
+            and all(one["state"] == "running" for one in state["stations"])
+            and all(one["state"] == "connected" for one in state["outlets"])
+        )
+
+    def round(self, fault: str, seconds: float) -> dict[str, Any]:
+        """Break something; give after how long the page showed it, and when all was well again."""
+        words, break_it = self.faults[fault]
+        begin = time.monotonic()
+        seen: list[float] = []
+
+        def watch() -> None:
+            while not seen and time.monotonic() - begin < seconds + 5.0:
+                if any(word in said for said in self.operator.alarms() for word in words.split("|")):
+                    seen.append(time.monotonic() - begin)
+                time.sleep(0.02)
+
+        watching = threading.Thread(target=watch)
+        watching.start()
+        break_it(seconds)
+        watching.join()
+        mended = time.monotonic()
+        while not self.well() and time.monotonic() - mended < 60.0:
+            time.sleep(0.1)
+        return {"fault": fault, "seen_s": round(seen[0], 2) if seen else None, "well_again": self.well(),
+                "mended_s": round(time.monotonic() - mended, 1)}  # fmt: skip
+
+    def end(self) -> None:
+        """Stop the line, so that it drains."""
+        time.sleep(3.0)
+        self.serve.process.terminate()
+        self.serve.process.wait(90)
+        time.sleep(2.0)
+
+    def close(self) -> None:
+        """Stop everything, for good or until the benchmark goes on."""
+        if self.serve.process.poll() is None:
+            self.serve.process.terminate()
+            self.serve.process.wait(90)
+        self.receiver.stop()
+        for one in (self.camera, self.database):
+            if one is not None:
+                one.stop()
+        if self.broker:
+            self.broker.end()
+
+    def judged(self) -> dict[str, int]:
+        """Count what is missing, doubled or out of order."""
+        told = [key for (key,) in self.ask("select key from rows where kind = 'product' order by n")]
+        runs = [
+            run
+            for station in ("cam", "net")
+            for run in sorted((self.data / "line" / "runs" / station).glob("*"))
+        ]
+        record = [
+            f"bench/{run.name}/{json.loads(line)['id']}"
+            for run in runs
+            for line in (run / "measurements.jsonl").read_text().splitlines()
+        ]
+        spooled = {
+            f"bench/{run.name}/{json.loads(line)['id']}"
+            for run in runs
+            for line in (run / "items.jsonl").read_text().splitlines()
+        }
+        from roemetry_line.outlets.database import connect
+
+        url = self.database.url if self.database else f"sqlite:{self.data}/line/history.sqlite"
+        table = connect(url)
+        rows = table.ask("select line, run, id from roemetry_rows where kind = 'product'")
+        table.close()
+        history = ["/".join(key) for key in rows]
+        found = {"rows of products": len(told)}
+        found["spooled frames without a row"] = len(spooled - {key.partition("#")[0] for key in told})
+        found["rows not in the record"] = len(set(told) - set(record))
+        found["rows twice in the record"] = len(record) - len(set(record))
+        found["rows not in the history"] = len(set(told) - set(history))
+        found["rows twice in the history"] = len(history) - len(set(history))
+        for name, arrivals in (
+            ("receiver", self.at_tcp),
+            ("broker", self.at_broker if self.broker else None),
+        ):
+            if arrivals is not None:
+                keys = [key for key in arrivals.keys if "!" not in key]
+                once = list(dict.fromkeys(keys))
+                found[f"duplicates at the {name}, taken out"] = len(keys) - len(once)
+                found[f"rows missing at the {name}"] = len(set(told) - set(once))
+                found[f"rows at the {name} that nobody told"] = len(set(once) - set(told))
+                found[f"rows out of order at the {name}"] = int([k for k in once if k in set(told)] != told)
+        return found
+
+
+def _well(*command: str) -> bool:
+    return subprocess.run(command, capture_output=True, check=False).returncode == 0
+
+
+def faults(rounds: int, rate: float, recipe: Path, seed: int, folder: Path) -> int:
+    """Break the line so many times; print what was seen and found, give the number of faults."""
+    notes = folder / "rounds.jsonl"
+    line = Rounds(folder.resolve(), rate, recipe)
+    try:
+        names, counts = list(line.faults), _broken(line, rounds, seed, notes)
+    finally:
+        line.close()
+    told = [json.loads(text) for text in notes.read_text().splitlines()]
+    print(f"\n{len(told)} rounds, seed {seed}, {rate:g} frames/s")
+    for name in names:
+        of = [one for one in told if one["fault"] == name]
+        seen = [one["seen_s"] for one in of if one["seen_s"] is not None]
+        within, again = sum(second <= SEEN_S for second in seen), sum(one["well_again"] for one in of)
+        print(
+            f"{name:16} {len(of):3} rounds, seen within {SEEN_S:g} s in {within}, "
+            f"at most {max(seen, default=0):.1f} s, well again in {again}"
+        )
+    for what, count in counts.items():
+        print(f"{what}: {count}")
+    return sum(n for what, n in counts.items() if "taken out" not in what and what != "rows of products")
+
+
+def _broken(line: Rounds, rounds: int, seed: int, notes: Path) -> dict[str, int]:
+    """Break what is to be broken, round by round; give what is wrong with the rows then."""
+    until_s = time.monotonic() + 120.0
+    while not line.well() and time.monotonic() < until_s:
+        time.sleep(0.1)
+    names = list(line.faults)
+    done = len(notes.read_text().splitlines()) if notes.exists() else 0
+    for number in range(done, rounds):
+        draw = random.Random(1000 * seed + number)
+        time.sleep(draw.uniform(0.5, 1.5))
+        found = line.round(names[number % len(names)], draw.uniform(3.5, 5.0))
+        print(f"{number + 1}/{rounds} {found}", flush=True)
+        with notes.open("a") as file:
+            file.write(json.dumps(found) + "\n")
+    line.end()
+    return line.judged()

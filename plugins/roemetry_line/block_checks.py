@@ -1,0 +1,118 @@
+"""A known block is measured while the line runs: a person asks, and the next frame is taken for it.
+
+The frame shows the block and no product: it is kept as an image, measured by `check_calibration`, and what
+came out goes into the control chart of the recipe or, where that names none, of the line. The next run then
+begins, so that its rows carry what the check found.
+"""
+
+from __future__ import annotations
+
+import queue
+import threading
+from collections.abc import Callable
+from datetime import UTC, datetime
+from pathlib import Path
+
+from roemetry.calibrating import QUANTITIES, Chart, Check, block_of, check_calibration
+from roemetry.config.recipe import Recipe
+from roemetry.errors import FAULTS, OutputError, RoemetryError
+from roemetry.io.files import make_folder, write_bytes
+from roemetry.records import Acquisition, Frame
+from roemetry_line.outbox import Outbox
+from roemetry_line.runs import tiff_of
+
+_FOLDER = "checks"
+_LOOK_S = 0.25
+_FRAME_S = 60.0
+"""How long a frame is waited for once a check is asked for, s; then a product's frame is not taken for it."""
+
+
+def chart_of(recipe: Recipe, folder: Path, station: str) -> Chart:
+    """Give the control chart that a station's checks are kept in."""
+    return Chart(_chart_path(recipe, folder, station))
+
+
+def _chart_path(recipe: Recipe, folder: Path, station: str) -> Path:
+    asked = recipe.calibration_check
+    if asked is not None and asked.chart:
+        return recipe.path.parent / asked.chart
+    return folder / _FOLDER / f"{station}.sqlite"
+
+
+def said_of(check: Check) -> str:
+    """Say in one line what a check found."""
+    lengths = ", ".join(
+        f"{name.removesuffix('_mm')} {q.value:.3f} mm (expected {q.expected:.3f} ± {2 * q.std:.3f})"
+        for name, q in ((name, check.quantity(name)) for name in QUANTITIES)
+    )
+    return f"{check.target} {check.verdict}: {lengths}"
+
+
+class BlockChecks:
+    """Waits until a check is asked for, takes a frame for it, and tells what it found."""
+
+    def __init__(
+        self,
+        station: str,
+        block: Path | None,
+        folder: Path,
+        outbox: Outbox,
+        recipe: Callable[[], Recipe],
+        told: Callable[[str, str], None],
+    ) -> None:
+        """Make it; `recipe` gives the one at work, `told` takes a verdict (`failed`: none) and a sentence."""
+        self._station, self._block, self._folder = station, block, folder
+        self._outbox, self._recipe, self._told = outbox, recipe, told
+        self._frames: queue.SimpleQueue[Frame] = queue.SimpleQueue()
+        self._wanted = threading.Event()
+
+    def takes(self, frame: Frame) -> bool:
+        """Keep a frame for the check that was asked for; False where none was, and it shows a product."""
+        if not self._wanted.is_set():
+            return False
+        self._wanted.clear()
+        self._frames.put(frame)
+        return True
+
+    def run(self, stop: threading.Event) -> None:
+        """Look for what is asked until told to stop."""
+        while not stop.wait(_LOOK_S):
+            try:
+                number = self._outbox.open_check(self._station)
+                if number is not None:
+                    verdict, said = self._checked(stop)
+                    self._outbox.end_check(number, verdict, said)
+                    self._told(verdict, said)
+            except OutputError:  # the disk is full: it is told elsewhere, and tried again
+                continue
+
+    def _checked(self, stop: threading.Event) -> tuple[str, str]:
+        self._wanted.set()
+        until = datetime.now(UTC).timestamp() + _FRAME_S
+        while not stop.is_set() and datetime.now(UTC).timestamp() < until:
+            try:
+                return self._measured(self._frames.get(timeout=_LOOK_S))
+            except queue.Empty:
+                continue
+        self._wanted.clear()
+        return "failed", f"the check block was not measured: no frame came within {_FRAME_S:g} s"
+
+    def _measured(self, frame: Frame) -> tuple[str, str]:
+        now = datetime.now(UTC)
+        image = self._folder / _FOLDER / f"{self._station}-{now:%Y%m%dT%H%M%S.%fZ}.tif"
+        try:
+            make_folder(image.parent)
+            write_bytes(image, tiff_of(frame.pixels))
+            recipe = self._recipe()
+            check = check_calibration(
+                recipe,
+                image,
+                block_of(recipe, self._block),
+                _chart_path(recipe, self._folder, self._station),
+                Acquisition(image.stem, (frame,)),
+            )
+        # Whatever is before the camera, the line measures on.
+        except FAULTS as error:
+            said = error.message if isinstance(error, RoemetryError) else f"{type(error).__name__}: {error}"
+            return "failed", f"the check block was not measured: {said}"
+        return check.verdict, said_of(check)
