@@ -22,9 +22,9 @@ never shift them, and on the side that faces the light stripes reach the outline
 where p and b are how far inside the outline a product's end and the belt's next point lie, and `free` the
 edge that the image shows without the stripes' bounds. An edge too far inside leaves about half of the ends
 outside: hence the 2. It joins the outline's uncertainty. An outline that is off by more but agrees when it is
-shifted (belt or camera moved between the images) is left out. Where no shift explains it, one of the images
-lies (rows of the laser image are lost, the plain image is another product's or of another scale), nobody
-knows which, and the product is refused.
+shifted (belt or camera moved between the images) is left out. Where no shift explains it, or where the plain
+image goes on far beyond all stripes, one of the images lies (rows of the laser image are lost, the plain
+image is another product's or of another scale), nobody knows which, and the product is refused.
 
 Fails where the product is as bright as the belt and shades evenly into it: then there is no outline.
 """
@@ -90,6 +90,10 @@ _STRAY_PX, _FARTHEST_PX = 5.0, 2.5
 more than half of that."""
 _CONTRADICTION_PX = 0.75
 """Standard uncertainty from which an outline says less than stripes do: 3 % of a product 50 px wide."""
+
+_BEYOND_SHARE = 0.15
+"""Of a product's area as its stripes show it: what the plain image shows of it farther than a spacing from
+them costs more than an interval of slices alone allows for."""
 
 _SHIFT_MAX_PX, _SHIFT_STEP_PX = 12.0, 3.0
 """Shifts between the images that are tried: farther, the edge is not found around the stripes."""
@@ -171,6 +175,9 @@ class EdgeContour(Outliner[EdgeContourOptions]):
             scene = Scene(level, bounds, taken_out, 0.0 if use_plain else _AMBIENT_SMOOTH_PX, spacing)
             edge = edge_around(scene, _ring_around(region, spacing))
             if edge is None:
+                larger = _shown_larger(level, number, known, spacing) if use_plain else None
+                if larger is not None:
+                    outlines.append(Outline(number, _ring_around(region, spacing), spacing, {}, larger))
                 continue
             std_px, fault = edge.std_px, None
             brackets = _brackets(scene, edge.xy_px, stripes, number) if use_plain and known else None
@@ -179,9 +186,11 @@ class EdgeContour(Outliner[EdgeContourOptions]):
                 std_px = math.hypot(std_px, apart_px) if apart_px else std_px
                 if against_px >= _CONTRADICTION_PX:
                     left_px = brackets.contradiction_left_px()
-                    if left_px < _CONTRADICTION_PX:
-                        continue
                     fault = _contradiction(against_px, left_px)
+                    if left_px < _CONTRADICTION_PX:
+                        fault = _shown_larger(level, number, known, spacing)
+                        if fault is None:
+                            continue
             outlines.append(
                 Outline(number, edge.xy_px, std_px, features_of(edge.xy_px, chosen.pixels), fault)
             )
@@ -275,6 +284,37 @@ def _contradiction(against_px: float, left_px: float) -> Reason:
         f"the product's outline in the plain-light image and the ends of its stripes are {against_px:.1f} px "
         f"apart, {left_px:.1f} px however one image is shifted: rows of the laser image are lost, or the "
         "plain-light image is another product's or of another scale; look at both, and take them again",
+    )
+
+
+def _shown_larger(
+    level: NDArray[np.float32], number: int, known: dict[int, Flags], spacing_px: float
+) -> Reason | None:
+    """Say whether the plain image shows a body that goes on far beyond what any stripes show of products.
+
+    A body may end up to one spacing beyond its stripes.
+    """
+    import cv2
+
+    if number not in known:
+        return None
+    region = known[number]
+    _, labels = cv2.connectedComponents(
+        _core(cv2.GaussianBlur(level, (0, 0), _CORE_SMOOTH_PX)).astype(np.uint8)
+    )
+    body = int(np.bincount(labels[region]).argmax())
+    if not body:  # the product is as bright as the belt
+        return None
+    stripes = np.logical_or.reduce(list(known.values()))
+    away = cv2.distanceTransform((~stripes).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    beyond = int(np.count_nonzero((labels == body) & (away > spacing_px))) / int(np.count_nonzero(region))
+    if beyond <= _BEYOND_SHARE:
+        return None
+    return Reason(
+        "images-contradict",
+        f"beyond what stripes show of the product the plain-light image shows {beyond:.0%} more of it: "
+        "a part of the laser image is another frame's, stripes are missing, or the plain-light image is of "
+        "another product; look at both, and take them again",
     )
 
 
