@@ -22,9 +22,9 @@ never shift them, and on the side that faces the light stripes reach the outline
 where p and b are how far inside the outline a product's end and the belt's next point lie, and `free` the
 edge that the image shows without the stripes' bounds. An edge too far inside leaves about half of the ends
 outside: hence the 2. It joins the outline's uncertainty. An outline that is off by more but agrees when it is
-shifted (belt or camera moved between the images) is left out. Where no shift explains it, one of the images
-lies (rows of the laser image are lost, the plain image is another product's or of another scale), nobody
-knows which, and the product is refused.
+shifted (belt or camera moved between the images) is left out. Where no shift explains it, or where the body
+in the plain image goes on far beyond all stripes, one of the images lies (rows of the laser image are lost,
+the plain image is another product's or of another scale), nobody knows which, and the product is refused.
 
 Fails where the product is as bright as the belt and shades evenly into it: then there is no outline.
 """
@@ -90,6 +90,10 @@ _STRAY_PX, _FARTHEST_PX = 5.0, 2.5
 more than half of that."""
 _CONTRADICTION_PX = 0.75
 """Standard uncertainty from which an outline says less than stripes do: 3 % of a product 50 px wide."""
+
+_COARSE, _BEYOND_SHARE = 4, 0.15
+"""Every fourth pixel of bodies and stripes. Of a product's area as its stripes show it, no whole image of
+five recipes shows more than 1 % farther than a spacing from them."""
 
 _SHIFT_MAX_PX, _SHIFT_STEP_PX = 12.0, 3.0
 """Shifts between the images that are tried: farther, the edge is not found around the stripes."""
@@ -158,6 +162,7 @@ class EdgeContour(Outliner[EdgeContourOptions]):
             light, on_stripes = _ambient(_one(chosen.pixels), spacing)
             level = _over_belt(light, dark, product)
         taken_out = None if on_stripes is None else on_stripes.astype(np.float32)
+        larger = _shown_larger(level, known, spacing) if use_plain and known else {}
         outlines = []
         for number, region in (known or _cores(level)).items():
             if not _is_clear(level, region):
@@ -171,17 +176,20 @@ class EdgeContour(Outliner[EdgeContourOptions]):
             scene = Scene(level, bounds, taken_out, 0.0 if use_plain else _AMBIENT_SMOOTH_PX, spacing)
             edge = edge_around(scene, _ring_around(region, spacing))
             if edge is None:
+                if number in larger:
+                    ring = _ring_around(region, spacing)
+                    outlines.append(Outline(number, ring, spacing, {}, larger[number]))
                 continue
-            std_px, fault = edge.std_px, None
+            std_px, fault = edge.std_px, larger.get(number)
             brackets = _brackets(scene, edge.xy_px, stripes, number) if use_plain and known else None
             if brackets is not None:
                 apart_px, against_px = brackets.disagreement_px()
                 std_px = math.hypot(std_px, apart_px) if apart_px else std_px
                 if against_px >= _CONTRADICTION_PX:
                     left_px = brackets.contradiction_left_px()
-                    if left_px < _CONTRADICTION_PX:
+                    if left_px < _CONTRADICTION_PX and fault is None:
                         continue
-                    fault = _contradiction(against_px, left_px)
+                    fault = fault or _contradiction(against_px, left_px)
             outlines.append(
                 Outline(number, edge.xy_px, std_px, features_of(edge.xy_px, chosen.pixels), fault)
             )
@@ -276,6 +284,38 @@ def _contradiction(against_px: float, left_px: float) -> Reason:
         f"apart, {left_px:.1f} px however one image is shifted: rows of the laser image are lost, or the "
         "plain-light image is another product's or of another scale; look at both, and take them again",
     )
+
+
+def _shown_larger(
+    level: NDArray[np.float32], known: dict[int, Flags], spacing_px: float
+) -> dict[int, Reason]:
+    """Say of which products the plain image shows a body that goes on far beyond what any stripes show.
+
+    A body may end up to one spacing beyond its stripes.
+    """
+    import cv2
+
+    few = np.s_[_COARSE // 2 :: _COARSE, _COARSE // 2 :: _COARSE]
+    regions = {number: region[few] for number, region in known.items()}
+    size = next(iter(regions.values())).shape[::-1]
+    core = _core(cv2.resize(level, size, interpolation=cv2.INTER_AREA)).astype(np.uint8)
+    bodies = cv2.connectedComponents(core)[1]
+    stripes = np.logical_or.reduce(list(regions.values()))
+    away = cv2.distanceTransform((~stripes).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    found = {}
+    for number, region in regions.items():
+        if not region.any():
+            continue
+        body = int(np.bincount(bodies[region]).argmax())  # 0: the product is as bright as the belt
+        beyond = np.count_nonzero((bodies == body) & (_COARSE * away > spacing_px)) / np.count_nonzero(region)
+        if body and beyond > _BEYOND_SHARE:
+            found[number] = Reason(
+                "images-contradict",
+                f"beyond what stripes show of the product the plain-light image shows {beyond:.0%} more of "
+                "it: a part of the laser image is another frame's, stripes are missing, or the plain-light "
+                "image is of another product; look at both, and take them again",
+            )
+    return found
 
 
 def _spacing_px(stripes: StripeMap) -> float:

@@ -149,6 +149,18 @@ def test_an_outline_of_another_scale_refuses_its_product(
     assert found.fault.code == "images-contradict"
 
 
+@pytest.mark.parametrize("seen", [(100.0, 118.6, 40.0, 30.0), (180.3, 118.6, 118.0, 45.0)])
+def test_a_body_that_goes_on_far_beyond_its_stripes_refuses_its_product(
+    rng: np.random.Generator, seen: tuple[float, float, float, float]
+) -> None:
+    """The laser image is of a smaller product in the same place; a rim that no stripe shows is none."""
+    (found,) = EdgeContour().outline(LASER, plain_image(rng), stripes_on((seen,)), None)
+    if seen[2] < 50.0:
+        assert found.fault.code == "images-contradict" and "more of it" in found.fault.text
+    else:
+        assert found.fault is None
+
+
 def test_an_outline_that_is_shifted_is_left_out(rng: np.random.Generator) -> None:
     """The belt moved by 5 px between the images: the stripes alone are right."""
     x, y, a, b = ELLIPSE
