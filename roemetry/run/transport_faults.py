@@ -12,6 +12,8 @@ a line thinner than a pixel are sharp. A join that crosses no stripe on a produc
 
 from __future__ import annotations
 
+import math
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -19,7 +21,7 @@ from numpy.typing import NDArray
 
 from roemetry.errors import DataError
 from roemetry.records import Frame
-from roemetry.records.arrays import Integers
+from roemetry.records.arrays import Floats, Integers
 
 _SAMPLED = 8
 """Every eighth pixel of a line is compared first: noise makes lines differ in far fewer."""
@@ -37,6 +39,8 @@ _TO_AND_FRO = 4
 _JOINED_SHARE = 1 / 32
 """Of 150 whole images of four makers and three cameras no boundary has so steep steps at more than 1 in 48
 places; most seams across products have them at 1 in 25 or more."""
+_ROWS_ASKED = 320
+"""Of more than twice as many rows some are passed over: those tell as well whether columns were joined."""
 _BESIDE, _TIMES_BESIDE = 3, 1.25
 """So many times those of the boundaries up to so far away come on top: specks make steps, and thin lines."""
 _STEP_SHARE, _STEP_MIN = 0.25, 0.05
@@ -57,40 +61,54 @@ def check_lines(laser: Frame) -> None:
 
 def _repeated(lines: NDArray[Any]) -> int | None:
     """Give the first of the lines that repeat others; None of none."""
-    sampled = np.ascontiguousarray(lines[:, ::_SAMPLED])
-    size, content = sampled[0].nbytes, sampled.tobytes()
-    last: dict[bytes, int] = {}
-    lag_before = 0
-    repeated: list[int] = []
-    for line in range(len(lines)):
-        one = content[line * size : (line + 1) * size]
-        lag = line - last.get(one, line)
-        # two lines in a row, each so many lines after its like
-        if lag and lag == lag_before and (lines[line] == lines[line - lag]).all():
-            repeated.append(line)
-        last[one], lag_before = line, lag
+    like = _line_before(lines[:, ::_SAMPLED])
+    if like is None:
+        return None
+    lag = np.arange(len(lines)) - like
+    # two lines in a row, each so many lines after its like
+    twice = 1 + np.flatnonzero((lag[1:] > 0) & (lag[1:] == lag[:-1]))
+    repeated = [line for line in twice.tolist() if (lines[line] == lines[like[line]]).all()]
     if not repeated:
         return None
+    last = np.setdiff1d(np.arange(len(lines)), like[lag > 0])
     level = [line for line in repeated if (lines[line] == lines[line].flat[0]).all()]
     if len(last) < _NOISY_SHARE * (len(lines) - len(level)):
         return None
-    usual = lines[[line for line in last.values() if line not in level]]
+    usual = lines[np.setdiff1d(last, level)]
     clipped = bool(level) and float((usual == lines[level[0]].flat[0]).mean()) > _CLIPPED_SHARE
     return None if clipped and len(level) == len(repeated) else repeated[0]
+
+
+def _line_before(sampled: NDArray[Any]) -> Integers | None:
+    """Give of each line the last one before it of the same content, or itself; None where all differ."""
+    flat = sampled.reshape(len(sampled), -1).astype(np.float64)
+    key = flat @ _weights(flat.shape[1])
+    ranked = np.sort(key)
+    if not (ranked[1:] == ranked[:-1]).any():
+        return None
+    order = np.argsort(key, kind="stable")
+    again = key[order[1:]] == key[order[:-1]]
+    before = np.arange(len(sampled))
+    before[order[1:][again]] = order[:-1][again]
+    return before
+
+
+@lru_cache(maxsize=8)
+def _weights(size: int) -> Floats:
+    """Give whole numbers, with which sums stay below 2^53: equal lines have equal ones in whatever order."""
+    return np.random.default_rng(0).integers(1, 2**24, size).astype(np.float64)
 
 
 def check_joins(frame: Frame) -> None:
     """Refuse an image of one channel that is joined of two; DataError with the place of the join."""
     pixels = frame.pixels
-    bright = float(np.percentile(pixels[::8, ::8], 99))
-    least = max(_STEP_SHARE * bright, _STEP_MIN * frame.white)
-    for axis, what in ((0, "rows"), (1, "columns")):
-        lines = pixels if axis == 0 else pixels[::2]
-        joined, alternate = _steep_steps(lines, axis, least)
-        beside = np.max([np.roll(joined, k) for k in range(-_BESIDE, _BESIDE + 1) if k], axis=0)
-        count = np.maximum(alternate, joined - _TIMES_BESIDE * beside)
-        place = int(count.argmax())
-        if count[place] > _JOINED_SHARE * lines.shape[1 - axis]:
+    least = math.floor(max(_STEP_SHARE * _bright(pixels[::8, ::8].ravel()), _STEP_MIN * frame.white))
+    for lines, axis, what in (
+        (pixels, 0, "rows"),
+        (pixels[:: max(2, len(pixels) // _ROWS_ASKED)], 1, "columns"),
+    ):
+        place = _joined_after(lines, axis, least)
+        if place is not None:
             raise DataError(
                 f"{frame.name}: between the {what} {place} and {place + 1} the image breaks off, sharper "
                 "than any lens draws: lines are lost there, or a part is another frame's",
@@ -98,21 +116,36 @@ def check_joins(frame: Frame) -> None:
             )
 
 
-def _steep_steps(lines: NDArray[Any], axis: int, least: float) -> tuple[Integers, Integers]:
-    """Count, at each boundary along an axis, places where light changes at once, and where to and fro."""
+def _bright(some: NDArray[Any]) -> float:
+    """Give the 99th percentile, as numpy does but in a fifth of the time."""
+    at = 0.99 * (some.size - 1)
+    low, high = np.partition(some, [math.floor(at), math.ceil(at)])[[math.floor(at), math.ceil(at)]].tolist()
+    return float(low + (at - math.floor(at)) * (high - low))
+
+
+def _joined_after(lines: NDArray[Any], axis: int, least: int) -> int | None:
+    """Give the line along an axis after which the image breaks off; None where it does nowhere."""
     import cv2
 
-    columns = lines.shape[1]
-    size, away = (lines.shape[0], columns) if axis == 0 else (columns, 1)
+    size, most = lines.shape[axis], _JOINED_SHARE * lines.shape[1 - axis]
     before, after = (lines[:-1], lines[1:]) if axis == 0 else (lines[:, :-1], lines[:, 1:])
     steps = cv2.absdiff(before, after)
-    place = divmod(np.flatnonzero(steps > least), steps.shape[1])
+    steep = steps > least
+    many = cv2.reduce(steep.view(np.uint8), 1 - axis, cv2.REDUCE_SUM, dtype=cv2.CV_32S)
+    # most images end here: no boundary has enough steep steps, whatever they are
+    if size < _REACH or many.max() <= most:
+        return None
+    place = divmod(np.flatnonzero(steep), steps.shape[1])
     inside = (place[axis] >= _REACH // 2 - 1) & (place[axis] < size - _REACH // 2)
-    at = place[axis][inside]
+    at, step = place[axis][inside], steps[place[0][inside], place[1][inside]]
+    columns = lines.shape[1]
+    away = columns if axis == 0 else 1
     first = place[0][inside] * columns + place[1][inside] - away * (_REACH // 2 - 1)
     grey = lines.ravel()[first + away * np.arange(_REACH)[:, None]]
-    step, change = steps[place[0][inside], place[1][inside]], grey.max(axis=0) - grey.min(axis=0)
+    change = grey.max(axis=0) - grey.min(axis=0)
     to_and_fro = np.maximum(grey[2:], grey[:-2]) - np.minimum(grey[2:], grey[:-2])
     found = change - step <= step // _AT_ONCE, to_and_fro.max(axis=0) <= step // _TO_AND_FRO
     joined, alternate = (np.bincount(at[which], minlength=size - 1) for which in found)
-    return joined, alternate
+    beside = np.max([np.roll(joined, k) for k in range(-_BESIDE, _BESIDE + 1) if k], axis=0)
+    count = np.maximum(alternate, joined - _TIMES_BESIDE * beside)
+    return int(count.argmax()) if count.max() > most else None
