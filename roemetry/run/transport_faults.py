@@ -127,25 +127,25 @@ def _joined_after(lines: NDArray[Any], axis: int, least: int) -> int | None:
     """Give the line along an axis after which the image breaks off; None where it does nowhere."""
     import cv2
 
-    size, most = lines.shape[axis], _JOINED_SHARE * lines.shape[1 - axis]
-    before, after = (lines[:-1], lines[1:]) if axis == 0 else (lines[:, :-1], lines[:, 1:])
-    steps = cv2.absdiff(before, after)
-    steep = steps > least
-    many = cv2.reduce(steep.view(np.uint8), 1 - axis, cv2.REDUCE_SUM, dtype=cv2.CV_32S)
-    # most images end here: no boundary has enough steep steps, whatever they are
-    if size < _REACH or many.max() <= most:
-        return None
-    place = divmod(np.flatnonzero(steep), steps.shape[1])
-    inside = (place[axis] >= _REACH // 2 - 1) & (place[axis] < size - _REACH // 2)
-    at, step = place[axis][inside], steps[place[0][inside], place[1][inside]]
-    columns = lines.shape[1]
+    columns, size, most = lines.shape[1], lines.shape[axis], _JOINED_SHARE * lines.shape[1 - axis]
+    grey = np.ascontiguousarray(lines).reshape(-1)
     away = columns if axis == 0 else 1
-    first = place[0][inside] * columns + place[1][inside] - away * (_REACH // 2 - 1)
-    grey = lines.ravel()[first + away * np.arange(_REACH)[:, None]]
-    change = grey.max(axis=0) - grey.min(axis=0)
-    to_and_fro = np.maximum(grey[2:], grey[:-2]) - np.minimum(grey[2:], grey[:-2])
-    found = change - step <= step // _AT_ONCE, to_and_fro.max(axis=0) <= step // _TO_AND_FRO
-    joined, alternate = (np.bincount(at[which], minlength=size - 1) for which in found)
+    steps = cv2.absdiff(grey[:-away], grey[away:]).reshape(-1)
+    place = np.flatnonzero(steps > least)
+    at = place // columns if axis == 0 else place % columns
+    inside = (at >= _REACH // 2 - 1) & (at < size - _REACH // 2)
+    place, at = place[inside], at[inside]
+    # most images end here: no boundary has enough steep steps, whatever they are
+    if not at.size or np.bincount(at).max() <= most:
+        return None
+    around = grey[place + away * np.arange(1 - _REACH // 2, 1 + _REACH // 2)[:, None]]
+    step, change = steps[place], around.max(axis=0) - around.min(axis=0)
+    joined = np.bincount(at[change - step <= step // _AT_ONCE], minlength=size)
+    to_and_fro = np.maximum(around[2:], around[:-2]) - np.minimum(around[2:], around[:-2])
+    alternate = np.bincount(at[to_and_fro.max(axis=0) <= step // _TO_AND_FRO], minlength=size)
+    if max(joined.max(), alternate.max()) <= most:
+        return None
+    joined, alternate = joined[:-1], alternate[:-1]
     beside = np.max([np.roll(joined, k) for k in range(-_BESIDE, _BESIDE + 1) if k], axis=0)
     count = np.maximum(alternate, joined - _TIMES_BESIDE * beside)
     return int(count.argmax()) if count.max() > most else None
