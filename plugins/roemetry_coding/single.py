@@ -127,6 +127,10 @@ class Single(Coder[SingleOptions]):
             reasons=reasons_of(rest),
         )
 
+    def rows_apart(self) -> int:
+        """Give the gap that is neither bridged nor looked across: one longer break."""
+        return max(self.options.longest_gap_rows, _LOOK_BACK_ROWS) + 1
+
 
 @float_kernel
 def brightest_path(row_start: Integers, x_px: Floats, amplitude: Floats) -> tuple[Integers, Floats]:

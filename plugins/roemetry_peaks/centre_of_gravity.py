@@ -52,6 +52,10 @@ class CentreOfGravity(Extractor[CentreOfGravityOptions]):
     Options: ClassVar[type[StageOptions]] = CentreOfGravityOptions
     capabilities = Capabilities(tolerance_px=0.05, saturated_tolerance_px=0.1)
 
+    def rows_apart(self) -> int:
+        """Give 0: each row is measured by itself."""
+        return 0
+
     def extract(self, frame: Frame) -> Peaks:
         """Find the stripes of a frame."""
         return found(

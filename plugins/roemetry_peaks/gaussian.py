@@ -49,6 +49,10 @@ class Gaussian(Extractor[GaussianOptions]):
     Options: ClassVar[type[StageOptions]] = GaussianOptions
     capabilities = Capabilities(tolerance_px=0.05, saturated_tolerance_px=0.1)
 
+    def rows_apart(self) -> int:
+        """Give 0: each row is measured by itself."""
+        return 0
+
     def extract(self, frame: Frame) -> Peaks:
         """Find the stripes of a frame."""
         return found(frame, self.options, gaussian_centres, weighs_speckle=True, beyond_linear=_BEYOND_LINEAR)

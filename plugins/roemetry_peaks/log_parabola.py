@@ -56,6 +56,10 @@ class LogParabola(Extractor[LogParabolaOptions]):
     Options: ClassVar[type[StageOptions]] = LogParabolaOptions
     capabilities = Capabilities(tolerance_px=0.05, saturated_tolerance_px=0.1)
 
+    def rows_apart(self) -> int:
+        """Give 0: each row is measured by itself."""
+        return 0
+
     def extract(self, frame: Frame) -> Peaks:
         """Find the stripes of a frame."""
         points = 3 if self.options.points == "three" else 5

@@ -50,6 +50,10 @@ class ZeroCrossing(Extractor[ZeroCrossingOptions]):
     Options: ClassVar[type[StageOptions]] = ZeroCrossingOptions
     capabilities = Capabilities(tolerance_px=0.05, saturated_tolerance_px=0.1)
 
+    def rows_apart(self) -> int:
+        """Give 0: each row is measured by itself."""
+        return 0
+
     def extract(self, frame: Frame) -> Peaks:
         """Find the stripes of a frame."""
         half_length = 0 if self.options.half_length == "auto" else self.options.half_length

@@ -152,6 +152,13 @@ class Extractor(Stage[OptionsT]):
     def extract(self, frame: Frame) -> Peaks:
         """Find the peaks of a frame of one channel."""
 
+    def rows_apart(self) -> int | None:
+        """Give the empty rows that keep frames of one scan apart when it is given several as one tall image.
+
+        None: it takes one frame at a time. 0: each row is measured by itself.
+        """
+        return None
+
 
 class Aligner(Stage[OptionsT]):
     """Compares a frame's belt with the calibration, to see whether camera, laser or belt have moved."""
@@ -184,6 +191,10 @@ class Coder(Stage[OptionsT]):
     @abstractmethod
     def code(self, peaks: Peaks, calibration: Calibration | None) -> StripeMap:
         """Code the peaks; refuse single peaks as ambiguous, or everything by a StageError with the reason."""
+
+    def rows_apart(self) -> int | None:
+        """Give the empty rows that keep frames apart, as for an extractor; asked only for a single stripe."""
+        return None
 
 
 class Smoother(Stage[OptionsT]):

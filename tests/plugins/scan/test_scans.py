@@ -9,11 +9,12 @@ import cv2
 import numpy as np
 import pytest
 
-from benchmarks.scans import PYRAMID, measured, recipe_of, scene, stripes_of, true_calibration
+from benchmarks.scans import PYRAMID, lines_of, measured, recipe_of, scene, stripes_of, true_calibration
 from roemetry.config.recipe import Recipe
 from roemetry.errors import CalibrationError
-from roemetry.records import Measurement, ScanLines
+from roemetry.records import Measurement, ScanLines, StripeMap
 from roemetry.records.calibration import Calibration
+from roemetry.run import scan
 from roemetry.run.open_parts import split_products
 from roemetry_pinhole.pinhole_plane import PinholePlane
 from roemetry_scan.dense import DenseSlices
@@ -153,6 +154,36 @@ def test_a_folder_of_frames_with_counts_in_their_names_is_the_same_scan(tmp_path
     assert one.volume is not None
     assert other.volume is not None
     assert one.volume.visible_mm3.value == other.volume.visible_mm3.value
+
+
+@pytest.mark.parametrize(("extractor", "apart_stds"), [("log-parabola", 1e-9), ("gaussian", 0.1)])
+def test_frames_followed_at_once_are_what_each_is_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, extractor: str, apart_stds: float
+) -> None:
+    """One frame is dark, and one of another size: they are empty, and spoil none of the others."""
+    sim = frustum()
+    lines = lines_of(sim, 1)
+    frames = [lines.frame(k) for k in range(20)]
+    frames[5] = replace(frames[5], pixels=np.full_like(frames[5].pixels, 9))
+    frames[9] = replace(frames[9], pixels=frames[9].pixels[:80])
+    some = ScanLines(frames.__getitem__, lines.count[:20], lines.number[:20], (0, 20))
+    calibration = true_calibration(sim)
+    recipe = recipe_of(calibration, tmp_path, stages={
+        "extractor": extractor, "coder": "single", "triangulator": "pinhole-plane",
+    })  # fmt: skip
+    stages = {kind: one.make() for kind, one in recipe.stages.items()}
+
+    def followed() -> StripeMap:
+        return scan.gather(some, lambda one: one.frames[0], stages, calibration)
+
+    whole = followed()
+    monkeypatch.setattr(scan, "_PIXELS_AT_ONCE", 1)
+    alone = followed()
+    assert np.array_equal(np.isnan(whole.x_px), np.isnan(alone.x_px))
+    assert np.isnan(whole.x_px[[5, 9]]).all()
+    assert np.nanmedian(np.abs(whole.x_px - alone.x_px) / alone.x_std_px) <= apart_stds
+    # what a frame alone estimates of its noise scatters
+    assert 0.75 < np.nanmedian(whole.x_std_px / alone.x_std_px) < 1.33
 
 
 def test_a_scan_that_ends_within_a_product_states_no_number(tmp_path: Path) -> None:
