@@ -25,6 +25,9 @@ _SAMPLED = 8
 """Every eighth pixel of a line is compared first: noise makes lines differ in far fewer."""
 _ODD = np.uint64(0x9E3779B97F4A7C15)
 """An odd number of 64 bits, whose powers weigh the bytes of a line."""
+_IN_A_ROW, _LEVEL = 2, 9
+"""So many lines in a row, each so many lines after its like; of the very same line more than fit into a
+JPEG's block, which is level where it is dark."""
 _NOISY_SHARE = 0.9
 """With fewer lines that differ from all others the image has no noise that would tell lines apart."""
 _CLIPPED_SHARE = 0.5
@@ -67,13 +70,14 @@ def _repeated(lines: NDArray[Any]) -> int | None:
         return None
     size, content = sampled[0].nbytes, sampled.tobytes()
     last: dict[bytes, int] = {}
-    lag_before = 0
+    lag_before = in_a_row = 0
     repeated: list[int] = []
     for line in range(len(lines)):
         one = content[line * size : (line + 1) * size]
         lag = line - last.get(one, line)
-        # two lines in a row, each so many lines after its like
-        if lag and lag == lag_before and (lines[line] == lines[line - lag]).all():
+        in_a_row = in_a_row + 1 if lag and lag == lag_before else 1
+        enough = lag and in_a_row >= (_LEVEL if lag == 1 else _IN_A_ROW)
+        if enough and (lines[line] == lines[line - lag]).all():
             repeated.append(line)
         last[one], lag_before = line, lag
     if not repeated:
