@@ -277,18 +277,12 @@ def _kinked(across: _Across, blur_px: float) -> tuple[Floats, float, float]:
     free = cost.copy()
     cost[shut] += usual
     path = closed_path(cost / usual, _FIT_BEND, 2)
-    row = np.arange(ring.shape[0])
-    inner = np.clip(path, 1, _PLACES_PX.size - 2)
-    before, here, after = (free[row, inner + k] for k in (-1, 0, 1))
-    curve = before - 2.0 * here + after
-    with np.errstate(divide="ignore", invalid="ignore"):
-        part = np.where(curve > 0.0, np.clip(0.5 * (before - after) / curve, -0.75, 0.75), 0.0)
-    exact = _PLACES_PX[path] + _SEARCH_STEP_PX * np.where(inner == path, part, 0.0)
-    even = _rounded(exact[:, None], _FIT_ROUND)
-    clear = (curve > 0.0) & told
-    each = 2.0 * here[clear] / (_OFF_PX.size - _TERMS) * _SEARCH_STEP_PX**2 / curve[clear]
-    std = math.sqrt(float(np.median(each)) * _ALIKE_PX / _length(ring)) if clear.any() else math.inf
-    scatter = float((_PLACES_PX[free.argmin(axis=1)] - even[:, 0])[told].std())
+    exact, each, best = between_places(free, path)
+    even = _rounded((_PLACES_PX[0] + _SEARCH_STEP_PX * exact)[:, None], _FIT_ROUND)
+    clear = told & np.isfinite(each)
+    usual = float(np.median(each[clear])) if clear.any() else math.inf
+    std = _SEARCH_STEP_PX * math.sqrt(usual / (_OFF_PX.size - _TERMS) * _ALIKE_PX / _length(ring))
+    scatter = float((_PLACES_PX[best] - even[:, 0])[told].std())
     return evenly(ring + even * normal, ring.shape[0]), std, scatter
 
 
@@ -446,6 +440,33 @@ def left_over(light: Floats, model: Floats, places: int) -> tuple[Floats, Floats
                 cost[i, j] -= explained[first + j] * explained[first + j]
         spread[i] = cost[i].max() - cost[i].min()
     return cost, spread
+
+
+@kernel
+def between_places(cost: Floats, path: Integers) -> tuple[Floats, Floats, Integers]:
+    """Look between the places of a path, by a parabola through its neighbours' costs.
+
+    Returns
+    -------
+    exact : ndarray, shape (n,)
+        Where the cost is least, places.
+    variance : ndarray, shape (n,)
+        Twice the cost over its curvature, places²; infinite where it does not curve upwards.
+    best : ndarray, shape (n,)
+        The cheapest place of each ray by itself.
+    """
+    n, m = cost.shape
+    exact, variance, best = np.empty(n), np.empty(n), np.empty(n, np.int64)
+    for i in range(n):
+        k = min(max(path[i], 1), m - 2)
+        before, here, after = cost[i, k - 1], cost[i, k], cost[i, k + 1]
+        curve = before - 2.0 * here + after
+        exact[i], variance[i], best[i] = float(path[i]), np.inf, np.argmin(cost[i])
+        if curve > 0.0:
+            variance[i] = 2.0 * here / curve
+            if k == path[i]:
+                exact[i] += min(max(0.5 * (before - after) / curve, -0.75), 0.75)
+    return exact, variance, best
 
 
 @float_kernel

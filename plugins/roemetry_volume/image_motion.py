@@ -189,8 +189,8 @@ def _beside_stripes(laser: NDArray[Any]) -> Flags:
     import cv2
 
     opened = cv2.morphologyEx(laser, cv2.MORPH_OPEN, np.ones((1, _STRIPE_PX), np.uint8))
-    taken = laser.astype(np.float32) - opened
-    sample = taken[::_SAMPLED, ::_SAMPLED]
+    taken = cv2.subtract(laser, opened)
+    sample = taken[::_SAMPLED, ::_SAMPLED].astype(np.float32)
     usual = float(np.median(sample))
     noise = 1.4826 * float(np.median(np.abs(sample - usual)))
     on = (taken > usual + _STRIPE * max(noise, 1.0)).astype(np.uint8)
@@ -243,9 +243,9 @@ class _Seen(NamedTuple):
         there = (share > 0.0) & (cv2.blur(share, (_FINE, _FINE)) > 0.5)
         place = np.flatnonzero(there)[::_APART]
         rows, columns = share.shape
-        x, y = (np.arange(size, dtype=np.float32) - 0.5 * (size - 1) for size in (columns, rows))
-        value = _texture(weighted, share).ravel()[place]
-        return cls(_clipped(value), place, np.tile(x, rows)[place], np.repeat(y, columns)[place], share.shape)
+        row, column = np.divmod(place.astype(np.int32), np.int32(columns))
+        x, y = (at.astype(np.float32) - 0.5 * (size - 1) for at, size in ((column, columns), (row, rows)))
+        return cls(_clipped(_texture(weighted, share).ravel()[place]), place, x, y, share.shape)
 
 
 def _clipped(values: Singles) -> Singles:

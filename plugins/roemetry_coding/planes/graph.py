@@ -42,7 +42,7 @@ from numpy.typing import NDArray
 from roemetry.records.arrays import Floats, Integers
 from roemetry_coding.planes.lines import Entries, EpipolarLines
 from roemetry_coding.planes.pieces import ENDS, Pieces
-from roemetry_kernels.compiling import kernel
+from roemetry_kernels.compiling import inlined, kernel
 
 
 class Weights(NamedTuple):
@@ -356,7 +356,7 @@ def _borders(
     return before, after
 
 
-@kernel(error_model="numpy")
+@inlined
 def _left_out(
     e: int, t: int, s: int, plane: Floats, z: float, left: float, right: float, hides: float, rising: bool,
     room: float, u_per_px: float, presence: Floats, sums: Floats,
@@ -379,22 +379,22 @@ def _left_out(
     return least + most * seen
 
 
-@kernel(error_model="numpy")
+@inlined
 def _height(plane: Floats, u: float) -> float:
     return (plane[0] * u + plane[1]) / (plane[2] * u + plane[3])
 
 
-@kernel(error_model="numpy")
+@inlined
 def _place(plane: Floats, z: float) -> float:
     return (plane[3] * z - plane[1]) / (plane[0] - plane[2] * z)
 
 
-@kernel(error_model="numpy")
+@inlined
 def _ramp(value: float, low: float, high: float) -> float:
     return min(max((value - low) / (high - low), 0.0), 1.0)
 
 
-@kernel(error_model="numpy")
+@inlined
 def _at_border(plane: Floats, z: float, left: float, right: float, u_per_px: float) -> float:
     """How surely a stripe at a height would be seen between two places of a line, 0 to 1."""
     u = _place(plane, z)

@@ -50,7 +50,7 @@ from roemetry_coding.planes.pieces import (
     relative_light,
 )
 from roemetry_coding.planes.shifts import cheapest_shifts
-from roemetry_kernels.compiling import kernel
+from roemetry_kernels.compiling import inlined, kernel
 from roemetry_kernels.rest_lines import RestLines
 from roemetry_kernels.tracing import cut_at_rest_lines, trace_fragments
 
@@ -281,7 +281,7 @@ class _Work(NamedTuple):
     """(node,) what a line's cost is taken apart into."""
 
 
-@kernel
+@inlined
 def _share_out(span: _Span, count: Integers, offset: Integers, work: _Work) -> None:
     """Take the line's cost apart into its nodes': evenly from the left, what is left from the right."""
     a, b = span.first, span.end
@@ -325,7 +325,7 @@ def _share_out(span: _Span, count: Integers, offset: Integers, work: _Work) -> N
         n = _depart(p, n, span, count, offset, work, nothing)
 
 
-@kernel
+@inlined
 def _backwards(span: _Span, count: Integers, offset: Integers, work: _Work, nothing: Floats) -> None:
     """Write the least cost of the line from each node on, its own included."""
     a, b = span.first, span.end
@@ -340,7 +340,7 @@ def _backwards(span: _Span, count: Integers, offset: Integers, work: _Work, noth
         n = _depart(p, n, span, count, offset, work, nothing)
 
 
-@kernel
+@inlined
 def _arrive(
     p: int, n: int, span: _Span, count: Integers, offset: Integers, work: _Work, nothing: Floats
 ) -> int:
@@ -359,7 +359,7 @@ def _arrive(
     return n
 
 
-@kernel
+@inlined
 def _depart(
     p: int, n: int, span: _Span, count: Integers, offset: Integers, work: _Work, nothing: Floats
 ) -> int:
@@ -378,7 +378,7 @@ def _depart(
     return n
 
 
-@kernel
+@inlined
 def _hand_on(i: int, j: int, tie: float, candidates: Candidates, taken: Floats, message: Floats) -> None:
     """Write what entry i says to entry j of the next line; a change of stripe costs the tie at most."""
     low, count, offset = candidates.low, candidates.many, candidates.offset
@@ -393,7 +393,7 @@ def _hand_on(i: int, j: int, tie: float, candidates: Candidates, taken: Floats, 
         message[offset[j] + b] = said
 
 
-@kernel
+@inlined
 def _solve_line(
     span: _Span, count: Integers, offset: Integers, work: _Work, empty: float, cost: Floats
 ) -> None:

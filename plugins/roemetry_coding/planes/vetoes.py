@@ -34,6 +34,7 @@ from roemetry_coding.planes.lines import Entries
 from roemetry_coding.planes.pieces import ENDS, Pieces
 from roemetry_kernels.compiling import kernel
 from roemetry_kernels.consistency import HIDING_SPACINGS
+from roemetry_kernels.image_levels import median_of
 from roemetry_kernels.rest_lines import RestLines
 
 _ONE_SIDE = 0.4
@@ -286,12 +287,19 @@ def _without_pattern(bend: Floats, seen: Integers, own: Floats) -> dict[int, Flo
     return left
 
 
+@kernel
 def _medians(lines: Floats) -> Floats:
-    """Give the median of each line's numbers: as `np.nanmedian` does, in a fifth of the time."""
-    ordered = np.sort(lines, axis=1)  # NaN comes last
-    count = lines.shape[1] - np.count_nonzero(np.isnan(lines), axis=1)
-    each = np.arange(len(lines))
-    return np.asarray(0.5 * (ordered[each, (count - 1) // 2] + ordered[each, count // 2]))
+    """Give the median of each line's numbers, NaN of none."""
+    found, known = np.full(lines.shape[0], np.nan), np.empty(lines.shape[1])
+    for k in range(lines.shape[0]):
+        count = 0
+        for value in lines[k]:
+            if not np.isnan(value):
+                known[count] = value
+                count += 1
+        if count:
+            found[k] = median_of(known[:count])
+    return found
 
 
 def _much_evener(one: Floats, other: Floats, seen: Integers) -> bool:
