@@ -132,8 +132,8 @@ class LinePage:
         path = picture_file(self._line.folder, self._known(request))
         try:
             return Response(path.read_bytes(), media_type="application/json")
-        except OSError as error:
-            raise RefusedError(_UNKNOWN, "there is no picture yet") from error
+        except OSError:
+            return Response(status_code=204)  # none yet
 
     async def _spooled(self, request: Request) -> Response:
         given = request.path_params
