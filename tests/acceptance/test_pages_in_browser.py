@@ -124,7 +124,8 @@ def recipe(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
             image.unlink()
     if (items := folder / "items.jsonl").exists():
         items.write_text("".join(items.read_text("utf-8").splitlines(keepends=True)[:PRODUCTS]), "utf-8")
-    return folder / (name or "recipe.yaml")
+    file: Path = folder / (name or "recipe.yaml")
+    return file
 
 
 def assert_fits(page: Any, address: str) -> None:

@@ -10,6 +10,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.middleware import Middleware
@@ -160,6 +161,8 @@ class LinePage:
     def _charted(self, station: str, figure: history.Figure, back_s: float) -> dict[str, Any]:
         import time
 
+        if not history.begun(self._line):
+            return history.described({}, history.chart_of(figure, np.empty(0), np.empty(0)))
         table = history.history_of(self._line)
         try:
             since_s = time.time() - back_s
